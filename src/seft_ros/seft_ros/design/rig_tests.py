@@ -1,6 +1,5 @@
 """The tests of an identification: levels, experiments, and the spectra of what was measured."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -123,7 +122,7 @@ def spectra(signals: Floats, rate: float, segment: float) -> Spectra:
         detrend=False,  # a drift is part of the signals
     )
     count = (len(signals) - length // 2) // (length - length // 2)
-    averages = max(1.0, _HANN_OVERLAP_GAIN * count) if count > 1 else 1.0
+    averages = max(1.0, _HANN_OVERLAP_GAIN * count)
     return Spectra(frequencies, np.moveaxis(density, -1, 0), averages)
 
 
@@ -354,16 +353,15 @@ def _with(experiment: Experiment, record: Path, controller: dict[str, Any]) -> E
     )
 
 
-def write_excitation(path: Path, accelerations: Floats, axes: Sequence[str]) -> None:
+def write_excitation(path: Path, accelerations: Floats) -> None:
     """Write ground accelerations (N, n) in m/s^2 as a record that ground_motion reads exactly.
 
     The folder is made if need be. An InputError says if it can't be written.
     """
-    rows = [",".join(map(repr, row)) for row in accelerations.tolist()]
-    names = ",".join(f"axis {index + 1} (m/s2)" for index in range(len(axes)))
+    names = [f"axis {index + 1} (m/s2)" for index in range(accelerations.shape[1])]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text("\n".join([f"# {names}", *rows, ""]), encoding="utf-8")
+        np.savetxt(path, accelerations, "%.17g", ",", header=",".join(names))
     except OSError as error:
         raise InputError(f"{error.filename}: {error.strerror or error}") from None
 
@@ -407,7 +405,7 @@ class Motions:
     def write(self, path: Path, duration: float) -> Path:
         """Write the motion of a test as a record, see `write_excitation`."""
         accelerations = ground_accelerations(self.experiment, self.force * self._unit(duration))
-        write_excitation(path, accelerations, self.experiment.axes)
+        write_excitation(path, accelerations)
         return path
 
     def steps(self, duration: float) -> int:
