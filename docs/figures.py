@@ -151,7 +151,7 @@ def interaction() -> Figure:
         near = (f > 5.0) & (f < 20.0)
         lowest = np.argmin(np.abs(loop.sampled.tracking[near]))
         dip = decibels(loop.sampled.tracking[near])[lowest]
-        print(f"{label}: zero {loop.plant.zeros()[0].hz:.2f} Hz, G {dip:.2f} dB ", end="")
+        print(f"{label}: zero {loop.plant.roots[1][0].hz:.2f} Hz, G {dip:.2f} dB ", end="")
         print(f"at {f[near][lowest]:.1f} Hz, delay at 2 Hz {1e3 * loop.delay_at(2.0):.1f} ms")
     for panel, what in ((left, "valve to force / (dB of N/V)"), (right, "closed loop $G$ / dB")):
         panel.set(xscale="log")

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,27 +21,34 @@ _TRACKING = ("flat_to_hz", "bandwidth_hz", "delay_s", "dip_db", "dip_hz")
 
 @dataclass(frozen=True)
 class Responses:
-    """Frequency responses of plant (N/V) and controller (V/N) at N frequencies, shape (N,) each."""
+    """Frequency responses of a loop at N frequencies, and its numbers.
 
-    frequencies_hz: Floats
+    Attributes
+    ----------
+    plant, controller : ndarray
+        H_fu, N/V, and C_f, V/N, shape (N,).
+    loop, tracking : ndarray
+        L = C_f H_fu, and T = L / (1 + L), from reference force to measured force, shape (N,).
+    margins : LoopMargins
+        Of L.
+    measures : Tracking
+        Of T.
+    """
+
     plant: Complexes
     controller: Complexes
+    loop: Complexes
+    tracking: Complexes
+    margins: LoopMargins
+    measures: Tracking
 
-    @property
-    def loop(self) -> Complexes:
-        """L = C_f H_fu."""
-        return self.controller * self.plant
-
-    @property
-    def tracking(self) -> Complexes:
-        """T = L / (1 + L), from reference force to measured force."""
-        return self.loop / (1 + self.loop)
-
-    @cached_property
-    def numbers(self) -> tuple[LoopMargins, Tracking]:
-        """Margins of L, and measures of T."""
-        f = self.frequencies_hz
-        return loop_margins(f, self.loop), tracking_measures(f, self.tracking)
+    @classmethod
+    def of(cls, f: Floats, plant: Complexes, controller: Complexes) -> "Responses":
+        """Close the loop of plant and controller at frequencies in Hz."""
+        loop = controller * plant
+        tracking = loop / (1 + loop)
+        margins, measures = loop_margins(f, loop), tracking_measures(f, tracking)
+        return cls(plant, controller, loop, tracking, margins, measures)
 
 
 @dataclass(frozen=True)
@@ -73,12 +79,12 @@ class LoopDesign:
     @property
     def margins(self) -> LoopMargins:
         """Margins of the loop as it runs."""
-        return self.sampled.numbers[0]
+        return self.sampled.margins
 
     @property
     def tracking(self) -> Tracking:
         """Tracking of the loop as it runs."""
-        return self.sampled.numbers[1]
+        return self.sampled.measures
 
     def delay_at(self, frequency_hz: float) -> float:
         """Delay of the measured force at one frequency, s."""
@@ -94,9 +100,9 @@ def shape_loop(plant: Plant, controller: Controller, dt: float) -> LoopDesign:
     """
     plant = plant.axis(0)
     f = loop_frequencies(plant, dt)
-    continuous = Responses(f, replace(plant, delay=0.0).response(f), controller.response(f))
-    plant_response = SampledPlant.of(plant, dt).response(f)
-    sampled = Responses(f, plant_response, controller.sampled_response(f, dt))
+    at_once, as_it_runs = replace(plant, delay=0.0), SampledPlant.of(plant, dt)
+    continuous = Responses.of(f, at_once.response(f), controller.response(f))
+    sampled = Responses.of(f, as_it_runs.response(f), controller.sampled_response(f, dt))
     stable = abs(force_loop(plant, controller, dt).dominant()) < 1
     return LoopDesign(plant, controller, f, continuous, sampled, stable)
 
@@ -140,8 +146,8 @@ def design_table(design: LoopDesign, title: str) -> Table:
     plant, controller = design.plant, design.controller
     zero = plant.antiresonance()
     loops = (
-        asdict(margins) | tracking_numbers(tracking)
-        for margins, tracking in (design.continuous.numbers, design.sampled.numbers)
+        asdict(responses.margins) | tracking_numbers(responses.measures)
+        for responses in (design.continuous, design.sampled)
     )
     rows: list[list[str] | None] = [
         ["plant zero (specimen)", "", str(zero or "none")],
@@ -189,7 +195,7 @@ def summarise(design: LoopDesign) -> dict[str, Any]:
             "zeros": [asdict(root) for root in controller.zeros],
         },
         "discretisation": {
-            "continuous": asdict(design.continuous.numbers[0]),
+            "continuous": asdict(design.continuous.margins),
             "sampled": asdict(design.margins),
         },
     }

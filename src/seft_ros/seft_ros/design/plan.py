@@ -33,10 +33,7 @@ from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
 from seft_ros.reference_force.compensator import Compensator
 from seft_ros.reference_force.force_command import FORCE_DRIVEN
 from seft_ros.reference_force.linear_filter import LinearFilter
-from seft_ros.reference_force.reference_force_block import (
-    compensator,
-    knowledge,
-)
+from seft_ros.reference_force.reference_force_block import compensator, knowledge
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 from seft_ros.reference_force.target_motion import TargetMotion
 from seft_ros.reference_force.target_step import FORCE
