@@ -111,7 +111,7 @@ def growth() -> Figure:
     left.axhline(0.0, color=REFERENCE, lw=3)
     for name, colour in COLOURS.items():
         plans = [Plan(planned(*method(name), mass_ratio(float(a))), "rig") for a in MASS_RATIOS]
-        rates = np.array([plan.loop().growth_rate() for plan in plans])
+        rates = np.array([plan.growth_rate() for plan in plans])
         modes = [predicted_modes(plan) for plan in plans]
         damping = 100 * np.array([m[0].damping if m else np.nan for m in modes])
         exact = 100 * np.array([m[0].exact_damping if m else np.nan for m in modes])

@@ -44,7 +44,7 @@ def test_a_map_holds_what_the_plan_says_at_its_places(monkeypatch, name):
         assert area.growth.shape == (len(area.others), len(area.mass_ratios)) == (size, size)
         for row, column in ((0, 0), (3, 9), (size - 1, size - 1)):
             changes = {change: area.others[row] / unit}
-            exact = plan.loop(mass_ratio=area.mass_ratios[column], **changes).growth_rate()
+            exact = plan.growth_rate(mass_ratio=area.mass_ratios[column], **changes)
             assert area.growth[row, column] == pytest.approx(exact, rel=1e-6)
         low, high = area.others[[0, -1]]
         assert low <= area.planned[1] <= high

@@ -39,14 +39,11 @@ class ClosedLoop:
         Shape (N, (1 + preview) n), from the ground accelerations of this and the next steps.
     displacement : ndarray
         c, shape (n, N).
-    dt : float
-        Sampling period, s.
     """
 
     matrix: Floats
     ground: Floats
     displacement: Floats
-    dt: float
 
     def eigenvalues(self) -> Complexes:
         """All N eigenvalues z; the test is stable where every |z| < 1.
@@ -69,10 +66,6 @@ class ClosedLoop:
         found = self.eigenvalues()
         z = complex(found[np.abs(found).argmax()])
         return complex(z.real, abs(z.imag))
-
-    def growth_rate(self) -> float:
-        """ln|z| / dt of that eigenvalue, 1/s: positive where the test is unstable."""
-        return growth_rate(self.dominant(), self.dt)
 
     def modes(self) -> tuple[Complexes, Complexes]:
         """Eigenvalues z, shape (N,), and their residues, shape (N, n, n).
@@ -101,19 +94,11 @@ def force_loop(plant: Plant, controller: Controller, dt: float) -> ClosedLoop:
     control = ForceController([polynomials] * n, np.inf, dt).linear()
     forces = np.pad(c, ((3 * n, 0), (0, 0)))
     no_reference = LinearFilter.of_gains(np.zeros((n, 4 * n)), np.zeros((n, n)))
-    return closed_loop((a, b, forces), no_reference, control, dt)
-
-
-def growth_rate(z: complex, dt: float) -> float:
-    """Rate ln|z| / dt at which a mode with this eigenvalue grows, 1/s."""
-    return float(np.log(max(abs(z), 1e-300)) / dt)
+    return closed_loop((a, b, forces), no_reference, control)
 
 
 def closed_loop(
-    rig: tuple[Floats, Floats, Floats],
-    compensation: LinearFilter,
-    control: LinearControl,
-    dt: float,
+    rig: tuple[Floats, Floats, Floats], compensation: LinearFilter, control: LinearControl
 ) -> ClosedLoop:
     """Close the loop as the blocks run it.
 
@@ -138,7 +123,7 @@ def closed_loop(
     )
     ground = np.vstack([rig_by_p @ compensation.e, compensation.h, control_by_p @ compensation.e])
     displacement = np.pad(c[:axes], ((0, 0), (0, len(matrix) - len(b))))
-    return ClosedLoop(matrix, ground, displacement, dt)
+    return ClosedLoop(matrix, ground, displacement)
 
 
 CERTAIN = 1e30
@@ -186,13 +171,15 @@ def frozen_target(method: TargetMotion, measured: bool) -> LinearFilter:
 
 
 def frozen_feedforward(
-    control: VelocityFeedforward, errors: tuple[float, float] = (0.0, 0.0)
-) -> LinearControl:
+    control: VelocityFeedforward, errors: tuple[float, float]
+) -> tuple[Floats, LinearControl]:
     """Linear controller from points and measured state to the valves; the controller is reset.
 
-    In place of the reference force its input has the points that it reads. ``errors`` are its
-    estimates for each valve: of the flow gain, relative, and of the delay, s. The pressure drop
-    under load is left out: it is of second order in the motion.
+    ``errors`` are its estimates for each valve: of the flow gain, relative, and of the delay, s.
+    The pressure drop under load is left out: it is of second order in the motion.
+
+    Returned are a matrix of few rows, (q, points), and a controller that reads its q products with
+    the points in place of the reference force: they are all that it needs of the points.
     """
     parameters, state = control.parameters, control.state
     actuator = parameters.actuator.copy()
@@ -212,24 +199,13 @@ def frozen_feedforward(
         feedforward_step(parameters, state, points, y, command)
 
     states = [state.measured, state.sent, state.flows]
-    (c, *d), (a, *b) = _system(begin, step, states, [points, y], command)
+    (c, *d_parts), (a, *b_parts) = _system(begin, step, states, [points, y], command)
     control.reset()
-    return LinearControl(a, np.hstack(b), c, np.hstack(d))
-
-
-def read_of_points(control: LinearControl) -> tuple[Floats, LinearControl]:
-    """Split a controller of points into a matrix of few rows, (q, points), and a controller of q.
-
-    The q values are all that the controller needs of the points.
-    """
-    axes = len(control.d)
-    known = control.d.shape[1] - 4 * axes
-    by_points = np.vstack([control.d[:, :known], control.b[:, :known]])
+    by_points = np.vstack([d_parts[0], b_parts[0]])
     used = np.flatnonzero(by_points.any(axis=1))
     handed_on = np.eye(len(by_points))[:, used]
-    d = np.hstack([handed_on[:axes], control.d[:, known:]])
-    b = np.hstack([handed_on[axes:], control.b[:, known:]])
-    return by_points[used], LinearControl(control.a, b, control.c, d)
+    d, b = np.hstack([handed_on[:n], d_parts[1]]), np.hstack([handed_on[n:], b_parts[1]])
+    return by_points[used], LinearControl(a, b, c, d)
 
 
 def _system(

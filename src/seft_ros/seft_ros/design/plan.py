@@ -22,8 +22,6 @@ from seft_ros.design.closed_loop import (
     closed_loop,
     frozen_feedforward,
     frozen_target,
-    growth_rate,
-    read_of_points,
 )
 from seft_ros.design.plant import Plant, SampledPlant, choose_plant, small_signal
 from seft_ros.force_controller.force_control import LinearControl
@@ -246,7 +244,7 @@ class Plan:
                     of = slice(first, first + read.shape[1])
                     c, d, e = (read @ matrix[of] for matrix in (part.c, part.d, part.e))
                     part = replace(part, c=c, d=d, e=e)
-                loops.append(closed_loop(rig, part.delayed(late), control, self.dt))
+                loops.append(closed_loop(rig, part.delayed(late), control))
         return loops
 
     def loop(self, **changes: Any) -> ClosedLoop:
@@ -262,8 +260,8 @@ class Plan:
         return abs(cmath.phase(self.worst(**changes))) / (2 * np.pi * self.dt)
 
     def growth_rate(self, **changes: Any) -> float:
-        """Growth rate of that mode, 1/s: positive if the test is unstable."""
-        return growth_rate(self.worst(**changes), self.dt)
+        """Growth rate ln|z| / dt of that mode, 1/s: positive if the test is unstable."""
+        return float(np.log(max(abs(self.worst(**changes)), 1e-300)) / self.dt)
 
     def is_stable(self, **changes: Any) -> bool:
         """Whether none of `loops` grows."""
@@ -291,7 +289,6 @@ class Plan:
                         f"force_controller: {VELOCITY_FEEDFORWARD} needs a target motion: set "
                         f"reference_force: compensation.method to {TARGET_MOTION}"
                     )
-                frozen = [frozen_feedforward(made, errors) for errors in ((0.0, 0.0), *BOUNDS)]
-                return [read_of_points(each) for each in frozen]
+                return [frozen_feedforward(made, errors) for errors in ((0.0, 0.0), *BOUNDS)]
             control = made.linear()
         return [(np.eye(n, 3 * n, k=FORCE * n) if self.follows else None, control)]

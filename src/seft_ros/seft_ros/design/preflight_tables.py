@@ -14,7 +14,6 @@ from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_UNITS
 from seft_plant_sim.whole_structure import model_times, reference_response, whole_structure
 
-from seft_ros.design.closed_loop import growth_rate
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import HIGHEST_MASS_RATIO, Critical, Range, added_delays
 from seft_ros.design.stability_verdict import Preflight
@@ -233,10 +232,10 @@ def summarise(plan: Plan, found: Preflight) -> dict[str, Any]:
         "false_damping_ratio": first.get("false_damping"),
         "frequency_error": first.get("frequency_error"),
         "modes": modes,
-        "spectral_radius": abs(found.dominant),
-        "growth_rate": growth_rate(found.dominant, plan.dt),
-        "dominant_hz": float(np.angle(found.dominant)) / (2 * np.pi * plan.dt),
-        "states": found.states,
+        "spectral_radius": abs(plan.worst()),
+        "growth_rate": plan.growth_rate(),
+        "dominant_hz": plan.hz(),
+        "states": sum(len(loop.matrix) for loop in plan.loops()),
     }
 
 

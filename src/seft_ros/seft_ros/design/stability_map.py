@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 from seft_msgs_py.arrays import Floats
 
@@ -105,14 +104,11 @@ def preflight_figure(plan: Plan, found: Preflight, maps: list[StabilityMap]) -> 
     figure = new_figure(6.0 * len(maps), 5.6)
     panels = figure.subplots(1, len(maps), squeeze=False)[0]
     for axes, area, (title, label, scale) in zip(panels, maps, _PANELS, strict=False):
-        _draw(axes, area, scale, found.verdict)
+        filled = _draw(axes, area, scale, found.verdict)
         axes.set_title(title, loc="left", fontsize=11, color=TEXT)
         axes.set_ylabel(label, color=TEXT)
-    colours = ScalarMappable(
-        BoundaryNorm(LEVELS, len(_COLOURS), extend="both"), ListedColormap(_COLOURS)
-    )
-    bar = figure.colorbar(colours, ax=panels.tolist(), pad=0.01, aspect=32, spacing="uniform")
-    bar.set_ticks(list(LEVELS), labels=[f"{level:g}" for level in LEVELS])
+    bar = figure.colorbar(filled, ax=panels.tolist(), pad=0.01, aspect=32, spacing="uniform")
+    bar.set_ticks(np.arcsinh(LEVELS).tolist(), labels=[f"{level:g}" for level in LEVELS])
     bar.set_label("growth rate / (1/s): stable below 0, unstable above", color=TEXT)
     bar.ax.tick_params(colors=TEXT, labelsize=9, length=0)
     bar.outline.set_visible(False)
@@ -124,11 +120,11 @@ def preflight_figure(plan: Plan, found: Preflight, maps: list[StabilityMap]) -> 
     return figure
 
 
-def _draw(axes: Axes, area: StabilityMap, scale: float, verdict: str) -> None:
+def _draw(axes: Axes, area: StabilityMap, scale: float, verdict: str) -> QuadContourSet:
     x, y = area.mass_ratios, scale * area.others
     # interpolated on a scale on which it is nearly straight across the critical line
     bent, levels = np.arcsinh(area.growth), np.arcsinh(LEVELS)
-    axes.contourf(x, y, bent, levels=levels, colors=_COLOURS, extend="both")
+    filled = axes.contourf(x, y, bent, levels=levels, colors=_COLOURS, extend="both")
     if bent.min() < 0 < bent.max():
         axes.contour(x, y, bent, levels=[0.0], colors=TEXT, linewidths=1.8)
     planned = area.planned[0], scale * area.planned[1]
@@ -139,3 +135,4 @@ def _draw(axes: Axes, area: StabilityMap, scale: float, verdict: str) -> None:
     axes.set_xlabel("mass ratio $\\alpha$", color=TEXT)
     axes.tick_params(colors=TEXT, labelsize=9)
     axes.spines[["top", "right"]].set_visible(False)
+    return filled

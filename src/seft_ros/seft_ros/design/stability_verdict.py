@@ -140,10 +140,6 @@ class Preflight:
     modes : list of Mode
         Of the whole structure in the test, lowest first; none if it is unstable: what grows has no
         damping in the test.
-    dominant : complex
-        Eigenvalue of the largest magnitude.
-    states : int
-        States of the loop, or loops.
     """
 
     verdict: Verdict
@@ -151,8 +147,6 @@ class Preflight:
     promise: str
     margins: Margins
     modes: list[Mode]
-    dominant: complex
-    states: int
 
 
 def preflight(plan: Plan, progress: Progress | None = None) -> Preflight:
@@ -166,8 +160,6 @@ def preflight(plan: Plan, progress: Progress | None = None) -> Preflight:
         promise=_promise(plan),
         margins=margins,
         modes=[] if unstable else predicted_modes(plan),
-        dominant=plan.worst(),
-        states=sum(len(loop.matrix) for loop in plan.loops()),
     )
 
 
