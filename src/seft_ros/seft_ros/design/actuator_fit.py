@@ -191,7 +191,8 @@ _DAMPING, _LOAD, _OVER = math.log(0.7), 0.02, math.log(0.005)  # first guesses
 _MOST_STEPS = 30
 _TOLERANCE = 0.01  # of the flow at a frequency: accuracy of the model itself
 _LEAST_LOAD = 0.15  # of the force capacity: below, friction can be taken for it
-_UNSURE = 0.1  # relative standard deviation
+_UNSURE = 0.1  # relative standard deviation; of the dead time in ms
+_DOUBTED = ("flow_gain", "oil_stiffness", "valve_frequency", "valve_damping", "dead_time")
 _LOWEST = np.array([math.log(3.0), math.log(0.1), 0.0, 0.0, math.log(2e-4)])
 _HIGHEST = np.array([math.log(1000.0), math.log(3.0), 50.0, 0.9, math.log(0.1)])
 _SCALE = np.array([0.1, 0.1, 0.1, 0.01, 0.3])
@@ -305,13 +306,8 @@ def fit_actuator(
     measured = oil.within(oil.velocity + compliance * oil.rise + lost)
     modelled = oil.within(q * oil.flow(p)[0])
     total = float(np.sum(measured**2))
-    relative = {
-        "flow_gain": linear_deviations[0] / max(abs(q), 1e-30),
-        "oil_stiffness": linear_deviations[1] / max(abs(compliance), 1e-30),
-        "valve_frequency": deviations[0],
-        "valve_damping": deviations[1],
-        "dead_time": deviations[2],  # ms
-    }
+    size = np.maximum(np.abs(linear[:2]), 1e-30)
+    relative = [*linear_deviations[:2] / size, *deviations[:3]]
     return ActuatorFit(
         flow_gain=q,
         oil_stiffness=1.0 / compliance if compliance else 0.0,
@@ -322,7 +318,7 @@ def fit_actuator(
         dead_time=float(p[2]) / 1e3,
         drag=max(friction / compliance, 0.0) * oil.drag(p) if compliance else 0.0,
         explained=1.0 - float(np.sum((measured - modelled) ** 2)) / total if total else 0.0,
-        unsure=tuple(name for name, value in relative.items() if value > _UNSURE),
+        unsure=tuple(n for n, r in zip(_DOUBTED, relative, strict=True) if r > _UNSURE),
         largest_force=oil.largest_force,
         dt=dt,
         measured=measured,

@@ -93,11 +93,8 @@ def _mark_loop(panel: _Panel, design: LoopDesign) -> None:
     if margins.crossover_hz is not None:
         _mark(magnitude, margins.crossover_hz, f"crossover\n{margins.crossover_hz:.3g} Hz")
         _mark(phase, margins.crossover_hz, f"{margins.phase_margin_deg:.3g}° phase margin")
-    if margins.phase_crossover_hz is not None and margins.gain_margin_db is not None:
-        at, depth = margins.phase_crossover_hz, -margins.gain_margin_db
-        magnitude.plot([at, at], [depth, 0.0], color=MARK, lw=1.6)
-        text = f"{margins.gain_margin_db:.3g} dB gain margin"
-        magnitude.annotate(text, (at, 0.0), (2, 3), textcoords="offset points", **_NOTE)
+    if margins.phase_crossover_hz is not None:
+        _mark(phase, margins.phase_crossover_hz, f"{margins.gain_margin_db:.3g} dB gain margin")
 
 
 def _mark_closed_loop(panel: _Panel, design: LoopDesign) -> None:
@@ -148,8 +145,8 @@ def identified_figure(identified: Identified, title: str) -> Figure:
         if len(identified.axes) > 1:
             panels[0, column].set_title(f"axis {axis}", loc="left", **_HEADING)
         panels[-1, column].set_xlabel("frequency / Hz", color=TEXT)
-        for row in rows[: -1 if closed else None]:
-            panel[row].legend(loc="lower left", frameon=False, fontsize=9)
+        for axes in panel.values():
+            axes.legend(loc="lower left", frameon=False, fontsize=9)
     for axes, label in zip(panels[:, 0], rows, strict=True):
         axes.set_ylabel(label, color=TEXT)
     if dots is not None:
@@ -203,14 +200,10 @@ def _draw_tracking(panel: Axes, below: Axes, closed: ClosedLoop) -> None:
     if flat := tracking.flat_to_hz:
         _mark(panel, flat, f"±{FLATNESS_DB:g} dB to {flat:.3g} Hz", 0.85)
     delays = np.where(measured.coherence < _COHERENT, np.nan, 1e3 * tracking.delay_by_frequency)
-    below.plot(f, delays, color=SECOND, lw=1.0)
+    below.plot(f, delays, color=SECOND, lw=1.0, label="measured")
     if tracking.delay_s is not None:
         delay = 1e3 * tracking.delay_s
-        below.axhline(delay, **_LINE)
-        text, place = f"best-fit delay {delay:.3g} ms", ("axes fraction", "data")
-        below.annotate(
-            text, (0.01, delay), (0, 3), xycoords=place, textcoords="offset points", **_NOTE
-        )
+        below.axhline(delay, label=f"best-fit delay {delay:.3g} ms", **_LINE)
         below.set_ylim(0.0, 2.0 * delay)
 
 

@@ -194,12 +194,11 @@ def _thin(plan: Plan, margins: Margins) -> Iterator[str]:
     for name, found, reserve in (
         ("gain of the actuator's path", margins.sure_gain or margins.gain, GAIN_RESERVE),
         ("local stiffness", margins.stiffness, STIFFNESS_RESERVE),
+        ("local stiffness, once identified,", margins.followed, np.inf),
     ):
         for factor in [end.value / found.planned for end in found.ends()] if found else ():
             if 1 / reserve < factor < reserve:
                 yield f"{factor:.3g} times the {name} makes it unstable"
-    for end in margins.followed.ends() if margins.followed else ():
-        yield f"a local stiffness of {end.value:.3g} times the assumed one makes it unstable"
     for end in margins.delay_error.ends() if margins.delay_error else ():
         if abs(end.value) < ASSUMED_DELAY_RESERVE_STEPS * plan.dt:
             yield (
