@@ -247,10 +247,6 @@ class Plan:
                 loops.append(closed_loop(rig, part.delayed(late), control))
         return loops
 
-    def loop(self, **changes: Any) -> ClosedLoop:
-        """Close the loop as the test starts, see `loops`."""
-        return self.loops(**changes)[0]
-
     def worst(self, **changes: Any) -> complex:
         """Eigenvalue of all `loops` with the largest magnitude."""
         return max((loop.dominant() for loop in self.loops(**changes)), key=abs)
