@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.linalg import eig
@@ -12,12 +13,9 @@ from seft_msgs_py.arrays import Complexes, Floats
 
 from seft_ros.design.controller import Controller
 from seft_ros.design.plant import Plant, SampledPlant
+from seft_ros.force_controller import velocity_feedforward
 from seft_ros.force_controller.force_control import ForceController, LinearControl
-from seft_ros.force_controller.velocity_feedforward import (
-    VelocityFeedforward,
-    begin_feedforward,
-    feedforward_step,
-)
+from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
 from seft_ros.protection.detectors import LARGEST_DELAY_ERROR, LARGEST_GAIN_ERROR
 from seft_ros.reference_force.linear_filter import LinearFilter
 from seft_ros.reference_force.target_motion import TargetMotion
@@ -128,12 +126,10 @@ def closed_loop(
 
 CERTAIN = 1e30
 """Variance, or evidence, beside which all others are negligible."""
-BOUNDS = list(
-    itertools.product(
-        (-LARGEST_GAIN_ERROR, LARGEST_GAIN_ERROR), (-LARGEST_DELAY_ERROR, LARGEST_DELAY_ERROR)
-    )
+_BOUNDS = itertools.product(
+    (-LARGEST_GAIN_ERROR, LARGEST_GAIN_ERROR), (-LARGEST_DELAY_ERROR, LARGEST_DELAY_ERROR)
 )
-"""Bounds of the errors of a valve that the controller may assume."""
+_ERRORS = ((0.0, 0.0), *_BOUNDS)  # of a valve, that a controller assumes: at the start, at most
 
 
 def frozen_target(method: TargetMotion, measured: bool) -> LinearFilter:
@@ -170,16 +166,15 @@ def frozen_target(method: TargetMotion, measured: bool) -> LinearFilter:
     return LinearFilter(a, b, h, c, d, e)
 
 
-def frozen_feedforward(
-    control: VelocityFeedforward, errors: tuple[float, float]
-) -> tuple[Floats, LinearControl]:
-    """Linear controller from points and measured state to the valves; the controller is reset.
+def frozen_feedforward(control: VelocityFeedforward) -> list[tuple[Floats, LinearControl]]:
+    """Linear controllers from points and measured state to the valves; the controller is reset.
 
-    ``errors`` are its estimates for each valve: of the flow gain, relative, and of the delay, s.
-    The pressure drop under load is left out: it is of second order in the motion.
+    As it starts, then with the errors of the valves (of the flow gain and of the delay) at the
+    bounds to which it may adapt them. The pressure drop under load is left out: it is of second
+    order in the motion.
 
-    Returned are a matrix of few rows, (q, points), and a controller that reads its q products with
-    the points in place of the reference force: they are all that it needs of the points.
+    Each is a matrix of few rows, (q, points), and a controller that reads its q products with the
+    points in place of the reference force: they are all that it needs of the points.
     """
     parameters, state = control.parameters, control.state
     actuator = parameters.actuator.copy()
@@ -189,23 +184,26 @@ def frozen_feedforward(
     y, command = np.zeros((4, n)), np.zeros(n)
     points = np.zeros((1 + parameters.inverse.shape[1], 3, n))
 
-    def begin() -> None:
-        begin_feedforward(parameters, state)
+    def begin(errors: tuple[float, float]) -> None:
+        velocity_feedforward.begin_feedforward(parameters, state)
         state.errors[:] = errors
         state.covariance[:] = 0.0
         state.steps[0] = 1.0
 
     def step() -> None:
-        feedforward_step(parameters, state, points, y, command)
+        velocity_feedforward.feedforward_step(parameters, state, points, y, command)
 
-    states = [state.measured, state.sent, state.flows]
-    (c, *d_parts), (a, *b_parts) = _system(begin, step, states, [points, y], command)
+    states, found = [state.measured, state.sent, state.flows], []
+    for errors in _ERRORS:
+        outputs, next_states = _system(partial(begin, errors), step, states, [points, y], command)
+        (c, d_points, d_state), (a, b_points, b_state) = outputs, next_states
+        by_points = np.vstack([d_points, b_points])
+        used = np.flatnonzero(by_points.any(axis=1))
+        handed_on = np.eye(len(by_points))[:, used]
+        d, b = np.hstack([handed_on[:n], d_state]), np.hstack([handed_on[n:], b_state])
+        found.append((by_points[used], LinearControl(a, b, c, d)))
     control.reset()
-    by_points = np.vstack([d_parts[0], b_parts[0]])
-    used = np.flatnonzero(by_points.any(axis=1))
-    handed_on = np.eye(len(by_points))[:, used]
-    d, b = np.hstack([handed_on[:n], d_parts[1]]), np.hstack([handed_on[n:], b_parts[1]])
-    return by_points[used], LinearControl(a, b, c, d)
+    return found
 
 
 def _system(

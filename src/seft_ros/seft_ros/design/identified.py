@@ -14,28 +14,13 @@ from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.specimen import Specimen
 
 from seft_ros.bags.record import Record
+from seft_ros.design import loop_design
 from seft_ros.design.actuator_fit import ActuatorFit, fit_actuator
 from seft_ros.design.controller import Controller, polynomial_of
-from seft_ros.design.loop_design import (
-    MARGINS,
-    TRACKING,
-    LoopDesign,
-    plant_numbers,
-    shape_loop,
-    tracking_numbers,
-)
 from seft_ros.design.loop_margins import LoopMargins, Tracking, tracking_measures
 from seft_ros.design.plant import Plant, SampledPlant, small_signal
 from seft_ros.design.response_fits import SpecimenFit, TrackingFit, fit_specimen, fit_tracking
-from seft_ros.design.rig_tests import (
-    FORCE,
-    MOTION,
-    MOTION_TO,
-    REFERENCE,
-    VALVE,
-    MeasuredTest,
-    Measurement,
-)
+from seft_ros.design.rig_tests import MeasuredTest, Measurement
 from seft_ros.drawing.style import Number, json_safe, look_up, make_table, rows_of
 
 _COHERENT = 0.8  # up to there the closed loop is fitted
@@ -64,7 +49,7 @@ class ValveResponse:
     actuator: ActuatorFit
     measured: Measurement
     error: float
-    loop: LoopDesign
+    loop: loop_design.LoopDesign
     controller_known: bool
 
 
@@ -159,16 +144,14 @@ def identify(
                 tests.pop(_OPEN_LOOP, None)
     if not tests:
         raise ExperimentError(unusable[0])
-    specimen = fit_specimen(
-        [test.response(REFERENCE, MOTION, MOTION_TO) for test in tests.values()]
-    )
+    specimen = fit_specimen([test.motion() for test in tests.values()])
     valves: list[ValveResponse] = []
     loops: list[ClosedLoop] = []
     if opened := tests.get(_OPEN_LOOP):
         valves = _valves(opened, specimen, actuators, controller)
     if closed := tests.get(_CLOSED_LOOP):
         each = range(len(closed.axes))
-        loops = [_closed_loop(closed.of(REFERENCE, FORCE, axis), closed.dt) for axis in each]
+        loops = [_closed_loop(closed.tracking(axis), closed.dt) for axis in each]
     axes = next(iter(tests.values())).axes
     return Identified(axes, band, specimen, valves, loops, unusable, faults)
 
@@ -191,8 +174,8 @@ def _valves(
     whole, dt, valves = Plant.of_model("identified", model), test.dt, []
     for axis, actuator in enumerate(actuators):
         plant = replace(whole.axis(axis), delay=actuator.dead_time)
-        measured = test.of(VALVE, FORCE, axis)
-        loop = shape_loop(plant, controller or Controller((1.0,), (1.0,)), dt)
+        measured = test.plant(axis)
+        loop = loop_design.shape_loop(plant, controller or Controller((1.0,), (1.0,)), dt)
         wrong = SampledPlant.of(plant, dt).response(measured.frequencies_hz) - measured.response
         size = np.abs(measured.response)
         deviation = np.hypot(measured.deviation, _FLOOR * size)
@@ -308,9 +291,9 @@ _TABLE = (  # of an axis, by section
         Number("oil column", "plant_pole_hz", "Hz"),
         Number("  damping", "plant_pole_damping", "%", 100.0),
         Number("model's error", "fit_error", "%", 100.0),
-        *MARGINS,
+        *loop_design.MARGINS,
     ),
-    TRACKING,
+    loop_design.TRACKING,
     (
         Number("specimen's mass", "specimen.mass", "kg"),
         Number("specimen's damping", "specimen.damping", "N s/m"),
@@ -403,10 +386,10 @@ def _of_axis(identified: Identified, index: int) -> dict[str, Any]:
     margins = valve.loop.margins if valve and valve.controller_known else LoopMargins()
     return {
         "actuator": valve and _of_actuator(valve.actuator),
-        **plant_numbers(valve.loop.plant if valve else None),
+        **loop_design.plant_numbers(valve.loop.plant if valve else None),
         "fit_error": valve and valve.error,
         **asdict(margins),
-        **tracking_numbers(closed.tracking if closed else None),
+        **loop_design.tracking_numbers(closed.tracking if closed else None),
         "tracking_fit_error": closed and closed.fit.error,
         "coherence": {
             "open_loop": valve and _coherence(valve.measured),

@@ -1,6 +1,7 @@
 """A planned test as a closed loop, and the loop with other values than planned."""
 
 import cmath
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -16,13 +17,7 @@ from seft_plant_sim.specimen import Specimen
 from seft_plant_sim.whole_structure import tested_specimen
 
 from seft_ros.design import Source
-from seft_ros.design.closed_loop import (
-    BOUNDS,
-    ClosedLoop,
-    closed_loop,
-    frozen_feedforward,
-    frozen_target,
-)
+from seft_ros.design.closed_loop import ClosedLoop, closed_loop, frozen_feedforward, frozen_target
 from seft_ros.design.plant import Plant, SampledPlant, choose_plant, small_signal
 from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.methods import force_control
@@ -270,7 +265,7 @@ class Plan:
         rig = choose_rig(self.experiment, self.source, stiffness) if other else self.rig
         return rig.sampled(self.dt, dead_time, gain)
 
-    def _linear_controllers(self) -> list[tuple[Floats | None, LinearControl]]:
+    def _linear_controllers(self) -> Sequence[tuple[Floats | None, LinearControl]]:
         """Make the controller as it starts, then at the bounds to which it may adapt.
 
         Before each is the matrix from the points to what it reads; None: the method has no points.
@@ -285,6 +280,6 @@ class Plan:
                         f"force_controller: {VELOCITY_FEEDFORWARD} needs a target motion: set "
                         f"reference_force: compensation.method to {TARGET_MOTION}"
                     )
-                return [frozen_feedforward(made, errors) for errors in ((0.0, 0.0), *BOUNDS)]
+                return frozen_feedforward(made)
             control = made.linear()
         return [(np.eye(n, 3 * n, k=FORCE * n) if self.follows else None, control)]

@@ -151,12 +151,9 @@ def response(
     return Response(measured.frequencies_hz[within], found, np.clip(share, 0.0, 1.0), noise, gain)
 
 
-REFERENCE, VALVE, MOTION, FORCE = (0, 1), (1, 2), (2, 5), (4, 5)
-"""Blocks of n signals, first and end: MOTION is displacement, acceleration and force."""
-
-MOTION_TO = 0.2
-"""Share of the rate up to which displacement may be differentiated: beyond is aliasing."""
-
+_REFERENCE, _VALVE, _MOTION, _FORCE = (0, 1), (1, 2), (2, 5), (4, 5)
+# blocks of n signals, first and end: motion is displacement, acceleration and force
+_MOTION_TO = 0.2  # of the rate: a displacement is differentiated, and beyond is aliasing
 _SEGMENTS = 7.5  # to a record, before they overlap
 _LEAST_PERIODS = 3.0  # of the lowest frequency in a segment
 _COHERENT = 0.5
@@ -200,7 +197,7 @@ class MeasuredTest:
     def incoherent(self) -> str:
         """Say on which axis the force is mostly noise where it is to be controlled, if any."""
         for axis, name in enumerate(self.axes):
-            measured = self.of(REFERENCE, FORCE, axis)
+            measured = self.tracking(axis)
             f = measured.frequencies_hz
             wanted = f <= max(BAND_HZ, 2 * f[0])
             poor = measured.coherence[wanted] < _COHERENT
@@ -213,7 +210,7 @@ class MeasuredTest:
                 )
         return ""
 
-    def response(
+    def _response(
         self, inputs: tuple[int, int], outputs: tuple[int, int], share: float = 0.5
     ) -> Response:
         """Response within the band, up to a share of the sampling rate."""
@@ -222,14 +219,22 @@ class MeasuredTest:
         band = self._band[0], min(self._band[1], share / self.dt)
         return response(self._spectra, these, those, band)
 
+    def motion(self) -> Response:
+        """Response of displacement, acceleration and force to the reference force."""
+        return self._response(_REFERENCE, _MOTION, _MOTION_TO)
+
+    def plant(self, axis: int) -> Measurement:
+        """Response of the force of an axis to its valve."""
+        return self._response(_VALVE, _FORCE).of_axis(axis)
+
+    def tracking(self, axis: int) -> Measurement:
+        """Response of the force of an axis to its reference force."""
+        return self._response(_REFERENCE, _FORCE).of_axis(axis)
+
     def of_actuator(self, axis: int) -> tuple[Floats, Floats, Floats, Floats]:
         """Valve command, displacement, acceleration and force of one axis, shape (N,) each."""
         _, command, position, acceleration, force = (part[:, axis] for part in self._signals)
         return command, position, acceleration, force
-
-    def of(self, inputs: tuple[int, int], outputs: tuple[int, int], axis: int) -> Measurement:
-        """Response of one axis to its own input."""
-        return self.response(inputs, outputs).of_axis(axis)
 
 
 TAIL = 1.0

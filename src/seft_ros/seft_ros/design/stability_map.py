@@ -9,14 +9,8 @@ from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 from seft_msgs_py.arrays import Floats
 
+from seft_ros.design import stability_margins
 from seft_ros.design.plan import Plan
-from seft_ros.design.stability_margins import (
-    STIFFEST,
-    Margins,
-    Progress,
-    added_delays,
-    local_stiffness,
-)
 from seft_ros.design.stability_verdict import Preflight
 from seft_ros.drawing.style import TEXT, new_figure
 
@@ -57,7 +51,9 @@ class StabilityMap:
 
 
 def stability_maps(
-    plan: Plan, margins: Margins, progress: Progress | None = None
+    plan: Plan,
+    margins: stability_margins.Margins,
+    progress: stability_margins.Progress | None = None,
 ) -> list[StabilityMap]:
     """Map a plan's growth rate as far as its margins reach; progress is in rows.
 
@@ -67,11 +63,11 @@ def stability_maps(
     ends = (margins.dead_time, margins.mass_ratio)
     end, critical = (part.value if part else 0.0 for part in ends)
     longest = max(2 * plan.dead_time, 10 * plan.dt, 1.5 * end)
-    longest = min(longest, plan.dead_time + float(added_delays(plan)[-1]))
+    longest = min(longest, plan.dead_time + float(stability_margins.added_delays(plan)[-1]))
     swept = {"dead_time": (longest, 1.0, plan.dead_time)}
     if plan.rig.swept:
-        own = local_stiffness(plan)
-        swept["stiffness"] = (max(STIFFEST, 1.2 * own), own, own)
+        own = stability_margins.local_stiffness(plan)
+        swept["stiffness"] = (max(stability_margins.STIFFEST, 1.2 * own), own, own)
     each = _time_of_one(plan, longest)
     size = int(np.clip(np.sqrt(PATIENCE / len(swept) / each), COARSEST, FINEST))
     shown = 2.0 * max(plan.mass_ratio, 0.5)
