@@ -207,14 +207,16 @@ _MATRICES = ("mass", "damping", "stiffness")
 _LONGEST_DELAY = 1.0  # s, as in the parameter table
 
 
-def model_parameters(identified: Identified, specimen: bool) -> dict[str, dict[str, Any]]:
-    """Parameters of `reference_force` and `force_controller`, by node.
+def write_model(identified: Identified, path: Path, source: str, specimen: bool) -> None:
+    """Write parameters of `reference_force` and `force_controller`, by node, to a new file.
 
-    The actuators are those of all axes; a force capacity that was not identified on every axis is
-    left out, so that the configured one counts. Closed loop and plant, which have one set of
-    parameters, are those of the first axis, with the specimen of the tests. The specimen's
-    matrices are included if ``specimen`` is true.
+    To be read after the experiment's own. The actuators are those of all axes; a force capacity
+    that was not identified on every axis is left out, so that the configured one counts. Closed
+    loop and plant, which have one set of parameters, are those of the first axis, with the specimen
+    of the tests. The specimen's matrices are included if ``specimen`` is true; ``source`` goes into
+    a comment. An InputError says if the file can't be written.
     """
+    comments = [f"Identified by seft identify from {source}", f"Axes: {identified.axes}"]
     reference: dict[str, Any] = {}
     controller: dict[str, Any] = {}
     if specimen:
@@ -232,22 +234,13 @@ def model_parameters(identified: Identified, specimen: bool) -> dict[str, dict[s
             if name != "force_capacity" or all(values):
                 controller[f"actuator.{name}"] = values
         controller |= _response("plant", _transfer_function(identified.valves[0]))
-    sections = {"reference_force": reference, "force_controller": controller}
-    return {node: section for node, section in sections.items() if section}
-
-
-def write_model(identified: Identified, path: Path, source: str, specimen: bool) -> None:
-    """Write `model_parameters` to a new file, to be read after the experiment's own.
-
-    ``source`` goes into a comment. An InputError says if it can't be written.
-    """
-    comments = [f"Identified by seft identify from {source}", f"Axes: {identified.axes}"]
-    if identified.valves:
         comments += [
             "actuator: of the actuators, for any specimen",
             f"plant and tracking: with this specimen, of axis {identified.axes[0]}",
         ]
-    write_parameter_file(path, model_parameters(identified, specimen), comments)
+    sections = {"reference_force": reference, "force_controller": controller}
+    known = {node: section for node, section in sections.items() if section}
+    write_parameter_file(path, known, comments)
 
 
 def _transfer_function(valve: ValveResponse) -> TransferFunction:

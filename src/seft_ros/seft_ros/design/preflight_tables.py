@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 from seft_msgs_py.config.experiment import Experiment, write_parameter_file
-from seft_msgs_py.config.parameter_table import Section
+from seft_msgs_py.config.parameter_table import Section, group
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_UNITS
 from seft_plant_sim.whole_structure import model_times, reference_response, whole_structure
@@ -140,8 +140,9 @@ def preflight_tables(plan: Plan, found: Preflight, title: str) -> list[Table]:
 
 def limits_table(experiment: Experiment, peaks: dict[str, float]) -> Table:
     """Tabulate expected peaks, the limits of the test, and limits that fit."""
+    limits = group(experiment["supervisor"], "limits")
     rows = [
-        [name, unit, f"{peaks[name]:.3g}", f"{_limit(experiment, name):g}", f"{limit:g}"]
+        [name, unit, f"{peaks[name]:.3g}", f"{limits[name]:g}", f"{limit:g}"]
         for (name, limit), unit in zip(proposed_limits(peaks).items(), LIMIT_UNITS, strict=False)
     ]
     headings = ("", "", "expected peak", "limit", "proposed limit")
@@ -281,9 +282,9 @@ def proposed_limits(peaks: dict[str, float]) -> dict[str, float]:
 
 def limit_warning(experiment: Experiment, peaks: dict[str, float]) -> str:
     """Name the limits that the expected peaks exceed or stay far below; empty if there are none."""
-    low, far = [], []
+    limits, low, far = group(experiment["supervisor"], "limits"), [], []
     for (name, peak), unit in zip(peaks.items(), LIMIT_UNITS, strict=False):
-        limit = _limit(experiment, name)
+        limit = limits[name]
         text = f"{name} {limit:g} {unit} (expected: {peak:.3g})"
         if peak > limit:
             low.append(text)
@@ -296,10 +297,6 @@ def limit_warning(experiment: Experiment, peaks: dict[str, float]) -> str:
     parts = [f"{what}: {', '.join(which)}" for which, what in kinds if which]
     parts += ["seft preflight CONFIG --write limits.yaml proposes others"] if parts else []
     return "; ".join(parts)
-
-
-def _limit(experiment: Experiment, name: str) -> float:
-    return experiment["supervisor"][f"limits.{name}"]
 
 
 def write_limits(file: Path, limits: dict[str, float]) -> None:

@@ -1,7 +1,7 @@
 """Maps of stability over mass ratio and dead time, and mass ratio and stiffness."""
 
-import time
 from dataclasses import dataclass
+from timeit import timeit
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -68,7 +68,8 @@ def stability_maps(
     if plan.rig.swept:
         own = stability_margins.local_stiffness(plan)
         swept["stiffness"] = (max(stability_margins.STIFFEST, 1.2 * own), own, own)
-    each = _time_of_one(plan, longest)
+    plan.growth_rate(dead_time=longest)  # fills the caches
+    each = timeit(lambda: plan.growth_rate(dead_time=longest), number=1)
     size = int(np.clip(np.sqrt(PATIENCE / len(swept) / each), COARSEST, FINEST))
     shown = 2.0 * max(plan.mass_ratio, 0.5)
     highest = max(shown, 1.5 * critical) if critical < 4 * shown else shown
@@ -85,14 +86,6 @@ def stability_maps(
                 progress("map", size * len(maps) + index + 1, size * len(swept))
         maps.append(StabilityMap(mass_ratios, others, growth, (plan.mass_ratio, planned)))
     return maps
-
-
-def _time_of_one(plan: Plan, longest: float) -> float:
-    """Time of a point of the maps, s, by which they are coarser if a loop is large."""
-    plan.growth_rate(dead_time=longest)  # fills the caches
-    start = time.perf_counter()
-    plan.growth_rate(dead_time=longest)
-    return time.perf_counter() - start
 
 
 def preflight_figure(plan: Plan, found: Preflight, maps: list[StabilityMap]) -> Figure:

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from scipy.linalg import eigh
 from scipy.optimize import linear_sum_assignment
-from seft_msgs_py.config.parameter_table import mass_matrix
+from seft_msgs_py.config.parameter_table import group, mass_matrix
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_plant_sim.rig_parameters import LIMIT_UNITS
 from seft_plant_sim.whole_structure import WholeStructure
@@ -295,10 +295,11 @@ def _too_large(plan: Plan, peaks: dict[str, float], again: str) -> Iterator[Step
             how,
         )
         return
+    limits = group(experiment["supervisor"], "limits")
     beyond = [
-        f"{name} {peak:.3g} {unit} (limit {experiment['supervisor'][f'limits.{name}']:g})"
+        f"{name} {peak:.3g} {unit} (limit {limits[name]:g})"
         for (name, peak), unit in zip(peaks.items(), LIMIT_UNITS, strict=False)
-        if peak > experiment["supervisor"][f"limits.{name}"]
+        if peak > limits[name]
     ]
     if beyond:
         yield Step(
