@@ -376,7 +376,7 @@ def notes(identified: Identified) -> list[str]:
 def _of_axis(identified: Identified, index: int) -> dict[str, Any]:
     valve = identified.valves[index] if identified.valves else None
     closed = identified.closed_loops[index] if identified.closed_loops else None
-    margins = valve.loop.margins if valve and valve.controller_known else LoopMargins()
+    margins = valve.loop.sampled.margins if valve and valve.controller_known else LoopMargins()
     return {
         "actuator": valve and _of_actuator(valve.actuator),
         **loop_design.plant_numbers(valve.loop.plant if valve else None),

@@ -76,19 +76,9 @@ class LoopDesign:
     sampled: Responses
     stable: bool
 
-    @property
-    def margins(self) -> LoopMargins:
-        """Margins of the loop as it runs."""
-        return self.sampled.margins
-
-    @property
-    def tracking(self) -> Tracking:
-        """Tracking of the loop as it runs."""
-        return self.sampled.measures
-
     def delay_at(self, frequency_hz: float) -> float:
         """Delay of the measured force at one frequency, s."""
-        delays = self.tracking.delay_by_frequency
+        delays = self.sampled.measures.delay_by_frequency
         known = np.isfinite(delays)
         return float(np.interp(frequency_hz, self.frequencies_hz[known], delays[known]))
 
@@ -184,8 +174,8 @@ def summarise(design: LoopDesign) -> dict[str, Any]:
     return {
         "plant_source": design.plant.source,
         **plant_numbers(design.plant),
-        **asdict(design.margins),
-        **tracking_numbers(design.tracking),
+        **asdict(design.sampled.margins),
+        **tracking_numbers(design.sampled.measures),
         "delay_at_zero_s": design.delay_at(zero.hz) if zero else None,
         "controller": {
             "numerator": list(controller.numerator),
@@ -196,7 +186,7 @@ def summarise(design: LoopDesign) -> dict[str, Any]:
         },
         "discretisation": {
             "continuous": asdict(design.continuous.margins),
-            "sampled": asdict(design.margins),
+            "sampled": asdict(design.sampled.margins),
         },
     }
 
@@ -220,7 +210,7 @@ def tracking_numbers(tracking: Tracking | None) -> dict[str, Any]:
 def summarise_axes(axes: Sequence[str], designs: Sequence[LoopDesign]) -> list[dict[str, Any]]:
     """Name, margins and stability of every axis, each with the valves of the others closed."""
     return [
-        {"axis": axis, **asdict(design.margins), "stable": design.stable}
+        {"axis": axis, **asdict(design.sampled.margins), "stable": design.stable}
         for axis, design in zip(axes, designs, strict=True)
     ]
 

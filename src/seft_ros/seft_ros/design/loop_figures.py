@@ -87,7 +87,7 @@ def _phase(response: Complexes) -> Floats:
 
 def _mark_loop(panel: _Panel, design: LoopDesign) -> None:
     magnitude, phase = panel
-    margins = design.margins
+    margins = design.sampled.margins
     magnitude.axhline(0.0, color=MARK, lw=0.8, ls=":")
     phase.axhline(-180.0, color=MARK, lw=0.8, ls=":")
     if margins.crossover_hz is not None:
@@ -99,7 +99,7 @@ def _mark_loop(panel: _Panel, design: LoopDesign) -> None:
 
 def _mark_closed_loop(panel: _Panel, design: LoopDesign) -> None:
     magnitude, phase = panel
-    tracking, flat = design.tracking, design.tracking.flat_to_hz
+    tracking, flat = design.sampled.measures, design.sampled.measures.flat_to_hz
     magnitude.axhspan(-FLATNESS_DB, FLATNESS_DB, color=FIRST, alpha=0.12, lw=0)
     magnitude.set_ylim(-20.0, max(6.0, magnitude.get_ylim()[1]))
     text = "flat throughout" if flat is None else f"±{FLATNESS_DB:g} dB to {flat:.3g} Hz"
