@@ -33,9 +33,9 @@ CASES = {  # configuration, overrides -> steps/s wanted
 
 def scipy_steps_per_second(experiment: Experiment, motion: list[float]) -> float:
     """Run the linear closed loop of an experiment through scipy."""
-    loop = Plan(experiment).loop()
+    loop, dt = Plan(experiment).loops()[0], experiment.timebase.dt
     direct = np.zeros((1, loop.ground.shape[1]))
-    system = loop.matrix, loop.ground, loop.displacement, direct, loop.dt
+    system = loop.matrix, loop.ground, loop.displacement, direct, dt
     start = time.perf_counter()
     dlsim(system, np.array(motion))
     return len(motion) / (time.perf_counter() - start)

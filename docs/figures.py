@@ -111,7 +111,7 @@ def growth() -> Figure:
     left.axhline(0.0, color=REFERENCE, lw=3)
     for name, colour in COLOURS.items():
         plans = [Plan(planned(*method(name), mass_ratio(float(a))), "rig") for a in MASS_RATIOS]
-        rates = np.array([plan.loop().growth_rate() for plan in plans])
+        rates = np.array([plan.growth_rate() for plan in plans])
         modes = [predicted_modes(plan) for plan in plans]
         damping = 100 * np.array([m[0].damping if m else np.nan for m in modes])
         exact = 100 * np.array([m[0].exact_damping if m else np.nan for m in modes])
@@ -151,7 +151,7 @@ def interaction() -> Figure:
         near = (f > 5.0) & (f < 20.0)
         lowest = np.argmin(np.abs(loop.sampled.tracking[near]))
         dip = decibels(loop.sampled.tracking[near])[lowest]
-        print(f"{label}: zero {loop.plant.zeros()[0].hz:.2f} Hz, G {dip:.2f} dB ", end="")
+        print(f"{label}: zero {loop.plant.roots[1][0].hz:.2f} Hz, G {dip:.2f} dB ", end="")
         print(f"at {f[near][lowest]:.1f} Hz, delay at 2 Hz {1e3 * loop.delay_at(2.0):.1f} ms")
     for panel, what in ((left, "valve to force / (dB of N/V)"), (right, "closed loop $G$ / dB")):
         panel.set(xscale="log")

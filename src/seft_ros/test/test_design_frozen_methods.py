@@ -124,7 +124,7 @@ def test_powers_of_the_matrix_are_what_a_small_test_does(parts):
     """The steps themselves, with all that they learn of it."""
     test = experiment(*parts)
     ground, found = test_motion(test, SMALL, 600, noise=False)
-    loop = Plan(test).loop()
+    loop = Plan(test).loops()[0]
     q, expected = np.zeros(len(loop.matrix)), []
     for k in range(600):
         expected.append(loop.displacement @ q)
@@ -265,7 +265,7 @@ def test_with_a_delay_of_the_loop_the_matrix_is_what_the_offline_loop_does(delay
     late = {node: {"loop_delay": delay} for node in ("reference_force", "force_controller")}
     test = experiment(quiet, late)
     plan, blocks = Plan(test), build_blocks(test)
-    loop = plan.loop()
+    loop = plan.loops()[0]
     assert len(loop.matrix) < 80
     record = simulate(test, blocks)
     assert record.trip is None

@@ -23,7 +23,6 @@ def test_margins_of_an_integrator_with_delay_are_the_textbook_ones(crossover, de
     assert found.gain_margin_db == pytest.approx(
         20 * np.log10(phase_crossover / crossover), abs=0.02
     )
-    assert found.stable is (crossover < phase_crossover)
 
 
 def test_the_sensitivity_peak_is_the_distance_to_the_critical_point():
@@ -43,7 +42,6 @@ def test_all_crossovers_are_told_and_the_first_counts():
     assert found.crossovers_hz[0] == pytest.approx(5.0, rel=0.02)
     assert found.crossover_hz == found.crossovers_hz[0]
     assert found.crossovers_hz[-1] > 60
-    assert found.stable is False  # 90 degrees before it and 270 behind, above 1
 
 
 def test_a_loop_that_never_crosses_has_no_margins():
@@ -52,11 +50,6 @@ def test_a_loop_that_never_crosses_has_no_margins():
     assert (found.crossover_hz, found.phase_margin_deg) == (None, None)
     assert (found.gain_margin_db, found.phase_crossover_hz) == (None, None)
     assert found.sensitivity_peak == pytest.approx(1.0, abs=0.1)
-    assert found.stable is True
-
-
-def test_stability_stays_open_where_the_data_end_above_one():
-    assert loop_margins(F, 100 / (1 + S / 100)).stable is None
 
 
 def test_what_is_not_finite_is_left_out():
@@ -95,12 +88,15 @@ def test_the_fitted_delay_does_not_depend_on_where_the_points_lie():
 
 
 def test_a_dip_is_told_with_its_place():
-    w = 2 * np.pi * 10
-    notch = (S**2 + 2 * 0.10 * w * S + w**2) / (S**2 + 2 * 0.11 * w * S + w**2)
-    found = tracking_measures(F, notch)
+
+    def notch(hz):
+        w = 2 * np.pi * hz
+        return (S**2 + 2 * 0.10 * w * S + w**2) / (S**2 + 2 * 0.11 * w * S + w**2)
+
+    found = tracking_measures(F, notch(10.0))
     assert found.dip_db == pytest.approx(20 * np.log10(0.10 / 0.11), abs=0.05)
     assert found.dip_hz == pytest.approx(10.0, rel=0.02)
-    assert tracking_measures(F, notch, band_hz=9.0).dip_db is None
+    assert tracking_measures(F, notch(30.0)).dip_db is None  # beyond the band
 
 
 def test_noise_and_outliers_change_little():

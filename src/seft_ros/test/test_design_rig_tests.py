@@ -42,7 +42,7 @@ def record(tmp_path):
     def make(of):
         unit = excitation("random", 5000, len(of.axes), of.timebase.dt, (1.0, 100.0), 1)
         path = tmp_path / "record.csv"
-        write_excitation(path, ground_accelerations(of, LEVELS.force * unit), of.axes)
+        write_excitation(path, ground_accelerations(of, LEVELS.force * unit))
         return path, unit
 
     return make

@@ -1,6 +1,5 @@
 """Maps hold what single loops give, at their places."""
 
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +8,6 @@ from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_ros.design import stability_map
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import find_margins
-from seft_ros.ensemble.workers import parallel_map
 from seft_ros.test_run.parameter_tables import TABLES
 
 CONFIG = Path(__file__).parents[3] / "config"
@@ -46,7 +44,7 @@ def test_a_map_holds_what_the_plan_says_at_its_places(monkeypatch, name):
         assert area.growth.shape == (len(area.others), len(area.mass_ratios)) == (size, size)
         for row, column in ((0, 0), (3, 9), (size - 1, size - 1)):
             changes = {change: area.others[row] / unit}
-            exact = plan.loop(mass_ratio=area.mass_ratios[column], **changes).growth_rate()
+            exact = plan.growth_rate(mass_ratio=area.mass_ratios[column], **changes)
             assert area.growth[row, column] == pytest.approx(exact, rel=1e-6)
         low, high = area.others[[0, -1]]
         assert low <= area.planned[1] <= high
@@ -59,21 +57,3 @@ def test_a_plant_that_is_identified_as_a_whole_has_no_map_of_the_stiffness(monke
     margins = find_margins(plan)
     assert margins.stiffness is None
     assert len(stability_map.stability_maps(plan, margins)) == 1
-
-
-def test_several_processes_give_the_maps_of_one(monkeypatch):
-    monkeypatch.setattr(stability_map, "FINEST", 11)
-    plan, seen = plan_of(RATIO), []
-    margins = find_margins(plan)
-    one = stability_map.stability_maps(plan, margins)
-    monkeypatch.setattr(stability_map, "SHORT", 0.0)
-    two = stability_map.stability_maps(
-        plan,
-        margins,
-        lambda what, done, total: seen.append((done, total)),
-        partial(parallel_map, 2),
-    )
-    assert seen[-1] == (22, 22)
-    for area, other in zip(one, two, strict=True):
-        assert np.array_equal(area.growth, other.growth)
-        assert np.array_equal(area.others, other.others)

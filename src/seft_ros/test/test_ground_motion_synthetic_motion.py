@@ -176,7 +176,7 @@ def test_what_makes_no_excitation_is_refused(words, told):
 @pytest.mark.parametrize("rate", [200.0, 500.0, 2000.0])
 def test_ground_motion_reads_the_record_bit_for_bit(tmp_path, rate):
     samples = 3.7 * excitation("random", 5000, 2, 1 / rate, (2.0, 60.0), 1)
-    write_excitation(tmp_path / "record.csv", samples, ("x", "y"))
+    write_excitation(tmp_path / "record.csv", samples)
     section = {row.name: row.default for row in TABLE.rows.values()}
     section |= {"file": str(tmp_path / "record.csv"), "column": [0, 1], "unit": "m/s2"}
     section |= {"dt": 1 / rate, "tail": 0.0}

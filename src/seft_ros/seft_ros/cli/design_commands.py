@@ -7,7 +7,6 @@ import cmath
 import math
 from dataclasses import asdict
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 from typing import Any, Optional
 
@@ -24,8 +23,6 @@ from seft_ros.cli.options import (
     Json,
     Params,
     Plant,
-    Scheduler,
-    Workers,
     check_out,
     complain,
     dds_test,
@@ -48,16 +45,6 @@ def design(
     axis: Optional[str] = option(None, "Axis to show; default the first.", "NAME"),
     crossover: Optional[float] = option(None, "Propose a controller for this crossover.", "HZ"),
     gain_margin: float = option(6.0, "Least gain margin of a proposal in dB.", "DB"),
-    gain: Optional[float] = option(None, "Try gain * product(s - zeros) / product(s - poles)."),
-    zero: Optional[list[str]] = option(
-        None,
-        "Zero of the controller: real, or with a damping ratio a conjugate pair; 0 is a "
-        "differentiator. May be given many times.",
-        "HZ[,DAMPING]",
-    ),
-    pole: Optional[list[str]] = option(
-        None, "Pole of the controller; 0 is an integrator.", "HZ[,DAMPING]"
-    ),
     numerator: Optional[str] = option(None, 'Numerator in s, highest power first: "37".'),
     denominator: Optional[str] = option(None, 'Denominator: "1 17.14 4002".'),
     out: Optional[Path] = option(None, "Write the controller to a new parameter file.", "FILE"),
@@ -83,17 +70,10 @@ def design(
 
         seft simulate config/jhu.yaml --params-file controller.yaml
 
-        seft design config/jhu.yaml --gain 37 --pole 10.07,0.1355
-
         seft design config/jhu.yaml --numerator 37 --denominator "1 17.14 4002"
     """
     from seft_ros.design.closed_loop import force_loop
-    from seft_ros.design.controller import (
-        Controller,
-        check_new,
-        given_controller,
-        write_controller,
-    )
+    from seft_ros.design.controller import Controller, given_controller, write_controller
     from seft_ros.design.loop_design import (
         axes_table,
         design_table,
@@ -104,18 +84,18 @@ def design(
     )
     from seft_ros.design.loop_figures import design_figure
     from seft_ros.design.plant import choose_plant
-    from seft_ros.drawing.style import check_figure, save_figure
+    from seft_ros.drawing.style import check_figure, check_folder, save_figure
 
     path = check_figure(figure) if figure is not None else None
     if out is not None:
-        check_new(out)
+        check_folder(out)
     experiment = load_experiment(config, param, params_file)
     dt, axes = experiment.timebase.dt, experiment.axes
     if axis is not None and axis not in axes:
         raise InputError(f"--axis {axis}: there is no such axis{nearest(axis, axes)}")
     shown = 0 if axis is None else axes.index(axis)
     whole = choose_plant(experiment, plant)
-    controller = given_controller(gain, zero or (), pole or (), numerator, denominator)
+    controller = given_controller(numerator, denominator)
     if crossover is not None:
         if controller is not None:
             raise InputError("--crossover proposes a controller: leave out what gives one")
@@ -130,12 +110,12 @@ def design(
     summary = summarise(loop)
     summary["axes"] = summarise_axes(axes, loops)
     summary |= {"stable": stable, "proposed": crossover is not None}
-    if path is not None:
-        save_figure(design_figure(loop, title), path)
-        summary["figure"] = str(path)
     if out is not None and stable:
         write_controller(controller, out)
         summary["out"] = str(out)
+    if path is not None:
+        save_figure(design_figure(loop, title), path)
+        summary["figure"] = str(path)
     tables = [design_table(loop, title), *([axes_table(summary["axes"])] if axes[1:] else [])]
     show(summary, json, tables, "figure", "out")
     if stable:
@@ -160,8 +140,6 @@ def preflight(
         "the specimen's local stiffness.",
         "FILE",
     ),
-    workers: Workers = None,
-    scheduler: Scheduler = "",
     write: Optional[Path] = option(
         None, "Write limits that fit the test into a parameter file, for --params-file.", "FILE"
     ),
@@ -204,14 +182,10 @@ def preflight(
         summarise,
         write_limits,
     )
-    from seft_ros.design.stability_map import (
-        preflight_figure,
-        stability_maps,
-    )
+    from seft_ros.design.stability_map import preflight_figure, stability_maps
     from seft_ros.design.stability_verdict import next_steps
     from seft_ros.design.stability_verdict import preflight as fly
     from seft_ros.drawing.style import check_figure, save_figure
-    from seft_ros.ensemble.workers import free_cores, parallel_map
     from seft_ros.reference_force.compensator import NotLinearError
 
     path = check_figure(figure) if figure is not None else None
@@ -233,22 +207,21 @@ def preflight(
         summary |= {"expected_peaks": peaks, "proposed_limits": limits}
         timed = model_time(experiment)
         if timed is not None:
-            summary["model"] = timed.numbers()
+            summary["model"] = asdict(timed)
         steps = next_steps(plan, found, peaks, once_more(config, param, params_file, external))
         summary["next"] = [asdict(step) for step in steps]
         if write is not None:
             write_limits(write, limits)
         if path is not None:
-            spread = partial(parallel_map, workers or free_cores(), scheduler)
-            maps = stability_maps(plan, found.margins, progress, spread)
+            maps = stability_maps(plan, found.margins, progress)
             save_figure(preflight_figure(plan, found, maps), path)
             summary["figure"] = str(path)
     tables = preflight_tables(plan, found, f"preflight of {config}")
     lines = [line for step in steps for line in (f"{step.found}:", *_indented(step.commands))]
     if timed is not None:
         lines = [
-            f"computed model: {1e3 * timed.median:.2g} ms for a step, {1e3 * timed.p999:.2g} ms "
-            f"for one of 1000, of {1e3 * timed.budget:.2g} ms",
+            f"computed model: {1e3 * timed.median_s:.2g} ms for a step, "
+            f"{1e3 * timed.p999_s:.2g} ms for one of 1000, of {1e3 * timed.budget_s:.2g} ms",
             "the tables above take its tangent at rest",
             *lines,
         ]
@@ -414,7 +387,7 @@ def identify(
         "files": {what: str(path) for what, path in files.items()},
     }
     if identified is not None:
-        tables = [identified_table(f"{config} as identified", identified.axes, summary)]
+        tables = [identified_table(f"{config} as identified", summary)]
     show(summary, json, [*tables, *(f"{what + ':':13}{path}" for what, path in files.items())])
     for name, test in tests.items():
         if test.trip is not None:

@@ -128,8 +128,9 @@ class OilBalance:
     def flow(self, p: Floats) -> tuple[Floats, Complexes]:
         """Flow of the commands over q, V: the signal, shape (N - 1,), and its spectrum, (F,).
 
-        p: logarithms of the valve's frequency (Hz) and damping ratio, its dead time in ms, and
-        the largest force over the force capacity.
+        The parameters p are, here and below, the logarithms of the valve's frequency (Hz) and
+        damping ratio, its dead time in ms, the largest force over the force capacity, and the
+        logarithm of the velocity (m/s) over which friction builds up.
         """
         valve = ValveModel(math.exp(p[0]), math.exp(p[1]), p[2] / 1e3, self._dt)
         volume = valve.volume(self._times)
@@ -140,27 +141,26 @@ class OilBalance:
             spectrum = self._spectrum(flow)
         return flow, self._with_commands(spectrum)
 
-    def slip(self, over: float) -> Floats:
-        """Rate of a friction of 1 N that builds up over a velocity in m/s; N/s, (N - 1,)."""
-        return np.diff(np.tanh(self._at_samples / over), append=0.0) / self._dt
+    def slip(self, p: Floats) -> Floats:
+        """Rate of a friction of 1 N; N/s, (N - 1,)."""
+        return np.diff(np.tanh(self._at_samples / math.exp(p[4])), append=0.0) / self._dt
 
-    def drag(self, over: float) -> float:
+    def drag(self, p: Floats) -> float:
         """Viscous friction equivalent to a friction of 1 N in this test, N s/m."""
         v = self._at_samples
-        return float(v @ np.tanh(v / over)) / max(float(v @ v), 1e-30)
+        return float(v @ np.tanh(v / math.exp(p[4]))) / max(float(v @ v), 1e-30)
 
-    def left(self, p: Floats, over: float, deviation: Floats) -> tuple[Floats, Floats]:
+    def left(self, p: Floats, deviation: Floats) -> tuple[Floats, Floats]:
         """Power of the residual of `solve`, and of the commands' flow; shape (F,), smoothed."""
-        solution, _, errors = self.solve(p, over, deviation)
+        solution, _, errors = self.solve(p, deviation)
         power = (errors.reshape(2, -1) ** 2).sum(axis=0) * deviation**2
         flow = np.abs(solution[0] * self.flow(p)[1]) ** 2
         return self.smooth(power), self.smooth(flow)
 
-    def solve(self, p: Floats, over: float, deviation: Floats) -> tuple[Floats, Floats, Floats]:
+    def solve(self, p: Floats, deviation: Floats) -> tuple[Floats, Floats, Floats]:
         """Solve v = q w - (f' + lambda f + friction') / k_oil for its linear parameters.
 
-        Of parameters p and ``over``, see `flow` and `slip`, with an expected error at each
-        frequency, shape (F,).
+        Of parameters p, see `flow`, with an expected error at each frequency, shape (F,).
 
         Returns
         -------
@@ -169,7 +169,7 @@ class OilBalance:
         errors : ndarray
             Residual over its expected error, real parts, then imaginary parts.
         """
-        flow, slip = self.flow(p)[1], self._of(self.slip(over))
+        flow, slip = self.flow(p)[1], self._of(self.slip(p))
         terms = np.column_stack([flow, -self._of_force, -slip, self._of_motion])
         terms = terms / deviation[:, np.newaxis]
         split = np.concatenate([terms.real, terms.imag])
@@ -187,13 +187,12 @@ LEAST_EXPLAINED, GOOD_EXPLAINED = 0.5, 0.9
 """Share of the flow's variance that a fit must explain, and that a good one does."""
 
 _VALVES, _DEAD_TIMES = (25.0, 50.0, 100.0, 200.0), (0.0, 2.0, 5.0, 10.0, 20.0)  # Hz, ms: starts
-_DAMPING, _LOAD, _OVER = 0.7, 0.02, 0.005  # first guesses
+_DAMPING, _LOAD, _OVER = math.log(0.7), 0.02, math.log(0.005)  # first guesses
 _MOST_STEPS = 30
 _TOLERANCE = 0.01  # of the flow at a frequency: accuracy of the model itself
 _LEAST_LOAD = 0.15  # of the force capacity: below, friction can be taken for it
-_UNSURE = 0.1  # relative standard deviation
-# logarithms of the valve's frequency and damping, dead time in ms, largest force over force
-# capacity, logarithm of the velocity over which friction builds up
+_UNSURE = 0.1  # relative standard deviation; of the dead time in ms
+_DOUBTED = ("flow_gain", "oil_stiffness", "valve_frequency", "valve_damping", "dead_time")
 _LOWEST = np.array([math.log(3.0), math.log(0.1), 0.0, 0.0, math.log(2e-4)])
 _HIGHEST = np.array([math.log(1000.0), math.log(3.0), 50.0, 0.9, math.log(0.1)])
 _SCALE = np.array([0.1, 0.1, 0.1, 0.01, 0.3])
@@ -287,10 +286,10 @@ def fit_actuator(
     oil = OilBalance(commands, positions, accelerations, forces, dt, band)
     p, deviation = _roughly(oil), oil.rough
     for _ in range(2):
-        power, flow = oil.left(p[:4], math.exp(p[4]), deviation)
+        power, flow = oil.left(p, deviation)
         deviation = np.sqrt(power + _TOLERANCE**2 * flow + 1e-30)
         found = least_squares(
-            lambda q, weights: oil.solve(q[:4], math.exp(q[4]), weights)[2],
+            lambda q, weights: oil.solve(q, weights)[2],
             p,
             bounds=(_LOWEST, _HIGHEST),
             x_scale=_SCALE,
@@ -299,21 +298,16 @@ def fit_actuator(
             args=(deviation,),
         )
         p = found.x
-    linear, linear_deviations, errors = oil.solve(p[:4], math.exp(p[4]), deviation)
+    linear, linear_deviations, errors = oil.solve(p, deviation)
     covariance = np.linalg.pinv(found.jac.T @ found.jac) * float(np.mean(errors**2))
     deviations = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
     q, compliance, leaking, friction = linear.tolist()
-    lost = leaking * oil.between + friction * oil.slip(math.exp(p[4]))
+    lost = leaking * oil.between + friction * oil.slip(p)
     measured = oil.within(oil.velocity + compliance * oil.rise + lost)
-    modelled = oil.within(q * oil.flow(p[:4])[0])
+    modelled = oil.within(q * oil.flow(p)[0])
     total = float(np.sum(measured**2))
-    relative = {
-        "flow_gain": linear_deviations[0] / max(abs(q), 1e-30),
-        "oil_stiffness": linear_deviations[1] / max(abs(compliance), 1e-30),
-        "valve_frequency": deviations[0],
-        "valve_damping": deviations[1],
-        "dead_time": deviations[2],  # ms
-    }
+    size = np.maximum(np.abs(linear[:2]), 1e-30)
+    relative = [*linear_deviations[:2] / size, *deviations[:3]]
     return ActuatorFit(
         flow_gain=q,
         oil_stiffness=1.0 / compliance if compliance else 0.0,
@@ -322,9 +316,9 @@ def fit_actuator(
         valve_frequency=math.exp(p[0]),
         valve_damping=math.exp(p[1]),
         dead_time=float(p[2]) / 1e3,
-        drag=max(friction / compliance, 0.0) * oil.drag(math.exp(p[4])) if compliance else 0.0,
+        drag=max(friction / compliance, 0.0) * oil.drag(p) if compliance else 0.0,
         explained=1.0 - float(np.sum((measured - modelled) ** 2)) / total if total else 0.0,
-        unsure=tuple(name for name, value in relative.items() if value > _UNSURE),
+        unsure=tuple(n for n, r in zip(_DOUBTED, relative, strict=True) if r > _UNSURE),
         largest_force=oil.largest_force,
         dt=dt,
         measured=measured,
@@ -340,29 +334,24 @@ def _roughly(oil: OilBalance) -> Floats:
     flow at the most frequencies.
     """
 
+    def whole(valve: Floats) -> Floats:
+        return np.append(valve, [0.0, _OVER])
+
     def errors(valve: Floats) -> Floats:
-        return oil.solve(np.append(valve, 0.0), _OVER, oil.rough)[2]
-
-    def cost(start: Floats) -> float:
-        return float(np.sum(errors(start) ** 2))
-
-    found = []
-    for hz in _VALVES:
-        starts = [np.array([math.log(hz), math.log(_DAMPING), late]) for late in _DEAD_TIMES]
-        fit = least_squares(
-            errors,
-            min(starts, key=cost),
-            bounds=(_LOWEST[:3], _HIGHEST[:3]),
-            x_scale=_SCALE[:3],
-            max_nfev=_MOST_STEPS,
-        )
-        found.append(np.append(fit.x, [0.0, math.log(_OVER)]))
+        return oil.solve(whole(valve), oil.rough)[2]
 
     def unexplained(p: Floats) -> float:
         """Share of the flow, mean over frequencies."""
-        power, flow = oil.left(p[:4], math.exp(p[4]), oil.rough)
+        power, flow = oil.left(p, oil.rough)
         return float(np.minimum(power / np.maximum(flow, 1e-30), 1.0).mean())
 
+    found = []
+    for hz in _VALVES:
+        starts = [np.array([math.log(hz), _DAMPING, late]) for late in _DEAD_TIMES]
+        start = min(starts, key=lambda valve: float(np.sum(errors(valve) ** 2)))
+        bounds = _LOWEST[:3], _HIGHEST[:3]
+        fit = least_squares(errors, start, bounds=bounds, x_scale=_SCALE[:3], max_nfev=_MOST_STEPS)
+        found.append(whole(fit.x))
     best = min(found, key=unexplained)
     best[3] = _LOAD
     return best

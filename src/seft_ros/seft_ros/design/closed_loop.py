@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.linalg import eig
@@ -12,12 +13,9 @@ from seft_msgs_py.arrays import Complexes, Floats
 
 from seft_ros.design.controller import Controller
 from seft_ros.design.plant import Plant, SampledPlant
+from seft_ros.force_controller import velocity_feedforward
 from seft_ros.force_controller.force_control import ForceController, LinearControl
-from seft_ros.force_controller.velocity_feedforward import (
-    VelocityFeedforward,
-    begin_feedforward,
-    feedforward_step,
-)
+from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
 from seft_ros.protection.detectors import LARGEST_DELAY_ERROR, LARGEST_GAIN_ERROR
 from seft_ros.reference_force.linear_filter import LinearFilter
 from seft_ros.reference_force.target_motion import TargetMotion
@@ -39,14 +37,11 @@ class ClosedLoop:
         Shape (N, (1 + preview) n), from the ground accelerations of this and the next steps.
     displacement : ndarray
         c, shape (n, N).
-    dt : float
-        Sampling period, s.
     """
 
     matrix: Floats
     ground: Floats
     displacement: Floats
-    dt: float
 
     def eigenvalues(self) -> Complexes:
         """All N eigenvalues z; the test is stable where every |z| < 1.
@@ -69,10 +64,6 @@ class ClosedLoop:
         found = self.eigenvalues()
         z = complex(found[np.abs(found).argmax()])
         return complex(z.real, abs(z.imag))
-
-    def growth_rate(self) -> float:
-        """ln|z| / dt of that eigenvalue, 1/s: positive where the test is unstable."""
-        return growth_rate(self.dominant(), self.dt)
 
     def modes(self) -> tuple[Complexes, Complexes]:
         """Eigenvalues z, shape (N,), and their residues, shape (N, n, n).
@@ -101,19 +92,11 @@ def force_loop(plant: Plant, controller: Controller, dt: float) -> ClosedLoop:
     control = ForceController([polynomials] * n, np.inf, dt).linear()
     forces = np.pad(c, ((3 * n, 0), (0, 0)))
     no_reference = LinearFilter.of_gains(np.zeros((n, 4 * n)), np.zeros((n, n)))
-    return closed_loop((a, b, forces), no_reference, control, dt)
-
-
-def growth_rate(z: complex, dt: float) -> float:
-    """Rate ln|z| / dt at which a mode with this eigenvalue grows, 1/s."""
-    return float(np.log(max(abs(z), 1e-300)) / dt)
+    return closed_loop((a, b, forces), no_reference, control)
 
 
 def closed_loop(
-    rig: tuple[Floats, Floats, Floats],
-    compensation: LinearFilter,
-    control: LinearControl,
-    dt: float,
+    rig: tuple[Floats, Floats, Floats], compensation: LinearFilter, control: LinearControl
 ) -> ClosedLoop:
     """Close the loop as the blocks run it.
 
@@ -138,17 +121,15 @@ def closed_loop(
     )
     ground = np.vstack([rig_by_p @ compensation.e, compensation.h, control_by_p @ compensation.e])
     displacement = np.pad(c[:axes], ((0, 0), (0, len(matrix) - len(b))))
-    return ClosedLoop(matrix, ground, displacement, dt)
+    return ClosedLoop(matrix, ground, displacement)
 
 
 CERTAIN = 1e30
 """Variance, or evidence, beside which all others are negligible."""
-BOUNDS = list(
-    itertools.product(
-        (-LARGEST_GAIN_ERROR, LARGEST_GAIN_ERROR), (-LARGEST_DELAY_ERROR, LARGEST_DELAY_ERROR)
-    )
+_BOUNDS = itertools.product(
+    (-LARGEST_GAIN_ERROR, LARGEST_GAIN_ERROR), (-LARGEST_DELAY_ERROR, LARGEST_DELAY_ERROR)
 )
-"""Bounds of the errors of a valve that the controller may assume."""
+_ERRORS = ((0.0, 0.0), *_BOUNDS)  # of a valve, that a controller assumes: at the start, at most
 
 
 def frozen_target(method: TargetMotion, measured: bool) -> LinearFilter:
@@ -185,14 +166,15 @@ def frozen_target(method: TargetMotion, measured: bool) -> LinearFilter:
     return LinearFilter(a, b, h, c, d, e)
 
 
-def frozen_feedforward(
-    control: VelocityFeedforward, errors: tuple[float, float] = (0.0, 0.0)
-) -> LinearControl:
-    """Linear controller from points and measured state to the valves; the controller is reset.
+def frozen_feedforward(control: VelocityFeedforward) -> list[tuple[Floats, LinearControl]]:
+    """Linear controllers from points and measured state to the valves; the controller is reset.
 
-    In place of the reference force its input has the points that it reads. ``errors`` are its
-    estimates for each valve: of the flow gain, relative, and of the delay, s. The pressure drop
-    under load is left out: it is of second order in the motion.
+    As it starts, then with the errors of the valves (of the flow gain and of the delay) at the
+    bounds to which it may adapt them. The pressure drop under load is left out: it is of second
+    order in the motion.
+
+    Each is a matrix of few rows, (q, points), and a controller that reads its q products with the
+    points in place of the reference force: they are all that it needs of the points.
     """
     parameters, state = control.parameters, control.state
     actuator = parameters.actuator.copy()
@@ -202,34 +184,26 @@ def frozen_feedforward(
     y, command = np.zeros((4, n)), np.zeros(n)
     points = np.zeros((1 + parameters.inverse.shape[1], 3, n))
 
-    def begin() -> None:
-        begin_feedforward(parameters, state)
+    def begin(errors: tuple[float, float]) -> None:
+        velocity_feedforward.begin_feedforward(parameters, state)
         state.errors[:] = errors
         state.covariance[:] = 0.0
         state.steps[0] = 1.0
 
     def step() -> None:
-        feedforward_step(parameters, state, points, y, command)
+        velocity_feedforward.feedforward_step(parameters, state, points, y, command)
 
-    states = [state.measured, state.sent, state.flows]
-    (c, *d), (a, *b) = _system(begin, step, states, [points, y], command)
+    states, found = [state.measured, state.sent, state.flows], []
+    for errors in _ERRORS:
+        outputs, next_states = _system(partial(begin, errors), step, states, [points, y], command)
+        (c, d_points, d_state), (a, b_points, b_state) = outputs, next_states
+        by_points = np.vstack([d_points, b_points])
+        used = np.flatnonzero(by_points.any(axis=1))
+        handed_on = np.eye(len(by_points))[:, used]
+        d, b = np.hstack([handed_on[:n], d_state]), np.hstack([handed_on[n:], b_state])
+        found.append((by_points[used], LinearControl(a, b, c, d)))
     control.reset()
-    return LinearControl(a, np.hstack(b), c, np.hstack(d))
-
-
-def read_of_points(control: LinearControl) -> tuple[Floats, LinearControl]:
-    """Split a controller of points into a matrix of few rows, (q, points), and a controller of q.
-
-    The q values are all that the controller needs of the points.
-    """
-    axes = len(control.d)
-    known = control.d.shape[1] - 4 * axes
-    by_points = np.vstack([control.d[:, :known], control.b[:, :known]])
-    used = np.flatnonzero(by_points.any(axis=1))
-    handed_on = np.eye(len(by_points))[:, used]
-    d = np.hstack([handed_on[:axes], control.d[:, known:]])
-    b = np.hstack([handed_on[axes:], control.b[:, known:]])
-    return by_points[used], LinearControl(control.a, b, control.c, d)
+    return found
 
 
 def _system(

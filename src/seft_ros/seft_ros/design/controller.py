@@ -1,6 +1,6 @@
 """The controller of the force loop, by gain, zeros and poles or by coefficients."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,11 +12,7 @@ from seft_msgs_py.config.experiment import write_parameter_file
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.lti import TransferFunction, bilinear, ratio
 
-from seft_ros.force_controller.parameters import (
-    TRANSFER_FUNCTION,
-    is_one_controller,
-    one_controller,
-)
+from seft_ros.force_controller import parameters
 
 LIGHTLY_DAMPED = 0.5
 """Damping ratio up to which a pair counts as lightly damped: it shows in the magnitude."""
@@ -40,35 +36,10 @@ class Root:
     hz: float
     damping: float | None = None
 
-    @classmethod
-    def parse(cls, text: str, option: str) -> "Root":
-        """Read ``HZ`` or ``HZ,DAMPING``.
-
-        Raises
-        ------
-        InputError
-            If it does not have that form, or would lie in the right half-plane.
-        """
-        values = _numbers(text.split(","))
-        if len(values) not in (1, 2) or min(values) < 0:
-            raise InputError(
-                f"{option} {text}: expected HZ or HZ,DAMPING, neither below zero, such as 10,0.13"
-            )
-        return cls(*values)
-
     def __str__(self) -> str:
         if self.damping is None:
             return f"{self.hz:.4g} Hz" if self.hz else "0"
         return f"{self.hz:.4g} Hz (damping {self.damping:.3g})"
-
-
-def _numbers(words: Iterable[str]) -> list[float]:
-    """Finite numbers of some words; none if one is no such number."""
-    try:
-        values = [float(word) for word in words]
-    except ValueError:
-        return []
-    return values if np.isfinite(values).all() else []
 
 
 def polynomial_of(roots: Iterable[Root]) -> Floats:
@@ -135,18 +106,18 @@ class Controller(TransferFunction):
         An InputError says if the controller is another package's, is not the same on all axes,
         or has a polynomial that is zero.
         """
-        if not is_one_controller(section):
+        if not parameters.is_one_controller(section):
             raise InputError(
                 "force_controller: method, per_axis or gain are set, but seft design needs one "
-                f"{TRANSFER_FUNCTION} for all axes; give one by options"
+                f"{parameters.TRANSFER_FUNCTION} for all axes; give one by options"
             )
         gain = float(np.ravel(section.get("gain", 1.0))[0])
         return cls.from_coefficients(section["numerator"], section["denominator"]).scaled(gain)
 
     @classmethod
-    def from_roots(cls, gain: float, zeros: Iterable[Root], poles: Iterable[Root]) -> "Controller":
-        """Make it of its factors: gain * product(s - zeros) / product(s - poles)."""
-        return cls.from_coefficients(gain * polynomial_of(zeros), polynomial_of(poles))
+    def from_roots(cls, zeros: Iterable[Root], poles: Iterable[Root]) -> "Controller":
+        """Make it of its factors: product(s - zeros) / product(s - poles)."""
+        return cls.from_coefficients(polynomial_of(zeros), polynomial_of(poles))
 
     @property
     def gain(self) -> float:
@@ -174,35 +145,14 @@ class Controller(TransferFunction):
         return ratio(b, a, np.exp(2j * np.pi * frequencies_hz * dt))
 
 
-def given_controller(
-    gain: float | None,
-    zeros: Sequence[str],
-    poles: Sequence[str],
-    numerator: str | None,
-    denominator: str | None,
-) -> Controller | None:
+def given_controller(numerator: str | None, denominator: str | None) -> Controller | None:
     """Read the controller that options give; None if they give none.
 
-    Either gain, zeros and poles, ``HZ`` or ``HZ,DAMPING`` each, or the coefficients in s, highest
-    power first, with blanks or commas between them. An InputError says if both forms are mixed,
-    one is incomplete, or a text can't be read.
+    The coefficients in s, highest power first, with blanks or commas between them. An InputError
+    says if one of the two is missing, or a text can't be read.
     """
-    factored = gain is not None or zeros or poles
     if numerator is None and denominator is None:
-        if not factored:
-            return None
-        if gain is None:
-            raise InputError("--zero and --pole need --gain beside them")
-        return Controller.from_roots(
-            gain,
-            [Root.parse(text, "--zero") for text in zeros],
-            [Root.parse(text, "--pole") for text in poles],
-        )
-    if factored:
-        raise InputError(
-            "give the controller by --gain, --zero and --pole or by --numerator and "
-            "--denominator, not by both"
-        )
+        return None
     if numerator is None or denominator is None:
         raise InputError("--numerator and --denominator go together; one of them is missing")
     return Controller.from_coefficients(
@@ -211,22 +161,17 @@ def given_controller(
 
 
 def _coefficients(text: str, option: str) -> list[float]:
-    values = _numbers(text.replace(",", " ").split())
-    if not values:
+    try:
+        values = [float(word) for word in text.replace(",", " ").split()]
+    except ValueError:
+        values = []
+    if not values or not np.isfinite(values).all():
         raise InputError(f'{option} "{text}": expected numbers, such as "1 17.14 4002"')
     return values
 
 
-def check_new(path: Path) -> None:
-    """Refuse a file that exists already, or whose folder does not, by an InputError."""
-    if path.exists():
-        raise InputError(f"{path}: exists already; name another file with --out")
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: there is no folder {path.parent}")
-
-
 def write_controller(controller: Controller, path: Path) -> None:
     """Write a new parameter file, to be read after the experiment's own."""
-    section = one_controller(controller.numerator, controller.denominator)
+    section = parameters.one_controller(controller.numerator, controller.denominator)
     comment = "Controller of the force loop, by seft design: force error (N) to valve (V)"
     write_parameter_file(path, {"force_controller": section}, [comment])

@@ -1,7 +1,7 @@
 """An identified rig: actuators, specimen, force loop; its parameter file, table and JSON values."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,22 +14,14 @@ from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.specimen import Specimen
 
 from seft_ros.bags.record import Record
+from seft_ros.design import loop_design
 from seft_ros.design.actuator_fit import ActuatorFit, fit_actuator
 from seft_ros.design.controller import Controller, polynomial_of
-from seft_ros.design.loop_design import LoopDesign, plant_numbers, shape_loop, tracking_numbers
-from seft_ros.design.loop_margins import Tracking, tracking_measures
+from seft_ros.design.loop_margins import LoopMargins, Tracking, tracking_measures
 from seft_ros.design.plant import Plant, SampledPlant, small_signal
 from seft_ros.design.response_fits import SpecimenFit, TrackingFit, fit_specimen, fit_tracking
-from seft_ros.design.rig_tests import (
-    FORCE,
-    MOTION,
-    MOTION_TO,
-    REFERENCE,
-    VALVE,
-    MeasuredTest,
-    Measurement,
-)
-from seft_ros.drawing.style import Number, json_safe, look_up, make_table
+from seft_ros.design.rig_tests import MeasuredTest, Measurement
+from seft_ros.drawing.style import Number, json_safe, look_up, make_table, rows_of
 
 _COHERENT = 0.8  # up to there the closed loop is fitted
 _FLOOR = 0.01  # of a response: required accuracy of a model
@@ -57,7 +49,7 @@ class ValveResponse:
     actuator: ActuatorFit
     measured: Measurement
     error: float
-    loop: LoopDesign
+    loop: loop_design.LoopDesign
     controller_known: bool
 
 
@@ -152,16 +144,14 @@ def identify(
                 tests.pop(_OPEN_LOOP, None)
     if not tests:
         raise ExperimentError(unusable[0])
-    specimen = fit_specimen(
-        [test.response(REFERENCE, MOTION, MOTION_TO) for test in tests.values()]
-    )
+    specimen = fit_specimen([test.motion() for test in tests.values()])
     valves: list[ValveResponse] = []
     loops: list[ClosedLoop] = []
     if opened := tests.get(_OPEN_LOOP):
         valves = _valves(opened, specimen, actuators, controller)
     if closed := tests.get(_CLOSED_LOOP):
         each = range(len(closed.axes))
-        loops = [_closed_loop(closed.of(REFERENCE, FORCE, axis), closed.dt) for axis in each]
+        loops = [_closed_loop(closed.tracking(axis), closed.dt) for axis in each]
     axes = next(iter(tests.values())).axes
     return Identified(axes, band, specimen, valves, loops, unusable, faults)
 
@@ -184,8 +174,8 @@ def _valves(
     whole, dt, valves = Plant.of_model("identified", model), test.dt, []
     for axis, actuator in enumerate(actuators):
         plant = replace(whole.axis(axis), delay=actuator.dead_time)
-        measured = test.of(VALVE, FORCE, axis)
-        loop = shape_loop(plant, controller or Controller((1.0,), (1.0,)), dt)
+        measured = test.plant(axis)
+        loop = loop_design.shape_loop(plant, controller or Controller((1.0,), (1.0,)), dt)
         wrong = SampledPlant.of(plant, dt).response(measured.frequencies_hz) - measured.response
         size = np.abs(measured.response)
         deviation = np.hypot(measured.deviation, _FLOOR * size)
@@ -204,25 +194,33 @@ def _closed_loop(measured: Measurement, dt: float) -> ClosedLoop:
     return ClosedLoop(measured, tracking_measures(f, tracking), fit)
 
 
-_ACTUATOR = (
-    *("flow_gain", "oil_stiffness", "leakage", "force_capacity"),
-    *("valve_frequency", "valve_damping", "dead_time"),
-)
+_ACTUATOR = {  # parameter -> its key in the result
+    "flow_gain": "flow_gain_m_per_s_per_v",
+    "oil_stiffness": "oil_stiffness_n_per_m",
+    "leakage": "leakage_per_s",
+    "force_capacity": "force_capacity_n",
+    "valve_frequency": "valve_frequency_hz",
+    "valve_damping": "valve_damping",
+    "dead_time": "dead_time_s",
+}
+_MATRICES = ("mass", "damping", "stiffness")
 _LONGEST_DELAY = 1.0  # s, as in the parameter table
 
 
-def model_parameters(identified: Identified, specimen: bool) -> dict[str, dict[str, Any]]:
-    """Parameters of `reference_force` and `force_controller`, by node.
+def write_model(identified: Identified, path: Path, source: str, specimen: bool) -> None:
+    """Write parameters of `reference_force` and `force_controller`, by node, to a new file.
 
-    The actuators are those of all axes; a force capacity that was not identified on every axis is
-    left out, so that the configured one counts. Closed loop and plant, which have one set of
-    parameters, are those of the first axis, with the specimen of the tests. The specimen's
-    matrices are included if ``specimen`` is true.
+    To be read after the experiment's own. The actuators are those of all axes; a force capacity
+    that was not identified on every axis is left out, so that the configured one counts. Closed
+    loop and plant, which have one set of parameters, are those of the first axis, with the specimen
+    of the tests. The specimen's matrices are included if ``specimen`` is true; ``source`` goes into
+    a comment. An InputError says if the file can't be written.
     """
+    comments = [f"Identified by seft identify from {source}", f"Axes: {identified.axes}"]
     reference: dict[str, Any] = {}
     controller: dict[str, Any] = {}
     if specimen:
-        for name in ("mass", "damping", "stiffness"):
+        for name in _MATRICES:
             reference[f"model.{name}"] = getattr(identified.specimen, name).ravel().tolist()
     if identified.closed_loops:
         closed = identified.closed_loops[0]
@@ -236,22 +234,13 @@ def model_parameters(identified: Identified, specimen: bool) -> dict[str, dict[s
             if name != "force_capacity" or all(values):
                 controller[f"actuator.{name}"] = values
         controller |= _response("plant", _transfer_function(identified.valves[0]))
-    sections = {"reference_force": reference, "force_controller": controller}
-    return {node: section for node, section in sections.items() if section}
-
-
-def write_model(identified: Identified, path: Path, source: str, specimen: bool) -> None:
-    """Write `model_parameters` to a new file, to be read after the experiment's own.
-
-    ``source`` goes into a comment. An InputError says if it can't be written.
-    """
-    comments = [f"Identified by seft identify from {source}", f"Axes: {identified.axes}"]
-    if identified.valves:
         comments += [
             "actuator: of the actuators, for any specimen",
             f"plant and tracking: with this specimen, of axis {identified.axes[0]}",
         ]
-    write_parameter_file(path, model_parameters(identified, specimen), comments)
+    sections = {"reference_force": reference, "force_controller": controller}
+    known = {node: section for node, section in sections.items() if section}
+    write_parameter_file(path, known, comments)
 
 
 def _transfer_function(valve: ValveResponse) -> TransferFunction:
@@ -272,15 +261,11 @@ def _response(prefix: str, model: TransferFunction) -> dict[str, Any]:
     }
 
 
-LISTED_HZ = (1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
-"""Frequencies of the table of delays."""
 ANY_SPECIMEN = (
     "actuator.* describes the actuators and holds for any specimen (plant.* and tracking.* hold "
     "for this specimen)"
 )
 
-_MATRICES = ("mass", "damping", "stiffness")
-_MARGINS = ("crossover_hz", "phase_margin_deg", "gain_margin_db", "sensitivity_peak")
 _TABLE = (  # of an axis, by section
     (
         Number("actuator: flow gain", "actuator.flow_gain_m_per_s_per_v", "mm/s/V", 1e3),
@@ -299,17 +284,9 @@ _TABLE = (  # of an axis, by section
         Number("oil column", "plant_pole_hz", "Hz"),
         Number("  damping", "plant_pole_damping", "%", 100.0),
         Number("model's error", "fit_error", "%", 100.0),
-        Number("crossover", "crossover_hz", "Hz"),
-        Number("phase margin", "phase_margin_deg", "deg"),
-        Number("gain margin", "gain_margin_db", "dB"),
+        *loop_design.MARGINS,
     ),
-    (
-        Number("closed loop flat to", "closed_loop_flat_to_hz", "Hz (±1 dB)"),
-        Number("bandwidth", "bandwidth_hz", "Hz (-3 dB)"),
-        Number("delay", "delay_s", "ms", 1e3),
-        Number("deepest dip", "dip_db", "dB"),
-        Number("  at", "dip_hz", "Hz"),
-    ),
+    loop_design.TRACKING,
     (
         Number("specimen's mass", "specimen.mass", "kg"),
         Number("specimen's damping", "specimen.damping", "N s/m"),
@@ -320,30 +297,22 @@ _TABLE = (  # of an axis, by section
         Number("coherence, closed loop", "coherence.closed_loop.mean", "mean"),
     ),
 )
-_ALWAYS = ("specimen", "coherence")
-"""Keys whose rows are always there."""
 
 
-def identified_table(title: str, axes: tuple[str, ...], summary: Mapping[str, Any]) -> Table:
+def identified_table(title: str, summary: Mapping[str, Any]) -> Table:
     """Tabulate the result of `summarise_identified`, one column for each axis; notes below."""
     matrices = {name: np.atleast_2d(summary["specimen"][name]) for name in _MATRICES}
     by_axis = [
         {**axis, "specimen": {name: matrix[index, index] for name, matrix in matrices.items()}}
-        for index, axis in enumerate(summary.get("axes", [summary]))
+        for index, axis in enumerate(summary["axes"])
     ]
     rows: list[list[str] | None] = []
     for section in _TABLE:
-        for number in section:
-            known = any(look_up(axis, number.key) is not None for axis in by_axis)
-            if known or number.key.startswith(_ALWAYS):
-                cells = (number.plain(axis) for axis in by_axis)
-                rows.append([number.label, *cells, number.unit])
-        rows.append(None)
-    headings = ["", *(axis if len(axes) > 1 else "" for axis in axes), ""]
+        known = [n for n in section if any(look_up(axis, n.key) is not None for axis in by_axis)]
+        rows += [*rows_of(known, *by_axis), None]
+    headings = ["", *(axis["axis"] for axis in by_axis)]
     caption = Text("\n".join(summary["notes"]))
-    return make_table(
-        headings, rows, left=(0, len(headings) - 1), wrap=True, title=Text(title), caption=caption
-    )
+    return make_table(headings, rows, wrap=True, title=Text(title), caption=caption)
 
 
 def summarise_identified(identified: Identified) -> dict[str, Any]:
@@ -353,26 +322,25 @@ def summarise_identified(identified: Identified) -> dict[str, Any]:
     -------
     dict
         Of the first axis ``actuator``, the plant that it makes with the specimen, margins of the
-        digital loop, the measured closed loop with its ``delay_by_frequency``, and ``coherence``
-        of both tests; ``axes`` has these for each axis where there are several. ``specimen`` has
-        mass, damping and stiffness (numbers, of several axes matrices), natural frequencies and
+        digital loop, the measured closed loop, and ``coherence`` of both tests; ``axes`` has these
+        for each axis. ``specimen`` has mass, damping and stiffness
+        (numbers, of several axes matrices), natural frequencies and
         dampings; ``notes`` says what could not be identified. What was not measured is null.
     """
-    by_axis = [_of_axis(identified, index) for index in range(len(identified.axes))]
-    several = len(by_axis) > 1
-    named = [{"axis": name, **one} for name, one in zip(identified.axes, by_axis, strict=True)]
-    specimen = identified.specimen
-    roots = specimen.roots()
-    matrices = {name: getattr(specimen, name) for name in _MATRICES}
+    by_axis = [
+        {"axis": axis, **_of_axis(identified, index)} for index, axis in enumerate(identified.axes)
+    ]
+    specimen, roots = identified.specimen, identified.specimen.roots()
+    matrices = {name: getattr(specimen, name).squeeze().tolist() for name in _MATRICES}
     summary = {
         **by_axis[0],
         "specimen": {
-            **{k: (m.tolist() if several else float(m[0, 0])) for k, m in matrices.items()},
+            **matrices,
             "frequencies_hz": [root.hz for root in roots],
             "dampings": [root.damping for root in roots],
             "fit_error": specimen.error,
         },
-        **({"axes": named} if several else {}),
+        "axes": by_axis,
         "notes": notes(identified),
     }
     return {key: json_safe(value) for key, value in summary.items()}
@@ -408,15 +376,14 @@ def notes(identified: Identified) -> list[str]:
 def _of_axis(identified: Identified, index: int) -> dict[str, Any]:
     valve = identified.valves[index] if identified.valves else None
     closed = identified.closed_loops[index] if identified.closed_loops else None
-    margins = valve.loop.margins if valve and valve.controller_known else None
+    margins = valve.loop.sampled.margins if valve and valve.controller_known else LoopMargins()
     return {
         "actuator": valve and _of_actuator(valve.actuator),
-        **plant_numbers(valve.loop.plant if valve else None),
+        **loop_design.plant_numbers(valve.loop.plant if valve else None),
         "fit_error": valve and valve.error,
-        **{key: margins and getattr(margins, key) for key in _MARGINS},
-        **tracking_numbers(closed.tracking if closed else None),
+        **asdict(margins),
+        **loop_design.tracking_numbers(closed.tracking if closed else None),
         "tracking_fit_error": closed and closed.fit.error,
-        "delay_by_frequency": closed and _delays(closed),
         "coherence": {
             "open_loop": valve and _coherence(valve.measured),
             "closed_loop": closed and _coherence(closed.measured),
@@ -426,32 +393,12 @@ def _of_axis(identified: Identified, index: int) -> dict[str, Any]:
 
 def _of_actuator(actuator: ActuatorFit) -> dict[str, Any]:
     return {
-        "flow_gain_m_per_s_per_v": actuator.flow_gain,
-        "oil_stiffness_n_per_m": actuator.oil_stiffness,
-        "leakage_per_s": actuator.leakage,
+        **{key: getattr(actuator, name) for name, key in _ACTUATOR.items()},
         "force_capacity_n": actuator.force_capacity or None,
-        "valve_frequency_hz": actuator.valve_frequency,
-        "valve_damping": actuator.valve_damping,
-        "dead_time_s": actuator.dead_time,
         "flow_explained": actuator.explained,
         "verdict": actuator.verdict,
         "largest_force_n": actuator.largest_force,
     }
-
-
-def _delays(closed: ClosedLoop) -> list[dict[str, float]]:
-    measured = closed.measured
-    f = measured.frequencies_hz
-    columns = {
-        "delay_s": closed.tracking.delay_by_frequency,
-        "magnitude_db": 20 * np.log10(np.abs(measured.response)),
-        "coherence": measured.coherence,
-    }
-    return [
-        {"hz": hz, **{name: float(np.interp(hz, f, y)) for name, y in columns.items()}}
-        for hz in LISTED_HZ
-        if f[0] <= hz <= f[-1]
-    ]
 
 
 def _coherence(measured: Measurement) -> dict[str, float]:

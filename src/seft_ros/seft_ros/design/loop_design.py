@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,52 +16,39 @@ from seft_ros.design.plant import Plant, SampledPlant
 from seft_ros.drawing.style import CENTRED, Number, make_table, rows_of
 
 LOWEST_HZ = 0.1
-_COMPARED = ("crossover_hz", "phase_margin_deg", "gain_margin_db", "sensitivity_peak")
 _TRACKING = ("flat_to_hz", "bandwidth_hz", "delay_s", "dip_db", "dip_hz")
 
 
 @dataclass(frozen=True)
 class Responses:
-    """Frequency responses of plant (N/V) and controller (V/N) at N frequencies, shape (N,) each."""
+    """Frequency responses of a loop at N frequencies, and its numbers.
 
-    frequencies_hz: Floats
-    plant: Complexes
-    controller: Complexes
-
-    @property
-    def loop(self) -> Complexes:
-        """L = C_f H_fu."""
-        return self.controller * self.plant
-
-    @property
-    def tracking(self) -> Complexes:
-        """T = L / (1 + L), from reference force to measured force."""
-        return self.loop / (1 + self.loop)
-
-    @cached_property
-    def numbers(self) -> tuple[LoopMargins, Tracking]:
-        """Margins of L, and measures of T."""
-        f = self.frequencies_hz
-        return loop_margins(f, self.loop), tracking_measures(f, self.tracking)
-
-
-@dataclass(frozen=True)
-class PhaseCost:
-    """Phase that a loop loses at its crossover, against one in continuous time; degrees.
-
-    By the zero-order hold (and what it folds back from above half the rate), the step from a
-    sample to the command that answers it, and the discretisation of the controller.
+    Attributes
+    ----------
+    plant, controller : ndarray
+        H_fu, N/V, and C_f, V/N, shape (N,).
+    loop, tracking : ndarray
+        L = C_f H_fu, and T = L / (1 + L), from reference force to measured force, shape (N,).
+    margins : LoopMargins
+        Of L.
+    measures : Tracking
+        Of T.
     """
 
-    hold: float
-    latency: float
-    dead_time: float
-    bilinear: float
+    plant: Complexes
+    controller: Complexes
+    loop: Complexes
+    tracking: Complexes
+    margins: LoopMargins
+    measures: Tracking
 
-    @property
-    def total(self) -> float:
-        """All together."""
-        return self.hold + self.latency + self.dead_time + self.bilinear
+    @classmethod
+    def of(cls, f: Floats, plant: Complexes, controller: Complexes) -> "Responses":
+        """Close the loop of plant and controller at frequencies in Hz."""
+        loop = controller * plant
+        tracking = loop / (1 + loop)
+        margins, measures = loop_margins(f, loop), tracking_measures(f, tracking)
+        return cls(plant, controller, loop, tracking, margins, measures)
 
 
 @dataclass(frozen=True)
@@ -79,8 +65,6 @@ class LoopDesign:
         Shape (N,), up to half the sampling rate, Hz.
     continuous, sampled : Responses
         In continuous time and without dead time; and as it runs.
-    phase_cost : PhaseCost or None
-        Where ``margins`` lost phase; None without a crossover.
     stable : bool
         Whether the sampled loop is stable, by its eigenvalues.
     """
@@ -90,22 +74,11 @@ class LoopDesign:
     frequencies_hz: Floats
     continuous: Responses
     sampled: Responses
-    phase_cost: PhaseCost | None
     stable: bool
-
-    @property
-    def margins(self) -> LoopMargins:
-        """Margins of the loop as it runs."""
-        return self.sampled.numbers[0]
-
-    @property
-    def tracking(self) -> Tracking:
-        """Tracking of the loop as it runs."""
-        return self.sampled.numbers[1]
 
     def delay_at(self, frequency_hz: float) -> float:
         """Delay of the measured force at one frequency, s."""
-        delays = self.tracking.delay_by_frequency
+        delays = self.sampled.measures.delay_by_frequency
         known = np.isfinite(delays)
         return float(np.interp(frequency_hz, self.frequencies_hz[known], delays[known]))
 
@@ -117,19 +90,11 @@ def shape_loop(plant: Plant, controller: Controller, dt: float) -> LoopDesign:
     """
     plant = plant.axis(0)
     f = loop_frequencies(plant, dt)
-    continuous = Responses(f, replace(plant, delay=0.0).response(f), controller.response(f))
-    sampled_plant = SampledPlant.of(plant, dt)
-    sampled = Responses(f, sampled_plant.response(f), controller.sampled_response(f, dt))
-    cost, crossover = None, sampled.numbers[0].crossover_hz
-    if crossover is not None:
-        at, latency = np.array([crossover]), 360.0 * crossover * dt
-        held = plant.response(at) / sampled_plant.response(at)
-        discretised = controller.response(at) / controller.sampled_response(at, dt)
-        hold, bilinear = (float(np.angle(part, deg=True)[0]) for part in (held, discretised))
-        hold = (hold - latency + 180.0) % 360.0 - 180.0
-        cost = PhaseCost(hold, latency, 360.0 * crossover * plant.delay, bilinear)
+    at_once, as_it_runs = replace(plant, delay=0.0), SampledPlant.of(plant, dt)
+    continuous = Responses.of(f, at_once.response(f), controller.response(f))
+    sampled = Responses.of(f, as_it_runs.response(f), controller.sampled_response(f, dt))
     stable = abs(force_loop(plant, controller, dt).dominant()) < 1
-    return LoopDesign(plant, controller, f, continuous, sampled, cost, stable)
+    return LoopDesign(plant, controller, f, continuous, sampled, stable)
 
 
 def loop_frequencies(plant: Plant, dt: float, count: int = 1500) -> Floats:
@@ -152,26 +117,28 @@ def _number(label: str, key: str, unit: str, at: str = "", scale: float = 1.0) -
     return Number(label, key, unit, scale, ".3g", "none", at)
 
 
-_MARGINS = (
+MARGINS = (
     _number("crossover", "crossover_hz", "Hz"),
     _number("phase margin", "phase_margin_deg", "deg"),
     _number("gain margin", "gain_margin_db", "dB", "phase_crossover_hz"),
 )
-_LOOP = (
-    *_MARGINS,
-    _number("sensitivity peak", "sensitivity_peak", "", "sensitivity_peak_hz"),
-    _number("flat within 1 dB to", "flat_to_hz", "Hz"),
+TRACKING = (
+    _number("flat within 1 dB to", "closed_loop_flat_to_hz", "Hz"),
     _number("bandwidth (-3 dB)", "bandwidth_hz", "Hz"),
     _number("delay", "delay_s", "ms", scale=1e3),
     _number("dip within 25 Hz", "dip_db", "dB", "dip_hz"),
 )
+_SENSITIVITY = _number("sensitivity peak", "sensitivity_peak", "", "sensitivity_peak_hz")
 
 
 def design_table(design: LoopDesign, title: str) -> Table:
     """Tabulate the force loop of one axis under a title."""
-    plant, controller, cost = design.plant, design.controller, design.phase_cost
+    plant, controller = design.plant, design.controller
     zero = plant.antiresonance()
-    loops = (vars(m) | vars(t) for m, t in (design.continuous.numbers, design.sampled.numbers))
+    loops = (
+        asdict(responses.margins) | tracking_numbers(responses.measures)
+        for responses in (design.continuous, design.sampled)
+    )
     rows: list[list[str] | None] = [
         ["plant zero (specimen)", "", str(zero or "none")],
         ["plant pole (oil column)", "", str(plant.oil_column() or "none")],
@@ -180,26 +147,20 @@ def design_table(design: LoopDesign, title: str) -> Table:
         *(["controller zero", "", str(root)] for root in controller.zeros),
         *(["controller pole", "", str(root)] for root in controller.poles),
         None,
-        *rows_of(_LOOP, *loops),
+        *rows_of((*MARGINS, _SENSITIVITY, *TRACKING), *loops),
     ]
     if zero is not None:
         rows.append(["delay at the zero", "", f"{1e3 * design.delay_at(zero.hz):.3g} ms"])
-    caption = cost and (
-        f"phase lost at crossover: {cost.total:.3g} deg (hold {cost.hold:.2g}, "
-        f"latency {cost.latency:.2g}, dead time {cost.dead_time:.2g}, bilinear {cost.bilinear:.2g})"
-    )
     headings = ("", "continuous", "as it runs")
-    return make_table(headings, rows, title=title, caption=caption, **CENTRED)
+    return make_table(headings, rows, title=title, **CENTRED)
 
 
 def axes_table(axes: list[dict[str, Any]]) -> Table:
     """Tabulate the margins of several axes, as `summarise_axes` gives them."""
-    columns = [Number("axis", "axis"), *(replace(number, at="") for number in _MARGINS)]
-    rows = [
-        [*(column.text(axis) for column in columns), "stable" if axis["stable"] else "unstable"]
-        for axis in axes
-    ]
-    headings = (*(column.label for column in columns), "")
+    stable = Number("", "stable", form=lambda is_stable: "stable" if is_stable else "unstable")
+    columns = (Number("axis", "axis"), *MARGINS, stable)
+    rows = [[column.text(axis) for column in columns] for axis in axes]
+    headings = [column.label for column in columns]
     title = "axes, each with the valves of the others closed"
     return make_table(headings, rows, wrap=True, left=(4,), title=title, **CENTRED)
 
@@ -209,13 +170,12 @@ def summarise(design: LoopDesign) -> dict[str, Any]:
 
     All but ``discretisation: continuous`` is of the sampled loop. What does not exist is None.
     """
-    zero, controller, cost = design.plant.antiresonance(), design.controller, design.phase_cost
-    loops = {"continuous": design.continuous, "sampled": design.sampled}
+    zero, controller = design.plant.antiresonance(), design.controller
     return {
         "plant_source": design.plant.source,
         **plant_numbers(design.plant),
-        **_margins(design.margins),
-        **tracking_numbers(design.tracking),
+        **asdict(design.sampled.margins),
+        **tracking_numbers(design.sampled.measures),
         "delay_at_zero_s": design.delay_at(zero.hz) if zero else None,
         "controller": {
             "numerator": list(controller.numerator),
@@ -225,11 +185,8 @@ def summarise(design: LoopDesign) -> dict[str, Any]:
             "zeros": [asdict(root) for root in controller.zeros],
         },
         "discretisation": {
-            **{
-                which: {name: getattr(responses.numbers[0], name) for name in _COMPARED}
-                for which, responses in loops.items()
-            },
-            "phase_cost_deg": cost and {**asdict(cost), "total": cost.total},
+            "continuous": asdict(design.continuous.margins),
+            "sampled": asdict(design.sampled.margins),
         },
     }
 
@@ -253,15 +210,9 @@ def tracking_numbers(tracking: Tracking | None) -> dict[str, Any]:
 def summarise_axes(axes: Sequence[str], designs: Sequence[LoopDesign]) -> list[dict[str, Any]]:
     """Name, margins and stability of every axis, each with the valves of the others closed."""
     return [
-        {"axis": axis, **_margins(design.margins), "stable": design.stable}
+        {"axis": axis, **asdict(design.sampled.margins), "stable": design.stable}
         for axis, design in zip(axes, designs, strict=True)
     ]
-
-
-def _margins(margins: LoopMargins) -> dict[str, Any]:
-    values = asdict(margins)
-    del values["stable"]  # the eigenvalues say it exactly
-    return {**values, "crossovers_hz": list(margins.crossovers_hz)}
 
 
 PHASE_MARGIN_DEG = 45.0
@@ -313,7 +264,7 @@ def propose_controller(
     )
     highest = search.highest_crossover(crossover_hz)
     if highest is None:
-        raise InputError(f"{wish}, nor can a lower one; give gain, poles and zeros by hand")
+        raise InputError(f"{wish}, nor can a lower one; give --numerator and --denominator")
     raise InputError(f"{wish}; the highest that can is {highest:g} Hz")
 
 
@@ -325,7 +276,7 @@ class _Search:
         if zero is None or zero.hz >= 0.5 / dt:
             raise InputError(
                 "the plant has no lightly damped zeros below half the rate to put the controller's "
-                "poles on; give gain, poles and zeros by hand"
+                "poles on; give --numerator and --denominator"
             )
         self._plant, self._dt, self._gain_margin_db = plant, dt, gain_margin_db
         self._zero, self._oil_column = zero, plant.oil_column()
@@ -343,7 +294,7 @@ class _Search:
             unscaled = candidate.sampled_response(at, dt) * plant_at
             controller = candidate.scaled(sign / float(abs(unscaled[0])))
             loop = controller.sampled_response(self._f, dt) * self._response
-            phase = np.angle(-np.sign(controller.gain) * unscaled[0], deg=True)
+            phase = np.angle(-sign * unscaled[0], deg=True)
             if phase < PHASE_MARGIN_DEG or self._lacks_gain_margin(loop, crossover_hz):
                 continue
             margins = loop_margins(self._f, loop)
@@ -366,20 +317,17 @@ class _Search:
     def _candidates(self, crossover_hz: float) -> Iterator[Controller]:
         """Yield controllers of gain 1, the simplest first, roll-offs from the highest down."""
         zero = Root(self._zero.hz, max(self._zero.damping or 0.0, _LEAST_DAMPING))
-        poles = [self._prewarped(zero)]
-        yield Controller.from_roots(1.0, [], poles)
-        roll_offs = np.geomspace(0.45 / self._dt, crossover_hz, _ROLL_OFFS, endpoint=False).tolist()
-        for damping in (None, _ROLL_OFF_DAMPING):
-            for hz in roll_offs:
-                yield Controller.from_roots(1.0, [], [*poles, Root(hz, damping)])
-        oil = self._oil_column
+        hz = np.geomspace(0.45 / self._dt, crossover_hz, _ROLL_OFFS, endpoint=False).tolist()
+        single, double = ([[Root(f, zeta)] for f in hz] for zeta in (None, _ROLL_OFF_DAMPING))
+        poles, oil = [self._prewarped(zero)], self._oil_column
+        for roll_off in ([], *single, *double):
+            yield Controller.from_roots([], [*poles, *roll_off])
         if oil is None or oil.hz >= 0.45 / self._dt:
             return
         notch = self._prewarped(oil)
         poles.append(Root(notch.hz, _NOTCH_DAMPING))
-        yield Controller.from_roots(1.0, [notch], poles)
-        for hz in roll_offs:
-            yield Controller.from_roots(1.0, [notch], [*poles, Root(hz)])
+        for roll_off in ([], *single):
+            yield Controller.from_roots([notch], [*poles, *roll_off])
 
     def highest_crossover(self, wish_hz: float) -> float | None:
         """Highest possible crossover below a wish, to three digits."""

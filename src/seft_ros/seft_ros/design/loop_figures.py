@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PathCollection
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
@@ -15,17 +14,19 @@ from seft_ros.design.actuator_fit import ActuatorFit
 from seft_ros.design.identified import ClosedLoop, Identified, ValveResponse
 from seft_ros.design.loop_design import LoopDesign
 from seft_ros.design.loop_margins import BAND_HZ, FLATNESS_DB
-from seft_ros.drawing.style import FIRST, MARK, REFERENCE, SECOND, TEXT, legend_below, tidy
+from seft_ros.design.plant import Plant
+from seft_ros.design.rig_tests import Measurement
+from seft_ros.drawing.style import FIRST, MARK, REFERENCE, SECOND, TEXT, finish, new_figure, tidy
 
 MOST_AXES = 3
-_SHOWN_DEG = 720.0
-_SHOWN_DB = 80.0  # below a response's largest magnitude nothing of interest lies
+_SHOWN_DEG, _SHOWN_DB = 720.0, 80.0  # below the largest: beyond lies nothing of interest
 _SHOWN_TRACKING_DB = (-12.0, 6.0)
 _SHOWN_S = 0.5  # of the flow
 _SHADES = LinearSegmentedColormap.from_list("coherence", ["#dfe4e8", FIRST])
 _COHERENT = 0.5  # below, a delay is noise
 _NOTE: dict[str, Any] = {"fontsize": 8, "color": MARK, "va": "bottom"}
 _LINE: dict[str, Any] = {"color": MARK, "lw": 0.8, "ls": "--"}
+_HEADING: dict[str, Any] = {"fontsize": 11, "color": TEXT, "parse_math": False}
 _RESPONSES = (
     ("plant", "plant $H_{fu}$, valve to force", " (N/V)"),
     ("controller", "controller $C_f$", " (V/N)"),
@@ -40,42 +41,28 @@ _Panel = tuple[Axes, Axes]  # magnitude above phase
 
 def design_figure(design: LoopDesign, title: str) -> Figure:
     """Draw magnitude and phase of plant, controller, loop and closed loop over frequency."""
-    figure = Figure(figsize=(11.5, 9.5), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(11.5, 9.5)
     rows = figure.subplots(4, 2, sharex=True, height_ratios=[1.4, 1.0, 1.4, 1.0])
     panels = [(rows[row, column], rows[row + 1, column]) for row in (0, 2) for column in (0, 1)]
-    f, shown = design.frequencies_hz, [design.margins.crossover_hz]
-    shown += [root.hz for root in design.plant.roots[1][:1]]
-    lowest = min((hz / 30 for hz in shown if hz), default=0.0)  # below, an integrator goes on
+    f = design.frequencies_hz
     for panel, (name, heading, unit) in zip(panels, _RESPONSES, strict=True):
-        continuous, sampled = getattr(design.continuous, name), getattr(design.sampled, name)
-        _draw_response(panel, f, continuous, sampled)
+        _draw_response(panel, f, getattr(design.continuous, name), getattr(design.sampled, name))
         panel[0].set_title(heading, loc="left", fontsize=11, color=TEXT)
         panel[0].set_ylabel(f"magnitude / dB{unit}", color=TEXT)
     for axes in rows[-1]:
         axes.set_xlabel("frequency / Hz", color=TEXT)
-        axes.set_xlim(max(f[0], lowest), f[-1])
+        axes.set_xlim(f[0], f[-1])
         axes.xaxis.set_major_formatter("{x:g}")
     plant, _, loop, closed = panels
-    for root, name in (
-        (design.plant.antiresonance(), "zero"),
-        (design.plant.oil_column(), "oil column"),
-    ):
-        if root is not None:
-            _mark(plant[0], root.hz, f"{name}\n{root.hz:.3g} Hz")
-            plant[1].axvline(root.hz, **_LINE)
+    _mark_plant(plant[0], design.plant, f[-1])
     _mark_loop(loop, design)
     _mark_closed_loop(closed, design)
-    figure.align_ylabels()
-    handles, labels = plant[0].get_legend_handles_labels()
-    legend_below(figure, dict(zip(labels, handles, strict=True)), 2)
-    figure.suptitle(title, fontsize=11, color=TEXT, parse_math=False)
+    finish(figure, plant[:1], title)
     return figure
 
 
 def _draw_response(panel: _Panel, f: Floats, continuous: Complexes, sampled: Complexes) -> None:
     magnitude, phase = panel
-    highest, lowest = -np.inf, np.inf
     for response, colour, width, label in (
         (continuous, REFERENCE, 2.2, "continuous, without dead time"),
         (sampled, FIRST, 1.1, "as it runs: sampled, held, a step late"),
@@ -84,16 +71,12 @@ def _draw_response(panel: _Panel, f: Floats, continuous: Complexes, sampled: Com
         decibels = 20 * np.log10(np.abs(response[finite]))
         for axes, values in ((magnitude, decibels), (phase, _phase(response[finite]))):
             axes.semilogx(f[finite], values, color=colour, lw=width, label=label)
-        highest, lowest = max(highest, decibels.max()), min(lowest, decibels.min())
-    room = 0.05 * min(highest - lowest, _SHOWN_DB) + 1.0
-    magnitude.set_ylim(max(lowest, highest - _SHOWN_DB) - room, highest + room)
-    phase.set_ylabel("phase / deg", color=TEXT)
-    low, high = phase.get_ylim()
-    low = max(low, -_SHOWN_DEG)
-    phase.set_ylim(low, high)
-    phase.yaxis.set_major_locator(MultipleLocator(90.0 if high - low < 400 else 180.0))
-    for axes in panel:
+    for axes, shown in ((magnitude, _SHOWN_DB), (phase, _SHOWN_DEG)):
         tidy(axes)
+        low, high = axes.get_ylim()
+        axes.set_ylim(max(low, high - shown), high)
+    phase.set_ylabel("phase / deg", color=TEXT)
+    phase.yaxis.set_major_locator(MultipleLocator(90.0))
 
 
 def _phase(response: Complexes) -> Floats:
@@ -104,22 +87,19 @@ def _phase(response: Complexes) -> Floats:
 
 def _mark_loop(panel: _Panel, design: LoopDesign) -> None:
     magnitude, phase = panel
-    margins = design.margins
+    margins = design.sampled.margins
     magnitude.axhline(0.0, color=MARK, lw=0.8, ls=":")
     phase.axhline(-180.0, color=MARK, lw=0.8, ls=":")
     if margins.crossover_hz is not None:
         _mark(magnitude, margins.crossover_hz, f"crossover\n{margins.crossover_hz:.3g} Hz")
         _mark(phase, margins.crossover_hz, f"{margins.phase_margin_deg:.3g}° phase margin")
-    if margins.phase_crossover_hz is not None and margins.gain_margin_db is not None:
-        at, depth = margins.phase_crossover_hz, -margins.gain_margin_db
-        magnitude.plot([at, at], [depth, 0.0], color=MARK, lw=1.6)
-        text = f"{margins.gain_margin_db:.3g} dB gain margin"
-        magnitude.annotate(text, (at, 0.0), (2, 3), textcoords="offset points", **_NOTE)
+    if margins.phase_crossover_hz is not None:
+        _mark(phase, margins.phase_crossover_hz, f"{margins.gain_margin_db:.3g} dB gain margin")
 
 
 def _mark_closed_loop(panel: _Panel, design: LoopDesign) -> None:
     magnitude, phase = panel
-    tracking, flat = design.tracking, design.tracking.flat_to_hz
+    tracking, flat = design.sampled.measures, design.sampled.measures.flat_to_hz
     magnitude.axhspan(-FLATNESS_DB, FLATNESS_DB, color=FIRST, alpha=0.12, lw=0)
     magnitude.set_ylim(-20.0, max(6.0, magnitude.get_ylim()[1]))
     text = "flat throughout" if flat is None else f"±{FLATNESS_DB:g} dB to {flat:.3g} Hz"
@@ -140,47 +120,45 @@ def identified_figure(identified: Identified, title: str) -> Figure:
     names, valves, closed = identified.axes[:MOST_AXES], identified.valves, identified.closed_loops
     rows = [*_OF_VALVE * bool(valves), "coherence", *_OF_CLOSED_LOOP * bool(closed)]
     width = 9.5 if len(names) == 1 else 5.5 * len(names)
-    figure = Figure(figsize=(width, 2.6 * len(rows) + 0.5), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(width, 2.6 * len(rows) + 0.5)
     panels = figure.subplots(len(rows), len(names), squeeze=False)
     dots: PathCollection | None = None
     for column, axis in enumerate(names):
         panel = dict(zip(rows, panels[:, column], strict=True))
+        coherence = panel["coherence"]
         for row, axes in panel.items():
             tidy(axes)
             if row != _OF_VALVE[0]:
                 axes.set_xscale("log")
                 axes.set_xlim(*identified.band)
                 axes.xaxis.set_major_formatter("{x:g}")
-        measured = []
         if valves:
-            _draw_flow(panel[_OF_VALVE[0]], valves[column].actuator)
-            dots = _draw_plant(panel[_OF_VALVE[1]], valves[column])
-            measured.append((valves[column].measured, FIRST, "valve to force"))
+            valve = valves[column]
+            _draw_flow(panel[_OF_VALVE[0]], valve.actuator)
+            dots = _draw_plant(panel[_OF_VALVE[1]], valve)
+            _draw_coherence(coherence, valve.measured, FIRST, "valve to force")
         if closed:
             magnitude, delay = (panel[row] for row in _OF_CLOSED_LOOP)
             _draw_tracking(magnitude, delay, closed[column])
-            measured.append((closed[column].measured, SECOND, "reference to force"))
-        for one, colour, label in measured:
-            panel["coherence"].plot(
-                one.frequencies_hz, one.coherence, color=colour, lw=0.8, label=label
-            )
-        panel["coherence"].set_ylim(0.0, 1.05)
+            _draw_coherence(coherence, closed[column].measured, SECOND, "reference to force")
+        coherence.set_ylim(0.0, 1.05)
         if len(identified.axes) > 1:
-            panels[0, column].set_title(
-                f"axis {axis}", loc="left", fontsize=11, color=TEXT, parse_math=False
-            )
+            panels[0, column].set_title(f"axis {axis}", loc="left", **_HEADING)
         panels[-1, column].set_xlabel("frequency / Hz", color=TEXT)
-        for row in rows[: -1 if closed else None]:
-            panel[row].legend(loc="lower left", frameon=False, fontsize=9)
+        for axes in panel.values():
+            axes.legend(loc="lower left", frameon=False, fontsize=9)
     for axes, label in zip(panels[:, 0], rows, strict=True):
         axes.set_ylabel(label, color=TEXT)
     if dots is not None:
         bar = figure.colorbar(dots, ax=list(panels[1]), aspect=15, pad=0.01)
         bar.set_label("coherence", color=TEXT)
         bar.outline.set_visible(False)
-    figure.suptitle(title, fontsize=11, color=TEXT, parse_math=False)
+    figure.suptitle(title, **_HEADING)
     return figure
+
+
+def _draw_coherence(panel: Axes, measured: Measurement, colour: str, label: str) -> None:
+    panel.plot(measured.frequencies_hz, measured.coherence, color=colour, lw=0.8, label=label)
 
 
 def _draw_flow(panel: Axes, actuator: ActuatorFit) -> None:
@@ -205,10 +183,7 @@ def _draw_plant(panel: Axes, valve: ValveResponse) -> PathCollection:
     text = f"actuator and specimen, error {100 * valve.error:.2g} %"
     panel.plot(f, np.abs(loop.sampled.plant[shown]), color=MARK, lw=1.1, label=text)
     panel.set_yscale("log")
-    for root, name in ((loop.plant.antiresonance(), "zero"), (loop.plant.oil_column(), "oil")):
-        if root and f[0] <= root.hz <= measured.frequencies_hz[-1]:
-            percent = 100 * (root.damping or 0)
-            _mark(panel, root.hz, f"{name} {root.hz:.4g} Hz\ndamping {percent:.2g} %")
+    _mark_plant(panel, loop.plant, measured.frequencies_hz[-1])
     return dots
 
 
@@ -216,25 +191,28 @@ def _draw_tracking(panel: Axes, below: Axes, closed: ClosedLoop) -> None:
     measured, tracking = closed.measured, closed.tracking
     f = measured.frequencies_hz
     panel.axhspan(-FLATNESS_DB, FLATNESS_DB, color=SECOND, alpha=0.12, lw=0)
-    for response, colour, width, dashes, label in (
-        (measured.response, SECOND, 1.0, "-", "measured"),
-        (closed.fit.model.response(f), MARK, 0.9, "--", "low-order fit"),
+    for response, style in (
+        (measured.response, {"color": SECOND, "lw": 1.0, "label": "measured"}),
+        (closed.fit.model.response(f), {**_LINE, "label": "low-order fit"}),
     ):
-        decibels = 20 * np.log10(np.abs(response))
-        panel.plot(f, decibels, color=colour, lw=width, ls=dashes, label=label)
+        panel.plot(f, 20 * np.log10(np.abs(response)), **style)
     panel.set_ylim(*_SHOWN_TRACKING_DB)
     if flat := tracking.flat_to_hz:
         _mark(panel, flat, f"±{FLATNESS_DB:g} dB to {flat:.3g} Hz", 0.85)
     delays = np.where(measured.coherence < _COHERENT, np.nan, 1e3 * tracking.delay_by_frequency)
-    below.plot(f, delays, color=SECOND, lw=1.0)
+    below.plot(f, delays, color=SECOND, lw=1.0, label="measured")
     if tracking.delay_s is not None:
         delay = 1e3 * tracking.delay_s
-        below.axhline(delay, **_LINE)
-        text, place = f"best-fit delay {delay:.3g} ms", ("axes fraction", "data")
-        below.annotate(
-            text, (0.01, delay), (0, 3), xycoords=place, textcoords="offset points", **_NOTE
-        )
+        below.axhline(delay, label=f"best-fit delay {delay:.3g} ms", **_LINE)
         below.set_ylim(0.0, 2.0 * delay)
+
+
+def _mark_plant(axes: Axes, plant: Plant, highest_hz: float) -> None:
+    """Mark the zero of the specimen and the oil column."""
+    for root, name in ((plant.antiresonance(), "zero"), (plant.oil_column(), "oil column")):
+        if root is not None and root.hz <= highest_hz:
+            percent = 100 * (root.damping or 0)
+            _mark(axes, root.hz, f"{name} {root.hz:.4g} Hz\ndamping {percent:.2g} %")
 
 
 def _mark(axes: Axes, hz: float, text: str, height: float = 0.03) -> None:

@@ -36,10 +36,6 @@ class LoopMargins:
         Largest |S| = 1 / |1 + L|.
     sensitivity_peak_hz : float or None
         Where.
-    stable : bool or None
-        Whether the closed loop is stable, by Nyquist's criterion for a loop that is stable
-        while open; None where |L| is not below 1 at the highest frequency. Of a model
-        `seft_ros.design.closed_loop.force_loop` says it exactly.
     """
 
     crossover_hz: float | None = None
@@ -49,7 +45,6 @@ class LoopMargins:
     phase_crossover_hz: float | None = None
     sensitivity_peak: float | None = None
     sensitivity_peak_hz: float | None = None
-    stable: bool | None = None
 
 
 def loop_margins(frequencies_hz: Floats, loop: Complexes) -> LoopMargins:
@@ -76,7 +71,6 @@ def loop_margins(frequencies_hz: Floats, loop: Complexes) -> LoopMargins:
         phase_crossover = float(phase_omegas[least] / (2 * np.pi))
     sensitivity = 1 / np.maximum(np.abs(1 + loop), 1e-9)
     peak = int(sensitivity.argmax())
-    turning = np.unwrap(np.angle(1 + loop))[-1]
     return LoopMargins(
         crossover_hz=crossovers[falls] if len(crossovers) > falls else None,
         crossovers_hz=tuple(crossovers),
@@ -85,7 +79,6 @@ def loop_margins(frequencies_hz: Floats, loop: Complexes) -> LoopMargins:
         phase_crossover_hz=phase_crossover,
         sensitivity_peak=float(sensitivity[peak]),
         sensitivity_peak_hz=float(omega[peak] / (2 * np.pi)),
-        stable=bool(abs(turning) < np.pi / 2) if abs(loop[-1]) < 1 else None,
     )
 
 
@@ -117,12 +110,10 @@ class Tracking:
     delay_by_frequency: Floats
 
 
-def tracking_measures(
-    frequencies_hz: Floats, tracking: Complexes, band_hz: float = BAND_HZ
-) -> Tracking:
+def tracking_measures(frequencies_hz: Floats, tracking: Complexes) -> Tracking:
     """Measure a closed loop T known at some frequencies, ascending, in Hz; shape (N,) both.
 
-    Delay and dip are those of the band up to ``band_hz``. Against noise: magnitudes pass a
+    Delay and dip are those of the band up to `BAND_HZ`. Against noise: magnitudes pass a
     running median of five points, dips below 0.2 dB do not count, and the delay is a
     least-squares fit. Phase is unwrapped from the lowest frequency up, so that noise beyond the
     band reaches nothing within it.
@@ -136,11 +127,11 @@ def tracking_measures(
     phase = np.unwrap(np.angle(t))
     delays[known] = -phase / (2 * np.pi * f)
     flat_to = _first_above(f, np.abs(decibels), FLATNESS_DB)
-    dip_db, dip_hz = _deepest_dip(f, decibels, band_hz)
+    dip_db, dip_hz = _deepest_dip(f, decibels)
     return Tracking(
         flat_to_hz=flat_to,
         bandwidth_hz=_first_above(f, -decibels, -BANDWIDTH_DB),
-        delay_s=_fitted_delay(f, phase, band_hz if flat_to is None else min(flat_to, band_hz)),
+        delay_s=_fitted_delay(f, phase, BAND_HZ if flat_to is None else min(flat_to, BAND_HZ)),
         dip_db=dip_db,
         dip_hz=dip_hz,
         delay_by_frequency=delays,
@@ -168,9 +159,9 @@ def _fitted_delay(f: Floats, phase: Floats, to_hz: float) -> float | None:
     return float(-(weight @ phase[band]) / (weight @ omega))
 
 
-def _deepest_dip(f: Floats, decibels: Floats, to_hz: float) -> tuple[float | None, float | None]:
+def _deepest_dip(f: Floats, decibels: Floats) -> tuple[float | None, float | None]:
     dips, _ = find_peaks(-decibels, prominence=_DIP_DB)
-    dips = dips[f[dips] <= to_hz]
+    dips = dips[f[dips] <= BAND_HZ]
     if not len(dips):
         return None, None
     deepest = dips[decibels[dips].argmin()]

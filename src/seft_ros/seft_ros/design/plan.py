@@ -1,6 +1,7 @@
 """A planned test as a closed loop, and the loop with other values than planned."""
 
 import cmath
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -16,15 +17,7 @@ from seft_plant_sim.specimen import Specimen
 from seft_plant_sim.whole_structure import tested_specimen
 
 from seft_ros.design import Source
-from seft_ros.design.closed_loop import (
-    BOUNDS,
-    ClosedLoop,
-    closed_loop,
-    frozen_feedforward,
-    frozen_target,
-    growth_rate,
-    read_of_points,
-)
+from seft_ros.design.closed_loop import ClosedLoop, closed_loop, frozen_feedforward, frozen_target
 from seft_ros.design.plant import Plant, SampledPlant, choose_plant, small_signal
 from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.methods import force_control
@@ -33,10 +26,7 @@ from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
 from seft_ros.reference_force.compensator import Compensator
 from seft_ros.reference_force.force_command import FORCE_DRIVEN
 from seft_ros.reference_force.linear_filter import LinearFilter
-from seft_ros.reference_force.reference_force_block import (
-    compensator,
-    knowledge,
-)
+from seft_ros.reference_force.reference_force_block import compensator, knowledge
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 from seft_ros.reference_force.target_motion import TargetMotion
 from seft_ros.reference_force.target_step import FORCE
@@ -249,12 +239,8 @@ class Plan:
                     of = slice(first, first + read.shape[1])
                     c, d, e = (read @ matrix[of] for matrix in (part.c, part.d, part.e))
                     part = replace(part, c=c, d=d, e=e)
-                loops.append(closed_loop(rig, part.delayed(late), control, self.dt))
+                loops.append(closed_loop(rig, part.delayed(late), control))
         return loops
-
-    def loop(self, **changes: Any) -> ClosedLoop:
-        """Close the loop as the test starts, see `loops`."""
-        return self.loops(**changes)[0]
 
     def worst(self, **changes: Any) -> complex:
         """Eigenvalue of all `loops` with the largest magnitude."""
@@ -265,8 +251,8 @@ class Plan:
         return abs(cmath.phase(self.worst(**changes))) / (2 * np.pi * self.dt)
 
     def growth_rate(self, **changes: Any) -> float:
-        """Growth rate of that mode, 1/s: positive if the test is unstable."""
-        return growth_rate(self.worst(**changes), self.dt)
+        """Growth rate ln|z| / dt of that mode, 1/s: positive if the test is unstable."""
+        return float(np.log(max(abs(self.worst(**changes)), 1e-300)) / self.dt)
 
     def is_stable(self, **changes: Any) -> bool:
         """Whether none of `loops` grows."""
@@ -279,7 +265,7 @@ class Plan:
         rig = choose_rig(self.experiment, self.source, stiffness) if other else self.rig
         return rig.sampled(self.dt, dead_time, gain)
 
-    def _linear_controllers(self) -> list[tuple[Floats | None, LinearControl]]:
+    def _linear_controllers(self) -> Sequence[tuple[Floats | None, LinearControl]]:
         """Make the controller as it starts, then at the bounds to which it may adapt.
 
         Before each is the matrix from the points to what it reads; None: the method has no points.
@@ -294,7 +280,6 @@ class Plan:
                         f"force_controller: {VELOCITY_FEEDFORWARD} needs a target motion: set "
                         f"reference_force: compensation.method to {TARGET_MOTION}"
                     )
-                frozen = [frozen_feedforward(made, errors) for errors in ((0.0, 0.0), *BOUNDS)]
-                return [read_of_points(each) for each in frozen]
+                return frozen_feedforward(made)
             control = made.linear()
         return [(np.eye(n, 3 * n, k=FORCE * n) if self.follows else None, control)]

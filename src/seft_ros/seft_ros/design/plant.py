@@ -9,14 +9,9 @@ from scipy.linalg import block_diag
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
+from seft_plant_sim import lti
 from seft_plant_sim.actuator import Hydraulics
 from seft_plant_sim.continuous_model import ContinuousModel, servo_hydraulic
-from seft_plant_sim.lti import (
-    companion_form,
-    first_order_hold,
-    split_dead_time,
-    state_space_response,
-)
 from seft_plant_sim.rig import continuous_model
 from seft_plant_sim.specimen import Specimen
 
@@ -86,7 +81,7 @@ class Plant:
     def response(self, frequencies_hz: Floats) -> Complexes:
         """Frequency response H_fu(jw) of the first axis, shape (N,), N/V."""
         s = np.asarray(2j * np.pi * frequencies_hz, dtype=np.complex128)
-        forces = state_space_response(self.a, self.b, self.c, self.d, s)
+        forces = lti.state_space_response(self.a, self.b, self.c, self.d, s)
         return forces[:, 0, 0] * np.exp(-s * self.delay)
 
     @cached_property
@@ -168,7 +163,7 @@ def identified_plant(section: dict[str, Any], axes: int) -> Plant:
             f"force_controller: the plant is improper: plant.numerator of degree "
             f"{numerator.size - 1} over plant.denominator of degree {denominator.size - 1}"
         )
-    one_axis = companion_form(numerator, denominator)
+    one_axis = lti.companion_form(numerator, denominator)
     a, b, c, d = (block_diag(*[part] * axes) for part in one_axis)
     return Plant("identified", a, b, c, d, float(section["plant.dead_time"]))
 
@@ -213,14 +208,14 @@ class SampledPlant:
     @classmethod
     def of(cls, plant: Plant, dt: float) -> "SampledPlant":
         """Sample a plant; InputError if its dead time is many samples long."""
-        whole, rest = split_dead_time(plant.delay, dt)
+        whole, rest = lti.split_dead_time(plant.delay, dt)
         if whole > MAX_DELAY_STEPS:
             raise InputError(
                 f"the plant's dead time of {plant.delay:g} s is {whole} samples long, but at most "
                 f"{MAX_DELAY_STEPS} are allowed"
             )
-        early, forced_early, _ = first_order_hold(plant.a, plant.b, rest)
-        late, forced_late, _ = first_order_hold(plant.a, plant.b, dt - rest)
+        early, forced_early, _ = lti.first_order_hold(plant.a, plant.b, rest)
+        late, forced_late, _ = lti.first_order_hold(plant.a, plant.b, dt - rest)
         before = late @ forced_early
         return cls(late @ early, before, forced_late, plant.c, plant.d, whole, rest > 0, dt)
 
@@ -230,7 +225,7 @@ class SampledPlant:
         earlier = z[:, np.newaxis, np.newaxis]
         drive = self.before / earlier + self.after
         direct = self.d / earlier if self.rest else self.d
-        forces = state_space_response(self.a, drive, self.c, direct, z)
+        forces = lti.state_space_response(self.a, drive, self.c, direct, z)
         return forces[:, 0, 0] * z ** -(self.whole + 1.0)
 
     def state_space(self) -> tuple[Floats, Floats, Floats]:

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 from seft_msgs_py.config.experiment import Experiment, write_parameter_file
-from seft_msgs_py.config.parameter_table import Section
+from seft_msgs_py.config.parameter_table import Section, group
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_UNITS
 from seft_plant_sim.whole_structure import model_times, reference_response, whole_structure
 
-from seft_ros.design.closed_loop import growth_rate
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import HIGHEST_MASS_RATIO, Critical, Range, added_delays
 from seft_ros.design.stability_verdict import Preflight
@@ -39,56 +38,38 @@ class ModelTime:
 
     Attributes
     ----------
-    median, p999 : float
-        s; 99.9 % of the steps take no longer than the second.
-    budget : float
-        Time that a step may take, s.
-    period : float
-        Sampling period, s.
-    every : int
-        Samples from one step to the next.
-    is_apart : bool
-        Whether the model computes while the loop goes on.
+    median_s, p999_s : float
+        99.9 % of the steps take no longer than the second.
+    budget_s : float
+        Time that a step may take.
+    rate_hz : float
+        Rate of the test.
+    fits : bool
+        Whether it is fast enough.
+    fitting_every, fitting_rate_hz : int or None
+        Division of the steps, and rate, at which it would be; None: there is none.
     """
 
-    median: float
-    p999: float
-    budget: float
-    period: float
-    every: int
-    is_apart: bool
-
-    @property
-    def fits(self) -> bool:
-        """Whether it is fast enough."""
-        return self.p999 <= self.budget
-
-    @property
-    def enough(self) -> tuple[int | None, int | None]:
-        """Division of the steps, and rate in Hz, at which it would be; None: there is none."""
-        every = math.ceil(self.p999 / (SHARE * self.period))
-        rates = [rate for rate in RATES if self.p999 * rate <= SHARE * self.every]
-        can_divide = self.is_apart and every <= MOST_APART
-        return every if can_divide else None, rates[0] if rates else None
+    median_s: float
+    p999_s: float
+    budget_s: float
+    rate_hz: float
+    fits: bool
+    fitting_every: int | None
+    fitting_rate_hz: int | None
 
     def refusal(self) -> str:
         """Say that it is too slow, and what would do; empty if it is not."""
         if self.fits:
             return ""
-        every, rate = self.enough
+        every, rate = self.fitting_every, self.fitting_rate_hz
         ways = [f"reference_force: computed.every {every}"] if every else []
         ways += [f"a rate of {rate} Hz"] if rate else []
         return (
-            f"reference_force: computed.model takes {1e3 * self.median:.2g} ms for a step "
-            f"({1e3 * self.p999:.2g} ms for one of 1000), but has {1e3 * self.budget:.2g} ms at "
-            f"{1 / self.period:g} Hz: {' or '.join([*ways, 'a smaller model'])} fits"
+            f"reference_force: computed.model takes {1e3 * self.median_s:.2g} ms for a step "
+            f"({1e3 * self.p999_s:.2g} ms for one of 1000), but has {1e3 * self.budget_s:.2g} ms "
+            f"at {self.rate_hz:g} Hz: {' or '.join([*ways, 'a smaller model'])} fits"
         )
-
-    def numbers(self) -> dict[str, Any]:
-        """Give all of it as JSON values."""
-        every, rate = self.enough
-        found = {"median_s": self.median, "p999_s": self.p999, "budget_s": self.budget}
-        return found | {"fits": self.fits, "fitting_every": every, "fitting_rate_hz": rate}
 
 
 def model_time(experiment: Experiment) -> ModelTime | None:
@@ -114,10 +95,13 @@ def model_time(experiment: Experiment) -> ModelTime | None:
     for _ in range(LOOKS):
         times = np.minimum(times, model_times(whole, motion, model.every * dt))
         median, p999 = np.percentile(times, [50.0, 99.9]).tolist()
-        found = ModelTime(median, p999, share, dt, model.every, is_apart)
-        if found.fits or median > share:  # half of the steps: no stalls of the host
+        if p999 <= share or median > share:  # half of the steps: no stalls of the host
             break
-    return found
+    every = math.ceil(p999 / (SHARE * dt))
+    can_divide = is_apart and every <= MOST_APART
+    rate = next((rate for rate in RATES if p999 * rate <= SHARE * model.every), None)
+    fits = p999 <= share
+    return ModelTime(median, p999, share, 1 / dt, fits, every if can_divide else None, rate)
 
 
 FACTORS = {"displacement": 1.5, "velocity": 2.0, "acceleration": 2.0, "force": 1.5}
@@ -127,17 +111,13 @@ FAR = 4.0
 
 _COLOURS = {"stable": "green", "marginal": "yellow", "unstable": "red"}
 _LEFT = {**CENTRED, "title_justify": "left"}
-_MODE = (  # of the exact mode, of that in the test, and their difference
-    (
-        Number("natural frequency", "exact_hz", "Hz"),
-        Number("", "hz", "Hz"),
-        Number("", "frequency_error", "%", 100, "+.2g"),
-    ),
-    (
-        Number("damping ratio", "exact_damping", "%", 100, ".3g"),
-        Number("", "damping", "%", 100, ".3g"),
-        Number("", "false_damping", "% of critical", 100, "+.2g"),
-    ),
+_MODE = (
+    Number("natural frequency", "exact_hz", "Hz"),
+    Number("in the test", "hz", "Hz"),
+    Number("error", "frequency_error", "%", 100, "+.2g"),
+    Number("damping ratio", "exact_damping", "%", 100, ".3g"),
+    Number("in the test", "damping", "%", 100, ".3g"),
+    Number("added", "false_damping", "% of critical", 100, "+.2g"),
 )
 
 
@@ -150,22 +130,19 @@ def preflight_tables(plan: Plan, found: Preflight, title: str) -> list[Table]:
         caption=found.promise,
         **CENTRED,
     )
-    modes = [
-        [row[0].label, *(number.text(mode) for number in row)]
-        for mode in summarise(plan, found)["modes"]
-        for row in _MODE
-    ]
     if found.verdict == "unstable":
         return [margins]
-    none = [["no oscillating mode", "", "", ""]]
-    headings, title = ("", "exact", "in the test", "error"), "modes of the whole structure"
-    return [margins, make_table(headings, modes or none, title=title, **_LEFT)]
+    modes = [[number.text(mode) for number in _MODE] for mode in map(asdict, found.modes)]
+    none = [["no oscillating mode", *[""] * (len(_MODE) - 1)]]
+    headings, title = [number.label for number in _MODE], "modes of the whole structure"
+    return [margins, make_table(headings, modes or none, left=(), title=title, **_LEFT)]
 
 
 def limits_table(experiment: Experiment, peaks: dict[str, float]) -> Table:
     """Tabulate expected peaks, the limits of the test, and limits that fit."""
+    limits = group(experiment["supervisor"], "limits")
     rows = [
-        [name, unit, f"{peaks[name]:.3g}", f"{_limit(experiment, name):g}", f"{limit:g}"]
+        [name, unit, f"{peaks[name]:.3g}", f"{limits[name]:g}", f"{limit:g}"]
         for (name, limit), unit in zip(proposed_limits(peaks).items(), LIMIT_UNITS, strict=False)
     ]
     headings = ("", "", "expected peak", "limit", "proposed limit")
@@ -224,11 +201,7 @@ def summarise(plan: Plan, found: Preflight) -> dict[str, Any]:
     """
     margins = found.margins
     critical, dead_time = margins.mass_ratio, margins.dead_time
-    modes = [
-        asdict(mode)
-        | {"false_damping": mode.false_damping, "frequency_error": mode.frequency_error}
-        for mode in found.modes
-    ]
+    modes = [asdict(mode) for mode in found.modes]
     first = modes[0] if modes else {}
     return {
         "verdict": found.verdict,
@@ -253,10 +226,10 @@ def summarise(plan: Plan, found: Preflight) -> dict[str, Any]:
         "false_damping_ratio": first.get("false_damping"),
         "frequency_error": first.get("frequency_error"),
         "modes": modes,
-        "spectral_radius": abs(found.dominant),
-        "growth_rate": growth_rate(found.dominant, plan.dt),
-        "dominant_hz": float(np.angle(found.dominant)) / (2 * np.pi * plan.dt),
-        "states": found.states,
+        "spectral_radius": abs(plan.worst()),
+        "growth_rate": plan.growth_rate(),
+        "dominant_hz": plan.hz(),
+        "states": sum(len(loop.matrix) for loop in plan.loops()),
     }
 
 
@@ -309,23 +282,21 @@ def proposed_limits(peaks: dict[str, float]) -> dict[str, float]:
 
 def limit_warning(experiment: Experiment, peaks: dict[str, float]) -> str:
     """Name the limits that the expected peaks exceed or stay far below; empty if there are none."""
-    rows = []
-    for name, peak, unit in zip(peaks, peaks.values(), LIMIT_UNITS, strict=False):
-        rows.append((_limit(experiment, name), peak, f"{name} {_limit(experiment, name):g} {unit}"))
-    low = [f"{text} (expected: {peak:.3g})" for limit, peak, text in rows if peak > limit]
-    far = [f"{text} (expected: {peak:.3g})" for limit, peak, text in rows if limit > FAR * peak > 0]
+    limits, low, far = group(experiment["supervisor"], "limits"), [], []
+    for (name, peak), unit in zip(peaks.items(), LIMIT_UNITS, strict=False):
+        limit = limits[name]
+        text = f"{name} {limit:g} {unit} (expected: {peak:.3g})"
+        if peak > limit:
+            low.append(text)
+        elif limit > FAR * peak > 0:
+            far.append(text)
     kinds = (
         (low, "limits are below the expected peaks, and may end the test"),
         (far, f"limits are more than {FAR:g} times the expected peaks"),
     )
     parts = [f"{what}: {', '.join(which)}" for which, what in kinds if which]
-    if not parts:
-        return ""
-    return f"{'; '.join(parts)}; seft preflight CONFIG --write limits.yaml proposes others"
-
-
-def _limit(experiment: Experiment, name: str) -> float:
-    return experiment["supervisor"][f"limits.{name}"]
+    parts += ["seft preflight CONFIG --write limits.yaml proposes others"] if parts else []
+    return "; ".join(parts)
 
 
 def write_limits(file: Path, limits: dict[str, float]) -> None:

@@ -1,6 +1,5 @@
 """The tests of an identification: levels, experiments, and the spectra of what was measured."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -123,7 +122,7 @@ def spectra(signals: Floats, rate: float, segment: float) -> Spectra:
         detrend=False,  # a drift is part of the signals
     )
     count = (len(signals) - length // 2) // (length - length // 2)
-    averages = max(1.0, _HANN_OVERLAP_GAIN * count) if count > 1 else 1.0
+    averages = max(1.0, _HANN_OVERLAP_GAIN * count)
     return Spectra(frequencies, np.moveaxis(density, -1, 0), averages)
 
 
@@ -152,12 +151,9 @@ def response(
     return Response(measured.frequencies_hz[within], found, np.clip(share, 0.0, 1.0), noise, gain)
 
 
-REFERENCE, VALVE, MOTION, FORCE = (0, 1), (1, 2), (2, 5), (4, 5)
-"""Blocks of n signals, first and end: MOTION is displacement, acceleration and force."""
-
-MOTION_TO = 0.2
-"""Share of the rate up to which displacement may be differentiated: beyond is aliasing."""
-
+_REFERENCE, _VALVE, _MOTION, _FORCE = (0, 1), (1, 2), (2, 5), (4, 5)
+# blocks of n signals, first and end: motion is displacement, acceleration and force
+_MOTION_TO = 0.2  # of the rate: a displacement is differentiated, and beyond is aliasing
 _SEGMENTS = 7.5  # to a record, before they overlap
 _LEAST_PERIODS = 3.0  # of the lowest frequency in a segment
 _COHERENT = 0.5
@@ -201,7 +197,7 @@ class MeasuredTest:
     def incoherent(self) -> str:
         """Say on which axis the force is mostly noise where it is to be controlled, if any."""
         for axis, name in enumerate(self.axes):
-            measured = self.of(REFERENCE, FORCE, axis)
+            measured = self.tracking(axis)
             f = measured.frequencies_hz
             wanted = f <= max(BAND_HZ, 2 * f[0])
             poor = measured.coherence[wanted] < _COHERENT
@@ -214,7 +210,7 @@ class MeasuredTest:
                 )
         return ""
 
-    def response(
+    def _response(
         self, inputs: tuple[int, int], outputs: tuple[int, int], share: float = 0.5
     ) -> Response:
         """Response within the band, up to a share of the sampling rate."""
@@ -223,14 +219,22 @@ class MeasuredTest:
         band = self._band[0], min(self._band[1], share / self.dt)
         return response(self._spectra, these, those, band)
 
+    def motion(self) -> Response:
+        """Response of displacement, acceleration and force to the reference force."""
+        return self._response(_REFERENCE, _MOTION, _MOTION_TO)
+
+    def plant(self, axis: int) -> Measurement:
+        """Response of the force of an axis to its valve."""
+        return self._response(_VALVE, _FORCE).of_axis(axis)
+
+    def tracking(self, axis: int) -> Measurement:
+        """Response of the force of an axis to its reference force."""
+        return self._response(_REFERENCE, _FORCE).of_axis(axis)
+
     def of_actuator(self, axis: int) -> tuple[Floats, Floats, Floats, Floats]:
         """Valve command, displacement, acceleration and force of one axis, shape (N,) each."""
         _, command, position, acceleration, force = (part[:, axis] for part in self._signals)
         return command, position, acceleration, force
-
-    def of(self, inputs: tuple[int, int], outputs: tuple[int, int], axis: int) -> Measurement:
-        """Response of one axis to its own input."""
-        return self.response(inputs, outputs).of_axis(axis)
 
 
 TAIL = 1.0
@@ -354,16 +358,15 @@ def _with(experiment: Experiment, record: Path, controller: dict[str, Any]) -> E
     )
 
 
-def write_excitation(path: Path, accelerations: Floats, axes: Sequence[str]) -> None:
+def write_excitation(path: Path, accelerations: Floats) -> None:
     """Write ground accelerations (N, n) in m/s^2 as a record that ground_motion reads exactly.
 
     The folder is made if need be. An InputError says if it can't be written.
     """
-    rows = [",".join(map(repr, row)) for row in accelerations.tolist()]
-    names = ",".join(f"axis {index + 1} (m/s2)" for index in range(len(axes)))
+    names = [f"axis {index + 1} (m/s2)" for index in range(accelerations.shape[1])]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text("\n".join([f"# {names}", *rows, ""]), encoding="utf-8")
+        np.savetxt(path, accelerations, "%.17g", ",", header=",".join(names))
     except OSError as error:
         raise InputError(f"{error.filename}: {error.strerror or error}") from None
 
@@ -407,7 +410,7 @@ class Motions:
     def write(self, path: Path, duration: float) -> Path:
         """Write the motion of a test as a record, see `write_excitation`."""
         accelerations = ground_accelerations(self.experiment, self.force * self._unit(duration))
-        write_excitation(path, accelerations, self.experiment.axes)
+        write_excitation(path, accelerations)
         return path
 
     def steps(self, duration: float) -> int:

@@ -1,42 +1,22 @@
 """Maps of stability over mass ratio and dead time, and mass ratio and stiffness."""
 
-import time
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from itertools import islice, repeat
-from typing import Any
+from timeit import timeit
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 from seft_msgs_py.arrays import Floats
-from seft_msgs_py.config.experiment import Experiment
 
-from seft_ros.design import Source
+from seft_ros.design import stability_margins
 from seft_ros.design.plan import Plan
-from seft_ros.design.stability_margins import (
-    STIFFEST,
-    Margins,
-    Progress,
-    added_delays,
-    local_stiffness,
-)
 from seft_ros.design.stability_verdict import Preflight
-from seft_ros.drawing.style import TEXT
-
-Spread = Callable[[], AbstractContextManager[Callable[..., Iterator[tuple[int, Any]]]]]
-"""Gives a `seft_ros.ensemble.workers.Map`."""
+from seft_ros.drawing.style import TEXT, new_figure
 
 PATIENCE = 6.0
 """Time that the maps may take, s; they are coarser if a loop is large."""
 FINEST, COARSEST = 40, 10
-SHORT = 2.0
-"""Time in s up to which one process makes the maps: others take as long to start."""
-_PIECE = 4  # rows, for each of which a process makes the plan anew
 
 LEVELS = (-30.0, -10.0, -3.0, -1.0, 0.0, 3.0, 10.0, 30.0, 100.0)
 _COLOURS = (
@@ -71,86 +51,53 @@ class StabilityMap:
 
 
 def stability_maps(
-    plan: Plan, margins: Margins, progress: Progress | None = None, spread: Spread | None = None
+    plan: Plan,
+    margins: stability_margins.Margins,
+    progress: stability_margins.Progress | None = None,
 ) -> list[StabilityMap]:
     """Map a plan's growth rate as far as its margins reach; progress is in rows.
 
     Over the dead time of the actuator's path in s, and, unless the plant was identified as a
     whole, over the ratio of the specimen's local stiffness to the one that the method assumes.
-    ``spread`` is taken where the maps take longer than `SHORT`.
     """
     ends = (margins.dead_time, margins.mass_ratio)
     end, critical = (part.value if part else 0.0 for part in ends)
     longest = max(2 * plan.dead_time, 10 * plan.dt, 1.5 * end)
-    longest = min(longest, plan.dead_time + float(added_delays(plan)[-1]))
+    longest = min(longest, plan.dead_time + float(stability_margins.added_delays(plan)[-1]))
     swept = {"dead_time": (longest, 1.0, plan.dead_time)}
     if plan.rig.swept:
-        own = local_stiffness(plan)
-        swept["stiffness"] = (max(STIFFEST, 1.2 * own), own, own)
-    shown = 2.0 * max(plan.mass_ratio, 0.5)
-    each = _time_of_one(plan, longest)
-    size = int(np.clip(np.sqrt(PATIENCE / len(swept) / each), COARSEST, FINEST))
-    highest = max(shown, 1.5 * critical) if critical < 4 * shown else shown
-    mass_ratios, maps = np.linspace(0.0, highest, size), []
-    rows = []
-    for name, (high, unit, planned) in swept.items():
-        others = np.linspace(0.0, high, size)
-        area = StabilityMap(mass_ratios, others, np.empty((size, size)), (plan.mass_ratio, planned))
-        maps.append(area)
-        rows += [(area, index, name, others[index] / unit) for index in range(size)]
-    if spread is None or each * size * len(rows) <= SHORT:
-        for done, (area, index, name, other) in enumerate(rows):
-            area.growth[index] = _row(plan, mass_ratios, name, other)
-            if progress is not None:
-                progress("map", done + 1, len(rows))
-        return maps
-    pieces = [rows[first : first + _PIECE] for first in range(0, len(rows), _PIECE)]
-    done, places = 0, [[(name, other) for _, _, name, other in piece] for piece in pieces]
-    with spread() as map_:
-        shared = repeat(plan.experiment), repeat(plan.source), repeat(mass_ratios)
-        for number, found in map_(_rows, *(islice(one, len(pieces)) for one in shared), places):
-            for (area, index, _, _), growth in zip(pieces[number], found, strict=True):
-                area.growth[index] = growth
-            done += len(found)
-            if progress is not None:
-                progress("map", done, len(rows))
-    return maps
-
-
-def _rows(
-    experiment: Experiment, source: Source, mass_ratios: Floats, places: list[tuple[str, float]]
-) -> list[Floats]:
-    plan = Plan(experiment, source)
-    return [_row(plan, mass_ratios, name, other) for name, other in places]
-
-
-def _row(plan: Plan, mass_ratios: Floats, name: str, other: float) -> Floats:
-    changes = {name: float(other)}
-    return np.array([plan.growth_rate(mass_ratio=float(ratio), **changes) for ratio in mass_ratios])
-
-
-def _time_of_one(plan: Plan, longest: float) -> float:
-    """Time of a point of the maps, s, by which they are coarser if a loop is large."""
+        own = stability_margins.local_stiffness(plan)
+        swept["stiffness"] = (max(stability_margins.STIFFEST, 1.2 * own), own, own)
     plan.growth_rate(dead_time=longest)  # fills the caches
-    start = time.perf_counter()
-    plan.growth_rate(dead_time=longest)
-    return time.perf_counter() - start
+    each = timeit(lambda: plan.growth_rate(dead_time=longest), number=1)
+    size = int(np.clip(np.sqrt(PATIENCE / len(swept) / each), COARSEST, FINEST))
+    shown = 2.0 * max(plan.mass_ratio, 0.5)
+    highest = max(shown, 1.5 * critical) if critical < 4 * shown else shown
+    mass_ratios = np.linspace(0.0, highest, size)
+    maps: list[StabilityMap] = []
+    for name, (high, unit, planned) in swept.items():
+        others, growth = np.linspace(0.0, high, size), np.empty((size, size))
+        for index, other in enumerate((others / unit).tolist()):
+            growth[index] = [
+                plan.growth_rate(mass_ratio=ratio, **{name: other})
+                for ratio in mass_ratios.tolist()
+            ]
+            if progress is not None:
+                progress("map", size * len(maps) + index + 1, size * len(swept))
+        maps.append(StabilityMap(mass_ratios, others, growth, (plan.mass_ratio, planned)))
+    return maps
 
 
 def preflight_figure(plan: Plan, found: Preflight, maps: list[StabilityMap]) -> Figure:
     """Draw the maps of a plan, one panel each."""
-    figure = Figure(figsize=(6.0 * len(maps), 5.6), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(6.0 * len(maps), 5.6)
     panels = figure.subplots(1, len(maps), squeeze=False)[0]
     for axes, area, (title, label, scale) in zip(panels, maps, _PANELS, strict=False):
-        _draw(axes, area, scale, found.verdict)
+        filled = _draw(axes, area, scale, found.verdict)
         axes.set_title(title, loc="left", fontsize=11, color=TEXT)
         axes.set_ylabel(label, color=TEXT)
-    colours = ScalarMappable(
-        BoundaryNorm(LEVELS, len(_COLOURS), extend="both"), ListedColormap(_COLOURS)
-    )
-    bar = figure.colorbar(colours, ax=panels.tolist(), pad=0.01, aspect=32, spacing="uniform")
-    bar.set_ticks(list(LEVELS), labels=[f"{level:g}" for level in LEVELS])
+    bar = figure.colorbar(filled, ax=panels.tolist(), pad=0.01, aspect=32, spacing="uniform")
+    bar.set_ticks(np.arcsinh(LEVELS).tolist(), labels=[f"{level:g}" for level in LEVELS])
     bar.set_label("growth rate / (1/s): stable below 0, unstable above", color=TEXT)
     bar.ax.tick_params(colors=TEXT, labelsize=9, length=0)
     bar.outline.set_visible(False)
@@ -162,23 +109,19 @@ def preflight_figure(plan: Plan, found: Preflight, maps: list[StabilityMap]) -> 
     return figure
 
 
-def _draw(axes: Axes, area: StabilityMap, scale: float, verdict: str) -> None:
+def _draw(axes: Axes, area: StabilityMap, scale: float, verdict: str) -> QuadContourSet:
     x, y = area.mass_ratios, scale * area.others
     # interpolated on a scale on which it is nearly straight across the critical line
     bent, levels = np.arcsinh(area.growth), np.arcsinh(LEVELS)
-    axes.contourf(x, y, bent, levels=levels, colors=_COLOURS, extend="both")
+    filled = axes.contourf(x, y, bent, levels=levels, colors=_COLOURS, extend="both")
     if bent.min() < 0 < bent.max():
         axes.contour(x, y, bent, levels=[0.0], colors=TEXT, linewidths=1.8)
     planned = area.planned[0], scale * area.planned[1]
-    style: dict[str, Any] = {
-        "mfc": _PLAN[verdict],
-        "mec": "white",
-        "mew": 1.5,
-        "clip_on": False,
-        "zorder": 5,
-    }
-    axes.plot(*planned, "o", ms=9, **style)
+    axes.plot(
+        *planned, "o", ms=9, mfc=_PLAN[verdict], mec="white", mew=1.5, clip_on=False, zorder=5
+    )
     axes.annotate("planned", planned, (9, 7), textcoords="offset points", fontsize=9, color=TEXT)
     axes.set_xlabel("mass ratio $\\alpha$", color=TEXT)
     axes.tick_params(colors=TEXT, labelsize=9)
     axes.spines[["top", "right"]].set_visible(False)
+    return filled

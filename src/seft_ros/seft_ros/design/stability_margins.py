@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise, starmap, takewhile
+from itertools import pairwise, takewhile
 from typing import Any
 
 import numpy as np
@@ -213,23 +213,21 @@ def _sure_dead_time(plan: Plan) -> Critical | None:
 def _delay_error(plan: Plan) -> Range | None:
     """Range of the error in the assumed delay, as far as the method can be made; None: unused."""
 
-    def is_possible(error: float) -> bool:
+    def matrix(error: float) -> Floats | None:
+        """Matrix of the method with this error; None: it can't be made."""
         try:
-            plan.compensation(delay_error=error)
+            return plan.compensation(delay_error=error).matrix()
         except InputError:
-            return False
-        return True
+            return None
 
-    def is_used(error: float) -> bool:
-        before, after = plan.compensation(), plan.compensation(delay_error=error)
-        pairs = ((getattr(before, part), getattr(after, part)) for part in ("a", "b", "c", "d"))
-        return not all(starmap(np.array_equal, pairs))
-
-    if not any(map(is_used, takewhile(is_possible, (0.1 * plan.dt, -0.1 * plan.dt)))):
+    planned = plan.compensation().matrix()
+    tried = [matrix(error) for error in (0.1 * plan.dt, -0.1 * plan.dt)]
+    if all(found is None or np.array_equal(found, planned) for found in tried):
         return None
     less = np.linspace(0.0, -plan.section["compensation.delay"], 17)[:-1]
     up, down = (
-        np.array(list(takewhile(is_possible, part.tolist()))) for part in (added_delays(plan), less)
+        np.array(list(takewhile(lambda error: matrix(error) is not None, part.tolist())))
+        for part in (added_delays(plan), less)
     )
     return _range(plan, "delay_error", 0.0, up, down)
 

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from scipy.linalg import eigh
 from scipy.optimize import linear_sum_assignment
-from seft_msgs_py.config.parameter_table import mass_matrix
+from seft_msgs_py.config.parameter_table import group, mass_matrix
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_plant_sim.rig_parameters import LIMIT_UNITS
 from seft_plant_sim.whole_structure import WholeStructure
@@ -30,22 +30,32 @@ _MASS = "specimen.mass"
 
 @dataclass(frozen=True)
 class Mode:
-    """Natural frequency in Hz and damping ratio of the whole structure, and of the test."""
+    """A mode of the whole structure, and in the test.
+
+    Attributes
+    ----------
+    exact_hz, exact_damping, hz, damping : float
+        Natural frequency in Hz and damping ratio of the structure, and of the test.
+    false_damping : float
+        What the test adds to the damping ratio.
+    frequency_error : float
+        Relative error of the natural frequency.
+    """
 
     exact_hz: float
     exact_damping: float
     hz: float
     damping: float
+    false_damping: float
+    frequency_error: float
 
-    @property
-    def false_damping(self) -> float:
-        """What the test adds to the damping ratio."""
-        return self.damping - self.exact_damping
-
-    @property
-    def frequency_error(self) -> float:
-        """Relative error of the natural frequency."""
-        return self.hz / self.exact_hz - 1
+    @classmethod
+    def of_poles(cls, exact: complex, test: complex) -> "Mode":
+        """Compare a pole of the structure with that in the test, 1/s."""
+        exact_hz, hz = (abs(pole) / (2 * np.pi) for pole in (exact, test))
+        exact_damping, damping = (-pole.real / abs(pole) for pole in (exact, test))
+        added = damping - exact_damping
+        return cls(exact_hz, exact_damping, hz, damping, added, hz / exact_hz - 1)
 
 
 def predicted_modes(plan: Plan) -> list[Mode]:
@@ -75,11 +85,7 @@ def predicted_modes(plan: Plan) -> list[Mode]:
         fitness = np.log(moved / np.maximum(np.abs(1 - np.abs(z)), 1e-12)) - distance
     fits = (distance < np.log(NEAR)) & np.isfinite(fitness)
     pairs = zip(*linear_sum_assignment(np.where(fits, -fitness, _UNFIT)), strict=True)
-    return [Mode(*_natural(exact[m]), *_natural(s[p])) for m, p in pairs if fits[m, p]]
-
-
-def _natural(pole: complex) -> tuple[float, float]:
-    return abs(pole) / (2 * np.pi), -pole.real / abs(pole)
+    return [Mode.of_poles(exact[m], s[p]) for m, p in pairs if fits[m, p]]
 
 
 Verdict = Literal["stable", "marginal", "unstable"]
@@ -108,14 +114,12 @@ IDENTIFIED = (
     "identification."
 )
 ADAPTIVE = (
-    "The method adapts: this holds for the filter as it is at the start, and as long as its "
-    "estimates stay near. It does not promise that the estimates stay there, nor that the test "
-    "is stable while they change."
+    "The method adapts: this holds as long as its estimates stay near those at the start, and does "
+    "not promise that they do, nor that the test is stable while they change."
 )
 FOLLOWS = (
-    "The method follows the specimen: all numbers are the worse of the loop as it starts, and of "
-    "the loop with the restoring force as measured. They do not cover the time while an estimate "
-    "changes."
+    "The method follows the specimen: all numbers are the worse of the loops at the start and with "
+    "the restoring force as measured, and do not cover the time while an estimate changes."
 )
 
 
@@ -136,10 +140,6 @@ class Preflight:
     modes : list of Mode
         Of the whole structure in the test, lowest first; none if it is unstable: what grows has no
         damping in the test.
-    dominant : complex
-        Eigenvalue of the largest magnitude.
-    states : int
-        States of the loop, or loops.
     """
 
     verdict: Verdict
@@ -147,8 +147,6 @@ class Preflight:
     promise: str
     margins: Margins
     modes: list[Mode]
-    dominant: complex
-    states: int
 
 
 def preflight(plan: Plan, progress: Progress | None = None) -> Preflight:
@@ -162,8 +160,6 @@ def preflight(plan: Plan, progress: Progress | None = None) -> Preflight:
         promise=_promise(plan),
         margins=margins,
         modes=[] if unstable else predicted_modes(plan),
-        dominant=plan.worst(),
-        states=sum(len(loop.matrix) for loop in plan.loops()),
     )
 
 
@@ -198,12 +194,11 @@ def _thin(plan: Plan, margins: Margins) -> Iterator[str]:
     for name, found, reserve in (
         ("gain of the actuator's path", margins.sure_gain or margins.gain, GAIN_RESERVE),
         ("local stiffness", margins.stiffness, STIFFNESS_RESERVE),
+        ("local stiffness, once identified,", margins.followed, np.inf),
     ):
         for factor in [end.value / found.planned for end in found.ends()] if found else ():
             if 1 / reserve < factor < reserve:
                 yield f"{factor:.3g} times the {name} makes it unstable"
-    for end in margins.followed.ends() if margins.followed else ():
-        yield f"a local stiffness of {end.value:.3g} times the assumed one makes it unstable"
     for end in margins.delay_error.ends() if margins.delay_error else ():
         if abs(end.value) < ASSUMED_DELAY_RESERVE_STEPS * plan.dt:
             yield (
@@ -300,10 +295,11 @@ def _too_large(plan: Plan, peaks: dict[str, float], again: str) -> Iterator[Step
             how,
         )
         return
+    limits = group(experiment["supervisor"], "limits")
     beyond = [
-        f"{name} {peak:.3g} {unit} (limit {experiment['supervisor'][f'limits.{name}']:g})"
+        f"{name} {peak:.3g} {unit} (limit {limits[name]:g})"
         for (name, peak), unit in zip(peaks.items(), LIMIT_UNITS, strict=False)
-        if peak > experiment["supervisor"][f"limits.{name}"]
+        if peak > limits[name]
     ]
     if beyond:
         yield Step(

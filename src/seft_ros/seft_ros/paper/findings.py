@@ -169,9 +169,8 @@ def find(experiment: Experiment, workers: int, progress: Progress) -> Findings:
 
 
 def _growth(experiment: Experiment) -> Growth:
-    loop = Plan(experiment, Source.RIG).loop()
-    hz = float(np.angle(loop.dominant()) / (2 * np.pi * loop.dt))
-    return Growth(float(loop.growth_rate()), hz)
+    plan = Plan(experiment, Source.RIG)
+    return Growth(plan.growth_rate(), plan.hz())
 
 
 def identify_rig(experiment: Experiment) -> Identified:

@@ -122,7 +122,7 @@ def open_loop_figure(found: Findings) -> Grid:
     measured, model = found.valve.measured, found.valve.loop
     f, own, sampled = measured.frequencies_hz, model.frequencies_hz, model.sampled
     controller = model.controller.sampled_response(f, found.experiment.timebase.dt)
-    zero, pole, crossover = found.zero_hz, found.pole_hz, model.margins.crossover_hz
+    zero, pole, crossover = found.zero_hz, found.pole_hz, model.sampled.margins.crossover_hz
     columns: list[tuple[str, list[Response], list[float], str]] = [
         ("(a) valve to force, N/V",
          [(f, measured.response, _MEASURED), (own, sampled.plant, _MODEL)], [zero, pole],
