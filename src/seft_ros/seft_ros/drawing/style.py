@@ -106,6 +106,11 @@ def check_file(path: Path, what: str, suffix: str, known: Sequence[str]) -> Path
     path = path if path.suffix else path.with_suffix(suffix)
     if path.suffix.lower() not in known:
         raise InputError(f"{path}: {what} end in {', '.join(known)}")
+    return check_folder(path)
+
+
+def check_folder(path: Path) -> Path:
+    """Refuse a file whose folder does not exist, or that is a folder itself."""
     if not path.parent.is_dir() or path.is_dir():
         what = "is a folder" if path.is_dir() else f"there is no folder {path.parent}"
         raise InputError(f"{path}: {what}; name a file in a folder that exists")
