@@ -214,7 +214,7 @@ def test_keys_stop_a_test_that_began_before_the_monitor_beyond_localhost(browser
     assert order == ["estop", "stop"]
     press(browser, keys.ENTER)
     assert browser.switch_to.active_element.text == "Stop"
-    assert state(browser) == "running"
+    assert state(browser) in ("running", "no data")  # which it says while the host stalls
     press(browser, keys.ENTER)
     wait_for(lambda: state(browser) == "done", "the end of the test")
     assert "stopped by the operator" in text(browser, "state-detail")
