@@ -242,5 +242,6 @@ def test_an_estimate_that_is_not_finite_is_refused_and_the_test_goes_on(watched,
     assert 0 < sent.count(ESTIMATES) < len(record.estimates.steps)
     assert len(shell.refusals) == len(record.estimates.steps) - sent.count(ESTIMATES)
     assert set(shell.refusals) == {
-        "reference_force/estimates: least of reference_force: north is nan, but must be finite"
+        "reference_force/estimates: least of reference_force: north is nan, but must be a finite "
+        "number"
     }

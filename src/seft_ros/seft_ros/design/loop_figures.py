@@ -212,7 +212,7 @@ def _mark_plant(axes: Axes, plant: Plant, highest_hz: float) -> None:
     for root, name in ((plant.antiresonance(), "zero"), (plant.oil_column(), "oil column")):
         if root is not None and root.hz <= highest_hz:
             percent = 100 * (root.damping or 0)
-            _mark(axes, root.hz, f"{name} {root.hz:.4g} Hz\ndamping {percent:.2g} %")
+            _mark(axes, root.hz, f"{name}\n{root.hz:.4g} Hz\n$\\zeta$ {percent:.2g} %")
 
 
 def _mark(axes: Axes, hz: float, text: str, height: float = 0.03) -> None:
