@@ -10,7 +10,7 @@ from pathlib import Path
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from seft_msgs_py.errors import InputError
 
-from seft_ros.bags.bag_storage import Connections, append, file_messages, reason_of
+from seft_ros.bags.bag_storage import Connections, append, file_messages, file_reason
 
 SUFFIXES = (".mcap", ".db3")
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
@@ -44,7 +44,7 @@ def open_bag(path: str | Path) -> Reader:
             raise InputError(f"{path}: {error.strerror}") from None
         lacks_metadata = path.is_dir() and not (path / "metadata.yaml").exists()
         is_cut = lacks_metadata or any(is_cut_off(file) for file in files)
-        reason = "its recording was cut off" if is_cut else reason_of(error)
+        reason = "its recording was cut off" if is_cut else file_reason(error)
         raise InputError(
             f"{path}: the bag can't be read: {reason}; recover what is in it with: "
             f"seft recover {path}"
@@ -79,7 +79,7 @@ def storage_files(path: str | Path) -> list[Path]:
         if not path.exists():
             raise InputError(f"{path}: there is no such bag")
     except OSError as error:
-        raise InputError(f"{path}: {reason_of(error)}") from None
+        raise InputError(f"{path}: {file_reason(error)}") from None
     if storage_suffix(path) not in SUFFIXES:
         raise InputError(f"{path}: not a bag; give a bag's folder, or an mcap or db3 file")
     return [path]
@@ -172,7 +172,7 @@ def recover(path: str | Path) -> Recovery:
                 shutil.rmtree(fresh, ignore_errors=True)
     except (OSError, sqlite3.Error) as error:
         raise InputError(
-            f"{path}: it can't be recovered ({reason_of(error)}); it is as it was"
+            f"{path}: it can't be recovered ({file_reason(error)}); it is as it was"
         ) from None
     return _summary(path, cut)
 

@@ -33,6 +33,7 @@ from rosbags.rosbag2.metadata import parse_qos
 from rosbags.rosbag2.storage_mcap import PendingChunk
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from seft_msgs_py.config.registered import reason_of
 from seft_msgs_py.wire.messages import typestore
 from seft_msgs_py.wire.topics import Topic
 
@@ -334,9 +335,9 @@ def reserved_room(folder: Path, size: int) -> IO[bytes]:
     return file
 
 
-def reason_of(error: Exception) -> str:
+def file_reason(error: Exception) -> str:
     """Say in one line why a file can't be read or written."""
-    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    text: str = getattr(error, "strerror", None) or reason_of(error)
     return text.splitlines()[0].rstrip(".")
 
 

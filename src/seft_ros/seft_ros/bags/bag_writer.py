@@ -24,8 +24,8 @@ from seft_ros.bags.bag_storage import (
     OpenFile,
     UnsyncedWriter,
     append,
+    file_reason,
     flush_file,
-    reason_of,
     reserved_room,
     source_of,
     undo,
@@ -87,7 +87,7 @@ class BagWriter:
             if not there:
                 shutil.rmtree(self.path, ignore_errors=True)
             raise InputError(
-                f"{self.path}: no bag can be made there ({reason_of(error)}); "
+                f"{self.path}: no bag can be made there ({file_reason(error)}); "
                 "name another folder with --out"
             ) from None
         self._connections: Connections = {}
@@ -214,7 +214,7 @@ class BagWriter:
 
     def _mend(self, error: Exception) -> None:
         """Write what did not fit into the spare room; if that is used up, end the bag."""
-        self.running_out = f"{self.path}: {reason_of(error)}"
+        self.running_out = f"{self.path}: {file_reason(error)}"
         while self._rooms:
             self._rooms.pop().close()
             with suppress(OSError, sqlite3.Error):
@@ -224,7 +224,7 @@ class BagWriter:
                     return
                 self._close_writer()
                 self._error = ExperimentError(
-                    f"{self.path}: the bag ends here ({reason_of(error)}); what was recorded can "
+                    f"{self.path}: the bag ends here ({file_reason(error)}); what was recorded can "
                     "be read. Make room before the next test"
                 )
         raise (self._error or self._broken(error)) from None
@@ -240,7 +240,7 @@ class BagWriter:
         with suppress(OSError, sqlite3.Error):
             self._writer.abort()
         self._error = ExperimentError(
-            f"{self.path}: the bag can't be written any more ({reason_of(error)}); fix that, then "
-            f"recover what was recorded with: seft recover {self.path}"
+            f"{self.path}: the bag can't be written any more ({file_reason(error)}); fix that, "
+            f"then recover what was recorded with: seft recover {self.path}"
         )
         return self._error

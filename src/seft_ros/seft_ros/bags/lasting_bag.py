@@ -20,7 +20,7 @@ from seft_msgs_py.errors import ExperimentError, SeftError
 from seft_msgs_py.wire.topics import RIG_STATE, TARGET, VALVE_COMMAND, Timebase, Topic
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-from seft_ros.bags.bag_storage import RESERVED, SPARE, Found, reason_of, source_of
+from seft_ros.bags.bag_storage import RESERVED, SPARE, Found, file_reason, source_of
 from seft_ros.bags.bag_writer import FLUSH_PERIOD, BagWriter
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 
@@ -183,7 +183,7 @@ def obstacle(place: Path, expected: int = 0) -> str:
     except (FileNotFoundError, NotADirectoryError):
         pass
     except OSError as error:
-        return f"{place} can't be made ({reason_of(error)})"
+        return f"{place} can't be made ({file_reason(error)})"
     folder = place.absolute().parent
     while not os.path.lexists(folder) and folder != folder.parent:
         folder = folder.parent
@@ -191,7 +191,7 @@ def obstacle(place: Path, expected: int = 0) -> str:
         with tempfile.TemporaryFile(dir=folder) as file:  # without a name
             free = shutil.disk_usage(file.fileno()).free
     except OSError as error:
-        return f"nothing can be written in {folder} ({reason_of(error)})"
+        return f"nothing can be written in {folder} ({file_reason(error)})"
     # as much as the bag reserves for its end must stay free beside that, or the bag ends at once
     needed = 2 * RESERVED + SPARE + expected
     if free < needed:

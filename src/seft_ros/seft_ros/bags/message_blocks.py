@@ -17,7 +17,7 @@ from rosbags.rosbag2.storage_mcap import ChunkInfo, McapReader, decompress
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.compiled import compiled
 
-from seft_ros.bags.bag_storage import reason_of
+from seft_ros.bags.bag_storage import file_reason
 
 Bytes = npt.NDArray[np.uint8]
 Flags = npt.NDArray[np.bool_]
@@ -127,8 +127,8 @@ def read_blocks(
                     yield MessageBlock.of(times, [sources[item.id] for item in items], plain)
     except Exception as error:  # rosbags' parsers raise what garbage makes them raise
         raise InputError(
-            f"{path}: the bag is damaged inside ({reason_of(error)}); no message after that place "
-            "can be read"
+            f"{path}: the bag is damaged inside ({file_reason(error)}); no message after that "
+            "place can be read"
         ) from None
 
 

@@ -80,8 +80,8 @@ class RigBatches:
             if waiting and step <= next(reversed(waiting)):
                 waiting.clear()
             waiting[step] = state, sent
-        for passed in list(waiting)[:-MOST_WAITING]:
-            del waiting[passed]
+        while len(waiting) > MOST_WAITING:
+            del waiting[next(iter(waiting))]
 
     def complete(self) -> Batch:
         """Give the steps that all rigs have sent; each step once."""
