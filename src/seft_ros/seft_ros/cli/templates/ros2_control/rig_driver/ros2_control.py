@@ -93,7 +93,7 @@ def ros2_control(shell: NodeShell) -> Ros2Control:
     """Find the rig; InputError if its joint states don't come."""
     section = shell.experiment["rig"]
     safe = per_axis(section["safe.valve_command"], shell.rig.axes, "rig: safe.valve_command")
-    hardware = Ros2Control(shell, np.asarray(safe), section["watchdog.command_timeout"])
+    hardware = Ros2Control(shell, safe, section["watchdog.command_timeout"])
     deadline = time.monotonic() + FOUND
     while not hardware.has_sample:
         shell.spin_once(0.05)
