@@ -85,7 +85,7 @@ class DriverNode(NodeBody):
         self._start = 0.0  # s, monotonic: a test that is to begin does not before
         self._phase = "idle"
         self._overruns = 0
-        self._resting: bool | None = None  # None: nobody looks
+        self._comes_to_rest = False
         self._limits.violation(np.zeros((4, len(axes))))  # the first call takes longest
 
     def run(self) -> None:
@@ -155,7 +155,7 @@ class DriverNode(NodeBody):
         self._total = self._supervision.wanted.number("steps")
         self._phase, self._step, self._overruns = "running", 0, 0
         self._missed: list[int] = []
-        self._resting = None
+        self._comes_to_rest = False
         self._command.reset()
         self._limits.reset()
         self._started = time.monotonic()
@@ -202,28 +202,26 @@ class DriverNode(NodeBody):
         self._phase = FINISHED if reason is None else TRIPPED
         self._supervision.latched, self._supervision.wanted = True, None  # a test runs once
         self._rest.begin()
-        self._resting = False
+        self._comes_to_rest = True
         step = self._step
         trip = Trip(reason, step, self._timebase.stamp_ns(step) / 1e9) if reason else None
         self._report(self._phase, trip)
 
     def _follow_to_rest(self, sample: Floats) -> None:
-        if self._resting is not False:
+        if not self._comes_to_rest:
             return
-        values = {}
+        status, values = self._status, {}
         if self._rest.is_reached(sample):
-            self._resting = True
             values["stop time (s)"] = f"{self._rest.time:.4g}"
             values["stop peak force (N)"] = f"{self._rest.peak_force:.1f}"
         elif self._rest.time > self._section["safe.settle_time"]:
-            self._resting = None
-            text = f"{self._status.message}; not at rest after {self._rest.time:.3g} s"
+            text = f"{status.message}; not at rest after {self._rest.time:.3g} s"
             text += ", the pressure was dumped" if self._stop.has_dumped else ""
-            self._status = replace(self._status, level=ERROR, message=text)
+            status = replace(status, level=ERROR, message=text)
         else:
             return
-        self._status = replace(self._status, values={**self._status.values, **values})
-        self._shell.report(self._status)
+        self._comes_to_rest = False
+        self._shell.report(replace(status, values={**status.values, **values}))
 
     def _report(self, phase: str, trip: Trip | None = None) -> None:
         wall, missed = time.monotonic() - self._started, self._missed
@@ -239,7 +237,7 @@ class DriverNode(NodeBody):
         if self._phase == "running":
             return
         if supervision.state == "idle" and self._phase != "idle":
-            self._phase, self._resting = "idle", None  # how the last test ended has been told
+            self._phase, self._comes_to_rest = "idle", False  # how it ended has been told
             supervision.latched = False
             self.report("idle")
         elif supervision.is_moving:

@@ -76,12 +76,9 @@ class Ros2Control:
         place = {name: at for at, name in enumerate(message.name)}
         try:
             axes = [place[axis] for axis in self._axes]
-            accelerometers = [place[axis + ACCELEROMETER] for axis in self._axes]
-            sensors = message.position, message.velocity, message.position, message.effort
-            places = axes, axes, accelerometers, axes
-            self._sample[:] = [
-                [values[at] for at in where] for values, where in zip(sensors, places, strict=True)
-            ]
+            sensors = [place[axis + ACCELEROMETER] for axis in self._axes]
+            moved, pushed = message.position, message.effort
+            self._sample[:] = moved[axes], message.velocity[axes], moved[sensors], pushed[axes]
         except KeyError as error:
             raise WireError(f"{STATES.name}: no joint {error}; it has {[*place]}") from None
         except IndexError:
