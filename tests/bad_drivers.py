@@ -115,13 +115,13 @@ class Careless(DriverNode):
 
         def take(raw):
             _, values = command.codec.decode(raw)
-            command.step, command._points = command.current, values[:, 0]
+            command.step = command.current
+            command._messages.add(command.current, values[:, 0])
 
         command.take = take
 
     def _on_experiment_state(self, raw, at):
-        if self._phase != "running":
-            self._phase, self._supervision.latched = "idle", False
+        self._supervision.latched = False
         super()._on_experiment_state(raw, at)
 
 
