@@ -88,16 +88,22 @@ class LateState(DriverNode):
 class NoWatchdog(DriverNode):
     """A command that does not come is held for ever."""
 
-    def _look_after_commands(self, step):
-        """Nothing."""
+    def __init__(self, shell, hardware):
+        super().__init__(shell, hardware)
+        self._watch = SimpleNamespace(begin=lambda now: None, fault=lambda *_: "")
 
 
 class StandsStill(DriverNode):
     """Counts steps without a command, and no time: it goes on as if it had never stood still."""
 
-    def _look_after_commands(self, step):
-        if (step - self._command.step) * self._timebase.dt > self._section[TIMEOUT]:
-            self._end("no new valve_command")
+    def __init__(self, shell, hardware):
+        super().__init__(shell, hardware)
+        longest = self._section[TIMEOUT] / self._timebase.dt
+
+        def fault(now, step, answered):
+            return "no new valve_command" if step - answered > longest else ""
+
+        self._watch = SimpleNamespace(begin=lambda now: None, fault=fault)
 
 
 class Careless(DriverNode):
@@ -109,13 +115,13 @@ class Careless(DriverNode):
 
         def take(raw):
             _, values = command.codec.decode(raw)
-            command.step, command._points = command.current, values[:, 0]
+            command.step = command.current
+            command._messages.add(command.current, values[:, 0])
 
         command.take = take
 
     def _on_experiment_state(self, raw, at):
-        if self._phase != "running":
-            self._phase = "idle"
+        self._supervision.latched = False
         super()._on_experiment_state(raw, at)
 
 

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.wire.messages import Status
 from seft_msgs_py.wire.topics import RigAxes
 from seft_ros.cli.rig_commands import TEMPLATES
 
@@ -93,7 +94,7 @@ def test_a_fault_brings_the_hardware_to_its_safe_position_and_the_driver_lives_o
     node, hardware = driver.node, driver.hardware
     hardware.takes = takes * node._timebase.dt  # beyond a period: no wait before the next sample
     if phase == "running":
-        node._told, node._total = "running", 10**6
+        node._supervision.wanted = Status("experiment", 0, "running", values={"steps": "1000000"})
         node._begin(np.zeros((4, 1)))
         hardware.calls.clear()
     hardware.fails = True

@@ -99,11 +99,11 @@ def test_the_papers_rig_is_found_where_it_was_installed(tmp_path, monkeypatch, p
 
 @pytest.mark.skipif(not RECORDS.is_dir(), reason="no real records beside the project")
 def test_a_record_takes_the_place_of_the_synthetic_motion():
-    from seft_ros.cli.options import load_experiment
-    from seft_ros.cli.study_commands import _with_motion
+    from seft_ros.cli.shared import given_motion, load_experiment
 
     words = {"unit": "cm/s2", "dt": 0.005, "column": None}
     file = RECORDS / "kobe_jma_1995.txt"
-    section = _with_motion(load_experiment(default_config(), None), file, words)["ground_motion"]
+    section = load_experiment(default_config(), None)["ground_motion"]
+    section |= given_motion(section, file, "paper", **words)
     assert (section["file"], section["unit"], section["dt"]) == (str(file), "cm/s2", 0.005)
     assert section["peak_force"] == 1000.0

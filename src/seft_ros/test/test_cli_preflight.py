@@ -150,7 +150,7 @@ def flown(monkeypatch):
         started.append(experiment)
         raise ExperimentError("started")
 
-    monkeypatch.setattr("seft_ros.cli.perform.dds_test", start)
+    monkeypatch.setattr("seft_ros.cli.shared.dds_test", start)
     return started
 
 

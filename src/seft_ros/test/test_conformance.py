@@ -11,8 +11,17 @@ from seft_plant_sim import whole_structure
 from seft_plant_sim.command import Command
 from seft_plant_sim.rig import Rig
 from seft_ros.conformance import message_checks, motion_checks
-from seft_ros.conformance.driver import Guard, Samples, Trial, finding_line, found, not_run, verdict
-from seft_ros.conformance.motion_checks import KINDS, BadCommands, Drive
+from seft_ros.conformance.driver import (
+    KINDS,
+    Guard,
+    Samples,
+    Trial,
+    finding_line,
+    found,
+    not_run,
+    verdict,
+)
+from seft_ros.conformance.motion_checks import BadCommands, Drive
 from seft_ros.test_run.parameter_tables import TABLES
 
 RATE = 500.0

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from seft_msgs_py.errors import ExperimentError
-from seft_ros.ensemble.workers import free_cores, parallel_map
+from seft_ros.ensemble.workers import parallel_map
 
 KILLED = """
 import os, signal
@@ -29,7 +29,6 @@ def test_results_come_with_their_places():
         with parallel_map(workers) as map_:
             assert dict(map_(pow, [2, 3, 4], [3, 2, 1])) == {0: 8, 1: 9, 2: 4}
     assert multiprocessing.active_children() == []
-    assert free_cores() >= 1
 
 
 def test_workers_have_one_thread_for_linear_algebra_and_are_deaf_to_ctrl_c():

@@ -4,20 +4,15 @@
 """
 
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from string import ascii_lowercase
-from typing import TYPE_CHECKING, Annotated, Any, Optional
+from typing import Optional
 
 import typer
-from seft_msgs_py.config.experiment import Override, parse_override
+from seft_msgs_py.config.experiment import parse_override
 from seft_msgs_py.errors import InputError
 
-from seft_ros.cli.options import Bag, Json, Params, check_out, complain, option, show, step_progress
-
-if TYPE_CHECKING:
-    from seft_ros.replay.recorded_test import Recorded, Replay
-
+from seft_ros.cli.shared import Bag, Json, Params, check_out, complain, option, show, step_progress
 
 _COLOURS = {"good": "green", "doubt": "yellow", "bad": "red", "none": "default"}
 
@@ -25,9 +20,7 @@ _COLOURS = {"good": "green", "doubt": "yellow", "bad": "red", "none": "default"}
 def report(
     bag: Bag,
     out: Optional[Path] = option(None, "The page; default report.html in BAG.", "FILE"),
-    pdf: bool = option(
-        False, "Write verdict, numbers and histories to print as PDF, beside the page.", "--pdf"
-    ),
+    pdf: bool = option(False, "Also write a PDF to print, beside the page.", "--pdf"),
     json: Json = False,
 ) -> int:
     """Judge a recorded test, and write a page about it.
@@ -35,7 +28,8 @@ def report(
     Writes one HTML page that needs no network: verdict, what was tested, displacement, force and
     acceleration against the exact response of the whole structure with windows at the peaks,
     force tracking, hysteresis, spectra, energy, timing, estimates, events. Drag to zoom, click a
-    name in a legend to hide its line. --json prints the same numbers.
+    name in a legend to hide its line. --json prints the same numbers. The PDF has verdict, numbers
+    and histories.
 
     The bag holds all that is needed: samples, configuration, versions. If its recorder was
     killed, use seft recover BAG first.
@@ -73,9 +67,7 @@ def report(
     return 0 if summary["stable"] and summary["complete"] else 1
 
 
-def recover(
-    bag: Annotated[Path, typer.Argument(metavar="BAG", help="Folder of a recorded test.")],
-) -> int:
+def recover(bag: Bag) -> int:
     """Make the bag of a killed recorder readable: every complete message is kept.
 
     The cut-off file stays beside it, named .cut. An intact bag is left as it is.
@@ -91,12 +83,9 @@ def recover(
 
 
 def compare(
-    bags: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="BAG BAG...", help="Folders of recorded tests; the first is compared with each."
-        ),
-    ],
+    bags: list[Path] = typer.Argument(
+        ..., metavar="BAG BAG...", help="Recorded tests; the first is compared with each."
+    ),
     figure: Optional[Path] = option(None, "Draw the tests in one figure.", "FILE"),
     json: Json = False,
 ) -> int:
@@ -131,11 +120,7 @@ def compare(
     """
     from seft_ros.analysis.comparison import compare_all, describe_bag
     from seft_ros.analysis.figures import comparison_figure
-    from seft_ros.analysis.result_text import (
-        comparison_table,
-        comparisons_table,
-        legend,
-    )
+    from seft_ros.analysis.result_text import comparison_table, comparisons_table, legend
     from seft_ros.bags.record_bag import read_bag
     from seft_ros.drawing.style import check_figure, save_figure
 
@@ -158,29 +143,18 @@ def compare(
 
 def replay(
     bag: Bag,
-    node: Optional[list[str]] = option(
-        None,
-        "reference_force, force_controller or rig; may be given many times. "
-        "Default: all three, one after another.",
-        "NODE",
-    ),
+    node: Optional[list[str]] = option(None, "Node; may be repeated; default all.", "NODE"),
     param: Params = None,
-    offline: bool = option(
-        False, "Feed the node's block in this process, without ROS.", "--offline"
-    ),
-    out: Optional[Path] = option(
-        None,
-        "Write a bag of the test with the replayed answers instead of the recorded ones; the "
-        "folder must be new, and --node given once.",
-        "DIR",
-    ),
+    offline: bool = option(False, "Feed the node's block here, without ROS.", "--offline"),
+    out: Optional[Path] = option(None, "Write a bag with the answers to a new folder.", "DIR"),
     json: Json = False,
 ) -> int:
     """Feed a recorded test to one node, and check that it answers as recorded, bit for bit.
 
     The node runs alone, as a process over DDS, with its recorded parameters. The replay sends the
     recorded messages step by step, each after the answer to the one before, so it is as fast as
-    the node, and no message is lost. -p shows the effect of a changed parameter.
+    the node, and no message is lost. -p shows the effect of a changed parameter, --out writes a
+    bag of the test with the replayed answers instead of the recorded ones; both need one --node.
 
     reference_force receives ground_motion, rig/state, and the ramps that the operator or a fault
     started; force_controller receives rig/state and reference_force; rig receives valve_command,
@@ -200,8 +174,10 @@ def replay(
 
         seft replay bags/lockstep --node rig --offline --json
     """
-    from seft_ros.replay.node_replays import REPLAYS
-    from seft_ros.replay.recorded_test import read_recorded, replay_table
+    from seft_ros.bags.record_bag import write_record
+    from seft_ros.replay import recorded_test
+    from seft_ros.replay.dds_replay import replay_over_dds
+    from seft_ros.replay.node_replays import REPLAYS, replay_to
 
     nodes = list(dict.fromkeys(node or REPLAYS))
     if out is not None:
@@ -211,13 +187,35 @@ def replay(
     overrides = [parse_override(text) for text in param or ()]
     if overrides and len(nodes) > 1:
         raise InputError("-p needs one --node, whose parameters it changes")
-    recorded = read_recorded(bag)
-    replays = _replays(nodes, recorded, asked=bool(node))
-    given = {"bag": str(bag), "overrides": param or []}
-    results = [_answers(one, recorded, overrides, offline, out) | given for one in replays]
+    recorded, replays = recorded_test.read_recorded(bag), []
+    for name in nodes:
+        try:
+            replays.append(replay_to(name, recorded))
+        except InputError as error:  # the bag lacks the messages to this node
+            if node or (name == nodes[-1] and not replays):
+                raise
+            complain(f"{name} is left out: {error}")
+    results = []
+    for one in replays:
+        section = recorded_test.experiment_of(one, overrides, fixed=False)[one.node]
+        with step_progress(len(one.expected.steps)) as progress:
+            if offline:
+                progress(f"{one.node} answers offline", 0)
+                start = time.monotonic()
+                answers = recorded_test.Answers(*one.computed(section), time.monotonic() - start)
+                progress(f"{one.node} has answered", len(answers.series.steps))
+            else:
+                experiment = recorded_test.experiment_of(one, overrides)
+                answers = replay_over_dds(one, experiment, progress)
+        result = recorded_test.replay_verdict(one, recorded, answers)
+        if out is not None:
+            record = recorded_test.replayed_record(one, recorded, answers, section)
+            write_record(record, out, ground_motion=recorded.chunks)
+            result["out"] = str(out)
+        results.append(result | {"bag": str(bag), "overrides": param or []})
     identical = all(one["identical"] for one in results)
     one_or_all = results[0] if len(results) == 1 else {"identical": identical, "replays": results}
-    tables = [replay_table(result) for result in results]
+    tables = [recorded_test.replay_table(result) for result in results]
     show(one_or_all, json, [*tables, *([f"bag: {out}"] if out else [])])
     for result in results if not json else ():
         for note in result["notes"]:
@@ -225,58 +223,3 @@ def replay(
         if result["ended"]:
             complain(f"{result['node']} stopped answering: {result['ended']}")
     return 0 if identical else 1
-
-
-def _replays(nodes: list[str], recorded: "Recorded", *, asked: bool) -> list["Replay"]:
-    """Make the replays of some nodes; leave out, if not ``asked``, those that the bag can't feed.
-
-    Raises
-    ------
-    InputError
-        If the bag lacks the messages to a node that was named, or to all nodes.
-    """
-    from seft_ros.replay.node_replays import replay_to
-
-    replays: list[Replay] = []
-    for name in nodes:
-        try:
-            replays.append(replay_to(name, recorded))
-        except InputError as error:
-            if asked or (name == nodes[-1] and not replays):
-                raise
-            complain(f"{name} is left out: {error}")
-    return replays
-
-
-def _answers(
-    replay: "Replay",
-    recorded: "Recorded",
-    overrides: Sequence[Override],
-    offline: bool,
-    out: Path | None,
-) -> dict[str, Any]:
-    from seft_ros.bags.record_bag import write_record
-    from seft_ros.replay.dds_replay import replay_over_dds
-    from seft_ros.replay.recorded_test import (
-        Answers,
-        experiment_of,
-        replay_verdict,
-        replayed_record,
-    )
-
-    meant = experiment_of(replay, overrides, fixed=False)
-    section = meant[replay.node]
-    with step_progress(len(replay.expected.steps)) as progress:
-        if offline:
-            progress(f"{replay.node} answers offline", 0)
-            start = time.monotonic()
-            answers = Answers(*replay.computed(section), time.monotonic() - start)
-            progress(f"{replay.node} has answered", len(answers.series.steps))
-        else:
-            answers = replay_over_dds(replay, experiment_of(replay, overrides), progress)
-    result = replay_verdict(replay, recorded, answers)
-    if out is not None:
-        record = replayed_record(replay, recorded, answers, section)
-        write_record(record, out, ground_motion=recorded.chunks)
-        result["out"] = str(out)
-    return result

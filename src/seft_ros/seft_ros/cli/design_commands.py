@@ -5,7 +5,7 @@
 
 import cmath
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Optional
@@ -15,33 +15,16 @@ from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.errors import InputError
 
 from seft_ros.bags.record import Record
-from seft_ros.cli.options import (
-    FIGURE,
-    Config,
-    External,
-    Files,
-    Json,
-    Params,
-    Plant,
-    check_out,
-    complain,
-    dds_test,
-    is_stable_in_simulation,
-    late_progress,
-    load_experiment,
-    offline_test,
-    once_more,
-    option,
-    show,
-)
+from seft_ros.cli import shared
+from seft_ros.cli.shared import option
 from seft_ros.design import Source
 
 
 def design(
-    config: Config,
-    param: Params = None,
-    params_file: Files = None,
-    plant: Plant = Source.AUTO,
+    config: shared.Config,
+    param: shared.Params = None,
+    params_file: shared.Files = None,
+    plant: shared.Plant = Source.AUTO,
     axis: Optional[str] = option(None, "Axis to show; default the first.", "NAME"),
     crossover: Optional[float] = option(None, "Propose a controller for this crossover.", "HZ"),
     gain_margin: float = option(6.0, "Least gain margin of a proposal in dB.", "DB"),
@@ -49,7 +32,7 @@ def design(
     denominator: Optional[str] = option(None, 'Denominator: "1 17.14 4002".'),
     out: Optional[Path] = option(None, "Write the controller to a new parameter file.", "FILE"),
     figure: Optional[Path] = option(None, "Draw plant, controller and loop to a file.", "PNG"),
-    json: Json = False,
+    json: shared.Json = False,
 ) -> int:
     """Shape the force loop: plant, controller, loop and closed loop, with margins and delay.
 
@@ -58,7 +41,8 @@ def design(
     crossover, well below the oil-column resonance. Margins are those of the loop as it runs:
     sampled, held and one step late. The table also gives those of continuous time.
 
-    Without further options the experiment's own controller is examined.
+    Without further options the experiment's own controller is examined. A zero or pole HZ is real,
+    HZ,DAMPING is a conjugate pair; a zero at 0 is a differentiator, a pole at 0 an integrator.
 
     Exit status 1: with this controller the loop is unstable; it is not written then.
 
@@ -72,16 +56,9 @@ def design(
 
         seft design config/jhu.yaml --numerator 37 --denominator "1 17.14 4002"
     """
+    from seft_ros.design import loop_design
     from seft_ros.design.closed_loop import force_loop
     from seft_ros.design.controller import Controller, given_controller, write_controller
-    from seft_ros.design.loop_design import (
-        axes_table,
-        design_table,
-        propose_controller,
-        shape_loop,
-        summarise,
-        summarise_axes,
-    )
     from seft_ros.design.loop_figures import design_figure
     from seft_ros.design.plant import choose_plant
     from seft_ros.drawing.style import check_figure, check_folder, save_figure
@@ -89,26 +66,27 @@ def design(
     path = check_figure(figure) if figure is not None else None
     if out is not None:
         check_folder(out)
-    experiment = load_experiment(config, param, params_file)
+    experiment = shared.load_experiment(config, param, params_file)
     dt, axes = experiment.timebase.dt, experiment.axes
-    if axis is not None and axis not in axes:
+    axis = axis or axes[0]
+    if axis not in axes:
         raise InputError(f"--axis {axis}: there is no such axis{nearest(axis, axes)}")
-    shown = 0 if axis is None else axes.index(axis)
+    shown = axes.index(axis)
     whole = choose_plant(experiment, plant)
     controller = given_controller(numerator, denominator)
     if crossover is not None:
         if controller is not None:
             raise InputError("--crossover proposes a controller: leave out what gives one")
-        controller = propose_controller(whole.axis(shown), crossover, dt, gain_margin)
+        controller = loop_design.propose_controller(whole.axis(shown), crossover, dt, gain_margin)
     elif controller is None:
         controller = Controller.from_parameters(experiment["force_controller"])
-    loops = [shape_loop(whole.axis(index), controller, dt) for index in range(len(axes))]
+    loops = [loop_design.shape_loop(whole.axis(i), controller, dt) for i in range(len(axes))]
     slowest = force_loop(whole, controller, dt).dominant()
 
     loop, stable = loops[shown], abs(slowest) < 1
-    title = f"{config}, axis {axes[shown]}: force loop at {1 / dt:g} Hz, plant: {whole.source}"
-    summary = summarise(loop)
-    summary["axes"] = summarise_axes(axes, loops)
+    title = f"{config}, axis {axis}: force loop at {1 / dt:g} Hz, plant: {whole.source}"
+    summary = loop_design.summarise(loop)
+    summary["axes"] = loop_design.summarise_axes(axes, loops)
     summary |= {"stable": stable, "proposed": crossover is not None}
     if out is not None and stable:
         write_controller(controller, out)
@@ -116,11 +94,13 @@ def design(
     if path is not None:
         save_figure(design_figure(loop, title), path)
         summary["figure"] = str(path)
-    tables = [design_table(loop, title), *([axes_table(summary["axes"])] if axes[1:] else [])]
-    show(summary, json, tables, "figure", "out")
+    tables = [loop_design.design_table(loop, title)]
+    if len(axes) > 1:
+        tables.append(loop_design.axes_table(summary["axes"]))
+    shared.show(summary, json, tables, "figure", "out")
     if stable:
         return 0
-    complain(
+    shared.complain(
         f"unstable: with this controller the force loop oscillates at "
         f"{abs(cmath.phase(slowest)) / (2 * cmath.pi * dt):.3g} Hz, "
         f"times {abs(slowest):.4g} each step"
@@ -129,21 +109,14 @@ def design(
 
 
 def preflight(
-    config: Config,
-    param: Params = None,
-    params_file: Files = None,
-    external: External = None,
-    plant: Plant = Source.AUTO,
-    figure: Optional[Path] = option(
-        None,
-        "Draw where the test would be stable: mass ratio against dead time, and against "
-        "the specimen's local stiffness.",
-        "FILE",
-    ),
-    write: Optional[Path] = option(
-        None, "Write limits that fit the test into a parameter file, for --params-file.", "FILE"
-    ),
-    json: Json = False,
+    config: shared.Config,
+    param: shared.Params = None,
+    params_file: shared.Files = None,
+    external: shared.External = None,
+    plant: shared.Plant = Source.AUTO,
+    figure: Optional[Path] = option(None, "Draw where the test would be stable.", "FILE"),
+    write: Optional[Path] = option(None, "Write limits that fit, for --params-file.", "FILE"),
+    json: shared.Json = False,
 ) -> int:
     """Check whether a planned test is stable, and with which margins; nothing moves.
 
@@ -151,6 +124,8 @@ def preflight(
     critical mass ratio, critical delay, margins against a wrong gain and a wrong delay, and the
     false damping that the test will show; and sweeps the specimen's local stiffness from 0 to 3
     times the assumed one. Exact where the loop is linear; the table says what that excludes.
+    --figure draws where the test would be stable: mass ratio against dead time, and against the
+    specimen's local stiffness.
 
     If a method or controller of your own has no linear(), the planned test is simulated instead.
 
@@ -172,69 +147,58 @@ def preflight(
 
         seft preflight config/jhu.yaml --params-file identified/model.yaml
     """
+    from seft_ros.design import preflight_tables, stability_map, stability_verdict
     from seft_ros.design.plan import Plan
-    from seft_ros.design.preflight_tables import (
-        expected_peaks,
-        limits_table,
-        model_time,
-        preflight_tables,
-        proposed_limits,
-        summarise,
-        write_limits,
-    )
-    from seft_ros.design.stability_map import preflight_figure, stability_maps
-    from seft_ros.design.stability_verdict import next_steps
-    from seft_ros.design.stability_verdict import preflight as fly
     from seft_ros.drawing.style import check_figure, save_figure
     from seft_ros.reference_force.compensator import NotLinearError
 
     path = check_figure(figure) if figure is not None else None
-    experiment = load_experiment(config, param, params_file, external)
+    experiment = shared.load_experiment(config, param, params_file, external)
     try:
         plan = Plan(experiment, plant)
-        with late_progress() as progress:
-            found = fly(plan, progress)
+        with shared.passing_progress() as progress:
+            found = stability_verdict.preflight(plan, progress)
     except NotLinearError as error:
         if figure is not None:
             raise InputError(f"{error}; --figure can't draw them") from None
         if write is not None:
-            write_limits(write, proposed_limits(expected_peaks(experiment)))
-        return 0 if is_stable_in_simulation(experiment, error, as_json=json) else 1
-    with late_progress() as progress:
-        summary = summarise(plan, found)
-        peaks = expected_peaks(experiment)
-        limits = proposed_limits(peaks)
+            peaks = preflight_tables.expected_peaks(experiment)
+            preflight_tables.write_limits(write, preflight_tables.proposed_limits(peaks))
+        return 0 if shared.is_stable_in_simulation(experiment, error, as_json=json) else 1
+    with shared.passing_progress() as progress:
+        summary = preflight_tables.summarise(plan, found)
+        peaks = preflight_tables.expected_peaks(experiment)
+        limits = preflight_tables.proposed_limits(peaks)
         summary |= {"expected_peaks": peaks, "proposed_limits": limits}
-        timed = model_time(experiment)
+        timed = preflight_tables.model_time(experiment)
         if timed is not None:
             summary["model"] = asdict(timed)
-        steps = next_steps(plan, found, peaks, once_more(config, param, params_file, external))
+        again = shared.once_more(config, param, params_file, external)
+        steps = stability_verdict.next_steps(plan, found, peaks, again)
         summary["next"] = [asdict(step) for step in steps]
         if write is not None:
-            write_limits(write, limits)
+            preflight_tables.write_limits(write, limits)
         if path is not None:
-            maps = stability_maps(plan, found.margins, progress)
-            save_figure(preflight_figure(plan, found, maps), path)
+            maps = stability_map.stability_maps(plan, found.margins, progress)
+            save_figure(stability_map.preflight_figure(plan, found, maps), path)
             summary["figure"] = str(path)
-    tables = preflight_tables(plan, found, f"preflight of {config}")
-    lines = [line for step in steps for line in (f"{step.found}:", *_indented(step.commands))]
+    lines = [""]
     if timed is not None:
-        lines = [
+        lines += [
             f"computed model: {1e3 * timed.median_s:.2g} ms for a step, "
             f"{1e3 * timed.p999_s:.2g} ms for one of 1000, of {1e3 * timed.budget_s:.2g} ms",
             "the tables above take its tangent at rest",
-            *lines,
         ]
-    show(summary, json, [*tables, limits_table(experiment, peaks), "", *lines], "figure")
+    for step in steps:
+        lines += [f"{step.found}:", *(f"    {command}" for command in step.commands)]
+    tables = preflight_tables.preflight_tables(plan, found, f"preflight of {config}")
+    limits_table = preflight_tables.limits_table(experiment, peaks)
+    shared.show(summary, json, [*tables, limits_table, *lines], "figure")
     for reason in found.reasons:
-        complain(f"{found.verdict}: {reason}")
+        shared.complain(f"{found.verdict}: {reason}")
     if too_slow := timed.refusal() if timed is not None else "":
-        complain(too_slow)
+        shared.complain(too_slow)
     return 1 if found.verdict == "unstable" or too_slow else 0
-
-
-def _indented(commands: list[str]) -> list[str]:
-    return [f"    {command}" for command in commands]
 
 
 PILOT, OPEN_LOOP, CLOSED_LOOP = "pilot", "open_loop", "closed_loop"
@@ -242,59 +206,41 @@ _BY_RATE = (math.nan, math.nan)
 
 
 def identify(
-    config: Config,
-    param: Params = None,
-    params_file: Files = None,
-    over_dds: bool = option(
-        False,
-        "Run the tests as separate nodes over DDS, or in one process without ROS.",
-        "--over-dds/--offline",
-    ),
-    external: External = None,
+    config: shared.Config,
+    param: shared.Params = None,
+    params_file: shared.Files = None,
+    over_dds: bool = option(False, "Run nodes over DDS, or one process.", "--over-dds/--offline"),
+    external: shared.External = None,
     signal: str = option("random", "Excitation.", "random|chirp"),
     seed: int = option(1, "Seed of the random signal.", min=0),
     band: tuple[float, float] = option(
-        _BY_RATE,
-        "Band of the excitation in Hz; default 0.3 to 0.45 times the rate, at most 200.",
-        "LO HI",
-        show_default=False,
+        _BY_RATE, "Band of the excitation in Hz; default by the rate.", "LO HI", show_default=False
     ),
     duration: float = option(120.0, "Duration of each test in s.", "S"),
-    amplitude: Optional[float] = option(
-        None,
-        "RMS of the valve drive, open loop; default found by a pilot test, so that the "
-        "rig uses up to a fifth of its limits.",
-        "V",
-    ),
-    force: Optional[float] = option(
-        None,
-        "RMS of the reference force, closed loop; default 5 m/s^2 times the mass, at "
-        "most a 20th of the force limit (chirp: 0.3 times that).",
-        "N",
-    ),
+    amplitude: Optional[float] = option(None, "RMS of the valve drive, open loop.", "V"),
+    force: Optional[float] = option(None, "RMS of the reference force, closed loop.", "N"),
     out: Optional[Path] = option(None, "New folder of the results; default by the time.", "DIR"),
-    specimen: bool = option(
-        False,
-        "Write the specimen's mass, damping and stiffness to model.yaml, too, as "
-        "reference_force's model.*.",
-        "--specimen",
-    ),
-    json: Json = False,
+    specimen: bool = option(False, "Write the specimen to model.yaml, too.", "--specimen"),
+    json: shared.Json = False,
 ) -> int:
     """Identify a rig: its actuators, and its force loop with this specimen.
 
-    Runs ordinary tests, with all limits, and records each.
+    Runs ordinary tests, with all limits, and records each. The band of the excitation is 0.3 Hz to
+    0.45 times the rate, 200 Hz at most, unless --band names another.
 
     Open loop: the excitation drives the valves, and force_controller's feedback is off. A short
-    pilot test at a low level finds the amplitude. The result describes the actuators, which
+    pilot test at a low level finds the amplitude, so that the rig uses up to a fifth of its
+    limits; --amplitude gives it instead. The result describes the actuators, which
     velocity_feedforward needs. It holds for any specimen.
 
-    Closed loop: the excitation is the reference force, where the force controller follows one.
-    The result describes the force loop with this specimen, which the other methods need. Rigs
-    without a valve (actuator.kind ideal or delay) have this test only.
+    Closed loop: the excitation is the reference force, where the force controller follows one. Its
+    RMS is 5 m/s^2 times the mass, a 20th of the force limit at most (chirp: 0.3 times that), unless
+    --force gives another. The result describes the force loop with this specimen, which the other
+    methods need. Rigs without a valve (actuator.kind ideal or delay) have this test only.
 
     The folder then holds the excitation, the bags, a figure, and model.yaml: parameters of
-    reference_force and force_controller for --params-file.
+    reference_force and force_controller for --params-file. With --specimen they include mass,
+    damping and stiffness of the specimen, as reference_force's model.*.
 
     Examples:
 
@@ -306,23 +252,9 @@ def identify(
 
         seft identify config/lab.yaml --external rig --duration 300
     """
+    from seft_ros.design import identified, rig_tests
     from seft_ros.design.controller import Controller
-    from seft_ros.design.identified import identified_table, summarise_identified, write_model
-    from seft_ros.design.identified import identify as identify_rig
     from seft_ros.design.loop_figures import identified_figure
-    from seft_ros.design.rig_tests import (
-        PILOT_DURATION,
-        Levels,
-        Motions,
-        check_levels,
-        closed_loop,
-        default_force,
-        has_force_loop,
-        has_valve,
-        open_loop,
-        pilot_voltage,
-        voltage_after,
-    )
     from seft_ros.drawing.style import save_figure
     from seft_ros.force_controller.parameters import is_one_controller
 
@@ -330,71 +262,76 @@ def identify(
         raise InputError(
             "--external: only the rig may be external; the other nodes are set up here"
         )
-    experiment = load_experiment(config, param, params_file, external)
-    first = pilot_voltage(experiment) if amplitude is None else amplitude
-    levels = Levels(first, default_force(experiment, signal) if force is None else force)
-    check_levels(experiment, levels)
+    experiment = shared.load_experiment(config, param, params_file, external)
+    levels = rig_tests.Levels(
+        rig_tests.pilot_voltage(experiment) if amplitude is None else amplitude,
+        rig_tests.default_force(experiment, signal) if force is None else force,
+    )
+    rig_tests.check_levels(experiment, levels)
     own = experiment["force_controller"]
     controller = Controller.from_parameters(own) if is_one_controller(own) else None
-    by_rate = (0.3, min(0.45 * experiment.timebase.rate, 200.0))
-    used = by_rate if all(map(math.isnan, band)) else band
+    if all(map(math.isnan, band)):
+        band = (0.3, min(0.45 * experiment.timebase.rate, 200.0))
     folder = out or Path(datetime.now().strftime("identify_%Y-%m-%d_%H-%M-%S"))
-    motions = Motions(experiment, levels.force, signal, used, seed)
+    motions = rig_tests.Motions(experiment, levels.force, signal, band, seed)
     motions.check(duration)
-    check_out(folder)
+    shared.check_out(folder)
     record = motions.write(folder / "excitation.csv", duration)
 
     tests: dict[str, Record] = {}
 
     def done(name: str, test: Experiment, seconds: float) -> bool:
+        """Run a test; say whether it drove a valve, to its end."""
         bag, label = folder / name, f"{name}: "
         if over_dds or external:
             steps = motions.steps(seconds)
-            tests[name] = dds_test(test, bag, steps, external or (), label=label)[0]
+            tests[name] = shared.dds_test(test, bag, steps, external or (), label=label)[0]
         else:
-            tests[name] = offline_test(test, bag, label)
-        return tests[name].trip is None and has_valve(tests[name].experiment)
+            tests[name] = shared.offline_test(test, bag, label)
+        return tests[name].trip is None and rig_tests.has_valve(tests[name].experiment)
 
-    valve = has_valve(experiment)
+    valve = rig_tests.has_valve(experiment)
     if valve and amplitude is None:
-        seconds = min(duration, max(PILOT_DURATION, motions.shortest))
+        seconds = min(duration, max(rig_tests.PILOT_DURATION, motions.shortest))
         short = motions.write(folder / f"{PILOT}.csv", seconds)
-        valve = done(PILOT, open_loop(experiment, short, levels), seconds)
+        valve = done(PILOT, rig_tests.open_loop(experiment, short, levels), seconds)
         if valve:
-            levels = Levels(voltage_after(tests[PILOT], levels.voltage), levels.force)
+            voltage = rig_tests.voltage_after(tests[PILOT], levels.voltage)
+            levels = replace(levels, voltage=voltage)
     if valve:
-        valve = done(OPEN_LOOP, open_loop(experiment, record, levels), duration)
-    followed = has_force_loop(experiment) or not valve
+        valve = done(OPEN_LOOP, rig_tests.open_loop(experiment, record, levels), duration)
+    followed = rig_tests.has_force_loop(experiment) or not valve
     if followed and not any(test.trip for test in tests.values()):
-        done(CLOSED_LOOP, closed_loop(experiment, record), duration)
+        done(CLOSED_LOOP, rig_tests.closed_loop(experiment, record), duration)
 
     whole = {name: test for name, test in tests.items() if test.trip is None and name != PILOT}
     if not valve:
         whole.pop(OPEN_LOOP, None)  # only now an external rig has reported that it has none
     files = {"folder": folder, "excitation": record, **{name: folder / name for name in tests}}
-    summary: dict[str, Any] = {}
-    identified, tables = None, []
-    if whole:
-        identified = identify_rig(whole.get(OPEN_LOOP), whole.get(CLOSED_LOOP), used, controller)
-        summary = summarise_identified(identified)
-        files |= {"model": folder / "model.yaml", "figure": folder / FIGURE}
-        write_model(identified, files["model"], str(config), specimen)
-        save_figure(identified_figure(identified, f"seft identify {config}"), files["figure"])
     trips = {name: test.trip.reason if test.trip else None for name, test in tests.items()}
-    summary |= {
+    summary: dict[str, Any] = {
         "tripped": {OPEN_LOOP: None, CLOSED_LOOP: None, **trips},
-        "excitation_rms": {"voltage": levels.voltage, "force": levels.force},
-        "files": {what: str(path) for what, path in files.items()},
+        "excitation_rms": asdict(levels),
     }
-    if identified is not None:
-        tables = [identified_table(f"{config} as identified", summary)]
-    show(summary, json, [*tables, *(f"{what + ':':13}{path}" for what, path in files.items())])
+    tables, unusable = [], []
+    if whole:
+        found = identified.identify(whole.get(OPEN_LOOP), whole.get(CLOSED_LOOP), band, controller)
+        unusable = found.unusable
+        summary |= identified.summarise_identified(found)
+        tables = [identified.identified_table(f"{config} as identified", summary)]
+        files |= {"model": folder / "model.yaml", "figure": folder / shared.FIGURE}
+        identified.write_model(found, files["model"], str(config), specimen)
+        save_figure(identified_figure(found, f"seft identify {config}"), files["figure"])
+    summary["files"] = {what: str(path) for what, path in files.items()}
+    shared.show(
+        summary, json, [*tables, *(f"{what + ':':13}{path}" for what, path in files.items())]
+    )
     for name, test in tests.items():
         if test.trip is not None:
             at = f"{name.replace('_', ' ')} tripped at {test.trip.time_s:.3f} s"
-            complain(f"{at}: {test.trip.reason}; its bag is in {folder / name}")
+            shared.complain(f"{at}: {test.trip.reason}; its bag is in {folder / name}")
             return 1
-    if identified is not None and identified.unusable:
-        complain(identified.unusable[0])
+    if unusable:
+        shared.complain(unusable[0])
         return 1
     return 0

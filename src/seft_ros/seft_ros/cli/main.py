@@ -12,9 +12,9 @@ from seft_msgs_py.node.process import as_before, on_ending
 
 from seft_ros.cli.bag_commands import compare, recover, replay, report
 from seft_ros.cli.design_commands import design, identify, preflight
-from seft_ros.cli.options import complain, option
 from seft_ros.cli.perform import reset, run, simulate, start, status, stop
 from seft_ros.cli.rig_commands import conform, link, new
+from seft_ros.cli.shared import complain, option
 from seft_ros.cli.show_commands import monitor, motion, parameters
 from seft_ros.cli.study_commands import paper, tournament, uncertainty
 
@@ -28,33 +28,19 @@ APP = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (
-    *(
-        run,
-        simulate,
-        start,
-        stop,
-        reset,
-        status,
-        report,
-        compare,
-        replay,
-        motion,
-        recover,
-        identify,
-        design,
-        tournament,
-        uncertainty,
-    ),
-    *(preflight, link, conform, new, monitor, paper, parameters),
-):
+COMMANDS = (
+    *(run, simulate, start, stop, reset, status, monitor),
+    *(report, compare, replay, recover),
+    *(identify, design, preflight, tournament, uncertainty, paper),
+    *(conform, new, link, motion, parameters),
+)
+for command in COMMANDS:
     APP.command()(command)
 
 
 @APP.callback(invoke_without_command=True)
 def seft(
-    context: typer.Context,
-    version: bool = option(False, "Print the version and end.", "--version"),
+    context: typer.Context, version: bool = option(False, "Print the version and end.", "--version")
 ) -> None:
     """Print the help to stderr if no command is given."""
     if version:
@@ -80,9 +66,7 @@ def main() -> int:
         return error.exit_status
     except typer.Exit as end:
         return end.exit_code
-    except typer.Abort:
-        return 1
-    except KeyboardInterrupt:
+    except (typer.Abort, KeyboardInterrupt):
         complain("interrupted")
         return 1
     except Exception as error:

@@ -12,25 +12,8 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
 
 from seft_ros.bags.record import Record
-from seft_ros.cli.options import (
-    Config,
-    External,
-    Files,
-    Json,
-    Params,
-    check_out,
-    complain,
-    dds_test,
-    is_stable_in_simulation,
-    load_experiment,
-    offline_test,
-    once_more,
-    option,
-    show,
-    show_test,
-    step_progress,
-    warn,
-)
+from seft_ros.cli import shared
+from seft_ros.cli.shared import option
 from seft_ros.test_run.parameter_tables import TABLES
 
 if TYPE_CHECKING:
@@ -87,7 +70,7 @@ def reset() -> int:
     return _request("reset")
 
 
-def status(json: Json = False) -> int:
+def status(json: shared.Json = False) -> int:
     """Print the state of the test, why it is in it, and the time of the test.
 
     Exit status 1: there is no supervisor, or the test has tripped.
@@ -109,7 +92,7 @@ def status(json: Json = False) -> int:
             found["steps"] = int(observer.values["steps"])
     name = state.replace("_", " ")
     text = name if detail == name else f"{name}: {detail}"
-    show(found, json, [f"{text} ({found['time_s']:.1f} s)" if state in MOVING else text])
+    shared.show(found, json, [f"{text} ({found['time_s']:.1f} s)" if state in MOVING else text])
     return 1 if state == State.TRIPPED else 0
 
 
@@ -143,48 +126,24 @@ def _supervised() -> Iterator["Observer"]:
         yield observer
 
 
-TRAVEL, FORCE = 0.005, 2000.0
-"""Displacement (m) and force (N) at which a motion that looks at signs is stopped."""
 LINK_TIME = 5.0  # s for which a link is measured before a test
 _DRAW = "Draw a figure into the bag's folder."
 Figure = Annotated[bool, typer.Option("--figure/--no-figure", help=_DRAW)]
 
 
 def run(
-    config: Config,
-    param: Params = None,
-    params_file: Files = None,
-    external: External = None,
-    out: Optional[Path] = option(
-        None, "New folder of the bag; default in the recorder's directory, by the time.", "DIR"
-    ),
-    pin: bool = option(
-        True, "Give the loop's nodes a processor core of their own; keep cores awake."
-    ),
-    composed: bool = option(
-        False,
-        "Put rig, reference_force and force_controller into one process, for rates that "
-        "separate processes can't hold; topics and samples stay the same.",
-        "--composed",
-    ),
-    priority: int = option(
-        0,
-        "Real-time priority of the loop's nodes, their memory locked, cores awake; 0: none.",
-        "N",
-        min=0,
-        max=98,
-    ),
-    check_signs: bool = option(
-        False,
-        "First move the rig by a few tenths of a millimetre, to check units and signs of "
-        "channels and valve (seft conform checks more).",
-        "--check-signs",
-    ),
-    accept_unstable: bool = option(
-        False, "Run a test that preflight finds unstable all the same.", "--accept-unstable"
-    ),
+    config: shared.Config,
+    param: shared.Params = None,
+    params_file: shared.Files = None,
+    external: shared.External = None,
+    out: Optional[Path] = option(None, "New folder of the bag; default by the time.", "DIR"),
+    pin: bool = option(True, "Give the loop's nodes cores of their own; keep cores awake."),
+    composed: bool = option(False, "Run the loop's nodes in one process.", "--composed"),
+    priority: int = option(0, "Real-time priority of the loop; 0: none.", "N", min=0, max=98),
+    check_signs: bool = option(False, "First check units and signs.", "--check-signs"),
+    accept_unstable: bool = option(False, "Run also an unstable plan.", "--accept-unstable"),
     figure: Figure = True,
-    json: Json = False,
+    json: shared.Json = False,
 ) -> int:
     """Run an experiment as separate nodes over DDS, record it, and show how it went.
 
@@ -192,7 +151,15 @@ def run(
     an unstable plan is refused.
 
     Starts ground_motion, reference_force, force_controller, rig, recorder and supervisor,
-    waits until all have found each other, runs the test, and ends them.
+    waits until all have found each other, runs the test, and ends them. The bag is in the
+    recorder's directory, unless --out names another folder.
+
+    --composed puts rig, reference_force and force_controller into one process, for rates that
+    separate processes can't hold; topics and samples stay the same. --priority also locks the
+    memory of the loop's nodes, and keeps cores awake.
+
+    --check-signs first moves the rig by a few tenths of a millimetre, to check units and signs of
+    channels and valve; seft conform checks more.
 
     Examples:
 
@@ -208,37 +175,38 @@ def run(
 
         seft run config/jhu.yaml --params-file plan.yaml --accept-unstable
     """
-    from seft_ros.design.preflight_tables import expected_peaks, limit_warning
+    from seft_ros.design.preflight_tables import expected_peaks, limit_warning, model_time
     from seft_ros.test_run.processes import ProcessLayout
     from seft_ros.test_run.run import bag_path
 
-    experiment = load_experiment(config, param, params_file, external)
+    experiment = shared.load_experiment(config, param, params_file, external)
     bag = bag_path(experiment, out)
     experiment = _with_measured_delay(experiment)
     steps = _steps(experiment)
     _check_stable(experiment, accept_unstable)
-    _check_model(experiment)
+    in_lockstep = experiment.sections.get("rig", {}).get("pace") == "lockstep"
+    model = None if in_lockstep else model_time(experiment)
+    if model is not None and (too_slow := model.refusal()):
+        raise InputError(too_slow)
     if warning := limit_warning(experiment, expected_peaks(experiment)):
-        warn(warning)
+        shared.complain(f"warning: {warning}")
     if check_signs:
         _check_signs(experiment, external or ())
     layout = ProcessLayout(pin=pin, composed=composed, priority=priority)
-    record, bag = dds_test(experiment, bag, steps, external or (), layout=layout)
-    if show_test(record, bag, as_json=json, figure=figure):
+    record, bag = shared.dds_test(experiment, bag, steps, external or (), layout=layout)
+    if shared.show_test(record, bag, as_json=json, figure=figure):
         return 0
-    complain(_fault(record))
+    shared.complain(_fault(record))
     return 1
 
 
 def simulate(
-    config: Config,
-    param: Params = None,
-    params_file: Files = None,
-    out: Optional[Path] = option(
-        None, "Write a bag as seft run does, and a figure, into this new folder.", "DIR"
-    ),
+    config: shared.Config,
+    param: shared.Params = None,
+    params_file: shared.Files = None,
+    out: Optional[Path] = option(None, "Write a bag and a figure to a new folder.", "DIR"),
     figure: Figure = True,
-    json: Json = False,
+    json: shared.Json = False,
 ) -> int:
     """Run an experiment in one process, without ROS, and compare it with the exact response.
 
@@ -254,13 +222,15 @@ def simulate(
 
         seft simulate config/demo.yaml -p ground_motion:file:=kobe.AT2
     """
-    experiment = load_experiment(config, param, params_file)
+    experiment = shared.load_experiment(config, param, params_file)
     if out is not None:
-        check_out(out)
-    record = offline_test(experiment, out)
-    if show_test(record, out, as_json=json, figure=figure):
+        shared.check_out(out)
+    record = shared.offline_test(experiment, out)
+    if shared.show_test(record, out, as_json=json, figure=figure):
         return 0
-    complain(f"{_fault(record)}; see seft preflight {once_more(config, param, params_file)}")
+    shared.complain(
+        f"{_fault(record)}; see seft preflight {shared.once_more(config, param, params_file)}"
+    )
     return 1
 
 
@@ -289,10 +259,10 @@ def _with_measured_delay(experiment: Experiment) -> Experiment:
     rate = experiment.timebase.rate
     size, delays = message_size(experiment), []
     for rig in experiment.rigs:
-        with step_progress(round(LINK_TIME * rate)) as show:
-            delays.append(measure(rate, LINK_TIME, size, show, rig).loop_delay)
+        with shared.step_progress(round(LINK_TIME * rate)) as progress:
+            delays.append(measure(rate, LINK_TIME, size, progress, rig).loop_delay)
         whose = f" to {rig.name}" if rig.name else ""
-        complain(f"the link{whose} needs a delay of the loop of {delays[-1]} steps")
+        shared.complain(f"the link{whose} needs a delay of the loop of {delays[-1]} steps")
     return with_loop_delay(experiment, max(delays))
 
 
@@ -308,18 +278,18 @@ def _check_stable(experiment: Experiment, accept_unstable: bool) -> None:
         if plan.is_stable():
             return
     except NotLinearError as error:
-        if not is_stable_in_simulation(experiment, error) and not accept_unstable:
+        if not shared.is_stable_in_simulation(experiment, error) and not accept_unstable:
             raise InputError(
                 "the test is unstable in simulation; see seft simulate, lower reference_force: "
                 "mass_ratio, or run it all the same with --accept-unstable"
             ) from None
         return
     except InputError as error:  # what the nodes themselves can't use has been refused before
-        complain(f"preflight could not be done: {error}")
+        shared.complain(f"preflight could not be done: {error}")
         return
     reason = f"unstable plan: {instability(plan)}"
     if accept_unstable:
-        complain(f"{reason}; accepted")
+        shared.complain(f"{reason}; accepted")
         return
     critical = critical_mass_ratio(plan)
     where = f"; the critical mass ratio is {critical.value:.3g}" if critical else ""
@@ -329,36 +299,14 @@ def _check_stable(experiment: Experiment, accept_unstable: bool) -> None:
     )
 
 
-def _check_model(experiment: Experiment) -> None:
-    """Raise `InputError` for a computed model that is too slow for a test in real time."""
-    from seft_ros.design.preflight_tables import model_time
-
-    if experiment.sections.get("rig", {}).get("pace") == "lockstep":
-        return
-    found = model_time(experiment)
-    if found is not None and (refusal := found.refusal()):
-        raise InputError(refusal)
-
-
 def _check_signs(experiment: Experiment, external: Sequence[str]) -> None:
     """Move the rig a little; raise `InputError` if its channels contradict each other."""
     from seft_ros.conformance.suite import TIMING, conform
 
     if len(experiment.rigs) > 1:
         raise InputError("--check-signs: of several rigs, look at each with seft conform")
-    alone, starts = Experiment(experiment.sections), "rig" not in external
-    if starts:
-        alone["rig"]["pace"] = "realtime"
-    found = conform(
-        alone,
-        lambda finding: None,
-        start_rig=starts,
-        amplitude=None,
-        travel=TRAVEL,
-        force=FORCE,
-        moves_only=True,
-    )
-    for finding in found:
+    starts = "rig" not in external
+    for finding in [*conform(experiment, start_rig=starts, moves_only=True)]:
         if finding.verdict == "failed" and finding.check not in TIMING:
             raise InputError(f"the rig: {finding.check}: {finding.result}; {finding.remedy}")
 

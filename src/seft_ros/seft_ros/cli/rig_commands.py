@@ -2,49 +2,33 @@
 
 import keyword
 import sys
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Optional
+from typing import Any, Optional
 
 import typer
+from rich.console import Console
 from seft_msgs_py.config.experiment import Experiment, write_parameter_file
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes
 
-from seft_ros.cli.options import (
-    Config,
-    Files,
-    Json,
-    Params,
-    complain,
-    load_experiment,
-    option,
-    show,
-    stderr_console,
-    step_progress,
-)
-
-if TYPE_CHECKING:
-    from seft_ros.conformance.driver import Finding
-
+from seft_ros.cli import shared
+from seft_ros.cli.shared import option
 
 RATE, SIZE = 500.0, 1000  # Hz and bytes, without an experiment
 
 
 def link(
     config: Optional[Path] = typer.Argument(
-        None,
-        metavar="[CONFIG]",
-        help="Experiment, for its rate and message size, and for its margin over this link.",
+        None, metavar="[CONFIG]", help="Experiment, for its rate, message size and margin."
     ),
-    param: Params = None,
-    params_file: Files = None,
+    param: shared.Params = None,
+    params_file: shared.Files = None,
     echo: bool = option(False, "Be the other side: send messages back until Ctrl-C.", "--echo"),
     rig: str = option("", "Rig at the other side, if the test has several.", "NAME"),
     duration: float = option(10.0, "Duration of the measurement in s.", "S"),
-    out: Optional[Path] = option(
-        None, "Write the delay of the loop to a file for --params-file.", "FILE"
-    ),
-    json: Json = False,
+    out: Optional[Path] = option(None, "Write the delay, for --params-file.", "FILE"),
+    json: shared.Json = False,
 ) -> int:
     """Measure the link to another host, and say which tests it is good for.
 
@@ -76,12 +60,12 @@ def link(
         raise InputError("--out needs CONFIG: the delay is counted in steps at its rate")
     if duration <= 0:
         raise InputError(f"--duration is {duration:g} s, but must be positive")
-    experiment = None if config is None else load_experiment(config, param, params_file)
+    experiment = None if config is None else shared.load_experiment(config, param, params_file)
     rate, size = RATE, SIZE
     if experiment is not None:
         rate, size = experiment.timebase.rate, message_size(experiment)
     other_side = _rig(rig, experiment)
-    with step_progress(max(2, round(duration * rate))) as progress:
+    with shared.step_progress(max(2, round(duration * rate))) as progress:
         trips = measure(rate, duration, size, progress, other_side)
     test = None if experiment is None else allowed(experiment, trips.loop_delay)
     verdict, reasons = judge(trips, test)
@@ -97,9 +81,9 @@ def link(
         comment = "by seft link: steps at the rate of the experiment"
         write_parameter_file(out, steps, [comment], replace=True)
         summary["file"] = str(out)
-    show(summary, json, [link_table(summary)])
+    shared.show(summary, json, [link_table(summary)])
     for reason in reasons:
-        complain(f"{verdict}: {reason}")
+        shared.complain(f"{verdict}: {reason}")
     return 1 if verdict == "unusable" else 0
 
 
@@ -118,29 +102,21 @@ def _rig(name: str, experiment: Experiment | None) -> RigAxes | None:
 def _echo() -> int:
     from seft_ros.test_run.link import echo
 
-    console = stderr_console()
-    with console.status("echoing") as status:
-        try:
-            echo(lambda count: status.update(f"echoing: {count} messages so far"))
-        except KeyboardInterrupt:
-            return 0
+    with suppress(KeyboardInterrupt), Console(stderr=True).status("echoing") as status:
+        echo(lambda count: status.update(f"echoing: {count} messages so far"))
     return 0
 
 
 def conform(
-    config: Config,
-    param: Params = None,
-    params_file: Files = None,
-    start_rig: bool = option(
-        False, "Start the simulated rig of CONFIG; else a rig runs already.", "--start-rig"
-    ),
-    amplitude: Optional[float] = option(
-        None, "Largest valve command; default 0.2 V (50 N for an idealised actuator).", "V"
-    ),
+    config: shared.Config,
+    param: shared.Params = None,
+    params_file: shared.Files = None,
+    start_rig: bool = option(False, "Start the simulated rig of CONFIG.", "--start-rig"),
+    amplitude: Optional[float] = option(None, "Largest valve command; default 0.2 V.", "V"),
     travel: float = option(0.005, "Displacement from rest at which the rig is stopped, m.", "M"),
     force: float = option(2000.0, "Change of force at which the rig is stopped, N.", "N"),
     yes: bool = option(False, "Move the rig without asking: nobody is within its reach.", "--yes"),
-    json: Json = False,
+    json: shared.Json = False,
 ) -> int:
     """Check that a rig's driver keeps its contract (docs/hardware.md) before a test relies on it.
 
@@ -151,7 +127,8 @@ def conform(
     how to fix a failure. An early failure ends the checks before the rig moves further.
 
     CONFIG has rate, axes, limits, and the specimen's mass, damping and stiffness
-    (reference_force: model.*); the rig's own parameters are taken from its description.
+    (reference_force: model.*); the rig's own parameters are taken from its description. Of an
+    idealised actuator, --amplitude is a force, by default 50 N.
 
     Exit status 0: it conforms; 1: it does not.
 
@@ -166,7 +143,7 @@ def conform(
     from seft_ros.conformance.driver import finding_line, verdict
     from seft_ros.conformance.suite import conform as look_at
 
-    experiment = load_experiment(config, param, params_file, None if start_rig else ["rig"])
+    experiment = shared.load_experiment(config, param, params_file, None if start_rig else ["rig"])
     if len(experiment.rigs) > 1:
         raise InputError(
             f"{config}: the axes are of several rigs, but conform checks one: give its axes "
@@ -175,23 +152,18 @@ def conform(
     for name, value in (("--amplitude", amplitude), ("--travel", travel), ("--force", force)):
         if value is not None and not 0 < value < float("inf"):
             raise InputError(f"{name} is {value:g}, but must be positive")
-    if start_rig:
-        experiment["rig"]["pace"] = "realtime"
-    elif not yes:
+    if not (start_rig or yes):
         _ask(amplitude, travel)
-    console = stderr_console()
-
-    def show_one(finding: "Finding") -> None:
-        if not json:
-            console.print(finding_line(finding), soft_wrap=True, highlight=False)
-
-    findings = look_at(
-        experiment, show_one, start_rig=start_rig, amplitude=amplitude, travel=travel, force=force
-    )
+    console, findings = Console(stderr=True, quiet=json), []
+    for finding in look_at(
+        experiment, start_rig=start_rig, amplitude=amplitude, travel=travel, force=force
+    ):
+        console.print(finding_line(finding), soft_wrap=True, highlight=False)
+        findings.append(finding)
     result = verdict(findings)
     words = "conforms" if result["conforms"] else "does not conform"
     counts = "{passed} passed, {failed} failed, {not_run} not run".format_map(result)
-    show({"config": str(config), **result}, json, [f"the rig {words}: {counts}"])
+    shared.show({"config": str(config), **result}, json, [f"the rig {words}: {counts}"])
     return 0 if result["conforms"] else 1
 
 
@@ -212,13 +184,9 @@ ROS2_CONTROL = "ros2_control"  # of what replaces or completes it
 
 
 def new(
-    what: str = typer.Argument(
-        ..., help="driver: the node rig for your hardware.", metavar="driver"
-    ),
+    what: str = typer.Argument(..., help="The node rig for your hardware.", metavar="driver"),
     name: str = typer.Argument(..., help="Name of the package, and of the folder.", metavar="NAME"),
-    ros2_control: bool = typer.Option(
-        False, "--ros2-control", help="For a rig with a hardware interface of ros2_control."
-    ),
+    ros2_control: bool = option(False, "For a rig behind ros2_control.", "--ros2-control"),
 ) -> int:
     """Make a ROS 2 package for your own rig, in a new folder here.
 

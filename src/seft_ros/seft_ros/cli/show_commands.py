@@ -11,36 +11,17 @@ from seft_msgs_py.config.parameter_table import COMMON, Parameter, nearest
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 
-from seft_ros.cli.options import Files, Json, Params, load_experiment, option, show
+from seft_ros.cli.shared import Files, Json, Params, given_motion, load_experiment, option, show
 from seft_ros.test_run.parameter_tables import TABLES
 
 
 def monitor(
-    host: str = option(
-        "127.0.0.1",
-        "Address to serve at; others than this host's own need a token, and show the test to "
-        "anyone who has it.",
-        "ADDRESS",
-    ),
+    host: str = option("127.0.0.1", "Address to serve at; most need a token.", "ADDRESS"),
     port: int = option(8765, "Port; 0: any that is free.", "N", min=0, max=65535),
-    token: str = option(
-        "",
-        "Token that a browser must send; generated if one is needed and none is given. "
-        "SEFT_MONITOR_TOKEN keeps it out of the list of processes.",
-        "TEXT",
-        envvar="SEFT_MONITOR_TOKEN",
-    ),
-    watch_token: str = option(
-        "",
-        "Token for watching only, without buttons; control then needs a token even on this host. "
-        "SEFT_MONITOR_WATCH_TOKEN keeps it out of the list of processes.",
-        "TEXT",
-        envvar="SEFT_MONITOR_WATCH_TOKEN",
-    ),
+    token: str = option("", "Token for all.", "TEXT", envvar="SEFT_MONITOR_TOKEN"),
+    watch_token: str = option("", "To watch only.", "TEXT", envvar="SEFT_MONITOR_WATCH_TOKEN"),
     namespace: str = option("", "Namespace of the test's topics.", "NAME"),
-    open_page: bool = option(
-        False, "Open the page in a browser, which also keeps off the loop's core.", "--open"
-    ),
+    open_page: bool = option(False, "Open the page in a browser.", "--open"),
 ) -> int:
     """Show a running test on a page in the browser, with buttons to start and stop it.
 
@@ -51,7 +32,14 @@ def monitor(
     Buttons call the supervisor: Start, Stop and Reset ask for confirmation, Abort test acts at
     once. A button in a browser is no emergency stop; that must be a circuit in hardware.
 
-    It listens at 127.0.0.1 unless --host names another address. Ctrl-C ends it, not the test.
+    It listens at 127.0.0.1 unless --host names another address: one that is not this host's own
+    needs a token, and shows the test to anyone who has it. Ctrl-C ends it, not the test. A browser
+    that --open starts keeps off the loop's core, too.
+
+    --token is the token that a browser must send; it is generated if one is needed and none is
+    given. --watch-token is for watching only, without buttons; control then needs a token even on
+    this host. The variables SEFT_MONITOR_TOKEN and SEFT_MONITOR_WATCH_TOKEN keep them out of the
+    list of processes.
 
     Examples:
 
@@ -67,7 +55,7 @@ def monitor(
     from seft_ros.monitor.server import keep_off_the_loop, listen, serve
 
     for name, text in (("--token", token), ("--watch-token", watch_token)):
-        if any(not c.isprintable() or c.isspace() for c in text) or not text.isascii():
+        if not re.fullmatch("[!-~]*", text):
             raise InputError(f"{name}: use printable ASCII characters without blanks")
     if token and token == watch_token:
         raise InputError("--watch-token: must differ from --token")
@@ -101,28 +89,22 @@ _ROWS = {
 
 def motion(
     file: Optional[Path] = typer.Argument(
-        None,
-        metavar="[FILE]",
-        help="Record: PEER AT2, COSMOS V2, SMC, columns or csv; default CONFIG's motion.",
-        show_default=False,
+        None, metavar="[FILE]", help="Record; default CONFIG's motion.", show_default=False
     ),
-    config: Optional[Path] = option(
-        None, "Show the motion as the test of this experiment uses it.", "CONFIG"
-    ),
+    config: Optional[Path] = option(None, "Show it as this experiment uses it.", "CONFIG"),
     param: Params = None,
     params_file: Files = None,
-    column: Optional[list[int]] = option(
-        None,
-        "Column, from 0; once for each axis to be shown. Default the first that is not the time.",
-    ),
+    column: Optional[list[int]] = option(None, "Column, from 0; once for each axis to show."),
     unit: Optional[str] = option(None, "g, m/s2 or cm/s2, if the file does not say."),
     dt: Optional[float] = option(None, "Sampling period in s, if the file has none."),
-    time_scale: Optional[float] = option(None, "Factor on time; 0.5: twice as fast."),
     rate: Optional[float] = option(None, "Rate of the loop in Hz; default CONFIG's, or 500."),
     figure: Optional[Path] = option(None, "Draw time history and response spectrum.", "FILE"),
     json: Json = False,
 ) -> int:
     """Show a ground motion as a test uses it: source, unit, scale, peak, duration.
+
+    Reads PEER AT2, COSMOS V1 and V2, SMC, columns and csv. The default --column is the first that
+    is not the time.
 
     Without --config, a record is only resampled to the rate of the loop. With it, the motion is
     also processed as in the experiment: peak_force, time_scale, influence, tail.
@@ -143,26 +125,18 @@ def motion(
     from seft_ros.ground_motion.response_spectrum import motion_figure, motion_summary
 
     path = check_figure(figure) if figure is not None else None
-    columns = column[0] if column and not column[1:] else column or None  # typer 0.9: empty
-    words = {"column": columns, "unit": unit, "dt": dt, "time_scale": time_scale}
-    given = {name: value for name, value in words.items() if value is not None}
-    own = {row.name: row.default for row in TABLE.rows.values()}
     if config is not None:
         experiment = load_experiment(config, param, params_file)
-        axes, timebase = experiment.axes, experiment.timebase
-        section = experiment["ground_motion"]
-        if file is not None:  # another record: what is said of the experiment's own does not hold
-            section |= {name: own[name] for name in ("column", "unit", "dt")}
+        axes, timebase, section = experiment.axes, experiment.timebase, experiment["ground_motion"]
     elif file is None:
         raise InputError("seft motion: name a record, or an experiment by --config")
     elif param or params_file:
         raise InputError("-p and --params-file change an experiment; name it by --config")
     else:
         axes = tuple(f"column {index}" for index in column or ()) or ("motion",)
-        timebase, section = Timebase.from_rate(500.0), own | {"tail": 0.0}
-    if file is not None:
-        given["file"] = str(file)
-    section |= TABLE.check(given, "seft motion")
+        timebase = Timebase.from_rate(500.0)
+        section = {row.name: row.default for row in TABLE.rows.values()} | {"tail": 0.0}
+    section |= given_motion(section, file, "motion", column=column or None, unit=unit, dt=dt)
     timebase = timebase if rate is None else Timebase.from_rate(rate)
     block = GroundMotion.from_parameters(section, axes, timebase)
     if path is not None:

@@ -14,20 +14,21 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.wire.messages import Status, decode_clock, decode_description
 from seft_msgs_py.wire.outcome import FINISHED, TRIPPED, State
-from seft_msgs_py.wire.topics import (
-    CLOCK_TOPIC,
-    DESCRIPTION,
-    RIG_STATE,
-    LoopTopic,
-)
+from seft_msgs_py.wire.topics import CLOCK_TOPIC, DESCRIPTION, RIG_STATE, LoopTopic
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
-from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_UNITS
+from seft_plant_sim.limits import Limits
+from seft_plant_sim.rig_parameters import LIMIT_NAMES
 
 from seft_ros.test_run.observer import Player
 from seft_ros.test_run.processes import NodeProcesses
 
 Verdict = Literal["passed", "failed", "not run"]
 
+KINDS = (
+    *("stale", "a second time", "of the future", "of another axis", "not a number"),
+    "between two steps",
+)
+"""Kinds of commands that a rig must refuse."""
 _REFUSE = "refuse it, as seft_plant_sim.command.Command does: count it as a missing command"
 _MOTION = {
     "description": "publish JSON with node and parameters on experiment/description, latched",
@@ -53,12 +54,7 @@ _MOTION = {
     "answer applied": "apply the command that answers sample k from sample k+1 on, without a queue",
 }
 _OBEDIENCE = {
-    "command stale": _REFUSE,
-    "command a second time": _REFUSE,
-    "command of the future": _REFUSE,
-    "command of another axis": _REFUSE,
-    "command not a number": _REFUSE,
-    "command between two steps": _REFUSE,
+    **{f"command {kind}": _REFUSE for kind in KINDS},
     "command beyond the limit": "refuse it: a command beyond the limit is a fault",
     "watchdog: valve_command silent": "",
     "safe position": "bring the valve to its safe position in every trip, wait until the rig is at "
@@ -223,28 +219,24 @@ class Guard:
     """
 
     def __init__(self, experiment: Experiment, travel: float, force: float) -> None:
-        supervisor = experiment["supervisor"]
-        self._limits: list[float] = [supervisor[f"limits.{name}"] for name in LIMIT_NAMES]
+        supervisor, axes = experiment["supervisor"], experiment.axes
         self._dt, self._travel, self._force = experiment.timebase.dt, travel, force
+        limits = {name: supervisor[f"limits.{name}"] for name in LIMIT_NAMES}
+        self._limits = Limits(limits, axes, self._dt)
+        self._limits.violation(np.zeros((4, len(axes))))  # the first call takes longest
         self.reset()
 
     def reset(self) -> None:
         """Begin with a rig at rest."""
+        self._limits.reset()
         self._samples: list[Floats] = []
         self._moved: Floats | float = 0.0  # integrated velocity of each axis, m
 
     def fault(self, sample: Floats) -> str:
         """Take a sample, shape (4, n); say why the test must be aborted; empty if it need not."""
         way = float(np.abs(self._moved).max())
-        worst = np.abs(sample).max(axis=1).tolist()
-        for name, unit, value, limit in zip(
-            LIMIT_NAMES, LIMIT_UNITS, worst, self._limits, strict=False
-        ):
-            if not value <= limit:
-                return (
-                    f"{name} reads {value:.4g} {unit}, beyond the limit of {limit:g} {unit}; "
-                    f"by its velocity the rig has moved {way:.2g} m"
-                )
+        if broken := self._limits.violation(sample):
+            return f"measured {broken}; by its velocity the rig has moved {way:.2g} m"
         if len(self._samples) < BASELINE:
             self._samples.append(np.array(sample))
             return ""

@@ -55,9 +55,7 @@ def check_signs_of_life(trial: Trial) -> Finding:
     if trial.phase != "idle":
         text = f"phase {trial.phase or 'none'} before a test, not idle"
         return found(name, False, text, "report phase idle between tests, see docs/hardware.md")
-    usual, longest = _gaps(times)
-    text = f"phase idle, diagnostics every {usual:.2f} s, {longest:.2f} s at most"
-    return found(name, usual <= SLOWEST_STATUS, text, usual_s=usual, longest_s=longest)
+    return _check_gaps(name, "phase idle, diagnostics", times, SLOWEST_STATUS)
 
 
 def check_form(trial: Trial, axes: Sequence[str]) -> Finding:
@@ -134,15 +132,14 @@ def check_clock(trial: Trial, period_ns: int) -> Finding:
     times = [at for at, _ in trial.clocks]
     if len(times) < 2 or any(stamp % period_ns for _, stamp in trial.clocks):
         return found("/clock", False, f"{len(times)} messages with stamps of samples")
-    usual, longest = _gaps(times)
-    text = f"{len(times)} messages, one every {usual:.2f} s, {longest:.2f} s at most"
-    return found("/clock", usual <= SLOWEST_CLOCK, text, usual_s=usual, longest_s=longest)
+    return _check_gaps("/clock", f"{len(times)} messages, one", times, SLOWEST_CLOCK)
 
 
-def _gaps(times: Sequence[float]) -> tuple[float, float]:
-    """Median and largest time from one message to the next, s."""
+def _check_gaps(name: str, what: str, times: Sequence[float], slowest: float) -> Finding:
+    """Check the usual time from one message to the next; the median must not exceed a time in s."""
     usual, longest = np.percentile(np.diff(times), (50, 100)).tolist()
-    return usual, longest
+    text = f"{what} every {usual:.2f} s, {longest:.2f} s at most"
+    return found(name, usual <= slowest, text, usual_s=usual, longest_s=longest)
 
 
 def check_timing(samples: Samples, dt: float, stalls: Stalls) -> list[Finding]:

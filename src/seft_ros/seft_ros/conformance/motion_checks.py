@@ -11,7 +11,7 @@ from seft_msgs_py.wire.outcome import TRIPPED
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_plant_sim.specimen import Specimen
 
-from seft_ros.conformance.driver import Finding, Samples, Trial, found, not_run
+from seft_ros.conformance.driver import KINDS, Finding, Samples, Trial, found, not_run
 
 REST, BELL, PAUSE, PULSE = 0.4, 2.0, 0.3, 0.05  # s
 DOUBLETS, APART = 5, 0.25  # s from one to the next
@@ -98,11 +98,8 @@ def check_rest(samples: Samples, drive: Drive) -> Finding:
 
 def check_moves(samples: Samples, drive: Drive) -> Finding:
     """Check that the rig moves at a command, beyond its noise, and in its direction."""
-    name, rest, moved = (
-        "follows the command",
-        samples.values[drive.rest],
-        samples.values[drive.bell],
-    )
+    name = "follows the command"
+    rest, moved = samples.values[drive.rest], samples.values[drive.bell]
     noise = rest.std(axis=0)
     size = (moved - rest.mean(axis=0)).std(axis=0)
     seen = float((size[1:] / np.maximum(noise[1:], 1e-300)).min(axis=1).max())
@@ -124,17 +121,13 @@ def check_units(samples: Samples, drive: Drive, specimen: Specimen | None) -> li
     x, v, a, f = np.moveaxis(values - values.mean(axis=0), 1, 0)
     speed = _ratio(_correlate(v, dt), _correlate(x, dt, derivative=True))
     rate = _ratio(_correlate(a, dt), _correlate(v, dt, derivative=True))
-    culprits = ("displacement", _inverse(speed)), ("acceleration", rate)
+    whose = f"displacement: {_why(_inverse(speed))}", f"acceleration: {_why(rate)}"
     if not (_fits(speed) or _fits(rate)) and abs(speed * rate - 1) <= 2 * TOLERANCE:
-        culprits = ("velocity", speed), ("velocity", _inverse(rate))
-    findings = []
-    for name, what, ratio, (culprit, factor) in (
-        ("velocity of displacement", "velocity / d(displacement)/dt", speed, culprits[0]),
-        ("acceleration of velocity", "acceleration / d(velocity)/dt", rate, culprits[1]),
-    ):
-        remedy = f"{culprit}: {_why(factor)}; see the {_SENSOR}"
-        numbers = {"ratio": abs(ratio), "phase_deg": _phase(ratio)}
-        findings.append(found(name, _fits(ratio), _described(what, ratio), remedy, **numbers))
+        whose = f"velocity: {_why(speed)}", f"velocity: {_why(_inverse(rate))}"
+    findings = [
+        _judged("velocity of displacement", "velocity / d(displacement)/dt", speed, whose[0]),
+        _judged("acceleration of velocity", "acceleration / d(velocity)/dt", rate, whose[1]),
+    ]
     name = "force of specimen"
     if specimen is None:
         return [*findings, not_run(name, "mass, damping and stiffness are not known")]
@@ -142,10 +135,16 @@ def check_units(samples: Samples, drive: Drive, specimen: Specimen | None) -> li
     force = _ratio(_correlate(f, dt), expected + _correlate(a, dt) @ specimen.mass.T)
     why = "it can't be judged: other channels are wrong"
     if _fits(speed) and _fits(rate):
-        why = _why(force)
-    text = _described("force / (m a + c v + k x)", force)
-    remedy = f"{why}; see the {_SENSOR}, and the specimen's values in the experiment"
-    return [*findings, found(name, _fits(force), text, remedy, ratio=abs(force))]
+        why = f"{_why(force)}, or the specimen's values in the experiment are wrong"
+    return [*findings, _judged(name, "force / (m a + c v + k x)", force, why)]
+
+
+def _judged(name: str, what: str, ratio: complex, why: str) -> Finding:
+    """Judge a ratio that should be 1; ``why`` says whose fault it may be if it is not."""
+    size, phase = abs(ratio), _phase(ratio)
+    text = f"{what} is {size:.4g} at {phase:+.0f} degrees, 1 at 0 wanted"
+    remedy = f"{why}; see the {_SENSOR}"
+    return found(name, _fits(ratio), text, remedy, ratio=size, phase_deg=phase)
 
 
 def _correlate(signal: Floats, dt: float, *, derivative: bool = False) -> Complex:
@@ -179,10 +178,6 @@ def _fits(ratio: complex) -> bool:
 
 def _inverse(ratio: complex) -> complex:
     return 1 / ratio if ratio else complex(np.inf)
-
-
-def _described(what: str, value: complex) -> str:
-    return f"{what} is {abs(value):.4g} at {_phase(value):+.0f} degrees, 1 at 0 wanted"
 
 
 def _phase(value: complex) -> float:
@@ -222,14 +217,6 @@ def check_answer_delay(samples: Samples, drive: Drive) -> Finding:
 
 
 SETTLE, BLOCK = 0.1, 0.1  # s of rest before each kind of bad command, and of the kind
-KINDS = (
-    "stale",
-    "a second time",
-    "of the future",
-    "of another axis",
-    "not a number",
-    "between two steps",
-)
 BESIDE = ("stale", "a second time")
 """Kinds that are sent after the step's own command; the others in its place, every other step."""
 MOVED = 8.0  # times the noise

@@ -3,7 +3,7 @@
 import os
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, nullcontext
 from dataclasses import replace
 
@@ -51,22 +51,19 @@ STOP = 0.3  # s from done or tripped to the last state
 
 def conform(
     experiment: Experiment,
-    show: Callable[[Finding], None],
     *,
     start_rig: bool,
-    amplitude: float | None,
-    travel: float,
-    force: float,
+    amplitude: float | None = None,
+    travel: float = 0.005,
+    force: float = 2000.0,
     moves_only: bool = False,
-) -> list[Finding]:
-    """Check whether a rig keeps the contract.
+) -> Iterator[Finding]:
+    """Check whether a rig keeps the contract; gives the findings one by one.
 
     Parameters
     ----------
     experiment : Experiment
         Rate, axes and limits of its tests; with the section of the rig if that is started here.
-    show : callable
-        Called with each finding.
     start_rig : bool
         Start the simulated rig; else a rig runs already.
     amplitude : float or None
@@ -84,15 +81,14 @@ def conform(
         If the rig that was started ends, or does not listen to commands.
     """
     alone_on_the_graph([] if start_rig else ["rig"])
+    experiment = Experiment(experiment.sections)
+    if start_rig:
+        experiment["rig"]["pace"] = "realtime"
     rig = one_node("rig", experiment, lockstep=False) if start_rig else nullcontext(None)
     with rig as processes:
         prefer_latency(os.getpid())
-        findings = []
         with closing(TestDriver(experiment, Guard(experiment, travel, force), processes)) as driver:
-            for finding in Suite(driver, experiment, amplitude).run(moves_only):
-                findings.append(finding)
-                show(finding)
-    return findings
+            yield from Suite(driver, experiment, amplitude).run(moves_only)
 
 
 class Suite:
@@ -200,8 +196,7 @@ class Suite:
             yield not_run("command beyond the limit", why)
             return
         at, name = drive.step_at(LEAD), "command" if self._topic == VALVE_COMMAND else "force"
-        value = self._parameters.get(f"limits.{name}")
-        limit = float(value) if isinstance(value, int | float) else None
+        limit = self._parameter(f"limits.{name}")
         trial = driver.run(
             2 * at, lambda step: driver.command(step, 1.2 * (limit or 0.0) if step == at else 0.0)
         )
@@ -300,7 +295,9 @@ class Suite:
     def _timeout(self, silent: str) -> float:
         """Time within which the rig must trip without commands or supervisor, s."""
         name = f"watchdog.{silent}_timeout"
+        return self._parameter(name) or float(self._experiment["supervisor"].get(name, 1.0))
+
+    def _parameter(self, name: str) -> float | None:
+        """Find a parameter in the rig's description; None where it is no number."""
         value = self._parameters.get(name)
-        if isinstance(value, int | float) and value > 0:
-            return float(value)
-        return float(self._experiment["supervisor"].get(name, 1.0))
+        return float(value) if isinstance(value, int | float) else None

@@ -36,11 +36,6 @@ class _StoppedError(BaseException):
     """The result is not wanted any more."""
 
 
-def free_cores() -> int:
-    """Count the processor cores that this process may use."""
-    return len(os.sched_getaffinity(0))
-
-
 @contextmanager
 def parallel_map(workers: int, scheduler: str = "") -> Iterator[Map]:
     """Give a `map` that calculates on several processes.

@@ -5,38 +5,40 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.config.parameter_table import Parameter, per_axis
+from seft_msgs_py.config.parameter_table import parameter_rows, per_axis
 
 Floats = npt.NDArray[np.float64]
 
-CHANNELS = (
-    ("position", "m", "displacement, positive where the actuator extends"),
-    ("velocity", "m/s", "velocity, likewise"),
-    ("acceleration", "m/s^2", "acceleration of the specimen, likewise"),
-    ("force", "N", "force of the actuator on the specimen, positive where it pushes that way"),
-)
-PARAMETERS = (
-    *(
-        Parameter(
-            f"calibration.{name}_factor",
-            "floats",
-            None,
-            f"{text}, per volt; negative where the sensor stands the other way round",
-            f"({unit})/V",
-        )
-        for name, unit, text in CHANNELS
-    ),
-    *(
-        Parameter(f"calibration.{name}_offset", "floats", 0.0, f"volts at zero {name}", "V")
-        for name, _, _ in CHANNELS
-    ),
+CHANNELS = ("position", "velocity", "acceleration", "force")
+PARAMETERS = parameter_rows(
+    """
+    position_factor     | floats |     | m/V       |  |
+        displacement per volt, positive where the actuator extends; the factor is negative where
+        the sensor stands the other way round
+    velocity_factor     | floats |     | (m/s)/V   |  | velocity per volt, likewise
+    acceleration_factor | floats |     | (m/s^2)/V |  | the specimen's acceleration, likewise
+    force_factor        | floats |     | N/V       |  |
+        force of the actuator on the specimen per volt, positive where it pushes that way
+    position_offset     | floats | 0.0 | V         |  | volts at zero position
+    velocity_offset     | floats | 0.0 | V         |  | volts at zero velocity
+    acceleration_offset | floats | 0.0 | V         |  | volts at zero acceleration
+    force_offset        | floats | 0.0 | V         |  | volts at zero force
+    """,
+    "calibration",
 )
 
 
 class Calibration:
-    """Factors and offsets of the sensors.
+    """Factors and offsets of the sensors, of the parameters ``calibration.*``.
 
     Parameters
+    ----------
+    group : dict
+        The parameters; InputError if their sizes do not fit the axes.
+    axes : sequence of str
+        Names of the n axes.
+
+    Attributes
     ----------
     factors : ndarray
         SI units per volt, shape (4, n).
@@ -44,20 +46,12 @@ class Calibration:
         Volts at zero, shape (4, n).
     """
 
-    def __init__(self, factors: Floats, offsets: Floats) -> None:
-        self.factors, self.offsets = factors, offsets
+    def __init__(self, group: dict[str, Any], axes: Sequence[str]) -> None:
+        def rows(kind: str) -> Floats:
+            names = [f"{channel}_{kind}" for channel in CHANNELS]
+            return np.array([per_axis(group[n], axes, f"rig: calibration.{n}") for n in names])
 
-    @classmethod
-    def from_parameters(cls, group: dict[str, Any], axes: Sequence[str]) -> "Calibration":
-        """Make it of the parameters ``calibration.*``; InputError if sizes do not fit the axes."""
-        rows = [
-            [
-                per_axis(group[f"{n}_{kind}"], axes, f"rig: calibration.{n}_{kind}")
-                for n, *_ in CHANNELS
-            ]
-            for kind in ("factor", "offset")
-        ]
-        return cls(np.array(rows[0]), np.array(rows[1]))
+        self.factors, self.offsets = rows("factor"), rows("offset")
 
     def to_si(self, volts: Floats) -> Floats:
         """Give displacement (m), velocity (m/s), acceleration (m/s^2) and force (N), (4, n)."""

@@ -18,7 +18,7 @@ def parts():
     axes, section = experiment.axes, experiment["rig"]
     safe = np.full(len(axes), section["safe.valve_command"])
     board = StandIn(experiment.timebase.rate, axes, safe)
-    return Calibration.from_parameters(group(section, "calibration"), axes), board
+    return Calibration(group(section, "calibration"), axes), board
 
 
 def velocity(calibration, board, steps):

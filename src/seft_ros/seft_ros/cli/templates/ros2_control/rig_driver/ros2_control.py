@@ -76,12 +76,9 @@ class Ros2Control:
         place = {name: at for at, name in enumerate(message.name)}
         try:
             axes = [place[axis] for axis in self._axes]
-            accelerometers = [place[axis + ACCELEROMETER] for axis in self._axes]
-            sensors = message.position, message.velocity, message.position, message.effort
-            places = axes, axes, accelerometers, axes
-            self._sample[:] = [
-                [values[at] for at in where] for values, where in zip(sensors, places, strict=True)
-            ]
+            sensors = [place[axis + ACCELEROMETER] for axis in self._axes]
+            moved, pushed = message.position, message.effort
+            self._sample[:] = moved[axes], message.velocity[axes], moved[sensors], pushed[axes]
         except KeyError as error:
             raise WireError(f"{STATES.name}: no joint {error}; it has {[*place]}") from None
         except IndexError:
@@ -93,7 +90,7 @@ def ros2_control(shell: NodeShell) -> Ros2Control:
     """Find the rig; InputError if its joint states don't come."""
     section = shell.experiment["rig"]
     safe = per_axis(section["safe.valve_command"], shell.rig.axes, "rig: safe.valve_command")
-    hardware = Ros2Control(shell, np.asarray(safe), section["watchdog.command_timeout"])
+    hardware = Ros2Control(shell, safe, section["watchdog.command_timeout"])
     deadline = time.monotonic() + FOUND
     while not hardware.has_sample:
         shell.spin_once(0.05)

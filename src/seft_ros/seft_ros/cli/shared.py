@@ -1,9 +1,9 @@
 """What the commands share: options, the experiment that they name, its test, and how to print."""
 
 import json
+import os
 import shlex
 import sys
-import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -14,7 +14,7 @@ import typer
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from seft_msgs_py.config.experiment import Experiment, parse_override
-from seft_msgs_py.config.parameter_table import nearest
+from seft_msgs_py.config.parameter_table import Section, nearest
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.wire.topics import GROUND_MOTION, NODES, with_rigs
 
@@ -32,16 +32,11 @@ def option(default: Any, text: str, named: str | None = None, **more: Any) -> An
     return typer.Option(default, *names, help=text, metavar=metavar, **more)
 
 
-_OVERRIDE = "Override a parameter, as in ROS 2; may be given many times."
-_FILES = "Another parameter file, whose values win over CONFIG's; may be given many times."
-_PLANT = (
-    "rig: the simulated rig's linear model; identified: plant.* of force_controller; auto: the "
-    "identified one, if it is given."
-)
-_EXTERNAL = (
-    "A node that runs already with its own parameters, such as a lab's driver as rig. "
-    "May be given many times."
-)
+_OVERRIDE = "Override a parameter, as in ROS 2; may be repeated."
+_FILES = "Another parameter file, whose values win over CONFIG's; may be repeated."
+_PLANT = "The simulated rig's linear model, or the identified one; auto: this, if it is given."
+_EXTERNAL = "A node that runs already, such as a lab's driver as rig; may be repeated."
+_SCHEDULER = "Calculate on the Dask cluster with this scheduler, such as tcp://host:8786."
 _JSON = "Print one JSON object on stdout, and nothing else there."
 Config = Annotated[Path, typer.Argument(metavar="CONFIG", help="Experiment: ROS 2 parameter file.")]
 Bag = Annotated[Path, typer.Argument(metavar="BAG", help="Folder (or file) of a recorded test.")]
@@ -53,18 +48,11 @@ Files = Annotated[Optional[list[Path]], typer.Option(metavar="FILE", help=_FILES
 Plant = Annotated[Source, typer.Option(help=_PLANT)]
 External = Annotated[Optional[list[str]], typer.Option(metavar="NODE", help=_EXTERNAL)]
 Json = Annotated[bool, typer.Option("--json", help=_JSON)]
-_SPREAD = (
-    "Largest relative deviation from CONFIG: 0.2 is 20 % in stiffness (and amplitude, if the "
-    "ground motion is drawn too), and twice or half the damping."
-)
-Spread = Annotated[float, typer.Option(help=_SPREAD, min=0.0, max=1.0)]
+Spread = Annotated[float, typer.Option(help="Largest deviation from CONFIG.", min=0.0, max=1.0)]
 Seed = Annotated[int, typer.Option(help="Seed of the draws.", min=0)]
-_WORKERS = "Processes that calculate; default one for each core."
-Workers = Annotated[Optional[int], typer.Option(help=_WORKERS, min=1)]
-_SCHEDULER = (
-    "Calculate on the Dask cluster with this scheduler instead, such as tcp://host:8786; its "
-    "workers need the same seft."
-)
+Workers = Annotated[int, typer.Option(help="Processes that calculate.", min=1)]
+CORES = len(os.sched_getaffinity(0))
+"""Number of processor cores that this process may use."""
 Scheduler = Annotated[str, typer.Option(metavar="ADDRESS", help=_SCHEDULER, show_default=False)]
 
 
@@ -99,17 +87,37 @@ def once_more(
 ) -> str:
     """Write the words by which a command line names an experiment, for another command."""
     words = [str(config)]
-    for name, values in (
-        ("--params-file", params_files),
-        ("-p", overrides),
-        ("--external", external),
-    ):
-        words += [word for value in values or () for word in (name, str(value))]
+    given = {"--params-file": params_files, "-p": overrides, "--external": external}
+    for name, values in given.items():
+        for value in values or ():
+            words += [name, str(value)]
     return shlex.join(words)
 
 
+def given_motion(
+    section: Section, file: Path | None, command: str, **words: str | float | list[int] | None
+) -> Section:
+    """Check the record that a command line names, and what it says of the record.
+
+    What the section of an experiment says of its own record does not hold for another one.
+
+    Returns
+    -------
+    dict
+        What it changes in that section.
+    """
+    from seft_ros.ground_motion.ground_motion_block import TABLE
+
+    given = {name: value for name, value in words.items() if value is not None}
+    if file is not None:
+        own = {name: TABLE.rows[name].default for name in words}
+        given = {"file": str(file), **own, **given}
+    elif given and not section["file"]:
+        raise InputError(f"--{next(iter(given))}: needs a record; name its file")
+    return TABLE.check(given, f"seft {command}")
+
+
 FIGURE = "figure.png"
-PATIENCE = 1.0  # s before a bar is shown
 
 
 def show(
@@ -136,16 +144,6 @@ def complain(text: str) -> None:
     print(f"seft: {text}", file=sys.stderr, flush=True)
 
 
-def warn(text: str) -> None:
-    """Print a warning on stderr."""
-    print(f"warning: {text}", file=sys.stderr, flush=True)
-
-
-def stderr_console() -> Console:
-    """Console for progress: stderr, so that stdout holds results alone."""
-    return Console(stderr=True)
-
-
 @contextmanager
 def step_progress(total: int, lost: str = "") -> Iterator[Callable[[str, int], None]]:
     """Show a bar of ``total`` steps; gives the function that takes a few words and the steps done.
@@ -155,7 +153,7 @@ def step_progress(total: int, lost: str = "") -> Iterator[Callable[[str, int], N
     text = TextColumn("{task.description:40.40}")
     columns = (text, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     try:
-        with Progress(*columns, console=stderr_console()) as bar:
+        with Progress(*columns, console=Console(stderr=True)) as bar:
             task = bar.add_task("", total=total)
             yield lambda description, done: bar.update(
                 task, description=description, completed=min(done, total)
@@ -167,22 +165,14 @@ def step_progress(total: int, lost: str = "") -> Iterator[Callable[[str, int], N
 
 
 @contextmanager
-def late_progress() -> Iterator[Callable[[str, int, int], None]]:
-    """Show a bar on a terminal once it takes longer."""
-    console, start = stderr_console(), time.perf_counter()
-    bar = Progress(console=console, transient=True, disable=not console.is_terminal)
-    task = bar.add_task("")
-
-    def show(what: str, done: int, total: int) -> None:
-        if time.perf_counter() - start > PATIENCE:
-            bar.start()
-        bar.update(task, description=what, completed=done, total=total)
-
-    try:
-        yield show
-    finally:
-        if bar.live.is_started:
-            bar.stop()
+def passing_progress() -> Iterator[Callable[[str, int, int], None]]:
+    """Show a bar on a terminal that is gone at the end; for words, the parts done, and all."""
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("")
+        yield lambda what, done, total: bar.update(
+            task, description=what, completed=done, total=total
+        )
 
 
 def check_out(out: Path) -> None:
@@ -205,9 +195,7 @@ def offline_test(experiment: Experiment, bag: Path | None, label: str = "") -> R
     with step_progress(motion.steps) as progress:
         record = simulate(experiment, blocks, lambda done: progress(f"{label}simulating", done))
         record = replace(record, facts={GROUND_MOTION.name: {MOTION: motion.facts}})
-        progress(
-            f"{label}writing the bag" if label else "done", len(record.series["rig/state"].steps)
-        )
+        progress(f"{label}done", len(record.series["rig/state"].steps))
         if bag is not None:
             from seft_ros.bags.record_bag import write_record
 
