@@ -5,7 +5,7 @@ C_c and K_c, and L the ground acceleration of each degree of freedom::
 
     (M_e + M_c) (a* + L a_g) + C_c v* + K_c x* + r(x*, v*) = 0                             (1)
 
-The assumed elastic specimen and the computed part are integrated exactly (`whole_system`). The
+The assumed elastic specimen and the computed part are integrated exactly. The
 difference of r from the assumed specimen, the push, acts like the ground motion, and is linear
 between samples (ETD2RK, Cox & Matthews 2002, Eq. 22).
 """
