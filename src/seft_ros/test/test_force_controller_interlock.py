@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
+from seft_ros.force_controller.detection import detector_shares, detectors_of
 from seft_ros.force_controller.force_control import ForceController
-from seft_ros.force_controller.interlock import Interlock, detector_shares, detectors_of
+from seft_ros.force_controller.interlock import Interlock
 from seft_ros.nodes.force_controller_node import Silence
 from seft_ros.protection.detector_step import begin_detectors, detect_all
 from seft_ros.protection.detectors import DETECTORS, LIMITED_AT, detector_arrays
@@ -51,8 +52,8 @@ def test_it_is_the_controller_itself_while_all_is_well():
 def test_what_is_no_number_never_gets_into_the_recursion(value):
     for asked, measured, words in (
         ([1.0, value], state(), f"reference force on axis north is {value}"),
-        ([1.0, 2.0], state(east=value), f"measured force on axis east is {value}"),
-        ([0.0, 0.0], state(east=value), f"measured force on axis east is {value}"),
+        ([1.0, 2.0], state(east=value), f"measured force is {value} on axis east"),
+        ([0.0, 0.0], state(east=value), f"measured force is {value} on axis east"),
     ):
         guarded = interlock()
         with np.errstate(invalid="ignore"):

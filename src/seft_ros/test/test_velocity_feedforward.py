@@ -9,8 +9,7 @@ from seft_msgs_py.errors import InputError
 from seft_ros.force_controller.valve_model import ValveModel
 from seft_ros.force_controller.velocity_feedforward import (
     FEEDBACK,
-    begin_feedforward,
-    feedforward_arrays,
+    VelocityFeedforward,
     feedforward_step,
 )
 
@@ -70,9 +69,8 @@ def controller(told=1.0, limit=10.0, horizon=25, **valve):
     values = {"frequency": 70.0, "damping": 0.6, "dead_time": 0.001} | valve
     actuator = np.array([[0.04 * told, 1.66e7, 50.0, 24500.0]])
     noise = np.array([[5e-6], [1e-3], [0.05], [3.0]])
-    arrays = feedforward_arrays([ValveModel(**values, dt=DT)], actuator, noise, limit, DT, horizon)
-    begin_feedforward(*arrays)
-    return arrays
+    made = VelocityFeedforward([ValveModel(**values, dt=DT)], actuator, noise, limit, DT, horizon)
+    return made.parameters, made.state
 
 
 def drive_piston(arrays, steps=3000, gain=0.04, offset=0.0):

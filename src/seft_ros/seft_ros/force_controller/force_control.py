@@ -9,7 +9,7 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.parameter_table import as_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
-from seft_plant_sim.compiled import compiled, entry_point, multiply
+from seft_plant_sim.compiled import compiled, copy, entry_point, multiply
 from seft_plant_sim.lti import bilinear
 
 
@@ -195,8 +195,7 @@ def transfer_step(
             limited = True
             drive = p.limit if drive > 0.0 else -p.limit
         command[i] = drive
-    for j in range(delays):
-        work[j] = result[n + j]
+    copy(delays, result[n:], work)
     if limited:
         for j in range(delays):
             for i in range(n):
@@ -307,16 +306,12 @@ class ForceController:
                 f"force_controller: gain {gain.tolist()} mixes axes of different rigs, whose force "
                 "controllers do not know each other's forces"
             )
-        gain = gain[np.ix_(own, own)]
+        numerators, denominators = (
+            _polynomials(section, name, axes) for name in ("numerator", "denominator")
+        )
+        controllers = [(numerators[place], denominators[place]) for place in own]
         limits = section["voltage_limit"], timebase.dt, section["feedback"]
-        parts = [np.atleast_1d(section[name]).tolist() for name in ("numerator", "denominator")]
-        if section.get("per_axis"):
-            names = ("numerator", "denominator")
-            each = [_split(part, axes, name) for part, name in zip(parts, names, strict=True)]
-            controllers = list(zip(*each, strict=True))
-        else:
-            controllers = [(parts[0], parts[1])] * len(axes)
-        return cls([controllers[place] for place in own], *limits, gain)
+        return cls(controllers, *limits, gain[np.ix_(own, own)])
 
     def reset(self) -> None:
         """Forget the test so far."""
@@ -338,8 +333,11 @@ class ForceController:
         return command
 
 
-def _split(coefficients: list[float], axes: Sequence[str], name: str) -> list[list[float]]:
-    """Split coefficients into the polynomials of the axes."""
+def _polynomials(section: dict[str, Any], name: str, axes: Sequence[str]) -> list[list[float]]:
+    """Give the polynomial of each axis, numerator or denominator."""
+    coefficients: list[float] = np.atleast_1d(section[name]).tolist()
+    if not section.get("per_axis"):
+        return [coefficients] * len(axes)
     each, rest = divmod(len(coefficients), len(axes))
     if rest:
         raise InputError(

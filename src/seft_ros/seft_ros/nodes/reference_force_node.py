@@ -66,7 +66,7 @@ class ReferenceForceNode(NodeBody):
         if len(experiment.rigs) > 1:
             timeout = section["watchdog.rig_timeout"]
             self._gathering = StateGathering(experiment.rigs, timeout)
-        self._sampler = EstimateSampler(self._block, experiment.timebase)
+        self._sampler = EstimateSampler(self._block.reference_force, experiment.timebase)
         self._estimates_codec = EstimatesCodec(experiment.axes, experiment.timebase)
         self._publish = shell.publisher(topic)
         self._publish_estimates = shell.publisher(ESTIMATES)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
-from seft_plant_sim.compiled import compiled, entry_point, multiply
+from seft_plant_sim.compiled import compiled, copy, entry_point, multiply
 
 
 @dataclass(frozen=True)
@@ -112,20 +112,14 @@ def linear_step(
         The result, shape (1, 1, n), N.
     """
     work, result, n = state.work, state.result, measured.shape[1]
-    place = states = len(result) - n
+    states = len(result) - n
     for row in range(4):
-        for i in range(n):
-            work[place] = measured[row, i]
-            place += 1
+        copy(n, measured[row], work[states + row * n :])
     for row in range(len(ground)):
-        for i in range(n):
-            work[place] = ground[row, i]
-            place += 1
+        copy(n, ground[row], work[states + (4 + row) * n :])
     multiply(parameters.matrix, work, result)
-    for i in range(n):
-        points[0, 0, i] = result[i]
-    for i in range(states):
-        work[i] = result[n + i]
+    copy(n, result, points[0, 0])
+    copy(states, result[n:], work)
 
 
 class LinearCompensator:

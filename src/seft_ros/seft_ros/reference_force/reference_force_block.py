@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
@@ -265,12 +265,12 @@ def knowledge(section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
         symmetric_matrix(section[f"model.{name}"], axes, f"{where}.{name}")
         for name in ("damping", "stiffness")
     )
-    if section["method"] == "eft" and section["computed.model"]:
-        raise InputError(
-            "reference_force: computed.model is given, but with method eft nothing is computed; "
-            "make that seft"
-        )
     if section["method"] == "eft":  # the specimen carries all of the mass (Eq. 2.2)
+        if section["computed.model"]:
+            raise InputError(
+                "reference_force: computed.model is given, but with method eft nothing is "
+                "computed; make that seft"
+            )
         mass = mass + section["mass_ratio"] * mass
         computed = ComputedSubstructure.none(n)
     else:
@@ -304,17 +304,6 @@ MODEL_PERIOD_NS = NANOSECONDS_PER_SECOND // 100
 """Experiment time between two samples with a computed model; a plot of its hysteresis needs it."""
 
 
-class Estimating(Protocol):
-    """A reference force, protected or not."""
-
-    @property
-    def is_modelled(self) -> bool:
-        """Whether it has a computed model."""
-
-    def estimates(self) -> dict[str, Floats]:
-        """Estimate of each quantity, shape (n,) each."""
-
-
 def sampling_period(timebase: Timebase, is_modelled: bool) -> int:
     """Count the steps from one sample to the next."""
     return max(1, round((MODEL_PERIOD_NS if is_modelled else PERIOD_NS) / timebase.period_ns))
@@ -328,7 +317,7 @@ class EstimateSampler:
 
     Parameters
     ----------
-    reference_force : Estimating
+    reference_force : ReferenceForce
         Has the estimates.
     timebase : Timebase
         Sampling clock of the test.
@@ -339,7 +328,7 @@ class EstimateSampler:
         Step at which, or after which, to call `sample`.
     """
 
-    def __init__(self, reference_force: Estimating, timebase: Timebase) -> None:
+    def __init__(self, reference_force: ReferenceForce, timebase: Timebase) -> None:
         self.due = 0
         self._estimates = reference_force.estimates
         self._every = sampling_period(timebase, reference_force.is_modelled)

@@ -247,13 +247,12 @@ def begin_model(parameters: ModelParameters, state: ModelState) -> None:
     state.past[:] = 0.0
     state.stops[:] = 0.0
     state.sums[:] = 0.0
+    state.last[:] = 0.0
     for j in range(n):
-        state.sums[j, 4] = 0.0
         for i in range(q):
             start = parameters.start[j, i]
             state.values[j, i] = state.before[j, i] = state.found[j, i] = start
             state.covariance[j, i, i] = parameters.prior[j, i]
-            state.last[j, i] = 0.0
 
 
 @compiled

@@ -28,7 +28,6 @@ from seft_ros.reference_force.force_command import (
     FORCE_DRIVEN,
     CommandParameters,
     CommandState,
-    begin_command,
     command_arrays,
     command_step,
 )
@@ -236,26 +235,20 @@ class TargetMotion:
     """
 
     def __init__(self, known: Knowledge) -> None:
-        self.preview = known.loop_delay + math.ceil(
-            known.options["compensation.horizon"] / known.dt - 1e-9
-        )
+        horizon = math.ceil(known.options["compensation.horizon"] / known.dt - 1e-9)
+        self.preview, n = known.loop_delay + horizon, known.axes
         self.parameters, self.state, self.model = target_arrays(known)
-        n = known.axes
+        self._ground, self._measured = np.zeros((1 + self.preview, n)), np.zeros((4, n))
         self._points = np.zeros((1 + self.preview, 3, n))
+        both = self._both = self.parameters, self.state
+        arguments = self._ground, self._measured, 1.0, self._points
+        self._step = entry_point(target_step, *both, *arguments)
+        self._begin = entry_point(begin_target, *both)
+        self._estimate = entry_point(target_estimates, *both, self._ground)
         self.command: tuple[CommandParameters, CommandState] | None = None
         if known.options["compensation.actuator_kind"] in FORCE_DRIVEN:
             self.command = command_arrays(known, self.preview)
-            self._command_step = entry_point(
-                command_step, *self.command, self.parameters, self.state, self._points
-            )
-            self._begin_command = entry_point(begin_command, self.command[1])
-        self._ground, self._measured = np.zeros((1 + self.preview, n)), np.zeros((4, n))
-        self.pace = 1.0
-        arguments = self._ground, self._measured, self.pace, self._points
-        self._step = entry_point(target_step, self.parameters, self.state, *arguments)
-        self._begin = entry_point(begin_target, self.parameters, self.state)
-        both = self.parameters, self.state
-        self._estimate = entry_point(target_estimates, *both, self._ground)
+            self._command_step = entry_point(command_step, *self.command, *both, self._points)
         self.reset()
 
     def reset(self) -> None:
@@ -265,9 +258,9 @@ class TargetMotion:
         self._recorded: dict[str, Floats] = {}
         if self.model is not None:
             self.model.reset()
-        self._begin(self.parameters, self.state)
+        self._begin(*self._both)
         if self.command is not None:
-            self._begin_command(self.command[1])
+            self.command[1].sent[:] = 0.0  # no force has been requested
 
     def step(self, ground_motion: Floats, state: Floats) -> Floats:
         """Update the target with a sample, see `target_step`; (1 + preview, 3, n).
@@ -277,11 +270,9 @@ class TargetMotion:
         self.ask_model()
         self._ground[:] = ground_motion
         self._measured[:] = state
-        self._step(
-            self.parameters, self.state, self._ground, self._measured, self.pace, self._points
-        )
+        self._step(*self._both, self._ground, self._measured, self.pace, self._points)
         if self.command is not None:
-            self._command_step(*self.command, self.parameters, self.state, self._points)
+            self._command_step(*self.command, *self._both, self._points)
         self._is_asked = False
         if self.failure:
             self._points[:] = np.nan
@@ -321,7 +312,7 @@ class TargetMotion:
         With a computed model also its motion, force and responses.
         """
         found = np.empty((len(ESTIMATES), len(self.parameters.mass)))
-        self._estimate(self.parameters, self.state, found)
+        self._estimate(*self._both, found)
         estimates: dict[str, Floats] = dict(zip(ESTIMATES, found, strict=True))
         if self.model is None:
             return estimates
@@ -345,10 +336,8 @@ def target_arrays(
 
     deformation = spring_deformations(known)
     to_springs = np.linalg.inv(deformation.T)
-    own_mass, own_damping, own_stiffness = (
-        to_springs @ matrix @ to_springs.T
-        for matrix in (known.mass, known.damping, known.stiffness)
-    )
+    matrices = known.mass, known.damping, known.stiffness
+    own = [to_springs @ matrix @ to_springs.T for matrix in matrices]
 
     def through(matrix: Floats, values: Floats) -> Floats:  # variances of a sum of noises
         return matrix**2 @ values**2
@@ -356,28 +345,21 @@ def target_arrays(
     white = through(to_springs, noise[3]) + through(to_springs @ known.mass, noise[2])
     deformed = np.sqrt(np.transpose([through(deformation, left[0]), through(deformation, left[1])]))
     alike = 2.0 / gains[:, 0, 0].min() - 1.0  # the noise after the observer is correlated
-    specimen = [(0, computed.internal)] * 2
+    computed_matrices = computed.mass, computed.damping, computed.stiffness
     mass, damping, stiffness = (
-        np.pad(measured, specimen) + part
-        for measured, part in (
-            (known.mass, computed.mass),
-            (known.damping, computed.damping),
-            (known.stiffness, computed.stiffness),
-        )
+        np.pad(specimen, (0, computed.internal)) + part
+        for specimen, part in zip(matrices, computed_matrices, strict=True)
     )
     inverse = np.linalg.inv(mass)
-    line = None
-    if computed.model is not None:
-        line = ModelLine(computed, inverse, dt)
-    a, b = np.zeros((2 * size, 2 * size)), np.zeros((2 * size, size))
-    a[:size, size:], b[size:] = np.eye(size), np.eye(size)
-    a[size:, :size], a[size:, size:] = -inverse @ stiffness, -inverse @ damping
+    line = None if computed.model is None else ModelLine(computed, inverse, dt)
+    none, one = np.zeros((size, size)), np.eye(size)
+    a = np.block([[none, one], [-inverse @ stiffness, -inverse @ damping]])
+    b = np.vstack([none, one])
     substeps = max(1, math.ceil(dt / LONGEST_SUBSTEP - 1e-9))
     free, start, change = first_order_hold(a, b, dt / substeps)
     influence = computed.by_axis
     by_spring = np.ascontiguousarray(inverse[:, :n] @ deformation.T)
-    frequency = np.sqrt(np.abs(np.diag(deformation @ by_spring[:n]) * np.diag(own_stiffness)))
-    own = own_mass, own_damping, own_stiffness
+    frequency = np.sqrt(np.abs(np.diag(deformation @ by_spring[:n]) * np.diag(own[2])))
     model, model_state = model_arrays(*own, np.sqrt(white), deformed, alike, frequency, dt)
     # the future motion, see `predict`
     hold = np.ascontiguousarray(np.hstack([free, start]))
