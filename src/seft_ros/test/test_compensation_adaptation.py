@@ -7,7 +7,9 @@ from hypothesis import strategies as st
 from scipy.signal import butter, lfilter
 from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.wire.topics import Timebase
+from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_ros.reference_force.compensation_methods import METHODS
+from seft_ros.reference_force.compensator import Knowledge
 from seft_ros.reference_force.delay_compensation import parabola_weights
 from seft_ros.reference_force.observers import DelayEstimator, band_pass
 from seft_ros.reference_force.reference_force_block import knowledge
@@ -17,15 +19,15 @@ DT, START, BOUNDS, RATE = 0.002, 0.014, (0.002, 0.04), 0.01
 
 
 def estimator(axes=1, start=START):
-    return DelayEstimator(
-        start=start,
-        bounds=BOUNDS,
-        rate=RATE,
-        excitation=20.0,
-        band=[1.0, 12.0],
-        dt=DT,
-        axes=axes,
-    )
+    one = np.eye(axes)
+    options = {
+        "compensation.delay": start,
+        "compensation.delay_range": BOUNDS,
+        "compensation.delay_rate": RATE,
+        "compensation.excitation": 20.0,
+        "compensation.band": [1.0, 12.0],
+    }
+    return DelayEstimator(Knowledge(one, ComputedSubstructure.none(axes), one, one, DT, options))
 
 
 def broad_band(steps, seed=1):

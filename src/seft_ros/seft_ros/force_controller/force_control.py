@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
-from seft_msgs_py.config.parameter_table import as_matrix
+from seft_msgs_py.config.parameter_table import Section, as_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import compiled, copy, entry_point, multiply
@@ -279,7 +279,13 @@ class ForceController:
             from_drive[axis::axes, axis] = a[1:]
         if gain is not None:
             matrix[:axes] = gain @ matrix[:axes]
-            from_drive = np.ascontiguousarray(from_drive @ _inverse(gain))
+            try:
+                from_drive = np.ascontiguousarray(from_drive @ np.linalg.inv(gain))
+            except np.linalg.LinAlgError:
+                raise InputError(
+                    f"force_controller: gain {gain.tolist()} is singular: a valve or a "
+                    "combination of valves would never be driven"
+                ) from None
         transposed = np.ascontiguousarray(matrix.T)
         self.parameters = TransferParameters(
             transposed, from_drive, float(voltage_limit), bool(feedback)
@@ -292,11 +298,7 @@ class ForceController:
 
     @classmethod
     def from_parameters(
-        cls,
-        section: dict[str, Any],
-        axes: tuple[str, ...],
-        timebase: Timebase,
-        rig: RigAxes | None = None,
+        cls, section: Section, axes: tuple[str, ...], timebase: Timebase, rig: RigAxes | None = None
     ) -> "ForceController":
         """Make it from its section of an experiment, see `force_control`."""
         own = (rig or RigAxes.whole(axes)).places
@@ -333,7 +335,7 @@ class ForceController:
         return command
 
 
-def _polynomials(section: dict[str, Any], name: str, axes: Sequence[str]) -> list[list[float]]:
+def _polynomials(section: Section, name: str, axes: Sequence[str]) -> list[list[float]]:
     """Give the polynomial of each axis, numerator or denominator."""
     coefficients: list[float] = np.atleast_1d(section[name]).tolist()
     if not section.get("per_axis"):
@@ -345,13 +347,3 @@ def _polynomials(section: dict[str, Any], name: str, axes: Sequence[str]) -> lis
             f"{len(axes)} axes {list(axes)}; give each axis as many"
         )
     return [coefficients[each * axis : each * (axis + 1)] for axis in range(len(axes))]
-
-
-def _inverse(gain: Floats) -> Floats:
-    try:
-        return np.linalg.inv(gain).astype(np.float64)
-    except np.linalg.LinAlgError:
-        raise InputError(
-            f"force_controller: gain {gain.tolist()} is singular: a valve or a combination of "
-            "valves would never be driven"
-        ) from None

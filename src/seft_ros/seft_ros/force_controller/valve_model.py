@@ -135,7 +135,7 @@ def valve_models(actuator: Mapping[str, Floats], dt: float) -> list[ValveModel]:
         Sampling period, s.
     """
     each = np.transpose([actuator[name] for name in VALVE]).tolist()
-    valves = [ValveModel(*values, dt) for values in each]
+    valves = [ValveModel(frequency, damping, late, dt) for frequency, damping, late in each]
     memory = max(valve.memory for valve in valves)
     for valve in valves:
         valve.memory = memory

@@ -28,14 +28,11 @@ from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import compiled, entry_point
 
 from seft_ros.force_controller.force_control import LinearControl
-from seft_ros.force_controller.valve_model import (
-    ACTUATOR,
-    ValveModel,
-    read_actuators,
-    valve_models,
-)
+from seft_ros.force_controller.parameters import VELOCITY_FEEDFORWARD
+from seft_ros.force_controller.valve_model import ACTUATOR, read_actuators, valve_models
 from seft_ros.protection.detector_step import under_load
 from seft_ros.protection.detectors import begin_following, doubt, follow_valve
+from seft_ros.reference_force.compensator import NotLinearError
 from seft_ros.reference_force.observers import observe, observer_gains, sensor_noise
 
 FEEDBACK = math.pi / 8
@@ -165,21 +162,17 @@ def feedforward_step(
         capacity, force = p.actuator[i, 3], measured[3, i]
         for j in range(taps + 1):
             # Eq. (4)
-            if j == 0:
-                rise = (points[1, 2, i] - points[0, 2, i]) / p.dt
-            elif j == taps:
-                rise = (points[j, 2, i] - points[j - 1, 2, i]) / p.dt
-            else:
-                rise = (points[j + 1, 2, i] - points[j - 1, 2, i]) / (2.0 * p.dt)
+            before, after = max(j - 1, 0), min(j + 1, taps)
+            rise = (points[after, 2, i] - points[before, 2, i]) / ((after - before) * p.dt)
             needed = points[j, 1, i] + (rise + leakage * points[j, 2, i]) / oil
             flow[j] = needed / under_load(needed, points[j, 2, i], capacity)
         if state.steps[0] >= BEGIN:
             follow(p, state, i, force)
         late = state.errors[i, 1]
         for j in range(taps):
-            before = flow[0] if j == 0 else flow[j - 1]
-            span = p.dt if j == 0 else 2.0 * p.dt
-            shifted[j] = flow[j] + late * (flow[j + 1] - before) / span
+            before = max(j - 1, 0)
+            span = (j + 1 - before) * p.dt
+            shifted[j] = flow[j] + late * (flow[j + 1] - flow[before]) / span
         real = gain * (1.0 + state.errors[i, 0])
         # Eq. (5)
         error = points[0, 0, i] - state.measured[0, i]
@@ -224,16 +217,14 @@ class VelocityFeedforward:
 
     Parameters
     ----------
-    valves : list of ValveModel
-        n of them.
-    actuator : ndarray
-        As in `FeedforwardParameters`.
-    noise : ndarray
-        RMS noise of displacement, velocity, acceleration and force, shape (4, n), positive.
-    limit, dt : float
-        Largest command, V, and sampling period, s.
-    horizon : int
-        Number of future steps of the target that `step` receives.
+    section : dict
+        Of the force controller, for all axes.
+    axes : tuple of str
+        Names of all axes.
+    timebase : Timebase
+        Sampling clock.
+    rig : RigAxes, optional
+        With several rigs, the one that it controls; default all axes.
 
     Attributes
     ----------
@@ -245,18 +236,21 @@ class VelocityFeedforward:
     Raises
     ------
     InputError
-        If the horizon is too short for the valves.
+        If the actuators are not known, or the horizon is too short for the valves.
     """
 
     def __init__(
         self,
-        valves: list[ValveModel],
-        actuator: Floats,
-        noise: Floats,
-        limit: float,
-        dt: float,
-        horizon: int,
+        section: dict[str, Any],
+        axes: tuple[str, ...],
+        timebase: Timebase,
+        rig: RigAxes | None = None,
     ) -> None:
+        own, dt = list((rig or RigAxes.whole(axes)).places), timebase.dt
+        known = self.actuator(section, axes, rig)
+        actuator = np.transpose([known[name] for name in ACTUATOR])
+        noise = sensor_noise(section, axes, "noise", "force_controller")[:, own]
+        horizon, valves = math.ceil(section["horizon"] / dt - 1e-9), valve_models(known, dt)
         n, needed = len(valves), max(valve.taps() for valve in valves)
         if horizon < needed + 1:
             raise InputError(
@@ -272,7 +266,7 @@ class VelocityFeedforward:
             row[:-1] = np.convolve(own[::-1], h)
         self.parameters = FeedforwardParameters(
             dt=dt,
-            limit=limit,
+            limit=section["voltage_limit"],
             gains=observer_gains(noise, dt)[0],
             actuator=np.ascontiguousarray(actuator),
             feedback=np.array([FEEDBACK / valve.delay for valve in valves]),
@@ -301,32 +295,6 @@ class VelocityFeedforward:
         self._step = entry_point(feedforward_step, *both, *inputs, self._command)
         self._begin = entry_point(begin_feedforward, *both)
         self.reset()
-
-    @classmethod
-    def from_parameters(
-        cls,
-        section: dict[str, Any],
-        axes: tuple[str, ...],
-        timebase: Timebase,
-        rig: RigAxes | None = None,
-    ) -> "VelocityFeedforward":
-        """Make it from its section of an experiment, see `force_control`.
-
-        Raises
-        ------
-        InputError
-            If the actuators are not known, or the horizon is too short for the valves.
-        """
-        known, dt = cls.actuator(section, axes, rig), timebase.dt
-        noise = sensor_noise(section, axes, "noise", "force_controller")
-        return cls(
-            valve_models(known, dt),
-            np.transpose([known[name] for name in ACTUATOR]),
-            noise[:, list((rig or RigAxes.whole(axes)).places)],
-            section["voltage_limit"],
-            dt,
-            math.ceil(section["horizon"] / dt - 1e-9),
-        )
 
     @staticmethod
     def actuator(
@@ -362,10 +330,7 @@ class VelocityFeedforward:
 
     def linear(self) -> LinearControl:
         """Raise an error: there is none."""
-        raise InputError(
-            "force_controller: velocity_feedforward is no linear controller: seft simulate shows "
-            "whether a test is stable"
-        )
+        raise NotLinearError("force_controller", VELOCITY_FEEDFORWARD)
 
     def step(self, points: Floats, state: Floats) -> Floats:
         """Find the valve commands that answer a sample, see `feedforward_step`; (n,), V."""

@@ -13,9 +13,15 @@ from functools import wraps
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from seft_msgs_py.arrays import Floats
-from seft_msgs_py.errors import InputError
 
-from seft_ros.reference_force.compensator import Compensator, Knowledge, Method, Signals
+from seft_ros.reference_force.compensator import (
+    Compensator,
+    Knowledge,
+    Method,
+    Signals,
+    delay_range,
+    given_delay,
+)
 from seft_ros.reference_force.linear_filter import LinearCompensator, LinearFilter, Memory
 from seft_ros.reference_force.observers import EVERY, DelayEstimator, ForceBlocks, whole_steps
 
@@ -44,47 +50,6 @@ def delay_method(design: Callable[[Knowledge, int], DelayFilter]) -> Method:
         return ScheduledCompensator(knowledge, *design(knowledge, whole_steps(longest, dt)))
 
     return method
-
-
-def given_delay(knowledge: Knowledge) -> float:
-    """Delay to compensate, s.
-
-    Raises
-    ------
-    InputError
-        If none is given.
-    """
-    delay = float(knowledge.options["compensation.delay"])
-    if delay <= 0:
-        raise InputError(
-            f"reference_force: compensation.method {knowledge.options['compensation.method']} "
-            "needs compensation.delay, the delay from reference force to measured force; "
-            "seft identify finds it and writes it into model.yaml, to be read by --params-file"
-        )
-    return delay
-
-
-def delay_range(knowledge: Knowledge) -> tuple[float, float]:
-    """Shortest and longest delay that an adaptive method may take, s.
-
-    Raises
-    ------
-    InputError
-        If they make no range, or the given delay is outside.
-    """
-    bounds = list(np.atleast_1d(knowledge.options["compensation.delay_range"]).tolist())
-    if len(bounds) != 2 or not 0 < bounds[0] < bounds[1]:
-        raise InputError(
-            f"reference_force: compensation.delay_range is {bounds}, but must be two delays in s "
-            "above zero, the shorter first"
-        )
-    delay = given_delay(knowledge)
-    if not bounds[0] <= delay <= bounds[1]:
-        raise InputError(
-            f"reference_force: compensation.delay is {delay:g} s, where the estimate starts, but "
-            f"compensation.delay_range is {bounds}; widen it"
-        )
-    return bounds[0], bounds[1]
 
 
 class AdaptiveCompensator(ABC):
@@ -168,15 +133,7 @@ class ScheduledCompensator(AdaptiveCompensator):
         self, knowledge: Knowledge, memory: Memory, gains: Callable[[float], Floats]
     ) -> None:
         self._first, last = delay_range(knowledge)
-        self._estimator = DelayEstimator(
-            start=given_delay(knowledge),
-            bounds=(self._first, last),
-            rate=knowledge.options["compensation.delay_rate"],
-            excitation=knowledge.options["compensation.excitation"],
-            band=knowledge.options["compensation.band"],
-            dt=knowledge.dt,
-            axes=knowledge.axes,
-        )
+        self._estimator = DelayEstimator(knowledge)
         count = 1 + whole_steps(last - self._first, _GRID * knowledge.dt)
         self._spacing = (last - self._first) / (count - 1)
         grid = self._first + self._spacing * np.arange(count)

@@ -13,6 +13,8 @@ from seft_msgs_py.errors import InputError
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.sensors import CHANNELS
 
+from seft_ros.reference_force.compensator import Knowledge, delay_range, given_delay
+
 BETWEEN_SAMPLES = 3.0
 """Noise of the integrated acceleration over the sensor's: the acceleration changes between samples.
 """
@@ -264,20 +266,9 @@ class DelayEstimator:
 
     Parameters
     ----------
-    start : float
-        First estimate, s.
-    bounds : tuple of float
-        Shortest and longest delay, s.
-    rate : float
-        Largest change, s per s.
-    excitation : float
-        Least RMS of both forces, in the band and about the last second, for an estimate, N.
-    band : sequence of float
-        Edges of the band-pass, Hz.
-    dt : float
-        Sampling period, s.
-    axes : int
-        Number of axes n.
+    knowledge : Knowledge
+        Its options give the first estimate, the bounds, the rate, the band and the excitation: the
+        least RMS of both forces, in the band and about the last second, for an estimate, N.
 
     Attributes
     ----------
@@ -287,25 +278,17 @@ class DelayEstimator:
     Raises
     ------
     InputError
-        If the band does not fit the sampling rate.
+        If no delay is given, or the bounds or the band are invalid.
     """
 
-    def __init__(
-        self,
-        start: float,
-        bounds: tuple[float, float],
-        rate: float,
-        excitation: float,
-        band: Sequence[float],
-        dt: float,
-        axes: int,
-    ) -> None:
-        self.delay = np.full(axes, start)
-        self._start, self._bounds, self._dt = start, bounds, dt
-        self._most = rate * dt * EVERY
-        self._enough = excitation**2 * MEMORY / dt
-        self._lags = whole_steps(bounds[1], dt) + 2
-        self._forces = ForceBlocks(band, dt, axes, past=self._lags, block=EVERY)
+    def __init__(self, knowledge: Knowledge) -> None:
+        options, dt, axes = knowledge.options, knowledge.dt, knowledge.axes
+        self._start, self._bounds = given_delay(knowledge), delay_range(knowledge)
+        self.delay, self._dt = np.full(axes, self._start), dt
+        self._most = options["compensation.delay_rate"] * dt * EVERY
+        self._enough = options["compensation.excitation"] ** 2 * MEMORY / dt
+        self._lags = whole_steps(self._bounds[1], dt) + 2
+        self._forces = ForceBlocks(options["compensation.band"], dt, axes, self._lags, EVERY)
         keep = math.exp(-dt / MEMORY)
         self._keep, self._fade = keep**EVERY, keep ** np.arange(EVERY - 1, -1, -1)
         # sums of q[k] p[k-l], of p[k-l]^2, and of q[k]^2

@@ -44,7 +44,7 @@ from typing import NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
-from seft_plant_sim.compiled import compiled, multiply_sized
+from seft_plant_sim.compiled import compiled, copy, multiply_sized
 
 THRESHOLDS = 12
 """Number of stop operators of a spring; each has twice the threshold of the one before."""
@@ -332,11 +332,9 @@ def follow(
         past, of_past, remembered = state.past[j], 0.0, parameters.remembered[j]
         found, change, sums = state.found[j], parameters.change[j], state.sums[j]
         phi[0] = 1.0
-        for i in range(n):
-            phi[1 + i] = e[i]
-            phi[1 + n + i] = rate[i]
-        for i in range(THRESHOLDS):
-            phi[1 + 2 * n + i] = state.stops[j, i]
+        copy(n, e, phi[1:])
+        copy(n, rate, phi[1 + n :])
+        copy(THRESHOLDS, state.stops[j], phi[1 + 2 * n :])
         innovation, seen = measured[j], motion_noise(parameters, state, j)
         variance = parameters.noise[j, 0] + seen
         surplus = used = measured[j]

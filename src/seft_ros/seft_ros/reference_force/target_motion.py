@@ -17,13 +17,12 @@ from collections import deque
 import numpy as np
 from scipy.linalg import eigh
 from seft_msgs_py.arrays import Floats
-from seft_msgs_py.errors import InputError
 from seft_plant_sim.compiled import entry_point
 from seft_plant_sim.computed_model import ComputedModel, ModelError
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_plant_sim.lti import first_order_hold
 
-from seft_ros.reference_force.compensator import Knowledge
+from seft_ros.reference_force.compensator import Knowledge, NotLinearError
 from seft_ros.reference_force.force_command import (
     FORCE_DRIVEN,
     CommandParameters,
@@ -33,7 +32,7 @@ from seft_ros.reference_force.force_command import (
 )
 from seft_ros.reference_force.linear_filter import LinearFilter
 from seft_ros.reference_force.observers import observer_gains, sensor_noise
-from seft_ros.reference_force.reference_force_parameters import OF_MODEL
+from seft_ros.reference_force.reference_force_parameters import OF_MODEL, TARGET_MOTION
 from seft_ros.reference_force.restoring_model import model_arrays
 from seft_ros.reference_force.target_step import (
     ESTIMATES,
@@ -301,10 +300,7 @@ class TargetMotion:
 
     def linear(self) -> LinearFilter:
         """Raise an error: there is none."""
-        raise InputError(
-            "reference_force: target_motion is no linear filter: seft simulate shows whether a "
-            "test is stable"
-        )
+        raise NotLinearError("reference_force", TARGET_MOTION)
 
     def estimates(self) -> dict[str, Floats]:
         """Stiffness, damping and sliders' force of each spring, as identified on line.
@@ -324,9 +320,7 @@ class TargetMotion:
         return estimates | self._recorded
 
 
-def target_arrays(
-    known: Knowledge,
-) -> tuple[TargetParameters, TargetState, ModelLine | None]:
+def target_arrays(known: Knowledge) -> tuple[TargetParameters, TargetState, ModelLine | None]:
     """Put a target into arrays, from the known data of a test; make a computed model's line."""
     n, computed, dt = known.axes, known.computed, known.dt
     size = n + computed.internal
@@ -336,8 +330,9 @@ def target_arrays(
 
     deformation = spring_deformations(known)
     to_springs = np.linalg.inv(deformation.T)
-    matrices = known.mass, known.damping, known.stiffness
-    own = [to_springs @ matrix @ to_springs.T for matrix in matrices]
+
+    def of_springs(matrix: Floats) -> Floats:
+        return to_springs @ matrix @ to_springs.T
 
     def through(matrix: Floats, values: Floats) -> Floats:  # variances of a sum of noises
         return matrix**2 @ values**2
@@ -345,10 +340,9 @@ def target_arrays(
     white = through(to_springs, noise[3]) + through(to_springs @ known.mass, noise[2])
     deformed = np.sqrt(np.transpose([through(deformation, left[0]), through(deformation, left[1])]))
     alike = 2.0 / gains[:, 0, 0].min() - 1.0  # the noise after the observer is correlated
-    computed_matrices = computed.mass, computed.damping, computed.stiffness
     mass, damping, stiffness = (
-        np.pad(specimen, (0, computed.internal)) + part
-        for specimen, part in zip(matrices, computed_matrices, strict=True)
+        np.pad(getattr(known, name), (0, computed.internal)) + getattr(computed, name)
+        for name in ("mass", "damping", "stiffness")
     )
     inverse = np.linalg.inv(mass)
     line = None if computed.model is None else ModelLine(computed, inverse, dt)
@@ -359,6 +353,7 @@ def target_arrays(
     free, start, change = first_order_hold(a, b, dt / substeps)
     influence = computed.by_axis
     by_spring = np.ascontiguousarray(inverse[:, :n] @ deformation.T)
+    own = of_springs(known.mass), of_springs(known.damping), of_springs(known.stiffness)
     frequency = np.sqrt(np.abs(np.diag(deformation @ by_spring[:n]) * np.diag(own[2])))
     model, model_state = model_arrays(*own, np.sqrt(white), deformed, alike, frequency, dt)
     # the future motion, see `predict`

@@ -241,11 +241,8 @@ def take_model(p: TargetParameters, state: TargetState, pace: float) -> None:
     """Make the push from the model's parameters; the former push becomes the last one."""
     n, half, values, by_motion = len(p.axes), len(p.dofs), state.model.values, state.by_motion
     for j in range(n):
-        for k in range(n):
-            by_motion[j, k] = by_motion[j, n + k] = 0.0
-            for m in range(n):
-                by_motion[j, k] += values[j, 1 + m] * p.deformation[m, k]
-                by_motion[j, n + k] += values[j, 1 + n + m] * p.deformation[m, k]
+        multiply_sized(n, n, p.deformation, values[j, 1:], by_motion[j])
+        multiply_sized(n, n, p.deformation, values[j, 1 + n :], by_motion[j, n:])
     by_state, constant = state.by_state[1], state.constant[1]
     for i in range(half):
         state.constant[0, i], constant[i] = constant[i], 0.0
@@ -463,23 +460,22 @@ def move_by_force(
         Displacements, then velocities, and stop operators; shapes (2n,), (n, m). Updated.
     """
     n, h = len(p.axes), span / p.substeps
-    r, new, change, sliders = state.axes[0], state.axes[1], state.springs[4], state.springs[5]
+    r, new, moved = state.axes[0], state.axes[1], state.axes[2]
+    a, change, sliders = state.springs[3], state.springs[4], state.springs[5]
     for _ in range(p.substeps):
         for side in range(2):
             slider_forces(p.model, state.model.values, stops, sliders)
             specimen_force(p, state, y, sliders, r)
             for i in range(n):
-                a = 0.0
-                for k in range(n):
-                    a += by_force[i, k] * (force[k] - r[k])
-                y[n + i] += 0.5 * h * a
+                r[i] = force[i] - r[i]
+            times(n, n, by_force, r, a)
+            for i in range(n):
+                y[n + i] += 0.5 * h * a[i]
             if side:
                 continue
             for i in range(n):
                 new[i] = y[i] + h * y[n + i]
-            for j in range(n):
-                change[j] = 0.0
-                for i in range(n):
-                    change[j] += p.deformation[j, i] * (new[i] - y[i])
+                moved[i] = new[i] - y[i]
+            times(n, n, p.deformation, moved, change)
             move_stops(p.model, change, stops)
             copy(n, new, y)
