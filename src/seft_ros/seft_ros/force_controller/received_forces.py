@@ -48,8 +48,7 @@ class MatchedForces:
         """Points of a step and future ones; None if they have not arrived."""
         points = self._points.get(step)
         if points is not None:
-            for passed in [other for other in self._points if other <= step]:
-                del self._points[passed]
+            self._points = {later: sent for later, sent in self._points.items() if later > step}
         return points
 
 

@@ -65,46 +65,36 @@ class Knowledge:
         """S = M_c (M_e + M_c)^-1, shape (n, n)."""
         return self.computed_mass @ np.linalg.inv(self.total_mass)
 
+    @property
+    def delay(self) -> float:
+        """Delay to compensate, s; InputError if none is given."""
+        delay = float(self.options["compensation.delay"])
+        if delay <= 0:
+            raise InputError(
+                f"reference_force: compensation.method {self.options['compensation.method']} "
+                "needs compensation.delay, the delay from reference force to measured force; "
+                "seft identify finds it and writes it into model.yaml, to be read by --params-file"
+            )
+        return delay
 
-def given_delay(knowledge: Knowledge) -> float:
-    """Delay to compensate, s.
+    @property
+    def delay_range(self) -> tuple[float, float]:
+        """Shortest and longest delay that an adaptive method may take, s.
 
-    Raises
-    ------
-    InputError
-        If none is given.
-    """
-    delay = float(knowledge.options["compensation.delay"])
-    if delay <= 0:
-        raise InputError(
-            f"reference_force: compensation.method {knowledge.options['compensation.method']} "
-            "needs compensation.delay, the delay from reference force to measured force; "
-            "seft identify finds it and writes it into model.yaml, to be read by --params-file"
-        )
-    return delay
-
-
-def delay_range(knowledge: Knowledge) -> tuple[float, float]:
-    """Shortest and longest delay that an adaptive method may take, s.
-
-    Raises
-    ------
-    InputError
-        If they make no range, or the given delay is outside.
-    """
-    bounds = list(np.atleast_1d(knowledge.options["compensation.delay_range"]).tolist())
-    if len(bounds) != 2 or not 0 < bounds[0] < bounds[1]:
-        raise InputError(
-            f"reference_force: compensation.delay_range is {bounds}, but must be two delays in s "
-            "above zero, the shorter first"
-        )
-    delay = given_delay(knowledge)
-    if not bounds[0] <= delay <= bounds[1]:
-        raise InputError(
-            f"reference_force: compensation.delay is {delay:g} s, where the estimate starts, but "
-            f"compensation.delay_range is {bounds}; widen it"
-        )
-    return bounds[0], bounds[1]
+        InputError if they make no range, or the given delay is outside.
+        """
+        bounds = list(np.atleast_1d(self.options["compensation.delay_range"]).tolist())
+        if len(bounds) != 2 or not 0 < bounds[0] < bounds[1]:
+            raise InputError(
+                f"reference_force: compensation.delay_range is {bounds}, but must be two delays in "
+                "s above zero, the shorter first"
+            )
+        if not bounds[0] <= self.delay <= bounds[1]:
+            raise InputError(
+                f"reference_force: compensation.delay is {self.delay:g} s, where the estimate "
+                f"starts, but compensation.delay_range is {bounds}; widen it"
+            )
+        return bounds[0], bounds[1]
 
 
 class Compensator(Protocol):

@@ -14,14 +14,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from seft_msgs_py.arrays import Floats
 
-from seft_ros.reference_force.compensator import (
-    Compensator,
-    Knowledge,
-    Method,
-    Signals,
-    delay_range,
-    given_delay,
-)
+from seft_ros.reference_force.compensator import Compensator, Knowledge, Method, Signals
 from seft_ros.reference_force.linear_filter import LinearCompensator, LinearFilter, Memory
 from seft_ros.reference_force.observers import EVERY, DelayEstimator, ForceBlocks, whole_steps
 
@@ -42,11 +35,11 @@ def delay_method(design: Callable[[Knowledge, int], DelayFilter]) -> Method:
 
     @wraps(design)
     def method(knowledge: Knowledge) -> Compensator:
-        delay, dt = given_delay(knowledge), knowledge.dt
+        delay, dt = knowledge.delay, knowledge.dt
         if not knowledge.options["compensation.estimate_delay"]:
             memory, gains = design(knowledge, whole_steps(delay, dt))
             return LinearCompensator(memory.with_gains(gains(delay)))
-        longest = delay_range(knowledge)[1]
+        longest = knowledge.delay_range[1]
         return ScheduledCompensator(knowledge, *design(knowledge, whole_steps(longest, dt)))
 
     return method
@@ -72,10 +65,9 @@ class AdaptiveCompensator(ABC):
         self._update = np.ascontiguousarray(np.hstack([memory.a, memory.b, memory.h]))
         self._inputs = memory.w.copy() if memory.w.any() else None
         self._work = np.zeros(self._gains.shape[1])
-        self._states = self._work[:size]
-        self._measured = self._work[size : size + 4 * n].reshape(4, n)
         self._remembered = self._work[: size + 5 * n]
-        self._ground_motion = self._work[size + 4 * n :].reshape(-1, n)
+        self._states, measured, ground = np.split(self._work, [size, size + 4 * n])
+        self._measured, self._ground_motion = measured.reshape(4, n), ground.reshape(-1, n)
         self.preview = len(self._ground_motion) - 1
 
     @abstractmethod
@@ -132,7 +124,7 @@ class ScheduledCompensator(AdaptiveCompensator):
     def __init__(
         self, knowledge: Knowledge, memory: Memory, gains: Callable[[float], Floats]
     ) -> None:
-        self._first, last = delay_range(knowledge)
+        self._first, last = knowledge.delay_range
         self._estimator = DelayEstimator(knowledge)
         count = 1 + whole_steps(last - self._first, _GRID * knowledge.dt)
         self._spacing = (last - self._first) / (count - 1)
@@ -200,7 +192,7 @@ class Ats(AdaptiveCompensator):
 
     def __init__(self, knowledge: Knowledge) -> None:
         n, dt, options = knowledge.axes, knowledge.dt, knowledge.options
-        delay, (shortest, longest) = given_delay(knowledge), delay_range(knowledge)
+        delay, (shortest, longest) = knowledge.delay, knowledge.delay_range
         low, high = _AMPLITUDE
         self._start = np.tile([1.0, delay, delay**2 / 2], (n, 1))
         self._least = np.array([low, low * shortest, 0.0])

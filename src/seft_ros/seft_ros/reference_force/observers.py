@@ -13,7 +13,7 @@ from seft_msgs_py.errors import InputError
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.sensors import CHANNELS
 
-from seft_ros.reference_force.compensator import Knowledge, delay_range, given_delay
+from seft_ros.reference_force.compensator import Knowledge
 
 BETWEEN_SAMPLES = 3.0
 """Noise of the integrated acceleration over the sensor's: the acceleration changes between samples.
@@ -283,7 +283,7 @@ class DelayEstimator:
 
     def __init__(self, knowledge: Knowledge) -> None:
         options, dt, axes = knowledge.options, knowledge.dt, knowledge.axes
-        self._start, self._bounds = given_delay(knowledge), delay_range(knowledge)
+        self._start, self._bounds = knowledge.delay, knowledge.delay_range
         self.delay, self._dt = np.full(axes, self._start), dt
         self._most = options["compensation.delay_rate"] * dt * EVERY
         self._enough = options["compensation.excitation"] ** 2 * MEMORY / dt

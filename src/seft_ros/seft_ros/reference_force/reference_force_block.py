@@ -39,7 +39,8 @@ class StateGathering:
     def reset(self) -> None:
         """Begin a new test."""
         self._newest = [-1] * len(self._rigs)
-        self._parts: dict[int, dict[int, Floats]] = {}
+        # the state of all axes at a step, and the rigs that have sent theirs
+        self._parts: dict[int, tuple[Floats, set[int]]] = {}
         self._since = math.inf  # arrival of the first state that waits for another rig's
 
     def take(self, rig: int, step: int, state: Floats, now: float) -> Floats | None:
@@ -67,20 +68,17 @@ class StateGathering:
         WireError
             If the rig has sent a state of this step before.
         """
-        parts = self._parts.setdefault(step, {})
-        if rig in parts:
+        whole, arrived = self._parts.setdefault(step, (np.empty((4, self._axes)), set()))
+        if rig in arrived:
             raise WireError(f"state of step {step} of {self._rigs[rig].name} a second time")
-        parts[rig] = state
+        whole[:, self._places[rig]] = state
+        arrived.add(rig)
         self._newest[rig] = max(self._newest[rig], step)
-        if len(parts) < len(self._rigs):
+        if len(arrived) < len(self._rigs):
             self._since = min(self._since, now)
             return None
         self._since = math.inf
-        for passed in [other for other in self._parts if other <= step]:
-            del self._parts[passed]
-        whole = np.empty((len(state), self._axes))
-        for number, part in parts.items():
-            whole[:, self._places[number]] = part
+        self._parts = {later: part for later, part in self._parts.items() if later > step}
         return whole
 
     @property

@@ -23,13 +23,7 @@ from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_plant_sim.lti import first_order_hold
 
 from seft_ros.reference_force.compensator import Knowledge, NotLinearError
-from seft_ros.reference_force.force_command import (
-    FORCE_DRIVEN,
-    CommandParameters,
-    CommandState,
-    command_arrays,
-    command_step,
-)
+from seft_ros.reference_force.force_command import FORCE_DRIVEN, command_arrays, command_step
 from seft_ros.reference_force.linear_filter import LinearFilter
 from seft_ros.reference_force.observers import observer_gains, sensor_noise
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL, TARGET_MOTION
@@ -244,9 +238,9 @@ class TargetMotion:
         self._step = entry_point(target_step, *both, *arguments)
         self._begin = entry_point(begin_target, *both)
         self._estimate = entry_point(target_estimates, *both, self._ground)
-        self.command: tuple[CommandParameters, CommandState] | None = None
-        if known.options["compensation.actuator_kind"] in FORCE_DRIVEN:
-            self.command = command_arrays(known, self.preview)
+        obeys_force = known.options["compensation.actuator_kind"] in FORCE_DRIVEN
+        self.command = command_arrays(known, self.preview) if obeys_force else None
+        if self.command is not None:
             self._command_step = entry_point(command_step, *self.command, *both, self._points)
         self.reset()
 

@@ -314,10 +314,10 @@ def advance(
     y, begin, stops = state.target, state.target[2 * half :], state.stops
     old, new, moved = state.dofs[0], state.dofs[1], state.dofs[2]
     change, of_old, of_new = state.springs[4], state.springs[5], state.springs[6]
-    slider_forces(p.model, model.before, stops, of_old)
-    slider_forces(p.model, model.values, stops, of_new)
     for step in range(p.substeps):
         for side in range(2):
+            slider_forces(p.model, model.before, stops, of_old)
+            slider_forces(p.model, model.values, stops, of_new)
             part = (step + side) / p.substeps
             for i in range(n):
                 ground[i] = pace * (before[i] + part * (now[i] - before[i]))
@@ -337,8 +337,6 @@ def advance(
             copy(half, new, begin)
             times(n, 3 * half, p.deforming, y, change)
             move_stops(p.model, change, stops)
-            slider_forces(p.model, model.before, stops, of_old)
-            slider_forces(p.model, model.values, stops, of_new)
             times(2 * half, 3 * half, p.hold, y, moved)
             copy(2 * half, moved, y)
 
