@@ -27,7 +27,6 @@ class MatchedForces:
 
     def reset(self, in_lockstep: bool = False) -> None:
         """Begin a new test; each force is waited for, also in lockstep."""
-        del in_lockstep
         self._points.clear()
 
     def take(self, step: int, points: Floats) -> None:

@@ -256,30 +256,12 @@ def begin_model(parameters: ModelParameters, state: ModelState) -> None:
 
 
 @compiled
-def fours(count: int) -> int:
-    """Round up to a multiple of four: the processor has instructions for four at a time."""
-    return (count + 3) // 4 * 4
-
-
-@compiled
-def stopped(z: float, y: float) -> float:
-    """Keep z between -y and y."""
-    z = y if z > y else z
-    return -y if z < -y else z
-
-
-@compiled
 def move_stops(parameters: ModelParameters, change: Floats, stops: Floats) -> None:
     """Move stop operators by a change of each deformation, shape (n,), m."""
-    thresholds = parameters.thresholds
     for j in range(len(parameters.springs)):
-        moved = change[j]
-        for i in range(0, THRESHOLDS, 4):  # the processor has instructions for four at a time
-            one = stopped(stops[j, i] + moved, thresholds[j, i])
-            two = stopped(stops[j, i + 1] + moved, thresholds[j, i + 1])
-            three = stopped(stops[j, i + 2] + moved, thresholds[j, i + 2])
-            four = stopped(stops[j, i + 3] + moved, thresholds[j, i + 3])
-            stops[j, i], stops[j, i + 1], stops[j, i + 2], stops[j, i + 3] = one, two, three, four
+        for i in range(THRESHOLDS):
+            y = parameters.thresholds[j, i]
+            stops[j, i] = min(max(stops[j, i] + change[j], -y), y)
 
 
 @compiled
@@ -325,7 +307,7 @@ def follow(
     acts on the structure over this step in addition to the model's, to correct the past impulse.
     """
     n = len(parameters.springs)
-    q = fours(1 + 2 * n + THRESHOLDS)
+    q = (1 + 2 * n + THRESHOLDS + 3) // 4 * 4  # the processor has instructions for four at a time
     for j in range(n):
         phi, last, p = state.regressors[j], state.last[j], state.covariance[j]
         gain, taken, left = state.work[0], state.work[1], state.work[2]
