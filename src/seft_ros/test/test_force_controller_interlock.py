@@ -155,7 +155,7 @@ def test_a_target_is_not_held_against_what_is_no_number(row, quantity):
         assert guarded.reason == ""  # a controller of the force alone does not look at it
     guarded = interlock()
     np.testing.assert_array_equal(guarded.step(7, np.ones((5, 3, 2)), measured), [0.0, 0.0])
-    assert guarded.reason == f"measured {quantity} on axis north is nan"
+    assert guarded.reason == f"measured {quantity} is nan on axis north"
 
 
 class Scripted:
