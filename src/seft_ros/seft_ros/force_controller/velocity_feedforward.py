@@ -291,8 +291,8 @@ class VelocityFeedforward:
         self.shape = 1 + horizon, 3
         self._points, self._measured = np.zeros((1 + horizon, 3, n)), np.zeros((4, n))
         self._command, both = np.zeros(n), (self.parameters, self.state)
-        self._arguments = *both, self._points, self._measured, self._command
-        self._step = entry_point(feedforward_step, *self._arguments)
+        arguments = self._points, self._measured, self._command
+        self._step = entry_point(feedforward_step, *both, *arguments)
         self._begin = entry_point(begin_feedforward, *both)
         self.reset()
 
@@ -337,5 +337,7 @@ class VelocityFeedforward:
         known = points[: len(self._points)]
         self._points[: len(known)], self._points[len(known) :] = known, known[-1]
         self._measured[:] = state
-        self.limited = self._step(*self._arguments)
+        self.limited = self._step(
+            self.parameters, self.state, self._points, self._measured, self._command
+        )
         return self._command.copy()

@@ -233,7 +233,7 @@ class TargetMotion:
         self.parameters, self.state, self.model = target_arrays(known)
         self._ground, self._measured = np.zeros((1 + self.preview, n)), np.zeros((4, n))
         self._points = np.zeros((1 + self.preview, 3, n))
-        both = self._both = self.parameters, self.state
+        both = self.parameters, self.state
         arguments = self._ground, self._measured, 1.0, self._points
         self._step = entry_point(target_step, *both, *arguments)
         self._begin = entry_point(begin_target, *both)
@@ -251,7 +251,7 @@ class TargetMotion:
         self._recorded: dict[str, Floats] = {}
         if self.model is not None:
             self.model.reset()
-        self._begin(*self._both)
+        self._begin(self.parameters, self.state)
         if self.command is not None:
             self.command[1].sent[:] = 0.0  # no force has been requested
 
@@ -263,9 +263,11 @@ class TargetMotion:
         self.ask_model()
         self._ground[:] = ground_motion
         self._measured[:] = state
-        self._step(*self._both, self._ground, self._measured, self.pace, self._points)
+        self._step(
+            self.parameters, self.state, self._ground, self._measured, self.pace, self._points
+        )
         if self.command is not None:
-            self._command_step(*self.command, *self._both, self._points)
+            self._command_step(*self.command, self.parameters, self.state, self._points)
         self._is_asked = False
         if self.failure:
             self._points[:] = np.nan
@@ -302,7 +304,7 @@ class TargetMotion:
         With a computed model also its motion, force and responses.
         """
         found = np.empty((len(ESTIMATES), len(self.parameters.mass)))
-        self._estimate(*self._both, found)
+        self._estimate(self.parameters, self.state, found)
         estimates: dict[str, Floats] = dict(zip(ESTIMATES, found, strict=True))
         if self.model is None:
             return estimates
