@@ -43,7 +43,7 @@ TESTS = {
     f"{PLANT}seft_plant_sim/rig_watch.py": (f"{PLANT}test/test_rig_watch.py",),
     f"{PLANT}seft_plant_sim/command.py": (f"{PLANT}test/test_command.py",),
     "src/seft_msgs_py/seft_msgs_py/node/senders.py": ("src/seft_msgs_py/test/test_senders.py",),
-    f"{CONTROL}interlock_step.py": CONTROL_TESTS,
+    f"{CONTROL}detection.py": CONTROL_TESTS,
     f"{CONTROL}interlock.py": CONTROL_TESTS,
     f"{PROTECTION}ramp_down.py": (f"{ROS}test/test_protection_ramp_down.py", *CONTROL_TESTS),
     f"{PROTECTION}protection_step.py": FORCE_TESTS,

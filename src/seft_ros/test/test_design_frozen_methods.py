@@ -75,9 +75,7 @@ def test_motion(test, size, steps=2000, held=None, noise=True):
     rig = test["rig"] | ({} if noise else QUIET | {"sensors.adc_bits": 0})
     rig = Rig.from_parameters(rig, test.axes, test.timebase)
     target = TargetMotion(knowledge(test["reference_force"], test.axes, test.timebase))
-    control = VelocityFeedforward.from_parameters(
-        test["force_controller"], test.axes, test.timebase
-    )
+    control = VelocityFeedforward(test["force_controller"], test.axes, test.timebase)
     if held is not None:
         control.state.errors[:] = held
         control.state.covariance[:] = 0.0
