@@ -1,6 +1,7 @@
 """A test on two hosts: the computed structure on a, the rig with its force controller on b."""
 
 import json
+import shutil
 import threading
 import time
 
@@ -62,12 +63,17 @@ def seft_run(two_hosts, *words):
 
 
 def run_over(two_hosts, rig_host, **link):
+    """Run a test over the link; once more if it tripped as this machine itself stood still."""
     two_hosts.link(**link)
     rig_host(*PATIENT)
-    run = seft_run(two_hosts, *PATIENT, "--out", "hosts", "--json")
-    out, told = run.communicate(timeout=PATIENCE)
+    for again in (True, True, False):
+        run = seft_run(two_hosts, *PATIENT, "--out", "hosts", "--json")
+        out, told = run.communicate(timeout=PATIENCE)
+        over = json.loads(out)
+        if not (again and over["trip"] and (over["missed"] or over["link"]["late"])):
+            break
+        shutil.rmtree(two_hosts.folder / "hosts")
     assert run.returncode == 0, told
-    over = json.loads(out)
     assert over["trip"] is None
     assert over["steps"] == 7001
     return over
