@@ -48,8 +48,13 @@ TESTS = {
     f"{PROTECTION}ramp_down.py": (f"{ROS}test/test_protection_ramp_down.py", *CONTROL_TESTS),
     f"{PROTECTION}protection_step.py": FORCE_TESTS,
     f"{PROTECTION}protected_force.py": FORCE_TESTS,
-    f"{PROTECTION}detectors.py": DETECTOR_TESTS,
-    f"{PROTECTION}detector_step.py": DETECTOR_TESTS,
+    **{
+        f"{PROTECTION}{name}.py": DETECTOR_TESTS
+        for name in (
+            *("detectors", "detector_step"),
+            *("channel_relations", "specimen_force", "valve_following"),
+        )
+    },
     f"{PROTECTION}instability.py": (*FORCE_TESTS, *WATCH_TESTS),
     f"{DRIVER}safe_stop.py": DRIVER_TESTS,
     f"{DRIVER}rest.py": DRIVER_TESTS,

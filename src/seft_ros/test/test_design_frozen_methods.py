@@ -15,7 +15,7 @@ from seft_ros.design.preflight_tables import summarise
 from seft_ros.design.stability_margins import HIGHEST_MASS_RATIO, find_margins
 from seft_ros.design.stability_verdict import preflight
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
-from seft_ros.protection.detectors import LARGEST_GAIN_ERROR
+from seft_ros.protection.valve_following import LARGEST_GAIN_ERROR
 from seft_ros.reference_force.reference_force_block import knowledge
 from seft_ros.reference_force.target_motion import TargetMotion
 from seft_ros.test_run.compiled_loop import build_blocks

@@ -30,8 +30,7 @@ from seft_plant_sim.compiled import compiled, entry_point
 from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.parameters import VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.valve_model import ACTUATOR, read_actuators, valve_models
-from seft_ros.protection.detector_step import under_load
-from seft_ros.protection.detectors import begin_following, doubt, follow_valve
+from seft_ros.protection.valve_following import begin_following, doubt, follow_valve, under_load
 from seft_ros.reference_force.compensator import NotLinearError
 from seft_ros.reference_force.observers import observe, observer_gains, sensor_noise
 
