@@ -27,7 +27,9 @@ def estimator(axes=1, start=START):
         "compensation.excitation": 20.0,
         "compensation.band": [1.0, 12.0],
     }
-    return DelayEstimator(Knowledge(one, ComputedSubstructure.lumped(np.zeros((axes, axes))), one, one, DT, options))
+    return DelayEstimator(
+        Knowledge(one, ComputedSubstructure.lumped(np.zeros((axes, axes))), one, one, DT, options)
+    )
 
 
 def broad_band(steps, seed=1):
