@@ -189,7 +189,7 @@ def run(
     if model is not None and (too_slow := model.refusal()):
         raise InputError(too_slow)
     if warning := limit_warning(experiment, expected_peaks(experiment)):
-        shared.complain(f"warning: {warning}")
+        shared.warn(warning)
     if check_signs:
         _check_signs(experiment, external or ())
     layout = ProcessLayout(pin=pin, composed=composed, priority=priority)

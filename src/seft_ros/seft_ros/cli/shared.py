@@ -144,6 +144,11 @@ def complain(text: str) -> None:
     print(f"seft: {text}", file=sys.stderr, flush=True)
 
 
+def warn(text: str) -> None:
+    """Print a warning on stderr: it is no reason for the end of a command."""
+    print(f"warning: {text}", file=sys.stderr, flush=True)
+
+
 @contextmanager
 def step_progress(total: int, lost: str = "") -> Iterator[Callable[[str, int], None]]:
     """Show a bar of ``total`` steps; gives the function that takes a few words and the steps done.
