@@ -43,13 +43,18 @@ TESTS = {
     f"{PLANT}seft_plant_sim/rig_watch.py": (f"{PLANT}test/test_rig_watch.py",),
     f"{PLANT}seft_plant_sim/command.py": (f"{PLANT}test/test_command.py",),
     "src/seft_msgs_py/seft_msgs_py/node/senders.py": ("src/seft_msgs_py/test/test_senders.py",),
-    f"{CONTROL}interlock_step.py": CONTROL_TESTS,
+    f"{CONTROL}detection.py": CONTROL_TESTS,
     f"{CONTROL}interlock.py": CONTROL_TESTS,
     f"{PROTECTION}ramp_down.py": (f"{ROS}test/test_protection_ramp_down.py", *CONTROL_TESTS),
     f"{PROTECTION}protection_step.py": FORCE_TESTS,
     f"{PROTECTION}protected_force.py": FORCE_TESTS,
-    f"{PROTECTION}detectors.py": DETECTOR_TESTS,
-    f"{PROTECTION}detector_step.py": DETECTOR_TESTS,
+    **{
+        f"{PROTECTION}{name}.py": DETECTOR_TESTS
+        for name in (
+            *("detectors", "detector_step"),
+            *("channel_relations", "specimen_force", "valve_following"),
+        )
+    },
     f"{PROTECTION}instability.py": (*FORCE_TESTS, *WATCH_TESTS),
     f"{DRIVER}safe_stop.py": DRIVER_TESTS,
     f"{DRIVER}rest.py": DRIVER_TESTS,

@@ -145,6 +145,13 @@ def multiply_sized(
 
 
 @compiled
+def copy(count: int, source: Floats, result: Floats) -> None:
+    """Copy the first values of an array."""
+    for i in range(count):
+        result[i] = source[i]
+
+
+@compiled
 def is_finite(values: Floats, first: int) -> bool:
     """Say whether all values of an array of two dimensions are finite, from its first row on."""
     for row in range(first, values.shape[0]):

@@ -2,7 +2,8 @@
 
 import numpy as np
 from scipy.signal import lfilter
-from seft_ros.protection.detector_step import SOUND, begin_detectors, detect, take_command
+from seft_ros.protection.channel_relations import take_command
+from seft_ros.protection.detector_step import SOUND, begin_detectors, detect
 from seft_ros.protection.detectors import DETECTORS, detector_arrays
 
 DT, N = 0.002, 2

@@ -7,9 +7,11 @@ from hypothesis import strategies as st
 from scipy.signal import butter, lfilter
 from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.wire.topics import Timebase
+from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_ros.reference_force.compensation_methods import METHODS
+from seft_ros.reference_force.compensator import Knowledge
 from seft_ros.reference_force.delay_compensation import parabola_weights
-from seft_ros.reference_force.observers import BandPass, DelayEstimator
+from seft_ros.reference_force.observers import DelayEstimator, band_pass
 from seft_ros.reference_force.reference_force_block import knowledge
 from seft_ros.reference_force.reference_force_parameters import TABLE
 
@@ -17,14 +19,16 @@ DT, START, BOUNDS, RATE = 0.002, 0.014, (0.002, 0.04), 0.01
 
 
 def estimator(axes=1, start=START):
+    one = np.eye(axes)
+    options = {
+        "compensation.delay": start,
+        "compensation.delay_range": BOUNDS,
+        "compensation.delay_rate": RATE,
+        "compensation.excitation": 20.0,
+        "compensation.band": [1.0, 12.0],
+    }
     return DelayEstimator(
-        start=start,
-        bounds=BOUNDS,
-        rate=RATE,
-        excitation=20.0,
-        band=[1.0, 12.0],
-        dt=DT,
-        axes=axes,
+        Knowledge(one, ComputedSubstructure.lumped(np.zeros((axes, axes))), one, one, DT, options)
     )
 
 
@@ -52,10 +56,14 @@ def follow(one, reference, measured):
 
 
 def test_the_band_pass_is_that_of_butterworth():
-    one, signals = BandPass([1.0, 12.0], DT, 3), np.random.default_rng(1).normal(size=(400, 3))
+    matrix, signals = band_pass([1.0, 12.0], DT), np.random.default_rng(1).normal(size=(400, 3))
     high, low = butter(2, 1.0, "highpass", fs=1 / DT), butter(2, 12.0, fs=1 / DT)
     expected = lfilter(*low, lfilter(*high, signals, axis=0), axis=0)
-    np.testing.assert_allclose([one.step(s) for s in signals], expected, atol=1e-9)
+    states, found = np.zeros((4, 3)), []
+    for sample in signals:
+        *states, passed = matrix @ np.vstack([states, sample])
+        found.append(passed)
+    np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
 @given(st.floats(0.004, 0.038), st.floats(0.5, 2.0), st.integers(0, 999))

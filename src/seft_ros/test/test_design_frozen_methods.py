@@ -15,7 +15,7 @@ from seft_ros.design.preflight_tables import summarise
 from seft_ros.design.stability_margins import HIGHEST_MASS_RATIO, find_margins
 from seft_ros.design.stability_verdict import preflight
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
-from seft_ros.protection.detectors import LARGEST_GAIN_ERROR
+from seft_ros.protection.valve_following import LARGEST_GAIN_ERROR
 from seft_ros.reference_force.reference_force_block import knowledge
 from seft_ros.reference_force.target_motion import TargetMotion
 from seft_ros.test_run.compiled_loop import build_blocks
@@ -75,9 +75,7 @@ def test_motion(test, size, steps=2000, held=None, noise=True):
     rig = test["rig"] | ({} if noise else QUIET | {"sensors.adc_bits": 0})
     rig = Rig.from_parameters(rig, test.axes, test.timebase)
     target = TargetMotion(knowledge(test["reference_force"], test.axes, test.timebase))
-    control = VelocityFeedforward.from_parameters(
-        test["force_controller"], test.axes, test.timebase
-    )
+    control = VelocityFeedforward(test["force_controller"], test.axes, test.timebase)
     if held is not None:
         control.state.errors[:] = held
         control.state.covariance[:] = 0.0

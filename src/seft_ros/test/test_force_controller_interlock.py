@@ -10,8 +10,9 @@ from seft_msgs_py.node.realtime import AwakeClock
 from seft_msgs_py.wire.messages import Status, encode_status
 from seft_msgs_py.wire.topics import EXPERIMENT_STATE, RIG_STATE, RigAxes
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
+from seft_ros.force_controller.detection import detector_shares, detectors_of
 from seft_ros.force_controller.force_control import ForceController
-from seft_ros.force_controller.interlock import Interlock, detector_shares, detectors_of
+from seft_ros.force_controller.interlock import Interlock
 from seft_ros.nodes.force_controller_node import ForceControllerNode
 from seft_ros.protection.detector_step import begin_detectors, detect_all
 from seft_ros.protection.detectors import DETECTORS, LIMITED_AT, detector_arrays
@@ -57,8 +58,8 @@ def test_it_is_the_controller_itself_while_all_is_well():
 def test_what_is_no_number_never_gets_into_the_recursion(value):
     for asked, measured, words in (
         ([1.0, value], state(), f"reference force on axis north is {value}"),
-        ([1.0, 2.0], state(east=value), f"measured force on axis east is {value}"),
-        ([0.0, 0.0], state(east=value), f"measured force on axis east is {value}"),
+        ([1.0, 2.0], state(east=value), f"measured force is {value} on axis east"),
+        ([0.0, 0.0], state(east=value), f"measured force is {value} on axis east"),
     ):
         guarded = interlock()
         with np.errstate(invalid="ignore"):
@@ -225,7 +226,7 @@ def test_a_target_is_not_held_against_what_is_no_number(row, quantity):
         assert guarded.reason == ""  # a controller of the force alone does not look at it
     guarded = interlock()
     np.testing.assert_array_equal(guarded.step(7, np.ones((5, 3, 2)), measured), [0.0, 0.0])
-    assert guarded.reason == f"measured {quantity} on axis north is nan"
+    assert guarded.reason == f"measured {quantity} is nan on axis north"
 
 
 class Scripted:

@@ -6,15 +6,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError, WireError
+from seft_msgs_py.wire.topics import Timebase
 from seft_ros.force_controller.received_forces import NewestPreview
-from seft_ros.protection.ramp_down import RampDown
 from seft_ros.test_run.parameter_tables import TABLES
 
 D, DT = 4, 0.002
 
 
 def preview(patience=20, in_lockstep=False):
-    newest = NewestPreview(1, D, patience, RampDown(5), DT)
+    section = {
+        "loop_delay": D,
+        "watchdog.reference_timeout": patience * DT,
+        "watchdog.ramp_down_time": 5 * DT,
+    }
+    newest = NewestPreview(section, 1, Timebase.from_rate(1 / DT))
     newest.reset(in_lockstep)
     return newest
 
@@ -139,4 +144,4 @@ def test_a_watchdog_shorter_than_the_loops_own_delay_is_refused():
     section = experiment["force_controller"]
     words = "reference_timeout is 0.1 s, but the loop's own delay is 0.12 s"
     with pytest.raises(InputError, match=words):
-        NewestPreview.from_parameters(section, experiment.axes, experiment.timebase)
+        NewestPreview(section, len(experiment.axes), experiment.timebase)

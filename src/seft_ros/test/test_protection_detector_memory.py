@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from seft_ros.protection.detector_step import begin_detectors, detect, find_flow
+from seft_ros.protection.channel_relations import find_flow
+from seft_ros.protection.detector_step import begin_detectors, detect
 from seft_ros.protection.detectors import DETECTORS, FROZEN, TRACKING
 from test_protection_detectors import ACTUATOR, NO_TARGET, NOISE, detectors
 

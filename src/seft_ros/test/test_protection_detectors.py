@@ -18,14 +18,8 @@ from detector_samples import (
     shares_of,
 )
 from seft_ros.protection import detectors as rows
-from seft_ros.protection.detector_step import (
-    SOUND,
-    SUSPECT,
-    begin_detectors,
-    detect,
-    detect_all,
-    take_command,
-)
+from seft_ros.protection.channel_relations import take_command
+from seft_ros.protection.detector_step import SOUND, SUSPECT, begin_detectors, detect, detect_all
 from seft_ros.protection.detectors import DETECTORS, describe, look
 
 

@@ -22,15 +22,9 @@ from detector_samples import (
 )
 from scipy.signal import lfilter
 from seft_ros.protection import detectors as rows
-from seft_ros.protection.detector_step import (
-    begin_detectors,
-    detect,
-    hold,
-    look_at_sides,
-    take_command,
-    under_load,
-)
-from seft_ros.protection.detectors import begin_following, doubt, follow_valve
+from seft_ros.protection.channel_relations import hold, look_at_sides, take_command
+from seft_ros.protection.detector_step import begin_detectors, detect
+from seft_ros.protection.valve_following import begin_following, doubt, follow_valve, under_load
 
 
 def coarse(values):

@@ -19,7 +19,8 @@ from detector_samples import (
     shares_of,
 )
 from seft_ros.protection import detectors as rows
-from seft_ros.protection.detector_step import detect, look_at_restoring_force
+from seft_ros.protection.detector_step import detect
+from seft_ros.protection.specimen_force import look_at_restoring_force
 
 SLOW, FAST = 0.1, 1e-3
 """Fastest recent motion, m in a sample, against which 2 mm are little and much."""

@@ -5,12 +5,14 @@ import math
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.topics import Timebase
+from seft_ros.force_controller.parameters import TABLE
 from seft_ros.force_controller.valve_model import ValveModel
 from seft_ros.force_controller.velocity_feedforward import (
     FEEDBACK,
-    begin_feedforward,
-    feedforward_arrays,
+    VelocityFeedforward,
     feedforward_step,
 )
 
@@ -67,12 +69,16 @@ def test_inverse_makes_the_wanted_flow(frequency, damping, dead_time):
 
 
 def controller(told=1.0, limit=10.0, horizon=25, **valve):
-    values = {"frequency": 70.0, "damping": 0.6, "dead_time": 0.001} | valve
-    actuator = np.array([[0.04 * told, 1.66e7, 50.0, 24500.0]])
-    noise = np.array([[5e-6], [1e-3], [0.05], [3.0]])
-    arrays = feedforward_arrays([ValveModel(**values, dt=DT)], actuator, noise, limit, DT, horizon)
-    begin_feedforward(*arrays)
-    return arrays
+    actuator = {"flow_gain": 0.04 * told, "oil_stiffness": 1.66e7, "leakage": 50.0}
+    actuator |= {"force_capacity": 24500.0, "valve_frequency": 70.0, "valve_damping": 0.6}
+    actuator |= {"dead_time": 0.001} | valve
+    noise = {"position": 5e-6, "velocity": 1e-3, "acceleration": 0.05, "force": 3.0}
+    given = {"voltage_limit": limit, "horizon": horizon * DT}
+    given |= {f"actuator.{name}": value for name, value in actuator.items()}
+    given |= {f"noise.{name}": value for name, value in noise.items()}
+    section = resolve({"force_controller": TABLE}, {"force_controller": given})
+    made = VelocityFeedforward(section["force_controller"], ("x",), Timebase.from_rate(1 / DT))
+    return made.parameters, made.state
 
 
 def drive_piston(arrays, steps=3000, gain=0.04, offset=0.0):

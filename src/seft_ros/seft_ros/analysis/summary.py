@@ -24,7 +24,7 @@ from seft_ros.analysis.timing import link_numbers, timing_of
 from seft_ros.analysis.tracking import tracking_error_of, tracking_of
 from seft_ros.bags.record import Estimates, Record
 from seft_ros.drawing.style import json_safe
-from seft_ros.force_controller.interlock import detector_shares
+from seft_ros.force_controller.detection import detector_shares
 from seft_ros.ground_motion.ground_motion_block import MOTION
 from seft_ros.ground_motion.response_spectrum import significant_parts
 

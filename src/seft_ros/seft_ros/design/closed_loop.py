@@ -16,7 +16,7 @@ from seft_ros.design.plant import Plant, SampledPlant
 from seft_ros.force_controller import velocity_feedforward
 from seft_ros.force_controller.force_control import ForceController, LinearControl
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
-from seft_ros.protection.detectors import LARGEST_DELAY_ERROR, LARGEST_GAIN_ERROR
+from seft_ros.protection.valve_following import LARGEST_DELAY_ERROR, LARGEST_GAIN_ERROR
 from seft_ros.reference_force.linear_filter import LinearFilter
 from seft_ros.reference_force.target_motion import TargetMotion
 from seft_ros.reference_force.target_step import begin_target, target_step

@@ -2,14 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
-from seft_msgs_py.config.parameter_table import as_matrix
+from seft_msgs_py.config.parameter_table import Section, as_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
-from seft_plant_sim.compiled import compiled, entry_point, multiply
+from seft_plant_sim.compiled import compiled, copy, entry_point, multiply
 from seft_plant_sim.lti import bilinear
 
 
@@ -195,8 +195,7 @@ def transfer_step(
             limited = True
             drive = p.limit if drive > 0.0 else -p.limit
         command[i] = drive
-    for j in range(delays):
-        work[j] = result[n + j]
+    copy(delays, result[n:], work)
     if limited:
         for j in range(delays):
             for i in range(n):
@@ -280,7 +279,13 @@ class ForceController:
             from_drive[axis::axes, axis] = a[1:]
         if gain is not None:
             matrix[:axes] = gain @ matrix[:axes]
-            from_drive = np.ascontiguousarray(from_drive @ _inverse(gain))
+            try:
+                from_drive = np.ascontiguousarray(from_drive @ np.linalg.inv(gain))
+            except np.linalg.LinAlgError:
+                raise InputError(
+                    f"force_controller: gain {gain.tolist()} is singular: a valve or a "
+                    "combination of valves would never be driven"
+                ) from None
         transposed = np.ascontiguousarray(matrix.T)
         self.parameters = TransferParameters(
             transposed, from_drive, float(voltage_limit), bool(feedback)
@@ -293,11 +298,7 @@ class ForceController:
 
     @classmethod
     def from_parameters(
-        cls,
-        section: dict[str, Any],
-        axes: tuple[str, ...],
-        timebase: Timebase,
-        rig: RigAxes | None = None,
+        cls, section: Section, axes: tuple[str, ...], timebase: Timebase, rig: RigAxes | None = None
     ) -> "ForceController":
         """Make it from its section of an experiment, see `force_control`."""
         own = (rig or RigAxes.whole(axes)).places
@@ -307,16 +308,12 @@ class ForceController:
                 f"force_controller: gain {gain.tolist()} mixes axes of different rigs, whose force "
                 "controllers do not know each other's forces"
             )
-        gain = gain[np.ix_(own, own)]
+        numerators, denominators = (
+            _polynomials(section, name, axes) for name in ("numerator", "denominator")
+        )
+        controllers = [(numerators[place], denominators[place]) for place in own]
         limits = section["voltage_limit"], timebase.dt, section["feedback"]
-        parts = [np.atleast_1d(section[name]).tolist() for name in ("numerator", "denominator")]
-        if section.get("per_axis"):
-            names = ("numerator", "denominator")
-            each = [_split(part, axes, name) for part, name in zip(parts, names, strict=True)]
-            controllers = list(zip(*each, strict=True))
-        else:
-            controllers = [(parts[0], parts[1])] * len(axes)
-        return cls([controllers[place] for place in own], *limits, gain)
+        return cls(controllers, *limits, gain[np.ix_(own, own)])
 
     def reset(self) -> None:
         """Forget the test so far."""
@@ -338,8 +335,11 @@ class ForceController:
         return command
 
 
-def _split(coefficients: list[float], axes: Sequence[str], name: str) -> list[list[float]]:
-    """Split coefficients into the polynomials of the axes."""
+def _polynomials(section: Section, name: str, axes: Sequence[str]) -> list[list[float]]:
+    """Give the polynomial of each axis, numerator or denominator."""
+    coefficients: list[float] = np.atleast_1d(section[name]).tolist()
+    if not section.get("per_axis"):
+        return [coefficients] * len(axes)
     each, rest = divmod(len(coefficients), len(axes))
     if rest:
         raise InputError(
@@ -347,13 +347,3 @@ def _split(coefficients: list[float], axes: Sequence[str], name: str) -> list[li
             f"{len(axes)} axes {list(axes)}; give each axis as many"
         )
     return [coefficients[each * axis : each * (axis + 1)] for axis in range(len(axes))]
-
-
-def _inverse(gain: Floats) -> Floats:
-    try:
-        return np.linalg.inv(gain).astype(np.float64)
-    except np.linalg.LinAlgError:
-        raise InputError(
-            f"force_controller: gain {gain.tolist()} is singular: a valve or a combination of "
-            "valves would never be driven"
-        ) from None

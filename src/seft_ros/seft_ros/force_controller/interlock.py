@@ -3,159 +3,195 @@
 import math
 from collections.abc import Hashable, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import mass_matrix, per_axis, symmetric_matrix
-from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
-from seft_plant_sim.compiled import entry_point, kind_of
-from seft_plant_sim.limits import event_ring
-from seft_plant_sim.rig_parameters import LIMIT_NAMES
-from seft_plant_sim.sensors import CHANNELS
+from seft_plant_sim.compiled import compiled, copy, entry_point, is_finite, kind_of
+from seft_plant_sim.limits import event_ring, is_exceeded
+from seft_plant_sim.rig import left_open
 
+from seft_ros.force_controller.detection import detectors_of
 from seft_ros.force_controller.force_control import ForceControl
-from seft_ros.force_controller.interlock_step import (
-    DETECTED,
-    FAULT,
-    IMPLAUSIBLE,
-    NOTHING,
-    ODD_DRIVE,
-    OUTSIDE,
-    SATURATION,
-    STEP,
-    TRIP,
-    InterlockParameters,
-    InterlockState,
-    begin_control,
-    begin_interlock,
-    end_control,
-)
 from seft_ros.force_controller.methods import force_control
-from seft_ros.force_controller.valve_model import valve_models
-from seft_ros.force_controller.velocity_feedforward import ACTUATOR
-from seft_ros.protection.detector_step import begin_detectors, detect_all
-from seft_ros.protection.detectors import (
-    ALL,
-    DETECTORS,
-    DetectorParameters,
-    DetectorState,
-    describe,
-    detector_arrays,
-)
-from seft_ros.reference_force.force_command import FORCE_DRIVEN
+from seft_ros.protection.channel_relations import take_command
+from seft_ros.protection.detector_step import SOUND, SUSPECT, begin_detectors, detect
+from seft_ros.protection.detectors import DETECTORS, DetectorParameters, DetectorState, describe
+from seft_ros.protection.protection_step import not_finite
+from seft_ros.protection.ramp_down import go_on
 
-WHERE = "force_controller: "
+TRIP, STEP, SATURATED, DETECTED = range(4)
+"""Places of the flags: reason and step of the trip, number of limited drives, and the detector that
+has found a fault."""
+NOTHING, IMPLAUSIBLE, ODD_DRIVE, SATURATION, FAULT, OUTSIDE = range(6)
+"""Reasons of a trip; the last one is a reason from outside."""
 
 
-def detectors_of(
-    section: dict[str, Any], axes: tuple[str, ...], dt: float, places: Sequence[int]
-) -> tuple[DetectorParameters, DetectorState]:
-    """Put the detectors of some of the axes into arrays.
+class InterlockParameters(NamedTuple):
+    """Parameters of an interlock.
+
+    Attributes
+    ----------
+    largest : float
+        Magnitude of the reference force beyond which it is implausible, N.
+    window : int
+        Steps of a second.
+    closing : float
+        Steps in which the valve closes after a trip.
+    detectors : DetectorParameters
+        Of faults.
+    """
+
+    largest: float
+    window: int
+    closing: float
+    detectors: DetectorParameters
+
+
+class InterlockState(NamedTuple):
+    """State of an interlock.
+
+    Attributes
+    ----------
+    flags : ndarray
+        See `TRIP`, shape (4,).
+    saturated : ndarray
+        The last steps at which the drive was limited, see `is_exceeded`.
+    force, measured, odd : ndarray
+        Reference force, sample and drive of the step of the trip, shapes (n,), (4, n) and (n,).
+    drive : ndarray
+        The last sound command, shape (n,), V.
+    plan, sample : ndarray
+        Points and sample for the controller, shapes (p, q, n) and (4, n).
+    detectors : DetectorState
+        Of faults.
+    """
+
+    flags: Ints
+    saturated: Ints
+    force: Floats
+    measured: Floats
+    odd: Floats
+    drive: Floats
+    plan: Floats
+    sample: Floats
+    detectors: DetectorState
+
+
+@compiled
+def begin_control(
+    parameters: InterlockParameters,
+    state: InterlockState,
+    step: int,
+    points: Floats,
+    measured: Floats,
+    command: Floats,
+) -> bool:
+    """Say whether the controller answers a step; otherwise give its command.
+
+    The controller answers `InterlockState.plan` and `InterlockState.sample`. While a sample is
+    suspect, these are the motion that the last sound target has predicted for this step; without a
+    target, the last sound command is held. After a trip the valve closes from there, in some time:
+    a valve that closes at once on a moving mass makes a pressure surge in the oil.
 
     Parameters
     ----------
-    section : dict
-        Of the force controller, for all axes.
-    axes : tuple of str
-        Names of all axes.
-    dt : float
-        Sampling period, s.
-    places : sequence of int
-        Of the watched axes.
-
-    Raises
-    ------
-    InputError
-        If assumed values do not fit the axes, or there is no detector of a given name.
+    parameters, state
+        The state is updated.
+    step : int
+        The step.
+    points : ndarray
+        Of the reference force, shape (p, q, n).
+    measured : ndarray
+        Displacement, velocity, acceleration and force, shape (4, n).
+    command : ndarray
+        Shape (n,), V.
     """
-    own = list(places)
-    warn_only = section["detectors.warn_only"].replace(",", " ").split()
-    if warn_only == [ALL]:
-        warn_only = [one.name for one in DETECTORS]
-    unknown = set(warn_only) - {one.name for one in DETECTORS}
-    if unknown:
-        raise InputError(
-            f"{WHERE}detectors.warn_only: no detector {sorted(unknown)[0]!r}; there are "
-            + ", ".join(one.name for one in DETECTORS)
-        )
-    actuator = {
-        name: per_axis(section[f"actuator.{name}"], axes, f"{WHERE}actuator.{name}")[own]
-        for name in (*ACTUATOR, "valve_frequency", "valve_damping", "dead_time")
-    }
-    is_known = actuator["valve_frequency"] > 0.0
-    if section["detectors.actuator_kind"] in FORCE_DRIVEN:  # there is no valve
-        is_known[:] = False
-    actuator["flow_gain"] = np.where(is_known, actuator["flow_gain"], 0.0)
-    actuator["valve_frequency"] = np.where(is_known, actuator["valve_frequency"], 1.0 / dt)
-    name, ratio = "detectors.specimen_stiffness", section["detectors.mass_ratio"]
-    stiffness = symmetric_matrix(section[name], axes, WHERE + name)[np.ix_(own, own)]
-    mass = np.zeros_like(stiffness)
-    if np.any(section["detectors.specimen_mass"]):
-        name = "detectors.specimen_mass"
-        mass = mass_matrix(section[name], axes, WHERE + name)[np.ix_(own, own)]
-    if section["detectors.test"] == "eft":  # the specimen carries all of the mass
-        mass, ratio = (1.0 + ratio) * mass, 0.0
-    valves = valve_models(actuator, dt)
-    noise = [f"noise.{channel}" for channel in CHANNELS]
-    ranges = [f"detectors.{channel}_range" for channel in CHANNELS]
-    return detector_arrays(
-        np.array([per_axis(section[n], axes, WHERE + n)[own] for n in noise]),
-        np.array([section[f"limits.{name}"] for name in LIMIT_NAMES]),
-        np.array([per_axis(section[n], axes, WHERE + n)[own] for n in ranges]),
-        section["noise.velocity_source"] == "derived",
-        np.transpose([actuator[name] for name in ACTUATOR]),
-        np.array([[valve.past() for valve in valves], [valve.later() for valve in valves]]),
-        np.ascontiguousarray(mass),
-        np.ascontiguousarray(stiffness),
-        np.ascontiguousarray(ratio * mass),
-        warn_only,
-        section["watchdog.state_timeout"],
-        dt,
-    )
+    last, n, left = points.shape[1] - 1, points.shape[2], 1.0
+    if state.flags[TRIP] == NOTHING:
+        # a target is compared with the motion, too
+        fits = is_finite(measured, 0 if last else 3)
+        for i in range(n):
+            fits &= abs(points[0, last, i]) <= parameters.largest
+        found = SOUND
+        if fits and is_finite(measured, 0):  # without feedback, the motion need not be measured
+            found = detect(parameters.detectors, state.detectors, step, points, measured)
+        if fits and found == SOUND:
+            take_plan(state, points, measured)
+            return True
+        if fits and found == SUSPECT and last:
+            follow_plan(state, parameters.detectors.dt)
+            return True
+        if not fits or found >= 0:
+            trip(state, FAULT if fits else IMPLAUSIBLE, step)
+            state.flags[DETECTED] = found
+            copy(n, points[0, last], state.force)
+            for row in range(4):
+                copy(n, measured[row], state.measured[row])
+    if state.flags[TRIP] != NOTHING:
+        left = left_open(step + 1 - state.flags[STEP], parameters.closing)
+    for i in range(n):
+        command[i] = left * state.drive[i]
+    take_command(parameters.detectors, state.detectors, command, False)
+    return False
 
 
-def detector_shares(
-    experiment: Experiment, steps: Ints, points: Floats, states: Floats, commands: Floats
-) -> dict[str, float]:
-    """Give the largest value of each detector in a test, over its threshold.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        Of the test.
-    steps : ndarray
-        Of the N answered samples, shape (N,).
-    points, states, commands : ndarray
-        Reference force, state and valve command at these, shapes (N, q, n), (N, 4, n) and (N, n).
-
-    Returns
-    -------
-    dict
-        The largest share on any axis, by the detector's name.
-    """
-    section, axes, dt = experiment["force_controller"], experiment.axes, experiment.timebase.dt
-    shares = np.zeros(len(DETECTORS))
-    for rig in experiment.rigs:
-        parameters, state = detectors_of(section, axes, dt, rig.places)
-        own = list(rig.places)
-        begin_detectors(state)
-        detect_all(
-            parameters,
-            state,
-            steps,
-            np.ascontiguousarray(points[..., own]),
-            np.ascontiguousarray(states[..., own]),
-            np.ascontiguousarray(commands[..., own]),
-            section["voltage_limit"],
-        )
-        shares = np.maximum(shares, state.shares.max(axis=1))
-    return {one.name: share for one, share in zip(DETECTORS, shares.tolist(), strict=True)}
+@compiled
+def take_plan(state: InterlockState, points: Floats, measured: Floats) -> None:
+    """Let the controller answer a sample; store its points."""
+    count, quantities, n = state.plan.shape
+    alone = points.shape[1] < quantities  # a force alone, while the nodes warm up
+    for point in range(count):
+        sent = points[min(point, len(points) - 1)]
+        for row in range(quantities):
+            copy(n, sent[0 if alone else row], state.plan[point, row])
+    for row in range(4):
+        copy(n, measured[row], state.sample[row])
 
 
-_MEASURED = ("force", "displacement", "velocity", "acceleration")
+@compiled
+def follow_plan(state: InterlockState, dt: float) -> None:
+    """Let the controller answer the motion that was predicted before samples were suspect."""
+    plan, sample = state.plan, state.sample
+    go_on(plan, 1, dt, plan)
+    for i in range(sample.shape[1]):
+        sample[0, i], sample[1, i] = plan[0, 0, i], plan[0, 1, i]
+        sample[2, i] = (plan[min(1, len(plan) - 1), 1, i] - plan[0, 1, i]) / dt
+        sample[3, i] = plan[0, 2, i]
+
+
+@compiled
+def end_control(
+    parameters: InterlockParameters,
+    state: InterlockState,
+    step: int,
+    limited: bool,
+    command: Floats,
+) -> None:
+    """Check the command of a controller, and whether it is limited; trip if it is not finite."""
+    for i in range(len(command)):
+        if not np.isfinite(command[i]):
+            trip(state, ODD_DRIVE, step)
+    if limited and state.flags[TRIP] == NOTHING:
+        if is_exceeded(state.saturated, state.flags[SATURATED], step, parameters.window):
+            trip(state, SATURATION, step)
+        state.flags[SATURATED] += 1
+    for i in range(len(command)):
+        if state.flags[TRIP] == NOTHING:
+            state.drive[i] = command[i]
+        else:
+            state.odd[i] = command[i]
+            command[i] = left_open(1, parameters.closing) * state.drive[i]
+    take_command(parameters.detectors, state.detectors, command, limited)
+
+
+@compiled
+def trip(state: InterlockState, why: int, step: int) -> None:
+    """Close the valve from now on."""
+    state.flags[TRIP] = why
+    state.flags[STEP] = step
 
 
 class Interlock:
@@ -215,7 +251,7 @@ class Interlock:
         )
         both, drive = (self.parameters, self.state), self.state.drive
         points = np.zeros((1, 1, n))
-        self._reset = entry_point(begin_interlock, self.state)
+        self._begin_detectors = entry_point(begin_detectors, self.state.detectors)
         self._begin = entry_point(begin_control, *both, 0, points, self.state.measured, drive)
         self._end = entry_point(end_control, *both, 0, False, drive)
         self.reset()
@@ -277,7 +313,8 @@ class Interlock:
     def reset(self) -> None:
         """Begin a new test; also after a trip."""
         self.controller.reset()
-        self._reset(self.state)
+        self.state.flags[:], self.state.drive[:] = 0, 0.0
+        self._begin_detectors(self.state.detectors)
         self._outside = ""
 
     def step(self, index: int, points: Floats, state: Floats) -> Floats:
@@ -318,9 +355,7 @@ class Interlock:
         if code == ODD_DRIVE:
             return self._not_a_number("valve command", state.odd)
         if code == IMPLAUSIBLE:
-            measured = zip(_MEASURED, state.measured[[3, 0, 1, 2]], strict=True)
-            found = (self._not_a_number(f"measured {name}", values) for name, values in measured)
-            return self.implausible(state.force) or next(filter(None, found))
+            return self.implausible(state.force) or not_finite(state.measured, self._axes)
         if code == FAULT:
             detectors = state.detectors
             return describe(int(state.flags[DETECTED]), detectors.found, self._axes)

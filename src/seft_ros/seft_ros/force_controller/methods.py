@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 
 from seft_ros.force_controller.force_control import ControlKnowledge, ForceControl, ForceController
@@ -64,10 +65,7 @@ class RegisteredControl(RegisteredPart):
 
 
 def force_control(
-    section: dict[str, Any],
-    axes: tuple[str, ...],
-    timebase: Timebase,
-    rig: RigAxes | None = None,
+    section: Section, axes: tuple[str, ...], timebase: Timebase, rig: RigAxes | None = None
 ) -> ForceControl:
     """Make the controller from a force controller's section of an experiment.
 
@@ -92,7 +90,7 @@ def force_control(
     if name == TRANSFER_FUNCTION:
         return ForceController.from_parameters(section, axes, timebase, own)
     if name == VELOCITY_FEEDFORWARD:
-        return VelocityFeedforward.from_parameters(section, axes, timebase, own)
+        return VelocityFeedforward(section, axes, timebase, own)
     knowledge = ControlKnowledge(len(own.axes), timebase.dt, section["voltage_limit"])
     make = partial(
         REGISTERED.make, name, section["settings"], "force_controller: method", knowledge

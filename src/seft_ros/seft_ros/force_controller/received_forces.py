@@ -27,7 +27,6 @@ class MatchedForces:
 
     def reset(self, in_lockstep: bool = False) -> None:
         """Begin a new test; each force is waited for, also in lockstep."""
-        del in_lockstep
         self._points.clear()
 
     def take(self, step: int, points: Floats) -> None:
@@ -48,8 +47,7 @@ class MatchedForces:
         """Points of a step and future ones; None if they have not arrived."""
         points = self._points.get(step)
         if points is not None:
-            for passed in [other for other in self._points if other <= step]:
-                del self._points[passed]
+            self._points = {later: sent for later, sent in self._points.items() if later > step}
         return points
 
 
@@ -62,50 +60,36 @@ class NewestPreview:
 
     Parameters
     ----------
+    section : dict
+        Of the force controller. Its ``loop_delay`` is d (negative: not known here); its watchdog
+        has the largest age of a message before the ramp begins, without a limit in lockstep.
     axes : int
         n.
-    loop_delay : int
-        d; negative: not known here.
-    patience : float
-        Largest age of a message in steps before the ramp begins; without a limit in lockstep.
-    ramp : RampDown
-        The ramp.
-    dt : float
-        Sampling period, s.
+    timebase : Timebase
+        Sampling clock.
 
     Attributes
     ----------
     newest : int
         Step of the newest message; -1: none has arrived.
+
+    Raises
+    ------
+    InputError
+        If the watchdog would trip on the loop's own delay.
     """
 
-    def __init__(
-        self, axes: int, loop_delay: int, patience: int, ramp: RampDown, dt: float
-    ) -> None:
-        self._axes, self._loop_delay = axes, max(loop_delay, 0)
-        self._patience, self._ramp, self._dt = patience, ramp, dt
-        self.reset()
-
-    @classmethod
-    def from_parameters(
-        cls, section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
-    ) -> "NewestPreview":
-        """Make it from the force controller's section of an experiment.
-
-        Raises
-        ------
-        InputError
-            If the watchdog would trip on the loop's own delay.
-        """
+    def __init__(self, section: dict[str, Any], axes: int, timebase: Timebase) -> None:
         loop_delay, timeout = section["loop_delay"], section["watchdog.reference_timeout"]
-        if round(timeout * timebase.rate) <= loop_delay:
+        self._patience = round(timeout * timebase.rate)
+        if self._patience <= loop_delay:
             raise InputError(
                 f"force_controller: watchdog.reference_timeout is {timeout:g} s, but the loop's "
                 f"own delay is {loop_delay * timebase.dt:g} s (loop_delay); make it longer"
             )
-        patience = round(timeout * timebase.rate)
-        ramp = RampDown.lasting(section["watchdog.ramp_down_time"], timebase.dt)
-        return cls(len(axes), loop_delay, patience, ramp, timebase.dt)
+        self._axes, self._loop_delay, self._dt = axes, max(loop_delay, 0), timebase.dt
+        self._ramp = RampDown.lasting(section["watchdog.ramp_down_time"], timebase.dt)
+        self.reset()
 
     def reset(self, in_lockstep: bool = False) -> None:
         """Begin a new test: no force before the first message.

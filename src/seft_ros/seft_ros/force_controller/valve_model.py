@@ -2,17 +2,22 @@
 
 import cmath
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.arrays import Complexes, Floats
+from seft_msgs_py.config.parameter_table import per_axis
 from seft_plant_sim.lti import LEAST_SAMPLES, noncausal_inverse
 
 INVERTED_TO = 0.85
 """Highest inverted frequency over the valve's own: higher ones need too much drive."""
 SPAN = 4.0
 """Length of the inverse over the mean delay from command to flow: longer weights are negligible."""
+ACTUATOR = ("flow_gain", "oil_stiffness", "leakage", "force_capacity")
+"""Columns of `FeedforwardParameters.actuator`."""
+VALVE = ("valve_frequency", "valve_damping", "dead_time")
 DERIVATIVE_STEP = 1e-4  # s, by which the response is differentiated
 SETTLED = 1e-3
 """Part of a command's flow that may be neglected."""
@@ -102,6 +107,23 @@ class ValveModel:
         return (self.past(DERIVATIVE_STEP) - self.past()) / DERIVATIVE_STEP
 
 
+def read_actuators(
+    section: Mapping[str, Any], axes: tuple[str, ...], places: Sequence[int]
+) -> dict[str, Floats]:
+    """Read ``actuator.*`` of a force controller's section, for the axes at some places.
+
+    Returns
+    -------
+    dict of str to ndarray
+        `ACTUATOR` and `VALVE`, by name, shape (number of places,) each.
+    """
+    where, own = "force_controller: actuator", list(places)
+    return {
+        name: per_axis(section[f"actuator.{name}"], axes, f"{where}.{name}")[own]
+        for name in (*ACTUATOR, *VALVE)
+    }
+
+
 def valve_models(actuator: Mapping[str, Floats], dt: float) -> list[ValveModel]:
     """Make the valves of n axes, all with the memory of the slowest.
 
@@ -112,8 +134,7 @@ def valve_models(actuator: Mapping[str, Floats], dt: float) -> list[ValveModel]:
     dt : float
         Sampling period, s.
     """
-    names = ("valve_frequency", "valve_damping", "dead_time")
-    each = np.transpose([actuator[name] for name in names]).tolist()
+    each = np.transpose([actuator[name] for name in VALVE]).tolist()
     valves = [ValveModel(frequency, damping, late, dt) for frequency, damping, late in each]
     memory = max(valve.memory for valve in valves)
     for valve in valves:

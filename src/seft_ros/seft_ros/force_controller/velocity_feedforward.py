@@ -23,15 +23,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
-from seft_msgs_py.config.parameter_table import per_axis
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import compiled, entry_point
 
 from seft_ros.force_controller.force_control import LinearControl
-from seft_ros.force_controller.valve_model import ValveModel, valve_models
-from seft_ros.protection.detector_step import under_load
-from seft_ros.protection.detectors import begin_following, doubt, follow_valve
+from seft_ros.force_controller.parameters import VELOCITY_FEEDFORWARD
+from seft_ros.force_controller.valve_model import ACTUATOR, read_actuators, valve_models
+from seft_ros.protection.valve_following import begin_following, doubt, follow_valve, under_load
+from seft_ros.reference_force.compensator import NotLinearError
 from seft_ros.reference_force.observers import observe, observer_gains, sensor_noise
 
 FEEDBACK = math.pi / 8
@@ -39,8 +39,6 @@ FEEDBACK = math.pi / 8
 without the prediction of Eq. (5)."""
 BEGIN = 10
 """Samples before the estimation begins: the valve's model must know the commands under way."""
-ACTUATOR = ("flow_gain", "oil_stiffness", "leakage", "force_capacity")
-"""Columns of `FeedforwardParameters.actuator`."""
 
 
 class FeedforwardParameters(NamedTuple):
@@ -61,9 +59,7 @@ class FeedforwardParameters(NamedTuple):
         Weights of this and the future flows, shape (n, taps).
     future : ndarray
         Volume per flow that is under way when the flow begins, s; first of past, then of future
-        flows, shape (n, ...).
-    before : int
-        Number of the past flows.
+        flows, shape (n, memory + taps).
     under_way, past, later : ndarray
         Of past commands: volume still to come, s, present flow, and its change per delay, 1/s; the
         newest first, shape (n, memory).
@@ -78,7 +74,6 @@ class FeedforwardParameters(NamedTuple):
     feedback: Floats
     inverse: Floats
     future: Floats
-    before: int
     under_way: Floats
     past: Floats
     later: Floats
@@ -97,7 +92,7 @@ class FeedforwardState(NamedTuple):
     sent : ndarray
         Past commands as they act under load, the newest first, shape (n, memory), V.
     flows : ndarray
-        Past flows of the target, the newest first, shape (n, before), m/s.
+        Past flows of the target, the newest first, shape (n, memory), m/s.
     flow, shifted : ndarray
         Work arrays for the future flows, shape (h + 1,).
     errors : ndarray
@@ -158,6 +153,7 @@ def feedforward_step(
         Whether one of them is at its limit.
     """
     p, taps, limited = parameters, parameters.inverse.shape[1], False
+    memory = state.sent.shape[1]
     observe(p.gains, p.dt, state.steps[0] == 0.0, measured, state.measured)
     flow, shifted = state.flow, state.shifted
     for i in range(len(command)):
@@ -165,42 +161,37 @@ def feedforward_step(
         capacity, force = p.actuator[i, 3], measured[3, i]
         for j in range(taps + 1):
             # Eq. (4)
-            if j == 0:
-                rise = (points[1, 2, i] - points[0, 2, i]) / p.dt
-            elif j == taps:
-                rise = (points[j, 2, i] - points[j - 1, 2, i]) / p.dt
-            else:
-                rise = (points[j + 1, 2, i] - points[j - 1, 2, i]) / (2.0 * p.dt)
+            before, after = max(j - 1, 0), min(j + 1, taps)
+            rise = (points[after, 2, i] - points[before, 2, i]) / ((after - before) * p.dt)
             needed = points[j, 1, i] + (rise + leakage * points[j, 2, i]) / oil
             flow[j] = needed / under_load(needed, points[j, 2, i], capacity)
         if state.steps[0] >= BEGIN:
             follow(p, state, i, force)
         late = state.errors[i, 1]
         for j in range(taps):
-            before = flow[0] if j == 0 else flow[j - 1]
-            span = p.dt if j == 0 else 2.0 * p.dt
-            shifted[j] = flow[j] + late * (flow[j + 1] - before) / span
+            before = max(j - 1, 0)
+            span = (j + 1 - before) * p.dt
+            shifted[j] = flow[j] + late * (flow[j + 1] - flow[before]) / span
         real = gain * (1.0 + state.errors[i, 0])
         # Eq. (5)
         error = points[0, 0, i] - state.measured[0, i]
         drive = 0.0
         for j in range(taps):
             drive += p.inverse[i, j] * shifted[j]
-            error += p.future[i, p.before + j] * shifted[j]
-        for j in range(p.before):
-            error += p.future[i, p.before - 1 - j] * state.flows[i, j]
-        for j in range(state.sent.shape[1]):
+            error += p.future[i, memory + j] * shifted[j]
+        for j in range(memory):
+            error += p.future[i, memory - 1 - j] * state.flows[i, j]
+        for j in range(memory):
             error -= p.under_way[i, j] * real * state.sent[i, j]
         drive = (drive + p.feedback[i] * error) / real
         if abs(drive) >= p.limit:
             limited = True
             drive = p.limit if drive > 0.0 else -p.limit
         command[i] = drive
-        for j in range(state.sent.shape[1] - 1, 0, -1):
+        for j in range(memory - 1, 0, -1):
             state.sent[i, j] = state.sent[i, j - 1]
-        state.sent[i, 0] = drive * under_load(drive, force, capacity)
-        for j in range(p.before - 1, 0, -1):
             state.flows[i, j] = state.flows[i, j - 1]
+        state.sent[i, 0] = drive * under_load(drive, force, capacity)
         state.flows[i, 0] = shifted[0]
         state.force[i] = force
     state.steps[0] += 1.0
@@ -225,10 +216,14 @@ class VelocityFeedforward:
 
     Parameters
     ----------
-    parameters, state : FeedforwardParameters, FeedforwardState
-        See `feedforward_arrays`.
-    horizon : int
-        Number of future steps of the target that `step` receives.
+    section : dict
+        Of the force controller, for all axes.
+    axes : tuple of str
+        Names of all axes.
+    timebase : Timebase
+        Sampling clock.
+    rig : RigAxes, optional
+        With several rigs, the one that it controls; default all axes.
 
     Attributes
     ----------
@@ -236,19 +231,68 @@ class VelocityFeedforward:
         See `ForceControl`.
     parameters, state
         Arguments of `feedforward_step`, here and in a compiled loop.
+
+    Raises
+    ------
+    InputError
+        If the actuators are not known, or the horizon is too short for the valves.
     """
 
     def __init__(
-        self, parameters: FeedforwardParameters, state: FeedforwardState, horizon: int
+        self,
+        section: dict[str, Any],
+        axes: tuple[str, ...],
+        timebase: Timebase,
+        rig: RigAxes | None = None,
     ) -> None:
-        self.parameters, self.state, self.limited = parameters, state, False
+        own, dt = list((rig or RigAxes.whole(axes)).places), timebase.dt
+        known = self.actuator(section, axes, rig)
+        actuator = np.transpose([known[name] for name in ACTUATOR])
+        noise = sensor_noise(section, axes, "noise", "force_controller")[:, own]
+        horizon, valves = math.ceil(section["horizon"] / dt - 1e-9), valve_models(known, dt)
+        n, needed = len(valves), max(valve.taps() for valve in valves)
+        if horizon < needed + 1:
+            raise InputError(
+                f"force_controller: the valves need {(needed + 1) * dt:g} s of the future motion, "
+                f"but reference_force: compensation.horizon is {horizon * dt:g} s; make it longer"
+            )
+        memory = valves[0].memory
+        inverse = np.array([valve.inverse(needed) for valve in valves])
+        under_way = dt * np.array([valve.under_way() for valve in valves])
+        # volume under way of the commands that the inverse makes from the flows: their convolution
+        future = np.zeros((n, memory + needed))
+        for row, own, h in zip(future, under_way, inverse, strict=True):
+            row[:-1] = np.convolve(own[::-1], h)
+        self.parameters = FeedforwardParameters(
+            dt=dt,
+            limit=section["voltage_limit"],
+            gains=observer_gains(noise, dt)[0],
+            actuator=np.ascontiguousarray(actuator),
+            feedback=np.array([FEEDBACK / valve.delay for valve in valves]),
+            inverse=inverse,
+            future=future,
+            under_way=under_way,
+            past=np.array([valve.past() for valve in valves]),
+            later=np.array([valve.later() for valve in valves]),
+            doubt=doubt(noise[1], noise[3], actuator[:, 1], dt),
+        )
+        self.state = FeedforwardState(
+            measured=np.zeros((3, n)),
+            force=np.zeros(n),
+            sent=np.zeros((n, memory)),
+            flows=np.zeros((n, memory)),
+            flow=np.zeros(needed + 1),
+            shifted=np.zeros(needed + 1),
+            errors=np.zeros((n, 2)),
+            covariance=np.zeros((n, 3)),
+            steps=np.zeros(1),
+        )
         self.shape = 1 + horizon, 3
-        n = len(state.force)
         self._points, self._measured = np.zeros((1 + horizon, 3, n)), np.zeros((4, n))
-        self._command = np.zeros(n)
-        arguments = parameters, state, self._points, self._measured, self._command
-        self._step = entry_point(feedforward_step, *arguments)
-        self._begin = entry_point(begin_feedforward, parameters, state)
+        self._command, both = np.zeros(n), (self.parameters, self.state)
+        arguments = self._points, self._measured, self._command
+        self._step = entry_point(feedforward_step, *both, *arguments)
+        self._begin = entry_point(begin_feedforward, *both)
         self.reset()
 
     @staticmethod
@@ -262,47 +306,17 @@ class VelocityFeedforward:
         InputError
             If the actuators are not known.
         """
-        where, own = "force_controller: actuator", list((rig or RigAxes.whole(axes)).places)
-        known = {
-            name: per_axis(section[f"actuator.{name}"], axes, f"{where}.{name}")[own]
-            for name in (*ACTUATOR, "valve_frequency", "valve_damping", "dead_time")
-        }
+        known = read_actuators(section, axes, (rig or RigAxes.whole(axes)).places)
         for name in ("flow_gain", "oil_stiffness", "valve_frequency", "valve_damping"):
             if not known[name].all():
                 raise InputError(
-                    f"{where}.{name} is not known, which velocity_feedforward needs: find it with "
-                    "seft identify CONFIG, and give its model.yaml with --params-file"
+                    f"force_controller: actuator.{name} is not known, which velocity_feedforward "
+                    "needs: find it with seft identify CONFIG, and give its model.yaml with "
+                    "--params-file"
                 )
         capacity = known["force_capacity"]
         known["force_capacity"] = np.where(capacity > 0.0, capacity, np.inf)
         return known
-
-    @classmethod
-    def from_parameters(
-        cls,
-        section: dict[str, Any],
-        axes: tuple[str, ...],
-        timebase: Timebase,
-        rig: RigAxes | None = None,
-    ) -> "VelocityFeedforward":
-        """Make it from its section of an experiment, see `force_control`.
-
-        Raises
-        ------
-        InputError
-            If the actuators are not known, or the horizon is too short for the valves.
-        """
-        own, dt = list((rig or RigAxes.whole(axes)).places), timebase.dt
-        known = cls.actuator(section, axes, rig)
-        valves = valve_models(known, dt)
-        noise = sensor_noise(section, axes, "noise", "force_controller")[:, own]
-        horizon = section["horizon"]
-        steps = math.ceil(horizon / dt - 1e-9)
-        actuator = np.transpose([known[name] for name in ACTUATOR])
-        return cls(
-            *feedforward_arrays(valves, actuator, noise, section["voltage_limit"], dt, steps),
-            steps,
-        )
 
     def reset(self) -> None:
         """Begin a new test."""
@@ -315,10 +329,7 @@ class VelocityFeedforward:
 
     def linear(self) -> LinearControl:
         """Raise an error: there is none."""
-        raise InputError(
-            "force_controller: velocity_feedforward is no linear controller: seft simulate shows "
-            "whether a test is stable"
-        )
+        raise NotLinearError("force_controller", VELOCITY_FEEDFORWARD)
 
     def step(self, points: Floats, state: Floats) -> Floats:
         """Find the valve commands that answer a sample, see `feedforward_step`; (n,), V."""
@@ -329,75 +340,3 @@ class VelocityFeedforward:
             self.parameters, self.state, self._points, self._measured, self._command
         )
         return self._command.copy()
-
-
-def feedforward_arrays(
-    valves: list[ValveModel],
-    actuator: Floats,
-    noise: Floats,
-    limit: float,
-    dt: float,
-    horizon: int,
-) -> tuple[FeedforwardParameters, FeedforwardState]:
-    """Put a controller into arrays.
-
-    Parameters
-    ----------
-    valves : list of ValveModel
-        n of them.
-    actuator : ndarray
-        As in `FeedforwardParameters`.
-    noise : ndarray
-        RMS noise of displacement, velocity, acceleration and force, shape (4, n), positive.
-    limit, dt : float
-        Largest command, V, and sampling period, s.
-    horizon : int
-        Predicted steps of the target.
-
-    Raises
-    ------
-    InputError
-        If the horizon is too short for the valves.
-    """
-    n, needed = len(valves), max(valve.taps() for valve in valves)
-    if horizon < needed + 1:
-        raise InputError(
-            f"force_controller: the valves need {(needed + 1) * dt:g} s of the future motion, but "
-            f"reference_force: compensation.horizon is {horizon * dt:g} s; make it longer"
-        )
-    memory = valves[0].memory
-    inverse = np.array([valve.inverse(needed) for valve in valves])
-    under_way = dt * np.array([valve.under_way() for valve in valves])
-    past = np.array([valve.past() for valve in valves])
-    later = np.array([valve.later() for valve in valves])
-    # volume under way of the commands that the inverse makes from the flows: their convolution
-    future = np.zeros((n, memory + needed))
-    for row, own, h in zip(future, under_way, inverse, strict=True):
-        row[:-1] = np.convolve(own[::-1], h)
-    gains, _ = observer_gains(noise, dt)
-    parameters = FeedforwardParameters(
-        dt=dt,
-        limit=limit,
-        gains=gains,
-        actuator=np.ascontiguousarray(actuator),
-        feedback=np.array([FEEDBACK / valve.delay for valve in valves]),
-        inverse=inverse,
-        future=future,
-        before=memory,
-        under_way=under_way,
-        past=past,
-        later=later,
-        doubt=doubt(noise[1], noise[3], actuator[:, 1], dt),
-    )
-    state = FeedforwardState(
-        measured=np.zeros((3, n)),
-        force=np.zeros(n),
-        sent=np.zeros((n, memory)),
-        flows=np.zeros((n, memory)),
-        flow=np.zeros(needed + 1),
-        shifted=np.zeros(needed + 1),
-        errors=np.zeros((n, 2)),
-        covariance=np.zeros((n, 3)),
-        steps=np.zeros(1),
-    )
-    return parameters, state

@@ -60,7 +60,7 @@ class ForceControllerNode(NodeBody):
         self._states: dict[int, Floats] = {}
         self._previews: NewestPreview | None = None
         if section["loop_delay"]:
-            self._previews = NewestPreview.from_parameters(section, axes, timebase)
+            self._previews = NewestPreview(section, len(axes), timebase)
         self._forces = self._previews or MatchedForces()
         self._reported_at = 0.0
         self._moving = False  # by the supervisor's state

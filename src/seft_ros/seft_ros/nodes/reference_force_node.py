@@ -58,7 +58,7 @@ class ReferenceForceNode(NodeBody):
         self._gathering: StateGathering | None = None
         if len(experiment.rigs) > 1:
             self._gathering = StateGathering(experiment.rigs, section["watchdog.rig_timeout"])
-        self._sampler = EstimateSampler(self._block, timebase)
+        self._sampler = EstimateSampler(self._block.reference_force, timebase)
         self._estimates_codec = EstimatesCodec(axes, timebase)
         self._publish = shell.publisher(topic)
         self._publish_estimates = shell.publisher(ESTIMATES)

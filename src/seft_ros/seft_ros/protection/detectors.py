@@ -10,6 +10,8 @@ from seft_msgs_py.arrays import Floats, Ints
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.sensors import CHANNELS
 
+from seft_ros.protection.valve_following import UNCERTAIN_DELAY, doubt
+
 LASTS, LONG_LASTS = 0.006, 0.02
 """Times for which a detector must be beyond its threshold, s: longer than a spike; and longer than
 the effects of a specimen that slips or hits a stop, or of a valve at its limit."""
@@ -103,62 +105,6 @@ def describe(place: int, found: Floats, axes: Sequence[str]) -> str:
     one = DETECTORS[row]
     seen, threshold = (f"{value:.3g} {one.unit}" for value in found.tolist())
     return f"{one.text.format(axis=axes[axis], seen=seen)} ({threshold} allowed): {one.name}"
-
-
-UNCERTAIN_GAIN, UNCERTAIN_DELAY = 0.15, 2e-3
-"""Standard deviation of the assumed flow gain, relative, and of the valve's delay, s."""
-LARGEST_GAIN_ERROR, LARGEST_DELAY_ERROR = 0.3, 5e-3
-"""Bounds of the estimates."""
-ONE_SAMPLE = 0.1
-"""Correlation time of the effects that the balance leaves out, s: within it, samples count as
-one."""
-
-
-def doubt(velocity: Floats, force: Floats, oil_stiffness: Floats, dt: float) -> Floats:
-    """Variance of the measured flow, (m/s)^2, from the RMS noise of velocity and force."""
-    seen = velocity**2 + 2.0 * (force / (oil_stiffness * dt)) ** 2
-    return seen * max(1.0, ONE_SAMPLE / dt)
-
-
-@compiled
-def begin_following(errors: Floats, covariance: Floats) -> None:
-    """Begin a test with the assumed valves; shapes (n, 2) and (n, 3)."""
-    errors[:] = 0.0
-    for i in range(len(covariance)):
-        covariance[i, 0] = UNCERTAIN_GAIN**2
-        covariance[i, 1] = UNCERTAIN_DELAY**2
-        covariance[i, 2] = 0.0
-
-
-@compiled
-def follow_valve(
-    errors: Floats, c: Floats, flow: float, later: float, seen: float, doubt: float
-) -> None:
-    """Update the estimates of one valve with a sample.
-
-    Parameters
-    ----------
-    errors : ndarray
-        Relative error of the flow gain and error of the delay in s, shape (2,); updated.
-    c : ndarray
-        Their variances, then their covariance, shape (3,); updated.
-    flow, later : float
-        Flow of the assumed valve, m/s, and its change per delay, m/s^2.
-    seen : float
-        Measured flow: v + (f' + lambda f) / k_oil, m/s.
-    doubt : float
-        Its variance, (m/s)^2.
-    """
-    by_flow, by_later = c[0] * flow + c[2] * later, c[2] * flow + c[1] * later
-    variance = doubt + flow * by_flow + later * by_later
-    innovation = seen - flow - errors[0] * flow - errors[1] * later
-    found = errors[0] + by_flow / variance * innovation
-    errors[0] = min(max(found, -LARGEST_GAIN_ERROR), LARGEST_GAIN_ERROR)
-    found = errors[1] + by_later / variance * innovation
-    errors[1] = min(max(found, -LARGEST_DELAY_ERROR), LARGEST_DELAY_ERROR)
-    c[0] -= by_flow * by_flow / variance
-    c[1] -= by_later * by_later / variance
-    c[2] -= by_flow * by_later / variance
 
 
 MEMORY = 0.05
@@ -452,6 +398,8 @@ def detector_arrays(
     return parameters, state
 
 
+DISPLACEMENT, VELOCITY, ACCELERATION, FORCE = range(4)
+"""Rows of the channels."""
 SAMPLE, TURN_AT, LIMITED_AT, AT_RANGE = range(4)
 """Places of `DetectorState.step`."""
 DISPLACEMENT_VELOCITY, VELOCITY_ACCELERATION, OIL = range(3)
@@ -484,3 +432,17 @@ def look(
         state.found[0], state.found[1] = seen, threshold
         return True
     return False
+
+
+@compiled
+def sees(state: DetectorState, step: int, row: int) -> bool:
+    """Say whether a channel was within its range at this sample and the last one."""
+    return step - state.step[AT_RANGE + row] > 1
+
+
+@compiled
+def worse(found: int, other: int) -> int:
+    """Give the first finding of a fault; without one, whether the sample is suspect."""
+    if found < 0 <= other:
+        return other
+    return found if found >= 0 else min(found, other)

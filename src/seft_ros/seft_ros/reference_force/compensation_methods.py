@@ -70,14 +70,14 @@ def polynomial(knowledge: Knowledge, longest: int) -> DelayFilter:
 
     def gains(delay: float) -> Floats:
         spacing = max(1, round(delay / dt))
-        past = [signals.acceleration]
+        past = [signals.measured[2]]
         past += [signals.state(j * spacing - 1) for j in range(1, order + 1)]
         weights = lagrange_weights(delay / (spacing * dt), order)
         predicted = sum(weight * a for weight, a in zip(weights, past, strict=True))
         ground = knowledge.total_mass @ signals.ground_motion(delay)
         return np.asarray(-ground - knowledge.computed_mass @ predicted)
 
-    return DelayFilter(Memory.past(np.eye(n, 5 * n, k=2 * n), blocks), gains)
+    return Memory.past(np.eye(n, 5 * n, k=2 * n), blocks), gains
 
 
 def lagrange_weights(ahead: float, order: int) -> Floats:
@@ -109,14 +109,14 @@ def linear_acceleration(knowledge: Knowledge, longest: int) -> DelayFilter:
     mass, damping, stiffness = knowledge.total_mass, knowledge.damping, knowledge.stiffness
 
     def gains(delay: float) -> Floats:
-        x, v, a = signals.displacement, signals.velocity, signals.acceleration
+        x, v, a, _ = signals.measured
         load = -mass @ signals.ground_motion(delay)
         free = damping @ (v + delay / 2 * a) + stiffness @ (x + delay * v + delay**2 / 3 * a)
         effective = mass + delay / 2 * damping + delay**2 / 6 * stiffness
         a_plus = np.linalg.solve(effective, load - free)
         return np.asarray(load - knowledge.computed_mass @ a_plus)
 
-    return DelayFilter(Memory.none(knowledge.axes), gains)
+    return Memory.none(knowledge.axes), gains
 
 
 @delay_method
@@ -142,7 +142,7 @@ def model(knowledge: Knowledge, longest: int) -> DelayFilter:
     def gains(delay: float) -> Floats:
         count = max(whole_steps(delay, knowledge.dt), math.ceil(fastest * delay / _FINE))
         h = delay / count
-        x, v = signals.displacement, signals.velocity
+        x, v, _, _ = signals.measured
         a = np.linalg.solve(mass, load(0.0) - damping @ v - stiffness @ x)
         last = x - h * v + h**2 / 2 * a
         effective = mass / h**2 + damping / (2 * h)
@@ -152,7 +152,7 @@ def model(knowledge: Knowledge, longest: int) -> DelayFilter:
         a = (x - 2 * last + oldest) / h**2
         return np.asarray(load(delay) - knowledge.computed_mass @ a)
 
-    return DelayFilter(Memory.none(knowledge.axes), gains)
+    return Memory.none(knowledge.axes), gains
 
 
 @delay_method
@@ -176,7 +176,7 @@ def inverse(knowledge: Knowledge, longest: int) -> DelayFilter:
         return np.asarray(-ground + share @ (r + lead * (r - before)))
 
     measured = np.hstack([np.zeros((n, 2 * n)), -knowledge.mass, np.eye(n), np.zeros((n, n))])
-    return DelayFilter(Memory.past(measured, 1), gains)
+    return Memory.past(measured, 1), gains
 
 
 @delay_method
@@ -214,7 +214,7 @@ def smith(knowledge: Knowledge, longest: int) -> DelayFilter:
     a[: 2 * n, : 2 * n] = free
     a[2 * n : 3 * n] = known[:, :size]
     w = np.vstack([free @ at + before, direct, np.zeros((size - 3 * n, n))])
-    return DelayFilter(Memory(a, np.zeros((size, 4 * n)), np.zeros((size, n)), w), gains)
+    return Memory(a, np.zeros((size, 4 * n)), np.zeros((size, n)), w), gains
 
 
 def _smith_model(knowledge: Knowledge) -> tuple[Floats, Floats, Floats]:

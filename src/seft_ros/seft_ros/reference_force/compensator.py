@@ -65,6 +65,37 @@ class Knowledge:
         """S = M_c (M_e + M_c)^-1, shape (n, n)."""
         return self.computed_mass @ np.linalg.inv(self.total_mass)
 
+    @property
+    def delay(self) -> float:
+        """Delay to compensate, s; InputError if none is given."""
+        delay = float(self.options["compensation.delay"])
+        if delay <= 0:
+            raise InputError(
+                f"reference_force: compensation.method {self.options['compensation.method']} "
+                "needs compensation.delay, the delay from reference force to measured force; "
+                "seft identify finds it and writes it into model.yaml, to be read by --params-file"
+            )
+        return delay
+
+    @property
+    def delay_range(self) -> tuple[float, float]:
+        """Shortest and longest delay that an adaptive method may take, s.
+
+        InputError if they make no range, or the given delay is outside.
+        """
+        bounds = list(np.atleast_1d(self.options["compensation.delay_range"]).tolist())
+        if len(bounds) != 2 or not 0 < bounds[0] < bounds[1]:
+            raise InputError(
+                f"reference_force: compensation.delay_range is {bounds}, but must be two delays in "
+                "s above zero, the shorter first"
+            )
+        if not bounds[0] <= self.delay <= bounds[1]:
+            raise InputError(
+                f"reference_force: compensation.delay is {self.delay:g} s, where the estimate "
+                f"starts, but compensation.delay_range is {bounds}; widen it"
+            )
+        return bounds[0], bounds[1]
+
 
 class Compensator(Protocol):
     """The interface of a compensation method.
@@ -114,26 +145,13 @@ def tells_motion(compensator: Compensator) -> bool:
     return hasattr(compensator, "pace")
 
 
-class AskingCompensator(Compensator, Protocol):
-    """A method whose structure may have a computed model, which is stepped after its answers.
+def asks_model(compensator: Compensator) -> TypeGuard[Any]:
+    """Whether a method's structure may have a computed model, which is stepped after its answers.
 
-    Attributes
-    ----------
-    model : ModelLine or None
-        The computed model; None if there is none.
-    failure : str
-        Reason of the model's failure in this test, one line; empty without a failure.
+    Then it has the attributes ``model``, a `ModelLine` or None, and ``failure``: the reason of the
+    model's failure in this test, one line; empty without a failure. Its ``ask_model()`` steps the
+    model, whose force is used from the next answer on.
     """
-
-    model: Any
-    failure: str
-
-    def ask_model(self) -> None:
-        """Step the model, whose force is used from the next answer on."""
-
-
-def asks_model(compensator: Compensator) -> TypeGuard[AskingCompensator]:
-    """Whether a method may have a computed model."""
     return hasattr(compensator, "ask_model")
 
 
@@ -248,34 +266,22 @@ class Signals:
 
     def state(self, block: int) -> Floats:
         """Block of states, shape (n, columns)."""
-        return self._rows(block)
+        n = self.knowledge.axes
+        return np.eye(n, (self.blocks + 5 + self.preview) * n, k=block * n)
 
     @property
-    def displacement(self) -> Floats:
-        """Measured displacement x, shape (n, columns)."""
-        return self._rows(self.blocks)
-
-    @property
-    def velocity(self) -> Floats:
-        """Measured velocity v, shape (n, columns)."""
-        return self._rows(self.blocks + 1)
-
-    @property
-    def acceleration(self) -> Floats:
-        """Measured acceleration a, shape (n, columns)."""
-        return self._rows(self.blocks + 2)
+    def measured(self) -> list[Floats]:
+        """Measured displacement, velocity, acceleration and force, shape (n, columns) each."""
+        return [self.state(self.blocks + row) for row in range(4)]
 
     @property
     def restoring_force(self) -> Floats:
         """Measured restoring force r = f - M_e a, shape (n, columns)."""
-        return self._rows(self.blocks + 3) - self.knowledge.mass @ self.acceleration
+        _, _, a, f = self.measured
+        return f - self.knowledge.mass @ a
 
     def ground_motion(self, time: float) -> Floats:
         """Ground acceleration ``time`` seconds from now, shape (n, columns)."""
         n = self.knowledge.axes
         weights = between_samples(time / self.knowledge.dt, 1 + self.preview)
         return np.hstack([np.zeros((n, (self.blocks + 4) * n)), np.kron(weights, np.eye(n))])
-
-    def _rows(self, block: int) -> Floats:
-        n = self.knowledge.axes
-        return np.eye(n, (self.blocks + 5 + self.preview) * n, k=block * n)

@@ -5,42 +5,25 @@ the gains of a linear filter, which may change during the test.
 """
 
 import math
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import wraps
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from seft_msgs_py.arrays import Floats
-from seft_msgs_py.errors import InputError
 
 from seft_ros.reference_force.compensator import Compensator, Knowledge, Method, Signals
-from seft_ros.reference_force.linear_filter import (
-    LinearCompensator,
-    LinearFilter,
-    Memory,
-    VaryingFilter,
-)
+from seft_ros.reference_force.linear_filter import LinearCompensator, LinearFilter, Memory
 from seft_ros.reference_force.observers import EVERY, DelayEstimator, ForceBlocks, whole_steps
 
 _GRID = 0.25  # sampling periods between the delays for which gains are computed
 
 
-@dataclass(frozen=True)
-class DelayFilter:
-    """Linear filter whose output gains depend on the delay.
-
-    Attributes
-    ----------
-    memory : Memory
-        Its states.
-    gains : callable
-        From a delay (s) to gains of shape (n, s + 4n + (1 + preview) n).
-    """
-
-    memory: Memory
-    gains: Callable[[float], Floats]
+DelayFilter = tuple[Memory, Callable[[float], Floats]]
+"""States of a linear filter; and from a delay (s) to its output gains, of shape (n, s + 4n +
+(1 + preview) n)."""
 
 
 def delay_method(design: Callable[[Knowledge, int], DelayFilter]) -> Method:
@@ -52,58 +35,74 @@ def delay_method(design: Callable[[Knowledge, int], DelayFilter]) -> Method:
 
     @wraps(design)
     def method(knowledge: Knowledge) -> Compensator:
-        delay, dt = given_delay(knowledge), knowledge.dt
+        delay, dt = knowledge.delay, knowledge.dt
         if not knowledge.options["compensation.estimate_delay"]:
-            fixed = design(knowledge, whole_steps(delay, dt))
-            return LinearCompensator(fixed.memory.with_gains(fixed.gains(delay)))
-        longest = delay_range(knowledge)[1]
-        return ScheduledCompensator(knowledge, design(knowledge, whole_steps(longest, dt)))
+            memory, gains = design(knowledge, whole_steps(delay, dt))
+            return LinearCompensator(memory.with_gains(gains(delay)))
+        longest = knowledge.delay_range[1]
+        return ScheduledCompensator(knowledge, *design(knowledge, whole_steps(longest, dt)))
 
     return method
 
 
-def given_delay(knowledge: Knowledge) -> float:
-    """Delay to compensate, s.
+class AdaptiveCompensator(ABC):
+    """Linear filter whose output gains follow estimates.
 
-    Raises
-    ------
-    InputError
-        If none is given.
+    Parameters
+    ----------
+    memory : Memory
+        Its states.
+
+    Attributes
+    ----------
+    preview : int
+        Number of later steps whose ground motion it needs.
     """
-    delay = float(knowledge.options["compensation.delay"])
-    if delay <= 0:
-        raise InputError(
-            f"reference_force: compensation.method {knowledge.options['compensation.method']} "
-            "needs compensation.delay, the delay from reference force to measured force; "
-            "seft identify finds it and writes it into model.yaml, to be read by --params-file"
-        )
-    return delay
+
+    def __init__(self, memory: Memory) -> None:
+        self._memory, self._gains = memory, self._present_gains()
+        n, size = len(self._gains), len(memory.a)
+        self._update = np.ascontiguousarray(np.hstack([memory.a, memory.b, memory.h]))
+        self._inputs = memory.w.copy() if memory.w.any() else None
+        self._work = np.zeros(self._gains.shape[1])
+        self._remembered = self._work[: size + 5 * n]
+        self._states, measured, ground = np.split(self._work, [size, size + 4 * n])
+        self._measured, self._ground_motion = measured.reshape(4, n), ground.reshape(-1, n)
+        self.preview = len(self._ground_motion) - 1
+
+    @abstractmethod
+    def _present_gains(self) -> Floats:
+        """Gains at the present estimates, shape (n, s + 4n + (1 + preview) n)."""
+
+    @abstractmethod
+    def _adapt(self, reference: Floats, measured: Floats) -> bool:
+        """Estimate with the forces of a step, shape (n,) each; whether the gains are due."""
+
+    def reset(self) -> None:
+        """Forget the test so far; the estimates have been reset before."""
+        self._work[:] = 0.0
+        self._gains = self._present_gains()
+
+    def step(self, ground_motion: Floats, state: Floats) -> Floats:
+        """Compute the reference force of one step, see `Compensator.step`."""
+        self._measured[:] = state
+        self._ground_motion[:] = ground_motion
+        force: Floats = self._gains.dot(self._work)
+        if len(self._states):
+            states = self._update.dot(self._remembered)
+            if self._inputs is not None:
+                states += self._inputs.dot(force)
+            self._states[:] = states
+        if self._adapt(force, state[3]):
+            self._gains = self._present_gains()
+        return force
+
+    def linear(self) -> LinearFilter:
+        """Linear filter at the present estimates."""
+        return self._memory.with_gains(self._present_gains())
 
 
-def delay_range(knowledge: Knowledge) -> tuple[float, float]:
-    """Shortest and longest delay that an adaptive method may take, s.
-
-    Raises
-    ------
-    InputError
-        If they make no range, or the given delay is outside.
-    """
-    bounds = list(np.atleast_1d(knowledge.options["compensation.delay_range"]).tolist())
-    if len(bounds) != 2 or not 0 < bounds[0] < bounds[1]:
-        raise InputError(
-            f"reference_force: compensation.delay_range is {bounds}, but must be two delays in s "
-            "above zero, the shorter first"
-        )
-    delay = given_delay(knowledge)
-    if not bounds[0] <= delay <= bounds[1]:
-        raise InputError(
-            f"reference_force: compensation.delay is {delay:g} s, where the estimate starts, but "
-            f"compensation.delay_range is {bounds}; widen it"
-        )
-    return bounds[0], bounds[1]
-
-
-class ScheduledCompensator:
+class ScheduledCompensator(AdaptiveCompensator):
     """Delay compensation with the delay of each axis estimated on line.
 
     The gains are computed before the test on a grid of delays, and interpolated in between. The row
@@ -113,8 +112,8 @@ class ScheduledCompensator:
     ----------
     knowledge : Knowledge
         Its options give the first delay and the bounds.
-    delay_filter : DelayFilter
-        The method.
+    memory, gains
+        The method, see `DelayFilter`.
 
     Raises
     ------
@@ -122,52 +121,34 @@ class ScheduledCompensator:
         If parameters of the estimate are invalid.
     """
 
-    def __init__(self, knowledge: Knowledge, delay_filter: DelayFilter) -> None:
-        self._first, last = delay_range(knowledge)
-        self._estimator = DelayEstimator(
-            start=given_delay(knowledge),
-            bounds=(self._first, last),
-            rate=knowledge.options["compensation.delay_rate"],
-            excitation=knowledge.options["compensation.excitation"],
-            band=knowledge.options["compensation.band"],
-            dt=knowledge.dt,
-            axes=knowledge.axes,
-        )
+    def __init__(
+        self, knowledge: Knowledge, memory: Memory, gains: Callable[[float], Floats]
+    ) -> None:
+        self._first, last = knowledge.delay_range
+        self._estimator = DelayEstimator(knowledge)
         count = 1 + whole_steps(last - self._first, _GRID * knowledge.dt)
         self._spacing = (last - self._first) / (count - 1)
         grid = self._first + self._spacing * np.arange(count)
-        self._table = np.array([delay_filter.gains(float(delay)) for delay in grid])
-        self._memory = delay_filter.memory
-        self._filter = VaryingFilter(self._memory, self._gains())
-        self.preview = self._filter.preview
+        self._table = np.array([gains(float(delay)) for delay in grid])
         self._step = 0
+        super().__init__(memory)
 
     def reset(self) -> None:
         """Forget the test so far, and the estimated delay."""
-        self._filter.reset()
         self._estimator.reset()
-        self._filter.gains = self._gains()
         self._step = 0
-
-    def step(self, ground_motion: Floats, state: Floats) -> Floats:
-        """Compute the reference force of one step, see `Compensator.step`."""
-        force = self._filter.step(ground_motion, state)
-        self._estimator.step(force, state[3])
-        self._step = (self._step + 1) % EVERY
-        if self._step == EVERY - 1:
-            self._filter.gains = self._gains()
-        return force
+        super().reset()
 
     def estimates(self) -> dict[str, Floats]:
         """Delay of each axis (s), as ``delay``."""
         return {"delay": self._estimator.delay.copy()}
 
-    def linear(self) -> LinearFilter:
-        """Linear filter at the delays estimated now."""
-        return self._memory.with_gains(self._gains())
+    def _adapt(self, reference: Floats, measured: Floats) -> bool:
+        self._estimator.step(reference, measured)
+        self._step = (self._step + 1) % EVERY
+        return self._step == EVERY - 1
 
-    def _gains(self) -> Floats:
-        """Gains at the present delays."""
+    def _present_gains(self) -> Floats:
         position = (self._estimator.delay - self._first) / self._spacing
         index = np.clip(position.astype(int), 0, len(self._table) - 2)
         axes, part = np.arange(len(index)), (position - index)[:, np.newaxis]
@@ -185,7 +166,7 @@ _AMPLITUDE_RATE = 0.5  # largest change of a0, 1/s
 _PRIOR = 1e-3  # weight of the present coefficients, over that of the data
 
 
-class Ats:
+class Ats(AdaptiveCompensator):
     """f_r = a0 f* + a1 f*' + a2 f*'', with a0, a1, a2 fitted on line to the actuator.
 
     Adaptive time series compensator (Chae, Kazemibidokhti & Ricles 2013, Earthquake Eng. Struct.
@@ -211,7 +192,7 @@ class Ats:
 
     def __init__(self, knowledge: Knowledge) -> None:
         n, dt, options = knowledge.axes, knowledge.dt, knowledge.options
-        delay, (shortest, longest) = given_delay(knowledge), delay_range(knowledge)
+        delay, (shortest, longest) = knowledge.delay, knowledge.delay_range
         low, high = _AMPLITUDE
         self._start = np.tile([1.0, delay, delay**2 / 2], (n, 1))
         self._least = np.array([low, low * shortest, 0.0])
@@ -224,44 +205,26 @@ class Ats:
         self._forces = ForceBlocks(options["compensation.band"], dt, n, past, block)
         self._derivatives = parabola_weights(1 + past, dt)
         signals = Signals(knowledge, preview=0, blocks=past)
-        wanted = knowledge.share @ signals.restoring_force - knowledge.mass @ signals.ground_motion(
-            0.0
-        )
+        ground = knowledge.mass @ signals.ground_motion(0.0)
+        wanted = knowledge.share @ signals.restoring_force - ground
         values = np.array([wanted, *(signals.state(i) for i in range(past))])
         self._series = np.tensordot(self._derivatives, values, axes=1)  # of f*: (3, n, columns)
-        self._memory = Memory.past(wanted[:, past * n :], past)
-        self._filter = VaryingFilter(self._memory, self._gains())
-        self.preview = self._filter.preview
         self._sums: deque[Floats] = deque(maxlen=_BLOCKS)
+        super().__init__(Memory.past(wanted[:, past * n :], past))
 
     def reset(self) -> None:
         """Forget the test so far, and the identified values."""
         self._coefficients[:] = self._start
-        self._filter.reset()
-        self._filter.gains = self._gains()
         self._forces.reset()
         self._sums.clear()
-
-    def step(self, ground_motion: Floats, state: Floats) -> Floats:
-        """Compute the reference force of one step, see `Compensator.step`."""
-        force = self._filter.step(ground_motion, state)
-        block = self._forces.step(force, state[3])
-        if block is not None:
-            self._sums.append(self._products(block[:, 0], block[:, 1]))
-            self._adapt()
-        return force
+        super().reset()
 
     def estimates(self) -> dict[str, Floats]:
         """Delay a1 / a0 (s) and amplitude 1 / a0 of each axis, as ``delay`` and ``amplitude``."""
         a0, a1, _ = self._coefficients.T
         return {"delay": a1 / a0, "amplitude": 1 / a0}
 
-    def linear(self) -> LinearFilter:
-        """Linear filter at the present coefficients."""
-        return self._memory.with_gains(self._gains())
-
-    def _gains(self) -> Floats:
-        """Gains at the present coefficients."""
+    def _present_gains(self) -> Floats:
         gains: Floats = np.einsum("ni,inc->nc", self._coefficients, self._series)
         return gains
 
@@ -274,19 +237,22 @@ class Ats:
         products: Floats = np.einsum("isn,jsn->nij", rows, rows)
         return products
 
-    def _adapt(self) -> None:
+    def _adapt(self, reference: Floats, measured: Floats) -> bool:
         """Move the coefficients towards those that fit the window."""
-        for axis, total in enumerate(np.sum(self._sums, axis=0)):
-            products, reference = total[:3, :3], total[:3, 3]
+        block = self._forces.step(reference, measured)
+        if block is None:
+            return False
+        self._sums.append(self._products(block[:, 0], block[:, 1]))
+        for now, total in zip(self._coefficients, np.sum(self._sums, axis=0), strict=True):
+            products, wanted = total[:3, :3], total[:3, 3]
             if not self._enough < min(total[0, 0], total[3, 3]) < math.inf:
                 continue
-            now = self._coefficients[axis]
             # one frequency alone can't determine three coefficients: the others do not change
             prior = np.diag(_PRIOR * np.diag(products))
-            found = np.linalg.solve(products + prior, reference + prior @ now)
+            found = np.linalg.solve(products + prior, wanted + prior @ now)
             bounded = np.clip(found, now - self._most, now + self._most)
-            self._coefficients[axis] = np.clip(bounded, self._least, self._greatest)
-        self._filter.gains = self._gains()
+            now[:] = np.clip(bounded, self._least, self._greatest)
+        return True
 
 
 def parabola_weights(count: int, dt: float) -> Floats:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.compiled import compiled
+from seft_plant_sim.compiled import compiled, copy
 from seft_plant_sim.lti import LEAST_SAMPLES, noncausal_inverse
 
 from seft_ros.reference_force.compensator import Knowledge
@@ -40,8 +40,6 @@ class CommandParameters(NamedTuple):
         Delay of T in whole steps, and the part of a step beyond.
     rate : float
         w, 1/s.
-    dt : float
-        Sampling period, s.
     by_force : ndarray
         M_e^-1, shape (n, n), 1/kg.
     """
@@ -51,7 +49,6 @@ class CommandParameters(NamedTuple):
     steps: int
     part: float
     rate: float
-    dt: float
     by_force: Floats
 
 
@@ -116,17 +113,10 @@ def command_arrays(known: Knowledge, horizon: int) -> tuple[CommandParameters, C
         steps=steps,
         part=delay / dt - steps,
         rate=1.0 / delay,
-        dt=dt,
         by_force=np.linalg.inv(known.mass),
     )
     state = CommandState(np.zeros((steps + 1, n)), np.zeros(2 * n), np.zeros((n, THRESHOLDS)))
     return parameters, state
-
-
-@compiled
-def begin_command(state: CommandState) -> None:
-    """Begin a test: no force has been requested."""
-    state.sent[:] = 0.0
 
 
 @compiled
@@ -149,18 +139,17 @@ def command_step(
         See `target_step`, shape (taps or more, 3, n); the force of the first is replaced.
     """
     p, n = parameters, len(target.axes)
-    y, stops, known = state.motion, state.stops, running.model.stops
+    y, stops = state.motion, state.stops
+    copy(n, running.measured[0], y)
+    copy(n, running.measured[1], y[n:])
     for i in range(n):
-        y[i], y[n + i] = running.measured[0, i], running.measured[1, i]
-        for k in range(known.shape[1]):
-            stops[i, k] = known[i, k]
+        copy(THRESHOLDS, running.model.stops[i], stops[i])
     # first the force of the present command acts for a part of a step, then those of the others
     for age in range(p.steps, -1, -1):
-        span = p.part * p.dt if age == p.steps else p.dt
+        span = p.part * target.dt if age == p.steps else target.dt
         move_by_force(target, running, p.by_force, state.sent[age], span, y, stops)
     for age in range(p.steps, 0, -1):
-        for i in range(n):
-            state.sent[age, i] = state.sent[age - 1, i]
+        copy(n, state.sent[age - 1], state.sent[age])
     # Eq. (6)
     here, there = p.steps, p.steps + 1
     for i in range(n):
@@ -173,5 +162,4 @@ def command_step(
             pull = p.rate * p.rate * (x - y[k]) + 2.0 * p.rate * (v - y[n + k])
             force += target.mass[i, k] * pull / p.static
         state.sent[0, i] = force
-    for i in range(n):
-        points[0, 2, i] = state.sent[0, i]
+    copy(n, state.sent[0], points[0, 2])

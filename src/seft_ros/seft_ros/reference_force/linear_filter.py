@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
-from seft_plant_sim.compiled import compiled, entry_point, multiply
+from seft_plant_sim.compiled import compiled, copy, entry_point, multiply
 
 
 @dataclass(frozen=True)
@@ -112,20 +112,14 @@ def linear_step(
         The result, shape (1, 1, n), N.
     """
     work, result, n = state.work, state.result, measured.shape[1]
-    place = states = len(result) - n
+    states = len(result) - n
     for row in range(4):
-        for i in range(n):
-            work[place] = measured[row, i]
-            place += 1
+        copy(n, measured[row], work[states + row * n :])
     for row in range(len(ground)):
-        for i in range(n):
-            work[place] = ground[row, i]
-            place += 1
+        copy(n, ground[row], work[states + (4 + row) * n :])
     multiply(parameters.matrix, work, result)
-    for i in range(n):
-        points[0, 0, i] = result[i]
-    for i in range(states):
-        work[i] = result[n + i]
+    copy(n, result, points[0, 0])
+    copy(states, result[n:], work)
 
 
 class LinearCompensator:
@@ -222,50 +216,3 @@ class Memory:
         w, h = self.w, self.w @ e
         h[:, : self.h.shape[1]] += self.h
         return LinearFilter(self.a + w @ c, self.b + w @ d, h, c, d, e)
-
-
-class VaryingFilter:
-    """Runs a `Memory` with gains that may be set between two steps.
-
-    Parameters
-    ----------
-    memory : Memory
-        Its states.
-    gains : ndarray
-        First gains, shape (n, s + 4n + (1 + preview) n).
-
-    Attributes
-    ----------
-    gains : ndarray
-        Present gains, of the same shape.
-    preview : int
-        Number of later steps whose ground motion it needs.
-    """
-
-    def __init__(self, memory: Memory, gains: Floats) -> None:
-        self.gains = gains
-        n, size = len(gains), len(memory.a)
-        self._update = np.ascontiguousarray(np.hstack([memory.a, memory.b, memory.h]))
-        self._inputs = memory.w.copy() if memory.w.any() else None
-        self._work = np.zeros(gains.shape[1])
-        self._states = self._work[:size]
-        self._measured = self._work[size : size + 4 * n].reshape(4, n)
-        self._remembered = self._work[: size + 5 * n]
-        self._ground_motion = self._work[size + 4 * n :].reshape(-1, n)
-        self.preview = len(self._ground_motion) - 1
-
-    def reset(self) -> None:
-        """Forget the test so far."""
-        self._work[:] = 0.0
-
-    def step(self, ground_motion: Floats, state: Floats) -> Floats:
-        """Compute the reference force of one step, see `Compensator.step`."""
-        self._measured[:] = state
-        self._ground_motion[:] = ground_motion
-        force: Floats = self.gains.dot(self._work)
-        if len(self._states):
-            states = self._update.dot(self._remembered)
-            if self._inputs is not None:
-                states += self._inputs.dot(force)
-            self._states[:] = states
-        return force

@@ -13,6 +13,8 @@ from seft_msgs_py.errors import InputError
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.sensors import CHANNELS
 
+from seft_ros.reference_force.compensator import Knowledge
+
 BETWEEN_SAMPLES = 3.0
 """Noise of the integrated acceleration over the sensor's: the acceleration changes between samples.
 """
@@ -129,8 +131,8 @@ def whole_steps(time: float, dt: float) -> int:
     return max(1, math.ceil(time / dt - _ROUNDING))
 
 
-class BandPass:
-    """High-pass and low-pass of the second order (Butterworth) in series, for many signals.
+def band_pass(band: Sequence[float], dt: float) -> Floats:
+    """High-pass and low-pass of the second order (Butterworth) in series.
 
     Each is the bilinear transform of w^2 or s^2 over s^2 + sqrt(2) w s + w^2, prewarped, as a
     recursion of the direct form II, transposed.
@@ -141,51 +143,39 @@ class BandPass:
         Cut-off frequencies, Hz.
     dt : float
         Sampling period, s.
-    signals : int
-        Number of signals p.
+
+    Returns
+    -------
+    ndarray
+        Takes (four states, a sample) to (the next states, the filtered sample), shape (5, 5).
 
     Raises
     ------
     InputError
         If the band is empty or does not end below the Nyquist frequency.
     """
-
-    def __init__(self, band: Sequence[float], dt: float, signals: int) -> None:
-        edges = np.atleast_1d(band).tolist()
-        if len(edges) != 2 or not 0 < edges[0] < edges[1] < 0.5 / dt:
-            raise InputError(
-                f"reference_force: compensation.band is {edges} Hz, but must be two "
-                f"frequencies above zero and below half the sampling rate, {0.5 / dt:g} Hz, "
-                "the lower first"
-            )
-        low, high = edges
-        (b, a), (d, c) = _second_order(low, dt, high_pass=True), _second_order(high, dt)
-        # states: two of the high-pass, two of the low-pass; then the input
-        first = np.array([1.0, 0.0, 0.0, 0.0, b[0]])
-        source = np.eye(5)[4]
-        second = d[0] * first + np.eye(5)[2]
-        self._matrix = np.array(
-            [
-                np.eye(5)[1] + b[1] * source - a[1] * first,
-                b[2] * source - a[2] * first,
-                np.eye(5)[3] + d[1] * first - c[1] * second,
-                d[2] * first - c[2] * second,
-                second,
-            ]
+    edges = np.atleast_1d(band).tolist()
+    if len(edges) != 2 or not 0 < edges[0] < edges[1] < 0.5 / dt:
+        raise InputError(
+            f"reference_force: compensation.band is {edges} Hz, but must be two "
+            f"frequencies above zero and below half the sampling rate, {0.5 / dt:g} Hz, "
+            "the lower first"
         )
-        self._work = np.zeros((5, signals))
-
-    def reset(self) -> None:
-        """Forget the past."""
-        self._work[:] = 0.0
-
-    def step(self, signals: Floats) -> Floats:
-        """Filter one sample of each signal, shape (p,)."""
-        self._work[4] = signals
-        result = self._matrix.dot(self._work)
-        self._work[:4] = result[:4]
-        passed: Floats = result[4]
-        return passed
+    low, high = edges
+    (b, a), (d, c) = _second_order(low, dt, high_pass=True), _second_order(high, dt)
+    # states: two of the high-pass, two of the low-pass; then the input
+    _, next_1, next_2, next_3, source = np.eye(5)
+    first = np.array([1.0, 0.0, 0.0, 0.0, b[0]])
+    second = d[0] * first + next_2
+    return np.array(
+        [
+            next_1 + b[1] * source - a[1] * first,
+            b[2] * source - a[2] * first,
+            next_3 + d[1] * first - c[1] * second,
+            d[2] * first - c[2] * second,
+            second,
+        ]
+    )
 
 
 def _second_order(
@@ -221,14 +211,15 @@ class ForceBlocks:
     """
 
     def __init__(self, band: Sequence[float], dt: float, axes: int, past: int, block: int) -> None:
-        self._band = BandPass(band, dt, 2 * axes)
-        self._raw = np.zeros((2, axes))
+        self._matrix = band_pass(band, dt)
+        self._work = np.zeros((5, 2 * axes))
+        self._forces = self._work[4].reshape(2, axes)
         self._samples = np.zeros((past + block, 2, axes))
         self._past = self._row = past
 
     def reset(self) -> None:
         """Forget the past."""
-        self._band.reset()
+        self._work[:] = 0.0
         self._samples[:] = 0.0
         self._row = self._past
 
@@ -246,12 +237,12 @@ class ForceBlocks:
         if self._row == len(self._samples):
             self._samples[: self._past] = self._samples[-self._past :]
             self._row = self._past
-        raw = self._raw
-        raw[0] = reference
-        raw[1] = measured
-        if not math.isfinite(raw.sum()):
+        self._forces[0], self._forces[1] = reference, measured
+        if not math.isfinite(self._forces.sum()):
             return None
-        self._samples[self._row] = self._band.step(raw.ravel()).reshape(raw.shape)
+        result = self._matrix.dot(self._work)
+        self._work[:4] = result[:4]
+        self._samples[self._row] = result[4].reshape(2, -1)
         self._row += 1
         return self._samples if self._row == len(self._samples) else None
 
@@ -275,20 +266,9 @@ class DelayEstimator:
 
     Parameters
     ----------
-    start : float
-        First estimate, s.
-    bounds : tuple of float
-        Shortest and longest delay, s.
-    rate : float
-        Largest change, s per s.
-    excitation : float
-        Least RMS of both forces, in the band and about the last second, for an estimate, N.
-    band : sequence of float
-        Edges of the band-pass, Hz.
-    dt : float
-        Sampling period, s.
-    axes : int
-        Number of axes n.
+    knowledge : Knowledge
+        Its options give the first estimate, the bounds, the rate, the band and the excitation: the
+        least RMS of both forces, in the band and about the last second, for an estimate, N.
 
     Attributes
     ----------
@@ -298,25 +278,17 @@ class DelayEstimator:
     Raises
     ------
     InputError
-        If the band does not fit the sampling rate.
+        If no delay is given, or the bounds or the band are invalid.
     """
 
-    def __init__(
-        self,
-        start: float,
-        bounds: tuple[float, float],
-        rate: float,
-        excitation: float,
-        band: Sequence[float],
-        dt: float,
-        axes: int,
-    ) -> None:
-        self.delay = np.full(axes, start)
-        self._start, self._bounds, self._dt = start, bounds, dt
-        self._most = rate * dt * EVERY
-        self._enough = excitation**2 * MEMORY / dt
-        self._lags = whole_steps(bounds[1], dt) + 2
-        self._forces = ForceBlocks(band, dt, axes, past=self._lags, block=EVERY)
+    def __init__(self, knowledge: Knowledge) -> None:
+        options, dt, axes = knowledge.options, knowledge.dt, knowledge.axes
+        self._start, self._bounds = knowledge.delay, knowledge.delay_range
+        self.delay, self._dt = np.full(axes, self._start), dt
+        self._most = options["compensation.delay_rate"] * dt * EVERY
+        self._enough = options["compensation.excitation"] ** 2 * MEMORY / dt
+        self._lags = whole_steps(self._bounds[1], dt) + 2
+        self._forces = ForceBlocks(options["compensation.band"], dt, axes, self._lags, EVERY)
         keep = math.exp(-dt / MEMORY)
         self._keep, self._fade = keep**EVERY, keep ** np.arange(EVERY - 1, -1, -1)
         # sums of q[k] p[k-l], of p[k-l]^2, and of q[k]^2

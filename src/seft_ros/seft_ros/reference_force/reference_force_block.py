@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
@@ -39,7 +39,8 @@ class StateGathering:
     def reset(self) -> None:
         """Begin a new test."""
         self._newest = [-1] * len(self._rigs)
-        self._parts: dict[int, dict[int, Floats]] = {}
+        # the state of all axes at a step, and the rigs that have sent theirs
+        self._parts: dict[int, tuple[Floats, set[int]]] = {}
         self._since = math.inf  # arrival of the first state that waits for another rig's
 
     def take(self, rig: int, step: int, state: Floats, now: float) -> Floats | None:
@@ -67,20 +68,17 @@ class StateGathering:
         WireError
             If the rig has sent a state of this step before.
         """
-        parts = self._parts.setdefault(step, {})
-        if rig in parts:
+        whole, arrived = self._parts.setdefault(step, (np.empty((4, self._axes)), set()))
+        if rig in arrived:
             raise WireError(f"state of step {step} of {self._rigs[rig].name} a second time")
-        parts[rig] = state
+        whole[:, self._places[rig]] = state
+        arrived.add(rig)
         self._newest[rig] = max(self._newest[rig], step)
-        if len(parts) < len(self._rigs):
+        if len(arrived) < len(self._rigs):
             self._since = min(self._since, now)
             return None
         self._since = math.inf
-        for passed in [other for other in self._parts if other <= step]:
-            del self._parts[passed]
-        whole = np.empty((len(state), self._axes))
-        for number, part in parts.items():
-            whole[:, self._places[number]] = part
+        self._parts = {later: part for later, part in self._parts.items() if later > step}
         return whole
 
     @property
@@ -270,12 +268,12 @@ def knowledge(section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
         symmetric_matrix(section[f"model.{name}"], axes, f"{where}.{name}")
         for name in ("damping", "stiffness")
     )
-    if section["method"] == "eft" and section["computed.model"]:
-        raise InputError(
-            "reference_force: computed.model is given, but with method eft nothing is computed; "
-            "make that seft"
-        )
     if section["method"] == "eft":  # the specimen carries all of the mass (Eq. 2.2)
+        if section["computed.model"]:
+            raise InputError(
+                "reference_force: computed.model is given, but with method eft nothing is "
+                "computed; make that seft"
+            )
         mass = mass + section["mass_ratio"] * mass
         computed = ComputedSubstructure.lumped(np.zeros_like(mass))
     else:
@@ -309,17 +307,6 @@ MODEL_PERIOD_NS = NANOSECONDS_PER_SECOND // 100
 """Experiment time between two samples with a computed model; a plot of its hysteresis needs it."""
 
 
-class Estimating(Protocol):
-    """A reference force, protected or not."""
-
-    @property
-    def is_modelled(self) -> bool:
-        """Whether it has a computed model."""
-
-    def estimates(self) -> dict[str, Floats]:
-        """Estimate of each quantity, shape (n,) each."""
-
-
 def sampling_period(timebase: Timebase, is_modelled: bool) -> int:
     """Count the steps from one sample to the next."""
     return max(1, round((MODEL_PERIOD_NS if is_modelled else PERIOD_NS) / timebase.period_ns))
@@ -333,7 +320,7 @@ class EstimateSampler:
 
     Parameters
     ----------
-    reference_force : Estimating
+    reference_force : ReferenceForce
         Has the estimates.
     timebase : Timebase
         Sampling clock of the test.
@@ -344,7 +331,7 @@ class EstimateSampler:
         Step at which, or after which, to call `sample`.
     """
 
-    def __init__(self, reference_force: Estimating, timebase: Timebase) -> None:
+    def __init__(self, reference_force: ReferenceForce, timebase: Timebase) -> None:
         self.due = 0
         self._estimates = reference_force.estimates
         self._every = sampling_period(timebase, reference_force.is_modelled)

@@ -44,7 +44,7 @@ from typing import NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
-from seft_plant_sim.compiled import compiled, multiply_sized
+from seft_plant_sim.compiled import compiled, copy, multiply_sized
 
 THRESHOLDS = 12
 """Number of stop operators of a spring; each has twice the threshold of the one before."""
@@ -247,19 +247,12 @@ def begin_model(parameters: ModelParameters, state: ModelState) -> None:
     state.past[:] = 0.0
     state.stops[:] = 0.0
     state.sums[:] = 0.0
+    state.last[:] = 0.0
     for j in range(n):
-        state.sums[j, 4] = 0.0
         for i in range(q):
             start = parameters.start[j, i]
             state.values[j, i] = state.before[j, i] = state.found[j, i] = start
             state.covariance[j, i, i] = parameters.prior[j, i]
-            state.last[j, i] = 0.0
-
-
-@compiled
-def fours(count: int) -> int:
-    """Round up to a multiple of four: the processor has instructions for four at a time."""
-    return (count + 3) // 4 * 4
 
 
 @compiled
@@ -326,18 +319,16 @@ def follow(
     acts on the structure over this step in addition to the model's, to correct the past impulse.
     """
     n = len(parameters.springs)
-    q = fours(1 + 2 * n + THRESHOLDS)
+    q = (1 + 2 * n + THRESHOLDS + 3) // 4 * 4  # the processor has instructions for four at a time
     for j in range(n):
         phi, last, p = state.regressors[j], state.last[j], state.covariance[j]
         gain, taken, left = state.work[0], state.work[1], state.work[2]
         past, of_past, remembered = state.past[j], 0.0, parameters.remembered[j]
         found, change, sums = state.found[j], parameters.change[j], state.sums[j]
         phi[0] = 1.0
-        for i in range(n):
-            phi[1 + i] = e[i]
-            phi[1 + n + i] = rate[i]
-        for i in range(THRESHOLDS):
-            phi[1 + 2 * n + i] = state.stops[j, i]
+        copy(n, e, phi[1:])
+        copy(n, rate, phi[1 + n :])
+        copy(THRESHOLDS, state.stops[j], phi[1 + 2 * n :])
         innovation, seen = measured[j], motion_noise(parameters, state, j)
         variance = parameters.noise[j, 0] + seen
         surplus = used = measured[j]

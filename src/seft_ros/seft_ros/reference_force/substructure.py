@@ -45,29 +45,6 @@ def with_substructure(method: Compensator, knowledge: Knowledge) -> Compensator:
     return _BehindMotion(method, motion)
 
 
-def whole_system(knowledge: Knowledge) -> tuple[Floats, Floats]:
-    """Give the assumed whole structure in state space.
-
-    Returns
-    -------
-    a, b : ndarray
-        Shapes (N, N) and (N, n): of the states (x, v) of the axes, then of the internal degrees
-        of freedom, driven by the ground acceleration. Rows n to 2n give x''.
-    """
-    n, computed = knowledge.axes, knowledge.computed
-    inverse = np.linalg.inv(knowledge.mass + knowledge.computed_mass)
-    restoring = np.hstack([knowledge.stiffness, knowledge.damping])
-    size = 2 * n + 2 * computed.internal
-    a, b = np.zeros((size, size)), np.zeros((size, n))
-    a[:n, n : 2 * n] = np.eye(n)
-    a[n : 2 * n, : 2 * n] = -inverse @ restoring
-    b[n : 2 * n] = -np.eye(n)
-    if not computed.is_lumped:
-        a[n : 2 * n] -= inverse @ _force(knowledge)
-        a[2 * n :], b[2 * n :] = _internal(knowledge)
-    return a, b
-
-
 def substructure_motion(knowledge: Knowledge, preview: int) -> LinearFilter:
     """Give the filter whose output is the equivalent ground acceleration of a substructure.
 
@@ -91,8 +68,9 @@ def substructure_motion(knowledge: Knowledge, preview: int) -> LinearFilter:
     n, computed, dt = knowledge.axes, knowledge.computed, knowledge.dt
     inside, steps = 2 * computed.internal, 1 + preview
     # all signals are combinations of states, measured signals and ground motion
-    parts = np.split(np.eye(inside + n + 4 * n + steps * n), inside + n * np.arange(0, 5 + steps))
-    before, rest, x, v, a, f, *ground = (part for part in parts)
+    before, rest, x, v, a, f, *ground = np.split(
+        np.eye(inside + n + 4 * n + steps * n), inside + n * np.arange(0, 5 + steps)
+    )
     system, by_ground = _internal(knowledge)
     # the motion of the axes is an input
     free, start, change = first_order_hold(
@@ -106,10 +84,13 @@ def substructure_motion(knowledge: Knowledge, preview: int) -> LinearFilter:
 
     inverse = np.linalg.inv(knowledge.total_mass)
     acceleration = inverse @ _force(knowledge)
-    whole, push = whole_system(knowledge)
-    by_rest = np.zeros_like(push)
-    by_rest[n : 2 * n] = -inverse
-    free, start, change = first_order_hold(whole, np.hstack([push, by_rest]), dt)
+    # the whole structure: (x, v) of the axes and (z, z'), by ground acceleration and rest
+    elastic = -inverse @ np.hstack([knowledge.stiffness, knowledge.damping])
+    moved = np.pad(elastic, [(0, 0), (0, inside)]) - acceleration
+    whole = np.vstack([np.eye(n, 2 * n + inside, k=n), moved, system])
+    none, apart = np.zeros((n, n)), np.zeros((inside, n))
+    inputs = np.block([[none, none], [-np.eye(n), -inverse], [by_ground, apart]])
+    free, start, change = first_order_hold(whole, inputs, dt)
     motion = np.vstack([x, v, internal])
     found = [ground[0] + acceleration @ motion]
     for now, later in pairwise(ground):
@@ -125,17 +106,13 @@ def substructure_motion(knowledge: Knowledge, preview: int) -> LinearFilter:
     return LinearFilter(a, b, h, c, d, e)
 
 
-class SubstructureMotion:
-    """The filter of `substructure_motion` in a test.
+class _BehindMotion:
+    """A nonlinear method that receives the output of a `substructure_motion` as ground motion."""
 
-    Parameters
-    ----------
-    motion : LinearFilter
-        Its result.
-    """
-
-    def __init__(self, motion: LinearFilter) -> None:
-        self.filter = motion
+    def __init__(self, method: Compensator, motion: LinearFilter) -> None:
+        self.preview = method.preview
+        self.estimates = method.estimates
+        self._method, self._motion = method, motion
         self._matrix = np.ascontiguousarray(motion.matrix())
         self._work = np.zeros(self._matrix.shape[1])
         self._states, signals = np.split(self._work, [len(motion.a)])
@@ -144,43 +121,19 @@ class SubstructureMotion:
     def reset(self) -> None:
         """Forget the test so far."""
         self._work[:] = 0.0
-
-    def step(self, ground_motion: Floats, state: Floats) -> Floats:
-        """Compute one step, with the arguments of `Compensator.step`.
-
-        Returns
-        -------
-        ndarray
-            The equivalent ground motion of this step and the later ones, shape
-            (1 + preview, n), m/s^2.
-        """
-        self._measured[:] = state.reshape(-1)
-        self._ground[:] = ground_motion.reshape(-1)
-        result = self._matrix.dot(self._work)
-        outputs, self._states[:] = np.split(result, [len(self.filter.c)])
-        return outputs.reshape(ground_motion.shape)
-
-
-class _BehindMotion:
-    """A nonlinear method behind a `SubstructureMotion`."""
-
-    def __init__(self, method: Compensator, motion: LinearFilter) -> None:
-        self.preview = method.preview
-        self.estimates = method.estimates
-        self._method, self._motion = method, SubstructureMotion(motion)
-
-    def reset(self) -> None:
-        """Forget the test so far."""
-        self._motion.reset()
         self._method.reset()
 
     def step(self, ground_motion: Floats, state: Floats) -> Floats:
         """Compute the reference force of one step, see `Compensator.step`."""
-        return self._method.step(self._motion.step(ground_motion, state), state)
+        self._measured[:] = state.reshape(-1)
+        self._ground[:] = ground_motion.reshape(-1)
+        result = self._matrix.dot(self._work)
+        equivalent, self._states[:] = np.split(result, [len(self._motion.c)])
+        return self._method.step(equivalent.reshape(ground_motion.shape), state)
 
     def linear(self) -> LinearFilter:
         """Linear filter of the method, see `Compensator.linear`."""
-        return _behind(self._method.linear(), self._motion.filter)
+        return _behind(self._method.linear(), self._motion)
 
 
 def _behind(method: LinearFilter, motion: LinearFilter) -> LinearFilter:

@@ -17,24 +17,16 @@ from collections import deque
 import numpy as np
 from scipy.linalg import eigh
 from seft_msgs_py.arrays import Floats
-from seft_msgs_py.errors import InputError
 from seft_plant_sim.compiled import entry_point
 from seft_plant_sim.computed_model import ComputedModel, ModelError
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_plant_sim.lti import first_order_hold
 
-from seft_ros.reference_force.compensator import Knowledge
-from seft_ros.reference_force.force_command import (
-    FORCE_DRIVEN,
-    CommandParameters,
-    CommandState,
-    begin_command,
-    command_arrays,
-    command_step,
-)
+from seft_ros.reference_force.compensator import Knowledge, NotLinearError
+from seft_ros.reference_force.force_command import FORCE_DRIVEN, command_arrays, command_step
 from seft_ros.reference_force.linear_filter import LinearFilter
 from seft_ros.reference_force.observers import observer_gains, sensor_noise
-from seft_ros.reference_force.reference_force_parameters import OF_MODEL
+from seft_ros.reference_force.reference_force_parameters import OF_MODEL, TARGET_MOTION
 from seft_ros.reference_force.restoring_model import model_arrays
 from seft_ros.reference_force.target_step import (
     ESTIMATES,
@@ -236,26 +228,20 @@ class TargetMotion:
     """
 
     def __init__(self, known: Knowledge) -> None:
-        self.preview = known.loop_delay + math.ceil(
-            known.options["compensation.horizon"] / known.dt - 1e-9
-        )
+        horizon = math.ceil(known.options["compensation.horizon"] / known.dt - 1e-9)
+        self.preview, n = known.loop_delay + horizon, known.axes
         self.parameters, self.state, self.model = target_arrays(known)
-        n = known.axes
-        self._points = np.zeros((1 + self.preview, 3, n))
-        self.command: tuple[CommandParameters, CommandState] | None = None
-        if known.options["compensation.actuator_kind"] in FORCE_DRIVEN:
-            self.command = command_arrays(known, self.preview)
-            self._command_step = entry_point(
-                command_step, *self.command, self.parameters, self.state, self._points
-            )
-            self._begin_command = entry_point(begin_command, self.command[1])
         self._ground, self._measured = np.zeros((1 + self.preview, n)), np.zeros((4, n))
-        self.pace = 1.0
-        arguments = self._ground, self._measured, self.pace, self._points
-        self._step = entry_point(target_step, self.parameters, self.state, *arguments)
-        self._begin = entry_point(begin_target, self.parameters, self.state)
+        self._points = np.zeros((1 + self.preview, 3, n))
         both = self.parameters, self.state
+        arguments = self._ground, self._measured, 1.0, self._points
+        self._step = entry_point(target_step, *both, *arguments)
+        self._begin = entry_point(begin_target, *both)
         self._estimate = entry_point(target_estimates, *both, self._ground)
+        obeys_force = known.options["compensation.actuator_kind"] in FORCE_DRIVEN
+        self.command = command_arrays(known, self.preview) if obeys_force else None
+        if self.command is not None:
+            self._command_step = entry_point(command_step, *self.command, *both, self._points)
         self.reset()
 
     def reset(self) -> None:
@@ -267,7 +253,7 @@ class TargetMotion:
             self.model.reset()
         self._begin(self.parameters, self.state)
         if self.command is not None:
-            self._begin_command(self.command[1])
+            self.command[1].sent[:] = 0.0  # no force has been requested
 
     def step(self, ground_motion: Floats, state: Floats) -> Floats:
         """Update the target with a sample, see `target_step`; (1 + preview, 3, n).
@@ -310,10 +296,7 @@ class TargetMotion:
 
     def linear(self) -> LinearFilter:
         """Raise an error: there is none."""
-        raise InputError(
-            "reference_force: target_motion is no linear filter: seft simulate shows whether a "
-            "test is stable"
-        )
+        raise NotLinearError("reference_force", TARGET_MOTION)
 
     def estimates(self) -> dict[str, Floats]:
         """Stiffness, damping and sliders' force of each spring, as identified on line.
@@ -333,9 +316,7 @@ class TargetMotion:
         return estimates | self._recorded
 
 
-def target_arrays(
-    known: Knowledge,
-) -> tuple[TargetParameters, TargetState, ModelLine | None]:
+def target_arrays(known: Knowledge) -> tuple[TargetParameters, TargetState, ModelLine | None]:
     """Put a target into arrays, from the known data of a test; make a computed model's line."""
     n, computed, dt = known.axes, known.computed, known.dt
     size = n + computed.internal
@@ -345,10 +326,9 @@ def target_arrays(
 
     deformation = spring_deformations(known)
     to_springs = np.linalg.inv(deformation.T)
-    own_mass, own_damping, own_stiffness = (
-        to_springs @ matrix @ to_springs.T
-        for matrix in (known.mass, known.damping, known.stiffness)
-    )
+
+    def of_springs(matrix: Floats) -> Floats:
+        return to_springs @ matrix @ to_springs.T
 
     def through(matrix: Floats, values: Floats) -> Floats:  # variances of a sum of noises
         return matrix**2 @ values**2
@@ -356,28 +336,21 @@ def target_arrays(
     white = through(to_springs, noise[3]) + through(to_springs @ known.mass, noise[2])
     deformed = np.sqrt(np.transpose([through(deformation, left[0]), through(deformation, left[1])]))
     alike = 2.0 / gains[:, 0, 0].min() - 1.0  # the noise after the observer is correlated
-    specimen = [(0, computed.internal)] * 2
     mass, damping, stiffness = (
-        np.pad(measured, specimen) + part
-        for measured, part in (
-            (known.mass, computed.mass),
-            (known.damping, computed.damping),
-            (known.stiffness, computed.stiffness),
-        )
+        np.pad(getattr(known, name), (0, computed.internal)) + getattr(computed, name)
+        for name in ("mass", "damping", "stiffness")
     )
     inverse = np.linalg.inv(mass)
-    line = None
-    if computed.model is not None:
-        line = ModelLine(computed, inverse, dt)
-    a, b = np.zeros((2 * size, 2 * size)), np.zeros((2 * size, size))
-    a[:size, size:], b[size:] = np.eye(size), np.eye(size)
-    a[size:, :size], a[size:, size:] = -inverse @ stiffness, -inverse @ damping
+    line = None if computed.model is None else ModelLine(computed, inverse, dt)
+    none, one = np.zeros((size, size)), np.eye(size)
+    a = np.block([[none, one], [-inverse @ stiffness, -inverse @ damping]])
+    b = np.vstack([none, one])
     substeps = max(1, math.ceil(dt / LONGEST_SUBSTEP - 1e-9))
     free, start, change = first_order_hold(a, b, dt / substeps)
     influence = computed.by_axis
     by_spring = np.ascontiguousarray(inverse[:, :n] @ deformation.T)
-    frequency = np.sqrt(np.abs(np.diag(deformation @ by_spring[:n]) * np.diag(own_stiffness)))
-    own = own_mass, own_damping, own_stiffness
+    own = of_springs(known.mass), of_springs(known.damping), of_springs(known.stiffness)
+    frequency = np.sqrt(np.abs(np.diag(deformation @ by_spring[:n]) * np.diag(own[2])))
     model, model_state = model_arrays(*own, np.sqrt(white), deformed, alike, frequency, dt)
     # the future motion, see `predict`
     hold = np.ascontiguousarray(np.hstack([free, start]))

@@ -5,7 +5,7 @@ C_c and K_c, and L the ground acceleration of each degree of freedom::
 
     (M_e + M_c) (a* + L a_g) + C_c v* + K_c x* + r(x*, v*) = 0                             (1)
 
-The assumed elastic specimen and the computed part are integrated exactly (`whole_system`). The
+The assumed elastic specimen and the computed part are integrated exactly. The
 difference of r from the assumed specimen, the push, acts like the ground motion, and is linear
 between samples (ETD2RK, Cox & Matthews 2002, Eq. 22).
 """
@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
-from seft_plant_sim.compiled import compiled, is_finite, multiply_sized
+from seft_plant_sim.compiled import compiled, copy, is_finite, multiply_sized
 
 from seft_ros.reference_force.observers import observe
 from seft_ros.reference_force.restoring_model import (
@@ -199,12 +199,9 @@ def target_step(
         state.axes[0, i] = measured[3, i] - state.axes[0, i]
     times(n, n, p.to_springs, state.axes[0], force)
     if first:  # at rest, at the specimen's position
-        for i in range(n):
-            state.target[i] = state.measured[0, i]
+        copy(n, state.measured[0], state.target)
         before[:] = 0.0
-        for i in range(n):
-            state.springs[4, i] = e[i]
-        move_stops(p.model, state.springs[4], state.stops)
+        move_stops(p.model, e, state.stops)
     for i in range(n):
         state.springs[4, i] = e[i] - before[i]
     move_stops(p.model, state.springs[4], state.model.stops)
@@ -213,8 +210,7 @@ def target_step(
     if not first:
         advance(p, state, state.ground, ground[0], pace)
     state.is_running[0] = 1.0
-    for i in range(n):
-        state.ground[i] = ground[0, i]
+    copy(n, ground[0], state.ground)
     predict(p, state, ground, pace, points)
 
 
@@ -245,11 +241,8 @@ def take_model(p: TargetParameters, state: TargetState, pace: float) -> None:
     """Make the push from the model's parameters; the former push becomes the last one."""
     n, half, values, by_motion = len(p.axes), len(p.dofs), state.model.values, state.by_motion
     for j in range(n):
-        for k in range(n):
-            by_motion[j, k] = by_motion[j, n + k] = 0.0
-            for m in range(n):
-                by_motion[j, k] += values[j, 1 + m] * p.deformation[m, k]
-                by_motion[j, n + k] += values[j, 1 + n + m] * p.deformation[m, k]
+        multiply_sized(n, n, p.deformation, values[j, 1:], by_motion[j])
+        multiply_sized(n, n, p.deformation, values[j, 1 + n :], by_motion[j, n:])
     by_state, constant = state.by_state[1], state.constant[1]
     for i in range(half):
         state.constant[0, i], constant[i] = constant[i], 0.0
@@ -321,10 +314,10 @@ def advance(
     y, begin, stops = state.target, state.target[2 * half :], state.stops
     old, new, moved = state.dofs[0], state.dofs[1], state.dofs[2]
     change, of_old, of_new = state.springs[4], state.springs[5], state.springs[6]
-    slider_forces(p.model, model.before, stops, of_old)
-    slider_forces(p.model, model.values, stops, of_new)
     for step in range(p.substeps):
         for side in range(2):
+            slider_forces(p.model, model.before, stops, of_old)
+            slider_forces(p.model, model.values, stops, of_new)
             part = (step + side) / p.substeps
             for i in range(n):
                 ground[i] = pace * (before[i] + part * (now[i] - before[i]))
@@ -341,15 +334,11 @@ def advance(
                     for k in range(half):
                         y[i] += p.change[i, k] * (new[k] - begin[k])
                 continue
-            for i in range(half):
-                begin[i] = new[i]
+            copy(half, new, begin)
             times(n, 3 * half, p.deforming, y, change)
             move_stops(p.model, change, stops)
-            slider_forces(p.model, model.before, stops, of_old)
-            slider_forces(p.model, model.values, stops, of_new)
             times(2 * half, 3 * half, p.hold, y, moved)
-            for i in range(2 * half):
-                y[i] = moved[i]
+            copy(2 * half, moved, y)
 
 
 @compiled
@@ -411,21 +400,18 @@ def predict(
     columns = size + 2 * n + 1
     ground, sliders, change = z[size : size + n], z[size + n + 1 :], new[size:]
     take_substep(p, state)
-    for i in range(2 * half):
-        z[i] = state.target[i]
+    copy(2 * half, state.target, z)
     for j in range(n):
         ground[j] = pace * known[0, j]
-        for i in range(THRESHOLDS):
-            stops[j, i] = state.stops[j, i]
+        copy(THRESHOLDS, state.stops[j], stops[j])
     slider_forces(p.model, state.model.values, stops, sliders)
     push(p, state, 1, z, sliders, ground, z[2 * half :])
     for i in range(len(state.line)):
         z[2 * half + i] += p.dt * state.line[i, 2 * half + 1]
     times(n, size, p.deforming, z, change)
     for point in range(len(points)):
-        for i in range(n):
-            points[point, 0, i] = z[i]
-            points[point, 1, i] = z[half + i]
+        copy(n, z, points[point, 0])
+        copy(n, z[half:], points[point, 1])
         multiply_sized(columns, n, state.force, z, points[point, 2])
         if point + 1 == len(points):
             break
@@ -441,8 +427,7 @@ def predict(
                 rise = (1.0 + point + part) * p.dt * state.line[i, 2 * half + 1]
                 for k in range(size + n):
                     new[k] += rise * state.correction[i, k]
-            for i in range(size):
-                z[i] = new[i]
+            copy(size, new, z)
 
 
 @compiled
@@ -473,24 +458,22 @@ def move_by_force(
         Displacements, then velocities, and stop operators; shapes (2n,), (n, m). Updated.
     """
     n, h = len(p.axes), span / p.substeps
-    r, new, change, sliders = state.axes[0], state.axes[1], state.springs[4], state.springs[5]
+    r, new, moved = state.axes[0], state.axes[1], state.axes[2]
+    a, change, sliders = state.springs[3], state.springs[4], state.springs[5]
     for _ in range(p.substeps):
         for side in range(2):
             slider_forces(p.model, state.model.values, stops, sliders)
             specimen_force(p, state, y, sliders, r)
             for i in range(n):
-                a = 0.0
-                for k in range(n):
-                    a += by_force[i, k] * (force[k] - r[k])
-                y[n + i] += 0.5 * h * a
+                r[i] = force[i] - r[i]
+            times(n, n, by_force, r, a)
+            for i in range(n):
+                y[n + i] += 0.5 * h * a[i]
             if side:
                 continue
             for i in range(n):
                 new[i] = y[i] + h * y[n + i]
-            for j in range(n):
-                change[j] = 0.0
-                for i in range(n):
-                    change[j] += p.deformation[j, i] * (new[i] - y[i])
+                moved[i] = new[i] - y[i]
+            times(n, n, p.deformation, moved, change)
             move_stops(p.model, change, stops)
-            for i in range(n):
-                y[i] = new[i]
+            copy(n, new, y)

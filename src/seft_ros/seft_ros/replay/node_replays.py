@@ -95,7 +95,8 @@ class ReferenceForceReplay(Replay):
         delay = max(section["loop_delay"], 0)
         settled = 1 if block.reference_force.tells_motion else 1 + delay
         window, last = 1 + block.preview, -1
-        sampler, estimates = EstimateSampler(block, timebase), EstimatesGatherer(self.experiment)
+        sampler = EstimateSampler(block.reference_force, timebase)
+        estimates = EstimatesGatherer(self.experiment)
         forces: dict[int, Floats] = {}
         for step, state in self._states.samples():
             if step == self.ramp_step:

@@ -29,14 +29,16 @@ from seft_ros.force_controller.force_control import (
     TransferParameters,
     transfer_step,
 )
-from seft_ros.force_controller.interlock import Interlock, Interlocks, interlock_of
-from seft_ros.force_controller.interlock_step import (
+from seft_ros.force_controller.interlock import (
     NOTHING,
     TRIP,
+    Interlock,
     InterlockParameters,
+    Interlocks,
     InterlockState,
     begin_control,
     end_control,
+    interlock_of,
 )
 from seft_ros.force_controller.parameters import TRANSFER_FUNCTION, VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.velocity_feedforward import (

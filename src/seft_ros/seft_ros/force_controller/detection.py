@@ -1,0 +1,125 @@
+"""The detectors of a force controller, and how near a test came to their thresholds."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from seft_msgs_py.arrays import Floats, Ints
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import mass_matrix, per_axis, symmetric_matrix
+from seft_msgs_py.errors import InputError
+from seft_plant_sim.rig_parameters import LIMIT_NAMES
+from seft_plant_sim.sensors import CHANNELS
+
+from seft_ros.force_controller.valve_model import ACTUATOR, read_actuators, valve_models
+from seft_ros.protection.detector_step import begin_detectors, detect_all
+from seft_ros.protection.detectors import (
+    ALL,
+    DETECTORS,
+    DetectorParameters,
+    DetectorState,
+    detector_arrays,
+)
+from seft_ros.reference_force.force_command import FORCE_DRIVEN
+
+WHERE = "force_controller: "
+
+
+def detectors_of(
+    section: dict[str, Any], axes: tuple[str, ...], dt: float, places: Sequence[int]
+) -> tuple[DetectorParameters, DetectorState]:
+    """Put the detectors of some of the axes into arrays.
+
+    Parameters
+    ----------
+    section : dict
+        Of the force controller, for all axes.
+    axes : tuple of str
+        Names of all axes.
+    dt : float
+        Sampling period, s.
+    places : sequence of int
+        Of the watched axes.
+
+    Raises
+    ------
+    InputError
+        If assumed values do not fit the axes, or there is no detector of a given name.
+    """
+    own, names = list(places), [one.name for one in DETECTORS]
+    listed = section["detectors.warn_only"].replace(",", " ").split()
+    warn_only = names if listed == [ALL] else listed
+    for name in warn_only:
+        if name not in names:
+            raise InputError(
+                f"{WHERE}detectors.warn_only: no detector {name!r}; there are {', '.join(names)}"
+            )
+    actuator = read_actuators(section, axes, places)
+    is_known = actuator["valve_frequency"] > 0.0
+    if section["detectors.actuator_kind"] in FORCE_DRIVEN:  # there is no valve
+        is_known[:] = False
+    actuator["flow_gain"] = np.where(is_known, actuator["flow_gain"], 0.0)
+    actuator["valve_frequency"] = np.where(is_known, actuator["valve_frequency"], 1.0 / dt)
+    name, ratio = "detectors.specimen_stiffness", section["detectors.mass_ratio"]
+    stiffness = symmetric_matrix(section[name], axes, WHERE + name)[np.ix_(own, own)]
+    mass = np.zeros_like(stiffness)
+    if np.any(section["detectors.specimen_mass"]):
+        name = "detectors.specimen_mass"
+        mass = mass_matrix(section[name], axes, WHERE + name)[np.ix_(own, own)]
+    if section["detectors.test"] == "eft":  # the specimen carries all of the mass
+        mass, ratio = (1.0 + ratio) * mass, 0.0
+    valves = valve_models(actuator, dt)
+    noise = [f"noise.{channel}" for channel in CHANNELS]
+    ranges = [f"detectors.{channel}_range" for channel in CHANNELS]
+    return detector_arrays(
+        np.array([per_axis(section[n], axes, WHERE + n)[own] for n in noise]),
+        np.array([section[f"limits.{name}"] for name in LIMIT_NAMES]),
+        np.array([per_axis(section[n], axes, WHERE + n)[own] for n in ranges]),
+        section["noise.velocity_source"] == "derived",
+        np.transpose([actuator[name] for name in ACTUATOR]),
+        np.array([[valve.past() for valve in valves], [valve.later() for valve in valves]]),
+        np.ascontiguousarray(mass),
+        np.ascontiguousarray(stiffness),
+        np.ascontiguousarray(ratio * mass),
+        warn_only,
+        section["watchdog.state_timeout"],
+        dt,
+    )
+
+
+def detector_shares(
+    experiment: Experiment, steps: Ints, points: Floats, states: Floats, commands: Floats
+) -> dict[str, float]:
+    """Give the largest value of each detector in a test, over its threshold.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Of the test.
+    steps : ndarray
+        Of the N answered samples, shape (N,).
+    points, states, commands : ndarray
+        Reference force, state and valve command at these, shapes (N, q, n), (N, 4, n) and (N, n).
+
+    Returns
+    -------
+    dict
+        The largest share on any axis, by the detector's name.
+    """
+    section, axes, dt = experiment["force_controller"], experiment.axes, experiment.timebase.dt
+    shares = np.zeros(len(DETECTORS))
+    for rig in experiment.rigs:
+        parameters, state = detectors_of(section, axes, dt, rig.places)
+        own = list(rig.places)
+        begin_detectors(state)
+        detect_all(
+            parameters,
+            state,
+            steps,
+            np.ascontiguousarray(points[..., own]),
+            np.ascontiguousarray(states[..., own]),
+            np.ascontiguousarray(commands[..., own]),
+            section["voltage_limit"],
+        )
+        shares = np.maximum(shares, state.shares.max(axis=1))
+    return {one.name: share for one, share in zip(DETECTORS, shares.tolist(), strict=True)}

@@ -1,0 +1,119 @@
+"""The specimen's force by the measured force and acceleration, which must fit its motion.
+
+The specimen's force r = f - M a does work on the structure; while the specimen is deformed further,
+the increment of r does not oppose that of the deformation (Hill's second-order work, 1958)::
+
+    sum dr . dx >= 0                                                                       (4)
+
+Nor does it jump further than friction and gaps make it.
+"""
+
+import math
+
+import numpy as np
+from seft_msgs_py.arrays import Floats
+from seft_plant_sim.compiled import compiled
+
+from seft_ros.protection.detectors import (
+    DISPLACEMENT_VELOCITY,
+    JUMP,
+    NO_RESPONSE,
+    ROUGH,
+    SECOND_ORDER_WORK,
+    TURN_AT,
+    DetectorParameters,
+    DetectorState,
+    look,
+)
+
+OPPOSED = 0.5
+"""Part of the assumed stiffness by which a specimen may soften: fracture, buckling."""
+
+SLIP, BREAK, STIFFEST = 0.35, 0.25, 6.0
+"""Largest change of a specimen's force in a step: parts of its largest force, with and against the
+motion; with the motion, in addition, so many times the assumed stiffness."""
+
+TURNED, TURN, MOVES = 3, 2.0, 0.2
+"""Samples after a turn of the motion in which friction reverses, the change of the force by that,
+and the part of the fastest recent motion above which a specimen does not stick."""
+
+SILENT = 25.0
+"""Mean square of the change of the computed mass's force over that of the noise, above which a
+measured force that is only noise does not answer the motion."""
+
+ALTERNATE = 0.33
+"""Part of the recent samples at which r alternates: white noise far beyond its threshold does so in
+2 of 3, a specimen with impacts or a ringing oil column in 1 of 3."""
+
+
+@compiled
+def look_at_restoring_force(
+    p: DetectorParameters, state: DetectorState, step: int, measured: Floats, i: int
+) -> int:
+    """Whether the specimen's force jumps, once or from sample to sample as with noise."""
+    n, found, last, r = measured.shape[1], -1, state.last, state.restoring
+    curvature = rise = fall = 0.0
+    for k in range(n):
+        spring = p.stiffness[i, k] * (measured[0, k] - last[0, k])
+        rise, fall = rise + max(spring, 0.0), fall + max(-spring, 0.0)
+        curvature += p.stiffness[i, k] * p.dt * p.dt * (measured[2, k] + last[2, k])
+    change, moved = r[2, i] - r[0, i], abs(measured[0, i] - last[0, i])
+    moves = p.steps[DISPLACEMENT_VELOCITY, i] + MOVES * state.largest[3, i]
+    slips = moved < moves or step - state.step[TURN_AT] <= TURNED
+    largest = state.largest[7, i]
+    if state.counts[JUMP, i] == 0:  # a suspect sample is no measure
+        largest = max(abs(r[0, i]), p.memory * largest)
+        state.largest[7, i] = largest
+    # noise alternates, an impact rings
+    bend, limit = change - r[1, i], p.rough[i] + abs(curvature) + (TURN * largest if slips else 0.0)
+    bend = bend if abs(bend) > limit else 0.0
+    alternates = 1.0 if bend * state.bends[0, i] < 0.0 else 0.0
+    state.bends[0, i] = bend
+    if alternates or not slips:
+        state.bends[1, i] = p.short * state.bends[1, i] + alternates
+    if look(p, state, ROUGH, i, state.bends[1, i], ALTERNATE / (1.0 - p.short)):
+        found = ROUGH * n + i
+    # after a jump, r must stay there
+    jump = change + (r[1, i] if state.counts[JUMP, i] else 0.0)
+    stiff = STIFFEST * (rise if jump > 0.0 else fall)
+    part = TURN if slips else (SLIP if stiff > 0.0 else BREAK)
+    threshold = part * largest + p.rough[i] + stiff
+    if look(p, state, JUMP, i, abs(jump), threshold) and found < 0:
+        found = JUMP * n + i
+    return found
+
+
+@compiled
+def look_at_response(p: DetectorParameters, state: DetectorState, measured: Floats, i: int) -> int:
+    """Whether a force is only noise, while the computed mass alone requires far more."""
+    n, last, response = measured.shape[1], state.last, state.response
+    inertia = hiss = 0.0
+    for k in range(n):
+        inertia += p.computed_mass[i, k] * (measured[2, k] - last[2, k])
+        hiss += 2.0 * (p.computed_mass[i, k] * p.noise[2, k]) ** 2
+    response[0, i] = p.short * response[0, i] + (measured[3, i] - last[3, i]) ** 2
+    response[1, i] = p.short * response[1, i] + inertia * inertia
+    white, samples = 2.0 * p.noise[3, i] ** 2, 1.0 / (1.0 - p.short)
+    is_noise = response[0, i] < 2.0 * samples * white
+    threshold = SILENT * samples * (white + hiss) if is_noise else np.inf
+    return NO_RESPONSE * n + i if look(p, state, NO_RESPONSE, i, response[1, i], threshold) else -1
+
+
+@compiled
+def look_at_work(p: DetectorParameters, state: DetectorState, measured: Floats) -> int:
+    """Relation (4) of `detector_step`, over all axes."""
+    n, last, r, work = measured.shape[1], state.last, state.restoring, state.work
+    for row in range(3):
+        work[row] *= p.short
+    for i in range(n):
+        moved, change = measured[0, i] - last[0, i], r[2, i] - r[0, i]
+        noise = p.noise[3, i] ** 2
+        for k in range(n):
+            noise += (p.mass[i, k] * p.noise[2, k]) ** 2
+            work[1] += moved * p.stiffness[i, k] * (measured[0, k] - last[0, k])
+        work[0] += change * moved
+        work[2] += 2.0 * (noise * moved * moved + (p.noise[0, i] * change) ** 2)
+    threshold = OPPOSED * work[1] + 6.0 * math.sqrt(work[2]) + p.unknown
+    return (
+        SECOND_ORDER_WORK * n if look(p, state, SECOND_ORDER_WORK, 0, -work[0], threshold) else -1
+    )
