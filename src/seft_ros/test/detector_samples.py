@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.signal import lfilter
 from seft_ros.protection.channel_relations import take_command
-from seft_ros.protection.detector_step import SOUND, begin_detectors, detect
-from seft_ros.protection.detectors import DETECTORS, detector_arrays
+from seft_ros.protection.detector_step import begin_detectors, detect
+from seft_ros.protection.detectors import DETECTORS, SOUND, detector_arrays
 
 DT, N = 0.002, 2
 NOISE = np.array([[1e-5, 2e-5], [2e-3, 1e-3], [0.1, 0.2], [5.0, 3.0]])

@@ -19,8 +19,8 @@ from detector_samples import (
 )
 from seft_ros.protection import detectors as rows
 from seft_ros.protection.channel_relations import take_command
-from seft_ros.protection.detector_step import SOUND, SUSPECT, begin_detectors, detect, detect_all
-from seft_ros.protection.detectors import DETECTORS, describe, look
+from seft_ros.protection.detector_step import begin_detectors, detect, detect_all
+from seft_ros.protection.detectors import DETECTORS, SOUND, SUSPECT, describe, look
 
 
 def test_a_new_test_knows_nothing_of_the_one_before():

@@ -17,8 +17,15 @@ from seft_ros.force_controller.detection import detectors_of
 from seft_ros.force_controller.force_control import ForceControl
 from seft_ros.force_controller.methods import force_control
 from seft_ros.protection.channel_relations import take_command
-from seft_ros.protection.detector_step import SOUND, SUSPECT, begin_detectors, detect
-from seft_ros.protection.detectors import DETECTORS, DetectorParameters, DetectorState, describe
+from seft_ros.protection.detector_step import begin_detectors, detect
+from seft_ros.protection.detectors import (
+    DETECTORS,
+    SOUND,
+    SUSPECT,
+    DetectorParameters,
+    DetectorState,
+    describe,
+)
 from seft_ros.protection.protection_step import not_finite
 from seft_ros.protection.ramp_down import go_on
 

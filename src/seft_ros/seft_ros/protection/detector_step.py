@@ -22,6 +22,8 @@ from seft_ros.protection.detectors import (
     LIMITED_AT,
     SAMPLE,
     SECOND_ORDER_WORK,
+    SOUND,
+    SUSPECT,
     TRACKING,
     TURN_AT,
     DetectorParameters,
@@ -39,10 +41,6 @@ from seft_ros.protection.valve_following import begin_following
 
 OF_SENSORS = (0, 1, 3, 4, SECOND_ORDER_WORK, JUMP)
 """Detectors that make a sample suspect."""
-
-SOUND, SUSPECT = -1, -2
-"""Results of `detect` if no detector ends the test: nothing is beyond its threshold, or the sample
-must not be used."""
 
 NEVER = -(2**40)
 

@@ -440,6 +440,11 @@ def sees(state: DetectorState, step: int, row: int) -> bool:
     return step - state.step[AT_RANGE + row] > 1
 
 
+SOUND, SUSPECT = -1, -2
+"""Results of `detect` if no detector ends the test: nothing is beyond its threshold, or the sample
+must not be used."""
+
+
 @compiled
 def worse(found: int, other: int) -> int:
     """Give the first finding of a fault; without one, whether the sample is suspect."""
