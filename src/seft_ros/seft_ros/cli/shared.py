@@ -173,7 +173,10 @@ def step_progress(total: int, lost: str = "") -> Iterator[Callable[[str, int], N
 def passing_progress() -> Iterator[Callable[[str, int, int], None]]:
     """Show a bar on a terminal that is gone at the end; for words, the parts done, and all."""
     console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+    if not console.is_terminal:
+        yield lambda *_: None
+        return
+    with Progress(console=console, transient=True) as bar:
         task = bar.add_task("")
         yield lambda what, done, total: bar.update(
             task, description=what, completed=done, total=total
