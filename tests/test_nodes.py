@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from seft_msgs_py.wire.topics import NODES
 from seft_ros.bags.record_bag import read_bag
-from seft_ros.protection.ramp_down import RampDown
+from seft_ros.protection.protection_step import RampDown
 from seft_ros.test_run.processes import MODULES
 from std_srvs.srv import Trigger
 

@@ -30,7 +30,8 @@ DETECTOR_TESTS = tuple(
 )
 CONTROL_TESTS = (f"{ROS}test/test_force_controller_interlock.py", "-knot offline_loop")
 FORCE_TESTS = tuple(
-    f"{ROS}test/test_protection_{name}.py" for name in ("protected_force", "plausibility")
+    f"{ROS}test/test_protection_{name}.py"
+    for name in ("protected_force", "plausibility", "ramp_down")
 )
 DRIVER = f"{ROS}seft_ros/cli/templates/rig_driver/rig_driver/"
 DRIVER_TESTS = ("tests/test_driver_faults.py", "-knot hardware")
@@ -45,8 +46,7 @@ TESTS = {
     "src/seft_msgs_py/seft_msgs_py/node/senders.py": ("src/seft_msgs_py/test/test_senders.py",),
     f"{CONTROL}detection.py": CONTROL_TESTS,
     f"{CONTROL}interlock.py": CONTROL_TESTS,
-    f"{PROTECTION}ramp_down.py": (f"{ROS}test/test_protection_ramp_down.py", *CONTROL_TESTS),
-    f"{PROTECTION}protection_step.py": FORCE_TESTS,
+    f"{PROTECTION}protection_step.py": (*FORCE_TESTS, *CONTROL_TESTS),
     f"{PROTECTION}protected_force.py": FORCE_TESTS,
     **{
         f"{PROTECTION}{name}.py": DETECTOR_TESTS

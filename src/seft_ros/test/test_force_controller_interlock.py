@@ -16,7 +16,7 @@ from seft_ros.force_controller.interlock import Interlock
 from seft_ros.nodes.force_controller_node import ForceControllerNode
 from seft_ros.protection.detector_step import begin_detectors, detect_all
 from seft_ros.protection.detectors import DETECTORS, LIMITED_AT, detector_arrays
-from seft_ros.protection.ramp_down import continued
+from seft_ros.protection.protection_step import continued
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
-from seft_ros.protection.ramp_down import RampDown
+from seft_ros.protection.protection_step import RampDown
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES

@@ -7,8 +7,7 @@ from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_ros.protection.instability import InstabilityWatch
 from seft_ros.protection.protected_force import ProtectedForce
-from seft_ros.protection.protection_step import PlausibleForce
-from seft_ros.protection.ramp_down import RampDown, continued
+from seft_ros.protection.protection_step import PlausibleForce, RampDown, continued
 from seft_ros.reference_force.compensator import Knowledge
 from seft_ros.test_run.parameter_tables import TABLES
 

@@ -26,8 +26,7 @@ from seft_ros.protection.detectors import (
     DetectorState,
     describe,
 )
-from seft_ros.protection.protection_step import not_finite
-from seft_ros.protection.ramp_down import go_on
+from seft_ros.protection.protection_step import go_on, not_finite
 
 TRIP, STEP, SATURATED, DETECTED = range(4)
 """Places of the flags: reason and step of the trip, number of limited drives, and the detector that

@@ -9,7 +9,7 @@ from seft_msgs_py.wire.outcome import LinkRecord
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, Timebase
 from seft_plant_sim.command import MessagesAhead
 
-from seft_ros.protection.ramp_down import RampDown, continued
+from seft_ros.protection.protection_step import RampDown, continued
 
 PENDING = 256  # steps kept while state or force is missing
 

@@ -21,12 +21,12 @@ from seft_ros.protection.protection_step import (
     PlausibleForce,
     ProtectionParameters,
     ProtectionState,
+    RampDown,
     begin_protection,
     begin_step,
     not_finite,
     protect,
 )
-from seft_ros.protection.ramp_down import RampDown
 from seft_ros.reference_force.compensator import asks_model
 from seft_ros.reference_force.reference_force_block import ReferenceForce
 

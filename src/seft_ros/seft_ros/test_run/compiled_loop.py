@@ -50,12 +50,12 @@ from seft_ros.ground_motion.ground_motion_block import GroundMotion
 from seft_ros.protection.protected_force import ProtectedForce
 from seft_ros.protection.protection_step import (
     HOLDING,
+    TAKEN,
     ProtectionParameters,
     ProtectionState,
     begin_step,
     protect,
 )
-from seft_ros.protection.ramp_down import TAKEN
 from seft_ros.reference_force.force_command import FORCE_DRIVEN
 from seft_ros.reference_force.linear_filter import (
     LinearCompensator,
