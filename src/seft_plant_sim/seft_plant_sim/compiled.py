@@ -9,6 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import llvmlite.binding as llvm
 import numba as typed_numba
 import numpy as np
 from numba.core import caching
@@ -18,8 +19,9 @@ numba: Any = typed_numba  # older versions have no types
 # most loops run over few axes, so that loop vectorisation costs more than it saves; vectorisation
 # of successive statements is off by default
 numba.config.LOOP_VECTORIZE, numba.config.SLP_VECTORIZE = 0, 1
+llvm.set_option("seft", "-disable-lsr")  # a pass that takes minutes in LLVM 14, and saves nothing
 _entry_points: dict[Hashable, Callable[..., Any]] = {}
-OPTIONS = {"error_model": "numpy", "forceinline": True, "_nrt": False}
+OPTIONS = {"error_model": "numpy", "forceinline": True, "_nrt": False, "no_cfunc_wrapper": True}
 
 
 def compiled[F: Callable[..., Any]](function: F, *, nogil: bool = False) -> F:
@@ -37,6 +39,10 @@ def compiled[F: Callable[..., Any]](function: F, *, nogil: bool = False) -> F:
         Whether it releases the interpreter's lock when Python calls it.
     """
     made = numba.njit(nogil=nogil, **OPTIONS)(function)
+    template = made.get_call_template
+    made.get_call_template = lambda arguments, named: template(  # not anew for each constant
+        [numba.types.unliteral(argument) for argument in arguments], named
+    )
     with suppress(RuntimeError):  # it can't be written to
         made._cache = _CACHE(function)
     return made

@@ -348,7 +348,7 @@ def run_compiled(
         protected.longest_ramp,
         period,
     )
-    known = np.ascontiguousarray(blocks.ground_motion.known)
+    known = blocks.ground_motion.known.copy()  # of the type for which the steps are compiled
     total = len(samples.commands)
     kind = rig.kind, protected.kind, interlock.kind, kind_of((loop.axes, samples, known))
     arguments = loop, samples, known, samples.states, 0, 0
