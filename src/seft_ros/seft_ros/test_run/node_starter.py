@@ -25,8 +25,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
 from seft_msgs_py.errors import ExperimentError
 from seft_msgs_py.node.realtime import process_stat
+from seft_msgs_py.wire.messages import typestore
+from seft_plant_sim.compiled import entry_point, is_finite
 
 IMPORTED = (
     "seft_ros.bags.lasting_bag",
@@ -144,6 +147,8 @@ def main() -> int:
     os.dup2(2, 1)
     for module in IMPORTED:
         importlib.import_module(module)
+    typestore()
+    entry_point(is_finite, np.zeros((1, 1)), 0)  # numba prepares itself for its first machine code
     gc.collect()
     gc.freeze()  # a collection would write to the pages that the nodes share
     woken, wake = os.pipe()
