@@ -19,6 +19,7 @@ numba: Any = typed_numba  # older versions have no types
 # most loops run over few axes, so that loop vectorisation costs more than it saves; vectorisation
 # of successive statements is off by default
 numba.config.LOOP_VECTORIZE, numba.config.SLP_VECTORIZE = 0, 1
+numba.config.OPT = type(numba.config.OPT)(1)  # the code is as fast as of level 3, and sooner made
 llvm.set_option("seft", "-disable-lsr")  # a pass that takes minutes in LLVM 14, and saves nothing
 _entry_points: dict[Hashable, Callable[..., Any]] = {}
 OPTIONS = {"error_model": "numpy", "forceinline": True, "_nrt": False, "no_cfunc_wrapper": True}
