@@ -30,7 +30,8 @@ def compiled[F: Callable[..., Any]](function: F, *, nogil: bool = False) -> F:
 
     No operation is reordered or fused, so that the function gives the same bits wherever it is
     called from. It can't make arrays: reference counting takes longer than a step. Where the
-    disk can't be written to, it is compiled anew in each process.
+    disk can't be written to, it is compiled anew in each process. With numba's NUMBA_DISABLE_JIT
+    it stays as it is.
 
     Parameters
     ----------
@@ -39,6 +40,8 @@ def compiled[F: Callable[..., Any]](function: F, *, nogil: bool = False) -> F:
     nogil : bool
         Whether it releases the interpreter's lock when Python calls it.
     """
+    if numba.config.DISABLE_JIT:
+        return function
     made = numba.njit(nogil=nogil, **OPTIONS)(function)
     template = made.get_call_template
     made.get_call_template = lambda arguments, named: template(  # not anew for each constant
