@@ -89,7 +89,7 @@ def test_a_perturbed_rig_is_tested_with_the_configured_model_against_its_own_str
     assert alike(run.summary, simulated(load(*words)))
 
 
-def test_a_method_that_adapts_is_tested_on_the_plain_blocks_and_named_so():
+def test_a_method_that_adapts_is_simulated_uncompiled_and_named_so():
     delay = "reference_force:compensation.delay:=0.0139"
     tournament = make_tournament(load(delay), ["none", "ats"], [0.5])
     told = []
@@ -97,7 +97,7 @@ def test_a_method_that_adapts_is_tested_on_the_plain_blocks_and_named_so():
     assert (first.engine, second.engine) == ("compiled", "plain")
     assert told == [
         "mass ratio 0.5, rig 0, none",
-        "mass ratio 0.5, rig 0, ats (plain blocks)",
+        "mass ratio 0.5, rig 0, ats (uncompiled)",
     ]
     words = (
         "reference_force:mass_ratio:=0.5",

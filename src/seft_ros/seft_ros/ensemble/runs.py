@@ -124,8 +124,8 @@ def run_tests(
             kept.add(left[position], outcome)
             found[left[position]] = outcome
             if progress is not None:
-                plain = " (plain blocks)" if outcome[1] else ""
-                progress(f"{titles[position]}{plain}", len(found))
+                how = " (uncompiled)" if outcome[1] else ""
+                progress(f"{titles[position]}{how}", len(found))
     kept.remove()
     return [Run(entry, *found[index]) for index, (entry, _) in enumerate(tests)]
 

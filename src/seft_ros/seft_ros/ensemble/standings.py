@@ -170,7 +170,7 @@ def standings_table(standings: Sequence[Standing], title: str) -> Table:
 
 
 def notes(standings: Sequence[Standing], runs: Sequence[Run]) -> list[str]:
-    """Say why methods are not possible, and which ran on the uncompiled blocks and why."""
+    """Say why methods are not possible, and which were simulated uncompiled and why."""
     lacking: dict[str, list[str]] = {}
     for row in standings:
         if row.not_possible is not None:
@@ -181,8 +181,8 @@ def notes(standings: Sequence[Standing], runs: Sequence[Run]) -> list[str]:
     for run in runs:
         if run.obstacle:
             methods.setdefault(run.obstacle, {})[run.entry.method] = None
-    plain = [f"{', '.join(names)}: on the plain blocks: {why}" for why, names in methods.items()]
-    return [*said, *plain]
+    slow = [f"{', '.join(names)}: simulated uncompiled: {why}" for why, names in methods.items()]
+    return [*said, *slow]
 
 
 def summarise_tournament(
