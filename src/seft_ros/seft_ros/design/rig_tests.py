@@ -1,14 +1,14 @@
 """The tests of an identification: levels, experiments, and the spectra of what was measured."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import scipy.signal
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import group, mass_matrix
+from seft_msgs_py.config.parameter_table import Section, group, mass_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 from seft_plant_sim.rig import Rig
@@ -337,9 +337,16 @@ def has_force_loop(experiment: Experiment) -> bool:
     return method != VELOCITY_FEEDFORWARD
 
 
-def _with(experiment: Experiment, record: Path, controller: dict[str, Any]) -> Experiment:
+def changed(experiment: Experiment, changes: Mapping[str, Section]) -> Experiment:
+    """Copy an experiment with other values: node -> parameter -> value."""
+    return Experiment(
+        {node: {**own, **changes.get(node, {})} for node, own in experiment.sections.items()}
+    )
+
+
+def _with(experiment: Experiment, record: Path, controller: Section) -> Experiment:
     """Copy an experiment as one of conventional EFT under a ground motion."""
-    changes: dict[str, dict[str, Any]] = {
+    changes: dict[str, Section] = {
         "ground_motion": {
             "file": str(record.resolve()),
             "column": list(range(len(experiment.axes))),
@@ -353,9 +360,7 @@ def _with(experiment: Experiment, record: Path, controller: dict[str, Any]) -> E
         "reference_force": {"method": "eft", "mass_ratio": 0.0, "compensation.method": "none"},
         "force_controller": {"detectors.warn_only": ",".join(MODEL_BASED)} | controller,
     }
-    return Experiment(
-        {node: {**own, **changes.get(node, {})} for node, own in experiment.sections.items()}
-    )
+    return changed(experiment, changes)
 
 
 def write_excitation(path: Path, accelerations: Floats) -> None:
