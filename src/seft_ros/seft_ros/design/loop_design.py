@@ -7,54 +7,16 @@ from typing import Any
 
 import numpy as np
 from rich.table import Table
-from seft_msgs_py.arrays import Complexes, Floats
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import InputError
 
 from seft_ros.design.closed_loop import force_loop
 from seft_ros.design.controller import Controller, Root, lightly_damped
-from seft_ros.design.loop_margins import (
-    LoopMargins,
-    Tracking,
-    delay_by_frequency,
-    loop_margins,
-    tracking_measures,
-)
+from seft_ros.design.loop_margins import Responses, delay_by_frequency, loop_margins
 from seft_ros.design.plant import Plant
 from seft_ros.drawing.style import CENTRED, Number, make_table, rows_of
 
 LOWEST_HZ = 0.1
-
-
-@dataclass(frozen=True)
-class Responses:
-    """Frequency responses of a loop at N frequencies, and its numbers.
-
-    Attributes
-    ----------
-    plant, controller : ndarray
-        H_fu, N/V, and C_f, V/N, shape (N,).
-    loop, tracking : ndarray
-        L = C_f H_fu, and T = L / (1 + L), from reference force to measured force, shape (N,).
-    margins : LoopMargins
-        Of L.
-    measures : Tracking
-        Of T.
-    """
-
-    plant: Complexes
-    controller: Complexes
-    loop: Complexes
-    tracking: Complexes
-    margins: LoopMargins
-    measures: Tracking
-
-    @classmethod
-    def of(cls, f: Floats, plant: Complexes, controller: Complexes) -> "Responses":
-        """Close the loop of plant and controller at frequencies in Hz."""
-        loop = controller * plant
-        tracking = loop / (1 + loop)
-        margins, measures = loop_margins(f, loop), tracking_measures(f, tracking)
-        return cls(plant, controller, loop, tracking, margins, measures)
 
 
 @dataclass(frozen=True)

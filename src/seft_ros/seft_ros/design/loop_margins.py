@@ -1,4 +1,4 @@
-"""Margins of an open loop L, and how well T = L / (1 + L) follows its reference."""
+"""Responses of a loop: margins of L, and how well T = L / (1 + L) follows its reference."""
 
 from dataclasses import dataclass
 
@@ -168,3 +168,35 @@ def _deepest_dip(f: Floats, decibels: Floats) -> tuple[float | None, float | Non
         return None, None
     deepest = dips[decibels[dips].argmin()]
     return float(decibels[deepest]), float(f[deepest])
+
+
+@dataclass(frozen=True)
+class Responses:
+    """Frequency responses of a loop at N frequencies, and its numbers.
+
+    Attributes
+    ----------
+    plant, controller : ndarray
+        H_fu, N/V, and C_f, V/N, shape (N,).
+    loop, tracking : ndarray
+        L = C_f H_fu, and T = L / (1 + L), from reference force to measured force, shape (N,).
+    margins : LoopMargins
+        Of L.
+    measures : Tracking
+        Of T.
+    """
+
+    plant: Complexes
+    controller: Complexes
+    loop: Complexes
+    tracking: Complexes
+    margins: LoopMargins
+    measures: Tracking
+
+    @classmethod
+    def of(cls, f: Floats, plant: Complexes, controller: Complexes) -> "Responses":
+        """Close the loop of plant and controller at frequencies in Hz."""
+        loop = controller * plant
+        tracking = loop / (1 + loop)
+        margins, measures = loop_margins(f, loop), tracking_measures(f, tracking)
+        return cls(plant, controller, loop, tracking, margins, measures)
