@@ -301,11 +301,6 @@ def check_levels(experiment: Experiment, levels: Levels) -> None:
             )
 
 
-def ground_accelerations(experiment: Experiment, forces: Floats) -> Floats:
-    """Ground motion (N, n) in m/s^2 whose reference forces -M a_g are these, in N."""
-    return -np.linalg.solve(_mass(experiment), forces.T).T
-
-
 def _mass(experiment: Experiment) -> Floats:
     mass = experiment["reference_force"]["model.mass"]
     return mass_matrix(mass, experiment.axes, "reference_force: model.mass")
@@ -363,19 +358,6 @@ def _with(experiment: Experiment, record: Path, controller: Section) -> Experime
     return changed(experiment, changes)
 
 
-def write_excitation(path: Path, accelerations: Floats) -> None:
-    """Write ground accelerations (N, n) in m/s^2 as a record that ground_motion reads exactly.
-
-    The folder is made if need be. An InputError says if it can't be written.
-    """
-    names = [f"axis {index + 1} (m/s2)" for index in range(accelerations.shape[1])]
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        np.savetxt(path, accelerations, "%.17g", ",", header=",".join(names))
-    except OSError as error:
-        raise InputError(f"{error.filename}: {error.strerror or error}") from None
-
-
 @dataclass(frozen=True)
 class Motions:
     """Ground motions of any duration for the tests of one identification.
@@ -413,9 +395,19 @@ class Motions:
             Rig.from_parameters(sections["rig"], *made)
 
     def write(self, path: Path, duration: float) -> Path:
-        """Write the motion of a test as a record, see `write_excitation`."""
-        accelerations = ground_accelerations(self.experiment, self.force * self._unit(duration))
-        write_excitation(path, accelerations)
+        """Write the motion of a test as a record that ground_motion reads exactly; give its path.
+
+        Its reference forces -M a_g are the excitation. The folder is made if need be. An
+        InputError says if it can't be written.
+        """
+        forces = self.force * self._unit(duration)
+        accelerations = -np.linalg.solve(_mass(self.experiment), forces.T).T
+        names = [f"axis {index + 1} (m/s2)" for index in range(accelerations.shape[1])]
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            np.savetxt(path, accelerations, "%.17g", ",", header=",".join(names))
+        except OSError as error:
+            raise InputError(f"{error.filename}: {error.strerror or error}") from None
         return path
 
     def steps(self, duration: float) -> int:
