@@ -190,8 +190,8 @@ def _closed_loops(test: MeasuredTest) -> list[ClosedLoop]:
         coherent = np.flatnonzero(measured.coherence >= _COHERENT)
         known = slice(0, int(coherent[-1]) + 1)
         weight = 1.0 / np.hypot(measured.deviation, _FLOOR)[known]
-        latency = test.dt
-        fit = fit_tracking(f[known], tracking[known], weight, least_dead_time=latency)
+        # the dead time has the loop's latency in it
+        fit = fit_tracking(f[known], tracking[known], weight, least_dead_time=test.dt)
         loops.append(ClosedLoop(measured, tracking_measures(f, tracking), fit))
     return loops
 
@@ -262,11 +262,6 @@ def _response(prefix: str, model: TransferFunction) -> dict[str, Any]:
         f"{prefix}.dead_time": float(model.dead_time),
     }
 
-
-ANY_SPECIMEN = (
-    "actuator.* describes the actuators and holds for any specimen (plant.* and tracking.* hold "
-    "for this specimen)"
-)
 
 _TABLE = (  # of an axis, by section
     (
@@ -352,7 +347,10 @@ def notes(identified: Identified) -> list[str]:
     """List what a reader must know about the numbers, one line each."""
     found = [*identified.unusable, *identified.faults]
     if identified.valves:
-        found.append(ANY_SPECIMEN)
+        found.append(
+            "actuator.* describes the actuators and holds for any specimen (plant.* and tracking.* "
+            "hold for this specimen)"
+        )
     else:
         found.append("no good test of a valve, so actuators and margins are not known")
     for axis, valve in zip(identified.axes, identified.valves, strict=False):
