@@ -122,7 +122,6 @@ def identified_figure(identified: Identified, title: str) -> Figure:
     width = 9.5 if len(names) == 1 else 5.5 * len(names)
     figure = new_figure(width, 2.6 * len(rows) + 0.5)
     panels = figure.subplots(len(rows), len(names), squeeze=False)
-    dots: PathCollection | None = None
     for column, axis in enumerate(names):
         panel = dict(zip(rows, panels[:, column], strict=True))
         coherence = panel["coherence"]
@@ -149,7 +148,7 @@ def identified_figure(identified: Identified, title: str) -> Figure:
             axes.legend(loc="lower left", frameon=False, fontsize=9)
     for axes, label in zip(panels[:, 0], rows, strict=True):
         axes.set_ylabel(label, color=TEXT)
-    if dots is not None:
+    if valves:
         bar = figure.colorbar(dots, ax=list(panels[1]), aspect=15, pad=0.01)
         bar.set_label("coherence", color=TEXT)
         bar.outline.set_visible(False)
