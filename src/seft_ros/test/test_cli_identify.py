@@ -10,7 +10,7 @@ from seft_msgs_py.config.experiment import Experiment, parse_override, read_para
 from seft_ros.bags.record_bag import read_bag
 from seft_ros.design.controller import Controller
 from seft_ros.design.loop_design import shape_loop
-from seft_ros.design.plant import rig_plant
+from seft_ros.design.plant import choose_plant
 from seft_ros.test_run.parameter_tables import TABLES
 
 JHU = str(Path(__file__).parents[3] / "config" / "jhu.yaml")
@@ -37,7 +37,7 @@ def analytic(*overrides):
     experiment = Experiment.load(TABLES, [JHU], [parse_override(text) for text in overrides])
     own = experiment["force_controller"]
     controller = Controller.from_coefficients(own["numerator"], own["denominator"])
-    plant = rig_plant(experiment["rig"], experiment.axes)
+    plant = choose_plant(experiment, "rig")
     return shape_loop(plant, controller, experiment.timebase.dt)
 
 
@@ -82,7 +82,9 @@ def test_plant_loop_and_closed_loop_agree_with_the_analytic_model(identify, name
     assert found["phase_margin_deg"] == pytest.approx(margins.phase_margin_deg, rel=0.02)
     assert found["gain_margin_db"] == pytest.approx(margins.gain_margin_db, rel=0.02)
     assert found["delay_s"] == pytest.approx(measures.delay_s, rel=0.02)
-    assert found["closed_loop_flat_to_hz"] == pytest.approx(measures.flat_to_hz, rel=0.03)
+    assert found["closed_loop_flat_to_hz"] == pytest.approx(
+        measures.closed_loop_flat_to_hz, rel=0.03
+    )
     assert found["bandwidth_hz"] == pytest.approx(measures.bandwidth_hz, rel=0.02)
     assert found["tripped"] == {"pilot": None, "open_loop": None, "closed_loop": None}
     assert found["fit_error"] < 0.06

@@ -7,7 +7,7 @@ import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_plant_sim.lti import bilinear
 from seft_ros.analysis.summary import summarise
-from seft_ros.design.plant import SampledPlant, choose_plant
+from seft_ros.design.plant import choose_plant
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES
@@ -89,7 +89,7 @@ def phase_delays(frequencies_hz):
     dt, control = experiment.timebase.dt, experiment["force_controller"]
     b, a = bilinear(control["numerator"], control["denominator"], dt)
     z = np.exp(2j * np.pi * frequencies_hz * dt)
-    loop = SampledPlant.of(choose_plant(experiment), dt).response(frequencies_hz)
+    loop = choose_plant(experiment).sampled_response(frequencies_hz, dt)
     loop = loop * np.polyval(b, z) / np.polyval(a, z)
     return -np.unwrap(np.angle(loop / (1 + loop))) / (2 * np.pi * frequencies_hz)
 

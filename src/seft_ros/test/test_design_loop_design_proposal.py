@@ -5,7 +5,7 @@ import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_ros.design.loop_design import propose_controller, shape_loop
-from seft_ros.design.plant import rig_plant
+from seft_ros.design.plant import choose_plant
 from seft_ros.test_run.parameter_tables import TABLES
 
 DT = 0.002
@@ -27,7 +27,7 @@ def plant(**changed):
     rig = RIG | {name.replace("__", "."): value for name, value in changed.items()}
     given = [("rig", name, value) for name, value in rig.items()]
     test = Experiment.load(TABLES, overrides=given)
-    return rig_plant(test["rig"], test.axes)
+    return choose_plant(test)
 
 
 def highest_of(error):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from seft_ros.design.loop_margins import loop_margins, tracking_measures
+from seft_ros.design.loop_margins import delay_by_frequency, loop_margins, tracking_measures
 
 F = np.geomspace(0.05, 200.0, 600)
 S = 2j * np.pi * F
@@ -67,10 +67,11 @@ def test_what_is_not_finite_is_left_out():
 @given(st.floats(0.0, 0.04), st.booleans())
 def test_a_pure_delay_is_found_however_the_frequencies_lie(delay, evenly):
     f = np.linspace(0.5, 100.0, 200) if evenly else F
-    found = tracking_measures(f, np.exp(-2j * np.pi * f * delay))
+    delayed = np.exp(-2j * np.pi * f * delay)
+    found = tracking_measures(f, delayed)
     assert found.delay_s == pytest.approx(delay, abs=1e-12)
-    assert found.delay_by_frequency == pytest.approx(np.full(len(f), delay), abs=1e-12)
-    assert (found.flat_to_hz, found.bandwidth_hz) == (None, None)
+    assert delay_by_frequency(f, delayed) == pytest.approx(np.full(len(f), delay), abs=1e-12)
+    assert (found.closed_loop_flat_to_hz, found.bandwidth_hz) == (None, None)
     assert (found.dip_db, found.dip_hz) == (None, None)
 
 
@@ -78,7 +79,7 @@ def test_bandwidth_of_a_first_order_lag_is_its_corner():
     found = tracking_measures(F, 1 / (1 + S / (2 * np.pi * 20)))
     half_power = np.sqrt(10**0.3 - 1)  # -3 dB is not quite half
     assert found.bandwidth_hz == pytest.approx(20 * half_power, rel=1e-3)
-    assert found.flat_to_hz == pytest.approx(20 * np.sqrt(10**0.1 - 1), rel=1e-3)
+    assert found.closed_loop_flat_to_hz == pytest.approx(20 * np.sqrt(10**0.1 - 1), rel=1e-3)
 
 
 def test_the_fitted_delay_does_not_depend_on_where_the_points_lie():
@@ -107,14 +108,14 @@ def test_noise_and_outliers_change_little():
     noisy[[10, 30, 31]] *= 2.0  # 6 dB
     true, found = tracking_measures(f, clean), tracking_measures(f, noisy)
     assert found.delay_s == pytest.approx(true.delay_s, rel=0.01)
-    assert found.flat_to_hz == pytest.approx(true.flat_to_hz, rel=0.1)
+    assert found.closed_loop_flat_to_hz == pytest.approx(true.closed_loop_flat_to_hz, rel=0.1)
     assert found.bandwidth_hz == pytest.approx(true.bandwidth_hz, rel=0.1)
     assert found.dip_db is None
 
 
 def test_a_loop_that_never_follows_is_flat_nowhere():
     found = tracking_measures(F, np.full(len(F), 0.1 + 0j))
-    assert (found.flat_to_hz, found.bandwidth_hz, found.delay_s) == (0.0, 0.0, None)
-    empty = tracking_measures(F, np.full(len(F), np.nan, dtype=complex))
-    assert empty.delay_s is None
-    assert np.isnan(empty.delay_by_frequency).all()
+    assert (found.closed_loop_flat_to_hz, found.bandwidth_hz, found.delay_s) == (0.0, 0.0, None)
+    unknown = np.full(len(F), np.nan, dtype=complex)
+    assert tracking_measures(F, unknown).delay_s is None
+    assert np.isnan(delay_by_frequency(F, unknown)).all()

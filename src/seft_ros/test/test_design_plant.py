@@ -11,7 +11,7 @@ from seft_plant_sim.rig import continuous_model
 from seft_ros.design.closed_loop import force_loop
 from seft_ros.design.controller import Controller
 from seft_ros.design.loop_design import shape_loop
-from seft_ros.design.plant import SampledPlant, choose_plant
+from seft_ros.design.plant import choose_plant
 from seft_ros.force_controller.force_control import ForceController
 from seft_ros.test_run.parameter_tables import TABLES
 
@@ -111,7 +111,7 @@ def test_an_identified_plant_is_sampled_like_the_rig_that_it_equals(rate, dead_t
     )
     f = np.array([0.3, 5.0, 10.0, 40.0, 90.0, 0.4 * rate])
     rig, fitted = (
-        SampledPlant.of(choose_plant(test, source), test.timebase.dt).response(f)
+        choose_plant(test, source).sampled_response(f, test.timebase.dt)
         for source in ("rig", "identified")
     )
     assert choose_plant(test).source == "identified"
@@ -130,19 +130,21 @@ def test_the_sampled_response_is_the_rigs_own_pulse_response(dead_time, cutoff):
     forces = rig_forces(test, pulse)[:, 0]
     f = np.array([1.0, 10.0, 30.0, 90.0, 180.0])
     spectrum = np.exp(-2j * np.pi * np.outer(f, np.arange(count) * dt)) @ forces
-    found = SampledPlant.of(choose_plant(test), dt).response(f)
+    found = choose_plant(test).sampled_response(f, dt)
     assert found == pytest.approx(spectrum, rel=1e-6)
 
 
 @pytest.mark.parametrize("dead_time", [0.0, 0.0007, 0.004, 0.0051])
 def test_states_and_response_are_of_the_same_plant(dead_time):
     controller = identified([2.0, 30.0, 4e4], [4.0, 100.0, 9e4], dead_time)
-    plant = SampledPlant.of(choose_plant(experiment(controller=controller)), 0.002)
+    plant = choose_plant(experiment(controller=controller))
     f = np.array([1.0, 20.0, 200.0])
-    a, b, c = plant.state_space()
+    a, b, c = plant.sampled(0.002)
     z = np.exp(2j * np.pi * f * 0.002)
     states = [np.linalg.solve(point * np.eye(len(a)) - a, b) for point in z]
-    assert plant.response(f) == pytest.approx([(c @ state)[0, 0] for state in states])
+    assert plant.sampled_response(f, 0.002) == pytest.approx(
+        [(c @ state)[0, 0] for state in states]
+    )
 
 
 def test_a_plant_that_answers_at_once_is_sampled_with_the_step_of_latency_alone():
@@ -150,9 +152,9 @@ def test_a_plant_that_answers_at_once_is_sampled_with_the_step_of_latency_alone(
     f = np.array([10.0, 100.0])
     plant = choose_plant(test)
     z = np.exp(2j * np.pi * f * 0.002)
-    assert SampledPlant.of(plant, 0.002).response(f) == pytest.approx(5.0 / z)
+    assert plant.sampled_response(f, 0.002) == pytest.approx(5.0 / z)
     half = choose_plant(experiment(controller=identified([5.0], [1.0], 0.001)))
-    assert SampledPlant.of(half, 0.002).response(f) == pytest.approx(5.0 / z**2)
+    assert half.sampled_response(f, 0.002) == pytest.approx(5.0 / z**2)
 
 
 @pytest.mark.parametrize("frequency", [3.0, 10.0, 12.5, 25.0, 62.5])
@@ -169,9 +171,9 @@ def test_a_sine_runs_through_the_blocks_as_the_closed_loop_says(frequency):
     carrier = np.exp(-2j * np.pi * frequency * dt * np.arange(count))[-kept:]
     measured = (carrier @ np.array(forces)[-kept:]) / (carrier @ reference[-kept:])
 
-    plant = SampledPlant.of(choose_plant(test), dt)
+    plant = choose_plant(test)
     f = np.array([frequency])
-    loop = plant.response(f) * PAPER.sampled_response(f, dt)
+    loop = plant.sampled_response(f, dt) * PAPER.sampled_response(f, dt)
     expected = (loop / (1 + loop))[0]
     assert abs(measured) == pytest.approx(abs(expected), rel=1e-3)
     assert np.angle(measured / expected) == pytest.approx(0.0, abs=1e-3)
@@ -264,4 +266,4 @@ def test_a_rig_without_a_valve_can_be_shaped_by_its_identified_plant():
 def test_a_dead_time_of_many_samples_is_refused():
     plant = choose_plant(experiment(controller=identified([1.0], [1.0, 1.0], 1.0)))
     with pytest.raises(InputError, match="1000 samples"):
-        SampledPlant.of(plant, 0.001)
+        plant.sampled(0.001)

@@ -8,15 +8,14 @@ from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
 from seft_ros.design.rig_tests import (
     Levels,
+    Motions,
     check_levels,
     closed_loop,
     default_force,
-    ground_accelerations,
     has_valve,
     open_loop,
     pilot_voltage,
     voltage_after,
-    write_excitation,
 )
 from seft_ros.ground_motion.synthetic_motion import excitation
 from seft_ros.test_run.compiled_loop import build_blocks
@@ -40,10 +39,10 @@ def record(tmp_path):
     """A record for an experiment, of 10 s, and the unit excitation in it."""
 
     def make(of):
-        unit = excitation("random", 5000, len(of.axes), of.timebase.dt, (1.0, 100.0), 1)
-        path = tmp_path / "record.csv"
-        write_excitation(path, ground_accelerations(of, LEVELS.force * unit))
-        return path, unit
+        band, seed = (1.0, 100.0), 1
+        motions = Motions(of, LEVELS.force, "random", band, seed)
+        unit = excitation("random", 5000, len(of.axes), of.timebase.dt, band, seed)
+        return motions.write(tmp_path / "record.csv", 10.0), unit
 
     return make
 

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
-from seft_ros.design.rig_tests import write_excitation
+from seft_ros.design.rig_tests import Motions
 from seft_ros.ground_motion.ground_motion_block import TABLE, GroundMotion
 from seft_ros.ground_motion.synthetic_motion import (
     SIGNALS,
@@ -175,8 +176,10 @@ def test_what_makes_no_excitation_is_refused(words, told):
 
 @pytest.mark.parametrize("rate", [200.0, 500.0, 2000.0])
 def test_ground_motion_reads_the_record_bit_for_bit(tmp_path, rate):
-    samples = 3.7 * excitation("random", 5000, 2, 1 / rate, (2.0, 60.0), 1)
-    write_excitation(tmp_path / "record.csv", samples)
+    section = {"rate": rate, "axes": ["x", "y"], "model.mass": 1.0}
+    experiment, band, seed = Experiment({"reference_force": section}), (2.0, 60.0), 1
+    Motions(experiment, 3.7, "random", band, seed).write(tmp_path / "record.csv", 5000 / rate)
+    samples = -3.7 * excitation("random", 5000, 2, 1 / rate, band, seed)
     section = {row.name: row.default for row in TABLE.rows.values()}
     section |= {"file": str(tmp_path / "record.csv"), "column": [0, 1], "unit": "m/s2"}
     section |= {"dt": 1 / rate, "tail": 0.0}

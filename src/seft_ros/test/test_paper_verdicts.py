@@ -8,7 +8,7 @@ import pytest
 from seft_msgs_py.wire.outcome import Trip
 from seft_ros.design.controller import Root
 from seft_ros.paper.claims import judge_claims, statements
-from seft_ros.paper.findings import Findings, Growth
+from seft_ros.paper.findings import Findings
 from seft_ros.paper.paper_tests import Outcome
 
 DT = 0.002
@@ -32,6 +32,10 @@ def a_test(hz, size=1.0, shaking=0.0, trip=None, lag=0):
     return Outcome(DT, dict.fromkeys(NAMES, measured), dict.fromkeys(NAMES, exact), trip)
 
 
+def a_loop(rate, hz):
+    return SimpleNamespace(growth_rate=lambda: rate, hz=lambda: hz)
+
+
 def made_up(**changes):
     """Findings as the paper has them, unless changed."""
     tripped = Trip("acceleration_range", 500, 1.0)
@@ -50,9 +54,9 @@ def made_up(**changes):
         exact = replace(rig, measured=rig.exact)
         tests["model", ratio] = tests["model_tau", ratio] = exact
     tests |= changes.pop("tests", {})
-    growths = {("rig", 1.5): Growth(7.0, 35.9), ("rig", 1.0): Growth(-9.0, 6.7)}
-    growths |= {("delay", ratio): Growth(5.0, 42.0) for ratio in (0.5, 1.0)}
-    growths |= changes.pop("growths", {})
+    plans = {("rig", 1.5): a_loop(7.0, 35.9), ("rig", 1.0): a_loop(-9.0, 6.7)}
+    plans |= {("delay", ratio): a_loop(5.0, 42.0) for ratio in (0.5, 1.0)}
+    plans |= changes.pop("plans", {})
     specimen = SimpleNamespace(mass=np.array([[52.7]]), axis_root=lambda _: Root(10.07, 0.12))
     tracking = SimpleNamespace(delay_s=changes.pop("delay_s", 0.01), bandwidth_hz=34.5)
     identified = SimpleNamespace(
@@ -62,7 +66,7 @@ def made_up(**changes):
         "ground_motion": {"time_scale": 0.5},
         "reference_force": {"model.mass": [52.7]},
     }
-    return Findings(_Sections(sections), "made up", 1000.0, identified, tests, growths)
+    return Findings(_Sections(sections), "made up", 1000.0, identified, tests, plans)
 
 
 class _Sections(dict):
@@ -134,9 +138,9 @@ def test_a_verdict_turns_with_its_result(tests, turned):
 
 
 def test_eigenvalues_that_turn_turn_the_verdict():
-    told = verdicts(made_up(growths={("rig", 1.5): Growth(-1.0, 35.9)}))
+    told = verdicts(made_up(plans={("rig", 1.5): a_loop(-1.0, 35.9)}))
     assert told["eigenvalues of the loop at alpha = 1.5"] is False
-    told = verdicts(made_up(growths={("rig", 1.5): Growth(7.0, 90.0)}))
+    told = verdicts(made_up(plans={("rig", 1.5): a_loop(7.0, 90.0)}))
     assert told["the vibration is induced by acceleration feedback"] is False
 
 

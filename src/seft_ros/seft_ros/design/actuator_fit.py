@@ -84,12 +84,12 @@ class OilBalance:
         return scipy.fft.irfft(spectrum, self._size)[: self._n]
 
     def _of(self, signal: Floats) -> Complexes:
-        """Part of a signal that is correlated with the commands, at each of F frequencies."""
-        return self._with_commands(self._spectrum(signal))
+        """Part of a signal that is correlated with the commands, at each of F frequencies.
 
-    def _with_commands(self, spectrum: Complexes) -> Complexes:
-        # noise is not correlated with the commands: it averages out
-        products = np.add.reduceat(spectrum[self._used] * self._drive, self._blocks)
+        Noise is not correlated with the commands: it averages out.
+        """
+        spectrum = self._spectrum(signal)[self._used]
+        products = np.add.reduceat(spectrum * self._drive, self._blocks)
         return products / self._size_of_drive
 
     def within(self, signal: Floats) -> Floats:
@@ -125,21 +125,17 @@ class OilBalance:
         mean = (weights * both).sum(axis=0) / total
         return self._back(mean * s * self._dt / change), self._back(mean), 1.0 / total[self._used]
 
-    def flow(self, p: Floats) -> tuple[Floats, Complexes]:
-        """Flow of the commands over q, V: the signal, shape (N - 1,), and its spectrum, (F,).
+    def flow(self, p: Floats) -> Floats:
+        """Flow of the commands over q, V, shape (N - 1,).
 
         The parameters p are, here and below, the logarithms of the valve's frequency (Hz) and
         damping ratio, its dead time in ms, the largest force over the force capacity, and the
         logarithm of the velocity (m/s) over which friction builds up.
         """
         valve = ValveModel(math.exp(p[0]), math.exp(p[1]), p[2] / 1e3, self._dt)
-        volume = valve.volume(self._times)
-        spectrum = self._commands * self._spectrum(np.diff(volume) / self._dt)
-        flow = self._back(spectrum)
-        if p[3]:
-            flow *= np.sqrt(1.0 - np.sign(flow) * p[3] / self.largest_force * self.between)
-            spectrum = self._spectrum(flow)
-        return flow, self._with_commands(spectrum)
+        pulse = np.diff(valve.volume(self._times)) / self._dt
+        flow = self._back(self._commands * self._spectrum(pulse))
+        return flow * np.sqrt(1.0 - np.sign(flow) * p[3] / self.largest_force * self.between)
 
     def slip(self, p: Floats) -> Floats:
         """Rate of a friction of 1 N; N/s, (N - 1,)."""
@@ -154,7 +150,7 @@ class OilBalance:
         """Power of the residual of `solve`, and of the commands' flow; shape (F,), smoothed."""
         solution, _, errors = self.solve(p, deviation)
         power = (errors.reshape(2, -1) ** 2).sum(axis=0) * deviation**2
-        flow = np.abs(solution[0] * self.flow(p)[1]) ** 2
+        flow = np.abs(solution[0] * self._of(self.flow(p))) ** 2
         return self.smooth(power), self.smooth(flow)
 
     def solve(self, p: Floats, deviation: Floats) -> tuple[Floats, Floats, Floats]:
@@ -169,7 +165,7 @@ class OilBalance:
         errors : ndarray
             Residual over its expected error, real parts, then imaginary parts.
         """
-        flow, slip = self.flow(p)[1], self._of(self.slip(p))
+        flow, slip = self._of(self.flow(p)), self._of(self.slip(p))
         terms = np.column_stack([flow, -self._of_force, -slip, self._of_motion])
         terms = terms / deviation[:, np.newaxis]
         split = np.concatenate([terms.real, terms.imag])
@@ -304,7 +300,7 @@ def fit_actuator(
     q, compliance, leaking, friction = linear.tolist()
     lost = leaking * oil.between + friction * oil.slip(p)
     measured = oil.within(oil.velocity + compliance * oil.rise + lost)
-    modelled = oil.within(q * oil.flow(p)[0])
+    modelled = oil.within(q * oil.flow(p))
     total = float(np.sum(measured**2))
     size = np.maximum(np.abs(linear[:2]), 1e-30)
     relative = [*linear_deviations[:2] / size, *deviations[:3]]

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from seft_msgs_py.arrays import Complexes, Floats
 
 from seft_ros.design.controller import Controller
-from seft_ros.design.plant import Plant, SampledPlant
+from seft_ros.design.plant import Plant
 from seft_ros.force_controller import velocity_feedforward
 from seft_ros.force_controller.force_control import ForceController, LinearControl
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
@@ -87,7 +87,7 @@ def force_loop(plant: Plant, controller: Controller, dt: float) -> ClosedLoop:
     Where axes are coupled through the specimen this says more than the margins of each.
     An InputError says if the dead time of the plant is many samples long.
     """
-    a, b, c = SampledPlant.of(plant, dt).state_space()
+    a, b, c = plant.sampled(dt)
     n, polynomials = b.shape[1], (controller.numerator, controller.denominator)
     control = ForceController([polynomials] * n, np.inf, dt).linear()
     forces = np.pad(c, ((3 * n, 0), (0, 0)))
@@ -158,9 +158,7 @@ def frozen_target(method: TargetMotion, measured: bool) -> LinearFilter:
             state.model.covariance[:, 0, 0] = CERTAIN
             state.model.sums[:, 4] = -CERTAIN
 
-    def step() -> None:
-        target_step(parameters, state, ground, y, 1.0, points)
-
+    step = partial(target_step, parameters, state, ground, y, 1.0, points)
     (c, d, e), (a, b, h) = _system(begin, step, states, [y, ground], points)
     method.reset()
     return LinearFilter(a, b, h, c, d, e)
@@ -190,9 +188,7 @@ def frozen_feedforward(control: VelocityFeedforward) -> list[tuple[Floats, Linea
         state.covariance[:] = 0.0
         state.steps[0] = 1.0
 
-    def step() -> None:
-        velocity_feedforward.feedforward_step(parameters, state, points, y, command)
-
+    step = partial(velocity_feedforward.feedforward_step, parameters, state, points, y, command)
     states, found = [state.measured, state.sent, state.flows], []
     for errors in _ERRORS:
         outputs, next_states = _system(partial(begin, errors), step, states, [points, y], command)
@@ -208,7 +204,7 @@ def frozen_feedforward(control: VelocityFeedforward) -> list[tuple[Floats, Linea
 
 def _system(
     begin: Callable[[], None],
-    step: Callable[[], None],
+    step: Callable[[], object],
     states: Sequence[Floats],
     inputs: Sequence[Floats],
     output: Floats,

@@ -18,7 +18,7 @@ from seft_ros.design import loop_design
 from seft_ros.design.actuator_fit import ActuatorFit, fit_actuator
 from seft_ros.design.controller import Controller, polynomial_of
 from seft_ros.design.loop_margins import LoopMargins, Tracking, tracking_measures
-from seft_ros.design.plant import Plant, SampledPlant, small_signal
+from seft_ros.design.plant import Plant, small_signal
 from seft_ros.design.response_fits import SpecimenFit, TrackingFit, fit_specimen, fit_tracking
 from seft_ros.design.rig_tests import MeasuredTest, Measurement
 from seft_ros.drawing.style import Number, json_safe, look_up, make_table, rows_of
@@ -145,13 +145,9 @@ def identify(
     if not tests:
         raise ExperimentError(unusable[0])
     specimen = fit_specimen([test.motion() for test in tests.values()])
-    valves: list[ValveResponse] = []
-    loops: list[ClosedLoop] = []
-    if opened := tests.get(_OPEN_LOOP):
-        valves = _valves(opened, specimen, actuators, controller)
-    if closed := tests.get(_CLOSED_LOOP):
-        each = range(len(closed.axes))
-        loops = [_closed_loop(closed.tracking(axis), closed.dt) for axis in each]
+    opened, closed = tests.get(_OPEN_LOOP), tests.get(_CLOSED_LOOP)
+    valves = _valves(opened, specimen, actuators, controller) if opened else []
+    loops = _closed_loops(closed) if closed else []
     axes = next(iter(tests.values())).axes
     return Identified(axes, band, specimen, valves, loops, unusable, faults)
 
@@ -176,7 +172,7 @@ def _valves(
         plant = replace(whole.axis(axis), delay=actuator.dead_time)
         measured = test.plant(axis)
         loop = loop_design.shape_loop(plant, controller or Controller((1.0,), (1.0,)), dt)
-        wrong = SampledPlant.of(plant, dt).response(measured.frequencies_hz) - measured.response
+        wrong = plant.sampled_response(measured.frequencies_hz, dt) - measured.response
         size = np.abs(measured.response)
         deviation = np.hypot(measured.deviation, _FLOOR * size)
         error = float(np.linalg.norm(wrong / deviation) / np.linalg.norm(size / deviation))
@@ -184,14 +180,20 @@ def _valves(
     return valves
 
 
-def _closed_loop(measured: Measurement, dt: float) -> ClosedLoop:
-    f, tracking = measured.frequencies_hz, measured.response
-    # a pole beyond the coherent frequencies would be arbitrary
-    coherent = np.flatnonzero(measured.coherence >= _COHERENT)
-    known = slice(0, int(coherent[-1]) + 1)
-    weight = 1.0 / np.hypot(measured.deviation, _FLOOR)[known]
-    fit = fit_tracking(f[known], tracking[known], weight, least_dead_time=dt)  # the loop's latency
-    return ClosedLoop(measured, tracking_measures(f, tracking), fit)
+def _closed_loops(test: MeasuredTest) -> list[ClosedLoop]:
+    """Measure the closed loop of every axis, and fit it."""
+    loops = []
+    for axis in range(len(test.axes)):
+        measured = test.tracking(axis)
+        f, tracking = measured.frequencies_hz, measured.response
+        # a pole beyond the coherent frequencies would be arbitrary
+        coherent = np.flatnonzero(measured.coherence >= _COHERENT)
+        known = slice(0, int(coherent[-1]) + 1)
+        weight = 1.0 / np.hypot(measured.deviation, _FLOOR)[known]
+        # the dead time has the loop's latency in it
+        fit = fit_tracking(f[known], tracking[known], weight, least_dead_time=test.dt)
+        loops.append(ClosedLoop(measured, tracking_measures(f, tracking), fit))
+    return loops
 
 
 _ACTUATOR = {  # parameter -> its key in the result
@@ -261,11 +263,6 @@ def _response(prefix: str, model: TransferFunction) -> dict[str, Any]:
     }
 
 
-ANY_SPECIMEN = (
-    "actuator.* describes the actuators and holds for any specimen (plant.* and tracking.* hold "
-    "for this specimen)"
-)
-
 _TABLE = (  # of an axis, by section
     (
         Number("actuator: flow gain", "actuator.flow_gain_m_per_s_per_v", "mm/s/V", 1e3),
@@ -332,7 +329,7 @@ def summarise_identified(identified: Identified) -> dict[str, Any]:
     ]
     specimen, roots = identified.specimen, identified.specimen.roots()
     matrices = {name: getattr(specimen, name).squeeze().tolist() for name in _MATRICES}
-    summary = {
+    summary: dict[str, Any] = {
         **by_axis[0],
         "specimen": {
             **matrices,
@@ -350,7 +347,10 @@ def notes(identified: Identified) -> list[str]:
     """List what a reader must know about the numbers, one line each."""
     found = [*identified.unusable, *identified.faults]
     if identified.valves:
-        found.append(ANY_SPECIMEN)
+        found.append(
+            "actuator.* describes the actuators and holds for any specimen (plant.* and tracking.* "
+            "hold for this specimen)"
+        )
     else:
         found.append("no good test of a valve, so actuators and margins are not known")
     for axis, valve in zip(identified.axes, identified.valves, strict=False):
@@ -382,7 +382,7 @@ def _of_axis(identified: Identified, index: int) -> dict[str, Any]:
         **loop_design.plant_numbers(valve.loop.plant if valve else None),
         "fit_error": valve and valve.error,
         **asdict(margins),
-        **loop_design.tracking_numbers(closed.tracking if closed else None),
+        **asdict(closed.tracking if closed else Tracking()),
         "tracking_fit_error": closed and closed.fit.error,
         "coherence": {
             "open_loop": valve and _coherence(valve.measured),

@@ -1,54 +1,22 @@
 """A force loop as designed: responses, margins, tables; the proposal of its controller."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from rich.table import Table
-from seft_msgs_py.arrays import Complexes, Floats
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import InputError
 
 from seft_ros.design.closed_loop import force_loop
 from seft_ros.design.controller import Controller, Root, lightly_damped
-from seft_ros.design.loop_margins import LoopMargins, Tracking, loop_margins, tracking_measures
-from seft_ros.design.plant import Plant, SampledPlant
+from seft_ros.design.loop_margins import Responses, delay_by_frequency, loop_margins
+from seft_ros.design.plant import Plant
 from seft_ros.drawing.style import CENTRED, Number, make_table, rows_of
 
 LOWEST_HZ = 0.1
-_TRACKING = ("flat_to_hz", "bandwidth_hz", "delay_s", "dip_db", "dip_hz")
-
-
-@dataclass(frozen=True)
-class Responses:
-    """Frequency responses of a loop at N frequencies, and its numbers.
-
-    Attributes
-    ----------
-    plant, controller : ndarray
-        H_fu, N/V, and C_f, V/N, shape (N,).
-    loop, tracking : ndarray
-        L = C_f H_fu, and T = L / (1 + L), from reference force to measured force, shape (N,).
-    margins : LoopMargins
-        Of L.
-    measures : Tracking
-        Of T.
-    """
-
-    plant: Complexes
-    controller: Complexes
-    loop: Complexes
-    tracking: Complexes
-    margins: LoopMargins
-    measures: Tracking
-
-    @classmethod
-    def of(cls, f: Floats, plant: Complexes, controller: Complexes) -> "Responses":
-        """Close the loop of plant and controller at frequencies in Hz."""
-        loop = controller * plant
-        tracking = loop / (1 + loop)
-        margins, measures = loop_margins(f, loop), tracking_measures(f, tracking)
-        return cls(plant, controller, loop, tracking, margins, measures)
 
 
 @dataclass(frozen=True)
@@ -78,7 +46,7 @@ class LoopDesign:
 
     def delay_at(self, frequency_hz: float) -> float:
         """Delay of the measured force at one frequency, s."""
-        delays = self.sampled.measures.delay_by_frequency
+        delays = delay_by_frequency(self.frequencies_hz, self.sampled.tracking)
         known = np.isfinite(delays)
         return float(np.interp(frequency_hz, self.frequencies_hz[known], delays[known]))
 
@@ -90,9 +58,10 @@ def shape_loop(plant: Plant, controller: Controller, dt: float) -> LoopDesign:
     """
     plant = plant.axis(0)
     f = loop_frequencies(plant, dt)
-    at_once, as_it_runs = replace(plant, delay=0.0), SampledPlant.of(plant, dt)
-    continuous = Responses.of(f, at_once.response(f), controller.response(f))
-    sampled = Responses.of(f, as_it_runs.response(f), controller.sampled_response(f, dt))
+    at_once = replace(plant, delay=0.0).response(f)
+    continuous = Responses.of(f, at_once, controller.response(f))
+    as_it_runs = plant.sampled_response(f, dt), controller.sampled_response(f, dt)
+    sampled = Responses.of(f, *as_it_runs)
     stable = abs(force_loop(plant, controller, dt).dominant()) < 1
     return LoopDesign(plant, controller, f, continuous, sampled, stable)
 
@@ -136,7 +105,7 @@ def design_table(design: LoopDesign, title: str) -> Table:
     plant, controller = design.plant, design.controller
     zero = plant.antiresonance()
     loops = (
-        asdict(responses.margins) | tracking_numbers(responses.measures)
+        asdict(responses.margins) | asdict(responses.measures)
         for responses in (design.continuous, design.sampled)
     )
     rows: list[list[str] | None] = [
@@ -175,7 +144,7 @@ def summarise(design: LoopDesign) -> dict[str, Any]:
         "plant_source": design.plant.source,
         **plant_numbers(design.plant),
         **asdict(design.sampled.margins),
-        **tracking_numbers(design.sampled.measures),
+        **asdict(design.sampled.measures),
         "delay_at_zero_s": design.delay_at(zero.hz) if zero else None,
         "controller": {
             "numerator": list(controller.numerator),
@@ -199,12 +168,6 @@ def plant_numbers(plant: Plant | None) -> dict[str, float | None]:
         for name, root in (("zero", zero), ("pole", pole))
         for key in ("hz", "damping")
     }
-
-
-def tracking_numbers(tracking: Tracking | None) -> dict[str, Any]:
-    """Measures of a closed loop that are single numbers; None where they are not known."""
-    numbers = {name: tracking and getattr(tracking, name) for name in _TRACKING}
-    return {"closed_loop_flat_to_hz": numbers.pop("flat_to_hz"), **numbers}
 
 
 def summarise_axes(axes: Sequence[str], designs: Sequence[LoopDesign]) -> list[dict[str, Any]]:
@@ -255,100 +218,95 @@ def propose_controller(
         raise InputError(
             f"--gain-margin {gain_margin_db:g}: must lie between 0 and {MOST_GAIN_MARGIN_DB:g} dB"
         )
-    search = _Search(plant.axis(0), dt, gain_margin_db)
-    if (controller := search.simplest(crossover_hz)) is not None:
+    plant = plant.axis(0)
+    zero = plant.antiresonance()
+    if zero is None or zero.hz >= 0.5 / dt:
+        raise InputError(
+            "the plant has no lightly damped zeros below half the rate to put the controller's "
+            "poles on; give --numerator and --denominator"
+        )
+    simplest = partial(_simplest, plant, zero, dt, gain_margin_db)
+    if (controller := simplest(crossover_hz)) is not None:
         return controller
     wish = (
         f"a crossover of {crossover_hz:g} Hz can't be had with phase and gain margins of "
         f"{PHASE_MARGIN_DEG:g} deg and {gain_margin_db:g} dB"
     )
-    highest = search.highest_crossover(crossover_hz)
+    highest = _highest_crossover(simplest, crossover_hz)
     if highest is None:
         raise InputError(f"{wish}, nor can a lower one; give --numerator and --denominator")
     raise InputError(f"{wish}; the highest that can is {highest:g} Hz")
 
 
-class _Search:
-    """Search for a controller of a plant, whose response is computed once."""
-
-    def __init__(self, plant: Plant, dt: float, gain_margin_db: float) -> None:
-        zero = plant.antiresonance()
-        if zero is None or zero.hz >= 0.5 / dt:
-            raise InputError(
-                "the plant has no lightly damped zeros below half the rate to put the controller's "
-                "poles on; give --numerator and --denominator"
-            )
-        self._plant, self._dt, self._gain_margin_db = plant, dt, gain_margin_db
-        self._zero, self._oil_column = zero, plant.oil_column()
-        self._sampled = SampledPlant.of(plant, dt)
-        self._f = loop_frequencies(plant, dt, _POINTS)
-        self._response = self._sampled.response(self._f)
-
-    def simplest(self, crossover_hz: float) -> Controller | None:
-        """First candidate with enough margins; None if there is none."""
-        at, dt = np.array([crossover_hz]), self._dt
-        plant_at = self._sampled.response(at)
-        # minus if the plant pulls when the command is to push
-        sign = 1.0 if -45 <= -float(np.angle(self._response[0], deg=True)) <= 135 else -1.0
-        for candidate in self._candidates(crossover_hz):
-            unscaled = candidate.sampled_response(at, dt) * plant_at
-            controller = candidate.scaled(sign / float(abs(unscaled[0])))
-            loop = controller.sampled_response(self._f, dt) * self._response
-            phase = np.angle(-sign * unscaled[0], deg=True)
-            if phase < PHASE_MARGIN_DEG or self._lacks_gain_margin(loop, crossover_hz):
-                continue
-            margins = loop_margins(self._f, loop)
-            gain_margin = margins.gain_margin_db
-            if (
-                (gain_margin is None or gain_margin >= self._gain_margin_db)
-                and (margins.phase_margin_deg or 0.0) >= PHASE_MARGIN_DEG
-                and abs(force_loop(self._plant, controller, dt).dominant()) < 1
-            ):
-                return controller
-        return None
-
-    def _lacks_gain_margin(self, loop: Complexes, crossover_hz: float) -> bool:
-        """Whether |L| crosses 1 again, or is too large at -180 degrees: a quick, coarse test."""
-        above = np.abs(loop[self._f > 1.02 * crossover_hz])
+def _simplest(
+    plant: Plant, zero: Root, dt: float, gain_margin_db: float, crossover_hz: float
+) -> Controller | None:
+    """First candidate with enough margins; None if there is none."""
+    f, at = loop_frequencies(plant, dt, _POINTS), np.array([crossover_hz])
+    response, plant_at = plant.sampled_response(f, dt), plant.sampled_response(at, dt)
+    # minus if the plant pulls when the command is to push
+    sign = 1.0 if -45 <= -float(np.angle(response[0], deg=True)) <= 135 else -1.0
+    for candidate in _candidates(zero, plant.oil_column(), dt, crossover_hz):
+        unscaled = candidate.sampled_response(at, dt) * plant_at
+        controller = candidate.scaled(sign / float(abs(unscaled[0])))
+        loop = controller.sampled_response(f, dt) * response
+        if np.angle(-sign * unscaled[0], deg=True) < PHASE_MARGIN_DEG:
+            continue
+        # a quick, coarse test: whether |L| crosses 1 again, or is too large at -180 degrees
         turned = (np.diff(np.sign(loop.imag)) != 0) & (loop.real[1:] < 0)
-        most = 1.2 * 10 ** (-self._gain_margin_db / 20)
-        return bool(np.any(above >= 1) or np.any(np.abs(loop[1:][turned]) > most))
+        most = 1.2 * 10 ** (-gain_margin_db / 20)
+        above = np.abs(loop[f > 1.02 * crossover_hz])
+        if np.any(above >= 1) or np.any(np.abs(loop[1:][turned]) > most):
+            continue
+        margins = loop_margins(f, loop)
+        if (
+            (margins.gain_margin_db is None or margins.gain_margin_db >= gain_margin_db)
+            and (margins.phase_margin_deg or 0.0) >= PHASE_MARGIN_DEG
+            and abs(force_loop(plant, controller, dt).dominant()) < 1
+        ):
+            return controller
+    return None
 
-    def _candidates(self, crossover_hz: float) -> Iterator[Controller]:
-        """Yield controllers of gain 1, the simplest first, roll-offs from the highest down."""
-        zero = Root(self._zero.hz, max(self._zero.damping or 0.0, _LEAST_DAMPING))
-        hz = np.geomspace(0.45 / self._dt, crossover_hz, _ROLL_OFFS, endpoint=False).tolist()
-        single, double = ([[Root(f, zeta)] for f in hz] for zeta in (None, _ROLL_OFF_DAMPING))
-        poles, oil = [self._prewarped(zero)], self._oil_column
-        for roll_off in ([], *single, *double):
-            yield Controller.from_roots([], [*poles, *roll_off])
-        if oil is None or oil.hz >= 0.45 / self._dt:
-            return
-        notch = self._prewarped(oil)
-        poles.append(Root(notch.hz, _NOTCH_DAMPING))
-        for roll_off in ([], *single):
-            yield Controller.from_roots([notch], [*poles, *roll_off])
 
-    def highest_crossover(self, wish_hz: float) -> float | None:
-        """Highest possible crossover below a wish, to three digits."""
-        high = low = _rounded(wish_hz)
-        for _ in range(_MOST_LOWER):
-            high, low = low, _rounded(_LOWER * low)
-            if self.simplest(low) is not None:
-                break
-        else:
-            return None
-        while (middle := _rounded((low + high) / 2)) not in (low, high):
-            if self.simplest(middle) is not None:
-                low = middle
-            else:
-                high = middle
-        return low
+def _candidates(
+    zero: Root, oil_column: Root | None, dt: float, crossover_hz: float
+) -> Iterator[Controller]:
+    """Yield controllers of gain 1, the simplest first, roll-offs from the highest down."""
 
-    def _prewarped(self, root: Root) -> Root:
+    def prewarped(hz: float, damping: float) -> Root:
         """Root in s that the bilinear transform brings onto this frequency."""
-        hz = np.tan(np.pi * root.hz * self._dt) / (np.pi * self._dt)
-        return Root(float(hz), root.damping)
+        return Root(float(np.tan(np.pi * hz * dt) / (np.pi * dt)), damping)
+
+    hz = np.geomspace(0.45 / dt, crossover_hz, _ROLL_OFFS, endpoint=False).tolist()
+    single, double = ([[Root(f, zeta)] for f in hz] for zeta in (None, _ROLL_OFF_DAMPING))
+    poles = [prewarped(zero.hz, max(zero.damping or 0.0, _LEAST_DAMPING))]
+    for roll_off in ([], *single, *double):
+        yield Controller.from_roots([], [*poles, *roll_off])
+    if oil_column is None or oil_column.hz >= 0.45 / dt:
+        return
+    notch = prewarped(oil_column.hz, oil_column.damping or 0.0)
+    poles.append(Root(notch.hz, _NOTCH_DAMPING))
+    for roll_off in ([], *single):
+        yield Controller.from_roots([notch], [*poles, *roll_off])
+
+
+def _highest_crossover(
+    simplest: Callable[[float], Controller | None], wish_hz: float
+) -> float | None:
+    """Highest possible crossover below a wish, to three digits."""
+    high = low = _rounded(wish_hz)
+    for _ in range(_MOST_LOWER):
+        high, low = low, _rounded(_LOWER * low)
+        if simplest(low) is not None:
+            break
+    else:
+        return None
+    while (middle := _rounded((low + high) / 2)) not in (low, high):
+        if simplest(middle) is not None:
+            low = middle
+        else:
+            high = middle
+    return low
 
 
 def _rounded(value: float) -> float:

@@ -13,7 +13,7 @@ from seft_msgs_py.arrays import Complexes, Floats
 from seft_ros.design.actuator_fit import ActuatorFit
 from seft_ros.design.identified import ClosedLoop, Identified, ValveResponse
 from seft_ros.design.loop_design import LoopDesign
-from seft_ros.design.loop_margins import BAND_HZ, FLATNESS_DB
+from seft_ros.design.loop_margins import BAND_HZ, FLATNESS_DB, delay_by_frequency
 from seft_ros.design.plant import Plant
 from seft_ros.design.rig_tests import Measurement
 from seft_ros.drawing.style import FIRST, MARK, REFERENCE, SECOND, TEXT, finish, new_figure, tidy
@@ -99,7 +99,7 @@ def _mark_loop(panel: _Panel, design: LoopDesign) -> None:
 
 def _mark_closed_loop(panel: _Panel, design: LoopDesign) -> None:
     magnitude, phase = panel
-    tracking, flat = design.sampled.measures, design.sampled.measures.flat_to_hz
+    tracking, flat = design.sampled.measures, design.sampled.measures.closed_loop_flat_to_hz
     magnitude.axhspan(-FLATNESS_DB, FLATNESS_DB, color=FIRST, alpha=0.12, lw=0)
     magnitude.set_ylim(-20.0, max(6.0, magnitude.get_ylim()[1]))
     text = "flat throughout" if flat is None else f"±{FLATNESS_DB:g} dB to {flat:.3g} Hz"
@@ -122,7 +122,6 @@ def identified_figure(identified: Identified, title: str) -> Figure:
     width = 9.5 if len(names) == 1 else 5.5 * len(names)
     figure = new_figure(width, 2.6 * len(rows) + 0.5)
     panels = figure.subplots(len(rows), len(names), squeeze=False)
-    dots: PathCollection | None = None
     for column, axis in enumerate(names):
         panel = dict(zip(rows, panels[:, column], strict=True))
         coherence = panel["coherence"]
@@ -149,7 +148,7 @@ def identified_figure(identified: Identified, title: str) -> Figure:
             axes.legend(loc="lower left", frameon=False, fontsize=9)
     for axes, label in zip(panels[:, 0], rows, strict=True):
         axes.set_ylabel(label, color=TEXT)
-    if dots is not None:
+    if valves:
         bar = figure.colorbar(dots, ax=list(panels[1]), aspect=15, pad=0.01)
         bar.set_label("coherence", color=TEXT)
         bar.outline.set_visible(False)
@@ -197,9 +196,10 @@ def _draw_tracking(panel: Axes, below: Axes, closed: ClosedLoop) -> None:
     ):
         panel.plot(f, 20 * np.log10(np.abs(response)), **style)
     panel.set_ylim(*_SHOWN_TRACKING_DB)
-    if flat := tracking.flat_to_hz:
+    if flat := tracking.closed_loop_flat_to_hz:
         _mark(panel, flat, f"±{FLATNESS_DB:g} dB to {flat:.3g} Hz", 0.85)
-    delays = np.where(measured.coherence < _COHERENT, np.nan, 1e3 * tracking.delay_by_frequency)
+    delays = 1e3 * delay_by_frequency(f, measured.response)
+    delays[measured.coherence < _COHERENT] = np.nan
     below.plot(f, delays, color=SECOND, lw=1.0, label="measured")
     if tracking.delay_s is not None:
         delay = 1e3 * tracking.delay_s

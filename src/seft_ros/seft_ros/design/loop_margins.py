@@ -1,4 +1,4 @@
-"""Margins of an open loop L, and how well T = L / (1 + L) follows its reference."""
+"""Responses of a loop: margins of L, and how well T = L / (1 + L) follows its reference."""
 
 from dataclasses import dataclass
 
@@ -88,7 +88,7 @@ class Tracking:
 
     Attributes
     ----------
-    flat_to_hz : float or None
+    closed_loop_flat_to_hz : float or None
         First frequency at which |T| leaves +-1 dB; 0 where it is outside from the start, None
         where it never leaves.
     bandwidth_hz : float or None
@@ -98,16 +98,13 @@ class Tracking:
     dip_db, dip_hz : float or None
         |T| at the bottom of its deepest dip within the band, and where: it is higher on either
         side, as at a zero of the specimen that is not fully compensated.
-    delay_by_frequency : ndarray
-        -phase / (2 pi f) in s, shape (N,).
     """
 
-    flat_to_hz: float | None
-    bandwidth_hz: float | None
-    delay_s: float | None
-    dip_db: float | None
-    dip_hz: float | None
-    delay_by_frequency: Floats
+    closed_loop_flat_to_hz: float | None = None
+    bandwidth_hz: float | None = None
+    delay_s: float | None = None
+    dip_db: float | None = None
+    dip_hz: float | None = None
 
 
 def tracking_measures(frequencies_hz: Floats, tracking: Complexes) -> Tracking:
@@ -120,22 +117,27 @@ def tracking_measures(frequencies_hz: Floats, tracking: Complexes) -> Tracking:
     """
     known = np.isfinite(tracking) & (tracking != 0)
     f, t = frequencies_hz[known], tracking[known]
-    delays = np.full(len(frequencies_hz), np.nan)
     if not len(f):
-        return Tracking(None, None, None, None, None, delays)
+        return Tracking()
     decibels = median_filter(20 * np.log10(np.abs(t)), _OUTLIERS, mode="nearest")
     phase = np.unwrap(np.angle(t))
-    delays[known] = -phase / (2 * np.pi * f)
     flat_to = _first_above(f, np.abs(decibels), FLATNESS_DB)
     dip_db, dip_hz = _deepest_dip(f, decibels)
     return Tracking(
-        flat_to_hz=flat_to,
+        closed_loop_flat_to_hz=flat_to,
         bandwidth_hz=_first_above(f, -decibels, -BANDWIDTH_DB),
         delay_s=_fitted_delay(f, phase, BAND_HZ if flat_to is None else min(flat_to, BAND_HZ)),
         dip_db=dip_db,
         dip_hz=dip_hz,
-        delay_by_frequency=delays,
     )
+
+
+def delay_by_frequency(frequencies_hz: Floats, tracking: Complexes) -> Floats:
+    """Delay -phase / (2 pi f) of a closed loop T in s; NaN where T is not known; shape (N,) all."""
+    known = np.isfinite(tracking) & (tracking != 0)
+    delays = np.full(len(frequencies_hz), np.nan)
+    delays[known] = -np.unwrap(np.angle(tracking[known])) / (2 * np.pi * frequencies_hz[known])
+    return delays
 
 
 def _first_above(f: Floats, values: Floats, limit: float) -> float | None:
@@ -166,3 +168,35 @@ def _deepest_dip(f: Floats, decibels: Floats) -> tuple[float | None, float | Non
         return None, None
     deepest = dips[decibels[dips].argmin()]
     return float(decibels[deepest]), float(f[deepest])
+
+
+@dataclass(frozen=True)
+class Responses:
+    """Frequency responses of a loop at N frequencies, and its numbers.
+
+    Attributes
+    ----------
+    plant, controller : ndarray
+        H_fu, N/V, and C_f, V/N, shape (N,).
+    loop, tracking : ndarray
+        L = C_f H_fu, and T = L / (1 + L), from reference force to measured force, shape (N,).
+    margins : LoopMargins
+        Of L.
+    measures : Tracking
+        Of T.
+    """
+
+    plant: Complexes
+    controller: Complexes
+    loop: Complexes
+    tracking: Complexes
+    margins: LoopMargins
+    measures: Tracking
+
+    @classmethod
+    def of(cls, f: Floats, plant: Complexes, controller: Complexes) -> "Responses":
+        """Close the loop of plant and controller at frequencies in Hz."""
+        loop = controller * plant
+        tracking = loop / (1 + loop)
+        margins, measures = loop_margins(f, loop), tracking_measures(f, tracking)
+        return cls(plant, controller, loop, tracking, margins, measures)

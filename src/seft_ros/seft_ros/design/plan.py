@@ -18,7 +18,7 @@ from seft_plant_sim.whole_structure import tested_specimen
 
 from seft_ros.design import Source
 from seft_ros.design.closed_loop import ClosedLoop, closed_loop, frozen_feedforward, frozen_target
-from seft_ros.design.plant import Plant, SampledPlant, choose_plant, small_signal
+from seft_ros.design.plant import Plant, choose_plant, small_signal
 from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.methods import force_control
 from seft_ros.force_controller.parameters import VELOCITY_FEEDFORWARD
@@ -71,7 +71,7 @@ class LoopRig:
         An InputError says if the dead time is many samples long.
         """
         plant = replace(self.plant, b=gain * self.plant.b, d=gain * self.plant.d, delay=dead_time)
-        a, b, c = SampledPlant.of(plant, dt).state_space()
+        a, b, c = plant.sampled(dt)
         if self.velocity_cutoff is None:
             return a, b, c
         # v = g x + s, s' = p s + g (p - 1) x, as `seft_plant_sim.sensors.Differentiator` runs it

@@ -18,6 +18,9 @@ from seft_plant_sim.specimen import Specimen
 from seft_ros.design import Source
 from seft_ros.design.controller import Root, lightly_damped, roots_of, uncancelled
 
+MAX_DELAY_STEPS = 500
+"""Longest dead time in samples: the closed loop's eigenvalues are still found in a second."""
+
 
 @dataclass(frozen=True)
 class Plant:
@@ -84,6 +87,52 @@ class Plant:
         forces = lti.state_space_response(self.a, self.b, self.c, self.d, s)
         return forces[:, 0, 0] * np.exp(-s * self.delay)
 
+    def sampled(self, dt: float) -> tuple[Floats, Floats, Floats]:
+        """Sample the plant exactly: zero-order hold, dead time and the loop's step of latency.
+
+        The drive u_k answers sample k and holds from step k+1 on; the dead time is m whole samples
+        and a rest, during which the drive before still acts.
+
+        Returns
+        -------
+        a, b, c : ndarray
+            State space from u_k to the outputs of sample k. The states are those of the plant,
+            then the drives of the last m + 2 samples, newest first.
+
+        Raises
+        ------
+        InputError
+            If the dead time is many samples long.
+        """
+        whole, rest = lti.split_dead_time(self.delay, dt)
+        if whole > MAX_DELAY_STEPS:
+            raise InputError(
+                f"the plant's dead time of {self.delay:g} s is {whole} samples long, but at most "
+                f"{MAX_DELAY_STEPS} are allowed"
+            )
+        early, forced_early, _ = lti.first_order_hold(self.a, self.b, rest)
+        late, forced_late, _ = lti.first_order_hold(self.a, self.b, dt - rest)
+        size, n = self.b.shape
+        line = (whole + 2) * n
+        a = np.zeros((size + line, size + line))
+        a[:size, :size] = late @ early
+        a[:size, -2 * n :] = np.hstack([forced_late, late @ forced_early])
+        a[size + n :, size:-n] = np.eye(line - n)
+        b = np.eye(size + line, n, k=-size)
+        c = np.zeros((len(self.c), size + line))
+        c[:, :size] = self.c
+        newest = size + (whole + (rest > 0)) * n
+        c[:, newest : newest + n] = self.d
+        return a, b, c
+
+    def sampled_response(self, frequencies_hz: Floats, dt: float) -> Complexes:
+        """Frequency response of the first axis as `sampled`, from u_k to f_k, shape (N,), N/V."""
+        whole, rest = lti.split_dead_time(self.delay, dt)
+        a, b, c = replace(self, delay=rest).sampled(dt)
+        z = np.exp(2j * np.pi * frequencies_hz * dt)
+        forces = lti.state_space_response(a, b, c, np.zeros_like(self.d), z)
+        return forces[:, 0, 0] * z ** -float(whole)
+
     @cached_property
     def roots(self) -> tuple[list[Root], list[Root]]:
         """Poles and zeros of the first axis, without those that cancel, lowest first."""
@@ -112,30 +161,45 @@ class Plant:
 
 
 def choose_plant(experiment: Experiment, source: Source = Source.AUTO) -> Plant:
-    """Plant of an experiment's `rig` or `force_controller`; InputError if there is none.
+    """Plant of an experiment's `rig` or `force_controller`, from valves to forces.
 
-    The source ``auto`` is the identified plant if the experiment has one, else the rig.
+    The source ``rig`` is the small-signal linear model of the simulated rig. ``identified`` is
+    `plant.numerator`, `plant.denominator` and `plant.dead_time`, on every axis. ``auto`` is the
+    identified plant if the experiment has one, else the rig.
+
+    Raises
+    ------
+    InputError
+        If there is none, no valve drives the rig, or the identified plant is improper or has no
+        denominator.
     """
-    identified = np.any(_numerator(experiment["force_controller"]))
-    if source == "identified" and not identified:
+    section = experiment["force_controller"]
+    given = np.atleast_1d(section.get("plant.numerator", 0.0)).astype(np.float64)
+    numerator = np.trim_zeros(given, "f")
+    if source == Source.IDENTIFIED and not numerator.size:
         raise InputError(
             "force_controller: plant.numerator is not given, so there is no identified plant; "
             "let seft identify write one, or choose --plant rig if the rig is simulated"
         )
-    if source == "rig" or not identified:
-        return rig_plant(experiment["rig"], experiment.axes)
-    return identified_plant(experiment["force_controller"], len(experiment.axes))
-
-
-def rig_plant(section: dict[str, Any], axes: tuple[str, ...]) -> Plant:
-    """Small-signal linear model of the simulated rig; InputError if no valve drives it."""
-    model = continuous_model(section, axes)
-    if model.drive != "valve_command":
+    if source == Source.RIG or not numerator.size:
+        model = continuous_model(experiment["rig"], experiment.axes)
+        if model.drive != "valve_command":
+            raise InputError(
+                f"rig: actuator.kind is {experiment['rig']['actuator.kind']}, which has no valve "
+                "to shape a loop for; set it to servo_hydraulic, or give an identified plant"
+            )
+        return Plant.of_model("rig", model)
+    denominator = np.trim_zeros(np.atleast_1d(section["plant.denominator"]).astype(float), "f")
+    if not denominator.size:
+        raise InputError("force_controller: plant.denominator is zero")
+    if numerator.size > denominator.size:
         raise InputError(
-            f"rig: actuator.kind is {section['actuator.kind']}, which has no valve to shape a loop "
-            "for; set it to servo_hydraulic, or give an identified plant"
+            f"force_controller: the plant is improper: plant.numerator of degree "
+            f"{numerator.size - 1} over plant.denominator of degree {denominator.size - 1}"
         )
-    return Plant.of_model("rig", model)
+    one_axis = lti.companion_form(numerator, denominator)
+    a, b, c, d = (block_diag(*[part] * len(experiment.axes)) for part in one_axis)
+    return Plant("identified", a, b, c, d, float(section["plant.dead_time"]))
 
 
 def small_signal(specimen: Specimen, **actuators: Any) -> ContinuousModel:
@@ -147,102 +211,3 @@ def small_signal(specimen: Specimen, **actuators: Any) -> ContinuousModel:
         "friction_velocity": one,
     }
     return servo_hydraulic(specimen, Hydraulics(**ideal | actuators), linear=True)
-
-
-def identified_plant(section: dict[str, Any], axes: int) -> Plant:
-    """Plant of `plant.numerator`, `plant.denominator` and `plant.dead_time`, on every axis.
-
-    An InputError says if it is improper or has no denominator.
-    """
-    numerator = np.trim_zeros(_numerator(section), "f")
-    denominator = np.trim_zeros(np.atleast_1d(section["plant.denominator"]).astype(float), "f")
-    if not denominator.size:
-        raise InputError("force_controller: plant.denominator is zero")
-    if numerator.size > denominator.size:
-        raise InputError(
-            f"force_controller: the plant is improper: plant.numerator of degree "
-            f"{numerator.size - 1} over plant.denominator of degree {denominator.size - 1}"
-        )
-    one_axis = lti.companion_form(numerator, denominator)
-    a, b, c, d = (block_diag(*[part] * axes) for part in one_axis)
-    return Plant("identified", a, b, c, d, float(section["plant.dead_time"]))
-
-
-def _numerator(section: dict[str, Any]) -> Floats:
-    return np.atleast_1d(section.get("plant.numerator", 0.0)).astype(np.float64)
-
-
-MAX_DELAY_STEPS = 500
-"""Longest dead time in samples: the closed loop's eigenvalues are still found in a second."""
-
-
-@dataclass(frozen=True)
-class SampledPlant:
-    """Exact sampling of a plant: zero-order hold, dead time and the loop's step of latency.
-
-    u_k answers sample k and holds from step k+1 on; the dead time is m whole samples and a rest.
-    So z_k+1 = a z_k + before u_k-m-2 + after u_k-m-1, f_k = c z_k + d u_k-m-1, or d u_k-m-2
-    where there is a rest.
-
-    Attributes
-    ----------
-    a, before, after, c, d : ndarray
-        Shapes (s, s), (s, n), (s, n), (n, s), (n, n).
-    whole : int
-        m.
-    rest : bool
-        Whether a part of a sample remains.
-    dt : float
-        Sampling period, s.
-    """
-
-    a: Floats
-    before: Floats
-    after: Floats
-    c: Floats
-    d: Floats
-    whole: int
-    rest: bool
-    dt: float
-
-    @classmethod
-    def of(cls, plant: Plant, dt: float) -> "SampledPlant":
-        """Sample a plant; InputError if its dead time is many samples long."""
-        whole, rest = lti.split_dead_time(plant.delay, dt)
-        if whole > MAX_DELAY_STEPS:
-            raise InputError(
-                f"the plant's dead time of {plant.delay:g} s is {whole} samples long, but at most "
-                f"{MAX_DELAY_STEPS} are allowed"
-            )
-        early, forced_early, _ = lti.first_order_hold(plant.a, plant.b, rest)
-        late, forced_late, _ = lti.first_order_hold(plant.a, plant.b, dt - rest)
-        before = late @ forced_early
-        return cls(late @ early, before, forced_late, plant.c, plant.d, whole, rest > 0, dt)
-
-    def response(self, frequencies_hz: Floats) -> Complexes:
-        """Frequency response of the first axis, from u_k to f_k, shape (N,), N/V."""
-        z = np.exp(2j * np.pi * frequencies_hz * self.dt)
-        earlier = z[:, np.newaxis, np.newaxis]
-        drive = self.before / earlier + self.after
-        direct = self.d / earlier if self.rest else self.d
-        forces = lti.state_space_response(self.a, drive, self.c, direct, z)
-        return forces[:, 0, 0] * z ** -(self.whole + 1.0)
-
-    def state_space(self) -> tuple[Floats, Floats, Floats]:
-        """Matrices a, b, c with the drives of the last m + 2 samples as states, newest first.
-
-        The plant may have any number of outputs: c has as many rows.
-        """
-        size, n = self.before.shape
-        line = (self.whole + 2) * n
-        a = np.zeros((size + line, size + line))
-        a[:size, :size] = self.a
-        a[:size, -2 * n :] = np.hstack([self.after, self.before])
-        a[size + n :, size:-n] = np.eye(line - n)
-        b = np.zeros((size + line, n))
-        b[size : size + n] = np.eye(n)
-        c = np.zeros((len(self.c), size + line))
-        c[:, :size] = self.c
-        newest = size + (self.whole + self.rest) * n
-        c[:, newest : newest + n] = self.d
-        return a, b, c

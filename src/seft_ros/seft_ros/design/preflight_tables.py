@@ -179,7 +179,8 @@ def _margin_rows(plan: Plan, found: Preflight) -> Iterator[list[str]]:
         if margin is None:
             yield [label, "", "" if found.verdict == "unstable" else "not used", ""]
             continue
-        scale, first = 1e3 if unit else 1.0, True
+        scale = 1e3 if unit else 1.0
+        names = [label, f"{scale * margin.planned:.3g}{unit}"]
         ends = ((margin.lowest, "<"), (margin.highest, ">"))
         for (end, sign), beyond in zip(ends, margin.searched, strict=True):
             if beyond == margin.planned and end is None:
@@ -187,9 +188,8 @@ def _margin_rows(plan: Plan, found: Preflight) -> Iterator[list[str]]:
             critical = [f"{sign} {scale * beyond:.3g}{unit}", ""]
             if end is not None:
                 critical = [f"{scale * end.value:.4g}{unit}", f"{end.hz:.3g} Hz"]
-            planned = f"{scale * margin.planned:.3g}{unit}"
-            yield [label, planned, *critical] if first else ["", "", *critical]
-            first = False
+            yield [*names, *critical]
+            names = ["", ""]
 
 
 def _longest(planned: float, critical: Critical | None, searched: float) -> Range:

@@ -70,8 +70,9 @@ def fit_specimen(measured: Sequence[Response]) -> SpecimenFit:
         return upper + np.triu(upper, 1).swapaxes(1, 2)
 
     def residuals(p: Floats) -> Floats:
-        errors = np.concatenate([_weighed(part, *matrices(p * scale)).ravel() for part in measured])
-        return np.concatenate([errors.real, errors.imag])
+        return _real(
+            np.concatenate([_weighed(part, *matrices(p * scale)).ravel() for part in measured])
+        )
 
     start = _rough(measured[-1])[:, row, column]
     size = np.abs(start).max(axis=1, keepdims=True)
@@ -126,10 +127,14 @@ def _rough(measured: Response) -> Floats:
         columns = np.stack([a, s * x, x], axis=1) / np.abs(f)[:, np.newaxis]
         target = f / np.abs(f)
         scale = np.linalg.norm(columns, axis=0)
-        split = np.concatenate([columns.real, columns.imag]) / scale
-        wanted = np.concatenate([target.real, target.imag])
-        found[:, axis, axis] = np.abs(np.linalg.lstsq(split, wanted, rcond=None)[0] / scale)
+        solution = np.linalg.lstsq(_real(columns) / scale, _real(target), rcond=None)[0]
+        found[:, axis, axis] = np.abs(solution / scale)
     return found
+
+
+def _real(equations: Complexes) -> Floats:
+    """Complex equations, along the first axis, as twice as many real ones."""
+    return np.concatenate([equations.real, equations.imag])
 
 
 _GOOD = 0.01
@@ -248,15 +253,9 @@ class _Data:
         shape = self._w * self._lag(p) / np.polyval(denominator, self._s)
         columns = shape[:, np.newaxis] * self._s[:, np.newaxis] ** np.arange(degree, -1, -1)
         target = self._w * self._t
-        numerator = np.linalg.lstsq(
-            np.concatenate([columns.real, columns.imag]),
-            np.concatenate([target.real, target.imag]),
-            rcond=None,
-        )[0]
-        return numerator, denominator
+        return np.linalg.lstsq(_real(columns), _real(target), rcond=None)[0], denominator
 
     def _residuals(self, p: Floats) -> Floats:
         numerator, denominator = self._polynomials(p)
         ratio = np.polyval(numerator, self._s) / np.polyval(denominator, self._s)
-        error = self._w * (ratio * self._lag(p) - self._t)
-        return np.concatenate([error.real, error.imag])
+        return _real(self._w * (ratio * self._lag(p) - self._t))

@@ -1,14 +1,14 @@
 """The tests of an identification: levels, experiments, and the spectra of what was measured."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import scipy.signal
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import group, mass_matrix
+from seft_msgs_py.config.parameter_table import Section, group, mass_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 from seft_plant_sim.rig import Rig
@@ -301,11 +301,6 @@ def check_levels(experiment: Experiment, levels: Levels) -> None:
             )
 
 
-def ground_accelerations(experiment: Experiment, forces: Floats) -> Floats:
-    """Ground motion (N, n) in m/s^2 whose reference forces -M a_g are these, in N."""
-    return -np.linalg.solve(_mass(experiment), forces.T).T
-
-
 def _mass(experiment: Experiment) -> Floats:
     mass = experiment["reference_force"]["model.mass"]
     return mass_matrix(mass, experiment.axes, "reference_force: model.mass")
@@ -337,9 +332,16 @@ def has_force_loop(experiment: Experiment) -> bool:
     return method != VELOCITY_FEEDFORWARD
 
 
-def _with(experiment: Experiment, record: Path, controller: dict[str, Any]) -> Experiment:
+def changed(experiment: Experiment, changes: Mapping[str, Section]) -> Experiment:
+    """Copy an experiment with other values: node -> parameter -> value."""
+    return Experiment(
+        {node: {**own, **changes.get(node, {})} for node, own in experiment.sections.items()}
+    )
+
+
+def _with(experiment: Experiment, record: Path, controller: Section) -> Experiment:
     """Copy an experiment as one of conventional EFT under a ground motion."""
-    changes: dict[str, dict[str, Any]] = {
+    changes: dict[str, Section] = {
         "ground_motion": {
             "file": str(record.resolve()),
             "column": list(range(len(experiment.axes))),
@@ -353,22 +355,7 @@ def _with(experiment: Experiment, record: Path, controller: dict[str, Any]) -> E
         "reference_force": {"method": "eft", "mass_ratio": 0.0, "compensation.method": "none"},
         "force_controller": {"detectors.warn_only": ",".join(MODEL_BASED)} | controller,
     }
-    return Experiment(
-        {node: {**own, **changes.get(node, {})} for node, own in experiment.sections.items()}
-    )
-
-
-def write_excitation(path: Path, accelerations: Floats) -> None:
-    """Write ground accelerations (N, n) in m/s^2 as a record that ground_motion reads exactly.
-
-    The folder is made if need be. An InputError says if it can't be written.
-    """
-    names = [f"axis {index + 1} (m/s2)" for index in range(accelerations.shape[1])]
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        np.savetxt(path, accelerations, "%.17g", ",", header=",".join(names))
-    except OSError as error:
-        raise InputError(f"{error.filename}: {error.strerror or error}") from None
+    return changed(experiment, changes)
 
 
 @dataclass(frozen=True)
@@ -408,9 +395,19 @@ class Motions:
             Rig.from_parameters(sections["rig"], *made)
 
     def write(self, path: Path, duration: float) -> Path:
-        """Write the motion of a test as a record, see `write_excitation`."""
-        accelerations = ground_accelerations(self.experiment, self.force * self._unit(duration))
-        write_excitation(path, accelerations)
+        """Write the motion of a test as a record that ground_motion reads exactly; give its path.
+
+        Its reference forces -M a_g are the excitation. The folder is made if need be. An
+        InputError says if it can't be written.
+        """
+        forces = self.force * self._unit(duration)
+        accelerations = -np.linalg.solve(_mass(self.experiment), forces.T).T
+        names = [f"axis {index + 1} (m/s2)" for index in range(accelerations.shape[1])]
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            np.savetxt(path, accelerations, "%.17g", ",", header=",".join(names))
+        except OSError as error:
+            raise InputError(f"{error.filename}: {error.strerror or error}") from None
         return path
 
     def steps(self, duration: float) -> int:

@@ -261,12 +261,9 @@ def _unstable(plan: Plan, found: Preflight, again: str) -> Iterator[Step]:
         if by_valve:
             words += f" -p force_controller:method:={VELOCITY_FEEDFORWARD}"
         known = np.all(plan.experiment["force_controller"]["actuator.flow_gain"]) or not by_valve
-        recommended = (
-            [f"seft preflight {again} {words}"]
-            if known
-            else [identify[0], f"{identify[1]} {words}"]
-        )
-        yield Step("the recommended method compensates the actuator's delay", recommended)
+        commands = [f"seft preflight {again}"] if known else identify
+        commands[-1] += f" {words}"
+        yield Step("the recommended method compensates the actuator's delay", commands)
     elif by_valve:
         yield Step("the actuator may differ from the assumed one", identify)
     critical = found.margins.mass_ratio

@@ -108,6 +108,7 @@ def write_page(path: Path, title: str, subtitle: str, sections: Sequence[Section
     document = Document()
     with document.models.freeze():  # one look at all models, not one for each figure
         for one in figures.values():
+            _place_legend(one)
             document.add_root(one)
     script, places = components(figures) if figures else ("", {})
     library = Resources(mode="inline", components=["bokeh"]).render_js() if figures else ""
@@ -209,8 +210,6 @@ def line(
     )
     if label and not loop:
         _hover(panel, renderer, (label, "@y{0.0000a}"), (str(panel.xaxis.axis_label), "@x{0.000}"))
-    if label:
-        _place_legend(panel)
 
 
 def against(
@@ -233,8 +232,6 @@ def dots(panel: figure, x: Floats, y: Floats, label: str = "", *, color: str = F
     renderer = panel.scatter(x, y, size=5, color=color, alpha=0.6, **legend)
     x_tip = str(panel.xaxis.axis_label), "@x{0.0000a}"
     _hover(panel, renderer, x_tip, (str(panel.yaxis.axis_label), "@y{0.000}"))
-    if label:
-        _place_legend(panel)
 
 
 def bars(panel: figure, edges: Floats, counts: Floats) -> None:
@@ -274,15 +271,15 @@ def _hover(panel: figure, renderer: Model, *tips: tuple[str, str]) -> None:
 
 
 def _place_legend(panel: figure) -> None:
-    legend = panel.legend
-    if legend and legend[0] in panel.center:
-        panel.center.remove(legend[0])
-        panel.add_layout(legend[0], "above")
-    legend.orientation = "horizontal"
-    legend.border_line_color = None
-    legend.background_fill_alpha = 0.0
-    legend.label_text_color = TEXT
-    legend.label_text_font_size = "13px"
-    legend.padding = legend.margin = 0
-    legend.spacing = 14
-    legend.click_policy = "hide"
+    """Put the legend above the panel, if it has one."""
+    for legend in panel.legend:
+        panel.center.remove(legend)
+        panel.add_layout(legend, "above")
+        legend.orientation = "horizontal"
+        legend.border_line_color = None
+        legend.background_fill_alpha = 0.0
+        legend.label_text_color = TEXT
+        legend.label_text_font_size = "13px"
+        legend.padding = legend.margin = 0
+        legend.spacing = 14
+        legend.click_policy = "hide"

@@ -17,7 +17,6 @@ from rich.text import Text
 from seft_msgs_py.errors import InputError
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -54,30 +53,24 @@ def tidy(panel: "Axes") -> None:
 
 
 def finish(figure: "Figure", labelled: "Iterable[Axes]", title: str) -> None:
-    """Give a figure its title, and below a legend of the lines with a label in these panels."""
+    """Give a figure its title, and below a legend of the lines with a label in these panels.
+
+    The constrained layout makes room for the legend. (matplotlib before 3.7 has no place
+    "outside lower center".)
+    """
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
     figure.align_ylabels()
     entries = {
         label: handle
         for panel in labelled
         for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)
     }
-    legend_below(figure, entries, 4)
-    figure.suptitle(title, fontsize=11, color=TEXT, parse_math=False)
-
-
-def legend_below(figure: "Figure", entries: "dict[str, Artist]", columns: int) -> None:
-    """Put a legend below all panels of a constrained layout, which makes room for it.
-
-    (matplotlib before 3.7 has no place "outside lower center".) ``entries`` maps labels to
-    what is drawn.
-    """
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
-
     legend = figure.legend(
         list(entries.values()),
         list(entries),
         loc="lower center",
-        ncols=columns,
+        ncols=4,
         frameon=False,
         borderaxespad=0.2,
     )
@@ -85,6 +78,7 @@ def legend_below(figure: "Figure", entries: "dict[str, Artist]", columns: int) -
     layout = figure.get_layout_engine()
     assert isinstance(layout, ConstrainedLayoutEngine)
     layout.set(rect=(0.0, height, 1.0, 1.0 - height))
+    figure.suptitle(title, fontsize=11, color=TEXT, parse_math=False)
 
 
 def check_figure(path: Path) -> Path:
@@ -126,15 +120,15 @@ def save_figure(figure: "Figure", path: str | Path) -> None:
         raise InputError(f"{path}: the figure can't be saved ({reason})") from None
 
 
-def thinned(y: Floats, most: int = MOST_POINTS) -> npt.NDArray[np.int64]:
-    """Choose about ``most`` of N samples that draw the same picture; all where there are no more.
+def thinned(y: Floats) -> npt.NDArray[np.int64]:
+    """Choose about `MOST_POINTS` of N samples that draw the same picture; all of fewer samples.
 
     They are the smallest and the largest of each stretch; indices increase.
     """
     count = len(y)
-    if count <= most:
+    if count <= MOST_POINTS:
         return np.arange(count)
-    length = -(-count // max(1, most // 2))
+    length = -(-count // (MOST_POINTS // 2))
     starts = np.arange(0, count, length)
     # the last stretch is filled up with its last sample
     rows = np.pad(np.nan_to_num(y), (0, len(starts) * length - count), "edge").reshape(-1, length)
@@ -204,21 +198,18 @@ class Number:
     at: str = ""
 
     def text(self, result: Any) -> str:
-        """Find the number in a result and write it, with its unit and frequency."""
-        value, hz = look_up(result, self.key), look_up(result, self.at) if self.at else None
-        if value is None or isinstance(value, str):
-            return self.plain(result)
-        text = f"{self.plain(result)} {self.unit}".rstrip()
-        return text if hz is None else f"{text} at {hz:.3g} Hz"
+        """Find the number in a result and write it, with its unit and frequency.
 
-    def plain(self, result: Any) -> str:
-        """Write the number without its unit; a string stays as it is."""
-        value = look_up(result, self.key)
+        A string stays as it is.
+        """
+        value, hz = look_up(result, self.key), look_up(result, self.at) if self.at else None
         if value is None:
             return self.missing
         if isinstance(value, str):
             return value
-        return self.form(value) if callable(self.form) else f"{value * self.scale:{self.form}}"
+        text = self.form(value) if callable(self.form) else f"{value * self.scale:{self.form}}"
+        text = f"{text} {self.unit}".rstrip()
+        return text if hz is None else f"{text} at {hz:.3g} Hz"
 
 
 def look_up(result: Any, key: str) -> Any:

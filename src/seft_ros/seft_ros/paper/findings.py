@@ -43,14 +43,6 @@ _SEED = 1
 
 
 @dataclass(frozen=True)
-class Growth:
-    """What eigenvalues of the sampled loop say: growth rate in 1/s, frequency in Hz."""
-
-    rate: float
-    hz: float
-
-
-@dataclass(frozen=True)
 class Findings:
     """Everything that was calculated.
 
@@ -69,8 +61,8 @@ class Findings:
         loop's bandwidth), ``own`` (that with the rig's own delay), ``model`` and ``model_tau``
         (compensated for the whole delay and for tau alone), ``plain``, ``target`` and
         ``target_full`` (beyond the paper), each with its mass ratio.
-    growths : dict
-        Eigenvalues of ``rig``, ``delay`` and ``banded`` loops.
+    plans : dict
+        Closed loops of the tests ``rig``, ``delay`` and ``banded``, for their eigenvalues.
     """
 
     experiment: Experiment
@@ -78,7 +70,7 @@ class Findings:
     peak_force: float
     identified: Identified
     tests: dict[Key, Outcome]
-    growths: dict[Key, Growth]
+    plans: dict[Key, Plan]
 
     @property
     def valve(self) -> ValveResponse:
@@ -161,16 +153,13 @@ def find(experiment: Experiment, workers: int, progress: Progress) -> Findings:
         within = simulations_within(experiment, tracking.bandwidth_hz or 0.0, own)
         planned |= within
         run(within, 1)
-    growths = {
-        key: _growth(plan) for key, plan in planned.items() if key[0] in ("rig", "delay", "banded")
+    plans = {
+        key: Plan(test, Source.RIG)
+        for key, test in planned.items()
+        if key[0] in ("rig", "delay", "banded")
     }
     plain = uncompensated(experiment, 0.0)
-    return Findings(plain, motion.facts["source"], peak_force, identified, tests, growths)
-
-
-def _growth(experiment: Experiment) -> Growth:
-    plan = Plan(experiment, Source.RIG)
-    return Growth(plan.growth_rate(), plan.hz())
+    return Findings(plain, motion.facts["source"], peak_force, identified, tests, plans)
 
 
 def identify_rig(experiment: Experiment) -> Identified:

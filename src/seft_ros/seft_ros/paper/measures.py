@@ -198,7 +198,7 @@ def vibration(
 def vibration_and_growth(found: Findings) -> Values:
     """Frequencies of the vibration at alpha = 1 and of what grows at alpha = 1.5, Hz."""
     hz = found.tests["rig", 1.0].vibrations("acceleration")[0].peak_hz
-    growing = found.growths["rig", 1.5].hz
+    growing = found.plans["rig", 1.5].hz()
     return {"hz": hz, "growing_hz": growing, "departure": abs(hz - growing) / growing}
 
 
@@ -211,9 +211,10 @@ def end_of_test(found: Findings, kind: str, ratio: float) -> Values:
 
 def growth(found: Findings, kind: str, ratio: float) -> Values:
     """Rate of the loop's dominant motion in 1/s, its time in s and frequency in Hz."""
-    growth = found.growths[kind, ratio]
-    grows = "grows" if growth.rate > 0 else "decays"
-    return {"rate": growth.rate, "grows": grows, "time": 1 / abs(growth.rate), "hz": growth.hz}
+    plan = found.plans[kind, ratio]
+    rate = plan.growth_rate()
+    grows = "grows" if rate > 0 else "decays"
+    return {"rate": rate, "grows": grows, "time": 1 / abs(rate), "hz": plan.hz()}
 
 
 def magnitude_and_phase(

@@ -1,9 +1,8 @@
 """The page on the paper: its figures, each beside its claims."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from bokeh.models import Range1d
@@ -45,7 +44,8 @@ def write_paper(found: Findings, claims: Sequence[Claim], config: str, path: Pat
     for row in read_rows("paper_page.yaml"):
         blocks: list[page.Block] = [Text(row["text"].format(**facts))] if "text" in row else []
         for chosen in row.get("figures", ()):
-            blocks.append(FIGURES[chosen.pop("name")](found, **chosen))
+            draw: Callable[..., page.Block] = globals()[chosen.pop("name")]
+            blocks.append(draw(found, **chosen))
         own = [claim for claim in claims if claim.where.startswith(tuple(row["claims"]))]
         rows = [[*_cells(claim), f"{claim.criterion}.{_sentence(claim.note)}"] for claim in own]
         blocks.append(Table((*_HEADINGS, "they agree if"), rows, numbers=False, wide=True))
@@ -244,12 +244,6 @@ def pure_delay_figure(found: Findings) -> Plot:
     return Plot(panel, caption, wide=True)
 
 
-_OF_LOOPS = (open_loop_figure, closed_loop_figure)
-_OF_TESTS = (histories_figure, simulations_figure, pure_delay_figure)
-FIGURES: dict[str, Any] = {draw.__name__: draw for draw in (*_OF_LOOPS, *_OF_TESTS)}
-"""The figures that paper_page.yaml names."""
-
-
 def _on_rig(test: Outcome) -> tuple[Curve, Curve]:
     return (
         (test.time, test.exact, "reference", REFERENCE),
@@ -264,8 +258,8 @@ def _grid(
     test = found.tests["rig", 0.0]
     shared = page.time_range(test.time)
     energy = np.cumsum(test.exact["acceleration"] ** 2)
-    start, end = np.interp(_STRONG, energy / energy[-1], test.time) if energy[-1] > 0 else (0, 0)
-    if end > start:
+    if energy[-1] > 0:
+        start, end = np.interp(_STRONG, energy / energy[-1], test.time)
         shared.start, shared.end = max(0.0, start - _MARGIN), min(shared.end, end + _MARGIN)
     plots = []
     for letter, (name, ratio, curves, caption) in zip("abcdefghi", cells, strict=False):

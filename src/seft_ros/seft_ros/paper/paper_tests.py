@@ -1,7 +1,6 @@
 """The tests that reproduce the paper: each a change of one experiment, and its outcome."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -19,7 +18,7 @@ import seft_ros
 from seft_ros.analysis.metrics import Agreement, agreement
 from seft_ros.analysis.summary import COMPARED, reference_of
 from seft_ros.design.loop_margins import BAND_HZ
-from seft_ros.design.rig_tests import has_valve
+from seft_ros.design.rig_tests import changed, has_valve
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 from seft_ros.test_run.compiled_loop import build_blocks, with_method
 from seft_ros.test_run.offline import simulate
@@ -105,22 +104,9 @@ def check_rig(experiment: Experiment) -> None:
     build_blocks(uncompensated(experiment, 0.0))
 
 
-def changed(experiment: Experiment, changes: Mapping[str, Mapping[str, Any]]) -> Experiment:
-    """Copy an experiment with other values: node -> parameter -> value."""
-    return Experiment(
-        {node: {**own, **changes.get(node, {})} for node, own in experiment.sections.items()}
-    )
-
-
 def uncompensated(experiment: Experiment, mass_ratio: float) -> Experiment:
     """Test on the rig by Eq. 2.5 (paper, section 4); as there, nobody looks for instability."""
     force = {"mass_ratio": mass_ratio, "instability.ratio": 0.0}
-    return changed(with_method(experiment, "none"), {"reference_force": force})
-
-
-def conventional(experiment: Experiment) -> Experiment:
-    """Conventional effective force test of the specimen alone (Eq. 2.3)."""
-    force = {"method": "eft", "mass_ratio": 0.0}
     return changed(with_method(experiment, "none"), {"reference_force": force})
 
 
@@ -166,29 +152,29 @@ def whole_delay(experiment: Experiment) -> float:
     return DELAY + 1.5 * experiment.timebase.dt
 
 
-def recommended(experiment: Experiment, mass_ratio: float, peak_force: float) -> Experiment:
+def recommended(experiment: Experiment, mass_ratio: float) -> Experiment:
     """Test on the rig with the method that docs/compensation.md recommends."""
-    changes = {
-        "reference_force": {"mass_ratio": mass_ratio},
-        "ground_motion": {"peak_force": peak_force},
-    }
-    return changed(with_method(experiment, TARGET_MOTION), changes)
+    force = {"mass_ratio": mass_ratio}
+    return changed(with_method(experiment, TARGET_MOTION), {"reference_force": force})
 
 
 def planned_tests(experiment: Experiment, peak_force: float) -> dict[Key, Experiment]:
     """Plan all tests that need nothing of the identification; ``peak_force`` is the motion's, N."""
-    lower = BEYOND_SHARE * peak_force
-    less = changed(experiment, {"ground_motion": {"peak_force": lower}})
+    less, full = (
+        changed(experiment, {"ground_motion": {"peak_force": share * peak_force}})
+        for share in (BEYOND_SHARE, 1.0)
+    )
     planned = {("rig", ratio): uncompensated(experiment, ratio) for ratio in (0.0, 0.5, 1.0, 1.5)}
-    planned["eft", 0.0] = conventional(experiment)
+    conventional = {"reference_force": {"method": "eft"}}  # of the specimen alone (Eq. 2.3)
+    planned["eft", 0.0] = changed(uncompensated(experiment, 0.0), conventional)
     for ratio in COMPUTED:
         planned["delay", ratio] = delayed(experiment, ratio, DELAY)
         planned["model", ratio] = model_compensated(experiment, ratio, whole_delay(experiment))
         planned["model_tau", ratio] = model_compensated(experiment, ratio, DELAY)
     for ratio in BEYOND:
         planned["plain", ratio] = uncompensated(less, ratio)
-        planned["target", ratio] = recommended(experiment, ratio, lower)
-        planned["target_full", ratio] = recommended(experiment, ratio, peak_force)
+        planned["target", ratio] = recommended(less, ratio)
+        planned["target_full", ratio] = recommended(full, ratio)
     return planned
 
 
