@@ -28,7 +28,11 @@ DETECTOR_TESTS = tuple(
     f"{ROS}test/test_protection_{name}.py"
     for name in ("detectors", "relations", "specimen_force", "detector_memory")
 )
-CONTROL_TESTS = (f"{ROS}test/test_force_controller_interlock.py", "-knot offline_loop")
+CONTROL_TESTS = (
+    f"{ROS}test/test_force_controller_interlock.py",
+    f"{ROS}test/test_force_controller_interlocks.py",
+    "-knot offline_loop",
+)
 FORCE_TESTS = tuple(
     f"{ROS}test/test_protection_{name}.py"
     for name in ("protected_force", "plausibility", "ramp_down")

@@ -10,11 +10,10 @@ from seft_msgs_py.node.realtime import AwakeClock
 from seft_msgs_py.wire.messages import Status, encode_status
 from seft_msgs_py.wire.topics import EXPERIMENT_STATE, RIG_STATE, RigAxes
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
-from seft_ros.force_controller.detection import detector_shares, detectors_of
+from seft_ros.force_controller.detection import detectors_of
 from seft_ros.force_controller.force_control import ForceController
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.nodes.force_controller_node import ForceControllerNode
-from seft_ros.protection.detector_step import begin_detectors, detect_all
 from seft_ros.protection.detectors import DETECTORS, LIMITED_AT, detector_arrays
 from seft_ros.protection.protection_step import continued
 from seft_ros.test_run.compiled_loop import build_blocks
@@ -249,7 +248,7 @@ def watched(controller, axes=AXES, warn_only=()):
     n = len(axes)
     noise = np.repeat([[1e-6], [1e-3], [1e-3], [1.0]], n, axis=1)
     nothing, none = np.zeros((n, n)), np.zeros((4, n))
-    unknown = np.zeros((n, 4)), np.zeros((2, n, 1)), nothing, nothing, nothing
+    unknown = np.zeros((n, 4)), np.zeros((2, n, 2)), nothing, nothing, nothing
     detectors = detector_arrays(noise, np.ones(4), none, False, *unknown, warn_only, 0.0, DT)
     return Interlock(controller, axes, 1000.0, 0.02, 5 * DT, detectors)
 
@@ -276,7 +275,7 @@ def target_of(step, count=4):
 
 
 def test_a_suspect_sample_is_replaced_by_what_was_planned_before_it():
-    for count in (4, 1):
+    for count in (4, 2, 1):
         controller = Scripted(count)
         guarded = watched(controller)
         for step in range(70, 80):
@@ -305,12 +304,13 @@ def test_a_suspect_sample_is_replaced_by_what_was_planned_before_it():
 def test_while_a_sample_is_suspect_a_controller_of_forces_holds_its_last_command():
     controller = Scripted(1, 1)
     guarded = watched(controller)
-    valve = guarded.state.detectors
+    valve, before = guarded.state.detectors, np.zeros(2)
     for step in range(10):
         command = guarded.step(step, force(0.0, 0.0), sample_of(step, 1e-3 * (step == 5)))
         answered = min(step + 1, 5) if step < 8 else step - 2
         np.testing.assert_array_equal(command, [answered, 2.0 * answered])
-        np.testing.assert_array_equal(valve.sent[:, 0], command)  # the detectors know of it
+        np.testing.assert_array_equal(valve.sent.T, [command, before])  # the detectors know of it
+        before = command.copy()
     assert len(controller.seen) == 7
     assert valve.step[LIMITED_AT] < 0
     controller.limited = True
@@ -483,22 +483,3 @@ def test_what_a_test_is_like_changes_what_its_detectors_know():
     np.testing.assert_allclose(derived.noise[1], math.sqrt(2.0) * 5e-6 / DT)
     with pytest.raises(InputError, match=r"detectors\.warn_only: no detector 'speed'; there are "):
         of("detectors.warn_only:=speed")
-
-
-def test_shares_of_a_test_are_the_largest_of_all_its_rigs():
-    section, axes, experiment = section_of("voltage_limit:=0.5")
-    rng = np.random.default_rng(4)
-    noise = np.array([5e-6, 1e-3, 0.05, 3.0])[:, np.newaxis] * [1.0, 2.0]
-    states, commands = noise * rng.normal(size=(50, 4, 2)), rng.normal(size=(50, 2))
-    points, steps = 1e-5 * rng.normal(size=(50, 3, 2)), np.arange(50)
-    found, expected = [], []
-    for own in ([0], [1]):
-        p, state = detectors_of(section, axes, DT, own)
-        begin_detectors(state)
-        series = (np.ascontiguousarray(each[..., own]) for each in (points, states, commands))
-        detect_all(p, state, steps, *series, 0.5)
-        expected.append(state.shares[:, 0])
-    found = detector_shares(experiment, steps, points, states, commands)
-    assert list(found) == [one.name for one in DETECTORS]
-    np.testing.assert_array_equal(list(found.values()), np.max(expected, axis=0))
-    assert not np.array_equal(expected[0], expected[1])

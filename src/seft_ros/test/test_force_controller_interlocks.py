@@ -1,0 +1,72 @@
+"""The interlocks of a test with several rigs, each on its own axes."""
+
+import numpy as np
+from seft_msgs_py.config.experiment import Experiment, parse_override
+from seft_ros.force_controller.detection import detector_shares, detectors_of
+from seft_ros.force_controller.interlock import Interlock, Interlocks, interlock_of
+from seft_ros.protection.detector_step import begin_detectors, detect_all
+from seft_ros.protection.detectors import DETECTORS
+from seft_ros.test_run.parameter_tables import TABLES
+
+BRIDGE = "config/two_pier_bridge.yaml"
+
+
+def of_rigs(*words, config=BRIDGE):
+    return Experiment.load(TABLES, [config], [parse_override(word) for word in words])
+
+
+def test_each_rig_has_an_interlock_that_sees_its_own_axes():
+    both = interlock_of(of_rigs())
+    alone = [interlock_of(of_rigs()) for _ in range(2)]
+    rng = np.random.default_rng(3)
+    for step in range(50):
+        points = 1e-5 * rng.normal(size=(26, 3, 2))
+        state = np.array([[5e-6], [1e-3], [0.05], [3.0]]) * rng.normal(size=(4, 2))
+        drive = both.step(step, points, state)
+        for axis, one in enumerate(alone):  # what the other axis does is of no effect
+            other = points.copy(), state.copy()
+            for values in other:
+                values[..., 1 - axis] = 0.0
+            assert one.step(step, *other)[axis] == drive[axis] != 0.0
+    assert both.reason == ""
+
+
+def test_the_first_rig_that_trips_gives_the_reason_and_a_reset_is_for_all():
+    both = interlock_of(of_rigs("force_controller:watchdog.close_time:=0.0"))
+    points, rest = np.zeros((26, 3, 2)), np.zeros((4, 2))
+    points[0, 2] = 0.0, 1e6
+    assert np.array_equal(both.step(0, points, rest), [0.0, 0.0])
+    assert both.reason.startswith("reference force 1e+06 N on axis east/pier is beyond")
+    points[0, 2] = -1e6, 1e6
+    both.step(1, points, rest)
+    assert both.reason.startswith("reference force -1e+06 N on axis west/pier is beyond")
+    both.reset()
+    assert both.reason == ""
+    points[0, 2] = 0.0
+    both.step(0, points, rest)
+    assert both.reason == ""
+
+
+def test_one_rig_needs_one_interlock():
+    assert isinstance(interlock_of(of_rigs(config="config/demo.yaml")), Interlock)
+    assert isinstance(interlock_of(of_rigs()), Interlocks)
+
+
+def test_shares_of_a_test_are_the_largest_of_all_its_rigs():
+    experiment = of_rigs("force_controller:voltage_limit:=0.5")
+    section, axes = experiment["force_controller"], experiment.axes
+    rng = np.random.default_rng(4)
+    noise = np.array([5e-6, 1e-3, 0.05, 3.0])[:, np.newaxis] * [1.0, 2.0]
+    states, commands = noise * rng.normal(size=(50, 4, 2)), rng.normal(size=(50, 2))
+    points, steps = 1e-5 * rng.normal(size=(50, 3, 2)), np.arange(50)
+    found, expected = [], []
+    for own in ([0], [1]):
+        p, state = detectors_of(section, axes, experiment.timebase.dt, own)
+        begin_detectors(state)
+        series = (np.ascontiguousarray(each[..., own]) for each in (points, states, commands))
+        detect_all(p, state, steps, *series, 0.5)
+        expected.append(state.shares[:, 0])
+    found = detector_shares(experiment, steps, points, states, commands)
+    assert list(found) == [one.name for one in DETECTORS]
+    np.testing.assert_array_equal(list(found.values()), np.max(expected, axis=0))
+    assert not np.array_equal(expected[0], expected[1])
