@@ -24,7 +24,7 @@ from seft_ros.design.plant import choose_plant
 from seft_ros.design.stability_margins import HIGHEST_MASS_RATIO, critical_mass_ratio
 from seft_ros.design.stability_verdict import predicted_modes
 from seft_ros.drawing.style import FIRST, MARK, OTHERS, REFERENCE, TEXT, save_figure, tidy
-from seft_ros.force_controller.parameters import VELOCITY_FEEDFORWARD
+from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate

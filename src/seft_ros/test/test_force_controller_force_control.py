@@ -9,7 +9,7 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.lti import bilinear
 from seft_ros.force_controller.force_control import ForceController
-from seft_ros.force_controller.parameters import TABLE
+from seft_ros.force_controller.force_controller_parameters import TABLE
 
 DT = 0.002
 PAPER = ([37.0], [1.0, 17.14, 4002.0])

@@ -8,8 +8,8 @@ from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 from seft_ros.force_controller.force_control import ForceController, LinearControl
+from seft_ros.force_controller.force_controller_parameters import TABLE
 from seft_ros.force_controller.methods import force_control
-from seft_ros.force_controller.parameters import TABLE
 
 ONE = ([37.0, 2.0], [1.0, 17.14, 4002.0])
 OTHER = ([0.0, 50.0], [1.0, 30.0, 900.0])

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
-from seft_ros.force_controller.parameters import TABLE
+from seft_ros.force_controller.force_controller_parameters import TABLE
 from seft_ros.force_controller.valve_model import ValveModel
 from seft_ros.force_controller.velocity_feedforward import (
     FEEDBACK,

@@ -256,7 +256,7 @@ def identify(
     from seft_ros.design.controller import Controller
     from seft_ros.design.loop_figures import identified_figure
     from seft_ros.drawing.style import save_figure
-    from seft_ros.force_controller.parameters import is_one_controller
+    from seft_ros.force_controller.force_controller_parameters import is_one_controller
 
     if set(external or ()) - {"rig"}:
         raise InputError(

@@ -12,7 +12,11 @@ from seft_msgs_py.config.experiment import write_parameter_file
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.lti import TransferFunction, bilinear, ratio
 
-from seft_ros.force_controller import parameters
+from seft_ros.force_controller.force_controller_parameters import (
+    TRANSFER_FUNCTION,
+    is_one_controller,
+    one_controller,
+)
 
 LIGHTLY_DAMPED = 0.5
 """Damping ratio up to which a pair counts as lightly damped: it shows in the magnitude."""
@@ -106,10 +110,10 @@ class Controller(TransferFunction):
         An InputError says if the controller is another package's, is not the same on all axes,
         or has a polynomial that is zero.
         """
-        if not parameters.is_one_controller(section):
+        if not is_one_controller(section):
             raise InputError(
                 "force_controller: method, per_axis or gain are set, but seft design needs one "
-                f"{parameters.TRANSFER_FUNCTION} for all axes; give one by options"
+                f"{TRANSFER_FUNCTION} for all axes; give one by options"
             )
         gain = float(np.ravel(section.get("gain", 1.0))[0])
         return cls.from_coefficients(section["numerator"], section["denominator"]).scaled(gain)
@@ -172,6 +176,6 @@ def _coefficients(text: str, option: str) -> list[float]:
 
 def write_controller(controller: Controller, path: Path) -> None:
     """Write a new parameter file, to be read after the experiment's own."""
-    section = parameters.one_controller(controller.numerator, controller.denominator)
+    section = one_controller(controller.numerator, controller.denominator)
     comment = "Controller of the force loop, by seft design: force error (N) to valve (V)"
     write_parameter_file(path, {"force_controller": section}, [comment])

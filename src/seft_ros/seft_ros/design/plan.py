@@ -20,8 +20,8 @@ from seft_ros.design import Source
 from seft_ros.design.closed_loop import ClosedLoop, closed_loop, frozen_feedforward, frozen_target
 from seft_ros.design.plant import Plant, choose_plant, small_signal
 from seft_ros.force_controller.force_control import LinearControl
+from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.methods import force_control
-from seft_ros.force_controller.parameters import VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
 from seft_ros.reference_force.compensator import Compensator
 from seft_ros.reference_force.force_command import FORCE_DRIVEN

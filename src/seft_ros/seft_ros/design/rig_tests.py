@@ -16,8 +16,11 @@ from seft_plant_sim.rig_parameters import LIMIT_NAMES
 
 from seft_ros.bags.record import Record
 from seft_ros.design.loop_margins import BAND_HZ
+from seft_ros.force_controller.force_controller_parameters import (
+    VELOCITY_FEEDFORWARD,
+    one_controller,
+)
 from seft_ros.force_controller.methods import force_control
-from seft_ros.force_controller.parameters import VELOCITY_FEEDFORWARD, one_controller
 from seft_ros.ground_motion.ground_motion_block import check_size
 from seft_ros.ground_motion.synthetic_motion import excitation, shortest_duration
 from seft_ros.protection.detectors import MODEL_BASED

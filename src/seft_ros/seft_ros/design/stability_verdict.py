@@ -15,7 +15,7 @@ from seft_plant_sim.whole_structure import WholeStructure
 
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import Margins, Progress, find_margins
-from seft_ros.force_controller.parameters import VELOCITY_FEEDFORWARD
+from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 
 NEAR = 2.0

@@ -10,7 +10,11 @@ from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 
 from seft_ros.force_controller.force_control import ControlKnowledge, ForceControl, ForceController
-from seft_ros.force_controller.parameters import REGISTERED, TRANSFER_FUNCTION, VELOCITY_FEEDFORWARD
+from seft_ros.force_controller.force_controller_parameters import (
+    REGISTERED,
+    TRANSFER_FUNCTION,
+    VELOCITY_FEEDFORWARD,
+)
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
 from seft_ros.reference_force.compensator import RegisteredPart
 

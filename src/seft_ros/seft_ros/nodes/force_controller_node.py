@@ -26,9 +26,9 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
+from seft_ros.force_controller.force_controller_parameters import TABLE, VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.methods import force_control
-from seft_ros.force_controller.parameters import TABLE, VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.received_forces import PENDING, MatchedForces, NewestPreview
 from seft_ros.protection.detectors import WARNING
 from seft_ros.test_run.parameter_tables import TABLES

@@ -19,9 +19,9 @@ from seft_plant_sim.rig import Rig
 
 from seft_ros.bags.gathering import EstimatesGatherer
 from seft_ros.bags.record import Estimates, Series, series_of
+from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.methods import force_control
-from seft_ros.force_controller.parameters import VELOCITY_FEEDFORWARD
 from seft_ros.protection.protected_force import ProtectedForce
 from seft_ros.reference_force.reference_force_block import EstimateSampler, MotionBuffer
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic

@@ -29,6 +29,10 @@ from seft_ros.force_controller.force_control import (
     TransferParameters,
     transfer_step,
 )
+from seft_ros.force_controller.force_controller_parameters import (
+    TRANSFER_FUNCTION,
+    VELOCITY_FEEDFORWARD,
+)
 from seft_ros.force_controller.interlock import (
     NOTHING,
     TRIP,
@@ -40,7 +44,6 @@ from seft_ros.force_controller.interlock import (
     end_control,
     interlock_of,
 )
-from seft_ros.force_controller.parameters import TRANSFER_FUNCTION, VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.velocity_feedforward import (
     FeedforwardParameters,
     VelocityFeedforward,

@@ -7,7 +7,7 @@ from seft_msgs_py.wire.topics import NODES
 from seft_plant_sim.rig_parameters import TABLE as RIG
 from seft_plant_sim.rig_parameters import limit_rows
 
-from seft_ros.force_controller.parameters import TABLE as FORCE_CONTROLLER
+from seft_ros.force_controller.force_controller_parameters import TABLE as FORCE_CONTROLLER
 from seft_ros.ground_motion.ground_motion_block import TABLE as GROUND_MOTION
 from seft_ros.reference_force.reference_force_parameters import TABLE as REFERENCE_FORCE
 from seft_ros.test_run.peers import PARAMETERS as REHEARSAL
