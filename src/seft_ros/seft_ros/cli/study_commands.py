@@ -100,8 +100,8 @@ def tournament(
     any shift, as in seft simulate. Results do not depend on the number or kind of workers. After an
     interruption the same command in the same folder continues.
 
-    Tests run in the compiled loop of seft simulate; those of methods that adapt in Python run in
-    its plain loop, many times slower. A note under the tables names them; --json has the engine of
+    Tests are simulated in compiled code; those of methods that adapt in Python are simulated
+    uncompiled, many times slower. A note under the tables names them; --json has the engine of
     each.
 
     Methods that need a delay or a model of the force loop take it from what seft identify writes.
