@@ -317,8 +317,7 @@ def tracked_of(record: Record) -> Tracked:
     section = record.experiment.sections.get("reference_force", {})
     assumed = assumed_structure(record.experiment)
     ahead = section.get("compensation.method", "none") not in SENT_AS_MEANT
-    sent = metrics.every_step(commands, every)
-    command = sent[:, -1]  # the effort, with a target's motion or not
+    command = metrics.every_step(commands, every)[:, -1]  # effort, with a target's motion or not
     derived = bool(ahead and assumed and len(motion.steps) and len(every))
     if derived and assumed:
         equivalent = EquivalentMotion(whole_structure(assumed), record.experiment.timebase.dt)

@@ -71,11 +71,9 @@ class LiveReference:
             Ground motion and response to it, shape (N, n), m and m/s^2; None if there is nothing
             new.
         """
-        if self.response is None:
-            return None
-        if self._now is None:
+        if self._now is None and self.response is not None:
             self._now, self._next = self._next, None
-        if self._now is None:
+        if self._now is None or self.response is None:
             return None
         first = self._used
         until = min(until, first + MOST_AT_ONCE, self._now.end)
@@ -187,7 +185,6 @@ class Intake:
         self.history = History(self.signals.count)
         self.number, self.refused = number, 0
         self.reference_note = ""
-        self._expected = True  # whether the next sample may be the first of a test
         self._cleared = False  # whether no sample of the counted test has arrived
         self._new: list[Stretch] = []
         self._sections: dict[str, dict[str, Any]] = {}
@@ -216,7 +213,7 @@ class Intake:
         self.number += 1
         self.history = History(self.signals.count)
         self.own_motion = {}
-        self._cleared = self._expected = True
+        self._cleared = True
 
     def motion(self, messages: Messages) -> None:
         """Add ground motion."""
@@ -274,18 +271,13 @@ class Intake:
     def _take_states(self, steps: Steps, values: Floats, sent: Steps) -> None:
         """Add states of increasing steps without long gaps."""
         first = int(steps[0])
-        if (
-            not self.number
-            or self._cleared
-            or (first < self.history.head and (self._expected or first == 0))
-        ):
+        if not self.number or self._cleared or first == 0 < self.history.head:
             self._begin(first)
         elif first < self.history.head:
             return  # of another rig
         elif first > self.history.head + LONGEST_GAP:
             self._release(0)
             self.history.begin(first)
-        self._expected = False
         for name, row in COMPARED.items():
             self.history.write(steps, self.signals.measured[name], values[:, row])
         slots = steps % len(self._steps)

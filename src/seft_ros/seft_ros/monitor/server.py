@@ -234,8 +234,7 @@ def serve(
         watch = Watch(graph)
         pages = Pages(watch.everything)
         port = listening.getsockname()[1]
-        local = is_loopback(host)
-        web = application(tokens, local, port, pages, graph.call, watch.lateness)
+        web = application(tokens, is_loopback(host), port, pages, graph.call, watch.lateness)
 
         async def run() -> None:
             stopping = asyncio.Event()
