@@ -243,10 +243,10 @@ class Scripted:
         return len(self.seen) * np.arange(1.0, 1 + n) if self.drive is None else self.drive
 
 
-def watched(controller, axes=AXES, warn_only=()):
+def watched(controller, axes=AXES, warn_only=(), of_position=1e-6):
     """An interlock that closes the valve in five steps, with detectors that know the sensors."""
     n = len(axes)
-    noise = np.repeat([[1e-6], [1e-3], [1e-3], [1.0]], n, axis=1)
+    noise = np.repeat([[of_position], [1e-3], [1e-3], [1.0]], n, axis=1)
     nothing, none = np.zeros((n, n)), np.zeros((4, n))
     unknown = np.zeros((n, 4)), np.zeros((2, n, 2)), nothing, nothing, nothing
     detectors = detector_arrays(noise, np.ones(4), none, False, *unknown, warn_only, 0.0, DT)
@@ -299,6 +299,18 @@ def test_a_suspect_sample_is_replaced_by_what_was_planned_before_it():
             else:
                 np.testing.assert_array_equal(plan, target_of(step, count))
                 np.testing.assert_array_equal(sample, sample_of(step))
+
+
+def test_a_sample_is_suspect_too_if_only_velocity_and_acceleration_disagree():
+    guarded = watched(controller := Scripted(1), of_position=1e-2)
+    for step in range(70, 80):
+        sample = sample_of(step)
+        sample[2, 1] += 3.0 * (step >= 75)
+        guarded.step(step, target_of(step, 1), sample)
+        answered = controller.seen[-1][1][2, 1]
+        assert answered == (3.0 if 75 <= step < 77 else 0.0)
+    assert guarded.step_index == 79
+    assert guarded.reason.startswith("measured velocity and acceleration disagree on axis north")
 
 
 def test_while_a_sample_is_suspect_a_controller_of_forces_holds_its_last_command():
