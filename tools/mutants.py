@@ -54,11 +54,9 @@ TESTS = {
     f"{PROTECTION}protected_force.py": FORCE_TESTS,
     **{
         f"{PROTECTION}{name}.py": DETECTOR_TESTS
-        for name in (
-            *("detectors", "detector_step"),
-            *("channel_relations", "specimen_force", "valve_following"),
-        )
+        for name in ("detectors", "channel_relations", "specimen_force", "valve_following")
     },
+    f"{PROTECTION}detector_step.py": (*DETECTOR_TESTS, *CONTROL_TESTS),
     f"{PROTECTION}instability.py": (*FORCE_TESTS, *WATCH_TESTS),
     f"{DRIVER}safe_stop.py": DRIVER_TESTS,
     f"{DRIVER}rest.py": DRIVER_TESTS,
