@@ -393,7 +393,7 @@ def predict(
     f_r of Eq. 2.5 with a*, is linear in these, too::
 
         f* = M_e a* + r = F z,  z = (y, b, a_g, 1, s)                                          (3)
-        (y, b, change of the deformations in the next substep) = G z                           (4)
+        (y, b, change of the deformations in the next substep) = G z
     """
     n, half, z, new = len(p.axes), len(p.dofs), state.future, state.next
     size, stops = 3 * half, state.future_stops
