@@ -17,7 +17,7 @@ from seft_ros.test_run.compiled_loop import Blocks, build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES
 
-SPECIMEN, ACTUATOR, TOLD = "rig:specimen.", "rig:actuator.", "force_controller:actuator."
+SPECIMEN, ACTUATOR, ASSUMED = "rig:specimen.", "rig:actuator.", "force_controller:actuator."
 MODEL, METHOD = "reference_force:model.", "reference_force:compensation.method"
 WATCH = "reference_force:instability.ratio:=100.0"  # each test goes on to its end
 YIELD = f"{SPECIMEN}yield_displacement:="
@@ -43,14 +43,14 @@ def specimen(kind: str, *settings: str) -> Row:
 
 
 def oil(hertz: float) -> Row:
-    """Choose the oil column's frequency, and tell the controller."""
+    """Choose the oil column's frequency, known to the controller."""
     stiffness = 52.7 * (2 * math.pi * hertz) ** 2 - 2.11e5
-    return f"{ACTUATOR}oil_column_frequency:={hertz}", f"{TOLD}oil_stiffness:={stiffness:.6g}"
+    return f"{ACTUATOR}oil_column_frequency:={hertz}", f"{ASSUMED}oil_stiffness:={stiffness:.6g}"
 
 
 def valve(name: str, value: float) -> Row:
-    """Choose the valve, and tell the controller."""
-    return f"{ACTUATOR}{name}:={value}", f"{TOLD}{name}:={value}"
+    """Choose the valve, known to the controller."""
+    return f"{ACTUATOR}{name}:={value}", f"{ASSUMED}{name}:={value}"
 
 
 ONE = loaded(1.0, 500.0)
@@ -60,7 +60,7 @@ DELAY = (
     *(f"{ACTUATOR}kind:=delay", f"{ACTUATOR}delay:=0.01"),
 )
 TESTS: dict[str, list[Row]] = {
-    "linear": [
+    "mass ratios": [
         (*PLAN, *loaded(alpha, newtons))
         for alpha, newtons in zip(
             (0.5, 1.0, 1.5, 3.0, 5.0, 10.0),
@@ -68,7 +68,7 @@ TESTS: dict[str, list[Row]] = {
             strict=True,
         )
     ],
-    "other specimens": [
+    "specimens": [
         (*PLAN, *ONE, *specimen(*words))
         for words in (
             ("bouc_wen", "yield_displacement:=0.003"),
@@ -90,7 +90,7 @@ TESTS: dict[str, list[Row]] = {
             ("gap", "gap.width:=0.003", "gap.stiffness:=6.0e5"),
         )
     ],
-    "heavier and yielding": [
+    "mass ratio 3 and yielding": [
         (*PLAN, *loaded(3.0, 250.0), *specimen(kind, "yield_displacement:=0.0025"))
         for kind in ("bouc_wen", "bilinear")
     ],
@@ -112,15 +112,15 @@ TESTS: dict[str, list[Row]] = {
             for limit in (0.008, 0.004)
         ),
     ],
-    "told wrongly": [
+    "wrong assumptions": [
         (*PLAN, *ONE, override)
         for override in (
             *(f"{MODEL}stiffness:={factor * 2.11e5:.6g}" for factor in (0.7, 1.4)),
             *(f"{MODEL}damping:={factor * 800.3:.6g}" for factor in (0.5, 2.0)),
-            *(f"{TOLD}flow_gain:={factor * 0.0403:.6g}" for factor in (0.8, 1.2)),
-            *(f"{TOLD}dead_time:={late}" for late in (0.0, 0.002, 0.003)),
-            *(f"{TOLD}oil_stiffness:={factor * 1.664e7:.6g}" for factor in (0.8, 1.2)),
-            *(f"{TOLD}valve_frequency:={factor * 70.0:.6g}" for factor in (0.8, 1.2)),
+            *(f"{ASSUMED}flow_gain:={factor * 0.0403:.6g}" for factor in (0.8, 1.2)),
+            *(f"{ASSUMED}dead_time:={late}" for late in (0.0, 0.002, 0.003)),
+            *(f"{ASSUMED}oil_stiffness:={factor * 1.664e7:.6g}" for factor in (0.8, 1.2)),
+            *(f"{ASSUMED}valve_frequency:={factor * 70.0:.6g}" for factor in (0.8, 1.2)),
         )
     ],
     "other rigs": [
@@ -140,7 +140,7 @@ TESTS: dict[str, list[Row]] = {
             ("friction", "friction.force:=20.0"),
         )
     ],
-    "driven by forces": [
+    "rigs that obey forces": [
         *((*DELAY, *loaded(alpha, newtons)) for alpha, newtons in ((1.0, 500.0), (3.0, 250.0))),
         *(
             (*DELAY, *ONE, *specimen(*words))
