@@ -86,9 +86,9 @@ export class Plots {
     }
   }
 
-  /** Draw the history between two times, in s; the told of the rig are [time, median, largest in
-   *  ms, missed]. */
-  draw(history, { dt, signals }, axis, from, to, told) {
+  /** Draw the history between two times, in s; the rig reports [time, median, largest in ms,
+   *  missed]. */
+  draw(history, { dt, signals }, axis, from, to, reported) {
     this.drawing = true;
     const line = (column, scale) => {
       const { x, y } = history.points(column, Math.floor(from / dt), Math.floor(to / dt), PIECES);
@@ -104,7 +104,7 @@ export class Plots {
       if (this.panels[name].seen)
         this.show(name, from, to, { error: line(signals.error[quantity] + axis, scale) }, even);
     // with the value before, which is valid up to the first one reported
-    const some = told.filter(([time], at) => time >= from && (told[at - 1]?.[0] ?? 0) <= to);
+    const some = reported.filter(([time], at) => time >= from && (reported[at - 1]?.[0] ?? 0) <= to);
     const column = (at) => ({ x: some.map(([time]) => time), y: some.map((row) => row[at] ?? NaN) });
     if (this.panels.timing.seen) {
       const period = { x: [from, to], y: [1e3 * dt, 1e3 * dt] };

@@ -65,7 +65,7 @@ export function showNumbers(status, test, head, motion) {
   set("step", running ? `${head}${status.steps ? ` of ${status.steps}` : ""}` : "–");
   element("progress").value = status.steps ? Math.min(1, head / status.steps) : 0;
   set("missed", status.missed === null ? "–" : String(status.missed));
-  set("overruns", status.overruns === null ? "–" : `${status.overruns} times`);
+  set("overruns", status.overruns === null ? "–" : String(status.overruns));
   const error = motion.response_nrmse;
   set("motion-error", error === undefined ? "–" : `${(100 * error).toPrecision(3)} %`);
   set("trip-median", milliseconds(status.round_trip["median (ms)"]));
