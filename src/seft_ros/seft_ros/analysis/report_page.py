@@ -1,12 +1,10 @@
-"""The report of a test as a page and as PDF; its sections on the experiment and how it ran."""
+"""The report of a test as a page; its sections on the experiment and how it ran."""
 
 from collections.abc import Iterator
 from pathlib import Path
-from textwrap import wrap
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.errors import InputError
 
 from seft_ros.analysis import report_sections
 from seft_ros.analysis.judgement import ramp_note
@@ -21,7 +19,6 @@ from seft_ros.drawing.style import Mark, Number, percent, rows_of
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 
 _BINS = 80
-_WIDE, _LONG = 106, 74  # characters and lines of a printed page
 _MACHINE = ("python", "platform", "cpus")
 _MARKS = {"ok": Mark.NONE, "warn": Mark.DOUBT, "error": Mark.BAD, "stale": Mark.BAD}
 _MODEL = (
@@ -67,38 +64,6 @@ _GAPS = (
 def write_report(report: Report, name: str, path: Path) -> None:
     """Write the page of a test of this name; an InputError says that it can't be written."""
     page.write_page(path, f"Test {name}", title_of(report.record), list(_sections(report)))
-
-
-def write_pdf(report: Report, name: str, path: Path) -> None:
-    """Write verdict, numbers and time histories as pages to be printed (A4).
-
-    An InputError says that the file can't be written.
-    """
-    from matplotlib.backends.backend_pdf import PdfPages
-
-    from seft_ros.analysis.figures import test_figure
-
-    lines = [f"Test {name}", title_of(report.record), ""]
-    lines += [*wrap(report.judgement.text, _WIDE), ""]
-    for finding in report.judgement.findings:
-        lines += wrap(f"{finding.verdict}: {finding.whole}", _WIDE, subsequent_indent="    ")
-    for rows in (_test_rows(report), _software_rows(report.record.environment)):
-        lines += ["", *(f"{label:24}{text}" for label, text in rows)]
-    headings = ["", *(heading.replace("\n", " ") for heading in AGREEMENT)]
-    lines += ["", *("".join(f"{cell:>17}" for cell in row) for row in (headings, *_rows(report)))]
-    figures = []
-    for start in range(0, len(lines), _LONG):
-        sheet = style.new_figure(8.27, 11.69)
-        text = "\n".join(lines[start : start + _LONG])
-        look: dict[str, Any] = {"family": "monospace", "fontsize": 7.5, "linespacing": 1.4}
-        sheet.text(0.06, 0.96, text, va="top", color=style.TEXT, parse_math=False, **look)
-        figures.append(sheet)
-    try:
-        with PdfPages(path) as pages:
-            for sheet in (*figures, test_figure(report.record, report.reference)):
-                pages.savefig(sheet)
-    except OSError as error:
-        raise InputError(f"{path}: the pages can't be written ({error.strerror})") from None
 
 
 def _sections(report: Report) -> Iterator[Section]:

@@ -20,7 +20,6 @@ _COLOURS = {"good": "green", "doubt": "yellow", "bad": "red", "none": "default"}
 def report(
     bag: Bag,
     out: Optional[Path] = option(None, "The page; default report.html in BAG.", "FILE"),
-    pdf: bool = option(False, "Also write a PDF to print, beside the page.", "--pdf"),
     json: Json = False,
 ) -> int:
     """Judge a recorded test, and write a page about it.
@@ -28,8 +27,7 @@ def report(
     Writes one HTML page that needs no network: verdict, what was tested, displacement, force and
     acceleration against the exact response of the whole structure with windows at the peaks,
     force tracking, hysteresis, spectra, energy, timing, estimates, events. Drag to zoom, click a
-    name in a legend to hide its line. --json prints the same numbers. The PDF has verdict, numbers
-    and histories.
+    name in a legend to hide its line. --json prints the same numbers.
 
     The bag holds all that is needed: samples, configuration, versions. If its recorder was
     killed, use seft recover BAG first.
@@ -40,12 +38,12 @@ def report(
 
         seft report bags/half --json
 
-        seft report bags/half --out half.html --pdf
+        seft report bags/half --out half.html
     """
     from rich.text import Text
 
     from seft_ros.analysis.report_numbers import report_numbers
-    from seft_ros.analysis.report_page import write_pdf, write_report
+    from seft_ros.analysis.report_page import write_report
     from seft_ros.analysis.result_text import summary_table
     from seft_ros.bags.record_bag import read_bag
     from seft_ros.drawing.page import check_page
@@ -55,15 +53,12 @@ def report(
     findings = report_numbers(read_bag(bag))
     write_report(findings, bag.resolve().name, page)
     summary = findings.summary | {"bag": str(bag), "page": str(page)}
-    if pdf:
-        summary["pdf"] = str(page.with_suffix(".pdf"))
-        write_pdf(findings, bag.resolve().name, page.with_suffix(".pdf"))
     verdict = summary["verdict"]
     lines = [
         Text(verdict["text"], style=f"bold {_COLOURS[verdict['verdict']]}"),
         *(Text(f"  {f.whole}", style=_COLOURS[f.verdict]) for f in findings.judgement.findings),
     ]
-    show(summary, json, [summary_table(findings.record, summary), *lines], "page", "pdf")
+    show(summary, json, [summary_table(findings.record, summary), *lines], "page")
     return 0 if summary["stable"] and summary["complete"] else 1
 
 
