@@ -405,9 +405,8 @@ class NodeKind:
         ]
         for row in self.table.rows.values():
             default = "required" if row.default is None else f"{row.default!r} {row.unit}".strip()
-            for wrapped, depth in ((f"{row.name}: {default}", 2), (row.description, 6)):
-                margin = {"initial_indent": depth * " ", "subsequent_indent": 6 * " "}
-                lines.append(fill(wrapped, 80, **margin))
+            for part, margin in ((f"{row.name}: {default}", 2 * " "), (row.description, 6 * " ")):
+                lines.append(fill(part, 80, initial_indent=margin, subsequent_indent=6 * " "))
         return "\n\n".join(lines[:4]) + "\n\n" + "\n".join(lines[4:])
 
 
