@@ -9,7 +9,7 @@ import numpy as np
 from seft_ros.analysis import report_sections
 from seft_ros.analysis.judgement import ramp_note
 from seft_ros.analysis.report_numbers import Report
-from seft_ros.analysis.result_text import AGREEMENT, agreement_rows, motion_lines, title_of
+from seft_ros.analysis.result_text import agreement_table, test_rows, title_of
 from seft_ros.analysis.timing import GAP, timing_of
 from seft_ros.analysis.tracking import tracked_of
 from seft_ros.bags.record import Record
@@ -91,38 +91,24 @@ def _sections(report: Report) -> Iterator[Section]:
     yield Section("Parameters", _parameters(record))
 
 
-def _rows(report: Report) -> list[list[str]]:
-    """Peaks, errors and delays of each quantity, on each axis."""
-    by_axis = report.summary["axes"]
-    prefixes = [f"{axis} " if len(by_axis) > 1 else "" for axis in by_axis]
-    parts = zip(by_axis.values(), prefixes, strict=True)
-    return [row for part, prefix in parts for row in agreement_rows(part, prefix)]
-
-
 def _agreement(report: Report) -> Section:
     """Table of peaks, errors and delays."""
     summary = report.summary
     note = [Text(_MODEL)] if summary["reference_specimen"] == "model" else []
     if left_out := ramp_note(summary):
         note.append(Text(f"{left_out[0].upper()}{left_out[1:]}."))
-    table = Table(["", *AGREEMENT], _rows(report))
-    return Section("Agreement with the reference response", [*note, table])
+    return Section("Agreement with the reference response", [*note, agreement_table(summary)])
 
 
 def _test_rows(report: Report) -> list[tuple[str, str]]:
     record, summary = report.record, report.summary
     sections = record.experiment.sections
     force, rig = sections.get("reference_force", {}), sections.get("rig")
-    motion, pace = summary["ground_motion"], summary["realtime_factor"]
-    ground = motion_lines(motion) if motion else ["ground motion: unknown"]
-    fast = "" if pace is None else f", {pace:.3g} times real time"
     rows = [
         ("method", f"{_of(force, 'method')}, mass ratio {_of(force, 'mass_ratio')}"),
         ("compensation", _of(force, "compensation.method")),
-        *((name, text) for name, _, text in (line.partition(": ") for line in ground)),
         ("axes", ", ".join(record.experiment.axes)),
-        ("rate and steps", f"{summary['rate_hz']:g} Hz, {summary['steps']} steps"),
-        ("duration", f"{summary['duration_s']:g} s{fast}"),
+        *test_rows(summary),
     ]
     if rig is None:
         return [*rows, ("rig", "hardware, or one whose parameters are not recorded")]

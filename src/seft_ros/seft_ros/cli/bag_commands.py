@@ -14,8 +14,6 @@ from seft_msgs_py.errors import InputError
 
 from seft_ros.cli.shared import Bag, Json, Params, check_out, complain, option, show, step_progress
 
-_COLOURS = {"good": "green", "doubt": "yellow", "bad": "red", "none": "default"}
-
 
 def report(
     bag: Bag,
@@ -40,25 +38,23 @@ def report(
 
         seft report bags/half --out half.html
     """
-    from rich.text import Text
-
     from seft_ros.analysis.report_numbers import report_numbers
     from seft_ros.analysis.report_page import write_report
-    from seft_ros.analysis.result_text import summary_table
+    from seft_ros.analysis.result_text import summary_texts
     from seft_ros.bags.record_bag import read_bag
-    from seft_ros.drawing.page import check_page
+    from seft_ros.drawing.page import Cell, check_page
 
     beside = bag.with_suffix(".html") if bag.is_file() else bag / "report.html"
     page = beside if out is None else check_page(out)
     findings = report_numbers(read_bag(bag))
     write_report(findings, bag.resolve().name, page)
     summary = findings.summary | {"bag": str(bag), "page": str(page)}
-    verdict = summary["verdict"]
+    judgement = findings.judgement
     lines = [
-        Text(verdict["text"], style=f"bold {_COLOURS[verdict['verdict']]}"),
-        *(Text(f"  {f.whole}", style=_COLOURS[f.verdict]) for f in findings.judgement.findings),
+        Cell(judgement.text, judgement.verdict),
+        *(Cell(f"  {finding.whole}", finding.verdict) for finding in judgement.findings),
     ]
-    show(summary, json, [summary_table(findings.record, summary), *lines], "page")
+    show(summary, json, [*summary_texts(findings.record, summary), *lines], "page")
     return 0 if summary["stable"] and summary["complete"] else 1
 
 
@@ -115,7 +111,7 @@ def compare(
     """
     from seft_ros.analysis.comparison import compare_all, describe_bag
     from seft_ros.analysis.figures import comparison_figure
-    from seft_ros.analysis.result_text import comparison_table, comparisons_table, legend
+    from seft_ros.analysis.result_text import comparison_texts, legend
     from seft_ros.bags.record_bag import read_bag
     from seft_ros.drawing.style import check_figure, save_figure
 
@@ -126,13 +122,13 @@ def compare(
     records = [read_bag(bag, described=False) for bag in bags]
     result = compare_all(names, records)
     result["bags"] = list(map(describe_bag, names, records))
-    several = result.get("comparisons")
+    comparisons = result.get("comparisons", [result])
     if path is not None:
         titles = [f"{label}: {Path(name).name}" for label, name in zip(labels, names, strict=True)]
-        save_figure(comparison_figure(records, several or [result], titles), path)
+        save_figure(comparison_figure(records, comparisons, titles), path)
         result["figure"] = str(path)
-    table = comparisons_table(several, labels) if several else comparison_table(result)
-    show(result, json, [*map(legend, labels, result["bags"]), table], "figure")
+    texts = [*map(legend, labels, result["bags"]), *comparison_texts(comparisons, labels)]
+    show(result, json, texts, "figure")
     return 0 if result["identical"] else 1
 
 

@@ -52,7 +52,7 @@ def link(
     The test over the link then takes link.yaml as --params-file, and the nodes of the other side
     as --external (docs/hosts.md).
     """
-    from seft_ros.test_run.link import allowed, judge, link_table, measure, message_size
+    from seft_ros.test_run.link import allowed, judge, link_texts, measure, message_size
 
     if echo:
         return _echo()
@@ -81,7 +81,7 @@ def link(
         comment = "by seft link: steps at the rate of the experiment"
         write_parameter_file(out, steps, [comment], replace=True)
         summary["file"] = str(out)
-    shared.show(summary, json, [link_table(summary)])
+    shared.show(summary, json, link_texts(summary))
     for reason in reasons:
         shared.complain(f"{verdict}: {reason}")
     return 1 if verdict == "unusable" else 0
