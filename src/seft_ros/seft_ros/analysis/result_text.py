@@ -16,7 +16,7 @@ from seft_ros.drawing.style import (
     percent,
     small_percent,
 )
-from seft_ros.drawing.table import Cell, Table
+from seft_ros.drawing.table import Cell, Table, Texts
 from seft_ros.ground_motion.column_file import STANDARD_GRAVITY
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 
@@ -48,7 +48,7 @@ def _agreement_rows(part: dict[str, Any], prefix: str = "") -> Iterator[list[str
         ]
 
 
-def summary_texts(record: Record, summary: dict[str, Any]) -> list[str | Cell | Table]:
+def summary_texts(record: Record, summary: dict[str, Any]) -> Texts:
     """Show a test on the terminal: what it was, how it agrees with the reference, its verdict."""
     mark = _mark(summary)
     facts = Table((), [*test_rows(summary), *_finding_rows(summary, mark)])
@@ -154,9 +154,7 @@ def legend(label: str, bag: dict[str, Any]) -> str:
     return f"{label}: {bag['bag']} ({', '.join(part for part in parts if part)})"
 
 
-def comparison_texts(
-    comparisons: Sequence[dict[str, Any]], labels: Sequence[str]
-) -> list[str | Cell | Table]:
+def comparison_texts(comparisons: Sequence[dict[str, Any]], labels: Sequence[str]) -> Texts:
     """Show how records differ from the first: by quantity, in samples, and where they first do.
 
     Parameters
@@ -167,7 +165,7 @@ def comparison_texts(
         Names of the records, the first included.
     """
     first, *others = labels
-    texts: list[str | Cell | Table] = [
+    texts: Texts = [
         f"difference from {first}",
         Table(("quantity", *_headings(others)), [*_difference_rows(comparisons)]),
     ]

@@ -40,9 +40,10 @@ def report(
     """
     from seft_ros.analysis.report_numbers import report_numbers
     from seft_ros.analysis.report_page import write_report
-    from seft_ros.analysis.result_text import summary_texts
+    from seft_ros.analysis.result_text import agreement_table, test_rows, title_of
     from seft_ros.bags.record_bag import read_bag
-    from seft_ros.drawing.page import Cell, check_page
+    from seft_ros.drawing.page import check_page
+    from seft_ros.drawing.table import Cell, Table, Texts
 
     beside = bag.with_suffix(".html") if bag.is_file() else bag / "report.html"
     page = beside if out is None else check_page(out)
@@ -50,11 +51,14 @@ def report(
     write_report(findings, bag.resolve().name, page)
     summary = findings.summary | {"bag": str(bag), "page": str(page)}
     judgement = findings.judgement
-    lines = [
+    texts: Texts = [
+        title_of(findings.record),
+        Table((), test_rows(summary)),
+        agreement_table(summary),
         Cell(judgement.text, judgement.verdict),
         *(Cell(f"  {finding.whole}", finding.verdict) for finding in judgement.findings),
     ]
-    show(summary, json, [*summary_texts(findings.record, summary), *lines], "page")
+    show(summary, json, texts, "page")
     return 0 if summary["stable"] and summary["complete"] else 1
 
 

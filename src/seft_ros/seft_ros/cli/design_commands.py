@@ -10,7 +10,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Optional
 
-from rich.console import RenderableType
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.errors import InputError
@@ -19,6 +18,7 @@ from seft_ros.bags.record import Record
 from seft_ros.cli import shared
 from seft_ros.cli.shared import option
 from seft_ros.design import Source
+from seft_ros.drawing.table import Texts
 
 
 def design(
@@ -314,7 +314,7 @@ def identify(
         "tripped": {OPEN_LOOP: None, CLOSED_LOOP: None, **trips},
         "excitation_rms": asdict(levels),
     }
-    texts: list[RenderableType] = []
+    texts: Texts = []
     unusable: list[str] = []
     if whole:
         found = identified.identify(whole.get(OPEN_LOOP), whole.get(CLOSED_LOOP), band, controller)

@@ -17,7 +17,7 @@ from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import HIGHEST_MASS_RATIO, Critical, Range, added_delays
 from seft_ros.design.stability_verdict import Preflight
 from seft_ros.drawing.style import Mark, Number
-from seft_ros.drawing.table import Cell, Table
+from seft_ros.drawing.table import Cell, Table, Texts
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
 
 SHARE = 0.6
@@ -124,10 +124,10 @@ _MODE = (  # of the exact mode, of that in the test, and their difference
 )
 
 
-def preflight_texts(plan: Plan, found: Preflight, title: str) -> list[str | Cell | Table]:
+def preflight_texts(plan: Plan, found: Preflight, title: str) -> Texts:
     """Show a preflight: verdict and margins, and the modes in the test if it is stable."""
     headings = ("", "planned", "critical", "oscillates at")
-    texts: list[str | Cell | Table] = [
+    texts: Texts = [
         Cell(f"{title}: {found.verdict}", _MARKS[found.verdict]),
         Table(headings, [*_margin_rows(plan, found)]),
         found.promise,

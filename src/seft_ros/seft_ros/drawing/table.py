@@ -63,3 +63,7 @@ class Table:
                 drawn.add_row(*row)
             drawn.add_section()
         return drawn
+
+
+Texts = list[str | Cell | Table]
+"""What a command shows on the terminal, from top to bottom."""

@@ -29,7 +29,7 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.design.stability_verdict import MASS_RATIO_RESERVE as RESERVE
 from seft_ros.drawing.style import Mark, Number, rows_of
-from seft_ros.drawing.table import Cell, Table
+from seft_ros.drawing.table import Cell, Table, Texts
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 
 Verdict = Literal["good", "marginal", "unusable"]
@@ -228,7 +228,7 @@ _TEST = (
 )
 
 
-def link_texts(summary: dict[str, Any]) -> list[str | Cell | Table]:
+def link_texts(summary: dict[str, Any]) -> Texts:
     """Show the summary of `seft link`, its verdict last."""
     verdict, trips, test = summary["verdict"], summary["round_trip_s"], summary["test"]
     rows = rows_of((Number(f"round trip, {name}", name, "ms", 1e3, ".3f") for name in trips), trips)
