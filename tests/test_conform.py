@@ -20,25 +20,21 @@ LONE = ("-p", "rig:watchdog.supervisor_timeout:=2.0")
 
 @pytest.fixture
 def start_driver(start, domain, tmp_path):
-    """Start a driver, good or bad, of the template's or another one, and wait until it is there."""
+    """Start a driver, good or bad, of the template's, and wait until it is there."""
 
-    def launch(*words, package=TEMPLATE):
-        text = (package / "config" / "rig.yaml").read_text().replace("500.0  ", "250.0  ", 1)
+    def launch(*words):
+        text = (TEMPLATE / "config" / "rig.yaml").read_text().replace("500.0  ", "250.0  ", 1)
         text = text.replace("command_timeout: 0.02", "command_timeout: 1.0")
         config = tmp_path / "rig.yaml"
         config.write_text(text.replace("supervisor_timeout: 1.0", "supervisor_timeout: 2.0"))
-        environment = with_path(package)
+        paths = (ROOT / "tests", TEMPLATE, os.environ.get("PYTHONPATH", ""))
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, paths))}
         process = start(*words, "--ros-args", "--params-file", config, env=environment)
         wait_for(lambda: process.poll() is not None or is_running(domain, "/rig"), "the driver")
         assert process.poll() is None, process.communicate()
         return process
 
     return launch
-
-
-def with_path(package):
-    paths = (ROOT / "tests", package, os.environ.get("PYTHONPATH", ""))
-    return os.environ | {"PYTHONPATH": os.pathsep.join(map(str, paths))}
 
 
 def failed(result):
@@ -71,13 +67,6 @@ def test_the_simulated_rig_conforms(seft):
 
 def test_the_template_conforms(seft, start_driver):
     start_driver("rig_driver.driver_node")
-    check_conforms(seft, *PATIENT, "--yes")
-
-
-def test_a_rig_behind_ros2_control_conforms(seft, start, start_driver, tmp_path):
-    seft("new", "driver", "my_rig", "--ros2-control", status=0)
-    start("ros2_control_system", "500", env=with_path(TEMPLATE))
-    start_driver("my_rig.ros2_control", package=tmp_path / "my_rig")
     check_conforms(seft, *PATIENT, "--yes")
 
 

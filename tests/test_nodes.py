@@ -131,7 +131,7 @@ def test_a_node_explains_itself_within_80_columns(start, node):
     words, _ = start(MODULES[node], "--help").communicate(timeout=PATIENCE)
     assert f"{node} --ros-args --params-file config/demo.yaml" in words
     assert "ros2 run seft_" in words and "\n  rate: 500.0 Hz\n" in words
-    assert max(map(len, words.splitlines())) <= 100
+    assert max(map(len, words.splitlines())) <= 80
 
 
 def test_a_start_that_waited_while_the_supervisor_stood_still_is_refused(start_node, observer):

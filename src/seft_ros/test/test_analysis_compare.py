@@ -11,7 +11,7 @@ from rich.console import Console
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.comparison import compare
-from seft_ros.analysis.result_text import comparison_table
+from seft_ros.analysis.result_text import comparison_texts
 from seft_ros.bags.record import (
     Estimates,
     Record,
@@ -212,7 +212,7 @@ def test_estimates_are_told_apart_by_name_and_not_by_place():
 
 def shown(result):
     stream = io.StringIO()
-    Console(file=stream, width=200).print(comparison_table(result))
+    Console(file=stream, width=200).print(*comparison_texts([result], "ab"), sep="\n")
     return stream.getvalue()
 
 
@@ -226,3 +226,20 @@ def test_the_table_says_where_records_first_differ():
     assert "first difference at step 3, rig/state, effort of axis y" in text
     assert "77.0 in b" in text
     assert "the sample is missing in b" in shown(compare(a, make_record(5)))
+
+
+def test_the_table_has_a_row_for_each_quantity_and_says_what_is_missing():
+    a, b = make_record(), without(make_record(), "valve_command", [7, 8])
+    b.series["rig/state"].values[3, 3, 1] += 0.25
+    rows = {
+        cells[0]: cells[1:]
+        for line in shown(compare(a, b)).splitlines()
+        if len(cells := [cell.strip() for cell in line.strip("│").split("│")]) == 3
+    }
+    assert [*rows] == [f"{t.name} {name}" for t in LOOP_TOPICS for name in t.quantities]
+    assert rows["rig/state positions"] == ["0 m", "0 %"]
+    assert rows["rig/state effort"][0] == "0.25 N"
+    assert "valve_command: 40 samples in a and 38 in b, 0 not in a, 2 not in b" in shown(
+        compare(a, b)
+    )
+    assert "samples" not in shown(compare(a, a))

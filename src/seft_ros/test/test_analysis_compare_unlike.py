@@ -9,7 +9,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.comparison import compare, compare_all
-from seft_ros.analysis.result_text import comparison_table, comparisons_table
+from seft_ros.analysis.result_text import comparison_texts
 from seft_ros.bags.record import (
     Record,
     Series,
@@ -110,14 +110,15 @@ def test_the_two_that_can_not_be_compared_are_named():
         compare_all(["bags/a", "bags/b", "bags/c"], records)
 
 
-def shown(table):
+def shown(*comparisons):
     stream = io.StringIO()
-    Console(file=stream, width=80).print(table)
+    texts = comparison_texts(comparisons, "abc"[: 1 + len(comparisons)])
+    Console(file=stream, width=80).print(*texts, sep="\n")
     return stream.getvalue()
 
 
 def test_the_table_says_what_is_not_common():
-    text = shown(comparison_table(compare(make_record(), make_record(250.0, 0.1, ("y",)))))
+    text = shown(compare(make_record(), make_record(250.0, 0.1, ("y",))))
     assert "rates differ (500 Hz in a, 250 Hz in b)" in text
     assert "lengths differ: 0.198 s in a, 0.096 s in b" in text
     assert "axes differ: x only in a; compared: y" in text
@@ -128,7 +129,17 @@ def test_the_table_of_many_has_a_line_for_each():
     c = make_record()
     c.series["rig/state"].values[7, 0, 0] = 77.0
     result = compare_all(["a", "b", "c"], [make_record(), make_record(), c])
-    text = shown(comparisons_table(result["comparisons"], ["a", "b", "c"]))
+    text = shown(*result["comparisons"])
     assert "b: identical, bit for bit" in text
     assert "c: first difference at step 7, rig/state, positions of axis x" in text
     assert "1.014 in a, 77.0" in text
+
+
+def test_many_are_tabulated_by_quantity_side_by_side():
+    c = make_record()
+    c.series["rig/state"].values[:, 1] *= 1.5
+    a, b = make_record(), make_record()
+    text = shown(compare(a, b), compare(a, c))
+    row = next(line for line in text.splitlines() if "rig/state velocities" in line)
+    assert [cell.strip() for cell in row.split("│")[2:4]] == ["0 %", "50.0 %"]
+    assert "…" not in text

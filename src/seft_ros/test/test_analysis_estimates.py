@@ -12,7 +12,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.outcome import Trip
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.figures import test_figure as draw
-from seft_ros.analysis.result_text import summary_table
+from seft_ros.analysis.result_text import summary_texts
 from seft_ros.analysis.summary import summarise
 from seft_ros.bags.record import (
     Estimates,
@@ -39,7 +39,7 @@ def make_record(axes=("x",), names=("delay", "stiffness"), **changes):
 
 def shown(record):
     stream = io.StringIO()
-    Console(file=stream, width=200).print(summary_table(record, summarise(record)))
+    Console(file=stream, width=200).print(*summary_texts(record, summarise(record)), sep="\n")
     return stream.getvalue()
 
 
@@ -75,6 +75,18 @@ def test_the_table_tells_estimates_in_units_for_people():
     both = " ".join(shown(make_record(("x", "y"))).split())
     assert "delay as identified: x 10 to 13.6 ms (between 10 and 14.1), y 10 to 12 ms" in both
     assert "gain as identified: 0.01 to 0.0136 (between" in shown(make_record(names=("gain", "q")))
+
+
+def test_where_nothing_is_wrong_the_summary_names_neither_detectors_nor_estimates():
+    record = make_record()
+    wrong = summarise(record) | {"detectors": {"tracking": 0.4}}
+    error = wrong["displacement"] | {"nrmse": 0.01, "nrmse_aligned": 0.01}
+    right = wrong | {"reference_specimen": "simulated", "displacement": error, "missed": 0}
+    for summary, told in ((wrong, True), (right, False)):
+        stream = io.StringIO()
+        Console(file=stream, width=200).print(*summary_texts(record, summary), sep="\n")
+        assert ("tracking reached 40.0 % of its threshold" in stream.getvalue()) is told
+        assert ("stiffness as identified" in stream.getvalue()) is told
 
 
 @pytest.mark.parametrize("axes", [("x",), ("x", "y")])

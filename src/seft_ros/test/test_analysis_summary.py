@@ -16,7 +16,7 @@ from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis import figures
 from seft_ros.analysis.judgement import verdict
 from seft_ros.analysis.metrics import delayed, nrmse
-from seft_ros.analysis.result_text import summary_table
+from seft_ros.analysis.result_text import summary_texts
 from seft_ros.analysis.summary import reference_of, summarise
 from seft_ros.bags.record import (
     Record,
@@ -170,7 +170,7 @@ def test_the_numbers_of_a_tripped_test_leave_out_its_ramp_down():
     for name in THREE:
         assert summary[name]["nrmse"] == 0.0
     stream = io.StringIO()
-    Console(file=stream, width=100).print(summary_table(record, summary))
+    Console(file=stream, width=100).print(*summary_texts(record, summary), sep="\n")
     assert "numbers are of its first 1000 steps" in " ".join(stream.getvalue().split())
     whole = summarise(make_record())
     assert whole["judged_steps"] == whole["steps"]
@@ -282,7 +282,7 @@ def test_the_verdict_says_how_the_test_went(changes, words):
     assert words in verdict(summary)
     assert "\n" not in verdict(summary)
     stream = io.StringIO()
-    Console(file=stream, width=200).print(summary_table(record, summary))
+    Console(file=stream, width=200).print(*summary_texts(record, summary), sep="\n")
     assert words in " ".join(stream.getvalue().split())  # a caption is as wide as its table
 
 
@@ -297,7 +297,7 @@ def test_the_table_is_in_units_for_people():
     record = make_record(("x", "y"), gain=1.1, delay=0.004)
     summary = summarise(record)
     stream = io.StringIO()
-    Console(file=stream, width=100).print(summary_table(record, summary))
+    Console(file=stream, width=100).print(*summary_texts(record, summary), sep="\n")
     text = stream.getvalue()
     assert "SEFT, mass ratio 0.5, compensation none, 500 Hz" in text
     assert f"{summary['displacement']['peak'] * 1e3:.4g} mm" in text

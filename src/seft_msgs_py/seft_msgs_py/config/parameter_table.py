@@ -1,7 +1,7 @@
 """Parameter tables: one row a parameter, with type, unit, default, bounds, text; their arrays.
 
 A node declares its ROS parameters from its table, the `seft` command checks experiments
-with it, and the README's tables are printed from it.
+with it, and docs/parameters.md is printed from it.
 """
 
 import ast

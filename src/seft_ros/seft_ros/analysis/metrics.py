@@ -178,7 +178,7 @@ def agreement(y: Floats, reference: Floats, dt: float, steps: Ints | None = None
 def nrmse(y: Floats, reference: Floats) -> float:
     """RMS(y - y_ref) / RMS(y_ref), arrays of the same shape."""
     with np.errstate(invalid="ignore", over="ignore"):
-        return _ratio(_rms(y - reference), _rms(reference))
+        return ratio(_rms(y - reference), _rms(reference))
 
 
 def nrmse_aligned(
@@ -198,7 +198,7 @@ def nrmse_aligned(
     known = int(np.searchsorted(steps, last, side="right"))
     shifted = delayed(reference, delay, dt)[steps[:known]]
     error = _rms(y[:known] - shifted) * math.sqrt(known / len(steps)) if known else 0.0
-    return _ratio(error, _rms(reference[steps]))
+    return ratio(error, _rms(reference[steps]))
 
 
 def peak(y: Floats) -> float:
@@ -336,9 +336,10 @@ def _rms(y: Floats) -> float:
     return most * float(np.sqrt(np.mean(np.square(scaled, out=scaled))))
 
 
-def _ratio(error: float, reference: float) -> float:
-    ratio = error / reference if reference > 0 else math.nan
-    return ratio if math.isfinite(ratio) else math.nan
+def ratio(value: float, whole: float) -> float:
+    """Give value / whole; NaN where that is not finite, or the whole is not positive."""
+    found = value / whole if whole > 0 else math.nan
+    return float(found) if math.isfinite(found) else math.nan
 
 
 def segment_size(count: int, dt: float) -> int:

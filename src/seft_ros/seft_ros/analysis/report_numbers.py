@@ -185,6 +185,5 @@ def _uncompensated_delay(record: Record, summary: dict[str, Any]) -> float | Non
     fed_back = section.get("method") == "seft" and section.get("mass_ratio", 0.0) > 0
     if not fed_back or section.get("compensation.method") != "none":
         return None
-    delays = [row["J"]["J1"] for row in summary["tracking"].values()]
-    known = [abs(delay) for delay in delays if delay is not None]
-    return max(known) * 1e-3 if known else None
+    delays = [row["delay_s"] for row in summary["tracking"].values()]
+    return max((abs(delay) for delay in delays if delay is not None), default=None)

@@ -1,17 +1,15 @@
-"""The report of a test as a page and as PDF; its sections on the experiment and how it ran."""
+"""The report of a test as a page; its sections on the experiment and how it ran."""
 
 from collections.abc import Iterator
 from pathlib import Path
-from textwrap import wrap
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.errors import InputError
 
 from seft_ros.analysis import report_sections
 from seft_ros.analysis.judgement import ramp_note
 from seft_ros.analysis.report_numbers import Report
-from seft_ros.analysis.result_text import AGREEMENT, agreement_rows, motion_lines, title_of
+from seft_ros.analysis.result_text import agreement_table, test_rows, title_of
 from seft_ros.analysis.timing import GAP, timing_of
 from seft_ros.analysis.tracking import tracked_of
 from seft_ros.bags.record import Record
@@ -21,7 +19,6 @@ from seft_ros.drawing.style import Mark, Number, percent, rows_of
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 
 _BINS = 80
-_WIDE, _LONG = 106, 74  # characters and lines of a printed page
 _MACHINE = ("python", "platform", "cpus")
 _MARKS = {"ok": Mark.NONE, "warn": Mark.DOUBT, "error": Mark.BAD, "stale": Mark.BAD}
 _MODEL = (
@@ -69,38 +66,6 @@ def write_report(report: Report, name: str, path: Path) -> None:
     page.write_page(path, f"Test {name}", title_of(report.record), list(_sections(report)))
 
 
-def write_pdf(report: Report, name: str, path: Path) -> None:
-    """Write verdict, numbers and time histories as pages to be printed (A4).
-
-    An InputError says that the file can't be written.
-    """
-    from matplotlib.backends.backend_pdf import PdfPages
-
-    from seft_ros.analysis.figures import test_figure
-
-    lines = [f"Test {name}", title_of(report.record), ""]
-    lines += [*wrap(report.judgement.text, _WIDE), ""]
-    for finding in report.judgement.findings:
-        lines += wrap(f"{finding.verdict}: {finding.whole}", _WIDE, subsequent_indent="    ")
-    for rows in (_test_rows(report), _software_rows(report.record.environment)):
-        lines += ["", *(f"{label:24}{text}" for label, text in rows)]
-    headings = ["", *(heading.replace("\n", " ") for heading in AGREEMENT)]
-    lines += ["", *("".join(f"{cell:>17}" for cell in row) for row in (headings, *_rows(report)))]
-    figures = []
-    for start in range(0, len(lines), _LONG):
-        sheet = style.new_figure(8.27, 11.69)
-        text = "\n".join(lines[start : start + _LONG])
-        look: dict[str, Any] = {"family": "monospace", "fontsize": 7.5, "linespacing": 1.4}
-        sheet.text(0.06, 0.96, text, va="top", color=style.TEXT, parse_math=False, **look)
-        figures.append(sheet)
-    try:
-        with PdfPages(path) as pages:
-            for sheet in (*figures, test_figure(report.record, report.reference)):
-                pages.savefig(sheet)
-    except OSError as error:
-        raise InputError(f"{path}: the pages can't be written ({error.strerror})") from None
-
-
 def _sections(report: Report) -> Iterator[Section]:
     judgement, record = report.judgement, report.record
     axes, signals = record.experiment.axes, tracked_of(record)
@@ -126,38 +91,24 @@ def _sections(report: Report) -> Iterator[Section]:
     yield Section("Parameters", _parameters(record))
 
 
-def _rows(report: Report) -> list[list[str]]:
-    """Peaks, errors and delays of each quantity, on each axis."""
-    by_axis = report.summary["axes"]
-    prefixes = [f"{axis} " if len(by_axis) > 1 else "" for axis in by_axis]
-    parts = zip(by_axis.values(), prefixes, strict=True)
-    return [row for part, prefix in parts for row in agreement_rows(part, prefix)]
-
-
 def _agreement(report: Report) -> Section:
     """Table of peaks, errors and delays."""
     summary = report.summary
     note = [Text(_MODEL)] if summary["reference_specimen"] == "model" else []
     if left_out := ramp_note(summary):
         note.append(Text(f"{left_out[0].upper()}{left_out[1:]}."))
-    table = Table(["", *AGREEMENT], _rows(report))
-    return Section("Agreement with the reference response", [*note, table])
+    return Section("Agreement with the reference response", [*note, agreement_table(summary)])
 
 
 def _test_rows(report: Report) -> list[tuple[str, str]]:
     record, summary = report.record, report.summary
     sections = record.experiment.sections
     force, rig = sections.get("reference_force", {}), sections.get("rig")
-    motion, pace = summary["ground_motion"], summary["realtime_factor"]
-    ground = motion_lines(motion) if motion else ["ground motion: unknown"]
-    fast = "" if pace is None else f", {pace:.3g} times real time"
     rows = [
         ("method", f"{_of(force, 'method')}, mass ratio {_of(force, 'mass_ratio')}"),
         ("compensation", _of(force, "compensation.method")),
-        *((name, text) for name, _, text in (line.partition(": ") for line in ground)),
         ("axes", ", ".join(record.experiment.axes)),
-        ("rate and steps", f"{summary['rate_hz']:g} Hz, {summary['steps']} steps"),
-        ("duration", f"{summary['duration_s']:g} s{fast}"),
+        *test_rows(summary),
     ]
     if rig is None:
         return [*rows, ("rig", "hardware, or one whose parameters are not recorded")]

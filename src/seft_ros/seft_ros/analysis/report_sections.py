@@ -43,13 +43,9 @@ _STRONG = (
     "wheel for the whole test. The three quantities zoom together."
 )
 _TRACKING = (
-    Number("delay (J1)", "J.J1", "ms"),
-    Number("normalised error (J2)", "J.J2", "%"),
-    Number("peak error (J3)", "J.J3", "%"),
-    Number("amplitude (FEI)", "fei_amplitude"),
-    Number("delay (FEI)", "fei_delay_s", "ms", 1e3),
-    Number("frequency it belongs to (FEI)", "fei_frequency_hz", "Hz"),
-    Number("tracking indicator at the end", "tracking_indicator_end"),
+    Number("delay", "delay_s", "ms", 1e3),
+    Number("NRMSE", "nrmse", form=percent),
+    Number("peak error over the peak", "peak_error", form=percent),
     Number("energy error over the input", "energy_error", form=percent),
 )
 _GROUND_MOTION = (
@@ -154,11 +150,8 @@ def _places(
 def tracking(report: Report, signals: Tracked, column: int) -> Iterator[Block]:
     """Tracking of an axis: numbers, time history, synchronisation plot, delay by frequency."""
     experiment = report.record.experiment
-    row = report.summary["tracking"][experiment.axes[column]]
-    names = [name for name in row["J"] if name not in ("J1", "J2", "J3")]
-    of_structure = [Number(f"{name}, of the structure", f"J.{name}", "%") for name in names]
     yield Text(_INTENDED[signals.derived])
-    yield Table((), rows_of((*_TRACKING, *of_structure), row))
+    yield Table((), rows_of(_TRACKING, report.summary["tracking"][experiment.axes[column]]))
     if len(signals.steps) < 2:
         return
     command, force = signals.command[:, column], signals.force[:, column]

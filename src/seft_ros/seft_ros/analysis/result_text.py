@@ -1,10 +1,8 @@
 """Summaries and comparisons of tests for people: tables, verdicts, where records differ."""
 
+from collections.abc import Iterator, Sequence
 from typing import Any
 
-from rich.console import Group
-from rich.table import Table
-from rich.text import Text
 from seft_msgs_py.wire.topics import LOOP_TOPICS, TARGET
 
 from seft_ros.analysis.judgement import ramp_note, verdict, worst_response
@@ -13,16 +11,14 @@ from seft_ros.drawing.style import (
     DISPLAY_UNITS,
     GOOD_ERROR,
     RESPONSES,
-    make_table,
+    Mark,
     number,
     percent,
     small_percent,
 )
+from seft_ros.drawing.table import Cell, Table, Texts
 from seft_ros.ground_motion.column_file import STANDARD_GRAVITY
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
-
-AGREEMENT = ("peak", "reference\npeak", "NRMSE", "NRMSE\naligned", "delay")
-"""Headings of `agreement_rows`."""
 
 FIELD_UNITS = {
     (topic.name, quantity): unit
@@ -32,30 +28,31 @@ FIELD_UNITS = {
 """Topic and field -> its unit."""
 
 
-def agreement_rows(part: dict[str, Any], prefix: str = "") -> list[list[str]]:
-    """Make a row of each measured quantity in a summary, or in the part of it on an axis."""
-    rows = []
+def agreement_table(summary: dict[str, Any]) -> Table:
+    """Tabulate how a test agrees with the reference response: over all axes, then on each."""
+    rows: list[list[str] | None] = [*_agreement_rows(summary)]
+    if len(summary["axes"]) > 1:
+        for axis, part in summary["axes"].items():
+            rows += [None, *_agreement_rows(part, f"{axis} ")]
+    return Table(("", "peak", "reference\npeak", "NRMSE", "NRMSE\naligned", "delay"), rows)
+
+
+def _agreement_rows(part: dict[str, Any], prefix: str = "") -> Iterator[list[str]]:
     for quantity in RESPONSES:
         measures, (unit, scale) = part[quantity], DISPLAY_UNITS[quantity]
-        row = [
+        yield [
             f"{prefix}{quantity}",
             *(number(measures[key], scale, unit) for key in ("peak", "reference_peak")),
             *(percent(measures[key]) for key in ("nrmse", "nrmse_aligned")),
             number(measures["delay_s"], 1e3, "ms", ".2f"),
         ]
-        rows.append(row)
-    return rows
 
 
-def summary_table(record: Record, summary: dict[str, Any]) -> Table:
-    """Tabulate a test's agreement with the reference response; the caption is its verdict."""
-    rows: list[Any] = agreement_rows(summary)
-    if len(summary["axes"]) > 1:
-        for axis, part in summary["axes"].items():
-            rows += [None, *agreement_rows(part, f"{axis} ")]
-    title = Text("\n".join([title_of(record), *_notes(summary)]))
-    caption = Text(verdict(summary), style=f"bold {_colour(summary)}")
-    return make_table(["", *AGREEMENT], rows, title=title, caption=caption)
+def summary_texts(record: Record, summary: dict[str, Any]) -> Texts:
+    """Show a test on the terminal: what it was, how it agrees with the reference, its verdict."""
+    mark = _mark(summary)
+    facts = Table((), [*test_rows(summary), *_finding_rows(summary, mark)])
+    return [title_of(record), facts, agreement_table(summary), Cell(verdict(summary), mark)]
 
 
 def title_of(record: Record) -> str:
@@ -70,7 +67,7 @@ def title_of(record: Record) -> str:
     return ", ".join(parts)
 
 
-def motion_lines(facts: dict[str, Any]) -> list[str]:
+def motion_rows(facts: dict[str, Any]) -> list[tuple[str, str]]:
     """Say where a ground motion is from, how it was scaled, and what it is in the test.
 
     ``facts`` are those of `seft_ros.ground_motion.ground_motion_block.motion_facts`.
@@ -80,56 +77,70 @@ def motion_lines(facts: dict[str, Any]) -> list[str]:
     largest = [f"{peak:.4g}" for peak in facts["peak_acceleration"]]
     shown = largest if len(set(largest)) > 1 else largest[:1]
     in_g = max(facts["peak_acceleration"]) / STANDARD_GRAVITY
+    scale = f"factor {facts['scale_factor']:.4g}{why}, time scale {facts['time_scale']:g}"
+    peak = f"PGA {', '.join(shown)} m/s² ({in_g:.3g} g)"
     return [
-        f"ground motion: {facts['source']}{unit}, dt {facts['dt_s']:g} s",
-        f"its scale: factor {facts['scale_factor']:.4g}{why}, time scale {facts['time_scale']:g}",
-        f"in the test: PGA {', '.join(shown)} m/s² ({in_g:.3g} g), "
-        f"{facts['duration_s']:g} s and {facts['tail_s']:g} s of tail",
+        ("ground motion", f"{facts['source']}{unit}, dt {facts['dt_s']:g} s"),
+        ("its scale", scale),
+        ("in the test", f"{peak}, {facts['duration_s']:g} s and {facts['tail_s']:g} s of tail"),
     ]
 
 
-def _colour(summary: dict[str, Any]) -> str:
-    """Red: the test did not run to its end; yellow: it did, and is wrong or missed deadlines."""
+def test_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """Name the ground motion of a test, its length, and how fast it ran."""
+    motion = summary["ground_motion"]
+    duration = f"{summary['duration_s']:g} s"
+    if summary["realtime_factor"] is not None:
+        pace = f"{summary['realtime_factor']:.3g} times real time"
+        duration += f", in {summary['wall_s']:.3g} s ({pace})"
+    return [
+        *(motion_rows(motion) if motion else [("ground motion", "unknown")]),
+        ("rate and steps", f"{summary['rate_hz']:g} Hz, {summary['steps']} steps"),
+        ("duration", duration),
+    ]
+
+
+def _mark(summary: dict[str, Any]) -> Mark:
+    """Bad: the test did not run to its end; in doubt: it did, and is wrong or missed deadlines."""
     if not (summary["stable"] and summary["complete"]):
-        return "red"
+        return Mark.BAD
     simulated = summary["reference_specimen"] == "simulated"
     error = summary["displacement"]["nrmse"] if simulated else worst_response(summary)
     right = error is not None and error <= GOOD_ERROR
-    return "green" if right and not summary["missed"] else "yellow"
+    return Mark.GOOD if right and not summary["missed"] else Mark.DOUBT
 
 
-def _notes(summary: dict[str, Any]) -> list[str]:
-    """Say how fast it ran, what shows without a model that it is right, what was identified."""
-    pace = f"{summary['steps']} steps, {summary['duration_s']:g} s"
-    if summary["realtime_factor"] is not None:
-        pace += f", in {summary['wall_s']:.3g} s ({summary['realtime_factor']:.3g} x real time)"
-    motion = summary["ground_motion"]
-    lines = [*(motion_lines(motion) if motion else []), pace]
+def _finding_rows(summary: dict[str, Any], mark: Mark) -> Iterator[tuple[str, str]]:
+    """Say what shows without a model that it is right; where it is not, what may explain it."""
     if left_out := ramp_note(summary):
-        lines.append(left_out)
+        yield "ramp-down", left_out
     found, tracking = summary["equivalent_motion"], summary["tracking_error"]
     if found is not None:
-        lines.append(
-            "equivalent ground motion against the one asked for: response differs by "
-            f"{percent(found['response_nrmse'])}, at worst {percent(found['worst_response_nrmse'])}"
-        )
+        least, worst = (percent(found[key]) for key in ("response_nrmse", "worst_response_nrmse"))
+        text = f"response differs by {least}, at worst {worst}"
+        yield "equivalent ground motion against the one asked for", text
     if tracking is not None:
-        lines.append(f"displacement off its target by {percent(tracking['nrmse'])}")
-    if summary["detectors"]:
+        yield "displacement off its target", percent(tracking["nrmse"])
+    if summary["detectors"] and mark is not Mark.GOOD:
         name, share = max(summary["detectors"].items(), key=lambda item: item[1])
-        lines.append(f"detectors of faults: {name} reached {percent(share)} of its threshold")
+        yield "detectors of faults", f"{name} reached {percent(share)} of its threshold"
     for name, by_axis in summary["estimates"].items():
-        unit, scale = DISPLAY_UNITS.get(name, ("", 1.0))
-        texts = []
-        for axis, part in by_axis.items():
-            first, last, least, largest = (number(part[key], scale) for key in part)
-            text = f"{first} to {last} {unit}".rstrip() + f" (between {least} and {largest})"
-            if name.startswith(OF_MODEL):
-                text = f"{least} to {largest}"
-            texts.append(f"{axis} {text}" if len(by_axis) > 1 else text)
-        how = "" if name.startswith(OF_MODEL) else " as identified"
-        lines.append(f"{name}{how}: {', '.join(texts)}")
-    return lines
+        if name.startswith(OF_MODEL):
+            yield name, _by_axis(name, by_axis, "{least} to {largest}")
+        elif mark is not Mark.GOOD:
+            form = "{first} to {last}{unit} (between {least} and {largest})"
+            yield f"{name} as identified", _by_axis(name, by_axis, form)
+
+
+def _by_axis(name: str, by_axis: dict[str, Any], form: str) -> str:
+    """Write how an estimate went on each axis, in the unit in which it is displayed."""
+    unit, scale = DISPLAY_UNITS.get(name, ("", 1.0))
+    texts = []
+    for axis, part in by_axis.items():
+        numbers = {key: number(value, scale) for key, value in part.items()}
+        text = form.format(**numbers, unit=unit and f" {unit}")
+        texts.append(f"{axis} {text}" if len(by_axis) > 1 else text)
+    return ", ".join(texts)
 
 
 def legend(label: str, bag: dict[str, Any]) -> str:
@@ -143,56 +154,62 @@ def legend(label: str, bag: dict[str, Any]) -> str:
     return f"{label}: {bag['bag']} ({', '.join(part for part in parts if part)})"
 
 
-def comparison_table(comparison: dict[str, Any], a: str = "a", b: str = "b") -> Group:
-    """Tabulate how two records differ; the lines below say where they first do.
+def comparison_texts(comparisons: Sequence[dict[str, Any]], labels: Sequence[str]) -> Texts:
+    """Show how records differ from the first: by quantity, in samples, and where they first do.
 
     Parameters
     ----------
-    comparison : dict
-        As `seft_ros.analysis.comparison.compare` gives it.
-    a, b : str
-        Names of the records.
-    """
-    headings = (f"in {a}", f"in {b}", f"not\nin {a}", f"not\nin {b}", "largest", "NRMSE")
-    rows = []
-    for topic, row in comparison["topics"].items():
-        counts = [row[key] for key in ("samples_a", "samples_b", "missing_a", "missing_b")]
-        largest = row["max_abs"] if row["compared"] else None
-        fields = [name for name, e in row["fields"].items() if e["max_abs"] == largest != 0]
-        unit = FIELD_UNITS.get((topic, fields[0]), "") if fields else ""
-        rows.append([topic, *map(str, counts), number(largest, 1.0, unit, ".2g"), _error(row)])
-    first, *more = _differences(comparison, a, b)
-    table = make_table(("topic", *headings), rows, title=f"{b} against {a}")
-    return Group(table, _coloured(first, comparison), *map(Text, more))
-
-
-def comparisons_table(comparisons: list[dict[str, Any]], labels: list[str]) -> Group:
-    """Tabulate how further records differ from the first: NRMSE by topic; verdicts below.
-
-    ``labels`` name the records, the first included.
+    comparisons : sequence of dict
+        Of each further record with the first, as `seft_ros.analysis.comparison.compare` gives it.
+    labels : sequence of str
+        Names of the records, the first included.
     """
     first, *others = labels
-    names = [topic.name for topic in LOOP_TOPICS]
-    rows, lines = [], []
+    texts: Texts = [
+        f"difference from {first}",
+        Table(("quantity", *_headings(others)), [*_difference_rows(comparisons)]),
+    ]
     for label, comparison in zip(others, comparisons, strict=True):
-        topics = comparison["topics"]
-        errors = [_error(topics[name], "same") for name in names]
-        missing = sum(row["missing_b"] for row in topics.values())
-        rows.append([label, *errors, str(missing)])
-        lines.append(_coloured(f"{label}: {_verdict(comparison, first, label)}", comparison))
-    title = f"NRMSE against {first}"
-    return Group(make_table(("", *names, "missing"), rows, wrap=True, title=title), *lines)
+        told, *more = _differences(comparison, first, label)
+        mark = Mark.GOOD if comparison["identical"] else Mark.BAD
+        prefix = f"{label}: " if len(others) > 1 else ""
+        texts += [Cell(f"{prefix}{told}", mark), *_sample_counts(comparison, first, label), *more]
+    return texts
 
 
-def _error(row: dict[str, Any], none: str = "") -> str:
-    """Write the error of a topic's samples, if any; ``none`` where all are equal."""
-    if not row["compared"]:
-        return "-"
-    return none if none and row["max_abs"] == 0 else small_percent(row["nrmse"])
+def _headings(others: Sequence[str]) -> list[str]:
+    """Headings of `_difference_rows`; of several records there is no room for two columns each."""
+    if len(others) == 1:
+        return ["largest", "NRMSE"]
+    return [f"NRMSE\nof {label}" for label in others]
 
 
-def _coloured(text: str, comparison: dict[str, Any]) -> Text:
-    return Text(text, style="bold green" if comparison["identical"] else "bold red")
+def _difference_rows(comparisons: Sequence[dict[str, Any]]) -> Iterator[list[str]]:
+    """Make a row of each quantity of each topic that any of the records has."""
+    fields: dict[str, dict[str, None]] = {}
+    for comparison in comparisons:
+        for topic, row in comparison["topics"].items():
+            fields.setdefault(topic, {}).update(dict.fromkeys(row["fields"]))
+    for topic, field in ((topic, field) for topic, names in fields.items() for field in names):
+        cells, unit = [f"{topic} {field}"], FIELD_UNITS.get((topic, field), "")
+        for comparison in comparisons:
+            row = comparison["topics"].get(topic)
+            compared = row["fields"].get(field) if row and row["compared"] else None
+            error = compared or {"max_abs": None, "nrmse": None}
+            if len(comparisons) == 1:
+                cells.append(number(error["max_abs"], 1.0, unit, ".2g"))
+            cells.append(small_percent(error["nrmse"]))
+        yield cells
+
+
+def _sample_counts(comparison: dict[str, Any], a: str, b: str) -> Iterator[str]:
+    """Say of each topic on which samples are missing how many either record has."""
+    for topic, row in comparison["topics"].items():
+        if row["missing_a"] or row["missing_b"]:
+            yield (
+                f"{topic}: {row['samples_a']} samples in {a} and {row['samples_b']} in {b}, "
+                f"{row['missing_a']} not in {a}, {row['missing_b']} not in {b}"
+            )
 
 
 def _differences(comparison: dict[str, Any], a: str, b: str) -> list[str]:

@@ -107,7 +107,7 @@ def summarise(
         "tracking_error": tracking_error_of(judged),
         "detectors": shares_of(judged),
         "reference_specimen": ("simulated" if simulated else "model") if reference else None,
-        "tracking": tracking_of(judged, reference),
+        "tracking": tracking_of(judged),
         **(by_axis[axes[0]] if len(axes) == 1 else _responses(judged, reference, slice(None))),
         "axes": by_axis,
     }

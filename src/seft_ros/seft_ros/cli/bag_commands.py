@@ -14,13 +14,10 @@ from seft_msgs_py.errors import InputError
 
 from seft_ros.cli.shared import Bag, Json, Params, check_out, complain, option, show, step_progress
 
-_COLOURS = {"good": "green", "doubt": "yellow", "bad": "red", "none": "default"}
-
 
 def report(
     bag: Bag,
     out: Optional[Path] = option(None, "The page; default report.html in BAG.", "FILE"),
-    pdf: bool = option(False, "Also write a PDF to print, beside the page.", "--pdf"),
     json: Json = False,
 ) -> int:
     """Judge a recorded test, and write a page about it.
@@ -28,8 +25,7 @@ def report(
     Writes one HTML page that needs no network: verdict, what was tested, displacement, force and
     acceleration against the exact response of the whole structure with windows at the peaks,
     force tracking, hysteresis, spectra, energy, timing, estimates, events. Drag to zoom, click a
-    name in a legend to hide its line. --json prints the same numbers. The PDF has verdict, numbers
-    and histories.
+    name in a legend to hide its line. --json prints the same numbers.
 
     The bag holds all that is needed: samples, configuration, versions. If its recorder was
     killed, use seft recover BAG first.
@@ -40,30 +36,29 @@ def report(
 
         seft report bags/half --json
 
-        seft report bags/half --out half.html --pdf
+        seft report bags/half --out half.html
     """
-    from rich.text import Text
-
     from seft_ros.analysis.report_numbers import report_numbers
-    from seft_ros.analysis.report_page import write_pdf, write_report
-    from seft_ros.analysis.result_text import summary_table
+    from seft_ros.analysis.report_page import write_report
+    from seft_ros.analysis.result_text import agreement_table, test_rows, title_of
     from seft_ros.bags.record_bag import read_bag
     from seft_ros.drawing.page import check_page
+    from seft_ros.drawing.table import Cell, Table, Texts
 
     beside = bag.with_suffix(".html") if bag.is_file() else bag / "report.html"
     page = beside if out is None else check_page(out)
     findings = report_numbers(read_bag(bag))
     write_report(findings, bag.resolve().name, page)
     summary = findings.summary | {"bag": str(bag), "page": str(page)}
-    if pdf:
-        summary["pdf"] = str(page.with_suffix(".pdf"))
-        write_pdf(findings, bag.resolve().name, page.with_suffix(".pdf"))
-    verdict = summary["verdict"]
-    lines = [
-        Text(verdict["text"], style=f"bold {_COLOURS[verdict['verdict']]}"),
-        *(Text(f"  {f.whole}", style=_COLOURS[f.verdict]) for f in findings.judgement.findings),
+    judgement = findings.judgement
+    texts: Texts = [
+        title_of(findings.record),
+        Table((), test_rows(summary)),
+        agreement_table(summary),
+        Cell(judgement.text, judgement.verdict),
+        *(Cell(f"  {finding.whole}", finding.verdict) for finding in judgement.findings),
     ]
-    show(summary, json, [summary_table(findings.record, summary), *lines], "page", "pdf")
+    show(summary, json, texts, "page")
     return 0 if summary["stable"] and summary["complete"] else 1
 
 
@@ -120,7 +115,7 @@ def compare(
     """
     from seft_ros.analysis.comparison import compare_all, describe_bag
     from seft_ros.analysis.figures import comparison_figure
-    from seft_ros.analysis.result_text import comparison_table, comparisons_table, legend
+    from seft_ros.analysis.result_text import comparison_texts, legend
     from seft_ros.bags.record_bag import read_bag
     from seft_ros.drawing.style import check_figure, save_figure
 
@@ -131,13 +126,13 @@ def compare(
     records = [read_bag(bag, described=False) for bag in bags]
     result = compare_all(names, records)
     result["bags"] = list(map(describe_bag, names, records))
-    several = result.get("comparisons")
+    comparisons = result.get("comparisons", [result])
     if path is not None:
         titles = [f"{label}: {Path(name).name}" for label, name in zip(labels, names, strict=True)]
-        save_figure(comparison_figure(records, several or [result], titles), path)
+        save_figure(comparison_figure(records, comparisons, titles), path)
         result["figure"] = str(path)
-    table = comparisons_table(several, labels) if several else comparison_table(result)
-    show(result, json, [*map(legend, labels, result["bags"]), table], "figure")
+    texts = [*map(legend, labels, result["bags"]), *comparison_texts(comparisons, labels)]
+    show(result, json, texts, "figure")
     return 0 if result["identical"] else 1
 
 

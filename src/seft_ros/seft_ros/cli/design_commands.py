@@ -18,6 +18,7 @@ from seft_ros.bags.record import Record
 from seft_ros.cli import shared
 from seft_ros.cli.shared import option
 from seft_ros.design import Source
+from seft_ros.drawing.table import Texts
 
 
 def design(
@@ -191,9 +192,9 @@ def preflight(
         ]
     for step in steps:
         lines += [f"{step.found}:", *(f"    {command}" for command in step.commands)]
-    tables = preflight_tables.preflight_tables(plan, found, f"preflight of {config}")
+    texts = preflight_tables.preflight_texts(plan, found, f"preflight of {config}")
     limits_table = preflight_tables.limits_table(experiment, peaks)
-    shared.show(summary, json, [*tables, limits_table, *lines], "figure")
+    shared.show(summary, json, [*texts, limits_table, *lines], "figure")
     for reason in found.reasons:
         shared.complain(f"{found.verdict}: {reason}")
     if too_slow := timed.refusal() if timed is not None else "":
@@ -313,18 +314,20 @@ def identify(
         "tripped": {OPEN_LOOP: None, CLOSED_LOOP: None, **trips},
         "excitation_rms": asdict(levels),
     }
-    tables, unusable = [], []
+    texts: Texts = []
+    unusable: list[str] = []
     if whole:
         found = identified.identify(whole.get(OPEN_LOOP), whole.get(CLOSED_LOOP), band, controller)
         unusable = found.unusable
         summary |= identified.summarise_identified(found)
-        tables = [identified.identified_table(f"{config} as identified", summary)]
+        table = identified.identified_table(summary)
+        texts = [f"{config} as identified", table, *summary["notes"]]
         files |= {"model": folder / "model.yaml", "figure": folder / shared.FIGURE}
         identified.write_model(found, files["model"], str(config), specimen)
         save_figure(identified_figure(found, f"seft identify {config}"), files["figure"])
     summary["files"] = {what: str(path) for what, path in files.items()}
     shared.show(
-        summary, json, [*tables, *(f"{what + ':':13}{path}" for what, path in files.items())]
+        summary, json, [*texts, *(f"{what + ':':13}{path}" for what, path in files.items())]
     )
     for name, test in tests.items():
         if test.trip is not None:

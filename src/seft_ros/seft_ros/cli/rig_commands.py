@@ -52,7 +52,7 @@ def link(
     The test over the link then takes link.yaml as --params-file, and the nodes of the other side
     as --external (docs/hosts.md).
     """
-    from seft_ros.test_run.link import allowed, judge, link_table, measure, message_size
+    from seft_ros.test_run.link import allowed, judge, link_texts, measure, message_size
 
     if echo:
         return _echo()
@@ -81,7 +81,7 @@ def link(
         comment = "by seft link: steps at the rate of the experiment"
         write_parameter_file(out, steps, [comment], replace=True)
         summary["file"] = str(out)
-    shared.show(summary, json, [link_table(summary)])
+    shared.show(summary, json, link_texts(summary))
     for reason in reasons:
         shared.complain(f"{verdict}: {reason}")
     return 1 if verdict == "unusable" else 0
@@ -180,13 +180,11 @@ def _ask(amplitude: float | None, travel: float) -> None:
 
 TEMPLATES = Path(__file__).parent / "templates"
 NAME = "rig_driver"  # of the template's package
-ROS2_CONTROL = "ros2_control"  # of what replaces or completes it
 
 
 def new(
     what: str = typer.Argument(..., help="The node rig for your hardware.", metavar="driver"),
     name: str = typer.Argument(..., help="Name of the package, and of the folder.", metavar="NAME"),
-    ros2_control: bool = option(False, "For a rig behind ros2_control.", "--ros2-control"),
 ) -> int:
     """Make a ROS 2 package for your own rig, in a new folder here.
 
@@ -194,14 +192,9 @@ def new(
     your hardware, a calibration file, and tests. It conforms as it is (seft conform), so that you
     change one thing at a time. docs/hardware.md shows the way from here to the first test.
 
-    With --ros2-control the driver reads joint states and commands an effort, and the package has
-    a launch file for controller_manager, on mock_components in place of your hardware interface.
-
-    Examples:
+    Example:
 
         seft new driver my_rig
-
-        seft new driver my_rig --ros2-control
     """
     if what != "driver":
         raise InputError(f"can't make a new {what}; seft new driver NAME makes a driver")
@@ -212,34 +205,25 @@ def new(
     folder = Path(name)
     try:
         folder.mkdir()
-        for template in (NAME, ROS2_CONTROL)[: 1 + ros2_control]:
-            _copy(template, name, folder)
-        if ros2_control:
-            setup = folder / "setup.py"
-            setup.write_text(setup.read_text().replace("driver_node:main", f"{ROS2_CONTROL}:main"))
+        _copy_template(name, folder)
     except FileExistsError:
         raise InputError(f"{folder}: exists already; choose another name") from None
     except OSError as error:
         raise InputError(f"{folder}: {error.strerror}") from None
-    module = f"{name}.{ROS2_CONTROL if ros2_control else 'driver_node'}"
-    start = f"-m {module} --ros-args --params-file {name}/config/rig.yaml"
+    start = f"-m {name}.driver_node --ros-args --params-file {name}/config/rig.yaml"
     print(f"made {folder}/; next:")
-    if ros2_control:
-        print(f"  your rig:   colcon build; ros2 launch {name} ros2_control.launch.py")
     print(f"  start it:   PYTHONPATH={name} {sys.executable} {start}")
     print("  check it:   seft conform CONFIG")
     print(f"  its tests:  PYTHONPATH={name} {sys.executable} -m pytest {name}/test")
-    if ros2_control:
-        print(f"  your board: the plugin in {name}/urdf/rig.urdf")
-    else:
-        print(f"  your board: {name}/{name}/hardware.py, then stand_in() in driver_node.py")
+    print(f"  your board: {name}/{name}/hardware.py, then stand_in() in driver_node.py")
     return 0
 
 
-def _copy(template: str, name: str, folder: Path) -> None:
-    """Copy a template's files under a package's name; they replace those that are there."""
-    for file in sorted((TEMPLATES / template).rglob("*")):
-        parts = file.relative_to(TEMPLATES / template).parts
+def _copy_template(name: str, folder: Path) -> None:
+    """Copy the template's files under a package's name."""
+    template = TEMPLATES / NAME
+    for file in sorted(template.rglob("*")):
+        parts = file.relative_to(template).parts
         if file.is_dir() or any(part.startswith((".", "__pycache__")) for part in parts):
             continue
         place = folder.joinpath(*(part.replace(NAME, name) for part in parts))

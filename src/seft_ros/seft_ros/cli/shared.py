@@ -20,6 +20,7 @@ from seft_msgs_py.wire.topics import GROUND_MOTION, NODES, with_rigs
 
 from seft_ros.bags.record import Record
 from seft_ros.design import Source
+from seft_ros.drawing.table import Cell, Table
 from seft_ros.test_run.parameter_tables import TABLES
 
 if TYPE_CHECKING:
@@ -121,18 +122,19 @@ FIGURE = "figure.png"
 
 
 def show(
-    summary: dict[str, Any], as_json: bool, tables: Iterable[RenderableType], *files: str
+    summary: dict[str, Any], as_json: bool, texts: Iterable[RenderableType], *files: str
 ) -> None:
     """Print a summary as JSON, or tables, lines of text, and the files that it names."""
     if as_json:
         print(json.dumps(summary, indent=2, allow_nan=False))
         return
     console = Console()
-    for table in tables:
-        if isinstance(table, str):
-            print(table)
+    for text in texts:
+        if isinstance(text, str):
+            print(text)
         else:
-            console.print(table)
+            is_line = isinstance(text, Cell) or (isinstance(text, Table) and not text.headings)
+            console.print(text, soft_wrap=is_line)
     width = max(map(len, files), default=0) + 2
     for name in files:
         if summary.get(name) is not None:
@@ -268,7 +270,7 @@ def dds_test(
 
 def show_test(record: Record, bag: Path | None, *, as_json: bool, figure: bool) -> bool:
     """Show how a test went, draw its figure into its bag; return whether it was stable."""
-    from seft_ros.analysis.result_text import summary_table
+    from seft_ros.analysis.result_text import summary_texts
     from seft_ros.analysis.summary import reference_of, summarise
 
     reference = reference_of(record)
@@ -281,5 +283,5 @@ def show_test(record: Record, bag: Path | None, *, as_json: bool, figure: bool) 
 
             save_figure(test_figure(record, reference), bag / FIGURE)
             summary["figure"] = str(bag / FIGURE)
-    show(summary, as_json, [summary_table(record, summary)], "bag", "figure")
+    show(summary, as_json, summary_texts(record, summary), "bag", "figure")
     return bool(summary["stable"])

@@ -119,8 +119,9 @@ def motion(
 
         seft motion kobe.AT2 --config config/demo.yaml --json
     """
-    from seft_ros.analysis.result_text import motion_lines
-    from seft_ros.drawing.style import check_figure, make_table, save_figure
+    from seft_ros.analysis.result_text import motion_rows
+    from seft_ros.drawing.style import check_figure, save_figure
+    from seft_ros.drawing.table import Table
     from seft_ros.ground_motion.ground_motion_block import TABLE, GroundMotion
     from seft_ros.ground_motion.response_spectrum import motion_figure, motion_summary
 
@@ -143,12 +144,12 @@ def motion(
         title = f"{block.facts['source']}, {timebase.rate:g} Hz"
         save_figure(motion_figure(block.samples, timebase.dt, axes, title), path)
     numbers = motion_summary(block.samples, timebase.dt)
-    title = f"{numbers['steps']} steps at {timebase.rate:g} Hz"
-    rows = [[label, *(f"{value:.4g}" for value in numbers[name])] for name, label in _ROWS.items()]
+    rows = [["steps", *[str(numbers["steps"])] * len(axes)]]
+    rows += [[label, *(f"{value:.4g}" for value in numbers[name])] for name, label in _ROWS.items()]
     summary = {**block.facts, "rate_hz": timebase.rate, **numbers}
     summary["figure"] = None if path is None else str(path)
-    table = make_table(["", *axes], rows, title=title)
-    show(summary, json, [*motion_lines(block.facts), table], "figure")
+    texts = [Table((), motion_rows(block.facts)), Table(["", *axes], rows)]
+    show(summary, json, texts, "figure")
     return 0
 
 

@@ -6,8 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.table import Table
-from rich.text import Text
 from seft_msgs_py.config.experiment import write_parameter_file
 from seft_msgs_py.errors import ExperimentError
 from seft_plant_sim.lti import TransferFunction
@@ -21,7 +19,8 @@ from seft_ros.design.loop_margins import LoopMargins, Tracking, tracking_measure
 from seft_ros.design.plant import Plant, small_signal
 from seft_ros.design.response_fits import SpecimenFit, TrackingFit, fit_specimen, fit_tracking
 from seft_ros.design.rig_tests import MeasuredTest, Measurement
-from seft_ros.drawing.style import Number, json_safe, look_up, make_table, rows_of
+from seft_ros.drawing.style import Number, json_safe, look_up, rows_of
+from seft_ros.drawing.table import Table
 
 _COHERENT = 0.8  # up to there the closed loop is fitted
 _FLOOR = 0.01  # of a response: required accuracy of a model
@@ -296,8 +295,8 @@ _TABLE = (  # of an axis, by section
 )
 
 
-def identified_table(title: str, summary: Mapping[str, Any]) -> Table:
-    """Tabulate the result of `summarise_identified`, one column for each axis; notes below."""
+def identified_table(summary: Mapping[str, Any]) -> Table:
+    """Tabulate the result of `summarise_identified`, one column for each axis."""
     matrices = {name: np.atleast_2d(summary["specimen"][name]) for name in _MATRICES}
     by_axis = [
         {**axis, "specimen": {name: matrix[index, index] for name, matrix in matrices.items()}}
@@ -307,9 +306,7 @@ def identified_table(title: str, summary: Mapping[str, Any]) -> Table:
     for section in _TABLE:
         known = [n for n in section if any(look_up(axis, n.key) is not None for axis in by_axis)]
         rows += [*rows_of(known, *by_axis), None]
-    headings = ["", *(axis["axis"] for axis in by_axis)]
-    caption = Text("\n".join(summary["notes"]))
-    return make_table(headings, rows, wrap=True, title=Text(title), caption=caption)
+    return Table(["", *(axis["axis"] for axis in by_axis)], rows)
 
 
 def summarise_identified(identified: Identified) -> dict[str, Any]:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.table import Table
 from seft_msgs_py.config.experiment import Experiment, write_parameter_file
 from seft_msgs_py.config.parameter_table import Section, group
 from seft_msgs_py.errors import InputError
@@ -17,7 +16,8 @@ from seft_plant_sim.whole_structure import model_times, reference_response, whol
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import HIGHEST_MASS_RATIO, Critical, Range, added_delays
 from seft_ros.design.stability_verdict import Preflight
-from seft_ros.drawing.style import CENTRED, Number, make_table
+from seft_ros.drawing.style import Mark, Number
+from seft_ros.drawing.table import Cell, Table, Texts
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
 
 SHARE = 0.6
@@ -109,8 +109,7 @@ FACTORS = {"displacement": 1.5, "velocity": 2.0, "acceleration": 2.0, "force": 1
 FAR = 4.0
 """Limit over the expected peak from which on it protects little."""
 
-_COLOURS = {"stable": "green", "marginal": "yellow", "unstable": "red"}
-_LEFT = {**CENTRED, "title_justify": "left"}
+_MARKS = {"stable": Mark.GOOD, "marginal": Mark.DOUBT, "unstable": Mark.BAD}
 _MODE = (  # of the exact mode, of that in the test, and their difference
     (
         Number("natural frequency", "exact_hz", "Hz"),
@@ -125,25 +124,24 @@ _MODE = (  # of the exact mode, of that in the test, and their difference
 )
 
 
-def preflight_tables(plan: Plan, found: Preflight, title: str) -> list[Table]:
-    """Tabulate a preflight: margins and verdict, and the modes in the test if it is stable."""
-    margins = make_table(
-        ("", "planned", "critical", "oscillates at"),
-        _margin_rows(plan, found),
-        title=f"{title}: [bold {_COLOURS[found.verdict]}]{found.verdict}[/]",
-        caption=found.promise,
-        **CENTRED,
-    )
+def preflight_texts(plan: Plan, found: Preflight, title: str) -> Texts:
+    """Show a preflight: verdict and margins, and the modes in the test if it is stable."""
+    headings = ("", "planned", "critical", "oscillates at")
+    texts: Texts = [
+        Cell(f"{title}: {found.verdict}", _MARKS[found.verdict]),
+        Table(headings, [*_margin_rows(plan, found)]),
+        found.promise,
+    ]
     if found.verdict == "unstable":
-        return [margins]
+        return texts
     modes = [
         [row[0].label, *(number.text(mode) for number in row)]
         for mode in map(asdict, found.modes)
         for row in _MODE
     ]
     none = [["no oscillating mode", "", "", ""]]
-    headings, title = ("", "exact", "in the test", "error"), "modes of the whole structure"
-    return [margins, make_table(headings, modes or none, title=title, **_LEFT)]
+    headings = ("mode", "exact", "in the test", "error")
+    return [*texts, "modes of the whole structure", Table(headings, modes or none)]
 
 
 def limits_table(experiment: Experiment, peaks: dict[str, float]) -> Table:
@@ -153,8 +151,7 @@ def limits_table(experiment: Experiment, peaks: dict[str, float]) -> Table:
         [name, unit, f"{peaks[name]:.3g}", f"{limits[name]:g}", f"{limit:g}"]
         for (name, limit), unit in zip(proposed_limits(peaks).items(), LIMIT_UNITS, strict=False)
     ]
-    headings = ("", "", "expected peak", "limit", "proposed limit")
-    return make_table(headings, rows, title="limits", **_LEFT)
+    return Table(("limit of", "unit", "expected peak", "limit", "proposed limit"), rows)
 
 
 def _margin_rows(plan: Plan, found: Preflight) -> Iterator[list[str]]:

@@ -17,19 +17,13 @@ from seft_msgs_py.errors import InputError
 
 from seft_ros.drawing import style
 from seft_ros.drawing.style import FIRST, MARK, MOST_POINTS, TEXT, Floats, Mark, check_file
+from seft_ros.drawing.table import Cell as Cell
+from seft_ros.drawing.table import Table as Table
 
 SUFFIX = ".html"
 _HEIGHT = 260  # pixels
 _TOOLS = "box_zoom,xwheel_zoom,pan,reset,save"
 _FAINT = "#aab1b8"
-
-
-@dataclass(frozen=True)
-class Cell:
-    """Text in a table, with a mark."""
-
-    text: str
-    mark: Mark = Mark.NONE
 
 
 @dataclass(frozen=True)
@@ -46,23 +40,6 @@ class Verdict:
     mark: Mark
     text: str
     findings: Sequence[Cell] = ()
-
-
-@dataclass(frozen=True)
-class Table:
-    """Rows under headings; columns after the first are aligned to the right where ``numbers``.
-
-    Without headings it is a list of names and values. A wide one has the page's whole width.
-    """
-
-    headings: Sequence[str]
-    rows: Sequence[Sequence[str | Cell]]
-    numbers: bool = True
-    wide: bool = False
-
-    def cells(self) -> list[list[Cell]]:
-        """All cells, those without a mark too."""
-        return [[c if isinstance(c, Cell) else Cell(c) for c in row] for row in self.rows]
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,6 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from rich.table import Table
-from rich.text import Text
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError, WireError
@@ -30,7 +28,8 @@ from seft_msgs_py.wire.topics import LINK_PING, LINK_PONG, TARGET, RigAxes, Topi
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.design.stability_verdict import MASS_RATIO_RESERVE as RESERVE
-from seft_ros.drawing.style import Number, make_table, rows_of
+from seft_ros.drawing.style import Mark, Number, rows_of
+from seft_ros.drawing.table import Cell, Table, Texts
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 
 Verdict = Literal["good", "marginal", "unusable"]
@@ -210,7 +209,7 @@ def judge(trips: RoundTrips, test: Allowed | None) -> tuple[Verdict, list[str]]:
     return "unusable" if bad else "marginal" if thin else "good", [*bad, *thin]
 
 
-_COLOURS = {"good": "green", "marginal": "yellow", "unusable": "red"}
+_MARKS = {"good": Mark.GOOD, "marginal": Mark.DOUBT, "unusable": Mark.BAD}
 _LINK = (
     Number(
         "lost",
@@ -229,24 +228,17 @@ _TEST = (
 )
 
 
-def link_table(summary: dict[str, Any]) -> Table:
-    """Tabulate the summary of `seft link`; the caption is its verdict."""
+def link_texts(summary: dict[str, Any]) -> Texts:
+    """Show the summary of `seft link`, its verdict last."""
     verdict, trips, test = summary["verdict"], summary["round_trip_s"], summary["test"]
     rows = rows_of((Number(f"round trip, {name}", name, "ms", 1e3, ".3f") for name in trips), trips)
     rows += rows_of(_LINK, summary)
     if test is not None:
         unknown = {"critical_mass_ratio": "unknown"} if test["unknown"] else {}
         rows += rows_of(_TEST, test | unknown)
-    return make_table(
-        ("", ""),
-        rows,
-        left=(0, 1),
-        wrap=True,
-        show_header=False,
-        title=f"link: {summary['sent']} messages of {summary['size_bytes']} bytes at "
-        f"{summary['rate_hz']:g} Hz",
-        caption=Text(verdict, style=f"bold {_COLOURS[verdict]}"),
-    )
+    sent = f"{summary['sent']} messages of {summary['size_bytes']} bytes"
+    title = f"link: {sent} at {summary['rate_hz']:g} Hz"
+    return [title, Table((), rows), Cell(verdict, _MARKS[verdict])]
 
 
 PATIENCE = 15.0  # s, until the other side is found

@@ -1,0 +1,69 @@
+"""Tables of results: one form, which the terminal and a page draw, each in its own way."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from rich import table
+from rich.console import Group
+from rich.text import Text
+
+from seft_ros.drawing.style import Mark
+
+_COLOURS = {Mark.GOOD: "green", Mark.DOUBT: "yellow", Mark.BAD: "red", Mark.NONE: ""}
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Text with a mark, in a table or as a line of its own."""
+
+    text: str
+    mark: Mark = Mark.NONE
+
+    def __rich__(self) -> Text:
+        """Draw it for the terminal."""
+        return Text(self.text, style=_COLOURS[self.mark])
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows under headings; columns after the first are aligned to the right where ``numbers``.
+
+    Without headings it is a list of names and values. None among the rows begins a new section. A
+    wide one has a page's whole width.
+    """
+
+    headings: Sequence[str]
+    rows: Sequence[Sequence[str | Cell] | None]
+    numbers: bool = True
+    wide: bool = False
+
+    def sections(self) -> Iterator[list[list[Cell]]]:
+        """All cells, those without a mark too: by section, row by row."""
+        section: list[list[Cell]] = []
+        for row in self.rows:
+            if row is not None:
+                section.append([c if isinstance(c, Cell) else Cell(c) for c in row])
+            elif section:
+                yield section
+                section = []
+        if section:
+            yield section
+
+    def __rich__(self) -> Group | table.Table:
+        """Draw it for the terminal: what is too wide is folded, nothing is cut off."""
+        if not self.headings:
+            rows = (row for section in self.sections() for row in section)
+            return Group(*(Text.assemble(f"{name.text}: ", text.__rich__()) for name, text in rows))
+        drawn = table.Table()
+        for column, heading in enumerate(self.headings):
+            right = self.numbers and column > 0
+            drawn.add_column(heading, justify="right" if right else "left", overflow="fold")
+        for section in self.sections():
+            for row in section:
+                drawn.add_row(*row)
+            drawn.add_section()
+        return drawn
+
+
+Texts = list[str | Cell | Table]
+"""What a command shows on the terminal, from top to bottom."""
