@@ -90,8 +90,8 @@ def inverse(knowledge: Knowledge, longest: int, _: Settings) -> DelayFilter:
     The assumed actuator is G(z) = z / (alpha_c z - (alpha_c - 1)), whose output reduces the
     remaining difference by 1 / alpha_c in each step. The command is passed through its inverse
     (Chen & Ricles 2009, Eng. Struct. 31:2643-2655). G lags by alpha_c - 1 steps, therefore
-    alpha_c = 1 + tau / dt. The command is that of the solved loop, see `restoring` of seft: with the
-    acceleration itself the inverse would make the feedback of high frequencies 2 alpha_c - 1
+    alpha_c = 1 + tau / dt. The command is that of the solved loop, see `restoring` of seft: with
+    the acceleration itself the inverse would make the feedback of high frequencies 2 alpha_c - 1
     times as large. The ground motion needs no inverse, because it is known ahead.
     """
     n, share = knowledge.axes, knowledge.share

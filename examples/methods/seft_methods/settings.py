@@ -11,7 +11,8 @@ from seft_ros.reference_force.compensator import Knowledge
 WHERE = "reference_force: compensation.settings"
 SETTINGS = parameter_rows(
     """
-    order          | int    | 1             |     | 1 .. 3   | order of the polynomial of `polynomial`
+    order          | int    | 1             |     | 1 .. 3   |
+        order of the polynomial of `polynomial`
     estimate_delay | bool   | false         |     |          |
         estimate the delay of each axis while the test runs, starting at compensation.delay; `ats`
         adapts by itself

@@ -33,9 +33,9 @@ class Ats(AdaptiveCompensator):
     has a0 = 1 / A, a1 = tau / A, a2 = tau^2 / 2 A, and with these coefficients it follows f*.
 
     f* = -M_e a_g + S r, S = M_c (M_e + M_c)^-1, is the reference force of the solved loop, see
-    `restoring` of seft: the series of the acceleration feedback would grow without limit with frequency.
-    Derivatives are those of a parabola through the last 6 ms. The same filter is used for f* and,
-    in the fit, for the measured force, so that the coefficients also correct its lag.
+    `restoring` of seft: the series of the acceleration feedback would grow without limit with
+    frequency. Derivatives are those of a parabola through the last 6 ms. The same filter is used
+    for f* and, in the fit, for the measured force, so that the coefficients also correct its lag.
 
     Parameters
     ----------
