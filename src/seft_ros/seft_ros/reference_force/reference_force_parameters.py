@@ -120,7 +120,7 @@ TABLE = Table(
             "compensation.method",
             "string",
             "none",
-            "how the actuator's delay is compensated",
+            "how the actuator's delay is compensated; after target_motion: of other packages",
             choices=REGISTERED.names,
         ),
         REGISTERED.settings_row("compensation.settings", "a method"),
