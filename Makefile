@@ -6,7 +6,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
 UBUNTU := .venv-ubuntu
 UBUNTU_READY := $(UBUNTU)/seft-ready
 UBUNTU_PIP := $(UBUNTU)/bin/python -m pip --disable-pip-version-check -qq
-PACKAGES := src/seft_msgs_py src/seft_plant_sim src/seft_ros
+PACKAGES := src/seft_msgs_py src/seft_plant_sim src/seft_ros examples/methods
 DOCS = $(BIN)/sphinx-build -q -W --keep-going -c docs . build/docs
 BUILD_FILES := $(wildcard $(foreach p,$(PACKAGES),$(p)/setup.py $(p)/setup.cfg $(p)/pyproject.toml))
 
@@ -31,7 +31,7 @@ PYTEST := $(BIN)/pytest -o faulthandler_exit_on_timeout=true
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-11s %s\n", $$1, $$2}' Makefile
 
-setup: $(READY) ## make .venv with the pinned libraries and the three packages
+setup: $(READY) ## make .venv with the pinned libraries, the three packages and examples/methods
 	@:
 
 demo: $(READY) ## the test of config/demo.yaml over ROS 2, on the simulated rig
@@ -41,7 +41,7 @@ test: $(READY) ## all checks: lint, format, types, docs, tests (CI runs the same
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	@$(MAKE) --no-print-directory -j 2 types docs
-	$(PYTEST) src -n 2 --durations 10
+	$(PYTEST) src examples -n 2 --durations 10
 	$(PYTEST) tests -n 2 --dist loadfile -m "not thorough and not alone" --durations 15
 	$(PYTEST) tests -m "alone and not thorough"
 
@@ -50,7 +50,7 @@ test: $(READY) ## all checks: lint, format, types, docs, tests (CI runs the same
 OWN := test_fuzz or by_hand or test_response.py or energy_balance.py or analysis_energy.py \
 	or test_metrics or test_protection
 test-ubuntu: $(UBUNTU_READY) ## the packages' tests with the oldest libraries: Ubuntu 24.04's
-	$(UBUNTU)/bin/pytest src -n 2 -k "not ($(OWN))"
+	$(UBUNTU)/bin/pytest src examples/methods -n 2 -k "not ($(OWN))"
 
 setup-ubuntu: $(UBUNTU_READY)
 	@:
@@ -62,7 +62,7 @@ docs: $(READY) ## the pages as HTML in build/docs, every link between them check
 	$(DOCS)
 
 thorough: $(READY) ## the tests that take long: the tutorial, every fault in every state
-	$(PYTEST) src tests -m thorough
+	$(PYTEST) src examples tests -m thorough
 
 bench: $(READY) ## every benchmark in bench, one after another
 	@failed=; for file in $(sort $(wildcard bench/[!_]*.py)); do \
@@ -71,7 +71,7 @@ bench: $(READY) ## every benchmark in bench, one after another
 
 clean: ## remove .venv, .venv-ubuntu, caches and what colcon built (recorded bags stay)
 	rm -rf $(READY) .venv $(UBUNTU_READY) $(UBUNTU) build install log
-	rm -rf .hypothesis .mypy_cache .pytest_cache .ruff_cache $(PACKAGES:%=%/build) src/*/*.egg-info
+	rm -rf .hypothesis .mypy_cache .pytest_cache .ruff_cache $(PACKAGES:%=%/build) $(PACKAGES:%=%/*.egg-info)
 	find . -name .git -prune -o -name __pycache__ -prune -exec rm -rf {} +
 
 ifneq ($(HEALTHY),yes)
@@ -88,7 +88,7 @@ endif
 	@echo "seft: installing the pinned libraries (at first some 500 MB, a few minutes)"
 	@$(PIP) install -r requirements.txt || { \
 		echo "seft: see why with: $(BIN)/pip install -r requirements.txt" >&2; exit 2; }
-	@echo "seft: installing the three packages in place"
+	@echo "seft: installing the packages in place"
 	@$(PIP) install --no-deps --no-build-isolation $(PACKAGES:%=-e %)
 	@echo "seft: compiling the steps of a test, once"
 	@$(BIN)/python -m compileall -q $(PACKAGES)

@@ -26,24 +26,14 @@ WHOLE_WANTED = {1: 20e-6, 3: 100e-6}  # s, of reference force and force controll
 COMMON = [
     ("reference_force", "mass_ratio", 1.0),
     ("reference_force", "compensation.delay", 0.0139),
-    ("reference_force", "compensation.order", 3),
 ]
 
 
-def adaptations() -> list[str]:
-    """Parameters that switch an identification on."""
-    rows = Experiment.load(TABLES, [CONFIG])["reference_force"]
-    return [
-        name for name, value in rows.items() if "compensation." in name and isinstance(value, bool)
-    ]
-
-
-def reference_force(method: str, adaptive: bool, axes: int) -> ReferenceForce:
+def reference_force(method: str, axes: int) -> ReferenceForce:
     overrides = [
         *COMMON,
         ("/**", "axes", [f"x{i}" for i in range(axes)]),
         ("reference_force", "compensation.method", method),
-        *(("reference_force", name, adaptive) for name in adaptations()),
     ]
     experiment = Experiment.load(TABLES, [CONFIG], overrides)
     return ReferenceForce.from_parameters(
@@ -100,7 +90,7 @@ def step_times(block: ReferenceForce, motion: np.ndarray, states: np.ndarray) ->
 
 
 def main() -> int:
-    cases = [(m, adaptive, n) for m in METHODS for adaptive in (False, True) for n in WANTED]
+    cases = [(method, n) for method in METHODS for n in WANTED]
     blocks = {case: reference_force(*case) for case in cases}
     tests = {(specimen, n): measured_test(n, specimen) for specimen in SPECIMENS for n in WANTED}
     times: dict = {(*case, specimen): [] for case in cases for specimen in SPECIMENS}
@@ -109,25 +99,23 @@ def main() -> int:
         for n, found in whole.items():
             found.append(whole_step_times(n, *tests["bouc_wen", n]))
         for *case, specimen in times:
-            block, test = blocks[tuple(case)], tests[specimen, case[2]]
+            block, test = blocks[tuple(case)], tests[specimen, case[1]]
             times[*case, specimen].append(step_times(block, *test))
     # what the machine adds to a step in one round, it hardly adds in all of them
     means = {case: float(np.min(found, axis=0).mean()) for case, found in times.items()}
     print(f"{'step of the reference force, us':44s}" + "".join(f"{n:8d} axes" for n in WANTED))
     for method in METHODS:
-        for adaptive in (False, True):
-            if adaptive and not blocks[method, True, 1].estimates():
-                continue
-            for specimen in SPECIMENS if adaptive else SPECIMENS[:1]:
-                row = [means[method, adaptive, n, specimen] for n in WANTED]
-                name = f"{method}{f', adapting, {specimen} specimen' if adaptive else ''}"
-                print(f"{name:44s}" + "".join(f"{mean * 1e6:13.1f}" for mean in row))
+        adapts = bool(blocks[method, 1].estimates())
+        for specimen in SPECIMENS if adapts else SPECIMENS[:1]:
+            row = [means[method, n, specimen] for n in WANTED]
+            name = f"{method}{f', {specimen} specimen' if adapts else ''}"
+            print(f"{name:44s}" + "".join(f"{mean * 1e6:13.1f}" for mean in row))
     row = [float(np.min(found, axis=0).mean()) for found in whole.values()]
     name = "target_motion, protected, and velocity_feedforward"
     print(f"{name:44s}" + "".join(f"{mean * 1e6:13.1f}" for mean in row))
     print(", ".join(f"wanted: {wanted * 1e6:.0f} us at {n}" for n, wanted in WANTED.items()))
     met = all(mean <= wanted for mean, wanted in zip(row, WHOLE_WANTED.values(), strict=True))
-    met &= all(mean <= WANTED[case[2]] for case, mean in means.items())
+    met &= all(mean <= WANTED[case[1]] for case, mean in means.items())
     return 0 if met else 1
 
 

@@ -14,7 +14,7 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "numpydoc", "sphinxcontrib.me
 
 # The source is the repository's folder, so that links lead where they lead on GitHub.
 root_doc = "docs/index"
-include_patterns = ["README.md", "CHANGELOG.md", "docs/*.md"]
+include_patterns = ["README.md", "CHANGELOG.md", "docs/*.md", "examples/*/README.md"]
 exclude_patterns = [".*", "bags", "build", "src", "tests"]
 nitpicky = True
 

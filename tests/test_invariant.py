@@ -37,7 +37,7 @@ EXPERIMENTS = {
     "loop_delay_of_an_idealised_actuator": (
         *("-p", "rig:actuator.kind:=delay", "-p", "rig:actuator.delay:=0.0113"),
         *("-p", "reference_force:loop_delay:=5"),
-        *("-p", "reference_force:compensation.method:=linear_acceleration"),
+        *("-p", "reference_force:compensation.method:=model"),
         *("-p", "reference_force:compensation.delay:=0.0143"),
         *("-p", "reference_force:mass_ratio:=0.3"),
     ),
@@ -62,14 +62,8 @@ EXPERIMENTS = {
 
 SQLITE3 = ("-p", "recorder:storage:=sqlite3")
 IN_SHORT = ("target_motion_yielding", "target_motion_behind_a_link")
-"""Beside `ESTIMATED_DELAY`, and the plain loop in one process (test_composed.py)."""
-ESTIMATED_DELAY = (
-    *EXPERIMENTS["coupled_axes"],
-    *("-p", "reference_force:mass_ratio:=0.5"),
-    *("-p", "reference_force:compensation.method:=linear_acceleration"),
-    *("-p", "reference_force:compensation.delay:=0.012"),
-    *("-p", "reference_force:compensation.estimate_delay:=true"),
-)
+"""Beside `ESTIMATED`, and the plain loop in one process (test_composed.py)."""
+ESTIMATED = EXPERIMENTS["target_motion_of_two_axes"]
 
 
 @pytest.mark.parametrize("name", thorough_but(EXPERIMENTS, IN_SHORT))
@@ -90,7 +84,7 @@ def test_lockstep_over_dds_gives_the_bits_of_the_offline_loop(seft_json, name):
 
 
 def test_estimates_over_dds_are_those_of_the_offline_loop(seft_json, tmp_path):
-    words = (JHU, *SHORT, *ESTIMATED_DELAY)
+    words = (JHU, *SHORT, *ESTIMATED)
     simulated = seft_json("simulate", *words, "--out", "simulated")
     lockstep = seft_json("run", *words, *LOCKSTEP, "--out", "lockstep")
     compared = seft_json("compare", "simulated", "lockstep")
@@ -99,7 +93,7 @@ def test_estimates_over_dds_are_those_of_the_offline_loop(seft_json, tmp_path):
     assert samples["samples_a"] == samples["samples_b"] == 31
     assert lockstep["estimates"] == simulated["estimates"]
     one, other = (read_bag(tmp_path / name).estimates for name in ("simulated", "lockstep"))
-    assert one.names == other.names == ("delay",)
+    assert one.names == other.names == ("stiffness", "damping", "friction")
     assert one.steps.tolist() == other.steps.tolist() == list(range(0, 1501, 50))
     np.testing.assert_array_equal(one.values, other.values)
     for axis in range(2):
@@ -110,7 +104,7 @@ def test_estimates_over_dds_are_those_of_the_offline_loop(seft_json, tmp_path):
     "experiment",
     [
         EXPERIMENTS["servo_hydraulic"],
-        thorough(ESTIMATED_DELAY),
+        thorough(ESTIMATED),
         EXPERIMENTS["target_motion_behind_a_link"],
         thorough(EXPERIMENTS["target_motion"]),
     ],

@@ -228,7 +228,7 @@ def test_a_motion_of_zeros_has_no_difference_but_no_error_either():
 
 @pytest.mark.parametrize("config", CONFIGS)
 def test_a_method_that_sends_ahead_is_held_against_what_it_meant(config):
-    test = experiment(config, reference_force__compensation__method="inverse")
+    test = experiment(config, reference_force__compensation__method="model")
     motion = ground(test)
     states = states_of(test, motion)
     force = states[:, 3]
@@ -246,7 +246,7 @@ def test_a_method_that_sends_ahead_is_held_against_what_it_meant(config):
 
 
 def test_the_force_that_was_meant_is_that_of_theory():
-    test = experiment(reference_force__compensation__method="inverse")
+    test = experiment(reference_force__compensation__method="model")
     motion = ground(test)
     states = states_of(test, motion)
     states[:, 3] += np.random.default_rng(4).normal(size=(COUNT, 1))

@@ -11,7 +11,7 @@ from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.reference_force.compensation_methods import METHODS
 from seft_ros.reference_force.reference_force_block import compensator, knowledge
-from seft_ros.reference_force.reference_force_parameters import TABLE, TARGET_MOTION
+from seft_ros.reference_force.reference_force_parameters import OWN, TABLE, TARGET_MOTION
 from seft_ros.reference_force.substructure import (
     _BehindMotion,
     substructure_motion,
@@ -95,7 +95,7 @@ def test_what_stands_for_the_ground_motion_is_known_ahead(seed, axes, internal):
         assert np.abs(told - expected).max() < 1e-3 * scale
 
 
-@pytest.mark.parametrize("method", [name for name in METHODS if name not in ("ats", TARGET_MOTION)])
+@pytest.mark.parametrize("method", [name for name in OWN if name != TARGET_MOTION])
 @pytest.mark.parametrize("internal", [0, 2])
 def test_a_method_is_the_linear_filter_that_it_says_it_is(method, internal):
     section = section_of(3, 2, internal, 500.0, compensation__delay=0.0133)

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import ExperimentError, InputError
@@ -89,22 +90,36 @@ def test_a_perturbed_rig_is_tested_with_the_configured_model_against_its_own_str
     assert alike(run.summary, simulated(load(*words)))
 
 
-def test_a_method_that_adapts_is_simulated_uncompiled_and_named_so():
-    delay = "reference_force:compensation.delay:=0.0139"
-    tournament = make_tournament(load(delay), ["none", "ats"], [0.5])
+class Watching:
+    """`none`, which knows the largest force."""
+
+    def __init__(self, known):
+        self._none, self.largest = METHODS["none"](known), np.zeros(known.axes)
+        self.preview, self.linear = 0, self._none.linear
+
+    def reset(self):
+        self.largest[:] = 0.0
+
+    def step(self, ground_motion, state):
+        np.maximum(self.largest, state[3], out=self.largest)
+        return self._none.step(ground_motion, state)
+
+    def estimates(self):
+        return {"largest": self.largest}
+
+
+def test_a_method_of_ones_own_is_simulated_uncompiled_and_named_so(monkeypatch):
+    monkeypatch.setitem(METHODS, "watching", Watching)
+    tournament = make_tournament(load(), ["none", "watching"], [0.5])
     told = []
     first, second = run_all(tournament, progress=lambda what, _: told.append(what))
     assert (first.engine, second.engine) == ("compiled", "plain")
     assert told == [
         "mass ratio 0.5, rig 0, none",
-        "mass ratio 0.5, rig 0, ats (uncompiled)",
+        "mass ratio 0.5, rig 0, watching (uncompiled)",
     ]
-    words = (
-        "reference_force:mass_ratio:=0.5",
-        "reference_force:compensation.method:=ats",
-        delay,
-    )
-    assert second.summary == simulated(load(*words))
+    plain = simulated(tournament.experiment_of(Entry(0.5, 0, "watching")))
+    assert {key: second.summary[key] for key in KEYS} == plain
 
 
 def test_the_model_stays_the_configured_one_where_it_follows_from_the_rig(tmp_path):

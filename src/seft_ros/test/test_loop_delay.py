@@ -11,7 +11,7 @@ from seft_ros.test_run.parameter_tables import TABLES
 
 D = 7
 FORCE_ALONE = (
-    "reference_force:compensation.method:=linear_acceleration",
+    "reference_force:compensation.method:=model",
     "reference_force:compensation.delay:=0.012",
     "reference_force:mass_ratio:=0.3",
 )

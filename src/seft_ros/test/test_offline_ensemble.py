@@ -40,6 +40,11 @@ TARGET = (
     RATIO(1.0),
     WEAK,
 )
+WATER = (
+    "reference_force:computed.internal:=1",
+    "reference_force:computed.mass:=[35.0, 25.0]",
+    "reference_force:computed.stiffness:=[1421.2, -1421.2, -1421.2, 1421.2]",
+)
 CASES = {
     "nonlinear": (),
     "target": TARGET,
@@ -72,14 +77,9 @@ CASES = {
         "rig:specimen.bouc_wen.strength_loss:=0.02",
         "rig:specimen.bouc_wen.stiffness_loss:=0.03",
     ),
-    "smith": (METHOD("smith"), DELAY, RATIO(1.0), WEAK),
-    "polynomial": (METHOD("polynomial"), DELAY, RATIO(0.3), WEAK),
-    "sloshing water": (
-        *TARGET,
-        "reference_force:computed.internal:=1",
-        "reference_force:computed.mass:=[35.0, 25.0]",
-        "reference_force:computed.stiffness:=[1421.2, -1421.2, -1421.2, 1421.2]",
-    ),
+    "model": (METHOD("model"), DELAY, RATIO(1.0), WEAK),
+    "sloshing water": (*TARGET, *WATER),
+    "sloshing water, model": (METHOD("model"), DELAY, RATIO(1.0), WEAK, *WATER),
     "two axes": (*TWO, RATIO(0.4)),
     "two axes, mixed": (
         *TWO, RATIO(0.3), "force_controller:per_axis:=true",
@@ -197,17 +197,9 @@ def test_results_do_not_depend_on_the_number_of_threads():
         assert np.array_equal(one, two)
 
 
-def test_what_changes_on_line_is_not_compiled_and_says_so():
-    shop = Workshop()
-    assert shop.obstacle(load()) == ""
-    for words in (
-        (METHOD("ats"), DELAY),
-        (METHOD("smith"), DELAY, "reference_force:compensation.estimate_delay:=true"),
-    ):
-        assert "changes while the test runs" in shop.obstacle(load(*words))
+def test_a_method_of_ones_own_is_not_compiled_and_says_so(monkeypatch):
+    assert Workshop().obstacle(load()) == ""
 
-
-def test_a_method_of_ones_own_is_not_compiled(monkeypatch):
     class Own:
         def __init__(self, known):
             self.preview, self._of = 0, METHODS["restoring"](known)
@@ -218,7 +210,7 @@ def test_a_method_of_ones_own_is_not_compiled(monkeypatch):
             return getattr(self._of, name)
 
     monkeypatch.setitem(METHODS, "none", Own)
-    assert "changes while the test runs" in Workshop().obstacle(load())
+    assert "a compensation method of another package" in Workshop().obstacle(load())
 
 
 def test_a_controller_of_another_package_is_not_compiled(monkeypatch):

@@ -162,15 +162,12 @@ class Plan:
         mass_ratio: float | None = None,
         stiffness: float = 1.0,
         delay_error: float = 0.0,
-        follow_delay: bool = True,
     ) -> Compensator:
         """Make the compensation method as in the test, but for the changes, see `loops`.
 
-        ``stiffness`` is a factor on the assumed stiffness. A method that adapts to the delay makes
-        its gains for all delays, which takes long; without ``follow_delay`` only for the first.
+        ``stiffness`` is a factor on the assumed stiffness.
         """
         section = dict(self.section)
-        section["compensation.estimate_delay"] &= follow_delay
         if mass_ratio is not None:
             section["mass_ratio"] = mass_ratio
         scaled = stiffness * np.atleast_1d(section["model.stiffness"])
@@ -186,7 +183,7 @@ class Plan:
         The output of `target_motion` is all points, see `frozen_target`; ``measured``: as it is
         with the restoring force as measured.
         """
-        made = self.compensator(follow_delay=False, **changes)
+        made = self.compensator(**changes)
         return frozen_target(made, measured) if isinstance(made, TargetMotion) else made.linear()
 
     def loops(

@@ -10,25 +10,18 @@ from functools import partial
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
-from seft_msgs_py.errors import InputError
-from seft_plant_sim.lti import first_order_hold
 
 from seft_ros.reference_force.compensator import (
     Compensator,
     Knowledge,
     Method,
     RegisteredCompensator,
-    Signals,
-    between_samples,
 )
-from seft_ros.reference_force.delay_compensation import Ats, DelayFilter, delay_method
-from seft_ros.reference_force.linear_filter import LinearCompensator, LinearFilter, Memory
-from seft_ros.reference_force.observers import whole_steps
+from seft_ros.reference_force.linear_filter import LinearCompensator, LinearFilter
 from seft_ros.reference_force.reference_force_parameters import OWN, REGISTERED
 from seft_ros.reference_force.target_motion import TargetMotion
 
 _FINE = 0.2  # rad: phase of the fastest mode in a step; its frequency errs by a 24th of the square
-_AT_REST = 1 - 1e-7  # least decay of the model's slowest mode in a step
 
 
 def none(knowledge: Knowledge) -> Compensator:
@@ -54,73 +47,7 @@ def restoring(knowledge: Knowledge) -> Compensator:
     return LinearCompensator(LinearFilter.of_gains(measured, -knowledge.mass))
 
 
-@delay_method
-def polynomial(knowledge: Knowledge, longest: int) -> DelayFilter:
-    """f_r(t) = -(M_e + M_c) a_g(t + tau) - M_c sum_j l_j a(t - j p).
-
-    The l_j are the weights of Lagrange's polynomial of order N through the last N + 1
-    accelerations, at a spacing p, for the instant t + tau. In Horiuchi et al. (1996, 11WCEE, paper
-    660) the spacing is the delay itself, p = tau, with weights 2, -1 or 3, -3, 1 or 4, -6, 4, -1;
-    here p is the nearest whole number of steps, at least one.
-    """
-    n, dt = knowledge.axes, knowledge.dt
-    order = knowledge.options["compensation.order"]
-    blocks = order * longest  # past accelerations, the newest first
-    signals = Signals(knowledge, preview=longest, blocks=blocks)
-
-    def gains(delay: float) -> Floats:
-        spacing = max(1, round(delay / dt))
-        past = [signals.measured[2]]
-        past += [signals.state(j * spacing - 1) for j in range(1, order + 1)]
-        weights = lagrange_weights(delay / (spacing * dt), order)
-        predicted = sum(weight * a for weight, a in zip(weights, past, strict=True))
-        ground = knowledge.total_mass @ signals.ground_motion(delay)
-        return np.asarray(-ground - knowledge.computed_mass @ predicted)
-
-    return Memory.past(np.eye(n, 5 * n, k=2 * n), blocks), gains
-
-
-def lagrange_weights(ahead: float, order: int) -> Floats:
-    """Weights of the values at 0, -1, ... -order for the polynomial's value at ``ahead``."""
-    nodes = -np.arange(order + 1.0)
-    weights = np.ones(order + 1)
-    for j in range(order + 1):
-        others = np.delete(nodes, j)
-        weights[j] = np.prod((ahead - others) / (nodes[j] - others))
-    return weights
-
-
-@delay_method
-def linear_acceleration(knowledge: Knowledge, longest: int) -> DelayFilter:
-    """f_r(t) = -(M_e + M_c) a_g(t + tau) - M_c a+, with a+ the acceleration predicted for t + tau.
-
-    After Horiuchi & Konno (2001, Phil. Trans. R. Soc. A 359:1893-1909): the acceleration varies
-    linearly over the delay, so that displacement and velocity at its end are (Newmark's method with
-    beta = 1/6)::
-
-        x+ = x + tau v + tau^2 (2 a + a+) / 6,    v+ = v + tau (a + a+) / 2
-
-    Here a+ is not extrapolated, but follows from the equation of motion of the whole structure at
-    t + tau, for which the ground motion is known::
-
-        (M_e + M_c) a+ + C v+ + K x+ = -(M_e + M_c) a_g(t + tau)
-    """
-    signals = Signals(knowledge, preview=longest)
-    mass, damping, stiffness = knowledge.total_mass, knowledge.damping, knowledge.stiffness
-
-    def gains(delay: float) -> Floats:
-        x, v, a, _ = signals.measured
-        load = -mass @ signals.ground_motion(delay)
-        free = damping @ (v + delay / 2 * a) + stiffness @ (x + delay * v + delay**2 / 3 * a)
-        effective = mass + delay / 2 * damping + delay**2 / 6 * stiffness
-        a_plus = np.linalg.solve(effective, load - free)
-        return np.asarray(load - knowledge.computed_mass @ a_plus)
-
-    return Memory.none(knowledge.axes), gains
-
-
-@delay_method
-def model(knowledge: Knowledge, longest: int) -> DelayFilter:
+def model(knowledge: Knowledge) -> Compensator:
     """f_r(t) = -(M_e + M_c) a_g(t + tau) - M_c a+, with a+ the acceleration predicted for t + tau.
 
     Model-based compensation (Carrion & Spencer 2007, NSEL report 6; section 6 of the paper): the
@@ -131,126 +58,60 @@ def model(knowledge: Knowledge, longest: int) -> DelayFilter:
     The central-difference method solves it up to t + tau under the known future ground motion, in
     equal steps of at most a sampling period that are short for the fastest mode.
     """
-    signals = Signals(knowledge, preview=longest)
+    n, delay, dt = knowledge.axes, knowledge.delay, knowledge.dt
     mass, damping, stiffness = knowledge.total_mass, knowledge.damping, knowledge.stiffness
-    squares = np.linalg.eigvals(np.linalg.solve(mass, stiffness)).real
-    fastest = math.sqrt(squares.max(initial=0.0))
+    steps = whole_steps(delay, dt)  # of preview
 
     def load(time: float) -> Floats:
-        return np.asarray(-mass @ signals.ground_motion(time))
+        weights = between_samples(time / dt, 1 + steps)
+        return np.asarray(-mass @ np.hstack([np.zeros((n, 4 * n)), np.kron(weights, np.eye(n))]))
 
-    def gains(delay: float) -> Floats:
-        count = max(whole_steps(delay, knowledge.dt), math.ceil(fastest * delay / _FINE))
-        h = delay / count
-        x, v, _, _ = signals.measured
-        a = np.linalg.solve(mass, load(0.0) - damping @ v - stiffness @ x)
-        last = x - h * v + h**2 / 2 * a
-        effective = mass / h**2 + damping / (2 * h)
-        for i in range(count + 1):  # one step beyond, for the acceleration at t + tau
-            known = stiffness @ x - mass / h**2 @ (2 * x - last) - damping / (2 * h) @ last
-            oldest, last, x = last, x, np.linalg.solve(effective, load(i * h) - known)
-        a = (x - 2 * last + oldest) / h**2
-        return np.asarray(load(delay) - knowledge.computed_mass @ a)
+    squares = np.linalg.eigvals(np.linalg.solve(mass, stiffness)).real
+    count = max(steps, math.ceil(math.sqrt(squares.max(initial=0.0)) * delay / _FINE))
+    h = delay / count
+    # all motions are gains over the columns (x, v, a, f, ground accelerations)
+    x, v = np.eye(n, (5 + steps) * n), np.eye(n, (5 + steps) * n, k=n)
+    a = np.linalg.solve(mass, load(0.0) - damping @ v - stiffness @ x)
+    last = x - h * v + h**2 / 2 * a
+    effective = mass / h**2 + damping / (2 * h)
+    for i in range(count + 1):  # one step beyond, for the acceleration at t + tau
+        known = stiffness @ x - mass / h**2 @ (2 * x - last) - damping / (2 * h) @ last
+        oldest, last, x = last, x, np.linalg.solve(effective, load(i * h) - known)
+    a = (x - 2 * last + oldest) / h**2
+    measured, ground = np.split(load(delay) - knowledge.computed_mass @ a, [4 * n], axis=1)
+    return LinearCompensator(LinearFilter.of_gains(measured, ground))
 
-    return Memory.none(knowledge.axes), gains
+
+_ROUNDING = 1e-9  # of a sampling period
 
 
-@delay_method
-def inverse(knowledge: Knowledge, longest: int) -> DelayFilter:
-    """f_r[k] = -M_e a_g(t + tau) + S (alpha_c r[k] - (alpha_c - 1) r[k-1]).
+def whole_steps(time: float, dt: float) -> int:
+    """Fewest whole steps that cover a time, at least one."""
+    return max(1, math.ceil(time / dt - _ROUNDING))
 
-    The assumed actuator is G(z) = z / (alpha_c z - (alpha_c - 1)), whose output reduces the
-    remaining difference by 1 / alpha_c in each step. The command is passed through its inverse
-    (Chen & Ricles 2009, Eng. Struct. 31:2643-2655). G lags by alpha_c - 1 steps, therefore
-    alpha_c = 1 + tau / dt. The command is that of the solved loop, see `restoring`: with the
-    acceleration itself the inverse would make the feedback of high frequencies 2 alpha_c - 1
-    times as large. The ground motion needs no inverse, because it is known ahead.
+
+def between_samples(steps: float, count: int) -> Floats:
+    """Weights of ``count`` samples for the value ``steps`` after the first: linear interpolation.
+
+    Returns
+    -------
+    ndarray
+        Shape (count,); after the last sample they give the last value.
     """
-    n, share = knowledge.axes, knowledge.share
-    signals = Signals(knowledge, preview=longest, blocks=1)  # of r[k-1]
-
-    def gains(delay: float) -> Floats:
-        lead = delay / knowledge.dt
-        r, before = signals.restoring_force, signals.state(0)
-        ground = knowledge.mass @ signals.ground_motion(delay)
-        return np.asarray(-ground + share @ (r + lead * (r - before)))
-
-    measured = np.hstack([np.zeros((n, 2 * n)), -knowledge.mass, np.eye(n), np.zeros((n, n))])
-    return Memory.past(measured, 1), gains
-
-
-@delay_method
-def smith(knowledge: Knowledge, longest: int) -> DelayFilter:
-    """f_r(t) = -M_e a_g(t + tau) + S (r_s(t) + r(t) - r_s(t - tau)).
-
-    Smith (1959, ISA J. 6:2, 28-33): the feedback is the response of a model of the specimen to the
-    reference force without delay, corrected by the measured response minus that of the delayed
-    model. If the model is right, the delay is outside the loop.
-
-    The loop without delay is algebraic, M_e a_s + r_s = f_r and f_r = -(M_e + M_c) a_g - M_c a_s,
-    and solved as in `restoring`; for the same reason the correction is that of the restoring force
-    r = f - M_e a. The model's restoring force is r_s = C v_s + K x_s, with x_s and v_s exact for a
-    force that varies linearly from step to step.
-    """
-    n, share = knowledge.axes, knowledge.share
-    signals = Signals(knowledge, preview=longest, blocks=2 + longest)
-    free, before, at = _smith_model(knowledge)
-    stiffness_damping = np.hstack([knowledge.stiffness, knowledge.damping])
-    # the model at this step is (states) + at f_r; then its past restoring forces, the newest first
-    known = stiffness_damping @ np.vstack([signals.state(0), signals.state(1)])
-    direct = stiffness_damping @ at
-
-    def gains(delay: float) -> Floats:
-        weights = between_samples(delay / knowledge.dt, 1 + longest)
-        delayed = sum(w * signals.state(2 + i) for i, w in enumerate(weights[1:]))
-        now = 1 - weights[0]
-        ground = knowledge.mass @ signals.ground_motion(delay)
-        force = -ground + share @ (now * known + signals.restoring_force - delayed)
-        return np.linalg.solve(np.eye(n) - now * share @ direct, force)
-
-    size = (2 + longest) * n
-    a = np.eye(size, k=-n)
-    a[: 2 * n] = 0.0
-    a[: 2 * n, : 2 * n] = free
-    a[2 * n : 3 * n] = known[:, :size]
-    w = np.vstack([free @ at + before, direct, np.zeros((size - 3 * n, n))])
-    return Memory(a, np.zeros((size, 4 * n)), np.zeros((size, n)), w), gains
-
-
-def _smith_model(knowledge: Knowledge) -> tuple[Floats, Floats, Floats]:
-    """Transition of (x_s, v_s) over a step: free z + before f_r[k] + at f_r[k+1].
-
-    Raises
-    ------
-    InputError
-        If the specimen does not come to rest by itself.
-    """
-    n, by_force = knowledge.axes, np.linalg.inv(knowledge.mass)
-    none, one = np.zeros((n, n)), np.eye(n)
-    specimen = by_force @ np.hstack([-knowledge.stiffness, -knowledge.damping])
-    system = np.vstack([np.hstack([none, one]), specimen])
-    free, held, slope = first_order_hold(system, np.vstack([none, by_force]), knowledge.dt)
-    if np.abs(np.linalg.eigvals(free)).max() > _AT_REST:
-        raise InputError(
-            "reference_force: compensation.method smith needs a model that comes to rest by "
-            "itself; give model.damping and model.stiffness above zero on every axis"
-        )
-    return free, held - slope, slope
+    weights: Floats = np.maximum(0.0, 1.0 - np.abs(np.arange(count) - min(steps, count - 1.0)))
+    return weights
 
 
 def _registered(name: str, knowledge: Knowledge) -> Compensator:
     settings = knowledge.options.get("compensation.settings", "")
     make = partial(REGISTERED.make, name, settings, "reference_force: compensation.method")
-    made: Compensator = make(knowledge)
-    if all(hasattr(made, part) for part in ("preview", "reset", "step", "estimates", "linear")):
+    made = make(knowledge)
+    if isinstance(made, Compensator):
         return made
     return RegisteredCompensator(name, partial(make, knowledge), knowledge.axes)
 
 
-_OWN: tuple[Method, ...] = (
-    *(none, polynomial, linear_acceleration, model, smith, inverse, Ats, restoring, TargetMotion),
-)
 METHODS: dict[str, Method] = {
-    **dict(zip(OWN, _OWN, strict=True)),
+    **dict(zip(OWN, (none, model, restoring, TargetMotion), strict=True)),
     **{name: partial(_registered, name) for name in REGISTERED.names if name in REGISTERED},
 }

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeGuard
+from typing import Any, Protocol, TypeGuard, runtime_checkable
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
@@ -77,26 +77,8 @@ class Knowledge:
             )
         return delay
 
-    @property
-    def delay_range(self) -> tuple[float, float]:
-        """Shortest and longest delay that an adaptive method may take, s.
 
-        InputError if they make no range, or the given delay is outside.
-        """
-        bounds = list(np.atleast_1d(self.options["compensation.delay_range"]).tolist())
-        if len(bounds) != 2 or not 0 < bounds[0] < bounds[1]:
-            raise InputError(
-                f"reference_force: compensation.delay_range is {bounds}, but must be two delays in "
-                "s above zero, the shorter first"
-            )
-        if not bounds[0] <= self.delay <= bounds[1]:
-            raise InputError(
-                f"reference_force: compensation.delay is {self.delay:g} s, where the estimate "
-                f"starts, but compensation.delay_range is {bounds}; widen it"
-            )
-        return bounds[0], bounds[1]
-
-
+@runtime_checkable
 class Compensator(Protocol):
     """The interface of a compensation method.
 
@@ -230,58 +212,3 @@ class RegisteredCompensator(RegisteredPart):
     def estimates(self) -> dict[str, Floats]:
         """See `Compensator.estimates`."""
         return self._own.estimates() if hasattr(self._own, "estimates") else {}
-
-
-def between_samples(steps: float, count: int) -> Floats:
-    """Weights of ``count`` samples for the value ``steps`` after the first: linear interpolation.
-
-    Returns
-    -------
-    ndarray
-        Shape (count,); after the last sample they give the last value.
-    """
-    weights: Floats = np.maximum(0.0, 1.0 - np.abs(np.arange(count) - min(steps, count - 1.0)))
-    return weights
-
-
-@dataclass(frozen=True)
-class Signals:
-    """Each signal as a matrix of n rows over the columns (s, y, g) of `LinearFilter.matrix`.
-
-    Sums of these, multiplied by matrices, are a gain matrix.
-
-    Attributes
-    ----------
-    knowledge : Knowledge
-        The test.
-    preview : int
-        Future steps of the ground motion among the columns.
-    blocks : int
-        Blocks of n states among the columns.
-    """
-
-    knowledge: Knowledge
-    preview: int
-    blocks: int = 0
-
-    def state(self, block: int) -> Floats:
-        """Block of states, shape (n, columns)."""
-        n = self.knowledge.axes
-        return np.eye(n, (self.blocks + 5 + self.preview) * n, k=block * n)
-
-    @property
-    def measured(self) -> list[Floats]:
-        """Measured displacement, velocity, acceleration and force, shape (n, columns) each."""
-        return [self.state(self.blocks + row) for row in range(4)]
-
-    @property
-    def restoring_force(self) -> Floats:
-        """Measured restoring force r = f - M_e a, shape (n, columns)."""
-        _, _, a, f = self.measured
-        return f - self.knowledge.mass @ a
-
-    def ground_motion(self, time: float) -> Floats:
-        """Ground acceleration ``time`` seconds from now, shape (n, columns)."""
-        n = self.knowledge.axes
-        weights = between_samples(time / self.knowledge.dt, 1 + self.preview)
-        return np.hstack([np.zeros((n, (self.blocks + 4) * n)), np.kron(weights, np.eye(n))])

@@ -296,8 +296,6 @@ def knowledge(section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
     for name in ("compensation.delay", "tracking.dead_time"):
         if options[name] > 0:
             options[name] += late
-    bounds = np.atleast_1d(options["compensation.delay_range"])
-    options["compensation.delay_range"] = (bounds + late).tolist()
     springs = deformations(section.get("model.springs", 0.0), axes, where)
     return Knowledge(mass, computed, damping, stiffness, timebase.dt, options, loop_delay, springs)
 

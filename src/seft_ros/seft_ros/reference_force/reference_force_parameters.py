@@ -12,17 +12,7 @@ from seft_msgs_py.node import realtime
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, TARGET, LoopTopic
 
 TARGET_MOTION = "target_motion"
-OWN = (
-    "none",
-    "polynomial",
-    "linear_acceleration",
-    "model",
-    "smith",
-    "inverse",
-    "ats",
-    "restoring",
-    TARGET_MOTION,
-)
+OWN = ("none", "model", "restoring", TARGET_MOTION)
 OF_MODEL = "computed "
 """Prefix of the names of a computed model's recorded values."""
 REGISTERED = Registered("seft.compensation", OWN)
@@ -74,21 +64,6 @@ _COMPENSATION = parameter_rows(
         delay that the method compensates: from reference force to measured force, with the
         latency of the loop, as seft identify finds it (for an idealised actuator its delay
         plus 1.5 steps); `none` and `restoring` do not use it
-    compensation.order                 | int    | 1     |       | 1 .. 3    |
-        order of the polynomial of `polynomial`
-    compensation.estimate_delay        | bool   | false |       |           |
-        estimate the delay of each axis while the test runs, starting at compensation.delay;
-        for the methods that compensate a delay. `ats` adapts by itself
-    compensation.delay_range           | floats | [0.002, 0.04] | s     | 0 .. 0.1  |
-        shortest and longest delay that the estimate may have
-    compensation.delay_rate            | float  | 0.01  |       | 0 ..      |
-        largest change of an estimated delay, s per s
-    compensation.excitation            | float  | 20.0  | N     | > 0       |
-        least RMS of the forces, over about a second, at which the methods adapt; above the
-        effect of the sensors' noise
-    compensation.band                  | floats | [1.0, 12.0] | Hz    | > 0       |
-        lowest and highest frequency at which the methods compare forces to adapt: the band of
-        the forces' energy
     compensation.actuator_kind | string | rig:actuator.kind or servo_hydraulic |  | ideal, delay,
         servo_hydraulic, servo_hydraulic_linear | `target_motion`: kind of the rig's
         actuators; ideal and delay obey reference_force, which is then sent ahead of time, by
@@ -145,7 +120,7 @@ TABLE = Table(
             "compensation.method",
             "string",
             "none",
-            "how the actuator's delay is compensated",
+            "how the actuator's delay is compensated; after target_motion: of other packages",
             choices=REGISTERED.names,
         ),
         REGISTERED.settings_row("compensation.settings", "a method"),

@@ -200,7 +200,7 @@ def obstacle(blocks: Blocks) -> str:
     if not isinstance(blocks.rig, Rig) or not isinstance(blocks.force_controller, Interlock):
         return "several rigs"
     if type(method) not in (LinearCompensator, TargetMotion):
-        return "the compensation changes while the test runs"
+        return "a compensation method of another package"
     if isinstance(method, TargetMotion) and method.command is not None:
         return "the target's force is sent ahead"
     if isinstance(method, TargetMotion) and method.model is not None:

@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, lfilter
+from seft_methods.delay_estimate import DelayEstimator, band_pass
+from seft_methods.settings import read_settings
+from seft_methods.time_series import Ats, parabola_weights
 from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.computed_substructure import ComputedSubstructure
-from seft_ros.reference_force.compensation_methods import METHODS
 from seft_ros.reference_force.compensator import Knowledge
-from seft_ros.reference_force.delay_compensation import parabola_weights
-from seft_ros.reference_force.observers import DelayEstimator, band_pass
 from seft_ros.reference_force.reference_force_block import knowledge
 from seft_ros.reference_force.reference_force_parameters import TABLE
 
@@ -19,16 +19,11 @@ DT, START, BOUNDS, RATE = 0.002, 0.014, (0.002, 0.04), 0.01
 
 
 def estimator(axes=1, start=START):
-    one = np.eye(axes)
-    options = {
-        "compensation.delay": start,
-        "compensation.delay_range": BOUNDS,
-        "compensation.delay_rate": RATE,
-        "compensation.excitation": 20.0,
-        "compensation.band": [1.0, 12.0],
-    }
+    one, options = np.eye(axes), {"compensation.delay": start}
+    settings = read_settings({"delay_range": list(BOUNDS), "delay_rate": RATE})
     return DelayEstimator(
-        Knowledge(one, ComputedSubstructure.lumped(np.zeros((axes, axes))), one, one, DT, options)
+        Knowledge(one, ComputedSubstructure.lumped(np.zeros((axes, axes))), one, one, DT, options),
+        settings,
     )
 
 
@@ -131,7 +126,7 @@ def ats():
     }
     table = {"reference_force": TABLE}
     values = resolve(table, {"reference_force": TABLE.check(section)})["reference_force"]
-    return METHODS["ats"](knowledge(values, ("x",), Timebase.from_rate(500)))
+    return Ats(knowledge(values, ("x",), Timebase.from_rate(500)))
 
 
 def force_response(one, frequencies_hz):

@@ -1,0 +1,1 @@
+"""Compensation methods of the literature, as a package on the entry point ``seft.compensation``."""

@@ -1,0 +1,115 @@
+"""Compensated tests as a whole, against the exact response of the whole structure."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from seft_msgs_py.config.experiment import Experiment, parse_override
+from seft_plant_sim.lti import bilinear
+from seft_ros.analysis.summary import summarise
+from seft_ros.design.plant import choose_plant
+from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.parameter_tables import TABLES
+
+ROOT = Path(__file__).parents[3]  # of the project
+KOBE = ROOT.parent / "shared" / "data" / "kobe_jma_1995.txt"
+MOTIONS = {
+    "synthetic": ("ground_motion:synthetic.duration:=16.0",),
+    "Kobe": (
+        f"ground_motion:file:={KOBE}",
+        "ground_motion:unit:=cm/s2",
+        "ground_motion:dt:=0.005",
+    ),
+}
+motions = pytest.mark.parametrize(
+    "motion",
+    [
+        "synthetic",
+        pytest.param(
+            "Kobe", marks=pytest.mark.skipif(not KOBE.is_file(), reason="no real record here")
+        ),
+    ],
+)
+DELAYED = (
+    "rig:actuator.kind:=delay",
+    "rig:actuator.delay:=0.01",
+    "reference_force:compensation.delay:=0.013",  # and a step of latency, and half a step held
+)
+ESTIMATED = "reference_force:compensation.settings:=estimate_delay=true"
+
+
+def run(motion, method, alpha, *words, peak=300.0):
+    """Blocks and summary of a test."""
+    given = (
+        *MOTIONS[motion],
+        f"ground_motion:peak_force:={peak}",
+        f"reference_force:mass_ratio:={alpha}",
+        f"reference_force:compensation.method:={method}",
+        *words,
+    )
+    config = ROOT / "config" / "jhu.yaml"
+    experiment = Experiment.load(TABLES, [config], [parse_override(word) for word in given])
+    blocks = build_blocks(experiment)
+    return blocks, summarise(simulate(experiment, blocks))
+
+
+def error(*arguments, **options):
+    summary = run(*arguments, **options)[1]
+    return summary["displacement"]["nrmse"] if summary["stable"] else np.inf
+
+
+@motions
+@pytest.mark.parametrize(
+    ("method", "alpha", "least"),
+    [
+        ("smith", 1.0, 0.015),
+        ("smith", 3.0, 0.03),
+        ("linear_acceleration", 0.5, 0.03),
+        ("linear_acceleration", 1.5, 0.08),
+        ("polynomial", 0.2, 0.25),
+    ],
+)
+def test_what_predicts_the_acceleration_goes_beyond_what_none_can(motion, method, alpha, least):
+    assert error(motion, method, alpha, *DELAYED) < min(
+        least, error(motion, "none", alpha, *DELAYED)
+    )
+
+
+def phase_delays(frequencies_hz):
+    """Delays of the servo-hydraulic force loop from its linear model, s."""
+    experiment = Experiment.load(TABLES, [ROOT / "config" / "jhu.yaml"])
+    dt, control = experiment.timebase.dt, experiment["force_controller"]
+    b, a = bilinear(control["numerator"], control["denominator"], dt)
+    z = np.exp(2j * np.pi * frequencies_hz * dt)
+    loop = choose_plant(experiment).sampled_response(frequencies_hz, dt)
+    loop = loop * np.polyval(b, z) / np.polyval(a, z)
+    return -np.unwrap(np.angle(loop / (1 + loop))) / (2 * np.pi * frequencies_hz)
+
+
+@motions
+@pytest.mark.parametrize("start", [0.007, 0.0208])
+def test_a_delay_that_is_half_wrong_is_found_while_the_test_runs(motion, start):
+    """jhu.yaml with noise: strong motion begins after 0.5 s (Kobe: 3 s), quiet ends it."""
+    words = (f"reference_force:compensation.delay:={start}",)
+    blocks, summary = run(motion, "smith", 1.0, *words, ESTIMATED)
+    truth = phase_delays(np.linspace(1.0, 9.0, 33))
+    assert summary["stable"]
+    assert truth.min() < blocks.reference_force.estimates()["delay"][0] < truth.max()
+    assert summary["displacement"]["nrmse"] < min(0.25, error(motion, "smith", 1.0, *words) / 2)
+
+
+@motions
+def test_ats_adapts_to_the_servo_hydraulic_actuator(motion):
+    words = ("reference_force:compensation.delay:=0.0139",)
+    blocks, summary = run(motion, "ats", 1.0, *words)
+    assert summary["stable"]
+    assert summary["displacement"]["nrmse"] < error(motion, "none", 1.0) / 2
+    assert 0.011 < blocks.reference_force.estimates()["delay"][0] < 0.016
+
+
+@pytest.mark.parametrize("method", ["inverse", "ats"])
+def test_nothing_is_adapted_to_in_a_quiet_test(method):
+    words = ("reference_force:compensation.delay:=0.0139", ESTIMATED)
+    blocks, _ = run("synthetic", method, 1.0, *words, peak=1.0)
+    assert blocks.reference_force.estimates()["delay"].tolist() == [0.0139]

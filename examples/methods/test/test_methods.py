@@ -1,0 +1,285 @@
+"""What holds for all methods, each against its equation, and as seft runs them."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import expm
+from seft_methods.methods import lagrange_weights
+from seft_methods.settings import SETTINGS
+from seft_msgs_py.config.parameter_table import resolve
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.topics import Timebase
+from seft_ros.reference_force.compensation_methods import METHODS
+from seft_ros.reference_force.reference_force_block import knowledge
+from seft_ros.reference_force.reference_force_parameters import TABLE
+
+M, C, K, DT, DELAY = 52.7, 800.3, 2.11e5, 0.002, 0.0133
+PREDICTORS = ("polynomial", "linear_acceleration", "smith", "inverse")
+CLASSICAL = (*PREDICTORS, "ats")
+ADAPTIVE = [(name, False) for name in CLASSICAL] + [(name, True) for name in PREDICTORS]
+DELAYS = st.floats(0.0021, 0.0399)
+
+
+def compensator(method, axes=("x",), rate=500, told=(), **values):
+    """Compensator of these parameters, and settings told; a double underscore stands for a dot."""
+    own = " ".join(
+        f"{name}={json.dumps(v, separators=(',', ':'))}" for name, v in dict(told).items()
+    )
+    values = {
+        "model__mass": M,
+        "model__damping": C,
+        "model__stiffness": K,
+        "compensation__delay": DELAY,
+        "mass_ratio": 1.0,
+        "compensation__method": method,
+        "compensation__settings": own,
+        **values,
+    }
+    given_values = TABLE.check({name.replace("__", "."): v for name, v in values.items()})
+    section = resolve({"reference_force": TABLE}, {"reference_force": given_values})
+    known = knowledge(section["reference_force"], axes, Timebase.from_rate(rate))
+    return METHODS[method](known)
+
+
+def run(one, motion, states):
+    """Forces of a test, shape (N, n)."""
+    one.reset()
+    window = 1 + one.preview
+    return np.array([one.step(motion[k : k + window], y) for k, y in enumerate(states)])
+
+
+def noise(axes, steps=300, seed=1):
+    rng = np.random.default_rng(seed)
+    scale = np.array([[1e-3], [0.1], [5.0], [300.0]])
+    return rng.normal(0, 3, (steps + 50, axes)), rng.normal(0, 1, (steps, 4, axes)) * scale
+
+
+@pytest.mark.parametrize(("method", "estimate"), ADAPTIVE)
+def test_a_method_is_the_linear_filter_that_it_says_it_is(method, estimate):
+    values = {"model__mass": [5.0, 1.0, 1.0, 4.0], "mass_ratio": 0.7}
+    told = {"order": 3, "estimate_delay": estimate}
+    one = compensator(method, ("x", "y"), told=told, **values)
+    motion, states = noise(2, 40)  # too short to adapt to
+    matrix, size = one.linear().matrix(), len(one.linear().a)
+    s, expected = np.zeros(size), []
+    for k, y in enumerate(states):
+        window = motion[k : k + 1 + one.linear().preview]
+        force, s = np.split(matrix @ np.concatenate([s, y.ravel(), window.ravel()]), [2])
+        expected.append(force)
+    np.testing.assert_allclose(run(one, motion, states), expected, rtol=1e-9, atol=1e-6)
+
+
+@pytest.mark.parametrize("method", PREDICTORS)
+def test_a_method_that_follows_the_delay_starts_as_at_a_given_delay(method):
+    """Its gains stand on a grid of delays, 13.7 ms is between two of them."""
+    motion, states = noise(1, 20)
+    given_delay, followed = (
+        run(compensator(method, told=told, compensation__delay=0.0137), motion, states)
+        for told in ({}, {"estimate_delay": True})
+    )
+    scale = np.abs(given_delay).max()
+    np.testing.assert_allclose(followed / scale, given_delay / scale, atol=2e-3)
+
+
+@pytest.mark.parametrize(("method", "estimate"), ADAPTIVE)
+def test_a_reset_makes_the_next_test_the_same_bit_by_bit(method, estimate):
+    one = compensator(method, told={"estimate_delay": estimate}, mass_ratio=0.5)
+    motion, states = noise(1, 900)
+    states[:, 3] = np.roll(run(one, motion, states), 9, axis=0)  # something to adapt to
+    first, estimates = run(one, motion, states), one.estimates()
+    if estimates:
+        assert not np.array_equal(estimates["delay"], [DELAY])
+    np.testing.assert_array_equal(run(one, motion, states), first)
+    for name, value in one.estimates().items():
+        np.testing.assert_array_equal(value, estimates[name])
+
+
+@pytest.mark.parametrize(("method", "estimate"), ADAPTIVE)
+def test_axes_that_are_not_coupled_are_tests_of_their_own(method, estimate):
+    masses, stiffness = [52.7, 20.0, 300.0], [2.11e5, 9e4, 3e6]
+    common = {"told": {"estimate_delay": estimate}, "mass_ratio": 0.4}
+    motion, states = noise(3, 900)
+    states[:, 3] = np.roll(-motion[:900] * masses, 5, axis=0)
+    values = {"model__mass": masses, "model__stiffness": stiffness, **common}
+    together = run(compensator(method, ("x", "y", "z"), **values), motion, states)
+    for axis in range(3):
+        own = {"model__mass": masses[axis], "model__stiffness": stiffness[axis], **common}
+        one = slice(axis, axis + 1)
+        alone = run(compensator(method, **own), motion[:, one], states[:, :, one])
+        scale = np.abs(alone).max()
+        np.testing.assert_allclose(together[:, one] / scale, alone / scale, atol=1e-9)
+
+
+@pytest.mark.parametrize("method", PREDICTORS)
+@given(delay=DELAYS, step=st.integers(0, 5))
+@settings(max_examples=25)
+def test_without_computed_mass_the_known_ground_motion_is_all(method, delay, step):
+    motion, states = noise(1, 10)
+    force = run(compensator(method, compensation__delay=delay, mass_ratio=0.0), motion, states)
+    ahead = np.interp(step * DT + delay, DT * np.arange(len(motion)), motion[:, 0])
+    assert force[step, 0] == pytest.approx(-M * ahead, rel=1e-9)
+
+
+@pytest.mark.parametrize("method", CLASSICAL)
+def test_a_method_without_its_delay_says_where_to_get_it(method):
+    with pytest.raises(InputError, match=f"{method} needs compensation.delay, .* seft identify"):
+        compensator(method, compensation__delay=0.0)
+
+
+@pytest.mark.parametrize(
+    ("told", "why"),
+    [
+        ({"delay_range": [0.02, 0.03]}, r"delay is 0.0133 s, .*settings is \[0.02, 0.03\]"),
+        ({"delay_range": [0.02, 0.01]}, "must be two delays in s above zero"),
+        ({"delay_range": 0.02}, r"delay_range is \[0.02\], but must be two"),
+        ({"delay_rate": -1.0}, "delay_rate is -1.0, but must be at least 0"),
+        ({"excitation": 0.0}, "excitation is 0.0, but must be greater than zero"),
+        ({"band": [5.0, 250.0]}, "below half the sampling rate, 250 Hz"),
+        ({"band": [5.0, 1.0]}, "the lower first"),
+        ({"band": ["low"]}, "must be a number"),
+        ({"delay_rang": 0.01}, "there is no setting delay_rang; did you mean delay_range?"),
+    ],
+)
+@pytest.mark.parametrize("method", ["smith", "ats"])
+def test_an_adaptation_that_makes_no_sense_is_refused(method, told, why):
+    with pytest.raises(InputError, match=rf"^reference_force: compensation\..*{why}"):
+        compensator(method, told={"estimate_delay": True, **told})
+
+
+@pytest.mark.parametrize("order", [0, 4])
+def test_a_polynomial_is_of_first_to_third_order(order):
+    with pytest.raises(InputError, match="order is"):
+        compensator("polynomial", told={"order": order})
+
+
+def test_bounds_of_the_delay_are_those_of_the_force_loop_as_the_delay_is():
+    """A loop's delay of 13 ms is added to both."""
+    told = {"estimate_delay": True, "delay_range": [0.01, 0.02]}
+    one = compensator("smith", told=told, rate=1000, loop_delay=13)
+    assert one.estimates()["delay"] == pytest.approx([DELAY + 0.013])
+    assert one.preview == 33
+
+
+@pytest.mark.parametrize(("damping", "stiffness"), [(0.0, K), (C, 0.0), (0.0, 0.0)])
+def test_smith_refuses_a_model_that_would_never_forget(damping, stiffness):
+    with pytest.raises(InputError, match="smith needs a model that comes to rest"):
+        compensator("smith", model__damping=damping, model__stiffness=stiffness)
+
+
+@pytest.mark.parametrize(("order", "weights"), [(1, [2, -1]), (2, [3, -3, 1]), (3, [4, -6, 4, -1])])
+def test_weights_at_the_spacing_itself_are_those_of_horiuchi(order, weights):
+    np.testing.assert_allclose(lagrange_weights(1.0, order), weights, atol=1e-12)
+
+
+@given(st.integers(1, 3), DELAYS, st.lists(st.floats(-9, 9), min_size=4, max_size=4))
+@settings(max_examples=50)
+def test_a_polynomial_is_extrapolated_exactly(order, delay, coefficients):
+    times = DT * np.arange(70)
+    course = np.polynomial.Polynomial([*coefficients[: order + 1]], domain=[0, 0.1])
+    states = np.zeros((70, 4, 1))
+    states[:, 2, 0] = course(times)
+    one = compensator("polynomial", told={"order": order}, compensation__delay=delay)
+    force = run(one, np.zeros((120, 1)), states)
+    assert force[-1, 0] == pytest.approx(-M * course(times[-1] + delay), abs=1e-6)
+
+
+@given(DELAYS, st.lists(st.floats(-1, 1), min_size=4, max_size=4), st.floats(0.1, 10))
+@settings(max_examples=50)
+def test_an_acceleration_that_varies_linearly_is_predicted_exactly(delay, start, alpha):
+    """The ground motion is the one that lets the structure move on a cubic parabola."""
+    x, v, a, slope = np.array(start) * [1e-3, 0.1, 5.0, 100.0]
+    later = a + slope * delay
+    end_v = v + a * delay + slope * delay**2 / 2
+    end_x = x + v * delay + a * delay**2 / 2 + slope * delay**3 / 6
+    total = (1 + alpha) * M
+    ground = -later - (C * end_v + K * end_x) / total
+    one = compensator("linear_acceleration", compensation__delay=delay, mass_ratio=alpha)
+    motion, state = np.full((50, 1), ground), np.array([[x], [v], [a], [1e9]])
+    force = run(one, motion, [state])[0, 0]
+    assert force == pytest.approx(-total * ground - alpha * M * later, rel=1e-9, abs=1e-6)
+
+
+@given(DELAYS, st.integers(0, 99))
+def test_the_inverse_undoes_the_first_order_actuator(delay, seed):
+    motion, states = noise(1, 60, seed)
+    alpha_c = 1 + delay / DT
+    commands = run(compensator("inverse", compensation__delay=delay), 0 * motion, states)[:, 0]
+    restoring, applied = states[:, 3, 0] - M * states[:, 2, 0], 0.0
+    for command, r in zip(commands, restoring, strict=True):
+        applied = (command + (alpha_c - 1) * applied) / alpha_c
+        assert applied == pytest.approx(r / 2, rel=1e-6, abs=1e-6)
+
+
+class DelayedSpecimen:
+    """A specimen under a force that varies linearly from step to step, seen some steps later."""
+
+    def __init__(self, delay):
+        a = np.zeros((4, 4))
+        a[0, 1], a[2, 3] = 1.0, 1 / DT
+        a[1, :3] = np.array([-K, -C, 1.0]) / M
+        self.transition = expm(a * DT)[:2]
+        self.z, self.force, self.line = np.zeros(2), 0.0, [np.zeros(4)] * delay
+
+    def apply(self, force):
+        self.z = self.transition @ np.array([*self.z, self.force, force - self.force])
+        self.force = force
+        x, v = self.z
+        self.line = [*self.line, np.array([x, v, (force - C * v - K * x) / M, force])]
+
+    def measure(self):
+        return self.line.pop(0)[:, np.newaxis]
+
+
+@pytest.mark.parametrize("alpha", [0.5, 3.0, 10.0])
+def test_smith_takes_the_delay_out_of_the_loop(alpha):
+    """The force is that of the whole structure itself, as many steps early as it comes late."""
+    late, steps = 6, 1500
+    motion = np.zeros((steps + 50, 1))
+    white = np.random.default_rng(3).normal(0, 3, 550)
+    motion[50:600, 0] = np.convolve(white, np.full(10, 0.3), "same")
+    one = compensator("smith", compensation__delay=late * DT, mass_ratio=alpha)
+    specimen, forces = DelayedSpecimen(late), []
+    for k in range(steps):
+        force = one.step(motion[k : k + 1 + one.preview], specimen.measure())
+        specimen.apply(force[0])
+        forces.append(force[0])
+    total = (1 + alpha) * M
+    a = np.zeros((4, 4))
+    a[0, 1], a[2, 3] = 1.0, 1 / DT
+    a[1, :3] = np.array([-K, -C, -total]) / total
+    transition, z, expected = expm(a * DT)[:2], np.zeros(2), []
+    for now, then in zip(motion[: steps + late, 0], motion[1:, 0], strict=False):
+        restoring = C * z[1] + K * z[0]
+        expected.append(M * (-now - restoring / total) + restoring)
+        z = transition @ np.array([*z, now, then - now])
+    expected = np.array(expected[late:])
+    scale = np.abs(expected).max()
+    np.testing.assert_allclose(np.array(forces) / scale, expected / scale, atol=0.02)
+
+
+def test_smith_answers_a_steady_offset_of_the_sensors_by_a_steady_force():
+    """At rest f = S (f + b), so f = alpha b: as without delay, and nothing accumulates."""
+    specimen, offset = DelayedSpecimen(6), 5.0
+    one = compensator("smith", mass_ratio=3.0, compensation__delay=6 * DT)
+    ground, forces = np.zeros((1 + one.preview, 1)), []
+    for _ in range(20000):
+        state = specimen.measure()
+        state[3] += offset
+        force = one.step(ground, state)
+        specimen.apply(force[0])
+        forces.append(force[0])
+    assert forces[-1] == pytest.approx(3.0 * offset, rel=1e-6)
+    assert forces[-5000] == pytest.approx(3.0 * offset, rel=1e-6)
+    assert np.abs(forces).max() < 6.0 * offset
+
+
+def test_the_readme_names_every_method_and_setting_with_its_default():
+    text = (Path(__file__).parents[1] / "README.md").read_text()
+    for name in CLASSICAL:
+        assert f"| `{name}` |" in text
+    for row in SETTINGS:
+        assert f"| `{row.name}` | {json.dumps(row.default)} |" in text

@@ -1,0 +1,101 @@
+"""What preflight says of the methods is what simulated tests do."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from seft_msgs_py.config.experiment import Experiment
+from seft_plant_sim.rig_parameters import LIMIT_ROWS
+from seft_ros.design.plan import Plan
+from seft_ros.design.preflight_tables import summarise
+from seft_ros.design.stability_margins import critical_mass_ratio
+from seft_ros.design.stability_verdict import preflight
+from seft_ros.reference_force.compensation_methods import METHODS
+from seft_ros.reference_force.linear_filter import LinearCompensator
+from seft_ros.reference_force.reference_force_block import compensator, knowledge
+from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.parameter_tables import TABLES
+
+CONFIG = Path(__file__).parents[3] / "config"
+FIXED = ("polynomial", "linear_acceleration", "smith", "inverse")
+DELAY = {
+    "rig": {
+        **{f"limits.{name}": 1e12 for name in LIMIT_ROWS},
+        **{"actuator.kind": "delay", "actuator.delay": 0.01},
+        **{f"sensors.{name}_noise": 0.0 for name in ("position", "acceleration", "force")},
+    },
+    "reference_force": {
+        **{"compensation.delay": 0.013, "instability.ratio": 0.0},
+        **{"limits.force": 1e12, "limits.force_rate": 1e15},
+    },
+    "force_controller": {"detectors.warn_only": "all"},
+    "ground_motion": {"synthetic.duration": 0.5, "synthetic.rise": 0.1, "tail": 7.5},
+}
+
+
+def experiment(config="jhu", parts=DELAY, **reference):
+    words = [(node, *item) for node, section in parts.items() for item in section.items()]
+    named = {name.replace("__", "."): value for name, value in reference.items()}
+    words += [("reference_force", *item) for item in named.items()]
+    return Experiment.load(TABLES, [CONFIG / f"{config}.yaml"], words)
+
+
+def grows(test):
+    """Whether the free vibration after a short motion grows, by the offline loop."""
+    record = simulate(test, build_blocks(test))
+    if record.trip is not None:
+        return True
+    force = record.series["rig/state"].values[:, 3]
+    middle, last = (np.abs(part).max() for part in np.array_split(force[500:], 2))
+    return bool(last > middle)
+
+
+@pytest.mark.parametrize(("method", "end"), [("polynomial", 0.295), ("linear_acceleration", 16.2)])
+def test_the_critical_mass_ratio_is_that_of_simulation(method, end):
+    critical = critical_mass_ratio(Plan(experiment(compensation__method=method)))
+    assert critical.value == pytest.approx(end, rel=0.01)
+    for factor, unstable in ((0.97, False), (1.03, True)):
+        test = experiment(compensation__method=method, mass_ratio=factor * critical.value)
+        assert grows(test) is unstable
+
+
+@pytest.mark.parametrize("method", FIXED)
+def test_a_method_is_exact_to_preflight_and_the_same_where_it_starts_to_estimate(method):
+    plan = Plan(experiment(compensation__method=method, mass_ratio=0.2))
+    fixed = summarise(plan, preflight(plan))
+    assert fixed["basis"] == "exact" and "adapts" not in fixed["promise"]
+    told = {"compensation__method": method, "compensation__settings": "estimate_delay=true"}
+    adaptive = Plan(experiment(**told, mass_ratio=0.2))
+    assert adaptive.growth_rate() == pytest.approx(fixed["growth_rate"], rel=0.02)
+
+
+def test_what_adapts_is_promised_as_it_starts_only():
+    plan = Plan(experiment(compensation__method="ats", mass_ratio=0.5))
+    found = preflight(plan)
+    assert "adapts" in found.promise and "does not promise" in found.promise
+
+
+@pytest.mark.parametrize("estimates", ["false", "true"])
+@pytest.mark.parametrize("method", FIXED)
+def test_with_a_computed_substructure_it_is_the_linear_filter_that_it_says_it_is(method, estimates):
+    """A fixed delay is one filter with the substructure, which the compiled loop runs."""
+    section = experiment(
+        "water_tower",
+        {},
+        compensation__method=method,
+        compensation__delay=0.0133,
+        compensation__settings=f"estimate_delay={estimates}",
+    )
+    known = knowledge(section["reference_force"], section.axes, section.timebase)
+    one = compensator(method, known)
+    assert isinstance(one, LinearCompensator) is (estimates == "false")
+    assert len(one.linear().a) > len(METHODS[method](known).linear().a)
+    matrix, size = one.linear().matrix(), len(one.linear().a)
+    rng, work = np.random.default_rng(1), np.zeros(one.linear().matrix().shape[1])
+    for _ in range(9):  # too few to adapt to
+        ground, state = rng.normal(size=(1 + one.preview, 1)), rng.normal(size=(4, 1))
+        work[size:] = np.concatenate([state.ravel(), ground.ravel()])
+        result = matrix @ work
+        work[:size] = result[1:]
+        np.testing.assert_allclose(one.step(ground, state), result[:1], rtol=1e-7, atol=1e-9)
