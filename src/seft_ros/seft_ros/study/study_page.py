@@ -68,7 +68,7 @@ def study_table(summary: Mapping[str, Any], title: str) -> TerminalTable:
         caption=TerminalText(_CAPTION),
         box=SIMPLE_HEAD,  # 80 columns are enough
         show_edge=False,
-        padding=(0, 1, 0, 0),
+        padding=0,
     )
     for result in summary["results"]:
         table.add_row(*_row(result), style=_STYLES[_mark(result)])
