@@ -188,11 +188,11 @@ def test_the_sentence_says_what_the_error_depends_on_if_that_is_more_than_chance
         assert ("depends most on rig:specimen.mass" in said) is wanted
 
 
+@pytest.mark.parametrize("factors", [{"b": np.array([0.9, 1.1])}, {}])
 @pytest.mark.parametrize("errors", [[0.1, 0.1, 0.2], [LOST] * 3, [0.0] * 3, [None] * 3])
-def test_a_page_of_little_can_be_written(errors, tmp_path):
-    plan, runs = made_up({"a": errors}, factors={"b": np.array([0.9, 1.1])})
-    summary = summarise_study(plan, runs)
+def test_a_page_of_little_can_be_written(errors, factors, tmp_path):
+    summary = summary_of({"a": errors}, factors=factors)
     for worst in summary["results"][0]["worst"]:
         worst["file"] = "some.yaml"
-    write_study(summary, plan, runs, ("title", "subtitle"), tmp_path / "page.html")
+    write_study(summary, "title", "subtitle", tmp_path / "page.html")
     assert "some.yaml" in (tmp_path / "page.html").read_text()

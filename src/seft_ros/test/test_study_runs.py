@@ -13,7 +13,7 @@ from seft_ros.study import study_runs
 from seft_ros.study.drawn_tests import draw_tests
 from seft_ros.study.study_plan import StudyTest, plan_study
 from seft_ros.study.study_results import summarise_study
-from seft_ros.study.study_runs import Place, run_study
+from seft_ros.study.study_runs import run_study
 from seft_ros.study.worst_tests import write_worst_tests
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
@@ -37,10 +37,6 @@ def planned(*words, methods=("none", "restoring"), ratios=(0.5,), tests=2, **dra
 def simulated(experiment):
     summary = summarise(simulate(experiment, build_blocks(experiment)))
     return {key: summary[key] for key in KEYS}
-
-
-def run(plan, place=None, progress=None):
-    return run_study(plan, place or Place(), progress)
 
 
 def alike(found, wanted):
@@ -71,7 +67,7 @@ def broken(known):
 
 
 def test_test_0_gives_what_simulate_gives():
-    runs = [one for one in run(planned()) if one.test.number == 0]
+    runs = [one for one in run_study(planned()) if one.test.number == 0]
     assert [one.test for one in runs] == [
         StudyTest(0.5, "none", 0),
         StudyTest(0.5, "restoring", 0),
@@ -87,7 +83,7 @@ def test_test_0_gives_what_simulate_gives():
 
 def test_a_drawn_rig_is_tested_with_the_configured_model_against_its_own_structure():
     plan = planned(*DELAY, methods=["none"], spread=0.3)
-    one = run(plan)[2]
+    one = run_study(plan)[2]
     rig, motion = (plan.drawn.sections[2][node] for node in ("rig", "ground_motion"))
     assert rig["specimen.mass"] != 52.7
     words = (
@@ -127,7 +123,7 @@ def test_the_file_of_a_worst_test_repeats_it(given, tmp_path, monkeypatch):
     words = ("file:=motion.csv", "dt:=0.005", "unit:=m/s2")
     experiment = load(*(f"ground_motion:{word}" for word in words), file=file)
     plan = plan_study(experiment, draw_tests(experiment, 8, spread=0.3), ["restoring"], [0.5])
-    runs = run(plan)
+    runs = run_study(plan)
     summary = summarise_study(plan, runs)
     write_worst_tests(plan, summary, tmp_path / "study")
     (result,) = summary["results"]
@@ -144,7 +140,7 @@ def test_the_file_of_a_worst_test_repeats_it(given, tmp_path, monkeypatch):
 def test_a_method_that_is_not_compiled_is_simulated_uncompiled_and_named_so(monkeypatch):
     monkeypatch.setitem(METHODS, "adapting", adapting)
     reported = []
-    runs = run(
+    runs = run_study(
         planned(methods=["none", "adapting"]), progress=lambda what, _: reported.append(what)
     )
     assert [bool(one.obstacle) for one in runs] == [False, True] * 3
@@ -184,8 +180,8 @@ def test_the_configured_method_keeps_its_force_controller():
 def test_results_do_not_depend_on_the_number_of_workers():
     plan = planned(ratios=[0.5, 1.5])
     reported = []
-    runs = run(plan, Place(2), lambda what, done: reported.append((what, done)))
-    assert runs == run(plan)
+    runs = run_study(plan, lambda what, done: reported.append((what, done)), workers=2)
+    assert runs == run_study(plan)
     assert [done for _, done in reported] == list(range(1, 13))
     assert {what for what, _ in reported} == {str(test) for test in plan.tests()}
 
@@ -204,7 +200,7 @@ class Stop:
 
 def test_what_was_finished_before_an_interruption_is_not_run_again(tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
-        run(planned(), Place(keep=tmp_path), Stop(3))
+        run_study(planned(), Stop(3), keep=tmp_path)
     (file,) = tmp_path.iterdir()
     assert len(file.read_text().splitlines()) == 3
     with file.open("a") as lines:  # as of a process that was killed
@@ -212,12 +208,12 @@ def test_what_was_finished_before_an_interruption_is_not_run_again(tmp_path, mon
     ran, own_run = [], study_runs._run
     monkeypatch.setattr(study_runs, "_run", lambda *words: ran.append(words[0]) or own_run(*words))
     reported, more = Stop(0), planned(ratios=[0.5, 1.5], tests=3)  # goes on with more of them
-    found = run(more, Place(keep=tmp_path), reported)
+    found = run_study(more, reported, keep=tmp_path)
     done = planned().tests()[:3]
     assert ran == [test for test in more.tests() if test not in done]
     assert reported.reported[0] == ("3 tests were finished before", 3)
     assert list(tmp_path.iterdir()) == []
-    assert found == run(more)
+    assert found == run_study(more)
 
 
 def test_other_inputs_begin_anew(tmp_path):
@@ -232,23 +228,23 @@ def test_other_inputs_begin_anew(tmp_path):
     ):
         record.write_text("".join(f"{peak * (-1) ** (k // 20)}\n" for k in range(200)))
         with pytest.raises(KeyboardInterrupt):
-            run(planned(*words, **draws), Place(keep=tmp_path), Stop(1))
+            run_study(planned(*words, **draws), Stop(1), keep=tmp_path)
         assert len(list(tmp_path.glob("*.jsonl"))) == files
 
 
 def test_a_file_of_finished_tests_that_holds_something_else_is_reported(tmp_path):
     with pytest.raises(KeyboardInterrupt):
-        run(planned(), Place(keep=tmp_path), Stop(1))
+        run_study(planned(), Stop(1), keep=tmp_path)
     (file,) = tmp_path.iterdir()
     for text in ("some text\n", "[1, {}, 2]\n", "{}\n"):
         file.write_text(text)
         with pytest.raises(InputError, match="holds no finished tests; remove it"):
-            run(planned(), Place(keep=tmp_path))
+            run_study(planned(), keep=tmp_path)
 
 
 def test_finished_tests_that_can_not_be_kept_are_reported(tmp_path):
     with pytest.raises(InputError, match=r"can't be kept there .*start in a folder"):
-        run(planned(), Place(keep=tmp_path / "none"))
+        run_study(planned(), keep=tmp_path / "none")
 
 
 def test_a_method_that_can_not_be_set_up_is_left_out_and_the_others_go_on(monkeypatch):
@@ -282,7 +278,7 @@ def test_an_experiment_that_makes_no_test_is_refused_before_any_method_is_blamed
 def test_a_method_that_breaks_is_reported_with_its_test(monkeypatch):
     monkeypatch.setitem(METHODS, "broken", broken)
     with pytest.raises(ExperimentError) as caught:
-        run(planned(methods=["none", "broken"]))
+        run_study(planned(methods=["none", "broken"]))
     assert (
         str(caught.value) == "mass ratio 0.5, broken, test 0: ZeroDivisionError: division by zero"
     )

@@ -129,7 +129,7 @@ def study(
     from seft_ros.study.drawn_tests import draw_tests
     from seft_ros.study.study_plan import plan_study
     from seft_ros.study.study_results import summarise_study
-    from seft_ros.study.study_runs import Place, run_study
+    from seft_ros.study.study_runs import run_study
     from seft_ros.study.worst_tests import write_worst_tests
 
     path = check_page(out)
@@ -138,12 +138,11 @@ def study(
     drawn = draw_tests(experiment, tests, seed=seed, spread=spread, motions=files)
     plan = plan_study(experiment, drawn, method or (), mass_ratio or ())
     with shared.step_progress(len(plan.tests()), _LOST) as progress:
-        place = Place(workers, scheduler, Path())  # which keeps finished tests
-        runs = run_study(plan, place, progress)
+        runs = run_study(plan, progress, workers=workers, scheduler=scheduler, keep=Path())
     summary = summarise_study(plan, runs)
     write_worst_tests(plan, summary, path.with_suffix(""))
     title = f"{tests} tests, spread {100 * spread:g} %, seed {seed}"
-    page.write_study(summary, plan, runs, (f"Study of {config.name}", title), path)
+    page.write_study(summary, f"Study of {config.name}", title, path)
     said = [page.headline(best, summary) for best in page.best_results(summary)]
     table = page.study_table(summary, f"{config}: {title}")
     notes = page.study_notes(summary)

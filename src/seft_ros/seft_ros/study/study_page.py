@@ -1,6 +1,6 @@
 """The result of a study as a table and as a page."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +25,7 @@ from seft_ros.drawing.page import (
     write_page,
 )
 from seft_ros.drawing.style import GOOD_ERROR, MARK, OTHERS, Mark, make_table, number, percent
-from seft_ros.study.study_plan import StudyPlan
 from seft_ros.study.study_results import CORRELATIONS, QUANTILES, errors_of, strength
-from seft_ros.study.study_runs import Run
 
 _HEADINGS = ("method", "mass ratio", "test 0", *QUANTILES, "tripped")
 _CAPTION = "NRMSE of the displacement: as configured (test 0), and of the drawn tests"
@@ -87,22 +85,16 @@ def study_notes(summary: Mapping[str, Any]) -> list[str]:
     return [f"{', '.join(methods)}: {note}" for note, methods in notes.items()]
 
 
-def write_study(
-    summary: Mapping[str, Any],
-    plan: StudyPlan,
-    runs: Sequence[Run],
-    titles: tuple[str, str],
-    path: Path,
-) -> None:
-    """Write the page, with title and subtitle; an InputError says that it can't be written."""
+def write_study(summary: Mapping[str, Any], title: str, subtitle: str, path: Path) -> None:
+    """Write the page; an InputError says that it can't be written."""
     verdicts = [Verdict(_mark(own), headline(own, summary)) for own in best_results(summary)]
     sections = [
         Section("Verdict", verdicts),
-        Section("Error", _errors(summary, runs)),
-        Section("What the error depends on", _dependence(summary, plan, runs)),
+        Section("Error", _errors(summary)),
+        Section("What the error depends on", _dependence(summary)),
         Section("The worst tests", _worst(summary)),
     ]
-    write_page(path, *titles, sections)
+    write_page(path, title, subtitle, sections)
 
 
 def _name(result: Mapping[str, Any]) -> str:
@@ -135,25 +127,27 @@ def _of_test(stable: bool, error: float | None) -> str:
     return percent(error) if stable else "unstable"
 
 
-def _errors(summary: Mapping[str, Any], runs: Sequence[Run]) -> list[Block]:
+def _errors(summary: Mapping[str, Any]) -> list[Block]:
     rows: list[list[str | Cell]] = [
         [*_place(result), *(Cell(text, _mark(result)) for text in _row(result)[2:])]
         for result in summary["results"]
     ]
     notes = "".join(f" {note}." for note in study_notes(summary))
-    plots = [_distribution(best["mass_ratio"], summary, runs) for best in best_results(summary)]
+    plots = [_distribution(best["mass_ratio"], summary) for best in best_results(summary)]
     return [Table(_HEADINGS, rows), Text(f"{_CAPTION}.{notes}"), *plots]
 
 
-def _distribution(ratio: float, summary: Mapping[str, Any], runs: Sequence[Run]) -> Plot:
+def _distribution(ratio: float, summary: Mapping[str, Any]) -> Plot:
     panel = plot("NRMSE of displacement / %", "share of the tests / %", log_x=True)
-    own = [result["method"] for result in summary["results"] if result["mass_ratio"] == ratio]
-    for place, method in enumerate(own):
-        errors = np.sort(errors_of([run for run in runs if run.test[:2] == (ratio, method)][1:]))
+    own = [result for result in summary["results"] if result["mass_ratio"] == ratio]
+    for place, result in enumerate(own):
+        errors = np.sort(errors_of(result["runs"]))
         at = np.arange(1, len(errors) + 1) / len(errors)
         finite = np.isfinite(errors) & (errors > 0)
         color, dash = OTHERS[place % len(OTHERS)], ("solid", "dashed")[place // len(OTHERS) % 2]
-        line(panel, 100 * errors[finite], 100 * at[finite], method, color=color, dash=dash)
+        line(
+            panel, 100 * errors[finite], 100 * at[finite], result["method"], color=color, dash=dash
+        )
     level(panel, 95.0)
     caption = (
         f"Mass ratio {ratio:g}: share of the drawn tests whose error is at most that. Unstable "
@@ -162,7 +156,7 @@ def _distribution(ratio: float, summary: Mapping[str, Any], runs: Sequence[Run])
     return Plot(panel, caption)
 
 
-def _dependence(summary: Mapping[str, Any], plan: StudyPlan, runs: Sequence[Run]) -> list[Block]:
+def _dependence(summary: Mapping[str, Any]) -> list[Block]:
     chance = summary["chance"]
     text = (
         "Rank correlation (Spearman) of the displacement's error with each drawn quantity, and "
@@ -190,15 +184,15 @@ def _dependence(summary: Mapping[str, Any], plan: StudyPlan, runs: Sequence[Run]
         by_motion = ("method", "mass ratio", "ground motion", "tests", *QUANTILES)
         blocks.append(Table(by_motion, motions, numbers=False))
     for best in best_results(summary):
-        own = [run for run in runs if run.test[:2] == (best["mass_ratio"], best["method"])][1:]
         names = [cause["quantity"] for cause in best["causes"][:_CAUSES]]
         blocks.append(Text(f"{_name(best)}:"))
-        blocks.append(Grid([_scatter(name, plan, own) for name in names], columns=3))
+        blocks.append(Grid([_scatter(name, best, summary) for name in names], columns=3))
     return blocks
 
 
-def _scatter(name: str, plan: StudyPlan, drawn: Sequence[Run]) -> Plot:
-    errors, values = errors_of(drawn), plan.drawn.factors[name]
+def _scatter(name: str, result: Mapping[str, Any], summary: Mapping[str, Any]) -> Plot:
+    errors = errors_of(result["runs"])
+    values = np.array([one["factors"][name] for one in summary["drawn"]])
     panel = plot(
         f"{name}, over the configured value", "NRMSE of displacement / %", log_y=True, height=230
     )
@@ -221,5 +215,5 @@ def _worst(summary: Mapping[str, Any]) -> list[Block]:
             error = _of_test(one["stable"], one["nrmse"])
             rows.append([*_place(result), str(one["test"]), error, differs, how, one["file"]])
     headings = ("method", "mass ratio", "test", "NRMSE", "furthest from configured", "trip")
-    text = "seft simulate FILE repeats a test; --out DIR keeps its bag, of which seft report tells."
+    text = "seft simulate FILE repeats a test."
     return [Text(text), Table((*headings, "file"), rows, numbers=False, wide=True)]

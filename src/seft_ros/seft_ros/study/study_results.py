@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest, rankdata
 from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.parameter_table import Section
 
 from seft_ros.drawing.style import RESPONSES, json_safe
 from seft_ros.study.study_plan import StudyPlan
@@ -65,7 +66,7 @@ def summarise_study(plan: StudyPlan, runs: Sequence[Run]) -> dict[str, Any]:
             "drawn": [
                 {
                     "test": number,
-                    "motion": Path(sections["ground_motion"]["file"]).name,
+                    "motion": _motion(sections),
                     "factors": {name: own[number - 1] for name, own in drawn.factors.items()},
                 }
                 for number, sections in enumerate(drawn.sections[1:], 1)
@@ -89,10 +90,10 @@ def result_of(plan: StudyPlan, runs: Sequence[Run]) -> dict[str, Any]:
         tests, and `QUANTILES` of the displacement's error), ``worst`` (test, nrmse, stable, trip,
         furthest: the factors that differ most from 1) and ``runs`` (test, and its summary).
     """
-    configured, drawn = runs[0], runs[1:]
-    errors, lost = errors_of(drawn), sum(not run.stable for run in drawn)
-    files = [Path(plan.drawn.sections[run.test.number]["ground_motion"]["file"]) for run in drawn]
-    groups = {name: errors[[file.name == name for file in files]] for name in _names(files)}
+    configured, drawn = runs[0], [run.summary for run in runs[1:]]
+    errors, lost = errors_of(drawn), sum(not one["stable"] for one in drawn)
+    motions = np.array([_motion(sections) for sections in plan.drawn.sections[1:]])
+    groups = {str(name): errors[motions == name] for name in np.unique(motions)}
     ranked = sorted(range(len(drawn)), key=lambda n: -np.nan_to_num(errors[n], nan=math.inf))
     return {
         "mass_ratio": configured.test.mass_ratio,
@@ -108,25 +109,21 @@ def result_of(plan: StudyPlan, runs: Sequence[Run]) -> dict[str, Any]:
         },
         "causes": causes_of(plan.drawn.factors, errors),
         "motions": {name: {"tests": len(own), **quantiles(own)} for name, own in groups.items()},
-        "worst": [_worst(plan, drawn[n]) for n in ranked[:_WORST]],
-        "runs": [{"test": run.test.number} | run.summary for run in drawn],
+        "worst": [_worst(plan, 1 + n, drawn[n]) for n in ranked[:_WORST]],
+        "runs": [{"test": number} | one for number, one in enumerate(drawn, 1)],
     }
 
 
-def _names(files: Sequence[Path]) -> list[str]:
-    return sorted({file.name for file in files})
+def _motion(sections: Mapping[str, Section]) -> str:
+    return Path(sections["ground_motion"]["file"]).name
 
 
-def _worst(plan: StudyPlan, run: Run) -> dict[str, Any]:
-    factors = {name: own[run.test.number - 1] for name, own in plan.drawn.factors.items()}
+def _worst(plan: StudyPlan, number: int, outcome: Mapping[str, Any]) -> dict[str, Any]:
+    factors = {name: own[number - 1] for name, own in plan.drawn.factors.items()}
     furthest = sorted(factors.items(), key=lambda one: -abs(math.log(one[1])))[:_FURTHEST]
-    return {
-        "test": run.test.number,
-        "nrmse": run.summary["displacement"]["nrmse"],
-        "stable": run.stable,
-        "trip": run.summary["trip"],
-        "furthest": dict(furthest),
-    }
+    error, stable, trip = outcome["displacement"]["nrmse"], outcome["stable"], outcome["trip"]
+    found = {"test": number, "nrmse": error, "stable": stable, "trip": trip}
+    return found | {"furthest": dict(furthest)}
 
 
 def _rank(result: Mapping[str, Any]) -> list[float]:
@@ -135,18 +132,18 @@ def _rank(result: Mapping[str, Any]) -> list[float]:
     return [math.inf if math.isnan(value) else value for value in values]
 
 
-def errors_of(runs: Sequence[Run], response: str = "displacement") -> Floats:
-    """NRMSE of each test; infinite where it was unstable, NaN where it is undefined."""
-    values = [run.summary[response]["nrmse"] if run.stable else math.inf for run in runs]
+def errors_of(outcomes: Sequence[Mapping[str, Any]], response: str = "displacement") -> Floats:
+    """NRMSE of tests by their summaries; infinite where unstable, NaN where it is undefined."""
+    values = [one[response]["nrmse"] if one["stable"] else math.inf for one in outcomes]
     return np.array(values, dtype=float)
 
 
-def _peak_errors(runs: Sequence[Run], response: str) -> Floats:
-    """Magnitude of (peak - exact peak) / exact peak of each test, likewise."""
+def _peak_errors(outcomes: Sequence[Mapping[str, Any]], response: str) -> Floats:
+    """Magnitude of (peak - exact peak) / exact peak of tests, likewise."""
     found = []
-    for run in runs:
-        peak, exact = (run.summary[response][key] for key in ("peak", "reference_peak"))
-        found.append(abs(peak / exact - 1.0) if exact and run.stable else math.inf)
+    for one in outcomes:
+        peak, exact = (one[response][key] for key in ("peak", "reference_peak"))
+        found.append(abs(peak / exact - 1.0) if exact and one["stable"] else math.inf)
     return np.array(found)
 
 

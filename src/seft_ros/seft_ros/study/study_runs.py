@@ -44,33 +44,14 @@ class Run:
     summary: dict[str, Any]
     obstacle: str = ""
 
-    @property
-    def stable(self) -> bool:
-        """Whether it neither tripped nor has samples that are not finite."""
-        return bool(self.summary["stable"])
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where tests are run.
-
-    Attributes
-    ----------
-    workers : int
-        Processes on this machine; 1: this one alone.
-    scheduler : str
-        Address of a Dask scheduler, whose workers are taken instead; empty: none.
-    keep : Path or None
-        Folder in which finished tests are kept until all are; None: they are not.
-    """
-
-    workers: int = 1
-    scheduler: str = ""
-    keep: Path | None = None
-
 
 def run_study(
-    plan: StudyPlan, place: Place, progress: Callable[[str, int], None] | None = None
+    plan: StudyPlan,
+    progress: Callable[[str, int], None] = lambda *_: None,
+    *,
+    workers: int = 1,
+    scheduler: str = "",
+    keep: Path | None = None,
 ) -> list[Run]:
     """Run the tests of a study offline; the results do not depend on where.
 
@@ -81,11 +62,13 @@ def run_study(
     ----------
     plan : StudyPlan
         Whose `StudyPlan.tests` are run.
-    place : Place
-        Where; tests with the same inputs and software that were finished there and interrupted
-        before the end are not run again.
     progress : callable, optional
         Called with what was run, and how many tests are done.
+    workers, scheduler : int, str
+        See `parallel_map`.
+    keep : Path or None
+        Folder in which finished tests are kept until all are: tests with the same inputs and
+        software that were finished before an interruption are not run again. None: not kept.
 
     Raises
     ------
@@ -93,21 +76,20 @@ def run_study(
         If a test could not be calculated; names it.
     """
     tests, records = plan.tests(), _records(plan)
-    finished = FinishedTests(place.keep and place.keep / f"study-{_digest(plan, records)}.jsonl")
+    finished = FinishedTests(keep and keep / f"study-{_digest(plan, records)}.jsonl")
     known = finished.read()
     found = {test: known[test] for test in tests if test in known}
-    if progress is not None and found:
+    if found:
         progress(f"{len(found)} tests were finished before", len(found))
     left = [test for test in tests if test not in found]
     experiments = map(plan.experiment_of, left)
-    carried = records if place.scheduler else {}
-    with parallel_map(max(1, min(place.workers, len(left))), place.scheduler) as map_:
+    carried = records if scheduler else {}
+    with parallel_map(max(1, min(workers, len(left))), scheduler) as map_:
         for position, outcome in map_(_run, left, experiments, repeat(carried, len(left))):
             finished.add(left[position], outcome)
             found[left[position]] = outcome
-            if progress is not None:
-                how = " (uncompiled)" if outcome[1] else ""
-                progress(f"{left[position]}{how}", len(found))
+            how = " (uncompiled)" if outcome[1] else ""
+            progress(f"{left[position]}{how}", len(found))
     finished.remove()
     return [Run(test, *found[test]) for test in tests]
 
