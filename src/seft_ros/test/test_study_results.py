@@ -188,6 +188,20 @@ def test_the_sentence_says_what_the_error_depends_on_if_that_is_more_than_chance
         assert ("depends most on rig:specimen.mass" in said) is wanted
 
 
+def test_the_sentence_has_the_largest_error_that_most_tests_do_not_exceed():
+    for lost, wanted in (
+        (0, "95 % of the tests are at most 1.00 %"),
+        (1, "90 % of"),
+        (4, "50 % of"),
+    ):
+        summary = summary_of({"a": [0.01] * (11 - lost) + [LOST] * lost})
+        said = headline(summary["results"][0], summary)
+        assert said.startswith(f"a at mass ratio 1: {wanted}")
+    summary = summary_of({"a": [0.01] + [LOST] * 10})
+    said = headline(summary["results"][0], summary)
+    assert said.startswith("a at mass ratio 1: 10 of 10 tests tripped")
+
+
 @pytest.mark.parametrize("factors", [{"b": np.array([0.9, 1.1])}, {}])
 @pytest.mark.parametrize("errors", [[0.1, 0.1, 0.2], [LOST] * 3, [0.0] * 3, [None] * 3])
 def test_a_page_of_little_can_be_written(errors, factors, tmp_path):

@@ -11,10 +11,11 @@ from seft_ros.reference_force.compensation_methods import METHODS
 from seft_ros.reference_force.linear_filter import LinearCompensator
 from seft_ros.study import study_runs
 from seft_ros.study.drawn_tests import draw_tests
+from seft_ros.study.finished_tests import FinishedTests
 from seft_ros.study.study_plan import StudyTest, plan_study
 from seft_ros.study.study_results import summarise_study
 from seft_ros.study.study_runs import run_study
-from seft_ros.study.worst_tests import write_worst_tests
+from seft_ros.study.worst_tests import worst_folder, write_worst_tests
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES
@@ -32,6 +33,10 @@ def load(*words, file=JHU):
 def planned(*words, methods=("none", "restoring"), ratios=(0.5,), tests=2, **draws):
     experiment = load(*words)
     return plan_study(experiment, draw_tests(experiment, tests, **draws), methods, ratios)
+
+
+def keeping(plan, folder, progress=lambda *_: None):
+    return run_study(plan, progress, finished=FinishedTests(plan, folder))
 
 
 def simulated(experiment):
@@ -135,6 +140,9 @@ def test_the_file_of_a_worst_test_repeats_it(given, tmp_path, monkeypatch):
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="file: can't be made"):
         write_worst_tests(plan, summary, tmp_path / "file")
+    assert worst_folder(tmp_path / "page.html") == tmp_path / "page"
+    with pytest.raises(InputError, match="file: is no folder"):
+        worst_folder(tmp_path / "file.html")
 
 
 def test_a_method_that_is_not_compiled_is_simulated_uncompiled_and_named_so(monkeypatch):
@@ -200,7 +208,7 @@ class Stop:
 
 def test_what_was_finished_before_an_interruption_is_not_run_again(tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
-        run_study(planned(), Stop(3), keep=tmp_path)
+        keeping(planned(), tmp_path, Stop(3))
     (file,) = tmp_path.iterdir()
     assert len(file.read_text().splitlines()) == 3
     with file.open("a") as lines:  # as of a process that was killed
@@ -208,12 +216,13 @@ def test_what_was_finished_before_an_interruption_is_not_run_again(tmp_path, mon
     ran, own_run = [], study_runs._run
     monkeypatch.setattr(study_runs, "_run", lambda *words: ran.append(words[0]) or own_run(*words))
     reported, more = Stop(0), planned(ratios=[0.5, 1.5], tests=3)  # goes on with more of them
-    found = run_study(more, reported, keep=tmp_path)
+    found = keeping(more, tmp_path, reported)
     done = planned().tests()[:3]
     assert ran == [test for test in more.tests() if test not in done]
     assert reported.reported[0] == ("3 tests were finished before", 3)
-    assert list(tmp_path.iterdir()) == []
     assert found == run_study(more)
+    FinishedTests(more, tmp_path).remove()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_other_inputs_begin_anew(tmp_path):
@@ -228,23 +237,23 @@ def test_other_inputs_begin_anew(tmp_path):
     ):
         record.write_text("".join(f"{peak * (-1) ** (k // 20)}\n" for k in range(200)))
         with pytest.raises(KeyboardInterrupt):
-            run_study(planned(*words, **draws), Stop(1), keep=tmp_path)
+            keeping(planned(*words, **draws), tmp_path, Stop(1))
         assert len(list(tmp_path.glob("*.jsonl"))) == files
 
 
 def test_a_file_of_finished_tests_that_holds_something_else_is_reported(tmp_path):
     with pytest.raises(KeyboardInterrupt):
-        run_study(planned(), Stop(1), keep=tmp_path)
+        keeping(planned(), tmp_path, Stop(1))
     (file,) = tmp_path.iterdir()
     for text in ("some text\n", "[1, {}, 2]\n", "{}\n"):
         file.write_text(text)
         with pytest.raises(InputError, match="holds no finished tests; remove it"):
-            run_study(planned(), keep=tmp_path)
+            keeping(planned(), tmp_path)
 
 
 def test_finished_tests_that_can_not_be_kept_are_reported(tmp_path):
     with pytest.raises(InputError, match=r"can't be kept there .*start in a folder"):
-        run_study(planned(), keep=tmp_path / "none")
+        keeping(planned(), tmp_path / "none")
 
 
 def test_a_method_that_can_not_be_set_up_is_left_out_and_the_others_go_on(monkeypatch):

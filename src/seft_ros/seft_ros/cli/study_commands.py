@@ -127,22 +127,26 @@ def study(
     from seft_ros.drawing.page import check_page
     from seft_ros.study import study_page as page
     from seft_ros.study.drawn_tests import draw_tests
+    from seft_ros.study.finished_tests import FinishedTests
     from seft_ros.study.study_plan import plan_study
     from seft_ros.study.study_results import summarise_study
     from seft_ros.study.study_runs import run_study
-    from seft_ros.study.worst_tests import write_worst_tests
+    from seft_ros.study.worst_tests import worst_folder, write_worst_tests
 
     path = check_page(out)
+    folder = worst_folder(path)
     experiment = shared.load_experiment(config, param, params_file)
     files = [str(file.resolve()) for file in motion or ()]
     drawn = draw_tests(experiment, tests, seed=seed, spread=spread, motions=files)
     plan = plan_study(experiment, drawn, method or (), mass_ratio or ())
+    finished = FinishedTests(plan, Path())
     with shared.step_progress(len(plan.tests()), _LOST) as progress:
-        runs = run_study(plan, progress, workers=workers, scheduler=scheduler, keep=Path())
+        runs = run_study(plan, progress, workers=workers, scheduler=scheduler, finished=finished)
     summary = summarise_study(plan, runs)
-    write_worst_tests(plan, summary, path.with_suffix(""))
+    write_worst_tests(plan, summary, folder)
     title = f"{tests} tests, spread {100 * spread:g} %, seed {seed}"
     page.write_study(summary, f"Study of {config.name}", title, path)
+    finished.remove()
     said = [page.headline(best, summary) for best in page.best_results(summary)]
     table = page.study_table(summary, f"{config}: {title}")
     notes = page.study_notes(summary)

@@ -1,5 +1,6 @@
-"""The tests of a study that are finished, kept in a file until all are."""
+"""The tests of a study that are finished, kept in a file until its page is written."""
 
+import hashlib
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -8,21 +9,25 @@ from typing import Any
 
 from seft_msgs_py.errors import InputError
 
-from seft_ros.study.study_plan import StudyTest
+from seft_ros.study.study_plan import StudyPlan, StudyTest
+from seft_ros.study.workers import software
 
 Outcome = tuple[dict[str, Any], str]
 """Summary and obstacle of a `seft_ros.study.study_runs.Run`."""
 
 
 class FinishedTests:
-    """A line of JSON for each test; without a file none are kept."""
+    """A line of JSON for each test, in a file of this folder for equal inputs and software.
 
-    def __init__(self, file: Path | None) -> None:
-        self._file = file
+    More tests, methods or mass ratios have the same file.
+    """
+
+    def __init__(self, plan: StudyPlan, folder: Path) -> None:
+        self._file = folder / f"study-{_digest(plan)}.jsonl"
 
     def read(self) -> dict[StudyTest, Outcome]:
         """Read the tests, and cut off a line that was not written to its end."""
-        if self._file is None or not self._file.exists():
+        if not self._file.exists():
             return {}
         with self._reported():
             whole, end, _ = self._file.read_bytes().rpartition(b"\n")
@@ -35,15 +40,13 @@ class FinishedTests:
 
     def add(self, test: StudyTest, outcome: Outcome) -> None:
         """Add a test."""
-        if self._file is not None:
-            with self._reported(), self._file.open("a") as lines:
-                lines.write(json.dumps([test, *outcome]) + "\n")
+        with self._reported(), self._file.open("a") as lines:
+            lines.write(json.dumps([test, *outcome]) + "\n")
 
     def remove(self) -> None:
         """Remove the file."""
-        if self._file is not None:
-            with self._reported():
-                self._file.unlink(missing_ok=True)
+        with self._reported():
+            self._file.unlink(missing_ok=True)
 
     @contextmanager
     def _reported(self) -> Iterator[None]:
@@ -54,3 +57,12 @@ class FinishedTests:
                 f"{self._file}: finished tests can't be kept there ({error.strerror}); start in a "
                 "folder that can be written to"
             ) from None
+
+
+def _digest(plan: StudyPlan) -> str:
+    """Digest what the result of a test depends on beside its mass ratio, method and number."""
+    drawn = plan.drawn
+    inputs = [software(), plan.experiment.sections, drawn.seed, drawn.spread, drawn.motions]
+    contents = [hashlib.sha256(content).hexdigest() for content in plan.records().values()]
+    text = json.dumps([*inputs, contents], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:12]

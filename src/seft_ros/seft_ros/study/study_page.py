@@ -44,12 +44,17 @@ def best_results(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 def headline(result: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
     """Say the result of one method at one mass ratio in one sentence."""
-    lost, total, error = result["trips"], summary["tests"], result["distribution"]["displacement"]
+    lost, total, errors = result["trips"], summary["tests"], result["distribution"]["displacement"]
     ends = f"{lost['count']} of {total} tests" if lost["count"] else f"none of {total} tests"
-    wrong = f"at most {percent(error['p95'])} wrong" if error["p95"] is not None else "unstable"
+    known = [name for name in ("p95", "p90", "median") if errors[name] is not None]
+    wrong = "".join(
+        f"{100 * QUANTILES[name]:g} % of the tests are at most {percent(errors[name])} wrong in "
+        "displacement; "
+        for name in known[:1]
+    )
     said = (
-        f"{_name(result)}: 95 % of the tests are {wrong} in displacement; {ends} tripped or became "
-        f"unstable (with 95 % confidence not more than {percent(lost['interval_95'][1])} do)"
+        f"{_name(result)}: {wrong}{ends} tripped or became unstable (with 95 % confidence not more "
+        f"than {percent(lost['interval_95'][1])} do)"
     )
     for cause in result["causes"][:1]:
         if strength(cause) > summary["chance"]:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
+from pathlib import Path
 from typing import NamedTuple
 
 from seft_msgs_py.config.experiment import Experiment
@@ -72,6 +73,11 @@ class StudyPlan:
         force = own["reference_force"] | {"mass_ratio": test.mass_ratio}
         drawn = self.drawn.sections[test.number]
         return Experiment(own.sections | {"reference_force": force} | drawn)
+
+    def records(self) -> dict[str, bytes]:
+        """Read the files of the ground motions."""
+        files = {str(self.experiment["ground_motion"]["file"]), *self.drawn.motions} - {""}
+        return {file: Path(file).read_bytes() for file in sorted(files)}
 
 
 def plan_study(

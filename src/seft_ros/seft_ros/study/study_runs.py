@@ -1,7 +1,5 @@
-"""The tests of a study are run, here or on a cluster; finished ones are kept until all are."""
+"""The tests of a study are run, here or on a cluster."""
 
-import hashlib
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import lru_cache
@@ -19,7 +17,7 @@ from seft_ros.analysis.summary import summarise_briefly
 from seft_ros.bags.record import Record
 from seft_ros.study.finished_tests import FinishedTests, Outcome
 from seft_ros.study.study_plan import StudyPlan, StudyTest
-from seft_ros.study.workers import parallel_map, software
+from seft_ros.study.workers import parallel_map
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import Workshop, simulate
 
@@ -51,7 +49,7 @@ def run_study(
     *,
     workers: int = 1,
     scheduler: str = "",
-    keep: Path | None = None,
+    finished: FinishedTests | None = None,
 ) -> list[Run]:
     """Run the tests of a study offline; the results do not depend on where.
 
@@ -66,31 +64,29 @@ def run_study(
         Called with what was run, and how many tests are done.
     workers, scheduler : int, str
         See `parallel_map`.
-    keep : Path or None
-        Folder in which finished tests are kept until all are: tests with the same inputs and
-        software that were finished before an interruption are not run again. None: not kept.
+    finished : FinishedTests, optional
+        Tests that are not run again, and to which those that are run are added.
 
     Raises
     ------
     ExperimentError
         If a test could not be calculated; names it.
     """
-    tests, records = plan.tests(), _records(plan)
-    finished = FinishedTests(keep and keep / f"study-{_digest(plan, records)}.jsonl")
-    known = finished.read()
+    tests = plan.tests()
+    known = finished.read() if finished else {}
     found = {test: known[test] for test in tests if test in known}
     if found:
         progress(f"{len(found)} tests were finished before", len(found))
     left = [test for test in tests if test not in found]
     experiments = map(plan.experiment_of, left)
-    carried = records if scheduler else {}
+    carried = plan.records() if scheduler else {}
     with parallel_map(max(1, min(workers, len(left))), scheduler) as map_:
         for position, outcome in map_(_run, left, experiments, repeat(carried, len(left))):
-            finished.add(left[position], outcome)
+            if finished:
+                finished.add(left[position], outcome)
             found[left[position]] = outcome
             how = " (uncompiled)" if outcome[1] else ""
             progress(f"{left[position]}{how}", len(found))
-    finished.remove()
     return [Run(test, *found[test]) for test in tests]
 
 
@@ -118,21 +114,6 @@ def _brief(record: Record, reference: ReferenceResponse) -> dict[str, Any]:
     steps = len(record.series[RIG_STATE.name].steps)
     parts = {field.name: getattr(reference, field.name)[:steps] for field in fields(reference)}
     return summarise_briefly(record, ReferenceResponse(**parts))
-
-
-def _records(plan: StudyPlan) -> dict[str, bytes]:
-    """Read the files of ground motions."""
-    files = {str(plan.experiment["ground_motion"]["file"]), *plan.drawn.motions} - {""}
-    return {file: Path(file).read_bytes() for file in sorted(files)}
-
-
-def _digest(plan: StudyPlan, records: Mapping[str, bytes]) -> str:
-    """Digest what the result of a test depends on beside its mass ratio, method and number."""
-    drawn = plan.drawn
-    inputs = [software(), plan.experiment.sections, drawn.seed, drawn.spread, drawn.motions]
-    contents = [hashlib.sha256(content).hexdigest() for content in records.values()]
-    text = json.dumps([*inputs, contents], sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
 @lru_cache(maxsize=64)

@@ -10,6 +10,17 @@ from seft_msgs_py.errors import InputError
 from seft_ros.study.study_plan import StudyPlan, StudyTest
 
 
+def worst_folder(page: Path) -> Path:
+    """Name the folder for the worst tests beside a page, before the work is done.
+
+    An InputError says that a file has this name.
+    """
+    folder = page.with_suffix("")
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is no folder; name another page, or remove it")
+    return folder
+
+
 def write_worst_tests(plan: StudyPlan, summary: dict[str, Any], folder: Path) -> None:
     """Write the worst tests of each method and mass ratio as complete experiments.
 
