@@ -1,7 +1,7 @@
 """Processor time of short commands, beside that of importing the libraries that they stand on.
 
-Each in a process of its own, with machine code from the disk. And the tests of an ensemble on all
-cores beside one.
+Each in a process of its own, with machine code from the disk. And the tests of a study on all cores
+beside one.
 """
 
 import json
@@ -31,14 +31,14 @@ def processor_time(folder: str, *words: str) -> float:
     return sum(after[2:4]) - sum(before[2:4])
 
 
-def ensemble(folder: str, workers: int) -> float:
-    """Time of an ensemble's tests on so many processes, s."""
-    words = ["uncertainty", str(DEMO), "--tests", str(TESTS), "--workers", str(workers), "--json"]
+def study(folder: str, workers: int) -> float:
+    """Time of a study's tests on so many processes, s."""
+    words = ["study", str(DEMO), "--tests", str(TESTS), "--workers", str(workers), "--json"]
     start = time.perf_counter()
     command = [sys.executable, "-m", "seft_ros.cli.main", *words]
     done = subprocess.run(command, cwd=folder, check=True, capture_output=True)
     taken = time.perf_counter() - start
-    assert len(json.loads(done.stdout)["runs"]) == TESTS
+    assert len(json.loads(done.stdout)["results"][0]["runs"]) == TESTS
     return taken
 
 
@@ -59,7 +59,7 @@ def main() -> int:
                 f"{floor:.2f} s (wanted: at most {wanted:g})"
             )
         cores = len(os.sched_getaffinity(0))
-        one, all_ = (min(ensemble(folder, n) for _ in range(2)) for n in (1, cores))
+        one, all_ = (min(study(folder, n) for _ in range(2)) for n in (1, cores))
         met &= one / all_ >= SPREAD_WANTED * cores
         print(
             f"{TESTS} tests: {one:.1f} s on one core, {one / all_:.2f} times as fast on {cores} "

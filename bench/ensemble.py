@@ -1,7 +1,7 @@
-"""Steps per second of an ensemble (tournament, Monte Carlo), beside two loops on one core.
+"""Steps per second of the tests of a study, beside two loops on one core.
 
-Whole tests: 96 perturbed rigs with their noise and trips, on all cores; what is made of each is
-its peak displacement. One loop is bare plain floats. The other is OpenSees, the peer, where
+Whole tests: 96 drawn rigs with their noise and trips, on all cores; what is made of each is its
+peak displacement. One loop is bare plain floats. The other is OpenSees, the peer, where
 openseespy can be imported (it is no dependency): the elastic whole structure of one axis, without
 rig or control, a step and its response at a time. All run in the same rounds.
 """
@@ -17,7 +17,7 @@ import numpy as np
 from _plain_loop import steps_per_second as plain_steps_per_second
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import RIG_STATE
-from seft_ros.ensemble.entries import make_tournament
+from seft_ros.study.drawn_tests import draw_tests
 from seft_ros.test_run.offline import Workshop
 from seft_ros.test_run.parameter_tables import TABLES
 
@@ -28,7 +28,7 @@ except (ImportError, RuntimeError):
 
 FOLDER = Path(__file__).parent.parent / "config"
 ROUNDS = 5
-RIGS = 96
+TESTS = 96
 PIECE = 4  # tests on one thread at a time: short enough to be left alone by others
 COMMON = [("reference_force", "mass_ratio", 0.5)]
 LINEAR = [("rig", "actuator.kind", "servo_hydraulic_linear")]
@@ -83,9 +83,10 @@ def main() -> int:
     ensembles, speeds, single = {}, {case: [] for case in CASES}, {case: [] for case in CASES}
     for case, (name, overrides, _) in CASES.items():
         experiment = Experiment.load(TABLES, [FOLDER / name], overrides)
-        method = experiment["reference_force"]["compensation.method"]
-        tournament = make_tournament(experiment, [method], rigs=RIGS)
-        ensembles[case] = [tournament.experiment_of(entry) for entry in tournament.entries()]
+        drawn = draw_tests(experiment, TESTS - 1).sections
+        ensembles[case] = [
+            Experiment(experiment.sections | {"rig": sections["rig"]}) for sections in drawn
+        ]
     motion = Workshop().blocks(experiment).ground_motion.samples[:, 0].tolist()
 
     def reduced(_: int, record) -> tuple[int, float]:
@@ -103,7 +104,7 @@ def main() -> int:
             start = time.perf_counter()
             found = run_ensemble(experiments, reduced, workers)
             speeds[case].append(sum(n for n, _ in found) / (time.perf_counter() - start))
-            for first in range(0, RIGS // 4, PIECE):
+            for first in range(0, TESTS // 4, PIECE):
                 start = time.perf_counter()
                 found = run_ensemble(experiments[first : first + PIECE], reduced)
                 single[case].append(sum(n for n, _ in found) / (time.perf_counter() - start))
@@ -111,7 +112,7 @@ def main() -> int:
             rounds[name].append(loop(motion * 4))
     floors = {name: max(found) for name, found in rounds.items()}  # the least disturbed rounds
     met = True
-    print(f"{RIGS} tests, steps/s in all, and how many times those of each loop below (wanted)")
+    print(f"{TESTS} tests, steps/s in all, and how many times those of each loop below (wanted)")
     print(f"{'':32s} {f'{workers} threads':>12s} {'one thread':>12s}")
     for case, found in speeds.items():
         line = f"{case:32s} {max(found):12,.0f} {max(single[case]):12,.0f}"

@@ -1,4 +1,4 @@
-"""Ensembles on a Dask cluster: the same numbers, and a worker that is killed loses nothing."""
+"""A study on a Dask cluster: the same numbers, and a worker that is killed loses nothing."""
 
 import json
 import os
@@ -54,7 +54,7 @@ def cluster(tmp_path):
 def numbers(monkeypatch, capsys, folder, *words):
     folder.mkdir(exist_ok=True)
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(sys, "argv", ["seft", "uncertainty", JHU, *SHORT, *words, "--json"])
+    monkeypatch.setattr(sys, "argv", ["seft", "study", JHU, *SHORT, *words, "--json"])
     status = main()
     out, err = capsys.readouterr()
     assert status == 0, err
@@ -75,7 +75,7 @@ def test_a_cluster_gives_the_numbers_of_this_machine_and_a_killed_worker_loses_n
 
     def kill_one():
         for _ in range(20_000):
-            if list(folder.glob("uncertainty-*.jsonl")):
+            if list(folder.glob("study-*.jsonl")):
                 break
             time.sleep(0.005)
         os.killpg(workers[0].pid, signal.SIGKILL)
@@ -91,9 +91,9 @@ def test_a_cluster_gives_the_numbers_of_this_machine_and_a_killed_worker_loses_n
 
 def test_a_worker_with_other_software_is_refused(cluster, monkeypatch, capsys, tmp_path):
     address, _ = cluster
-    monkeypatch.setattr("seft_ros.ensemble.workers.software", lambda: "another text")
+    monkeypatch.setattr("seft_ros.study.workers.software", lambda: "another text")
     monkeypatch.chdir(tmp_path)
-    words = ["seft", "tournament", JHU, *SHORT, "--rigs", "1", "--method", "none"]
+    words = ["seft", "study", JHU, *SHORT, "--tests", "2"]
     monkeypatch.setattr(sys, "argv", [*words, "--scheduler", address])
     assert main() == 2
     told = capsys.readouterr().err

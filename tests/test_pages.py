@@ -135,8 +135,9 @@ def test_a_finger_scrolls_and_does_not_zoom(browser, demo):
     assert all(released)
 
 
-def test_a_page_of_uncertainty_is_drawn(browser, tmp_path):
-    command = ("uncertainty", JHU, *SHORT, "--tests", "30", "--spread", "0.2")
+def test_a_page_of_a_study_is_drawn(browser, tmp_path):
+    command = ("study", JHU, *SHORT, "--tests", "30", "--spread", "0.2", "--mass-ratio", "0.5")
+    command = (*command, "--method", "none", "--method", "restoring")
     subprocess.run([sys.executable, "-m", "seft_ros.cli.main", *map(str, command)], cwd=tmp_path)
-    check_page(browser, tmp_path / "uncertainty.html", least_figures=7)
+    check_page(browser, tmp_path / "study.html", least_figures=7)
     assert "95 % of the tests" in browser.find_element("css selector", ".verdict").text

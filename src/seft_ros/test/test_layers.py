@@ -8,7 +8,7 @@ LAYERS = (
     *("seft_msgs_py", "seft_plant_sim"),
     *("drawing", "ground_motion", "reference_force", "protection", "force_controller"),
     *("bags", "design", "test_run", "nodes"),
-    *("analysis", "replay", "ensemble", "monitor", "conformance", "paper", "cli"),
+    *("analysis", "replay", "study", "monitor", "conformance", "paper", "cli"),
 )
 
 

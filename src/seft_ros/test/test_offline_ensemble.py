@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
-from seft_ros.ensemble.entries import perturbed_rig
 from seft_ros.force_controller.force_control import ControlKnowledge
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.methods import RegisteredControl
 from seft_ros.reference_force.compensation_methods import METHODS
+from seft_ros.study.drawn_tests import drawn_rig
 from seft_ros.test_run import compiled_loop, offline
 from seft_ros.test_run.compiled_loop import build_blocks, obstacle
 from seft_ros.test_run.offline import Workshop, simulate
@@ -170,7 +170,7 @@ def test_the_cases_end_in_every_way():
 
 def test_members_of_an_ensemble_are_tests_of_their_own():
     whole = load(*FINE, RATIO(0.5))
-    rigs = [perturbed_rig(whole["rig"], whole.axes, 3, number, 0.3) for number in range(6)]
+    rigs = [drawn_rig(whole["rig"], whole.axes, 3, number, 0.3) for number in range(1, 7)]
     experiments = [Experiment(whole.sections | {"rig": rig}) for rig in rigs]
     found = dict(run_ensemble(experiments, lambda number, record: (number, record), workers=2))
     assert list(found) == list(range(6))

@@ -16,7 +16,7 @@ from seft_ros.cli.perform import reset, run, simulate, start, status, stop
 from seft_ros.cli.rig_commands import conform, link, new
 from seft_ros.cli.shared import complain, option
 from seft_ros.cli.show_commands import monitor, motion, parameters
-from seft_ros.cli.study_commands import paper, tournament, uncertainty
+from seft_ros.cli.study_commands import paper, study
 
 APP = typer.Typer(
     name="seft",
@@ -31,7 +31,7 @@ APP = typer.Typer(
 COMMANDS = (
     *(run, simulate, start, stop, reset, status, monitor),
     *(report, compare, replay, recover),
-    *(identify, design, preflight, tournament, uncertainty, paper),
+    *(identify, design, preflight, study, paper),
     *(conform, new, link, motion, parameters),
 )
 for command in COMMANDS:

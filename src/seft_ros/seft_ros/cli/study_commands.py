@@ -1,11 +1,8 @@
 """``seft paper``: the paper's figures and claims, reproduced.
 
-``seft tournament``: all compensation methods on the same motion and rigs.
-
-``seft uncertainty``: one test on drawn rigs and motions.
+``seft study``: compensation methods on the same drawn rigs, specimens and motions.
 """
 
-from itertools import groupby
 from pathlib import Path
 from typing import Optional
 
@@ -73,140 +70,85 @@ def paper(
     return 0
 
 
-def tournament(
+def study(
     config: shared.Config,
-    method: Optional[list[str]] = option(None, "Method; may be repeated; default all.", "NAME"),
-    mass_ratio: Optional[list[float]] = option(None, "Mass ratio; may be repeated.", "ALPHA"),
-    rigs: int = option(8, "Number of rigs, CONFIG's own included.", min=1),
-    spread: shared.Spread = 0.1,
-    seed: shared.Seed = 1,
-    workers: shared.Workers = shared.CORES,
-    scheduler: shared.Scheduler = "",
-    figure: Optional[Path] = option(None, "Draw the errors of all tests.", "FILE"),
-    param: shared.Params = None,
-    params_file: shared.Files = None,
-    json: shared.Json = False,
-) -> int:
-    """Run all compensation methods on the same motion and rigs, and rank them.
-
-    --method takes some of them, --mass-ratio replaces CONFIG's; both may be repeated. --spread is
-    the largest relative deviation of a rig: 0.2 is 20 % in stiffness, and twice or half the
-    damping. The workers of a cluster need the same seft.
-
-    The first rig is CONFIG's own. The others differ from it at random in what an experimenter does
-    not know exactly: specimen, oil column, valve, dead time, friction, and the noise of the
-    sensors. The methods meet the same rigs, and assume CONFIG's model, tracking and delay. Errors
-    are those of the displacement against the exact response of each rig's own structure, without
-    any shift, as in seft simulate. Results do not depend on the number or kind of workers. After an
-    interruption the same command in the same folder continues.
-
-    Tests are simulated in compiled code; those of methods that adapt in Python are simulated
-    uncompiled, many times slower. A note under the tables names them; --json has the engine of
-    each.
-
-    Methods that need a delay or a model of the force loop take it from what seft identify writes.
-    Methods that lack something are named, and the others run.
-
-    Examples:
-
-        seft tournament config/jhu.yaml --mass-ratio 0.5 --mass-ratio 1.5
-
-        seft tournament config/jhu.yaml --figure tournament.png
-
-        seft tournament config/jhu.yaml --rigs 30 --spread 0.2 --json
-
-        seft tournament config/jhu.yaml --params-file identified/model.yaml
-
-        seft tournament config/jhu.yaml --method none -p rig:seed:=7
-
-        seft tournament config/jhu.yaml --rigs 99 --scheduler tcp://host:8786
-    """
-    from seft_ros.drawing.style import check_figure, save_figure
-    from seft_ros.ensemble import standings
-    from seft_ros.ensemble.entries import make_tournament
-    from seft_ros.ensemble.runs import Place, run_tests
-
-    path = check_figure(figure) if figure is not None else None
-    experiment = shared.load_experiment(config, param, params_file)
-    plan = make_tournament(
-        experiment, method or (), mass_ratio or (), rigs=rigs, seed=seed, spread=spread
-    )
-    with shared.step_progress(len(plan.entries()), _LOST) as progress:
-        place = Place(workers, scheduler, Path())  # which keeps finished tests
-        runs = run_tests(plan.tests(), place, progress, "tournament")
-    ranked = standings.standings(plan, runs)
-    section = experiment["ground_motion"]
-    motion = Path(section["file"]).name or "synthetic motion"
-    if section["peak_force"]:
-        motion += f" at {section['peak_force']:g} N"
-    title = f"{config}: {rigs} rigs, spread {100 * spread:g} %, {motion}"
-    if path is not None:
-        save_figure(standings.tournament_figure(ranked, runs, title), path)
-    summary = standings.summarise_tournament(plan, runs, ranked)
-    summary |= {"seed": seed, "spread": spread, "figure": None if path is None else str(path)}
-    tables = [
-        standings.standings_table([*rows], f"{title}, mass ratio {ratio:g}")
-        for ratio, rows in groupby(ranked, key=lambda row: row.mass_ratio)
-    ]
-    shared.show(summary, json, [*tables, *standings.notes(ranked, runs)], "figure")
-    return 0
-
-
-def uncertainty(
-    config: shared.Config,
+    method: Optional[list[str]] = option(
+        None, "Compensation method; may be repeated; all: every one; default CONFIG's.", "NAME"
+    ),
+    mass_ratio: Optional[list[float]] = option(
+        None, "Mass ratio; may be repeated; default CONFIG's.", "ALPHA"
+    ),
     tests: int = option(200, "Number of drawn tests.", min=2),
     spread: shared.Spread = 0.1,
-    motion: Optional[list[Path]] = option(None, "Ground motion; may be repeated.", "FILE"),
+    motion: Optional[list[Path]] = option(
+        None, "Ground motion; may be repeated; default CONFIG's.", "FILE"
+    ),
     seed: shared.Seed = 1,
-    out: Path = option(Path("uncertainty.html"), "The page.", "HTML"),
+    out: Path = option(Path("study.html"), "The page.", "HTML"),
     workers: shared.Workers = shared.CORES,
     scheduler: shared.Scheduler = "",
     param: shared.Params = None,
     params_file: shared.Files = None,
     json: shared.Json = False,
 ) -> int:
-    """Show how large the error of a planned test may be, and what it depends on.
+    """Show how large the error of a planned test may be, with which method, and what it depends on.
 
-    Simulates the test on rigs, specimens and ground motions that differ at random from CONFIG's, as
-    the rigs of seft tournament do, while methods and controller assume CONFIG. With --spread 0.2
-    stiffness and amplitude of the ground motion differ by up to 20 %, and damping is up to twice as
-    large, or half. Each test takes one of the motions at random; the default is CONFIG's, and a
-    synthetic one is another in each test. Errors are against the exact response of each rig's own
-    structure, without any shift.
+    Simulates the test as configured (test 0), and on rigs, specimens and ground motions that differ
+    from CONFIG's at random, while methods and controller assume CONFIG. With --spread 0.2 stiffness
+    and amplitude of the ground motion differ by up to 20 %, and damping is up to twice as large, or
+    half. Each test takes one of the motions at random; a synthetic one is another in each test. All
+    methods and mass ratios meet the same tests. Errors are against the exact response of each rig's
+    own structure, without any shift.
 
-    The page shows the distribution of the error, the share of tests that trip, and the rank
-    correlation of each drawn quantity with the error. --json has every test.
+    The page shows the distribution of the error, the share of tests that trip, the rank correlation
+    of each drawn quantity with the error, and the worst tests. A folder with the name of the page
+    has their parameter files, with which seft simulate repeats them. --json has every test.
 
-    Results do not depend on the number or kind of workers. After an interruption the same command
-    in the same folder continues.
+    Methods that lack something, such as a delay that seft identify finds, are named, and the others
+    run. Results do not depend on the number or kind of workers. After an interruption the same
+    command in the same folder continues, also with more tests or methods.
 
     Exit status 0: the page was made. 1: interrupted. 2: wrong input.
 
     Examples:
 
-        seft uncertainty config/demo.yaml
+        seft study config/demo.yaml
 
-        seft uncertainty config/demo.yaml --spread 0.2 --out wide.html
+        seft study config/demo.yaml --spread 0.2 --out wide.html
 
-        seft uncertainty config/demo.yaml --motion kobe.AT2 --motion NIS090.AT2
+        seft study config/demo.yaml --motion kobe.AT2 --motion NIS090.AT2
 
-        seft uncertainty config/jhu.yaml --scheduler tcp://host:8786
+        seft study config/jhu.yaml --method none --method restoring --mass-ratio 0.5 --mass-ratio 1
+
+        seft study config/jhu.yaml --method all --tests 30 --params-file identified/model.yaml
+
+        seft study config/jhu.yaml --scheduler tcp://host:8786
     """
     from seft_ros.drawing.page import check_page
-    from seft_ros.ensemble import uncertainty as drawn
-    from seft_ros.ensemble.runs import Place, run_tests
+    from seft_ros.study import study_page as page
+    from seft_ros.study.drawn_tests import draw_tests
+    from seft_ros.study.finished_tests import FinishedTests
+    from seft_ros.study.study_plan import plan_study
+    from seft_ros.study.study_results import summarise_study
+    from seft_ros.study.study_runs import run_study
+    from seft_ros.study.worst_tests import worst_folder, write_worst_tests
 
     path = check_page(out)
+    folder = worst_folder(path)
     experiment = shared.load_experiment(config, param, params_file)
     files = [str(file.resolve()) for file in motion or ()]
-    plan = drawn.draw_tests(experiment, tests, seed=seed, spread=spread, motions=files)
-    with shared.step_progress(1 + tests, _LOST) as progress:
-        place = Place(workers, scheduler, Path())  # which keeps finished tests
-        runs = run_tests(plan.tests(), place, progress, "uncertainty")
-    summary = drawn.summarise_uncertainty(plan, runs)
+    drawn = draw_tests(experiment, tests, seed=seed, spread=spread, motions=files)
+    plan = plan_study(experiment, drawn, method or (), mass_ratio or ())
+    finished = FinishedTests(plan, Path())
+    with shared.step_progress(len(plan.tests()), _LOST) as progress:
+        runs = run_study(plan, progress, workers=workers, scheduler=scheduler, finished=finished)
+    summary = summarise_study(plan, runs)
+    write_worst_tests(plan, summary, folder)
     title = f"{tests} tests, spread {100 * spread:g} %, seed {seed}"
-    drawn.write_uncertainty(summary, plan, runs, config.name, title, path)
-    summary |= {"seed": seed, "spread": spread, "page": str(path)}
-    tables = drawn.uncertainty_tables(summary, f"{config}: {title}")
-    shared.show(summary, json, [*tables, f"{drawn.headline(summary)}.", ""], "page")
+    page.write_study(summary, f"Study of {config.name}", title, path)
+    finished.remove()
+    said = [page.headline(best, summary) for best in page.best_results(summary)]
+    table = page.study_table(summary, f"{config}: {title}")
+    notes = page.study_notes(summary)
+    shared.show(summary | {"page": str(path)}, json, [table, *notes, *said, ""], "page")
     return 0

@@ -14,7 +14,6 @@ from seft_ros.design import Source, rig_tests
 from seft_ros.design.controller import Controller
 from seft_ros.design.identified import ClosedLoop, Identified, ValveResponse, identify
 from seft_ros.design.plan import Plan
-from seft_ros.ensemble.workers import parallel_map
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
 from seft_ros.paper.paper_tests import (
     BEYOND,
@@ -26,6 +25,7 @@ from seft_ros.paper.paper_tests import (
     simulations_within,
     uncompensated,
 )
+from seft_ros.study.workers import parallel_map
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
 

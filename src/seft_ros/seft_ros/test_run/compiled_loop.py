@@ -70,7 +70,7 @@ from seft_ros.reference_force.target_motion import TargetMotion
 from seft_ros.reference_force.target_step import TargetParameters, target_estimates, target_step
 
 _REMEMBERED = 64
-"""Blocks of each kind that are kept for later experiments: more than a tournament has methods."""
+"""Blocks of each kind that are kept for later experiments: more than a study has methods."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,211 @@
+"""What an experimenter does not know exactly, drawn at random: rig, specimen, ground motion."""
+
+import pickle
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import Section, per_axis
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.topics import Timebase
+from seft_plant_sim import rig_parameters
+from seft_plant_sim.rig import Rig
+
+from seft_ros.ground_motion.ground_motion_block import GroundMotion
+
+DRAWN_QUANTITIES = {
+    "rig:specimen.mass": 0.2,  # it is weighed
+    "rig:specimen.damping": 5.0,
+    "rig:specimen.stiffness": 1.0,
+    "rig:specimen.yield_displacement": 1.0,
+    "rig:actuator.delay": 1.0,
+    "rig:actuator.oil_stiffness": 1.0,
+    "rig:actuator.oil_column_frequency": 0.5,  # the root of a stiffness
+    "rig:actuator.bulk_modulus": 1.0,
+    "rig:actuator.flow_gain": 1.0,
+    "rig:actuator.rated_flow": 1.0,
+    "rig:actuator.leakage": 3.0,
+    "rig:actuator.leakage_coefficient": 3.0,
+    "rig:actuator.valve_frequency": 1.0,
+    "rig:actuator.valve_damping": 1.0,
+    "rig:actuator.dead_time": 1.0,
+    "rig:actuator.friction": 3.0,
+    "rig:specimen.friction.force": 1.0,
+    "rig:specimen.gap.width": 1.0,
+    "rig:specimen.gap.stiffness": 1.0,
+    "rig:specimen.duffing.cubic": 1.0,
+    "ground_motion:peak_force": 1.0,
+    "ground_motion:influence": 1.0,  # in place of peak_force where the motion is as recorded
+    "ground_motion:synthetic.ground_frequency": 3.0,
+    "ground_motion:synthetic.ground_damping": 3.0,
+}
+"""How uncertain each parameter is, in units of the spread; new ones go to the end of their node."""
+
+
+@dataclass(frozen=True)
+class DrawnTests:
+    """Test 0 as configured, and N tests that differ from it at random.
+
+    Attributes
+    ----------
+    sections : tuple of dict
+        Of each test, the parameters of ``rig`` and ``ground_motion``.
+    factors : dict
+        Drawn quantity -> its values in tests 1 to N over the configured one, shape (N,). Those on
+        which the simulated test does not depend are left out.
+    seed, spread, motions : int, float, tuple of str
+        Of `draw_tests`.
+    """
+
+    sections: tuple[dict[str, Section], ...]
+    factors: dict[str, Floats]
+    seed: int
+    spread: float
+    motions: tuple[str, ...]
+
+
+def draw_tests(
+    experiment: Experiment,
+    number: int,
+    *,
+    seed: int = 1,
+    spread: float = 0.1,
+    motions: Sequence[str] = (),
+) -> DrawnTests:
+    """Draw tests; each depends on the seed and its own number alone.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        As configured.
+    number : int
+        How many are drawn, N.
+    seed, spread : int, float
+        See `drawn_rig` and `drawn_motion`; the spread is at least 0.
+    motions : sequence of str
+        Files, of which each test takes one at random; none: the configured motion.
+
+    Raises
+    ------
+    InputError
+        If a rig or a motion is impossible.
+    """
+    axes, timebase = experiment.axes, experiment.timebase
+    own = {node: experiment[node] for node in ("rig", "ground_motion")}
+    for file in dict.fromkeys([own["ground_motion"]["file"], *motions]):
+        GroundMotion.from_parameters(own["ground_motion"] | {"file": file}, axes, timebase)
+    check_rig(own["rig"], axes, timebase, 0)
+    drawn = []
+    for index in range(1, 1 + number):
+        rig = drawn_rig(own["rig"], axes, seed, index, spread)
+        check_rig(rig, axes, timebase, index)
+        motion = drawn_motion(own["ground_motion"], seed, index, spread, motions)
+        drawn.append({"rig": rig, "ground_motion": motion})
+    # without spread: the configured values, for each axis where the drawn ones are
+    base = own | {"rig": drawn_rig(own["rig"], axes, seed, 1, 0.0)}
+    factors: dict[str, Floats] = {}
+    for quantity in DRAWN_QUANTITIES:
+        node, name = quantity.split(":")
+        configured = np.ravel(base[node][name])
+        for label, place in _effective(base[node], quantity, axes, timebase):
+            values = np.array([np.ravel(one[node][name])[place] for one in drawn])
+            if np.any(values != configured[place]):
+                factors[label] = values / configured[place]
+    return DrawnTests((own, *drawn), factors, seed, spread, tuple(motions))
+
+
+def drawn_rig(
+    section: Section, axes: Sequence[str], seed: int, number: int, spread: float
+) -> Section:
+    """Draw the parameters of the rig of a test from 1 on.
+
+    Each parameter p of `DRAWN_QUANTITIES` becomes p (1 + uncertainty spread)^d, with its own d
+    drawn uniformly between -1 and 1: with a spread of 0.2 the stiffness is up to 20 % too high or
+    too low, and the damping up to twice or half. Actuators differ from axis to axis; the matrices
+    of the specimen are scaled as a whole. Zero stays zero. The seed of the sensor noise is drawn
+    too.
+    """
+    random = np.random.default_rng([seed, number])
+    drawn: Section = {"seed": int(random.integers(2**31))}
+    for name, uncertainty in _of_node("rig").items():
+        factors = _draw_factors(random, uncertainty, spread, len(axes))
+        value, kind = section[name], rig_parameters.TABLE.rows[name].kind
+        if len(axes) > 1 and kind == "floats" and name.startswith("actuator."):
+            drawn[name] = (per_axis(value, axes, f"rig: {name}") * factors).tolist()
+        else:
+            drawn[name] = np.multiply(value, float(factors[0])).tolist()
+    return section | drawn
+
+
+def drawn_motion(
+    section: Section, seed: int, number: int, spread: float, files: Sequence[str]
+) -> Section:
+    """Draw the ground motion of a test from 1 on.
+
+    One of the files, if there are any, the amplitude, and the seed and the ground layer of a
+    synthetic motion.
+    """
+    # a child of the sequence from which the rig of this number is drawn
+    (child,) = np.random.SeedSequence([seed, number]).spawn(1)
+    random = np.random.default_rng(child)
+    drawn: Section = {}
+    if files:
+        drawn["file"] = files[int(random.integers(len(files)))]
+    drawn["synthetic.seed"] = int(random.integers(2**31))
+    amplitude = "peak_force" if section["peak_force"] else "influence"
+    synthetic = not (files or section["file"])
+    for name, uncertainty in _of_node("ground_motion").items():
+        by = float(_draw_factors(random, uncertainty, spread, 1)[0])
+        if name == amplitude or (synthetic and name.startswith("synthetic.")):
+            drawn[name] = np.multiply(section[name], by).tolist()
+    return section | drawn
+
+
+def check_rig(section: Section, axes: tuple[str, ...], timebase: Timebase, number: int) -> None:
+    """Refuse impossible parameters; the InputError names the test's number if it is not 0."""
+    try:
+        Rig.from_parameters(rig_parameters.TABLE.check(section), axes, timebase)
+    except InputError as error:
+        if number == 0:
+            raise
+        raise InputError(
+            f"drawn test {number}: {error}; a smaller spread keeps rigs possible"
+        ) from None
+
+
+def _of_node(node: str) -> dict[str, float]:
+    """Uncertainties of a node's parameters, by their names there."""
+    own = f"{node}:"
+    return {
+        quantity.removeprefix(own): uncertainty
+        for quantity, uncertainty in DRAWN_QUANTITIES.items()
+        if quantity.startswith(own)
+    }
+
+
+def _draw_factors(random: np.random.Generator, uncertainty: float, spread: float, n: int) -> Floats:
+    """Draw n factors between 1 / most and most = 1 + uncertainty * spread, as likely up as down."""
+    factors: Floats = (1.0 + uncertainty * spread) ** random.uniform(-1.0, 1.0, n)
+    return factors
+
+
+def _effective(
+    base: Section, quantity: str, axes: tuple[str, ...], timebase: Timebase
+) -> list[tuple[str, int]]:
+    """Labels and places of the values of a parameter on which the simulated test depends."""
+    node, name = quantity.split(":")
+    values = np.ravel(base[name])
+    largest = [(quantity, int(np.abs(values).argmax()))]
+    if node != "rig":
+        return largest
+
+    def simulated(section: Section) -> bytes:
+        return pickle.dumps(Rig.from_parameters(section, axes, timebase).parameters)
+
+    if simulated(base | {name: np.multiply(base[name], 1.01).tolist()}) == simulated(base):
+        return []
+    if len(axes) > 1 and name.startswith("actuator.") and len(values) == len(axes):
+        return [(f"{quantity}, axis {axis}", n) for n, axis in enumerate(axes) if values[n]]
+    return largest

@@ -1,0 +1,224 @@
+"""The result of a study as a table and as a page."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.table import Table as TerminalTable
+from rich.text import Text as TerminalText
+
+from seft_ros.drawing.page import (
+    Block,
+    Cell,
+    Grid,
+    Plot,
+    Section,
+    Table,
+    Text,
+    Verdict,
+    dots,
+    level,
+    line,
+    plot,
+    write_page,
+)
+from seft_ros.drawing.style import GOOD_ERROR, MARK, OTHERS, Mark, make_table, number, percent
+from seft_ros.study.study_results import CORRELATIONS, QUANTILES, errors_of, strength
+
+_HEADINGS = ("method", "mass ratio", "test 0", *QUANTILES, "tripped")
+_CAPTION = "NRMSE of the displacement: as configured (test 0), and of the drawn tests"
+_STYLES = {Mark.GOOD: "green", Mark.DOUBT: "yellow", Mark.BAD: "red"}
+_CAUSES = 6  # quantities that are listed and drawn
+_CHANCE = "Up to ±{:.2f} comes about by chance alone (95 %)"
+
+
+def best_results(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Find the best method of each mass ratio."""
+    found: dict[float, dict[str, Any]] = {}
+    for result in summary["results"]:
+        found.setdefault(result["mass_ratio"], result)
+    return list(found.values())
+
+
+def headline(result: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
+    """Say the result of one method at one mass ratio in one sentence."""
+    lost, total, errors = result["trips"], summary["tests"], result["distribution"]["displacement"]
+    ends = f"{lost['count']} of {total} tests" if lost["count"] else f"none of {total} tests"
+    known = [name for name in ("p95", "p90", "median") if errors[name] is not None]
+    wrong = "".join(
+        f"{100 * QUANTILES[name]:g} % of the tests are at most {percent(errors[name])} wrong in "
+        "displacement; "
+        for name in known[:1]
+    )
+    said = (
+        f"{_name(result)}: {wrong}{ends} tripped or became unstable (with 95 % confidence not more "
+        f"than {percent(lost['interval_95'][1])} do)"
+    )
+    for cause in result["causes"][:1]:
+        if strength(cause) > summary["chance"]:
+            said += f"; the error depends most on {cause['quantity']}"
+    return f"{said}."
+
+
+def study_table(summary: Mapping[str, Any], title: str) -> TerminalTable:
+    """Tabulate methods and mass ratios for a terminal, as the page does."""
+    table = make_table(
+        [heading.replace(" ", "\n") for heading in _HEADINGS],
+        (),
+        title=TerminalText(title),
+        caption=TerminalText(_CAPTION),
+        box=SIMPLE_HEAD,  # 80 columns are enough
+        show_edge=False,
+        padding=0,
+    )
+    for result in summary["results"]:
+        table.add_row(*_row(result), style=_STYLES[_mark(result)])
+    return table
+
+
+def study_notes(summary: Mapping[str, Any]) -> list[str]:
+    """Say why methods are not possible, and which were simulated uncompiled and why."""
+    notes: dict[str, dict[str, None]] = {}
+    for row in summary["not_possible"]:
+        reason = row["reason"].replace(f"compensation.method {row['method']}", "each")
+        notes.setdefault(f"not possible: {reason}", {})[row["method"]] = None
+    for result in summary["results"]:
+        if reason := result["uncompiled"]:
+            notes.setdefault(f"simulated uncompiled: {reason}", {})[result["method"]] = None
+    return [f"{', '.join(methods)}: {note}" for note, methods in notes.items()]
+
+
+def write_study(summary: Mapping[str, Any], title: str, subtitle: str, path: Path) -> None:
+    """Write the page; an InputError says that it can't be written."""
+    verdicts = [Verdict(_mark(own), headline(own, summary)) for own in best_results(summary)]
+    sections = [
+        Section("Verdict", verdicts),
+        Section("Error", _errors(summary)),
+        Section("What the error depends on", _dependence(summary)),
+        Section("The worst tests", _worst(summary)),
+    ]
+    write_page(path, title, subtitle, sections)
+
+
+def _name(result: Mapping[str, Any]) -> str:
+    return f"{result['method']} at mass ratio {result['mass_ratio']:g}"
+
+
+def _mark(result: Mapping[str, Any]) -> Mark:
+    error = result["distribution"]["displacement"]["p95"]
+    if result["trips"]["count"]:
+        return Mark.BAD
+    return Mark.GOOD if error is not None and error <= GOOD_ERROR else Mark.DOUBT
+
+
+def _row(result: Mapping[str, Any]) -> list[str]:
+    own, errors = result["configured"], result["distribution"]["displacement"]
+    configured = _of_test(own["stable"], own["displacement"]["nrmse"])
+    share = percent(result["trips"]["share"])
+    return [*_place(result), configured, *map(_error, errors.values()), share]
+
+
+def _place(result: Mapping[str, Any]) -> list[str]:
+    return [result["method"], f"{result['mass_ratio']:g}"]
+
+
+def _error(value: float | None) -> str:
+    return "unstable" if value is None else percent(value)
+
+
+def _of_test(stable: bool, error: float | None) -> str:
+    return percent(error) if stable else "unstable"
+
+
+def _errors(summary: Mapping[str, Any]) -> list[Block]:
+    rows: list[list[str | Cell]] = [
+        [*_place(result), *(Cell(text, _mark(result)) for text in _row(result)[2:])]
+        for result in summary["results"]
+    ]
+    notes = "".join(f" {note}." for note in study_notes(summary))
+    plots = [_distribution(best["mass_ratio"], summary) for best in best_results(summary)]
+    return [Table(_HEADINGS, rows), Text(f"{_CAPTION}.{notes}"), *plots]
+
+
+def _distribution(ratio: float, summary: Mapping[str, Any]) -> Plot:
+    panel = plot("NRMSE of displacement / %", "share of the tests / %", log_x=True)
+    own = [result for result in summary["results"] if result["mass_ratio"] == ratio]
+    for place, result in enumerate(own):
+        errors = np.sort(errors_of(result["runs"]))
+        at = np.arange(1, len(errors) + 1) / len(errors)
+        finite = np.isfinite(errors) & (errors > 0)
+        color, dash = OTHERS[place % len(OTHERS)], ("solid", "dashed")[place // len(OTHERS) % 2]
+        line(
+            panel, 100 * errors[finite], 100 * at[finite], result["method"], color=color, dash=dash
+        )
+    level(panel, 95.0)
+    caption = (
+        f"Mass ratio {ratio:g}: share of the drawn tests whose error is at most that. Unstable "
+        "tests are missing at the top. Dashed: 95 %."
+    )
+    return Plot(panel, caption)
+
+
+def _dependence(summary: Mapping[str, Any]) -> list[Block]:
+    chance = summary["chance"]
+    text = (
+        "Rank correlation (Spearman) of the displacement's error with each drawn quantity, and "
+        "with its deviation from the configured value either way; unstable tests are the most "
+        f"wrong. {_CHANCE.format(chance)}. The largest are listed."
+    )
+    causes: list[list[str | Cell]] = [
+        [
+            *_place(result),
+            Cell(cause["quantity"], Mark.DOUBT if strength(cause) > chance else Mark.NONE),
+            *(number(cause[key], form="+.2f") for key in CORRELATIONS),
+        ]
+        for result in summary["results"]
+        for cause in result["causes"][:_CAUSES]
+    ]
+    headings = ("method", "mass ratio", "quantity", "its value", "its deviation")
+    blocks: list[Block] = [Text(text), Table(headings, causes, numbers=False)]
+    motions = [
+        [*_place(result), file, str(own["tests"]), *(_error(own[name]) for name in QUANTILES)]
+        for result in summary["results"]
+        for file, own in result["motions"].items()
+        if len(result["motions"]) > 1
+    ]
+    if motions:
+        by_motion = ("method", "mass ratio", "ground motion", "tests", *QUANTILES)
+        blocks.append(Table(by_motion, motions, numbers=False))
+    for best in best_results(summary):
+        names = [cause["quantity"] for cause in best["causes"][:_CAUSES]]
+        blocks.append(Text(f"{_name(best)}:"))
+        blocks.append(Grid([_scatter(name, best, summary) for name in names], columns=3))
+    return blocks
+
+
+def _scatter(name: str, result: Mapping[str, Any], summary: Mapping[str, Any]) -> Plot:
+    errors = errors_of(result["runs"])
+    values = np.array([one["factors"][name] for one in summary["drawn"]])
+    panel = plot(
+        f"{name}, over the configured value", "NRMSE of displacement / %", log_y=True, height=230
+    )
+    stable = np.isfinite(errors) & (errors > 0)
+    dots(panel, values[stable], 100 * errors[stable])
+    lost = np.isinf(errors)
+    if lost.any():
+        top = float(100 * errors[stable].max()) if stable.any() else 100.0
+        dots(panel, values[lost], np.full(lost.sum(), 1.5 * top), "unstable", color=MARK)
+    return Plot(panel)
+
+
+def _worst(summary: Mapping[str, Any]) -> list[Block]:
+    """List the tests with the largest errors, and how each differs most from the configured one."""
+    rows = []
+    for result in summary["results"]:
+        for one in result["worst"]:
+            differs = ", ".join(f"{name} times {by:.3g}" for name, by in one["furthest"].items())
+            how = one["trip"]["reason"] if one["trip"] else ""
+            error = _of_test(one["stable"], one["nrmse"])
+            rows.append([*_place(result), str(one["test"]), error, differs, how, one["file"]])
+    headings = ("method", "mass ratio", "test", "NRMSE", "furthest from configured", "trip")
+    text = "seft simulate FILE repeats a test."
+    return [Text(text), Table((*headings, "file"), rows, numbers=False, wide=True)]

@@ -1,0 +1,185 @@
+"""What the tests of a study say: distribution of the error, trips, causes, the worst tests."""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import binomtest, rankdata
+from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.parameter_table import Section
+
+from seft_ros.drawing.style import RESPONSES, json_safe
+from seft_ros.study.study_plan import StudyPlan
+from seft_ros.study.study_runs import Run
+
+QUANTILES = {"median": 0.5, "p90": 0.9, "p95": 0.95, "max": 1.0}
+"""Share of the tests whose error is at most a number of this name."""
+CORRELATIONS = ("value", "deviation")
+
+_Z95 = 1.959964  # of the normal distribution: 95 % are within
+_WORST = 5  # tests that are listed
+_FURTHEST = 3  # quantities that are listed with one of them
+
+
+def summarise_study(plan: StudyPlan, runs: Sequence[Run]) -> dict[str, Any]:
+    """Summarise a study: ``seft study --json``.
+
+    Parameters
+    ----------
+    plan : StudyPlan
+        With N drawn tests.
+    runs : sequence of Run
+        Of all its tests.
+
+    Returns
+    -------
+    dict
+        ``tests`` (N), ``seed``, ``spread``, ``results`` (see `result_of`; the mass ratios in their
+        order, the methods of each with the best first), ``not_possible`` (mass_ratio, method,
+        reason), ``chance`` (rank correlations up to this come about by chance alone, 95 %) and
+        ``drawn`` (of each test: test, motion, factors).
+
+        A method is better if fewer of its tests tripped; of those with as many, if the error of
+        the displacement is smaller in 95 % of the tests, at most, as a median.
+    """
+    drawn, results = plan.drawn, []
+    for ratio in plan.mass_ratios:
+        possible = [name for name in plan.methods if (ratio, name) not in plan.not_possible]
+        own = [
+            result_of(plan, [run for run in runs if run.test[:2] == (ratio, name)])
+            for name in possible
+        ]
+        results += sorted(own, key=_rank)
+    found: dict[str, Any] = json_safe(
+        {
+            "tests": len(drawn.sections) - 1,
+            "seed": drawn.seed,
+            "spread": drawn.spread,
+            "results": results,
+            "not_possible": [
+                {"mass_ratio": ratio, "method": method, "reason": reason}
+                for (ratio, method), reason in plan.not_possible.items()
+            ],
+            "chance": _Z95 / math.sqrt(len(drawn.sections) - 2),
+            "drawn": [
+                {
+                    "test": number,
+                    "motion": _motion(sections),
+                    "factors": {name: own[number - 1] for name, own in drawn.factors.items()},
+                }
+                for number, sections in enumerate(drawn.sections[1:], 1)
+            ],
+        }
+    )
+    return found
+
+
+def result_of(plan: StudyPlan, runs: Sequence[Run]) -> dict[str, Any]:
+    """Summarise the tests of one method at one mass ratio, the configured one first.
+
+    Returns
+    -------
+    dict
+        ``mass_ratio``, ``method``, ``uncompiled`` (why its tests were simulated uncompiled, or
+        empty), ``configured`` (summary of test 0); of the drawn tests ``distribution`` and
+        ``peak_error`` of displacement, force and acceleration (`QUANTILES`; a test that tripped is
+        infinitely wrong), ``trips`` (count, share and its 95 % interval by Wilson 1927; of the
+        tests that tripped or became unstable), ``causes`` (see `causes_of`), ``motions`` (file ->
+        tests, and `QUANTILES` of the displacement's error), ``worst`` (test, nrmse, stable, trip,
+        furthest: the factors that differ most from 1) and ``runs`` (test, and its summary).
+    """
+    configured, drawn = runs[0], [run.summary for run in runs[1:]]
+    errors, lost = errors_of(drawn), sum(not one["stable"] for one in drawn)
+    motions = np.array([_motion(sections) for sections in plan.drawn.sections[1:]])
+    groups = {str(name): errors[motions == name] for name in np.unique(motions)}
+    ranked = sorted(range(len(drawn)), key=lambda n: -np.nan_to_num(errors[n], nan=math.inf))
+    return {
+        "mass_ratio": configured.test.mass_ratio,
+        "method": configured.test.method,
+        "uncompiled": configured.obstacle,
+        "configured": configured.summary,
+        "distribution": {name: quantiles(errors_of(drawn, name)) for name in RESPONSES},
+        "peak_error": {name: quantiles(_peak_errors(drawn, name)) for name in RESPONSES},
+        "trips": {
+            "count": lost,
+            "share": lost / len(drawn),
+            "interval_95": binomtest(lost, len(drawn)).proportion_ci(method="wilson"),
+        },
+        "causes": causes_of(plan.drawn.factors, errors),
+        "motions": {name: {"tests": len(own), **quantiles(own)} for name, own in groups.items()},
+        "worst": [_worst(plan, 1 + n, drawn[n]) for n in ranked[:_WORST]],
+        "runs": [{"test": number} | one for number, one in enumerate(drawn, 1)],
+    }
+
+
+def _motion(sections: Mapping[str, Section]) -> str:
+    return Path(sections["ground_motion"]["file"]).name
+
+
+def _worst(plan: StudyPlan, number: int, outcome: Mapping[str, Any]) -> dict[str, Any]:
+    factors = {name: own[number - 1] for name, own in plan.drawn.factors.items()}
+    furthest = sorted(factors.items(), key=lambda one: -abs(math.log(one[1])))[:_FURTHEST]
+    error, stable, trip = outcome["displacement"]["nrmse"], outcome["stable"], outcome["trip"]
+    found = {"test": number, "nrmse": error, "stable": stable, "trip": trip}
+    return found | {"furthest": dict(furthest)}
+
+
+def _rank(result: Mapping[str, Any]) -> list[float]:
+    errors = result["distribution"]["displacement"]
+    values = [result["trips"]["share"], *(errors[name] for name in ("p95", "max", "median"))]
+    return [math.inf if math.isnan(value) else value for value in values]
+
+
+def errors_of(outcomes: Sequence[Mapping[str, Any]], response: str = "displacement") -> Floats:
+    """NRMSE of tests by their summaries; infinite where unstable, NaN where it is undefined."""
+    values = [one[response]["nrmse"] if one["stable"] else math.inf for one in outcomes]
+    return np.array(values, dtype=float)
+
+
+def _peak_errors(outcomes: Sequence[Mapping[str, Any]], response: str) -> Floats:
+    """Magnitude of (peak - exact peak) / exact peak of tests, likewise."""
+    found = []
+    for one in outcomes:
+        peak, exact = (one[response][key] for key in ("peak", "reference_peak"))
+        found.append(abs(peak / exact - 1.0) if exact and one["stable"] else math.inf)
+    return np.array(found)
+
+
+def quantiles(errors: Floats) -> dict[str, float]:
+    """Smallest errors that so many of the tests do not exceed, see `QUANTILES`."""
+    known = np.sort(errors[~np.isnan(errors)])
+    if not len(known):
+        return dict.fromkeys(QUANTILES, math.nan)
+    places = {name: math.ceil(share * len(known)) - 1 for name, share in QUANTILES.items()}
+    return {name: float(known[max(place, 0)]) for name, place in places.items()}
+
+
+def causes_of(factors: Mapping[str, Floats], errors: Floats) -> list[dict[str, Any]]:
+    """Rank correlations (Spearman) of the error with each drawn quantity, largest first.
+
+    With its value, and with how far that is from the configured one either way (`CORRELATIONS`).
+    Unstable tests are the most wrong. NaN where all errors are equal.
+    """
+    known = ~np.isnan(errors)
+    found = []
+    for name, values in factors.items():
+        both = values[known], np.abs(np.log(values[known]))
+        pairs = zip(CORRELATIONS, both, strict=True)
+        found.append({"quantity": name, **{key: _spearman(x, errors[known]) for key, x in pairs}})
+    return sorted(found, key=strength, reverse=True)
+
+
+def strength(cause: Mapping[str, Any]) -> float:
+    """Magnitude of the larger of both correlations; 0 where there is none."""
+    values = [cause[key] for key in CORRELATIONS if cause[key] is not None]
+    return max((abs(value) for value in values if math.isfinite(value)), default=0.0)
+
+
+def _spearman(x: Floats, y: Floats) -> float:
+    """Correlation of the ranks; that of scipy cannot rank what is infinite."""
+    ranks = rankdata(x), rankdata(y)
+    if not len(x) or any(np.ptp(rank) == 0 for rank in ranks):
+        return math.nan
+    return float(np.corrcoef(*ranks)[0, 1])

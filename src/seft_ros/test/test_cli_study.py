@@ -1,0 +1,152 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from seft_ros.reference_force.compensation_methods import METHODS
+
+JHU = str(Path(__file__).parents[3] / "config" / "jhu.yaml")
+SHORT = ("-p", "ground_motion:synthetic.duration:=4", "-p", "ground_motion:tail:=0.5")
+SEFT = (sys.executable, "-m", "seft_ros.cli.main")
+
+
+def start(folder, *words):
+    """Start a command in a folder of its own, its output in files there."""
+    folder.mkdir(exist_ok=True)
+    with (folder / "out").open("w") as out, (folder / "err").open("w") as err:
+        return subprocess.Popen(
+            [*SEFT, "study", JHU, *SHORT, *words, "--json"],
+            cwd=folder,
+            stdout=out,
+            stderr=err,
+        )
+
+
+def numbers(folder, *words):
+    assert start(folder, *words).wait(timeout=300) == 0, (folder / "err").read_text()
+    return json.loads((folder / "out").read_text())
+
+
+def test_the_page_the_table_and_the_files_of_the_worst_tests(seft, tmp_path):
+    words = ("--method", "none", "--method", "restoring", "--mass-ratio", "0.5")
+    words = (*words, "--mass-ratio", "1.5", "--tests", "12", "--workers", "1", "--out", "page")
+    status, out, _ = seft("study", JHU, *SHORT, *words)
+    assert status == 0
+    for part in ("12 tests, spread 10 %", "restoring", "tripped", "at mass ratio 1.5: 95 % of the"):
+        assert part in out
+    page = (tmp_path / "page.html").read_text()
+    files = list((tmp_path / "page").iterdir())
+    parts = ("What the error depends on", "The worst tests", "Study of jhu.yaml", "specimen.mass")
+    for part in (*parts, *(f"page/{file.name}" for file in files)):
+        assert part in page
+    assert len(files) == 4 * 5
+    assert list(tmp_path.glob("*.jsonl")) == []
+
+
+def test_test_0_is_that_of_simulate_and_a_worst_test_that_of_its_file(seft):
+    words = ("--tests", "2", "--workers", "1", "--json")
+    status, out, _ = seft("study", JHU, *SHORT, *words)
+    assert status == 0
+    (result,) = json.loads(out)["results"]
+    _, out, _ = seft("simulate", JHU, *SHORT, "--json")
+    alone = json.loads(out)
+    worst = result["worst"][0]
+    _, out, _ = seft("simulate", worst["file"], "--json")
+    again, run = json.loads(out), result["runs"][worst["test"] - 1]
+    for name in ("displacement", "acceleration", "force", "stable", "trip", "steps"):
+        assert result["configured"][name] == alone[name]
+        assert run[name] == again[name]
+
+
+def test_none_is_unstable_at_mass_ratio_1_5(seft):
+    words = ("--mass-ratio", "1.5", "--tests", "2", "--workers", "1", "--json")
+    words = (*words, "--method", "none", "--method", "restoring")
+    duration = ("-p", "ground_motion:synthetic.duration:=12")
+    status, out, _ = seft("study", JHU, *SHORT, *duration, *words)
+    assert status == 0
+    restoring, none = json.loads(out)["results"]
+    assert (restoring["method"], none["method"]) == ("restoring", "none")
+    assert (none["trips"]["share"], restoring["trips"]["share"]) == (1.0, 0.0)
+    assert none["distribution"]["displacement"]["median"] is None
+    assert restoring["distribution"]["displacement"]["max"] > 0
+    assert all(run["trip"] for run in none["runs"])
+
+
+@pytest.mark.parametrize("name", ["jhu", "demo"])  # demo's controller follows a target alone
+def test_every_method_there_is_takes_part_with_any_controller(seft, name):
+    words = ("--method", "all", "--tests", "2", "--workers", "1", "--json")
+    status, out, _ = seft("study", Path(JHU).with_name(f"{name}.yaml"), *SHORT, *words)
+    assert status == 0
+    found = json.loads(out)
+    took_part = {result["method"] for result in found["results"]}
+    assert took_part | {row["method"] for row in found["not_possible"]} == set(METHODS)
+    assert {"none", "restoring", "target_motion"} <= took_part  # they need nothing identified
+
+
+def test_a_command_that_is_killed_goes_on_where_it_was(tmp_path):
+    words = ("--tests", "60")
+    whole = numbers(tmp_path / "whole", *words)
+    killed = start(tmp_path / "killed", *words, "--workers", "1")
+    while not (kept := list((tmp_path / "killed").glob("study-*.jsonl"))):
+        assert killed.poll() is None, (tmp_path / "killed" / "err").read_text()
+        time.sleep(0.005)
+    killed.kill()
+    killed.wait()
+    assert kept[0].exists()
+    again = numbers(tmp_path / "killed", *words)
+    assert again == whole
+    assert not kept[0].exists()
+
+
+def test_an_interruption_says_how_it_goes_on(tmp_path):
+    command = start(tmp_path, "--tests", "5000")
+    while not list(tmp_path.glob("study-*.jsonl")):
+        assert command.poll() is None, (tmp_path / "err").read_text()
+        time.sleep(0.01)
+    command.send_signal(signal.SIGINT)
+    assert command.wait(timeout=60) == 1
+    assert (
+        (tmp_path / "err")
+        .read_text()
+        .endswith("seft: interrupted; no result yet; the same command in this folder continues\n")
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--tests", "1"], "--tests"),
+        (["--method", "nome"], "did you mean none?"),
+        (["--mass-ratio", "nan"], "mass_ratio is nan"),
+        (["--workers", "0"], "--workers"),
+        (["--seed", "-1"], "--seed"),
+        (["-p", "ground_motion:file:=none.AT2"], "none.AT2"),
+        (["-p", "force_controller:denominator:=0"], "denominator is zero"),
+        (["-p", "rig:actuator.oil_column_frequency:=10.08"], "drawn test"),
+        (["--motion", "none.AT2"], "none.AT2"),
+        (["--out", "none/page.html"], "no folder none"),
+        (["--spread", "2"], "--spread"),
+        (["-p", "rig:specimen.mass:=0"], "specimen.mass is 0.0"),
+        (["--scheduler", "tcp://127.0.0.1:9"], "no Dask scheduler answers there"),
+        (["--scheduler", "cluster"], "--scheduler cluster"),
+    ],
+)
+def test_wrong_input_is_told_in_one_line(seft, tmp_path, words, told):
+    if "--scheduler" in words:
+        pytest.importorskip("distributed")
+    status, out, err = seft("study", JHU, *SHORT, *words)
+    assert (status, out) == (2, "")
+    assert told in err.splitlines()[-1]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_dask_a_scheduler_is_refused_with_the_way_to_install_it(seft, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    status, _, err = seft("study", JHU, "--scheduler", "tcp://127.0.0.1:8786")
+    assert status == 2
+    assert "pip install 'seft_ros[dask]'" in err
+    assert os.linesep.join(err.splitlines()[-1:]).startswith("seft: --scheduler")

@@ -1,0 +1,157 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from seft_msgs_py.config.experiment import Experiment, parse_override
+from seft_msgs_py.errors import InputError
+from seft_plant_sim.rig_parameters import TABLE
+from seft_ros.study.drawn_tests import (
+    DRAWN_QUANTITIES,
+    check_rig,
+    draw_tests,
+    drawn_motion,
+    drawn_rig,
+)
+from seft_ros.test_run.parameter_tables import TABLES
+
+JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
+TWO = ("/**:axes:=[x, y]", "rig:specimen.stiffness:=[2.11e5, -3.0e4, -3.0e4, 1.8e5]")
+
+
+def load(*words):
+    return Experiment.load(TABLES, [JHU], [parse_override(word) for word in words])
+
+
+EXPERIMENT = load()
+
+
+def rig_of(number, seed=1, spread=0.2, experiment=EXPERIMENT):
+    return drawn_rig(experiment["rig"], experiment.axes, seed, number, spread)
+
+
+def test_every_drawn_quantity_is_a_parameter():
+    known = {f"{table.node}:{row}" for table in TABLES for row in table.rows}
+    assert set(DRAWN_QUANTITIES) <= known
+
+
+def test_test_0_is_the_configured_one_and_the_others_are_drawn():
+    drawn = draw_tests(EXPERIMENT, 3, seed=5, spread=0.2)
+    assert drawn.sections[0] == {node: EXPERIMENT[node] for node in ("rig", "ground_motion")}
+    for number, sections in enumerate(drawn.sections[1:], 1):
+        assert sections["rig"] == rig_of(number, seed=5)
+        assert sections["ground_motion"] == drawn_motion(
+            EXPERIMENT["ground_motion"], 5, number, 0.2, ()
+        )
+
+
+def test_a_test_does_not_depend_on_how_many_there_are():
+    few, many = (draw_tests(EXPERIMENT, number) for number in (2, 6))
+    assert many.sections[:3] == few.sections
+    assert many.factors.keys() == few.factors.keys()
+    for name, values in few.factors.items():
+        assert np.array_equal(values, many.factors[name][:2])
+
+
+@given(st.integers(1, 10_000), st.integers(0, 2**32), st.floats(0.0, 1.0))
+def test_parameters_stay_within_their_spread_and_the_others_as_they_are(number, seed, spread):
+    own, nominal = rig_of(number, seed, spread), EXPERIMENT["rig"]
+    assert own.keys() == nominal.keys()
+    for name, value in nominal.items():
+        if name == "seed":
+            continue
+        uncertainty = DRAWN_QUANTITIES.get(f"rig:{name}")
+        if uncertainty is None or value == 0:
+            assert own[name] == value
+            continue
+        most = 1.0 + uncertainty * spread
+        assert 1 / most - 1e-12 <= own[name] / value <= most + 1e-12
+    assert TABLE.check(own) == own
+
+
+def test_a_spread_of_a_fifth_is_20_percent_stiffness_and_twice_or_half_the_damping():
+    rigs = [rig_of(number) for number in range(1, 2001)]
+    for name, most in (("specimen.stiffness", 1.2), ("specimen.damping", 2.0)):
+        factors = np.array([rig[name] for rig in rigs]) / EXPERIMENT["rig"][name]
+        assert factors.max() == pytest.approx(most, rel=0.01)
+        assert factors.min() == pytest.approx(1 / most, rel=0.01)
+        assert np.median(factors) == pytest.approx(1.0, abs=0.03)
+
+
+def test_a_rig_is_a_matter_of_seed_and_number_alone():
+    assert rig_of(3) == rig_of(3)
+    assert rig_of(3) != rig_of(4)
+    assert rig_of(3) != rig_of(3, seed=2)
+    assert len({rig_of(number)["seed"] for number in range(1, 51)}) == 50
+
+
+def test_without_spread_only_the_seeds_differ():
+    assert rig_of(3, spread=0.0) | {"seed": 1} == EXPERIMENT["rig"]
+    drawn = draw_tests(EXPERIMENT, 2, spread=0.0)
+    assert drawn.factors == {}
+    assert drawn.sections[1]["ground_motion"] | {"synthetic.seed": 1} == EXPERIMENT["ground_motion"]
+
+
+def test_actuators_differ_from_axis_to_axis_and_the_specimen_stays_symmetric():
+    experiment = load(*TWO)
+    drawn = draw_tests(experiment, 4)
+    two = drawn.factors
+    assert not np.array_equal(
+        two["rig:actuator.flow_gain, axis x"], two["rig:actuator.flow_gain, axis y"]
+    )
+    for number, sections in enumerate(drawn.sections[1:]):
+        stiffness = np.divide(
+            sections["rig"]["specimen.stiffness"], experiment["rig"]["specimen.stiffness"]
+        )
+        assert stiffness == pytest.approx(np.full(4, two["rig:specimen.stiffness"][number]))
+
+
+def test_quantities_are_those_on_which_the_test_depends():
+    factors = draw_tests(EXPERIMENT, 4).factors
+    assert {"rig:specimen.mass", "rig:actuator.flow_gain", "ground_motion:peak_force"} <= set(
+        factors
+    )
+    for name in ("rig:actuator.bulk_modulus", "rig:actuator.rated_flow", "rig:specimen.gap.width"):
+        assert name not in factors  # replaced by what is identified, or zero
+    assert "ground_motion:influence" not in factors
+    for name, values in factors.items():
+        assert values.shape == (4,) and np.all(values > 0), name
+
+
+@given(st.integers(1, 1000), st.floats(0.0, 1.0), st.sampled_from([0.0, 400.0]))
+def test_a_motion_is_drawn_within_the_spread(number, spread, peak):
+    section = EXPERIMENT["ground_motion"] | {"peak_force": peak}
+    drawn = drawn_motion(section, 1, number, spread, ())
+    changed = "peak_force" if peak else "influence"
+    kept = "influence" if peak else "peak_force"
+    ratio = float(np.divide(drawn[changed], section[changed]).item())
+    assert 1 / (1 + spread) - 1e-12 <= ratio <= 1 + spread + 1e-12
+    assert drawn[kept] == section[kept]
+    assert drawn["synthetic.seed"] != section["synthetic.seed"]
+    assert drawn["synthetic.duration"] == section["synthetic.duration"]
+    assert drawn == drawn_motion(section, 1, number, spread, ())
+
+
+def test_each_file_is_drawn_and_the_ground_layer_of_files_is_not():
+    section = EXPERIMENT["ground_motion"]
+    drawn = [drawn_motion(section, 1, number, 0.1, ["a", "b", "c"]) for number in range(1, 300)]
+    counts = [sum(one["file"] == name for one in drawn) for name in "abc"]
+    assert min(counts) > 70 and sum(counts) == 299
+    assert {one["synthetic.ground_frequency"] for one in drawn} == {
+        section["synthetic.ground_frequency"]
+    }
+
+
+def test_a_motion_that_is_not_there_is_reported_before_anything_is_run():
+    with pytest.raises(InputError, match=r"none\.AT2"):
+        draw_tests(EXPERIMENT, 2, motions=["none.AT2"])
+
+
+def test_a_rig_that_can_not_be_is_refused_by_its_number():
+    experiment = load("rig:actuator.oil_column_frequency:=10.1")
+    section = experiment["rig"] | {"specimen.stiffness": 4e5}
+    with pytest.raises(InputError, match=r"^drawn test 5: .*oil_column.*smaller spread"):
+        check_rig(section, experiment.axes, experiment.timebase, 5)
+    with pytest.raises(InputError, match=r"^rig: actuator"):
+        check_rig(section, experiment.axes, experiment.timebase, 0)

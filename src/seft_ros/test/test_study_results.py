@@ -1,0 +1,212 @@
+"""What is made of the outcomes of tests, which are made up here."""
+
+import math
+from io import StringIO
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+from scipy.stats import spearmanr
+from seft_ros.drawing.style import percent
+from seft_ros.study.drawn_tests import DrawnTests
+from seft_ros.study.study_page import headline, study_notes, study_table, write_study
+from seft_ros.study.study_plan import StudyPlan, StudyTest
+from seft_ros.study.study_results import causes_of, quantiles, summarise_study
+from seft_ros.study.study_runs import Run
+
+LOST = math.inf
+"""Error of a test that tripped."""
+
+
+def made_up(errors, factors=None, files=(), not_possible=None, obstacles=None):
+    """A plan and its runs with these errors by method, the configured one first."""
+
+    def part(error):
+        known = 7.0 if error == LOST else error
+        return {"nrmse": known, "peak": 1.1, "reference_peak": 1.0}
+
+    def run(method, number, error):
+        trip = {"reason": "too far"} if error == LOST else None
+        parts = {name: part(error) for name in ("displacement", "force", "acceleration")}
+        summary = parts | {"stable": error != LOST, "trip": trip}
+        return Run(StudyTest(1.0, method, number), summary, (obstacles or {}).get(method, ""))
+
+    count = len(next(iter(errors.values())))
+    sections = [{"ground_motion": {"file": file}} for file in files or [""] * count]
+    drawn = DrawnTests(tuple(sections), factors or {}, 1, 0.1, ())
+    lacking = {(1.0, name): reason for name, reason in (not_possible or {}).items()}
+    methods = (*errors, *(not_possible or {}))
+    plan = StudyPlan(SimpleNamespace(), drawn, methods, (1.0,), lacking)
+    outcomes = [
+        run(method, number, error)
+        for method, own in errors.items()
+        for number, error in enumerate(own)
+    ]
+    return plan, outcomes
+
+
+def summary_of(errors, **more):
+    return summarise_study(*made_up(errors, **more))
+
+
+def result_of(errors, **more):
+    (result,) = summary_of({"a": errors}, **more)["results"]
+    return result
+
+
+def ranked(errors):
+    return [result["method"] for result in summary_of(errors)["results"]]
+
+
+def test_a_test_that_tripped_is_the_most_wrong():
+    errors = np.array([0.01, 0.03, LOST, 0.02])
+    assert quantiles(errors) == {"median": 0.02, "p90": LOST, "p95": LOST, "max": LOST}
+    rising = {"a": np.array([1.0, 1.2, 1.3, 1.1]), "b": np.array([0.9, 1.25, 0.7, 1.15])}
+    first, second = causes_of(rising, errors)
+    assert (first["quantity"], first["value"]) == ("a", pytest.approx(1.0))
+    assert second["quantity"] == "b" and second["deviation"] == pytest.approx(1.0)
+
+
+def test_shares_are_of_the_tests():
+    errors = np.arange(1, 101) / 100.0
+    assert quantiles(errors[::-1]) == {"median": 0.5, "p90": 0.9, "p95": 0.95, "max": 1.0}
+    assert math.isnan(quantiles(np.array([math.nan]))["p95"])
+
+
+@given(st.lists(st.floats(0.5, 2.0), min_size=5, max_size=30, unique=True), st.integers(0, 99))
+def test_the_correlation_is_that_of_ranks(values, seed):
+    errors = np.random.default_rng(seed).permutation(len(values)).astype(float)
+    (cause,) = causes_of({"a": np.array(values)}, errors)
+    assert cause["value"] == pytest.approx(spearmanr(values, errors).statistic)
+
+
+def test_equal_errors_correlate_with_nothing():
+    (cause,) = result_of([0.1] * 5, factors={"a": np.array([0.9, 1.0, 1.1, 1.2])})["causes"]
+    assert (cause["value"], cause["deviation"]) == (None, None)
+
+
+def test_the_interval_of_a_share_is_wilsons():
+    def interval(count, total):
+        errors = [0.01] + [LOST] * count + [0.01] * (total - count)
+        return result_of(errors)["trips"]["interval_95"]
+
+    # Newcombe 1998, table I
+    assert interval(81, 263) == pytest.approx([0.2553, 0.3662], abs=5e-5)
+    assert interval(15, 148) == pytest.approx([0.0624, 0.1605], abs=5e-5)
+    assert interval(0, 20) == pytest.approx([0.0, 0.1611], abs=5e-5)
+
+
+def test_a_summary_counts_what_tripped_and_lists_the_worst():
+    factors = {"a": np.array([1.0, 1.1, 1.2]), "b": np.array([0.5, 0.9, 1.1])}
+    summary = summary_of({"a": [0.01, 0.02, LOST, 0.03]}, factors=factors)
+    (result,) = summary["results"]
+    assert summary["tests"] == 3
+    assert (result["trips"]["count"], result["trips"]["share"]) == (1, pytest.approx(1 / 3))
+    wanted = {"median": 0.03, "p90": None, "p95": None, "max": None}
+    assert result["distribution"]["displacement"] == wanted
+    assert result["peak_error"]["force"]["median"] == pytest.approx(0.1)
+    assert result["configured"]["displacement"]["nrmse"] == 0.01
+    assert [run["test"] for run in result["runs"]] == [1, 2, 3]
+    assert summary["drawn"][2] == {"test": 3, "motion": "", "factors": {"a": 1.2, "b": 1.1}}
+    assert [(one["test"], one["stable"]) for one in result["worst"]] == [
+        (2, False),
+        (3, True),
+        (1, True),
+    ]
+    assert list(result["worst"][1]["furthest"]) == ["a", "b"]
+
+
+def test_tests_are_grouped_by_their_ground_motion():
+    motions = result_of([0.01, 0.02, 0.03, 0.05], files=["", "a/one", "two", "a/one"])["motions"]
+    assert {name: (own["tests"], own["max"]) for name, own in motions.items()} == {
+        "one": (2, 0.05),
+        "two": (1, 0.03),
+    }
+
+
+def test_methods_are_ranked_by_trips_and_then_by_their_errors():
+    assert ranked(
+        {
+            "half": [0.0, 0.02, LOST],
+            "steady": [0.0, 0.3, 0.31],
+            "all": [0.0, LOST, LOST],
+            "mostly": [0.0, 0.1, 0.5],
+            "half, better": [LOST, LOST, 0.01],
+        }
+    ) == ["steady", "mostly", "half, better", "half", "all"]
+
+
+@given(st.lists(st.floats(1e-6, 10.0), min_size=4, max_size=4), st.integers(1, 3))
+def test_a_trip_never_betters_a_rank(errors, lost):
+    spoilt = [LOST if index == lost else error for index, error in enumerate(errors)]
+    assert ranked({"spoilt": spoilt, "whole": errors}) == ["whole", "spoilt"]
+
+
+def test_the_table_fits_a_terminal_and_names_what_is_missing():
+    summary = summary_of(
+        {
+            "linear_acceleration": [0.3, 0.1234, 0.5],
+            "none": [LOST, 0.2, LOST],
+            "wild": [1, 12, 130],
+        },
+        not_possible={"lacking": "it lacks a delay"},
+        obstacles={"wild": "several rigs"},
+    )
+    console = Console(width=80, file=StringIO())
+    console.print(study_table(summary, "title"))
+    text = console.file.getvalue()
+    lines = [" ".join(line.split()) for line in text.splitlines()]
+    assert "linear_acceleration 1 30.0 % 12.3 % 50.0 % 50.0 % 50.0 % 0 %" in lines
+    assert "none 1 unstable 20.0 % unstable unstable unstable 50.0 %" in lines
+    assert "…" not in text
+    assert "lacking" not in text
+    assert study_notes(summary) == [
+        "lacking: not possible: it lacks a delay",
+        "wild: simulated uncompiled: several rigs",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("share", "text"),
+    [(None, "-"), (0.012345, "1.23 %"), (0.5, "50.0 %"), (1.5, "150 %"), (23.4, "2340 %")],
+)
+def test_percent(share, text):
+    assert percent(share) == text
+
+
+def test_the_sentence_says_what_the_error_depends_on_if_that_is_more_than_chance():
+    values = {"rig:specimen.mass": np.linspace(0.9, 1.1, 21)}
+    for rising, wanted in ((True, True), (False, False)):
+        errors = np.arange(21) / 1000 if rising else np.arange(21) % 2 / 1000
+        summary = summary_of({"a": [0.0, *errors.tolist()]}, factors=values)
+        said = headline(summary["results"][0], summary)
+        assert said.startswith("a at mass ratio 1: 95 % of the tests are at most")
+        assert "none of 21 tests tripped" in said
+        assert ("depends most on rig:specimen.mass" in said) is wanted
+
+
+def test_the_sentence_has_the_largest_error_that_most_tests_do_not_exceed():
+    for lost, wanted in (
+        (0, "95 % of the tests are at most 1.00 %"),
+        (1, "90 % of"),
+        (4, "50 % of"),
+    ):
+        summary = summary_of({"a": [0.01] * (11 - lost) + [LOST] * lost})
+        said = headline(summary["results"][0], summary)
+        assert said.startswith(f"a at mass ratio 1: {wanted}")
+    summary = summary_of({"a": [0.01] + [LOST] * 10})
+    said = headline(summary["results"][0], summary)
+    assert said.startswith("a at mass ratio 1: 10 of 10 tests tripped")
+
+
+@pytest.mark.parametrize("factors", [{"b": np.array([0.9, 1.1])}, {}])
+@pytest.mark.parametrize("errors", [[0.1, 0.1, 0.2], [LOST] * 3, [0.0] * 3, [None] * 3])
+def test_a_page_of_little_can_be_written(errors, factors, tmp_path):
+    summary = summary_of({"a": errors}, factors=factors)
+    for worst in summary["results"][0]["worst"]:
+        worst["file"] = "some.yaml"
+    write_study(summary, "title", "subtitle", tmp_path / "page.html")
+    assert "some.yaml" in (tmp_path / "page.html").read_text()

@@ -1,0 +1,293 @@
+"""A study's tests are those of `seft simulate`, whoever calculates them."""
+
+import math
+from pathlib import Path
+
+import pytest
+from seft_msgs_py.config.experiment import Experiment, parse_override
+from seft_msgs_py.errors import ExperimentError, InputError
+from seft_ros.analysis.summary import summarise
+from seft_ros.reference_force.compensation_methods import METHODS
+from seft_ros.reference_force.linear_filter import LinearCompensator
+from seft_ros.study import study_runs
+from seft_ros.study.drawn_tests import draw_tests
+from seft_ros.study.finished_tests import FinishedTests
+from seft_ros.study.study_plan import StudyTest, plan_study
+from seft_ros.study.study_results import summarise_study
+from seft_ros.study.study_runs import run_study
+from seft_ros.study.worst_tests import worst_folder, write_worst_tests
+from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.parameter_tables import TABLES
+
+JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
+SHORT = ("ground_motion:synthetic.duration:=4", "ground_motion:tail:=0.5")
+DELAY = ("rig:actuator.kind:=delay", "rig:actuator.delay:=0.01")
+KEYS = ("steps", "stable", "trip", "saturated", "displacement", "acceleration", "force")
+
+
+def load(*words, file=JHU):
+    return Experiment.load(TABLES, [file], [parse_override(word) for word in (*SHORT, *words)])
+
+
+def planned(*words, methods=("none", "restoring"), ratios=(0.5,), tests=2, **draws):
+    experiment = load(*words)
+    return plan_study(experiment, draw_tests(experiment, tests, **draws), methods, ratios)
+
+
+def keeping(plan, folder, progress=lambda *_: None):
+    return run_study(plan, progress, finished=FinishedTests(plan, folder))
+
+
+def simulated(experiment):
+    summary = summarise(simulate(experiment, build_blocks(experiment)))
+    return {key: summary[key] for key in KEYS}
+
+
+def alike(found, wanted):
+    """Tell whether two summaries are equal, but for rounding."""
+    if isinstance(wanted, dict):
+        return found.keys() == wanted.keys() and all(alike(found[k], wanted[k]) for k in wanted)
+    if isinstance(wanted, float):
+        return found == pytest.approx(wanted, rel=1e-7, abs=1e-9)
+    return found == wanted
+
+
+class Adapting(LinearCompensator):
+    """A method that the compiled loop does not know."""
+
+
+def adapting(known):
+    return Adapting(METHODS["none"](known).linear())
+
+
+def impossible(_):
+    raise InputError("there is no model")
+
+
+def broken(known):
+    compensator = METHODS["none"](known)
+    compensator.step = lambda *_: 1 / 0
+    return compensator
+
+
+def test_test_0_gives_what_simulate_gives():
+    runs = [one for one in run_study(planned()) if one.test.number == 0]
+    assert [one.test for one in runs] == [
+        StudyTest(0.5, "none", 0),
+        StudyTest(0.5, "restoring", 0),
+    ]
+    for one in runs:
+        words = (
+            "reference_force:mass_ratio:=0.5",
+            f"reference_force:compensation.method:={one.test.method}",
+        )
+        assert one.obstacle == ""
+        assert alike(one.summary, simulated(load(*words)))
+
+
+def test_a_drawn_rig_is_tested_with_the_configured_model_against_its_own_structure():
+    plan = planned(*DELAY, methods=["none"], spread=0.3)
+    one = run_study(plan)[2]
+    rig, motion = (plan.drawn.sections[2][node] for node in ("rig", "ground_motion"))
+    assert rig["specimen.mass"] != 52.7
+    words = (
+        *DELAY,
+        "reference_force:mass_ratio:=0.5",
+        *(
+            f"reference_force:model.{name}:={value!r}"
+            for name, value in (("mass", 52.7), ("damping", 800.3), ("stiffness", 2.11e5))
+        ),
+        "ground_motion:mass:=52.7",
+        f"ground_motion:peak_force:={motion['peak_force']!r}",
+        *(
+            f"ground_motion:synthetic.{name}:={motion[f'synthetic.{name}']!r}"
+            for name in ("seed", "ground_frequency", "ground_damping")
+        ),
+        *(
+            f"rig:{name}:={rig[name]!r}"
+            for name in ("seed", *(row for row in rig if row.startswith("specimen.")))
+            if not isinstance(rig[name], str)
+        ),
+        f"rig:actuator.delay:={rig['actuator.delay']!r}",
+        f"rig:actuator.friction:={rig['actuator.friction']!r}",
+    )
+    assert alike(one.summary, simulated(load(*words)))
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_the_file_of_a_worst_test_repeats_it(given, tmp_path, monkeypatch):
+    file, record = JHU, tmp_path / "motion.csv"
+    if not given:  # the model follows from the rig, and must not follow the drawn one
+        text = JHU.read_text()
+        start, end = text.index("    model:"), text.index("    compensation:")
+        file = tmp_path / "bare.yaml"
+        file.write_text(text[:start] + text[end:])
+    record.write_text("".join(f"{(-1) ** (k // 20)}\n" for k in range(400)))
+    monkeypatch.chdir(tmp_path)
+    words = ("file:=motion.csv", "dt:=0.005", "unit:=m/s2")
+    experiment = load(*(f"ground_motion:{word}" for word in words), file=file)
+    plan = plan_study(experiment, draw_tests(experiment, 8, spread=0.3), ["restoring"], [0.5])
+    runs = run_study(plan)
+    summary = summarise_study(plan, runs)
+    write_worst_tests(plan, summary, tmp_path / "study")
+    (result,) = summary["results"]
+    errors = [one["nrmse"] if one["stable"] else math.inf for one in result["worst"]]
+    assert len(errors) == 5 and errors == sorted(errors, reverse=True)
+    monkeypatch.chdir("/")
+    for worst in result["worst"]:
+        assert simulated(Experiment.load(TABLES, [worst["file"]])) == runs[worst["test"]].summary
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="file: can't be made"):
+        write_worst_tests(plan, summary, tmp_path / "file")
+    assert worst_folder(tmp_path / "page.html") == tmp_path / "page"
+    with pytest.raises(InputError, match="file: is no folder"):
+        worst_folder(tmp_path / "file.html")
+
+
+def test_a_method_that_is_not_compiled_is_simulated_uncompiled_and_named_so(monkeypatch):
+    monkeypatch.setitem(METHODS, "adapting", adapting)
+    reported = []
+    runs = run_study(
+        planned(methods=["none", "adapting"]), progress=lambda what, _: reported.append(what)
+    )
+    assert [bool(one.obstacle) for one in runs] == [False, True] * 3
+    assert reported[:2] == [
+        "mass ratio 0.5, none, test 0",
+        "mass ratio 0.5, adapting, test 0 (uncompiled)",
+    ]
+    assert [one.summary for one in runs[::2]] == [one.summary for one in runs[1::2]]
+
+
+def test_all_methods_and_mass_ratios_meet_the_same_tests():
+    plan = planned("reference_force:compensation.delay:=0.0139", methods=["all"], ratios=[0.5, 1.0])
+    assert plan.methods == tuple(METHODS)
+    alone = planned(methods=["none"], ratios=[3.0])
+    assert plan.drawn.sections == alone.drawn.sections
+    base = plan.experiment
+    for test in plan.tests():
+        own = plan.experiment_of(test)
+        assert {node: own[node] for node in ("rig", "ground_motion")} == plan.drawn.sections[
+            test.number
+        ]
+        follows = test.method == "target_motion"
+        control = "velocity_feedforward" if follows else "transfer_function"
+        assert own["force_controller"] == base["force_controller"] | {"method": control}
+        changed = {"mass_ratio": test.mass_ratio, "compensation.method": test.method}
+        assert own["reference_force"] == base["reference_force"] | changed
+
+
+def test_the_configured_method_keeps_its_force_controller():
+    words = ("reference_force:compensation.method:=target_motion",)
+    with pytest.raises(InputError, match="gives the motion of a target"):
+        planned(*words, methods=())
+    plan = planned(*words, "force_controller:method:=velocity_feedforward", methods=(), ratios=())
+    assert (plan.methods, plan.mass_ratios) == (("target_motion",), (0.0,))
+
+
+def test_results_do_not_depend_on_the_number_of_workers():
+    plan = planned(ratios=[0.5, 1.5])
+    reported = []
+    runs = run_study(plan, lambda what, done: reported.append((what, done)), workers=2)
+    assert runs == run_study(plan)
+    assert [done for _, done in reported] == list(range(1, 13))
+    assert {what for what, _ in reported} == {str(test) for test in plan.tests()}
+
+
+class Stop:
+    """Interrupts after some tests."""
+
+    def __init__(self, tests):
+        self.reported, self._tests = [], tests
+
+    def __call__(self, what, done):
+        self.reported.append((what, done))
+        if len(self.reported) == self._tests:
+            raise KeyboardInterrupt
+
+
+def test_what_was_finished_before_an_interruption_is_not_run_again(tmp_path, monkeypatch):
+    with pytest.raises(KeyboardInterrupt):
+        keeping(planned(), tmp_path, Stop(3))
+    (file,) = tmp_path.iterdir()
+    assert len(file.read_text().splitlines()) == 3
+    with file.open("a") as lines:  # as of a process that was killed
+        lines.write('[[0.5, "none", 2], {"steps"')
+    ran, own_run = [], study_runs._run
+    monkeypatch.setattr(study_runs, "_run", lambda *words: ran.append(words[0]) or own_run(*words))
+    reported, more = Stop(0), planned(ratios=[0.5, 1.5], tests=3)  # goes on with more of them
+    found = keeping(more, tmp_path, reported)
+    done = planned().tests()[:3]
+    assert ran == [test for test in more.tests() if test not in done]
+    assert reported.reported[0] == ("3 tests were finished before", 3)
+    assert found == run_study(more)
+    FinishedTests(more, tmp_path).remove()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_other_inputs_begin_anew(tmp_path):
+    record = tmp_path / "motion.csv"
+    words = (f"ground_motion:file:={record}", "ground_motion:dt:=0.005", "ground_motion:unit:=m/s2")
+    for peak, draws, files in (
+        (1.0, {}, 1),
+        (1.0, {"tests": 3}, 1),
+        (1.1, {}, 2),
+        (1.1, {"seed": 2}, 3),
+        (1.1, {"spread": 0.2}, 4),
+    ):
+        record.write_text("".join(f"{peak * (-1) ** (k // 20)}\n" for k in range(200)))
+        with pytest.raises(KeyboardInterrupt):
+            keeping(planned(*words, **draws), tmp_path, Stop(1))
+        assert len(list(tmp_path.glob("*.jsonl"))) == files
+
+
+def test_a_file_of_finished_tests_that_holds_something_else_is_reported(tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        keeping(planned(), tmp_path, Stop(1))
+    (file,) = tmp_path.iterdir()
+    for text in ("some text\n", "[1, {}, 2]\n", "{}\n"):
+        file.write_text(text)
+        with pytest.raises(InputError, match="holds no finished tests; remove it"):
+            keeping(planned(), tmp_path)
+
+
+def test_finished_tests_that_can_not_be_kept_are_reported(tmp_path):
+    with pytest.raises(InputError, match=r"can't be kept there .*start in a folder"):
+        keeping(planned(), tmp_path / "none")
+
+
+def test_a_method_that_can_not_be_set_up_is_left_out_and_the_others_go_on(monkeypatch):
+    monkeypatch.setitem(METHODS, "impossible", impossible)
+    plan = planned(methods=["impossible", "none"])
+    assert plan.not_possible == {(0.5, "impossible"): "there is no model"}
+    assert plan.tests() == [StudyTest(0.5, "none", number) for number in range(3)]
+    with pytest.raises(InputError, match=r"^there is no model$"):
+        planned(methods=["impossible"])
+
+
+@pytest.mark.parametrize(
+    ("method", "words"), [("nome", "did you mean none"), ("smyth", "must be all or one of none")]
+)
+def test_an_unknown_method_is_refused(method, words):
+    with pytest.raises(InputError, match=words):
+        planned(methods=[method])
+
+
+@pytest.mark.parametrize("ratio", [-1.0, float("nan"), float("inf")])
+def test_a_mass_ratio_out_of_bounds_is_refused(ratio):
+    with pytest.raises(InputError, match="mass_ratio is"):
+        planned(ratios=[ratio])
+
+
+def test_an_experiment_that_makes_no_test_is_refused_before_any_method_is_blamed():
+    with pytest.raises(InputError, match="denominator is zero"):
+        planned("force_controller:denominator:=0", methods=["all"])
+
+
+def test_a_method_that_breaks_is_reported_with_its_test(monkeypatch):
+    monkeypatch.setitem(METHODS, "broken", broken)
+    with pytest.raises(ExperimentError) as caught:
+        run_study(planned(methods=["none", "broken"]))
+    assert (
+        str(caught.value) == "mass ratio 0.5, broken, test 0: ZeroDivisionError: division by zero"
+    )
