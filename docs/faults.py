@@ -1,4 +1,4 @@
-"""Table of detectors.md: faults of the hardware in tests of other specimens; run in the project.
+"""Table of safety.md: faults of the hardware in tests of other specimens; run in the project.
 
     .venv/bin/python docs/faults.py kobe.txt:cm/s2:0.005
 

@@ -1,4 +1,4 @@
-"""Sound tests of detectors.md, drawn at random: no detector may end one; run in the project.
+"""Sound tests of safety.md, drawn at random: no detector may end one; run in the project.
 
     .venv/bin/python docs/sound_tests.py 2000 kobe.txt:cm/s2:0.005 nishi_akashi.AT2
 

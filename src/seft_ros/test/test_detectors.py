@@ -26,7 +26,7 @@ GAP = (f"{KIND}gap", f"{SPECIMEN}gap.width:=0.003", f"{SPECIMEN}gap.stiffness:=2
 NOISE = np.array([5e-6, 1e-3, 0.05, 3.0])
 SOON, LARGEST, UNCHANGED = 0.05, 1.5, 0.01
 IN_TIME, HARMLESS, LATE, HARD = "in time", "harmless", "late", "hard"
-SEEN_ANYWHERE = (  # faults that end a test in time wherever they come; of others see detectors.md
+SEEN_ANYWHERE = (  # faults that end a test in time wherever they come; of others see safety.md
     *(f"displacement {fault}" for fault in ("dead", "frozen", "flipped", "off by its peak")),
     *(f"displacement {fault}" for fault in ("halved", "doubled", "dead but for noise")),
     *(f"velocity {fault}" for fault in ("dead", "frozen", "flipped", "off by its peak", "noisy")),

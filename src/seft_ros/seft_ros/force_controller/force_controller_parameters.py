@@ -57,7 +57,7 @@ _ROWS = parameter_rows(
     horizon | float | reference_force:compensation.horizon or 0.05 | s | > 0 .. 1 |
         velocity_feedforward: how far ahead the planned motion is used
     detectors.specimen_mass | floats | reference_force:model.mass or 0.0 | kg | |
-        mass of the specimen, for the detectors (docs/detectors.md); 0: not known
+        mass of the specimen, for the detectors (docs/safety.md); 0: not known
     detectors.specimen_stiffness | floats | reference_force:model.stiffness or 0.0 | N/m | |
         stiffness of the specimen, likewise
     detectors.mass_ratio | float | reference_force:mass_ratio or 0.0 | | |

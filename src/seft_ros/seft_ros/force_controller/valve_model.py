@@ -20,7 +20,7 @@ ACTUATOR = ("flow_gain", "oil_stiffness", "leakage", "force_capacity")
 VALVE = ("valve_frequency", "valve_damping", "dead_time")
 DERIVATIVE_STEP = 1e-4  # s, by which the response is differentiated
 SETTLED = 1e-3
-"""Part of a command's flow that may be neglected."""
+"""Part of a command's flow that may be neglected: it is below the noise."""
 
 
 class ValveModel:

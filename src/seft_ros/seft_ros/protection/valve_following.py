@@ -6,7 +6,8 @@ from seft_msgs_py.arrays import Floats
 from seft_plant_sim.compiled import compiled
 
 UNCERTAIN_GAIN, UNCERTAIN_DELAY = 0.15, 2e-3
-"""Standard deviation of the assumed flow gain, relative, and of the valve's delay, s."""
+"""Standard deviation of the assumed flow gain, relative (supply pressure, temperature), and of the
+valve's delay, s (a step at 500 Hz)."""
 
 LARGEST_GAIN_ERROR, LARGEST_DELAY_ERROR = 0.3, 5e-3
 """Bounds of the estimates."""
@@ -16,7 +17,8 @@ ONE_SAMPLE = 0.1
 one."""
 
 LEAST_PRESSURE = 0.2
-"""Part of the supply pressure that is always assumed to be left for the flow."""
+"""Part of the supply pressure that is always assumed to be left for the flow: its root must not end
+at 0."""
 
 
 @compiled

@@ -14,7 +14,8 @@ BETWEEN_SAMPLES = 3.0
 """Noise of the integrated acceleration over the sensor's: the acceleration changes between samples.
 """
 LEAST_NOISE = np.array([1e-6, 1e-4, 5e-3, 0.3])
-"""Least assumed noise of the sensors: displacement (m), velocity, acceleration, force (N)."""
+"""Least assumed noise of the sensors: displacement (m), velocity, acceleration, force (N). Without
+noise the filters would follow everything that is not modelled."""
 UNKNOWN_VELOCITY = 100.0
 """Noise of a derived velocity, m/s: so large that it is not used."""
 

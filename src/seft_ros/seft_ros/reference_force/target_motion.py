@@ -199,7 +199,7 @@ class ModelLine:
 
 
 LONGEST_SUBSTEP = 0.001
-"""s: a slider that sticks, 50 times as stiff as the paper's specimen, swings at 48 Hz."""
+"""s: a sticking specimen, 46 times as stiff as the paper's, swings at 48 Hz (mass ratio 1)."""
 
 
 class TargetMotion:
