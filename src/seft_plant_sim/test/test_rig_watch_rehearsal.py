@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 import pytest
+from seft_msgs_py.node.clock import MACHINE
 from seft_msgs_py.wire.topics import (
     LOOP_TOPICS,
     RIG_STATE,
@@ -22,7 +23,7 @@ class Loop:
     """Stands for the shell and the other nodes: answers each step after a delay, or never."""
 
     def __init__(self, delay_of):
-        self.rig = RigAxes.whole(["x"])
+        self.rig, self.clock = RigAxes.whole(["x"]), MACHINE
         self.states, self.published = [], []
         self._delay_of, self._due = delay_of, []
         self._codecs = [TrajectoryCodec(t, ("x",), TIMEBASE) for t in (RIG_STATE, VALVE_COMMAND)]

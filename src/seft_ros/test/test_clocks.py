@@ -16,6 +16,7 @@ WALL = {
     ("time", "CLOCK_REALTIME"),
 }
 ALLOWED = {
+    "seft_msgs_py/node/clock.py": "the only one that nodes read",
     "seft_msgs_py/node/node_shell.py": "stamps of diagnostics",
     "seft_msgs_py/node/node_process.py": "when a message came, for the bag",
     "seft_msgs_py/wire/topics.py": "common start of several hosts, refused where clocks differ",

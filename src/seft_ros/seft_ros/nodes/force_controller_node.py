@@ -2,16 +2,16 @@
 
 import math
 import sys
-import time
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.node.node_process import MOST_AT_ONCE
-from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeBody, NodeKind, NodeShell
-from seft_msgs_py.node.realtime import AwakeClock
+from seft_msgs_py.node.clock import AwakeClock
+from seft_msgs_py.node.node_kind import NodeKind
+from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeBody, NodeShell
+from seft_msgs_py.node.turns import MOST_AT_ONCE
 from seft_msgs_py.wire.messages import OK, WARN, Status, decode_status
 from seft_msgs_py.wire.outcome import MOVING, REHEARSES, tripped_status
 from seft_msgs_py.wire.topics import (
@@ -66,7 +66,7 @@ class ForceControllerNode(NodeBody):
         self._moving = False  # by the supervisor's state
         self._order = SampleOrder(timebase)
         self._timeout: float = section["watchdog.state_timeout"]
-        self._awake = AwakeClock(longest_gap=self._timeout / 4)
+        self._awake = AwakeClock(self._clock.monotonic, longest_gap=self._timeout / 4)
         self._heard_at = math.inf  # time of the last state, s; no more are expected
         self._refused_before = 0  # messages, until the last state arrived
         self._warm_up()
@@ -241,7 +241,7 @@ class ForceControllerNode(NodeBody):
                 f"no {REFERENCE_FORCE.name} for {step - previews.newest} steps (the last is of "
                 f"step {previews.newest}); is the link to the reference_force node cut?"
             )
-        elif time.monotonic() - self._reported_at >= REPORT_PERIOD:
+        elif self._clock.monotonic() - self._reported_at >= REPORT_PERIOD:
             self._report()  # after the answer there is time
 
     def _trip(self, reason: str) -> None:
@@ -250,11 +250,11 @@ class ForceControllerNode(NodeBody):
         self._report_trip()
 
     def _report_trip(self) -> None:
-        self._shell.node.get_logger().error(self._controller.reason)  # to read at this host
+        self._shell.log("error", self._controller.reason)  # to read at this host
         self._report()
 
     def _report(self) -> None:
-        self._reported_at = time.monotonic()
+        self._reported_at = self._clock.monotonic()
         reason, step = self._controller.reason, self._controller.step_index
         name, share = self._controller.nearest
         level, text = OK, "ready"

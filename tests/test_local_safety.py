@@ -1,0 +1,50 @@
+"""Values and faults of the program that end a test, in virtual time."""
+
+import numpy as np
+import pytest
+from local_tools import LOCKSTEP, LONG, UNREHEARSED, assert_same, offline
+from seft_plant_sim.rig import Rig
+
+
+def test_a_rig_whose_model_is_not_a_number_trips(running, monkeypatch):
+    graph = running(LONG)
+    step = Rig.step
+
+    def broken(rig, command):
+        rig.state.line[:] = np.nan
+        return step(rig, command)
+
+    monkeypatch.setattr(Rig, "step", broken)
+    graph.until("tripped", within=0.1)
+    assert "is not a finite number" in graph.values["detail"] or "nan" in graph.values["detail"]
+    monkeypatch.undo()
+
+
+def test_an_implausible_force_brings_the_test_down_as_offline(local_graph):
+    graph = local_graph(
+        "ground_motion:synthetic.duration:=5.0",
+        "reference_force:limits.force:=500.0",
+        LOCKSTEP,
+        UNREHEARSED,
+    )
+    graph.until("ready")
+    graph.call("start")
+    graph.until("tripped")
+    record = offline(graph)
+    assert "is beyond the limit of 500 N" in graph.values["detail"]
+    assert graph.values["detail"] == record.trip.reason
+    assert graph.values["step"] == str(record.trip.step)
+    assert_same(graph, record, steps=len(record.series["rig/state"].steps))
+
+
+@pytest.mark.parametrize(
+    "node", ["rig", "force_controller", "reference_force", "ground_motion", "supervisor"]
+)
+def test_a_fault_of_the_program_ends_the_test(running, node, monkeypatch):
+    graph = running(LONG)
+    graph.break_next(node)
+    graph.until(
+        lambda: graph.state == "tripped" or graph.status("rig").get("phase") == "tripped",
+        within=3.0,
+    )
+    assert "a fault of the program in" in graph.values["detail"]
