@@ -3,8 +3,27 @@
 import numpy as np
 import pytest
 from graph_tools import DEMO, JHU
-from local_tools import LOCKSTEP, SHORT, SIX, assert_same, at_rest, digest, offline
-from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND, rehearsed
+from local_tools import (
+    LOCKSTEP,
+    NODES,
+    SHORT,
+    SIX,
+    UNREHEARSED,
+    assert_same,
+    at_rest,
+    digest,
+    offline,
+    perform,
+)
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.messages import decode_description
+from seft_msgs_py.wire.topics import (
+    DESCRIPTION,
+    REFERENCE_FORCE,
+    RIG_STATE,
+    VALVE_COMMAND,
+    rehearsed,
+)
 from seft_ros.protection.protection_step import RampDown
 
 
@@ -101,3 +120,37 @@ def test_an_estop_while_ramping_down_keeps_both_reasons(running):
     )
     graph.until("tripped")
     assert at_rest(graph)
+
+
+def test_live_parameters_may_be_set_and_others_not(local_graph):
+    graph = local_graph(nodes=(*NODES, "recorder"))
+    graph.until(lambda: graph.status("recorder").get("phase"))
+    graph.set_parameter("recorder", "name", "next")
+    with pytest.raises(InputError, match="read-only"):
+        graph.set_parameter("recorder", "rate", 250.0)
+    with pytest.raises(InputError, match="can't be set"):
+        graph.set_parameter("recorder", "use_sim_time", True)
+    with pytest.raises(InputError, match="name"):
+        graph.set_parameter("recorder", "name", "a/b")
+    described = [
+        decode_description(sent.raw)
+        for sent in graph.graph.sent
+        if (sent.node, sent.topic) == ("recorder", DESCRIPTION.name)
+    ]
+    assert [facts["parameters"]["name"] for _, facts in described] == ["", "next"]
+
+
+def test_nodes_that_find_each_other_late_wait_until_all_are_connected(local_graph):
+    graph = local_graph(SIX, UNREHEARSED, discovery=3.0)
+    graph.until(lambda: "to reach" in graph.values.get("detail", ""))
+    perform(graph)
+    assert graph.scheduler.now > 3.0e9
+    assert_same(graph, offline(graph))
+
+
+@pytest.mark.parametrize("pace", ["realtime", "lockstep"])
+def test_nodes_in_one_process_give_the_bits_of_the_offline_loop(local_graph, pace):
+    loop = ("rig", "reference_force", "force_controller")
+    graph = local_graph(SIX, f"rig:pace:={pace}", nodes=("ground_motion", loop, "supervisor"))
+    perform(graph)
+    assert_same(graph, offline(graph))

@@ -2,7 +2,10 @@
 
 import numpy as np
 import pytest
-from local_tools import LOCKSTEP, LONG, UNREHEARSED, assert_same, offline
+from local_tools import LOCKSTEP, LONG, UNREHEARSED, assert_same, at_rest, offline
+from seft_msgs_py.wire.messages import encode_diagnostics
+from seft_msgs_py.wire.outcome import FINISHED, Outcome, rig_status
+from seft_msgs_py.wire.topics import DIAGNOSTICS
 from seft_plant_sim.rig import Rig
 
 
@@ -48,3 +51,14 @@ def test_a_fault_of_the_program_ends_the_test(running, node, monkeypatch):
         within=3.0,
     )
     assert "a fault of the program in" in graph.values["detail"]
+
+
+@pytest.mark.parametrize("pace", ["realtime", "lockstep"])
+def test_a_rig_that_finishes_before_the_end_of_the_motion_trips_the_test(running, pace):
+    graph = running(LONG, f"rig:pace:={pace}")
+    finished = rig_status(Outcome(FINISHED, 499, 0, [], 1.0))
+    graph.inject(DIAGNOSTICS, encode_diagnostics(0, [finished]))
+    graph.until("tripped", within=0.1)
+    assert graph.values["detail"] == "node rig finished after 499 of 101001 steps"
+    assert graph.values["step"] == "498"
+    assert at_rest(graph)

@@ -42,7 +42,8 @@ class LocalGraph:
         from seft_msgs_py.wire.topics import VALVE_COMMAND
         from seft_ros.nodes.kinds import KINDS
 
-        with LocalGraph({**KINDS, "rig": KIND}, ["rig.yaml"]) as graph:
+        kinds, own = {**KINDS, "rig": KIND}, {"rig": ["config/rig.yaml"]}
+        with LocalGraph(kinds, ["experiment.yaml"], own_files=own) as graph:
             graph.until("ready")
             graph.call("start")
             graph.drop(VALVE_COMMAND, range(500, 2000))
@@ -60,6 +61,8 @@ class LocalGraph:
     nodes : sequence of str, or of tuples of str
         Names of the nodes to start, with their rig's if there are several; a tuple shares a
         process. The supervisor waits for these, unless an override names other peers.
+    own_files : mapping of str to sequence of path
+        Node -> its parameter files, if they are not the experiment's.
     latency : float
         Time from sending a message to its arrival, s. At 0 a test in lockstep takes no time.
     discovery : float
@@ -88,21 +91,20 @@ class LocalGraph:
         files: Sequence[Path | str],
         *overrides: str,
         nodes: Sequence[str | tuple[str, ...]] = LOOP,
+        own_files: Mapping[str, Sequence[Path | str]] | None = None,
         latency: float = 1e-4,
         discovery: float = 0.0,
     ) -> None:
         self._kinds = kinds
         groups = [(node,) if isinstance(node, str) else node for node in nodes]
         names = dict.fromkeys(bare(node) for group in groups for node in group)
-        self._words = ["", "--ros-args"]
-        for file in files:
-            self._words += ["--params-file", str(file)]
+        self._files, self._own_files = files, own_files or {}
         if "supervisor" in names:
             peers = ", ".join(name for name in names if name != "supervisor")
             overrides = (f"supervisor:peers:=[{peers}]", *overrides)
-        self._words += _options(overrides)
+        self._overrides = overrides
         parsed = [parse_override(word) for word in overrides]
-        self.experiment = Experiment.load(_tables(kinds), [str(file) for file in files], parsed)
+        self.experiment = Experiment.load(self._tables(), files, parsed)
         self.scheduler = Scheduler()
         period_ns = self.experiment.timebase.period_ns
         self.graph = MemoryGraph(self.scheduler, period_ns, latency, discovery)
@@ -117,7 +119,10 @@ class LocalGraph:
     def start(self, *nodes: str, overrides: Sequence[str] = ()) -> None:
         """Start nodes that share a process, with parameters besides those of the graph."""
         kinds = [self._kinds[bare(node)] for node in nodes]
-        argv, rig = [*self._words, *_options(overrides)], rig_name(nodes[0])
+        files, rig = self._own_files.get(nodes[0], self._files), rig_name(nodes[0])
+        options = [("--params-file", str(file)) for file in files]
+        options += [("-p", override) for override in (*self._overrides, *overrides)]
+        argv = ["", "--ros-args", *(word for option in options for word in option)]
 
         def make_transport(_: Sequence[str], stop: Callable[..., None]) -> MemoryTransport:
             transport = MemoryTransport(self.graph, stop, f"/{rig}" if rig else "")
@@ -287,6 +292,12 @@ class LocalGraph:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def _tables(self) -> list[Table]:
+        """Tables of the experiment: all that are known to the nodes that read its files."""
+        kinds = [kind for name, kind in self._kinds.items() if name not in self._own_files]
+        known = {table.node: table for kind in kinds for table in kind.tables}
+        return list((known | {kind.table.node: kind.table for kind in kinds}).values())
+
     def _endpoint(self, node: str) -> MemoryEndpoint:
         endpoints = self._transports[node].endpoints
         return next(each for each in endpoints if each.path == node)
@@ -296,13 +307,3 @@ class LocalGraph:
             if sent.topic == EXPERIMENT_STATE.name and sent.node != STRANGER:
                 return decode_status(sent.raw)
         return _NOTHING
-
-
-def _options(overrides: Sequence[str]) -> list[str]:
-    return [word for override in overrides for word in ("-p", override)]
-
-
-def _tables(kinds: Mapping[str, NodeKind]) -> list[Table]:
-    """All tables that are known, with the nodes' own in the place of others of the same name."""
-    known = {table.node: table for kind in kinds.values() for table in kind.tables}
-    return list({**known, **{kind.table.node: kind.table for kind in kinds.values()}}.values())

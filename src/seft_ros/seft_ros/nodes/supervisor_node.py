@@ -74,6 +74,7 @@ class SupervisorNode(NodeBody):
         self._rigs = shell.experiment.rigs
         self._peers = with_rigs(self._section["peers"], self._rigs)
         self._rig_nodes = with_rigs([RIG], self._rigs)
+        self._steps = 0  # of the running test
         self._start_ns = 0  # at which several rigs begin together
         self._timeout: float = self._section["watchdog.peer_timeout"]
         self._machine = StateMachine()
@@ -145,6 +146,7 @@ class SupervisorNode(NodeBody):
             if self._state is State.RUNNING:
                 self._lost.clear()
                 self._test_s = 0.0
+                self._steps = self._ground_motion_steps()
                 self._start_ns = self._clock.time_ns() + START_AHEAD_NS
 
     def _poll_graph(self) -> None:
@@ -238,7 +240,7 @@ class SupervisorNode(NodeBody):
         if self._silent is not None:
             values[SILENT] = " ".join(self._silent)
         if "ground_motion" in self._statuses:
-            values["steps"] = self._statuses["ground_motion"].status.values.get("steps", "0")
+            values["steps"] = str(self._ground_motion_steps())
         rig = self._parameters(self._rig_nodes[0])
         if PACE in rig:
             values[PACE] = str(rig[PACE])
@@ -277,8 +279,7 @@ class SupervisorNode(NodeBody):
             if status.name in self._lost and reason != STOPPED:
                 self._machine.note(cause)  # its trip while the link was cut
         elif is_rig and phase == FINISHED:
-            if all(self._phase(rig) == FINISHED for rig in self._rig_nodes):
-                self._machine.finish(f"{status.values.get('steps')} steps done")
+            self._finish(status)
         elif status.name == "recorder" and reason:
             self._machine.soft_trip(reason, self._step())
         elif status.name == "reference_force" and phase in (RAMPING_DOWN, AT_REST):
@@ -287,12 +288,27 @@ class SupervisorNode(NodeBody):
             if phase == AT_REST:
                 self._machine.at_rest()
 
+    def _finish(self, rig: Status) -> None:
+        """Note that a rig has finished; trip if it has not taken all steps of the test."""
+        steps = rig.number("steps") or 0
+        if steps != self._steps:
+            self._machine.hard_trip(
+                f"node {rig.name} finished after {steps} of {self._steps} steps",
+                max(steps - 1, 0),
+            )
+        elif all(self._phase(name) == FINISHED for name in self._rig_nodes):
+            self._machine.finish(f"{steps} steps done")
+
     def _on_description(self, raw: bytes, _: int) -> None:
         node, description = decode_description(raw)
         self._descriptions[node] = description
 
     def _on_clock(self, raw: bytes, _: int) -> None:
         self._test_s = decode_clock(raw) / NANOSECONDS_PER_SECOND
+
+    def _ground_motion_steps(self) -> int:
+        motion = self._statuses.get("ground_motion")
+        return (motion.status.number("steps") or 0) if motion else 0
 
     def _phase(self, node: str) -> str:
         return self._statuses[node].phase if node in self._statuses else ""
