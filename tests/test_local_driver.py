@@ -16,10 +16,10 @@ SMALL = ("ground_motion:synthetic.duration:=6.0", "ground_motion:peak_force:=20.
 def driver(local_graph, monkeypatch):
     """Make the nodes of a test with the template's driver as its rig."""
     monkeypatch.syspath_prepend(str(TEMPLATE))
-    from rig_driver.driver_node import kind_of, stand_in
+    from rig_driver.driver_node import KIND
 
     def make(*overrides):
-        kinds, own = {**KINDS, "rig": kind_of(stand_in)}, {"rig": [TEMPLATE / "config/rig.yaml"]}
+        kinds, own = {**KINDS, "rig": KIND}, {"rig": [TEMPLATE / "config/rig.yaml"]}
         return local_graph(*SMALL, *overrides, kinds=kinds, own_files=own)
 
     yield make

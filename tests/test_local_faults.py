@@ -4,6 +4,8 @@ import pytest
 from local_tools import LOCKSTEP, LONG, NO_COMMAND_WATCH, UNREHEARSED, at_rest
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE
 
+SLOW = 5e-4  # s, latency with which a test in lockstep takes fewer steps
+
 
 def test_a_rig_that_stands_still_for_a_moment_trips_and_is_at_rest(running):
     graph = running(LONG)
@@ -28,7 +30,7 @@ def test_a_rig_that_stands_still_tells_so_where_nobody_else_is_watching(running)
     "node", ["force_controller", "reference_force", "rig", "ground_motion", "supervisor"]
 )
 def test_a_node_that_dies_or_stands_still_ends_the_test_and_is_named(running, node, how, pace):
-    graph = running(LONG, NO_COMMAND_WATCH, f"rig:pace:={pace}")
+    graph = running(LONG, NO_COMMAND_WATCH, f"rig:pace:={pace}", latency=SLOW)
     getattr(graph, how)(node)
     if node == "supervisor":
         graph.until(lambda: graph.status("rig")["phase"] == "tripped", within=2.0)
@@ -46,7 +48,7 @@ def test_a_node_that_dies_or_stands_still_ends_the_test_and_is_named(running, no
     "node", ["force_controller", "reference_force", "rig", "ground_motion", "supervisor"]
 )
 def test_a_node_that_fails_while_the_force_comes_down_ends_the_test(running, node, how):
-    graph = running(LONG, LOCKSTEP, "reference_force:ramp_down_time:=60.0")
+    graph = running(LONG, LOCKSTEP, "reference_force:ramp_down_time:=60.0", latency=SLOW)
     graph.call("stop")
     graph.run(0.5)
     getattr(graph, how)(node)
@@ -119,7 +121,7 @@ def test_a_silent_node_makes_a_ready_graph_incomplete_until_it_is_heard_again(lo
 
 
 def test_nodes_that_are_terminated_end_cleanly_and_the_others_miss_them(running):
-    graph = running(LONG, LOCKSTEP)
+    graph = running(LONG, LOCKSTEP, latency=SLOW)
     graph.terminate("force_controller")
     graph.until("tripped")
     assert "node force_controller has been silent since" in graph.values["detail"]

@@ -40,12 +40,6 @@ EXPERIMENTS = {
         *TWO_AXES,
         "reference_force:loop_delay:=7",
     ),
-    "target_motion_of_an_idealised_actuator": (
-        *TARGET_MOTION,
-        "force_controller:method:=transfer_function",
-        *("rig:actuator.kind:=delay", "rig:actuator.delay:=0.005"),
-        *("reference_force:loop_delay:=2", "reference_force:compensation.delay:=0.008"),
-    ),
     "target_motion_yielding": (
         *TARGET_MOTION,
         *("rig:specimen.kind:=bilinear", "rig:specimen.yield_displacement:=0.001"),

@@ -275,9 +275,12 @@ def stand_in(shell: NodeShell) -> StandIn:
     return StandIn(experiment.timebase.rate, axes, at)
 
 
+KIND = kind_of(stand_in)
+
+
 def main() -> int:
     """Entry point of ``ros2 run rig_driver rig``."""
-    return serve(stand_in)
+    return KIND.main()
 
 
 if __name__ == "__main__":
