@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from textwrap import fill, indent
+from textwrap import fill
 
 from seft_msgs_py.config.parameter_table import Table
 from seft_msgs_py.errors import SeftError
@@ -41,16 +41,18 @@ class NodeKind:
         """Say what the node does, how it is started, and what parameters it has; 80 columns."""
         node, module = self.table.node, sys.modules[self.make.__module__]
         package = (module.__spec__.name if module.__spec__ else module.__name__).split(".")[0]
+        text = (module.__doc__ or "").strip().replace("``", "")
         usage = "[--ros-args [--params-file FILE] [-p NAME:=VALUE] [-r __ns:=/RIG]]"
         lines = [
-            (module.__doc__ or "").strip().replace("``", ""),
-            f"usage: {node} {usage}",
-            f"example: ros2 run {package} {node} --ros-args --params-file config/demo.yaml",
+            "\n\n".join(fill(paragraph, 80) for paragraph in text.split("\n\n")),
+            fill(f"usage: {node} {usage}", 80, subsequent_indent="    "),
+            f"example:\n  ros2 run {package} {node} --ros-args --params-file config/demo.yaml",
             "parameters, with their defaults and units:",
         ]
         for row in self.table.rows.values():
             default = "required" if row.default is None else f"{row.default!r} {row.unit}".strip()
-            lines.append(f"  {row.name}: {default}\n{indent(fill(row.description, 74), 6 * ' ')}")
+            for part, margin in ((f"{row.name}: {default}", 2 * " "), (row.description, 6 * " ")):
+                lines.append(fill(part, 80, initial_indent=margin, subsequent_indent=6 * " "))
         return "\n\n".join(lines[:4]) + "\n\n" + "\n".join(lines[4:])
 
 
