@@ -40,5 +40,7 @@ def test_the_death_of_one_rig_ends_the_test_for_both(local_graph):
     graph.run(1.5)
     graph.kill("west/rig")
     graph.until("tripped", within=10.0)
-    assert "west" in graph.values["detail"]
+    assert "no rig/state of west for 1 s" in graph.values["detail"]
     graph.until(lambda: graph.status("east/rig")["phase"] == "tripped", within=1.0)
+    west, east = (graph.samples(RIG_STATE, rig)[0][-1] for rig in graph.experiment.rigs)
+    assert west <= east <= west + 2  # it waited for the other's

@@ -43,7 +43,7 @@ def test_an_implausible_force_brings_the_test_down_as_offline(local_graph):
 @pytest.mark.parametrize(
     "node", ["rig", "force_controller", "reference_force", "ground_motion", "supervisor"]
 )
-def test_a_fault_of_the_program_ends_the_test(running, node, monkeypatch):
+def test_a_fault_of_the_program_ends_the_test_and_estop_still_answers(running, node):
     graph = running(LONG)
     graph.break_next(node)
     graph.until(
@@ -51,6 +51,12 @@ def test_a_fault_of_the_program_ends_the_test(running, node, monkeypatch):
         within=3.0,
     )
     assert "a fault of the program in" in graph.values["detail"]
+    graph.until(lambda: graph.status(node)["faults"] == "1", within=0.5)
+    assert graph.call("estop")[0]
+    graph.until("tripped")
+    assert at_rest(graph)
+    graph.until(lambda: graph.call("reset")[0])
+    graph.until("ready")
 
 
 @pytest.mark.parametrize("pace", ["realtime", "lockstep"])

@@ -206,11 +206,8 @@ class LocalGraph:
         self._tasks[node].frozen_until = NEVER
 
     def break_next(self, node: str) -> None:
-        """Let the handler of a node's next message fail, as a fault of its program would."""
-        endpoint = self._endpoint(node)
-        for readers in self.graph.subscriptions.values():
-            for reader in readers:
-                reader.breaks |= reader.endpoint is endpoint
+        """Let a fault of a node's program come to light by the next message that it takes."""
+        self._endpoint(node).breaks_next = True
 
     def drop(self, topic: Topic, steps: Container[int], reader: str | None = None) -> None:
         """Lose messages of these steps on their way to readers without resending."""

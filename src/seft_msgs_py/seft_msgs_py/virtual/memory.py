@@ -203,7 +203,6 @@ class MemorySubscription:
         self.reliable = reliable
         self.queue: deque[tuple[bytes, int, bytes]] = deque(maxlen=depth or topic.depth)
         self.waiting: Task | None = None
-        self.breaks = False
         self.take: Take = self._take
         endpoint.graph.add_subscription(self)
 
@@ -225,8 +224,8 @@ class MemorySubscription:
         if not self.queue:
             return None
         taken, graph = self.queue.popleft(), self.endpoint.graph
-        if self.breaks:
-            self.breaks = False
+        if self.endpoint.breaks_next:
+            self.endpoint.breaks_next = False
             raise KeyError(self.topic_name)
         if busy := graph.busy.get(self.endpoint.path):
             graph.clock.sleep(busy)
@@ -244,12 +243,14 @@ class MemoryEndpoint:
         It neither sends nor receives.
     is_gone : bool
         The others know that.
+    breaks_next : bool
+        The next message that it takes meets a fault of the program.
     """
 
     def __init__(self, graph: MemoryGraph, name: str, namespace: str = "") -> None:
         self.graph, self.name, self.namespace = graph, name, namespace
         self.path = f"{namespace}/{name}"[1:]
-        self.is_dead = self.is_gone = False
+        self.is_dead = self.is_gone = self.breaks_next = False
         self._parameters: tuple[Table, Section, Callable[[], None]] | None = None
 
     def full_name(self, topic_name: str) -> str:
