@@ -9,7 +9,8 @@ from types import SimpleNamespace
 
 from rig_driver.driver_node import DriverNode, stand_in
 from rig_driver.parameters import TABLE
-from seft_msgs_py.node.node_shell import NodeKind, NodeShell
+from seft_msgs_py.node.node_kind import NodeKind
+from seft_msgs_py.node.node_shell import NodeShell
 from seft_msgs_py.wire.topics import RIG_STATE
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 

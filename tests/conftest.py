@@ -12,8 +12,11 @@ from collections.abc import Callable, Iterator
 import pytest
 from graph_tools import JHU, PATIENCE
 from hostile import Hostile
+from local_tools import UNREHEARSED
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.virtual import LocalGraph
 from seft_ros.cli.main import main
+from seft_ros.nodes.kinds import KINDS
 from seft_ros.test_run.observer import Observer
 from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.test_run.processes import MODULES
@@ -32,6 +35,33 @@ def domain(monkeypatch):
     number = 1 + 50 * (_WORKER % 2) + next(_domains) % 50
     monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
     return number
+
+
+@pytest.fixture
+def local_graph():
+    """Make the nodes of a test in virtual time, on `JHU`; they end with this test."""
+    with contextlib.ExitStack() as made:
+
+        def make(*overrides, config=JHU, kinds=KINDS, **options):
+            graph = LocalGraph(kinds, [config], *overrides, **options)
+            return made.enter_context(graph)
+
+        yield make
+
+
+@pytest.fixture
+def running(local_graph):
+    """Make a test in virtual time that has run for a second."""
+
+    def make(*overrides, **options):
+        graph = local_graph(UNREHEARSED, *overrides, **options)
+        graph.until("ready")
+        assert graph.call("start") == (True, "the test is running")
+        graph.run(1.0)
+        assert graph.state == "running"
+        return graph
+
+    return make
 
 
 @pytest.fixture

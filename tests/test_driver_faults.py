@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.node.clock import MACHINE
 from seft_msgs_py.wire.messages import Status
 from seft_msgs_py.wire.topics import RigAxes
 from seft_ros.cli.rig_commands import TEMPLATES
@@ -41,7 +42,7 @@ class Shell:
 
     def __init__(self, experiment, turns):
         self.experiment, self.rig = experiment, RigAxes.whole(experiment.axes)
-        self.name, self.stopping = "rig", False
+        self.name, self.stopping, self.clock = "rig", False, MACHINE
         self.reports, self._faults, self._turns = [], [], turns
 
     def publisher(self, topic):
@@ -129,7 +130,7 @@ class Valve:
 def stop_of(valve):
     from rig_driver.safe_stop import SafeStop
 
-    return SafeStop(valve, np.zeros(1), close_time=0.02, farthest=0.001, dt=0.002)
+    return SafeStop(valve, np.zeros(1), close_time=0.02, farthest=0.001, dt=0.002, sleep=time.sleep)
 
 
 def test_a_valve_closes_within_its_time(driver):
@@ -195,7 +196,7 @@ def two_axes(hardware, close_time=0.008):
     from rig_driver.safe_stop import SafeStop
 
     safe = np.array([0.5, -0.25])
-    return SafeStop(hardware, safe, close_time=close_time, farthest=FARTHEST, dt=0.002)
+    return SafeStop(hardware, safe, close_time, farthest=FARTHEST, dt=0.002, sleep=time.sleep)
 
 
 def follow(stop, *displacements):

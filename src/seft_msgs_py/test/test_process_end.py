@@ -6,7 +6,7 @@ import pytest
 import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
-from seft_msgs_py.node.process import leave_graph
+from seft_msgs_py.node.rclpy_interface import leave_graph
 
 HELD = """
 import ctypes, sys

@@ -12,22 +12,18 @@ TRUE, FALSE = bytes([1] * 16), bytes([2] * 16)
 class Graph:
     """Who publishes one topic: identifiers and names; as many are connected."""
 
-    def __init__(self, **publishers):
-        self.publishers = publishers or {"/rig": TRUE}
+    def __init__(self, **nodes):
+        self.nodes = nodes or {"/rig": TRUE}
         self.connected, self.asked = None, []
 
-    def get_publishers_info_by_topic(self, name):
-        self.asked.append(name)
-        return [
-            SimpleNamespace(endpoint_gid=list(gid), node_name=name[1:], node_namespace="/")
-            for name, gid in self.publishers.items()
-        ]
+    def publishers(self, topic_name):
+        self.asked.append(topic_name)
+        return {identifier: node for node, identifier in self.nodes.items()}
 
-    def count_publishers(self, name):
-        return 10 + len(self.publishers)
-
-    def get_publisher_count(self):
-        return len(self.publishers) if self.connected is None else self.connected
+    def publisher_count(self, *topic_name):
+        if topic_name:
+            return 10 + len(self.nodes)
+        return len(self.nodes) if self.connected is None else self.connected
 
 
 @pytest.fixture(params=[RIG_STATE, EXPERIMENT_STATE])
@@ -51,7 +47,7 @@ def test_who_joins_a_test_is_a_stranger_until_it_ends(topic):
     senders = senders_of(graph, topic)
     senders.follow(True)
     assert senders.poll() == []
-    graph.publishers["/other"] = FALSE
+    graph.nodes["/other"] = FALSE
     senders.follow(True)  # running, then ramping down: one test
     assert not senders.is_foreign(topic.name, TRUE)
     assert senders.is_foreign(topic.name, FALSE)
@@ -62,7 +58,7 @@ def test_who_joins_a_test_is_a_stranger_until_it_ends(topic):
     assert senders.strangers() == f"/other on {topic.name}: 2"
     senders.follow(False)
     assert not senders.is_foreign(topic.name, FALSE)
-    del graph.publishers["/other"]
+    del graph.nodes["/other"]
     senders.follow(True)
     assert senders.strangers() == ""
     assert senders.is_foreign(topic.name, FALSE)
@@ -75,9 +71,9 @@ def test_a_stranger_that_says_nothing_is_named_too_once_its_name_is_known():
     graph = Graph()
     senders = senders_of(graph, RIG_STATE)
     senders.follow(True)
-    graph.publishers[f"/{NAMELESS}"] = FALSE
+    graph.nodes[f"/{NAMELESS}"] = FALSE
     assert senders.poll() == []
-    graph.publishers = {"/rig": TRUE, "/other": FALSE}
+    graph.nodes = {"/rig": TRUE, "/other": FALSE}
     assert len(senders.poll()) == 1
     assert senders.strangers() == "/other on rig/state: 0"
 
@@ -97,13 +93,13 @@ def test_the_graph_is_asked_only_where_there_may_be_a_stranger_without_a_name():
     assert polled() == (0, [])
     senders.is_foreign(RIG_STATE.name, FALSE)
     assert polled() == (0, mine)  # it sends, and is not known yet
-    graph.publishers["/other"] = FALSE
+    graph.nodes["/other"] = FALSE
     assert polled() == (1, mine)
     assert polled() == (0, [])
     other.connected = 2
     assert polled() == (1, its)
     assert polled() == (0, [])
-    graph.publishers["/third"] = bytes([3] * 16)
+    graph.nodes["/third"] = bytes([3] * 16)
     assert polled() == (1, mine)
     assert polled() == (0, [])
 
@@ -118,13 +114,9 @@ def test_publishers_are_counted_by_topic():
 
 @pytest.mark.parametrize(("connected", "heard"), [(1, set()), (2, {"rig", "/far/rig"}), (3, 2)])
 def test_listeners_are_named_once_all_who_are_known_are_connected(connected, heard):
-    infos = [
-        SimpleNamespace(node_namespace="/test", node_name="rig"),
-        SimpleNamespace(node_namespace="/far/", node_name="rig"),
-    ]
-    node = SimpleNamespace(get_subscriptions_info_by_topic={"/a": infos}.__getitem__)
-    publisher = SimpleNamespace(topic_name="/a", get_subscription_count=lambda: connected)
-    found = connected_listeners(node, publisher, "/test")
+    endpoint = SimpleNamespace(listeners={"/a": ["/test/rig", "/far/rig"]}.__getitem__)
+    publisher = SimpleNamespace(topic_name="/a", listener_count=lambda: connected)
+    found = connected_listeners(endpoint, publisher, "/test")
     assert found == heard or len(found) == heard
 
 

@@ -4,15 +4,16 @@ It publishes rig/state and obeys valve_command (idealised actuators: reference_f
 the sampling clock of the test; the supervisor's experiment/state starts and stops it.
 """
 
+import math
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.node.node_shell import WARM_UP_STEPS, NodeBody, NodeKind, NodeShell
+from seft_msgs_py.node.node_kind import NodeKind
+from seft_msgs_py.node.node_shell import WARM_UP_STEPS, NodeBody, NodeShell
 from seft_msgs_py.wire import topics
 from seft_msgs_py.wire.messages import Status, encode_clock, restamp
 from seft_msgs_py.wire.outcome import (
@@ -75,12 +76,14 @@ class RigNode(NodeBody):
             topic, limit = self._drive.codec.topic, self._drive.limit
             self._rehearsal = rig_watch.Rehearsal(shell, self._timebase, topic, limit)
             self.facts[REHEARSES] = True
-        self._supervision = rig_watch.Supervision(self._section["watchdog.supervisor_timeout"])
+        self._supervision = rig_watch.Supervision(
+            self._section["watchdog.supervisor_timeout"], self._clock
+        )
         shell.subscribe(topics.EXPERIMENT_STATE, self._supervision.receive, depth=16)
-        self._recorder_lag = rig_watch.RecorderLag(self._section["lockstep_timeout"])
+        self._recorder_lag = rig_watch.RecorderLag(self._section["lockstep_timeout"], self._clock)
         if self._section["pace"] == "lockstep":
             shell.subscribe(topics.DIAGNOSTICS, self._recorder_lag.receive)
-        self._clock: rig_watch.SampleClock | None = None  # of a test in realtime
+        self._samples: rig_watch.SampleClock | None = None  # of a test in realtime
         self._watch = rig_watch.CommandWatch(
             self._drive.codec.topic, self._timebase.dt, self._section["watchdog.command_timeout"]
         )
@@ -141,7 +144,7 @@ class RigNode(NodeBody):
         def receive(raw: bytes, _: int) -> None:
             command.take(raw)
             if command is self._drive:
-                self._answered_at = time.monotonic()
+                self._answered_at = self._clock.monotonic()
                 self._refused_before = self._shell.refused
                 self._round_trip.answered(command, self._answered_at)
 
@@ -153,13 +156,13 @@ class RigNode(NodeBody):
         self._drive.reset()
         self._missed: list[int] = []
         self._held: list[int] = []  # step of the command applied at each of them
-        self._clock = None
+        self._samples = None
         self._recorder_lag.reset()
         self._round_trip.reset()
         self._answered_at = 0.0
         self._waited_in_vain = False
         self._refused_before = self._shell.refused
-        self._started = time.monotonic()
+        self._started = self._clock.monotonic()
         state = self._rig.reset()
         self._report("running")
         reason = self._shell.several_senders() or self._start_together(wanted)
@@ -191,15 +194,15 @@ class RigNode(NodeBody):
         self._waits = not self._is_alone and not self._section["loop_delay"]
         if self._section["pace"] == "realtime":
             wait, makes_up = self._realtime, not self._is_alone and not self._waits
-            start = time.monotonic() if self._is_alone else self._start
-            self._clock = rig_watch.SampleClock(self._timebase.dt, start, makes_up=makes_up)
+            start = self._clock.monotonic() if self._is_alone else self._start
+            self._samples = rig_watch.SampleClock(self._timebase.dt, start, makes_up=makes_up)
         while self._publish(step := rig.step_index, state):
             why = wait(step, step == last)
             if why is not None or rig.violation is not None:
                 return rig.violation or why
             if step == last:
                 return None
-            if self._clock is None:
+            if self._samples is None:
                 self._report_if_due()
             state = rig.step(self._drive.value)
         return rig.violation
@@ -212,11 +215,11 @@ class RigNode(NodeBody):
         if self._is_alone or self._section["pace"] == "lockstep":
             return None
         try:
-            ahead = topics.until_start(wanted.values)
+            ahead = topics.until_start(wanted.values, self._clock.time_ns())
         except InputError as error:
             return str(error)
-        self._start = time.monotonic() + ahead
-        while (left := self._start - time.monotonic()) > 0:
+        self._start = self._clock.monotonic() + ahead
+        while (left := self._start - self._clock.monotonic()) > 0:
             self._shell.spin_once(left)
             if (why := self._reason_to_end()) is not None:
                 return why
@@ -227,13 +230,13 @@ class RigNode(NodeBody):
 
     def _report_if_due(self) -> None:
         """Report the test's progress if its commands have arrived and there is time for it."""
-        if time.monotonic() - self._reported_at >= REPORT_PERIOD:
+        if self._clock.monotonic() - self._reported_at >= REPORT_PERIOD:
             self._shell.note(self._status("running"))
 
     def _status(
         self, phase: str, trip: Trip | None = None, stopped: Stopped | None = None
     ) -> Status:
-        self._reported_at = time.monotonic()
+        self._reported_at = self._clock.monotonic()
         outcome = Outcome(
             phase,
             self._rig.step_index + 1,
@@ -241,7 +244,7 @@ class RigNode(NodeBody):
             self._missed,
             self._reported_at - self._started,
             trip,
-            self._clock.overruns if self._clock else 0,
+            self._samples.overruns if self._samples else 0,
             self._rig.saturation,
             self._round_trip.numbers(),
             self._held,
@@ -253,7 +256,8 @@ class RigNode(NodeBody):
             values["stop time (s)"] = f"{stopped.steps * self._timebase.dt:g}"
         status = replace(status, values=values, message=phase if phase == "running" else message)
         margins = self._rig.limits.margins()
-        return rig_watch.with_health(status, margins, self._answered_at, self._round_trip.last)
+        age = self._clock.monotonic() - self._answered_at if self._answered_at else math.nan
+        return rig_watch.with_health(status, margins, age, self._round_trip.last)
 
     def _lockstep(self, step: int, is_last: bool) -> str | None:
         """Wait for the commands of a step, and for the recorder; give a reason to end the test."""
@@ -263,13 +267,13 @@ class RigNode(NodeBody):
             shell.spin_once(0.05)
             if (why := self._reason_to_end()) is not None:
                 return why
-        deadline = time.monotonic() + timeout
+        deadline = self._clock.monotonic() + timeout
         while self._valve.step < step or self._drive.step < step:
             if not shell.spin_once(0.05):
                 self._publish_clock(step)  # the ground motion may need the time to continue
             if (why := self._reason_to_end()) is not None:
                 return why
-            if time.monotonic() > deadline:
+            if self._clock.monotonic() > deadline:
                 late = self._valve if self._valve.step < step else self._drive
                 topic, foreign = late.codec.topic, shell.foreign_publishers(self._refused_before)
                 text = f"no {topic.name} for step {step} within {timeout:g} s in lockstep"
@@ -281,13 +285,13 @@ class RigNode(NodeBody):
 
         Gives the reason if the test must end.
         """
-        drive, clock = self._drive, self._clock
+        drive, clock = self._drive, self._samples
         assert clock is not None
         timeout = self._section["watchdog.command_timeout"]
         if step == 0 and self._is_alone:  # the other nodes prepare at the first sample
             clock.fall_back(self._wait_for_answer(0, timeout) + BREATH)
         if step == 0:
-            self._watch.begin(rig_watch.elapsed() + clock.deadline(0) - time.monotonic())
+            self._watch.begin(self._clock.elapsed() + clock.deadline(0) - self._clock.monotonic())
         rig_watch.wait_for_sample(self._shell, drive, step, clock, self._report_if_due)
         if self._waits and drive.step < step:
             clock.fall_back(self._wait_for_answer(step - 1, timeout) + FALL_BACK * clock.period)
@@ -297,7 +301,7 @@ class RigNode(NodeBody):
             self._missed.append(step)
             self._held.append(drive.step)
         in_vain = self._waited_in_vain and drive.step < step
-        fault = self._watch.fault(rig_watch.elapsed(), step, drive.step, in_vain=in_vain)
+        fault = self._watch.fault(self._clock.elapsed(), step, drive.step, in_vain=in_vain)
         return fault + self._shell.foreign_publishers(self._refused_before) if fault else None
 
     def _wait_for_answer(self, step: int, longest: float) -> float:
@@ -315,7 +319,7 @@ class RigNode(NodeBody):
             raw = self._state_codec.encode(step, state)
         except WireError:
             return False
-        self._round_trip.published(step, time.monotonic())
+        self._round_trip.published(step, self._clock.monotonic())
         self._publish_state(raw)
         if step % self._clock_steps == 0:
             self._publish_clock(step)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from seft_msgs_py.config.parameter_table import Parameter, Table, parameter_rows
 from seft_msgs_py.config.registered import Registered
-from seft_msgs_py.node import realtime
+from seft_msgs_py.node import host
 
 OWN = ("linear", "bilinear", "bouc_wen", "pinching", "flag", "friction", "gap", "duffing")
 KINDS = Registered("seft.restoring_force", OWN)
@@ -239,6 +239,6 @@ TABLE = Table(
         *SENSORS,
         *limit_rows(default_from="supervisor"),
         *SAFETY,
-        *realtime.PARAMETERS,
+        *host.PARAMETERS,
     ],
 )

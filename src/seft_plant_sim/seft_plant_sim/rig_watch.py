@@ -1,7 +1,6 @@
 """Watches of a rig node: time, commands, recorder, supervisor, health; the rehearsal."""
 
 import math
-import time
 from bisect import bisect_right
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -10,8 +9,8 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import WireError
+from seft_msgs_py.node.clock import AwakeClock, Clock
 from seft_msgs_py.node.node_shell import NodeShell
-from seft_msgs_py.node.realtime import AwakeClock
 from seft_msgs_py.wire.messages import WARN, Status, decode_diagnostics, decode_status
 from seft_msgs_py.wire.outcome import MOVING, RECORDED, RECORDER, STOPPED
 from seft_msgs_py.wire.topics import REHEARSE, RIG_STATE, LoopTopic, Timebase, rehearsed
@@ -20,16 +19,11 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_plant_sim.command import Command
 
 
-def elapsed() -> float:
-    """Time that also runs while this process is stopped or its machine sleeps, s."""
-    return time.clock_gettime(time.CLOCK_BOOTTIME)
-
-
 class CommandWatch:
     """Checks at the end of each period whether the rig may continue with its present command.
 
     While the rig's process or its host stalls, the valve stays open, and the newest command answers
-    an old sample. So the watch uses time, not steps. Times are those of `elapsed`.
+    an old sample. So the watch uses time, not steps. Times are those of `Clock.elapsed`.
 
     Parameters
     ----------
@@ -121,22 +115,24 @@ def wait_for_command(
     shell: NodeShell, command: Command, step: int, longest: float, stop: Callable[[], bool]
 ) -> float:
     """Wait at most ``longest`` s for the command of a step, or until ``stop``; give the time, s."""
-    begun = time.monotonic()
-    while command.step < step and time.monotonic() - begun < longest and not stop():
+    now = shell.clock.monotonic
+    begun = now()
+    while command.step < step and now() - begun < longest and not stop():
         shell.spin_once(POLL)
-    return time.monotonic() - begun
+    return now() - begun
 
 
 def wait_for_sample(
     shell: NodeShell, command: Command, step: int, clock: SampleClock, answered: Callable[[], None]
 ) -> None:
     """Wait until the sample after a step is due; ``answered`` is called if there is time left."""
-    while (left := clock.deadline(step + 1) - time.monotonic()) > 0:
+    now = shell.clock.monotonic
+    while (left := clock.deadline(step + 1) - now()) > 0:
         if shell.spin_once(left) and command.step >= step:
             answered()
     clock.awake(-left)
-    late = time.monotonic() + clock.period
-    while command.step < step and time.monotonic() < late and shell.spin_once(0.0):
+    late = now() + clock.period
+    while command.step < step and now() < late and shell.spin_once(0.0):
         pass  # messages that arrived during a stall are in time; a flood must not block
 
 
@@ -154,8 +150,8 @@ class RecorderLag:
         continues without a recorder.
     """
 
-    def __init__(self, patience: float) -> None:
-        self._patience, self._awake = patience, AwakeClock()
+    def __init__(self, patience: float, clock: Clock) -> None:
+        self._patience, self._awake = patience, AwakeClock(clock.monotonic)
         self._received_at = -patience
         self._recorded = 0
 
@@ -199,8 +195,8 @@ class Supervision:
         Requested duration of a rehearsal, s; 0: none.
     """
 
-    def __init__(self, patience: float) -> None:
-        self._patience, self._awake = patience, AwakeClock()
+    def __init__(self, patience: float, clock: Clock) -> None:
+        self._patience, self._awake = patience, AwakeClock(clock.monotonic)
         self._received_at = self._awake.time()
         self.wanted: Status | None = None
         self.state = self.fault = ""
@@ -245,17 +241,17 @@ NARROW = 0.1  # of a limit: a smaller margin gives a warning
 
 
 def with_health(
-    status: Status, margins: Mapping[str, float], answered_at: float, last_trip: float
+    status: Status, margins: Mapping[str, float], age: float, last_trip: float
 ) -> Status:
     """Add the health of the test to a rig's status, under names for diagnostic tools.
 
-    The arguments are `Limits.margins`, the time of the newest command (s, monotonic; 0: none), and
-    the last round trip from a state to its command (s; nan: none).
+    The arguments are `Limits.margins`, the age of the newest command (s; nan: none), and the last
+    round trip from a state to its command (s; nan: none).
     """
     values = {f"margin {name.replace('_', ' ')}": f"{left:.3f}" for name, left in margins.items()}
     narrow = [name.replace("_", " ") for name, left in margins.items() if not left >= NARROW]
-    if answered_at:
-        values["command age (ms)"] = f"{(time.monotonic() - answered_at) * 1e3:.2f}"
+    if not math.isnan(age):
+        values["command age (ms)"] = f"{age * 1e3:.2f}"
     if not math.isnan(last_trip):
         values["round trip last (ms)"] = f"{last_trip * 1e3:.3f}"
     message, level = status.message, status.level
@@ -382,11 +378,11 @@ class Rehearsal:
                 self._counts, before = True, clock.overruns
             command.current = step
             raw = self._codec.encode(step, sample(step))
-            self._round_trip.published(step, time.monotonic())
+            self._round_trip.published(step, shell.clock.monotonic())
             self._publish(raw)
             if step == 0:  # other nodes prepare at the first sample
                 wait_for_command(shell, command, 0, FIRST_ANSWER, stop)
-                clock.fall_back(time.monotonic())
+                clock.fall_back(shell.clock.monotonic())
             wait_for_sample(shell, command, step, clock, lambda: None)
             missed += self._counts and command.step < step
             if stop():
@@ -400,7 +396,7 @@ class Rehearsal:
         }
 
     def _take(self, raw: bytes, _: int) -> None:
-        now = time.monotonic()
+        now = self._shell.clock.monotonic()
         self._command.take(raw)
         if self._counts:
             self._round_trip.answered(self._command, now)

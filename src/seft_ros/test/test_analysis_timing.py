@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.node.realtime import FIRST
+from seft_msgs_py.node.host import FIRST
 from seft_ros.analysis.timing import stalls_of, timing_of
 from seft_ros.bags.record import Record, Series
 from seft_ros.bags.stall_watch import StallWatch

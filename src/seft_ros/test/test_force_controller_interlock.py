@@ -1,12 +1,10 @@
-import logging
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.node.realtime import AwakeClock
+from seft_msgs_py.node.clock import MACHINE, AwakeClock
 from seft_msgs_py.wire.messages import Status, encode_status
 from seft_msgs_py.wire.topics import EXPERIMENT_STATE, RIG_STATE, RigAxes
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
@@ -127,12 +125,14 @@ def test_the_offline_loop_trips_with_it():
 class Shell:
     """A force controller's shell without a network."""
 
-    name, refused = "force_controller", 0
+    name, refused, clock = "force_controller", 0, MACHINE
 
     def __init__(self, experiment):
         self.experiment, self.rig = experiment, RigAxes.whole(experiment.axes)
         self.handlers, self.status = {}, None
-        self.node = SimpleNamespace(get_logger=lambda: logging.getLogger("force_controller"))
+
+    def log(self, level, text):
+        """Nobody reads it."""
 
     def publisher(self, topic):
         return lambda raw: None

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from seft_msgs_py.node.realtime import FIRST
+from seft_msgs_py.node.host import FIRST
 from seft_ros.test_run.node_starter import NodeStarter
 from seft_ros.test_run.processes import LOOP_NODES, NodeProcesses, ProcessLayout
 

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import WireError
+from seft_msgs_py.node.clock import MACHINE
 from seft_msgs_py.wire.messages import EstimatesCodec, Status, encode_status
 from seft_msgs_py.wire.topics import (
     ESTIMATES,
@@ -136,7 +137,7 @@ class Shell:
     """A node's shell without a network: what is published is kept, in order."""
 
     def __init__(self, experiment):
-        self.experiment = experiment
+        self.experiment, self.clock = experiment, MACHINE
         self.sent, self.handlers, self.refusals = [], {}, []
 
     def several_senders(self):

@@ -1,11 +1,8 @@
 """What the supervisor makes of what nodes tell, without a network."""
 
-import logging
-from types import SimpleNamespace
-
 import pytest
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.node.realtime import AwakeClock
+from seft_msgs_py.node.clock import MACHINE, AwakeClock
 from seft_msgs_py.wire.messages import Status, decode_status, encode_diagnostics
 from seft_msgs_py.wire.outcome import State, tripped_status
 from seft_msgs_py.wire.topics import DIAGNOSTICS
@@ -17,15 +14,17 @@ supervisor = pytest.importorskip("seft_ros.nodes.supervisor_node")
 class Shell:
     """A node's shell without a network."""
 
-    name = "supervisor"
+    name, clock = "supervisor", MACHINE
 
     def __init__(self, experiment):
         self.experiment = experiment
         self.handlers, self.services, self.sent, self.faults = {}, {}, [], []
-        self.node = SimpleNamespace(
-            create_service=lambda _, name, serve: self.services.update({name: serve}),
-            get_logger=lambda: logging.getLogger("supervisor"),
-        )
+
+    def serve(self, service, answer):
+        self.services[service] = answer
+
+    def log(self, level, text):
+        """Nobody reads it."""
 
     def publisher(self, topic):
         return self.sent.append
@@ -75,7 +74,7 @@ class Watched:
         return decode_status(self.shell.sent[-1])
 
     def ask(self, service):
-        return self.shell.services[service](None, SimpleNamespace())
+        return self.shell.services[service]()
 
 
 @pytest.fixture
@@ -119,8 +118,8 @@ def test_a_fault_of_its_own_trips_and_its_services_go_on_answering(test, monkeyp
         State.TRIPPED,
         "a fault of the program",
     )
-    assert test.ask("estop").success
+    assert test.ask("estop")[0]
     monkeypatch.setattr(test.node, "_follow_state", lambda: {}["x"])
-    answer = test.ask("reset")
-    assert (answer.success, len(test.shell.faults)) == (False, 1)
-    assert "a fault of the program" in answer.message
+    accepted, answer = test.ask("reset")
+    assert (accepted, len(test.shell.faults)) == (False, 1)
+    assert "a fault of the program" in answer

@@ -20,12 +20,11 @@ import os
 import signal
 import socket
 import tempfile
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from seft_msgs_py.errors import InputError
 
@@ -116,9 +115,6 @@ def is_running(domain: int, node: str) -> bool:
     return False
 
 
-if TYPE_CHECKING:
-    from rclpy.node import Node
-
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _OUTPUTS = (1, 2)
 Handler = Callable[[int, FrameType | None], None]
@@ -191,37 +187,3 @@ def exit_watchdog(seconds: float, status: int, message: str = "") -> Iterator[No
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         libc.signal(signal.SIGALRM, before)
-
-
-QUIET = 0.1  # s without a change
-PATIENCE = 2.0  # s for the graph to be quiet
-CLOSE_PATIENCE = 10.0  # s
-_STUCK = (
-    "seft: the middleware does not let this process leave the graph (a fault of FastDDS); it is "
-    "ended here, and what was recorded is complete"
-)
-
-
-def leave_graph(node: "Node") -> None:
-    """Take a node off the graph, when no other node leaves, and end its context.
-
-    Of about a hundred processes that leave at the same time one hangs, see `exit_watchdog`.
-    """
-    import rclpy
-
-    _wait_for_quiet(node)
-    with exit_watchdog(CLOSE_PATIENCE, 1, _STUCK):
-        node.destroy_node()
-        is_default = node.context is rclpy.get_default_context()
-        rclpy.try_shutdown(context=None if is_default else node.context)  # it can start again
-
-
-def _wait_for_quiet(node: "Node") -> None:
-    deadline, seen, since = time.monotonic() + PATIENCE, None, 0.0
-    while (now := time.monotonic()) < deadline:
-        names = sorted(node.get_node_names_and_namespaces())
-        if names != seen:
-            seen, since = names, now
-        elif now - since > QUIET:
-            return
-        time.sleep(QUIET / 10)

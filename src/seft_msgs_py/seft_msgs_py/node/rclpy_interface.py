@@ -9,13 +9,14 @@ it takes bytes from a wait set over some subscriptions.
 import ctypes
 from collections.abc import Callable, Sequence
 from importlib import import_module
-from typing import Any
+from typing import Any, Protocol
 
-from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import Parameter, Section, Table
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.node.process import check_shared_memory
-from seft_msgs_py.wire.topics import RIG_NODES, RigAxes, Topic
+from seft_msgs_py.node.clock import MACHINE
+from seft_msgs_py.node.process import check_shared_memory, exit_watchdog
+from seft_msgs_py.node.transport import Take, check_live
+from seft_msgs_py.wire.topics import Topic
 
 check_shared_memory()  # before rclpy is imported
 
@@ -40,6 +41,38 @@ def command_node(name: str, namespace: str | None = None) -> Node:
     """Start rclpy and make the node of a command, which has no parameters."""
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     return Node(name, namespace=namespace, start_parameter_services=False)
+
+
+QUIET = 0.1  # s without a change
+PATIENCE = 2.0  # s for the graph to be quiet
+CLOSE_PATIENCE = 10.0  # s
+_STUCK = (
+    "seft: the middleware does not let this process leave the graph (a fault of FastDDS); it is "
+    "ended here, and what was recorded is complete"
+)
+
+
+def leave_graph(node: Node) -> None:
+    """Take a node off the graph, when no other node leaves, and end its context.
+
+    Of about a hundred processes that leave at the same time one hangs, see `exit_watchdog`.
+    """
+    _wait_for_quiet(node)
+    with exit_watchdog(CLOSE_PATIENCE, 1, _STUCK):
+        node.destroy_node()
+        is_default = node.context is rclpy.get_default_context()
+        rclpy.try_shutdown(context=None if is_default else node.context)  # it can start again
+
+
+def _wait_for_quiet(node: Node) -> None:
+    deadline, seen, since = MACHINE.monotonic() + PATIENCE, None, 0.0
+    while (now := MACHINE.monotonic()) < deadline:
+        names = sorted(node.get_node_names_and_namespaces())
+        if names != seen:
+            seen, since = names, now
+        elif now - since > QUIET:
+            return
+        MACHINE.sleep(QUIET / 10)
 
 
 def message_class(topic: Topic) -> Any:
@@ -104,12 +137,7 @@ def declare_parameters(
 
     def take(parameters: Sequence[RosParameter]) -> msg.SetParametersResult:
         try:
-            for p in parameters:
-                if p.name not in table.rows:  # rclpy's own, such as use_sim_time
-                    raise InputError(f"{node.get_name()}: {p.name!r} can't be set")
-            values = {
-                p.name: table.rows[p.name].check(p.value, node.get_name()) for p in parameters
-            }
+            values = check_live(node.get_name(), table, {p.name: p.value for p in parameters})
         except InputError as error:
             return msg.SetParametersResult(successful=False, reason=str(error))
         section.update(values)
@@ -117,27 +145,6 @@ def declare_parameters(
         return msg.SetParametersResult(successful=True)
 
     node.add_on_set_parameters_callback(take)
-
-
-def rig_of_node(node: Node, experiment: Experiment) -> tuple[RigAxes, str]:
-    """Rig that a node belongs to, and the test's namespace without a slash at its end."""
-    namespace, name = node.get_namespace().rstrip("/"), node.get_name()
-    above, _, last = namespace.rpartition("/")
-    rigs = {rig.name: rig for rig in experiment.rigs}
-    whole = RigAxes.whole(experiment.axes)
-    if "" in rigs or (name not in RIG_NODES and last not in rigs):
-        return whole, namespace
-    known = " or ".join(f"-r __ns:={above if last in rigs else namespace}/{rig}" for rig in rigs)
-    if name not in RIG_NODES:
-        raise InputError(
-            f"{name} serves all rigs and can't be in {namespace}, which is one rig's namespace"
-        )
-    if last not in rigs:
-        raise InputError(
-            f"{name} is in namespace {namespace or '/'}, but the axes {list(experiment.axes)} are "
-            f"of several rigs; name its rig: --ros-args {known}"
-        )
-    return rigs[last], above
 
 
 class LoopCallbackGroup(ReentrantCallbackGroup):
@@ -162,15 +169,23 @@ def raw_subscription(
     )
 
 
-class WaitSet:
-    """Waits until one of some subscriptions, as `raw_subscription` makes them, has a message."""
+class HasHandle(Protocol):
+    """A subscription of `raw_subscription`, or an object that holds its handle."""
 
-    def __init__(self, context: Context, subscriptions: Sequence[Subscription]) -> None:
+    @property
+    def handle(self) -> Any:
+        """Handle of rclpy."""
+
+
+class WaitSet[S: HasHandle]:
+    """Waits until one of some subscriptions has a message."""
+
+    def __init__(self, context: Context, subscriptions: Sequence[S]) -> None:
         self._subscriptions = {each.handle.pointer: each for each in subscriptions}
         self._handles = [each.handle for each in subscriptions]
         self._wait_set = _rclpy.WaitSet(len(self._handles), 0, 0, 0, 0, 0, context.handle)
 
-    def wait(self, timeout: float) -> list[Subscription]:
+    def wait(self, timeout: float) -> list[S]:
         """Wait at most ``timeout`` seconds; return the subscriptions that have messages."""
         wait_set = self._wait_set
         wait_set.clear_entities()
@@ -220,7 +235,7 @@ class _Bytes(ctypes.Structure):
 _OK, _NOTHING = 0, 401  # RCL_RET_OK, RCL_RET_SUBSCRIPTION_TAKE_FAILED
 
 
-def taker(subscription: Subscription) -> Callable[[], tuple[bytes, int, bytes] | None]:
+def taker(subscription: Subscription) -> Take:
     """Make the function that takes the oldest message of a raw subscription.
 
     It returns None if there is none; otherwise its bytes, the wall-clock time in ns of its arrival,

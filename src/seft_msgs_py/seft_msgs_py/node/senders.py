@@ -2,10 +2,7 @@
 
 from dataclasses import dataclass
 
-from rclpy.node import Node
-from rclpy.publisher import Publisher
-from rclpy.subscription import Subscription
-
+from seft_msgs_py.node.transport import Endpoint, Publisher, Subscription
 from seft_msgs_py.wire.topics import EXPERIMENT_STATE, LoopTopic, Topic, bare
 
 UNNAMED, NAMELESS = "a node whose name is not known", "_NODE_NAME_UNKNOWN_"
@@ -21,11 +18,11 @@ class _Reader:
     subscription: Subscription | None  # none, if the publisher is in this process
     accepted: bytes = b""  # identifier of the test's publisher; empty: not chosen
 
-    def count(self, node: Node) -> int:
+    def count(self, endpoint: Endpoint) -> int:
         """Count the publishers of the topic."""
         if self.subscription is None:
-            return int(node.count_publishers(self.full_name))
-        return int(self.subscription.get_publisher_count())
+            return endpoint.publisher_count(self.full_name)
+        return self.subscription.publisher_count()
 
 
 class Senders:
@@ -36,8 +33,8 @@ class Senders:
     counted, reported with its name, and ignored.
     """
 
-    def __init__(self, node: Node) -> None:
-        self._node = node
+    def __init__(self, endpoint: Endpoint) -> None:
+        self._endpoint = endpoint
         self._readers: dict[str, _Reader] = {}
         self._bound = False
         self._refused: dict[tuple[str, bytes], int] = {}  # messages of each foreign publisher
@@ -49,7 +46,7 @@ class Senders:
 
     def counts(self) -> dict[str, int]:
         """Count the publishers of each topic."""
-        return {name: reader.count(self._node) for name, reader in self._readers.items()}
+        return {name: reader.count(self._endpoint) for name, reader in self._readers.items()}
 
     def follow(self, moving: bool) -> None:
         """Choose the publishers when a test begins; ``moving``: whether one runs."""
@@ -63,7 +60,7 @@ class Senders:
         self._refused.clear()
         self._names.clear()
         for reader in self._of_the_test():
-            if reader.subscription is None or reader.count(self._node) > 1:
+            if reader.subscription is None or reader.count(self._endpoint) > 1:
                 continue  # no publisher outside; or the right one is not known
             found = self._known(reader)
             if len(found) > 1:  # one of them is known but not connected yet
@@ -86,7 +83,7 @@ class Senders:
         One of them does not belong to this test, and the messages of either could be used.
         """
         for reader in self._of_the_test():
-            if (count := reader.count(self._node)) > 1:
+            if (count := reader.count(self._endpoint)) > 1:
                 names = ", ".join(sorted(self._known(reader).values()))
                 return f"{count} nodes publish {reader.topic.name} ({names})"
         return ""
@@ -100,7 +97,7 @@ class Senders:
                 continue
             unnamed = any(key not in self._names for key in self._refused if key[0] == name)
             named = sum(key[0] == name for key in self._names)
-            if not unnamed and reader.count(self._node) < 2 + named:
+            if not unnamed and reader.count(self._endpoint) < 2 + named:
                 continue
             for gid, node in self._known(reader).items():
                 if gid != accepted and (name, gid) not in self._names and NAMELESS not in node:
@@ -125,19 +122,14 @@ class Senders:
 
     def _known(self, reader: _Reader) -> dict[bytes, str]:
         """Give identifier and full name of each node that publishes a topic, as far as known."""
-        infos = self._node.get_publishers_info_by_topic(reader.full_name)
-        return {
-            bytes(info.endpoint_gid): f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-            for info in infos
-        }
+        return self._endpoint.publishers(reader.full_name)
 
 
-def connected_listeners(node: Node, publisher: Publisher, namespace: str) -> set[str]:
+def connected_listeners(endpoint: Endpoint, publisher: Publisher, namespace: str) -> set[str]:
     """Names of the nodes that read a topic, without the test's namespace.
 
     Empty while some are known but not connected yet.
     """
-    infos = node.get_subscriptions_info_by_topic(publisher.topic_name)
-    full = (f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos)
+    full = endpoint.listeners(publisher.topic_name)
     names = {name.removeprefix(f"{namespace}/") for name in full}
-    return names if len(names) <= publisher.get_subscription_count() else set()
+    return names if len(names) <= publisher.listener_count() else set()

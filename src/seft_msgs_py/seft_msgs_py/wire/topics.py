@@ -8,7 +8,6 @@ that name below the test's. Axes without such a name belong to the only rig.
 """
 
 import re
-import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -166,8 +165,8 @@ def rigs_of(axes: Sequence[str]) -> tuple[RigAxes, ...]:
     )
 
 
-def until_start(values: Mapping[str, str]) -> float:
-    """Time until the common start of several rigs, s, by the test's running state.
+def until_start(values: Mapping[str, str], now_ns: int) -> float:
+    """Time from now, ns of the wall clock, to the common start of several rigs, s.
 
     It is negative if that moment has passed, and 0 if the test has one rig.
 
@@ -179,7 +178,7 @@ def until_start(values: Mapping[str, str]) -> float:
     start = values.get(START, "")
     if not start.isdecimal() or len(start) > 19:
         return 0.0
-    ahead = (int(start) - time.time_ns()) / 1e9
+    ahead = (int(start) - now_ns) / 1e9
     if abs(ahead) > FARTHEST_START:
         raise InputError(
             f"the common start of the rigs is {ahead:.3g} s from now by this host's clock: set "

@@ -53,7 +53,7 @@ class StallWatch:
         ``first`` says that the loop precedes all others without priority; so does the watch.
         """
         if first:
-            from seft_msgs_py.node.realtime import take_precedence  # the process itself lacks it
+            from seft_msgs_py.node.host import take_precedence  # the process itself lacks it
 
             take_precedence(self.pid)
         wanted = {

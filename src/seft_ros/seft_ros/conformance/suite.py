@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.node.realtime import boot, started
+from seft_msgs_py.node.host import boot, started
 from seft_msgs_py.wire.outcome import FINISHED, TRIPPED, State
 from seft_msgs_py.wire.topics import LOOP_TOPICS, VALVE_COMMAND
 from seft_plant_sim.whole_structure import tested_specimen

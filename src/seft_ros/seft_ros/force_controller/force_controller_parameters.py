@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.config.parameter_table import Parameter, Table, parameter_rows
 from seft_msgs_py.config.registered import Registered
-from seft_msgs_py.node import realtime
+from seft_msgs_py.node import host
 
 TRANSFER_FUNCTION = "transfer_function"
 VELOCITY_FEEDFORWARD = "velocity_feedforward"
@@ -131,7 +131,7 @@ TABLE = Table(
         ),
         REGISTERED.settings_row("settings", "a controller"),
         *_ROWS,
-        *realtime.PARAMETERS,
+        *host.PARAMETERS,
     ],
 )
 

@@ -8,7 +8,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from seft_msgs_py.node.realtime import AwakeClock
+from seft_msgs_py.node.clock import AwakeClock
 from seft_msgs_py.wire.messages import Status
 from seft_msgs_py.wire.outcome import ENDED, RIG, State
 from seft_msgs_py.wire.topics import NODES, bare

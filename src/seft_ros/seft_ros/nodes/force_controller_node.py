@@ -2,16 +2,17 @@
 
 import math
 import sys
-import time
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.node.node_process import MOST_AT_ONCE
-from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeBody, NodeKind, NodeShell
-from seft_msgs_py.node.realtime import AwakeClock
+from seft_msgs_py.node.clock import AwakeClock
+from seft_msgs_py.node.node_kind import NodeKind
+from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeBody, NodeShell
+from seft_msgs_py.node.turns import MOST_AT_ONCE
 from seft_msgs_py.wire.messages import OK, WARN, Status, decode_status
 from seft_msgs_py.wire.outcome import MOVING, REHEARSES, tripped_status
 from seft_msgs_py.wire.topics import (
@@ -66,7 +67,7 @@ class ForceControllerNode(NodeBody):
         self._moving = False  # by the supervisor's state
         self._order = SampleOrder(timebase)
         self._timeout: float = section["watchdog.state_timeout"]
-        self._awake = AwakeClock(longest_gap=self._timeout / 4)
+        self._awake = AwakeClock(self._clock.monotonic, longest_gap=self._timeout / 4)
         self._heard_at = math.inf  # time of the last state, s; no more are expected
         self._refused_before = 0  # messages, until the last state arrived
         self._warm_up()
@@ -86,8 +87,10 @@ class ForceControllerNode(NodeBody):
         if len(experiment.rigs) == 1 and self._previews is None:
             # a separate controller, so that a rehearsal does not influence a test
             self._rehearsing: Interlock | None = None
-            nothing: tuple[int, Floats] = -1, np.empty(0)
-            self._rehearsed = {self._force_codec: nothing, self._state_codec: nothing}
+            self._rehearsed: dict[TrajectoryCodec, dict[int, Floats]] = {  # by step
+                self._force_codec: {},
+                self._state_codec: {},
+            }
             self.facts = {REHEARSES: True}
             self._publish_rehearsed = shell.publisher(rehearsed(VALVE_COMMAND))
             for codec, sent in ((self._force_codec, topic), (self._state_codec, RIG_STATE)):
@@ -191,17 +194,27 @@ class ForceControllerNode(NodeBody):
                 return
 
     def _on_rehearsed(self, codec: TrajectoryCodec, raw: bytes, _: int) -> None:
-        """Answer a step of a rehearsal; the rig does not obey, so detectors must not trip."""
-        self._rehearsed[codec] = codec.decode(raw)
-        (step, points), (other, states) = self._rehearsed.values()
-        if step != other:
+        """Answer a step of a rehearsal when its state and its force have arrived.
+
+        The rig does not obey, so detectors must not trip.
+        """
+        step, values = codec.decode(raw)
+        forces, states = self._rehearsed.values()
+        if step == 0:  # of a new rehearsal
+            _drop(forces, lambda other: other > 0)
+            _drop(states, lambda other: other > 0)
+        self._rehearsed[codec][step] = values
+        if step not in forces or step not in states:
+            _drop(self._rehearsed[codec], lambda other: other <= step - PENDING)
             return
         if self._rehearsing is None:
             self._rehearsing = self._interlock()
         if step == 0 or self._rehearsing.reason:
             self._rehearsing.reset()
-        command = self._rehearsing.step(step, points, states[0])
+        command = self._rehearsing.step(step, forces[step], states[step][0])
         self._publish_rehearsed(self._command_codec.encode(step, command))
+        _drop(forces, lambda other: other <= step)
+        _drop(states, lambda other: other <= step)
 
     def _begin_with(self, step: int) -> None:
         """Begin a test, if a sample of this step is its first."""
@@ -241,7 +254,7 @@ class ForceControllerNode(NodeBody):
                 f"no {REFERENCE_FORCE.name} for {step - previews.newest} steps (the last is of "
                 f"step {previews.newest}); is the link to the reference_force node cut?"
             )
-        elif time.monotonic() - self._reported_at >= REPORT_PERIOD:
+        elif self._clock.monotonic() - self._reported_at >= REPORT_PERIOD:
             self._report()  # after the answer there is time
 
     def _trip(self, reason: str) -> None:
@@ -250,11 +263,11 @@ class ForceControllerNode(NodeBody):
         self._report_trip()
 
     def _report_trip(self) -> None:
-        self._shell.node.get_logger().error(self._controller.reason)  # to read at this host
+        self._shell.log("error", self._controller.reason)  # to read at this host
         self._report()
 
     def _report(self) -> None:
-        self._reported_at = time.monotonic()
+        self._reported_at = self._clock.monotonic()
         reason, step = self._controller.reason, self._controller.step_index
         name, share = self._controller.nearest
         level, text = OK, "ready"
@@ -270,6 +283,12 @@ class ForceControllerNode(NodeBody):
             for axis, value in zip(self._shell.rig.axes, estimate.tolist(), strict=True):
                 values[f"{name} {axis}"] = f"{value:.4g}"
         self._shell.report(replace(status, values={**status.values, **values}))
+
+
+def _drop(kept: dict[int, Floats], passed: Callable[[int], bool]) -> None:
+    """Forget the samples of steps that have passed."""
+    for step in [step for step in kept if passed(step)]:
+        del kept[step]
 
 
 KIND = NodeKind(TABLE, TABLES, ForceControllerNode)

@@ -2,7 +2,8 @@
 
 import sys
 
-from seft_msgs_py.node.node_shell import NodeBody, NodeKind, NodeShell
+from seft_msgs_py.node.node_kind import NodeKind
+from seft_msgs_py.node.node_shell import NodeBody, NodeShell
 from seft_msgs_py.wire.messages import decode_clock, decode_status
 from seft_msgs_py.wire.outcome import ENDED, MOVING
 from seft_msgs_py.wire.topics import CLOCK_TOPIC, EXPERIMENT_STATE, GROUND_MOTION

@@ -8,14 +8,15 @@ whether a test continues if its bag is lost; it is recorded in any case.
 
 import json
 import sys
-import time
 from collections import Counter, deque
 from datetime import datetime
 from pathlib import Path
 
 from seft_msgs_py.errors import ExperimentError
-from seft_msgs_py.node.node_shell import Handler, NodeBody, NodeKind, NodeShell
-from seft_msgs_py.node.realtime import FIRST, boot
+from seft_msgs_py.node.host import FIRST, boot
+from seft_msgs_py.node.node_kind import NodeKind
+from seft_msgs_py.node.node_shell import NodeBody, NodeShell
+from seft_msgs_py.node.wiring import Handler
 from seft_msgs_py.wire.messages import (
     ERROR,
     OK,
@@ -113,7 +114,7 @@ class RecorderNode(NodeBody):
         self._shell.note(self._status())
         if self._ended_at is None:
             return
-        now = time.monotonic()
+        now = self._clock.monotonic()
         complete = self._recorded() >= self._expected and self._is_trip_complete
         if self._phase == State.DONE and "reference_force" in self._descriptions:
             complete &= self._force_phase == ALL_ANSWERED
@@ -137,7 +138,7 @@ class RecorderNode(NodeBody):
 
         def receive(raw: bytes, now: int) -> None:
             if of_a_step:
-                self._step_message_at = time.monotonic()
+                self._step_message_at = self._clock.monotonic()
             if topic == DESCRIPTION:
                 node, _ = decode_description(raw)
                 self._descriptions[node] = raw
@@ -183,7 +184,7 @@ class RecorderNode(NodeBody):
             self._is_trip_complete = phase != State.TRIPPED or SILENT in test.values
             if self._ended_at is not None:
                 return
-            self._ended_at = time.monotonic()
+            self._ended_at = self._clock.monotonic()
             last = test.number("step")  # of the trip
             steps = self._steps if phase == State.DONE else 0
             self._expected = steps if last is None else last + 1
@@ -193,7 +194,7 @@ class RecorderNode(NodeBody):
         self._bag = LastingBag(self._place(), self._section["storage"])
         self._reason = self._unsaved = ""
         self._ended_at, self._next_began = None, False
-        now = time.time_ns()
+        now = self._clock.time_ns()
         self._environment = describe_environment("run")
         self._write_environment(self._bag)
         for raw in self._descriptions.values():
@@ -208,7 +209,7 @@ class RecorderNode(NodeBody):
         """Save the bag, if one is open; if that fails, it is lost."""
         self._close()
         if self._bag is not None:
-            self._shell.node.get_logger().error(f"a test is lost: {self._unsaved}")
+            self._shell.log("error", f"a test is lost: {self._unsaved}")
 
     def _close(self) -> None:
         """Save the bag, if one is open; if that fails, it stays open."""
@@ -228,7 +229,7 @@ class RecorderNode(NodeBody):
 
     def _write_environment(self, bag: LastingBag) -> None:
         text = json.dumps({"environment": self._environment})
-        bag.write(DESCRIPTION, encode_string(text), time.time_ns())
+        bag.write(DESCRIPTION, encode_string(text), self._clock.time_ns())
 
     def _watch_the_machine(self) -> None:
         """Watch for stalls of the loop's core, if the rig runs in realtime on this host."""
@@ -254,7 +255,7 @@ class RecorderNode(NodeBody):
 
     def _check_place(self) -> None:
         """Make the next test wait while its bag can't be made."""
-        if (now := time.monotonic()) - self._checked_at < PLACE_PERIOD:
+        if (now := self._clock.monotonic()) - self._checked_at < PLACE_PERIOD:
             return
         self._checked_at = now
         why = obstacle(self._place(), self._expected_size(self._steps))

@@ -5,13 +5,13 @@ ramping_down, at_rest, ended.
 """
 
 import sys
-import time
 from functools import partial
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeBody, NodeKind, NodeShell
+from seft_msgs_py.node.node_kind import NodeKind
+from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeBody, NodeShell
 from seft_msgs_py.wire.messages import ERROR, OK, EstimatesCodec, decode_status
 from seft_msgs_py.wire.outcome import ENDED, REHEARSES, State, tripped_status
 from seft_msgs_py.wire.topics import (
@@ -92,7 +92,7 @@ class ReferenceForceNode(NodeBody):
         """Trip if the states of one of several rigs are missing."""
         running = self._order.steps and not self._order.in_lockstep
         if self._gathering is not None and running and not self._conflict:
-            self._trip_for(self._gathering.lost(time.monotonic()), max(self._order.last, 0))
+            self._trip_for(self._gathering.lost(self._clock.monotonic()), max(self._order.last, 0))
 
     def fault(self, reason: str) -> None:
         """End the test: no more states are answered."""
@@ -159,7 +159,7 @@ class ReferenceForceNode(NodeBody):
             raise WireError(f"rig/state of step {step} a second time")
         state: Floats | None = values[0]
         if self._gathering is not None:
-            state = self._gathering.take(rig, step, values[0], time.monotonic())
+            state = self._gathering.take(rig, step, values[0], self._clock.monotonic())
         if state is not None and not self._conflict:
             self._answer(step, state)
 
@@ -224,9 +224,9 @@ class ReferenceForceNode(NodeBody):
 
     def _ask_model(self, step: int) -> None:
         """Step a computed model, after the answer to the sample; trip if it takes far too long."""
-        begun = time.monotonic()
+        begun = self._clock.monotonic()
         self._block.ask_model()
-        took = time.monotonic() - begun
+        took = self._clock.monotonic() - begun
         if took > LONGEST_MODEL_STEP and not self._order.in_lockstep:
             name = self._shell.experiment["reference_force"]["computed.model"]
             self._trip_for(

@@ -6,13 +6,14 @@ estop and reset.
 
 import sys
 import threading
-import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from seft_msgs_py.node.node_shell import NodeBody, NodeKind, NodeShell
-from seft_msgs_py.node.realtime import AwakeClock
+from seft_msgs_py.node.clock import AwakeClock
+from seft_msgs_py.node.node_kind import NodeKind
+from seft_msgs_py.node.node_shell import NodeBody, NodeShell
+from seft_msgs_py.node.transport import Level
 from seft_msgs_py.wire.messages import (
     ERROR,
     OK,
@@ -34,7 +35,6 @@ from seft_msgs_py.wire.topics import (
     START,
     with_rigs,
 )
-from std_srvs.srv import Trigger
 
 from seft_ros.test_run.parameter_tables import SUPERVISOR, TABLES
 from seft_ros.test_run.peers import (
@@ -57,6 +57,7 @@ GRAPH_PERIOD = 0.2  # s between two polls of the graph
 STOOD_STILL = 1.0  # s without a poll; requests to start or reset expire after that time
 MOST_AT_ONCE = 1000  # messages between two polls, in a flood
 LEVELS = {State.RAMPING_DOWN: WARN, State.TRIPPED: ERROR}
+LOG_LEVELS: dict[int, Level] = {OK: "info", WARN: "warning", ERROR: "error"}
 SOFT_PEERS = ("ground_motion", "recorder")
 """Nodes without which the loop can still ramp the force down."""
 START_AHEAD_NS = 200_000_000  # in this time the start reaches all rigs
@@ -73,13 +74,14 @@ class SupervisorNode(NodeBody):
         self._rigs = shell.experiment.rigs
         self._peers = with_rigs(self._section["peers"], self._rigs)
         self._rig_nodes = with_rigs([RIG], self._rigs)
+        self._steps = 0  # of the running test
         self._start_ns = 0  # at which several rigs begin together
         self._timeout: float = self._section["watchdog.peer_timeout"]
         self._machine = StateMachine()
         self._lock = threading.Lock()
-        self._awake = AwakeClock()
+        self._awake = AwakeClock(self._clock.monotonic)
         self._now = self._awake.time()
-        self._looked_at, self._woke_at = time.monotonic(), -STOOD_STILL
+        self._looked_at, self._woke_at = self._clock.monotonic(), -STOOD_STILL
         self._test_s = 0.0
         self._statuses: dict[str, LastStatus] = {}
         self._descriptions: dict[str, dict[str, Any]] = {}
@@ -97,7 +99,7 @@ class SupervisorNode(NodeBody):
         machine = self._machine
         requests = {"start": machine.start, "stop": machine.stop, "estop": machine.estop}
         for name, request in {**requests, "reset": self._reset}.items():
-            shell.node.create_service(Trigger, name, partial(self._serve, name, request))
+            shell.serve(name, partial(self._serve, name, request))
 
     def begin(self) -> None:
         """Report that it watches."""
@@ -121,7 +123,7 @@ class SupervisorNode(NodeBody):
     def poll(self) -> None:
         """Watch the peers, and publish the state if it has changed or is due."""
         with self._lock:
-            before, self._looked_at = self._looked_at, time.monotonic()
+            before, self._looked_at = self._looked_at, self._clock.monotonic()
             if self._looked_at - before > STOOD_STILL:
                 self._woke_at = self._looked_at
             self._now = self._awake.time()
@@ -144,7 +146,8 @@ class SupervisorNode(NodeBody):
             if self._state is State.RUNNING:
                 self._lost.clear()
                 self._test_s = 0.0
-                self._start_ns = time.time_ns() + START_AHEAD_NS
+                self._steps = self._ground_motion_steps()
+                self._start_ns = self._clock.time_ns() + START_AHEAD_NS
 
     def _poll_graph(self) -> None:
         if self._now - self._polled_graph_at < GRAPH_PERIOD:  # it takes a millisecond
@@ -162,7 +165,7 @@ class SupervisorNode(NodeBody):
         self._rehearsed = found = judge(self._section["rehearsal.duration"], nodes)
         if found.warning and found.warning != self._warned:
             self._warned = found.warning
-            self._shell.node.get_logger().warning(found.warning)
+            self._shell.log("warning", found.warning)
         if found.asked:
             return RUNS
         return f"{UNFIT}{found.refusal}" if found.refusal else ""
@@ -209,15 +212,14 @@ class SupervisorNode(NodeBody):
             return Answer(True, "the loop is rehearsed again")
         return self._machine.reset(moving=any(self._phase(n) == "running" for n in self._rig_nodes))
 
-    def _serve(self, name: str, request: Callable[[], Answer], _: Any, response: Any) -> Any:
+    def _serve(self, name: str, request: Callable[[], Answer]) -> tuple[bool, str]:
         found = self._shell.attempt("a service", self._answer, name, request) or FAULTY
-        response.success, response.message = found.accepted, found.text
-        return response
+        return found.accepted, found.text
 
     def _answer(self, name: str, request: Callable[[], Answer]) -> Answer:
         """Act on a request, unless it may have waited while this process stalled; a stop may."""
         with self._lock:
-            now = time.monotonic()
+            now = self._clock.monotonic()
             stalled = now - self._looked_at > STOOD_STILL or now - self._woke_at < STOOD_STILL
             if stalled and name in ("start", "reset"):
                 return Answer(False, f"can't {name}: the supervisor has stalled; try again")
@@ -238,7 +240,7 @@ class SupervisorNode(NodeBody):
         if self._silent is not None:
             values[SILENT] = " ".join(self._silent)
         if "ground_motion" in self._statuses:
-            values["steps"] = self._statuses["ground_motion"].status.values.get("steps", "0")
+            values["steps"] = str(self._ground_motion_steps())
         rig = self._parameters(self._rig_nodes[0])
         if PACE in rig:
             values[PACE] = str(rig[PACE])
@@ -253,17 +255,11 @@ class SupervisorNode(NodeBody):
         self._log(level)
 
     def _log(self, level: int) -> None:
-        """Log the state if it is new; rclpy allows one level for each line of the program."""
-        line, log = self._machine.log_line, self._shell.node.get_logger()
-        if line == self._logged:
-            return
-        self._logged = line
-        if level == OK:
-            log.info(line)
-        elif level == WARN:
-            log.warning(line)
-        else:
-            log.error(line)
+        """Log the state if it is new."""
+        line = self._machine.log_line
+        if line != self._logged:
+            self._logged = line
+            self._shell.log(LOG_LEVELS[level], line)
 
     def _on_diagnostics(self, raw: bytes, _: int) -> None:
         for status in decode_diagnostics(raw)[1]:
@@ -283,8 +279,7 @@ class SupervisorNode(NodeBody):
             if status.name in self._lost and reason != STOPPED:
                 self._machine.note(cause)  # its trip while the link was cut
         elif is_rig and phase == FINISHED:
-            if all(self._phase(rig) == FINISHED for rig in self._rig_nodes):
-                self._machine.finish(f"{status.values.get('steps')} steps done")
+            self._finish(status)
         elif status.name == "recorder" and reason:
             self._machine.soft_trip(reason, self._step())
         elif status.name == "reference_force" and phase in (RAMPING_DOWN, AT_REST):
@@ -293,12 +288,27 @@ class SupervisorNode(NodeBody):
             if phase == AT_REST:
                 self._machine.at_rest()
 
+    def _finish(self, rig: Status) -> None:
+        """Note that a rig has finished; trip if it has not taken all steps of the test."""
+        steps = rig.number("steps") or 0
+        if steps != self._steps:
+            self._machine.hard_trip(
+                f"node {rig.name} finished after {steps} of {self._steps} steps",
+                max(steps - 1, 0),
+            )
+        elif all(self._phase(name) == FINISHED for name in self._rig_nodes):
+            self._machine.finish(f"{steps} steps done")
+
     def _on_description(self, raw: bytes, _: int) -> None:
         node, description = decode_description(raw)
         self._descriptions[node] = description
 
     def _on_clock(self, raw: bytes, _: int) -> None:
         self._test_s = decode_clock(raw) / NANOSECONDS_PER_SECOND
+
+    def _ground_motion_steps(self) -> int:
+        motion = self._statuses.get("ground_motion")
+        return (motion.status.number("steps") or 0) if motion else 0
 
     def _phase(self, node: str) -> str:
         return self._statuses[node].phase if node in self._statuses else ""

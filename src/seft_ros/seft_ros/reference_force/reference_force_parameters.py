@@ -8,7 +8,7 @@ from typing import Any
 
 from seft_msgs_py.config.parameter_table import Parameter, Table, parameter_rows
 from seft_msgs_py.config.registered import Registered
-from seft_msgs_py.node import realtime
+from seft_msgs_py.node import host
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, TARGET, LoopTopic
 
 TARGET_MOTION = "target_motion"
@@ -125,7 +125,7 @@ TABLE = Table(
         ),
         REGISTERED.settings_row("compensation.settings", "a method"),
         *_COMPENSATION,
-        *realtime.PARAMETERS,
+        *host.PARAMETERS,
     ],
 )
 

@@ -15,7 +15,7 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import EVERY_NODE, Experiment, Override
 from seft_msgs_py.config.parameter_table import COMMON
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.node import realtime
+from seft_msgs_py.node import host
 from seft_msgs_py.wire.messages import decode_diagnostics, decode_status
 from seft_msgs_py.wire.outcome import State
 from seft_msgs_py.wire.topics import (
@@ -232,7 +232,7 @@ def experiment_of(replay: Replay, overrides: Sequence[Override], fixed: bool = T
     given = [(replay.node, name, value) for name, value in section.items() if name not in common]
     given += [(EVERY_NODE, name, section[name]) for name in sorted(common)]
     if fixed:
-        values = {row.name: row.default for row in realtime.PARAMETERS} | replay.fixed
+        values = {row.name: row.default for row in host.PARAMETERS} | replay.fixed
         given += [(replay.node, name, value) for name, value in values.items()]
     for node, name, _ in overrides:
         if name in common:

@@ -14,10 +14,10 @@ import numpy.typing as npt
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError, WireError
-from seft_msgs_py.node.process import leave_graph
 from seft_msgs_py.node.rclpy_interface import (
     WaitSet,
     command_node,
+    leave_graph,
     raw_publisher,
     raw_subscription,
     sender,

@@ -27,7 +27,7 @@ from typing import Any, Self
 
 import numpy as np
 from seft_msgs_py.errors import ExperimentError
-from seft_msgs_py.node.realtime import process_stat
+from seft_msgs_py.node.host import process_stat
 from seft_msgs_py.wire.messages import typestore
 from seft_plant_sim.compiled import entry_point, is_finite
 

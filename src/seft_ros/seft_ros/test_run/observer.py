@@ -8,7 +8,9 @@ from contextlib import closing
 from typing import Any
 
 from seft_msgs_py.errors import ExperimentError, InputError, WireError
-from seft_msgs_py.node.process import is_running, leave_graph, prepare_on_this_host
+from seft_msgs_py.node.clock import AwakeClock
+from seft_msgs_py.node.dds import DdsEndpoint
+from seft_msgs_py.node.process import is_running, prepare_on_this_host
 from seft_msgs_py.node.rclpy_interface import (
     Publisher,
     SingleThreadedExecutor,
@@ -16,15 +18,14 @@ from seft_msgs_py.node.rclpy_interface import (
     WaitSet,
     command_node,
     is_acknowledged,
+    leave_graph,
     message_class,
     qos_profile,
     raw_publisher,
     raw_subscription,
     sender,
     take_timed,
-    taker,
 )
-from seft_msgs_py.node.realtime import AwakeClock
 from seft_msgs_py.node.senders import Senders
 from seft_msgs_py.wire.messages import Status, decode_diagnostics, decode_status, encode_status
 from seft_msgs_py.wire.outcome import MOVING, RIG
@@ -72,8 +73,9 @@ class Observer:
         self._received_at = self._awake.time()
         self._since = time.monotonic()
         self._node = command_node("seft")
-        states = raw_subscription(self._node, EXPERIMENT_STATE)
-        self._take_state, self._senders = taker(states), Senders(self._node)
+        endpoint = DdsEndpoint(self._node)
+        states = endpoint.subscribe(EXPERIMENT_STATE)
+        self._take_state, self._senders = states.take, Senders(endpoint)
         self._senders.add(EXPERIMENT_STATE, states.topic_name, states)
         for topic, receive in ((CLOCK_TOPIC, self._on_clock), (DIAGNOSTICS, self._on_diagnostics)):
             self._node.create_subscription(

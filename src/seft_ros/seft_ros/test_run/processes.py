@@ -17,7 +17,7 @@ from typing import Any
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
-from seft_msgs_py.node.realtime import (
+from seft_msgs_py.node.host import (
     may_keep_awake,
     process_stat,
     side_threads,

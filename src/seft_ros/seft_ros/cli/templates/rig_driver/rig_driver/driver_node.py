@@ -5,7 +5,6 @@ supervisor says so. docs/hardware.md of seft has the contract; `seft conform` ch
 """
 
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -14,7 +13,8 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.parameter_table import group, per_axis
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.node.node_shell import NodeBody, NodeKind, NodeShell
+from seft_msgs_py.node.node_kind import NodeKind
+from seft_msgs_py.node.node_shell import NodeBody, NodeShell
 from seft_msgs_py.wire.messages import ERROR, encode_clock
 from seft_msgs_py.wire.outcome import (
     FINISHED,
@@ -35,7 +35,7 @@ from seft_msgs_py.wire.topics import (
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_plant_sim.command import Command
 from seft_plant_sim.limits import Limits
-from seft_plant_sim.rig_watch import CommandWatch, Rehearsal, Supervision, elapsed
+from seft_plant_sim.rig_watch import CommandWatch, Rehearsal, Supervision
 
 from rig_driver.calibration import Calibration
 from rig_driver.hardware import Hardware
@@ -72,13 +72,14 @@ class DriverNode(NodeBody):
         self._rest = Rest(section["safe.rest_velocity"], dt)
         at = per_axis(section["safe.valve_command"], axes, "rig: safe.valve_command")
         farthest = GOES_ON * section["limits.displacement"]
-        self._stop = SafeStop(hardware, at, section["safe.close_time"], farthest, dt)
+        close_time, sleep = section["safe.close_time"], self._clock.sleep
+        self._stop = SafeStop(hardware, at, close_time, farthest, dt, sleep)
         self._states = TrajectoryCodec(RIG_STATE.of(rig), axes, self._timebase)
         commands = TrajectoryCodec(VALVE_COMMAND.of(rig), axes, self._timebase)
         topic, limit = commands.topic, section["limits.command"]
         self._command = Command(commands, limit)
         self._watch = CommandWatch(topic, dt, section["watchdog.command_timeout"])
-        self._supervision = Supervision(section["watchdog.supervisor_timeout"])
+        self._supervision = Supervision(section["watchdog.supervisor_timeout"], self._clock)
         self.facts: dict[str, Any] = {"drive": topic.name}
         self._rehearsal: Rehearsal | None = None
         self._rehearsed = False
@@ -101,13 +102,14 @@ class DriverNode(NodeBody):
         self._hardware.to_safe_position()
         self.report("idle")
         period = self._timebase.dt
-        deadline = time.monotonic() + period
+        now = self._clock.monotonic
+        deadline = now() + period
         try:
             while not self._shell.stopping:
-                self._shell.spin_once(max(deadline - time.monotonic(), 0.0))  # also when late
-                while (left := deadline - time.monotonic()) > 0:
+                self._shell.spin_once(max(deadline - now(), 0.0))  # also when late
+                while (left := deadline - now()) > 0:
                     self._shell.spin_once(left)
-                late = int((time.monotonic() - deadline) / period)
+                late = int((now() - deadline) / period)
                 if late:  # held up for more than a period: go on from here, without hurry
                     self._overruns += self._phase == "running"
                 deadline += (1 + late) * period
@@ -116,7 +118,7 @@ class DriverNode(NodeBody):
                 self._rehearsed &= wanted > 0  # who asks anew gets a new one
                 if self._rehearsal is not None and wanted and not self._rehearsed:
                     self._rehearse(self._rehearsal, wanted)
-                    deadline = time.monotonic() + period
+                    deadline = now() + period
             if self._phase == "running":
                 self._end("the rig node received a signal to end")
                 self._stop.finish()
@@ -137,7 +139,7 @@ class DriverNode(NodeBody):
         sample = self._calibration.to_si(self._hardware.read_sample())
         if self._phase == "running":
             self._publish(self._step + 1, sample)
-        elif self._supervision.is_moving and time.monotonic() >= self._start:
+        elif self._supervision.is_moving and self._clock.monotonic() >= self._start:
             self._begin(sample)
         else:
             self._stop.follow(sample[0])
@@ -166,14 +168,14 @@ class DriverNode(NodeBody):
         self._comes_to_rest = False
         self._command.reset()
         self._limits.reset()
-        self._started = time.monotonic()
+        self._started = self._clock.monotonic()
         self._clock_at = -CLOCK_PERIOD
         self._report("running")
         if conflict := self._shell.several_senders():
             self._end(conflict)
             return
         self._publish(0, sample)
-        self._watch.begin(elapsed())  # nothing has moved before
+        self._watch.begin(self._clock.elapsed())  # nothing has moved before
 
     def _publish(self, step: int, sample: Floats) -> None:
         self._step = self._command.current = step
@@ -182,7 +184,7 @@ class DriverNode(NodeBody):
             self._publish_state(self._states.encode(step, sample))
         except WireError as error:
             violation = violation or str(error)
-        now = time.monotonic()
+        now = self._clock.monotonic()
         if self._publish_clock and now - self._clock_at >= CLOCK_PERIOD:
             self._clock_at = now
             self._publish_clock(encode_clock(self._timebase.stamp_ns(step)))
@@ -200,7 +202,7 @@ class DriverNode(NodeBody):
             if self._command.step < step:
                 self._missed.append(step)
             # also while this process was stopped
-            if fault := self._watch.fault(elapsed(), step, self._command.step):
+            if fault := self._watch.fault(self._clock.elapsed(), step, self._command.step):
                 self._end(fault)
         return self._phase == "running"
 
@@ -232,7 +234,7 @@ class DriverNode(NodeBody):
         self._shell.report(replace(status, values={**status.values, **values}))
 
     def _report(self, phase: str, trip: Trip | None = None) -> None:
-        wall, missed = time.monotonic() - self._started, self._missed
+        wall, missed = self._clock.monotonic() - self._started, self._missed
         outcome = Outcome(phase, self._step + 1, len(missed), missed, wall, trip, self._overruns)
         self._status = rig_status(outcome)
         self._shell.report(self._status)
@@ -249,15 +251,21 @@ class DriverNode(NodeBody):
             self.report("idle")
         elif supervision.is_moving:
             try:
-                self._start = time.monotonic() + until_start(supervision.wanted.values)
+                ahead = until_start(supervision.wanted.values, self._clock.time_ns())
+                self._start = self._clock.monotonic() + ahead
             except InputError as error:
                 supervision.wanted = None
                 raise WireError(str(error)) from None
 
 
+def kind_of(make: Callable[[NodeShell], Hardware]) -> NodeKind:
+    """Make the node of some hardware, for a process or a `seft_msgs_py.virtual.LocalGraph`."""
+    return NodeKind(TABLE, [TABLE], lambda shell: DriverNode(shell, make(shell)))
+
+
 def serve(make: Callable[[NodeShell], Hardware]) -> int:
     """Run the driver of some hardware; return the exit status."""
-    return NodeKind(TABLE, [TABLE], lambda shell: DriverNode(shell, make(shell))).main()
+    return kind_of(make).main()
 
 
 def stand_in(shell: NodeShell) -> StandIn:
@@ -267,9 +275,12 @@ def stand_in(shell: NodeShell) -> StandIn:
     return StandIn(experiment.timebase.rate, axes, at)
 
 
+KIND = kind_of(stand_in)
+
+
 def main() -> int:
     """Entry point of ``ros2 run rig_driver rig``."""
-    return serve(stand_in)
+    return KIND.main()
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Parameter table of the driver: the names that other nodes and the operator know it by."""
 
 from seft_msgs_py.config.parameter_table import Table, parameter_rows
-from seft_msgs_py.node import realtime
+from seft_msgs_py.node import host
 from seft_plant_sim.rig_parameters import limit_rows
 
 from rig_driver.calibration import PARAMETERS as CALIBRATION
@@ -19,4 +19,4 @@ SAFETY = parameter_rows(
         longest silence of the supervisor before the rig trips
     """
 )
-TABLE = Table("rig", [*CALIBRATION, *limit_rows(), *SAFETY, *realtime.PARAMETERS])
+TABLE = Table("rig", [*CALIBRATION, *limit_rows(), *SAFETY, *host.PARAMETERS])

@@ -1,6 +1,6 @@
 """How a rig is stopped: the valve closes, and the pressure goes where it does not."""
 
-import time
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +31,8 @@ class SafeStop:
         Displacement beyond which a piston with a closed valve goes on, m.
     dt : float
         Sampling period, s.
+    sleep : callable
+        Waits for a time in s; the clock's of the node.
 
     Attributes
     ----------
@@ -39,9 +41,16 @@ class SafeStop:
     """
 
     def __init__(
-        self, hardware: Hardware, safe: Floats, close_time: float, farthest: float, dt: float
+        self,
+        hardware: Hardware,
+        safe: Floats,
+        close_time: float,
+        farthest: float,
+        dt: float,
+        sleep: Callable[[float], None],
     ) -> None:
-        self._hardware, self._safe, self._farthest, self._dt = hardware, safe, farthest, dt
+        self._hardware, self._safe, self._farthest = hardware, safe, farthest
+        self._dt, self._sleep = dt, sleep
         self._steps, self._answers = round(close_time / dt), round(ANSWERS_IN / dt)
         self._taken, self.has_dumped = -1, False
         self._command = safe
@@ -78,7 +87,7 @@ class SafeStop:
     def finish(self) -> None:
         """Close the valves to the end, before the node ends."""
         while 0 <= self._taken < self._steps:
-            time.sleep(self._dt)
+            self._sleep(self._dt)
             self._close()
 
     def _close(self) -> None:

@@ -9,29 +9,29 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_msgs_py.node import realtime
-from seft_msgs_py.node.realtime import LONGEST_GAP, AwakeClock
+from seft_msgs_py.node import host
+from seft_msgs_py.node.clock import LONGEST_GAP, AwakeClock
 
 WISH = {"cpu_core": -1, "keep_awake": False, "lock_memory": False, "thread_priority": 0}
 PROGRAM = """
 import ctypes, json, os, resource, sys
-from seft_msgs_py.node import realtime
-realtime.granted()  # imports what nobody may not be allowed to read
+from seft_msgs_py.node import host
+host.granted()  # imports what nobody may not be allowed to read
 if sys.argv[2] == "deny":
     resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
     resource.setrlimit(resource.RLIMIT_MEMLOCK, (0, 0))
     os.setgroups([])
     os.setgid(65534)
     os.setuid(65534)
-denied = realtime.apply(json.loads(sys.argv[1]))
-print(json.dumps({"denied": denied, "granted": realtime.granted()}))
+denied = host.apply(json.loads(sys.argv[1]))
+print(json.dumps({"denied": denied, "granted": host.granted()}))
 """
 
 OF_THE_LOOP = ("dds.udp.7411", "another")
 ASIDE = ("dds.ev.0", "dds.asyn.0.0", "dds.udp.7410")
 THREADS = """
 import ctypes, json, os, sys, threading
-from seft_msgs_py.node import realtime
+from seft_msgs_py.node import host
 names, ids, named, over = sys.argv[2:], [], threading.Semaphore(0), threading.Event()
 def live(name):
     ctypes.CDLL(None).prctl(15, name.encode())  # PR_SET_NAME
@@ -41,7 +41,7 @@ def live(name):
 for name in names:
     threading.Thread(target=live, args=[name], daemon=True).start()
     named.acquire()
-assert realtime.apply(json.loads(sys.argv[1])) == []
+assert host.apply(json.loads(sys.argv[1])) == []
 print(json.dumps({
     name: [os.sched_getparam(each).sched_priority, sorted(os.sched_getaffinity(each))]
     for name, each in ids
@@ -52,7 +52,7 @@ from pathlib import Path
 import rclpy
 from rclpy.node import Node
 from seft_msgs_py.node.process import prepare_on_this_host
-from seft_msgs_py.node.realtime import side_threads
+from seft_msgs_py.node.host import side_threads
 prepare_on_this_host()
 rclpy.init(args=[])
 node = Node("somebody")
@@ -107,7 +107,7 @@ def test_what_is_denied_is_told_with_its_remedy_and_the_process_goes_on():
     assert told["granted"]["keeps_awake"] is False
 
 
-@pytest.mark.skipif(not realtime.may_keep_awake(), reason="cores may not be kept awake here")
+@pytest.mark.skipif(not host.may_keep_awake(), reason="cores may not be kept awake here")
 def test_cores_are_kept_awake():
     told = ask({"keep_awake": True})
     assert told["denied"] == []
@@ -144,7 +144,7 @@ def test_the_middleware_names_its_threads_as_is_read_here():
 PRECEDENCE = """
 import os, subprocess, sys
 from pathlib import Path
-from seft_msgs_py.node.realtime import take_precedence
+from seft_msgs_py.node.host import take_precedence
 if sys.argv[1] == "deny":
     os.setgroups([])
     os.setgid(65534)
@@ -181,7 +181,7 @@ def test_precedence_is_taken_where_it_is_allowed_and_for_a_session_of_its_own(ho
 
 def test_threads_are_woken_on_time():
     program = (
-        "import ctypes, threading; from seft_msgs_py.node.realtime import wake_on_time\n"
+        "import ctypes, threading; from seft_msgs_py.node.host import wake_on_time\n"
         "def tell(): print(ctypes.CDLL(None).prctl(30))  # PR_GET_TIMERSLACK\n"
         "tell(); wake_on_time(); tell(); t = threading.Thread(target=tell); t.start(); t.join()"
     )
@@ -191,7 +191,7 @@ def test_threads_are_woken_on_time():
 
 
 def test_all_processes_of_a_machine_tell_the_same_boot():
-    assert ask({})["granted"]["boot"] == realtime.boot()
+    assert ask({})["granted"]["boot"] == host.boot()
 
 
 class Hand:

@@ -6,8 +6,9 @@ import sys
 import pytest
 
 PROGRAM = """
-from seft_msgs_py.node.node_process import NodeProcess
-process = NodeProcess([], ["somebody"])
+from seft_msgs_py.node.dds import DdsTransport
+from seft_msgs_py.node.turns import NodeProcess
+process = NodeProcess([], ["somebody"], DdsTransport)
 called = []
 process.polls.append(lambda: called.append("look"))
 process.chores.append(lambda: called.append("chore"))
@@ -31,14 +32,15 @@ def test_a_look_is_taken_after_each_turn_and_chores_are_done_now_and_then():
 
 ENDED = """
 import os, pty, signal, sys, threading
-from seft_msgs_py.node.node_process import NodeProcess
+from seft_msgs_py.node.dds import DdsTransport
+from seft_msgs_py.node.turns import NodeProcess
 if sys.argv[1] == "nohup":
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
 report = os.dup(1)
 keyboard, terminal = pty.openpty()
 os.dup2(terminal, 1)
 os.close(terminal)
-process = NodeProcess([], ["somebody"])
+process = NodeProcess([], ["somebody"], DdsTransport)
 os.close(keyboard)
 # to the thread that runs handlers: by os.kill another one may take it, and that is later
 signal.pthread_kill(threading.main_thread().ident, getattr(signal, sys.argv[2]))
@@ -68,8 +70,9 @@ def test_a_process_ends_when_it_is_told_to_or_its_terminal_is_closed(how, number
 FAULTY = """
 import time
 from seft_msgs_py.errors import ExperimentError, WireError
-from seft_msgs_py.node.node_process import NodeProcess
-process = NodeProcess([], ["somebody"])
+from seft_msgs_py.node.dds import DdsTransport
+from seft_msgs_py.node.turns import NodeProcess
+process = NodeProcess([], ["somebody"], DdsTransport)
 heard = []
 process.fault_listeners.append(heard.append)
 process.fault_listeners.append(lambda reason: heard.missing)  # who can't be told

@@ -1,19 +1,18 @@
 """Priority, locked memory, awake cores and a core of its own, as far as the system grants them.
 
-The parameters have the names of ros2_control's controller manager. `AwakeClock` measures how long
-others have been silent.
+The parameters have the names of ros2_control's controller manager.
 """
 
 import contextlib
 import ctypes
 import os
 import struct
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from seft_msgs_py.config.parameter_table import parameter_rows
+from seft_msgs_py.node.clock import MACHINE
 
 PARAMETERS = parameter_rows(
     """
@@ -84,7 +83,7 @@ def take_precedence(pid: int) -> bool:
         try:
             session.write_text(str(FIRST))
         except BlockingIOError:  # the kernel takes ten a second
-            time.sleep(0.1)
+            MACHINE.sleep(0.1)
         except OSError:
             break  # there is no autogroup, or the process has ended
         else:
@@ -222,28 +221,3 @@ def memory_kb(kind: str) -> int:
     """Memory of this process, kB: ``VmLck`` locked, ``VmHWM`` largest resident so far."""
     status = Path("/proc/self/status").read_text(encoding="ascii")
     return next((int(at.split()[1]) for at in status.splitlines() if at.startswith(kind)), 0)
-
-
-LONGEST_GAP = 0.25  # s
-
-
-class AwakeClock:
-    """Monotonic time in which a gap between two polls counts as at most ``longest_gap`` seconds.
-
-    A process that stalls, usually with its whole machine, reads the messages of that time only
-    later: it must not mistake its own stall for the silence of others. Poll the clock often.
-    """
-
-    def __init__(
-        self, monotonic: Callable[[], float] = time.monotonic, longest_gap: float = LONGEST_GAP
-    ) -> None:
-        self._monotonic, self._longest_gap = monotonic, longest_gap
-        self._polled_at = monotonic()
-        self._now = 0.0
-
-    def time(self) -> float:
-        """Time awake since the clock was made, s."""
-        now = self._monotonic()
-        self._now += min(now - self._polled_at, self._longest_gap)
-        self._polled_at = now
-        return self._now

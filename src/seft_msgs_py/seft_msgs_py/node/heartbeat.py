@@ -1,0 +1,105 @@
+"""What a node says of itself: its description, and its status five times a second."""
+
+import json
+from dataclasses import replace
+from typing import Any
+
+from seft_msgs_py.config.parameter_table import Section
+from seft_msgs_py.node.transport import Endpoint
+from seft_msgs_py.node.turns import NodeProcess
+from seft_msgs_py.node.wiring import Wiring
+from seft_msgs_py.wire.messages import Status, encode_diagnostics, encode_string, restamp
+from seft_msgs_py.wire.topics import DESCRIPTION, DIAGNOSTICS
+
+STATUS_PERIOD = 0.2  # s between two heartbeats
+LOOP_PAUSE = 1.0  # s without a message of the loop: the node is idle
+
+
+class Heartbeat:
+    """Status and description of a node with its parameters (``section``)."""
+
+    def __init__(
+        self, process: NodeProcess, endpoint: Endpoint, wiring: Wiring, section: Section
+    ) -> None:
+        self._process, self._endpoint, self._wiring = process, endpoint, wiring
+        self._section, self._clock = section, process.clock
+        self._facts: dict[str, Any] | None = None  # none before the node has described itself
+        self._polled_at = 0.0
+        self._status = Status(wiring.name, 0, "starting", values={})
+        self._status_sent: tuple[float, Status | None] = (0.0, None)
+        self._logged = ""  # the phase that the log has
+        self._status_message = bytearray()
+        self._diagnostics = wiring.publisher(DIAGNOSTICS)
+        self._description = wiring.publisher(DESCRIPTION)
+
+    def add_facts(self, facts: dict[str, Any]) -> None:
+        """Add facts about the node (JSON values) to its description, and publish it."""
+        self._facts = {**(self._facts or {}), **facts}
+        self.describe()
+
+    def describe(self) -> None:
+        """Publish the node's parameters and facts, if it has any yet."""
+        if self._facts is not None:
+            described = {"node": self._wiring.name, "parameters": self._section, **self._facts}
+            self._description(encode_string(json.dumps(described)))
+
+    def report(self, status: Status) -> None:
+        """Make this the node's status, and publish it at once."""
+        values = {**status.values, **self._own_values()}
+        self._status = replace(status, name=self._wiring.name, values=values)
+        self._publish_status()
+
+    def note(self, status: Status) -> None:
+        """Make this the node's status, which is published when the next one is due."""
+        values = {**self._status.values, **status.values}
+        self._status = replace(status, name=self._wiring.name, values=values)
+
+    def renew(self) -> None:
+        """Send the status when it is due, with its changes; a chore.
+
+        Reading the graph takes a millisecond, too long for a node of a running loop: then the
+        listeners are not looked up.
+        """
+        now = self._clock.monotonic()
+        sent_at, sent = self._status_sent
+        is_due = now - sent_at >= STATUS_PERIOD
+        if now - self._wiring.handled_at < LOOP_PAUSE:
+            if is_due:
+                self._update(self._counted())
+                self._publish_status()
+        elif now - self._polled_at >= STATUS_PERIOD:
+            self._polled_at = now
+            self._update({**self._wiring.matched(), **self._own_values()})
+            self._log_phase()
+            if self._status != sent or is_due:
+                self._publish_status()
+
+    def _log_phase(self) -> None:
+        """Log the phase of an idle node if it is new: a line takes a millisecond."""
+        phase, text = self._status.values.get("phase", ""), self._status.message
+        if phase != self._logged:
+            self._logged = phase
+            bag = f" {self._status.values['bag']}" if "bag" in self._status.values else ""
+            self._endpoint.log("info", (text if phase in text else f"{phase}: {text}") + bag)
+
+    def _own_values(self) -> dict[str, str]:
+        peak = round(self._process.transport.host.memory_kb("VmHWM") / 1024)
+        return {**self._counted(), "peak_memory_mb": str(peak)}
+
+    def _counted(self) -> dict[str, str]:
+        refused, faults = self._wiring.refused, self._process.faults
+        strangers = self._wiring.strangers()
+        return {"refused": str(refused), "faults": str(faults), "strangers": strangers}
+
+    def _update(self, values: dict[str, str]) -> None:
+        """Add values to the status; an equal status stays the same object."""
+        if values.items() - self._status.values.items():
+            self._status = replace(self._status, values={**self._status.values, **values})
+
+    def _publish_status(self) -> None:
+        now = self._clock.time_ns()
+        if self._status != self._status_sent[1]:
+            self._status_message = bytearray(encode_diagnostics(now, [self._status]))
+        self._status_sent = (self._clock.monotonic(), self._status)
+        restamp(self._status_message, now)
+        self._diagnostics(bytes(self._status_message))

@@ -1,0 +1,185 @@
+"""The topics of one node: what it publishes and reads, and who else is on them."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import InputError, SeftError, WireError
+from seft_msgs_py.node.bus import Receive
+from seft_msgs_py.node.senders import Senders, connected_listeners
+from seft_msgs_py.node.transport import Endpoint, Publisher, Send
+from seft_msgs_py.node.turns import NodeProcess, ReadOne, drain
+from seft_msgs_py.wire.messages import decode_status
+from seft_msgs_py.wire.outcome import MOVING
+from seft_msgs_py.wire.topics import EXPERIMENT_STATE, RIG_NODES, LoopTopic, RigAxes, Topic
+
+POLL_PERIOD = 0.2  # s between two looks for other publishers
+WARN_PERIOD = 1.0  # s
+Handler = Callable[[bytes, int], None]
+"""Takes a message's bytes and the wall-clock time in ns of its arrival."""
+
+
+class Wiring:
+    """Publishers and readers of a node on the graph.
+
+    Attributes
+    ----------
+    rig : RigAxes
+        The rig that the node belongs to; all axes, if it serves all rigs.
+    name : str
+        The node's name, with its rig's name if the test has several.
+    refused : int
+        Messages that were not acted upon.
+    handled_at : float
+        Time of the last message of the loop, s, monotonic.
+    """
+
+    def __init__(self, process: NodeProcess, endpoint: Endpoint, experiment: Experiment) -> None:
+        self._process, self._endpoint, self._clock = process, endpoint, process.clock
+        self.rig, self._test_namespace = rig_of(endpoint, experiment)
+        self.name = self.rig.node(endpoint.name)
+        self.refused, self.handled_at = 0, 0.0
+        self._warning, self._warned_at = "", -WARN_PERIOD  # first reason since the last warning
+        self._polled_at = 0.0
+        self._publishers: dict[str, Publisher] = {}
+        self._readers: dict[str, ReadOne] = {}
+        self._senders = Senders(endpoint)
+
+    def publisher(self, topic: Topic) -> Send:
+        """Make the publisher of a topic; return the function that publishes message bytes."""
+        publisher = self._endpoint.publish(replace(topic, name=self._name_here(topic)))
+        self._publishers[topic.name] = publisher
+        if not isinstance(topic, LoopTopic):
+            return publisher.send
+        return self._process.bus.sender(publisher.topic_name, publisher.send)
+
+    def subscribe(
+        self, topic: Topic, handler: Handler, depth: int | None, wake: bool, reliable: bool
+    ) -> ReadOne:
+        """Give every message of a topic to a handler, see `NodeShell.subscribe`."""
+        here, receive = replace(topic, name=self._name_here(topic)), self._guarded(handler, topic)
+        if self._process.bus.serves(topic):
+            full_name = self._endpoint.full_name(here.name)
+            self._senders.add(topic, full_name)
+            self._process.bus.subscribe(full_name, self.name, receive)
+            read_one = _nothing
+        else:
+            subscription = self._endpoint.subscribe(here, depth, reliable)
+            self._senders.add(topic, subscription.topic_name, subscription)
+            read_one = self._process.add_subscription(subscription, receive, wake)
+        self._readers[topic.name] = read_one
+        return read_one
+
+    def catch_up(self, topic: Topic) -> None:
+        """Handle all messages of a topic that have arrived."""
+        drain(self._readers[topic.name])
+
+    def refuse(self, reason: str) -> None:
+        """Count a message that was not acted upon; a warning follows, at most once a second."""
+        self.refused += 1
+        self._warning = self._warning or reason
+
+    def matched(self) -> dict[str, str]:
+        """Names of the listeners of each topic, separated by blanks; number of publishers."""
+        found = {f"senders {name}": str(n) for name, n in self._senders.counts().items()}
+        for name, publisher in self._publishers.items():
+            outside = connected_listeners(self._endpoint, publisher, self._test_namespace)
+            inside = self._process.bus.listeners(publisher.topic_name)
+            found[f"matched {name}"] = " ".join(sorted({*outside, *inside}))
+        return found
+
+    def several_senders(self) -> str:
+        """Say which topic of the test more than one node publishes, see `Senders.conflict`."""
+        return self._senders.conflict()
+
+    def strangers(self) -> str:
+        """List the foreign publishers of this test, see `Senders.strangers`."""
+        return self._senders.strangers()
+
+    def foreign_publishers(self, refused_before: int) -> str:
+        """Name the foreign nodes that may be the cause of missing messages.
+
+        See `NodeShell.foreign_publishers`.
+        """
+        refused, conflict = self.refused - refused_before, self.several_senders()
+        text = f"; {refused} messages were refused meanwhile" if refused else ""
+        return f"{text}; {conflict}" if conflict else text
+
+    def warn(self) -> None:
+        """Log refused messages and foreign publishers; a chore.
+
+        A call of a logger takes a millisecond, even if its own throttle suppresses the message.
+        """
+        now = self._clock.monotonic()
+        if self._warning and now - self._warned_at >= WARN_PERIOD:
+            self._endpoint.log("warning", f"refused ({self.refused} so far): {self._warning}")
+            self._warning, self._warned_at = "", now
+        if now - self._polled_at >= POLL_PERIOD:
+            self._polled_at = now
+            for news in self._senders.poll():
+                self._endpoint.log("warning", news)
+
+    def _name_here(self, topic: Topic) -> str:
+        """Name of a topic for this node, whose namespace may be a level below the test's."""
+        if not self.rig.name or topic.name.startswith("/"):
+            return topic.name
+        return f"{self._test_namespace}/{topic.name}"
+
+    def _guarded(self, handler: Handler, topic: Topic) -> Receive:
+        """Wrap a handler: refuse invalid messages, and note the time of the last sample."""
+        is_of_each_step = isinstance(topic, LoopTopic) and not topic.latched
+        name, senders, monotonic = topic.name, self._senders, self._clock.monotonic
+
+        def receive(raw: bytes, received_ns: int, gid: bytes) -> bool:
+            if is_of_each_step:
+                self.handled_at = monotonic()
+            if senders.is_foreign(name, gid):
+                self.refused += 1
+                return False
+            try:
+                handler(raw, received_ns)
+            except WireError as error:
+                self.refuse(str(error))
+                return False
+            except SeftError:
+                raise  # the reason for the user why the node can't continue
+            except Exception as error:
+                self._process.fault(f"{self.name}, {name}", error)
+                return False
+            if topic == EXPERIMENT_STATE:
+                senders.follow(decode_status(raw).message in MOVING)
+            return True
+
+        return receive
+
+
+def _nothing() -> bool | None:
+    """Read nothing: the messages of this process have been delivered already."""
+    return None
+
+
+def rig_of(endpoint: Endpoint, experiment: Experiment) -> tuple[RigAxes, str]:
+    """Rig that a node belongs to, and the test's namespace without a slash at its end.
+
+    Raises
+    ------
+    InputError
+        If the node's namespace does not fit the rigs of the experiment.
+    """
+    namespace, name = endpoint.namespace, endpoint.name
+    above, _, last = namespace.rpartition("/")
+    rigs = {rig.name: rig for rig in experiment.rigs}
+    whole = RigAxes.whole(experiment.axes)
+    if "" in rigs or (name not in RIG_NODES and last not in rigs):
+        return whole, namespace
+    known = " or ".join(f"-r __ns:={above if last in rigs else namespace}/{rig}" for rig in rigs)
+    if name not in RIG_NODES:
+        raise InputError(
+            f"{name} serves all rigs and can't be in {namespace}, which is one rig's namespace"
+        )
+    if last not in rigs:
+        raise InputError(
+            f"{name} is in namespace {namespace or '/'}, but the axes {list(experiment.axes)} are "
+            f"of several rigs; name its rig: --ros-args {known}"
+        )
+    return rigs[last], above

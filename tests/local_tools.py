@@ -1,0 +1,55 @@
+"""What the tests of whole graphs in virtual time share."""
+
+import hashlib
+
+import numpy as np
+from seft_msgs_py.virtual import LocalGraph
+from seft_msgs_py.wire.topics import RIG_STATE, VALVE_COMMAND
+from seft_ros.reference_force.reference_force_parameters import reference_force_topic
+from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.offline import simulate
+
+LONG = "ground_motion:synthetic.duration:=400.0"
+SIX = "ground_motion:synthetic.duration:=6.0"  # s, a test of 5 s
+SHORT = ("ground_motion:synthetic.duration:=3.0", "ground_motion:tail:=0.2")
+LOCKSTEP = "rig:pace:=lockstep"
+UNREHEARSED = "supervisor:rehearsal.duration:=0.0"
+NO_COMMAND_WATCH = "supervisor:watchdog.command_timeout:=60.0"
+NODES = ("ground_motion", "reference_force", "force_controller", "rig", "supervisor")
+
+
+def at_rest(graph: LocalGraph) -> bool:
+    """Whether the rig has tripped, and sends no more states."""
+    count = len(graph.samples(RIG_STATE)[0])
+    graph.run(0.5)
+    return len(graph.samples(RIG_STATE)[0]) == count and graph.status("rig")["phase"] == "tripped"
+
+
+def digest(graph: LocalGraph) -> str:
+    """Of all messages, with sender, topic and time."""
+    words = (f"{at} {node} {topic} ".encode() + raw for at, node, topic, raw in graph.graph.sent)
+    return hashlib.sha256(b"".join(words)).hexdigest()
+
+
+def offline(graph: LocalGraph):
+    """What `seft simulate` makes of the same experiment."""
+    return simulate(graph.experiment, build_blocks(graph.experiment))
+
+
+def assert_same(graph: LocalGraph, record, steps: int | None = None) -> None:
+    """Check that the samples of a test are those of a record; or of so many first steps."""
+    force = reference_force_topic(graph.experiment["reference_force"])
+    for topic in (RIG_STATE, force, VALVE_COMMAND):
+        there, (found, values) = record.series[topic.name], graph.samples(topic)
+        count = max(len(found), len(there.steps)) if steps is None else steps
+        assert found[:count] == there.steps[:count].tolist(), topic.name
+        expected = there.values[:count].reshape(values[:count].shape)
+        np.testing.assert_array_equal(values[:count], expected)
+
+
+def perform(graph: LocalGraph, end: str = "done") -> None:
+    """Run a test to its end."""
+    graph.until("ready")
+    accepted, answer = graph.call("start")
+    assert accepted, answer
+    graph.until(end)

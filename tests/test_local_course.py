@@ -1,0 +1,158 @@
+"""Whole tests of the real nodes in virtual time: the way through, and the operator."""
+
+import numpy as np
+import pytest
+from graph_tools import DEMO, JHU
+from local_tools import (
+    LOCKSTEP,
+    NODES,
+    SHORT,
+    SIX,
+    UNREHEARSED,
+    assert_same,
+    at_rest,
+    digest,
+    offline,
+    perform,
+)
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.messages import decode_description
+from seft_msgs_py.wire.topics import (
+    DESCRIPTION,
+    REFERENCE_FORCE,
+    RIG_STATE,
+    VALVE_COMMAND,
+    rehearsed,
+)
+from seft_ros.protection.protection_step import RampDown
+
+
+@pytest.mark.parametrize("config", [JHU, DEMO])
+@pytest.mark.parametrize("pace", ["realtime", "lockstep"])
+@pytest.mark.parametrize("latency", [0.0, 1e-4])
+def test_a_whole_test_gives_the_bits_of_the_offline_loop(local_graph, config, pace, latency):
+    graph = local_graph(SIX, f"rig:pace:={pace}", config=config, latency=latency)
+    graph.until("ready")
+    assert graph.call("start")[0]
+    graph.until("done")
+    assert graph.values["detail"] == "2501 steps done"
+    assert_same(graph, offline(graph))
+    assert graph.status("rig")["missed"] == "0"
+
+
+def test_twice_the_same_messages_at_the_same_times(local_graph):
+    digests = set()
+    for _ in range(2):
+        graph = local_graph(SIX)
+        graph.until("ready")
+        graph.call("start")
+        graph.until("done")
+        digests.add(digest(graph))
+    assert len(digests) == 1
+
+
+@pytest.mark.parametrize(
+    "order",
+    [
+        ("rig", "supervisor", "force_controller", "ground_motion", "reference_force"),
+        ("supervisor", "reference_force", "rig", "ground_motion", "force_controller"),
+    ],
+)
+def test_nodes_start_in_any_order_and_run_two_tests_in_a_row(local_graph, order):
+    graph = local_graph(*SHORT, LOCKSTEP, nodes=order)
+    for _ in (1, 2):
+        graph.until("ready")
+        assert graph.call("stop") == (False, "can't stop: the test is ready (all nodes are ready)")
+        before = len(graph.samples(RIG_STATE)[0])
+        assert graph.call("start")[0]
+        graph.until("done")
+        assert graph.call("start")[0] is False
+        assert graph.call("reset")[0] is True
+        assert len(graph.samples(RIG_STATE)[0]) - before == 851
+
+
+def test_a_rate_that_does_not_fit_is_refused_after_the_rehearsal(local_graph):
+    graph = local_graph(SIX)
+    graph.delay(rehearsed(VALVE_COMMAND), 0.0022)
+    found = graph.until(lambda: "does not fit" in graph.values.get("detail", "") and graph.values)
+    assert "500 Hz does not fit here: round trip p99 2.4 ms" in found["detail"]
+    assert "; 250 Hz does" in found["detail"]
+    assert graph.call("start")[0] is False
+
+
+def test_a_test_is_stopped_by_the_operator(running):
+    graph = running()
+    assert graph.call("stop") == (True, "the test is being brought down")
+    accepted, answer = graph.call("stop")
+    assert accepted and "stopped by the operator" in answer
+    graph.until("done")
+    force = graph.samples(REFERENCE_FORCE)[1][:, 0, 0]
+    ramp = RampDown(250)
+    ramp.begin()
+    factors = [1.0, *(ramp.next() for _ in range(250))]
+    motion = offline(graph).series["ground_motion"].values[:, 0, 0]
+    last = int(np.flatnonzero(force)[-1])
+    first = last - 249
+    np.testing.assert_allclose(force[first : last + 2], -52.7 * motion[first : last + 2] * factors)
+    assert not force[last + 1 :].any()
+
+
+def test_estop_ends_the_test_at_once_and_a_reset_makes_the_next_possible(running):
+    graph = running()
+    assert graph.call("estop")[0]
+    began = graph.scheduler.now
+    graph.until(lambda: graph.status("rig")["phase"] == "tripped")
+    assert graph.scheduler.now - began <= 10_000_000  # ns: within one look of this test
+    assert graph.values["detail"] == "aborted by the operator"
+    assert at_rest(graph)
+    assert graph.call("reset")[0]
+    graph.until("ready")
+    assert graph.call("start")[0]
+
+
+def test_an_estop_while_ramping_down_keeps_both_reasons(running):
+    graph = running("reference_force:ramp_down_time:=60.0")
+    graph.call("stop")
+    graph.run(0.5)
+    graph.call("estop")
+    assert graph.values["detail"] == (
+        "aborted by the operator (while ramping down: stopped by the operator)"
+    )
+    graph.until("tripped")
+    assert at_rest(graph)
+
+
+def test_live_parameters_may_be_set_and_others_not(local_graph):
+    graph = local_graph(nodes=(*NODES, "recorder"))
+    graph.until(lambda: graph.status("recorder").get("phase"))
+    graph.set_parameter("recorder", "name", "next")
+    with pytest.raises(InputError, match="read-only"):
+        graph.set_parameter("recorder", "rate", 250.0)
+    with pytest.raises(InputError, match="can't be set"):
+        graph.set_parameter("recorder", "use_sim_time", True)
+    with pytest.raises(InputError, match="name"):
+        graph.set_parameter("recorder", "name", "a/b")
+    described = [
+        decode_description(sent.raw)
+        for sent in graph.graph.sent
+        if (sent.node, sent.topic) == ("recorder", DESCRIPTION.name)
+    ]
+    assert [facts["parameters"]["name"] for _, facts in described] == ["", "next"]
+
+
+def test_nodes_that_find_each_other_late_wait_until_all_are_connected(local_graph):
+    graph = local_graph(SIX, UNREHEARSED, discovery=3.0)
+    graph.run(2.9)
+    accepted, answer = graph.call("start")
+    assert not accepted
+    assert "waiting for node ground_motion, reference_force, force_controller, rig" in answer
+    perform(graph)
+    assert_same(graph, offline(graph))
+
+
+@pytest.mark.parametrize("pace", ["realtime", "lockstep"])
+def test_nodes_in_one_process_give_the_bits_of_the_offline_loop(local_graph, pace):
+    loop = ("rig", "reference_force", "force_controller")
+    graph = local_graph(SIX, f"rig:pace:={pace}", nodes=("ground_motion", loop, "supervisor"))
+    perform(graph)
+    assert_same(graph, offline(graph))

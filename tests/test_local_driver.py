@@ -1,0 +1,55 @@
+"""A laboratory's driver beside the nodes of a test, in virtual time: the template's."""
+
+import sys
+
+import pytest
+from local_tools import at_rest, perform
+from seft_msgs_py.wire.topics import RIG_STATE, VALVE_COMMAND
+from seft_ros.cli.rig_commands import TEMPLATES
+from seft_ros.nodes.kinds import KINDS
+
+TEMPLATE = TEMPLATES / "rig_driver"
+SMALL = ("ground_motion:synthetic.duration:=6.0", "ground_motion:peak_force:=20.0")
+
+
+@pytest.fixture
+def driver(local_graph, monkeypatch):
+    """Make the nodes of a test with the template's driver as its rig."""
+    monkeypatch.syspath_prepend(str(TEMPLATE))
+    from rig_driver.driver_node import KIND
+
+    def make(*overrides):
+        kinds, own = {**KINDS, "rig": KIND}, {"rig": [TEMPLATE / "config/rig.yaml"]}
+        return local_graph(*SMALL, *overrides, kinds=kinds, own_files=own)
+
+    yield make
+    for name in [name for name in sys.modules if name.startswith("rig_driver")]:
+        del sys.modules[name]
+
+
+def test_a_driver_rehearses_and_performs_a_test(driver):
+    graph = driver()
+    perform(graph)
+    assert graph.values["detail"] == "2501 steps done"
+    assert (graph.status("rig")["missed"], graph.status("rig")["overruns"]) == ("0", "0")
+
+
+def test_a_driver_without_commands_trips_and_closes_its_valve(driver):
+    graph = driver()
+    graph.delay(VALVE_COMMAND, 1.0, range(500, 3000))
+    perform(graph, "tripped")
+    assert "no new valve_command for 0.02 s (the last is of step 499)" in graph.values["detail"]
+    assert at_rest(graph)
+
+
+def test_a_driver_that_is_terminated_ends_the_test(driver):
+    graph = driver()
+    graph.until("ready")
+    graph.call("start")
+    graph.run(1.0)
+    graph.terminate("rig")
+    graph.until("tripped")
+    assert graph.endings == {"rig": 0}
+    count = len(graph.samples(RIG_STATE)[0])
+    graph.run(1.0)
+    assert len(graph.samples(RIG_STATE)[0]) == count

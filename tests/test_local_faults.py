@@ -1,0 +1,178 @@
+"""Nodes that stand still, die, or are missing, in virtual time."""
+
+import pytest
+from local_tools import LOCKSTEP, LONG, NO_COMMAND_WATCH, UNREHEARSED, at_rest
+from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE
+
+SLOW = 5e-4  # s, latency with which a test in lockstep takes fewer steps
+
+
+def test_a_rig_that_stands_still_for_a_moment_trips_and_is_at_rest(running):
+    graph = running(LONG)
+    graph.freeze("rig", 0.3)
+    graph.until("tripped", within=0.2)
+    assert graph.values["detail"].startswith("force_controller: no rig/state for 0.02 s")
+    graph.run(0.5)
+    assert at_rest(graph)
+
+
+def test_a_rig_that_stands_still_tells_so_where_nobody_else_is_watching(running):
+    graph = running(LONG, "force_controller:watchdog.state_timeout:=60.0")
+    graph.freeze("rig", 0.3)
+    graph.until("tripped")
+    assert graph.values["detail"].startswith("the rig stood still for 0.299 s")
+    assert at_rest(graph)
+
+
+@pytest.mark.parametrize("pace", ["realtime", "lockstep"])
+@pytest.mark.parametrize("how", ["kill", "freeze"])
+@pytest.mark.parametrize(
+    "node", ["force_controller", "reference_force", "rig", "ground_motion", "supervisor"]
+)
+def test_a_node_that_dies_or_stands_still_ends_the_test_and_is_named(running, node, how, pace):
+    graph = running(LONG, NO_COMMAND_WATCH, f"rig:pace:={pace}", latency=SLOW)
+    getattr(graph, how)(node)
+    if node == "supervisor":
+        graph.until(lambda: graph.status("rig")["phase"] == "tripped", within=2.0)
+        assert graph.status("rig")["reason"] == "node supervisor has been silent for 1 s"
+        return
+    graph.until("tripped", within=5.0)
+    graph.until(lambda: "silent" in graph.values)
+    assert f"node {node} has been silent since " in graph.values["detail"]
+    if node == "ground_motion":
+        assert graph.samples(REFERENCE_FORCE)[1][-1, 0, 0] == 0.0
+
+
+@pytest.mark.parametrize("how", ["kill", "freeze"])
+@pytest.mark.parametrize(
+    "node", ["force_controller", "reference_force", "rig", "ground_motion", "supervisor"]
+)
+def test_a_node_that_fails_while_the_force_comes_down_ends_the_test(running, node, how):
+    graph = running(LONG, LOCKSTEP, "reference_force:ramp_down_time:=60.0", latency=SLOW)
+    graph.call("stop")
+    graph.run(0.5)
+    getattr(graph, how)(node)
+    if node == "supervisor":
+        graph.until(lambda: graph.status("rig")["phase"] == "tripped", within=2.0)
+    elif node == "ground_motion":
+        graph.run(5.0)
+        assert graph.state == "ramping_down"
+        graph.call("estop")
+        assert "stopped by the operator" in graph.values["detail"]
+    else:
+        graph.until("tripped", within=5.0)
+        assert "stopped by the operator" in graph.values["detail"]
+        assert f"node {node} has been silent since" in graph.values["detail"]
+
+
+def test_a_rig_without_commands_trips_and_the_silent_node_is_found_out(running):
+    graph = running(LONG, "supervisor:watchdog.command_timeout:=0.5")
+    graph.freeze("reference_force")
+    graph.until("tripped")
+    graph.until(lambda: graph.values.get("silent"))
+    assert graph.values["detail"].startswith("no new valve_command for 0.5 s (the last is of step ")
+    assert "; node reference_force has been silent since " in graph.values["detail"]
+    assert at_rest(graph)
+
+
+def test_the_death_of_the_reference_force_is_a_hard_trip_by_default(running):
+    graph = running(LONG)
+    graph.kill("reference_force")
+    graph.until("tripped", within=0.1)
+    assert "no new valve_command for 0.02 s" in graph.values["detail"]
+    graph.until(lambda: graph.values.get("silent") == "reference_force")
+    assert at_rest(graph)
+
+
+def test_the_force_controller_trips_by_itself_when_the_rig_dies(running):
+    graph = running(
+        LONG,
+        "force_controller:watchdog.state_timeout:=3.0",
+        *(
+            f"{w}:=60.0"
+            for w in ("supervisor:watchdog.command_timeout", "supervisor:watchdog.peer_timeout")
+        ),
+    )
+    graph.kill("rig")
+    graph.until(lambda: graph.status("force_controller")["phase"] == "tripped", within=3.2)
+    assert graph.status("force_controller")["reason"].startswith(
+        "no rig/state for 3 s (the last is of step "
+    )
+
+
+def test_a_start_that_waited_while_the_supervisor_stood_still_is_refused(local_graph):
+    graph = local_graph(UNREHEARSED, nodes=("supervisor", "ground_motion", "rig"))
+    graph.until("ready")
+    graph.freeze("supervisor", 1.5)
+    accepted, answer = graph.call("start")
+    assert not accepted
+    assert "has stalled" in answer
+
+
+def test_a_silent_node_makes_a_ready_graph_incomplete_until_it_is_heard_again(local_graph):
+    graph = local_graph(UNREHEARSED)
+    graph.until("ready")
+    graph.freeze("rig")
+    graph.until("idle")
+    assert graph.values["detail"] == "waiting for node rig"
+    assert graph.call("start")[0] is False
+    graph.thaw("rig")
+    graph.until("ready")
+
+
+def test_nodes_that_are_terminated_end_cleanly_and_the_others_miss_them(running):
+    graph = running(LONG, LOCKSTEP, latency=SLOW)
+    graph.terminate("force_controller")
+    graph.until("tripped")
+    assert "node force_controller has been silent since" in graph.values["detail"]
+    graph.until(lambda: graph.call("reset")[0])
+    gone = ["force_controller"]
+    for node in ("rig", "ground_motion", "reference_force"):
+        graph.terminate(node)
+        gone.append(node)
+        known = ("ground_motion", "reference_force", "force_controller", "rig")
+        missed = "waiting for node " + ", ".join(n for n in known if n in gone)
+        graph.until(lambda missed=missed: graph.values["detail"] == missed)
+        assert graph.call("start") == (False, f"can't start: the test is idle ({missed})")
+    graph.terminate("supervisor")
+    assert graph.endings == dict.fromkeys((*gone, "supervisor"), 0)
+
+
+def test_a_rig_that_comes_back_in_the_middle_of_a_test_stays_at_rest(running):
+    allowed = (
+        "supervisor:watchdog.command_timeout",
+        "supervisor:watchdog.peer_timeout",
+        "rig:watchdog.supervisor_timeout",
+        "force_controller:watchdog.reference_timeout",
+    )
+    graph = running(LONG, *(f"{word}:=60.0" for word in allowed))
+    graph.kill("rig")
+    before = len(graph.samples(RIG_STATE)[0])
+    graph.start("rig")
+    graph.run(3.0)
+    assert graph.state == "running"
+    assert any(
+        "before this rig was ready" in text
+        for _, node, _, text in graph.graph.lines
+        if node == "rig"
+    )
+    assert len(graph.samples(RIG_STATE)[0]) == before
+
+
+def test_nodes_of_different_rates_do_not_start(local_graph):
+    peers = "supervisor:peers:=[ground_motion, rig]"
+    graph = local_graph(UNREHEARSED, peers, nodes=("supervisor", "ground_motion"))
+    graph.start("rig", overrides=["rate:=250.0"])
+    graph.until(lambda: "one rate" in graph.values.get("detail", ""))
+    assert "rig has 250" in graph.values["detail"]
+
+
+def test_a_missing_peer_in_lockstep_ends_the_test_with_its_name(local_graph):
+    nodes = ("ground_motion", "reference_force", "rig", "supervisor")
+    graph = local_graph(LOCKSTEP, "rig:lockstep_timeout:=1.0", nodes=nodes)
+    graph.until("ready")
+    graph.call("start")
+    graph.until("tripped")
+    assert graph.values["detail"].startswith("no valve_command for step 0 within 1 s")
+    assert "is force_controller running?" in graph.values["detail"]
+    assert len(graph.samples(RIG_STATE)[0]) == 1

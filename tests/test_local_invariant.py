@@ -1,0 +1,60 @@
+"""Offline = lockstep = realtime, bit for bit, in virtual time, for all kinds of loops."""
+
+import pytest
+from graph_tools import JHU
+from local_tools import UNREHEARSED, assert_same, offline, perform
+
+SHORT = ("ground_motion:synthetic.duration:=3.0", "ground_motion:tail:=0.2")
+TARGET_MOTION = (
+    "reference_force:compensation.method:=target_motion",
+    "force_controller:method:=velocity_feedforward",
+    "reference_force:mass_ratio:=1.0",
+    "ground_motion:peak_force:=300.0",
+)
+TWO_AXES = ("axes:=[north, east]", "ground_motion:influence:=[1.0, 0.5]")
+EXPERIMENTS = {
+    "servo_hydraulic": ("reference_force:mass_ratio:=0.5",),
+    "restoring": (
+        "reference_force:mass_ratio:=0.5",
+        "reference_force:compensation.method:=restoring",
+    ),
+    "delay": (
+        *("rig:actuator.kind:=delay", "rig:actuator.delay:=0.0113"),
+        "reference_force:mass_ratio:=0.5",
+    ),
+    "eft_ideal": ("rig:actuator.kind:=ideal", "reference_force:method:=eft"),
+    "coupled_axes": (
+        *TWO_AXES,
+        "rig:specimen.stiffness:=[2.0e5, -1.0e4, -1.0e4, 2.2e5]",
+        "rig:specimen.mass:=[52.7, 55.0]",
+        "reference_force:mass_ratio:=0.3",
+    ),
+    "loop_delay_of_an_idealised_actuator": (
+        *("rig:actuator.kind:=delay", "rig:actuator.delay:=0.0113"),
+        *("reference_force:loop_delay:=5", "reference_force:mass_ratio:=0.3"),
+    ),
+    "target_motion": TARGET_MOTION,
+    "target_motion_of_two_axes": (*TARGET_MOTION, *TWO_AXES),
+    "target_motion_behind_a_link": (
+        *TARGET_MOTION,
+        *TWO_AXES,
+        "reference_force:loop_delay:=7",
+    ),
+    "target_motion_yielding": (
+        *TARGET_MOTION,
+        *("rig:specimen.kind:=bilinear", "rig:specimen.yield_displacement:=0.001"),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_lockstep_and_realtime_give_the_bits_of_the_offline_loop(local_graph, name):
+    record = None
+    for pace in ("lockstep", "realtime"):
+        words = (*SHORT, UNREHEARSED, *EXPERIMENTS[name], f"rig:pace:={pace}")
+        with local_graph(*words, config=JHU) as graph:
+            perform(graph)
+            record = record or offline(graph)
+            assert len(record.series["rig/state"].steps) == 851
+            assert_same(graph, record)
+            assert graph.status("rig")["missed"] == "0"

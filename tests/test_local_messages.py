@@ -1,0 +1,157 @@
+"""Messages that are late, lost, bad, or of somebody else, in virtual time."""
+
+import struct
+
+import numpy as np
+import pytest
+from bad_messages import bad_messages
+from local_tools import LOCKSTEP, LONG, SHORT, SIX, UNREHEARSED, assert_same, at_rest, offline
+from seft_msgs_py.wire.messages import Status, encode_status
+from seft_msgs_py.wire.topics import (
+    EXPERIMENT_STATE,
+    LOOP_TOPICS,
+    REFERENCE_FORCE,
+    RIG_STATE,
+    VALVE_COMMAND,
+)
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
+
+
+@pytest.mark.parametrize(
+    ("topic", "reader"),
+    [
+        (VALVE_COMMAND, None),
+        (REFERENCE_FORCE, None),
+        (RIG_STATE, "reference_force"),
+        (RIG_STATE, "force_controller"),
+    ],
+)
+def test_one_lost_message_is_one_missed_command(local_graph, topic, reader):
+    graph = local_graph(SIX, UNREHEARSED)
+    graph.drop(topic, {500}, reader)
+    graph.until("ready")
+    graph.call("start")
+    graph.until("done")
+    told = graph.status("rig")
+    assert (told["missed"], told["missed_steps"]) == ("1", "500")
+    assert_same(graph, offline(graph), steps=501 if topic == VALVE_COMMAND else 500)
+
+
+def test_a_late_command_is_missed_and_a_very_late_one_trips(local_graph):
+    graph = local_graph(SIX, UNREHEARSED)
+    graph.delay(VALVE_COMMAND, 0.003, {500})
+    graph.until("ready")
+    graph.call("start")
+    graph.until("done")
+    assert (graph.status("rig")["missed"], graph.status("rig")["missed_steps"]) == ("1", "500")
+    graph.delay(VALVE_COMMAND, 0.5, range(700, 2000))
+    graph.call("reset")
+    graph.until("ready")
+    graph.call("start")
+    graph.until("tripped")
+    assert graph.values["detail"].startswith(
+        "no new valve_command for 0.02 s (the last is of step 699)"
+    )
+    assert at_rest(graph)
+
+
+def test_a_command_just_in_time_is_not_missed(local_graph):
+    graph = local_graph(SIX, UNREHEARSED)
+    graph.delay(VALVE_COMMAND, 0.0016)
+    graph.until("ready")
+    graph.call("start")
+    graph.until("done")
+    assert graph.status("rig")["missed"] == "0"
+    assert float(graph.status("rig")["round trip median (ms)"]) == pytest.approx(1.9, rel=0.07)
+    assert_same(graph, offline(graph))
+
+
+@pytest.mark.parametrize("pace", ["realtime", "lockstep"])
+@pytest.mark.parametrize("as_stranger", [True, False])
+def test_bad_messages_change_no_bit_of_a_test(local_graph, pace, as_stranger):
+    graph = local_graph("ground_motion:synthetic.duration:=20.0", UNREHEARSED, f"rig:pace:={pace}")
+    graph.until("ready")
+    graph.call("start")
+    graph.run(0.1)
+    injected = set()
+    for _ in range(5):
+        for topic in LOOP_TOPICS:
+            for raw in bad_messages(topic, graph.experiment).values():
+                graph.inject(topic, raw, as_stranger=as_stranger)
+                injected.add(raw)
+                graph.run(0.003)
+    graph.until("done")
+    for node in ("rig", "force_controller", "reference_force"):
+        assert int(graph.status(node)["refused"]) > 5
+    graph.graph.sent[:] = [sent for sent in graph.graph.sent if sent.raw not in injected]
+    assert_same(graph, offline(graph))
+    assert not any(line.level == "error" for line in graph.graph.lines)
+
+
+def test_a_stranger_s_valve_commands_are_named_and_not_obeyed(running):
+    graph = running(SIX)
+    graph.join(VALVE_COMMAND)
+    codec = TrajectoryCodec(VALVE_COMMAND, graph.experiment.axes, graph.experiment.timebase)
+    for _ in range(1000):
+        last = next(raw for _, n, t, raw in reversed(graph.graph.sent) if t == "rig/state")
+        seconds, nanoseconds = struct.unpack_from("<iI", last, 4)
+        step = (seconds * 10**9 + nanoseconds) // 2_000_000
+        graph.inject(VALVE_COMMAND, codec.encode(step, np.full(1, 5.0)))
+        graph.run(0.002)
+    for state in ("idle", "done", "tripped"):
+        graph.inject(EXPERIMENT_STATE, encode_status(Status("experiment", 0, state, values={})))
+    graph.until("done")
+    assert_same(graph, offline(graph))
+    assert "/stranger on valve_command: 1000" in graph.status("rig")["strangers"]
+    for node in ("rig", "force_controller", "reference_force", "ground_motion"):
+        assert "/stranger on experiment/state: 3" in graph.status(node)["strangers"]
+    logged = [text for _, node, _, text in graph.graph.lines if node == "rig"]
+    assert (
+        logged.count("/stranger publishes valve_command, too: this test ignores its messages") == 1
+    )
+
+
+@pytest.mark.parametrize("topic", LOOP_TOPICS)
+def test_two_publishers_of_a_topic_end_the_test_before_anything_moves(local_graph, topic):
+    graph = local_graph(*SHORT, UNREHEARSED)
+    graph.until("ready")
+    graph.join(topic)
+    assert graph.call("start")[0]
+    graph.until("tripped", within=0.1)
+    assert f"2 nodes publish {topic.name}" in graph.values["detail"]
+    obeyed = len(graph.samples(RIG_STATE)[0]) - 1
+    assert obeyed == 0 or not graph.samples(VALVE_COMMAND)[1].any()
+
+
+def test_true_messages_come_through_a_flood(local_graph):
+    graph = local_graph(SIX, UNREHEARSED, LOCKSTEP)
+    graph.until("ready")
+    graph.call("start")
+    graph.run(0.1)
+    for _ in range(5):
+        for topic in (VALVE_COMMAND, RIG_STATE, REFERENCE_FORCE):
+            bad = list(bad_messages(topic, graph.experiment).values())
+            for index in range(2000):
+                graph.inject(topic, bad[index % len(bad)])
+        graph.run(0.05)
+    graph.until("done")
+    assert_same(graph, offline(graph))
+
+
+PATIENT = "supervisor:watchdog.peer_timeout:=6.0"
+
+
+def test_a_trip_for_want_of_commands_tells_what_was_refused_meanwhile(running):
+    graph = running(LONG, LOCKSTEP, "rig:lockstep_timeout:=1.0", PATIENT, latency=5e-4)
+    graph.join(VALVE_COMMAND)
+    graph.freeze("force_controller")
+    bad = bad_messages(VALVE_COMMAND, graph.experiment)
+    for _ in range(10):
+        for raw in bad.values():
+            graph.inject(VALVE_COMMAND, raw)
+        graph.run(0.02)
+    graph.until("tripped", within=2.0)
+    detail = graph.values["detail"]
+    assert detail.startswith("no valve_command for step ")
+    assert f"; {10 * len(bad)} messages were refused meanwhile; 2 nodes publish" in detail
+    assert "valve_command (/force_controller, /stranger)" in detail

@@ -1,0 +1,63 @@
+"""The rehearsal of a loop whose messages are late, in virtual time."""
+
+import pytest
+from graph_tools import DEMO, JHU
+from local_tools import LOCKSTEP, SIX, UNREHEARSED, assert_same, offline, perform
+from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND, rehearsed
+
+
+@pytest.mark.parametrize("config", [JHU, DEMO])
+def test_a_test_after_a_rehearsal_has_the_bits_of_the_offline_loop(local_graph, config):
+    graph = local_graph(SIX, config=config)
+    perform(graph)
+    steps, _ = graph.samples(rehearsed(RIG_STATE))
+    assert steps == list(range(1000))
+    assert graph.samples(rehearsed(VALVE_COMMAND))[0] == steps
+    assert_same(graph, offline(graph))
+
+
+@pytest.mark.parametrize("words", [(LOCKSTEP,), (UNREHEARSED,)])
+def test_no_rehearsal_is_made_in_lockstep_or_where_none_is_wanted(local_graph, words):
+    graph = local_graph(SIX, *words)
+    graph.until("ready")
+    assert graph.samples(rehearsed(RIG_STATE))[0] == []
+
+
+@pytest.mark.parametrize(
+    ("topic", "late", "trip"),
+    [
+        (VALVE_COMMAND, 0.0022, "2.4"),
+        (REFERENCE_FORCE, 0.0022, "2.4"),  # the next state overtakes it
+        (REFERENCE_FORCE, 0.0061, "6.4"),
+        (RIG_STATE, 0.0022, "2.4"),
+    ],
+)
+def test_a_loop_that_answers_late_is_refused_and_a_rate_that_fits_is_proposed(
+    local_graph, topic, late, trip
+):
+    graph = local_graph(SIX)
+    graph.delay(rehearsed(topic), late)
+    graph.until(lambda: "does not fit" in graph.values.get("detail", ""))
+    detail = graph.values["detail"]
+    assert f"500 Hz does not fit here: round trip p99 {trip} ms, " in detail
+    assert f"; {250 if late < 0.003 else 100} Hz does; " in detail
+    assert graph.call("start")[0] is False
+
+
+@pytest.mark.parametrize("topic", [VALVE_COMMAND, REFERENCE_FORCE])
+def test_a_loop_that_answers_in_time_is_accepted(local_graph, topic):
+    graph = local_graph(SIX)
+    graph.delay(rehearsed(topic), 0.001)
+    graph.until("ready")
+    assert graph.samples(rehearsed(VALVE_COMMAND))[0] == list(range(1000))
+
+
+def test_a_loop_that_did_not_keep_its_rate_is_rehearsed_again_when_reset(local_graph):
+    graph = local_graph(SIX)
+    graph.delay(rehearsed(REFERENCE_FORCE), 0.0022)
+    graph.until(lambda: "does not fit" in graph.values.get("detail", ""))
+    graph.graph.rules.clear()
+    assert graph.call("reset") == (True, "the loop is rehearsed again")
+    perform(graph)
+    assert_same(graph, offline(graph))
+    assert graph.samples(rehearsed(VALVE_COMMAND))[0][-1000:] == list(range(1000))

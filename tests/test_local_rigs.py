@@ -1,0 +1,46 @@
+"""Tests of two rigs in virtual time."""
+
+import numpy as np
+import pytest
+from graph_tools import ROOT
+from local_tools import LONG, offline, perform
+from seft_msgs_py.wire.topics import RIG_STATE, rigs_of
+
+BRIDGE = ROOT / "config" / "two_pier_bridge.yaml"
+SHORT = ("ground_motion:synthetic.duration:=6.0", "ground_motion:tail:=0.5")
+NODES = (
+    *("ground_motion", "reference_force", "supervisor"),
+    *("west/rig", "west/force_controller", "east/rig", "east/force_controller"),
+)
+
+
+@pytest.mark.parametrize("pace", ["realtime", "lockstep"])
+@pytest.mark.parametrize("loop_delay", [0, 5])
+def test_two_rigs_give_the_bits_of_the_offline_loop(local_graph, pace, loop_delay):
+    words = (*SHORT, f"rig:pace:={pace}", f"reference_force:loop_delay:={loop_delay}")
+    graph = local_graph(*words, config=BRIDGE, nodes=NODES)
+    perform(graph)
+    states = offline(graph).series["rig/state"].values
+    for number, rig in enumerate(rigs_of(graph.experiment.axes)):
+        steps, values = graph.samples(RIG_STATE, rig)
+        assert steps == list(range(len(states)))
+        np.testing.assert_array_equal(values[:, :, 0], states[:, :, number])
+        assert graph.status(rig.node("rig"))["missed"] == "0"
+
+
+def test_the_death_of_one_rig_ends_the_test_for_both(local_graph):
+    patient = (
+        "reference_force:watchdog.rig_timeout:=1.0",
+        "supervisor:watchdog.peer_timeout:=15.0",
+        "supervisor:watchdog.command_timeout:=60.0",
+    )
+    graph = local_graph(LONG, *patient, config=BRIDGE, nodes=NODES)
+    graph.until("ready")
+    graph.call("start")
+    graph.run(1.5)
+    graph.kill("west/rig")
+    graph.until("tripped", within=10.0)
+    assert "no rig/state of west for 1 s" in graph.values["detail"]
+    graph.until(lambda: graph.status("east/rig")["phase"] == "tripped", within=1.0)
+    west, east = (graph.samples(RIG_STATE, rig)[0][-1] for rig in graph.experiment.rigs)
+    assert west <= east <= west + 2  # it waited for the other's

@@ -1,0 +1,70 @@
+"""Values and faults of the program that end a test, in virtual time."""
+
+import numpy as np
+import pytest
+from local_tools import LOCKSTEP, LONG, UNREHEARSED, assert_same, at_rest, offline
+from seft_msgs_py.wire.messages import encode_diagnostics
+from seft_msgs_py.wire.outcome import FINISHED, Outcome, rig_status
+from seft_msgs_py.wire.topics import DIAGNOSTICS
+from seft_plant_sim.rig import Rig
+
+
+def test_a_rig_whose_model_is_not_a_number_trips(running, monkeypatch):
+    graph = running(LONG)
+    step = Rig.step
+
+    def broken(rig, command):
+        rig.state.line[:] = np.nan
+        return step(rig, command)
+
+    monkeypatch.setattr(Rig, "step", broken)
+    graph.until("tripped", within=0.1)
+    assert "is not a finite number" in graph.values["detail"] or "nan" in graph.values["detail"]
+    monkeypatch.undo()
+
+
+def test_an_implausible_force_brings_the_test_down_as_offline(local_graph):
+    graph = local_graph(
+        "ground_motion:synthetic.duration:=5.0",
+        "reference_force:limits.force:=500.0",
+        LOCKSTEP,
+        UNREHEARSED,
+    )
+    graph.until("ready")
+    graph.call("start")
+    graph.until("tripped")
+    record = offline(graph)
+    assert "is beyond the limit of 500 N" in graph.values["detail"]
+    assert graph.values["detail"] == record.trip.reason
+    assert graph.values["step"] == str(record.trip.step)
+    assert_same(graph, record, steps=len(record.series["rig/state"].steps))
+
+
+@pytest.mark.parametrize(
+    "node", ["rig", "force_controller", "reference_force", "ground_motion", "supervisor"]
+)
+def test_a_fault_of_the_program_ends_the_test_and_estop_still_answers(running, node):
+    graph = running(LONG)
+    graph.break_next(node)
+    graph.until(
+        lambda: graph.state == "tripped" or graph.status("rig").get("phase") == "tripped",
+        within=3.0,
+    )
+    assert "a fault of the program in" in graph.values["detail"]
+    graph.until(lambda: graph.status(node)["faults"] == "1", within=0.5)
+    assert graph.call("estop")[0]
+    graph.until("tripped")
+    assert at_rest(graph)
+    graph.until(lambda: graph.call("reset")[0])
+    graph.until("ready")
+
+
+@pytest.mark.parametrize("pace", ["realtime", "lockstep"])
+def test_a_rig_that_finishes_before_the_end_of_the_motion_trips_the_test(running, pace):
+    graph = running(LONG, f"rig:pace:={pace}")
+    finished = rig_status(Outcome(FINISHED, 499, 0, [], 1.0))
+    graph.inject(DIAGNOSTICS, encode_diagnostics(0, [finished]))
+    graph.until("tripped", within=0.1)
+    assert graph.values["detail"] == "node rig finished after 499 of 101001 steps"
+    assert graph.values["step"] == "498"
+    assert at_rest(graph)
