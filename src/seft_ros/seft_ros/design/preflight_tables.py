@@ -89,8 +89,7 @@ def model_time(experiment: Experiment) -> ModelTime | None:
     motion = GroundMotion.from_parameters(
         experiment["ground_motion"], experiment.axes, experiment.timebase
     ).samples[: STEPS * model.every : model.every]
-    is_apart = model.probed.is_apart
-    share = SHARE * dt * (model.every if is_apart else 1)
+    share = SHARE * dt * model.every
     times = np.full(len(motion), np.inf)
     for _ in range(LOOKS):
         times = np.minimum(times, model_times(whole, motion, model.every * dt))
@@ -98,7 +97,7 @@ def model_time(experiment: Experiment) -> ModelTime | None:
         if p999 <= share or median > share:  # half of the steps: no stalls of the host
             break
     every = math.ceil(p999 / (SHARE * dt))
-    can_divide = is_apart and every <= MOST_APART
+    can_divide = every <= MOST_APART
     rate = next((rate for rate in RATES if p999 * rate <= SHARE * model.every), None)
     fits = p999 <= share
     return ModelTime(median, p999, share, 1 / dt, fits, every if can_divide else None, rate)
