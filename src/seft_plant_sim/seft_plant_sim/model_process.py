@@ -141,10 +141,10 @@ class ModelProcess:
 
     def _read(self) -> bytes:
         """Read what has come of a result: if the model disturbs that, no call may wait for it."""
+        text = b""
         with contextlib.suppress(OSError):
-            if text := os.read(self._own.fileno(), 1 << 20):
-                return text
-        self._fail_ended()
+            text = os.read(self._own.fileno(), 1 << 20)
+        return text or self._fail_ended()
 
     def _fail_hanging(self, patience: float) -> NoReturn:
         os.kill(self._process.pid, signal.SIGABRT)  # it then tells where it is
@@ -225,8 +225,9 @@ class _Output:
             self.last = shown or self.last
             if not shown or self._left <= 0:
                 continue
-            print(f"{self._name}: {shown}", file=sys.stderr)
-            self._left -= len(shown)
+            told = f"{self._name}: {shown}"
+            print(told, file=sys.stderr)
+            self._left -= len(told)
             if self._left <= 0:
                 print(f"{self._name}: (it prints more)", file=sys.stderr)
 

@@ -242,7 +242,7 @@ def serve(connection: Connection, worker: ModelWorker) -> None:
     while True:
         try:
             what, *arguments = marshal.loads(connection.recv_bytes())
-        except EOFError:
+        except (EOFError, ConnectionError):
             return
         try:
             reply = True, getattr(worker, what)(*arguments)

@@ -162,15 +162,17 @@ def preflight(
         if figure is not None:
             raise InputError(f"{error}; --figure can't draw them") from None
         if write is not None:
-            peaks = preflight_tables.expected_peaks(experiment)
+            motion = preflight_tables.planned_motion(experiment)
+            peaks = preflight_tables.expected_peaks(experiment, motion)
             preflight_tables.write_limits(write, preflight_tables.proposed_limits(peaks))
         return 0 if shared.is_stable_in_simulation(experiment, error, as_json=json) else 1
     with shared.passing_progress() as progress:
         summary = preflight_tables.summarise(plan, found)
-        peaks = preflight_tables.expected_peaks(experiment)
+        motion = preflight_tables.planned_motion(experiment)
+        peaks = preflight_tables.expected_peaks(experiment, motion)
         limits = preflight_tables.proposed_limits(peaks)
         summary |= {"expected_peaks": peaks, "proposed_limits": limits}
-        timed = preflight_tables.model_time(experiment)
+        timed = preflight_tables.model_time(experiment, motion)
         if timed is not None:
             summary["model"] = asdict(timed)
         again = shared.once_more(config, param, params_file, external)

@@ -72,7 +72,15 @@ class ModelTime:
         )
 
 
-def model_time(experiment: Experiment) -> ModelTime | None:
+def planned_motion(experiment: Experiment) -> GroundMotion | None:
+    """Make the ground motion of an experiment; None if it comes from elsewhere."""
+    section = experiment.sections.get("ground_motion")
+    if section is None:
+        return None
+    return GroundMotion.from_parameters(section, experiment.axes, experiment.timebase)
+
+
+def model_time(experiment: Experiment, planned: GroundMotion | None) -> ModelTime | None:
     """Measure the computed model of an experiment; None if it has none, or no ground motion here.
 
     Raises
@@ -80,15 +88,13 @@ def model_time(experiment: Experiment) -> ModelTime | None:
     InputError
         If the model fails along the way.
     """
-    if not {"ground_motion", "reference_force"} <= set(experiment.sections):
+    if planned is None or "reference_force" not in experiment.sections:
         return None
     whole = whole_structure(experiment)
     model, dt = whole.computed.model, experiment.timebase.dt
     if model is None:
         return None
-    motion = GroundMotion.from_parameters(
-        experiment["ground_motion"], experiment.axes, experiment.timebase
-    ).samples[: STEPS * model.every : model.every]
+    motion = planned.samples[: STEPS * model.every : model.every]
     share = SHARE * dt * model.every
     times = np.full(len(motion), np.inf)
     for _ in range(LOOKS):
@@ -251,13 +257,15 @@ def _range(found: Range | None) -> dict[str, Any] | None:
     }
 
 
-def expected_peaks(experiment: Experiment) -> dict[str, float]:
+def expected_peaks(experiment: Experiment, planned: GroundMotion | None) -> dict[str, float]:
     """Largest value of each quantity on any axis in the reference response of a test.
 
     Parameters
     ----------
     experiment : Experiment
         The specimen is that of its rig, if it is simulated, else the model's.
+    planned : GroundMotion or None
+        Its `planned_motion`.
 
     Returns
     -------
@@ -268,13 +276,11 @@ def expected_peaks(experiment: Experiment) -> dict[str, float]:
     Raises
     ------
     InputError
-        If the record of the ground motion can't be read, or the structure makes no sense.
+        If the structure makes no sense.
     """
-    if not {"ground_motion", "reference_force", "supervisor"} <= set(experiment.sections):
+    if planned is None or not {"reference_force", "supervisor"} <= set(experiment.sections):
         return {}
-    section, timebase = experiment["ground_motion"], experiment.timebase
-    motion = GroundMotion.from_parameters(section, experiment.axes, timebase).samples
-    exact = reference_response(experiment, motion)
+    exact = reference_response(experiment, planned.samples)
     return {name: float(np.abs(getattr(exact, name)).max()) for name in LIMIT_NAMES}
 
 
