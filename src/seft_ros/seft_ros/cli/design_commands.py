@@ -188,7 +188,8 @@ def preflight(
     if timed is not None:
         lines += [
             f"computed model: {1e3 * timed.median_s:.2g} ms for a step, "
-            f"{1e3 * timed.p999_s:.2g} ms for one of 1000, of {1e3 * timed.budget_s:.2g} ms",
+            f"{1e3 * timed.p999_s:.2g} ms for one of 1000, {1e3 * timed.longest_s:.2g} ms for the "
+            f"longest, of {1e3 * timed.budget_s:.2g} ms",
             "the tables above take its tangent at rest",
         ]
     for step in steps:

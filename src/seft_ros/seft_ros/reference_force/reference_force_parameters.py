@@ -25,6 +25,8 @@ OWN = (
 )
 OF_MODEL = "computed "
 """Prefix of the names of a computed model's recorded values."""
+LONGEST_MODEL_STEP = 0.05
+"""s, of a computed model: by then the rig has held its command too long."""
 REGISTERED = Registered("seft.compensation", OWN)
 """Methods of other packages: name -> `compensator.Method`, which may take settings."""
 
