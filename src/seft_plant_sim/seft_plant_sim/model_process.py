@@ -40,7 +40,7 @@ class ModelError(InputError):
 
 
 class ModelProcess:
-    """The process of one model.
+    """The process of one model; it lives no longer than the thread that makes it.
 
     Parameters
     ----------

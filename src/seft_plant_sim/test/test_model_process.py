@@ -1,6 +1,9 @@
 """Models that misbehave: one clear line, nothing on stdout, and no process is left."""
 
 import re
+import signal
+import subprocess
+import sys
 import textwrap
 import time
 from pathlib import Path
@@ -262,4 +265,28 @@ def test_a_test_that_ends_while_a_model_computes_leaves_no_answer_to_the_next(mo
 def test_a_model_that_nobody_uses_ends(model):
     source = model("pass")
     ComputedModel(source).start(0.002)
+    assert nothing_left(source)
+
+
+HANGING = """
+import sys
+import numpy as np
+from seft_plant_sim.computed_model import ComputedModel, ModelSource
+
+one, zero = np.eye(1), np.zeros(1)
+model = ComputedModel(ModelSource(sys.argv[1], "", ("x",), one, 1, one))
+model.start(0.002)
+model.ask(0.0, zero, zero, zero)
+print("asked", flush=True)
+model.answer()
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_a_model_that_hangs_ends_with_the_process_that_uses_it(model, number):
+    source = model("def commit(self):\n    time.sleep(1e6)", "MORE")
+    words = [sys.executable, "-c", HANGING, source.name]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
+        assert process.stdout.readline() == b"asked\n"
+        process.send_signal(number)
     assert nothing_left(source)
