@@ -69,6 +69,40 @@ class Sleepy(Hardening):
         return 1e5 * displacement
 
 
+class Hang(Hardening):
+    def step(self, t, displacement, velocity, ground_acceleration):
+        import time
+
+        time.sleep(0.2 if 0.3 < t < 0.303 else 0.0)
+        return 1e5 * displacement
+
+
+class Loud(Hardening):
+    """Prints like a program that takes the terminal for its own."""
+
+    def __init__(self):
+        print("\\x1b[2Jmade")
+
+    def step(self, t, displacement, velocity, ground_acceleration):
+        import os
+
+        os.write(1, b"raw\\x1b]0;title\\x07\\n")
+        print('{"stable": true}')
+        return super().step(t, displacement, velocity, ground_acceleration)
+
+
+class Quits(Hardening):
+    def step(self, t, displacement, velocity, ground_acceleration):
+        if t > 1.5:
+            raise SystemExit(0)
+        return super().step(t, displacement, velocity, ground_acceleration)
+
+
+class QuitsAtOnce(Hardening):
+    def __init__(self):
+        raise SystemExit(0)
+
+
 class Odd(Hardening):
     def step(self, t, displacement, velocity, ground_acceleration):
         return [float("nan")] if t > 1.5 else 1e5 * displacement
@@ -107,9 +141,12 @@ def test_a_model_gives_the_same_bits_over_dds(seft_json, model, arrangement):  #
     assert seft_json("compare", "simulated", "lockstep")["identical"] is True
 
 
+IN_NODE = '"reference_force_node" in open(f"/proc/{os.getppid()}/cmdline").read()'
+"""Whether a model belongs to the node of a test, rather than to the command."""
 FAILURES = {
     "Breaking": "models.py:Breaking line 51, step: it broke",
-    "Odd": "models.py:Odd line 64: step gives a force that is not finite: [nan] N",
+    "Odd": "models.py:Odd line 98: step gives a force that is not finite: [nan] N",
+    "Quits": "models.py:Quits line 88, step: SystemExit(0)",
 }
 
 
@@ -125,11 +162,39 @@ def test_a_model_that_fails_brings_the_test_down_softly_and_says_where(seft, mod
     assert FAILURES[name] in line
 
 
+def test_a_model_that_can_t_be_made_is_wrong_input(seft, model):
+    (line,) = seft("simulate", DEMO, *model("QuitsAtOnce"), status=2).stderr.strip().splitlines()
+    assert "models.py:QuitsAtOnce line 94, made: SystemExit(0)" in line
+
+
+def test_what_a_model_prints_goes_to_stderr_and_is_no_command_to_the_terminal(seft, model):
+    done = seft("simulate", DEMO, *SHORT, *model("Loud"), "--json")
+    assert json.loads(done.stdout)["stable"] is True
+    printed = [line for line in done.stderr.splitlines() if "models.py:Loud: " in line]
+    assert "raw" in done.stderr
+    assert any(line.endswith("\\x1b[2Jmade") for line in printed)
+    assert all(line.isprintable() for line in printed)
+
+
+def test_a_model_takes_every_second_sample(seft_json, model):
+    words = (DEMO, *model("Damper"), "-p", "reference_force:computed.every:=2")
+    assert seft_json("simulate", *words)["displacement"]["nrmse"] < 0.05
+
+
+def test_a_model_whose_longest_step_would_trip_the_test_is_refused(seft, seft_json, model):
+    short = ("-p", "ground_motion:synthetic.duration:=1.0", "-p", "ground_motion:tail:=0.2")
+    words = (DEMO, *short, *STALLS_ALLOWED, *model("Hang"))
+    found = seft_json("preflight", *words, status=1)["model"]
+    assert found["longest_s"] > 0.2 and not found["fits"]
+    assert found["longest_at_s"] == pytest.approx(0.302)
+    (line,) = seft("run", *words, status=2).stderr.strip().splitlines()[-1:]
+    assert "s for the step at 0.302 s, at which the test would trip" in line
+
+
 def test_a_model_that_fails_in_its_node_alone_trips_the_test(seft_json, model, tmp_path):
     words = (DEMO, *SHORT, *model("Breaking"))
-    in_node = 'if t > 1.5 and "reference_force" in sys.argv[0]:'
-    text = MODELS.replace("if t > 1.5:", in_node)
-    (tmp_path / "models.py").write_text(f"import sys\n{text}")
+    text = MODELS.replace("if t > 1.5:", f"if t > 1.5 and {IN_NODE}:")
+    (tmp_path / "models.py").write_text(f"import os\n{text}")
     summary = seft_json("run", *words, *LOCKSTEP, "--out", "lockstep", status=1)
     assert "models.py:Breaking line 52, step: it broke (step 75" in summary["trip"]["reason"]
     assert summary["steps"] > 750 + 250
@@ -137,9 +202,9 @@ def test_a_model_that_fails_in_its_node_alone_trips_the_test(seft_json, model, t
 
 def test_a_model_that_becomes_slow_in_a_test_trips_it(seft_json, model, tmp_path):
     # while the specimen hardly moves: later the held forces may reach a limit first
-    text = MODELS.replace("if t > 1.5:", 'if t > 0.1 and "reference_force" in sys.argv[0]:')
+    text = MODELS.replace("if t > 1.5:", f"if t > 0.1 and {IN_NODE}:")
     text = text.replace('raise ValueError("it broke")', "time.sleep(0.08)")
-    (tmp_path / "models.py").write_text(f"import sys\nimport time\n{text}")
+    (tmp_path / "models.py").write_text(f"import os\nimport time\n{text}")
     words = (*SHORT, *model("Breaking"), *STALLS_ALLOWED, *MISSES_ALLOWED)
     summary = seft_json("run", DEMO, *words, "--out", "slow", status=1)
     assert "models.py:Breaking took 0.0" in summary["trip"]["reason"]
@@ -150,9 +215,9 @@ def test_a_model_that_is_too_slow_is_refused_with_the_rate_that_fits(seft, seft_
     words = (DEMO, *short, *model("Sleepy"))
     found = seft_json("preflight", *words, status=1)["model"]
     assert found["median_s"] > 0.004 and not found["fits"]
-    assert found["fitting_rate_hz"] in (125, 100, 50, 25) and found["fitting_every"] is None
+    assert found["fitting_rate_hz"] in (125, 100, 50, 25) and found["fitting_every"] >= 4
     (line,) = seft("run", *words, status=2).stderr.strip().splitlines()[-1:]
-    assert "ms for a step" in line and "at 500 Hz: a rate of " in line
+    assert "ms for a step" in line and "at 500 Hz: reference_force: computed.every " in line
 
 
 def test_only_a_target_takes_a_model(seft, model):

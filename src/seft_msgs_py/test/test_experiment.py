@@ -1,7 +1,9 @@
 import contextlib
 import json
+import os
 import subprocess
 import sys
+import threading
 
 import pytest
 from hypothesis import HealthCheck, example, given, settings
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import (
     EVERY_NODE,
     Experiment,
+    parameter_text,
     parse_override,
     read_parameter_file,
     split_ros_arguments,
@@ -280,9 +283,39 @@ def test_what_is_written_is_read_back_with_values_and_types(load, axes, ratio, m
     }
     sections["reference_force"]["model.mass"] = mass
     experiment = Experiment(sections)
-    again = load(experiment.to_yaml())
-    assert again.sections == experiment.sections
-    assert repr(again.sections) == repr(experiment.sections)
+    _, overrides, _ = split_ros_arguments(["--ros-args", *experiment.arguments()])
+    for again in (load(parameter_text(sections)), Experiment.load([RIG, FORCE], (), overrides)):
+        assert again.sections == experiment.sections
+        assert repr(again.sections) == repr(experiment.sections)
+
+
+def test_an_experiment_hands_on_the_files_and_overrides_that_it_was_read_from(tmp_path):
+    file = tmp_path / "rig.yaml"
+    file.write_text(parameter_text({"rig": {"axes": ["x"], "specimen.mass": 2.0}}))
+    given = [parse_override("rig:seed:=7")]
+    experiment = Experiment.load([RIG], [file], given).changed({"rig": {"seed": 8}})
+    words = ["--params-file", str(file), "-p", "rig:seed:=7", "-p", "rig:seed:=8"]
+    assert experiment.arguments() == words
+    assert experiment["rig"]["seed"] == 8
+
+
+def test_what_was_read_from_a_pipe_is_handed_on_by_value(tmp_path):
+    text = parameter_text({"rig": {"axes": ["x"], "specimen.mass": 2.0}})
+    os.mkfifo(pipe := tmp_path / "pipe")
+    writer = threading.Thread(target=pipe.write_text, args=[text])
+    writer.start()
+    experiment = Experiment.load([RIG], [pipe])
+    writer.join()
+    assert "--params-file" not in experiment.arguments()
+    assert "rig:specimen.mass:=2.0" in experiment.arguments()
+
+
+def test_a_node_checks_its_own_section_and_leaves_the_others_to_their_nodes(tmp_path):
+    file = tmp_path / "both.yaml"
+    file.write_text(parameter_text({"rig": {"of_a_lab": 1.0}, "reference_force": {"axes": ["x"]}}))
+    Experiment.load([RIG, FORCE], [file], [parse_override("rig:specimen.mass:=2.0")], [FORCE.node])
+    with pytest.raises(InputError, match="no parameter of_a_lab"):
+        Experiment.load([RIG, FORCE], [file], nodes=[RIG.node])
 
 
 ASK_RCL = """
@@ -323,7 +356,7 @@ def test_what_is_written_is_read_by_ros_itself(load, tmp_path):
         wildcard('axes: [x, "y", "on", "12"]') + in_rig("specimen.mass: [5.0e-6, 1.0e+22, 3, 4]")
     )
     path = tmp_path / "written.yaml"
-    path.write_text(experiment.to_yaml())
+    path.write_text(parameter_text(experiment.sections))
     done = subprocess.run(
         [sys.executable, "-c", ASK_RCL, str(path)], capture_output=True, text=True, check=False
     )

@@ -1,68 +1,22 @@
 """A part of the computed substructure that is a program: a user's class, stepped once a sample."""
 
 import re
-import sys
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
-from seft_msgs_py.config.registered import Registered, line_in, reason_of
-from seft_msgs_py.errors import InputError
 
-WHERE = "reference_force: computed.model"
-MODELS = Registered("seft.computed_model", ())
-"""Models of other packages: name -> class, which may take settings."""
+from seft_plant_sim.model_process import ModelError as ModelError
+from seft_plant_sim.model_process import ModelProcess
+from seft_plant_sim.model_worker import WHERE, ModelState
+
 SMALL_DISPLACEMENT, SMALL_VELOCITY = 1e-4, 1e-2
 """m and m/s, at which the tangent of a model is measured if the model does not give it."""
 PROBE_PERIOD = 1e-3  # s
 SAME_FORCE = 1e-9  # relative
-
-
-class Model(Protocol):
-    """The interface of a computed model; see docs/computed_models.md.
-
-    In addition to ``start`` and ``step`` it may have
-
-    - ``stiffness``, ``damping``: its present tangents, N/m and N s/m, shape (m, m) or one number;
-      without them the tangents of a small motion from rest are used,
-    - ``commit()``, called after each step,
-    - ``responses()``, further values to record: name -> number,
-    - ``ask(t, displacement, velocity, ground_acceleration)`` and ``answer()``, which replace
-      ``step`` if the model computes in another process (`computed.every` above 1),
-    - ``close()``.
-
-    Attributes
-    ----------
-    axes : int or sequence of str
-        m, the number of the degrees of freedom that it acts on: those of the test's axes, then the
-        internal ones; or their names: names of axes, ``internal 1`` and so on.
-    """
-
-    axes: int | Sequence[str]
-
-    def start(self, dt: float, axes: Sequence[str]) -> None:
-        """Begin a test from rest; forget earlier tests.
-
-        ``dt`` is the time between two steps, s; ``axes`` are the m names.
-        """
-
-    def step(
-        self, t: float, displacement: Floats, velocity: Floats, ground_acceleration: Floats
-    ) -> Floats:
-        """Go to the time t, s; give the force that holds the model there, shape (m,), N.
-
-        The motion, m and m/s, is relative to the ground, whose acceleration is in m/s^2. The force
-        of a spring is its stiffness times the displacement. Masses on the axes belong to
-        ``computed.mass``.
-        """
-
-
-class ModelError(InputError):
-    """A computed model can't be used, or has failed."""
 
 
 class Probed(NamedTuple):
@@ -76,15 +30,12 @@ class Probed(NamedTuple):
         Shape (m, m), N/m and N s/m.
     is_static : bool
         Whether its force depends on the path alone, except for linear dampers.
-    is_apart : bool
-        Whether it computes while the loop continues, by ``ask`` and ``answer``.
     """
 
     places: tuple[int, ...]
     stiffness: Floats
     damping: Floats
     is_static: bool
-    is_apart: bool
 
 
 @dataclass(frozen=True)
@@ -128,7 +79,7 @@ class ModelSource:
 
 
 class ComputedModel:
-    """A model in a test, in the coordinates of its source; all its results are checked.
+    """A model in a test, in the coordinates of its source, in a process of its own.
 
     It must be started. If it can't be made, or one of its methods fails, the `ModelError` names the
     model's file and line.
@@ -139,26 +90,17 @@ class ComputedModel:
         The degrees of freedom that it acts on.
     rows : ndarray
         Their displacements per coordinate, shape (m, N).
-    is_apart : bool
-        Whether it has ``ask`` and ``answer``.
     """
 
     def __init__(self, source: ModelSource) -> None:
         self._source = source
-        self._own: Any = None
-        own = self._own = self._call("made", MODELS.make, source.name, source.settings, WHERE)
-        self.is_apart = hasattr(own, "ask") and hasattr(own, "answer")
-        for name, takes in (
-            ("start", "dt, axes"),
-            ("step", "t, displacement, velocity, ground_acceleration"),
-        ):
-            if not callable(getattr(own, name, None)):
-                raise ModelError(f"{WHERE}: {source.name} has no {name}({takes})")
-        self.places = self._places(getattr(own, "axes", None))
+        self._process = ModelProcess(source.name, source.settings)
+        self._in_flight = False
+        self.places = self._places(self._process.axes)
         self.rows = source.change[list(self.places)]
         self._names = tuple(source.dofs[place] for place in self.places)
 
-    def _places(self, axes: Any) -> tuple[int, ...]:
+    def _places(self, axes: int | list[str] | str) -> tuple[int, ...]:
         """Find the degrees of freedom that a model acts on."""
         name, dofs = self._source.name, self._source.dofs
         if isinstance(axes, int):
@@ -168,53 +110,47 @@ class ComputedModel:
                     f"{len(self._source.influence.T)}: {', '.join(dofs)}"
                 )
             return tuple(range(axes))
-        named = list(axes) if isinstance(axes, Sequence) and not isinstance(axes, str) else []
+        named = axes if isinstance(axes, list) else []
         if not named or any(axis not in dofs or named.count(axis) > 1 for axis in named):
             raise ModelError(
-                f"{WHERE}: axes of {name} are {axes!r}, but must be their number, or different "
+                f"{WHERE}: axes of {name} are {axes}, but must be their number, or different "
                 f"ones of {', '.join(dofs)}"
             )
         return tuple(map(dofs.index, named))
 
-    def start(self, dt: float) -> None:
+    def start(self, dt: float) -> ModelState:
         """Begin a test, with steps of ``dt`` s."""
-        self._call("start", self._own.start, dt, self._names)
+        if self._in_flight:  # a test has ended while the model computed
+            self.close()
+        if not self._process.is_open:
+            self._process = ModelProcess(self._source.name, self._source.settings)
+        self._in_flight = False
+        return self._taken(self._request("start", dt, self._names))
 
-    def step(self, t: float, displacement: Floats, velocity: Floats, ground: Floats) -> Floats:
+    def step(self, t: float, displacement: Floats, velocity: Floats, ground: Floats) -> ModelState:
         """Go to the time t; give the force in the coordinates, shape (N,).
 
         ``displacement`` and ``velocity`` are those of the coordinates, ``ground`` is the ground
-        acceleration of the degrees of freedom; shape (N,) each.
+        acceleration of the degrees of freedom; shape (N,) each. The tangents have shape (N, N).
         """
-        return self._taken("step", self._tell("step", t, displacement, velocity, ground))
+        self.ask(t, displacement, velocity, ground)
+        return self.answer()
 
     def ask(self, t: float, displacement: Floats, velocity: Floats, ground: Floats) -> None:
-        """Begin a step of a model that `is_apart`."""
-        self._tell("ask", t, displacement, velocity, ground)
+        """Begin a step; the model computes while the loop continues."""
+        self._in_flight = True
+        own = self.rows @ displacement, self.rows @ velocity, ground[list(self.places)]
+        self._process.begin("step", t, np.array(own).tobytes())
 
-    def answer(self) -> Floats:
+    def answer(self) -> ModelState:
         """Wait for the end of the step; the result is that of `step`."""
-        return self._taken("answer", self._call("answer", self._own.answer))
-
-    def tangents(self) -> tuple[Floats | None, Floats | None]:
-        """Give the present stiffness and damping, shape (N, N); None if the model has none."""
-        own = [self._own_tangent(name) for name in ("stiffness", "damping")]
-        stiffness, damping = (
-            None if found is None else self.rows.T @ found @ self.rows for found in own
-        )
-        return stiffness, damping
-
-    def responses(self) -> dict[str, float]:
-        """Give the model's further values to record."""
-        if not hasattr(self._own, "responses"):
-            return {}
-        found = self._call("responses", self._own.responses)
-        return {str(name): float(value) for name, value in found.items()}
+        found = ModelState.unpacked(self._process.result())
+        self._in_flight = False
+        return self._taken(found)
 
     def close(self) -> None:
-        """End the model's other processes."""
-        if hasattr(self._own, "close"):
-            self._own.close()
+        """End the model."""
+        self._process.close()
 
     def probe(self) -> Probed:
         """Measure small motions from rest; the model must be started again."""
@@ -223,15 +159,13 @@ class ComputedModel:
 
         def forces(displacement: Floats, velocity: Floats) -> Floats:
             """Give the force at rest, and then in two steps at a motion, shape (3, m)."""
-            self.start(PROBE_PERIOD)
+            self._request("start", PROBE_PERIOD, self._names)
             motions = ((rest, rest), (displacement, velocity), (displacement, velocity))
             steps = [
-                self._call(
-                    "step", self._own.step, k * PROBE_PERIOD, x.copy(), v.copy(), rest.copy()
-                )
+                self._request("step", k * PROBE_PERIOD, np.array([x, v, rest]).tobytes())
                 for k, (x, v) in enumerate(motions)
             ]
-            return np.array([self._checked("step", force) for force in steps])
+            return np.array([step.force for step in steps])
 
         still = forces(rest, rest)
         columns = np.zeros((2, size, size))
@@ -244,70 +178,22 @@ class ComputedModel:
             faster = forces(rest, 2.0 * SMALL_VELOCITY * unit) - still
             is_static &= _equal(moved[2], moved[1]) and _equal(fast[2], fast[1])
             is_static &= _equal(faster, 2.0 * (fast - still))
-        self.start(PROBE_PERIOD)
-        for matrix, name in zip(columns, ("stiffness", "damping"), strict=True):
-            own = self._own_tangent(name)
+        begun = self._request("start", PROBE_PERIOD, self._names)
+        for matrix, own in zip(columns, (begun.stiffness, begun.damping), strict=True):
             matrix[:] = 0.5 * (matrix + matrix.T) if own is None else own
-        return Probed(self.places, columns[0], columns[1], is_static, self.is_apart)
+        return Probed(self.places, columns[0], columns[1], is_static)
 
-    def _tell(self, what: str, t: float, x: Floats, v: Floats, ground: Floats) -> Any:
-        own = self.rows @ x, self.rows @ v, ground[list(self.places)]
-        return self._call(what, getattr(self._own, what), t, *own)
+    def _request(self, what: str, *arguments: Any) -> ModelState:
+        return ModelState.unpacked(self._process.request(what, *arguments))
 
-    def _taken(self, what: str, force: Any) -> Floats:
-        if hasattr(self._own, "commit"):
-            self._call("commit", self._own.commit)
-        return self.rows.T @ self._checked(what, force)
-
-    def _checked(self, what: str, force: Any) -> Floats:
-        size = len(self.places)
-        try:
-            found = np.array(force, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise self._error(what, "gives no numbers, but must give the force in N") from None
-        if found.shape != (size,):
-            raise self._error(
-                what,
-                f"gives a force of the shape {found.shape}, but must give {(size,)}: one value in "
-                "N for each axis",
-            )
-        if not np.isfinite(found).all():
-            raise self._error(what, f"gives a force that is not finite: {found.tolist()} N")
-        return found
-
-    def _own_tangent(self, name: str) -> Floats | None:
-        """Stiffness or damping that the model gives, shape (m, m); None if it gives none."""
-        if not hasattr(type(self._own), name) and name not in getattr(self._own, "__dict__", {}):
-            return None
-        size, value = len(self.places), self._call(name, getattr, self._own, name)
-        if value is None:
-            return None
-        matrix = np.asarray(value, dtype=np.float64)
-        if matrix.shape in ((), (1,)):
-            matrix = matrix * np.eye(size)
-        if matrix.shape != (size, size) or not np.isfinite(matrix).all():
-            raise self._error(
-                name, f"is {np.asarray(value).tolist()}, but must be finite, of shape {size, size}"
-            )
-        return matrix
-
-    def _call(self, what: str, function: Callable[..., Any], *arguments: Any) -> Any:
-        try:
-            return function(*arguments)
-        except InputError as error:  # its text is complete
-            raise ModelError(str(error)) from error
-        except Exception as error:
-            name = self._source.name
-            file = name.rpartition(":")[0]
-            module = sys.modules.get(file if self._own is None else type(self._own).__module__)
-            line = line_in(error, module.__file__ if module else str(Path(file).resolve()))
-            raise ModelError(f"{WHERE}: {name}{line}, {what}: {reason_of(error)}") from error
-
-    def _error(self, what: str, text: str) -> ModelError:
-        method = getattr(type(self._own), what, None)
-        code = getattr(method, "__code__", None)
-        line = f" line {code.co_firstlineno}" if code is not None else ""
-        return ModelError(f"{WHERE}: {self._source.name}{line}: {what} {text}")
+    def _taken(self, found: ModelState) -> ModelState:
+        """Give an answer of the model in the coordinates."""
+        rows = self.rows
+        stiffness, damping = (
+            None if tangent is None else rows.T @ tangent @ rows
+            for tangent in (found.stiffness, found.damping)
+        )
+        return ModelState(rows.T @ found.force, stiffness, damping, found.responses)
 
 
 def _equal(one: Floats, other: Floats) -> bool:

@@ -1,4 +1,4 @@
-"""An OpenSeesPy script as a computed model, in a process of its own: OpenSees's state is global.
+"""An OpenSeesPy script as a computed model.
 
 The script makes nodes, materials and elements as usual, and names with `interface` the points at
 which the test's axes act on it. The axes' displacements are imposed there, the ground motion acts
@@ -6,23 +6,17 @@ on the other masses, and the reactions are the model's force. See docs/computed_
 """
 
 import itertools
-import os
-import subprocess
 import sys
-import tempfile
-from collections.abc import Callable, Mapping, Sequence
-from multiprocessing.connection import Connection, Pipe
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NoReturn
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.registered import line_in, reason_of
 from seft_msgs_py.errors import InputError
 
-START_TIME = 60.0  # s, for the worker to import OpenSees and run the script
-STEP_TIME = 5.0  # s, after which a step hangs
-ENDING_TIME = 2.0  # s
+WHERE = "reference_force: computed.model"
 _MANY = 900_000  # first tag of nodes and elements that are added to the script's model
 Place = tuple[int, int]
 _runs_script = False
@@ -48,7 +42,7 @@ def interface(
         Node and direction of each axis, or several that move together. A support there is released.
         The node must have no mass there: it belongs to ``reference_force: computed.mass``.
     names : sequence of str, optional
-        Names of these degrees of freedom, see `seft_plant_sim.computed_model.Model`; default:
+        Names of these degrees of freedom, see `seft_plant_sim.model_worker.Model`; default:
         those of the test, in order.
     responses : mapping, optional
         Further responses to record: name -> function that gives a number.
@@ -60,7 +54,7 @@ def interface(
 
 
 class OpenSees:
-    """The computed model ``opensees``, see `seft_plant_sim.computed_model.Model`.
+    """The computed model ``opensees``, see `seft_plant_sim.model_worker.Model`.
 
     Parameters
     ----------
@@ -73,146 +67,52 @@ class OpenSees:
     """
 
     def __init__(self, script: str, substeps: int = 1, tolerance: float = 1e-9) -> None:
+        global _runs_script
+        _runs_script = True
         if not Path(script).is_file():
             raise InputError(
                 f"reference_force: computed.settings: there is no script {script}; give its path"
             )
-        self._script, self._substeps = script, substeps
-        own, other = Pipe()
-        self._own: Connection = own
-        self._errors = tempfile.TemporaryFile()  # noqa: SIM115  # as long as the worker
-        words = (
-            "from seft_plant_sim.opensees import serve; "
-            f"serve({other.fileno()}, {script!r}, {int(substeps)}, {float(tolerance)!r})"
-        )
-        self._worker = subprocess.Popen(
-            [sys.executable, "-c", words],
-            stdin=subprocess.DEVNULL,
-            stdout=self._errors,
-            stderr=self._errors,
-            pass_fds=(other.fileno(),),
-            start_new_session=True,  # Ctrl-C is for those who ramp the test down
-            env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
-        )
-        other.close()
-        self.axes: int | list[str] = self._ask(START_TIME, "start", 1e-3)
+        try:
+            import openseespy.opensees as ops
+        except Exception as error:
+            raise InputError(
+                f"{WHERE}: {script}: OpenSeesPy can't be imported ({reason_of(error)}): "
+                "pip install 'seft_plant_sim[opensees]'"
+            ) from None
+        self._ops, self._script, self._path = ops, script, Path(script).resolve()
+        self._substeps, self._tolerance = substeps, tolerance
+        sys.path.insert(0, str(self._path.parent))
+        self.axes = self._build(1e-3)
 
     def start(self, dt: float, axes: Sequence[str]) -> None:
         """Build the model again."""
         del axes
-        self._ask(START_TIME, "start", dt)
+        self._build(dt)
 
-    def step(
-        self, t: float, displacement: Floats, velocity: Floats, ground_acceleration: Floats
-    ) -> Floats:
-        """Go to the time t; see `seft_plant_sim.computed_model.Model`."""
-        self.ask(t, displacement, velocity, ground_acceleration)
-        return self.answer()
-
-    def ask(
-        self, t: float, displacement: Floats, velocity: Floats, ground_acceleration: Floats
-    ) -> None:
-        """Begin a step."""
-        self._send("step", t, np.array([displacement, velocity, ground_acceleration]))
-
-    def answer(self) -> Floats:
-        """Wait for its end; give the reactions, N."""
-        reactions: Floats = self._receive(STEP_TIME)
-        return reactions
-
-    def responses(self) -> dict[str, float]:
-        """Give the script's responses to record."""
-        found: dict[str, float] = self._ask(STEP_TIME, "responses")
-        return found
-
-    def close(self) -> None:
-        """End the worker."""
-        self._own.close()
+    @contextmanager
+    def _script_errors(self) -> Iterator[None]:
+        """Name the script, and its line, in an error."""
         try:
-            self._worker.wait(ENDING_TIME)
-        except subprocess.TimeoutExpired:  # it hangs in a step
-            self._worker.kill()
-            self._worker.wait()
-        self._errors.close()
-
-    def __del__(self) -> None:
-        """End the worker of the last test."""
-        if hasattr(self, "_worker") and not self._own.closed:
-            self.close()
-
-    def _ask(self, patience: float, *request: Any) -> Any:
-        self._send(*request)
-        return self._receive(patience)
-
-    def _send(self, *request: Any) -> None:
-        """Send the name of one of the methods of `_Worker`, and its arguments."""
-        try:
-            self._own.send(request)
-        except OSError:
-            self._fail(": the process of OpenSees has ended")
-
-    def _receive(self, patience: float) -> Any:
-        try:
-            if not self._own.poll(patience):
-                self._fail(f": OpenSees did not answer within {patience:g} s")
-            is_done, reply = self._own.recv()
-        except EOFError:
-            self._fail(": the process of OpenSees has ended")
-        if not is_done:
-            self._fail(reply)
-        return reply
-
-    def _fail(self, why: str) -> NoReturn:
-        """Raise an error with the last output of OpenSees."""
-        self._errors.seek(0)
-        lines = self._errors.read().decode(errors="replace").splitlines()
-        last = [line.strip() for line in lines if line.strip()][-1:]
-        said = f" (OpenSees: {last[0]})" if last else ""
-        raise InputError(f"reference_force: computed.model: {self._script}{why}{said}")
-
-
-def serve(descriptor: int, script: str, substeps: int, tolerance: float) -> None:
-    """Serve an `OpenSees` until it ends; this runs in the worker."""
-    global _runs_script
-    _runs_script = True
-    connection = Connection(descriptor)
-    try:
-        import openseespy.opensees as ops
-    except Exception as error:
-        why = f": OpenSeesPy can't be imported ({reason_of(error)})"
-        connection.send((False, f"{why}: pip install 'seft_plant_sim[opensees]'"))
-        return
-    worker = _Worker(ops, script, substeps, tolerance)
-    while True:
-        try:
-            method, *arguments = connection.recv()
-        except (EOFError, OSError):
-            os._exit(0)  # OpenSees prints when it ends in order
-        try:
-            reply = True, getattr(worker, method)(*arguments)
+            yield
         except Exception as error:
-            sys.stderr.flush()
-            reply = False, f"{line_in(error, script)}: {reason_of(error)}"
-        connection.send(reply)
-
-
-class _Worker:
-    """Runs the script and the analysis."""
-
-    def __init__(self, ops: Any, script: str, substeps: int, tolerance: float) -> None:
-        self._ops, self._script = ops, script
-        self._substeps, self._tolerance = substeps, tolerance
-        sys.path.insert(0, str(Path(script).parent))
+            line = line_in(error, self._script)
+            raise InputError(f"{WHERE}: {self._script}{line}: {reason_of(error)}") from None
 
     def responses(self) -> dict[str, float]:
         """Give the script's responses to record."""
-        return {name: float(get()) for name, get in self._responses.items()}
+        with self._script_errors():
+            return {name: float(get()) for name, get in self._responses.items()}
 
-    def start(self, dt: float) -> int | list[str]:
+    def _build(self, dt: float) -> int | list[str]:
         """Build the model; give the number of its axes, or their names."""
+        with self._script_errors():
+            return self._built(dt)
+
+    def _built(self, dt: float) -> int | list[str]:
         ops, self._dt = self._ops, dt
         ops.wipe()
-        code = compile(Path(self._script).read_text(encoding="utf-8"), self._script, "exec")
+        code = compile(self._path.read_text(encoding="utf-8"), self._script, "exec")
         try:
             exec(code, {"__name__": "__main__", "__file__": self._script})
         except _InterfaceReached as reached:
@@ -257,8 +157,14 @@ class _Worker:
         directions = range(1, len(self._ops.nodeDisp(node)) + 1)
         return set(directions) - held - set(self._ops.getFixedDOFs(node))
 
-    def step(self, t: float, now: Floats) -> Floats:
-        """Go to the time t and its displacements, velocities and ground accelerations, (3, m)."""
+    def step(
+        self, t: float, displacement: Floats, velocity: Floats, ground_acceleration: Floats
+    ) -> Floats:
+        """Go to the time t; see `seft_plant_sim.model_worker.Model`."""
+        with self._script_errors():
+            return self._step(t, np.array([displacement, velocity, ground_acceleration]))
+
+    def _step(self, t: float, now: Floats) -> Floats:
         if t > 0.0:
             for step in range(1, self._substeps + 1):
                 part = step / self._substeps

@@ -163,7 +163,7 @@ class ModelledStructure:
         x, v, a, _ = sample
         stiffness, damping = self._tangents
         begun = time.perf_counter()
-        force = self._model.step(self._step * self._count, x, v, ground)
+        force = self._model.step(self._step * self._count, x, v, ground).force
         self.times.append(time.perf_counter() - begun)
         acts = self._inverse @ (force - stiffness @ x - damping @ v)
         missed = acts - expected

@@ -8,6 +8,7 @@ from seft_msgs_py.errors import InputError
 from seft_ros.design.preflight_tables import (
     expected_peaks,
     limit_warning,
+    planned_motion,
     proposed_limits,
     write_limits,
 )
@@ -23,8 +24,12 @@ def load(*words, files=(), nodes=None):
     return Experiment.load(TABLES, [DEMO, *files], given, nodes)
 
 
+def peaks_of(experiment):
+    return expected_peaks(experiment, planned_motion(experiment))
+
+
 def test_a_test_stays_within_limits_that_fit_it(tmp_path):
-    limits = proposed_limits(expected_peaks(load()))
+    limits = proposed_limits(peaks_of(load()))
     write_limits(tmp_path / "limits.yaml", limits)
     written = read_parameter_file(tmp_path / "limits.yaml")["supervisor"]
     assert written == {f"limits.{name}": limit for name, limit in limits.items()}
@@ -40,14 +45,14 @@ def test_a_test_stays_within_limits_that_fit_it(tmp_path):
 
 def test_peaks_grow_with_the_motion():
     once, twice = (
-        expected_peaks(load(f"ground_motion:peak_force:={newtons}")) for newtons in (200.0, 400.0)
+        peaks_of(load(f"ground_motion:peak_force:={newtons}")) for newtons in (200.0, 400.0)
     )
     assert twice == pytest.approx({name: 2.0 * peak for name, peak in once.items()}, rel=1e-6)
 
 
 def test_limits_far_beyond_are_told():
     experiment = load("supervisor:limits.force:=22200.0")
-    peaks = expected_peaks(experiment)
+    peaks = peaks_of(experiment)
     assert peaks["force"] == pytest.approx(1533.0, rel=0.01)
     told = limit_warning(experiment, peaks)
     assert "force 22200 N (expected: 1.53e+03)" in told
@@ -57,13 +62,13 @@ def test_limits_far_beyond_are_told():
 
 def test_limits_that_would_end_the_test_are_told():
     experiment = load("supervisor:limits.displacement:=0.005")
-    told = limit_warning(experiment, expected_peaks(experiment))
+    told = limit_warning(experiment, peaks_of(experiment))
     assert told.startswith("limits are below the expected peaks, and may end the test")
     assert "displacement 0.005 m (expected: 0.01" in told
 
 
 def test_a_motion_that_runs_elsewhere_has_no_peaks(tmp_path):
     elsewhere = load(nodes=["reference_force", "force_controller", "rig", "supervisor"])
-    assert expected_peaks(elsewhere) == {}
+    assert peaks_of(elsewhere) == {}
     with pytest.raises(InputError, match="no limits to write"):
         write_limits(tmp_path / "limits.yaml", {})

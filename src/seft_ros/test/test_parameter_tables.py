@@ -3,9 +3,16 @@
 from pathlib import Path
 
 import pytest
-from seft_msgs_py.config.experiment import Experiment, parse_override
+from seft_msgs_py.config.experiment import (
+    Experiment,
+    parameter_text,
+    parse_override,
+    split_ros_arguments,
+)
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import NODES
+from seft_plant_sim.rig_parameters import TABLE as RIG
+from seft_ros.design.rig_tests import Levels, open_loop
 from seft_ros.test_run.parameter_tables import TABLES
 
 CONFIG = Path(__file__).parents[3] / "config"
@@ -79,5 +86,23 @@ def test_a_default_that_comes_from_other_parameters_comes_from_a_last_one(node, 
 def test_shipped_experiments_are_complete_and_survive_writing(path, tmp_path):
     experiment = load(files=[path])
     written = tmp_path / "written.yaml"
-    written.write_text(experiment.to_yaml())
+    written.write_text(parameter_text(experiment.sections))
     assert load(files=[written]).sections == experiment.sections
+
+
+@pytest.mark.parametrize("path", sorted(CONFIG.glob("*.yaml")), ids=lambda path: path.name)
+@pytest.mark.parametrize("of_code", [False, True])
+def test_each_node_reads_from_its_command_line_what_the_experiment_has(path, of_code):
+    overrides = [parse_override("supervisor:limits.force:=20000.0")]
+    experiment = Experiment.load(TABLES, [path], overrides)
+    experiment = Experiment(experiment.sections) if of_code else experiment
+    experiment = open_loop(experiment, Path("no_record.csv"), Levels(0.1, 50.0))
+    experiment = experiment.changed({"recorder": {"name": "on"}, "rig": {"keep_awake": True}})
+    words = ["--ros-args", *experiment.arguments()]
+    assert (str(path) in words) is not of_code
+    files, overrides, others = split_ros_arguments(words)
+    assert others == ["--ros-args"]
+    for table in TABLES:
+        tables = [RIG] if table.node == "rig" else TABLES  # those that the node itself knows
+        read = Experiment.load(tables, files, overrides, [table.node])
+        assert read[table.node] == experiment[table.node]

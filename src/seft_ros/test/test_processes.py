@@ -2,7 +2,6 @@
 
 import os
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
 from seft_msgs_py.node.host import FIRST
@@ -21,9 +20,8 @@ def run(tmp_path):
 
     @contextmanager
     def run_nodes(layout):
-        nothing = Path(os.devnull)
         with NodeStarter() as starter:
-            found = NodeProcesses(starter, NODES, nothing, tmp_path, layout, lockstep=True)
+            found = NodeProcesses(starter, NODES, [], tmp_path, layout, lockstep=True)
             try:
                 yield found
             finally:

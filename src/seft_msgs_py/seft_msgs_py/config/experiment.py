@@ -4,6 +4,7 @@ ROS ignores parameters it does not know, and files for nodes it does not know. H
 errors that name the nearest known one.
 """
 
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from io import StringIO
 from pathlib import Path
@@ -34,6 +35,15 @@ class Experiment:
     With several rigs, the nodes of the same name share one section; each rig takes the values of
     its own axes from it.
 
+    Parameters
+    ----------
+    sections : mapping
+        The values by node.
+    files : sequence of path, optional
+        Parameter files from which they come.
+    overrides : sequence of (node, parameter, value), optional
+        What replaces values of the files; default all values.
+
     Attributes
     ----------
     timebase : Timebase
@@ -44,8 +54,14 @@ class Experiment:
         The rigs, with their axes.
     """
 
-    def __init__(self, sections: Mapping[str, Section]) -> None:
+    def __init__(
+        self,
+        sections: Mapping[str, Section],
+        files: Sequence[str | Path] = (),
+        overrides: Sequence[Override] | None = None,
+    ) -> None:
         self.sections = {node: dict(section) for node, section in sections.items()}
+        self._files, self._overrides = tuple(files), overrides
         for name in (row.name for row in COMMON):
             values = {node: section[name] for node, section in self.sections.items()}
             (first, value), *others = values.items()
@@ -87,7 +103,7 @@ class Experiment:
         overrides : sequence of (node, parameter, value)
             Win over files; node ``/**`` means every node.
         nodes : iterable of str, optional
-            Nodes with complete sections; default all that have a table.
+            Nodes whose sections are checked and complete; default all that have a table.
 
         Raises
         ------
@@ -95,34 +111,57 @@ class Experiment:
             In one line: what, where, and what is allowed.
         """
         by_node = {table.node: table for table in tables}
+        wanted = tuple(by_node if nodes is None else nodes)
         given: dict[str, Section] = {}
         for file in files:
             sections = read_parameter_file(file)
             for node in sorted(sections, key=lambda node: node != EVERY_NODE):  # as rclpy does
-                _merge(given, node, sections[node], by_node, str(file))
+                _merge(given, node, sections[node], by_node, wanted, str(file))
         for node, name, value in overrides:
-            _merge(given, node, {name: value}, by_node, "-p")
-        return cls(resolve(by_node, given, nodes))
+            _merge(given, node, {name: value}, by_node, wanted, "-p")
+        resolved = resolve(by_node, given, wanted)
+        if not all(Path(file).is_file() for file in files):  # a pipe can't be read again
+            return cls(resolved)
+        return cls(resolved, files, overrides)
 
     def __getitem__(self, node: str) -> Section:
         return self.sections[node]
 
-    def to_yaml(self) -> str:
-        """Text of a ROS 2 parameter file with every parameter."""
-        first = next(iter(self.sections.values()))
-        common = [row.name for row in COMMON]
-        sections = {EVERY_NODE: {name: first[name] for name in common}}
-        for node, section in self.sections.items():
-            sections[node] = {name: v for name, v in section.items() if name not in common}
-        return parameter_text(sections)
+    def changed(self, changes: Mapping[str, Section]) -> "Experiment":
+        """Copy it with other values: node -> parameter -> value; all of them have sections here."""
+        sections = {node: {**own, **changes.get(node, {})} for node, own in self.sections.items()}
+        if self._overrides is None:
+            return Experiment(sections)
+        new = ((node, name, v) for node, own in changes.items() for name, v in own.items())
+        return Experiment(sections, self._files, (*self._overrides, *new))
+
+    def arguments(self) -> list[str]:
+        """Words of a node's command line that give it these parameters; see `split_ros_arguments`.
+
+        They name the files as they were given, so that the node reads what the user wrote.
+        """
+        overrides = self._overrides
+        if overrides is None:
+            sections = self.sections.items()
+            overrides = [(node, name, v) for node, own in sections for name, v in own.items()]
+        words = [word for file in self._files for word in ("--params-file", str(file))]
+        for node, name, value in overrides:
+            words += ["-p", f"{node}:{name}:={value_text(value)}"]
+        return words
 
 
 def _merge(
-    given: dict[str, Section], node: str, section: Section, tables: dict[str, Table], where: str
+    given: dict[str, Section],
+    node: str,
+    section: Section,
+    tables: dict[str, Table],
+    wanted: Sequence[str],
+    where: str,
 ) -> None:
+    """Add a section to the given values; those of other nodes than the wanted ones check theirs."""
     at = f"{where}: {node}"
     if node != EVERY_NODE:
-        checked = tables[node].check(section, at) if node in tables else section
+        checked = tables[node].check(section, at) if node in wanted else section
         given.setdefault(node, {}).update(checked)
         return
     # ROS permits a wildcard parameter of one node only; it goes to the nodes that know it
@@ -174,6 +213,15 @@ def read_parameter_file(path: str | Path) -> dict[str, Section]:
             raise InputError(f"{path}: {key} {PARAMETERS_KEY} must hold names and values")
         sections[node] = {**sections.get(node, {}), **_flatten(parameters, str(path), node)}
     return sections
+
+
+def value_text(value: Value) -> str:
+    """Text of a value in an override ``node:parameter:=value``, in one line."""
+    yaml, stream = YAML(), StringIO()
+    yaml.default_flow_style = True
+    yaml.width = sys.maxsize
+    yaml.dump([_quoted(value)], stream)
+    return stream.getvalue().strip()[1:-1]
 
 
 def parameter_text(sections: Mapping[str, Section], comments: Sequence[str] = ()) -> str:

@@ -118,9 +118,24 @@ def _run(file: Path, version: int, where: str) -> ModuleType:
     return module
 
 
+LONGEST_TEXT = 500
+"""Characters of a text of another package that are shown."""
+
+
+def printable(text: str) -> str:
+    """Make one line of a text of another package that no terminal takes as a command."""
+    line = " ".join(text.split())
+    line = line if len(line) <= LONGEST_TEXT else f"{line[:LONGEST_TEXT]}..."
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
+
+
 def reason_of(error: BaseException) -> str:
-    """Text of an exception; its kind if the text is empty."""
-    return str(error) or type(error).__name__
+    """Text of an exception in one line; its kind if the text is empty, or it is none of errors."""
+    try:
+        text = printable(str(error) if isinstance(error, Exception) else repr(error))
+    except Exception:  # of its own methods
+        text = ""
+    return text or type(error).__name__
 
 
 def line_in(error: BaseException, file: str | None) -> str:

@@ -163,15 +163,17 @@ def preflight(
         if figure is not None:
             raise InputError(f"{error}; --figure can't draw them") from None
         if write is not None:
-            peaks = preflight_tables.expected_peaks(experiment)
+            motion = preflight_tables.planned_motion(experiment)
+            peaks = preflight_tables.expected_peaks(experiment, motion)
             preflight_tables.write_limits(write, preflight_tables.proposed_limits(peaks))
         return 0 if shared.is_stable_in_simulation(experiment, error, as_json=json) else 1
     with shared.passing_progress() as progress:
         summary = preflight_tables.summarise(plan, found)
-        peaks = preflight_tables.expected_peaks(experiment)
+        motion = preflight_tables.planned_motion(experiment)
+        peaks = preflight_tables.expected_peaks(experiment, motion)
         limits = preflight_tables.proposed_limits(peaks)
         summary |= {"expected_peaks": peaks, "proposed_limits": limits}
-        timed = preflight_tables.model_time(experiment)
+        timed = preflight_tables.model_time(experiment, motion)
         if timed is not None:
             summary["model"] = asdict(timed)
         again = shared.once_more(config, param, params_file, external)
@@ -187,7 +189,8 @@ def preflight(
     if timed is not None:
         lines += [
             f"computed model: {1e3 * timed.median_s:.2g} ms for a step, "
-            f"{1e3 * timed.p999_s:.2g} ms for one of 1000, of {1e3 * timed.budget_s:.2g} ms",
+            f"{1e3 * timed.p999_s:.2g} ms for one of 1000, {1e3 * timed.longest_s:.2g} ms for the "
+            f"longest, of {1e3 * timed.budget_s:.2g} ms",
             "the tables above take its tangent at rest",
         ]
     for step in steps:

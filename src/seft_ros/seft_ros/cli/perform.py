@@ -17,6 +17,7 @@ from seft_ros.cli.shared import option
 from seft_ros.test_run.parameter_tables import TABLES
 
 if TYPE_CHECKING:
+    from seft_ros.test_run.compiled_loop import Blocks
     from seft_ros.test_run.observer import Observer
 
 PATIENCE = 5.0  # s, in which a supervisor that runs is heard
@@ -175,24 +176,27 @@ def run(
 
         seft run config/jhu.yaml --params-file plan.yaml --accept-unstable
     """
-    from seft_ros.design.preflight_tables import expected_peaks, limit_warning, model_time
+    from seft_ros.design import preflight_tables
     from seft_ros.test_run.processes import ProcessLayout
     from seft_ros.test_run.run import bag_path
 
     experiment = shared.load_experiment(config, param, params_file, external)
     bag = bag_path(experiment, out)
     experiment = _with_measured_delay(experiment)
-    steps = _steps(experiment)
-    _check_stable(experiment, accept_unstable)
+    blocks = _blocks(experiment)
+    motion = blocks.ground_motion if blocks else preflight_tables.planned_motion(experiment)
+    _check_stable(experiment, blocks, accept_unstable)
     in_lockstep = experiment.sections.get("rig", {}).get("pace") == "lockstep"
-    model = None if in_lockstep else model_time(experiment)
+    model = None if in_lockstep else preflight_tables.model_time(experiment, motion)
     if model is not None and (too_slow := model.refusal()):
         raise InputError(too_slow)
-    if warning := limit_warning(experiment, expected_peaks(experiment)):
+    peaks = preflight_tables.expected_peaks(experiment, motion)
+    if warning := preflight_tables.limit_warning(experiment, peaks):
         shared.warn(warning)
     if check_signs:
         _check_signs(experiment, external or ())
     layout = ProcessLayout(pin=pin, composed=composed, priority=priority)
+    steps = motion.steps if motion else 0
     record, bag = shared.dds_test(experiment, bag, steps, external or (), layout=layout)
     if shared.show_test(record, bag, as_json=json, figure=figure):
         return 0
@@ -266,7 +270,7 @@ def _with_measured_delay(experiment: Experiment) -> Experiment:
     return with_loop_delay(experiment, max(delays))
 
 
-def _check_stable(experiment: Experiment, accept_unstable: bool) -> None:
+def _check_stable(experiment: Experiment, blocks: "Blocks | None", accept_unstable: bool) -> None:
     """Raise `InputError` for an unstable plan that is not accepted; warn if it can't be judged."""
     from seft_ros.design.plan import Plan
     from seft_ros.design.stability_margins import critical_mass_ratio
@@ -278,7 +282,8 @@ def _check_stable(experiment: Experiment, accept_unstable: bool) -> None:
         if plan.is_stable():
             return
     except NotLinearError as error:
-        if not shared.is_stable_in_simulation(experiment, error) and not accept_unstable:
+        stable = shared.is_stable_in_simulation(experiment, error, blocks=blocks)
+        if not (stable or accept_unstable):
             raise InputError(
                 "the test is unstable in simulation; see seft simulate, lower reference_force: "
                 "mass_ratio, or run it all the same with --accept-unstable"
@@ -311,17 +316,13 @@ def _check_signs(experiment: Experiment, external: Sequence[str]) -> None:
             raise InputError(f"the rig: {finding.check}: {finding.result}; {finding.remedy}")
 
 
-def _steps(experiment: Experiment) -> int:
-    """Count the steps of the test, and check that its blocks can be made.
+def _blocks(experiment: Experiment) -> "Blocks | None":
+    """Make the blocks of the test, which checks them; None if a node of it runs elsewhere.
 
-    An external node has checked its own parameters; an external ground motion counts as 0 steps.
+    An external node has checked its own parameters.
     """
-    from seft_ros.ground_motion.ground_motion_block import GroundMotion
     from seft_ros.test_run.compiled_loop import build_blocks
 
     if all(table.node in experiment.sections for table in TABLES):
-        return build_blocks(experiment).ground_motion.steps
-    section = experiment.sections.get("ground_motion")
-    if section is None:
-        return 0
-    return GroundMotion.from_parameters(section, experiment.axes, experiment.timebase).steps
+        return build_blocks(experiment)
+    return None

@@ -24,6 +24,7 @@ from seft_ros.drawing.table import Cell, Table
 from seft_ros.test_run.parameter_tables import TABLES
 
 if TYPE_CHECKING:
+    from seft_ros.test_run.compiled_loop import Blocks
     from seft_ros.test_run.processes import ProcessLayout
 
 
@@ -191,16 +192,19 @@ def check_out(out: Path) -> None:
         raise InputError(f"{out}: exists already; name another folder with --out")
 
 
-def offline_test(experiment: Experiment, bag: Path | None, label: str = "") -> Record:
+def offline_test(
+    experiment: Experiment, bag: Path | None, label: str = "", blocks: "Blocks | None" = None
+) -> Record:
     """Run a test in one process, with a progress bar, and write its bag, if one is given.
 
-    Raises `InputError` if parameters contradict each other.
+    Its blocks are made here, unless they are given. Raises `InputError` if parameters contradict
+    each other.
     """
     from seft_ros.ground_motion.ground_motion_block import MOTION
     from seft_ros.test_run.compiled_loop import build_blocks
     from seft_ros.test_run.offline import simulate
 
-    blocks = build_blocks(experiment)
+    blocks = blocks or build_blocks(experiment)
     motion = blocks.ground_motion
     with step_progress(motion.steps) as progress:
         record = simulate(experiment, blocks, lambda done: progress(f"{label}simulating", done))
@@ -215,7 +219,11 @@ def offline_test(experiment: Experiment, bag: Path | None, label: str = "") -> R
 
 
 def is_stable_in_simulation(
-    experiment: Experiment, why: InputError, *, as_json: bool = False
+    experiment: Experiment,
+    why: InputError,
+    *,
+    blocks: "Blocks | None" = None,
+    as_json: bool = False,
 ) -> bool:
     """Simulate a test whose stability can't be computed, and show how it went.
 
@@ -225,7 +233,8 @@ def is_stable_in_simulation(
         complain(f"{why}, and there is no simulated rig to test its stability")
         return True
     complain(f"{why}; the test is simulated instead")
-    return show_test(offline_test(experiment, None), None, as_json=as_json, figure=False)
+    record = offline_test(experiment, None, blocks=blocks)
+    return show_test(record, None, as_json=as_json, figure=False)
 
 
 def dds_test(

@@ -81,9 +81,8 @@ def conform(
         If the rig that was started ends, or does not listen to commands.
     """
     alone_on_the_graph([] if start_rig else ["rig"])
-    experiment = Experiment(experiment.sections)
     if start_rig:
-        experiment["rig"]["pace"] = "realtime"
+        experiment = experiment.changed({"rig": {"pace": "realtime"}})
     rig = one_node("rig", experiment, lockstep=False) if start_rig else nullcontext(None)
     with rig as processes:
         prefer_latency(os.getpid())

@@ -19,12 +19,15 @@ from seft_ros.design.stability_verdict import Preflight
 from seft_ros.drawing.style import Mark, Number
 from seft_ros.drawing.table import Cell, Table, Texts
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
+from seft_ros.reference_force.reference_force_parameters import LONGEST_MODEL_STEP
 
 SHARE = 0.6
 """Of a period, for the model: the loop's nodes need the rest."""
 LOOKS = 4
 """At a model that seems too slow. Of each step the shortest time counts: what takes long in all of
 them is the model, the rest is the host."""
+FIRST = 2
+"""Steps in which a model may still load what it needs; the node takes many before a test."""
 STEPS = 5000
 """Of the test, at most, from its beginning on."""
 RATES = (2000, 1000, 500, 400, 250, 200, 125, 100, 50, 25, 20, 10, 5, 2, 1)  # Hz
@@ -38,8 +41,10 @@ class ModelTime:
 
     Attributes
     ----------
-    median_s, p999_s : float
+    median_s, p999_s, longest_s : float
         99.9 % of the steps take no longer than the second.
+    longest_at_s : float
+        When in the test the longest step is.
     budget_s : float
         Time that a step may take.
     rate_hz : float
@@ -52,6 +57,8 @@ class ModelTime:
 
     median_s: float
     p999_s: float
+    longest_s: float
+    longest_at_s: float
     budget_s: float
     rate_hz: float
     fits: bool
@@ -62,6 +69,13 @@ class ModelTime:
         """Say that it is too slow, and what would do; empty if it is not."""
         if self.fits:
             return ""
+        if self.median_s <= self.budget_s and self.longest_s > LONGEST_MODEL_STEP:
+            return (
+                f"reference_force: computed.model takes {self.longest_s:.3g} s for the step at "
+                f"{self.longest_at_s:.6g} s, at which the test would trip: after "
+                f"{LONGEST_MODEL_STEP:g} s the rig has held its command too long; make this step "
+                "of the model faster"
+            )
         every, rate = self.fitting_every, self.fitting_rate_hz
         ways = [f"reference_force: computed.every {every}"] if every else []
         ways += [f"a rate of {rate} Hz"] if rate else []
@@ -72,7 +86,15 @@ class ModelTime:
         )
 
 
-def model_time(experiment: Experiment) -> ModelTime | None:
+def planned_motion(experiment: Experiment) -> GroundMotion | None:
+    """Make the ground motion of an experiment; None if it comes from elsewhere."""
+    section = experiment.sections.get("ground_motion")
+    if section is None:
+        return None
+    return GroundMotion.from_parameters(section, experiment.axes, experiment.timebase)
+
+
+def model_time(experiment: Experiment, planned: GroundMotion | None) -> ModelTime | None:
     """Measure the computed model of an experiment; None if it has none, or no ground motion here.
 
     Raises
@@ -80,28 +102,37 @@ def model_time(experiment: Experiment) -> ModelTime | None:
     InputError
         If the model fails along the way.
     """
-    if not {"ground_motion", "reference_force"} <= set(experiment.sections):
+    if planned is None or "reference_force" not in experiment.sections:
         return None
     whole = whole_structure(experiment)
     model, dt = whole.computed.model, experiment.timebase.dt
     if model is None:
         return None
-    motion = GroundMotion.from_parameters(
-        experiment["ground_motion"], experiment.axes, experiment.timebase
-    ).samples[: STEPS * model.every : model.every]
-    is_apart = model.probed.is_apart
-    share = SHARE * dt * (model.every if is_apart else 1)
+    motion = planned.samples[: STEPS * model.every : model.every]
+    share = SHARE * dt * model.every
     times = np.full(len(motion), np.inf)
     for _ in range(LOOKS):
         times = np.minimum(times, model_times(whole, motion, model.every * dt))
         median, p999 = np.percentile(times, [50.0, 99.9]).tolist()
-        if p999 <= share or median > share:  # half of the steps: no stalls of the host
+        slowest = FIRST + int(times[FIRST:].argmax()) if len(times) > FIRST else 0
+        longest, fits = float(times[slowest]), p999 <= share
+        fits = fits and longest <= LONGEST_MODEL_STEP
+        if fits or median > share:  # half of the steps: no stalls of the host
             break
     every = math.ceil(p999 / (SHARE * dt))
-    can_divide = is_apart and every <= MOST_APART
+    can_divide = every <= MOST_APART
     rate = next((rate for rate in RATES if p999 * rate <= SHARE * model.every), None)
-    fits = p999 <= share
-    return ModelTime(median, p999, share, 1 / dt, fits, every if can_divide else None, rate)
+    return ModelTime(
+        median_s=median,
+        p999_s=p999,
+        longest_s=longest,
+        longest_at_s=slowest * model.every * dt,
+        budget_s=share,
+        rate_hz=1 / dt,
+        fits=fits,
+        fitting_every=every if can_divide else None,
+        fitting_rate_hz=rate,
+    )
 
 
 FACTORS = {"displacement": 1.5, "velocity": 2.0, "acceleration": 2.0, "force": 1.5}
@@ -249,13 +280,15 @@ def _range(found: Range | None) -> dict[str, Any] | None:
     }
 
 
-def expected_peaks(experiment: Experiment) -> dict[str, float]:
+def expected_peaks(experiment: Experiment, planned: GroundMotion | None) -> dict[str, float]:
     """Largest value of each quantity on any axis in the reference response of a test.
 
     Parameters
     ----------
     experiment : Experiment
         The specimen is that of its rig, if it is simulated, else the model's.
+    planned : GroundMotion or None
+        Its `planned_motion`.
 
     Returns
     -------
@@ -266,13 +299,11 @@ def expected_peaks(experiment: Experiment) -> dict[str, float]:
     Raises
     ------
     InputError
-        If the record of the ground motion can't be read, or the structure makes no sense.
+        If the structure makes no sense.
     """
-    if not {"ground_motion", "reference_force", "supervisor"} <= set(experiment.sections):
+    if planned is None or not {"reference_force", "supervisor"} <= set(experiment.sections):
         return {}
-    section, timebase = experiment["ground_motion"], experiment.timebase
-    motion = GroundMotion.from_parameters(section, experiment.axes, timebase).samples
-    exact = reference_response(experiment, motion)
+    exact = reference_response(experiment, planned.samples)
     return {name: float(np.abs(getattr(exact, name)).max()) for name in LIMIT_NAMES}
 
 

@@ -337,13 +337,14 @@ def has_force_loop(experiment: Experiment) -> bool:
 
 def changed(experiment: Experiment, changes: Mapping[str, Section]) -> Experiment:
     """Copy an experiment with other values: node -> parameter -> value."""
-    return Experiment(
-        {node: {**own, **changes.get(node, {})} for node, own in experiment.sections.items()}
-    )
+    return experiment.changed({n: own for n, own in changes.items() if n in experiment.sections})
 
 
 def _with(experiment: Experiment, record: Path, controller: Section) -> Experiment:
     """Copy an experiment as one of conventional EFT under a ground motion."""
+    own = experiment["force_controller"]
+    # by default these follow what changes here
+    kept = {name: own[name] for name in ("detectors.test", "detectors.mass_ratio") if name in own}
     changes: dict[str, Section] = {
         "ground_motion": {
             "file": str(record.resolve()),
@@ -356,7 +357,7 @@ def _with(experiment: Experiment, record: Path, controller: Section) -> Experime
             "tail": TAIL,
         },
         "reference_force": {"method": "eft", "mass_ratio": 0.0, "compensation.method": "none"},
-        "force_controller": {"detectors.warn_only": ",".join(MODEL_BASED)} | controller,
+        "force_controller": {"detectors.warn_only": ",".join(MODEL_BASED)} | kept | controller,
     }
     return changed(experiment, changes)
 

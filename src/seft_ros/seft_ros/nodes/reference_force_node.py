@@ -29,13 +29,16 @@ from seft_ros.reference_force.reference_force_block import (
     MotionBuffer,
     StateGathering,
 )
-from seft_ros.reference_force.reference_force_parameters import TABLE, reference_force_topic
+from seft_ros.reference_force.reference_force_parameters import (
+    LONGEST_MODEL_STEP,
+    TABLE,
+    reference_force_topic,
+)
 from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.test_run.peers import ALL_ANSWERED, AT_REST, RAMPING_DOWN
 from seft_ros.test_run.state_machine import SampleOrder, check_magnitude
 
 RIG_POLL = 0.002  # s between polls for the state of a late rig
-LONGEST_MODEL_STEP = 0.05  # s, of a computed model: by then the rig has held its command too long
 
 
 class ReferenceForceNode(NodeBody):

@@ -15,6 +15,8 @@ TARGET_MOTION = "target_motion"
 OWN = ("none", "model", "restoring", TARGET_MOTION)
 OF_MODEL = "computed "
 """Prefix of the names of a computed model's recorded values."""
+LONGEST_MODEL_STEP = 0.05
+"""s, of a computed model: by then the rig has held its command too long."""
 REGISTERED = Registered("seft.compensation", OWN)
 """Methods of other packages: name -> `compensator.Method`, which may take settings."""
 

@@ -12,7 +12,6 @@ the impulse of g is that of the trapezoidal rule.
 """
 
 import math
-from collections import deque
 
 import numpy as np
 from scipy.linalg import eigh
@@ -21,6 +20,7 @@ from seft_plant_sim.compiled import entry_point
 from seft_plant_sim.computed_model import ComputedModel, ModelError
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_plant_sim.lti import first_order_hold
+from seft_plant_sim.model_worker import ModelState
 
 from seft_ros.reference_force.compensator import Knowledge, NotLinearError
 from seft_ros.reference_force.force_command import FORCE_DRIVEN, command_arrays, command_step
@@ -82,7 +82,7 @@ class ModelLine:
         self._is_started = False
         self.values[:], self.force[:] = 0.0, 0.0
         self._count = 0
-        self._asked: deque[Floats] = deque()
+        self._asked = np.zeros(0)  # the motion to which the model steps
         self._line = np.zeros_like(self.values)  # the line from the last answer on
         self._at: Floats | None = None  # the motion of the last answer
         self._tangent = self._source.probed.stiffness  # of the model's own axes, updated
@@ -110,12 +110,9 @@ class ModelLine:
         if turn == 0:
             x, v = motion[:size].copy(), motion[size:].copy()
             now = count * self._dt, x, v, self._by_axis @ ground
-            self._asked.append(motion.copy())
-            if self._every > 1 and model.is_apart:
-                model.ask(*now)
-            else:
-                self._take(model.step(*now), motion, 0)
-        if turn == self._every - 1 and self._asked:
+            self._asked = motion.copy()
+            model.ask(*now)
+        if turn == self._every - 1:
             self._take(model.answer(), motion, turn)
 
     def _model(self) -> ComputedModel:
@@ -123,16 +120,17 @@ class ModelLine:
         if self._made is None:
             self._made = ComputedModel(self._source)
         if not self._is_started:
-            self._made.start(self._every * self._dt)
+            self._responses = self._made.start(self._every * self._dt).responses
             self._is_started = True
         return self._made
 
-    def _take(self, force: Floats, motion: Floats, late: int) -> None:
+    def _take(self, found: ModelState, motion: Floats, late: int) -> None:
         """Make the new line, and correct the motion; the force is that of ``late`` samples ago."""
-        at, size, span = self._asked.popleft(), len(force), self._every * self._dt
+        force, at, self._responses = found.force, self._asked, found.responses
+        size, span = len(force), self._every * self._dt
         acts = -self._inverse @ (force - self._rest @ at)
         line, before = np.zeros_like(self._line), self._line
-        follows, own = self._source.probed.is_static, self._model().tangents()
+        follows, own = self._source.probed.is_static, (found.stiffness, found.damping)
         for part, tangent in zip((slice(size), slice(size, 2 * size)), own, strict=True):
             if tangent is not None:
                 line[:, part] = -self._inverse @ (tangent - self._rest[:, part])
@@ -194,8 +192,8 @@ class ModelLine:
                     found.setdefault(name, np.zeros(axes))[place] = value
                 else:
                     found[f"{name}, {source.dofs[place]}"] = np.full(axes, value)
-        more = model.responses()
-        return found | {f"{OF_MODEL}{name}": np.full(axes, value) for name, value in more.items()}
+        more = self._responses.items()
+        return found | {f"{OF_MODEL}{name}": np.full(axes, value) for name, value in more}
 
 
 LONGEST_SUBSTEP = 0.001

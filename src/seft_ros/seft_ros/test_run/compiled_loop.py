@@ -181,10 +181,8 @@ def with_method(experiment: Experiment, method: str) -> Experiment:
         used = VELOCITY_FEEDFORWARD
     elif used == VELOCITY_FEEDFORWARD:
         used = TRANSFER_FUNCTION
-    force = experiment["reference_force"] | {"compensation.method": method}
-    return Experiment(
-        experiment.sections
-        | {"reference_force": force, "force_controller": control | {"method": used}}
+    return experiment.changed(
+        {"reference_force": {"compensation.method": method}, "force_controller": {"method": used}}
     )
 
 

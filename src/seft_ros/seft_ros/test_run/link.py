@@ -145,11 +145,8 @@ class Allowed:
 
 def with_loop_delay(experiment: Experiment, steps: int) -> Experiment:
     """Give the same experiment with another delay of the loop, in steps."""
-    sections = {
-        node: {**section, **({"loop_delay": steps} if "loop_delay" in section else {})}
-        for node, section in experiment.sections.items()
-    }
-    return Experiment(sections)
+    delayed = [node for node, section in experiment.sections.items() if "loop_delay" in section]
+    return experiment.changed({node: {"loop_delay": steps} for node in delayed})
 
 
 def message_size(experiment: Experiment) -> int:

@@ -9,7 +9,7 @@ import signal
 import struct
 import tempfile
 import time
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -185,8 +185,8 @@ class NodeProcesses:
         Starts them.
     nodes : iterable of str
         Names of the nodes.
-    parameters : Path
-        Parameter file that all of them read.
+    arguments : sequence of str
+        Words by which each gets its parameters, see `Experiment.arguments`.
     logs : Path
         Folder for the logs.
     layout : ProcessLayout
@@ -204,13 +204,14 @@ class NodeProcesses:
         self,
         starter: NodeStarter,
         nodes: Iterable[str],
-        parameters: Path,
+        arguments: Sequence[str],
         logs: Path,
         layout: ProcessLayout,
         *,
         lockstep: bool,
     ) -> None:
         self._starter, self._logs, nodes = starter, logs, list(nodes)
+        self._arguments = arguments
         self.bag: Path | None = None
         self._cores = os.sched_getaffinity(0)
         self._placement = layout.placement(nodes, lockstep=lockstep)
@@ -220,7 +221,7 @@ class NodeProcesses:
         self._processes: dict[str, StartedNode] = {}
         try:
             for group in layout.groups(nodes):
-                self._processes.update(dict.fromkeys(group, self._start(group, parameters)))
+                self._processes.update(dict.fromkeys(group, self._start(group)))
         except BaseException:
             self.stop(0.0)
             raise
@@ -278,12 +279,10 @@ class NodeProcesses:
                 process.send_signals(signal.SIGKILL)
         os.sched_setaffinity(0, self._cores)  # as before
 
-    def _start(self, group: tuple[str, ...], parameters: Path) -> StartedNode:
+    def _start(self, group: tuple[str, ...]) -> StartedNode:
         names, rig = [bare(node) for node in group], rig_name(group[0])
         words = [MODULES[names[0]]] if len(group) == 1 else [COMPOSED, "--nodes", *names]
-        words += ["--ros-args", "--params-file", str(parameters)]
-        if rig:
-            words += ["-r", f"__ns:=/{rig}"]
+        words += ["--ros-args", *(["-r", f"__ns:=/{rig}"] if rig else []), *self._arguments]
         log = self._logs / ("_".join(node.replace("/", "_") for node in group) + ".log")
         self._logs_of.update(dict.fromkeys(group, log))
         process = self._starter.start(words, log, ROS_LOG_DIR=str(self._logs))
@@ -316,20 +315,18 @@ def node_processes(
     nodes : iterable of str
         Names of the nodes.
     experiment : Experiment
-        Holds the nodes' sections.
+        Holds the nodes' parameters.
     layout : ProcessLayout
         Where they run.
     lockstep : bool
         Whether they need not keep time.
     bag : Path, optional
-        Folder in which parameters and logs are kept, if it exists at the end; `NodeProcesses.bag`
-        replaces it.
+        Folder in which the logs are kept, if it exists at the end; `NodeProcesses.bag` replaces it.
     """
     folder = Path(tempfile.mkdtemp(prefix="seft-"))
-    parameters = folder / "parameters.yaml"
     try:
-        parameters.write_text(experiment.to_yaml(), encoding="utf-8")
-        processes = NodeProcesses(starter, nodes, parameters, folder, layout, lockstep=lockstep)
+        words = experiment.arguments()
+        processes = NodeProcesses(starter, nodes, words, folder, layout, lockstep=lockstep)
         try:
             processes.bag = bag
             yield processes

@@ -276,11 +276,10 @@ def run_experiment(
         If the run broke before anything was recorded.
     """
     prepare_on_this_host()
-    experiment["recorder"].update(directory=str(bag.parent.resolve()), name=bag.name)
     layout = layout or ProcessLayout()
-    for node in LOOP_NODES:
-        if node in experiment.sections:
-            experiment[node].update(layout.wishes(node))
+    wishes = {node: layout.wishes(node) for node in LOOP_NODES if node in experiment.sections}
+    recorder = {"directory": str(bag.parent.resolve()), "name": bag.name}
+    experiment = experiment.changed(wishes | {"recorder": recorder})
     wanted = {*experiment["supervisor"]["peers"], "supervisor"}
     every = with_rigs([node for node in MODULES if node in wanted], experiment.rigs)
     external = [node for node in every if node in external or bare(node) in external]
