@@ -90,7 +90,7 @@ def motion_lines(facts: dict[str, Any]) -> list[str]:
 
 def _colour(summary: dict[str, Any]) -> str:
     """Red: the test did not run to its end; yellow: it did, and is wrong or missed deadlines."""
-    if not (summary["stable"] and summary["complete"]):
+    if summary["damage"] or not (summary["stable"] and summary["complete"]):
         return "red"
     simulated = summary["reference_specimen"] == "simulated"
     error = summary["displacement"]["nrmse"] if simulated else worst_response(summary)
@@ -138,6 +138,8 @@ def legend(label: str, bag: dict[str, Any]) -> str:
     parts = [known, bag["mode"], f"{bag['length_s']:g} s"]
     if bag["complete"] is False:
         parts.append("cut off")
+    if bag["damage"]:
+        parts.append("damaged")
     if bag["undecodable"]:
         parts.append(f"{bag['undecodable']} messages not understood")
     return f"{label}: {bag['bag']} ({', '.join(part for part in parts if part)})"

@@ -55,8 +55,9 @@ def summarise(
     dict
         ``steps`` (from 0 to the last recorded), ``judged_steps`` (of which errors and energies
         are, see `judged_part`), ``first_step`` (the first recorded),
-        ``rate_hz``, ``duration_s``, ``wall_s``, ``realtime_factor``, ``complete``, ``stable`` (no
-        trip, and all samples finite), ``trip`` (reason, step, time_s), ``missed`` (steps that
+        ``rate_hz``, ``duration_s``, ``wall_s``, ``realtime_factor``, ``complete``, ``damage`` (what
+        is wrong with its bag, and missing), ``checked`` (changed samples would have been noticed),
+        ``stable`` (no trip, and all samples finite), ``trip`` (reason, step, time_s), ``missed`` (steps that
         missed the command deadline), ``overruns`` (of the rig's sampling), ``timing`` (see
         `timing_of`), ``saturated`` (stroke, force_capacity, valve, a sensor's range -> samples and
         first_step), ``link`` (see `link_numbers`), ``lost`` (samples missing from the record, by
@@ -92,6 +93,8 @@ def summarise(
         "wall_s": record.wall_s,
         "realtime_factor": duration / record.wall_s if record.wall_s else None,
         "complete": record.complete,
+        "damage": record.damage,
+        "checked": record.checked,
         "missed": record.missed,
         "overruns": record.overruns,
         "timing": timing and timing.numbers,

@@ -31,8 +31,8 @@ def report(
     name in a legend to hide its line. --json prints the same numbers. The PDF has verdict, numbers
     and histories.
 
-    The bag holds all that is needed: samples, configuration, versions. If its recorder was
-    killed, use seft recover BAG first.
+    The bag holds all that is needed: samples, configuration, versions. Of a damaged bag, as of a
+    killed recorder, the report is of what can be read; it says what is wrong and missing.
 
     Examples:
 
@@ -52,7 +52,7 @@ def report(
 
     beside = bag.with_suffix(".html") if bag.is_file() else bag / "report.html"
     page = beside if out is None else check_page(out)
-    findings = report_numbers(read_bag(bag))
+    findings = report_numbers(read_bag(bag, damaged=True))
     write_report(findings, bag.resolve().name, page)
     summary = findings.summary | {"bag": str(bag), "page": str(page)}
     if pdf:
@@ -64,13 +64,15 @@ def report(
         *(Text(f"  {f.whole}", style=_COLOURS[f.verdict]) for f in findings.judgement.findings),
     ]
     show(summary, json, [summary_table(findings.record, summary), *lines], "page", "pdf")
-    return 0 if summary["stable"] and summary["complete"] else 1
+    right = summary["stable"] and summary["complete"] and not summary["damage"]
+    return 0 if right else 1
 
 
 def recover(bag: Bag) -> int:
-    """Make the bag of a killed recorder readable: every complete message is kept.
+    """Make a whole bag of a damaged one, or of that of a killed recorder.
 
-    The cut-off file stays beside it, named .cut. An intact bag is left as it is.
+    Every message is kept that can be read; what is missing is printed, and stays in the bag. The
+    damaged original stays beside it, named .cut. An intact bag is left as it is.
 
     Example:
 
@@ -128,7 +130,7 @@ def compare(
         raise InputError(f"compare takes 2 to {len(ascii_lowercase)} bags, but got {len(bags)}")
     path = check_figure(figure) if figure is not None else None
     names, labels = [str(bag) for bag in bags], list(ascii_lowercase[: len(bags)])
-    records = [read_bag(bag, described=False) for bag in bags]
+    records = [read_bag(bag, described=False, damaged=True) for bag in bags]
     result = compare_all(names, records)
     result["bags"] = list(map(describe_bag, names, records))
     several = result.get("comparisons")
@@ -138,6 +140,9 @@ def compare(
         result["figure"] = str(path)
     table = comparisons_table(several, labels) if several else comparison_table(result)
     show(result, json, [*map(legend, labels, result["bags"]), table], "figure")
+    for name, record in zip(names, records, strict=True):
+        for fault in record.damage:
+            complain(f"{name} is damaged: {fault}")
     return 0 if result["identical"] else 1
 
 

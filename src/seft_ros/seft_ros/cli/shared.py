@@ -207,8 +207,7 @@ def offline_test(experiment: Experiment, bag: Path | None, label: str = "") -> R
         if bag is not None:
             from seft_ros.bags.record_bag import write_record
 
-            storage = record.experiment["recorder"]["storage"]
-            write_record(record, bag, storage, motion.chunks)
+            write_record(record, bag, motion.chunks)
     return record
 
 
