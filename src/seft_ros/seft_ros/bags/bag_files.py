@@ -75,10 +75,14 @@ class Bag:
                 raise InputError(f"{path}: the bag can't be read ({file_reason(error)})") from None
             self._claim(claimed)
             if self.damage and not self.counts.total():
-                raise InputError(
-                    f"{path}: nothing of the bag can be read: {'; '.join(self.damage)}"
-                )
+                raise InputError(f"{path}: nothing of the bag can be read: {self.fault}")
             self._stack = stack.pop_all()
+
+    @property
+    def fault(self) -> str:
+        """The first line of damage, and how many more there are; empty without."""
+        more = f" (and {len(self.damage) - 1} more faults)" if self.damage[1:] else ""
+        return "".join(self.damage[:1]) + more
 
     def blocks(self, numbers: Mapping[TopicName, int]) -> Iterator[MessageBlock]:
         """Give the messages of some topics, in the order in which they were written.

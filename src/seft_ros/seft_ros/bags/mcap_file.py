@@ -45,9 +45,13 @@ _HEAD = struct.Struct("<BQ")  # of a record: opcode, length
 _CHUNK = struct.Struct("<16xQII")  # size unpacked, checksum, length of the next text
 _FOOTER = _HEAD.size + 20  # bytes
 _LOOSE = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
+_OF_SUMMARY = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS)
 _PRIVATE = 0x80  # the first of the opcodes that anybody may use
 _WINDOW = 1 << 22  # bytes that are searched at a time
-_CHUNK_HEAD = re.compile(rb"(?=\x06.{36}(?:\0\0\0\0|\x04\0\0\0zstd|\x03\0\0\0lz4))", re.DOTALL)
+_RESUMED = re.compile(
+    rb"(?=\x06.{36}(?:\0\0\0\0|\x04\0\0\0zstd|\x03\0\0\0lz4)|\x0f\x04\0{7})", re.DOTALL
+)
+"""Where reading may continue: the head of a chunk, or the end of all messages."""
 _GARBAGE = (McapError, struct.error, ValueError, RuntimeError, MemoryError, zstandard.ZstdError)
 """What parsers raise for garbage; RuntimeError is lz4's."""
 
@@ -96,10 +100,10 @@ class McapFile:
         self.metadata = ""
         self._schemas: dict[int, Schema] = {}
         self._bad: dict[str, dict[int, None]] = {}  # what -> where
-        self._ours = self._has_data_end = False
+        self._ours = False
+        self._summary: tuple[int, list[tuple[int, ReadDataStream]]] | None = None
         self._chunks: list[_Chunk] = []
         self._resume = 0  # where a chunk may begin that was not seen yet
-        self._read_summary()
         self._walk()
         self.checked = self._require_checksums()
         every = sum((Counter(chunk.counts) for chunk in self._chunks), Counter[int]())
@@ -132,14 +136,14 @@ class McapFile:
         following: int | None = len(_MAGIC)
         if self._read(0, len(_MAGIC)) != _MAGIC:
             self._note("it does not begin as an mcap file", 0)
-            following = self._next_chunk()
+            following = self._next()
         while (at := following) is not None:
             try:
                 following = self._take(at)
             except _GARBAGE as error:
                 known = isinstance(error, DamageError)
                 self._note(str(error) if known else "a record is damaged", at)
-                following = self._next_chunk()
+                following = self._next()
 
     def _take(self, at: int) -> int | None:
         """Take a record; give the place of the next one, None at the end of the file.
@@ -149,9 +153,11 @@ class McapFile:
         opcode, start, end = self._span(at)
         if opcode == Opcode.CHUNK:
             chunk = self._chunk(at)
-            self._resume = end
+            self._resume, self._summary = end, None
             self._add(chunk)
-        elif opcode in _LOOSE and not self._has_data_end:
+        elif self._summary is not None and opcode in _OF_SUMMARY:
+            self._summary[1].append((opcode, self._body(start, end)))
+        elif opcode in _LOOSE:
             end = self._end_of_loose(at)
             self._add(_Chunk(at, end - at, end - at))
         elif opcode == Opcode.HEADER:
@@ -159,11 +165,10 @@ class McapFile:
         elif opcode == Opcode.METADATA:
             self._take_metadata(Metadata.read(self._body(start, end)))
         elif opcode == Opcode.DATA_END:
-            self._has_data_end = True
+            self._resume, self._summary = end, (end, [])
             self._check(at, self._body(start, end).read4(), 0, at)
         elif opcode == Opcode.FOOTER:
-            footer = Footer.read(self._body(start, end))
-            self._check(at, footer.summary_crc, footer.summary_start or at, end - 4)
+            self._take_summary(Footer.read(self._body(start, end)), end - 4)
             if self._read(end, self._size - end) != _MAGIC:
                 raise DamageError("its end is not that of an mcap file")
             return None
@@ -177,15 +182,16 @@ class McapFile:
         elif record.name == ROSBAG and self._ours:
             self.metadata = record.metadata.get("serialized_metadata", "")
 
-    def _check(self, at: int, checksum: int, start: int, end: int) -> None:
-        """Check a part of the file, of which no message is, by the checksum in a record."""
-        if self._bad or not (checksum or self._ours):
-            return
+    def _check(self, at: int, checksum: int, start: int, end: int) -> bool:
+        """Check a part of the file by the checksum in a record at a place."""
+        if not (checksum or self._ours):
+            return True
         found = 0
         for place in range(start, end, _WINDOW):
             found = zlib.crc32(self._read(place, min(_WINDOW, end - place)), found)
-        if found != checksum:
+        if found != checksum and not self._bad:
             self._note("what stands beside the messages fails its checksum", at)
+        return found == checksum
 
     def _add(self, chunk: _Chunk) -> None:
         """Add a chunk of messages, if it is right."""
@@ -220,26 +226,19 @@ class McapFile:
             )
             self.sources.setdefault(channel.id, found)
 
-    def _read_summary(self) -> None:
-        """Read the topics and their numbers of messages behind the messages, where they are right.
+    def _take_summary(self, footer: Footer, end: int) -> None:
+        """Take what the records behind all messages say, if they are right.
 
         The chunk that has the topics may be damaged.
         """
-        at = self._size - _FOOTER - len(_MAGIC)
-        try:
-            footer = Footer.read(self._body(*self._span(at)[1:]))
-            place = footer.summary_start
-            end = at + _FOOTER - 4
-            right = footer.summary_crc in (0, zlib.crc32(self._read(place, end - place)))
-            while right and place < at:
-                opcode, start, place = self._span(place)
-                if opcode == Opcode.STATISTICS:
-                    found = Statistics.read(self._body(start, place))
-                    self.claimed = dict(found.channel_message_counts)
-                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    self._define(opcode, self._body(start, place))
-        except _GARBAGE:
-            self.claimed = None
+        start, records = self._summary or (end, [])
+        if not self._check(end, footer.summary_crc, start, end):
+            return
+        for opcode, body in records:
+            if opcode == Opcode.STATISTICS:
+                self.claimed = dict(Statistics.read(body).channel_message_counts)
+            else:
+                self._define(opcode, body)
 
     def _require_checksums(self) -> bool:
         """Leave out chunks without a checksum where others have one; say whether all have it."""
@@ -310,14 +309,16 @@ class McapFile:
             at = end
         return at
 
-    def _next_chunk(self) -> int | None:
-        """Find the next chunk that is consistent in itself, of those that were not seen yet."""
+    def _next(self) -> int | None:
+        """Find the next record behind which reading may continue, of those not seen yet."""
         for place in range(self._resume, self._size, _WINDOW):
             window = self._read(place, min(_WINDOW + 64, self._size - place))
-            for found in _CHUNK_HEAD.finditer(window, 0, len(window)):
+            for found in _RESUMED.finditer(window):
+                at = place + found.start()
                 try:
-                    self._chunk(place + found.start())
+                    if window[found.start()] == Opcode.CHUNK:
+                        self._chunk(at)
                 except _GARBAGE:
                     continue
-                return place + found.start()
+                return at
         return None

@@ -89,10 +89,9 @@ def read_bag(path: str | Path, *, described: bool = True, damaged: bool = False)
     """
     with Bag(path) as file:
         if file.damage and not damaged:
-            more = f" (and {len(file.damage) - 1} more faults)" if file.damage[1:] else ""
             raise InputError(
-                f"{path}: the bag is damaged: {file.damage[0]}{more}; seft report shows what there "
-                f"is, and a whole bag of that makes: seft recover {path}"
+                f"{path}: the bag is damaged: {file.fault}; seft report shows what there is, and a "
+                f"whole bag of that makes: seft recover {path}"
             )
         bag = _TestBag(file)
         description = bag.description()
@@ -231,9 +230,9 @@ class _TestBag:
         try:
             return description.experiment()
         except InputError as error:
-            raise InputError(
-                f"{self.path}: the bag holds no test: {error} on {DESCRIPTION.name}; record tests "
-                "with seft run or seft simulate, or that topic too (seft compare does without)"
+            raise self._no_test(
+                f": {error} on {DESCRIPTION.name}; record tests with seft run or seft simulate, or "
+                "that topic too (seft compare does without)"
             ) from None
 
     def inferred_experiment(self) -> Experiment:
@@ -243,11 +242,13 @@ class _TestBag:
             try:
                 return infer_experiment(raw for *_, raw in self.messages([topic]))
             except InputError as error:
-                raise InputError(
-                    f"{self.path}: the bag holds no test that can be read: {error} on {topic.name}"
-                ) from None
+                raise self._no_test(f" that can be read: {error} on {topic.name}") from None
         names = ", ".join(topic.name for topic in _LOOP)
-        raise InputError(f"{self.path}: the bag holds no test, for it has nothing on {names}")
+        raise self._no_test(f", for it has nothing on {names}")
+
+    def _no_test(self, why: str) -> InputError:
+        fault = f"the bag is damaged: {self._file.fault}; " if self._file.damage else ""
+        return InputError(f"{self.path}: {fault}the bag holds no test{why}")
 
     def count(self, topic: Topic) -> int:
         """Count the messages of a topic."""
