@@ -1,5 +1,6 @@
 """A bag on disk: what of it can be read, what is missing, and a whole bag made of the rest."""
 
+import errno
 import os
 import re
 import shutil
@@ -8,9 +9,9 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path, PurePath
-from typing import IO, Any, Self
+from typing import IO, Self
 
 import zstandard
 from ruamel.yaml import YAML
@@ -24,7 +25,7 @@ from seft_ros.bags.sqlite_file import SqliteFile
 
 SUFFIXES = (".mcap", ".db3")
 _MAX_METADATA = 1 << 24  # bytes
-_MAX_RATIO = 1000  # of a packed file that does not declare its size
+_MAX_RATIO = 1000  # of the size of a file to that of its packing; of bags it is 2 to 30
 
 TopicName = tuple[str, str]  # name, type
 
@@ -69,11 +70,7 @@ class Bag:
         self._lacks_files = False
         self._stack = ExitStack()
         with ExitStack() as stack:
-            try:
-                claimed = self._open_files(stack)
-            except OSError as error:
-                raise InputError(f"{path}: the bag can't be read ({file_reason(error)})") from None
-            self._claim(claimed)
+            self._claim(self._open_files(stack))
             if self.damage and not self.counts.total():
                 raise InputError(f"{path}: nothing of the bag can be read: {self.fault}")
             self._stack = stack.pop_all()
@@ -109,52 +106,32 @@ class Bag:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _open_files(self, stack: ExitStack) -> dict[str, Any]:
+    def _open_files(self, stack: ExitStack) -> "_Metadata":
         """Open all files; give what the metadata say."""
-        metadata: dict[str, Any] = {}
-        files, text = storage_files(self.path), ""
-        if self.path.is_dir():
-            text, metadata = self._read_metadata()
-            names = {file.name for file in files}
-            for name in metadata.get("files", ()):
-                if name not in names:
-                    self._lacks_files = True
-                    self.damage.append(f"the file {name} is missing")
+        files = storage_files(self.path)
+        metadata = _read_metadata(self.path) if self.path.is_dir() else _Metadata()
+        for name in sorted(metadata.files - {file.name for file in files}):
+            self._lacks_files = True
+            self.damage.append(f"the file {name} is missing")
         for file in files:
             scratch = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-            found, damage = _opened(file, scratch, stack)
+            try:
+                found, damage = _opened(file, scratch, stack)
+            except OSError as error:
+                self._lacks_files = True
+                self.damage.append(f"{file.name}: {file_reason(error)}")
+                continue
             self._files.append(found)
             self.damage += [f"{file.name}: {one}" for one in (*damage, *found.damage)]
-            self.checked &= found.checked
-            if text and found.metadata and text != found.metadata:
-                self.damage.append(f"{METADATA} is not the one that was written with {file.name}")
             self.recovered += found.recovered
+            self.checked &= found.checked
+            if metadata.text and found.metadata and metadata.text != found.metadata:
+                self.damage.append(f"{METADATA} is not what was written with {file.name}")
+        if metadata.fault:
+            self.damage.append(metadata.fault)
         return metadata
 
-    def _read_metadata(self) -> tuple[str, dict[str, Any]]:
-        """Read the text of metadata.yaml; files and counts of messages in it."""
-        path = self.path / METADATA
-        try:
-            if not path.exists():
-                self.damage.append(f"{METADATA} is missing")
-                return "", {}
-            with _regular(path) as file:
-                raw = file.read(_MAX_METADATA + 1)
-            if len(raw) > _MAX_METADATA:
-                raise ValueError
-            text = raw.decode()
-            (tree,) = YAML(typ="safe", pure=True).load(text).values()
-            counts: Counter[TopicName] = Counter()
-            for row in tree["topics_with_message_count"]:
-                topic = row["topic_metadata"]
-                counts[str(topic["name"]), str(topic["type"])] += int(row["message_count"])
-            names = [PurePath(name).name for name in tree["relative_file_paths"]]
-        except Exception:  # the parser raises what garbage makes it raise
-            self.damage.append(f"{METADATA} can't be read")
-            return "", {}
-        return text, {"files": names, "counts": counts}
-
-    def _claim(self, metadata: Mapping[str, Any]) -> None:
+    def _claim(self, metadata: "_Metadata") -> None:
         """Compare what there is with what the files and the metadata say that there is."""
         claimed: Counter[TopicName] = Counter()
         for file in self._files:
@@ -163,16 +140,45 @@ class Bag:
                 self.sources.setdefault(name, source)
                 self.counts[name] += file.counts[number]
                 claimed[name] += (file.claimed or {}).get(number, 0)
-        told: Mapping[TopicName, int] = metadata.get("counts", {})
+        told = metadata.counts
         if self._lacks_files or any(file.claimed is None for file in self._files):
             claimed = Counter(told)
         for name in {**self.counts, **claimed, **told}:
             there, wanted = self.counts[name], claimed[name]
             if there < wanted:
                 self.damage.append(f"{name[0]}: {wanted - there} of {wanted} messages are missing")
-            elif told and told.get(name, 0) != there:
-                count = told.get(name, 0)
-                self.damage.append(f"{METADATA} counts {count} messages of {name[0]}, not {there}")
+            elif told and told[name] != there:
+                self.damage.append(f"{METADATA} counts {told[name]} of {name[0]}, not {there}")
+
+
+@dataclass
+class _Metadata:
+    """Text of metadata.yaml, the files and counts of messages in it, and what is wrong with it."""
+
+    text: str = ""
+    files: set[str] = field(default_factory=set)
+    counts: Counter[TopicName] = field(default_factory=Counter)
+    fault: str = ""
+
+
+def _read_metadata(folder: Path) -> _Metadata:
+    path, found = folder / METADATA, _Metadata()
+    try:
+        with _regular(path) as file:
+            raw = file.read(_MAX_METADATA + 1)
+        if len(raw) > _MAX_METADATA:
+            raise ValueError
+        found.text = raw.decode()
+        (tree,) = YAML(typ="safe").load(found.text).values()
+        for row in tree["topics_with_message_count"]:
+            topic = row["topic_metadata"]
+            found.counts[str(topic["name"]), str(topic["type"])] += int(row["message_count"])
+        found.files = {PurePath(name).name for name in tree["relative_file_paths"]}
+    except FileNotFoundError:
+        return _Metadata(fault=f"{METADATA} is missing")
+    except Exception:  # the parser raises what garbage makes it raise
+        return _Metadata(fault=f"{METADATA} can't be read")
+    return found
 
 
 def _opened(file: Path, scratch: Path, stack: ExitStack) -> tuple[McapFile | SqliteFile, list[str]]:
@@ -197,7 +203,7 @@ def _regular(path: Path) -> IO[bytes]:
     handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     if not stat.S_ISREG(os.fstat(handle).st_mode):
         os.close(handle)
-        raise InputError(f"{path}: it is no regular file")
+        raise OSError(errno.EINVAL, "it is no regular file")
     return os.fdopen(handle, "rb")
 
 
@@ -208,9 +214,11 @@ def _unpack(packed: IO[bytes], plain: IO[bytes]) -> list[str]:
         declared = zstandard.frame_content_size(packed.read(32))
         packed.seek(0)
         limit, written = declared if declared >= 0 else _MAX_RATIO * size, 0
+        if limit > _MAX_RATIO * size or limit > shutil.disk_usage(plain.fileno()).free:
+            return [f"it is packed, and {limit} bytes of that are too many"]
         for part in zstandard.ZstdDecompressor().read_to_iter(packed):
             written += len(part)
-            if written > limit or written > shutil.disk_usage(plain.fileno()).free:
+            if written > limit:
                 return [f"it is packed, and larger than the {limit} bytes that it may have"]
             plain.write(part)
     except zstandard.ZstdError:
@@ -303,15 +311,19 @@ def recover(path: str | Path) -> Recovery:
     path = Path(path)
     place = path.resolve()
     cut, fresh = place.with_name(place.name + ".cut"), place.with_name(place.name + ".recovering")
+    if place.exists():
+        storage_files(place)
     is_folder = (place if place.exists() else cut).is_dir()
-    name = place.name if is_folder else place.name.partition(storage_suffix(place))[0]
+    name = place.name
+    if not is_folder:
+        name = name.removesuffix(".zstd").removesuffix(storage_suffix(place))
     final = place if is_folder else place.with_name(f"{name}.mcap")
     whole = fresh / name if is_folder else fresh / name / final.name
     if not place.exists() and cut.exists() and (fresh / name / METADATA).exists():
         whole.rename(final)  # it was interrupted between the two
         shutil.rmtree(fresh, ignore_errors=True)
         return _recovery(final, cut)
-    with Bag(place) as bag:
+    with Bag(path) as bag:
         if not bag.damage:
             return Recovery(path, bag.counts.total(), [], None, bag.checked)
         for taken in {cut, final} - {place}:

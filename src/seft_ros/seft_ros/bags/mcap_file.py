@@ -135,7 +135,7 @@ class McapFile:
         """Go from record to record, and behind damage to the next chunk."""
         following: int | None = len(_MAGIC)
         if self._read(0, len(_MAGIC)) != _MAGIC:
-            self._note("it does not begin as an mcap file", 0)
+            self._note("it does not begin as an mcap file" if self._size else "it is empty", 0)
             following = self._next()
         while (at := following) is not None:
             try:

@@ -53,6 +53,8 @@ class SqliteFile:
         self.counts: Counter[int] = Counter()
         for block in self.blocks({number: number for number in self.sources}):
             self.counts.update(block.places["source"].tolist())
+        if not path.stat().st_size:
+            verdict = "it is empty"
         self.damage = [] if verdict == "ok" else [" ".join(str(verdict).split())]
         if self._odd:
             self.damage.append(f"{self._odd} rows hold no message")

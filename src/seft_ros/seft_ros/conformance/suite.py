@@ -84,7 +84,7 @@ def conform(
     experiment = Experiment(experiment.sections)
     if start_rig:
         experiment["rig"]["pace"] = "realtime"
-    rig = one_node("rig", experiment, lockstep=False) if start_rig else nullcontext(None)
+    rig = one_node("rig", experiment) if start_rig else nullcontext(None)
     with rig as processes:
         prefer_latency(os.getpid())
         with closing(TestDriver(experiment, Guard(experiment, travel, force), processes)) as driver:
