@@ -19,7 +19,7 @@ from seft_msgs_py.errors import InputError, SeftError
 
 from seft_ros.bags.bag_writer import METADATA, BagWriter, file_reason
 from seft_ros.bags.mcap_file import McapFile
-from seft_ros.bags.message_blocks import MessageBlock
+from seft_ros.bags.message_blocks import DamageError, MessageBlock, inflated
 from seft_ros.bags.source import Source
 from seft_ros.bags.sqlite_file import SqliteFile
 
@@ -209,21 +209,23 @@ def _regular(path: Path) -> IO[bytes]:
 
 def _unpack(packed: IO[bytes], plain: IO[bytes]) -> list[str]:
     """Decompress a file to the size that it declares, and no further; give what is wrong."""
-    size = os.fstat(packed.fileno()).st_size
+    most = min(
+        _MAX_RATIO * os.fstat(packed.fileno()).st_size, shutil.disk_usage(plain.fileno()).free
+    )
     try:
         declared = zstandard.frame_content_size(packed.read(32))
         packed.seek(0)
-        limit, written = declared if declared >= 0 else _MAX_RATIO * size, 0
-        if limit > _MAX_RATIO * size or limit > shutil.disk_usage(plain.fileno()).free:
-            return [f"it is packed, and {limit} bytes of that are too many"]
-        for part in zstandard.ZstdDecompressor().read_to_iter(packed):
-            written += len(part)
-            if written > limit:
-                return [f"it is packed, and larger than the {limit} bytes that it may have"]
+        limit = most if declared < 0 else declared
+        if limit > most:
+            raise DamageError(f"it is packed, and its {limit} bytes are too many")
+        for part in inflated(packed, limit):
             plain.write(part)
-    except zstandard.ZstdError:
-        return ["it is packed, and the packing is damaged"]
-    return ["it is packed and cut off"] if written < declared else []
+        if plain.tell() < declared:
+            raise DamageError("it is packed and cut off")
+    except (DamageError, zstandard.ZstdError) as error:
+        known = isinstance(error, DamageError)
+        return [str(error) if known else "it is packed, and the packing is damaged"]
+    return []
 
 
 def storage_files(path: str | Path) -> list[Path]:
@@ -292,10 +294,9 @@ class Recovery:
 def recover(path: str | Path) -> Recovery:
     """Make a whole bag of what can be read of a damaged one, at the same path.
 
-    The bag is written beside the original as ``<name>.recovering``; when it is complete the
-    original becomes ``<name>.cut`` and the bag takes its place. If this is interrupted,
-    nothing is lost, and another call continues. What is missing stands in the new bag, too. A
-    single file becomes an mcap file.
+    The bag is written beside the original in ``<name>.recovering``; when it is complete the
+    original becomes ``<name>.cut`` and the bag takes its place. What is missing stands in the new
+    bag, too. A single file becomes an mcap file.
 
     Parameters
     ----------
@@ -311,18 +312,13 @@ def recover(path: str | Path) -> Recovery:
     path = Path(path)
     place = path.resolve()
     cut, fresh = place.with_name(place.name + ".cut"), place.with_name(place.name + ".recovering")
-    if place.exists():
-        storage_files(place)
-    is_folder = (place if place.exists() else cut).is_dir()
+    storage_files(place)
+    is_folder = place.is_dir()
     name = place.name
     if not is_folder:
         name = name.removesuffix(".zstd").removesuffix(storage_suffix(place))
     final = place if is_folder else place.with_name(f"{name}.mcap")
     whole = fresh / name if is_folder else fresh / name / final.name
-    if not place.exists() and cut.exists() and (fresh / name / METADATA).exists():
-        whole.rename(final)  # it was interrupted between the two
-        shutil.rmtree(fresh, ignore_errors=True)
-        return _recovery(final, cut)
     with Bag(path) as bag:
         if not bag.damage:
             return Recovery(path, bag.counts.total(), [], None, bag.checked)

@@ -11,9 +11,10 @@ from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.wire.topics import RIG_STATE, TARGET, VALVE_COMMAND, Timebase
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-from seft_ros.bags.bag_writer import LEFT, RESERVED, file_reason
+from seft_ros.bags.bag_writer import RESERVED, file_reason
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 
+_LEFT = 4 << 20  # bytes that must stay free beside the bag, for other files of a test
 _FRAME = 47  # bytes of an mcap file for each message beside it: its record's head, and the index
 
 
@@ -67,7 +68,7 @@ def obstacle(place: Path, expected: int = 0) -> str:
             free = shutil.disk_usage(file.fileno()).free
     except OSError as error:
         return f"nothing can be written in {folder} ({file_reason(error)})"
-    needed = RESERVED + LEFT + expected
+    needed = RESERVED + _LEFT + expected
     if free < needed:
         return f"{folder} has room for {free / 1e6:.0f} MB, and the bag needs {needed / 1e6:.0f} MB"
     return ""

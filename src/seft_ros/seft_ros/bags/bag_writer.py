@@ -36,10 +36,8 @@ METADATA = "metadata.yaml"
 FLUSH_PERIOD = 0.25  # s of wall time
 CHUNK = 1 << 16
 """Bytes of messages that are kept together: so many are lost with one wrong byte."""
-LEFT = 4 << 20  # bytes that must stay free on the disk while a bag is written
-LONGEST_END = 10.0  # s for which there must be room, to record the end of a test
 RESERVED = 12 << 20
-"""Bytes for the end of a test when a disk is suddenly full, and the index of a bag of hours."""
+"""Bytes for the end of a test when the disk is full, and the index of a bag of hours."""
 MAX_IN_MEMORY = 1 << 30  # bytes, of a test that goes on without its bag
 SAVED = "_saved"
 """End of the name of a bag that could not be saved in its own place."""
@@ -61,14 +59,7 @@ class _Unstored:
         return self.stored + len(self.data)
 
     def flush(self) -> None:
-        pass
-
-    def store(self, file: int) -> None:
-        """Write to the disk what it takes; raises OSError if that is not all."""
-        while self.data:
-            written = os.pwrite(file, self.data[:_COPIED], self.stored)
-            self.stored += written
-            del self.data[:written]
+        """`BagWriter` stores the data when it wants."""
 
 
 class BagWriter:
@@ -94,7 +85,7 @@ class BagWriter:
         The bag's folder.
     trouble : str
         What is wrong with its place: that it can't be made or written, was lost, or that the disk
-        is nearly full; empty if nothing is.
+        is full; empty if nothing is.
     """
 
     def __init__(self, path: str | Path, damage: Sequence[str] = ()) -> None:
@@ -120,7 +111,7 @@ class BagWriter:
         self._is_saved = False
         self._file: IO[bytes] | None = None
         self._reserve: IO[bytes] | None = None
-        self._began = self._flushed_at = time.monotonic()
+        self._flushed_at = time.monotonic()
         self._make_place()
 
     @property
@@ -166,7 +157,7 @@ class BagWriter:
             self._encode()
             self._store()
         self._flushed_at = time.monotonic()
-        self.trouble = self.trouble or self._displaced() or self._running_out()
+        self.trouble = self.trouble or self._displaced()
 
     def close(self) -> None:
         """Complete the bag in its place.
@@ -296,7 +287,10 @@ class BagWriter:
             return
         while self._out.data:
             try:
-                self._out.store(self._file.fileno())
+                part = self._out.data[:_COPIED]
+                written = os.pwrite(self._file.fileno(), part, self._out.stored)
+                self._out.stored += written
+                del self._out.data[:written]
             except OSError as error:
                 self.trouble = self.trouble or f"{self.path}: {file_reason(error)}"
                 if self._reserve is None:
@@ -315,17 +309,6 @@ class BagWriter:
         place = (_HANDLES / str(self._file.fileno())).readlink()
         what = f"moved: its file is {place}" if status.st_nlink else "deleted"
         return f"{self.path}: the bag was {what}"
-
-    def _running_out(self) -> str:
-        """Warn while there is room for the end of a test, which takes as much as it did so far."""
-        if self._file is None:
-            return ""
-        disk = os.fstatvfs(self._file.fileno())
-        room = disk.f_bavail * disk.f_frsize
-        growth = self._out.stored / max(1.0, time.monotonic() - self._began)
-        if room >= LEFT + growth * LONGEST_END:
-            return ""
-        return f"{self.path}: the disk is nearly full, {room >> 20} MiB are left"
 
     def _places(self) -> Iterator[Path]:
         """Give free places: where the bag was, beside it, among temporary files."""

@@ -291,7 +291,7 @@ class McapFile:
         if chunk.compression == "lz4":
             data = LZ4FrameDecompressor().decompress(data, max_length=chunk.unpacked + 1)
         elif chunk.compression == "zstd":
-            data = inflated(data, chunk.unpacked)
+            data = b"".join(inflated(data, chunk.unpacked))
         if len(data) != chunk.unpacked:
             raise DamageError("a chunk of messages has another size than it declares")
         return data

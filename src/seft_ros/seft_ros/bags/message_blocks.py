@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -174,15 +174,14 @@ class DamageError(ValueError):
     """What is wrong at a place of a file."""
 
 
-def inflated(data: bytes, limit: int) -> bytes:
-    """Decompress a zstd frame; more than ``limit`` bytes are `DamageError`."""
-    parts, size = [], 0
-    for part in zstandard.ZstdDecompressor().read_to_iter(data):
+def inflated(packed: bytes | IO[bytes], limit: int) -> Iterator[bytes]:
+    """Decompress a zstd frame part by part; more than ``limit`` bytes are a `DamageError`."""
+    size = 0
+    for part in zstandard.ZstdDecompressor().read_to_iter(packed):
         size += len(part)
         if size > limit:
             raise DamageError("it is packed, and larger than it declares")
-        parts.append(part)
-    return b"".join(parts)
+        yield part
 
 
 def unpacked(block: MessageBlock) -> MessageBlock:
@@ -194,7 +193,7 @@ def unpacked(block: MessageBlock) -> MessageBlock:
     for index, (_, _, raw) in enumerate(block.messages()):
         with suppress(ValueError, zstandard.ZstdError):
             size = zstandard.frame_content_size(raw)
-            plain = inflated(raw, room if size < 0 else min(size, room))
+            plain = b"".join(inflated(raw, room if size < 0 else min(size, room)))
             if size in (-1, len(plain)):
                 kept.append(index)
                 raws.append(plain)
