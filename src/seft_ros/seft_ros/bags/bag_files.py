@@ -125,7 +125,8 @@ class Bag:
             self.damage += [f"{file.name}: {one}" for one in (*damage, *found.damage)]
             self.recovered += found.recovered
             self.checked &= found.checked
-            if metadata.text and found.metadata and metadata.text != found.metadata:
+            ours = found.metadata if len(files) == 1 else ""
+            if metadata.text and ours and metadata.text != ours:
                 self.damage.append(f"{METADATA} is not what was written with {file.name}")
         if metadata.fault:
             self.damage.append(metadata.fault)

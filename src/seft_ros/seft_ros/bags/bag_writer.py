@@ -228,6 +228,8 @@ class BagWriter:
         except ExperimentError:
             if error is None:  # else the reason for leaving counts
                 raise
+        finally:
+            self._done()
 
     def _make_place(self) -> None:
         there = self.path.exists()
