@@ -84,7 +84,7 @@ def test_without_git_there_is_no_revision(tmp_path, monkeypatch):
 
 
 def test_description_is_read_back():
-    sections = {"rig": NODE, "recorder": {"rate": 500.0, "axes": ["x"], "storage": "mcap"}}
+    sections = {"rig": NODE, "recorder": {"rate": 500.0, "axes": ["x"], "directory": "bags"}}
     texts = write_description(sections, {"mode": "simulate"})
     assert len(texts) == 3
     description, refused = read_description(texts)

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_ros.analysis.judgement import verdict
 from seft_ros.analysis.summary import summarise
@@ -19,8 +18,7 @@ WORDS = (
 )
 
 
-@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
-def test_what_the_rig_counted_is_in_the_bag_and_in_its_summary(tmp_path, storage):
+def test_what_the_rig_counted_is_in_the_bag_and_in_its_summary(tmp_path):
     experiment = Experiment.load(TABLES, [JHU], [parse_override(word) for word in WORDS])
     blocks = build_blocks(experiment)
     record = simulate(experiment, blocks)
@@ -28,7 +26,7 @@ def test_what_the_rig_counted_is_in_the_bag_and_in_its_summary(tmp_path, storage
     at_range = force >= 600 * (1 - 1e-9)
     assert at_range.any()
     expected = {"samples": int(at_range.sum()), "first_step": int(at_range.argmax())}
-    write_record(record, tmp_path / "bag", storage)
+    write_record(record, tmp_path / "bag")
     for one in (record, read_bag(tmp_path / "bag")):
         assert one.saturation == blocks.rig.saturation
         assert summarise(one)["saturated"]["force_range"] == expected

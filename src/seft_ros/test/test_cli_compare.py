@@ -51,9 +51,9 @@ def record():
     return Record(Experiment({"rig": {"rate": 500.0, "axes": ["x", "y"]}}), series)
 
 
-def write(path, record, storage="mcap"):
+def write(path, record):
     motion = record.series[GROUND_MOTION.name].values[:, 0]
-    write_record(record, path, storage, [(0, motion[:40]), (40, motion[40:])])
+    write_record(record, path, [(0, motion[:40]), (40, motion[40:])])
     return path
 
 
@@ -174,6 +174,7 @@ def test_without_description_axes_and_rate_are_told_from_the_samples(
         "axes": ["x", "y"],
         "length_s": (COUNT - 1) / 500,
         "complete": None,
+        "damage": [],
         "undecodable": 0,
     }
     first = compared(seft, "stock", "stock2")["first_difference"]
@@ -219,7 +220,7 @@ def test_a_report_needs_the_configuration_and_says_so(seft, tmp_path, record):
 
 def test_many_bags_are_compared_with_the_first_and_drawn(seft, tmp_path, record):
     write(tmp_path / "one", record)
-    write(tmp_path / "two", record, "sqlite3")
+    ros2_bag_record(tmp_path / "one", tmp_path / "two")
     write(tmp_path / "three", altered(record))
     result = compared(seft, "one", "two", "three", "--figure", "tests.png")
     assert [one["identical"] for one in result["comparisons"]] == [True, False]

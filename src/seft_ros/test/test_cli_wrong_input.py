@@ -72,7 +72,8 @@ def record(tmp_path):
         ("force_controller:denominator:=[1, -1000]", ["1000 rad/s"]),
         ("force_controller:voltage_limit:=0", ["voltage_limit is 0,"]),
         ("supervisor:limits.force:=-1", ["limits.force is -1,"]),
-        ("recorder:storage:=csv", ["one of mcap, sqlite3"]),
+        ("recorder:on_loss:=csv", ["one of stop, go_on"]),
+        ("recorder:storage:=sqlite3", ["there is no parameter storage"]),
     ],
 )
 def test_a_wrong_parameter_is_refused(refused, parameter, told):

@@ -85,7 +85,7 @@ def held_test(experiment, blocks, held):
 @pytest.mark.parametrize("node", ["reference_force", "force_controller", "rig"])
 def test_the_blocks_answer_a_simulated_test_bit_for_bit(seft, record, blocks, tmp_path, node):
     bag = write(tmp_path / "bag", record, blocks)
-    status, out, _ = seft("replay", bag, "--node", node, "--offline", "--json")
+    status, out, _ = seft("replay", bag, "--node", node, "--json")
     result = json.loads(out)
     assert status == 0
     assert result["identical"] is True
@@ -97,7 +97,7 @@ def test_the_blocks_answer_a_simulated_test_bit_for_bit(seft, record, blocks, tm
 def test_a_changed_parameter_is_told_by_step_field_and_values(seft, record, blocks, tmp_path):
     bag = write(tmp_path / "bag", record, blocks)
     words = ("--node", "force_controller", "-p", "force_controller:numerator:=[38.0]")
-    status, out, _ = seft("replay", bag, *words, "--offline", "--json", "--out", "changed")
+    status, out, _ = seft("replay", bag, *words, "--json", "--out", "changed")
     result = json.loads(out)
     first = result["first_difference"]
     commands = record.series[VALVE_COMMAND.name].values[:, 0, 0]
@@ -138,7 +138,7 @@ def test_a_ramp_begins_at_the_step_that_reference_force_told(
         writer.write(DIAGNOSTICS, encode_diagnostics(0, [told]), reader.start_time + 1)
     stock_recording(bag, tmp_path / "words", tmp_path / "both")
     assert read_recorded(tmp_path / "both").ramp_step == 73
-    words = ("--node", "reference_force", "--offline", "--json")
+    words = ("--node", "reference_force", "--json")
     status, out, _ = seft("replay", tmp_path / "both", *words)
     result = json.loads(out)
     assert (status, result["identical"], result["notes"]) == (0, True, [])
@@ -167,7 +167,7 @@ def test_a_rig_that_does_not_say_what_it_held_is_taken_to_hold_the_last(experime
     replay = RigReplay(Recorded(record, [], {}))
     states, _ = replay.computed(experiment["rig"])
     assert replay.notes == [
-        "the bag does not say which commands the rig held: it is sent the last before"
+        "the bag does not say which commands the rig held: it is given the last before"
     ]
     np.testing.assert_array_equal(states.values, record.series[RIG_STATE.name].values)
 
@@ -175,7 +175,7 @@ def test_a_rig_that_does_not_say_what_it_held_is_taken_to_hold_the_last(experime
 def test_a_realtime_test_with_missed_commands_is_replayed(seft, experiment, blocks, tmp_path):
     record = held_test(experiment, blocks, {30: 29, 31: 29, 32: 31, 80: 79})
     bag = write(tmp_path / "bag", record, blocks)
-    status, out, _ = seft("replay", bag, "--node", "rig", "--offline", "--json")
+    status, out, _ = seft("replay", bag, "--node", "rig", "--json")
     assert (status, json.loads(out)["identical"]) == (0, True)
 
 
@@ -184,7 +184,7 @@ def test_of_more_missed_commands_than_are_listed_the_rest_is_left_out(
 ):
     record = replace(held_test(experiment, blocks, {30: 29, 80: 79}), missed=3)
     bag = write(tmp_path / "bag", record, blocks)
-    status, out, _ = seft("replay", bag, "--node", "rig", "--offline", "--json")
+    status, out, _ = seft("replay", bag, "--node", "rig", "--json")
     result = json.loads(out)
     assert (status, result["steps"]) == (0, 82)
     assert "lists only the first 2 of the 3" in result["notes"][0]
@@ -210,7 +210,7 @@ def test_what_was_told_and_is_not_in_the_bag_is_named(
     seft, record, blocks, tmp_path, node, topic, told
 ):
     bag = write(tmp_path / "bag", lacking(record, topic, 40), blocks)
-    status, _, errors = seft("replay", bag, "--node", node, "--offline")
+    status, _, errors = seft("replay", bag, "--node", node)
     line = errors.strip().splitlines()[-1]
     assert status == 2
     assert told in line
@@ -220,7 +220,7 @@ def test_an_answer_that_was_lost_by_the_recorder_is_given_all_the_same(
     seft, record, blocks, tmp_path
 ):
     bag = write(tmp_path / "bag", lacking(record, REFERENCE_FORCE, 40), blocks)
-    status, out, _ = seft("replay", bag, "--node", "reference_force", "--offline", "--json")
+    status, out, _ = seft("replay", bag, "--node", "reference_force", "--json")
     result = json.loads(out)
     assert (status, result["steps"]) == (0, blocks.ground_motion.steps - 1)
     assert result["notes"] == ["the bag lacks the recorded answer: step 40"]
@@ -232,7 +232,7 @@ def test_steps_that_the_recorder_lost_altogether_are_told(seft, record, blocks, 
     for topic in (RIG_STATE, REFERENCE_FORCE, VALVE_COMMAND):
         record = lacking(record, topic, 40)
     bag = write(tmp_path / "bag", record, blocks)
-    _, out, _ = seft("replay", bag, "--node", node, "--offline", "--json")
+    _, out, _ = seft("replay", bag, "--node", node, "--json")
     note = "neither rig/state nor its answer is in the bag, and whether the node had them is not"
     assert json.loads(out)["notes"] == [f"{note} known: step 40"]
 
@@ -250,7 +250,7 @@ def test_steps_that_the_recorder_lost_altogether_are_told(seft, record, blocks, 
 )
 def test_wrong_words_are_refused_in_one_line(seft, record, blocks, tmp_path, words, told):
     bag = write(tmp_path / "bag", record, blocks)
-    status, _, errors = seft("replay", bag, "--offline", *words)
+    status, _, errors = seft("replay", bag, *words)
     assert status == 2
     assert told in errors.strip().splitlines()[-1]
 
@@ -262,7 +262,7 @@ def test_a_bag_that_begins_in_the_middle_or_has_two_tests_is_refused(
     late = Series(states.steps[5:], states.values[5:])
     middle = replace(record, series={**record.series, RIG_STATE.name: late})
     bag = write(tmp_path / "middle", middle, blocks)
-    status, _, errors = seft("replay", bag, "--offline")
+    status, _, errors = seft("replay", bag)
     assert (status, "the bag begins at step 5" in errors) == (2, True)
     write(tmp_path / "one", record, blocks)
     with Reader(tmp_path / "one") as reader, BagWriter(tmp_path / "two") as writer:
@@ -270,7 +270,7 @@ def test_a_bag_that_begins_in_the_middle_or_has_two_tests_is_refused(
             raw = encode_status(Status("experiment", 0, state))
             writer.write(EXPERIMENT_STATE, raw, reader.start_time)
     stock_recording(tmp_path / "one", tmp_path / "two", tmp_path / "both")
-    status, _, errors = seft("replay", tmp_path / "both", "--offline")
+    status, _, errors = seft("replay", tmp_path / "both")
     assert (status, "holds 2 tests; record one in a bag" in errors) == (2, True)
 
 
@@ -290,7 +290,7 @@ def stock_recording(*bags):
 
 def test_a_bag_of_the_stock_recorder_is_replayed(seft, record, blocks, tmp_path):
     stock_recording(write(tmp_path / "bag", record, blocks), tmp_path / "stock")
-    status, out, _ = seft("replay", tmp_path / "stock", "--offline", "--json")
+    status, out, _ = seft("replay", tmp_path / "stock", "--json")
     result = json.loads(out)
     assert (status, result["identical"], len(result["replays"])) == (0, True, 3)
 

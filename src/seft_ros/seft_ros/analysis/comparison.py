@@ -115,6 +115,7 @@ def describe_bag(path: str, record: Record) -> dict[str, Any]:
         "axes": list(record.experiment.axes),
         "length_s": length_s(record),
         "complete": record.complete if record.described else None,
+        "damage": record.damage,
         "undecodable": record.environment.get(UNDECODABLE, 0),
     }
 

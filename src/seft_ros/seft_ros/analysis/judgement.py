@@ -106,6 +106,11 @@ def _early_ending(summary: dict[str, Any]) -> tuple[str, str] | None:
 
 def _beginning(summary: dict[str, Any]) -> Iterator[Finding]:
     """Find whether all of the test is there."""
+    if summary["damage"]:
+        yield Finding("damage", Mark.DOUBT, "the bag is damaged", "; ".join(summary["damage"]))
+    elif not summary["checked"]:
+        text = "the bag has no checksums: samples that were changed would not be noticed"
+        yield Finding("checked", Mark.NONE, text)
     if summary["first_step"]:
         text = (
             f"the record begins at step {summary['first_step']} of the test; errors are of what is "

@@ -102,7 +102,7 @@ def test_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
 
 def _mark(summary: dict[str, Any]) -> Mark:
     """Bad: the test did not run to its end; in doubt: it did, and is wrong or missed deadlines."""
-    if not (summary["stable"] and summary["complete"]):
+    if summary["damage"] or not (summary["stable"] and summary["complete"]):
         return Mark.BAD
     simulated = summary["reference_specimen"] == "simulated"
     error = summary["displacement"]["nrmse"] if simulated else worst_response(summary)
@@ -149,6 +149,8 @@ def legend(label: str, bag: dict[str, Any]) -> str:
     parts = [known, bag["mode"], f"{bag['length_s']:g} s"]
     if bag["complete"] is False:
         parts.append("cut off")
+    if bag["damage"]:
+        parts.append("damaged")
     if bag["undecodable"]:
         parts.append(f"{bag['undecodable']} messages not understood")
     return f"{label}: {bag['bag']} ({', '.join(part for part in parts if part)})"

@@ -53,21 +53,22 @@ def summarise(
     Returns
     -------
     dict
-        ``steps`` (from 0 to the last recorded), ``judged_steps`` (of which errors and energies
-        are, see `judged_part`), ``first_step`` (the first recorded),
-        ``rate_hz``, ``duration_s``, ``wall_s``, ``realtime_factor``, ``complete``, ``stable`` (no
-        trip, and all samples finite), ``trip`` (reason, step, time_s), ``missed`` (steps that
-        missed the command deadline), ``overruns`` (of the rig's sampling), ``timing`` (see
-        `timing_of`), ``saturated`` (stroke, force_capacity, valve, a sensor's range -> samples and
-        first_step), ``link`` (see `link_numbers`), ``lost`` (samples missing from the record, by
-        topic), ``ground_motion`` (see `seft_ros.ground_motion.ground_motion_block.motion_facts`),
-        ``energy`` (see `energy_numbers`), ``estimates`` (identified on line by the
-        compensation: name -> axis -> first, last, least and largest, SI units),
-        ``equivalent_motion`` (see `MotionDifference.numbers`), ``tracking_error`` (see
-        `tracking_error`), ``detectors`` (of faults, see `shares_of`), ``reference_specimen`` (of
-        the reference response: ``simulated``, or the ``model``, by which no test can be judged),
-        ``tracking`` (see `tracking_of`), and for displacement (m), acceleration (m/s^2) and force
-        (N) the fields of `Agreement`, over all axes; ``axes`` has the same three for each axis.
+        ``steps`` (from 0 to the last recorded), ``judged_steps`` (of which errors and energies are,
+        see `judged_part`), ``first_step`` (the first recorded), ``rate_hz``, ``duration_s``,
+        ``wall_s``, ``realtime_factor``, ``complete``, ``damage`` (what is wrong with its bag, and
+        missing), ``checked`` (changed samples would have been noticed), ``stable`` (no trip, and
+        all samples finite), ``trip`` (reason, step, time_s), ``missed`` (steps that missed the
+        command deadline), ``overruns`` (of the rig's sampling), ``timing`` (see `timing_of`),
+        ``saturated`` (stroke, force_capacity, valve, a sensor's range -> samples and first_step),
+        ``link`` (see `link_numbers`), ``lost`` (samples missing from the record, by topic),
+        ``ground_motion`` (see `seft_ros.ground_motion.ground_motion_block.motion_facts`),
+        ``energy`` (see `energy_numbers`), ``estimates`` (identified on line by the compensation:
+        name -> axis -> first, last, least and largest, SI units), ``equivalent_motion`` (see
+        `MotionDifference.numbers`), ``tracking_error`` (see `tracking_error`), ``detectors`` (of
+        faults, see `shares_of`), ``reference_specimen`` (of the reference response: ``simulated``,
+        or the ``model``, by which no test can be judged), ``tracking`` (see `tracking_of`), and for
+        displacement (m), acceleration (m/s^2) and force (N) the fields of `Agreement`, over all
+        axes; ``axes`` has the same three for each axis.
         Null: unknown, undefined or not there.
     """
     if reference is None:
@@ -92,6 +93,8 @@ def summarise(
         "wall_s": record.wall_s,
         "realtime_factor": duration / record.wall_s if record.wall_s else None,
         "complete": record.complete,
+        "damage": record.damage,
+        "checked": record.checked,
         "missed": record.missed,
         "overruns": record.overruns,
         "timing": timing and timing.numbers,

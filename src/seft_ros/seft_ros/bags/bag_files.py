@@ -1,64 +1,232 @@
-"""A bag on disk: open it, or say in one line why it can't be read; recover one that was cut off."""
+"""A bag on disk: what of it can be read, what is missing, and a whole bag made of the rest."""
 
+import errno
+import os
 import re
 import shutil
-import sqlite3
-from contextlib import closing, suppress
-from dataclasses import dataclass
-from pathlib import Path
+import stat
+import tempfile
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path, PurePath
+from typing import IO, Self
 
-from rosbags.rosbag2 import Reader, StoragePlugin, Writer
-from seft_msgs_py.errors import InputError
+import zstandard
+from ruamel.yaml import YAML
+from seft_msgs_py.errors import InputError, SeftError
 
-from seft_ros.bags.bag_storage import Connections, append, file_messages, file_reason
+from seft_ros.bags.bag_writer import METADATA, BagWriter, file_reason
+from seft_ros.bags.mcap_file import McapFile
+from seft_ros.bags.message_blocks import DamageError, MessageBlock, inflated
+from seft_ros.bags.source import Source
+from seft_ros.bags.sqlite_file import SqliteFile
 
 SUFFIXES = (".mcap", ".db3")
-_MCAP_MAGIC = b"\x89MCAP0\r\n"
+_MAX_METADATA = 1 << 24  # bytes
+_MAX_RATIO = 1000  # of the size of a file to that of its packing; of bags it is 2 to 30
+
+TopicName = tuple[str, str]  # name, type
 
 
-def open_bag(path: str | Path) -> Reader:
-    """Open a bag: a folder with its metadata, or a single mcap or sqlite3 file.
+class Bag:
+    """A bag's messages, as far as they can be read; all is checked when it is opened.
 
-    Returns
-    -------
-    Reader
-        Open; to be closed by the caller.
+    Metadata are not needed to read it, but say what is missing.
+
+    Parameters
+    ----------
+    path : path
+        A bag's folder, or a single mcap or sqlite3 file, packed or not.
+
+    Attributes
+    ----------
+    sources : dict
+        Name and type -> `Source`, of the topics in it.
+    counts : Counter
+        Name and type of a topic -> number of messages that can be read.
+    damage : list of str
+        What is wrong and what is missing; empty: nothing.
+    recovered : list of str
+        The same of the bag from which this one was recovered.
+    checked : bool
+        Whether damaged messages would be noticed: all have checksums.
 
     Raises
     ------
     InputError
-        If there is nothing, or no bag, or one whose recording was cut off.
+        If there is no bag, or nothing of it can be read.
     """
-    path = Path(path)
-    files = storage_files(path)
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.sources: dict[TopicName, Source] = {}
+        self.counts: Counter[TopicName] = Counter()
+        self.checked = True
+        self.damage: list[str] = []
+        self.recovered: list[str] = []
+        self._files: list[McapFile | SqliteFile] = []
+        self._lacks_files = False
+        self._stack = ExitStack()
+        with ExitStack() as stack:
+            self._claim(self._open_files(stack))
+            if self.damage and not self.counts.total():
+                raise InputError(f"{path}: nothing of the bag can be read: {self.fault}")
+            self._stack = stack.pop_all()
+
+    @property
+    def fault(self) -> str:
+        """The first line of damage, and how many more there are; empty without."""
+        more = f" (and {len(self.damage) - 1} more faults)" if self.damage[1:] else ""
+        return "".join(self.damage[:1]) + more
+
+    def blocks(self, numbers: Mapping[TopicName, int]) -> Iterator[MessageBlock]:
+        """Give the messages of some topics, in the order in which they were written.
+
+        ``numbers`` are those that blocks have as the messages' sources, by name and type of the
+        topic.
+        """
+        for file in self._files:
+            wanted = {
+                number: numbers[source.topic, source.type]
+                for number, source in file.sources.items()
+                if (source.topic, source.type) in numbers
+            }
+            if wanted:
+                yield from file.blocks(wanted)
+
+    def close(self) -> None:
+        """Close its files."""
+        self._stack.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _open_files(self, stack: ExitStack) -> "_Metadata":
+        """Open all files; give what the metadata say."""
+        files = storage_files(self.path)
+        metadata = _read_metadata(self.path) if self.path.is_dir() else _Metadata()
+        for name in sorted(metadata.files - {file.name for file in files}):
+            self._lacks_files = True
+            self.damage.append(f"the file {name} is missing")
+        for file in files:
+            scratch = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+            try:
+                found, damage = _opened(file, scratch, stack)
+            except OSError as error:
+                self._lacks_files = True
+                self.damage.append(f"{file.name}: {file_reason(error)}")
+                continue
+            self._files.append(found)
+            self.damage += [f"{file.name}: {one}" for one in (*damage, *found.damage)]
+            self.recovered += found.recovered
+            self.checked &= found.checked
+            ours = found.metadata if len(files) == 1 else ""
+            if metadata.text and ours and metadata.text != ours:
+                self.damage.append(f"{METADATA} is not what was written with {file.name}")
+        if metadata.fault:
+            self.damage.append(metadata.fault)
+        return metadata
+
+    def _claim(self, metadata: "_Metadata") -> None:
+        """Compare what there is with what the files and the metadata say that there is."""
+        claimed: Counter[TopicName] = Counter()
+        for file in self._files:
+            for number, source in file.sources.items():
+                name = source.topic, source.type
+                self.sources.setdefault(name, source)
+                self.counts[name] += file.counts[number]
+                claimed[name] += (file.claimed or {}).get(number, 0)
+        told = metadata.counts
+        if self._lacks_files or any(file.claimed is None for file in self._files):
+            claimed = Counter(told)
+        for name in {**self.counts, **claimed, **told}:
+            there, wanted = self.counts[name], claimed[name]
+            if there < wanted:
+                self.damage.append(f"{name[0]}: {wanted - there} of {wanted} messages are missing")
+            elif told and told[name] != there:
+                self.damage.append(f"{METADATA} counts {told[name]} of {name[0]}, not {there}")
+
+
+@dataclass
+class _Metadata:
+    """Text of metadata.yaml, the files and counts of messages in it, and what is wrong with it."""
+
+    text: str = ""
+    files: set[str] = field(default_factory=set)
+    counts: Counter[TopicName] = field(default_factory=Counter)
+    fault: str = ""
+
+
+def _read_metadata(folder: Path) -> _Metadata:
+    path, found = folder / METADATA, _Metadata()
     try:
-        reader = Reader(path)
-        reader.open()
-        try:
-            _check_metadata(reader)
-        except Exception:
-            reader.close()
-            raise
-    except Exception as error:  # rosbags' parsers raise what garbage makes them raise
-        if isinstance(error, PermissionError):
-            raise InputError(f"{path}: {error.strerror}") from None
-        lacks_metadata = path.is_dir() and not (path / "metadata.yaml").exists()
-        is_cut = lacks_metadata or any(is_cut_off(file) for file in files)
-        reason = "its recording was cut off" if is_cut else file_reason(error)
-        raise InputError(
-            f"{path}: the bag can't be read: {reason}; recover what is in it with: "
-            f"seft recover {path}"
-        ) from None
-    return reader
+        with _regular(path) as file:
+            raw = file.read(_MAX_METADATA + 1)
+        if len(raw) > _MAX_METADATA:
+            raise ValueError
+        found.text = raw.decode()
+        (tree,) = YAML(typ="safe").load(found.text).values()
+        for row in tree["topics_with_message_count"]:
+            topic = row["topic_metadata"]
+            found.counts[str(topic["name"]), str(topic["type"])] += int(row["message_count"])
+        found.files = {PurePath(name).name for name in tree["relative_file_paths"]}
+    except FileNotFoundError:
+        return _Metadata(fault=f"{METADATA} is missing")
+    except Exception:  # the parser raises what garbage makes it raise
+        return _Metadata(fault=f"{METADATA} can't be read")
+    return found
 
 
-def _check_metadata(reader: Reader) -> None:
-    """Refuse what rosbags takes from metadata.yaml unchecked."""
-    for item in reader.connections:
-        if not (isinstance(item.topic, str) and isinstance(item.msgtype, str)):
-            raise TypeError(f"its metadata.yaml names a topic {item.topic!r} of {item.msgtype!r}")
-        if not isinstance(item.msgcount, int):
-            raise TypeError(f"its metadata.yaml counts {item.msgcount!r} messages")
+def _opened(file: Path, scratch: Path, stack: ExitStack) -> tuple[McapFile | SqliteFile, list[str]]:
+    """Open a file of a bag; give what is wrong with its packing, too."""
+    damage: list[str] = []
+    stream = stack.enter_context(_regular(file))
+    name = file
+    if file.suffix == ".zstd":
+        name = scratch / f"unpacked{storage_suffix(file)}"
+        with name.open("wb") as plain:
+            damage = _unpack(stream, plain)
+        stream = stack.enter_context(name.open("rb"))
+    if name.suffix == ".mcap":
+        return McapFile(stream), damage
+    found = SqliteFile(name, scratch)
+    stack.callback(found.close)
+    return found, damage
+
+
+def _regular(path: Path) -> IO[bytes]:
+    """Open a file, but nothing that would block or never end."""
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    if not stat.S_ISREG(os.fstat(handle).st_mode):
+        os.close(handle)
+        raise OSError(errno.EINVAL, "it is no regular file")
+    return os.fdopen(handle, "rb")
+
+
+def _unpack(packed: IO[bytes], plain: IO[bytes]) -> list[str]:
+    """Decompress a file to the size that it declares, and no further; give what is wrong."""
+    most = min(
+        _MAX_RATIO * os.fstat(packed.fileno()).st_size, shutil.disk_usage(plain.fileno()).free
+    )
+    try:
+        declared = zstandard.frame_content_size(packed.read(32))
+        packed.seek(0)
+        limit = most if declared < 0 else declared
+        if limit > most:
+            raise DamageError(f"it is packed, and its {limit} bytes are too many")
+        for part in inflated(packed, limit):
+            plain.write(part)
+        if plain.tell() < declared:
+            raise DamageError("it is packed and cut off")
+    except (DamageError, zstandard.ZstdError) as error:
+        known = isinstance(error, DamageError)
+        return [str(error) if known else "it is packed, and the packing is damaged"]
+    return []
 
 
 def storage_files(path: str | Path) -> list[Path]:
@@ -73,7 +241,7 @@ def storage_files(path: str | Path) -> list[Path]:
     try:
         if path.is_dir():
             found = [file for file in path.iterdir() if storage_suffix(file) in SUFFIXES]
-            if found or (path / "metadata.yaml").exists():
+            if found or (path / METADATA).exists():
                 return sorted(found, key=_natural_order)
             raise InputError(f"{path}: no bag: the folder has no mcap or db3 file")
         if not path.exists():
@@ -90,16 +258,6 @@ def storage_suffix(file: Path) -> str:
     return file.with_suffix("").suffix if file.suffix == ".zstd" else file.suffix
 
 
-def is_cut_off(file: Path) -> bool:
-    """Tell whether a file is an mcap file that has the beginning of one but not the end."""
-    if file.suffix != ".mcap":
-        return False
-    with file.open("rb") as stream:
-        head = stream.read(len(_MCAP_MAGIC))
-        stream.seek(max(len(head), file.stat().st_size - len(_MCAP_MAGIC)))
-        return _MCAP_MAGIC.startswith(head) and stream.read() != _MCAP_MAGIC
-
-
 def _natural_order(file: Path) -> list[tuple[int, str]]:
     """Sort bag_2 before bag_10."""
     parts = re.split(r"(\d+)", file.name)
@@ -108,94 +266,89 @@ def _natural_order(file: Path) -> list[tuple[int, str]]:
 
 @dataclass(frozen=True)
 class Recovery:
-    """What `recover` did with the bag at ``path``; an intact one was left unchanged."""
+    """What `recover` did with a bag; an intact one was left unchanged."""
 
-    path: Path
-    intact: bool
+    path: Path  # of the whole bag
     messages: int  # in it now
-    original: Path | None  # where the cut-off original is kept; None if intact
+    damage: list[str]  # what was wrong with it
+    original: Path | None  # where the damaged original is kept; None if it was intact
+    checked: bool = True  # see `Bag`
+
+    @property
+    def intact(self) -> bool:
+        """Whether there was nothing to do."""
+        return self.original is None
 
     def __str__(self) -> str:
         if self.intact:
-            return f"{self.path} is intact ({self.messages} messages); nothing was done"
-        return (
-            f"{self.path} is whole again, with {self.messages} messages; the cut-off original "
-            f"is kept as {self.original}"
+            known = "" if self.checked else ", without checksums: changed ones are not noticed"
+            return f"{self.path} is intact ({self.messages} messages{known}); nothing was done"
+        return "\n".join(
+            (
+                *self.damage,
+                f"{self.path} now is a bag of the {self.messages} messages that can be read; the "
+                f"damaged original is kept as {self.original}",
+            )
         )
 
 
 def recover(path: str | Path) -> Recovery:
-    """Make a whole bag of a cut-off one, at the same path.
+    """Make a whole bag of what can be read of a damaged one, at the same path.
 
-    The bag is written beside the original as ``<name>.recovering``; when it is complete the
-    original becomes ``<name>.cut`` and the bag takes its place. If this is interrupted,
-    nothing is lost, and another call continues.
+    The bag is written beside the original in ``<name>.recovering``; when it is complete the
+    original becomes ``<name>.cut`` and the bag takes its place. What is missing stands in the new
+    bag, too. A single file becomes an mcap file.
 
     Parameters
     ----------
     path : path
-        A bag's folder, or a single mcap or sqlite3 file.
+        As of a `Bag`.
 
     Raises
     ------
     InputError
-        If there is no bag, no complete message in it, ``<name>.cut`` exists, or the disk
-        fails; the original is then unchanged.
+        If there is no bag, nothing of it can be read, ``<name>.cut`` exists, or the disk fails;
+        the original is then unchanged.
     """
     path = Path(path)
     place = path.resolve()
     cut, fresh = place.with_name(place.name + ".cut"), place.with_name(place.name + ".recovering")
-    built = fresh / place.name
-    try:
-        if not place.exists() and cut.exists() and built.exists():
-            built.rename(place)
-            shutil.rmtree(fresh)
-            return _summary(path, cut)
-        files = storage_files(path)
-        with suppress(InputError):
-            open_bag(place).close()
-            return _summary(path, None)
-        if cut.exists():
-            raise InputError(f"{cut} is in the way, from an earlier recovery; move it elsewhere")
-        shutil.rmtree(fresh, ignore_errors=True)
-        fresh.mkdir()
+    storage_files(place)
+    is_folder = place.is_dir()
+    name = place.name
+    if not is_folder:
+        name = name.removesuffix(".zstd").removesuffix(storage_suffix(place))
+    final = place if is_folder else place.with_name(f"{name}.mcap")
+    whole = fresh / name if is_folder else fresh / name / final.name
+    with Bag(path) as bag:
+        if not bag.damage:
+            return Recovery(path, bag.counts.total(), [], None, bag.checked)
+        for taken in {cut, final} - {place}:
+            if taken.exists():
+                raise InputError(f"{taken} is in the way; move it elsewhere")
         try:
-            _build(files, fresh, built, path, single=place.is_file())
+            shutil.rmtree(fresh, ignore_errors=True)
+            with BagWriter(fresh / name, bag.recovered + bag.damage) as writer:
+                sources = list(bag.sources.values())
+                numbers = {name: number for number, name in enumerate(bag.sources)}
+                for block in bag.blocks(numbers):
+                    for number, time_ns, raw in block.messages():
+                        writer.add(sources[number], time_ns, raw)
             place.rename(cut)
             try:
-                built.rename(place)
+                whole.rename(final)
             except BaseException:
                 cut.rename(place)
                 raise
+        except (OSError, SeftError) as error:
+            reason = file_reason(error) if isinstance(error, OSError) else error
+            raise InputError(f"{path}: it can't be recovered ({reason}); it is as it was") from None
         finally:
-            if place.exists():
+            if place.exists() or final.exists():
                 shutil.rmtree(fresh, ignore_errors=True)
-    except (OSError, sqlite3.Error) as error:
-        raise InputError(
-            f"{path}: it can't be recovered ({file_reason(error)}); it is as it was"
-        ) from None
-    return _summary(path, cut)
+    return _recovery(final, cut)
 
 
-def _summary(path: Path, original: Path | None) -> Recovery:
-    with closing(open_bag(path)) as reader:
-        return Recovery(path, original is None, reader.message_count, original)
-
-
-def _build(files: list[Path], fresh: Path, built: Path, shown: Path, single: bool) -> None:
-    """Write the bag as ``built``, complete or not at all."""
-    kinds = {storage_suffix(file) for file in files}
-    if len(kinds) != 1:
-        raise InputError(f"{shown}: mcap and sqlite3 files in one bag can't be recovered together")
-    folder = fresh / "parts" / (built.stem if single else built.name)
-    plugin = StoragePlugin.MCAP if kinds == {".mcap"} else StoragePlugin.SQLITE3
-    with Writer(folder, version=9, storage_plugin=plugin) as writer:
-        writer.set_custom_data("recovered", "true")
-        connections: Connections = {}
-        for file in files:
-            for found in file_messages(file, file.name, fresh):
-                append(writer, connections, found)
-        if not connections:
-            raise InputError(f"{shown}: no whole message is in it; there is nothing to recover")
-        whole = writer.storage.path if single and writer.storage else folder
-    whole.rename(built)
+def _recovery(path: Path, original: Path) -> Recovery:
+    with Bag(path) as bag:
+        return Recovery(path, bag.counts.total(), bag.recovered, original)

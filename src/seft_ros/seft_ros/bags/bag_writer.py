@@ -1,100 +1,123 @@
-"""Write a bag that survives its process: a killed recorder loses at most a quarter of a second."""
+"""Write a bag that survives its process, its disk and its folder.
 
-import errno
+What is received is in the file after at most a quarter of a second, in chunks with a checksum. What
+the disk does not take stays in memory. A bag that was deleted, moved or can't be written any more
+is saved in another place: its file can be read as long as it is open.
+"""
+
 import os
 import shutil
-import sqlite3
+import tempfile
+import threading
 import time
-from collections.abc import Iterator
-from contextlib import suppress
-from itertools import chain, islice
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from io import StringIO
+from itertools import count
 from pathlib import Path
+from signal import raise_signal
 from types import TracebackType
-from typing import Self
+from typing import IO, Any, Self, cast
 
-from rosbags.rosbag2 import StoragePlugin, WriterError
-from seft_msgs_py.errors import ExperimentError, InputError, SeftError
+from mcap.writer import CompressionType, Writer
+from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
+from ruamel.yaml import YAML
+from seft_msgs_py.config.registered import reason_of
+from seft_msgs_py.errors import ExperimentError, InputError
+from seft_msgs_py.node.process import as_before, on_ending
 from seft_msgs_py.wire.topics import Topic
 
-from seft_ros.bags.bag_storage import (
-    RESERVED,
-    SPARE,
-    Connections,
-    Found,
-    OpenFile,
-    UnsyncedWriter,
-    append,
-    file_reason,
-    flush_file,
-    reserved_room,
-    source_of,
-    undo,
-)
+from seft_ros.bags.mcap_file import LIBRARY, RECOVERED, ROSBAG
+from seft_ros.bags.message_blocks import MAX_SIZE
+from seft_ros.bags.source import Source, source_of
 
+METADATA = "metadata.yaml"
 FLUSH_PERIOD = 0.25  # s of wall time
-LONGEST_END = 10.0  # s for which there must be room, to record the end of a test
-STORAGES = ("mcap", "sqlite3")
+CHUNK = 1 << 16
+"""Bytes of messages that are kept together: so many are lost with one wrong byte."""
+RESERVED = 12 << 20
+"""Bytes for the end of a test when the disk is full, and the index of a bag of hours."""
+MAX_IN_MEMORY = 1 << 30  # bytes, of a test that goes on without its bag
+SAVED = "_saved"
+"""End of the name of a bag that could not be saved in its own place."""
+_HANDLES = Path("/proc/self/fd")
+_COPIED = 1 << 24  # bytes at a time
+
+
+class _Unstored:
+    """The end of a file that is not on the disk yet; `mcap` writes here."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+        self.stored = 0  # bytes before it
+
+    def write(self, data: bytes) -> None:
+        self.data += data
+
+    def tell(self) -> int:
+        return self.stored + len(self.data)
+
+    def flush(self) -> None:
+        """`BagWriter` stores the data when it wants."""
 
 
 class BagWriter:
-    """A rosbag2 bag (version 9) that is being written; use it in a ``with`` statement.
+    """A rosbag2 bag (version 9, mcap) that is being written.
 
-    Leaving the ``with`` closes the bag whatever the reason, so that it can be read. On a full
-    disk it is closed with the messages so far, in room that was reserved for that. Only SIGKILL,
-    a second Ctrl-C during closing or a disk that fails leave a bag without an end;
-    `seft_ros.bags.bag_files.recover` makes a whole one of it.
+    In a ``with`` statement the bag has to be in its place: if it can't be made there, that is an
+    InputError at the beginning; if it can't be written, an ExperimentError at the end. Without,
+    `trouble` says so, messages are kept in memory, and `save` finds a place.
+
+    Only SIGKILL or a disk that fails leave a bag without an end, which
+    `seft_ros.bags.bag_files.Bag` reads all the same.
 
     Parameters
     ----------
     path : path
         Folder to be made for the bag.
-    storage : str
-        ``mcap`` or ``sqlite3``.
+    damage : sequence of str
+        What is missing from the bag, if it is a recovered one.
 
     Attributes
     ----------
     path : Path
         The bag's folder.
-    running_out : str
-        A warning that the disk is nearly full; empty while there is room for a test's end.
-    is_whole : bool
-        Whether the bag is closed with all that it was given, and can be read.
-
-    Raises
-    ------
-    InputError
-        If something is there already, the folder can't be made, or the storage is unknown.
+    trouble : str
+        What is wrong with its place: that it can't be made or written, was lost, or that the disk
+        is full; empty if nothing is.
     """
 
-    def __init__(self, path: str | Path, storage: str = "mcap") -> None:
+    def __init__(self, path: str | Path, damage: Sequence[str] = ()) -> None:
         self.path = Path(path)
-        self.running_out = ""
-        self.is_whole = False
-        if storage not in STORAGES:
-            raise InputError(f"storage is {storage}, but must be one of {', '.join(STORAGES)}")
-        there = self.path.exists()
-        try:
-            plugin = StoragePlugin[storage.upper()]
-            self._writer = UnsyncedWriter(self.path, version=9, storage_plugin=plugin)
-            self._writer.open()
-            self._last = flush_file(self._writer)
-            assert self._writer.storage is not None
-            self._file = OpenFile(self._writer.storage.path)
-            self._rooms = [reserved_room(self.path, size) for size in (RESERVED, SPARE)]
-        except WriterError:
-            raise InputError(f"{self.path} exists already; name another with --out") from None
-        except (OSError, sqlite3.Error) as error:
-            if not there:
-                shutil.rmtree(self.path, ignore_errors=True)
-            raise InputError(
-                f"{self.path}: no bag can be made there ({file_reason(error)}); "
-                "name another folder with --out"
-            ) from None
-        self._connections: Connections = {}
-        self._unsafe: list[Found] = []  # messages since the last flush
-        self._error: ExperimentError | None = None
-        self._open = True
-        self._flushed_at = self._began = time.monotonic()
+        self.trouble = ""
+        self._pending: list[tuple[Source, int, bytes]] = []
+        self._size = 0  # of these, bytes
+        self._out = _Unstored()
+        self._writer = Writer(
+            cast("IO[bytes]", self._out),
+            chunk_size=MAX_SIZE,  # a chunk ends at each flush
+            compression=CompressionType.NONE,
+            enable_data_crcs=True,
+        )
+        self._writer.start("ros2", LIBRARY)
+        if damage:
+            self._writer.add_metadata(RECOVERED, {"damage": "\n".join(damage)})
+        self._channels: dict[Source, int] = {}
+        self._types: dict[str, int] = {}
+        self._counts: Counter[Source] = Counter()
+        self._first, self._last = 2**63 - 1, 0  # log times
+        self._metadata = ""  # of the complete bag
+        self._is_saved = False
+        self._file: IO[bytes] | None = None
+        self._reserve: IO[bytes] | None = None
+        self._flushed_at = time.monotonic()
+        self._make_place()
+
+    @property
+    def is_full(self) -> bool:
+        """Whether messages that the disk does not take have used up the memory for them."""
+        return len(self._out.data) + self._size > MAX_IN_MEMORY
 
     def write(self, topic: Topic, raw: bytes, time_ns: int) -> None:
         """Append a message.
@@ -107,28 +130,19 @@ class BagWriter:
             The message in CDR, with its encapsulation header.
         time_ns : int
             When it was received, wall clock.
-
-        Raises
-        ------
-        ExperimentError
-            If the file can't be written any more, as on a full disk; then at every later call.
         """
-        self.add((source_of(topic), time_ns, raw))
+        self.add(source_of(topic), time_ns, raw)
 
-    def add(self, found: Found) -> None:
-        """Append a message as another bag had it; raises as `write`."""
-        if self._error is not None:
-            raise self._error
-        self._unsafe.append(found)
-        try:
-            append(self._writer, self._connections, found)
-        except (OSError, sqlite3.Error) as error:
-            self._mend(error)
-        except BaseException:
-            self._unsafe.pop()
-            self._rewrite()
-            raise
-        self.flush_if_due()
+    def add(self, source: Source, time_ns: int, raw: bytes) -> None:
+        """Append a message as another bag had it; a complete bag takes none any more."""
+        if self._metadata:
+            return
+        self._pending.append((source, time_ns, raw))
+        self._size += len(raw)
+        if self._size >= CHUNK:
+            self.flush()
+        else:
+            self.flush_if_due()
 
     def flush_if_due(self) -> None:
         """Flush if `FLUSH_PERIOD` has passed; to be called also when nothing is written."""
@@ -136,56 +150,71 @@ class BagWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Make all messages so far survive this process; raises as `write`."""
-        if self._error is not None:
-            raise self._error
-        if not self._open:
+        """Make all messages so far survive this process, as far as the disk takes them."""
+        if self._metadata:
             return
-        try:
-            self._flush_now()
-        except (OSError, sqlite3.Error) as error:
-            self._mend(error)
-        except BaseException:
-            self._rewrite()
-            raise
+        with _uninterrupted():
+            self._encode()
+            self._store()
         self._flushed_at = time.monotonic()
-        room = shutil.disk_usage(self._rooms[0].fileno()).free
-        # a test's end takes as much room as the bag has taken so far in that time
-        growth = self._file.size() / max(1.0, time.monotonic() - self._began)
-        if room < RESERVED + growth * LONGEST_END:
-            self.running_out = f"{self.path}: the disk is nearly full, {room >> 20} MiB are left"
-        if room < RESERVED:  # before a write fails, which may lose earlier messages, too
-            self._mend(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
+        self.trouble = self.trouble or self._displaced()
 
     def close(self) -> None:
-        """Write index and metadata; raises as `write`.
+        """Complete the bag in its place.
 
-        Does nothing if the bag is closed or broken.
+        Raises
+        ------
+        ExperimentError
+            If that can't be done. To be called again when it may; until then what is on the disk
+            can be read.
         """
-        if not self._open or self._error is not None:
+        if self._is_saved:
             return
-        self.flush()
-        for room in self._rooms:
-            room.close()
+        with _uninterrupted():
+            self._complete()
+            if self._reserve is not None:
+                self._reserve.close()
+                self._reserve = None
+            self._store()
+            why = self._displaced()
+            if not why and (self._out.data or self._file is None):
+                why = self.trouble
+            if not why:
+                try:
+                    _write_metadata(self.path, self._metadata)
+                except OSError as error:
+                    why = f"{self.path}: {file_reason(error)}"
+            if why:
+                raise ExperimentError(f"{why}; the bag lacks its end, and can be read as it is")
+            self._done()
+
+    def save(self) -> Path:
+        """Complete the bag, in another place if need be; give its folder.
+
+        Raises
+        ------
+        ExperimentError
+            If there is no place for it, here or in the folder for temporary files; to be called
+            again when there may be one.
+        """
         try:
-            self._close_writer()
-        except (OSError, sqlite3.Error) as error:
-            raise self._broken(error) from None
-        except BaseException:
-            self._open = False
-            self._writer.abort()
-            raise
-
-    def displaced(self) -> str:
-        """Say whether the bag was deleted or moved; empty if it is in its place."""
-        return self._file.displaced()
-
-    def messages(self) -> Iterator[Found]:
-        """Read all messages so far, also from a file that was moved or deleted."""
-        flushed = sum(self._last.counts.values())
-        return chain(islice(self._file.messages(), flushed), self._unsafe)
+            self.close()
+        except ExperimentError:
+            why = ""
+            for place in self._places():
+                try:
+                    self._copy_to(place)
+                except OSError as error:
+                    why = why or f"{place}: {file_reason(error)}"
+                else:
+                    self._done()
+                    return place
+            raise ExperimentError(f"the bag can't be saved: {why}") from None
+        return self.path
 
     def __enter__(self) -> Self:
+        if self._file is None:
+            raise InputError(f"{self.trouble}; name another folder with --out")
         return self
 
     def __exit__(
@@ -196,51 +225,215 @@ class BagWriter:
     ) -> None:
         try:
             self.close()
-        except SeftError:
+        except ExperimentError:
             if error is None:  # else the reason for leaving counts
                 raise
+        finally:
+            self._done()
 
-    def _flush_now(self) -> None:
-        # in one statement: an interrupt finds messages in the file or in the list, not in both
-        self._last, self._unsafe = flush_file(self._writer), []
+    def _make_place(self) -> None:
+        there = self.path.exists()
+        try:
+            self.path.mkdir(mode=0o755, parents=True)
+            self._file = _storage_file(self.path).open("x+b", buffering=0)
+            self._reserve = _reserved_room(self.path, RESERVED)
+        except FileExistsError:
+            self.trouble = f"{self.path} exists already"
+        except OSError as error:
+            if self._file is not None:
+                self._file.close()
+                self._file = None
+            if not there:
+                shutil.rmtree(self.path, ignore_errors=True)
+            self.trouble = f"{self.path}: no bag can be made there ({file_reason(error)})"
 
-    def _rewrite(self) -> None:
-        """Write all messages since the last flush again, for the file may hold half of one."""
-        undo(self._writer, self._last)
-        known = self._writer.connections
-        self._connections = {name: c for name, c in self._connections.items() if c in known}
-        for found in self._unsafe:
-            append(self._writer, self._connections, found)
+    def _encode(self) -> None:
+        """Make a chunk of the messages so far."""
+        for source, time_ns, raw in self._pending:
+            channel = self._channels.get(source)
+            if channel is None:
+                channel = self._channels[source] = self._new_channel(source)
+            self._writer.add_message(channel, time_ns, raw, time_ns)
+            self._counts[source] += 1
+            self._first, self._last = min(self._first, time_ns), max(self._last, time_ns)
+        self._pending, self._size = [], 0
+        self._writer.flush()  # type: ignore[no-untyped-call]
 
-    def _mend(self, error: Exception) -> None:
-        """Write what did not fit into the spare room; if that is used up, end the bag."""
-        self.running_out = f"{self.path}: {file_reason(error)}"
-        while self._rooms:
-            self._rooms.pop().close()
-            with suppress(OSError, sqlite3.Error):
-                self._rewrite()
-                if self._rooms:
-                    self._flush_now()
-                    return
-                self._close_writer()
-                self._error = ExperimentError(
-                    f"{self.path}: the bag ends here ({file_reason(error)}); what was recorded can "
-                    "be read. Make room before the next test"
-                )
-        raise (self._error or self._broken(error)) from None
-
-    def _close_writer(self) -> None:
-        if self._file.displaced():
-            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
-        self._writer.close()
-        self._open, self.is_whole = False, True
-
-    def _broken(self, error: Exception) -> ExperimentError:
-        self._open = False
-        with suppress(OSError, sqlite3.Error):
-            self._writer.abort()
-        self._error = ExperimentError(
-            f"{self.path}: the bag can't be written any more ({file_reason(error)}); fix that, "
-            f"then recover what was recorded with: seft recover {self.path}"
+    def _new_channel(self, source: Source) -> int:
+        """Add a topic, of whatever type."""
+        if source.type not in self._types:
+            self._types[source.type] = self._writer.register_schema(
+                source.type, source.encoding, source.definition.encode()
+            )
+        metadata = {
+            "offered_qos_profiles": _yaml(_qos_of(source)),
+            "topic_type_hash": source.digest(),
+        }
+        return self._writer.register_channel(
+            source.topic, source.serialization, self._types[source.type], metadata
         )
-        return self._error
+
+    def _complete(self) -> None:
+        """Add the index."""
+        if self._metadata:
+            return
+        self._encode()
+        file = _storage_file(self.path).name
+        self._metadata = _metadata(file, self._counts, self._first, self._last)
+        self._writer.add_metadata(ROSBAG, {"serialized_metadata": self._metadata})
+        self._writer.finish()  # type: ignore[no-untyped-call]
+
+    def _store(self) -> None:
+        """Write to the disk; if it is full, into the room that was reserved."""
+        if self._file is None:
+            return
+        while self._out.data:
+            try:
+                part = self._out.data[:_COPIED]
+                written = os.pwrite(self._file.fileno(), part, self._out.stored)
+                self._out.stored += written
+                del self._out.data[:written]
+            except OSError as error:
+                self.trouble = self.trouble or f"{self.path}: {file_reason(error)}"
+                if self._reserve is None:
+                    return
+                self._reserve.close()
+                self._reserve = None
+
+    def _displaced(self) -> str:
+        """Say whether the bag was deleted or moved; empty if it is in its place."""
+        if self._file is None:
+            return ""
+        status = os.fstat(self._file.fileno())
+        with suppress(OSError):
+            if os.path.samestat(_storage_file(self.path).stat(), status):
+                return ""
+        place = (_HANDLES / str(self._file.fileno())).readlink()
+        what = f"moved: its file is {place}" if status.st_nlink else "deleted"
+        return f"{self.path}: the bag was {what}"
+
+    def _places(self) -> Iterator[Path]:
+        """Give free places: where the bag was, beside it, among temporary files."""
+        for folder in (self.path.parent, Path(tempfile.gettempdir())):
+            names = (f"{self.path.name}{SAVED}{k if k > 1 else ''}" for k in count(1))
+            if folder == self.path.parent and not self.path.exists():
+                yield self.path
+            else:
+                yield next(place for name in names if not (place := folder / name).exists())
+
+    def _copy_to(self, place: Path) -> None:
+        """Copy what is on the disk, and add what is not; leave nothing if that fails."""
+        place.mkdir(mode=0o755, parents=True)
+        try:
+            with (place / _storage_file(self.path).name).open("xb") as copy:
+                for at in range(0, self._out.stored, _COPIED):
+                    size = min(_COPIED, self._out.stored - at)
+                    assert self._file is not None
+                    copy.write(os.pread(self._file.fileno(), size, at))
+                copy.write(self._out.data)
+            _write_metadata(place, self._metadata)
+        except BaseException:
+            shutil.rmtree(place, ignore_errors=True)
+            raise
+
+    def _done(self) -> None:
+        self._is_saved = True
+        if self._file is not None:
+            self._file.close()
+
+
+def file_reason(error: Exception) -> str:
+    """Say in one line why a file can't be read or written."""
+    text: str = getattr(error, "strerror", None) or reason_of(error)
+    return text.splitlines()[0].rstrip(".")
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Let a signal that ends this process wait: half a record would make the rest unreadable."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals are handled elsewhere
+        return
+    came: list[int] = []
+    before = on_ending(lambda number, _: came.append(number))
+    try:
+        yield
+    finally:
+        as_before(before)
+    for number in came[:1]:
+        raise_signal(number)
+
+
+def _storage_file(folder: Path) -> Path:
+    return folder / f"{folder.name}.mcap"
+
+
+def _reserved_room(folder: Path, size: int) -> IO[bytes]:
+    """Reserve room on a disk, bytes, for a bag that is still to be closed when it is full.
+
+    It is a file without a name, which frees the room when it is closed: a process that is killed
+    leaves none. Raises OSError without enough room.
+    """
+    file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115  it is kept open
+    try:
+        os.posix_fallocate(file.fileno(), 0, size)
+    except OSError:
+        file.close()
+        raise
+    return file
+
+
+def _yaml(tree: Any) -> str:
+    yaml, text = YAML(typ="safe"), StringIO()
+    yaml.default_flow_style = False
+    yaml.representer.ignore_aliases = lambda *_: True
+    yaml.dump(tree, text)
+    return text.getvalue().strip()
+
+
+def _qos_of(source: Source) -> list[Any]:
+    with suppress(Exception):  # what another recorder wrote, and nobody here needs
+        return list(dump_qos_v9(parse_qos(source.qos)))
+    return []
+
+
+def _metadata(file: str, counts: Mapping[Source, int], first: int, last: int) -> str:
+    """Give the text of metadata.yaml."""
+    times = {
+        "starting_time": {"nanoseconds_since_epoch": first},
+        "duration": {"nanoseconds": max(0, last - first)},
+        "message_count": sum(counts.values()),
+    }
+    topics = [
+        {
+            "topic_metadata": {
+                "name": source.topic,
+                "type": source.type,
+                "serialization_format": source.serialization,
+                "offered_qos_profiles": _qos_of(source),
+                "type_description_hash": source.digest(),
+            },
+            "message_count": number,
+        }
+        for source, number in counts.items()
+    ]
+    tree = {
+        "version": 9,
+        "storage_identifier": "mcap",
+        "relative_file_paths": [file],
+        **times,
+        "topics_with_message_count": topics,
+        "compression_format": "",
+        "compression_mode": "",
+        "files": [{"path": file, **times}],
+        "custom_data": None,
+        "ros_distro": "jazzy",
+    }
+    return _yaml({"rosbag2_bagfile_information": tree})
+
+
+def _write_metadata(folder: Path, text: str) -> None:
+    """Write metadata.yaml: whole or not at all."""
+    part = folder / f"{METADATA}.part"
+    part.write_text(text, encoding="utf-8")
+    part.replace(folder / METADATA)

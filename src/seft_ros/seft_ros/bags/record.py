@@ -342,6 +342,10 @@ class Record:
         Whether the rig reported the end of the test in this record.
     described : bool
         Whether the configuration is known; if not, ``experiment`` has axes and rate alone.
+    damage : list of str
+        What is wrong with the bag, and what is therefore missing.
+    checked : bool
+        Whether changed samples would have been noticed: the bag has checksums, or there is none.
     environment : dict
         Wall-clock start, git revision, package versions, mode, as recorded.
     facts : dict
@@ -363,6 +367,8 @@ class Record:
     wall_s: float | None = None
     complete: bool = True
     described: bool = True
+    damage: list[str] = field(default_factory=list)
+    checked: bool = True
     environment: dict[str, Any] = field(default_factory=dict)
     facts: dict[str, dict[str, Any]] = field(default_factory=dict)
 

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -10,8 +9,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from rosbags.interfaces import Connection
-from rosbags.rosbag2 import Reader
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError, WireError
@@ -39,7 +36,7 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-from seft_ros.bags.bag_files import open_bag
+from seft_ros.bags.bag_files import Bag
 from seft_ros.bags.bag_writer import BagWriter
 from seft_ros.bags.gathering import (
     EstimatesGatherer,
@@ -47,10 +44,11 @@ from seft_ros.bags.gathering import (
     SeriesGatherer,
     trip_of,
 )
-from seft_ros.bags.message_blocks import MessageBlock, read_blocks
+from seft_ros.bags.message_blocks import MessageBlock
 from seft_ros.bags.record import (
     Description,
     Record,
+    Series,
     infer_experiment,
     of_all_rigs,
     read_description,
@@ -63,9 +61,10 @@ UNDECODABLE = "undecodable"
 
 _LOOP = (RIG_STATE, REFERENCE_FORCE, VALVE_COMMAND, GROUND_MOTION)
 """Topics that give a test's namespace, axes and rate, the most reliable first."""
+_MOST_GAPS = 5
 
 
-def read_bag(path: str | Path, *, described: bool = True) -> Record:
+def read_bag(path: str | Path, *, described: bool = True, damaged: bool = False) -> Record:
     """Read the record of a test from a bag (mcap or sqlite3), whoever recorded it.
 
     Samples are ordered by step; of duplicates the first counts. Topics may be in a namespace.
@@ -79,6 +78,8 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
     described : bool
         Whether the bag must hold the configuration. If not, and it does not, axes and rate are
         inferred from the samples.
+    damaged : bool
+        Whether a damaged bag is read, too; what is wrong with it is the record's ``damage``.
 
     Raises
     ------
@@ -86,8 +87,13 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         If there is no bag, it is damaged or cut off, no test is described in it, or there are
         no samples that give axes and rate.
     """
-    with closing(open_bag(path)) as reader:
-        bag = _Bag(Path(path), reader)
+    with Bag(path) as file:
+        if file.damage and not damaged:
+            raise InputError(
+                f"{path}: the bag is damaged: {file.fault}; seft report shows what there is, and a "
+                f"whole bag of that makes: seft recover {path}"
+            )
+        bag = _TestBag(file)
         description = bag.description()
         known = described or bool(description.sections)
         experiment = bag.experiment(description) if known else bag.inferred_experiment()
@@ -106,7 +112,7 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
                 EXPERIMENT_STATE: reports.take_state,
             },
         )
-        start_ns = reader.start_time
+        damage, checked, start_ns = file.recovered + file.damage, file.checked, bag.start_ns
     series = {  # given out once, for memory
         topic.name: of_all_rigs([loop.pop(topic.of(rig)).series() for rig in rigs], rigs)
         for topic, rigs in parts
@@ -138,13 +144,31 @@ def read_bag(path: str | Path, *, described: bool = True) -> Record:
         events=reports.events(start_ns),
         described=known,
         facts=description.facts,
+        damage=damage and [*damage, *_gaps(series, outcome)],
+        checked=checked,
         environment={**description.environment, UNDECODABLE: bag.undecodable},
         **end,
     )
 
 
+def _gaps(series: Mapping[str, Series], outcome: Outcome | None) -> Iterator[str]:
+    """Say which steps of a test are not in its bag."""
+    states = series[RIG_STATE.name].steps
+    last = max(int(one.steps[-1]) if len(one.steps) else -1 for one in series.values())
+    for name, one in series.items():
+        ahead = name in (GROUND_MOTION.name, REFERENCE_FORCE.name)  # which end with the states
+        end = int(states[-1]) if ahead and len(states) else outcome.steps - 1 if outcome else last
+        missing = np.setdiff1d(np.arange(end + 1), one.steps)
+        if not len(missing):
+            continue
+        parts = np.split(missing, np.flatnonzero(np.diff(missing) > 1) + 1)
+        texts = [f"{part[0]} to {part[-1]}" for part in parts[:_MOST_GAPS]]
+        more = f" and in {len(parts) - _MOST_GAPS} more places" if parts[_MOST_GAPS:] else ""
+        yield f"{name}: {len(missing)} of {end + 1} steps are missing, {', '.join(texts)}{more}"
+
+
 def read_messages(path: str | Path, topics: Sequence[Topic]) -> Iterator[tuple[Topic, int, bytes]]:
-    """Give the messages of some topics as they were recorded, in the order of time.
+    """Give the messages of some topics as they were recorded, those that can be read.
 
     Yields
     ------
@@ -158,10 +182,10 @@ def read_messages(path: str | Path, topics: Sequence[Topic]) -> Iterator[tuple[T
     Raises
     ------
     InputError
-        If there is no bag, or it is damaged or cut off.
+        If there is no bag, or nothing of it can be read.
     """
-    with closing(open_bag(path)) as reader:
-        yield from _Bag(Path(path), reader).messages(topics)
+    with Bag(path) as file:
+        yield from _TestBag(file).messages(topics)
 
 
 def _loop_of(experiment: Experiment) -> list[tuple[LoopTopic, tuple[RigAxes, ...]]]:
@@ -172,20 +196,21 @@ def _loop_of(experiment: Experiment) -> list[tuple[LoopTopic, tuple[RigAxes, ...
     return [(topic, experiment.rigs if topic in RIG_TOPICS else whole) for topic in topics]
 
 
-class _Bag:
+class _TestBag:
     """An open bag, of which the topics of one test are read."""
 
-    def __init__(self, path: Path, reader: Reader) -> None:
-        self.path = path
-        self.reader = reader
+    def __init__(self, file: Bag) -> None:
+        self.path = file.path
+        self.start_ns = 0  # of what `gather` has read
         self.undecodable = 0
+        self._file = file
         prefixes: set[str] = set()
         for topic in (DESCRIPTION, *_LOOP):
-            found = {item.topic for item in reader.connections if _is(topic, item)}
+            found = {name for name, kind in file.counts if _is(topic, name, kind)}
             prefixes = prefixes or {name.removesuffix(topic.name) for name in found}
         if len(prefixes) > 1:
             raise InputError(
-                f"{path}: the bag holds several tests, in {', '.join(sorted(prefixes))}; "
+                f"{file.path}: the bag holds several tests, in {', '.join(sorted(prefixes))}; "
                 "record one namespace in a bag"
             )
         self.prefix = prefixes.pop() if prefixes else "/"
@@ -205,9 +230,9 @@ class _Bag:
         try:
             return description.experiment()
         except InputError as error:
-            raise InputError(
-                f"{self.path}: the bag holds no test: {error} on {DESCRIPTION.name}; record tests "
-                "with seft run or seft simulate, or that topic too (seft compare does without)"
+            raise self._no_test(
+                f": {error} on {DESCRIPTION.name}; record tests with seft run or seft simulate, or "
+                "that topic too (seft compare does without)"
             ) from None
 
     def inferred_experiment(self) -> Experiment:
@@ -217,28 +242,31 @@ class _Bag:
             try:
                 return infer_experiment(raw for *_, raw in self.messages([topic]))
             except InputError as error:
-                raise InputError(
-                    f"{self.path}: the bag holds no test that can be read: {error} on {topic.name}"
-                ) from None
+                raise self._no_test(f" that can be read: {error} on {topic.name}") from None
         names = ", ".join(topic.name for topic in _LOOP)
-        raise InputError(f"{self.path}: the bag holds no test, for it has nothing on {names}")
+        raise self._no_test(f", for it has nothing on {names}")
+
+    def _no_test(self, why: str) -> InputError:
+        fault = f"the bag is damaged: {self._file.fault}; " if self._file.damage else ""
+        return InputError(f"{self.path}: {fault}the bag holds no test{why}")
 
     def count(self, topic: Topic) -> int:
-        """Count the messages of a topic, as the bag claims."""
-        name = self._name(topic)
-        return sum(c.msgcount for c in self.reader.connections if (c.topic, c.msgtype) == name)
+        """Count the messages of a topic."""
+        return self._file.counts[self._name(topic)]
 
     def gather(
         self,
         loop: Mapping[Topic, SeriesGatherer],
         others: Mapping[Topic, Callable[[bytes, int], None]],
     ) -> None:
-        """Read all messages of some topics, once, in the order of time.
+        """Read all messages of some topics, once, in the order in which they were written.
 
         Those of the loop are many and go block by block, the others one by one.
         """
         topics, takers = [*loop, *others], list(others.values())
+        firsts = []
         for block in self._blocks(topics):
+            firsts.append(int(block.places["time"].min()))
             numbers = block.places["source"]
             for number, gatherer in enumerate(loop.values()):
                 self.undecodable += gatherer.take(block.only(numbers == number))
@@ -247,6 +275,7 @@ class _Bag:
                     takers[number - len(loop)](raw, received_ns)
                 except (WireError, ValueError):
                     self.undecodable += 1
+        self.start_ns = min(firsts, default=0)
 
     def messages(self, topics: Sequence[Topic]) -> Iterator[tuple[Topic, int, bytes]]:
         """Read the messages of some topics, see `read_messages`."""
@@ -256,14 +285,14 @@ class _Bag:
 
     def _blocks(self, topics: Sequence[Topic]) -> Iterator[MessageBlock]:
         numbers = {self._name(topic): number for number, topic in enumerate(topics)}
-        return read_blocks(self.reader, numbers, self.path)
+        return self._file.blocks(numbers)
 
     def _name(self, topic: Topic) -> tuple[str, str]:
         return self.prefix + topic.name, topic.type
 
 
-def _is(topic: Topic, connection: Connection) -> bool:
-    return connection.msgtype == topic.type and connection.topic.endswith("/" + topic.name)
+def _is(topic: Topic, name: str, kind: str) -> bool:
+    return kind == topic.type and name.endswith("/" + topic.name)
 
 
 NOT_FINITE = "not_finite"
@@ -275,7 +304,6 @@ Chunk = tuple[int, Floats]  # first step, values (p, n)
 def write_record(
     record: Record,
     path: str | Path,
-    storage: str = "mcap",
     ground_motion: Iterable[Chunk] | None = None,
 ) -> None:
     """Write a bag that `read_bag` reads as this record.
@@ -293,8 +321,6 @@ def write_record(
         A test; series may have gaps.
     path : path
         Folder to be made.
-    storage : str
-        ``mcap`` or ``sqlite3``.
     ground_motion : iterable of (first step, ndarray), optional
         Messages of ground motion, each of shape (p, n), m/s^2; they may go beyond the
         record's end. Default: a message for each of the record's steps.
@@ -321,9 +347,11 @@ def write_record(
     environment = {k: v for k, v in record.environment.items() if k != UNDECODABLE}
     if not_finite:
         environment[NOT_FINITE] = not_finite
-    with BagWriter(path, storage) as bag:
-        for text in write_description(record.experiment.sections, environment, record.facts):
-            bag.write(DESCRIPTION, encode_string(text), start_ns)
+    described = write_description(record.experiment.sections, environment, record.facts)
+    texts = [encode_string(text) for text in described]
+    with BagWriter(path) as bag:
+        for text in texts:
+            bag.write(DESCRIPTION, text, start_ns)
         sent, time_ns = 0, start_ns
         for step, which, index in events.tolist():
             time_ns = start_ns + timebase.stamp_ns(step)
@@ -359,6 +387,8 @@ def write_record(
             quiet = {"missed": "0", "missed_steps": "", "overruns": "0", "saturated": "{}"}
             statuses[1:] = [replace(s, values={**s.values, **quiet}) for s in statuses[1:]]
             bag.write(DIAGNOSTICS, encode_diagnostics(time_ns, statuses), time_ns)
+        for text in texts:  # again, for one of the two places may be damaged
+            bag.write(DESCRIPTION, text, time_ns)
 
 
 def _events(record: Record, topics: Sequence[Topic]) -> tuple[npt.NDArray[np.int64], int]:

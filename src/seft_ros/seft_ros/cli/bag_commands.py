@@ -1,6 +1,6 @@
 """Commands on recorded tests: ``seft report``, ``seft recover`` and ``seft compare``.
 
-``seft replay``: a recorded test fed to one node.
+``seft replay``: a recorded test computed once more.
 """
 
 import time
@@ -27,8 +27,8 @@ def report(
     force tracking, hysteresis, spectra, energy, timing, estimates, events. Drag to zoom, click a
     name in a legend to hide its line. --json prints the same numbers.
 
-    The bag holds all that is needed: samples, configuration, versions. If its recorder was
-    killed, use seft recover BAG first.
+    The bag holds all that is needed: samples, configuration, versions. Of a damaged bag, as of a
+    killed recorder, the report is of what can be read; it says what is wrong and missing.
 
     Examples:
 
@@ -47,7 +47,7 @@ def report(
 
     beside = bag.with_suffix(".html") if bag.is_file() else bag / "report.html"
     page = beside if out is None else check_page(out)
-    findings = report_numbers(read_bag(bag))
+    findings = report_numbers(read_bag(bag, damaged=True))
     write_report(findings, bag.resolve().name, page)
     summary = findings.summary | {"bag": str(bag), "page": str(page)}
     judgement = findings.judgement
@@ -59,13 +59,15 @@ def report(
         *(Cell(f"  {finding.whole}", finding.verdict) for finding in judgement.findings),
     ]
     show(summary, json, texts, "page")
-    return 0 if summary["stable"] and summary["complete"] else 1
+    right = summary["stable"] and summary["complete"] and not summary["damage"]
+    return 0 if right else 1
 
 
 def recover(bag: Bag) -> int:
-    """Make the bag of a killed recorder readable: every complete message is kept.
+    """Make a whole bag of a damaged one, or of that of a killed recorder.
 
-    The cut-off file stays beside it, named .cut. An intact bag is left as it is.
+    Every message is kept that can be read; what is missing is printed, and stays in the bag. The
+    damaged original stays beside it, named .cut. An intact bag is left as it is.
 
     Example:
 
@@ -123,7 +125,7 @@ def compare(
         raise InputError(f"compare takes 2 to {len(ascii_lowercase)} bags, but got {len(bags)}")
     path = check_figure(figure) if figure is not None else None
     names, labels = [str(bag) for bag in bags], list(ascii_lowercase[: len(bags)])
-    records = [read_bag(bag, described=False) for bag in bags]
+    records = [read_bag(bag, described=False, damaged=True) for bag in bags]
     result = compare_all(names, records)
     result["bags"] = list(map(describe_bag, names, records))
     comparisons = result.get("comparisons", [result])
@@ -133,6 +135,9 @@ def compare(
         result["figure"] = str(path)
     texts = [*map(legend, labels, result["bags"]), *comparison_texts(comparisons, labels)]
     show(result, json, texts, "figure")
+    for name, record in zip(names, records, strict=True):
+        for fault in record.damage:
+            complain(f"{name} is damaged: {fault}")
     return 0 if result["identical"] else 1
 
 
@@ -140,20 +145,18 @@ def replay(
     bag: Bag,
     node: Optional[list[str]] = option(None, "Node; may be repeated; default all.", "NODE"),
     param: Params = None,
-    offline: bool = option(False, "Feed the node's block here, without ROS.", "--offline"),
     out: Optional[Path] = option(None, "Write a bag with the answers to a new folder.", "DIR"),
     json: Json = False,
 ) -> int:
-    """Feed a recorded test to one node, and check that it answers as recorded, bit for bit.
+    """Compute each node's answers of a recorded test once more, and compare them bit for bit.
 
-    The node runs alone, as a process over DDS, with its recorded parameters. The replay sends the
-    recorded messages step by step, each after the answer to the one before, so it is as fast as
-    the node, and no message is lost. -p shows the effect of a changed parameter, --out writes a
-    bag of the test with the replayed answers instead of the recorded ones; both need one --node.
+    The node's block is computed here, step by step, with the recorded parameters and what the node
+    received in the test. -p shows the effect of a changed parameter, --out writes a bag of the test
+    with the computed answers instead of the recorded ones; both need one --node.
 
-    reference_force receives ground_motion, rig/state, and the ramps that the operator or a fault
-    started; force_controller receives rig/state and reference_force; rig receives valve_command,
-    and holds its command where it missed one in the test.
+    reference_force takes ground_motion, rig/state, and the ramps that the operator or a fault
+    started; force_controller takes rig/state and reference_force; rig takes valve_command, and
+    holds its command where it missed one in the test.
 
     Exit status 0 if all answers are identical, 1 if not.
 
@@ -167,11 +170,10 @@ def replay(
 
         seft compare bags/lockstep bags/other
 
-        seft replay bags/lockstep --node rig --offline --json
+        seft replay bags/lockstep --node rig --json
     """
     from seft_ros.bags.record_bag import write_record
     from seft_ros.replay import recorded_test
-    from seft_ros.replay.dds_replay import replay_over_dds
     from seft_ros.replay.node_replays import REPLAYS, replay_to
 
     nodes = list(dict.fromkeys(node or REPLAYS))
@@ -192,16 +194,12 @@ def replay(
             complain(f"{name} is left out: {error}")
     results = []
     for one in replays:
-        section = recorded_test.experiment_of(one, overrides, fixed=False)[one.node]
+        section = recorded_test.section_of(one, overrides)
         with step_progress(len(one.expected.steps)) as progress:
-            if offline:
-                progress(f"{one.node} answers offline", 0)
-                start = time.monotonic()
-                answers = recorded_test.Answers(*one.computed(section), time.monotonic() - start)
-                progress(f"{one.node} has answered", len(answers.series.steps))
-            else:
-                experiment = recorded_test.experiment_of(one, overrides)
-                answers = replay_over_dds(one, experiment, progress)
+            progress(f"computing {one.node}", 0)
+            start = time.monotonic()
+            answers = recorded_test.Answers(*one.computed(section), time.monotonic() - start)
+            progress(f"{one.node} has answered", len(answers.series.steps))
         result = recorded_test.replay_verdict(one, recorded, answers)
         if out is not None:
             record = recorded_test.replayed_record(one, recorded, answers, section)
@@ -215,6 +213,4 @@ def replay(
     for result in results if not json else ():
         for note in result["notes"]:
             complain(f"{result['node']}: {note}")
-        if result["ended"]:
-            complain(f"{result['node']} stopped answering: {result['ended']}")
     return 0 if identical else 1

@@ -213,8 +213,7 @@ def offline_test(
         if bag is not None:
             from seft_ros.bags.record_bag import write_record
 
-            storage = record.experiment["recorder"]["storage"]
-            write_record(record, bag, storage, motion.chunks)
+            write_record(record, bag, motion.chunks)
     return record
 
 

@@ -83,7 +83,7 @@ def conform(
     alone_on_the_graph([] if start_rig else ["rig"])
     if start_rig:
         experiment = experiment.changed({"rig": {"pace": "realtime"}})
-    rig = one_node("rig", experiment, lockstep=False) if start_rig else nullcontext(None)
+    rig = one_node("rig", experiment) if start_rig else nullcontext(None)
     with rig as processes:
         prefer_latency(os.getpid())
         with closing(TestDriver(experiment, Guard(experiment, travel, force), processes)) as driver:

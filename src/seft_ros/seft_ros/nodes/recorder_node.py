@@ -40,7 +40,8 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-from seft_ros.bags.lasting_bag import LastingBag, expected_size, obstacle
+from seft_ros.bags.bag_place import expected_size, obstacle
+from seft_ros.bags.bag_writer import BagWriter
 from seft_ros.bags.record import describe_environment
 from seft_ros.bags.stall_watch import StallWatch
 from seft_ros.test_run.parameter_tables import RECORDER, TABLES
@@ -55,7 +56,7 @@ READ_DEPTH = 4096  # messages that may wait while the recorder stalls
 
 
 class RecorderNode(NodeBody):
-    """Moves bytes from topics to a `LastingBag`."""
+    """Moves bytes from topics to a bag."""
 
     def __init__(self, shell: NodeShell) -> None:
         super().__init__(shell)
@@ -64,7 +65,7 @@ class RecorderNode(NodeBody):
         self._motion_codec = TrajectoryCodec(GROUND_MOTION, axes, timebase)
         self._descriptions: dict[str, bytes] = {}
         self._before: deque[tuple[Topic, bytes, int]] = deque(maxlen=20_000)
-        self._bag: LastingBag | None = None
+        self._bag: BagWriter | None = None
         self._reason = self._unsaved = ""  # to ramp the test down; why its bag can't be saved
         self._checked_at = -PLACE_PERIOD
         self._steps = 0  # of the next test
@@ -108,7 +109,7 @@ class RecorderNode(NodeBody):
         if self._bag is None:
             self._check_place()
             return
-        self._bag.poll()
+        self._bag.flush_if_due()
         self._report_trouble(self._bag)
         self._values = {**self._values, RECORDED: str(self._recorded())}
         self._shell.note(self._status())
@@ -125,7 +126,7 @@ class RecorderNode(NodeBody):
             self._checked_at = now
             self._close()
 
-    def _report_trouble(self, bag: LastingBag) -> None:
+    def _report_trouble(self, bag: BagWriter) -> None:
         """Report trouble with the bag; as a reason to end the test, if ``on_loss`` says so."""
         if bag.trouble and (self._section["on_loss"] == "stop" or bag.is_full):
             self._reason = f"the recorder's bag is lost: {bag.trouble}"
@@ -191,14 +192,12 @@ class RecorderNode(NodeBody):
         self._phase = phase
 
     def _open(self) -> None:
-        self._bag = LastingBag(self._place(), self._section["storage"])
+        self._bag = BagWriter(self._place())
         self._reason = self._unsaved = ""
         self._ended_at, self._next_began = None, False
-        now = self._clock.time_ns()
         self._environment = describe_environment("run")
         self._write_environment(self._bag)
-        for raw in self._descriptions.values():
-            self._bag.write(DESCRIPTION, raw, now)
+        self._write_descriptions(self._bag)
         self._watch_the_machine()
         self._samples = Counter(topic.name for topic, _, _ in self._before)
         while self._before:
@@ -218,18 +217,23 @@ class RecorderNode(NodeBody):
         if self._watch is not None:
             self._environment["stalls"] = self._watch.end()
             self._watch = None
-            self._write_environment(bag)
+        self._write_environment(bag)
+        self._write_descriptions(bag)  # again, for one of the two places may be damaged
         try:
-            path = bag.close()
+            path = bag.save()
         except ExperimentError as error:
             self._unsaved = str(error)
             return
         self._bag, self._checked_at = None, -PLACE_PERIOD  # is there a place for the next one?
         self._report("saved", bag=str(path))
 
-    def _write_environment(self, bag: LastingBag) -> None:
+    def _write_environment(self, bag: BagWriter) -> None:
         text = json.dumps({"environment": self._environment})
         bag.write(DESCRIPTION, encode_string(text), self._clock.time_ns())
+
+    def _write_descriptions(self, bag: BagWriter) -> None:
+        for raw in self._descriptions.values():
+            bag.write(DESCRIPTION, raw, self._clock.time_ns())
 
     def _watch_the_machine(self) -> None:
         """Watch for stalls of the loop's core, if the rig runs in realtime on this host."""

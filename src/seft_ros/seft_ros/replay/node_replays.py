@@ -1,6 +1,5 @@
-"""The nodes to which a recorded test can be replayed."""
+"""The blocks that a recorded test can be replayed to."""
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -8,7 +7,6 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import (
-    GROUND_MOTION,
     REFERENCE_FORCE,
     RIG_STATE,
     TARGET,
@@ -25,10 +23,8 @@ from seft_ros.force_controller.methods import force_control
 from seft_ros.protection.protected_force import ProtectedForce
 from seft_ros.reference_force.reference_force_block import EstimateSampler, MotionBuffer
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
-from seft_ros.replay.recorded_test import Input, Recorded, Replay
+from seft_ros.replay.recorded_test import Recorded, Replay
 
-FAR = 20.0  # s that ground motion is sent ahead of its step
-PATIENCE = 60.0  # s; patience of the rig with the replay on a slow machine
 BY_TIME = "force_controller: no "
 """Start of the reason of a trip that a timeout caused, not a sample."""
 
@@ -36,32 +32,31 @@ BY_TIME = "force_controller: no "
 class ReferenceForceReplay(Replay):
     """What rig, ground motion and supervisor sent to reference_force.
 
-    States that the node did not answer are not sent: they did not reach it, or came after its
+    States that the node did not answer are left out: they did not reach it, or came after its
     test had ended.
     """
 
     node = "reference_force"
-    sends: tuple[LoopTopic, ...] = (GROUND_MOTION, RIG_STATE)
 
     def __init__(self, recorded: Recorded) -> None:
         super().__init__(recorded)
         section = self.experiment["reference_force"]
         self.answer = reference_force_topic(section)
         self.expected = recorded.series(self.answer)
-        self.ramp_step = recorded.ramp_step
+        self._ramp_step = recorded.ramp_step
         if recorded.ramp_unknown:
             self.notes.append(
                 "reference_force does not report the step at which the supervisor ramped it down: "
                 "it is replayed without that ramp"
             )
         self._motion, moved = MotionBuffer(len(self.experiment.axes)), 0
-        self._chunks: list[tuple[int, Floats]] = []  # of the motion, without duplicates
+        parts: list[Floats] = []  # of the motion, without duplicates
         for first, values in recorded.chunks:
             if first <= moved < first + len(values):
-                self._chunks.append((moved, values[moved - first :]))
+                parts.append(values[moved - first :])
                 moved = first + len(values)
         if moved:
-            self._motion.add(0, np.concatenate([values for _, values in self._chunks]))
+            self._motion.add(0, np.concatenate(parts))
         answered = np.array(list(recorded.points), np.int64)
         if not section["loop_delay"]:  # each command follows a reference force, recorded or not
             unrecorded = np.setdiff1d(recorded.series(VALVE_COMMAND).steps, answered)
@@ -72,21 +67,11 @@ class ReferenceForceReplay(Replay):
         self.note_unanswered(states.steps, answered)
         self._states = states.of_steps(answered)
         unmoved = answered[answered >= moved]
-        if len(unmoved) and not (self.ramp_step is not None and unmoved[0] >= self.ramp_step):
+        if len(unmoved) and not (self._ramp_step is not None and unmoved[0] >= self._ramp_step):
             raise InputError(
                 f"the bag lacks ground_motion of step {unmoved[0]}, which reference_force has "
                 "answered; record that topic from the start on"
             )
-
-    def inputs(self) -> Iterator[tuple[int, list[Input]]]:
-        """Give each state, with ground motion sent ahead."""
-        far, sent = round(FAR * self.experiment.timebase.rate), 0
-        for step, state in self._states.samples():
-            inputs: list[Input] = []
-            while sent < len(self._chunks) and self._chunks[sent][0] <= step + far:
-                inputs.append((GROUND_MOTION, *self._chunks[sent]))
-                sent += 1
-            yield step, [*inputs, (RIG_STATE, step, state[np.newaxis])]
 
     def computed(self, section: dict[str, Any]) -> tuple[Series, Estimates | None]:
         """Compute forces and estimates."""
@@ -99,7 +84,7 @@ class ReferenceForceReplay(Replay):
         estimates = EstimatesGatherer(self.experiment)
         forces: dict[int, Floats] = {}
         for step, state in self._states.samples():
-            if step == self.ramp_step:
+            if step == self._ramp_step:
                 block.ramp_down()
             motion = self._motion.window(step, window)
             if motion is None and not block.ramping:
@@ -133,8 +118,6 @@ class ForceControllerReplay(Replay):
                 "force_controller answered over a link (loop_delay): which force was the newest "
                 "when a state came is not in a bag; replay reference_force or rig"
             )
-        self._asks = reference_force_topic(self.experiment["reference_force"])
-        self.sends = (RIG_STATE, self._asks)
         self.expected = recorded.series(VALVE_COMMAND)
         if trip is not None and trip.reason.startswith(BY_TIME):
             self.expected = self.expected.until(trip.step)
@@ -157,14 +140,6 @@ class ForceControllerReplay(Replay):
                 "has answered; record that topic from the start on"
             )
 
-    def inputs(self) -> Iterator[tuple[int, list[Input]]]:
-        """Give each state with its reference force."""
-        for step in self.expected.steps.tolist():
-            inputs: list[Input] = [(RIG_STATE, step, self._states[step][np.newaxis])]
-            if step in self._points:
-                inputs.append((self._asks, step, self._points[step]))
-            yield step, inputs
-
     def computed(self, section: dict[str, Any]) -> tuple[Series, Estimates | None]:
         """Compute the commands."""
         axes, timebase = self.experiment.axes, self.experiment.timebase
@@ -183,8 +158,7 @@ class ForceControllerReplay(Replay):
 class RigReplay(Replay):
     """What force_controller, or reference_force, sent to the rig.
 
-    The rig runs in lockstep, whatever its pace was; where it missed a command, it is sent the
-    one that it held.
+    Where it missed a command, it is given the one that it held.
     """
 
     node = "rig"
@@ -194,15 +168,10 @@ class RigReplay(Replay):
         super().__init__(recorded)
         record, section = recorded.record, self.experiment["rig"]
         self.expected = recorded.series(RIG_STATE)
-        self.fixed = {
-            "pace": "lockstep",
-            "lockstep_timeout": PATIENCE,
-            "watchdog.supervisor_timeout": PATIENCE,
-        }
         rig = Rig.from_parameters(section, self.experiment.axes, self.experiment.timebase)
-        self.sends, self._drive = (VALVE_COMMAND,), VALVE_COMMAND
+        self._drive = VALVE_COMMAND
         if rig.drive != VALVE_COMMAND.name:
-            self.sends, self._drive = (VALVE_COMMAND, REFERENCE_FORCE), REFERENCE_FORCE
+            self._drive = REFERENCE_FORCE
             sent = reference_force_topic(self.experiment.sections.get("reference_force", {}))
             if section["loop_delay"] and sent == TARGET:
                 raise InputError(
@@ -224,11 +193,9 @@ class RigReplay(Replay):
             )
         if len(record.held_steps) < len(listed):
             self.notes.append(
-                "the bag does not say which commands the rig held: it is sent the last before"
+                "the bag does not say which commands the rig held: it is given the last before"
             )
-        last = int(self.expected.steps[-1])
-        self.steps = last + 1
-        self._applied = self._commands(recorded, last)
+        self._applied = self._commands(recorded, int(self.expected.steps[-1]))
 
     def _commands(self, recorded: Recorded, steps: int) -> list[Floats]:
         """Give what was applied after each sample but the last, shape (n,), in the drive's unit."""
@@ -251,17 +218,6 @@ class RigReplay(Replay):
             applied.append(known[newest])
         return applied
 
-    def inputs(self) -> Iterator[tuple[int, list[Input]]]:
-        """Give what was applied; after it the rig answers with the next step."""
-        none = np.zeros((1, len(self.experiment.axes)))
-        yield 0, []
-        for step, applied in enumerate(self._applied):
-            drive = applied[np.newaxis]
-            yield (
-                step + 1,
-                [(topic, step, drive if topic is self._drive else none) for topic in self.sends],
-            )
-
     def computed(self, section: dict[str, Any]) -> tuple[Series, Estimates | None]:
         """Compute the states of the simulated rig."""
         rig = Rig.from_parameters(dict(section), self.experiment.axes, self.experiment.timebase)
@@ -279,7 +235,7 @@ REPLAYS: dict[str, type[Replay]] = {
 
 
 def replay_to(node: str, recorded: Recorded) -> Replay:
-    """Make the replay of a test to a node.
+    """Make the replay of a test to a node's block.
 
     Raises
     ------

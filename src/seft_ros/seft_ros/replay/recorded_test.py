@@ -1,7 +1,7 @@
 """Replay a recorded test to one node, and compare its answers with the recorded ones."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,9 +13,8 @@ from rich.console import Group
 from rich.text import Text
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import EVERY_NODE, Experiment, Override
-from seft_msgs_py.config.parameter_table import COMMON
+from seft_msgs_py.config.parameter_table import COMMON, Section
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.node import host
 from seft_msgs_py.wire.messages import decode_diagnostics, decode_status
 from seft_msgs_py.wire.outcome import State
 from seft_msgs_py.wire.topics import (
@@ -38,8 +37,6 @@ from seft_ros.reference_force.reference_force_parameters import reference_force_
 from seft_ros.test_run.parameter_tables import TABLES
 
 Steps = npt.NDArray[np.int64]
-Input = tuple[LoopTopic, int, Floats]
-"""Topic of a message, its first step, and its points, shape (p, q, n), or (p, n) where q is 1."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +129,6 @@ class Answers:
     series: Series  # on its topic
     estimates: Estimates | None
     wall_s: float
-    ended: str = ""  # why it stopped answering before the end
 
 
 class Replay(ABC):
@@ -149,16 +145,8 @@ class Replay(ABC):
         Name of the node.
     answer : LoopTopic
         Topic of its answers.
-    sends : tuple of LoopTopic
-        Topics that it is sent.
     expected : Series
         The recorded answers.
-    steps : int or None
-        Steps of the test; None for a node that needs no number of steps.
-    fixed : dict
-        Parameters that a replay sets in place of the recorded ones.
-    ramp_step : int or None
-        Step before which the supervisor commands to ramp the force down.
     notes : list of str
         What the replay can't do as the test did.
 
@@ -170,23 +158,15 @@ class Replay(ABC):
 
     node: ClassVar[str]
     answer: LoopTopic
-    sends: tuple[LoopTopic, ...]
     expected: Series
 
     def __init__(self, recorded: Recorded) -> None:
         self.experiment = recorded.record.experiment
-        self.steps: int | None = None
-        self.fixed: dict[str, object] = {}
-        self.ramp_step: int | None = None
         self.notes: list[str] = []
 
     @abstractmethod
-    def inputs(self) -> Iterator[tuple[int, list[Input]]]:
-        """Give the steps to be answered, and what the node is sent before each."""
-
-    @abstractmethod
     def computed(self, section: dict[str, Any]) -> tuple[Series, Estimates | None]:
-        """Compute the answers of the node's block without ROS, with a node's parameters."""
+        """Compute the answers of the node's block, with a node's parameters."""
 
     def note_steps(self, what: str, steps: npt.ArrayLike) -> None:
         """Note for how many steps something holds, and name the first; nothing if for none."""
@@ -195,7 +175,7 @@ class Replay(ABC):
             self.notes.append(f"{what}: step {listed[0]}{more}")
 
     def note_unanswered(self, states: Steps, answered: Steps) -> None:
-        """Note which recorded states the node did not answer: these are not sent.
+        """Note which recorded states the node did not answer: these are left out.
 
         Raises
         ------
@@ -209,7 +189,7 @@ class Replay(ABC):
                 "what the node remembers of it can't be replayed"
             )
         unanswered = np.setdiff1d(states, answered)
-        self.note_steps("not answered when recorded, and not sent", unanswered)
+        self.note_steps("not answered when recorded, and left out", unanswered)
         self.note_steps(
             "neither rig/state nor its answer is in the bag, and whether the node had them is not "
             "known",
@@ -217,10 +197,8 @@ class Replay(ABC):
         )
 
 
-def experiment_of(replay: Replay, overrides: Sequence[Override], fixed: bool = True) -> Experiment:
-    """Give the experiment that a node is started with: the recorded one with overrides.
-
-    If ``fixed``, parameters are set that a replay needs to differ.
+def section_of(replay: Replay, overrides: Sequence[Override]) -> Section:
+    """Give the parameters of the node: the recorded ones with overrides.
 
     Raises
     ------
@@ -231,15 +209,12 @@ def experiment_of(replay: Replay, overrides: Sequence[Override], fixed: bool = T
     common = {row.name for row in COMMON}
     given = [(replay.node, name, value) for name, value in section.items() if name not in common]
     given += [(EVERY_NODE, name, section[name]) for name in sorted(common)]
-    if fixed:
-        values = {row.name: row.default for row in host.PARAMETERS} | replay.fixed
-        given += [(replay.node, name, value) for name, value in values.items()]
     for node, name, _ in overrides:
         if name in common:
             raise InputError(f"-p {name}: the recorded samples have their own {name}")
         if node not in (replay.node, EVERY_NODE):
             raise InputError(f"-p {node}:{name}: the replay is to {replay.node} alone")
-    return Experiment.load(TABLES, [], [*given, *overrides], nodes=[replay.node])
+    return Experiment.load(TABLES, [], [*given, *overrides], nodes=[replay.node])[replay.node]
 
 
 def replayed_record(
@@ -267,8 +242,8 @@ def replay_verdict(replay: Replay, recorded: Recorded, answers: Answers) -> dict
     dict
         JSON values: ``node``, ``topic``, ``identical``, ``first_difference`` (None, or topic,
         step, field, axis, time_s, recorded, replayed), ``steps`` (of the recorded answers),
-        ``answered``, ``ended`` (why some are missing; else None), ``max_abs``, ``nrmse``,
-        ``fields``, ``estimates`` (likewise; None where there are none), ``wall_s``, ``notes``.
+        ``answered``, ``max_abs``, ``nrmse``, ``fields``, ``estimates`` (likewise; None where there
+        are none), ``wall_s``, ``notes``.
     """
     record, topic = recorded.record, replay.answer.name
     # answers beyond the recorded steps have no counterpart
@@ -298,7 +273,6 @@ def replay_verdict(replay: Replay, recorded: Recorded, answers: Answers) -> dict
         "first_difference": first,
         "steps": len(replay.expected.steps),
         "answered": len(given.steps),
-        "ended": answers.ended or None,
         **{key: found["topics"][topic][key] for key in keys},
         "estimates": None if of_estimates is None else {key: of_estimates[key] for key in keys},
         "wall_s": answers.wall_s,

@@ -32,7 +32,7 @@ from seft_msgs_py.wire.messages import typestore
 from seft_plant_sim.compiled import entry_point, is_finite
 
 IMPORTED = (
-    "seft_ros.bags.lasting_bag",
+    "seft_ros.bags.bag_writer",
     "seft_ros.test_run.compiled_loop",
     "seft_ros.test_run.peers",
 )

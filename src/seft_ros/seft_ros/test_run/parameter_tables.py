@@ -46,7 +46,6 @@ _LIVE = parameter_rows(
     directory | string | bags |  |               | folder in which a test's bag is made
     name      | string |      |  | a file's name |
         name of the bag in it; empty: date and time of the start
-    storage   | string | mcap |  | mcap, sqlite3 | file format of the bag
     on_loss   | string | stop |  | stop, go_on   |
         what happens to a test if its bag is deleted or moved, or writing fails: the test is
         ramped down, or continues; the recorder keeps all messages, and saves them at the end

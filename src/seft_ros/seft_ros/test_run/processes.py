@@ -340,11 +340,10 @@ def node_processes(
 
 
 @contextmanager
-def one_node(node: str, experiment: Experiment, *, lockstep: bool) -> Iterator[NodeProcesses]:
+def one_node(node: str, experiment: Experiment) -> Iterator[NodeProcesses]:
     """Run one node, for a command that stands in for the others; see `node_processes`."""
-    layout = ProcessLayout(pin=not lockstep)
     with (
         NodeStarter() as starter,
-        node_processes(starter, [node], experiment, layout, lockstep=lockstep) as processes,
+        node_processes(starter, [node], experiment, ProcessLayout(), lockstep=False) as processes,
     ):
         yield processes
