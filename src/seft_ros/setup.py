@@ -38,7 +38,6 @@ setup(
             "drawing/templates/*",
             "cli/templates/**/*",
             "monitor/assets/*",
-            "paper/*.yaml",
         ]
     },
     data_files=[
@@ -50,7 +49,6 @@ setup(
     ],
     install_requires=[
         "bokeh>=3.10",
-        "control>=0.10.2",
         "jinja2>=3.1",
         "lz4>=4.4",
         "matplotlib>=3.6",

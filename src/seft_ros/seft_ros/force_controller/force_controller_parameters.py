@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 from seft_msgs_py.config.parameter_table import Parameter, Table, parameter_rows
 from seft_msgs_py.config.registered import Registered
 from seft_msgs_py.node import realtime
@@ -145,9 +144,3 @@ def one_controller(numerator: Sequence[float], denominator: Sequence[float]) -> 
         "numerator": list(numerator),
         "denominator": list(denominator),
     }
-
-
-def is_one_controller(section: dict[str, Any]) -> bool:
-    """Whether a section has one controller for all axes."""
-    same = section.get("method", TRANSFER_FUNCTION) == TRANSFER_FUNCTION  # not in an older record
-    return same and not section.get("per_axis") and np.size(section.get("gain", 1.0)) == 1
