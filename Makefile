@@ -41,7 +41,7 @@ test: $(READY) ## all checks: lint, format, types, docs, tests (CI runs the same
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	@$(MAKE) --no-print-directory -j 2 types docs
-	$(PYTEST) src -n 2 --durations 10
+	$(PYTEST) src examples -n 2 --durations 10
 	$(PYTEST) tests -n 2 --dist loadfile -m "not thorough and not alone" --durations 15
 	$(PYTEST) tests -m "alone and not thorough"
 

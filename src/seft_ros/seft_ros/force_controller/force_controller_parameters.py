@@ -110,7 +110,7 @@ _ROWS = parameter_rows(
         time in which the force controller closes the valve after a trip
     plant.numerator            | floats | [0.0] |       |           |
         numerator of the identified response from valve command in V to force in N, in s,
-        highest power first; 0: not known. For design and preflight; the loop does not use
+        highest power first; 0: not known. For preflight; the loop does not use
         it
     plant.denominator          | floats | [1.0] |       |           | its denominator, likewise
     plant.dead_time            | float  | 0.0   | s     | 0 .. 1    |
