@@ -15,12 +15,12 @@ from matplotlib.figure import Figure
 from PIL import Image
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import Value
+from seft_plant_sim.lti import bilinear, ratio
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.metrics import nrmse
-from seft_ros.design.controller import Controller
-from seft_ros.design.loop_design import LoopDesign, shape_loop
+from seft_ros.design.force_tracking import delay_by_frequency
 from seft_ros.design.plan import Plan
-from seft_ros.design.plant import choose_plant
+from seft_ros.design.plant import Plant, choose_plant
 from seft_ros.design.stability_margins import HIGHEST_MASS_RATIO, critical_mass_ratio
 from seft_ros.design.stability_verdict import predicted_modes
 from seft_ros.drawing.style import FIRST, MARK, OTHERS, REFERENCE, TEXT, save_figure, tidy
@@ -31,6 +31,7 @@ from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES
 
 Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
 Override = tuple[str, str, Value]
 
 DOCS = Path(__file__).parent
@@ -127,32 +128,34 @@ def growth() -> Figure:
     return figure
 
 
-def force_loop(*overrides: Override) -> LoopDesign:
-    """Close the paper's force loop, changed, as it runs."""
+def force_loop(f: Floats, *overrides: Override) -> tuple[Plant, Complexes, Complexes]:
+    """Close the paper's force loop, changed, as it runs: plant, its response, that of the loop."""
     experiment = planned(*overrides)
-    control = experiment["force_controller"]
-    controller = Controller.from_coefficients(control["numerator"], control["denominator"])
-    return shape_loop(choose_plant(experiment, "rig"), controller, experiment.timebase.dt)
+    dt, control = experiment.timebase.dt, experiment["force_controller"]
+    plant = choose_plant(experiment, "rig")
+    sampled = bilinear(np.atleast_1d(control["numerator"]), control["denominator"], dt)
+    response = plant.sampled_response(f, dt)
+    loop = ratio(*sampled, np.exp(2j * np.pi * f * dt)) * response
+    return plant, response, loop / (1 + loop)
 
 
 def interaction() -> Figure:
     """Draw what the valve does to the force, alone and in the loop."""
     figure, (left, right) = panels(2, (7.2, 2.8))
+    f = np.geomspace(*BAND_HZ, 2000)
     loops = {
-        "the specimen of Eq. 3.1": (force_loop(), FIRST),
-        "20 % less stiff": (force_loop(("rig", "specimen.stiffness", 0.8 * 2.11e5)), OTHERS[2]),
+        "the specimen of Eq. 3.1": (force_loop(f), FIRST),
+        "20 % less stiff": (force_loop(f, ("rig", "specimen.stiffness", 0.8 * 2.11e5)), OTHERS[2]),
     }
-    for label, (loop, colour) in loops.items():
-        f = loop.frequencies_hz
-        shown = (f >= BAND_HZ[0]) & (f <= BAND_HZ[1])
-        responses = (loop.sampled.plant, loop.sampled.tracking)
-        for panel, response in zip((left, right), responses, strict=True):
-            panel.plot(f[shown], decibels(response[shown]), color=colour, label=label)
+    for label, ((plant, response, tracking), colour) in loops.items():
+        left.plot(f, decibels(response), color=colour, label=label)
+        right.plot(f, decibels(tracking), color=colour, label=label)
         near = (f > 5.0) & (f < 20.0)
-        lowest = np.argmin(np.abs(loop.sampled.tracking[near]))
-        dip = decibels(loop.sampled.tracking[near])[lowest]
-        print(f"{label}: zero {loop.plant.roots[1][0].hz:.2f} Hz, G {dip:.2f} dB ", end="")
-        print(f"at {f[near][lowest]:.1f} Hz, delay at 2 Hz {1e3 * loop.delay_at(2.0):.1f} ms")
+        lowest = np.argmin(np.abs(tracking[near]))
+        dip = decibels(tracking[near])[lowest]
+        delay = np.interp(2.0, f, delay_by_frequency(f, tracking))
+        print(f"{label}: zero {plant.roots[1][0].hz:.2f} Hz, G {dip:.2f} dB ", end="")
+        print(f"at {f[near][lowest]:.1f} Hz, delay at 2 Hz {1e3 * delay:.1f} ms")
     for panel, what in ((left, "valve to force / (dB of N/V)"), (right, "closed loop $G$ / dB")):
         panel.set(xscale="log")
         panel.set_xticks([1, 2, 5, 10, 20, 50, 100], ["1", "2", "5", "10", "20", "50", "100"])
@@ -189,7 +192,7 @@ def histories() -> Figure:
     return figure
 
 
-def decibels(response: npt.NDArray[np.complex128]) -> Floats:
+def decibels(response: Complexes) -> Floats:
     """Magnitude in dB."""
     magnitude: Floats = 20.0 * np.log10(np.abs(response))
     return magnitude

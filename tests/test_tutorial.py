@@ -39,7 +39,8 @@ def typed(block):
 
 @THOROUGH
 def test_each_command_answers_as_the_tutorial_says(domain, tmp_path):
-    shutil.copytree(ROOT / "config", tmp_path / "config")
+    for folder in ("config", "examples"):
+        shutil.copytree(ROOT / folder, tmp_path / folder)
     here = os.environ | {
         "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
         "COLUMNS": "120",

@@ -38,7 +38,6 @@ setup(
             "drawing/templates/*",
             "cli/templates/**/*",
             "monitor/assets/*",
-            "paper/*.yaml",
         ]
     },
     data_files=[
@@ -50,7 +49,6 @@ setup(
     ],
     install_requires=[
         "bokeh>=3.10",
-        "control>=0.10.2",
         "jinja2>=3.1",
         "lz4>=4.4",
         "matplotlib>=3.6",
@@ -59,7 +57,6 @@ setup(
         "numpy>=1.26",
         "rich>=13.7",
         "rosbags>=0.11",
-        "ruamel.yaml>=0.17.21",
         "scipy>=1.11",
         "seft_msgs_py",
         "seft_plant_sim",

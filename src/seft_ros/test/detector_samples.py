@@ -22,6 +22,7 @@ def detectors(warn_only=(), **changes):
     known = {
         **{"noise": NOISE, "limits": LIMITS, "ranges": np.zeros((4, N))},
         **{"velocity_is_derived": False, "actuator": ACTUATOR, "past": PAST, "mass": MASS},
+        **{"has_valve": True},
         **{"stiffness": STIFFNESS, "computed_mass": COMPUTED, "warn_only": warn_only},
         **{"longest_hold": 0.0, "dt": DT, **changes},
     }

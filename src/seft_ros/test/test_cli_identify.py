@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override, read_parameter_file
+from seft_plant_sim.lti import bilinear, ratio
 from seft_ros.bags.record_bag import read_bag
-from seft_ros.design.controller import Controller
-from seft_ros.design.loop_design import shape_loop
+from seft_ros.design.force_tracking import tracking_measures
 from seft_ros.design.plant import choose_plant
 from seft_ros.test_run.parameter_tables import TABLES
 
@@ -33,12 +33,13 @@ def identify(seft):
 
 
 def analytic(*overrides):
-    """The force loop of the rig's linear model, as it runs."""
+    """Plant of the rig's linear model, and measures of its closed force loop, as it runs."""
     experiment = Experiment.load(TABLES, [JHU], [parse_override(text) for text in overrides])
-    own = experiment["force_controller"]
-    controller = Controller.from_coefficients(own["numerator"], own["denominator"])
-    plant = choose_plant(experiment, "rig")
-    return shape_loop(plant, controller, experiment.timebase.dt)
+    own, dt = experiment["force_controller"], experiment.timebase.dt
+    plant, f = choose_plant(experiment, "rig"), np.geomspace(0.1, 0.499 / dt, 3000)
+    sampled = bilinear(np.atleast_1d(own["numerator"]), own["denominator"], dt)
+    loop = ratio(*sampled, np.exp(2j * np.pi * f * dt)) * plant.sampled_response(f, dt)
+    return plant, tracking_measures(f, loop / (1 + loop))
 
 
 RIGS = {
@@ -59,9 +60,8 @@ RIGS = {
 def test_plant_loop_and_closed_loop_agree_with_the_analytic_model(identify, name):
     overrides = (*LINEAR, *RIGS[name])
     status, found, _ = identify(*SHORT, "--out", "out", overrides=overrides)
-    known = analytic(*overrides)
-    zero, pole = known.plant.antiresonance(), known.plant.oil_column()
-    margins, measures = known.sampled.margins, known.sampled.measures
+    plant, measures = analytic(*overrides)
+    zero, pole = plant.antiresonance(), plant.oil_column()
     assert status == 0
     assert found["notes"][0].startswith("actuator.* describes the actuators and holds for any")
     rig = Experiment.load(TABLES, [JHU], [parse_override(text) for text in overrides])["rig"]
@@ -78,9 +78,6 @@ def test_plant_loop_and_closed_loop_agree_with_the_analytic_model(identify, name
     assert found["plant_zero_damping"] == pytest.approx(zero.damping, rel=0.05)
     assert found["plant_pole_hz"] == pytest.approx(pole.hz, rel=0.005)
     assert found["plant_pole_damping"] == pytest.approx(pole.damping, rel=0.15)
-    assert found["crossover_hz"] == pytest.approx(margins.crossover_hz, rel=0.01)
-    assert found["phase_margin_deg"] == pytest.approx(margins.phase_margin_deg, rel=0.02)
-    assert found["gain_margin_db"] == pytest.approx(margins.gain_margin_db, rel=0.02)
     assert found["delay_s"] == pytest.approx(measures.delay_s, rel=0.02)
     assert found["closed_loop_flat_to_hz"] == pytest.approx(
         measures.closed_loop_flat_to_hz, rel=0.03
@@ -177,7 +174,7 @@ def test_a_rig_without_a_valve_has_the_closed_loop_only(identify, tmp_path, kind
     overrides = (f"rig:actuator.kind:={kind}", "rig:actuator.delay:=0.0113")
     status, found, _ = identify("--duration", "20", "--out", "out", overrides=overrides)
     assert status == 0
-    assert found["plant_zero_hz"] is found["crossover_hz"] is None
+    assert found["plant_zero_hz"] is found["plant_pole_hz"] is None
     assert found["coherence"]["open_loop"] is None
     # the loop's latency, the dead time, and half a sample where the command is held over it
     assert delay - 1e-4 < found["delay_s"] < delay + 1.1e-3
@@ -238,9 +235,7 @@ def test_of_a_loop_that_is_unstable_the_plant_is_identified_all_the_same(identif
     assert status == 1
     assert "closed loop" in line
     assert found["plant_zero_hz"] == pytest.approx(10.07, rel=0.01)
-    assert found["gain_margin_db"] < 0
     assert found["delay_s"] is None
-    assert any("unstable" in note for note in found["notes"])
 
 
 def test_too_little_amplitude_is_told_with_band_and_remedy(identify, tmp_path):
@@ -287,7 +282,7 @@ def test_people_get_a_table(seft):
         "good",
         "describes the actuators",
         "oil column",
-        "phase margin",
+        "bandwidth",
         "delay",
         "stiffness",
         "out/",

@@ -10,7 +10,7 @@ from rig_faults import CHANNELS, FAULTS, HELD, FaultyRig
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
 from seft_ros.analysis.summary import shares_of
-from seft_ros.protection.detectors import DETECTORS
+from seft_ros.protection.detectors import DETECTORS, WARNING
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES
@@ -112,6 +112,29 @@ def test_no_sound_test_ends_by_a_detector(specimen):
     for seed in (1, 2):
         experiment = load(*PLAN, *specimen, f"ground_motion:synthetic.seed:={seed}")
         assert simulate(experiment, build_blocks(experiment)).trip is None
+
+
+QUIET = (
+    *(f"rig:sensors.{name}_noise:=0.0" for name in ("position", "velocity", "acceleration")),
+    *("rig:sensors.force_noise:=0.0", "rig:sensors.adc_bits:=0"),
+)
+
+
+@pytest.mark.parametrize("method", ["model", "target_motion"])
+@pytest.mark.parametrize(("ratio", "delay"), [(0.5, 0.01), (1.0, 0.01), (1.0, 0.0113)])
+def test_no_sound_test_on_a_rig_that_obeys_forces_comes_near_a_detector(method, ratio, delay):
+    """Without noise and converter: all that is left is the motion between the samples."""
+    experiment = load(
+        *("rig:actuator.kind:=delay", f"rig:actuator.delay:={delay}", *QUIET),
+        *(f"rig:limits.{name}:=1.0e+9" for name in ("velocity", "acceleration_rate")),
+        *(f"reference_force:mass_ratio:={ratio}", f"reference_force:compensation.method:={method}"),
+        f"reference_force:compensation.delay:={delay + 1.5 * 0.002}",
+    )
+    record = simulate(experiment, build_blocks(experiment))
+    assert record.trip is None
+    shares = shares_of(record)
+    assert max(shares.values()) < WARNING
+    assert shares["oil_balance"] == shares["oil_noise"] == 0.0
 
 
 @pytest.mark.parametrize(

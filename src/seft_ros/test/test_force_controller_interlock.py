@@ -24,9 +24,10 @@ DT = 0.002
 JHU = "config/jhu.yaml"
 
 
-def interlock(gain=1.0, longest_saturation=0.5):
+def interlock(gain=1.0, longest_saturation=0.5, **detectors):
     controller = ForceController([([gain], [1.0])] * len(AXES), 10.0, DT)
-    return Interlock(controller, AXES, 1000.0, longest_saturation, 0.0, warning_detectors(2))
+    watched = warning_detectors(2, **detectors)
+    return Interlock(controller, AXES, 1000.0, longest_saturation, 0.0, watched)
 
 
 def state(east=0.0, north=0.0):
@@ -98,6 +99,14 @@ def test_a_valve_at_its_limit_for_too_long_within_a_second_trips():
     np.testing.assert_array_equal(drives[50], [0.0, 0.0])
     assert guarded.step_index == 50
     assert guarded.reason.startswith("the valve command is at its limit for more than 0.1 s")
+
+
+def test_a_rig_that_obeys_forces_has_no_valve_to_stay_at_its_limit():
+    guarded = interlock(longest_saturation=0.1, has_valve=False)
+    for step in range(600):
+        guarded.step(step, force(900.0, 0.0), state())
+    assert guarded.reason == ""
+    assert guarded.state.detectors.step[LIMITED_AT] < 0  # tracking is watched on
 
 
 def test_the_first_reason_counts():
@@ -248,7 +257,7 @@ def watched(controller, axes=AXES, warn_only=(), of_position=1e-6):
     n = len(axes)
     noise = np.repeat([[of_position], [1e-3], [1e-3], [1.0]], n, axis=1)
     nothing, none = np.zeros((n, n)), np.zeros((4, n))
-    unknown = np.zeros((n, 4)), np.zeros((2, n, 2)), nothing, nothing, nothing
+    unknown = np.zeros((n, 4)), np.zeros((2, n, 2)), True, nothing, nothing, nothing
     detectors = detector_arrays(noise, np.ones(4), none, False, *unknown, warn_only, 0.0, DT)
     return Interlock(controller, axes, 1000.0, 0.02, 5 * DT, detectors)
 
@@ -487,7 +496,10 @@ def test_what_a_test_is_like_changes_what_its_detectors_know():
     unknown = of("detectors.specimen_mass:=0.0")
     assert not unknown.mass.any()
     assert np.isinf(unknown.rough).all()
-    assert np.isinf(of("detectors.actuator_kind:=ideal").sums[2]).all()
+    ideal = of("detectors.actuator_kind:=ideal")
+    assert np.isinf(ideal.sums[2]).all()
+    np.testing.assert_allclose(ideal.by_force, np.linalg.inv(ideal.mass))
+    assert not of().by_force.any()
     assert np.isfinite(of("actuator.valve_frequency:=0.5").sums[2]).all()
     assert not of("detectors.warn_only:=all").acts.any()
     assert of().acts.all()

@@ -1,5 +1,7 @@
 """Several rigs through offline loop, bag and back."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
@@ -8,18 +10,18 @@ from seft_msgs_py.wire.topics import rigs_of
 from seft_ros.bags.record import Series, of_all_rigs
 from seft_ros.bags.record_bag import read_bag, write_record
 from seft_ros.force_controller.methods import force_control
-from seft_ros.paper.paper_tests import default_config
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate
 from seft_ros.test_run.parameter_tables import TABLES
 
+JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
 SHORT = ("ground_motion:synthetic.duration:=1.0", "ground_motion:tail:=0.1")
 TWO = "/**:axes:=[west/x, east/x]"
 
 
 def plan(*overrides):
     texts = [parse_override(text) for text in (*SHORT, *overrides)]
-    return Experiment.load(TABLES, [default_config()], texts)
+    return Experiment.load(TABLES, [JHU], texts)
 
 
 def simulated(*overrides):

@@ -100,6 +100,28 @@ def test_each_relation_is_held_against_its_threshold(drive):
     assert (covariance[:, 0] < 0.04**2).all() == (drive > 0.0)
 
 
+def test_a_held_force_jumps_and_the_acceleration_with_it():
+    p, state = detectors(ALL, has_valve=False)
+    samples, commands = noise_of_a_rig(200)
+    samples[:, 3] += 500.0 * np.random.default_rng(8).normal(size=(200, N))
+    seen = shares_of(p, state, samples, commands)
+    _, v, a, f = samples.transpose(1, 0, 2)
+    rise, jump = np.diff(a, axis=0), np.linalg.solve(MASS, np.diff(f, axis=0).T).T
+    once = 0.5 * DT * np.maximum(np.abs(rise), np.abs(jump))
+    both = (0.5 * DT * np.abs(faded(each, p.fade)) for each in (rise, jump))
+    summed = np.maximum(once, np.maximum(*both))
+    found = relation(p, 1, np.diff(v, axis=0), DT * mean(a), coarse(v), 0.1, summed, once)
+    np.testing.assert_allclose(seen[1:, rows.CHANGE + 1], found[0], rtol=1e-9)
+    np.testing.assert_allclose(seen[1:, rows.NOISE + 1], found[1], rtol=1e-9)
+    for balance in (rows.CHANGE + rows.OIL, rows.NOISE + rows.OIL):
+        assert not seen[:, balance].any()  # there is no oil
+
+
+def test_without_a_mass_a_held_force_says_nothing_of_the_acceleration():
+    p, _ = detectors(ALL, has_valve=False, mass=np.zeros((N, N)))
+    assert not p.by_force.any()
+
+
 def test_the_flows_that_a_rig_may_hold_are_those_of_the_last_samples():
     flows = np.zeros(3)
     found = [hold(flows, each) for each in (1.0, -2.0, 4.0, 3.0, 3.5, 5.0)]

@@ -4,12 +4,14 @@ import numpy as np
 from seft_ros.protection.detectors import DETECTORS, detector_arrays
 
 
-def warning_detectors(axes, dt=0.002):
+def warning_detectors(axes, dt=0.002, has_valve=True):
     """Detectors that end no test, of axes whose hardware is not known."""
     names = [one.name for one in DETECTORS]
     nothing, none = np.zeros((axes, axes)), np.zeros((4, axes))
     actuator, past = np.zeros((axes, 4)), np.zeros((2, axes, 1))
     limits = np.ones(4)
     return detector_arrays(
-        none, limits, none, False, actuator, past, *[nothing] * 3, names, 0.0, dt
+        *(none, limits, none, False, actuator, past, has_valve),
+        *[nothing] * 3,
+        *(names, 0.0, dt),
     )

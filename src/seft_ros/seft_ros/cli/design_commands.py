@@ -1,9 +1,8 @@
-"""``seft design``, ``preflight`` and ``identify``: the force loop, the test, the rig.
+"""``seft preflight``: stability and delay margins before anything moves.
 
-``seft preflight``: stability and delay margins before anything moves.
+``seft identify``: the rig.
 """
 
-import cmath
 import math
 from dataclasses import asdict, replace
 from datetime import datetime
@@ -11,7 +10,6 @@ from pathlib import Path
 from typing import Any, Optional
 
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.errors import InputError
 
 from seft_ros.bags.record import Record
@@ -19,94 +17,6 @@ from seft_ros.cli import shared
 from seft_ros.cli.shared import option
 from seft_ros.design import Source
 from seft_ros.drawing.table import Texts
-
-
-def design(
-    config: shared.Config,
-    param: shared.Params = None,
-    params_file: shared.Files = None,
-    plant: shared.Plant = Source.AUTO,
-    axis: Optional[str] = option(None, "Axis to show; default the first.", "NAME"),
-    crossover: Optional[float] = option(None, "Propose a controller for this crossover.", "HZ"),
-    gain_margin: float = option(6.0, "Least gain margin of a proposal in dB.", "DB"),
-    numerator: Optional[str] = option(None, 'Numerator in s, highest power first: "37".'),
-    denominator: Optional[str] = option(None, 'Denominator: "1 17.14 4002".'),
-    out: Optional[Path] = option(None, "Write the controller to a new parameter file.", "FILE"),
-    figure: Optional[Path] = option(None, "Draw plant, controller and loop to a file.", "PNG"),
-    json: shared.Json = False,
-) -> int:
-    """Shape the force loop: plant, controller, loop and closed loop, with margins and delay.
-
-    The plant leads from valve to actuator force. Its zeros are the specimen's poles
-    (control-structure interaction). The controller's poles cancel them, and its gain sets the
-    crossover, well below the oil-column resonance. Margins are those of the loop as it runs:
-    sampled, held and one step late. The table also gives those of continuous time.
-
-    Without further options the experiment's own controller is examined. A zero or pole HZ is real,
-    HZ,DAMPING is a conjugate pair; a zero at 0 is a differentiator, a pole at 0 an integrator.
-
-    Exit status 1: with this controller the loop is unstable; it is not written then.
-
-    Examples:
-
-        seft design config/jhu.yaml
-
-        seft design config/jhu.yaml --crossover 12 --out controller.yaml
-
-        seft simulate config/jhu.yaml --params-file controller.yaml
-
-        seft design config/jhu.yaml --numerator 37 --denominator "1 17.14 4002"
-    """
-    from seft_ros.design import loop_design
-    from seft_ros.design.closed_loop import force_loop
-    from seft_ros.design.controller import Controller, given_controller, write_controller
-    from seft_ros.design.loop_figures import design_figure
-    from seft_ros.design.plant import choose_plant
-    from seft_ros.drawing.style import check_figure, check_folder, save_figure
-
-    path = check_figure(figure) if figure is not None else None
-    if out is not None:
-        check_folder(out)
-    experiment = shared.load_experiment(config, param, params_file)
-    dt, axes = experiment.timebase.dt, experiment.axes
-    axis = axis or axes[0]
-    if axis not in axes:
-        raise InputError(f"--axis {axis}: there is no such axis{nearest(axis, axes)}")
-    shown = axes.index(axis)
-    whole = choose_plant(experiment, plant)
-    controller = given_controller(numerator, denominator)
-    if crossover is not None:
-        if controller is not None:
-            raise InputError("--crossover proposes a controller: leave out what gives one")
-        controller = loop_design.propose_controller(whole.axis(shown), crossover, dt, gain_margin)
-    elif controller is None:
-        controller = Controller.from_parameters(experiment["force_controller"])
-    loops = [loop_design.shape_loop(whole.axis(i), controller, dt) for i in range(len(axes))]
-    slowest = force_loop(whole, controller, dt).dominant()
-
-    loop, stable = loops[shown], abs(slowest) < 1
-    title = f"{config}, axis {axis}: force loop at {1 / dt:g} Hz, plant: {whole.source}"
-    summary = loop_design.summarise(loop)
-    summary["axes"] = loop_design.summarise_axes(axes, loops)
-    summary |= {"stable": stable, "proposed": crossover is not None}
-    if out is not None and stable:
-        write_controller(controller, out)
-        summary["out"] = str(out)
-    if path is not None:
-        save_figure(design_figure(loop, title), path)
-        summary["figure"] = str(path)
-    tables = [loop_design.design_table(loop, title)]
-    if len(axes) > 1:
-        tables.append(loop_design.axes_table(summary["axes"]))
-    shared.show(summary, json, tables, "figure", "out")
-    if stable:
-        return 0
-    shared.complain(
-        f"unstable: with this controller the force loop oscillates at "
-        f"{abs(cmath.phase(slowest)) / (2 * cmath.pi * dt):.3g} Hz, "
-        f"times {abs(slowest):.4g} each step"
-    )
-    return 1
 
 
 def preflight(
@@ -257,10 +167,8 @@ def identify(
         seft identify config/lab.yaml --external rig --duration 300
     """
     from seft_ros.design import identified, rig_tests
-    from seft_ros.design.controller import Controller
-    from seft_ros.design.loop_figures import identified_figure
+    from seft_ros.design.identified_figure import identified_figure
     from seft_ros.drawing.style import save_figure
-    from seft_ros.force_controller.force_controller_parameters import is_one_controller
 
     if set(external or ()) - {"rig"}:
         raise InputError(
@@ -272,8 +180,6 @@ def identify(
         rig_tests.default_force(experiment, signal) if force is None else force,
     )
     rig_tests.check_levels(experiment, levels)
-    own = experiment["force_controller"]
-    controller = Controller.from_parameters(own) if is_one_controller(own) else None
     if all(map(math.isnan, band)):
         band = (0.3, min(0.45 * experiment.timebase.rate, 200.0))
     folder = out or Path(datetime.now().strftime("identify_%Y-%m-%d_%H-%M-%S"))
@@ -320,7 +226,7 @@ def identify(
     texts: Texts = []
     unusable: list[str] = []
     if whole:
-        found = identified.identify(whole.get(OPEN_LOOP), whole.get(CLOSED_LOOP), band, controller)
+        found = identified.identify(whole.get(OPEN_LOOP), whole.get(CLOSED_LOOP), band)
         unusable = found.unusable
         summary |= identified.summarise_identified(found)
         table = identified.identified_table(summary)

@@ -11,12 +11,12 @@ from seft_msgs_py.errors import SeftError
 from seft_msgs_py.node.process import as_before, on_ending
 
 from seft_ros.cli.bag_commands import compare, recover, replay, report
-from seft_ros.cli.design_commands import design, identify, preflight
+from seft_ros.cli.design_commands import identify, preflight
 from seft_ros.cli.perform import reset, run, simulate, start, status, stop
 from seft_ros.cli.rig_commands import conform, link, new
 from seft_ros.cli.shared import complain, option
 from seft_ros.cli.show_commands import monitor, motion, parameters
-from seft_ros.cli.study_commands import paper, study
+from seft_ros.cli.study_commands import study
 
 APP = typer.Typer(
     name="seft",
@@ -31,7 +31,7 @@ APP = typer.Typer(
 COMMANDS = (
     *(run, simulate, start, stop, reset, status, monitor),
     *(report, compare, replay, recover),
-    *(identify, design, preflight, study, paper),
+    *(identify, preflight, study),
     *(conform, new, link, motion, parameters),
 )
 for command in COMMANDS:

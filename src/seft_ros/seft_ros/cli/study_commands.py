@@ -1,73 +1,12 @@
-"""``seft paper``: the paper's figures and claims, reproduced.
-
-``seft study``: compensation methods on the same drawn rigs, specimens and motions.
-"""
+"""``seft study``: compensation methods on the same drawn rigs, specimens and motions."""
 
 from pathlib import Path
 from typing import Optional
-
-import typer
 
 from seft_ros.cli import shared
 from seft_ros.cli.shared import option
 
 _LOST = "no result yet; the same command in this folder continues"
-
-
-def paper(
-    config: Optional[Path] = typer.Argument(
-        None, metavar="[CONFIG]", help="Experiment; default the paper's rig.", show_default=False
-    ),
-    file: Optional[Path] = option(None, "Record; default CONFIG's motion.", "MOTION"),
-    unit: Optional[str] = option(None, "g, m/s2 or cm/s2, if the file does not say."),
-    dt: Optional[float] = option(None, "Sampling period in s, if the file has none."),
-    column: Optional[int] = option(None, "Column of the file, from 0."),
-    out: Path = option(Path("paper.html"), "The page.", "HTML"),
-    workers: shared.Workers = shared.CORES,
-    param: shared.Params = None,
-    params_file: shared.Files = None,
-    json: shared.Json = False,
-) -> int:
-    """Reproduce the figures and claims of the paper (Nakata & Combs 2012) on one page.
-
-    Identifies the simulated rig, runs the paper's tests and simulations, and judges every number
-    and statement by a criterion that the page shows. Results do not depend on the number of
-    workers. The default CONFIG is config/jhu.yaml, as installed, whose motion is synthetic; the
-    paper's is Kobe 1995, JMA N-S (PEER AT2, columns or csv). The default column is the first that
-    is not the time.
-
-    Exit status 0: the page was made. A claim that does not agree is a finding, not a failure; it
-    is shown as such. 1: interrupted, or the rig can't be identified. 2: wrong input.
-
-    Examples:
-
-        seft paper
-
-        seft paper --file kobe.txt --unit cm/s2 --dt 0.005 --out kobe.html
-
-        seft paper --json -p rig:actuator.valve_frequency:=50.0
-    """
-    from seft_ros.drawing.page import check_page
-    from seft_ros.paper import claims as claimed
-    from seft_ros.paper.findings import CALCULATIONS, find
-    from seft_ros.paper.paper_page import write_paper
-    from seft_ros.paper.paper_tests import check_rig, default_config
-
-    path = check_page(out)
-    experiment = shared.load_experiment(config or default_config(), param, params_file)
-    section = experiment["ground_motion"]
-    section |= shared.given_motion(section, file, "paper", unit=unit, dt=dt, column=column)
-    check_rig(experiment)
-    with shared.step_progress(CALCULATIONS, "there is no page") as progress:
-        found = find(experiment, workers, progress)
-    claims = claimed.judge_claims(found)
-    name = "the paper's rig" if config is None else str(config)
-    write_paper(found, claims, name, path)
-    summary = claimed.summarise_paper(found, claims, path)
-    agreed = f"{summary['agree']} of {len(claims)} claims agree"
-    table = claimed.claims_table(claims, f"{name} under {Path(found.source).name}: {agreed}")
-    shared.show(summary, json, [table], "page")
-    return 0
 
 
 def study(

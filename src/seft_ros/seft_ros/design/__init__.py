@@ -1,4 +1,4 @@
-"""Design of a test: identification of the rig, force loop, preflight."""
+"""Design of a test: identification of the rig, preflight."""
 
 from enum import StrEnum
 

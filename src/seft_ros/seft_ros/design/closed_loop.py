@@ -11,10 +11,8 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from seft_msgs_py.arrays import Complexes, Floats
 
-from seft_ros.design.controller import Controller
-from seft_ros.design.plant import Plant
 from seft_ros.force_controller import velocity_feedforward
-from seft_ros.force_controller.force_control import ForceController, LinearControl
+from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
 from seft_ros.protection.valve_following import LARGEST_DELAY_ERROR, LARGEST_GAIN_ERROR
 from seft_ros.reference_force.linear_filter import LinearFilter
@@ -79,20 +77,6 @@ class ClosedLoop:
         leaving = (self.displacement @ right).T
         with np.errstate(divide="ignore", invalid="ignore"):  # of delays, which are defective
             return z, leaving[:, :, np.newaxis] * (entering / scale[:, np.newaxis])[:, np.newaxis]
-
-
-def force_loop(plant: Plant, controller: Controller, dt: float) -> ClosedLoop:
-    """Close the force loop alone on all n axes, as long as no valve is at its limit.
-
-    Where axes are coupled through the specimen this says more than the margins of each.
-    An InputError says if the dead time of the plant is many samples long.
-    """
-    a, b, c = plant.sampled(dt)
-    n, polynomials = b.shape[1], (controller.numerator, controller.denominator)
-    control = ForceController([polynomials] * n, np.inf, dt).linear()
-    forces = np.pad(c, ((3 * n, 0), (0, 0)))
-    no_reference = LinearFilter.of_gains(np.zeros((n, 4 * n)), np.zeros((n, n)))
-    return closed_loop((a, b, forces), no_reference, control)
 
 
 def closed_loop(

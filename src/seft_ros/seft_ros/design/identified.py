@@ -1,4 +1,4 @@
-"""An identified rig: actuators, specimen, force loop; its parameter file, table and JSON values."""
+"""An identified rig: actuators, specimen, closed loop; its parameter file, table and numbers."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
@@ -12,13 +12,12 @@ from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.specimen import Specimen
 
 from seft_ros.bags.record import Record
-from seft_ros.design import loop_design
 from seft_ros.design.actuator_fit import ActuatorFit, fit_actuator
-from seft_ros.design.controller import Controller, polynomial_of
-from seft_ros.design.loop_margins import LoopMargins, Tracking, tracking_measures
+from seft_ros.design.force_tracking import Tracking, tracking_measures
 from seft_ros.design.plant import Plant, small_signal
 from seft_ros.design.response_fits import SpecimenFit, TrackingFit, fit_specimen, fit_tracking
 from seft_ros.design.rig_tests import MeasuredTest, Measurement
+from seft_ros.design.roots import polynomial_of
 from seft_ros.drawing.style import Number, json_safe, look_up, rows_of
 from seft_ros.drawing.table import Table
 
@@ -29,7 +28,7 @@ _OPEN_LOOP, _CLOSED_LOOP = "open loop", "closed loop"
 
 @dataclass(frozen=True)
 class ValveResponse:
-    """Open loop of one axis: the actuator, and the loop that it makes with the specimen.
+    """Open loop of one axis: the actuator, and the plant that it makes with the specimen.
 
     Attributes
     ----------
@@ -39,17 +38,14 @@ class ValveResponse:
         Valve command u_k to force f_k, N/V.
     error : float
         RMS of the error of the fitted actuator and specimen, relative, 0 to 1.
-    loop : LoopDesign
-        Their plant, sampled, with the experiment's controller.
-    controller_known : bool
-        Whether that is a transfer function; else the loop is of the plant alone.
+    plant : Plant
+        Both of them, the valves of other axes closed.
     """
 
     actuator: ActuatorFit
     measured: Measurement
     error: float
-    loop: loop_design.LoopDesign
-    controller_known: bool
+    plant: Plant
 
 
 @dataclass(frozen=True)
@@ -96,7 +92,6 @@ def identify(
     open_loop: Record | None,
     closed_loop: Record | None,
     band: tuple[float, float],
-    controller: Controller | None,
 ) -> Identified:
     """Identify a rig from the records of its tests.
 
@@ -106,8 +101,6 @@ def identify(
         One may be missing.
     band : tuple of float
         Lowest and highest frequency of the excitation, Hz.
-    controller : Controller or None
-        Of the force loop whose margins are wanted; None: not known as a transfer function.
 
     Raises
     ------
@@ -145,17 +138,14 @@ def identify(
         raise ExperimentError(unusable[0])
     specimen = fit_specimen([test.motion() for test in tests.values()])
     opened, closed = tests.get(_OPEN_LOOP), tests.get(_CLOSED_LOOP)
-    valves = _valves(opened, specimen, actuators, controller) if opened else []
+    valves = _valves(opened, specimen, actuators) if opened else []
     loops = _closed_loops(closed) if closed else []
     axes = next(iter(tests.values())).axes
     return Identified(axes, band, specimen, valves, loops, unusable, faults)
 
 
 def _valves(
-    test: MeasuredTest,
-    specimen: SpecimenFit,
-    actuators: list[ActuatorFit],
-    controller: Controller | None,
+    test: MeasuredTest, specimen: SpecimenFit, actuators: list[ActuatorFit]
 ) -> list[ValveResponse]:
     """Combine the fitted actuators with the fitted specimen, the valves of other axes closed."""
     names = ("oil_stiffness", "leakage", "flow_gain", "valve_frequency", "valve_damping")
@@ -170,12 +160,11 @@ def _valves(
     for axis, actuator in enumerate(actuators):
         plant = replace(whole.axis(axis), delay=actuator.dead_time)
         measured = test.plant(axis)
-        loop = loop_design.shape_loop(plant, controller or Controller((1.0,), (1.0,)), dt)
         wrong = plant.sampled_response(measured.frequencies_hz, dt) - measured.response
         size = np.abs(measured.response)
         deviation = np.hypot(measured.deviation, _FLOOR * size)
         error = float(np.linalg.norm(wrong / deviation) / np.linalg.norm(size / deviation))
-        valves.append(ValveResponse(actuator, measured, error, loop, controller is not None))
+        valves.append(ValveResponse(actuator, measured, error, plant))
     return valves
 
 
@@ -246,7 +235,7 @@ def write_model(identified: Identified, path: Path, source: str, specimen: bool)
 
 def _transfer_function(valve: ValveResponse) -> TransferFunction:
     """Plant of one axis, of its poles and zeros."""
-    actuator, plant = valve.actuator, valve.loop.plant
+    actuator, plant = valve.actuator, valve.plant
     # f' = k_oil q w and w'' = w_v^2 u at the highest frequencies
     gain = actuator.oil_stiffness * actuator.flow_gain * (2 * np.pi * actuator.valve_frequency) ** 2
     poles, zeros = plant.roots
@@ -260,6 +249,10 @@ def _response(prefix: str, model: TransferFunction) -> dict[str, Any]:
         f"{prefix}.denominator": list(model.denominator),
         f"{prefix}.dead_time": float(model.dead_time),
     }
+
+
+def _number(label: str, key: str, unit: str, at: str = "", scale: float = 1.0) -> Number:
+    return Number(label, key, unit, scale, ".3g", "none", at)
 
 
 _TABLE = (  # of an axis, by section
@@ -280,9 +273,13 @@ _TABLE = (  # of an axis, by section
         Number("oil column", "plant_pole_hz", "Hz"),
         Number("  damping", "plant_pole_damping", "%", 100.0),
         Number("model's error", "fit_error", "%", 100.0),
-        *loop_design.MARGINS,
     ),
-    loop_design.TRACKING,
+    (
+        _number("flat within 1 dB to", "closed_loop_flat_to_hz", "Hz"),
+        _number("bandwidth (-3 dB)", "bandwidth_hz", "Hz"),
+        _number("delay", "delay_s", "ms", scale=1e3),
+        _number("dip within 25 Hz", "dip_db", "dB", "dip_hz"),
+    ),
     (
         Number("specimen's mass", "specimen.mass", "kg"),
         Number("specimen's damping", "specimen.damping", "N s/m"),
@@ -315,11 +312,11 @@ def summarise_identified(identified: Identified) -> dict[str, Any]:
     Returns
     -------
     dict
-        Of the first axis ``actuator``, the plant that it makes with the specimen, margins of the
-        digital loop, the measured closed loop, and ``coherence`` of both tests; ``axes`` has these
-        for each axis. ``specimen`` has mass, damping and stiffness
-        (numbers, of several axes matrices), natural frequencies and
-        dampings; ``notes`` says what could not be identified. What was not measured is null.
+        Of the first axis ``actuator``, the plant that it makes with the specimen, the measured
+        closed loop, and ``coherence`` of both tests; ``axes`` has these for each axis.
+        ``specimen`` has mass, damping and stiffness (numbers, of several axes matrices), natural
+        frequencies and dampings; ``notes`` says what could not be identified. What was not
+        measured is null.
     """
     by_axis = [
         {"axis": axis, **_of_axis(identified, index)} for index, axis in enumerate(identified.axes)
@@ -349,7 +346,7 @@ def notes(identified: Identified) -> list[str]:
             "hold for this specimen)"
         )
     else:
-        found.append("no good test of a valve, so actuators and margins are not known")
+        found.append("no good test of a valve, so actuators are not known")
     for axis, valve in zip(identified.axes, identified.valves, strict=False):
         actuator = valve.actuator
         if actuator.unsure:
@@ -359,32 +356,34 @@ def notes(identified: Identified) -> list[str]:
                 f"axis {axis}: forces to {actuator.largest_force:.3g} N are too small to show the "
                 "force capacity, which stays as configured (0: no effect); raise --amplitude for it"
             )
-        if valve.controller_known and not valve.loop.stable:
-            found.append(f"axis {axis}: by this model the loop is unstable with its controller")
-    if identified.valves and not identified.valves[0].controller_known:
-        found.append("margins are known only for one transfer function on all axes")
     if not identified.closed_loops:
         found.append("no good closed-loop test: tracking.*, which other methods need, is not known")
-    if len(identified.axes) > 1:
-        found.append("margins are those of each axis alone, with the valves of the others closed")
     return found
 
 
 def _of_axis(identified: Identified, index: int) -> dict[str, Any]:
     valve = identified.valves[index] if identified.valves else None
     closed = identified.closed_loops[index] if identified.closed_loops else None
-    margins = valve.loop.sampled.margins if valve and valve.controller_known else LoopMargins()
     return {
         "actuator": valve and _of_actuator(valve.actuator),
-        **loop_design.plant_numbers(valve.loop.plant if valve else None),
+        **_of_plant(valve.plant if valve else None),
         "fit_error": valve and valve.error,
-        **asdict(margins),
         **asdict(closed.tracking if closed else Tracking()),
         "tracking_fit_error": closed and closed.fit.error,
         "coherence": {
             "open_loop": valve and _coherence(valve.measured),
             "closed_loop": closed and _coherence(closed.measured),
         },
+    }
+
+
+def _of_plant(plant: Plant | None) -> dict[str, float | None]:
+    """Zero (of the specimen) and pole (the oil column); None where there is none."""
+    zero, pole = (plant.antiresonance(), plant.oil_column()) if plant else (None, None)
+    return {
+        f"plant_{name}_{key}": getattr(root, key) if root else None
+        for name, root in (("zero", zero), ("pole", pole))
+        for key in ("hz", "damping")
     }
 
 

@@ -5,7 +5,7 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, eigvals
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
@@ -16,7 +16,7 @@ from seft_plant_sim.rig import continuous_model
 from seft_plant_sim.specimen import Specimen
 
 from seft_ros.design import Source
-from seft_ros.design.controller import Root, lightly_damped, roots_of, uncancelled
+from seft_ros.design.roots import Root, lightly_damped, roots_of, uncancelled
 
 MAX_DELAY_STEPS = 500
 """Longest dead time in samples: the closed loop's eigenvalues are still found in a second."""
@@ -136,11 +136,10 @@ class Plant:
     @cached_property
     def roots(self) -> tuple[list[Root], list[Root]]:
         """Poles and zeros of the first axis, without those that cancel, lowest first."""
-        import control  # here: it takes a second
-
         first = self.axis(0)
-        system = control.ss(first.a, first.b, first.c, first.d, remove_useless_states=False)
-        poles, zeros = system.poles(), system.zeros()
+        poles, size = np.linalg.eigvals(first.a).astype(np.complex128), len(first.a)
+        system = np.block([[first.a, first.b], [first.c, first.d]])
+        zeros = eigvals(system, np.diag([1.0] * size + [0.0]))  # transmission zeros
         return roots_of(uncancelled(poles, zeros)), roots_of(uncancelled(zeros, poles))
 
     def antiresonance(self) -> Root | None:

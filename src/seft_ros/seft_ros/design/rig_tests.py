@@ -15,7 +15,7 @@ from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import LIMIT_NAMES
 
 from seft_ros.bags.record import Record
-from seft_ros.design.loop_margins import BAND_HZ
+from seft_ros.design.force_tracking import BAND_HZ
 from seft_ros.force_controller.force_controller_parameters import (
     VELOCITY_FEEDFORWARD,
     one_controller,

@@ -56,8 +56,6 @@ def detectors_of(
             )
     actuator = read_actuators(section, axes, places)
     is_known = actuator["valve_frequency"] > 0.0
-    if section["detectors.actuator_kind"] in FORCE_DRIVEN:  # there is no valve
-        is_known[:] = False
     actuator["flow_gain"] = np.where(is_known, actuator["flow_gain"], 0.0)
     actuator["valve_frequency"] = np.where(is_known, actuator["valve_frequency"], 1.0 / dt)
     name, ratio = "detectors.specimen_stiffness", section["detectors.mass_ratio"]
@@ -78,6 +76,7 @@ def detectors_of(
         section["noise.velocity_source"] == "derived",
         np.transpose([actuator[name] for name in ACTUATOR]),
         np.array([[valve.past() for valve in valves], [valve.later() for valve in valves]]),
+        section["detectors.actuator_kind"] not in FORCE_DRIVEN,
         np.ascontiguousarray(mass),
         np.ascontiguousarray(stiffness),
         np.ascontiguousarray(ratio * mass),

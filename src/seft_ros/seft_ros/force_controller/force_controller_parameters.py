@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 from seft_msgs_py.config.parameter_table import Parameter, Table, parameter_rows
 from seft_msgs_py.config.registered import Registered
 from seft_msgs_py.node import host
@@ -111,7 +110,7 @@ _ROWS = parameter_rows(
         time in which the force controller closes the valve after a trip
     plant.numerator            | floats | [0.0] |       |           |
         numerator of the identified response from valve command in V to force in N, in s,
-        highest power first; 0: not known. For design and preflight; the loop does not use
+        highest power first; 0: not known. For preflight; the loop does not use
         it
     plant.denominator          | floats | [1.0] |       |           | its denominator, likewise
     plant.dead_time            | float  | 0.0   | s     | 0 .. 1    |
@@ -145,9 +144,3 @@ def one_controller(numerator: Sequence[float], denominator: Sequence[float]) -> 
         "numerator": list(numerator),
         "denominator": list(denominator),
     }
-
-
-def is_one_controller(section: dict[str, Any]) -> bool:
-    """Whether a section has one controller for all axes."""
-    same = section.get("method", TRANSFER_FUNCTION) == TRANSFER_FUNCTION  # not in an older record
-    return same and not section.get("per_axis") and np.size(section.get("gain", 1.0)) == 1

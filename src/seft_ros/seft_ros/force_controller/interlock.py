@@ -180,7 +180,7 @@ def end_control(
     for i in range(len(command)):
         if not np.isfinite(command[i]):
             trip(state, ODD_DRIVE, step)
-    if limited and state.flags[TRIP] == NOTHING:
+    if limited and parameters.detectors.has_valve and state.flags[TRIP] == NOTHING:
         if is_exceeded(state.saturated, state.flags[SATURATED], step, parameters.window):
             trip(state, SATURATION, step)
         state.flags[SATURATED] += 1

@@ -49,7 +49,7 @@ def take_command(
     p: DetectorParameters, state: DetectorState, command: Floats, limited: bool
 ) -> None:
     """Store the command that answers the last sample, (n,), V, and whether it is limited."""
-    if limited:
+    if limited and p.has_valve:
         state.step[LIMITED_AT] = state.step[SAMPLE]
     for i in range(len(command)):
         for j in range(state.sent.shape[1] - 1, 0, -1):
@@ -155,12 +155,19 @@ def displacement_sides(
 
 @compiled
 def velocity_sides(p: DetectorParameters, state: DetectorState, measured: Floats, i: int) -> Sides:
-    """Relation (2); a force may jump at any time between two samples."""
-    last, rise = state.last, measured[2, i] - state.last[2, i]
+    """Relation (2); a force may jump at any time between two samples.
+
+    A held force jumps at each, and the motion between them may hide that in the acceleration.
+    """
+    last, rise, jump = state.last, measured[2, i] - state.last[2, i], 0.0
+    for k in range(measured.shape[1]):
+        jump += p.by_force[i, k] * (measured[3, k] - last[3, k])
     one, other = measured[1, i] - last[1, i], 0.5 * p.dt * (measured[2, i] + last[2, i])
-    state.rise[i] = p.fade * state.rise[i] + rise
+    state.rise[0, i] = p.fade * state.rise[0, i] + rise
+    state.rise[1, i] = p.fade * state.rise[1, i] + jump
     at = 0.5 * p.dt + p.late
-    in_sums, in_step = at * max(abs(rise), abs(state.rise[i])), at * abs(rise)
+    in_step = at * max(abs(rise), abs(jump))
+    in_sums = max(in_step, at * max(abs(state.rise[0, i]), abs(state.rise[1, i])))
     part = p.tolerance[VELOCITY_ACCELERATION]
     return Sides(one, other, one, one, in_sums, in_step, part, resolution_of(state, 1, i), 0.0)
 

@@ -149,8 +149,13 @@ class DetectorParameters(NamedTuple):
         shape (2, n, m).
     doubt : ndarray
         Variance of the measured flow, shape (n,), (m/s)^2, see `follow_valve`.
+    has_valve : bool
+        Whether valves drive the rig; else it obeys the reference force, which it holds.
     mass, stiffness : ndarray
         Of the assumed specimen, shape (n, n), kg and N/m.
+    by_force : ndarray
+        Jump of the acceleration by that of a held force, shape (n, n), 1/kg; 0 with a valve, or if
+        the mass is not known.
     computed_mass : ndarray
         M_c on the axes, shape (n, n), kg.
     noise, dither : ndarray
@@ -191,8 +196,10 @@ class DetectorParameters(NamedTuple):
     actuator: Floats
     past: Floats
     doubt: Floats
+    has_valve: bool
     mass: Floats
     stiffness: Floats
+    by_force: Floats
     computed_mass: Floats
     noise: Floats
     dither: Floats
@@ -235,7 +242,7 @@ class DetectorState(NamedTuple):
         Left side of relation (3) of the last steps, for the time of a held command, the newest
         first, m; shape (n, h).
     rise : ndarray
-        Sum of the acceleration's changes, m/s^2, shape (n,).
+        Sums of the acceleration's changes, and of its jumps by a held force, m/s^2, shape (2, n).
     largest : ndarray
         Largest recent values: of these sums, of a single step, of the target's motion, of r, and of
         the change of the flow in a step (m/s); shape (9, n).
@@ -294,6 +301,7 @@ def detector_arrays(
     velocity_is_derived: bool,
     actuator: Floats,
     past: Floats,
+    has_valve: bool,
     mass: Floats,
     stiffness: Floats,
     computed_mass: Floats,
@@ -315,6 +323,8 @@ def detector_arrays(
         Whether the velocity is derived from the displacement.
     actuator, past : ndarray
         See `DetectorParameters`; a flow gain or an oil stiffness of 0 is not known.
+    has_valve : bool
+        Whether these valves drive the rig.
     mass, stiffness, computed_mass : ndarray
         Shape (n, n), kg, N/m and kg.
     warn_only : sequence of str
@@ -329,7 +339,7 @@ def detector_arrays(
     x, v, a, f = np.where(noise > 0.0, noise, ASSUMED_NOISE * limits[:, np.newaxis])
     if velocity_is_derived:
         v = math.sqrt(2.0) * x / dt
-    known = (actuator[:, 0] > 0.0) & (actuator[:, 1] > 0.0)
+    known = has_valve & (actuator[:, 0] > 0.0) & (actuator[:, 1] > 0.0)
     actuator = actuator.copy()
     actuator[~known, 1] = 1.0
     actuator[actuator[:, 3] <= 0.0, 3] = np.inf
@@ -339,6 +349,7 @@ def detector_arrays(
     steps = np.sqrt(2.0 * jumps**2 + rates**2 / 2.0)
     rough = np.sqrt(6.0 * (f**2 + mass**2 @ a**2))
     unknown = 0.0 if mass.any() and stiffness.any() else math.inf
+    by_force = np.zeros_like(mass) if has_valve or not mass.any() else np.linalg.inv(mass)
     spans = np.array([[each.lasts, longest_hold * each.of_valve] for each in DETECTORS])
     shortest, lasts = (
         np.maximum(2 + (spans[:, 0] > 0.0), np.ceil(span / dt - 1e-9).astype(np.int64))
@@ -353,8 +364,10 @@ def detector_arrays(
         actuator=actuator,
         past=past,
         doubt=doubt(v, f, actuator[:, 1], dt),
+        has_valve=has_valve,
         mass=mass,
         stiffness=stiffness,
+        by_force=by_force,
         computed_mass=computed_mass,
         noise=np.array([x, v, a, f]),
         dither=noise,
@@ -381,7 +394,7 @@ def detector_arrays(
         sent=np.zeros_like(past[0]),
         sums=np.zeros((3, 4, n)),
         bias=np.zeros((3, 2, n)),
-        rise=np.zeros(n),
+        rise=np.zeros((2, n)),
         flows=np.zeros((n, 1 + math.ceil(longest_hold / dt - 1e-9))),
         largest=np.zeros((9, n)),
         restoring=np.zeros((3, n)),

@@ -1,4 +1,4 @@
-"""Figures of a force loop: as designed (paper Figs. 3, 4), and as identified."""
+"""The figure of an identified rig: what was measured, and the fits."""
 
 from typing import Any
 
@@ -7,112 +7,25 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
-from matplotlib.ticker import MultipleLocator
-from seft_msgs_py.arrays import Complexes, Floats
 
 from seft_ros.design.actuator_fit import ActuatorFit
+from seft_ros.design.force_tracking import FLATNESS_DB, delay_by_frequency
 from seft_ros.design.identified import ClosedLoop, Identified, ValveResponse
-from seft_ros.design.loop_design import LoopDesign
-from seft_ros.design.loop_margins import BAND_HZ, FLATNESS_DB, delay_by_frequency
 from seft_ros.design.plant import Plant
 from seft_ros.design.rig_tests import Measurement
-from seft_ros.drawing.style import FIRST, MARK, REFERENCE, SECOND, TEXT, finish, new_figure, tidy
+from seft_ros.drawing.style import FIRST, MARK, SECOND, TEXT, new_figure, tidy
 
 MOST_AXES = 3
-_SHOWN_DEG, _SHOWN_DB = 720.0, 80.0  # below the largest: beyond lies nothing of interest
 _SHOWN_TRACKING_DB = (-12.0, 6.0)
 _SHOWN_S = 0.5  # of the flow
+_POINTS = 2000  # of a response
 _SHADES = LinearSegmentedColormap.from_list("coherence", ["#dfe4e8", FIRST])
 _COHERENT = 0.5  # below, a delay is noise
 _NOTE: dict[str, Any] = {"fontsize": 8, "color": MARK, "va": "bottom"}
 _LINE: dict[str, Any] = {"color": MARK, "lw": 0.8, "ls": "--"}
 _HEADING: dict[str, Any] = {"fontsize": 11, "color": TEXT, "parse_math": False}
-_RESPONSES = (
-    ("plant", "plant $H_{fu}$, valve to force", " (N/V)"),
-    ("controller", "controller $C_f$", " (V/N)"),
-    ("loop", "loop $L = C_f H_{fu}$", ""),
-    ("tracking", "closed loop $T = L / (1 + L)$", ""),
-)
 _OF_VALVE = ("flow / mm/s", "force per valve drive / N/V")
 _OF_CLOSED_LOOP = ("tracking / dB", "delay / ms")
-
-_Panel = tuple[Axes, Axes]  # magnitude above phase
-
-
-def design_figure(design: LoopDesign, title: str) -> Figure:
-    """Draw magnitude and phase of plant, controller, loop and closed loop over frequency."""
-    figure = new_figure(11.5, 9.5)
-    rows = figure.subplots(4, 2, sharex=True, height_ratios=[1.4, 1.0, 1.4, 1.0])
-    panels = [(rows[row, column], rows[row + 1, column]) for row in (0, 2) for column in (0, 1)]
-    f = design.frequencies_hz
-    for panel, (name, heading, unit) in zip(panels, _RESPONSES, strict=True):
-        _draw_response(panel, f, getattr(design.continuous, name), getattr(design.sampled, name))
-        panel[0].set_title(heading, loc="left", fontsize=11, color=TEXT)
-        panel[0].set_ylabel(f"magnitude / dB{unit}", color=TEXT)
-    for axes in rows[-1]:
-        axes.set_xlabel("frequency / Hz", color=TEXT)
-        axes.set_xlim(f[0], f[-1])
-        axes.xaxis.set_major_formatter("{x:g}")
-    plant, _, loop, closed = panels
-    _mark_plant(plant[0], design.plant, f[-1])
-    _mark_loop(loop, design)
-    _mark_closed_loop(closed, design)
-    finish(figure, plant[:1], title)
-    return figure
-
-
-def _draw_response(panel: _Panel, f: Floats, continuous: Complexes, sampled: Complexes) -> None:
-    magnitude, phase = panel
-    for response, colour, width, label in (
-        (continuous, REFERENCE, 2.2, "continuous, without dead time"),
-        (sampled, FIRST, 1.1, "as it runs: sampled, held, a step late"),
-    ):
-        finite = np.isfinite(response) & (response != 0)
-        decibels = 20 * np.log10(np.abs(response[finite]))
-        for axes, values in ((magnitude, decibels), (phase, _phase(response[finite]))):
-            axes.semilogx(f[finite], values, color=colour, lw=width, label=label)
-    for axes, shown in ((magnitude, _SHOWN_DB), (phase, _SHOWN_DEG)):
-        tidy(axes)
-        low, high = axes.get_ylim()
-        axes.set_ylim(max(low, high - shown), high)
-    phase.set_ylabel("phase / deg", color=TEXT)
-    phase.yaxis.set_major_locator(MultipleLocator(90.0))
-
-
-def _phase(response: Complexes) -> Floats:
-    """Unwrapped phase in degrees that starts between -270 and 90: a loop lags."""
-    degrees = np.degrees(np.unwrap(np.angle(response)))
-    return degrees - 360.0 * np.ceil((degrees[0] - 90.0) / 360.0)
-
-
-def _mark_loop(panel: _Panel, design: LoopDesign) -> None:
-    magnitude, phase = panel
-    margins = design.sampled.margins
-    magnitude.axhline(0.0, color=MARK, lw=0.8, ls=":")
-    phase.axhline(-180.0, color=MARK, lw=0.8, ls=":")
-    if margins.crossover_hz is not None:
-        _mark(magnitude, margins.crossover_hz, f"crossover\n{margins.crossover_hz:.3g} Hz")
-        _mark(phase, margins.crossover_hz, f"{margins.phase_margin_deg:.3g}° phase margin")
-    if margins.phase_crossover_hz is not None:
-        _mark(phase, margins.phase_crossover_hz, f"{margins.gain_margin_db:.3g} dB gain margin")
-
-
-def _mark_closed_loop(panel: _Panel, design: LoopDesign) -> None:
-    magnitude, phase = panel
-    tracking, flat = design.sampled.measures, design.sampled.measures.closed_loop_flat_to_hz
-    magnitude.axhspan(-FLATNESS_DB, FLATNESS_DB, color=FIRST, alpha=0.12, lw=0)
-    magnitude.set_ylim(-20.0, max(6.0, magnitude.get_ylim()[1]))
-    text = "flat throughout" if flat is None else f"±{FLATNESS_DB:g} dB to {flat:.3g} Hz"
-    if tracking.dip_db is not None:
-        text += f"\ndip {tracking.dip_db:.2g} dB at {tracking.dip_hz:.3g} Hz"
-    magnitude.text(0.02, 0.06, text, transform=magnitude.transAxes, **_NOTE)
-    _mark(magnitude, BAND_HZ, f"{BAND_HZ:g} Hz")
-    phase.axvline(BAND_HZ, **_LINE)
-    if tracking.delay_s is not None:
-        f = design.frequencies_hz[design.frequencies_hz <= BAND_HZ]
-        phase.semilogx(f, -360.0 * f * tracking.delay_s, color=MARK, lw=1.0, ls="--")
-        text = f"best-fit delay {1e3 * tracking.delay_s:.3g} ms"
-        phase.text(0.02, 0.08, text, transform=phase.transAxes, **_NOTE)
 
 
 def identified_figure(identified: Identified, title: str) -> Figure:
@@ -173,16 +86,16 @@ def _draw_flow(panel: Axes, actuator: ActuatorFit) -> None:
 
 
 def _draw_plant(panel: Axes, valve: ValveResponse) -> PathCollection:
-    measured, loop = valve.measured, valve.loop
+    measured, plant = valve.measured, valve.plant
     places = measured.frequencies_hz, np.abs(measured.response)
     style: dict[str, Any] = {"cmap": _SHADES, "vmin": 0.0, "vmax": 1.0, "s": 7, "lw": 0}
     dots = panel.scatter(*places, c=measured.coherence, label="measured", **style)
-    shown = loop.frequencies_hz >= measured.frequencies_hz[0]
-    f = loop.frequencies_hz[shown]
+    dt = valve.actuator.dt
+    f = np.geomspace(measured.frequencies_hz[0], 0.499 / dt, _POINTS)
     text = f"actuator and specimen, error {100 * valve.error:.2g} %"
-    panel.plot(f, np.abs(loop.sampled.plant[shown]), color=MARK, lw=1.1, label=text)
+    panel.plot(f, np.abs(plant.sampled_response(f, dt)), color=MARK, lw=1.1, label=text)
     panel.set_yscale("log")
-    _mark_plant(panel, loop.plant, measured.frequencies_hz[-1])
+    _mark_plant(panel, plant, measured.frequencies_hz[-1])
     return dots
 
 

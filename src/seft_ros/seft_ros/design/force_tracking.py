@@ -1,4 +1,4 @@
-"""Responses of a loop: margins of L, and how well T = L / (1 + L) follows its reference."""
+"""How well a closed force loop T = L / (1 + L) follows its reference: band, delay, dip."""
 
 from dataclasses import dataclass
 
@@ -14,72 +14,6 @@ BAND_HZ = 25.0
 
 _OUTLIERS = 5  # points of the running median over |T|: two wild ones in a row change nothing
 _DIP_DB = 0.2  # smallest dip that is distinguished from noise
-
-
-@dataclass(frozen=True)
-class LoopMargins:
-    """Margins of a loop; None if it has none at its frequencies.
-
-    Attributes
-    ----------
-    crossover_hz : float or None
-        First frequency at which |L| falls below 1: up to there the loop has gain.
-    crossovers_hz : tuple of float
-        All frequencies at which |L| crosses 1, ascending.
-    phase_margin_deg : float or None
-        Phase left above -180 degrees; of the crossover where that is least, either way.
-    gain_margin_db : float or None
-        Gain left below 1 at a phase of -180 degrees, where that is least, either way.
-    phase_crossover_hz : float or None
-        Frequency of the gain margin.
-    sensitivity_peak : float or None
-        Largest |S| = 1 / |1 + L|.
-    sensitivity_peak_hz : float or None
-        Where.
-    """
-
-    crossover_hz: float | None = None
-    crossovers_hz: tuple[float, ...] = ()
-    phase_margin_deg: float | None = None
-    gain_margin_db: float | None = None
-    phase_crossover_hz: float | None = None
-    sensitivity_peak: float | None = None
-    sensitivity_peak_hz: float | None = None
-
-
-def loop_margins(frequencies_hz: Floats, loop: Complexes) -> LoopMargins:
-    """Margins of a loop L known at some frequencies, ascending, in Hz; shape (N,) both.
-
-    Between them cubic splines interpolate it. Points that are not finite are left out.
-    """
-    import control  # here: it takes a second, and nodes import this package's neighbours
-
-    known = np.isfinite(loop)
-    omega, loop = 2 * np.pi * frequencies_hz[known], loop[known]
-    if len(omega) < 4:
-        return LoopMargins()
-    gains, phases, _, phase_omegas, omegas, _ = control.stability_margins(
-        control.frd(loop, omega, smooth=True), returnall=True
-    )
-    crossovers = sorted({float(f"{w / (2 * np.pi):.9g}") for w in omegas})
-    falls = 0 if abs(loop[0]) > 1 else 1  # the first of them at which |L| falls
-    gain_margin = phase_crossover = None
-    if len(gains):
-        margins_db = 20 * np.log10(gains)
-        least = int(np.abs(margins_db).argmin())
-        gain_margin = float(margins_db[least])
-        phase_crossover = float(phase_omegas[least] / (2 * np.pi))
-    sensitivity = 1 / np.maximum(np.abs(1 + loop), 1e-9)
-    peak = int(sensitivity.argmax())
-    return LoopMargins(
-        crossover_hz=crossovers[falls] if len(crossovers) > falls else None,
-        crossovers_hz=tuple(crossovers),
-        phase_margin_deg=float(phases[np.abs(phases).argmin()]) if len(phases) else None,
-        gain_margin_db=gain_margin,
-        phase_crossover_hz=phase_crossover,
-        sensitivity_peak=float(sensitivity[peak]),
-        sensitivity_peak_hz=float(omega[peak] / (2 * np.pi)),
-    )
 
 
 @dataclass(frozen=True)
@@ -168,35 +102,3 @@ def _deepest_dip(f: Floats, decibels: Floats) -> tuple[float | None, float | Non
         return None, None
     deepest = dips[decibels[dips].argmin()]
     return float(decibels[deepest]), float(f[deepest])
-
-
-@dataclass(frozen=True)
-class Responses:
-    """Frequency responses of a loop at N frequencies, and its numbers.
-
-    Attributes
-    ----------
-    plant, controller : ndarray
-        H_fu, N/V, and C_f, V/N, shape (N,).
-    loop, tracking : ndarray
-        L = C_f H_fu, and T = L / (1 + L), from reference force to measured force, shape (N,).
-    margins : LoopMargins
-        Of L.
-    measures : Tracking
-        Of T.
-    """
-
-    plant: Complexes
-    controller: Complexes
-    loop: Complexes
-    tracking: Complexes
-    margins: LoopMargins
-    measures: Tracking
-
-    @classmethod
-    def of(cls, f: Floats, plant: Complexes, controller: Complexes) -> "Responses":
-        """Close the loop of plant and controller at frequencies in Hz."""
-        loop = controller * plant
-        tracking = loop / (1 + loop)
-        margins, measures = loop_margins(f, loop), tracking_measures(f, tracking)
-        return cls(plant, controller, loop, tracking, margins, measures)

@@ -2,65 +2,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from seft_ros.design.loop_margins import delay_by_frequency, loop_margins, tracking_measures
+from seft_ros.design.force_tracking import delay_by_frequency, tracking_measures
 
 F = np.geomspace(0.05, 200.0, 600)
 S = 2j * np.pi * F
-
-
-def delayed_integrator(crossover_hz, delay):
-    return 2 * np.pi * crossover_hz / S * np.exp(-S * delay)
-
-
-@settings(max_examples=12, derandomize=True)
-@given(st.floats(1.0, 20.0), st.floats(0.003, 0.02))
-def test_margins_of_an_integrator_with_delay_are_the_textbook_ones(crossover, delay):
-    found = loop_margins(F, delayed_integrator(crossover, delay))
-    phase_crossover = 1 / (4 * delay)
-    assert found.crossover_hz == pytest.approx(crossover, rel=1e-3)
-    assert found.phase_margin_deg == pytest.approx(90 - 360 * crossover * delay, abs=0.1)
-    assert found.phase_crossover_hz == pytest.approx(phase_crossover, rel=1e-3)
-    assert found.gain_margin_db == pytest.approx(
-        20 * np.log10(phase_crossover / crossover), abs=0.02
-    )
-
-
-def test_the_sensitivity_peak_is_the_distance_to_the_critical_point():
-    loop = delayed_integrator(10.0, 0.01)
-    found = loop_margins(F, loop)
-    assert found.sensitivity_peak == pytest.approx(1 / np.abs(1 + loop).min())
-    nearest = F[np.abs(1 + loop).argmin()]
-    assert found.sensitivity_peak_hz == pytest.approx(nearest)
-
-
-def test_all_crossovers_are_told_and_the_first_counts():
-    resonance = (2 * np.pi * 60) ** 2
-    loop = 2 * np.pi * 5 / S * resonance / (S**2 + 0.02 * np.sqrt(resonance) * S + resonance)
-    found = loop_margins(F, loop)
-    assert len(found.crossovers_hz) == 3
-    assert list(found.crossovers_hz) == sorted(found.crossovers_hz)
-    assert found.crossovers_hz[0] == pytest.approx(5.0, rel=0.02)
-    assert found.crossover_hz == found.crossovers_hz[0]
-    assert found.crossovers_hz[-1] > 60
-
-
-def test_a_loop_that_never_crosses_has_no_margins():
-    found = loop_margins(F, 0.5 / (1 + S / 100))
-    assert found.crossovers_hz == ()
-    assert (found.crossover_hz, found.phase_margin_deg) == (None, None)
-    assert (found.gain_margin_db, found.phase_crossover_hz) == (None, None)
-    assert found.sensitivity_peak == pytest.approx(1.0, abs=0.1)
-
-
-def test_what_is_not_finite_is_left_out():
-    loop = delayed_integrator(10.0, 0.01)
-    whole = loop_margins(F, loop)
-    loop[100], loop[200] = np.nan, np.inf
-    holed = loop_margins(F, loop)
-    assert holed.phase_margin_deg == pytest.approx(whole.phase_margin_deg, abs=1e-3)
-    nothing = loop_margins(F, np.full(len(F), np.nan, dtype=complex))
-    assert nothing.crossover_hz is None
-    assert nothing.sensitivity_peak is None
 
 
 @settings(max_examples=12, derandomize=True)

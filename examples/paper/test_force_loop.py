@@ -1,0 +1,276 @@
+"""The force loop: margins against closed forms, stability against the blocks, proposals."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import control
+import force_loop
+import numpy as np
+import pytest
+from bare_rig import BareRig
+from force_loop import (
+    Margins,
+    close_loop,
+    coefficients,
+    is_stable,
+    loop_margins,
+    propose_controller,
+    sampled,
+)
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import InputError
+from seft_plant_sim.rig import continuous_model
+from seft_ros.design.plant import choose_plant
+from seft_ros.force_controller.force_control import ForceController
+from seft_ros.test_run.parameter_tables import TABLES
+
+JHU = str(Path(__file__).parents[2] / "config" / "jhu.yaml")
+F = np.geomspace(0.05, 200.0, 600)
+S = 2j * np.pi * F
+PAPER = control.tf([37.0], [1.0, 17.14, 4002.0])
+
+
+def delayed_integrator(crossover_hz, delay):
+    return 2 * np.pi * crossover_hz / S * np.exp(-S * delay)
+
+
+@settings(max_examples=12, derandomize=True)
+@given(st.floats(1.0, 20.0), st.floats(0.003, 0.02))
+def test_margins_of_an_integrator_with_delay_are_the_textbook_ones(crossover, delay):
+    found = loop_margins(F, delayed_integrator(crossover, delay))
+    phase_crossover = 1 / (4 * delay)
+    assert found.crossover_hz == pytest.approx(crossover, rel=1e-3)
+    assert found.phase_margin_deg == pytest.approx(90 - 360 * crossover * delay, abs=0.1)
+    assert found.phase_crossover_hz == pytest.approx(phase_crossover, rel=1e-3)
+    assert found.gain_margin_db == pytest.approx(
+        20 * np.log10(phase_crossover / crossover), abs=0.02
+    )
+
+
+def test_the_first_of_several_crossovers_counts():
+    resonance = (2 * np.pi * 60) ** 2
+    loop = 2 * np.pi * 5 / S * resonance / (S**2 + 0.02 * np.sqrt(resonance) * S + resonance)
+    found = loop_margins(F, loop)
+    assert found.crossover_hz == pytest.approx(5.0, rel=0.02)  # L crosses 1 about 60 Hz again
+
+
+def test_a_loop_that_never_crosses_has_no_margins():
+    found = loop_margins(F, 0.5 / (1 + S / 100))
+    assert (found.crossover_hz, found.phase_margin_deg) == (None, None)
+    assert (found.gain_margin_db, found.phase_crossover_hz) == (None, None)
+
+
+def test_what_is_not_finite_is_left_out():
+    loop = delayed_integrator(10.0, 0.01)
+    whole = loop_margins(F, loop)
+    loop[100], loop[200] = np.nan, np.inf
+    holed = loop_margins(F, loop)
+    assert holed.phase_margin_deg == pytest.approx(whole.phase_margin_deg, abs=1e-3)
+    assert loop_margins(F, np.full(len(F), np.nan, dtype=complex)) == Margins()
+
+
+DT = 0.002
+RIG = {  # crossover of 12 Hz under the paper's Eq. 3.1
+    "specimen.mass": 52.7,
+    "specimen.damping": 903.5,
+    "specimen.stiffness": 2.11e5,
+    "actuator.kind": "servo_hydraulic",
+    "actuator.oil_stiffness": 1.664e7,
+    "actuator.leakage": 20.0,
+    "actuator.flow_gain": 0.038527,
+    "actuator.valve_frequency": 60.0,
+    "actuator.valve_damping": 0.7,
+    "actuator.dead_time": 0.001,
+}
+
+
+def plant(**changed):
+    rig = RIG | {name.replace("__", "."): value for name, value in changed.items()}
+    given = [("rig", name, value) for name, value in rig.items()]
+    test = Experiment.load(TABLES, overrides=given)
+    return choose_plant(test)
+
+
+def test_for_the_papers_rig_it_is_the_papers_controller():
+    proposed = propose_controller(plant(), 12.0, DT)
+    numerator, denominator = coefficients(proposed)
+    assert numerator == pytest.approx([37.0], rel=0.02)
+    assert denominator == pytest.approx([1.0, 17.14, 4002.0], rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("crossover", "dt", "changed"),
+    [
+        (6.0, 0.002, {}),
+        (14.0, 0.002, {}),
+        (12.0, 0.00025, {}),
+        (1.5, 0.01, {}),  # the oil column lies above half the rate
+        (12.0, 0.002, {"actuator__leakage": 1.0}),
+        (12.0, 0.002, {"specimen__damping": 100.0, "actuator__leakage": 5.0}),
+        (5.0, 0.002, {"specimen__damping": 5.0, "actuator__leakage": 0.0}),
+        (5.0, 0.002, {"specimen__mass": 2000.0}),
+        (12.0, 0.002, {"actuator__valve_frequency": 200.0}),
+        (5.0, 0.002, {"actuator__dead_time": 0.0107}),
+    ],
+)
+def test_a_proposal_keeps_what_it_promises(crossover, dt, changed):
+    found = plant(**changed)
+    loop = close_loop(found, propose_controller(found, crossover, dt), dt)
+    assert is_stable(found, loop.controller, dt)
+    assert loop.margins.crossover_hz == pytest.approx(crossover, rel=1e-3)
+    assert loop.margins.phase_margin_deg >= 45 - 0.1
+    assert loop.margins.gain_margin_db >= 6 - 0.1
+
+
+def test_a_roll_off_or_a_notch_comes_only_where_the_oil_column_needs_it():
+    enough = propose_controller(plant(), 12.0, DT)
+    rolled_off = propose_controller(plant(actuator__leakage=1.0), 12.0, DT)
+    lively = plant(specimen__damping=100.0, actuator__leakage=5.0)
+    notched = propose_controller(lively, 12.0, DT)
+    assert [len(c.poles()) for c in (enough, rolled_off, notched)] == [2, 3, 4]
+    assert [len(c.zeros()) for c in (rolled_off, notched)] == [0, 2]
+    # the notch lies where the bilinear transform brings it onto the resonance
+    f = np.linspace(80, 100, 2001)
+    deepest = f[np.abs(sampled(notched, DT)(np.exp(2j * np.pi * f * DT))).argmin()]
+    assert deepest == pytest.approx(lively.oil_column().hz, abs=0.1)
+
+
+def test_a_greater_gain_margin_may_be_wished():
+    loop = close_loop(plant(), propose_controller(plant(), 7.0, DT, 12.0), DT)
+    assert loop.margins.gain_margin_db >= 12 - 0.1
+    assert loop.margins.crossover_hz == pytest.approx(7.0, rel=1e-3)
+
+
+def test_a_valve_the_other_way_round_turns_the_gain():
+    turned = plant()
+    turned = replace(turned, b=-turned.b)
+    gains = [coefficients(propose_controller(of, 12.0, DT))[0][0] for of in (turned, plant())]
+    assert gains[0] == pytest.approx(-gains[1])
+
+
+@pytest.mark.parametrize("wish", [20.0, 60.0])
+def test_what_can_not_be_had_is_refused(wish):
+    with pytest.raises(InputError, match=f"crossover of {wish:g} Hz .*; choose a lower one"):
+        propose_controller(plant(), wish, DT)
+
+
+@pytest.mark.parametrize(
+    ("crossover", "margin", "changed", "told"),
+    [
+        (0.0, 6.0, {}, "between 0 and"),
+        (250.0, 6.0, {}, "250 Hz"),
+        (float("nan"), 6.0, {}, "between 0 and"),
+        (12.0, 6.0, {"specimen__damping": 9000.0}, "no lightly damped zeros"),
+        (12.0, float("nan"), {}, "choose a lower one"),
+        (3.0, 40.0, {"actuator__dead_time": 0.1}, "choose a lower one"),
+    ],
+)
+def test_what_makes_no_sense_is_told(crossover, margin, changed, told):
+    with pytest.raises(InputError, match=told):
+        propose_controller(plant(**changed), crossover, DT, margin)
+
+
+def test_an_undamped_specimen_is_left_no_mode_that_rings_for_ever():
+    undamped = plant(specimen__damping=0.0)
+    assert is_stable(undamped, propose_controller(undamped, 4.0, DT), DT)
+
+
+@pytest.mark.parametrize("axes", [["x"], ["x", "y"]])
+@pytest.mark.parametrize("gain", [1.0, 2.6])
+def test_the_loop_is_stable_where_the_blocks_die_out(axes, gain):
+    rig = RIG | {"specimen.damping": 800.3, "actuator.leakage": 50.0, "actuator.flow_gain": 0.0403}
+    rig |= {"actuator.valve_frequency": 70.0, "actuator.valve_damping": 0.6}
+    if len(axes) == 2:
+        rig |= {"specimen.mass": [52.7, 80.0], "actuator.oil_stiffness": [1.664e7, 2.5e7]}
+        rig |= {"specimen.stiffness": [2.11e5, -6e4, -6e4, 3e5]}
+    given = [("/**", "axes", axes), *(("rig", name, value) for name, value in rig.items())]
+    test = Experiment.load(TABLES, overrides=given)
+    block = ForceController([coefficients(gain * PAPER)] * len(axes), 1e150, DT)
+    bare = BareRig(continuous_model(test["rig"], test.axes), DT, linear=True)
+    state, forces = bare.reset(), []
+    for k in range(1500):
+        state = bare.step(block.step(np.eye(len(axes))[None, :1] * (k == 0), state))
+        forces.append(np.abs(state[3]).max())
+    dies_out = bool(max(forces[-250:]) < max(forces[500:750]))
+    assert is_stable(choose_plant(test), gain * PAPER, DT) is dies_out is (gain == 1.0)
+
+
+@settings(max_examples=8, derandomize=True)
+@given(st.floats(0.2, 4.0), st.floats(0.0, 0.008))
+def test_nyquists_criterion_agrees_with_the_eigenvalues(gain, dead_time):
+    loop = close_loop(plant(actuator__dead_time=dead_time), gain * PAPER, DT)
+    if abs(loop.margins.gain_margin_db or 0.0) > 0.01:
+        turning = np.unwrap(np.angle(1 + loop.loop))[-1]
+        assert (abs(turning) < np.pi / 2) == is_stable(loop.plant, loop.controller, DT)
+
+
+def test_a_static_controller_closes_the_loop_too():
+    assert is_stable(plant(), control.tf([1e-6], [1.0]), DT)
+
+
+# The command
+
+
+def shaped(capsys, *words):
+    status = force_loop.main([str(word) for word in words])
+    out, err = capsys.readouterr()
+    return status, json.loads(out) if out else None, err
+
+
+def test_the_papers_rig_does_what_the_paper_says(capsys, tmp_path):
+    status, found, err = shaped(capsys, JHU, "--figure", tmp_path / "loop.png")
+    assert (status, err) == (0, "")
+    assert (found["plant_source"], found["stable"]) == ("rig", True)
+    assert found["plant_zero_hz"] == pytest.approx(10.07, abs=0.05)
+    assert found["plant_pole_hz"] == pytest.approx(90.0, abs=2.0)
+    assert found["crossover_hz"] == pytest.approx(12.0, abs=0.5)
+    assert found["phase_margin_deg"] == pytest.approx(63.3, abs=0.1)
+    assert found["gain_margin_db"] == pytest.approx(7.61, abs=0.01)
+    assert found["closed_loop_flat_to_hz"] >= 25
+    assert 0.013 < found["delay_s"] < 0.0155
+    assert (tmp_path / "loop.png").stat().st_size > 10_000
+
+
+def test_a_proposal_is_written_for_seft_to_read_back(capsys, tmp_path):
+    file = tmp_path / "controller.yaml"
+    _, found, _ = shaped(capsys, JHU, "--crossover", 12, "--out", file)
+    assert found["controller"]["denominator"] == pytest.approx([1.0, 17.14, 4002.0], rel=0.15)
+    merged = Experiment.load(TABLES, [JHU, file])
+    for name in ("numerator", "denominator"):
+        assert merged["force_controller"][name] == found["controller"][name]
+    _, again, _ = shaped(capsys, JHU, "--params-file", file)
+    assert again == found
+    status, _, err = shaped(capsys, JHU, "--out", file)
+    assert status == 2
+    assert "controller.yaml: exists already" in err
+
+
+def test_an_unstable_loop_is_status_1_and_is_not_written(capsys, tmp_path):
+    words = ("-p", "force_controller:numerator:=150.0", "--out", tmp_path / "c.yaml")
+    status, found, err = shaped(capsys, JHU, *words)
+    assert (status, found["stable"]) == (1, False)
+    assert err.startswith("force_loop: unstable")
+    assert not (tmp_path / "c.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["none.yaml"], "none.yaml"),
+        ([JHU, "--plant", "identified"], "seft identify"),
+        ([JHU, "--crossover", "60"], "choose a lower one"),
+        ([JHU, "-p", "force_controller:numerator:=0.0"], "numerator is zero"),
+        ([JHU, "-p", "force_controller:numerator:=[1.0, 0.0, 0.0, 0.0]"], "improper"),
+        ([JHU, "-p", "force_controller:gain:=[1.0, 2.0]"], "one transfer_function for all axes"),
+        ([JHU, "-p", "rig:actuator.kind:=ideal"], "no valve"),
+        ([JHU, "--figure", "none/loop.png"], "none/loop.png"),
+    ],
+)
+def test_wrong_input_is_told_in_one_line(capsys, words, told):
+    status, found, err = shaped(capsys, *words)
+    assert (status, found) == (2, None)
+    assert err.count("\n") == 1
+    assert told in err

@@ -1,1 +1,0 @@
-"""The figures and claims of the paper (Nakata & Combs 2012), reproduced."""
