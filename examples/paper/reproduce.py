@@ -31,8 +31,9 @@ from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.errors import InputError, SeftError
 from seft_ros.design.force_tracking import BAND_HZ
 from seft_ros.drawing import page, style
-from seft_ros.drawing.page import Cell, Grid, Plot, Section, Table, Text, line, plot
+from seft_ros.drawing.page import Grid, Plot, Section, Text, line, plot
 from seft_ros.drawing.style import FIRST, OTHERS, REFERENCE, Mark
+from seft_ros.drawing.table import Cell, Table
 
 PAPER = (
     "N. Nakata and S. Combs, Substructure Effective Force Testing: A Force-Based Real-Time Hybrid "

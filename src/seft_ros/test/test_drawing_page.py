@@ -8,19 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.errors import InputError
-from seft_ros.drawing.page import (
-    Cell,
-    Plot,
-    Section,
-    Table,
-    Text,
-    Verdict,
-    check_page,
-    line,
-    plot,
-    write_page,
-)
+from seft_ros.drawing.page import Plot, Section, Text, Verdict, check_page, line, plot, write_page
 from seft_ros.drawing.style import MOST_POINTS, Mark, thinned
+from seft_ros.drawing.table import Cell, Table
 
 
 def written(tmp_path: Path, *blocks: Text | Verdict | Table | Plot) -> str:

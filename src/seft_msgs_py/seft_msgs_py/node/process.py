@@ -149,7 +149,7 @@ def as_before(handlers: dict[signal.Signals, Any]) -> None:
         signal.signal(number, handler)
 
 
-_Handler = ctypes.CFUNCTYPE(None, ctypes.c_int)
+_CHandler = ctypes.CFUNCTYPE(None, ctypes.c_int)
 
 
 @contextmanager
@@ -176,7 +176,7 @@ def exit_watchdog(seconds: float, status: int, message: str = "") -> Iterator[No
             os.write(2, f"{message}\n".encode())
         os._exit(status)
 
-    handler = _Handler(end)
+    handler = _CHandler(end)
     libc = ctypes.CDLL(None)
     libc.signal.restype = ctypes.c_void_p
     libc.signal.argtypes = [ctypes.c_int, ctypes.c_void_p]

@@ -14,8 +14,9 @@ from seft_ros.analysis.timing import GAP, timing_of
 from seft_ros.analysis.tracking import tracked_of
 from seft_ros.bags.record import Record
 from seft_ros.drawing import page, style
-from seft_ros.drawing.page import Cell, Section, Table, Text
+from seft_ros.drawing.page import Section, Text
 from seft_ros.drawing.style import Mark, Number, percent, rows_of
+from seft_ros.drawing.table import Cell, Table
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 
 _BINS = 80

@@ -15,8 +15,9 @@ from seft_ros.analysis.summary import COMPARED, strong_part
 from seft_ros.analysis.tracking import Tracked, delay_by_frequency, energy_error
 from seft_ros.bags.record import Record
 from seft_ros.drawing import page, style
-from seft_ros.drawing.page import Block, Plot, Section, Table, Text, against, line, plot
+from seft_ros.drawing.page import Block, Plot, Section, Text, against, line, plot
 from seft_ros.drawing.style import Number, axis_label, percent, rows_of
+from seft_ros.drawing.table import Table
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 
 COHERENT = 0.9

@@ -17,8 +17,6 @@ from seft_msgs_py.errors import InputError
 
 from seft_ros.drawing import style
 from seft_ros.drawing.style import FIRST, MARK, MOST_POINTS, TEXT, Floats, Mark, check_file
-from seft_ros.drawing.table import Cell as Cell
-from seft_ros.drawing.table import Table as Table
 
 SUFFIX = ".html"
 _HEIGHT = 260  # pixels

@@ -89,8 +89,8 @@ def substructure_motion(knowledge: Knowledge, preview: int) -> LinearFilter:
     moved = np.pad(elastic, [(0, 0), (0, inside)]) - acceleration
     whole = np.vstack([np.eye(n, 2 * n + inside, k=n), moved, system])
     none, apart = np.zeros((n, n)), np.zeros((inside, n))
-    inputs = np.block([[none, none], [-np.eye(n), -inverse], [by_ground, apart]])
-    free, start, change = first_order_hold(whole, inputs, dt)
+    input_matrix = np.block([[none, none], [-np.eye(n), -inverse], [by_ground, apart]])
+    free, start, change = first_order_hold(whole, input_matrix, dt)
     motion = np.vstack([x, v, internal])
     found = [ground[0] + acceleration @ motion]
     for now, later in pairwise(ground):

@@ -11,11 +11,9 @@ from rich.text import Text as TerminalText
 
 from seft_ros.drawing.page import (
     Block,
-    Cell,
     Grid,
     Plot,
     Section,
-    Table,
     Text,
     Verdict,
     dots,
@@ -25,6 +23,7 @@ from seft_ros.drawing.page import (
     write_page,
 )
 from seft_ros.drawing.style import GOOD_ERROR, MARK, OTHERS, Mark, make_table, number, percent
+from seft_ros.drawing.table import Cell, Table
 from seft_ros.study.study_results import CORRELATIONS, QUANTILES, errors_of, strength
 
 _HEADINGS = ("method", "mass ratio", "test 0", *QUANTILES, "tripped")
