@@ -15,7 +15,7 @@ from _udp_ring import MESSAGE_SIZE
 from rclpy.node import Node
 from seft_msgs_py.node.process import PROFILES, RANGE
 from seft_msgs_py.node.rclpy_interface import (
-    WaitSet,
+    RclWaitSet,
     message_class,
     qos_profile,
     raw_subscription,
@@ -41,7 +41,7 @@ class Station:
         )
         self.send = sender(self.publisher)
         self._take, self._others = taker(self.subscription), [taker(each) for each in others]
-        self.wait_set = WaitSet(self.node.context, [self.subscription])
+        self.wait_set = RclWaitSet(self.node.context, [self.subscription])
 
     def receive(self, timeout: float) -> bytes | None:
         """Wait for a message and take it."""
@@ -71,7 +71,7 @@ def record(*listens: str) -> None:
     node = Node("ring_recorder")
     subscriptions = [raw_subscription(node, Topic(name, JOINT_TRAJECTORY), 64) for name in listens]
     takers = {each: taker(each) for each in subscriptions}
-    wait_set = WaitSet(node.context, subscriptions)
+    wait_set = RclWaitSet(node.context, subscriptions)
     while True:
         for ready in wait_set.wait(1.0):
             takers[ready]()

@@ -13,7 +13,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import RIG_STATE
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 CONFIG = Path(__file__).parent.parent / "config" / "jhu.yaml"
@@ -50,7 +50,7 @@ def main() -> int:
     times: dict[tuple[str, int], list[float]] = {}
     for _ in range(ROUNDS):  # interleaved: the machine's speed drifts
         for (kind, axes), experiment in experiments.items():
-            record = simulate(experiment, blocks[kind, axes])
+            record = simulate_test(experiment, blocks[kind, axes])
             steps = len(record.series[RIG_STATE.name].steps)
             times.setdefault((kind, axes), []).append((record.wall_s or np.nan) / steps)
             if kind == KINDS[0]:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.whole_structure import reference_response
-from seft_ros.reference_force.compensation_methods import METHODS
+from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
 from seft_ros.reference_force.reference_force_block import ReferenceForce
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.parameter_tables import TABLES
@@ -90,7 +90,7 @@ def step_times(block: ReferenceForce, motion: np.ndarray, states: np.ndarray) ->
 
 
 def main() -> int:
-    cases = [(method, n) for method in METHODS for n in WANTED]
+    cases = [(method, n) for method in COMPENSATION_METHODS for n in WANTED]
     blocks = {case: reference_force(*case) for case in cases}
     tests = {(specimen, n): measured_test(n, specimen) for specimen in SPECIMENS for n in WANTED}
     times: dict = {(*case, specimen): [] for case in cases for specimen in SPECIMENS}
@@ -104,7 +104,7 @@ def main() -> int:
     # what the machine adds to a step in one round, it hardly adds in all of them
     means = {case: float(np.min(found, axis=0).mean()) for case, found in times.items()}
     print(f"{'step of the reference force, us':44s}" + "".join(f"{n:8d} axes" for n in WANTED))
-    for method in METHODS:
+    for method in COMPENSATION_METHODS:
         adapts = bool(blocks[method, 1].estimates())
         for specimen in SPECIMENS if adapts else SPECIMENS[:1]:
             row = [means[method, n, specimen] for n in WANTED]

@@ -18,7 +18,7 @@ from _plain_loop import steps_per_second as plain_steps_per_second
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import RIG_STATE
 from seft_ros.study.drawn_tests import draw_tests
-from seft_ros.test_run.offline import Workshop
+from seft_ros.test_run.offline import BlockCache
 from seft_ros.test_run.parameter_tables import TABLES
 
 try:
@@ -43,7 +43,7 @@ CASES = {  # configuration, overrides, steps/s wanted over those of the bare loo
 
 def run_ensemble(experiments, reduce, workers=1):
     """Results of tests on several threads, in their order."""
-    shop = Workshop()
+    shop = BlockCache()
 
     def one(number, experiment):
         return reduce(number, shop.run(experiment))
@@ -87,7 +87,7 @@ def main() -> int:
         ensembles[case] = [
             Experiment(experiment.sections | {"rig": sections["rig"]}) for sections in drawn
         ]
-    motion = Workshop().blocks(experiment).ground_motion.samples[:, 0].tolist()
+    motion = BlockCache().blocks(experiment).ground_motion.samples[:, 0].tolist()
 
     def reduced(_: int, record) -> tuple[int, float]:
         values = record.series[RIG_STATE.name].values

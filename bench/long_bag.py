@@ -20,7 +20,7 @@ from seft_ros.bags.bag_writer import STORAGES
 from seft_ros.bags.record import Estimates, Record, Series
 from seft_ros.bags.record_bag import write_record
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 CONFIG = Path(__file__).parent.parent / "config" / "demo.yaml"
@@ -39,7 +39,7 @@ WANTED_BYTES = 1e9
 def long_record(minutes: int) -> Record:
     """Make the record of a test that repeats itself every minute."""
     experiment = Experiment.load(TABLES, [CONFIG], MINUTE)
-    minute = simulate(experiment, build_blocks(experiment))
+    minute = simulate_test(experiment, build_blocks(experiment))
     series = {}
     for name, one in minute.series.items():
         values = np.tile(one.values[:STEPS], (minutes, 1, 1))

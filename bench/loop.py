@@ -15,7 +15,7 @@ import _udp_ring
 from _runs import CONFIG, recorded_run, use_own_domain
 from seft_msgs_py.config.experiment import Experiment
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.test_run.processes import ProcessLayout
 
@@ -49,7 +49,7 @@ def main() -> int:
         readers = statistics.median(_ring.lap_times(LAPS, with_readers=True))
         laps["the same, loop's readers"].append(readers)
         laps["the same, shared memory"].append(_ring.median_over_shared_memory(LAPS))
-        simulated = simulate(offline, build_blocks(offline))
+        simulated = simulate_test(offline, build_blocks(offline))
         speeds["offline"].append(len(simulated.series["rig/state"].steps) / simulated.wall_s)
         os.sched_setaffinity(0, cores)
         for name, layout in layouts.items():

@@ -14,7 +14,7 @@ from scipy.signal import dlsim
 from seft_msgs_py.config.experiment import Experiment
 from seft_ros.design.plan import Plan
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 ROUNDS = 7
@@ -51,7 +51,7 @@ def main() -> int:
     floor, by_scipy = [], []
     for _ in range(ROUNDS):  # interleaved: the machine's speed drifts
         for kind in CASES:
-            record = simulate(experiments[kind], blocks[kind])
+            record = simulate_test(experiments[kind], blocks[kind])
             ours[kind].append(len(motion) / (record.wall_s or float("nan")))
         floor.append(plain_steps_per_second(motion))
         by_scipy.append(scipy_steps_per_second(experiments["linear rig"], motion))

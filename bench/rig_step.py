@@ -11,7 +11,7 @@ import numpy as np
 from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.compiled import compiled, multiply
 from seft_plant_sim.rig import Rig
-from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.rig_parameters import RIG_TABLE
 from seft_plant_sim.rig_step import rig_step
 
 CONFIG = Path(__file__).parent.parent / "config" / "demo.yaml"
@@ -69,7 +69,7 @@ def call_all(rig: Rig, commands: np.ndarray) -> None:
 def main() -> int:
     speeds, calls, floor = {}, {}, 0.0
     for case, overrides in CASES.items():
-        experiment = Experiment.load([TABLE], [CONFIG], overrides, nodes=["rig"])
+        experiment = Experiment.load([RIG_TABLE], [CONFIG], overrides, nodes=["rig"])
         rig = Rig.from_parameters(experiment["rig"], experiment.axes, experiment.timebase)
         turn = 2 * np.pi * experiment.timebase.dt * np.arange(STEPS)[:, np.newaxis]
         commands = 2.0 * np.sin(5.0 * turn) + 1.4 * np.sin(

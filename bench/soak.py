@@ -20,7 +20,7 @@ from seft_ros.test_run.run import run_experiment
 
 PERIOD = 1.0  # s between samples
 WARM_UP = 0.2  # of the time
-MOST_GROWTH = 2.0  # MB after warm-up; the allocator's own steps are about one
+MAX_GROWTH = 2.0  # MB after warm-up; the allocator's own steps are about one
 INDEX = 8.0  # MB/h: the recorder keeps some 400 bytes of its bag's index for each flush, 4 a second
 SPARE = 1.2  # the motion must not end before the time
 PATIENT = (
@@ -123,7 +123,7 @@ def is_flat(samples: Samples, minutes: float) -> bool:
     """Print how memory and open files went; say whether they are flat in all processes."""
     times = np.array(samples.times)
     late = times >= WARM_UP * 60.0 * minutes
-    allowed = MOST_GROWTH + INDEX * (1.0 - WARM_UP) * minutes / 60.0
+    allowed = MAX_GROWTH + INDEX * (1.0 - WARM_UP) * minutes / 60.0
     flat = True
     print("private memory, MB  at first  after warm-up  largest  at last   slope, MB/h  files")
     for name, values in samples.memory.items():

@@ -15,19 +15,19 @@ from matplotlib.figure import Figure
 from PIL import Image
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import Value
-from seft_plant_sim.lti import bilinear, ratio
+from seft_plant_sim.lti import bilinear, polynomial_ratio
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.metrics import nrmse
-from seft_ros.design.force_tracking import delay_by_frequency
+from seft_ros.design.force_tracking import tracking_delay
 from seft_ros.design.plan import Plan
 from seft_ros.design.plant import Plant, choose_plant
 from seft_ros.design.stability_margins import HIGHEST_MASS_RATIO, critical_mass_ratio
 from seft_ros.design.stability_verdict import predicted_modes
-from seft_ros.drawing.style import FIRST, MARK, OTHERS, REFERENCE, TEXT, save_figure, tidy
+from seft_ros.drawing.style import FIRST_COLOUR, MARK, OTHERS, REFERENCE, TEXT, save_figure, tidy
 from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 Floats = npt.NDArray[np.float64]
@@ -35,7 +35,7 @@ Complexes = npt.NDArray[np.complex128]
 Override = tuple[str, str, Value]
 
 DOCS = Path(__file__).parent
-COLOURS = {"none": MARK, "restoring": OTHERS[2], TARGET_MOTION: FIRST}
+COLOURS = {"none": MARK, "restoring": OTHERS[2], TARGET_MOTION: FIRST_COLOUR}
 DELAYS: Floats = np.array([0.0, 0.002, 0.004, 0.006, 0.01, 0.014, 0.02, 0.026, 0.032, 0.038])
 MASS_RATIOS: Floats = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2, 1.4, 1.7, 2.0, 2.5, 3.0])
 COLOURS_OF_A_FILE = 64
@@ -135,7 +135,7 @@ def force_loop(f: Floats, *overrides: Override) -> tuple[Plant, Complexes, Compl
     plant = choose_plant(experiment, "rig")
     sampled = bilinear(np.atleast_1d(control["numerator"]), control["denominator"], dt)
     response = plant.sampled_response(f, dt)
-    loop = ratio(*sampled, np.exp(2j * np.pi * f * dt)) * response
+    loop = polynomial_ratio(*sampled, np.exp(2j * np.pi * f * dt)) * response
     return plant, response, loop / (1 + loop)
 
 
@@ -144,7 +144,7 @@ def interaction() -> Figure:
     figure, (left, right) = panels(2, (7.2, 2.8))
     f = np.geomspace(*BAND_HZ, 2000)
     loops = {
-        "the specimen of Eq. 3.1": (force_loop(f), FIRST),
+        "the specimen of Eq. 3.1": (force_loop(f), FIRST_COLOUR),
         "20 % less stiff": (force_loop(f, ("rig", "specimen.stiffness", 0.8 * 2.11e5)), OTHERS[2]),
     }
     for label, ((plant, response, tracking), colour) in loops.items():
@@ -153,7 +153,7 @@ def interaction() -> Figure:
         near = (f > 5.0) & (f < 20.0)
         lowest = np.argmin(np.abs(tracking[near]))
         dip = decibels(tracking[near])[lowest]
-        delay = np.interp(2.0, f, delay_by_frequency(f, tracking))
+        delay = np.interp(2.0, f, tracking_delay(f, tracking))
         print(f"{label}: zero {plant.roots[1][0].hz:.2f} Hz, G {dip:.2f} dB ", end="")
         print(f"at {f[near][lowest]:.1f} Hz, delay at 2 Hz {1e3 * delay:.1f} ms")
     for panel, what in ((left, "valve to force / (dB of N/V)"), (right, "closed loop $G$ / dB")):
@@ -173,7 +173,7 @@ def histories() -> Figure:
     for name in ("none", TARGET_MOTION):
         load = ("ground_motion", "peak_force", 500.0)
         experiment = planned(*method(name), mass_ratio(1.0), load)
-        record = simulate(experiment, build_blocks(experiment))
+        record = simulate_test(experiment, build_blocks(experiment))
         states = record.series["rig/state"].values
         motion = record.series["ground_motion"].values[:, 0]
         exact = reference_response(experiment, motion).displacement[:, 0]

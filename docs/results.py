@@ -14,7 +14,7 @@ from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.test_run.compiled_loop import Blocks, build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 SPECIMEN, ACTUATOR, ASSUMED = "rig:specimen.", "rig:actuator.", "force_controller:actuator."
@@ -192,7 +192,7 @@ def tested(row: Row, motion: Row) -> str:
     if "missed" in special:
         displacement, trip = with_missed(blocks, int(special["missed"])), None
     else:
-        record = simulate(experiment, blocks)
+        record = simulate_test(experiment, blocks)
         displacement, trip = record.series["rig/state"].values[:, 0], record.trip
     if trip:
         return f"trips at {trip.time_s:.1f} s"

@@ -15,7 +15,7 @@ sys.path.append("src/seft_ros/test")
 from rig_faults import HELD, MISSED, FaultyRig
 from seft_ros.protection.detectors import DETECTORS
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from test_detectors import KIND, NOISE, PLAN, SPECIMEN, load
 
 RATES = 250.0, 500.0, 500.0, 500.0, 1000.0, 2000.0
@@ -99,7 +99,7 @@ def one_test(seed, motions):
     if misses:
         rig = FaultyRig(blocks.rig, differs, 400, NOISE, np.ones(4))
         blocks, given = replace(blocks, rig=rig), (*given, differs)
-    record = simulate(experiment, blocks)
+    record = simulate_test(experiment, blocks)
     return given, record.trip.reason if record.trip else ""
 
 

@@ -16,7 +16,7 @@ from local_tools import UNREHEARSED
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.virtual import LocalGraph
 from seft_ros.cli.main import main
-from seft_ros.nodes.kinds import KINDS
+from seft_ros.nodes.kinds import NODE_KINDS
 from seft_ros.test_run.observer import Observer
 from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.test_run.processes import MODULES
@@ -42,7 +42,7 @@ def local_graph():
     """Make the nodes of a test in virtual time, on `JHU`; they end with this test."""
     with contextlib.ExitStack() as made:
 
-        def make(*overrides, config=JHU, kinds=KINDS, **options):
+        def make(*overrides, config=JHU, kinds=NODE_KINDS, **options):
             graph = LocalGraph(kinds, [config], *overrides, **options)
             return made.enter_context(graph)
 

@@ -34,7 +34,7 @@ from graph_tools import (
     shared_memory,
 )
 from seft_msgs_py.errors import InputError
-from seft_ros.bags.bag_files import recover
+from seft_ros.bags.bag_files import recover_bag
 from seft_ros.bags.record import Record
 from seft_ros.bags.record_bag import read_bag
 from seft_ros.test_run.processes import MODULES
@@ -355,7 +355,7 @@ def check_bag(plan: Plan, bag: Path, told_at_start: bool) -> str:
     recovered = ""
     if plan.action == "kill recorder":
         try:
-            recovered = "" if recover(bag).intact else " (recovered)"
+            recovered = "" if recover_bag(bag).intact else " (recovered)"
         except InputError as error:
             if "nothing to recover" in str(error) and told_at_start:
                 return "killed while it made its bag"

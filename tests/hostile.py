@@ -11,7 +11,7 @@ from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.node.rclpy_interface import (
-    WaitSet,
+    RclWaitSet,
     leave_graph,
     message_class,
     qos_profile,
@@ -62,7 +62,7 @@ class Hostile:
         axes, timebase = self._experiment.axes, self._experiment.timebase
         states, commands = (TrajectoryCodec(t, axes, timebase) for t in (RIG_STATE, VALVE_COMMAND))
         subscription = raw_subscription(self._node, RIG_STATE, reliable=False)
-        waiting = WaitSet(self._node.context, [subscription])
+        waiting = RclWaitSet(self._node.context, [subscription])
         take, count = taker(subscription), 0
         while not until():
             waiting.wait(0.1)

@@ -7,7 +7,7 @@ from seft_msgs_py.virtual import LocalGraph
 from seft_msgs_py.wire.topics import RIG_STATE, VALVE_COMMAND
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 
 LONG = "ground_motion:synthetic.duration:=400.0"
 SIX = "ground_motion:synthetic.duration:=6.0"  # s, a test of 5 s
@@ -33,7 +33,7 @@ def digest(graph: LocalGraph) -> str:
 
 def offline(graph: LocalGraph):
     """What `seft simulate` makes of the same experiment."""
-    return simulate(graph.experiment, build_blocks(graph.experiment))
+    return simulate_test(graph.experiment, build_blocks(graph.experiment))
 
 
 def assert_same(graph: LocalGraph, record, steps: int | None = None) -> None:

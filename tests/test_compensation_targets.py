@@ -11,7 +11,7 @@ from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_ros.analysis.summary import summarise
 from seft_ros.test_run.compiled_loop import build_blocks, with_method
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 RECORDS = ROOT.parent / "shared" / "data"
@@ -53,7 +53,7 @@ def run(motion, mass_ratio, peak_force, *words):
     )
     loaded = Experiment.load(TABLES, [JHU], [parse_override(word) for word in given])
     experiment = with_method(loaded, "target_motion")
-    result = simulate(experiment, build_blocks(experiment))
+    result = simulate_test(experiment, build_blocks(experiment))
     return summarise(result), np.abs(result.series[VALVE_COMMAND.name].values).max()
 
 

@@ -313,7 +313,7 @@ def test_an_example_is_near_the_solution_of_opensees_itself(tmp_path, name, foun
     from seft_msgs_py.config.experiment import Experiment, parse_override
     from seft_ros.analysis.metrics import nrmse
     from seft_ros.test_run.compiled_loop import build_blocks
-    from seft_ros.test_run.offline import simulate
+    from seft_ros.test_run.offline import simulate_test
     from seft_ros.test_run.parameter_tables import TABLES
 
     config, _, script = example(name)
@@ -321,7 +321,7 @@ def test_an_example_is_near_the_solution_of_opensees_itself(tmp_path, name, foun
     overrides = [*words, f"ground_motion:synthetic.seed:={seed}"]
     experiment = Experiment.load(TABLES, [config], [parse_override(word) for word in overrides])
     blocks = build_blocks(experiment)
-    record = simulate(experiment, blocks)
+    record = simulate_test(experiment, blocks)
     assert record.trip is None
     motion, dt = blocks.ground_motion.samples[:, 0].tolist(), experiment.timebase.dt
     path = ROOT / "config" / "models" / f"{name}.py"

@@ -13,7 +13,7 @@ from seft_ros.cli.show_commands import parameters_text
 from seft_ros.conformance.driver import CHECKS
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import critical_mass_ratio
-from seft_ros.reference_force.reference_force_parameters import OWN
+from seft_ros.reference_force.reference_force_parameters import OWN_METHODS
 from seft_ros.test_run.parameter_tables import TABLES
 
 COMPENSATION = ROOT / "docs" / "compensation.md"
@@ -40,7 +40,7 @@ def test_the_pages_of_nodes_and_commands_name_every_topic_node_and_command():
 
 
 def test_every_compensation_method_is_in_both_tables_of_methods():
-    for name in OWN:
+    for name in OWN_METHODS:
         assert len(re.findall(rf"^\| `{name}`", COMPENSATION.read_text(), re.MULTILINE)) >= 2
 
 

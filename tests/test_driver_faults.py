@@ -189,14 +189,14 @@ class Pump:
         self.dumped += 1
 
 
-FARTHEST = 2.0**-10  # m
+MAX_SKEW_S = 2.0**-10  # m
 
 
 def two_axes(hardware, close_time=0.008):
     from rig_driver.safe_stop import SafeStop
 
     safe = np.array([0.5, -0.25])
-    return SafeStop(hardware, safe, close_time, farthest=FARTHEST, dt=0.002, sleep=time.sleep)
+    return SafeStop(hardware, safe, close_time, farthest=MAX_SKEW_S, dt=0.002, sleep=time.sleep)
 
 
 def follow(stop, *displacements):
@@ -217,7 +217,7 @@ def test_the_pressure_goes_once_at_the_first_sample_too_far_from_where_the_valve
         stop.begin(np.array([5.0, -3.0]))
         assert not stop.has_dumped
         follow(stop, *range(3 + 25))  # it closes, and the oil answers
-        far = sign * FARTHEST
+        far = sign * MAX_SKEW_S
         follow(stop, at, at + far, at + 0.5 * far)
         assert (pump.dumped, stop.has_dumped) == (count - 1, False)
         follow(stop, np.nextafter(at + far, sign * 9.0))

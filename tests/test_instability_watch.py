@@ -7,7 +7,7 @@ import pytest
 from graph_tools import JHU, ROOT, THOROUGH
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_ros.test_run.compiled_loop import build_blocks, with_method
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 RECORDS = ROOT.parent / "shared" / "data"
@@ -32,7 +32,7 @@ AT_ONCE = {
     ("El Centro", 3.0, "friction, 190 N"),
     ("Kobe", 0.5, "flag"),
 }
-SOUND = [
+VALID = [
     pytest.param(*case, marks=() if case in AT_ONCE else THOROUGH)
     for case in itertools.product(MOTIONS, PEAKS, SPECIMENS)
 ]
@@ -57,12 +57,12 @@ def run(motion, method, mass_ratio, peak_force, ratio, *words, loop_delay=0):
     )
     loaded = Experiment.load(TABLES, [JHU], [parse_override(word) for word in given])
     experiment = with_method(loaded, method)
-    found = simulate(experiment, build_blocks(experiment))
+    found = simulate_test(experiment, build_blocks(experiment))
     until = None if found.trip is None else found.trip.step + 1
     return found, np.abs(found.series["rig/state"].values[:until, 2]).max()
 
 
-@pytest.mark.parametrize(("motion", "mass_ratio", "specimen"), SOUND)
+@pytest.mark.parametrize(("motion", "mass_ratio", "specimen"), VALID)
 def test_no_sound_test_trips_whatever_the_specimen_is(motion, mass_ratio, specimen):
     words = f"specimen.kind:={specimen.split(',')[0]}", *SPECIMENS[specimen]
     found, _ = run(motion, "target_motion", mass_ratio, PEAKS[mass_ratio], LOWER, *words)

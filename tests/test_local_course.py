@@ -82,7 +82,7 @@ def test_a_rate_that_does_not_fit_is_refused_after_the_rehearsal(local_graph):
 
 def test_a_test_is_stopped_by_the_operator(running):
     graph = running()
-    assert graph.call("stop") == (True, "the test is being brought down")
+    assert graph.call("stop") == (True, "the test is ramping down")
     accepted, answer = graph.call("stop")
     assert accepted and "stopped by the operator" in answer
     graph.until("done")

@@ -6,7 +6,7 @@ import pytest
 from local_tools import at_rest, perform
 from seft_msgs_py.wire.topics import RIG_STATE, VALVE_COMMAND
 from seft_ros.cli.rig_commands import TEMPLATES
-from seft_ros.nodes.kinds import KINDS
+from seft_ros.nodes.kinds import NODE_KINDS
 
 TEMPLATE = TEMPLATES / "rig_driver"
 SMALL = ("ground_motion:synthetic.duration:=6.0", "ground_motion:peak_force:=20.0")
@@ -19,7 +19,7 @@ def driver(local_graph, monkeypatch):
     from rig_driver.driver_node import KIND
 
     def make(*overrides):
-        kinds, own = {**KINDS, "rig": KIND}, {"rig": [TEMPLATE / "config/rig.yaml"]}
+        kinds, own = {**NODE_KINDS, "rig": KIND}, {"rig": [TEMPLATE / "config/rig.yaml"]}
         return local_graph(*SMALL, *overrides, kinds=kinds, own_files=own)
 
     yield make

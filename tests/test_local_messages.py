@@ -102,9 +102,9 @@ def test_a_stranger_s_valve_commands_are_named_and_not_obeyed(running):
         graph.inject(EXPERIMENT_STATE, encode_status(Status("experiment", 0, state, values={})))
     graph.until("done")
     assert_same(graph, offline(graph))
-    assert "/stranger on valve_command: 1000" in graph.status("rig")["strangers"]
+    assert "/stranger on valve_command: 1000" in graph.status("rig")["unexpected_publishers"]
     for node in ("rig", "force_controller", "reference_force", "ground_motion"):
-        assert "/stranger on experiment/state: 3" in graph.status(node)["strangers"]
+        assert "/stranger on experiment/state: 3" in graph.status(node)["unexpected_publishers"]
     logged = [text for _, node, _, text in graph.graph.lines if node == "rig"]
     assert (
         logged.count("/stranger publishes valve_command, too: this test ignores its messages") == 1

@@ -3,7 +3,7 @@
 import numpy as np
 from local_tools import LOCKSTEP, LONG, NODES, SIX, at_rest, offline, perform
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE
-from seft_plant_sim.rig_watch import MOST
+from seft_plant_sim.rig_watch import MAX_UNRECORDED_STEPS
 from seft_ros.bags.record_bag import read_bag
 
 RECORDED = (*NODES, "recorder")
@@ -39,7 +39,7 @@ def test_in_lockstep_the_rig_waits_for_a_recorder_that_stands_still(running, tmp
     graph.freeze("recorder")
     graph.run(10.0)
     steps = len(graph.samples(RIG_STATE)[0])
-    assert steps - before <= MOST  # fewer than the recorder's queue holds
+    assert steps - before <= MAX_UNRECORDED_STEPS  # fewer than the recorder's queue holds
     graph.thaw("recorder")
     graph.run(1.0)
     assert len(graph.samples(RIG_STATE)[0]) > steps + 100

@@ -167,7 +167,7 @@ def test_a_test_is_stopped_by_the_operator(start_node, observer, tmp_path):
     wait_for(is_in_state(observer, "ready"), "ready")
     assert observer.call("start")[0]
     wait_for(has_run_for_a_second(observer), "a second of the test")
-    assert observer.call("stop") == (True, "the test is being brought down")
+    assert observer.call("stop") == (True, "the test is ramping down")
     accepted, answer = observer.call("stop")
     assert (accepted, "stopped by the operator" in answer) == (True, True)
     wait_for(is_in_state(observer, "done"), "done")

@@ -8,7 +8,7 @@ from seft_ros.analysis.summary import reference_of, summarise
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import instability_band
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 RECORDS = ROOT.parent / "shared" / "data"
@@ -28,7 +28,7 @@ def uncompensated(name, mass_ratio, watched=0.0):
     overrides.append(("reference_force", "mass_ratio", mass_ratio))
     overrides.append(("reference_force", "instability.ratio", watched))
     experiment = Experiment.load(TABLES, [JHU], overrides)
-    record = simulate(experiment, build_blocks(experiment))
+    record = simulate_test(experiment, build_blocks(experiment))
     return record, summarise(record)
 
 

@@ -187,7 +187,7 @@ def test_who_joins_a_test_with_what_is_valid_is_named_and_not_obeyed(
     def is_named():
         """Whether each node tells of the stranger what it has refused of it."""
         observer.spin(0.0)
-        told_by = lambda node, text: text in told[node].get("strangers", "")  # noqa: E731
+        told_by = lambda node, text: text in told[node].get("unexpected_publishers", "")  # noqa: E731
         return told_by("rig", "/hostile on valve_command: ") and all(
             told_by(node, "/hostile on experiment/state: 3")
             for node in (*READERS, "ground_motion", "recorder")

@@ -10,7 +10,7 @@ from graph_tools import ROOT, THOROUGH
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_ros.analysis.summary import summarise
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 FRAME = ROOT / "config" / "three_storey_frame.yaml"
@@ -91,7 +91,7 @@ def yielding(record, springs):
 
 def simulated(*words):
     experiment = Experiment.load(TABLES, [FRAME], [parse_override(word) for word in words])
-    record = simulate(experiment, build_blocks(experiment))
+    record = simulate_test(experiment, build_blocks(experiment))
     return record, summarise(record)
 
 

@@ -26,7 +26,7 @@ from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.experiment import Experiment, parse_override, write_parameter_file
 from seft_msgs_py.errors import InputError, SeftError
 from seft_plant_sim.lti import bilinear
-from seft_ros.design import Source
+from seft_ros.design import PlantSource
 from seft_ros.design.closed_loop import closed_loop
 from seft_ros.design.force_tracking import Tracking, tracking_measures
 from seft_ros.design.plant import Plant, choose_plant
@@ -295,7 +295,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("config", type=Path, help="experiment: ROS 2 parameter file")
     add("-p", dest="param", action="append", default=[], help="NODE:PARAMETER:=VALUE; repeatable")
     add("--params-file", action="append", default=[], help="another parameter file; repeatable")
-    add("--plant", choices=list(Source), default=Source.AUTO, help="simulated rig, or identified")
+    add(
+        "--plant",
+        choices=list(PlantSource),
+        default=PlantSource.AUTO,
+        help="simulated rig, or identified",
+    )
     add("--crossover", type=float, help="propose a controller for this crossover, Hz")
     add("--gain-margin", type=float, default=GAIN_MARGIN_DB, help="least one of a proposal, dB")
     add("--out", type=Path, help="write the controller to a new parameter file")

@@ -23,12 +23,12 @@ from seft_msgs_py.wire.topics import GROUND_MOTION, RIG_STATE
 from seft_ros.analysis.metrics import Agreement, agreement
 from seft_ros.analysis.summary import COMPARED, reference_of
 from seft_ros.bags.record import Record
-from seft_ros.design import Source, rig_tests
+from seft_ros.design import PlantSource, rig_tests
 from seft_ros.design.force_tracking import BAND_HZ
-from seft_ros.design.identified import Identified, identify
+from seft_ros.design.identified import Identified, identify_from_records
 from seft_ros.design.plan import Plan
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 CONFIG = Path(__file__).parents[2] / "config" / "jhu.yaml"
@@ -171,7 +171,7 @@ class Outcome:
 
 def run_test(experiment: Experiment) -> Outcome:
     """Run a test offline."""
-    record = simulate(experiment, build_blocks(experiment))
+    record = simulate_test(experiment, build_blocks(experiment))
     reference = reference_of(record)
     assert reference is not None
     states, motion = (record.series[of.name].values for of in (RIG_STATE, GROUND_MOTION))
@@ -202,15 +202,15 @@ def identify_rig(experiment: Experiment, duration: float) -> Identified:
         pilot = _identifying(rig_tests.open_loop(experiment, short, levels))
         levels = rig_tests.Levels(rig_tests.voltage_after(pilot, voltage), force)
         opened = _identifying(rig_tests.open_loop(experiment, motion, levels))
-        closed = _identifying(rig_tests.closed_loop(experiment, motion))
-    found = identify(opened, closed, band)
+        closed = _identifying(rig_tests.closed_loop_test(experiment, motion))
+    found = identify_from_records(opened, closed, band)
     if found.unusable:
         raise ExperimentError(f"identification: {found.unusable[0]}")
     return found
 
 
 def _identifying(experiment: Experiment) -> Record:
-    record = simulate(experiment, build_blocks(experiment))
+    record = simulate_test(experiment, build_blocks(experiment))
     if record.trip is not None:
         raise ExperimentError(f"identification tripped: {record.trip.reason}")
     return record
@@ -289,6 +289,8 @@ def find(motion: Changes, duration: float = DURATION) -> Findings:
             for a, (kind, tau) in product(COMPUTED, delays.items())
         }
         outcomes += pool.map(run_test, within.values())
-    plans = {k: Plan(test, Source.RIG) for k, test in tests.items() if k[0] in ("rig", "delay")}
+    plans = {
+        k: Plan(test, PlantSource.RIG) for k, test in tests.items() if k[0] in ("rig", "delay")
+    }
     found = dict(zip([*tests, *within], outcomes, strict=True))
     return Findings(rig, source, identified, found, plans)

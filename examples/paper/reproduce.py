@@ -31,9 +31,9 @@ from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.errors import InputError, SeftError
 from seft_ros.design.force_tracking import BAND_HZ
 from seft_ros.drawing import page, style
-from seft_ros.drawing.page import Grid, Plot, Section, Text, line, plot
-from seft_ros.drawing.style import FIRST, OTHERS, REFERENCE, Mark
-from seft_ros.drawing.table import Cell, Table
+from seft_ros.drawing.page import Grid, PageSection, Plot, Text, line, plot
+from seft_ros.drawing.style import FIRST_COLOUR, OTHERS, REFERENCE, Mark
+from seft_ros.drawing.table import Cell, TextTable
 
 PAPER = (
     "N. Nakata and S. Combs, Substructure Effective Force Testing: A Force-Based Real-Time Hybrid "
@@ -59,7 +59,7 @@ def write_page(found: Findings, claims: Sequence[Claim], path: Path) -> None:
     )
     tau, source = f"{1e3 * TAU:g} ms", Path(found.source).name
     bandwidth = found.identified.closed_loops[0].tracking.bandwidth_hz or 0.0
-    sections = [Section("Claims", _overview(found, claims))]
+    sections = [PageSection("Claims", _overview(found, claims))]
     for title, where, *blocks in (
         ("The rig (section 3.1)", "Section 3.1"),
         ("Figure 3: open loop", "Figure 3", open_loop_figure(found)),
@@ -99,9 +99,9 @@ def write_page(found: Findings, claims: Sequence[Claim], path: Path) -> None:
     ):  # fmt: skip
         own = [claim for claim in claims if claim.where.startswith(where)]
         rows = [[*_cells(claim), f"{claim.criterion}.{_sentence(claim.note)}"] for claim in own]
-        table = Table((*HEADINGS, "they agree if"), rows, numbers=False, wide=True)
-        sections.append(Section(title, [*blocks, table]))
-    sections.append(Section("Beyond the paper", _beyond(found)))
+        table = TextTable((*HEADINGS, "they agree if"), rows, numbers=False, wide=True)
+        sections.append(PageSection(title, [*blocks, table]))
+    sections.append(PageSection("Beyond the paper", _beyond(found)))
     subtitle = f"{PAPER}; here with the paper's rig under {source}"
     page.write_page(path, "The paper's figures and claims, reproduced", subtitle, sections)
 
@@ -116,7 +116,7 @@ def _overview(found: Findings, claims: Sequence[Claim]) -> list[page.Block]:
     if not found.experiment["ground_motion"]["file"]:
         record += ", not the paper's Kobe (--file)"
     text = f"{len(claims) - len(against)} of {len(claims)} claims agree. {record}."
-    return [page.Verdict(Mark.DOUBT if against else Mark.GOOD, text, against)]
+    return [page.VerdictBox(Mark.DOUBT if against else Mark.GOOD, text, against)]
 
 
 def _beyond(found: Findings) -> list[page.Block]:
@@ -128,7 +128,7 @@ def _beyond(found: Findings) -> list[page.Block]:
         f"(docs/compensation.md) and a motion of {peak:g} N, whose flow the valve can serve: "
         "displacement errors, RMS over RMS, without any shift."
     )
-    return [Text(text), Table(("mass ratio alpha", "error"), rows)]
+    return [Text(text), TextTable(("mass ratio alpha", "error"), rows)]
 
 
 def _target_error(found: Findings, ratio: float) -> float:
@@ -191,7 +191,7 @@ def closed_loop_figure(found: Findings) -> Grid:
     _draw_responses(panels, [own, modelled], CLOSED_TO_HZ)
     page.level(panels[0], 0.0)
     for panel in panels:
-        page.band(panel, 0.0, BAND_HZ, color=FIRST)
+        page.band(panel, 0.0, BAND_HZ, color=FIRST_COLOUR)
     if closed.tracking.dip_hz is not None:
         page.mark(panels[0], closed.tracking.dip_hz)
     captions = (
@@ -206,7 +206,7 @@ def _draw_responses(panels: Sequence[figure], curves: Sequence[Response], to_hz:
     for hz, response, label in curves:
         shown = (hz >= RANGE_HZ[0]) & (hz <= to_hz)
         hz, response = hz[shown], response[shown]
-        color, dash = (OTHERS[2], "6 4") if label == MODEL else (FIRST, "solid")
+        color, dash = (OTHERS[2], "6 4") if label == MODEL else (FIRST_COLOUR, "solid")
         phase = np.degrees(np.unwrap(np.angle(response)))
         for panel, values in zip(panels, (decibels(response), phase), strict=True):
             line(panel, hz, values, label, color=color, dash=dash)
@@ -243,7 +243,7 @@ def simulations_figure(found: Findings, kind: str, label: str, caption: str) -> 
 def _on_rig(test: Outcome) -> tuple[Curve, Curve]:
     return (
         (test.time, test.exact, "reference", REFERENCE),
-        (test.time, test.measured, MEASURED, FIRST),
+        (test.time, test.measured, MEASURED, FIRST_COLOUR),
     )
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_ros.reference_force.compensation_methods import whole_steps
-from seft_ros.reference_force.compensator import Compensator, Knowledge
+from seft_ros.reference_force.compensator import Compensator, MethodInputs
 from seft_ros.reference_force.linear_filter import LinearCompensator, LinearFilter
 
 from seft_methods.delay_estimate import EVERY, DelayEstimator
@@ -27,7 +27,7 @@ DelayFilter = tuple[Memory, Callable[[float], Floats]]
 
 
 def delay_method(
-    design: Callable[[Knowledge, int, Settings], DelayFilter],
+    design: Callable[[MethodInputs, int, Settings], DelayFilter],
 ) -> Callable[..., Compensator]:
     """Make a method from its filter, which ``design`` makes for delays up to some whole steps.
 
@@ -35,13 +35,13 @@ def delay_method(
     is estimated on line; it raises `InputError` if no delay is given, or a setting is invalid.
     """
 
-    def method(knowledge: Knowledge, **given: Any) -> Compensator:
-        settings, delay, dt = read_settings(given), knowledge.delay, knowledge.dt
+    def method(inputs: MethodInputs, **given: Any) -> Compensator:
+        settings, delay, dt = read_settings(given), inputs.delay, inputs.dt
         if not settings["estimate_delay"]:
-            memory, gains = design(knowledge, whole_steps(delay, dt), settings)
+            memory, gains = design(inputs, whole_steps(delay, dt), settings)
             return LinearCompensator(memory.with_gains(gains(delay)))
-        longest = whole_steps(delay_range(knowledge, settings)[1], dt)
-        return ScheduledCompensator(knowledge, settings, *design(knowledge, longest, settings))
+        longest = whole_steps(delay_range(inputs, settings)[1], dt)
+        return ScheduledCompensator(inputs, settings, *design(inputs, longest, settings))
 
     # not by functools.wraps: seft checks the settings against the signature
     method.__name__, method.__doc__ = design.__name__, design.__doc__
@@ -113,7 +113,7 @@ class ScheduledCompensator(AdaptiveCompensator):
 
     Parameters
     ----------
-    knowledge : Knowledge
+    inputs : MethodInputs
         Gives the first delay.
     settings : mapping
         Of the estimate.
@@ -128,14 +128,14 @@ class ScheduledCompensator(AdaptiveCompensator):
 
     def __init__(
         self,
-        knowledge: Knowledge,
+        inputs: MethodInputs,
         settings: Settings,
         memory: Memory,
         gains: Callable[[float], Floats],
     ) -> None:
-        self._first, last = delay_range(knowledge, settings)
-        self._estimator = DelayEstimator(knowledge, settings)
-        self._intervals = whole_steps(last - self._first, _GRID * knowledge.dt)
+        self._first, last = delay_range(inputs, settings)
+        self._estimator = DelayEstimator(inputs, settings)
+        self._intervals = whole_steps(last - self._first, _GRID * inputs.dt)
         self._spacing = (last - self._first) / self._intervals
         self._on_grid = cache(lambda place: gains(self._first + self._spacing * place))
         self._step = 0

@@ -8,7 +8,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import InputError
 from seft_ros.reference_force.compensation_methods import whole_steps
-from seft_ros.reference_force.compensator import Knowledge
+from seft_ros.reference_force.compensator import MethodInputs
 
 from seft_methods.settings import WHERE, Settings, delay_range
 
@@ -154,7 +154,7 @@ class DelayEstimator:
 
     Parameters
     ----------
-    knowledge : Knowledge
+    inputs : MethodInputs
         Gives the first estimate.
     settings : mapping
         Give the bounds, the rate, the band and the excitation: the least RMS of both forces, in
@@ -171,9 +171,9 @@ class DelayEstimator:
         If no delay is given, or the bounds or the band are invalid.
     """
 
-    def __init__(self, knowledge: Knowledge, settings: Settings) -> None:
-        dt, axes = knowledge.dt, knowledge.axes
-        self._start, self._bounds = knowledge.delay, delay_range(knowledge, settings)
+    def __init__(self, inputs: MethodInputs, settings: Settings) -> None:
+        dt, axes = inputs.dt, inputs.axes
+        self._start, self._bounds = inputs.delay, delay_range(inputs, settings)
         self.delay, self._dt = np.full(axes, self._start), dt
         self._most = settings["delay_rate"] * dt * EVERY
         self._enough = settings["excitation"] ** 2 * MEMORY / dt

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.config.parameter_table import nearest, parameter_rows
 from seft_msgs_py.errors import InputError
-from seft_ros.reference_force.compensator import Knowledge
+from seft_ros.reference_force.compensator import MethodInputs
 
 WHERE = "reference_force: compensation.settings"
 SETTINGS = parameter_rows(
@@ -48,7 +48,7 @@ def read_settings(given: Settings) -> Settings:
     return {name: row.check(given.get(name, row.default), WHERE) for name, row in rows.items()}
 
 
-def delay_range(knowledge: Knowledge, settings: Settings) -> tuple[float, float]:
+def delay_range(inputs: MethodInputs, settings: Settings) -> tuple[float, float]:
     """Shortest and longest delay that an adaptive method may take, with the loop's delay, s.
 
     Raises
@@ -56,16 +56,16 @@ def delay_range(knowledge: Knowledge, settings: Settings) -> tuple[float, float]
     InputError
         If they make no range, or the given delay is outside.
     """
-    late = knowledge.loop_delay * knowledge.dt
+    late = inputs.loop_delay * inputs.dt
     bounds = (np.atleast_1d(settings["delay_range"]) + late).tolist()
     if len(bounds) != 2 or not 0 < bounds[0] < bounds[1]:
         raise InputError(
             f"{WHERE}: delay_range is {bounds}, but must be two delays in s above zero, the "
             "shorter first"
         )
-    if not bounds[0] <= knowledge.delay <= bounds[1]:
+    if not bounds[0] <= inputs.delay <= bounds[1]:
         raise InputError(
-            f"reference_force: compensation.delay is {knowledge.delay:g} s, where the estimate "
+            f"reference_force: compensation.delay is {inputs.delay:g} s, where the estimate "
             f"starts, but delay_range in compensation.settings is {bounds}; widen it"
         )
     return bounds[0], bounds[1]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_ros.reference_force.compensation_methods import between_samples
-from seft_ros.reference_force.compensator import Knowledge
+from seft_ros.reference_force.compensator import MethodInputs
 from seft_ros.reference_force.linear_filter import LinearFilter
 
 
@@ -17,7 +17,7 @@ class Signals:
 
     Attributes
     ----------
-    knowledge : Knowledge
+    inputs : MethodInputs
         The test.
     preview : int
         Future steps of the ground motion among the columns.
@@ -25,13 +25,13 @@ class Signals:
         Blocks of n states among the columns.
     """
 
-    knowledge: Knowledge
+    inputs: MethodInputs
     preview: int
     blocks: int = 0
 
     def state(self, block: int) -> Floats:
         """Block of states, shape (n, columns)."""
-        n = self.knowledge.axes
+        n = self.inputs.axes
         return np.eye(n, (self.blocks + 5 + self.preview) * n, k=block * n)
 
     @property
@@ -43,12 +43,12 @@ class Signals:
     def restoring_force(self) -> Floats:
         """Measured restoring force r = f - M_e a, shape (n, columns)."""
         _, _, a, f = self.measured
-        return f - self.knowledge.mass @ a
+        return f - self.inputs.mass @ a
 
     def ground_motion(self, time: float) -> Floats:
         """Ground acceleration ``time`` seconds from now, shape (n, columns)."""
-        n = self.knowledge.axes
-        weights = between_samples(time / self.knowledge.dt, 1 + self.preview)
+        n = self.inputs.axes
+        weights = between_samples(time / self.inputs.dt, 1 + self.preview)
         return np.hstack([np.zeros((n, (self.blocks + 4) * n)), np.kron(weights, np.eye(n))])
 
 

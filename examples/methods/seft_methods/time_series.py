@@ -8,7 +8,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from seft_msgs_py.arrays import Floats
 from seft_ros.reference_force.compensation_methods import whole_steps
-from seft_ros.reference_force.compensator import Knowledge
+from seft_ros.reference_force.compensator import MethodInputs
 
 from seft_methods.adaptation import AdaptiveCompensator
 from seft_methods.delay_estimate import ForceBlocks
@@ -39,7 +39,7 @@ class Ats(AdaptiveCompensator):
 
     Parameters
     ----------
-    knowledge : Knowledge
+    inputs : MethodInputs
         Gives the first delay.
     **given
         Settings, by name.
@@ -50,10 +50,10 @@ class Ats(AdaptiveCompensator):
         If no delay is given, or a setting is invalid.
     """
 
-    def __init__(self, knowledge: Knowledge, **given: Any) -> None:
+    def __init__(self, inputs: MethodInputs, **given: Any) -> None:
         settings = read_settings(given)
-        n, dt, delay = knowledge.axes, knowledge.dt, knowledge.delay
-        shortest, longest = delay_range(knowledge, settings)
+        n, dt, delay = inputs.axes, inputs.dt, inputs.delay
+        shortest, longest = delay_range(inputs, settings)
         low, high = _AMPLITUDE
         self._start = np.tile([1.0, delay, delay**2 / 2], (n, 1))
         self._least = np.array([low, low * shortest, 0.0])
@@ -65,9 +65,9 @@ class Ats(AdaptiveCompensator):
         self._enough = settings["excitation"] ** 2 * block * _BLOCKS
         self._forces = ForceBlocks(settings["band"], dt, n, past, block)
         self._derivatives = parabola_weights(1 + past, dt)
-        signals = Signals(knowledge, preview=0, blocks=past)
-        ground = knowledge.mass @ signals.ground_motion(0.0)
-        wanted = knowledge.share @ signals.restoring_force - ground
+        signals = Signals(inputs, preview=0, blocks=past)
+        ground = inputs.mass @ signals.ground_motion(0.0)
+        wanted = inputs.share @ signals.restoring_force - ground
         values = np.array([wanted, *(signals.state(i) for i in range(past))])
         self._series = np.tensordot(self._derivatives, values, axes=1)  # of f*: (3, n, columns)
         self._sums: deque[Floats] = deque(maxlen=_BLOCKS)

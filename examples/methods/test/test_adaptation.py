@@ -11,9 +11,9 @@ from seft_methods.time_series import Ats, parabola_weights
 from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.computed_substructure import ComputedSubstructure
-from seft_ros.reference_force.compensator import Knowledge
-from seft_ros.reference_force.reference_force_block import knowledge
-from seft_ros.reference_force.reference_force_parameters import TABLE
+from seft_ros.reference_force.compensator import MethodInputs
+from seft_ros.reference_force.reference_force_block import method_inputs
+from seft_ros.reference_force.reference_force_parameters import REFERENCE_FORCE_TABLE
 
 DT, START, BOUNDS, RATE = 0.002, 0.014, (0.002, 0.04), 0.01
 
@@ -22,7 +22,9 @@ def estimator(axes=1, start=START):
     one, options = np.eye(axes), {"compensation.delay": start}
     settings = read_settings({"delay_range": list(BOUNDS), "delay_rate": RATE})
     return DelayEstimator(
-        Knowledge(one, ComputedSubstructure.lumped(np.zeros((axes, axes))), one, one, DT, options),
+        MethodInputs(
+            one, ComputedSubstructure.lumped(np.zeros((axes, axes))), one, one, DT, options
+        ),
         settings,
     )
 
@@ -124,9 +126,11 @@ def ats():
         "compensation.method": "ats",
         "compensation.delay": START,
     }
-    table = {"reference_force": TABLE}
-    values = resolve(table, {"reference_force": TABLE.check(section)})["reference_force"]
-    return Ats(knowledge(values, ("x",), Timebase.from_rate(500)))
+    table = {"reference_force": REFERENCE_FORCE_TABLE}
+    values = resolve(table, {"reference_force": REFERENCE_FORCE_TABLE.check(section)})[
+        "reference_force"
+    ]
+    return Ats(method_inputs(values, ("x",), Timebase.from_rate(500)))
 
 
 def force_response(one, frequencies_hz):

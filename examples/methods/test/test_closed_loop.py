@@ -9,7 +9,7 @@ from seft_plant_sim.lti import bilinear
 from seft_ros.analysis.summary import summarise
 from seft_ros.design.plant import choose_plant
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 ROOT = Path(__file__).parents[3]  # of the project
@@ -51,7 +51,7 @@ def run(motion, method, alpha, *words, peak=300.0):
     config = ROOT / "config" / "jhu.yaml"
     experiment = Experiment.load(TABLES, [config], [parse_override(word) for word in given])
     blocks = build_blocks(experiment)
-    return blocks, summarise(simulate(experiment, blocks))
+    return blocks, summarise(simulate_test(experiment, blocks))
 
 
 def error(*arguments, **options):

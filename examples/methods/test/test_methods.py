@@ -13,9 +13,9 @@ from seft_methods.settings import SETTINGS
 from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
-from seft_ros.reference_force.compensation_methods import METHODS
-from seft_ros.reference_force.reference_force_block import knowledge
-from seft_ros.reference_force.reference_force_parameters import TABLE
+from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
+from seft_ros.reference_force.reference_force_block import method_inputs
+from seft_ros.reference_force.reference_force_parameters import REFERENCE_FORCE_TABLE
 
 M, C, K, DT, DELAY = 52.7, 800.3, 2.11e5, 0.002, 0.0133
 PREDICTORS = ("polynomial", "linear_acceleration", "smith", "inverse")
@@ -39,10 +39,12 @@ def compensator(method, axes=("x",), rate=500, told=(), **values):
         "compensation__settings": own,
         **values,
     }
-    given_values = TABLE.check({name.replace("__", "."): v for name, v in values.items()})
-    section = resolve({"reference_force": TABLE}, {"reference_force": given_values})
-    known = knowledge(section["reference_force"], axes, Timebase.from_rate(rate))
-    return METHODS[method](known)
+    given_values = REFERENCE_FORCE_TABLE.check(
+        {name.replace("__", "."): v for name, v in values.items()}
+    )
+    section = resolve({"reference_force": REFERENCE_FORCE_TABLE}, {"reference_force": given_values})
+    known = method_inputs(section["reference_force"], axes, Timebase.from_rate(rate))
+    return COMPENSATION_METHODS[method](known)
 
 
 def run(one, motion, states):

@@ -7,14 +7,14 @@ import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.rig_parameters import LIMIT_ROWS
 from seft_ros.design.plan import Plan
-from seft_ros.design.preflight_tables import summarise
+from seft_ros.design.preflight_tables import summarise_preflight
 from seft_ros.design.stability_margins import critical_mass_ratio
-from seft_ros.design.stability_verdict import preflight
-from seft_ros.reference_force.compensation_methods import METHODS
+from seft_ros.design.stability_verdict import check_stability
+from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
 from seft_ros.reference_force.linear_filter import LinearCompensator
-from seft_ros.reference_force.reference_force_block import compensator, knowledge
+from seft_ros.reference_force.reference_force_block import compensator, method_inputs
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 CONFIG = Path(__file__).parents[3] / "config"
@@ -43,7 +43,7 @@ def experiment(config="jhu", parts=DELAY, **reference):
 
 def grows(test):
     """Whether the free vibration after a short motion grows, by the offline loop."""
-    record = simulate(test, build_blocks(test))
+    record = simulate_test(test, build_blocks(test))
     if record.trip is not None:
         return True
     force = record.series["rig/state"].values[:, 3]
@@ -63,7 +63,7 @@ def test_the_critical_mass_ratio_is_that_of_simulation(method, end):
 @pytest.mark.parametrize("method", FIXED)
 def test_a_method_is_exact_to_preflight_and_the_same_where_it_starts_to_estimate(method):
     plan = Plan(experiment(compensation__method=method, mass_ratio=0.2))
-    fixed = summarise(plan, preflight(plan))
+    fixed = summarise_preflight(plan, check_stability(plan))
     assert fixed["basis"] == "exact" and "adapts" not in fixed["promise"]
     told = {"compensation__method": method, "compensation__settings": "estimate_delay=true"}
     adaptive = Plan(experiment(**told, mass_ratio=0.2))
@@ -72,7 +72,7 @@ def test_a_method_is_exact_to_preflight_and_the_same_where_it_starts_to_estimate
 
 def test_what_adapts_is_promised_as_it_starts_only():
     plan = Plan(experiment(compensation__method="ats", mass_ratio=0.5))
-    found = preflight(plan)
+    found = check_stability(plan)
     assert "adapts" in found.promise and "does not promise" in found.promise
 
 
@@ -87,10 +87,10 @@ def test_with_a_computed_substructure_it_is_the_linear_filter_that_it_says_it_is
         compensation__delay=0.0133,
         compensation__settings=f"estimate_delay={estimates}",
     )
-    known = knowledge(section["reference_force"], section.axes, section.timebase)
+    known = method_inputs(section["reference_force"], section.axes, section.timebase)
     one = compensator(method, known)
     assert isinstance(one, LinearCompensator) is (estimates == "false")
-    assert len(one.linear().a) > len(METHODS[method](known).linear().a)
+    assert len(one.linear().a) > len(COMPENSATION_METHODS[method](known).linear().a)
     matrix, size = one.linear().matrix(), len(one.linear().a)
     rng, work = np.random.default_rng(1), np.zeros(one.linear().matrix().shape[1])
     for _ in range(9):  # too few to adapt to

@@ -70,7 +70,7 @@ def threads(wish):
 
 
 def ask(wish, how="as we are"):
-    """Apply wishes in a process of its own."""
+    """Apply realtime_parameters in a process of its own."""
     words = [sys.executable, "-c", PROGRAM, json.dumps({**WISH, **wish}), how]
     done = subprocess.run(words, capture_output=True, text=True, check=True)
     return json.loads(done.stdout)

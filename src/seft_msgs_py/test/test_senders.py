@@ -39,7 +39,7 @@ def senders_of(graph, topic):
 
 def test_before_a_test_nobody_is_a_stranger(topic):
     senders = senders_of(Graph(), topic)
-    assert not senders.is_foreign(topic.name, FALSE)
+    assert not senders.is_unexpected(topic.name, FALSE)
 
 
 def test_who_joins_a_test_is_a_stranger_until_it_ends(topic):
@@ -49,22 +49,24 @@ def test_who_joins_a_test_is_a_stranger_until_it_ends(topic):
     assert senders.poll() == []
     graph.nodes["/other"] = FALSE
     senders.follow(True)  # running, then ramping down: one test
-    assert not senders.is_foreign(topic.name, TRUE)
-    assert senders.is_foreign(topic.name, FALSE)
-    assert senders.strangers() == f"{UNNAMED} on {topic.name}: 1"
+    assert not senders.is_unexpected(topic.name, TRUE)
+    assert senders.is_unexpected(topic.name, FALSE)
+    assert senders.unexpected_publishers() == f"{UNNAMED} on {topic.name}: 1"
     assert senders.poll() == [f"/other publishes {topic.name}, too: this test ignores its messages"]
     assert senders.poll() == []
-    assert senders.is_foreign(topic.name, FALSE)
-    assert senders.strangers() == f"/other on {topic.name}: 2"
+    assert senders.is_unexpected(topic.name, FALSE)
+    assert senders.unexpected_publishers() == f"/other on {topic.name}: 2"
     senders.follow(False)
-    assert not senders.is_foreign(topic.name, FALSE)
+    assert not senders.is_unexpected(topic.name, FALSE)
     del graph.nodes["/other"]
     senders.follow(True)
-    assert senders.strangers() == ""
-    assert senders.is_foreign(topic.name, FALSE)
-    assert senders.strangers() == f"{UNNAMED} on {topic.name}: 1"  # what it was before, is past
+    assert senders.unexpected_publishers() == ""
+    assert senders.is_unexpected(topic.name, FALSE)
+    assert (
+        senders.unexpected_publishers() == f"{UNNAMED} on {topic.name}: 1"
+    )  # what it was before, is past
     senders.follow(False)
-    assert not senders.is_foreign(topic.name, FALSE)
+    assert not senders.is_unexpected(topic.name, FALSE)
 
 
 def test_a_stranger_that_says_nothing_is_named_too_once_its_name_is_known():
@@ -75,7 +77,7 @@ def test_a_stranger_that_says_nothing_is_named_too_once_its_name_is_known():
     assert senders.poll() == []
     graph.nodes = {"/rig": TRUE, "/other": FALSE}
     assert len(senders.poll()) == 1
-    assert senders.strangers() == "/other on rig/state: 0"
+    assert senders.unexpected_publishers() == "/other on rig/state: 0"
 
 
 def test_the_graph_is_asked_only_where_there_may_be_a_stranger_without_a_name():
@@ -91,7 +93,7 @@ def test_the_graph_is_asked_only_where_there_may_be_a_stranger_without_a_name():
 
     mine, its = ["/rig/state"], ["/experiment/state"]
     assert polled() == (0, [])
-    senders.is_foreign(RIG_STATE.name, FALSE)
+    senders.is_unexpected(RIG_STATE.name, FALSE)
     assert polled() == (0, mine)  # it sends, and is not known yet
     graph.nodes["/other"] = FALSE
     assert polled() == (1, mine)
@@ -124,7 +126,7 @@ def test_of_two_who_are_there_at_the_begin_both_are_named_and_none_is_chosen():
     senders = senders_of(Graph(**{"/rig": TRUE, "/other": FALSE}), RIG_STATE)
     assert senders.conflict() == "2 nodes publish rig/state (/other, /rig)"
     senders.follow(True)
-    assert not senders.is_foreign(RIG_STATE.name, FALSE)
+    assert not senders.is_unexpected(RIG_STATE.name, FALSE)
     assert senders.poll() == []
 
 
@@ -133,11 +135,11 @@ def test_who_is_known_and_not_connected_yet_is_told_apart_by_its_name():
     graph.connected = 1
     senders = senders_of(graph, RIG_STATE)
     senders.follow(True)
-    assert senders.is_foreign(RIG_STATE.name, FALSE)
+    assert senders.is_unexpected(RIG_STATE.name, FALSE)
 
 
 def test_what_every_node_publishes_knows_no_strangers():
     senders = senders_of(Graph(**{"/rig": TRUE, "/other": FALSE}), DIAGNOSTICS)
     assert senders.conflict() == ""
     senders.follow(True)
-    assert not senders.is_foreign(DIAGNOSTICS.name, FALSE)
+    assert not senders.is_unexpected(DIAGNOSTICS.name, FALSE)

@@ -67,7 +67,7 @@ def test_an_accepted_rate_and_its_period_multiply_to_one_second_exactly(rate):
 
 @pytest.mark.parametrize("rate", [0, 5e-324, -500.0, math.inf, -math.inf, math.nan])
 def test_a_rate_that_is_no_positive_number_is_refused(rate):
-    with pytest.raises(InputError, match="no sampling rate"):
+    with pytest.raises(InputError, match="must be positive"):
         Timebase.from_rate(rate)
 
 

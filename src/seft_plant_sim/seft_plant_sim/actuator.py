@@ -124,7 +124,7 @@ def _given_or(given: Floats, from_data_sheet: Floats) -> Floats:
 STOP_STIFFNESS = 2.0  # of the end stops, over the oil's
 STOP_DAMPING = 2.0  # s/m: a stop pushes that much harder per velocity (Hunt & Crossley 1975)
 STALL = 1e-4  # of the force capacity: below it the square root of the flow is smoothed
-OPENING, PER_CAPACITY, STROKE, FRICTION, PER_VELOCITY, STOP, FASTEST = range(7)
+OPENING, PER_CAPACITY, STROKE_COLUMN, FRICTION, PER_VELOCITY, _STOP, FASTEST = range(7)
 """Columns of `piston_rows`."""
 COLUMNS = 7
 
@@ -157,13 +157,13 @@ def lost_opening(pistons: Floats, i: int, w: float, p: float) -> float:
 @compiled
 def holding_force(pistons: Floats, i: int, x: float, v: float) -> float:
     """Force of friction and end stops on a piston at ``x`` (m) with velocity ``v`` (m/s), N."""
-    friction, stroke = pistons[i, FRICTION], pistons[i, STROKE]
+    friction, stroke = pistons[i, FRICTION], pistons[i, STROKE_COLUMN]
     force = 0.0
     if friction:  # tanh(v / over) by one exponential
         faded = math.exp(-2.0 * abs(v) * pistons[i, PER_VELOCITY])
         force = math.copysign(friction, v) * (1.0 - faded) / (1.0 + faded)
     if x > stroke:
-        force += pistons[i, STOP] * (x - stroke) * max(0.0, 1.0 + STOP_DAMPING * v)
+        force += pistons[i, _STOP] * (x - stroke) * max(0.0, 1.0 + STOP_DAMPING * v)
     elif x < -stroke:
-        force += pistons[i, STOP] * (x + stroke) * max(0.0, 1.0 - STOP_DAMPING * v)
+        force += pistons[i, _STOP] * (x + stroke) * max(0.0, 1.0 - STOP_DAMPING * v)
     return force

@@ -11,7 +11,7 @@ from seft_msgs_py.arrays import Floats
 
 from seft_plant_sim.model_process import ModelError as ModelError
 from seft_plant_sim.model_process import ModelProcess
-from seft_plant_sim.model_worker import WHERE, ModelState
+from seft_plant_sim.model_worker import MODEL_PARAMETER, ModelState
 
 SMALL_DISPLACEMENT, SMALL_VELOCITY = 1e-4, 1e-2
 """m and m/s, at which the tangent of a model is measured if the model does not give it."""
@@ -106,15 +106,15 @@ class ComputedModel:
         if isinstance(axes, int):
             if axes not in (len(self._source.influence.T), len(dofs)):
                 raise ModelError(
-                    f"{WHERE}: {name} has {axes} axes, but the test has "
+                    f"{MODEL_PARAMETER}: {name} has {axes} axes, but the test has "
                     f"{len(self._source.influence.T)}: {', '.join(dofs)}"
                 )
             return tuple(range(axes))
         named = axes if isinstance(axes, list) else []
         if not named or any(axis not in dofs or named.count(axis) > 1 for axis in named):
             raise ModelError(
-                f"{WHERE}: axes of {name} are {axes}, but must be their number, or different "
-                f"ones of {', '.join(dofs)}"
+                f"{MODEL_PARAMETER}: axes of {name} are {axes}, but must be their number, or "
+                f"different ones of {', '.join(dofs)}"
             )
         return tuple(map(dofs.index, named))
 

@@ -284,7 +284,7 @@ def dynamics_of(
 def at_rest(dynamics: Dynamics) -> Motion:
     """Motion of a model that has not been driven."""
     p, (_, r, s) = len(dynamics.laws), dynamics.correct.shape
-    work, (memory, trial) = np.zeros(len(dynamics.output)), np.zeros((2, p, springs.MEMORY))
+    work, (memory, trial) = np.zeros(len(dynamics.output)), np.zeros((2, p, springs.SPRING_MEMORY))
     return Motion(work, memory, np.zeros(s), np.zeros(r), trial)
 
 
@@ -301,7 +301,7 @@ def integrate(dynamics: Dynamics, stretch: int, motion: Motion) -> None:
             multiply(predict, work, state)
             memory = motion.trial
             for j in range(len(memory)):
-                for i in range(springs.MEMORY):
+                for i in range(springs.SPRING_MEMORY):
                     memory[j, i] = motion.springs[j, i]
         else:  # the next state with the residuals' change
             for j in range(r):
@@ -348,8 +348,8 @@ def _fastest(model: ContinuousModel) -> float:
     rates = model.pistons[:, FASTEST].tolist()
     n, first = model.b.shape[1], 2 * len(model.pistons)
     for j, law in enumerate(_laws(model)):
-        if law[springs.KIND] in (springs.SLIDER, springs.GAP):
-            stiffer = law[springs.BESIDE] + law[springs.HYSTERETIC] - law[springs.STIFFNESS]
+        if law[springs.SPRING_KIND] in (springs.SLIDER, springs.SPRING_GAP):
+            stiffer = law[springs.SPRING_BESIDE] + law[springs.HYSTERETIC] - law[springs.STIFFNESS]
             per_force = -model.deformation[j] @ model.inputs[n : 2 * n, first + j]
             rates.append(math.sqrt(max(0.0, stiffer * per_force)))
     return max(rates, default=0.0)

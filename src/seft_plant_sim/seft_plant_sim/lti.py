@@ -14,7 +14,7 @@ from seft_msgs_py.errors import InputError
 
 Polynomial = Floats | Sequence[float]
 
-LEAST_SAMPLES = 4.0
+MIN_SAMPLES = 4.0
 """Samples in a cycle of the highest frequency that is inverted."""
 OUTSIDE_WEIGHT, GAIN_WEIGHT = 0.02, 1e-4
 """Weights in least squares: of errors above that frequency, and of the inverse's own size. They
@@ -40,11 +40,13 @@ class TransferFunction:
     def response(self, frequencies_hz: Floats) -> Complexes:
         """Frequency response, same shape."""
         s = np.asarray(2j * np.pi * frequencies_hz, dtype=np.complex128)
-        value = ratio(self.numerator, self.denominator, s)
+        value = polynomial_ratio(self.numerator, self.denominator, s)
         return value * np.exp(-s * self.dead_time) if self.dead_time else value
 
 
-def ratio(numerator: Polynomial, denominator: Polynomial, points: Complexes) -> Complexes:
+def polynomial_ratio(
+    numerator: Polynomial, denominator: Polynomial, points: Complexes
+) -> Complexes:
     """Quotient of two polynomials at some points of the plane; infinite at a pole."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.polyval(numerator, points) / np.polyval(denominator, points)

@@ -22,7 +22,7 @@ from typing import Any, NoReturn
 from seft_msgs_py.config.registered import printable
 from seft_msgs_py.errors import InputError
 
-from seft_plant_sim.model_worker import TOLD, WHERE
+from seft_plant_sim.model_worker import MODEL_PARAMETER, TOLD
 
 START_TIME = 60.0
 """s, for a model to be made, or to start: it may import OpenSees and build its structure."""
@@ -164,7 +164,7 @@ class ModelProcess:
     def _fail(self, why: str) -> NoReturn:
         """End the process, and raise the error of the call."""
         what, line = self._in_flight, self._lines.get(self._in_flight)
-        where = f"{WHERE}: {self._name}{f' line {line}' if line else ''}"
+        where = f"{MODEL_PARAMETER}: {self._name}{f' line {line}' if line else ''}"
         self.close()
         raise ModelError(f"{where}, {TOLD.get(what, what)}: {why}{self._said()}")
 

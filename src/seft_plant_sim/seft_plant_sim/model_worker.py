@@ -21,10 +21,10 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.registered import Registered, line_in, reason_of
 from seft_msgs_py.errors import InputError
 
-WHERE = "reference_force: computed.model"
+MODEL_PARAMETER = "reference_force: computed.model"
 MODELS = Registered("seft.computed_model", ())
 """Models of other packages: name -> class, which may take settings."""
-METHODS = {"start": "dt, axes", "step": "t, displacement, velocity, ground_acceleration"}
+_METHODS = {"start": "dt, axes", "step": "t, displacement, velocity, ground_acceleration"}
 TOLD = {"make": "made"}
 """Words for methods that are not the model's own."""
 _PR_SET_PDEATHSIG = 1
@@ -118,10 +118,10 @@ class ModelWorker:
 
         Axes that are neither a number nor a list of texts are given in words.
         """
-        own = self._own = MODELS.make(self._name, self._settings, WHERE)
-        for name, takes in METHODS.items():
+        own = self._own = MODELS.make(self._name, self._settings, MODEL_PARAMETER)
+        for name, takes in _METHODS.items():
             if not callable(getattr(own, name, None)):
-                raise InputError(f"{WHERE}: {self._name} has no {name}({takes})")
+                raise InputError(f"{MODEL_PARAMETER}: {self._name} has no {name}({takes})")
         axes = getattr(own, "axes", None)
         found: int | list[str] | str = reprlib.repr(axes)
         if isinstance(axes, int):
@@ -129,7 +129,7 @@ class ModelWorker:
         elif isinstance(axes, Sequence) and not isinstance(axes, str):
             named = list(axes)
             found = named if all(isinstance(axis, str) for axis in named) else found
-        lines = ((name, self._first_line(name)) for name in METHODS)
+        lines = ((name, self._first_line(name)) for name in _METHODS)
         return found, {name: line for name, line in lines if line}
 
     def start(self, dt: float, names: Sequence[str]) -> tuple[Any, ...]:
@@ -155,7 +155,7 @@ class ModelWorker:
         if isinstance(error, InputError):  # its text is complete
             return str(error)
         line = line_in(error, self._file())
-        return f"{WHERE}: {self._name}{line}, {TOLD.get(what, what)}: {reason_of(error)}"
+        return f"{MODEL_PARAMETER}: {self._name}{line}, {TOLD.get(what, what)}: {reason_of(error)}"
 
     def _state(self, force: Floats) -> tuple[Any, ...]:
         size = len(force)
@@ -210,7 +210,9 @@ class ModelWorker:
     def _wrong(self, what: str) -> InputError:
         """Make the error of a value that the model gives; it names the line of the method."""
         line = self._first_line(what.split()[0])
-        return InputError(f"{WHERE}: {self._name}{f' line {line}' if line else ''}: {what}")
+        return InputError(
+            f"{MODEL_PARAMETER}: {self._name}{f' line {line}' if line else ''}: {what}"
+        )
 
     def _file(self) -> str | None:
         """File that defines the model."""
@@ -232,7 +234,7 @@ def _numbers(value: Any) -> Floats | None:
         return None
 
 
-def serve(connection: Connection, worker: ModelWorker) -> None:
+def _serve(connection: Connection, worker: ModelWorker) -> None:
     """Answer requests until there are no more.
 
     A request is the name of a method of `ModelWorker` and its arguments; the answer is whether it
@@ -270,7 +272,7 @@ def main() -> None:
     sys.path[:], settings = marshal.loads(connection.recv_bytes())
     worker = ModelWorker(sys.argv[3], settings)
     try:
-        serve(connection, worker)
+        _serve(connection, worker)
         worker.close()
     except BaseException as error:
         print(worker.failure("close", error), file=sys.stderr)

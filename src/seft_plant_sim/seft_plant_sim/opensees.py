@@ -16,7 +16,7 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.registered import line_in, reason_of
 from seft_msgs_py.errors import InputError
 
-WHERE = "reference_force: computed.model"
+_WHERE = "reference_force: computed.model"
 _MANY = 900_000  # first tag of nodes and elements that are added to the script's model
 Place = tuple[int, int]
 _runs_script = False
@@ -77,7 +77,7 @@ class OpenSees:
             import openseespy.opensees as ops
         except Exception as error:
             raise InputError(
-                f"{WHERE}: {script}: OpenSeesPy can't be imported ({reason_of(error)}): "
+                f"{_WHERE}: {script}: OpenSeesPy can't be imported ({reason_of(error)}): "
                 "pip install 'seft_plant_sim[opensees]'"
             ) from None
         self._ops, self._script, self._path = ops, script, Path(script).resolve()
@@ -97,7 +97,7 @@ class OpenSees:
             yield
         except Exception as error:
             line = line_in(error, self._script)
-            raise InputError(f"{WHERE}: {self._script}{line}: {reason_of(error)}") from None
+            raise InputError(f"{_WHERE}: {self._script}{line}: {reason_of(error)}") from None
 
     def responses(self) -> dict[str, float]:
         """Give the script's responses to record."""

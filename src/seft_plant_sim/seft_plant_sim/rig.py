@@ -26,13 +26,13 @@ from seft_plant_sim.continuous_model import (
 )
 from seft_plant_sim.limits import Limits, event_ring
 from seft_plant_sim.lti import split_dead_time
-from seft_plant_sim.rig_step import BLIND, ENDS, LIMIT, RigParameters, RigState, move, rig_step
+from seft_plant_sim.rig_step import BLIND, ENDS, RIG_LIMIT, RigParameters, RigState, move, rig_step
 from seft_plant_sim.sensors import CHANNELS, Sensors
 from seft_plant_sim.specimen import Specimen
 
 LONGEST_DELAY_STEPS = 1_000_000
 """Largest dead time of a rig, in samples."""
-AT_REST = 1e-4  # m/s
+_AT_REST = 1e-4  # m/s
 RESTS = 10  # steps below that, so that the turning point of a vibration does not count as rest
 
 
@@ -197,7 +197,7 @@ class Rig:
             self._move(self.parameters, self.state, command)
             peak = max(peak, float(np.abs(self.sample[3]).max()))
             steps += 1
-            resting = resting + 1 if np.abs(self.sample[1]).max() < AT_REST else 0
+            resting = resting + 1 if np.abs(self.sample[1]).max() < _AT_REST else 0
         return Stopped(steps, peak)
 
     def take(self, found: Ints) -> None:
@@ -210,7 +210,7 @@ class Rig:
 
         Raises the exception of a spring of another package, if there was one.
         """
-        if found & LIMIT:
+        if found & RIG_LIMIT:
             for spring in self._model.springs:
                 spring.check()
             return self.limits.describe(self.state.measured, self.state.change)

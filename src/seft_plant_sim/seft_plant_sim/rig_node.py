@@ -30,12 +30,12 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_plant_sim import rig_watch
 from seft_plant_sim.command import Command
 from seft_plant_sim.rig import Rig, Stopped
-from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.rig_parameters import RIG_TABLE
 
 CLOCK_PERIOD = 0.1  # s of the test's time
 BREATH = 0.005  # s from the first answer in realtime to the time of step 0
 FALL_BACK = 0.25  # of a period: delay of each next sample of a rig that is ahead of others
-REPORT_PERIOD = 1.0  # s, of the diagnostics of a running test
+_REPORT_PERIOD = 1.0  # s, of the diagnostics of a running test
 
 
 class RigNode(NodeBody):
@@ -230,7 +230,7 @@ class RigNode(NodeBody):
 
     def _report_if_due(self) -> None:
         """Report the test's progress if its commands have arrived and there is time for it."""
-        if self._clock.monotonic() - self._reported_at >= REPORT_PERIOD:
+        if self._clock.monotonic() - self._reported_at >= _REPORT_PERIOD:
             self._shell.note(self._status("running"))
 
     def _status(
@@ -275,9 +275,10 @@ class RigNode(NodeBody):
                 return why
             if self._clock.monotonic() > deadline:
                 late = self._valve if self._valve.step < step else self._drive
-                topic, foreign = late.codec.topic, shell.foreign_publishers(self._refused_before)
+                topic = late.codec.topic
+                unexpected = shell.name_unexpected_publishers(self._refused_before)
                 text = f"no {topic.name} for step {step} within {timeout:g} s in lockstep"
-                return f"{text}; is {topic.publisher} running?{foreign}"
+                return f"{text}; is {topic.publisher} running?{unexpected}"
         return None
 
     def _realtime(self, step: int, is_last: bool) -> str | None:
@@ -302,7 +303,9 @@ class RigNode(NodeBody):
             self._held.append(drive.step)
         in_vain = self._waited_in_vain and drive.step < step
         fault = self._watch.fault(self._clock.elapsed(), step, drive.step, in_vain=in_vain)
-        return fault + self._shell.foreign_publishers(self._refused_before) if fault else None
+        return (
+            fault + self._shell.name_unexpected_publishers(self._refused_before) if fault else None
+        )
 
     def _wait_for_answer(self, step: int, longest: float) -> float:
         """Wait for the command of a step; return for how long, s."""
@@ -337,8 +340,8 @@ class RigNode(NodeBody):
         return self._supervision.reason_to_end()
 
 
-KIND = NodeKind(TABLE, [TABLE], RigNode)
-main = KIND.main
+RIG_NODE = NodeKind(RIG_TABLE, [RIG_TABLE], RigNode)
+main = RIG_NODE.main
 
 
 if __name__ == "__main__":

@@ -6,8 +6,8 @@ from seft_msgs_py.config.parameter_table import Parameter, Table, parameter_rows
 from seft_msgs_py.config.registered import Registered
 from seft_msgs_py.node import host
 
-OWN = ("linear", "bilinear", "bouc_wen", "pinching", "flag", "friction", "gap", "duffing")
-KINDS = Registered("seft.restoring_force", OWN)
+_OWN = ("linear", "bilinear", "bouc_wen", "pinching", "flag", "friction", "gap", "duffing")
+RESTORING_FORCES = Registered("seft.restoring_force", _OWN)
 """Laws of other packages: kind -> class or function for a `springs.HystereticSpring`.
 
 It receives elastic stiffness in N/m, yield displacement in m, and hardening ratio, and may take
@@ -55,7 +55,7 @@ def limit_rows(default_from: str = "") -> list[Parameter]:
     return [replace(row, default_from=f"{default_from}:{row.name}") for row in rows]
 
 
-PACE = parameter_rows(
+_PACE = parameter_rows(
     """
     pace | string | realtime |  | realtime, lockstep |
         realtime: absolute deadlines, a missing command holds the last; lockstep: each step waits
@@ -89,9 +89,9 @@ SPRINGS = (
         "restoring force: linear, bilinear with kinematic hardening, Bouc-Wen, Bouc-Wen with "
         "pinching, flag-shaped (self-centring), Coulomb friction parallel to the spring, a second "
         "spring behind a gap, or Duffing's cubic spring",
-        choices=KINDS.names,
+        choices=RESTORING_FORCES.names,
     ),
-    KINDS.settings_row("specimen.settings", "a restoring force"),
+    RESTORING_FORCES.settings_row("specimen.settings", "a restoring force"),
     *parameter_rows(
         """
         yield_displacement      | floats | 0.0  | m     | 0 ..       |
@@ -135,7 +135,7 @@ SPRINGS = (
     ),
 )
 
-ACTUATOR = parameter_rows(
+_ACTUATOR = parameter_rows(
     """
     kind | string | servo_hydraulic |  | ideal, delay, servo_hydraulic, servo_hydraulic_linear |
         ideal and delay (Eq. 5.2) apply the reference force; servo_hydraulic obeys its valve,
@@ -229,16 +229,16 @@ SAFETY = parameter_rows(
     """
 )
 
-TABLE = Table(
+RIG_TABLE = Table(
     "rig",
     [
-        *PACE,
+        *_PACE,
         *SPECIMEN,
         *SPRINGS,
-        *ACTUATOR,
+        *_ACTUATOR,
         *SENSORS,
         *limit_rows(default_from="supervisor"),
         *SAFETY,
-        *host.PARAMETERS,
+        *host.REALTIME_PARAMETERS,
     ],
 )

@@ -5,18 +5,18 @@ from typing import NamedTuple
 from seft_msgs_py.arrays import Floats, Ints
 
 from seft_plant_sim.actuator import OPENING, PER_CAPACITY
-from seft_plant_sim.actuator import STROKE as STROKE_COLUMN
+from seft_plant_sim.actuator import STROKE_COLUMN as STROKE_COLUMN
 from seft_plant_sim.compiled import compiled, multiply
 from seft_plant_sim.continuous_model import Dynamics, Motion, integrate
 from seft_plant_sim.limits import exceeds, is_exceeded
-from seft_plant_sim.sensors import CHANNELS, Channels, measure
+from seft_plant_sim.sensors import CHANNELS, Channels, measure_channels
 
-STROKE, FORCE_CAPACITY, VALVE = 16, 32, 64
-LIMIT, BLIND = 128, 256
+_STROKE, FORCE_CAPACITY, _VALVE = 16, 32, 64
+RIG_LIMIT, BLIND = 128, 256
 """Bits of a step's result: 1 to 8 for saturated sensors, then other saturated parts, then the
 reasons to end the test: a limit, or sensors that are saturated for too long."""
 ENDS = {f"{name}_range": 1 << row for row, name in enumerate(CHANNELS)}
-ENDS |= {"stroke": STROKE, "force_capacity": FORCE_CAPACITY, "valve": VALVE}
+ENDS |= {"stroke": _STROKE, "force_capacity": FORCE_CAPACITY, "valve": _VALVE}
 """Bits of saturated parts, by name."""
 
 
@@ -103,16 +103,16 @@ def rig_step(
     Returns
     -------
     int
-        Bits `LIMIT` or `BLIND` if the test must end, and those of `ENDS`.
+        Bits `RIG_LIMIT` or `BLIND` if the test must end, and those of `ENDS`.
     """
     if step == 0:
         rest(state)
     else:
         move(parameters, state, command)
-    found = measure(parameters.channels, step, state.true, noise, state.measured, measured)
+    found = measure_channels(parameters.channels, step, state.true, noise, state.measured, measured)
     blind = found > 0
     if exceeds(parameters.limits, step, state.measured, measured, state.largest):
-        found |= LIMIT
+        found |= RIG_LIMIT
     elif blind:
         if is_exceeded(state.blind, state.counts[1], step, parameters.window):
             found |= BLIND
@@ -125,11 +125,11 @@ def rig_step(
     z, pistons = state.motion.work, parameters.dynamics.pistons
     for i in range(len(pistons)):
         if abs(z[i]) >= pistons[i, STROKE_COLUMN]:
-            found |= STROKE
+            found |= _STROKE
         if abs(z[2 * n + i]) * pistons[i, PER_CAPACITY] >= 1.0:
             found |= FORCE_CAPACITY
         if abs(z[3 * n + i]) >= pistons[i, OPENING]:
-            found |= VALVE
+            found |= _VALVE
     return found
 
 

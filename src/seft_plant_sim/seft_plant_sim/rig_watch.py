@@ -12,7 +12,7 @@ from seft_msgs_py.errors import WireError
 from seft_msgs_py.node.clock import AwakeClock, Clock
 from seft_msgs_py.node.node_shell import NodeShell
 from seft_msgs_py.wire.messages import WARN, Status, decode_diagnostics, decode_status
-from seft_msgs_py.wire.outcome import MOVING, RECORDED, RECORDER, STOPPED
+from seft_msgs_py.wire.outcome import MOVING, RECORDED, RECORDER_NODE_NAME, STOPPED
 from seft_msgs_py.wire.topics import REHEARSE, RIG_STATE, LoopTopic, Timebase, rehearsed
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
@@ -77,7 +77,7 @@ class CommandWatch:
 
 
 OVERRUN = 0.5  # of a period: after it the rest of the period is too short for an answer
-HURRY = 0.05  # of a period, by which steps are shorter while a rig makes up for lost time
+_HURRY = 0.05  # of a period, by which steps are shorter while a rig makes up for lost time
 POLL = 0.002  # s, longest wait until it is asked again whether to stop
 
 
@@ -104,7 +104,7 @@ class SampleClock:
             self.overruns += 1
             self.fall_back(late)
         if self._makes_up and self._start > self._on_time:
-            self._start -= min(HURRY * self.period, self._start - self._on_time)
+            self._start -= min(_HURRY * self.period, self._start - self._on_time)
 
     def fall_back(self, time: float) -> None:
         """Shift all later deadlines by a time in s."""
@@ -136,7 +136,7 @@ def wait_for_sample(
         pass  # messages that arrived during a stall are in time; a flood must not block
 
 
-MOST = 3072
+MAX_UNRECORDED_STEPS = 3072
 """Steps: three quarters of a queue's length. The recorder reports its step five times a second."""
 
 
@@ -158,7 +158,7 @@ class RecorderLag:
     def receive(self, raw: bytes, _: int) -> None:
         """Process the diagnostics of a node."""
         for status in decode_diagnostics(raw)[1]:
-            if status.name == RECORDER:
+            if status.name == RECORDER_NODE_NAME:
                 self._received_at = self._awake.time()
                 self._recorded = int(status.number(RECORDED) or 0)
 
@@ -168,7 +168,7 @@ class RecorderLag:
 
     def is_large(self, step: int) -> bool:
         """Say whether the rig should wait after a step until more is recorded."""
-        if step - self._recorded < MOST:
+        if step - self._recorded < MAX_UNRECORDED_STEPS:
             return False
         return self._awake.time() - self._received_at < self._patience
 
@@ -264,11 +264,11 @@ def with_health(
 SHORTEST = 1e-5  # s, lower edge of the first bin
 PER_DECADE = 20  # bins: the error of a median is at most 6 %
 DECADES = 7
-QUANTILES = {"p50": 0.5, "p90": 0.9, "p99": 0.99, "p99.9": 0.999}
+_QUANTILES = {"p50": 0.5, "p90": 0.9, "p99": 0.99, "p99.9": 0.999}
 EDGES = [SHORTEST * 10 ** (at / PER_DECADE) for at in range(1, PER_DECADE * DECADES)]
 
 
-LATEST = 256  # steps: an answer that is older has no round trip
+_LATEST = 256  # steps: an answer that is older has no round trip
 
 
 class RoundTrip:
@@ -281,7 +281,7 @@ class RoundTrip:
     """
 
     def __init__(self) -> None:
-        self._published_at = [0.0] * LATEST  # the last states, by step
+        self._published_at = [0.0] * _LATEST  # the last states, by step
         self.reset()
 
     def reset(self) -> None:
@@ -291,12 +291,12 @@ class RoundTrip:
 
     def published(self, step: int, at: float) -> None:
         """Note the time at which a state is published, s."""
-        self._published_at[step % LATEST] = at
+        self._published_at[step % _LATEST] = at
 
     def answered(self, command: Command, at: float) -> None:
         """Count the newest command, which arrived at a time in s, unless its state is too old."""
-        if command.current - command.answered < LATEST:
-            self.add(at - self._published_at[command.answered % LATEST])
+        if command.current - command.answered < _LATEST:
+            self.add(at - self._published_at[command.answered % _LATEST])
 
     def add(self, time: float) -> None:
         """Count a time in seconds."""
@@ -311,9 +311,9 @@ class RoundTrip:
         if math.isnan(self.last):
             return {}
         seen = np.cumsum(self._bins)
-        bins = np.searchsorted(seen, [share * seen[-1] for share in QUANTILES.values()])
+        bins = np.searchsorted(seen, [share * seen[-1] for share in _QUANTILES.values()])
         middles = np.minimum(SHORTEST * 10 ** ((bins + 0.5) / PER_DECADE), self._largest)
-        return {**dict(zip(QUANTILES, middles.tolist(), strict=True)), "largest": self._largest}
+        return {**dict(zip(_QUANTILES, middles.tolist(), strict=True)), "largest": self._largest}
 
 
 UNCOUNTED = 0.25  # of the steps: in this time the host adapts to the load of the loop

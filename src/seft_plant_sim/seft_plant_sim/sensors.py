@@ -44,7 +44,7 @@ class Channels(NamedTuple):
 
 
 @compiled
-def measure(
+def measure_channels(
     channels: Channels, step: int, true: Floats, noise: Floats, last: Floats, measured: Floats
 ) -> int:
     """Measure a state: noise, bias, range and resolution of every sensor, in this order.

@@ -34,21 +34,21 @@ from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.compiled import compiled
-from seft_plant_sim.rig_parameters import KINDS
+from seft_plant_sim.rig_parameters import RESTORING_FORCES
 
-SLIDER, BOUC_WEN, GAP, DUFFING, CALLED = range(5)
-KIND, STIFFNESS, BESIDE, HYSTERETIC, Z_Y = range(5)
+SLIDER, BOUC_WEN, SPRING_GAP, DUFFING, CALLED = range(5)
+SPRING_KIND, STIFFNESS, SPRING_BESIDE, HYSTERETIC, Z_Y = range(5)
 """Columns of every law."""
-LOWER = ADDRESS = LIMIT = 5
+LOWER = ADDRESS = _LIMIT = 5
 EXPONENT, BETA, GAMMA, AMPLITUDE_LOSS, STRENGTH_LOSS, STIFFNESS_LOSS = range(6, 12)
-SLIP, SLIP_RATE, SLIP_WIDTH = range(12, 15)
+SPRING_SLIP, SLIP_RATE, SLIP_WIDTH = range(12, 15)
 WIDTH = 15
-MEMORY = 3
+SPRING_MEMORY = 3
 """Numbers of a spring's memory."""
 
 BOUC_WEN_STEP = 0.03  # of z_y: longest step of `BOUC_WEN` along a path..
 STEP_TIMES_EXPONENT = 0.4  # ..and shorter if it yields sharply
-MOST_STEPS = 20_000  # of one path: a longer jump has longer steps
+_MAX_STEPS = 20_000  # of one path: a longer jump has longer steps
 
 
 @compiled
@@ -57,18 +57,18 @@ def spring_force(laws: Floats, j: int, memory: Floats, e: float) -> float:
 
     Laws have shape (p, `WIDTH`); the springs' memory, shape (p, 3), is updated.
     """
-    kind = int(laws[j, KIND])
+    kind = int(laws[j, SPRING_KIND])
     if kind == CALLED:
-        return _call(int(laws[j, ADDRESS]), memory.ctypes.data + 8 * MEMORY * j, e)
+        return _call(int(laws[j, ADDRESS]), memory.ctypes.data + 8 * SPRING_MEMORY * j, e)
     change = e - memory[j, 0]
     memory[j, 0] = e
     z_y = laws[j, Z_Y]
-    if kind == GAP:
+    if kind == SPRING_GAP:
         beyond = max(abs(e) - z_y, 0.0)
-        return laws[j, BESIDE] * e + laws[j, HYSTERETIC] * math.copysign(beyond, e)
+        return laws[j, SPRING_BESIDE] * e + laws[j, HYSTERETIC] * math.copysign(beyond, e)
     if kind == DUFFING:
         held = _bounded(e, z_y)
-        return (laws[j, BESIDE] + laws[j, HYSTERETIC] * held * held) * held
+        return (laws[j, SPRING_BESIDE] + laws[j, HYSTERETIC] * held * held) * held
     if kind == SLIDER:
         # z = min(max(z + e - e_last, low(e)), high(e)): exact, as the bounds rise no faster than e
         trial, lower = memory[j, 1] + change, laws[j, LOWER]
@@ -81,16 +81,16 @@ def spring_force(laws: Floats, j: int, memory: Floats, e: float) -> float:
             memory[j, 2] += laws[j, HYSTERETIC] * (z_y - max(lower, 0.0)) * slip
     elif change:
         _follow_bouc_wen(laws, j, memory, change)
-    return laws[j, BESIDE] * e + laws[j, HYSTERETIC] * memory[j, 1]
+    return laws[j, SPRING_BESIDE] * e + laws[j, HYSTERETIC] * memory[j, 1]
 
 
 @compiled
 def spring_energies(laws: Floats, j: int, memory: Floats) -> tuple[float, float]:
     """Give a spring's recoverable energy and the energy that it has dissipated, J."""
-    kind = int(laws[j, KIND])
+    kind = int(laws[j, SPRING_KIND])
     e, z, dissipated = memory[j, 0], memory[j, 1], memory[j, 2]
-    k_0, k_1, z_y = laws[j, BESIDE], laws[j, HYSTERETIC], laws[j, Z_Y]
-    if kind == GAP:
+    k_0, k_1, z_y = laws[j, SPRING_BESIDE], laws[j, HYSTERETIC], laws[j, Z_Y]
+    if kind == SPRING_GAP:
         return 0.5 * k_0 * e * e + 0.5 * k_1 * max(abs(e) - z_y, 0.0) ** 2, 0.0
     if kind == DUFFING:
         held = min(abs(e), z_y)
@@ -102,7 +102,7 @@ def spring_energies(laws: Floats, j: int, memory: Floats) -> tuple[float, float]
     if kind == SLIDER:
         hysteretic += max(laws[j, LOWER], 0.0) * (abs(e) - abs(z))
     else:
-        if kind == BOUC_WEN and laws[j, SLIP]:
+        if kind == BOUC_WEN and laws[j, SPRING_SLIP]:
             slip, width = _slip(laws, j, dissipated), laws[j, SLIP_WIDTH]
             # integral of f(z) z dz
             hysteretic += slip * width * (1.0 - math.exp(-0.5 * (z / width) ** 2))
@@ -111,7 +111,7 @@ def spring_energies(laws: Floats, j: int, memory: Floats) -> tuple[float, float]
 
 
 @compiled
-def follow(law: Floats, memory: Floats, path: Floats, found: Floats) -> None:
+def _follow(law: Floats, memory: Floats, path: Floats, found: Floats) -> None:
     """Take a spring along N deformations, straight between them, see `Spring.follow`."""
     for i in range(len(path)):
         found[0, i] = spring_force(law, 0, memory, path[i])
@@ -127,7 +127,7 @@ def _bounded(z: float, limit: float) -> float:
 def _slip(laws: Floats, j: int, work: float) -> float:
     """Give s sqrt(2 / pi), m: the slip grows with the work (Foliente 1995)."""
     grown = 1.0 - math.exp(-laws[j, SLIP_RATE] * max(work, 0.0))
-    return math.sqrt(2.0 / math.pi) * laws[j, SLIP] * laws[j, Z_Y] * grown
+    return math.sqrt(2.0 / math.pi) * laws[j, SPRING_SLIP] * laws[j, Z_Y] * grown
 
 
 @compiled
@@ -142,7 +142,7 @@ def _bouc_wen_slope(laws: Floats, j: int, sign: float, z: float, work: float) ->
     shape = laws[j, GAMMA] + (laws[j, BETA] if z * sign >= 0.0 else -laws[j, BETA])
     # phi = (A - nu (beta sgn(z e') + gamma) |z / z_y|^n) / eta
     slope = (amplitude - strength * power * shape) / stiffness
-    if laws[j, SLIP]:
+    if laws[j, SPRING_SLIP]:
         # e' = e_1' + f(z) z', z' = phi(z) e_1', f = sqrt(2 / pi) s / w exp(-(z / w)^2 / 2)
         width = laws[j, SLIP_WIDTH]
         slip = _slip(laws, j, work) / width * math.exp(-0.5 * (z / width) ** 2)
@@ -153,11 +153,11 @@ def _bouc_wen_slope(laws: Floats, j: int, sign: float, z: float, work: float) ->
 @compiled
 def _follow_bouc_wen(laws: Floats, j: int, memory: Floats, change: float) -> None:
     """Integrate z and the work along a path (Runge-Kutta, fourth order)."""
-    z_y, limit = laws[j, Z_Y], laws[j, LIMIT]
+    z_y, limit = laws[j, Z_Y], laws[j, _LIMIT]
     longest = min(BOUC_WEN_STEP, STEP_TIMES_EXPONENT / laws[j, EXPONENT]) * z_y
-    if laws[j, SLIP]:
+    if laws[j, SPRING_SLIP]:
         longest = min(longest, 0.25 * laws[j, SLIP_WIDTH])
-    steps = 1 + int(min(abs(change) / longest, MOST_STEPS))
+    steps = 1 + int(min(abs(change) / longest, _MAX_STEPS))
     h, sign = change / steps, math.copysign(1.0, change)
     z, work = memory[j, 1], memory[j, 2]
     per_z = laws[j, HYSTERETIC] / (laws[j, STIFFNESS] * z_y * z_y)  # of k z_y^2, per z and e
@@ -192,7 +192,7 @@ _call: Any = intrinsic(_called)
 
 
 PATH_STEP = 0.02  # of the yield displacement: longest step of a law along a path
-_Memory = ctypes.c_double * MEMORY
+_Memory = ctypes.c_double * SPRING_MEMORY
 _Law = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_int64, ctypes.c_double)
 
 
@@ -245,7 +245,7 @@ class Spring:
         """
         points = np.array(path, dtype=np.float64)
         found = np.empty((3, len(points)))
-        follow(np.array([self.law]), np.zeros((1, MEMORY)), points, found)
+        _follow(np.array([self.law]), np.zeros((1, SPRING_MEMORY)), points, found)
         self.check()
         return found
 
@@ -307,7 +307,7 @@ class HystereticSpring(ABC):
     def advance(self, z: float, work: float, change: float) -> tuple[float, float]:
         """Hysteretic displacement and work after a change of deformation (Runge-Kutta)."""
         wanted = abs(change) / (PATH_STEP * self.yield_displacement)
-        steps = 1 + int(min(wanted, MOST_STEPS))
+        steps = 1 + int(min(wanted, _MAX_STEPS))
         h, sign = change / steps, math.copysign(1.0, change)
 
         def slopes(z: float, work: float) -> tuple[float, float]:
@@ -387,7 +387,7 @@ def make_springs(
         return springs(SLIDER, k, force / presliding, presliding, -presliding)
     if kind == "gap":
         second = each("gap.stiffness", "has a second spring: give its stiffness in N/m")
-        return springs(GAP, k, second, each("gap.width"))
+        return springs(SPRING_GAP, k, second, each("gap.width"))
     if kind == "duffing":
         cubic = each("duffing.cubic")
         # deformation at the largest force of a softening spring: k + 3 k_3 e^2 = 0
@@ -396,7 +396,7 @@ def make_springs(
         return springs(DUFFING, k, cubic, peak)
     z_y = each("yield_displacement", "yields: give the displacement in m")
     a = each("hardening_ratio")
-    if kind in KINDS:
+    if kind in RESTORING_FORCES:
         rows = np.column_stack([k, z_y, a]).tolist()
         return tuple(Spring.of(_registered(kind, section, where, *row)) for row in rows)
     parts = a * k, (1.0 - a) * k, z_y
@@ -421,7 +421,7 @@ def make_springs(
 
 
 def _registered(kind: str, section: dict[str, Any], where: str, *values: float) -> HystereticSpring:
-    made = KINDS.make(kind, section.get("settings", ""), f"{where}.kind", *values)
+    made = RESTORING_FORCES.make(kind, section.get("settings", ""), f"{where}.kind", *values)
     if not isinstance(made, HystereticSpring):
         raise InputError(
             f"{where}.kind is {kind}, but it makes a {type(made).__name__}; it must be "

@@ -29,10 +29,10 @@ from seft_plant_sim.continuous_model import (
 )
 from seft_plant_sim.specimen import Specimen
 
-TOLERANCE = 1e-5
+_TOLERANCE = 1e-5
 """Of displacement and velocity, relative to their peaks."""
-COARSEST = 4
-FINEST = 1 << 14
+_COARSEST = 4
+_FINEST = 1 << 14
 """Steps of the integration within one of the response."""
 MODEL_TOLERANCE = 5e-3
 """The same for a structure with a computed model, whose steps may take long: the error is of second
@@ -47,7 +47,7 @@ def response(
     """Response to a ground motion that is linear between its samples.
 
     It is exact if the structure is linear. Otherwise the steps of the integration are halved until
-    the response changes by less than `TOLERANCE`, or `MODEL_TOLERANCE`; the error is then about a
+    the response changes by less than `_TOLERANCE`, or `MODEL_TOLERANCE`; the error is then about a
     quarter of that.
 
     Parameters
@@ -76,7 +76,7 @@ def response(
         with closing(ModelledStructure(structure, dt, steps, model)) as modelled:
             return modelled.advance(ground_motion)
 
-    steps, finest, tolerance = COARSEST, FINEST, TOLERANCE
+    steps, finest, tolerance = _COARSEST, _FINEST, _TOLERANCE
     if model is not None:
         steps, finest, tolerance = COARSEST_MODEL, FINEST_MODEL, MODEL_TOLERANCE
     coarse = integrated(steps)
@@ -132,7 +132,7 @@ class ModelledStructure:
     """
 
     def __init__(self, structure: Specimen, dt: float, steps: int, model: ModelSource) -> None:
-        inner = COARSEST if structure.springs else 1
+        inner = _COARSEST if structure.springs else 1
         self._step, self._steps = dt / steps, steps
         self._shaken = ShakenStructure(structure, self._step, inner)
         self._inverse = np.linalg.inv(structure.mass)
@@ -343,7 +343,7 @@ def tested_specimen(experiment: Experiment) -> Specimen:
     return Specimen.from_parameters(source, experiment.axes, where)
 
 
-STEPS = 16
+_STEPS = 16
 """Of the integration within a step of a nonlinear structure: accurate enough for a plot."""
 
 
@@ -360,7 +360,7 @@ class RunningResponse:
         dt = experiment.timebase.dt
         self._shaken: ShakenStructure | ModelledStructure
         if model is None:
-            self._shaken = ShakenStructure(structure, dt, 1 if self.exact else STEPS)
+            self._shaken = ShakenStructure(structure, dt, 1 if self.exact else _STEPS)
         else:
             self._shaken = ModelledStructure(structure, dt, COARSEST_MODEL, model)
 

@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 from seft_msgs_py.config.parameter_table import group, resolve
-from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.rig_parameters import RIG_TABLE
 from seft_plant_sim.springs import make_springs
 
 K, Y, A = 2.11e5, 0.004, 0.1
@@ -15,7 +15,7 @@ def spring(kind, **values):
     values = {"yield_displacement": Y, "hardening_ratio": A} | values
     given = {"specimen.mass": 1.0, "specimen.stiffness": K}
     given |= {f"specimen.{name.replace('__', '.')}": value for name, value in values.items()}
-    section = resolve({"rig": TABLE}, {"rig": TABLE.check(given)})["rig"]
+    section = resolve({"rig": RIG_TABLE}, {"rig": RIG_TABLE.check(given)})["rig"]
     (made,) = make_springs(kind, group(section, "specimen"), [K], "rig: specimen")
     return made
 

@@ -6,7 +6,7 @@ from seft_msgs_py.config.parameter_table import group, resolve
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.actuator import Hydraulics
 from seft_plant_sim.continuous_model import servo_hydraulic
-from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.rig_parameters import RIG_TABLE
 from seft_plant_sim.specimen import Specimen
 
 SPECIMEN = Specimen(np.array([[52.7]]), np.array([[903.5]]), np.array([[2.11e5]]))
@@ -26,7 +26,7 @@ SHEET = {
 def hydraulics(specimen=SPECIMEN, axes=("x",), **values):
     given = {"specimen.mass": 1.0, "specimen.stiffness": 1.0}
     given |= {f"actuator.{name}": value for name, value in (SHEET | values).items()}
-    section = resolve({"rig": TABLE}, {"rig": TABLE.check(given)})["rig"]
+    section = resolve({"rig": RIG_TABLE}, {"rig": RIG_TABLE.check(given)})["rig"]
     return Hydraulics.from_parameters(group(section, "actuator"), specimen, axes)
 
 
@@ -62,7 +62,7 @@ def test_an_oil_column_frequency_is_the_pole_of_actuator_and_specimen():
 
 def test_the_default_data_sheets_put_the_oil_column_at_90_hz():
     given = {"specimen.mass": 1.0, "specimen.stiffness": 1.0}
-    section = resolve({"rig": TABLE}, {"rig": TABLE.check(given)})["rig"]
+    section = resolve({"rig": RIG_TABLE}, {"rig": RIG_TABLE.check(given)})["rig"]
     made = Hydraulics.from_parameters(group(section, "actuator"), SPECIMEN, ("x",))
     resonance = np.sqrt((made.oil_stiffness.item() + 2.11e5) / 52.7) / (2 * np.pi)
     assert resonance == pytest.approx(90.0, abs=0.1)

@@ -5,7 +5,7 @@ import scipy.optimize
 from seft_msgs_py.config.parameter_table import group, resolve
 from seft_plant_sim.actuator import Hydraulics
 from seft_plant_sim.continuous_model import delayed_force, servo_hydraulic
-from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.rig_parameters import RIG_TABLE
 from seft_plant_sim.specimen import Specimen
 
 M, C, K = 52.7, 903.5, 2.11e5
@@ -17,7 +17,7 @@ def hydraulics(specimen=SPECIMEN, axes=("x",), **changes):
     """Actuators of the table's defaults, the paper's rig, with changes."""
     given = {"specimen.mass": M, "specimen.stiffness": K}
     given |= {f"actuator.{name}": value for name, value in changes.items()}
-    section = resolve({"rig": TABLE}, {"rig": TABLE.check(given)})["rig"]
+    section = resolve({"rig": RIG_TABLE}, {"rig": RIG_TABLE.check(given)})["rig"]
     return Hydraulics.from_parameters(group(section, "actuator"), specimen, axes)
 
 

@@ -7,7 +7,7 @@ import pytest
 from bare_rig import BareRig
 from seft_msgs_py.config.parameter_table import group, resolve
 from seft_plant_sim.rig import continuous_model
-from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.rig_parameters import RIG_TABLE
 from seft_plant_sim.specimen import Specimen, energy_balance
 
 DT = 0.002
@@ -42,7 +42,7 @@ def shaken_rig(commands, law, kind="servo_hydraulic", specimen=None, **actuator)
     given = {f"specimen.{name}": value for name, value in values.items()}
     given |= {"actuator.kind": kind, "actuator.friction": 10.0}
     given |= {f"actuator.{name}": value for name, value in actuator.items()}
-    section = resolve({"rig": TABLE}, {"rig": TABLE.check(given)})["rig"]
+    section = resolve({"rig": RIG_TABLE}, {"rig": RIG_TABLE.check(given)})["rig"]
     axes = ("x", "y")[: commands.shape[1]]
     plant = BareRig(continuous_model(section, axes), DT)
     samples = np.array([plant.reset(), *(plant.step(command) for command in commands)])

@@ -6,7 +6,7 @@ from bare_rig import BareRig
 from seft_msgs_py.config.parameter_table import resolve
 from seft_plant_sim.continuous_model import delayed_force, with_low_pass
 from seft_plant_sim.rig import continuous_model
-from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.rig_parameters import RIG_TABLE
 from seft_plant_sim.specimen import Specimen
 
 PAIR = Specimen(
@@ -59,7 +59,7 @@ def test_a_sampled_sine_has_the_gain_and_phase_of_the_filter(kind):
     def steady(cutoff):
         given = {"specimen.mass": 52.7, "specimen.damping": 2000.0, "specimen.stiffness": 2.11e5}
         given |= {"actuator.kind": kind, "sensors.anti_alias": cutoff, "actuator.leakage": 3e3}
-        section = resolve({"rig": TABLE}, {"rig": TABLE.check(given)})["rig"]
+        section = resolve({"rig": RIG_TABLE}, {"rig": RIG_TABLE.check(given)})["rig"]
         plant = BareRig(continuous_model(section, ("x",)), dt, linear=True)
         plant.reset()
         samples = np.array([plant.step(np.array([u])) for u in amplitude * turn.imag])

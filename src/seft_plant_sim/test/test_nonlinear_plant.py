@@ -7,7 +7,7 @@ from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
 from seft_plant_sim import continuous_model as model_module
 from seft_plant_sim.rig import continuous_model
-from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.rig_parameters import RIG_TABLE
 
 DT = 0.002
 NOISE = np.random.default_rng(3).normal(size=(250, 1))
@@ -20,7 +20,7 @@ def plant(axes=("x",), **values):
     given = {f"specimen.{name}": value for name, value in specimen.items()}
     given |= {"actuator.force_capacity": CAPACITY, "actuator.friction": 0.0}
     given |= {name.replace("__", "."): value for name, value in values.items()}
-    section = resolve({"rig": TABLE}, {"rig": TABLE.check(given)})["rig"]
+    section = resolve({"rig": RIG_TABLE}, {"rig": RIG_TABLE.check(given)})["rig"]
     return BareRig(continuous_model(section, axes), DT)
 
 

@@ -14,7 +14,7 @@ from seft_msgs_py.config.parameter_table import resolve
 from seft_plant_sim import continuous_model as model_module
 from seft_plant_sim.actuator import STOP_DAMPING, STOP_STIFFNESS
 from seft_plant_sim.rig import continuous_model
-from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.rig_parameters import RIG_TABLE
 
 DT = 0.002
 COUNT = 150
@@ -51,7 +51,7 @@ def sampled(specimen, actuator, commands, cutoff=0.0):
     values = {f"specimen.{name}": value for name, value in specimen.items()}
     values |= {f"actuator.{name}": value for name, value in actuator.items()}
     values["sensors.anti_alias"] = cutoff
-    section = resolve({"rig": TABLE}, {"rig": TABLE.check(values)})["rig"]
+    section = resolve({"rig": RIG_TABLE}, {"rig": RIG_TABLE.check(values)})["rig"]
     plant = BareRig(continuous_model(section, ("x", "y")[: commands.shape[1]]), DT)
     return np.array([plant.reset(), *(plant.step(command) for command in commands)])
 

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import resolve
 from seft_plant_sim import whole_structure
-from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.rig_parameters import RIG_TABLE
 from seft_plant_sim.whole_structure import ShakenStructure, reference_response, response
 
 DT = 0.002
@@ -39,7 +39,7 @@ def experiment(specimen, *, ratio=0.5, method="seft"):
     count = len(np.atleast_1d(specimen["mass"]))
     common = {"rate": 500.0, "axes": ["x", "y"][:count]}
     given = {f"specimen.{name}": value for name, value in specimen.items()}
-    rig = common | resolve({"rig": TABLE}, {"rig": TABLE.check(given)})["rig"] | common
+    rig = common | resolve({"rig": RIG_TABLE}, {"rig": RIG_TABLE.check(given)})["rig"] | common
     model = {f"model.{name}": specimen[name] for name in ("mass", "damping", "stiffness")}
     reference_force = common | {"method": method, "mass_ratio": ratio} | model
     return Experiment({"reference_force": reference_force, "rig": rig})

@@ -7,7 +7,7 @@ from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.rig import Rig
-from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.rig_parameters import RIG_TABLE
 
 TIMEBASE = Timebase.from_rate(500.0)
 ZERO = np.zeros(1)
@@ -16,8 +16,8 @@ ZERO = np.zeros(1)
 def rig(axes=("x",), **values):
     """Rig of these parameters; a double underscore stands for a dot."""
     values = {"specimen__mass": 52.7, "specimen__stiffness": 2.11e5, **values}
-    given = TABLE.check({name.replace("__", "."): value for name, value in values.items()})
-    section = resolve({"rig": TABLE}, {"rig": given})["rig"]
+    given = RIG_TABLE.check({name.replace("__", "."): value for name, value in values.items()})
+    section = resolve({"rig": RIG_TABLE}, {"rig": given})["rig"]
     return Rig.from_parameters(section, axes, TIMEBASE)
 
 
@@ -188,7 +188,7 @@ JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"  # wherever it runs, as 
 
 
 def moving_rig(*overrides):
-    experiment = Experiment.load([TABLE], [JHU], overrides, nodes=["rig"])
+    experiment = Experiment.load([RIG_TABLE], [JHU], overrides, nodes=["rig"])
     rig = Rig.from_parameters(experiment["rig"], experiment.axes, experiment.timebase)
     rig.reset()
     for step in range(200):
@@ -220,7 +220,7 @@ def test_the_safe_position_is_that_of_the_parameters():
 
 
 def test_a_rig_at_rest_is_settled_at_once():
-    experiment = Experiment.load([TABLE], [JHU], [], nodes=["rig"])
+    experiment = Experiment.load([RIG_TABLE], [JHU], [], nodes=["rig"])
     rig = Rig.from_parameters(experiment["rig"], experiment.axes, experiment.timebase)
     rig.reset()
     assert rig.stop().steps == 10
@@ -228,7 +228,7 @@ def test_a_rig_at_rest_is_settled_at_once():
 
 def test_two_axes_stop_too():
     axes = ("/**", "axes", ["x", "y"])
-    experiment = Experiment.load([TABLE], [JHU], [axes], nodes=["rig"])
+    experiment = Experiment.load([RIG_TABLE], [JHU], [axes], nodes=["rig"])
     rig = Rig.from_parameters(experiment["rig"], experiment.axes, experiment.timebase)
     rig.reset()
     for _ in range(50):

@@ -8,7 +8,7 @@ from bare_rig import BareRig
 from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.rig import Rig, continuous_model, saturation_of
-from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.rig_parameters import RIG_TABLE
 from seft_plant_sim.rig_step import rig_step
 from seft_plant_sim.whole_structure import ShakenStructure
 
@@ -48,7 +48,7 @@ def run(parameters, state, commands, noise, states, found):
 def rig(values, axes=("x",), rate=500.0):
     overrides = [("rig", name, value) for name, value in values.items()]
     overrides += [("/**", "axes", list(axes)), ("/**", "rate", rate)]
-    experiment = Experiment.load([TABLE], [JHU], overrides, nodes=["rig"])
+    experiment = Experiment.load([RIG_TABLE], [JHU], overrides, nodes=["rig"])
     return experiment, Rig.from_parameters(experiment["rig"], axes, experiment.timebase)
 
 

@@ -18,7 +18,7 @@ from seft_msgs_py.wire.messages import (
     encode_diagnostics,
     encode_status,
 )
-from seft_msgs_py.wire.outcome import RECORDED, RECORDER, ROUND_TRIPS, STOPPED
+from seft_msgs_py.wire.outcome import RECORDED, RECORDER_NODE_NAME, ROUND_TRIPS, STOPPED
 from seft_msgs_py.wire.topics import REHEARSE, VALVE_COMMAND
 from seft_plant_sim import rig_watch
 from seft_plant_sim.rig_watch import (
@@ -183,18 +183,20 @@ def test_a_rig_waits_for_a_recorder_that_is_far_behind_but_not_for_a_silent_one(
 
     lag = RecorderLag(1.5, MACHINE)
     assert not lag.is_large(10_000)  # it has never been heard
-    hear(("rig", {RECORDED: "9000"}), (RECORDER, {RECORDED: "100"}), ("rig", {}))
+    hear(("rig", {RECORDED: "9000"}), (RECORDER_NODE_NAME, {RECORDED: "100"}), ("rig", {}))
     assert [lag.is_large(step) for step in (99, 3171, 3172)] == [False, False, True]
     clock.now = 1.25
     assert lag.is_large(3172)
     hear(("rig", {}))
     clock.now = 1.5
     assert not lag.is_large(3172)
-    hear((RECORDER, {RECORDED: "101"}))
+    hear((RECORDER_NODE_NAME, {RECORDED: "101"}))
     assert [lag.is_large(step) for step in (3172, 3173)] == [False, True]
     lag.reset()
     assert [lag.is_large(step) for step in (3071, 3072)] == [False, True]
-    hear((RECORDER, {RECORDED: "500"}), (RECORDER, {}))  # that has begun nothing
+    hear(
+        (RECORDER_NODE_NAME, {RECORDED: "500"}), (RECORDER_NODE_NAME, {})
+    )  # that has begun nothing
     assert [lag.is_large(step) for step in (3071, 3072)] == [False, True]
 
 

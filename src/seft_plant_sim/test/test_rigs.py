@@ -5,7 +5,7 @@ import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig import Rig, Rigs
-from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.rig_parameters import RIG_TABLE
 
 PLAN = (
     "/**:axes:=[west/x, east/x, west/y]",
@@ -22,7 +22,7 @@ PLAN = (
 
 
 def plan(*more):
-    return Experiment.load([TABLE], [], [parse_override(text) for text in (*PLAN, *more)])
+    return Experiment.load([RIG_TABLE], [], [parse_override(text) for text in (*PLAN, *more)])
 
 
 def made(test, rig=None):

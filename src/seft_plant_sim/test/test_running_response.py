@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment
-from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.rig_parameters import RIG_TABLE
 from seft_plant_sim.whole_structure import RunningResponse, reference_response
 
 MODEL = {"model.mass": [52.7], "method": "seft", "mass_ratio": 1.5, "rate": 500.0, "axes": ["x"]}
@@ -13,7 +13,7 @@ MODEL = {"model.mass": [52.7], "method": "seft", "mass_ratio": 1.5, "rate": 500.
 
 def experiment(**specimen):
     rig = Experiment.load(
-        [TABLE], [], [("rig", f"specimen.{name}", value) for name, value in specimen.items()]
+        [RIG_TABLE], [], [("rig", f"specimen.{name}", value) for name, value in specimen.items()]
     )["rig"]
     return Experiment({"rig": {**rig, "rate": 500.0, "axes": ["x"]}, "reference_force": MODEL})
 

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.rig_parameters import TABLE
-from seft_plant_sim.sensors import CHANNELS, Channels, Sensors, measure
+from seft_plant_sim.rig_parameters import RIG_TABLE
+from seft_plant_sim.sensors import CHANNELS, Channels, Sensors, measure_channels
 
 DT = 0.002
 RMS = np.array([[5e-6, 1e-5], [0.01, 0.02], [0.05, 0.1], [3.0, 0.0]])
@@ -29,7 +29,7 @@ class Measured:
     def measure(self, step, state):
         channels, measured = self.sensors.channels, np.empty_like(self._last)
         noise = self.sensors.noise_of(step)
-        found = measure(channels, step, np.ravel(state) * 1.0, noise, self._last, measured)
+        found = measure_channels(channels, step, np.ravel(state) * 1.0, noise, self._last, measured)
         self.saturated = [f"{c}_range" for i, c in enumerate(CHANNELS) if found >> i & 1]
         self._last = measured
         return measured
@@ -47,7 +47,7 @@ def from_parameters(seed=1, axes=("x", "y"), **values):
     """Sensors of the table's defaults with changes."""
     given = {"specimen.mass": 1.0, "specimen.stiffness": 1.0}
     given |= {f"sensors.{name}": value for name, value in values.items()}
-    section = resolve({"rig": TABLE}, {"rig": TABLE.check(given | {"seed": seed})})["rig"]
+    section = resolve({"rig": RIG_TABLE}, {"rig": RIG_TABLE.check(given | {"seed": seed})})["rig"]
     return Measured(Sensors.from_parameters(section, axes, DT, range(len(axes))))
 
 

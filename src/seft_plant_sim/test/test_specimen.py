@@ -4,13 +4,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.config.parameter_table import group, resolve
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.rig_parameters import RIG_TABLE
 from seft_plant_sim.specimen import Specimen
 from seft_plant_sim.springs import (
-    BESIDE,
     EXPONENT,
     HYSTERETIC,
-    SLIP,
+    SPRING_BESIDE,
+    SPRING_SLIP,
     STIFFNESS_LOSS,
     Z_Y,
 )
@@ -22,7 +22,7 @@ def specimen(axes=("x",), **values):
     """Specimen of the table's defaults with changes; a double underscore stands for a dot."""
     values = {"mass": 52.7, "stiffness": 2.11e5, **values}
     given = {f"specimen.{name.replace('__', '.')}": value for name, value in values.items()}
-    section = resolve({"rig": TABLE}, {"rig": TABLE.check(given)})["rig"]
+    section = resolve({"rig": RIG_TABLE}, {"rig": RIG_TABLE.check(given)})["rig"]
     return Specimen.from_parameters(group(section, "specimen"), axes, "rig: specimen")
 
 
@@ -41,7 +41,7 @@ def test_each_axis_has_a_spring_to_the_ground_unless_springs_are_given():
     )
     np.testing.assert_allclose([s.stiffness for s in pair.springs], [100.0, 200.0])
     np.testing.assert_allclose([s.law[Z_Y] for s in pair.springs], [0.01, 0.02])
-    np.testing.assert_allclose([s.law[BESIDE] for s in pair.springs], [5.0, 10.0])
+    np.testing.assert_allclose([s.law[SPRING_BESIDE] for s in pair.springs], [5.0, 10.0])
     np.testing.assert_allclose([s.law[HYSTERETIC] for s in pair.springs], [95.0, 190.0])
     assert pair.deformation.tolist() == np.eye(2).tolist()
 
@@ -61,7 +61,7 @@ def test_a_bouc_wen_spring_has_the_parameters_of_its_group():
     (spring,) = one.springs
     assert spring.stiffness == pytest.approx(2.11e5)
     assert spring.law[EXPONENT : STIFFNESS_LOSS + 1] == (2.0, 0.8, 0.2, 0.1, 0.2, 0.3)
-    assert spring.law[SLIP] == 0.0
+    assert spring.law[SPRING_SLIP] == 0.0
 
 
 @given(st.lists(st.floats(1e2, 1e7), min_size=3, max_size=3))

@@ -61,7 +61,9 @@ def nodes(context):
     layout = ProcessLayout(pin=said["pin"] == "true", composed=said["composed"] == "true")
     placement = layout.placement(wanted, lockstep=lockstep)
     for node in LOOP_NODES:
-        overrides += [(node, name, value) for name, value in layout.wishes(node).items()]
+        overrides += [
+            (node, name, value) for name, value in layout.realtime_parameters(node).items()
+        ]
         if placement is not None and len(placement.loop) == 1:
             overrides.append((node, "cpu_core", min(placement.loop)))
     actions = []

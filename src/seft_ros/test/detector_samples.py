@@ -4,7 +4,7 @@ import numpy as np
 from scipy.signal import lfilter
 from seft_ros.protection.channel_relations import take_command
 from seft_ros.protection.detector_step import begin_detectors, detect
-from seft_ros.protection.detectors import DETECTORS, SOUND, detector_arrays
+from seft_ros.protection.detectors import DETECTORS, VALID, detector_arrays
 
 DT, N = 0.002, 2
 NOISE = np.array([[1e-5, 2e-5], [2e-3, 1e-3], [0.1, 0.2], [5.0, 3.0]])
@@ -45,7 +45,7 @@ def shares_of(p, state, samples, commands, steps=None, points=NO_TARGET):
     found = []
     for place, step in enumerate(range(len(samples)) if steps is None else steps):
         state.shares[:] = 0.0
-        assert detect(p, state, step, points, samples[place]) == SOUND
+        assert detect(p, state, step, points, samples[place]) == VALID
         take_command(p, state, commands[place], False)
         found.append(state.shares.copy())
     return np.array(found)

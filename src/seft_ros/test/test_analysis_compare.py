@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import LOOP_TOPICS
-from seft_ros.analysis.comparison import compare
+from seft_ros.analysis.comparison import compare_records
 from seft_ros.analysis.result_text import comparison_texts
 from seft_ros.bags.record import (
     Estimates,
@@ -45,7 +45,7 @@ def without(record, topic, steps):
 
 
 def test_the_same_samples_are_identical():
-    result = compare(make_record(), make_record(missed=2))
+    result = compare_records(make_record(), make_record(missed=2))
     assert result["identical"] is True
     assert result["first_difference"] is None
     assert result["missed"] == {"a": 0, "b": 2}
@@ -62,7 +62,7 @@ def test_one_bit_anywhere_is_a_difference_and_is_named(place, step):
     a, b = make_record(), make_record()
     value = float(b.series[topic.name].values[step, row, column])
     b.series[topic.name].values[step, row, column] = np.nextafter(value, np.inf)
-    result = compare(a, b)
+    result = compare_records(a, b)
     assert result["identical"] is False
     assert result["first_difference"] == {
         "topic": topic.name,
@@ -72,7 +72,7 @@ def test_one_bit_anywhere_is_a_difference_and_is_named(place, step):
         "a": value,
         "b": np.nextafter(value, np.inf),
     }
-    swapped = compare(b, a)["first_difference"]
+    swapped = compare_records(b, a)["first_difference"]
     assert (swapped["a"], swapped["b"]) == (np.nextafter(value, np.inf), value)
 
 
@@ -83,7 +83,7 @@ def test_the_smallest_step_comes_first_then_the_order_of_the_topics(changes):
         b.series[topic.name].values[step, row, column] = 77.0
     step, place = min((step, PLACES.index(place)) for place, step in changes)
     topic, row, column = PLACES[place]
-    first = compare(a, b)["first_difference"]
+    first = compare_records(a, b)["first_difference"]
     found = (first["step"], first["topic"], first["field"], first["axis"])
     assert found == (step, topic.name, topic.quantities[row], AXES[column])
 
@@ -92,7 +92,7 @@ def test_a_zero_of_the_other_sign_is_not_the_same_bits():
     a, b = make_record(), make_record()
     a.series["valve_command"].values[3] = 0.0
     b.series["valve_command"].values[3] = -0.0
-    result = compare(a, b)
+    result = compare_records(a, b)
     assert result["identical"] is False
     assert result["first_difference"]["step"] == 3
     assert result["topics"]["valve_command"]["max_abs"] == 0.0
@@ -102,9 +102,9 @@ def test_the_same_nan_is_the_same_and_the_result_is_json():
     a, b = make_record(), make_record()
     for record in (a, b):
         record.series["rig/state"].values[5] = math.nan
-    assert compare(a, b)["identical"] is True
+    assert compare_records(a, b)["identical"] is True
     b.series["rig/state"].values[5] = math.inf
-    result = json.loads(json.dumps(compare(a, b), allow_nan=False))
+    result = json.loads(json.dumps(compare_records(a, b), allow_nan=False))
     assert result["identical"] is False
     assert result["topics"]["rig/state"]["max_abs"] is None
 
@@ -114,7 +114,7 @@ def test_errors_are_told_of_each_field_and_the_largest_of_the_topic():
     values = a.series["rig/state"].values
     b.series["rig/state"].values[:, 0] *= 1.5
     b.series["rig/state"].values[7, 3, 1] += 10.0
-    row = compare(a, b)["topics"]["rig/state"]
+    row = compare_records(a, b)["topics"]["rig/state"]
     assert row["fields"]["positions"]["nrmse"] == pytest.approx(0.5)
     assert row["fields"]["velocities"] == {"max_abs": 0.0, "nrmse": 0.0}
     rms = np.sqrt(np.mean(values[:, 3] ** 2))
@@ -124,7 +124,7 @@ def test_errors_are_told_of_each_field_and_the_largest_of_the_topic():
 
 
 def test_of_records_of_different_length_the_common_steps_are_compared():
-    result = compare(make_record(), make_record(25))
+    result = compare_records(make_record(), make_record(25))
     assert result["identical"] is False
     assert result["first_difference"] == {
         "topic": "ground_motion",
@@ -142,7 +142,7 @@ def test_of_records_of_different_length_the_common_steps_are_compared():
 
 def test_samples_are_aligned_by_step_and_not_by_place():
     a = without(make_record(), "rig/state", [3, 4])
-    result = compare(a, without(make_record(), "rig/state", [10]))
+    result = compare_records(a, without(make_record(), "rig/state", [10]))
     assert result["topics"]["rig/state"]["max_abs"] == 0.0
     assert (result["topics"]["rig/state"]["missing_a"], result["first_difference"]["step"]) == (
         2,
@@ -154,15 +154,15 @@ def test_samples_are_aligned_by_step_and_not_by_place():
 def test_a_value_that_differs_before_a_step_is_lost_comes_first():
     b = without(make_record(), "ground_motion", range(20, 40))
     b.series["valve_command"].values[19] += 1.0
-    assert compare(make_record(), b)["first_difference"]["topic"] == "valve_command"
-    assert compare(make_record(), b)["first_difference"]["step"] == 19
+    assert compare_records(make_record(), b)["first_difference"]["topic"] == "valve_command"
+    assert compare_records(make_record(), b)["first_difference"]["step"] == 19
 
 
 def test_records_without_a_common_step_are_compared():
-    result = compare(make_record(0), make_record())
+    result = compare_records(make_record(0), make_record())
     assert result["first_difference"]["step"] == 0
     assert result["topics"]["rig/state"]["missing_a"] == 40
-    assert compare(make_record(0), make_record(0))["identical"] is True
+    assert compare_records(make_record(0), make_record(0))["identical"] is True
 
 
 ESTIMATES = Estimates(np.array([0, 20]), np.arange(8.0).reshape(2, 2, 2), ("delay", "gain"))
@@ -174,12 +174,14 @@ def estimating(estimates=ESTIMATES):
 
 
 def test_estimates_are_compared_like_samples():
-    same = compare(estimating(), estimating())
+    same = compare_records(estimating(), estimating())
     assert same["identical"] is True
     assert same["topics"][NAME]["samples_a"] == 2
     values = ESTIMATES.values.copy()
     values[1, 1, 0] += 3.0
-    result = compare(estimating(), estimating(dataclasses.replace(ESTIMATES, values=values)))
+    result = compare_records(
+        estimating(), estimating(dataclasses.replace(ESTIMATES, values=values))
+    )
     assert result["first_difference"] == {
         "topic": NAME,
         "step": 20,
@@ -195,7 +197,7 @@ def test_estimates_are_compared_like_samples():
 @pytest.mark.parametrize("swapped", [False, True])
 def test_estimates_that_only_one_record_has_are_a_difference(swapped):
     pair = (make_record(), estimating())
-    result = compare(*(reversed(pair) if swapped else pair))
+    result = compare_records(*(reversed(pair) if swapped else pair))
     assert result["first_difference"]["topic"] == NAME
     assert result["first_difference"]["step"] == 0
     assert result["first_difference"]["b" if swapped else "a"] == "missing"
@@ -204,9 +206,9 @@ def test_estimates_that_only_one_record_has_are_a_difference(swapped):
 
 def test_estimates_are_told_apart_by_name_and_not_by_place():
     turned = Estimates(ESTIMATES.steps, ESTIMATES.values[:, ::-1], ("gain", "delay"))
-    assert compare(estimating(), estimating(turned))["identical"] is True
+    assert compare_records(estimating(), estimating(turned))["identical"] is True
     fewer = Estimates(ESTIMATES.steps, ESTIMATES.values[:, :1], ("delay",))
-    first = compare(estimating(), estimating(fewer))["first_difference"]
+    first = compare_records(estimating(), estimating(fewer))["first_difference"]
     assert (first["field"], first["a"], first["b"]) == ("gain", 2.0, None)
 
 
@@ -219,13 +221,13 @@ def shown(result):
 def test_the_table_says_where_records_first_differ():
     a, b = make_record(), make_record(missed=3)
     assert "identical, bit for bit; steps that missed the command deadline: 3 in b" in shown(
-        compare(a, b)
+        compare_records(a, b)
     )
     b.series["rig/state"].values[3, 3, 1] = 77.0
-    text = shown(compare(a, b))
+    text = shown(compare_records(a, b))
     assert "first difference at step 3, rig/state, effort of axis y" in text
     assert "77.0 in b" in text
-    assert "the sample is missing in b" in shown(compare(a, make_record(5)))
+    assert "the sample is missing in b" in shown(compare_records(a, make_record(5)))
 
 
 def test_the_table_has_a_row_for_each_quantity_and_says_what_is_missing():
@@ -233,13 +235,13 @@ def test_the_table_has_a_row_for_each_quantity_and_says_what_is_missing():
     b.series["rig/state"].values[3, 3, 1] += 0.25
     rows = {
         cells[0]: cells[1:]
-        for line in shown(compare(a, b)).splitlines()
+        for line in shown(compare_records(a, b)).splitlines()
         if len(cells := [cell.strip() for cell in line.strip("│").split("│")]) == 3
     }
     assert [*rows] == [f"{t.name} {name}" for t in LOOP_TOPICS for name in t.quantities]
     assert rows["rig/state positions"] == ["0 m", "0 %"]
     assert rows["rig/state effort"][0] == "0.25 N"
     assert "valve_command: 40 samples in a and 38 in b, 0 not in a, 2 not in b" in shown(
-        compare(a, b)
+        compare_records(a, b)
     )
-    assert "samples" not in shown(compare(a, a))
+    assert "samples" not in shown(compare_records(a, a))

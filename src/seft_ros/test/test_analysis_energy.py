@@ -12,7 +12,7 @@ from seft_ros.analysis.summary import balance_of, energy_numbers, summarise
 from seft_ros.bags.record import Series
 from seft_ros.bags.record_bag import read_bag, write_record
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
@@ -27,7 +27,7 @@ def energy_of(record):
 
 def run(*words):
     experiment = Experiment.load(TABLES, [JHU], [parse_override(word) for word in (*SHORT, *words)])
-    return simulate(experiment, build_blocks(experiment))
+    return simulate_test(experiment, build_blocks(experiment))
 
 
 @pytest.mark.parametrize("law", [(), YIELDING], ids=["linear", "bilinear"])

@@ -19,7 +19,7 @@ from seft_ros.analysis.equivalent_motion import (
     peaks,
     secant_stiffness,
 )
-from seft_ros.analysis.judgement import verdict
+from seft_ros.analysis.judgement import verdict_line
 from seft_ros.analysis.metrics import delayed
 from seft_ros.analysis.report_numbers import report_numbers
 from seft_ros.analysis.report_page import write_report
@@ -304,7 +304,7 @@ def test_a_rig_of_which_nothing_is_known_is_judged_all_the_same(seft, tmp_path):
     findings = report_numbers(dataclasses.replace(record, experiment=bare))
     assert findings.judgement.verdict is Mark.BAD
     assert "equivalent ground motion" in findings.judgement.text
-    assert "equivalent ground motion" in verdict(findings.summary)
+    assert "equivalent ground motion" in verdict_line(findings.summary)
     write_report(findings, "bare", tmp_path / "bare.html")
     assert "The equivalent ground motion" in (tmp_path / "bare.html").read_text()
 

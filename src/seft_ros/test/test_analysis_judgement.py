@@ -4,7 +4,7 @@ import copy
 import dataclasses
 
 import pytest
-from seft_ros.analysis.judgement import judge
+from seft_ros.analysis.judgement import judge_test
 from seft_ros.drawing.style import Mark
 
 GOOD = {
@@ -49,7 +49,7 @@ def changed(**changes):
 
 
 def test_a_test_without_fault_can_be_trusted():
-    judgement = judge(GOOD)
+    judgement = judge_test(GOOD)
     assert judgement.verdict is Mark.GOOD
     assert judgement.text == "This test can be trusted."
     assert {f.verdict for f in judgement.findings if f.name != "equivalent_motion"} == {Mark.GOOD}
@@ -83,7 +83,7 @@ def test_a_test_without_fault_can_be_trusted():
     ],
 )
 def test_each_fault_is_found_and_decides(changes, mark, name):
-    judgement = judge(changed(**changes))
+    judgement = judge_test(changed(**changes))
     worst = judgement.findings[0]
     assert (judgement.verdict, worst.verdict, worst.name) == (mark, mark, name)
     assert "trusted" in judgement.text
@@ -92,7 +92,7 @@ def test_each_fault_is_found_and_decides(changes, mark, name):
 
 def test_the_headline_has_the_whole_reason_of_a_trip_and_its_finding_what_the_numbers_leave_out():
     trip = {"reason": "force (load cell) 900 N (limit 800 N)", "step": 599, "time_s": 1.198}
-    judgement = judge(changed(trip=trip, judged_steps=600))
+    judgement = judge_test(changed(trip=trip, judged_steps=600))
     assert "tripped at 1.198 s (step 599): force (load cell) 900 N (limit 800 N)." in judgement.text
     assert "first 600 steps and leave out the ramp-down" in judgement.findings[0].whole
 
@@ -108,7 +108,7 @@ def test_the_headline_has_the_whole_reason_of_a_trip_and_its_finding_what_the_nu
     ],
 )
 def test_what_is_within_its_threshold_is_good(changes):
-    assert judge(changed(**changes)).verdict is Mark.GOOD
+    assert judge_test(changed(**changes)).verdict is Mark.GOOD
 
 
 OFF = {"rms": 1e-5, "peak": 1e-4, "nrmse": 0.2}
@@ -128,7 +128,7 @@ OFF = {"rms": 1e-5, "peak": 1e-4, "nrmse": 0.2}
 )
 @pytest.mark.parametrize("specimen", ["model", None])
 def test_a_rig_that_is_not_simulated_is_judged_without_a_model(changes, mark, name, specimen):
-    judgement = judge(changed(reference_specimen=specimen, displacement__nrmse=9.0, **changes))
+    judgement = judge_test(changed(reference_specimen=specimen, displacement__nrmse=9.0, **changes))
     worst = judgement.findings[0]
     assert (judgement.verdict, worst.verdict, worst.name) == (mark, mark, name)
     assert not {f.name for f in judgement.findings} & {"displacement_error", "displacement_peak"}
@@ -136,22 +136,22 @@ def test_a_rig_that_is_not_simulated_is_judged_without_a_model(changes, mark, na
 
 def test_a_simulated_rig_is_judged_by_its_exact_response():
     summary = changed(equivalent_motion__worst_response_nrmse=0.9, tracking_error=OFF)
-    judgement = judge(summary)
+    judgement = judge_test(summary)
     assert judgement.verdict is Mark.GOOD
     assert [f.name for f in judgement.findings[-2:]] == ["equivalent_motion", "tracking_error"]
 
 
 def test_what_is_not_known_is_left_out():
     summary = changed(energy=None, vibration__ratio=None)
-    names = {finding.name for finding in judge(summary).findings}
+    names = {finding.name for finding in judge_test(summary).findings}
     assert not names & {"energy_balance", "vibration", "delay"}
-    findings = {f.name: f.text for f in judge(changed(first_step=None)).findings}
+    findings = {f.name: f.text for f in judge_test(changed(first_step=None)).findings}
     assert "no rig/state" in findings["ending"]
     assert "lost" not in findings
 
 
 def test_programs_find_the_same_as_people():
-    numbers = dataclasses.asdict(judge(changed(missed=3)))
+    numbers = dataclasses.asdict(judge_test(changed(missed=3)))
     assert numbers["verdict"] == "doubt"
     assert numbers["findings"][0]["name"] == "missed"
     assert "3 of 1000" in numbers["findings"][0]["text"]

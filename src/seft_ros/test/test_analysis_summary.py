@@ -14,7 +14,7 @@ from seft_msgs_py.wire.outcome import Trip
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis import figures
-from seft_ros.analysis.judgement import verdict
+from seft_ros.analysis.judgement import verdict_line
 from seft_ros.analysis.metrics import delayed, nrmse
 from seft_ros.analysis.result_text import summary_texts
 from seft_ros.analysis.summary import reference_of, summarise
@@ -212,9 +212,9 @@ def test_what_was_at_the_end_of_its_range_is_told_by_name():
     }
     assert list(summary["saturated"]) == ["force_range", "valve"]
     words = "saturated: force range in 3 samples from 1.000 s, valve in 12 samples"
-    assert words in verdict(summary)
+    assert words in verdict_line(summary)
     assert summary["stable"] is True
-    assert "saturated" not in verdict(summarise(make_record()))
+    assert "saturated" not in verdict_line(summarise(make_record()))
 
 
 def test_without_the_whole_ground_motion_there_is_no_reference():
@@ -249,7 +249,7 @@ def test_an_empty_record_is_summarised():
     assert summary["steps"] == 0
     assert summary["displacement"] == dict.fromkeys(MEASURES)
     assert summary["first_step"] is None
-    assert "no rig/state" in verdict(summary)
+    assert "no rig/state" in verdict_line(summary)
 
 
 def test_a_reference_that_is_given_is_used():
@@ -279,8 +279,8 @@ def test_numbers_that_json_lacks_become_null():
 def test_the_verdict_says_how_the_test_went(changes, words):
     record = make_record(**changes)
     summary = summarise(record)
-    assert words in verdict(summary)
-    assert "\n" not in verdict(summary)
+    assert words in verdict_line(summary)
+    assert "\n" not in verdict_line(summary)
     stream = io.StringIO()
     Console(file=stream, width=200).print(*summary_texts(record, summary), sep="\n")
     assert words in " ".join(stream.getvalue().split())  # a caption is as wide as its table
@@ -288,9 +288,9 @@ def test_the_verdict_says_how_the_test_went(changes, words):
 
 def test_the_verdict_names_samples_that_are_lost_and_values_that_are_not_finite():
     record = without(make_record(), "reference_force", [1, 2])
-    assert "samples lost: 2 of reference_force" in verdict(summarise(record))
+    assert "samples lost: 2 of reference_force" in verdict_line(summarise(record))
     record.series["rig/state"].values[-1] = math.nan
-    assert "UNSTABLE" in verdict(summarise(record))
+    assert "UNSTABLE" in verdict_line(summarise(record))
 
 
 def test_the_table_is_in_units_for_people():

@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.node.host import FIRST
+from seft_msgs_py.node.host import FIRST_NICENESS
 from seft_ros.analysis.timing import stalls_of, timing_of
 from seft_ros.bags.record import Record, Series
 from seft_ros.bags.stall_watch import StallWatch
@@ -107,7 +107,7 @@ def test_a_stall_watch_sees_its_own_process_stopped(first):
     watch = StallWatch()
     watch.begin(sorted(os.sched_getaffinity(0)), 0.002, 0, first=first)
     if os.geteuid() == 0:  # whose right it is
-        assert os.getpriority(os.PRIO_PROCESS, watch.pid) == (FIRST if first else 0)
+        assert os.getpriority(os.PRIO_PROCESS, watch.pid) == (FIRST_NICENESS if first else 0)
     time.sleep(0.3)
     os.kill(watch.pid, signal.SIGSTOP)
     time.sleep(0.2)

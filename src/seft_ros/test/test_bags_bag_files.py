@@ -18,7 +18,7 @@ from seft_msgs_py.wire.messages import encode_string
 from seft_msgs_py.wire.topics import DESCRIPTION, VALVE_COMMAND, Timebase
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.bags import bag_files
-from seft_ros.bags.bag_files import open_bag, recover
+from seft_ros.bags.bag_files import open_bag, recover_bag
 from seft_ros.bags.bag_storage import mcap_messages
 from seft_ros.bags.bag_writer import BagWriter
 
@@ -106,7 +106,7 @@ def test_a_bag_that_was_cut_off_is_whole_again(tmp_path, whole):
     }
     for number, (where, size) in enumerate(sizes.items()):
         path = cut_bag(tmp_path / f"bag{number}", data[:size])
-        recovery = recover(path)
+        recovery = recover_bag(path)
         expected = [TEXT, *SAMPLES][: sum(end <= size for end in ends)]
         assert contents(path) == expected, where
         assert not recovery.intact
@@ -121,7 +121,7 @@ def test_a_recovered_bag_keeps_types_and_quality_of_service(tmp_path, whole):
     data, _ = whole
     write_bag(tmp_path / "original")
     cut_bag(tmp_path / "bag", data[:-100])
-    recover(tmp_path / "bag")
+    recover_bag(tmp_path / "bag")
     trees = []
     for name in ("original", "bag"):
         (tree,) = yaml.safe_load((tmp_path / name / "metadata.yaml").read_text()).values()
@@ -135,7 +135,7 @@ def test_a_recovered_bag_keeps_types_and_quality_of_service(tmp_path, whole):
 def test_an_intact_bag_is_left_untouched(tmp_path, storage):
     path = write_bag(tmp_path / "bag", storage)
     before = {file: (file.stat().st_mtime_ns, file.read_bytes()) for file in path.iterdir()}
-    recovery = recover(path)
+    recovery = recover_bag(path)
     assert recovery.intact
     assert recovery.messages == 13
     assert "intact" in str(recovery)
@@ -146,15 +146,15 @@ def test_an_intact_bag_is_left_untouched(tmp_path, storage):
 
 def test_a_recovered_bag_is_intact(tmp_path, whole):
     path = cut_bag(tmp_path / "bag", whole[0][:2000])
-    assert "whole again" in str(recover(path))
-    assert recover(path).intact
+    assert "whole again" in str(recover_bag(path))
+    assert recover_bag(path).intact
 
 
 @pytest.mark.parametrize("size", [0, 5, 8, 30])
 def test_a_file_without_a_whole_message_is_left_as_it_is(tmp_path, whole, size):
     path = cut_bag(tmp_path / "bag", whole[0][:size])
     with pytest.raises(InputError, match="nothing to recover"):
-        recover(path)
+        recover_bag(path)
     assert (path / "bag.mcap").read_bytes() == whole[0][:size]
     assert list(tmp_path.iterdir()) == [path]
 
@@ -164,13 +164,13 @@ def test_what_is_no_bag_is_an_input_error(tmp_path):
     (tmp_path / "file.txt").write_text("no bag")
     for name, reason in [("none", "no such bag"), ("folder", "no bag"), ("file.txt", "not a bag")]:
         with pytest.raises(InputError, match=reason):
-            recover(tmp_path / name)
+            recover_bag(tmp_path / name)
 
 
 def test_a_sqlite3_bag_without_metadata_is_whole_again(tmp_path):
     path = write_bag(tmp_path / "bag", "sqlite3")
     (path / "metadata.yaml").unlink()
-    recovery = recover(path)
+    recovery = recover_bag(path)
     assert recovery.messages == 13
     assert contents(path) == [TEXT, *SAMPLES]
     assert (tmp_path / "bag.cut" / "bag.db3").exists()
@@ -189,7 +189,7 @@ def test_what_sqlite3_had_not_committed_is_rolled_back_and_the_original_kept(tmp
     (tmp_path / "killed" / "bag.db3").rename(tmp_path / "killed" / "killed.db3")
     (tmp_path / "killed" / "bag.db3-journal").rename(tmp_path / "killed" / "killed.db3-journal")
     before = (tmp_path / "killed" / "killed.db3").read_bytes()
-    recover(tmp_path / "killed")
+    recover_bag(tmp_path / "killed")
     assert contents(tmp_path / "killed") == [TEXT, *SAMPLES]
     assert (tmp_path / "killed.cut" / "killed.db3").read_bytes() == before
     assert (tmp_path / "killed.cut" / "killed.db3-journal").exists()
@@ -203,7 +203,7 @@ def test_names_of_a_damaged_sqlite3_file_may_be_anything(tmp_path, name):
     assert name in raw
     file.write_bytes(raw.replace(name, b"\xe4" + name[1:]))
     with pytest.raises(InputError, match="no whole message"):
-        recover(path)
+        recover_bag(path)
 
 
 def test_of_a_damaged_sqlite3_file_the_reachable_messages_are_kept(tmp_path):
@@ -214,7 +214,7 @@ def test_of_a_damaged_sqlite3_file_the_reachable_messages_are_kept(tmp_path):
             bag.write(DESCRIPTION, raw, k)
     (path / "metadata.yaml").unlink()
     os.truncate(path / "bag.db3", 100_000)
-    recovery = recover(path)
+    recovery = recover_bag(path)
     assert 50 < recovery.messages < 200
     assert contents(path) == texts[: recovery.messages]
 
@@ -223,7 +223,7 @@ def test_a_single_file_is_recovered_in_its_place(tmp_path, whole):
     data, ends = whole
     file = tmp_path / "run_0.mcap"
     file.write_bytes(data[: ends[5]])
-    recovery = recover(file)
+    recovery = recover_bag(file)
     assert recovery.original == tmp_path / "run_0.mcap.cut"
     assert contents(file) == [TEXT, *SAMPLES][:6]
     assert {entry.name for entry in tmp_path.iterdir()} == {"run_0.mcap", "run_0.mcap.cut"}
@@ -237,7 +237,7 @@ def test_several_files_become_one_in_the_order_of_their_numbers(tmp_path):
         with BagWriter(part) as bag:
             bag.write(DESCRIPTION, encode_string(str(number)), number)
         shutil.move(part / f"{part.name}.mcap", path / f"bag_{number}.mcap")
-    recovery = recover(path)
+    recovery = recover_bag(path)
     assert contents(path) == [encode_string(str(number)) for number in (9, 10, 11)]
     assert recovery.messages == 3
 
@@ -252,7 +252,7 @@ def test_compressed_recordings_are_recovered(tmp_path, mode):
         for k, raw in enumerate([TEXT, *SAMPLES]):
             writer.write(connection, k, raw)
     (tmp_path / "bag" / "metadata.yaml").unlink()
-    recover(tmp_path / "bag")
+    recover_bag(tmp_path / "bag")
     assert contents(tmp_path / "bag") == [TEXT, *SAMPLES]
 
 
@@ -273,7 +273,7 @@ def test_of_a_compressed_chunk_that_is_cut_off_the_readable_messages_are_kept(
             writer.add_message(channel, k, raw, k)
         writer.finish()
     os.truncate(file, file.stat().st_size // 2)
-    recovery = recover(tmp_path / "bag")
+    recovery = recover_bag(tmp_path / "bag")
     assert 100 < recovery.messages < 400
     assert contents(tmp_path / "bag") == messages[: recovery.messages]
 
@@ -285,7 +285,7 @@ def test_messages_of_foreign_types_are_kept_with_their_definition(tmp_path):
         connection = writer.add_connection("/bridge", "lab_msgs/msg/Bridge", typestore=store)
         writer.write(connection, 3, b"\x00\x01\x00\x00" + bytes(8))
     (tmp_path / "bag" / "metadata.yaml").unlink()
-    recover(tmp_path / "bag")
+    recover_bag(tmp_path / "bag")
     with Reader(tmp_path / "bag") as reader:
         (found,) = reader.connections
         assert "float64 volts" in found.msgdef.data
@@ -296,7 +296,7 @@ def test_an_earlier_original_is_never_overwritten(tmp_path, whole):
     path = cut_bag(tmp_path / "bag", whole[0][:2000])
     (tmp_path / "bag.cut").mkdir()
     with pytest.raises(InputError, match=r"bag.cut is in the way.*move it elsewhere"):
-        recover(path)
+        recover_bag(path)
     assert (path / "bag.mcap").read_bytes() == whole[0][:2000]
 
 
@@ -305,7 +305,7 @@ def test_a_recovery_that_was_killed_half_way_is_done_again(tmp_path, whole):
     left = tmp_path / "bag.recovering" / "parts" / "bag"
     left.mkdir(parents=True)
     (left / "bag.mcap").write_bytes(b"half")
-    recover(path)
+    recover_bag(path)
     assert contents(path)
     assert not (tmp_path / "bag.recovering").exists()
 
@@ -314,11 +314,11 @@ def test_a_recovery_that_was_killed_between_the_two_renames_is_finished(
     tmp_path, whole, monkeypatch
 ):
     path = cut_bag(tmp_path / "bag", whole[0][:2000])
-    recover(path)
+    recover_bag(path)
     expected = contents(path)
     (tmp_path / "bag.recovering").mkdir()
     path.rename(tmp_path / "bag.recovering" / "bag")
-    recovery = recover(path)
+    recovery = recover_bag(path)
     assert contents(path) == expected
     assert recovery.original == tmp_path / "bag.cut"
     assert not (tmp_path / "bag.recovering").exists()
@@ -339,7 +339,7 @@ def test_a_disk_that_refuses_leaves_the_recording_as_it_was(tmp_path, whole, mon
 
     monkeypatch.setattr(bag_files, "Writer", full)
     with pytest.raises(InputError, match=r"(No space|disk is full).*it is as it was"):
-        recover(path)
+        recover_bag(path)
     assert (path / "bag.mcap").read_bytes() == whole[0][:2000]
     assert list(tmp_path.iterdir()) == [path]
 
@@ -357,7 +357,7 @@ def test_a_packed_file_that_is_cut_off_is_told_not_lost(tmp_path, whole):
     (tmp_path / "bag").mkdir()
     (tmp_path / "bag" / "bag_0.mcap.zstd").write_bytes(packed[: len(packed) // 2])
     try:
-        recover(tmp_path / "bag")
+        recover_bag(tmp_path / "bag")
     except InputError:
         assert (tmp_path / "bag" / "bag_0.mcap.zstd").exists()
     else:

@@ -5,18 +5,18 @@ from pathlib import Path
 
 import pytest
 from seft_msgs_py.config.experiment import Experiment
-from seft_ros.bags.bag_place import expected_size, obstacle
+from seft_ros.bags.bag_place import expected_size, why_not_writable
 from seft_ros.bags.record_bag import write_record
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
 ASK = """
 import sys
 from pathlib import Path
-from seft_ros.bags.bag_place import obstacle
-print(obstacle(Path(sys.argv[1]), int(sys.argv[2])))
+from seft_ros.bags.bag_place import why_not_writable
+print(why_not_writable(Path(sys.argv[1]), int(sys.argv[2])))
 """
 
 
@@ -33,23 +33,23 @@ def asked_on(options, folder, place, expected=0):
 
 
 def test_there_is_a_place_in_a_folder_that_is_there_or_can_be_made(tmp_path):
-    assert obstacle(tmp_path / "bag") == ""
-    assert obstacle(tmp_path / "some" / "bags" / "bag") == ""
+    assert why_not_writable(tmp_path / "bag") == ""
+    assert why_not_writable(tmp_path / "some" / "bags" / "bag") == ""
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_place_that_is_taken_is_told(tmp_path):
     (tmp_path / "dangling").symlink_to("nowhere")
     for place in (tmp_path, tmp_path / "dangling"):
-        assert obstacle(place) == f"{place} exists already"
+        assert why_not_writable(place) == f"{place} exists already"
 
 
 def test_a_file_in_the_way_and_a_name_that_no_disk_takes_are_told(tmp_path):
     (tmp_path / "bags").write_text("")
-    assert obstacle(tmp_path / "bags" / "bag") == (
+    assert why_not_writable(tmp_path / "bags" / "bag") == (
         f"nothing can be written in {tmp_path / 'bags'} (Not a directory)"
     )
-    assert "File name too long" in obstacle(tmp_path / ("b" * 300))
+    assert "File name too long" in why_not_writable(tmp_path / ("b" * 300))
 
 
 def test_a_folder_without_rights_is_told(tmp_path):
@@ -59,7 +59,7 @@ def test_a_folder_without_rights_is_told(tmp_path):
     if os.getuid() == 0:
         return  # may write anywhere
     tmp_path.chmod(0o500)
-    assert obstacle(tmp_path / "bag") == told.format(tmp_path, "Permission denied")
+    assert why_not_writable(tmp_path / "bag") == told.format(tmp_path, "Permission denied")
 
 
 def test_a_disk_without_room_for_the_bag_is_told(tmp_path):
@@ -74,7 +74,7 @@ def test_the_size_of_a_test_is_foreseen(tmp_path):
     experiment = Experiment.load(TABLES, [CONFIG / "jhu.yaml"])
     blocks = build_blocks(experiment)
     chunks = blocks.ground_motion.chunks
-    write_record(simulate(experiment, blocks), tmp_path / "bag", ground_motion=chunks)
+    write_record(simulate_test(experiment, blocks), tmp_path / "bag", ground_motion=chunks)
     size = sum(file.stat().st_size for file in (tmp_path / "bag").iterdir())
     force, steps = experiment["reference_force"], blocks.ground_motion.steps
     expected = expected_size(force, experiment.axes, experiment.timebase, steps)

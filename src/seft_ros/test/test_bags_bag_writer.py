@@ -25,7 +25,7 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.bags import bag_writer
-from seft_ros.bags.bag_files import recover
+from seft_ros.bags.bag_files import recover_bag
 from seft_ros.bags.bag_writer import BagWriter
 
 CODEC = TrajectoryCodec(VALVE_COMMAND, ("x",), Timebase.from_rate(500.0))
@@ -216,7 +216,7 @@ def killed_recorder(path, period, flush):
 def test_a_killed_writer_loses_nothing_that_was_flushed(tmp_path):
     killed_recorder(tmp_path / "bag", 1e9, "bag.flush()")
     assert not (tmp_path / "bag" / "metadata.yaml").exists()
-    recovery = recover(tmp_path / "bag")
+    recovery = recover_bag(tmp_path / "bag")
     found = contents(tmp_path / "bag")
     assert [raw for _, _, raw in found] == [encode_string(str(k)) for k in range(3000)]
     assert recovery.messages == 3000
@@ -225,7 +225,7 @@ def test_a_killed_writer_loses_nothing_that_was_flushed(tmp_path):
 def test_a_writer_that_is_killed_while_idle_loses_nothing_once_the_flush_was_due(tmp_path):
     idle = "time.sleep(0.06); bag.flush_if_due()"
     killed_recorder(tmp_path / "bag", 0.05, idle)
-    recover(tmp_path / "bag")
+    recover_bag(tmp_path / "bag")
     assert len(contents(tmp_path / "bag")) >= 3000
 
 
@@ -277,7 +277,7 @@ def test_a_disk_that_refuses_is_one_clear_error_and_the_bag_so_far_is_recovered(
     )
     (line,) = done.stdout.splitlines()
     assert "File too large; the bag lacks its end, and can be read as it is" in line
-    damage = recover(tmp_path / "bag").damage
+    damage = recover_bag(tmp_path / "bag").damage
     assert any("cut off" in fault for fault in damage)
     found = [raw for _, _, raw in contents(tmp_path / "bag")]
     assert len(found) > 40

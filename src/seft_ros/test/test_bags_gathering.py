@@ -3,7 +3,7 @@
 from seft_msgs_py.wire.messages import Status
 from seft_msgs_py.wire.outcome import STOPPED, Outcome, Trip
 from seft_msgs_py.wire.topics import Timebase
-from seft_ros.bags.gathering import trip_of
+from seft_ros.bags.gathering import trip_of_messages
 
 TIMEBASE = Timebase.from_rate(500)
 
@@ -18,34 +18,38 @@ def supervisor(state, detail, **values):
 
 
 def test_a_test_that_ran_to_its_end_has_no_trip():
-    assert trip_of(rig(), supervisor("done", "10 steps done"), TIMEBASE) is None
-    assert trip_of(None, None, TIMEBASE) is None
+    assert trip_of_messages(rig(), supervisor("done", "10 steps done"), TIMEBASE) is None
+    assert trip_of_messages(None, None, TIMEBASE) is None
 
 
 def test_the_supervisor_knows_why_a_rig_was_stopped_and_when():
     ending = supervisor("tripped", "node recorder has been silent since 0.01 s", step="4")
-    assert trip_of(rig(STOPPED), ending, TIMEBASE) == Trip(ending.values["detail"], 4, 0.008)
+    assert trip_of_messages(rig(STOPPED), ending, TIMEBASE) == Trip(
+        ending.values["detail"], 4, 0.008
+    )
 
 
 def test_an_operators_stop_is_of_the_rigs_last_step():
     ending = supervisor("done", "stopped by the operator")
-    assert trip_of(rig(STOPPED), ending, TIMEBASE) == Trip("stopped by the operator", 9, 0.018)
+    assert trip_of_messages(rig(STOPPED), ending, TIMEBASE) == Trip(
+        "stopped by the operator", 9, 0.018
+    )
 
 
 def test_without_a_supervisor_the_rigs_word_counts():
-    assert trip_of(rig("force"), None, TIMEBASE) == Trip("force", 9, 0.018)
+    assert trip_of_messages(rig("force"), None, TIMEBASE) == Trip("force", 9, 0.018)
 
 
 def test_the_supervisor_adds_to_what_the_rig_said():
     ending = supervisor("tripped", "force; node rig has been silent since 0.02 s", step="9")
-    assert trip_of(rig("force"), ending, TIMEBASE).reason == ending.values["detail"]
+    assert trip_of_messages(rig("force"), ending, TIMEBASE).reason == ending.values["detail"]
 
 
 def test_a_record_that_ended_while_the_test_was_brought_down_keeps_the_cause():
     ending = supervisor("tripped", "reference force is nan N on axis x", step="7")
-    assert trip_of(rig(), ending, TIMEBASE) == Trip(ending.values["detail"], 7, 0.014)
+    assert trip_of_messages(rig(), ending, TIMEBASE) == Trip(ending.values["detail"], 7, 0.014)
 
 
 def test_a_dead_rig_leaves_the_supervisors_word():
     ending = supervisor("tripped", "aborted by the operator")
-    assert trip_of(None, ending, TIMEBASE) == Trip("aborted by the operator", 0, 0.0)
+    assert trip_of_messages(None, ending, TIMEBASE) == Trip("aborted by the operator", 0, 0.0)

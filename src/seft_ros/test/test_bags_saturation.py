@@ -3,11 +3,11 @@
 from pathlib import Path
 
 from seft_msgs_py.config.experiment import Experiment, parse_override
-from seft_ros.analysis.judgement import verdict
+from seft_ros.analysis.judgement import verdict_line
 from seft_ros.analysis.summary import summarise
 from seft_ros.bags.record_bag import read_bag, write_record
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
@@ -21,7 +21,7 @@ WORDS = (
 def test_what_the_rig_counted_is_in_the_bag_and_in_its_summary(tmp_path):
     experiment = Experiment.load(TABLES, [JHU], [parse_override(word) for word in WORDS])
     blocks = build_blocks(experiment)
-    record = simulate(experiment, blocks)
+    record = simulate_test(experiment, blocks)
     force = abs(record.series["rig/state"].values[:, 3, 0])
     at_range = force >= 600 * (1 - 1e-9)
     assert at_range.any()
@@ -30,13 +30,13 @@ def test_what_the_rig_counted_is_in_the_bag_and_in_its_summary(tmp_path):
     for one in (record, read_bag(tmp_path / "bag")):
         assert one.saturation == blocks.rig.saturation
         assert summarise(one)["saturated"]["force_range"] == expected
-        assert f"force range in {expected['samples']} samples from" in verdict(summarise(one))
+        assert f"force range in {expected['samples']} samples from" in verdict_line(summarise(one))
 
 
 def test_a_second_test_of_the_same_blocks_counts_anew():
     experiment = Experiment.load(TABLES, [JHU], [parse_override(word) for word in WORDS])
     blocks = build_blocks(experiment)
-    first, second = simulate(experiment, blocks), simulate(experiment, blocks)
+    first, second = simulate_test(experiment, blocks), simulate_test(experiment, blocks)
     assert first.saturation == second.saturation
     assert first.saturation is not second.saturation
 
@@ -44,6 +44,6 @@ def test_a_second_test_of_the_same_blocks_counts_anew():
 def test_a_test_that_is_blind_for_long_trips():
     words = (*WORDS[:2], "supervisor:limits.saturated_time:=0.01")
     experiment = Experiment.load(TABLES, [JHU], [parse_override(word) for word in words])
-    record = simulate(experiment, build_blocks(experiment))
+    record = simulate_test(experiment, build_blocks(experiment))
     assert "force at the end of the sensor's range" in record.trip.reason
     assert summarise(record)["saturated"]["force_range"]["samples"] == 6

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override, read_parameter_file
-from seft_plant_sim.lti import bilinear, ratio
+from seft_plant_sim.lti import bilinear, polynomial_ratio
 from seft_ros.bags.record_bag import read_bag
 from seft_ros.design.force_tracking import tracking_measures
 from seft_ros.design.plant import choose_plant
@@ -38,7 +38,7 @@ def analytic(*overrides):
     own, dt = experiment["force_controller"], experiment.timebase.dt
     plant, f = choose_plant(experiment, "rig"), np.geomspace(0.1, 0.499 / dt, 3000)
     sampled = bilinear(np.atleast_1d(own["numerator"]), own["denominator"], dt)
-    loop = ratio(*sampled, np.exp(2j * np.pi * f * dt)) * plant.sampled_response(f, dt)
+    loop = polynomial_ratio(*sampled, np.exp(2j * np.pi * f * dt)) * plant.sampled_response(f, dt)
     return plant, tracking_measures(f, loop / (1 + loop))
 
 

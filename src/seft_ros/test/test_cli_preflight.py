@@ -20,8 +20,8 @@ IDENTIFIED = {
 KEYS = {
     *("verdict", "reasons", "basis", "promise", "plant", "compensation", "mass_ratio"),
     *("critical_mass_ratio", "crossing_hz", "dead_time_s", "critical_delay_s"),
-    *("critical_added_delay_s", "delay_crossing_hz", "gain", "sure_delay_s", "sure_gain"),
-    *("local_stiffness", "local_stiffness_followed", "told_delay_error_s"),
+    *("critical_added_delay_s", "delay_crossing_hz", "gain", "sure_delay_s", "robust_gain"),
+    *("local_stiffness", "local_stiffness_followed", "assumed_delay_error_s"),
     *("false_damping_ratio", "frequency_error", "modes", "spectral_radius", "growth_rate"),
     *("dominant_hz", "states", "expected_peaks", "proposed_limits", "next"),
 }
@@ -49,7 +49,7 @@ def test_ten_milliseconds_end_at_the_known_mass_ratio(told):
     assert found["dead_time_s"] == 0.010
     added = found["critical_delay_s"] - found["dead_time_s"]
     assert found["critical_added_delay_s"] == pytest.approx(added) and added > 0
-    unused = ("local_stiffness_followed", "told_delay_error_s", "sure_delay_s", "sure_gain")
+    unused = ("local_stiffness_followed", "assumed_delay_error_s", "sure_delay_s", "robust_gain")
     assert [found[name] for name in unused] == [None] * 4
     assert found["local_stiffness"]["planned"] == 1.0
     assert found["false_damping_ratio"] > 0

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 import pytest
-from seft_ros.reference_force.compensation_methods import METHODS
+from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
 
 JHU = str(Path(__file__).parents[3] / "config" / "jhu.yaml")
 SHORT = ("-p", "ground_motion:synthetic.duration:=4", "-p", "ground_motion:tail:=0.5")
@@ -83,7 +83,7 @@ def test_every_method_there_is_takes_part_with_any_controller(seft, name):
     assert status == 0
     found = json.loads(out)
     took_part = {result["method"] for result in found["results"]}
-    assert took_part | {row["method"] for row in found["not_possible"]} == set(METHODS)
+    assert took_part | {row["method"] for row in found["not_possible"]} == set(COMPENSATION_METHODS)
     assert {"none", "restoring", "target_motion"} <= took_part  # they need nothing identified
 
 

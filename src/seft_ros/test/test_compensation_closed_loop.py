@@ -6,7 +6,7 @@ import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_ros.analysis.summary import summarise
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
@@ -24,7 +24,7 @@ def error(method, alpha):
     own = (f"reference_force:mass_ratio:={alpha}", f"reference_force:compensation.method:={method}")
     words = [parse_override(word) for word in (*DELAYED, *own)]
     experiment = Experiment.load(TABLES, [JHU], words)
-    summary = summarise(simulate(experiment, build_blocks(experiment)))
+    summary = summarise(simulate_test(experiment, build_blocks(experiment)))
     return summary["displacement"]["nrmse"] if summary["stable"] else float("inf")
 
 

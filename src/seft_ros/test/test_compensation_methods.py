@@ -11,14 +11,14 @@ from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 from seft_ros.reference_force.compensation_methods import (
-    METHODS,
+    COMPENSATION_METHODS,
     TargetMotion,
     model,
     none,
     restoring,
 )
-from seft_ros.reference_force.reference_force_block import knowledge
-from seft_ros.reference_force.reference_force_parameters import TABLE
+from seft_ros.reference_force.reference_force_block import method_inputs
+from seft_ros.reference_force.reference_force_parameters import REFERENCE_FORCE_TABLE
 
 M, C, K, DT, DELAY = 52.7, 800.3, 2.11e5, 0.002, 0.0133
 LINEAR = ("none", "model", "restoring")
@@ -36,10 +36,12 @@ def compensator(method, axes=("x",), rate=500, **values):
         "compensation__method": method,
         **values,
     }
-    given_values = TABLE.check({name.replace("__", "."): v for name, v in values.items()})
-    section = resolve({"reference_force": TABLE}, {"reference_force": given_values})
-    known = knowledge(section["reference_force"], axes, Timebase.from_rate(rate))
-    return METHODS[method](known)
+    given_values = REFERENCE_FORCE_TABLE.check(
+        {name.replace("__", "."): v for name, v in values.items()}
+    )
+    section = resolve({"reference_force": REFERENCE_FORCE_TABLE}, {"reference_force": given_values})
+    known = method_inputs(section["reference_force"], axes, Timebase.from_rate(rate))
+    return COMPENSATION_METHODS[method](known)
 
 
 def run(one, motion, states):
@@ -137,4 +139,4 @@ def test_the_model_predicts_as_the_exact_solution_of_the_whole_structure(delay, 
 
 def test_each_name_is_that_of_its_method():
     own = {"none": none, "model": model, "restoring": restoring, "target_motion": TargetMotion}
-    assert {name: METHODS[name] for name in own} == own
+    assert {name: COMPENSATION_METHODS[name] for name in own} == own

@@ -9,9 +9,13 @@ from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.whole_structure import reference_response
-from seft_ros.reference_force.compensation_methods import METHODS
-from seft_ros.reference_force.reference_force_block import compensator, knowledge
-from seft_ros.reference_force.reference_force_parameters import OWN, TABLE, TARGET_MOTION
+from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
+from seft_ros.reference_force.reference_force_block import compensator, method_inputs
+from seft_ros.reference_force.reference_force_parameters import (
+    OWN_METHODS,
+    REFERENCE_FORCE_TABLE,
+    TARGET_MOTION,
+)
 from seft_ros.reference_force.substructure import (
     _BehindMotion,
     substructure_motion,
@@ -42,12 +46,14 @@ def section_of(seed, axes, internal, rate=RATE, **values):
     names = [f"axis {index}" for index in range(axes)]
     given_values |= {"computed.internal": internal, "mass_ratio": 1.0, "rate": rate, "axes": names}
     given_values |= {name.replace("__", "."): value for name, value in values.items()}
-    checked = TABLE.check(given_values)
-    return resolve({"reference_force": TABLE}, {"reference_force": checked})["reference_force"]
+    checked = REFERENCE_FORCE_TABLE.check(given_values)
+    return resolve({"reference_force": REFERENCE_FORCE_TABLE}, {"reference_force": checked})[
+        "reference_force"
+    ]
 
 
 def known_of(section):
-    return knowledge(section, tuple(section["axes"]), Timebase.from_rate(section["rate"]))
+    return method_inputs(section, tuple(section["axes"]), Timebase.from_rate(section["rate"]))
 
 
 def exact_test(section, seed, steps=800):
@@ -95,13 +101,15 @@ def test_what_stands_for_the_ground_motion_is_known_ahead(seed, axes, internal):
         assert np.abs(told - expected).max() < 1e-3 * scale
 
 
-@pytest.mark.parametrize("method", [name for name in OWN if name != TARGET_MOTION])
+@pytest.mark.parametrize("method", [name for name in OWN_METHODS if name != TARGET_MOTION])
 @pytest.mark.parametrize("internal", [0, 2])
 def test_a_method_is_the_linear_filter_that_it_says_it_is(method, internal):
     section = section_of(3, 2, internal, 500.0, compensation__delay=0.0133)
     known = known_of(section)
     one = compensator(method, known)
-    again = _BehindMotion(METHODS[method](known), substructure_motion(known, one.preview))
+    again = _BehindMotion(
+        COMPENSATION_METHODS[method](known), substructure_motion(known, one.preview)
+    )
     matrix, size = one.linear().matrix(), len(one.linear().a)
     rng, work = np.random.default_rng(1), np.zeros(one.linear().matrix().shape[1])
     for _ in range(20):
@@ -120,8 +128,8 @@ def test_masses_on_the_axes_alone_have_the_bits_of_a_mass_ratio():
     plain = {"model.mass": 52.7, "model.stiffness": 2e5, "mass_ratio": 1.0}
     forces = []
     for more in ({}, {"computed.mass": 52.7}, {"computed.mass": 52.7, "computed.damping": 0.0}):
-        checked = TABLE.check(plain | more)
-        section = resolve({"reference_force": TABLE}, {"reference_force": checked})
+        checked = REFERENCE_FORCE_TABLE.check(plain | more)
+        section = resolve({"reference_force": REFERENCE_FORCE_TABLE}, {"reference_force": checked})
         one = compensator("restoring", known_of(section["reference_force"]))
         rng = np.random.default_rng(1)
         steps = [one.step(rng.normal(size=(1, 1)), rng.normal(size=(4, 1))) for _ in range(20)]
@@ -131,7 +139,9 @@ def test_masses_on_the_axes_alone_have_the_bits_of_a_mass_ratio():
 
 def test_a_mass_that_is_taken_away_must_leave_one():
     checked = {"model.mass": 50.0, "model.stiffness": 2e5, "mass_ratio": 1.0}
-    checked = TABLE.check(checked | {"computed.mass": -60.0})
-    section = resolve({"reference_force": TABLE}, {"reference_force": checked})["reference_force"]
+    checked = REFERENCE_FORCE_TABLE.check(checked | {"computed.mass": -60.0})
+    section = resolve({"reference_force": REFERENCE_FORCE_TABLE}, {"reference_force": checked})[
+        "reference_force"
+    ]
     with pytest.raises(InputError, match="add up to a mass on the axes that is not positive"):
         known_of(section)

@@ -12,16 +12,16 @@ from seft_plant_sim.command import Command
 from seft_plant_sim.rig import Rig
 from seft_ros.conformance import message_checks, motion_checks
 from seft_ros.conformance.driver import (
-    KINDS,
+    CHECK_KINDS,
     Guard,
     Samples,
     Trial,
     finding_line,
     found,
     not_run,
-    verdict,
+    summarise_findings,
 )
-from seft_ros.conformance.motion_checks import BadCommands, Drive
+from seft_ros.conformance.motion_checks import BadCommands, MotionDrive
 from seft_ros.test_run.parameter_tables import TABLES
 
 RATE = 500.0
@@ -57,7 +57,7 @@ def specimen(experiment):
 
 @pytest.fixture(scope="module")
 def drive():
-    return Drive(DT, 0.2)
+    return MotionDrive(DT, 0.2)
 
 
 def moved(experiment, drive, later=0):
@@ -137,7 +137,7 @@ def test_a_valve_that_is_reversed_is_found(samples, drive):
 
 
 def test_a_rig_without_pressure_does_not_move(samples, drive, experiment):
-    still = moved(experiment, Drive(DT, 1e-9))
+    still = moved(experiment, MotionDrive(DT, 1e-9))
     finding = motion_checks.check_moves(still, drive)
     assert (finding.verdict, "is the pressure on?" in finding.remedy) == ("failed", True)
 
@@ -241,10 +241,12 @@ def test_a_description_of_another_rate_or_pace_is_refused(experiment):
 def test_every_bad_command_is_refused_by_the_simulated_rig(experiment):
     codec = TrajectoryCodec(VALVE_COMMAND, experiment.axes, experiment.timebase)
     bad, command = BadCommands(codec, 0.2), Command(codec, 10.0)
-    refused = dict.fromkeys(KINDS, 0)
+    refused = dict.fromkeys(CHECK_KINDS, 0)
     for step in range(bad.steps):
         command.current = step
-        kind = next((k for n, k in enumerate(KINDS) if step in range(bad.steps)[bad.block(n)]), "")
+        kind = next(
+            (k for n, k in enumerate(CHECK_KINDS) if step in range(bad.steps)[bad.block(n)]), ""
+        )
         for raw in bad.answers(step):
             try:
                 command.take(raw)
@@ -288,9 +290,9 @@ def test_the_guard_believes_two_sensors_or_a_limit(experiment):
 
 def test_a_rig_conforms_where_nothing_failed():
     good, bad = found("a", True, "fine", "do this"), found("b", False, "bad", "do this", x_s=1.0)
-    assert verdict([good, not_run("c", "why")])["conforms"] is True
-    result = verdict([good, bad])
+    assert summarise_findings([good, not_run("c", "why")])["conforms"] is True
+    result = summarise_findings([good, bad])
     assert (result["conforms"], result["passed"], result["failed"]) == (False, 1, 1)
     assert "-> do this" in finding_line(bad).plain
     assert "->" not in finding_line(good).plain
-    assert verdict([])["conforms"] is False
+    assert summarise_findings([])["conforms"] is False

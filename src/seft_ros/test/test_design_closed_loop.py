@@ -15,13 +15,13 @@ from seft_plant_sim.rig import (
     continuous_model,
 )
 from seft_plant_sim.rig_parameters import LIMIT_ROWS
-from seft_ros.design.closed_loop import ClosedLoop
+from seft_ros.design.closed_loop import SampledLoop
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import critical_mass_ratio
 from seft_ros.design.stability_verdict import predicted_modes
 from seft_ros.force_controller.force_control import ForceController
 from seft_ros.reference_force.reference_force_block import ReferenceForce
-from seft_ros.reference_force.reference_force_parameters import OWN
+from seft_ros.reference_force.reference_force_parameters import OWN_METHODS
 from seft_ros.test_run.parameter_tables import TABLES
 
 M, C, K = 52.7, 800.3, 2.11e5
@@ -38,7 +38,7 @@ COUPLED = {
     "specimen.mass": [52.7, 40.0],
     "specimen.stiffness": [2.0e5, -3.0e4, -3.0e4, 2.4e5],
 }
-LINEAR = [name for name in OWN if name != "target_motion"]  # test_design_frozen_methods.py
+LINEAR = [name for name in OWN_METHODS if name != "target_motion"]  # test_design_frozen_methods.py
 WIDE = {f"limits.{name}": 1e9 for name in LIMIT_ROWS}
 
 
@@ -208,7 +208,7 @@ def test_a_loop_taken_apart_has_the_eigenvalues_of_the_whole(size, density, seed
     rng = np.random.default_rng(seed)
     matrix = rng.standard_normal((size, size)) * (rng.random((size, size)) < density)
     matrix += np.diag(rng.uniform(0.5, 1.5, size))
-    found = ClosedLoop(matrix, np.zeros((size, 1)), np.zeros((1, size))).eigenvalues()
+    found = SampledLoop(matrix, np.zeros((size, 1)), np.zeros((1, size))).eigenvalues()
     assert len(found) == size
     power = [np.trace(np.linalg.matrix_power(matrix, k)) for k in (1, 2, 5)]
     assert [np.sum(found**k).real for k in (1, 2, 5)] == pytest.approx(power, rel=1e-6, abs=1e-6)

@@ -11,15 +11,15 @@ from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import LIMIT_ROWS
 from seft_ros.design.closed_loop import frozen_target
 from seft_ros.design.plan import Plan
-from seft_ros.design.preflight_tables import summarise
+from seft_ros.design.preflight_tables import summarise_preflight
 from seft_ros.design.stability_margins import HIGHEST_MASS_RATIO, find_margins
-from seft_ros.design.stability_verdict import preflight
+from seft_ros.design.stability_verdict import check_stability
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
 from seft_ros.protection.valve_following import LARGEST_GAIN_ERROR
-from seft_ros.reference_force.reference_force_block import knowledge
+from seft_ros.reference_force.reference_force_block import method_inputs
 from seft_ros.reference_force.target_motion import TargetMotion
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 DEMO = Path(__file__).parents[3] / "config" / "demo.yaml"
@@ -74,7 +74,7 @@ def test_motion(test, size, steps=2000, held=None, noise=True):
     """Ground motion, and samples of shape (steps, 4, n); ``held``: what valves are taken for."""
     rig = test["rig"] | ({} if noise else QUIET | {"sensors.adc_bits": 0})
     rig = Rig.from_parameters(rig, test.axes, test.timebase)
-    target = TargetMotion(knowledge(test["reference_force"], test.axes, test.timebase))
+    target = TargetMotion(method_inputs(test["reference_force"], test.axes, test.timebase))
     control = VelocityFeedforward(test["force_controller"], test.axes, test.timebase)
     if held is not None:
         control.state.errors[:] = held
@@ -185,7 +185,7 @@ def test_the_sure_ones_are_those_of_a_controller_that_takes_the_valves_for_the_w
     margins = planned()[1]
     added = part * (margins.sure_dead_time.value - 0.001)
     late = {"rig": {"actuator.dead_time": 0.001 + added}}
-    strong = stronger(part * margins.sure_gain.highest.value)
+    strong = stronger(part * margins.robust_gain.highest.value)
     for change in (late, strong):
         worst = (-LARGEST_GAIN_ERROR, -0.005)
         assert grows(experiment(change), USUAL, held=worst, noise=False) is unstable
@@ -194,7 +194,7 @@ def test_the_sure_ones_are_those_of_a_controller_that_takes_the_valves_for_the_w
 def test_a_usual_test_is_stable_within_the_sure_margins_whatever_it_learns():
     margins = planned()[1]
     late = {"rig": {"actuator.dead_time": 0.97 * margins.sure_dead_time.value}}
-    for change in (late, stronger(0.97 * margins.sure_gain.highest.value)):
+    for change in (late, stronger(0.97 * margins.robust_gain.highest.value)):
         _, found = test_motion(experiment(change), USUAL, 4000)
         quiet, last = (np.abs(part).max() for part in (found[2000:3000, 3], found[3000:, 3]))
         assert last < 1.5 * quiet < 100.0
@@ -208,12 +208,12 @@ def test_so_it_is_in_the_offline_loop_with_all_that_is_not_linear(part, tripped)
     words = [("rig", "actuator.dead_time", late), ("ground_motion", "peak_force", 200.0)]
     unwatched = ("force_controller", "detectors.warn_only", "all")
     test = Experiment.load(TABLES, [DEMO], [*words, unwatched])
-    assert (simulate(test, build_blocks(test)).trip is not None) is tripped
+    assert (simulate_test(test, build_blocks(test)).trip is not None) is tripped
     if tripped:
         return
-    strong = 0.0403 * part * margins.sure_gain.highest.value
+    strong = 0.0403 * part * margins.robust_gain.highest.value
     test = Experiment.load(TABLES, [DEMO], [("rig", "actuator.flow_gain", strong), unwatched])
-    assert simulate(test, build_blocks(test)).trip is None
+    assert simulate_test(test, build_blocks(test)).trip is None
 
 
 @pytest.mark.parametrize("factor", [0.001, 0.3, 2.0, 3.0])
@@ -235,16 +235,16 @@ def test_so_it_is_at_any_mass_ratio():
 
 def test_the_verdict_and_its_numbers():
     plan, margins = planned()
-    found = preflight(plan)
+    found = check_stability(plan)
     assert found.verdict == "stable"
     assert "follows the specimen" in found.promise
-    numbers = summarise(plan, found)
+    numbers = summarise_preflight(plan, found)
     assert numbers["basis"] == "exact"
     assert numbers["critical_mass_ratio"] is None
     assert 0.03 < numbers["critical_delay_s"] < 0.033
     assert 0.019 < numbers["sure_delay_s"] == margins.sure_dead_time.value < 0.021
     assert numbers["gain"]["highest"] == pytest.approx(4.09, abs=0.01)
-    assert numbers["sure_gain"]["highest"] == pytest.approx(2.86, abs=0.01)
+    assert numbers["robust_gain"]["highest"] == pytest.approx(2.86, abs=0.01)
     assert abs(numbers["false_damping_ratio"]) < 1e-4
 
 
@@ -265,7 +265,7 @@ def test_with_a_delay_of_the_loop_the_matrix_is_what_the_offline_loop_does(delay
     plan, blocks = Plan(test), build_blocks(test)
     loop = plan.loops()[0]
     assert len(loop.matrix) < 80
-    record = simulate(test, blocks)
+    record = simulate_test(test, blocks)
     assert record.trip is None
     found = record.series["rig/state"].values[:1500, 0]
     ground = np.asarray(blocks.ground_motion.known)

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.lti import bilinear, ratio
+from seft_plant_sim.lti import bilinear, polynomial_ratio
 from seft_plant_sim.rig import continuous_model
 from seft_ros.design.plant import choose_plant
 from seft_ros.force_controller.force_control import ForceController
@@ -171,7 +171,9 @@ def test_a_sine_runs_through_the_blocks_as_the_closed_loop_says(frequency):
 
     plant = choose_plant(test)
     f = np.array([frequency])
-    loop = plant.sampled_response(f, dt) * ratio(*bilinear(*PAPER, dt), np.exp(2j * np.pi * f * dt))
+    loop = plant.sampled_response(f, dt) * polynomial_ratio(
+        *bilinear(*PAPER, dt), np.exp(2j * np.pi * f * dt)
+    )
     expected = (loop / (1 + loop))[0]
     assert abs(measured) == pytest.approx(abs(expected), rel=1e-3)
     assert np.angle(measured / expected) == pytest.approx(0.0, abs=1e-3)

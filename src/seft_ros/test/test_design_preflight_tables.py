@@ -13,7 +13,7 @@ from seft_ros.design.preflight_tables import (
     write_limits,
 )
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 DEMO = Path(__file__).parents[3] / "config" / "demo.yaml"
@@ -35,12 +35,12 @@ def test_a_test_stays_within_limits_that_fit_it(tmp_path):
     assert written == {f"limits.{name}": limit for name, limit in limits.items()}
     experiment = load(files=[tmp_path / "limits.yaml"])
     blocks = build_blocks(experiment)
-    assert simulate(experiment, blocks).trip is None
+    assert simulate_test(experiment, blocks).trip is None
     assert all(0.2 < blocks.rig.limits.largest[i] / limits[n] < 1 for i, n in enumerate(limits))
     halved = {name: limit / 2 for name, limit in limits.items()}
     write_limits(tmp_path / "limits.yaml", halved)
     experiment = load(files=[tmp_path / "limits.yaml"])
-    assert "beyond the limit" in simulate(experiment, build_blocks(experiment)).trip.reason
+    assert "beyond the limit" in simulate_test(experiment, build_blocks(experiment)).trip.reason
 
 
 def test_peaks_grow_with_the_motion():

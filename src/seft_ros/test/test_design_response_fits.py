@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from seft_plant_sim.lti import TransferFunction
 from seft_ros.design.response_fits import fit_specimen, fit_tracking
-from seft_ros.design.rig_tests import response, spectra
+from seft_ros.design.rig_tests import frequency_response, motion_spectra
 
 RATE, SEGMENT, COUNT = 500.0, 8.0, 60_000
 MASS = np.array([[52.7, 3.0], [3.0, 40.0]])
@@ -29,8 +29,8 @@ def measured(axes, noise, seed=1, force=1000.0):
     signals = [np.fft.irfft(signal, COUNT, axis=0) for signal in signals]
     for signal, rms in zip(signals[1:], noise, strict=True):
         signal += rms * rng.standard_normal(signal.shape)
-    found = spectra(np.hstack(signals), RATE, SEGMENT)
-    return response(found, slice(0, axes), slice(axes, 4 * axes), (0.5, 50.0))
+    found = motion_spectra(np.hstack(signals), RATE, SEGMENT)
+    return frequency_response(found, slice(0, axes), slice(axes, 4 * axes), (0.5, 50.0))
 
 
 @pytest.mark.parametrize("axes", [1, 2])

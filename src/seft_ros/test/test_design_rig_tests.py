@@ -10,7 +10,7 @@ from seft_ros.design.rig_tests import (
     Levels,
     Motions,
     check_levels,
-    closed_loop,
+    closed_loop_test,
     default_force,
     has_valve,
     open_loop,
@@ -19,7 +19,7 @@ from seft_ros.design.rig_tests import (
 )
 from seft_ros.ground_motion.synthetic_motion import excitation
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
@@ -31,7 +31,7 @@ def experiment(*overrides):
 
 
 def run(test):
-    return simulate(test, build_blocks(test))
+    return simulate_test(test, build_blocks(test))
 
 
 @pytest.fixture
@@ -74,7 +74,7 @@ def test_in_the_closed_loop_it_is_the_reference_force_and_the_controller_the_exp
 ):
     of = experiment()
     path, unit = record(of)
-    test = closed_loop(of, path)
+    test = closed_loop_test(of, path)
     forces = run(test).series["reference_force"].values[:, 0]
     np.testing.assert_allclose(forces[: len(unit)], LEVELS.force * unit, atol=1e-9)
     for name in ("numerator", "denominator", "feedback", "voltage_limit"):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import scipy.signal
-from seft_ros.design.rig_tests import response, spectra
+from seft_ros.design.rig_tests import frequency_response, motion_spectra
 
 RATE = 500.0
 COUNT = 120_000
@@ -23,7 +23,9 @@ def measured(noise, seed=1):
     u = rng.standard_normal(COUNT)
     y, known = resonator(u)
     y = y + noise * rng.standard_normal(COUNT)
-    found = response(spectra(np.column_stack([u, y]), RATE, SEGMENT), INPUT, OUTPUT, BAND)
+    found = frequency_response(
+        motion_spectra(np.column_stack([u, y]), RATE, SEGMENT), INPUT, OUTPUT, BAND
+    )
     return found, known(found.frequencies_hz)
 
 
@@ -61,8 +63,8 @@ def test_of_several_inputs_at_once_each_response_is_found():
     u = rng.standard_normal((COUNT, 2)) @ np.array([[1.0, 0.4], [0.0, 1.0]])  # correlated
     gains = np.array([[2.0, -0.5], [0.3, 1.5]])
     y = np.roll(u, 3, axis=0) @ gains.T + 0.1 * rng.standard_normal((COUNT, 2))
-    found = response(
-        spectra(np.hstack([u, y]), RATE, SEGMENT), slice(0, 2), slice(2, 4), (2.0, 150.0)
+    found = frequency_response(
+        motion_spectra(np.hstack([u, y]), RATE, SEGMENT), slice(0, 2), slice(2, 4), (2.0, 150.0)
     )
     turn = np.exp(-6j * np.pi * found.frequencies_hz / RATE)[:, np.newaxis, np.newaxis]
     np.testing.assert_allclose((found.response / turn).mean(axis=0), gains, atol=0.005)

@@ -11,15 +11,17 @@ from seft_ros.design.stability_margins import (
     find_margins,
     stability_change,
 )
-from seft_ros.design.stability_verdict import preflight
-from seft_ros.reference_force.compensation_methods import METHODS, model
-from seft_ros.reference_force.reference_force_parameters import OWN
+from seft_ros.design.stability_verdict import check_stability
+from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS, model
+from seft_ros.reference_force.reference_force_parameters import OWN_METHODS
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 M, C, K = 52.7, 800.3, 2.11e5
-OF_FORCES = [name for name in OWN if name != "target_motion"]  # test_design_frozen_methods.py
+OF_FORCES = [
+    name for name in OWN_METHODS if name != "target_motion"
+]  # test_design_frozen_methods.py
 WIDE = {f"limits.{name}": 1e12 for name in LIMIT_ROWS}
 BASE = {
     "/**": {"rate": 500.0, "axes": ["x"]},
@@ -85,7 +87,7 @@ def softer(rig, factor):
 
 def grows(test):
     """Whether the free vibration after a short motion grows, by the offline loop."""
-    record = simulate(test, build_blocks(test))
+    record = simulate_test(test, build_blocks(test))
     if record.trip is not None:
         return True
     states = record.series["rig/state"].values[:, 3, :]
@@ -145,7 +147,7 @@ def test_so_are_the_critical_delay_gain_stiffness_and_told_delay(method, rig):
 def test_the_frequency_that_sets_in_is_that_of_simulation():
     critical = critical_mass_ratio(Plan(experiment(DELAY)))
     test = experiment(DELAY, reference(mass_ratio=1.01 * critical.value))
-    force = simulate(test, build_blocks(test)).series["rig/state"].values[1000:, 3, 0]
+    force = simulate_test(test, build_blocks(test)).series["rig/state"].values[1000:, 3, 0]
     spectrum = np.abs(np.fft.rfft(force * np.hanning(len(force))))
     hz = np.fft.rfftfreq(len(force), 0.002)[spectrum.argmax()]
     assert critical.hz == pytest.approx(hz, rel=0.01)
@@ -164,7 +166,7 @@ def test_an_unstable_plan_tells_the_delay_at_which_it_would_be_stable():
 
 def test_an_unstable_force_loop_has_a_critical_mass_ratio_of_zero():
     wild = {"force_controller": {"numerator": [200.0]}}
-    found = preflight(Plan(experiment(SERVO, wild)))
+    found = check_stability(Plan(experiment(SERVO, wild)))
     assert found.verdict == "unstable"
     assert found.margins.mass_ratio.value == 0.0
 
@@ -173,7 +175,7 @@ def test_an_unstable_force_loop_has_a_critical_mass_ratio_of_zero():
     ("ratio", "verdict"), [(0.0, "stable"), (0.7, "stable"), (0.85, "marginal"), (0.95, "unstable")]
 )
 def test_the_verdict_follows_the_reserve_of_the_mass_ratio(ratio, verdict):
-    found = preflight(Plan(experiment(DELAY, reference(mass_ratio=ratio))))
+    found = check_stability(Plan(experiment(DELAY, reference(mass_ratio=ratio))))
     assert found.verdict == verdict
     assert bool(found.reasons) == (verdict != "stable")
     if verdict == "marginal":
@@ -181,12 +183,12 @@ def test_the_verdict_follows_the_reserve_of_the_mass_ratio(ratio, verdict):
 
 
 def test_thin_margins_of_delay_gain_and_stiffness_are_named():
-    thin = preflight(Plan(experiment(SERVO, reference(mass_ratio=1.05))))
+    thin = check_stability(Plan(experiment(SERVO, reference(mass_ratio=1.05))))
     assert thin.verdict == "marginal"
     text = " / ".join(thin.reasons)
     assert "dead time" in text and "gain of the actuator's path" in text
     told = reference(compensation__method="model", mass_ratio=0.5, model__stiffness=2.7 * K)
-    wrong = preflight(Plan(experiment(DELAY, told)))
+    wrong = check_stability(Plan(experiment(DELAY, told)))
     own = wrong.margins.stiffness
     assert own.planned == pytest.approx(1 / 2.7)
     assert own.planned / 1.1 < own.lowest.value < own.planned
@@ -195,7 +197,7 @@ def test_thin_margins_of_delay_gain_and_stiffness_are_named():
 
 def test_what_adapts_is_promised_as_it_starts_only(monkeypatch):
     told = experiment(DELAY, reference(compensation__method="model", mass_ratio=0.5))
-    fixed = preflight(Plan(told))
+    fixed = check_stability(Plan(told))
     assert "adapts" not in fixed.promise
 
     def adaptive(known):
@@ -203,15 +205,15 @@ def test_what_adapts_is_promised_as_it_starts_only(monkeypatch):
         made.estimates = lambda: {"delay": np.full(known.axes, known.delay)}
         return made
 
-    monkeypatch.setitem(METHODS, "model", adaptive)
-    moving = preflight(Plan(told))
+    monkeypatch.setitem(COMPENSATION_METHODS, "model", adaptive)
+    moving = check_stability(Plan(told))
     assert "adapts" in moving.promise and "does not promise" in moving.promise
     assert moving.margins == fixed.margins
 
 
 def test_what_is_not_linear_is_told():
     servo = experiment(SERVO, {"rig": {"actuator.kind": "servo_hydraulic"}})
-    assert "small motions" in preflight(Plan(servo)).promise
+    assert "small motions" in check_stability(Plan(servo)).promise
 
 
 @pytest.mark.parametrize("edge", [0.1234, 3.3, 7.7])

@@ -12,7 +12,7 @@ from seft_msgs_py.errors import InputError
 from seft_ros.analysis.summary import shares_of
 from seft_ros.protection.detectors import DETECTORS, WARNING
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 CONFIG = Path(__file__).parents[3] / "config"
@@ -47,7 +47,7 @@ def load(*words, config="jhu"):
 def sound(words):
     """A test without a fault, its blocks, the largest value of each channel, and its record."""
     experiment, known = load(*words), {}
-    record = simulate(experiment, build_blocks(experiment, known))
+    record = simulate_test(experiment, build_blocks(experiment, known))
     assert record.trip is None
     largest = np.abs(record.series["rig/state"].values).max(axis=(0, 2))
     return experiment, known, largest, record
@@ -58,7 +58,7 @@ def with_fault(fault, words, at):
     experiment, known, largest, right = sound(words)
     blocks = build_blocks(experiment, known)
     rig = FaultyRig(blocks.rig, fault, at, NOISE, largest)
-    record = simulate(experiment, replace(blocks, rig=rig))
+    record = simulate_test(experiment, replace(blocks, rig=rig))
     rig.stop()
     return record, rig, verdict(record, rig, largest[3], right, experiment.timebase.dt)
 
@@ -111,7 +111,7 @@ def test_faults_of_the_hardware_end_a_test_soon(specimen, at):
 def test_no_sound_test_ends_by_a_detector(specimen):
     for seed in (1, 2):
         experiment = load(*PLAN, *specimen, f"ground_motion:synthetic.seed:={seed}")
-        assert simulate(experiment, build_blocks(experiment)).trip is None
+        assert simulate_test(experiment, build_blocks(experiment)).trip is None
 
 
 QUIET = (
@@ -130,7 +130,7 @@ def test_no_sound_test_on_a_rig_that_obeys_forces_comes_near_a_detector(method, 
         *(f"reference_force:mass_ratio:={ratio}", f"reference_force:compensation.method:={method}"),
         f"reference_force:compensation.delay:={delay + 1.5 * 0.002}",
     )
-    record = simulate(experiment, build_blocks(experiment))
+    record = simulate_test(experiment, build_blocks(experiment))
     assert record.trip is None
     shares = shares_of(record)
     assert max(shares.values()) < WARNING
@@ -159,7 +159,7 @@ def test_a_spike_of_one_sample_is_passed_over(row):
             return super()._measured(state)
 
     rig = Spike(blocks.rig, "", 10**9, NOISE, largest)
-    record = simulate(experiment, replace(blocks, rig=rig))
+    record = simulate_test(experiment, replace(blocks, rig=rig))
     assert record.trip is None
     commands, planned = (each.series["valve_command"].values[:, 0, 0] for each in (record, right))
     spiked = abs(commands[1234] - planned[1234])
@@ -182,7 +182,7 @@ def test_a_detector_may_warn_alone():
     warned = load(*words)
     blocks = build_blocks(warned)
     rig = FaultyRig(blocks.rig, "displacement drifting", 1500, NOISE, sound(PLAN)[2])
-    record = simulate(warned, replace(blocks, rig=rig))
+    record = simulate_test(warned, replace(blocks, rig=rig))
     assert record.trip is None or "displacement_velocity" not in record.trip.reason
     assert shares_of(record)["displacement_velocity"] > 1.0
     with pytest.raises(InputError, match="no detector 'speed'; there are displacement_velocity"):
@@ -207,7 +207,7 @@ def test_a_rig_that_holds_a_command_for_as_long_as_it_may_has_no_fault():
     experiment, known, largest, _ = sound((*PLAN, "reference_force:instability.ratio:=100.0"))
     blocks = build_blocks(experiment, known)
     rig = FaultyRig(blocks.rig, HELD, 400, NOISE, largest)
-    record = simulate(experiment, replace(blocks, rig=rig))
+    record = simulate_test(experiment, replace(blocks, rig=rig))
     reason = record.trip.reason if record.trip else ""  # it shakes, and may meet a limit
     assert not any(one.name in reason for one in DETECTORS)
 
@@ -215,6 +215,6 @@ def test_a_rig_that_holds_a_command_for_as_long_as_it_may_has_no_fault():
 def test_shares_of_a_record_are_those_of_the_test():
     experiment = load(*PLAN)
     blocks = build_blocks(experiment)
-    record = simulate(experiment, blocks)
+    record = simulate_test(experiment, blocks)
     shares = list(shares_of(record).values())
     np.testing.assert_array_equal(shares, blocks.force_controller.state.detectors.shares[:, 0])

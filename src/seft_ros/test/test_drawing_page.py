@@ -8,14 +8,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.errors import InputError
-from seft_ros.drawing.page import Plot, Section, Text, Verdict, check_page, line, plot, write_page
-from seft_ros.drawing.style import MOST_POINTS, Mark, thinned
-from seft_ros.drawing.table import Cell, Table
+from seft_ros.drawing.page import (
+    PageSection,
+    Plot,
+    Text,
+    VerdictBox,
+    check_page,
+    line,
+    plot,
+    write_page,
+)
+from seft_ros.drawing.style import MAX_POINTS, Mark, thinned
+from seft_ros.drawing.table import Cell, TextTable
 
 
-def written(tmp_path: Path, *blocks: Text | Verdict | Table | Plot) -> str:
+def written(tmp_path: Path, *blocks: Text | VerdictBox | TextTable | Plot) -> str:
     path = tmp_path / "page.html"
-    write_page(path, "A test", "of <the> page", [Section("All of it", blocks)])
+    write_page(path, "A test", "of <the> page", [PageSection("All of it", blocks)])
     return path.read_text()
 
 
@@ -39,8 +48,8 @@ def test_text_is_not_taken_for_html(tmp_path: Path) -> None:
     text = written(
         tmp_path,
         Text("<b>bold</b>"),
-        Verdict(Mark.BAD, "<i>worse</i>", [Cell("<u>found</u>", Mark.DOUBT)]),
-        Table(["<h>"], [["<td>", Cell("<em>", Mark.GOOD)]]),
+        VerdictBox(Mark.BAD, "<i>worse</i>", [Cell("<u>found</u>", Mark.DOUBT)]),
+        TextTable(["<h>"], [["<td>", Cell("<em>", Mark.GOOD)]]),
     )
     for tag in ("<b>", "<i>", "<u>", "<h>", "<em>", "<the>"):
         assert tag not in text
@@ -49,8 +58,8 @@ def test_text_is_not_taken_for_html(tmp_path: Path) -> None:
 def test_the_verdict_and_the_cells_have_their_marks(tmp_path: Path) -> None:
     text = written(
         tmp_path,
-        Verdict(Mark.BAD, "tripped", [Cell("force", Mark.GOOD)]),
-        Table(["a", "b"], [["x", Cell("no", Mark.BAD)]]),
+        VerdictBox(Mark.BAD, "tripped", [Cell("force", Mark.GOOD)]),
+        TextTable(["a", "b"], [["x", Cell("no", Mark.BAD)]]),
     )
     assert '<div class="verdict bad">' in text
     assert '<li class="good">force</li>' in text
@@ -61,18 +70,18 @@ def test_the_verdict_and_the_cells_have_their_marks(tmp_path: Path) -> None:
 def test_thinning_keeps_ends_and_extremes(count: int, seed: int) -> None:
     y = np.random.default_rng(seed).standard_normal(count)
     at = thinned(y)
-    assert len(at) <= max(MOST_POINTS + 4, 1)
+    assert len(at) <= max(MAX_POINTS + 4, 1)
     assert np.all(np.diff(at) > 0)
     if count:
         assert {0, count - 1, int(y.argmax()), int(y.argmin())} <= set(at.tolist())
 
 
 def test_thinning_keeps_short_signals_whole() -> None:
-    assert np.array_equal(thinned(np.zeros(MOST_POINTS)), np.arange(MOST_POINTS))
+    assert np.array_equal(thinned(np.zeros(MAX_POINTS)), np.arange(MAX_POINTS))
 
 
 def test_thinning_survives_what_is_not_finite() -> None:
-    y = np.full(10 * MOST_POINTS, np.nan)
+    y = np.full(10 * MAX_POINTS, np.nan)
     y[7] = np.inf
     assert 7 in thinned(y)
 

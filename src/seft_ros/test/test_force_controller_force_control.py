@@ -9,7 +9,7 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.lti import bilinear
 from seft_ros.force_controller.force_control import ForceController
-from seft_ros.force_controller.force_controller_parameters import TABLE
+from seft_ros.force_controller.force_controller_parameters import FORCE_CONTROLLER_TABLE
 
 DT = 0.002
 PAPER = ([37.0], [1.0, 17.14, 4002.0])
@@ -197,7 +197,7 @@ def test_what_is_no_number_never_becomes_a_command_that_looks_valid(value):
 
 
 def test_the_default_is_the_controller_of_the_paper():
-    section = {name: row.default for name, row in TABLE.rows.items()}
+    section = {name: row.default for name, row in FORCE_CONTROLLER_TABLE.rows.items()}
     block = ForceController.from_parameters(section, ("x",), Timebase.from_rate(500.0))
     error = np.random.default_rng(4).normal(size=(50, 1))
     np.testing.assert_allclose(drive(block, error, 0 * error), filtered(*PAPER, error), atol=1e-12)

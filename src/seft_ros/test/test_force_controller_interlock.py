@@ -13,9 +13,9 @@ from seft_ros.force_controller.force_control import ForceController
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.nodes.force_controller_node import ForceControllerNode
 from seft_ros.protection.detectors import DETECTORS, LIMITED_AT, detector_arrays
-from seft_ros.protection.protection_step import continued
+from seft_ros.protection.protection_step import extrapolated
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 from warning_detectors import warning_detectors
 
@@ -123,7 +123,7 @@ def test_the_offline_loop_trips_with_it():
         "ground_motion:synthetic.duration:=10.0",
     )
     experiment = Experiment.load(TABLES, [JHU], [parse_override(word) for word in words])
-    record = simulate(experiment, build_blocks(experiment))
+    record = simulate_test(experiment, build_blocks(experiment))
     assert record.trip.reason.startswith("the valve command is at its limit for more than 0.05 s")
     commands = record.series["valve_command"].values[:, 0, 0]
     assert record.trip.step == len(commands) - 1
@@ -155,7 +155,7 @@ class Shell:
     def several_senders(self):
         return ""
 
-    def foreign_publishers(self, before):
+    def name_unexpected_publishers(self, before):
         return ""
 
     def report(self, status):
@@ -295,7 +295,7 @@ def test_a_suspect_sample_is_replaced_by_what_was_planned_before_it():
             if 75 <= step < 78:  # the spike, the way back from it, and a sample to make sure
                 planned = target_of(74, count)
                 for _ in range(step - 74):
-                    planned = continued(planned, 1, count, DT)
+                    planned = extrapolated(planned, 1, count, DT)
                 expected = (
                     planned[0, 0],
                     planned[0, 1],

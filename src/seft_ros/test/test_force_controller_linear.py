@@ -8,7 +8,7 @@ from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 from seft_ros.force_controller.force_control import ForceController, LinearControl
-from seft_ros.force_controller.force_controller_parameters import TABLE
+from seft_ros.force_controller.force_controller_parameters import FORCE_CONTROLLER_TABLE
 from seft_ros.force_controller.methods import force_control
 
 ONE = ([37.0, 2.0], [1.0, 17.14, 4002.0])
@@ -18,7 +18,10 @@ MIXED = np.array([[1.0, -0.3, 0.0], [0.2, 1.5, 0.1], [0.0, 0.0, 0.7]])
 
 def made(axes, **values):
     names = [f"axis {index}" for index in range(axes)]
-    section = resolve({"force_controller": TABLE}, {"force_controller": TABLE.check(values)})
+    section = resolve(
+        {"force_controller": FORCE_CONTROLLER_TABLE},
+        {"force_controller": FORCE_CONTROLLER_TABLE.check(values)},
+    )
     return force_control(section["force_controller"], tuple(names), Timebase.from_rate(500.0))
 
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from seft_msgs_py.errors import InputError
-from seft_ros.force_controller.force_control import ControlKnowledge, LinearControl
+from seft_ros.force_controller.force_control import ControlInputs, LinearControl
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.methods import RegisteredControl
 from warning_detectors import warning_detectors
 
-KNOWN = ControlKnowledge(axes=2, dt=0.002, voltage_limit=10.0)
+KNOWN = ControlInputs(axes=2, dt=0.002, voltage_limit=10.0)
 ZERO = np.zeros((4, 2))
 
 

@@ -11,13 +11,17 @@ from hypothesis import strategies as st
 from seft_msgs_py.config.parameter_table import Table, resolve
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
-from seft_ros.ground_motion.ground_motion_block import TABLE, GroundMotion, resample
+from seft_ros.ground_motion.ground_motion_block import GROUND_MOTION_TABLE, GroundMotion, resample
 
 
 def build(axes=("x",), rate=200.0, **values):
     """Ground motion of these parameters; a double underscore stands for a dot."""
-    given = TABLE.check({name.replace("__", "."): value for name, value in values.items()})
-    section = resolve({"ground_motion": TABLE}, {"ground_motion": given})["ground_motion"]
+    given = GROUND_MOTION_TABLE.check(
+        {name.replace("__", "."): value for name, value in values.items()}
+    )
+    section = resolve({"ground_motion": GROUND_MOTION_TABLE}, {"ground_motion": given})[
+        "ground_motion"
+    ]
     return GroundMotion.from_parameters(section, axes, Timebase.from_rate(rate))
 
 
@@ -91,10 +95,12 @@ def test_the_mass_is_a_number_or_a_list_or_a_matrix(tent, mass, largest):
 
 def test_the_mass_comes_from_the_reference_force_where_it_is_not_given(tent):
     given = {
-        "ground_motion": TABLE.check({**tent, "peak_force": 100.0}),
+        "ground_motion": GROUND_MOTION_TABLE.check({**tent, "peak_force": 100.0}),
         "reference_force": {"model.mass": 25.0},
     }
-    section = resolve({"ground_motion": TABLE, "other": Table("other", ())}, given)["ground_motion"]
+    section = resolve({"ground_motion": GROUND_MOTION_TABLE, "other": Table("other", ())}, given)[
+        "ground_motion"
+    ]
     motion = GroundMotion.from_parameters(section, ["x"], Timebase.from_rate(100))
     assert np.abs(motion.samples).max() == pytest.approx(4.0)
 

@@ -8,7 +8,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 from seft_ros.design.rig_tests import Motions
-from seft_ros.ground_motion.ground_motion_block import TABLE, GroundMotion
+from seft_ros.ground_motion.ground_motion_block import GROUND_MOTION_TABLE, GroundMotion
 from seft_ros.ground_motion.synthetic_motion import (
     SIGNALS,
     envelope,
@@ -180,7 +180,7 @@ def test_ground_motion_reads_the_record_bit_for_bit(tmp_path, rate):
     experiment, band, seed = Experiment({"reference_force": section}), (2.0, 60.0), 1
     Motions(experiment, 3.7, "random", band, seed).write(tmp_path / "record.csv", 5000 / rate)
     samples = -3.7 * excitation("random", 5000, 2, 1 / rate, band, seed)
-    section = {row.name: row.default for row in TABLE.rows.values()}
+    section = {row.name: row.default for row in GROUND_MOTION_TABLE.rows.values()}
     section |= {"file": str(tmp_path / "record.csv"), "column": [0, 1], "unit": "m/s2"}
     section |= {"dt": 1 / rate, "tail": 0.0}
     motion = GroundMotion.from_parameters(section, ("x", "y"), Timebase.from_rate(rate))

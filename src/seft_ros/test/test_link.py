@@ -11,7 +11,7 @@ from seft_ros.test_run.link import (
     Allowed,
     RoundTrips,
     allowed,
-    judge,
+    judge_link,
     message_size,
     with_loop_delay,
 )
@@ -68,7 +68,7 @@ def test_the_delay_of_the_loop_lowers_the_mass_ratio_that_preflight_allows():
     ],
 )
 def test_the_verdict_says_why(found, test, verdict, words):
-    said, reasons = judge(found, test)
+    said, reasons = judge_link(found, test)
     assert said == verdict
     assert bool(reasons) == bool(words)
     assert words in " ".join(reasons)

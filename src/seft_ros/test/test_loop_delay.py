@@ -6,7 +6,7 @@ from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
 from seft_ros.analysis.summary import summarise
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 D = 7
@@ -28,7 +28,7 @@ class Sent:
 
     def __init__(self, experiment):
         blocks = build_blocks(experiment)
-        self.record = simulate(experiment, blocks)
+        self.record = simulate_test(experiment, blocks)
         self.states = self.record.series["rig/state"].values
         self.told = self.record.series["reference_force"].values
         self.force, self.known = blocks.reference_force, blocks.ground_motion.known
@@ -91,7 +91,7 @@ def test_a_delay_of_the_loop_costs_a_target_no_accuracy(alpha):
         experiment = experiment_of(
             f"reference_force:loop_delay:={loop_delay}", f"reference_force:mass_ratio:={alpha}"
         )
-        record = simulate(experiment, build_blocks(experiment))
+        record = simulate_test(experiment, build_blocks(experiment))
         assert record.trip is None
         errors.append(summarise(record)["displacement"]["nrmse"])
     assert max(errors) < 0.008

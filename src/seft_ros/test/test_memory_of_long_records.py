@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import LOOP_TOPICS
-from seft_ros.analysis.comparison import compare
+from seft_ros.analysis.comparison import compare_records
 from seft_ros.analysis.summary import reference_of, summarise
 from seft_ros.bags import record_bag
 from seft_ros.bags.record import Record, Series
@@ -61,7 +61,7 @@ def test_a_summary_takes_few_arrays_of_the_records_length(bag):
 
 def test_comparing_copies_no_samples(bag):
     one, other = read_bag(bag), read_bag(bag)
-    _, peak = peak_per_step(lambda: compare(one, other))
+    _, peak = peak_per_step(lambda: compare_records(one, other))
     assert peak < 8 * 4
 
 

@@ -4,7 +4,7 @@ import json
 
 import pytest
 from seft_msgs_py.wire.messages import ERROR, OK, Status
-from seft_ros.monitor.session import EVENTS, SILENCE, Session
+from seft_ros.monitor.session import EVENTS, SILENCE_PERIOD, Session
 
 
 class Clock:
@@ -105,7 +105,7 @@ def test_a_node_that_leaves_after_its_test_has_ended_and_one_before_is_silent(se
     session.poll()
     session.on_diagnostics([rig(500)], 0.002)
     session.on_state(state("tripped"))
-    clock.now += 2 * SILENCE
+    clock.now += 2 * SILENCE_PERIOD
     session.poll()
     assert {n["name"]: n["level"] for n in session.summary()["nodes"]} == {
         "reference_force": 3,
@@ -115,7 +115,7 @@ def test_a_node_that_leaves_after_its_test_has_ended_and_one_before_is_silent(se
 
 def test_a_supervisor_that_goes_and_comes_back_is_shown(session, clock):
     session.on_state(state("ready"))
-    clock.now += SILENCE + 0.1
+    clock.now += SILENCE_PERIOD + 0.1
     session.poll()
     assert session.summary()["silent"]
     session.on_state(state("ready"))
@@ -125,7 +125,7 @@ def test_a_supervisor_that_goes_and_comes_back_is_shown(session, clock):
 
 def test_nodes_that_leave_after_a_test_are_no_fault(session, clock):
     session.on_state(state("done"))
-    clock.now += SILENCE + 0.1
+    clock.now += SILENCE_PERIOD + 0.1
     session.poll()
     assert [(e["what"], e["level"]) for e in session.events] == [("done", OK), ("left", 4)]
 
@@ -133,7 +133,7 @@ def test_nodes_that_leave_after_a_test_are_no_fault(session, clock):
 def test_a_silent_node_is_marked(session, clock):
     session.on_diagnostics([rig(1), Status("stranger", OK, "hello")], 0.002)
     assert [node["level"] for node in session.summary()["nodes"]] == [OK]
-    clock.now += SILENCE + 0.1
+    clock.now += SILENCE_PERIOD + 0.1
     session.poll()
     assert session.summary()["nodes"] == [
         {"name": "rig", "level": 3, "text": "running", "refused": None}

@@ -9,7 +9,7 @@ from seft_ros.monitor.access import (
     CONTROL,
     FIRST_WAIT,
     LONGEST_WAIT,
-    MOST_ADDRESSES,
+    MAX_ADDRESSES,
     WATCH,
     Tokens,
     TooEarlyError,
@@ -200,9 +200,9 @@ def test_who_guesses_waits_longer_each_time_and_holds_up_nobody_else():
     with pytest.raises(TooEarlyError) as caught:
         tokens.right_of("guess", "10.0.0.1")
     assert caught.value.wait == FIRST_WAIT
-    for number in range(2 * MOST_ADDRESSES):
+    for number in range(2 * MAX_ADDRESSES):
         tokens.right_of("guess", f"of many {number}")
-    assert len(tokens._failures) == MOST_ADDRESSES
+    assert len(tokens._failures) == MAX_ADDRESSES
 
 
 def test_the_cookie_is_not_the_token():

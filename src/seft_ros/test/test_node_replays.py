@@ -22,7 +22,7 @@ from seft_ros.bags.record_bag import write_record
 from seft_ros.replay.node_replays import RigReplay
 from seft_ros.replay.recorded_test import Recorded, read_recorded
 from seft_ros.test_run.compiled_loop import LoopSamples, build_blocks
-from seft_ros.test_run.offline import loop_series, simulate
+from seft_ros.test_run.offline import loop_series, simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 OVERRIDES = [
@@ -57,7 +57,7 @@ def blocks(experiment):
 
 @pytest.fixture
 def record(experiment, blocks):
-    return simulate(experiment, blocks)
+    return simulate_test(experiment, blocks)
 
 
 def write(path, record, blocks):

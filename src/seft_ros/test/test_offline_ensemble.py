@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
-from seft_ros.force_controller.force_control import ControlKnowledge
+from seft_ros.force_controller.force_control import ControlInputs
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.methods import RegisteredControl
-from seft_ros.reference_force.compensation_methods import METHODS
+from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
 from seft_ros.study.drawn_tests import drawn_rig
 from seft_ros.test_run import compiled_loop, offline
-from seft_ros.test_run.compiled_loop import build_blocks, obstacle
-from seft_ros.test_run.offline import Workshop, simulate
+from seft_ros.test_run.compiled_loop import build_blocks, why_not_compiled
+from seft_ros.test_run.offline import BlockCache, simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
@@ -118,7 +118,7 @@ CASES = {
 
 def run_ensemble(experiments, reduce, workers=1):
     """Results of tests on several threads, in their order."""
-    shop = Workshop()
+    shop = BlockCache()
 
     def one(number, experiment):
         return reduce(number, shop.run(experiment))
@@ -147,19 +147,19 @@ def alike(found, wanted):
 
 def plain(monkeypatch, experiment):
     with monkeypatch.context() as patch:
-        patch.setattr(offline, "obstacle", lambda _: "told to")
-        return simulate(experiment, build_blocks(experiment))
+        patch.setattr(offline, "why_not_compiled", lambda _: "told to")
+        return simulate_test(experiment, build_blocks(experiment))
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_a_test_is_that_of_the_plain_loop(name, monkeypatch):
     experiment = load(*FINE, *CASES[name])
-    assert obstacle(build_blocks(experiment)) == ""
-    alike(Workshop().run(experiment), plain(monkeypatch, experiment))
+    assert why_not_compiled(build_blocks(experiment)) == ""
+    alike(BlockCache().run(experiment), plain(monkeypatch, experiment))
 
 
 def test_the_cases_end_in_every_way():
-    shop = Workshop()
+    shop = BlockCache()
     reasons = [trip.reason for words in CASES.values() if (trip := shop.run(load(*words)).trip)]
     for part in (
         "displacement", "acceleration rate", "unknown", "instability", "reference force changes",
@@ -175,15 +175,15 @@ def test_members_of_an_ensemble_are_tests_of_their_own():
     found = dict(run_ensemble(experiments, lambda number, record: (number, record), workers=2))
     assert list(found) == list(range(6))
     for number, experiment in enumerate(experiments):
-        alike(found[number], simulate(experiment, build_blocks(experiment)))
+        alike(found[number], simulate_test(experiment, build_blocks(experiment)))
 
 
 def test_tests_of_one_workshop_are_those_of_workshops_of_their_own():
     names = "force", "nonlinear", "target, limited", "target", "blind", "interlock", "two axes"
-    shop = Workshop()
+    shop = BlockCache()
     for name in (*names, *reversed(names)):  # what ends in a trip comes before what must not
         experiment = load(*CASES[name])
-        alike(shop.run(experiment), Workshop().run(experiment))
+        alike(shop.run(experiment), BlockCache().run(experiment))
 
 
 def test_results_do_not_depend_on_the_number_of_threads():
@@ -198,19 +198,19 @@ def test_results_do_not_depend_on_the_number_of_threads():
 
 
 def test_a_method_of_ones_own_is_not_compiled_and_says_so(monkeypatch):
-    assert Workshop().obstacle(load()) == ""
+    assert BlockCache().why_not_compiled(load()) == ""
 
     class Own:
         def __init__(self, known):
-            self.preview, self._of = 0, METHODS["restoring"](known)
+            self.preview, self._of = 0, COMPENSATION_METHODS["restoring"](known)
 
         def __getattr__(self, name):
             if name == "pace":
                 raise AttributeError(name)
             return getattr(self._of, name)
 
-    monkeypatch.setitem(METHODS, "none", Own)
-    assert "a compensation method of another package" in Workshop().obstacle(load())
+    monkeypatch.setitem(COMPENSATION_METHODS, "none", Own)
+    assert "a compensation method of another package" in BlockCache().why_not_compiled(load())
 
 
 def test_a_controller_of_another_package_is_not_compiled(monkeypatch):
@@ -223,15 +223,15 @@ def test_a_controller_of_another_package_is_not_compiled(monkeypatch):
 
     def interlock_of(experiment):
         axes, timebase = experiment.axes, experiment.timebase
-        own = RegisteredControl(Own, "own", ControlKnowledge(len(axes), timebase.dt, 10.0))
+        own = RegisteredControl(Own, "own", ControlInputs(len(axes), timebase.dt, 10.0))
         return Interlock.from_parameters(own, experiment["force_controller"], axes, timebase)
 
     monkeypatch.setattr(compiled_loop, "interlock_of", interlock_of)
-    assert "another package" in Workshop().obstacle(load())
+    assert "another package" in BlockCache().why_not_compiled(load())
 
 
 def test_wrong_input_is_told_as_ever():
     with pytest.raises(InputError, match="lead"):
-        Workshop().run(load(*TARGET, "ground_motion:lead:=0.01"))
+        BlockCache().run(load(*TARGET, "ground_motion:lead:=0.01"))
     with pytest.raises(InputError, match="yield"):
-        Workshop().run(load("rig:specimen.kind:=bilinear"))
+        BlockCache().run(load("rig:specimen.kind:=bilinear"))

@@ -8,7 +8,7 @@ from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_plant_sim.sensors import BLOCK
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 ROOT = Path(__file__).parents[3]
@@ -62,7 +62,7 @@ def run(*words, config=JHU):
     """Record of an experiment, and its samples of rig/state, shape (N, 4, n)."""
     words = (UNWATCHED, *words)
     experiment = Experiment.load(TABLES, [config], [parse_override(word) for word in words])
-    record = simulate(experiment, build_blocks(experiment))
+    record = simulate_test(experiment, build_blocks(experiment))
     return record, record.series["rig/state"].values
 
 
@@ -288,7 +288,7 @@ def test_the_same_experiment_gives_the_same_bits_and_another_seed_others():
 def test_blocks_can_run_a_second_test():
     experiment = Experiment.load(TABLES, [JHU], [parse_override(with_ratio(0.5))])
     blocks = build_blocks(experiment)
-    first, second = (simulate(experiment, blocks).series for _ in range(2))
+    first, second = (simulate_test(experiment, blocks).series for _ in range(2))
     for topic in first:
         np.testing.assert_array_equal(first[topic].values, second[topic].values)
 
@@ -304,5 +304,5 @@ def test_the_record_holds_the_equations_sample_by_sample():
 def test_progress_is_told_in_steps():
     experiment = Experiment.load(TABLES, [JHU])
     told = []
-    simulate(experiment, build_blocks(experiment), told.append)
+    simulate_test(experiment, build_blocks(experiment), told.append)
     assert told == [BLOCK, 2 * BLOCK, 8501]

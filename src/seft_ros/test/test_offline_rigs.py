@@ -11,7 +11,7 @@ from seft_ros.bags.record import Series, of_all_rigs
 from seft_ros.bags.record_bag import read_bag, write_record
 from seft_ros.force_controller.methods import force_control
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
@@ -26,7 +26,7 @@ def plan(*overrides):
 
 def simulated(*overrides):
     test = plan(*overrides)
-    return simulate(test, build_blocks(test))
+    return simulate_test(test, build_blocks(test))
 
 
 def test_one_axis_of_a_rig_with_a_name_has_the_bits_of_the_one_without():

@@ -7,7 +7,7 @@ import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_ros.protection.protection_step import RampDown
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 CONFIG = Path(__file__).parents[3] / "config"
@@ -21,7 +21,7 @@ def run(*words, config="jhu", blocks_hook=lambda blocks: None):
     )
     blocks = build_blocks(experiment)
     blocks_hook(blocks)
-    return simulate(experiment, blocks)
+    return simulate_test(experiment, blocks)
 
 
 def force_of(record):

@@ -11,7 +11,7 @@ from seft_msgs_py.config.experiment import (
 )
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import NODES
-from seft_plant_sim.rig_parameters import TABLE as RIG
+from seft_plant_sim.rig_parameters import RIG_TABLE as RIG
 from seft_ros.design.rig_tests import Levels, open_loop
 from seft_ros.test_run.parameter_tables import TABLES
 

@@ -4,7 +4,7 @@ import os
 from contextlib import contextmanager
 
 import pytest
-from seft_msgs_py.node.host import FIRST
+from seft_msgs_py.node.host import FIRST_NICENESS
 from seft_ros.test_run.node_starter import NodeStarter
 from seft_ros.test_run.processes import LOOP_NODES, NodeProcesses, ProcessLayout
 
@@ -56,16 +56,16 @@ def test_what_is_not_pinned_runs_anywhere(run):
     ],
 )
 def test_who_comes_earlier_in_a_step_gives_way(layout, priorities):
-    wishes = [layout.wishes(node) for node in LOOP_NODES]
-    assert [wish["thread_priority"] for wish in wishes] == priorities
-    assert all(wish["lock_memory"] and wish["keep_awake"] for wish in wishes)
+    realtime_parameters = [layout.realtime_parameters(node) for node in LOOP_NODES]
+    assert [wish["thread_priority"] for wish in realtime_parameters] == priorities
+    assert all(wish["lock_memory"] and wish["keep_awake"] for wish in realtime_parameters)
 
 
 @pytest.mark.parametrize("may", [False, True])
 def test_cores_stay_awake_without_being_asked_for_where_that_is_allowed(monkeypatch, may):
     monkeypatch.setattr("seft_ros.test_run.processes.may_keep_awake", lambda: may)
-    assert ProcessLayout().wishes("rig") == ({"keep_awake": True} if may else {})
-    assert ProcessLayout(pin=False).wishes("rig") == {}
+    assert ProcessLayout().realtime_parameters("rig") == ({"keep_awake": True} if may else {})
+    assert ProcessLayout(pin=False).realtime_parameters("rig") == {}
 
 
 @SEVERAL_CORES
@@ -76,7 +76,7 @@ def test_nodes_are_hurried_once_it_is_known_that_a_rig_keeps_a_pace(run, lockste
         assert {os.sched_getscheduler(pids[n]) for n in LOOP_NODES} == {os.SCHED_BATCH}
         processes.settle(lockstep=lockstep)
         treated = {(os.sched_getscheduler(pids[n]), nice(pids[n])) for n in LOOP_NODES}
-        first = FIRST if os.geteuid() == 0 else 0  # whose right it is
+        first = FIRST_NICENESS if os.geteuid() == 0 else 0  # whose right it is
         assert treated == {(os.SCHED_BATCH, 0) if lockstep else (os.SCHED_OTHER, first)}
         assert (os.sched_getscheduler(pids["recorder"]), nice(pids["recorder"])) == (0, 0)
 

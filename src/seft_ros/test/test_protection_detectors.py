@@ -20,7 +20,7 @@ from detector_samples import (
 from seft_ros.protection import detectors as rows
 from seft_ros.protection.channel_relations import take_command
 from seft_ros.protection.detector_step import begin_detectors, detect, detect_all
-from seft_ros.protection.detectors import DETECTORS, SOUND, SUSPECT, describe, look
+from seft_ros.protection.detectors import DETECTORS, SUSPECT, VALID, describe, look
 
 
 def test_a_new_test_knows_nothing_of_the_one_before():
@@ -47,7 +47,7 @@ def test_what_a_detector_finds_is_told_by_row_and_axis(name, axis):
         take_command(p, state, commands[k], False)
     first = next(k for k, each in enumerate(found) if each >= 0)
     assert found[first] == ALL.index(name) * N + axis
-    assert set(found[:60]) == {SOUND}
+    assert set(found[:60]) == {VALID}
     assert 60 < first <= 60 + 2 * p.persistence[ALL.index(name)] + 2
 
 
@@ -130,7 +130,7 @@ def test_a_spike_makes_a_sample_suspect_and_a_jump_ends_the_test(off):
         samples, commands = noise_of_a_rig(12, size=0.3)
         samples[5:, 0, 1] += off * (stays | (np.arange(5, 12) == 5))
         found = [detect(p, state, k, NO_TARGET, samples[k]) for k in range(8)]
-        assert found[:5] == [SOUND] * 5
+        assert found[:5] == [VALID] * 5
         assert found[5:7] == [SUSPECT] * 2
         assert found[7] == (rows.CHANGE * N + 1 if stays else SUSPECT)
     assert commands.any()
@@ -140,7 +140,7 @@ def test_a_detector_that_only_warns_puts_nothing_under_suspicion():
     p, state = detectors([one.name for one in DETECTORS])
     samples, _ = noise_of_a_rig(20, size=0.3)
     samples[5:, :, 1] += 100.0 * NOISE[:, 1]
-    assert {detect(p, state, k, NO_TARGET, samples[k]) for k in range(20)} == {SOUND}
+    assert {detect(p, state, k, NO_TARGET, samples[k]) for k in range(20)} == {VALID}
     assert state.shares.max() > 1.0
 
 
@@ -176,7 +176,7 @@ def test_a_channel_that_repeats_a_value_is_frozen_once_that_is_no_chance(row, ax
             assert found == frozen * N + axis
             assert k == 30 + math.floor(most) + 2
             break
-        assert found == (SUSPECT if same > 2.0 * most / 3.0 else SOUND)
+        assert found == (SUSPECT if same > 2.0 * most / 3.0 else VALID)
     assert found >= 0
 
 
@@ -198,7 +198,7 @@ def test_a_target_must_be_followed_but_not_while_the_valve_is_at_its_limit():
         take_command(p, state, commands[k] * 0.0, k == 100)
         if k >= 99:
             state.counts[rows.TRACKING] = 0
-    assert found[:11] == [SOUND] * 10 + [rows.TRACKING * N]
+    assert found[:11] == [VALID] * 10 + [rows.TRACKING * N]
 
 
 def test_the_targets_largest_motion_is_remembered():

@@ -19,7 +19,7 @@ from seft_ros.protection.instability import (
     WatchState,
     watch_step,
 )
-from seft_ros.reference_force.compensator import Knowledge
+from seft_ros.reference_force.compensator import MethodInputs
 from seft_ros.test_run.parameter_tables import TABLES
 
 CONFIGS = Path(__file__).parents[3] / "config"
@@ -27,7 +27,7 @@ RATIO, FLOOR = 5.0, 0.3
 
 
 def known_of(mass, computed, damping, stiffness, dt=0.002):
-    return Knowledge(mass, ComputedSubstructure.lumped(computed), damping, stiffness, dt, {})
+    return MethodInputs(mass, ComputedSubstructure.lumped(computed), damping, stiffness, dt, {})
 
 
 ONE = known_of(*(np.array([[value]]) for value in (52.7, 52.7, 800.0, 2.11e5)))

@@ -7,15 +7,15 @@ from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_ros.protection.instability import InstabilityWatch
 from seft_ros.protection.protected_force import ProtectedForce
-from seft_ros.protection.protection_step import PlausibleForce, RampDown, continued
-from seft_ros.reference_force.compensator import Knowledge
+from seft_ros.protection.protection_step import PlausibleForce, RampDown, extrapolated
+from seft_ros.reference_force.compensator import MethodInputs
 from seft_ros.test_run.parameter_tables import TABLES
 
 DT = 0.002
 MOTION, STATE = np.zeros((1, 1)), np.zeros((4, 1))
 
 
-KNOWN = Knowledge(
+KNOWN = MethodInputs(
     *(np.array([[52.7]]), ComputedSubstructure.lumped(np.array([[52.7]]))),
     *(np.array([[800.0]]), np.array([[2.11e5]]), DT, {}),
 )
@@ -36,11 +36,11 @@ def protected(forces, ramp=10, largest=1e4, fastest=1e9, loop_delay=0):
     block = SimpleNamespace(
         preview=0,
         compensator=None,
-        tells_motion=False,
+        provides_target=False,
         shape=(1, 1),
         estimates=dict,
         reset=lambda: None,
-        step=lambda motion, state, pace: np.array([[[next(given)]]]),
+        step=lambda motion, state, progress: np.array([[[next(given)]]]),
     )
     plausible = PlausibleForce(largest, fastest, ("x",), DT)
     return ProtectedForce(block, plausible, watch(), RampDown(ramp, loop_delay), loop_delay)
@@ -139,7 +139,7 @@ def test_a_reset_is_one_of_all_parts():
     force.ramp_down()
     force.step(MOTION, STATE)
     force.reset()
-    assert (target.paces, force.steps_ramped, force.ramping) == ([], 0, False)
+    assert (target.progresses, force.steps_ramped, force.ramping) == ([], 0, False)
     assert (force.longest_ramp, force.estimates()) == (6, {})
     links = protected([1.0, 2.0, 3.0], loop_delay=2)
     links.step(MOTION, STATE)
@@ -219,9 +219,9 @@ def test_states_that_were_lost_are_bridged_in_a_straight_line():
     force, seen = protected([0.0] * 9, loop_delay=3), []
     inner = force.reference_force.step
 
-    def step(motion, state, pace):
+    def step(motion, state, progress):
         seen.append(state[0, 0])
-        return inner(motion, state, pace)
+        return inner(motion, state, progress)
 
     force.reference_force.step = step
     force.bridge([MOTION], STATE + 1.0)  # nothing was before
@@ -231,24 +231,24 @@ def test_states_that_were_lost_are_bridged_in_a_straight_line():
 
 
 class Target:
-    """A target that goes on at 1 m/s times the pace, with a force of 100 N times that."""
+    """A target that goes on at 1 m/s times the progress, with a force of 100 N times that."""
 
-    preview, tells_motion, shape, compensator = 4, True, (5, 3), None
+    preview, provides_target, shape, compensator = 4, True, (5, 3), None
 
     def __init__(self):
-        self.paces, self.motions, self.odd = [], [], None
+        self.progresses, self.motions, self.odd = [], [], None
 
     def reset(self):
-        self.paces.clear()
+        self.progresses.clear()
 
     estimates = dict
 
-    def step(self, motion, state, pace):
-        self.paces.append(pace)
+    def step(self, motion, state, progress):
+        self.progresses.append(progress)
         self.motions.append(motion.copy())
         points = np.empty((5, 3, 1))
-        points[:, 0, 0] = len(self.paces) + np.arange(5.0)
-        points[:, 1], points[:, 2] = pace, 100.0 * pace
+        points[:, 0, 0] = len(self.progresses) + np.arange(5.0)
+        points[:, 1], points[:, 2] = progress, 100.0 * progress
         if self.odd is not None:
             points[:] = self.odd
         return points
@@ -265,9 +265,10 @@ def test_a_target_is_slowed_down_and_its_points_are_not_scaled():
     force.step(MOTION, STATE)
     force.ramp_down()
     given = [force.step(MOTION, STATE) for _ in range(4)]
-    assert target.paces == [1.0, *ramp(4)]
+    assert target.progresses == [1.0, *ramp(4)]
     assert [points[0, :, 0].tolist() for points in given] == [
-        [step, pace, 100.0 * pace] for step, pace in zip(range(2, 6), ramp(4), strict=True)
+        [step, progress, 100.0 * progress]
+        for step, progress in zip(range(2, 6), ramp(4), strict=True)
     ]
     assert given[0].shape == (5, 3, 1)  # over a link, too, it tells the coming motion itself
 
@@ -277,7 +278,7 @@ def test_a_target_without_ground_motion_goes_on_to_rest_as_if_there_were_none():
     force.ramp_down()
     for _ in range(4):
         force.step(None, STATE)
-    assert target.paces == ramp(4)
+    assert target.progresses == ramp(4)
     assert not np.any(target.motions)
     assert {motion.shape for motion in target.motions} == {(5, 1)}
     assert force.cause is None
@@ -291,9 +292,9 @@ def test_a_target_whose_force_is_not_plausible_brakes_and_is_scaled_down(odd):
     target.odd = odd
     given = [force.step(MOTION, STATE) for _ in range(4)]
     for age, factor in enumerate(ramp(4), 1):
-        np.testing.assert_array_equal(given[age - 1], continued(last, age, 5, DT) * factor)
+        np.testing.assert_array_equal(given[age - 1], extrapolated(last, age, 5, DT) * factor)
     assert force.cause.startswith("reference force")
-    assert len(target.paces) == 3  # it is not asked again: what it remembers may be odd, too
+    assert len(target.progresses) == 3  # it is not asked again: what it remembers may be odd, too
 
 
 def test_a_target_that_fails_in_the_ramp_goes_on_from_where_it_is():
@@ -303,7 +304,7 @@ def test_a_target_that_fails_in_the_ramp_goes_on_from_where_it_is():
     target.odd = np.nan
     for age, factor in enumerate(np.array(ramp(8)[4:]) / ramp(8)[3], 1):
         found = force.step(MOTION, STATE)
-        np.testing.assert_allclose(found, continued(last, age, 5, DT) * factor, atol=1e-12)
+        np.testing.assert_allclose(found, extrapolated(last, age, 5, DT) * factor, atol=1e-12)
 
 
 def test_a_target_that_rests_after_its_ramp_and_fails_asks_for_no_force():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_ros.protection.protection_step import RampDown, continued
+from seft_ros.protection.protection_step import RampDown, extrapolated
 
 STEPS = st.integers(1, 2000)
 
@@ -102,10 +102,10 @@ def test_it_has_finished_once_it_has_rested_too():
 def test_a_target_beyond_the_points_that_were_sent_brakes_and_its_force_stays():
     position, velocity, force = points = np.arange(1.0, 19.0).reshape(3, 3, 2)
     points = points.transpose(1, 0, 2)  # three points, of two axes
-    found = continued(points, 1, 5, 0.002)
+    found = extrapolated(points, 1, 5, 0.002)
     np.testing.assert_array_equal(found[:2], points[1:])
     left = np.exp(-0.002 / 0.03 * np.arange(1, 4))[:, np.newaxis]
     np.testing.assert_allclose(found[2:, 0], position[2] + 0.03 * (1.0 - left) * velocity[2])
     np.testing.assert_allclose(found[2:, 1], velocity[2] * left)
     np.testing.assert_array_equal(found[2:, 2], [force[2]] * 3)
-    np.testing.assert_array_equal(continued(points[:, 2:], 2, 3, 0.002), [points[2, 2:]] * 3)
+    np.testing.assert_array_equal(extrapolated(points[:, 2:], 2, 3, 0.002), [points[2, 2:]] * 3)

@@ -6,7 +6,7 @@ from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 from seft_ros.reference_force.reference_force_block import ReferenceForce
-from seft_ros.reference_force.reference_force_parameters import TABLE
+from seft_ros.reference_force.reference_force_parameters import REFERENCE_FORCE_TABLE
 
 NUMBERS = st.floats(-100, 100)
 
@@ -14,8 +14,10 @@ NUMBERS = st.floats(-100, 100)
 def block(axes=("x",), **values):
     """Block of these parameters; a double underscore stands for a dot."""
     values = {"model__mass": 52.7, "model__stiffness": 2.11e5, **values}
-    given_values = TABLE.check({name.replace("__", "."): v for name, v in values.items()})
-    section = resolve({"reference_force": TABLE}, {"reference_force": given_values})
+    given_values = REFERENCE_FORCE_TABLE.check(
+        {name.replace("__", "."): v for name, v in values.items()}
+    )
+    section = resolve({"reference_force": REFERENCE_FORCE_TABLE}, {"reference_force": given_values})
     return ReferenceForce.from_parameters(section["reference_force"], axes, Timebase.from_rate(500))
 
 

@@ -20,10 +20,10 @@ from seft_msgs_py.wire.topics import (
     Timebase,
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
-from seft_ros.reference_force.compensation_methods import METHODS, none
+from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS, none
 from seft_ros.reference_force.reference_force_block import EstimateSampler, ReferenceForce
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
@@ -63,12 +63,12 @@ class Watcher:
 @pytest.fixture
 def watched(monkeypatch):
     """An experiment whose method identifies something."""
-    monkeypatch.setitem(METHODS, "none", Watcher)
+    monkeypatch.setitem(COMPENSATION_METHODS, "none", Watcher)
     return Experiment.load(TABLES, [JHU], [parse_override(word) for word in WORDS])
 
 
 def run(experiment):
-    return simulate(experiment, build_blocks(experiment))
+    return simulate_test(experiment, build_blocks(experiment))
 
 
 def sampler(rate, estimates=dict):

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.rig_parameters import TABLE
+from seft_plant_sim.rig_parameters import RIG_TABLE
 from seft_ros.study.drawn_tests import (
     DRAWN_QUANTITIES,
     check_rig,
@@ -67,7 +67,7 @@ def test_parameters_stay_within_their_spread_and_the_others_as_they_are(number, 
             continue
         most = 1.0 + uncertainty * spread
         assert 1 / most - 1e-12 <= own[name] / value <= most + 1e-12
-    assert TABLE.check(own) == own
+    assert RIG_TABLE.check(own) == own
 
 
 def test_a_spread_of_a_fifth_is_20_percent_stiffness_and_twice_or_half_the_damping():

@@ -7,7 +7,7 @@ import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_ros.analysis.summary import summarise
-from seft_ros.reference_force.compensation_methods import METHODS
+from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
 from seft_ros.reference_force.linear_filter import LinearCompensator
 from seft_ros.study import study_runs
 from seft_ros.study.drawn_tests import draw_tests
@@ -17,7 +17,7 @@ from seft_ros.study.study_results import summarise_study
 from seft_ros.study.study_runs import run_study
 from seft_ros.study.worst_tests import worst_folder, write_worst_tests
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
@@ -40,7 +40,7 @@ def keeping(plan, folder, progress=lambda *_: None):
 
 
 def simulated(experiment):
-    summary = summarise(simulate(experiment, build_blocks(experiment)))
+    summary = summarise(simulate_test(experiment, build_blocks(experiment)))
     return {key: summary[key] for key in KEYS}
 
 
@@ -58,7 +58,7 @@ class Adapting(LinearCompensator):
 
 
 def adapting(known):
-    return Adapting(METHODS["none"](known).linear())
+    return Adapting(COMPENSATION_METHODS["none"](known).linear())
 
 
 def impossible(_):
@@ -66,7 +66,7 @@ def impossible(_):
 
 
 def broken(known):
-    compensator = METHODS["none"](known)
+    compensator = COMPENSATION_METHODS["none"](known)
     compensator.step = lambda *_: 1 / 0
     return compensator
 
@@ -82,7 +82,7 @@ def test_test_0_gives_what_simulate_gives():
             "reference_force:mass_ratio:=0.5",
             f"reference_force:compensation.method:={one.test.method}",
         )
-        assert one.obstacle == ""
+        assert one.why_not_compiled == ""
         assert alike(one.summary, simulated(load(*words)))
 
 
@@ -146,12 +146,12 @@ def test_the_file_of_a_worst_test_repeats_it(given, tmp_path, monkeypatch):
 
 
 def test_a_method_that_is_not_compiled_is_simulated_uncompiled_and_named_so(monkeypatch):
-    monkeypatch.setitem(METHODS, "adapting", adapting)
+    monkeypatch.setitem(COMPENSATION_METHODS, "adapting", adapting)
     reported = []
     runs = run_study(
         planned(methods=["none", "adapting"]), progress=lambda what, _: reported.append(what)
     )
-    assert [bool(one.obstacle) for one in runs] == [False, True] * 3
+    assert [bool(one.why_not_compiled) for one in runs] == [False, True] * 3
     assert reported[:2] == [
         "mass ratio 0.5, none, test 0",
         "mass ratio 0.5, adapting, test 0 (uncompiled)",
@@ -161,7 +161,7 @@ def test_a_method_that_is_not_compiled_is_simulated_uncompiled_and_named_so(monk
 
 def test_all_methods_and_mass_ratios_meet_the_same_tests():
     plan = planned("reference_force:compensation.delay:=0.0139", methods=["all"], ratios=[0.5, 1.0])
-    assert plan.methods == tuple(METHODS)
+    assert plan.methods == tuple(COMPENSATION_METHODS)
     alone = planned(methods=["none"], ratios=[3.0])
     assert plan.drawn.sections == alone.drawn.sections
     base = plan.experiment
@@ -257,7 +257,7 @@ def test_finished_tests_that_can_not_be_kept_are_reported(tmp_path):
 
 
 def test_a_method_that_can_not_be_set_up_is_left_out_and_the_others_go_on(monkeypatch):
-    monkeypatch.setitem(METHODS, "impossible", impossible)
+    monkeypatch.setitem(COMPENSATION_METHODS, "impossible", impossible)
     plan = planned(methods=["impossible", "none"])
     assert plan.not_possible == {(0.5, "impossible"): "there is no model"}
     assert plan.tests() == [StudyTest(0.5, "none", number) for number in range(3)]
@@ -285,7 +285,7 @@ def test_an_experiment_that_makes_no_test_is_refused_before_any_method_is_blamed
 
 
 def test_a_method_that_breaks_is_reported_with_its_test(monkeypatch):
-    monkeypatch.setitem(METHODS, "broken", broken)
+    monkeypatch.setitem(COMPENSATION_METHODS, "broken", broken)
     with pytest.raises(ExperimentError) as caught:
         run_study(planned(methods=["none", "broken"]))
     assert (

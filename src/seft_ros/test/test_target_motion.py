@@ -8,17 +8,17 @@ from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.reference_force.observers import observe, observer_gains
-from seft_ros.reference_force.reference_force_block import knowledge
+from seft_ros.reference_force.reference_force_block import method_inputs
 from seft_ros.reference_force.restoring_model import (
     THRESHOLDS,
     begin_model,
-    follow,
+    follow_specimen,
     model_arrays,
     move_stops,
 )
 from seft_ros.reference_force.target_motion import TargetMotion
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 ROOT = Path(__file__).parents[3]
@@ -39,7 +39,7 @@ def experiment(*words, config="jhu"):
 def error(*words, config="jhu"):
     """Displacement NRMSE of a simulated test, %."""
     tested = experiment(*words, config=config)
-    record = simulate(tested, build_blocks(tested))
+    record = simulate_test(tested, build_blocks(tested))
     assert record.trip is None
     measured, motion = (record.series[name].values for name in ("rig/state", "ground_motion"))
     exact = reference_response(tested, motion[:, 0])
@@ -48,7 +48,7 @@ def error(*words, config="jhu"):
 
 def target(*words, config="jhu"):
     tested = experiment(*words, config=config)
-    known = knowledge(tested["reference_force"], tested.axes, tested.timebase)
+    known = method_inputs(tested["reference_force"], tested.axes, tested.timebase)
     return tested, TargetMotion(known)
 
 
@@ -105,7 +105,7 @@ def test_target_comes_to_rest_as_its_pace_goes_to_zero():
         else:  # the specimen follows the target
             a = (points[1, 2] - 800.3 * points[1, 1] - K * points[1, 0]) / 52.7
             measured = np.array([points[1, 0], points[1, 1], a, points[1, 2]])
-            method.pace = max(0.0, 1.0 - (k - begin) / 250)
+            method.progress = max(0.0, 1.0 - (k - begin) / 250)
         points = method.step(ground[k : k + window], measured)
     assert abs(points[0, 1, 0]) < 1e-4
     assert abs(points[0, 2, 0]) < 1.0
@@ -173,7 +173,7 @@ def followed(restoring, x, v, stiffness=K, damping=800.0, noise=4.0, seed=1):
         move_stops(parameters, np.array([one - last]), state.stops)
         last = one
         measured = np.array([r + noise * rng.standard_normal()])
-        follow(parameters, state, np.array([one]), np.array([rate]), measured)
+        follow_specimen(parameters, state, np.array([one]), np.array([rate]), measured)
         error = r - state.values[0] @ state.regressors[0]
         left.append((error, error - state.sums[0, 3]))
     return parameters, state, np.transpose(left)

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
-from seft_ros.force_controller.force_controller_parameters import TABLE
+from seft_ros.force_controller.force_controller_parameters import FORCE_CONTROLLER_TABLE
 from seft_ros.force_controller.valve_model import ValveModel
 from seft_ros.force_controller.velocity_feedforward import (
     FEEDBACK,
@@ -46,11 +46,11 @@ def test_flow_of_a_command_is_that_of_the_differential_equation(frequency, dampi
 def test_a_command_makes_one_periods_volume(frequency, damping, dead_time):
     model = ValveModel(frequency, damping, dead_time, DT)
     assert model.volume(np.array([1.0]))[0] == pytest.approx(DT, rel=1e-9)
-    under_way = model.under_way()
-    assert under_way[0] <= 1.0 + 1e-12
-    assert abs(under_way[-1]) < 0.02
+    in_flight = model.in_flight()
+    assert in_flight[0] <= 1.0 + 1e-12
+    assert abs(in_flight[-1]) < 0.02
     # what is under way of a steady flow is the flow times the mean delay, less what is to be sent
-    assert DT * under_way.sum() == pytest.approx(model.delay - DT / 2, abs=0.02 * model.delay)
+    assert DT * in_flight.sum() == pytest.approx(model.delay - DT / 2, abs=0.02 * model.delay)
 
 
 @valves
@@ -76,7 +76,7 @@ def controller(told=1.0, limit=10.0, horizon=25, **valve):
     given = {"voltage_limit": limit, "horizon": horizon * DT}
     given |= {f"actuator.{name}": value for name, value in actuator.items()}
     given |= {f"noise.{name}": value for name, value in noise.items()}
-    section = resolve({"force_controller": TABLE}, {"force_controller": given})
+    section = resolve({"force_controller": FORCE_CONTROLLER_TABLE}, {"force_controller": given})
     made = VelocityFeedforward(section["force_controller"], ("x",), Timebase.from_rate(1 / DT))
     return made.parameters, made.state
 

@@ -38,7 +38,7 @@ from std_srvs.srv import Trigger
 
 from seft_msgs_py.node import rclpy_interface
 
-CLOSE_PATIENCE = 5.0  # s
+_CLOSE_TIMEOUT_S = 5.0  # s
 REQUESTS = "rclpy/parameter_service.py"
 """File in which rclpy reads requests for parameters, which may be invalid."""
 
@@ -173,9 +173,9 @@ class DdsTransport:
 
     def wait_set(
         self, subscriptions: Sequence[DdsSubscription]
-    ) -> rclpy_interface.WaitSet[DdsSubscription]:
+    ) -> rclpy_interface.RclWaitSet[DdsSubscription]:
         """Make what waits for some subscriptions of this transport."""
-        return rclpy_interface.WaitSet(rclpy.get_default_context(), subscriptions)
+        return rclpy_interface.RclWaitSet(rclpy.get_default_context(), subscriptions)
 
     def log(self, text: str) -> None:
         """Log an error of the process."""
@@ -191,7 +191,7 @@ class DdsTransport:
 
     def close(self, status: int = 0) -> None:
         """Take the nodes off the graph; if that hangs, end the process with this exit status."""
-        with exit_watchdog(CLOSE_PATIENCE, status):
+        with exit_watchdog(_CLOSE_TIMEOUT_S, status):
             self._ends = True
             nodes = self._executor.get_nodes()
             if self._thread is not None:  # it must not wait for objects that are destroyed next

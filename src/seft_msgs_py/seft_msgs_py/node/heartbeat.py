@@ -88,8 +88,12 @@ class Heartbeat:
 
     def _counted(self) -> dict[str, str]:
         refused, faults = self._wiring.refused, self._process.faults
-        strangers = self._wiring.strangers()
-        return {"refused": str(refused), "faults": str(faults), "strangers": strangers}
+        unexpected_publishers = self._wiring.unexpected_publishers()
+        return {
+            "refused": str(refused),
+            "faults": str(faults),
+            "unexpected_publishers": unexpected_publishers,
+        }
 
     def _update(self, values: dict[str, str]) -> None:
         """Add values to the status; an equal status stays the same object."""

@@ -14,7 +14,7 @@ from typing import Any
 from seft_msgs_py.config.parameter_table import parameter_rows
 from seft_msgs_py.node.clock import MACHINE
 
-PARAMETERS = parameter_rows(
+REALTIME_PARAMETERS = parameter_rows(
     """
     thread_priority | int  | 0     |  | 0 .. 98    |
         real-time priority of the node's process (SCHED_FIFO); 0: none
@@ -27,7 +27,7 @@ PARAMETERS = parameter_rows(
     """
 )
 
-FIRST = -20
+FIRST_NICENESS = -20
 """The nice value of the process that runs before all others (`nice(1)`)."""
 _TRIES = 20
 _REMEDY = (
@@ -43,7 +43,7 @@ _held: list[int] = []
 
 
 def apply(section: Mapping[str, Any]) -> list[str]:
-    """Apply `PARAMETERS` of a node's section; return what was denied, each with its remedy."""
+    """Apply a section's `REALTIME_PARAMETERS`; return what was denied, each with its remedy."""
     core, priority = section["cpu_core"], section["thread_priority"]
     denied = (
         _keep_to_core(core) if core >= 0 else "",
@@ -72,7 +72,7 @@ def take_precedence(pid: int) -> bool:
     try:
         for thread in threads_of(pid):
             with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
-                os.setpriority(os.PRIO_PROCESS, thread, FIRST)
+                os.setpriority(os.PRIO_PROCESS, thread, FIRST_NICENESS)
         has_its_own = os.getsid(pid) == pid
     except OSError:
         return False
@@ -81,7 +81,7 @@ def take_precedence(pid: int) -> bool:
     session = Path(f"/proc/{pid}/autogroup")
     for _ in range(_TRIES):
         try:
-            session.write_text(str(FIRST))
+            session.write_text(str(FIRST_NICENESS))
         except BlockingIOError:  # the kernel takes ten a second
             MACHINE.sleep(0.1)
         except OSError:
@@ -92,7 +92,7 @@ def take_precedence(pid: int) -> bool:
 
 
 def may_keep_awake() -> bool:
-    """Whether `PARAMETERS`' ``keep_awake`` would be granted."""
+    """Whether `REALTIME_PARAMETERS`' ``keep_awake`` would be granted."""
     return os.access(_AWAKE, os.W_OK)
 
 

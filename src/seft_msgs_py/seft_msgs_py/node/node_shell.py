@@ -152,12 +152,12 @@ class NodeShell:
         """Say which topic of the test more than one node publishes, see `Senders.conflict`."""
         return self._wiring.several_senders()
 
-    def foreign_publishers(self, refused_before: int) -> str:
-        """Name the foreign nodes that may be the cause of missing messages, to append to a reason.
+    def name_unexpected_publishers(self, refused_before: int) -> str:
+        """Name the unexpected nodes that may be the cause of missing messages, to append to a reason.
 
         ``refused_before`` is the value of `refused` when the last message arrived.
         """
-        return self._wiring.foreign_publishers(refused_before)
+        return self._wiring.name_unexpected_publishers(refused_before)
 
 
 class NodeBody:

@@ -115,12 +115,12 @@ def is_running(domain: int, node: str) -> bool:
     return False
 
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _OUTPUTS = (1, 2)
-Handler = Callable[[int, FrameType | None], None]
+_Handler = Callable[[int, FrameType | None], None]
 
 
-def on_ending(handler: Handler) -> dict[signal.Signals, Any]:
+def on_ending(handler: _Handler) -> dict[signal.Signals, Any]:
     """Call ``handler`` when a signal requests this process to end; return the old handlers.
 
     SIGHUP means that the terminal has been closed: output, which would fail, is then discarded. If
@@ -136,8 +136,8 @@ def on_ending(handler: Handler) -> dict[signal.Signals, Any]:
             os.close(nowhere)
         handler(number, frame)
 
-    before = {number: signal.getsignal(number) for number in SIGNALS}
-    for number in SIGNALS:
+    before = {number: signal.getsignal(number) for number in _SIGNALS}
+    for number in _SIGNALS:
         if number != signal.SIGHUP or before[number] is not signal.SIG_IGN:
             signal.signal(number, on_signal)
     return before

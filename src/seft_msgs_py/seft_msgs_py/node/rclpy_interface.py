@@ -44,8 +44,8 @@ def command_node(name: str, namespace: str | None = None) -> Node:
 
 
 QUIET = 0.1  # s without a change
-PATIENCE = 2.0  # s for the graph to be quiet
-CLOSE_PATIENCE = 10.0  # s
+_QUIET_GRAPH_TIMEOUT_S = 2.0  # s for the graph to be quiet
+_COMMAND_CLOSE_TIMEOUT_S = 10.0  # s
 _STUCK = (
     "seft: the middleware does not let this process leave the graph (a fault of FastDDS); it is "
     "ended here, and what was recorded is complete"
@@ -58,14 +58,14 @@ def leave_graph(node: Node) -> None:
     Of about a hundred processes that leave at the same time one hangs, see `exit_watchdog`.
     """
     _wait_for_quiet(node)
-    with exit_watchdog(CLOSE_PATIENCE, 1, _STUCK):
+    with exit_watchdog(_COMMAND_CLOSE_TIMEOUT_S, 1, _STUCK):
         node.destroy_node()
         is_default = node.context is rclpy.get_default_context()
         rclpy.try_shutdown(context=None if is_default else node.context)  # it can start again
 
 
 def _wait_for_quiet(node: Node) -> None:
-    deadline, seen, since = MACHINE.monotonic() + PATIENCE, None, 0.0
+    deadline, seen, since = MACHINE.monotonic() + _QUIET_GRAPH_TIMEOUT_S, None, 0.0
     while (now := MACHINE.monotonic()) < deadline:
         names = sorted(node.get_node_names_and_namespaces())
         if names != seen:
@@ -148,7 +148,7 @@ def declare_parameters(
 
 
 class LoopCallbackGroup(ReentrantCallbackGroup):
-    """Group of subscriptions that no executor handles, only a `WaitSet`."""
+    """Group of subscriptions that no executor handles, only a `RclWaitSet`."""
 
     def can_execute(self, entity: Any) -> bool:
         """No executor may wait for these."""
@@ -158,7 +158,7 @@ class LoopCallbackGroup(ReentrantCallbackGroup):
 def raw_subscription(
     node: Node, topic: Topic, depth: int | None = None, reliable: bool = True
 ) -> Subscription:
-    """Subscribe to a topic for a `WaitSet`; see `qos_profile` for depth and reliability."""
+    """Subscribe to a topic for a `RclWaitSet`; see `qos_profile` for depth and reliability."""
     return node.create_subscription(
         message_class(topic),
         topic.name,
@@ -177,7 +177,7 @@ class HasHandle(Protocol):
         """Handle of rclpy."""
 
 
-class WaitSet[S: HasHandle]:
+class RclWaitSet[S: HasHandle]:
     """Waits until one of some subscriptions has a message."""
 
     def __init__(self, context: Context, subscriptions: Sequence[S]) -> None:

@@ -29,7 +29,7 @@ class Senders:
     """Publishers of the topics that a node reads, by the middleware's identifiers.
 
     While a test runs, the loop's topics and the state of the test are accepted only from the
-    publisher that each had when the test began. Any other publisher is foreign: its messages are
+    publisher that each had when the test began. Any other publisher is unexpected: its messages are
     counted, reported with its name, and ignored.
     """
 
@@ -37,7 +37,7 @@ class Senders:
         self._endpoint = endpoint
         self._readers: dict[str, _Reader] = {}
         self._bound = False
-        self._refused: dict[tuple[str, bytes], int] = {}  # messages of each foreign publisher
+        self._refused: dict[tuple[str, bytes], int] = {}  # messages of each unexpected publisher
         self._names: dict[tuple[str, bytes], str] = {}
 
     def add(self, topic: Topic, full_name: str, subscription: Subscription | None = None) -> None:
@@ -69,8 +69,8 @@ class Senders:
             if len(found) == 1:
                 (reader.accepted,) = found
 
-    def is_foreign(self, name: str, gid: bytes) -> bool:
-        """Say whether a message comes from a foreign publisher; if so, count it."""
+    def is_unexpected(self, name: str, gid: bytes) -> bool:
+        """Say whether a message comes from an unexpected publisher; if so, count it."""
         accepted = self._readers[name].accepted
         if not accepted or gid == accepted:
             return False
@@ -89,7 +89,7 @@ class Senders:
         return ""
 
     def poll(self) -> list[str]:
-        """Look for foreign publishers in a running test; report the new ones."""
+        """Look for unexpected publishers in a running test; report the new ones."""
         news = []
         for reader in self._of_the_test():
             name, accepted = reader.topic.name, reader.accepted
@@ -106,8 +106,8 @@ class Senders:
                     news.append(f"{node} publishes {name}, too: this test ignores its messages")
         return news
 
-    def strangers(self) -> str:
-        """List the foreign publishers of this test, their topics and refused messages."""
+    def unexpected_publishers(self) -> str:
+        """List the unexpected publishers of this test, their topics and refused messages."""
         return "; ".join(
             f"{self._names.get(key, UNNAMED)} on {key[0]}: {count}"
             for key, count in self._refused.items()

@@ -19,9 +19,9 @@ from seft_msgs_py.node.transport import MakeTransport, Subscription, WaitSet
 OUTSIDE_PERIOD = 0.002  # s between polls for outside messages while there are messages inside
 CHORE_PERIOD = 0.01  # s between chores, after messages were handled
 IDLE_CHORE_PERIOD = 0.05  # s, without messages: a wait may have ended because a sample is due
-MOST_AT_ONCE = 4096  # messages of a topic, as many as the longest queue holds
-MOST_IN_A_TURN = 512  # of a topic that does not end waiting: a late node still sends its status
-MOST_REFUSED = 200  # a few ms of invalid messages
+MAX_AT_ONCE = 4096  # messages of a topic, as many as the longest queue holds
+MAX_IN_A_TURN = 512  # of a topic that does not end waiting: a late node still sends its status
+MAX_REFUSED = 200  # a few ms of invalid messages
 LOG_PERIOD = 1.0  # s between two logged faults; all are counted
 
 ReadOne = Callable[[], bool | None]
@@ -160,7 +160,7 @@ class NodeProcess:
             handled |= self._poll_outside(0.0 if handled else timeout)
         if not handled:
             for read_one in self._quiet:
-                drain(read_one, MOST_IN_A_TURN)
+                drain(read_one, MAX_IN_A_TURN)
             self.bus.deliver()
         return handled
 
@@ -175,7 +175,7 @@ class NodeProcess:
             ready = self._wait_set.wait(timeout)
         for subscription in ready:
             read_one = self._waking[subscription]
-            for _ in range(MOST_REFUSED):  # a flood must not delay the valid messages
+            for _ in range(MAX_REFUSED):  # a flood must not delay the valid messages
                 acted = read_one()
                 handled |= acted is not None
                 if acted is not False:
@@ -197,7 +197,7 @@ class NodeProcess:
             self.fault("a service", error)
 
 
-def drain(read_one: ReadOne, most: int = MOST_AT_ONCE) -> None:
+def drain(read_one: ReadOne, most: int = MAX_AT_ONCE) -> None:
     """Handle the messages that have arrived, at most ``most``; the default is the longest queue."""
     for _ in range(most):
         if read_one() is None:

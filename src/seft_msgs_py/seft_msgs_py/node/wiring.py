@@ -13,7 +13,7 @@ from seft_msgs_py.wire.messages import decode_status
 from seft_msgs_py.wire.outcome import MOVING
 from seft_msgs_py.wire.topics import EXPERIMENT_STATE, RIG_NODES, LoopTopic, RigAxes, Topic
 
-POLL_PERIOD = 0.2  # s between two looks for other publishers
+_POLL_PERIOD = 0.2  # s between two looks for other publishers
 WARN_PERIOD = 1.0  # s
 Handler = Callable[[bytes, int], None]
 """Takes a message's bytes and the wall-clock time in ns of its arrival."""
@@ -92,21 +92,21 @@ class Wiring:
         """Say which topic of the test more than one node publishes, see `Senders.conflict`."""
         return self._senders.conflict()
 
-    def strangers(self) -> str:
-        """List the foreign publishers of this test, see `Senders.strangers`."""
-        return self._senders.strangers()
+    def unexpected_publishers(self) -> str:
+        """List the unexpected publishers of this test, see `Senders.unexpected_publishers`."""
+        return self._senders.unexpected_publishers()
 
-    def foreign_publishers(self, refused_before: int) -> str:
-        """Name the foreign nodes that may be the cause of missing messages.
+    def name_unexpected_publishers(self, refused_before: int) -> str:
+        """Name the unexpected nodes that may be the cause of missing messages.
 
-        See `NodeShell.foreign_publishers`.
+        See `NodeShell.name_unexpected_publishers`.
         """
         refused, conflict = self.refused - refused_before, self.several_senders()
         text = f"; {refused} messages were refused meanwhile" if refused else ""
         return f"{text}; {conflict}" if conflict else text
 
     def warn(self) -> None:
-        """Log refused messages and foreign publishers; a chore.
+        """Log refused messages and unexpected publishers; a chore.
 
         A call of a logger takes a millisecond, even if its own throttle suppresses the message.
         """
@@ -114,7 +114,7 @@ class Wiring:
         if self._warning and now - self._warned_at >= WARN_PERIOD:
             self._endpoint.log("warning", f"refused ({self.refused} so far): {self._warning}")
             self._warning, self._warned_at = "", now
-        if now - self._polled_at >= POLL_PERIOD:
+        if now - self._polled_at >= _POLL_PERIOD:
             self._polled_at = now
             for news in self._senders.poll():
                 self._endpoint.log("warning", news)
@@ -133,7 +133,7 @@ class Wiring:
         def receive(raw: bytes, received_ns: int, gid: bytes) -> bool:
             if is_of_each_step:
                 self.handled_at = monotonic()
-            if senders.is_foreign(name, gid):
+            if senders.is_unexpected(name, gid):
                 self.refused += 1
                 return False
             try:

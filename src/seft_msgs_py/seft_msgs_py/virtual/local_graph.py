@@ -24,9 +24,9 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-LOOP = ("ground_motion", "reference_force", "force_controller", "rig", "supervisor")
+_LOOP = ("ground_motion", "reference_force", "force_controller", "rig", "supervisor")
 STRANGER = "stranger"
-LOOK = 0.005  # s between two looks of `LocalGraph.until`
+_LOOK = 0.005  # s between two looks of `LocalGraph.until`
 _NOTHING = Status("", 0, "", values={})
 
 
@@ -90,7 +90,7 @@ class LocalGraph:
         kinds: Mapping[str, NodeKind],
         files: Sequence[Path | str],
         *overrides: str,
-        nodes: Sequence[str | tuple[str, ...]] = LOOP,
+        nodes: Sequence[str | tuple[str, ...]] = _LOOP,
         own_files: Mapping[str, Sequence[Path | str]] | None = None,
         latency: float = 1e-4,
         discovery: float = 0.0,
@@ -160,7 +160,7 @@ class LocalGraph:
             if self.scheduler.now >= end:
                 what = condition if isinstance(condition, str) else "the condition"
                 raise TimeoutError(f"{what} not within {within:g} s: {self.state}, {self.values}")
-            self.run(LOOK)
+            self.run(_LOOK)
 
     def call(self, service: str) -> tuple[bool, str]:
         """Call a service of the supervisor, which answers when it is not frozen.

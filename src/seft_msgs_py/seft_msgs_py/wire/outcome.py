@@ -12,7 +12,7 @@ from seft_msgs_py.wire.messages import ERROR, OK, WARN, Status
 from seft_msgs_py.wire.topics import Timebase, bare
 
 RIG = "rig"
-RECORDER = "recorder"
+RECORDER_NODE_NAME = "recorder"
 RECORDED = "recorded"
 """Key of the recorder's values: number of states of each rig in the bag, or safe in memory."""
 FINISHED = "finished"

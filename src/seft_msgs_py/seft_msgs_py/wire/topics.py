@@ -44,7 +44,7 @@ class Timebase:
             stamps could not identify steps exactly.
         """
         if not 1e-6 < rate < float("inf"):
-            raise InputError(f"rate: {rate:g} Hz is no sampling rate; give a positive number")
+            raise InputError(f"rate must be positive, but is {rate:g} Hz")
         period = Fraction(NANOSECONDS_PER_SECOND) / Fraction(rate)
         if period.denominator != 1:
             below, above = _nearest_exact_rates(rate)
@@ -103,7 +103,7 @@ RIG_NODES = ("force_controller", "rig")
 
 START = "start_ns"
 """Key of a running test's state: common start of several rigs, ns of the wall clock."""
-FARTHEST_START = 5.0  # s
+MAX_START_DELAY_S = 5.0  # s
 
 _NAMESPACE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
@@ -179,7 +179,7 @@ def until_start(values: Mapping[str, str], now_ns: int) -> float:
     if not start.isdecimal() or len(start) > 19:
         return 0.0
     ahead = (int(start) - now_ns) / 1e9
-    if abs(ahead) > FARTHEST_START:
+    if abs(ahead) > MAX_START_DELAY_S:
         raise InputError(
             f"the common start of the rigs is {ahead:.3g} s from now by this host's clock: set "
             "the clocks of all hosts by one (PTP, or NTP)"

@@ -148,9 +148,9 @@ def parse_trajectory(raw: bytes, topic: str = "trajectory") -> Trajectory:
     return Trajectory(nanoseconds(message.header.stamp), tuple(message.joint_names), message.points)
 
 
-Steps = npt.NDArray[np.int64]
-Bytes = npt.NDArray[np.uint8]
-Flags = npt.NDArray[np.bool_]
+_Steps = npt.NDArray[np.int64]
+_Bytes = npt.NDArray[np.uint8]
+_Flags = npt.NDArray[np.bool_]
 
 _COUNTS = struct.Struct("<II")  # of points, and of the first's positions
 
@@ -296,7 +296,7 @@ class TrajectoryCodec:
         return self.timebase.step(message.stamp_ns), values
 
 
-class Batch(NamedTuple):
+class _Batch(NamedTuple):
     """Content of many messages.
 
     Attributes
@@ -311,21 +311,21 @@ class Batch(NamedTuple):
         Number of invalid messages.
     """
 
-    steps: Steps
+    steps: _Steps
     values: Floats
-    messages: Steps
+    messages: _Steps
     refused: int
 
-    def up_to(self, ahead: float) -> "Batch":
+    def up_to(self, ahead: float) -> "_Batch":
         """Leave out points that are more than ``ahead`` steps after the first of their message."""
         first = np.searchsorted(self.messages, self.messages)
         near = np.arange(len(self.steps)) - first <= ahead
         if near.all():
             return self
-        return Batch(self.steps[near], self.values[near], self.messages[near], self.refused)
+        return _Batch(self.steps[near], self.values[near], self.messages[near], self.refused)
 
 
-def decode_batch(codec: TrajectoryCodec, rows: Bytes) -> Batch:
+def decode_batch(codec: TrajectoryCodec, rows: _Bytes) -> _Batch:
     """Read M messages of equal length, shape (M, length), as `TrajectoryCodec.decode` does each.
 
     Those with the layout of the first one differ only in stamp and doubles; all others are decoded
@@ -336,7 +336,7 @@ def decode_batch(codec: TrajectoryCodec, rows: Bytes) -> Batch:
     points, *shape = layout.values.shape
     every = steps[:, np.newaxis] + np.arange(points)
     kept = np.flatnonzero(fits)
-    parts: list[tuple[Steps, Floats, Steps]] = [
+    parts: list[tuple[_Steps, Floats, _Steps]] = [
         (every[kept].ravel(), values[kept].reshape(-1, *shape), np.repeat(kept, points))
     ]
     refused = 0
@@ -349,13 +349,13 @@ def decode_batch(codec: TrajectoryCodec, rows: Bytes) -> Batch:
             count = len(single)
             parts.append((step + np.arange(count), single, np.full(count, number)))
     if len(parts) == 1:  # the usual case: all messages have the layout
-        return Batch(*parts[0], refused)
+        return _Batch(*parts[0], refused)
     found, points_of, messages = map(np.concatenate, zip(*parts, strict=True))
     order = np.argsort(messages, kind="stable")
-    return Batch(found[order], points_of[order], messages[order], refused)
+    return _Batch(found[order], points_of[order], messages[order], refused)
 
 
-def _of_layout(period_ns: int, rows: Bytes, layout: Layout) -> tuple[Steps, Floats, Flags]:
+def _of_layout(period_ns: int, rows: _Bytes, layout: Layout) -> tuple[_Steps, Floats, _Flags]:
     """Read messages as if they had a layout: steps, values, and which of them are valid so."""
     (count, length), size = rows.shape, len(layout.template)
     if not count or length < size:

@@ -22,7 +22,7 @@ from seft_ros.bags.record_bag import UNDECODABLE
 from seft_ros.drawing.style import json_safe
 
 
-def compare(a: Record, b: Record) -> dict[str, Any]:
+def compare_records(a: Record, b: Record) -> dict[str, Any]:
     """Compare two records by step; at different rates by time, at the instants both have.
 
     Parameters
@@ -90,13 +90,13 @@ def compare_all(names: Sequence[str], records: Sequence[Record]) -> dict[str, An
     Returns
     -------
     dict
-        Of two records as `compare`. Of more ``identical`` (all are), and ``comparisons``: for
-        each further record what `compare` gives, the first record being a.
+        Of two records as `compare_records`. Of more ``identical`` (all are), and
+        ``comparisons``: for each further record what `compare_records` gives, the first being a.
     """
     comparisons = []
     for name, record in zip(names[1:], records[1:], strict=True):
         try:
-            comparisons.append(compare(records[0], record))
+            comparisons.append(compare_records(records[0], record))
         except InputError as error:
             raise InputError(f"{names[0]} and {name}: {error}") from None
     if len(comparisons) == 1:

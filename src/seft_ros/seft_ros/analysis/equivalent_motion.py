@@ -19,7 +19,7 @@ from seft_ros.ground_motion.response_spectrum import response_spectrum
 
 DAMPING = 0.05
 """Of the oscillators of a spectrum."""
-MARGIN = 2.0
+BAND_MARGIN = 2.0
 """Structures are tried from the smallest secant stiffness over this to the largest times this."""
 _PERIODS, _AROUND = 60, 4.0  # of a spectrum, and how far it goes beyond the structure's frequencies
 _FACTOR_STEP = 1.5  # at most, from a stiffness that is tried to the next
@@ -253,7 +253,7 @@ def _factors(whole: WholeStructure, states: Floats, mass: Floats) -> Floats:
     stiffness = (whole.structure.stiffness[:n, :n] - whole.computed.stiffness[:n, :n]).copy()
     seen = secant_stiffness(states, mass, stiffness)
     ends = [seen.min(), seen.max()] if len(seen) else [1.0, 1.0]
-    low, high = np.clip(ends, *_FACTORS) * [1 / MARGIN, MARGIN]
+    low, high = np.clip(ends, *_FACTORS) * [1 / BAND_MARGIN, BAND_MARGIN]
     return np.geomspace(low, high, 1 + math.ceil(math.log(high / low) / math.log(_FACTOR_STEP)))
 
 

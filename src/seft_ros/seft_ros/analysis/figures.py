@@ -19,10 +19,10 @@ from seft_ros.analysis.result_text import title_of
 from seft_ros.analysis.summary import AFTER, COMPARED, judged_part, strong_part
 from seft_ros.bags.record import Record
 from seft_ros.drawing import style
-from seft_ros.drawing.style import Floats, axis_label, percent, thinned, tidy
+from seft_ros.drawing.style import AnyFloats, axis_label, percent, thinned, tidy
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 
-MOST_AXES = 3
+_MAX_AXES = 3
 _PER_INCH = 11  # characters of a title
 _MOST_BRIDGED = 5  # steps
 
@@ -31,10 +31,10 @@ def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
     """Draw displacement, force and acceleration of a test over time, against the reference.
 
     The time is that of the ground motion's `strong_part`.
-    One column for each axis, of more than `MOST_AXES` the first. Below are the parameters that
+    One column for each axis, of more than `_MAX_AXES` the first. Below are the parameters that
     the compensation identified on line, if any.
     """
-    axes, estimates = record.experiment.axes[:MOST_AXES], record.estimates
+    axes, estimates = record.experiment.axes[:_MAX_AXES], record.estimates
     states, dt = record.series[RIG_STATE.name], record.experiment.timebase.dt
     judged = len(judged_part(record)[0].series[RIG_STATE.name].steps)
     names = estimates.names if estimates else ()
@@ -53,7 +53,7 @@ def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
                 error = nrmse(y[:judged], exact[states.steps[:judged]])
                 text = f"NRMSE {percent(error)}" if np.isfinite(error) else "NRMSE undefined"
                 panel.set_title(text, loc="right", fontsize=9, color=style.TEXT)
-            at, look = thinned(y), {"color": style.FIRST, "lw": 0.9}
+            at, look = thinned(y), {"color": style.FIRST_COLOUR, "lw": 0.9}
             panel.plot(states.steps[at] * dt, y[at] * scale, label="test", **look)
     if estimates is not None:
         for row, name in zip(panels[len(style.RESPONSES) :], estimated, strict=True):
@@ -94,7 +94,8 @@ def comparison_figure(
     records : sequence of Record
         Two or more.
     comparisons : sequence of dict
-        Of each further record with the first, as `seft_ros.analysis.comparison.compare` gives it.
+        Of each further record with the first, see
+        `seft_ros.analysis.comparison.compare_records`.
     names : sequence of str
         Names of the records.
 
@@ -178,7 +179,7 @@ def _draw_differences(panel: Axes, records: Sequence[Record], name: str, axis: s
         panel.yaxis.offsetText.set(fontsize=8, color=style.TEXT)
 
 
-def _broken(time: Floats, values: Floats, steps: Ints) -> tuple[Floats, Floats]:
+def _broken(time: AnyFloats, values: AnyFloats, steps: Ints) -> tuple[AnyFloats, AnyFloats]:
     """Break a line where many steps are missing; where few are it would vanish."""
     gaps = np.flatnonzero(np.diff(steps) > _MOST_BRIDGED) + 1
     return np.insert(time, gaps, np.nan), np.insert(values, gaps, np.nan)

@@ -28,7 +28,7 @@ _WORDS = {
 
 
 @dataclass(frozen=True)
-class Finding:
+class TestFinding:
     """One fact for or against a test: what and how much; in detail, how much would be good."""
 
     name: str
@@ -48,10 +48,10 @@ class Judgement:
 
     verdict: Mark
     text: str
-    findings: list[Finding]
+    findings: list[TestFinding]
 
 
-def judge(summary: dict[str, Any]) -> Judgement:
+def judge_test(summary: dict[str, Any]) -> Judgement:
     """Judge a test by the summary that `seft_ros.analysis.report_numbers` gives."""
     order = (Mark.BAD, Mark.DOUBT, Mark.GOOD, Mark.NONE)
     found = (*_beginning(summary), *_errors(summary), *_loop(summary), *losses(summary))
@@ -62,7 +62,7 @@ def judge(summary: dict[str, Any]) -> Judgement:
     return Judgement(worst, text, findings)
 
 
-def verdict(summary: dict[str, Any]) -> str:
+def verdict_line(summary: dict[str, Any]) -> str:
     """Say how a test went, in one line."""
     error, aligned = (summary["displacement"][key] for key in ("nrmse", "nrmse_aligned"))
     if (ending := _early_ending(summary)) is not None:
@@ -104,48 +104,48 @@ def _early_ending(summary: dict[str, Any]) -> tuple[str, str] | None:
     return None
 
 
-def _beginning(summary: dict[str, Any]) -> Iterator[Finding]:
+def _beginning(summary: dict[str, Any]) -> Iterator[TestFinding]:
     """Find whether all of the test is there."""
     if summary["damage"]:
-        yield Finding("damage", Mark.DOUBT, "the bag is damaged", "; ".join(summary["damage"]))
+        yield TestFinding("damage", Mark.DOUBT, "the bag is damaged", "; ".join(summary["damage"]))
     elif not summary["checked"]:
         text = "the bag has no checksums: samples that were changed would not be noticed"
-        yield Finding("checked", Mark.NONE, text)
+        yield TestFinding("checked", Mark.NONE, text)
     if summary["first_step"]:
         text = (
             f"the record begins at step {summary['first_step']} of the test; errors are of what is "
             "there, against the reference response from step 0 on"
         )
-        yield Finding("beginning", Mark.BAD, text)
+        yield TestFinding("beginning", Mark.BAD, text)
     ending = _early_ending(summary)
     if ending is not None:
-        yield Finding("ending", Mark.BAD, "".join(ending), ramp_note(summary))
+        yield TestFinding("ending", Mark.BAD, "".join(ending), ramp_note(summary))
     else:
         text = f"it ran to its end, {summary['steps']} steps, {summary['duration_s']:g} s"
-        yield Finding("ending", Mark.GOOD, text)
+        yield TestFinding("ending", Mark.GOOD, text)
 
 
-def _errors(summary: dict[str, Any]) -> Iterator[Finding]:
+def _errors(summary: dict[str, Any]) -> Iterator[TestFinding]:
     """Find how right it was; without a simulated specimen its own ground motion and target say."""
     simulated, part = summary["reference_specimen"] == "simulated", summary["displacement"]
     good = f"good: up to {percent(GOOD_ERROR)}"
     if simulated and part["nrmse"] is None:
-        yield Finding("displacement_error", Mark.DOUBT, "its displacement error is not known")
+        yield TestFinding("displacement_error", Mark.DOUBT, "its displacement error is not known")
     elif simulated:
         text = (
             f"displacement error {percent(part['nrmse'])} against the reference response of the "
             "whole structure"
         )
-        yield Finding("displacement_error", _grade(part["nrmse"]), text, good)
+        yield TestFinding("displacement_error", _grade(part["nrmse"]), text, good)
         ratio = part["peak"] / part["reference_peak"] if part["reference_peak"] else float("nan")
         word, off = "larger" if ratio > 1 else "smaller", abs(ratio - 1)
         text = f"peak displacement {percent(off)} {word} than the reference's"
-        yield Finding("displacement_peak", _grade(off), text, good)
+        yield TestFinding("displacement_peak", _grade(off), text, good)
 
     found, error = summary["equivalent_motion"], worst_response(summary)
     if error is None:
         text = "the equivalent ground motion is not known from the record"
-        yield Finding("equivalent_motion", Mark.NONE if simulated else Mark.DOUBT, text)
+        yield TestFinding("equivalent_motion", Mark.NONE if simulated else Mark.DOUBT, text)
     else:
         low, high = found["structure"]["band_hz"]
         text = (
@@ -157,19 +157,19 @@ def _errors(summary: dict[str, Any]) -> Iterator[Finding]:
             f"{percent(found['response_nrmse'])} with the stiffness of the model; {good}"
         )
         mark = Mark.NONE if simulated else _grade(error)
-        yield Finding("equivalent_motion", mark, text, detail)
+        yield TestFinding("equivalent_motion", mark, text, detail)
 
     target = summary["tracking_error"]
     if target is not None and target["nrmse"] is None:
-        yield Finding("tracking_error", Mark.DOUBT, "its distance from its target is not known")
+        yield TestFinding("tracking_error", Mark.DOUBT, "its distance from its target is not known")
     elif target is not None:
         text = f"displacement off its target by {percent(target['nrmse'])}"
         detail = f"RMS {target['rms'] * 1e3:.3g} mm, at most {target['peak'] * 1e3:.3g} mm; {good}"
         mark = Mark.NONE if simulated else _grade(target["nrmse"])
-        yield Finding("tracking_error", mark, text, detail)
+        yield TestFinding("tracking_error", mark, text, detail)
 
 
-def _loop(summary: dict[str, Any]) -> Iterator[Finding]:
+def _loop(summary: dict[str, Any]) -> Iterator[TestFinding]:
     """Find what the force loop did, of the numbers that are known."""
     ratio, delay = summary["vibration"]["ratio"], summary["uncompensated_delay_s"]
     if ratio is not None:
@@ -179,53 +179,55 @@ def _loop(summary: dict[str, Any]) -> Iterator[Finding]:
             f"start, {low:.3g} to {high:.3g} Hz"
         )
         detail = f"good: up to {GOOD_VIBRATION:.0%}"
-        yield Finding("vibration", _grade(ratio, GOOD_VIBRATION, BAD_VIBRATION), text, detail)
+        yield TestFinding("vibration", _grade(ratio, GOOD_VIBRATION, BAD_VIBRATION), text, detail)
     if delay is not None:
         good = GOOD_DELAY * (1.0 / summary["rate_hz"])
         text = f"force lags by {delay * 1e3:.3g} ms and nothing compensates for it"
         detail = f"good: up to {good * 1e3:.3g} ms"
-        yield Finding("delay", _grade(delay, good, float("inf")), text, detail)
+        yield TestFinding("delay", _grade(delay, good, float("inf")), text, detail)
     if summary["energy"] and (closure := summary["energy"]["closure"]) is not None:
         text = f"energy balance of the specimen closes to {percent(closure)}"
         detail = f"good: {GOOD_CLOSURE:.0%}; otherwise samples and specimen do not fit"
-        yield Finding("energy_balance", _grade(closure, GOOD_CLOSURE, float("inf")), text, detail)
+        yield TestFinding(
+            "energy_balance", _grade(closure, GOOD_CLOSURE, float("inf")), text, detail
+        )
 
 
-def losses(summary: dict[str, Any]) -> Iterator[Finding]:
+def losses(summary: dict[str, Any]) -> Iterator[TestFinding]:
     """Find what was too late, lost, or saturated."""
     missed, steps, link = summary["missed"], summary["steps"], summary["link"]
     if missed is None:
         text = "it is not known how many steps missed the command deadline"
-        yield Finding("missed", Mark.DOUBT, text)
+        yield TestFinding("missed", Mark.DOUBT, text)
     elif missed:
         text = f"{missed} of {steps} steps missed the command deadline{_in_a_stall(summary)}"
-        yield Finding("missed", Mark.BAD if missed > BAD_MISSED * steps else Mark.DOUBT, text)
+        yield TestFinding("missed", Mark.BAD if missed > BAD_MISSED * steps else Mark.DOUBT, text)
     else:
-        yield Finding("missed", Mark.GOOD, "no step missed the command deadline")
+        yield TestFinding("missed", Mark.GOOD, "no step missed the command deadline")
     if link and link["late"]:
         late, forces = link["late"], link["forces"]
         text = (
             f"{late} of {forces} reference forces came after the loop's delay of "
             f"{link['loop_delay']} steps and were predicted, {link['held']} of them held"
         )
-        yield Finding("link", Mark.BAD if late > BAD_LATE * forces else Mark.DOUBT, text)
+        yield TestFinding("link", Mark.BAD if late > BAD_LATE * forces else Mark.DOUBT, text)
     elif link:
         text = f"every reference force came within the loop's delay of {link['loop_delay']} steps"
-        yield Finding("link", Mark.GOOD, text)
+        yield TestFinding("link", Mark.GOOD, text)
     lost = [f"{count} of {topic}" for topic, count in summary["lost"].items() if count]
     if summary["first_step"] is not None:
         text = f"samples lost: {', '.join(lost)}" if lost else "no sample is lost from the record"
-        yield Finding("lost", Mark.DOUBT if lost else Mark.GOOD, text)
+        yield TestFinding("lost", Mark.DOUBT if lost else Mark.GOOD, text)
     if summary["overruns"]:
         text = f"sampling overruns of the rig: {summary['overruns']}"
-        yield Finding("overruns", Mark.DOUBT, text)
+        yield TestFinding("overruns", Mark.DOUBT, text)
     saturated = [
         f"{name.replace('_', ' ')} in {row['samples']} samples from "
         f"{row['first_step'] * (1.0 / summary['rate_hz']):.3f} s"
         for name, row in summary["saturated"].items()
     ]
     text = f"saturated: {', '.join(saturated)}" if saturated else "nothing was saturated"
-    yield Finding("saturated", Mark.DOUBT if saturated else Mark.GOOD, text)
+    yield TestFinding("saturated", Mark.DOUBT if saturated else Mark.GOOD, text)
 
 
 def _in_a_stall(summary: dict[str, Any]) -> str:

@@ -11,7 +11,7 @@ from seft_plant_sim.specimen import EnergyBalance
 from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
-from seft_ros.analysis.judgement import Judgement, judge
+from seft_ros.analysis.judgement import Judgement, judge_test
 from seft_ros.analysis.metrics import cross_spectrum, every_step, segment_size
 from seft_ros.analysis.summary import (
     COMPARED,
@@ -92,7 +92,7 @@ def vibration(
     return float(np.sqrt(max(beyond, 0.0)) / whole)
 
 
-Spectra = list[tuple[Spectrum, Spectrum | None]]
+_Spectra = list[tuple[Spectrum, Spectrum | None]]
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class Report:
     record: Record
     reference: ReferenceResponse | None
     energies: dict[str, tuple[Ints, Floats]]
-    spectra: dict[str, Spectra]
+    spectra: dict[str, _Spectra]
     band_note: str
     difference: MotionDifference | None
     judgement: Judgement
@@ -158,7 +158,7 @@ def report_numbers(record: Record) -> Report:
         "uncompensated_delay_s": _uncompensated_delay(record, summary),
         "events": [asdict(event) for event in record.events],
     }
-    judgement = judge(summary)
+    judgement = judge_test(summary)
     summary = json_safe(summary | {"verdict": asdict(judgement)})
     return Report(record, reference, energies, spectra, note, difference, judgement, summary)
 
@@ -169,7 +169,7 @@ def _thinned(balance: EnergyBalance | None) -> dict[str, tuple[Ints, Floats]]:
     return {name: (at, energies[name][at]) for name, at in places.items()}
 
 
-def _spectra(record: Record, reference: ReferenceResponse | None, name: str) -> Spectra:
+def _spectra(record: Record, reference: ReferenceResponse | None, name: str) -> _Spectra:
     states, dt = record.series[RIG_STATE.name], record.experiment.timebase.dt
     every = np.arange(states.steps[-1] + 1) if len(states.steps) else states.steps
     measured = every_step(states, every)[:, COMPARED[name]]

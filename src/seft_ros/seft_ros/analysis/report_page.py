@@ -10,13 +10,13 @@ from seft_ros.analysis import report_sections
 from seft_ros.analysis.judgement import ramp_note
 from seft_ros.analysis.report_numbers import Report
 from seft_ros.analysis.result_text import agreement_table, test_rows, title_of
-from seft_ros.analysis.timing import GAP, timing_of
+from seft_ros.analysis.timing import STALL_GAP, timing_of
 from seft_ros.analysis.tracking import tracked_of
 from seft_ros.bags.record import Record
 from seft_ros.drawing import page, style
-from seft_ros.drawing.page import Section, Text
+from seft_ros.drawing.page import PageSection, Text
 from seft_ros.drawing.style import Mark, Number, percent, rows_of
-from seft_ros.drawing.table import Cell, Table
+from seft_ros.drawing.table import Cell, TextTable
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 
 _BINS = 80
@@ -58,7 +58,7 @@ _GAPS = (
     Number("median", "median_s", "ms", 1e3, ".3f"),
     Number("largest", "largest_s", "ms", 1e3, ".3f"),
     Number("after step", "largest_step", form=str),
-    Number(f"longer than {GAP:g} periods", "count", form=str),
+    Number(f"longer than {STALL_GAP:g} periods", "count", form=str),
 )
 
 
@@ -67,38 +67,38 @@ def write_report(report: Report, name: str, path: Path) -> None:
     page.write_page(path, f"Test {name}", title_of(report.record), list(_sections(report)))
 
 
-def _sections(report: Report) -> Iterator[Section]:
+def _sections(report: Report) -> Iterator[PageSection]:
     judgement, record = report.judgement, report.record
     axes, signals = record.experiment.axes, tracked_of(record)
     cells = [Cell(finding.whole, finding.verdict) for finding in judgement.findings]
-    yield Section("Verdict", [page.Verdict(judgement.verdict, judgement.text, cells)])
+    yield PageSection("Verdict", [page.VerdictBox(judgement.verdict, judgement.text, cells)])
     tested = [_test_rows(report), _software_rows(record.environment)]
-    yield Section("What was tested", [Table((), rows, numbers=False) for rows in tested])
+    yield PageSection("What was tested", [TextTable((), rows, numbers=False) for rows in tested])
     yield _agreement(report)
-    yield Section("The equivalent ground motion", list(report_sections.ground_motion(report)))
+    yield PageSection("The equivalent ground motion", list(report_sections.ground_motion(report)))
     for column, axis in enumerate(axes):
         title = f" of {axis}" if len(axes) > 1 else ""
         yield from report_sections.history_sections(report, column, title)
         tracking = report_sections.tracking(report, signals, column)
-        yield Section(f"Force tracking{title}", list(tracking))
-        yield Section(f"Hysteresis{title}", list(report_sections.hysteresis(report, column)))
-        yield Section(f"Spectra{title}", list(report_sections.spectra(report, column)))
-    yield Section("Energy", list(report_sections.energy(report, signals)))
-    yield Section("Timing", list(_timing(report)))
+        yield PageSection(f"Force tracking{title}", list(tracking))
+        yield PageSection(f"Hysteresis{title}", list(report_sections.hysteresis(report, column)))
+        yield PageSection(f"Spectra{title}", list(report_sections.spectra(report, column)))
+    yield PageSection("Energy", list(report_sections.energy(report, signals)))
+    yield PageSection("Timing", list(_timing(report)))
     if blocks := list(report_sections.computed_model(record)):
-        yield Section("Computed model", blocks)
-    yield Section("Estimates", list(_estimates(record)))
-    yield Section("Interlock and events", list(_events(record)))
-    yield Section("Parameters", _parameters(record))
+        yield PageSection("Computed model", blocks)
+    yield PageSection("Estimates", list(_estimates(record)))
+    yield PageSection("Interlock and events", list(_events(record)))
+    yield PageSection("Parameters", _parameters(record))
 
 
-def _agreement(report: Report) -> Section:
+def _agreement(report: Report) -> PageSection:
     """Table of peaks, errors and delays."""
     summary = report.summary
     note = [Text(_MODEL)] if summary["reference_specimen"] == "model" else []
     if left_out := ramp_note(summary):
         note.append(Text(f"{left_out[0].upper()}{left_out[1:]}."))
-    return Section("Agreement with the reference response", [*note, agreement_table(summary)])
+    return PageSection("Agreement with the reference response", [*note, agreement_table(summary)])
 
 
 def _test_rows(report: Report) -> list[tuple[str, str]]:
@@ -151,7 +151,7 @@ def _parameters(record: Record) -> list[page.Block]:
         node: [(name, _value(value)) for name, value in sorted(section.items())]
         for node, section in sorted(record.experiment.sections.items())
     }
-    return [Table((node, ""), rows, numbers=False) for node, rows in tables.items()]
+    return [TextTable((node, ""), rows, numbers=False) for node, rows in tables.items()]
 
 
 def _timing(report: Report) -> Iterator[page.Block]:
@@ -159,7 +159,7 @@ def _timing(report: Report) -> Iterator[page.Block]:
     summary, record = report.summary, report.record
     timing, rows = timing_of(record), _loss_rows(summary, record)
     if timing is None:
-        yield Table((), rows)
+        yield TextTable((), rows)
         offline = record.environment.get("mode") == "simulate"
         yield Text(_OFFLINE if offline else _WITHOUT_TIMES)
         return
@@ -171,7 +171,7 @@ def _timing(report: Report) -> Iterator[page.Block]:
     rows.append(["of these longer than a period", str(numbers["round_trip_s"]["over_a_period"])])
     if numbers["rehearsal"] is not None:
         rows += rows_of(_REHEARSAL, numbers["rehearsal"])
-    yield Table((), rows, numbers=False)
+    yield TextTable((), rows, numbers=False)
     if len(trips):
         panel = page.plot("round trip / ms", "steps", log_y=True)
         counts, edges = np.histogram(trips, _BINS)
@@ -182,7 +182,7 @@ def _timing(report: Report) -> Iterator[page.Block]:
         yield Text("The rig was in lockstep: it waited for each command.")
     gaps = numbers["gaps"].items()
     rows = [[topic, *(column.text(gap) for column in _GAPS)] for topic, gap in gaps]
-    yield Table(("topic", *(column.label for column in _GAPS)), rows)
+    yield TextTable(("topic", *(column.label for column in _GAPS)), rows)
 
 
 def _loss_rows(summary: dict[str, Any], record: Record) -> list[list[str]]:
@@ -233,12 +233,12 @@ def _events(record: Record) -> Iterator[page.Block]:
     trip, events = record.trip, record.events
     if trip is not None:
         text = f"tripped at step {trip.step}, {trip.time_s:.3f} s: {trip.reason}"
-        yield Table((), [("interlock", Cell(text, Mark.BAD))], numbers=False)
+        yield TextTable((), [("interlock", Cell(text, Mark.BAD))], numbers=False)
     if events:
         rows = [
             (f"{e.time_s:.3f} s", e.source, Cell(e.text, _MARKS.get(e.level, Mark.NONE)))
             for e in events
         ]
-        yield Table(("received", "from", "what"), rows, numbers=False)
+        yield TextTable(("received", "from", "what"), rows, numbers=False)
     if trip is None and not events:
         yield Text("No trip, and the record holds no states or warnings of nodes.")

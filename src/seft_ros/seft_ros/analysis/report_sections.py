@@ -9,20 +9,20 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RIG_STATE
 from seft_plant_sim.whole_structure import tested_specimen
 
-from seft_ros.analysis.equivalent_motion import MARGIN
+from seft_ros.analysis.equivalent_motion import BAND_MARGIN
 from seft_ros.analysis.report_numbers import Report
 from seft_ros.analysis.summary import COMPARED, strong_part
 from seft_ros.analysis.tracking import Tracked, delay_by_frequency, energy_error
 from seft_ros.bags.record import Record
 from seft_ros.drawing import page, style
-from seft_ros.drawing.page import Block, Plot, Section, Text, against, line, plot
+from seft_ros.drawing.page import Block, PageSection, Plot, Text, against, line, plot
 from seft_ros.drawing.style import Number, axis_label, percent, rows_of
-from seft_ros.drawing.table import Table
+from seft_ros.drawing.table import TextTable
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 
 COHERENT = 0.9
 """Coherence below which amplitude and delay mean little, and are not drawn."""
-WINDOW = 1.0
+_WINDOW = 1.0
 """Length of a zoom window, s."""
 
 _FEW = 4  # natural frequencies that are listed
@@ -80,7 +80,7 @@ def ground_motion(report: Report) -> Iterator[Block]:
     some = ", ".join(modes[:_FEW] + ["..."] * (len(modes) > _FEW))
     rows = rows_of(_GROUND_MOTION, numbers | {"modes": some})
     yield Text(_TESTED)
-    yield Table((), rows + (rows_of(_TARGET, target) if target is not None else []))
+    yield TextTable((), rows + (rows_of(_TARGET, target) if target is not None else []))
     frequency = difference.frequency_hz
     for axis, asked, tested in zip(axes, difference.asked.T, difference.tested.T, strict=True):
         panel = plot("frequency / Hz", "pseudo-acceleration / (m/s²)", log_x=True, log_y=True)
@@ -90,14 +90,14 @@ def ground_motion(report: Report) -> Iterator[Block]:
             page.mark(panel, natural)
         caption = (
             f"Response spectrum (5 % damping){f' of {axis}' if len(axes) > 1 else ''}. Dashed: "
-            f"natural frequencies of the whole structure. Shaded: from 1/{MARGIN:g} of the "
-            f"smallest to {MARGIN:g} times the largest secant stiffness of the specimen in this "
-            "test; there both must agree."
+            f"natural frequencies of the whole structure. Shaded: from 1/{BAND_MARGIN:g} of the "
+            f"smallest to {BAND_MARGIN:g} times the largest secant stiffness of the specimen in "
+            "this test; there both must agree."
         )
         yield Plot(panel, caption)
 
 
-def history_sections(report: Report, column: int, title: str) -> Iterator[Section]:
+def history_sections(report: Report, column: int, title: str) -> Iterator[PageSection]:
     """One section for each quantity of an axis: the whole test, and windows at peaks."""
     record = report.record
     states, dt = record.series[RIG_STATE.name], record.experiment.timebase.dt
@@ -113,7 +113,7 @@ def history_sections(report: Report, column: int, title: str) -> Iterator[Sectio
             exact = getattr(report.reference, name)[:, column] * scale
         windows = [(shared, _STRONG)]
         for step, caption in _places(y, exact, states.steps, dt):
-            windows.append((Range1d(step * dt - WINDOW / 2, step * dt + WINDOW / 2), caption))
+            windows.append((Range1d(step * dt - _WINDOW / 2, step * dt + _WINDOW / 2), caption))
         blocks = []
         for x_range, caption in windows:
             panel = plot("time / s", axis_label(name), x_range=x_range)
@@ -123,25 +123,25 @@ def history_sections(report: Report, column: int, title: str) -> Iterator[Sectio
             if x_range is shared and record.trip is not None:
                 page.mark(panel, record.trip.time_s)
             blocks.append(Plot(panel, caption, wide=x_range is shared))
-        yield Section(f"{name.capitalize()}{title}", blocks)
+        yield PageSection(f"{name.capitalize()}{title}", blocks)
 
 
 def _within(
-    ends: tuple[float, float], x: style.Floats, y: style.Floats
-) -> tuple[style.Floats, style.Floats]:
+    ends: tuple[float, float], x: style.AnyFloats, y: style.AnyFloats
+) -> tuple[style.AnyFloats, style.AnyFloats]:
     first, last = np.searchsorted(x, ends[0]), np.searchsorted(x, ends[1], side="right")
     return x[first:last], y[first:last]
 
 
 def _places(
-    y: style.Floats, exact: style.Floats | None, steps: Ints, dt: float
+    y: style.AnyFloats, exact: style.AnyFloats | None, steps: Ints, dt: float
 ) -> list[tuple[int, str]]:
     """Choose steps to look at more closely, and say why."""
     if exact is None:
         return [(int(steps[np.nanargmax(np.abs(y))]), "At the peak.")]
     peak = int(np.abs(exact).argmax())
     error = np.nan_to_num(np.abs(y - exact[steps]))
-    error[np.abs(steps - peak) < WINDOW / 2 / dt] = 0.0
+    error[np.abs(steps - peak) < _WINDOW / 2 / dt] = 0.0
     return [
         (peak, "At the peak of the reference response."),
         (int(steps[error.argmax()]), "At the largest error elsewhere."),
@@ -152,7 +152,7 @@ def tracking(report: Report, signals: Tracked, column: int) -> Iterator[Block]:
     """Tracking of an axis: numbers, time history, synchronisation plot, delay by frequency."""
     experiment = report.record.experiment
     yield Text(_INTENDED[signals.derived])
-    yield Table((), rows_of(_TRACKING, report.summary["tracking"][experiment.axes[column]]))
+    yield TextTable((), rows_of(_TRACKING, report.summary["tracking"][experiment.axes[column]]))
     if len(signals.steps) < 2:
         return
     command, force = signals.command[:, column], signals.force[:, column]

@@ -5,7 +5,7 @@ from typing import Any
 
 from seft_msgs_py.wire.topics import LOOP_TOPICS, TARGET
 
-from seft_ros.analysis.judgement import ramp_note, verdict, worst_response
+from seft_ros.analysis.judgement import ramp_note, verdict_line, worst_response
 from seft_ros.bags.record import Record
 from seft_ros.drawing.style import (
     DISPLAY_UNITS,
@@ -16,7 +16,7 @@ from seft_ros.drawing.style import (
     percent,
     small_percent,
 )
-from seft_ros.drawing.table import Cell, Table, Texts
+from seft_ros.drawing.table import Cell, Texts, TextTable
 from seft_ros.ground_motion.column_file import STANDARD_GRAVITY
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 
@@ -28,13 +28,13 @@ FIELD_UNITS = {
 """Topic and field -> its unit."""
 
 
-def agreement_table(summary: dict[str, Any]) -> Table:
+def agreement_table(summary: dict[str, Any]) -> TextTable:
     """Tabulate how a test agrees with the reference response: over all axes, then on each."""
     rows: list[list[str] | None] = [*_agreement_rows(summary)]
     if len(summary["axes"]) > 1:
         for axis, part in summary["axes"].items():
             rows += [None, *_agreement_rows(part, f"{axis} ")]
-    return Table(("", "peak", "reference\npeak", "NRMSE", "NRMSE\naligned", "delay"), rows)
+    return TextTable(("", "peak", "reference\npeak", "NRMSE", "NRMSE\naligned", "delay"), rows)
 
 
 def _agreement_rows(part: dict[str, Any], prefix: str = "") -> Iterator[list[str]]:
@@ -51,8 +51,8 @@ def _agreement_rows(part: dict[str, Any], prefix: str = "") -> Iterator[list[str
 def summary_texts(record: Record, summary: dict[str, Any]) -> Texts:
     """Show a test on the terminal: what it was, how it agrees with the reference, its verdict."""
     mark = _mark(summary)
-    facts = Table((), [*test_rows(summary), *_finding_rows(summary, mark)])
-    return [title_of(record), facts, agreement_table(summary), Cell(verdict(summary), mark)]
+    facts = TextTable((), [*test_rows(summary), *_finding_rows(summary, mark)])
+    return [title_of(record), facts, agreement_table(summary), Cell(verdict_line(summary), mark)]
 
 
 def title_of(record: Record) -> str:
@@ -162,14 +162,15 @@ def comparison_texts(comparisons: Sequence[dict[str, Any]], labels: Sequence[str
     Parameters
     ----------
     comparisons : sequence of dict
-        Of each further record with the first, as `seft_ros.analysis.comparison.compare` gives it.
+        Of each further record with the first, see
+        `seft_ros.analysis.comparison.compare_records`.
     labels : sequence of str
         Names of the records, the first included.
     """
     first, *others = labels
     texts: Texts = [
         f"difference from {first}",
-        Table(("quantity", *_headings(others)), [*_difference_rows(comparisons)]),
+        TextTable(("quantity", *_headings(others)), [*_difference_rows(comparisons)]),
     ]
     for label, comparison in zip(others, comparisons, strict=True):
         told, *more = _differences(comparison, first, label)

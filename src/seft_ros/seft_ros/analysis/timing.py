@@ -17,10 +17,10 @@ from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 from seft_ros.analysis.metrics import common_steps
 from seft_ros.bags.record import Record
 
-Floats = npt.NDArray[np.floating[Any]]
+_Floats = npt.NDArray[np.floating[Any]]
 
-PERCENTILES = (50, 90, 99, 99.9)
-GAP = 2.0
+_PERCENTILES = (50, 90, 99, 99.9)
+STALL_GAP = 2.0
 """Periods between two messages of a topic that count as a gap."""
 
 
@@ -40,10 +40,10 @@ class Timing:
         keys of `ROUND_TRIPS`; empty without), ``rehearsal`` (as of
         `seft_plant_sim.rig_watch.Rehearsal`; None without), ``gaps`` (topic -> median_s and
         largest_s of the intervals between its messages, largest_step after which the largest was,
-        count of those longer than `GAP` periods), ``stalls`` (see `stalls_of`).
+        count of those longer than `STALL_GAP` periods), ``stalls`` (see `stalls_of`).
     """
 
-    round_trip_s: Floats
+    round_trip_s: _Floats
     numbers: dict[str, Any]
 
 
@@ -59,12 +59,12 @@ def timing_of(record: Record) -> Timing | None:
     _, at_state, at_command = common_steps(states.steps, commands.steps)
     trips = (commands.received_ns[at_command] - states.received_ns[at_state]) * 1e-9
     dt = record.experiment.timebase.dt
-    percentiles = np.percentile(trips, PERCENTILES).tolist() if len(trips) else []
+    percentiles = np.percentile(trips, _PERCENTILES).tolist() if len(trips) else []
     numbers = {
         "paced": record.experiment.sections.get("rig", {}).get("pace") != "lockstep",
         "period_s": dt,
         "round_trip_s": {
-            **{f"p{p:g}": v for p, v in zip(PERCENTILES, percentiles, strict=False)},
+            **{f"p{p:g}": v for p, v in zip(_PERCENTILES, percentiles, strict=False)},
             "largest": float(trips.max()) if len(trips) else None,
             "over_a_period": int((trips > dt).sum()),
             "steps": len(trips),
@@ -89,7 +89,7 @@ def _gaps(record: Record, dt: float) -> dict[str, dict[str, Any]]:
             "median_s": float(np.median(intervals)),
             "largest_s": float(intervals[at]),
             "largest_step": int(series.steps[at]),
-            "count": int((intervals > GAP * dt).sum()),
+            "count": int((intervals > STALL_GAP * dt).sum()),
         }
     return found
 

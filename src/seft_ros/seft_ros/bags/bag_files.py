@@ -20,7 +20,7 @@ from seft_msgs_py.errors import InputError, SeftError
 from seft_ros.bags.bag_writer import METADATA, BagWriter, file_reason
 from seft_ros.bags.mcap_file import McapFile
 from seft_ros.bags.message_blocks import DamageError, MessageBlock, inflated
-from seft_ros.bags.source import Source
+from seft_ros.bags.source import BagSource
 from seft_ros.bags.sqlite_file import SqliteFile
 
 SUFFIXES = (".mcap", ".db3")
@@ -43,7 +43,7 @@ class Bag:
     Attributes
     ----------
     sources : dict
-        Name and type -> `Source`, of the topics in it.
+        Name and type -> `BagSource`, of the topics in it.
     counts : Counter
         Name and type of a topic -> number of messages that can be read.
     damage : list of str
@@ -61,7 +61,7 @@ class Bag:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self.sources: dict[TopicName, Source] = {}
+        self.sources: dict[TopicName, BagSource] = {}
         self.counts: Counter[TopicName] = Counter()
         self.checked = True
         self.damage: list[str] = []
@@ -266,7 +266,7 @@ def _natural_order(file: Path) -> list[tuple[int, str]]:
 
 @dataclass(frozen=True)
 class Recovery:
-    """What `recover` did with a bag; an intact one was left unchanged."""
+    """What `recover_bag` did with a bag; an intact one was left unchanged."""
 
     path: Path  # of the whole bag
     messages: int  # in it now
@@ -292,7 +292,7 @@ class Recovery:
         )
 
 
-def recover(path: str | Path) -> Recovery:
+def recover_bag(path: str | Path) -> Recovery:
     """Make a whole bag of what can be read of a damaged one, at the same path.
 
     The bag is written beside the original in ``<name>.recovering``; when it is complete the

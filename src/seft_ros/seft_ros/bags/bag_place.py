@@ -43,7 +43,7 @@ def expected_size(force: Section, axes: tuple[str, ...], timebase: Timebase, ste
     return steps * size
 
 
-def obstacle(place: Path, expected: int = 0) -> str:
+def why_not_writable(place: Path, expected: int = 0) -> str:
     """Say why no bag can be made at a place; empty if it can.
 
     Parameters

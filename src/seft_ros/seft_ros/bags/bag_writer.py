@@ -28,9 +28,9 @@ from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.node.process import as_before, on_ending
 from seft_msgs_py.wire.topics import Topic
 
-from seft_ros.bags.mcap_file import LIBRARY, RECOVERED, ROSBAG
+from seft_ros.bags.mcap_file import MCAP_LIBRARY, RECOVERED, ROSBAG
 from seft_ros.bags.message_blocks import MAX_SIZE
-from seft_ros.bags.source import Source, source_of
+from seft_ros.bags.source import BagSource, source_of
 
 METADATA = "metadata.yaml"
 FLUSH_PERIOD = 0.25  # s of wall time
@@ -91,7 +91,7 @@ class BagWriter:
     def __init__(self, path: str | Path, damage: Sequence[str] = ()) -> None:
         self.path = Path(path)
         self.trouble = ""
-        self._pending: list[tuple[Source, int, bytes]] = []
+        self._pending: list[tuple[BagSource, int, bytes]] = []
         self._size = 0  # of these, bytes
         self._out = _Unstored()
         self._writer = Writer(
@@ -100,12 +100,12 @@ class BagWriter:
             compression=CompressionType.NONE,
             enable_data_crcs=True,
         )
-        self._writer.start("ros2", LIBRARY)
+        self._writer.start("ros2", MCAP_LIBRARY)
         if damage:
             self._writer.add_metadata(RECOVERED, {"damage": "\n".join(damage)})
-        self._channels: dict[Source, int] = {}
+        self._channels: dict[BagSource, int] = {}
         self._types: dict[str, int] = {}
-        self._counts: Counter[Source] = Counter()
+        self._counts: Counter[BagSource] = Counter()
         self._first, self._last = 2**63 - 1, 0  # log times
         self._metadata = ""  # of the complete bag
         self._is_saved = False
@@ -133,7 +133,7 @@ class BagWriter:
         """
         self.add(source_of(topic), time_ns, raw)
 
-    def add(self, source: Source, time_ns: int, raw: bytes) -> None:
+    def add(self, source: BagSource, time_ns: int, raw: bytes) -> None:
         """Append a message as another bag had it; a complete bag takes none any more."""
         if self._metadata:
             return
@@ -259,7 +259,7 @@ class BagWriter:
         self._pending, self._size = [], 0
         self._writer.flush()  # type: ignore[no-untyped-call]
 
-    def _new_channel(self, source: Source) -> int:
+    def _new_channel(self, source: BagSource) -> int:
         """Add a topic, of whatever type."""
         if source.type not in self._types:
             self._types[source.type] = self._writer.register_schema(
@@ -391,13 +391,13 @@ def _yaml(tree: Any) -> str:
     return text.getvalue().strip()
 
 
-def _qos_of(source: Source) -> list[Any]:
+def _qos_of(source: BagSource) -> list[Any]:
     with suppress(Exception):  # what another recorder wrote, and nobody here needs
         return list(dump_qos_v9(parse_qos(source.qos)))
     return []
 
 
-def _metadata(file: str, counts: Mapping[Source, int], first: int, last: int) -> str:
+def _metadata(file: str, counts: Mapping[BagSource, int], first: int, last: int) -> str:
     """Give the text of metadata.yaml."""
     times = {
         "starting_time": {"nanoseconds_since_epoch": first},

@@ -40,7 +40,7 @@ from seft_ros.bags.record import Estimates, Event, Series, require_names, series
 _MOST_EVENTS = 1000
 _LEVELS = {OK: "ok", WARN: "warn", ERROR: "error", STALE: "stale"}
 
-Steps = npt.NDArray[np.int64]
+_Steps = npt.NDArray[np.int64]
 
 
 def points_ahead(topic: LoopTopic, experiment: Experiment) -> float:
@@ -206,7 +206,9 @@ class ReportGatherer:
         return LinkRecord.of_all(self._links.values()) if self._links else None
 
 
-def trip_of(outcome: Outcome | None, ending: Status | None, timebase: Timebase) -> Trip | None:
+def trip_of_messages(
+    outcome: Outcome | None, ending: Status | None, timebase: Timebase
+) -> Trip | None:
     """Give the cause of a trip: the rig knows its own limits, the supervisor all others.
 
     ``outcome`` is the end as the rig saw it, ``ending`` the supervisor's last ``done`` or

@@ -29,9 +29,9 @@ from seft_ros.bags.message_blocks import (
     records_of,
     unpacked,
 )
-from seft_ros.bags.source import Source
+from seft_ros.bags.source import BagSource
 
-LIBRARY = "seft"
+MCAP_LIBRARY = "seft"
 """The library that a file with all checksums names."""
 RECOVERED = "seft_recovered"
 """Metadata of a recovered bag: ``damage`` has a line for each thing that it lacks."""
@@ -76,7 +76,7 @@ class McapFile:
     Attributes
     ----------
     sources : dict
-        Number -> `Source`, of the topics in it.
+        Number -> `BagSource`, of the topics in it.
     counts : Counter
         Number of a source -> number of messages that can be read.
     claimed : dict or None
@@ -94,7 +94,7 @@ class McapFile:
     def __init__(self, file: IO[bytes]) -> None:
         self._file = file
         self._size = file.seek(0, 2)
-        self.sources: dict[int, Source] = {}
+        self.sources: dict[int, BagSource] = {}
         self.claimed: dict[int, int] | None = None
         self.recovered: list[str] = []
         self.metadata = ""
@@ -161,7 +161,7 @@ class McapFile:
             end = self._end_of_loose(at)
             self._add(_Chunk(at, end - at, end - at))
         elif opcode == Opcode.HEADER:
-            self._ours = Header.read(self._body(start, end)).library.startswith(LIBRARY)
+            self._ours = Header.read(self._body(start, end)).library.startswith(MCAP_LIBRARY)
         elif opcode == Opcode.METADATA:
             self._take_metadata(Metadata.read(self._body(start, end)))
         elif opcode == Opcode.DATA_END:
@@ -216,7 +216,7 @@ class McapFile:
             return
         channel = Channel.read(body)
         if (schema := self._schemas.get(channel.schema_id)) is not None:
-            found = Source(
+            found = BagSource(
                 topic=channel.topic,
                 type=schema.name,
                 definition=schema.data.decode(errors="replace"),

@@ -13,8 +13,8 @@ MAX_SIZE = 1 << 28
 """Bytes of the largest record that is read; recorders write chunks of 1 to 4 MiB. What declares
 more could take all memory of the machine."""
 
-Bytes = npt.NDArray[np.uint8]
-Flags = npt.NDArray[np.bool_]
+_Bytes = npt.NDArray[np.uint8]
+_Flags = npt.NDArray[np.bool_]
 Integers = npt.NDArray[np.int64]
 
 PLACES = np.dtype([(name, "<i8") for name in ("time", "source", "start", "length")])
@@ -38,7 +38,7 @@ class MessageBlock(NamedTuple):
         Shape (M,).
     """
 
-    data: Bytes
+    data: _Bytes
     places: npt.NDArray[np.void]
 
     @classmethod
@@ -62,7 +62,7 @@ class MessageBlock(NamedTuple):
         places["start"] += np.repeat(starts, [len(part.places) for part in parts])
         return cls(np.concatenate([part.data for part in parts]), places)
 
-    def only(self, which: Flags) -> "MessageBlock":
+    def only(self, which: _Flags) -> "MessageBlock":
         """Keep some of the messages, in their order; the bytes are not copied."""
         return self if which.all() else MessageBlock(self.data, self.places[which])
 
@@ -80,7 +80,7 @@ class MessageBlock(NamedTuple):
         for time, source, start, length in zip(*columns, strict=True):
             yield source, time, self.data[start : start + length].tobytes()
 
-    def alike(self) -> Iterator[tuple[Bytes, Integers]]:
+    def alike(self) -> Iterator[tuple[_Bytes, Integers]]:
         """Give runs of equal length: bytes, shape (M, length), and log times (M,)."""
         ends = np.flatnonzero(np.diff(self.places["length"])) + 1
         for run in np.split(self.places, ends):

@@ -213,7 +213,7 @@ def _version(package: str) -> str | None:
         return None
 
 
-Steps = npt.NDArray[np.int64]
+_Steps = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -231,9 +231,9 @@ class Series:
         for ground motion, which is sent ahead.
     """
 
-    steps: Steps
+    steps: _Steps
     values: Floats
-    received_ns: Steps | None = field(default=None, kw_only=True)
+    received_ns: _Steps | None = field(default=None, kw_only=True)
 
     def samples(self) -> Iterator[tuple[int, Floats]]:
         """Give the samples one by one: step, and values of shape (q, n)."""
@@ -250,7 +250,7 @@ class Series:
         """Cut the series after a step."""
         return self.rows(slice(int(np.searchsorted(self.steps, last_step, side="right"))))
 
-    def of_steps(self, steps: Steps) -> Self:
+    def of_steps(self, steps: _Steps) -> Self:
         """Keep the samples of some steps."""
         return self.rows(np.isin(self.steps, steps))
 

@@ -42,7 +42,7 @@ from seft_ros.bags.gathering import (
     EstimatesGatherer,
     ReportGatherer,
     SeriesGatherer,
-    trip_of,
+    trip_of_messages,
 )
 from seft_ros.bags.message_blocks import MessageBlock
 from seft_ros.bags.record import (
@@ -139,7 +139,7 @@ def read_bag(path: str | Path, *, described: bool = True, damaged: bool = False)
         experiment=experiment,
         series=series,
         estimates=estimates.series(),
-        trip=trip_of(outcome, reports.ending, experiment.timebase),
+        trip=trip_of_messages(outcome, reports.ending, experiment.timebase),
         link=reports.link(),
         events=reports.events(start_ns),
         described=known,

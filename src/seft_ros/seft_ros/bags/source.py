@@ -22,7 +22,7 @@ _QOS = """
 _UNKNOWN_HASH = "RIHS01_" + "0" * 64
 
 
-class Source(NamedTuple):
+class BagSource(NamedTuple):
     """A topic as a bag's file describes it."""
 
     topic: str  # with leading slash
@@ -44,9 +44,9 @@ class Source(NamedTuple):
 
 
 @lru_cache
-def source_of(topic: Topic) -> Source:
+def source_of(topic: Topic) -> BagSource:
     """Describe a topic of a test, with the quality of service of its publisher."""
     definition, _ = typestore().generate_msgdef(topic.type, ros_version=2)
     durability = "transient_local" if topic.latched else "volatile"
     qos = _QOS.format(depth=topic.depth, durability=durability)
-    return Source("/" + topic.name.lstrip("/"), topic.type, definition, qos=qos)
+    return BagSource("/" + topic.name.lstrip("/"), topic.type, definition, qos=qos)

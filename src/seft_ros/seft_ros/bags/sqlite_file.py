@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from seft_ros.bags.message_blocks import MessageBlock, unpacked
-from seft_ros.bags.source import Source
+from seft_ros.bags.source import BagSource
 
 _ROWS = 2048  # messages that are joined to a block
 _FINER = 20  # share of the rows lost at a damaged page, by which the next try skips more
-_FARTHEST = 1 << 40  # rows that are skipped in search of readable ones
+_MAX_SKIPPED_ROWS = 1 << 40  # rows that are skipped in search of readable ones
 _GARBAGE = (sqlite3.DatabaseError, UnicodeDecodeError, KeyError, TypeError)
 """What a damaged file makes of names and values."""
 
@@ -41,7 +41,7 @@ class SqliteFile:
     metadata = ""
 
     def __init__(self, path: Path, scratch: Path) -> None:
-        self.sources: dict[int, Source] = {}
+        self.sources: dict[int, BagSource] = {}
         self.damage: list[str] = []
         self._odd = 0  # rows that hold no message
         self._database = sqlite3.connect(_copied(path, scratch))
@@ -79,7 +79,7 @@ class SqliteFile:
         """Give id, topic, time in ns and message, by id; go on behind damaged pages."""
         query = "SELECT id, topic_id, timestamp, data FROM messages WHERE id > ? ORDER BY id"
         last, skipped = -1, 0
-        while skipped < _FARTHEST:
+        while skipped < _MAX_SKIPPED_ROWS:
             try:
                 for row in self._database.execute(query, (last + skipped,)):
                     if _is_message(*row) and row[1] in self.sources:
@@ -111,7 +111,7 @@ def _copied(path: Path, scratch: Path) -> Path:
     return copy
 
 
-def _sources(database: sqlite3.Connection) -> dict[int, Source]:
+def _sources(database: sqlite3.Connection) -> dict[int, BagSource]:
     definitions: dict[str, tuple[str, str]] = {}
     rows = "SELECT topic_type, encoded_message_definition, encoding FROM message_definitions"
     with suppress(sqlite3.OperationalError):  # old recorders have no such table
@@ -124,5 +124,5 @@ def _sources(database: sqlite3.Connection) -> dict[int, Source]:
         definition, encoding = definitions.get(row["type"], ("", "ros2msg"))
         names = row["name"], row["type"], definition, encoding, row["serialization_format"]
         if isinstance(row["id"], int) and all(isinstance(text, str) for text in names):
-            sources[row["id"]] = Source(*names, str(row.get("offered_qos_profiles", "")))
+            sources[row["id"]] = BagSource(*names, str(row.get("offered_qos_profiles", "")))
     return sources

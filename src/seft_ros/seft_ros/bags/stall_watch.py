@@ -20,7 +20,7 @@ from typing import Any
 LATE = 0.5  # of the loop's period; a deadline met later than that is a stall
 BEATS = 4  # a period: so a stall of three quarters of a period can't fall between two of them
 SHORTEST_BEAT = 0.00025  # s: a shorter one would be a load of its own
-PATIENCE = 2.0  # s
+_PROBE_TIMEOUT_S = 2.0  # s
 KEPT = 10_000  # stalls
 
 
@@ -68,7 +68,7 @@ class StallWatch:
         """Stop, and give what the process printed; None if it watched nothing, or has died."""
         self._write("")
         try:
-            printed, _ = self._probe.communicate(timeout=PATIENCE)
+            printed, _ = self._probe.communicate(timeout=_PROBE_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             self._probe.kill()
             self._probe.communicate()

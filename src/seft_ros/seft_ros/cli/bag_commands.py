@@ -12,11 +12,20 @@ import typer
 from seft_msgs_py.config.experiment import parse_override
 from seft_msgs_py.errors import InputError
 
-from seft_ros.cli.shared import Bag, Json, Params, check_out, complain, option, show, step_progress
+from seft_ros.cli.shared import (
+    BagArgument,
+    Json,
+    Params,
+    check_out,
+    complain,
+    option,
+    show,
+    step_progress,
+)
 
 
 def report(
-    bag: Bag,
+    bag: BagArgument,
     out: Optional[Path] = option(None, "The page; default report.html in BAG.", "FILE"),
     json: Json = False,
 ) -> int:
@@ -43,7 +52,7 @@ def report(
     from seft_ros.analysis.result_text import agreement_table, test_rows, title_of
     from seft_ros.bags.record_bag import read_bag
     from seft_ros.drawing.page import check_page
-    from seft_ros.drawing.table import Cell, Table, Texts
+    from seft_ros.drawing.table import Cell, Texts, TextTable
 
     beside = bag.with_suffix(".html") if bag.is_file() else bag / "report.html"
     page = beside if out is None else check_page(out)
@@ -53,7 +62,7 @@ def report(
     judgement = findings.judgement
     texts: Texts = [
         title_of(findings.record),
-        Table((), test_rows(summary)),
+        TextTable((), test_rows(summary)),
         agreement_table(summary),
         Cell(judgement.text, judgement.verdict),
         *(Cell(f"  {finding.whole}", finding.verdict) for finding in judgement.findings),
@@ -63,7 +72,7 @@ def report(
     return 0 if right else 1
 
 
-def recover(bag: Bag) -> int:
+def recover(bag: BagArgument) -> int:
     """Make a whole bag of a damaged one, or of that of a killed recorder.
 
     Every message is kept that can be read; what is missing is printed, and stays in the bag. The
@@ -73,7 +82,7 @@ def recover(bag: Bag) -> int:
 
         seft recover bags/half
     """
-    from seft_ros.bags.bag_files import recover as recover_bag
+    from seft_ros.bags.bag_files import recover_bag as recover_bag
 
     print(recover_bag(bag))
     return 0
@@ -142,7 +151,7 @@ def compare(
 
 
 def replay(
-    bag: Bag,
+    bag: BagArgument,
     node: Optional[list[str]] = option(None, "Node; may be repeated; default all.", "NODE"),
     param: Params = None,
     out: Optional[Path] = option(None, "Write a bag with the answers to a new folder.", "DIR"),

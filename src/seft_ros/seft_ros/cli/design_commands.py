@@ -15,7 +15,7 @@ from seft_msgs_py.errors import InputError
 from seft_ros.bags.record import Record
 from seft_ros.cli import shared
 from seft_ros.cli.shared import option
-from seft_ros.design import Source
+from seft_ros.design import PlantSource
 from seft_ros.drawing.table import Texts
 
 
@@ -24,7 +24,7 @@ def preflight(
     param: shared.Params = None,
     params_file: shared.Files = None,
     external: shared.External = None,
-    plant: shared.Plant = Source.AUTO,
+    plant: shared.PlantOption = PlantSource.AUTO,
     figure: Optional[Path] = option(None, "Draw where the test would be stable.", "FILE"),
     write: Optional[Path] = option(None, "Write limits that fit, for --params-file.", "FILE"),
     json: shared.Json = False,
@@ -68,7 +68,7 @@ def preflight(
     try:
         plan = Plan(experiment, plant)
         with shared.passing_progress() as progress:
-            found = stability_verdict.preflight(plan, progress)
+            found = stability_verdict.check_stability(plan, progress)
     except NotLinearError as error:
         if figure is not None:
             raise InputError(f"{error}; --figure can't draw them") from None
@@ -78,7 +78,7 @@ def preflight(
             preflight_tables.write_limits(write, preflight_tables.proposed_limits(peaks))
         return 0 if shared.is_stable_in_simulation(experiment, error, as_json=json) else 1
     with shared.passing_progress() as progress:
-        summary = preflight_tables.summarise(plan, found)
+        summary = preflight_tables.summarise_preflight(plan, found)
         motion = preflight_tables.planned_motion(experiment)
         peaks = preflight_tables.expected_peaks(experiment, motion)
         limits = preflight_tables.proposed_limits(peaks)
@@ -86,7 +86,7 @@ def preflight(
         timed = preflight_tables.model_time(experiment, motion)
         if timed is not None:
             summary["model"] = asdict(timed)
-        again = shared.once_more(config, param, params_file, external)
+        again = shared.command_line_for(config, param, params_file, external)
         steps = stability_verdict.next_steps(plan, found, peaks, again)
         summary["next"] = [asdict(step) for step in steps]
         if write is not None:
@@ -212,7 +212,7 @@ def identify(
         valve = done(OPEN_LOOP, rig_tests.open_loop(experiment, record, levels), duration)
     followed = rig_tests.has_force_loop(experiment) or not valve
     if followed and not any(test.trip for test in tests.values()):
-        done(CLOSED_LOOP, rig_tests.closed_loop(experiment, record), duration)
+        done(CLOSED_LOOP, rig_tests.closed_loop_test(experiment, record), duration)
 
     whole = {name: test for name, test in tests.items() if test.trip is None and name != PILOT}
     if not valve:
@@ -226,7 +226,7 @@ def identify(
     texts: Texts = []
     unusable: list[str] = []
     if whole:
-        found = identified.identify(whole.get(OPEN_LOOP), whole.get(CLOSED_LOOP), band)
+        found = identified.identify_from_records(whole.get(OPEN_LOOP), whole.get(CLOSED_LOOP), band)
         unusable = found.unusable
         summary |= identified.summarise_identified(found)
         table = identified.identified_table(summary)

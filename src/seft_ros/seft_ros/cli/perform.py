@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from seft_ros.test_run.compiled_loop import Blocks
     from seft_ros.test_run.observer import Observer
 
-PATIENCE = 5.0  # s, in which a supervisor that runs is heard
-POLL_PERIOD = 0.05  # s
+_SUPERVISOR_TIMEOUT_S = 5.0  # s, in which a supervisor that runs is heard
+_POLL_PERIOD = 0.05  # s
 
 
 def start() -> int:
@@ -60,7 +60,7 @@ def stop(
 
 
 def reset() -> int:
-    """Make the next test possible after one that is done or has tripped.
+    """Allow a new test to start after one that is done or has tripped.
 
     Exit status 1: there is no supervisor, or it refuses.
 
@@ -87,7 +87,7 @@ def status(json: shared.Json = False) -> int:
     with _supervised() as observer:
         state, detail = observer.state, observer.values.get("detail", "")
         if state in MOVING:
-            observer.spin(2 * POLL_PERIOD)
+            observer.spin(2 * _POLL_PERIOD)
         found = {"state": state, "detail": detail, "time_s": observer.time_ns / 1e9}
         if "steps" in observer.values:
             found["steps"] = int(observer.values["steps"])
@@ -115,7 +115,7 @@ def _supervised() -> Iterator["Observer"]:
 
     prepare_on_this_host()
     with closing(Observer()) as observer:
-        deadline = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + _SUPERVISOR_TIMEOUT_S
         while not observer.state:
             if time.monotonic() > deadline:
                 domain = os.environ.get("ROS_DOMAIN_ID", "0")
@@ -123,7 +123,7 @@ def _supervised() -> Iterator["Observer"]:
                     f"no supervisor is in ROS domain {domain}: start the nodes; if they run, set "
                     "ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE as they have them"
                 )
-            observer.spin(POLL_PERIOD)
+            observer.spin(_POLL_PERIOD)
         yield observer
 
 
@@ -233,7 +233,8 @@ def simulate(
     if shared.show_test(record, out, as_json=json, figure=figure):
         return 0
     shared.complain(
-        f"{_fault(record)}; see seft preflight {shared.once_more(config, param, params_file)}"
+        f"{_fault(record)}; see seft preflight "
+        f"{shared.command_line_for(config, param, params_file)}"
     )
     return 1
 
@@ -258,13 +259,13 @@ def _with_measured_delay(experiment: Experiment) -> Experiment:
             "reference_force: loop_delay is to be measured, but there is no link: force_controller "
             "is to run here; give a number of steps, or --external force_controller"
         )
-    from seft_ros.test_run.link import measure, message_size, with_loop_delay
+    from seft_ros.test_run.link import measure_link, message_size, with_loop_delay
 
     rate = experiment.timebase.rate
     size, delays = message_size(experiment), []
     for rig in experiment.rigs:
         with shared.step_progress(round(LINK_TIME * rate)) as progress:
-            delays.append(measure(rate, LINK_TIME, size, progress, rig).loop_delay)
+            delays.append(measure_link(rate, LINK_TIME, size, progress, rig).loop_delay)
         whose = f" to {rig.name}" if rig.name else ""
         shared.complain(f"the link{whose} needs a delay of the loop of {delays[-1]} steps")
     return with_loop_delay(experiment, max(delays))
@@ -306,12 +307,12 @@ def _check_stable(experiment: Experiment, blocks: "Blocks | None", accept_unstab
 
 def _check_signs(experiment: Experiment, external: Sequence[str]) -> None:
     """Move the rig a little; raise `InputError` if its channels contradict each other."""
-    from seft_ros.conformance.suite import TIMING, conform
+    from seft_ros.conformance.suite import TIMING, check_conformance
 
     if len(experiment.rigs) > 1:
         raise InputError("--check-signs: of several rigs, look at each with seft conform")
     starts = "rig" not in external
-    for finding in [*conform(experiment, start_rig=starts, moves_only=True)]:
+    for finding in [*check_conformance(experiment, start_rig=starts, moves_only=True)]:
         if finding.verdict == "failed" and finding.check not in TIMING:
             raise InputError(f"the rig: {finding.check}: {finding.result}; {finding.remedy}")
 

@@ -1,4 +1,4 @@
-"""``seft link``, ``conform`` and ``new``: a link, a rig's driver, a package to begin with."""
+"""``seft link``, ``seft conform`` and ``seft new``: a link, a driver, a package to begin with."""
 
 import keyword
 import sys
@@ -52,7 +52,7 @@ def link(
     The test over the link then takes link.yaml as --params-file, and the nodes of the other side
     as --external (docs/hosts.md).
     """
-    from seft_ros.test_run.link import allowed, judge, link_texts, measure, message_size
+    from seft_ros.test_run.link import allowed, judge_link, link_texts, measure_link, message_size
 
     if echo:
         return _echo()
@@ -66,9 +66,9 @@ def link(
         rate, size = experiment.timebase.rate, message_size(experiment)
     other_side = _rig(rig, experiment)
     with shared.step_progress(max(2, round(duration * rate))) as progress:
-        trips = measure(rate, duration, size, progress, other_side)
+        trips = measure_link(rate, duration, size, progress, other_side)
     test = None if experiment is None else allowed(experiment, trips.loop_delay)
-    verdict, reasons = judge(trips, test)
+    verdict, reasons = judge_link(trips, test)
     summary: dict[str, Any] = {
         **trips.numbers_by_name(),
         "size_bytes": size,
@@ -140,8 +140,8 @@ def conform(
 
         seft conform config/laboratory.yaml --yes --json
     """
-    from seft_ros.conformance.driver import finding_line, verdict
-    from seft_ros.conformance.suite import conform as look_at
+    from seft_ros.conformance.driver import finding_line, summarise_findings
+    from seft_ros.conformance.suite import check_conformance as look_at
 
     experiment = shared.load_experiment(config, param, params_file, None if start_rig else ["rig"])
     if len(experiment.rigs) > 1:
@@ -160,7 +160,7 @@ def conform(
     ):
         console.print(finding_line(finding), soft_wrap=True, highlight=False)
         findings.append(finding)
-    result = verdict(findings)
+    result = summarise_findings(findings)
     words = "conforms" if result["conforms"] else "does not conform"
     counts = "{passed} passed, {failed} failed, {not_run} not run".format_map(result)
     shared.show({"config": str(config), **result}, json, [f"the rig {words}: {counts}"])

@@ -19,8 +19,8 @@ from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.wire.topics import GROUND_MOTION, NODES, with_rigs
 
 from seft_ros.bags.record import Record
-from seft_ros.design import Source
-from seft_ros.drawing.table import Cell, Table
+from seft_ros.design import PlantSource
+from seft_ros.drawing.table import Cell, TextTable
 from seft_ros.test_run.parameter_tables import TABLES
 
 if TYPE_CHECKING:
@@ -41,13 +41,15 @@ _EXTERNAL = "A node that runs already, such as a lab's driver as rig; may be rep
 _SCHEDULER = "Calculate on the Dask cluster with this scheduler, such as tcp://host:8786."
 _JSON = "Print one JSON object on stdout, and nothing else there."
 Config = Annotated[Path, typer.Argument(metavar="CONFIG", help="Experiment: ROS 2 parameter file.")]
-Bag = Annotated[Path, typer.Argument(metavar="BAG", help="Folder (or file) of a recorded test.")]
+BagArgument = Annotated[
+    Path, typer.Argument(metavar="BAG", help="Folder (or file) of a recorded test.")
+]
 Params = Annotated[
     Optional[list[str]],
     typer.Option("-p", "--param", metavar="NODE:PARAMETER:=VALUE", help=_OVERRIDE),
 ]
 Files = Annotated[Optional[list[Path]], typer.Option(metavar="FILE", help=_FILES)]
-Plant = Annotated[Source, typer.Option(help=_PLANT)]
+PlantOption = Annotated[PlantSource, typer.Option(help=_PLANT)]
 External = Annotated[Optional[list[str]], typer.Option(metavar="NODE", help=_EXTERNAL)]
 Json = Annotated[bool, typer.Option("--json", help=_JSON)]
 Spread = Annotated[float, typer.Option(help="Largest deviation from CONFIG.", min=0.0, max=1.0)]
@@ -55,7 +57,9 @@ Seed = Annotated[int, typer.Option(help="Seed of the draws.", min=0)]
 Workers = Annotated[int, typer.Option(help="Processes that calculate.", min=1)]
 CORES = len(os.sched_getaffinity(0))
 """Number of processor cores that this process may use."""
-Scheduler = Annotated[str, typer.Option(metavar="ADDRESS", help=_SCHEDULER, show_default=False)]
+SchedulerOption = Annotated[
+    str, typer.Option(metavar="ADDRESS", help=_SCHEDULER, show_default=False)
+]
 
 
 def load_experiment(
@@ -81,7 +85,7 @@ def load_experiment(
     return experiment
 
 
-def once_more(
+def command_line_for(
     config: Path,
     overrides: list[str] | None,
     params_files: Sequence[Path] | None,
@@ -108,15 +112,15 @@ def given_motion(
     dict
         What it changes in that section.
     """
-    from seft_ros.ground_motion.ground_motion_block import TABLE
+    from seft_ros.ground_motion.ground_motion_block import GROUND_MOTION_TABLE
 
     given = {name: value for name, value in words.items() if value is not None}
     if file is not None:
-        own = {name: TABLE.rows[name].default for name in words}
+        own = {name: GROUND_MOTION_TABLE.rows[name].default for name in words}
         given = {"file": str(file), **own, **given}
     elif given and not section["file"]:
         raise InputError(f"--{next(iter(given))}: needs a record; name its file")
-    return TABLE.check(given, f"seft {command}")
+    return GROUND_MOTION_TABLE.check(given, f"seft {command}")
 
 
 FIGURE = "figure.png"
@@ -134,7 +138,7 @@ def show(
         if isinstance(text, str):
             print(text)
         else:
-            is_line = isinstance(text, Cell) or (isinstance(text, Table) and not text.headings)
+            is_line = isinstance(text, Cell) or (isinstance(text, TextTable) and not text.headings)
             console.print(text, soft_wrap=is_line)
     width = max(map(len, files), default=0) + 2
     for name in files:
@@ -202,12 +206,14 @@ def offline_test(
     """
     from seft_ros.ground_motion.ground_motion_block import MOTION
     from seft_ros.test_run.compiled_loop import build_blocks
-    from seft_ros.test_run.offline import simulate
+    from seft_ros.test_run.offline import simulate_test
 
     blocks = blocks or build_blocks(experiment)
     motion = blocks.ground_motion
     with step_progress(motion.steps) as progress:
-        record = simulate(experiment, blocks, lambda done: progress(f"{label}simulating", done))
+        record = simulate_test(
+            experiment, blocks, lambda done: progress(f"{label}simulating", done)
+        )
         record = replace(record, facts={GROUND_MOTION.name: {MOTION: motion.facts}})
         progress(f"{label}done", len(record.series["rig/state"].steps))
         if bag is not None:

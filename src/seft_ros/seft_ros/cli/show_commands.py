@@ -52,7 +52,7 @@ def monitor(
         seft monitor --host 0.0.0.0 --token "$(openssl rand -hex 16)"
     """
     from seft_ros.monitor.access import CONTROL, WATCH, Tokens, is_loopback, page_address
-    from seft_ros.monitor.server import keep_off_the_loop, listen, serve
+    from seft_ros.monitor.server import keep_off_the_loop, listen, serve_monitor
 
     for name, text in (("--token", token), ("--watch-token", watch_token)):
         if not re.fullmatch("[!-~]*", text):
@@ -76,7 +76,7 @@ def monitor(
             webbrowser.open(address)
 
     rights = {text: right for text, right in ((token, CONTROL), (watch_token, WATCH)) if text}
-    serve(listening, host, Tokens(rights), namespace, ready)
+    serve_monitor(listening, host, Tokens(rights), namespace, ready)
     return 0
 
 
@@ -121,8 +121,8 @@ def motion(
     """
     from seft_ros.analysis.result_text import motion_rows
     from seft_ros.drawing.style import check_figure, save_figure
-    from seft_ros.drawing.table import Table
-    from seft_ros.ground_motion.ground_motion_block import TABLE, GroundMotion
+    from seft_ros.drawing.table import TextTable
+    from seft_ros.ground_motion.ground_motion_block import GROUND_MOTION_TABLE, GroundMotion
     from seft_ros.ground_motion.response_spectrum import motion_figure, motion_summary
 
     path = check_figure(figure) if figure is not None else None
@@ -136,7 +136,9 @@ def motion(
     else:
         axes = tuple(f"column {index}" for index in column or ()) or ("motion",)
         timebase = Timebase.from_rate(500.0)
-        section = {row.name: row.default for row in TABLE.rows.values()} | {"tail": 0.0}
+        section = {row.name: row.default for row in GROUND_MOTION_TABLE.rows.values()} | {
+            "tail": 0.0
+        }
     section |= given_motion(section, file, "motion", column=column or None, unit=unit, dt=dt)
     timebase = timebase if rate is None else Timebase.from_rate(rate)
     block = GroundMotion.from_parameters(section, axes, timebase)
@@ -148,7 +150,7 @@ def motion(
     rows += [[label, *(f"{value:.4g}" for value in numbers[name])] for name, label in _ROWS.items()]
     summary = {**block.facts, "rate_hz": timebase.rate, **numbers}
     summary["figure"] = None if path is None else str(path)
-    texts = [Table((), motion_rows(block.facts)), Table(["", *axes], rows)]
+    texts = [TextTable((), motion_rows(block.facts)), TextTable(["", *axes], rows)]
     show(summary, json, texts, "figure")
     return 0
 

@@ -25,7 +25,7 @@ def study(
     seed: shared.Seed = 1,
     out: Path = option(Path("study.html"), "The page.", "HTML"),
     workers: shared.Workers = shared.CORES,
-    scheduler: shared.Scheduler = "",
+    scheduler: shared.SchedulerOption = "",
     param: shared.Params = None,
     params_file: shared.Files = None,
     json: shared.Json = False,

@@ -19,12 +19,12 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_plant_sim.limits import Limits
 from seft_plant_sim.rig_parameters import LIMIT_NAMES
 
-from seft_ros.test_run.observer import Player
+from seft_ros.test_run.observer import SimulatedPeer
 from seft_ros.test_run.processes import NodeProcesses
 
-Verdict = Literal["passed", "failed", "not run"]
+_Verdict = Literal["passed", "failed", "not run"]
 
-KINDS = (
+CHECK_KINDS = (
     *("stale", "a second time", "of the future", "of another axis", "not a number"),
     "between two steps",
 )
@@ -54,7 +54,7 @@ _MOTION = {
     "answer applied": "apply the command that answers sample k from sample k+1 on, without a queue",
 }
 _OBEDIENCE = {
-    **{f"command {kind}": _REFUSE for kind in KINDS},
+    **{f"command {kind}": _REFUSE for kind in CHECK_KINDS},
     "command beyond the limit": "refuse it: a command beyond the limit is a fault",
     "watchdog: valve_command silent": "",
     "safe position": "bring the valve to its safe position in every trip, wait until the rig is at "
@@ -93,7 +93,7 @@ class Finding:
     """
 
     check: str
-    verdict: Verdict
+    verdict: _Verdict
     result: str
     remedy: str = ""
     measured: dict[str, float] = field(default_factory=dict)
@@ -126,7 +126,7 @@ def finding_line(finding: Finding) -> Text:
     return text
 
 
-def verdict(findings: Sequence[Finding]) -> dict[str, Any]:
+def summarise_findings(findings: Sequence[Finding]) -> dict[str, Any]:
     """Judge a rig by all findings; JSON values.
 
     Returns
@@ -145,12 +145,12 @@ def verdict(findings: Sequence[Finding]) -> dict[str, Any]:
 
 BASELINE = 20  # samples at rest that the motion is counted from
 FOUND = 20.0  # s until the rig is found
-LOOK = 0.02  # s
+_LOOK = 0.02  # s
 NOTED = 0.15  # s for the rig to take in a state
 SLOW = 10.0  # s more than planned that a test may take
 PHASES = 2.0  # s for it to say that it has ended, and that it is idle again
 ENDED_PHASES = (FINISHED, TRIPPED)
-Answer = Callable[[int], list[bytes]]
+RigAnswer = Callable[[int], list[bytes]]
 """Gives the messages that answer a step."""
 
 
@@ -252,7 +252,7 @@ class Guard:
         )
 
 
-class TestDriver(Player):
+class RigExerciser(SimulatedPeer):
     """Runs short tests on a rig and records its messages.
 
     Parameters
@@ -272,7 +272,7 @@ class TestDriver(Player):
         self.description: Mapping[str, Any] | None = None
         self.trial = Trial()  # the running test, or the last one
         self._samples = TrajectoryCodec(RIG_STATE, experiment.axes, experiment.timebase)
-        self._answer: Answer | None = None
+        self._answer: RigAnswer | None = None
         receives = {RIG_STATE: self._on_state, CLOCK_TOPIC: self._on_clock}
         super().__init__("seft_conform", [], {**receives, DESCRIPTION: self._on_description})
 
@@ -313,7 +313,7 @@ class TestDriver(Player):
     def run(
         self,
         steps: int,
-        answer: Answer,
+        answer: RigAnswer,
         patience: float | None = None,
         until: tuple[str, ...] = ENDED_PHASES,
         *,
@@ -366,7 +366,7 @@ class TestDriver(Player):
         while not condition():
             if time.monotonic() > deadline:
                 return False
-            self.listen(LOOK)
+            self.listen(_LOOK)
             if self._processes is not None:
                 self._processes.raise_if_ended()
         return True

@@ -16,9 +16,9 @@ from seft_ros.conformance.driver import Finding, Samples, Trial, found, not_run
 
 SLOWEST_STATUS = 0.5  # s between two diagnostics, median
 SLOWEST_CLOCK = 0.25  # s between two messages of /clock, median; 0.1 s is required
-WINDOW = 20  # samples
+_WINDOW = 20  # samples
 PERCENTILE = 95.0
-LATEST = 0.5  # of a period
+_LATEST = 0.5  # of a period
 OFF = 0.01  # of the period
 ENOUGH = 3  # windows
 SOME = 0.1
@@ -151,16 +151,16 @@ def check_timing(samples: Samples, dt: float, stalls: Stalls) -> list[Finding]:
     typical one.
     """
     times = samples.times[1:]
-    count = len(times) // WINDOW
+    count = len(times) // _WINDOW
     if count < ENOUGH:
         text = f"{len(times)} states are too few"
         return [not_run(name, text) for name in ("period", "late states")]
-    windows = times[: count * WINDOW].reshape(count, WINDOW)
-    late = windows - (np.arange(count * WINDOW) * dt).reshape(count, WINDOW)
+    windows = times[: count * _WINDOW].reshape(count, _WINDOW)
+    late = windows - (np.arange(count * _WINDOW) * dt).reshape(count, _WINDOW)
     late -= late.min(axis=1, keepdims=True)
     chosen, left_out = _quiet_windows(windows, late, stalls)
     windows, late = windows[chosen], late[chosen]
-    period = float(np.median((windows[:, -1] - windows[:, 0]) / (WINDOW - 1)))
+    period = float(np.median((windows[:, -1] - windows[:, 0]) / (_WINDOW - 1)))
     text = f"{1e3 * period:.4f} ms, {1e3 * dt:g} ms wanted{left_out}"
     right_rate = found("period", abs(period / dt - 1) <= OFF, text, period_s=period)
     typical = float(np.median(np.percentile(late, PERCENTILE, axis=1)))
@@ -170,12 +170,12 @@ def check_timing(samples: Samples, dt: float, stalls: Stalls) -> list[Finding]:
         f"(median {1e3 * p50:.3f}, p99 {1e3 * p99:.3f}, largest {1e3 * largest:.3f} ms){left_out}"
     )
     remedy = (
-        f"at most {1e3 * LATEST * dt:g} ms, half a period, is allowed: publish before anything "
+        f"at most {1e3 * _LATEST * dt:g} ms, half a period, is allowed: publish before anything "
         "else in a period, and take a real-time priority (docs/realtime.md)"
     )
     numbers = {"p50_s": p50, "p95_s": typical, "p99_s": p99, "largest_s": largest}
     judged = typical if left_out else max(typical, p99)
-    return [right_rate, found("late states", judged <= LATEST * dt, text, remedy, **numbers)]
+    return [right_rate, found("late states", judged <= _LATEST * dt, text, remedy, **numbers)]
 
 
 def _quiet_windows(windows: Floats, late: Floats, stalls: Stalls) -> tuple[npt.NDArray[Any], str]:

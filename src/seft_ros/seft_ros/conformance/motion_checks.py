@@ -11,18 +11,18 @@ from seft_msgs_py.wire.outcome import TRIPPED
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_plant_sim.specimen import Specimen
 
-from seft_ros.conformance.driver import KINDS, Finding, Samples, Trial, found, not_run
+from seft_ros.conformance.driver import CHECK_KINDS, Finding, Samples, Trial, found, not_run
 
 REST, BELL, PAUSE, PULSE = 0.4, 2.0, 0.3, 0.05  # s
 DOUBLETS, APART = 5, 0.25  # s from one to the next
 FREQUENCIES = (3.0, 6.0)  # Hz
-SETTLING = 0.1  # s at the start that do not count
-TOLERANCE = 0.2
+_SETTLING = 0.1  # s at the start that do not count
+_TOLERANCE = 0.2
 """Largest distance of a ratio from 1: a gain 20 % off, or 11 degrees of phase."""
 SEEN = 5.0  # times the noise: a motion
 ONSET_NOISE = 6.0
-VALVE = 0.006  # s, longest delay of valve and oil
-LINES = np.arange(2.0, 8.01, 0.5)
+_VALVE = 0.006  # s, longest delay of valve and oil
+_LINES = np.arange(2.0, 8.01, 0.5)
 """Frequencies at which signals are correlated, Hz."""
 _FACTORS = {
     1e3: "the unit is a thousandth of SI's (mm, mm/s)",
@@ -40,7 +40,7 @@ _SENSOR = "calibration: SI units, and positive where the actuator extends, in al
 Complex = npt.NDArray[np.complex128]
 
 
-class Drive:
+class MotionDrive:
     """A small motion: rest, two frequencies under a bell, doublets.
 
     Parameters
@@ -65,7 +65,7 @@ class Drive:
     def __init__(self, dt: float, amplitude: float) -> None:
         self.dt, self.amplitude = dt, amplitude
         first, apart = self.step_at(REST + BELL + PAUSE), self.step_at(APART)
-        self.rest = slice(self.step_at(SETTLING), self.step_at(REST))
+        self.rest = slice(self.step_at(_SETTLING), self.step_at(REST))
         self.bell = slice(self.step_at(REST), self.step_at(REST + BELL + PAUSE / 2))
         self.doublets = [first + number * apart for number in range(DOUBLETS)]
         self.steps = first + DOUBLETS * apart
@@ -83,7 +83,7 @@ class Drive:
         return round(time / self.dt)
 
 
-def check_rest(samples: Samples, drive: Drive) -> Finding:
+def check_rest(samples: Samples, drive: MotionDrive) -> Finding:
     """Check that the rig does not move at a command of 0."""
     rest = samples.values[drive.rest, 0]
     if len(rest) < 3:
@@ -96,7 +96,7 @@ def check_rest(samples: Samples, drive: Drive) -> Finding:
     return found("at rest", drift <= max(ONSET_NOISE * noise, 1e-6), text, drift_m=drift)
 
 
-def check_moves(samples: Samples, drive: Drive) -> Finding:
+def check_moves(samples: Samples, drive: MotionDrive) -> Finding:
     """Check that the rig moves at a command, beyond its noise, and in its direction."""
     name = "follows the command"
     rest, moved = samples.values[drive.rest], samples.values[drive.bell]
@@ -115,14 +115,14 @@ def check_moves(samples: Samples, drive: Drive) -> Finding:
     return found(name, True, f"{text}, a positive command extends", seen=seen)
 
 
-def check_units(samples: Samples, drive: Drive, specimen: Specimen | None) -> list[Finding]:
+def check_units(samples: Samples, drive: MotionDrive, specimen: Specimen | None) -> list[Finding]:
     """Check that the channels are derivatives of one another, and the force the specimen's."""
     dt, values = drive.dt, samples.values[drive.bell]
     x, v, a, f = np.moveaxis(values - values.mean(axis=0), 1, 0)
     speed = _ratio(_correlate(v, dt), _correlate(x, dt, derivative=True))
     rate = _ratio(_correlate(a, dt), _correlate(v, dt, derivative=True))
     whose = f"displacement: {_why(_inverse(speed))}", f"acceleration: {_why(rate)}"
-    if not (_fits(speed) or _fits(rate)) and abs(speed * rate - 1) <= 2 * TOLERANCE:
+    if not (_fits(speed) or _fits(rate)) and abs(speed * rate - 1) <= 2 * _TOLERANCE:
         whose = f"velocity: {_why(speed)}", f"velocity: {_why(_inverse(rate))}"
     findings = [
         _judged("velocity of displacement", "velocity / d(displacement)/dt", speed, whose[0]),
@@ -158,7 +158,7 @@ def _correlate(signal: Floats, dt: float, *, derivative: bool = False) -> Comple
     time = np.arange(len(signal)) * dt
     length = max(len(signal) - 1, 1) * dt
     bell = np.sin(np.pi * time / length) ** 2
-    omega = 2 * np.pi * LINES[:, np.newaxis]
+    omega = 2 * np.pi * _LINES[:, np.newaxis]
     waves: Complex = np.exp(-1j * omega * time)
     if not derivative:
         return (bell * waves) @ signal * dt
@@ -173,7 +173,7 @@ def _ratio(measured: Complex, expected: Complex) -> complex:
 
 
 def _fits(ratio: complex) -> bool:
-    return abs(ratio - 1) <= TOLERANCE
+    return abs(ratio - 1) <= _TOLERANCE
 
 
 def _inverse(ratio: complex) -> complex:
@@ -189,16 +189,16 @@ def _why(factor: complex) -> str:
     size, is_reversed = abs(factor), factor.real < 0
     if not 0 < size < math.inf:
         return "it does not move"
-    if abs(size - 1) <= TOLERANCE and is_reversed:
+    if abs(size - 1) <= _TOLERANCE and is_reversed:
         return "the sign is reversed"
-    if abs(size - 1) <= TOLERANCE:
+    if abs(size - 1) <= _TOLERANCE:
         return f"it is {_phase(factor):.0f} degrees off: the channels are not of one time"
-    known = (words for each, words in _FACTORS.items() if abs(size / each - 1) <= TOLERANCE)
+    known = (words for each, words in _FACTORS.items() if abs(size / each - 1) <= _TOLERANCE)
     words = next(known, f"it is {size:.4g} times too large")
     return f"{words}, and the sign is reversed" if is_reversed else words
 
 
-def check_answer_delay(samples: Samples, drive: Drive) -> Finding:
+def check_answer_delay(samples: Samples, drive: MotionDrive) -> Finding:
     """Check that a command is applied from the next sample on, not later."""
     name, force = "answer applied", samples.values[:, 3]
     noise = np.maximum(force[drive.rest].std(axis=0), 1e-9)
@@ -210,18 +210,18 @@ def check_answer_delay(samples: Samples, drive: Drive) -> Finding:
         delays += np.flatnonzero(change > ONSET_NOISE)[:1].tolist()
     if not delays:
         return found(name, False, "the doublets are not seen in the force")
-    first, latest = min(delays), 2 + math.floor(VALVE / drive.dt)
+    first, latest = min(delays), 2 + math.floor(_VALVE / drive.dt)
     text = f"the answer to a sample is first seen {first} samples later"
-    text += f" (2 to {latest} with up to {1e3 * VALVE:g} ms of valve and oil)"
+    text += f" (2 to {latest} with up to {1e3 * _VALVE:g} ms of valve and oil)"
     return found(name, 1 <= first <= latest, text, samples=float(first))
 
 
-SETTLE, BLOCK = 0.1, 0.1  # s of rest before each kind of bad command, and of the kind
-BESIDE = ("stale", "a second time")
+SETTLE, _BLOCK = 0.1, 0.1  # s of rest before each kind of bad command, and of the kind
+_BESIDE = ("stale", "a second time")
 """Kinds that are sent after the step's own command; the others in its place, every other step."""
 MOVED = 8.0  # times the noise
 PART = 0.3  # of the effect of the same command when it is obeyed
-PATIENCE = 0.5  # s beyond a watchdog's time, for this host and the message
+REACTION_TIMEOUT_S = 0.5  # s beyond a watchdog's time, for this host and the message
 RESTING = 3.0  # s within which a rig is at rest after a trip
 STOP_TIME, STOP_FORCE = "stop time (s)", "stop peak force (N)"
 """Names in the status of a trip, when the rig is at rest."""
@@ -246,22 +246,22 @@ class BadCommands:
     @property
     def steps(self) -> int:
         """Steps of the test."""
-        return self.block(len(KINDS)).start
+        return self.block(len(CHECK_KINDS)).start
 
     def block(self, kind: int) -> slice:
         """Give the steps of a kind of command."""
         dt = self.codec.timebase.dt
-        settle, length = max(4, round(SETTLE / dt)), max(10, round(BLOCK / dt))
+        settle, length = max(4, round(SETTLE / dt)), max(10, round(_BLOCK / dt))
         start = settle + kind * (settle + length)
         return slice(start, start + length)
 
     def answers(self, step: int) -> list[bytes]:
         """Give the messages that answer a step."""
         good = self.codec.encode(step, np.zeros(len(self.codec.axes)))
-        for number, kind in enumerate(KINDS):
+        for number, kind in enumerate(CHECK_KINDS):
             block = self.block(number)
             if block.start <= step < block.stop:
-                if kind in BESIDE:
+                if kind in _BESIDE:
                     return [good, self._bad(kind, step)]
                 return [self._bad(kind, step) if (step - block.start) % 2 else good]
         return [good]
@@ -281,14 +281,16 @@ class BadCommands:
         return raw
 
 
-def check_refusals(trial: Trial, bad: BadCommands, moved: Samples, drive: Drive) -> list[Finding]:
+def check_refusals(
+    trial: Trial, bad: BadCommands, moved: Samples, drive: MotionDrive
+) -> list[Finding]:
     """Check that no bad command moves the rig, by the force of a good one before."""
     steps, force = trial.samples.steps, trial.samples.values[:, 3]
     noise = moved.values[drive.rest, 3].std(axis=0)
     pulse = moved.values[drive.doublets[0] :, 3] - moved.values[drive.doublets[0], 3]
     least = np.maximum(MOVED * noise, PART * np.abs(pulse).max(axis=0))
     findings = []
-    for number, kind in enumerate(KINDS):
+    for number, kind in enumerate(CHECK_KINDS):
         name, block = f"command {kind}", bad.block(number)
         index = np.flatnonzero((steps > block.start) & (steps <= block.stop + 2))
         at = np.flatnonzero(steps == block.start)
@@ -306,7 +308,7 @@ def check_refusals(trial: Trial, bad: BadCommands, moved: Samples, drive: Drive)
 
 
 def check_over_limit(
-    samples: Samples, at: int, limit: float | None, moved: Samples, drive: Drive
+    samples: Samples, at: int, limit: float | None, moved: Samples, drive: MotionDrive
 ) -> Finding:
     """Check that a command beyond the rig's limit is refused, not clipped."""
     name = "command beyond the limit"
@@ -334,7 +336,7 @@ def check_watchdog(trial: Trial, timeout: float, silent: str, *, by_itself: bool
         return found(name, False, text, remedy, last_state_s=last)
     took, reason = tripped[0] - trial.marks["silent"], tripped[1].values.get("reason", "")
     text = f"tripped after {took:.3f} s ({timeout:g} s configured): {reason or 'no reason given'}"
-    passed = max(took, last) <= timeout + PATIENCE and bool(reason)
+    passed = max(took, last) <= timeout + REACTION_TIMEOUT_S and bool(reason)
     return found(name, passed, text, remedy, tripped_s=took, last_state_s=last)
 
 

@@ -20,15 +20,21 @@ from seft_ros.conformance.driver import (
     ENDED_PHASES,
     LATER,
     SLOW,
-    Answer,
     Finding,
     Guard,
-    TestDriver,
+    RigAnswer,
+    RigExerciser,
     Trial,
     found,
     not_run,
 )
-from seft_ros.conformance.motion_checks import PATIENCE, RESTING, BadCommands, Drive, rested
+from seft_ros.conformance.motion_checks import (
+    REACTION_TIMEOUT_S,
+    RESTING,
+    BadCommands,
+    MotionDrive,
+    rested,
+)
 from seft_ros.test_run.observer import alone_on_the_graph
 from seft_ros.test_run.processes import one_node, prefer_latency
 
@@ -37,7 +43,7 @@ ATTEMPTS = 3
 MEETING = 1.2  # s
 AMPLITUDES = {"V": 0.2, "N": 50.0}
 """Largest command where none is given: 2 % of a valve of 10 V."""
-ABORTED = 0.25  # s of an aborted motion that suffice to check units
+_ABORTED = 0.25  # s of an aborted motion that suffice to check units
 HOST_STALLED = ("no new", "silent")
 """Words in the reason of a trip that a stall of this host may have caused."""
 TIMING = ("period", "late states")
@@ -46,10 +52,10 @@ LONG = 60.0  # s, announced duration of tests that end before
 LEAD, GOING = 0.3, 0.2  # s of rest at the start of a test, and of motion before a watchdog's
 BRIEF = 0.5  # s
 STILL = 0.5  # s beyond the watchdog's time for which the process of the rig is stopped
-STOP = 0.3  # s from done or tripped to the last state
+_STOP = 0.3  # s from done or tripped to the last state
 
 
-def conform(
+def check_conformance(
     experiment: Experiment,
     *,
     start_rig: bool,
@@ -86,14 +92,18 @@ def conform(
     rig = one_node("rig", experiment) if start_rig else nullcontext(None)
     with rig as processes:
         prefer_latency(os.getpid())
-        with closing(TestDriver(experiment, Guard(experiment, travel, force), processes)) as driver:
+        with closing(
+            RigExerciser(experiment, Guard(experiment, travel, force), processes)
+        ) as driver:
             yield from Suite(driver, experiment, amplitude).run(moves_only)
 
 
 class Suite:
     """Runs the checks of a rig; ``amplitude`` in the unit of its drive, None: `AMPLITUDES`."""
 
-    def __init__(self, driver: TestDriver, experiment: Experiment, amplitude: float | None) -> None:
+    def __init__(
+        self, driver: RigExerciser, experiment: Experiment, amplitude: float | None
+    ) -> None:
         self._driver, self._experiment, self._amplitude = driver, experiment, amplitude
 
     def run(self, moves_only: bool = False) -> Iterator[Finding]:
@@ -130,7 +140,7 @@ class Suite:
         self._topic = next(topic for topic in LOOP_TOPICS if topic.name == name)
         amplitude = self._amplitude or AMPLITUDES[self._topic.units[0]]
         period_ns = experiment.timebase.period_ns
-        self._drive = drive = Drive(experiment.timebase.dt, amplitude)
+        self._drive = drive = MotionDrive(experiment.timebase.dt, amplitude)
         self._long = drive.step_at(LONG)
         driver.connect(self._topic)
         trial, stalls = self._moved()
@@ -151,7 +161,7 @@ class Suite:
             yield motion_checks.check_moves(samples, drive)
             yield from motion_checks.check_units(samples, drive, specimen)
             yield motion_checks.check_answer_delay(samples, drive)
-        elif len(samples.steps) > drive.bell.start + drive.step_at(ABORTED):
+        elif len(samples.steps) > drive.bell.start + drive.step_at(_ABORTED):
             finding = motion_checks.check_units(samples, drive, specimen)[0]  # may be the cause
             if finding.verdict == "failed":
                 yield replace(finding, remedy=f"{finding.remedy}; roughly: the motion was aborted")
@@ -221,13 +231,13 @@ class Suite:
             return driver.command(step)
 
         timeout = self._timeout("command")
-        longest = LEAD + GOING + timeout + 2 * PATIENCE + SLOW / 4
+        longest = LEAD + GOING + timeout + 2 * REACTION_TIMEOUT_S + SLOW / 4
         tripped, watchdog = self._silence(self._topic.name, timeout, stop_commands, longest)
         yield watchdog
         latched = driver.run(self._long, driver.command, BRIEF, ())
         driver.end(State.TRIPPED)
         timeout = self._timeout("supervisor")
-        longest = LEAD + 2 * (timeout + PATIENCE)
+        longest = LEAD + 2 * (timeout + REACTION_TIMEOUT_S)
         again, alone = self._silence("supervisor", timeout, leave_alone, longest)
         driver.end(State.TRIPPED)
         yield motion_checks.check_safe_position(tripped, again.samples)
@@ -237,7 +247,7 @@ class Suite:
         yield alone
 
     def _silence(
-        self, silent: str, timeout: float, answer: Answer, longest: float
+        self, silent: str, timeout: float, answer: RigAnswer, longest: float
     ) -> tuple[Trial, Finding]:
         """Wait for a watchdog, then for rest; again if it was late: this host may have been."""
         driver = self._driver
@@ -269,7 +279,7 @@ class Suite:
         finally:
             os.kill(pid, signal.SIGCONT)
         driver.mark("goes on")
-        driver.wait(lambda: trial.phase == TRIPPED, PATIENCE)
+        driver.wait(lambda: trial.phase == TRIPPED, REACTION_TIMEOUT_S)
         driver.end(State.TRIPPED)
         return motion_checks.check_stood_still(trial)
 
@@ -283,7 +293,7 @@ class Suite:
             driver.listen_for(BRIEF)
             last = trial.last_state_after(state)
             text = f"the last state came {last:.3f} s after, phase {trial.phase or 'none'}"
-            rests = trial.phase in ENDED_PHASES and last <= STOP
+            rests = trial.phase in ENDED_PHASES and last <= _STOP
             yield found(f"rests when {state}", rests, text, last_state_s=last)
             driver.end(state)
         trial = driver.run(self._long, driver.command, BRIEF, (), ready=False)

@@ -3,7 +3,7 @@
 from enum import StrEnum
 
 
-class Source(StrEnum):
+class PlantSource(StrEnum):
     """The simulated rig's linear model, or what was identified; auto: the latter, where given."""
 
     AUTO = "auto"

@@ -10,7 +10,7 @@ from seft_msgs_py.arrays import Complexes, Floats
 
 from seft_ros.force_controller.valve_model import ValveModel
 
-MEMORY = 0.2
+_MEMORY = 0.2
 """Time after which the flow of a command is complete, s."""
 _WIDTH, _LEAST_WIDTH = 0.05, 2.0  # over which spectra are smoothed: of the frequency, and Hz
 _BINS = 80
@@ -54,8 +54,8 @@ class OilBalance:
         band: tuple[float, float],
     ) -> None:
         self._n, self._dt = len(commands) - 1, dt
-        self._times = np.arange(math.ceil(MEMORY / dt) + 1, dtype=np.float64) * np.float64(dt)
-        self._size = scipy.fft.next_fast_len(self._n + math.ceil(MEMORY / dt), real=True)
+        self._times = np.arange(math.ceil(_MEMORY / dt) + 1, dtype=np.float64) * np.float64(dt)
+        self._size = scipy.fft.next_fast_len(self._n + math.ceil(_MEMORY / dt), real=True)
         self._hz: Floats = scipy.fft.rfftfreq(self._size, dt)
         self._used = (self._hz >= band[0]) & (self._hz <= band[1])
         self._commands = self._spectrum(commands[:-1])
@@ -179,7 +179,7 @@ class OilBalance:
         return solution / scale, np.sqrt(np.maximum(variance, 0.0)) / scale, errors
 
 
-LEAST_EXPLAINED, GOOD_EXPLAINED = 0.5, 0.9
+MIN_EXPLAINED, GOOD_EXPLAINED = 0.5, 0.9
 """Share of the flow's variance that a fit must explain, and that a good one does."""
 
 _VALVES, _DEAD_TIMES = (25.0, 50.0, 100.0, 200.0), (0.0, 2.0, 5.0, 10.0, 20.0)  # Hz, ms: starts
@@ -245,7 +245,7 @@ class ActuatorFit:
     @property
     def verdict(self) -> str:
         """``good``, ``fair`` or ``not usable``."""
-        if self.flow_gain <= 0 or self.oil_stiffness <= 0 or self.explained < LEAST_EXPLAINED:
+        if self.flow_gain <= 0 or self.oil_stiffness <= 0 or self.explained < MIN_EXPLAINED:
             return "not usable"
         return "good" if self.explained >= GOOD_EXPLAINED else "fair"
 
@@ -253,10 +253,10 @@ class ActuatorFit:
         """Say why the fit is not usable; empty if it is."""
         if self.verdict != "not usable":
             return ""
-        if self.explained < LEAST_EXPLAINED:
+        if self.explained < MIN_EXPLAINED:
             return (
                 f"commands explain {max(self.explained, 0.0):.0%} of the flow's variance, where "
-                f"{LEAST_EXPLAINED:.0%} are needed; raise --amplitude or --duration, and check "
+                f"{MIN_EXPLAINED:.0%} are needed; raise --amplitude or --duration, and check "
                 "that the oil is on and that displacement, acceleration and force have SI units"
             )
         pair = "displacement against command" if self.flow_gain <= 0 else "force against motion"

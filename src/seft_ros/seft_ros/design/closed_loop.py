@@ -24,7 +24,7 @@ LARGE = 60
 
 
 @dataclass(frozen=True)
-class ClosedLoop:
+class SampledLoop:
     """States q of a whole test over n axes: q[k+1] = matrix q[k] + ground g[k...], x = c q.
 
     Attributes
@@ -81,7 +81,7 @@ class ClosedLoop:
 
 def closed_loop(
     rig: tuple[Floats, Floats, Floats], compensation: LinearFilter, control: LinearControl
-) -> ClosedLoop:
+) -> SampledLoop:
     """Close the loop as the blocks run it.
 
     The rig with states q (a, b, c of `LoopRig.sampled`) gives y = (x, v, a, f) = c q at sample k;
@@ -105,7 +105,7 @@ def closed_loop(
     )
     ground = np.vstack([rig_by_p @ compensation.e, compensation.h, control_by_p @ compensation.e])
     displacement = np.pad(c[:axes], ((0, 0), (0, len(matrix) - len(b))))
-    return ClosedLoop(matrix, ground, displacement)
+    return SampledLoop(matrix, ground, displacement)
 
 
 CERTAIN = 1e30

@@ -66,7 +66,7 @@ def tracking_measures(frequencies_hz: Floats, tracking: Complexes) -> Tracking:
     )
 
 
-def delay_by_frequency(frequencies_hz: Floats, tracking: Complexes) -> Floats:
+def tracking_delay(frequencies_hz: Floats, tracking: Complexes) -> Floats:
     """Delay -phase / (2 pi f) of a closed loop T in s; NaN where T is not known; shape (N,) all."""
     known = np.isfinite(tracking) & (tracking != 0)
     delays = np.full(len(frequencies_hz), np.nan)

@@ -19,7 +19,7 @@ from seft_ros.design.response_fits import SpecimenFit, TrackingFit, fit_specimen
 from seft_ros.design.rig_tests import MeasuredTest, Measurement
 from seft_ros.design.roots import polynomial_of
 from seft_ros.drawing.style import Number, json_safe, look_up, rows_of
-from seft_ros.drawing.table import Table
+from seft_ros.drawing.table import TextTable
 
 _COHERENT = 0.8  # up to there the closed loop is fitted
 _FLOOR = 0.01  # of a response: required accuracy of a model
@@ -88,7 +88,7 @@ class Identified:
     faults: list[str]
 
 
-def identify(
+def identify_from_records(
     open_loop: Record | None,
     closed_loop: Record | None,
     band: tuple[float, float],
@@ -292,7 +292,7 @@ _TABLE = (  # of an axis, by section
 )
 
 
-def identified_table(summary: Mapping[str, Any]) -> Table:
+def identified_table(summary: Mapping[str, Any]) -> TextTable:
     """Tabulate the result of `summarise_identified`, one column for each axis."""
     matrices = {name: np.atleast_2d(summary["specimen"][name]) for name in _MATRICES}
     by_axis = [
@@ -303,7 +303,7 @@ def identified_table(summary: Mapping[str, Any]) -> Table:
     for section in _TABLE:
         known = [n for n in section if any(look_up(axis, n.key) is not None for axis in by_axis)]
         rows += [*rows_of(known, *by_axis), None]
-    return Table(["", *(axis["axis"] for axis in by_axis)], rows)
+    return TextTable(["", *(axis["axis"] for axis in by_axis)], rows)
 
 
 def summarise_identified(identified: Identified) -> dict[str, Any]:

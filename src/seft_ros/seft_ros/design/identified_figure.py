@@ -9,17 +9,17 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from seft_ros.design.actuator_fit import ActuatorFit
-from seft_ros.design.force_tracking import FLATNESS_DB, delay_by_frequency
+from seft_ros.design.force_tracking import FLATNESS_DB, tracking_delay
 from seft_ros.design.identified import ClosedLoop, Identified, ValveResponse
 from seft_ros.design.plant import Plant
 from seft_ros.design.rig_tests import Measurement
-from seft_ros.drawing.style import FIRST, MARK, SECOND, TEXT, new_figure, tidy
+from seft_ros.drawing.style import FIRST_COLOUR, MARK, SECOND, TEXT, new_figure, tidy
 
-MOST_AXES = 3
+_MAX_AXES = 3
 _SHOWN_TRACKING_DB = (-12.0, 6.0)
 _SHOWN_S = 0.5  # of the flow
 _POINTS = 2000  # of a response
-_SHADES = LinearSegmentedColormap.from_list("coherence", ["#dfe4e8", FIRST])
+_SHADES = LinearSegmentedColormap.from_list("coherence", ["#dfe4e8", FIRST_COLOUR])
 _COHERENT = 0.5  # below, a delay is noise
 _NOTE: dict[str, Any] = {"fontsize": 8, "color": MARK, "va": "bottom"}
 _LINE: dict[str, Any] = {"color": MARK, "lw": 0.8, "ls": "--"}
@@ -29,8 +29,8 @@ _OF_CLOSED_LOOP = ("tracking / dB", "delay / ms")
 
 
 def identified_figure(identified: Identified, title: str) -> Figure:
-    """Draw measurements and fits, one column for each of the first `MOST_AXES` axes."""
-    names, valves, closed = identified.axes[:MOST_AXES], identified.valves, identified.closed_loops
+    """Draw measurements and fits, one column for each of the first `_MAX_AXES` axes."""
+    names, valves, closed = identified.axes[:_MAX_AXES], identified.valves, identified.closed_loops
     rows = [*_OF_VALVE * bool(valves), "coherence", *_OF_CLOSED_LOOP * bool(closed)]
     width = 9.5 if len(names) == 1 else 5.5 * len(names)
     figure = new_figure(width, 2.6 * len(rows) + 0.5)
@@ -48,7 +48,7 @@ def identified_figure(identified: Identified, title: str) -> Figure:
             valve = valves[column]
             _draw_flow(panel[_OF_VALVE[0]], valve.actuator)
             dots = _draw_plant(panel[_OF_VALVE[1]], valve)
-            _draw_coherence(coherence, valve.measured, FIRST, "valve to force")
+            _draw_coherence(coherence, valve.measured, FIRST_COLOUR, "valve to force")
         if closed:
             magnitude, delay = (panel[row] for row in _OF_CLOSED_LOOP)
             _draw_tracking(magnitude, delay, closed[column])
@@ -79,7 +79,7 @@ def _draw_flow(panel: Axes, actuator: ActuatorFit) -> None:
     middle = max(int(np.abs(actuator.modelled).argmax()), half)
     shown = slice(middle - half, middle + half)
     time = actuator.dt * np.arange(len(actuator.modelled))[shown]
-    panel.plot(time, 1e3 * actuator.measured[shown], color=FIRST, lw=1.4, label="measured")
+    panel.plot(time, 1e3 * actuator.measured[shown], color=FIRST_COLOUR, lw=1.4, label="measured")
     text = f"of the commands: explains {100 * actuator.explained:.3g} %, {actuator.verdict}"
     panel.plot(time, 1e3 * actuator.modelled[shown], color=MARK, lw=0.9, ls="--", label=text)
     panel.set_xlabel("time / s", color=TEXT)
@@ -111,7 +111,7 @@ def _draw_tracking(panel: Axes, below: Axes, closed: ClosedLoop) -> None:
     panel.set_ylim(*_SHOWN_TRACKING_DB)
     if flat := tracking.closed_loop_flat_to_hz:
         _mark(panel, flat, f"±{FLATNESS_DB:g} dB to {flat:.3g} Hz", 0.85)
-    delays = 1e3 * delay_by_frequency(f, measured.response)
+    delays = 1e3 * tracking_delay(f, measured.response)
     delays[measured.coherence < _COHERENT] = np.nan
     below.plot(f, delays, color=SECOND, lw=1.0, label="measured")
     if tracking.delay_s is not None:

@@ -16,8 +16,8 @@ from seft_plant_sim.rig import continuous_model
 from seft_plant_sim.specimen import Specimen
 from seft_plant_sim.whole_structure import tested_specimen
 
-from seft_ros.design import Source
-from seft_ros.design.closed_loop import ClosedLoop, closed_loop, frozen_feedforward, frozen_target
+from seft_ros.design import PlantSource
+from seft_ros.design.closed_loop import SampledLoop, closed_loop, frozen_feedforward, frozen_target
 from seft_ros.design.plant import Plant, choose_plant, small_signal
 from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
@@ -26,10 +26,10 @@ from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
 from seft_ros.reference_force.compensator import Compensator
 from seft_ros.reference_force.force_command import FORCE_DRIVEN
 from seft_ros.reference_force.linear_filter import LinearFilter
-from seft_ros.reference_force.reference_force_block import compensator, knowledge
+from seft_ros.reference_force.reference_force_block import compensator, method_inputs
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 from seft_ros.reference_force.target_motion import TargetMotion
-from seft_ros.reference_force.target_step import FORCE
+from seft_ros.reference_force.target_step import FORCE_ROW
 
 NEUTRAL = 1e-6
 """Growth rate up to which a loop counts as stable, 1/s: rounding makes this of zero."""
@@ -85,7 +85,7 @@ class LoopRig:
         return a, b, c
 
 
-def choose_rig(experiment: Experiment, source: Source, stiffness: float = 1.0) -> LoopRig:
+def choose_rig(experiment: Experiment, source: PlantSource, stiffness: float = 1.0) -> LoopRig:
     """Rig of an experiment; InputError if there is no model of it.
 
     Parameters
@@ -104,11 +104,11 @@ def choose_rig(experiment: Experiment, source: Source, stiffness: float = 1.0) -
     section, specimen = experiment.sections.get("rig"), tested_specimen(experiment)
     controller = experiment["force_controller"]
     by_motion = controller.get("method") == VELOCITY_FEEDFORWARD
-    if section is not None and source == Source.AUTO:
+    if section is not None and source == PlantSource.AUTO:
         identified = not by_motion and np.any(controller["plant.numerator"])
         rig_has_valve = section["actuator.kind"] not in FORCE_DRIVEN
-        source = Source.IDENTIFIED if identified and rig_has_valve else Source.RIG
-    if section is not None and source == Source.RIG:
+        source = PlantSource.IDENTIFIED if identified and rig_has_valve else PlantSource.RIG
+    if section is not None and source == PlantSource.RIG:
         model = continuous_model(section, experiment.axes, stiffness=stiffness)
         plant = Plant.of_model("rig", model, motion=True)
         derived = section["sensors.velocity"] == "derived"
@@ -120,7 +120,7 @@ def choose_rig(experiment: Experiment, source: Source, stiffness: float = 1.0) -
         swept = replace(specimen, stiffness=stiffness * specimen.stiffness)
         model = small_signal(swept, **{**actuator, **dead_time})
         return LoopRig(Plant.of_model("identified", model, motion=True), model.drive, specimen)
-    plant = choose_plant(experiment, Source.IDENTIFIED).with_specimen(specimen)
+    plant = choose_plant(experiment, PlantSource.IDENTIFIED).with_specimen(specimen)
     return LoopRig(plant, "valve_command", specimen, swept=False)
 
 
@@ -141,7 +141,7 @@ class Plan:
     An InputError says if there is no model of the rig, or parameters contradict each other.
     """
 
-    def __init__(self, experiment: Experiment, source: Source = Source.AUTO) -> None:
+    def __init__(self, experiment: Experiment, source: PlantSource = PlantSource.AUTO) -> None:
         for node in ("reference_force", "force_controller"):
             if node not in experiment.sections:
                 raise InputError(f"{node}: runs elsewhere, so its parameters are not known here")
@@ -174,7 +174,7 @@ class Plan:
         section["model.stiffness"] = scaled.tolist()
         if section["compensation.delay"] > 0:
             section["compensation.delay"] = max(section["compensation.delay"] + delay_error, 0.0)
-        known = knowledge(section, self.axes, self.experiment.timebase)
+        known = method_inputs(section, self.axes, self.experiment.timebase)
         return compensator(section["compensation.method"], known)
 
     def compensation(self, measured: bool = False, **changes: Any) -> LinearFilter:
@@ -195,7 +195,7 @@ class Plan:
         stiffness: float = 1.0,
         followed: bool = False,
         any_valve: bool = False,
-    ) -> list[ClosedLoop]:
+    ) -> list[SampledLoop]:
         """Close the loop, as planned but for the changes.
 
         Parameters
@@ -279,4 +279,4 @@ class Plan:
                     )
                 return frozen_feedforward(made)
             control = made.linear()
-        return [(np.eye(n, 3 * n, k=FORCE * n) if self.follows else None, control)]
+        return [(np.eye(n, 3 * n, k=FORCE_ROW * n) if self.follows else None, control)]

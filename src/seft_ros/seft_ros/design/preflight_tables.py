@@ -17,7 +17,7 @@ from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import HIGHEST_MASS_RATIO, Critical, Range, added_delays
 from seft_ros.design.stability_verdict import Preflight
 from seft_ros.drawing.style import Mark, Number
-from seft_ros.drawing.table import Cell, Table, Texts
+from seft_ros.drawing.table import Cell, Texts, TextTable
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
 from seft_ros.reference_force.reference_force_parameters import LONGEST_MODEL_STEP
 
@@ -26,12 +26,12 @@ SHARE = 0.6
 LOOKS = 4
 """At a model that seems too slow. Of each step the shortest time counts: what takes long in all of
 them is the model, the rest is the host."""
-FIRST = 2
+_FIRST = 2
 """Steps in which a model may still load what it needs; the node takes many before a test."""
-STEPS = 5000
+_STEPS = 5000
 """Of the test, at most, from its beginning on."""
 RATES = (2000, 1000, 500, 400, 250, 200, 125, 100, 50, 25, 20, 10, 5, 2, 1)  # Hz
-MOST_APART = 50
+MAX_APART = 50
 """Largest division that a parameter file may give."""
 
 
@@ -108,19 +108,19 @@ def model_time(experiment: Experiment, planned: GroundMotion | None) -> ModelTim
     model, dt = whole.computed.model, experiment.timebase.dt
     if model is None:
         return None
-    motion = planned.samples[: STEPS * model.every : model.every]
+    motion = planned.samples[: _STEPS * model.every : model.every]
     share = SHARE * dt * model.every
     times = np.full(len(motion), np.inf)
     for _ in range(LOOKS):
         times = np.minimum(times, model_times(whole, motion, model.every * dt))
         median, p999 = np.percentile(times, [50.0, 99.9]).tolist()
-        slowest = FIRST + int(times[FIRST:].argmax()) if len(times) > FIRST else 0
+        slowest = _FIRST + int(times[_FIRST:].argmax()) if len(times) > _FIRST else 0
         longest, fits = float(times[slowest]), p999 <= share
         fits = fits and longest <= LONGEST_MODEL_STEP
         if fits or median > share:  # half of the steps: no stalls of the host
             break
     every = math.ceil(p999 / (SHARE * dt))
-    can_divide = every <= MOST_APART
+    can_divide = every <= MAX_APART
     rate = next((rate for rate in RATES if p999 * rate <= SHARE * model.every), None)
     return ModelTime(
         median_s=median,
@@ -135,7 +135,7 @@ def model_time(experiment: Experiment, planned: GroundMotion | None) -> ModelTim
     )
 
 
-FACTORS = {"displacement": 1.5, "velocity": 2.0, "acceleration": 2.0, "force": 1.5}
+_FACTORS = {"displacement": 1.5, "velocity": 2.0, "acceleration": 2.0, "force": 1.5}
 """Proposed limit over the expected peak: oil that rings moves the piston little, but fast."""
 FAR = 4.0
 """Limit over the expected peak from which on it protects little."""
@@ -160,7 +160,7 @@ def preflight_texts(plan: Plan, found: Preflight, title: str) -> Texts:
     headings = ("", "planned", "critical", "oscillates at")
     texts: Texts = [
         Cell(f"{title}: {found.verdict}", _MARKS[found.verdict]),
-        Table(headings, [*_margin_rows(plan, found)]),
+        TextTable(headings, [*_margin_rows(plan, found)]),
         found.promise,
     ]
     if found.verdict == "unstable":
@@ -172,17 +172,17 @@ def preflight_texts(plan: Plan, found: Preflight, title: str) -> Texts:
     ]
     none = [["no oscillating mode", "", "", ""]]
     headings = ("mode", "exact", "in the test", "error")
-    return [*texts, "modes of the whole structure", Table(headings, modes or none)]
+    return [*texts, "modes of the whole structure", TextTable(headings, modes or none)]
 
 
-def limits_table(experiment: Experiment, peaks: dict[str, float]) -> Table:
+def limits_table(experiment: Experiment, peaks: dict[str, float]) -> TextTable:
     """Tabulate expected peaks, the limits of the test, and limits that fit."""
     limits = group(experiment["supervisor"], "limits")
     rows = [
         [name, unit, f"{peaks[name]:.3g}", f"{limits[name]:g}", f"{limit:g}"]
         for (name, limit), unit in zip(proposed_limits(peaks).items(), LIMIT_UNITS, strict=False)
     ]
-    return Table(("limit of", "unit", "expected peak", "limit", "proposed limit"), rows)
+    return TextTable(("limit of", "unit", "expected peak", "limit", "proposed limit"), rows)
 
 
 def _margin_rows(plan: Plan, found: Preflight) -> Iterator[list[str]]:
@@ -195,7 +195,7 @@ def _margin_rows(plan: Plan, found: Preflight) -> Iterator[list[str]]:
         ("actuator's dead time", _longest(dead_time, margins.dead_time, longest), " ms"),
         (sure, _longest(dead_time, margins.sure_dead_time, longest), " ms"),
         ("actuator's gain", margins.gain, ""),
-        (sure, margins.sure_gain, ""),
+        (sure, margins.robust_gain, ""),
         ("local stiffness / assumed", margins.stiffness, ""),
         (followed, margins.followed, ""),
         ("error in the assumed delay", margins.delay_error, " ms"),
@@ -224,7 +224,7 @@ def _longest(planned: float, critical: Critical | None, searched: float) -> Rang
     return Range(planned, None, critical, (planned, searched))
 
 
-def summarise(plan: Plan, found: Preflight) -> dict[str, Any]:
+def summarise_preflight(plan: Plan, found: Preflight) -> dict[str, Any]:
     """Verdict, margins, predicted errors: ``seft preflight --json``; in Hz and s.
 
     ``critical_delay_s`` is the whole dead time of the actuator at which the planned test turns
@@ -233,7 +233,7 @@ def summarise(plan: Plan, found: Preflight) -> dict[str, Any]:
     ``searched``, or, of a whole range, the method does not use the quantity or the plan is
     unstable. ``local_stiffness`` is that of the specimen over the assumed one,
     ``local_stiffness_followed`` the same once the method has adapted to it. ``sure_delay_s`` and
-    ``sure_gain`` hold for all errors that the controller may assume of the valves.
+    ``robust_gain`` hold for all errors that the controller may assume of the valves.
     """
     margins = found.margins
     critical, dead_time = margins.mass_ratio, margins.dead_time
@@ -255,10 +255,10 @@ def summarise(plan: Plan, found: Preflight) -> dict[str, Any]:
         "delay_crossing_hz": dead_time and dead_time.hz,
         "gain": _range(margins.gain),
         "sure_delay_s": margins.sure_dead_time and margins.sure_dead_time.value,
-        "sure_gain": _range(margins.sure_gain),
+        "robust_gain": _range(margins.robust_gain),
         "local_stiffness": _range(margins.stiffness),
         "local_stiffness_followed": _range(margins.followed),
-        "told_delay_error_s": _range(margins.delay_error),
+        "assumed_delay_error_s": _range(margins.delay_error),
         "false_damping_ratio": first.get("false_damping"),
         "frequency_error": first.get("frequency_error"),
         "modes": modes,
@@ -311,8 +311,8 @@ def proposed_limits(peaks: dict[str, float]) -> dict[str, float]:
     """Limits that fit expected peaks, rounded up to two digits."""
     limits = {}
     for name, peak in peaks.items():
-        unit = 10.0 ** (np.floor(np.log10(FACTORS[name] * peak)) - 1) if peak > 0.0 else 1.0
-        limits[name] = float(f"{np.ceil(FACTORS[name] * peak / unit - 1e-9) * unit:.6g}")
+        unit = 10.0 ** (np.floor(np.log10(_FACTORS[name] * peak)) - 1) if peak > 0.0 else 1.0
+        limits[name] = float(f"{np.ceil(_FACTORS[name] * peak / unit - 1e-9) * unit:.6g}")
     return limits
 
 

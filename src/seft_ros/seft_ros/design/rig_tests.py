@@ -31,7 +31,7 @@ _HANN_OVERLAP_GAIN = 0.947  # independent averages for each half-overlapped Hann
 
 
 @dataclass(frozen=True)
-class Spectra:
+class _Spectra:
     """Cross-spectral densities of m signals.
 
     Attributes
@@ -108,7 +108,7 @@ class Response:
         )
 
 
-def spectra(signals: Floats, rate: float, segment: float) -> Spectra:
+def motion_spectra(signals: Floats, rate: float, segment: float) -> _Spectra:
     """Cross-spectral densities by Welch's method: Hann windows, half overlapped.
 
     Of signals of shape (N, m), sampled at a rate in Hz, in segments of so many s.
@@ -126,11 +126,11 @@ def spectra(signals: Floats, rate: float, segment: float) -> Spectra:
     )
     count = (len(signals) - length // 2) // (length - length // 2)
     averages = max(1.0, _HANN_OVERLAP_GAIN * count)
-    return Spectra(frequencies, np.moveaxis(density, -1, 0), averages)
+    return _Spectra(frequencies, np.moveaxis(density, -1, 0), averages)
 
 
-def response(
-    measured: Spectra, inputs: slice, outputs: slice, band: tuple[float, float]
+def frequency_response(
+    measured: _Spectra, inputs: slice, outputs: slice, band: tuple[float, float]
 ) -> Response:
     """Response of some signals to others, H1 = S_yu S_uu^-1, unbiased by noise of the outputs.
 
@@ -188,7 +188,7 @@ class MeasuredTest:
             *(columns(RIG_STATE.name, row) for row in (0, 2, 3)),
         ]
         segment = self.steps * self.dt / _SEGMENTS
-        self._spectra = spectra(np.hstack(self._signals), 1.0 / self.dt, segment)
+        self._spectra = motion_spectra(np.hstack(self._signals), 1.0 / self.dt, segment)
         self._band = max(band[0], _LEAST_PERIODS / segment), band[1]
 
     def at_limit(self) -> int:
@@ -220,7 +220,7 @@ class MeasuredTest:
         n = len(self.axes)
         these, those = (slice(first * n, end * n) for first, end in (inputs, outputs))
         band = self._band[0], min(self._band[1], share / self.dt)
-        return response(self._spectra, these, those, band)
+        return frequency_response(self._spectra, these, those, band)
 
     def motion(self) -> Response:
         """Response of displacement, acceleration and force to the reference force."""
@@ -324,7 +324,7 @@ def open_loop(experiment: Experiment, record: Path, levels: Levels) -> Experimen
     return _with(experiment, record, controller | {"feedback": False})
 
 
-def closed_loop(experiment: Experiment, record: Path) -> Experiment:
+def closed_loop_test(experiment: Experiment, record: Path) -> Experiment:
     """Test that follows the record's reference force by the experiment's own controller."""
     return _with(experiment, record, {"feedback": True})
 

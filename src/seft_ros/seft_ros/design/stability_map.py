@@ -14,11 +14,11 @@ from seft_ros.design.plan import Plan
 from seft_ros.design.stability_verdict import Preflight
 from seft_ros.drawing.style import TEXT, new_figure
 
-PATIENCE = 6.0
+_MAP_TIME_S = 6.0
 """Time that the maps may take, s; they are coarser if a loop is large."""
-FINEST, COARSEST = 40, 10
+_FINEST, _COARSEST = 40, 10
 
-LEVELS = (-30.0, -10.0, -3.0, -1.0, 0.0, 3.0, 10.0, 30.0, 100.0)
+_LEVELS = (-30.0, -10.0, -3.0, -1.0, 0.0, 3.0, 10.0, 30.0, 100.0)
 _COLOURS = (
     "#8fb8d8", "#abcae2", "#c6dbec", "#dceaf4", "#eef5fa",
     "#fbe6de", "#f6cbbb", "#efac96", "#e58a70", "#d6684f",
@@ -70,7 +70,7 @@ def stability_maps(
         swept["stiffness"] = (max(stability_margins.STIFFEST, 1.2 * own), own, own)
     plan.growth_rate(dead_time=longest)  # fills the caches
     each = timeit(lambda: plan.growth_rate(dead_time=longest), number=1)
-    size = int(np.clip(np.sqrt(PATIENCE / len(swept) / each), COARSEST, FINEST))
+    size = int(np.clip(np.sqrt(_MAP_TIME_S / len(swept) / each), _COARSEST, _FINEST))
     shown = 2.0 * max(plan.mass_ratio, 0.5)
     highest = max(shown, 1.5 * critical) if critical < 4 * shown else shown
     mass_ratios = np.linspace(0.0, highest, size)
@@ -97,7 +97,7 @@ def preflight_figure(plan: Plan, found: Preflight, maps: list[StabilityMap]) -> 
         axes.set_title(title, loc="left", fontsize=11, color=TEXT)
         axes.set_ylabel(label, color=TEXT)
     bar = figure.colorbar(filled, ax=panels.tolist(), pad=0.01, aspect=32, spacing="uniform")
-    bar.set_ticks(np.arcsinh(LEVELS).tolist(), labels=[f"{level:g}" for level in LEVELS])
+    bar.set_ticks(np.arcsinh(_LEVELS).tolist(), labels=[f"{level:g}" for level in _LEVELS])
     bar.set_label("growth rate / (1/s): stable below 0, unstable above", color=TEXT)
     bar.ax.tick_params(colors=TEXT, labelsize=9, length=0)
     bar.outline.set_visible(False)
@@ -112,7 +112,7 @@ def preflight_figure(plan: Plan, found: Preflight, maps: list[StabilityMap]) -> 
 def _draw(axes: Axes, area: StabilityMap, scale: float, verdict: str) -> QuadContourSet:
     x, y = area.mass_ratios, scale * area.others
     # interpolated on a scale on which it is nearly straight across the critical line
-    bent, levels = np.arcsinh(area.growth), np.arcsinh(LEVELS)
+    bent, levels = np.arcsinh(area.growth), np.arcsinh(_LEVELS)
     filled = axes.contourf(x, y, bent, levels=levels, colors=_COLOURS, extend="both")
     if bent.min() < 0 < bent.max():
         axes.contour(x, y, bent, levels=[0.0], colors=TEXT, linewidths=1.8)

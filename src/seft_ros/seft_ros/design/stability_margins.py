@@ -19,9 +19,9 @@ from seft_ros.design.plant import MAX_DELAY_STEPS
 Progress = Callable[[str, int, int], None]
 
 HIGHEST_MASS_RATIO = 50.0
-LONGEST_DELAY = 0.1
+_LONGEST_DELAY = 0.1
 """Longest dead time that is tried, s: several times that of any test rig."""
-FACTORS: Floats = np.geomspace(1.0, 10.0, 17)
+_FACTORS: Floats = np.geomspace(1.0, 10.0, 17)
 """Factors on the gain that are tried, and their inverses."""
 STIFFEST = 3.0
 """Largest ratio of local to assumed stiffness that is tried: a specimen that sticks or hardens."""
@@ -78,7 +78,7 @@ class Margins:
     sure_dead_time : Critical or None
         Dead time up to which the test is stable whatever a controller that adapts to the valves
         assumes within its bounds. None if it does not adapt, or no end was found.
-    sure_gain : Range or None
+    robust_gain : Range or None
         Likewise.
     stiffness : Range or None
         Local stiffness of the specimen over the assumed one. None if the plant was identified as
@@ -93,7 +93,7 @@ class Margins:
     dead_time: Critical | None
     gain: Range | None = None
     sure_dead_time: Critical | None = None
-    sure_gain: Range | None = None
+    robust_gain: Range | None = None
     stiffness: Range | None = None
     followed: Range | None = None
     delay_error: Range | None = None
@@ -110,11 +110,11 @@ def find_margins(plan: Plan, progress: Progress | None = None) -> Margins:
         "dead_time": partial(critical_dead_time, plan),
     }
     if plan.is_stable():
-        gain = partial(_range, plan, "gain", 1.0, FACTORS, 1.0 / FACTORS)
+        gain = partial(_range, plan, "gain", 1.0, _FACTORS, 1.0 / _FACTORS)
         searches["gain"] = gain
         if plan.follows_valves:
             searches["sure_dead_time"] = partial(_sure_dead_time, plan)
-            searches["sure_gain"] = partial(gain, any_valve=True)
+            searches["robust_gain"] = partial(gain, any_valve=True)
         if plan.rig.swept:
             own = local_stiffness(plan)
             up, down = np.linspace(own, max(STIFFEST, own), 17), np.linspace(own, 0.0, 17)
@@ -157,7 +157,7 @@ def instability_band(plan: Plan) -> tuple[float, float] | None:
     either side, up to Nyquist's. None: no instability was found, or it does not oscillate.
     """
     stable = plan.is_stable()
-    ends = [_end(plan, "gain", FACTORS)] if stable else []
+    ends = [_end(plan, "gain", _FACTORS)] if stable else []
     found = [end.hz for end in (*ends, critical_dead_time(plan)) if end is not None]
     if not stable:
         found.append(plan.hz())
@@ -178,7 +178,7 @@ def local_stiffness(plan: Plan) -> float:
 
 def added_delays(plan: Plan) -> Floats:
     """Delays to be added to the planned ones, from 0 up, s."""
-    longest = min(LONGEST_DELAY, MAX_DELAY_STEPS * plan.dt - plan.dead_time)
+    longest = min(_LONGEST_DELAY, MAX_DELAY_STEPS * plan.dt - plan.dead_time)
     if longest <= 0:
         return np.zeros(1)
     return np.concatenate([[0.0], np.geomspace(min(plan.dt / 8, longest / 2), longest, 28)])

@@ -88,7 +88,7 @@ def predicted_modes(plan: Plan) -> list[Mode]:
     return [Mode.of_poles(exact[m], s[p]) for m, p in pairs if fits[m, p]]
 
 
-Verdict = Literal["stable", "marginal", "unstable"]
+_Verdict = Literal["stable", "marginal", "unstable"]
 
 MASS_RATIO_RESERVE = 1.2
 """Critical over planned mass ratio: load cells, accelerometers and the mass itself are known to
@@ -142,14 +142,14 @@ class Preflight:
         damping in the test.
     """
 
-    verdict: Verdict
+    verdict: _Verdict
     reasons: list[str]
     promise: str
     margins: Margins
     modes: list[Mode]
 
 
-def preflight(plan: Plan, progress: Progress | None = None) -> Preflight:
+def check_stability(plan: Plan, progress: Progress | None = None) -> Preflight:
     """Find stability, margins and predicted errors of a plan; ``progress``: see `find_margins`."""
     margins = find_margins(plan, progress)
     unstable = not plan.is_stable()
@@ -192,7 +192,7 @@ def _thin(plan: Plan, margins: Margins) -> Iterator[str]:
             f"unstable, less than {DELAY_RESERVE_STEPS:g} sample"
         )
     for name, found, reserve in (
-        ("gain of the actuator's path", margins.sure_gain or margins.gain, GAIN_RESERVE),
+        ("gain of the actuator's path", margins.robust_gain or margins.gain, GAIN_RESERVE),
         ("local stiffness", margins.stiffness, STIFFNESS_RESERVE),
         ("local stiffness, once identified,", margins.followed, np.inf),
     ):

@@ -16,7 +16,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from seft_msgs_py.errors import InputError
 
 from seft_ros.drawing import style
-from seft_ros.drawing.style import FIRST, MARK, MOST_POINTS, TEXT, Floats, Mark, check_file
+from seft_ros.drawing.style import FIRST_COLOUR, MARK, MAX_POINTS, TEXT, AnyFloats, Mark, check_file
+from seft_ros.drawing.table import Cell, TextTable
 
 SUFFIX = ".html"
 _HEIGHT = 260  # pixels
@@ -32,7 +33,7 @@ class Text:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class VerdictBox:
     """The verdict in one line, in the colour of its mark; below it, the findings behind it."""
 
     mark: Mark
@@ -60,18 +61,18 @@ class Grid:
     columns: int = 3
 
 
-Block = Text | Verdict | Table | Plot | Grid
+Block = Text | VerdictBox | TextTable | Plot | Grid
 
 
 @dataclass(frozen=True)
-class Section:
+class PageSection:
     """A heading and the blocks under it."""
 
     title: str
     blocks: Sequence[Block]
 
 
-def write_page(path: Path, title: str, subtitle: str, sections: Sequence[Section]) -> None:
+def write_page(path: Path, title: str, subtitle: str, sections: Sequence[PageSection]) -> None:
     """Write a page; figures, the library that draws them, and styles are inside the file.
 
     An InputError says why it can't be written.
@@ -158,23 +159,23 @@ def plot(
 
 def line(
     panel: figure,
-    x: Floats,
-    y: Floats,
+    x: AnyFloats,
+    y: AnyFloats,
     label: str = "",
     *,
-    color: str = FIRST,
+    color: str = FIRST_COLOUR,
     width: float = 1.3,
     dash: str = "solid",
     loop: bool = False,
 ) -> None:
-    """Draw a line, thinned to `MOST_POINTS`; values that are not finite are a gap.
+    """Draw a line, thinned to `MAX_POINTS`; values that are not finite are a gap.
 
     The label is in the legend and under the pointer; empty: in neither. A line is over increasing
     x; a ``loop``, such as a hysteresis, is one of which neither coordinate increases.
     """
     at = style.thinned(y)
     if loop:
-        at = np.arange(0, len(x), max(1, -(-len(x) // (2 * MOST_POINTS))))
+        at = np.arange(0, len(x), max(1, -(-len(x) // (2 * MAX_POINTS))))
     renderer = panel.line(
         np.asarray(x)[at].astype(np.float32),
         np.where(np.isfinite(y[at]), y[at], np.nan).astype(np.float32),
@@ -189,8 +190,8 @@ def line(
 
 def against(
     panel: figure,
-    exact: tuple[Floats, Floats] | None,
-    test: tuple[Floats, Floats],
+    exact: tuple[AnyFloats, AnyFloats] | None,
+    test: tuple[AnyFloats, AnyFloats],
     labels: tuple[str, str] = ("reference response", "test"),
     *,
     loop: bool = False,
@@ -201,7 +202,9 @@ def against(
     line(panel, *test, labels[1], width=0.9 if loop else 1.3, loop=loop)
 
 
-def dots(panel: figure, x: Floats, y: Floats, label: str = "", *, color: str = FIRST) -> None:
+def dots(
+    panel: figure, x: AnyFloats, y: AnyFloats, label: str = "", *, color: str = FIRST_COLOUR
+) -> None:
     """Draw points; the label is in the legend, empty: it is not."""
     legend = {"legend_label": label} if label else {}
     renderer = panel.scatter(x, y, size=5, color=color, alpha=0.6, **legend)
@@ -209,11 +212,16 @@ def dots(panel: figure, x: Floats, y: Floats, label: str = "", *, color: str = F
     _hover(panel, renderer, x_tip, (str(panel.yaxis.axis_label), "@y{0.000}"))
 
 
-def bars(panel: figure, edges: Floats, counts: Floats) -> None:
+def bars(panel: figure, edges: AnyFloats, counts: AnyFloats) -> None:
     """Draw a histogram: counts, shape (B,), between edges, shape (B + 1,)."""
     low = 0.5 if "Log" in type(panel.y_scale).__name__ else 0.0
     renderer = panel.quad(
-        left=edges[:-1], right=edges[1:], bottom=low, top=counts, color=FIRST, line_color="white"
+        left=edges[:-1],
+        right=edges[1:],
+        bottom=low,
+        top=counts,
+        color=FIRST_COLOUR,
+        line_color="white",
     )
     _hover(panel, renderer, ("from", "@left{0.000}"), ("to", "@right{0.000}"), ("count", "@top{0}"))
 
@@ -234,7 +242,7 @@ def level(panel: figure, y: float) -> None:
     panel.add_layout(Span(location=y, dimension="width", line_color=_FAINT, line_dash="dashed"))
 
 
-def time_range(times: Sequence[float] | Floats) -> Range1d:
+def time_range(times: Sequence[float] | AnyFloats) -> Range1d:
     """Make a range that figures over the same time share."""
     low, high = (float(times[0]), float(times[-1])) if len(times) else (0.0, 1.0)
     high = high if high > low else low + 1.0

@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Floats = npt.NDArray[np.floating[Any]]
+AnyFloats = npt.NDArray[np.floating[Any]]
 
-MOST_POINTS = 4000
+MAX_POINTS = 4000
 """Points of a line; more than twice the pixels of a wide screen."""
 REFERENCE = "#9aa3ad"  # what should be
-FIRST = "#0b5fa5"  # what is
+FIRST_COLOUR = "#0b5fa5"  # what is
 SECOND = "#3d8c40"
-OTHERS = (FIRST, SECOND, "#d9822b", "#7b4fa3", "#00857c", "#8a5a2b")
+OTHERS = (FIRST_COLOUR, SECOND, "#d9822b", "#7b4fa3", "#00857c", "#8a5a2b")
 """Colours of lines that are compared with one in `REFERENCE`, in turn."""
 MARK = "#c1272d"
 GRID = "#e6e9ec"
@@ -120,15 +120,15 @@ def save_figure(figure: "Figure", path: str | Path) -> None:
         raise InputError(f"{path}: the figure can't be saved ({reason})") from None
 
 
-def thinned(y: Floats) -> npt.NDArray[np.int64]:
-    """Choose about `MOST_POINTS` of N samples that draw the same picture; all of fewer samples.
+def thinned(y: AnyFloats) -> npt.NDArray[np.int64]:
+    """Choose about `MAX_POINTS` of N samples that draw the same picture; all of fewer samples.
 
     They are the smallest and the largest of each stretch; indices increase.
     """
     count = len(y)
-    if count <= MOST_POINTS:
+    if count <= MAX_POINTS:
         return np.arange(count)
-    length = -(-count // (MOST_POINTS // 2))
+    length = -(-count // (MAX_POINTS // 2))
     starts = np.arange(0, count, length)
     # the last stretch is filled up with its last sample
     rows = np.pad(np.nan_to_num(y), (0, len(starts) * length - count), "edge").reshape(-1, length)

@@ -25,7 +25,7 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Table:
+class TextTable:
     """Rows under headings; columns after the first are aligned to the right where ``numbers``.
 
     Without headings it is a list of names and values. None among the rows begins a new section. A
@@ -65,5 +65,5 @@ class Table:
         return drawn
 
 
-Texts = list[str | Cell | Table]
+Texts = list[str | Cell | TextTable]
 """What a command shows on the terminal, from top to bottom."""

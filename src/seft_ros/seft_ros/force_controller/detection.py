@@ -11,7 +11,7 @@ from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig_parameters import LIMIT_NAMES
 from seft_plant_sim.sensors import CHANNELS
 
-from seft_ros.force_controller.valve_model import ACTUATOR, read_actuators, valve_models
+from seft_ros.force_controller.valve_model import ASSUMED_ACTUATOR, read_actuators, valve_models
 from seft_ros.protection.detector_step import begin_detectors, detect_all
 from seft_ros.protection.detectors import (
     ALL,
@@ -22,7 +22,7 @@ from seft_ros.protection.detectors import (
 )
 from seft_ros.reference_force.force_command import FORCE_DRIVEN
 
-WHERE = "force_controller: "
+_WHERE = "force_controller: "
 
 
 def detectors_of(
@@ -52,29 +52,29 @@ def detectors_of(
     for name in warn_only:
         if name not in names:
             raise InputError(
-                f"{WHERE}detectors.warn_only: no detector {name!r}; there are {', '.join(names)}"
+                f"{_WHERE}detectors.warn_only: no detector {name!r}; there are {', '.join(names)}"
             )
     actuator = read_actuators(section, axes, places)
     is_known = actuator["valve_frequency"] > 0.0
     actuator["flow_gain"] = np.where(is_known, actuator["flow_gain"], 0.0)
     actuator["valve_frequency"] = np.where(is_known, actuator["valve_frequency"], 1.0 / dt)
     name, ratio = "detectors.specimen_stiffness", section["detectors.mass_ratio"]
-    stiffness = symmetric_matrix(section[name], axes, WHERE + name)[np.ix_(own, own)]
+    stiffness = symmetric_matrix(section[name], axes, _WHERE + name)[np.ix_(own, own)]
     mass = np.zeros_like(stiffness)
     if np.any(section["detectors.specimen_mass"]):
         name = "detectors.specimen_mass"
-        mass = mass_matrix(section[name], axes, WHERE + name)[np.ix_(own, own)]
+        mass = mass_matrix(section[name], axes, _WHERE + name)[np.ix_(own, own)]
     if section["detectors.test"] == "eft":  # the specimen carries all of the mass
         mass, ratio = (1.0 + ratio) * mass, 0.0
     valves = valve_models(actuator, dt)
     noise = [f"noise.{channel}" for channel in CHANNELS]
     ranges = [f"detectors.{channel}_range" for channel in CHANNELS]
     return detector_arrays(
-        np.array([per_axis(section[n], axes, WHERE + n)[own] for n in noise]),
+        np.array([per_axis(section[n], axes, _WHERE + n)[own] for n in noise]),
         np.array([section[f"limits.{name}"] for name in LIMIT_NAMES]),
-        np.array([per_axis(section[n], axes, WHERE + n)[own] for n in ranges]),
+        np.array([per_axis(section[n], axes, _WHERE + n)[own] for n in ranges]),
         section["noise.velocity_source"] == "derived",
-        np.transpose([actuator[name] for name in ACTUATOR]),
+        np.transpose([actuator[name] for name in ASSUMED_ACTUATOR]),
         np.array([[valve.past() for valve in valves], [valve.later() for valve in valves]]),
         section["detectors.actuator_kind"] not in FORCE_DRIVEN,
         np.ascontiguousarray(mass),

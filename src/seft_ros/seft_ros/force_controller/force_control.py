@@ -14,7 +14,7 @@ from seft_plant_sim.lti import bilinear
 
 
 @dataclass(frozen=True)
-class ControlKnowledge:
+class ControlInputs:
     """The known data of a test for a controller.
 
     Attributes

@@ -9,8 +9,8 @@ from seft_msgs_py.node import host
 
 TRANSFER_FUNCTION = "transfer_function"
 VELOCITY_FEEDFORWARD = "velocity_feedforward"
-REGISTERED = Registered("seft.force_control", (TRANSFER_FUNCTION, VELOCITY_FEEDFORWARD))
-"""Other packages' controllers: name -> class or function of `ControlKnowledge` and settings."""
+REGISTERED_CONTROLLERS = Registered("seft.force_control", (TRANSFER_FUNCTION, VELOCITY_FEEDFORWARD))
+"""Other packages' controllers: name -> class or function of `ControlInputs` and settings."""
 
 
 _ROWS = parameter_rows(
@@ -117,7 +117,7 @@ _ROWS = parameter_rows(
         its dead time, without the loop's own step of latency
     """
 )
-TABLE = Table(
+FORCE_CONTROLLER_TABLE = Table(
     "force_controller",
     [
         Parameter(
@@ -126,11 +126,11 @@ TABLE = Table(
             TRANSFER_FUNCTION,
             "the controller: numerator over denominator on each axis, the flow that a target's "
             f"motion needs ({VELOCITY_FEEDFORWARD}), or another package's",
-            choices=REGISTERED.names,
+            choices=REGISTERED_CONTROLLERS.names,
         ),
-        REGISTERED.settings_row("settings", "a controller"),
+        REGISTERED_CONTROLLERS.settings_row("settings", "a controller"),
         *_ROWS,
-        *host.PARAMETERS,
+        *host.REALTIME_PARAMETERS,
     ],
 )
 

@@ -20,18 +20,18 @@ from seft_ros.protection.channel_relations import take_command
 from seft_ros.protection.detector_step import begin_detectors, detect
 from seft_ros.protection.detectors import (
     DETECTORS,
-    SOUND,
     SUSPECT,
+    VALID,
     DetectorParameters,
     DetectorState,
     describe,
 )
-from seft_ros.protection.protection_step import go_on, not_finite
+from seft_ros.protection.protection_step import extrapolate, not_finite
 
 TRIP, STEP, SATURATED, DETECTED = range(4)
 """Places of the flags: reason and step of the trip, number of limited drives, and the detector that
 has found a fault."""
-NOTHING, IMPLAUSIBLE, ODD_DRIVE, SATURATION, FAULT, OUTSIDE = range(6)
+NO_TRIP, IMPLAUSIBLE, IMPLAUSIBLE_COMMAND, SATURATION, FAULT, OUTSIDE = range(6)
 """Reasons of a trip; the last one is a reason from outside."""
 
 
@@ -87,7 +87,7 @@ class InterlockState(NamedTuple):
 
 
 @compiled
-def begin_control(
+def precheck(
     parameters: InterlockParameters,
     state: InterlockState,
     step: int,
@@ -116,15 +116,15 @@ def begin_control(
         Shape (n,), V.
     """
     last, n, left = points.shape[1] - 1, points.shape[2], 1.0
-    if state.flags[TRIP] == NOTHING:
+    if state.flags[TRIP] == NO_TRIP:
         # a target is compared with the motion, too
         fits = is_finite(measured, 0 if last else 3)
         for i in range(n):
             fits &= abs(points[0, last, i]) <= parameters.largest
-        found = SOUND
+        found = VALID
         if fits and is_finite(measured, 0):  # without feedback, the motion need not be measured
             found = detect(parameters.detectors, state.detectors, step, points, measured)
-        if fits and found == SOUND:
+        if fits and found == VALID:
             take_plan(state, points, measured)
             return True
         if fits and found == SUSPECT and last:
@@ -136,7 +136,7 @@ def begin_control(
             copy(n, points[0, last], state.force)
             for row in range(4):
                 copy(n, measured[row], state.measured[row])
-    if state.flags[TRIP] != NOTHING:
+    if state.flags[TRIP] != NO_TRIP:
         left = left_open(step + 1 - state.flags[STEP], parameters.closing)
     for i in range(n):
         command[i] = left * state.drive[i]
@@ -161,7 +161,7 @@ def take_plan(state: InterlockState, points: Floats, measured: Floats) -> None:
 def follow_plan(state: InterlockState, dt: float) -> None:
     """Let the controller answer the motion that was predicted before samples were suspect."""
     plan, sample = state.plan, state.sample
-    go_on(plan, 1, dt, plan)
+    extrapolate(plan, 1, dt, plan)
     for i in range(sample.shape[1]):
         sample[0, i], sample[1, i] = plan[0, 0, i], plan[0, 1, i]
         sample[2, i] = (plan[min(1, len(plan) - 1), 1, i] - plan[0, 1, i]) / dt
@@ -169,7 +169,7 @@ def follow_plan(state: InterlockState, dt: float) -> None:
 
 
 @compiled
-def end_control(
+def postcheck(
     parameters: InterlockParameters,
     state: InterlockState,
     step: int,
@@ -179,13 +179,13 @@ def end_control(
     """Check the command of a controller, and whether it is limited; trip if it is not finite."""
     for i in range(len(command)):
         if not np.isfinite(command[i]):
-            trip(state, ODD_DRIVE, step)
-    if limited and parameters.detectors.has_valve and state.flags[TRIP] == NOTHING:
+            trip(state, IMPLAUSIBLE_COMMAND, step)
+    if limited and parameters.detectors.has_valve and state.flags[TRIP] == NO_TRIP:
         if is_exceeded(state.saturated, state.flags[SATURATED], step, parameters.window):
             trip(state, SATURATION, step)
         state.flags[SATURATED] += 1
     for i in range(len(command)):
-        if state.flags[TRIP] == NOTHING:
+        if state.flags[TRIP] == NO_TRIP:
             state.drive[i] = command[i]
         else:
             state.odd[i] = command[i]
@@ -225,7 +225,7 @@ class Interlock:
     controller : ForceControl
         As given.
     parameters, state : InterlockParameters, InterlockState
-        Arguments of `begin_control` and `end_control`, here and in a compiled loop.
+        Arguments of `precheck` and `postcheck`, here and in a compiled loop.
     """
 
     def __init__(
@@ -258,8 +258,8 @@ class Interlock:
         both, drive = (self.parameters, self.state), self.state.drive
         points = np.zeros((1, 1, n))
         self._begin_detectors = entry_point(begin_detectors, self.state.detectors)
-        self._begin = entry_point(begin_control, *both, 0, points, self.state.measured, drive)
-        self._end = entry_point(end_control, *both, 0, False, drive)
+        self._begin = entry_point(precheck, *both, 0, points, self.state.measured, drive)
+        self._end = entry_point(postcheck, *both, 0, False, drive)
         self.reset()
 
     @classmethod
@@ -356,9 +356,9 @@ class Interlock:
     def _found(self) -> str:
         """Describe the finding of the step of the trip."""
         code, state = self.state.flags[TRIP], self.state
-        if code == NOTHING:
+        if code == NO_TRIP:
             return ""
-        if code == ODD_DRIVE:
+        if code == IMPLAUSIBLE_COMMAND:
             return self._not_a_number("valve command", state.odd)
         if code == IMPLAUSIBLE:
             return self.implausible(state.force) or not_finite(state.measured, self._axes)

@@ -9,9 +9,9 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 
-from seft_ros.force_controller.force_control import ControlKnowledge, ForceControl, ForceController
+from seft_ros.force_controller.force_control import ControlInputs, ForceControl, ForceController
 from seft_ros.force_controller.force_controller_parameters import (
-    REGISTERED,
+    REGISTERED_CONTROLLERS,
     TRANSFER_FUNCTION,
     VELOCITY_FEEDFORWARD,
 )
@@ -31,7 +31,7 @@ class RegisteredControl(RegisteredPart):
         is called with each drive that was cut off, so that the controller does not wind up.
     name : str
         As registered.
-    knowledge : ControlKnowledge
+    inputs : ControlInputs
         The known data of the test.
 
     Attributes
@@ -47,9 +47,9 @@ class RegisteredControl(RegisteredPart):
 
     shape = 1, 1
 
-    def __init__(self, make: Callable[[], Any], name: str, knowledge: ControlKnowledge) -> None:
+    def __init__(self, make: Callable[[], Any], name: str, inputs: ControlInputs) -> None:
         super().__init__("force_controller: method", name, make, "reference_force, state")
-        self._limit, n = knowledge.voltage_limit, knowledge.axes
+        self._limit, n = inputs.voltage_limit, inputs.axes
         self._check_shape("drive", "V", self._own.step(np.zeros(n), np.zeros((4, n))), n)
         self.reset()
 
@@ -95,8 +95,8 @@ def force_control(
         return ForceController.from_parameters(section, axes, timebase, own)
     if name == VELOCITY_FEEDFORWARD:
         return VelocityFeedforward(section, axes, timebase, own)
-    knowledge = ControlKnowledge(len(own.axes), timebase.dt, section["voltage_limit"])
+    inputs = ControlInputs(len(own.axes), timebase.dt, section["voltage_limit"])
     make = partial(
-        REGISTERED.make, name, section["settings"], "force_controller: method", knowledge
+        REGISTERED_CONTROLLERS.make, name, section["settings"], "force_controller: method", inputs
     )
-    return RegisteredControl(make, name, knowledge)
+    return RegisteredControl(make, name, inputs)

@@ -9,7 +9,7 @@ from seft_msgs_py.wire.outcome import LinkRecord
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, Timebase
 from seft_plant_sim.command import MessagesAhead
 
-from seft_ros.protection.protection_step import RampDown, continued
+from seft_ros.protection.protection_step import RampDown, extrapolated
 
 PENDING = 256  # steps kept while state or force is missing
 
@@ -55,7 +55,7 @@ class NewestPreview:
     """The newest message of a reference force whose loop has a delay of d steps.
 
     The message of step k contains the points of the steps to k + d; for a target also the motion
-    after that. The points of an older message are `continued`. If messages are missing for too
+    after that. The points of an older message are `extrapolated`. If messages are missing for too
     long, the force is ramped down to zero, a target to its beginning.
 
     Parameters
@@ -145,5 +145,5 @@ class NewestPreview:
         points = sent[age:]
         if age > self._loop_delay:
             count = max(len(sent) - self._loop_delay, 1)
-            points = continued(sent, age, count, self._dt)
+            points = extrapolated(sent, age, count, self._dt)
         return points * self._ramp.next() if self._ramp.begun else points

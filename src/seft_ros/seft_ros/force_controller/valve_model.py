@@ -9,15 +9,15 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.parameter_table import per_axis
-from seft_plant_sim.lti import LEAST_SAMPLES, noncausal_inverse
+from seft_plant_sim.lti import MIN_SAMPLES, noncausal_inverse
 
 INVERTED_TO = 0.85
 """Highest inverted frequency over the valve's own: higher ones need too much drive."""
 SPAN = 4.0
 """Length of the inverse over the mean delay from command to flow: longer weights are negligible."""
-ACTUATOR = ("flow_gain", "oil_stiffness", "leakage", "force_capacity")
+ASSUMED_ACTUATOR = ("flow_gain", "oil_stiffness", "leakage", "force_capacity")
 """Columns of `FeedforwardParameters.actuator`."""
-VALVE = ("valve_frequency", "valve_damping", "dead_time")
+_VALVE = ("valve_frequency", "valve_damping", "dead_time")
 DERIVATIVE_STEP = 1e-4  # s, by which the response is differentiated
 SETTLED = 1e-3
 """Part of a command's flow that may be neglected: it is below the noise."""
@@ -47,7 +47,7 @@ class ValveModel:
         self._w, self._zeta = 2 * math.pi * frequency, damping
         self._late, self._dt = dead_time + dt, dt
         self.delay = self._late + dt / 2 + 2 * damping / self._w
-        self._highest = min(INVERTED_TO * frequency, 1 / (LEAST_SAMPLES * dt))
+        self._highest = min(INVERTED_TO * frequency, 1 / (MIN_SAMPLES * dt))
         decay = min(damping, 1 / damping) * self._w  # of the slower part
         self.memory = math.ceil((self._late + dt - math.log(SETTLED) / decay) / dt)
 
@@ -91,7 +91,7 @@ class ValveModel:
         """Sufficient length of the inverse."""
         return max(4, math.ceil(SPAN * self.delay / self._dt))
 
-    def under_way(self) -> Floats:
+    def in_flight(self) -> Floats:
         """Part of the flow of past commands that is still to come, the newest first; (memory,).
 
         The newest is the one that answered the last sample.
@@ -115,12 +115,12 @@ def read_actuators(
     Returns
     -------
     dict of str to ndarray
-        `ACTUATOR` and `VALVE`, by name, shape (number of places,) each.
+        `ASSUMED_ACTUATOR` and `_VALVE`, by name, shape (number of places,) each.
     """
     where, own = "force_controller: actuator", list(places)
     return {
         name: per_axis(section[f"actuator.{name}"], axes, f"{where}.{name}")[own]
-        for name in (*ACTUATOR, *VALVE)
+        for name in (*ASSUMED_ACTUATOR, *_VALVE)
     }
 
 
@@ -134,7 +134,7 @@ def valve_models(actuator: Mapping[str, Floats], dt: float) -> list[ValveModel]:
     dt : float
         Sampling period, s.
     """
-    each = np.transpose([actuator[name] for name in VALVE]).tolist()
+    each = np.transpose([actuator[name] for name in _VALVE]).tolist()
     valves = [ValveModel(frequency, damping, late, dt) for frequency, damping, late in each]
     memory = max(valve.memory for valve in valves)
     for valve in valves:

@@ -29,7 +29,7 @@ from seft_plant_sim.compiled import compiled, entry_point
 
 from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
-from seft_ros.force_controller.valve_model import ACTUATOR, read_actuators, valve_models
+from seft_ros.force_controller.valve_model import ASSUMED_ACTUATOR, read_actuators, valve_models
 from seft_ros.protection.valve_following import begin_following, doubt, follow_valve, under_load
 from seft_ros.reference_force.compensator import NotLinearError
 from seft_ros.reference_force.observers import observe, observer_gains, sensor_noise
@@ -60,7 +60,7 @@ class FeedforwardParameters(NamedTuple):
     future : ndarray
         Volume per flow that is under way when the flow begins, s; first of past, then of future
         flows, shape (n, memory + taps).
-    under_way, past, later : ndarray
+    in_flight, past, later : ndarray
         Of past commands: volume still to come, s, present flow, and its change per delay, 1/s; the
         newest first, shape (n, memory).
     doubt : ndarray
@@ -74,7 +74,7 @@ class FeedforwardParameters(NamedTuple):
     feedback: Floats
     inverse: Floats
     future: Floats
-    under_way: Floats
+    in_flight: Floats
     past: Floats
     later: Floats
     doubt: Floats
@@ -166,7 +166,7 @@ def feedforward_step(
             needed = points[j, 1, i] + (rise + leakage * points[j, 2, i]) / oil
             flow[j] = needed / under_load(needed, points[j, 2, i], capacity)
         if state.steps[0] >= BEGIN:
-            follow(p, state, i, force)
+            _follow(p, state, i, force)
         late = state.errors[i, 1]
         for j in range(taps):
             before = max(j - 1, 0)
@@ -182,7 +182,7 @@ def feedforward_step(
         for j in range(memory):
             error += p.future[i, memory - 1 - j] * state.flows[i, j]
         for j in range(memory):
-            error -= p.under_way[i, j] * real * state.sent[i, j]
+            error -= p.in_flight[i, j] * real * state.sent[i, j]
         drive = (drive + p.feedback[i] * error) / real
         if abs(drive) >= p.limit:
             limited = True
@@ -199,7 +199,7 @@ def feedforward_step(
 
 
 @compiled
-def follow(p: FeedforwardParameters, state: FeedforwardState, i: int, force: float) -> None:
+def _follow(p: FeedforwardParameters, state: FeedforwardState, i: int, force: float) -> None:
     """Estimate gain and delay of a valve by Eq. (4), from the measured flow and the model's."""
     gain, oil, leakage = p.actuator[i, 0], p.actuator[i, 1], p.actuator[i, 2]
     rise = (force - state.force[i]) / p.dt
@@ -247,7 +247,7 @@ class VelocityFeedforward:
     ) -> None:
         own, dt = list((rig or RigAxes.whole(axes)).places), timebase.dt
         known = self.actuator(section, axes, rig)
-        actuator = np.transpose([known[name] for name in ACTUATOR])
+        actuator = np.transpose([known[name] for name in ASSUMED_ACTUATOR])
         noise = sensor_noise(section, axes, "noise", "force_controller")[:, own]
         horizon, valves = math.ceil(section["horizon"] / dt - 1e-9), valve_models(known, dt)
         n, needed = len(valves), max(valve.taps() for valve in valves)
@@ -258,10 +258,10 @@ class VelocityFeedforward:
             )
         memory = valves[0].memory
         inverse = np.array([valve.inverse(needed) for valve in valves])
-        under_way = dt * np.array([valve.under_way() for valve in valves])
+        in_flight = dt * np.array([valve.in_flight() for valve in valves])
         # volume under way of the commands that the inverse makes from the flows: their convolution
         future = np.zeros((n, memory + needed))
-        for row, own, h in zip(future, under_way, inverse, strict=True):
+        for row, own, h in zip(future, in_flight, inverse, strict=True):
             row[:-1] = np.convolve(own[::-1], h)
         self.parameters = FeedforwardParameters(
             dt=dt,
@@ -271,7 +271,7 @@ class VelocityFeedforward:
             feedback=np.array([FEEDBACK / valve.delay for valve in valves]),
             inverse=inverse,
             future=future,
-            under_way=under_way,
+            in_flight=in_flight,
             past=np.array([valve.past() for valve in valves]),
             later=np.array([valve.later() for valve in valves]),
             doubt=doubt(noise[1], noise[3], actuator[:, 1], dt),

@@ -25,7 +25,7 @@ from seft_msgs_py.wire.topics import Timebase
 from seft_ros.ground_motion.record_file import RecordedMotion, read_record
 from seft_ros.ground_motion.synthetic_motion import synthetic_motion
 
-MOST_STEPS = 50_000_000
+MAX_STEPS = 50_000_000
 """Longest accepted motion, in steps: a longer one is a mistyped duration or rate."""
 
 MOTION = "motion"
@@ -71,7 +71,7 @@ _SYNTHETIC_ROWS = """
     decay            | float | 0.35  | 1/s   | 0 .. | rate of the envelope's decay
 """
 
-TABLE = Table(
+GROUND_MOTION_TABLE = Table(
     "ground_motion",
     (*parameter_rows(_ROWS), *parameter_rows(_SYNTHETIC_ROWS, group="synthetic")),
 )
@@ -130,7 +130,7 @@ class GroundMotion:
         Parameters
         ----------
         section : dict
-            Values of every parameter in `TABLE`.
+            Values of every parameter in `GROUND_MOTION_TABLE`.
         axes : sequence of str
             Axis names; n of them.
         timebase : Timebase
@@ -244,7 +244,7 @@ def resample(
     Raises
     ------
     InputError
-        If that makes more than `MOST_STEPS` steps, or less than one.
+        If that makes more than `MAX_STEPS` steps, or less than one.
     """
     last = len(record) - 1
     duration = last * record_dt * time_scale
@@ -272,10 +272,10 @@ def check_size(duration: float, rate: float, where: str) -> None:
     Raises
     ------
     InputError
-        If there would be more than `MOST_STEPS` steps.
+        If there would be more than `MAX_STEPS` steps.
     """
-    if not duration * rate <= MOST_STEPS:
+    if not duration * rate <= MAX_STEPS:
         raise InputError(
-            f"ground_motion: {duration:g} s at {rate:g} Hz are more than {MOST_STEPS:.0e} steps "
+            f"ground_motion: {duration:g} s at {rate:g} Hz are more than {MAX_STEPS:.0e} steps "
             f"({where}); check duration and rate"
         )

@@ -18,7 +18,7 @@ from tornado.web import HTTPError, RequestHandler
 ASSETS = Path(__file__).with_name("assets")
 FIRST_WAIT, LONGEST_WAIT = 0.5, 30.0
 """s, wait of an address after its first wrong token; each further one doubles it."""
-MOST_ADDRESSES = 1000
+MAX_ADDRESSES = 1000
 CONTROL, WATCH = "control", "watch"
 """Rights of a page: to see all and press buttons; to see all."""
 
@@ -95,7 +95,7 @@ class Tokens:
                 return right
         wait = min(FIRST_WAIT * 2.0 ** min(number, 30), LONGEST_WAIT)
         self._failures[address] = (number + 1, now + wait)
-        if len(self._failures) > MOST_ADDRESSES:
+        if len(self._failures) > MAX_ADDRESSES:
             del self._failures[next(iter(self._failures))]
         return None
 

@@ -29,9 +29,14 @@ from std_srvs.srv import Trigger
 
 from seft_ros.monitor.intake import Messages
 
-PATIENCE = {"start": 1.0, "stop": 3.0, "estop": 3.0, "reset": 1.0}  # s, service -> for an answer
-READ_DEPTH = 4096
-MOST_AT_ONCE = 8192
+_ANSWER_TIMEOUT_S = {
+    "start": 1.0,
+    "stop": 3.0,
+    "estop": 3.0,
+    "reset": 1.0,
+}  # s, service -> for an answer
+_READ_DEPTH = 4096
+_MAX_AT_ONCE = 8192
 _TOPICS = (EXPERIMENT_STATE, DESCRIPTION, DIAGNOSTICS, GROUND_MOTION, RIG_STATE, REFERENCE_FORCE)
 _DEPTHS = {EXPERIMENT_STATE: 64, DESCRIPTION: 64, DIAGNOSTICS: 512}
 
@@ -59,7 +64,7 @@ class Graph:
             self._subscribe(topic)
         # made now, so that discovery is complete when a stop is requested
         self._clients: dict[str, Any] = {
-            name: self._node.create_client(Trigger, name) for name in PATIENCE
+            name: self._node.create_client(Trigger, name) for name in _ANSWER_TIMEOUT_S
         }
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
@@ -74,12 +79,12 @@ class Graph:
         """
         if topic.name not in self._subscriptions:
             self._subscribe(topic)
-        return take_all(self._subscriptions[topic.name], MOST_AT_ONCE)
+        return take_all(self._subscriptions[topic.name], _MAX_AT_ONCE)
 
     def _subscribe(self, topic: Topic) -> None:
         of_each_step = isinstance(topic, LoopTopic) and not topic.latched
         self._subscriptions[topic.name] = raw_subscription(
-            self._node, topic, _DEPTHS.get(topic, READ_DEPTH), not of_each_step
+            self._node, topic, _DEPTHS.get(topic, _READ_DEPTH), not of_each_step
         )
 
     async def call(self, service: str) -> tuple[bool, str]:
@@ -88,9 +93,14 @@ class Graph:
         if not client.service_is_ready():
             return False, f"{service} was not delivered: there is no supervisor on the graph"
         # on a thread of its own: it waits until the executor's thread has the answer
-        response = await asyncio.to_thread(client.call, Trigger.Request(), PATIENCE[service])
+        response = await asyncio.to_thread(
+            client.call, Trigger.Request(), _ANSWER_TIMEOUT_S[service]
+        )
         if response is None:
-            return False, f"the supervisor did not answer {service} within {PATIENCE[service]:g} s"
+            return (
+                False,
+                f"the supervisor did not answer {service} within {_ANSWER_TIMEOUT_S[service]:g} s",
+            )
         return response.success, response.message
 
     def close(self) -> None:

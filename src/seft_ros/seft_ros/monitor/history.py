@@ -14,12 +14,12 @@ from seft_msgs_py.wire.topics import RigAxes
 
 from seft_ros.analysis.summary import COMPARED
 
-Steps = npt.NDArray[np.int64]
-Batch = tuple[Steps, Floats, Steps]
+_Steps = npt.NDArray[np.int64]
+HistoryBatch = tuple[_Steps, Floats, _Steps]
 """Steps, values of shape (N, 4, axes), and the time of sending of each, ns."""
-MOST_WAITING = 2**14
+MAX_WAITING = 2**14
 """Number of steps of a rig that are kept while another is silent."""
-FOLLOWED = ("displacement", "force")
+_FOLLOWED = ("displacement", "force")
 """Quantities with a displayed error."""
 
 
@@ -33,7 +33,7 @@ class Signals:
     measured, reference : dict of str to slice
         Columns of a quantity in `COMPARED`, one for each axis; m, m/s^2, N.
     error : dict of str to slice
-        Columns of measured minus reference, of the quantities in `FOLLOWED`.
+        Columns of measured minus reference, of the quantities in `_FOLLOWED`.
     answer : slice
         Time from a state's publication to that of its reference force, ms.
     count : int
@@ -45,7 +45,7 @@ class Signals:
         columns = [slice(start, start + n) for start in range(0, n * (2 * len(COMPARED) + 2), n)]
         self.measured = dict(zip(COMPARED, columns[0:-2:2], strict=True))
         self.reference = dict(zip(COMPARED, columns[1:-2:2], strict=True))
-        self.error = dict(zip(FOLLOWED, columns[-2:], strict=True))
+        self.error = dict(zip(_FOLLOWED, columns[-2:], strict=True))
         self.count = columns[-1].stop + 1
         self.answer = slice(self.count - 1, self.count)
 
@@ -73,17 +73,17 @@ class RigBatches:
         # of each rig: step -> state and time of sending, the oldest first
         self._waiting: list[dict[int, tuple[Floats, int]]] = [{} for _ in rigs]
 
-    def take(self, rig: int, batch: Batch) -> None:
+    def take(self, rig: int, batch: HistoryBatch) -> None:
         """Add states of a rig; a step before its last one begins a new test for it."""
         waiting = self._waiting[rig]
         for step, state, sent in zip(batch[0].tolist(), batch[1], batch[2].tolist(), strict=True):
             if waiting and step <= next(reversed(waiting)):
                 waiting.clear()
             waiting[step] = state, sent
-        while len(waiting) > MOST_WAITING:
+        while len(waiting) > MAX_WAITING:
             del waiting[next(iter(waiting))]
 
-    def complete(self) -> Batch:
+    def complete(self) -> HistoryBatch:
         """Give the steps that all rigs have sent; each step once."""
         steps = sorted(set.intersection(*map(set, self._waiting)))
         values = np.empty((len(steps), 4, sum(len(rig.axes) for rig in self._rigs)))
@@ -98,13 +98,13 @@ class RigBatches:
         return np.array(steps, np.int64), values, sent
 
 
-Samples = npt.NDArray[np.float32]
+_Samples = npt.NDArray[np.float32]
 AnyFloats = npt.NDArray[np.floating[Any]]
 BUCKETS = 4096
 """Twice the columns of pixels of a page."""
 LENGTH = 2**15
 """Samples that are kept individually: a minute at 500 Hz."""
-SAMPLES, ENVELOPE, RECENT = range(3)
+SAMPLES, ENVELOPE, RECENT_FRAME = range(3)
 """Frames: new samples; the whole test so far; its last part, which the envelope contains."""
 Frame = str | bytes
 """What a page receives: JSON text, or a frame of samples."""
@@ -141,16 +141,16 @@ class Envelope:
         self.size = 1
 
     @property
-    def low(self) -> Samples:
+    def low(self) -> _Samples:
         """Smallest values, shape (count, columns); NaN where there is no sample."""
         return self._low[: self.count]
 
     @property
-    def high(self) -> Samples:
+    def high(self) -> _Samples:
         """Largest values, see `low`."""
         return self._high[: self.count]
 
-    def add(self, first: int, values: Samples) -> None:
+    def add(self, first: int, values: _Samples) -> None:
         """Add samples (N, columns), NaN if missing, of consecutive steps from ``first`` on.
 
         No step may be before earlier ones.
@@ -182,7 +182,7 @@ class Stretch(NamedTuple):
     """Samples of consecutive steps, from ``first`` on; values of shape (N, columns)."""
 
     first: int
-    values: Samples
+    values: _Samples
 
 
 class History:
@@ -255,7 +255,7 @@ class History:
 
 
 def samples_frame(test: int, stretch: Stretch, kind: int = SAMPLES) -> bytes:
-    """Make a frame, `SAMPLES` or `RECENT`, of samples of a test by its number."""
+    """Make a frame, `SAMPLES` or `RECENT_FRAME`, of samples of a test by its number."""
     return _frame(kind, test, stretch.first, 1, stretch.values)
 
 
@@ -264,7 +264,7 @@ def envelope_frame(test: int, envelope: Envelope) -> bytes:
     return _frame(ENVELOPE, test, envelope.origin, envelope.size, envelope.low, envelope.high)
 
 
-def _frame(kind: int, test: int, first: int, size: int, *parts: Samples) -> bytes:
+def _frame(kind: int, test: int, first: int, size: int, *parts: _Samples) -> bytes:
     count, columns = parts[0].shape
     header = _HEADER.pack(kind, test, columns, count, first, size)
     return header + b"".join(np.ascontiguousarray(part.T, "<f4").tobytes() for part in parts)

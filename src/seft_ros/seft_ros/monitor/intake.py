@@ -21,10 +21,10 @@ from seft_ros.analysis.equivalent_motion import (
 )
 from seft_ros.analysis.summary import COMPARED
 from seft_ros.ground_motion.response_spectrum import RunningSpectrum
-from seft_ros.monitor.history import Batch, History, RigBatches, Signals, Steps, Stretch
+from seft_ros.monitor.history import History, HistoryBatch, RigBatches, Signals, Stretch, _Steps
 from seft_ros.reference_force.reference_force_block import MotionBuffer
 
-MOST_AT_ONCE = 4000
+_MAX_AT_ONCE = 4000
 """Steps: some milliseconds of work, also while it catches up with a test."""
 
 
@@ -76,7 +76,7 @@ class LiveReference:
         if self._now is None or self.response is None:
             return None
         first = self._used
-        until = min(until, first + MOST_AT_ONCE, self._now.end)
+        until = min(until, first + _MAX_AT_ONCE, self._now.end)
         motion = self._now.window(first, until - first) if until > first else None
         if motion is None:
             return None
@@ -143,7 +143,7 @@ class LiveMotion:
 
 HELD_BACK = 8
 """Number of steps that wait for their reference force."""
-LONGEST_GAP = 2**14
+_LONGEST_GAP = 2**14
 """Steps; after a longer gap a new history begins."""
 
 Messages = list[tuple[bytes, int]]
@@ -230,7 +230,7 @@ class Intake:
         self._new = []
         for steps, values, sent in self._batches_of_states(states):
             jumps = np.diff(steps)
-            cuts = np.flatnonzero((jumps < 0) | (jumps > LONGEST_GAP)) + 1
+            cuts = np.flatnonzero((jumps < 0) | (jumps > _LONGEST_GAP)) + 1
             for piece in np.split(np.arange(len(sent)), cuts):
                 if len(piece):
                     self._take_states(steps[piece], values[piece], sent[piece])
@@ -248,7 +248,7 @@ class Intake:
         if stretch is not None:
             self._new.append(stretch)
 
-    def _batches_of_states(self, states: Sequence[Messages]) -> Iterator[Batch]:
+    def _batches_of_states(self, states: Sequence[Messages]) -> Iterator[HistoryBatch]:
         """Decode states; with several rigs, give the steps of all rigs."""
         for rig, (codec, messages) in enumerate(zip(self._states, states, strict=True)):
             for batch in self._batches(codec, messages):
@@ -259,7 +259,7 @@ class Intake:
         if self._of_rigs is not None:
             yield self._of_rigs.complete()
 
-    def _batches(self, codec: TrajectoryCodec, messages: Messages) -> Iterator[Batch]:
+    def _batches(self, codec: TrajectoryCodec, messages: Messages) -> Iterator[HistoryBatch]:
         """Decode messages, those of equal length together; use the first point of each."""
         for _, alike in groupby(messages, lambda message: len(message[0])):
             raws, sent = zip(*alike, strict=True)
@@ -268,14 +268,14 @@ class Intake:
             self.refused += batch.refused
             yield batch.steps, batch.values, np.array(sent, np.int64)[batch.messages]
 
-    def _take_states(self, steps: Steps, values: Floats, sent: Steps) -> None:
+    def _take_states(self, steps: _Steps, values: Floats, sent: _Steps) -> None:
         """Add states of increasing steps without long gaps."""
         first = int(steps[0])
         if not self.number or self._cleared or first == 0 < self.history.head:
             self._begin(first)
         elif first < self.history.head:
             return  # of another rig
-        elif first > self.history.head + LONGEST_GAP:
+        elif first > self.history.head + _LONGEST_GAP:
             self._release(0)
             self.history.begin(first)
         for name, row in COMPARED.items():
@@ -283,7 +283,7 @@ class Intake:
         slots = steps % len(self._steps)
         self._steps[slots], self._recent[slots], self._sent[slots] = steps, values, sent
 
-    def _take_forces(self, steps: Steps, forces: Floats, sent: Steps) -> None:
+    def _take_forces(self, steps: _Steps, forces: Floats, sent: _Steps) -> None:
         near = steps < self.history.head  # the states of those ahead have not arrived
         steps, forces, sent = steps[near], forces[near], sent[near]
         self.history.write(steps, self.signals.reference["force"], forces)

@@ -27,20 +27,20 @@ from seft_msgs_py.wire.topics import (
 from tornado.httpserver import HTTPServer
 
 from seft_ros.monitor.access import Tokens, is_loopback
-from seft_ros.monitor.history import RECENT, Frame, envelope_frame, samples_frame
+from seft_ros.monitor.history import RECENT_FRAME, Frame, envelope_frame, samples_frame
 from seft_ros.monitor.intake import Intake
 from seft_ros.monitor.session import Session
 
 if TYPE_CHECKING:  # Watch itself needs no ROS
     from seft_ros.monitor.graph import Graph
 
-TELLERS = ("rig", "reference_force", "force_controller", "ground_motion", "supervisor")
+METADATA_NODES = ("rig", "reference_force", "force_controller", "ground_motion", "supervisor")
 """Nodes whose rate and axes are used: those of the first available one."""
 
 PERIOD = 0.1  # s
 NICE = 3
 """The nodes precede the monitor, and it still answers a stop on a busy machine."""
-LATEST = 1.0  # s from a press to the supervisor
+_LATEST = 1.0  # s from a press to the supervisor
 
 
 class Watch:
@@ -81,7 +81,7 @@ class Watch:
         if self.intake is not None and self.intake.number:
             history, number = self.intake.history, self.intake.number
             frames.append(envelope_frame(number, history.envelope))
-            frames.append(samples_frame(number, history.recent(), RECENT))
+            frames.append(samples_frame(number, history.recent(), RECENT_FRAME))
         return frames
 
     def lateness(self, state: int, at_ms: float) -> str:
@@ -94,7 +94,7 @@ class Watch:
         at_ms : float
             Time of the request by the clock of this process, as known to the page, ms.
         """
-        if not 0.0 <= (late := self._now() - at_ms / 1e3) <= LATEST:
+        if not 0.0 <= (late := self._now() - at_ms / 1e3) <= _LATEST:
             return f"it arrived {late:.1f} s late, which only a stop may do; press it again"
         if state != self.session.number:
             return f"the test is now {self.session.summary()['state']}; check that, and press again"
@@ -130,7 +130,7 @@ class Watch:
     def _follow_description(self) -> None:
         """Make a new `Intake` if rate or axes have changed."""
         sections = self.session.sections
-        teller = next((node for node in TELLERS if node in sections), None)
+        teller = next((node for node in METADATA_NODES if node in sections), None)
         if teller is None:
             return
         try:
@@ -210,7 +210,7 @@ def keep_off_the_loop() -> None:
         os.nice(NICE)
 
 
-def serve(
+def serve_monitor(
     listening: socket.socket, host: str, tokens: Tokens, namespace: str, ready: Callable[[], None]
 ) -> None:
     """Serve the page until SIGINT or SIGTERM.

@@ -13,11 +13,11 @@ from seft_msgs_py.wire.messages import Status
 from seft_msgs_py.wire.outcome import ENDED, RIG, State
 from seft_msgs_py.wire.topics import NODES, bare
 
-SILENCE = 1.0  # s; nodes give a sign of life five times a second
+SILENCE_PERIOD = 1.0  # s; nodes give a sign of life five times a second
 ENDED_WITH_TEST = 0.5  # s before a test's end: a node that sent then was shut down after it
 NOT_BEGUN = (State.IDLE, State.READY)
 EVENTS = 200
-MARGIN, ROUND_TRIP = "margin ", "round trip "
+_MARGIN, ROUND_TRIP = "margin ", "round trip "
 
 
 class Session:
@@ -61,7 +61,7 @@ class Session:
         """Read the clock; a supervisor that has become silent is an event."""
         self._now = self._awake.time()
         heard = self._nodes.get("")
-        silent = heard is not None and self._now - heard[1] > SILENCE
+        silent = heard is not None and self._now - heard[1] > SILENCE_PERIOD
         if silent and not self._silent:
             if self._experiment.message in ENDED:
                 self._note("left", "the nodes of the test have shut down", 4)
@@ -120,14 +120,14 @@ class Session:
             "ended": test.message in ENDED,
             "missed": rig.get("missed"),
             "overruns": rig.get("overruns"),
-            "margins": _of(rig, MARGIN),
+            "margins": _of(rig, _MARGIN),
             "round_trip": _of(rig, ROUND_TRIP),
             "nodes": [self._node(name) for name in sorted(self._nodes, key=_order) if name],
         }
 
     def _node(self, name: str) -> dict[str, Any]:
         status, at = self._nodes[name]
-        silent = self._now - at > SILENCE
+        silent = self._now - at > SILENCE_PERIOD
         ended = self._experiment.message in ENDED and at > self._ended_at - ENDED_WITH_TEST
         return {
             "name": name,
@@ -155,7 +155,7 @@ class Session:
         rigs, found = self._rigs.values(), {}
         for name in dict.fromkeys(chain(*rigs)):
             values = [rig[name] for rig in rigs if name in rig]
-            worst = min(values) if name.startswith(MARGIN) else max(values)
+            worst = min(values) if name.startswith(_MARGIN) else max(values)
             found[name] = sum(values) if name in ("missed", "overruns") else worst
         return found
 

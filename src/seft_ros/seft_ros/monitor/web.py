@@ -19,14 +19,14 @@ from seft_ros.drawing.page import plot
 from seft_ros.monitor.access import ASSETS, CONTROL, Guarded, Missing, Tokens
 from seft_ros.monitor.history import Frame
 
-LIBRARY = Path(bokeh.__file__).parent / "server" / "static" / "js"
-MOST_PAGES = 32
+_LIBRARY = Path(bokeh.__file__).parent / "server" / "static" / "js"
+MAX_PAGES = 32
 BEHIND = 4_000_000
 """Bytes that may wait for a slow page; after that it is skipped, and later receives all frames."""
 
 HEIGHT = 230  # pixels
 LEFT = 64  # pixels for the numbers: all figures begin at the same place, which does not change
-LINES = {
+_LINES = {
     "displacement": ("displacement / mm", ("reference", "measured")),
     "displacement_error": ("displacement error / mm", ("error",)),
     "force_error": ("force error / kN", ("error",)),
@@ -162,7 +162,7 @@ class Pages:
 
     def add(self, page: Live) -> bool:
         """Add a page, unless there are too many."""
-        if len(self._open) >= MOST_PAGES:
+        if len(self._open) >= MAX_PAGES:
             return False
         self._open[page] = False
         self.send([])
@@ -223,7 +223,7 @@ def application(
 ) -> Application:
     """Make the web application; see `Guarded` for local_only, `Watch.lateness` for lateness."""
     # now: it takes a second, and a stop would have to wait
-    figures = json.dumps({name: json_item(_figure(name, *LINES[name])) for name in LINES})
+    figures = json.dumps({name: json_item(_figure(name, *_LINES[name])) for name in _LINES})
     return Application(
         [
             (r"/", Page),
@@ -231,7 +231,7 @@ def application(
             (r"/live", Live),
             (r"/service/(start|stop|estop|reset)", Service),
             (r"/assets/([a-z_]+\.(?:css|js))", File, {"path": str(ASSETS)}),
-            (r"/library/(bokeh\.min\.js)", File, {"path": str(LIBRARY)}),
+            (r"/library/(bokeh\.min\.js)", File, {"path": str(_LIBRARY)}),
         ],
         default_handler_class=Missing,
         tokens=tokens,

@@ -12,7 +12,7 @@ from seft_msgs_py.errors import WireError
 from seft_msgs_py.node.clock import AwakeClock
 from seft_msgs_py.node.node_kind import NodeKind
 from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeBody, NodeShell
-from seft_msgs_py.node.turns import MOST_AT_ONCE
+from seft_msgs_py.node.turns import MAX_AT_ONCE
 from seft_msgs_py.wire.messages import OK, WARN, Status, decode_status
 from seft_msgs_py.wire.outcome import MOVING, REHEARSES, tripped_status
 from seft_msgs_py.wire.topics import (
@@ -27,7 +27,10 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-from seft_ros.force_controller.force_controller_parameters import TABLE, VELOCITY_FEEDFORWARD
+from seft_ros.force_controller.force_controller_parameters import (
+    FORCE_CONTROLLER_TABLE,
+    VELOCITY_FEEDFORWARD,
+)
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.methods import force_control
 from seft_ros.force_controller.received_forces import PENDING, MatchedForces, NewestPreview
@@ -35,7 +38,7 @@ from seft_ros.protection.detectors import WARNING
 from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.test_run.state_machine import SampleOrder, check_magnitude
 
-REPORT_PERIOD = 1.0  # s between two reports of link and valves while a test runs
+_REPORT_PERIOD = 1.0  # s between two reports of link and valves while a test runs
 STATE_WAIT = 0.0005  # s between polls for a state that is later than its reference force
 
 
@@ -120,10 +123,10 @@ class ForceControllerNode(NodeBody):
     def poll(self) -> None:
         """Trip if states are missing."""
         if self._awake.time() - self._heard_at > self._timeout:
-            foreign = self._shell.foreign_publishers(self._refused_before)
+            unexpected = self._shell.name_unexpected_publishers(self._refused_before)
             self._trip(
                 f"no rig/state for {self._timeout:g} s (the last is of step "
-                f"{self._order.last}); is rig running?{foreign}"
+                f"{self._order.last}); is rig running?{unexpected}"
             )
 
     def fault(self, reason: str) -> None:
@@ -189,7 +192,7 @@ class ForceControllerNode(NodeBody):
 
     def _fetch_state(self, step: int) -> None:
         """Read states until that of a step, which is answered when it arrives."""
-        for _ in range(MOST_AT_ONCE):
+        for _ in range(MAX_AT_ONCE):
             if step <= self._order.last or step in self._states or self._read_state() is None:
                 return
 
@@ -254,7 +257,7 @@ class ForceControllerNode(NodeBody):
                 f"no {REFERENCE_FORCE.name} for {step - previews.newest} steps (the last is of "
                 f"step {previews.newest}); is the link to the reference_force node cut?"
             )
-        elif self._clock.monotonic() - self._reported_at >= REPORT_PERIOD:
+        elif self._clock.monotonic() - self._reported_at >= _REPORT_PERIOD:
             self._report()  # after the answer there is time
 
     def _trip(self, reason: str) -> None:
@@ -291,8 +294,8 @@ def _drop(kept: dict[int, Floats], passed: Callable[[int], bool]) -> None:
         del kept[step]
 
 
-KIND = NodeKind(TABLE, TABLES, ForceControllerNode)
-main = KIND.main
+FORCE_CONTROLLER_NODE = NodeKind(FORCE_CONTROLLER_TABLE, TABLES, ForceControllerNode)
+main = FORCE_CONTROLLER_NODE.main
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from seft_msgs_py.wire.outcome import ENDED, MOVING
 from seft_msgs_py.wire.topics import CLOCK_TOPIC, EXPERIMENT_STATE, GROUND_MOTION
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-from seft_ros.ground_motion.ground_motion_block import MOTION, TABLE, GroundMotion
+from seft_ros.ground_motion.ground_motion_block import GROUND_MOTION_TABLE, MOTION, GroundMotion
 from seft_ros.test_run.parameter_tables import TABLES
 
 TIMER_PERIOD = 0.02  # s
@@ -74,8 +74,8 @@ class GroundMotionNode(NodeBody):
         self.report(phase, {"steps": str(self.motion.steps)})
 
 
-KIND = NodeKind(TABLE, TABLES, GroundMotionNode)
-main = KIND.main
+GROUND_MOTION_NODE = NodeKind(GROUND_MOTION_TABLE, TABLES, GroundMotionNode)
+main = GROUND_MOTION_NODE.main
 
 
 if __name__ == "__main__":

@@ -10,12 +10,12 @@ import argparse
 import sys
 
 from seft_msgs_py.node.node_kind import NodeKind, run_nodes
-from seft_plant_sim.rig_node import KIND as RIG
+from seft_plant_sim.rig_node import RIG_NODE as RIG
 
-from seft_ros.nodes.force_controller_node import KIND as FORCE_CONTROLLER
-from seft_ros.nodes.reference_force_node import KIND as REFERENCE_FORCE
+from seft_ros.nodes.force_controller_node import FORCE_CONTROLLER_NODE as FORCE_CONTROLLER
+from seft_ros.nodes.reference_force_node import REFERENCE_FORCE_NODE as REFERENCE_FORCE
 
-KINDS: dict[str, NodeKind] = {
+_KINDS: dict[str, NodeKind] = {
     kind.table.node: kind for kind in (RIG, REFERENCE_FORCE, FORCE_CONTROLLER)
 }
 """The rig comes first: it is the clock, and spins for all."""
@@ -29,12 +29,12 @@ def main() -> int:
         epilog="ROS arguments follow --ros-args, as for every node.",
     )
     parser.add_argument(
-        "--nodes", nargs="+", choices=KINDS, default=list(KINDS), help="default: all of them"
+        "--nodes", nargs="+", choices=_KINDS, default=list(_KINDS), help="default: all of them"
     )
     words = sys.argv[1:]
     ros = words.index("--ros-args") if "--ros-args" in words else len(words)
     wanted = parser.parse_args(words[:ros]).nodes
-    return run_nodes(*(kind for node, kind in KINDS.items() if node in wanted))
+    return run_nodes(*(kind for node, kind in _KINDS.items() if node in wanted))
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from datetime import datetime
 from pathlib import Path
 
 from seft_msgs_py.errors import ExperimentError
-from seft_msgs_py.node.host import FIRST, boot
+from seft_msgs_py.node.host import FIRST_NICENESS, boot
 from seft_msgs_py.node.node_kind import NodeKind
 from seft_msgs_py.node.node_shell import NodeBody, NodeShell
 from seft_msgs_py.node.wiring import Handler
@@ -40,19 +40,19 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-from seft_ros.bags.bag_place import expected_size, obstacle
+from seft_ros.bags.bag_place import expected_size, why_not_writable
 from seft_ros.bags.bag_writer import BagWriter
 from seft_ros.bags.record import describe_environment
 from seft_ros.bags.stall_watch import StallWatch
-from seft_ros.test_run.parameter_tables import RECORDER, TABLES
-from seft_ros.test_run.peers import ALL_ANSWERED, RECORDING, SILENT, WAITS
+from seft_ros.test_run.parameter_tables import RECORDER_TABLE, TABLES
+from seft_ros.test_run.peers import ALL_ANSWERED, RECORDING, SILENT_KEY, WAITS
 
-SILENCE = 0.3  # s without a message of a step: the last one has arrived
+_SILENCE = 0.3  # s without a message of a step: the last one has arrived
 LONG_SILENCE = 3.5  # s, if messages are missing: DDS may resend them every 3 s only
 LONGEST_DRAIN = 15.0  # s
 TICK = 0.02  # s
 PLACE_PERIOD = 0.5  # s between two checks of the next bag's place, or of a place to save it
-READ_DEPTH = 4096  # messages that may wait while the recorder stalls
+_READ_DEPTH = 4096  # messages that may wait while the recorder stalls
 
 
 class RecorderNode(NodeBody):
@@ -85,7 +85,7 @@ class RecorderNode(NodeBody):
         self._paced_by = rigs[0].node(RIG)
         self._topics = [topic for topic in topics_of(rigs) if topic.recorded]
         for topic in self._topics:
-            shell.subscribe(topic, self._receiver(topic), depth=READ_DEPTH, wake=False)
+            shell.subscribe(topic, self._receiver(topic), depth=_READ_DEPTH, wake=False)
 
     def run(self) -> None:
         """Record until the process ends; then close an open bag."""
@@ -119,7 +119,7 @@ class RecorderNode(NodeBody):
         complete = self._recorded() >= self._expected and self._is_trip_complete
         if self._phase == State.DONE and "reference_force" in self._descriptions:
             complete &= self._force_phase == ALL_ANSWERED
-        patience = SILENCE if complete else LONG_SILENCE
+        patience = _SILENCE if complete else LONG_SILENCE
         silent = now - max(self._step_message_at, self._ended_at) > patience
         over = silent or now - self._ended_at > LONGEST_DRAIN
         if over and now - self._checked_at >= PLACE_PERIOD:
@@ -182,7 +182,7 @@ class RecorderNode(NodeBody):
             self._open()
         elif phase in ENDED and self._bag is not None:
             # a trip is complete only when the silent nodes are known
-            self._is_trip_complete = phase != State.TRIPPED or SILENT in test.values
+            self._is_trip_complete = phase != State.TRIPPED or SILENT_KEY in test.values
             if self._ended_at is not None:
                 return
             self._ended_at = self._clock.monotonic()
@@ -243,7 +243,7 @@ class RecorderNode(NodeBody):
         there = rig.get("realtime", {})
         if rig["parameters"].get("pace") == "realtime" and there.get("boot") == boot():
             period = self._shell.experiment.timebase.dt
-            first = there.get("nice") == FIRST
+            first = there.get("nice") == FIRST_NICENESS
             self._watch.begin(there["cores"], period, there["priority"], first=first)
 
     def _place(self) -> Path:
@@ -262,7 +262,7 @@ class RecorderNode(NodeBody):
         if (now := self._clock.monotonic()) - self._checked_at < PLACE_PERIOD:
             return
         self._checked_at = now
-        why = obstacle(self._place(), self._expected_size(self._steps))
+        why = why_not_writable(self._place(), self._expected_size(self._steps))
         if why:
             why += "; correct that, or set its parameter name or directory to another"
         if why != self._values.get(WAITS, ""):
@@ -290,8 +290,8 @@ class RecorderNode(NodeBody):
         return Status(self._shell.name, level, text, values=self._values)
 
 
-KIND = NodeKind(RECORDER, TABLES, RecorderNode)
-main = KIND.main
+RECORDER_NODE = NodeKind(RECORDER_TABLE, TABLES, RecorderNode)
+main = RECORDER_NODE.main
 
 
 if __name__ == "__main__":

@@ -31,11 +31,11 @@ from seft_ros.reference_force.reference_force_block import (
 )
 from seft_ros.reference_force.reference_force_parameters import (
     LONGEST_MODEL_STEP,
-    TABLE,
+    REFERENCE_FORCE_TABLE,
     reference_force_topic,
 )
 from seft_ros.test_run.parameter_tables import TABLES
-from seft_ros.test_run.peers import ALL_ANSWERED, AT_REST, RAMPING_DOWN
+from seft_ros.test_run.peers import ALL_ANSWERED, AT_REST_KEY, RAMPING_DOWN
 from seft_ros.test_run.state_machine import SampleOrder, check_magnitude
 
 RIG_POLL = 0.002  # s between polls for the state of a late rig
@@ -137,8 +137,8 @@ class ReferenceForceNode(NodeBody):
         first, values = self._motion_codec.decode(raw)
         check_magnitude("ground_motion from step", first, values)
         if first == 0:  # a new motion, from its beginning
-            under_way = self._order.steps and not self._order.may_begin
-            if under_way and self._order.last >= 0:  # before, a state overtook its motion
+            in_flight = self._order.steps and not self._order.may_begin
+            if in_flight and self._order.last >= 0:  # before, a state overtook its motion
                 raise WireError("a new ground_motion in the middle of a test")
             self._order.last = -1
         self._motion.drop_before(self._order.last)
@@ -249,8 +249,8 @@ class ReferenceForceNode(NodeBody):
         if self._block.cause is not None and self._cause_step < 0:
             self._cause_step = step
             self._report(RAMPING_DOWN)
-        if self._block.at_rest and self._phase != AT_REST:
-            self._report(AT_REST)
+        if self._block.at_rest and self._phase != AT_REST_KEY:
+            self._report(AT_REST_KEY)
 
     def _report(self, phase: str) -> None:
         self._phase, cause, values = phase, self._block.cause, {}
@@ -270,8 +270,8 @@ class ReferenceForceNode(NodeBody):
             self._shell.refuse(str(error))
 
 
-KIND = NodeKind(TABLE, TABLES, ReferenceForceNode)
-main = KIND.main
+REFERENCE_FORCE_NODE = NodeKind(REFERENCE_FORCE_TABLE, TABLES, ReferenceForceNode)
+main = REFERENCE_FORCE_NODE.main
 
 
 if __name__ == "__main__":

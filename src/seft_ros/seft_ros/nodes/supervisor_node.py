@@ -36,33 +36,35 @@ from seft_msgs_py.wire.topics import (
     with_rigs,
 )
 
-from seft_ros.test_run.parameter_tables import SUPERVISOR, TABLES
+from seft_ros.test_run.parameter_tables import SUPERVISOR_TABLE, TABLES
 from seft_ros.test_run.peers import (
-    AT_REST,
+    AT_REST_KEY,
     RAMPING_DOWN,
     RUNS,
-    SILENT,
+    SILENT_KEY,
     UNFIT,
     LastStatus,
     Rehearsed,
-    judge,
+    judge_peers,
     missing,
     silence,
     silent,
 )
-from seft_ros.test_run.state_machine import PACE, Answer, StateMachine
+from seft_ros.test_run.state_machine import PACE_KEY, ServiceAnswer, StateMachine
 
-HEARTBEAT = 0.2  # s between two publications of the state
+_HEARTBEAT = 0.2  # s between two publications of the state
 GRAPH_PERIOD = 0.2  # s between two polls of the graph
 STOOD_STILL = 1.0  # s without a poll; requests to start or reset expire after that time
-MOST_AT_ONCE = 1000  # messages between two polls, in a flood
-LEVELS = {State.RAMPING_DOWN: WARN, State.TRIPPED: ERROR}
+_MAX_AT_ONCE = 1000  # messages between two polls, in a flood
+_LEVELS = {State.RAMPING_DOWN: WARN, State.TRIPPED: ERROR}
 LOG_LEVELS: dict[int, Level] = {OK: "info", WARN: "warning", ERROR: "error"}
 SOFT_PEERS = ("ground_motion", "recorder")
 """Nodes without which the loop can still ramp the force down."""
 START_AHEAD_NS = 200_000_000  # in this time the start reaches all rigs
-LOCKSTEP_PATIENCE = 10.0  # times the margin of realtime
-FAULTY = Answer(False, "a fault of the program; the supervisor's log has it, and a test is ended")
+LOCKSTEP_TIMEOUT_FACTOR = 10.0  # times the margin of realtime
+FAULTY = ServiceAnswer(
+    False, "a fault of the program; the supervisor's log has it, and a test is ended"
+)
 
 
 class SupervisorNode(NodeBody):
@@ -109,7 +111,7 @@ class SupervisorNode(NodeBody):
         """Supervise until the process ends."""
         while not self._shell.stopping:
             self._shell.spin_once()
-            for _ in range(MOST_AT_ONCE):
+            for _ in range(_MAX_AT_ONCE):
                 if not self._shell.spin_once(0.0):
                     break  # a node is silent only if none of these messages is its own
             self._shell.attempt("a poll", self.poll)
@@ -162,7 +164,7 @@ class SupervisorNode(NodeBody):
     def _rehearsal(self) -> str:
         """Rehearse the loop, and say what a test still needs; empty if nothing."""
         nodes = {name: self._descriptions.get(name, {}) for name in self._peers}
-        self._rehearsed = found = judge(self._section["rehearsal.duration"], nodes)
+        self._rehearsed = found = judge_peers(self._section["rehearsal.duration"], nodes)
         if found.warning and found.warning != self._warned:
             self._warned = found.warning
             self._shell.log("warning", found.warning)
@@ -190,8 +192,8 @@ class SupervisorNode(NodeBody):
 
     def _ramp_patience(self) -> float:
         margin = self._section["watchdog.ramp_margin"]
-        if self._parameters(self._rig_nodes[0]).get(PACE) == "lockstep":
-            margin *= LOCKSTEP_PATIENCE
+        if self._parameters(self._rig_nodes[0]).get(PACE_KEY) == "lockstep":
+            margin *= LOCKSTEP_TIMEOUT_FACTOR
         return float(self._parameters("reference_force").get("ramp_down_time", 0.0)) + margin
 
     def _find_the_silent(self) -> None:
@@ -205,24 +207,24 @@ class SupervisorNode(NodeBody):
             for node in gone:
                 self._machine.note(silence(node, self._statuses))
 
-    def _reset(self) -> Answer:
-        """Make the next test possible; if a rehearsal prevents it, request another one."""
+    def _reset(self) -> ServiceAnswer:
+        """Allow a new test to start; if a rehearsal prevents it, request another one."""
         is_unfit = self._machine.state is State.IDLE and self._rehearsed.refusal
         if is_unfit and self._descriptions[RIG].pop(REHEARSED, None) is not None:
-            return Answer(True, "the loop is rehearsed again")
+            return ServiceAnswer(True, "the loop is rehearsed again")
         return self._machine.reset(moving=any(self._phase(n) == "running" for n in self._rig_nodes))
 
-    def _serve(self, name: str, request: Callable[[], Answer]) -> tuple[bool, str]:
+    def _serve(self, name: str, request: Callable[[], ServiceAnswer]) -> tuple[bool, str]:
         found = self._shell.attempt("a service", self._answer, name, request) or FAULTY
         return found.accepted, found.text
 
-    def _answer(self, name: str, request: Callable[[], Answer]) -> Answer:
+    def _answer(self, name: str, request: Callable[[], ServiceAnswer]) -> ServiceAnswer:
         """Act on a request, unless it may have waited while this process stalled; a stop may."""
         with self._lock:
             now = self._clock.monotonic()
             stalled = now - self._looked_at > STOOD_STILL or now - self._woke_at < STOOD_STILL
             if stalled and name in ("start", "reset"):
-                return Answer(False, f"can't {name}: the supervisor has stalled; try again")
+                return ServiceAnswer(False, f"can't {name}: the supervisor has stalled; try again")
             found = request()
             self._publish_if_due()
         return found
@@ -238,17 +240,17 @@ class SupervisorNode(NodeBody):
             time_s = self._shell.experiment.timebase.stamp_ns(machine.step) / 1e9
             values |= {"step": str(machine.step), "time_s": f"{time_s:.9g}"}
         if self._silent is not None:
-            values[SILENT] = " ".join(self._silent)
+            values[SILENT_KEY] = " ".join(self._silent)
         if "ground_motion" in self._statuses:
             values["steps"] = str(self._ground_motion_steps())
         rig = self._parameters(self._rig_nodes[0])
-        if PACE in rig:
-            values[PACE] = str(rig[PACE])
+        if PACE_KEY in rig:
+            values[PACE_KEY] = str(rig[PACE_KEY])
         if len(self._rigs) > 1 and machine.state in MOVING:
             values[START] = str(self._start_ns)
-        level = LEVELS.get(machine.state, OK)
+        level = _LEVELS.get(machine.state, OK)
         status = Status("experiment", level, str(machine.state), values=values)
-        if status == self._published and self._now - self._published_at < HEARTBEAT:
+        if status == self._published and self._now - self._published_at < _HEARTBEAT:
             return
         self._published, self._published_at = status, self._now
         self._publish(encode_status(status))
@@ -282,10 +284,10 @@ class SupervisorNode(NodeBody):
             self._finish(status)
         elif status.name == "recorder" and reason:
             self._machine.soft_trip(reason, self._step())
-        elif status.name == "reference_force" and phase in (RAMPING_DOWN, AT_REST):
+        elif status.name == "reference_force" and phase in (RAMPING_DOWN, AT_REST_KEY):
             if reason:
                 self._machine.soft_trip(reason, status.number("step"))
-            if phase == AT_REST:
+            if phase == AT_REST_KEY:
                 self._machine.at_rest()
 
     def _finish(self, rig: Status) -> None:
@@ -322,8 +324,8 @@ class SupervisorNode(NodeBody):
         return round(self._test_s * self._shell.experiment.timebase.rate)
 
 
-KIND = NodeKind(SUPERVISOR, TABLES, SupervisorNode)
-main = KIND.main
+SUPERVISOR_NODE = NodeKind(SUPERVISOR_TABLE, TABLES, SupervisorNode)
+main = SUPERVISOR_NODE.main
 
 
 if __name__ == "__main__":

@@ -23,8 +23,8 @@ from seft_ros.protection.detectors import (
     CHANGE,
     DISPLACEMENT,
     DISPLACEMENT_VELOCITY,
-    FOLLOWED,
-    FORCE,
+    FOLLOWED_VALVES,
+    FORCE_CHANNEL,
     LIMITED_AT,
     NOISE,
     OIL,
@@ -35,8 +35,8 @@ from seft_ros.protection.detectors import (
     DetectorParameters,
     DetectorState,
     look,
+    more_severe,
     sees,
-    worse,
 )
 from seft_ros.protection.valve_following import follow_valve, under_load
 
@@ -186,16 +186,16 @@ def oil_sides(p: DetectorParameters, state: DetectorState, measured: Floats, i: 
     least, largest = hold(state.flows[i], one)
     if state.counts[NOISE + OIL, i] == 0 and state.counts[CHANGE + OIL, i] == 0:
         follow_valve(errors, covariance, flow, later, other / dt, p.doubt[i])
-    part = min(p.tolerance[OIL], FOLLOWED + SIGMAS * math.sqrt(covariance[0]))
+    part = min(p.tolerance[OIL], FOLLOWED_VALVES + SIGMAS * math.sqrt(covariance[0]))
     change = abs(state.flow[1, i] - state.flow[0, i])
     state.largest[8, i] = max(change, p.fade * state.largest[8, i])
     missed = MISSED * dt * state.largest[8, i]
-    resolution = resolution_of(state, FORCE, i) / oil
+    resolution = resolution_of(state, FORCE_CHANNEL, i) / oil
     return Sides(one, other, least, largest, 0.0, 0.0, part, resolution, missed)
 
 
 @compiled
-def compare(
+def compare_channels(
     p: DetectorParameters, state: DetectorState, relation: int, n: int, i: int, sides: Sides
 ) -> int:
     """Compare the sides of a relation, less their bias, over a period and as sums."""
@@ -233,11 +233,11 @@ def relations(
     sees_velocity = sees(state, step, VELOCITY)
     if sees_velocity and sees(state, step, DISPLACEMENT):
         sides = displacement_sides(p, state, measured, i)
-        found = compare(p, state, DISPLACEMENT_VELOCITY, n, i, sides)
+        found = compare_channels(p, state, DISPLACEMENT_VELOCITY, n, i, sides)
     if sees_velocity and sees(state, step, ACCELERATION):
         sides = velocity_sides(p, state, measured, i)
-        found = worse(found, compare(p, state, VELOCITY_ACCELERATION, n, i, sides))
-    if sees_velocity and sees(state, step, FORCE):
+        found = more_severe(found, compare_channels(p, state, VELOCITY_ACCELERATION, n, i, sides))
+    if sees_velocity and sees(state, step, FORCE_CHANNEL):
         sides = oil_sides(p, state, measured, i)
-        found = worse(found, compare(p, state, OIL, n, i, sides))
+        found = more_severe(found, compare_channels(p, state, OIL, n, i, sides))
     return found

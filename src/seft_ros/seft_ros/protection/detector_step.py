@@ -16,21 +16,21 @@ from seft_ros.protection.detectors import (
     ACCELERATION,
     AT_RANGE,
     DISPLACEMENT_VELOCITY,
-    FORCE,
+    FORCE_CHANNEL,
     FROZEN,
     JUMP,
     LIMITED_AT,
     SAMPLE,
     SECOND_ORDER_WORK,
-    SOUND,
     SUSPECT,
     TRACKING,
     TURN_AT,
+    VALID,
     DetectorParameters,
     DetectorState,
     look,
+    more_severe,
     sees,
-    worse,
 )
 from seft_ros.protection.specimen_force import (
     look_at_response,
@@ -42,7 +42,7 @@ from seft_ros.protection.valve_following import begin_following
 OF_SENSORS = (0, 1, 3, 4, SECOND_ORDER_WORK, JUMP)
 """Detectors that make a sample suspect."""
 
-NEVER = -(2**40)
+_NEVER = -(2**40)
 
 SAME, SUSPECTED = 1e-9, 2.0 / 3.0
 """Chance of so many equal samples of a channel that is not frozen, and the part of these samples
@@ -67,14 +67,14 @@ def begin_detectors(state: DetectorState) -> None:
     state.resolution[:] = np.inf
     state.counts[:] = 0
     state.shares[:] = 0.0
-    state.step[:] = NEVER
+    state.step[:] = _NEVER
 
 
 @compiled
 def detect(
     p: DetectorParameters, state: DetectorState, step: int, points: Floats, measured: Floats
 ) -> int:
-    """Check a sample; give the detector that ends the test, row * n + axis, `SOUND` or `SUSPECT`.
+    """Check a sample; give the detector that ends the test, row * n + axis, `VALID` or `SUSPECT`.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def detect(
     measured : ndarray
         Displacement, velocity, acceleration and force, finite, shape (4, n).
     """
-    n, found = measured.shape[1], SOUND
+    n, found = measured.shape[1], VALID
     lost = step - state.step[SAMPLE] - 1
     for row in range(4):
         for i in range(n):
@@ -107,17 +107,17 @@ def detect(
         for i in range(n):
             if measured[1, i] * last[1, i] <= 0.0:
                 state.step[TURN_AT] = step
-        knows_force = sees(state, step, ACCELERATION) and sees(state, step, FORCE)
+        knows_force = sees(state, step, ACCELERATION) and sees(state, step, FORCE_CHANNEL)
         if knows_force:
-            found = worse(found, look_at_work(p, state, measured))
+            found = more_severe(found, look_at_work(p, state, measured))
         for i in range(n):
-            found = worse(found, relations(p, state, step, measured, i))
-            found = worse(found, look_for_frozen(p, state, step, measured, i))
+            found = more_severe(found, relations(p, state, step, measured, i))
+            found = more_severe(found, look_for_frozen(p, state, step, measured, i))
             if knows_force:
-                found = worse(found, look_at_restoring_force(p, state, step, measured, i))
-                found = worse(found, look_at_response(p, state, measured, i))
+                found = more_severe(found, look_at_restoring_force(p, state, step, measured, i))
+                found = more_severe(found, look_at_response(p, state, measured, i))
             if points.shape[1] > 1:
-                found = worse(found, look_at_tracking(p, state, step, points, measured, i))
+                found = more_severe(found, look_at_tracking(p, state, step, points, measured, i))
     for i in range(n):
         restoring[1, i] = 0.0 if is_first else restoring[2, i] - restoring[0, i]
         restoring[0, i] = restoring[2, i]
@@ -152,7 +152,7 @@ def look_for_frozen(
     p: DetectorParameters, state: DetectorState, step: int, measured: Floats, i: int
 ) -> int:
     """Whether a channel of an axis repeats one value."""
-    n, found = measured.shape[1], SOUND
+    n, found = measured.shape[1], VALID
     for row in range(4):
         if not sees(state, step, row):
             continue
@@ -170,7 +170,7 @@ def look_for_frozen(
         if look(p, state, FROZEN + row, i, seen, threshold) and found < 0:
             found = (FROZEN + row) * n + i
         if seen > SUSPECTED * threshold and p.acts[FROZEN + row]:
-            found = worse(found, SUSPECT)
+            found = more_severe(found, SUSPECT)
     return found
 
 

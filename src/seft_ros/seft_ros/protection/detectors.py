@@ -107,7 +107,7 @@ def describe(place: int, found: Floats, axes: Sequence[str]) -> str:
     return f"{one.text.format(axis=axes[axis], seen=seen)} ({threshold} allowed): {one.name}"
 
 
-MEMORY = 0.05
+_MEMORY = 0.05
 """Time constant of the sums of both sides of a relation, s."""
 SHORT, FEWEST = 0.015, 7.0
 """Time constant of short sums (of the second-order work, of noise), s, and its least value in
@@ -122,7 +122,7 @@ SIGMAS = 6.0
 TOLERANCES = (0.1, 0.1, 0.35)
 """Largest difference of relations (1) to (3) over the motion: calibration and channels 2 ms apart
 at 7 Hz; a flow gain with an error of 0.3, which the controller corrects."""
-FOLLOWED = 0.1
+FOLLOWED_VALVES = 0.1
 """Largest difference of the flow from sample to sample, over the flow, once its gain is estimated:
 effects of the valve that gain and delay do not describe, the piston's friction."""
 OFF_TARGET = 0.5
@@ -334,7 +334,7 @@ def detector_arrays(
     dt : float
         Sampling period, s.
     """
-    n, fade = noise.shape[1], math.exp(-dt / MEMORY)
+    n, fade = noise.shape[1], math.exp(-dt / _MEMORY)
     short = math.exp(-1.0 / max(SHORT / dt, FEWEST))
     x, v, a, f = np.where(noise > 0.0, noise, ASSUMED_NOISE * limits[:, np.newaxis])
     if velocity_is_derived:
@@ -411,7 +411,7 @@ def detector_arrays(
     return parameters, state
 
 
-DISPLACEMENT, VELOCITY, ACCELERATION, FORCE = range(4)
+DISPLACEMENT, VELOCITY, ACCELERATION, FORCE_CHANNEL = range(4)
 """Rows of the channels."""
 SAMPLE, TURN_AT, LIMITED_AT, AT_RANGE = range(4)
 """Places of `DetectorState.step`."""
@@ -453,13 +453,13 @@ def sees(state: DetectorState, step: int, row: int) -> bool:
     return step - state.step[AT_RANGE + row] > 1
 
 
-SOUND, SUSPECT = -1, -2
+VALID, SUSPECT = -1, -2
 """Results of `detect` if no detector ends the test: nothing is beyond its threshold, or the sample
 must not be used."""
 
 
 @compiled
-def worse(found: int, other: int) -> int:
+def more_severe(found: int, other: int) -> int:
     """Give the first finding of a fault; without one, whether the sample is suspect."""
     if found < 0 <= other:
         return other

@@ -25,11 +25,11 @@ from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.compiled import compiled, entry_point, multiply
 from seft_plant_sim.lti import bilinear
 
-from seft_ros.reference_force.compensator import Knowledge
-from seft_ros.reference_force.reference_force_block import knowledge
+from seft_ros.reference_force.compensator import MethodInputs
+from seft_ros.reference_force.reference_force_block import method_inputs
 from seft_ros.reference_force.substructure import substructure_motion
 
-HURRY = 10.0
+_HURRY = 10.0
 """Largest factor by which strong vibration shortens that time."""
 IN_BAND = 0.3
 """Part of the structure's whole acceleration that is always assumed as its vibration. If the
@@ -124,13 +124,13 @@ def watch_step(
         excess = max(excess, squares[MEASURED, i] / expected)
     # strong vibration is accepted for a shorter time than weak vibration
     excess /= p.ratio * p.ratio
-    state.above[0] = state.above[0] + min(excess, HURRY) if excess > 1.0 else 0.0
+    state.above[0] = state.above[0] + min(excess, _HURRY) if excess > 1.0 else 0.0
     return state.above[0] >= p.patience
 
 
 AVERAGE = 0.1
 """Time constant of the mean square, s: some cycles of any vibration in question."""
-MEMORY = 2.0
+_MEMORY = 2.0
 """Time constant of the memory of strong expected motion, s."""
 SUSTAINED = 0.1
 """Time for which vibration must last, s: an impact is shorter."""
@@ -143,13 +143,13 @@ class InstabilityWatch:
 
     Both accelerations, measured and of the structure, go through the same high-pass filter
     (Butterworth, fourth order). Their mean squares are taken over `AVERAGE`; the structure's
-    largest fades over `MEMORY`, because vibration decays slowly. It is a fault if the measured RMS
+    largest fades over `_MEMORY`, because vibration decays slowly. It is a fault if the measured RMS
     stays above ``ratio`` times the structure's for `SUSTAINED`. The structure's RMS is taken as at
     least the floor, and `IN_BAND` of its whole acceleration.
 
     Parameters
     ----------
-    known : Knowledge
+    known : MethodInputs
         Mass, computed substructure and sampling period; the stiffness determines the band.
     axes : sequence of str
         Names of the n axes.
@@ -168,7 +168,7 @@ class InstabilityWatch:
     """
 
     def __init__(
-        self, known: Knowledge, axes: Sequence[str], ratio: float, floor: float, lowest: float
+        self, known: MethodInputs, axes: Sequence[str], ratio: float, floor: float, lowest: float
     ) -> None:
         n, dt = len(axes), known.dt
         self._axes = tuple(axes)
@@ -182,7 +182,7 @@ class InstabilityWatch:
         self.parameters = WatchParameters(
             product=np.ascontiguousarray(np.block([[a, b], [c, d]]).T),
             average=math.exp(-dt / AVERAGE),
-            memory=math.exp(-2 * dt / MEMORY),
+            memory=math.exp(-2 * dt / _MEMORY),
             patience=SUSTAINED / dt,
             ratio=float(ratio),
             least=float(floor) ** 2,
@@ -201,10 +201,10 @@ class InstabilityWatch:
         Raises
         ------
         InputError
-            See `knowledge`; or if the band would begin beyond half the sampling rate.
+            See `method_inputs`; or if the band would begin beyond half the sampling rate.
         """
         options = (section[f"instability.{name}"] for name in ("ratio", "floor", "lowest"))
-        return cls(knowledge(section, tuple(axes), timebase), axes, *options)
+        return cls(method_inputs(section, tuple(axes), timebase), axes, *options)
 
     def reset(self) -> None:
         """Begin a new test, at rest."""
@@ -230,14 +230,14 @@ class InstabilityWatch:
         )
 
 
-def _natural_hz(known: Knowledge) -> float:
+def _natural_hz(known: MethodInputs) -> float:
     """Lowest natural frequency of the specimen alone, Hz."""
     squares = np.linalg.eigvals(np.linalg.solve(known.mass, known.stiffness)).real
     return math.sqrt(max(float(squares.min()), 0.0)) / math.tau
 
 
 def _filtered(
-    known: Knowledge, lowest: float, dt: float, n: int
+    known: MethodInputs, lowest: float, dt: float, n: int
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """State space from (a_g, measured state) to the result of `WatchParameters.product`."""
     beside, inverse = substructure_motion(known, 0), np.linalg.inv(known.total_mass)

@@ -14,10 +14,10 @@ from seft_ros.protection.instability import InstabilityWatch
 from seft_ros.protection.protection_step import (
     CAUSE,
     HOLDING,
+    IMPLAUSIBLE_FORCE,
+    IMPLAUSIBLE_STATE,
     INSTABILITY,
     NOTHING,
-    ODD_FORCE,
-    ODD_STATE,
     PlausibleForce,
     ProtectionParameters,
     ProtectionState,
@@ -27,7 +27,7 @@ from seft_ros.protection.protection_step import (
     not_finite,
     protect,
 )
-from seft_ros.reference_force.compensator import asks_model
+from seft_ros.reference_force.compensator import has_computed_model
 from seft_ros.reference_force.reference_force_block import ReferenceForce
 
 
@@ -78,28 +78,28 @@ class ProtectedForce:
         self.estimates = reference_force.estimates
         self.reference_force = reference_force
         self._plausible, self._watch, self._ramp = plausible, watch, ramp
-        self._axes, tells_motion = len(plausible.last), reference_force.tells_motion
+        self._axes, provides_target = len(plausible.last), reference_force.provides_target
         self._settled: deque[Floats] | None = None  # of the last steps
-        if loop_delay and not tells_motion:
+        if loop_delay and not provides_target:
             self._settled = deque(maxlen=1 + loop_delay)
         self._points = np.zeros((*reference_force.shape, self._axes))
         self.parameters = ProtectionParameters(
-            plausible.limits, ramp.steps, tells_motion, plausible.dt, watch.parameters
+            plausible.limits, ramp.steps, provides_target, plausible.dt, watch.parameters
         )
         self.state = ProtectionState(
             flags=np.zeros(3, dtype=np.int64),
             ramp=ramp.state,
             last=plausible.last,
             point=np.zeros_like(self._points[:1]),
-            pace=np.zeros(1),
-            odd_force=np.zeros(self._axes),
-            odd_state=np.zeros((4, self._axes)),
+            progress=np.zeros(1),
+            implausible_force=np.zeros(self._axes),
+            implausible_state=np.zeros((4, self._axes)),
             watch=watch.state,
         )
         both = self.parameters, self.state
         self._begin = entry_point(begin_protection, self.state)
         self._begin_step = entry_point(begin_step, *both, True)
-        measured = self.state.odd_state
+        measured = self.state.implausible_state
         arguments = self.state.last, measured, True, 1.0, self._points
         self._protect = entry_point(protect, *both, *arguments)
         self.reset()
@@ -138,12 +138,12 @@ class ProtectedForce:
         if code == NOTHING:
             return None
         method = self.reference_force.compensator
-        if asks_model(method) and method.failure:
+        if has_computed_model(method) and method.failure:
             return method.failure
-        if code == ODD_FORCE:
-            return self._plausible.describe(self.state.odd_force)
-        if code == ODD_STATE:
-            return not_finite(self.state.odd_state, self._plausible.axes)
+        if code == IMPLAUSIBLE_FORCE:
+            return self._plausible.describe(self.state.implausible_force)
+        if code == IMPLAUSIBLE_STATE:
+            return not_finite(self.state.implausible_state, self._plausible.axes)
         assert code == INSTABILITY
         return self._watch.describe()
 
@@ -203,7 +203,7 @@ class ProtectedForce:
     def ask_model(self) -> None:
         """Step a computed model, whose force is used from the next answer on."""
         method = self.reference_force.compensator
-        if asks_model(method):
+        if has_computed_model(method):
             method.ask_model()
 
     def bridge(self, ground_motion: Sequence[Floats | None], state: Floats) -> None:
@@ -223,12 +223,12 @@ class ProtectedForce:
 
     def _answer(self, ground_motion: Floats | None, state: Floats) -> Floats:
         both, is_known = (self.parameters, self.state), ground_motion is not None
-        pace = self._begin_step(*both, is_known)
+        progress = self._begin_step(*both, is_known)
         motion = (
             np.zeros((1 + self.preview, self._axes)) if ground_motion is None else ground_motion
         )
         if not self.state.flags[HOLDING]:
-            self._points[:] = self.reference_force.step(motion, state, pace)
+            self._points[:] = self.reference_force.step(motion, state, progress)
         ground, state = (np.ascontiguousarray(each, np.float64) for each in (motion[0], state))
-        self._protect(*both, ground, state, is_known, pace, self._points)
+        self._protect(*both, ground, state, is_known, progress, self._points)
         return self._points.copy()

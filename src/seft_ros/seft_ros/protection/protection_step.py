@@ -15,7 +15,7 @@ BRAKING = 0.03
 
 
 @compiled
-def go_on(points: Floats, age: int, dt: float, result: Floats) -> None:
+def extrapolate(points: Floats, age: int, dt: float, result: Floats) -> None:
     """Give points from a step on; points that were not sent are extrapolated.
 
     Parameters
@@ -41,10 +41,10 @@ def go_on(points: Floats, age: int, dt: float, result: Floats) -> None:
                 result[index, 1, i] *= left
 
 
-def continued(points: Floats, age: int, count: int, dt: float) -> Floats:
-    """Give ``count`` points, see `go_on`."""
+def extrapolated(points: Floats, age: int, count: int, dt: float) -> Floats:
+    """Give ``count`` points, see `extrapolate`."""
     result = np.empty((count, *points.shape[1:]))
-    go_on(points, age, dt, result)
+    extrapolate(points, age, dt, result)
     return result
 
 
@@ -239,7 +239,7 @@ def not_finite(state: Floats, axes: Sequence[str]) -> str:
 HOLDING, CAUSE, AGE = range(3)
 """Places of the flags: whether the last plausible point is used, the cause of the ramp, and the age
 of that point in steps."""
-NOTHING, ODD_FORCE, ODD_STATE, INSTABILITY = range(4)
+NOTHING, IMPLAUSIBLE_FORCE, IMPLAUSIBLE_STATE, INSTABILITY = range(4)
 """Causes."""
 
 
@@ -252,7 +252,7 @@ class ProtectionParameters(NamedTuple):
         `PlausibleForce.limits`, shape (2,), N.
     ramp_steps : int
         `RampDown.steps`.
-    tells_motion : bool
+    provides_target : bool
         Whether the points are those of a target, which the ramp slows down.
     dt : float
         Sampling period, s.
@@ -262,7 +262,7 @@ class ProtectionParameters(NamedTuple):
 
     limits: Floats
     ramp_steps: int
-    tells_motion: bool
+    provides_target: bool
     dt: float
     watch: WatchParameters
 
@@ -280,9 +280,9 @@ class ProtectionState(NamedTuple):
         The last plausible force, shape (n,), N.
     point : ndarray
         The last plausible point, shape (1, q, n).
-    pace : ndarray
+    progress : ndarray
         Pace of a target at that point, shape (1,).
-    odd_force, odd_state : ndarray
+    implausible_force, implausible_state : ndarray
         Force and measured state of the step of the fault, shapes (n,), (4, n).
     watch : WatchState
         Of the instability watch.
@@ -292,9 +292,9 @@ class ProtectionState(NamedTuple):
     ramp: Ints
     last: Floats
     point: Floats
-    pace: Floats
-    odd_force: Floats
-    odd_state: Floats
+    progress: Floats
+    implausible_force: Floats
+    implausible_state: Floats
     watch: WatchState
 
 
@@ -303,12 +303,12 @@ def begin_protection(state: ProtectionState) -> None:
     """Begin a test; the ramp, the watch and the last plausible force are begun separately."""
     state.flags[:] = 0
     state.point[:] = 0.0
-    state.pace[:] = 1.0
+    state.progress[:] = 1.0
 
 
 @compiled
 def begin_step(parameters: ProtectionParameters, state: ProtectionState, is_known: bool) -> float:
-    """Begin a step; give its pace: 1 in a test, less in the ramp.
+    """Begin a step; give its progress: 1 in a test, less in the ramp.
 
     Parameters
     ----------
@@ -317,7 +317,7 @@ def begin_step(parameters: ProtectionParameters, state: ProtectionState, is_know
     is_known : bool
         Whether there is ground motion; in the ramp it may be missing.
     """
-    if not (is_known or parameters.tells_motion):
+    if not (is_known or parameters.provides_target):
         state.flags[HOLDING] = 1
     return next_factor(parameters.ramp_steps, state.ramp)
 
@@ -329,7 +329,7 @@ def protect(
     ground: Floats,
     measured: Floats,
     is_known: bool,
-    pace: float,
+    progress: float,
     points: Floats,
 ) -> None:
     """Check the points of a step, and replace them if necessary.
@@ -342,41 +342,41 @@ def protect(
         Ground acceleration of the step, shape (n,), m/s^2.
     measured : ndarray
         Displacement, velocity, acceleration and force, shape (4, n).
-    is_known, pace
+    is_known, progress
         See `begin_step`.
     points : ndarray
         Of the reference force, shape (p, q, n); not used if it is held. The permitted points are
         written here.
     """
-    p, flags, factor = parameters, state.flags, pace
+    p, flags, factor = parameters, state.flags, progress
     last, n, cause = points.shape[1] - 1, points.shape[2], NOTHING
     if not flags[HOLDING] and not is_plausible(p.limits, state.last, points[0, last]):
-        flags[HOLDING], cause = 1, ODD_FORCE
+        flags[HOLDING], cause = 1, IMPLAUSIBLE_FORCE
     if flags[CAUSE] == NOTHING:
         if cause == NOTHING and is_known:
             if not is_finite(measured, 0):
-                cause = ODD_STATE
+                cause = IMPLAUSIBLE_STATE
             elif p.watch.ratio and watch_step(p.watch, state.watch, ground, measured):
                 cause = INSTABILITY
         if cause != NOTHING:
             flags[CAUSE] = cause
             for i in range(n):
-                state.odd_force[i] = points[0, last, i]
+                state.implausible_force[i] = points[0, last, i]
                 for row in range(4):
-                    state.odd_state[row, i] = measured[row, i]
+                    state.implausible_state[row, i] = measured[row, i]
             if not state.ramp[BEGUN]:
                 state.ramp[BEGUN] = 1
                 factor = next_factor(p.ramp_steps, state.ramp)
     if flags[HOLDING]:
         flags[AGE] += 1
-        go_on(state.point, flags[AGE], p.dt, points)
-        scale_points(points, factor / state.pace[0] if state.pace[0] else 0.0)
+        extrapolate(state.point, flags[AGE], p.dt, points)
+        scale_points(points, factor / state.progress[0] if state.progress[0] else 0.0)
         return
     for row in range(last + 1):
         for i in range(n):
             state.point[0, row, i] = points[0, row, i]
-    if p.tells_motion:
-        state.pace[0] = pace
+    if p.provides_target:
+        state.progress[0] = progress
     elif state.ramp[BEGUN]:
         scale_points(points, factor)
 

@@ -29,7 +29,7 @@ from seft_ros.protection.detectors import (
 OPPOSED = 0.5
 """Part of the assumed stiffness by which a specimen may soften: fracture, buckling."""
 
-SLIP, BREAK, STIFFEST = 0.35, 0.25, 6.0
+_SLIP, BREAK, _STIFFEST = 0.35, 0.25, 6.0
 """Largest change of a specimen's force in a step: parts of its largest force, with and against the
 motion; with the motion, in addition, so many times the assumed stiffness."""
 
@@ -37,7 +37,7 @@ TURNED, TURN, MOVES = 3, 2.0, 0.2
 """Samples after a turn of the motion in which friction reverses, the change of the force by that,
 and the part of the fastest recent motion above which a specimen does not stick."""
 
-SILENT = 25.0
+_SILENT = 25.0
 """Mean square of the change of the computed mass's force over that of the noise, above which a
 measured force that is only noise does not answer the motion."""
 
@@ -75,8 +75,8 @@ def look_at_restoring_force(
         found = ROUGH * n + i
     # after a jump, r must stay there
     jump = change + (r[1, i] if state.counts[JUMP, i] else 0.0)
-    stiff = STIFFEST * (rise if jump > 0.0 else fall)
-    part = TURN if slips else (SLIP if stiff > 0.0 else BREAK)
+    stiff = _STIFFEST * (rise if jump > 0.0 else fall)
+    part = TURN if slips else (_SLIP if stiff > 0.0 else BREAK)
     threshold = part * largest + p.rough[i] + stiff
     if look(p, state, JUMP, i, abs(jump), threshold) and found < 0:
         found = JUMP * n + i
@@ -95,7 +95,7 @@ def look_at_response(p: DetectorParameters, state: DetectorState, measured: Floa
     response[1, i] = p.short * response[1, i] + inertia * inertia
     white, samples = 2.0 * p.noise[3, i] ** 2, 1.0 / (1.0 - p.short)
     is_noise = response[0, i] < 2.0 * samples * white
-    threshold = SILENT * samples * (white + hiss) if is_noise else np.inf
+    threshold = _SILENT * samples * (white + hiss) if is_noise else np.inf
     return NO_RESPONSE * n + i if look(p, state, NO_RESPONSE, i, response[1, i], threshold) else -1
 
 

@@ -16,7 +16,7 @@ ONE_SAMPLE = 0.1
 """Correlation time of the effects that the balance leaves out, s: within it, samples count as
 one."""
 
-LEAST_PRESSURE = 0.2
+MIN_PRESSURE = 0.2
 """Part of the supply pressure that is always assumed to be left for the flow: its root must not end
 at 0."""
 
@@ -25,7 +25,7 @@ at 0."""
 def under_load(direction: float, force: float, capacity: float) -> float:
     """Flow of a valve that opens in a direction, over that without load (Merritt 1967)."""
     left = 1.0 - force / capacity if direction > 0.0 else 1.0 + force / capacity
-    return math.sqrt(max(left, LEAST_PRESSURE))
+    return math.sqrt(max(left, MIN_PRESSURE))
 
 
 def doubt(velocity: Floats, force: Floats, oil_stiffness: Floats, dt: float) -> Floats:

@@ -13,26 +13,26 @@ from seft_msgs_py.arrays import Floats
 
 from seft_ros.reference_force.compensator import (
     Compensator,
-    Knowledge,
     Method,
+    MethodInputs,
     RegisteredCompensator,
 )
 from seft_ros.reference_force.linear_filter import LinearCompensator, LinearFilter
-from seft_ros.reference_force.reference_force_parameters import OWN, REGISTERED
+from seft_ros.reference_force.reference_force_parameters import OWN_METHODS, REGISTERED_METHODS
 from seft_ros.reference_force.target_motion import TargetMotion
 
 _FINE = 0.2  # rad: phase of the fastest mode in a step; its frequency errs by a 24th of the square
 
 
-def none(knowledge: Knowledge) -> Compensator:
+def none(inputs: MethodInputs) -> Compensator:
     """f_r = -(M_e + M_c) a_g - M_c a (Eq. 2.5 and 5.3), with the measured acceleration."""
-    n = knowledge.axes
+    n = inputs.axes
     measured = np.zeros((n, 4 * n))
-    measured[:, 2 * n : 3 * n] = -knowledge.computed_mass
-    return LinearCompensator(LinearFilter.of_gains(measured, -knowledge.total_mass))
+    measured[:, 2 * n : 3 * n] = -inputs.computed_mass
+    return LinearCompensator(LinearFilter.of_gains(measured, -inputs.total_mass))
 
 
-def restoring(knowledge: Knowledge) -> Compensator:
+def restoring(inputs: MethodInputs) -> Compensator:
     """f_r* = -M_e a_g + S r: the algebraic loop of the acceleration feedback, solved.
 
     The acceleration that the force will cause is eliminated from Eq. 2.5 by M_e a + r = f_r. With
@@ -40,14 +40,14 @@ def restoring(knowledge: Knowledge) -> Compensator:
     stiffness and damping instead of its mass, so that the loop gain falls with frequency and stays
     below one. The method needs no model except the mass.
     """
-    n, share = knowledge.axes, knowledge.share
+    n, share = inputs.axes, inputs.share
     measured = np.zeros((n, 4 * n))
-    measured[:, 2 * n : 3 * n] = -share @ knowledge.mass
+    measured[:, 2 * n : 3 * n] = -share @ inputs.mass
     measured[:, 3 * n :] = share
-    return LinearCompensator(LinearFilter.of_gains(measured, -knowledge.mass))
+    return LinearCompensator(LinearFilter.of_gains(measured, -inputs.mass))
 
 
-def model(knowledge: Knowledge) -> Compensator:
+def model(inputs: MethodInputs) -> Compensator:
     """f_r(t) = -(M_e + M_c) a_g(t + tau) - M_c a+, with a+ the acceleration predicted for t + tau.
 
     Model-based compensation (Carrion & Spencer 2007, NSEL report 6; section 6 of the paper): the
@@ -58,8 +58,8 @@ def model(knowledge: Knowledge) -> Compensator:
     The central-difference method solves it up to t + tau under the known future ground motion, in
     equal steps of at most a sampling period that are short for the fastest mode.
     """
-    n, delay, dt = knowledge.axes, knowledge.delay, knowledge.dt
-    mass, damping, stiffness = knowledge.total_mass, knowledge.damping, knowledge.stiffness
+    n, delay, dt = inputs.axes, inputs.delay, inputs.dt
+    mass, damping, stiffness = inputs.total_mass, inputs.damping, inputs.stiffness
     steps = whole_steps(delay, dt)  # of preview
 
     def load(time: float) -> Floats:
@@ -78,7 +78,7 @@ def model(knowledge: Knowledge) -> Compensator:
         known = stiffness @ x - mass / h**2 @ (2 * x - last) - damping / (2 * h) @ last
         oldest, last, x = last, x, np.linalg.solve(effective, load(i * h) - known)
     a = (x - 2 * last + oldest) / h**2
-    measured, ground = np.split(load(delay) - knowledge.computed_mass @ a, [4 * n], axis=1)
+    measured, ground = np.split(load(delay) - inputs.computed_mass @ a, [4 * n], axis=1)
     return LinearCompensator(LinearFilter.of_gains(measured, ground))
 
 
@@ -102,16 +102,20 @@ def between_samples(steps: float, count: int) -> Floats:
     return weights
 
 
-def _registered(name: str, knowledge: Knowledge) -> Compensator:
-    settings = knowledge.options.get("compensation.settings", "")
-    make = partial(REGISTERED.make, name, settings, "reference_force: compensation.method")
-    made = make(knowledge)
+def _registered(name: str, inputs: MethodInputs) -> Compensator:
+    settings = inputs.options.get("compensation.settings", "")
+    make = partial(REGISTERED_METHODS.make, name, settings, "reference_force: compensation.method")
+    made = make(inputs)
     if isinstance(made, Compensator):
         return made
-    return RegisteredCompensator(name, partial(make, knowledge), knowledge.axes)
+    return RegisteredCompensator(name, partial(make, inputs), inputs.axes)
 
 
-METHODS: dict[str, Method] = {
-    **dict(zip(OWN, (none, model, restoring, TargetMotion), strict=True)),
-    **{name: partial(_registered, name) for name in REGISTERED.names if name in REGISTERED},
+COMPENSATION_METHODS: dict[str, Method] = {
+    **dict(zip(OWN_METHODS, (none, model, restoring, TargetMotion), strict=True)),
+    **{
+        name: partial(_registered, name)
+        for name in REGISTERED_METHODS.names
+        if name in REGISTERED_METHODS
+    },
 }

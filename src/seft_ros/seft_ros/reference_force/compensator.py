@@ -13,7 +13,7 @@ from seft_ros.reference_force.linear_filter import LinearFilter
 
 
 @dataclass(frozen=True)
-class Knowledge:
+class MethodInputs:
     """The known or assumed data of a test over n axes, for a compensation method.
 
     Attributes
@@ -83,7 +83,7 @@ class Compensator(Protocol):
     """The interface of a compensation method.
 
     A method that computes the motion of a target returns 1 + ``preview`` points of it, see
-    `ReferenceForce.step`, and has an attribute ``pace``: 1 in a test; while it falls to 0, the
+    `ReferenceForce.step`, and has an attribute ``progress``: 1 in a test; while it falls to 0, the
     ground motion fades and the target slows down to rest.
 
     Attributes
@@ -122,12 +122,12 @@ class Compensator(Protocol):
         """Linear filter of the method: exact, or for its present estimates."""
 
 
-def tells_motion(compensator: Compensator) -> bool:
-    """Whether a method returns points of a target's motion, and has a pace."""
-    return hasattr(compensator, "pace")
+def provides_target(compensator: Compensator) -> bool:
+    """Whether a method returns points of a target's motion, and has a progress."""
+    return hasattr(compensator, "progress")
 
 
-def asks_model(compensator: Compensator) -> TypeGuard[Any]:
+def has_computed_model(compensator: Compensator) -> TypeGuard[Any]:
     """Whether a method's structure may have a computed model, which is stepped after its answers.
 
     Then it has the attributes ``model``, a `ModelLine` or None, and ``failure``: the reason of the
@@ -137,7 +137,7 @@ def asks_model(compensator: Compensator) -> TypeGuard[Any]:
     return hasattr(compensator, "ask_model")
 
 
-Method = Callable[[Knowledge], Compensator]
+Method = Callable[[MethodInputs], Compensator]
 
 
 class NotLinearError(InputError):

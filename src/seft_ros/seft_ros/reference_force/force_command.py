@@ -17,9 +17,9 @@ import numpy as np
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.compiled import compiled, copy
-from seft_plant_sim.lti import LEAST_SAMPLES, noncausal_inverse
+from seft_plant_sim.lti import MIN_SAMPLES, noncausal_inverse
 
-from seft_ros.reference_force.compensator import Knowledge
+from seft_ros.reference_force.compensator import MethodInputs
 from seft_ros.reference_force.restoring_model import THRESHOLDS
 from seft_ros.reference_force.target_step import TargetParameters, TargetState, move_by_force
 
@@ -69,7 +69,7 @@ class CommandState(NamedTuple):
     stops: Floats
 
 
-def command_arrays(known: Knowledge, horizon: int) -> tuple[CommandParameters, CommandState]:
+def command_arrays(known: MethodInputs, horizon: int) -> tuple[CommandParameters, CommandState]:
     """Put a force command into arrays.
 
     Raises
@@ -108,7 +108,7 @@ def command_arrays(known: Knowledge, horizon: int) -> tuple[CommandParameters, C
     taps = min(horizon, 3 * steps + 4)
     n = known.axes
     parameters = CommandParameters(
-        inverse=noncausal_inverse(response, 1 / (LEAST_SAMPLES * dt), taps, dt),
+        inverse=noncausal_inverse(response, 1 / (MIN_SAMPLES * dt), taps, dt),
         static=static,
         steps=steps,
         part=delay / dt - steps,

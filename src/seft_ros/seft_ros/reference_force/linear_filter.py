@@ -93,7 +93,7 @@ def linear_step(
     state: LinearState,
     ground: Floats,
     measured: Floats,
-    pace: float,
+    progress: float,
     points: Floats,
 ) -> None:
     """Compute the reference force of one step.
@@ -106,7 +106,7 @@ def linear_step(
         Ground acceleration of this step and the later ones, shape (1 + preview, n), m/s^2.
     measured : ndarray
         Displacement, velocity, acceleration and force, shape (4, n).
-    pace : float
+    progress : float
         Not used; see `target_step`.
     points : ndarray
         The result, shape (1, 1, n), N.

@@ -13,7 +13,7 @@ from seft_plant_sim.sensors import CHANNELS
 BETWEEN_SAMPLES = 3.0
 """Noise of the integrated acceleration over the sensor's: the acceleration changes between samples.
 """
-LEAST_NOISE = np.array([1e-6, 1e-4, 5e-3, 0.3])
+MIN_NOISE = np.array([1e-6, 1e-4, 5e-3, 0.3])
 """Least assumed noise of the sensors: displacement (m), velocity, acceleration, force (N). Without
 noise the filters would follow everything that is not modelled."""
 UNKNOWN_VELOCITY = 100.0
@@ -21,7 +21,7 @@ UNKNOWN_VELOCITY = 100.0
 
 
 def sensor_noise(section: Mapping[str, Any], axes: Sequence[str], group: str, where: str) -> Floats:
-    """RMS noise of each sensor, at least `LEAST_NOISE`.
+    """RMS noise of each sensor, at least `MIN_NOISE`.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def sensor_noise(section: Mapping[str, Any], axes: Sequence[str], group: str, wh
     """
     names = [f"{group}.{channel}" for channel in CHANNELS]
     given = np.array([per_axis(section[n], tuple(axes), f"{where}: {n}") for n in names])
-    noise = np.maximum(given, LEAST_NOISE[:, np.newaxis])
+    noise = np.maximum(given, MIN_NOISE[:, np.newaxis])
     if section[f"{group}.velocity_source"] == "derived":
         noise[1] = UNKNOWN_VELOCITY
     return noise

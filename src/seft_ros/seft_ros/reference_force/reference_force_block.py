@@ -12,8 +12,13 @@ from seft_msgs_py.wire.topics import NANOSECONDS_PER_SECOND, RigAxes, Timebase
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_plant_sim.specimen import deformations
 
-from seft_ros.reference_force.compensation_methods import METHODS
-from seft_ros.reference_force.compensator import Compensator, Knowledge, asks_model, tells_motion
+from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
+from seft_ros.reference_force.compensator import (
+    Compensator,
+    MethodInputs,
+    has_computed_model,
+    provides_target,
+)
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 from seft_ros.reference_force.substructure import with_substructure
 
@@ -173,7 +178,7 @@ class ReferenceForce:
     ----------
     preview : int
         Number of later steps whose ground motion `step` needs.
-    tells_motion : bool
+    provides_target : bool
         Whether it gives the motion of a target in addition to the force.
     shape : (int, int)
         Number of points and quantities of `step`.
@@ -183,8 +188,8 @@ class ReferenceForce:
 
     def __init__(self, compensator: Compensator) -> None:
         self.preview = compensator.preview
-        self.tells_motion = tells_motion(compensator)
-        self.shape = (1 + self.preview, 3) if self.tells_motion else (1, 1)
+        self.provides_target = provides_target(compensator)
+        self.shape = (1 + self.preview, 3) if self.provides_target else (1, 1)
         self.compensator = compensator
 
     @classmethod
@@ -199,19 +204,19 @@ class ReferenceForce:
             If the model's sizes do not fit the axes, its mass is not positive, or the method needs
             more parameters.
         """
-        known = knowledge(section, axes, timebase)
+        known = method_inputs(section, axes, timebase)
         return cls(compensator(section["compensation.method"], known))
 
     @property
     def is_modelled(self) -> bool:
         """Whether it has a computed model."""
-        return asks_model(self.compensator) and self.compensator.model is not None
+        return has_computed_model(self.compensator) and self.compensator.model is not None
 
     def reset(self) -> None:
         """Forget the test so far."""
         self.compensator.reset()
 
-    def step(self, ground_motion: Floats, state: Floats, pace: float = 1.0) -> Floats:
+    def step(self, ground_motion: Floats, state: Floats, progress: float = 1.0) -> Floats:
         """Compute the reference force of one step.
 
         Parameters
@@ -221,7 +226,7 @@ class ReferenceForce:
             (1 + preview, n), m/s^2.
         state : ndarray
             Measured displacement, velocity, acceleration and force, shape (4, n).
-        pace : float
+        progress : float
             Of a target: 1 in a test; in the ramp it falls to 0.
 
         Returns
@@ -230,9 +235,9 @@ class ReferenceForce:
             Points of this step and later ones, shape (p, q, n). The last quantity is the force,
             N; those of a target are displacement, velocity and force.
         """
-        if not self.tells_motion:
+        if not self.provides_target:
             return self.compensator.step(ground_motion, state)[np.newaxis, np.newaxis]
-        self.compensator.pace = pace  # type: ignore[attr-defined]
+        self.compensator.progress = progress  # type: ignore[attr-defined]
         return self.compensator.step(ground_motion, state)
 
     def estimates(self) -> dict[str, Floats]:
@@ -240,7 +245,7 @@ class ReferenceForce:
         return self.compensator.estimates()
 
 
-def compensator(method: str, known: Knowledge) -> Compensator:
+def compensator(method: str, known: MethodInputs) -> Compensator:
     """Make a compensation method from the known data of a test; InputError if some are missing."""
     computed = known.computed
     for name, given in (("model", computed.model), ("influence of axes", computed.on_axes)):
@@ -249,11 +254,13 @@ def compensator(method: str, known: Knowledge) -> Compensator:
                 f"reference_force: computed.{name} acts on the motion of a target, which "
                 f"compensation.method {method} does not compute; make that {TARGET_MOTION}"
             )
-    made = METHODS[method](known)
-    return made if tells_motion(made) else with_substructure(made, known)
+    made = COMPENSATION_METHODS[method](known)
+    return made if provides_target(made) else with_substructure(made, known)
 
 
-def knowledge(section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase) -> Knowledge:
+def method_inputs(
+    section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
+) -> MethodInputs:
     """Gather the known data of a test for a compensation method.
 
     Raises
@@ -297,7 +304,9 @@ def knowledge(section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
         if options[name] > 0:
             options[name] += late
     springs = deformations(section.get("model.springs", 0.0), axes, where)
-    return Knowledge(mass, computed, damping, stiffness, timebase.dt, options, loop_delay, springs)
+    return MethodInputs(
+        mass, computed, damping, stiffness, timebase.dt, options, loop_delay, springs
+    )
 
 
 PERIOD_NS = NANOSECONDS_PER_SECOND // 10

@@ -12,12 +12,12 @@ from seft_msgs_py.node import host
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, TARGET, LoopTopic
 
 TARGET_MOTION = "target_motion"
-OWN = ("none", "model", "restoring", TARGET_MOTION)
+OWN_METHODS = ("none", "model", "restoring", TARGET_MOTION)
 OF_MODEL = "computed "
 """Prefix of the names of a computed model's recorded values."""
 LONGEST_MODEL_STEP = 0.05
 """s, of a computed model: by then the rig has held its command too long."""
-REGISTERED = Registered("seft.compensation", OWN)
+REGISTERED_METHODS = Registered("seft.compensation", OWN_METHODS)
 """Methods of other packages: name -> `compensator.Method`, which may take settings."""
 
 _TEST = parameter_rows(
@@ -114,7 +114,7 @@ _COMPENSATION = parameter_rows(
         cosine
     """
 )
-TABLE = Table(
+REFERENCE_FORCE_TABLE = Table(
     "reference_force",
     [
         *_TEST,
@@ -123,11 +123,11 @@ TABLE = Table(
             "string",
             "none",
             "how the actuator's delay is compensated; after target_motion: of other packages",
-            choices=REGISTERED.names,
+            choices=REGISTERED_METHODS.names,
         ),
-        REGISTERED.settings_row("compensation.settings", "a method"),
+        REGISTERED_METHODS.settings_row("compensation.settings", "a method"),
         *_COMPENSATION,
-        *host.PARAMETERS,
+        *host.REALTIME_PARAMETERS,
     ],
 )
 

@@ -54,7 +54,7 @@ SMALLEST_SLIDER = 2.0
 ONCE_IN = 2.0
 """Mean time between two sums of innovations that chance makes and the filter takes for a change, s:
 3.3 standard deviations at 500 Hz. A false change costs noise, a missed one a corner."""
-RECENT = 0.008
+_RECENT = 0.008
 """Time constant of that sum, s: changes that last longer than a valve's answer matter."""
 UNCERTAIN_STIFFNESS, UNCERTAIN_DAMPING = 0.3, 0.3
 """Standard deviation of the assumed values, relative to them: that of a drawing."""
@@ -64,7 +64,7 @@ all stiffness."""
 SLIDER_TO_NOISE, OFFSET_TO_NOISE = 0.5, 7.0
 """Prior of a slider's force and of the offset, over the noise of the restoring force, chosen so
 that sliders appear when something slips, and the offset takes the rest."""
-MOST_EVIDENCE = math.log(1e4)
+MAX_EVIDENCE = math.log(1e4)
 """Largest magnitude of the logarithm of the likelihoods' ratio: a few samples overturn it."""
 CONFIRMED_IN = 0.05
 """Time for which the assumed model must be right before it is accepted again, s: with any specimen
@@ -74,7 +74,7 @@ STANDS_OUT = 20.0
 noisy motion underestimates them, by the square of the noise over the motion (0.25 %)."""
 DRIFT = 0.003
 """Undetected slow change in a second, relative to the prior or the assumed value."""
-LEAST_DAMPING = 0.02
+MIN_DAMPING = 0.02
 """Least damping ratio of a spring, also if none is assumed."""
 
 
@@ -128,7 +128,7 @@ class ModelParameters(NamedTuple):
     confirming: float
 
 
-class ModelState(NamedTuple):
+class RestoringState(NamedTuple):
     """State of the models.
 
     Attributes
@@ -173,7 +173,7 @@ def model_arrays(
     alike: float,
     frequency: Floats,
     dt: float,
-) -> tuple[ModelParameters, ModelState]:
+) -> tuple[ModelParameters, RestoringState]:
     """Make models of an assumed specimen, all in coordinates of its springs.
 
     Parameters
@@ -198,7 +198,7 @@ def model_arrays(
     assumed = white + np.hstack([stiffness, damping]) ** 2 @ observed.T.ravel() ** 2
     least_seen = np.sqrt(assumed)[:, np.newaxis]
     force = SLIDER_TO_NOISE * least_seen / thresholds
-    least = 2.0 * LEAST_DAMPING * np.sqrt(np.abs(np.diag(mass) * np.diag(stiffness)))
+    least = 2.0 * MIN_DAMPING * np.sqrt(np.abs(np.diag(mass) * np.diag(stiffness)))
     damps = np.abs(damping) + np.diag(least / UNCERTAIN_DAMPING)
     offset = OFFSET_TO_NOISE * least_seen
     stiff = np.abs(stiffness)
@@ -221,13 +221,13 @@ def model_arrays(
         observed=observed**2,
         alike=alike,
         least=STANDS_OUT * observed,
-        recent=math.exp(-dt / RECENT),
+        recent=math.exp(-dt / _RECENT),
         remembered=np.exp(-2.0 / math.pi * frequency * dt),
         surprise=NormalDist().inv_cdf(1.0 - 0.5 * min(dt / ONCE_IN, 0.5)) ** 2,
-        confirming=MOST_EVIDENCE * dt / CONFIRMED_IN,
+        confirming=MAX_EVIDENCE * dt / CONFIRMED_IN,
     )
     q = parameters.start.shape[1]
-    state = ModelState(
+    state = RestoringState(
         values=np.zeros((n, q)),
         before=np.zeros((n, q)),
         found=np.zeros((n, q)),
@@ -243,7 +243,7 @@ def model_arrays(
 
 
 @compiled
-def begin_model(parameters: ModelParameters, state: ModelState) -> None:
+def begin_model(parameters: ModelParameters, state: RestoringState) -> None:
     """Begin a test with the assumed model."""
     n, q = parameters.start.shape
     state.covariance[:] = 0.0
@@ -297,7 +297,7 @@ def slider_forces(
 
 
 @compiled
-def motion_noise(parameters: ModelParameters, state: ModelState, j: int) -> float:
+def motion_noise(parameters: ModelParameters, state: RestoringState, j: int) -> float:
     """Variance of the force of spring j from the motion's noise, at the identified slope, N^2."""
     found, observed, n = state.found[j], parameters.observed, len(parameters.springs)
     sticking = 0.0
@@ -313,8 +313,8 @@ def motion_noise(parameters: ModelParameters, state: ModelState, j: int) -> floa
 
 
 @compiled
-def follow(
-    parameters: ModelParameters, state: ModelState, e: Floats, rate: Floats, measured: Floats
+def follow_specimen(
+    parameters: ModelParameters, state: RestoringState, e: Floats, rate: Floats, measured: Floats
 ) -> None:
     """Update the models with the measured restoring force of each spring, shape (n,), N.
 
@@ -349,8 +349,8 @@ def follow(
         # logarithm of the likelihoods' ratio, of the assumed model over the identified one
         gained = innovation**2 / variance + math.log(variance / parameters.noise[j, 1])
         gained -= surplus**2 / parameters.noise[j, 1]
-        gained = min(0.5 * gained, MOST_EVIDENCE if sums[4] > 0.0 else parameters.confirming)
-        sums[4] = min(max(sums[4] + gained, -MOST_EVIDENCE), MOST_EVIDENCE)
+        gained = min(0.5 * gained, MAX_EVIDENCE if sums[4] > 0.0 else parameters.confirming)
+        sums[4] = min(max(sums[4] + gained, -MAX_EVIDENCE), MAX_EVIDENCE)
         sums[0] = parameters.recent * sums[0] + innovation
         persistent = (parameters.alike - 1.0) * seen
         sums[1] = parameters.recent**2 * sums[1] + variance + persistent

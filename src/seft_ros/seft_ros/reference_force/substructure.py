@@ -16,20 +16,20 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_plant_sim.lti import first_order_hold
 
-from seft_ros.reference_force.compensator import Compensator, Knowledge
+from seft_ros.reference_force.compensator import Compensator, MethodInputs
 from seft_ros.reference_force.linear_filter import LinearCompensator, LinearFilter
 
 REST_CORNER = 30.0  # Hz up to which the model's restoring force is corrected by the measured one
 
 
-def with_substructure(method: Compensator, knowledge: Knowledge) -> Compensator:
+def with_substructure(method: Compensator, inputs: MethodInputs) -> Compensator:
     """Make a method work with the whole computed substructure, see the module.
 
     Parameters
     ----------
     method : Compensator
         Made for the lumped masses.
-    knowledge : Knowledge
+    inputs : MethodInputs
         Its data.
 
     Returns
@@ -37,15 +37,15 @@ def with_substructure(method: Compensator, knowledge: Knowledge) -> Compensator:
     Compensator
         The method itself if the substructure has masses only.
     """
-    if knowledge.computed.is_lumped:
+    if inputs.computed.is_lumped:
         return method
-    motion = substructure_motion(knowledge, method.preview)
+    motion = substructure_motion(inputs, method.preview)
     if isinstance(method, LinearCompensator):
         return LinearCompensator(_behind(method.linear(), motion))
     return _BehindMotion(method, motion)
 
 
-def substructure_motion(knowledge: Knowledge, preview: int) -> LinearFilter:
+def substructure_motion(inputs: MethodInputs, preview: int) -> LinearFilter:
     """Give the filter whose output is the equivalent ground acceleration of a substructure.
 
     Its internal degrees of freedom are driven by the measured motion of the axes, exactly for a
@@ -54,7 +54,7 @@ def substructure_motion(knowledge: Knowledge, preview: int) -> LinearFilter:
 
     Parameters
     ----------
-    knowledge : Knowledge
+    inputs : MethodInputs
         With the substructure.
     preview : int
         Number of later steps whose ground motion is needed.
@@ -65,13 +65,13 @@ def substructure_motion(knowledge: Knowledge, preview: int) -> LinearFilter:
         Its output is a_g + (M_e + M_c)^-1 g of this step and the later ones, shape
         ((1 + preview) n,), m/s^2.
     """
-    n, computed, dt = knowledge.axes, knowledge.computed, knowledge.dt
+    n, computed, dt = inputs.axes, inputs.computed, inputs.dt
     inside, steps = 2 * computed.internal, 1 + preview
     # all signals are combinations of states, measured signals and ground motion
     before, rest, x, v, a, f, *ground = np.split(
         np.eye(inside + n + 4 * n + steps * n), inside + n * np.arange(0, 5 + steps)
     )
-    system, by_ground = _internal(knowledge)
+    system, by_ground = _internal(inputs)
     # the motion of the axes is an input
     free, start, change = first_order_hold(
         system[:, 2 * n :], np.hstack([system[:, : 2 * n], by_ground]), dt
@@ -79,13 +79,13 @@ def substructure_motion(knowledge: Knowledge, preview: int) -> LinearFilter:
     here = np.vstack([x, v, ground[0]])
     internal = before + change @ here
     going_on = free @ internal + (start - change) @ here
-    residual = f - knowledge.mass @ a - knowledge.stiffness @ x - knowledge.damping @ v
+    residual = f - inputs.mass @ a - inputs.stiffness @ x - inputs.damping @ v
     rest = rest + (1.0 - np.exp(-2 * np.pi * REST_CORNER * dt)) * (residual - rest)
 
-    inverse = np.linalg.inv(knowledge.total_mass)
-    acceleration = inverse @ _force(knowledge)
+    inverse = np.linalg.inv(inputs.total_mass)
+    acceleration = inverse @ _force(inputs)
     # the whole structure: (x, v) of the axes and (z, z'), by ground acceleration and rest
-    elastic = -inverse @ np.hstack([knowledge.stiffness, knowledge.damping])
+    elastic = -inverse @ np.hstack([inputs.stiffness, inputs.damping])
     moved = np.pad(elastic, [(0, 0), (0, inside)]) - acceleration
     whole = np.vstack([np.eye(n, 2 * n + inside, k=n), moved, system])
     none, apart = np.zeros((n, n)), np.zeros((inside, n))
@@ -149,16 +149,16 @@ def _behind(method: LinearFilter, motion: LinearFilter) -> LinearFilter:
     )
 
 
-def _force(knowledge: Knowledge) -> Floats:
+def _force(inputs: MethodInputs) -> Floats:
     """Gain from (x, v, z, z') to the force g, shape (n, 2n + 2q)."""
-    n, computed = knowledge.axes, knowledge.computed
+    n, computed = inputs.axes, inputs.computed
     k, c = computed.stiffness, computed.damping
     return np.hstack([k[:n, :n], c[:n, :n], k[:n, n:], c[:n, n:]])
 
 
-def _internal(knowledge: Knowledge) -> tuple[Floats, Floats]:
+def _internal(inputs: MethodInputs) -> tuple[Floats, Floats]:
     """Rate of (z, z') from (x, v, z, z') and from a_g, shapes (2q, 2n + 2q) and (2q, n)."""
-    n, computed = knowledge.axes, knowledge.computed
+    n, computed = inputs.axes, inputs.computed
     q = computed.internal
     k, c = (
         np.linalg.solve(computed.mass[n:, n:], matrix[n:])

@@ -22,14 +22,14 @@ from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_plant_sim.lti import first_order_hold
 from seft_plant_sim.model_worker import ModelState
 
-from seft_ros.reference_force.compensator import Knowledge, NotLinearError
+from seft_ros.reference_force.compensator import MethodInputs, NotLinearError
 from seft_ros.reference_force.force_command import FORCE_DRIVEN, command_arrays, command_step
 from seft_ros.reference_force.linear_filter import LinearFilter
 from seft_ros.reference_force.observers import observer_gains, sensor_noise
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL, TARGET_MOTION
 from seft_ros.reference_force.restoring_model import model_arrays
 from seft_ros.reference_force.target_step import (
-    ESTIMATES,
+    ESTIMATE_NAMES,
     TargetParameters,
     TargetState,
     begin_target,
@@ -37,8 +37,8 @@ from seft_ros.reference_force.target_step import (
     target_step,
 )
 
-LEAST_MOTION = 1e-9  # m: the tangent of a smaller motion is rounding
-STIFFEST = 0.25
+MIN_MOTION = 1e-9  # m: the tangent of a smaller motion is rounding
+_STIFFEST = 0.25
 """Largest tangent over the mass, times dt squared: the prediction is stable up to this value."""
 
 
@@ -162,13 +162,13 @@ class ModelLine:
             before, force_before = self._own
             moved = own - before
             span = float(moved @ moved)
-            if span > LEAST_MOTION**2:
+            if span > MIN_MOTION**2:
                 missed = own_force - force_before - self._tangent @ moved
                 self._tangent = self._tangent + np.outer(missed, moved) / span
         self._own = own, own_force
         stiffness = rows.T @ self._tangent @ rows
         beside = self._inverse @ (stiffness - self._rest[:, :size])
-        largest = STIFFEST / self._dt**2
+        largest = _STIFFEST / self._dt**2
         beside *= min(1.0, largest / max(float(np.linalg.norm(beside)), largest))
         return beside
 
@@ -205,7 +205,7 @@ class TargetMotion:
 
     Parameters
     ----------
-    known : Knowledge
+    known : MethodInputs
         Of the test; its damping and stiffness are initial values of the model of the restoring
         force.
 
@@ -217,7 +217,7 @@ class TargetMotion:
         Arguments of `target_step`, here and in a compiled loop.
     command : tuple of CommandParameters and CommandState, or None
         Of a rig that obeys forces, see `command_step`.
-    pace : float
+    progress : float
         See `target_step`.
     model : ModelLine or None
         Of the computed model.
@@ -225,7 +225,7 @@ class TargetMotion:
         Reason of the model's failure; empty without a failure.
     """
 
-    def __init__(self, known: Knowledge) -> None:
+    def __init__(self, known: MethodInputs) -> None:
         horizon = math.ceil(known.options["compensation.horizon"] / known.dt - 1e-9)
         self.preview, n = known.loop_delay + horizon, known.axes
         self.parameters, self.state, self.model = target_arrays(known)
@@ -244,7 +244,7 @@ class TargetMotion:
 
     def reset(self) -> None:
         """Begin a new test."""
-        self.pace, self.failure = 1.0, ""
+        self.progress, self.failure = 1.0, ""
         self._is_asked = True
         self._recorded: dict[str, Floats] = {}
         if self.model is not None:
@@ -262,7 +262,7 @@ class TargetMotion:
         self._ground[:] = ground_motion
         self._measured[:] = state
         self._step(
-            self.parameters, self.state, self._ground, self._measured, self.pace, self._points
+            self.parameters, self.state, self._ground, self._measured, self.progress, self._points
         )
         if self.command is not None:
             self._command_step(*self.command, self.parameters, self.state, self._points)
@@ -301,9 +301,9 @@ class TargetMotion:
 
         With a computed model also its motion, force and responses.
         """
-        found = np.empty((len(ESTIMATES), len(self.parameters.mass)))
+        found = np.empty((len(ESTIMATE_NAMES), len(self.parameters.mass)))
         self._estimate(self.parameters, self.state, found)
-        estimates: dict[str, Floats] = dict(zip(ESTIMATES, found, strict=True))
+        estimates: dict[str, Floats] = dict(zip(ESTIMATE_NAMES, found, strict=True))
         if self.model is None:
             return estimates
         self.ask_model()
@@ -314,7 +314,7 @@ class TargetMotion:
         return estimates | self._recorded
 
 
-def target_arrays(known: Knowledge) -> tuple[TargetParameters, TargetState, ModelLine | None]:
+def target_arrays(known: MethodInputs) -> tuple[TargetParameters, TargetState, ModelLine | None]:
     """Put a target into arrays, from the known data of a test; make a computed model's line."""
     n, computed, dt = known.axes, known.computed, known.dt
     size = n + computed.internal
@@ -409,7 +409,7 @@ def target_arrays(known: Knowledge) -> tuple[TargetParameters, TargetState, Mode
     return parameters, state, line
 
 
-def spring_deformations(known: Knowledge) -> Floats:
+def spring_deformations(known: MethodInputs) -> Floats:
     """Deformations in which the specimen's springs are not coupled, shape (n, n).
 
     They are those of the assumed springs, if these determine the displacements; otherwise the modal

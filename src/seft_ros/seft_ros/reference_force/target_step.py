@@ -20,16 +20,16 @@ from seft_ros.reference_force.observers import observe
 from seft_ros.reference_force.restoring_model import (
     THRESHOLDS,
     ModelParameters,
-    ModelState,
+    RestoringState,
     begin_model,
-    follow,
+    follow_specimen,
     move_stops,
     slider_forces,
 )
 
-ESTIMATES = ("stiffness", "damping", "friction")
+ESTIMATE_NAMES = ("stiffness", "damping", "friction")
 """Rows of `target_estimates`."""
-POSITION, SPEED, FORCE = range(3)
+POSITION, SPEED, FORCE_ROW = range(3)
 """Rows of a point: displacement (m), velocity (m/s) and actuator force (N) of the target."""
 
 
@@ -124,7 +124,7 @@ class TargetState(NamedTuple):
         Work arrays, shapes (3, n), (3, 2N) and (7, n).
     """
 
-    model: ModelState
+    model: RestoringState
     measured: Floats
     target: Floats
     stops: Floats
@@ -163,7 +163,7 @@ def target_step(
     state: TargetState,
     ground: Floats,
     measured: Floats,
-    pace: float,
+    progress: float,
     points: Floats,
 ) -> None:
     """Update the target with a sample, and predict it.
@@ -176,7 +176,7 @@ def target_step(
         Ground acceleration of this step and the future ones, shape (h + 1, n), m/s^2.
     measured : ndarray
         Displacement, velocity, acceleration and force of the specimen, shape (4, n).
-    pace : float
+    progress : float
         1 in a test. While it falls to 0, the ground motion fades and the target slows down to rest.
     points : ndarray
         The target at this step and the future ones: displacement, velocity and force of each axis,
@@ -205,13 +205,13 @@ def target_step(
     for i in range(n):
         state.springs[4, i] = e[i] - before[i]
     move_stops(p.model, state.springs[4], state.model.stops)
-    follow(p.model, state.model, e, rate, force)
-    take_model(p, state, pace)
+    follow_specimen(p.model, state.model, e, rate, force)
+    take_model(p, state, progress)
     if not first:
-        advance(p, state, state.ground, ground[0], pace)
+        advance(p, state, state.ground, ground[0], progress)
     state.is_running[0] = 1.0
     copy(n, ground[0], state.ground)
-    predict(p, state, ground, pace, points)
+    predict(p, state, ground, progress, points)
 
 
 @compiled
@@ -237,7 +237,7 @@ def times(rows: int, columns: int, matrix: Floats, vector: Floats, result: Float
 
 
 @compiled
-def take_model(p: TargetParameters, state: TargetState, pace: float) -> None:
+def take_model(p: TargetParameters, state: TargetState, progress: float) -> None:
     """Make the push from the model's parameters; the former push becomes the last one."""
     n, half, values, by_motion = len(p.axes), len(p.dofs), state.model.values, state.by_motion
     for j in range(n):
@@ -248,7 +248,7 @@ def take_model(p: TargetParameters, state: TargetState, pace: float) -> None:
         state.constant[0, i], constant[i] = constant[i], 0.0
         for k in range(2 * half):
             state.by_state[0, i, k], by_state[i, k] = by_state[i, k], 0.0
-        by_state[i, half + i] = -(1.0 - pace) * p.damper
+        by_state[i, half + i] = -(1.0 - progress) * p.damper
         for k in range(n):
             by_state[i, k] += p.by_assumed[i, k]
             by_state[i, half + k] += p.by_assumed[i, n + k]
@@ -276,9 +276,9 @@ def push(
 ) -> None:
     """Find the push on the elastic whole structure, as N accelerations in the result.
 
-    It consists of the ground motion (times the pace), and the difference of the specimen's force
-    from the assumed elastic one, by the model of the last sample (0) or this one (1), with these
-    forces of sliders.
+    It consists of the ground motion (times the progress), and the difference of the specimen's
+    force from the assumed elastic one, by the model of the last sample (0) or this one (1), with
+    these forces of sliders.
     """
     by_state, constant = state.by_state[model], state.constant[model]
     for i in range(len(p.dofs)):
@@ -307,7 +307,7 @@ def specimen_force(
 
 @compiled
 def advance(
-    p: TargetParameters, state: TargetState, before: Floats, now: Floats, pace: float
+    p: TargetParameters, state: TargetState, before: Floats, now: Floats, progress: float
 ) -> None:
     """Integrate Eq. (1) from the last sample to this one; the model changes linearly."""
     n, half, model, ground = len(p.axes), len(p.dofs), state.model, state.axes[1]
@@ -320,7 +320,7 @@ def advance(
             slider_forces(p.model, model.values, stops, of_new)
             part = (step + side) / p.substeps
             for i in range(n):
-                ground[i] = pace * (before[i] + part * (now[i] - before[i]))
+                ground[i] = progress * (before[i] + part * (now[i] - before[i]))
             push(p, state, 0, y, of_old, ground, old)
             push(p, state, 1, y, of_new, ground, new)
             for i in range(half):
@@ -384,7 +384,7 @@ def take_substep(p: TargetParameters, state: TargetState) -> None:
 
 @compiled
 def predict(
-    p: TargetParameters, state: TargetState, known: Floats, pace: float, points: Floats
+    p: TargetParameters, state: TargetState, known: Floats, progress: float, points: Floats
 ) -> None:
     """Integrate Eq. (1) over the future steps, and write the points, see `target_step`.
 
@@ -402,7 +402,7 @@ def predict(
     take_substep(p, state)
     copy(2 * half, state.target, z)
     for j in range(n):
-        ground[j] = pace * known[0, j]
+        ground[j] = progress * known[0, j]
         copy(THRESHOLDS, state.stops[j], stops[j])
     slider_forces(p.model, state.model.values, stops, sliders)
     push(p, state, 1, z, sliders, ground, z[2 * half :])
@@ -419,7 +419,7 @@ def predict(
             part = (step + 1) / p.substeps
             for i in range(n):
                 rise = known[point + 1, i] - known[point, i]
-                ground[i] = pace * (known[point, i] + part * rise)
+                ground[i] = progress * (known[point, i] + part * rise)
             move_stops(p.model, change, stops)
             slider_forces(p.model, state.model.values, stops, sliders)
             multiply_sized(columns, size + n, state.substep, z, new)

@@ -78,7 +78,7 @@ class ReferenceForceReplay(Replay):
         axes, timebase = self.experiment.axes, self.experiment.timebase
         block = ProtectedForce.from_parameters(section, axes, timebase)
         delay = max(section["loop_delay"], 0)
-        settled = 1 if block.reference_force.tells_motion else 1 + delay
+        settled = 1 if block.reference_force.provides_target else 1 + delay
         window, last = 1 + block.preview, -1
         sampler = EstimateSampler(block.reference_force, timebase)
         estimates = EstimatesGatherer(self.experiment)

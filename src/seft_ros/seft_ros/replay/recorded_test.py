@@ -28,7 +28,7 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-from seft_ros.analysis.comparison import compare
+from seft_ros.analysis.comparison import compare_records
 from seft_ros.analysis.result_text import FIELD_UNITS
 from seft_ros.bags.record import Estimates, Record, Series, describe_environment
 from seft_ros.bags.record_bag import read_bag, read_messages
@@ -36,7 +36,7 @@ from seft_ros.drawing.style import make_table, number, small_percent
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 from seft_ros.test_run.parameter_tables import TABLES
 
-Steps = npt.NDArray[np.int64]
+_Steps = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ class Replay(ABC):
             more = f" and {len(listed) - 1} more" if len(listed) > 1 else ""
             self.notes.append(f"{what}: step {listed[0]}{more}")
 
-    def note_unanswered(self, states: Steps, answered: Steps) -> None:
+    def note_unanswered(self, states: _Steps, answered: _Steps) -> None:
         """Note which recorded states the node did not answer: these are left out.
 
         Raises
@@ -258,7 +258,7 @@ def replay_verdict(replay: Replay, recorded: Recorded, answers: Answers) -> dict
         replace(record, series={**record.series, topic: series}, estimates=some)
         for series, some in zip((replay.expected, given), estimates, strict=True)
     )
-    found = compare(one, other)
+    found = compare_records(one, other)
     first = found["first_difference"]
     if first is not None:
         stamp_ns = record.experiment.timebase.stamp_ns(first["step"])
@@ -280,7 +280,7 @@ def replay_verdict(replay: Replay, recorded: Recorded, answers: Answers) -> dict
     }
 
 
-def verdict(result: dict[str, Any]) -> str:
+def verdict_text(result: dict[str, Any]) -> str:
     """Say in one line whether a node answered as recorded, see `replay_verdict`."""
     node, first = result["node"], result["first_difference"]
     if first is None:
@@ -314,4 +314,4 @@ def replay_table(result: dict[str, Any]) -> Group:
     )
     table = make_table(("answers", "largest\ndifference", "NRMSE"), rows, title=title)
     colour = "green" if result["identical"] else "red"
-    return Group(table, Text(verdict(result), style=f"bold {colour}"))
+    return Group(table, Text(verdict_text(result), style=f"bold {colour}"))

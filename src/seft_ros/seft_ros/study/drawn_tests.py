@@ -131,7 +131,7 @@ def drawn_rig(
     drawn: Section = {"seed": int(random.integers(2**31))}
     for name, uncertainty in _of_node("rig").items():
         factors = _draw_factors(random, uncertainty, spread, len(axes))
-        value, kind = section[name], rig_parameters.TABLE.rows[name].kind
+        value, kind = section[name], rig_parameters.RIG_TABLE.rows[name].kind
         if len(axes) > 1 and kind == "floats" and name.startswith("actuator."):
             drawn[name] = (per_axis(value, axes, f"rig: {name}") * factors).tolist()
         else:
@@ -166,7 +166,7 @@ def drawn_motion(
 def check_rig(section: Section, axes: tuple[str, ...], timebase: Timebase, number: int) -> None:
     """Refuse impossible parameters; the InputError names the test's number if it is not 0."""
     try:
-        Rig.from_parameters(rig_parameters.TABLE.check(section), axes, timebase)
+        Rig.from_parameters(rig_parameters.RIG_TABLE.check(section), axes, timebase)
     except InputError as error:
         if number == 0:
             raise

@@ -12,8 +12,8 @@ from seft_msgs_py.errors import InputError
 from seft_ros.study.study_plan import StudyPlan, StudyTest
 from seft_ros.study.workers import software
 
-Outcome = tuple[dict[str, Any], str]
-"""Summary and obstacle of a `seft_ros.study.study_runs.Run`."""
+TestOutcome = tuple[dict[str, Any], str]
+"""Summary, and why it was not compiled, of a `seft_ros.study.study_runs.Run`."""
 
 
 class FinishedTests:
@@ -25,7 +25,7 @@ class FinishedTests:
     def __init__(self, plan: StudyPlan, folder: Path) -> None:
         self._file = folder / f"study-{_digest(plan)}.jsonl"
 
-    def read(self) -> dict[StudyTest, Outcome]:
+    def read(self) -> dict[StudyTest, TestOutcome]:
         """Read the tests, and cut off a line that was not written to its end."""
         if not self._file.exists():
             return {}
@@ -38,7 +38,7 @@ class FinishedTests:
         except (ValueError, TypeError):
             raise InputError(f"{self._file}: holds no finished tests; remove it") from None
 
-    def add(self, test: StudyTest, outcome: Outcome) -> None:
+    def add(self, test: StudyTest, outcome: TestOutcome) -> None:
         """Add a test."""
         with self._reported(), self._file.open("a") as lines:
             lines.write(json.dumps([test, *outcome]) + "\n")

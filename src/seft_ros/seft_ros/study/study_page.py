@@ -12,10 +12,10 @@ from rich.text import Text as TerminalText
 from seft_ros.drawing.page import (
     Block,
     Grid,
+    PageSection,
     Plot,
-    Section,
     Text,
-    Verdict,
+    VerdictBox,
     dots,
     level,
     line,
@@ -23,10 +23,10 @@ from seft_ros.drawing.page import (
     write_page,
 )
 from seft_ros.drawing.style import GOOD_ERROR, MARK, OTHERS, Mark, make_table, number, percent
-from seft_ros.drawing.table import Cell, Table
-from seft_ros.study.study_results import CORRELATIONS, QUANTILES, errors_of, strength
+from seft_ros.drawing.table import Cell, TextTable
+from seft_ros.study.study_results import CORRELATIONS, STUDY_QUANTILES, errors_of, strength
 
-_HEADINGS = ("method", "mass ratio", "test 0", *QUANTILES, "tripped")
+_HEADINGS = ("method", "mass ratio", "test 0", *STUDY_QUANTILES, "tripped")
 _CAPTION = "NRMSE of the displacement: as configured (test 0), and of the drawn tests"
 _STYLES = {Mark.GOOD: "green", Mark.DOUBT: "yellow", Mark.BAD: "red"}
 _CAUSES = 6  # quantities that are listed and drawn
@@ -47,8 +47,8 @@ def headline(result: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
     ends = f"{lost['count']} of {total} tests" if lost["count"] else f"none of {total} tests"
     known = [name for name in ("p95", "p90", "median") if errors[name] is not None]
     wrong = "".join(
-        f"{100 * QUANTILES[name]:g} % of the tests are at most {percent(errors[name])} wrong in "
-        "displacement; "
+        f"{100 * STUDY_QUANTILES[name]:g} % of the tests are at most {percent(errors[name])} wrong "
+        "in displacement; "
         for name in known[:1]
     )
     said = (
@@ -91,12 +91,12 @@ def study_notes(summary: Mapping[str, Any]) -> list[str]:
 
 def write_study(summary: Mapping[str, Any], title: str, subtitle: str, path: Path) -> None:
     """Write the page; an InputError says that it can't be written."""
-    verdicts = [Verdict(_mark(own), headline(own, summary)) for own in best_results(summary)]
+    verdicts = [VerdictBox(_mark(own), headline(own, summary)) for own in best_results(summary)]
     sections = [
-        Section("Verdict", verdicts),
-        Section("Error", _errors(summary)),
-        Section("What the error depends on", _dependence(summary)),
-        Section("The worst tests", _worst(summary)),
+        PageSection("Verdict", verdicts),
+        PageSection("Error", _errors(summary)),
+        PageSection("What the error depends on", _dependence(summary)),
+        PageSection("The worst tests", _worst(summary)),
     ]
     write_page(path, title, subtitle, sections)
 
@@ -138,7 +138,7 @@ def _errors(summary: Mapping[str, Any]) -> list[Block]:
     ]
     notes = "".join(f" {note}." for note in study_notes(summary))
     plots = [_distribution(best["mass_ratio"], summary) for best in best_results(summary)]
-    return [Table(_HEADINGS, rows), Text(f"{_CAPTION}.{notes}"), *plots]
+    return [TextTable(_HEADINGS, rows), Text(f"{_CAPTION}.{notes}"), *plots]
 
 
 def _distribution(ratio: float, summary: Mapping[str, Any]) -> Plot:
@@ -177,16 +177,16 @@ def _dependence(summary: Mapping[str, Any]) -> list[Block]:
         for cause in result["causes"][:_CAUSES]
     ]
     headings = ("method", "mass ratio", "quantity", "its value", "its deviation")
-    blocks: list[Block] = [Text(text), Table(headings, causes, numbers=False)]
+    blocks: list[Block] = [Text(text), TextTable(headings, causes, numbers=False)]
     motions = [
-        [*_place(result), file, str(own["tests"]), *(_error(own[name]) for name in QUANTILES)]
+        [*_place(result), file, str(own["tests"]), *(_error(own[name]) for name in STUDY_QUANTILES)]
         for result in summary["results"]
         for file, own in result["motions"].items()
         if len(result["motions"]) > 1
     ]
     if motions:
-        by_motion = ("method", "mass ratio", "ground motion", "tests", *QUANTILES)
-        blocks.append(Table(by_motion, motions, numbers=False))
+        by_motion = ("method", "mass ratio", "ground motion", "tests", *STUDY_QUANTILES)
+        blocks.append(TextTable(by_motion, motions, numbers=False))
     for best in best_results(summary):
         names = [cause["quantity"] for cause in best["causes"][:_CAUSES]]
         blocks.append(Text(f"{_name(best)}:"))
@@ -220,4 +220,4 @@ def _worst(summary: Mapping[str, Any]) -> list[Block]:
             rows.append([*_place(result), str(one["test"]), error, differs, how, one["file"]])
     headings = ("method", "mass ratio", "test", "NRMSE", "furthest from configured", "trip")
     text = "seft simulate FILE repeats a test."
-    return [Text(text), Table((*headings, "file"), rows, numbers=False, wide=True)]
+    return [Text(text), TextTable((*headings, "file"), rows, numbers=False, wide=True)]

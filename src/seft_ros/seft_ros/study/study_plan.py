@@ -11,9 +11,9 @@ from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.errors import InputError
 
 from seft_ros.force_controller.methods import force_control
-from seft_ros.reference_force.compensation_methods import METHODS
-from seft_ros.reference_force.reference_force_block import knowledge
-from seft_ros.reference_force.reference_force_parameters import TABLE
+from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
+from seft_ros.reference_force.reference_force_block import method_inputs
+from seft_ros.reference_force.reference_force_parameters import REFERENCE_FORCE_TABLE
 from seft_ros.study.drawn_tests import DrawnTests
 from seft_ros.test_run.compiled_loop import build_blocks, with_method
 
@@ -107,18 +107,19 @@ def plan_study(
     own = experiment["reference_force"]
     chosen = [*(methods or [own["compensation.method"]])]
     if EVERY_METHOD in chosen:
-        chosen = [*METHODS]
+        chosen = [*COMPENSATION_METHODS]
     for name in chosen:
-        if name not in METHODS:
+        if name not in COMPENSATION_METHODS:
             raise InputError(
                 f"--method {name}: must be {EVERY_METHOD} or one of "
-                f"{', '.join(METHODS)}{nearest(name, METHODS)}"
+                f"{', '.join(COMPENSATION_METHODS)}{nearest(name, COMPENSATION_METHODS)}"
             )
     ratios = [
-        TABLE.check({"mass_ratio": ratio}, "--mass-ratio")["mass_ratio"] for ratio in mass_ratios
+        REFERENCE_FORCE_TABLE.check({"mass_ratio": ratio}, "--mass-ratio")["mass_ratio"]
+        for ratio in mass_ratios
     ]
     # errors of the experiment itself come before those of a method
-    knowledge(own, experiment.axes, experiment.timebase)
+    method_inputs(own, experiment.axes, experiment.timebase)
     force_control(experiment["force_controller"], experiment.axes, experiment.timebase)
     chosen, ratios = list(dict.fromkeys(chosen)), list(dict.fromkeys(ratios or [own["mass_ratio"]]))
     plan = StudyPlan(experiment, drawn, tuple(chosen), tuple(ratios), {})

@@ -14,7 +14,7 @@ from seft_ros.drawing.style import RESPONSES, json_safe
 from seft_ros.study.study_plan import StudyPlan
 from seft_ros.study.study_runs import Run
 
-QUANTILES = {"median": 0.5, "p90": 0.9, "p95": 0.95, "max": 1.0}
+STUDY_QUANTILES = {"median": 0.5, "p90": 0.9, "p95": 0.95, "max": 1.0}
 """Share of the tests whose error is at most a number of this name."""
 CORRELATIONS = ("value", "deviation")
 
@@ -84,11 +84,11 @@ def result_of(plan: StudyPlan, runs: Sequence[Run]) -> dict[str, Any]:
     dict
         ``mass_ratio``, ``method``, ``uncompiled`` (why its tests were simulated uncompiled, or
         empty), ``configured`` (summary of test 0); of the drawn tests ``distribution`` and
-        ``peak_error`` of displacement, force and acceleration (`QUANTILES`; a test that tripped is
-        infinitely wrong), ``trips`` (count, share and its 95 % interval by Wilson 1927; of the
-        tests that tripped or became unstable), ``causes`` (see `causes_of`), ``motions`` (file ->
-        tests, and `QUANTILES` of the displacement's error), ``worst`` (test, nrmse, stable, trip,
-        furthest: the factors that differ most from 1) and ``runs`` (test, and its summary).
+        ``peak_error`` of displacement, force and acceleration (`STUDY_QUANTILES`; a test that
+        tripped is infinitely wrong), ``trips`` (count, share and its 95 % interval by Wilson 1927;
+        of the tests that tripped or became unstable), ``causes`` (see `causes_of`), ``motions``
+        (file -> tests, and `STUDY_QUANTILES` of the displacement's error), ``worst`` (test,
+        nrmse, stable, trip, furthest: the factors that differ most from 1) and ``runs`` (test, and its summary).
     """
     configured, drawn = runs[0], [run.summary for run in runs[1:]]
     errors, lost = errors_of(drawn), sum(not one["stable"] for one in drawn)
@@ -98,7 +98,7 @@ def result_of(plan: StudyPlan, runs: Sequence[Run]) -> dict[str, Any]:
     return {
         "mass_ratio": configured.test.mass_ratio,
         "method": configured.test.method,
-        "uncompiled": configured.obstacle,
+        "uncompiled": configured.why_not_compiled,
         "configured": configured.summary,
         "distribution": {name: quantiles(errors_of(drawn, name)) for name in RESPONSES},
         "peak_error": {name: quantiles(_peak_errors(drawn, name)) for name in RESPONSES},
@@ -148,11 +148,11 @@ def _peak_errors(outcomes: Sequence[Mapping[str, Any]], response: str) -> Floats
 
 
 def quantiles(errors: Floats) -> dict[str, float]:
-    """Smallest errors that so many of the tests do not exceed, see `QUANTILES`."""
+    """Smallest errors that so many of the tests do not exceed, see `STUDY_QUANTILES`."""
     known = np.sort(errors[~np.isnan(errors)])
     if not len(known):
-        return dict.fromkeys(QUANTILES, math.nan)
-    places = {name: math.ceil(share * len(known)) - 1 for name, share in QUANTILES.items()}
+        return dict.fromkeys(STUDY_QUANTILES, math.nan)
+    places = {name: math.ceil(share * len(known)) - 1 for name, share in STUDY_QUANTILES.items()}
     return {name: float(known[max(place, 0)]) for name, place in places.items()}
 
 

@@ -15,13 +15,13 @@ from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.summary import summarise_briefly
 from seft_ros.bags.record import Record
-from seft_ros.study.finished_tests import FinishedTests, Outcome
+from seft_ros.study.finished_tests import FinishedTests, TestOutcome
 from seft_ros.study.study_plan import StudyPlan, StudyTest
 from seft_ros.study.workers import parallel_map
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import Workshop, simulate
+from seft_ros.test_run.offline import BlockCache, simulate_test
 
-_SHOP = Workshop()
+_CACHE = BlockCache()
 
 
 @dataclass(frozen=True)
@@ -34,13 +34,13 @@ class Run:
         Which.
     summary : dict
         As `seft_ros.analysis.summary.summarise_briefly` gives it.
-    obstacle : str
+    why_not_compiled : str
         Why it ran on the uncompiled blocks of `seft simulate`; empty: on the compiled loop.
     """
 
     test: StudyTest
     summary: dict[str, Any]
-    obstacle: str = ""
+    why_not_compiled: str = ""
 
 
 def run_study(
@@ -53,8 +53,8 @@ def run_study(
 ) -> list[Run]:
     """Run the tests of a study offline; the results do not depend on where.
 
-    A test that the compiled loop can't run (`Workshop.obstacle`) is run by the uncompiled blocks,
-    which takes many times as long.
+    A test that the compiled loop can't run (`BlockCache.why_not_compiled`) is run by the uncompiled
+    blocks, which takes many times as long.
 
     Parameters
     ----------
@@ -90,19 +90,19 @@ def run_study(
     return [Run(test, *found[test]) for test in tests]
 
 
-def _run(test: StudyTest, experiment: Experiment, carried: Mapping[str, bytes]) -> Outcome:
+def _run(test: StudyTest, experiment: Experiment, carried: Mapping[str, bytes]) -> TestOutcome:
     """Run a test; an error says in one line which it is of."""
     try:
         if carried and (file := experiment["ground_motion"]["file"]):
             local = _at_hand(Path(file).name, carried[file])
             section = experiment["ground_motion"] | {"file": local}
             experiment = Experiment(experiment.sections | {"ground_motion": section})
-        reference, obstacle = _SHOP.reference(experiment), _SHOP.obstacle(experiment)
-        if obstacle:  # what learns begins with blocks of its own
-            record = simulate(experiment, build_blocks(experiment))
+        reference, why = _CACHE.reference(experiment), _CACHE.why_not_compiled(experiment)
+        if why:  # what learns begins with blocks of its own
+            record = simulate_test(experiment, build_blocks(experiment))
         else:
-            record = _SHOP.run(experiment)
-        return _brief(record, reference), obstacle
+            record = _CACHE.run(experiment)
+        return _brief(record, reference), why
     except SeftError as error:
         raise type(error)(f"{test}: {error}") from None
     except Exception as error:

@@ -17,7 +17,7 @@ from seft_plant_sim.compiled import OPTIONS, compiled, entry_point, kind_of
 from seft_plant_sim.rig import Rig, Rigs
 from seft_plant_sim.rig_step import (
     BLIND,
-    LIMIT,
+    RIG_LIMIT,
     RigParameters,
     RigState,
     rig_step,
@@ -34,15 +34,15 @@ from seft_ros.force_controller.force_controller_parameters import (
     VELOCITY_FEEDFORWARD,
 )
 from seft_ros.force_controller.interlock import (
-    NOTHING,
+    NO_TRIP,
     TRIP,
     Interlock,
     InterlockParameters,
     Interlocks,
     InterlockState,
-    begin_control,
-    end_control,
     interlock_of,
+    postcheck,
+    precheck,
 )
 from seft_ros.force_controller.velocity_feedforward import (
     FeedforwardParameters,
@@ -138,7 +138,7 @@ def check_target(experiment: Experiment, blocks: Blocks) -> None:
     """
     method = experiment["force_controller"]["method"]
     compensation = experiment["reference_force"]["compensation.method"]
-    has_target = blocks.reference_force.reference_force.tells_motion
+    has_target = blocks.reference_force.reference_force.provides_target
     if method == VELOCITY_FEEDFORWARD and not has_target:
         raise InputError(
             f"force_controller: method {method} follows the motion of a target, but "
@@ -192,7 +192,7 @@ CONTROL_STEPS = {TransferParameters: transfer_step, FeedforwardParameters: feedf
 _OPTIONS: dict[str, Any] = {"jit_options": OPTIONS}
 
 
-def obstacle(blocks: Blocks) -> str:
+def why_not_compiled(blocks: Blocks) -> str:
     """Say why a test can't run in the compiled loop; empty if it can."""
     method = blocks.reference_force.reference_force.compensator
     if not isinstance(blocks.rig, Rig) or not isinstance(blocks.force_controller, Interlock):
@@ -214,7 +214,7 @@ def obstacle(blocks: Blocks) -> str:
 
 
 def respond(
-    parameters: Any, state: Any, ground: Floats, measured: Floats, pace: float, points: Floats
+    parameters: Any, state: Any, ground: Floats, measured: Floats, progress: float, points: Floats
 ) -> None:
     """Step of a compensation method, see `FORCE_STEPS`."""
     raise NotImplementedError
@@ -231,10 +231,10 @@ def estimate(parameters: Any, state: Any, result: Floats) -> None:
 
 
 @overload(respond, **_OPTIONS)
-def _respond(parameters, state, ground, measured, pace, points):  # type: ignore[no-untyped-def]
+def _respond(parameters, state, ground, measured, progress, points):  # type: ignore[no-untyped-def]
     step: Any = FORCE_STEPS[parameters.instance_class]
-    return lambda parameters, state, ground, measured, pace, points: step(
-        parameters, state, ground, measured, pace, points
+    return lambda parameters, state, ground, measured, progress, points: step(
+        parameters, state, ground, measured, progress, points
     )
 
 
@@ -284,7 +284,7 @@ class LoopBlocks(NamedTuple):
         Parameters and state of each.
     force, control : tuple
         Parameters and state of compensation method and controller.
-    under_way : ndarray
+    in_flight : ndarray
         Points of the last steps in turn, shape (1 + d, p, q, n), of a loop with a delay of d steps.
     drive : ndarray
         Input of the rig, shape (n,).
@@ -302,7 +302,7 @@ class LoopBlocks(NamedTuple):
     interlock: tuple[InterlockParameters, InterlockState]
     force: tuple[Any, Any]
     control: tuple[Any, Any]
-    under_way: Floats
+    in_flight: Floats
     drive: Floats
     is_valve_driven: bool
     window: int
@@ -318,7 +318,7 @@ def run_compiled(
     Parameters
     ----------
     blocks : Blocks
-        For which there is no `obstacle`.
+        For which there is no `why_not_compiled`.
     samples : LoopSamples
         The result.
     loop_delay : int
@@ -385,40 +385,40 @@ def _run_steps(
     """
     rig, protection, interlock = loop.rig, loop.protection, loop.interlock
     force, control, drive = loop.force, loop.control, loop.drive
-    turns, _, quantities, _ = loop.under_way.shape
+    turns, _, quantities, _ = loop.in_flight.shape
     window, is_target, n = loop.window, quantities > 1, len(loop.axes)
     # what the compiler takes from these makes the loop nearly twice as fast
     assert samples.states.shape[2] == n and samples.commands.shape[1] == n
-    assert known.shape[1] == n and noise.shape[2] == n and loop.under_way.shape[3] == n
+    assert known.shape[1] == n and noise.shape[2] == n and loop.in_flight.shape[3] == n
     assert len(drive) == n
     for step in range(first, last):
         measured, command = samples.states[step], samples.commands[step]
         found = rig_step(rig[0], rig[1], step, drive, noise[step - first], measured)
         samples.found[step] = found
         # reference force
-        asked = loop.under_way[step % turns]
-        pace = begin_step(protection[0], protection[1], True)
+        asked = loop.in_flight[step % turns]
+        progress = begin_step(protection[0], protection[1], True)
         if not protection[1].flags[HOLDING]:
-            respond(force[0], force[1], known[step : step + window], measured, pace, asked)
-        protect(protection[0], protection[1], known[step], measured, True, pace, asked)
-        late = loop.under_way[(step + 1) % turns]
+            respond(force[0], force[1], known[step : step + window], measured, progress, asked)
+        protect(protection[0], protection[1], known[step], measured, True, progress, asked)
+        late = loop.in_flight[(step + 1) % turns]
         sent = asked if is_target else late
         for row in range(quantities):
             for i in range(n):
                 samples.forces[step, row, i] = sent[0, row, i]
         applied = late[turns - 1 if is_target else 0 :]
         # force control
-        if begin_control(interlock[0], interlock[1], step, applied, measured, command):
+        if precheck(interlock[0], interlock[1], step, applied, measured, command):
             asked, sample = interlock[1].plan, interlock[1].sample
             limited = answer(control[0], control[1], asked, sample, command)
-            end_control(interlock[0], interlock[1], step, limited, command)
+            postcheck(interlock[0], interlock[1], step, limited, command)
         if step % loop.period == 0:
             estimate(force[0], force[1], samples.estimates[step // loop.period])
         for i in range(n):
             is_valve = loop.is_valve_driven
             drive[i] = command[i] if is_valve else applied[0, quantities - 1, i]
         has_ended = protection[1].ramp[TAKEN] >= loop.longest_ramp
-        if has_ended or found & (LIMIT | BLIND) or interlock[1].flags[TRIP] != NOTHING:
+        if has_ended or found & (RIG_LIMIT | BLIND) or interlock[1].flags[TRIP] != NO_TRIP:
             return step + 1
     return last
 

@@ -15,7 +15,7 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError, WireError
 from seft_msgs_py.node.rclpy_interface import (
-    WaitSet,
+    RclWaitSet,
     command_node,
     leave_graph,
     raw_publisher,
@@ -29,19 +29,19 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.design.stability_verdict import MASS_RATIO_RESERVE as RESERVE
 from seft_ros.drawing.style import Mark, Number, rows_of
-from seft_ros.drawing.table import Cell, Table, Texts
+from seft_ros.drawing.table import Cell, Texts, TextTable
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 
-Verdict = Literal["good", "marginal", "unusable"]
+_Verdict = Literal["good", "marginal", "unusable"]
 
-PERCENTILES = (50, 90, 99, 99.9)
-MARGIN = 1
+_PERCENTILES = (50, 90, 99, 99.9)
+_MARGIN = 1
 """Steps of a loop's delay beyond the percentile: for its computation, and for rare delays."""
 COUNTED = 99.0
 """Percentile of the round trips that a loop's delay covers; later values are predicted."""
 SOME_LOST, TOO_MANY_LOST = 0.005, 0.2
 """Share of the messages lost from which a link is marginal, and unusable."""
-LONGEST_DELAY = 100
+_LONGEST_DELAY = 100
 """Steps that `loop_delay` may have."""
 
 
@@ -84,7 +84,7 @@ class RoundTrips:
     @property
     def loop_delay(self) -> int:
         """Delay that a loop over this link needs, in steps at this rate."""
-        return math.ceil(self._percentile(COUNTED) * self.rate - 1e-9) + MARGIN
+        return math.ceil(self._percentile(COUNTED) * self.rate - 1e-9) + _MARGIN
 
     @property
     def rate_within_a_step(self) -> float:
@@ -100,7 +100,7 @@ class RoundTrips:
             "longest_burst": self.longest_burst,
             "reordered": self.reordered,
             "round_trip_s": {
-                **{f"p{p:g}": self._percentile(p) for p in PERCENTILES},
+                **{f"p{p:g}": self._percentile(p) for p in _PERCENTILES},
                 "least": float(self.times.min()),
                 "largest": float(self.times.max()),
             },
@@ -174,7 +174,7 @@ def allowed(experiment: Experiment, loop_delay: int) -> Allowed:
     return Allowed(planned, critical.value if critical else None, growing)
 
 
-def judge(trips: RoundTrips, test: Allowed | None) -> tuple[Verdict, list[str]]:
+def judge_link(trips: RoundTrips, test: Allowed | None) -> tuple[_Verdict, list[str]]:
     """Judge a link, and a test over it.
 
     Returns
@@ -185,8 +185,8 @@ def judge(trips: RoundTrips, test: Allowed | None) -> tuple[Verdict, list[str]]:
         Why it is not good.
     """
     lost, delay, bad, thin = trips.lost / trips.sent, trips.loop_delay, [], []
-    if delay > LONGEST_DELAY:
-        bad.append(f"the loop would need a delay of {delay} steps, more than {LONGEST_DELAY}")
+    if delay > _LONGEST_DELAY:
+        bad.append(f"the loop would need a delay of {delay} steps, more than {_LONGEST_DELAY}")
     if lost > TOO_MANY_LOST:
         bad.append(f"{100 * lost:.3g} % of the messages were lost")
     elif lost > SOME_LOST:
@@ -235,13 +235,13 @@ def link_texts(summary: dict[str, Any]) -> Texts:
         rows += rows_of(_TEST, test | unknown)
     sent = f"{summary['sent']} messages of {summary['size_bytes']} bytes"
     title = f"link: {sent} at {summary['rate_hz']:g} Hz"
-    return [title, Table((), rows), Cell(verdict, _MARKS[verdict])]
+    return [title, TextTable((), rows), Cell(verdict, _MARKS[verdict])]
 
 
-PATIENCE = 15.0  # s, until the other side is found
-POLL_PERIOD = 0.05  # s
-SETTLING = 0.5  # s that do not count: the first messages are the slowest
-FIRST, LAST = 5.0, 1.0  # s in which the first and the last message may come back
+_ECHO_TIMEOUT_S = 15.0  # s, until the other side is found
+_POLL_PERIOD = 0.05  # s
+_SETTLING = 0.5  # s that do not count: the first messages are the slowest
+_FIRST, LAST = 5.0, 1.0  # s in which the first and the last message may come back
 ECHO_PERIOD = 0.2  # s
 
 
@@ -254,7 +254,7 @@ class _LinkNode:
         self.send = sender(self.publisher)
         self.subscription = raw_subscription(self.node, receives, reliable=False)
         self._take = taker(self.subscription)
-        self._wait_set = WaitSet(self.node.context, [self.subscription])
+        self._wait_set = RclWaitSet(self.node.context, [self.subscription])
 
     def listen(self, timeout: float) -> Iterator[bytes]:
         """Wait at most ``timeout`` s for messages, and give all that have come."""
@@ -284,7 +284,7 @@ def echo(progress: Callable[[int], None]) -> None:
             progress(count)
 
 
-def measure(
+def measure_link(
     rate: float,
     duration: float,
     size: int,
@@ -314,7 +314,7 @@ def measure(
         If nothing comes back.
     """
     ping, pong = (LINK_PING, LINK_PONG) if rig is None else (LINK_PING.of(rig), LINK_PONG.of(rig))
-    first, count = -max(1, round(SETTLING * rate)), max(2, round(duration * rate))
+    first, count = -max(1, round(_SETTLING * rate)), max(2, round(duration * rate))
     own = uuid.uuid4().hex
     sent: dict[int, float] = {}
     back: list[tuple[int, float]] = []
@@ -338,10 +338,10 @@ def measure(
     with closing(_LinkNode("seft_link", ping, pong)) as link:
         progress("looking for the other side", 0)
         _find_echo(link, pong)
-        deadline = time.monotonic() + FIRST
+        deadline = time.monotonic() + _FIRST
         while not back and time.monotonic() < deadline:  # this side may not be discovered there yet
             send(first - 1)
-            listen_until(time.monotonic() + POLL_PERIOD)
+            listen_until(time.monotonic() + _POLL_PERIOD)
         start = time.monotonic() - first / rate
         for number in range(first, count):
             listen_until(start + number / rate)
@@ -349,7 +349,7 @@ def measure(
             progress("measuring the link", max(number, 0))
         deadline = time.monotonic() + LAST
         while len({number for number, _ in back}) < len(sent) and time.monotonic() < deadline:
-            listen_until(min(deadline, time.monotonic() + POLL_PERIOD))
+            listen_until(min(deadline, time.monotonic() + _POLL_PERIOD))
     progress("measured", count)
     counted = [(number, took) for number, took in back if number >= 0]
     if not counted:
@@ -362,7 +362,7 @@ def measure(
 
 def _find_echo(link: _LinkNode, pong: Topic) -> None:
     """Wait for the one node that echoes."""
-    deadline = time.monotonic() + PATIENCE
+    deadline = time.monotonic() + _ECHO_TIMEOUT_S
     while True:
         echoes = link.node.get_publishers_info_by_topic(pong.name)
         if len(echoes) > 1:
@@ -373,8 +373,8 @@ def _find_echo(link: _LinkNode, pong: Topic) -> None:
         if time.monotonic() > deadline:
             domain = os.environ.get("ROS_DOMAIN_ID", "0")
             raise InputError(
-                f"nobody echoes on ROS domain {domain} within {PATIENCE:g} s; on the other "
+                f"nobody echoes on ROS domain {domain} within {_ECHO_TIMEOUT_S:g} s; on the other "
                 "host start seft link --echo, or its force_controller with a loop_delay "
                 "(docs/hosts.md has what two hosts need to find each other)"
             )
-        time.sleep(POLL_PERIOD)
+        time.sleep(_POLL_PERIOD)

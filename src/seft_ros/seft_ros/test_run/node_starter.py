@@ -38,8 +38,8 @@ IMPORTED = (
 )
 """Most of what nodes import. None imports rclpy, whose tracer starts threads: only a process of one
 thread may be forked."""
-PATIENCE = 10.0  # s for nodes that the run did not end
-POLL_PERIOD = 0.05  # s
+_END_TIMEOUT_S = 10.0  # s for nodes that the run did not end
+_POLL_PERIOD = 0.05  # s
 LONGEST_COMMAND = 4096  # bytes
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None)
@@ -118,7 +118,7 @@ class NodeStarter:
     def _read(self, timeout: float | None) -> None:
         """Take in what the starter reports within a time; None: any time."""
         if self._is_lost:
-            time.sleep(min(timeout or 0.0, POLL_PERIOD))
+            time.sleep(min(timeout or 0.0, _POLL_PERIOD))
             return
         assert self._process.stdout is not None
         file = self._process.stdout.fileno()
@@ -230,12 +230,12 @@ def _report_ended(running: set[int], report: int) -> None:
 def _end(running: set[int], report: int) -> None:
     """Ask processes to end, wake those that a signal has stopped, and kill the remaining ones."""
     for numbers in ((signal.SIGTERM, signal.SIGCONT), (signal.SIGKILL,)):
-        deadline = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + _END_TIMEOUT_S
         while running and time.monotonic() < deadline:
             for pid in running:
                 for number in numbers:
                     os.kill(pid, number)  # it is still there, as nobody has waited for its end
-            time.sleep(POLL_PERIOD)
+            time.sleep(_POLL_PERIOD)
             _report_ended(running, report)
 
 

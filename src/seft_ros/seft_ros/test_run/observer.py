@@ -13,9 +13,9 @@ from seft_msgs_py.node.dds import DdsEndpoint
 from seft_msgs_py.node.process import is_running, prepare_on_this_host
 from seft_msgs_py.node.rclpy_interface import (
     Publisher,
+    RclWaitSet,
     SingleThreadedExecutor,
     Subscription,
-    WaitSet,
     command_node,
     is_acknowledged,
     leave_graph,
@@ -188,7 +188,7 @@ class Observer:
 
     def _on_state(self, raw: bytes, gid: bytes) -> None:
         """Accept the state of a running test only from the supervisor that it began with."""
-        if self._senders.is_foreign(EXPERIMENT_STATE.name, gid):
+        if self._senders.is_unexpected(EXPERIMENT_STATE.name, gid):
             return
         try:
             status = decode_status(raw)
@@ -228,13 +228,13 @@ def alone_on_the_graph(external: Collection[str] = ()) -> None:
         observer.refuse_other_tests(external)
 
 
-HEARTBEAT = 0.2  # s between two repeats of the test's state
+_HEARTBEAT = 0.2  # s between two repeats of the test's state
 ACKNOWLEDGED_WITHIN = 2.0  # s for a reader to acknowledge the test's state
-Receive = Callable[[bytes, float, float], None]
+_Receive = Callable[[bytes, float, float], None]
 """Takes a message, and the times of its reception and sending, s, monotonic."""
 
 
-class Player:
+class SimulatedPeer:
     """Publishes and receives messages as other nodes of a test would, such as the supervisor.
 
     Parameters
@@ -253,7 +253,7 @@ class Player:
     """
 
     def __init__(
-        self, name: str, sends: Sequence[Topic], receives: Mapping[Topic, Receive]
+        self, name: str, sends: Sequence[Topic], receives: Mapping[Topic, _Receive]
     ) -> None:
         self.status: dict[str, Status] = {}
         self.node = command_node(name)
@@ -262,12 +262,12 @@ class Player:
         for topic in (EXPERIMENT_STATE, *sends):
             self.publish_on(topic)
         takers = {**receives, DIAGNOSTICS: self._on_diagnostics}
-        self._takers: dict[Subscription, Receive] = {}
+        self._takers: dict[Subscription, _Receive] = {}
         self._topics: dict[Topic, Subscription] = {}
         for topic, take in takers.items():
             subscription = raw_subscription(self.node, topic)
             self._takers[subscription], self._topics[topic] = take, subscription
-        self._wait_set = WaitSet(self.node.context, list(self._takers))
+        self._wait_set = RclWaitSet(self.node.context, list(self._takers))
         self._state: bytes | None = None
         self._said_at = 0.0
 
@@ -304,7 +304,7 @@ class Player:
 
     def listen(self, timeout: float) -> bool:
         """Wait at most ``timeout`` s for messages, handle them, and repeat the state if due."""
-        if self._state is not None and time.monotonic() - self._said_at >= HEARTBEAT:
+        if self._state is not None and time.monotonic() - self._said_at >= _HEARTBEAT:
             self._repeat()
         ready = self._wait_set.wait(timeout)
         now, offset = time.monotonic(), time.monotonic() - time.time()
@@ -319,7 +319,7 @@ class Player:
         """Handle all messages for ``duration`` s."""
         deadline = time.monotonic() + duration
         while (left := deadline - time.monotonic()) > 0:
-            self.listen(min(left, HEARTBEAT / 2))
+            self.listen(min(left, _HEARTBEAT / 2))
 
     def is_matched(self, node: str, sends: Iterable[Topic], receives: Iterable[Topic]) -> bool:
         """Whether a node has received this one's state and is connected to these topics."""

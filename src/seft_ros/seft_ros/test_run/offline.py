@@ -36,15 +36,15 @@ from seft_ros.test_run.compiled_loop import (
     Blocks,
     LoopSamples,
     build_blocks,
-    obstacle,
     run_compiled,
+    why_not_compiled,
 )
 from seft_ros.test_run.state_machine import while_ramping_down
 
 PROGRESS_STEPS = 5000
 
 
-def simulate(
+def simulate_test(
     experiment: Experiment,
     blocks: Blocks,
     progress: Callable[[int], None] | None = None,
@@ -80,7 +80,7 @@ def simulate(
         np.empty(total, dtype=np.int64),
         np.empty((-(-total // period), len(estimated), axes)),
     )
-    run = run_plain if obstacle(blocks) else run_compiled
+    run = run_plain if why_not_compiled(blocks) else run_compiled
     environment = environment or describe_environment("simulate")
     loop = run(blocks, samples, experiment["reference_force"]["loop_delay"], period)
     steps, start = next(loop), time.perf_counter()
@@ -96,7 +96,7 @@ def simulate(
         experiment=experiment,
         series=loop_series(motion, samples, steps),
         estimates=estimates,
-        trip=trip_of(
+        trip=_trip_of(
             blocks.rig.violation or blocks.force_controller.reason,
             force.cause,
             steps - 1,
@@ -115,7 +115,7 @@ def run_plain(blocks: Blocks, samples: LoopSamples, loop_delay: int, period: int
     total, axes = samples.commands.shape
     known, window = blocks.ground_motion.known, 1 + reference_force.preview
     force_step, valve_step = reference_force.step, interlock.step
-    under_way = deque([np.zeros((1 + loop_delay, 1, axes))] * loop_delay)
+    in_flight = deque([np.zeros((1 + loop_delay, 1, axes))] * loop_delay)
     valve_driven, names = rig.drive == VALVE_COMMAND.name, tuple(reference_force.estimates())
     yield 0
     state = rig.reset()
@@ -124,8 +124,8 @@ def run_plain(blocks: Blocks, samples: LoopSamples, loop_delay: int, period: int
             points = force_step(known[step : step + window], state)
             samples.states[step], samples.forces[step] = state, points[0]
             if loop_delay:
-                under_way.append(points)
-                points = under_way.popleft()[loop_delay:]
+                in_flight.append(points)
+                points = in_flight.popleft()[loop_delay:]
             command = samples.commands[step] = valve_step(step, points, state)
             if step % period == 0 and samples.estimates.size:
                 estimates = reference_force.estimates()
@@ -153,7 +153,7 @@ def loop_series(motion: Floats, samples: LoopSamples, steps: int) -> dict[str, S
     return {name: Series(numbers, each) for name, each in values.items()}
 
 
-def trip_of(
+def _trip_of(
     violation: str | None, cause: str | None, last: int, begun: int, timebase: Timebase
 ) -> Trip | None:
     """Say what ended a test before the end of its record, as supervisor and rig would.
@@ -175,7 +175,7 @@ def trip_of(
     return None if cause is None else Trip(cause, begun, timebase.stamp_ns(begun) / 1e9)
 
 
-class Workshop:
+class BlockCache:
     """Prepares and runs the tests of an ensemble; each thread has its own blocks."""
 
     def __init__(self) -> None:
@@ -186,7 +186,7 @@ class Workshop:
         return describe_environment("ensemble")
 
     def run(self, experiment: Experiment) -> Record:
-        """Run a test, see `simulate`.
+        """Run a test, see `simulate_test`.
 
         Raises
         ------
@@ -195,11 +195,11 @@ class Workshop:
         """
         blocks = self.blocks(experiment)
         vars(self._last).pop("made", None)  # a rig runs once
-        return simulate(experiment, blocks, environment=self._environment)
+        return simulate_test(experiment, blocks, environment=self._environment)
 
-    def obstacle(self, experiment: Experiment) -> str:
-        """Say why a test can't run in the compiled loop, see `obstacle`; empty if it can."""
-        return obstacle(self.blocks(experiment))
+    def why_not_compiled(self, experiment: Experiment) -> str:
+        """See `seft_ros.test_run.compiled_loop.why_not_compiled`."""
+        return why_not_compiled(self.blocks(experiment))
 
     def reference(self, experiment: Experiment) -> ReferenceResponse:
         """Calculate the exact response of a test; that of the test before if it is the same."""

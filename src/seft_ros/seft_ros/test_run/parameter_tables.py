@@ -4,13 +4,17 @@ from dataclasses import replace
 
 from seft_msgs_py.config.parameter_table import Parameter, Table, parameter_rows
 from seft_msgs_py.wire.topics import NODES
-from seft_plant_sim.rig_parameters import TABLE as RIG
+from seft_plant_sim.rig_parameters import RIG_TABLE as RIG
 from seft_plant_sim.rig_parameters import limit_rows
 
-from seft_ros.force_controller.force_controller_parameters import TABLE as FORCE_CONTROLLER
-from seft_ros.ground_motion.ground_motion_block import TABLE as GROUND_MOTION
-from seft_ros.reference_force.reference_force_parameters import TABLE as REFERENCE_FORCE
-from seft_ros.test_run.peers import PARAMETERS as REHEARSAL
+from seft_ros.force_controller.force_controller_parameters import (
+    FORCE_CONTROLLER_TABLE as FORCE_CONTROLLER,
+)
+from seft_ros.ground_motion.ground_motion_block import GROUND_MOTION_TABLE as GROUND_MOTION
+from seft_ros.reference_force.reference_force_parameters import (
+    REFERENCE_FORCE_TABLE as REFERENCE_FORCE,
+)
+from seft_ros.test_run.peers import REHEARSAL_PARAMETERS as REHEARSAL
 
 _WATCHDOG = parameter_rows(
     """
@@ -25,7 +29,7 @@ _WATCHDOG = parameter_rows(
         test trips at once; ten times as long in lockstep, where steps may take any time
     """
 )
-SUPERVISOR = Table(
+SUPERVISOR_TABLE = Table(
     "supervisor",
     [
         *limit_rows(),
@@ -51,6 +55,6 @@ _LIVE = parameter_rows(
         ramped down, or continues; the recorder keeps all messages, and saves them at the end
     """
 )
-RECORDER = Table("recorder", [replace(row, live=True) for row in _LIVE])
+RECORDER_TABLE = Table("recorder", [replace(row, live=True) for row in _LIVE])
 
-TABLES = (GROUND_MOTION, REFERENCE_FORCE, FORCE_CONTROLLER, RIG, SUPERVISOR, RECORDER)
+TABLES = (GROUND_MOTION, REFERENCE_FORCE, FORCE_CONTROLLER, RIG, SUPERVISOR_TABLE, RECORDER_TABLE)

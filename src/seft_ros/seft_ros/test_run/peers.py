@@ -9,7 +9,7 @@ from seft_msgs_py.wire.messages import Status
 from seft_msgs_py.wire.outcome import FINISHED, REHEARSED, REHEARSES, RIG, TRIPPED
 from seft_msgs_py.wire.topics import RigAxes, bare, topics_of, with_rigs
 
-PARAMETERS = parameter_rows(
+REHEARSAL_PARAMETERS = parameter_rows(
     """
     rehearsal.duration | float | 2.0 | s | 0 .. 60 |
         duration of the rehearsal before a test in realtime, with the valve at its safe value and
@@ -21,7 +21,7 @@ UNFIT = "a loop that keeps its rate: "
 RUNS = "the rehearsal of the loop"
 """What is missing while the rehearsal runs."""
 
-LOOP = ("rig", "reference_force", "force_controller")
+_LOOP = ("rig", "reference_force", "force_controller")
 REFUSED = 0.1  # of the steps missed: a test of such a loop is another
 WARNED = 0.001
 ROOM = 0.8  # of a period, that the slowest hundredth may take at a rate that is proposed
@@ -40,7 +40,7 @@ class Rehearsed:
     asked: float = 0.0
 
 
-def judge(duration: float, nodes: Mapping[str, Mapping[str, Any]]) -> Rehearsed:
+def judge_peers(duration: float, nodes: Mapping[str, Mapping[str, Any]]) -> Rehearsed:
     """Judge the rehearsal of a loop.
 
     Parameters
@@ -51,7 +51,7 @@ def judge(duration: float, nodes: Mapping[str, Mapping[str, Any]]) -> Rehearsed:
         Name of each node of the test -> its description, in which one that can rehearse says so.
         There is a rehearsal if all nodes of one loop can: none over a link or with several rigs.
     """
-    if not duration or not all(nodes.get(name, {}).get(REHEARSES) for name in LOOP):
+    if not duration or not all(nodes.get(name, {}).get(REHEARSES) for name in _LOOP):
         return Rehearsed()
     found = nodes["rig"].get(REHEARSED)
     if found is None:
@@ -72,10 +72,10 @@ def judge(duration: float, nodes: Mapping[str, Mapping[str, Any]]) -> Rehearsed:
     return Rehearsed(f"{rate:g} Hz does not fit here: {trip}, {share}; {'; '.join(remedy)}")
 
 
-RAMPING_DOWN, AT_REST = "ramping_down", "at_rest"  # phases of the reference force
+RAMPING_DOWN, AT_REST_KEY = "ramping_down", "at_rest"  # phases of the reference force
 ALL_ANSWERED = "ended"
 """Its phase when the test has ended and it has answered the last state."""
-SILENT = "silent"
+SILENT_KEY = "silent"
 """Key of a trip's values: the nodes that had fallen silent, once that is known; may be empty."""
 RECORDING = "recording"
 """Phase of the recorder as long as the bag of a test is open, also after that test's end."""
@@ -154,7 +154,7 @@ def missing(
         if statuses[node].phase in _IN_A_TEST:
             return f"the {node} to leave the last test"  # its end would count for the next one
     phases = {node: statuses[node].phase for node in statuses}
-    if phases.get("reference_force") in (RAMPING_DOWN, AT_REST, ALL_ANSWERED):
+    if phases.get("reference_force") in (RAMPING_DOWN, AT_REST_KEY, ALL_ANSWERED):
         return "the reference force to leave the last test"
     if "recorder" in peers:
         if phases["recorder"] == RECORDING:

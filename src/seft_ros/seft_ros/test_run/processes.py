@@ -82,7 +82,7 @@ class Placement:
             if in_loop and self._lockstep:
                 os.sched_setscheduler(thread, os.SCHED_BATCH, os.sched_param(0))
         if in_loop and not self._lockstep:
-            _hurry(pid)
+            _request_low_latency(pid)
 
     def settle(self, pid: int, *, lockstep: bool) -> None:
         """Prepare a process of the loop for a test; the pace is known by now.
@@ -93,10 +93,10 @@ class Placement:
             for thread in side_threads(pid):
                 os.sched_setaffinity(thread, self.others)
             if self._lockstep and not lockstep:
-                _hurry(pid)
+                _request_low_latency(pid)
 
 
-def _hurry(pid: int) -> None:
+def _request_low_latency(pid: int) -> None:
     prefer_latency(pid)
     take_precedence(pid)
 
@@ -138,7 +138,7 @@ class ProcessLayout:
     composed: bool = False
     priority: int = 0
 
-    def wishes(self, node: str) -> dict[str, Any]:
+    def realtime_parameters(self, node: str) -> dict[str, Any]:
         """Parameters by which a node of the loop asks the system for what it needs."""
         if self.priority:
             below = 0 if self.composed else GIVES_WAY.get(node, 0)

@@ -14,11 +14,11 @@ from seft_msgs_py.node.process import as_before, on_ending, prepare_on_this_host
 from seft_msgs_py.wire.outcome import ENDED, State
 from seft_msgs_py.wire.topics import EXPERIMENT_STATE, NODES, LoopTopic, bare, topics_of, with_rigs
 
-from seft_ros.bags.bag_place import obstacle
+from seft_ros.bags.bag_place import why_not_writable
 from seft_ros.test_run.node_starter import NodeStarter
 from seft_ros.test_run.observer import Observer
-from seft_ros.test_run.parameter_tables import RECORDER
-from seft_ros.test_run.peers import CONFLICT, RUNS, SILENT, UNFIT
+from seft_ros.test_run.parameter_tables import RECORDER_TABLE
+from seft_ros.test_run.peers import CONFLICT, RUNS, SILENT_KEY, UNFIT
 from seft_ros.test_run.processes import (
     LOOP_NODES,
     MODULES,
@@ -26,16 +26,16 @@ from seft_ros.test_run.processes import (
     ProcessLayout,
     node_processes,
 )
-from seft_ros.test_run.state_machine import PACE
+from seft_ros.test_run.state_machine import PACE_KEY
 
-POLL_PERIOD = 0.05  # s
+_POLL_PERIOD = 0.05  # s
 READY_TIMEOUT, SAVE_TIMEOUT = 60.0, 20.0  # s
 SLACK = 1.0  # s beyond the supervisor's own patience
 STANDING_STILL = 60.0  # s; a ramp that has not ended by then never will
 
 AT_ONCE = 2  # signals that are remembered: for a soft stop, and to abort
 
-Progress = Callable[[str, int], None]
+_Progress = Callable[[str, int], None]
 """Called with the present stage and the steps done; may raise KeyboardInterrupt."""
 
 
@@ -78,13 +78,13 @@ class RunMonitor:
     processes : NodeProcesses
         The nodes that were started here.
     progress : callable
-        See `Progress`.
+        See `_Progress`.
     test : Experiment
         Its configuration.
     """
 
     def __init__(
-        self, observer: Observer, processes: NodeProcesses, progress: Progress, test: Experiment
+        self, observer: Observer, processes: NodeProcesses, progress: _Progress, test: Experiment
     ) -> None:
         self._observer, self._processes, self._progress = observer, processes, progress
         self._period_ns = test.timebase.period_ns
@@ -110,16 +110,16 @@ class RunMonitor:
                 return
             if observer.state == State.TRIPPED:
                 raise ExperimentError(f"the supervisor refused to start: {answer}")
-            observer.spin(POLL_PERIOD)  # a node was away for a moment: wait for it
+            observer.spin(_POLL_PERIOD)  # a node was away for a moment: wait for it
 
     def _settle(self) -> None:
-        self._processes.settle(lockstep=self._observer.values.get(PACE) == "lockstep")
+        self._processes.settle(lockstep=self._observer.values.get(PACE_KEY) == "lockstep")
         self._settled = True
 
     def _wait_until_ready(self, deadline: float) -> None:
         observer = self._observer
         while True:
-            observer.spin(POLL_PERIOD)
+            observer.spin(_POLL_PERIOD)
             detail = observer.values.get("detail", "waiting for supervisor")
             self._progress(detail, 0)
             self._processes.raise_if_ended()
@@ -157,11 +157,11 @@ class RunMonitor:
                 if self._is_left_alone() or time.monotonic() > deadline:
                     return self._broken
         deadline = time.monotonic() + self._timeout  # the supervisor finds who fell silent
-        while observer.state == State.TRIPPED and SILENT not in observer.values:
+        while observer.state == State.TRIPPED and SILENT_KEY not in observer.values:
             if time.monotonic() > deadline:
                 break
             self._poll()
-        silent = {*observer.values.get(SILENT, "").split()} - {*self._processes.stopped()}
+        silent = {*observer.values.get(SILENT_KEY, "").split()} - {*self._processes.stopped()}
         while silent and not self._broken and time.monotonic() < deadline:
             self._poll()  # a silent node may be ending, and its log then has the cause
         return self._broken or self._ending()
@@ -183,15 +183,15 @@ class RunMonitor:
         """Wait for rigs and recorder; one that is stopped before that closes its bag."""
         deadline = time.monotonic() + SAVE_TIMEOUT
         while time.monotonic() < deadline:
-            gone = {*self._observer.values.get(SILENT, "").split(), *self._processes.ended()}
+            gone = {*self._observer.values.get(SILENT_KEY, "").split(), *self._processes.ended()}
             if self._observer.state not in ENDED or "recorder" in gone:
                 return
             if self._observer.recorder_phase == "saved" and not self._observer.running - gone:
                 return
-            self._observer.spin(POLL_PERIOD)
+            self._observer.spin(_POLL_PERIOD)
 
     def _poll(self) -> None:
-        self._observer.spin(POLL_PERIOD)
+        self._observer.spin(_POLL_PERIOD)
         step = self._observer.time_ns // self._period_ns
         for how in self._processes.ended().values():
             self._broken = self._broken or f"{how} (at step {step})"
@@ -213,7 +213,7 @@ class RunMonitor:
             stopped, steps = "stopped" in detail, values.get("steps", "")
             self._progress("done", int(steps) if steps and not stopped else step + 1)
             return detail if stopped else ""
-        if not values.get(SILENT) and "step" in values:
+        if not values.get(SILENT_KEY) and "step" in values:
             return ""
         return f"{detail} (at step {values.get('step', step)})"
 
@@ -229,8 +229,8 @@ def bag_path(experiment: Experiment, out: Path | None) -> Path:
     section = experiment["recorder"]
     name = section["name"] or datetime.now().strftime("seft_%Y-%m-%d_%H-%M-%S")
     path = out or Path(section["directory"]) / name
-    RECORDER.check({"name": path.name}, "recorder")
-    if why := obstacle(path):
+    RECORDER_TABLE.check({"name": path.name}, "recorder")
+    if why := why_not_writable(path):
         raise InputError(f"{why}; name another folder with --out")
     return path
 
@@ -248,7 +248,7 @@ class Ending(NamedTuple):
 def run_experiment(
     experiment: Experiment,
     bag: Path,
-    progress: Progress,
+    progress: _Progress,
     layout: ProcessLayout | None = None,
     external: Collection[str] = (),
 ) -> Ending:
@@ -261,7 +261,7 @@ def run_experiment(
     bag : Path
         Folder that the recorder makes.
     progress : callable
-        See `Progress`.
+        See `_Progress`.
     layout : ProcessLayout, optional
         Where the nodes run; default pinned, each in a process of its own.
     external : collection of str
@@ -277,9 +277,11 @@ def run_experiment(
     """
     prepare_on_this_host()
     layout = layout or ProcessLayout()
-    wishes = {node: layout.wishes(node) for node in LOOP_NODES if node in experiment.sections}
+    realtime_parameters = {
+        node: layout.realtime_parameters(node) for node in LOOP_NODES if node in experiment.sections
+    }
     recorder = {"directory": str(bag.parent.resolve()), "name": bag.name}
-    experiment = experiment.changed(wishes | {"recorder": recorder})
+    experiment = experiment.changed(realtime_parameters | {"recorder": recorder})
     wanted = {*experiment["supervisor"]["peers"], "supervisor"}
     every = with_rigs([node for node in MODULES if node in wanted], experiment.rigs)
     external = [node for node in every if node in external or bare(node) in external]

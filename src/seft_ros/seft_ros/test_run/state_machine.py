@@ -15,14 +15,14 @@ from seft_msgs_py.wire.outcome import MOVING as MOVING
 from seft_msgs_py.wire.outcome import State as State
 from seft_msgs_py.wire.topics import Timebase
 
-ABORTED = "aborted by the operator"
+_ABORTED = "aborted by the operator"
 """Reason of a trip by ``estop``: the emergency stop proper is a button in hardware."""
-PACE = "pace"
+PACE_KEY = "pace"
 """Key of a state's values: the pace of the rig, as the rig reports it."""
 
 
 @dataclass(frozen=True)
-class Answer:
+class ServiceAnswer:
     """Answer to a request: whether it was accepted, and what happened or why not."""
 
     accepted: bool
@@ -70,12 +70,12 @@ class StateMachine:
             self.state = State.IDLE if waiting_for else State.READY
             self.detail = f"waiting for {waiting_for}" if waiting_for else "all nodes are ready"
 
-    def start(self) -> Answer:
+    def start(self) -> ServiceAnswer:
         """Start the test; only a ready one starts."""
         if self.state is not State.READY:
             return self._refusal("start")
         self._go(State.RUNNING, "running")
-        return Answer(True, "the test is running")
+        return ServiceAnswer(True, "the test is running")
 
     def finish(self, detail: str) -> None:
         """End a test at the end of its record; a test that is ramping down keeps its cause."""
@@ -114,34 +114,34 @@ class StateMachine:
         if self.state is State.TRIPPED and finding not in self.detail:
             self._add(finding)
 
-    def stop(self) -> Answer:
+    def stop(self) -> ServiceAnswer:
         """Ramp a running test down for the operator."""
         if self.state is State.RAMPING_DOWN:
-            return Answer(True, f"the test is being brought down already ({self.detail})")
+            return ServiceAnswer(True, f"the test is ramping down already ({self.detail})")
         if self.state is not State.RUNNING:
             return self._refusal("stop")
         self._go(State.RAMPING_DOWN, "stopped by the operator")
         self._then = State.DONE
-        return Answer(True, "the test is being brought down")
+        return ServiceAnswer(True, "the test is ramping down")
 
-    def estop(self) -> Answer:
+    def estop(self) -> ServiceAnswer:
         """Trip from any state, at once; the reason of an earlier trip stays."""
         if self.state is State.TRIPPED:
-            return Answer(True, f"the test has tripped already ({self.detail}); reset it")
+            return ServiceAnswer(True, f"the test has tripped already ({self.detail}); reset it")
         if self.state is State.RAMPING_DOWN:
-            self.hard_trip(ABORTED)
+            self.hard_trip(_ABORTED)
         else:
-            self._go(State.TRIPPED, ABORTED)
-        return Answer(True, f"{ABORTED}; reset before the next test")
+            self._go(State.TRIPPED, _ABORTED)
+        return ServiceAnswer(True, f"{_ABORTED}; reset before the next test")
 
-    def reset(self, moving: bool = False) -> Answer:
-        """Make the next test possible when one has ended and the rig is at rest."""
+    def reset(self, moving: bool = False) -> ServiceAnswer:
+        """Allow a new test to start when one has ended and the rig is at rest."""
         if self.state not in ENDED:
             return self._refusal("reset")
         if moving:
-            return Answer(False, f"can't reset: the rig is not at rest ({self.state})")
+            return ServiceAnswer(False, f"can't reset: the rig is not at rest ({self.state})")
         self._go(State.IDLE, "reset")
-        return Answer(True, "idle")
+        return ServiceAnswer(True, "idle")
 
     def _go(self, state: State, detail: str, step: int | None = None) -> None:
         self.state, self.detail, self.step = state, detail, step
@@ -150,8 +150,8 @@ class StateMachine:
         self.detail = f"{self.detail}; {finding}"
         self.step = step if self.step is None else self.step
 
-    def _refusal(self, request: str) -> Answer:
-        return Answer(False, f"can't {request}: the test is {self.state} ({self.detail})")
+    def _refusal(self, request: str) -> ServiceAnswer:
+        return ServiceAnswer(False, f"can't {request}: the test is {self.state} ({self.detail})")
 
 
 def while_ramping_down(reason: str, first: str) -> str:
@@ -160,7 +160,7 @@ def while_ramping_down(reason: str, first: str) -> str:
 
 
 LOCKSTEP = "lockstep"
-FARTHEST = 10.0  # s; a node that stalls for longer has lost the test anyway
+MAX_SKEW_S = 10.0  # s; a node that stalls for longer has lost the test anyway
 ABSURD = 1e9
 """No rig has values beyond this in m, m/s, m/s^2 or N."""
 
@@ -178,7 +178,7 @@ def check_magnitude(what: str, step: int, values: npt.NDArray[np.float64]) -> No
 
 
 class SampleOrder:
-    """Tells valid samples of a test from stale, repeated and foreign ones.
+    """Tells valid samples of a test from stale, repeated and unexpected ones.
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ class SampleOrder:
     """
 
     def __init__(self, timebase: Timebase, loop_delay: int = 0) -> None:
-        self._farthest = round(FARTHEST * timebase.rate)
+        self._max_skew = round(MAX_SKEW_S * timebase.rate)
         self._ahead_in_lockstep = 1 + loop_delay
         self._state = ""  # of the experiment, as the supervisor reports it
         self.last = -1
@@ -214,7 +214,7 @@ class SampleOrder:
             return
         self._state = experiment.message
         if experiment.message in MOVING:
-            self.in_lockstep = experiment.values.get(PACE) == LOCKSTEP
+            self.in_lockstep = experiment.values.get(PACE_KEY) == LOCKSTEP
             steps = experiment.number("steps")
             self.steps = self.steps if steps is None else steps
         else:
@@ -239,5 +239,5 @@ class SampleOrder:
         """
         if step <= self.last:
             raise WireError(f"{name} of step {step} after step {self.last} was answered")
-        if step > self.last + (self._ahead_in_lockstep if self.in_lockstep else self._farthest):
+        if step > self.last + (self._ahead_in_lockstep if self.in_lockstep else self._max_skew):
             raise WireError(f"{name} of step {step} after step {self.last}: far in the future")

@@ -19,4 +19,4 @@ SAFETY = parameter_rows(
         longest silence of the supervisor before the rig trips
     """
 )
-TABLE = Table("rig", [*CALIBRATION, *limit_rows(), *SAFETY, *host.PARAMETERS])
+TABLE = Table("rig", [*CALIBRATION, *limit_rows(), *SAFETY, *host.REALTIME_PARAMETERS])

@@ -49,7 +49,7 @@ class SafeStop:
         dt: float,
         sleep: Callable[[float], None],
     ) -> None:
-        self._hardware, self._safe, self._farthest = hardware, safe, farthest
+        self._hardware, self._safe, self._max_skew = hardware, safe, farthest
         self._dt, self._sleep = dt, sleep
         self._steps, self._answers = round(close_time / dt), round(ANSWERS_IN / dt)
         self._taken, self.has_dumped = -1, False
@@ -80,7 +80,7 @@ class SafeStop:
         if self._stands is None:
             self._stands = displacement.copy()
         dump = getattr(self._hardware, "dump_pressure", None)
-        if dump and np.abs(displacement - self._stands).max() > self._farthest:
+        if dump and np.abs(displacement - self._stands).max() > self._max_skew:
             dump()
             self.has_dumped = True
 

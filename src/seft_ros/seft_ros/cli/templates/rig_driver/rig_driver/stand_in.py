@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.rig import Rig
-from seft_plant_sim.rig_parameters import TABLE as SIMULATED
+from seft_plant_sim.rig_parameters import RIG_TABLE as SIMULATED
 
 Floats = npt.NDArray[np.float64]
 
