@@ -195,7 +195,7 @@ def servo_hydraulic(
 
 LONGEST_STEP = 5e-4  # s
 STEP_TIMES_RATE = 0.5  # of the fastest residual
-MAX_STEPS = 500
+_MAX_STEPS = 500
 
 
 class Dynamics(NamedTuple):
@@ -267,7 +267,7 @@ def dynamics_of(
     fastest, longest = _fastest(model), longest or LONGEST_STEP
     if fastest * longest > STEP_TIMES_RATE:
         longest = STEP_TIMES_RATE / fastest
-        if max(before, after) > MAX_STEPS * longest:
+        if max(before, after) > _MAX_STEPS * longest:
             raise InputError(
                 f"rig: friction, end stops or springs answer at {fastest:.3g} 1/s, too fast to be "
                 "followed; raise actuator.friction_velocity, or check mass, oil_stiffness and "

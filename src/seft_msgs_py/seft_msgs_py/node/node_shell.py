@@ -153,7 +153,7 @@ class NodeShell:
         return self._wiring.several_senders()
 
     def name_unexpected_publishers(self, refused_before: int) -> str:
-        """Name the unexpected nodes that may be the cause of missing messages, to append to a reason.
+        """Name unexpected nodes that may be the cause of missing messages, to append to a reason.
 
         ``refused_before`` is the value of `refused` when the last message arrived.
         """

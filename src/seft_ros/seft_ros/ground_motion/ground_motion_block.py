@@ -25,7 +25,7 @@ from seft_msgs_py.wire.topics import Timebase
 from seft_ros.ground_motion.record_file import RecordedMotion, read_record
 from seft_ros.ground_motion.synthetic_motion import synthetic_motion
 
-MAX_STEPS = 50_000_000
+_MAX_STEPS = 50_000_000
 """Longest accepted motion, in steps: a longer one is a mistyped duration or rate."""
 
 MOTION = "motion"
@@ -244,7 +244,7 @@ def resample(
     Raises
     ------
     InputError
-        If that makes more than `MAX_STEPS` steps, or less than one.
+        If that makes more than `_MAX_STEPS` steps, or less than one.
     """
     last = len(record) - 1
     duration = last * record_dt * time_scale
@@ -272,10 +272,10 @@ def check_size(duration: float, rate: float, where: str) -> None:
     Raises
     ------
     InputError
-        If there would be more than `MAX_STEPS` steps.
+        If there would be more than `_MAX_STEPS` steps.
     """
-    if not duration * rate <= MAX_STEPS:
+    if not duration * rate <= _MAX_STEPS:
         raise InputError(
-            f"ground_motion: {duration:g} s at {rate:g} Hz are more than {MAX_STEPS:.0e} steps "
+            f"ground_motion: {duration:g} s at {rate:g} Hz are more than {_MAX_STEPS:.0e} steps "
             f"({where}); check duration and rate"
         )

@@ -99,7 +99,7 @@ class RigBatches:
 
 
 _Samples = npt.NDArray[np.float32]
-AnyFloats = npt.NDArray[np.floating[Any]]
+_AnyFloats = npt.NDArray[np.floating[Any]]
 BUCKETS = 4096
 """Twice the columns of pixels of a page."""
 LENGTH = 2**15
@@ -214,7 +214,7 @@ class History:
         self.envelope = Envelope(columns)
         self._begin = self.head = self.released = 0
 
-    def write(self, steps: npt.NDArray[np.int64], columns: slice, values: AnyFloats) -> None:
+    def write(self, steps: npt.NDArray[np.int64], columns: slice, values: _AnyFloats) -> None:
         """Write values (N, number of columns) of steps (N,).
 
         Steps that are already released or far away are left out.

@@ -88,7 +88,8 @@ def result_of(plan: StudyPlan, runs: Sequence[Run]) -> dict[str, Any]:
         tripped is infinitely wrong), ``trips`` (count, share and its 95 % interval by Wilson 1927;
         of the tests that tripped or became unstable), ``causes`` (see `causes_of`), ``motions``
         (file -> tests, and `STUDY_QUANTILES` of the displacement's error), ``worst`` (test,
-        nrmse, stable, trip, furthest: the factors that differ most from 1) and ``runs`` (test, and its summary).
+        nrmse, stable, trip, furthest: the factors that differ most from 1) and ``runs`` (test,
+        and its summary).
     """
     configured, drawn = runs[0], [run.summary for run in runs[1:]]
     errors, lost = errors_of(drawn), sum(not one["stable"] for one in drawn)
