@@ -240,7 +240,7 @@ def main() -> None:
     """Print all tables."""
     motions: dict[str, Row] = {"synthetic": ()}
     if len(sys.argv) > 1:
-        values = (("file", sys.argv[1]), ("unit", "cm/s2"), ("dt", "0.005"))
+        values = (("file", sys.argv[1]), ("unit", "cm/s2"), ("dt", "0.005"), ("column", "0"))
         motions["Kobe JMA N-S"] = tuple(f"ground_motion:{name}:={word}" for name, word in values)
     hidden = {*PLAN, *DELAY, *ONE, *NOISELESS, WATCH, STOREYS, LINK}
     for title, rows in TESTS.items():
