@@ -356,10 +356,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if words.json:
         print(json.dumps(told, indent=2, allow_nan=False))
         return 0
-    verdicts = {True: "[green]yes[/]", False: "[bold red]no[/]"}
+    verdicts = {True: Cell("yes", Mark.GOOD), False: Cell("no", Mark.BAD)}
     rows = [(_placed(c), c.paper, c.ours, verdicts[c.agrees]) for c in claims]
-    title = f"{Path(found.source).name}: {told['agree']} of {len(claims)} claims agree"
-    Console().print(style.make_table(HEADINGS, rows, left=range(4), wrap=True, title=title))
+    print(f"{Path(found.source).name}: {told['agree']} of {len(claims)} claims agree")
+    Console().print(TextTable(HEADINGS, rows, numbers=False))
     print(f"page: {path}")
     return 0
 

@@ -12,7 +12,7 @@ from rich.console import Console
 from scipy.stats import spearmanr
 from seft_ros.drawing.style import percent
 from seft_ros.study.drawn_tests import DrawnTests
-from seft_ros.study.study_page import headline, study_notes, study_table, write_study
+from seft_ros.study.study_page import headline, study_notes, study_texts, write_study
 from seft_ros.study.study_plan import StudyPlan, StudyTest
 from seft_ros.study.study_results import causes_of, quantiles, summarise_study
 from seft_ros.study.study_runs import Run
@@ -145,7 +145,7 @@ def test_a_trip_never_betters_a_rank(errors, lost):
     assert ranked({"spoilt": spoilt, "whole": errors}) == ["whole", "spoilt"]
 
 
-def test_the_table_fits_a_terminal_and_names_what_is_missing():
+def test_the_terminal_shows_each_method_and_names_what_is_missing():
     summary = summary_of(
         {
             "linear_acceleration": [0.3, 0.1234, 0.5],
@@ -155,10 +155,12 @@ def test_the_table_fits_a_terminal_and_names_what_is_missing():
         not_possible={"lacking": "it lacks a delay"},
         obstacles={"wild": "several rigs"},
     )
-    console = Console(width=80, file=StringIO())
-    console.print(study_table(summary, "title"))
+    console = Console(width=100, file=StringIO())
+    title, table, *_ = study_texts(summary, "title")
+    console.print(table)
     text = console.file.getvalue()
-    lines = [" ".join(line.split()) for line in text.splitlines()]
+    lines = [" ".join(line.replace("│", " ").split()) for line in text.splitlines()]
+    assert title == "title"
     assert "linear_acceleration 1 30.0 % 12.3 % 50.0 % 50.0 % 50.0 % 0 %" in lines
     assert "none 1 unstable 20.0 % unstable unstable unstable 50.0 %" in lines
     assert "…" not in text

@@ -227,8 +227,8 @@ def replay(
         results.append(result | {"bag": str(bag), "overrides": param or []})
     identical = all(one["identical"] for one in results)
     one_or_all = results[0] if len(results) == 1 else {"identical": identical, "replays": results}
-    tables = [recorded_test.replay_table(result) for result in results]
-    show(one_or_all, json, [*tables, *([f"bag: {out}"] if out else [])])
+    texts = [text for result in results for text in recorded_test.replay_texts(result)]
+    show(one_or_all, json, [*texts, *([f"bag: {out}"] if out else [])])
     for result in results if not json else ():
         for note in result["notes"]:
             complain(f"{result['node']}: {note}")

@@ -86,8 +86,6 @@ def study(
     title = f"{tests} tests, spread {100 * spread:g} %, seed {seed}"
     page.write_study(summary, f"Study of {config.name}", title, path)
     finished.remove()
-    said = [page.headline(best, summary) for best in page.best_results(summary)]
-    table = page.study_table(summary, f"{config}: {title}")
-    notes = page.study_notes(summary)
-    shared.show(summary | {"page": str(path)}, json, [table, *notes, *said, ""], "page")
+    texts = page.study_texts(summary, f"{config}: {title}")
+    shared.show(summary | {"page": str(path)}, json, texts, "page")
     return 0

@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from rich.table import Table
-from rich.text import Text
 from seft_msgs_py.errors import InputError
 
 if TYPE_CHECKING:
@@ -153,9 +151,6 @@ GOOD_ERROR = 0.05
 """Displacement error (nrmse) up to which a test is shown in green."""
 
 _LEAST = 0.001  # %
-_LEFT: dict[str, Any] = {"title_justify": "left", "title_style": "", "caption_justify": "left"}
-CENTRED: dict[str, Any] = {"title_justify": "center", "title_style": None, "caption_style": None}
-"""Options of a table whose title is centred, in italics."""
 
 
 class Mark(StrEnum):
@@ -262,37 +257,3 @@ def json_safe(value: Any) -> Any:
     if isinstance(value, float | np.floating):
         return float(value) if math.isfinite(value) else None
     return value
-
-
-def make_table(
-    headings: Sequence[str],
-    rows: Iterable[Sequence[str | Text] | None],
-    *,
-    left: Sequence[int] = (0,),
-    wrap: bool = False,
-    **options: Any,
-) -> Table:
-    """Draw a table for the terminal.
-
-    Parameters
-    ----------
-    headings : sequence of str
-        One for each column.
-    rows : iterable of sequences
-        Cells; None draws a line between sections.
-    left : sequence of int
-        Columns aligned to the left; the others are aligned to the right.
-    wrap : bool
-        Whether cells may be wrapped in a narrow terminal.
-    **options : Any
-        Of `rich.table.Table`; title and caption are to the left and plain by default.
-    """
-    table = Table(**{**_LEFT, "caption_style": "", **options})
-    for column, heading in enumerate(headings):
-        table.add_column(heading, justify="left" if column in left else "right", no_wrap=not wrap)
-    for row in rows:
-        if row is None:
-            table.add_section()
-        else:
-            table.add_row(*row)
-    return table

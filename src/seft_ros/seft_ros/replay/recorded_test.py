@@ -9,8 +9,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
-from rich.console import Group
-from rich.text import Text
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import EVERY_NODE, Experiment, Override
 from seft_msgs_py.config.parameter_table import COMMON, Section
@@ -32,7 +30,8 @@ from seft_ros.analysis.comparison import compare_records
 from seft_ros.analysis.result_text import FIELD_UNITS
 from seft_ros.bags.record import Estimates, Record, Series, describe_environment
 from seft_ros.bags.record_bag import read_bag, read_messages
-from seft_ros.drawing.style import make_table, number, small_percent
+from seft_ros.drawing.style import Mark, number, small_percent
+from seft_ros.drawing.table import Cell, Texts, TextTable
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 from seft_ros.test_run.parameter_tables import TABLES
 
@@ -294,7 +293,7 @@ def verdict_text(result: dict[str, Any]) -> str:
     )
 
 
-def replay_table(result: dict[str, Any]) -> Group:
+def replay_texts(result: dict[str, Any]) -> Texts:
     """Tabulate how the answers of a node differ from the recorded ones; the verdict below."""
     rate = result["answered"] / result["wall_s"] if result["wall_s"] else 0.0
     groups = {result["topic"]: result["fields"]}
@@ -312,6 +311,6 @@ def replay_table(result: dict[str, Any]) -> Group:
     title = (
         f"{result['node']}: {result['answered']} of {result['steps']} answers, {rate:.0f} a second"
     )
-    table = make_table(("answers", "largest\ndifference", "NRMSE"), rows, title=title)
-    colour = "green" if result["identical"] else "red"
-    return Group(table, Text(verdict_text(result), style=f"bold {colour}"))
+    table = TextTable(("answers", "largest\ndifference", "NRMSE"), rows)
+    mark = Mark.GOOD if result["identical"] else Mark.BAD
+    return [title, table, Cell(verdict_text(result), mark)]

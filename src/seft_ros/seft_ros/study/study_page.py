@@ -5,9 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
-from rich.table import Table as TerminalTable
-from rich.text import Text as TerminalText
 
 from seft_ros.drawing.page import (
     Block,
@@ -22,13 +19,12 @@ from seft_ros.drawing.page import (
     plot,
     write_page,
 )
-from seft_ros.drawing.style import GOOD_ERROR, MARK, OTHERS, Mark, make_table, number, percent
-from seft_ros.drawing.table import Cell, TextTable
+from seft_ros.drawing.style import GOOD_ERROR, MARK, OTHERS, Mark, number, percent
+from seft_ros.drawing.table import Cell, Texts, TextTable
 from seft_ros.study.study_results import CORRELATIONS, STUDY_QUANTILES, errors_of, strength
 
-_HEADINGS = ("method", "mass ratio", "test 0", *STUDY_QUANTILES, "tripped")
+_HEADINGS = ("method", "mass\nratio", "test 0", *STUDY_QUANTILES, "tripped")
 _CAPTION = "NRMSE of the displacement: as configured (test 0), and of the drawn tests"
-_STYLES = {Mark.GOOD: "green", Mark.DOUBT: "yellow", Mark.BAD: "red"}
 _CAUSES = 6  # quantities that are listed and drawn
 _CHANCE = "Up to ±{:.2f} comes about by chance alone (95 %)"
 
@@ -61,20 +57,14 @@ def headline(result: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
     return f"{said}."
 
 
-def study_table(summary: Mapping[str, Any], title: str) -> TerminalTable:
-    """Tabulate methods and mass ratios for a terminal, as the page does."""
-    table = make_table(
-        [heading.replace(" ", "\n") for heading in _HEADINGS],
-        (),
-        title=TerminalText(title),
-        caption=TerminalText(_CAPTION),
-        box=SIMPLE_HEAD,  # 80 columns are enough
-        show_edge=False,
-        padding=0,
-    )
-    for result in summary["results"]:
-        table.add_row(*_row(result), style=_STYLES[_mark(result)])
-    return table
+def study_texts(summary: Mapping[str, Any], title: str) -> Texts:
+    """Show methods and mass ratios on a terminal, and the best methods in a sentence each."""
+    said = [headline(best, summary) for best in best_results(summary)]
+    return [title, _table(summary), _CAPTION, *study_notes(summary), *said, ""]
+
+
+def _table(summary: Mapping[str, Any]) -> TextTable:
+    return TextTable(_HEADINGS, [_row(result) for result in summary["results"]])
 
 
 def study_notes(summary: Mapping[str, Any]) -> list[str]:
@@ -112,11 +102,14 @@ def _mark(result: Mapping[str, Any]) -> Mark:
     return Mark.GOOD if error is not None and error <= GOOD_ERROR else Mark.DOUBT
 
 
-def _row(result: Mapping[str, Any]) -> list[str]:
+def _row(result: Mapping[str, Any]) -> list[str | Cell]:
     own, errors = result["configured"], result["distribution"]["displacement"]
-    configured = _of_test(own["stable"], own["displacement"]["nrmse"])
-    share = percent(result["trips"]["share"])
-    return [*_place(result), configured, *map(_error, errors.values()), share]
+    texts = [
+        _of_test(own["stable"], own["displacement"]["nrmse"]),
+        *map(_error, errors.values()),
+        percent(result["trips"]["share"]),
+    ]
+    return [*_place(result), *(Cell(text, _mark(result)) for text in texts)]
 
 
 def _place(result: Mapping[str, Any]) -> list[str]:
@@ -132,13 +125,9 @@ def _of_test(stable: bool, error: float | None) -> str:
 
 
 def _errors(summary: Mapping[str, Any]) -> list[Block]:
-    rows: list[list[str | Cell]] = [
-        [*_place(result), *(Cell(text, _mark(result)) for text in _row(result)[2:])]
-        for result in summary["results"]
-    ]
     notes = "".join(f" {note}." for note in study_notes(summary))
     plots = [_distribution(best["mass_ratio"], summary) for best in best_results(summary)]
-    return [TextTable(_HEADINGS, rows), Text(f"{_CAPTION}.{notes}"), *plots]
+    return [_table(summary), Text(f"{_CAPTION}.{notes}"), *plots]
 
 
 def _distribution(ratio: float, summary: Mapping[str, Any]) -> Plot:
