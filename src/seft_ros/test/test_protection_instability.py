@@ -49,8 +49,8 @@ def states_of(known, acceleration, restoring=0.0):
 def first_fault(guard, ground_motion, states):
     """Step of the first fault and its text; None."""
     for step, (ground, state) in enumerate(zip(ground_motion, states, strict=True)):
-        if (fault := guard.step(ground, state)) is not None:
-            return step, fault
+        if guard.parameters.ratio and watch_step(guard.parameters, guard.state, ground, state):
+            return step, guard.describe()
     return None
 
 
@@ -164,7 +164,7 @@ def test_in_a_perfect_test_both_accelerations_are_one_and_pass_butterworths_high
     states = np.stack([exact.displacement, exact.velocity, exact.acceleration, exact.force], axis=1)
     filtered, whole = np.empty((600, 2, n)), np.empty((600, n))
     for step, state in enumerate(states):
-        guard.step(ground[step], state)
+        watch_step(guard.parameters, guard.state, ground[step], state)
         filtered[step] = guard.state.result[-3 * n : -n].reshape(2, n)
         whole[step] = guard.state.result[-n:]
     sections = butter(4, 30.0, "high", fs=500, output="sos")

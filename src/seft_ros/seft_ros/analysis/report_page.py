@@ -83,7 +83,7 @@ def _sections(report: Report) -> Iterator[PageSection]:
         yield PageSection(f"Force tracking{title}", list(tracking))
         yield PageSection(f"Hysteresis{title}", list(report_sections.hysteresis(report, column)))
         yield PageSection(f"Spectra{title}", list(report_sections.spectra(report, column)))
-    yield PageSection("Energy", list(report_sections.energy(report, signals)))
+    yield PageSection("Energy", list(report_sections.energy(report)))
     yield PageSection("Timing", list(_timing(report)))
     if blocks := list(report_sections.computed_model(record)):
         yield PageSection("Computed model", blocks)

@@ -1,6 +1,6 @@
 """Sections of a report on the responses: histories, tracking, specimen, spectra, ground motion."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 from bokeh.models import Range1d
@@ -12,7 +12,7 @@ from seft_plant_sim.whole_structure import tested_specimen
 from seft_ros.analysis.equivalent_motion import BAND_MARGIN
 from seft_ros.analysis.report_numbers import Report
 from seft_ros.analysis.summary import COMPARED, strong_part
-from seft_ros.analysis.tracking import Tracked, delay_by_frequency, energy_error
+from seft_ros.analysis.tracking import Tracked, delay_by_frequency
 from seft_ros.bags.record import Record
 from seft_ros.drawing import page, style
 from seft_ros.drawing.page import Block, PageSection, Plot, Text, against, line, plot
@@ -47,7 +47,6 @@ _TRACKING = (
     Number("delay", "delay_s", "ms", 1e3),
     Number("NRMSE", "nrmse", form=percent),
     Number("peak error over the peak", "peak_error", form=percent),
-    Number("energy error over the input", "energy_error", form=percent),
 )
 _GROUND_MOTION = (
     Number("response of the linear whole structure differs by", "response_nrmse", form=percent),
@@ -149,7 +148,7 @@ def _places(
 
 
 def tracking(report: Report, signals: Tracked, column: int) -> Iterator[Block]:
-    """Tracking of an axis: numbers, time history, synchronisation plot, delay by frequency."""
+    """Tracking of an axis: numbers, time history, delay by frequency."""
     experiment = report.record.experiment
     yield Text(_INTENDED[signals.derived])
     yield TextTable((), rows_of(_TRACKING, report.summary["tracking"][experiment.axes[column]]))
@@ -160,16 +159,6 @@ def tracking(report: Report, signals: Tracked, column: int) -> Iterator[Block]:
     time = signals.steps * experiment.timebase.dt
     against(panel, (time, command), (time, force), ("intended force", "measured force"))
     yield Plot(panel, "The intended force, and the force that the load cell measured.")
-
-    panel = plot("intended force / N", "measured force / N", height=380)
-    ends = np.array([command.min(), command.max()])
-    line(panel, ends, ends, color=style.REFERENCE, width=2.0)
-    against(panel, None, (command, force), loop=True)
-    caption = (
-        "Synchronisation: on the diagonal the force is right; a loop that opens is delay, a slope "
-        "off the diagonal is amplitude."
-    )
-    yield Plot(panel, caption)
 
     found = delay_by_frequency(command, force, experiment.timebase.dt)
     means = np.nan_to_num(found.coherence) >= COHERENT
@@ -260,28 +249,14 @@ def spectra(report: Report, column: int) -> Iterator[Block]:
         yield Plot(panel, f"Amplitude spectral density of the {name}. {note}")
 
 
-def energy(report: Report, signals: Tracked) -> Iterator[Block]:
-    """Energy balance of the specimen, and what the actuators' force error adds to it."""
-    dt, axes = report.record.experiment.timebase.dt, report.record.experiment.axes
-    if report.energies:
-        panel = plot("time / s", "energy / J")
-        parts = zip(report.energies.items(), style.OTHERS, strict=False)
-        for (name, (steps, part)), color in parts:
-            line(panel, steps * dt, part, name, color=color)
-        closure = report.summary["energy"]["closure"]
-        left = "" if closure is None else f" At most {closure:.2%} of the input is unexplained."
-        yield Plot(panel, f"Work of the actuators' force, and where it went.{left}")
-    else:
+def energy(report: Report) -> Iterator[Block]:
+    """Energy balance of the specimen."""
+    if not report.energies:
         yield Text("No energy balance: the specimen is unknown, or samples are missing.")
-    if len(signals.steps) > 1:
-        panel = plot("time / s", "energy error / J")
-        work = energy_error(signals.force - signals.command, signals.velocity, dt)
-        labels: Sequence[str] = axes if len(axes) > 1 else ("force loop",)
-        for label, y, color in zip(labels, work.T, style.OTHERS, strict=False):
-            line(panel, signals.steps * dt, y, label, color=color)
-        page.level(panel, 0.0)
-        caption = (
-            "Work of measured less intended force: where it grows, the force loop's error adds "
-            "energy (as damping taken away); where it falls, it takes energy out."
-        )
-        yield Plot(panel, caption)
+        return
+    panel, dt = plot("time / s", "energy / J"), report.record.experiment.timebase.dt
+    for (name, (steps, part)), color in zip(report.energies.items(), style.OTHERS, strict=False):
+        line(panel, steps * dt, part, name, color=color)
+    closure = report.summary["energy"]["closure"]
+    left = "" if closure is None else f" At most {closure:.2%} of the input is unexplained."
+    yield Plot(panel, f"Work of the actuators' force, and where it went.{left}")

@@ -71,38 +71,10 @@ def delay_by_frequency(commanded: Floats, measured: Floats, dt: float) -> DelayB
     return DelayByFrequency(frequency, np.abs(response), delay, coherence[1:])
 
 
-def energy_error(force_error: Floats, velocity: Floats, dt: float) -> Floats:
-    """Accumulate the work of the force error on the specimen, by the trapezoidal rule.
-
-    Positive where force control adds energy (as damping taken away), negative where it takes
-    energy out (as damping added). Of whole cycles the rule is exact for band-limited signals.
-
-    Parameters
-    ----------
-    force_error : ndarray
-        Measured minus reference force, N.
-    velocity : ndarray
-        Of the specimen, relative to the ground, m/s.
-
-    Returns
-    -------
-    ndarray
-        Work so far at each sample, of the signals' shape, J; 0 at the first.
-    """
-    error, v = metrics.paired(force_error, velocity)
-    work = np.zeros_like(error)
-    with np.errstate(invalid="ignore", over="ignore"):
-        power = error * v
-        work[1:] = np.cumsum((power[1:] + power[:-1]) * (dt / 2), axis=0)
-    return work
-
-
 SENT_AS_MEANT = ("none", "restoring", "target_motion")
 """Compensation methods whose reference force is that of its own step; others send it ahead."""
 
-_DISPLACEMENT, _VELOCITY, _FORCE = (
-    RIG_STATE.quantities.index(name) for name in ("positions", "velocities", "effort")
-)
+_DISPLACEMENT, _FORCE = (RIG_STATE.quantities.index(name) for name in ("positions", "effort"))
 
 
 @dataclass(frozen=True)
@@ -115,9 +87,8 @@ class Tracked:
         Shape (N,), consecutive.
     counted : ndarray of int64
         Indices of those that both topics have, increasing.
-    command, force, velocity : ndarray
-        Intended and measured force (N), velocity (m/s), shape (N, n); lost samples are
-        interpolated.
+    command, force : ndarray
+        Intended and measured force, N, shape (N, n); lost samples are interpolated.
     derived : bool
         Whether the intended force is derived from measurements, and not the one sent.
     """
@@ -126,7 +97,6 @@ class Tracked:
     counted: Ints
     command: Floats
     force: Floats
-    velocity: Floats
     derived: bool
 
 
@@ -145,7 +115,7 @@ def tracked_of(record: Record) -> Tracked:
     every = np.arange(steps[0], steps[-1] + 1) if len(steps) else steps
     counted = steps - every[:1]
     measured = metrics.every_step(states, every)
-    force, velocity = measured[:, _FORCE], measured[:, _VELOCITY]
+    force = measured[:, _FORCE]
     section = record.experiment.sections.get("reference_force", {})
     assumed = assumed_structure(record.experiment)
     ahead = section.get("compensation.method", "none") not in SENT_AS_MEANT
@@ -156,7 +126,7 @@ def tracked_of(record: Record) -> Tracked:
         with np.errstate(over="ignore", invalid="ignore"):  # of a test that went unstable
             difference = equivalent.advance(measured) - metrics.every_step(motion, every)[:, 0]
             command = force + difference @ equivalent.mass.T
-    return Tracked(every, counted, command, force, velocity, derived)
+    return Tracked(every, counted, command, force, derived)
 
 
 def tracking_of(record: Record) -> dict[str, dict[str, float]]:
@@ -165,28 +135,24 @@ def tracking_of(record: Record) -> dict[str, dict[str, float]]:
     The intended force is that of `tracked_of`. Where it is the reference force of the same step,
     even an ideal actuator is one period late: the rig measures at step k what commands before it
     did. Samples between the first and the last step that both topics have count; lost ones are
-    left out of errors, and interpolated for delay and energy.
+    left out of errors, and interpolated for the delay.
 
     Returns
     -------
     dict
         Axis -> ``delay_s`` (best-fit pure delay, positive where the measured force m lags the
-        intended one c), ``nrmse``, RMS(m - c) / RMS(c), ``peak_error``, max|m - c| / max|c|, and
-        ``energy_error``, that at the end over the largest input energy, that of the measured force.
+        intended one c), ``nrmse``, RMS(m - c) / RMS(c), and ``peak_error``, max|m - c| / max|c|.
     """
     signals, dt = tracked_of(record), record.experiment.timebase.dt
     found = {}
     with np.errstate(invalid="ignore", over="ignore"):  # of a test that went unstable
         for column, axis in enumerate(record.experiment.axes):
-            c, m, v = (y[:, column] for y in (signals.command, signals.force, signals.velocity))
-            error, work = (m - c)[signals.counted], energy_error(m - c, v, dt)
+            c, m = (y[:, column] for y in (signals.command, signals.force))
+            error = (m - c)[signals.counted]
             found[axis] = {
                 "delay_s": metrics.best_fit_delay(m, c, dt),
                 "nrmse": metrics.nrmse(m[signals.counted], c[signals.counted]),
                 "peak_error": metrics.ratio(metrics.peak(error), metrics.peak(c[signals.counted])),
-                "energy_error": metrics.ratio(
-                    work[-1] if len(work) else np.nan, metrics.peak(energy_error(m, v, dt))
-                ),
             }
     return found
 

@@ -22,7 +22,7 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
-from seft_plant_sim.compiled import compiled, entry_point, multiply
+from seft_plant_sim.compiled import compiled, multiply
 from seft_plant_sim.lti import bilinear
 
 from seft_ros.reference_force.compensator import MethodInputs
@@ -189,8 +189,6 @@ class InstabilityWatch:
         )
         work, result = map(np.zeros, self.parameters.product.shape)
         self.state = WatchState(work, result, np.zeros((4, n)), np.zeros(1))
-        arguments = self.state.squares[EXPLAINED], np.zeros((4, n))
-        self._step = entry_point(watch_step, self.parameters, self.state, *arguments)
 
     @classmethod
     def from_parameters(
@@ -210,13 +208,6 @@ class InstabilityWatch:
         """Begin a new test, at rest."""
         for values in self.state:
             values[:] = 0.0
-
-    def step(self, ground_motion: Floats, state: Floats) -> str | None:
-        """Check one step, see `watch_step`; one line with the fault, if there is one."""
-        if self.parameters.ratio == 0.0:
-            return None
-        found = self._step(self.parameters, self.state, ground_motion, state)
-        return self.describe() if found else None
 
     def describe(self) -> str:
         """Describe the vibration."""

@@ -186,27 +186,10 @@ class PlausibleForce:
         self._fastest, self.dt, self.axes = fastest, dt, tuple(axes)
         self.limits = np.array([largest, fastest * dt * (1 + 1e-12)])
         self.last = np.zeros(len(self.axes))
-        self._fits = entry_point(is_plausible, self.limits, self.last, self.last)
 
     def reset(self) -> None:
         """Begin a new test: no force was applied before it."""
         self.last[:] = 0.0
-
-    def fault(self, force: Floats) -> str | None:
-        """Say what is wrong with the force of a step, if anything.
-
-        Parameters
-        ----------
-        force : ndarray
-            Shape (n,), N.
-
-        Returns
-        -------
-        str or None
-            One line with limit, value and axis.
-        """
-        fits = self._fits(self.limits, self.last, np.ascontiguousarray(force))
-        return None if fits else self.describe(force)
 
     def describe(self, force: Floats) -> str:
         """Say what is wrong with a force that is not plausible, shape (n,), after the last one."""
