@@ -150,8 +150,6 @@ ANOTHER = (f"{SPECIMEN}stiffness:=2.1142e5",), (f"{SPECIMEN}damping:=808.3",)
 COMPARED = [
     (*ONE, *specimen("linear")),
     (*ONE, *specimen("bilinear", "yield_displacement:=0.003")),
-    (*ONE, *specimen("friction", "friction.force:=190.0")),
-    (*ONE, *specimen("gap", "gap.width:=0.002", "gap.stiffness:=6.0e5")),
 ]
 
 
