@@ -1,9 +1,9 @@
 """Table of safety.md: faults of the hardware in tests of other specimens; run in the project.
 
-    .venv/bin/python docs/faults.py kobe.txt:cm/s2:0.005
+    .venv/bin/python docs/faults.py kobe.txt:cm/s2:0.005:0
 
-Each motion is FILE, or FILE:UNIT:DT (yours to bring; kobe.txt is Kobe 1995, JMA N-S), beside the
-synthetic one.
+Each motion is FILE, or FILE:UNIT:DT:COLUMN (yours to bring; kobe.txt is Kobe 1995, JMA N-S), beside
+the synthetic one.
 """
 
 import sys

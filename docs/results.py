@@ -6,7 +6,6 @@ kobe.txt is Kobe 1995, JMA N-S, in cm/s^2 at 0.005 s (yours to bring). Without i
 the synthetic motion alone. Each row is what `seft simulate` says of these overrides, in percent.
 """
 
-import math
 import sys
 
 import numpy as np
@@ -40,12 +39,6 @@ def loaded(alpha: float, newtons: float) -> Row:
 def specimen(kind: str, *settings: str) -> Row:
     """Choose a law."""
     return (WATCH, f"{SPECIMEN}kind:={kind}", *(SPECIMEN + setting for setting in settings))
-
-
-def oil(hertz: float) -> Row:
-    """Choose the oil column's frequency, known to the controller."""
-    stiffness = 52.7 * (2 * math.pi * hertz) ** 2 - 2.11e5
-    return f"{ACTUATOR}oil_column_frequency:={hertz}", f"{ASSUMED}oil_stiffness:={stiffness:.6g}"
 
 
 def valve(name: str, value: float) -> Row:
@@ -104,15 +97,14 @@ TESTS: dict[str, list[Row]] = {
         (*PLAN, *ONE, override)
         for override in (
             *(f"{MODEL}stiffness:={factor * 2.11e5:.6g}" for factor in (0.7, 1.4)),
-            *(f"{ASSUMED}flow_gain:={factor * 0.0403:.6g}" for factor in (0.8, 1.2)),
+            f"{ASSUMED}flow_gain:={0.8 * 0.0403:.6g}",
             f"{ASSUMED}dead_time:=0.003",
             f"{ASSUMED}valve_frequency:={1.2 * 70.0:.6g}",
         )
     ],
     "other rigs": [
-        *((*PLAN, *ONE, f"rate:={rate}") for rate in (250.0, 1000.0, 2000.0)),
+        *((*PLAN, *ONE, f"rate:={rate}") for rate in (250.0, 2000.0)),
         (*PLAN, *ONE, *valve("valve_frequency", 30.0)),
-        (*PLAN, *ONE, *oil(30.0)),
         (*PLAN, *ONE, *valve("dead_time", 0.006)),
         (*PLAN, *ONE, *valve("dead_time", 0.01), "reference_force:compensation.horizon:=0.08"),
         (*PLAN, *ONE, WATCH, "missed:20"),
@@ -222,7 +214,7 @@ def main() -> None:
     """Print all tables."""
     motions: dict[str, Row] = {"synthetic": ()}
     if len(sys.argv) > 1:
-        values = (("file", sys.argv[1]), ("unit", "cm/s2"), ("dt", "0.005"))
+        values = (("file", sys.argv[1]), ("unit", "cm/s2"), ("dt", "0.005"), ("column", "0"))
         motions["Kobe JMA N-S"] = tuple(f"ground_motion:{name}:={word}" for name, word in values)
     hidden = {*PLAN, *DELAY, *ONE, *NOISELESS, WATCH, STOREYS, LINK}
     for title, rows in TESTS.items():

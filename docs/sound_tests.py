@@ -1,8 +1,9 @@
 """Sound tests of safety.md, drawn at random: no detector may end one; run in the project.
 
-    .venv/bin/python docs/sound_tests.py 2000 kobe.txt:cm/s2:0.005 nishi_akashi.AT2
+    .venv/bin/python docs/sound_tests.py 2000 kobe.txt:cm/s2:0.005:0 nishi_akashi.AT2
 
-Each motion is FILE, or FILE:UNIT:DT (yours to bring); half of the tests take the synthetic one.
+Each motion is FILE, or FILE:UNIT:DT:COLUMN (yours to bring); half of the tests take the synthetic
+one.
 """
 
 import sys
@@ -104,9 +105,9 @@ def one_test(seed, motions):
 
 
 def motion_words(word):
-    """Give the words of a motion, ``FILE`` or ``FILE:UNIT:DT``."""
+    """Give the words of a motion, ``FILE`` or ``FILE:UNIT:DT:COLUMN``."""
     file, *told = word.split(":")
-    names = ("file", "unit", "dt")[: 1 + len(told)]
+    names = ("file", "unit", "dt", "column")[: 1 + len(told)]
     return tuple(f"ground_motion:{n}:={v}" for n, v in zip(names, (file, *told), strict=True))
 
 

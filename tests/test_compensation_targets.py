@@ -41,8 +41,7 @@ def run(motion, mass_ratio, peak_force, *words):
         if not file.is_file():
             pytest.skip("no real record here")
         record = (f"ground_motion:file:={file}",)
-        if file.suffix != ".AT2":  # which says so itself
-            record += ("ground_motion:unit:=cm/s2", "ground_motion:dt:=0.005")
+        record += ("ground_motion:column:=0",)
     else:
         record = ("ground_motion:synthetic.duration:=16.0", "ground_motion:tail:=1.0")
     given = (

@@ -33,7 +33,7 @@ NAMES = {  # module: name for pip, rosdep key
     "yaml": ("pyyaml", "python3-yaml"),
     "zstandard": ("zstandard", None),
 }
-OPTIONAL = {"distributed": "dask", "openseespy": "opensees"}
+OPTIONAL = {"distributed": "dask", "obspy": "motions", "openseespy": "opensees"}
 """Modules, which are their names for pip: the extra that brings each. ROS 2 does not have them."""
 ROS = {  # what ROS 2 brings: no name for pip
     *("diagnostic_msgs", "launch", "launch_ros", "rcl_interfaces", "rclpy", "rosgraph_msgs"),

@@ -60,7 +60,6 @@ EXPERIMENTS = {
     ),
 }
 
-SQLITE3 = ("-p", "recorder:storage:=sqlite3")
 IN_SHORT = ("target_motion_yielding", "target_motion_behind_a_link")
 """Beside `ESTIMATED`, and the plain loop in one process (test_composed.py)."""
 ESTIMATED = EXPERIMENTS["target_motion_of_two_axes"]
@@ -68,10 +67,9 @@ ESTIMATED = EXPERIMENTS["target_motion_of_two_axes"]
 
 @pytest.mark.parametrize("name", thorough_but(EXPERIMENTS, IN_SHORT))
 def test_lockstep_over_dds_gives_the_bits_of_the_offline_loop(seft_json, name):
-    """The one bag is of mcap, the other of sqlite3."""
     words = (JHU, *SHORT, *EXPERIMENTS[name])
     simulated = seft_json("simulate", *words, "--out", "simulated")
-    lockstep = seft_json("run", *words, *LOCKSTEP, *SQLITE3, "--out", "lockstep")
+    lockstep = seft_json("run", *words, *LOCKSTEP, "--out", "lockstep")
     compared = seft_json("compare", "simulated", "lockstep")
     assert compared["identical"] is True
     assert compared["first_difference"] is None
@@ -122,7 +120,7 @@ def test_realtime_differs_only_from_the_first_missed_command_on(seft_json, tmp_p
     elif compared["first_difference"] is not None:
         first_missed = read_bag(tmp_path / "realtime").missed_steps[0]
         assert compared["first_difference"]["step"] > first_missed
-    replayed = seft_json("replay", "realtime", "--node", "rig", "--offline")
+    replayed = seft_json("replay", "realtime", "--node", "rig")
     assert replayed["identical"] is True  # with the commands that the rig says it held
     assert realtime["steps"] == 1501
     assert realtime["realtime_factor"] < 1.05  # less where the machine stood still

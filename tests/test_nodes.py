@@ -320,9 +320,9 @@ def test_what_the_next_bag_is_called_may_be_set_and_what_a_node_was_started_with
         return result.successful, result.reason
 
     assert answer("recorder", "name", "named") == (True, "")
-    successful, reason = answer("recorder", "storage", "zip")
+    successful, reason = answer("recorder", "on_loss", "zip")
     assert not successful
-    assert 'storage is "zip", but must be one of mcap, sqlite3' in reason
+    assert 'on_loss is "zip", but must be one of stop, go_on' in reason
     successful, reason = answer("rig", "specimen.mass", 3.0)
     assert not successful
     assert "read-only" in reason

@@ -15,8 +15,8 @@ RECORDS = ROOT.parent / "shared" / "data"
 MOTIONS = {
     "synthetic 1": {"synthetic.seed": 1},
     "synthetic 7": {"synthetic.seed": 7},
-    "Kobe JMA": {"file": RECORDS / "kobe_jma_1995.txt", "unit": "cm/s2", "dt": 0.005},
-    "El Centro": {"file": RECORDS / "elcentro_1940.txt", "unit": "cm/s2", "dt": 0.005},
+    "Kobe JMA": {"file": RECORDS / "kobe_jma_1995.txt", "column": 0},
+    "El Centro": {"file": RECORDS / "elcentro_1940.txt", "column": 0},
     "Nishi-Akashi": {"file": RECORDS / "kobe_nishi_akashi_090.AT2"},
 }
 HERE = [name for name, motion in MOTIONS.items() if motion.get("file", ROOT).exists()]

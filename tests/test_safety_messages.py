@@ -17,8 +17,7 @@ from seft_msgs_py.wire.topics import (
     RIG_STATE,
     VALVE_COMMAND,
 )
-from seft_ros.bags.bag_files import open_bag
-from seft_ros.bags.record_bag import read_bag
+from seft_ros.bags.record_bag import read_bag, read_messages
 from seft_ros.test_run.processes import MODULES
 
 LONG = ("-p", "ground_motion:synthetic.duration:=60.0")
@@ -68,9 +67,7 @@ def ending(process: subprocess.Popen) -> str:
 def refusals(bag):
     """Node -> refused messages, as its last diagnostics in a bag count them."""
     found = {}
-    reader = open_bag(bag)
-    connections = [c for c in reader.connections if c.topic == f"/{DIAGNOSTICS.name}"]
-    for _, _, raw in reader.messages(connections):
+    for _, _, raw in read_messages(bag, [DIAGNOSTICS]):
         try:
             for status in decode_diagnostics(raw)[1]:
                 found[status.name] = int(status.values.get("refused", "0"))
@@ -78,7 +75,6 @@ def refusals(bag):
             continue
         except Exception as error:
             assert "can't be read" in str(error) or "no CDR" in str(error)
-    reader.close()
     return found
 
 

@@ -1,7 +1,7 @@
 """Reproduce the figures and claims of the paper (Nakata & Combs 2012) on one page.
 
     .venv/bin/python examples/paper/reproduce.py
-    .venv/bin/python examples/paper/reproduce.py --file kobe.txt --unit cm/s2 --dt 0.005
+    .venv/bin/python examples/paper/reproduce.py --file kobe.txt --unit cm/s2 --dt 0.005 --column 0
 
 Identifies the simulated rig of config/jhu.yaml, runs the paper's tests and simulations, and judges
 every number and statement by a criterion that the page shows. Without --file the motion is

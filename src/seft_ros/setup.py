@@ -66,6 +66,7 @@ setup(
     ],
     extras_require={
         "dask": ["distributed>=2026.8"],
+        "motions": ["obspy>=1.5"],
         "opensees": ["seft_plant_sim[opensees]"],
         "test": ["hypothesis>=6.98", "pytest>=7.4", "pyyaml>=6.0"],
     },

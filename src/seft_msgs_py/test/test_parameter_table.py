@@ -40,6 +40,8 @@ def refused(kind, value, rule, **row):
         ("ints", 3, 3),
         ("ints", [3, 4], [3, 4]),
         ("strings", ["x", "y"], ["x", "y"]),
+        ("texts", ["x", "y"], ["x", "y"]),
+        ("texts", "", ""),
     ],
 )
 def test_a_value_that_fits_is_returned_in_the_type_of_the_parameter(kind, value, expected):
@@ -60,6 +62,8 @@ def test_a_value_that_fits_is_returned_in_the_type_of_the_parameter(kind, value,
         ("floats", ["x", True, None, {}, [1.0, "x"], [True], [[1.0]]], "must be a number, or"),
         ("ints", [1.5, [1, 1.5], [1, True], "1"], "must be a whole number, or"),
         ("strings", ["x", 1, None, [1], ["x", True], {}], "must be a list of texts"),
+        ("texts", [1, None, [1], ["x", True], {}], "must be text, or a list of texts"),
+        ("texts", ["a\0b", ["x", "\0"]], "must hold no NUL character"),
     ],
 )
 def test_a_wrong_type_is_refused_with_what_it_must_be(kind, values, rule):
@@ -79,7 +83,7 @@ def test_a_number_that_is_not_finite_is_refused(value):
     refused("floats", [1.0, value], "must be finite")
 
 
-@pytest.mark.parametrize("kind", ["floats", "ints", "strings"])
+@pytest.mark.parametrize("kind", ["floats", "ints", "strings", "texts"])
 def test_an_empty_list_is_refused(kind):
     refused(kind, [], "must not be empty")
 

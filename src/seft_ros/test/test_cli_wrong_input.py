@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from seft_ros.cli.main import APP
 
@@ -198,6 +199,11 @@ def test_out_names_the_folder_of_the_bag_which_reports_the_same(seft, tmp_path):
     reported = json.loads(out)
     for key in KEYS | {"displacement", "acceleration", "force"}:
         assert reported[key] == simulated[key]
+    assert seft("report", "bag", "--csv", "histories")[0] == 0
+    lines = (tmp_path / "histories.csv").read_text().splitlines()
+    assert lines[0].startswith("time (s),ground acceleration (m/s^2),displacement (m),")
+    assert len(lines) == 1 + reported["steps"]
+    (tmp_path / "histories.csv").unlink()
     status, out, err = seft("simulate", JHU, *SHORT, "--out", "bag")
     assert (status, out) == (2, "")
     assert "bag: exists already" in err
@@ -212,10 +218,14 @@ def test_motion_prints_one_json_object_and_draws_where_asked(seft, record, tmp_p
     assert [path.name for path in tmp_path.iterdir()] == ["tent.txt"]
     assert seft("motion", "tent.txt", *words, "--figure", "tent")[0] == 0
     assert (tmp_path / "tent.png").stat().st_size > 1000
+    assert seft("motion", "tent.txt", *words, "--csv", "spectrum.csv")[0] == 0
+    spectrum = np.loadtxt(tmp_path / "spectrum.csv", delimiter=",", skiprows=1)
+    assert spectrum.shape == (150, 2)
+    assert (tmp_path / "spectrum.csv").read_text().startswith("period (s),motion pseudo-acc")
 
 
 def test_simulate_report_and_motion_tell_the_same_of_a_ground_motion(seft, record, tmp_path):
-    text = "".join(f"{0.01 * k:.2f},{100 * (-1) ** k}\n" for k in range(101))
+    text = "".join(f"{0.01 * k:.2f},{100 * np.sin(np.pi * k / 10):.6f}\n" for k in range(101))
     words = record("own.csv", text, unit="cm/s2", peak_force=105.4, time_scale=0.5, tail=0.5)
     status, out, _ = seft("simulate", JHU, *words, "--out", "bag", "--json")
     assert status == 0
@@ -224,18 +234,39 @@ def test_simulate_report_and_motion_tell_the_same_of_a_ground_motion(seft, recor
         "source": "own.csv",
         "unit": "cm/s2",
         "dt_s": 0.01,
+        "channels": [
+            {
+                "axis": "x",
+                "file": "own.csv",
+                "layout": "columns",
+                "column": "column 1",
+                "unit": "cm/s2",
+                "unit_from": "as given",
+                "dt_s": 0.01,
+                "dt_from": "column 0",
+                "samples": 101,
+            }
+        ],
+        "correction": None,
         "scale_factor": pytest.approx(2.0),
         "peak_force_n": 105.4,
         "time_scale": 0.5,
         "peak_acceleration": [pytest.approx(2.0)],
         "duration_s": pytest.approx(0.5),
         "tail_s": 0.5,
+        "resampling": "band-limited to 100 Hz; its largest sample is a step, it begins 1 ms later",
     }
     assert json.loads(seft("report", "bag", "--json")[1])["ground_motion"] == simulated
     shown = json.loads(seft("motion", "--config", JHU, *words, "--json")[1])
     assert {name: shown[name] for name in simulated} == simulated
     told = " ".join(seft("simulate", JHU, *words)[1].split())
-    for part in ("own.csv in cm/s2, dt 0.01 s", "its scale: factor 2 ", "scale 0.5", "PGA 2 m/s²"):
+    for part in (
+        "own.csv in cm/s2, dt 0.01 s",
+        "read: columns, column 1, 101 samples; unit",
+        "its scale: factor 2 ",
+        "scale 0.5",
+        "PGA 2 m/s²",
+    ):
         assert part in told
 
 

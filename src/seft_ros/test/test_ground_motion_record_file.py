@@ -84,7 +84,9 @@ def test_the_unit_of_an_at2_header_is_understood_in_its_spellings(tmp_path, head
     np.testing.assert_allclose(read_record(path, [0], unit).accelerations[:, 0], [size, 2 * size])
     others = {"g", "m/s2", "cm/s2"} - {unit} if "nits" in header.lower() else set()
     for other in others:
-        with pytest.raises(InputError, match=f"unit is {other}, but .* says {unit}; set unit"):
+        with pytest.raises(
+            InputError, match=f"unit is {other}, but .* says {unit} .line 1.; leave"
+        ):
             read_record(path, [0], other)
 
 
@@ -101,7 +103,7 @@ def test_columns_are_chosen_in_the_order_asked_for(tmp_path):
     record = read_record(path, [2, 0], "m/s2", 0.02)
     np.testing.assert_array_equal(record.accelerations, [[3, 1], [6, 4]])
     assert record.dt == 0.02
-    assert record.source == str(path)
+    assert record.source == path.name
 
 
 @pytest.mark.parametrize("mark", ["%", "#", "//", "!", ";"])
@@ -178,7 +180,7 @@ def test_a_header_in_words_gives_unit_and_sampling_period(tmp_path):
     np.testing.assert_allclose(record.accelerations[:, 0], [0.02, 0.04])
     with pytest.raises(InputError, match=r"dt is 0\.01 s, but .* says 0\.005 s"):
         read_record(path, [1], dt=0.01)
-    with pytest.raises(InputError, match="unit is g, but the header"):
+    with pytest.raises(InputError, match=r"unit is g, but .* says cm/s2 \(line 2\)"):
         read_record(path, [1], "g")
 
 
@@ -218,7 +220,6 @@ def test_cosmos_reads_with_each_channel_of_acceleration_as_a_column(tmp_path):
         (cosmos(count=4), "says 4 values, but 3 values follow: the file is truncated"),
         (cosmos("velocity", unit="cm/sec(05)"), "holds a velocity"),
         (cosmos(unit="counts (50)"), "counts is no acceleration unit"),
-        (cosmos() + cosmos(values=(1.0, 2.0), count=2), "its channels differ in length"),
     ],
 )
 def test_a_cosmos_file_that_holds_no_record_is_refused(tmp_path, text, told):
@@ -284,9 +285,8 @@ def test_a_long_file_reads_whole(tmp_path):
 
 DATA = Path(__file__).parents[3].parent / "shared" / "data"
 
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="no real records beside the project")
 
-
+@pytest.mark.skipif(not DATA.is_dir(), reason="no real records beside the project")
 @pytest.mark.parametrize(
     ("name", "columns", "unit", "dt", "steps", "peaks"),
     [

@@ -9,7 +9,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.comparison import compare_records
 from seft_ros.analysis.summary import reference_of, summarise
-from seft_ros.bags import record_bag
+from seft_ros.bags.bag_files import Bag
 from seft_ros.bags.record import Record, Series
 from seft_ros.bags.record_bag import read_bag, write_record
 
@@ -67,15 +67,15 @@ def test_comparing_copies_no_samples(bag):
 
 def test_every_message_of_a_test_goes_by_once(bag, monkeypatch):
     seen = Counter()
-    read_blocks = record_bag.read_blocks
+    blocks = Bag.blocks
 
-    def counted(reader, numbers, path):
+    def counted(file, numbers):
         topics = {number: topic for topic, number in numbers.items()}
-        for block in read_blocks(reader, numbers, path):
+        for block in blocks(file, numbers):
             seen.update((topics[message[0]], *message[1:]) for message in block.messages())
             yield block
 
-    monkeypatch.setattr(record_bag, "read_blocks", counted)
+    monkeypatch.setattr(Bag, "blocks", counted)
     read_bag(bag)
     assert len(seen) > 3 * STEPS
     assert set(seen.values()) == {1}

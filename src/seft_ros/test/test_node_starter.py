@@ -18,7 +18,7 @@ def main():
         raise ValueError("a fault of its own")
     if what == "sleep":
         signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
-        print("asleep", os.environ["MARK"], hex(id(sys)), ctypes.pythonapi.Py_IsInitialized)
+        print("asleep", hex(id(sys)), ctypes.pythonapi.Py_IsInitialized)
         sys.stdout.flush()
         time.sleep(60)
     return int(what)
@@ -34,10 +34,8 @@ def start(tmp_path, monkeypatch):
 
     def start(starter, what, name="log"):
         log = tmp_path / name
-        node = starter.start(["sleeper", what, str(log)], log, MARK="here")
-        while node.poll() is None and "asleep here" not in (
-            log.read_text() if log.exists() else ""
-        ):
+        node = starter.start(["sleeper", what, str(log)], log)
+        while node.poll() is None and "asleep" not in (log.read_text() if log.exists() else ""):
             time.sleep(0.01)
         return node, log
 

@@ -74,7 +74,7 @@ def symmetric_matrix(value: float | Sequence[float], axes: Sequence[str], where:
 
 
 LONGEST_NAME = 200  # bytes; of the 255 that a file's name may have, the rest is for endings
-Kind = Literal["float", "int", "bool", "string", "floats", "ints", "strings"]
+Kind = Literal["float", "int", "bool", "string", "floats", "ints", "strings", "texts"]
 Value = Any
 Section = dict[str, Value]
 
@@ -86,6 +86,7 @@ _WORDS: dict[str, str] = {
     "floats": "a number, or a list of numbers",
     "ints": "a whole number, or a list of them",
     "strings": "a list of texts",
+    "texts": "text, or a list of texts",
 }
 
 
@@ -98,8 +99,8 @@ class Parameter:
     name : str
         Name within the node, dots included.
     kind : str
-        ``float``, ``int``, ``bool``, ``string``, or a list of one of these: ``floats`` and
-        ``ints`` also take a single number, which is for every axis.
+        ``float``, ``int``, ``bool``, ``string``, or a list of one of these: ``floats``, ``ints``
+        and ``texts`` also take a single value, which is for every axis; ``strings`` do not.
     default : value or None
         None: the parameter must be given.
     description : str
@@ -143,7 +144,7 @@ class Parameter:
 
     def check(self, value: Value, where: str) -> Value:
         """Return the value in this parameter's type; InputError with ``where`` if it is invalid."""
-        scalar = self.kind.removesuffix("s")
+        scalar = "string" if self.kind == "texts" else self.kind.removesuffix("s")
         if scalar != self.kind and isinstance(value, list | tuple):
             if not value:
                 raise self._error(where, value, "must not be empty")
@@ -177,7 +178,7 @@ class Parameter:
             return f"must be at least {self.minimum:g}{unit}"
         if self.maximum is not None and value > self.maximum:
             return f"must be at most {self.maximum:g}{unit}"
-        if self.kind == "string" and (rule := _refusal(value, self.file_name)):
+        if self.kind in ("string", "texts") and (rule := _refusal(value, self.file_name)):
             return rule
         if self.allowed and value not in self.allowed:
             allowed = ", ".join(choice or '""' for choice in self.allowed)

@@ -17,7 +17,7 @@ from seft_ros.drawing.style import (
     small_percent,
 )
 from seft_ros.drawing.table import Cell, Texts, TextTable
-from seft_ros.ground_motion.column_file import STANDARD_GRAVITY
+from seft_ros.ground_motion.readers.units import STANDARD_GRAVITY
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 
 FIELD_UNITS = {
@@ -81,8 +81,46 @@ def motion_rows(facts: dict[str, Any]) -> list[tuple[str, str]]:
     peak = f"PGA {', '.join(shown)} m/s² ({in_g:.3g} g)"
     return [
         ("ground motion", f"{facts['source']}{unit}, dt {facts['dt_s']:g} s"),
+        *_read_rows(facts.get("channels", ())),
+        *_correction_rows(facts.get("correction")),
         ("its scale", scale),
         ("in the test", f"{peak}, {facts['duration_s']:g} s and {facts['tail_s']:g} s of tail"),
+        *(("resampling", done) for done in [facts.get("resampling")] if done),
+    ]
+
+
+def _correction_rows(correction: dict[str, Any] | None) -> list[tuple[str, str]]:
+    """Say how a record was corrected, and the largest drift of its axes before and after."""
+    if correction is None:
+        return []
+    shown = (
+        ("offset", "offset", "m/s²"),
+        ("PGA", "peak_acceleration", "m/s²"),
+        ("PGV", "peak_velocity", "m/s"),
+        ("PGD", "peak_displacement", "m"),
+        ("velocity at the end", "residual_velocity", "m/s"),
+        ("displacement at the end", "residual_displacement", "m"),
+    )
+    changes = []
+    for label, name, unit in shown:
+        largest = [max(map(abs, correction[when][name])) for when in ("before", "after")]
+        changes.append(f"{label} {largest[0]:.3g} to {largest[1]:.3g} {unit}")
+    return [("its correction", f"{correction['method']}; {', '.join(changes)}")]
+
+
+def _read_rows(channels: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
+    """Say which column of a record was taken, and where unit and sampling period come from."""
+    texts = [
+        f"{c['layout']}, {c['column']}, {c['samples']} samples; unit {c['unit']} ({c['unit_from']})"
+        f", dt {c['dt_s']:g} s ({c['dt_from']})"
+        for c in channels
+    ]
+    files = [c["file"] for c in channels]
+    if len(set(zip(files, texts, strict=True))) < 2:
+        return [("read", text) for text in texts[:1]]
+    return [
+        (f"read for {c['axis']}", f"{c['file']}, {text}")
+        for c, text in zip(channels, texts, strict=True)
     ]
 
 

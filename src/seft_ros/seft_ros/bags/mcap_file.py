@@ -320,5 +320,6 @@ class McapFile:
                         self._chunk(at)
                 except _GARBAGE:
                     continue
+                self._resume = at + 1
                 return at
         return None

@@ -27,6 +27,7 @@ from seft_ros.cli.shared import (
 def report(
     bag: BagArgument,
     out: Optional[Path] = option(None, "The page; default report.html in BAG.", "FILE"),
+    csv: Optional[Path] = option(None, "Write the time histories as csv.", "FILE"),
     json: Json = False,
 ) -> int:
     """Judge a recorded test, and write a page about it.
@@ -34,7 +35,9 @@ def report(
     Writes one HTML page that needs no network: verdict, what was tested, displacement, force and
     acceleration against the exact response of the whole structure with windows at the peaks,
     force tracking, hysteresis, spectra, energy, timing, estimates, events. Drag to zoom, click a
-    name in a legend to hide its line. --json prints the same numbers.
+    name in a legend to hide its line. --json prints the same numbers. --csv writes a row
+    for each step: ground acceleration, displacement, velocity, acceleration, force, reference
+    force, valve command and exact response, with units in the names.
 
     The bag holds all that is needed: samples, configuration, versions. Of a damaged bag, as of a
     killed recorder, the report is of what can be read; it says what is wrong and missing.
@@ -46,7 +49,10 @@ def report(
         seft report bags/half --json
 
         seft report bags/half --out half.html
+
+        seft report bags/half --csv half.csv
     """
+    from seft_ros.analysis.histories import check_table, histories, write_table
     from seft_ros.analysis.report_numbers import report_numbers
     from seft_ros.analysis.report_page import write_report
     from seft_ros.analysis.result_text import agreement_table, test_rows, title_of
@@ -56,9 +62,13 @@ def report(
 
     beside = bag.with_suffix(".html") if bag.is_file() else bag / "report.html"
     page = beside if out is None else check_page(out)
+    table = None if csv is None else check_table(csv)
     findings = report_numbers(read_bag(bag, damaged=True))
     write_report(findings, bag.resolve().name, page)
     summary = findings.summary | {"bag": str(bag), "page": str(page)}
+    if table is not None:
+        write_table(table, *histories(findings.record, findings.reference))
+        summary["csv"] = str(table)
     judgement = findings.judgement
     texts: Texts = [
         title_of(findings.record),
@@ -67,7 +77,7 @@ def report(
         Cell(judgement.text, judgement.verdict),
         *(Cell(f"  {finding.whole}", finding.verdict) for finding in judgement.findings),
     ]
-    show(summary, json, texts, "page")
+    show(summary, json, texts, "page", "csv")
     right = summary["stable"] and summary["complete"] and not summary["damage"]
     return 0 if right else 1
 

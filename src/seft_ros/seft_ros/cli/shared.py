@@ -101,7 +101,10 @@ def command_line_for(
 
 
 def given_motion(
-    section: Section, file: Path | None, command: str, **words: str | float | list[int] | None
+    section: Section,
+    file: Path | list[Path] | None,
+    command: str,
+    **words: str | float | list[int] | None,
 ) -> Section:
     """Check the record that a command line names, and what it says of the record.
 
@@ -112,12 +115,13 @@ def given_motion(
     dict
         What it changes in that section.
     """
-    from seft_ros.ground_motion.ground_motion_block import GROUND_MOTION_TABLE
+    from seft_ros.ground_motion.ground_motion_block import GROUND_MOTION_TABLE, OF_RECORD
 
-    given = {name: value for name, value in words.items() if value is not None}
-    if file is not None:
-        own = {name: GROUND_MOTION_TABLE.rows[name].default for name in words}
-        given = {"file": str(file), **own, **given}
+    given: Section = {name: value for name, value in words.items() if value is not None}
+    if file:
+        files = [str(each) for each in (file if isinstance(file, list) else [file])]
+        own = {name: GROUND_MOTION_TABLE.rows[name].default for name in OF_RECORD}
+        given = {"file": files if len(files) > 1 else files[0], **own, **given}
     elif given and not section["file"]:
         raise InputError(f"--{next(iter(given))}: needs a record; name its file")
     return GROUND_MOTION_TABLE.check(given, f"seft {command}")

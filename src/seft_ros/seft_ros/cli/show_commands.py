@@ -81,33 +81,44 @@ def monitor(
 
 
 _ROWS = {
-    "peak_acceleration": "peak acceleration, m/s²",
+    "peak_acceleration": "peak acceleration (PGA), m/s²",
+    "peak_velocity": "peak velocity (PGV), m/s",
+    "peak_displacement": "peak displacement (PGD), m",
+    "offset": "mean acceleration (offset), m/s²",
+    "residual_velocity": "velocity at the end, m/s",
+    "residual_displacement": "displacement at the end, m",
     "arias_intensity": "Arias intensity, m/s",
     "significant_duration": "significant duration (5-95 %), s",
 }
 
 
 def motion(
-    file: Optional[Path] = typer.Argument(
-        None, metavar="[FILE]", help="Record; default CONFIG's motion.", show_default=False
+    file: Optional[list[Path]] = typer.Argument(
+        None, metavar="[FILE...]", help="Record, or one for each axis.", show_default=False
     ),
     config: Optional[Path] = option(None, "Show it as this experiment uses it.", "CONFIG"),
     param: Params = None,
     params_file: Files = None,
     column: Optional[list[int]] = option(None, "Column, from 0; once for each axis to show."),
-    unit: Optional[str] = option(None, "g, m/s2 or cm/s2, if the file does not say."),
+    rows: Optional[bool] = option(None, "One motion in rows of several numbers.", "--rows"),
+    unit: Optional[str] = option(None, "g, m/s2, cm/s2 or gal, if the file does not say."),
     dt: Optional[float] = option(None, "Sampling period in s, if the file has none."),
+    response: Optional[Path] = option(None, "Station's metadata, for counts.", "FILE"),
+    correct: Optional[str] = option(None, "none, offset or baseline."),
     rate: Optional[float] = option(None, "Rate of the loop in Hz; default CONFIG's, or 500."),
     figure: Optional[Path] = option(None, "Draw time history and response spectrum.", "FILE"),
+    csv: Optional[Path] = option(None, "Write the response spectrum as csv.", "FILE"),
     json: Json = False,
 ) -> int:
     """Show a ground motion as a test uses it: source, unit, scale, peak, duration.
 
-    Reads PEER AT2, COSMOS V1 and V2, SMC, columns and csv. The default --column is the first that
-    is not the time.
+    Reads PEER AT2, COSMOS, SMC, CSMIP, GeoNet, ESM, K-NET, SAC, miniSEED, columns, rows and csv;
+    docs/records.md says what of each. It prints which column was taken, and where unit and sampling
+    period come from; where a file does not say, it asks.
 
-    Without --config, a record is only resampled to the rate of the loop. With it, the motion is
-    also processed as in the experiment: peak_force, time_scale, influence, tail.
+    Without --config, a record is only corrected (--correct) and resampled to the rate of the loop.
+    With it, the motion is also processed as in the experiment: peak_force, time_scale, influence,
+    tail. The displacement at the end shows whether a record needs a correction.
 
     Examples:
 
@@ -115,43 +126,67 @@ def motion(
 
         seft motion kobe.txt --unit cm/s2 --dt 0.005 --column 0 --column 1
 
+        seft motion elcentro.acc --rows --unit g --dt 0.02
+
+        seft motion GIL067.AT2 GIL337.AT2 --figure pair.png
+
         seft motion --config config/demo.yaml
 
-        seft motion kobe.AT2 --config config/demo.yaml --json
+        seft motion kobe.AT2 --config config/demo.yaml --csv spectrum.csv
     """
+    from seft_ros.analysis.histories import check_table, write_table
     from seft_ros.analysis.result_text import motion_rows
     from seft_ros.drawing.style import check_figure, save_figure
     from seft_ros.drawing.table import TextTable
+    from seft_ros.ground_motion.correction import baseline_numbers
     from seft_ros.ground_motion.ground_motion_block import GROUND_MOTION_TABLE, GroundMotion
-    from seft_ros.ground_motion.response_spectrum import motion_figure, motion_summary
+    from seft_ros.ground_motion.response_spectrum import (
+        motion_figure,
+        motion_summary,
+        spectrum_table,
+    )
 
     path = check_figure(figure) if figure is not None else None
+    spectrum_file = check_table(csv) if csv is not None else None
     if config is not None:
         experiment = load_experiment(config, param, params_file)
         axes, timebase, section = experiment.axes, experiment.timebase, experiment["ground_motion"]
-    elif file is None:
+    elif not file:
         raise InputError("seft motion: name a record, or an experiment by --config")
     elif param or params_file:
         raise InputError("-p and --params-file change an experiment; name it by --config")
     else:
         axes = tuple(f"column {index}" for index in column or ()) or ("motion",)
+        if len(file) > 1:
+            axes = tuple(f"motion {number}" for number, _ in enumerate(file, start=1))
         timebase = Timebase.from_rate(500.0)
         section = {row.name: row.default for row in GROUND_MOTION_TABLE.rows.values()} | {
             "tail": 0.0
         }
-    section |= given_motion(section, file, "motion", column=column or None, unit=unit, dt=dt)
+    metadata = None if response is None else str(response)
+    words = {"column": column or None, "rows": rows, "unit": unit, "dt": dt, "response": metadata}
+    section |= given_motion(section, file, "motion", **words)
+    if correct is not None:
+        section |= GROUND_MOTION_TABLE.check({"correct": correct}, "seft motion")
     timebase = timebase if rate is None else Timebase.from_rate(rate)
     block = GroundMotion.from_parameters(section, axes, timebase)
     if path is not None:
         title = f"{block.facts['source']}, {timebase.rate:g} Hz"
-        save_figure(motion_figure(block.samples, timebase.dt, axes, title), path)
-    numbers = motion_summary(block.samples, timebase.dt)
-    rows = [["steps", *[str(numbers["steps"])] * len(axes)]]
-    rows += [[label, *(f"{value:.4g}" for value in numbers[name])] for name, label in _ROWS.items()]
+        save_figure(motion_figure(block.samples, timebase.dt, axes, title, block.uncorrected), path)
+    moving = block.samples[: block.steps - round(section["tail"] * timebase.rate)]
+    if spectrum_file is not None:
+        names = ["period (s)", *(f"{axis} pseudo-acceleration (m/s^2)" for axis in axes)]
+        write_table(spectrum_file, names, spectrum_table(block.samples, timebase.dt))
+    numbers = motion_summary(block.samples, timebase.dt) | baseline_numbers(moving, timebase.dt)
+    lines = [["steps", *[str(numbers["steps"])] * len(axes)]]
+    lines += [
+        [label, *(f"{value:.4g}" for value in numbers[name])] for name, label in _ROWS.items()
+    ]
     summary = {**block.facts, "rate_hz": timebase.rate, **numbers}
     summary["figure"] = None if path is None else str(path)
-    texts = [TextTable((), motion_rows(block.facts)), TextTable(["", *axes], rows)]
-    show(summary, json, texts, "figure")
+    summary["csv"] = None if spectrum_file is None else str(spectrum_file)
+    texts = [TextTable((), motion_rows(block.facts)), TextTable(["", *axes], lines)]
+    show(summary, json, texts, "figure", "csv")
     return 0
 
 

@@ -21,7 +21,7 @@ from seft_ros.force_controller.force_controller_parameters import (
     one_controller,
 )
 from seft_ros.force_controller.methods import force_control
-from seft_ros.ground_motion.ground_motion_block import check_size
+from seft_ros.ground_motion.resampling import check_size
 from seft_ros.ground_motion.synthetic_motion import excitation, shortest_duration
 from seft_ros.protection.detectors import MODEL_BASED
 from seft_ros.reference_force.force_command import FORCE_DRIVEN
@@ -349,6 +349,8 @@ def _with(experiment: Experiment, record: Path, controller: Section) -> Experime
         "ground_motion": {
             "file": str(record.resolve()),
             "column": list(range(len(experiment.axes))),
+            "rows": False,
+            "correct": "none",
             "unit": "m/s2",
             "dt": experiment.timebase.dt,
             "peak_force": 0.0,

@@ -5,7 +5,6 @@ need not know the end.
 """
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,28 +21,40 @@ from seft_msgs_py.config.parameter_table import (
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 
-from seft_ros.ground_motion.record_file import RecordedMotion, read_record
+from seft_ros.ground_motion.correction import baseline_numbers, correct
+from seft_ros.ground_motion.record_file import RecordedMotion, files_of, given_unit, read_record
+from seft_ros.ground_motion.resampling import Resampled, check_size, resample
 from seft_ros.ground_motion.synthetic_motion import synthetic_motion
-
-_MAX_STEPS = 50_000_000
-"""Longest accepted motion, in steps: a longer one is a mistyped duration or rate."""
 
 MOTION = "motion"
 """Name of `motion_facts` in the description of the node."""
 
-_SNAP = 1e-9  # of a record's step: rounding in k * dt must not move a sample off its knot
+OF_RECORD = ("column", "rows", "unit", "dt", "response")
+"""Parameters that say how a record is to be read, which do not hold for another record."""
+
+FILES = ("file", "response")
+"""Parameters that name files."""
+
 _CHUNKS_PER_LEAD = 4
 
 _ROWS = """
-    file       | string |     |       |             |
-        record to read; empty: make a synthetic motion
+    file       | texts  | "" |       |             |
+        record to read, or one for each axis, in the order of axes; empty: make a synthetic motion
     column     | ints   | -1  |       | -1 ..       |
-        column of the file, counted from 0; one for all axes, or one per axis; -1: the first that
-        is not the time
-    unit       | string |     |       | "", g, m/s2, cm/s2 |
-        unit of the accelerations in the file; empty: the unit that the file states
+        column of the file, counted from 0; one for all axes, or one per axis; -1: the one whose
+        name says that it is an acceleration, or the first that is not the time
+    rows       | bool   | false |     |             |
+        the file holds one motion in rows of several numbers, and no columns
+    unit       | string |     |       |             |
+        unit of the accelerations in the file: g, m/s2 or cm/s2 (gal); empty: the unit that the
+        file states
     dt         | float  | 0.0 | s     | 0 ..        |
         sampling period of the file; 0: the period that the file states (header, column of time)
+    response   | string |     |       |             |
+        file of the station's metadata (StationXML), for counts in a SAC or miniSEED file
+    correct    | string | none |      | none, offset, baseline |
+        correction of the record: offset takes off its mean; baseline also filters by a high-pass,
+        and takes off the parabola with which velocity and displacement end at zero
     peak_force | float  | 0.0 | N     | 0 ..        |
         scale the motion so that this is the largest |mass * acceleration|; 0: as recorded
     mass       | floats | reference_force:model.mass or 0.0 | kg | |
@@ -56,6 +67,11 @@ _ROWS = """
     tail       | float  | 2.0 | s     | 0 ..        | free vibration after the motion
     lead       | float  | 2.0 | s     | > 0 .. 3600 |
         how far ahead of the rig's time the motion is published
+"""
+_FILTER_ROWS = """
+    corner    | float | 0.1  | Hz | 0 .. | corner of the high-pass (Butterworth); 0: no filter
+    order     | int   | 4    |    | 1 .. 10 | its order
+    both_ways | bool  | true |    |      | forwards and backwards: no shift of phase
 """
 _SYNTHETIC_ROWS = """
     seed             | int   | 0     |       | 0 .. | seed of the synthetic motion
@@ -73,7 +89,11 @@ _SYNTHETIC_ROWS = """
 
 GROUND_MOTION_TABLE = Table(
     "ground_motion",
-    (*parameter_rows(_ROWS), *parameter_rows(_SYNTHETIC_ROWS, group="synthetic")),
+    (
+        *parameter_rows(_ROWS),
+        *parameter_rows(_FILTER_ROWS, group="filter"),
+        *parameter_rows(_SYNTHETIC_ROWS, group="synthetic"),
+    ),
 )
 """Parameters of the node ground_motion."""
 
@@ -103,6 +123,8 @@ class GroundMotion:
     chunks : list of (int, ndarray)
         The pieces in which ``known`` is published: step of the first sample, and values of shape
         (p, n), m/s^2, read-only.
+    uncorrected : ndarray or None
+        The samples without the correction of their record; None: it was not corrected.
     """
 
     def __init__(
@@ -120,6 +142,7 @@ class GroundMotion:
         firsts = range(0, len(self.known), chunk_steps)
         self.chunks = [(first, self.known[first : first + chunk_steps]) for first in firsts]
         self.facts = facts or {}
+        self.uncorrected: Floats | None = None
 
     @classmethod
     def from_parameters(
@@ -142,29 +165,19 @@ class GroundMotion:
             If the file can't be read as a record, or parameters contradict each other.
         """
         influence = per_axis(section["influence"], axes, "ground_motion: influence")
-        if section["file"]:
-            columns = per_axis(section["column"], axes, "ground_motion: column")
-            record = read_record(
-                section["file"], [int(c) for c in columns], section["unit"], section["dt"]
-            )
+        given_unit(section["unit"])
+        files = files_of(section["file"])
+        if files:
+            record = _recorded(section, axes, files)
         else:
             record = _synthetic(group(section, "synthetic"), len(axes))
-        samples = resample(
-            record.accelerations, record.dt, timebase, section["time_scale"], section["tail"]
-        )
-        scale, peak = 1.0, section["peak_force"]
+        method, dt, before = section["correct"], record.dt, record.accelerations
+        after = correct(before, dt, method, **group(section, "filter"))
+        resampled = _in_time(section, after, dt, timebase, files)
         with np.errstate(over="ignore", invalid="ignore"):
-            samples *= influence
-            if peak:
-                mass = mass_matrix(section["mass"], axes, "ground_motion: mass (for peak_force)")
-                largest = float(np.abs(samples @ mass.T).max())
-                if not largest > 0:
-                    raise InputError(
-                        f"ground_motion: a motion of zeros can't be scaled to peak_force {peak:g} "
-                        "N; check column and influence, or set peak_force to 0"
-                    )
-                scale = peak / largest
-                samples *= scale
+            samples = resampled.samples * influence
+            scale = _peak_scale(section, axes, samples)
+            samples *= scale
         if not np.isfinite(samples).all():
             raise InputError(
                 f"ground_motion: {record.source}: accelerations are not finite; check its "
@@ -172,27 +185,73 @@ class GroundMotion:
             )
         lead_steps = max(1, round(section["lead"] * timebase.rate))
         chunk_steps = max(1, round(lead_steps / _CHUNKS_PER_LEAD))
-        facts = motion_facts(section, record, samples, scale)
-        return cls(samples, min(chunk_steps, len(samples)), lead_steps, facts)
+        facts = motion_facts(section, axes, record, samples, scale)
+        facts["resampling"] = resampled.done
+        found = cls(samples, min(chunk_steps, len(samples)), lead_steps, facts)
+        if method != "none":
+            numbers = {"before": baseline_numbers(before, dt), "after": baseline_numbers(after, dt)}
+            facts["correction"] = {"method": _correction(section), **numbers}
+            uncorrected = _in_time(section, before, dt, timebase, files).samples
+            found.uncorrected = uncorrected * influence * scale
+        return found
+
+
+def _in_time(
+    section: Section, motion: Floats, dt: float, timebase: Timebase, files: Sequence[str]
+) -> Resampled:
+    """Bring a motion to the rate of the loop; a synthetic one is linear between its samples."""
+    times = section["time_scale"], section["tail"]
+    return resample(motion, dt, timebase, *times, linear=not files)
+
+
+def _peak_scale(section: Section, axes: Sequence[str], samples: Floats) -> float:
+    """Give the factor that peak_force asks for."""
+    peak = section["peak_force"]
+    if not peak:
+        return 1.0
+    mass = mass_matrix(section["mass"], axes, "ground_motion: mass (for peak_force)")
+    largest = float(np.abs(samples @ mass.T).max())
+    if not largest > 0:
+        raise InputError(
+            f"ground_motion: a motion of zeros can't be scaled to peak_force {peak:g} "
+            "N; check column and influence, or set peak_force to 0"
+        )
+    return float(peak / largest)
+
+
+def _correction(section: Section) -> str:
+    """Say in words how the record was corrected."""
+    method, corner = str(section["correct"]), section["filter.corner"]
+    if method != "baseline" or not corner:
+        return method
+    ways = "both ways" if section["filter.both_ways"] else "one way"
+    return f"{method}, high-pass {corner:g} Hz of order {section['filter.order']}, {ways}"
 
 
 def motion_facts(
-    section: Section, record: RecordedMotion, samples: Floats, scale: float
+    section: Section, axes: Sequence[str], record: RecordedMotion, samples: Floats, scale: float
 ) -> dict[str, Any]:
     """Give the source of a motion, and its changes in a test; all are JSON values.
 
     Returns
     -------
     dict
-        ``source`` (the file's name, without its folder), ``unit`` (of the file; None: synthetic),
-        ``dt_s`` (of the record), ``scale_factor`` (from `peak_force`), ``peak_force_n``
-        (0: as recorded), ``time_scale``, ``peak_acceleration`` (of each axis in the test, m/s^2),
-        ``duration_s`` (in the test, without the tail) and ``tail_s``.
+        ``source`` (names of the files, without their folders), ``unit`` (of the file; None:
+        synthetic), ``dt_s`` (of the record), ``channels`` (what was read for each ``axis``, see
+        `RecordedMotion`; empty: synthetic), ``correction`` (None, or ``method`` in words and, of
+        the record, the numbers ``before`` and ``after``, see `baseline_numbers`),
+        ``scale_factor`` (from `peak_force`), ``peak_force_n`` (0: as recorded), ``time_scale``,
+        ``peak_acceleration`` (of each axis in the test, m/s^2), ``duration_s`` (in the test,
+        without the tail), ``tail_s`` and ``resampling`` (what was done, in words).
     """
     return {
-        "source": Path(record.source).name,
+        "source": record.source,
         "unit": record.unit or None,
         "dt_s": record.dt,
+        "channels": [
+            {"axis": axis, **read} for axis, read in zip(axes, record.channels, strict=False)
+        ],
+        "correction": None,
         "scale_factor": scale,
         "peak_force_n": section["peak_force"],
         "time_scale": section["time_scale"],
@@ -202,80 +261,44 @@ def motion_facts(
     }
 
 
+def _recorded(section: Section, axes: Sequence[str], files: Sequence[str]) -> RecordedMotion:
+    """Read the records of all axes; zeros follow those that are shorter."""
+    if len(files) not in (1, len(axes)):
+        raise InputError(
+            f"ground_motion: file: {len(files)} records for {len(axes)} axes [{', '.join(axes)}]; "
+            "give one, or one for each axis"
+        )
+    columns = [int(c) for c in per_axis(section["column"], axes, "ground_motion: column")]
+    wanted = [(files[0], columns)]
+    if len(files) > 1:
+        wanted = [(file, [column]) for file, column in zip(files, columns, strict=True)]
+    words = {"rows": section["rows"], "response": section["response"]}
+    found = [
+        read_record(file, those, section["unit"], section["dt"], **words) for file, those in wanted
+    ]
+    return found[0] if len(found) == 1 else _side_by_side(found, axes)
+
+
+def _side_by_side(found: Sequence[RecordedMotion], axes: Sequence[str]) -> RecordedMotion:
+    """Join the records of the axes."""
+    first = found[0]
+    for axis, one in zip(axes, found, strict=True):
+        if one.dt != first.dt:
+            raise InputError(
+                f"ground_motion: {axis}: {one.source} has a sampling period of {one.dt:g} s, but "
+                f"{axes[0]}: {first.source} of {first.dt:g} s; resample one of them"
+            )
+    length = max(len(one.accelerations) for one in found)
+    joined = np.hstack(
+        [np.pad(a, ((0, length - len(a)), (0, 0))) for a in (one.accelerations for one in found)]
+    )
+    channels = [channel for one in found for channel in one.channels]
+    source = ", ".join(one.source for one in found)
+    return RecordedMotion(joined, first.dt, source, first.unit, channels)
+
+
 def _synthetic(values: Section, n: int) -> RecordedMotion:
     """One synthetic motion, the same on all n axes."""
     check_size(values["duration"], 1 / values["dt"], "synthetic.duration, synthetic.dt")
     motion = np.repeat(synthetic_motion(**values)[:, np.newaxis], n, axis=1)
     return RecordedMotion(motion, values["dt"], f"synthetic, seed {values['seed']}", "")
-
-
-def resample(
-    record: Floats,
-    record_dt: float,
-    timebase: Timebase,
-    time_scale: float = 1.0,
-    tail: float = 0.0,
-) -> Floats:
-    """Sample a record at the rate of the loop, and append zeros.
-
-    The record is piecewise linear in time between its samples at
-    ``j * record_dt * time_scale``, and is evaluated at ``k * timebase.dt``; nothing is
-    filtered. A sample of the record between two steps is lost, also if it is a peak: always
-    if the loop's rate is below the record's, sometimes if it is not a multiple of it.
-
-    Parameters
-    ----------
-    record : ndarray
-        Shape (M, c), M at least 2.
-    record_dt : float
-        Sampling period of the record in s.
-    timebase : Timebase
-        Of the loop.
-    time_scale : float
-        Factor on the record's duration; accelerations do not change.
-    tail : float
-        Duration of the zeros in s.
-
-    Returns
-    -------
-    ndarray
-        Shape (N, c): every step within the record's duration, then the tail.
-
-    Raises
-    ------
-    InputError
-        If that makes more than `_MAX_STEPS` steps, or less than one.
-    """
-    last = len(record) - 1
-    duration = last * record_dt * time_scale
-    if duration < timebase.dt:
-        raise InputError(
-            f"ground_motion: the motion lasts {duration:g} s, less than a step at "
-            f"{timebase.rate:g} Hz; check dt and time_scale"
-        )
-    check_size(duration + tail, timebase.rate, f"time_scale {time_scale:g}, tail {tail:g} s")
-    ratio = timebase.dt / (record_dt * time_scale)
-    positions = np.arange(int(last / ratio * (1 + 1e-12) + _SNAP) + 1) * ratio
-    nearest = np.rint(positions)
-    positions = np.where(np.abs(positions - nearest) <= _SNAP, nearest, positions)
-    samples = np.zeros((len(positions) + round(tail * timebase.rate), record.shape[1]))
-    for column, values in enumerate(record.T):
-        samples[: len(positions), column] = np.interp(positions, np.arange(len(record)), values)
-    return samples
-
-
-def check_size(duration: float, rate: float, where: str) -> None:
-    """Refuse motions of an implausible length, before memory is reserved for them.
-
-    ``duration`` in s, ``rate`` in Hz; ``where`` names their parameters.
-
-    Raises
-    ------
-    InputError
-        If there would be more than `_MAX_STEPS` steps.
-    """
-    if not duration * rate <= _MAX_STEPS:
-        raise InputError(
-            f"ground_motion: {duration:g} s at {rate:g} Hz are more than {_MAX_STEPS:.0e} steps "
-            f"({where}); check duration and rate"
-        )

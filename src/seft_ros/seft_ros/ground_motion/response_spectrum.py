@@ -7,7 +7,8 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.arrays import Floats
 
-from seft_ros.ground_motion.column_file import STANDARD_GRAVITY
+from seft_ros.ground_motion.correction import velocity_and_displacement
+from seft_ros.ground_motion.readers.units import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -50,6 +51,13 @@ def response_spectrum(
     running = RunningSpectrum(periods, dt, damping)
     running.advance(np.asarray(accelerations, dtype=float)[:, np.newaxis])
     return running.spectrum[:, 0]
+
+
+def spectrum_table(samples: Floats, dt: float) -> Floats:
+    """Compute the 5 % spectra of a motion, shape (N, n): `PERIODS`, then a column for each axis."""
+    running = RunningSpectrum(PERIODS, dt, _DAMPING)
+    running.advance(samples)
+    return np.column_stack([PERIODS, running.spectrum])
 
 
 class RunningSpectrum:
@@ -149,23 +157,38 @@ def _squared_integral(samples: Floats, dt: float) -> Floats:
     return energy
 
 
-def motion_figure(samples: Floats, dt: float, axes: Sequence[str], title: str) -> "Figure":
+def motion_figure(
+    samples: Floats, dt: float, axes: Sequence[str], title: str, before: Floats | None = None
+) -> "Figure":
     """Draw acceleration against time, one panel per axis, above the 5 % response spectra.
 
     ``samples`` have shape (N, n), in m/s^2, with sampling period ``dt`` in s; ``axes`` names their
-    n axes. The figure is made without pyplot: save it with ``figure.savefig``.
+    n axes. Samples ``before`` a correction are drawn behind, and add a panel of displacement for
+    each axis. The figure is made without pyplot: save it with ``figure.savefig``.
     """
     from matplotlib.figure import Figure  # here: the monitor and reports need no figure
 
-    from seft_ros.drawing.style import tidy
+    from seft_ros.drawing.style import REFERENCE, tidy
 
     n = samples.shape[1]
-    figure = Figure(figsize=(8.0, 3.6 + 1.9 * n), layout="constrained")
-    *panels, spectra = figure.subplots(n + 1, 1, height_ratios=[*[1.0] * n, 1.6])
+    rows = n if before is None else 2 * n
+    figure = Figure(figsize=(8.0, 3.6 + 1.9 * rows), layout="constrained")
+    *panels, spectra = figure.subplots(rows + 1, 1, height_ratios=[*[1.0] * rows, 1.6])
     figure.suptitle(title)
     times = dt * np.arange(len(samples))
     limit = 1.08 * float(np.abs(samples).max()) or 1.0
-    for index, (name, panel) in enumerate(zip(axes, panels, strict=True)):
+    if before is not None:
+        limit = max(limit, 1.08 * float(np.abs(before).max()))
+        earlier = dt * np.arange(len(before))
+        moved = [velocity_and_displacement(a, dt)[1] for a in (before, samples)]
+        for index, panel in enumerate(panels[n:]):
+            panels[index].plot(earlier, before[:, index], color=REFERENCE, linewidth=0.8)
+            panel.plot(earlier, moved[0][:, index], color=REFERENCE, label="as recorded")
+            panel.plot(times, moved[1][:, index], color=f"C{index}", label="corrected")
+            panel.set(xlim=(0, times[-1]), ylabel="displacement (m)", xlabel="time (s)")
+            panel.legend(title=axes[index], frameon=False)
+            tidy(panel)
+    for index, (name, panel) in enumerate(zip(axes, panels[:n], strict=True)):
         values = samples[:, index]
         peak = int(np.abs(values).argmax())
         panel.plot(times, values, color=f"C{index}", linewidth=0.8)

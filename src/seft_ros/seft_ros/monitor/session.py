@@ -5,13 +5,14 @@ import time
 from collections import deque
 from collections.abc import Callable
 from itertools import chain
-from pathlib import Path
 from typing import Any
 
 from seft_msgs_py.node.clock import AwakeClock
 from seft_msgs_py.wire.messages import Status
 from seft_msgs_py.wire.outcome import ENDED, RIG, State
 from seft_msgs_py.wire.topics import NODES, bare
+
+from seft_ros.ground_motion.record_file import source_name
 
 SILENCE_PERIOD = 1.0  # s; nodes give a sign of life five times a second
 ENDED_WITH_TEST = 0.5  # s before a test's end: a node that sent then was shut down after it
@@ -141,7 +142,7 @@ class Session:
         motion, force = (self.sections.get(n, {}) for n in ("ground_motion", "reference_force"))
         if not motion and not force:
             return ""
-        words = [Path(str(motion.get("file") or "synthetic motion")).name]
+        words = [source_name(motion.get("file") or "") or "synthetic motion"]
         if "mass_ratio" in force:
             words.append(f"mass ratio {force['mass_ratio']}")
         if method := force.get("compensation.method"):

@@ -14,6 +14,7 @@ from seft_plant_sim import rig_parameters
 from seft_plant_sim.rig import Rig
 
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
+from seft_ros.ground_motion.record_file import files_of
 
 DRAWN_QUANTITIES = {
     "rig:specimen.mass": 0.2,  # it is weighed
@@ -94,7 +95,7 @@ def draw_tests(
     """
     axes, timebase = experiment.axes, experiment.timebase
     own = {node: experiment[node] for node in ("rig", "ground_motion")}
-    for file in dict.fromkeys([own["ground_motion"]["file"], *motions]):
+    for file in [own["ground_motion"]["file"], *dict.fromkeys(motions)]:
         GroundMotion.from_parameters(own["ground_motion"] | {"file": file}, axes, timebase)
     check_rig(own["rig"], axes, timebase, 0)
     drawn = []
@@ -155,7 +156,7 @@ def drawn_motion(
         drawn["file"] = files[int(random.integers(len(files)))]
     drawn["synthetic.seed"] = int(random.integers(2**31))
     amplitude = "peak_force" if section["peak_force"] else "influence"
-    synthetic = not (files or section["file"])
+    synthetic = not (files or files_of(section["file"]))
     for name, uncertainty in _of_node("ground_motion").items():
         by = float(_draw_factors(random, uncertainty, spread, 1)[0])
         if name == amplitude or (synthetic and name.startswith("synthetic.")):

@@ -11,6 +11,8 @@ from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.errors import InputError
 
 from seft_ros.force_controller.methods import force_control
+from seft_ros.ground_motion.ground_motion_block import FILES
+from seft_ros.ground_motion.record_file import files_of
 from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
 from seft_ros.reference_force.reference_force_block import method_inputs
 from seft_ros.reference_force.reference_force_parameters import REFERENCE_FORCE_TABLE
@@ -76,7 +78,8 @@ class StudyPlan:
 
     def records(self) -> dict[str, bytes]:
         """Read the files of the ground motions."""
-        files = {str(self.experiment["ground_motion"]["file"]), *self.drawn.motions} - {""}
+        motion = self.experiment["ground_motion"]
+        files = {file for name in FILES for file in files_of(motion[name])} | {*self.drawn.motions}
         return {file: Path(file).read_bytes() for file in sorted(files)}
 
 

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.parameter_table import Section
 
 from seft_ros.drawing.style import RESPONSES, json_safe
+from seft_ros.ground_motion.record_file import source_name
 from seft_ros.study.study_plan import StudyPlan
 from seft_ros.study.study_runs import Run
 
@@ -116,7 +116,7 @@ def result_of(plan: StudyPlan, runs: Sequence[Run]) -> dict[str, Any]:
 
 
 def _motion(sections: Mapping[str, Section]) -> str:
-    return Path(sections["ground_motion"]["file"]).name
+    return source_name(sections["ground_motion"]["file"])
 
 
 def _worst(plan: StudyPlan, number: int, outcome: Mapping[str, Any]) -> dict[str, Any]:

@@ -15,6 +15,8 @@ from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.summary import summarise_briefly
 from seft_ros.bags.record import Record
+from seft_ros.ground_motion.ground_motion_block import FILES
+from seft_ros.ground_motion.record_file import files_of
 from seft_ros.study.finished_tests import FinishedTests, TestOutcome
 from seft_ros.study.study_plan import StudyPlan, StudyTest
 from seft_ros.study.workers import parallel_map
@@ -93,9 +95,12 @@ def run_study(
 def _run(test: StudyTest, experiment: Experiment, carried: Mapping[str, bytes]) -> TestOutcome:
     """Run a test; an error says in one line which it is of."""
     try:
-        if carried and (file := experiment["ground_motion"]["file"]):
-            local = _at_hand(Path(file).name, carried[file])
-            section = experiment["ground_motion"] | {"file": local}
+        if carried:
+            section = experiment["ground_motion"] | {
+                name: [_at_hand(Path(file).name, carried[file]) for file in files]
+                for name in FILES
+                if (files := files_of(experiment["ground_motion"][name]))
+            }
             experiment = Experiment(experiment.sections | {"ground_motion": section})
         reference, why = _CACHE.reference(experiment), _CACHE.why_not_compiled(experiment)
         if why:  # what learns begins with blocks of its own

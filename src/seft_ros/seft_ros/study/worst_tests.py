@@ -7,6 +7,8 @@ from typing import Any
 from seft_msgs_py.config.experiment import write_parameter_file
 from seft_msgs_py.errors import InputError
 
+from seft_ros.ground_motion.ground_motion_block import FILES
+from seft_ros.ground_motion.record_file import files_of
 from seft_ros.study.study_plan import StudyPlan, StudyTest
 
 
@@ -42,8 +44,12 @@ def write_worst_tests(plan: StudyPlan, summary: dict[str, Any], folder: Path) ->
             method = re.sub(r"[^\w.-]", "_", test.method)
             path = folder / f"{method}_{test.mass_ratio:g}_{test.number}.yaml"
             sections = dict(plan.experiment_of(test).sections)
-            if file := sections["ground_motion"]["file"]:
-                sections["ground_motion"] |= {"file": str(Path(file).resolve())}
+            motion = sections["ground_motion"]
+            sections["ground_motion"] = motion | {
+                name: [str(Path(file).resolve()) for file in files]
+                for name in FILES
+                if (files := files_of(motion[name]))
+            }
             about = f"{test} of seft study, seed {plan.drawn.seed}, spread {plan.drawn.spread:g}"
             write_parameter_file(path, sections, [about], replace=True)
             worst["file"] = str(path)

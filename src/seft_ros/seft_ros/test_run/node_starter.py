@@ -82,7 +82,7 @@ class NodeStarter:
         self._unread = b""
         self._is_lost = False
 
-    def start(self, words: Sequence[str], log: Path, **environment: str) -> StartedNode:
+    def start(self, words: Sequence[str], log: Path) -> StartedNode:
         """Start ``python -m`` with these words; all that the process writes goes to ``log``.
 
         Raises
@@ -90,7 +90,7 @@ class NodeStarter:
         ExperimentError
             If the starter has ended.
         """
-        request = {"words": list(words), "log": str(log), "environment": environment}
+        request = {"words": list(words), "log": str(log)}
         assert self._process.stdin is not None
         before = len(self._started)
         try:
@@ -204,7 +204,6 @@ def _begin(request: Mapping[str, Any], report: int) -> None:
     for file, number in ((nowhere, 0), (log, 1), (log, 2)):
         os.dup2(file, number)
     os.closerange(3, os.sysconf("SC_OPEN_MAX"))
-    os.environ.update(request["environment"])
     name, *words = request["words"]
     sys.argv = [name, *words]
     _show([sys.executable, "-m", name, *words])

@@ -282,10 +282,12 @@ class NodeProcesses:
     def _start(self, group: tuple[str, ...]) -> StartedNode:
         names, rig = [bare(node) for node in group], rig_name(group[0])
         words = [MODULES[names[0]]] if len(group) == 1 else [COMPOSED, "--nodes", *names]
-        words += ["--ros-args", *(["-r", f"__ns:=/{rig}"] if rig else []), *self._arguments]
+        # the log has all that the process writes; rclpy would write it once more into a file
+        words += ["--ros-args", "--disable-external-lib-logs"]
+        words += [*(["-r", f"__ns:=/{rig}"] if rig else []), *self._arguments]
         log = self._logs / ("_".join(node.replace("/", "_") for node in group) + ".log")
         self._logs_of.update(dict.fromkeys(group, log))
-        process = self._starter.start(words, log, ROS_LOG_DIR=str(self._logs))
+        process = self._starter.start(words, log)
         if self._placement is not None:
             self._placement.put(names[0], process.pid)
         return process

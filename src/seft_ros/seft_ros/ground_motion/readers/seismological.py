@@ -1,0 +1,178 @@
+"""Seismological files: K-NET and KiK-net, SAC, miniSEED. ObsPy reads them; it is an extra.
+
+Counts of a digitiser become accelerations by the sensitivity in the station's metadata, which
+ObsPy reads too (StationXML, RESP, dataless SEED).
+"""
+
+import io
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from seft_msgs_py.errors import InputError
+
+from seft_ros.ground_motion.readers.columns import Columns
+from seft_ros.ground_motion.readers.statements import Statement, other_quantity
+from seft_ros.ground_motion.readers.units import read_unit
+
+_SAC_HEADER, _SAC_VERSION, _SAC_VERSIONS = 632, 304, (6, 7)  # bytes, place
+_SAC_OTHER = {6: "displacement", 7: "velocity", 50: "voltage"}
+
+
+def is_knet(data: bytes) -> bool:
+    """Whether a file is a K-NET or KiK-net record in ASCII."""
+    return data.lstrip().startswith(b"Origin Time") and b"Scale Factor" in data[:2000]
+
+
+def is_sac(data: bytes) -> bool:
+    """Whether a file is a binary SAC record, of either byte order."""
+    version = data[_SAC_VERSION : _SAC_VERSION + 4]
+    orders = (int.from_bytes(version, order) for order in ("little", "big"))
+    return len(data) > _SAC_HEADER and any(found in _SAC_VERSIONS for found in orders)
+
+
+def is_miniseed(data: bytes) -> bool:
+    """Whether a file is a miniSEED record, of version 2 or 3."""
+    old = data[:6].decode("latin-1").strip(" \0")
+    is_old = (old.isdigit() or not old) and data[6:7] in b"DRQM" and data[7:8] in b" \0"
+    return len(data) > 48 and (data.startswith(b"MS\x03") or is_old)
+
+
+def read_knet(path: Path, data: bytes) -> Columns:
+    """Read a K-NET or KiK-net record: counts times the scale factor of its header, in cm/s^2.
+
+    Raises
+    ------
+    InputError
+        If ObsPy can't read it, or is not installed.
+    """
+    trace = _read(path, data, "KNET", "K-NET")[0]
+    unit = Statement("cm/s2", "Scale Factor in gal")
+    values = np.asarray(trace.data, dtype=float) * (100 * trace.stats.calib)
+    return _columns(path, [values], [""], "K-NET", trace.stats.delta, unit)
+
+
+def read_sac(path: Path, data: bytes, response: str) -> Columns:
+    """Read a SAC record, see `read_miniseed`; its header may say that it is no acceleration."""
+    stream = _read(path, data, "SAC", "SAC")
+    other = _SAC_OTHER.get(int(stream[0].stats.sac.get("idep", 0) or 0))
+    if other and not response:
+        raise other_quantity(path, 1, other)
+    return _scaled(path, stream, response, "SAC")
+
+
+def read_miniseed(path: Path, data: bytes, response: str) -> Columns:
+    """Read a miniSEED record: a column for each channel.
+
+    Counts are divided by the sensitivity in ``response``, a file of the station's metadata; they
+    are refused without. Values that are no counts have the unit that the user gives.
+
+    Raises
+    ------
+    InputError
+        If ObsPy can't read it, or is not installed; if there are counts without their response, or
+        it is not that of an accelerometer; if there is a gap.
+    """
+    return _scaled(path, _read(path, data, "MSEED", "miniSEED"), response, "miniSEED")
+
+
+def _read(path: Path, data: bytes, kind: str, called: str) -> Any:
+    """Read a stream by ObsPy, contiguous pieces joined."""
+    obspy = _obspy(path, called)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a header's oddities; what can't be read is an error
+        try:
+            stream = obspy.read(io.BytesIO(data), format=kind)
+            stream.merge(method=-1)
+        except Exception as error:  # ObsPy raises any kind
+            told = " ".join(str(error).split()) or type(error).__name__
+            raise InputError(
+                f"{path}: ObsPy can't read it as {called}: {told[:200]}; fetch it again"
+            ) from None
+    if not len(stream) or any(not len(trace) for trace in stream):
+        raise InputError(f"{path}: holds no samples; fetch it again")
+    return stream
+
+
+def _obspy(path: Path, called: str) -> Any:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            import obspy
+    except ImportError:
+        raise InputError(
+            f"{path}: is a {called} record, which ObsPy reads; install it beside seft: "
+            "pip install 'src/seft_ros[motions]'"
+        ) from None
+    return obspy
+
+
+def _scaled(path: Path, stream: Any, response: str, called: str) -> Columns:
+    ids = [trace.id for trace in stream]
+    deltas, lengths = ({attribute(trace) for trace in stream} for attribute in (_delta, len))
+    if len(set(ids)) < len(ids):
+        raise InputError(f"{path}: channel {ids[0]} has a gap; cut the record off there")
+    if len(deltas) > 1 or len(lengths) > 1:
+        raise InputError(
+            f"{path}: its channels differ in length or sampling period; save each as a file"
+        )
+    try:
+        values = [np.asarray(trace.data, dtype=float) for trace in stream]
+    except (TypeError, ValueError):
+        raise InputError(f"{path}: holds text, no samples; give a record") from None
+    unit = None
+    if response:
+        values = [v / _sensitivity(path, t, response) for v, t in zip(values, stream, strict=True)]
+        unit = Statement("m/s2", f"the response in {response}")
+    elif any((each == np.rint(each)).all() and each.any() for each in values):
+        raise InputError(
+            f"{path}: holds counts of a digitiser; set ground_motion response (--response) to the "
+            "station's metadata (StationXML), or convert it to accelerations"
+        )
+    return _columns(path, values, ids, called, deltas.pop(), unit)
+
+
+def _delta(trace: Any) -> float:
+    return float(trace.stats.delta)
+
+
+def _sensitivity(path: Path, trace: Any, response: str) -> float:
+    """Give the counts of an accelerometer channel for 1 m/s^2."""
+    obspy = _obspy(path, "seismological")
+    try:
+        inventory = obspy.read_inventory(response)
+        found = inventory.get_response(trace.id, trace.stats.starttime).instrument_sensitivity
+        unit, size = read_unit(found.input_units or ""), float(found.value)
+    except Exception as error:  # ObsPy raises any kind
+        told = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(
+            f"{path}: {response} gives no sensitivity of channel {trace.id}: {told[:200]}; give "
+            "the metadata of that station and time"
+        ) from None
+    if unit != "m/s2" or not np.isfinite(size) or size == 0:
+        raise InputError(
+            f"{path}: {response} says that channel {trace.id} measures {found.input_units}, "
+            f"{size:g} counts for 1; give the record of an accelerometer, in m/s2"
+        )
+    return size
+
+
+def _columns(
+    path: Path,
+    values: Sequence[np.ndarray[Any, Any]],
+    names: Sequence[str],
+    layout: str,
+    delta: float,
+    unit: Statement[str] | None,
+) -> Columns:
+    return Columns(
+        path,
+        np.stack(values, axis=1),
+        list(range(1, len(values[0]) + 1)),
+        layout,
+        tuple(names) if any(names) else (),
+        own_dt=Statement(float(f"{delta:.7g}"), "its header"),
+        own_unit=unit,
+    )

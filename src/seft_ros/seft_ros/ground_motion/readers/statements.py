@@ -1,0 +1,201 @@
+"""What the header of a record states in words: unit, sampling period, number of points, quantity.
+
+Each form is one that public records have. Two statements that differ are refused, and so is one
+that can't be used, such as an unknown unit: none of them is passed over in silence.
+"""
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from seft_msgs_py.errors import InputError
+
+from seft_ros.ground_motion.readers.record_text import NUMBER, to_float
+from seft_ros.ground_motion.readers.units import is_other_unit, read_unit
+
+SAME_PERIOD = 1e-3
+"""Relative difference up to which two sampling periods are the same."""
+
+_N = NUMBER.pattern
+_FLAGS = re.IGNORECASE | re.ASCII
+
+_UNIT = re.compile(
+    r"(?:units?|unidad(?:es)?)\b[\w\s]{0,24}?\s*(?:\bof\b|\bin\b|\bis\b|\bare\b|[:=(\[])"
+    r"[\s:=(\[]*(?:acceleration\s*[:=(\[]?\s*|the\s+)?([^\s,;()\[\]]+)",
+    _FLAGS,
+)
+_IN_UNIT = re.compile(r"\b(?:in|units?)\s+([^\s,;()\[\]]+)", _FLAGS)
+_ACCELERATION_IN = re.compile(
+    r"^\W*acc(?:el(?:eration)?s?)?\.?\s*[:=(\[]\s*([^\s,;()\[\]]+)", _FLAGS
+)
+_BARE = re.compile(r"[\s,;:()\[\]]+")
+_VALUE = re.compile(  # the unit of one value, not of the record
+    rf"peak|max|pga|trigger|threshold|umbral|\bscale|sensit|factor|{_N}\s*(?:gal|c?m/s)", _FLAGS
+)
+_PERIOD_NAME = (
+    r"(?:\bdt\b|\bdelta[_ ]?t\b|\b(?:sampling|sample|time)[\s_]*(?:interval|period|step|spacing|"
+    r"increment)|\bequal(?:ly)?[\s-]+spac(?:ed|ing)(?:[\s-]+intervals?)?|\btime[\s_]*delta\b)"
+)
+_IN_MILLI = r"(?:[\s_]*[(\[]?\s*(ms|msec|milliseconds?|s|secs?|seconds?)\b\s*[)\]]?)?"
+_PERIOD = re.compile(
+    rf"{_PERIOD_NAME}{_IN_MILLI}\s*(?:of|at|is)?\s*[:=]?\s*"
+    rf"({_N})(?:\s*/\s*({_N}))?\s*(ms|msec|milliseconds?|s|secs?|seconds?|hz)?\b",
+    _FLAGS,
+)
+_RATE = re.compile(
+    r"\b(?:sampling|sample)[\s_]*(?:rate|freq(?:uency)?)\b\.?[\s_]*(?:[(\[]?\s*hz\s*[)\]]?)?"
+    rf"\s*(?:of|at|is)?\s*[:=]?\s*({_N})"
+    rf"|\bsampl(?:ed|ing)\s*(?:at|:)\s*({_N})\s*hz\b",
+    _FLAGS,
+)
+_PER_SECOND = re.compile(
+    rf"({_N})\s*(?:(?:samples?|points?|pts)\s*(?:/|per)\s*s(?:ec(?:ond)?)?|sps)\b", _FLAGS
+)
+_COUNT = re.compile(
+    r"\b(?:ndata|npts|npoints?|(?:no\.?|num(?:ber)?\.?)\s*(?:of)?\s*(?:data\s*)?"
+    r"(?:points?|pts|samples?|values?|data))\b\s*(?:is|of)?\s*[:=]?\s*(\d+)\b(?!\.\d)",
+    _FLAGS,
+)
+_COUNT_FIRST = re.compile(
+    r"(?<![\d.])(\d+)\s+(?:data\s+|acceleration\s+|acc\s+)?(?:points|pts|samples|values)\b"
+    r"(?!\s*(?:/|per|across|in\s+(?:a|each)|(?:a|each)\s+(?:row|line)))",
+    _FLAGS,
+)
+_OTHER_QUANTITY = re.compile(
+    r"\bdata[_ ]?type\W+(velocity|displacement)\b"
+    r"|\b(velocity|displacement)\s+(?:time|history|series|record)\b"
+    r"|^\W*(?:un)?corrected\s+(velocity|displacement)\b",
+    _FLAGS,
+)
+
+
+@dataclass(frozen=True)
+class Statement[T]:
+    """A value that a file states, and where, as messages name the place."""
+
+    value: T
+    place: str
+
+
+@dataclass(frozen=True)
+class Header:
+    """What the lines above the data state; None: nothing.
+
+    Attributes
+    ----------
+    unit : Statement of str or None
+        Key of `UNITS`.
+    dt : Statement of float or None
+        Sampling period in s.
+    count : Statement of int or None
+        Number of points.
+    """
+
+    unit: Statement[str] | None = None
+    dt: Statement[float] | None = None
+    count: Statement[int] | None = None
+
+
+def read_header(path: Path, lines: Sequence[tuple[int, str]]) -> Header:
+    """Read the statements of numbered header lines.
+
+    Raises
+    ------
+    InputError
+        If two differ, or a unit is unknown, or the file holds a velocity or displacement.
+    """
+    for number, line in lines:
+        if found := _OTHER_QUANTITY.search(line):
+            raise other_quantity(path, number, next(filter(None, found.groups())))
+    units = [Statement(unit, f"line {n}") for n, line in lines for unit in _units(path, n, line)]
+    periods = [Statement(dt, f"line {n}") for n, line in lines for dt in _periods(path, n, line)]
+    counts = [Statement(count, f"line {n}") for n, line in lines for count in _counts(line)]
+    return Header(
+        _agreed(path, "unit", units, lambda a, b: a == b),
+        _agreed(path, "sampling period, s,", periods, is_same_period),
+        _agreed(path, "number of points", counts, lambda a, b: a == b),
+    )
+
+
+def is_same_period(first: float, second: float) -> bool:
+    """Whether two sampling periods are the same, within 0.1 %."""
+    return abs(first - second) <= SAME_PERIOD * first
+
+
+def known_unit(path: Path, number: int, text: str) -> str:
+    """Give the acceleration unit that a header names.
+
+    Raises
+    ------
+    InputError
+        If it is none that is known here.
+    """
+    unit = read_unit(text)
+    if unit is None:
+        raise InputError(
+            f"{path}: line {number}: {text} is no acceleration unit known here; convert the "
+            "record to g, m/s2 or cm/s2"
+        )
+    return unit
+
+
+def other_quantity(path: Path, number: int, quantity: str) -> InputError:
+    """Make the error on a file of velocities or displacements."""
+    return InputError(
+        f"{path}: line {number}: holds a {quantity.lower()}; give the record of the acceleration"
+    )
+
+
+def _agreed[T](
+    path: Path, what: str, found: Iterable[Statement[T]], same: Callable[[T, T], bool]
+) -> Statement[T] | None:
+    first = None
+    for each in found:
+        if first is None:
+            first = each
+        elif not same(first.value, each.value):
+            raise InputError(
+                f"{path}: {each.place} states the {what} {each.value}, but {first.place} "
+                f"{first.value}; correct one of them"
+            )
+    return first
+
+
+def _units(path: Path, number: int, line: str) -> Iterable[str]:
+    stated, told = _UNIT.findall(line), _ACCELERATION_IN.findall(line)
+    for text in stated:
+        if not read_unit(text) and not is_other_unit(text):
+            raise InputError(
+                f'{path}: line {number}: states the unit "{text[:30]}", which is not known here; '
+                "convert the record to g, m/s2 or cm/s2, and name that unit there"
+            )
+    for text in (*stated, *told):
+        if read_unit(text) or is_other_unit(text):
+            yield known_unit(path, number, text)
+    if not stated:
+        yield from (unit for unit in map(read_unit, _IN_UNIT.findall(line)) if unit)
+    if not (stated or told or _VALUE.search(line)):
+        for text in _BARE.split(line):
+            if text.lower() == "counts" or (len(text) > 1 and read_unit(text)):
+                yield known_unit(path, number, text)
+
+
+def _periods(path: Path, number: int, line: str) -> Iterable[float]:
+    for before, value, divisor, after in _PERIOD.findall(line):
+        period = to_float(value, path, number)
+        if divisor:
+            period /= to_float(divisor, path, number) or float("nan")
+        if after.lower() == "hz":
+            period = 1 / period if period else 0.0
+        elif (after or before).lower().startswith("m"):
+            period = float(f"{period * 1e-3:.12g}")
+        if 0 < period < float("inf"):
+            yield period
+    rates = [named or at for named, at in _RATE.findall(line)] + _PER_SECOND.findall(line)
+    yield from (1 / rate for rate in (to_float(text, path, number) for text in rates) if rate > 0)
+
+
+def _counts(line: str) -> Iterable[int]:
+    named = _COUNT.findall(line)
+    yield from map(int, named or _COUNT_FIRST.findall(line))

@@ -1,0 +1,175 @@
+"""Whatever happens to a bag's files: what is reported is right, and what is wrong is named."""
+
+import json
+import random
+import shutil
+
+import numpy as np
+import pytest
+from seft_msgs_py.config.experiment import Experiment, parse_override
+from seft_msgs_py.errors import InputError
+from seft_ros.bags.bag_files import recover_bag
+from seft_ros.bags.record import read_description, write_description
+from seft_ros.bags.record_bag import read_bag, write_record
+from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.offline import simulate_test
+from seft_ros.test_run.parameter_tables import TABLES
+
+WORDS = ("ground_motion:synthetic.duration:=2.0", "ground_motion:tail:=0.0")
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A bag of a short test, in some ten chunks, and its record."""
+    experiment = Experiment.load(TABLES, ["config/jhu.yaml"], list(map(parse_override, WORDS)))
+    blocks = build_blocks(experiment)
+    path = tmp_path_factory.mktemp("whole") / "bag"
+    write_record(simulate_test(experiment, blocks), path, blocks.ground_motion.chunks)
+    return path, read_bag(path)
+
+
+def part(draw, raw):
+    """A range of the file: anywhere, or at its head or end, from a byte to many chunks."""
+    length = draw.choice((1, 4, 8, 40, 200, 5000, 100_000))
+    at = draw.choice((draw.randrange(len(raw)), 0, 8, max(0, len(raw) - length)))
+    return slice(at, min(len(raw), at + length))
+
+
+def size(where):
+    return where.stop - where.start
+
+
+def put(raw, where, data):
+    raw[where] = data
+
+
+def swap(draw, raw, where):
+    other = draw.randrange(len(raw) - size(where) + 1)
+    other = slice(other, other + size(where))
+    raw[where], raw[other] = raw[other], raw[where]
+
+
+def copy_over(draw, raw, where):
+    at = draw.randrange(len(raw) - size(where) + 1)
+    raw[at : at + size(where)] = raw[where]
+
+
+def shorten(draw, raw, where):
+    del raw[where.start :]
+
+
+def flip(draw, raw, where):
+    raw[where.start] ^= 1 << draw.randrange(8)
+
+
+DAMAGES = {
+    "zeroed": lambda draw, raw, where: put(raw, where, bytes(size(where))),
+    "erased flash": lambda draw, raw, where: put(raw, where, b"\xff" * size(where)),
+    "noise": lambda draw, raw, where: put(raw, where, draw.randbytes(size(where))),
+    "a flipped bit": flip,
+    "cut off": shorten,
+    "sectors that were never written": lambda draw, raw, where: put(
+        raw, slice(where.start, None), bytes(len(raw) - where.start)
+    ),
+    "a lost part": lambda draw, raw, where: put(raw, where, b""),
+    "a part that is there twice": lambda draw, raw, where: put(raw, where, 2 * raw[where]),
+    "noise that was put in": lambda draw, raw, where: put(
+        raw, slice(where.start, where.start), draw.randbytes(size(where))
+    ),
+    "a part over another": copy_over,
+    "two parts that changed places": swap,
+    "a part back to front": lambda draw, raw, where: put(raw, where, raw[where][::-1]),
+    "a byte too late": lambda draw, raw, where: put(raw, where, b"\0" + raw[where][:-1]),
+    "line ends of another system": lambda draw, raw, where: put(
+        raw, slice(None), raw.replace(b"\n", b"\r\n")
+    ),
+    "the highest bits lost": lambda draw, raw, where: put(
+        raw, where, bytes(byte & 0x7F for byte in raw[where])
+    ),
+    "another file behind it": lambda draw, raw, where: put(raw, slice(None), raw + raw),
+    "the end before the beginning": lambda draw, raw, where: put(
+        raw, slice(None), raw[where.start :] + raw[: where.start]
+    ),
+}
+
+
+def damage(path, kind, seed):
+    """Damage one of a bag's files; tell whether that has changed anything."""
+    draw = random.Random(f"{kind} {seed}")
+    file = path / draw.choice(("bag.mcap", "bag.mcap", "bag.mcap", "metadata.yaml"))
+    before = file.read_bytes()
+    raw = bytearray(before)
+    DAMAGES[kind](draw, raw, part(draw, raw))
+    file.write_bytes(raw)
+    return raw != before
+
+
+def assert_part_of(record, original):
+    """Every sample of a record is the original's, bit for bit."""
+    for name, series in record.series.items():
+        known = original.series[name]
+        assert np.isin(series.steps, known.steps).all()
+        np.testing.assert_array_equal(series.values, known.of_steps(series.steps).values)
+
+
+@pytest.mark.parametrize("kind", list(DAMAGES))
+def test_what_is_read_is_right_and_recover_agrees(whole, tmp_path, kind):
+    source, original = whole
+    for seed in range(6):
+        path = tmp_path / str(seed) / "bag"
+        shutil.copytree(source, path)
+        changed = damage(path, kind, seed)
+        try:
+            record = read_bag(path, damaged=True)
+        except InputError as error:
+            assert "\n" not in str(error)
+            assert "damaged" in str(error) or "nothing of the bag can be read" in str(error)
+            with pytest.raises(InputError):
+                read_bag(path)
+            continue
+        assert_part_of(record, original)
+        assert bool(record.damage) == changed
+        recovery = recover_bag(path)
+        assert recovery.intact == (not changed)
+        whole_again = read_bag(path)
+        assert whole_again.damage == record.damage
+        for name, series in record.series.items():
+            np.testing.assert_array_equal(series.steps, whole_again.series[name].steps)
+            np.testing.assert_array_equal(series.values, whole_again.series[name].values)
+
+
+def test_the_report_of_a_damaged_bag_names_what_is_missing(whole, seft, tmp_path):
+    source, original = whole
+    path = tmp_path / "bag"
+    shutil.copytree(source, path)
+    raw = bytearray((path / "bag.mcap").read_bytes())
+    for step, size in ((100, 200), (300, 5000)):
+        at = raw.index(original.series["rig/state"].values[step, 0].tobytes())
+        raw[at : at + size] = bytes(size)
+    (path / "bag.mcap").write_bytes(raw)
+    status, out, _ = seft("report", "bag", "--json")
+    summary = json.loads(out)
+    assert status == 1
+    missing = [line for line in summary["damage"] if line.startswith("rig/state: ")]
+    assert missing[0].startswith(f"rig/state: {summary['lost']['rig/state']} of ")
+    page = (path / "report.html").read_text()
+    assert "the bag is damaged" in page
+    assert "fails its checksum" in page
+    status, out, _ = seft("recover", "bag")
+    assert status == 0
+    assert set(summary["damage"]) >= set(out.splitlines()[:-1])
+    again = json.loads(seft("report", "bag", "--json")[1])
+    assert again["damage"] == summary["damage"]
+    assert again["displacement"] == summary["displacement"]
+    status, _, told = seft("compare", "bag.cut", "bag", "--json")
+    assert status == 0
+    assert "bag.cut is damaged: bag.mcap: " in told
+
+
+def test_a_description_is_read_whatever_it_holds():
+    experiment = Experiment.load(TABLES, ["config/jhu.yaml"])
+    texts = write_description(experiment.sections, {})
+    odd = ["", "[", "null", "[1]", '{"node": 3}', "[" * 100_000, '{"environment": 4}', "\x00"]
+    described, refused = read_description([*odd, *texts])
+    assert refused == len(odd)
+    assert described.experiment().axes == experiment.axes

@@ -1,0 +1,266 @@
+"""Formats of agencies: CSMIP, GeoNet, ESM, and what ObsPy reads; PEER, COSMOS and SMC elsewhere."""
+
+import sys
+
+import numpy as np
+import pytest
+from seft_msgs_py.errors import InputError
+from seft_ros.ground_motion.record_file import read_record
+
+COUNT = 23
+WAVE = np.round(100 * np.sin(0.4 * np.arange(COUNT)), 1)
+OTHER = WAVE + 1000
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Read a text or bytes; gives the record."""
+
+    def read(content, columns=(-1,), unit="", dt=0.0, **words):
+        path = tmp_path / "record"
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return read_record(path, list(columns), unit, dt, **words)
+
+    return read
+
+
+def fixed(values, width, decimals, in_a_row):
+    """Write values with a fixed width, run together if they are long."""
+    cells = [f"{value:{width}.{decimals}f}" for value in values]
+    rows = [cells[at : at + in_a_row] for at in range(0, len(cells), in_a_row)]
+    return "".join("".join(row) + "\n" for row in rows)
+
+
+def check(record, values, unit, size, dt, layout):
+    np.testing.assert_allclose(record.accelerations.T, np.atleast_2d(values) * size, rtol=1e-12)
+    assert (record.unit, record.dt) == (unit, dt)
+    assert record.channels[0]["layout"] == layout
+
+
+def volume_2(values, dialect="in cm/sec2. (8f10.3)", others=True):
+    """Make a CSMIP channel of volume 2."""
+    one = "Corrected accelerogram   Chan  1:  H1\n    1  100    1    3\n  .0101833  .6400000\n"
+    one += f"{len(values):6d} points of accel data equally spaced at  .010 sec, {dialect}\n"
+    one += fixed(values, 10, 3, 8)
+    for quantity, unit in (("veloc", "cm/sec."), ("displ", "cm.")) if others else ():
+        one += f"{COUNT:6d} points of {quantity} data equally spaced at  .010 sec, in {unit}\n"
+        one += fixed(OTHER, 10, 3, 8)
+    return one + "/&  ----------  End of data for channel  1  ----------\n"
+
+
+@pytest.mark.parametrize("dialect", ["in cm/sec2. (8f10.3)", "(UNITS: CM/SEC/SEC)", "in cm/sec2."])
+@pytest.mark.parametrize("others", [True, False])
+def test_csmip_of_volume_2_reads_with_each_channel_as_a_column(read, dialect, others):
+    text = volume_2(WAVE, dialect, others) + volume_2(2 * WAVE, dialect, others)
+    check(read(text, [0, 1]), [WAVE, 2 * WAVE], "cm/s2", 0.01, 0.01, "CSMIP")
+    check(read(text), WAVE, "cm/s2", 0.01, 0.01, "CSMIP")
+
+
+def test_channels_may_differ_in_length_but_not_where_both_are_used(read):
+    text = volume_2(WAVE) + volume_2(WAVE[:-3])
+    check(read(text, [1]), WAVE[:-3], "cm/s2", 0.01, 0.01, "CSMIP")
+    with pytest.raises(InputError, match="differ in length"):
+        read(text, [0, 1])
+
+
+def test_csmip_of_volume_1_reads_in_g(read):
+    head = "Uncorrected Accelerogram Data\nNo. of Points =  23  Record Length = .11 sec\n"
+    line = "    23 Accelerogram points at 200 pts/sec in units of g .      Format: (8f9.6)\n"
+    text = head + line + fixed(WAVE / 1000, 9, 6, 8)
+    check(read(text), WAVE / 1000, "g", 9.80665, 0.005, "CSMIP")
+
+
+def pairs(times):
+    """Make a CSMIP channel of volume 1 with pairs of time and acceleration."""
+    head = ["UNCORRECTED ACCELEROGRAM DATA", *["*"] * 9, "NO. OF POINTS =   23  RECORD LENGTH"]
+    head += ["UNITS OF UNCOR ACCEL ARE SEC AND G/10.     MAX  =  -.055 G", "RMS ACCEL  =  .006 G."]
+    head += ["    1    1    1    3"] * 7 + ["      .039      .561"] * 7
+    table = np.stack([times, WAVE / 100], axis=1)
+    return "\n".join(head) + "\n" + fixed(np.ravel(table), 7, 3, 10)
+
+
+def test_csmip_with_pairs_of_time_and_acceleration_reads_if_the_times_are_even(read):
+    record = read(pairs(100 + 0.005 * np.arange(COUNT)))
+    check(record, WAVE / 1000, "g", 9.80665, 0.005, "CSMIP")
+    times = 0.005 * np.arange(COUNT)
+    times[7:] += 0.002
+    with pytest.raises(InputError, match=r"time goes from 0.03 to 0.037.*resample"):
+        read(pairs(times))
+
+
+def geonet(values, component, others=True):
+    """Make a GeoNet component of volume 2, in mm/s^2."""
+    head = ["Corrected accelerogram 20161113_110256_HSES_20 GNS Science", *["*"] * 8]
+    head += [f"Number of points{len(values):6d}    Duration 0.44 sec"]
+    head += ["Instrument corrected data at 0.020 sec intervals", "Band-pass filter"]
+    head += [f"Component {component}  Longitudinal"]
+    head += ["Acceleration:  peak   2364.6 mm/s/s at  48.14 sec     rms    292.2 mm/s/s"]
+    head += ["Velocity:      peak  -298.49 mm/s", "Displacement:  peak   99.407 mm"]
+    head += ["    2016      11"] * 4 + ["   200.0    0.70"] * 6
+    rest = fixed(OTHER, 8, 1, 10) * 2 if others else ""
+    return "\n".join(head) + "\n" + fixed(values, 8, 2, 10) + rest
+
+
+@pytest.mark.parametrize("others", [True, False])
+def test_geonet_reads_in_mm_with_each_component_as_a_column(read, others):
+    values = WAVE
+    text = geonet(values, "N10E", others) + geonet(-values, "N80W", others)
+    check(read(text, [0, 1]), [values, -values], "mm/s2", 0.001, 0.02, "GeoNet")
+    assert read(text, [1]).channels[0]["column"] == 'column 1 "N80W"'
+    with pytest.raises(InputError, match=r"unit is m/s2, but .* says mm/s2"):
+        read(text, unit="m/s2")
+
+
+def test_geonet_of_volume_1_reads_in_the_unit_of_its_raw_readings(read):
+    raw = "Raw readings in units of 1.00 mm/s/s  at intervals of 0.005 s"
+    text = geonet(WAVE, "N10E", others=False)
+    text = text.replace("Instrument corrected data at 0.020 sec intervals", raw)
+    check(read(text), WAVE, "mm/s2", 0.001, 0.005, "GeoNet")
+
+
+ESM = (
+    "EVENT_NAME: GREECE\nEVENT_DATE_YYYYMMDD: 20190728\nMAGNITUDE_W: \nVS30_M/S: \n"
+    "SAMPLING_INTERVAL_S: 0.005000\nNDATA: 23\nDURATION_S: 0.11\nUNITS: cm/s^2\nFULL_SCALE_G: \n"
+    "PGA_CM/S^2: 0.300022\nLOW_CUT_FREQUENCY_HZ: 0.100\nDATA_TYPE: ACCELERATION\nUSER5: \n"
+)
+
+
+def test_esm_reads_with_what_its_header_states(read):
+    text = ESM + fixed(WAVE, 10, 3, 1)
+    check(read(text), WAVE, "cm/s2", 0.01, 0.005, "columns")
+    with pytest.raises(InputError, match="holds a velocity"):
+        read(text.replace("TYPE: ACCELERATION", "TYPE: VELOCITY"))
+    with pytest.raises(InputError, match="states 23 points, but 22 values"):
+        read(ESM + fixed(WAVE[1:], 10, 3, 1))
+
+
+@pytest.mark.parametrize("mark", ["*** End Data ***\n", "\n\n", "--- 23 values ---\n"])
+def test_what_follows_the_last_of_the_values_of_peer_is_no_value(read, mark):
+    text = "ACCELERATION IN UNITS OF G\nNPTS= 23, DT= .02000 SEC\n" + fixed(WAVE, 12, 3, 8) + mark
+    check(read(text), WAVE, "g", 9.80665, 0.02, "PEER AT2")
+    with pytest.raises(InputError, match="23 values, but 24 values follow: too many"):
+        read(text.replace(mark, "  1.0\n" + mark))
+
+
+def test_values_that_lack_above_the_end_mark_of_peer_are_missed(read):
+    text = "ACCELERATION IN UNITS OF G\nNPTS= 24, DT= .02000 SEC\n" + fixed(WAVE, 12, 3, 8)
+    with pytest.raises(InputError, match="24 values, but 23 values follow: the file is truncated"):
+        read(text + "*** End Data ***\n")
+
+
+KNET = "\n".join([
+    "Origin Time       2020/01/01 00:00:00", "Lat.              0.0", "Long.             0.0",
+    "Depth. (km)       10", "Mag.              5.0", "Station Code      XXX001",
+    "Station Lat.      0.0000", "Station Long.     0.0000", "Station Height(m) 1",
+    "Record Time       2020/01/01 00:00:15", "Sampling Freq(Hz) 200Hz", "Duration Time(s)  1",
+    "Dir.              E-W", "Scale Factor      2000(gal)/8388608", "Max. Acc. (gal)   5.400",
+    "Last Correction   2020/01/01 00:00:15", "Memo.             ",
+]) + "\n"  # fmt: skip
+
+
+def test_knet_reads_as_counts_times_the_scale_factor_in_gal(read):
+    pytest.importorskip("obspy")
+    counts = np.arange(-8, 15) * 1000
+    text = KNET + fixed(counts, 9, 0, 8)
+    check(read(text), counts * 2000 / 8388608, "cm/s2", 0.01, 0.005, "K-NET")
+    check(read(text, unit="gal", dt=0.005), counts * 2000 / 8388608, "cm/s2", 0.01, 0.005, "K-NET")
+    with pytest.raises(InputError, match=r"unit is g, but .* says cm/s2"):
+        read(text, unit="g")
+
+
+@pytest.mark.parametrize("content", [KNET + "1 2\n", b"000001D " + bytes(100)])
+def test_without_obspy_its_formats_are_refused_with_its_installation(read, content, monkeypatch):
+    monkeypatch.setitem(sys.modules, "obspy", None)
+    with pytest.raises(InputError, match=r"which ObsPy reads; .* 'src/seft_ros\[motions\]'"):
+        read(content)
+
+
+def seismogram(folder, kind, values, **header):
+    """Write a stream of traces by ObsPy; gives its bytes."""
+    obspy = pytest.importorskip("obspy")
+    station = {"network": "XX", "station": "ABC", "starttime": obspy.UTCDateTime(2020, 1, 1)}
+    traces = [
+        obspy.Trace(np.array(each), {**station, "channel": f"HN{name}", "delta": 0.005, **header})
+        for name, each in zip("ENZ", values, strict=False)
+    ]
+    path = folder / "seismogram"
+    obspy.Stream(traces).write(str(path), format=kind)
+    return path.read_bytes()
+
+
+def metadata(folder, unit="M/S**2", value=2000.0):
+    """Write the metadata of the station."""
+    obspy = pytest.importorskip("obspy")
+    from obspy.core.inventory import Channel, InstrumentSensitivity, Network, Response, Station
+
+    gain = InstrumentSensitivity(value, 1.0, unit, "COUNTS")
+    channels = [
+        Channel(f"HN{name}", "", 0, 0, 0, 0, response=Response(instrument_sensitivity=gain))
+        for name in "EN"
+    ]
+    station = Station("ABC", 0, 0, 0, channels=channels)
+    path = folder / "station.xml"
+    inventory = obspy.Inventory([Network("XX", stations=[station])], source="test")
+    inventory.write(str(path), format="STATIONXML")
+    return str(path)
+
+
+@pytest.mark.parametrize(("kind", "layout"), [("SAC", "SAC"), ("MSEED", "miniSEED")])
+def test_accelerations_in_sac_and_miniseed_have_the_unit_that_is_given(
+    read, tmp_path, kind, layout
+):
+    data = seismogram(tmp_path, kind, [np.float32(WAVE)])
+    check(read(data, unit="gal"), np.float64(np.float32(WAVE)), "cm/s2", 0.01, 0.005, layout)
+    with pytest.raises(InputError, match="does not say the unit"):
+        read(data)
+    with pytest.raises(InputError, match=r"dt is 0.01 s, but .* says 0.005 s \(its header\)"):
+        read(data, unit="gal", dt=0.01)
+
+
+@pytest.mark.parametrize("kind", ["SAC", "MSEED"])
+def test_counts_need_the_response_of_an_accelerometer(read, tmp_path, kind):
+    counts = np.int32(WAVE * 1000)
+    data = seismogram(tmp_path, kind, [np.float32(counts) if kind == "SAC" else counts])
+    with pytest.raises(InputError, match=r"holds counts of a digitiser; set .*--response"):
+        read(data, unit="g")
+    record = read(data, response=metadata(tmp_path))
+    np.testing.assert_allclose(record.accelerations[:, 0], counts / 2000)
+    assert "the response in" in record.channels[0]["unit_from"]
+    with pytest.raises(InputError, match=r"unit is g, but .* says m/s2"):
+        read(data, response=metadata(tmp_path), unit="g")
+    with pytest.raises(InputError, match=r"measures M/S, .*accelerometer"):
+        read(data, response=metadata(tmp_path, "M/S"))
+    with pytest.raises(InputError, match=r"gives no sensitivity of channel XX.ABC..HNE"):
+        read(data, response=str(tmp_path / "none.xml"))
+
+
+def test_miniseed_has_a_column_for_each_channel_and_no_gaps(read, tmp_path):
+    counts = [np.int32(WAVE * 1000), np.int32(WAVE * 2000)]
+    data = seismogram(tmp_path, "MSEED", counts)
+    record = read(data, [1], response=metadata(tmp_path))
+    np.testing.assert_allclose(record.accelerations[:, 0], counts[1] / 2000)
+    assert record.channels[0]["column"] == 'column 1 "XX.ABC..HNN"'
+    obspy = pytest.importorskip("obspy")
+    later = seismogram(tmp_path, "MSEED", counts[:1], starttime=obspy.UTCDateTime(2020, 1, 2))
+    with pytest.raises(InputError, match=r"channel XX.ABC..HNE has a gap"):
+        read(seismogram(tmp_path, "MSEED", counts[:1]) + later, response=metadata(tmp_path))
+
+
+@pytest.mark.parametrize(("code", "quantity"), [(6, "displacement"), (7, "velocity")])
+def test_sac_that_says_it_is_no_acceleration_is_refused(read, tmp_path, code, quantity):
+    data = seismogram(tmp_path, "SAC", [np.float32(WAVE)], sac={"idep": code})
+    with pytest.raises(InputError, match=f"holds a {quantity}"):
+        read(data, unit="g")
+
+
+def test_miniseed_of_text_is_refused(read, tmp_path):
+    data = seismogram(tmp_path, "MSEED", [np.frombuffer(b"some words", dtype="|S1")])
+    with pytest.raises(InputError, match="holds text, no samples"):
+        read(data, unit="g")
+
+
+def test_a_damaged_seismological_file_is_refused_in_one_line(read, tmp_path):
+    data = seismogram(tmp_path, "MSEED", [np.int32(WAVE)])
+    with pytest.raises(InputError, match="ObsPy can't read it as miniSEED") as told:
+        read(data[:60], unit="g")
+    assert "\n" not in str(told.value)

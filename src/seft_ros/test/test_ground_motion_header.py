@@ -1,0 +1,228 @@
+"""What headers and names of columns state: unit, sampling period, quantity; none is overridden."""
+
+import numpy as np
+import pytest
+from seft_msgs_py.errors import InputError
+from seft_ros.ground_motion.readers.columns import rounded_period
+from seft_ros.ground_motion.readers.units import is_other_unit, read_unit
+from seft_ros.ground_motion.record_file import read_record
+
+WAVE = np.sin(0.3 * np.arange(40))
+ONE_COLUMN = "".join(f"{value:.5f}\n" for value in WAVE)
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Read a text or bytes; gives the record."""
+
+    def read(content, columns=(-1,), unit="", dt=0.0):
+        path = tmp_path / "record.txt"
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return read_record(path, list(columns), unit, dt)
+
+    return read
+
+
+def stated(record):
+    return record.unit, record.dt
+
+
+@pytest.mark.parametrize(
+    ("unit", "spellings"),
+    [
+        ("g", ["g", "G", "g's", "(g)", "G."]),
+        (
+            "cm/s2",
+            ["gal", "Gal", "gals", "cm/s^2", "CM/SEC/SEC", "cm/sec2.", "cm/sec**2", "cm s-2"],
+        ),
+        ("cm/s2", ["CMS/SEC/SEC", "cm/s²", "cm per second squared", "cm/(s*s)", "cm/s/s"]),
+        ("m/s2", ["m/s2", "M/S**2", "m/s/s", "m·s⁻²", "m s^-2", "m/sec^{2}", "m / s^2"]),
+        ("mm/s2", ["mm/s2", "mm/s/s", "mm/sec^2"]),
+    ],
+)
+def test_units_are_read_in_their_spellings(unit, spellings):
+    assert {read_unit(text) for text in spellings} == {unit}
+    assert not any(map(is_other_unit, spellings))
+
+
+@pytest.mark.parametrize(
+    "text", ["cm/s", "mm", "in/s2", "%g", "ft/s^2", "counts", "mg", "cm/sec", "kine", "g/10", "s"]
+)
+def test_a_unit_in_which_no_acceleration_can_be_read_is_told_from_a_word(text):
+    assert read_unit(text) is None
+    assert is_other_unit(text)
+    assert not is_other_unit("NS")
+
+
+@pytest.mark.parametrize(
+    ("header", "unit", "dt"),
+    [
+        ("UNITS: cm/s^2\nSAMPLING_INTERVAL_S: 0.005000\nNDATA: 40\n", "cm/s2", 0.005),
+        (
+            "ACCELERATION    UNIT: CM/SEC/SEC\nEQUALLY SPACED INTERVALS OF:  0.02  SEC\n",
+            "cm/s2",
+            0.02,
+        ),
+        ("units: gal\ntime step 5 msec\n", "cm/s2", 0.005),
+        ("Units = mm/s2\ndt = 1/200 s\n", "mm/s2", 0.005),
+        ("The units are (g)\nSampling rate: 128 Hz\n", "g", 1 / 128),
+        ("SAMPLING RATE= 100Hz\n UNIT  = gal(cm/s/s)\n", "cm/s2", 0.01),
+        ("#AmplitudeUnit:  gal. DCoffset(corr)\n#SampleRate(Hz): 50\n", "cm/s2", 0.02),
+        ("UNIDADES DE LOS DATOS    : Gal (cm/s/s)\nDT= .01\n", "cm/s2", 0.01),
+        ("SAMPLING INTERVAL (ms) : 10\nAcceleration [m/s^2]\n", "m/s2", 0.01),
+        ("acc: m/s2\n40 points at 200 samples/sec\n", "m/s2", 0.005),
+        ("# El Centro, m/s^2, dt 0.02 s, unscaled\n", "m/s2", 0.02),
+        ("Acc. in g, sampled at 250 Hz\n", "g", 0.004),
+    ],
+)
+def test_a_header_states_unit_and_sampling_period(read, header, unit, dt):
+    record = read(header + ONE_COLUMN)
+    assert stated(record) == (unit, pytest.approx(dt, rel=1e-12))
+    assert "line" in record.channels[0]["unit_from"]
+    other = "m/s2" if unit != "m/s2" else "g"
+    with pytest.raises(InputError, match=f"unit is {other}, but .* says {unit}"):
+        read(header + ONE_COLUMN, unit=other)
+    with pytest.raises(InputError, match=r"dt is 0.0123 s, but .* says"):
+        read(header + ONE_COLUMN, dt=0.0123)
+
+
+@pytest.mark.parametrize(
+    ("header", "told"),
+    [
+        ("units: g\nacceleration in cm/s2\n", "line 2 states the unit cm/s2, but line 1 g"),
+        ("dt=0.01\nSampling rate: 200 Hz\n", "line 2 states .* 0.005, but line 1 0.01"),
+        ("NDATA: 40\n41 points\n", "line 2 states the number of points 41, but line 1 40"),
+        ("units: counts\n", "counts is no acceleration unit"),
+        ("TIMESERIES XX_ABC, 40 samples, 200 sps, SLIST, INTEGER, Counts\n", "Counts is no acc"),
+        ("40 samples, 200 sps\ndt = 0.01\n", "line 2 states .* 0.01, but line 1 0.005"),
+        ("UNITS: in/s2\n", "in/s2 is no acceleration unit .* convert the record to g"),
+        ("UNITS ARE SEC AND G/10\n", "SEC is no acceleration unit"),
+        ("Unit: furlong\n", 'states the unit "furlong", which is not known'),
+        ("DATA_TYPE: VELOCITY\n", "line 1: holds a velocity"),
+        ("Displacement time history\n", "line 1: holds a displacement"),
+        ("velocity (cm/s)\n", "is no acceleration in a unit known here"),
+    ],
+)
+def test_a_statement_that_can_not_be_used_is_refused_whatever_is_given(read, header, told):
+    for words in ({}, {"unit": "cm/s2", "dt": 0.01}):
+        with pytest.raises(InputError, match=told):
+            read(header + ONE_COLUMN, **words)
+
+
+def test_the_unit_of_a_peak_is_not_that_of_the_record(read):
+    with pytest.raises(InputError, match="does not say the unit"):
+        read("Max. Acc. (gal)   5.4\nPGA 12 cm/s2, trigger 4 gal\ndt=0.01\n" + ONE_COLUMN)
+
+
+@pytest.mark.parametrize("unit", ["mm/s2", "in/s2", "%g", "furlong"])
+def test_a_unit_that_is_given_is_never_hinted_at_another(read, unit):
+    with pytest.raises(
+        InputError, match="must be g, m/s2, cm/s2 or gal; convert the record"
+    ) as told:
+        read(ONE_COLUMN, unit=unit, dt=0.01)
+    assert "did you mean" not in str(told.value)
+
+
+def test_gal_is_a_unit(read):
+    record = read(ONE_COLUMN, unit="gal", dt=0.01)
+    assert record.unit == "cm/s2"
+    np.testing.assert_allclose(record.accelerations[:, 0], WAVE * 0.01, atol=1e-7)
+    assert record.channels[0]["unit_from"] == "as given"
+
+
+def table(*names, separator=","):
+    """Columns with a time of 0.01 s first, then multiples of the wave."""
+    rows = [
+        separator.join([f"{0.01 * k:.2f}", *(f"{n * WAVE[k]:.5f}" for n in range(1, len(names)))])
+        for k in range(40)
+    ]
+    return "\n".join([separator.join(names), *rows]) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("names", "column"),
+    [
+        (("time", "disp (cm)", "vel (cm/s)", "acc (cm/s2)"), 3),
+        (("Time [s]", "Acceleration [gal]", "Velocity [m/s]"), 1),
+        (("t", "force (N)", "a [cm/s^2]"), 2),
+        (("t", "N-S (gal)", "E-W (gal)"), 1),
+        (("time", "velocity", "acc_gal"), 2),
+        (('"time, s"', '"disp, relative"', '"acc, absolute (gal)"'), 2),
+    ],
+)
+def test_the_names_of_columns_choose_the_acceleration(read, names, column):
+    record = read(table(*names))
+    assert stated(record) == ("cm/s2", 0.01)
+    assert record.channels[0]["column"].startswith(f"column {column} ")
+    np.testing.assert_allclose(record.accelerations[:, 0], column * WAVE / 100, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (table("time", "vel (cm/s)"), 'column 1 "vel \\(cm/s\\)" .* is no acceleration'),
+        (table("time", "acc (in/s2)"), "is no acceleration in a unit known here"),
+        (table("time", "displacement"), "is no acceleration"),
+        (table("Period (s)", "PSA (gal)"), "PSA .gal. .line 1.: a spectrum, no time history"),
+        (table("Frequency", "Amplitude"), "Amplitude .line 1.: a spectrum, no time history"),
+        ("units: g\n" + table("time", "acc (gal)"), "is in cm/s2, but line 1 says g"),
+        ("dt=0.02\n" + table("time", "acc (gal)"), "states .* 0.02 s, but the steps of column 0"),
+    ],
+)
+def test_named_columns_that_are_no_acceleration_are_refused(read, text, told):
+    for words in ({}, {"unit": "cm/s2"}, {"columns": [1], "unit": "cm/s2"}):
+        with pytest.raises(InputError, match=told):
+            read(text, **words)
+
+
+def test_the_words_of_a_sentence_are_no_names_of_columns(read):
+    rows = "".join(f"{a:.5f} {2 * a:.5f} {3 * a:.5f} {4 * a:.5f}\n" for a in WAVE)
+    for header in ("The units are (g)\n", "Kobe acceleration at JMA\n"):
+        with pytest.raises(InputError, match="has 4 columns"):
+            read(header + rows, unit="g", dt=0.01)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "latin-1", "shift-jis"])
+def test_text_of_any_encoding_reads(read, encoding):
+    station = "加速度" if encoding == "shift-jis" else "Orléans"
+    text = f"{station}\n" + table("time", "acc (gal)")
+    assert stated(read(text.encode(encoding))) == ("cm/s2", 0.01)
+
+
+def test_a_csv_of_jma_reads_with_its_first_component(read):
+    rows = "".join(f"{a:.3f},{2 * a:.3f},{3 * a:.3f}\r\n" for a in WAVE)
+    text = (
+        "SITE CODE= 名古屋\r\n SAMPLING RATE= 100Hz\r\n UNIT  = gal(cm/s/s)\r\nNS,EW,UD\r\n" + rows
+    )
+    record = read(text.encode("shift-jis"))
+    assert stated(record) == ("cm/s2", 0.01)
+    assert record.channels[0]["column"] == 'column 0 "NS"'
+
+
+def timed(rate, decimals, count=120):
+    """Times of a rate in Hz, rounded, and their values."""
+    rows = (f"{k / rate:.{decimals}f},{WAVE[k % 40]:.5f}\n" for k in range(count))
+    return "time (s),acc (g)\n" + "".join(rows)
+
+
+@pytest.mark.parametrize(("rate", "decimals"), [(128, 3), (256, 3), (64, 3), (1024, 4)])
+def test_times_that_are_even_before_they_were_rounded_are_even(read, rate, decimals):
+    assert read(timed(rate, decimals)).dt == pytest.approx(1 / rate, rel=1e-12)
+    assert read(timed(rate, decimals), dt=1 / rate).dt == 1 / rate
+    with pytest.raises(InputError, match="resample the record evenly"):
+        read(timed(rate, decimals), dt=1.01 / rate)
+
+
+def test_times_that_are_off_by_more_than_their_last_digit_are_uneven(read):
+    text = timed(128, 3).replace("0.500,", "0.502,")
+    assert "0.502," in text
+    for dt in (0.0, 1 / 128):
+        with pytest.raises(InputError, match=r"time goes from 0.\d+ to 0.\d+.*resample the record"):
+            read(text, dt=dt)
+
+
+@pytest.mark.parametrize(
+    "texts", [["0", "0", "0", "1"], ["0.0", "0.0", "0.1", "0.1", "0.1", "0.2"]]
+)
+def test_times_with_too_few_digits_tell_no_period(texts):
+    assert rounded_period(np.array(texts, dtype=float), texts, 0.0) == 0.0
