@@ -1,12 +1,11 @@
-"""Tables of compensation.md, section Results: run it in the folder of the project.
+"""Tables of compensation.md, sections Results and Limits: run it in the folder of the project.
 
     .venv/bin/python docs/results.py kobe.txt
 
 kobe.txt is Kobe 1995, JMA N-S, in cm/s^2 at 0.005 s (yours to bring). Without it the tables are of
-the synthetic motion alone. Each row is what `seft simulate` says of these overrides.
+the synthetic motion alone. Each row is what `seft simulate` says of these overrides, in percent.
 """
 
-import math
 import sys
 
 import numpy as np
@@ -42,12 +41,6 @@ def specimen(kind: str, *settings: str) -> Row:
     return (WATCH, f"{SPECIMEN}kind:={kind}", *(SPECIMEN + setting for setting in settings))
 
 
-def oil(hertz: float) -> Row:
-    """Choose the oil column's frequency, known to the controller."""
-    stiffness = 52.7 * (2 * math.pi * hertz) ** 2 - 2.11e5
-    return f"{ACTUATOR}oil_column_frequency:={hertz}", f"{ASSUMED}oil_stiffness:={stiffness:.6g}"
-
-
 def valve(name: str, value: float) -> Row:
     """Choose the valve, known to the controller."""
     return f"{ACTUATOR}{name}:={value}", f"{ASSUMED}{name}:={value}"
@@ -72,28 +65,17 @@ TESTS: dict[str, list[Row]] = {
         (*PLAN, *ONE, *specimen(*words))
         for words in (
             ("bouc_wen", "yield_displacement:=0.003"),
-            ("bouc_wen", "yield_displacement:=0.003", "bouc_wen.exponent:=2.0"),
             ("pinching", "yield_displacement:=0.003"),
             ("flag", "yield_displacement:=0.003"),
-            *(
-                ("bilinear", "yield_displacement:=0.003", f"hardening_ratio:={ratio}")
-                for ratio in (0.1, 0.05, 0.03, 0.0)
-            ),
-            ("bilinear", "yield_displacement:=0.006"),
+            ("bilinear", "yield_displacement:=0.003"),
+            ("bilinear", "yield_displacement:=0.003", "hardening_ratio:=0.0"),
             ("duffing", "duffing.cubic:=1.0e9"),
             ("duffing", "duffing.cubic:=-3.0e8"),
-            *(
-                ("friction", f"friction.force:={force}")
-                for force in (5.0, 20.0, 60.0, 120.0, 190.0)
-            ),
-            ("gap", "gap.width:=0.003", "gap.stiffness:=2.11e5"),
+            *(("friction", f"friction.force:={force}") for force in (20.0, 60.0, 190.0)),
             ("gap", "gap.width:=0.003", "gap.stiffness:=6.0e5"),
         )
-    ],
-    "mass ratio 3 and yielding": [
-        (*PLAN, *loaded(3.0, 250.0), *specimen(kind, "yield_displacement:=0.0025"))
-        for kind in ("bouc_wen", "bilinear")
-    ],
+    ]
+    + [(*PLAN, *loaded(3.0, 250.0), *specimen("bouc_wen", "yield_displacement:=0.0025"))],
     "other noise": [
         (*PLAN, *ONE, *specimen(kind, "yield_displacement:=0.003"), f"rig:seed:={seed}")
         for kind in ("bouc_wen", "bilinear", "flag")
@@ -107,29 +89,25 @@ TESTS: dict[str, list[Row]] = {
         *((f"config:{name}",) for name in EXAMPLES),
         ("config:three_storey_frame", "ground_motion:peak_force:=100.0"),
         *(
-            ("config:three_storey_frame", *specimen(kind), f"{YIELD}{limit}", STOREYS)
+            ("config:three_storey_frame", *specimen(kind), f"{YIELD}0.008", STOREYS)
             for kind in ("bouc_wen", "bilinear")
-            for limit in (0.008, 0.004)
         ),
     ],
     "wrong assumptions": [
         (*PLAN, *ONE, override)
         for override in (
             *(f"{MODEL}stiffness:={factor * 2.11e5:.6g}" for factor in (0.7, 1.4)),
-            *(f"{MODEL}damping:={factor * 800.3:.6g}" for factor in (0.5, 2.0)),
-            *(f"{ASSUMED}flow_gain:={factor * 0.0403:.6g}" for factor in (0.8, 1.2)),
-            *(f"{ASSUMED}dead_time:={late}" for late in (0.0, 0.002, 0.003)),
-            *(f"{ASSUMED}oil_stiffness:={factor * 1.664e7:.6g}" for factor in (0.8, 1.2)),
-            *(f"{ASSUMED}valve_frequency:={factor * 70.0:.6g}" for factor in (0.8, 1.2)),
+            f"{ASSUMED}flow_gain:={0.8 * 0.0403:.6g}",
+            f"{ASSUMED}dead_time:=0.003",
+            f"{ASSUMED}valve_frequency:={1.2 * 70.0:.6g}",
         )
     ],
     "other rigs": [
-        *((*PLAN, *ONE, f"rate:={rate}") for rate in (250.0, 1000.0, 2000.0)),
-        *((*PLAN, *ONE, *valve("valve_frequency", hertz)) for hertz in (30.0, 45.0, 120.0)),
-        *((*PLAN, *ONE, *oil(hertz)) for hertz in (30.0, 60.0, 150.0)),
-        *((*PLAN, *ONE, *valve("dead_time", late)) for late in (0.004, 0.006)),
+        *((*PLAN, *ONE, f"rate:={rate}") for rate in (250.0, 2000.0)),
+        (*PLAN, *ONE, *valve("valve_frequency", 30.0)),
+        (*PLAN, *ONE, *valve("dead_time", 0.006)),
         (*PLAN, *ONE, *valve("dead_time", 0.01), "reference_force:compensation.horizon:=0.08"),
-        *((*PLAN, *ONE, WATCH, f"missed:{every}") for every in (100, 20)),
+        (*PLAN, *ONE, WATCH, "missed:20"),
     ],
     "behind a link of 10 ms": [
         (*PLAN, *ONE, LINK, *specimen(*words))
@@ -137,7 +115,6 @@ TESTS: dict[str, list[Row]] = {
             ("linear",),
             ("bouc_wen", "yield_displacement:=0.003"),
             ("bilinear", "yield_displacement:=0.003"),
-            ("friction", "friction.force:=20.0"),
         )
     ],
     "rigs that obey forces": [
@@ -145,10 +122,8 @@ TESTS: dict[str, list[Row]] = {
         *(
             (*DELAY, *ONE, *specimen(*words))
             for words in (
-                ("friction", "friction.force:=20.0"),
                 ("bouc_wen", "yield_displacement:=0.003"),
                 ("bilinear", "yield_displacement:=0.003"),
-                ("bilinear", "yield_displacement:=0.006"),
             )
         ),
     ],
@@ -167,9 +142,6 @@ ANOTHER = (f"{SPECIMEN}stiffness:=2.1142e5",), (f"{SPECIMEN}damping:=808.3",)
 COMPARED = [
     (*ONE, *specimen("linear")),
     (*ONE, *specimen("bilinear", "yield_displacement:=0.003")),
-    (*ONE, *specimen("friction", "friction.force:=190.0")),
-    (*ONE, *specimen("gap", "gap.width:=0.002", "gap.stiffness:=6.0e5")),
-    (*loaded(3.0, 250.0), *specimen("gap", "gap.width:=0.002", "gap.stiffness:=6.0e5")),
 ]
 
 
@@ -182,7 +154,7 @@ def named(word: str) -> str:
 
 
 def tested(row: Row, motion: Row) -> str:
-    """Run a test, and give its displacement error, of all axes together."""
+    """Run a test, and give its displacement error in percent, of all axes together."""
     special = dict(word.split(":", 1) for word in row if ":=" not in word)
     plan = [word for word in row if ":=" in word]
     config = f"config/{special.get('config', 'jhu')}.yaml"
@@ -197,17 +169,19 @@ def tested(row: Row, motion: Row) -> str:
     if trip:
         return f"trips at {trip.time_s:.1f} s"
     exact = reference_response(experiment, blocks.ground_motion.samples).displacement
-    error = f"{100 * nrmse(displacement, exact):#.2g}"
-    return f"{error.rstrip('.')} %"
+    return percent(nrmse(displacement, exact))
+
+
+def percent(ratio: float) -> str:
+    """Write a ratio in percent, with two digits."""
+    return f"{100 * ratio:#.2g}".rstrip(".")
 
 
 def moved(row: Row, motion: Row) -> str:
-    """Give the change of the exact displacement for each of `ANOTHER`."""
-    changes = []
+    """Give the change of the exact displacement in percent for each of `ANOTHER`."""
     exact = exact_displacement((*row, *motion))
-    for other in ANOTHER:
-        changes.append(100 * nrmse(exact_displacement((*row, *other, *motion)), exact))
-    return ", ".join(f"{change:#.2g}".rstrip(".") + " %" for change in changes)
+    changed = (exact_displacement((*row, *other, *motion)) for other in ANOTHER)
+    return ", ".join(percent(nrmse(displacement, exact)) for displacement in changed)
 
 
 def exact_displacement(words: Row) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Reproduce the figures and claims of the paper (Nakata & Combs 2012) on one page.
 
     .venv/bin/python examples/paper/reproduce.py
-    .venv/bin/python examples/paper/reproduce.py --file kobe.txt --unit cm/s2 --dt 0.005
+    .venv/bin/python examples/paper/reproduce.py --file kobe.txt --unit cm/s2 --dt 0.005 --column 0
 
 Identifies the simulated rig of config/jhu.yaml, runs the paper's tests and simulations, and judges
 every number and statement by a criterion that the page shows. Without --file the motion is
@@ -40,7 +40,7 @@ PAPER = (
     "Simulation, 2012"
 )
 HEADINGS = ("claim", "paper", "ours", "agrees")
-TABLE_HEAD = "| claim | where | paper | ours | agrees |"
+TABLE_HEAD = "| claim | paper | ours |"
 MEASURED, MODEL = "experiment", "analysis"
 RANGE_HZ, CLOSED_TO_HZ = (0.5, 200.0), 60.0
 UNITS = style.DISPLAY_UNITS | {"force": ("kN", 1e-3)}
@@ -296,8 +296,9 @@ def summarise(found: Findings, claims: Sequence[Claim], path: Path) -> dict[str,
 def write_table(claims: Sequence[Claim], path: Path) -> None:
     """Put the claims in place of the table of claims in a Markdown page.
 
-    Those whose two values are equal are left out: they restate the configuration. An InputError
-    says if the page has no such table, or can't be read or written.
+    Those whose two values are equal are left out: they restate the configuration. Values that do
+    not agree are bold. An InputError says if the page has no such table, or can't be read or
+    written.
     """
     try:
         before, head, after = path.read_text(encoding="utf-8").partition(TABLE_HEAD + "\n")
@@ -305,11 +306,11 @@ def write_table(claims: Sequence[Claim], path: Path) -> None:
             raise InputError(f"{path}: has no table to replace; it must begin with {TABLE_HEAD}")
         old = after.splitlines(keepends=True)
         length = next((i for i, row in enumerate(old) if not row.startswith("|")), len(old))
-        rows = ["|---|---|---|---|---|\n"]
+        rows = ["|---|---|---|\n"]
         for claim in claims:
             if claim.ours != claim.paper:
-                agrees = "yes" if claim.agrees else "**no**"
-                cells = (claim.claim, claim.where, claim.paper, claim.ours, agrees)
+                ours = claim.ours if claim.agrees else f"**{claim.ours}**"
+                cells = (_placed(claim), claim.paper, ours)
                 rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n")
         path.write_text("".join([before, head, *rows, *old[length:]]), encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

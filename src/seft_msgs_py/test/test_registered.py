@@ -33,6 +33,14 @@ def test_names_of_others_follow_ours_and_cannot_replace_them(group):
     assert "ours" not in group
 
 
+def test_a_parameter_takes_names_of_others_and_tells_them_apart_from_ours(group):
+    row = group.row("method", "ours", "")
+    assert row.check("good", "node") == "good"
+    assert (row.choices, row.registered) == (("ours",), ("good", "lost"))
+    with pytest.raises(InputError, match="must be one of ours, good, lost; did you mean good"):
+        row.check("goood", "node")
+
+
 @pytest.mark.parametrize(
     ("settings", "gain"),
     [

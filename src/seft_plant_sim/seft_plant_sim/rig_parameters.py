@@ -82,14 +82,12 @@ SPECIMEN = parameter_rows(
 )
 
 SPRINGS = (
-    Parameter(
+    RESTORING_FORCES.row(
         "specimen.kind",
-        "string",
         "linear",
         "restoring force: linear, bilinear with kinematic hardening, Bouc-Wen, Bouc-Wen with "
         "pinching, flag-shaped (self-centring), Coulomb friction parallel to the spring, a second "
         "spring behind a gap, or Duffing's cubic spring",
-        choices=RESTORING_FORCES.names,
     ),
     RESTORING_FORCES.settings_row("specimen.settings", "a restoring force"),
     *parameter_rows(

@@ -113,6 +113,8 @@ class Parameter:
         The value must be greater than zero.
     choices : tuple of str
         Allowed texts; empty: any.
+    registered : tuple of str or None
+        Texts that other installed packages add to ``choices``; None: no package can.
     file_name : bool
         The text must be a valid name of a file or folder, without a path; it may be empty.
     default_from : str
@@ -130,9 +132,15 @@ class Parameter:
     maximum: float | None = None
     positive: bool = False
     choices: tuple[str, ...] = ()
+    registered: tuple[str, ...] | None = None
     file_name: bool = False
     default_from: str = ""
     live: bool = False
+
+    @property
+    def allowed(self) -> tuple[str, ...]:
+        """All allowed texts, ours first; empty: any."""
+        return (*self.choices, *(self.registered or ()))
 
     def check(self, value: Value, where: str) -> Value:
         """Return the value in this parameter's type; InputError with ``where`` if it is invalid."""
@@ -172,9 +180,9 @@ class Parameter:
             return f"must be at most {self.maximum:g}{unit}"
         if self.kind in ("string", "texts") and (rule := _refusal(value, self.file_name)):
             return rule
-        if self.choices and value not in self.choices:
-            allowed = ", ".join(choice or '""' for choice in self.choices)
-            return f"must be one of {allowed}{nearest(value, self.choices)}"
+        if self.allowed and value not in self.allowed:
+            allowed = ", ".join(choice or '""' for choice in self.allowed)
+            return f"must be one of {allowed}{nearest(value, self.allowed)}"
         return ""
 
     def _error(self, where: str, value: Value, rule: str) -> InputError:

@@ -30,6 +30,8 @@ class Registered:
 
     Attributes
     ----------
+    own : tuple of str
+        Our own choices.
     names : tuple of str
         All choices: ours first.
     """
@@ -37,6 +39,7 @@ class Registered:
     def __init__(self, group: str, own: Sequence[str]) -> None:
         found = {entry.name: entry for entry in _installed(tuple(sys.path)).select(group=group)}
         self._entries = {name: found[name] for name in sorted(found) if name not in own}
+        self.own = tuple(own)
         self.names = (*own, *self._entries)
 
     def __contains__(self, name: object) -> bool:
@@ -71,6 +74,11 @@ class Registered:
                 f"{where} is {name}, but its settings do not fit {entry.value}: {error}"
             ) from None
         return factory(*known, **options)
+
+    def row(self, name: str, default: str, description: str) -> Parameter:
+        """Give the row of a parameter table that names the part."""
+        others = tuple(self._entries)
+        return Parameter(name, "string", default, description, choices=self.own, registered=others)
 
     def settings_row(self, name: str, what: str) -> Parameter:
         """Give the row of the settings in a parameter table."""

@@ -101,8 +101,8 @@ def parameter_descriptor(row: Parameter) -> msg.ParameterDescriptor:
     """ROS description of a parameter; most are read-only once the node runs."""
     unit = f" [{row.unit}]" if row.unit else ""
     descriptor = msg.ParameterDescriptor(description=row.description + unit, read_only=not row.live)
-    if row.choices:
-        choices = (choice or '""' for choice in row.choices)
+    if row.allowed:
+        choices = (choice or '""' for choice in row.allowed)
         descriptor.additional_constraints = f"one of: {', '.join(choices)}"
     if row.kind == "float" and (row.minimum is not None or row.maximum is not None):
         low = float("-inf") if row.minimum is None else float(row.minimum)

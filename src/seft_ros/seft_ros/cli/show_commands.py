@@ -235,7 +235,9 @@ def _table(rows: tuple[Parameter, ...]) -> str:
 
 def _type(row: Parameter) -> str:
     if row.choices:
-        return " \\| ".join(f"`{choice}`" if choice else '`""`' for choice in row.choices)
+        other = ["a name that a package registers"] if row.registered is not None else []
+        texts = [f"`{choice}`" if choice else '`""`' for choice in row.choices]
+        return " \\| ".join(texts + other)
     if row.file_name:
         return "name of a file"
     limits = ((">", 0 if row.positive else None), (">=", row.minimum), ("<=", row.maximum))

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from seft_msgs_py.config.parameter_table import Parameter, Table, parameter_rows
+from seft_msgs_py.config.parameter_table import Table, parameter_rows
 from seft_msgs_py.config.registered import Registered
 from seft_msgs_py.node import host
 
@@ -120,13 +120,11 @@ _ROWS = parameter_rows(
 FORCE_CONTROLLER_TABLE = Table(
     "force_controller",
     [
-        Parameter(
+        REGISTERED_CONTROLLERS.row(
             "method",
-            "string",
             TRANSFER_FUNCTION,
-            "the controller: numerator over denominator on each axis, the flow that a target's "
-            f"motion needs ({VELOCITY_FEEDFORWARD}), or another package's",
-            choices=REGISTERED_CONTROLLERS.names,
+            "the controller: numerator over denominator on each axis, or the flow that a target's "
+            f"motion needs ({VELOCITY_FEEDFORWARD})",
         ),
         REGISTERED_CONTROLLERS.settings_row("settings", "a controller"),
         *_ROWS,

@@ -6,7 +6,7 @@ The import of the methods themselves takes a third of a second; most nodes do no
 from collections.abc import Mapping
 from typing import Any
 
-from seft_msgs_py.config.parameter_table import Parameter, Table, parameter_rows
+from seft_msgs_py.config.parameter_table import Table, parameter_rows
 from seft_msgs_py.config.registered import Registered
 from seft_msgs_py.node import host
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, TARGET, LoopTopic
@@ -118,12 +118,8 @@ REFERENCE_FORCE_TABLE = Table(
     "reference_force",
     [
         *_TEST,
-        Parameter(
-            "compensation.method",
-            "string",
-            "none",
-            "how the actuator's delay is compensated; after target_motion: of other packages",
-            choices=REGISTERED_METHODS.names,
+        REGISTERED_METHODS.row(
+            "compensation.method", "none", "how the actuator's delay is compensated"
         ),
         REGISTERED_METHODS.settings_row("compensation.settings", "a method"),
         *_COMPENSATION,
