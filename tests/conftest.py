@@ -1,8 +1,7 @@
-"""Runs of the `seft` command and of single nodes, each test on a ROS domain of its own."""
+"""Runs of the `seft` command and of single nodes, each on a ROS domain of its own."""
 
 import contextlib
 import io
-import itertools
 import json
 import os
 import subprocess
@@ -11,30 +10,24 @@ from collections.abc import Callable, Iterator
 
 import pytest
 from graph_tools import JHU, PATIENCE
-from hostile import Hostile
 from local_tools import UNREHEARSED
-from seft_msgs_py.config.experiment import Experiment
+from ros_domain import reserved_domain
 from seft_msgs_py.virtual import LocalGraph
 from seft_ros.cli.main import main
 from seft_ros.nodes.kinds import NODE_KINDS
 from seft_ros.test_run.observer import Observer
-from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.test_run.processes import MODULES
 
-_WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
 _OFFLINE = ("simulate", "compare", "preflight", "recover", "report")
 """Commands that run in this process: to start one takes longer than most of what they do."""
 _PATH = os.environ.get("PYTHONPATH")  # a test that changes it wants others' packages to be found
-_domains = itertools.count(os.getpid() % 50)
 
 
 @pytest.fixture
-def domain(monkeypatch):
-    """A ROS domain that no other test uses."""
-    # below the range of passing ports, and each of two workers its own half
-    number = 1 + 50 * (_WORKER % 2) + next(_domains) % 50
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
-    return number
+def domain() -> Iterator[int]:
+    """A ROS domain that nobody else uses; a module whose tests share one has its own fixture."""
+    with reserved_domain() as number:
+        yield number
 
 
 @pytest.fixture
@@ -154,11 +147,3 @@ def start_node(start):
         return start(*words)
 
     return launch
-
-
-@pytest.fixture
-def hostile(domain):
-    """Someone else on the graph, who means no good."""
-    found = Hostile(Experiment.load(TABLES, [JHU], []))
-    yield found
-    found.close()

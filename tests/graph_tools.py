@@ -4,7 +4,7 @@ import contextlib
 import os
 import signal
 import time
-from collections.abc import Callable, Container, Iterable
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -38,11 +38,6 @@ def thorough(*values: object) -> object:
     return pytest.param(*values, marks=THOROUGH)
 
 
-def thorough_but(values: Iterable[str], short: Container[str]) -> list[object]:
-    """Parameters of a test, of which only some are looked at in short."""
-    return [value if value in short else thorough(value) for value in values]
-
-
 def wait_for(condition: Callable[[], object], what: str) -> object:
     """Wait until a condition holds; return what it gives."""
     deadline = time.monotonic() + PATIENCE
@@ -73,19 +68,6 @@ def children(pid: int) -> dict[str, int]:
             if module in words or (COMPOSED in words and node in words):
                 found["".join([*below, node])] = int(entry.name)
     return found
-
-
-def hold(pid: int) -> None:
-    """Stop a process, and wait until each of its threads stands still.
-
-    On a busy host the other threads run on until the one that takes the signal has its turn.
-    """
-    os.kill(pid, signal.SIGSTOP)
-    threads = [path / "stat" for path in Path(f"/proc/{pid}/task").iterdir()]
-    wait_for(
-        lambda: all(path.read_text().rsplit(")", 1)[1].split()[0] == "T" for path in threads),
-        "its threads to stand still",
-    )
 
 
 def kill(pid: int) -> None:

@@ -15,6 +15,13 @@ SHORT = ("ground_motion:synthetic.duration:=3.0", "ground_motion:tail:=0.2")
 LOCKSTEP = "rig:pace:=lockstep"
 UNREHEARSED = "supervisor:rehearsal.duration:=0.0"
 NO_COMMAND_WATCH = "supervisor:watchdog.command_timeout:=60.0"
+TARGET_MOTION = (
+    "reference_force:compensation.method:=target_motion",
+    "force_controller:method:=velocity_feedforward",
+    "reference_force:mass_ratio:=1.0",
+    "ground_motion:peak_force:=300.0",
+)
+TWO_AXES = ("axes:=[north, east]", "ground_motion:influence:=[1.0, 0.5]")
 NODES = ("ground_motion", "reference_force", "force_controller", "rig", "supervisor")
 
 

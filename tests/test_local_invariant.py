@@ -2,16 +2,9 @@
 
 import pytest
 from graph_tools import JHU
-from local_tools import UNREHEARSED, assert_same, offline, perform
+from local_tools import TARGET_MOTION, TWO_AXES, UNREHEARSED, assert_same, offline, perform
 
 SHORT = ("ground_motion:synthetic.duration:=3.0", "ground_motion:tail:=0.2")
-TARGET_MOTION = (
-    "reference_force:compensation.method:=target_motion",
-    "force_controller:method:=velocity_feedforward",
-    "reference_force:mass_ratio:=1.0",
-    "ground_motion:peak_force:=300.0",
-)
-TWO_AXES = ("axes:=[north, east]", "ground_motion:influence:=[1.0, 0.5]")
 EXPERIMENTS = {
     "servo_hydraulic": ("reference_force:mass_ratio:=0.5",),
     "restoring": (
@@ -32,6 +25,8 @@ EXPERIMENTS = {
     "loop_delay_of_an_idealised_actuator": (
         *("rig:actuator.kind:=delay", "rig:actuator.delay:=0.0113"),
         *("reference_force:loop_delay:=5", "reference_force:mass_ratio:=0.3"),
+        "reference_force:compensation.method:=model",
+        "reference_force:compensation.delay:=0.0143",
     ),
     "target_motion": TARGET_MOTION,
     "target_motion_of_two_axes": (*TARGET_MOTION, *TWO_AXES),
@@ -39,6 +34,12 @@ EXPERIMENTS = {
         *TARGET_MOTION,
         *TWO_AXES,
         "reference_force:loop_delay:=7",
+    ),
+    "target_motion_of_an_idealised_actuator": (
+        *TARGET_MOTION,
+        "force_controller:method:=transfer_function",
+        *("rig:actuator.kind:=delay", "rig:actuator.delay:=0.005"),
+        *("reference_force:loop_delay:=2", "reference_force:compensation.delay:=0.008"),
     ),
     "target_motion_yielding": (
         *TARGET_MOTION,

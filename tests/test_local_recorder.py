@@ -1,7 +1,10 @@
 """The recorder in virtual time: its bag holds the test."""
 
+import shutil
+
 import numpy as np
-from local_tools import LOCKSTEP, LONG, NODES, SIX, at_rest, offline, perform
+import pytest
+from local_tools import LOCKSTEP, LONG, NODES, SHORT, SIX, UNREHEARSED, at_rest, offline, perform
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE
 from seft_plant_sim.rig_watch import MAX_UNRECORDED_STEPS
 from seft_ros.bags.record_bag import read_bag
@@ -9,17 +12,92 @@ from seft_ros.bags.record_bag import read_bag
 RECORDED = (*NODES, "recorder")
 
 
-def test_a_bag_holds_the_samples_of_the_offline_loop(local_graph, tmp_path):
-    words = (f"recorder:directory:={tmp_path}", "recorder:name:=bag")
-    graph = local_graph(SIX, *words, nodes=RECORDED)
-    perform(graph)
+@pytest.fixture
+def recorded(local_graph, tmp_path):
+    """Make nodes with a recorder."""
+    place = f"recorder:directory:={tmp_path}"
+    return lambda *words: local_graph(place, *words, nodes=RECORDED)
+
+
+def saved(graph):
+    """Read the bag of the test that has just ended."""
     graph.until(lambda: graph.status("recorder")["phase"] == "saved")
-    found, expected = read_bag(tmp_path / "bag"), offline(graph)
-    assert (found.complete, found.missed, found.trip) == (True, 0, None)
+    return read_bag(graph.status("recorder")["bag"])
+
+
+def assert_equal(found, expected):
     assert {*expected.series} <= {*found.series}
     for topic, series in expected.series.items():
         np.testing.assert_array_equal(found.series[topic].steps, series.steps)
         np.testing.assert_array_equal(found.series[topic].values, series.values)
+
+
+def test_a_bag_holds_the_samples_of_the_offline_loop_and_the_rehearsal(recorded):
+    graph = recorded(SIX)
+    perform(graph)
+    found = saved(graph)
+    assert (found.complete, found.missed, found.trip) == (True, 0, None)
+    assert_equal(found, offline(graph))
+    rehearsal = found.facts["rig"]["rehearsal"]
+    assert (rehearsal["rate_hz"], rehearsal["steps"]) == (500.0, 750)
+    assert 2e-4 < rehearsal["round_trip_s"]["p50"] < 2e-3
+
+
+def test_tests_that_follow_one_another_at_once_have_a_whole_bag_each(recorded):
+    graph = recorded(*SHORT, LOCKSTEP)
+    bags = {}
+    for _ in range(3):
+        for end in ("done", "tripped"):
+            graph.until("ready")
+            assert graph.call("start") == (True, "the test is running")
+            if end == "tripped":
+                assert graph.call("estop")[0]
+            graph.until(end)
+            graph.until(lambda: graph.call("reset")[0])
+            graph.until(lambda: graph.status("recorder").get("bag", "") not in {"", *bags})
+            record = saved(graph)
+            assert record.complete
+            assert "rehearsal" not in record.facts["rig"]
+            assert (record.trip is None) == (end == "done")
+            if end == "done":
+                assert_equal(record, offline(graph))
+            bags[graph.status("recorder")["bag"]] = record
+    assert len(bags) == 6
+
+
+def test_a_test_waits_until_there_is_a_place_for_its_bag(recorded, tmp_path):
+    (tmp_path / "bag").mkdir()
+    graph = recorded(*SHORT, UNREHEARSED, "recorder:name:=bag")
+    graph.until(lambda: "exists already" in graph.values.get("detail", ""))
+    assert graph.values["detail"] == (
+        f"waiting for the recorder, as {tmp_path / 'bag'} exists already; "
+        "correct that, or set its parameter name or directory to another"
+    )
+    assert graph.call("start")[0] is False
+    graph.set_parameter("recorder", "name", "named")
+    perform(graph)
+    saved(graph)
+    assert read_bag(tmp_path / "named").complete
+
+
+@pytest.mark.parametrize("on_loss", ["stop", "go_on"])
+def test_a_bag_that_is_deleted_under_way_is_saved_all_the_same(running, tmp_path, on_loss):
+    words = (f"recorder:directory:={tmp_path}", "recorder:name:=bag")
+    graph = running(LONG, *words, f"recorder:on_loss:={on_loss}", nodes=RECORDED)
+    shutil.rmtree(tmp_path / "bag")
+    if on_loss == "go_on":
+        graph.run(3.0)
+        assert graph.state == "running"
+        graph.call("stop")
+    record = saved(graph)
+    assert record.complete
+    assert record.series["rig/state"].steps.tolist() == graph.samples(RIG_STATE)[0]
+    assert record.series["reference_force"].values[-1, 0, 0] == 0.0
+    if on_loss == "stop":
+        lost = f"the recorder's bag is lost: {tmp_path / 'bag'}: the bag was deleted"
+        assert record.trip.reason == graph.values["detail"] == lost
+    else:
+        assert record.trip.reason == "stopped by the operator"
 
 
 def test_the_death_of_the_recorder_brings_the_test_down_softly(running, tmp_path):

@@ -2,7 +2,16 @@
 
 import numpy as np
 import pytest
-from local_tools import LOCKSTEP, LONG, UNREHEARSED, assert_same, at_rest, offline
+from local_tools import (
+    LOCKSTEP,
+    LONG,
+    NODES,
+    TARGET_MOTION,
+    UNREHEARSED,
+    assert_same,
+    at_rest,
+    offline,
+)
 from seft_msgs_py.wire.messages import encode_diagnostics
 from seft_msgs_py.wire.outcome import FINISHED, Outcome, rig_status
 from seft_msgs_py.wire.topics import DIAGNOSTICS
@@ -23,28 +32,33 @@ def test_a_rig_whose_model_is_not_a_number_trips(running, monkeypatch):
     monkeypatch.undo()
 
 
-def test_an_implausible_force_brings_the_test_down_as_offline(local_graph):
-    graph = local_graph(
-        "ground_motion:synthetic.duration:=5.0",
-        "reference_force:limits.force:=500.0",
-        LOCKSTEP,
-        UNREHEARSED,
-    )
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (("reference_force:limits.force:=500.0",), "is beyond the limit of 500 N"),
+        (("supervisor:limits.acceleration:=6.0",), "acceleration"),
+        ((*TARGET_MOTION, "reference_force:limits.force:=150.0"), "reference force"),
+    ],
+)
+def test_a_limit_ends_a_test_at_the_same_sample_as_offline(local_graph, words, reason):
+    """By a ramp, at once, and by a target that comes to rest."""
+    graph = local_graph("ground_motion:synthetic.duration:=5.0", *words, LOCKSTEP, UNREHEARSED)
     graph.until("ready")
     graph.call("start")
     graph.until("tripped")
     record = offline(graph)
-    assert "is beyond the limit of 500 N" in graph.values["detail"]
+    assert reason in graph.values["detail"]
     assert graph.values["detail"] == record.trip.reason
     assert graph.values["step"] == str(record.trip.step)
     assert_same(graph, record, steps=len(record.series["rig/state"].steps))
 
 
 @pytest.mark.parametrize(
-    "node", ["rig", "force_controller", "reference_force", "ground_motion", "supervisor"]
+    "node",
+    ["rig", "force_controller", "reference_force", "ground_motion", "supervisor", "recorder"],
 )
-def test_a_fault_of_the_program_ends_the_test_and_estop_still_answers(running, node):
-    graph = running(LONG)
+def test_a_fault_of_the_program_ends_the_test_and_estop_still_answers(running, tmp_path, node):
+    graph = running(LONG, f"recorder:directory:={tmp_path}", nodes=(*NODES, "recorder"))
     graph.break_next(node)
     graph.until(
         lambda: graph.state == "tripped" or graph.status("rig").get("phase") == "tripped",

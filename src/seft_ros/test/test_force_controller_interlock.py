@@ -52,6 +52,14 @@ def test_it_is_the_controller_itself_while_all_is_well():
     assert guarded.kind == interlock().kind is not None
 
 
+def test_a_controller_of_forces_follows_the_force_of_a_target():
+    guarded, bare = interlock(), ForceController([([1.0], [1.0])] * 2, 10.0, DT)
+    for step, asked in enumerate(np.random.default_rng(1).normal(0.0, 300.0, (50, 1, 1, 2))):
+        target = np.concatenate([np.full((1, 2, 2), 1e-3), asked], axis=1)
+        expected = bare.step(asked, state())
+        np.testing.assert_array_equal(guarded.step(step * 1000, target, state()), expected)
+
+
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_what_is_no_number_never_gets_into_the_recursion(value):
     for asked, measured, words in (

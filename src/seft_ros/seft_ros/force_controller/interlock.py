@@ -127,7 +127,7 @@ def precheck(
         if fits and found == VALID:
             take_plan(state, points, measured)
             return True
-        if fits and found == SUSPECT and last:
+        if fits and found == SUSPECT and last and state.plan.shape[1] > 1:
             follow_plan(state, parameters.detectors.dt)
             return True
         if not fits or found >= 0:
@@ -146,13 +146,17 @@ def precheck(
 
 @compiled
 def take_plan(state: InterlockState, points: Floats, measured: Floats) -> None:
-    """Let the controller answer a sample; store its points."""
+    """Let the controller answer a sample; store of its points what it follows.
+
+    The force is the last row. It is alone while the nodes warm up; a controller of forces follows
+    it alone also where there is a target.
+    """
     count, quantities, n = state.plan.shape
-    alone = points.shape[1] < quantities  # a force alone, while the nodes warm up
+    first = points.shape[1] - quantities
     for point in range(count):
         sent = points[min(point, len(points) - 1)]
         for row in range(quantities):
-            copy(n, sent[0 if alone else row], state.plan[point, row])
+            copy(n, sent[max(0, first + row)], state.plan[point, row])
     for row in range(4):
         copy(n, measured[row], state.sample[row])
 

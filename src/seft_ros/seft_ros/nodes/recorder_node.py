@@ -88,13 +88,15 @@ class RecorderNode(NodeBody):
             shell.subscribe(topic, self._receiver(topic), depth=_READ_DEPTH, wake=False)
 
     def run(self) -> None:
-        """Record until the process ends; then close an open bag."""
+        """Record until the node ends; then close an open bag, and end the watch of a next test."""
         try:
             super().run()
         finally:
             for topic in self._topics:
                 self._shell.catch_up(topic)
             self._close_or_lose()
+            if self._watch is not None:
+                self._watch.end()
 
     def period(self) -> float:
         """Time between two polls, s."""

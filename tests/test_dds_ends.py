@@ -1,0 +1,237 @@
+"""How a `seft run` ends: by signals, by the death of its nodes, by its disk; nothing is left."""
+
+import fcntl
+import json
+import os
+import pty
+import shlex
+import signal
+import subprocess
+import sys
+import termios
+from pathlib import Path
+
+import pytest
+from graph_tools import (
+    JHU,
+    MISSES_ALLOWED,
+    PATIENCE,
+    STALLS_ALLOWED,
+    THOROUGH,
+    children,
+    kill,
+    shared_memory,
+    wait_for,
+)
+from seft_ros.bags.record_bag import read_bag
+
+LONG = ("-p", "ground_motion:synthetic.duration:=1000.0")
+LOCKSTEP = ("-p", "rig:pace:=lockstep", "-p", "rig:lockstep_timeout:=60.0")
+LONG_RAMP = ("-p", "reference_force:ramp_down_time:=60.0")
+FEW_SECONDS = ("-p", "supervisor:watchdog.peer_timeout:=5.0")  # beyond what a busy host stalls
+STOPPED = b"stopped by the operator"
+
+
+class Run:
+    """A `seft run` under way, in lockstep.
+
+    Attributes
+    ----------
+    process : subprocess.Popen
+        It.
+    nodes : dict of str to int
+        Its node processes.
+    """
+
+    def __init__(self, start, folder, *words, **options):
+        self._bag = folder / "bag"
+        words = (*LONG, *LOCKSTEP, *STALLS_ALLOWED, *words)
+        words = ("seft_ros.cli.main", "run", JHU, *words, "--out", "bag")
+        self.process = start(*words, **options)
+        self.nodes = {}
+
+    def wait_for_nodes(self):
+        """Wait until all its processes are there."""
+
+        def all_there():
+            self.nodes = children(self.process.pid)
+            return len(self.nodes) == 6
+
+        wait_for(all_there, "the nodes")
+
+    def wait_for_data(self):
+        """Wait until it has been recording for a while."""
+        size = lambda: sum(file.stat().st_size for file in self._bag.glob("*.mcap"))  # noqa: E731
+        wait_for(lambda: size() > 60_000 or self.process.poll() is not None, "some data in the bag")
+        self.wait_for_nodes()
+
+    def wait_for_ramp(self):
+        """Interrupt it, and wait until the bag tells that the force comes down."""
+        self.process.send_signal(signal.SIGINT)
+        files = lambda: (file.read_bytes() for file in self._bag.glob("*.mcap"))  # noqa: E731
+        wait_for(lambda: STOPPED in b"".join(files()), "the ramp")
+
+    def ending(self):
+        """Wait for its end, which leaves nothing; give what it says on stderr, one line."""
+        _, errors = self.process.communicate(timeout=PATIENCE)
+        assert self.process.returncode == 1
+        assert "Traceback" not in errors
+        self.assert_nothing_is_left()
+        (line,) = [line for line in errors.splitlines() if line.startswith("seft: ")]
+        return line
+
+    def assert_nothing_is_left(self):
+        """Check that no node runs any more."""
+        assert len(self.nodes) == 6
+        assert not [pid for pid in self.nodes.values() if is_alive(pid)]
+
+
+@pytest.fixture
+def run(start, tmp_path):
+    """Start a `seft run`."""
+    return lambda *words, **options: Run(start, tmp_path, *words, **options)
+
+
+def is_alive(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def recorded(folder):
+    """Read the bag of a test that broke under way; its states are all there."""
+    record = read_bag(folder / "bag")
+    steps = record.series["rig/state"].steps
+    assert len(steps) > 10
+    assert (steps == range(len(steps))).all()
+    return record
+
+
+def assert_came_down_softly(folder):
+    record = recorded(folder)
+    assert record.complete
+    assert record.trip.reason == "stopped by the operator"
+    assert record.series["reference_force"].values[-1, 0, 0] == 0.0
+
+
+def test_an_interrupted_run_comes_down_softly_and_a_second_one_is_refused(run, seft, tmp_path):
+    found = run()
+    found.wait_for_data()
+    refused = seft("run", JHU, "--out", "second", status=2)
+    assert "already has a node" in refused.stderr
+    assert "ROS_DOMAIN_ID" in refused.stderr
+    assert found.process.poll() is None
+    found.process.send_signal(signal.SIGINT)
+    assert "interrupted" in found.ending()
+    assert_came_down_softly(tmp_path)
+
+
+def test_a_killed_node_is_named_and_the_bag_of_a_killed_recorder_recovered(run, seft, tmp_path):
+    found = run(*FEW_SECONDS)
+    found.wait_for_data()
+    kill(found.nodes["recorder"])
+    line = found.ending()
+    assert "node recorder ended (killed by signal 9)" in line
+    assert "(at step " in line
+    assert "the bag is damaged" in seft("report", "bag", status=1).stdout
+    seft("recover", "bag", status=0)
+    assert not recorded(tmp_path).complete
+
+
+def test_a_killed_run_leaves_nothing_though_one_node_is_stopped(run, seft, tmp_path):
+    found = run()
+    found.wait_for_data()
+    os.kill(found.nodes["ground_motion"], signal.SIGSTOP)
+    ours = (found.process.pid, *found.nodes.values())
+    assert not [file for pid in ours for file in shared_memory(pid)]  # which nobody would remove
+    kill(found.process.pid)
+    found.process.wait()
+    wait_for(lambda: not any(map(is_alive, found.nodes.values())), "the nodes to end")
+    recorded(tmp_path)
+    assert "no supervisor is in ROS domain" in seft("status", status=1).stderr
+
+
+@THOROUGH
+@pytest.mark.parametrize(
+    ("node", "number", "how"),
+    [
+        ("recorder", signal.SIGKILL, "ended (killed by signal 9)"),
+        ("force_controller", signal.SIGSTOP, "stands still before the test"),
+    ],
+)
+def test_a_node_that_fails_before_the_test_is_named(run, tmp_path, node, number, how):
+    found = run()
+    found.wait_for_nodes()
+    os.kill(found.nodes[node], number)
+    assert f"node {node} {how}" in found.ending()
+    assert not (tmp_path / "bag").exists()
+
+
+@THOROUGH
+def test_a_run_without_its_supervisor_ends_by_itself(run, tmp_path):
+    found = run(*FEW_SECONDS, "-p", "rig:watchdog.supervisor_timeout:=5.0")
+    found.wait_for_data()
+    kill(found.nodes["supervisor"])
+    assert "node supervisor ended (killed by signal 9)" in found.ending()
+    assert recorded(tmp_path).trip.reason == "node supervisor has been silent for 5 s"
+
+
+@THOROUGH
+def test_a_second_interruption_is_an_abort(run, tmp_path):
+    """SIGTERM is one as Ctrl-C is; in realtime the ramp takes its time."""
+    found = run(*LONG_RAMP, "-p", "rig:pace:=realtime", *MISSES_ALLOWED)
+    found.wait_for_data()
+    found.wait_for_ramp()
+    found.process.send_signal(signal.SIGTERM)
+    assert "interrupted" in found.ending()
+    assert recorded(tmp_path).trip.reason == (
+        "aborted by the operator (while ramping down: stopped by the operator)"
+    )
+
+
+@THOROUGH
+def test_a_run_whose_terminal_is_closed_comes_down_softly(run, tmp_path):
+    keyboard, terminal = pty.openpty()
+
+    def take_terminal():
+        fcntl.ioctl(terminal, termios.TIOCSCTTY, 0)
+
+    options = {"stderr": terminal, "start_new_session": True, "preexec_fn": take_terminal}
+    found = run(**options)
+    os.close(terminal)
+    found.wait_for_data()
+    os.close(keyboard)
+    assert found.process.wait(PATIENCE) == 1
+    found.assert_nothing_is_left()
+    assert_came_down_softly(tmp_path)
+
+
+@THOROUGH
+def test_a_disk_that_fills_up_brings_the_test_down_softly_and_all_is_recorded(domain, tmp_path):
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    run = [sys.executable, "-m", "seft_ros.cli.main", "run", str(JHU), *LONG]
+    run += ["-p", "ground_motion:synthetic.duration:=400.0"]  # has room at the start
+    run += [*STALLS_ALLOWED, *MISSES_ALLOWED, "--out", "bag"]
+    report = [sys.executable, "-m", "seft_ros.cli.main", "report", "bag", "--out", "page.html"]
+    shell = (
+        f"mount -t tmpfs -o size=60m tmpfs {disk} && cd {disk} || exit 77\n"
+        f"{shlex.join(run)} & pid=$!\n"
+        "until [ $(cat bag/bag.mcap 2> /dev/null | wc -c) -gt 60000 ]; do sleep 0.1; done\n"
+        "cat /dev/zero > filler 2> /dev/null; wait $pid; echo run $?; rm filler\n"
+        f"{shlex.join([*report, '--json'])}"
+    )
+    done = subprocess.run(
+        ["unshare", "-m", "sh", "-c", shell], capture_output=True, text=True, timeout=PATIENCE
+    )
+    if done.returncode == 77 or "unshare" in done.stderr:
+        pytest.skip("may not mount a file system here")
+    _, summary = done.stdout.split("run 1\n")
+    assert "Traceback" not in done.stderr
+    found = json.loads(summary)
+    assert found["steps"] > 100
+    reason = found["trip"]["reason"]
+    assert reason.startswith("the recorder's bag is lost: ")
+    assert "No space left" in reason
+    assert f"seft: the test tripped: {reason}" in done.stderr

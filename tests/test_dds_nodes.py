@@ -1,0 +1,314 @@
+"""The six nodes over DDS, started once as `ros2 run` does: operator, parameters, strangers, end."""
+
+import signal
+import subprocess
+import sys
+from collections import defaultdict
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from graph_tools import JHU, PATIENCE, STALLS_ALLOWED, wait_for
+from hostile import Hostile
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import (
+    DescribeParameters,
+    GetParameters,
+    GetParameterTypes,
+    ListParameters,
+    SetParameters,
+    SetParametersAtomically,
+)
+from ros_domain import reserved_domain
+from seft_msgs_py.config.experiment import Experiment, parse_override
+from seft_msgs_py.node.rclpy_interface import message_class, qos_profile
+from seft_msgs_py.wire.messages import Status, encode_status
+from seft_msgs_py.wire.topics import (
+    DESCRIPTION,
+    DIAGNOSTICS,
+    EXPERIMENT_STATE,
+    LOOP_TOPICS,
+    RIG_STATE,
+    VALVE_COMMAND,
+)
+from seft_ros.bags.record_bag import read_bag
+from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.offline import simulate_test
+from seft_ros.test_run.parameter_tables import TABLES
+from seft_ros.test_run.processes import MODULES
+
+OVERRIDES = (
+    *STALLS_ALLOWED[1::2],
+    *("rig:pace:=lockstep", "rig:lockstep_timeout:=60.0"),
+    "ground_motion:synthetic.duration:=400.0",
+)
+ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+READERS = ("rig", "force_controller", "reference_force")
+
+
+@pytest.fixture(scope="module")
+def domain():
+    """A ROS domain that the tests of this module share."""
+    with reserved_domain() as number:
+        yield number
+
+
+@pytest.fixture(scope="module")
+def nodes(domain, tmp_path_factory):
+    """Folder and logs of the nodes' processes, each of which a signal ends without a fault."""
+    folder = tmp_path_factory.mktemp("nodes")
+    words = ["--ros-args", "--params-file", str(JHU)]
+    for override in (*OVERRIDES, f"recorder:directory:={folder}"):
+        words += ["-p", override]
+    logs = {node: folder / f"{node}.log" for node in reversed(MODULES)}
+    processes = {}
+    try:
+        for node, log in logs.items():
+            with log.open("w") as out:
+                command = [sys.executable, "-m", MODULES[node], *words]
+                processes[node] = subprocess.Popen(command, cwd=folder, stdout=out, stderr=out)
+        yield SimpleNamespace(folder=folder, logs=logs)
+        said = {node: len(log.read_text()) for node, log in logs.items()}
+        for number, process in enumerate(processes.values()):
+            process.send_signal(ENDINGS[number % len(ENDINGS)])
+        for node, process in processes.items():
+            status, last = process.wait(PATIENCE), logs[node].read_text()[said[node] :]
+            assert (status, "Traceback" in last) == (0, False), last
+    finally:
+        for process in processes.values():
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture(scope="module")
+def experiment():
+    """What the nodes have read."""
+    return Experiment.load(TABLES, [JHU], [parse_override(word) for word in OVERRIDES])
+
+
+@pytest.fixture(scope="module")
+def offline(experiment):
+    """The record of the same test in one process."""
+    return simulate_test(experiment, build_blocks(experiment))
+
+
+class Graph:
+    """The nodes, seen by an observer.
+
+    Attributes
+    ----------
+    told : dict of str to dict
+        Node -> the values of its last status.
+    """
+
+    def __init__(self, nodes, observer):
+        self.observer, self.folder, self.logs = observer, nodes.folder, nodes.logs
+        self.told = defaultdict(dict)
+        observer._node.create_subscription(
+            message_class(DIAGNOSTICS), DIAGNOSTICS.name, self._listen, qos_profile(DIAGNOSTICS)
+        )
+
+    def _listen(self, message):
+        for status in message.status:
+            self.told[status.name] = {item.key: item.value for item in status.values}
+
+    def until(self, condition, what):
+        """Handle messages until a condition holds, or the test is in a state."""
+        if isinstance(condition, str):
+            state, condition = condition, lambda: self.observer.state == state
+        return wait_for(lambda: (self.observer.spin(0.02), condition())[1], what)
+
+    def begin(self):
+        """Start a test, and wait until it is under way."""
+        self.observer.time_ns = 0
+        assert self.observer.call("start") == (True, "the test is running")
+        self.until(lambda: self.observer.time_ns > 3e8, "a part of the test")
+
+    def record(self):
+        """Read the bag of the test that has just ended."""
+        self.until(lambda: self.observer.recorder_phase == "saved", "the bag")
+        return read_bag(self.folder / self.observer.recorder_bag)
+
+
+@pytest.fixture
+def graph(nodes, observer):
+    """The nodes, ready for a test."""
+    found = Graph(nodes, observer)
+    found.until(lambda: observer.state, "the supervisor")
+    if observer.state in ("done", "tripped"):
+        wait_for(lambda: observer.call("reset")[0], "the rig at rest")
+    found.until("ready", "ready")
+    return found
+
+
+@pytest.fixture
+def hostile(domain, experiment):
+    """Someone else on the graph, who means no good."""
+    found = Hostile(experiment)
+    yield found
+    found.close()
+
+
+def assert_same(record, offline):
+    """Check that a test that was stopped has the bits of the offline loop until then."""
+    steps = record.trip.step
+    assert record.complete
+    assert steps > 100
+    for topic in ("ground_motion", "rig/state", "reference_force", "valve_command"):
+        found, expected = record.series[topic], offline.series[topic]
+        np.testing.assert_array_equal(found.steps[:steps], expected.steps[:steps])
+        np.testing.assert_array_equal(found.values[:steps], expected.values[:steps])
+
+
+def test_commands_operate_nodes_that_were_started_by_hand(graph, seft, seft_json):
+    assert seft("status", status=0).stdout.startswith("ready: ")
+    assert seft("start", status=0).stdout == "the test is running\n"
+    assert seft_json("status")["state"] == "running"
+    assert seft("stop", status=0).stdout.startswith("the test is ramping down")
+    graph.until("done", "the soft end")
+    record = graph.record()
+    assert record.trip.reason == "stopped by the operator"
+    assert record.series["reference_force"].values[-1, 0, 0] == 0.0
+    assert seft("reset", status=0).stdout == "idle\n"
+    assert seft("stop", "--at-once", status=0).stdout.startswith("aborted by the operator")
+    assert seft("status", status=1).stdout == "tripped: aborted by the operator\n"
+    log = graph.logs["supervisor"].read_text()
+    wanted = ("idle: waiting for node ", "ready: start with ", "running", "ramping down", "done: ")
+    places = [log.find(text) for text in (*wanted, "tripped: aborted by the operator")]
+    assert -1 not in places and places == sorted(places), log
+    assert all("[INFO]" in each.read_text() for each in graph.logs.values())
+
+
+def parameter_requests():
+    """Give requests to each service of parameters that make little sense, or none."""
+    nan, deep = float("nan"), "a" + ".b" * 500
+    names = ["", ".", " ", "\n", "use_sim_time", "rate", "no_such", deep, "x" * 100_000, "\xe4/%s"]
+    values = [
+        ParameterValue(type=kind, double_value=nan, double_array_value=[nan, float("inf")])
+        for kind in (*range(10), 10, 99, 255)
+    ]
+    values += [
+        ParameterValue(type=8, double_array_value=[nan] * 100_000),
+        ParameterValue(type=9, string_array_value=["x"] * 10_000),
+        ParameterValue(type=4, string_value="\x01\n" * 1000),
+        ParameterValue(type=2, integer_value=-(2**63)),
+    ]
+    sets = [[Parameter(name=n, value=v)] for n in (*names[:7], "name") for v in values]
+    sets.append([Parameter(name=f"p{i}", value=values[3]) for i in range(1000)])
+    many = [names, [], *[[n] for n in names], ["rate"] * 1000]
+    found = [(SetParameters, "set_parameters", {"parameters": p}) for p in sets]
+    kind = SetParametersAtomically
+    found += [(kind, "set_parameters_atomically", {"parameters": p}) for p in (*sets, [])]
+    for kind, service in (
+        (GetParameters, "get_parameters"),
+        (GetParameterTypes, "get_parameter_types"),
+        (DescribeParameters, "describe_parameters"),
+    ):
+        found += [(kind, service, {"names": each}) for each in many]
+    depths = (0, 1, 2**64 - 1)
+    found += [
+        (ListParameters, "list_parameters", {"prefixes": p, "depth": d})
+        for p in many
+        for d in depths
+    ]
+    return found
+
+
+def test_no_request_stops_a_node_or_changes_the_test_that_runs(graph, offline):
+    observer, clients = graph.observer, {}
+    graph.begin()
+
+    def ask(node, kind, service, fields):
+        key = (kind, f"{node}/{service}")
+        if key not in clients:
+            clients[key] = observer._node.create_client(*key)
+            wait_for(clients[key].service_is_ready, f"{service} of {node}")
+        return clients[key].call_async(kind.Request(**fields))
+
+    def answer(*request):
+        asked = ask(*request)
+        graph.until(asked.done, f"an answer of {request[0]}")
+        return asked.result()
+
+    def set_text(node, name, text):
+        value = ParameterValue(type=4, string_value=text)
+        fields = {"parameters": [Parameter(name=name, value=value)]}
+        (result,) = answer(node, SetParameters, "set_parameters", fields).results
+        return result.successful, result.reason
+
+    for number, request in enumerate(parameter_requests()):
+        asked = [ask(node, *request) for node in MODULES]
+        if number % 20 == 0:  # of what makes no sense there is no answer to wait for
+            observer.spin(0.01)
+        del asked
+    for node in MODULES:
+        found = answer(node, GetParameters, "get_parameters", {"names": ["rate"]})
+        assert found.values[0].double_value == 500.0
+        successful, reason = set_text(node, "use_sim_time", "x")
+        assert not successful and reason
+    assert "read-only" in set_text("rig", "pace", "realtime")[1]
+    assert set_text("recorder", "name", "named") == (True, "")
+    assert 'on_loss is "zip", but must be one of' in set_text("recorder", "on_loss", "zip")[1]
+    graph.until(lambda: {*MODULES} <= {*graph.told}, "a status of each node")
+    assert {graph.told[node]["faults"] for node in MODULES} == {"0"}
+    assert observer.state == "running", observer.values
+    assert observer.call("start")[0] is False
+    assert observer.call("reset")[0] is False
+    assert observer.call("estop")[0]
+    graph.until("tripped", "the end")
+    assert_same(graph.record(), offline)
+    assert set_text("recorder", "name", "") == (True, "")
+
+
+def test_what_strangers_send_is_told_and_changes_no_bit(graph, hostile, offline):
+    """Also what is valid, of who has sent more messages than the test's own node."""
+    observer = graph.observer
+    graph.begin()
+    hostile.join(*LOOP_TOPICS, DIAGNOSTICS, DESCRIPTION, EXPERIMENT_STATE)
+    heard = {RIG_STATE: 3, VALVE_COMMAND: 2, EXPERIMENT_STATE: 6}
+    graph.until(lambda: all(hostile.listeners(t) >= n for t, n in heard.items()), "listeners")
+    for _ in range(3000):  # more than the test's own has sent
+        hostile.send(VALVE_COMMAND, b"\0" * 8)
+    for state in ("idle", "done", "tripped"):
+        hostile.send(EXPERIMENT_STATE, encode_status(Status("experiment", 0, state, values={})))
+
+    def is_refused():
+        hostile.attack()
+        return all(int(graph.told[node].get("refused", 0)) > 50 for node in READERS)
+
+    graph.until(is_refused, "the counts of what was refused")
+
+    def is_named():
+        """Whether each node tells of the stranger what it has refused of it."""
+        told_by = lambda node, text: text in graph.told[node].get("unexpected_publishers", "")  # noqa: E731
+        return told_by("rig", "/hostile on valve_command: ") and all(
+            told_by(node, "/hostile on experiment/state: 3")
+            for node in MODULES
+            if node != "supervisor"
+        )
+
+    hostile.answer(5.0, count=200)
+    graph.until(is_named, "the stranger's name")
+    assert observer.state == "running", observer.values
+    assert observer.call("estop")[0]
+    graph.until("tripped", "the end")
+    assert_same(graph.record(), offline)
+    told = "/hostile publishes valve_command, too: this test ignores its messages"
+    assert graph.logs["rig"].read_text().count(told) == 1
+
+
+def test_two_publishers_of_the_command_end_a_test_before_anything_moves(graph, hostile):
+    hostile.join(VALVE_COMMAND)
+    reads = VALVE_COMMAND.subscribers
+
+    def is_met():
+        """Whether all who read it know of both."""
+        return all(graph.told[node].get("senders valve_command") == "2" for node in reads)
+
+    graph.until(is_met, "both publishers")
+    assert graph.observer.call("start")[0]
+    graph.until("tripped", "the trip")
+    assert "2 nodes publish valve_command" in graph.observer.values["detail"]
+    series = graph.record().series
+    obeyed = len(series["rig/state"].steps) - 1  # 0 V may answer until the supervisor says stop
+    assert obeyed == 0 or not series["valve_command"].values.any()
