@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-from bare_rig import BareRig
-from seft_msgs_py.config.parameter_table import resolve
+from bare_rig import BareRig, rig_section
 from seft_plant_sim.continuous_model import delayed_force, with_low_pass
 from seft_plant_sim.rig import continuous_model
-from seft_plant_sim.rig_parameters import RIG_TABLE
 from seft_plant_sim.specimen import Specimen
 
 PAIR = Specimen(
@@ -57,9 +55,12 @@ def test_a_sampled_sine_has_the_gain_and_phase_of_the_filter(kind):
     turn = np.exp(2j * np.pi * hz * dt * np.arange(4000))
 
     def steady(cutoff):
-        given = {"specimen.mass": 52.7, "specimen.damping": 2000.0, "specimen.stiffness": 2.11e5}
-        given |= {"actuator.kind": kind, "sensors.anti_alias": cutoff, "actuator.leakage": 3e3}
-        section = resolve({"rig": RIG_TABLE}, {"rig": RIG_TABLE.check(given)})["rig"]
+        section = rig_section(
+            specimen__damping=2000.0,
+            actuator__kind=kind,
+            actuator__leakage=3e3,
+            sensors__anti_alias=cutoff,
+        )
         plant = BareRig(continuous_model(section, ("x",)), dt, linear=True)
         plant.reset()
         samples = np.array([plant.step(np.array([u])) for u in amplitude * turn.imag])
