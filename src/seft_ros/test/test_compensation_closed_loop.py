@@ -1,15 +1,9 @@
 """The compensated test as a whole, against the exact response of the whole structure."""
 
-from pathlib import Path
-
 import pytest
-from seft_msgs_py.config.experiment import Experiment, parse_override
+from experiments_at_hand import load, simulated
 from seft_ros.analysis.summary import summarise
-from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate_test
-from seft_ros.test_run.parameter_tables import TABLES
 
-JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
 DELAYED = (
     "ground_motion:synthetic.duration:=16.0",
     "ground_motion:peak_force:=300.0",
@@ -22,9 +16,7 @@ DELAYED = (
 def error(method, alpha):
     """Error of the displacement; infinite if the test tripped."""
     own = (f"reference_force:mass_ratio:={alpha}", f"reference_force:compensation.method:={method}")
-    words = [parse_override(word) for word in (*DELAYED, *own)]
-    experiment = Experiment.load(TABLES, [JHU], words)
-    summary = summarise(simulate_test(experiment, build_blocks(experiment)))
+    summary = summarise(simulated(load(*DELAYED, *own)))
     return summary["displacement"]["nrmse"] if summary["stable"] else float("inf")
 
 

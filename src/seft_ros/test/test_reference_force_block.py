@@ -67,23 +67,6 @@ def test_without_computed_mass_seft_is_eft_bit_for_bit(ground, measured):
     np.testing.assert_array_equal(eft, seft)
 
 
-@given(st.floats(0, 20), NUMBERS, NUMBERS, NUMBERS, NUMBERS)
-def test_the_force_is_linear_in_motion_and_acceleration(alpha, g1, a1, g2, a2):
-    one = block(mass_ratio=alpha)
-    together = step(one, [g1 + g2], [a1 + a2])
-    apart = step(one, [g1], [a1]) + step(one, [g2], [a2])
-    np.testing.assert_allclose(together, apart, atol=1e-9 * 52.7 * 21 * 200)
-
-
-def test_a_force_is_not_changed_by_the_next_step():
-    one = block(mass_ratio=1.0)
-    first = step(one, [1.0], [1.0])
-    kept = first.copy()
-    one.reset()
-    step(one, [9.0], [9.0])
-    np.testing.assert_array_equal(first, kept)
-
-
 @pytest.mark.parametrize(
     ("values", "told"),
     [

@@ -1,9 +1,10 @@
 """A study's tests are those of `seft simulate`, whoever calculates them."""
 
 import math
-from pathlib import Path
 
+import experiments_at_hand
 import pytest
+from experiments_at_hand import JHU
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_ros.analysis.summary import summarise
@@ -16,11 +17,8 @@ from seft_ros.study.study_plan import StudyTest, plan_study
 from seft_ros.study.study_results import summarise_study
 from seft_ros.study.study_runs import run_study
 from seft_ros.study.worst_tests import worst_folder, write_worst_tests
-from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
-JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
 SHORT = ("ground_motion:synthetic.duration:=4", "ground_motion:tail:=0.5")
 DELAY = ("rig:actuator.kind:=delay", "rig:actuator.delay:=0.01")
 KEYS = ("steps", "stable", "trip", "saturated", "displacement", "acceleration", "force")
@@ -40,7 +38,7 @@ def keeping(plan, folder, progress=lambda *_: None):
 
 
 def simulated(experiment):
-    summary = summarise(simulate_test(experiment, build_blocks(experiment)))
+    summary = summarise(experiments_at_hand.simulated(experiment))
     return {key: summary[key] for key in KEYS}
 
 
