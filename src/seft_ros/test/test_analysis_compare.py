@@ -163,16 +163,6 @@ def test_estimates_are_compared_like_samples():
     assert result["topics"][NAME]["fields"]["delay"]["max_abs"] == 0.0
 
 
-@pytest.mark.parametrize("swapped", [False, True])
-def test_estimates_that_only_one_record_has_are_a_difference(swapped):
-    pair = (make_record(), estimating())
-    result = compare_records(*(reversed(pair) if swapped else pair))
-    assert result["first_difference"]["topic"] == NAME
-    assert result["first_difference"]["step"] == 0
-    assert result["first_difference"]["b" if swapped else "a"] == "missing"
-    assert result["topics"][NAME]["missing_b" if swapped else "missing_a"] == 2
-
-
 def test_estimates_are_told_apart_by_name_and_not_by_place():
     turned = Estimates(ESTIMATES.steps, ESTIMATES.values[:, ::-1], ("gain", "delay"))
     assert compare_records(estimating(), estimating(turned))["identical"] is True
@@ -195,20 +185,3 @@ def test_the_table_says_where_records_first_differ():
     assert "first difference at step 3, rig/state, effort of axis y" in text
     assert "77.0 in b" in text
     assert "the sample is missing in b" in table(compare_records(a, make_record(5)))
-
-
-def test_the_table_has_a_row_for_each_quantity_and_says_what_is_missing():
-    a, b = make_record(), without(make_record(), "valve_command", [7, 8])
-    b.series["rig/state"].values[3, 3, 1] += 0.25
-    rows = {
-        cells[0]: cells[1:]
-        for line in table(compare_records(a, b)).splitlines()
-        if len(cells := [cell.strip() for cell in line.strip("│").split("│")]) == 3
-    }
-    assert [*rows] == [f"{t.name} {name}" for t in LOOP_TOPICS for name in t.quantities]
-    assert rows["rig/state positions"] == ["0 m", "0 %"]
-    assert rows["rig/state effort"][0] == "0.25 N"
-    assert "valve_command: 40 samples in a and 38 in b, 0 not in a, 2 not in b" in table(
-        compare_records(a, b)
-    )
-    assert "samples" not in table(compare_records(a, a))

@@ -120,16 +120,6 @@ def test_the_table_says_what_is_not_common():
     assert "…" not in text
 
 
-def test_the_table_of_many_has_a_line_for_each():
-    c = make_record()
-    c.series["rig/state"].values[7, 0, 0] = 77.0
-    result = compare_all(["a", "b", "c"], [make_record(), make_record(), c])
-    text = table(*result["comparisons"])
-    assert "b: identical, bit for bit" in text
-    assert "c: first difference at step 7, rig/state, positions of axis x" in text
-    assert "1.014 in a, 77.0" in text
-
-
 def test_many_are_tabulated_by_quantity_side_by_side():
     c = make_record()
     c.series["rig/state"].values[:, 1] *= 1.5

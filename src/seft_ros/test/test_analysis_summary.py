@@ -298,14 +298,6 @@ def test_a_figure_holds_the_samples_in_units_for_people_against_time():
     assert panel.get_title(loc="right") == "NRMSE 10.0 %"
 
 
-def test_a_trip_is_a_line_across_all_panels_and_stands_in_the_title():
-    record = make_record(trip=Trip("force of $5 on axis $x", 1999, 3.998))
-    drawn = figures.test_figure(record, reference_of(record))
-    for panel in drawn.axes:
-        assert list(panel.lines[-1].get_xdata()) == [3.998, 3.998]
-    assert "tripped at 3.998 s: force of $5 on axis $x" in drawn.texts[0].get_text()
-
-
 def test_figures_are_saved_as_png_without_touching_the_users_pyplot(tmp_path):
     backend = mpl.get_backend()
     record = make_record(trip=Trip("force of $5 on axis $x", 1999, 3.998))

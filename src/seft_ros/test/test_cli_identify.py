@@ -43,15 +43,6 @@ def analytic(*overrides):
 
 RIGS = {
     "paper": (),
-    "heavier, softer valve": (
-        "rig:specimen.mass:=60.0",
-        "rig:specimen.stiffness:=2.4e5",
-        "rig:actuator.oil_column_frequency:=75.0",
-        "rig:actuator.valve_frequency:=50.0",
-        "rig:actuator.leakage:=15.0",
-        "force_controller:numerator:=25.0",
-        "rate:=1000.0",
-    ),
 }
 
 

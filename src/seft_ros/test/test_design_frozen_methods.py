@@ -118,20 +118,6 @@ def stronger(factor):
 
 
 @pytest.mark.parametrize("parts", [(), (COUPLED,)], ids=["one axis", "two axes"])
-def test_powers_of_the_matrix_are_what_a_small_test_does(parts):
-    """The steps themselves, with all that they learn of it."""
-    test = experiment(*parts)
-    ground, found = test_motion(test, SMALL, 600, noise=False)
-    loop = Plan(test).loops()[0]
-    q, expected = np.zeros(len(loop.matrix)), []
-    for k in range(600):
-        expected.append(loop.displacement @ q)
-        q = loop.matrix @ q + loop.ground @ ground[k:].ravel()[: loop.ground.shape[1]]
-    largest = np.abs(expected).max()
-    np.testing.assert_allclose(found[:, 0], expected, rtol=0, atol=2e-3 * largest)
-
-
-@pytest.mark.parametrize("parts", [(), (COUPLED,)], ids=["one axis", "two axes"])
 def test_the_frozen_steps_are_met_to_rounding(parts):
     """Of a target with the force as told, on any measured motion."""
     test = experiment(*parts)
@@ -232,7 +218,7 @@ def test_a_rig_that_is_not_simulated_is_what_the_controller_is_told_of_it():
     assert Plan(told).rig.plant.source == "identified"
 
 
-@pytest.mark.parametrize("delay", [1, 4])
+@pytest.mark.parametrize("delay", [0, 4])
 def test_with_a_delay_of_the_loop_the_matrix_is_what_the_offline_loop_does(delay):
     quiet = {"rig": QUIET | {"sensors.adc_bits": 0}, "ground_motion": {"peak_force": 1e-4}}
     late = {node: {"loop_delay": delay} for node in ("reference_force", "force_controller")}

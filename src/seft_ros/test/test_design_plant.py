@@ -95,23 +95,6 @@ def test_the_response_is_that_of_the_transfer_function():
     assert choose_plant(experiment()).response(f) == pytest.approx(exact, rel=1e-9)
 
 
-@pytest.mark.parametrize(("rate", "dead_time"), [(250.0, 0.0), (500.0, 0.0105), (2000.0, 0.0007)])
-def test_an_identified_plant_is_sampled_like_the_rig_that_it_equals(rate, dead_time):
-    numerator, denominator = expanded()
-    test = experiment(
-        rate,
-        controller=identified(numerator, denominator, dead_time),
-        actuator__dead_time=dead_time,
-    )
-    f = np.array([0.3, 5.0, 10.0, 40.0, 90.0, 0.4 * rate])
-    rig, fitted = (
-        choose_plant(test, source).sampled_response(f, test.timebase.dt)
-        for source in ("rig", "identified")
-    )
-    assert choose_plant(test).source == "identified"
-    assert fitted == pytest.approx(rig, rel=1e-6)
-
-
 @pytest.mark.parametrize(("dead_time", "cutoff"), [(0.0, 0.0), (0.004, 80.0), (0.0071, 0.0)])
 def test_the_sampled_response_is_the_rigs_own_pulse_response(dead_time, cutoff):
     test = experiment(

@@ -121,16 +121,6 @@ def test_the_motion_that_is_tested_is_told_as_the_report_tells_it(intake):
     np.testing.assert_allclose(found["tested"][0], tested, rtol=1e-3)
 
 
-def test_steps_that_the_monitor_missed_count_as_right(intake):
-    exact = reference_response(EXPERIMENT, MOTION)
-    rows = [getattr(exact, name) for name in ("displacement", "velocity", "acceleration", "force")]
-    encode = codec(RIG_STATE).encode
-    intake.motion(motion(0, MOTION))
-    values = np.stack(rows, axis=1)
-    intake.samples([[(encode(k, values[k]), 0) for k in range(400) if k not in (5, 77, 78)]], [])
-    assert intake._live_motion.summary()["response_nrmse"] < 1e-6
-
-
 def test_who_comes_in_the_middle_shows_the_rest(intake):
     new = intake.samples([states(range(5000, 5100))], [])
     assert new[0].first == 5000

@@ -7,8 +7,8 @@ import pytest
 from experiments_at_hand import load, simulated
 from hypothesis import given
 from hypothesis import strategies as st
+from quiet_shell import Shell
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.node.clock import MACHINE
 from seft_msgs_py.wire.messages import EstimatesCodec, Status, encode_status
 from seft_msgs_py.wire.topics import (
     ESTIMATES,
@@ -124,32 +124,9 @@ def test_estimates_may_not_change_their_names(watched, monkeypatch):
         simulated(watched)
 
 
-class Shell:
-    """A node's shell without a network: what is published is kept, in order."""
-
-    def __init__(self, experiment):
-        self.experiment, self.clock = experiment, MACHINE
-        self.sent, self.handlers, self.refusals = [], {}, []
-
-    def several_senders(self):
-        return ""
-
-    def publisher(self, topic):
-        return lambda raw: self.sent.append((topic, raw))
-
-    def subscribe(self, topic, handler, **_):
-        self.handlers[topic.name] = handler
-
-    def catch_up(self, topic):
-        """All that has come has been handed over."""
-
-    def refuse(self, reason):
-        self.refusals.append(reason)
-
-
 def start_node(experiment):
     """Make a reference-force node; it must have tried itself out in silence."""
-    shell = Shell(experiment)
+    shell = Shell(experiment, "reference_force")
     pytest.importorskip("seft_ros.nodes.reference_force_node").ReferenceForceNode(shell)
     assert shell.sent == []
     return shell

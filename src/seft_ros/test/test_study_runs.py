@@ -84,35 +84,6 @@ def test_test_0_gives_what_simulate_gives():
         assert alike(one.summary, simulated(load(*words)))
 
 
-def test_a_drawn_rig_is_tested_with_the_configured_model_against_its_own_structure():
-    plan = planned(*DELAY, methods=["none"], spread=0.3)
-    one = run_study(plan)[2]
-    rig, motion = (plan.drawn.sections[2][node] for node in ("rig", "ground_motion"))
-    assert rig["specimen.mass"] != 52.7
-    words = (
-        *DELAY,
-        "reference_force:mass_ratio:=0.5",
-        *(
-            f"reference_force:model.{name}:={value!r}"
-            for name, value in (("mass", 52.7), ("damping", 800.3), ("stiffness", 2.11e5))
-        ),
-        "ground_motion:mass:=52.7",
-        f"ground_motion:peak_force:={motion['peak_force']!r}",
-        *(
-            f"ground_motion:synthetic.{name}:={motion[f'synthetic.{name}']!r}"
-            for name in ("seed", "ground_frequency", "ground_damping")
-        ),
-        *(
-            f"rig:{name}:={rig[name]!r}"
-            for name in ("seed", *(row for row in rig if row.startswith("specimen.")))
-            if not isinstance(rig[name], str)
-        ),
-        f"rig:actuator.delay:={rig['actuator.delay']!r}",
-        f"rig:actuator.friction:={rig['actuator.friction']!r}",
-    )
-    assert alike(one.summary, simulated(load(*words)))
-
-
 @pytest.mark.parametrize("given", [True, False])
 def test_the_file_of_a_worst_test_repeats_it(given, tmp_path, monkeypatch):
     file, record = JHU, tmp_path / "motion.csv"
