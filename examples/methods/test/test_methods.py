@@ -88,11 +88,8 @@ def test_a_method_without_its_delay_says_where_to_get_it(method):
     [
         ({"delay_range": [0.02, 0.03]}, r"delay is 0.0133 s, .*settings is \[0.02, 0.03\]"),
         ({"delay_range": [0.02, 0.01]}, "must be two delays in s above zero"),
-        ({"delay_range": 0.02}, r"delay_range is \[0.02\], but must be two"),
-        ({"delay_rate": -1.0}, "delay_rate is -1.0, but must be at least 0"),
         ({"excitation": 0.0}, "excitation is 0.0, but must be greater than zero"),
         ({"band": [5.0, 250.0]}, "below half the sampling rate, 250 Hz"),
-        ({"band": [5.0, 1.0]}, "the lower first"),
         ({"band": ["low"]}, "must be a number"),
         ({"delay_rang": 0.01}, "there is no setting delay_rang; did you mean delay_range?"),
     ],

@@ -199,30 +199,13 @@ def test_points_of_one_quantity_may_leave_out_its_dimension():
     assert_decodes(codec, codec.encode_points(4, values), 4, values.reshape(3, 1, 2))
 
 
+TYPES = (np.int64, np.float32, np.complex128, ">f8", bool, str)
+SHAPES = ((), (0,), (2,), (4,), (3, 1), (2, 2), (1, 3, 1), (0, 3), (3, 0))
+
+
 @pytest.mark.parametrize(
     "values",
-    [
-        1,
-        1.0,
-        None,
-        [1.0, 2.0, 3.0],
-        (1.0, 2.0, 3.0),
-        np.array([1, 2, 3]),
-        np.array([1, 2, 3], dtype=np.float32),
-        np.array([1, 2, 3], dtype=np.complex128),
-        np.array([1, 2, 3], dtype=">f8"),
-        np.array([True, False, True]),
-        np.array(["1", "2", "3"]),
-        np.array(1.0),
-        np.zeros(0),
-        np.zeros(2),
-        np.zeros(4),
-        np.zeros((3, 1)),
-        np.zeros((2, 2)),
-        np.zeros((1, 3, 1)),
-        np.zeros((0, 3)),
-        np.zeros((3, 0)),
-    ],
+    [1, 1.0, None, [1.0, 2.0, 3.0], *(np.ones(3, t) for t in TYPES), *map(np.zeros, SHAPES)],
 )
 def test_another_type_or_shape_is_refused_not_corrupted(values):
     codec = TrajectoryCodec(REFERENCE_FORCE, ("x", "y", "z"), TIMEBASE)

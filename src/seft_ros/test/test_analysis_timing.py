@@ -120,8 +120,10 @@ class Machine:
 
     def sleep(self, _files, _others, _more, timeout):
         late = next(self._late, None)
-        self.now += timeout + (late or 0.0)
-        return [[] if late is not None else [0]]
+        if late is None:
+            return [[0]]  # it is to end
+        self.now += timeout + late
+        return [[]]
 
 
 def test_a_stall_is_a_deadline_met_late_and_those_missed_meanwhile_are_passed_over(monkeypatch):

@@ -38,7 +38,6 @@ LINEAR = (
     *(f"{node}.damping:=903.5" for node in ("rig:specimen", "reference_force:model")),
 )
 """A linear rig with the poles of Eq. 3.1, whose response under Kobe is known."""
-NOISY = (*LINEAR, *PERFECT, "rig:sensors.acceleration_noise:=0.05", "rig:sensors.force_noise:=3")
 QUIET = (*LINEAR, *PERFECT)
 DELAY = ("rig:actuator.kind:=delay", "rig:actuator.delay:=0.01")
 needs_kobe = pytest.mark.skipif(not KOBE.is_file(), reason="no real records beside the project")

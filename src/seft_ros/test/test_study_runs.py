@@ -20,7 +20,6 @@ from seft_ros.study.worst_tests import worst_folder, write_worst_tests
 from seft_ros.test_run.parameter_tables import TABLES
 
 SHORT = ("ground_motion:synthetic.duration:=4", "ground_motion:tail:=0.5")
-DELAY = ("rig:actuator.kind:=delay", "rig:actuator.delay:=0.01")
 KEYS = ("steps", "stable", "trip", "saturated", "displacement", "acceleration", "force")
 
 
@@ -240,12 +239,6 @@ def test_a_method_that_can_not_be_set_up_is_left_out_and_the_others_go_on(monkey
 def test_an_unknown_method_is_refused(method, words):
     with pytest.raises(InputError, match=words):
         planned(methods=[method])
-
-
-@pytest.mark.parametrize("ratio", [-1.0, float("nan"), float("inf")])
-def test_a_mass_ratio_out_of_bounds_is_refused(ratio):
-    with pytest.raises(InputError, match="mass_ratio is"):
-        planned(ratios=[ratio])
 
 
 def test_an_experiment_that_makes_no_test_is_refused_before_any_method_is_blamed():
