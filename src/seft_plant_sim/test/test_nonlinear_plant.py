@@ -139,21 +139,6 @@ def test_axes_that_are_not_coupled_are_rigs_of_their_own(law, monkeypatch):
     np.testing.assert_array_equal(twice[:, :, 0], twice[:, :, 1])
 
 
-def test_a_whole_dead_time_shifts_the_samples_of_none():
-    none = run(plant(actuator__dead_time=0.0), 2.0 * NOISE)[0]
-    for steps in (1, 4):
-        late = run(plant(actuator__dead_time=steps * DT), 2.0 * NOISE)[0]
-        np.testing.assert_array_equal(late[steps:], none[:-steps])
-        np.testing.assert_array_equal(late[: steps + 1], 0.0)
-
-
-def test_a_dead_time_that_is_nearly_whole_is_nearly_that():
-    whole = run(plant(actuator__dead_time=0.002), 2.0 * NOISE)[0]
-    nearly = run(plant(actuator__dead_time=0.002 + 1e-7), 2.0 * NOISE)[0]
-    peak = np.abs(whole).max(axis=0)
-    np.testing.assert_allclose(nearly / peak, whole / peak, atol=5e-3)
-
-
 def test_what_is_too_fast_to_be_followed_is_refused():
     told = "friction, end stops or springs answer at .* raise actuator.friction_velocity"
     with pytest.raises(InputError, match=told):

@@ -75,17 +75,3 @@ def test_a_recorder_or_ground_motion_that_is_faulty_brings_the_test_down_softly(
     test.wait(1.0)
     test.tell(tripped_status("recorder", "a fault of the program", 0))
     assert test.state.message == State.RAMPING_DOWN
-
-
-def test_a_fault_of_its_own_trips_and_its_services_go_on_answering(test, monkeypatch):
-    test.wait(1.0)
-    test.node.fault("a fault of the program")
-    assert (test.state.message, test.state.values["detail"]) == (
-        State.TRIPPED,
-        "a fault of the program",
-    )
-    assert test.ask("estop")[0]
-    monkeypatch.setattr(test.node, "_follow_state", lambda: {}["x"])
-    accepted, answer = test.ask("reset")
-    assert (accepted, len(test.shell.faults)) == (False, 1)
-    assert "a fault of the program" in answer
