@@ -1,33 +1,13 @@
 import json
 import os
-import signal
-import subprocess
 import sys
-import time
 
 import pytest
 from experiments_at_hand import CONFIG, JHU
 from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
+from seft_ros.study import study_runs
 
 SHORT = ("-p", "ground_motion:synthetic.duration:=4", "-p", "ground_motion:tail:=0.5")
-SEFT = (sys.executable, "-m", "seft_ros.cli.main")
-
-
-def start(folder, *words):
-    """Start a command in a folder of its own, its output in files there."""
-    folder.mkdir(exist_ok=True)
-    with (folder / "out").open("w") as out, (folder / "err").open("w") as err:
-        return subprocess.Popen(
-            [*SEFT, "study", JHU, *SHORT, *words, "--json"],
-            cwd=folder,
-            stdout=out,
-            stderr=err,
-        )
-
-
-def numbers(folder, *words):
-    assert start(folder, *words).wait(timeout=300) == 0, (folder / "err").read_text()
-    return json.loads((folder / "out").read_text())
 
 
 def test_the_page_the_table_and_the_files_of_the_worst_tests(seft, tmp_path):
@@ -55,35 +35,6 @@ def test_every_method_there_is_takes_part_with_any_controller(seft):
     took_part = {result["method"] for result in found["results"]}
     assert took_part | {row["method"] for row in found["not_possible"]} == set(COMPENSATION_METHODS)
     assert {"none", "restoring", "target_motion"} <= took_part  # they need nothing identified
-
-
-def test_a_command_that_is_killed_goes_on_where_it_was(tmp_path):
-    words = ("--tests", "30")
-    whole = numbers(tmp_path / "whole", *words)
-    killed = start(tmp_path / "killed", *words, "--workers", "1")
-    while not (kept := list((tmp_path / "killed").glob("study-*.jsonl"))):
-        assert killed.poll() is None, (tmp_path / "killed" / "err").read_text()
-        time.sleep(0.005)
-    killed.kill()
-    killed.wait()
-    assert kept[0].exists()
-    again = numbers(tmp_path / "killed", *words)
-    assert again == whole
-    assert not kept[0].exists()
-
-
-def test_an_interruption_says_how_it_goes_on(tmp_path):
-    command = start(tmp_path, "--tests", "5000")
-    while not list(tmp_path.glob("study-*.jsonl")):
-        assert command.poll() is None, (tmp_path / "err").read_text()
-        time.sleep(0.01)
-    command.send_signal(signal.SIGINT)
-    assert command.wait(timeout=60) == 1
-    assert (
-        (tmp_path / "err")
-        .read_text()
-        .endswith("seft: interrupted; no result yet; the same command in this folder continues\n")
-    )
 
 
 @pytest.mark.parametrize(
@@ -114,3 +65,26 @@ def test_without_dask_a_scheduler_is_refused_with_the_way_to_install_it(seft, mo
     assert status == 2
     assert "pip install 'seft_ros[dask]'" in err
     assert os.linesep.join(err.splitlines()[-1:]).startswith("seft: --scheduler")
+
+
+def test_an_interruption_says_how_it_goes_on_and_so_it_does(seft, tmp_path, monkeypatch):
+    words = ("study", JHU, *SHORT, "--tests", "3", "--workers", "1", "--json")
+    whole, run_study = seft(*words)[1], study_runs.run_study
+
+    def interrupted(plan, progress, **options):
+        def report(what, done):
+            progress(what, done)
+            if done == 2:
+                raise KeyboardInterrupt
+
+        return run_study(plan, report, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(study_runs, "run_study", interrupted)
+        status, out, err = seft(*words)
+    assert (status, out) == (1, "")
+    told = "seft: interrupted; no result yet; the same command in this folder continues\n"
+    assert err.endswith(told)
+    assert len(list(tmp_path.glob("study-*.jsonl"))) == 1
+    assert seft(*words)[1] == whole
+    assert not list(tmp_path.glob("study-*.jsonl"))
