@@ -181,3 +181,9 @@ def test_only_the_last_second_counts_and_gaps_within_it_do_not_help():
     assert blind_until(0.05, range(0, 500, 19)) == 25 * 19
     assert blind_until(0.05, [*range(25), *range(500, 525)]) is None
     assert blind_until(0.05, [*range(25), 499]) == 499
+
+
+def test_what_is_at_its_limit_is_not_what_is_told():
+    limits, state = Judge(PAPER, AXES, DT), np.zeros((4, 2))
+    state[0], state[3, 1] = PAPER["displacement"], -2 * PAPER["force"]
+    assert limits.violation(state).startswith("force -44400 N on axis north")
