@@ -1,12 +1,16 @@
 """Maps hold what single loops give, at their places."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
-from experiments_at_hand import load
+from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_ros.design import stability_map
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import find_margins
+from seft_ros.test_run.parameter_tables import TABLES
 
+CONFIG = Path(__file__).parents[3] / "config"
 RATIO = "reference_force:mass_ratio:=0.5"
 MODEL = ("reference_force:compensation.method:=model", "reference_force:compensation.delay:=0.013")
 PLANT = {
@@ -22,7 +26,8 @@ CASES = {
 
 
 def plan_of(*words):
-    return Plan(load(*words))
+    overrides = [parse_override(word) for word in words]
+    return Plan(Experiment.load(TABLES, [CONFIG / "jhu.yaml"], overrides))
 
 
 @pytest.mark.parametrize("name", CASES)
