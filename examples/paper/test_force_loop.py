@@ -105,14 +105,11 @@ def test_for_the_papers_rig_it_is_the_papers_controller():
     ("crossover", "dt", "changed"),
     [
         (6.0, 0.002, {}),
-        (14.0, 0.002, {}),
         (12.0, 0.00025, {}),
         (1.5, 0.01, {}),  # the oil column lies above half the rate
         (12.0, 0.002, {"actuator__leakage": 1.0}),
         (12.0, 0.002, {"specimen__damping": 100.0, "actuator__leakage": 5.0}),
         (5.0, 0.002, {"specimen__damping": 5.0, "actuator__leakage": 0.0}),
-        (5.0, 0.002, {"specimen__mass": 2000.0}),
-        (12.0, 0.002, {"actuator__valve_frequency": 200.0}),
         (5.0, 0.002, {"actuator__dead_time": 0.0107}),
     ],
 )
@@ -162,9 +159,7 @@ def test_what_can_not_be_had_is_refused(wish):
     [
         (0.0, 6.0, {}, "between 0 and"),
         (250.0, 6.0, {}, "250 Hz"),
-        (float("nan"), 6.0, {}, "between 0 and"),
         (12.0, 6.0, {"specimen__damping": 9000.0}, "no lightly damped zeros"),
-        (12.0, float("nan"), {}, "choose a lower one"),
         (3.0, 40.0, {"actuator__dead_time": 0.1}, "choose a lower one"),
     ],
 )
@@ -259,13 +254,10 @@ def test_an_unstable_loop_is_status_1_and_is_not_written(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["none.yaml"], "none.yaml"),
         ([JHU, "--plant", "identified"], "seft identify"),
-        ([JHU, "--crossover", "60"], "choose a lower one"),
         ([JHU, "-p", "force_controller:numerator:=0.0"], "numerator is zero"),
         ([JHU, "-p", "force_controller:numerator:=[1.0, 0.0, 0.0, 0.0]"], "improper"),
         ([JHU, "-p", "force_controller:gain:=[1.0, 2.0]"], "one transfer_function for all axes"),
-        ([JHU, "-p", "rig:actuator.kind:=ideal"], "no valve"),
         ([JHU, "--figure", "none/loop.png"], "none/loop.png"),
     ],
 )

@@ -105,9 +105,7 @@ def test_the_documentation_gives_these_figures():
     [
         (["--file", "none.AT2"], "none.AT2"),
         (["--unit", "cm/s2"], "--unit: needs a record"),
-        (["--file", "none.AT2", "--unit", "feet"], "unit is"),
         (["--out", "none/paper.html"], "no folder none"),
-        (["--out", "paper.pdf"], "pages end in .html"),
     ],
 )
 def test_wrong_input_is_told_in_one_line_before_the_work(
@@ -281,30 +279,17 @@ def test_results_like_the_papers_agree_throughout():
     ("key", "test", "turned"),
     [
         (("rig", 0.0), a_test(10.0, 0.7), "displacement agrees with the reference at alpha = 0"),
-        (("rig", 0.5), a_test(8.2), "discrepancy of the displacement at alpha = 0.5"),
         (
             ("rig", 0.5),
             a_test(8.2, 1.2),
             "peak acceleration smaller than the reference at alpha = 0.5",
-        ),
-        (("rig", 1.0), a_test(7.1, 0.9), "discrepancy of the force grows: alpha = 0, 0.5, 1.0"),
-        (
-            ("rig", 1.0),
-            a_test(7.1, 0.6, 1e-3, lag=10),
-            "high-frequency acceleration appears at alpha = 1.0",
         ),
         (
             ("rig", 1.0),
             a_test(7.1, 0.6, 0.04, lag=10),
             "high-frequency force grows with alpha: 0, 0.5, 1.0",
         ),
-        (("rig", 1.0), a_test(7.1, 1.0), "magnitude does not match at alpha = 1.0"),
         (("rig", 1.5), a_test(6.4), "test at alpha = 1.5"),
-        (
-            ("banded", 1.0),
-            a_test(7.1, 0.8),
-            "the delay is the major source of error at alpha = 1",
-        ),
         (
             ("banded", 1.0),
             a_test(7.1, 0.6, 0.3, lag=10),
@@ -319,11 +304,6 @@ def test_results_like_the_papers_agree_throughout():
             ("model", 0.5),
             a_test(8.2, 0.8),
             "displacement with delay compensation agrees with the reference at alpha = 0.5",
-        ),
-        (
-            ("model", 1.0),
-            a_test(7.1, 1.0, 0.05),
-            "vibration does not appear with delay compensation at alpha = 1",
         ),
     ],
 )

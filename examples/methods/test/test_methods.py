@@ -5,59 +5,30 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from compensators import (
+    DELAY,
+    DT,
+    C,
+    K,
+    M,
+    assert_axes_are_apart,
+    assert_is_its_linear_filter,
+    assert_known_motion_is_all,
+    compensator,
+    noise,
+    run,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 from seft_methods.methods import lagrange_weights
 from seft_methods.settings import SETTINGS
-from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.topics import Timebase
-from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
-from seft_ros.reference_force.reference_force_block import method_inputs
-from seft_ros.reference_force.reference_force_parameters import REFERENCE_FORCE_TABLE
 
-M, C, K, DT, DELAY = 52.7, 800.3, 2.11e5, 0.002, 0.0133
 PREDICTORS = ("polynomial", "linear_acceleration", "smith", "inverse")
 CLASSICAL = (*PREDICTORS, "ats")
 ADAPTIVE = [(name, False) for name in CLASSICAL] + [(name, True) for name in PREDICTORS]
 DELAYS = st.floats(0.0021, 0.0399)
-
-
-def compensator(method, axes=("x",), rate=500, told=(), **values):
-    """Compensator of these parameters, and settings told; a double underscore stands for a dot."""
-    own = " ".join(
-        f"{name}={json.dumps(v, separators=(',', ':'))}" for name, v in dict(told).items()
-    )
-    values = {
-        "model__mass": M,
-        "model__damping": C,
-        "model__stiffness": K,
-        "compensation__delay": DELAY,
-        "mass_ratio": 1.0,
-        "compensation__method": method,
-        "compensation__settings": own,
-        **values,
-    }
-    given_values = REFERENCE_FORCE_TABLE.check(
-        {name.replace("__", "."): v for name, v in values.items()}
-    )
-    section = resolve({"reference_force": REFERENCE_FORCE_TABLE}, {"reference_force": given_values})
-    known = method_inputs(section["reference_force"], axes, Timebase.from_rate(rate))
-    return COMPENSATION_METHODS[method](known)
-
-
-def run(one, motion, states):
-    """Forces of a test, shape (N, n)."""
-    one.reset()
-    window = 1 + one.preview
-    return np.array([one.step(motion[k : k + window], y) for k, y in enumerate(states)])
-
-
-def noise(axes, steps=300, seed=1):
-    rng = np.random.default_rng(seed)
-    scale = np.array([[1e-3], [0.1], [5.0], [300.0]])
-    return rng.normal(0, 3, (steps + 50, axes)), rng.normal(0, 1, (steps, 4, axes)) * scale
 
 
 @pytest.mark.parametrize(("method", "estimate"), ADAPTIVE)
@@ -65,14 +36,8 @@ def test_a_method_is_the_linear_filter_that_it_says_it_is(method, estimate):
     values = {"model__mass": [5.0, 1.0, 1.0, 4.0], "mass_ratio": 0.7}
     told = {"order": 3, "estimate_delay": estimate}
     one = compensator(method, ("x", "y"), told=told, **values)
-    motion, states = noise(2, 40)  # too short to adapt to
-    matrix, size = one.linear().matrix(), len(one.linear().a)
-    s, expected = np.zeros(size), []
-    for k, y in enumerate(states):
-        window = motion[k : k + 1 + one.linear().preview]
-        force, s = np.split(matrix @ np.concatenate([s, y.ravel(), window.ravel()]), [2])
-        expected.append(force)
-    np.testing.assert_allclose(run(one, motion, states), expected, rtol=1e-9, atol=1e-6)
+    # too short to adapt to
+    assert_is_its_linear_filter(one, *noise(2, 40), rtol=1e-9, atol=1e-6)
 
 
 @pytest.mark.parametrize("method", PREDICTORS)
@@ -102,28 +67,14 @@ def test_a_reset_makes_the_next_test_the_same_bit_by_bit(method, estimate):
 
 @pytest.mark.parametrize(("method", "estimate"), ADAPTIVE)
 def test_axes_that_are_not_coupled_are_tests_of_their_own(method, estimate):
-    masses, stiffness = [52.7, 20.0, 300.0], [2.11e5, 9e4, 3e6]
-    common = {"told": {"estimate_delay": estimate}, "mass_ratio": 0.4}
-    motion, states = noise(3, 900)
-    states[:, 3] = np.roll(-motion[:900] * masses, 5, axis=0)
-    values = {"model__mass": masses, "model__stiffness": stiffness, **common}
-    together = run(compensator(method, ("x", "y", "z"), **values), motion, states)
-    for axis in range(3):
-        own = {"model__mass": masses[axis], "model__stiffness": stiffness[axis], **common}
-        one = slice(axis, axis + 1)
-        alone = run(compensator(method, **own), motion[:, one], states[:, :, one])
-        scale = np.abs(alone).max()
-        np.testing.assert_allclose(together[:, one] / scale, alone / scale, atol=1e-9)
+    assert_axes_are_apart(method, told={"estimate_delay": estimate})
 
 
 @pytest.mark.parametrize("method", PREDICTORS)
 @given(delay=DELAYS, step=st.integers(0, 5))
 @settings(max_examples=25)
 def test_without_computed_mass_the_known_ground_motion_is_all(method, delay, step):
-    motion, states = noise(1, 10)
-    force = run(compensator(method, compensation__delay=delay, mass_ratio=0.0), motion, states)
-    ahead = np.interp(step * DT + delay, DT * np.arange(len(motion)), motion[:, 0])
-    assert force[step, 0] == pytest.approx(-M * ahead, rel=1e-9)
+    assert_known_motion_is_all(method, delay, step)
 
 
 @pytest.mark.parametrize("method", CLASSICAL)
@@ -137,11 +88,8 @@ def test_a_method_without_its_delay_says_where_to_get_it(method):
     [
         ({"delay_range": [0.02, 0.03]}, r"delay is 0.0133 s, .*settings is \[0.02, 0.03\]"),
         ({"delay_range": [0.02, 0.01]}, "must be two delays in s above zero"),
-        ({"delay_range": 0.02}, r"delay_range is \[0.02\], but must be two"),
-        ({"delay_rate": -1.0}, "delay_rate is -1.0, but must be at least 0"),
         ({"excitation": 0.0}, "excitation is 0.0, but must be greater than zero"),
         ({"band": [5.0, 250.0]}, "below half the sampling rate, 250 Hz"),
-        ({"band": [5.0, 1.0]}, "the lower first"),
         ({"band": ["low"]}, "must be a number"),
         ({"delay_rang": 0.01}, "there is no setting delay_rang; did you mean delay_range?"),
     ],

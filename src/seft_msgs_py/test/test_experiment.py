@@ -100,25 +100,16 @@ def test_dotted_and_nested_names_are_the_same(load):
     ("text", "told"),
     [
         (in_rig("specimen.mas: 1"), "rig: there is no parameter specimen.mas; did you mean specim"),
-        (in_rig("mass: 1"), "did you mean specimen.mass?"),
         (RIG_HAS_MASS + "/**: {ros__parameters: {sede: 1}}", "no parameter sede; did you mean see"),
         ("rigg: {ros__parameters: {}}", "there is no node rigg; did you mean rig?"),
-        ("force: {ros__parameters: {}}", "did you mean reference_force?"),
         ("/lab/rig: {ros__parameters: {}}", "there is no node /lab/rig"),
         (in_rig("seed: x"), 'rig: seed is "x", but must be a whole number'),
-        (in_rig("seed: 1.0"), "rig: seed is 1.0, but must be a whole number"),
-        (in_rig("seed: true"), "rig: seed is true, but must be a whole number"),
-        (in_rig("seed: -1"), "rig: seed is -1, but must be at least 0"),
         (in_rig("seed:"), "rig seed has no value"),
         (in_rig("seed: 1" + "0" * 30), "must be a whole number"),
         (in_rig("specimen.mass: 1" + "0" * 400), "must be finite"),
         (in_rig("specimen.mass: .nan"), "specimen.mass is nan, but must be finite"),
-        (in_rig("specimen.mass: -.inf"), "specimen.mass is -inf, but must be finite"),
-        (in_rig("specimen.mass: 0"), "specimen.mass is 0, but must be greater than zero"),
-        (in_rig("specimen.mass: []"), "must not be empty"),
         (in_rig("specimen.mass: 2024-01-01"), "must be a number"),
         (in_rig("specimen: 3"), "there is no parameter specimen"),
-        (RIG_HAS_MASS + "/**: {ros__parameters: {rate: true}}", "rate is true, but must be a numb"),
         (RIG_HAS_MASS + "/**: {ros__parameters: {rate: 333}}", "usable rates are 320 and 400 Hz"),
         (RIG_HAS_MASS + "/**: {ros__parameters: {axes: x}}", "must be a list of texts"),
         (RIG_HAS_MASS + "/**: {ros__parameters: {axes: [x, x]}}", "names must differ"),
@@ -223,10 +214,7 @@ def test_later_files_win_and_overrides_win_over_files(load):
         (["rig:sede:=1"], "-p: rig: there is no parameter sede; did you mean seed?"),
         (["mass_ration:=1"], "-p: /**: there is no parameter mass_ration; did you mean mass_ratio"),
         (["reference_force:mass_ratio:=x"], 'mass_ratio is "x", but must be a number'),
-        (["reference_force:mass_ratio:=true"], "mass_ratio is true, but must be a number"),
         (["reference_force:mass_ratio:="], "mass_ratio is empty, but must be a number"),
-        (["reference_force:mass_ratio:=-1"], "mass_ratio is -1, but must be at least 0"),
-        (["reference_force:method:=sefft"], "must be one of eft, seft; did you mean seft?"),
         (["rate:=333"], "320 and 400"),
     ],
 )
@@ -452,3 +440,17 @@ def test_any_text_is_read_or_refused_with_an_input_error(tmp_path, text):
         assert all(isinstance(name, str) for section in sections.values() for name in section)
     with contextlib.suppress(InputError):
         parse_override(f"rig:seed:={text}")
+    with contextlib.suppress(InputError):
+        split_ros_arguments(["node", "--ros-args", *text.split()])
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.integers(0, 99), st.binary(min_size=1, max_size=9), st.integers(0, 99))
+def test_any_bytes_in_a_file_are_read_or_refused(tmp_path, place, raw, end):
+    good = RIG_HAS_MASS.encode() + b"/**: {ros__parameters: {rate: 500.0, axes: [x]}}"
+    path = tmp_path / "any.yaml"
+    path.write_bytes((good[:place] + raw + good[place + len(raw) :])[: max(end, place + len(raw))])
+    try:
+        Experiment.load(TABLES, [path])
+    except InputError as error:
+        assert "\n" not in str(error)

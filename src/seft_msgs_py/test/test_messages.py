@@ -1,4 +1,3 @@
-import contextlib
 import struct
 
 import numpy as np
@@ -113,29 +112,11 @@ def test_of_keys_that_come_twice_the_last_counts():
     assert decode_status(serialise(twice)).values == {"a": "2"}
 
 
-@given(st.binary(max_size=200) | st.binary(max_size=200).map(lambda b: b"\x00\x01\x00\x00" + b))
-def test_garbage_is_refused_with_a_wire_error(raw):
-    for decode in DECODERS:
-        try:
-            decode(raw)
-        except WireError as error:
-            assert "\n" not in str(error)
-
-
 def test_every_truncation_is_refused():
     for decode, raw in zip(DECODERS, ENCODED, strict=True):
         for end in range(len(raw)):
             with pytest.raises(WireError):
                 decode(raw[:end])
-
-
-@given(st.sampled_from(range(4)), st.data())
-def test_flipped_bytes_are_read_or_refused(which, data):
-    raw = bytearray(ENCODED[which])
-    at = data.draw(st.integers(0, len(raw) - 1))
-    raw[at] = data.draw(st.integers(0, 255))
-    with contextlib.suppress(WireError):
-        DECODERS[which](bytes(raw))
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from seft_msgs_py.errors import WireError
@@ -199,30 +199,13 @@ def test_points_of_one_quantity_may_leave_out_its_dimension():
     assert_decodes(codec, codec.encode_points(4, values), 4, values.reshape(3, 1, 2))
 
 
+TYPES = (np.int64, np.float32, np.complex128, ">f8", bool, str)
+SHAPES = ((), (0,), (2,), (4,), (3, 1), (2, 2), (1, 3, 1), (0, 3), (3, 0))
+
+
 @pytest.mark.parametrize(
     "values",
-    [
-        1,
-        1.0,
-        None,
-        [1.0, 2.0, 3.0],
-        (1.0, 2.0, 3.0),
-        np.array([1, 2, 3]),
-        np.array([1, 2, 3], dtype=np.float32),
-        np.array([1, 2, 3], dtype=np.complex128),
-        np.array([1, 2, 3], dtype=">f8"),
-        np.array([True, False, True]),
-        np.array(["1", "2", "3"]),
-        np.array(1.0),
-        np.zeros(0),
-        np.zeros(2),
-        np.zeros(4),
-        np.zeros((3, 1)),
-        np.zeros((2, 2)),
-        np.zeros((1, 3, 1)),
-        np.zeros((0, 3)),
-        np.zeros((3, 0)),
-    ],
+    [1, 1.0, None, [1.0, 2.0, 3.0], *(np.ones(3, t) for t in TYPES), *map(np.zeros, SHAPES)],
 )
 def test_another_type_or_shape_is_refused_not_corrupted(values):
     codec = TrajectoryCodec(REFERENCE_FORCE, ("x", "y", "z"), TIMEBASE)
@@ -360,54 +343,10 @@ def test_every_truncation_is_refused():
                 codec.decode(raw[:end])
 
 
-def decode_or_refuse(codec, raw):
-    """Decode; the one error that may come is a WireError of one line."""
-    try:
-        step, values = codec.decode(raw)
-    except WireError as error:
-        assert str(error)
-        return
-    assert step >= 0
-    assert np.isfinite(values).all()
-    assert values.shape[1:] == (len(codec.topic.quantities), len(codec.axes))
-
-
-@settings(max_examples=300)
-@given(st.binary(max_size=300), st.booleans(), st.sampled_from(LOOP_TOPICS))
-def test_arbitrary_bytes_are_read_or_refused(raw, headed, topic):
-    codec = TrajectoryCodec(topic, ("x",), TIMEBASE)
-    decode_or_refuse(codec, b"\x00\x01\x00\x00" + raw if headed else raw)
-    with contextlib.suppress(WireError):
-        parse_trajectory(raw)
-
-
-@settings(max_examples=300)
-@given(messages(), st.data())
-def test_mutated_messages_are_read_or_refused(message, data):
-    codec, step, values = message
-    raw = bytearray(codec.encode_points(step, values))
-    for _ in range(data.draw(st.integers(1, 4))):
-        at = data.draw(st.integers(0, len(raw) - 1))
-        piece = data.draw(
-            st.binary(min_size=1, max_size=8)
-            | st.sampled_from([b"\xff" * 4, b"\xff\xff\xff\x7f", b"\x00" * 4, b"\x01\x00\x00\x00"])
-        )
-        kind = data.draw(st.sampled_from(["overwrite", "insert", "cut"]))
-        if kind == "overwrite":
-            raw[at : at + len(piece)] = piece
-        elif kind == "insert":
-            raw[at:at] = piece
-        elif len(raw) > 8:
-            del raw[at : at + len(piece)]
-    decode_or_refuse(codec, bytes(raw))
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(0, 2**32 - 1))
-def test_a_claimed_size_beyond_the_message_takes_no_memory(points, names):
+@given(st.integers(0, 2**32 - 1), st.sampled_from([4 + 16, 4 + 28]))
+def test_a_claimed_size_beyond_the_message_takes_no_memory(size, place):
     codec = TrajectoryCodec(REFERENCE_FORCE, ("x",), TIMEBASE)
     raw = bytearray(codec.encode(0, np.zeros(1)))
-    struct.pack_into("<I", raw, 4 + 16, names)
-    decode_or_refuse(codec, bytes(raw))
-    struct.pack_into("<I", raw, 4 + 16, 1)
-    struct.pack_into("<I", raw, 4 + 28, points)
-    decode_or_refuse(codec, bytes(raw))
+    struct.pack_into("<I", raw, place, size)  # of names, of points
+    with contextlib.suppress(WireError):
+        codec.decode(bytes(raw))

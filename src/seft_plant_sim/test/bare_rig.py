@@ -1,15 +1,34 @@
-"""A rig of which the true samples count: nothing is measured, nothing trips."""
+"""A rig of which the true samples count, and parameters for rigs."""
 
 import numpy as np
+from seft_msgs_py.config.parameter_table import resolve
 from seft_plant_sim.continuous_model import ContinuousModel
 from seft_plant_sim.limits import Limits
 from seft_plant_sim.rig import Rig
-from seft_plant_sim.rig_parameters import LIMIT_NAMES
+from seft_plant_sim.rig_parameters import LIMIT_NAMES, RIG_TABLE
 from seft_plant_sim.sensors import Channels, Sensors
+
+FRAME = {
+    "mass": [60.0, 45.0],
+    "damping": [900.0, -200.0, -200.0, 400.0],
+    "stiffness": [3.3e5, -1.5e5, -1.5e5, 1.5e5],
+    "springs": [1.0, 0.0, -1.0, 1.0],
+}
+"""Specimen of two storeys."""
+
+
+def rig_section(group="", /, **values):
+    """Section of the table's defaults with changes in a group; a double underscore is a dot."""
+    named = {group + name.replace("__", "."): value for name, value in values.items()}
+    given = {"specimen.mass": 52.7, "specimen.stiffness": 2.11e5} | named
+    return resolve({"rig": RIG_TABLE}, {"rig": RIG_TABLE.check(given)})["rig"]
 
 
 class BareRig(Rig):
-    """Rig of a model, or of what is linear in it; `reset` and `step` give the true samples."""
+    """Rig of a model, or of what is linear in it; `reset` and `step` give the true samples.
+
+    Nothing is measured, and nothing trips.
+    """
 
     def __init__(self, model, dt, *, linear=False):
         if linear:

@@ -3,8 +3,8 @@
 import itertools
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import group, resolve
-from seft_plant_sim.rig_parameters import RIG_TABLE
+from bare_rig import rig_section
+from seft_msgs_py.config.parameter_table import group
 from seft_plant_sim.springs import make_springs
 
 K, Y, A = 2.11e5, 0.004, 0.1
@@ -13,9 +13,7 @@ K, Y, A = 2.11e5, 0.004, 0.1
 def spring(kind, **values):
     """Spring of the table's defaults with changes; a double underscore stands for a dot."""
     values = {"yield_displacement": Y, "hardening_ratio": A} | values
-    given = {"specimen.mass": 1.0, "specimen.stiffness": K}
-    given |= {f"specimen.{name.replace('__', '.')}": value for name, value in values.items()}
-    section = resolve({"rig": RIG_TABLE}, {"rig": RIG_TABLE.check(given)})["rig"]
+    section = rig_section("specimen.", **values)
     (made,) = make_springs(kind, group(section, "specimen"), [K], "rig: specimen")
     return made
 

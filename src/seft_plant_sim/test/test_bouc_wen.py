@@ -16,24 +16,6 @@ def bouc_wen(n=1.0, **changes):
     )
 
 
-def test_bouc_wen_of_exponent_one_loads_exponentially():
-    """z = z_y (1 - e^(-e/z_y)) for beta + gamma = 1."""
-    path = through(0, 6)
-    for beta in (0.5, 0.8, 1.0):
-        z = hysteretic(bouc_wen(1.0, beta=beta, gamma=1 - beta), path)
-        np.testing.assert_allclose(z, Y * -np.expm1(-path / Y), atol=1e-10 * Y)
-        np.testing.assert_array_equal(
-            hysteretic(bouc_wen(1.0, beta=beta, gamma=1 - beta), -path), -z
-        )
-
-
-def test_bouc_wen_of_exponent_two_loads_as_the_hyperbolic_tangent():
-    path = through(0, 6)
-    np.testing.assert_allclose(
-        hysteretic(bouc_wen(2.0), path), Y * np.tanh(path / Y), atol=1e-9 * Y
-    )
-
-
 @pytest.mark.parametrize("n", [1.0, 1.4, 2.0, 3.0, 7.5, 20.0])
 def test_bouc_wen_of_any_exponent_loads_as_published(n):
     """e = z 2F1(1, 1/n; 1 + 1/n; (z/z_y)^n), Charalampakis & Koumousis 2008 (J. Sound Vib. 309)."""

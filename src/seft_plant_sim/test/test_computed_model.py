@@ -1,7 +1,5 @@
 """A computed model: what it must be, what it is told when it is not, and the whole structure."""
 
-import itertools
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -238,26 +236,6 @@ def test_what_is_wrong_with_a_model_is_told_in_one_line(file, name, settings, wh
     with pytest.raises(InputError, match=why) as caught:
         _ = model_of(file, name, settings).tangents
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("wrong", "why"),
-    [
-        ("[1 / 0]", "Late line LINE, step: division by zero"),
-        ("[float('nan')]", "Late line [0-9]+: step gives a force that is not finite"),
-        ("[0.0, 0.0]", r"step gives a force of the shape \(2,\), but must give \(1,\)"),
-        ("'none'", "step gives no numbers .'none'., but must give the force in N"),
-    ],
-)
-def test_a_step_that_fails_is_told_with_its_line(file, wrong, why):
-    file.write_text(MODELS.replace("WRONG", wrong))
-    model = ComputedModel(model_of(file, "Late"))
-    model.start(0.002)
-    zero = np.zeros(1)
-    line = MODELS[: MODELS.index("return WRONG")].count("\n") + 1
-    with pytest.raises(InputError, match=why.replace("LINE", str(line))):
-        for step in itertools.count():
-            model.step(0.002 * step, zero, zero, zero)
 
 
 def test_a_file_that_does_not_run_is_told_with_its_line(file):

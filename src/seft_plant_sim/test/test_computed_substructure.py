@@ -112,7 +112,7 @@ def test_what_makes_no_structure_is_refused(values, words):
         computed_of(**values)
 
 
-@settings(max_examples=10)
+@settings(max_examples=6)
 @given(seed=st.integers(0, 2**31), axes=st.integers(1, 4), internal=st.integers(0, 4))
 @example(seed=0, axes=3, internal=0)
 def test_the_response_is_that_of_the_assembled_structure(seed, axes, internal):
@@ -141,9 +141,9 @@ def test_the_response_is_that_of_the_assembled_structure(seed, axes, internal):
         (0.0, time[-1]),
         np.zeros(2 * size),
         t_eval=time,
-        max_step=0.001,
-        rtol=1e-9,
-        atol=1e-13,
+        max_step=0.002,  # the motion has a kink at each sample
+        rtol=1e-8,
+        atol=1e-12,
     )
     scale = np.abs(solved.y[:size]).max()
     np.testing.assert_allclose(found.displacement, solved.y[:axes].T, rtol=0, atol=1e-5 * scale)

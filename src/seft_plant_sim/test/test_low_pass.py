@@ -2,11 +2,7 @@
 
 import numpy as np
 import pytest
-from bare_rig import BareRig
-from seft_msgs_py.config.parameter_table import resolve
 from seft_plant_sim.continuous_model import delayed_force, with_low_pass
-from seft_plant_sim.rig import continuous_model
-from seft_plant_sim.rig_parameters import RIG_TABLE
 from seft_plant_sim.specimen import Specimen
 
 PAIR = Specimen(
@@ -48,24 +44,3 @@ def test_the_specimen_does_not_feel_its_sensors():
     size = len(model.a)
     np.testing.assert_array_equal(filtered.a[:size, :size], model.a)
     assert not filtered.a[:size, size:].any()
-
-
-@pytest.mark.parametrize("kind", ["ideal", "servo_hydraulic_linear", "servo_hydraulic"])
-def test_a_sampled_sine_has_the_gain_and_phase_of_the_filter(kind):
-    """All four quantities of a rig, in the steady state; the drive is held between samples."""
-    hz, dt, amplitude = 20.0, 0.0005, 0.01 if kind.startswith("servo") else 100.0
-    turn = np.exp(2j * np.pi * hz * dt * np.arange(4000))
-
-    def steady(cutoff):
-        given = {"specimen.mass": 52.7, "specimen.damping": 2000.0, "specimen.stiffness": 2.11e5}
-        given |= {"actuator.kind": kind, "sensors.anti_alias": cutoff, "actuator.leakage": 3e3}
-        section = resolve({"rig": RIG_TABLE}, {"rig": RIG_TABLE.check(given)})["rig"]
-        plant = BareRig(continuous_model(section, ("x",)), dt, linear=True)
-        plant.reset()
-        samples = np.array([plant.step(np.array([u])) for u in amplitude * turn.imag])
-        return 2 * np.mean(samples[2000:, :, 0] * turn[2000:, np.newaxis].conj(), axis=0)
-
-    ratio = steady(CUTOFF) / steady(0.0)
-    # the held drive's image at 1980 Hz moves force and acceleration of the ideal rig a little
-    np.testing.assert_allclose(ratio, butterworth(hz), rtol=1e-4 if kind != "ideal" else 0.05)
-    np.testing.assert_allclose(ratio[:2], butterworth(hz), rtol=2e-3)

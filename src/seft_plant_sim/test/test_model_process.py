@@ -42,11 +42,8 @@ ZERO, LAST = np.zeros(1), 5
 
 
 @pytest.fixture
-def model(tmp_path, monkeypatch):
+def model(tmp_path):
     """Write a model that does something at a place; give its source."""
-    monkeypatch.setattr(model_process, "STEP_TIME", 1.0)
-    monkeypatch.setattr(model_process, "START_TIME", 10.0)
-    monkeypatch.setattr(model_process, "ENDING_TIME", 0.5)
     file = tmp_path / "models.py"
 
     def source(code, place="STEP"):
@@ -89,9 +86,7 @@ def of_models(file):
 
 
 def nothing_left(source):
-    deadline = time.monotonic() + 60.0
-    while left := of_models(source.name):
-        assert time.monotonic() < deadline, f"{left} are left"
+    while of_models(source.name):  # a test that hangs tells which model is left
         time.sleep(0.01)
     return True
 
@@ -143,12 +138,8 @@ BREAKS = {
     "raises much": ("raise ValueError(10**7 * 'x')", "step: x{500}[.]{3}"),
     "recurses": ("self.step(t, displacement, velocity, ground_acceleration)", "step: maximum rec"),
     "gives none": ("return None", "step gives no numbers .None., but"),
-    "gives complex": ("return 1j * displacement", "step gives no numbers .*, but must"),
     "gives words": ("return ['5']", "step gives no numbers .*, but must give the force in N"),
-    "gives a ragged list": ("return [[1.0], [1.0, 2.0]]", "step gives no numbers"),
-    "gives itself": ("return self", "step gives no numbers"),
     "gives infinity": ("return [float('-inf')]", "step gives a force that is not finite: .-inf. N"),
-    "gives a matrix": ("return [[1.0]]", r"step gives a force of the shape \(1, 1\)"),
     "gives too many": ("return 10**6 * [1.0]", r"step gives a force of the shape \(1000000,\)"),
     "gives an odd tangent": ("self.stiffness = 'soft'", "stiffness is 'soft', but must be finite"),
     "gives odd responses": ("self.responses = lambda: 5", "responses gives 5, but must give"),
@@ -168,10 +159,15 @@ BREAKS = {
     ),
 }
 
+STUCK = ("hangs", "stands still", "closes all files and waits", "writes to any file")
+
 
 @pytest.mark.parametrize("how", BREAKS)
-def test_a_model_that_breaks_is_one_line_that_says_where(model, capfd, how):
+def test_a_model_that_breaks_is_one_line_that_says_where(model, capfd, monkeypatch, how):
     code, why = BREAKS[how]
+    if how.startswith(STUCK):  # the others have their time, on a busy machine too
+        monkeypatch.setattr(model_process, "STEP_TIME", 1.0)
+        monkeypatch.setattr(model_process, "ENDING_TIME", 0.1)
     source = model(code, "MADE" if "made" in how else "STEP")
     _, error = run(source)
     assert re.search(why, error), error
@@ -228,7 +224,8 @@ def test_what_a_model_prints_is_shown_up_to_a_limit(model, capfd):
     assert err.count("it prints more") == 1
 
 
-def test_a_model_that_hangs_in_its_end_is_ended(model):
+def test_a_model_that_hangs_in_its_end_is_ended(model, monkeypatch):
+    monkeypatch.setattr(model_process, "ENDING_TIME", 0.1)
     source = model("def close(self):\n    time.sleep(1e6)", "MORE")
     assert run(source) == (10.0 * LAST, "")
     assert nothing_left(source)

@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-from bare_rig import BareRig
-from seft_msgs_py.config.parameter_table import resolve
+from bare_rig import BareRig, rig_section
 from seft_msgs_py.errors import InputError
 from seft_plant_sim import continuous_model as model_module
 from seft_plant_sim.rig import continuous_model
-from seft_plant_sim.rig_parameters import RIG_TABLE
 
 DT = 0.002
 NOISE = np.random.default_rng(3).normal(size=(250, 1))
@@ -15,13 +13,10 @@ CAPACITY = 24500.0
 
 
 def plant(axes=("x",), **values):
-    """Plant of the table's defaults; a double underscore stands for a dot."""
-    specimen = {"mass": 52.7, "damping": 903.5, "stiffness": 2.11e5}
-    given = {f"specimen.{name}": value for name, value in specimen.items()}
-    given |= {"actuator.force_capacity": CAPACITY, "actuator.friction": 0.0}
-    given |= {name.replace("__", "."): value for name, value in values.items()}
-    section = resolve({"rig": RIG_TABLE}, {"rig": RIG_TABLE.check(given)})["rig"]
-    return BareRig(continuous_model(section, axes), DT)
+    """Plant of the table's defaults but for friction; a double underscore stands for a dot."""
+    own = {"specimen__damping": 903.5, "actuator__friction": 0.0}
+    own |= {"actuator__force_capacity": CAPACITY} | values
+    return BareRig(continuous_model(rig_section(**own), axes), DT)
 
 
 def run(one, commands):
@@ -142,27 +137,6 @@ def test_axes_that_are_not_coupled_are_rigs_of_their_own(law, monkeypatch):
     once = run(plant(**both), commands[:, :1])[0]
     np.testing.assert_allclose(twice[:, :, 1:], once, rtol=1e-9, atol=1e-9)
     np.testing.assert_array_equal(twice[:, :, 0], twice[:, :, 1])
-
-
-def test_a_whole_dead_time_shifts_the_samples_of_none():
-    none = run(plant(actuator__dead_time=0.0), 2.0 * NOISE)[0]
-    for steps in (1, 4):
-        late = run(plant(actuator__dead_time=steps * DT), 2.0 * NOISE)[0]
-        np.testing.assert_array_equal(late[steps:], none[:-steps])
-        np.testing.assert_array_equal(late[: steps + 1], 0.0)
-
-
-def test_a_dead_time_that_is_nearly_whole_is_nearly_that():
-    whole = run(plant(actuator__dead_time=0.002), 2.0 * NOISE)[0]
-    nearly = run(plant(actuator__dead_time=0.002 + 1e-7), 2.0 * NOISE)[0]
-    peak = np.abs(whole).max(axis=0)
-    np.testing.assert_allclose(nearly / peak, whole / peak, atol=5e-3)
-
-
-def test_reset_brings_back_the_very_same_samples():
-    one = plant(specimen__kind="bilinear", specimen__yield_displacement=0.0005)
-    first = run(one, 3.0 * NOISE)[0]
-    np.testing.assert_array_equal(run(one, 3.0 * NOISE)[0], first)
 
 
 def test_what_is_too_fast_to_be_followed_is_refused():

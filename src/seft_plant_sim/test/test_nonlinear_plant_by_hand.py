@@ -8,13 +8,11 @@ import itertools
 
 import numpy as np
 import pytest
-from bare_rig import BareRig
+from bare_rig import FRAME, BareRig, rig_section
 from scipy.integrate import solve_ivp
-from seft_msgs_py.config.parameter_table import resolve
 from seft_plant_sim import continuous_model as model_module
 from seft_plant_sim.actuator import STOP_DAMPING, STOP_STIFFNESS
 from seft_plant_sim.rig import continuous_model
-from seft_plant_sim.rig_parameters import RIG_TABLE
 
 DT = 0.002
 COUNT = 150
@@ -33,12 +31,6 @@ SERVO = {
     "dead_time": 0.0013,
 }
 ONE = {"mass": 52.7, "damping": 903.5, "stiffness": 2.11e5}
-FRAME = {
-    "mass": [60.0, 45.0],
-    "damping": [900.0, -200.0, -200.0, 400.0],
-    "stiffness": [3.3e5, -1.5e5, -1.5e5, 1.5e5],
-    "springs": [1.0, 0.0, -1.0, 1.0],
-}
 TOLERANCE = {"sine": 1e-3, "noise": 1.5e-3}  # of the peak; noise fills the band to 250 Hz
 STOREYS = ([1.8e5, 1.5e5], [[1.0, 0.0], [-1.0, 1.0]])
 YIELD = {"yield_displacement": 0.001, "hardening_ratio": 0.1}
@@ -51,7 +43,7 @@ def sampled(specimen, actuator, commands, cutoff=0.0):
     values = {f"specimen.{name}": value for name, value in specimen.items()}
     values |= {f"actuator.{name}": value for name, value in actuator.items()}
     values["sensors.anti_alias"] = cutoff
-    section = resolve({"rig": RIG_TABLE}, {"rig": RIG_TABLE.check(values)})["rig"]
+    section = rig_section(**values)
     plant = BareRig(continuous_model(section, ("x", "y")[: commands.shape[1]]), DT)
     return np.array([plant.reset(), *(plant.step(command) for command in commands)])
 
@@ -159,8 +151,9 @@ def error(specimen, actuator, commands, expected=None, cutoff=0.0):
     return (np.abs(ours - expected) / np.abs(expected).max(axis=0)).max()
 
 
-@pytest.mark.parametrize(("name", "amplitude"), [("sine", 8.0), ("noise", 2.0)])
-@pytest.mark.parametrize("dead_time", [0.0013, 0.004])
+@pytest.mark.parametrize(
+    ("name", "amplitude", "dead_time"), [("sine", 8.0, 0.004), ("noise", 2.0, 0.0013)]
+)
 def test_actuator_with_valve_flow_and_friction(name, amplitude, dead_time):
     actuator, commands = SERVO | {"dead_time": dead_time}, drive(name, 1, amplitude)
     expected = solved(ONE, actuator, commands)
@@ -175,11 +168,10 @@ WEAK = {"force_capacity": 6000.0, "rated_voltage": 5.0}
 @pytest.mark.parametrize(
     ("actuator", "commands", "law"),
     [
-        (WEAK, drive("noise", 1, 8.0), "linear"),
         (WEAK, drive("noise", 1, 8.0), "bilinear"),
         ({"friction": 300.0}, drive("sine", 1, 6.0), "linear"),
     ],
-    ids=["full opening and stall", "and yielding", "much friction"],
+    ids=["full opening and stall, and yielding", "much friction"],
 )
 def test_where_it_gets_rough_the_error_falls_as_the_step_does(actuator, commands, law, monkeypatch):
     """What is left comes of the steps and not of the equations: in steps a quarter as long.."""
@@ -203,9 +195,10 @@ def test_end_stops_push_and_do_not_pull():
     assert (np.sqrt(np.mean(difference**2, axis=0)) < 0.01 * peak).all()
 
 
-@pytest.mark.parametrize("law", ["bilinear", "smooth", "degrading"])
-@pytest.mark.parametrize("name", ["sine", "noise"])
-@pytest.mark.parametrize("actuated", ["servo", "delay"])
+@pytest.mark.parametrize(
+    ("actuated", "name", "law"),
+    [("servo", "noise", "bilinear"), ("servo", "sine", "degrading"), ("delay", "noise", "smooth")],
+)
 def test_a_hysteretic_specimen(actuated, name, law):
     kind = {"kind": "bilinear"} if law == "bilinear" else {"kind": "bouc_wen"}
     kind |= {"bilinear": {}, "smooth": SMOOTH, "degrading": DEGRADING}[law]
@@ -222,10 +215,8 @@ def test_a_hysteretic_specimen(actuated, name, law):
     assert error(specimen, actuator, commands, expected) < TOLERANCE[name]
 
 
-@pytest.mark.parametrize("law", ["bilinear", "smooth"])
-def test_two_actuators_on_a_shear_frame_whose_storeys_yield(law):
-    kind = {"kind": "bilinear"} if law == "bilinear" else {"kind": "bouc_wen"} | SMOOTH
-    specimen = FRAME | kind | YIELD
+def test_two_actuators_on_a_shear_frame_whose_storeys_yield():
+    specimen = FRAME | {"kind": "bouc_wen"} | SMOOTH | YIELD
     ideal = {"kind": "ideal", "delay": 0.0}
     cases = (SERVO, drive("sine", 2, 4.0)), (ideal, drive("noise", 2, 2500.0))
     for actuator, commands in cases:

@@ -95,55 +95,6 @@ def test_samples_are_those_of_the_continuous_system(kind, delay, specimen):
     np.testing.assert_allclose(ours / scale, expected / scale, rtol=0, atol=1e-9)
 
 
-def test_free_decay_has_the_frequency_and_damping_of_the_paper():
-    plant = BareRig(delayed_force(PAPER, 0.0), DT)
-    samples = run(plant, np.array([[1000.0]] * 50 + [[0.0]] * 500))
-    x = samples[60:, 0, 0]
-    # free vibration obeys x[k+1] = 2 e^-d cos(p) x[k] - e^-2d x[k-1]
-    (first, second), *_ = np.linalg.lstsq(np.column_stack([x[1:-1], x[:-2]]), x[2:], rcond=None)
-    decay = -np.log(-second) / 2
-    turn = np.arccos(first / 2 / np.exp(-decay))
-    w = np.hypot(decay, turn) / DT
-    assert w / (2 * np.pi) == pytest.approx(10.07, abs=0.005)
-    assert decay / DT / w == pytest.approx(0.1355, abs=0.00005)
-
-
-def test_an_undamped_specimen_swings_on_without_loss():
-    specimen = Specimen(PAPER.mass, np.zeros((1, 1)), PAPER.stiffness)
-    plant = BareRig(delayed_force(specimen, 0.0), DT)
-    run(plant, np.full((100, 1), 1000.0))
-    samples = np.array([plant.step(np.zeros(1)) for _ in range(50_000)])[1:, :, 0]
-    energy = 52.7 * samples[:, 1] ** 2 / 2 + 2.11e5 * samples[:, 0] ** 2 / 2
-    np.testing.assert_allclose(energy, energy[0], rtol=1e-8)
-
-
-def test_static_deflection_is_force_over_stiffness():
-    forces = np.array([1000.0, -500.0, 300.0])
-    for specimen in (PAPER, COUPLED):
-        f = forces[: specimen.axes]
-        for delay in (0.0, 0.0027):
-            last = run(BareRig(delayed_force(specimen, delay), DT), np.tile(f, (3000, 1)))[-1]
-            np.testing.assert_allclose(last[0], np.linalg.solve(specimen.stiffness, f), rtol=1e-9)
-            np.testing.assert_allclose(last[1:3], 0.0, atol=1e-9)
-            np.testing.assert_array_equal(last[3], f)
-
-
-def test_a_held_valve_ends_where_flow_and_leakage_balance():
-    last = run(BareRig(hydraulic(PAPER, 0.001), 0.02), np.full((6000, 1), 0.01))[-1, :, 0]
-    force = 1.664e7 * 0.038527 * 0.01 / 20.0
-    np.testing.assert_allclose(last, [force / 2.11e5, 0.0, 0.0, force], rtol=1e-6, atol=1e-6)
-
-
-def test_an_ideal_actuator_applies_each_command_at_the_next_sample():
-    commands = np.random.default_rng(3).normal(size=(50, 3))
-    samples = run(BareRig(delayed_force(COUPLED, 0.0), DT), commands)
-    np.testing.assert_array_equal(samples[1:, 3], commands)
-    x, v, a, f = np.moveaxis(samples, 1, 0)
-    balance = a @ COUPLED.mass + v @ COUPLED.damping + x @ COUPLED.stiffness
-    np.testing.assert_allclose(balance, f, atol=1e-9)
-    np.testing.assert_array_equal(samples[1, :2], 0.0)  # nothing has moved yet
-
-
 @pytest.mark.parametrize(
     ("delay", "steps"), [(0.0, 0), (0.001, 1), (0.002, 1), (0.0027, 2), (0.010, 5), (0.0113, 6)]
 )
@@ -161,14 +112,6 @@ def test_a_delay_of_whole_samples_is_whole_at_any_rate(rate):
         plant = BareRig(delayed_force(PAPER, steps * dt), dt)
         force = run(plant, np.arange(1.0, 400.0)[:, np.newaxis])[:, 3, 0]
         assert np.flatnonzero(force)[0] == 1 + steps
-
-
-def test_reset_brings_back_the_very_same_samples():
-    commands = np.random.default_rng(5).normal(size=(30, 3))
-    plant = BareRig(hydraulic(COUPLED, 0.0113), DT)
-    first = run(plant, commands)
-    run(plant, commands[::-1])
-    np.testing.assert_array_equal(run(plant, commands), first)
 
 
 def test_a_sample_is_not_changed_by_later_steps_nor_by_the_command_array():

@@ -2,8 +2,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bare_rig import rig_section
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.rig import Rig
@@ -15,10 +15,7 @@ ZERO = np.zeros(1)
 
 def rig(axes=("x",), **values):
     """Rig of these parameters; a double underscore stands for a dot."""
-    values = {"specimen__mass": 52.7, "specimen__stiffness": 2.11e5, **values}
-    given = RIG_TABLE.check({name.replace("__", "."): value for name, value in values.items()})
-    section = resolve({"rig": RIG_TABLE}, {"rig": given})["rig"]
-    return Rig.from_parameters(section, axes, TIMEBASE)
+    return Rig.from_parameters(rig_section(**values), axes, TIMEBASE)
 
 
 @pytest.mark.parametrize(
@@ -81,30 +78,13 @@ def test_a_violation_is_that_of_the_last_sample_as_measured():
     assert loud.violation is not None  # the test must see what the sensor sees
 
 
-def test_one_axis_of_a_rig_of_three_is_a_rig_of_one():
-    three = rig(axes=("x", "y", "z"), actuator__leakage=[20.0, 0.0, 50.0])
-    ones = [rig(actuator__leakage=leakage) for leakage in (20.0, 0.0, 50.0)]
-    commands = np.random.default_rng(6).normal(size=(500, 3)) * 0.1
-    for single in (three, *ones):
-        single.reset()
-    for command in commands:
-        together = three.step(command)
-        alone = np.hstack([r.step(command[i : i + 1]) for i, r in enumerate(ones)])
-        np.testing.assert_allclose(together, alone, rtol=1e-9, atol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("values", "told"),
     [
-        ({"specimen__mass": 0.0}, "rig: specimen.mass is .* mass must be positive"),
-        ({"specimen__mass": [1.0, 2.0, 3.0]}, "rig: specimen.mass: 3 values for 2 axes"),
-        ({"specimen__mass": [1.0, 2.0, 2.0, 1.0]}, "positive .definite"),
+        ({"specimen__mass": [1.0, 2.0, 2.0, 1.0]}, "rig: specimen.mass .*positive .definite"),
         ({"specimen__stiffness": [1.0, 2.0, 3.0, 4.0]}, "rig: specimen.stiffness: .* not symmetr"),
         ({"actuator__flow_gain": [1.0, 2.0, 3.0]}, "rig: actuator.flow_gain: 3 values for 2 axes"),
         ({"sensors__force_noise": [1.0] * 3}, "rig: sensors.force_noise: 3 values for 2 axes"),
-        ({"actuator__kind": "electric"}, "must be one of ideal, delay, servo_hydraulic"),
-        ({"actuator__delay": -0.001}, "actuator.delay is -0.001, but must be at least 0 s"),
-        ({"specimen__kind": "linera"}, "did you mean linear?"),
     ],
 )
 def test_values_that_make_no_rig_are_refused_by_name(values, told):
@@ -176,14 +156,6 @@ def test_a_test_that_is_blind_for_long_ends_with_the_reason():
     assert one.violation is None
 
 
-def test_each_blind_sensor_is_named():
-    ranges = {"sensors__force_range": 10.0, "sensors__acceleration_range": 0.1}
-    one = rig(actuator__kind="ideal", limits__saturated_time=0.0, **ranges)
-    one.reset()
-    one.step(np.full(1, 99.0))
-    assert one.violation.startswith("acceleration and force at the end of the sensor's range")
-
-
 JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"  # wherever it runs, as by colcon test
 
 
@@ -224,6 +196,14 @@ def test_a_rig_at_rest_is_settled_at_once():
     rig = Rig.from_parameters(experiment["rig"], experiment.axes, experiment.timebase)
     rig.reset()
     assert rig.stop().steps == 10
+
+
+def test_each_blind_sensor_is_named():
+    ranges = {"sensors__force_range": 10.0, "sensors__acceleration_range": 0.1}
+    one = rig(actuator__kind="ideal", limits__saturated_time=0.0, **ranges)
+    one.reset()
+    one.step(np.full(1, 99.0))
+    assert one.violation.startswith("acceleration and force at the end of the sensor's range")
 
 
 def test_two_axes_stop_too():

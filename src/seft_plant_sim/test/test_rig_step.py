@@ -52,10 +52,11 @@ def rig(values, axes=("x",), rate=500.0):
     return experiment, Rig.from_parameters(experiment["rig"], axes, experiment.timebase)
 
 
-@pytest.mark.parametrize("axes", [("x",), ("x", "y")], ids=len)
-@pytest.mark.parametrize("values", RIGS, ids=lambda v: "-".join(map(str, v.values())))
+@pytest.mark.parametrize(
+    ("values", "axes"), [*((v, "x") for v in RIGS), (RIGS[2], "xy"), (RIGS[-1], "xy")]
+)
 def test_a_rig_alone_and_in_a_compiled_loop_gives_the_same_bits(values, axes):
-    steps, (_, one) = 600, rig(values, axes)
+    steps, (_, one) = 600, rig(values, tuple(axes))
     amplitude = 400.0 if one.drive == "reference_force" else 4.0
     time = 0.002 * np.arange(steps)[:, np.newaxis] + np.arange(len(axes))
     commands = amplitude * np.sin(2 * np.pi * 6.0 * time)

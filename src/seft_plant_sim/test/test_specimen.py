@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
+from bare_rig import rig_section
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_msgs_py.config.parameter_table import group, resolve
+from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.rig_parameters import RIG_TABLE
 from seft_plant_sim.specimen import Specimen
 from seft_plant_sim.springs import (
     EXPONENT,
@@ -20,9 +20,7 @@ STOREYS = np.array([[1.0, 0.0, 0.0], [-1.0, 1.0, 0.0], [0.0, -1.0, 1.0]])  # of 
 
 def specimen(axes=("x",), **values):
     """Specimen of the table's defaults with changes; a double underscore stands for a dot."""
-    values = {"mass": 52.7, "stiffness": 2.11e5, **values}
-    given = {f"specimen.{name.replace('__', '.')}": value for name, value in values.items()}
-    section = resolve({"rig": RIG_TABLE}, {"rig": RIG_TABLE.check(given)})["rig"]
+    section = rig_section("specimen.", **values)
     return Specimen.from_parameters(group(section, "specimen"), axes, "rig: specimen")
 
 
@@ -162,19 +160,3 @@ def test_bouc_wen_springs_must_yield_at_some_force():
     values = {"kind": "bouc_wen", "yield_displacement": 0.01, "bouc_wen__beta": 0.2}
     with pytest.raises(InputError, match=r"bouc_wen: beta 0.2 and gamma -0.2 must add up to more"):
         specimen(**values, bouc_wen__gamma=-0.2)
-
-
-def test_an_elastic_spring_carries_the_stiffness():
-    """r = D^T s is K x as long as the springs have not yielded."""
-    stiffness = STOREYS.T @ np.diag([3e5, 2e5, 1e5]) @ STOREYS
-    frame = specimen(
-        ("1", "2", "3"),
-        kind="bilinear",
-        stiffness=stiffness.ravel().tolist(),
-        springs=STOREYS.ravel().tolist(),
-        yield_displacement=0.01,
-    )
-    x = np.array([0.001, 0.003, -0.002])
-    e = frame.deformation @ x
-    s = [spring.follow([d])[0, 0] for spring, d in zip(frame.springs, e, strict=True)]
-    np.testing.assert_allclose(frame.deformation.T @ s, stiffness @ x, rtol=1e-9)

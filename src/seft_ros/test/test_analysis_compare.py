@@ -1,13 +1,12 @@
 import dataclasses
-import io
 import json
 import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from rich.console import Console
+from records_at_hand import shown, without
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.comparison import compare_records
@@ -36,14 +35,6 @@ def make_record(count=COUNT, rate=500.0, axes=AXES, missed=0):
     return Record(Experiment({"rig": {"rate": rate, "axes": list(axes)}}), series, missed=missed)
 
 
-def without(record, topic, steps):
-    series = record.series[topic]
-    kept = ~np.isin(series.steps, list(steps))
-    return dataclasses.replace(
-        record, series={**record.series, topic: Series(series.steps[kept], series.values[kept])}
-    )
-
-
 def test_the_same_samples_are_identical():
     result = compare_records(make_record(), make_record(missed=2))
     assert result["identical"] is True
@@ -56,6 +47,7 @@ def test_the_same_samples_are_identical():
         assert (row["max_abs"], row["nrmse"]) == (0.0, 0.0)
 
 
+@settings(max_examples=30)
 @given(place=st.sampled_from(PLACES), step=st.integers(0, COUNT - 1))
 def test_one_bit_anywhere_is_a_difference_and_is_named(place, step):
     topic, row, column = place
@@ -76,6 +68,7 @@ def test_one_bit_anywhere_is_a_difference_and_is_named(place, step):
     assert (swapped["a"], swapped["b"]) == (np.nextafter(value, np.inf), value)
 
 
+@settings(max_examples=30)
 @given(st.lists(st.tuples(st.sampled_from(PLACES), st.integers(0, COUNT - 1)), min_size=1))
 def test_the_smallest_step_comes_first_then_the_order_of_the_topics(changes):
     a, b = make_record(), make_record()
@@ -123,23 +116,6 @@ def test_errors_are_told_of_each_field_and_the_largest_of_the_topic():
     assert row["nrmse"] == pytest.approx(max(0.5, 10.0 / np.sqrt(80) / rms))
 
 
-def test_of_records_of_different_length_the_common_steps_are_compared():
-    result = compare_records(make_record(), make_record(25))
-    assert result["identical"] is False
-    assert result["first_difference"] == {
-        "topic": "ground_motion",
-        "step": 25,
-        "field": None,
-        "axis": None,
-        "a": "present",
-        "b": "missing",
-    }
-    for row in result["topics"].values():
-        assert (row["samples_a"], row["samples_b"]) == (40, 25)
-        assert (row["missing_a"], row["missing_b"]) == (0, 15)
-        assert row["max_abs"] == 0.0
-
-
 def test_samples_are_aligned_by_step_and_not_by_place():
     a = without(make_record(), "rig/state", [3, 4])
     result = compare_records(a, without(make_record(), "rig/state", [10]))
@@ -149,13 +125,6 @@ def test_samples_are_aligned_by_step_and_not_by_place():
         3,
     )
     assert result["first_difference"]["a"] == "missing"
-
-
-def test_a_value_that_differs_before_a_step_is_lost_comes_first():
-    b = without(make_record(), "ground_motion", range(20, 40))
-    b.series["valve_command"].values[19] += 1.0
-    assert compare_records(make_record(), b)["first_difference"]["topic"] == "valve_command"
-    assert compare_records(make_record(), b)["first_difference"]["step"] == 19
 
 
 def test_records_without_a_common_step_are_compared():
@@ -194,16 +163,6 @@ def test_estimates_are_compared_like_samples():
     assert result["topics"][NAME]["fields"]["delay"]["max_abs"] == 0.0
 
 
-@pytest.mark.parametrize("swapped", [False, True])
-def test_estimates_that_only_one_record_has_are_a_difference(swapped):
-    pair = (make_record(), estimating())
-    result = compare_records(*(reversed(pair) if swapped else pair))
-    assert result["first_difference"]["topic"] == NAME
-    assert result["first_difference"]["step"] == 0
-    assert result["first_difference"]["b" if swapped else "a"] == "missing"
-    assert result["topics"][NAME]["missing_b" if swapped else "missing_a"] == 2
-
-
 def test_estimates_are_told_apart_by_name_and_not_by_place():
     turned = Estimates(ESTIMATES.steps, ESTIMATES.values[:, ::-1], ("gain", "delay"))
     assert compare_records(estimating(), estimating(turned))["identical"] is True
@@ -212,36 +171,17 @@ def test_estimates_are_told_apart_by_name_and_not_by_place():
     assert (first["field"], first["a"], first["b"]) == ("gain", 2.0, None)
 
 
-def shown(result):
-    stream = io.StringIO()
-    Console(file=stream, width=200).print(*comparison_texts([result], "ab"), sep="\n")
-    return stream.getvalue()
+def table(result):
+    return shown(comparison_texts([result], "ab"))
 
 
 def test_the_table_says_where_records_first_differ():
     a, b = make_record(), make_record(missed=3)
-    assert "identical, bit for bit; steps that missed the command deadline: 3 in b" in shown(
+    assert "identical, bit for bit; steps that missed the command deadline: 3 in b" in table(
         compare_records(a, b)
     )
     b.series["rig/state"].values[3, 3, 1] = 77.0
-    text = shown(compare_records(a, b))
+    text = table(compare_records(a, b))
     assert "first difference at step 3, rig/state, effort of axis y" in text
     assert "77.0 in b" in text
-    assert "the sample is missing in b" in shown(compare_records(a, make_record(5)))
-
-
-def test_the_table_has_a_row_for_each_quantity_and_says_what_is_missing():
-    a, b = make_record(), without(make_record(), "valve_command", [7, 8])
-    b.series["rig/state"].values[3, 3, 1] += 0.25
-    rows = {
-        cells[0]: cells[1:]
-        for line in shown(compare_records(a, b)).splitlines()
-        if len(cells := [cell.strip() for cell in line.strip("│").split("│")]) == 3
-    }
-    assert [*rows] == [f"{t.name} {name}" for t in LOOP_TOPICS for name in t.quantities]
-    assert rows["rig/state positions"] == ["0 m", "0 %"]
-    assert rows["rig/state effort"][0] == "0.25 N"
-    assert "valve_command: 40 samples in a and 38 in b, 0 not in a, 2 not in b" in shown(
-        compare_records(a, b)
-    )
-    assert "samples" not in shown(compare_records(a, a))
+    assert "the sample is missing in b" in table(compare_records(a, make_record(5)))

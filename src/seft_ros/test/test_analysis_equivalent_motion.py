@@ -159,16 +159,6 @@ def test_a_larger_motion_differs_as_much_everywhere():
     assert low < found.natural_hz[0] and found.natural_hz[-1] < high
 
 
-def test_in_other_units_it_is_the_same():
-    test = experiment()
-    motion, wrong = ground(test), ground(test) + 0.3 * ground(test, seed=2)
-    one = motion_difference(make_record(test, motion, states_of(test, wrong))).numbers()
-    scaled = make_record(test, 1e-3 * motion, 1e-3 * states_of(test, wrong))
-    other = motion_difference(scaled).numbers()
-    one.pop("structure"), other.pop("structure")
-    assert other == pytest.approx(one)
-
-
 def test_half_cycles_tell_the_stiffness_that_a_specimen_had():
     sections = experiment().sections
     sections["reference_force"]["model.stiffness"] = 2 * 2.11e5  # twice what it is
@@ -252,17 +242,6 @@ def test_the_force_that_was_meant_is_that_of_theory():
     meant = tracked_of(make_record(test, motion, states)).command
     restoring = states[:, 3] - 52.7 * states[:, 2]
     np.testing.assert_allclose(meant, -52.7 * motion + 0.5 * restoring, atol=1e-9)
-
-
-def test_the_tracking_error_is_of_the_target_s_displacement():
-    test = experiment(reference_force__compensation__method="none")
-    states = states_of(test, ground(test))
-    x = states[:, 0]
-    targets = np.stack([1.1 * x, states[:, 1], states[:, 3]], axis=1)
-    found = tracking_error_of(make_record(test, ground(test), states, targets))
-    assert found["nrmse"] == pytest.approx(0.1)
-    assert found["peak"] == pytest.approx(0.1 * np.abs(x).max())
-    assert found["rms"] == pytest.approx(0.1 * np.sqrt(np.mean(x**2)))
 
 
 def test_a_reference_force_with_a_target_tells_both_motion_and_force():

@@ -1,13 +1,12 @@
 """What a compensation method identified, in summary, table and figure."""
 
 import dataclasses
-import io
 import json
 import math
 
 import numpy as np
 import pytest
-from rich.console import Console
+from records_at_hand import shown
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.outcome import Trip
 from seft_msgs_py.wire.topics import LOOP_TOPICS
@@ -37,10 +36,8 @@ def make_record(axes=("x",), names=("delay", "stiffness"), **changes):
     return dataclasses.replace(record, **changes)
 
 
-def shown(record):
-    stream = io.StringIO()
-    Console(file=stream, width=200).print(*summary_texts(record, summarise(record)), sep="\n")
-    return stream.getvalue()
+def table(record):
+    return shown(summary_texts(record, summarise(record)))
 
 
 def test_a_summary_tells_how_each_estimate_went_per_axis_in_si_units():
@@ -56,7 +53,7 @@ def test_a_summary_tells_how_each_estimate_went_per_axis_in_si_units():
 def test_a_summary_without_estimates_has_none():
     record = make_record(estimates=None)
     assert summarise(record)["estimates"] == {}
-    assert "identified" not in shown(record)
+    assert "identified" not in table(record)
 
 
 def test_a_summary_of_estimates_that_are_not_finite_is_json_and_can_be_shown():
@@ -65,16 +62,16 @@ def test_a_summary_of_estimates_that_are_not_finite_is_json_and_can_be_shown():
     summary = json.loads(json.dumps(summarise(record), allow_nan=False))
     assert summary["estimates"]["delay"]["x"]["first"] == 0.010
     assert summary["estimates"]["delay"]["x"]["last"] is None
-    assert "delay as identified: 10 to - ms" in shown(record)
+    assert "delay as identified: 10 to - ms" in table(record)
 
 
 def test_the_table_tells_estimates_in_units_for_people():
-    text = shown(make_record())
+    text = table(make_record())
     assert "delay as identified: 10 to 13.6 ms (between 10 and 14.1)" in text
     assert "stiffness as identified: 211 to 190 kN/m (between 190 and 211)" in text
-    both = " ".join(shown(make_record(("x", "y"))).split())
+    both = " ".join(table(make_record(("x", "y"))).split())
     assert "delay as identified: x 10 to 13.6 ms (between 10 and 14.1), y 10 to 12 ms" in both
-    assert "gain as identified: 0.01 to 0.0136 (between" in shown(make_record(names=("gain", "q")))
+    assert "gain as identified: 0.01 to 0.0136 (between" in table(make_record(names=("gain", "q")))
 
 
 def test_where_nothing_is_wrong_the_summary_names_neither_detectors_nor_estimates():
@@ -83,10 +80,9 @@ def test_where_nothing_is_wrong_the_summary_names_neither_detectors_nor_estimate
     error = wrong["displacement"] | {"nrmse": 0.01, "nrmse_aligned": 0.01}
     right = wrong | {"reference_specimen": "simulated", "displacement": error, "missed": 0}
     for summary, told in ((wrong, True), (right, False)):
-        stream = io.StringIO()
-        Console(file=stream, width=200).print(*summary_texts(record, summary), sep="\n")
-        assert ("tracking reached 40.0 % of its threshold" in stream.getvalue()) is told
-        assert ("stiffness as identified" in stream.getvalue()) is told
+        text = shown(summary_texts(record, summary))
+        assert ("tracking reached 40.0 % of its threshold" in text) is told
+        assert ("stiffness as identified" in text) is told
 
 
 @pytest.mark.parametrize("axes", [("x",), ("x", "y")])

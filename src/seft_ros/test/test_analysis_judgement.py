@@ -16,6 +16,8 @@ GOOD = {
     "trip": None,
     "stable": True,
     "complete": True,
+    "damage": [],
+    "checked": True,
     "missed": 0,
     "overruns": 0,
     "link": None,
@@ -59,6 +61,7 @@ def test_a_test_without_fault_can_be_trusted():
     ("changes", "mark", "name"),
     [
         ({"trip": {"reason": "force", "step": 7, "time_s": 0.014}}, Mark.BAD, "ending"),
+        ({"damage": ["the end is missing"]}, Mark.DOUBT, "damage"),
         ({"stable": False}, Mark.BAD, "ending"),
         ({"complete": False}, Mark.BAD, "ending"),
         ({"complete": False, "first_step": None}, Mark.BAD, "ending"),

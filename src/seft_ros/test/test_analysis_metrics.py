@@ -45,10 +45,6 @@ def test_nrmse_of_a_gain_is_its_distance_from_one():
     assert nrmse(np.zeros_like(TIME), motion()) == pytest.approx(1.0, rel=1e-12)
 
 
-def test_nrmse_of_hand_values():
-    assert nrmse(np.array([1.0, 2.0, 2.0]), np.array([1.0, 2.0, 4.0])) == math.sqrt(4 / 21)
-
-
 def test_axes_are_taken_together():
     reference = np.array([[3.0, 0.0], [0.0, 4.0]])
     y = np.array([[3.0, 1.0], [0.0, 4.0]])
@@ -56,21 +52,10 @@ def test_axes_are_taken_together():
     assert peak(-reference) == 4.0
 
 
-@pytest.mark.parametrize("delay", [0.0037, -0.0037, 0.0101, 0.0, 0.002, 1e-5, 0.25])
-def test_a_known_delay_is_found_within_a_microsecond(delay):
-    assert best_fit_delay(motion(delay), motion(), DT) == pytest.approx(delay, abs=1e-6)
-
-
 @QUICK
 @given(delay=DELAYS, gain=st.floats(0.2, 5.0))
 def test_any_delay_is_found_whatever_the_gain(delay, gain):
     assert best_fit_delay(gain * motion(delay), motion(), DT) == pytest.approx(delay, abs=1e-6)
-
-
-def test_positive_delay_means_that_the_response_lags():
-    y = np.roll(motion(), 5)
-    assert best_fit_delay(y, motion(), DT) == pytest.approx(5 * DT, abs=1e-9)
-    assert best_fit_delay(motion(), y, DT) == pytest.approx(-5 * DT, abs=1e-9)
 
 
 def test_a_delay_is_found_under_noise():
@@ -151,11 +136,6 @@ def test_the_same_is_no_error_and_no_delay():
 def test_a_constant_has_no_delay():
     found = agreement(np.full(50, 3.3), np.full(50, 3.0), DT)
     assert found == Agreement(pytest.approx(0.1), pytest.approx(0.1), 3.3, 3.0, 0.0)
-
-
-def test_a_single_sample_is_compared():
-    found = agreement(np.array([[1.5]]), np.array([[1.0]]), DT)
-    assert found == Agreement(0.5, 0.5, 1.5, 1.0, 0.0)
 
 
 def test_against_a_zero_reference_errors_and_delay_are_undefined():

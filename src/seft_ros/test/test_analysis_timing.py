@@ -2,14 +2,13 @@
 
 import dataclasses
 import os
-import signal
-import time
 
 import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.node.host import FIRST_NICENESS
 from seft_ros.analysis.timing import stalls_of, timing_of
+from seft_ros.bags import stall_watch
 from seft_ros.bags.record import Record, Series
 from seft_ros.bags.stall_watch import StallWatch
 
@@ -103,21 +102,42 @@ def test_where_nobody_watched_the_machine_nothing_is_said_of_it():
 
 
 @pytest.mark.parametrize("first", [False, True])
-def test_a_stall_watch_sees_its_own_process_stopped(first):
-    watch = StallWatch()
+def test_a_stall_watch_takes_precedence_where_its_loop_does_and_tells_what_it_saw(first):
+    watch, own = StallWatch(), os.getpriority(os.PRIO_PROCESS, 0)
     watch.begin(sorted(os.sched_getaffinity(0)), 0.002, 0, first=first)
     if os.geteuid() == 0:  # whose right it is
-        assert os.getpriority(os.PRIO_PROCESS, watch.pid) == (FIRST_NICENESS if first else 0)
-    time.sleep(0.3)
-    os.kill(watch.pid, signal.SIGSTOP)
-    time.sleep(0.2)
-    os.kill(watch.pid, signal.SIGCONT)
-    time.sleep(0.1)
+        assert os.getpriority(os.PRIO_PROCESS, watch.pid) == (FIRST_NICENESS if first else own)
     seen = watch.end()
-    assert seen["longest_s"] > 0.15
-    assert seen["count"] >= 1
-    begin, end = max(seen["intervals_ns"], key=lambda each: each[1] - each[0])
-    assert (end - begin) * 1e-9 == pytest.approx(seen["longest_s"], abs=1e-6)
+    assert (seen["period"], seen["late_s"]) == (0.0005, 0.001)
+    assert seen["beats"] >= seen["count"] >= len(seen["intervals_ns"])
+
+
+class Machine:
+    """A clock, and sleeps that end late by turns."""
+
+    def __init__(self, *late):
+        self.now, self._late = 100.0, iter(late)
+
+    def sleep(self, _files, _others, _more, timeout):
+        late = next(self._late, None)
+        if late is None:
+            return [[0]]  # it is to end
+        self.now += timeout + late
+        return [[]]
+
+
+def test_a_stall_is_a_deadline_met_late_and_those_missed_meanwhile_are_passed_over(monkeypatch):
+    machine = Machine(0.0, 0.0005, 0.0032, 0.0, 0.0015)
+    monkeypatch.setattr(stall_watch.select, "select", machine.sleep)
+    monkeypatch.setattr(stall_watch.time, "monotonic", lambda: machine.now)
+    monkeypatch.setattr(stall_watch.time, "time_ns", lambda: round(1e9 * machine.now))
+    seen = stall_watch.watch(0.001, 0.001)
+    assert (seen["beats"], seen["count"]) == (5, 2)
+    assert seen["longest_s"] == pytest.approx(0.0032)
+    lengths = [1e-9 * (end - begin) for begin, end in seen["intervals_ns"]]
+    assert lengths == pytest.approx([0.0032, 0.0015])
+    # deadlines at 1, 2, 3 and, of the three that were missed, the next at 7 and 8 ms
+    assert machine.now == pytest.approx(100.0095)
 
 
 def test_a_stall_watch_that_was_not_begun_tells_nothing():

@@ -2,18 +2,17 @@
 
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
-from seft_msgs_py.config.experiment import Experiment, parse_override, read_parameter_file
+from experiments_at_hand import JHU, load
+from seft_msgs_py.config.experiment import Experiment, read_parameter_file
 from seft_plant_sim.lti import bilinear, polynomial_ratio
 from seft_ros.bags.record_bag import read_bag
 from seft_ros.design.force_tracking import tracking_measures
 from seft_ros.design.plant import choose_plant
 from seft_ros.test_run.parameter_tables import TABLES
 
-JHU = str(Path(__file__).parents[3] / "config" / "jhu.yaml")
 LINEAR = ("rig:actuator.kind:=servo_hydraulic_linear",)
 SHORT = ("--duration", "40")
 BRIEF = ("--duration", "15", "--amplitude", "0.2")
@@ -34,7 +33,7 @@ def identify(seft):
 
 def analytic(*overrides):
     """Plant of the rig's linear model, and measures of its closed force loop, as it runs."""
-    experiment = Experiment.load(TABLES, [JHU], [parse_override(text) for text in overrides])
+    experiment = load(*overrides)
     own, dt = experiment["force_controller"], experiment.timebase.dt
     plant, f = choose_plant(experiment, "rig"), np.geomspace(0.1, 0.499 / dt, 3000)
     sampled = bilinear(np.atleast_1d(own["numerator"]), own["denominator"], dt)
@@ -42,29 +41,13 @@ def analytic(*overrides):
     return plant, tracking_measures(f, loop / (1 + loop))
 
 
-RIGS = {
-    "paper": (),
-    "heavier, softer valve": (
-        "rig:specimen.mass:=60.0",
-        "rig:specimen.stiffness:=2.4e5",
-        "rig:actuator.oil_column_frequency:=75.0",
-        "rig:actuator.valve_frequency:=50.0",
-        "rig:actuator.leakage:=15.0",
-        "force_controller:numerator:=25.0",
-        "rate:=1000.0",
-    ),
-}
-
-
-@pytest.mark.parametrize("name", RIGS)
-def test_plant_loop_and_closed_loop_agree_with_the_analytic_model(identify, name):
-    overrides = (*LINEAR, *RIGS[name])
-    status, found, _ = identify(*SHORT, "--out", "out", overrides=overrides)
-    plant, measures = analytic(*overrides)
+def test_plant_loop_and_closed_loop_agree_with_the_analytic_model(identify):
+    status, found, _ = identify(*SHORT, "--out", "out", overrides=LINEAR)
+    plant, measures = analytic(*LINEAR)
     zero, pole = plant.antiresonance(), plant.oil_column()
     assert status == 0
     assert found["notes"][0].startswith("actuator.* describes the actuators and holds for any")
-    rig = Experiment.load(TABLES, [JHU], [parse_override(text) for text in overrides])["rig"]
+    rig = load(*LINEAR)["rig"]
     actuator = found["actuator"]
     assert actuator["verdict"] == "good"
     assert actuator["flow_gain_m_per_s_per_v"] == pytest.approx(rig["actuator.flow_gain"], rel=0.01)
@@ -155,23 +138,8 @@ def test_a_rig_whose_controller_needs_its_actuators_is_identified_without_knowin
     assert not any("tracking.num" in name for name in read_parameter_file("out/model.yaml"))
 
 
-def test_the_same_seed_gives_the_same_samples_and_numbers(identify, seft):
-    first = identify(*BRIEF, "--out", "a")[1]
-    second = identify(*BRIEF, "--out", "b")[1]
-    other = identify(*BRIEF, "--seed", "2", "--out", "c")[1]
-    for test in ("open_loop", "closed_loop"):
-        assert seft("compare", f"a/{test}", f"b/{test}", "--json")[0] == 0  # bit for bit
-    assert first.keys() == second.keys()
-    for name, value in first.items():  # numpy 1.26 is not exact to the bit in every run
-        if isinstance(value, float | int):
-            assert value == pytest.approx(second[name], rel=1e-5), name
-    assert first["plant_zero_hz"] != other["plant_zero_hz"]
-    assert first["plant_zero_hz"] == pytest.approx(other["plant_zero_hz"], rel=0.02)
-
-
-@pytest.mark.parametrize(("kind", "delay"), [("ideal", 0.002), ("delay", 0.0133)])
-def test_a_rig_without_a_valve_has_the_closed_loop_only(identify, tmp_path, kind, delay):
-    overrides = (f"rig:actuator.kind:={kind}", "rig:actuator.delay:=0.0113")
+def test_a_rig_without_a_valve_has_the_closed_loop_only(identify, tmp_path):
+    overrides, delay = ("rig:actuator.kind:=delay", "rig:actuator.delay:=0.0113"), 0.0133
     status, found, _ = identify("--duration", "20", "--out", "out", overrides=overrides)
     assert status == 0
     assert found["plant_zero_hz"] is found["plant_pole_hz"] is None
@@ -255,14 +223,8 @@ def test_too_little_amplitude_is_told_with_band_and_remedy(identify, tmp_path):
         (("--signal", "sine"), "one of random, chirp"),
         (("--band", "10", "5"), "--band is 10 to 5 Hz"),
         (("--duration", "5"), "needs 13.3333 s"),
-        (("--duration", "1e9"), "--duration"),
-        (("--amplitude", "5"), "--amplitude is 5 V"),
-        (("--force", "1e5"), "--force is 100000 N"),
-        (("--external", "recorder"), "--external"),
         (("--external", "force_controller"), "--external"),
-        (("-p", "force_controller:denominator:=0"), "denominator is zero"),
         (("-p", "rig:specimen.mass:=0"), "specimen.mass"),
-        (("--params-file", "none.yaml"), "none.yaml"),
         (("--out", "."), "exists already"),
     ],
 )
@@ -272,19 +234,3 @@ def test_wrong_input_is_told_before_anything_is_written(seft, tmp_path, words, t
     assert err.count("\n") == 1
     assert told in err
     assert not any(tmp_path.iterdir())
-
-
-def test_people_get_a_table(seft):
-    status, out, _ = seft("identify", JHU, *BRIEF, "--out", "out")
-    assert status == 0
-    for words in (
-        "flow gain",
-        "good",
-        "describes the actuators",
-        "oil column",
-        "bandwidth",
-        "delay",
-        "stiffness",
-        "out/",
-    ):
-        assert words in out

@@ -1,34 +1,13 @@
 import json
 import os
-import signal
-import subprocess
 import sys
-import time
-from pathlib import Path
 
 import pytest
+from experiments_at_hand import CONFIG, JHU
 from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
+from seft_ros.study import study_runs
 
-JHU = str(Path(__file__).parents[3] / "config" / "jhu.yaml")
 SHORT = ("-p", "ground_motion:synthetic.duration:=4", "-p", "ground_motion:tail:=0.5")
-SEFT = (sys.executable, "-m", "seft_ros.cli.main")
-
-
-def start(folder, *words):
-    """Start a command in a folder of its own, its output in files there."""
-    folder.mkdir(exist_ok=True)
-    with (folder / "out").open("w") as out, (folder / "err").open("w") as err:
-        return subprocess.Popen(
-            [*SEFT, "study", JHU, *SHORT, *words, "--json"],
-            cwd=folder,
-            stdout=out,
-            stderr=err,
-        )
-
-
-def numbers(folder, *words):
-    assert start(folder, *words).wait(timeout=300) == 0, (folder / "err").read_text()
-    return json.loads((folder / "out").read_text())
 
 
 def test_the_page_the_table_and_the_files_of_the_worst_tests(seft, tmp_path):
@@ -47,39 +26,10 @@ def test_the_page_the_table_and_the_files_of_the_worst_tests(seft, tmp_path):
     assert list(tmp_path.glob("*.jsonl")) == []
 
 
-def test_test_0_is_that_of_simulate_and_a_worst_test_that_of_its_file(seft):
-    words = ("--tests", "2", "--workers", "1", "--json")
-    status, out, _ = seft("study", JHU, *SHORT, *words)
-    assert status == 0
-    (result,) = json.loads(out)["results"]
-    _, out, _ = seft("simulate", JHU, *SHORT, "--json")
-    alone = json.loads(out)
-    worst = result["worst"][0]
-    _, out, _ = seft("simulate", worst["file"], "--json")
-    again, run = json.loads(out), result["runs"][worst["test"] - 1]
-    for name in ("displacement", "acceleration", "force", "stable", "trip", "steps"):
-        assert result["configured"][name] == alone[name]
-        assert run[name] == again[name]
-
-
-def test_none_is_unstable_at_mass_ratio_1_5(seft):
-    words = ("--mass-ratio", "1.5", "--tests", "2", "--workers", "1", "--json")
-    words = (*words, "--method", "none", "--method", "restoring")
-    duration = ("-p", "ground_motion:synthetic.duration:=12")
-    status, out, _ = seft("study", JHU, *SHORT, *duration, *words)
-    assert status == 0
-    restoring, none = json.loads(out)["results"]
-    assert (restoring["method"], none["method"]) == ("restoring", "none")
-    assert (none["trips"]["share"], restoring["trips"]["share"]) == (1.0, 0.0)
-    assert none["distribution"]["displacement"]["median"] is None
-    assert restoring["distribution"]["displacement"]["max"] > 0
-    assert all(run["trip"] for run in none["runs"])
-
-
-@pytest.mark.parametrize("name", ["jhu", "demo"])  # demo's controller follows a target alone
-def test_every_method_there_is_takes_part_with_any_controller(seft, name):
+def test_every_method_there_is_takes_part_with_any_controller(seft):
+    """The demo's controller follows a target alone."""
     words = ("--method", "all", "--tests", "2", "--workers", "1", "--json")
-    status, out, _ = seft("study", Path(JHU).with_name(f"{name}.yaml"), *SHORT, *words)
+    status, out, _ = seft("study", CONFIG / "demo.yaml", *SHORT, *words)
     assert status == 0
     found = json.loads(out)
     took_part = {result["method"] for result in found["results"]}
@@ -87,50 +37,15 @@ def test_every_method_there_is_takes_part_with_any_controller(seft, name):
     assert {"none", "restoring", "target_motion"} <= took_part  # they need nothing identified
 
 
-def test_a_command_that_is_killed_goes_on_where_it_was(tmp_path):
-    words = ("--tests", "60")
-    whole = numbers(tmp_path / "whole", *words)
-    killed = start(tmp_path / "killed", *words, "--workers", "1")
-    while not (kept := list((tmp_path / "killed").glob("study-*.jsonl"))):
-        assert killed.poll() is None, (tmp_path / "killed" / "err").read_text()
-        time.sleep(0.005)
-    killed.kill()
-    killed.wait()
-    assert kept[0].exists()
-    again = numbers(tmp_path / "killed", *words)
-    assert again == whole
-    assert not kept[0].exists()
-
-
-def test_an_interruption_says_how_it_goes_on(tmp_path):
-    command = start(tmp_path, "--tests", "5000")
-    while not list(tmp_path.glob("study-*.jsonl")):
-        assert command.poll() is None, (tmp_path / "err").read_text()
-        time.sleep(0.01)
-    command.send_signal(signal.SIGINT)
-    assert command.wait(timeout=60) == 1
-    assert (
-        (tmp_path / "err")
-        .read_text()
-        .endswith("seft: interrupted; no result yet; the same command in this folder continues\n")
-    )
-
-
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["--tests", "1"], "--tests"),
         (["--method", "nome"], "did you mean none?"),
-        (["--mass-ratio", "nan"], "mass_ratio is nan"),
         (["--workers", "0"], "--workers"),
-        (["--seed", "-1"], "--seed"),
-        (["-p", "ground_motion:file:=none.AT2"], "none.AT2"),
-        (["-p", "force_controller:denominator:=0"], "denominator is zero"),
         (["-p", "rig:actuator.oil_column_frequency:=10.08"], "drawn test"),
         (["--motion", "none.AT2"], "none.AT2"),
         (["--out", "none/page.html"], "no folder none"),
         (["--spread", "2"], "--spread"),
-        (["-p", "rig:specimen.mass:=0"], "specimen.mass is 0.0"),
         (["--scheduler", "tcp://127.0.0.1:9"], "no Dask scheduler answers there"),
         (["--scheduler", "cluster"], "--scheduler cluster"),
     ],
@@ -150,3 +65,26 @@ def test_without_dask_a_scheduler_is_refused_with_the_way_to_install_it(seft, mo
     assert status == 2
     assert "pip install 'seft_ros[dask]'" in err
     assert os.linesep.join(err.splitlines()[-1:]).startswith("seft: --scheduler")
+
+
+def test_an_interruption_says_how_it_goes_on_and_so_it_does(seft, tmp_path, monkeypatch):
+    words = ("study", JHU, *SHORT, "--tests", "3", "--workers", "1", "--json")
+    whole, run_study = seft(*words)[1], study_runs.run_study
+
+    def interrupted(plan, progress, **options):
+        def report(what, done):
+            progress(what, done)
+            if done == 2:
+                raise KeyboardInterrupt
+
+        return run_study(plan, report, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(study_runs, "run_study", interrupted)
+        status, out, err = seft(*words)
+    assert (status, out) == (1, "")
+    told = "seft: interrupted; no result yet; the same command in this folder continues\n"
+    assert err.endswith(told)
+    assert len(list(tmp_path.glob("study-*.jsonl"))) == 1
+    assert seft(*words)[1] == whole
+    assert not list(tmp_path.glob("study-*.jsonl"))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from seft_msgs_py.config.experiment import Experiment
+from experiments_at_hand import load
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.messages import Status
 from seft_msgs_py.wire.topics import RIG_STATE, VALVE_COMMAND
@@ -22,32 +22,15 @@ from seft_ros.conformance.driver import (
     summarise_findings,
 )
 from seft_ros.conformance.motion_checks import BadCommands, MotionDrive
-from seft_ros.test_run.parameter_tables import TABLES
 
 RATE = 500.0
 DT = 1 / RATE
 G = 9.80665
-OVERRIDES = [
-    ("/**", "rate", RATE),
-    ("reference_force", "model.mass", 52.7),
-    ("reference_force", "model.damping", 800.3),
-    ("reference_force", "model.stiffness", 2.11e5),
-    ("force_controller", "numerator", [37.0]),
-    ("force_controller", "denominator", [1.0, 17.14, 4002.0]),
-    ("rig", "specimen.mass", 52.7),
-    ("rig", "specimen.damping", 800.3),
-    ("rig", "specimen.stiffness", 2.11e5),
-    ("rig", "actuator.kind", "servo_hydraulic_linear"),
-    ("rig", "sensors.position_noise", 5e-6),
-    ("rig", "sensors.velocity_noise", 1e-3),
-    ("rig", "sensors.acceleration_noise", 0.05),
-    ("rig", "sensors.force_noise", 3.0),
-]
 
 
 @pytest.fixture(scope="module")
 def experiment():
-    return Experiment.load(TABLES, [], OVERRIDES)
+    return load("rig:actuator.kind:=servo_hydraulic_linear")
 
 
 @pytest.fixture(scope="module")

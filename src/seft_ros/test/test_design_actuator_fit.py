@@ -1,28 +1,23 @@
 """The seven numbers of an actuator from a test of it, whatever specimen it pushes."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
+from experiments_at_hand import load
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_plant_sim.rig import Rig
 from seft_ros.design.actuator_fit import fit_actuator
 from seft_ros.ground_motion.synthetic_motion import excitation
-from seft_ros.test_run.parameter_tables import TABLES
 
-CONFIG = Path(__file__).parents[3] / "config"
 DURATION, TAIL = 40.0, 1.0
 BAND = (0.3, 200.0)
 
 
 def driven(*overrides, volts=0.2, of="jhu", seed=1):
     """Drive a rig by noise; commands, displacements, accelerations, forces, each (N, n), and dt."""
-    experiment = Experiment.load(
-        TABLES, [CONFIG / f"{of}.yaml"], [parse_override(text) for text in overrides]
-    )
+    experiment = load(*overrides, config=of)
     axes, dt = experiment.axes, experiment.timebase.dt
     rig = Rig.from_parameters(experiment["rig"], axes, experiment.timebase)
     band = BAND[0], min(BAND[1], 0.45 / dt)
@@ -69,24 +64,18 @@ SPECIMEN = "rig:specimen."
 ACTUATOR = "rig:actuator."
 RIGS = {
     "the paper's": ((), {}),
-    "yields": ((SPECIMEN + "kind:=bilinear", SPECIMEN + "yield_displacement:=0.003"), {}),
     "yields much": ((SPECIMEN + "kind:=bilinear", SPECIMEN + "yield_displacement:=0.0001"), {}),
     "slips": ((SPECIMEN + "kind:=friction", SPECIMEN + "friction.force:=200.0"), {}),
     "no friction": ((ACTUATOR + "friction:=0.0",), {}),
-    "30 N friction": ((ACTUATOR + "friction:=30.0",), {}),
     "sharp friction": ((ACTUATOR + "friction:=30.0", ACTUATOR + "friction_velocity:=0.001"), {}),
     "slow valve": ((ACTUATOR + "valve_frequency:=30.0",), {"valve_frequency": 30.0}),
-    "fast valve": ((ACTUATOR + "valve_frequency:=120.0",), {"valve_frequency": 120.0}),
     "soft oil": ((ACTUATOR + "oil_column_frequency:=30.0",), {"oil_stiffness": 1.6615e6}),
-    "stiff oil": ((ACTUATOR + "oil_column_frequency:=120.0",), {"oil_stiffness": 2.9749e7}),
     "half the flow": ((ACTUATOR + "flow_gain:=0.02015",), {"flow_gain": 0.02015}),
-    "twice the flow": ((ACTUATOR + "flow_gain:=0.0806",), {"flow_gain": 0.0806}),
     "late": ((ACTUATOR + "dead_time:=0.01",), {"dead_time": 0.01}),
-    "1 kHz": (("rate:=1000.0",), {}),
     "2 kHz": (("rate:=2000.0",), {}),
     "velocity derived": (("rig:sensors.velocity:=derived",), {}),
 }
-VOLTS = {"slow valve": 0.5, "soft oil": 0.8, "half the flow": 0.4, "twice the flow": 0.1}
+VOLTS = {"slow valve": 0.5, "soft oil": 0.8, "half the flow": 0.4}
 
 
 @pytest.mark.parametrize("name", RIGS)
@@ -95,20 +84,18 @@ def test_the_actuator_is_found_with_any_specimen_and_all_noise(name):
     assert_found(fitted(*overrides, volts=VOLTS.get(name, 0.2)), **other)
 
 
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_of_several_axes_each_has_its_own(axis):
-    gains = [0.0403, 0.03, 0.05]
+def test_of_several_axes_each_has_its_own():
+    axis, gains = 2, [0.0403, 0.03, 0.05]
     fit = fitted(
         f"rig:actuator.flow_gain:={gains}",
         "rig:actuator.valve_frequency:=[70.0, 50.0, 90.0]",
         of="three_storey_frame",
         axis=axis,
     )
-    valve = (70.0, 50.0, 90.0)[axis]
-    assert_found(fit, flow_gain=gains[axis], oil_stiffness=1.685e7, valve_frequency=valve)
+    assert_found(fit, flow_gain=0.05, oil_stiffness=1.685e7, valve_frequency=90.0)
 
 
-@settings(max_examples=8, phases=(Phase.explicit, Phase.generate))
+@settings(max_examples=4, phases=(Phase.explicit, Phase.generate))
 @given(
     valve=st.floats(30.0, 120.0),
     damping=st.floats(0.4, 1.0),

@@ -140,25 +140,9 @@ def test_so_they_are_with_a_delay_of_the_loop(method):
         ([SERVO, {"rig": COUPLED | {"sensors.velocity": "derived"}}], "xy"),
     ],
 )
-@pytest.mark.parametrize("method", ["none", "model"])
-def test_so_they_are_of_other_rigs_and_sensors(parts, axes, method):
-    test = experiment(*parts, axes=tuple(axes), mass_ratio=0.4, compensation__method=method)
+def test_so_they_are_of_other_rigs_and_sensors(parts, axes):
+    test = experiment(*parts, axes=tuple(axes), mass_ratio=0.4, compensation__method="model")
     assert_same(test)
-
-
-@settings(max_examples=40)
-@given(
-    delay=st.floats(0.0, 0.03),
-    mass_ratio=st.floats(0.0, 1.2),
-    rate=st.sampled_from([200.0, 500.0, 1000.0]),
-    servo=st.booleans(),
-    method=st.sampled_from(["none", "restoring", "model"]),
-)
-def test_so_they_are_at_any_delay_and_rate(delay, mass_ratio, rate, servo, method):
-    dead_time = {"rig": SERVO["rig"] | {"actuator.dead_time": delay}}
-    rig = dead_time if servo else delayed(delay)
-    test = experiment(rig, rate=rate, mass_ratio=mass_ratio, compensation__method=method)
-    assert_same(test, 60)
 
 
 def test_a_rig_that_is_not_linear_is_taken_at_its_small_signal_limit():
@@ -174,7 +158,7 @@ def test_a_rig_that_is_not_linear_is_taken_at_its_small_signal_limit():
         )
 
 
-@pytest.mark.parametrize("method", ["none", "model", "restoring"])
+@pytest.mark.parametrize("method", ["none", "model"])
 def test_a_plant_identified_exactly_gives_the_rigs_own_loop(method):
     """The motion then follows from the specimen."""
     model = continuous_model(experiment(SERVO)["rig"], ("x",))
@@ -202,7 +186,7 @@ def test_a_plant_identified_exactly_gives_the_rigs_own_loop(method):
         assert ends[0].hz == pytest.approx(ends[1].hz, rel=1e-3)
 
 
-@settings(max_examples=30)
+@settings(max_examples=15)
 @given(size=st.integers(60, 90), density=st.floats(0.002, 0.05), seed=st.integers(0, 1000))
 def test_a_loop_taken_apart_has_the_eigenvalues_of_the_whole(size, density, seed):
     rng = np.random.default_rng(seed)
@@ -230,8 +214,7 @@ def neutral_delay_critical(damping_ratio, delay, natural):
     return min(abs(forced(brentq(turned, w[i], w[i + 1]))) for i in crossing)
 
 
-@pytest.mark.parametrize("delay", [0.004, 0.010, 0.020])
-@pytest.mark.parametrize("damping", [100.0, C])
+@pytest.mark.parametrize(("delay", "damping"), [(0.004, C), (0.020, 100.0)])
 def test_a_pure_delay_ends_where_the_neutral_delay_equation_says(delay, damping):
     """At a high rate; the sample that answers is one later, and the hold half a sample more."""
     rate, natural = 5000.0, np.sqrt(K / M)
@@ -241,13 +224,6 @@ def test_a_pure_delay_ends_where_the_neutral_delay_equation_says(delay, damping)
     assert found.value == pytest.approx(
         neutral_delay_critical(ratio, delay + 1 / rate, natural), rel=0.01
     )
-
-
-def test_ten_milliseconds_at_500_hz_end_at_the_known_mass_ratio():
-    found = critical_mass_ratio(Plan(experiment(delayed(0.010))))
-    assert found.value == pytest.approx(0.94, abs=0.02)
-    assert Plan(experiment(delayed(0.010), mass_ratio=0.9)).growth_rate() < 0
-    assert Plan(experiment(delayed(0.010), mass_ratio=1.0)).growth_rate() > 0
 
 
 @pytest.mark.parametrize("alpha", [0.2, 0.5, 0.9])

@@ -118,20 +118,6 @@ def stronger(factor):
 
 
 @pytest.mark.parametrize("parts", [(), (COUPLED,)], ids=["one axis", "two axes"])
-def test_powers_of_the_matrix_are_what_a_small_test_does(parts):
-    """The steps themselves, with all that they learn of it."""
-    test = experiment(*parts)
-    ground, found = test_motion(test, SMALL, 600, noise=False)
-    loop = Plan(test).loops()[0]
-    q, expected = np.zeros(len(loop.matrix)), []
-    for k in range(600):
-        expected.append(loop.displacement @ q)
-        q = loop.matrix @ q + loop.ground @ ground[k:].ravel()[: loop.ground.shape[1]]
-    largest = np.abs(expected).max()
-    np.testing.assert_allclose(found[:, 0], expected, rtol=0, atol=2e-3 * largest)
-
-
-@pytest.mark.parametrize("parts", [(), (COUPLED,)], ids=["one axis", "two axes"])
 def test_the_frozen_steps_are_met_to_rounding(parts):
     """Of a target with the force as told, on any measured motion."""
     test = experiment(*parts)
@@ -191,32 +177,7 @@ def test_the_sure_ones_are_those_of_a_controller_that_takes_the_valves_for_the_w
         assert grows(experiment(change), USUAL, held=worst, noise=False) is unstable
 
 
-def test_a_usual_test_is_stable_within_the_sure_margins_whatever_it_learns():
-    margins = planned()[1]
-    late = {"rig": {"actuator.dead_time": 0.97 * margins.sure_dead_time.value}}
-    for change in (late, stronger(0.97 * margins.robust_gain.highest.value)):
-        _, found = test_motion(experiment(change), USUAL, 4000)
-        quiet, last = (np.abs(part).max() for part in (found[2000:3000, 3], found[3000:, 3]))
-        assert last < 1.5 * quiet < 100.0
-
-
-@pytest.mark.parametrize(("part", "tripped"), [(0.8, False), (10.0, True)])
-def test_so_it_is_in_the_offline_loop_with_all_that_is_not_linear(part, tripped):
-    """`config/demo.yaml` itself; nearer to the margin, it vibrates enough to be stopped."""
-    margins = planned()[1]
-    late = part * margins.sure_dead_time.value
-    words = [("rig", "actuator.dead_time", late), ("ground_motion", "peak_force", 200.0)]
-    unwatched = ("force_controller", "detectors.warn_only", "all")
-    test = Experiment.load(TABLES, [DEMO], [*words, unwatched])
-    assert (simulate_test(test, build_blocks(test)).trip is not None) is tripped
-    if tripped:
-        return
-    strong = 0.0403 * part * margins.robust_gain.highest.value
-    test = Experiment.load(TABLES, [DEMO], [("rig", "actuator.flow_gain", strong), unwatched])
-    assert simulate_test(test, build_blocks(test)).trip is None
-
-
-@pytest.mark.parametrize("factor", [0.001, 0.3, 2.0, 3.0])
+@pytest.mark.parametrize("factor", [0.001, 3.0])
 def test_so_it_is_with_any_local_stiffness_from_0_to_3_times_the_told_one(factor):
     margins = planned()[1]
     assert margins.stiffness.ends() == margins.followed.ends() == []
@@ -257,7 +218,7 @@ def test_a_rig_that_is_not_simulated_is_what_the_controller_is_told_of_it():
     assert Plan(told).rig.plant.source == "identified"
 
 
-@pytest.mark.parametrize("delay", [1, 4])
+@pytest.mark.parametrize("delay", [0, 4])
 def test_with_a_delay_of_the_loop_the_matrix_is_what_the_offline_loop_does(delay):
     quiet = {"rig": QUIET | {"sensors.adc_bits": 0}, "ground_motion": {"peak_force": 1e-4}}
     late = {node: {"loop_delay": delay} for node in ("reference_force", "force_controller")}
@@ -287,3 +248,12 @@ def test_a_transfer_function_takes_the_force_of_the_first_point():
 def test_velocity_feedforward_needs_a_target_motion():
     with pytest.raises(InputError, match="needs a target motion"):
         Plan(experiment({"reference_force": {"compensation.method": "none"}}))
+
+
+def test_a_usual_test_is_stable_within_the_sure_margins_whatever_it_learns():
+    margins = planned()[1]
+    late = {"rig": {"actuator.dead_time": 0.97 * margins.sure_dead_time.value}}
+    for change in (late, stronger(0.97 * margins.robust_gain.highest.value)):
+        _, found = test_motion(experiment(change), USUAL, 4000)
+        quiet, last = (np.abs(part).max() for part in (found[2000:3000, 3], found[3000:, 3]))
+        assert last < 1.5 * quiet < 100.0

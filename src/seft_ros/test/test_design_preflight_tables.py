@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from experiments_at_hand import simulated
 from seft_msgs_py.config.experiment import Experiment, parse_override, read_parameter_file
 from seft_msgs_py.errors import InputError
 from seft_ros.design.preflight_tables import (
@@ -40,7 +41,7 @@ def test_a_test_stays_within_limits_that_fit_it(tmp_path):
     halved = {name: limit / 2 for name, limit in limits.items()}
     write_limits(tmp_path / "limits.yaml", halved)
     experiment = load(files=[tmp_path / "limits.yaml"])
-    assert "beyond the limit" in simulate_test(experiment, build_blocks(experiment)).trip.reason
+    assert "beyond the limit" in simulated(experiment).trip.reason
 
 
 def test_peaks_grow_with_the_motion():

@@ -48,21 +48,11 @@ def test_without_noise_the_matrices_are_found(axes):
 def test_noise_of_the_sensors_does_not_bias_it():
     """Noise as large as the signals; least squares on the signals would see half the stiffness."""
     noise = (1.5e-3, 4.0, 300.0)
-    fits = [fit_specimen([measured(1, noise, seed)]) for seed in range(12)]
+    fits = [fit_specimen([measured(1, noise, seed)]) for seed in range(8)]
     for name, known in (("mass", MASS), ("damping", DAMPING), ("stiffness", STIFFNESS)):
         values = np.array([getattr(fit, name)[0, 0] for fit in fits]) / known[0, 0]
         assert values.std() > 1e-4
         assert abs(values.mean() - 1) < 3 * values.std() / np.sqrt(len(values)) + 0.005
-
-
-def test_two_tests_together_scatter_less_than_one():
-    noise = (1.5e-3, 4.0, 300.0)
-    one = [fit_specimen([measured(1, noise, s)]).stiffness[0, 0] for s in range(10)]
-    two = [
-        fit_specimen([measured(1, noise, s), measured(1, noise, 100 + s)]).stiffness[0, 0]
-        for s in range(10)
-    ]
-    assert np.std(two) < np.std(one)
 
 
 def test_frequencies_and_dampings_are_those_of_the_matrices():

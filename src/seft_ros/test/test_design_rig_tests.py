@@ -1,10 +1,9 @@
 """The tests of an identification as experiments, run offline."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from seft_msgs_py.config.experiment import Experiment, parse_override
+from experiments_at_hand import JHU, load, simulated
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_ros.design.rig_tests import (
     Levels,
@@ -18,20 +17,9 @@ from seft_ros.design.rig_tests import (
     voltage_after,
 )
 from seft_ros.ground_motion.synthetic_motion import excitation
-from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
-JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
 LEVELS = Levels(voltage=0.1, force=200.0)
-
-
-def experiment(*overrides):
-    return Experiment.load(TABLES, [JHU], [parse_override(text) for text in overrides])
-
-
-def run(test):
-    return simulate_test(test, build_blocks(test))
 
 
 @pytest.fixture
@@ -55,14 +43,14 @@ TWO_AXES = ("axes:=[x, y]", "reference_force:model.mass:=[52.7, 3.0, 3.0, 40.0]"
 def test_in_the_open_loop_the_record_drives_the_valves_whatever_the_experiment_was(
     record, overrides, mass_ratio
 ):
-    of = experiment(
+    of = load(
         *overrides,
         f"reference_force:mass_ratio:={mass_ratio}",
         "ground_motion:peak_force:=1000.0",
         "ground_motion:influence:=2.0",
     )
     path, unit = record(of)
-    done = run(open_loop(of, path, LEVELS))
+    done = simulated(open_loop(of, path, LEVELS))
     commands = done.series["valve_command"].values[:, 0]
     np.testing.assert_allclose(commands[: len(unit)], LEVELS.voltage * unit, atol=1e-9)
     np.testing.assert_allclose(commands[len(unit) :], 0.0, atol=1e-9)
@@ -72,10 +60,10 @@ def test_in_the_open_loop_the_record_drives_the_valves_whatever_the_experiment_w
 def test_in_the_closed_loop_it_is_the_reference_force_and_the_controller_the_experiments_own(
     record,
 ):
-    of = experiment()
+    of = load()
     path, unit = record(of)
     test = closed_loop_test(of, path)
-    forces = run(test).series["reference_force"].values[:, 0]
+    forces = simulated(test).series["reference_force"].values[:, 0]
     np.testing.assert_allclose(forces[: len(unit)], LEVELS.force * unit, atol=1e-9)
     for name in ("numerator", "denominator", "feedback", "voltage_limit"):
         assert test["force_controller"][name] == of["force_controller"][name]
@@ -84,9 +72,9 @@ def test_in_the_closed_loop_it_is_the_reference_force_and_the_controller_the_exp
 
 
 def test_the_default_force_follows_the_mass_up_to_a_share_of_the_limit():
-    assert default_force(experiment(), "random") == pytest.approx(5.0 * 52.7)
-    assert default_force(experiment(), "chirp") == pytest.approx(0.3 * 5.0 * 52.7)
-    heavy = experiment("reference_force:model.mass:=5000.0", "supervisor:limits.force:=2000.0")
+    assert default_force(load(), "random") == pytest.approx(5.0 * 52.7)
+    assert default_force(load(), "chirp") == pytest.approx(0.3 * 5.0 * 52.7)
+    heavy = load("reference_force:model.mass:=5000.0", "supervisor:limits.force:=2000.0")
     assert default_force(heavy, "random") == pytest.approx(100.0)
 
 
@@ -102,17 +90,19 @@ def test_the_default_force_follows_the_mass_up_to_a_share_of_the_limit():
 )
 def test_levels_beyond_the_limits_are_refused(levels, told):
     with pytest.raises(InputError, match=told):
-        check_levels(experiment(), levels)
+        check_levels(load(), levels)
 
 
 def test_after_a_pilot_the_rig_uses_a_fifth_of_its_limits(record):
-    of = experiment("rig:actuator.kind:=servo_hydraulic_linear")
+    of = load("rig:actuator.kind:=servo_hydraulic_linear")
     path, _ = record(of)
     low = Levels(pilot_voltage(of), LEVELS.force)
-    pilot = run(open_loop(of, path, low))
+    pilot = simulated(open_loop(of, path, low))
     voltage = voltage_after(pilot, low.voltage)
     assert voltage > 2 * low.voltage
-    states = run(open_loop(of, path, Levels(voltage, LEVELS.force))).series["rig/state"].values
+    states = (
+        simulated(open_loop(of, path, Levels(voltage, LEVELS.force))).series["rig/state"].values
+    )
     limits = of["supervisor"]
     shares = [
         np.abs(states[:, row]).max() / limits[f"limits.{name}"]
@@ -122,17 +112,17 @@ def test_after_a_pilot_the_rig_uses_a_fifth_of_its_limits(record):
 
 
 def test_a_rig_that_hardly_moves_gets_a_tenth_of_the_voltage_limit_and_no_more(record):
-    of = experiment("rig:actuator.flow_gain:=1.0e-5", "rig:actuator.friction:=0.0")
+    of = load("rig:actuator.flow_gain:=1.0e-5", "rig:actuator.friction:=0.0")
     path, _ = record(of)
     low = Levels(pilot_voltage(of), LEVELS.force)
-    assert voltage_after(run(open_loop(of, path, low)), low.voltage) == pytest.approx(1.0)
+    assert voltage_after(simulated(open_loop(of, path, low)), low.voltage) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(
     ("kind", "valve"), [("ideal", False), ("delay", False), ("servo_hydraulic", True)]
 )
 def test_idealised_actuators_have_no_valve(kind, valve):
-    assert has_valve(experiment(f"rig:actuator.kind:={kind}")) is valve
+    assert has_valve(load(f"rig:actuator.kind:={kind}")) is valve
 
 
 def test_of_a_rig_that_is_not_described_a_valve_is_expected():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from experiments_at_hand import simulated
 from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.rig_parameters import LIMIT_ROWS
 from seft_ros.design.plan import Plan
@@ -14,8 +15,6 @@ from seft_ros.design.stability_margins import (
 from seft_ros.design.stability_verdict import check_stability
 from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS, model
 from seft_ros.reference_force.reference_force_parameters import OWN_METHODS
-from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 M, C, K = 52.7, 800.3, 2.11e5
@@ -87,7 +86,7 @@ def softer(rig, factor):
 
 def grows(test):
     """Whether the free vibration after a short motion grows, by the offline loop."""
-    record = simulate_test(test, build_blocks(test))
+    record = simulated(test)
     if record.trip is not None:
         return True
     states = record.series["rig/state"].values[:, 3, :]
@@ -142,15 +141,6 @@ def test_so_are_the_critical_delay_gain_stiffness_and_told_delay(method, rig):
     for factor, unstable in ((0.97, False), (1.03, True)):
         value = plan.section["compensation.delay"] + factor * margins.delay_error.highest.value
         assert told_to_grow(reference(compensation__delay=value)) is unstable
-
-
-def test_the_frequency_that_sets_in_is_that_of_simulation():
-    critical = critical_mass_ratio(Plan(experiment(DELAY)))
-    test = experiment(DELAY, reference(mass_ratio=1.01 * critical.value))
-    force = simulate_test(test, build_blocks(test)).series["rig/state"].values[1000:, 3, 0]
-    spectrum = np.abs(np.fft.rfft(force * np.hanning(len(force))))
-    hz = np.fft.rfftfreq(len(force), 0.002)[spectrum.argmax()]
-    assert critical.hz == pytest.approx(hz, rel=0.01)
 
 
 def test_an_unstable_plan_tells_the_delay_at_which_it_would_be_stable():

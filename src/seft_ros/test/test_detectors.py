@@ -2,20 +2,17 @@
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from experiments_at_hand import load, simulated
 from rig_faults import CHANNELS, FAULTS, HELD, FaultyRig
-from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
 from seft_ros.analysis.summary import shares_of
 from seft_ros.protection.detectors import DETECTORS, WARNING
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
-from seft_ros.test_run.parameter_tables import TABLES
 
-CONFIG = Path(__file__).parents[3] / "config"
 PLAN = (
     *("reference_force:compensation.method:=target_motion", "reference_force:mass_ratio:=1.0"),
     *("force_controller:method:=velocity_feedforward", "ground_motion:peak_force:=500.0"),
@@ -36,11 +33,6 @@ SEEN_ANYWHERE = (  # faults that end a test in time wherever they come; of other
     *("cable of all sensors broken", "axes dead but for noise"),
 )
 MOST = 12  # faults of which a test at its fastest may be too late, or the oil hammer
-
-
-def load(*words, config="jhu"):
-    given = [parse_override(word) for word in words]
-    return Experiment.load(TABLES, [CONFIG / f"{config}.yaml"], given)
 
 
 @cache
@@ -111,7 +103,7 @@ def test_faults_of_the_hardware_end_a_test_soon(specimen, at):
 def test_no_sound_test_ends_by_a_detector(specimen):
     for seed in (1, 2):
         experiment = load(*PLAN, *specimen, f"ground_motion:synthetic.seed:={seed}")
-        assert simulate_test(experiment, build_blocks(experiment)).trip is None
+        assert simulated(experiment).trip is None
 
 
 QUIET = (
@@ -130,7 +122,7 @@ def test_no_sound_test_on_a_rig_that_obeys_forces_comes_near_a_detector(method, 
         *(f"reference_force:mass_ratio:={ratio}", f"reference_force:compensation.method:={method}"),
         f"reference_force:compensation.delay:={delay + 1.5 * 0.002}",
     )
-    record = simulate_test(experiment, build_blocks(experiment))
+    record = simulated(experiment)
     assert record.trip is None
     shares = shares_of(record)
     assert max(shares.values()) < WARNING

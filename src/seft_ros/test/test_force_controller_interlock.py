@@ -4,18 +4,11 @@ import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.node.clock import MACHINE, AwakeClock
-from seft_msgs_py.wire.messages import Status, encode_status
-from seft_msgs_py.wire.topics import EXPERIMENT_STATE, RIG_STATE, RigAxes
-from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.force_controller.detection import detectors_of
 from seft_ros.force_controller.force_control import ForceController
 from seft_ros.force_controller.interlock import Interlock
-from seft_ros.nodes.force_controller_node import ForceControllerNode
 from seft_ros.protection.detectors import DETECTORS, LIMITED_AT, detector_arrays
 from seft_ros.protection.protection_step import extrapolated
-from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 from warning_detectors import warning_detectors
 
@@ -122,112 +115,6 @@ def test_the_first_reason_counts():
     guarded.trip(3, "first")
     guarded.trip(4, "second")
     assert (guarded.reason, guarded.step_index) == ("first", 3)
-
-
-def test_the_offline_loop_trips_with_it():
-    words = (
-        "force_controller:voltage_limit:=1.0",
-        "force_controller:watchdog.saturation_time:=0.05",
-        "ground_motion:synthetic.duration:=10.0",
-    )
-    experiment = Experiment.load(TABLES, [JHU], [parse_override(word) for word in words])
-    record = simulate_test(experiment, build_blocks(experiment))
-    assert record.trip.reason.startswith("the valve command is at its limit for more than 0.05 s")
-    commands = record.series["valve_command"].values[:, 0, 0]
-    assert record.trip.step == len(commands) - 1
-    assert abs(commands[-1]) == pytest.approx(0.9755, abs=1e-4)  # it closes in ten steps
-    assert np.count_nonzero(np.abs(commands) == 1.0) == 25
-
-
-class Shell:
-    """A force controller's shell without a network."""
-
-    name, refused, clock = "force_controller", 0, MACHINE
-
-    def __init__(self, experiment):
-        self.experiment, self.rig = experiment, RigAxes.whole(experiment.axes)
-        self.handlers, self.status = {}, None
-
-    def log(self, level, text):
-        """Nobody reads it."""
-
-    def publisher(self, topic):
-        return lambda raw: None
-
-    def subscribe(self, topic, handler, **_):
-        self.handlers[topic.name] = handler
-
-    def catch_up(self, topic):
-        """All that has come has been handed over."""
-
-    def several_senders(self):
-        return ""
-
-    def name_unexpected_publishers(self, before):
-        return ""
-
-    def report(self, status):
-        self.status = status
-
-
-class Listening:
-    """A force controller that waits for states, in seconds of a clock."""
-
-    def __init__(self, longest):
-        timeout = [("force_controller", "watchdog.state_timeout", longest)]
-        experiment = Experiment.load(TABLES, [JHU], timeout)
-        self.shell, self.now = Shell(experiment), 0.0
-        self.node = ForceControllerNode(self.shell)
-        self.node._awake = AwakeClock(lambda: self.now, longest / 4)
-        self._codec = TrajectoryCodec(RIG_STATE, experiment.axes, experiment.timebase)
-
-    def follow(self, state):
-        values = {"steps": "900", "pace": "realtime"}
-        raw = encode_status(Status("experiment", 0, state, values=values))
-        self.shell.handlers[EXPERIMENT_STATE.name](raw, 0)
-
-    def take(self, step):
-        self.shell.handlers[RIG_STATE.name](self._codec.encode(step, np.zeros((4, 1))), 0)
-
-    def trips_at(self, *times):
-        """Look at these times; say after each whether it has tripped."""
-        found = []
-        for self.now in times:
-            self.node.poll()
-            found.append(bool(self.node._controller.reason))
-        return found
-
-
-def test_silence_is_too_long_after_its_time():
-    listening = Listening(0.02)
-    assert listening.trips_at(5.0, 9.0) == [False] * 2  # no test runs
-    pause = listening.node.period()
-    listening.follow("running")
-    listening.now = 10.0
-    listening.take(0)
-    assert listening.node.period() < pause
-    assert listening.trips_at(10.01) == [False]
-    listening.now = 10.012
-    listening.take(1)
-    looks = [10.012 + 0.0019 * n for n in range(1, 12)]
-    assert listening.trips_at(*looks) == [False] * 10 + [True]
-    assert "no rig/state for 0.02 s (the last is of step -1)" in listening.shell.status.message
-
-
-def test_a_test_that_is_over_is_not_missed():
-    listening = Listening(0.02)
-    listening.follow("running")
-    listening.take(0)
-    listening.follow("done")
-    assert listening.trips_at(*np.arange(0.0, 1.0, 0.002)) == [False] * 500
-
-
-def test_a_listener_that_was_held_up_itself_blames_nobody():
-    listening = Listening(2.0**-6)
-    listening.follow("running")
-    listening.take(0)
-    looks = [10.0 + 60.0 * n for n in range(1, 6)]  # each counts as a quarter
-    assert listening.trips_at(*looks) == [False] * 4 + [True]
 
 
 @pytest.mark.parametrize(

@@ -1,18 +1,15 @@
 """The interlocks of a test with several rigs, each on its own axes."""
 
 import numpy as np
-from seft_msgs_py.config.experiment import Experiment, parse_override
+from experiments_at_hand import load
 from seft_ros.force_controller.detection import detector_shares, detectors_of
 from seft_ros.force_controller.interlock import Interlock, Interlocks, interlock_of
 from seft_ros.protection.detector_step import begin_detectors, detect_all
 from seft_ros.protection.detectors import DETECTORS
-from seft_ros.test_run.parameter_tables import TABLES
-
-BRIDGE = "config/two_pier_bridge.yaml"
 
 
-def of_rigs(*words, config=BRIDGE):
-    return Experiment.load(TABLES, [config], [parse_override(word) for word in words])
+def of_rigs(*words):
+    return load(*words, config="two_pier_bridge")
 
 
 def test_each_rig_has_an_interlock_that_sees_its_own_axes():
@@ -48,7 +45,7 @@ def test_the_first_rig_that_trips_gives_the_reason_and_a_reset_is_for_all():
 
 
 def test_one_rig_needs_one_interlock():
-    assert isinstance(interlock_of(of_rigs(config="config/demo.yaml")), Interlock)
+    assert isinstance(interlock_of(load(config="demo")), Interlock)
     assert isinstance(interlock_of(of_rigs()), Interlocks)
 
 

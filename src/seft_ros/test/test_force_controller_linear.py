@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
-from seft_ros.force_controller.force_control import ForceController, LinearControl
+from seft_ros.force_controller.force_control import ForceController
 from seft_ros.force_controller.force_controller_parameters import FORCE_CONTROLLER_TABLE
 from seft_ros.force_controller.methods import force_control
 
@@ -47,12 +47,6 @@ def test_the_linear_system_of_a_controller_answers_like_it(controllers, gain, fe
         np.testing.assert_allclose(
             control.step(force[None, None], state), expected, rtol=1e-11, atol=1e-15
         )
-
-
-def test_none_hands_the_reference_force_on():
-    linear = LinearControl.none(2)
-    assert linear.a.shape == (0, 0)
-    np.testing.assert_array_equal(linear.d @ np.arange(10.0), [0.0, 1.0])
 
 
 def test_a_controller_for_each_axis_is_that_controller_there():

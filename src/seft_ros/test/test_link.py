@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from seft_msgs_py.config.experiment import Experiment, parse_override
+from experiments_at_hand import load
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import LinkRecord
 from seft_msgs_py.wire.topics import LOOP_TOPICS
@@ -15,16 +15,11 @@ from seft_ros.test_run.link import (
     message_size,
     with_loop_delay,
 )
-from seft_ros.test_run.parameter_tables import TABLES
 
 
 def trips(numbers, times=0.011, sent=10, rate=500.0):
     times = np.broadcast_to(times, (len(numbers),)).astype(float)
     return RoundTrips(rate, sent, times, np.array(numbers, dtype=np.int64))
-
-
-def experiment(*overrides):
-    return Experiment.load(TABLES, ["config/jhu.yaml"], [parse_override(o) for o in overrides])
 
 
 def test_what_comes_back_tells_of_loss_bursts_and_order():
@@ -46,7 +41,7 @@ def test_the_delay_covers_nearly_all_round_trips_and_one_step_more():
 
 
 def test_the_delay_of_the_loop_lowers_the_mass_ratio_that_preflight_allows():
-    plain = experiment()
+    plain = load()
     far, near = (allowed(plain, steps) for steps in (10, 1))
     assert far.critical_mass_ratio < near.critical_mass_ratio
     assert allowed(plain, 10) == far  # the experiment is left as it was
@@ -75,10 +70,10 @@ def test_the_verdict_says_why(found, test, verdict, words):
 
 
 def test_messages_are_as_large_as_those_of_a_test():
-    alone = message_size(experiment())
+    alone = message_size(load())
     assert 300 < alone < 1472  # one packet
-    assert message_size(experiment("/**:axes:=[a, b, c]")) > alone
-    target = message_size(experiment("reference_force:compensation.method:=target_motion"))
+    assert message_size(load("/**:axes:=[a, b, c]")) > alone
+    target = message_size(load("reference_force:compensation.method:=target_motion"))
     assert target > 2 * alone
 
 
@@ -89,7 +84,7 @@ def test_a_record_over_a_link_counts_what_was_predicted():
         LinkRecord.from_json('{"ages": 3}')
     nothing = Series(np.empty(0, np.int64), np.empty((0, 1, 1)))
     series = {topic.name: nothing for topic in LOOP_TOPICS}
-    record = Record(experiment("reference_force:loop_delay:=7"), series, link=told)
+    record = Record(load("reference_force:loop_delay:=7"), series, link=told)
     assert link_numbers(record) == {
         "loop_delay": 7,
         "age": {"p50": 5, "p99": 9, "largest": 9},
@@ -97,7 +92,7 @@ def test_a_record_over_a_link_counts_what_was_predicted():
         "held": 1,
         "forces": 100,
     }
-    assert link_numbers(Record(experiment(), series, link=told)) is None
+    assert link_numbers(Record(load(), series, link=told)) is None
 
 
 @pytest.mark.parametrize(
@@ -125,4 +120,4 @@ def test_a_delay_that_is_to_be_measured_needs_a_link(monkeypatch, capsys, tmp_pa
 def allowed_without_number():
     from seft_ros.test_run.compiled_loop import build_blocks
 
-    build_blocks(experiment("reference_force:loop_delay:=-1"))
+    build_blocks(load("reference_force:loop_delay:=-1"))

@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from seft_msgs_py.config.experiment import Experiment, parse_override
+from experiments_at_hand import load, simulated
 from seft_msgs_py.errors import InputError
 from seft_ros.analysis.summary import summarise
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
-from seft_ros.test_run.parameter_tables import TABLES
 
 D = 7
 FORCE_ALONE = (
@@ -19,8 +18,7 @@ FORCE_ALONE = (
 
 def experiment_of(*overrides, config="demo"):
     given = [f"reference_force:loop_delay:={D}", "ground_motion:synthetic.duration:=8.0"]
-    overrides = [parse_override(text) for text in (*given, *overrides)]
-    return Experiment.load(TABLES, [f"config/{config}.yaml"], overrides)
+    return load(*given, *overrides, config=config)
 
 
 class Sent:
@@ -91,7 +89,7 @@ def test_a_delay_of_the_loop_costs_a_target_no_accuracy(alpha):
         experiment = experiment_of(
             f"reference_force:loop_delay:={loop_delay}", f"reference_force:mass_ratio:={alpha}"
         )
-        record = simulate_test(experiment, build_blocks(experiment))
+        record = simulated(experiment)
         assert record.trip is None
         errors.append(summarise(record)["displacement"]["nrmse"])
     assert max(errors) < 0.008

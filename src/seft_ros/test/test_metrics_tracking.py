@@ -1,9 +1,9 @@
-import dataclasses
 import json
 import math
 
 import numpy as np
 import pytest
+from records_at_hand import without
 from seft_msgs_py.config.experiment import Experiment
 from seft_ros.analysis.metrics import delayed
 from seft_ros.analysis.summary import summarise
@@ -35,14 +35,6 @@ def make_record(gain=1.0, delay=0.0, axes=("x",)):
     return Record(Experiment({"rig": {"rate": 1 / DT, "axes": list(axes)}}), series)
 
 
-def lost(record, topic, steps):
-    series = record.series[topic]
-    kept = ~np.isin(series.steps, steps)
-    return dataclasses.replace(
-        record, series={**record.series, topic: Series(series.steps[kept], series.values[kept])}
-    )
-
-
 def test_a_known_delay_and_gain_are_told():
     found = summarise(make_record(delay=0.0037))["tracking"]["x"]
     assert list(found) == NAMES
@@ -70,8 +62,8 @@ def test_perfect_tracking_is_zero_throughout():
 
 def test_lost_samples_of_either_topic_are_bridged():
     whole = tracking_of(make_record(1.05, 0.0037))["x"]
-    record = lost(make_record(1.05, 0.0037), "reference_force", [0, 700, 1500, 1501, COUNT - 1])
-    record = lost(record, "rig/state", [1400, 1501, 1600])
+    record = without(make_record(1.05, 0.0037), "reference_force", [0, 700, 1500, 1501, COUNT - 1])
+    record = without(record, "rig/state", [1400, 1501, 1600])
     found = tracking_of(record)["x"]
     assert found == pytest.approx(whole, rel=5e-3)
 
@@ -85,7 +77,7 @@ def test_of_several_axes_each_has_its_own():
 
 @pytest.mark.parametrize("topic", ["reference_force", "rig/state"])
 def test_without_samples_everything_is_null(topic):
-    found = summarise(lost(make_record(), topic, STEPS))["tracking"]["x"]
+    found = summarise(without(make_record(), topic, STEPS))["tracking"]["x"]
     assert found == dict.fromkeys(NAMES)
 
 

@@ -121,16 +121,6 @@ def test_the_motion_that_is_tested_is_told_as_the_report_tells_it(intake):
     np.testing.assert_allclose(found["tested"][0], tested, rtol=1e-3)
 
 
-def test_steps_that_the_monitor_missed_count_as_right(intake):
-    exact = reference_response(EXPERIMENT, MOTION)
-    rows = [getattr(exact, name) for name in ("displacement", "velocity", "acceleration", "force")]
-    encode = codec(RIG_STATE).encode
-    intake.motion(motion(0, MOTION))
-    values = np.stack(rows, axis=1)
-    intake.samples([[(encode(k, values[k]), 0) for k in range(400) if k not in (5, 77, 78)]], [])
-    assert intake._live_motion.summary()["response_nrmse"] < 1e-6
-
-
 def test_who_comes_in_the_middle_shows_the_rest(intake):
     new = intake.samples([states(range(5000, 5100))], [])
     assert new[0].first == 5000
@@ -165,27 +155,12 @@ def test_step_zero_begins_a_test_and_its_own_motion(intake):
     np.testing.assert_allclose(found, exact, atol=1e-5 * np.abs(exact).max())
 
 
-def test_two_tests_in_one_look_leave_the_second(intake):
-    new = intake.samples([states([*range(50), *range(20)])], [])
-    assert intake.number == 2
-    assert [stretch.first for stretch in new] == [0]
-    assert intake.history.head == 20
-
-
 def test_nothing_is_left_of_the_last_test_before_the_next_one_s_first_sample(intake):
     intake.samples([states(range(100))], [])
     intake.clear()
     assert (intake.number, intake.history.head, len(intake.history.recent().values)) == (2, 0, 0)
     intake.samples([states(range(20))], [])
     assert (intake.number, intake.history.head) == (2, 20)
-
-
-def test_the_error_is_measured_less_reference(intake):
-    intake.samples([states(range(50))], forces(range(50)))
-    intake.samples([[]], [])
-    recent = intake.history.recent()
-    error = recent.values[:, intake.signals.error["force"]]
-    np.testing.assert_array_equal(error[:, 0], -1.0 * np.arange(50))
 
 
 def test_old_steps_of_somebody_else_are_left_out_unless_a_test_is_expected(intake):

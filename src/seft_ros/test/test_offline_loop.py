@@ -4,16 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from experiments_at_hand import load, simulated
 from scipy import signal
-from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_plant_sim.sensors import BLOCK
-from seft_plant_sim.whole_structure import reference_response
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
-from seft_ros.test_run.parameter_tables import TABLES
 
 ROOT = Path(__file__).parents[3]
-JHU = ROOT / "config" / "jhu.yaml"
 KOBE = ROOT.parent / "shared" / "data" / "kobe_jma_1995.txt"
 KOBE_WORDS = (
     f"ground_motion:file:={KOBE}",
@@ -43,7 +40,6 @@ LINEAR = (
     *(f"{node}.damping:=903.5" for node in ("rig:specimen", "reference_force:model")),
 )
 """A linear rig with the poles of Eq. 3.1, whose response under Kobe is known."""
-NOISY = (*LINEAR, *PERFECT, "rig:sensors.acceleration_noise:=0.05", "rig:sensors.force_noise:=3")
 QUIET = (*LINEAR, *PERFECT)
 DELAY = ("rig:actuator.kind:=delay", "rig:actuator.delay:=0.01")
 needs_kobe = pytest.mark.skipif(not KOBE.is_file(), reason="no real records beside the project")
@@ -60,11 +56,9 @@ UNWATCHED = "reference_force:instability.ratio:=0.0"
 """Lets a loop go unstable as by its equations."""
 
 
-def run(*words, config=JHU):
+def run(*words):
     """Record of an experiment, and its samples of rig/state, shape (N, 4, n)."""
-    words = (UNWATCHED, *words)
-    experiment = Experiment.load(TABLES, [config], [parse_override(word) for word in words])
-    record = simulate_test(experiment, build_blocks(experiment))
+    record = simulated(load(UNWATCHED, *words))
     return record, record.series["rig/state"].values
 
 
@@ -121,28 +115,6 @@ class Servo:
         return x, v, (f - C * v - K * x) / M, f
 
 
-class Delayed:
-    """Eq. 5.2 with a delay of 10 ms, and the specimen's closed-form response to a held force."""
-
-    drive = "force"
-
-    def __init__(self):
-        self.line = [0.0] * 6
-        self.x = self.v = 0.0
-
-    def advance(self, command):
-        w, d = (K / M) ** 0.5, C / M / 2
-        wd = (w**2 - d**2) ** 0.5
-        decay, cosine, sine = np.exp(-2 * H * d), np.cos(2 * H * wd), np.sin(2 * H * wd)
-        rest = self.line[0] / K
-        y, v = self.x - rest, self.v
-        self.x = float(rest + decay * (y * cosine + (v + d * y) / wd * sine))
-        self.v = float(decay * (v * cosine - (d * v + w**2 * y) / wd * sine))
-        self.line = [*self.line[1:], command]
-        f = self.line[0]
-        return self.x, self.v, (f - C * self.v - K * self.x) / M, f
-
-
 def by_hand(motion, alpha, plant):
     """The test of Eq. 2.4 and 2.5 with Eq. 3.1, sample after sample, in plain floats."""
     s = 2 / (2 * H)
@@ -177,38 +149,6 @@ def test_the_rig_of_the_paper_moves_as_in_a_simulation_written_anew(motion, alph
     assert len(states) == len(expected)
     scale = np.abs(expected).max(axis=0)
     np.testing.assert_allclose(states[:, :, 0] / scale, expected / scale, atol=1e-6)
-
-
-@motions
-@pytest.mark.parametrize("alpha", [0.0, 0.9])
-def test_the_delayed_rig_moves_as_in_a_simulation_written_anew(motion, alpha):
-    record, states = run(*motion, *QUIET, *DELAY, with_ratio(alpha))
-    expected = by_hand(ground_of(record), alpha, Delayed())
-    scale = np.abs(expected).max(axis=0)
-    np.testing.assert_allclose(states[:, :, 0] / scale, expected / scale, atol=1e-6)
-
-
-@needs_kobe
-@pytest.mark.parametrize(
-    ("alpha", "peak", "reference_peak"), [(0.0, 5.58, 5.6), (0.5, 7.86, 9.4), (1.0, 11.67, 16.9)]
-)
-def test_peaks_under_kobe_fall_short_as_in_the_paper(alpha, peak, reference_peak):
-    record, states = run(*KOBE_WORDS, *NOISY, with_ratio(alpha))
-    exact = reference_response(record.experiment, record.series["ground_motion"].values[:, 0])
-    assert record.trip is None
-    assert np.abs(states[:, 0]).max() * 1e3 == pytest.approx(peak, abs=0.02)
-    assert np.abs(exact.displacement).max() * 1e3 == pytest.approx(reference_peak, abs=0.1)
-
-
-@needs_kobe
-def test_a_mass_ratio_of_one_and_a_half_goes_unstable_within_3_s():
-    """The linear loop has one unstable pair of eigenvalues then, 1.0078 at 32.2 Hz."""
-    for noise in (NOISY, QUIET):
-        record, states = run(*KOBE_WORDS, *noise, with_ratio(1.5))
-        assert record.trip.time_s < 3.0
-        last = states[-100:, 2, 0] * np.hanning(100)
-        spectrum = np.abs(np.fft.rfft(last, 2000))
-        assert np.argmax(spectrum) * 500 / 2000 == pytest.approx(32.2, abs=1.0)
 
 
 def test_a_delay_of_10_ms_is_stable_below_a_mass_ratio_of_one_and_not_at_one():
@@ -252,59 +192,10 @@ def test_a_limit_broken_by_the_sample_at_rest_ends_the_test_there():
     assert record.trip.step == 0
 
 
-def test_axes_that_are_not_coupled_are_tests_of_their_own():
-    masses, stiffness, damping = (52.7, 50.0, 56.0), (2.11e5, 2.3e5, 2.0e5), (903.5, 850.0, 950.0)
-    influence, oil = (1.0, -0.5, 2.0), (1.664e7, 1.8e7, 1.5e7)
-    common = (
-        *QUIET,
-        with_ratio(0.4),
-        "ground_motion:peak_force:=0",
-        "reference_force:method:=seft",
-    )
-
-    def words(*axes):
-        def values(row):
-            return str([row[axis] for axis in axes])
-
-        return (
-            *common,
-            f"axes:={['xyz'[axis] for axis in axes]}",
-            f"ground_motion:influence:={values(influence)}",
-            *(
-                f"{node}:{group}.{name}:={values(row)}"
-                for node, group in (("rig", "specimen"), ("reference_force", "model"))
-                for name, row in (
-                    ("mass", masses),
-                    ("stiffness", stiffness),
-                    ("damping", damping),
-                )
-            ),
-            f"rig:actuator.oil_stiffness:={values(oil)}",
-        )
-
-    together = run(*words(0, 1, 2))[1]
-    assert together.shape[1:] == (4, 3)
-    for axis in range(3):
-        alone = run(*words(axis))[1]
-        assert len(alone) == len(together)
-        scale = np.abs(alone).max(axis=0)[:, 0]
-        np.testing.assert_allclose(
-            together[:, :, axis] / scale, alone[:, :, 0] / scale, rtol=0, atol=1e-12
-        )
-
-
 def test_the_same_experiment_gives_the_same_bits_and_another_seed_others():
     one, two, other = (run(with_ratio(0.5), f"rig:seed:={seed}")[1] for seed in (1, 1, 2))
     np.testing.assert_array_equal(one, two)
     assert not np.array_equal(one, other)
-
-
-def test_blocks_can_run_a_second_test():
-    experiment = Experiment.load(TABLES, [JHU], [parse_override(with_ratio(0.5))])
-    blocks = build_blocks(experiment)
-    first, second = (simulate_test(experiment, blocks).series for _ in range(2))
-    for topic in first:
-        np.testing.assert_array_equal(first[topic].values, second[topic].values)
 
 
 def test_the_record_holds_the_equations_sample_by_sample():
@@ -316,7 +207,7 @@ def test_the_record_holds_the_equations_sample_by_sample():
 
 
 def test_progress_is_told_in_steps():
-    experiment = Experiment.load(TABLES, [JHU])
+    experiment = load()
     told = []
     simulate_test(experiment, build_blocks(experiment), told.append)
     assert told == [BLOCK, 2 * BLOCK, 8501]

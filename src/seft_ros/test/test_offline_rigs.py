@@ -1,42 +1,30 @@
 """Several rigs through offline loop, bag and back."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from seft_msgs_py.config.experiment import Experiment, parse_override
+from experiments_at_hand import load, simulated
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import rigs_of
 from seft_ros.bags.record import Series, of_all_rigs
 from seft_ros.bags.record_bag import read_bag, write_record
 from seft_ros.force_controller.methods import force_control
-from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate_test
-from seft_ros.test_run.parameter_tables import TABLES
 
-JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
 SHORT = ("ground_motion:synthetic.duration:=1.0", "ground_motion:tail:=0.1")
 TWO = "/**:axes:=[west/x, east/x]"
 
 
 def plan(*overrides):
-    texts = [parse_override(text) for text in (*SHORT, *overrides)]
-    return Experiment.load(TABLES, [JHU], texts)
-
-
-def simulated(*overrides):
-    test = plan(*overrides)
-    return simulate_test(test, build_blocks(test))
+    return load(*SHORT, *overrides)
 
 
 def test_one_axis_of_a_rig_with_a_name_has_the_bits_of_the_one_without():
-    named, plain = simulated("/**:axes:=[west/x]"), simulated()
+    named, plain = simulated(plan("/**:axes:=[west/x]")), simulated(plan())
     for topic, series in plain.series.items():
         np.testing.assert_array_equal(named.series[topic].values, series.values)
 
 
 def test_two_equal_rigs_move_alike_but_for_their_noise():
-    record = simulated(TWO)
+    record = simulated(plan(TWO))
     states = record.series["rig/state"].values
     west, east = states[:, 0, 0], states[:, 0, 1]
     assert not np.array_equal(west, east)
@@ -44,7 +32,7 @@ def test_two_equal_rigs_move_alike_but_for_their_noise():
 
 
 def test_a_bag_gives_back_what_all_rigs_did(tmp_path):
-    record = simulated(TWO)
+    record = simulated(plan(TWO))
     write_record(record, tmp_path / "bag")
     found = read_bag(tmp_path / "bag")
     for topic, series in record.series.items():
@@ -56,7 +44,7 @@ def test_a_bag_gives_back_what_all_rigs_did(tmp_path):
 
 
 def test_a_test_that_trips_tells_so_for_all(tmp_path):
-    record = simulated(TWO, "supervisor:limits.displacement:=1.0e-4")
+    record = simulated(plan(TWO, "supervisor:limits.displacement:=1.0e-4"))
     assert "on axis " in record.trip.reason
     write_record(record, tmp_path / "bag")
     assert read_bag(tmp_path / "bag").trip == record.trip

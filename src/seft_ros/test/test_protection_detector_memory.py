@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from detector_samples import ACTUATOR, NO_TARGET, NOISE, detectors
 from seft_ros.protection.channel_relations import find_flow
 from seft_ros.protection.detector_step import begin_detectors, detect
 from seft_ros.protection.detectors import DETECTORS, FROZEN, TRACKING
-from test_protection_detectors import ACTUATOR, NO_TARGET, NOISE, detectors
 
 N = NOISE.shape[1]
 

@@ -1,15 +1,14 @@
 """What a method identifies on line, as the offline loop and the node show it."""
 
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from experiments_at_hand import load, simulated
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_msgs_py.config.experiment import Experiment, parse_override
+from quiet_shell import Shell
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.node.clock import MACHINE
 from seft_msgs_py.wire.messages import EstimatesCodec, Status, encode_status
 from seft_msgs_py.wire.topics import (
     ESTIMATES,
@@ -22,11 +21,7 @@ from seft_msgs_py.wire.topics import (
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS, none
 from seft_ros.reference_force.reference_force_block import EstimateSampler, ReferenceForce
-from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate_test
-from seft_ros.test_run.parameter_tables import TABLES
 
-JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
 WORDS = (
     "axes:=[north, east]",
     "ground_motion:influence:=[1.0, 0.5]",
@@ -64,11 +59,7 @@ class Watcher:
 def watched(monkeypatch):
     """An experiment whose method identifies something."""
     monkeypatch.setitem(COMPENSATION_METHODS, "none", Watcher)
-    return Experiment.load(TABLES, [JHU], [parse_override(word) for word in WORDS])
-
-
-def run(experiment):
-    return simulate_test(experiment, build_blocks(experiment))
+    return load(*WORDS)
 
 
 def sampler(rate, estimates=dict):
@@ -109,7 +100,7 @@ def test_a_reset_begins_at_step_0_again():
 
 
 def test_the_offline_loop_keeps_what_the_method_knew_after_each_of_these_steps(watched):
-    record = run(watched)
+    record = simulated(watched)
     states = record.series[RIG_STATE.name].values
     estimates = record.estimates
     assert estimates.names == ("least", "largest")
@@ -122,43 +113,20 @@ def test_the_offline_loop_keeps_what_the_method_knew_after_each_of_these_steps(w
 
 
 def test_a_method_without_estimates_leaves_none():
-    experiment = Experiment.load(TABLES, [JHU], [parse_override(word) for word in WORDS])
-    assert run(experiment).estimates is None
+    experiment = load(*WORDS)
+    assert simulated(experiment).estimates is None
 
 
 def test_estimates_may_not_change_their_names(watched, monkeypatch):
     names = iter([*[{"delay": np.zeros(2)}] * 3, {"stiffness": np.zeros(2)}])
     monkeypatch.setattr(Watcher, "estimates", lambda self: next(names))
     with pytest.raises(WireError, match="step 50 are stiffness, but were delay"):
-        run(watched)
-
-
-class Shell:
-    """A node's shell without a network: what is published is kept, in order."""
-
-    def __init__(self, experiment):
-        self.experiment, self.clock = experiment, MACHINE
-        self.sent, self.handlers, self.refusals = [], {}, []
-
-    def several_senders(self):
-        return ""
-
-    def publisher(self, topic):
-        return lambda raw: self.sent.append((topic, raw))
-
-    def subscribe(self, topic, handler, **_):
-        self.handlers[topic.name] = handler
-
-    def catch_up(self, topic):
-        """All that has come has been handed over."""
-
-    def refuse(self, reason):
-        self.refusals.append(reason)
+        simulated(watched)
 
 
 def start_node(experiment):
     """Make a reference-force node; it must have tried itself out in silence."""
-    shell = Shell(experiment)
+    shell = Shell(experiment, "reference_force")
     pytest.importorskip("seft_ros.nodes.reference_force_node").ReferenceForceNode(shell)
     assert shell.sent == []
     return shell
@@ -178,7 +146,7 @@ def feed(shell, record):
 
 
 def test_the_node_publishes_the_estimates_of_the_offline_loop_after_the_force(watched):
-    record = run(watched)
+    record = simulated(watched)
     shell = start_node(watched)
     feed(shell, record)
     codec = EstimatesCodec(watched.axes, watched.timebase)
@@ -211,7 +179,7 @@ def test_a_state_that_is_faster_than_its_ground_motion_is_answered_when_that_has
 
 
 def test_the_node_begins_anew_with_a_second_test(watched):
-    record = run(watched)
+    record = simulated(watched)
     shell = start_node(watched)
     feed(shell, record)
     first = list(shell.sent)
@@ -221,14 +189,14 @@ def test_the_node_begins_anew_with_a_second_test(watched):
 
 
 def test_the_node_of_a_method_without_estimates_publishes_none():
-    experiment = Experiment.load(TABLES, [JHU], [parse_override(word) for word in WORDS])
+    experiment = load(*WORDS)
     shell = start_node(experiment)
-    feed(shell, run(experiment))
+    feed(shell, simulated(experiment))
     assert {topic for topic, _ in shell.sent} == {REFERENCE_FORCE}
 
 
 def test_an_estimate_that_is_not_finite_is_refused_and_the_test_goes_on(watched, monkeypatch):
-    record = run(watched)
+    record = simulated(watched)
     real = Watcher.estimates
 
     def later_nan(self):

@@ -1,10 +1,8 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
+from experiments_at_hand import load
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig_parameters import RIG_TABLE
 from seft_ros.study.drawn_tests import (
@@ -16,12 +14,7 @@ from seft_ros.study.drawn_tests import (
 )
 from seft_ros.test_run.parameter_tables import TABLES
 
-JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
 TWO = ("/**:axes:=[x, y]", "rig:specimen.stiffness:=[2.11e5, -3.0e4, -3.0e4, 1.8e5]")
-
-
-def load(*words):
-    return Experiment.load(TABLES, [JHU], [parse_override(word) for word in words])
 
 
 EXPERIMENT = load()
@@ -68,22 +61,6 @@ def test_parameters_stay_within_their_spread_and_the_others_as_they_are(number, 
         most = 1.0 + uncertainty * spread
         assert 1 / most - 1e-12 <= own[name] / value <= most + 1e-12
     assert RIG_TABLE.check(own) == own
-
-
-def test_a_spread_of_a_fifth_is_20_percent_stiffness_and_twice_or_half_the_damping():
-    rigs = [rig_of(number) for number in range(1, 2001)]
-    for name, most in (("specimen.stiffness", 1.2), ("specimen.damping", 2.0)):
-        factors = np.array([rig[name] for rig in rigs]) / EXPERIMENT["rig"][name]
-        assert factors.max() == pytest.approx(most, rel=0.01)
-        assert factors.min() == pytest.approx(1 / most, rel=0.01)
-        assert np.median(factors) == pytest.approx(1.0, abs=0.03)
-
-
-def test_a_rig_is_a_matter_of_seed_and_number_alone():
-    assert rig_of(3) == rig_of(3)
-    assert rig_of(3) != rig_of(4)
-    assert rig_of(3) != rig_of(3, seed=2)
-    assert len({rig_of(number)["seed"] for number in range(1, 51)}) == 50
 
 
 def test_without_spread_only_the_seeds_differ():

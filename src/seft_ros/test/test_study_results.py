@@ -70,12 +70,6 @@ def test_a_test_that_tripped_is_the_most_wrong():
     assert second["quantity"] == "b" and second["deviation"] == pytest.approx(1.0)
 
 
-def test_shares_are_of_the_tests():
-    errors = np.arange(1, 101) / 100.0
-    assert quantiles(errors[::-1]) == {"median": 0.5, "p90": 0.9, "p95": 0.95, "max": 1.0}
-    assert math.isnan(quantiles(np.array([math.nan]))["p95"])
-
-
 @given(st.lists(st.floats(0.5, 2.0), min_size=5, max_size=30, unique=True), st.integers(0, 99))
 def test_the_correlation_is_that_of_ranks(values, seed):
     errors = np.random.default_rng(seed).permutation(len(values)).astype(float)

@@ -1,9 +1,10 @@
 """A study's tests are those of `seft simulate`, whoever calculates them."""
 
 import math
-from pathlib import Path
 
+import experiments_at_hand
 import pytest
+from experiments_at_hand import JHU
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_ros.analysis.summary import summarise
@@ -16,13 +17,9 @@ from seft_ros.study.study_plan import StudyTest, plan_study
 from seft_ros.study.study_results import summarise_study
 from seft_ros.study.study_runs import run_study
 from seft_ros.study.worst_tests import worst_folder, write_worst_tests
-from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
-JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"
 SHORT = ("ground_motion:synthetic.duration:=4", "ground_motion:tail:=0.5")
-DELAY = ("rig:actuator.kind:=delay", "rig:actuator.delay:=0.01")
 KEYS = ("steps", "stable", "trip", "saturated", "displacement", "acceleration", "force")
 
 
@@ -40,7 +37,7 @@ def keeping(plan, folder, progress=lambda *_: None):
 
 
 def simulated(experiment):
-    summary = summarise(simulate_test(experiment, build_blocks(experiment)))
+    summary = summarise(experiments_at_hand.simulated(experiment))
     return {key: summary[key] for key in KEYS}
 
 
@@ -84,35 +81,6 @@ def test_test_0_gives_what_simulate_gives():
         )
         assert one.why_not_compiled == ""
         assert alike(one.summary, simulated(load(*words)))
-
-
-def test_a_drawn_rig_is_tested_with_the_configured_model_against_its_own_structure():
-    plan = planned(*DELAY, methods=["none"], spread=0.3)
-    one = run_study(plan)[2]
-    rig, motion = (plan.drawn.sections[2][node] for node in ("rig", "ground_motion"))
-    assert rig["specimen.mass"] != 52.7
-    words = (
-        *DELAY,
-        "reference_force:mass_ratio:=0.5",
-        *(
-            f"reference_force:model.{name}:={value!r}"
-            for name, value in (("mass", 52.7), ("damping", 800.3), ("stiffness", 2.11e5))
-        ),
-        "ground_motion:mass:=52.7",
-        f"ground_motion:peak_force:={motion['peak_force']!r}",
-        *(
-            f"ground_motion:synthetic.{name}:={motion[f'synthetic.{name}']!r}"
-            for name in ("seed", "ground_frequency", "ground_damping")
-        ),
-        *(
-            f"rig:{name}:={rig[name]!r}"
-            for name in ("seed", *(row for row in rig if row.startswith("specimen.")))
-            if not isinstance(rig[name], str)
-        ),
-        f"rig:actuator.delay:={rig['actuator.delay']!r}",
-        f"rig:actuator.friction:={rig['actuator.friction']!r}",
-    )
-    assert alike(one.summary, simulated(load(*words)))
 
 
 @pytest.mark.parametrize("given", [True, False])
@@ -271,12 +239,6 @@ def test_a_method_that_can_not_be_set_up_is_left_out_and_the_others_go_on(monkey
 def test_an_unknown_method_is_refused(method, words):
     with pytest.raises(InputError, match=words):
         planned(methods=[method])
-
-
-@pytest.mark.parametrize("ratio", [-1.0, float("nan"), float("inf")])
-def test_a_mass_ratio_out_of_bounds_is_refused(ratio):
-    with pytest.raises(InputError, match="mass_ratio is"):
-        planned(ratios=[ratio])
 
 
 def test_an_experiment_that_makes_no_test_is_refused_before_any_method_is_blamed():

@@ -1,8 +1,9 @@
 """What the supervisor makes of what nodes tell, without a network."""
 
 import pytest
+from quiet_shell import Shell
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.node.clock import MACHINE, AwakeClock
+from seft_msgs_py.node.clock import AwakeClock
 from seft_msgs_py.wire.messages import Status, decode_status, encode_diagnostics
 from seft_msgs_py.wire.outcome import State, tripped_status
 from seft_msgs_py.wire.topics import DIAGNOSTICS
@@ -11,46 +12,11 @@ from seft_ros.test_run.parameter_tables import TABLES
 supervisor = pytest.importorskip("seft_ros.nodes.supervisor_node")
 
 
-class Shell:
-    """A node's shell without a network."""
-
-    name, clock = "supervisor", MACHINE
-
-    def __init__(self, experiment):
-        self.experiment = experiment
-        self.handlers, self.services, self.sent, self.faults = {}, {}, [], []
-
-    def serve(self, service, answer):
-        self.services[service] = answer
-
-    def log(self, level, text):
-        """Nobody reads it."""
-
-    def publisher(self, topic):
-        return self.sent.append
-
-    def subscribe(self, topic, handler, **_):
-        self.handlers[topic.name] = handler
-
-    def report(self, status):
-        """Nothing."""
-
-    def matched(self):
-        return {}
-
-    def attempt(self, what, call, *arguments):
-        try:
-            return call(*arguments)
-        except KeyError as error:
-            self.faults.append(error)
-            return None
-
-
 class Watched:
     """A supervisor in a test that runs, of whose nodes each may tell something or be silent."""
 
     def __init__(self):
-        self.shell = Shell(Experiment.load(TABLES, [], [], nodes=["supervisor"]))
+        self.shell = Shell(Experiment.load(TABLES, [], [], nodes=["supervisor"]), "supervisor")
         self.node = supervisor.SupervisorNode(self.shell)
         self._now = 0.0
         self.node._awake = AwakeClock(lambda: self._now)
@@ -71,7 +37,7 @@ class Watched:
 
     @property
     def state(self):
-        return decode_status(self.shell.sent[-1])
+        return decode_status(self.shell.sent[-1][1])
 
     def ask(self, service):
         return self.shell.services[service]()
@@ -109,17 +75,3 @@ def test_a_recorder_or_ground_motion_that_is_faulty_brings_the_test_down_softly(
     test.wait(1.0)
     test.tell(tripped_status("recorder", "a fault of the program", 0))
     assert test.state.message == State.RAMPING_DOWN
-
-
-def test_a_fault_of_its_own_trips_and_its_services_go_on_answering(test, monkeypatch):
-    test.wait(1.0)
-    test.node.fault("a fault of the program")
-    assert (test.state.message, test.state.values["detail"]) == (
-        State.TRIPPED,
-        "a fault of the program",
-    )
-    assert test.ask("estop")[0]
-    monkeypatch.setattr(test.node, "_follow_state", lambda: {}["x"])
-    accepted, answer = test.ask("reset")
-    assert (accepted, len(test.shell.faults)) == (False, 1)
-    assert "a fault of the program" in answer

@@ -1,10 +1,8 @@
 """The target against exact solutions, and what it makes of what is told wrongly."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from seft_msgs_py.config.experiment import Experiment, parse_override
+from experiments_at_hand import load, simulated
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.reference_force.observers import observe, observer_gains
@@ -18,10 +16,7 @@ from seft_ros.reference_force.restoring_model import (
 )
 from seft_ros.reference_force.target_motion import TargetMotion
 from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate_test
-from seft_ros.test_run.parameter_tables import TABLES
 
-ROOT = Path(__file__).parents[3]
 METHOD = (
     "reference_force:compensation.method:=target_motion",
     "force_controller:method:=velocity_feedforward",
@@ -32,14 +27,13 @@ K = 2.11e5
 
 
 def experiment(*words, config="jhu"):
-    overrides = [parse_override(word) for word in (*METHOD, *words)]
-    return Experiment.load(TABLES, [ROOT / "config" / f"{config}.yaml"], overrides)
+    return load(*METHOD, *words, config=config)
 
 
 def error(*words, config="jhu"):
     """Displacement NRMSE of a simulated test, %."""
     tested = experiment(*words, config=config)
-    record = simulate_test(tested, build_blocks(tested))
+    record = simulated(tested)
     assert record.trip is None
     measured, motion = (record.series[name].values for name in ("rig/state", "ground_motion"))
     exact = reference_response(tested, motion[:, 0])
@@ -109,19 +103,6 @@ def test_target_comes_to_rest_as_its_pace_goes_to_zero():
         points = method.step(ground[k : k + window], measured)
     assert abs(points[0, 1, 0]) < 1e-4
     assert abs(points[0, 2, 0]) < 1.0
-
-
-def test_same_samples_give_the_same_points_after_a_reset():
-    _, method = target()
-    rng = np.random.default_rng(2)
-    ground = rng.standard_normal((50 + method.preview, 1))
-    states = rng.standard_normal((50, 4, 1)) * [[1e-4], [1e-2], [1.0], [50.0]]
-
-    def run():
-        method.reset()
-        return [method.step(ground[k : k + 1 + method.preview], s) for k, s in enumerate(states)]
-
-    assert np.array_equal(run(), run())
 
 
 # ---- the observer
@@ -289,10 +270,6 @@ TOLD_WRONG = {
 @pytest.mark.parametrize("what", TOLD_WRONG)
 def test_what_is_told_wrongly_hardly_matters(what):
     assert error(TOLD_WRONG[what]) < 1.0
-
-
-def test_derived_velocity_is_not_taken_for_a_measurement():
-    assert error("rig:sensors.velocity:=derived") < 0.8
 
 
 @pytest.mark.parametrize("rate", [250, 1000])

@@ -1,0 +1,79 @@
+"""Compensation methods by name, and motions and states for them."""
+
+import json
+
+import numpy as np
+from seft_msgs_py.config.parameter_table import resolve
+from seft_msgs_py.wire.topics import Timebase
+from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
+from seft_ros.reference_force.reference_force_block import method_inputs
+from seft_ros.reference_force.reference_force_parameters import REFERENCE_FORCE_TABLE
+
+M, C, K, DT, DELAY = 52.7, 800.3, 2.11e5, 0.002, 0.0133
+
+
+def force_section(**values):
+    """Section of the table's defaults with changes; a double underscore stands for a dot."""
+    named = {name.replace("__", "."): value for name, value in values.items()}
+    given = {"model.mass": M, "model.stiffness": K} | named
+    node = REFERENCE_FORCE_TABLE.node
+    return resolve({node: REFERENCE_FORCE_TABLE}, {node: REFERENCE_FORCE_TABLE.check(given)})[node]
+
+
+def compensator(method, axes=("x",), rate=500, told=(), **values):
+    """Compensator of these parameters, and of what its settings are told."""
+    own = " ".join(
+        f"{name}={json.dumps(v, separators=(',', ':'))}" for name, v in dict(told).items()
+    )
+    paper = {"model__damping": C, "compensation__delay": DELAY, "mass_ratio": 1.0}
+    method_words = {"compensation__method": method, "compensation__settings": own}
+    section = force_section(**paper | method_words | values)
+    return COMPENSATION_METHODS[method](method_inputs(section, axes, Timebase.from_rate(rate)))
+
+
+def run(one, motion, states):
+    """Forces of a test, shape (N, n)."""
+    one.reset()
+    window = 1 + one.preview
+    return np.array([one.step(motion[k : k + window], y) for k, y in enumerate(states)])
+
+
+def noise(axes, steps=300, seed=1):
+    """Ground motion and states."""
+    rng = np.random.default_rng(seed)
+    scale = np.array([[1e-3], [0.1], [5.0], [300.0]])
+    return rng.normal(0, 3, (steps + 50, axes)), rng.normal(0, 1, (steps, 4, axes)) * scale
+
+
+def assert_is_its_linear_filter(one, motion, states, **tolerance):
+    """The forces are those of the filter that the method says it is."""
+    linear = one.linear()
+    matrix, s, expected = linear.matrix(), np.zeros(len(linear.a)), []
+    for k, y in enumerate(states):
+        window = motion[k : k + 1 + linear.preview]
+        force, s = np.split(matrix @ np.concatenate([s, y.ravel(), window.ravel()]), [y.shape[1]])
+        expected.append(force)
+    np.testing.assert_allclose(run(one, motion, states), expected, **tolerance)
+
+
+def assert_axes_are_apart(method, **common):
+    """Axes that are not coupled are tests of their own."""
+    masses, stiffness = [52.7, 20.0, 300.0], [2.11e5, 9e4, 3e6]
+    motion, states = noise(3, 900)
+    states[:, 3] = np.roll(-motion[:900] * masses, 5, axis=0)
+    values = {"model__mass": masses, "model__stiffness": stiffness, "mass_ratio": 0.4, **common}
+    together = run(compensator(method, ("x", "y", "z"), **values), motion, states)
+    for axis in range(3):
+        own = values | {"model__mass": masses[axis], "model__stiffness": stiffness[axis]}
+        one = slice(axis, axis + 1)
+        alone = run(compensator(method, **own), motion[:, one], states[:, :, one])
+        scale = np.abs(alone).max()
+        np.testing.assert_allclose(together[:, one] / scale, alone / scale, atol=1e-9)
+
+
+def assert_known_motion_is_all(method, delay, step):
+    """Without a computed mass the force is that of the ground motion at the end of the delay."""
+    motion, states = noise(1, 10)
+    force = run(compensator(method, compensation__delay=delay, mass_ratio=0.0), motion, states)
+    ahead = np.interp(step * DT + delay, DT * np.arange(len(motion)), motion[:, 0])
+    assert np.isclose(force[step, 0], -M * ahead, rtol=1e-9, atol=1e-12)

@@ -1,0 +1,22 @@
+"""Experiments of the project's folder, and what the offline loop makes of them."""
+
+from pathlib import Path
+
+from seft_msgs_py.config.experiment import Experiment, parse_override
+from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.offline import simulate_test
+from seft_ros.test_run.parameter_tables import TABLES
+
+CONFIG = Path(__file__).parents[3] / "config"  # wherever it runs, as by colcon test
+JHU = CONFIG / "jhu.yaml"
+
+
+def load(*words, config="jhu"):
+    """Experiment of a file in config, with overrides as after -p."""
+    file = CONFIG / f"{config}.yaml"
+    return Experiment.load(TABLES, [file], [parse_override(word) for word in words])
+
+
+def simulated(experiment):
+    """Record of a test by the offline loop."""
+    return simulate_test(experiment, build_blocks(experiment))
