@@ -25,11 +25,15 @@ HEALTHY_UBUNTU := $(call healthy,$(UBUNTU))
 # A test that hangs ends, and the others go on; pytest 7, which Ubuntu 24.04 has, does not know this.
 PYTEST := $(BIN)/pytest -o faulthandler_exit_on_timeout=true
 
-.PHONY: help setup setup-ubuntu demo test test-ubuntu types docs thorough bench clean unfinished
+# $(call step,what it does,command): say so, do it, and say how long it took.
+step = @printf 'seft: %s ...\n' "$(1)"; begun=$$(date +%s); $(2) || exit 2; \
+	echo "seft: ... $$(($$(date +%s) - begun)) s"
+
+.PHONY: help setup setup-ubuntu demo test test-ubuntu types docs thorough thorough-offline bench clean unfinished
 .DELETE_ON_ERROR:
 
 help: ## this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-11s %s\n", $$1, $$2}' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-16s %s\n", $$1, $$2}' Makefile
 
 setup: $(READY) ## make .venv with the pinned libraries, the three packages and examples/methods
 	@:
@@ -37,13 +41,12 @@ setup: $(READY) ## make .venv with the pinned libraries, the three packages and 
 demo: $(READY) ## the test of config/demo.yaml over ROS 2, on the simulated rig
 	$(BIN)/seft run config/demo.yaml
 
-test: $(READY) ## all checks: lint, format, types, docs, tests (CI runs the same)
+test: $(READY) ## lint, format, types, docs and tests: 6 minutes on two cores
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	@$(MAKE) --no-print-directory -j 2 types docs
 	$(PYTEST) src examples -n 2 --durations 10
-	$(PYTEST) tests -n 2 --dist loadfile -m "not thorough and not alone" --durations 15
-	$(PYTEST) tests -m "alone and not thorough"
+	$(PYTEST) tests -n 2 --dist loadfile --durations 10
 
 # All but what takes long and is arithmetic of our own, which no library changes: steps against
 # their formulas. The other tests call the same steps.
@@ -61,8 +64,11 @@ types: $(READY)
 docs: $(READY) ## the pages as HTML in build/docs, every link between them checked
 	$(DOCS)
 
-thorough: $(READY) ## the tests that take long: the tutorial, every fault in every state
-	$(PYTEST) src examples tests -m thorough
+thorough: thorough-offline ## all other tests: hosts, browser, colcon, cluster, time; an idle machine
+	$(PYTEST) src examples tests -m "thorough and not offline"
+
+thorough-offline: $(READY) ## of these what is arithmetic alone: many rigs, specimens and motions
+	$(PYTEST) src examples tests -n 2 -m "thorough and offline"
 
 bench: $(READY) ## every benchmark in bench, one after another
 	@failed=; for file in $(sort $(wildcard bench/[!_]*.py)); do \
@@ -85,14 +91,14 @@ ifneq ($(HEALTHY),yes)
 	rm -rf .venv && "$$python" -m venv .venv
 endif
 	@rm -f $(READY)
-	@echo "seft: installing the pinned libraries (at first some 500 MB, a few minutes)"
-	@$(PIP) install -r requirements.txt || { \
-		echo "seft: see why with: $(BIN)/pip install -r requirements.txt" >&2; exit 2; }
-	@echo "seft: installing the packages in place"
-	@$(PIP) install --no-deps --no-build-isolation $(PACKAGES:%=-e %)
-	@echo "seft: compiling the steps of a test, once"
-	@$(BIN)/python -m compileall -q $(PACKAGES)
-	@$(BIN)/seft simulate config/demo.yaml >/dev/null 2>&1 || true
+	$(call step,installing the pinned libraries (at first some 500 MB, a few minutes), \
+		$(PIP) install -r requirements.txt || { \
+		echo "seft: see why with: $(BIN)/pip install -r requirements.txt" >&2; false; })
+	$(call step,installing the packages in place, \
+		$(PIP) install --no-deps --no-build-isolation $(PACKAGES:%=-e %))
+	$(call step,compiling the steps of a test (half a minute, once), \
+		$(BIN)/python -m compileall -q $(PACKAGES); \
+		$(BIN)/seft simulate config/demo.yaml >/dev/null 2>&1 || true)
 	@pwd -P > $(READY)
 	@echo "seft: .venv is ready"
 
@@ -108,10 +114,10 @@ $(UBUNTU_READY): tools/ubuntu-24.04.txt requirements.txt $(BUILD_FILES)
 	rm -rf $(UBUNTU) && "$$python" -m venv $(UBUNTU)
 	@sed 's/ *#.*//; s/\[.*\]//' tools/ubuntu-24.04.txt requirements.txt \
 		| awk -F == 'NF == 2 && !seen[$$1]++' > $(UBUNTU)/constraints.txt
-	@echo "seft: installing what Ubuntu 24.04 has (a minute or two)"
-	@$(UBUNTU_PIP) install -c $(UBUNTU)/constraints.txt setuptools wheel
-	@$(UBUNTU_PIP) install -c $(UBUNTU)/constraints.txt --no-build-isolation \
+	$(call step,installing what Ubuntu 24.04 has (a minute or two), \
+		$(UBUNTU_PIP) install -c $(UBUNTU)/constraints.txt setuptools wheel && \
+		$(UBUNTU_PIP) install -c $(UBUNTU)/constraints.txt --no-build-isolation \
 		"ros-jazzy-rclpy[fastrtps]" ros-jazzy-common-interfaces pytest-xdist \
-		$(PACKAGES:%=-e %[test])
+		$(PACKAGES:%=-e %[test]))
 	@pwd -P > $(UBUNTU_READY)
 	@echo "seft: $(UBUNTU) is ready"

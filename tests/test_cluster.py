@@ -13,6 +13,7 @@ import pytest
 from seft_ros.cli.main import main
 
 pytest.importorskip("distributed")
+pytestmark = [pytest.mark.thorough, pytest.mark.cluster]
 JHU = str(Path(__file__).parents[1] / "config" / "jhu.yaml")
 SHORT = ("-p", "ground_motion:synthetic.duration:=4", "-p", "ground_motion:tail:=0.5")
 

@@ -13,6 +13,7 @@ from graph_tools import PATIENCE, ROOT, wait_for
 from seft_msgs_py.wire.topics import NODES
 from seft_ros.bags.record_bag import read_bag
 
+pytestmark = [pytest.mark.thorough, pytest.mark.colcon]
 SHORT = ("ground_motion:synthetic.duration:=3.0", "rig:pace:=lockstep", "recorder:name:=bag")
 OURS = ("seft_msgs_py", "seft_plant_sim", "seft_ros")
 

@@ -1,11 +1,22 @@
-"""A computed model takes part in tests: the same bits over DDS, near the whole structure, safe."""
+"""A computed model takes part in tests: the same bits in nodes, near the whole structure, safe."""
 
 import json
 import subprocess
 import sys
 
+import numpy as np
 import pytest
-from graph_tools import DEMO, MISSES_ALLOWED, ROOT, STALLS_ALLOWED, thorough
+from graph_tools import DEMO, ROOT
+from local_tools import LOCKSTEP, UNREHEARSED, assert_same, offline, perform
+from seft_msgs_py.config.experiment import Experiment, parse_override
+from seft_msgs_py.wire.topics import RIG_STATE
+from seft_ros.analysis.metrics import nrmse
+from seft_ros.cli.main import main
+from seft_ros.design import preflight_tables
+from seft_ros.protection.protected_force import ProtectedForce
+from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.offline import simulate_test
+from seft_ros.test_run.parameter_tables import TABLES
 
 MODELS = '''
 class Hardening:
@@ -61,22 +72,6 @@ class Breaking(Hardening):
         return super().step(t, displacement, velocity, ground_acceleration)
 
 
-class Sleepy(Hardening):
-    def step(self, t, displacement, velocity, ground_acceleration):
-        import time
-
-        time.sleep(0.004)
-        return 1e5 * displacement
-
-
-class Hang(Hardening):
-    def step(self, t, displacement, velocity, ground_acceleration):
-        import time
-
-        time.sleep(0.2 if 0.3 < t < 0.303 else 0.0)
-        return 1e5 * displacement
-
-
 class Loud(Hardening):
     """Prints like a program that takes the terminal for its own."""
 
@@ -107,9 +102,9 @@ class Odd(Hardening):
     def step(self, t, displacement, velocity, ground_acceleration):
         return [float("nan")] if t > 1.5 else 1e5 * displacement
 '''
+THOROUGH = (pytest.mark.thorough, pytest.mark.offline)
 SHORT = ("-p", "ground_motion:synthetic.duration:=5.0", "-p", "ground_motion:tail:=0.5")
-LOCKSTEP = ("-p", "rig:pace:=lockstep", *STALLS_ALLOWED)
-BILINEAR = (*("-p", "rig:specimen.kind:=bilinear", "-p", "rig:specimen.yield_displacement:=0.004"),)
+BILINEAR = ("rig:specimen.kind:=bilinear", "rig:specimen.yield_displacement:=0.004")
 
 
 @pytest.fixture
@@ -129,42 +124,55 @@ def example(name, *settings):
 
 @pytest.mark.parametrize("name", ["Hardening", "Slipping", "Damper"])
 def test_a_test_with_a_model_is_near_the_whole_structure(seft_json, model, name):
-    summary = seft_json("simulate", DEMO, *model(name))
+    summary = seft_json("simulate", DEMO, *SHORT, *model(name))
     assert summary["displacement"]["nrmse"] < 0.01
 
 
-@pytest.mark.parametrize("arrangement", [["--composed"], thorough([])])  # a process of its own:
-def test_a_model_gives_the_same_bits_over_dds(seft_json, model, arrangement):  # see OpenSees below
-    words = (DEMO, *SHORT, *model("Damper"))
-    seft_json("simulate", *words, "--out", "simulated")
-    seft_json("run", *words, *LOCKSTEP, *arrangement, "--out", "lockstep")
-    assert seft_json("compare", "simulated", "lockstep")["identical"] is True
+@pytest.fixture
+def refused(capsys, monkeypatch):
+    """Give the line with which `seft run` refuses a test before it starts anything."""
+
+    def run(*words):
+        monkeypatch.setattr(sys, "argv", ["seft", "run", *map(str, words)])
+        assert main() == 2
+        return capsys.readouterr().err.strip().splitlines()[-1]
+
+    return run
 
 
-IN_NODE = '"reference_force_node" in open(f"/proc/{os.getppid()}/cmdline").read()'
-"""Whether a model belongs to the node of a test, rather than to the command."""
+def bare(words):
+    """Overrides without the options' name."""
+    return [word for word in words if word not in ("-p", DEMO)]
+
+
+def test_a_model_gives_the_bits_of_the_offline_loop_in_its_node(local_graph, model):
+    for pace in (LOCKSTEP, "rig:pace:=realtime"):
+        graph = local_graph(*bare([*SHORT, *model("Damper")]), pace, UNREHEARSED, config=DEMO)
+        perform(graph)
+        assert_same(graph, offline(graph))
+
+
 FAILURES = {
     "Breaking": "models.py:Breaking line 51, step: it broke",
-    "Odd": "models.py:Odd line 98: step gives a force that is not finite: [nan] N",
-    "Quits": "models.py:Quits line 88, step: SystemExit(0)",
+    "Odd": "models.py:Odd line 82: step gives a force that is not finite: [nan] N",
+    "Quits": "models.py:Quits line 72, step: SystemExit(0)",
 }
 
 
 @pytest.mark.parametrize("name", FAILURES)
-def test_a_model_that_fails_brings_the_test_down_softly_and_says_where(seft, model, name):
+def test_a_model_that_fails_brings_the_test_down_softly_and_says_where(seft, refused, model, name):
     words = (DEMO, *SHORT, *model(name))
     offline = seft("simulate", *words, "--json", status=1)
     found = json.loads(offline.stdout)
     assert FAILURES[name] in found["trip"]["reason"]
     assert found["steps"] > 750 + 250  # it ramped down
     assert FAILURES[name] in offline.stderr.strip().splitlines()[-1]
-    (line,) = seft("run", *words, status=2).stderr.strip().splitlines()[-1:]  # nothing moves
-    assert FAILURES[name] in line
+    assert FAILURES[name] in refused(*words)
 
 
 def test_a_model_that_can_t_be_made_is_wrong_input(seft, model):
     (line,) = seft("simulate", DEMO, *model("QuitsAtOnce"), status=2).stderr.strip().splitlines()
-    assert "models.py:QuitsAtOnce line 94, made: SystemExit(0)" in line
+    assert "models.py:QuitsAtOnce line 78, made: SystemExit(0)" in line
 
 
 def test_what_a_model_prints_goes_to_stderr_and_is_no_command_to_the_terminal(seft, model):
@@ -177,47 +185,50 @@ def test_what_a_model_prints_goes_to_stderr_and_is_no_command_to_the_terminal(se
 
 
 def test_a_model_takes_every_second_sample(seft_json, model):
-    words = (DEMO, *model("Damper"), "-p", "reference_force:computed.every:=2")
+    words = (DEMO, *SHORT, *model("Damper"), "-p", "reference_force:computed.every:=2")
     assert seft_json("simulate", *words)["displacement"]["nrmse"] < 0.05
 
 
-def test_a_model_whose_longest_step_would_trip_the_test_is_refused(seft, seft_json, model):
-    short = ("-p", "ground_motion:synthetic.duration:=1.0", "-p", "ground_motion:tail:=0.2")
-    words = (DEMO, *short, *STALLS_ALLOWED, *model("Hang"))
+def test_a_model_that_fails_in_its_node_alone_trips_the_test(local_graph, model):
+    graph = local_graph(*bare([*SHORT, *model("Breaking")]), UNREHEARSED, config=DEMO)
+    perform(graph, "tripped")
+    assert "models.py:Breaking line 51, step: it broke (step 75" in graph.values["detail"]
+    assert len(graph.samples(RIG_STATE)[0]) > 750 + 250
+
+
+def test_a_model_that_becomes_slow_in_a_test_trips_it(local_graph, model, monkeypatch):
+    graph = local_graph(*bare([*SHORT, *model("Hardening")]), UNREHEARSED, config=DEMO)
+    ask = ProtectedForce.ask_model
+
+    def slow(block):
+        graph.graph.clock.sleep(0.051)
+        ask(block)
+
+    graph.until("ready")
+    assert graph.call("start")[0]
+    graph.run(0.2)
+    monkeypatch.setattr(ProtectedForce, "ask_model", slow)
+    graph.until("tripped")
+    assert "models.py:Hardening took 0.051 s for a step" in graph.values["detail"]
+
+
+def test_a_model_that_is_too_slow_is_refused_with_the_rate_that_fits(
+    seft_json, refused, model, monkeypatch
+):
+    words = (DEMO, *SHORT, *model("Hardening"))
+    times = [4.1e-3] * 1501
+    monkeypatch.setattr(preflight_tables, "model_times", lambda *_: times)
     found = seft_json("preflight", *words, status=1)["model"]
-    assert found["longest_s"] > 0.2 and not found["fits"]
+    assert found["median_s"] == 4.1e-3 and not found["fits"]
+    assert (found["fitting_rate_hz"], found["fitting_every"]) == (125, 4)
+    told = "4.1 ms for one of 1000), but has 1.2 ms at 500 Hz: reference_force: computed.every 4 or"
+    assert told in refused(*words)
+    times[:] = [1e-4] * 1501  # but one, at which the test would trip
+    times[151] = 0.21
+    found = seft_json("preflight", *words, status=1)["model"]
+    assert (found["longest_s"], found["fits"]) == (0.21, False)
     assert found["longest_at_s"] == pytest.approx(0.302)
-    (line,) = seft("run", *words, status=2).stderr.strip().splitlines()[-1:]
-    assert "s for the step at 0.302 s, at which the test would trip" in line
-
-
-def test_a_model_that_fails_in_its_node_alone_trips_the_test(seft_json, model, tmp_path):
-    words = (DEMO, *SHORT, *model("Breaking"))
-    text = MODELS.replace("if t > 1.5:", f"if t > 1.5 and {IN_NODE}:")
-    (tmp_path / "models.py").write_text(f"import os\n{text}")
-    summary = seft_json("run", *words, *LOCKSTEP, "--out", "lockstep", status=1)
-    assert "models.py:Breaking line 52, step: it broke (step 75" in summary["trip"]["reason"]
-    assert summary["steps"] > 750 + 250
-
-
-def test_a_model_that_becomes_slow_in_a_test_trips_it(seft_json, model, tmp_path):
-    # while the specimen hardly moves: later the held forces may reach a limit first
-    text = MODELS.replace("if t > 1.5:", f"if t > 0.1 and {IN_NODE}:")
-    text = text.replace('raise ValueError("it broke")', "time.sleep(0.08)")
-    (tmp_path / "models.py").write_text(f"import os\nimport time\n{text}")
-    words = (*SHORT, *model("Breaking"), *STALLS_ALLOWED, *MISSES_ALLOWED)
-    summary = seft_json("run", DEMO, *words, "--out", "slow", status=1)
-    assert "models.py:Breaking took 0.0" in summary["trip"]["reason"]
-
-
-def test_a_model_that_is_too_slow_is_refused_with_the_rate_that_fits(seft, seft_json, model):
-    short = ("-p", "ground_motion:synthetic.duration:=1.0", "-p", "ground_motion:tail:=0.2")
-    words = (DEMO, *short, *model("Sleepy"))
-    found = seft_json("preflight", *words, status=1)["model"]
-    assert found["median_s"] > 0.004 and not found["fits"]
-    assert found["fitting_rate_hz"] in (125, 100, 50, 25) and found["fitting_every"] >= 4
-    (line,) = seft("run", *words, status=2).stderr.strip().splitlines()[-1:]
-    assert "ms for a step" in line and "at 500 Hz: reference_force: computed.every " in line
+    assert "takes 0.21 s for the step at 0.302 s, at which the test would trip" in refused(*words)
 
 
 def test_only_a_target_takes_a_model(seft, model):
@@ -231,8 +242,8 @@ def test_only_a_target_takes_a_model(seft, model):
 
 
 def test_preflight_takes_the_tangent(seft_json, model):
-    bare, with_spring = (seft_json("preflight", DEMO, *words) for words in ((), model("Hardening")))
-    lowest = [found["modes"][0]["exact_hz"] for found in (bare, with_spring)]
+    found = (seft_json("preflight", DEMO, *SHORT, *words) for words in ((), model("Hardening")))
+    lowest = [each["modes"][0]["exact_hz"] for each in found]
     assert lowest[1] / lowest[0] == pytest.approx((1 + 1e5 / 2.11e5) ** 0.5, rel=1e-3)
 
 
@@ -245,6 +256,15 @@ def opensees():
     pytest.importorskip("openseespy", reason="OpenSeesPy is not installed")
 
 
+OTHERS = [
+    *(("frame", 0.0, "linear", 1), ("damper", 0.0, "bilinear", 1), ("soil", 150.0, "bilinear", 1)),
+    *(
+        (name, foundation, kind, seed)
+        for name, foundation in (("frame", 0.0), ("damper", 0.0), ("soil", 150.0))
+        for kind in ("linear", "bilinear")
+        for seed in (2, 3)
+    ),
+]
 WHOLE = """
 import json, sys
 import numpy as np
@@ -305,20 +325,21 @@ def own_solution(script, kind, foundation, motion, dt, folder):
 
 
 @pytest.mark.usefixtures("opensees")
-@pytest.mark.parametrize("seed", [1, thorough(2), thorough(3)])
-@pytest.mark.parametrize("kind", ["linear", "bilinear"])
-@pytest.mark.parametrize(("name", "foundation"), [("frame", 0.0), ("damper", 0.0), ("soil", 150.0)])
+@pytest.mark.parametrize(
+    ("name", "foundation", "kind", "seed"),
+    [
+        *(
+            ("frame", 0.0, "bilinear", 1),
+            ("damper", 0.0, "linear", 1),
+            ("soil", 150.0, "linear", 1),
+        ),
+        *(pytest.param(*case, marks=THOROUGH) for case in OTHERS),
+    ],
+)
 def test_an_example_is_near_the_solution_of_opensees_itself(tmp_path, name, foundation, kind, seed):
-    import numpy as np
-    from seft_msgs_py.config.experiment import Experiment, parse_override
-    from seft_ros.analysis.metrics import nrmse
-    from seft_ros.test_run.compiled_loop import build_blocks
-    from seft_ros.test_run.offline import simulate_test
-    from seft_ros.test_run.parameter_tables import TABLES
-
     config, _, script = example(name)
-    words = [script, *([word for word in BILINEAR if word != "-p"] if kind != "linear" else [])]
-    overrides = [*words, f"ground_motion:synthetic.seed:={seed}"]
+    overrides = [script, f"ground_motion:synthetic.seed:={seed}"]
+    overrides += BILINEAR if kind == "bilinear" else ()
     experiment = Experiment.load(TABLES, [config], [parse_override(word) for word in overrides])
     blocks = build_blocks(experiment)
     record = simulate_test(experiment, blocks)
@@ -331,11 +352,11 @@ def test_an_example_is_near_the_solution_of_opensees_itself(tmp_path, name, foun
 
 
 @pytest.mark.usefixtures("opensees")
-def test_a_model_in_opensees_gives_the_same_bits_over_dds(seft_json):
-    words = (*example("frame"), *SHORT)
-    seft_json("simulate", *words, "--out", "simulated")
-    seft_json("run", *words, *LOCKSTEP, "--out", "lockstep")
-    assert seft_json("compare", "simulated", "lockstep")["identical"] is True
+def test_a_model_in_opensees_gives_the_bits_of_the_offline_loop_in_its_node(local_graph):
+    config, *words = example("frame")
+    graph = local_graph(*bare([*words, *SHORT]), UNREHEARSED, config=config)
+    perform(graph)
+    assert_same(graph, offline(graph))
 
 
 PORTAL = """
@@ -367,7 +388,7 @@ def test_a_script_needs_no_more_than_the_interface_s_lines(seft, seft_json, tmp_
     (tmp_path / "cantilever.py").write_text(PORTAL.format(interface=lines))
     words = ("-p", "reference_force:computed.model:=opensees")
     words = (*words, "-p", "reference_force:computed.settings:=script=cantilever.py")
-    summary = seft_json("simulate", DEMO, *words)
+    summary = seft_json("simulate", DEMO, *SHORT, *words)
     assert summary["displacement"]["nrmse"] < 0.01
 
     def told(text):

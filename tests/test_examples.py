@@ -1,7 +1,8 @@
 """The examples in config/ run, and hold what is said of them."""
 
 import pytest
-from graph_tools import ROOT, STALLS_ALLOWED
+from graph_tools import ROOT
+from local_tools import LOCKSTEP, assert_same, offline, perform
 
 CONFIG = ROOT / "config"
 LARGEST_ERROR = {
@@ -10,7 +11,7 @@ LARGEST_ERROR = {
     "six_storey_frame": 0.02,
     "two_pier_bridge": 0.02,
 }
-SHORT = ("-p", "ground_motion:synthetic.duration:=6.0", "-p", "ground_motion:tail:=0.5")
+SHORT = ("ground_motion:synthetic.duration:=6.0", "ground_motion:tail:=0.5")
 
 
 def test_each_example_beside_the_paper_s_rig_is_looked_at():
@@ -21,7 +22,7 @@ def test_each_example_beside_the_paper_s_rig_is_looked_at():
 
 @pytest.mark.parametrize("name", LARGEST_ERROR)
 def test_an_example_is_near_the_whole_structure(seft_json, name):
-    summary = seft_json("simulate", CONFIG / f"{name}.yaml", "--out", "bag")
+    summary = seft_json("simulate", CONFIG / f"{name}.yaml")
     assert summary["displacement"]["nrmse"] < LARGEST_ERROR[name]
 
 
@@ -33,17 +34,14 @@ def test_a_frame_whose_storeys_yield_is_near_the_whole_structure(seft_json, yiel
         f"rig:specimen.yield_displacement:={yield_displacement}",
     )
     overrides = [part for word in words for part in ("-p", word)]
-    frame = CONFIG / "three_storey_frame.yaml"
-    summary = seft_json("simulate", frame, *overrides, "--out", "bag")
+    summary = seft_json("simulate", CONFIG / "three_storey_frame.yaml", *overrides)
     assert summary["stable"] is True
     assert summary["displacement"]["nrmse"] < 0.05
 
 
-@pytest.mark.parametrize("name", LARGEST_ERROR)
-def test_an_example_gives_the_same_bits_over_dds(seft_json, name):
-    config = CONFIG / f"{name}.yaml"
-    seft_json("simulate", config, *SHORT, "--out", "simulated")
-    words = (*SHORT, "-p", "rig:pace:=lockstep", *STALLS_ALLOWED)
-    arrangement = () if name == "six_storey_frame" else ("--composed",)
-    seft_json("run", config, *words, *arrangement, "--out", "lockstep")
-    assert seft_json("compare", "simulated", "lockstep")["identical"] is True
+@pytest.mark.parametrize("name", ["water_tower", "three_storey_frame", "six_storey_frame"])
+def test_nodes_give_the_bits_of_the_offline_loop(local_graph, name):
+    """Those of the bridge: see test_local_rigs.py."""
+    graph = local_graph(*SHORT, LOCKSTEP, config=CONFIG / f"{name}.yaml")
+    perform(graph)
+    assert_same(graph, offline(graph))

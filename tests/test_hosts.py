@@ -11,6 +11,8 @@ from two_hosts import promptly, two_hosts
 
 __all__ = ["two_hosts"]
 
+pytestmark = [pytest.mark.thorough, pytest.mark.hosts, pytest.mark.wallclock]
+
 LOOP_DELAY = 9
 DELAYED = {"delay": 0.005, "jitter": 0.001}
 PLAN = (
@@ -184,7 +186,6 @@ def test_the_link_is_measured_and_a_test_takes_the_delay_that_it_needs(two_hosts
     assert controller.poll() is None
 
 
-@pytest.mark.alone
 def test_a_link_is_measured_against_an_echo_too(two_hosts):
     two_hosts.link(delay=0.002, loss=0.03)
     echo = two_hosts.start("b", "seft_ros.cli.main", "link", "--echo", prompt=True)

@@ -4,15 +4,18 @@ import itertools
 
 import numpy as np
 import pytest
-from graph_tools import JHU, ROOT, THOROUGH
+from graph_tools import JHU, ROOT
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_ros.test_run.compiled_loop import build_blocks, with_method
 from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
+pytestmark = pytest.mark.offline
+THOROUGH = pytest.mark.thorough
 RECORDS = ROOT.parent / "shared" / "data"
 FILES = {"Kobe": "kobe_jma_1995.txt", "El Centro": "elcentro_1940.txt"}
 MOTIONS = ("synthetic", *FILES)
+IN_SHORT = ["synthetic", *(pytest.param(name, marks=THOROUGH) for name in FILES)]
 PEAKS = {0.5: 500.0, 1.0: 500.0, 3.0: 250.0, 10.0: 120.0}  # mass ratio: N, what the valve serves
 YIELDS = ("specimen.yield_displacement:=0.0038",)
 SPECIMENS = {
@@ -70,7 +73,7 @@ def test_no_sound_test_trips_whatever_the_specimen_is(motion, mass_ratio, specim
 
 
 @pytest.mark.parametrize("specimen", ["bilinear", "bouc_wen", "duffing"])
-@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("motion", IN_SHORT)
 def test_a_link_of_10_ms_to_a_specimen_that_yields_trips_nothing(motion, specimen):
     """The target is told late, each corner knocks the oil, and it rings for some cycles."""
     words = f"specimen.kind:={specimen}", *SPECIMENS[specimen]
@@ -79,7 +82,7 @@ def test_a_link_of_10_ms_to_a_specimen_that_yields_trips_nothing(motion, specime
 
 
 @pytest.mark.parametrize("peak_force", [200.0, 1000.0])
-@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("motion", IN_SHORT)
 def test_an_unstable_test_trips_long_before_a_limit(motion, peak_force):
     """Of the paper's: mass ratio 1.5, without compensation."""
     limit, _ = run(motion, "none", 1.5, peak_force, 0.0)
@@ -91,7 +94,7 @@ def test_an_unstable_test_trips_long_before_a_limit(motion, peak_force):
 
 
 @pytest.mark.parametrize("mass_ratio", [0.0, 0.5, 1.0])
-@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("motion", IN_SHORT)
 def test_what_the_paper_could_test_does_not_trip(motion, mass_ratio):
     found, _ = run(motion, "none", mass_ratio, 1000.0, 5.0)
     assert found.trip is None

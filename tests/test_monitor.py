@@ -11,7 +11,7 @@ import pytest
 from graph_tools import DEMO, MISSES_ALLOWED, STALLS_ALLOWED, shared_memory, wait_for
 from real_browser import NEEDED, PHONE, SCREEN, start_browser, webdriver
 
-pytestmark = NEEDED
+pytestmark = [NEEDED, pytest.mark.thorough, pytest.mark.browser, pytest.mark.wallclock]
 LONG = (
     *("-p", "ground_motion:synthetic.duration:=600.0"),
     # without feedback, many missed commands do not shake the rig

@@ -8,7 +8,7 @@ import pytest
 from graph_tools import DEMO, JHU
 from real_browser import NEEDED, PHONE, SCREEN, start_browser
 
-pytestmark = NEEDED
+pytestmark = [NEEDED, pytest.mark.thorough, pytest.mark.browser]
 DRAWN = """
 const found = [];
 const walk = (node) => {

@@ -11,6 +11,7 @@ from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
+pytestmark = pytest.mark.offline
 RECORDS = ROOT.parent / "shared" / "data"
 MOTIONS = {
     "synthetic 1": {"synthetic.seed": 1},
@@ -19,7 +20,12 @@ MOTIONS = {
     "El Centro": {"file": RECORDS / "elcentro_1940.txt", "column": 0},
     "Nishi-Akashi": {"file": RECORDS / "kobe_nishi_akashi_090.AT2"},
 }
-HERE = [name for name, motion in MOTIONS.items() if motion.get("file", ROOT).exists()]
+AT_ONCE = ("synthetic 1", "Kobe JMA")
+HERE = [
+    pytest.param(name, marks=() if name in AT_ONCE else pytest.mark.thorough)
+    for name, motion in MOTIONS.items()
+    if motion.get("file", ROOT).exists()
+]
 
 
 def uncompensated(name, mass_ratio, watched=0.0):

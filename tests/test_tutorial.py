@@ -8,8 +8,10 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from graph_tools import PATIENCE, ROOT, THOROUGH
+import pytest
+from graph_tools import PATIENCE, ROOT
 
+pytestmark = [pytest.mark.thorough, pytest.mark.wallclock]
 TOLERANCE = 0.15  # relative, of numbers: noise and rounding differ from machine to machine
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
@@ -37,7 +39,6 @@ def typed(block):
     return [part.rstrip("\n").split("\n") for part in parts]
 
 
-@THOROUGH
 def test_each_command_answers_as_the_tutorial_says(domain, tmp_path):
     for folder in ("config", "examples"):
         shutil.copytree(ROOT / folder, tmp_path / folder)
