@@ -136,14 +136,14 @@ class McapFile:
         if is_lost:
             self._note("it does not begin as an mcap file" if self._size else "it is empty", 0)
             at = self._next(0)
-        while at is not None:
+        while (place := at) is not None:
             try:
-                at, is_lost = self._take(at), False
+                at, is_lost = self._take(place), False
             except _GARBAGE as error:
                 if not is_lost:
                     known = isinstance(error, DamageError)
-                    self._note(str(error) if known else "a record is damaged", at)
-                at, is_lost = self._next(at + 1), True
+                    self._note(str(error) if known else "a record is damaged", place)
+                at, is_lost = self._next(place + 1), True
 
     def _take(self, at: int) -> int | None:
         """Take a record; give the place of the next one, None at the end of the file.
