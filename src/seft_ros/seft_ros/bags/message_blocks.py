@@ -168,7 +168,7 @@ def inflated(packed: bytes | IO[bytes], limit: int) -> Iterator[bytes]:
     for part in zstandard.ZstdDecompressor().read_to_iter(packed):
         size += len(part)
         if size > limit:
-            raise DamageError("it is packed, and larger than it declares")
+            raise DamageError("it is packed, and larger than it can be")
         yield part
 
 
