@@ -25,35 +25,35 @@ def contents(path):
 
 def delete(bag):
     shutil.rmtree(bag)
-    return "was deleted"
+    return "was deleted", bag
 
 
 def delete_all_bags(bag):
     shutil.rmtree(bag.parent)
-    return "was deleted"
+    return "was deleted", bag
 
 
 def delete_the_file(bag):
     (file,) = bag.iterdir()
     file.unlink()
-    return "was deleted"
+    return "was deleted", bag.with_name("bag_saved")
 
 
 def put_another_there(bag):
     shutil.rmtree(bag)
     bag.mkdir()
-    return "was deleted"
+    return "was deleted", bag.with_name("bag_saved")
 
 
 def move(bag):
     bag.rename(bag.with_name("other"))
-    return f"was moved: its file is {bag.with_name('other')}"
+    return f"was moved: its file is {bag.with_name('other')}", bag
 
 
 def move_the_file(bag):
     (file,) = bag.iterdir()
     file.rename(bag / "elsewhere")
-    return f"was moved: its file is {bag / 'elsewhere'}"
+    return f"was moved: its file is {bag / 'elsewhere'}", bag.with_name("bag_saved")
 
 
 @pytest.mark.parametrize(
@@ -65,13 +65,12 @@ def test_a_bag_that_is_lost_is_told_and_whole_in_the_end(tmp_path, lose):
         bag.write(*message)
     bag.flush()
     assert bag.trouble == ""
-    told = lose(tmp_path / "bags" / "bag")
+    told, saved = lose(tmp_path / "bags" / "bag")
     bag.flush()
     assert told in bag.trouble
     for message in MESSAGES[HALF:]:
         bag.write(*message)
-    saved = bag.save()
-    assert saved == tmp_path / "bags" / "bag_saved"
+    assert bag.save() == saved
     assert contents(saved) == ALL
 
 

@@ -2,7 +2,8 @@
 
 What is received is in the file after at most a quarter of a second, in chunks with a checksum. What
 the disk does not take stays in memory. A bag that was deleted, moved or can't be written any more
-is saved beside it, or among temporary files: its file can be read as long as it is open.
+is saved under the first free name there, or among temporary files: its file can be read as long as
+it is open.
 """
 
 import os
@@ -14,7 +15,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from io import BytesIO, StringIO
-from itertools import count
+from itertools import chain, count
 from pathlib import Path
 from signal import raise_signal
 from types import TracebackType
@@ -40,7 +41,7 @@ RESERVED = 12 << 20
 """Bytes for the end of a test when the disk is full, and the index of a bag of hours."""
 MAX_IN_MEMORY = 1 << 30  # bytes, of a test that goes on without its bag
 SAVED = "_saved"
-"""Added to the name of a bag that could not be saved in its own place."""
+"""Added to the name of a bag whose own is taken."""
 _HANDLES = Path("/proc/self/fd")
 _COPIED = 1 << 24  # bytes at a time
 
@@ -200,7 +201,8 @@ class BagWriter:
             return self.path
         faults = []
         for folder in (self.path.parent, Path(tempfile.gettempdir())):
-            names = (f"{self.path.name}{SAVED}{k if k > 1 else ''}" for k in count(1))
+            ends = chain(("", SAVED), (f"{SAVED}{k}" for k in count(2)))
+            names = (f"{self.path.name}{end}" for end in ends)
             place = next(place for name in names if not (place := folder / name).exists())
             try:
                 self._copy_to(place)
