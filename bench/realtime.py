@@ -1,6 +1,6 @@
 """Commands missed in real time for a minute each, and how many of them were the machine's doing.
 
-In every run a bare process sleeps to deadlines on the loop's core (`seft_ros.bags.
+In every run a bare process sleeps to deadlines on the loop's core (`seft_ros.test_run.
 stall_watch`): what it is late by, no loop could have met. Peak memory of each node comes with it.
 """
 

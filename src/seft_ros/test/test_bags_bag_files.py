@@ -218,7 +218,7 @@ def test_names_of_a_damaged_sqlite3_file_may_be_anything(tmp_path, name):
 
 
 @pytest.mark.parametrize("how", ["cut", "zeroed"])
-def test_of_a_damaged_sqlite3_file_the_reachable_messages_are_kept(tmp_path, how):
+def test_of_a_damaged_sqlite3_file_the_messages_before_the_damage_are_kept(tmp_path, how):
     texts = [encode_string(f"{k:900}") for k in range(200)]
     path = stock_bag(tmp_path / "bag", texts, "sqlite3")
     if how == "cut":
@@ -229,10 +229,7 @@ def test_of_a_damaged_sqlite3_file_the_reachable_messages_are_kept(tmp_path, how
         (path / "bag.db3").write_bytes(raw)
     found = readable(path)
     assert 50 < len(found) < 200
-    if how == "zeroed":
-        assert len(found) > 180
-        assert found[-1] == texts[-1]
-    assert set(found) < set(texts)
+    assert found == texts[: len(found)]
     assert f"/text: {200 - len(found)} of 200 messages are missing" in recover_bag(path).damage
     assert contents(path) == found
 

@@ -23,7 +23,7 @@ ALLOWED = {
     "seft_ros/test_run/run.py": "the bag's name",
     "seft_ros/test_run/observer.py": "when a message was sent, for conform and replay",
     "seft_ros/conformance/suite.py": "the same",
-    "seft_ros/bags/stall_watch.py": "when the host stood still, for the bag",
+    "seft_ros/test_run/stall_watch.py": "when the host stood still, for the bag",
     "seft_ros/bags/record.py": "when the test was",
     "seft_ros/bags/record_bag.py": "times in the bag",
     "seft_ros/cli/design_commands.py": "the folder's name",
@@ -59,7 +59,7 @@ OWN_CLOCK = {
     "seft_msgs_py/node/clock.py": "the machine's clock",
     "seft_ros/bags/bag_writer.py": "when the file was flushed: time of the disk",
     "seft_plant_sim/model_process.py": "the computed model's process lives by the machine's time",
-    "seft_ros/bags/stall_watch.py": "a process of its own, which watches the machine",
+    "seft_ros/test_run/stall_watch.py": "a process of its own, which watches the machine",
 }
 
 

@@ -165,8 +165,11 @@ def test_the_names_of_columns_choose_the_acceleration(read, names, column):
         (table("time", "displacement"), "is no acceleration"),
         (table("Period (s)", "PSA (gal)"), "PSA .gal. .line 1.: a spectrum, no time history"),
         (table("Frequency", "Amplitude"), "Amplitude .line 1.: a spectrum, no time history"),
-        ("units: g\n" + table("time", "acc (gal)"), "is in cm/s2, but line 1 says g"),
-        ("dt=0.02\n" + table("time", "acc (gal)"), "states .* 0.02 s, but the steps of column 0"),
+        (
+            "units: g\n" + table("time", "acc (gal)"),
+            "line 1 states the unit g, but the name of the column cm/s2",
+        ),
+        ("dt=0.02\n" + table("time", "acc (gal)"), "line 1 states .* 0.02, but column 0"),
     ],
 )
 def test_named_columns_that_are_no_acceleration_are_refused(read, text, told):

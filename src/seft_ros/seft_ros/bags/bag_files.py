@@ -96,15 +96,11 @@ class Bag:
             if wanted:
                 yield from file.blocks(wanted)
 
-    def close(self) -> None:
-        """Close its files."""
-        self._stack.close()
-
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
+        self._stack.close()
 
     def _open_files(self, stack: ExitStack) -> "_Metadata":
         """Open all files; give what the metadata say."""
@@ -116,17 +112,17 @@ class Bag:
         for file in files:
             scratch = Path(stack.enter_context(tempfile.TemporaryDirectory()))
             try:
-                found, damage = _opened(file, scratch, stack)
+                found = _opened(file, scratch, stack)
             except OSError as error:
                 self._lacks_files = True
                 self.damage.append(f"{file.name}: {file_reason(error)}")
                 continue
             self._files.append(found)
-            self.damage += [f"{file.name}: {one}" for one in (*damage, *found.damage)]
+            self.damage += [f"{file.name}: {one}" for one in found.damage]
             self.recovered += found.recovered
             self.checked &= found.checked
-            ours = found.metadata if len(files) == 1 else ""
-            if metadata.text and ours and metadata.text != ours:
+            texts = {metadata.text, found.metadata} - {""}
+            if len(files) == 1 and len(texts) > 1:
                 self.damage.append(f"{METADATA} is not what was written with {file.name}")
         if metadata.fault:
             self.damage.append(metadata.fault)
@@ -182,21 +178,19 @@ def _read_metadata(folder: Path) -> _Metadata:
     return found
 
 
-def _opened(file: Path, scratch: Path, stack: ExitStack) -> tuple[McapFile | SqliteFile, list[str]]:
-    """Open a file of a bag; give what is wrong with its packing, too."""
-    damage: list[str] = []
-    stream = stack.enter_context(_regular(file))
-    name = file
+def _opened(file: Path, scratch: Path, stack: ExitStack) -> McapFile | SqliteFile:
+    """Open a file of a bag; what is wrong with its packing is damage of the file."""
+    stream, fault = stack.enter_context(_regular(file)), ""
     if file.suffix == ".zstd":
-        name = scratch / f"unpacked{storage_suffix(file)}"
-        with name.open("wb") as plain:
-            damage = _unpack(stream, plain)
-        stream = stack.enter_context(name.open("rb"))
-    if name.suffix == ".mcap":
-        return McapFile(stream), damage
-    found = SqliteFile(name, scratch)
-    stack.callback(found.close)
-    return found, damage
+        packed, file = stream, scratch / f"unpacked{storage_suffix(file)}"
+        stream = stack.enter_context(file.open("x+b"))
+        fault = _unpack(packed, stream)
+        stream.flush()
+    found = McapFile(stream) if file.suffix == ".mcap" else SqliteFile(file, scratch)
+    found.damage[:0] = [fault] if fault else []
+    if isinstance(found, SqliteFile):
+        stack.callback(found.close)
+    return found
 
 
 def _regular(path: Path) -> IO[bytes]:
@@ -208,25 +202,19 @@ def _regular(path: Path) -> IO[bytes]:
     return os.fdopen(handle, "rb")
 
 
-def _unpack(packed: IO[bytes], plain: IO[bytes]) -> list[str]:
-    """Decompress a file to the size that it declares, and no further; give what is wrong."""
-    most = min(
-        _MAX_RATIO * os.fstat(packed.fileno()).st_size, shutil.disk_usage(plain.fileno()).free
-    )
+def _unpack(packed: IO[bytes], plain: IO[bytes]) -> str:
+    """Decompress a file, to no more than a bag can have; say what is wrong, empty if nothing is."""
+    size, free = os.fstat(packed.fileno()).st_size, shutil.disk_usage(plain.fileno()).free
     try:
         declared = zstandard.frame_content_size(packed.read(32))
         packed.seek(0)
-        limit = most if declared < 0 else declared
-        if limit > most:
-            raise DamageError(f"it is packed, and its {limit} bytes are too many")
-        for part in inflated(packed, limit):
+        for part in inflated(packed, min(_MAX_RATIO * size, free)):
             plain.write(part)
-        if plain.tell() < declared:
-            raise DamageError("it is packed and cut off")
-    except (DamageError, zstandard.ZstdError) as error:
-        known = isinstance(error, DamageError)
-        return [str(error) if known else "it is packed, and the packing is damaged"]
-    return []
+    except DamageError as error:
+        return str(error)
+    except zstandard.ZstdError:
+        return "it is packed, and the packing is damaged"
+    return "it is packed and cut off" if plain.tell() < declared else ""
 
 
 def storage_files(path: str | Path) -> list[Path]:
@@ -272,7 +260,7 @@ class Recovery:
     messages: int  # in it now
     damage: list[str]  # what was wrong with it
     original: Path | None  # where the damaged original is kept; None if it was intact
-    checked: bool = True  # see `Bag`
+    checked: bool  # see `Bag`
 
     @property
     def intact(self) -> bool:
@@ -314,21 +302,23 @@ def recover_bag(path: str | Path) -> Recovery:
     place = path.resolve()
     cut, fresh = place.with_name(place.name + ".cut"), place.with_name(place.name + ".recovering")
     storage_files(place)
-    is_folder = place.is_dir()
-    name = place.name
-    if not is_folder:
-        name = name.removesuffix(".zstd").removesuffix(storage_suffix(place))
-    final = place if is_folder else place.with_name(f"{name}.mcap")
-    whole = fresh / name if is_folder else fresh / name / final.name
+    if place.is_dir():
+        name, final = place.name, place
+        whole = fresh / name
+    else:
+        name = place.name.removesuffix(".zstd").removesuffix(storage_suffix(place))
+        final = place.with_name(f"{name}.mcap")
+        whole = fresh / name / final.name
     with Bag(path) as bag:
         if not bag.damage:
             return Recovery(path, bag.counts.total(), [], None, bag.checked)
+        damage = bag.recovered + bag.damage
         for taken in {cut, final} - {place}:
             if taken.exists():
                 raise InputError(f"{taken} is in the way; move it elsewhere")
         try:
             shutil.rmtree(fresh, ignore_errors=True)
-            with BagWriter(fresh / name, bag.recovered + bag.damage) as writer:
+            with BagWriter(fresh / name, damage) as writer:
                 sources = list(bag.sources.values())
                 numbers = {name: number for number, name in enumerate(bag.sources)}
                 for block in bag.blocks(numbers):
@@ -346,9 +336,4 @@ def recover_bag(path: str | Path) -> Recovery:
         finally:
             if place.exists() or final.exists():
                 shutil.rmtree(fresh, ignore_errors=True)
-    return _recovery(final, cut)
-
-
-def _recovery(path: Path, original: Path) -> Recovery:
-    with Bag(path) as bag:
-        return Recovery(path, bag.counts.total(), bag.recovered, original)
+        return Recovery(final, bag.counts.total(), damage, cut, checked=True)

@@ -2,7 +2,8 @@
 
 What is received is in the file after at most a quarter of a second, in chunks with a checksum. What
 the disk does not take stays in memory. A bag that was deleted, moved or can't be written any more
-is saved in another place: its file can be read as long as it is open.
+is saved under the first free name there, or among temporary files: its file can be read as long as
+it is open.
 """
 
 import os
@@ -13,8 +14,8 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from io import StringIO
-from itertools import count
+from io import BytesIO, StringIO
+from itertools import chain, count
 from pathlib import Path
 from signal import raise_signal
 from types import TracebackType
@@ -40,7 +41,7 @@ RESERVED = 12 << 20
 """Bytes for the end of a test when the disk is full, and the index of a bag of hours."""
 MAX_IN_MEMORY = 1 << 30  # bytes, of a test that goes on without its bag
 SAVED = "_saved"
-"""End of the name of a bag that could not be saved in its own place."""
+"""Added to the name of a bag whose own is taken."""
 _HANDLES = Path("/proc/self/fd")
 _COPIED = 1 << 24  # bytes at a time
 
@@ -110,7 +111,7 @@ class BagWriter:
         self._metadata = ""  # of the complete bag
         self._is_saved = False
         self._file: IO[bytes] | None = None
-        self._reserve: IO[bytes] | None = None
+        self._reserve: IO[bytes] = BytesIO()  # frees its room when it is closed, or we are killed
         self._flushed_at = time.monotonic()
         self._make_place()
 
@@ -172,9 +173,7 @@ class BagWriter:
             return
         with _uninterrupted():
             self._complete()
-            if self._reserve is not None:
-                self._reserve.close()
-                self._reserve = None
+            self._reserve.close()
             self._store()
             why = self._displaced()
             if not why and (self._out.data or self._file is None):
@@ -197,20 +196,22 @@ class BagWriter:
             If there is no place for it, here or in the folder for temporary files; to be called
             again when there may be one.
         """
-        try:
+        with suppress(ExperimentError):
             self.close()
-        except ExperimentError:
-            why = ""
-            for place in self._places():
-                try:
-                    self._copy_to(place)
-                except OSError as error:
-                    why = why or f"{place}: {file_reason(error)}"
-                else:
-                    self._done()
-                    return place
-            raise ExperimentError(f"the bag can't be saved: {why}") from None
-        return self.path
+            return self.path
+        faults = []
+        for folder in (self.path.parent, Path(tempfile.gettempdir())):
+            ends = chain(("", SAVED), (f"{SAVED}{k}" for k in count(2)))
+            names = (f"{self.path.name}{end}" for end in ends)
+            place = next(place for name in names if not (place := folder / name).exists())
+            try:
+                self._copy_to(place)
+            except OSError as error:
+                faults.append(f"{place}: {file_reason(error)}")
+            else:
+                self._done()
+                return place
+        raise ExperimentError(f"the bag can't be saved: {faults[0]}")
 
     def __enter__(self) -> Self:
         if self._file is None:
@@ -232,19 +233,17 @@ class BagWriter:
             self._done()
 
     def _make_place(self) -> None:
-        there = self.path.exists()
         try:
             self.path.mkdir(mode=0o755, parents=True)
+            self._reserve = tempfile.TemporaryFile(dir=self.path)  # noqa: SIM115
+            os.posix_fallocate(self._reserve.fileno(), 0, RESERVED)
             self._file = _storage_file(self.path).open("x+b", buffering=0)
-            self._reserve = _reserved_room(self.path, RESERVED)
         except FileExistsError:
             self.trouble = f"{self.path} exists already"
         except OSError as error:
-            if self._file is not None:
-                self._file.close()
-                self._file = None
-            if not there:
-                shutil.rmtree(self.path, ignore_errors=True)
+            self._reserve.close()
+            with suppress(OSError):
+                self.path.rmdir()
             self.trouble = f"{self.path}: no bag can be made there ({file_reason(error)})"
 
     def _encode(self) -> None:
@@ -285,9 +284,7 @@ class BagWriter:
 
     def _store(self) -> None:
         """Write to the disk; if it is full, into the room that was reserved."""
-        if self._file is None:
-            return
-        while self._out.data:
+        while self._file is not None and self._out.data:
             try:
                 part = self._out.data[:_COPIED]
                 written = os.pwrite(self._file.fileno(), part, self._out.stored)
@@ -295,10 +292,9 @@ class BagWriter:
                 del self._out.data[:written]
             except OSError as error:
                 self.trouble = self.trouble or f"{self.path}: {file_reason(error)}"
-                if self._reserve is None:
+                if self._reserve.closed:
                     return
                 self._reserve.close()
-                self._reserve = None
 
     def _displaced(self) -> str:
         """Say whether the bag was deleted or moved; empty if it is in its place."""
@@ -311,15 +307,6 @@ class BagWriter:
         place = (_HANDLES / str(self._file.fileno())).readlink()
         what = f"moved: its file is {place}" if status.st_nlink else "deleted"
         return f"{self.path}: the bag was {what}"
-
-    def _places(self) -> Iterator[Path]:
-        """Give free places: where the bag was, beside it, among temporary files."""
-        for folder in (self.path.parent, Path(tempfile.gettempdir())):
-            names = (f"{self.path.name}{SAVED}{k if k > 1 else ''}" for k in count(1))
-            if folder == self.path.parent and not self.path.exists():
-                yield self.path
-            else:
-                yield next(place for name in names if not (place := folder / name).exists())
 
     def _copy_to(self, place: Path) -> None:
         """Copy what is on the disk, and add what is not; leave nothing if that fails."""
@@ -366,21 +353,6 @@ def _uninterrupted() -> Iterator[None]:
 
 def _storage_file(folder: Path) -> Path:
     return folder / f"{folder.name}.mcap"
-
-
-def _reserved_room(folder: Path, size: int) -> IO[bytes]:
-    """Reserve room on a disk, bytes, for a bag that is still to be closed when it is full.
-
-    It is a file without a name, which frees the room when it is closed: a process that is killed
-    leaves none. Raises OSError without enough room.
-    """
-    file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115  it is kept open
-    try:
-        os.posix_fallocate(file.fileno(), 0, size)
-    except OSError:
-        file.close()
-        raise
-    return file
 
 
 def _yaml(tree: Any) -> str:

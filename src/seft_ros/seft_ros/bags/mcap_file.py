@@ -19,16 +19,10 @@ from lz4.frame import LZ4FrameDecompressor
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Footer, Header, Metadata, Schema, Statistics
+from mcap.records import Channel, Chunk, DataEnd, Footer, Header, Metadata, Schema, Statistics
 
-from seft_ros.bags.message_blocks import (
-    MAX_SIZE,
-    DamageError,
-    MessageBlock,
-    inflated,
-    records_of,
-    unpacked,
-)
+from seft_ros.bags import message_blocks
+from seft_ros.bags.message_blocks import MAX_SIZE, DamageError, MessageBlock, records_of
 from seft_ros.bags.source import BagSource
 
 MCAP_LIBRARY = "seft"
@@ -42,27 +36,26 @@ BATCH = 1 << 20
 
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")  # of a record: opcode, length
-_CHUNK = struct.Struct("<16xQII")  # size unpacked, checksum, length of the next text
-_FOOTER = _HEAD.size + 20  # bytes
-_LOOSE = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
-_OF_SUMMARY = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS)
 _PRIVATE = 0x80  # the first of the opcodes that anybody may use
-_WINDOW = 1 << 22  # bytes that are searched at a time
+_WINDOW = 1 << 16  # bytes that are searched at a time
 _RESUMED = re.compile(
-    rb"(?=\x06.{36}(?:\0\0\0\0|\x04\0\0\0zstd|\x03\0\0\0lz4)|\x0f\x04\0{7})", re.DOTALL
+    rb"\x06.{36}(?:\0\0\0\0|\x04\0\0\0zstd|\x03\0\0\0lz4)|\x0f\x04\0{7}", re.DOTALL
 )
 """Where reading may continue: the head of a chunk, or the end of all messages."""
-_GARBAGE = (McapError, struct.error, ValueError, RuntimeError, MemoryError, zstandard.ZstdError)
-"""What parsers raise for garbage; RuntimeError is lz4's."""
+_GARBAGE = (
+    *(McapError, struct.error, ValueError, OverflowError, MemoryError),
+    *(RuntimeError, zstandard.ZstdError),  # of lz4 and zstd
+)
+"""What parsers raise for garbage."""
 
 
-class _Chunk(NamedTuple):
-    start: int  # of its data in the file
-    size: int  # of these, bytes
-    unpacked: int  # bytes
-    compression: str = ""
-    checksum: int = 0  # 0: none
-    counts: Mapping[int, int] = {}  # messages, by number of their source
+class _Part(NamedTuple):
+    """A chunk in the file: place and size of its record's content, messages by their source."""
+
+    start: int
+    size: int
+    has_checksum: bool
+    counts: Mapping[int, int]
 
 
 class McapFile:
@@ -99,18 +92,22 @@ class McapFile:
         self.recovered: list[str] = []
         self.metadata = ""
         self._schemas: dict[int, Schema] = {}
-        self._bad: dict[str, dict[int, None]] = {}  # what -> where
+        self._bad: dict[str, list[int]] = {}  # what -> where
         self._ours = False
-        self._summary: tuple[int, list[tuple[int, ReadDataStream]]] | None = None
-        self._chunks: list[_Chunk] = []
-        self._resume = 0  # where a chunk may begin that was not seen yet
+        self._parts: list[_Part] = []
         self._walk()
-        self.checked = self._require_checksums()
-        every = sum((Counter(chunk.counts) for chunk in self._chunks), Counter[int]())
+        checked = [part for part in self._parts if part.has_checksum]
+        self.checked = len(checked) == len(self._parts)
+        if not self.checked and (checked or self._ours):
+            self._bad["a chunk of messages has lost its checksum"] = [
+                part.start for part in self._parts if not part.has_checksum
+            ]
+            self._parts = checked
+        every = sum((Counter(part.counts) for part in self._parts), Counter[int]())
         self.counts = Counter({number: every[number] for number in self.sources})
         self.damage = [
-            f"{what} (at byte {next(iter(where))}"
-            + (f" and {len(where) - 1} more places)" if len(where) > 1 else ")")
+            f"{what} (at byte {where[0]}"
+            + (f" and {len(where) - 1} more places)" if where[1:] else ")")
             for what, where in self._bad.items()
         ]
         if lost := every.total() - self.counts.total():
@@ -120,67 +117,75 @@ class McapFile:
         """Give the messages of some sources; ``numbers`` are what blocks have as their sources."""
         table = np.full(1 << 16, -1, np.int64)
         table[list(numbers)] = list(numbers.values())
-        parts: list[MessageBlock] = []
-        for chunk in self._chunks:
-            if not chunk.counts.keys().isdisjoint(numbers):
-                found = unpacked(records_of(self._data(chunk)).block)
-                parts.append(found.renumbered(table))
-            if sum(len(part.data) for part in parts) >= BATCH:
-                yield MessageBlock.joined(parts)
-                parts = []
-        if parts:
-            yield MessageBlock.joined(parts)
+        blocks: list[MessageBlock] = []
+        for part in self._parts:
+            if not part.counts.keys().isdisjoint(numbers):
+                chunk = Chunk.read(self._body(part.start, part.size))
+                found = message_blocks.unpacked(records_of(_unpacked(chunk))[0])
+                blocks.append(found.renumbered(table))
+            if sum(len(block.data) for block in blocks) >= BATCH:
+                yield MessageBlock.joined(blocks)
+                blocks = []
+        if blocks:
+            yield MessageBlock.joined(blocks)
 
     def _walk(self) -> None:
         """Go from record to record, and behind damage to the next chunk."""
-        following: int | None = len(_MAGIC)
-        if self._read(0, len(_MAGIC)) != _MAGIC:
+        at: int | None = len(_MAGIC)
+        is_lost = self._read(0, len(_MAGIC)) != _MAGIC
+        if is_lost:
             self._note("it does not begin as an mcap file" if self._size else "it is empty", 0)
-            following = self._next()
-        while (at := following) is not None:
+            at = self._next(0)
+        while (place := at) is not None:
             try:
-                following = self._take(at)
+                at, is_lost = self._take(place), False
             except _GARBAGE as error:
-                known = isinstance(error, DamageError)
-                self._note(str(error) if known else "a record is damaged", at)
-                following = self._next()
+                if not is_lost:
+                    known = isinstance(error, DamageError)
+                    self._note(str(error) if known else "a record is damaged", place)
+                at, is_lost = self._next(place + 1), True
 
     def _take(self, at: int) -> int | None:
         """Take a record; give the place of the next one, None at the end of the file.
 
         Raises one of `_GARBAGE` if it is damaged.
         """
-        opcode, start, end = self._span(at)
-        if opcode == Opcode.CHUNK:
-            chunk = self._chunk(at)
-            self._resume, self._summary = end, None
-            self._add(chunk)
-        elif self._summary is not None and opcode in _OF_SUMMARY:
-            self._summary[1].append((opcode, self._body(start, end)))
-        elif opcode in _LOOSE:
-            end = self._end_of_loose(at)
-            self._add(_Chunk(at, end - at, end - at))
-        elif opcode == Opcode.HEADER:
-            self._ours = Header.read(self._body(start, end)).library.startswith(MCAP_LIBRARY)
-        elif opcode == Opcode.METADATA:
-            self._take_metadata(Metadata.read(self._body(start, end)))
-        elif opcode == Opcode.DATA_END:
-            self._resume, self._summary = end, (end, [])
-            self._check(at, self._body(start, end).read4(), 0, at)
-        elif opcode == Opcode.FOOTER:
-            self._take_summary(Footer.read(self._body(start, end)), end - 4)
-            if self._read(end, self._size - end) != _MAGIC:
-                raise DamageError("its end is not that of an mcap file")
-            return None
-        elif not Opcode.HEADER <= opcode <= Opcode.DATA_END and opcode < _PRIVATE:
-            raise DamageError("a record is damaged")
+        start = at + _HEAD.size
+        if start > self._size:
+            raise DamageError("it is cut off")
+        opcode, size = _HEAD.unpack(self._read(at, _HEAD.size))
+        if size > self._size - start:
+            raise DamageError("it is cut off, or a record is damaged")
+        body, end = self._body(start, size), start + size
+        match opcode:
+            case Opcode.CHUNK:
+                chunk = Chunk.read(body)
+                if body.count != size:
+                    raise DamageError("a record is damaged")
+                self._add(chunk, start, size)
+            case Opcode.HEADER:
+                self._ours = Header.read(body).library.startswith(MCAP_LIBRARY)
+            case Opcode.METADATA:
+                record = Metadata.read(body)
+                if record.name == RECOVERED:
+                    self.recovered = record.metadata.get("damage", "").splitlines()
+                elif record.name == ROSBAG and self._ours:
+                    self.metadata = record.metadata.get("serialized_metadata", "")
+            case Opcode.DATA_END:
+                self._check(at, DataEnd.read(body).data_section_crc, 0, at)
+            case Opcode.FOOTER:
+                footer = Footer.read(body)
+                summary = footer.summary_start or at
+                if self._check(at, footer.summary_crc, summary, end - 4):
+                    self._define(self._read(summary, at - summary))
+                if self._read(end, self._size - end) != _MAGIC:
+                    raise DamageError("its end is not that of an mcap file")
+                return None
+            case Opcode.MESSAGE:
+                raise DamageError("messages outside of chunks are not read")
+            case _ if not Opcode.HEADER <= opcode <= Opcode.DATA_END and opcode < _PRIVATE:
+                raise DamageError("a record is damaged")
         return end
-
-    def _take_metadata(self, record: Metadata) -> None:
-        if record.name == RECOVERED:
-            self.recovered = record.metadata.get("damage", "").splitlines()
-        elif record.name == ROSBAG and self._ours:
-            self.metadata = record.metadata.get("serialized_metadata", "")
 
     def _check(self, at: int, checksum: int, start: int, end: int) -> bool:
         """Check a part of the file by the checksum in a record at a place."""
@@ -193,133 +198,70 @@ class McapFile:
             self._note("what stands beside the messages fails its checksum", at)
         return found == checksum
 
-    def _add(self, chunk: _Chunk) -> None:
+    def _add(self, chunk: Chunk, start: int, size: int) -> None:
         """Add a chunk of messages, if it is right."""
-        data = self._data(chunk)
-        if chunk.checksum and zlib.crc32(data) != chunk.checksum:
-            raise DamageError("a chunk of messages fails its checksum")
-        block, definitions = records_of(data)
-        for opcode, body in definitions:
-            self._define(opcode, ReadDataStream(BytesIO(body)))
-        plain = unpacked(block)
+        block = self._define(_unpacked(chunk))
+        plain = message_blocks.unpacked(block)
         if len(plain.places) < len(block.places):
-            self._note("packed messages are damaged in a chunk", chunk.start)
+            self._note("packed messages are damaged in a chunk", start)
         numbers, counts = np.unique(plain.places["source"], return_counts=True)
         counted = dict(zip(numbers.tolist(), counts.tolist(), strict=True))
-        self._chunks.append(chunk._replace(counts=counted))
+        self._parts.append(_Part(start, size, bool(chunk.uncompressed_crc), counted))
 
-    def _define(self, opcode: int, body: ReadDataStream) -> None:
-        """Take the record of a type or a channel."""
-        if opcode == Opcode.SCHEMA:
-            schema = Schema.read(body)
-            self._schemas[schema.id] = schema
-            return
-        channel = Channel.read(body)
-        if (schema := self._schemas.get(channel.schema_id)) is not None:
-            found = BagSource(
-                topic=channel.topic,
-                type=schema.name,
-                definition=schema.data.decode(errors="replace"),
-                encoding=schema.encoding,
-                serialization=channel.message_encoding,
-                qos=channel.metadata.get("offered_qos_profiles", ""),
-            )
-            self.sources.setdefault(channel.id, found)
-
-    def _take_summary(self, footer: Footer, end: int) -> None:
-        """Take what the records behind all messages say, if they are right.
-
-        The chunk that has the topics may be damaged.
-        """
-        start, records = self._summary or (end, [])
-        if not self._check(end, footer.summary_crc, start, end):
-            return
-        for opcode, body in records:
+    def _define(self, raw: bytes) -> MessageBlock:
+        """Take the types, channels and counts among some records; give the messages."""
+        block, others = records_of(raw)
+        for opcode, content in others:
+            body = ReadDataStream(BytesIO(content))
             if opcode == Opcode.STATISTICS:
                 self.claimed = dict(Statistics.read(body).channel_message_counts)
-            else:
-                self._define(opcode, body)
-
-    def _require_checksums(self) -> bool:
-        """Leave out chunks without a checksum where others have one; say whether all have it."""
-        every = [chunk for chunk in self._chunks if chunk.checksum]
-        if every or self._ours:
-            for chunk in self._chunks:
-                if not chunk.checksum:
-                    self._note("a chunk of messages has lost its checksum", chunk.start)
-            self._chunks = every
-        return len(every) == len(self._chunks)
+            elif opcode == Opcode.SCHEMA:
+                schema = Schema.read(body)
+                self._schemas[schema.id] = schema
+            elif (channel := Channel.read(body)).schema_id in self._schemas:
+                schema = self._schemas[channel.schema_id]
+                found = BagSource(
+                    topic=channel.topic,
+                    type=schema.name,
+                    definition=schema.data.decode(errors="replace"),
+                    encoding=schema.encoding,
+                    serialization=channel.message_encoding,
+                    qos=channel.metadata.get("offered_qos_profiles", ""),
+                )
+                self.sources.setdefault(channel.id, found)
+        return block
 
     def _note(self, what: str, at: int) -> None:
-        self._bad.setdefault(what, {})[at] = None
+        self._bad.setdefault(what, []).append(at)
 
-    def _span(self, at: int) -> tuple[int, int, int]:
-        """Give a record's opcode, and where its body starts and ends."""
-        start = at + _HEAD.size
-        if at < 0 or start > self._size:
-            raise DamageError("it is cut off")
-        opcode, length = _HEAD.unpack(self._read(at, _HEAD.size))
-        if length > self._size - start:
-            raise DamageError("it is cut off, or a record is damaged")
-        return opcode, start, start + length
-
-    def _body(self, start: int, end: int) -> ReadDataStream:
-        return ReadDataStream(BytesIO(self._read(start, end - start)))
+    def _body(self, start: int, size: int) -> ReadDataStream:
+        return ReadDataStream(BytesIO(self._read(start, size)))
 
     def _read(self, at: int, size: int) -> bytes:
-        if not 0 <= size <= MAX_SIZE or at < 0:
+        if not 0 <= size <= MAX_SIZE:
             raise DamageError("a record is damaged")
         self._file.seek(at)
         return self._file.read(size)
 
-    def _chunk(self, at: int) -> _Chunk:
-        """Give the chunk at a place; its sizes are given twice, and must agree."""
-        _, start, end = self._span(at)
-        unpacked, checksum, length = _CHUNK.unpack(self._read(start, _CHUNK.size))
-        if length > 4:
-            raise DamageError("a record is damaged")
-        text = self._read(start + _CHUNK.size, length + 8)
-        size = int.from_bytes(text[length:], "little")
-        start += _CHUNK.size + len(text)
-        if start + size != end or unpacked > MAX_SIZE or (not length and size != unpacked):
-            raise DamageError("a record is damaged")
-        return _Chunk(start, size, unpacked, text[:length].decode(), checksum)
-
-    def _data(self, chunk: _Chunk) -> bytes:
-        """Read and decompress a chunk; it takes no more memory than it declares."""
-        data = self._read(chunk.start, chunk.size)
-        if chunk.compression == "lz4":
-            data = LZ4FrameDecompressor().decompress(data, max_length=chunk.unpacked + 1)
-        elif chunk.compression == "zstd":
-            data = b"".join(inflated(data, chunk.unpacked))
-        if len(data) != chunk.unpacked:
-            raise DamageError("a chunk of messages has another size than it declares")
-        return data
-
-    def _end_of_loose(self, at: int) -> int:
-        """Find the end of messages without a chunk, of at most a batch."""
-        start = at
-        while at - start < BATCH:
-            try:
-                opcode, _, end = self._span(at)
-            except DamageError:
-                break
-            if opcode not in _LOOSE:
-                break
-            at = end
-        return at
-
-    def _next(self) -> int | None:
-        """Find the next record behind which reading may continue, of those not seen yet."""
-        for place in range(self._resume, self._size, _WINDOW):
-            window = self._read(place, min(_WINDOW + 64, self._size - place))
-            for found in _RESUMED.finditer(window):
-                at = place + found.start()
-                try:
-                    if window[found.start()] == Opcode.CHUNK:
-                        self._chunk(at)
-                except _GARBAGE:
-                    continue
-                self._resume = at + 1
-                return at
+    def _next(self, place: int) -> int | None:
+        """Find the next record from a place on at which reading may continue."""
+        for start in range(place, self._size, _WINDOW):
+            if found := _RESUMED.search(self._read(start, _WINDOW + 64)):
+                return start + found.start()
         return None
+
+
+def _unpacked(chunk: Chunk) -> bytes:
+    """Decompress a chunk, which takes no more memory than it declares, and check it."""
+    data, size = chunk.data, chunk.uncompressed_size
+    if size > MAX_SIZE:
+        raise DamageError("a record is damaged")
+    if chunk.compression == "lz4":
+        data = LZ4FrameDecompressor().decompress(data, max_length=size + 1)
+    elif chunk.compression == "zstd":
+        data = b"".join(message_blocks.inflated(data, size))
+    if len(data) != size:
+        raise DamageError("a chunk of messages has another size than it declares")
+    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        raise DamageError("a chunk of messages fails its checksum")
+    return data

@@ -14,17 +14,15 @@ MAX_SIZE = 1 << 28
 more could take all memory of the machine."""
 
 _Bytes = npt.NDArray[np.uint8]
-_Flags = npt.NDArray[np.bool_]
 Integers = npt.NDArray[np.int64]
 
 PLACES = np.dtype([(name, "<i8") for name in ("time", "source", "start", "length")])
 """Of a message: log time in ns, number of its topic, position and number of its bytes."""
 
-_DEFINITIONS = (0x03, 0x04)  # opcodes of a type's and a channel's record
+_DEFINITIONS = (0x03, 0x04, 0x0B)  # opcodes of a type's and a channel's record, and of counts
 _MESSAGE = 0x05
 _IN_RECORD = 9  # bytes of opcode and length
 _IN_MESSAGE = 22  # bytes of channel, sequence number, log time and publish time
-_LEAST = 12  # bytes of the shortest of these records
 
 
 class MessageBlock(NamedTuple):
@@ -62,7 +60,7 @@ class MessageBlock(NamedTuple):
         places["start"] += np.repeat(starts, [len(part.places) for part in parts])
         return cls(np.concatenate([part.data for part in parts]), places)
 
-    def only(self, which: _Flags) -> "MessageBlock":
+    def only(self, which: npt.NDArray[np.bool_]) -> "MessageBlock":
         """Keep some of the messages, in their order; the bytes are not copied."""
         return self if which.all() else MessageBlock(self.data, self.places[which])
 
@@ -96,15 +94,15 @@ class MessageBlock(NamedTuple):
             yield rows, run["time"]
 
 
-class Records(NamedTuple):
-    """What a chunk of an mcap file has: messages by channel; opcodes and bytes of the rest."""
+def records_of(raw: bytes) -> tuple[MessageBlock, Iterator[tuple[int, bytes]]]:
+    """Find the records of an uncompressed chunk, or of what stands behind all chunks.
 
-    block: MessageBlock
-    definitions: Iterator[tuple[int, bytes]]
-
-
-def records_of(raw: bytes) -> Records:
-    """Find the records of an uncompressed chunk: messages, channels and their types.
+    Returns
+    -------
+    block : MessageBlock
+        The messages, with their channels as sources.
+    definitions : iterator of (int, bytes)
+        Opcode and content of the records of types, channels and numbers of messages.
 
     Raises
     ------
@@ -112,7 +110,7 @@ def records_of(raw: bytes) -> Records:
         If they do not fit it.
     """
     data = np.frombuffer(raw, np.uint8)
-    table = np.empty((len(data) // _LEAST + 1, 4), np.int64)
+    table = np.empty((len(data) // _IN_RECORD + 1, 4), np.int64)
     count = _scan(data, table)
     if count < 0:
         raise ValueError("its records do not fit it")
@@ -122,7 +120,7 @@ def records_of(raw: bytes) -> Records:
         (-int(place["source"]), raw[place["start"] : place["start"] + place["length"]])
         for place in places[~are_messages]
     )
-    return Records(MessageBlock(data, places[are_messages]), definitions)
+    return MessageBlock(data, places[are_messages]), definitions
 
 
 @compiled
@@ -133,29 +131,19 @@ def _scan(data: Any, places: Any) -> int:
     """
     at, count = 0, 0
     while at < len(data):
-        start = at + _IN_RECORD
-        if start > len(data):
+        start, opcode = at + _IN_RECORD, data[at]
+        length = _integer(data, at + 1, 8) if start <= len(data) else -1
+        is_message = opcode == _MESSAGE
+        head = _IN_MESSAGE if is_message else 0
+        if length < head or length > len(data) - start:
             return -1
-        length = _integer(data, at + 1, 8)
-        if length < 0 or length > len(data) - start:
-            return -1
-        if data[at] == _MESSAGE:
-            if length < _IN_MESSAGE:
-                return -1
-            places[count, 0] = _integer(data, start + 6, 8)
-            places[count, 1] = _integer(data, start, 2)
-            places[count, 2] = start + _IN_MESSAGE
-            places[count, 3] = length - _IN_MESSAGE
+        if is_message or opcode in _DEFINITIONS:
+            places[count, 0] = _integer(data, start + 6, 8) if is_message else 0
+            places[count, 1] = _integer(data, start, 2) if is_message else -np.int64(opcode)
+            places[count, 2] = start + head
+            places[count, 3] = length - head
             if places[count, 0] < 0:  # in some hundred years
                 return -1
-            count += 1
-        elif data[at] in _DEFINITIONS:
-            if _IN_RECORD + length < _LEAST:
-                return -1
-            places[count, 0] = 0
-            places[count, 1] = -np.int64(data[at])
-            places[count, 2] = start
-            places[count, 3] = length
             count += 1
         at = start + length
     return count
@@ -180,7 +168,7 @@ def inflated(packed: bytes | IO[bytes], limit: int) -> Iterator[bytes]:
     for part in zstandard.ZstdDecompressor().read_to_iter(packed):
         size += len(part)
         if size > limit:
-            raise DamageError("it is packed, and larger than it declares")
+            raise DamageError("it is packed, and larger than it can be")
         yield part
 
 

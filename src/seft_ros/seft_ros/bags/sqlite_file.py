@@ -1,4 +1,4 @@
-"""An sqlite3 file of a bag, and what is left of a damaged one.
+"""An sqlite3 file of a bag; of a damaged one, what stands before the damage.
 
 rosbags counts all rows when it opens a file, and so refuses one with a single damaged page.
 """
@@ -16,8 +16,6 @@ from seft_ros.bags.message_blocks import MessageBlock, unpacked
 from seft_ros.bags.source import BagSource
 
 _ROWS = 2048  # messages that are joined to a block
-_FINER = 20  # share of the rows lost at a damaged page, by which the next try skips more
-_MAX_SKIPPED_ROWS = 1 << 40  # rows that are skipped in search of readable ones
 _GARBAGE = (sqlite3.DatabaseError, UnicodeDecodeError, KeyError, TypeError)
 """What a damaged file makes of names and values."""
 
@@ -43,8 +41,14 @@ class SqliteFile:
     def __init__(self, path: Path, scratch: Path) -> None:
         self.sources: dict[int, BagSource] = {}
         self.damage: list[str] = []
-        self._odd = 0  # rows that hold no message
-        self._database = sqlite3.connect(_copied(path, scratch))
+        for end in ("", "-journal", "-wal"):
+            if (part := path.with_name(path.name + end)).is_file():
+                shutil.copyfile(part, scratch / f"bag.db3{end}")
+        with (scratch / "bag.db3").open("r+b") as copy:
+            page = int.from_bytes(copy.read(18)[16:], "big") or 1
+            page = 65536 if page == 1 else page
+            copy.truncate(copy.seek(0, 2) // page * page)  # sqlite takes half a page for a whole
+        self._database = sqlite3.connect(scratch / "bag.db3")
         try:
             # the only switch by which sqlite reads a file that is shorter than it should be
             self._database.execute("PRAGMA writable_schema = ON")
@@ -54,61 +58,31 @@ class SqliteFile:
             verdict = str(error) if isinstance(error, sqlite3.Error) else "its tables are damaged"
         blocks = self.blocks({number: number for number in self.sources})
         self.counts = Counter(n for block in blocks for n in block.places["source"].tolist())
+        if verdict == "ok":
+            ((rows,),) = self._database.execute("SELECT count(*) FROM messages")
+            odd = rows - self.counts.total()
+            verdict = f"{odd} rows hold no message" if odd else verdict
         if verdict != "ok":
             self.damage.append(" ".join(str(verdict).split()))
-        if self._odd:
-            self.damage.append(f"{self._odd} rows hold no message")
 
     def blocks(self, numbers: Mapping[int, int]) -> Iterator[MessageBlock]:
         """Give the messages of some sources; ``numbers`` are what blocks have as their sources."""
-        self._odd = 0
-        wanted = (row for row in self._rows() if row[1] in numbers)
+        wanted = (row for row in self._rows() if row[0] in numbers)
         for rows in batched(wanted, _ROWS):
-            _, sources, times, raws = zip(*rows, strict=True)
-            block = MessageBlock.of(times, [numbers[number] for number in sources], raws)
-            plain = unpacked(block)
-            self._odd += len(block.places) - len(plain.places)
-            if len(plain.places):
-                yield plain
+            sources, times, raws = zip(*rows, strict=True)
+            yield unpacked(MessageBlock.of(times, [numbers[number] for number in sources], raws))
 
     def close(self) -> None:
         """Close the file."""
         self._database.close()
 
-    def _rows(self) -> Iterator[tuple[int, int, int, bytes]]:
-        """Give id, topic, time in ns and message, by id; go on behind damaged pages."""
-        query = "SELECT id, topic_id, timestamp, data FROM messages WHERE id > ? ORDER BY id"
-        last, skipped = -1, 0
-        while skipped < _MAX_SKIPPED_ROWS:
-            try:
-                for row in self._database.execute(query, (last + skipped,)):
-                    if _is_message(*row) and row[1] in self.sources:
-                        last, skipped = max(last + skipped, row[0]), 0
-                        yield row
-                    else:
-                        self._odd += 1
-                return
-            except _GARBAGE:
-                skipped += 1 + skipped // _FINER
-
-
-def _is_message(number: Any, topic: Any, time: Any, data: Any) -> bool:
-    numbers = all(isinstance(one, int) and one >= 0 for one in (number, topic, time))
-    return numbers and isinstance(data, bytes)
-
-
-def _copied(path: Path, scratch: Path) -> Path:
-    """Copy a file, with what its writer had begun, and without half a page at its end."""
-    copy = scratch / "bag.db3"
-    copy.unlink(missing_ok=True)
-    for end in ("", "-journal", "-wal"):
-        if (part := path.with_name(path.name + end)).is_file():
-            shutil.copyfile(part, scratch / f"bag.db3{end}")
-    with copy.open("r+b") as file:
-        page = int.from_bytes(file.read(18)[16:], "big") or 1
-        page = 65536 if page == 1 else page
-        file.truncate(copy.stat().st_size // page * page)
-    return copy
+    def _rows(self) -> Iterator[tuple[int, int, bytes]]:
+        """Give topic, time in ns and message, in the order of writing, up to the first damage."""
+        query = "SELECT topic_id, timestamp, data FROM messages ORDER BY id"
+        with suppress(*_GARBAGE):
+            for row in self._database.execute(query):
+                if tuple(map(type, row)) == (int, int, bytes):
+                    yield row
 
 
 def _sources(database: sqlite3.Connection) -> dict[int, BagSource]:
@@ -116,11 +90,10 @@ def _sources(database: sqlite3.Connection) -> dict[int, BagSource]:
     rows = "SELECT topic_type, encoded_message_definition, encoding FROM message_definitions"
     with suppress(sqlite3.OperationalError):  # old recorders have no such table
         definitions = {name: (text, kind) for name, text, kind in database.execute(rows)}
-    database.row_factory = sqlite3.Row
-    found = [dict(row) for row in database.execute("SELECT * FROM topics")]
-    database.row_factory = None
+    topics = database.execute("SELECT * FROM topics")
+    columns = [name for name, *_ in topics.description]
     sources = {}
-    for row in found:
+    for row in (dict[str, Any](zip(columns, values, strict=True)) for values in topics):
         definition, encoding = definitions.get(row["type"], ("", "ros2msg"))
         names = row["name"], row["type"], definition, encoding, row["serialization_format"]
         if isinstance(row["id"], int) and all(isinstance(text, str) for text in names):

@@ -3,7 +3,6 @@
 ``seft replay``: a recorded test computed once more.
 """
 
-import time
 from pathlib import Path
 from string import ascii_lowercase
 from typing import Optional
@@ -16,7 +15,6 @@ from seft_ros.cli.shared import (
     BagArgument,
     Json,
     Params,
-    check_out,
     complain,
     option,
     show,
@@ -164,14 +162,12 @@ def replay(
     bag: BagArgument,
     node: Optional[list[str]] = option(None, "Node; may be repeated; default all.", "NODE"),
     param: Params = None,
-    out: Optional[Path] = option(None, "Write a bag with the answers to a new folder.", "DIR"),
     json: Json = False,
 ) -> int:
     """Compute each node's answers of a recorded test once more, and compare them bit for bit.
 
     The node's block is computed here, step by step, with the recorded parameters and what the node
-    received in the test. -p shows the effect of a changed parameter, --out writes a bag of the test
-    with the computed answers instead of the recorded ones; both need one --node.
+    received in the test. -p, with one --node, shows the effect of a changed parameter.
 
     reference_force takes ground_motion, rig/state, and the ramps that the operator or a fault
     started; force_controller takes rig/state and reference_force; rig takes valve_command, and
@@ -185,21 +181,14 @@ def replay(
 
         seft replay bags/lockstep --node reference_force
 
-        seft replay bags/lockstep --node rig -p rig:seed:=2 --out bags/other
-
-        seft compare bags/lockstep bags/other
+        seft replay bags/lockstep --node rig -p rig:seed:=2
 
         seft replay bags/lockstep --node rig --json
     """
-    from seft_ros.bags.record_bag import write_record
     from seft_ros.replay import recorded_test
     from seft_ros.replay.node_replays import REPLAYS, replay_to
 
     nodes = list(dict.fromkeys(node or REPLAYS))
-    if out is not None:
-        if len(nodes) > 1:
-            raise InputError("--out needs one --node, whose answers it writes")
-        check_out(out)
     overrides = [parse_override(text) for text in param or ()]
     if overrides and len(nodes) > 1:
         raise InputError("-p needs one --node, whose parameters it changes")
@@ -216,19 +205,14 @@ def replay(
         section = recorded_test.section_of(one, overrides)
         with step_progress(len(one.expected.steps)) as progress:
             progress(f"computing {one.node}", 0)
-            start = time.monotonic()
-            answers = recorded_test.Answers(*one.computed(section), time.monotonic() - start)
-            progress(f"{one.node} has answered", len(answers.series.steps))
-        result = recorded_test.replay_verdict(one, recorded, answers)
-        if out is not None:
-            record = recorded_test.replayed_record(one, recorded, answers, section)
-            write_record(record, out, ground_motion=recorded.chunks)
-            result["out"] = str(out)
+            answers, estimates = one.computed(section)
+            progress(f"{one.node} has answered", len(answers.steps))
+        result = recorded_test.replay_verdict(one, recorded, answers, estimates)
         results.append(result | {"bag": str(bag), "overrides": param or []})
     identical = all(one["identical"] for one in results)
     one_or_all = results[0] if len(results) == 1 else {"identical": identical, "replays": results}
     texts = [text for result in results for text in recorded_test.replay_texts(result)]
-    show(one_or_all, json, [*texts, *([f"bag: {out}"] if out else [])])
+    show(one_or_all, json, texts)
     for result in results if not json else ():
         for note in result["notes"]:
             complain(f"{result['node']}: {note}")

@@ -14,7 +14,6 @@ from seft_msgs_py.wire.outcome import FINISHED, TRIPPED, State
 from seft_msgs_py.wire.topics import LOOP_TOPICS, VALVE_COMMAND
 from seft_plant_sim.whole_structure import tested_specimen
 
-from seft_ros.bags.stall_watch import StallWatch
 from seft_ros.conformance import message_checks, motion_checks
 from seft_ros.conformance.driver import (
     ENDED_PHASES,
@@ -37,6 +36,7 @@ from seft_ros.conformance.motion_checks import (
 )
 from seft_ros.test_run.observer import alone_on_the_graph
 from seft_ros.test_run.processes import one_node, prefer_latency
+from seft_ros.test_run.stall_watch import StallWatch
 
 ATTEMPTS = 3
 """Number of tries of a test: this host may have stalled in one."""

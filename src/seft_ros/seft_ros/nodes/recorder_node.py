@@ -40,12 +40,12 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-from seft_ros.bags.bag_place import expected_size, why_not_writable
+from seft_ros.bags.bag_place import why_not_writable
 from seft_ros.bags.bag_writer import BagWriter
 from seft_ros.bags.record import describe_environment
-from seft_ros.bags.stall_watch import StallWatch
 from seft_ros.test_run.parameter_tables import RECORDER_TABLE, TABLES
 from seft_ros.test_run.peers import ALL_ANSWERED, RECORDING, SILENT_KEY, WAITS
+from seft_ros.test_run.stall_watch import StallWatch
 
 _SILENCE = 0.3  # s without a message of a step: the last one has arrived
 LONG_SILENCE = 3.5  # s, if messages are missing: DDS may resend them every 3 s only
@@ -264,19 +264,11 @@ class RecorderNode(NodeBody):
         if (now := self._clock.monotonic()) - self._checked_at < PLACE_PERIOD:
             return
         self._checked_at = now
-        why = why_not_writable(self._place(), self._expected_size(self._steps))
+        why = why_not_writable(self._place())
         if why:
             why += "; correct that, or set its parameter name or directory to another"
         if why != self._values.get(WAITS, ""):
             self._report(**(self._values | {WAITS: why}))
-
-    def _expected_size(self, steps: int) -> int:
-        """Size of the next test's samples, bytes; 0 while it is not known."""
-        if not steps or "reference_force" not in self._descriptions:
-            return 0
-        experiment = self._shell.experiment
-        _, force = decode_description(self._descriptions["reference_force"])
-        return expected_size(force["parameters"], experiment.axes, experiment.timebase, steps)
 
     def _recorded(self) -> int:
         """Count the samples recorded of every rig."""

@@ -181,19 +181,16 @@ class RigReplay(Replay):
         listed = record.missed_steps
         if record.missed is None:
             self.notes.append("the bag does not say which commands the rig missed")
-        elif record.missed and not listed:
+        elif record.missed and not 0 < len(listed) == len(record.held_steps):
             raise InputError(
-                f"the rig missed {record.missed} commands, but the bag does not say which"
+                f"the rig missed {record.missed} commands, but the bag does not say which, and "
+                "which it held instead"
             )
         elif record.missed > len(listed):
             self.expected = self.expected.until(listed[-1] + 1)
             self.notes.append(
                 f"replayed until step {listed[-1] + 1}: the bag lists only the first "
                 f"{len(listed)} of the {record.missed} steps that the rig missed"
-            )
-        if len(record.held_steps) < len(listed):
-            self.notes.append(
-                "the bag does not say which commands the rig held: it is given the last before"
             )
         self._applied = self._commands(recorded, int(self.expected.steps[-1]))
 

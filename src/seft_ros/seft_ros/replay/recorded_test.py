@@ -28,7 +28,7 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.analysis.comparison import compare_records
 from seft_ros.analysis.result_text import FIELD_UNITS
-from seft_ros.bags.record import Estimates, Record, Series, describe_environment
+from seft_ros.bags.record import Estimates, Record, Series
 from seft_ros.bags.record_bag import read_bag, read_messages
 from seft_ros.drawing.style import Mark, number, small_percent
 from seft_ros.drawing.table import Cell, Texts, TextTable
@@ -121,15 +121,6 @@ def read_recorded(path: str | Path) -> Recorded:
     return Recorded(record, chunks, points, ramp_step, is_ramped and ramp_step is None)
 
 
-@dataclass(frozen=True)
-class Answers:
-    """What a node answered."""
-
-    series: Series  # on its topic
-    estimates: Estimates | None
-    wall_s: float
-
-
 class Replay(ABC):
     """A recorded test as one node received it.
 
@@ -216,24 +207,9 @@ def section_of(replay: Replay, overrides: Sequence[Override]) -> Section:
     return Experiment.load(TABLES, [], [*given, *overrides], nodes=[replay.node])[replay.node]
 
 
-def replayed_record(
-    replay: Replay, recorded: Recorded, answers: Answers, section: dict[str, Any]
-) -> Record:
-    """Give the recorded test with a node's answers, and the parameters of the replay."""
-    record = recorded.record
-    return replace(
-        record,
-        experiment=type(record.experiment)({**record.experiment.sections, replay.node: section}),
-        series={**record.series, replay.answer.name: answers.series},
-        estimates=answers.estimates if replay.node == "reference_force" else record.estimates,
-        environment={
-            **describe_environment(f"replay of {replay.node}"),
-            "replayed": record.environment,
-        },
-    )
-
-
-def replay_verdict(replay: Replay, recorded: Recorded, answers: Answers) -> dict[str, Any]:
+def replay_verdict(
+    replay: Replay, recorded: Recorded, answers: Series, mine: Estimates | None
+) -> dict[str, Any]:
     """Compare the answers of a node with the recorded ones, by step, bit for bit.
 
     Returns
@@ -242,20 +218,17 @@ def replay_verdict(replay: Replay, recorded: Recorded, answers: Answers) -> dict
         JSON values: ``node``, ``topic``, ``identical``, ``first_difference`` (None, or topic,
         step, field, axis, time_s, recorded, replayed), ``steps`` (of the recorded answers),
         ``answered``, ``max_abs``, ``nrmse``, ``fields``, ``estimates`` (likewise; None where there
-        are none), ``wall_s``, ``notes``.
+        are none), ``notes``.
     """
     record, topic = recorded.record, replay.answer.name
     # answers beyond the recorded steps have no counterpart
-    given = answers.series.of_steps(replay.expected.steps)
-    estimates: tuple[Estimates | None, ...] = (None, None)
-    if replay.node == "reference_force":
-        mine, theirs = answers.estimates, record.estimates
-        if mine is not None and theirs is not None:
-            mine = mine.until(int(theirs.steps[-1]))
-        estimates = theirs, mine
+    given = answers.of_steps(replay.expected.steps)
+    theirs = record.estimates if replay.node == "reference_force" else None
+    if mine is not None and theirs is not None:
+        mine = mine.until(int(theirs.steps[-1]))
     one, other = (
         replace(record, series={**record.series, topic: series}, estimates=some)
-        for series, some in zip((replay.expected, given), estimates, strict=True)
+        for series, some in ((replay.expected, theirs), (given, mine))
     )
     found = compare_records(one, other)
     first = found["first_difference"]
@@ -274,7 +247,6 @@ def replay_verdict(replay: Replay, recorded: Recorded, answers: Answers) -> dict
         "answered": len(given.steps),
         **{key: found["topics"][topic][key] for key in keys},
         "estimates": None if of_estimates is None else {key: of_estimates[key] for key in keys},
-        "wall_s": answers.wall_s,
         "notes": list(replay.notes),
     }
 
@@ -295,7 +267,6 @@ def verdict_text(result: dict[str, Any]) -> str:
 
 def replay_texts(result: dict[str, Any]) -> Texts:
     """Tabulate how the answers of a node differ from the recorded ones; the verdict below."""
-    rate = result["answered"] / result["wall_s"] if result["wall_s"] else 0.0
     groups = {result["topic"]: result["fields"]}
     if result["estimates"] is not None:
         groups["estimates"] = result["estimates"]["fields"]
@@ -308,9 +279,7 @@ def replay_texts(result: dict[str, Any]) -> Texts:
         for topic, fields in groups.items()
         for name, row in fields.items()
     ]
-    title = (
-        f"{result['node']}: {result['answered']} of {result['steps']} answers, {rate:.0f} a second"
-    )
+    title = f"{result['node']}: {result['answered']} of {result['steps']} answers"
     table = TextTable(("answers", "largest\ndifference", "NRMSE"), rows)
     mark = Mark.GOOD if result["identical"] else Mark.BAD
     return [title, table, Cell(verdict_text(result), mark)]

@@ -17,7 +17,7 @@ from seft_ros.ground_motion.readers.record_text import (
     is_number,
     to_float,
 )
-from seft_ros.ground_motion.readers.statements import Header, Statement, read_header
+from seft_ros.ground_motion.readers.statements import Header, Statement, agreed, read_header
 
 _OF_SPECTRUM = re.compile(r"\W*(?:natural\s+)?(?:period|freq(?:uency)?)(?![a-z])", re.I)
 IN_COLUMNS = "columns"
@@ -158,13 +158,9 @@ def _read_head(
 
 def _with(*, header: Header, counted: Header, path: Path) -> Header:
     """Join the statements of words and of numbers above the data."""
-    for ours, theirs in ((header.dt, counted.dt), (header.count, counted.count)):
-        if ours and theirs and ours.value != theirs.value:
-            raise InputError(
-                f"{path}: {ours.place} states {ours.value:g}, but {theirs.place} {theirs.value:g}; "
-                "correct one of them"
-            )
-    return Header(header.unit, header.dt or counted.dt, header.count or counted.count)
+    dt = agreed(path, "sampling period, s,", header.dt, counted.dt)
+    count = agreed(path, "number of points", header.count, counted.count)
+    return Header(header.unit, dt, count)
 
 
 def _is_in_rows(path: Path, data: _Rows, header: Header, rows: bool) -> bool:

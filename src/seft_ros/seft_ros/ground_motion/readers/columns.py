@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 
-from seft_ros.ground_motion.readers.statements import Statement, is_same_period
+from seft_ros.ground_motion.readers.statements import Statement, agreed, is_same_period
 from seft_ros.ground_motion.readers.units import is_other_unit, read_unit
 
 _IN_BRACKETS = re.compile(r"[\[(]([^\[\]()]*(?:\([^()]*\))?[^\[\]()]*)[\])]")
@@ -96,14 +96,8 @@ class Columns:
                 f"{self.path}: {self.called(column)}{self.header} is no acceleration in a unit "
                 "known here; choose another --column, or convert it to g, m/s2 or cm/s2"
             )
-        if unit is None:
-            return self.own_unit
-        if self.own_unit and self.own_unit.value != unit:
-            raise InputError(
-                f"{self.path}: {self.called(column)}{self.header} is in {unit}, but "
-                f"{self.own_unit.place} says {self.own_unit.value}; correct one of them"
-            )
-        return Statement(unit, "the name of the column")
+        named = Statement(unit, "the name of the column") if unit else None
+        return agreed(self.path, "unit", named, self.own_unit)
 
     def default(self) -> int:
         """Choose the column of a motion where none is asked for.
@@ -190,12 +184,7 @@ class Columns:
                 )
             period = unit * rounded
         found = Statement(float(f"{period:.12g}"), self.called(column))  # not 0.00500...1
-        if self.own_dt and not is_same_period(self.own_dt.value, found.value):
-            raise InputError(
-                f"{self.path}: {self.own_dt.place} states the sampling period {self.own_dt.value:g}"
-                f" s, but the steps of {found.place} are {found.value:g} s; correct one of them"
-            )
-        return found
+        return agreed(self.path, "sampling period, s,", found, self.own_dt)
 
     def check_finite(self, column: int) -> None:
         """Refuse a column with a NaN or an infinity; names the line."""

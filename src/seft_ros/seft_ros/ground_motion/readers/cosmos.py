@@ -3,11 +3,9 @@
 import re
 from pathlib import Path
 
-import numpy as np
-
 from seft_ros.ground_motion.readers.columns import Columns
-from seft_ros.ground_motion.readers.record_text import header_numbers, read_values
-from seft_ros.ground_motion.readers.several import as_channels
+from seft_ros.ground_motion.readers.record_text import header_numbers
+from seft_ros.ground_motion.readers.several import as_channels, read_channel
 from seft_ros.ground_motion.readers.statements import Statement, known_unit, other_quantity
 
 _FORMAT = r"Format\s*=\s*\(\s*(?:1P)?\d*[DEFGI](\d+)"
@@ -57,11 +55,8 @@ def read_cosmos(path: Path, lines: list[str]) -> Columns:
                 continue
             unit = known_unit(path, index + 1, data.group(3).strip())
             own = Statement(unit, f"line {index + 1}")
-            values, places, _ = read_values(
-                path, lines, index + 1, int(data.group(1)), int(data.group(4))
-            )
-            one = Columns(path, np.array([values]).T, places, "COSMOS", own_dt=dt, own_unit=own)
-            found.append(one)
+            count, width = int(data.group(1)), int(data.group(4))
+            found.append(read_channel(path, lines, index + 1, count, "COSMOS", dt, own, width))
     if not found:
         raise other_quantity(path, 1, other)
     return as_channels(found)

@@ -12,7 +12,7 @@ import numpy as np
 
 from seft_ros.ground_motion.readers.columns import Columns
 from seft_ros.ground_motion.readers.record_text import NUMBER, pieces, read_values
-from seft_ros.ground_motion.readers.several import as_channels
+from seft_ros.ground_motion.readers.several import as_channels, read_channel
 from seft_ros.ground_motion.readers.statements import Statement, known_unit, other_quantity
 
 _N = NUMBER.pattern
@@ -55,11 +55,11 @@ def read_csmip(path: Path, lines: list[str]) -> Columns:
             if even.group(2).lower() != "accel":
                 other = other or _QUANTITIES[even.group(2).lower()]
                 continue
-            count, period, unit = int(even.group(1)), float(even.group(3)), even.group(4)
-            found.append(_channel(path, lines, index, count, period, unit))
+            stated = int(even.group(1)), float(even.group(3)), even.group(4)
+            found.append(_channel(path, lines, index, *stated))
         elif raw := _RAW.match(line):
-            count, rate = int(raw.group(1)), float(raw.group(2))
-            found.append(_channel(path, lines, index, count, 1 / rate, raw.group(3)))
+            stated = int(raw.group(1)), 1 / float(raw.group(2)), raw.group(3)
+            found.append(_channel(path, lines, index, *stated))
         elif _PAIRS.match(line):
             found.append(_pairs(path, lines, index))
     if not found:
@@ -71,19 +71,11 @@ def _channel(
     path: Path, lines: list[str], index: int, count: int, period: float, unit: str
 ) -> Columns:
     """Read evenly spaced values below the line of this index."""
-    place = f"line {index + 1}"
-    width = _WIDTH.search(lines[index])
-    values, places, _ = read_values(
-        path, lines, index + 1, count, int(width.group(1)) if width else 0
-    )
-    return Columns(
-        path,
-        np.array([values]).T,
-        places,
-        "CSMIP",
-        own_dt=Statement(period, place),
-        own_unit=Statement(known_unit(path, index + 1, unit), place),
-    )
+    start, place = index + 1, f"line {index + 1}"
+    found = _WIDTH.search(lines[index])
+    dt, own = Statement(period, place), Statement(known_unit(path, start, unit), place)
+    width = int(found.group(1)) if found else 0
+    return read_channel(path, lines, start, count, "CSMIP", dt, own, width=width)
 
 
 def _pairs(path: Path, lines: list[str], index: int) -> Columns:
@@ -92,7 +84,7 @@ def _pairs(path: Path, lines: list[str], index: int) -> Columns:
     points = _POINTS.search(lines[said])
     count = int(points.group(1)) if points else 0
     start = index + _ABOVE_PAIRS
-    values, places, _ = read_values(path, lines, start, 2 * count, _PAIR_WIDTH, said + 1)
+    values, places = read_values(path, lines, start, 2 * count, _PAIR_WIDTH, said + 1)
     texts = [piece for line in lines[start:] for piece in pieces(line, _PAIR_WIDTH)][: 2 * count]
     table = np.reshape(values, (-1, 2))
     table[:, 1] /= 10

@@ -6,12 +6,11 @@ Volume 2 has accelerations, then as many velocities and displacements.
 import re
 from pathlib import Path
 
-import numpy as np
 from seft_msgs_py.errors import InputError
 
 from seft_ros.ground_motion.readers.columns import Columns
-from seft_ros.ground_motion.readers.record_text import NUMBER, read_values
-from seft_ros.ground_motion.readers.several import as_channels
+from seft_ros.ground_motion.readers.record_text import NUMBER
+from seft_ros.ground_motion.readers.several import as_channels, read_channel
 from seft_ros.ground_motion.readers.statements import Statement, known_unit
 
 _N = NUMBER.pattern
@@ -58,19 +57,12 @@ def read_geonet(path: Path, lines: list[str]) -> Columns:
             )
         count = int(points.group(1))
         last = start + -(-count // _IN_A_ROW)
-        values, places, _ = read_values(path, lines[:last], start, count, _WIDTH, index)
-        size = float(period.group(1) or 1)
-        unit = known_unit(path, index + 1, period.group(2) or peak.group(1))
-        dt = Statement(float(period.group(3)), f"line {index + 1}")
+        size, place = float(period.group(1) or 1), f"line {index + 1}"
+        dt = Statement(float(period.group(3)), place)
+        unit = Statement(known_unit(path, index + 1, period.group(2) or peak.group(1)), place)
+        values = lines[:last]
         found.append(
-            Columns(
-                path,
-                size * np.array([values]).T,
-                places,
-                "GeoNet",
-                own_dt=dt,
-                own_unit=Statement(unit, f"line {index + 1}"),
-            )
+            read_channel(path, values, start, count, "GeoNet", dt, unit, _WIDTH, index, size)
         )
         names.append(component.group(1) if component else f"component {len(found)}")
     return as_channels(found, names)

@@ -11,7 +11,8 @@ import numpy as np
 from seft_msgs_py.errors import InputError
 
 from seft_ros.ground_motion.readers.columns import Columns
-from seft_ros.ground_motion.readers.record_text import NUMBER, is_comment, read_values, to_float
+from seft_ros.ground_motion.readers.record_text import NUMBER, is_comment, to_float
+from seft_ros.ground_motion.readers.several import read_channel
 from seft_ros.ground_motion.readers.statements import Statement, read_header
 
 _HEADER_LINES = 50
@@ -55,9 +56,8 @@ def read_peer(path: Path, lines: list[str]) -> Columns:
         )
     titles = [(number, line) for number, line in enumerate(lines[:end], start=1) if line.strip()]
     unit = read_header(path, titles).unit
-    values, places, _ = read_values(path, lines, end + 1, count)
     own_dt = Statement(dt, f"line {end + 1}")
-    return Columns(path, np.array([values]).T, places, "PEER AT2", own_dt=own_dt, own_unit=unit)
+    return read_channel(path, lines, end + 1, count, "PEER AT2", own_dt, unit)
 
 
 def _header_end(lines: list[str]) -> int | None:

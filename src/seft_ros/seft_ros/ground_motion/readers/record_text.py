@@ -138,7 +138,7 @@ def header_numbers(
 
 def read_values(
     path: Path, lines: Sequence[str], start: int, count: int, width: int = 0, said: int = 0
-) -> tuple[list[float], list[int], int]:
+) -> tuple[list[float], list[int]]:
     """Read the values of one motion, which follow row by row; the last row may be shorter.
 
     What follows the last of ``count`` values is no value, but must not be a number.
@@ -158,15 +158,13 @@ def read_values(
     -------
     values, places : list
         Values, and the numbers of their lines.
-    end : int
-        Index of the line after the last value.
 
     Raises
     ------
     InputError
         If a value is no number, or if there are more or less of them; names the line.
     """
-    values, places, end = list[float](), list[int](), start
+    values, places = list[float](), list[int]()
     for number, line in enumerate(lines[start:], start=start + 1):
         cut = pieces(line, width)
         if len(values) >= count and not all(map(is_number, cut)):
@@ -178,11 +176,10 @@ def read_values(
                 break
             values.append(to_float(piece, path, number))
             places.append(number)
-        end = number
     if len(values) != count or not values:
         what = "the file is truncated" if len(values) < count else "too many"
         raise InputError(
             f"{path}: line {said or start} says {count} values, but {len(values)} values follow: "
             f"{what}; fetch the record again, or correct that line"
         )
-    return values, places, end
+    return values, places

@@ -111,10 +111,10 @@ def _obspy(path: Path, called: str) -> Any:
 
 def _scaled(path: Path, stream: Any, response: str, called: str) -> Columns:
     ids = [trace.id for trace in stream]
-    deltas, lengths = ({attribute(trace) for trace in stream} for attribute in (_delta, len))
+    kinds = {(float(trace.stats.delta), len(trace)) for trace in stream}
     if len(set(ids)) < len(ids):
         raise InputError(f"{path}: channel {ids[0]} has a gap; cut the record off there")
-    if len(deltas) > 1 or len(lengths) > 1:
+    if len(kinds) > 1:
         raise InputError(
             f"{path}: its channels differ in length or sampling period; save each as a file"
         )
@@ -131,11 +131,7 @@ def _scaled(path: Path, stream: Any, response: str, called: str) -> Columns:
             f"{path}: holds counts of a digitiser; set ground_motion response (--response) to the "
             "station's metadata (StationXML), or convert it to accelerations"
         )
-    return _columns(path, values, ids, called, deltas.pop(), unit)
-
-
-def _delta(trace: Any) -> float:
-    return float(trace.stats.delta)
+    return _columns(path, values, ids, called, stream[0].stats.delta, unit)
 
 
 def _sensitivity(path: Path, trace: Any, response: str) -> float:

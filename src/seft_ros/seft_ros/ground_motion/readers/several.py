@@ -2,11 +2,31 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from seft_msgs_py.errors import InputError
 
 from seft_ros.ground_motion.readers.columns import Columns
+from seft_ros.ground_motion.readers.record_text import read_values
+from seft_ros.ground_motion.readers.statements import Statement
+
+
+def read_channel(
+    path: Path,
+    lines: Sequence[str],
+    start: int,
+    count: int,
+    layout: str,
+    dt: Statement[float] | None,
+    unit: Statement[str] | None,
+    width: int = 0,
+    said: int = 0,
+    size: float = 1.0,
+) -> Columns:
+    """Read evenly spaced values, each times ``size``, as a column; the rest as in `read_values`."""
+    values, places = read_values(path, lines, start, count, width, said)
+    return Columns(path, size * np.array([values]).T, places, layout, own_dt=dt, own_unit=unit)
 
 
 def as_channels(found: Sequence[Columns], names: Sequence[str] = ()) -> Columns:

@@ -3,11 +3,11 @@
 import re
 from pathlib import Path
 
-import numpy as np
 from seft_msgs_py.errors import InputError
 
 from seft_ros.ground_motion.readers.columns import Columns
-from seft_ros.ground_motion.readers.record_text import header_numbers, read_values
+from seft_ros.ground_motion.readers.record_text import header_numbers
+from seft_ros.ground_motion.readers.several import read_channel
 from seft_ros.ground_motion.readers.statements import Statement
 
 _FIRST_LINE = re.compile(r"^\s*[0-9]\s+(?:UN)?CORRECTED\s+ACCELEROGRAM\b", re.IGNORECASE)
@@ -42,5 +42,5 @@ def read_smc(path: Path, lines: list[str]) -> Columns:
     end += max(int(integers[_COMMENTS]), 0)
     dt = Statement(float(f"{1 / numbers[_RATE]:.7g}"), f"line {reals + 1}")
     unit = Statement("cm/s2", "the SMC format")
-    values, places, _ = read_values(path, lines, end, int(integers[_COUNT]), said=_TEXT + 2)
-    return Columns(path, np.array([values]).T, places, "SMC", own_dt=dt, own_unit=unit)
+    count = int(integers[_COUNT])
+    return read_channel(path, lines, end, count, "SMC", dt, unit, said=_TEXT + 2)

@@ -5,7 +5,7 @@ that can't be used, such as an unknown unit: none of them is passed over in sile
 """
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -112,9 +112,9 @@ def read_header(path: Path, lines: Sequence[tuple[int, str]]) -> Header:
     periods = [Statement(dt, f"line {n}") for n, line in lines for dt in _periods(path, n, line)]
     counts = [Statement(count, f"line {n}") for n, line in lines for count in _counts(line)]
     return Header(
-        _agreed(path, "unit", units, lambda a, b: a == b),
-        _agreed(path, "sampling period, s,", periods, is_same_period),
-        _agreed(path, "number of points", counts, lambda a, b: a == b),
+        agreed(path, "unit", *units),
+        agreed(path, "sampling period, s,", *periods),
+        agreed(path, "number of points", *counts),
     )
 
 
@@ -147,19 +147,28 @@ def other_quantity(path: Path, number: int, quantity: str) -> InputError:
     )
 
 
-def _agreed[T](
-    path: Path, what: str, found: Iterable[Statement[T]], same: Callable[[T, T], bool]
-) -> Statement[T] | None:
-    first = None
-    for each in found:
-        if first is None:
-            first = each
-        elif not same(first.value, each.value):
+def agreed[T](path: Path, what: str, *found: Statement[T] | None) -> Statement[T] | None:
+    """Give the first of some statements on one thing; None: there is none.
+
+    Raises
+    ------
+    InputError
+        If another one is not the same.
+    """
+    stated = [each for each in found if each]
+    for each in stated[1:]:
+        if not _is_same(stated[0].value, each.value):
             raise InputError(
-                f"{path}: {each.place} states the {what} {each.value}, but {first.place} "
-                f"{first.value}; correct one of them"
+                f"{path}: {each.place} states the {what} {each.value}, but {stated[0].place} "
+                f"{stated[0].value}; correct one of them"
             )
-    return first
+    return stated[0] if stated else None
+
+
+def _is_same(first: object, second: object) -> bool:
+    if isinstance(first, float) and isinstance(second, float):  # sampling periods
+        return is_same_period(first, second)
+    return first == second
 
 
 def _units(path: Path, number: int, line: str) -> Iterable[str]:
