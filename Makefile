@@ -29,7 +29,8 @@ PYTEST := $(BIN)/pytest -o faulthandler_exit_on_timeout=true
 step = @printf 'seft: %s ...\n' "$(1)"; begun=$$(date +%s); $(2) || exit 2; \
 	echo "seft: ... $$(($$(date +%s) - begun)) s"
 
-.PHONY: help setup setup-ubuntu demo test test-ubuntu types docs thorough thorough-offline bench clean unfinished
+.PHONY: help setup setup-ubuntu demo test test-ubuntu types docs thorough thorough-offline bench \
+	clean unfinished
 .DELETE_ON_ERROR:
 
 help: ## this list
@@ -98,7 +99,8 @@ endif
 		$(PIP) install --no-deps --no-build-isolation $(PACKAGES:%=-e %))
 	$(call step,compiling the steps of a test (half a minute, once), \
 		$(BIN)/python -m compileall -q $(PACKAGES); \
-		$(BIN)/seft simulate config/demo.yaml >/dev/null 2>&1 || true)
+		$(BIN)/seft simulate config/demo.yaml >/dev/null 2>&1; \
+		$(BIN)/seft simulate config/jhu.yaml >/dev/null 2>&1 || true)
 	@pwd -P > $(READY)
 	@echo "seft: .venv is ready"
 

@@ -50,7 +50,7 @@ def main() -> int:
     times: dict[tuple[str, int], list[float]] = {}
     for _ in range(ROUNDS):  # interleaved: the machine's speed drifts
         for (kind, axes), experiment in experiments.items():
-            record = simulate_test(experiment, blocks[kind, axes])
+            record = simulate_test(experiment, blocks[kind, axes], compiles=True)
             steps = len(record.series[RIG_STATE.name].steps)
             times.setdefault((kind, axes), []).append((record.wall_s or np.nan) / steps)
             if kind == KINDS[0]:

@@ -51,7 +51,7 @@ def main() -> int:
     floor, by_scipy = [], []
     for _ in range(ROUNDS):  # interleaved: the machine's speed drifts
         for kind in CASES:
-            record = simulate_test(experiments[kind], blocks[kind])
+            record = simulate_test(experiments[kind], blocks[kind], compiles=True)
             ours[kind].append(len(motion) / (record.wall_s or float("nan")))
         floor.append(plain_steps_per_second(motion))
         by_scipy.append(scipy_steps_per_second(experiments["linear rig"], motion))

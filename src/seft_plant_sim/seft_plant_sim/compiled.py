@@ -49,6 +49,7 @@ def compiled[F: Callable[..., Any]](function: F, *, nogil: bool = False) -> F:
     )
     with suppress(RuntimeError):  # it can't be written to
         made._cache = _CACHE(function)
+        made._cache.load_overload = _telling(made._cache.load_overload)
     return made
 
 
@@ -82,6 +83,24 @@ class _ByText(caching._CacheLocator):
 
 _PLACES = type("Places", (caching.CompileResultCacheImpl,), {"_locator_classes": [_ByText]})
 _CACHE = type("Cache", (caching.FunctionCache,), {"_impl_class": _PLACES})
+_told: list[Callable[[], None]] = []
+
+
+def tell_of_compilation(tell: Callable[[], None]) -> None:
+    """Call a function once, when this process finds no machine code on the disk."""
+    _told[:] = [tell]
+
+
+def _telling(load: Callable[..., Any]) -> Callable[..., Any]:
+    """Wrap a cache's way to load machine code."""
+
+    def loaded(signature: Any, context: Any) -> Any:
+        found = load(signature, context)
+        if found is None and _told:
+            _told.pop()()
+        return found
+
+    return loaded
 
 
 def entry_point(function: Any, *arguments: Any, kind: Hashable = None) -> Callable[..., Any]:

@@ -1,5 +1,6 @@
 """The compiled loop gives the bits of the plain one, alone and in an ensemble."""
 
+from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 
 import experiments_at_hand
@@ -143,6 +144,24 @@ def test_a_test_is_that_of_the_plain_loop(name, monkeypatch):
     experiment = load(*FINE, *CASES[name])
     assert why_not_compiled(build_blocks(experiment)) == ""
     alike(BlockCache().run(experiment), plain(monkeypatch, experiment))
+
+
+def test_the_loop_is_compiled_where_that_pays(monkeypatch):
+    def run(words, **options):
+        simulate_test(experiment := load(*words), build_blocks(experiment), **options)
+        return len(compiled)
+
+    compiled = []
+    original = offline.run_compiled
+    monkeypatch.setattr(
+        offline, "run_compiled", lambda *words: compiled.append(1) or original(*words)
+    )
+    monkeypatch.setattr(offline, "_run_so_far", Counter())
+    steps = len(build_blocks(load()).ground_motion.samples)
+    monkeypatch.setattr(offline, "PLAIN_STEPS", 2 * steps)
+    assert [run(CASES["force"]) for _ in range(3)] == [0, 0, 1]
+    assert run(CASES["target"]) == 1  # of another kind
+    assert run(CASES["target"], compiles=True) == 2
 
 
 def test_the_cases_end_in_every_way():

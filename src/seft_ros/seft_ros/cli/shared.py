@@ -155,6 +155,14 @@ def complain(text: str) -> None:
     print(f"seft: {text}", file=sys.stderr, flush=True)
 
 
+def tell_of_compilation() -> None:
+    """Say on a terminal, once, that this command compiles steps, which it does not do again."""
+    from seft_plant_sim.compiled import tell_of_compilation as tell
+
+    if sys.stderr.isatty():
+        tell(lambda: complain("compiling the steps of this kind of test, once: some seconds"))
+
+
 def warn(text: str) -> None:
     """Print a warning on stderr: it is no reason for the end of a command."""
     print(f"warning: {text}", file=sys.stderr, flush=True)

@@ -1,13 +1,14 @@
 """The experiment in one process, without ROS: the same blocks, called in turn.
 
-If all of them are compiled, so is the loop over the steps. Tests of an ensemble with equal ground
-motion, reference force or force controller share these.
+If all of them are compiled, so is the loop over the steps where that pays: of an ensemble, and of
+many steps. Tests of an ensemble with equal ground motion, reference force or force controller share
+these.
 """
 
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Iterator
+from collections import Counter, deque
+from collections.abc import Callable, Hashable, Iterator
 from functools import cached_property
 from typing import Any
 
@@ -22,6 +23,7 @@ from seft_msgs_py.wire.topics import (
     VALVE_COMMAND,
     Timebase,
 )
+from seft_plant_sim.rig import Rig
 from seft_plant_sim.whole_structure import ReferenceResponse, reference_response
 
 from seft_ros.bags.record import (
@@ -31,6 +33,7 @@ from seft_ros.bags.record import (
     describe_environment,
     require_names,
 )
+from seft_ros.force_controller.interlock import Interlock
 from seft_ros.reference_force.reference_force_block import sampling_period
 from seft_ros.test_run.compiled_loop import (
     Blocks,
@@ -42,6 +45,10 @@ from seft_ros.test_run.compiled_loop import (
 from seft_ros.test_run.state_machine import while_ramping_down
 
 PROGRESS_STEPS = 5000
+PLAIN_STEPS = 500_000
+"""Steps that the plain loop runs in about the time of a compilation of the loop (10 s)."""
+_run_so_far: Counter[Hashable] = Counter()
+"""Steps of this process, by the kind of loop."""
 
 
 def simulate_test(
@@ -49,6 +56,8 @@ def simulate_test(
     blocks: Blocks,
     progress: Callable[[int], None] | None = None,
     environment: dict[str, Any] | None = None,
+    *,
+    compiles: bool = False,
 ) -> Record:
     """Run a test offline.
 
@@ -62,6 +71,9 @@ def simulate_test(
         Called at intervals with the number of steps done.
     environment : dict, optional
         Of the record; default that of this process.
+    compiles : bool
+        Whether the loop is compiled at once, if it can be; default only when this process has more
+        than `PLAIN_STEPS` of its kind to run. The steps are compiled in any case.
 
     Returns
     -------
@@ -80,7 +92,7 @@ def simulate_test(
         np.empty(total, dtype=np.int64),
         np.empty((-(-total // period), len(estimated), axes)),
     )
-    run = run_plain if why_not_compiled(blocks) else run_compiled
+    run = run_compiled if _is_compiled(blocks, total, compiles) else run_plain
     environment = environment or describe_environment("simulate")
     loop = run(blocks, samples, experiment["reference_force"]["loop_delay"], period)
     steps, start = next(loop), time.perf_counter()
@@ -107,6 +119,18 @@ def simulate_test(
         wall_s=wall,
         environment=environment,
     )
+
+
+def _is_compiled(blocks: Blocks, steps: int, at_once: bool) -> bool:
+    """Say whether so many steps more are run in the compiled loop."""
+    if why_not_compiled(blocks):
+        return False
+    rig, interlock = blocks.rig, blocks.force_controller
+    assert isinstance(rig, Rig) and isinstance(interlock, Interlock)
+    axes = blocks.ground_motion.samples.shape[1]
+    kind = rig.kind, blocks.reference_force.kind, interlock.kind, axes
+    _run_so_far[kind] += steps
+    return at_once or _run_so_far[kind] > PLAIN_STEPS
 
 
 def run_plain(blocks: Blocks, samples: LoopSamples, loop_delay: int, period: int) -> Iterator[int]:
@@ -195,7 +219,7 @@ class BlockCache:
         """
         blocks = self.blocks(experiment)
         vars(self._last).pop("made", None)  # a rig runs once
-        return simulate_test(experiment, blocks, environment=self._environment)
+        return simulate_test(experiment, blocks, environment=self._environment, compiles=True)
 
     def why_not_compiled(self, experiment: Experiment) -> str:
         """See `seft_ros.test_run.compiled_loop.why_not_compiled`."""
