@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 from graph_tools import JHU, PATIENCE
-from local_tools import UNREHEARSED
+from local_tools import NODES, UNREHEARSED
 from ros_domain import reserved_domain
 from seft_msgs_py.virtual import LocalGraph
 from seft_ros.cli.main import main
@@ -40,6 +40,16 @@ def local_graph():
             return made.enter_context(graph)
 
         yield make
+
+
+@pytest.fixture
+def compiled(local_graph):
+    """Have the steps of an experiment compiled: `seft run` waits for its nodes at most a minute."""
+
+    def prepare(config, *words, nodes=NODES):
+        local_graph(*words[1::2], UNREHEARSED, config=config, nodes=nodes).until("ready")
+
+    return prepare
 
 
 @pytest.fixture

@@ -23,6 +23,10 @@ TARGET_MOTION = (
 )
 TWO_AXES = ("axes:=[north, east]", "ground_motion:influence:=[1.0, 0.5]")
 NODES = ("ground_motion", "reference_force", "force_controller", "rig", "supervisor")
+RIGS_NODES = (
+    *("ground_motion", "reference_force", "supervisor"),
+    *("west/rig", "west/force_controller", "east/rig", "east/force_controller"),
+)
 
 
 def at_rest(graph: LocalGraph) -> bool:

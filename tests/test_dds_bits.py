@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from graph_tools import JHU, MISSES_ALLOWED, PATIENCE, ROOT, STALLS_ALLOWED, THOROUGH, wait_for
 from hostile import Hostile
-from local_tools import TARGET_MOTION, TWO_AXES
+from local_tools import RIGS_NODES, TARGET_MOTION, TWO_AXES
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_ros.bags.record_bag import read_bag
@@ -26,10 +26,14 @@ GENTLE = ("-p", "ground_motion:peak_force:=20.0")
 """Lets a rig stay far from its limits though it holds old commands for long."""
 
 
-def test_lockstep_gives_the_bits_and_the_estimates_of_the_offline_loop(seft_json, tmp_path):
-    words = [JHU, *SHORT]
+def test_lockstep_gives_the_bits_and_the_estimates_of_the_offline_loop(
+    compiled, seft_json, tmp_path
+):
+    words = [*SHORT]
     for override in (*TARGET_MOTION, *TWO_AXES):
         words += ["-p", override]
+    compiled(JHU, *words)
+    words = [JHU, *words]
     simulated = seft_json("simulate", *words, "--out", "simulated")
     lockstep = seft_json("run", *words, *LOCKSTEP, "--out", "lockstep")
     compared = seft_json("compare", "simulated", "lockstep")
@@ -44,7 +48,10 @@ def test_lockstep_gives_the_bits_and_the_estimates_of_the_offline_loop(seft_json
     np.testing.assert_array_equal(one.values, other.values)
 
 
-def test_realtime_in_one_process_differs_only_from_the_first_missed_command_on(seft_json, tmp_path):
+def test_realtime_in_one_process_differs_only_from_the_first_missed_command_on(
+    compiled, seft_json, tmp_path
+):
+    compiled(JHU, *SHORT)
     words = (JHU, *SHORT, *GENTLE, *STALLS_ALLOWED, *MISSES_ALLOWED)
     seft_json("simulate", *words, "--out", "simulated")
     words = (*words, "--composed", "--priority", "10")
@@ -69,8 +76,10 @@ def test_realtime_in_one_process_differs_only_from_the_first_missed_command_on(s
 @pytest.mark.parametrize(
     "arrangement", [("--composed",), pytest.param((), marks=THOROUGH)], ids=["composed", "apart"]
 )
-def test_two_rigs_give_the_bits_of_the_offline_loop(seft_json, arrangement):
-    words = (BRIDGE, *SHORT, "-p", "reference_force:loop_delay:=5")
+def test_two_rigs_give_the_bits_of_the_offline_loop(compiled, seft_json, arrangement):
+    words = (*SHORT, "-p", "reference_force:loop_delay:=5")
+    compiled(BRIDGE, *words, nodes=RIGS_NODES)
+    words = (BRIDGE, *words)
     seft_json("simulate", *words, "--out", "simulated")
     seft_json("run", *words, *LOCKSTEP, *arrangement, "--out", "lockstep")
     assert seft_json("compare", "simulated", "lockstep")["identical"] is True

@@ -87,8 +87,9 @@ class Run:
 
 
 @pytest.fixture
-def run(start, tmp_path):
+def run(compiled, start, tmp_path):
     """Start a `seft run`."""
+    compiled(JHU)
     return lambda *words, **options: Run(start, tmp_path, *words, **options)
 
 

@@ -3,22 +3,18 @@
 import numpy as np
 import pytest
 from graph_tools import ROOT
-from local_tools import LONG, offline, perform
+from local_tools import LONG, RIGS_NODES, offline, perform
 from seft_msgs_py.wire.topics import RIG_STATE, rigs_of
 
 BRIDGE = ROOT / "config" / "two_pier_bridge.yaml"
 SHORT = ("ground_motion:synthetic.duration:=6.0", "ground_motion:tail:=0.5")
-NODES = (
-    *("ground_motion", "reference_force", "supervisor"),
-    *("west/rig", "west/force_controller", "east/rig", "east/force_controller"),
-)
 
 
 @pytest.mark.parametrize("pace", ["realtime", "lockstep"])
 @pytest.mark.parametrize("loop_delay", [0, 5])
 def test_two_rigs_give_the_bits_of_the_offline_loop(local_graph, pace, loop_delay):
     words = (*SHORT, f"rig:pace:={pace}", f"reference_force:loop_delay:={loop_delay}")
-    graph = local_graph(*words, config=BRIDGE, nodes=NODES)
+    graph = local_graph(*words, config=BRIDGE, nodes=RIGS_NODES)
     perform(graph)
     states = offline(graph).series["rig/state"].values
     for number, rig in enumerate(rigs_of(graph.experiment.axes)):
@@ -34,7 +30,7 @@ def test_the_death_of_one_rig_ends_the_test_for_both(local_graph):
         "supervisor:watchdog.peer_timeout:=15.0",
         "supervisor:watchdog.command_timeout:=60.0",
     )
-    graph = local_graph(LONG, *patient, config=BRIDGE, nodes=NODES)
+    graph = local_graph(LONG, *patient, config=BRIDGE, nodes=RIGS_NODES)
     graph.until("ready")
     graph.call("start")
     graph.run(1.5)
