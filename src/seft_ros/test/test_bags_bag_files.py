@@ -309,6 +309,18 @@ def test_of_compressed_chunks_the_whole_ones_are_kept(tmp_path, compression):
     assert contents(tmp_path / "bag") == texts[: recovery.messages]
 
 
+def test_messages_outside_of_chunks_are_refused_by_name(tmp_path):
+    with (tmp_path / "bag.mcap").open("wb") as stream:
+        writer = PlainWriter(stream, use_chunking=False)
+        writer.start(profile="ros2")
+        schema = writer.register_schema(DESCRIPTION.type, "ros2msg", b"string data")
+        channel = writer.register_channel("/text", "cdr", schema)
+        writer.add_message(channel, 1, TEXT, 1)
+        writer.finish()
+    with pytest.raises(InputError, match="messages outside of chunks are not read"):
+        Bag(tmp_path / "bag.mcap")
+
+
 def test_messages_of_foreign_types_are_kept_with_their_definition(tmp_path):
     store = get_typestore(Stores.ROS2_JAZZY)
     store.register(get_types_from_msg("float64 volts", "lab_msgs/msg/Bridge"))
