@@ -57,6 +57,7 @@ setup(
         "numpy>=1.26",
         "rich>=13.7",
         "rosbags>=0.11",
+        "ruamel.yaml>=0.17.21",
         "scipy>=1.11",
         "seft_msgs_py",
         "seft_plant_sim",

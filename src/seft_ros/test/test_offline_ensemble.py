@@ -15,7 +15,7 @@ from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
 from seft_ros.study.drawn_tests import drawn_rig
 from seft_ros.test_run import compiled_loop, offline
 from seft_ros.test_run.compiled_loop import build_blocks, why_not_compiled
-from seft_ros.test_run.offline import BlockCache
+from seft_ros.test_run.offline import BlockCache, simulate_test
 
 SHORT = ("ground_motion:synthetic.duration:=12", "ground_motion:tail:=0.5")
 FINE = ("rig:sensors.adc_bits:=0",)  # no converter, which would hide small differences
