@@ -109,7 +109,7 @@ def test_an_unstable_plan_has_no_damping_in_the_test(seft, told):
 
 
 def test_the_figure_is_drawn_of_both_maps(seft, tmp_path, monkeypatch):
-    monkeypatch.setattr(stability_map, "FINEST", 15)
+    monkeypatch.setattr(stability_map, "_FINEST", 15)
     words = ("preflight", JHU, *DELAY, "--figure", "map", "--json")
     status, out, _ = seft(*words)
     assert status == 0

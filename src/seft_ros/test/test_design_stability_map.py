@@ -32,7 +32,7 @@ def plan_of(*words):
 
 @pytest.mark.parametrize("name", CASES)
 def test_a_map_holds_what_the_plan_says_at_its_places(monkeypatch, name):
-    monkeypatch.setattr(stability_map, "FINEST", 11)
+    monkeypatch.setattr(stability_map, "_FINEST", 11)
     plan, seen = plan_of(RATIO, *CASES[name]), []
     maps = stability_map.stability_maps(
         plan, find_margins(plan), lambda what, done, total: seen.append((done, total))
@@ -52,7 +52,7 @@ def test_a_map_holds_what_the_plan_says_at_its_places(monkeypatch, name):
 
 
 def test_a_plant_that_is_identified_as_a_whole_has_no_map_of_the_stiffness(monkeypatch):
-    monkeypatch.setattr(stability_map, "FINEST", 11)
+    monkeypatch.setattr(stability_map, "_FINEST", 11)
     plan = plan_of(RATIO, *(f"force_controller:{name}:={value}" for name, value in PLANT.items()))
     margins = find_margins(plan)
     assert margins.stiffness is None

@@ -57,9 +57,9 @@ def study(
 
         seft study config/demo.yaml --motion kobe.AT2 --motion NIS090.AT2
 
-        seft study config/jhu.yaml --method none --method restoring --mass-ratio 0.5 --mass-ratio 1
+        seft study config/jhu.yaml --method none --method restoring --mass-ratio 1
 
-        seft study config/jhu.yaml --method all --tests 30 --params-file identified/model.yaml
+        seft study config/jhu.yaml --method all --params-file identified/model.yaml
 
         seft study config/jhu.yaml --scheduler tcp://host:8786
     """
