@@ -57,7 +57,7 @@ def study(
 
         seft study config/demo.yaml --motion kobe.AT2 --motion NIS090.AT2
 
-        seft study config/jhu.yaml --method none --method restoring --mass-ratio 1
+        seft study config/jhu.yaml --method none --method restoring
 
         seft study config/jhu.yaml --method all --params-file identified/model.yaml
 
