@@ -59,7 +59,7 @@ def study(
 
         seft study config/jhu.yaml --method none --method restoring
 
-        seft study config/jhu.yaml --method all --params-file identified/model.yaml
+        seft study config/jhu.yaml --method all --params-file model.yaml
 
         seft study config/jhu.yaml --scheduler tcp://host:8786
     """
