@@ -51,6 +51,13 @@ CASES = {
     "target, two axes": (*TWO, *TARGET),
     "target, limited": (*TARGET, "reference_force:limits.force:=300.0"),
     "target, link": (*TARGET, "reference_force:loop_delay:=4"),
+    "target, suspect samples": (  # while they are, the controller follows the plan to its end
+        *TARGET,
+        "/**:rate:=250.0",
+        "rig:sensors.adc_bits:=12",
+        "ground_motion:synthetic.duration:=30.0",
+        "ground_motion:peak_force:=500.0",
+    ),
     "link": (RATIO(0.1), "reference_force:loop_delay:=4"),
     "linear": ("rig:actuator.kind:=servo_hydraulic_linear", RATIO(0.5)),
     "delay": ("rig:actuator.kind:=delay", "rig:actuator.delay:=0.0103", RATIO(0.5)),

@@ -331,9 +331,8 @@ def run_compiled(
     method: Any = protected.reference_force.compensator
     control: Any = interlock.controller
     points, quantities = protected.reference_force.shape
-    if quantities > 1:  # a controller needs no more of the future motion
-        future = isinstance(control, VelocityFeedforward) and control.parameters.inverse.shape[1]
-        points = min(points, 1 + loop_delay + future)
+    if quantities > 1:  # a controller keeps no more of the future motion
+        points = min(points, loop_delay + control.shape[0])
     n = samples.commands.shape[1]
     loop = LoopBlocks(
         tuple(range(n)),
