@@ -24,6 +24,7 @@ from seft_msgs_py.wire.topics import (
     Timebase,
 )
 from seft_plant_sim.rig import Rig
+from seft_plant_sim.sensors import BLOCK
 from seft_plant_sim.whole_structure import ReferenceResponse, reference_response
 
 from seft_ros.bags.record import (
@@ -44,7 +45,6 @@ from seft_ros.test_run.compiled_loop import (
 )
 from seft_ros.test_run.state_machine import while_ramping_down
 
-PROGRESS_STEPS = 5000
 PLAIN_STEPS = 500_000
 """Steps that the plain loop runs in about the time of a compilation of the loop (10 s)."""
 _run_so_far: Counter[Hashable] = Counter()
@@ -158,7 +158,7 @@ def run_plain(blocks: Blocks, samples: LoopSamples, loop_delay: int, period: int
             if rig.violation is not None or interlock.reason or reference_force.at_rest:
                 yield step + 1
                 return
-            if (step + 1) % PROGRESS_STEPS == 0:
+            if (step + 1) % BLOCK == 0:
                 yield step + 1
             if step + 1 < total:
                 state = rig.step(command if valve_driven else points[0, -1])
