@@ -8,8 +8,8 @@ import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.node.host import FIRST_NICENESS
 from seft_ros.analysis.timing import stalls_of, timing_of
-from seft_ros.bags import stall_watch
 from seft_ros.bags.record import Record, Series
+from seft_ros.test_run import stall_watch
 from seft_ros.test_run.stall_watch import StallWatch
 
 DT_NS = 2_000_000
