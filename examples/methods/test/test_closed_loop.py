@@ -20,6 +20,7 @@ MOTIONS = {
         f"ground_motion:file:={KOBE}",
         "ground_motion:unit:=cm/s2",
         "ground_motion:dt:=0.005",
+        "ground_motion:column:=0",
     ),
 }
 motions = pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from contextlib import contextmanager
 
 import pytest
 from seft_msgs_py.node.host import FIRST_NICENESS
+from seft_ros.test_run import processes as of_nodes
 from seft_ros.test_run.node_starter import NodeStarter
 from seft_ros.test_run.processes import LOOP_NODES, NodeProcesses, ProcessLayout
 
@@ -15,8 +16,13 @@ SEVERAL_CORES = pytest.mark.skipif(
 
 
 @pytest.fixture
-def run(tmp_path):
-    """Run the nodes with a layout."""
+def run(tmp_path, monkeypatch):
+    """Run nodes with a layout, which only wait: none ends before it is looked at."""
+    (tmp_path / "waiting.py").write_text("import signal\n\n\ndef main():\n    signal.pause()\n")
+    paths = [str(tmp_path), os.environ.get("PYTHONPATH", "")]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
+    monkeypatch.setattr(of_nodes, "MODULES", dict.fromkeys(NODES, "waiting"))
+    monkeypatch.setattr(of_nodes, "COMPOSED", "waiting")
 
     @contextmanager
     def run_nodes(layout):
