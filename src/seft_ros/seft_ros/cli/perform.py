@@ -180,7 +180,7 @@ def run(
     from seft_ros.test_run.processes import ProcessLayout
     from seft_ros.test_run.run import bag_path
 
-    shared.tell_of_compilation()
+    shared.announce_compilation()
     experiment = shared.load_experiment(config, param, params_file, external)
     bag = bag_path(experiment, out)
     experiment = _with_measured_delay(experiment)
@@ -227,7 +227,7 @@ def simulate(
 
         seft simulate config/demo.yaml -p ground_motion:file:=kobe.AT2
     """
-    shared.tell_of_compilation()
+    shared.announce_compilation()
     experiment = shared.load_experiment(config, param, params_file)
     if out is not None:
         shared.check_out(out)

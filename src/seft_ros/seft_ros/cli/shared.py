@@ -155,12 +155,12 @@ def complain(text: str) -> None:
     print(f"seft: {text}", file=sys.stderr, flush=True)
 
 
-def tell_of_compilation() -> None:
+def announce_compilation() -> None:
     """Say on a terminal, once, that this command compiles steps, which it does not do again."""
-    from seft_plant_sim.compiled import tell_of_compilation as tell
+    from seft_plant_sim.compiled import tell_of_compilation
 
     if sys.stderr.isatty():
-        tell(lambda: complain("compiling the steps of this kind of test, once: some seconds"))
+        tell_of_compilation(lambda: complain("compiling the steps of this kind of test, once: some seconds"))
 
 
 def warn(text: str) -> None:
