@@ -160,7 +160,8 @@ def announce_compilation() -> None:
     from seft_plant_sim.compiled import tell_of_compilation
 
     if sys.stderr.isatty():
-        tell_of_compilation(lambda: complain("compiling the steps of this kind of test, once: some seconds"))
+        text = "compiling the steps of this kind of test, once: some seconds"
+        tell_of_compilation(lambda: complain(text))
 
 
 def warn(text: str) -> None:
