@@ -33,11 +33,6 @@ MISSES_ALLOWED = (
 """Lets it outlive what many missed commands make: vibration, and flow that nobody commanded."""
 
 
-def thorough(*values: object) -> object:
-    """Parameters of a test that `make thorough` alone looks at."""
-    return pytest.param(*values, marks=THOROUGH)
-
-
 def wait_for(condition: Callable[[], object], what: str) -> object:
     """Wait until a condition holds; return what it gives."""
     deadline = time.monotonic() + PATIENCE
