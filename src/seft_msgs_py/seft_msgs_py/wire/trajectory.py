@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.messages import decode_message, nanoseconds
 from seft_msgs_py.wire.topics import (
@@ -148,7 +148,6 @@ def parse_trajectory(raw: bytes, topic: str = "trajectory") -> Trajectory:
     return Trajectory(nanoseconds(message.header.stamp), tuple(message.joint_names), message.points)
 
 
-_Steps = npt.NDArray[np.int64]
 _Bytes = npt.NDArray[np.uint8]
 _Flags = npt.NDArray[np.bool_]
 
@@ -311,9 +310,9 @@ class _Batch(NamedTuple):
         Number of invalid messages.
     """
 
-    steps: _Steps
+    steps: Ints
     values: Floats
-    messages: _Steps
+    messages: Ints
     refused: int
 
     def up_to(self, ahead: float) -> "_Batch":
@@ -336,7 +335,7 @@ def decode_batch(codec: TrajectoryCodec, rows: _Bytes) -> _Batch:
     points, *shape = layout.values.shape
     every = steps[:, np.newaxis] + np.arange(points)
     kept = np.flatnonzero(fits)
-    parts: list[tuple[_Steps, Floats, _Steps]] = [
+    parts: list[tuple[Ints, Floats, Ints]] = [
         (every[kept].ravel(), values[kept].reshape(-1, *shape), np.repeat(kept, points))
     ]
     refused = 0
@@ -355,7 +354,7 @@ def decode_batch(codec: TrajectoryCodec, rows: _Bytes) -> _Batch:
     return _Batch(found[order], points_of[order], messages[order], refused)
 
 
-def _of_layout(period_ns: int, rows: _Bytes, layout: Layout) -> tuple[_Steps, Floats, _Flags]:
+def _of_layout(period_ns: int, rows: _Bytes, layout: Layout) -> tuple[Ints, Floats, _Flags]:
     """Read messages as if they had a layout: steps, values, and which of them are valid so."""
     (count, length), size = rows.shape, len(layout.template)
     if not count or length < size:

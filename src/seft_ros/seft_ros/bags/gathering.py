@@ -8,7 +8,6 @@ from functools import lru_cache
 from math import inf
 
 import numpy as np
-import numpy.typing as npt
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.messages import (
@@ -39,8 +38,6 @@ from seft_ros.bags.record import Estimates, Event, Series, require_names, series
 
 _MOST_EVENTS = 1000
 _LEVELS = {OK: "ok", WARN: "warn", ERROR: "error", STALE: "stale"}
-
-_Steps = npt.NDArray[np.int64]
 
 
 def points_ahead(topic: LoopTopic, experiment: Experiment) -> float:

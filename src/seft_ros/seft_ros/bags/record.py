@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import InputError, WireError
@@ -213,9 +212,6 @@ def _version(package: str) -> str | None:
         return None
 
 
-_Steps = npt.NDArray[np.int64]
-
-
 @dataclass(frozen=True)
 class Series:
     """Samples of one topic, in the order of their steps.
@@ -231,9 +227,9 @@ class Series:
         for ground motion, which is sent ahead.
     """
 
-    steps: _Steps
+    steps: Ints
     values: Floats
-    received_ns: _Steps | None = field(default=None, kw_only=True)
+    received_ns: Ints | None = field(default=None, kw_only=True)
 
     def samples(self) -> Iterator[tuple[int, Floats]]:
         """Give the samples one by one: step, and values of shape (q, n)."""
@@ -250,7 +246,7 @@ class Series:
         """Cut the series after a step."""
         return self.rows(slice(int(np.searchsorted(self.steps, last_step, side="right"))))
 
-    def of_steps(self, steps: _Steps) -> Self:
+    def of_steps(self, steps: Ints) -> Self:
         """Keep the samples of some steps."""
         return self.rows(np.isin(self.steps, steps))
 

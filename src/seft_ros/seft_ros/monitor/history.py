@@ -9,13 +9,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.wire.topics import RigAxes
 
 from seft_ros.analysis.summary import COMPARED
 
-_Steps = npt.NDArray[np.int64]
-HistoryBatch = tuple[_Steps, Floats, _Steps]
+HistoryBatch = tuple[Ints, Floats, Ints]
 """Steps, values of shape (N, 4, axes), and the time of sending of each, ns."""
 MAX_WAITING = 2**14
 """Number of steps of a rig that are kept while another is silent."""

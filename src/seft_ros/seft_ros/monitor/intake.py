@@ -5,7 +5,7 @@ from itertools import groupby
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, Timebase, rigs_of
@@ -21,7 +21,7 @@ from seft_ros.analysis.equivalent_motion import (
 )
 from seft_ros.analysis.summary import COMPARED
 from seft_ros.ground_motion.response_spectrum import RunningSpectrum
-from seft_ros.monitor.history import History, HistoryBatch, RigBatches, Signals, Stretch, _Steps
+from seft_ros.monitor.history import History, HistoryBatch, RigBatches, Signals, Stretch
 from seft_ros.reference_force.reference_force_block import MotionBuffer
 
 _MAX_AT_ONCE = 4000
@@ -268,7 +268,7 @@ class Intake:
             self.refused += batch.refused
             yield batch.steps, batch.values, np.array(sent, np.int64)[batch.messages]
 
-    def _take_states(self, steps: _Steps, values: Floats, sent: _Steps) -> None:
+    def _take_states(self, steps: Ints, values: Floats, sent: Ints) -> None:
         """Add states of increasing steps without long gaps."""
         first = int(steps[0])
         if not self.number or self._cleared or first == 0 < self.history.head:
@@ -283,7 +283,7 @@ class Intake:
         slots = steps % len(self._steps)
         self._steps[slots], self._recent[slots], self._sent[slots] = steps, values, sent
 
-    def _take_forces(self, steps: _Steps, forces: Floats, sent: _Steps) -> None:
+    def _take_forces(self, steps: Ints, forces: Floats, sent: Ints) -> None:
         near = steps < self.history.head  # the states of those ahead have not arrived
         steps, forces, sent = steps[near], forces[near], sent[near]
         self.history.write(steps, self.signals.reference["force"], forces)

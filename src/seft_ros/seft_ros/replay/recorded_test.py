@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import EVERY_NODE, Experiment, Override
 from seft_msgs_py.config.parameter_table import COMMON, Section
 from seft_msgs_py.errors import InputError, WireError
@@ -34,8 +34,6 @@ from seft_ros.drawing.style import Mark, number, small_percent
 from seft_ros.drawing.table import Cell, Texts, TextTable
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 from seft_ros.test_run.parameter_tables import TABLES
-
-_Steps = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -164,7 +162,7 @@ class Replay(ABC):
             more = f" and {len(listed) - 1} more" if len(listed) > 1 else ""
             self.notes.append(f"{what}: step {listed[0]}{more}")
 
-    def note_unanswered(self, states: _Steps, answered: _Steps) -> None:
+    def note_unanswered(self, states: Ints, answered: Ints) -> None:
         """Note which recorded states the node did not answer: these are left out.
 
         Raises
