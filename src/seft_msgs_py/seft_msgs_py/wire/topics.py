@@ -273,10 +273,14 @@ GROUND_MOTION = LoopTopic(
 RIG_STATE = LoopTopic(
     "rig/state",
     publisher="rig",
-    subscribers=("reference_force", "force_controller"),
+    subscribers=("force_controller",),
     quantities=QUANTITIES,
     units=("m", "m/s", "m/s^2", "N"),
 )
+JUDGED = replace(
+    RIG_STATE, name="rig/judged", publisher="force_controller", subscribers=("reference_force",)
+)
+"""The sample of rig/state for the loop: a value that differs from it was wrong, and is replaced."""
 REFERENCE_FORCE = LoopTopic(
     "reference_force",
     publisher="reference_force",
@@ -295,7 +299,7 @@ VALVE_COMMAND = LoopTopic(
     quantities=("effort",),
     units=("V",),
 )
-LOOP_TOPICS = (GROUND_MOTION, RIG_STATE, REFERENCE_FORCE, VALVE_COMMAND)
+LOOP_TOPICS = (GROUND_MOTION, RIG_STATE, JUDGED, REFERENCE_FORCE, VALVE_COMMAND)
 
 REHEARSE = "rehearse"
 """Key of the state's values: duration of a requested rehearsal of the loop, s."""
@@ -332,7 +336,7 @@ LINK_PONG = Topic("link/pong", STRING, depth=256, recorded=False)
 
 TOPICS = (*STEP_TOPICS, EXPERIMENT_STATE, DESCRIPTION, DIAGNOSTICS, CLOCK_TOPIC)
 
-RIG_TOPICS = (RIG_STATE, VALVE_COMMAND)
+RIG_TOPICS = (RIG_STATE, JUDGED, VALVE_COMMAND)
 """Topics of which each of several rigs has its own."""
 
 

@@ -35,7 +35,7 @@ from seft_ros.protection.detectors import (
     DetectorParameters,
     DetectorState,
     look,
-    more_severe,
+    first_of,
     sees,
 )
 from seft_ros.protection.valve_following import follow_valve, under_load
@@ -137,7 +137,7 @@ def look_at_sides(
 @compiled
 def resolution_of(state: DetectorState, row: int, i: int) -> float:
     """Resolution of a change of a channel; 0 as long as it is not known."""
-    resolution = 2.0 * state.resolution[row, i]
+    resolution = 2.0 * state.judge.resolution[row, i]
     return resolution if resolution < np.inf else 0.0
 
 
@@ -236,8 +236,8 @@ def relations(
         found = compare_channels(p, state, DISPLACEMENT_VELOCITY, n, i, sides)
     if sees_velocity and sees(state, step, ACCELERATION):
         sides = velocity_sides(p, state, measured, i)
-        found = more_severe(found, compare_channels(p, state, VELOCITY_ACCELERATION, n, i, sides))
+        found = first_of(found, compare_channels(p, state, VELOCITY_ACCELERATION, n, i, sides))
     if sees_velocity and sees(state, step, FORCE_CHANNEL):
         sides = oil_sides(p, state, measured, i)
-        found = more_severe(found, compare_channels(p, state, OIL, n, i, sides))
+        found = first_of(found, compare_channels(p, state, OIL, n, i, sides))
     return found

@@ -10,6 +10,7 @@ from seft_msgs_py.arrays import Floats, Ints
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.sensors import CHANNELS
 
+from seft_ros.protection.judge import JudgeParameters, JudgeState, judge_arrays
 from seft_ros.protection.valve_following import UNCERTAIN_DELAY, doubt
 
 LASTS, LONG_LASTS = 0.006, 0.02
@@ -50,6 +51,7 @@ _SUMS = "disagree on axis {axis}: they differ by {seen} over the last 50 ms"
 _STEP = "disagree on axis {axis} from sample to sample, as with noise: they differ by {seen}"
 _OIL = "measured velocity and force, and the valve's flow by its commands,"
 _SAME = "measured {} on axis {{axis}} has repeated one value for {{seen}}"
+_WRONG = "measured {} on axis {{axis}} contradicts the other channels: {{seen}} within 50 ms"
 DETECTORS = (
     Detector("displacement_velocity", f"measured displacement and velocity {_SUMS}", "m"),
     Detector("velocity_acceleration", f"measured velocity and acceleration {_SUMS}", "m/s"),
@@ -88,6 +90,7 @@ DETECTORS = (
         LONG_LASTS,
     ),
     *(Detector(f"{name}_frozen", _SAME.format(name), "samples", 0.0) for name in CHANNELS),
+    *(Detector(f"{name}_wrong", _WRONG.format(name), "samples", 0.0) for name in CHANNELS),
 )
 """In the order of the rows of a detector's arrays."""
 
@@ -216,6 +219,7 @@ class DetectorParameters(NamedTuple):
     persistence: Ints
     acts: Ints
     samples: Ints
+    judge: JudgeParameters
 
 
 class DetectorState(NamedTuple):
@@ -257,8 +261,8 @@ class DetectorState(NamedTuple):
         changes of sign; shape (2, n).
     repeats : ndarray
         Number of repetitions of the last value of a channel, shape (4, n).
-    resolution : ndarray
-        Least change of a channel so far, shape (4, n); infinite at the beginning.
+    mean : ndarray
+        Mean flow of the valves since the last sample, shape (n,), m/s.
     counts : ndarray
         Samples for which each detector has been beyond its threshold, shape (D, n).
     shares : ndarray
@@ -287,11 +291,12 @@ class DetectorState(NamedTuple):
     response: Floats
     bends: Floats
     repeats: Ints
-    resolution: Floats
+    mean: Floats
     counts: Ints
     shares: Floats
     found: Floats
     step: Ints
+    judge: JudgeState
 
 
 def detector_arrays(
@@ -355,6 +360,15 @@ def detector_arrays(
         np.maximum(2 + (spans[:, 0] > 0.0), np.ceil(span / dt - 1e-9).astype(np.int64))
         for span in (spans[:, 0], spans.sum(axis=1))
     )
+    judging, judged = judge_arrays(
+        np.array([x, v, a, f]),
+        np.transpose([np.where(known, actuator[:, 1], 0.0), actuator[:, 2]]),
+        mass,
+        stiffness,
+        UNCERTAIN_DELAY if velocity_is_derived else 0.0,
+        SIGMAS,
+        dt,
+    )
     acts = [each.name not in warn_only for each in DETECTORS]
     parameters = DetectorParameters(
         dt=dt,
@@ -384,6 +398,7 @@ def detector_arrays(
         persistence=lasts,
         acts=np.array(acts, dtype=np.int64),
         samples=-(-lasts // shortest),
+        judge=judging,
     )
     state = DetectorState(
         last=np.zeros((4, n)),
@@ -402,11 +417,12 @@ def detector_arrays(
         response=np.zeros((2, n)),
         bends=np.zeros((2, n)),
         repeats=np.zeros((4, n), dtype=np.int64),
-        resolution=np.zeros((4, n)),
+        mean=np.zeros(n),
         counts=np.zeros((len(DETECTORS), n), dtype=np.int64),
         shares=np.zeros((len(DETECTORS), n)),
         found=np.zeros(2),
         step=np.zeros(7, dtype=np.int64),
+        judge=judged,
     )
     return parameters, state
 
@@ -418,7 +434,7 @@ SAMPLE, TURN_AT, LIMITED_AT, AT_RANGE = range(4)
 DISPLACEMENT_VELOCITY, VELOCITY_ACCELERATION, OIL = range(3)
 """Relations (1) to (3)."""
 CHANGE, NOISE, SECOND_ORDER_WORK, ROUGH, JUMP = 0, 3, *range(6, 9)
-NO_RESPONSE, TRACKING, FROZEN = range(9, 12)
+NO_RESPONSE, TRACKING, FROZEN, WRONG = 9, 10, 11, 15
 """Rows of the detectors: a relation's sums, its single steps, and so on; four frozen channels."""
 
 
@@ -453,14 +469,11 @@ def sees(state: DetectorState, step: int, row: int) -> bool:
     return step - state.step[AT_RANGE + row] > 1
 
 
-VALID, SUSPECT = -1, -2
-"""Results of `detect` if no detector ends the test: nothing is beyond its threshold, or the sample
-must not be used."""
+VALID = -1
+"""Result if no detector ends the test."""
 
 
 @compiled
-def more_severe(found: int, other: int) -> int:
-    """Give the first finding of a fault; without one, whether the sample is suspect."""
-    if found < 0 <= other:
-        return other
-    return found if found >= 0 else min(found, other)
+def first_of(found: int, other: int) -> int:
+    """Give the first finding of a fault."""
+    return found if found >= 0 else other
