@@ -111,7 +111,7 @@ class Rig:
             at_rest(dynamics),
             np.zeros(4 * n),
             np.zeros((whole + 2, n)),
-            np.zeros(2, dtype=np.int64),
+            np.zeros(3, dtype=np.int64),
             np.zeros((4, n)),
             np.zeros((4, n)),
             limits.largest,

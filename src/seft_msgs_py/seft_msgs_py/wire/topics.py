@@ -254,11 +254,17 @@ class LoopTopic(Topic):
     """A topic of the loop: JointTrajectory, of which only the arrays of ``quantities`` have values.
 
     Quantities and their units are in the order of the wire.
+
+    Attributes
+    ----------
+    finite : bool
+        Whether a message with a value that is no number is refused.
     """
 
     type: str = JOINT_TRAJECTORY
     quantities: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
+    finite: bool = True
 
 
 GROUND_MOTION = LoopTopic(
@@ -276,9 +282,14 @@ RIG_STATE = LoopTopic(
     subscribers=("force_controller",),
     quantities=QUANTITIES,
     units=("m", "m/s", "m/s^2", "N"),
+    finite=False,  # a sensor may fail
 )
 JUDGED = replace(
-    RIG_STATE, name="rig/judged", publisher="force_controller", subscribers=("reference_force",)
+    RIG_STATE,
+    name="rig/judged",
+    publisher="force_controller",
+    subscribers=("reference_force",),
+    finite=True,
 )
 """The sample of rig/state for the loop: a value that differs from it was wrong, and is replaced."""
 REFERENCE_FORCE = LoopTopic(

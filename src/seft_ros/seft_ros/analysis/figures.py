@@ -11,7 +11,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from seft_msgs_py.arrays import Ints
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.topics import RIG_STATE
 from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.metrics import Alignment, common_steps, nrmse
@@ -35,8 +34,8 @@ def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
     the compensation identified on line, if any.
     """
     axes, estimates = record.experiment.axes[:_MAX_AXES], record.estimates
-    states, dt = record.series[RIG_STATE.name], record.experiment.timebase.dt
-    judged = len(judged_part(record)[0].series[RIG_STATE.name].steps)
+    states, dt = record.states, record.experiment.timebase.dt
+    judged = len(judged_part(record)[0].states.steps)
     names = estimates.names if estimates else ()
     estimated = [name for name in names if not name.startswith(OF_MODEL)]
     heights = [2.4] * len(style.RESPONSES) + [1.3] * len(estimated)  # inches
@@ -143,7 +142,7 @@ def _draw_overlay(
     row, (_, scale) = COMPARED[name], style.DISPLAY_UNITS[name]
     looks = chain([(style.REFERENCE, 2.4)], zip(cycle(style.OTHERS), repeat(0.9)))
     for record, label, (color, width) in zip(records, names, looks, strict=False):
-        states, column = record.series[RIG_STATE.name], record.experiment.axes.index(axis)
+        states, column = record.states, record.experiment.axes.index(axis)
         time = states.steps * record.experiment.timebase.dt
         curve = _broken(time, states.values[:, row, column] * scale, states.steps)
         panel.plot(*curve, color=color, lw=width, label=label)
@@ -156,7 +155,7 @@ def _draw_differences(panel: Axes, records: Sequence[Record], name: str, axis: s
         alignment = Alignment.of(a, b)
         column = alignment.axes.index(axis)
         dt = a.experiment.timebase.dt * alignment.every[0]
-        one, other = alignment.on_grid(a.series[RIG_STATE.name], b.series[RIG_STATE.name])
+        one, other = alignment.on_grid(a.states, b.states)
         steps, in_a, in_b = common_steps(one.steps, other.steps)
         apart = other.values[in_b][:, row, column] - one.values[in_a][:, row, column]
         panel.plot(*_broken(steps * dt, apart * scale, steps), color=color, lw=0.9)

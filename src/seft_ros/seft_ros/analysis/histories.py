@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
+from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, VALVE_COMMAND
 from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.bags.record import Record, Series
@@ -60,7 +60,7 @@ def histories(record: Record, reference: ReferenceResponse | None) -> tuple[list
     table : ndarray
         Shape (N, c); NaN where a sample was lost.
     """
-    axes, steps = record.experiment.axes, record.series[RIG_STATE.name].steps
+    axes, steps = record.experiment.axes, record.states.steps
     columns = [("time (s)", steps * record.experiment.timebase.dt)]
     for axis, name in enumerate(axes):
         prefix = f"{name} " if len(axes) > 1 else ""
@@ -75,9 +75,12 @@ def _of_axis(
     def of(topic: str, quantity: int) -> Floats:
         return _at(record.series[topic], steps, quantity, axis)
 
+    def measured(quantity: int) -> Floats:
+        return _at(record.states, steps, quantity, axis)
+
     yield "ground acceleration (m/s^2)", of(GROUND_MOTION.name, 0)
     for quantity, label in enumerate(_STATE):
-        yield label, of(RIG_STATE.name, quantity)
+        yield label, measured(quantity)
     yield "reference force (N)", of(REFERENCE_FORCE.name, -1)
     yield "valve command (V)", of(VALVE_COMMAND.name, 0)
     for name, unit in _EXACT.items() if reference is not None else ():

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.topics import RIG_STATE
 from seft_plant_sim.specimen import EnergyBalance
 from seft_plant_sim.whole_structure import ReferenceResponse
 
@@ -170,7 +169,7 @@ def _thinned(balance: EnergyBalance | None) -> dict[str, tuple[Ints, Floats]]:
 
 
 def _spectra(record: Record, reference: ReferenceResponse | None, name: str) -> _Spectra:
-    states, dt = record.series[RIG_STATE.name], record.experiment.timebase.dt
+    states, dt = record.states, record.experiment.timebase.dt
     every = np.arange(states.steps[-1] + 1) if len(states.steps) else states.steps
     measured = every_step(states, every)[:, COMPARED[name]]
     exact = None if reference is None else getattr(reference, name)

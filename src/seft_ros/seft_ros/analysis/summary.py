@@ -65,7 +65,8 @@ def summarise(
         ``energy`` (see `energy_numbers`), ``estimates`` (identified on line by the compensation:
         name -> axis -> first, last, least and largest, SI units), ``equivalent_motion`` (see
         `MotionDifference.numbers`), ``tracking_error`` (see `tracking_error`), ``detectors`` (of
-        faults, see `shares_of`), ``reference_specimen`` (of the reference response: ``simulated``,
+        faults, see `shares_of`), ``replaced`` (values of each channel that were wrong, and were
+        replaced), ``reference_specimen`` (of the reference response: ``simulated``,
         or the ``model``, by which no test can be judged), ``tracking`` (see `tracking_of`), and for
         displacement (m), acceleration (m/s^2) and force (N) the fields of `Agreement`, over all
         axes; ``axes`` has the same three for each axis.
@@ -73,7 +74,7 @@ def summarise(
     """
     if reference is None:
         reference = reference_of(record)
-    steps, recorded = _steps(record), record.series[RIG_STATE.name].steps
+    steps, recorded = _steps(record), record.states.steps
     judged, reference = judged_part(record, reference)
     duration = steps * record.experiment.timebase.dt
     timing = timing_of(record)
@@ -109,6 +110,7 @@ def summarise(
         "equivalent_motion": difference and difference.numbers(),
         "tracking_error": tracking_error_of(judged),
         "detectors": shares_of(judged),
+        "replaced": record.replaced(),
         "reference_specimen": ("simulated" if simulated else "model") if reference else None,
         "tracking": tracking_of(judged),
         **(by_axis[axes[0]] if len(axes) == 1 else _responses(judged, reference, slice(None))),
@@ -182,7 +184,7 @@ def balance_of(record: Record) -> EnergyBalance | None:
 
     None if the specimen is not known, or samples are missing or not finite.
     """
-    states = record.series[RIG_STATE.name]
+    states = record.states
     count = len(states.steps)
     whole = count > 1 and np.array_equal(states.steps, np.arange(count))
     if not whole or not np.isfinite(states.values).all():
@@ -235,7 +237,7 @@ def _responses(
     record: Record, reference: ReferenceResponse | None, columns: slice
 ) -> dict[str, dict[str, Any]]:
     """Measures of displacement, acceleration and force on some axes."""
-    states, dt = record.series[RIG_STATE.name], record.experiment.timebase.dt
+    states, dt = record.states, record.experiment.timebase.dt
     found = {}
     for name, row in COMPARED.items():
         y = states.values[:, row, columns]
@@ -302,5 +304,5 @@ def strong_part(record: Record) -> tuple[float, float]:
 
 
 def _steps(record: Record) -> int:
-    steps = record.series[RIG_STATE.name].steps
+    steps = record.states.steps
     return int(steps[-1]) + 1 if len(steps) else 0

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from functools import cache, reduce
+from functools import cache, cached_property, reduce
 from importlib.metadata import PackageNotFoundError, version
 from itertools import islice, pairwise
 from pathlib import Path
@@ -25,8 +25,16 @@ from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.messages import nanoseconds
 from seft_msgs_py.wire.outcome import LinkRecord, Saturation, Trip
-from seft_msgs_py.wire.topics import LOOP_TOPICS, NANOSECONDS_PER_SECOND, RIG_STATE, RigAxes, bare
+from seft_msgs_py.wire.topics import (
+    JUDGED,
+    LOOP_TOPICS,
+    NANOSECONDS_PER_SECOND,
+    RIG_STATE,
+    RigAxes,
+    bare,
+)
 from seft_msgs_py.wire.trajectory import Trajectory, parse_trajectory
+from seft_plant_sim.sensors import CHANNELS
 
 _ENOUGH = 2000  # messages from which axes and rate are found
 PACKAGES = ("numpy", "scipy", "rosbags", "rclpy", "seft_msgs_py", "seft_plant_sim", "seft_ros")
@@ -372,6 +380,23 @@ class Record:
         missing = {topic.name for topic in LOOP_TOPICS} - set(self.series)
         if missing:
             raise ValueError(f"a record needs a series for each loop topic; missing {missing}")
+
+    @cached_property
+    def states(self) -> Series:
+        """The judged samples, as the loop used them; as measured where none was recorded."""
+        measured, judged = self.series[RIG_STATE.name], self.series[JUDGED.name]
+        if np.array_equal(measured.steps, judged.steps):
+            return replace(measured, values=judged.values)
+        _, at, known = np.intersect1d(measured.steps, judged.steps, True, return_indices=True)
+        values = measured.values.copy()
+        values[at] = judged.values[known]
+        return replace(measured, values=values)
+
+    def replaced(self) -> dict[str, int]:
+        """Count the values that were wrong and replaced, by channel."""
+        measured, judged = self.series[RIG_STATE.name].values, self.states.values
+        count = np.count_nonzero(measured != judged, axis=(0, 2))
+        return dict(zip(CHANNELS, count.tolist(), strict=True))
 
 
 def of_all_rigs(parts: Sequence[Series], rigs: Sequence[RigAxes]) -> Series:

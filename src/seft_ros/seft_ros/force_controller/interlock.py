@@ -9,10 +9,10 @@ import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import RigAxes, Timebase
-from seft_plant_sim.compiled import compiled, copy, entry_point, is_finite, kind_of
+from seft_plant_sim.compiled import compiled, copy, entry_point, kind_of
 from seft_plant_sim.limits import event_ring, is_exceeded
-from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_UNITS
 from seft_plant_sim.rig import left_open
+from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_UNITS
 
 from seft_ros.force_controller.detection import detectors_of
 from seft_ros.force_controller.force_control import ForceControl

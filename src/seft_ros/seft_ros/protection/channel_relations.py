@@ -34,8 +34,8 @@ from seft_ros.protection.detectors import (
     VELOCITY_ACCELERATION,
     DetectorParameters,
     DetectorState,
-    look,
     first_of,
+    look,
     sees,
 )
 from seft_ros.protection.valve_following import follow_valve, under_load

@@ -26,8 +26,8 @@ from seft_ros.protection.detectors import (
     WRONG,
     DetectorParameters,
     DetectorState,
-    look,
     first_of,
+    look,
     sees,
 )
 from seft_ros.protection.judge import begin_judge, judge
@@ -96,7 +96,7 @@ def judge_sample(
         flow = 0.5 * (state.flow[0, i] + state.flow[1, i])
         later = 0.5 * (state.later[0, i] + state.later[1, i])
         state.mean[i] = flow + state.errors[i, 0] * flow + state.errors[i, 1] * later
-    wrong = judge(p.judge, state.judge, step, raw, state.mean, judged)
+    judge(p.judge, state.judge, step, raw, state.mean, judged)
     last, restoring = state.last, state.restoring
     for i in range(n):
         restoring[2, i] = state.judge.restoring[0, i]
@@ -118,15 +118,7 @@ def judge_sample(
         restoring[0, i] = restoring[2, i]
         for row in range(4):
             last[row, i] = judged[row, i]
-            ring = state.judge.wrong[row, i]
-            share = 0.0
-            for place in range(len(ring)):
-                share += 1.0 if ring[place] > step - p.judge.window else 0.0
-            seen = look(p, state, WRONG + row, i, share, float(len(ring)) - 0.5)
-    if wrong >= 0 and p.acts[WRONG + wrong // n]:
-        row = wrong // n
-        state.found[0], state.found[1] = len(state.judge.wrong[row, 0]), len(state.judge.wrong[row, 0])
-        return WRONG * n + wrong
+        found = first_of(found, look_for_wrong(p, state, step, i))
     return found
 
 
@@ -147,9 +139,19 @@ def look_at_tracking(
 
 
 @compiled
-def look_for_frozen(
-    p: DetectorParameters, state: DetectorState, step: int, i: int
-) -> int:
+def look_for_wrong(p: DetectorParameters, state: DetectorState, step: int, i: int) -> int:
+    """Whether a channel of an axis was replaced too often."""
+    for row in range(4):
+        steps, count = state.judge.wrong[row, i], 0
+        for place in range(len(steps)):
+            count += steps[place] > step - p.judge.window
+        if look(p, state, WRONG + row, i, float(count), len(steps) - 0.5):
+            return (WRONG + row) * state.last.shape[1] + i
+    return VALID
+
+
+@compiled
+def look_for_frozen(p: DetectorParameters, state: DetectorState, step: int, i: int) -> int:
     """Whether a channel of an axis repeats one value, as measured."""
     n, found, judge = state.last.shape[1], VALID, state.judge
     for row in range(4):

@@ -369,6 +369,7 @@ def detector_arrays(
         SIGMAS,
         dt,
     )
+    lasts[WRONG:] = 1  # they count by themselves
     acts = [each.name not in warn_only for each in DETECTORS]
     parameters = DetectorParameters(
         dt=dt,

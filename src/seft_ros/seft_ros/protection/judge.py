@@ -1,7 +1,7 @@
 """The judge: each sample is compared with what the other channels expect, before anything uses it.
 
 With displacement x, velocity v, acceleration a, actuator force f, the specimen's force r = f - M a
-and the valve's flow w, the last sample (index 1), and the one before it (2), the expected values are
+and the valve's flow w, the last sample (index 1) and the one before it (2), one expects
 
     x = x1 + dt (v + v1) / 2                                                               (1)
     v = v1 + dt (a + a1) / 2                                                               (2)
@@ -44,6 +44,9 @@ RECENT, BRIEF, EVENTS = 0.3, 0.05, 3.0
 sample, and of the jumps of a specimen: a quarter of a cycle at 1 Hz, ..., three cycles at 1 Hz."""
 LASTS, WINDOW = 0.006, 0.05
 """Duration of wrong samples (three at least) within a time, s, that ends the test."""
+
+NO_NUMBER = 1e9
+"""A larger value is no value of a sensor, in any unit."""
 
 X, V, A, F = range(4)
 """Rows of a sample."""
@@ -214,7 +217,7 @@ def begin_judge(state: JudgeState) -> None:
 @compiled
 def judge(
     p: JudgeParameters, state: JudgeState, step: int, raw: Floats, flow: Floats, judged: Floats
-) -> int:
+) -> None:
     """Judge a sample.
 
     Parameters
@@ -230,13 +233,8 @@ def judge(
         Mean flow of each valve since the last sample, shape (n,), m/s; not used without oil.
     judged : ndarray
         The result, shape (4, n).
-
-    Returns
-    -------
-    int
-        Row and axis, row * n + axis, of the value that has been wrong too often; else -1.
     """
-    n, found = raw.shape[1], -1
+    n = raw.shape[1]
     is_next = step == state.taken[0] + 1
     state.taken[0] = step
     state.taken[1] = state.taken[1] + 1 if is_next else 0
@@ -249,7 +247,7 @@ def judge(
                 state.resolution[row, i] = moved
             state.raw[row, i] = raw[row, i]
             judged[row, i] = raw[row, i]
-            if not abs(raw[row, i]) < np.inf:
+            if not abs(raw[row, i]) < NO_NUMBER:
                 state.verdict[row, i] = 1
                 judged[row, i] = state.judged[0, row, i]
     if state.taken[1] > 0:
@@ -268,14 +266,9 @@ def judge(
     keep(p, state, judged)
     for row in range(4):
         for i in range(n):
-            if not state.verdict[row, i]:
-                continue
-            ring, count = state.wrong[row, i], state.counts[row, i]
-            ring[count % len(ring)] = step
-            state.counts[row, i] = count + 1
-            if ring[(count + 1) % len(ring)] > step - p.window:
-                found = row * n + i
-    return found
+            if state.verdict[row, i]:
+                state.wrong[row, i, state.counts[row, i] % state.wrong.shape[2]] = step
+                state.counts[row, i] += 1
 
 
 @compiled

@@ -149,7 +149,11 @@ def run_plain(blocks: Blocks, samples: LoopSamples, loop_delay: int, period: int
         for step in range(total):
             judged = interlock.judge(step, state)
             points = force_step(known[step : step + window], judged)
-            samples.states[step], samples.judged[step], samples.forces[step] = state, judged, points[0]
+            samples.states[step], samples.judged[step], samples.forces[step] = (
+                state,
+                judged,
+                points[0],
+            )
             if loop_delay:
                 in_flight.append(points)
                 points = in_flight.popleft()[loop_delay:]
