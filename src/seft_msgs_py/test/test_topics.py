@@ -4,6 +4,7 @@ import pytest
 from seft_msgs_py.wire.topics import (
     GROUND_MOTION,
     JOINT_TRAJECTORY,
+    JUDGED,
     LOOP_TOPICS,
     NODES,
     QUANTITIES,
@@ -20,6 +21,7 @@ def test_the_topics_are_those_of_the_contract():
     assert {topic.name: topic.publisher for topic in TOPICS} == {
         "ground_motion": "ground_motion",
         "rig/state": "rig",
+        "rig/judged": "force_controller",
         "reference_force": "reference_force",
         "valve_command": "force_controller",
         "reference_force/estimates": "reference_force",
@@ -35,6 +37,7 @@ def test_the_topics_are_those_of_the_contract():
     [
         (GROUND_MOTION, ("accelerations",), ("m/s^2",)),
         (RIG_STATE, QUANTITIES, ("m", "m/s", "m/s^2", "N")),
+        (JUDGED, QUANTITIES, ("m", "m/s", "m/s^2", "N")),
         (REFERENCE_FORCE, ("effort",), ("N",)),
         (VALVE_COMMAND, ("effort",), ("V",)),
     ],

@@ -103,6 +103,7 @@ def summarise(
         "lost": {
             topic.name: steps - int(np.searchsorted(record.series[topic.name].steps, steps))
             for topic in LOOP_TOPICS
+            if topic.name in record.series
         },
         "ground_motion": record.facts.get(GROUND_MOTION.name, {}).get(MOTION),
         "energy": energy_numbers(balance or balance_of(judged)),

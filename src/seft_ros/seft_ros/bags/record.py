@@ -377,14 +377,15 @@ class Record:
     facts: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        missing = {topic.name for topic in LOOP_TOPICS} - set(self.series)
+        missing = {topic.name for topic in LOOP_TOPICS if topic is not JUDGED} - set(self.series)
         if missing:
             raise ValueError(f"a record needs a series for each loop topic; missing {missing}")
 
     @cached_property
     def states(self) -> Series:
         """The judged samples, as the loop used them; as measured where none was recorded."""
-        measured, judged = self.series[RIG_STATE.name], self.series[JUDGED.name]
+        measured = self.series[RIG_STATE.name]
+        judged = self.series.get(JUDGED.name, measured)
         if np.array_equal(measured.steps, judged.steps):
             return replace(measured, values=judged.values)
         _, at, known = np.intersect1d(measured.steps, judged.steps, True, return_indices=True)

@@ -7,7 +7,6 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import (
-    JUDGED,
     REFERENCE_FORCE,
     RIG_STATE,
     TARGET,
@@ -64,7 +63,7 @@ class ReferenceForceReplay(Replay):
             if recorded.record.trip is None:
                 self.note_steps("the bag lacks the recorded answer", unrecorded)
                 answered = np.union1d(answered, unrecorded)
-        states = recorded.series(JUDGED)
+        states = recorded.record.states
         self.note_unanswered(states.steps, answered)
         self._states = states.of_steps(answered)
         unmoved = answered[answered >= moved]
