@@ -75,7 +75,7 @@ def test_a_rate_that_does_not_fit_is_refused_after_the_rehearsal(local_graph):
     graph = local_graph(SIX)
     graph.delay(rehearsed(VALVE_COMMAND), 0.0022)
     found = graph.until(lambda: "does not fit" in graph.values.get("detail", "") and graph.values)
-    assert "500 Hz does not fit here: round trip p99 2.4 ms" in found["detail"]
+    assert "500 Hz does not fit here: round trip p99 2.6 ms" in found["detail"]
     assert "; 250 Hz does" in found["detail"]
     assert graph.call("start")[0] is False
 

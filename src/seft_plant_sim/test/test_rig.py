@@ -77,6 +77,8 @@ def test_a_violation_is_that_of_the_last_sample_as_measured():
     assert one.violation is None
     loud = rig(sensors__force_noise=1000.0, limits__force=1.0)
     loud.reset()
+    for _ in range(2):
+        loud.step(np.zeros(1))
     assert loud.violation is not None  # the test must see what the sensor sees
 
 

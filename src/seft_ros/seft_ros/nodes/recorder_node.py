@@ -83,7 +83,9 @@ class RecorderNode(NodeBody):
         rigs = shell.experiment.rigs
         self._rig_states = [RIG_STATE.of(rig).name for rig in rigs]
         self._paced_by = rigs[0].node(RIG)
-        self._topics = [topic for topic in topics_of(rigs) if topic.recorded]
+        # the state first: it says to which test a ground motion belongs that waits with it
+        topics = sorted(topics_of(rigs), key=lambda topic: topic != EXPERIMENT_STATE)
+        self._topics = [topic for topic in topics if topic.recorded]
         for topic in self._topics:
             shell.subscribe(topic, self._receiver(topic), depth=_READ_DEPTH, wake=False)
 
