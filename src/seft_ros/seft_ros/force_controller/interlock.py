@@ -21,12 +21,14 @@ from seft_ros.protection.channel_relations import take_command
 from seft_ros.protection.detector_step import begin_detectors, judge_sample, look_at_tracking
 from seft_ros.protection.detectors import (
     DETECTORS,
+    SUSPECT,
     VALID,
     DetectorParameters,
     DetectorState,
     describe,
     first_of,
 )
+from seft_ros.protection.protection_step import extrapolate
 
 TRIP, STEP, SATURATED, DETECTED = range(4)
 """Places of the flags: reason and step of the trip, number of limited drives, and the detector that
@@ -68,14 +70,15 @@ class InterlockState(NamedTuple):
         See `TRIP`, shape (4,).
     saturated : ndarray
         The last steps at which the drive was limited, see `is_exceeded`.
-    force, odd : ndarray
-        Reference force and drive of the step of the trip, shape (n,).
+    force, measured, odd : ndarray
+        Reference force, judged sample and drive of the step of the trip, shapes (n,), (4, n) and
+        (n,).
     drive : ndarray
         The last sound command, shape (n,), V.
     plan : ndarray
         Points for the controller, shape (p, q, n).
     sample : ndarray
-        The last judged sample, shape (4, n).
+        Sample for the controller, shape (4, n).
     detectors : DetectorState
         Of faults.
     """
@@ -83,6 +86,7 @@ class InterlockState(NamedTuple):
     flags: Ints
     saturated: Ints
     force: Floats
+    measured: Floats
     odd: Floats
     drive: Floats
     plan: Floats
@@ -102,12 +106,14 @@ def take_sample(
     found = judge_sample(parameters.detectors, state.detectors, step, raw, judged)
     beyond = False
     for row in range(4):
-        copy(judged.shape[1], judged[row], state.sample[row])
         for i in range(judged.shape[1]):
             beyond |= abs(judged[row, i]) > parameters.limits[row]
-    if state.flags[TRIP] == NO_TRIP and (beyond or found >= 0):
-        trip(state, LIMIT if beyond else FAULT, step)
+    if state.flags[TRIP] == NO_TRIP:
         state.flags[DETECTED] = found
+        if beyond or found >= 0:
+            trip(state, LIMIT if beyond else FAULT, step)
+            for row in range(4):
+                copy(judged.shape[1], judged[row], state.measured[row])
 
 
 @compiled
@@ -121,9 +127,10 @@ def precheck(
 ) -> bool:
     """Say whether the controller answers a step; otherwise give its command.
 
-    The controller answers `InterlockState.plan` and the judged sample. After a trip the valve
-    closes from the last command, in some time: a valve that closes at once on a moving mass makes a
-    pressure surge in the oil.
+    The controller answers `InterlockState.plan` and `InterlockState.sample`. While a sample is
+    suspect, these are the motion that the last sound target has predicted for this step; without a
+    target, the last sound command is held. After a trip the valve closes from there, in some time:
+    a valve that closes at once on a moving mass makes a pressure surge in the oil.
 
     Parameters
     ----------
@@ -140,7 +147,7 @@ def precheck(
     """
     last, n, left = points.shape[1] - 1, points.shape[2], 1.0
     if state.flags[TRIP] == NO_TRIP:
-        fits, found = True, VALID
+        fits, found = True, state.flags[DETECTED]
         for i in range(n):
             fits &= abs(points[0, last, i]) <= parameters.largest
         for i in range(n):
@@ -149,12 +156,17 @@ def precheck(
                 away = look_at_tracking(detectors, state.detectors, step, points, judged, i)
                 found = first_of(found, away)
         if fits and found == VALID:
-            take_plan(state, points)
+            take_plan(state, points, judged)
             return True
-        trip(state, FAULT if fits else IMPLAUSIBLE, step)
-        state.flags[DETECTED] = found
-        copy(n, points[0, last], state.force)
-    left = left_open(step + 1 - state.flags[STEP], parameters.closing)
+        if fits and found == SUSPECT and last and state.plan.shape[1] > 1:
+            follow_plan(state, parameters.detectors.dt)
+            return True
+        if not fits or found >= 0:
+            trip(state, FAULT if fits else IMPLAUSIBLE, step)
+            state.flags[DETECTED] = found
+            copy(n, points[0, last], state.force)
+    if state.flags[TRIP] != NO_TRIP:
+        left = left_open(step + 1 - state.flags[STEP], parameters.closing)
     for i in range(n):
         command[i] = left * state.drive[i]
     take_command(parameters.detectors, state.detectors, command, False)
@@ -162,8 +174,8 @@ def precheck(
 
 
 @compiled
-def take_plan(state: InterlockState, points: Floats) -> None:
-    """Store of the points what the controller follows.
+def take_plan(state: InterlockState, points: Floats, measured: Floats) -> None:
+    """Let the controller answer a sample; store of its points what it follows.
 
     The force is the last row. It is alone while the nodes warm up; a controller of forces follows
     it alone also where there is a target.
@@ -174,6 +186,19 @@ def take_plan(state: InterlockState, points: Floats) -> None:
         sent = points[min(point, len(points) - 1)]
         for row in range(quantities):
             copy(n, sent[max(0, first + row)], state.plan[point, row])
+    for row in range(4):
+        copy(n, measured[row], state.sample[row])
+
+
+@compiled
+def follow_plan(state: InterlockState, dt: float) -> None:
+    """Let the controller answer the motion that was predicted before samples were suspect."""
+    plan, sample = state.plan, state.sample
+    extrapolate(plan, 1, dt, plan)
+    for i in range(sample.shape[1]):
+        sample[0, i], sample[1, i] = plan[0, 0, i], plan[0, 1, i]
+        sample[2, i] = (plan[min(1, len(plan) - 1), 1, i] - plan[0, 1, i]) / dt
+        sample[3, i] = plan[0, 2, i]
 
 
 @compiled
@@ -259,6 +284,7 @@ class Interlock:
             flags=np.zeros(4, dtype=np.int64),
             saturated=saturated,
             force=np.zeros(n),
+            measured=np.zeros((4, n)),
             odd=np.zeros(n),
             drive=np.zeros(n),
             plan=np.zeros((*controller.shape, n)),
@@ -362,7 +388,7 @@ class Interlock:
         points, judged = (np.ascontiguousarray(values, np.float64) for values in (points, judged))
         command = np.empty(len(self._axes))
         if self._begin(self.parameters, self.state, index, points, judged, command):
-            command[:] = self.controller.step(self.state.plan, judged)
+            command[:] = self.controller.step(self.state.plan, self.state.sample)
             limited = self.controller.limited
             self._end(self.parameters, self.state, index, limited, command)
         return command
@@ -393,7 +419,7 @@ class Interlock:
         )
 
     def _beyond(self) -> str:
-        limits, sample = self.parameters.limits, self.state.sample
+        limits, sample = self.parameters.limits, self.state.measured
         row, column = np.argwhere(np.abs(sample) > limits[:, np.newaxis])[0]
         unit = LIMIT_UNITS[row]
         return (

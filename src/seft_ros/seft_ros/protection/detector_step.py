@@ -18,8 +18,11 @@ from seft_ros.protection.detectors import (
     DISPLACEMENT_VELOCITY,
     FORCE_CHANNEL,
     FROZEN,
+    JUMP,
     LIMITED_AT,
     SAMPLE,
+    SECOND_ORDER_WORK,
+    SUSPECT,
     TRACKING,
     TURN_AT,
     VALID,
@@ -40,8 +43,12 @@ from seft_ros.protection.valve_following import begin_following
 
 _NEVER = -(2**40)
 
-SAME = 1e-9
-"""Chance of so many equal samples of a channel that is not frozen."""
+OF_SENSORS = (0, 1, SECOND_ORDER_WORK, JUMP)
+"""Detectors that make a sample suspect."""
+
+SAME, SUSPECTED = 1e-9, 2.0 / 3.0
+"""Chance of so many equal samples of a channel that is not frozen, and the part of these samples
+after which a sample is suspect: a chance of 1e-6."""
 
 
 @compiled
@@ -69,7 +76,9 @@ def begin_detectors(state: DetectorState) -> None:
 def judge_sample(
     p: DetectorParameters, state: DetectorState, step: int, raw: Floats, judged: Floats
 ) -> int:
-    """Judge a sample, and look for faults; give the detector that ends the test, or `VALID`.
+    """Judge a sample, and look for faults.
+
+    Give the detector that ends the test, row * n + axis, `VALID` or `SUSPECT`.
 
     Parameters
     ----------
@@ -119,6 +128,9 @@ def judge_sample(
         for row in range(4):
             last[row, i] = judged[row, i]
         found = first_of(found, look_for_wrong(p, state, step, i))
+        for row in OF_SENSORS:
+            if state.counts[row, i] and p.acts[row]:
+                found = first_of(found, SUSPECT)
     return found
 
 
@@ -168,6 +180,8 @@ def look_for_frozen(p: DetectorParameters, state: DetectorState, step: int, i: i
             threshold = math.log(SAME) / math.log(chance) if chance < 0.5 else np.inf
         if look(p, state, FROZEN + row, i, seen, threshold) and found < 0:
             found = (FROZEN + row) * n + i
+        if seen > SUSPECTED * threshold and p.acts[FROZEN + row]:
+            found = first_of(found, SUSPECT)
     return found
 
 

@@ -56,8 +56,6 @@ DETECTORS = (
     Detector("displacement_velocity", f"measured displacement and velocity {_SUMS}", "m"),
     Detector("velocity_acceleration", f"measured velocity and acceleration {_SUMS}", "m/s"),
     Detector("oil_balance", f"{_OIL} {_SUMS}", "m", of_valve=True),
-    Detector("displacement_noise", f"measured displacement and velocity {_STEP}", "m"),
-    Detector("velocity_noise", f"measured velocity and acceleration {_STEP}", "m/s"),
     Detector("oil_noise", f"{_OIL} {_STEP}", "m", of_valve=True),
     Detector(
         "second_order_work",
@@ -168,8 +166,8 @@ class DetectorParameters(NamedTuple):
     limited : int
         Samples after one at the valve's limit in which the target need not be followed.
     sums, steps : ndarray
-        Noise of the differences of relations (1) to (3), `SIGMAS` times RMS: of sums and of a
-        single step, shape (3, n); infinite for a relation that is not watched.
+        Noise of the sums of the differences of relations (1) to (3), shape (3, n), and of those of
+        relation (3) in a single step, shape (n,): `SIGMAS` times RMS; infinite where not watched.
     bias : ndarray
         Largest mean difference in a step that is no fault, shape (3, n).
     late : float
@@ -190,6 +188,8 @@ class DetectorParameters(NamedTuple):
     samples : ndarray
         Count of a sample that no held command explains, so that its detector needs no longer time
         than without held commands; shape (D,).
+    judge : JudgeParameters
+        Of the judge.
     """
 
     dt: float
@@ -273,6 +273,8 @@ class DetectorState(NamedTuple):
         Steps of the last sample, the last turn of the motion, the last command at the valve's
         limit and the last sample at the end of each channel's range, shape (7,); a large negative
         number at the beginning.
+    judge : JudgeState
+        Of the judge.
     """
 
     last: Floats
@@ -351,7 +353,6 @@ def detector_arrays(
     oil = np.where(known, f / actuator[:, 1], np.inf)
     jumps, rates = np.array([x, v, oil]), dt * np.array([v, a, v])
     sums = np.sqrt(jumps**2 * 2.0 / (1.0 + fade) + rates**2 / (2.0 * (1.0 - fade)))
-    steps = np.sqrt(2.0 * jumps**2 + rates**2 / 2.0)
     rough = np.sqrt(6.0 * (f**2 + mass**2 @ a**2))
     unknown = 0.0 if mass.any() and stiffness.any() else math.inf
     by_force = np.zeros_like(mass) if has_valve or not mass.any() else np.linalg.inv(mass)
@@ -391,7 +392,7 @@ def detector_arrays(
         sums=SIGMAS * sums,
         bias=BIAS * rates,
         late=UNCERTAIN_DELAY if velocity_is_derived else 0.0,
-        steps=SIGMAS * steps,
+        steps=SIGMAS * np.sqrt(2.0 * oil**2 + (dt * v) ** 2 / 2.0),
         rough=SIGMAS * rough + unknown,
         unknown=unknown,
         tolerance=np.array(TOLERANCES),
@@ -434,9 +435,9 @@ SAMPLE, TURN_AT, LIMITED_AT, AT_RANGE = range(4)
 """Places of `DetectorState.step`."""
 DISPLACEMENT_VELOCITY, VELOCITY_ACCELERATION, OIL = range(3)
 """Relations (1) to (3)."""
-CHANGE, NOISE, SECOND_ORDER_WORK, ROUGH, JUMP = 0, 3, *range(6, 9)
-NO_RESPONSE, TRACKING, FROZEN, WRONG = 9, 10, 11, 15
-"""Rows of the detectors: a relation's sums, its single steps, and so on; four frozen channels."""
+CHANGE, OIL_NOISE, SECOND_ORDER_WORK, ROUGH, JUMP = 0, *range(3, 7)
+NO_RESPONSE, TRACKING, FROZEN, WRONG = 7, 8, 9, 13
+"""Rows of the detectors: sums of three relations, ..., four frozen and four wrong channels."""
 
 
 @compiled
@@ -470,11 +471,14 @@ def sees(state: DetectorState, step: int, row: int) -> bool:
     return step - state.step[AT_RANGE + row] > 1
 
 
-VALID = -1
-"""Result if no detector ends the test."""
+VALID, SUSPECT = -1, -2
+"""Results if no detector ends the test: nothing is beyond its threshold, or the controller must not
+use the sample."""
 
 
 @compiled
 def first_of(found: int, other: int) -> int:
-    """Give the first finding of a fault."""
-    return found if found >= 0 else other
+    """Give the first finding of a fault; without one, whether the sample is suspect."""
+    if found < 0 <= other:
+        return other
+    return found if found >= 0 else min(found, other)

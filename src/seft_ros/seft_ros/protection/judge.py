@@ -98,7 +98,7 @@ class JudgeState(NamedTuple):
     restoring : ndarray
         r at these, shape (2, n), N.
     usual : ndarray
-        Largest recent differences of (1) to (4) that were accepted, shape (4, n).
+        Largest recent differences of (3) and (4) that were accepted, shape (2, n), N.
     moves : ndarray
         Largest recent dt |v| and dt |a|, and the largest recent |r|; shape (3, n).
     jump : ndarray
@@ -182,7 +182,7 @@ def judge_arrays(
     state = JudgeState(
         judged=np.zeros((2, 4, n)),
         restoring=np.zeros((2, n)),
-        usual=np.zeros((4, n)),
+        usual=np.zeros((2, n)),
         moves=np.zeros((3, n)),
         jump=np.zeros(n),
         off=np.zeros((4, n)),
@@ -328,7 +328,7 @@ def compare_accelerations(p: JudgeParameters, state: JudgeState, judged: Floats)
                 curved = 0.0
                 for m in range(n):
                     curved += abs(p.stiffness[k, m] * p.dt * p.dt * a[0, A, m])
-                usual = max(GATE * state.moves[2, k], USUAL * state.usual[3, k])
+                usual = max(GATE * state.moves[2, k], USUAL * state.usual[1, k])
                 jump -= p.inverse[i, k] * off[0, k]
                 rough = in_noise(p, state, 3, k, F) + curved + usual
                 for m in range(n):
@@ -350,24 +350,23 @@ def judge_motion(p: JudgeParameters, state: JudgeState, judged: Floats, i: int) 
     a = state.off[1, i] if jump > 0.0 else judged[A, i]
     expected = v1 + 0.5 * dt * (a + a1)
     off = judged[V, i] - expected
-    usual = max(CALIBRATION * state.moves[1, i], USUAL * state.usual[1, i])
-    allowed = in_noise(p, state, 1, i, V) + usual + (0.5 * dt + p.late) * abs(a - a1) + dt * jump
+    allowed = (
+        in_noise(p, state, 1, i, V)
+        + CALIBRATION * state.moves[1, i]
+        + (0.5 * dt + p.late) * abs(a - a1)
+        + dt * jump
+    )
     if abs(off) > allowed or state.verdict[V, i]:
         state.verdict[V, i] = 1
         judged[V, i] = expected
-    else:
-        accept(p, state, 1, i, off)
     v = judged[V, i]
     expected = x1 + 0.5 * dt * (v + v1)
     off = judged[X, i] - expected
-    usual = max(CALIBRATION * state.moves[0, i], USUAL * state.usual[0, i])
-    allowed = in_noise(p, state, 0, i, X) + usual + p.late * abs(v - v1)
+    allowed = in_noise(p, state, 0, i, X) + CALIBRATION * state.moves[0, i] + p.late * abs(v - v1)
     allowed += 0.125 * dt * dt * abs(a - a1) + 0.5 * dt * dt * jump
     if abs(off) > allowed or state.verdict[X, i]:
         state.verdict[X, i] = 1
         judged[X, i] = expected
-    else:
-        accept(p, state, 0, i, off)
 
 
 @compiled
@@ -381,16 +380,17 @@ def judge_force(
     expected, r = expected_force(p, state, flow, judged, i), state.off[0, i]
     off, dt = judged[F, i] - expected, p.dt
     kink = 0.125 * dt * dt * abs(judged[A, i] - state.judged[0, A, i])
-    usual = max(FLOW * abs(dt * flow[i]) * p.oil[i, 0], USUAL * state.usual[2, i])
+    usual = max(FLOW * abs(dt * flow[i]) * p.oil[i, 0], USUAL * state.usual[0, i])
     allowed = in_noise(p, state, 2, i, F) + usual + p.oil[i, 0] * kink
-    is_wrong = abs(off) > allowed and abs(state.off[2, i]) > 0.0 and off * r > 0.5 * r * r
+    is_wrong = abs(off) > allowed and abs(state.off[2, i]) > 0.0
+    is_wrong = is_wrong and off * r > 0.5 * max(off * off, r * r)
     if is_wrong:
         state.verdict[F, i] = 1
         # (4) is more exact, unless the specimen jumps in the same sample
         by_specimen = judged[F, i] - r
         judged[F, i] = by_specimen if abs(by_specimen - expected) < allowed else expected
     else:
-        accept(p, state, 2, i, off)
+        accept(p, state, 0, i, off)
     return is_wrong
 
 
@@ -403,7 +403,7 @@ def judge_acceleration(p: JudgeParameters, state: JudgeState, judged: Floats, i:
     if state.verdict[A, i]:
         return
     if jump == 0.0:
-        accept(p, state, 3, i, state.off[0, i])
+        accept(p, state, 1, i, state.off[0, i])
         return
     last, dt, noise = state.judged[0], p.dt, p.noise[1, i]
     shown = judged[V, i] - last[V, i] - 0.5 * dt * (last[A, i] + expected)

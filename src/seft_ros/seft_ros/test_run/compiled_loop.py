@@ -413,7 +413,8 @@ def _run_steps(
         applied = late[turns - 1 if is_target else 0 :]
         # force control
         if precheck(interlock[0], interlock[1], step, applied, judged, command):
-            limited = answer(control[0], control[1], interlock[1].plan, judged, command)
+            asked, sample = interlock[1].plan, interlock[1].sample
+            limited = answer(control[0], control[1], asked, sample, command)
             postcheck(interlock[0], interlock[1], step, limited, command)
         if step % loop.period == 0:
             estimate(force[0], force[1], samples.estimates[step // loop.period])
