@@ -132,7 +132,7 @@ def force_loop(f: Floats, *overrides: Override) -> tuple[Plant, Complexes, Compl
     """Close the paper's force loop, changed, as it runs: plant, its response, that of the loop."""
     experiment = planned(*overrides)
     dt, control = experiment.timebase.dt, experiment["force_controller"]
-    plant = choose_plant(experiment, "rig")
+    plant = choose_plant(experiment)
     sampled = bilinear(np.atleast_1d(control["numerator"]), control["denominator"], dt)
     response = plant.sampled_response(f, dt)
     loop = polynomial_ratio(*sampled, np.exp(2j * np.pi * f * dt)) * response

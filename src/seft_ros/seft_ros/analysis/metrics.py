@@ -7,17 +7,14 @@ that is zero throughout, of values that are not finite) is NaN.
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.fft import irfft, next_fast_len, rfft
 from seft_msgs_py.arrays import Complexes, Floats, Ints
-from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.topics import LOOP_TOPICS
 
-from seft_ros.bags.record import Record, Series
+from seft_ros.bags.record import Series
 
 Where = slice | npt.NDArray[np.intp]
 
@@ -40,80 +37,6 @@ def every_step(series: Series, every: Ints) -> Floats:
     flat = series.values.reshape(len(series.steps), -1)
     columns = [np.interp(every, series.steps, column) for column in flat.T]
     return np.stack(columns, axis=1).reshape(len(every), *series.values.shape[1:])
-
-
-@dataclass(frozen=True)
-class Alignment:
-    """Common axes of two records, and the grid of instants on which both have steps.
-
-    Attributes
-    ----------
-    axes : tuple of str
-        Common axes, in the order of the first record.
-    columns : pair of list of int
-        Indices of the common axes in each record.
-    every : pair of int
-        Steps of each record from one instant of the grid to the next; both 1 at equal rates.
-    """
-
-    axes: tuple[str, ...]
-    columns: tuple[list[int], ...]
-    every: tuple[int, ...]
-
-    @classmethod
-    def of(cls, a: Record, b: Record) -> Self:
-        """Align two records.
-
-        Raises
-        ------
-        InputError
-            If they have no axis in common, or at different rates no instants but the start.
-        """
-        one, other = a.experiment, b.experiment
-        axes = tuple(axis for axis in one.axes if axis in other.axes)
-        if not axes:
-            raise InputError(
-                "the tests can't be compared because they have no axis in common: axes are "
-                f"{list(one.axes)} in the first and {list(other.axes)} in the second"
-            )
-        grid = math.lcm(one.timebase.period_ns, other.timebase.period_ns)
-        both = (one, other)
-        columns = tuple([test.axes.index(axis) for axis in axes] for test in both)
-        alignment = cls(axes, columns, tuple(grid // test.timebase.period_ns for test in both))
-        pairs = (alignment.on_grid(a.series[t.name], b.series[t.name]) for t in LOOP_TOPICS)
-        # the start alone is no common instant
-        meet = (np.intersect1d(one.steps, other.steps).any() for one, other in pairs)
-        if alignment.by_time and not any(meet):
-            raise InputError(
-                f"the tests can't be compared: at {one.timebase.rate:g} Hz in the first and "
-                f"{other.timebase.rate:g} Hz in the second they have no samples at the same "
-                f"times, which would be {grid * 1e-9:g} s apart"
-            )
-        return alignment
-
-    @property
-    def by_time(self) -> bool:
-        """Whether the rates differ, so that steps do not coincide."""
-        return self.every[0] != self.every[1]
-
-    def own_steps(self, step: int) -> dict[str, int]:
-        """Give a step of the grid as ``step`` of the first record, if by time with ``step_b``."""
-        step_a, step_b = (step * every for every in self.every)
-        return {"step": step_a, "step_b": step_b} if self.by_time else {"step": step_a}
-
-    def on_grid(self, *pair: Series) -> list[Series]:
-        """Keep of a series of each record the instants of the grid, and the common axes.
-
-        Their steps are of the grid then.
-        """
-        found = []
-        for series, every, columns in zip(pair, self.every, self.columns, strict=True):
-            kept = series
-            if every > 1 or columns != list(range(series.values.shape[2])):
-                at = series.steps % every == 0
-                kept = Series(series.steps[at] // every, series.values[at][:, :, columns])
-            found.append(kept)
-        return found
 
 
 SEGMENT = 4.0

@@ -145,8 +145,6 @@ def _value(value: Any) -> str:
 
 def _parameters(record: Record) -> list[page.Block]:
     """Every parameter of every node, as resolved."""
-    if not record.described:
-        return [Text("The record does not hold the nodes' parameters.")]
     tables = {
         node: [(name, _value(value)) for name, value in sorted(section.items())]
         for node, section in sorted(record.experiment.sections.items())

@@ -15,7 +15,6 @@ from seft_msgs_py.errors import InputError
 from seft_ros.bags.record import Record
 from seft_ros.cli import shared
 from seft_ros.cli.shared import option
-from seft_ros.design import PlantSource
 from seft_ros.drawing.table import Texts
 
 
@@ -24,7 +23,6 @@ def preflight(
     param: shared.Params = None,
     params_file: shared.Files = None,
     external: shared.External = None,
-    plant: shared.PlantOption = PlantSource.AUTO,
     figure: Optional[Path] = option(None, "Draw where the test would be stable.", "FILE"),
     write: Optional[Path] = option(None, "Write limits that fit, for --params-file.", "FILE"),
     json: shared.Json = False,
@@ -41,7 +39,7 @@ def preflight(
     If a method or controller of your own has no linear(), the planned test is simulated instead.
 
     The exact response of the planned test gives the peaks to expect, and limits that fit them.
-    Below the tables it names the problems it found, with the commands that fix them.
+    It warns where the assumed mass, or the flow of the valves, does not fit.
 
     A computed model enters the loop with its tangent at rest. Its steps are timed along the
     motion of the planned test.
@@ -66,7 +64,7 @@ def preflight(
     path = check_figure(figure) if figure is not None else None
     experiment = shared.load_experiment(config, param, params_file, external)
     try:
-        plan = Plan(experiment, plant)
+        plan = Plan(experiment)
         with shared.passing_progress() as progress:
             found = stability_verdict.check_stability(plan, progress)
     except NotLinearError as error:
@@ -86,9 +84,8 @@ def preflight(
         timed = preflight_tables.model_time(experiment, motion)
         if timed is not None:
             summary["model"] = asdict(timed)
-        again = shared.command_line_for(config, param, params_file, external)
-        steps = stability_verdict.next_steps(plan, found, peaks, again)
-        summary["next"] = [asdict(step) for step in steps]
+        warnings = list(preflight_tables.mismatches(experiment, peaks))
+        summary["warnings"] = warnings
         if write is not None:
             preflight_tables.write_limits(write, limits)
         if path is not None:
@@ -103,11 +100,11 @@ def preflight(
             f"longest, of {1e3 * timed.budget_s:.2g} ms",
             "the tables above take its tangent at rest",
         ]
-    for step in steps:
-        lines += [f"{step.found}:", *(f"    {command}" for command in step.commands)]
     texts = preflight_tables.preflight_texts(plan, found, f"preflight of {config}")
     limits_table = preflight_tables.limits_table(experiment, peaks)
     shared.show(summary, json, [*texts, limits_table, *lines], "figure")
+    for warning in warnings:
+        shared.warn(warning)
     for reason in found.reasons:
         shared.complain(f"{found.verdict}: {reason}")
     if too_slow := timed.refusal() if timed is not None else "":
@@ -125,8 +122,7 @@ def identify(
     params_file: shared.Files = None,
     over_dds: bool = option(False, "Run nodes over DDS, or one process.", "--over-dds/--offline"),
     external: shared.External = None,
-    signal: str = option("random", "Excitation.", "random|chirp"),
-    seed: int = option(1, "Seed of the random signal.", min=0),
+    seed: int = option(1, "Seed of the excitation, Gaussian noise.", min=0),
     band: tuple[float, float] = option(
         _BY_RATE, "Band of the excitation in Hz; default by the rate.", "LO HI", show_default=False
     ),
@@ -148,8 +144,8 @@ def identify(
     velocity_feedforward needs. It holds for any specimen.
 
     Closed loop: the excitation is the reference force, where the force controller follows one. Its
-    RMS is 5 m/s^2 times the mass, a 20th of the force limit at most (chirp: 0.3 times that), unless
-    --force gives another. The result describes the force loop with this specimen, which the other
+    RMS is 5 m/s^2 times the mass, a 20th of the force limit at most, unless --force gives
+    another. The result describes the force loop with this specimen, which the other
     methods need. Rigs without a valve (actuator.kind ideal or delay) have this test only.
 
     The folder then holds the excitation, the bags, a figure, and model.yaml: parameters of
@@ -177,13 +173,13 @@ def identify(
     experiment = shared.load_experiment(config, param, params_file, external)
     levels = rig_tests.Levels(
         rig_tests.pilot_voltage(experiment) if amplitude is None else amplitude,
-        rig_tests.default_force(experiment, signal) if force is None else force,
+        rig_tests.default_force(experiment) if force is None else force,
     )
     rig_tests.check_levels(experiment, levels)
     if all(map(math.isnan, band)):
         band = (0.3, min(0.45 * experiment.timebase.rate, 200.0))
     folder = out or Path(datetime.now().strftime("identify_%Y-%m-%d_%H-%M-%S"))
-    motions = rig_tests.Motions(experiment, levels.force, signal, band, seed)
+    motions = rig_tests.Motions(experiment, levels.force, band, seed)
     motions.check(duration)
     shared.check_out(folder)
     record = motions.write(folder / "excitation.csv", duration)

@@ -2,7 +2,6 @@
 
 import json
 import os
-import shlex
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -19,7 +18,6 @@ from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.wire.topics import GROUND_MOTION, NODES, with_rigs
 
 from seft_ros.bags.record import Record
-from seft_ros.design import PlantSource
 from seft_ros.drawing.table import Cell, TextTable
 from seft_ros.test_run.parameter_tables import TABLES
 
@@ -36,7 +34,6 @@ def option(default: Any, text: str, named: str | None = None, **more: Any) -> An
 
 _OVERRIDE = "Override a parameter, as in ROS 2; may be repeated."
 _FILES = "Another parameter file, whose values win over CONFIG's; may be repeated."
-_PLANT = "The simulated rig's linear model, or the identified one; auto: this, if it is given."
 _EXTERNAL = "A node that runs already, such as a lab's driver as rig; may be repeated."
 _SCHEDULER = "Calculate on the Dask cluster with this scheduler, such as tcp://host:8786."
 _JSON = "Print one JSON object on stdout, and nothing else there."
@@ -49,7 +46,6 @@ Params = Annotated[
     typer.Option("-p", "--param", metavar="NODE:PARAMETER:=VALUE", help=_OVERRIDE),
 ]
 Files = Annotated[Optional[list[Path]], typer.Option(metavar="FILE", help=_FILES)]
-PlantOption = Annotated[PlantSource, typer.Option(help=_PLANT)]
 External = Annotated[Optional[list[str]], typer.Option(metavar="NODE", help=_EXTERNAL)]
 Json = Annotated[bool, typer.Option("--json", help=_JSON)]
 Spread = Annotated[float, typer.Option(help="Largest deviation from CONFIG.", min=0.0, max=1.0)]
@@ -83,21 +79,6 @@ def load_experiment(
                 f"--external {node}: must be one of {', '.join(possible)}{nearest(node, possible)}"
             )
     return experiment
-
-
-def command_line_for(
-    config: Path,
-    overrides: list[str] | None,
-    params_files: Sequence[Path] | None,
-    external: Sequence[str] | None = None,
-) -> str:
-    """Write the words by which a command line names an experiment, for another command."""
-    words = [str(config)]
-    given = {"--params-file": params_files, "-p": overrides, "--external": external}
-    for name, values in given.items():
-        for value in values or ():
-            words += [name, str(value)]
-    return shlex.join(words)
 
 
 def given_motion(

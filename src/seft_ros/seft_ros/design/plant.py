@@ -15,7 +15,6 @@ from seft_plant_sim.continuous_model import ContinuousModel, servo_hydraulic
 from seft_plant_sim.rig import continuous_model
 from seft_plant_sim.specimen import Specimen
 
-from seft_ros.design import PlantSource
 from seft_ros.design.roots import Root, lightly_damped, roots_of, uncancelled
 
 MAX_DELAY_STEPS = 500
@@ -159,12 +158,11 @@ class Plant:
         return above[int(peaks.argmax())]
 
 
-def choose_plant(experiment: Experiment, source: PlantSource = PlantSource.AUTO) -> Plant:
-    """Plant of an experiment's `rig` or `force_controller`, from valves to forces.
+def choose_plant(experiment: Experiment) -> Plant:
+    """Plant of an experiment, from valves to forces.
 
-    The source ``rig`` is the small-signal linear model of the simulated rig. ``identified`` is
-    `plant.numerator`, `plant.denominator` and `plant.dead_time`, on every axis. ``auto`` is the
-    identified plant if the experiment has one, else the rig.
+    The identified one, `force_controller: plant.*`, on every axis, if it is given; else the
+    small-signal linear model of the simulated rig.
 
     Raises
     ------
@@ -175,12 +173,12 @@ def choose_plant(experiment: Experiment, source: PlantSource = PlantSource.AUTO)
     section = experiment["force_controller"]
     given = np.atleast_1d(section.get("plant.numerator", 0.0)).astype(np.float64)
     numerator = np.trim_zeros(given, "f")
-    if source == PlantSource.IDENTIFIED and not numerator.size:
+    if not numerator.size and "rig" not in experiment.sections:
         raise InputError(
-            "force_controller: plant.numerator is not given, so there is no identified plant; "
-            "let seft identify write one, or choose --plant rig if the rig is simulated"
+            "force_controller: plant.numerator is not given, and the rig is not simulated here; "
+            "let seft identify write one"
         )
-    if source == PlantSource.RIG or not numerator.size:
+    if not numerator.size:
         model = continuous_model(experiment["rig"], experiment.axes)
         if model.drive != "valve_command":
             raise InputError(
