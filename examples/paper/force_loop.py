@@ -28,8 +28,7 @@ from seft_msgs_py.errors import InputError, SeftError
 from seft_plant_sim.lti import bilinear
 from seft_ros.design.closed_loop import closed_loop
 from seft_ros.design.force_tracking import Tracking, tracking_measures
-from seft_ros.design.plant import Plant, choose_plant
-from seft_ros.design.roots import Root, lightly_damped, polynomial_of
+from seft_ros.design.plant import Plant, Root, choose_plant, lightly_damped, polynomial_of
 from seft_ros.force_controller.force_control import ForceController
 from seft_ros.force_controller.force_controller_parameters import TRANSFER_FUNCTION, one_controller
 from seft_ros.reference_force.linear_filter import LinearFilter

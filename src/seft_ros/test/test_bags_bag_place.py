@@ -3,12 +3,12 @@ import subprocess
 import sys
 
 import pytest
-from seft_ros.bags.bag_place import why_not_writable
+from seft_ros.bags.bag_writer import why_not_writable
 
 ASK = """
 import sys
 from pathlib import Path
-from seft_ros.bags.bag_place import why_not_writable
+from seft_ros.bags.bag_writer import why_not_writable
 print(why_not_writable(Path(sys.argv[1])))
 """
 

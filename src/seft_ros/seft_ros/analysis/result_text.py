@@ -17,7 +17,7 @@ from seft_ros.drawing.style import (
     small_percent,
 )
 from seft_ros.drawing.table import Cell, Texts, TextTable
-from seft_ros.ground_motion.readers.units import STANDARD_GRAVITY
+from seft_ros.ground_motion.readers.statements import STANDARD_GRAVITY
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 
 FIELD_UNITS = {

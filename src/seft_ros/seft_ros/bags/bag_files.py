@@ -18,9 +18,8 @@ from ruamel.yaml import YAML
 from seft_msgs_py.errors import InputError, SeftError
 
 from seft_ros.bags.bag_writer import METADATA, BagWriter, file_reason
-from seft_ros.bags.mcap_file import McapFile
+from seft_ros.bags.mcap_file import BagSource, McapFile
 from seft_ros.bags.message_blocks import DamageError, MessageBlock, inflated
-from seft_ros.bags.source import BagSource
 from seft_ros.bags.sqlite_file import SqliteFile
 
 SUFFIXES = (".mcap", ".db3")

@@ -29,9 +29,8 @@ from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.node.process import as_before, on_ending
 from seft_msgs_py.wire.topics import Topic
 
-from seft_ros.bags.mcap_file import MCAP_LIBRARY, RECOVERED, ROSBAG
+from seft_ros.bags.mcap_file import MCAP_LIBRARY, RECOVERED, ROSBAG, BagSource, source_of
 from seft_ros.bags.message_blocks import MAX_SIZE
-from seft_ros.bags.source import BagSource, source_of
 
 METADATA = "metadata.yaml"
 FLUSH_PERIOD = 0.25  # s of wall time
@@ -409,3 +408,25 @@ def _write_metadata(folder: Path, text: str) -> None:
     part = folder / f"{METADATA}.part"
     part.write_text(text, encoding="utf-8")
     part.replace(folder / METADATA)
+
+
+_LEFT = 4 << 20  # bytes that must stay free beside the bag, for other files of a test
+
+
+def why_not_writable(place: Path) -> str:
+    """Say why no bag can be made in a folder that is to be made; empty if it can."""
+    folder = place.absolute().parent
+    while not os.path.lexists(folder) and folder != folder.parent:
+        folder = folder.parent
+    try:
+        with suppress(FileNotFoundError, NotADirectoryError):
+            place.lstat()
+            return f"{place} exists already"
+        with tempfile.TemporaryFile(dir=folder) as file:  # without a name
+            free = shutil.disk_usage(file.fileno()).free
+    except OSError as error:
+        return f"nothing can be written in {folder} ({file_reason(error)})"
+    needed = RESERVED + _LEFT
+    if free < needed:
+        return f"{folder} has room for {free / 1e6:.0f} MB, and the bag needs {needed / 1e6:.0f} MB"
+    return ""

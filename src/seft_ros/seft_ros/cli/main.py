@@ -11,12 +11,11 @@ from seft_msgs_py.errors import SeftError
 from seft_msgs_py.node.process import as_before, on_ending
 
 from seft_ros.cli.bag_commands import compare, recover, replay, report
-from seft_ros.cli.design_commands import identify, preflight
+from seft_ros.cli.design_commands import identify, preflight, study
 from seft_ros.cli.perform import reset, run, simulate, start, status, stop
 from seft_ros.cli.rig_commands import conform, link, new
 from seft_ros.cli.shared import complain, option
 from seft_ros.cli.show_commands import monitor, motion, parameters
-from seft_ros.cli.study_commands import study
 
 APP = typer.Typer(
     name="seft",
