@@ -10,9 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numpy.lib.stride_tricks import sliding_window_view
 from scipy.fft import irfft, next_fast_len, rfft
-from seft_msgs_py.arrays import Complexes, Floats, Ints
+from seft_msgs_py.arrays import Floats, Ints
 
 from seft_ros.bags.record import Series
 
@@ -39,8 +38,6 @@ def every_step(series: Series, every: Ints) -> Floats:
     return np.stack(columns, axis=1).reshape(len(every), *series.values.shape[1:])
 
 
-SEGMENT = 4.0
-"""Length of the segments from which spectra are averaged, s; its inverse is their resolution."""
 _ITERATIONS = 30
 _RESOLUTION = 1e-9  # of a sample
 _BLOCK = 1 << 16  # of a long record's elements that are worked on at a time
@@ -229,17 +226,6 @@ def _blocks(count: int) -> Iterator[slice]:
         yield slice(start, min(start + _BLOCK, count))
 
 
-def paired(one: Floats, other: Floats) -> tuple[Floats, Floats]:
-    """Give two signals of the same shape, (N,) or (N, n); a ValueError if they are not."""
-    one, other = (np.asarray(signal, dtype=np.float64) for signal in (one, other))
-    if one.shape != other.shape or one.ndim not in (1, 2):
-        raise ValueError(
-            f"two signals of the same shape (N,) or (N, n) are needed, not {one.shape} "
-            f"and {other.shape}"
-        )
-    return one, other
-
-
 def columns(y: Floats) -> Floats:
     """Give a signal of shape (N,) the shape (N, 1)."""
     return y[:, np.newaxis] if y.ndim == 1 else y
@@ -263,43 +249,3 @@ def ratio(value: float, whole: float) -> float:
     """Give value / whole; NaN where that is not finite, or the whole is not positive."""
     found = value / whole if whole > 0 else math.nan
     return float(found) if math.isfinite(found) else math.nan
-
-
-def segment_size(count: int, dt: float) -> int:
-    """Give the samples of a `SEGMENT`; of a shorter record all of them."""
-    return min(count, max(2, round(SEGMENT / dt)))
-
-
-def cross_spectrum(x: Floats, y: Floats, dt: float, size: int) -> tuple[Floats, Complexes]:
-    """Estimate one-sided cross spectral densities (Welch 1967), as `scipy.signal.csd` does.
-
-    Hann windows that overlap by half, each without its mean. (To import scipy.signal takes longer
-    than all else of a report.)
-
-    Parameters
-    ----------
-    x, y : ndarray
-        Shape (N,) or (N, n); where both are the same, the power spectral density is found.
-    dt : float
-        Sampling period, s.
-    size : int
-        Samples of a window, 2 to N.
-
-    Returns
-    -------
-    frequency : ndarray
-        Shape (F,), from 0 to Nyquist's, Hz.
-    density : ndarray
-        Shape (F,) or (F, n), product of both units per Hz.
-    """
-    hann = 0.5 - 0.5 * np.cos(2 * np.pi / size * np.arange(size))
-
-    def transformed(signal: Floats) -> Complexes:
-        pieces = sliding_window_view(signal, size, axis=0)[:: size - size // 2]
-        return rfft((pieces - pieces.mean(axis=-1, keepdims=True)) * hann)
-
-    first = transformed(x)
-    second = first if x is y else transformed(y)
-    density = (np.conj(first) * second).mean(axis=0).T * (dt / (hann @ hann))
-    density[1 : (size + 1) // 2] *= 2  # of negative frequencies, which 0 and Nyquist's have not
-    return np.fft.rfftfreq(size, dt), density

@@ -49,13 +49,12 @@ def report(
 
         seft report bags/half --csv half.csv
     """
-    from seft_ros.analysis.histories import check_table, histories, write_table
-    from seft_ros.analysis.report_numbers import report_numbers
+    from seft_ros.analysis.report_numbers import histories, report_numbers
     from seft_ros.analysis.report_page import write_report
     from seft_ros.analysis.result_text import agreement_table, test_rows, title_of
     from seft_ros.bags.record_bag import read_bag
     from seft_ros.drawing.page import check_page
-    from seft_ros.drawing.table import Cell, Texts, TextTable
+    from seft_ros.drawing.table import Cell, Texts, TextTable, check_table, write_table
 
     beside = bag.with_suffix(".html") if bag.is_file() else bag / "report.html"
     page = beside if out is None else check_page(out)

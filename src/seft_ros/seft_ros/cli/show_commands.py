@@ -134,10 +134,9 @@ def motion(
 
         seft motion kobe.AT2 --config config/demo.yaml --csv spectrum.csv
     """
-    from seft_ros.analysis.histories import check_table, write_table
     from seft_ros.analysis.result_text import motion_rows
     from seft_ros.drawing.style import check_figure, save_figure
-    from seft_ros.drawing.table import TextTable
+    from seft_ros.drawing.table import TextTable, check_table, write_table
     from seft_ros.ground_motion.correction import baseline_numbers
     from seft_ros.ground_motion.ground_motion_block import GROUND_MOTION_TABLE, GroundMotion
     from seft_ros.ground_motion.response_spectrum import (

@@ -88,8 +88,8 @@ def result_of(plan: StudyPlan, runs: Sequence[Run]) -> dict[str, Any]:
     -------
     dict
         ``mass_ratio``, ``method``, ``uncompiled`` (why its tests were simulated uncompiled, or
-        empty), ``configured`` (summary of test 0); of the drawn tests ``distribution`` and
-        ``peak_error`` of displacement, force and acceleration (`STUDY_QUANTILES`; a test that
+        empty), ``configured`` (summary of test 0); of the drawn tests ``distribution``
+        of the errors of displacement, force and acceleration (`STUDY_QUANTILES`; a test that
         tripped is infinitely wrong), ``trips`` (count, share and its 95 % interval by Wilson 1927;
         of the tests that tripped or became unstable), ``causes`` (see `causes_of`), ``motions``
         (file -> tests, and `STUDY_QUANTILES` of the displacement's error), ``worst`` (test,
@@ -107,7 +107,6 @@ def result_of(plan: StudyPlan, runs: Sequence[Run]) -> dict[str, Any]:
         "uncompiled": configured.why_not_compiled,
         "configured": configured.summary,
         "distribution": {name: quantiles(errors_of(drawn, name)) for name in RESPONSES},
-        "peak_error": {name: quantiles(_peak_errors(drawn, name)) for name in RESPONSES},
         "trips": {
             "count": lost,
             "share": lost / len(drawn),
@@ -142,15 +141,6 @@ def errors_of(outcomes: Sequence[Mapping[str, Any]], response: str = "displaceme
     """NRMSE of tests by their summaries; infinite where unstable, NaN where it is undefined."""
     values = [one[response]["nrmse"] if one["stable"] else math.inf for one in outcomes]
     return np.array(values, dtype=float)
-
-
-def _peak_errors(outcomes: Sequence[Mapping[str, Any]], response: str) -> Floats:
-    """Magnitude of (peak - exact peak) / exact peak of tests, likewise."""
-    found = []
-    for one in outcomes:
-        peak, exact = (one[response][key] for key in ("peak", "reference_peak"))
-        found.append(abs(peak / exact - 1.0) if exact and one["stable"] else math.inf)
-    return np.array(found)
 
 
 def quantiles(errors: Floats) -> dict[str, float]:
