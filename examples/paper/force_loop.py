@@ -1,6 +1,6 @@
-"""Shape a force loop with python-control: its margins, its figure, a controller for a crossover.
+"""Shape a force loop with python-control: its margins, a controller for a crossover.
 
-    .venv/bin/python examples/paper/force_loop.py config/jhu.yaml --figure loop.png
+    .venv/bin/python examples/paper/force_loop.py config/jhu.yaml
     .venv/bin/python examples/paper/force_loop.py config/jhu.yaml --crossover 12 --out own.yaml
     .venv/bin/seft simulate config/jhu.yaml --params-file own.yaml
 

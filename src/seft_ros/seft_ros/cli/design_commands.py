@@ -4,6 +4,7 @@
 """
 
 import math
+import os
 from dataclasses import asdict, replace
 from datetime import datetime
 from pathlib import Path
@@ -245,6 +246,7 @@ def identify(
     return 0
 
 
+_CORES = len(os.sched_getaffinity(0))
 _LOST = "no result yet; the same command in this folder continues"
 
 
@@ -257,14 +259,14 @@ def study(
         None, "Mass ratio; may be repeated; default CONFIG's.", "ALPHA"
     ),
     tests: int = option(200, "Number of drawn tests.", min=2),
-    spread: shared.Spread = 0.1,
+    spread: float = option(0.1, "Largest deviation from CONFIG.", min=0.0, max=1.0),
     motion: Optional[list[Path]] = option(
         None, "Ground motion; may be repeated; default CONFIG's.", "FILE"
     ),
-    seed: shared.Seed = 1,
+    seed: int = option(1, "Seed of the draws.", min=0),
     out: Path = option(Path("study.html"), "The page.", "HTML"),
-    workers: shared.Workers = shared.CORES,
-    scheduler: shared.SchedulerOption = "",
+    workers: int = option(_CORES, "Processes that calculate.", min=1),
+    scheduler: str = option("", "Calculate on this Dask cluster, as tcp://host:8786.", "ADDRESS"),
     param: shared.Params = None,
     params_file: shared.Files = None,
     json: shared.Json = False,

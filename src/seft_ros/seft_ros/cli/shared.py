@@ -1,7 +1,6 @@
 """What the commands share: options, the experiment that they name, its test, and how to print."""
 
 import json
-import os
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -13,7 +12,7 @@ import typer
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from seft_msgs_py.config.experiment import Experiment, parse_override
-from seft_msgs_py.config.parameter_table import Section, nearest
+from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.wire.topics import GROUND_MOTION, NODES, with_rigs
 
@@ -35,7 +34,6 @@ def option(default: Any, text: str, named: str | None = None, **more: Any) -> An
 _OVERRIDE = "Override a parameter, as in ROS 2; may be repeated."
 _FILES = "Another parameter file, whose values win over CONFIG's; may be repeated."
 _EXTERNAL = "A node that runs already, such as a lab's driver as rig; may be repeated."
-_SCHEDULER = "Calculate on the Dask cluster with this scheduler, such as tcp://host:8786."
 _JSON = "Print one JSON object on stdout, and nothing else there."
 Config = Annotated[Path, typer.Argument(metavar="CONFIG", help="Experiment: ROS 2 parameter file.")]
 BagArgument = Annotated[
@@ -48,14 +46,6 @@ Params = Annotated[
 Files = Annotated[Optional[list[Path]], typer.Option(metavar="FILE", help=_FILES)]
 External = Annotated[Optional[list[str]], typer.Option(metavar="NODE", help=_EXTERNAL)]
 Json = Annotated[bool, typer.Option("--json", help=_JSON)]
-Spread = Annotated[float, typer.Option(help="Largest deviation from CONFIG.", min=0.0, max=1.0)]
-Seed = Annotated[int, typer.Option(help="Seed of the draws.", min=0)]
-Workers = Annotated[int, typer.Option(help="Processes that calculate.", min=1)]
-CORES = len(os.sched_getaffinity(0))
-"""Number of processor cores that this process may use."""
-SchedulerOption = Annotated[
-    str, typer.Option(metavar="ADDRESS", help=_SCHEDULER, show_default=False)
-]
 
 
 def load_experiment(
@@ -79,33 +69,6 @@ def load_experiment(
                 f"--external {node}: must be one of {', '.join(possible)}{nearest(node, possible)}"
             )
     return experiment
-
-
-def given_motion(
-    section: Section,
-    file: Path | list[Path] | None,
-    command: str,
-    **words: str | float | list[int] | None,
-) -> Section:
-    """Check the record that a command line names, and what it says of the record.
-
-    What the section of an experiment says of its own record does not hold for another one.
-
-    Returns
-    -------
-    dict
-        What it changes in that section.
-    """
-    from seft_ros.ground_motion.ground_motion_block import GROUND_MOTION_TABLE, OF_RECORD
-
-    given: Section = {name: value for name, value in words.items() if value is not None}
-    if file:
-        files = [str(each) for each in (file if isinstance(file, list) else [file])]
-        own = {name: GROUND_MOTION_TABLE.rows[name].default for name in OF_RECORD}
-        given = {"file": files if len(files) > 1 else files[0], **own, **given}
-    elif given and not section["file"]:
-        raise InputError(f"--{next(iter(given))}: needs a record; name its file")
-    return GROUND_MOTION_TABLE.check(given, f"seft {command}")
 
 
 FIGURE = "figure.png"
