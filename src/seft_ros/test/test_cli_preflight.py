@@ -73,17 +73,16 @@ def test_for_people_there_is_a_table_and_every_reason_in_a_line(seft):
 
 
 def test_a_mass_and_a_motion_that_do_not_fit_the_rig_are_told(seft, told):
-    heavy = "rig:specimen.mass:=80"
-    _, found = told(JHU, "-p", heavy)
+    heavy, weak = "rig:specimen.mass:=80", ("-p", "ground_motion:peak_force:=300.0")
+    _, found = told(JHU, "-p", heavy, *weak)
     (warning,) = found["warnings"]
     assert "model.mass is 52.7 kg, but rig: specimen.mass 80.0 kg" in warning
+    assert f"warning: {warning}" in seft("preflight", JHU, "-p", heavy, *weak)[2]
     strong = ("-p", "ground_motion:peak_force:=5000.0")
     _, found = told(JHU, "-p", heavy, "-p", "reference_force:model.mass:=80", *strong)
     (warning,) = found["warnings"]
     assert "valve, fully open" in warning
-    _, found = told(JHU, *DELAY, *strong)  # no valve
-    assert found["warnings"] == []
-    assert f"warning: {warning}" in seft("preflight", JHU, *strong)[2]
+    assert told(JHU, *DELAY, *strong)[1]["warnings"] == []  # no valve
 
 
 def test_limits_are_written_that_fit(seft, told):

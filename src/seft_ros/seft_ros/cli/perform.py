@@ -188,10 +188,7 @@ def run(
     if model is not None and (too_slow := model.refusal()):
         raise InputError(too_slow)
     peaks = preflight_tables.expected_peaks(experiment, motion)
-    warnings = [preflight_tables.limit_warning(experiment, peaks)]
-    if all(table.node in experiment.sections for table in TABLES):
-        warnings += preflight_tables.mismatches(experiment, peaks)
-    for warning in filter(None, warnings):
+    if warning := preflight_tables.limit_warning(experiment, peaks):
         shared.warn(warning)
     layout = ProcessLayout(pin=pin, composed=composed, priority=priority)
     steps = motion.steps if motion else 0
