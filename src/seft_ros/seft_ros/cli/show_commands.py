@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Optional
 
 import typer
-from seft_msgs_py.config.parameter_table import COMMON, Parameter, nearest
+from seft_msgs_py.config.parameter_table import COMMON, Parameter, Section, nearest
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 
@@ -168,7 +168,7 @@ def motion(
         }
     metadata = None if response is None else str(response)
     words = {"column": column or None, "rows": rows, "unit": unit, "dt": dt, "response": metadata}
-    given = {name: value for name, value in words.items() if value is not None}
+    given: Section = {name: value for name, value in words.items() if value is not None}
     if file:  # what the experiment says of its own record does not hold for another one
         files = [str(each) for each in file]
         own = {name: GROUND_MOTION_TABLE.rows[name].default for name in OF_RECORD}
