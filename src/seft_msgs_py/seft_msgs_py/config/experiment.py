@@ -16,6 +16,7 @@ from ruamel.yaml.scalarstring import DoubleQuotedScalarString
 
 from seft_msgs_py.config.parameter_table import COMMON, Section, Table, Value, nearest, resolve
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.files import check_regular, open_regular
 from seft_msgs_py.wire.topics import NODES, Timebase, rigs_of
 
 EVERY_NODE = "/**"
@@ -185,7 +186,7 @@ def read_parameter_file(path: str | Path) -> dict[str, Section]:
     """
     path = Path(path)
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             content = file.read(LARGEST_FILE + 1)
         if len(content) > LARGEST_FILE:
             raise InputError(
@@ -251,6 +252,7 @@ def write_parameter_file(
     InputError
         If the file exists already or can't be written.
     """
+    check_regular(path)
     try:
         with path.open("w" if replace else "x", encoding="utf-8") as file:
             file.write(parameter_text(sections, comments))
