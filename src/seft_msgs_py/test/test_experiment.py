@@ -334,7 +334,7 @@ def test_a_file_is_written_anew_only_where_that_is_asked_for(tmp_path):
     sections["reference_force"]["loop_delay"] = 4
     write_parameter_file(path, sections, replace=True)
     assert read_parameter_file(path) == sections
-    with pytest.raises(InputError, match="can't be written: Is a directory"):
+    with pytest.raises(InputError, match="is a folder"):
         write_parameter_file(tmp_path, sections, replace=True)
 
 

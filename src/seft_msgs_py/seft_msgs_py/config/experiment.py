@@ -16,7 +16,7 @@ from ruamel.yaml.scalarstring import DoubleQuotedScalarString
 
 from seft_msgs_py.config.parameter_table import COMMON, Section, Table, Value, nearest, resolve
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.files import check_regular, open_regular
+from seft_msgs_py.files import check_regular, read_text_of
 from seft_msgs_py.wire.topics import NODES, Timebase, rigs_of
 
 EVERY_NODE = "/**"
@@ -193,8 +193,7 @@ def read_parameter_file(path: str | Path) -> dict[str, Section]:
     """
     path = Path(path)
     try:
-        with open_regular(path) as file:
-            content = file.read(LARGEST_FILE + 1)
+        content = read_text_of(path, LARGEST_FILE + 1)
         if len(content) > LARGEST_FILE:
             raise InputError(
                 f"{path}: is larger than {LARGEST_FILE / 1e6:g} MB, the limit of parameter files; "
