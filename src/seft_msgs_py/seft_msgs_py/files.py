@@ -4,7 +4,6 @@ import errno
 import os
 import select
 import stat
-import time
 from pathlib import Path
 from typing import IO
 
@@ -12,7 +11,7 @@ from seft_msgs_py.errors import InputError
 
 NOT_REGULAR = "is no regular file; name another one"
 PIPE_WITHIN = 5.0
-"""s, in which who writes to a pipe must have done so."""
+"""s, in which who writes to a pipe must write the first, or more."""
 
 
 def open_regular(path: Path) -> IO[bytes]:
@@ -30,7 +29,7 @@ def open_regular(path: Path) -> IO[bytes]:
 def read_text_of(path: Path, most: int) -> bytes:
     """Read so many bytes at most of a file, or of a pipe such as ``<(COMMAND)`` of a shell.
 
-    An OSError says why not, also of a pipe that has not ended within `PIPE_WITHIN`.
+    An OSError says why not, also of a pipe to which nobody writes for `PIPE_WITHIN`.
     """
     if path.is_fifo():
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
@@ -43,7 +42,7 @@ def read_text_of(path: Path, most: int) -> bytes:
 
 
 def _read_pipe(handle: int, most: int) -> bytes:
-    deadline, data, poller = time.monotonic() + PIPE_WITHIN, b"", select.poll()
+    data, poller = b"", select.poll()
     poller.register(handle, select.POLLIN)
     while len(data) < most:
         try:
@@ -55,7 +54,7 @@ def _read_pipe(handle: int, most: int) -> bytes:
                 break  # who wrote has left
         data += part
         if not part:  # nobody has written yet
-            ready = poller.poll(1e3 * max(0.0, deadline - time.monotonic()))
+            ready = poller.poll(1e3 * PIPE_WITHIN)
             if not ready:
                 raise TimeoutError(
                     errno.ETIMEDOUT, f"nobody has written to this pipe within {PIPE_WITHIN:g} s"
