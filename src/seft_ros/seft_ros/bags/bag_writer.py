@@ -84,8 +84,8 @@ class BagWriter:
     path : Path
         The bag's folder.
     trouble : str
-        What is wrong with its place: that it can't be made or written, was lost, or that the disk
-        is full; empty if nothing is.
+        What is wrong with its place: that it can't be made or written, was lost or cut off, or that
+        the disk is full; empty if nothing is.
     """
 
     def __init__(self, path: str | Path, damage: Sequence[str] = ()) -> None:
@@ -109,6 +109,7 @@ class BagWriter:
         self._first, self._last = 2**63 - 1, 0  # log times
         self._metadata = ""  # of the complete bag
         self._is_saved = False
+        self._cut_off = ""  # what another program has done to the file
         self._file: IO[bytes] | None = None
         self._reserve: IO[bytes] = BytesIO()  # frees its room when it is closed, or we are killed
         self._flushed_at = time.monotonic()
@@ -185,6 +186,8 @@ class BagWriter:
             if why:
                 raise ExperimentError(f"{why}; the bag lacks its end, and can be read as it is")
             self._done()
+        if self._cut_off:
+            raise ExperimentError(f"{self._cut_off}; the rest of the bag can be read")
 
     def save(self) -> Path:
         """Complete the bag, in another place if need be; give its folder.
@@ -197,6 +200,7 @@ class BagWriter:
         """
         with suppress(ExperimentError):
             self.close()
+        if self._is_saved:
             return self.path
         faults = []
         for folder in (self.path.parent, Path(tempfile.gettempdir())):
@@ -283,6 +287,12 @@ class BagWriter:
 
     def _store(self) -> None:
         """Write to the disk; if it is full, into the room that was reserved."""
+        if self._file is not None and not self._cut_off:
+            size = os.fstat(self._file.fileno()).st_size
+            if size < self._out.stored:  # writing goes on behind the gap
+                lost = self._out.stored - size
+                self._cut_off = f"{self.path}: its file was cut off, and {lost} bytes are lost"
+                self.trouble = self.trouble or self._cut_off
         while self._file is not None and self._out.data:
             try:
                 part = self._out.data[:_COPIED]
@@ -408,25 +418,3 @@ def _write_metadata(folder: Path, text: str) -> None:
     part = folder / f"{METADATA}.part"
     part.write_text(text, encoding="utf-8")
     part.replace(folder / METADATA)
-
-
-_LEFT = 4 << 20  # bytes that must stay free beside the bag, for other files of a test
-
-
-def why_not_writable(place: Path) -> str:
-    """Say why no bag can be made in a folder that is to be made; empty if it can."""
-    folder = place.absolute().parent
-    while not os.path.lexists(folder) and folder != folder.parent:
-        folder = folder.parent
-    try:
-        with suppress(FileNotFoundError, NotADirectoryError):
-            place.lstat()
-            return f"{place} exists already"
-        with tempfile.TemporaryFile(dir=folder) as file:  # without a name
-            free = shutil.disk_usage(file.fileno()).free
-    except OSError as error:
-        return f"nothing can be written in {folder} ({file_reason(error)})"
-    needed = RESERVED + _LEFT
-    if free < needed:
-        return f"{folder} has room for {free / 1e6:.0f} MB, and the bag needs {needed / 1e6:.0f} MB"
-    return ""

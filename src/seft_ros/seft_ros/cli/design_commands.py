@@ -314,7 +314,7 @@ def study(
     path = check_page(out)
     folder = worst_folder(path)
     experiment = shared.load_experiment(config, param, params_file)
-    files = [str(file.resolve()) for file in motion or ()]
+    files = [os.path.realpath(file) for file in motion or ()]
     drawn = draw_tests(experiment, tests, seed=seed, spread=spread, motions=files)
     plan = plan_study(experiment, drawn, method or (), mass_ratio or ())
     finished = FinishedTests(plan, Path())

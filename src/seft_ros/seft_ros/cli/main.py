@@ -9,6 +9,7 @@ from importlib.metadata import version as installed_version
 import typer
 from seft_msgs_py.errors import SeftError
 from seft_msgs_py.node.process import as_before, on_ending
+from seft_msgs_py.printing import unbroken
 
 from seft_ros.cli.bag_commands import compare, recover, replay, report
 from seft_ros.cli.design_commands import identify, preflight, study
@@ -56,6 +57,10 @@ def main() -> int:
 
     SIGTERM and a closed terminal act as Ctrl-C: the command first brings what it moves to rest.
     """
+    return unbroken("seft", _main)
+
+
+def _main() -> int:
     gc.set_threshold(100_000)  # most objects of a command live to its end
     before = on_ending(signal.default_int_handler)
     try:

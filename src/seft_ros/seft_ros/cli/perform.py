@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Optional
 import typer
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
+from seft_msgs_py.printing import escaped
 
 from seft_ros.bags.record import Record
 from seft_ros.cli import shared
@@ -102,7 +103,7 @@ def _request(service: str) -> int:
         accepted, answer = observer.call(service)
     if not accepted:
         raise ExperimentError(answer)
-    print(answer)
+    print(escaped(answer))
     return 0
 
 

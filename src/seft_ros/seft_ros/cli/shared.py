@@ -14,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.errors import ExperimentError, InputError
+from seft_msgs_py.printing import escaped
 from seft_msgs_py.wire.topics import GROUND_MOTION, NODES, with_rigs
 
 from seft_ros.bags.record import Record
@@ -84,19 +85,19 @@ def show(
     console = Console()
     for text in texts:
         if isinstance(text, str):
-            print(text)
+            print(escaped(text))
         else:
             is_line = isinstance(text, Cell) or (isinstance(text, TextTable) and not text.headings)
             console.print(text, soft_wrap=is_line)
     width = max(map(len, files), default=0) + 2
     for name in files:
         if summary.get(name) is not None:
-            print(f"{name + ':':{width}}{summary[name]}")
+            print(escaped(f"{name + ':':{width}}{summary[name]}"))
 
 
 def complain(text: str) -> None:
     """Print one line on stderr."""
-    print(f"seft: {text}", file=sys.stderr, flush=True)
+    print(escaped(f"seft: {text}"), file=sys.stderr, flush=True)
 
 
 def announce_compilation() -> None:
@@ -110,7 +111,7 @@ def announce_compilation() -> None:
 
 def warn(text: str) -> None:
     """Print a warning on stderr: it is no reason for the end of a command."""
-    print(f"warning: {text}", file=sys.stderr, flush=True)
+    print(escaped(f"warning: {text}"), file=sys.stderr, flush=True)
 
 
 @contextmanager
@@ -119,13 +120,13 @@ def step_progress(total: int, lost: str = "") -> Iterator[Callable[[str, int], N
 
     An interruption becomes an `ExperimentError` where ``lost`` says what it costs.
     """
-    text = TextColumn("{task.description:40.40}")
+    text = TextColumn("{task.description:40.40}", markup=False)
     columns = (text, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     try:
         with Progress(*columns, console=Console(stderr=True)) as bar:
             task = bar.add_task("", total=total)
             yield lambda description, done: bar.update(
-                task, description=description, completed=min(done, total)
+                task, description=escaped(description), completed=min(done, total)
             )
     except KeyboardInterrupt:
         if not lost:

@@ -4,12 +4,14 @@ import csv
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from rich import table
 from rich.console import Group
 from rich.text import Text
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.printing import escaped
 
 from seft_ros.drawing.style import Mark, check_file
 
@@ -25,7 +27,7 @@ class Cell:
 
     def __rich__(self) -> Text:
         """Draw it for the terminal."""
-        return Text(self.text, style=_COLOURS[self.mark])
+        return Text(escaped(self.text), style=_COLOURS[self.mark])
 
 
 @dataclass(frozen=True)
@@ -57,11 +59,14 @@ class TextTable:
         """Draw it for the terminal: what is too wide is folded, nothing is cut off."""
         if not self.headings:
             rows = (row for section in self.sections() for row in section)
-            return Group(*(Text.assemble(f"{name.text}: ", text.__rich__()) for name, text in rows))
+            return Group(
+                *(Text.assemble(name.__rich__(), ": ", text.__rich__()) for name, text in rows)
+            )
         drawn = table.Table()
         for column, heading in enumerate(self.headings):
             right = self.numbers and column > 0
-            drawn.add_column(heading, justify="right" if right else "left", overflow="fold")
+            side: Literal["right", "left"] = "right" if right else "left"
+            drawn.add_column(Text(escaped(heading)), justify=side, overflow="fold")
         for section in self.sections():
             for row in section:
                 drawn.add_row(*row)

@@ -14,7 +14,7 @@ from seft_msgs_py.node.process import as_before, on_ending, prepare_on_this_host
 from seft_msgs_py.wire.outcome import ENDED, State
 from seft_msgs_py.wire.topics import EXPERIMENT_STATE, NODES, LoopTopic, bare, topics_of, with_rigs
 
-from seft_ros.bags.bag_writer import why_not_writable
+from seft_ros.bags.bag_place import why_not_writable
 from seft_ros.test_run.node_starter import NodeStarter
 from seft_ros.test_run.observer import Observer
 from seft_ros.test_run.parameter_tables import RECORDER_TABLE
