@@ -5,6 +5,10 @@ from graph_tools import JHU
 from local_tools import TARGET_MOTION, TWO_AXES, UNREHEARSED, assert_same, offline, perform
 
 SHORT = ("ground_motion:synthetic.duration:=3.0", "ground_motion:tail:=0.2")
+FAULTS = (
+    'rig:faults:=["force noise 2 at 0.5", "force add 20 at 1.0 for 1", "velocity scale 0.99 at 0", '
+    '"displacement late 0.0003 at 0", "valve hysteresis 0.05 at 0.5", "valve null 0.01 at 1"]'
+)
 EXPERIMENTS = {
     "servo_hydraulic": ("reference_force:mass_ratio:=0.5",),
     "restoring": (
@@ -45,6 +49,7 @@ EXPERIMENTS = {
         *TARGET_MOTION,
         *("rig:specimen.kind:=bilinear", "rig:specimen.yield_displacement:=0.001"),
     ),
+    "faults": (*TARGET_MOTION, FAULTS),
 }
 
 

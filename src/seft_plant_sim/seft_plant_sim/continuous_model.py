@@ -52,6 +52,8 @@ class ContinuousModel:
         Of the springs per displacement of each axis, shape (p, n).
     drive_limit : ndarray
         Drive at which the actuators saturate, shape (n,).
+    unfiltered : tuple of ndarray, optional
+        Rows of c, d and h for displacement and force before low-pass filters, 2n of them.
     """
 
     a: Floats
@@ -66,6 +68,7 @@ class ContinuousModel:
     springs: tuple[springs.Spring, ...]
     deformation: Floats
     drive_limit: Floats
+    unfiltered: tuple[Floats, Floats, Floats] | None = None
 
     @classmethod
     def linear(
@@ -116,7 +119,9 @@ def with_low_pass(model: ContinuousModel, cutoff: float) -> ContinuousModel:
     c = np.hstack([np.zeros((m, s)), one, np.zeros((m, m))])
     inputs = np.vstack([model.inputs, np.zeros((m, r)), w**2 * model.outputs])
     outputs, d = np.zeros_like(model.outputs), np.zeros_like(model.d)
-    return replace(model, a=a, b=b, c=c, d=d, inputs=inputs, outputs=outputs)
+    rows = [*range(n), *range(3 * n, 4 * n)]
+    truth = np.hstack([model.c, np.zeros((m, 2 * m))])[rows], model.d[rows], model.outputs[rows]
+    return replace(model, a=a, b=b, c=c, d=d, inputs=inputs, outputs=outputs, unfiltered=truth)
 
 
 def delayed_force(specimen: Specimen, delay: float) -> ContinuousModel:
@@ -217,7 +222,8 @@ class Dynamics(NamedTuple):
     period : ndarray
         Length of a step, shape (2,), s.
     output : ndarray
-        Shape (s + n + r, 4n): takes (z, drive, residuals) to the outputs.
+        Takes (z, drive, residuals) to the outputs, and to those of `ContinuousModel.unfiltered`;
+        shape (s + n + r, 4n or 6n).
     pistons, laws, deformation : ndarray
         Of the model.
     """
@@ -275,7 +281,10 @@ def dynamics_of(
             )
     stretches = [_stretch(model, time, longest) for time in (before, after)]
     predict, correct, steps, periods = zip(*stretches, strict=True)
-    output = np.hstack([model.c, model.d, model.outputs]).T
+    output = np.hstack([model.c, model.d, model.outputs])
+    if model.unfiltered is not None:
+        output = np.vstack([output, np.hstack(model.unfiltered)])
+    output = output.T
     arrays = (output, model.pistons, _laws(model), model.deformation)
     by_stretch = np.array(predict), np.array(correct), np.array(steps, dtype=np.int64)
     return Dynamics(*by_stretch, np.array(periods), *map(np.ascontiguousarray, arrays))
@@ -321,7 +330,7 @@ def integrate(dynamics: Dynamics, stretch: int, motion: Motion) -> None:
 def _residuals(dynamics: Dynamics, period: float, motion: Motion, memory: Floats) -> None:
     """Find the residuals at the next state; springs that turn in the step go there first."""
     last, z, residuals = motion.work, motion.state, motion.residuals
-    n, m = dynamics.output.shape[1] // 4, len(dynamics.pistons)
+    n, m = dynamics.deformation.shape[1], len(dynamics.pistons)
     for i in range(m):
         residuals[i] = lost_opening(dynamics.pistons, i, z[3 * n + i], z[2 * n + i])
         residuals[m + i] = holding_force(dynamics.pistons, i, z[i], z[n + i])

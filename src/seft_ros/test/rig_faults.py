@@ -85,6 +85,9 @@ class FaultyRig:
             command = self._commanded(age, self._sent[-1])
         return self._measured(self._rig.step(command))
 
+    def simulated(self, first=None):
+        return self._rig.simulated(first)
+
     def stop(self):
         """Close the valve, as far as it obeys."""
         stopped = self._rig.stop()

@@ -51,7 +51,6 @@ def with_fault(fault, words, at):
     blocks = build_blocks(experiment, known)
     rig = FaultyRig(blocks.rig, fault, at, NOISE, largest)
     record = simulate_test(experiment, replace(blocks, rig=rig))
-    rig.stop()
     return record, rig, verdict(record, rig, largest[3], right, experiment.timebase.dt)
 
 

@@ -84,6 +84,31 @@ def all_saturated(parts: Iterable[Saturation]) -> Saturation:
 
 
 @dataclass(frozen=True)
+class Simulated:
+    """Largest true motion of a simulated rig in a test, its stop included, of any axis.
+
+    Attributes
+    ----------
+    displacement_peak : float
+        m.
+    force_peak : float
+        N.
+    stop_force_peak : float
+        From the trip, or the end of the test, until rest, N.
+    """
+
+    displacement_peak: float
+    force_peak: float
+    stop_force_peak: float
+
+    @classmethod
+    def of_all(cls, parts: Iterable["Simulated"]) -> "Simulated":
+        """Give the largest of several rigs."""
+        peaks = [(p.displacement_peak, p.force_peak, p.stop_force_peak) for p in parts]
+        return cls(*map(max, zip(*peaks, strict=True)))
+
+
+@dataclass(frozen=True)
 class Outcome:
     """End of a test, as the rig reports it.
 

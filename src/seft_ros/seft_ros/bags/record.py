@@ -24,7 +24,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.messages import nanoseconds
-from seft_msgs_py.wire.outcome import LinkRecord, Saturation, Trip
+from seft_msgs_py.wire.outcome import LinkRecord, Saturation, Simulated, Trip
 from seft_msgs_py.wire.topics import LOOP_TOPICS, NANOSECONDS_PER_SECOND, RIG_STATE, RigAxes, bare
 from seft_msgs_py.wire.trajectory import Trajectory, parse_trajectory
 
@@ -324,6 +324,8 @@ class Record:
         from there; None if unknown.
     saturation : Saturation
         What the rig reported as saturated.
+    simulated : Simulated or None
+        Largest true motion of a simulated rig; None if the rig is none, or it is unknown.
     round_trips : dict
         From a sample to its command as the rig measured it, s, by the keys of `ROUND_TRIPS`;
         empty where it did not.
@@ -357,6 +359,7 @@ class Record:
     held_steps: list[int] = field(default_factory=list)
     overruns: int | None = 0
     saturation: Saturation = field(default_factory=dict)
+    simulated: Simulated | None = None
     round_trips: dict[str, float] = field(default_factory=dict)
     link: LinkRecord | None = None
     events: list[Event] = field(default_factory=list)
