@@ -7,7 +7,9 @@ from local_tools import TARGET_MOTION, TWO_AXES, UNREHEARSED, assert_same, offli
 SHORT = ("ground_motion:synthetic.duration:=3.0", "ground_motion:tail:=0.2")
 FAULTS = (
     'rig:faults:=["force noise 2 at 0.5", "force add 20 at 1.0 for 1", "velocity scale 0.99 at 0", '
-    '"displacement late 0.0003 at 0", "valve hysteresis 0.05 at 0.5", "valve null 0.01 at 1"]'
+    '"displacement late 0.0003 at 0", "valve hysteresis 0.05 at 0.5", "valve null 0.01 at 1", '
+    '"supply scale 0.8 at 1", "specimen slip 1e-5 at 1", "specimen break 0.98 at 1.2", '
+    '"specimen collide 1e3 at 0.9"]'
 )
 EXPERIMENTS = {
     "servo_hydraulic": ("reference_force:mass_ratio:=0.5",),

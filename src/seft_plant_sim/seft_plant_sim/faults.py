@@ -5,7 +5,7 @@ A fault is a line, ``[AXIS/]WHAT KIND [VALUE] at TIME [for STEPS]``; docs/rig.md
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,12 +15,16 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 
 from seft_plant_sim.compiled import compiled
+from seft_plant_sim.continuous_model import Dynamics, Motion, make_sound
+from seft_plant_sim.specimen import Specimen
+from seft_plant_sim.springs import ONE_SIDED, SPRING_KIND, Spring
 
 GRAMMAR = "[AXIS/]WHAT KIND [VALUE] at TIME [for STEPS]"
 CHANNEL_ROWS = ("displacement", "velocity", "acceleration", "force")
-VALVE = 4
+VALVE, _SUPPLY, _SPECIMEN = 4, 5, 6
 SET, ADD, SCALE, DRIFT, NOISE, HOLD, LATE, LOW_PASS, FLIP, BIT, PLAY = range(11)
 """What is done to a signal."""
+_SUPPLIED, _BREAK, _SLIP, _COLLIDE = range(PLAY + 1, PLAY + 5)
 _OF_CHANNELS = {
     "set": SET,
     "add": ADD,
@@ -46,15 +50,21 @@ _OF_VALVES = {"stick": HOLD, "open": SET, "slow": LOW_PASS, "null": DRIFT, "hyst
 KINDS: dict[str, dict[str, int]] = {
     **dict.fromkeys(CHANNEL_ROWS, _OF_CHANNELS),
     "valve": _OF_VALVES | _OF_FORCES,
+    "supply": {"scale": _SUPPLIED},
+    "specimen": {"break": _BREAK, "slip": _SLIP, "collide": _COLLIDE},
 }
 """WHAT -> its kinds of fault."""
 WITHOUT_VALUE = ("freeze", "flip", "stick")
+_ROWS = {**{name: row for row, name in enumerate(CHANNEL_ROWS)}, "valve": VALVE}
+_ROWS |= {"supply": _SUPPLY, "specimen": _SPECIMEN}
 NEEDS = {
     "noise": (0.0, math.inf, "an RMS of at least 0"),
     "late": (0.0, 10.0, "a time of 0 to 10 s"),
     "lowpass": (1e-6, math.inf, "a cut-off above 0 Hz"),
     "slow": (1e-6, math.inf, "a cut-off above 0 Hz"),
     "hysteresis": (0.0, math.inf, "a width of at least 0 V"),
+    "break": (0.0, 1.0, "the stiffness that is left, 0 to 1"),
+    "collide": (1e-6, math.inf, "the stiffness of a stop, above 0 N/m"),
 }
 """Kind -> least and largest value, and what that is."""
 _END = 2**62  # step of a fault that does not end
@@ -157,7 +167,7 @@ def check_times(given: str | Sequence[str], axes: Sequence[str], duration: float
             raise fault.error(f"the test ends at {duration:g} s, before the fault begins")
 
 
-_WHAT, _KIND, _AXIS, _FIRST, _LAST, _DRAW = range(6)
+_WHAT, _KIND, _AXIS, _FIRST, _LAST, _PLACE = range(6)
 
 
 class Faults(NamedTuple):
@@ -167,7 +177,7 @@ class Faults(NamedTuple):
     ----------
     numbers : ndarray
         Shape (F, 6): row of the channel or `VALVE`, what is done, place of the axis, first step,
-        the step after the last, row of the noise.
+        the step after the last, row of the noise or place of a stop among the springs.
     values : ndarray
         Shape (F, 3): the value per step; resolution of the converter, or the filter's pole; half of
         the converter's codes.
@@ -185,6 +195,7 @@ def faults_of(
     own: RigAxes,
     timebase: Timebase,
     resolution: Floats,
+    springs: int,
     section: dict[str, Any],
 ) -> tuple[Faults, int]:
     """Give the arrays of a rig's faults, and the numbers that each keeps in memory.
@@ -199,6 +210,8 @@ def faults_of(
         Sampling clock.
     resolution : ndarray
         Of the converters, shape (4, n); 0: there is none.
+    springs : int
+        Number of springs before the stops of `failing_specimen`.
     section : dict
         Parameters of the rig.
 
@@ -214,10 +227,10 @@ def faults_of(
     for fault in faults:
         _check_part(fault, section)
         code = KINDS[fault.what][fault.kind]
-        row = CHANNEL_ROWS.index(fault.what) if fault.what in CHANNEL_ROWS else VALVE
+        row = _ROWS[fault.what]
         first = math.ceil(fault.time / dt - 1e-6)
         last = _END if fault.steps is None else first + fault.steps
-        draw = 4 + draws.index(fault) if code == NOISE else 0
+        own_place = 4 + draws.index(fault) if code == NOISE else 0
         value, more = fault.value, 0.0
         if code == DRIFT:
             value *= dt
@@ -231,7 +244,9 @@ def faults_of(
             if axis in places:
                 place = places[axis]
                 more = resolution[row, place] if code == BIT else more
-                numbers.append([row, code, place, first, last, draw])
+                if code == _COLLIDE:
+                    own_place, springs = springs, springs + 1
+                numbers.append([row, code, place, first, last, own_place])
                 values.append([value, more, half])
     arrays = np.array(numbers, dtype=np.int64), np.array(values, dtype=np.float64)
     return Faults(arrays[0].reshape(-1, 6), arrays[1].reshape(-1, 3)), width
@@ -251,10 +266,70 @@ def _check_part(fault: Fault, section: dict[str, Any]) -> None:
         )
     if fault.kind == "bit" and fault.value >= bits:
         raise fault.error(f"the converter has the bits 0 to {bits - 1} (sensors.adc_bits)")
+    if fault.what == "supply" and actuator != "servo_hydraulic":
+        raise fault.error(
+            f"actuator.kind {actuator} has no supply pressure; make that servo_hydraulic"
+        )
     if fault.what == "valve" and actuator in ("ideal", "delay") and fault.kind not in _OF_FORCES:
         raise fault.error(
             f"actuator.kind {actuator} has no valve: its force can {', '.join(_OF_FORCES)}"
         )
+
+
+def failing_specimen(faults: Sequence[Fault], own: RigAxes, specimen: Specimen) -> Specimen:
+    """Give a rig's specimen the springs that may break or slip, and stops to collide with.
+
+    A linear specimen becomes one of springs between each two axes, and to the ground, which add up
+    to its stiffness.
+    """
+    faults = [f for f in faults if f.what == "specimen" and f.axis in ("", *own.axes)]
+    n, k = specimen.axes, specimen.stiffness
+    springs, rows = list(specimen.springs), [*specimen.deformation] if specimen.springs else []
+    if faults and not springs:
+        ground = k.diagonal() - (np.abs(k).sum(axis=1) - np.abs(k.diagonal()))
+        for i in range(n):
+            springs.append(Spring.elastic(ground[i]))
+            rows.append(np.eye(n)[i])
+            for j in np.flatnonzero(k[i, :i]):
+                springs.append(Spring.elastic(abs(k[i, j])))
+                rows.append(np.eye(n)[i] + np.sign(k[i, j]) * np.eye(n)[j])
+    for fault in faults:
+        if fault.kind == "collide":
+            for axis in [fault.axis] if fault.axis else own.axes:
+                springs.append(Spring.stop(fault.value))
+                rows.append(np.eye(n)[own.axes.index(axis)])
+    if not faults:
+        return specimen
+    return replace(specimen, springs=tuple(springs), deformation=np.array(rows))
+
+
+@compiled
+def wear(faults: Faults, step: int, dynamics: Dynamics, motion: Motion) -> None:
+    """Let the faults of supply and specimen act on a motion from the sample of a step on."""
+    if not len(faults.numbers):
+        return
+    n = len(motion.supply)
+    make_sound(motion)
+    for j in range(len(faults.numbers)):
+        kind, i, value = faults.numbers[j, _KIND], faults.numbers[j, _AXIS], faults.values[j, 0]
+        first, last = faults.numbers[j, _FIRST], faults.numbers[j, _LAST]
+        if kind == _COLLIDE:
+            stop = motion.springs[faults.numbers[j, _PLACE]]
+            if step == first:
+                stop[1], stop[2] = motion.work[i], 1.0 if motion.work[n + i] >= 0.0 else -1.0
+            elif step == last:
+                stop[2] = 0.0
+        elif kind == _SUPPLIED and first <= step < last:
+            motion.supply[i] *= value
+        elif kind in (_BREAK, _SLIP) and first <= step < last:
+            for p in range(len(motion.left)):
+                factor = dynamics.deformation[p, i]
+                if factor == 0.0 or dynamics.laws[p, SPRING_KIND] == ONE_SIDED:
+                    continue
+                if kind == _BREAK:
+                    motion.left[p] = min(motion.left[p], value)
+                else:
+                    motion.slipped[p] += factor * value
 
 
 @compiled
@@ -266,7 +341,7 @@ def show(faults: Faults, step: int, noise: Floats, memory: Floats, measured: Flo
     for j in range(len(faults.numbers)):
         row, i = faults.numbers[j, _WHAT], faults.numbers[j, _AXIS]
         if row < VALVE:
-            draw = noise[faults.numbers[j, _DRAW], i]
+            draw = noise[faults.numbers[j, _PLACE], i]
             measured[row, i] = _altered(faults, j, step, draw, memory, measured[row, i])
 
 

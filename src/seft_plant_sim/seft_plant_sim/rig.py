@@ -1,7 +1,7 @@
 """The simulated rig: actuator, specimen, sensors and limits, stepped by commands."""
 
 from array import array
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -24,7 +24,14 @@ from seft_plant_sim.continuous_model import (
     servo_hydraulic,
     with_low_pass,
 )
-from seft_plant_sim.faults import NO_FAULTS, Faults, faults_of, read_faults
+from seft_plant_sim.faults import (
+    NO_FAULTS,
+    Fault,
+    Faults,
+    failing_specimen,
+    faults_of,
+    read_faults,
+)
 from seft_plant_sim.limits import Limits, event_ring
 from seft_plant_sim.lti import split_dead_time
 from seft_plant_sim.rig_step import (
@@ -41,6 +48,7 @@ from seft_plant_sim.rig_step import (
 from seft_plant_sim.rig_step import left_open as left_open
 from seft_plant_sim.sensors import CHANNELS, Sensors
 from seft_plant_sim.specimen import Specimen
+from seft_plant_sim.springs import ONE_SIDED, SPRING_KIND
 
 LONGEST_DELAY_STEPS = 1_000_000
 """Largest dead time of a rig, in samples."""
@@ -167,14 +175,23 @@ class Rig:
         faults = read_faults(section["faults"], axes)
         noises = sum(fault.kind == "noise" for fault in faults)
         sensors = Sensors.from_parameters(section, axes, dt, own.places, noises)
+        model = continuous_model(section, axes, own, faults=faults)
+        stops = sum(law.law[SPRING_KIND] == ONE_SIDED for law in model.springs)
         return cls(
-            continuous_model(section, axes, own),
+            model,
             sensors,
             Limits(group(section, "limits"), own.axes, dt),
             section["limits.saturated_time"],
             dt,
             Safe(command[list(own.places)], closing, longest),
-            faults_of(faults, own, timebase, sensors.channels.resolution, section),
+            faults_of(
+                faults,
+                own,
+                timebase,
+                sensors.channels.resolution,
+                len(model.springs) - stops,
+                section,
+            ),
         )
 
     @property
@@ -280,15 +297,18 @@ def continuous_model(
     axes: tuple[str, ...],
     rig: RigAxes | None = None,
     stiffness: float = 1.0,
+    faults: Sequence[Fault] = (),
 ) -> ContinuousModel:
     """Model of actuator, specimen and anti-aliasing filters from a rig's parameters.
 
-    See `Rig.from_parameters`; ``stiffness`` is a factor on the stiffness of the elastic specimen.
+    See `Rig.from_parameters`; ``stiffness`` is a factor on the stiffness of the elastic specimen,
+    ``faults`` are those that the specimen may have.
     """
     own = rig or RigAxes.whole(axes)
     whole = Specimen.from_parameters(group(section, "specimen"), axes, "rig: specimen")
     specimen = whole.part(own, "rig: specimen")
     specimen = replace(specimen, stiffness=stiffness * specimen.stiffness)
+    specimen = failing_specimen(faults, own, specimen)
     actuator = group(section, "actuator")
     kind = actuator["kind"]
     if kind in ("ideal", "delay"):

@@ -8,8 +8,8 @@ from seft_msgs_py.arrays import Floats, Ints
 from seft_plant_sim.actuator import OPENING, PER_CAPACITY
 from seft_plant_sim.actuator import STROKE_COLUMN as STROKE_COLUMN
 from seft_plant_sim.compiled import compiled, multiply
-from seft_plant_sim.continuous_model import Dynamics, Motion, integrate
-from seft_plant_sim.faults import Faults, obey, show
+from seft_plant_sim.continuous_model import Dynamics, Motion, integrate, make_sound
+from seft_plant_sim.faults import Faults, obey, show, wear
 from seft_plant_sim.limits import exceeds, is_exceeded
 from seft_plant_sim.sensors import CHANNELS, Channels, derive_velocity, measure_channels
 
@@ -44,7 +44,7 @@ class RigParameters(NamedTuple):
     window : int
         Steps of a second.
     faults : Faults
-        Of sensors and valves.
+        Of the rig.
     """
 
     dynamics: Dynamics
@@ -148,7 +148,7 @@ def rig_step(
     for i in range(len(pistons)):
         if abs(z[i]) >= pistons[i, STROKE_COLUMN]:
             found |= _STROKE
-        if abs(z[2 * n + i]) * pistons[i, PER_CAPACITY] >= 1.0:
+        if abs(z[2 * n + i]) * pistons[i, PER_CAPACITY] >= state.motion.supply[i]:
             found |= FORCE_CAPACITY
         if abs(z[3 * n + i]) >= pistons[i, OPENING]:
             found |= _VALVE
@@ -166,6 +166,7 @@ def move(parameters: RigParameters, state: RigState, step: int, command: Floats)
     n, places, oldest = len(command), len(line), state.counts[0]
     drive = len(motion.state)
     after = (oldest + 1) % places
+    wear(parameters.faults, step, dynamics, motion)
     for stretch in range(2):
         place = after if stretch else oldest
         for i in range(n):
@@ -246,6 +247,7 @@ def rest(state: RigState) -> None:
     """Set the rig to rest, without drive."""
     state.motion.work[:] = 0.0
     state.motion.springs[:] = 0.0
+    make_sound(state.motion)
     state.true[:] = 0.0
     state.asked[:] = 0.0
     state.line[:] = 0.0

@@ -24,7 +24,7 @@ def arrays(*lines, axes=("x",), own=None, **values):
     section = rig_section(**values)
     bits = section["sensors.adc_bits"]
     resolution = np.full((4, len(own.axes)), 2.0 * 2048.0 / 2.0**bits if bits else 0.0)
-    found, width = faults_of(read_faults(lines, axes), own, TIMEBASE, resolution, section)
+    found, width = faults_of(read_faults(lines, axes), own, TIMEBASE, resolution, 0, section)
     return found, np.zeros((len(found.numbers), width))
 
 
@@ -71,7 +71,7 @@ def test_a_line_has_axis_what_kind_value_time_and_steps():
         ("force set 3 at 2 for", "a fault is"),
         ("force set 3 at 2 until 5", "a fault is"),
         ("force set 3 4 at 2", "a fault is"),
-        ("load set 3 at 2", "load can't fail; displacement, velocity, "),
+        ("load set 3 at 2", "load can't fail; displacement, .*, valve, supply, specimen can"),
         ("forse set 3 at 2", "did you mean force"),
         ("force stick at 2", "force can't stick; it can set, add, .*, bit"),
         (
@@ -87,6 +87,10 @@ def test_a_line_has_axis_what_kind_value_time_and_steps():
         ("force noise -1 at 2", "noise needs an RMS of at least 0"),
         ("force late -0.1 at 2", "late needs a time of 0 to 10 s"),
         ("force lowpass 0 at 2", "lowpass needs a cut-off above 0 Hz"),
+        ("supply set 3 at 2", "supply can't set; it can scale"),
+        ("specimen stick at 2", "specimen can't stick; it can break, slip, collide"),
+        ("specimen break 1.5 at 2", "break needs the stiffness that is left, 0 to 1"),
+        ("specimen collide 0 at 2", "collide needs the stiffness of a stop, above 0 N/m"),
         ("force bit 1.5 at 2", "bit needs the number of a bit"),
         ("force set 3 at -2", "TIME is -2, but must be a time in s of the test"),
         ("force set 3 at soon", "TIME is soon"),
@@ -112,6 +116,7 @@ def test_a_fault_begins_in_the_test():
     [
         ("force bit 3 at 1", {}, r"there is no converter; give rig: sensors\.adc_bits"),
         ("force bit 12 at 1", CONVERTER, r"the converter has the bits 0 to 11"),
+        ("supply scale 0.5 at 1", {"actuator__kind": "delay"}, "delay has no supply pressure"),
         ("velocity flip at 1", {"sensors__velocity": "derived"}, "there is no sensor of it"),
         (
             "valve open 3 at 1",

@@ -33,6 +33,8 @@ FAULTS = [
     ),
     *("displacement freeze at 0.5 for 9", "force bit 9 at 0.4", "force lowpass 30 at 0.6"),
     *("valve hysteresis 0.5 at 0.1", "valve null 0.3 at 0.2", "valve late 0.004 at 0.7 for 20"),
+    *("supply scale 0.7 at 0.3 for 200", "specimen break 0.5 at 0.5", "specimen slip 1e-3 at 0.4"),
+    *("specimen collide 1e5 at 0.6", "x/specimen slip 1e-4 at 0.7 for 9"),
     *("x/valve stick at 0.9 for 10", "velocity noise 0.01 at 0.3 for 50"),
 ]
 RIGS = [
@@ -44,6 +46,7 @@ RIGS = [
     {"actuator.kind": "delay", "actuator.delay": 0.0113},
     {"actuator.kind": "servo_hydraulic_linear", "actuator.dead_time": 0.0037},
     {"sensors.acceleration_range": 5.0, "limits.saturated_time": 0.1} | FILTERED,
+    {"specimen.kind": "bouc_wen", "specimen.yield_displacement": 0.003, "faults": FAULTS},
     {"faults": FAULTS},
 ]
 

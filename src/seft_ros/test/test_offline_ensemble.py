@@ -46,7 +46,9 @@ WATER = (
 )
 FAULTS = (
     'rig:faults:=["force noise 3 at 1", "force set 300 at 2.5 for 1", "velocity late 0.001 at 1", '
-    '"acceleration lowpass 200 at 2", "valve hysteresis 0.1 at 0.5", "valve null 0.01 at 2"]'
+    '"acceleration lowpass 200 at 2", "valve hysteresis 0.1 at 0.5", "valve null 0.01 at 2", '
+    '"supply scale 0.8 at 1", "specimen slip 1e-5 at 1", "specimen break 0.98 at 1.2", '
+    '"specimen collide 1e3 at 0.9"]'
 )
 CASES = {
     "nonlinear": (),
