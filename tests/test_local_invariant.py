@@ -1,5 +1,7 @@
 """Offline = lockstep = realtime, bit for bit, in virtual time, for all kinds of loops."""
 
+import json
+
 import pytest
 from graph_tools import JHU
 from local_tools import TARGET_MOTION, TWO_AXES, UNREHEARSED, assert_same, offline, perform
@@ -66,3 +68,4 @@ def test_lockstep_and_realtime_give_the_bits_of_the_offline_loop(local_graph, na
             assert len(record.series["rig/state"].steps) == 851
             assert_same(graph, record)
             assert graph.status("rig")["missed"] == "0"
+            assert json.loads(graph.status("rig")["simulated"]) == vars(record.simulated)

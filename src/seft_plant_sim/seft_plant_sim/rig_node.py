@@ -22,6 +22,7 @@ from seft_msgs_py.wire.outcome import (
     REHEARSES,
     TRIPPED,
     Outcome,
+    State,
     Trip,
     rig_status,
 )
@@ -79,7 +80,8 @@ class RigNode(NodeBody):
         self._supervision = rig_watch.Supervision(
             self._section["watchdog.supervisor_timeout"], self._clock
         )
-        shell.subscribe(topics.EXPERIMENT_STATE, self._supervision.receive, depth=16)
+        self._stop_begun: int | None = None  # step of the trip from which the force ramps down
+        shell.subscribe(topics.EXPERIMENT_STATE, self._follow, depth=16)
         self._recorder_lag = rig_watch.RecorderLag(self._section["lockstep_timeout"], self._clock)
         if self._section["pace"] == "lockstep":
             shell.subscribe(topics.DIAGNOSTICS, self._recorder_lag.receive)
@@ -130,6 +132,14 @@ class RigNode(NodeBody):
             self._rehearsed = True
             self._shell.add_facts({REHEARSED: found})
 
+    def _follow(self, raw: bytes, received_ns: int) -> None:
+        """Follow the supervisor, and note where the force begins to ramp down."""
+        self._supervision.receive(raw, received_ns)
+        wanted = self._supervision.wanted
+        if wanted is not None and wanted.message == State.RAMPING_DOWN and self._stop_begun is None:
+            step = wanted.number("step")
+            self._stop_begun = self._rig.step_index if step is None else step
+
     def fault(self, reason: str) -> None:
         """End the running test, or the next one, until the operator resets."""
         self._supervision.fault = reason
@@ -154,6 +164,7 @@ class RigNode(NodeBody):
     def _run_test(self, wanted: Status) -> None:
         self._valve.reset()
         self._drive.reset()
+        self._stop_begun = None
         self._missed: list[int] = []
         self._held: list[int] = []  # step of the command applied at each of them
         self._samples = None
@@ -175,13 +186,13 @@ class RigNode(NodeBody):
                 reason = self._shell.fault("a step", error)
         step = self._rig.step_index
         self._publish_clock(step)
+        stopped = self._rig.stop()
         if reason is None:
-            self._report(FINISHED)
+            self._report(FINISHED, stopped=stopped)
             return
         self._supervision.latched = True
         trip = Trip(reason, step, self._timebase.stamp_ns(step) / 1e9)
-        self._report(TRIPPED, trip)  # before the rig is at rest, so that others can stop at once
-        self._report(TRIPPED, trip, self._rig.stop())
+        self._report(TRIPPED, trip, stopped)
 
     def _run_steps(self, wanted: Status, state: Floats) -> str | None:
         """Take the samples of a test at its pace; say why it ended early, if it did.
@@ -248,6 +259,7 @@ class RigNode(NodeBody):
             self._rig.saturation,
             self._round_trip.numbers(),
             self._held,
+            stopped and self._rig.simulated(self._stop_begun),
         )
         status = rig_status(outcome)
         values, message = dict(status.values), status.message

@@ -108,6 +108,7 @@ def simulate_test(
         steps - force.steps_ramped,
         experiment.timebase,
     )
+    begun = steps - force.steps_ramped if force.cause else steps - 1
     blocks.rig.stop()
     estimates = None
     if estimated:
@@ -119,7 +120,7 @@ def simulate_test(
         estimates=estimates,
         trip=trip,
         saturation=blocks.rig.saturation,
-        simulated=blocks.rig.simulated(trip.step if trip else None),
+        simulated=blocks.rig.simulated(begun),
         wall_s=wall,
         environment=environment,
     )
