@@ -172,7 +172,7 @@ class Rig:
         dt, safe = timebase.dt, group(section, "safe")
         command = per_axis(safe["valve_command"], axes, "rig: safe.valve_command")
         closing, longest = (round(safe[name] / dt) for name in ("close_time", "settle_time"))
-        faults = read_faults(section["faults"], axes)
+        faults = read_faults(section.get("faults", ""), axes)  # bags of older versions have none
         noises = sum(fault.kind == "noise" for fault in faults)
         sensors = Sensors.from_parameters(section, axes, dt, own.places, noises)
         model = continuous_model(section, axes, own, faults=faults)

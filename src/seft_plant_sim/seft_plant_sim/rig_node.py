@@ -53,7 +53,10 @@ class RigNode(NodeBody):
         experiment = shell.experiment
         self._timebase = experiment.timebase
         self._section = experiment["rig"]
-        self._rig = Rig.from_parameters(self._section, experiment.axes, self._timebase, shell.rig)
+        rig = self._section, experiment.axes, self._timebase, shell.rig
+        self._rig = self._sound = Rig.from_parameters(*rig)
+        if self._section["faults"]:  # they are of the test, not of what comes before it
+            self._sound = Rig.from_parameters({**self._section, "faults": ""}, *rig[1:])
         state = topics.RIG_STATE.of(shell.rig)
         self._state_codec = TrajectoryCodec(state, shell.rig.axes, self._timebase)
         self._publish_state = shell.publisher(state)
@@ -93,10 +96,10 @@ class RigNode(NodeBody):
         self._reported_at = self._answered_at = 0.0
         self._refused_before = 0  # messages, until the newest command came
         self._rehearsed = False
-        sample = self._rig.reset()
+        sample = self._sound.reset()
         for step in range(WARM_UP_STEPS):
             self._state_codec.decode(self._state_codec.encode(step, sample))
-            sample = self._rig.step(self._drive.value)
+            sample = self._sound.step(self._drive.value)
 
     def run(self) -> None:
         """Run a test each time the supervisor starts one, until the process ends."""
@@ -119,7 +122,7 @@ class RigNode(NodeBody):
 
     def _rehearse(self, rehearsal: rig_watch.Rehearsal, seconds: float) -> None:
         """Run the loop with the valve at its safe value, and publish the result."""
-        rig, supervision = self._rig, self._supervision
+        rig, supervision = self._sound, self._supervision
 
         def sample(step: int) -> Floats:
             return rig.reset() if step == 0 else rig.step(rig.safe_command)

@@ -245,6 +245,12 @@ def test_a_rig_of_a_faulty_sensor_moves_as_before_and_shows_the_fault():
     assert faulty.state.change[3, 0] < -5000.0
 
 
+def test_a_rig_of_a_bag_from_before_there_were_faults_has_none():
+    section = rig_section()
+    del section["faults"]
+    assert not len(Rig.from_parameters(section, ("x",), TIMEBASE).parameters.faults.numbers)
+
+
 def test_a_stuck_valve_does_not_close():
     stuck = moving_rig(("rig", "faults", "valve stick at 0.39"))
     stuck.stop()
