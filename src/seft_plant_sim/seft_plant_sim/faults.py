@@ -6,6 +6,7 @@ A fault is a line, ``[AXIS/]WHAT KIND [VALUE] at TIME [for STEPS]``; docs/rig.md
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -167,6 +168,7 @@ def check_times(given: str | Sequence[str], axes: Sequence[str], duration: float
             raise fault.error(f"the test ends at {duration:g} s, before the fault begins")
 
 
+_apart = partial(compiled, inline=False)  # few rigs fail
 _WHAT, _KIND, _AXIS, _FIRST, _LAST, _PLACE = range(6)
 
 
@@ -303,11 +305,9 @@ def failing_specimen(faults: Sequence[Fault], own: RigAxes, specimen: Specimen) 
     return replace(specimen, springs=tuple(springs), deformation=np.array(rows))
 
 
-@compiled
+@_apart
 def wear(faults: Faults, step: int, dynamics: Dynamics, motion: Motion) -> None:
     """Let the faults of supply and specimen act on a motion from the sample of a step on."""
-    if not len(faults.numbers):
-        return
     n = len(motion.supply)
     make_sound(motion)
     for j in range(len(faults.numbers)):
@@ -332,7 +332,7 @@ def wear(faults: Faults, step: int, dynamics: Dynamics, motion: Motion) -> None:
                     motion.slipped[p] += factor * value
 
 
-@compiled
+@_apart
 def show(faults: Faults, step: int, noise: Floats, memory: Floats, measured: Floats) -> None:
     """Let the faults of the sensors of a sample act, in their order.
 
@@ -345,7 +345,7 @@ def show(faults: Faults, step: int, noise: Floats, memory: Floats, measured: Flo
             measured[row, i] = _altered(faults, j, step, draw, memory, measured[row, i])
 
 
-@compiled
+@_apart
 def obey(faults: Faults, step: int, memory: Floats, i: int, drive: float) -> float:
     """Give what axis i does for a drive after the sample of a step, V or N."""
     for j in range(len(faults.numbers)):
@@ -354,7 +354,7 @@ def obey(faults: Faults, step: int, memory: Floats, i: int, drive: float) -> flo
     return drive
 
 
-@compiled
+@_apart
 def _altered(faults: Faults, j: int, step: int, draw: float, memory: Floats, sound: float) -> float:
     """Give a signal with fault j; the fault follows the sound signal from step 0 on."""
     kind, first = faults.numbers[j, _KIND], faults.numbers[j, _FIRST]

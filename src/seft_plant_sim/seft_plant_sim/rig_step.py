@@ -130,7 +130,8 @@ def rig_step(
     else:
         move(parameters, state, step - 1, command)
     found = measure_channels(parameters.channels, state.true, noise, measured)
-    show(parameters.faults, step, noise, state.faulty, measured)
+    if len(parameters.faults.numbers):
+        show(parameters.faults, step, noise, state.faulty, measured)
     derive_velocity(parameters.channels, step, state.measured, measured)
     blind = found > 0
     if exceeds(parameters.limits, step, state.measured, measured, state.largest):
@@ -166,7 +167,8 @@ def move(parameters: RigParameters, state: RigState, step: int, command: Floats)
     n, places, oldest = len(command), len(line), state.counts[0]
     drive = len(motion.state)
     after = (oldest + 1) % places
-    wear(parameters.faults, step, dynamics, motion)
+    if len(parameters.faults.numbers):
+        wear(parameters.faults, step, dynamics, motion)
     for stretch in range(2):
         place = after if stretch else oldest
         for i in range(n):
@@ -174,8 +176,10 @@ def move(parameters: RigParameters, state: RigState, step: int, command: Floats)
         integrate(dynamics, stretch, motion)
     for i in range(n):
         state.asked[i] = _bounded(command[i], parameters.drive_limit[i])
-        obeyed = obey(parameters.faults, step, state.faulty, i, state.asked[i])
-        line[oldest, i] = _bounded(obeyed, parameters.drive_limit[i])
+        line[oldest, i] = state.asked[i]
+        if len(parameters.faults.numbers):
+            obeyed = obey(parameters.faults, step, state.faulty, i, state.asked[i])
+            line[oldest, i] = _bounded(obeyed, parameters.drive_limit[i])
     now = after if parameters.changes_between else (oldest + 2) % places
     for i in range(n):
         motion.work[drive + i] = line[now, i]
