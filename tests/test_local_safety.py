@@ -1,5 +1,7 @@
 """Values and faults of the program that end a test, in virtual time."""
 
+import json
+
 import numpy as np
 import pytest
 from local_tools import (
@@ -51,6 +53,7 @@ def test_a_limit_ends_a_test_at_the_same_sample_as_offline(local_graph, words, r
     assert graph.values["detail"] == record.trip.reason
     assert graph.values["step"] == str(record.trip.step)
     assert_same(graph, record, steps=len(record.series["rig/state"].steps))
+    assert json.loads(graph.status("rig")["simulated"]) == vars(record.simulated)
 
 
 @pytest.mark.parametrize(

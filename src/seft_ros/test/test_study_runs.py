@@ -18,7 +18,16 @@ from seft_ros.study.study_runs import FinishedTests, run_study
 from seft_ros.test_run.parameter_tables import TABLES
 
 SHORT = ("ground_motion:synthetic.duration:=4", "ground_motion:tail:=0.5")
-KEYS = ("steps", "stable", "trip", "saturated", "displacement", "acceleration", "force")
+KEYS = (
+    "steps",
+    "stable",
+    "trip",
+    "saturated",
+    "simulated",
+    "displacement",
+    "acceleration",
+    "force",
+)
 
 
 def load(*words, file=JHU):

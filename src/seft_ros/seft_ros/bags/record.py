@@ -17,7 +17,7 @@ from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.wire.outcome import LinkRecord, Saturation, Trip
+from seft_msgs_py.wire.outcome import LinkRecord, Saturation, Simulated, Trip
 from seft_msgs_py.wire.topics import LOOP_TOPICS, RigAxes, bare
 
 PACKAGES = ("numpy", "scipy", "rosbags", "rclpy", "seft_msgs_py", "seft_plant_sim", "seft_ros")
@@ -279,6 +279,8 @@ class Record:
         from there; None if unknown.
     saturation : Saturation
         What the rig reported as saturated.
+    simulated : Simulated or None
+        Largest true motion of a simulated rig; None if the rig is none, or it is unknown.
     round_trips : dict
         From a sample to its command as the rig measured it, s, by the keys of `ROUND_TRIPS`;
         empty where it did not.
@@ -310,6 +312,7 @@ class Record:
     held_steps: list[int] = field(default_factory=list)
     overruns: int | None = 0
     saturation: Saturation = field(default_factory=dict)
+    simulated: Simulated | None = None
     round_trips: dict[str, float] = field(default_factory=dict)
     link: LinkRecord | None = None
     events: list[Event] = field(default_factory=list)

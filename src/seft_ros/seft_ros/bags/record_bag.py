@@ -361,6 +361,7 @@ def write_record(
                 record.saturation,
                 record.round_trips,
                 record.held_steps,
+                record.simulated,
             )
             status = rig_status(outcome)
             # totals of all rigs are reported by the first
