@@ -45,7 +45,7 @@ def main() -> None:
         for motion, time in tests:
             given = (*PLAN, *words, *motions[motion])
             at = round(time / sound(given)[0].timebase.dt)
-            verdicts = {fault: with_fault(fault, given, at)[2] for fault in FAULTS}
+            verdicts = {fault: with_fault(fault, given, at)[1] for fault in FAULTS}
             count = Counter(verdicts.values())
             cells.append(f" {count[IN_TIME]} + {count[HARMLESS]} |")
             for verdict, faults in found.items():

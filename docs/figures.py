@@ -18,7 +18,6 @@ from seft_msgs_py.config.parameter_table import Value
 from seft_plant_sim.lti import bilinear, polynomial_ratio
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.metrics import nrmse
-from seft_ros.design.force_tracking import tracking_delay
 from seft_ros.design.plan import Plan
 from seft_ros.design.plant import Plant, choose_plant
 from seft_ros.design.stability_margins import HIGHEST_MASS_RATIO, critical_mass_ratio
@@ -132,7 +131,7 @@ def force_loop(f: Floats, *overrides: Override) -> tuple[Plant, Complexes, Compl
     """Close the paper's force loop, changed, as it runs: plant, its response, that of the loop."""
     experiment = planned(*overrides)
     dt, control = experiment.timebase.dt, experiment["force_controller"]
-    plant = choose_plant(experiment, "rig")
+    plant = choose_plant(experiment)
     sampled = bilinear(np.atleast_1d(control["numerator"]), control["denominator"], dt)
     response = plant.sampled_response(f, dt)
     loop = polynomial_ratio(*sampled, np.exp(2j * np.pi * f * dt)) * response
@@ -153,7 +152,7 @@ def interaction() -> Figure:
         near = (f > 5.0) & (f < 20.0)
         lowest = np.argmin(np.abs(tracking[near]))
         dip = decibels(tracking[near])[lowest]
-        delay = np.interp(2.0, f, tracking_delay(f, tracking))
+        delay = np.interp(2.0, f, -np.unwrap(np.angle(tracking)) / (2 * np.pi * f))
         print(f"{label}: zero {plant.roots[1][0].hz:.2f} Hz, G {dip:.2f} dB ", end="")
         print(f"at {f[near][lowest]:.1f} Hz, delay at 2 Hz {1e3 * delay:.1f} ms")
     for panel, what in ((left, "valve to force / (dB of N/V)"), (right, "closed loop $G$ / dB")):

@@ -13,7 +13,7 @@ import numpy as np
 
 sys.path.append("src/seft_ros/test")
 
-from rig_faults import HELD, MISSED, FaultyRig
+from rig_faults import HELD, MISSED, SlowHost
 from seft_ros.protection.detectors import DETECTORS
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
@@ -98,8 +98,8 @@ def one_test(seed, motions):
     experiment = load(*PLAN, *given)
     blocks = build_blocks(experiment)
     if misses:
-        rig = FaultyRig(blocks.rig, differs, 400, NOISE, np.ones(4))
-        blocks, given = replace(blocks, rig=rig), (*given, differs)
+        blocks = replace(blocks, rig=SlowHost(blocks.rig, differs))
+        given = (*given, differs)
     record = simulate_test(experiment, blocks)
     return given, record.trip.reason if record.trip else ""
 

@@ -16,7 +16,8 @@ from seft_msgs_py.node.rclpy_interface import (
     raw_subscription,
     taker,
 )
-from seft_msgs_py.wire.messages import Status, encode_status, encode_string
+from seft_msgs_py.wire.messages import Status, encode_diagnostics, encode_status, encode_string
+from seft_msgs_py.wire.outcome import tripped_status
 from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
@@ -71,9 +72,11 @@ class Hostile:
                     self.send(topic, raw)
         garbage = bytes(range(256))
         running = encode_status(Status("experiment", 0, "running", values={"steps": "x"}))
-        for raw in (garbage, running, b"\x00\x01\x00\x00"):
+        lie = encode_diagnostics(0, [tripped_status("reference_force", "a lie", 7)])
+        for raw in (garbage, running, lie, b"\x00\x01\x00\x00"):
             self.send(DIAGNOSTICS, raw)
-        for raw in (garbage, *map(encode_string, ("{", '{"node": ["rig"]}', "[" * 5000))):
+        false = '{"node": "rig", "parameters": {}}'
+        for raw in (garbage, *map(encode_string, (false, "{", '{"node": ["rig"]}', "[" * 5000))):
             self.send(DESCRIPTION, raw)
 
     def send(self, topic: Topic, raw: bytes) -> None:

@@ -98,11 +98,3 @@ def test_a_bad_driver_fails_what_it_is_bad_at(seft, start_driver, fault, checks)
 def test_a_rig_that_is_not_simulated_is_not_moved_unasked(seft):
     done = seft("conform", JHU, status=2)
     assert "the rig will be moved (0.2 V, stopped at 5 mm): say --yes" in done.stderr
-
-
-def test_a_test_with_a_reversed_valve_is_refused_before_it_begins(seft, start_driver):
-    start_driver("bad_drivers", "valve_reversed")
-    words = (JHU, "--external", "rig", "--check-signs", "--json")
-    done = seft("run", *words, *PATIENT)
-    assert done.returncode == 2
-    assert "the rig: follows the command" in done.stderr

@@ -66,7 +66,7 @@ def test_where_a_method_ends_is_what_preflight_says(method, column, overrides):
     given = [parse_override(text) for text in overrides]
     given += [("reference_force", "compensation.method", method)]
     experiment = Experiment.load(TABLES, [ROOT / "config" / "jhu.yaml"], given)
-    critical = critical_mass_ratio(Plan(experiment, "rig"))
+    critical = critical_mass_ratio(Plan(experiment))
     if critical is None:
         assert told == "> 50"
     else:

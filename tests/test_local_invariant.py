@@ -1,10 +1,18 @@
 """Offline = lockstep = realtime, bit for bit, in virtual time, for all kinds of loops."""
 
+import json
+
 import pytest
 from graph_tools import JHU
 from local_tools import TARGET_MOTION, TWO_AXES, UNREHEARSED, assert_same, offline, perform
 
 SHORT = ("ground_motion:synthetic.duration:=3.0", "ground_motion:tail:=0.2")
+FAULTS = (
+    'rig:faults:=["force noise 2 at 0.5", "force add 20 at 1.0 for 1", "velocity scale 0.99 at 0", '
+    '"displacement late 0.0003 at 0", "valve hysteresis 0.05 at 0.5", "valve null 0.01 at 1", '
+    '"supply scale 0.8 at 1", "specimen slip 1e-5 at 1", "specimen break 0.98 at 1.2", '
+    '"specimen collide 1e3 at 0.9"]'
+)
 EXPERIMENTS = {
     "servo_hydraulic": ("reference_force:mass_ratio:=0.5",),
     "restoring": (
@@ -45,6 +53,7 @@ EXPERIMENTS = {
         *TARGET_MOTION,
         *("rig:specimen.kind:=bilinear", "rig:specimen.yield_displacement:=0.001"),
     ),
+    "faults": (*TARGET_MOTION, FAULTS),
 }
 
 
@@ -59,3 +68,4 @@ def test_lockstep_and_realtime_give_the_bits_of_the_offline_loop(local_graph, na
             assert len(record.series["rig/state"].steps) == 851
             assert_same(graph, record)
             assert graph.status("rig")["missed"] == "0"
+            assert json.loads(graph.status("rig")["simulated"]) == vars(record.simulated)

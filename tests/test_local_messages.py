@@ -78,7 +78,7 @@ def test_bad_messages_change_no_bit_of_a_test(local_graph, pace, as_stranger):
     for _ in range(5):
         for topic in LOOP_TOPICS:
             for raw in bad_messages(topic, graph.experiment).values():
-                graph.inject(topic, raw, as_stranger=as_stranger)
+                graph.inject(topic, raw, "stranger" if as_stranger else topic.publisher)
                 injected.add(raw)
                 graph.run(0.003)
     graph.until("done")

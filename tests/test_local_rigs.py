@@ -1,5 +1,7 @@
 """Tests of two rigs in virtual time."""
 
+import json
+
 import numpy as np
 import pytest
 from graph_tools import ROOT
@@ -16,7 +18,10 @@ def test_two_rigs_give_the_bits_of_the_offline_loop(local_graph, pace, loop_dela
     words = (*SHORT, f"rig:pace:={pace}", f"reference_force:loop_delay:={loop_delay}")
     graph = local_graph(*words, config=BRIDGE, nodes=RIGS_NODES)
     perform(graph)
-    states = offline(graph).series["rig/state"].values
+    record = offline(graph)
+    states = record.series["rig/state"].values
+    told = [json.loads(graph.status(f"{rig}/rig")["simulated"]) for rig in ("west", "east")]
+    assert {key: max(one[key] for one in told) for key in told[0]} == vars(record.simulated)
     for number, rig in enumerate(rigs_of(graph.experiment.axes)):
         steps, values = graph.samples(RIG_STATE, rig)
         assert steps == list(range(len(states)))

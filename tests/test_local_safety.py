@@ -1,5 +1,7 @@
 """Values and faults of the program that end a test, in virtual time."""
 
+import json
+
 import numpy as np
 import pytest
 from local_tools import (
@@ -51,6 +53,7 @@ def test_a_limit_ends_a_test_at_the_same_sample_as_offline(local_graph, words, r
     assert graph.values["detail"].removeprefix("force_controller: ") == record.trip.reason
     assert graph.values["step"] == str(record.trip.step)
     assert_same(graph, record, steps=len(record.series["rig/state"].steps))
+    assert json.loads(graph.status("rig")["simulated"]) == vars(record.simulated)
 
 
 @pytest.mark.parametrize(
@@ -77,7 +80,7 @@ def test_a_fault_of_the_program_ends_the_test_and_estop_still_answers(running, t
 def test_a_rig_that_finishes_before_the_end_of_the_motion_trips_the_test(running, pace):
     graph = running(LONG, f"rig:pace:={pace}")
     finished = rig_status(Outcome(FINISHED, 499, 0, [], 1.0))
-    graph.inject(DIAGNOSTICS, encode_diagnostics(0, [finished]))
+    graph.inject(DIAGNOSTICS, encode_diagnostics(0, [finished]), "rig")
     graph.until("tripped", within=0.1)
     assert graph.values["detail"] == "node rig finished after 499 of 101001 steps"
     assert graph.values["step"] == "498"

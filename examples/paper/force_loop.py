@@ -1,6 +1,6 @@
-"""Shape a force loop with python-control: its margins, its figure, a controller for a crossover.
+"""Shape a force loop with python-control: its margins, a controller for a crossover.
 
-    .venv/bin/python examples/paper/force_loop.py config/jhu.yaml --figure loop.png
+    .venv/bin/python examples/paper/force_loop.py config/jhu.yaml
     .venv/bin/python examples/paper/force_loop.py config/jhu.yaml --crossover 12 --out own.yaml
     .venv/bin/seft simulate config/jhu.yaml --params-file own.yaml
 
@@ -15,7 +15,7 @@ sampled, held and one step late. Exit status 1: the loop is unstable.
 import argparse
 import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -26,12 +26,9 @@ from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.experiment import Experiment, parse_override, write_parameter_file
 from seft_msgs_py.errors import InputError, SeftError
 from seft_plant_sim.lti import bilinear
-from seft_ros.design import PlantSource
 from seft_ros.design.closed_loop import closed_loop
 from seft_ros.design.force_tracking import Tracking, tracking_measures
-from seft_ros.design.plant import Plant, choose_plant
-from seft_ros.design.roots import Root, lightly_damped, polynomial_of
-from seft_ros.drawing.style import check_figure, save_figure
+from seft_ros.design.plant import Plant, Root, choose_plant, lightly_damped, polynomial_of
 from seft_ros.force_controller.force_control import ForceController
 from seft_ros.force_controller.force_controller_parameters import TRANSFER_FUNCTION, one_controller
 from seft_ros.reference_force.linear_filter import LinearFilter
@@ -40,13 +37,10 @@ from seft_ros.test_run.parameter_tables import TABLES
 PHASE_MARGIN_DEG = 45.0
 """Least phase margin of a proposal."""
 GAIN_MARGIN_DB = 6.0
-"""Least gain margin of a proposal, unless another is wished."""
+"""Least gain margin of a proposal."""
 LOWEST_HZ = 0.1
-_NOTCH_DAMPING = 0.7  # of the poles under a notch: as wide as an oil column's frequency may vary
-_ROLL_OFF_DAMPING = 0.7
 _MIN_DAMPING = 1e-3  # of poles: an undamped mode that is cancelled would ring for ever
-_ROLL_OFFS = 12  # frequencies tried
-_POINTS, _CANDIDATE_POINTS = 1500, 300  # frequencies of a loop, and of a candidate
+_POINTS = 1500  # frequencies of a loop
 
 
 @dataclass(frozen=True)
@@ -148,11 +142,11 @@ def close_loop(plant: Plant, controller: Any, dt: float) -> ForceLoop:
     return ForceLoop(plant, controller, f, force, drive, loop, tracking, margins, measures)
 
 
-def loop_frequencies(plant: Plant, dt: float, count: int = _POINTS) -> Floats:
+def loop_frequencies(plant: Plant, dt: float) -> Floats:
     """Frequencies that show all of a loop, ascending, Hz.
 
-    ``count`` of them are spaced evenly on a logarithmic scale, more lie about the lightly damped
-    roots of the plant's first axis. Half the rate itself, where controllers are zero, is left out.
+    Most are spaced evenly on a logarithmic scale, more lie about the lightly damped roots of the
+    plant's first axis. Half the rate itself, where controllers are zero, is left out.
     """
     highest = 0.499 / dt
     poles, zeros = plant.roots
@@ -160,7 +154,7 @@ def loop_frequencies(plant: Plant, dt: float, count: int = _POINTS) -> Floats:
     lowest = min([LOWEST_HZ, highest / 100, *(root.hz / 100 for root in roots[:1])])
     spread = np.linspace(-5.0, 5.0, 41)
     near = [root.hz * (1 + max(root.damping or 0.0, 1e-4) * spread) for root in roots]
-    f = np.concatenate([np.geomspace(lowest, highest, count), *near])
+    f = np.concatenate([np.geomspace(lowest, highest, _POINTS), *near])
     return np.unique(f[(f >= lowest) & (f <= highest)])
 
 
@@ -188,73 +182,51 @@ def loop_margins(frequencies_hz: Floats, loop: Complexes) -> Margins:
     )
 
 
-def propose_controller(
-    plant: Plant, crossover_hz: float, dt: float, gain_margin_db: float = GAIN_MARGIN_DB
-) -> Any:
-    """Propose the simplest controller that gives the sampled loop a wished crossover.
+def propose_controller(plant: Plant, crossover_hz: float, dt: float) -> Any:
+    """Propose a controller that gives the sampled loop a wished crossover, as the paper's does.
 
-    Its poles lie on the plant's lightly damped zeros, which compensates control-structure
+    Its poles lie on the plant's lowest lightly damped zero, which compensates control-structure
     interaction and leaves the integrator-like slope of the oil column; its gain makes |L| = 1
-    at the crossover. Only if that leaves less than the gain margin, a roll-off of one or two
-    poles or a notch on the oil-column resonance is added, at the highest frequency that will do.
+    at the crossover.
 
-    Of the plant the first axis counts; crossover in Hz, sampling period in s, gain margin in dB.
+    Of the plant the first axis counts; crossover in Hz, sampling period in s.
 
     Raises
     ------
     InputError
-        If the plant has no such zeros, or no controller has the crossover, a phase margin of 45
-        degrees and that gain margin.
+        If the plant has no such zero, or this controller does not leave a phase margin of 45
+        degrees, a gain margin of 6 dB, and no other crossover above.
     """
     if not 0 < crossover_hz < 0.5 / dt:
         raise InputError(
             f"--crossover {crossover_hz:g}: must lie between 0 and half the rate, {0.5 / dt:g} Hz"
         )
     plant = plant.axis(0)
-    zero, oil_column = plant.antiresonance(), plant.oil_column()
+    zero = plant.antiresonance()
     if zero is None or zero.hz >= 0.5 / dt:
         raise InputError("the plant has no lightly damped zeros below half the rate to cancel")
-    f = loop_frequencies(plant, dt, _CANDIDATE_POINTS)
-    response, at = plant.sampled_response(f, dt), np.array([crossover_hz])
-    # minus if the plant pulls when the command is to push
-    sign = 1.0 if -45 <= -float(np.angle(response[0], deg=True)) <= 135 else -1.0
-    for candidate in _candidates(zero, oil_column, dt, crossover_hz):
-        drive = sampled(candidate, dt)
-        unscaled = abs(drive(np.exp(2j * np.pi * at * dt)) * plant.sampled_response(at, dt))
-        controller = candidate * (sign / float(np.ravel(unscaled)[0]))
-        loop = sampled(controller, dt)(np.exp(2j * np.pi * f * dt)) * response
-        if np.any(np.abs(loop[f > 1.02 * crossover_hz]) >= 1):
-            continue  # |L| crosses 1 again, as at the oil column
-        margins = loop_margins(f, loop)
-        enough = margins.gain_margin_db is None or margins.gain_margin_db >= gain_margin_db
-        enough &= (margins.phase_margin_deg or 0.0) >= PHASE_MARGIN_DEG
-        if enough and is_stable(plant, controller, dt):
-            return controller
-    raise InputError(
-        f"a crossover of {crossover_hz:g} Hz can't be had with phase and gain margins of "
-        f"{PHASE_MARGIN_DEG:g} deg and {gain_margin_db:g} dB; choose a lower one"
+    # the bilinear transform brings it onto the zero
+    pole = Root(
+        float(np.tan(np.pi * zero.hz * dt) / (np.pi * dt)), max(zero.damping or 0.0, _MIN_DAMPING)
     )
-
-
-def _candidates(
-    zero: Root, oil_column: Root | None, dt: float, crossover_hz: float
-) -> Iterator[Any]:
-    """Yield controllers of gain 1, the simplest first, roll-offs from the highest down."""
-
-    def prewarped(hz: float, damping: float) -> Root:
-        """Root in s that the bilinear transform brings onto this frequency."""
-        return Root(float(np.tan(np.pi * hz * dt) / (np.pi * dt)), damping)
-
-    hz = np.geomspace(0.45 / dt, crossover_hz, _ROLL_OFFS, endpoint=False).tolist()
-    single, double = ([[Root(f, zeta)] for f in hz] for zeta in (None, _ROLL_OFF_DAMPING))
-    poles = [prewarped(zero.hz, max(zero.damping or 0.0, _MIN_DAMPING))]
-    for roll_off in ([], *single, *double):
-        yield control.tf([1.0], polynomial_of([*poles, *roll_off]))
-    if oil_column is not None and oil_column.hz < 0.45 / dt:
-        notch = prewarped(oil_column.hz, oil_column.damping or 0.0)
-        poles.append(Root(notch.hz, _NOTCH_DAMPING))
-        for roll_off in ([], *single):
-            yield control.tf(polynomial_of([notch]), polynomial_of([*poles, *roll_off]))
+    unscaled = control.tf([1.0], polynomial_of([pole]))
+    force = complex(plant.sampled_response(np.array([LOWEST_HZ]), dt)[0])
+    # minus if the plant pulls when the command is to push
+    sign = 1.0 if -45 <= -float(np.angle(force, deg=True)) <= 135 else -1.0
+    at = np.array([crossover_hz])
+    response = sampled(unscaled, dt)(np.exp(2j * np.pi * at * dt)) * plant.sampled_response(at, dt)
+    controller = unscaled * (sign / float(np.abs(np.ravel(response))[0]))
+    loop = close_loop(plant, controller, dt)
+    crosses_again = np.any(np.abs(loop.loop[loop.frequencies_hz > 1.02 * crossover_hz]) >= 1)
+    gain_margin, phase_margin = loop.margins.gain_margin_db, loop.margins.phase_margin_deg
+    enough = gain_margin is None or gain_margin >= GAIN_MARGIN_DB
+    enough &= (phase_margin or 0.0) >= PHASE_MARGIN_DEG
+    if crosses_again or not enough or not is_stable(plant, controller, dt):
+        raise InputError(
+            f"a crossover of {crossover_hz:g} Hz can't be had with phase and gain margins of "
+            f"{PHASE_MARGIN_DEG:g} deg and {GAIN_MARGIN_DB:g} dB; choose a lower one"
+        )
+    return controller
 
 
 def summarise(loop: ForceLoop) -> dict[str, Any]:
@@ -271,20 +243,6 @@ def summarise(loop: ForceLoop) -> dict[str, Any]:
     }
 
 
-def save_bode_plot(loop: ForceLoop, path: Path) -> None:
-    """Draw plant, controller, loop and closed loop over frequency; an InputError says why not."""
-    shown = {
-        "plant, N/V": loop.valve_to_force,
-        "controller, V/N": loop.drive,
-        "loop": loop.loop,
-        "closed loop": loop.tracking,
-    }
-    omega = 2 * np.pi * loop.frequencies_hz
-    responses = [control.frd(values, omega, name=name) for name, values in shown.items()]
-    drawn = control.bode_plot(responses, Hz=True, dB=True, wrap_phase=False)
-    save_figure(drawn.figure, path)
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; exit status 0 stable, 1 unstable, 2 wrong input."""
     summary, _, usage = (__doc__ or "").partition("\n\n")
@@ -295,31 +253,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("config", type=Path, help="experiment: ROS 2 parameter file")
     add("-p", dest="param", action="append", default=[], help="NODE:PARAMETER:=VALUE; repeatable")
     add("--params-file", action="append", default=[], help="another parameter file; repeatable")
-    add(
-        "--plant",
-        choices=list(PlantSource),
-        default=PlantSource.AUTO,
-        help="simulated rig, or identified",
-    )
     add("--crossover", type=float, help="propose a controller for this crossover, Hz")
-    add("--gain-margin", type=float, default=GAIN_MARGIN_DB, help="least one of a proposal, dB")
     add("--out", type=Path, help="write the controller to a new parameter file")
-    add("--figure", type=Path, help="draw plant, controller, loop and closed loop to a file")
     words = parser.parse_args(arguments)
     try:
         overrides = [parse_override(text) for text in words.param]
         experiment = Experiment.load(TABLES, [words.config, *words.params_file], overrides)
-        dt, plant = experiment.timebase.dt, choose_plant(experiment, words.plant)
+        dt, plant = experiment.timebase.dt, choose_plant(experiment)
         if words.crossover is None:
             controller = controller_of(experiment)
         else:
-            controller = propose_controller(plant, words.crossover, dt, words.gain_margin)
+            controller = propose_controller(plant, words.crossover, dt)
         loop, stable = close_loop(plant, controller, dt), is_stable(plant, controller, dt)
         if words.out and stable:
             section = one_controller(*coefficients(controller))
             write_parameter_file(words.out, {"force_controller": section})
-        if words.figure:
-            save_bode_plot(loop, check_figure(words.figure))
     except SeftError as error:
         print(f"force_loop: {error}", file=sys.stderr)
         return error.exit_status

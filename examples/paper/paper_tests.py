@@ -23,7 +23,7 @@ from seft_msgs_py.wire.topics import GROUND_MOTION, RIG_STATE
 from seft_ros.analysis.metrics import Agreement, agreement
 from seft_ros.analysis.summary import COMPARED, reference_of
 from seft_ros.bags.record import Record
-from seft_ros.design import PlantSource, rig_tests
+from seft_ros.design import rig_tests
 from seft_ros.design.force_tracking import BAND_HZ
 from seft_ros.design.identified import Identified, identify_from_records
 from seft_ros.design.plan import Plan
@@ -193,8 +193,8 @@ def identify_rig(experiment: Experiment, duration: float) -> Identified:
     """
     band = EXCITED_HZ[0], min(0.45 * experiment.timebase.rate, EXCITED_HZ[1])
     voltage = rig_tests.pilot_voltage(experiment)
-    force = rig_tests.default_force(experiment, "random")
-    motions = rig_tests.Motions(experiment, force, "random", band, SEED)
+    force = rig_tests.default_force(experiment)
+    motions = rig_tests.Motions(experiment, force, band, SEED)
     with TemporaryDirectory() as folder:
         short = motions.write(Path(folder) / "pilot.csv", rig_tests.PILOT_DURATION)
         motion = motions.write(Path(folder) / "excitation.csv", duration)
@@ -289,8 +289,6 @@ def find(motion: Changes, duration: float = DURATION) -> Findings:
             for a, (kind, tau) in product(COMPUTED, delays.items())
         }
         outcomes += pool.map(run_test, within.values())
-    plans = {
-        k: Plan(test, PlantSource.RIG) for k, test in tests.items() if k[0] in ("rig", "delay")
-    }
+    plans = {k: Plan(test) for k, test in tests.items() if k[0] in ("rig", "delay")}
     found = dict(zip([*tests, *within], outcomes, strict=True))
     return Findings(rig, source, identified, found, plans)

@@ -16,7 +16,6 @@ from force_loop import (
     is_stable,
     loop_margins,
     propose_controller,
-    sampled,
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -106,10 +105,6 @@ def test_for_the_papers_rig_it_is_the_papers_controller():
     [
         (6.0, 0.002, {}),
         (12.0, 0.00025, {}),
-        (1.5, 0.01, {}),  # the oil column lies above half the rate
-        (12.0, 0.002, {"actuator__leakage": 1.0}),
-        (12.0, 0.002, {"specimen__damping": 100.0, "actuator__leakage": 5.0}),
-        (5.0, 0.002, {"specimen__damping": 5.0, "actuator__leakage": 0.0}),
         (5.0, 0.002, {"actuator__dead_time": 0.0107}),
     ],
 )
@@ -120,25 +115,6 @@ def test_a_proposal_keeps_what_it_promises(crossover, dt, changed):
     assert loop.margins.crossover_hz == pytest.approx(crossover, rel=1e-3)
     assert loop.margins.phase_margin_deg >= 45 - 0.1
     assert loop.margins.gain_margin_db >= 6 - 0.1
-
-
-def test_a_roll_off_or_a_notch_comes_only_where_the_oil_column_needs_it():
-    enough = propose_controller(plant(), 12.0, DT)
-    rolled_off = propose_controller(plant(actuator__leakage=1.0), 12.0, DT)
-    lively = plant(specimen__damping=100.0, actuator__leakage=5.0)
-    notched = propose_controller(lively, 12.0, DT)
-    assert [len(c.poles()) for c in (enough, rolled_off, notched)] == [2, 3, 4]
-    assert [len(c.zeros()) for c in (rolled_off, notched)] == [0, 2]
-    # the notch lies where the bilinear transform brings it onto the resonance
-    f = np.linspace(80, 100, 2001)
-    deepest = f[np.abs(sampled(notched, DT)(np.exp(2j * np.pi * f * DT))).argmin()]
-    assert deepest == pytest.approx(lively.oil_column().hz, abs=0.1)
-
-
-def test_a_greater_gain_margin_may_be_wished():
-    loop = close_loop(plant(), propose_controller(plant(), 7.0, DT, 12.0), DT)
-    assert loop.margins.gain_margin_db >= 12 - 0.1
-    assert loop.margins.crossover_hz == pytest.approx(7.0, rel=1e-3)
 
 
 def test_a_valve_the_other_way_round_turns_the_gain():
@@ -155,17 +131,18 @@ def test_what_can_not_be_had_is_refused(wish):
 
 
 @pytest.mark.parametrize(
-    ("crossover", "margin", "changed", "told"),
+    ("crossover", "changed", "told"),
     [
-        (0.0, 6.0, {}, "between 0 and"),
-        (250.0, 6.0, {}, "250 Hz"),
-        (12.0, 6.0, {"specimen__damping": 9000.0}, "no lightly damped zeros"),
-        (3.0, 40.0, {"actuator__dead_time": 0.1}, "choose a lower one"),
+        (0.0, {}, "between 0 and"),
+        (250.0, {}, "250 Hz"),
+        (12.0, {"specimen__damping": 9000.0}, "no lightly damped zeros"),
+        (12.0, {"actuator__leakage": 1.0}, "choose a lower one"),  # the oil column crosses, too
+        (3.0, {"actuator__dead_time": 0.1}, "choose a lower one"),
     ],
 )
-def test_what_makes_no_sense_is_told(crossover, margin, changed, told):
+def test_what_makes_no_sense_is_told(crossover, changed, told):
     with pytest.raises(InputError, match=told):
-        propose_controller(plant(**changed), crossover, DT, margin)
+        propose_controller(plant(**changed), crossover, DT)
 
 
 def test_an_undamped_specimen_is_left_no_mode_that_rings_for_ever():
@@ -215,8 +192,8 @@ def shaped(capsys, *words):
     return status, json.loads(out) if out else None, err
 
 
-def test_the_papers_rig_does_what_the_paper_says(capsys, tmp_path):
-    status, found, err = shaped(capsys, JHU, "--figure", tmp_path / "loop.png")
+def test_the_papers_rig_does_what_the_paper_says(capsys):
+    status, found, err = shaped(capsys, JHU)
     assert (status, err) == (0, "")
     assert (found["plant_source"], found["stable"]) == ("rig", True)
     assert found["plant_zero_hz"] == pytest.approx(10.07, abs=0.05)
@@ -226,7 +203,6 @@ def test_the_papers_rig_does_what_the_paper_says(capsys, tmp_path):
     assert found["gain_margin_db"] == pytest.approx(7.61, abs=0.01)
     assert found["closed_loop_flat_to_hz"] >= 25
     assert 0.013 < found["delay_s"] < 0.0155
-    assert (tmp_path / "loop.png").stat().st_size > 10_000
 
 
 def test_a_proposal_is_written_for_seft_to_read_back(capsys, tmp_path):
@@ -254,11 +230,9 @@ def test_an_unstable_loop_is_status_1_and_is_not_written(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ([JHU, "--plant", "identified"], "seft identify"),
         ([JHU, "-p", "force_controller:numerator:=0.0"], "numerator is zero"),
         ([JHU, "-p", "force_controller:numerator:=[1.0, 0.0, 0.0, 0.0]"], "improper"),
         ([JHU, "-p", "force_controller:gain:=[1.0, 2.0]"], "one transfer_function for all axes"),
-        ([JHU, "--figure", "none/loop.png"], "none/loop.png"),
     ],
 )
 def test_wrong_input_is_told_in_one_line(capsys, words, told):

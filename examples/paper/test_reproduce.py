@@ -24,7 +24,7 @@ from claims import (
 )
 from paper_tests import Outcome
 from seft_msgs_py.wire.outcome import Trip
-from seft_ros.design.roots import Root
+from seft_ros.design.plant import Root
 
 ROOT = Path(__file__).parents[2]
 KOBE = ROOT / ".." / "shared" / "data" / "kobe_jma_1995.txt"

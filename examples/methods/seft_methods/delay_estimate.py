@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+import scipy.signal
 from numpy.lib.stride_tricks import sliding_window_view
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import InputError
@@ -23,8 +24,7 @@ _TINY = 1e-300  # N^4: no division by zero
 def band_pass(band: Sequence[float], dt: float) -> Floats:
     """High-pass and low-pass of the second order (Butterworth) in series.
 
-    Each is the bilinear transform of w^2 or s^2 over s^2 + sqrt(2) w s + w^2, prewarped, as a
-    recursion of the direct form II, transposed.
+    As a recursion of the direct form II, transposed.
 
     Parameters
     ----------
@@ -50,7 +50,9 @@ def band_pass(band: Sequence[float], dt: float) -> Floats:
             f"the sampling rate, {0.5 / dt:g} Hz, the lower first"
         )
     low, high = edges
-    (b, a), (d, c) = _second_order(low, dt, high_pass=True), _second_order(high, dt)
+    (b, a), (d, c) = (
+        scipy.signal.butter(2, hz, kind, fs=1.0 / dt) for hz, kind in ((low, "high"), (high, "low"))
+    )
     # states: two of the high-pass, two of the low-pass; then the input
     _, next_1, next_2, next_3, source = np.eye(5)
     first = np.array([1.0, 0.0, 0.0, 0.0, b[0]])
@@ -64,18 +66,6 @@ def band_pass(band: Sequence[float], dt: float) -> Floats:
             second,
         ]
     )
-
-
-def _second_order(
-    frequency_hz: float, dt: float, high_pass: bool = False
-) -> tuple[list[float], list[float]]:
-    """Numerator and denominator in 1/z, denominator[0] = 1."""
-    t = math.tan(math.pi * frequency_hz * dt)
-    scale = 1 / (1 + math.sqrt(2) * t + t * t)
-    a = [1.0, 2 * (t * t - 1) * scale, (1 - math.sqrt(2) * t + t * t) * scale]
-    if high_pass:
-        return [scale, -2 * scale, scale], a
-    return [t * t * scale, 2 * t * t * scale, t * t * scale], a
 
 
 class ForceBlocks:

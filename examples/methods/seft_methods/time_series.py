@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from scipy.signal import savgol_coeffs
 from seft_msgs_py.arrays import Floats
 from seft_ros.reference_force.compensation_methods import whole_steps
 from seft_ros.reference_force.compensator import MethodInputs
@@ -127,7 +128,6 @@ def parabola_weights(count: int, dt: float) -> Floats:
     ndarray
         Shape (3, count): of the value, the first and the second derivative.
     """
-    times = -dt * np.arange(count)
-    fit = np.linalg.pinv(np.vander(times / dt, 3, increasing=True))
-    weights: Floats = fit * np.array([[1.0], [1.0 / dt], [2.0 / dt**2]])
-    return weights
+    last = count - 1
+    weights = [savgol_coeffs(count, 2, k, dt, pos=last, use="dot")[::-1] for k in range(3)]
+    return np.array(weights)

@@ -1,5 +1,7 @@
 """Errors that a user sees."""
 
+from seft_msgs_py.printing import escaped
+
 
 class SeftError(Exception):
     """Base of the errors that are printed in one line.
@@ -10,7 +12,8 @@ class SeftError(Exception):
     exit_status = 1
 
     def __str__(self) -> str:
-        return " ".join(super().__str__().splitlines())  # a file or an option may contain several
+        # a file or an option may contain several lines
+        return escaped(" ".join(super().__str__().splitlines()))
 
 
 class InputError(SeftError):

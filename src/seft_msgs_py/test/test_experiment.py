@@ -113,6 +113,7 @@ def test_dotted_and_nested_names_are_the_same(load):
         (RIG_HAS_MASS + "/**: {ros__parameters: {rate: 333}}", "usable rates are 320 and 400 Hz"),
         (RIG_HAS_MASS + "/**: {ros__parameters: {axes: x}}", "must be a list of texts"),
         (RIG_HAS_MASS + "/**: {ros__parameters: {axes: [x, x]}}", "names must differ"),
+        (RIG_HAS_MASS + f"/**: {{ros__parameters: {{axes: {[*'ab' * 500]}}}}}", "at most 100"),
         (RIG_HAS_MASS + '/**: {ros__parameters: {axes: [""]}}', "names must differ"),
         (RIG_HAS_MASS + '/**: {ros__parameters: {axes: ["a\\nb"]}}', "must be printable"),
         (RIG_HAS_MASS + '/**: {ros__parameters: {axes: ["\\0"]}}', "must be printable"),
@@ -173,9 +174,8 @@ def test_a_file_that_is_too_large_is_refused_without_a_look_into_it(tmp_path, mo
     monkeypatch.setattr("seft_msgs_py.config.experiment._parse_yaml", None)
     path = tmp_path / "large.yaml"
     path.write_text("#" * 1_000_001)
-    for each in (path, "/dev/zero"):
-        with pytest.raises(InputError, match=rf"^{each}: is larger than 1 MB"):
-            read_parameter_file(each)
+    with pytest.raises(InputError, match=rf"^{path}: is larger than 1 MB"):
+        read_parameter_file(path)
 
 
 def test_a_parameter_of_every_node_reaches_every_node(load):
@@ -334,7 +334,7 @@ def test_a_file_is_written_anew_only_where_that_is_asked_for(tmp_path):
     sections["reference_force"]["loop_delay"] = 4
     write_parameter_file(path, sections, replace=True)
     assert read_parameter_file(path) == sections
-    with pytest.raises(InputError, match="can't be written: Is a directory"):
+    with pytest.raises(InputError, match="is a folder"):
         write_parameter_file(tmp_path, sections, replace=True)
 
 

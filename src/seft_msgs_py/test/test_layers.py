@@ -9,8 +9,8 @@ import seft_msgs_py
 HOME = Path(seft_msgs_py.__file__).parent
 BELOW = {
     "wire": {"arrays", "errors"},
-    "config": {"arrays", "errors", "wire"},
-    "node": {"arrays", "errors", "wire", "config"},
+    "config": {"arrays", "errors", "files", "printing", "wire"},
+    "node": {"arrays", "errors", "printing", "wire", "config"},
     "virtual": {"arrays", "errors", "wire", "config", "node"},
 }
 

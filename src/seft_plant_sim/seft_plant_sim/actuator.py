@@ -145,11 +145,14 @@ def piston_rows(hydraulics: Hydraulics, mass: Floats) -> Floats:
 
 
 @compiled
-def lost_opening(pistons: Floats, i: int, w: float, p: float) -> float:
-    """Valve's effective opening less its opening ``w`` (V), at a force ``p`` of the oil (N)."""
+def lost_opening(pistons: Floats, i: int, w: float, p: float, supply: float) -> float:
+    """Valve's effective opening less its opening ``w`` (V), at a force ``p`` of the oil (N).
+
+    ``supply`` is the supply pressure over its nominal value.
+    """
     limit, load = pistons[i, OPENING], pistons[i, PER_CAPACITY] * p
     opening = limit if w > limit else -limit if w < -limit else w
-    left = 1.0 - load if w >= 0.0 else 1.0 + load
+    left = supply - load if w >= 0.0 else supply + load
     # root of the remaining supply pressure; below zero the flow reverses
     return opening * left / math.sqrt(max(abs(left), STALL)) - w
 

@@ -25,7 +25,7 @@ _entry_points: dict[Hashable, Callable[..., Any]] = {}
 OPTIONS = {"error_model": "numpy", "forceinline": True, "_nrt": False, "no_cfunc_wrapper": True}
 
 
-def compiled[F: Callable[..., Any]](function: F, *, nogil: bool = False) -> F:
+def compiled[F: Callable[..., Any]](function: F, *, nogil: bool = False, inline: bool = True) -> F:
     """Compile a function of arrays and numbers at its first call, or read it from the disk.
 
     No operation is reordered or fused, so that the function gives the same bits wherever it is
@@ -39,10 +39,12 @@ def compiled[F: Callable[..., Any]](function: F, *, nogil: bool = False) -> F:
         The function.
     nogil : bool
         Whether it releases the interpreter's lock when Python calls it.
+    inline : bool
+        Whether its code is repeated wherever it is called: faster, but longer to compile.
     """
     if numba.config.DISABLE_JIT:
         return function
-    made = numba.njit(nogil=nogil, **OPTIONS)(function)
+    made = numba.njit(nogil=nogil, **OPTIONS | {"forceinline": inline})(function)
     template = made.get_call_template
     made.get_call_template = lambda arguments, named: template(  # not anew for each constant
         [numba.types.unliteral(argument) for argument in arguments], named

@@ -52,6 +52,8 @@ class ContinuousModel:
         Of the springs per displacement of each axis, shape (p, n).
     drive_limit : ndarray
         Drive at which the actuators saturate, shape (n,).
+    unfiltered : tuple of ndarray, optional
+        Rows of c, d and h for displacement and force before low-pass filters, 2n of them.
     """
 
     a: Floats
@@ -66,6 +68,7 @@ class ContinuousModel:
     springs: tuple[springs.Spring, ...]
     deformation: Floats
     drive_limit: Floats
+    unfiltered: tuple[Floats, Floats, Floats] | None = None
 
     @classmethod
     def linear(
@@ -116,7 +119,9 @@ def with_low_pass(model: ContinuousModel, cutoff: float) -> ContinuousModel:
     c = np.hstack([np.zeros((m, s)), one, np.zeros((m, m))])
     inputs = np.vstack([model.inputs, np.zeros((m, r)), w**2 * model.outputs])
     outputs, d = np.zeros_like(model.outputs), np.zeros_like(model.d)
-    return replace(model, a=a, b=b, c=c, d=d, inputs=inputs, outputs=outputs)
+    rows = [*range(n), *range(3 * n, 4 * n)]
+    truth = np.hstack([model.c, np.zeros((m, 2 * m))])[rows], model.d[rows], model.outputs[rows]
+    return replace(model, a=a, b=b, c=c, d=d, inputs=inputs, outputs=outputs, unfiltered=truth)
 
 
 def delayed_force(specimen: Specimen, delay: float) -> ContinuousModel:
@@ -217,7 +222,8 @@ class Dynamics(NamedTuple):
     period : ndarray
         Length of a step, shape (2,), s.
     output : ndarray
-        Shape (s + n + r, 4n): takes (z, drive, residuals) to the outputs.
+        Takes (z, drive, residuals) to the outputs, and to those of `ContinuousModel.unfiltered`;
+        shape (s + n + r, 4n or 6n).
     pistons, laws, deformation : ndarray
         Of the model.
     """
@@ -240,13 +246,21 @@ class Motion(NamedTuple):
     work : ndarray
         State, drive and residuals, shape (s + n + r,).
     springs : ndarray
-        Memory of the springs, shape (p, `springs.MEMORY`).
+        Memory of the springs, shape (p, `springs.SPRING_MEMORY`).
+    supply, left : ndarray
+        Supply pressure of each axis and stiffness of each spring, over those without a fault,
+        shapes (n,) and (p,).
+    slipped : ndarray
+        Deformation at which each spring has its zero, shape (p,), m.
     state, residuals, trial : ndarray
         Room for the next state, residuals and memories.
     """
 
     work: Floats
     springs: Floats
+    supply: Floats
+    left: Floats
+    slipped: Floats
     state: Floats
     residuals: Floats
     trial: Floats
@@ -275,7 +289,10 @@ def dynamics_of(
             )
     stretches = [_stretch(model, time, longest) for time in (before, after)]
     predict, correct, steps, periods = zip(*stretches, strict=True)
-    output = np.hstack([model.c, model.d, model.outputs]).T
+    output = np.hstack([model.c, model.d, model.outputs])
+    if model.unfiltered is not None:
+        output = np.vstack([output, np.hstack(model.unfiltered)])
+    output = output.T
     arrays = (output, model.pistons, _laws(model), model.deformation)
     by_stretch = np.array(predict), np.array(correct), np.array(steps, dtype=np.int64)
     return Dynamics(*by_stretch, np.array(periods), *map(np.ascontiguousarray, arrays))
@@ -285,7 +302,16 @@ def at_rest(dynamics: Dynamics) -> Motion:
     """Motion of a model that has not been driven."""
     p, (_, r, s) = len(dynamics.laws), dynamics.correct.shape
     work, (memory, trial) = np.zeros(len(dynamics.output)), np.zeros((2, p, springs.SPRING_MEMORY))
-    return Motion(work, memory, np.zeros(s), np.zeros(r), trial)
+    sound = np.ones(dynamics.deformation.shape[1]), np.ones(p), np.zeros(p)
+    return Motion(work, memory, *sound, np.zeros(s), np.zeros(r), trial)
+
+
+@compiled
+def make_sound(motion: Motion) -> None:
+    """Undo what faults have made of supply and springs."""
+    motion.supply[:] = 1.0
+    motion.left[:] = 1.0
+    motion.slipped[:] = 0.0
 
 
 @compiled
@@ -321,9 +347,10 @@ def integrate(dynamics: Dynamics, stretch: int, motion: Motion) -> None:
 def _residuals(dynamics: Dynamics, period: float, motion: Motion, memory: Floats) -> None:
     """Find the residuals at the next state; springs that turn in the step go there first."""
     last, z, residuals = motion.work, motion.state, motion.residuals
-    n, m = dynamics.output.shape[1] // 4, len(dynamics.pistons)
+    n, m = dynamics.deformation.shape[1], len(dynamics.pistons)
     for i in range(m):
-        residuals[i] = lost_opening(dynamics.pistons, i, z[3 * n + i], z[2 * n + i])
+        w, p = z[3 * n + i], z[2 * n + i]
+        residuals[i] = lost_opening(dynamics.pistons, i, w, p, motion.supply[i])
         residuals[m + i] = holding_force(dynamics.pistons, i, z[i], z[n + i])
     for j in range(len(dynamics.laws)):
         e = v_0 = v_1 = 0.0
@@ -335,7 +362,8 @@ def _residuals(dynamics: Dynamics, period: float, motion: Motion, memory: Floats
         if v_0 * v_1 < 0.0:  # it turns where the velocity, taken as linear, is 0
             turn = memory[j, 0] + 0.5 * period * v_0 * v_0 / (v_0 - v_1)
             springs.spring_force(dynamics.laws, j, memory, turn)
-        force = springs.spring_force(dynamics.laws, j, memory, e)
+        force = springs.spring_force(dynamics.laws, j, memory, e - motion.slipped[j])
+        force *= motion.left[j]
         residuals[2 * m + j] = force - dynamics.laws[j, springs.STIFFNESS] * e
 
 
@@ -348,7 +376,7 @@ def _fastest(model: ContinuousModel) -> float:
     rates = model.pistons[:, FASTEST].tolist()
     n, first = model.b.shape[1], 2 * len(model.pistons)
     for j, law in enumerate(_laws(model)):
-        if law[springs.SPRING_KIND] in (springs.SLIDER, springs.SPRING_GAP):
+        if law[springs.SPRING_KIND] in (springs.SLIDER, springs.SPRING_GAP, springs.ONE_SIDED):
             stiffer = law[springs.SPRING_BESIDE] + law[springs.HYSTERETIC] - law[springs.STIFFNESS]
             per_force = -model.deformation[j] @ model.inputs[n : 2 * n, first + j]
             rates.append(math.sqrt(max(0.0, stiffer * per_force)))

@@ -1,7 +1,7 @@
 """The simulated rig: actuator, specimen, sensors and limits, stepped by commands."""
 
-import math
-from collections.abc import Iterable
+from array import array
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -10,11 +10,11 @@ from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import group, per_axis
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.outcome import Saturation, all_saturated, count_saturated
+from seft_msgs_py.wire.outcome import Saturation, Simulated, all_saturated, count_saturated
 from seft_msgs_py.wire.topics import VALVE_COMMAND, RigAxes, Timebase
 
 from seft_plant_sim.actuator import Hydraulics
-from seft_plant_sim.compiled import compiled, entry_point, kind_of
+from seft_plant_sim.compiled import entry_point, kind_of
 from seft_plant_sim.continuous_model import (
     ContinuousModel,
     Drive,
@@ -24,16 +24,34 @@ from seft_plant_sim.continuous_model import (
     servo_hydraulic,
     with_low_pass,
 )
+from seft_plant_sim.faults import (
+    NO_FAULTS,
+    Fault,
+    Faults,
+    failing_specimen,
+    faults_of,
+    read_faults,
+)
 from seft_plant_sim.limits import Limits, event_ring
 from seft_plant_sim.lti import split_dead_time
-from seft_plant_sim.rig_step import BLIND, ENDS, RIG_LIMIT, RigParameters, RigState, move, rig_step
+from seft_plant_sim.rig_step import (
+    BLIND,
+    ENDS,
+    FORCE_NOW,
+    LARGEST_TRAVEL,
+    RIG_LIMIT,
+    RigParameters,
+    RigState,
+    come_to_rest,
+    rig_step,
+)
+from seft_plant_sim.rig_step import left_open as left_open
 from seft_plant_sim.sensors import CHANNELS, Sensors
 from seft_plant_sim.specimen import Specimen
+from seft_plant_sim.springs import ONE_SIDED, SPRING_KIND
 
 LONGEST_DELAY_STEPS = 1_000_000
 """Largest dead time of a rig, in samples."""
-_AT_REST = 1e-4  # m/s
-RESTS = 10  # steps below that, so that the turning point of a vibration does not count as rest
 
 
 class Safe(NamedTuple):
@@ -90,6 +108,7 @@ class Rig:
         saturated_time: float,
         dt: float,
         safe: Safe | None = None,
+        faults: tuple[Faults, int] = NO_FAULTS,
     ) -> None:
         self.drive: Drive = model.drive
         self.sensors = sensors
@@ -106,28 +125,34 @@ class Rig:
             sensors.channels,
             limits.values,
             window,
+            faults[0],
         )
         self.state = RigState(
             at_rest(dynamics),
-            np.zeros(4 * n),
+            np.zeros(dynamics.output.shape[1]),
+            np.zeros(n),
             np.zeros((whole + 2, n)),
             np.zeros(3, dtype=np.int64),
             np.zeros((4, n)),
             np.zeros((4, n)),
             limits.largest,
             blind,
+            np.zeros((len(faults[0].numbers), faults[1])),
+            np.zeros(2),
         )
         self.step_index = 0
         self.violation: str | None = None
         self.saturation: Saturation = {}
         self._model, self._saturated_time, self._safe = model, saturated_time, safe
         self._command = np.zeros(n)
+        self._forces = array("d")  # largest true force of each sample, and of the stop
         noise, measured = np.zeros((2, *self.state.measured.shape))
         both = self.parameters, self.state
         self.kind = kind_of(both)
         arguments = 0, self._command, noise, measured
         self._step = entry_point(rig_step, *both, *arguments, kind=self.kind)
-        self._move = entry_point(move, *both, self._command, kind=self.kind)
+        room, safely = self._command, (self._command, self._command, 0, 0)
+        self._rest = entry_point(come_to_rest, *both, 0, *safely, room, kind=self.kind)
 
     @classmethod
     def from_parameters(
@@ -147,19 +172,32 @@ class Rig:
         dt, safe = timebase.dt, group(section, "safe")
         command = per_axis(safe["valve_command"], axes, "rig: safe.valve_command")
         closing, longest = (round(safe[name] / dt) for name in ("close_time", "settle_time"))
+        faults = read_faults(section.get("faults", ""), axes)  # bags of older versions have none
+        noises = sum(fault.kind == "noise" for fault in faults)
+        sensors = Sensors.from_parameters(section, axes, dt, own.places, noises)
+        model = continuous_model(section, axes, own, faults=faults)
+        stops = sum(law.law[SPRING_KIND] == ONE_SIDED for law in model.springs)
         return cls(
-            continuous_model(section, axes, own),
-            Sensors.from_parameters(section, axes, dt, own.places),
+            model,
+            sensors,
             Limits(group(section, "limits"), own.axes, dt),
             section["limits.saturated_time"],
             dt,
             Safe(command[list(own.places)], closing, longest),
+            faults_of(
+                faults,
+                own,
+                timebase,
+                sensors.channels.resolution,
+                len(model.springs) - stops,
+                section,
+            ),
         )
 
     @property
     def sample(self) -> Floats:
-        """The true state at the last step, shape (4, n)."""
-        return self.state.true.reshape(4, -1).copy()
+        """The true state at the last step, behind anti-aliasing filters, shape (4, n)."""
+        return self.state.true[: self.state.measured.size].reshape(4, -1).copy()
 
     @property
     def safe_command(self) -> Floats:
@@ -171,6 +209,7 @@ class Rig:
     def reset(self) -> Floats:
         """Bring the rig to rest and take the sample of step 0, shape (4, n)."""
         self.saturation = {}
+        del self._forces[:]
         return self._sample(0)
 
     def step(self, command: Floats) -> Floats:
@@ -189,20 +228,30 @@ class Rig:
         """
         if self._safe is None:
             return Stopped(0, 0.0)
-        safe = self.safe_command
-        last = self.state.line[(self.state.counts[0] - 1) % len(self.state.line)].copy()
-        steps, resting, peak = 0, 0, 0.0
-        while steps < self._safe.longest and resting < RESTS:
-            command = safe + left_open(steps + 1, self._safe.closing) * (last - safe)
-            self._move(self.parameters, self.state, command)
-            peak = max(peak, float(np.abs(self.sample[3]).max()))
-            steps += 1
-            resting = resting + 1 if np.abs(self.sample[1]).max() < _AT_REST else 0
-        return Stopped(steps, peak)
+        room, last, safe = np.empty_like(self._command), self.state.asked.copy(), self.safe_command
+        ends = last, safe, self._safe.closing, self._safe.longest
+        step = self.step_index
+        stopped = Stopped(*self._rest(self.parameters, self.state, step, *ends, room))
+        self._forces.append(stopped.peak_force)
+        return stopped
 
-    def take(self, found: Ints) -> None:
-        """Continue after a compiled loop; ``found`` are the results of `rig_step` there, (N,)."""
+    def simulated(self, first: int | None = None) -> Simulated:
+        """Largest true motion of the test so far, of any axis.
+
+        Its stop begins at the sample of step ``first``, by default the last one.
+        """
+        begun = self.step_index if first is None else min(first, self.step_index)
+        peaks = self.state.peaks[LARGEST_TRAVEL], max(self._forces), max(self._forces[begun:])
+        return Simulated(*map(float, peaks))
+
+    def take(self, found: Ints, forces: Floats) -> None:
+        """Continue after a compiled loop of N steps.
+
+        ``found`` are the results of `rig_step` there, ``forces`` the largest true force (N) at each
+        step; both have shape (N,).
+        """
         self.step_index = len(found) - 1
+        self._forces = array("d", forces)
         self.violation, self.saturation = self.violation_of(int(found[-1])), saturation_of(found)
 
     def violation_of(self, found: int) -> str | None:
@@ -227,6 +276,7 @@ class Rig:
         measured = np.empty_like(self.state.measured)
         noise = self.sensors.noise_of(step)
         found = self._step(self.parameters, self.state, step, self._command, noise, measured)
+        self._forces.append(self.state.peaks[FORCE_NOW])
         self.violation = None
         if found:
             self.violation = self.violation_of(found)
@@ -247,15 +297,18 @@ def continuous_model(
     axes: tuple[str, ...],
     rig: RigAxes | None = None,
     stiffness: float = 1.0,
+    faults: Sequence[Fault] = (),
 ) -> ContinuousModel:
     """Model of actuator, specimen and anti-aliasing filters from a rig's parameters.
 
-    See `Rig.from_parameters`; ``stiffness`` is a factor on the stiffness of the elastic specimen.
+    See `Rig.from_parameters`; ``stiffness`` is a factor on the stiffness of the elastic specimen,
+    ``faults`` are those that the specimen may have.
     """
     own = rig or RigAxes.whole(axes)
     whole = Specimen.from_parameters(group(section, "specimen"), axes, "rig: specimen")
     specimen = whole.part(own, "rig: specimen")
     specimen = replace(specimen, stiffness=stiffness * specimen.stiffness)
+    specimen = failing_specimen(faults, own, specimen)
     actuator = group(section, "actuator")
     kind = actuator["kind"]
     if kind in ("ideal", "delay"):
@@ -302,20 +355,17 @@ class Rigs:
         """Apply a command and take the next sample, see `Rig.step`."""
         return self._gather(rig.step(command[places]) for places, rig in self._rigs)
 
+    def stop(self) -> None:
+        """Bring all of them to rest, see `Rig.stop`."""
+        for _, rig in self._rigs:
+            rig.stop()
+
+    def simulated(self, first: int | None = None) -> Simulated:
+        """Largest true motion of any of them, see `Rig.simulated`."""
+        return Simulated.of_all(rig.simulated(first) for _, rig in self._rigs)
+
     def _gather(self, states: Iterable[Floats]) -> Floats:
         whole = np.empty((4, self._axes))
         for (places, _), state in zip(self._rigs, states, strict=True):
             whole[:, places] = state
         return whole
-
-
-@compiled
-def left_open(taken: int, steps: float) -> float:
-    """Fraction of the last command that is left after some of the steps in which a valve closes.
-
-    A valve that closes at once on a mass M with velocity v makes a force peak of v sqrt(k M) in
-    oil of stiffness k. Half a cosine has no corner that would excite the oil column.
-    """
-    if taken >= steps:
-        return 0.0
-    return 0.5 * (1.0 + math.cos(math.pi * taken / steps))

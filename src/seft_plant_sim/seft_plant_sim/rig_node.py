@@ -22,6 +22,7 @@ from seft_msgs_py.wire.outcome import (
     REHEARSES,
     TRIPPED,
     Outcome,
+    State,
     Trip,
     rig_status,
 )
@@ -52,7 +53,10 @@ class RigNode(NodeBody):
         experiment = shell.experiment
         self._timebase = experiment.timebase
         self._section = experiment["rig"]
-        self._rig = Rig.from_parameters(self._section, experiment.axes, self._timebase, shell.rig)
+        rig = self._section, experiment.axes, self._timebase, shell.rig
+        self._rig = self._sound = Rig.from_parameters(*rig)
+        if self._section["faults"]:  # they are of the test, not of what comes before it
+            self._sound = Rig.from_parameters({**self._section, "faults": ""}, *rig[1:])
         state = topics.RIG_STATE.of(shell.rig)
         self._state_codec = TrajectoryCodec(state, shell.rig.axes, self._timebase)
         self._publish_state = shell.publisher(state)
@@ -79,7 +83,8 @@ class RigNode(NodeBody):
         self._supervision = rig_watch.Supervision(
             self._section["watchdog.supervisor_timeout"], self._clock
         )
-        shell.subscribe(topics.EXPERIMENT_STATE, self._supervision.receive, depth=16)
+        self._stop_begun: int | None = None  # step of the trip from which the force ramps down
+        shell.subscribe(topics.EXPERIMENT_STATE, self._follow, depth=16)
         self._recorder_lag = rig_watch.RecorderLag(self._section["lockstep_timeout"], self._clock)
         if self._section["pace"] == "lockstep":
             shell.subscribe(topics.DIAGNOSTICS, self._recorder_lag.receive)
@@ -91,10 +96,10 @@ class RigNode(NodeBody):
         self._reported_at = self._answered_at = 0.0
         self._refused_before = 0  # messages, until the newest command came
         self._rehearsed = False
-        sample = self._rig.reset()
+        sample = self._sound.reset()
         for step in range(WARM_UP_STEPS):
             self._state_codec.decode(self._state_codec.encode(step, sample))
-            sample = self._rig.step(self._drive.value)
+            sample = self._sound.step(self._drive.value)
 
     def run(self) -> None:
         """Run a test each time the supervisor starts one, until the process ends."""
@@ -117,7 +122,7 @@ class RigNode(NodeBody):
 
     def _rehearse(self, rehearsal: rig_watch.Rehearsal, seconds: float) -> None:
         """Run the loop with the valve at its safe value, and publish the result."""
-        rig, supervision = self._rig, self._supervision
+        rig, supervision = self._sound, self._supervision
 
         def sample(step: int) -> Floats:
             return rig.reset() if step == 0 else rig.step(rig.safe_command)
@@ -129,6 +134,14 @@ class RigNode(NodeBody):
         if supervision.rehearsal:  # it was not interrupted
             self._rehearsed = True
             self._shell.add_facts({REHEARSED: found})
+
+    def _follow(self, raw: bytes, received_ns: int) -> None:
+        """Follow the supervisor, and note where the force begins to ramp down."""
+        self._supervision.receive(raw, received_ns)
+        wanted = self._supervision.wanted
+        if wanted is not None and wanted.message == State.RAMPING_DOWN and self._stop_begun is None:
+            step = wanted.number("step")
+            self._stop_begun = self._rig.step_index if step is None else step
 
     def fault(self, reason: str) -> None:
         """End the running test, or the next one, until the operator resets."""
@@ -154,6 +167,7 @@ class RigNode(NodeBody):
     def _run_test(self, wanted: Status) -> None:
         self._valve.reset()
         self._drive.reset()
+        self._stop_begun = None
         self._missed: list[int] = []
         self._held: list[int] = []  # step of the command applied at each of them
         self._samples = None
@@ -175,13 +189,13 @@ class RigNode(NodeBody):
                 reason = self._shell.fault("a step", error)
         step = self._rig.step_index
         self._publish_clock(step)
+        stopped = self._rig.stop()
         if reason is None:
-            self._report(FINISHED)
+            self._report(FINISHED, stopped=stopped)
             return
         self._supervision.latched = True
         trip = Trip(reason, step, self._timebase.stamp_ns(step) / 1e9)
-        self._report(TRIPPED, trip)  # before the rig is at rest, so that others can stop at once
-        self._report(TRIPPED, trip, self._rig.stop())
+        self._report(TRIPPED, trip, stopped)
 
     def _run_steps(self, wanted: Status, state: Floats) -> str | None:
         """Take the samples of a test at its pace; say why it ended early, if it did.
@@ -248,6 +262,7 @@ class RigNode(NodeBody):
             self._rig.saturation,
             self._round_trip.numbers(),
             self._held,
+            stopped and self._rig.simulated(self._stop_begun),
         )
         status = rig_status(outcome)
         values, message = dict(status.values), status.message

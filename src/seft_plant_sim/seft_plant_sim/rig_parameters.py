@@ -68,6 +68,14 @@ _PACE = parameter_rows(
     """
 )
 
+_FAULTS = Parameter(
+    "faults",
+    "texts",
+    "",
+    "what fails in the simulated rig, one line a fault, [AXIS/]WHAT KIND [VALUE] at TIME [for "
+    "STEPS], as force scale 0.7 at 5.25 for 100; docs/rig.md has the kinds",
+)
+
 SPECIMEN = parameter_rows(
     """
     mass      | floats |     | kg    |  | mass: one number, a diagonal, or a matrix
@@ -231,6 +239,7 @@ RIG_TABLE = Table(
     "rig",
     [
         *_PACE,
+        _FAULTS,
         *SPECIMEN,
         *SPRINGS,
         *_ACTUATOR,

@@ -1,5 +1,6 @@
 """One sampling period of the rig, compiled: the same function in a node and in a loop."""
 
+import math
 from typing import NamedTuple
 
 from seft_msgs_py.arrays import Floats, Ints
@@ -7,9 +8,10 @@ from seft_msgs_py.arrays import Floats, Ints
 from seft_plant_sim.actuator import OPENING, PER_CAPACITY
 from seft_plant_sim.actuator import STROKE_COLUMN as STROKE_COLUMN
 from seft_plant_sim.compiled import compiled, multiply
-from seft_plant_sim.continuous_model import Dynamics, Motion, integrate
+from seft_plant_sim.continuous_model import Dynamics, Motion, integrate, make_sound
+from seft_plant_sim.faults import Faults, obey, show, wear
 from seft_plant_sim.limits import exceeds, is_exceeded
-from seft_plant_sim.sensors import CHANNELS, Channels, measure_channels
+from seft_plant_sim.sensors import CHANNELS, Channels, derive_velocity, measure_channels
 
 _STROKE, FORCE_CAPACITY, _VALVE = 16, 32, 64
 PERSISTENT = 3
@@ -21,6 +23,10 @@ reasons to end the test: a limit, or sensors that are saturated for too long."""
 ENDS = {f"{name}_range": 1 << row for row, name in enumerate(CHANNELS)}
 ENDS |= {"stroke": _STROKE, "force_capacity": FORCE_CAPACITY, "valve": _VALVE}
 """Bits of saturated parts, by name."""
+LARGEST_TRAVEL, FORCE_NOW = range(2)
+"""Places of `RigState.peaks`."""
+_AT_REST = 1e-4  # m/s
+RESTS = 10  # steps below that, so that the turning point of a vibration does not count as rest
 
 
 class RigParameters(NamedTuple):
@@ -40,6 +46,8 @@ class RigParameters(NamedTuple):
         `Limits.values`, shape (8,).
     window : int
         Steps of a second.
+    faults : Faults
+        Of the rig.
     """
 
     dynamics: Dynamics
@@ -48,6 +56,7 @@ class RigParameters(NamedTuple):
     channels: Channels
     limits: Floats
     window: int
+    faults: Faults
 
 
 class RigState(NamedTuple):
@@ -59,6 +68,9 @@ class RigState(NamedTuple):
         Of actuator and specimen.
     true : ndarray
         Displacement (m), velocity (m/s), acceleration (m/s^2) and force (N) at the sample, (4n,).
+        With anti-aliasing filters behind them; displacement and force before these follow, (6n,).
+    asked : ndarray
+        Last command, within the limits of the drive, shape (n,).
     line : ndarray
         Ring buffer of the drives during the dead time, shape (whole periods + 2, n).
     counts : ndarray
@@ -70,16 +82,23 @@ class RigState(NamedTuple):
         Largest magnitudes of both so far, shape (8,).
     blind : ndarray
         Ring buffer of the last steps at which a sensor was at its range.
+    faulty : ndarray
+        Memory of the faults.
+    peaks : ndarray
+        Largest true displacement so far (m), and true force now (N), of any axis, shape (2,).
     """
 
     motion: Motion
     true: Floats
+    asked: Floats
     line: Floats
     counts: Ints
     measured: Floats
     change: Floats
     largest: Floats
     blind: Ints
+    faulty: Floats
+    peaks: Floats
 
 
 @compiled
@@ -102,7 +121,8 @@ def rig_step(
     command : ndarray
         Drive of the actuators after the last sample, shape (n,), V or N.
     noise, measured : ndarray
-        Noise of the sensors at this step, and the sample, which is written; shape (4, n).
+        Noise of the sensors at this step, shape (4, n), and that of faults below it; the sample,
+        which is written, shape (4, n).
 
     Returns
     -------
@@ -112,8 +132,11 @@ def rig_step(
     if step == 0:
         rest(state)
     else:
-        move(parameters, state, command)
-    found = measure_channels(parameters.channels, step, state.true, noise, state.measured, measured)
+        move(parameters, state, step - 1, command)
+    found = measure_channels(parameters.channels, state.true, noise, measured)
+    if len(parameters.faults.numbers):
+        show(parameters.faults, step, noise, state.faulty, measured)
+    derive_velocity(parameters.channels, step, state.measured, measured)
     blind = found > 0
     beyond = exceeds(parameters.limits, step, state.measured, measured, state.largest)
     state.counts[2] = state.counts[2] + 1 if beyond else 0
@@ -132,7 +155,7 @@ def rig_step(
     for i in range(len(pistons)):
         if abs(z[i]) >= pistons[i, STROKE_COLUMN]:
             found |= _STROKE
-        if abs(z[2 * n + i]) * pistons[i, PER_CAPACITY] >= 1.0:
+        if abs(z[2 * n + i]) * pistons[i, PER_CAPACITY] >= state.motion.supply[i]:
             found |= FORCE_CAPACITY
         if abs(z[3 * n + i]) >= pistons[i, OPENING]:
             found |= _VALVE
@@ -140,8 +163,8 @@ def rig_step(
 
 
 @compiled
-def move(parameters: RigParameters, state: RigState, command: Floats) -> None:
-    """Advance the true state by one sampling period, with a command from the new sample on.
+def move(parameters: RigParameters, state: RigState, step: int, command: Floats) -> None:
+    """Advance the true state by one sampling period, with the command after the sample of a step.
 
     If the actuator responds to its drive without delay (the ideal one), the new sample already
     contains the response.
@@ -150,19 +173,83 @@ def move(parameters: RigParameters, state: RigState, command: Floats) -> None:
     n, places, oldest = len(command), len(line), state.counts[0]
     drive = len(motion.state)
     after = (oldest + 1) % places
+    if len(parameters.faults.numbers):
+        wear(parameters.faults, step, dynamics, motion)
     for stretch in range(2):
         place = after if stretch else oldest
         for i in range(n):
             motion.work[drive + i] = line[place, i]
         integrate(dynamics, stretch, motion)
     for i in range(n):
-        limit, asked = parameters.drive_limit[i], command[i]
-        line[oldest, i] = limit if asked > limit else -limit if asked < -limit else asked
+        state.asked[i] = _bounded(command[i], parameters.drive_limit[i])
+        line[oldest, i] = state.asked[i]
+        if len(parameters.faults.numbers):
+            obeyed = obey(parameters.faults, step, state.faulty, i, state.asked[i])
+            line[oldest, i] = _bounded(obeyed, parameters.drive_limit[i])
     now = after if parameters.changes_between else (oldest + 2) % places
     for i in range(n):
         motion.work[drive + i] = line[now, i]
     multiply(dynamics.output, motion.work, state.true)
     state.counts[0] = after
+    _note_peaks(n, state.true, state.peaks)
+
+
+@compiled
+def _bounded(drive: float, limit: float) -> float:
+    return limit if drive > limit else -limit if drive < -limit else drive
+
+
+@compiled
+def _note_peaks(n: int, true: Floats, peaks: Floats) -> None:
+    """Update `RigState.peaks`."""
+    at, force_at = (0, 3 * n) if len(true) == 4 * n else (4 * n, 5 * n)
+    peaks[FORCE_NOW] = 0.0
+    for i in range(n):
+        peaks[LARGEST_TRAVEL] = max(peaks[LARGEST_TRAVEL], abs(true[at + i]))
+        peaks[FORCE_NOW] = max(peaks[FORCE_NOW], abs(true[force_at + i]))
+
+
+@compiled
+def come_to_rest(
+    parameters: RigParameters,
+    state: RigState,
+    step: int,
+    last: Floats,
+    safe: Floats,
+    closing: int,
+    longest: int,
+    command: Floats,
+) -> tuple[int, float]:
+    """Move the drive from the last command to its safe value, until the rig is at rest.
+
+    ``step`` is that of the last sample; ``command`` is room of shape (n,), for the others see
+    `seft_plant_sim.rig.Safe`. Gives the number of steps and the largest true force, N.
+    """
+    n = len(safe)
+    steps, resting, peak = 0, 0, 0.0
+    while steps < longest and resting < RESTS:
+        left = left_open(steps + 1, closing)
+        for i in range(n):
+            command[i] = safe[i] + left * (last[i] - safe[i])
+        move(parameters, state, step + steps, command)
+        peak = max(peak, state.peaks[FORCE_NOW])
+        steps, fastest = steps + 1, 0.0
+        for i in range(n):
+            fastest = max(fastest, abs(state.true[n + i]))
+        resting = resting + 1 if fastest < _AT_REST else 0
+    return steps, peak
+
+
+@compiled
+def left_open(taken: int, steps: float) -> float:
+    """Fraction of the last command that is left after some of the steps in which a valve closes.
+
+    A valve that closes at once on a mass M with velocity v makes a force peak of v sqrt(k M) in
+    oil of stiffness k. Half a cosine has no corner that would excite the oil column.
+    """
+    if taken >= steps:
+        return 0.0
+    return 0.5 * (1.0 + math.cos(math.pi * taken / steps))
 
 
 @compiled
@@ -170,7 +257,11 @@ def rest(state: RigState) -> None:
     """Set the rig to rest, without drive."""
     state.motion.work[:] = 0.0
     state.motion.springs[:] = 0.0
+    make_sound(state.motion)
     state.true[:] = 0.0
+    state.asked[:] = 0.0
     state.line[:] = 0.0
     state.counts[:] = 0
     state.largest[:] = 0.0
+    state.faulty[:] = 0.0
+    state.peaks[:] = 0.0

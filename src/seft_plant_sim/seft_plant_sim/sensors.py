@@ -44,14 +44,11 @@ class Channels(NamedTuple):
 
 
 @compiled
-def measure_channels(
-    channels: Channels, step: int, true: Floats, noise: Floats, last: Floats, measured: Floats
-) -> int:
+def measure_channels(channels: Channels, true: Floats, noise: Floats, measured: Floats) -> int:
     """Measure a state: noise, bias, range and resolution of every sensor, in this order.
 
-    The true state has shape (4n,). The noise (RMS 1), the last sample and this sample, which is
-    written, have shape (4, n). Bit i of the result is set if a sensor of channel i is at the end of
-    its range.
+    The true state has shape (4n,). The noise (RMS 1), and the sample, which is written, have shape
+    (4, n). Bit i of the result is set if a sensor of channel i is at the end of its range.
     """
     n = measured.shape[1]
     at_end = 0
@@ -64,14 +61,19 @@ def measure_channels(
                 at_end |= 1 << row
                 value = limit if value > 0.0 else -limit
             measured[row, i] = np.rint(value / resolution) * resolution if resolution else value
+    return at_end
+
+
+@compiled
+def derive_velocity(channels: Channels, step: int, last: Floats, measured: Floats) -> None:
+    """Derive the velocity of a sample from the last sample, both (4, n), if it is not measured."""
     if channels.cutoff:
         # v = s / (1 + s / w_c) x by the bilinear transform, in the steady state at the beginning
         half = np.pi * channels.cutoff * channels.dt
         gain, pole = 2 * np.pi * channels.cutoff / (1 + half), (1 - half) / (1 + half)
-        for i in range(n):
+        for i in range(measured.shape[1]):
             change = measured[0, i] - last[0, i]
             measured[1, i] = pole * last[1, i] + gain * change if step else 0.0
-    return at_end
 
 
 class Sensors:
@@ -79,19 +81,31 @@ class Sensors:
 
     The noise is white and a function of seed, axis and step alone: it does not depend on earlier
     samples, and all ways of running a test have the same noise. Each axis has its own noise, by its
-    place among the axes of the test (default 0 to n - 1).
+    place among the axes of the test (default 0 to n - 1). Below it are ``faulty`` rows of noise for
+    faults.
     """
 
-    def __init__(self, channels: Channels, seed: int, places: Sequence[int] | None = None) -> None:
-        self.channels = channels
+    def __init__(
+        self,
+        channels: Channels,
+        seed: int,
+        places: Sequence[int] | None = None,
+        faulty: int = 0,
+    ) -> None:
+        self.channels, self._faulty = channels, faulty
         self._seed = seed
         self._places = range(channels.noise.shape[1]) if places is None else places
         self._block_index = -1
-        self._block: Floats = np.empty((0, *channels.noise.shape))
+        self._block: Floats = np.empty((0, 4 + faulty, channels.noise.shape[1]))
 
     @classmethod
     def from_parameters(
-        cls, section: dict[str, Any], axes: Sequence[str], dt: float, places: Sequence[int]
+        cls,
+        section: dict[str, Any],
+        axes: Sequence[str],
+        dt: float,
+        places: Sequence[int],
+        faulty: int = 0,
     ) -> "Sensors":
         """Make those of the axes at some places from the rig's section of an experiment.
 
@@ -126,10 +140,10 @@ class Sensors:
         noise, bias, ranges, resolution = np.ascontiguousarray(own)
         cutoff = float(sensors["velocity_cutoff"]) if derived else 0.0
         channels = Channels(noise, bias, ranges, resolution, cutoff, dt)
-        return cls(channels, section["seed"], places)
+        return cls(channels, section["seed"], places, faulty)
 
     def noise_of(self, step: int) -> Floats:
-        """Noise of a step, RMS 1, shape (4, n)."""
+        """Noise of a step, RMS 1, shape (4 + faulty, n)."""
         index, row = divmod(step, BLOCK)
         if index != self._block_index:
             self._block_index = index
@@ -137,11 +151,14 @@ class Sensors:
         return self._block[row]
 
     def noise_block(self, index: int, steps: int = BLOCK) -> Floats:
-        """Noise of the first steps of a block, RMS 1, shape (steps, 4, n).
+        """Noise of the first steps of a block, RMS 1, shape (steps, 4 + faulty, n).
 
         A whole block has `BLOCK` steps.
         """
-        noise = np.empty((len(self._places), steps, 4))
+        noise = np.empty((len(self._places), steps, 4 + self._faulty))
         for axis, rows in zip(self._places, noise, strict=True):
-            np.random.default_rng([self._seed, index, axis]).standard_normal(out=rows)
+            key = [self._seed, index, axis]
+            rows[:, :4] = np.random.default_rng(key).standard_normal((steps, 4))
+            for j in range(self._faulty):
+                rows[:, 4 + j] = np.random.default_rng([*key, j]).standard_normal(steps)
         return np.ascontiguousarray(noise.transpose(1, 2, 0))

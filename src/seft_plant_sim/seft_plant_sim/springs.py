@@ -13,6 +13,8 @@ the numbers of the law. With k_0, k_1 and z_y of the row::
     GAP       s = k_0 e + k_1 (e - z_y) beyond the gap z_y, in both directions
     DUFFING   s = k_0 e + k_1 e^3, constant beyond its peak at z_y, if it has one
     CALLED    a C function of the place of the three numbers, and of e
+    ONE_SIDED s = k_1 (e - e_0) beyond e_0, on one side; e_0 and the side (1, -1; 0: it is not
+              there) are the second and third number of its memory
 
 docs/rig.md has their sources.
 """
@@ -36,7 +38,7 @@ from seft_msgs_py.errors import InputError
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.rig_parameters import RESTORING_FORCES
 
-SLIDER, BOUC_WEN, SPRING_GAP, DUFFING, CALLED = range(5)
+SLIDER, BOUC_WEN, SPRING_GAP, DUFFING, CALLED, ONE_SIDED = range(6)
 SPRING_KIND, STIFFNESS, SPRING_BESIDE, HYSTERETIC, Z_Y = range(5)
 """Columns of every law."""
 LOWER = ADDRESS = _LIMIT = 5
@@ -66,6 +68,9 @@ def spring_force(laws: Floats, j: int, memory: Floats, e: float) -> float:
     if kind == SPRING_GAP:
         beyond = max(abs(e) - z_y, 0.0)
         return laws[j, SPRING_BESIDE] * e + laws[j, HYSTERETIC] * math.copysign(beyond, e)
+    if kind == ONE_SIDED:
+        side = memory[j, 2]
+        return laws[j, HYSTERETIC] * side * max(side * (e - memory[j, 1]), 0.0)
     if kind == DUFFING:
         held = _bounded(e, z_y)
         return (laws[j, SPRING_BESIDE] + laws[j, HYSTERETIC] * held * held) * held
@@ -224,6 +229,16 @@ class Spring:
         parts = (a * own.stiffness, (1.0 - a) * own.stiffness, own.yield_displacement)
         made = cls.of_law(CALLED, own.stiffness, *parts, float(called.address))
         return cls(made.law, called)
+
+    @classmethod
+    def elastic(cls, stiffness: float) -> "Spring":
+        """Make a linear spring of a stiffness in N/m."""
+        return cls.of_law(SPRING_GAP, stiffness, stiffness, 0.0, math.inf)
+
+    @classmethod
+    def stop(cls, stiffness: float) -> "Spring":
+        """Make a stop of a stiffness in N/m, which is nowhere yet."""
+        return cls.of_law(ONE_SIDED, 0.0, 0.0, stiffness)
 
     @property
     def stiffness(self) -> float:

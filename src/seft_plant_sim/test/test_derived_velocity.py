@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from seft_plant_sim.sensors import Channels, measure_channels
+from seft_plant_sim.sensors import Channels, derive_velocity, measure_channels
 
 DT = 0.002
 
@@ -14,9 +14,8 @@ def measured(states, **rows):
     channels = Channels(nothing, **(values | rows))
     samples = np.zeros(states.shape)
     for step, state in enumerate(states):
-        measure_channels(
-            channels, step, state.ravel(), nothing, samples[max(step - 1, 0)], samples[step]
-        )
+        measure_channels(channels, state.ravel(), nothing, samples[step])
+        derive_velocity(channels, step, samples[max(step - 1, 0)], samples[step])
     return samples
 
 

@@ -5,6 +5,7 @@ import pytest
 from bare_rig import rig_section
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.outcome import Simulated
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import RIG_TABLE
@@ -219,3 +220,48 @@ def test_two_axes_stop_too():
         rig.step(np.array([3.0, -3.0]))
     assert rig.stop().peak_force > 0.0
     assert np.abs(rig.sample[1]).max() < 0.05
+
+
+def test_the_largest_true_motion_is_known_without_noise_and_filters():
+    quiet = moving_rig()
+    filtered = moving_rig(("rig", "sensors.anti_alias", 20.0), ("rig", "sensors.force_noise", 99.0))
+    assert filtered.sample[3, 0] != pytest.approx(quiet.sample[3, 0], rel=0.02)  # behind filters
+    found, same = quiet.simulated(), filtered.simulated()
+    for peak in ("displacement_peak", "force_peak", "stop_force_peak"):
+        assert getattr(same, peak) == pytest.approx(getattr(found, peak), rel=1e-6)
+    assert found.stop_force_peak == abs(quiet.sample[3, 0]) < found.force_peak
+    stopped = quiet.stop()
+    after = quiet.simulated()
+    assert after.stop_force_peak == max(stopped.peak_force, found.stop_force_peak)
+    assert after.force_peak == max(stopped.peak_force, found.force_peak)
+    assert quiet.simulated(first=0).stop_force_peak == after.force_peak
+    assert after.displacement_peak >= found.displacement_peak
+    quiet.reset()
+    assert quiet.simulated() == Simulated(0.0, 0.0, 0.0)
+
+
+def test_a_rig_of_a_faulty_sensor_moves_as_before_and_shows_the_fault():
+    sound = moving_rig()
+    faulty = moving_rig(("rig", "faults", ["force set -5589.0 at 0.4 for 1"]))
+    np.testing.assert_array_equal(sound.sample, faulty.sample)
+    assert faulty.state.measured[3, 0] == -5589.0
+    assert faulty.violation is None
+    assert faulty.state.change[3, 0] < -5000.0
+
+
+def test_a_rig_of_a_bag_from_before_there_were_faults_has_none():
+    section = rig_section()
+    del section["faults"]
+    assert not len(Rig.from_parameters(section, ("x",), TIMEBASE).parameters.faults.numbers)
+
+
+def test_a_stuck_valve_does_not_close():
+    stuck = moving_rig(("rig", "faults", "valve stick at 0.39"))
+    stuck.stop()
+    assert abs(stuck.sample[1, 0]) > 0.02
+
+
+def test_a_derived_velocity_follows_a_faulty_displacement():
+    derived = ("rig", "sensors.velocity", "derived")
+    faulty = moving_rig(derived, ("rig", "faults", "displacement set 0.05 at 0.4 for 1"))
+    assert faulty.state.measured[1, 0] > 3.0

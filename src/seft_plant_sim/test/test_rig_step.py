@@ -25,6 +25,18 @@ KINDS = {
     "duffing": {"duffing.cubic": 4e9},
 }
 FILTERED = {"sensors.anti_alias": 200.0, "sensors.velocity": "derived"}
+FAULTS = [
+    *(
+        "force set 500 at 0.2 for 3",
+        "acceleration noise 0.5 at 0.3",
+        "x/velocity late 0.005 at 0.3",
+    ),
+    *("displacement freeze at 0.5 for 9", "force bit 9 at 0.4", "force lowpass 30 at 0.6"),
+    *("valve hysteresis 0.5 at 0.1", "valve null 0.3 at 0.2", "valve late 0.004 at 0.7 for 20"),
+    *("supply scale 0.7 at 0.3 for 200", "specimen break 0.5 at 0.5", "specimen slip 1e-3 at 0.4"),
+    *("specimen collide 1e5 at 0.6", "x/specimen slip 1e-4 at 0.7 for 9"),
+    *("x/valve stick at 0.9 for 10", "velocity noise 0.01 at 0.3 for 50"),
+]
 RIGS = [
     *(
         {"specimen.kind": k} | {f"specimen.{n}": v for n, v in own.items()}
@@ -34,6 +46,8 @@ RIGS = [
     {"actuator.kind": "delay", "actuator.delay": 0.0113},
     {"actuator.kind": "servo_hydraulic_linear", "actuator.dead_time": 0.0037},
     {"sensors.acceleration_range": 5.0, "limits.saturated_time": 0.1} | FILTERED,
+    {"specimen.kind": "bouc_wen", "specimen.yield_displacement": 0.003, "faults": FAULTS},
+    {"faults": FAULTS},
 ]
 
 
@@ -53,7 +67,7 @@ def rig(values, axes=("x",), rate=500.0):
 
 
 @pytest.mark.parametrize(
-    ("values", "axes"), [*((v, "x") for v in RIGS), (RIGS[2], "xy"), (RIGS[-1], "xy")]
+    ("values", "axes"), [*((v, "x") for v in RIGS), *((RIGS[i], "xy") for i in (2, -2, -1))]
 )
 def test_a_rig_alone_and_in_a_compiled_loop_gives_the_same_bits(values, axes):
     steps, (_, one) = 600, rig(values, tuple(axes))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.outcome import Simulated
 from seft_plant_sim.rig import Rig, Rigs
 from seft_plant_sim.rig_parameters import RIG_TABLE
 
@@ -44,7 +45,13 @@ YIELDING = (
 FILTERED = ("rig:sensors.velocity:=derived", "rig:sensors.anti_alias:=100.0")
 
 
-@pytest.mark.parametrize("more", [(), YIELDING, FILTERED])
+FAULTS = (
+    'rig:faults:=["force noise 9 at 0.1", "east/x/velocity noise 0.2 at 0", '
+    '"west/y/displacement flip at 0.2", "valve scale 0.9 at 0.1"]',
+)
+
+
+@pytest.mark.parametrize("more", [(), YIELDING, FILTERED, FAULTS])
 def test_rigs_together_do_what_one_with_all_axes_does(more):
     test = plan(*more)
     together = Rigs(test)
@@ -55,8 +62,25 @@ def test_rigs_together_do_what_one_with_all_axes_does(more):
     assert together.drive == "valve_command"
 
 
-def test_each_has_the_bits_of_its_node():
-    test = plan()
+def test_the_largest_motion_is_that_of_any():
+    together, parts = Rigs(test := plan()), [made(test, rig) for rig in plan().rigs]
+    _, commands = driven(together, 3)
+    together.stop()
+    alone = []
+    for rig, of in zip(parts, test.rigs, strict=True):
+        rig.reset()
+        for command in commands:
+            rig.step(command[list(of.places)])
+        rig.stop()
+        alone.append(rig.simulated())
+    assert together.simulated() == Simulated(
+        *np.max([list(vars(p).values()) for p in alone], axis=0)
+    )
+
+
+@pytest.mark.parametrize("more", [(), FAULTS])
+def test_each_has_the_bits_of_its_node(more):
+    test = plan(*more)
     together = Rigs(test)
     found, commands = driven(together, 3)
     for rig in test.rigs:

@@ -11,7 +11,7 @@ from bare_rig import rig_section
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.sensors import CHANNELS, Channels, Sensors, measure_channels
+from seft_plant_sim.sensors import CHANNELS, Channels, Sensors, derive_velocity, measure_channels
 
 DT = 0.002
 RMS = np.array([[5e-6, 1e-5], [0.01, 0.02], [0.05, 0.1], [3.0, 0.0]])
@@ -28,7 +28,8 @@ class Measured:
     def measure(self, step, state):
         channels, measured = self.sensors.channels, np.empty_like(self._last)
         noise = self.sensors.noise_of(step)
-        found = measure_channels(channels, step, np.ravel(state) * 1.0, noise, self._last, measured)
+        found = measure_channels(channels, np.ravel(state) * 1.0, noise, measured)
+        derive_velocity(channels, step, self._last, measured)
         self.saturated = [f"{c}_range" for i, c in enumerate(CHANNELS) if found >> i & 1]
         self._last = measured
         return measured

@@ -172,7 +172,7 @@ def test_estimates_are_told_apart_by_name_and_not_by_place():
 
 
 def table(result):
-    return shown(comparison_texts([result], "ab"))
+    return shown(comparison_texts(result))
 
 
 def test_the_table_says_where_records_first_differ():

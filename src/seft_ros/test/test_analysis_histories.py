@@ -8,8 +8,9 @@ import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.whole_structure import ReferenceResponse
-from seft_ros.analysis.histories import check_table, histories, write_table
+from seft_ros.analysis.report_numbers import histories
 from seft_ros.bags.record import Record, Series
+from seft_ros.drawing.table import check_table, write_table
 from seft_ros.ground_motion.record_file import read_record
 
 COUNT = 20

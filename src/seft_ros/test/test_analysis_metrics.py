@@ -5,12 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from scipy.signal import csd, welch
 from seft_ros.analysis.metrics import (
     Agreement,
     agreement,
     best_fit_delay,
-    cross_spectrum,
     delayed,
     nrmse,
     nrmse_aligned,
@@ -175,14 +173,3 @@ def test_lost_steps_are_bridged_for_the_delay_and_left_out_of_the_errors():
     assert found.delay_s == pytest.approx(0.0037, abs=2e-5)
     assert found.nrmse_aligned < 2e-3
     assert found.nrmse == nrmse(motion(0.0037)[steps], motion()[steps])
-
-
-@pytest.mark.parametrize("size", [2, 3, 64, 65, 500])
-@pytest.mark.parametrize("count", [500, 1001])
-def test_spectra_are_those_of_scipy(count, size):
-    x, y = np.random.default_rng(1).normal(size=(2, count, 2))
-    options = {"fs": 1 / DT, "nperseg": size, "axis": 0, "detrend": "constant"}
-    for pair, wanted in (((x, y), csd(x, y, **options)), ((x, x), welch(x, **options))):
-        frequency, density = cross_spectrum(*pair, DT, size)
-        assert frequency == pytest.approx(wanted[0])
-        assert np.allclose(density, wanted[1], rtol=1e-9, atol=1e-12 * abs(wanted[1]).max())

@@ -1,4 +1,4 @@
-"""Round trips and gaps, from when messages were received."""
+"""Round trips, from when messages were received."""
 
 import dataclasses
 import os
@@ -43,14 +43,9 @@ def test_round_trips_are_from_a_state_to_its_own_command():
     assert numbers["steps"] == 4
 
 
-def test_a_lost_command_has_no_round_trip_and_makes_a_gap():
+def test_a_lost_command_has_no_round_trip():
     timing = timing_of(make_record(np.full(20, 300_000), drop=[7, 8]))
     assert len(timing.round_trip_s) == 18
-    gaps = timing.numbers["gaps"]
-    assert gaps["valve_command"]["count"] == 1
-    assert gaps["valve_command"]["largest_step"] == 6
-    assert gaps["valve_command"]["largest_s"] == pytest.approx(3 * DT_NS * 1e-9)
-    assert gaps["rig/state"]["count"] == 0
 
 
 def test_the_offline_loop_has_no_timing():

@@ -1,8 +1,10 @@
 import os
+import resource
 import subprocess
 import sys
 
 import pytest
+from seft_ros.bags import bag_place
 from seft_ros.bags.bag_place import why_not_writable
 
 ASK = """
@@ -53,6 +55,19 @@ def test_a_folder_without_rights_is_told(tmp_path):
         return  # may write anywhere
     tmp_path.chmod(0o500)
     assert why_not_writable(tmp_path / "bag") == told.format(tmp_path, "Permission denied")
+
+
+def test_a_disk_without_room_for_more_files_is_told(tmp_path):
+    there = asked_on("size=20m,nr_inodes=6", tmp_path, "bag")
+    assert there == f"nothing can be written in {tmp_path} (No space left on device)"
+
+
+def test_a_limit_of_the_size_of_a_file_is_told(tmp_path, monkeypatch):
+    limits = {resource.RLIMIT_FSIZE: (10**6, resource.RLIM_INFINITY)}
+    monkeypatch.setattr(bag_place.resource, "getrlimit", limits.get)
+    assert why_not_writable(tmp_path / "bag") == (
+        "a file may have 1 MB by a limit of this process (ulimit -f), and the bag needs 17 MB"
+    )
 
 
 def test_a_disk_without_room_for_the_bag_is_told(tmp_path):

@@ -8,7 +8,7 @@ from hypothesis.extra import numpy as hnp
 from rosbags.rosbag2 import Reader
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.wire.outcome import Trip
+from seft_msgs_py.wire.outcome import Simulated, Trip
 from seft_msgs_py.wire.topics import LOOP_TOPICS, VALVE_COMMAND, Timebase
 from seft_msgs_py.wire.trajectory import TrajectoryCodec, parse_trajectory
 from seft_ros.bags.gathering import EstimatesGatherer, SeriesGatherer
@@ -54,7 +54,7 @@ def assert_same(a, b):
         values = [record.estimates.values.view(np.uint64) for record in (a, b)]
         assert np.array_equal(*values)
     assert a.experiment.sections == b.experiment.sections
-    for name in ("trip", "missed", "missed_steps", "held_steps", "wall_s", "complete"):
+    for name in ("trip", "missed", "missed_steps", "held_steps", "simulated", "wall_s", "complete"):
         assert getattr(a, name) == getattr(b, name)
     assert b.environment == {**a.environment, "undecodable": 0}
 
@@ -64,8 +64,9 @@ def log(path):
         return [(c.topic, t, bytes(raw)) for c, t, raw in reader.messages()]
 
 
-def test_a_record_is_read_back_bit_for_bit(tmp_path):
-    record = make_record()
+@pytest.mark.parametrize("simulated", [None, Simulated(0.1 + 0.2, 1e3 / 3, 7.0)])
+def test_a_record_is_read_back_bit_for_bit(tmp_path, simulated):
+    record = make_record(simulated=simulated)
     write_record(record, tmp_path / "bag")
     assert_same(record, read_bag(tmp_path / "bag"))
 

@@ -1,5 +1,6 @@
 """A bag whose place is lost while it is written."""
 
+import os
 import shutil
 
 import pytest
@@ -72,6 +73,24 @@ def test_a_bag_that_is_lost_is_told_and_whole_in_the_end(tmp_path, lose):
         bag.write(*message)
     assert bag.save() == saved
     assert contents(saved) == ALL
+
+
+@pytest.mark.parametrize("size", [0, 9000])
+def test_a_bag_whose_file_is_cut_off_is_told_and_the_rest_is_read(tmp_path, size):
+    bag = BagWriter(tmp_path / "bag")
+    for message in MESSAGES[:HALF]:
+        bag.write(*message)
+    bag.flush()
+    os.truncate(tmp_path / "bag" / "bag.mcap", size)
+    bag.flush_if_due()
+    for message in MESSAGES[HALF:]:
+        bag.write(*message)
+    bag.flush()
+    assert "its file was cut off" in bag.trouble
+    assert bag.save() == tmp_path / "bag"
+    with Bag(tmp_path / "bag") as found:
+        assert found.damage
+        assert found.counts.total() == HALF
 
 
 def test_where_no_bag_can_be_made_all_is_kept_until_there_is_a_place(tmp_path, monkeypatch):

@@ -35,7 +35,7 @@ def analytic(*overrides):
     """Plant of the rig's linear model, and measures of its closed force loop, as it runs."""
     experiment = load(*overrides)
     own, dt = experiment["force_controller"], experiment.timebase.dt
-    plant, f = choose_plant(experiment, "rig"), np.geomspace(0.1, 0.499 / dt, 3000)
+    plant, f = choose_plant(experiment), np.geomspace(0.1, 0.499 / dt, 3000)
     sampled = bilinear(np.atleast_1d(own["numerator"]), own["denominator"], dt)
     loop = polynomial_ratio(*sampled, np.exp(2j * np.pi * f * dt)) * plant.sampled_response(f, dt)
     return plant, tracking_measures(f, loop / (1 + loop))
@@ -220,7 +220,6 @@ def test_too_little_amplitude_is_told_with_band_and_remedy(identify, tmp_path):
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("--signal", "sine"), "one of random, chirp"),
         (("--band", "10", "5"), "--band is 10 to 5 Hz"),
         (("--duration", "5"), "needs 13.3333 s"),
         (("--external", "force_controller"), "--external"),

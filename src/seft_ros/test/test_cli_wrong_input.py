@@ -129,6 +129,22 @@ def test_a_test_that_trips_ends_with_status_1_and_says_so(seft):
     assert "unstable" not in err  # a limit is no instability
 
 
+@pytest.mark.parametrize(
+    ("fault", "error"),
+    [
+        ("force set at 1", "set needs a value"),
+        ("z/force set 3 at 1", "there is no axis z; there are x"),
+        ("specimen melt at 1", "specimen can't melt; it can break, slip, collide"),
+        ("force set 3 at 90", "the test ends at 3 s, before the fault begins"),
+    ],
+)
+def test_a_wrong_fault_is_told_in_one_line_before_anything_moves(seft, fault, error):
+    for command in ("simulate", "run"):
+        status, out, err = seft(command, JHU, *SHORT, "-p", f"rig:faults:={fault}")
+        assert (status, out) == (2, "")
+        assert err == f'seft: rig: faults: "{fault}": {error}\n'
+
+
 def test_out_names_the_folder_of_the_bag_which_reports_the_same(seft, tmp_path):
     status, out, _ = seft("simulate", JHU, *SHORT, "--out", "bag", "--json")
     assert status == 0
@@ -137,8 +153,10 @@ def test_out_names_the_folder_of_the_bag_which_reports_the_same(seft, tmp_path):
     status, out, _ = seft("report", "bag", "--json")
     assert status == 0
     reported = json.loads(out)
-    for key in KEYS | {"displacement", "acceleration", "force"}:
+    for key in KEYS | {"displacement", "acceleration", "force", "simulated"}:
         assert reported[key] == simulated[key]
+    assert set(reported["simulated"]) == {"displacement_peak", "force_peak", "stop_force_peak"}
+    assert 0.0 < reported["simulated"]["displacement_peak"] < 0.02
     assert seft("report", "bag", "--csv", "histories")[0] == 0
     lines = (tmp_path / "histories.csv").read_text().splitlines()
     assert lines[0].startswith("time (s),ground acceleration (m/s^2),displacement (m),")

@@ -21,7 +21,7 @@ def driven(*overrides, volts=0.2, of="jhu", seed=1):
     axes, dt = experiment.axes, experiment.timebase.dt
     rig = Rig.from_parameters(experiment["rig"], axes, experiment.timebase)
     band = BAND[0], min(BAND[1], 0.45 / dt)
-    unit = excitation("random", round(DURATION / dt), len(axes), dt, band, seed)
+    unit = excitation(round(DURATION / dt), len(axes), dt, band, seed)
     commands = np.concatenate([volts * unit, np.zeros((round(TAIL / dt), len(axes)))])
     first = rig.reset()
     states = np.array([first, *(rig.step(command) for command in commands[:-1])])

@@ -171,7 +171,8 @@ def test_a_plant_identified_exactly_gives_the_rigs_own_loop(method):
     test = experiment(
         SERVO, {"force_controller": plant}, mass_ratio=1.0, compensation__method=method
     )
-    rig, identified = Plan(test, "rig"), Plan(test)
+    own = experiment(SERVO, mass_ratio=1.0, compensation__method=method)
+    rig, identified = Plan(own), Plan(test)
     assert (rig.rig.plant.source, identified.rig.plant.source) == ("rig", "identified")
     found, exact = (plan.loops()[0] for plan in (identified, rig))
     motion = np.ones((5, 1))

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from seft_ros.design.force_tracking import tracking_delay, tracking_measures
+from seft_ros.design.force_tracking import tracking_measures
 
 F = np.geomspace(0.05, 200.0, 600)
 S = 2j * np.pi * F
@@ -15,7 +15,6 @@ def test_a_pure_delay_is_found_however_the_frequencies_lie(delay, evenly):
     delayed = np.exp(-2j * np.pi * f * delay)
     found = tracking_measures(f, delayed)
     assert found.delay_s == pytest.approx(delay, abs=1e-12)
-    assert tracking_delay(f, delayed) == pytest.approx(np.full(len(f), delay), abs=1e-12)
     assert (found.closed_loop_flat_to_hz, found.bandwidth_hz) == (None, None)
     assert (found.dip_db, found.dip_hz) == (None, None)
 
@@ -63,4 +62,3 @@ def test_a_loop_that_never_follows_is_flat_nowhere():
     assert (found.closed_loop_flat_to_hz, found.bandwidth_hz, found.delay_s) == (0.0, 0.0, None)
     unknown = np.full(len(F), np.nan, dtype=complex)
     assert tracking_measures(F, unknown).delay_s is None
-    assert np.isnan(tracking_delay(F, unknown)).all()

@@ -28,8 +28,8 @@ def record(tmp_path):
 
     def make(of):
         band, seed = (1.0, 100.0), 1
-        motions = Motions(of, LEVELS.force, "random", band, seed)
-        unit = excitation("random", 5000, len(of.axes), of.timebase.dt, band, seed)
+        motions = Motions(of, LEVELS.force, band, seed)
+        unit = excitation(5000, len(of.axes), of.timebase.dt, band, seed)
         return motions.write(tmp_path / "record.csv", 10.0), unit
 
     return make
@@ -72,10 +72,9 @@ def test_in_the_closed_loop_it_is_the_reference_force_and_the_controller_the_exp
 
 
 def test_the_default_force_follows_the_mass_up_to_a_share_of_the_limit():
-    assert default_force(load(), "random") == pytest.approx(5.0 * 52.7)
-    assert default_force(load(), "chirp") == pytest.approx(0.3 * 5.0 * 52.7)
+    assert default_force(load()) == pytest.approx(5.0 * 52.7)
     heavy = load("reference_force:model.mass:=5000.0", "supervisor:limits.force:=2000.0")
-    assert default_force(heavy, "random") == pytest.approx(100.0)
+    assert default_force(heavy) == pytest.approx(100.0)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from seft_ros.design.roots import Root, lightly_damped, polynomial_of, roots_of
+from seft_ros.design.plant import Root, lightly_damped, polynomial_of, roots_of
 
 
 def test_roots_make_their_polynomial():

@@ -84,7 +84,7 @@ def test_a_fault_in_a_file_is_told_with_its_line(tmp_path, content, place, what)
 
 def test_a_missing_file_and_a_folder_are_told_apart(tmp_path):
     assert "no such file" in refusal(tmp_path / "nowhere.at2")
-    assert "is a folder" in refusal(tmp_path)
+    assert "Is a directory" in refusal(tmp_path)
 
 
 def test_an_at2_name_without_a_header_is_refused(tmp_path):

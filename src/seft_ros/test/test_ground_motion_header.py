@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from seft_msgs_py.errors import InputError
 from seft_ros.ground_motion.readers.columns import rounded_period
-from seft_ros.ground_motion.readers.units import is_other_unit, read_unit
+from seft_ros.ground_motion.readers.statements import is_other_unit, read_unit
 from seft_ros.ground_motion.record_file import read_record
 
 WAVE = np.sin(0.3 * np.arange(40))

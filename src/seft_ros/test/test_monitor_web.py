@@ -16,10 +16,10 @@ from seft_ros.monitor.access import (
     is_loopback,
     page_address,
 )
+from seft_ros.monitor.connections import MOST, PageServer
 from seft_ros.monitor.server import listen
 from seft_ros.monitor.web import Pages, application
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
-from tornado.httpserver import HTTPServer
 from tornado.websocket import websocket_connect
 
 
@@ -37,7 +37,7 @@ def serving(scenario, rights=None, local_only=True, everything=lambda: ["all"]):
         pages = Pages(everything)
         tokens = Tokens(rights or {}, lambda: ask.now)
         late = lambda state, at_ms: "" if (state, at_ms) == (3, 500.0) else "late"  # noqa: E731
-        server = HTTPServer(application(tokens, local_only, port, pages, call, late))
+        server = PageServer(application(tokens, local_only, port, pages, call, late))
         server.add_socket(socket)
         client = AsyncHTTPClient()
 
@@ -175,6 +175,7 @@ def test_a_wrong_token_is_told_and_the_next_has_to_wait_but_not_who_has_a_cookie
         assert (early.code, early.headers["Retry-After"]) == (429, "1")
         assert b"wait 1 s" in early.body and b"<form" in early.body
         assert (await ask("/", headers={"Cookie": cookie})).code == 200
+        assert (await ask("/?token=secret", headers={"Cookie": cookie})).code == 302
         ask.now += 1.0
         assert (await ask("/?token=secret")).code == 302
 
@@ -202,6 +203,45 @@ def test_who_guesses_waits_longer_each_time_and_holds_up_nobody_else():
     for number in range(2 * MAX_ADDRESSES):
         tokens.right_of("guess", f"of many {number}")
     assert len(tokens._failures) == MAX_ADDRESSES
+
+
+def test_who_sends_halves_of_requests_keeps_nobody_out():
+    """And a page that is open stays so."""
+
+    async def scenario(ask, pages, calls):
+        port = int(ask.own.rpartition(":")[2])
+        headers = {"Origin": ask.own, "Authorization": "Bearer secret"}
+        page = await websocket_connect(ask.request("/live", kind="ws", headers=headers))
+        halves = []
+        for _ in range(2 * MOST):
+            halves.append(await asyncio.open_connection("127.0.0.1", port))
+            halves[-1][1].write(b"POST /service/estop HTTP/1.1\r\nHost: ")
+        for reader, _ in halves[:MOST]:
+            assert await reader.read() == b""  # the oldest are closed
+        asked = post("/service/estop", ask.own)
+        asked["headers"] |= headers
+        assert (await ask(**asked)).code == 200
+        assert calls == ["estop"]
+        assert len(pages) == 1
+        page.close()
+        for _, writer in halves:
+            writer.close()
+        while await page.read_message() is not None:
+            pass  # until it is closed
+
+    serving(scenario, {"secret": CONTROL}, local_only=False)
+
+
+def test_a_large_body_is_not_waited_for():
+    async def scenario(ask, *_):
+        port = int(ask.own.rpartition(":")[2])
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        writer.write(b"POST /service/stop HTTP/1.1\r\nHost: a\r\nContent-Length: 5000\r\n\r\n")
+        assert b"400 Bad Request" in await reader.read()
+        writer.close()
+        await writer.wait_closed()
+
+    serving(scenario)
 
 
 def test_the_cookie_is_not_the_token():
@@ -240,16 +280,16 @@ def test_a_token_to_watch_shows_all_and_presses_nothing():
 def test_a_start_that_is_late_is_not_carried_out(service):
     async def scenario(ask, _, calls):
         asked = post(f"/service/{service}", ask.own)
-        for body, told in (
-            ("", "does not say"),
-            ("{}", "does not say"),
-            ("[]", "does not say"),
-            ('{"state": 3, "at": "soon"}', "does not say"),
-            ('{"state": 2, "at": 500}', "late"),
-            ('{"state": 3, "at": 400}', "late"),
-        ):
+        for body in ('{"state": 2, "at": 500}', '{"state": 3, "at": 400}'):
             answer = json.loads((await ask(**asked | {"body": body})).body)
-            assert not answer["done"] and told in answer["text"]
+            assert not answer["done"] and "late" in answer["text"]
+        deep = "[" * 4000
+        for body in (
+            *("", "{}", "[]", deep, '{"state": 3, "at": "soon"}', '{"state": 3, "at": NaN}'),
+            *('{"state": 1e400, "at": 500}', '{"state": 3, "at": 1e400}'),
+        ):
+            answer = await ask(**asked | {"body": body})
+            assert (answer.code, b"does not say" in answer.body) == (400, True)
         assert not calls
         done = json.loads((await ask(**asked | {"body": '{"state": 3, "at": 500}'})).body)
         assert done["done"] and calls == [service]

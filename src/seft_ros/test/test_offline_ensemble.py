@@ -44,6 +44,12 @@ WATER = (
     "reference_force:computed.mass:=[35.0, 25.0]",
     "reference_force:computed.stiffness:=[1421.2, -1421.2, -1421.2, 1421.2]",
 )
+FAULTS = (
+    'rig:faults:=["force noise 3 at 1", "force set 300 at 2.5 for 1", "velocity late 0.001 at 1", '
+    '"acceleration lowpass 200 at 2", "valve hysteresis 0.1 at 0.5", "valve null 0.01 at 2", '
+    '"supply scale 0.8 at 1", "specimen slip 1e-5 at 1", "specimen break 0.98 at 1.2", '
+    '"specimen collide 1e3 at 0.9"]'
+)
 CASES = {
     "nonlinear": (),
     "target": TARGET,
@@ -96,6 +102,8 @@ CASES = {
     "open loop": ("force_controller:feedback:=false",),
     "saturated valve": (STRONG, "rig:actuator.rated_voltage:=2.0"),
     "end stops": ("rig:actuator.stroke:=0.002", "rig:limits.displacement_rate:=30.0"),
+    "faults": (*TARGET, FAULTS),
+    "faults of two axes": (*TWO, *TARGET, FAULTS.replace('"force noise', '"y/force noise')),
     # ends
     "displacement": ("rig:limits.displacement:=0.003",),
     "rate": ("rig:limits.acceleration_rate:=900.0",),
@@ -129,6 +137,7 @@ def load(*words):
 def alike(found, wanted):
     assert found.trip == wanted.trip
     assert found.saturation == wanted.saturation
+    assert found.simulated == wanted.simulated
     assert found.series.keys() == wanted.series.keys()
     for name, series in wanted.series.items():
         assert np.array_equal(found.series[name].steps, series.steps)

@@ -101,7 +101,6 @@ def test_a_summary_counts_what_tripped_and_lists_the_worst():
     assert (result["trips"]["count"], result["trips"]["share"]) == (1, pytest.approx(1 / 3))
     wanted = {"median": 0.03, "p90": None, "p95": None, "max": None}
     assert result["distribution"]["displacement"] == wanted
-    assert result["peak_error"]["force"]["median"] == pytest.approx(0.1)
     assert result["configured"]["displacement"]["nrmse"] == 0.01
     assert [run["test"] for run in result["runs"]] == [1, 2, 3]
     assert summary["drawn"][2] == {"test": 3, "motion": "", "factors": {"a": 1.2, "b": 1.1}}

@@ -12,15 +12,22 @@ from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
 from seft_ros.reference_force.linear_filter import LinearCompensator
 from seft_ros.study import study_runs
 from seft_ros.study.drawn_tests import draw_tests
-from seft_ros.study.finished_tests import FinishedTests
 from seft_ros.study.study_plan import StudyTest, plan_study
-from seft_ros.study.study_results import summarise_study
-from seft_ros.study.study_runs import run_study
-from seft_ros.study.worst_tests import worst_folder, write_worst_tests
+from seft_ros.study.study_results import summarise_study, worst_folder, write_worst_tests
+from seft_ros.study.study_runs import FinishedTests, run_study
 from seft_ros.test_run.parameter_tables import TABLES
 
 SHORT = ("ground_motion:synthetic.duration:=4", "ground_motion:tail:=0.5")
-KEYS = ("steps", "stable", "trip", "saturated", "displacement", "acceleration", "force")
+KEYS = (
+    "steps",
+    "stable",
+    "trip",
+    "saturated",
+    "simulated",
+    "displacement",
+    "acceleration",
+    "force",
+)
 
 
 def load(*words, file=JHU):

@@ -16,6 +16,7 @@ from ruamel.yaml.scalarstring import DoubleQuotedScalarString
 
 from seft_msgs_py.config.parameter_table import COMMON, Section, Table, Value, nearest, resolve
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.files import check_regular, read_text_of
 from seft_msgs_py.wire.topics import NODES, Timebase, rigs_of
 
 EVERY_NODE = "/**"
@@ -25,6 +26,9 @@ PARAMETER_OPTIONS = ("--params-file", "-p", "--param")
 
 LARGEST_FILE = 1_000_000
 """Bytes; a test of many axes has some thousand, and a million take a minute to parse."""
+
+MOST_AXES = 100
+"""The rig's model has some ten states for each, and takes minutes to prepare beyond that."""
 
 Override = tuple[str, str, Value]  # node, parameter, value
 
@@ -74,6 +78,10 @@ class Experiment:
         common = next(iter(self.sections.values()))
         self.timebase = Timebase.from_rate(common["rate"])
         self.axes = tuple(common["axes"])
+        if len(self.axes) > MOST_AXES:
+            raise InputError(
+                f"{EVERY_NODE}: there are {len(self.axes)} axes, but a test has at most {MOST_AXES}"
+            )
         if len(set(self.axes)) != len(self.axes) or not all(self.axes):
             raise InputError(f"{EVERY_NODE}: axes are {list(self.axes)}, but names must differ")
         if not "".join(self.axes).isprintable():
@@ -185,8 +193,7 @@ def read_parameter_file(path: str | Path) -> dict[str, Section]:
     """
     path = Path(path)
     try:
-        with path.open("rb") as file:
-            content = file.read(LARGEST_FILE + 1)
+        content = read_text_of(path, LARGEST_FILE + 1)
         if len(content) > LARGEST_FILE:
             raise InputError(
                 f"{path}: is larger than {LARGEST_FILE / 1e6:g} MB, the limit of parameter files; "
@@ -251,6 +258,7 @@ def write_parameter_file(
     InputError
         If the file exists already or can't be written.
     """
+    check_regular(path)
     try:
         with path.open("w" if replace else "x", encoding="utf-8") as file:
             file.write(parameter_text(sections, comments))

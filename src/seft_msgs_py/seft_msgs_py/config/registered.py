@@ -7,6 +7,7 @@ A package does so in its setup.py:
 
 import inspect
 import json
+import os
 import shlex
 import sys
 import traceback
@@ -20,6 +21,7 @@ from typing import Any
 
 from seft_msgs_py.config.parameter_table import Parameter
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.printing import escaped
 
 
 class Registered:
@@ -100,7 +102,7 @@ def _installed(path: tuple[str, ...]) -> EntryPoints:
 def _of_file(name: str, where: str) -> Any:
     """Give an object that a file defines, ``FILE.py:NAME``; a process runs the file once."""
     text, _, part = name.rpartition(":")
-    file = Path(text).resolve()
+    file = Path(os.path.realpath(text))
     if not file.is_file():
         raise InputError(f"{where} is {name}, but there is no file {text}")
     module = _run(file, file.stat().st_mtime_ns, where)
@@ -134,7 +136,7 @@ def printable(text: str) -> str:
     """Make one line of a text of another package that no terminal takes as a command."""
     line = " ".join(text.split())
     line = line if len(line) <= LONGEST_TEXT else f"{line[:LONGEST_TEXT]}..."
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
+    return escaped(line)
 
 
 def reason_of(error: BaseException) -> str:
@@ -161,7 +163,7 @@ def _load(entry: EntryPoint, where: str) -> Any:
         package = entry.dist.name if entry.dist is not None else entry.value.partition(":")[0]
         raise InputError(
             f"{where} is {entry.name}, but package {package} has no {entry.value} that can be "
-            f"loaded: {error}"
+            f"loaded: {reason_of(error)}"
         ) from None
 
 

@@ -21,6 +21,7 @@ from seft_msgs_py.node.process import (
     single_instance,
 )
 from seft_msgs_py.node.transport import Answer, Host, Level
+from seft_msgs_py.printing import escaped
 from seft_msgs_py.wire.topics import Topic
 
 check_shared_memory()  # before rclpy is imported
@@ -80,9 +81,9 @@ class DdsEndpoint:
         log = node.get_logger()
         # rclpy allows one level for each line of the program
         self._log: dict[Level, Callable[[str], Any]] = {
-            "info": lambda text: log.info(text),
-            "warning": lambda text: log.warning(text),
-            "error": lambda text: log.error(text),
+            "info": lambda text: log.info(escaped(text)),
+            "warning": lambda text: log.warning(escaped(text)),
+            "error": lambda text: log.error(escaped(text)),
         }
 
     def full_name(self, topic_name: str) -> str:
@@ -179,7 +180,7 @@ class DdsTransport:
 
     def log(self, text: str) -> None:
         """Log an error of the process."""
-        rclpy.logging.get_logger("seft").error(text)
+        rclpy.logging.get_logger("seft").error(escaped(text))
 
     def start(self, failed: Callable[[Exception], None]) -> None:
         """Begin to serve requests; ``failed`` gets their exceptions."""

@@ -10,6 +10,7 @@ from seft_msgs_py.errors import SeftError
 from seft_msgs_py.node.node_shell import NodeBody, NodeShell
 from seft_msgs_py.node.transport import MakeTransport
 from seft_msgs_py.node.turns import NodeProcess
+from seft_msgs_py.printing import unbroken
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,9 @@ class NodeKind:
 
     def main(self) -> int:
         """Run this node in this process, or print its help; return the exit status."""
+        return unbroken(self.table.node, self._main)
+
+    def _main(self) -> int:
         if {"-h", "--help"} & {*sys.argv[1:]}:
             print(self.help())
             return 0

@@ -148,8 +148,15 @@ class NodeShell:
         """Names of the listeners of each topic, separated by blanks; number of publishers."""
         return self._wiring.matched()
 
+    def follow(self, state: str) -> None:
+        """Choose the publishers of a test when it begins; for the node that makes its state."""
+        self._wiring.follow(state)
+
     def several_senders(self) -> str:
-        """Say which topic of the test more than one node publishes, see `Senders.conflict`."""
+        """Say which topic of the test more than one node publishes, see `Senders.conflict`.
+
+        Or which node there is more than once, by the topics that all nodes publish.
+        """
         return self._wiring.several_senders()
 
     def name_unexpected_publishers(self, refused_before: int) -> str:

@@ -2,11 +2,16 @@
 
 from dataclasses import dataclass
 
+from seft_msgs_py.node.authors import NAMELESS, UNNAMED
 from seft_msgs_py.node.transport import Endpoint, Publisher, Subscription
+from seft_msgs_py.wire.outcome import ENDED, MOVING
 from seft_msgs_py.wire.topics import EXPERIMENT_STATE, LoopTopic, Topic, bare
 
-UNNAMED, NAMELESS = "a node whose name is not known", "_NODE_NAME_UNKNOWN_"
-"""Our name and the middleware's for a node that has not announced itself yet."""
+_LISTED = 8
+"""Unexpected publishers that a status or a line of the log names; all are counted."""
+_COUNTED = 1000  # of them at most
+_GIVEN_UP = 25
+"""Polls, 5 s, without the test's supervisor after which another one is accepted."""
 
 
 @dataclass
@@ -29,14 +34,16 @@ class Senders:
     """Publishers of the topics that a node reads, by the middleware's identifiers.
 
     While a test runs, the loop's topics and the state of the test are accepted only from the
-    publisher that each had when the test began. Any other publisher is unexpected: its messages are
-    counted, reported with its name, and ignored.
+    publisher that each had when the test began, and the state until that one leaves `ENDED`. Any
+    other publisher is unexpected: its messages are counted, reported with its name, and ignored.
     """
 
     def __init__(self, endpoint: Endpoint) -> None:
         self._endpoint = endpoint
         self._readers: dict[str, _Reader] = {}
-        self._bound = False
+        self._state = ""  # of the test
+        self._unheard = 0  # polls since its last message
+        self._asked = 0  # of the readers, in turns
         self._refused: dict[tuple[str, bytes], int] = {}  # messages of each unexpected publisher
         self._names: dict[tuple[str, bytes], str] = {}
 
@@ -48,14 +55,15 @@ class Senders:
         """Count the publishers of each topic."""
         return {name: reader.count(self._endpoint) for name, reader in self._readers.items()}
 
-    def follow(self, moving: bool) -> None:
-        """Choose the publishers when a test begins; ``moving``: whether one runs."""
-        if moving == self._bound:
+    def follow(self, state: str) -> None:
+        """Choose the publishers when a test begins, by its state."""
+        before, self._state, self._unheard = self._state, state, 0
+        if (state in MOVING) == (before in MOVING) and (state in ENDED) == (before in ENDED):
             return
-        self._bound = moving
-        for reader in self._readers.values():
-            reader.accepted = b""
-        if not moving:
+        for reader in self._of_the_test():
+            if state not in ENDED or reader.topic != EXPERIMENT_STATE:
+                reader.accepted = b""
+        if state not in MOVING:
             return
         self._refused.clear()
         self._names.clear()
@@ -74,8 +82,16 @@ class Senders:
         accepted = self._readers[name].accepted
         if not accepted or gid == accepted:
             return False
-        self._refused[name, gid] = self._refused.get((name, gid), 0) + 1
+        self.refuse(name, gid)
         return True
+
+    def refuse(self, name: str, gid: bytes, node: str = "") -> None:
+        """Count a message on a topic of an unexpected publisher, whose name may be known."""
+        if len(self._refused) >= _COUNTED and (name, gid) not in self._refused:
+            return
+        self._refused[name, gid] = self._refused.get((name, gid), 0) + 1
+        if node:
+            self._names[name, gid] = node
 
     def conflict(self) -> str:
         """Say which topic of the test more than one node publishes; empty if none.
@@ -84,34 +100,66 @@ class Senders:
         """
         for reader in self._of_the_test():
             if (count := reader.count(self._endpoint)) > 1:
-                names = ", ".join(sorted(self._known(reader).values()))
+                names = _listed(sorted(self._known(reader).values()), ", ")
                 return f"{count} nodes publish {reader.topic.name} ({names})"
         return ""
 
-    def poll(self) -> list[str]:
-        """Look for unexpected publishers in a running test; report the new ones."""
-        news = []
-        for reader in self._of_the_test():
-            name, accepted = reader.topic.name, reader.accepted
-            if not accepted:
-                continue
-            unnamed = any(key not in self._names for key in self._refused if key[0] == name)
-            named = sum(key[0] == name for key in self._names)
-            if not unnamed and reader.count(self._endpoint) < 2 + named:
-                continue
-            for gid, node in self._known(reader).items():
-                if gid != accepted and (name, gid) not in self._names and NAMELESS not in node:
-                    self._names[name, gid] = node
-                    self._refused.setdefault((name, gid), 0)
-                    news.append(f"{node} publishes {name}, too: this test ignores its messages")
-        return news
+    def poll(self) -> str:
+        """Look for unexpected publishers in a running test; report new ones of one topic.
+
+        To be called five times a second. Reading the graph and logging take a millisecond, so each
+        poll does that for one topic at most, however many publishers join.
+        """
+        self._unheard += 1
+        readers = [reader for reader in self._of_the_test() if self._may_be_news(reader)]
+        if not readers:
+            return ""
+        self._asked += 1
+        reader = readers[self._asked % len(readers)]
+        name, known, news = reader.topic.name, self._known(reader), []
+        if self._has_lost(reader) and reader.accepted not in known:
+            reader.accepted = b""  # the supervisor has left; it may have been started again
+            self._state = ""
+            return ""
+        for gid, node in known.items():
+            if gid != reader.accepted and (name, gid) not in self._names and NAMELESS not in node:
+                self._names[name, gid] = node
+                self._refused.setdefault((name, gid), 0)
+                news.append(node)
+        if len(news) < 2:
+            return "".join(
+                f"{node} publishes {name}, too: this test ignores its messages" for node in news
+            )
+        return (
+            f"{_listed(sorted(news), ', ')} publish {name}, too: this test ignores their messages"
+        )
 
     def unexpected_publishers(self) -> str:
         """List the unexpected publishers of this test, their topics and refused messages."""
-        return "; ".join(
+        found = [
             f"{self._names.get(key, UNNAMED)} on {key[0]}: {count}"
             for key, count in self._refused.items()
-        )
+        ]
+        return _listed(found, "; ")
+
+    def _may_be_news(self, reader: _Reader) -> bool:
+        """Say whether somebody publishes a topic who is not known yet, or its publisher has left.
+
+        Nobody else's publishers are a sign of that: then the graph is read.
+        """
+        if not reader.accepted:
+            return False
+        keys = [key for key in self._refused if key[0] == reader.topic.name]
+        if keys and self._has_lost(reader):
+            return True
+        named = sum(key[0] == reader.topic.name for key in self._names)
+        unnamed = any(key not in self._names for key in keys)
+        return unnamed or reader.count(self._endpoint) >= 2 + named
+
+    def _has_lost(self, reader: _Reader) -> bool:
+        """Say whether the supervisor is silent for so long that it may be another one."""
+        patience = _GIVEN_UP if self._state in MOVING else 1
+        return reader.topic == EXPERIMENT_STATE and self._unheard > patience
 
     def _of_the_test(self) -> list[_Reader]:
         return [
@@ -123,6 +171,12 @@ class Senders:
     def _known(self, reader: _Reader) -> dict[bytes, str]:
         """Give identifier and full name of each node that publishes a topic, as far as known."""
         return self._endpoint.publishers(reader.full_name)
+
+
+def _listed(words: list[str], between: str) -> str:
+    """Join words; of many the first ones, and how many more there are."""
+    more = len(words) - _LISTED
+    return between.join(words[:_LISTED] + ([f"{more} more"] if more > 0 else []))
 
 
 def connected_listeners(endpoint: Endpoint, publisher: Publisher, namespace: str) -> set[str]:

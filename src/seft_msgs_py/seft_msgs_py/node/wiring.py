@@ -5,13 +5,24 @@ from dataclasses import replace
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError, SeftError, WireError
+from seft_msgs_py.node.authors import Authors, Message
 from seft_msgs_py.node.bus import Receive
 from seft_msgs_py.node.senders import Senders, connected_listeners
 from seft_msgs_py.node.transport import Endpoint, Publisher, Send
 from seft_msgs_py.node.turns import NodeProcess, ReadOne, drain
 from seft_msgs_py.wire.messages import decode_status
 from seft_msgs_py.wire.outcome import MOVING
-from seft_msgs_py.wire.topics import EXPERIMENT_STATE, RIG_NODES, LoopTopic, RigAxes, Topic
+from seft_msgs_py.wire.topics import (
+    DESCRIPTION,
+    DIAGNOSTICS,
+    EXPERIMENT_STATE,
+    NODES,
+    RIG_NODES,
+    LoopTopic,
+    RigAxes,
+    Topic,
+    with_rigs,
+)
 
 _POLL_PERIOD = 0.2  # s between two looks for other publishers
 WARN_PERIOD = 1.0  # s
@@ -44,6 +55,8 @@ class Wiring:
         self._publishers: dict[str, Publisher] = {}
         self._readers: dict[str, ReadOne] = {}
         self._senders = Senders(endpoint)
+        self._nodes = with_rigs(NODES, experiment.rigs)
+        self._authors: list[tuple[Authors, Receive]] = []
 
     def publisher(self, topic: Topic) -> Send:
         """Make the publisher of a topic; return the function that publishes message bytes."""
@@ -66,6 +79,8 @@ class Wiring:
         else:
             subscription = self._endpoint.subscribe(here, depth, reliable)
             self._senders.add(topic, subscription.topic_name, subscription)
+            if topic in (DIAGNOSTICS, DESCRIPTION):
+                receive = self._of_authors(topic, subscription.topic_name, receive)
             read_one = self._process.add_subscription(subscription, receive, wake)
         self._readers[topic.name] = read_one
         return read_one
@@ -88,9 +103,19 @@ class Wiring:
             found[f"matched {name}"] = " ".join(sorted({*outside, *inside}))
         return found
 
+    def follow(self, state: str) -> None:
+        """Choose the publishers of a test when it begins, by its state."""
+        self._senders.follow(state)
+        for authors, _ in self._authors:
+            authors.bound = state in MOVING
+
     def several_senders(self) -> str:
-        """Say which topic of the test more than one node publishes, see `Senders.conflict`."""
-        return self._senders.conflict()
+        """Say which topic of the test more than one node publishes, see `Senders.conflict`.
+
+        Or which node there is more than once, by the topics that all nodes publish.
+        """
+        twins = (authors.twins() for authors, _ in self._authors)
+        return self._senders.conflict() or next(filter(None, twins), "")
 
     def unexpected_publishers(self) -> str:
         """List the unexpected publishers of this test, see `Senders.unexpected_publishers`."""
@@ -116,8 +141,11 @@ class Wiring:
             self._warning, self._warned_at = "", now
         if now - self._polled_at >= _POLL_PERIOD:
             self._polled_at = now
-            for news in self._senders.poll():
+            if news := self._senders.poll():
                 self._endpoint.log("warning", news)
+            for authors, receive in self._authors:
+                for message in authors.poll():
+                    receive(*message)
 
     def _name_here(self, topic: Topic) -> str:
         """Name of a topic for this node, whose namespace may be a level below the test's."""
@@ -147,10 +175,29 @@ class Wiring:
                 self._process.fault(f"{self.name}, {name}", error)
                 return False
             if topic == EXPERIMENT_STATE:
-                senders.follow(decode_status(raw).message in MOVING)
+                self.follow(decode_status(raw).message)
             return True
 
         return receive
+
+    def _of_authors(self, topic: Topic, full_name: str, receive: Receive) -> Receive:
+        """Let through what nodes of the test tell of themselves."""
+        namespace = self._test_namespace
+        authors = Authors(self._endpoint, topic, full_name, namespace, self._nodes)
+
+        def receive_own(raw: bytes, received_ns: int, gid: bytes) -> bool:
+            try:
+                counts = authors.judge(Message(raw, received_ns, gid))
+            except WireError as error:
+                self.refuse(str(error))
+                return False
+            if counts is False:
+                self.refused += 1
+                self._senders.refuse(topic.name, gid, authors.name_of(gid))
+            return bool(counts) and receive(raw, received_ns, gid)
+
+        self._authors.append((authors, receive_own))
+        return receive_own
 
 
 def _nothing() -> bool | None:

@@ -112,7 +112,7 @@ class LocalGraph:
         self._tasks: dict[str, Task] = {}
         self._started: list[Task] = []
         self._transports: dict[str, MemoryTransport] = {}
-        self._stranger = MemoryEndpoint(self.graph, STRANGER)
+        self._strangers: dict[str, MemoryEndpoint] = {}
         for group in groups:
             self.start(*group)
 
@@ -175,8 +175,8 @@ class LocalGraph:
         TimeoutError
             If no node that is alive serves it.
         """
-        endpoint, answer = self.graph.services.get(f"/{service}", (self._stranger, None))
-        if answer is None or endpoint.is_dead:
+        endpoint, answer = self.graph.services.get(f"/{service}", (None, None))
+        if endpoint is None or answer is None or endpoint.is_dead:
             raise TimeoutError(f"nobody answers {service}")
         task = self._tasks[endpoint.path]
         while task.frozen_until > self.scheduler.now:
@@ -223,21 +223,25 @@ class LocalGraph:
         """Let messages of these steps, by default all, take so much longer."""
         self.graph.rules.append(Rule(topic.name, steps, seconds, reader))
 
-    def join(self, topic: Topic) -> Callable[[bytes], None]:
-        """Let a stranger publish a topic from now on; return the function that sends."""
-        name = self._stranger.full_name(topic.name)
-        for publisher in self.graph.publishers[name]:
-            if publisher.endpoint is self._stranger:
-                return publisher.send
-        return self._stranger.publish(topic).send
+    def join(self, topic: Topic, name: str = STRANGER) -> Callable[[bytes], None]:
+        """Let a stranger publish a topic from now on; return the function that sends.
 
-    def inject(self, topic: Topic, raw: bytes, *, as_stranger: bool = True) -> None:
-        """Send bytes as a stranger, or as if they came from the test's own publisher."""
-        if as_stranger:
-            self.join(topic)(raw)
+        It may have any name, also that of a node of the test.
+        """
+        stranger = self._strangers.setdefault(name, MemoryEndpoint(self.graph, name))
+        for publisher in self.graph.publishers[stranger.full_name(topic.name)]:
+            if publisher.endpoint is stranger:
+                return publisher.send
+        return stranger.publish(topic).send
+
+    def inject(self, topic: Topic, raw: bytes, sender: str = STRANGER) -> None:
+        """Send bytes as a stranger, or as if they came from a node of the test."""
+        if sender not in self._transports:
+            self.join(topic, sender)(raw)
             return
-        publishers = self.graph.publishers[self._stranger.full_name(topic.name)]
-        next(each for each in publishers if each.endpoint is not self._stranger).send(raw)
+        publishers = self.graph.publishers[self._endpoint(sender).full_name(topic.name)]
+        own = self._endpoint(sender)
+        next(each for each in publishers if each.endpoint is own).send(raw)
 
     @property
     def state(self) -> str:

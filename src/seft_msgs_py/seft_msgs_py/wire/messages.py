@@ -31,6 +31,7 @@ from seft_msgs_py.wire.topics import (
     NANOSECONDS_PER_SECOND,
     STRING,
     Timebase,
+    Topic,
 )
 
 OK, WARN, ERROR, STALE = range(4)
@@ -125,6 +126,13 @@ def decode_diagnostics(raw: bytes) -> tuple[int, list[Status]]:
     """Read a diagnostic_msgs/msg/DiagnosticArray: its stamp in nanoseconds, and the statuses."""
     message = decode_message(DIAGNOSTIC_ARRAY, raw)
     return nanoseconds(message.header.stamp), [_status(item) for item in message.status]
+
+
+def nodes_named(topic: Topic, raw: bytes) -> set[str]:
+    """Names of the nodes that a message of diagnostics or experiment/description tells of."""
+    if topic == DESCRIPTION:
+        return {decode_description(raw)[0]}
+    return {status.name for status in decode_diagnostics(raw)[1]}
 
 
 def encode_clock(stamp_ns: int) -> bytes:

@@ -4,7 +4,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from enum import StrEnum
 
 from seft_msgs_py.errors import WireError
@@ -84,6 +84,31 @@ def all_saturated(parts: Iterable[Saturation]) -> Saturation:
 
 
 @dataclass(frozen=True)
+class Simulated:
+    """Largest true motion of a simulated rig in a test, its stop included, of any axis.
+
+    Attributes
+    ----------
+    displacement_peak : float
+        m.
+    force_peak : float
+        N.
+    stop_force_peak : float
+        From the trip, or the end of the test, until rest, N.
+    """
+
+    displacement_peak: float
+    force_peak: float
+    stop_force_peak: float
+
+    @classmethod
+    def of_all(cls, parts: Iterable["Simulated"]) -> "Simulated":
+        """Give the largest of several rigs."""
+        peaks = [(p.displacement_peak, p.force_peak, p.stop_force_peak) for p in parts]
+        return cls(*map(max, zip(*peaks, strict=True)))
+
+
+@dataclass(frozen=True)
 class Outcome:
     """End of a test, as the rig reports it.
 
@@ -110,6 +135,8 @@ class Outcome:
     held_steps : list of int
         Step of the command applied at each of `missed_steps`, -1 for none; empty if the rig does
         not report it, and with several rigs.
+    simulated : Simulated or None
+        Largest true motion of a simulated rig; None if the rig is none.
     """
 
     phase: str
@@ -122,6 +149,7 @@ class Outcome:
     saturation: Saturation = field(default_factory=dict)
     round_trips: dict[str, float] = field(default_factory=dict)
     held_steps: list[int] = field(default_factory=list)
+    simulated: Simulated | None = None
 
     @classmethod
     def of_all(cls, outcomes: Sequence["Outcome"]) -> "Outcome":
@@ -134,6 +162,7 @@ class Outcome:
             return outcomes[0]
         trips = [outcome.trip for outcome in outcomes if outcome.trip is not None]
         causes = [trip for trip in trips if trip.reason != STOPPED] or trips
+        simulated = [outcome.simulated for outcome in outcomes if outcome.simulated is not None]
         walls = [outcome.wall_s for outcome in outcomes if outcome.wall_s is not None]
         missed = {step for outcome in outcomes for step in outcome.missed_steps}
         return cls(
@@ -150,6 +179,7 @@ class Outcome:
                 for key in ROUND_TRIPS
                 if (found := [o.round_trips[key] for o in outcomes if key in o.round_trips])
             },
+            simulated=Simulated.of_all(simulated) if len(simulated) == len(outcomes) else None,
         )
 
 
@@ -170,6 +200,8 @@ def rig_status(outcome: Outcome) -> Status:
         "missed_steps": _listed(outcome.missed_steps),
         "saturated": json.dumps(dict(sorted(outcome.saturation.items()))),
     }
+    if outcome.simulated is not None:
+        values["simulated"] = json.dumps(asdict(outcome.simulated))
     if outcome.held_steps:
         values["held_steps"] = _listed(outcome.held_steps)
     for key, seconds in outcome.round_trips.items():
@@ -226,6 +258,7 @@ def read_outcome(status: Status, timebase: Timebase) -> Outcome | None:
                 for key, name in ROUND_TRIPS.items()
                 if name in values
             },
+            simulated=_simulated(values["simulated"]) if "simulated" in values else None,
         )
     except KeyError as error:
         raise WireError(f"status of the {phase} rig: {error.args[0]} is missing") from None
@@ -239,6 +272,11 @@ def _listed(steps: Sequence[int]) -> str:
 
 def _steps(text: str) -> list[int]:
     return [int(step) for step in text.split(",")] if text else []
+
+
+def _simulated(text: str) -> Simulated:
+    values = json.loads(text)
+    return Simulated(**{part.name: float(values[part.name]) for part in fields(Simulated)})
 
 
 def _finite(text: str) -> float:

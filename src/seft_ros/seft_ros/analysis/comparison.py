@@ -14,7 +14,7 @@ from seft_msgs_py.wire.topics import (
     TARGET,
 )
 
-from seft_ros.analysis.metrics import Alignment, common_steps, nrmse, peak
+from seft_ros.analysis.metrics import common_steps, nrmse, peak
 from seft_ros.analysis.result_text import title_of
 from seft_ros.bags.record import Estimates, Record, Series
 from seft_ros.bags.record_bag import UNDECODABLE
@@ -22,42 +22,43 @@ from seft_ros.drawing.style import json_safe
 
 
 def compare_records(a: Record, b: Record) -> dict[str, Any]:
-    """Compare two records by step; at different rates by time, at the instants both have.
-
-    Parameters
-    ----------
-    a, b : Record
-        With at least one common axis; lengths and rates may differ.
+    """Compare two records of the same rate and axes, step by step.
 
     Returns
     -------
     dict
-        ``identical``: both have the same rate and axes, hold the same steps on every loop
-        topic, and equal bits; also of the estimates, if either has any.
+        ``identical``: both hold the same steps on every loop topic, and equal bits; also of the
+        estimates, if either has any.
         ``first_difference``: None, or ``topic``, ``step``, ``field``, ``axis``, ``a``, ``b`` of
         the smallest step that differs, first in the order of `LOOP_TOPICS`, estimates last;
         where a record lacks the step, field and axis are None and a, b are "present" or
-        "missing". Aligned by time, ``step`` is that of a, and ``step_b`` that of b.
+        "missing".
         ``first_value_difference``: the same of the steps that both hold.
-        ``missed``, ``rate_hz``, ``length_s`` (time of the last sample): {a, b}.
-        ``aligned_by``: "step" or "time".
-        ``axes``: those ``compared``, and those ``only_a`` and ``only_b`` has.
+        ``missed``, ``length_s`` (time of the last sample): {a, b}.
         ``topics``: for each topic ``samples_a``, ``samples_b``, ``identical``, ``compared``
-        (samples both hold), ``missing_a`` and ``missing_b`` (steps, or common instants, that
-        only the other has), and of the compared samples ``max_abs`` and ``nrmse``
-        (RMS(a - b) / RMS(a)): the largest of its ``fields``, which have the same two.
+        (samples both hold), ``missing_a`` and ``missing_b`` (steps that only the other has), and
+        of the compared samples ``max_abs`` and ``nrmse`` (RMS(a - b) / RMS(a)): the largest of
+        its ``fields``, which have the same two.
 
     Raises
     ------
     InputError
-        If no axis, or at different rates no instant, is common.
+        If rates or axes differ.
     """
-    alignment = Alignment.of(a, b)
+    one, other = a.experiment, b.experiment
+    for what, x, y in (
+        ("rate is", f"{one.timebase.rate:g} Hz", f"{other.timebase.rate:g} Hz"),
+        ("axes are", ", ".join(one.axes), ", ".join(other.axes)),
+    ):
+        if x != y:
+            raise InputError(
+                f"the tests can't be compared: the {what} {x} in the first and {y} in the second"
+            )
     topics: dict[str, Any] = {}
     differences: list[dict[str, Any]] = []
-    for topic, fields, one, other in _pairs(a, b):
-        figures, found = _compare_topic(fields, alignment, *alignment.on_grid(one, other))
-        counts = {"samples_a": len(one.steps), "samples_b": len(other.steps)}
+    for topic, fields, series_a, series_b in _pairs(a, b):
+        figures, found = _compare_topic(fields, one.axes, series_a, series_b)
+        counts = {"samples_a": len(series_a.steps), "samples_b": len(series_b.steps)}
         topics[topic] = {**counts, "identical": not found, **figures}
         differences += ({"topic": topic, **difference} for difference in found)
     of_values = [difference for difference in differences if difference["field"] is not None]
@@ -65,55 +66,28 @@ def compare_records(a: Record, b: Record) -> dict[str, Any]:
         min(some, key=lambda difference: difference["step"], default=None)
         for some in (differences, of_values)
     )
-    only_a, only_b = (
-        [axis for axis in record.experiment.axes if axis not in alignment.axes] for record in (a, b)
-    )
     return json_safe(
         {
-            "identical": first is None and not (only_a or only_b or alignment.by_time),
+            "identical": first is None,
             "first_difference": first,
             "first_value_difference": first_value,
             "missed": {"a": a.missed, "b": b.missed},
-            "aligned_by": "time" if alignment.by_time else "step",
-            "rate_hz": {"a": a.experiment.timebase.rate, "b": b.experiment.timebase.rate},
             "length_s": {"a": length_s(a), "b": length_s(b)},
-            "axes": {"compared": alignment.axes, "only_a": only_a, "only_b": only_b},
             "topics": topics,
         }
     )
-
-
-def compare_all(names: Sequence[str], records: Sequence[Record]) -> dict[str, Any]:
-    """Compare each further record with the first; an InputError names the two.
-
-    Returns
-    -------
-    dict
-        Of two records as `compare_records`. Of more ``identical`` (all are), and
-        ``comparisons``: for each further record what `compare_records` gives, the first being a.
-    """
-    comparisons = []
-    for name, record in zip(names[1:], records[1:], strict=True):
-        try:
-            comparisons.append(compare_records(records[0], record))
-        except InputError as error:
-            raise InputError(f"{names[0]} and {name}: {error}") from None
-    if len(comparisons) == 1:
-        return comparisons[0]
-    identical = all(comparison["identical"] for comparison in comparisons)
-    return {"identical": identical, "comparisons": comparisons}
 
 
 def describe_bag(path: str, record: Record) -> dict[str, Any]:
     """Describe a bag, as ``--json`` prints it; what is not known is None."""
     return {
         "bag": path,
-        "title": title_of(record) if record.described else None,
+        "title": title_of(record),
         "mode": record.environment.get("mode"),
         "rate_hz": record.experiment.timebase.rate,
         "axes": list(record.experiment.axes),
         "length_s": length_s(record),
-        "complete": record.complete if record.described else None,
+        "complete": record.complete,
         "damage": record.damage,
         "undecodable": record.environment.get(UNDECODABLE, 0),
     }
@@ -153,7 +127,7 @@ def _estimates(record: Record, names: Sequence[str]) -> Series:
 
 
 def _compare_topic(
-    fields: Sequence[str], alignment: Alignment, one: Series, other: Series
+    fields: Sequence[str], axes: Sequence[str], one: Series, other: Series
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """Errors of the samples that both series have, by field, and where they first differ.
 
@@ -184,6 +158,6 @@ def _compare_topic(
     if differing.any():
         at = np.unravel_index(differing.argmax(), differing.shape)
         sample, row, column = at
-        place = {"field": fields[row], "axis": alignment.axes[column]}
+        place = {"field": fields[row], "axis": axes[column]}
         found.append((int(common[sample]), place | {"a": float(a[at]), "b": float(b[at])}))
-    return figures, [alignment.own_steps(step) | difference for step, difference in found]
+    return figures, [{"step": step} | difference for step, difference in found]

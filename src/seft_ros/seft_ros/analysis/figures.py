@@ -1,7 +1,6 @@
-"""Figures of tests: one against its reference response, or several on one another."""
+"""Figures of tests: one against its reference response, or two on one another."""
 
 from collections.abc import Iterable, Sequence
-from itertools import chain, cycle, repeat
 from textwrap import wrap
 from typing import Any
 
@@ -10,10 +9,9 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from seft_msgs_py.arrays import Ints
-from seft_msgs_py.errors import InputError
 from seft_plant_sim.whole_structure import ReferenceResponse
 
-from seft_ros.analysis.metrics import Alignment, common_steps, nrmse
+from seft_ros.analysis.metrics import common_steps, nrmse
 from seft_ros.analysis.result_text import title_of
 from seft_ros.analysis.summary import AFTER, COMPARED, judged_part, strong_part
 from seft_ros.bags.record import Record
@@ -81,49 +79,39 @@ def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
 
 
 def comparison_figure(
-    records: Sequence[Record], comparisons: Sequence[dict[str, Any]], names: Sequence[str]
+    a: Record, b: Record, comparison: dict[str, Any], names: Sequence[str]
 ) -> Figure:
-    """Draw displacement, force and acceleration of the first axis that all tests have.
+    """Draw displacement, force and acceleration of two tests on their first axis.
 
-    Below each is the difference of the further tests from the first. A dashed line marks the first
-    difference on any topic, bars at the foot mark where a test lacks states of the rig.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        Two or more.
-    comparisons : sequence of dict
-        Of each further record with the first, see
-        `seft_ros.analysis.comparison.compare_records`.
-    names : sequence of str
-        Names of the records.
-
-    Raises
-    ------
-    InputError
-        If there is no axis that all have.
+    Below each is the difference of the second from the first; a dashed line marks the first
+    difference on any topic. ``comparison`` is what
+    `seft_ros.analysis.comparison.compare_records` gives.
     """
-    others = [record.experiment.axes for record in records[1:]]
-    common = [a for a in records[0].experiment.axes if all(a in axes for axes in others)]
-    if not common:
-        raise InputError("no axis is in all of these tests, so there is no figure of them")
-    axis = common[0]
     figure, grid = _panels(9.5, [1.9, 1.1] * len(style.RESPONSES), margin=0.6)
-    panels = grid[:, 0]
-    for name, overlay, difference in zip(style.RESPONSES, panels[::2], panels[1::2], strict=True):
-        _draw_overlay(overlay, records, names, name, axis)
-        _draw_differences(difference, records, name, axis)
+    panels, dt = grid[:, 0], a.experiment.timebase.dt
+    one, other = (record.states for record in (a, b))
+    steps, in_a, in_b = common_steps(one.steps, other.steps)
+    looks = ((one, names[0], style.REFERENCE, 2.4), (other, names[1], style.FIRST_COLOUR, 0.9))
+    for name, overlay, below in zip(style.RESPONSES, panels[::2], panels[1::2], strict=True):
+        row, (unit, scale) = COMPARED[name], style.DISPLAY_UNITS[name]
+        for series, label, color, width in looks:
+            curve = _broken(series.steps * dt, series.values[:, row, 0] * scale, series.steps)
+            overlay.plot(*curve, color=color, lw=width, label=label)
+        apart = (other.values[in_b] - one.values[in_a])[:, row, 0] * scale
+        below.plot(*_broken(steps * dt, apart, steps), color=style.FIRST_COLOUR, lw=0.9)
+        below.ticklabel_format(axis="y", style="sci", scilimits=(-3, 4))
+        below.yaxis.offsetText.set(fontsize=8, color=style.TEXT)
         overlay.set_ylabel(axis_label(name), color=style.TEXT)
-        difference.set_ylabel(f"difference\n/ {style.DISPLAY_UNITS[name][0]}", color=style.TEXT)
-    firsts = [c["first_difference"] for c in comparisons if c["first_difference"] is not None]
-    if firsts:
-        first = min(firsts, key=lambda first: first["step"])
-        time = first["step"] * records[0].experiment.timebase.dt
+        below.set_ylabel(f"difference\n/ {unit}", color=style.TEXT)
+    first = comparison["first_difference"]
+    if first is not None:
+        time = first["step"] * dt
         _frame(panels, time, f"first difference: {first['topic']}, {time:g} s")
     else:
         _frame(panels)
     panels[-1].set_xlabel("time / s", color=style.TEXT)
-    style.finish(figure, panels[:2], f"axis {axis}: difference from {names[0]}")
+    axis = a.experiment.axes[0]
+    style.finish(figure, panels[:1], f"axis {axis}: difference from {names[0]}")
     return figure
 
 
@@ -134,48 +122,6 @@ def _frame(panels: Iterable[Axes], marked: float | None = None, label: str = "")
             panel.axvline(marked, color=style.MARK, lw=1.2, ls="--", label=label)
         panel.margins(x=0.01)
         tidy(panel)
-
-
-def _draw_overlay(
-    panel: Axes, records: Sequence[Record], names: Sequence[str], name: str, axis: str
-) -> None:
-    row, (_, scale) = COMPARED[name], style.DISPLAY_UNITS[name]
-    looks = chain([(style.REFERENCE, 2.4)], zip(cycle(style.OTHERS), repeat(0.9)))
-    for record, label, (color, width) in zip(records, names, looks, strict=False):
-        states, column = record.states, record.experiment.axes.index(axis)
-        time = states.steps * record.experiment.timebase.dt
-        curve = _broken(time, states.values[:, row, column] * scale, states.steps)
-        panel.plot(*curve, color=color, lw=width, label=label)
-
-
-def _draw_differences(panel: Axes, records: Sequence[Record], name: str, axis: str) -> None:
-    row, (_, scale) = COMPARED[name], style.DISPLAY_UNITS[name]
-    a, differ, common = records[0], False, False
-    for b, color in zip(records[1:], cycle(style.OTHERS), strict=False):
-        alignment = Alignment.of(a, b)
-        column = alignment.axes.index(axis)
-        dt = a.experiment.timebase.dt * alignment.every[0]
-        one, other = alignment.on_grid(a.states, b.states)
-        steps, in_a, in_b = common_steps(one.steps, other.steps)
-        apart = other.values[in_b][:, row, column] - one.values[in_a][:, row, column]
-        panel.plot(*_broken(steps * dt, apart * scale, steps), color=color, lw=0.9)
-        differ, common = differ or bool(np.any(apart != 0)), common or len(steps) > 0
-        missing = np.setxor1d(one.steps, other.steps)
-        if len(missing):
-            ends = np.flatnonzero(np.diff(missing) != 1)
-            starts, stops = missing[[0, *(ends + 1)]] * dt, missing[[*ends, -1]] * dt
-            foot, heights = panel.get_xaxis_transform(), np.full(len(starts), 0.05)
-            look: dict[str, Any] = {"transform": foot, "color": style.MARK}
-            panel.hlines(heights, starts, stops, lw=4, label="samples missing", **look)
-            panel.plot(starts, heights, "|", ms=7, **look)
-    if not differ:
-        panel.set_ylim(-1, 1)
-        panel.set_yticks([0])
-        text = "no difference" if common else "no common samples"
-        panel.text(0.01, 0.75, text, transform=panel.transAxes, fontsize=9, color=style.TEXT)
-    else:
-        panel.ticklabel_format(axis="y", style="sci", scilimits=(-3, 4))
-        panel.yaxis.offsetText.set(fontsize=8, color=style.TEXT)
 
 
 def _broken(time: AnyFloats, values: AnyFloats, steps: Ints) -> tuple[AnyFloats, AnyFloats]:

@@ -7,17 +7,13 @@ that is zero throughout, of values that are not finite) is NaN.
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 import numpy.typing as npt
-from numpy.lib.stride_tricks import sliding_window_view
 from scipy.fft import irfft, next_fast_len, rfft
-from seft_msgs_py.arrays import Complexes, Floats, Ints
-from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.topics import LOOP_TOPICS
+from seft_msgs_py.arrays import Floats, Ints
 
-from seft_ros.bags.record import Record, Series
+from seft_ros.bags.record import Series
 
 Where = slice | npt.NDArray[np.intp]
 
@@ -42,82 +38,6 @@ def every_step(series: Series, every: Ints) -> Floats:
     return np.stack(columns, axis=1).reshape(len(every), *series.values.shape[1:])
 
 
-@dataclass(frozen=True)
-class Alignment:
-    """Common axes of two records, and the grid of instants on which both have steps.
-
-    Attributes
-    ----------
-    axes : tuple of str
-        Common axes, in the order of the first record.
-    columns : pair of list of int
-        Indices of the common axes in each record.
-    every : pair of int
-        Steps of each record from one instant of the grid to the next; both 1 at equal rates.
-    """
-
-    axes: tuple[str, ...]
-    columns: tuple[list[int], ...]
-    every: tuple[int, ...]
-
-    @classmethod
-    def of(cls, a: Record, b: Record) -> Self:
-        """Align two records.
-
-        Raises
-        ------
-        InputError
-            If they have no axis in common, or at different rates no instants but the start.
-        """
-        one, other = a.experiment, b.experiment
-        axes = tuple(axis for axis in one.axes if axis in other.axes)
-        if not axes:
-            raise InputError(
-                "the tests can't be compared because they have no axis in common: axes are "
-                f"{list(one.axes)} in the first and {list(other.axes)} in the second"
-            )
-        grid = math.lcm(one.timebase.period_ns, other.timebase.period_ns)
-        both = (one, other)
-        columns = tuple([test.axes.index(axis) for axis in axes] for test in both)
-        alignment = cls(axes, columns, tuple(grid // test.timebase.period_ns for test in both))
-        pairs = (alignment.on_grid(a.series[t.name], b.series[t.name]) for t in LOOP_TOPICS)
-        # the start alone is no common instant
-        meet = (np.intersect1d(one.steps, other.steps).any() for one, other in pairs)
-        if alignment.by_time and not any(meet):
-            raise InputError(
-                f"the tests can't be compared: at {one.timebase.rate:g} Hz in the first and "
-                f"{other.timebase.rate:g} Hz in the second they have no samples at the same "
-                f"times, which would be {grid * 1e-9:g} s apart"
-            )
-        return alignment
-
-    @property
-    def by_time(self) -> bool:
-        """Whether the rates differ, so that steps do not coincide."""
-        return self.every[0] != self.every[1]
-
-    def own_steps(self, step: int) -> dict[str, int]:
-        """Give a step of the grid as ``step`` of the first record, if by time with ``step_b``."""
-        step_a, step_b = (step * every for every in self.every)
-        return {"step": step_a, "step_b": step_b} if self.by_time else {"step": step_a}
-
-    def on_grid(self, *pair: Series) -> list[Series]:
-        """Keep of a series of each record the instants of the grid, and the common axes.
-
-        Their steps are of the grid then.
-        """
-        found = []
-        for series, every, columns in zip(pair, self.every, self.columns, strict=True):
-            kept = series
-            if every > 1 or columns != list(range(series.values.shape[2])):
-                at = series.steps % every == 0
-                kept = Series(series.steps[at] // every, series.values[at][:, :, columns])
-            found.append(kept)
-        return found
-
-
-SEGMENT = 4.0
-"""Length of the segments from which spectra are averaged, s; its inverse is their resolution."""
 _ITERATIONS = 30
 _RESOLUTION = 1e-9  # of a sample
 _BLOCK = 1 << 16  # of a long record's elements that are worked on at a time
@@ -306,17 +226,6 @@ def _blocks(count: int) -> Iterator[slice]:
         yield slice(start, min(start + _BLOCK, count))
 
 
-def paired(one: Floats, other: Floats) -> tuple[Floats, Floats]:
-    """Give two signals of the same shape, (N,) or (N, n); a ValueError if they are not."""
-    one, other = (np.asarray(signal, dtype=np.float64) for signal in (one, other))
-    if one.shape != other.shape or one.ndim not in (1, 2):
-        raise ValueError(
-            f"two signals of the same shape (N,) or (N, n) are needed, not {one.shape} "
-            f"and {other.shape}"
-        )
-    return one, other
-
-
 def columns(y: Floats) -> Floats:
     """Give a signal of shape (N,) the shape (N, 1)."""
     return y[:, np.newaxis] if y.ndim == 1 else y
@@ -340,43 +249,3 @@ def ratio(value: float, whole: float) -> float:
     """Give value / whole; NaN where that is not finite, or the whole is not positive."""
     found = value / whole if whole > 0 else math.nan
     return float(found) if math.isfinite(found) else math.nan
-
-
-def segment_size(count: int, dt: float) -> int:
-    """Give the samples of a `SEGMENT`; of a shorter record all of them."""
-    return min(count, max(2, round(SEGMENT / dt)))
-
-
-def cross_spectrum(x: Floats, y: Floats, dt: float, size: int) -> tuple[Floats, Complexes]:
-    """Estimate one-sided cross spectral densities (Welch 1967), as `scipy.signal.csd` does.
-
-    Hann windows that overlap by half, each without its mean. (To import scipy.signal takes longer
-    than all else of a report.)
-
-    Parameters
-    ----------
-    x, y : ndarray
-        Shape (N,) or (N, n); where both are the same, the power spectral density is found.
-    dt : float
-        Sampling period, s.
-    size : int
-        Samples of a window, 2 to N.
-
-    Returns
-    -------
-    frequency : ndarray
-        Shape (F,), from 0 to Nyquist's, Hz.
-    density : ndarray
-        Shape (F,) or (F, n), product of both units per Hz.
-    """
-    hann = 0.5 - 0.5 * np.cos(2 * np.pi / size * np.arange(size))
-
-    def transformed(signal: Floats) -> Complexes:
-        pieces = sliding_window_view(signal, size, axis=0)[:: size - size // 2]
-        return rfft((pieces - pieces.mean(axis=-1, keepdims=True)) * hann)
-
-    first = transformed(x)
-    second = first if x is y else transformed(y)
-    density = (np.conj(first) * second).mean(axis=0).T * (dt / (hann @ hann))
-    density[1 : (size + 1) // 2] *= 2  # of negative frequencies, which 0 and Nyquist's have not
-    return np.fft.rfftfreq(size, dt), density

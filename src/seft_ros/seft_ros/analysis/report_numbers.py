@@ -1,17 +1,21 @@
 """All numbers of a report, as ``seft report --json`` prints them, and the arrays it draws."""
 
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.fft import rfft
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, VALVE_COMMAND
 from seft_plant_sim.specimen import EnergyBalance
 from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
 from seft_ros.analysis.judgement import Judgement, judge_test
-from seft_ros.analysis.metrics import cross_spectrum, every_step, segment_size
+from seft_ros.analysis.metrics import every_step
 from seft_ros.analysis.summary import (
     COMPARED,
     ENERGIES,
@@ -20,10 +24,13 @@ from seft_ros.analysis.summary import (
     reference_of,
     summarise,
 )
-from seft_ros.bags.record import Record
+from seft_ros.bags.record import Record, Series
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import instability_band
 from seft_ros.drawing.style import json_safe, thinned
+
+SEGMENT = 4.0
+"""Length of the segments from which spectra are averaged, s; its inverse is their resolution."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +64,8 @@ def spectrum_of(y: Floats, dt: float) -> Spectrum:
     """Estimate a power spectral density from averaged segments (Welch 1967).
 
     Hann windows that overlap by half, and no mean; a record shorter than a segment is one. What is
-    not finite makes a spectrum of NaN.
+    not finite makes a spectrum of NaN. (To import scipy.signal takes longer than all else of a
+    report.)
 
     Parameters
     ----------
@@ -66,12 +74,16 @@ def spectrum_of(y: Floats, dt: float) -> Spectrum:
     dt : float
         Sampling period, s.
     """
-    size = segment_size(len(y), dt)
+    size = min(len(y), max(2, round(SEGMENT / dt)))
     if size < 2:
         return Spectrum(np.empty(0), np.empty(0))
+    hann = 0.5 - 0.5 * np.cos(2 * np.pi / size * np.arange(size))
+    pieces = sliding_window_view(y, size)[:: size - size // 2]
     with np.errstate(all="ignore"):
-        frequency, power = cross_spectrum(y, y, dt, size)
-    return Spectrum(frequency, power.real)
+        found = rfft((pieces - pieces.mean(axis=-1, keepdims=True)) * hann)
+        power = (found.real**2 + found.imag**2).mean(axis=0) * (dt / (hann @ hann))
+    power[1 : (size + 1) // 2] *= 2  # of negative frequencies, which 0 and Nyquist's have not
+    return Spectrum(np.fft.rfftfreq(size, dt), power)
 
 
 def vibration(
@@ -186,3 +198,64 @@ def _uncompensated_delay(record: Record, summary: dict[str, Any]) -> float | Non
         return None
     delays = [row["delay_s"] for row in summary["tracking"].values()]
     return max((abs(delay) for delay in delays if delay is not None), default=None)
+
+
+_STATE = ("displacement (m)", "velocity (m/s)", "acceleration (m/s^2)", "force (N)")
+_EXACT = {"displacement": "m", "acceleration": "m/s^2", "force": "N"}
+
+
+def histories(record: Record, reference: ReferenceResponse | None) -> tuple[list[str], Floats]:
+    """Give the histories of a test: a row for each step of the rig, a column for each quantity.
+
+    Parameters
+    ----------
+    record : Record
+        Of the test.
+    reference : ReferenceResponse or None
+        Its exact response, from step 0; None: unknown.
+
+    Returns
+    -------
+    names : list of str
+        ``time (s)``, then for each axis ground acceleration, displacement, velocity,
+        acceleration, force, reference force, valve command, and the exact displacement,
+        acceleration and force; with the axis in front where there are several.
+    table : ndarray
+        Shape (N, c); NaN where a sample was lost.
+    """
+    axes, steps = record.experiment.axes, record.states.steps
+    columns = [("time (s)", steps * record.experiment.timebase.dt)]
+    for axis, name in enumerate(axes):
+        prefix = f"{name} " if len(axes) > 1 else ""
+        columns += [(prefix + label, y) for label, y in _of_axis(record, reference, steps, axis)]
+    names, values = zip(*columns, strict=True)
+    return list(names), np.stack(values, axis=1)
+
+
+def _of_axis(
+    record: Record, reference: ReferenceResponse | None, steps: Ints, axis: int
+) -> Iterable[tuple[str, Floats]]:
+    def of(topic: str, quantity: int) -> Floats:
+        return _at(record.series[topic], steps, quantity, axis)
+
+    yield "ground acceleration (m/s^2)", of(GROUND_MOTION.name, 0)
+    for quantity, label in enumerate(_STATE):
+        yield label, _at(record.states, steps, quantity, axis)
+    yield "reference force (N)", of(REFERENCE_FORCE.name, -1)
+    yield "valve command (V)", of(VALVE_COMMAND.name, 0)
+    for name, unit in _EXACT.items() if reference is not None else ():
+        exact = getattr(reference, name)[:, axis]
+        known = np.full(len(steps), np.nan)
+        there = steps < len(exact)
+        known[there] = exact[steps[there]]
+        yield f"exact {name} ({unit})", known
+
+
+def _at(series: Series, steps: Ints, quantity: int, axis: int) -> Floats:
+    """Values at these steps; NaN where there is none."""
+    found = np.full(len(steps), np.nan)
+    if len(series.steps):
+        places = np.minimum(np.searchsorted(series.steps, steps), len(series.steps) - 1)
+        there = series.steps[places] == steps
+        found[there] = series.values[places[there], quantity, axis]
+    return found

@@ -10,7 +10,7 @@ from seft_ros.analysis import report_sections
 from seft_ros.analysis.judgement import ramp_note
 from seft_ros.analysis.report_numbers import Report
 from seft_ros.analysis.result_text import agreement_table, test_rows, title_of
-from seft_ros.analysis.timing import STALL_GAP, timing_of
+from seft_ros.analysis.timing import timing_of
 from seft_ros.analysis.tracking import tracked_of
 from seft_ros.bags.record import Record
 from seft_ros.drawing import page, style
@@ -53,12 +53,6 @@ _REHEARSAL = (
     Number("rehearsal before the test, steps", "steps", form=str),
     Number("of these missed", "missed", form=str),
     Number("its round trip, p99", "round_trip_s.p99", "ms", 1e3, ".3f"),
-)
-_GAPS = (
-    Number("median", "median_s", "ms", 1e3, ".3f"),
-    Number("largest", "largest_s", "ms", 1e3, ".3f"),
-    Number("after step", "largest_step", form=str),
-    Number(f"longer than {STALL_GAP:g} periods", "count", form=str),
 )
 
 
@@ -145,8 +139,6 @@ def _value(value: Any) -> str:
 
 def _parameters(record: Record) -> list[page.Block]:
     """Every parameter of every node, as resolved."""
-    if not record.described:
-        return [Text("The record does not hold the nodes' parameters.")]
     tables = {
         node: [(name, _value(value)) for name, value in sorted(section.items())]
         for node, section in sorted(record.experiment.sections.items())
@@ -155,7 +147,7 @@ def _parameters(record: Record) -> list[page.Block]:
 
 
 def _timing(report: Report) -> Iterator[page.Block]:
-    """Missed deadlines, round trips as a histogram, gaps by topic."""
+    """Missed deadlines, and round trips as a histogram."""
     summary, record = report.summary, report.record
     timing, rows = timing_of(record), _loss_rows(summary, record)
     if timing is None:
@@ -180,9 +172,6 @@ def _timing(report: Report) -> Iterator[page.Block]:
         yield page.Plot(panel, _OF_TRIPS)
     if not numbers["paced"]:
         yield Text("The rig was in lockstep: it waited for each command.")
-    gaps = numbers["gaps"].items()
-    rows = [[topic, *(column.text(gap) for column in _GAPS)] for topic, gap in gaps]
-    yield TextTable(("topic", *(column.label for column in _GAPS)), rows)
 
 
 def _loss_rows(summary: dict[str, Any], record: Record) -> list[list[str]]:

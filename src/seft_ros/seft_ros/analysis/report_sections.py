@@ -11,7 +11,7 @@ from seft_plant_sim.whole_structure import tested_specimen
 from seft_ros.analysis.equivalent_motion import BAND_MARGIN
 from seft_ros.analysis.report_numbers import Report
 from seft_ros.analysis.summary import COMPARED, strong_part
-from seft_ros.analysis.tracking import Tracked, delay_by_frequency
+from seft_ros.analysis.tracking import Tracked
 from seft_ros.bags.record import Record
 from seft_ros.drawing import page, style
 from seft_ros.drawing.page import Block, PageSection, Plot, Text, against, line, plot
@@ -19,8 +19,6 @@ from seft_ros.drawing.style import Number, axis_label, percent, rows_of
 from seft_ros.drawing.table import TextTable
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 
-COHERENT = 0.9
-"""Coherence below which amplitude and delay mean little, and are not drawn."""
 _WINDOW = 1.0
 """Length of a zoom window, s."""
 
@@ -147,7 +145,7 @@ def _places(
 
 
 def tracking(report: Report, signals: Tracked, column: int) -> Iterator[Block]:
-    """Tracking of an axis: numbers, time history, delay by frequency."""
+    """Tracking of an axis: numbers, and time history."""
     experiment = report.record.experiment
     yield Text(_INTENDED[signals.derived])
     yield TextTable((), rows_of(_TRACKING, report.summary["tracking"][experiment.axes[column]]))
@@ -158,23 +156,6 @@ def tracking(report: Report, signals: Tracked, column: int) -> Iterator[Block]:
     time = signals.steps * experiment.timebase.dt
     against(panel, (time, command), (time, force), ("intended force", "measured force"))
     yield Plot(panel, "The intended force, and the force that the load cell measured.")
-
-    found = delay_by_frequency(command, force, experiment.timebase.dt)
-    means = np.nan_to_num(found.coherence) >= COHERENT
-    if not means.any():
-        yield Text("No frequency at which the intended force explains the measured force.")
-        return
-    shared = None
-    for y, label, unit, right, caption in (
-        (found.delay_s * 1e3, "delay", " / ms", 0.0, "Delay of the measured force"),
-        (found.amplitude, "amplitude", "", 1.0, "Measured over intended force"),
-    ):
-        panel = plot("frequency / Hz", f"{label}{unit}", log_x=True, x_range=shared)
-        shared = panel.x_range
-        line(panel, found.frequency_hz, np.where(means, y, np.nan), label)
-        page.level(panel, right)
-        note = f"by frequency, where the coherence is {COHERENT:g} or more."
-        yield Plot(panel, f"{caption} {note}")
 
 
 def hysteresis(report: Report, column: int) -> Iterator[Block]:

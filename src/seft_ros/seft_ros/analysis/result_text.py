@@ -17,7 +17,7 @@ from seft_ros.drawing.style import (
     small_percent,
 )
 from seft_ros.drawing.table import Cell, Texts, TextTable
-from seft_ros.ground_motion.readers.units import STANDARD_GRAVITY
+from seft_ros.ground_motion.readers.statements import STANDARD_GRAVITY
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 
 FIELD_UNITS = {
@@ -183,9 +183,8 @@ def _by_axis(name: str, by_axis: dict[str, Any], form: str) -> str:
 
 def legend(label: str, bag: dict[str, Any]) -> str:
     """One line on a bag, from what `describe_bag` gives."""
-    known = bag["title"] or f"configuration not recorded, {bag['rate_hz']:g} Hz"
-    parts = [known, bag["mode"], f"{bag['length_s']:g} s"]
-    if bag["complete"] is False:
+    parts = [bag["title"], bag["mode"], f"{bag['length_s']:g} s"]
+    if not bag["complete"]:
         parts.append("cut off")
     if bag["damage"]:
         parts.append("damaged")
@@ -194,106 +193,55 @@ def legend(label: str, bag: dict[str, Any]) -> str:
     return f"{label}: {bag['bag']} ({', '.join(part for part in parts if part)})"
 
 
-def comparison_texts(comparisons: Sequence[dict[str, Any]], labels: Sequence[str]) -> Texts:
-    """Show how records differ from the first: by quantity, in samples, and where they first do.
+def comparison_texts(comparison: dict[str, Any]) -> Texts:
+    """Show how two records differ: by quantity, in samples, and where they first do.
 
-    Parameters
-    ----------
-    comparisons : sequence of dict
-        Of each further record with the first, see
-        `seft_ros.analysis.comparison.compare_records`.
-    labels : sequence of str
-        Names of the records, the first included.
+    ``comparison`` is what `seft_ros.analysis.comparison.compare_records` gives.
     """
-    first, *others = labels
-    texts: Texts = [
-        f"difference from {first}",
-        TextTable(("quantity", *_headings(others)), [*_difference_rows(comparisons)]),
+    rows = []
+    for topic, row in comparison["topics"].items():
+        for field, error in row["fields"].items():
+            known = error if row["compared"] else {"max_abs": None, "nrmse": None}
+            largest = number(known["max_abs"], 1.0, FIELD_UNITS.get((topic, field), ""), ".2g")
+            rows.append([f"{topic} {field}", largest, small_percent(known["nrmse"])])
+    told, *more = _differences(comparison)
+    return [
+        TextTable(("difference", "largest", "NRMSE"), rows),
+        Cell(told, Mark.GOOD if comparison["identical"] else Mark.BAD),
+        *_sample_counts(comparison),
+        *more,
     ]
-    for label, comparison in zip(others, comparisons, strict=True):
-        told, *more = _differences(comparison, first, label)
-        mark = Mark.GOOD if comparison["identical"] else Mark.BAD
-        prefix = f"{label}: " if len(others) > 1 else ""
-        texts += [Cell(f"{prefix}{told}", mark), *_sample_counts(comparison, first, label), *more]
-    return texts
 
 
-def _headings(others: Sequence[str]) -> list[str]:
-    """Headings of `_difference_rows`; of several records there is no room for two columns each."""
-    if len(others) == 1:
-        return ["largest", "NRMSE"]
-    return [f"NRMSE\nof {label}" for label in others]
-
-
-def _difference_rows(comparisons: Sequence[dict[str, Any]]) -> Iterator[list[str]]:
-    """Make a row of each quantity of each topic that any of the records has."""
-    fields: dict[str, dict[str, None]] = {}
-    for comparison in comparisons:
-        for topic, row in comparison["topics"].items():
-            fields.setdefault(topic, {}).update(dict.fromkeys(row["fields"]))
-    for topic, field in ((topic, field) for topic, names in fields.items() for field in names):
-        cells, unit = [f"{topic} {field}"], FIELD_UNITS.get((topic, field), "")
-        for comparison in comparisons:
-            row = comparison["topics"].get(topic)
-            compared = row["fields"].get(field) if row and row["compared"] else None
-            error = compared or {"max_abs": None, "nrmse": None}
-            if len(comparisons) == 1:
-                cells.append(number(error["max_abs"], 1.0, unit, ".2g"))
-            cells.append(small_percent(error["nrmse"]))
-        yield cells
-
-
-def _sample_counts(comparison: dict[str, Any], a: str, b: str) -> Iterator[str]:
+def _sample_counts(comparison: dict[str, Any]) -> Iterator[str]:
     """Say of each topic on which samples are missing how many either record has."""
     for topic, row in comparison["topics"].items():
         if row["missing_a"] or row["missing_b"]:
             yield (
-                f"{topic}: {row['samples_a']} samples in {a} and {row['samples_b']} in {b}, "
-                f"{row['missing_a']} not in {a}, {row['missing_b']} not in {b}"
+                f"{topic}: {row['samples_a']} samples in a and {row['samples_b']} in b, "
+                f"{row['missing_a']} not in a, {row['missing_b']} not in b"
             )
 
 
-def _differences(comparison: dict[str, Any], a: str, b: str) -> list[str]:
+def _differences(comparison: dict[str, Any]) -> list[str]:
     """Say how two records differ, the verdict first."""
     first, value = comparison["first_difference"], comparison["first_value_difference"]
-    sides = {"a": a, "b": b}
-    counts, rates, lengths, axes = (
-        comparison[key] for key in ("missed", "rate_hz", "length_s", "axes")
-    )
-    missed = ", ".join(f"{counts[key]} in {name}" for key, name in sides.items() if counts[key])
-    lines = [_verdict(comparison, a, b)]
+    counts, lengths = comparison["missed"], comparison["length_s"]
+    missed = ", ".join(f"{counts[name]} in {name}" for name in "ab" if counts[name])
+    lines = ["identical, bit for bit" if first is None else f"first difference {_where(first)}"]
     if missed:
         lines[0] += f"; steps that missed the command deadline: {missed}"
     if first is not None and first["field"] is None:
-        where = value and f"first value that differs, {_where(value, a, b)}"
+        where = value and f"first value that differs, {_where(value)}"
         lines.append(where or "all samples that both have are equal, bit for bit")
-    if comparison["aligned_by"] == "time":
-        lines.append(
-            f"rates differ ({rates['a']:g} Hz in {a}, {rates['b']:g} Hz in {b}): compared are the "
-            "samples at times that both have"
-        )
     if lengths["a"] != lengths["b"]:
-        lines.append(f"lengths differ: {lengths['a']:g} s in {a}, {lengths['b']:g} s in {b}")
-    only = {name: ", ".join(axes[f"only_{key}"]) for key, name in sides.items()}
-    if alone := [f"{some} only in {name}" for name, some in only.items() if some]:
-        lines.append(f"axes differ: {'; '.join(alone)}; compared: {', '.join(axes['compared'])}")
+        lines.append(f"lengths differ: {lengths['a']:g} s in a, {lengths['b']:g} s in b")
     return lines
 
 
-def _verdict(comparison: dict[str, Any], a: str, b: str) -> str:
-    """Say whether two records are identical, and if not, where they first differ."""
-    first = comparison["first_difference"]
-    if comparison["identical"]:
-        return "identical, bit for bit"
-    if first is None:
-        return "not the same test, but equal, bit for bit, where both have samples"
-    return f"first difference {_where(first, a, b)}"
-
-
-def _where(first: dict[str, Any], a: str, b: str) -> str:
-    also = f" of {a} ({first['step_b']} of {b})" if "step_b" in first else ""
-    where = f"at step {first['step']}{also}, {first['topic']}"
+def _where(first: dict[str, Any]) -> str:
+    where = f"at step {first['step']}, {first['topic']}"
     if first["field"] is None:
-        return f"{where}: the sample is missing in {a if first['a'] == 'missing' else b}"
-    values = f"{first['a']!r} in {a}, {first['b']!r} in {b}"
+        return f"{where}: the sample is missing in {'a' if first['a'] == 'missing' else 'b'}"
+    values = f"{first['a']!r} in a, {first['b']!r} in b"
     return f"{where}, {first['field']} of axis {first['axis']}: {values}"

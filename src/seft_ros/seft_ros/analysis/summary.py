@@ -59,6 +59,7 @@ def summarise(
         missing), ``checked`` (changed samples would have been noticed), ``stable`` (no trip, and
         all samples finite), ``trip`` (reason, step, time_s), ``missed`` (steps that missed the
         command deadline), ``overruns`` (of the rig's sampling), ``timing`` (see `timing_of`),
+        ``simulated`` (largest true motion of a simulated rig, see `Simulated`),
         ``saturated`` (stroke, force_capacity, valve, a sensor's range -> samples and first_step),
         ``link`` (see `link_numbers`), ``lost`` (samples missing from the record, by topic),
         ``ground_motion`` (see `seft_ros.ground_motion.ground_motion_block.motion_facts`),
@@ -231,6 +232,7 @@ def _outcome(record: Record) -> dict[str, Any]:
         "stable": trip is None and finite,
         "trip": trip and {"reason": trip.reason, "step": trip.step, "time_s": trip.time_s},
         "saturated": dict(sorted(record.saturation.items())),
+        "simulated": record.simulated and asdict(record.simulated),
     }
 
 

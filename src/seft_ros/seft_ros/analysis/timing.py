@@ -1,4 +1,4 @@
-"""Timing of a test's messages: round trips, gaps on each topic, stalls of the host, the link.
+"""Timing of a test's messages: round trips, stalls of the host, the link.
 
 Times are those at which the recorder received the messages, as in a bag: on one host some tens of
 microseconds after the nodes did, and more where the recorder had to wait for its core, so that
@@ -20,8 +20,6 @@ from seft_ros.bags.record import Record
 _Floats = npt.NDArray[np.floating[Any]]
 
 _PERCENTILES = (50, 90, 99, 99.9)
-STALL_GAP = 2.0
-"""Periods between two messages of a topic that count as a gap."""
 
 
 @dataclass(frozen=True)
@@ -34,13 +32,11 @@ class Timing:
         From a step's state to the command that answers it, shape (M,), s; of the steps that
         have both.
     numbers : dict
-        JSON values: ``paced`` (whether the rig kept a pace: in lockstep gaps mean nothing),
-        ``period_s`` of the loop, ``round_trip_s`` (percentiles, largest, how many of the steps
-        over_a_period), ``round_trip_at_the_rig_s`` (the same as measured by the rig, by the
-        keys of `ROUND_TRIPS`; empty without), ``rehearsal`` (as of
-        `seft_plant_sim.rig_watch.Rehearsal`; None without), ``gaps`` (topic -> median_s and
-        largest_s of the intervals between its messages, largest_step after which the largest was,
-        count of those longer than `STALL_GAP` periods), ``stalls`` (see `stalls_of`).
+        JSON values: ``paced`` (whether the rig kept a pace: not in lockstep), ``period_s`` of the
+        loop, ``round_trip_s`` (percentiles, largest, how many of the steps over_a_period),
+        ``round_trip_at_the_rig_s`` (the same as measured by the rig, by the keys of `ROUND_TRIPS`;
+        empty without), ``rehearsal`` (as of `seft_plant_sim.rig_watch.Rehearsal`; None without),
+        ``stalls`` (see `stalls_of`).
     """
 
     round_trip_s: _Floats
@@ -48,7 +44,7 @@ class Timing:
 
 
 def timing_of(record: Record) -> Timing | None:
-    """Find round trips and gaps; None if messages were not received one by one (offline loop)."""
+    """Find round trips; None if messages were not received one by one (offline loop)."""
     if record.environment.get("mode") == "simulate":
         return None
     states, commands = (record.series[topic.name] for topic in (RIG_STATE, VALVE_COMMAND))
@@ -71,27 +67,9 @@ def timing_of(record: Record) -> Timing | None:
         },
         "round_trip_at_the_rig_s": record.round_trips,
         "rehearsal": record.facts.get(RIG, {}).get(REHEARSED),
-        "gaps": _gaps(record, dt),
         "stalls": stalls_of(record),
     }
     return Timing(trips, numbers)
-
-
-def _gaps(record: Record, dt: float) -> dict[str, dict[str, Any]]:
-    found = {}
-    for topic in (RIG_STATE, REFERENCE_FORCE, VALVE_COMMAND):
-        series = record.series[topic.name]
-        if series.received_ns is None or len(series.steps) < 2:
-            continue
-        intervals = np.diff(series.received_ns) * 1e-9
-        at = int(intervals.argmax())
-        found[topic.name] = {
-            "median_s": float(np.median(intervals)),
-            "largest_s": float(intervals[at]),
-            "largest_step": int(series.steps[at]),
-            "count": int((intervals > STALL_GAP * dt).sum()),
-        }
-    return found
 
 
 def stalls_of(record: Record) -> dict[str, Any] | None:

@@ -15,62 +15,6 @@ from seft_ros.analysis import metrics
 from seft_ros.analysis.equivalent_motion import EquivalentMotion, assumed_structure
 from seft_ros.bags.record import Record
 
-
-@dataclass(frozen=True)
-class DelayByFrequency:
-    """Tracking in each of F bands, arrays of shape (F,).
-
-    Attributes
-    ----------
-    frequency_hz : ndarray
-        Centres of the bands, from the first above zero to Nyquist's.
-    amplitude : ndarray
-        Measured over commanded, |H1|.
-    delay_s : ndarray
-        Phase delay; positive where the measured signal lags.
-    coherence : ndarray
-        Magnitude squared, 0 to 1: how far the command explains what was measured. Where it is low
-        the rest means little. With one segment it is 1 and says nothing.
-    """
-
-    frequency_hz: Floats
-    amplitude: Floats
-    delay_s: Floats
-    coherence: Floats
-
-
-def delay_by_frequency(commanded: Floats, measured: Floats, dt: float) -> DelayByFrequency:
-    """Estimate amplitude and delay in each band from averaged cross spectra of an axis.
-
-    H1 = S_cm / S_cc by Welch's method (Welch 1967; Bendat & Piersol, Random Data), with Hann
-    windows that overlap by half. The record's best-fit delay (`best_fit_delay`) is taken out first
-    and added again, so that the phase does not wrap where a delay exceeds half a period, and both
-    signals' segments hold the same. NaN where the command has nothing, or anything is not finite.
-
-    Parameters
-    ----------
-    commanded, measured : ndarray
-        Shape (N,), else a ValueError.
-    dt : float
-        Sampling period, s; segments are `SEGMENT` long.
-    """
-    c, m = metrics.paired(commanded, measured)
-    size = metrics.segment_size(len(c), dt)
-    if size < 2:
-        return DelayByFrequency(*(np.empty(0) for _ in range(4)))
-    best = metrics.best_fit_delay(m, c, dt)
-    common = best if np.isfinite(best) else 0.0
-    aligned = metrics.delayed(m, -common, dt)
-    with np.errstate(all="ignore"):
-        frequency, cross = metrics.cross_spectrum(c, aligned, dt, size)
-        power, answer = (metrics.cross_spectrum(y, y, dt, size)[1].real for y in (c, aligned))
-        response = (cross / np.where(power > 0, power, np.nan))[1:]
-        coherence = np.abs(cross) ** 2 / np.where(answer > 0, power * answer, np.nan)
-    frequency = frequency[1:]
-    delay = common - np.angle(response) / (2 * np.pi * frequency)
-    return DelayByFrequency(frequency, np.abs(response), delay, coherence[1:])
-
-
 SENT_AS_MEANT = ("none", "restoring", "target_motion")
 """Compensation methods whose reference force is that of its own step; others send it ahead."""
 

@@ -1,10 +1,8 @@
 """A bag on disk: what of it can be read, what is missing, and a whole bag made of the rest."""
 
-import errno
 import os
 import re
 import shutil
-import stat
 import tempfile
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -16,11 +14,11 @@ from typing import IO, Self
 import zstandard
 from ruamel.yaml import YAML
 from seft_msgs_py.errors import InputError, SeftError
+from seft_msgs_py.files import open_regular
 
 from seft_ros.bags.bag_writer import METADATA, BagWriter, file_reason
-from seft_ros.bags.mcap_file import McapFile
+from seft_ros.bags.mcap_file import BagSource, McapFile
 from seft_ros.bags.message_blocks import DamageError, MessageBlock, inflated
-from seft_ros.bags.source import BagSource
 from seft_ros.bags.sqlite_file import SqliteFile
 
 SUFFIXES = (".mcap", ".db3")
@@ -161,7 +159,7 @@ class _Metadata:
 def _read_metadata(folder: Path) -> _Metadata:
     path, found = folder / METADATA, _Metadata()
     try:
-        with _regular(path) as file:
+        with open_regular(path) as file:
             raw = file.read(_MAX_METADATA + 1)
         if len(raw) > _MAX_METADATA:
             raise ValueError
@@ -180,7 +178,7 @@ def _read_metadata(folder: Path) -> _Metadata:
 
 def _opened(file: Path, scratch: Path, stack: ExitStack) -> McapFile | SqliteFile:
     """Open a file of a bag; what is wrong with its packing is damage of the file."""
-    stream, fault = stack.enter_context(_regular(file)), ""
+    stream, fault = stack.enter_context(open_regular(file)), ""
     if file.suffix == ".zstd":
         packed, file = stream, scratch / f"unpacked{storage_suffix(file)}"
         stream = stack.enter_context(file.open("x+b"))
@@ -191,15 +189,6 @@ def _opened(file: Path, scratch: Path, stack: ExitStack) -> McapFile | SqliteFil
     if isinstance(found, SqliteFile):
         stack.callback(found.close)
     return found
-
-
-def _regular(path: Path) -> IO[bytes]:
-    """Open a file, but nothing that would block or never end."""
-    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
-    if not stat.S_ISREG(os.fstat(handle).st_mode):
-        os.close(handle)
-        raise OSError(errno.EINVAL, "it is no regular file")
-    return os.fdopen(handle, "rb")
 
 
 def _unpack(packed: IO[bytes], plain: IO[bytes]) -> str:
@@ -299,7 +288,7 @@ def recover_bag(path: str | Path) -> Recovery:
         the original is then unchanged.
     """
     path = Path(path)
-    place = path.resolve()
+    place = Path(os.path.realpath(path))
     cut, fresh = place.with_name(place.name + ".cut"), place.with_name(place.name + ".recovering")
     storage_files(place)
     if place.is_dir():

@@ -29,9 +29,8 @@ from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.node.process import as_before, on_ending
 from seft_msgs_py.wire.topics import Topic
 
-from seft_ros.bags.mcap_file import MCAP_LIBRARY, RECOVERED, ROSBAG
+from seft_ros.bags.mcap_file import MCAP_LIBRARY, RECOVERED, ROSBAG, BagSource, source_of
 from seft_ros.bags.message_blocks import MAX_SIZE
-from seft_ros.bags.source import BagSource, source_of
 
 METADATA = "metadata.yaml"
 FLUSH_PERIOD = 0.25  # s of wall time
@@ -85,8 +84,8 @@ class BagWriter:
     path : Path
         The bag's folder.
     trouble : str
-        What is wrong with its place: that it can't be made or written, was lost, or that the disk
-        is full; empty if nothing is.
+        What is wrong with its place: that it can't be made or written, was lost or cut off, or that
+        the disk is full; empty if nothing is.
     """
 
     def __init__(self, path: str | Path, damage: Sequence[str] = ()) -> None:
@@ -110,6 +109,7 @@ class BagWriter:
         self._first, self._last = 2**63 - 1, 0  # log times
         self._metadata = ""  # of the complete bag
         self._is_saved = False
+        self._cut_off = ""  # what another program has done to the file
         self._file: IO[bytes] | None = None
         self._reserve: IO[bytes] = BytesIO()  # frees its room when it is closed, or we are killed
         self._flushed_at = time.monotonic()
@@ -186,6 +186,8 @@ class BagWriter:
             if why:
                 raise ExperimentError(f"{why}; the bag lacks its end, and can be read as it is")
             self._done()
+        if self._cut_off:
+            raise ExperimentError(f"{self._cut_off}; the rest of the bag can be read")
 
     def save(self) -> Path:
         """Complete the bag, in another place if need be; give its folder.
@@ -198,6 +200,7 @@ class BagWriter:
         """
         with suppress(ExperimentError):
             self.close()
+        if self._is_saved:
             return self.path
         faults = []
         for folder in (self.path.parent, Path(tempfile.gettempdir())):
@@ -284,6 +287,12 @@ class BagWriter:
 
     def _store(self) -> None:
         """Write to the disk; if it is full, into the room that was reserved."""
+        if self._file is not None and not self._cut_off:
+            size = os.fstat(self._file.fileno()).st_size
+            if size < self._out.stored:  # writing goes on behind the gap
+                lost = self._out.stored - size
+                self._cut_off = f"{self.path}: its file was cut off, and {lost} bytes are lost"
+                self.trouble = self.trouble or self._cut_off
         while self._file is not None and self._out.data:
             try:
                 part = self._out.data[:_COPIED]

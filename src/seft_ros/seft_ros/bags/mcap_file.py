@@ -10,6 +10,8 @@ import struct
 import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from functools import lru_cache
 from io import BytesIO
 from typing import IO, NamedTuple
 
@@ -20,10 +22,56 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Footer, Header, Metadata, Schema, Statistics
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from seft_msgs_py.wire.messages import typestore
+from seft_msgs_py.wire.topics import Topic
 
 from seft_ros.bags import message_blocks
 from seft_ros.bags.message_blocks import MAX_SIZE, DamageError, MessageBlock, records_of
-from seft_ros.bags.source import BagSource
+
+_QOS = """
+- history: keep_last
+  depth: {depth}
+  reliability: reliable
+  durability: {durability}
+  deadline: &forever {{sec: 9223372036, nsec: 854775807}}
+  lifespan: *forever
+  liveliness: automatic
+  liveliness_lease_duration: *forever
+  avoid_ros_namespace_conventions: false
+"""
+_UNKNOWN_HASH = "RIHS01_" + "0" * 64
+
+
+class BagSource(NamedTuple):
+    """A topic as a bag's file describes it."""
+
+    topic: str  # with leading slash
+    type: str
+    definition: str = ""  # text that defines the type
+    encoding: str = "ros2msg"  # of the definition
+    serialization: str = "cdr"
+    qos: str = ""  # offered, YAML
+
+    def digest(self) -> str:
+        """Give the hash of the type, by which ROS 2 tells definitions apart; zeros if unknown."""
+        if self.type in typestore().fielddefs:
+            return typestore().hash_rihs01(self.type)
+        store = get_typestore(Stores.EMPTY)
+        with suppress(Exception):  # the definition is foreign text, and its hash dispensable
+            store.register(get_types_from_msg(self.definition, self.type))
+            return store.hash_rihs01(self.type)
+        return _UNKNOWN_HASH
+
+
+@lru_cache
+def source_of(topic: Topic) -> BagSource:
+    """Describe a topic of a test, with the quality of service of its publisher."""
+    definition, _ = typestore().generate_msgdef(topic.type, ros_version=2)
+    durability = "transient_local" if topic.latched else "volatile"
+    qos = _QOS.format(depth=topic.depth, durability=durability)
+    return BagSource("/" + topic.name.lstrip("/"), topic.type, definition, qos=qos)
+
 
 MCAP_LIBRARY = "seft"
 """The library that a file with all checksums names."""

@@ -1,20 +1,14 @@
-"""The record of a test: its samples by step, how it ended, and its description in a bag.
-
-Where nobody recorded these, the messages of the loop give axes and rate.
-"""
+"""The record of a test: its samples by step, how it ended, and its description in a bag."""
 
 import json
 import os
 import platform
 import subprocess
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cache, cached_property, reduce
 from importlib.metadata import PackageNotFoundError, version
-from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any, Self
 
@@ -23,20 +17,10 @@ from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.wire.messages import nanoseconds
-from seft_msgs_py.wire.outcome import LinkRecord, Saturation, Trip
-from seft_msgs_py.wire.topics import (
-    JUDGED,
-    LOOP_TOPICS,
-    NANOSECONDS_PER_SECOND,
-    RIG_STATE,
-    RigAxes,
-    bare,
-)
-from seft_msgs_py.wire.trajectory import Trajectory, parse_trajectory
+from seft_msgs_py.wire.outcome import LinkRecord, Saturation, Simulated, Trip
+from seft_msgs_py.wire.topics import JUDGED, LOOP_TOPICS, RIG_STATE, RigAxes, bare
 from seft_plant_sim.sensors import CHANNELS
 
-_ENOUGH = 2000  # messages from which axes and rate are found
 PACKAGES = ("numpy", "scipy", "rosbags", "rclpy", "seft_msgs_py", "seft_plant_sim", "seft_ros")
 GIT_TIMEOUT = 5.0  # s
 
@@ -117,42 +101,6 @@ def read_description(texts: Iterable[str]) -> tuple[Description, int]:
             case _:
                 refused += 1
     return description, refused
-
-
-def infer_experiment(raws: Iterable[bytes]) -> Experiment:
-    """Make an experiment of axes and rate alone.
-
-    The rate follows from the most frequent spacing of samples, so that lost ones do no harm.
-
-    Parameters
-    ----------
-    raws : iterable of bytes
-        Messages of one loop topic, of which the first few thousand are read.
-
-    Raises
-    ------
-    InputError
-        If they do not give axes and rate.
-    """
-    messages: list[Trajectory] = []
-    for raw in islice(raws, _ENOUGH):
-        with suppress(WireError):
-            messages.append(parse_trajectory(raw))
-    messages = [message for message in messages if message.axes and message.points]
-    if not messages:
-        raise InputError("no message of the loop can be understood")
-    axes = Counter(message.axes for message in messages).most_common(1)[0][0]
-    stamps = sorted({message.stamp_ns for message in messages})
-    known = Counter(nanoseconds(m.points[1].time_from_start) for m in messages if len(m.points) > 1)
-    spacings = known or Counter(late - early for early, late in pairwise(stamps))
-    if not spacings:
-        raise InputError("one sample alone does not give the rate")
-    period_ns = spacings.most_common(1)[0][0]
-    on_grid = sum(1 for stamp in stamps if period_ns > 0 and stamp % period_ns == 0)
-    if 2 * on_grid <= len(stamps):
-        raise InputError("stamps are not whole numbers of sampling periods")
-    rate = NANOSECONDS_PER_SECOND / period_ns
-    return Experiment({RIG_STATE.publisher: {"rate": rate, "axes": list(axes)}})
 
 
 def describe_environment(mode: str) -> dict[str, Any]:
@@ -332,6 +280,8 @@ class Record:
         from there; None if unknown.
     saturation : Saturation
         What the rig reported as saturated.
+    simulated : Simulated or None
+        Largest true motion of a simulated rig; None if the rig is none, or it is unknown.
     round_trips : dict
         From a sample to its command as the rig measured it, s, by the keys of `ROUND_TRIPS`;
         empty where it did not.
@@ -344,8 +294,6 @@ class Record:
         Wall-clock duration of the test; None if unknown.
     complete : bool
         Whether the rig reported the end of the test in this record.
-    described : bool
-        Whether the configuration is known; if not, ``experiment`` has axes and rate alone.
     damage : list of str
         What is wrong with the bag, and what is therefore missing.
     checked : bool
@@ -365,12 +313,12 @@ class Record:
     held_steps: list[int] = field(default_factory=list)
     overruns: int | None = 0
     saturation: Saturation = field(default_factory=dict)
+    simulated: Simulated | None = None
     round_trips: dict[str, float] = field(default_factory=dict)
     link: LinkRecord | None = None
     events: list[Event] = field(default_factory=list)
     wall_s: float | None = None
     complete: bool = True
-    described: bool = True
     damage: list[str] = field(default_factory=list)
     checked: bool = True
     environment: dict[str, Any] = field(default_factory=dict)

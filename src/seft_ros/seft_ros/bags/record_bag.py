@@ -50,7 +50,6 @@ from seft_ros.bags.record import (
     Description,
     Record,
     Series,
-    infer_experiment,
     of_all_rigs,
     read_description,
     write_description,
@@ -61,11 +60,11 @@ UNDECODABLE = "undecodable"
 """Key of a record's environment: number of messages that can't be decoded and were left out."""
 
 _LOOP = (RIG_STATE, REFERENCE_FORCE, VALVE_COMMAND, GROUND_MOTION)
-"""Topics that give a test's namespace, axes and rate, the most reliable first."""
+"""Topics that give a test's namespace, the most reliable first."""
 _MOST_GAPS = 5
 
 
-def read_bag(path: str | Path, *, described: bool = True, damaged: bool = False) -> Record:
+def read_bag(path: str | Path, *, damaged: bool = False) -> Record:
     """Read the record of a test from a bag (mcap or sqlite3), whoever recorded it.
 
     Samples are ordered by step; of duplicates the first counts. Topics may be in a namespace.
@@ -76,17 +75,13 @@ def read_bag(path: str | Path, *, described: bool = True, damaged: bool = False)
     ----------
     path : path
         A bag's folder, or a single mcap or sqlite3 file.
-    described : bool
-        Whether the bag must hold the configuration. If not, and it does not, axes and rate are
-        inferred from the samples.
     damaged : bool
         Whether a damaged bag is read, too; what is wrong with it is the record's ``damage``.
 
     Raises
     ------
     InputError
-        If there is no bag, it is damaged or cut off, no test is described in it, or there are
-        no samples that give axes and rate.
+        If there is no bag, it is damaged or cut off, or no test is described in it.
     """
     with Bag(path) as file:
         if file.damage and not damaged:
@@ -96,8 +91,7 @@ def read_bag(path: str | Path, *, described: bool = True, damaged: bool = False)
             )
         bag = _TestBag(file)
         description = bag.description()
-        known = described or bool(description.sections)
-        experiment = bag.experiment(description) if known else bag.inferred_experiment()
+        experiment = bag.experiment(description)
         parts = _loop_of(experiment)
         loop: dict[Topic, SeriesGatherer] = {
             topic.of(rig): SeriesGatherer(topic, experiment, rig, bag.count(topic.of(rig)))
@@ -126,10 +120,9 @@ def read_bag(path: str | Path, *, described: bool = True, damaged: bool = False)
     states = series[RIG_STATE.name]
     if states.received_ns is not None and len(states.received_ns):
         start_ns = int(states.received_ns[0])
-    if known or len(states.steps):
-        last_step = int(states.steps[-1]) if len(states.steps) else -1
-        for topic in (GROUND_MOTION, REFERENCE_FORCE):  # which are sent ahead
-            series[topic.name] = series[topic.name].until(last_step)
+    last_step = int(states.steps[-1]) if len(states.steps) else -1
+    for topic in (GROUND_MOTION, REFERENCE_FORCE):  # which are sent ahead
+        series[topic.name] = series[topic.name].until(last_step)
     for name, one in series.items():
         steps = states.steps[: len(one.steps)]
         if np.array_equal(steps, one.steps):  # held once for all topics
@@ -145,7 +138,6 @@ def read_bag(path: str | Path, *, described: bool = True, damaged: bool = False)
         trip=trip_of_messages(outcome, reports.ending, experiment.timebase),
         link=reports.link(),
         events=reports.events(start_ns),
-        described=known,
         facts=description.facts,
         damage=damage and [*damage, *_gaps(series, outcome)],
         checked=checked,
@@ -235,19 +227,8 @@ class _TestBag:
         except InputError as error:
             raise self._no_test(
                 f": {error} on {DESCRIPTION.name}; record tests with seft run or seft simulate, or "
-                "that topic too (seft compare does without)"
+                "that topic, too"
             ) from None
-
-    def inferred_experiment(self) -> Experiment:
-        for topic in _LOOP:
-            if not self.count(topic):
-                continue
-            try:
-                return infer_experiment(raw for *_, raw in self.messages([topic]))
-            except InputError as error:
-                raise self._no_test(f" that can be read: {error} on {topic.name}") from None
-        names = ", ".join(topic.name for topic in _LOOP)
-        raise self._no_test(f", for it has nothing on {names}")
 
     def _no_test(self, why: str) -> InputError:
         fault = f"the bag is damaged: {self._file.fault}; " if self._file.damage else ""
@@ -383,6 +364,7 @@ def write_record(
                 record.saturation,
                 record.round_trips,
                 record.held_steps,
+                record.simulated,
             )
             status = rig_status(outcome)
             # totals of all rigs are reported by the first

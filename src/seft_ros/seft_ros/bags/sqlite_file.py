@@ -12,8 +12,8 @@ from itertools import batched
 from pathlib import Path
 from typing import Any
 
+from seft_ros.bags.mcap_file import BagSource
 from seft_ros.bags.message_blocks import MessageBlock, unpacked
-from seft_ros.bags.source import BagSource
 
 _ROWS = 2048  # messages that are joined to a block
 _GARBAGE = (sqlite3.DatabaseError, UnicodeDecodeError, KeyError, TypeError)

@@ -4,7 +4,6 @@
 """
 
 from pathlib import Path
-from string import ascii_lowercase
 from typing import Optional
 
 import typer
@@ -50,13 +49,12 @@ def report(
 
         seft report bags/half --csv half.csv
     """
-    from seft_ros.analysis.histories import check_table, histories, write_table
-    from seft_ros.analysis.report_numbers import report_numbers
+    from seft_ros.analysis.report_numbers import histories, report_numbers
     from seft_ros.analysis.report_page import write_report
     from seft_ros.analysis.result_text import agreement_table, test_rows, title_of
     from seft_ros.bags.record_bag import read_bag
     from seft_ros.drawing.page import check_page
-    from seft_ros.drawing.table import Cell, Texts, TextTable
+    from seft_ros.drawing.table import Cell, Texts, TextTable, check_table, write_table
 
     beside = bag.with_suffix(".html") if bag.is_file() else bag / "report.html"
     page = beside if out is None else check_page(out)
@@ -97,20 +95,19 @@ def recover(bag: BagArgument) -> int:
 
 
 def compare(
-    bags: list[Path] = typer.Argument(
-        ..., metavar="BAG BAG...", help="Recorded tests; the first is compared with each."
-    ),
-    figure: Optional[Path] = option(None, "Draw the tests in one figure.", "FILE"),
+    bag: BagArgument,
+    other: Path = typer.Argument(..., metavar="BAG", help="Test to compare with it."),
+    figure: Optional[Path] = option(None, "Draw both tests in one figure.", "FILE"),
     json: Json = False,
 ) -> int:
-    """Compare recorded tests with the first of them, sample by sample, bit for bit.
+    """Compare two recorded tests, sample by sample, bit for bit.
 
-    Samples are aligned by the step in their stamps, independent of duration and recorder. At
-    different rates, samples at common times are compared. If tests differ in
-    length or axes, the common part is compared, and the rest is reported.
+    Samples are aligned by the step in their stamps, independent of duration and recorder; rate and
+    axes must be the same. If tests differ in length, the common part is compared, and the rest is
+    reported.
 
     Bags are mcap or sqlite3, also those of ros2 bag record: compressed, split into files, with
-    other topics. A bag without experiment/description is compared without its configuration.
+    other topics.
 
     Exit status 0 if all samples on the loop's topics are identical, 1 if not.
 
@@ -122,9 +119,9 @@ def compare(
 
         seft compare bags/simulated bags/lockstep
 
-    Realtime and hardware against the simulation, as a picture:
+    Hardware against the simulation, as a picture:
 
-        seft compare bags/simulated bags/realtime bags/lab --figure all.png
+        seft compare bags/simulated bags/lab --figure both.png
 
     What the stock recorder wrote, for a script; first_difference names topic, step and field:
 
@@ -132,27 +129,24 @@ def compare(
 
         seft compare bags/simulated bags/stock --json
     """
-    from seft_ros.analysis.comparison import compare_all, describe_bag
+    from seft_ros.analysis.comparison import compare_records, describe_bag
     from seft_ros.analysis.figures import comparison_figure
     from seft_ros.analysis.result_text import comparison_texts, legend
     from seft_ros.bags.record_bag import read_bag
     from seft_ros.drawing.style import check_figure, save_figure
 
-    if not 2 <= len(bags) <= len(ascii_lowercase):
-        raise InputError(f"compare takes 2 to {len(ascii_lowercase)} bags, but got {len(bags)}")
     path = check_figure(figure) if figure is not None else None
-    names, labels = [str(bag) for bag in bags], list(ascii_lowercase[: len(bags)])
-    records = [read_bag(bag, described=False, damaged=True) for bag in bags]
-    result = compare_all(names, records)
-    result["bags"] = list(map(describe_bag, names, records))
-    comparisons = result.get("comparisons", [result])
+    names = [str(bag), str(other)]
+    a, b = (read_bag(name, damaged=True) for name in names)
+    result = compare_records(a, b)
+    result["bags"] = [describe_bag(*one) for one in zip(names, (a, b), strict=True)]
     if path is not None:
-        titles = [f"{label}: {Path(name).name}" for label, name in zip(labels, names, strict=True)]
-        save_figure(comparison_figure(records, comparisons, titles), path)
+        titles = [f"a: {bag.name}", f"b: {other.name}"]
+        save_figure(comparison_figure(a, b, result, titles), path)
         result["figure"] = str(path)
-    texts = [*map(legend, labels, result["bags"]), *comparison_texts(comparisons, labels)]
+    texts = [*map(legend, "ab", result["bags"]), *comparison_texts(result)]
     show(result, json, texts, "figure")
-    for name, record in zip(names, records, strict=True):
+    for name, record in zip(names, (a, b), strict=True):
         for fault in record.damage:
             complain(f"{name} is damaged: {fault}")
     return 0 if result["identical"] else 1

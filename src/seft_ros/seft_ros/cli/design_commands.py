@@ -4,6 +4,7 @@
 """
 
 import math
+import os
 from dataclasses import asdict, replace
 from datetime import datetime
 from pathlib import Path
@@ -15,7 +16,6 @@ from seft_msgs_py.errors import InputError
 from seft_ros.bags.record import Record
 from seft_ros.cli import shared
 from seft_ros.cli.shared import option
-from seft_ros.design import PlantSource
 from seft_ros.drawing.table import Texts
 
 
@@ -24,7 +24,6 @@ def preflight(
     param: shared.Params = None,
     params_file: shared.Files = None,
     external: shared.External = None,
-    plant: shared.PlantOption = PlantSource.AUTO,
     figure: Optional[Path] = option(None, "Draw where the test would be stable.", "FILE"),
     write: Optional[Path] = option(None, "Write limits that fit, for --params-file.", "FILE"),
     json: shared.Json = False,
@@ -41,7 +40,7 @@ def preflight(
     If a method or controller of your own has no linear(), the planned test is simulated instead.
 
     The exact response of the planned test gives the peaks to expect, and limits that fit them.
-    Below the tables it names the problems it found, with the commands that fix them.
+    It warns where the assumed mass, or the flow of the valves, does not fit.
 
     A computed model enters the loop with its tangent at rest. Its steps are timed along the
     motion of the planned test.
@@ -66,7 +65,7 @@ def preflight(
     path = check_figure(figure) if figure is not None else None
     experiment = shared.load_experiment(config, param, params_file, external)
     try:
-        plan = Plan(experiment, plant)
+        plan = Plan(experiment)
         with shared.passing_progress() as progress:
             found = stability_verdict.check_stability(plan, progress)
     except NotLinearError as error:
@@ -86,9 +85,8 @@ def preflight(
         timed = preflight_tables.model_time(experiment, motion)
         if timed is not None:
             summary["model"] = asdict(timed)
-        again = shared.command_line_for(config, param, params_file, external)
-        steps = stability_verdict.next_steps(plan, found, peaks, again)
-        summary["next"] = [asdict(step) for step in steps]
+        warnings = list(preflight_tables.mismatches(experiment, peaks))
+        summary["warnings"] = warnings
         if write is not None:
             preflight_tables.write_limits(write, limits)
         if path is not None:
@@ -103,11 +101,11 @@ def preflight(
             f"longest, of {1e3 * timed.budget_s:.2g} ms",
             "the tables above take its tangent at rest",
         ]
-    for step in steps:
-        lines += [f"{step.found}:", *(f"    {command}" for command in step.commands)]
     texts = preflight_tables.preflight_texts(plan, found, f"preflight of {config}")
     limits_table = preflight_tables.limits_table(experiment, peaks)
     shared.show(summary, json, [*texts, limits_table, *lines], "figure")
+    for warning in warnings:
+        shared.warn(warning)
     for reason in found.reasons:
         shared.complain(f"{found.verdict}: {reason}")
     if too_slow := timed.refusal() if timed is not None else "":
@@ -125,8 +123,7 @@ def identify(
     params_file: shared.Files = None,
     over_dds: bool = option(False, "Run nodes over DDS, or one process.", "--over-dds/--offline"),
     external: shared.External = None,
-    signal: str = option("random", "Excitation.", "random|chirp"),
-    seed: int = option(1, "Seed of the random signal.", min=0),
+    seed: int = option(1, "Seed of the excitation, Gaussian noise.", min=0),
     band: tuple[float, float] = option(
         _BY_RATE, "Band of the excitation in Hz; default by the rate.", "LO HI", show_default=False
     ),
@@ -148,8 +145,8 @@ def identify(
     velocity_feedforward needs. It holds for any specimen.
 
     Closed loop: the excitation is the reference force, where the force controller follows one. Its
-    RMS is 5 m/s^2 times the mass, a 20th of the force limit at most (chirp: 0.3 times that), unless
-    --force gives another. The result describes the force loop with this specimen, which the other
+    RMS is 5 m/s^2 times the mass, a 20th of the force limit at most, unless --force gives
+    another. The result describes the force loop with this specimen, which the other
     methods need. Rigs without a valve (actuator.kind ideal or delay) have this test only.
 
     The folder then holds the excitation, the bags, a figure, and model.yaml: parameters of
@@ -177,13 +174,13 @@ def identify(
     experiment = shared.load_experiment(config, param, params_file, external)
     levels = rig_tests.Levels(
         rig_tests.pilot_voltage(experiment) if amplitude is None else amplitude,
-        rig_tests.default_force(experiment, signal) if force is None else force,
+        rig_tests.default_force(experiment) if force is None else force,
     )
     rig_tests.check_levels(experiment, levels)
     if all(map(math.isnan, band)):
         band = (0.3, min(0.45 * experiment.timebase.rate, 200.0))
     folder = out or Path(datetime.now().strftime("identify_%Y-%m-%d_%H-%M-%S"))
-    motions = rig_tests.Motions(experiment, levels.force, signal, band, seed)
+    motions = rig_tests.Motions(experiment, levels.force, band, seed)
     motions.check(duration)
     shared.check_out(folder)
     record = motions.write(folder / "excitation.csv", duration)
@@ -246,4 +243,88 @@ def identify(
     if unusable:
         shared.complain(unusable[0])
         return 1
+    return 0
+
+
+_CORES = len(os.sched_getaffinity(0))
+_LOST = "no result yet; the same command in this folder continues"
+
+
+def study(
+    config: shared.Config,
+    method: Optional[list[str]] = option(
+        None, "Compensation method; may be repeated; all: every one; default CONFIG's.", "NAME"
+    ),
+    mass_ratio: Optional[list[float]] = option(
+        None, "Mass ratio; may be repeated; default CONFIG's.", "ALPHA"
+    ),
+    tests: int = option(200, "Number of drawn tests.", min=2),
+    spread: float = option(0.1, "Largest deviation from CONFIG.", min=0.0, max=1.0),
+    motion: Optional[list[Path]] = option(
+        None, "Ground motion; may be repeated; default CONFIG's.", "FILE"
+    ),
+    seed: int = option(1, "Seed of the draws.", min=0),
+    out: Path = option(Path("study.html"), "The page.", "HTML"),
+    workers: int = option(_CORES, "Processes that calculate.", min=1),
+    scheduler: str = option("", "Calculate on this Dask cluster, as tcp://host:8786.", "ADDRESS"),
+    param: shared.Params = None,
+    params_file: shared.Files = None,
+    json: shared.Json = False,
+) -> int:
+    """Show how large the error of a planned test may be, with which method, and what it depends on.
+
+    Simulates the test as configured (test 0), and on rigs, specimens and ground motions that differ
+    from CONFIG's at random, while methods and controller assume CONFIG. With --spread 0.2 stiffness
+    and amplitude of the ground motion differ by up to 20 %, and damping is up to twice as large, or
+    half. Each test takes one of the motions at random; a synthetic one is another in each test. All
+    methods and mass ratios meet the same tests. Errors are against the exact response of each rig's
+    own structure, without any shift.
+
+    The page shows the distribution of the error, the share of tests that trip, the rank correlation
+    of each drawn quantity with the error, and the worst tests. A folder with the name of the page
+    has their parameter files, with which seft simulate repeats them. --json has every test.
+
+    Methods that lack something, such as a delay that seft identify finds, are named, and the others
+    run. Results do not depend on the number or kind of workers. After an interruption the same
+    command in the same folder continues, also with more tests or methods.
+
+    Exit status 0: the page was made. 1: interrupted. 2: wrong input.
+
+    Examples:
+
+        seft study config/demo.yaml
+
+        seft study config/demo.yaml --spread 0.2 --out wide.html
+
+        seft study config/demo.yaml --motion kobe.AT2 --motion NIS090.AT2
+
+        seft study config/jhu.yaml --method none --method restoring
+
+        seft study config/jhu.yaml --method all --params-file model.yaml
+
+        seft study config/jhu.yaml --scheduler tcp://host:8786
+    """
+    from seft_ros.drawing.page import check_page
+    from seft_ros.study import study_page as page
+    from seft_ros.study.drawn_tests import draw_tests
+    from seft_ros.study.study_plan import plan_study
+    from seft_ros.study.study_results import summarise_study, worst_folder, write_worst_tests
+    from seft_ros.study.study_runs import FinishedTests, run_study
+
+    path = check_page(out)
+    folder = worst_folder(path)
+    experiment = shared.load_experiment(config, param, params_file)
+    files = [os.path.realpath(file) for file in motion or ()]
+    drawn = draw_tests(experiment, tests, seed=seed, spread=spread, motions=files)
+    plan = plan_study(experiment, drawn, method or (), mass_ratio or ())
+    finished = FinishedTests(plan, Path())
+    with shared.step_progress(len(plan.tests()), _LOST) as progress:
+        runs = run_study(plan, progress, workers=workers, scheduler=scheduler, finished=finished)
+    summary = summarise_study(plan, runs)
+    write_worst_tests(plan, summary, folder)
+    title = f"{tests} tests, spread {100 * spread:g} %, seed {seed}"
+    page.write_study(summary, f"Study of {config.name}", title, path)
+    finished.remove()
+    texts = page.study_texts(summary, f"{config}: {title}")
+    shared.show(summary | {"page": str(path)}, json, texts, "page")
     return 0

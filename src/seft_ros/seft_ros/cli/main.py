@@ -9,14 +9,14 @@ from importlib.metadata import version as installed_version
 import typer
 from seft_msgs_py.errors import SeftError
 from seft_msgs_py.node.process import as_before, on_ending
+from seft_msgs_py.printing import unbroken
 
 from seft_ros.cli.bag_commands import compare, recover, replay, report
-from seft_ros.cli.design_commands import identify, preflight
+from seft_ros.cli.design_commands import identify, preflight, study
 from seft_ros.cli.perform import reset, run, simulate, start, status, stop
 from seft_ros.cli.rig_commands import conform, link, new
 from seft_ros.cli.shared import complain, option
 from seft_ros.cli.show_commands import monitor, motion, parameters
-from seft_ros.cli.study_commands import study
 
 APP = typer.Typer(
     name="seft",
@@ -57,6 +57,10 @@ def main() -> int:
 
     SIGTERM and a closed terminal act as Ctrl-C: the command first brings what it moves to rest.
     """
+    return unbroken("seft", _main)
+
+
+def _main() -> int:
     gc.set_threshold(100_000)  # most objects of a command live to its end
     before = on_ending(signal.default_int_handler)
     try:

@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Optional
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Optional
 import typer
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
+from seft_msgs_py.printing import escaped
 
 from seft_ros.bags.record import Record
 from seft_ros.cli import shared
@@ -102,7 +103,7 @@ def _request(service: str) -> int:
         accepted, answer = observer.call(service)
     if not accepted:
         raise ExperimentError(answer)
-    print(answer)
+    print(escaped(answer))
     return 0
 
 
@@ -141,7 +142,6 @@ def run(
     pin: bool = option(True, "Give the loop's nodes cores of their own; keep cores awake."),
     composed: bool = option(False, "Run the loop's nodes in one process.", "--composed"),
     priority: int = option(0, "Real-time priority of the loop; 0: none.", "N", min=0, max=98),
-    check_signs: bool = option(False, "First check units and signs.", "--check-signs"),
     accept_unstable: bool = option(False, "Run also an unstable plan.", "--accept-unstable"),
     figure: Figure = True,
     json: shared.Json = False,
@@ -159,9 +159,6 @@ def run(
     separate processes can't hold; topics and samples stay the same. --priority also locks the
     memory of the loop's nodes, and keeps cores awake.
 
-    --check-signs first moves the rig by a few tenths of a millimetre, to check units and signs of
-    channels and valve; seft conform checks more.
-
     Examples:
 
         seft run config/demo.yaml
@@ -172,7 +169,7 @@ def run(
 
         seft run config/jhu.yaml --composed --priority 50 -p rate:=2000.0
 
-        seft run config/jhu.yaml --external rig --check-signs
+        seft run config/jhu.yaml --external rig
 
         seft run config/jhu.yaml --params-file plan.yaml --accept-unstable
     """
@@ -194,8 +191,6 @@ def run(
     peaks = preflight_tables.expected_peaks(experiment, motion)
     if warning := preflight_tables.limit_warning(experiment, peaks):
         shared.warn(warning)
-    if check_signs:
-        _check_signs(experiment, external or ())
     layout = ProcessLayout(pin=pin, composed=composed, priority=priority)
     steps = motion.steps if motion else 0
     record, bag = shared.dds_test(experiment, bag, steps, external or (), layout=layout)
@@ -234,10 +229,7 @@ def simulate(
     record = shared.offline_test(experiment, out)
     if shared.show_test(record, out, as_json=json, figure=figure):
         return 0
-    shared.complain(
-        f"{_fault(record)}; see seft preflight "
-        f"{shared.command_line_for(config, param, params_file)}"
-    )
+    shared.complain(f"{_fault(record)}; see seft preflight")
     return 1
 
 
@@ -305,18 +297,6 @@ def _check_stable(experiment: Experiment, blocks: "Blocks | None", accept_unstab
         f"{reason}{where}; see seft preflight, lower reference_force: mass_ratio, choose another "
         "compensation.method, or run it all the same with --accept-unstable"
     )
-
-
-def _check_signs(experiment: Experiment, external: Sequence[str]) -> None:
-    """Move the rig a little; raise `InputError` if its channels contradict each other."""
-    from seft_ros.conformance.suite import TIMING, check_conformance
-
-    if len(experiment.rigs) > 1:
-        raise InputError("--check-signs: of several rigs, look at each with seft conform")
-    starts = "rig" not in external
-    for finding in [*check_conformance(experiment, start_rig=starts, moves_only=True)]:
-        if finding.verdict == "failed" and finding.check not in TIMING:
-            raise InputError(f"the rig: {finding.check}: {finding.result}; {finding.remedy}")
 
 
 def _blocks(experiment: Experiment) -> "Blocks | None":

@@ -1,8 +1,6 @@
 """What the commands share: options, the experiment that they name, its test, and how to print."""
 
 import json
-import os
-import shlex
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -14,12 +12,12 @@ import typer
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from seft_msgs_py.config.experiment import Experiment, parse_override
-from seft_msgs_py.config.parameter_table import Section, nearest
+from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.errors import ExperimentError, InputError
+from seft_msgs_py.printing import escaped
 from seft_msgs_py.wire.topics import GROUND_MOTION, NODES, with_rigs
 
 from seft_ros.bags.record import Record
-from seft_ros.design import PlantSource
 from seft_ros.drawing.table import Cell, TextTable
 from seft_ros.test_run.parameter_tables import TABLES
 
@@ -36,9 +34,7 @@ def option(default: Any, text: str, named: str | None = None, **more: Any) -> An
 
 _OVERRIDE = "Override a parameter, as in ROS 2; may be repeated."
 _FILES = "Another parameter file, whose values win over CONFIG's; may be repeated."
-_PLANT = "The simulated rig's linear model, or the identified one; auto: this, if it is given."
 _EXTERNAL = "A node that runs already, such as a lab's driver as rig; may be repeated."
-_SCHEDULER = "Calculate on the Dask cluster with this scheduler, such as tcp://host:8786."
 _JSON = "Print one JSON object on stdout, and nothing else there."
 Config = Annotated[Path, typer.Argument(metavar="CONFIG", help="Experiment: ROS 2 parameter file.")]
 BagArgument = Annotated[
@@ -49,17 +45,8 @@ Params = Annotated[
     typer.Option("-p", "--param", metavar="NODE:PARAMETER:=VALUE", help=_OVERRIDE),
 ]
 Files = Annotated[Optional[list[Path]], typer.Option(metavar="FILE", help=_FILES)]
-PlantOption = Annotated[PlantSource, typer.Option(help=_PLANT)]
 External = Annotated[Optional[list[str]], typer.Option(metavar="NODE", help=_EXTERNAL)]
 Json = Annotated[bool, typer.Option("--json", help=_JSON)]
-Spread = Annotated[float, typer.Option(help="Largest deviation from CONFIG.", min=0.0, max=1.0)]
-Seed = Annotated[int, typer.Option(help="Seed of the draws.", min=0)]
-Workers = Annotated[int, typer.Option(help="Processes that calculate.", min=1)]
-CORES = len(os.sched_getaffinity(0))
-"""Number of processor cores that this process may use."""
-SchedulerOption = Annotated[
-    str, typer.Option(metavar="ADDRESS", help=_SCHEDULER, show_default=False)
-]
 
 
 def load_experiment(
@@ -85,48 +72,6 @@ def load_experiment(
     return experiment
 
 
-def command_line_for(
-    config: Path,
-    overrides: list[str] | None,
-    params_files: Sequence[Path] | None,
-    external: Sequence[str] | None = None,
-) -> str:
-    """Write the words by which a command line names an experiment, for another command."""
-    words = [str(config)]
-    given = {"--params-file": params_files, "-p": overrides, "--external": external}
-    for name, values in given.items():
-        for value in values or ():
-            words += [name, str(value)]
-    return shlex.join(words)
-
-
-def given_motion(
-    section: Section,
-    file: Path | list[Path] | None,
-    command: str,
-    **words: str | float | list[int] | None,
-) -> Section:
-    """Check the record that a command line names, and what it says of the record.
-
-    What the section of an experiment says of its own record does not hold for another one.
-
-    Returns
-    -------
-    dict
-        What it changes in that section.
-    """
-    from seft_ros.ground_motion.ground_motion_block import GROUND_MOTION_TABLE, OF_RECORD
-
-    given: Section = {name: value for name, value in words.items() if value is not None}
-    if file:
-        files = [str(each) for each in (file if isinstance(file, list) else [file])]
-        own = {name: GROUND_MOTION_TABLE.rows[name].default for name in OF_RECORD}
-        given = {"file": files if len(files) > 1 else files[0], **own, **given}
-    elif given and not section["file"]:
-        raise InputError(f"--{next(iter(given))}: needs a record; name its file")
-    return GROUND_MOTION_TABLE.check(given, f"seft {command}")
-
-
 FIGURE = "figure.png"
 
 
@@ -140,19 +85,19 @@ def show(
     console = Console()
     for text in texts:
         if isinstance(text, str):
-            print(text)
+            print(escaped(text))
         else:
             is_line = isinstance(text, Cell) or (isinstance(text, TextTable) and not text.headings)
             console.print(text, soft_wrap=is_line)
     width = max(map(len, files), default=0) + 2
     for name in files:
         if summary.get(name) is not None:
-            print(f"{name + ':':{width}}{summary[name]}")
+            print(escaped(f"{name + ':':{width}}{summary[name]}"))
 
 
 def complain(text: str) -> None:
     """Print one line on stderr."""
-    print(f"seft: {text}", file=sys.stderr, flush=True)
+    print(escaped(f"seft: {text}"), file=sys.stderr, flush=True)
 
 
 def announce_compilation() -> None:
@@ -166,7 +111,7 @@ def announce_compilation() -> None:
 
 def warn(text: str) -> None:
     """Print a warning on stderr: it is no reason for the end of a command."""
-    print(f"warning: {text}", file=sys.stderr, flush=True)
+    print(escaped(f"warning: {text}"), file=sys.stderr, flush=True)
 
 
 @contextmanager
@@ -175,13 +120,13 @@ def step_progress(total: int, lost: str = "") -> Iterator[Callable[[str, int], N
 
     An interruption becomes an `ExperimentError` where ``lost`` says what it costs.
     """
-    text = TextColumn("{task.description:40.40}")
+    text = TextColumn("{task.description:40.40}", markup=False)
     columns = (text, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     try:
         with Progress(*columns, console=Console(stderr=True)) as bar:
             task = bar.add_task("", total=total)
             yield lambda description, done: bar.update(
-                task, description=description, completed=min(done, total)
+                task, description=escaped(description), completed=min(done, total)
             )
     except KeyboardInterrupt:
         if not lost:
@@ -251,6 +196,8 @@ def is_stable_in_simulation(
         complain(f"{why}, and there is no simulated rig to test its stability")
         return True
     complain(f"{why}; the test is simulated instead")
+    if experiment["rig"]["faults"]:  # the plan is judged, on a sound rig
+        experiment, blocks = experiment.changed({"rig": {"faults": ""}}), None
     record = offline_test(experiment, None, blocks=blocks)
     return show_test(record, None, as_json=as_json, figure=False)
 

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Optional
 
 import typer
-from seft_msgs_py.config.parameter_table import COMMON, Parameter, nearest
+from seft_msgs_py.config.parameter_table import COMMON, Parameter, Section, nearest
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 
-from seft_ros.cli.shared import Files, Json, Params, given_motion, load_experiment, option, show
+from seft_ros.cli.shared import Files, Json, Params, load_experiment, option, show
 from seft_ros.test_run.parameter_tables import TABLES
 
 
@@ -134,12 +134,15 @@ def motion(
 
         seft motion kobe.AT2 --config config/demo.yaml --csv spectrum.csv
     """
-    from seft_ros.analysis.histories import check_table, write_table
     from seft_ros.analysis.result_text import motion_rows
     from seft_ros.drawing.style import check_figure, save_figure
-    from seft_ros.drawing.table import TextTable
+    from seft_ros.drawing.table import TextTable, check_table, write_table
     from seft_ros.ground_motion.correction import baseline_numbers
-    from seft_ros.ground_motion.ground_motion_block import GROUND_MOTION_TABLE, GroundMotion
+    from seft_ros.ground_motion.ground_motion_block import (
+        GROUND_MOTION_TABLE,
+        OF_RECORD,
+        GroundMotion,
+    )
     from seft_ros.ground_motion.response_spectrum import (
         motion_figure,
         motion_summary,
@@ -165,9 +168,15 @@ def motion(
         }
     metadata = None if response is None else str(response)
     words = {"column": column or None, "rows": rows, "unit": unit, "dt": dt, "response": metadata}
-    section |= given_motion(section, file, "motion", **words)
-    if correct is not None:
-        section |= GROUND_MOTION_TABLE.check({"correct": correct}, "seft motion")
+    given: Section = {name: value for name, value in words.items() if value is not None}
+    if file:  # what the experiment says of its own record does not hold for another one
+        files = [str(each) for each in file]
+        own = {name: GROUND_MOTION_TABLE.rows[name].default for name in OF_RECORD}
+        given = {"file": files if len(files) > 1 else files[0], **own, **given}
+    elif given and not section["file"]:
+        raise InputError(f"--{next(iter(given))}: needs a record; name its file")
+    given |= {} if correct is None else {"correct": correct}
+    section |= GROUND_MOTION_TABLE.check(given, "seft motion")
     timebase = timebase if rate is None else Timebase.from_rate(rate)
     block = GroundMotion.from_parameters(section, axes, timebase)
     if path is not None:

@@ -12,6 +12,7 @@ from rich.text import Text
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
+from seft_msgs_py.printing import escaped
 from seft_msgs_py.wire.messages import Status, decode_clock, decode_description
 from seft_msgs_py.wire.outcome import FINISHED, TRIPPED, State
 from seft_msgs_py.wire.topics import CLOCK_TOPIC, DESCRIPTION, RIG_STATE, LoopTopic
@@ -120,9 +121,10 @@ _MARKS = {
 def finding_line(finding: Finding) -> Text:
     """Describe a finding in one line; below, how to fix it."""
     mark, colour = _MARKS[finding.verdict]
-    text = Text.assemble((mark, f"bold {colour}"), f"  {finding.check}: {finding.result}")
+    told = escaped(f"  {finding.check}: {finding.result}")  # a driver's text
+    text = Text.assemble((mark, f"bold {colour}"), told)
     if finding.remedy:
-        text.append(f"\n           -> {finding.remedy}")
+        text.append(escaped(f"\n           -> {finding.remedy}"))
     return text
 
 

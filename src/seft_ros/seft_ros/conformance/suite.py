@@ -62,7 +62,6 @@ def check_conformance(
     amplitude: float | None = None,
     travel: float = 0.005,
     force: float = 2000.0,
-    moves_only: bool = False,
 ) -> Iterator[Finding]:
     """Check whether a rig keeps the contract; gives the findings one by one.
 
@@ -76,8 +75,6 @@ def check_conformance(
         Largest command, V.
     travel, force : float
         Largest displacement from where the rig rests, m, and change of force, N.
-    moves_only : bool
-        Only check units and signs of channels and valve.
 
     Raises
     ------
@@ -95,7 +92,7 @@ def check_conformance(
         with closing(
             RigExerciser(experiment, Guard(experiment, travel, force), processes)
         ) as driver:
-            yield from Suite(driver, experiment, amplitude).run(moves_only)
+            yield from Suite(driver, experiment, amplitude).run()
 
 
 class Suite:
@@ -106,7 +103,7 @@ class Suite:
     ) -> None:
         self._driver, self._experiment, self._amplitude = driver, experiment, amplitude
 
-    def run(self, moves_only: bool = False) -> Iterator[Finding]:
+    def run(self) -> Iterator[Finding]:
         """Give the findings one by one; checks that need failed ones to pass are not run."""
         for checks in (self._meet, self._move):
             fit = True
@@ -116,8 +113,6 @@ class Suite:
             if not fit:
                 yield from (not_run(name, "skipped, fix failures above") for name in LATER)
                 return
-        if moves_only:
-            return
         yield from self._command_badly()
         yield from self._fall_silent()
         yield self._stand_still()

@@ -66,14 +66,6 @@ def tracking_measures(frequencies_hz: Floats, tracking: Complexes) -> Tracking:
     )
 
 
-def tracking_delay(frequencies_hz: Floats, tracking: Complexes) -> Floats:
-    """Delay -phase / (2 pi f) of a closed loop T in s; NaN where T is not known; shape (N,) all."""
-    known = np.isfinite(tracking) & (tracking != 0)
-    delays = np.full(len(frequencies_hz), np.nan)
-    delays[known] = -np.unwrap(np.angle(tracking[known])) / (2 * np.pi * frequencies_hz[known])
-    return delays
-
-
 def _first_above(f: Floats, values: Floats, limit: float) -> float | None:
     """First frequency at which values pass a limit, interpolated; 0 if the first does."""
     above = values > limit

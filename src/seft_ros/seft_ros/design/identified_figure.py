@@ -4,12 +4,10 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PathCollection
-from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from seft_ros.design.actuator_fit import ActuatorFit
-from seft_ros.design.force_tracking import FLATNESS_DB, tracking_delay
+from seft_ros.design.force_tracking import FLATNESS_DB
 from seft_ros.design.identified import ClosedLoop, Identified, ValveResponse
 from seft_ros.design.plant import Plant
 from seft_ros.design.rig_tests import Measurement
@@ -19,19 +17,17 @@ _MAX_AXES = 3
 _SHOWN_TRACKING_DB = (-12.0, 6.0)
 _SHOWN_S = 0.5  # of the flow
 _POINTS = 2000  # of a response
-_SHADES = LinearSegmentedColormap.from_list("coherence", ["#dfe4e8", FIRST_COLOUR])
-_COHERENT = 0.5  # below, a delay is noise
 _NOTE: dict[str, Any] = {"fontsize": 8, "color": MARK, "va": "bottom"}
 _LINE: dict[str, Any] = {"color": MARK, "lw": 0.8, "ls": "--"}
 _HEADING: dict[str, Any] = {"fontsize": 11, "color": TEXT, "parse_math": False}
 _OF_VALVE = ("flow / mm/s", "force per valve drive / N/V")
-_OF_CLOSED_LOOP = ("tracking / dB", "delay / ms")
+_TRACKING = "tracking / dB"
 
 
 def identified_figure(identified: Identified, title: str) -> Figure:
     """Draw measurements and fits, one column for each of the first `_MAX_AXES` axes."""
     names, valves, closed = identified.axes[:_MAX_AXES], identified.valves, identified.closed_loops
-    rows = [*_OF_VALVE * bool(valves), "coherence", *_OF_CLOSED_LOOP * bool(closed)]
+    rows = [*_OF_VALVE * bool(valves), *[_TRACKING] * bool(closed), "coherence"]
     width = 9.5 if len(names) == 1 else 5.5 * len(names)
     figure = new_figure(width, 2.6 * len(rows) + 0.5)
     panels = figure.subplots(len(rows), len(names), squeeze=False)
@@ -47,11 +43,10 @@ def identified_figure(identified: Identified, title: str) -> Figure:
         if valves:
             valve = valves[column]
             _draw_flow(panel[_OF_VALVE[0]], valve.actuator)
-            dots = _draw_plant(panel[_OF_VALVE[1]], valve)
+            _draw_plant(panel[_OF_VALVE[1]], valve)
             _draw_coherence(coherence, valve.measured, FIRST_COLOUR, "valve to force")
         if closed:
-            magnitude, delay = (panel[row] for row in _OF_CLOSED_LOOP)
-            _draw_tracking(magnitude, delay, closed[column])
+            _draw_tracking(panel[_TRACKING], closed[column])
             _draw_coherence(coherence, closed[column].measured, SECOND, "reference to force")
         coherence.set_ylim(0.0, 1.05)
         if len(identified.axes) > 1:
@@ -61,10 +56,6 @@ def identified_figure(identified: Identified, title: str) -> Figure:
             axes.legend(loc="lower left", frameon=False, fontsize=9)
     for axes, label in zip(panels[:, 0], rows, strict=True):
         axes.set_ylabel(label, color=TEXT)
-    if valves:
-        bar = figure.colorbar(dots, ax=list(panels[1]), aspect=15, pad=0.01)
-        bar.set_label("coherence", color=TEXT)
-        bar.outline.set_visible(False)
     figure.suptitle(title, **_HEADING)
     return figure
 
@@ -85,21 +76,19 @@ def _draw_flow(panel: Axes, actuator: ActuatorFit) -> None:
     panel.set_xlabel("time / s", color=TEXT)
 
 
-def _draw_plant(panel: Axes, valve: ValveResponse) -> PathCollection:
+def _draw_plant(panel: Axes, valve: ValveResponse) -> None:
     measured, plant = valve.measured, valve.plant
     places = measured.frequencies_hz, np.abs(measured.response)
-    style: dict[str, Any] = {"cmap": _SHADES, "vmin": 0.0, "vmax": 1.0, "s": 7, "lw": 0}
-    dots = panel.scatter(*places, c=measured.coherence, label="measured", **style)
+    panel.plot(*places, ".", color=FIRST_COLOUR, ms=3, label="measured")
     dt = valve.actuator.dt
     f = np.geomspace(measured.frequencies_hz[0], 0.499 / dt, _POINTS)
     text = f"actuator and specimen, error {100 * valve.error:.2g} %"
     panel.plot(f, np.abs(plant.sampled_response(f, dt)), color=MARK, lw=1.1, label=text)
     panel.set_yscale("log")
     _mark_plant(panel, plant, measured.frequencies_hz[-1])
-    return dots
 
 
-def _draw_tracking(panel: Axes, below: Axes, closed: ClosedLoop) -> None:
+def _draw_tracking(panel: Axes, closed: ClosedLoop) -> None:
     measured, tracking = closed.measured, closed.tracking
     f = measured.frequencies_hz
     panel.axhspan(-FLATNESS_DB, FLATNESS_DB, color=SECOND, alpha=0.12, lw=0)
@@ -111,13 +100,6 @@ def _draw_tracking(panel: Axes, below: Axes, closed: ClosedLoop) -> None:
     panel.set_ylim(*_SHOWN_TRACKING_DB)
     if flat := tracking.closed_loop_flat_to_hz:
         _mark(panel, flat, f"±{FLATNESS_DB:g} dB to {flat:.3g} Hz", 0.85)
-    delays = 1e3 * tracking_delay(f, measured.response)
-    delays[measured.coherence < _COHERENT] = np.nan
-    below.plot(f, delays, color=SECOND, lw=1.0, label="measured")
-    if tracking.delay_s is not None:
-        delay = 1e3 * tracking.delay_s
-        below.axhline(delay, label=f"best-fit delay {delay:.3g} ms", **_LINE)
-        below.set_ylim(0.0, 2.0 * delay)
 
 
 def _mark_plant(axes: Axes, plant: Plant, highest_hz: float) -> None:

@@ -16,7 +16,6 @@ from seft_plant_sim.rig import continuous_model
 from seft_plant_sim.specimen import Specimen
 from seft_plant_sim.whole_structure import tested_specimen
 
-from seft_ros.design import PlantSource
 from seft_ros.design.closed_loop import SampledLoop, closed_loop, frozen_feedforward, frozen_target
 from seft_ros.design.plant import Plant, choose_plant, small_signal
 from seft_ros.force_controller.force_control import LinearControl
@@ -85,30 +84,19 @@ class LoopRig:
         return a, b, c
 
 
-def choose_rig(experiment: Experiment, source: PlantSource, stiffness: float = 1.0) -> LoopRig:
-    """Rig of an experiment; InputError if there is no model of it.
+def choose_rig(experiment: Experiment, stiffness: float = 1.0) -> LoopRig:
+    """Rig of an experiment, with a factor on the stiffness of the specimen.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        Its sections `rig`, `force_controller` and `reference_force`.
-    source : str
-        ``rig``: the simulated one. ``identified``: `force_controller: plant.*` for the force, and
-        the specimen for the motion that follows from it; with `velocity_feedforward`
-        `force_controller: actuator.*` and the specimen. ``auto``: the identified plant, if the
-        experiment has one, the rig has a valve, and the controller is not `velocity_feedforward`;
-        else the rig, if it is simulated.
-    stiffness : float
-        Factor on the stiffness of the specimen.
+    The identified one, where the rig is not simulated here, or has a valve and its plant is given:
+    `force_controller: plant.*` for the force, and the specimen for the motion that follows from it.
+    With `velocity_feedforward` the simulated one or, where there is none, `force_controller:
+    actuator.*` and the specimen. An InputError says if there is no model of it.
     """
     section, specimen = experiment.sections.get("rig"), tested_specimen(experiment)
     controller = experiment["force_controller"]
     by_motion = controller.get("method") == VELOCITY_FEEDFORWARD
-    if section is not None and source == PlantSource.AUTO:
-        identified = not by_motion and np.any(controller["plant.numerator"])
-        rig_has_valve = section["actuator.kind"] not in FORCE_DRIVEN
-        source = PlantSource.IDENTIFIED if identified and rig_has_valve else PlantSource.RIG
-    if section is not None and source == PlantSource.RIG:
+    identified = not by_motion and np.any(controller["plant.numerator"])
+    if section is not None and not (identified and section["actuator.kind"] not in FORCE_DRIVEN):
         model = continuous_model(section, experiment.axes, stiffness=stiffness)
         plant = Plant.of_model("rig", model, motion=True)
         derived = section["sensors.velocity"] == "derived"
@@ -120,12 +108,12 @@ def choose_rig(experiment: Experiment, source: PlantSource, stiffness: float = 1
         swept = replace(specimen, stiffness=stiffness * specimen.stiffness)
         model = small_signal(swept, **{**actuator, **dead_time})
         return LoopRig(Plant.of_model("identified", model, motion=True), model.drive, specimen)
-    plant = choose_plant(experiment, PlantSource.IDENTIFIED).with_specimen(specimen)
+    plant = choose_plant(experiment).with_specimen(specimen)
     return LoopRig(plant, "valve_command", specimen, swept=False)
 
 
 class Plan:
-    """The loop of an experiment, and the loop with other values; parameters as of `choose_rig`.
+    """The loop of an experiment, and the loop with other values; see `choose_rig`.
 
     Attributes
     ----------
@@ -141,13 +129,13 @@ class Plan:
     An InputError says if there is no model of the rig, or parameters contradict each other.
     """
 
-    def __init__(self, experiment: Experiment, source: PlantSource = PlantSource.AUTO) -> None:
+    def __init__(self, experiment: Experiment) -> None:
         for node in ("reference_force", "force_controller"):
             if node not in experiment.sections:
                 raise InputError(f"{node}: runs elsewhere, so its parameters are not known here")
-        self.experiment, self.source = experiment, source
+        self.experiment = experiment
         self.axes, self.dt = experiment.axes, experiment.timebase.dt
-        self.rig = choose_rig(experiment, source)
+        self.rig = choose_rig(experiment)
         self.section = experiment["reference_force"]
         self.mass_ratio = float(self.section["mass_ratio"])
         self.dead_time = self.rig.plant.delay
@@ -259,7 +247,7 @@ class Plan:
         self, stiffness: float, dead_time: float, gain: float
     ) -> tuple[Floats, Floats, Floats]:
         other = stiffness != 1.0
-        rig = choose_rig(self.experiment, self.source, stiffness) if other else self.rig
+        rig = choose_rig(self.experiment, stiffness) if other else self.rig
         return rig.sampled(self.dt, dead_time, gain)
 
     def _linear_controllers(self) -> Sequence[tuple[Floats | None, LinearControl]]:

@@ -1,10 +1,12 @@
-"""The plant of the force loop, in continuous time and sampled."""
+"""The plant of the force loop, in continuous time and sampled; its poles and zeros."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 from scipy.linalg import block_diag, eigvals
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.experiment import Experiment
@@ -15,8 +17,67 @@ from seft_plant_sim.continuous_model import ContinuousModel, servo_hydraulic
 from seft_plant_sim.rig import continuous_model
 from seft_plant_sim.specimen import Specimen
 
-from seft_ros.design import PlantSource
-from seft_ros.design.roots import Root, lightly_damped, roots_of, uncancelled
+LIGHTLY_DAMPED = 0.5
+"""Damping ratio up to which a pair counts as lightly damped: it shows in the magnitude."""
+
+_CANCELLED = 0.01  # distance of a pole and a zero, over the decay rate, that nobody sees
+
+
+@dataclass(frozen=True)
+class Root:
+    """A real pole or zero, or a conjugate pair of them.
+
+    Attributes
+    ----------
+    hz : float
+        Natural frequency of a pair, corner frequency of a real one (0: at the origin), Hz;
+        negative for a real one in the right half-plane.
+    damping : float or None
+        Damping ratio of a pair; None: it is real.
+    """
+
+    hz: float
+    damping: float | None = None
+
+
+def polynomial_of(roots: Iterable[Root]) -> Floats:
+    """Monic polynomial in s with these roots, highest power first."""
+    product = np.ones(1)
+    for root in roots:
+        w = 2 * np.pi * root.hz
+        factor = [1.0, w] if root.damping is None else [1.0, 2 * root.damping * w, w * w]
+        product = np.convolve(product, factor)
+    return product
+
+
+def roots_of(values: npt.ArrayLike) -> list[Root]:
+    """Poles or zeros given in rad/s, complex; lowest first."""
+    values = np.asarray(values, dtype=np.complex128)
+    # an imaginary part from rounding makes no pair
+    real = np.abs(values.imag) <= 1e-9 * np.abs(values)
+    found = [Root(float(-value.real / (2 * np.pi)) or 0.0) for value in values[real]]
+    for value in values[~real & (values.imag > 0)]:
+        damping = round(float(-value.real / abs(value)), 12) or 0.0  # no -1e-17 of an undamped one
+        found.append(Root(float(abs(value) / (2 * np.pi)), damping))
+    return sorted(found, key=lambda root: abs(root.hz))
+
+
+def lightly_damped(roots: Iterable[Root]) -> list[Root]:
+    """Pairs in the left half-plane, or on its edge, that are lightly damped; same order."""
+    return [r for r in roots if r.damping is not None and 0 <= r.damping <= LIGHTLY_DAMPED]
+
+
+def uncancelled(roots: Complexes, others: Complexes) -> Complexes:
+    """Poles (or zeros) in rad/s that no zero (or pole) cancels."""
+    kept, others = [], others[np.isfinite(others)]
+    for root in roots[np.isfinite(roots)]:
+        near = np.abs(others - root) <= _CANCELLED * abs(root.real) + 1e-9 * abs(root)
+        if near.any():
+            others = np.delete(others, near.argmax())
+        else:
+            kept.append(root)
+    return np.array(kept, dtype=np.complex128)
+
 
 MAX_DELAY_STEPS = 500
 """Longest dead time in samples: the closed loop's eigenvalues are still found in a second."""
@@ -159,12 +220,11 @@ class Plant:
         return above[int(peaks.argmax())]
 
 
-def choose_plant(experiment: Experiment, source: PlantSource = PlantSource.AUTO) -> Plant:
-    """Plant of an experiment's `rig` or `force_controller`, from valves to forces.
+def choose_plant(experiment: Experiment) -> Plant:
+    """Plant of an experiment, from valves to forces.
 
-    The source ``rig`` is the small-signal linear model of the simulated rig. ``identified`` is
-    `plant.numerator`, `plant.denominator` and `plant.dead_time`, on every axis. ``auto`` is the
-    identified plant if the experiment has one, else the rig.
+    The identified one, `force_controller: plant.*`, on every axis, if it is given; else the
+    small-signal linear model of the simulated rig.
 
     Raises
     ------
@@ -175,12 +235,12 @@ def choose_plant(experiment: Experiment, source: PlantSource = PlantSource.AUTO)
     section = experiment["force_controller"]
     given = np.atleast_1d(section.get("plant.numerator", 0.0)).astype(np.float64)
     numerator = np.trim_zeros(given, "f")
-    if source == PlantSource.IDENTIFIED and not numerator.size:
+    if not numerator.size and "rig" not in experiment.sections:
         raise InputError(
-            "force_controller: plant.numerator is not given, so there is no identified plant; "
-            "let seft identify write one, or choose --plant rig if the rig is simulated"
+            "force_controller: plant.numerator is not given, and the rig is not simulated here; "
+            "let seft identify write one"
         )
-    if source == PlantSource.RIG or not numerator.size:
+    if not numerator.size:
         model = continuous_model(experiment["rig"], experiment.axes)
         if model.drive != "valve_command":
             raise InputError(

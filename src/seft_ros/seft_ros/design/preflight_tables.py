@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from seft_msgs_py.config.experiment import Experiment, write_parameter_file
-from seft_msgs_py.config.parameter_table import Section, group
+from seft_msgs_py.config.parameter_table import Section, group, mass_matrix
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_UNITS
 from seft_plant_sim.whole_structure import model_times, reference_response, whole_structure
@@ -19,6 +19,7 @@ from seft_ros.design.stability_verdict import Preflight
 from seft_ros.drawing.style import Mark, Number
 from seft_ros.drawing.table import Cell, Texts, TextTable
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
+from seft_ros.reference_force.force_command import FORCE_DRIVEN
 from seft_ros.reference_force.reference_force_parameters import LONGEST_MODEL_STEP
 
 SHARE = 0.6
@@ -137,6 +138,8 @@ def model_time(experiment: Experiment, planned: GroundMotion | None) -> ModelTim
 
 _FACTORS = {"displacement": 1.5, "velocity": 2.0, "acceleration": 2.0, "force": 1.5}
 """Proposed limit over the expected peak: oil that rings moves the piston little, but fast."""
+SAME_MASS = 0.01
+"""Error of the assumed mass that weighing has."""
 FAR = 4.0
 """Limit over the expected peak from which on it protects little."""
 
@@ -178,8 +181,15 @@ def preflight_texts(plan: Plan, found: Preflight, title: str) -> Texts:
 def limits_table(experiment: Experiment, peaks: dict[str, float]) -> TextTable:
     """Tabulate expected peaks, the limits of the test, and limits that fit."""
     limits = group(experiment["supervisor"], "limits")
-    rows = [
-        [name, unit, f"{peaks[name]:.3g}", f"{limits[name]:g}", f"{limit:g}"]
+    marks = {True: Mark.BAD, False: Mark.NONE}
+    rows: list[list[str | Cell]] = [
+        [
+            name,
+            unit,
+            f"{peaks[name]:.3g}",
+            Cell(f"{limits[name]:g}", marks[peaks[name] > limits[name]]),
+            f"{limit:g}",
+        ]
         for (name, limit), unit in zip(proposed_limits(peaks).items(), LIMIT_UNITS, strict=False)
     ]
     return TextTable(("limit of", "unit", "expected peak", "limit", "proposed limit"), rows)
@@ -333,6 +343,27 @@ def limit_warning(experiment: Experiment, peaks: dict[str, float]) -> str:
     parts = [f"{what}: {', '.join(which)}" for which, what in kinds if which]
     parts += ["seft preflight CONFIG --write limits.yaml proposes others"] if parts else []
     return "; ".join(parts)
+
+
+def mismatches(experiment: Experiment, peaks: dict[str, float]) -> Iterator[str]:
+    """Say where a plan does not fit its rig: the mass that it assumes, the flow of its valves."""
+    rig, controller = experiment.sections.get("rig"), experiment.sections["force_controller"]
+    if rig is not None:
+        assumed, own = experiment["reference_force"]["model.mass"], rig["specimen.mass"]
+        masses = [mass_matrix(value, experiment.axes, "mass") for value in (assumed, own)]
+        if np.abs(masses[0] - masses[1]).max() > SAME_MASS * np.abs(masses[1]).max():
+            yield (
+                f"reference_force: model.mass is {assumed} kg, but rig: specimen.mass {own} kg; "
+                "give the mass of the specimen to both"
+            )
+    flow = np.min(controller["actuator.flow_gain"]) * np.min(controller["voltage_limit"])
+    if rig is not None and rig["actuator.kind"] in FORCE_DRIVEN:
+        return
+    if peaks and 0.0 < flow < peaks["velocity"]:
+        yield (
+            f"a velocity of {peaks['velocity']:.3g} m/s is expected, but the valve, fully open, "
+            f"passes {flow:.3g} m/s; lower ground_motion: peak_force"
+        )
 
 
 def write_limits(file: Path, limits: dict[str, float]) -> None:

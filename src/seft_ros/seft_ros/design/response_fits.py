@@ -9,8 +9,8 @@ from seft_msgs_py.arrays import Complexes, Floats
 from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.specimen import Specimen
 
+from seft_ros.design.plant import Root, roots_of
 from seft_ros.design.rig_tests import Response
-from seft_ros.design.roots import Root, roots_of
 
 _FLOOR = 0.003  # of each term: accuracy of a calibrated sensor
 

@@ -249,7 +249,6 @@ _PILOT_SHARE = 0.005  # of the voltage limit, RMS
 _LARGEST_SHARE = 0.1
 _TARGET = 0.22  # of the limit that is used most: its largest share in the open loop
 _ACCELERATION = 5.0  # m/s^2 RMS of a free mass under the default force
-_CHIRP_SHARE = 0.3
 _FORCE_SHARE = 0.05  # of the force limit, at most
 _PEAKS = 4.5  # largest value of Gaussian noise over its RMS, in a minute at 500 Hz
 
@@ -262,14 +261,10 @@ class Levels:
     force: float
 
 
-def default_force(experiment: Experiment, signal: str) -> float:
-    """RMS of the reference force that moves the specimen well, far inside its limits, N.
-
-    A chirp, which has one frequency at a time, gets less.
-    """
+def default_force(experiment: Experiment) -> float:
+    """RMS of the reference force that moves the specimen well, far inside its limits, N."""
     limit = experiment["supervisor"]["limits.force"]
-    force = min(_ACCELERATION * np.diag(_mass(experiment)).min(), _FORCE_SHARE * limit)
-    return float(force * (_CHIRP_SHARE if signal == "chirp" else 1.0))
+    return float(min(_ACCELERATION * np.diag(_mass(experiment)).min(), _FORCE_SHARE * limit))
 
 
 def pilot_voltage(experiment: Experiment) -> float:
@@ -373,20 +368,19 @@ class Motions:
         What is identified.
     force : float
         RMS of the reference force, N.
-    signal, band, seed : str, tuple of float, int
+    band, seed : tuple of float, int
         As `excitation` takes them.
     """
 
     experiment: Experiment
     force: float
-    signal: str
     band: tuple[float, float]
     seed: int
 
     @property
     def shortest(self) -> float:
         """Shortest duration for the band, s."""
-        return shortest_duration(self.signal, len(self.experiment.axes), self.band)
+        return shortest_duration(self.band)
 
     def check(self, duration: float) -> None:
         """Refuse by an InputError tests that can't be made, before anything is written or moves."""
@@ -423,4 +417,4 @@ class Motions:
         time, axes = self.experiment.timebase, len(self.experiment.axes)
         check_size(duration, time.rate, "--duration")
         steps = round(duration * time.rate)
-        return excitation(self.signal, steps, axes, time.dt, self.band, self.seed)
+        return excitation(steps, axes, time.dt, self.band, self.seed)

@@ -2,30 +2,19 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from shlex import quote
 from typing import Literal
 
 import numpy as np
 from scipy.linalg import eigh
 from scipy.optimize import linear_sum_assignment
-from seft_msgs_py.config.parameter_table import group, mass_matrix
-from seft_msgs_py.wire.topics import VALVE_COMMAND
-from seft_plant_sim.rig_parameters import LIMIT_UNITS
 from seft_plant_sim.whole_structure import WholeStructure
 
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import Margins, Progress, find_margins
-from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
-from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 
 NEAR = 2.0
 """A mode of the loop is matched with one of the structure within this factor in frequency."""
-SAME_MASS = 0.01
-"""Error of the assumed mass that weighing has."""
-VALVE_RESERVE = 0.8
-"""Of the valve's flow, for a proposed peak force: less passes against the load's pressure."""
 _UNFIT = 1e6
-_MASS = "specimen.mass"
 
 
 @dataclass(frozen=True)
@@ -205,104 +194,3 @@ def _thin(plan: Plan, margins: Margins) -> Iterator[str]:
                 f"an error of {1e3 * end.value:+.2g} ms in the assumed delay makes it unstable, "
                 f"less than {ASSUMED_DELAY_RESERVE_STEPS:g} sample"
             )
-
-
-@dataclass(frozen=True)
-class Step:
-    """What a preflight found, and the commands that fix it or come next."""
-
-    found: str
-    commands: list[str]
-
-
-def next_steps(plan: Plan, found: Preflight, peaks: dict[str, float], again: str) -> list[Step]:
-    """Name the problems of a plan with the commands that fix them, or the next commands.
-
-    Parameters
-    ----------
-    plan : Plan
-        Of which ``found`` is the preflight.
-    peaks : dict
-        Expected peaks, see `seft_ros.design.preflight_tables.expected_peaks`; may be empty.
-    again : str
-        The experiment as the command line gave it, with all its overrides.
-    """
-    steps = [*_wrong_mass(plan, again), *_unstable(plan, found, again)]
-    if not steps:
-        steps += _too_large(plan, peaks, again)
-    return steps or [Step("no problem was found", [f"seft simulate {again}", f"seft run {again}"])]
-
-
-def _wrong_mass(plan: Plan, again: str) -> Iterator[Step]:
-    """Compare the mass that the method assumes with the simulated specimen's."""
-    rig, known = plan.experiment.sections.get("rig"), plan.section["model.mass"]
-    if rig is None:
-        return
-    assumed, true = (mass_matrix(value, plan.axes, "mass") for value in (known, rig[_MASS]))
-    if np.abs(assumed - true).max() > SAME_MASS * np.abs(true).max():
-        yield Step(
-            f"the method assumes a specimen's mass of {known} kg, but it is {rig[_MASS]} kg on "
-            "the simulated rig",
-            [f"seft preflight {again} -p {quote(f'reference_force:model.mass:={rig[_MASS]}')}"],
-        )
-
-
-def _unstable(plan: Plan, found: Preflight, again: str) -> Iterator[Step]:
-    """Name what makes an unstable or marginal plan stable."""
-    if found.verdict == "stable":
-        return
-    by_valve = plan.rig.drive == VALVE_COMMAND.name
-    identify = [
-        f"seft identify {again} --out identified",
-        f"seft preflight {again} --params-file identified/model.yaml",
-    ]
-    if not plan.follows:
-        words = f"-p reference_force:compensation.method:={TARGET_MOTION}"
-        if by_valve:
-            words += f" -p force_controller:method:={VELOCITY_FEEDFORWARD}"
-        known = np.all(plan.experiment["force_controller"]["actuator.flow_gain"]) or not by_valve
-        commands = [f"seft preflight {again}"] if known else identify
-        commands[-1] += f" {words}"
-        yield Step("the recommended method compensates the actuator's delay", commands)
-    elif by_valve:
-        yield Step("the actuator may differ from the assumed one", identify)
-    critical = found.margins.mass_ratio
-    if critical and plan.mass_ratio > 0:
-        lower = float(f"{critical.value / MASS_RATIO_RESERVE:.2g}")
-        if lower < plan.mass_ratio:
-            yield Step(
-                f"up to a mass ratio of {critical.value:.3g} it is stable",
-                [f"seft preflight {again} -p reference_force:mass_ratio:={lower}"],
-            )
-
-
-def _too_large(plan: Plan, peaks: dict[str, float], again: str) -> Iterator[Step]:
-    """Name what the expected motion exceeds: the valve's flow, or limits."""
-    if not peaks:
-        return
-    experiment, controller = plan.experiment, plan.experiment["force_controller"]
-    asked = experiment["ground_motion"]["peak_force"]
-    flow = np.min(controller["actuator.flow_gain"]) * np.min(controller["voltage_limit"])
-    if plan.rig.drive == VALVE_COMMAND.name and 0.0 < flow < peaks["velocity"]:
-        less = float(f"{VALVE_RESERVE * asked * flow / peaks['velocity']:.2g}")
-        how = [f"seft preflight {again} -p ground_motion:peak_force:={less}"] if asked else []
-        yield Step(
-            f"a velocity of {peaks['velocity']:.3g} m/s is expected, but the valve, fully open, "
-            f"passes {flow:.3g} m/s: lower ground_motion: peak_force",
-            how,
-        )
-        return
-    limits = group(experiment["supervisor"], "limits")
-    beyond = [
-        f"{name} {peak:.3g} {unit} (limit {limits[name]:g})"
-        for (name, peak), unit in zip(peaks.items(), LIMIT_UNITS, strict=False)
-        if peak > limits[name]
-    ]
-    if beyond:
-        yield Step(
-            f"the test is expected to trip, by {', '.join(beyond)}; limits that fit it",
-            [
-                f"seft preflight {again} --write limits.yaml",
-                f"seft simulate {again} --params-file limits.yaml",
-            ],
-        )

@@ -202,16 +202,6 @@ def against(
     line(panel, *test, labels[1], width=0.9 if loop else 1.3, loop=loop)
 
 
-def dots(
-    panel: figure, x: AnyFloats, y: AnyFloats, label: str = "", *, color: str = FIRST_COLOUR
-) -> None:
-    """Draw points; the label is in the legend, empty: it is not."""
-    legend = {"legend_label": label} if label else {}
-    renderer = panel.scatter(x, y, size=5, color=color, alpha=0.6, **legend)
-    x_tip = str(panel.xaxis.axis_label), "@x{0.0000a}"
-    _hover(panel, renderer, x_tip, (str(panel.yaxis.axis_label), "@y{0.000}"))
-
-
 def bars(panel: figure, edges: AnyFloats, counts: AnyFloats) -> None:
     """Draw a histogram: counts, shape (B,), between edges, shape (B + 1,)."""
     low = 0.5 if "Log" in type(panel.y_scale).__name__ else 0.0

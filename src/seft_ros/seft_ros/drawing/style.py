@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.files import check_regular
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -93,19 +94,17 @@ def check_figure(path: Path) -> Path:
 def check_file(path: Path, what: str, suffix: str, known: Sequence[str]) -> Path:
     """Complete the name of a file by a suffix, before the work is done that it holds.
 
-    An InputError says that there is no such folder, or that such files have no such suffix.
+    An InputError says that there is no such folder, that such files have no such suffix, or that
+    the file is a folder, a pipe or a device.
     """
     path = path if path.suffix else path.with_suffix(suffix)
     if path.suffix.lower() not in known:
         raise InputError(f"{path}: {what} end in {', '.join(known)}")
-    return check_folder(path)
-
-
-def check_folder(path: Path) -> Path:
-    """Refuse a file whose folder does not exist, or that is a folder itself."""
-    if not path.parent.is_dir() or path.is_dir():
-        what = "is a folder" if path.is_dir() else f"there is no folder {path.parent}"
-        raise InputError(f"{path}: {what}; name a file in a folder that exists")
+    if not path.parent.is_dir():
+        raise InputError(
+            f"{path}: there is no folder {path.parent}; name a file in a folder that exists"
+        )
+    check_regular(path)
     return path
 
 

@@ -1,13 +1,19 @@
-"""Tables of results: one form, which the terminal and a page draw, each in its own way."""
+"""Tables of results: one form, which the terminal and a page draw, each in its own way; csv."""
 
+import csv
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
 
 from rich import table
 from rich.console import Group
 from rich.text import Text
+from seft_msgs_py.arrays import Floats
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.printing import escaped
 
-from seft_ros.drawing.style import Mark
+from seft_ros.drawing.style import Mark, check_file
 
 _COLOURS = {Mark.GOOD: "green", Mark.DOUBT: "yellow", Mark.BAD: "red", Mark.NONE: ""}
 
@@ -21,7 +27,7 @@ class Cell:
 
     def __rich__(self) -> Text:
         """Draw it for the terminal."""
-        return Text(self.text, style=_COLOURS[self.mark])
+        return Text(escaped(self.text), style=_COLOURS[self.mark])
 
 
 @dataclass(frozen=True)
@@ -53,11 +59,14 @@ class TextTable:
         """Draw it for the terminal: what is too wide is folded, nothing is cut off."""
         if not self.headings:
             rows = (row for section in self.sections() for row in section)
-            return Group(*(Text.assemble(f"{name.text}: ", text.__rich__()) for name, text in rows))
+            return Group(
+                *(Text.assemble(name.__rich__(), ": ", text.__rich__()) for name, text in rows)
+            )
         drawn = table.Table()
         for column, heading in enumerate(self.headings):
             right = self.numbers and column > 0
-            drawn.add_column(heading, justify="right" if right else "left", overflow="fold")
+            side: Literal["right", "left"] = "right" if right else "left"
+            drawn.add_column(Text(escaped(heading)), justify=side, overflow="fold")
         for section in self.sections():
             for row in section:
                 drawn.add_row(*row)
@@ -67,3 +76,27 @@ class TextTable:
 
 Texts = list[str | Cell | TextTable]
 """What a command shows on the terminal, from top to bottom."""
+
+
+def check_table(path: Path) -> Path:
+    """Complete the name of a csv file, before the work is done that it holds.
+
+    An InputError says that there is no such folder, or that the name does not end in .csv.
+    """
+    return check_file(path, "tables", ".csv", [".csv"])
+
+
+def write_table(path: Path, names: Sequence[str], table: Floats) -> None:
+    """Write columns, shape (N, c), as csv with their names; what is not known (NaN) is empty.
+
+    Raises
+    ------
+    InputError
+        If the file can't be written.
+    """
+    rows = (["" if value != value else repr(value) for value in row] for row in table.tolist())
+    try:
+        with path.open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file, lineterminator="\n").writerows([names, *rows])
+    except OSError as error:
+        raise InputError(f"{path}: the table can't be written ({error.strerror})") from None

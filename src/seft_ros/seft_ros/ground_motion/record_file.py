@@ -13,10 +13,82 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 
+from seft_ros.ground_motion.readers.agency_files import (
+    check_name,
+    is_cosmos,
+    is_csmip,
+    is_geonet,
+    is_peer,
+    is_smc,
+    read_cosmos,
+    read_csmip,
+    read_geonet,
+    read_peer,
+    read_smc,
+)
+from seft_ros.ground_motion.readers.column_file import read_column_file
 from seft_ros.ground_motion.readers.columns import Columns
-from seft_ros.ground_motion.readers.formats import read_file
-from seft_ros.ground_motion.readers.statements import Statement, is_same_period
-from seft_ros.ground_motion.readers.units import GIVEN_UNITS, UNITS, read_unit
+from seft_ros.ground_motion.readers.record_text import read_bytes, to_lines
+from seft_ros.ground_motion.readers.seismological import (
+    is_knet,
+    is_miniseed,
+    is_sac,
+    read_knet,
+    read_miniseed,
+    read_sac,
+)
+from seft_ros.ground_motion.readers.statements import (
+    GIVEN_UNITS,
+    UNITS,
+    Statement,
+    is_same_period,
+    read_unit,
+)
+
+TEXT_FORMATS = (
+    (is_cosmos, read_cosmos),
+    (is_smc, read_smc),
+    (is_geonet, read_geonet),
+    (is_csmip, read_csmip),
+    (is_peer, read_peer),
+)
+"""What tells a format, and its reader, by path and lines; any other text is a `column_file`."""
+
+SEISMOLOGICAL_FORMATS = ((is_sac, read_sac), (is_miniseed, read_miniseed))
+"""The same for binary files, by their bytes."""
+
+
+def read_file(path: Path, rows: bool = False, response: str = "") -> Columns:
+    """Read a record in any format.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    rows : bool
+        Text that is in no agency's format is one motion in rows.
+    response : str
+        File of the station's metadata, for SAC and miniSEED; empty: none.
+
+    Raises
+    ------
+    InputError
+        If the file can't be read, or is no record.
+    """
+    data = read_bytes(path)
+    if is_knet(data):
+        return read_knet(path, data)
+    for matches, read in SEISMOLOGICAL_FORMATS:
+        if matches(data):
+            return read(path, data, response)
+    lines = to_lines(path, data)
+    for is_format, read_format in TEXT_FORMATS:
+        if is_format(path, lines):
+            return read_format(path, lines)
+    if not rows:
+        check_name(path)
+    return read_column_file(path, lines, rows)
+
 
 FIRST_MOTION = -1
 """Means the column that the names tell, or the first that is not the time."""
@@ -62,8 +134,8 @@ def read_record(
 ) -> RecordedMotion:
     """Read a recorded ground motion.
 
-    Files of agencies are known by their headers, see `formats`; any other text is read as columns
-    of numbers or one motion in rows, see `column_file`.
+    Files of agencies are known by their headers, see `TEXT_FORMATS`; any other text is read as
+    columns of numbers or one motion in rows, see `column_file`.
 
     Parameters
     ----------

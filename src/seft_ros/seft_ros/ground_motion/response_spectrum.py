@@ -8,7 +8,7 @@ import numpy.typing as npt
 from seft_msgs_py.arrays import Floats
 
 from seft_ros.ground_motion.correction import velocity_and_displacement
-from seft_ros.ground_motion.readers.units import STANDARD_GRAVITY
+from seft_ros.ground_motion.readers.statements import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

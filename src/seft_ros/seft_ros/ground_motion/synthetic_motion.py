@@ -1,11 +1,10 @@
-"""Synthetic ground motions, and excitations for identification; the same seed gives the same."""
+"""Synthetic ground motions, and an excitation for identification; the same seed gives the same."""
 
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import InputError
 
-SIGNALS = ("random", "chirp")
 _EDGE = 1.25  # beyond the band the spectrum falls to zero within this factor
 _RAMP = 0.02  # of the duration, at either end
 _LONGEST_RAMP = 2.0  # s
@@ -152,19 +151,14 @@ def synthetic_motion(
     return motion * (peak / largest)
 
 
-def excitation(
-    signal: str, steps: int, axes: int, dt: float, band: tuple[float, float], seed: int
-) -> Floats:
-    """Make an excitation of unit RMS on every axis.
+def excitation(steps: int, axes: int, dt: float, band: tuple[float, float], seed: int) -> Floats:
+    """Make Gaussian noise with a flat spectrum in a band, independent on each axis, of unit RMS.
 
     Its spectrum below the band is almost zero, so that the piston does not drift: the valve
     integrates to displacement.
 
     Parameters
     ----------
-    signal : str
-        ``random``: Gaussian noise with a flat spectrum, independent on each axis, by ``seed``;
-        ``chirp``: one logarithmic upward sweep for each axis, in turn.
     steps, axes : int
         N and n.
     dt : float
@@ -180,34 +174,29 @@ def excitation(
     Raises
     ------
     InputError
-        If the signal is unknown, or the band does not fit rate and duration.
+        If the band does not fit rate and duration.
     """
-    if signal not in SIGNALS:
-        raise InputError(f"--signal is {signal}, but must be one of {', '.join(SIGNALS)}")
     low, high = band
     if not 0 < low < high < 0.5 / dt:
         raise InputError(
             f"--band is {low:g} to {high:g} Hz, but must rise, and lie within 0 and half the "
             f"rate, {0.5 / dt:g} Hz"
         )
-    shortest = shortest_duration(signal, axes, band)
+    shortest = shortest_duration(band)
     if steps * dt < shortest - dt:
         raise InputError(
-            f"--duration is {steps * dt:g} s, but a {signal} signal from {low:g} Hz on needs "
+            f"--duration is {steps * dt:g} s, but a signal from {low:g} Hz on needs "
             f"{shortest:g} s; raise it, or the band's lower end"
         )
-    if signal == "random":
-        raw = _random(steps, axes, dt, band, seed)
-    else:
-        raw = _sweeps(steps, axes, dt, band)
+    raw = _random(steps, axes, dt, band, seed)
     window = np.hanning(steps)[:, np.newaxis]
     centred = raw - window * (raw.mean(axis=0) / window.mean())  # the ends still at rest
     return centred / np.sqrt(np.mean(centred**2, axis=0))
 
 
-def shortest_duration(signal: str, axes: int, band: tuple[float, float]) -> float:
+def shortest_duration(band: tuple[float, float]) -> float:
     """Shortest duration of an excitation for its band, s."""
-    return _FEWEST_PERIODS / band[0] * (axes if signal == "chirp" else 1)
+    return _FEWEST_PERIODS / band[0]
 
 
 def _random(steps: int, axes: int, dt: float, band: tuple[float, float], seed: int) -> Floats:
@@ -217,18 +206,6 @@ def _random(steps: int, axes: int, dt: float, band: tuple[float, float], seed: i
     white = [np.random.default_rng([seed, axis]).standard_normal(steps) for axis in range(axes)]
     columns = [np.fft.irfft(np.fft.rfft(noise) * passed, steps) for noise in white]
     return np.stack(columns, axis=1) * _ramp(steps, dt)[:, np.newaxis]
-
-
-def _sweeps(steps: int, axes: int, dt: float, band: tuple[float, float]) -> Floats:
-    low, high = band
-    raw = np.zeros((steps, axes))
-    length = steps // axes
-    duration = length * dt
-    growth = np.log(high / low)
-    phase = np.expm1(growth * dt * np.arange(length) / duration) * low * duration / growth
-    for axis in range(axes):
-        raw[axis * length :][:length, axis] = np.sin(2 * np.pi * phase) * _ramp(length, dt)
-    return raw
 
 
 def _ramp(steps: int, dt: float) -> Floats:

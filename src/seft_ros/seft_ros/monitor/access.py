@@ -105,7 +105,7 @@ class Guarded(RequestHandler):
 
     The application's settings have ``tokens``, a `Tokens`; ``local_only``, whether the page is
     served on this host alone; and ``cookie``, the name of the cookie. With ``local_only`` the only
-    name is localhost; another name points here by DNS rebinding.
+    name is localhost; another name points here by DNS rebinding. ``server`` is its `PageServer`.
 
     A token is exchanged for a signed cookie with its right. Cookies are checked without delay, also
     while somebody else guesses tokens from the same address.
@@ -139,6 +139,8 @@ class Guarded(RequestHandler):
         if acts and not self.is_own_page(self.request.headers.get("Origin", "")):
             raise HTTPError(403, reason="a request of another page")
         self.right = self._right()
+        stream = getattr(self.request.connection, "stream", None)
+        self.settings["server"].admit(stream, is_page="Upgrade" in self.request.headers)
 
     def _right(self) -> str:
         """Look up the right of the request; refuse it without a valid cookie or token."""
@@ -147,10 +149,14 @@ class Guarded(RequestHandler):
             return CONTROL
         bearer = self.request.headers.get("Authorization", "").removeprefix("Bearer ")
         offered = self.get_query_argument("token", "") or bearer
+        known = (self.get_signed_cookie(self.settings["cookie"]) or b"").decode()
+        right: str | None = known
         if offered:
-            right = tokens.right_of(offered, self.request.remote_ip or "")
-        else:
-            right = (self.get_signed_cookie(self.settings["cookie"]) or b"").decode()
+            try:
+                right = tokens.right_of(offered, self.request.remote_ip or "")
+            except TooEarlyError:
+                if not known:
+                    raise  # else somebody guesses at the address of an operator
         if not right:
             raise HTTPError(401, reason="this token is wrong" if offered else "a token is needed")
         return right

@@ -13,6 +13,8 @@ from typing import Any
 import rclpy
 from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
 from rclpy.subscription import Subscription
+from seft_msgs_py.node.dds import DdsEndpoint
+from seft_msgs_py.node.follower import Follower
 from seft_msgs_py.node.process import prepare_on_this_host
 from seft_msgs_py.node.rclpy_interface import command_node, leave_graph, raw_subscription, take_all
 from seft_msgs_py.wire.topics import (
@@ -37,8 +39,8 @@ _ANSWER_TIMEOUT_S = {
 }  # s, service -> for an answer
 _READ_DEPTH = 4096
 _MAX_AT_ONCE = 8192
-_TOPICS = (EXPERIMENT_STATE, DESCRIPTION, DIAGNOSTICS, GROUND_MOTION, RIG_STATE, REFERENCE_FORCE)
-_DEPTHS = {EXPERIMENT_STATE: 64, DESCRIPTION: 64, DIAGNOSTICS: 512}
+_TOPICS = (GROUND_MOTION, RIG_STATE, REFERENCE_FORCE)
+_DEPTHS: dict[Topic, int] = {EXPERIMENT_STATE: 64, DESCRIPTION: 64, DIAGNOSTICS: 512}
 
 
 class Graph:
@@ -60,6 +62,7 @@ class Graph:
         self._node = command_node(f"seft_monitor_{os.getpid()}", namespace or None)
         self.domain: int = self._node.context.get_domain_id()
         self._subscriptions: dict[str, Subscription] = {}
+        self._test = Follower(DdsEndpoint(self._node), _DEPTHS)
         for topic in _TOPICS:
             self._subscribe(topic)
         # made now, so that discovery is complete when a stop is requested
@@ -75,8 +78,11 @@ class Graph:
     def take(self, topic: Topic) -> Messages:
         """Take the new messages of a topic: bytes, and the wall-clock time in ns of their sending.
 
-        A topic of one of several rigs is subscribed to at the first call.
+        Of the test's state and of what its nodes tell of themselves, strangers' messages are left
+        out. A topic of one of several rigs is subscribed to at the first call.
         """
+        if topic in _DEPTHS:
+            return [(message.raw, message.at_ns) for message in self._test.take(topic)]
         if topic.name not in self._subscriptions:
             self._subscribe(topic)
         return take_all(self._subscriptions[topic.name], _MAX_AT_ONCE)
@@ -84,7 +90,7 @@ class Graph:
     def _subscribe(self, topic: Topic) -> None:
         of_each_step = isinstance(topic, LoopTopic) and not topic.latched
         self._subscriptions[topic.name] = raw_subscription(
-            self._node, topic, _DEPTHS.get(topic, _READ_DEPTH), not of_each_step
+            self._node, topic, _READ_DEPTH, not of_each_step
         )
 
     async def call(self, service: str) -> tuple[bool, str]:

@@ -24,9 +24,9 @@ from seft_msgs_py.wire.topics import (
     Timebase,
     Topic,
 )
-from tornado.httpserver import HTTPServer
 
 from seft_ros.monitor.access import Tokens, is_loopback
+from seft_ros.monitor.connections import PageServer
 from seft_ros.monitor.history import RECENT_FRAME, Frame, envelope_frame, samples_frame
 from seft_ros.monitor.intake import Intake
 from seft_ros.monitor.session import Session
@@ -241,7 +241,7 @@ def serve_monitor(
             loop = asyncio.get_running_loop()
             for number in (signal.SIGINT, signal.SIGTERM):
                 loop.add_signal_handler(number, stopping.set)
-            server = HTTPServer(web, idle_connection_timeout=60)
+            server = PageServer(web)
             server.add_socket(listening)
             gc.collect()
             gc.freeze()  # later collections skip the existing objects

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import math
 import secrets
 from collections.abc import Awaitable, Callable
 from functools import partial
@@ -98,8 +99,11 @@ class Service(Guarded):
         try:
             request = json.loads(self.request.body)
             state, at_ms = int(request["state"]), float(request["at"])
-        except (KeyError, TypeError, ValueError):
-            return "the request does not say in which state and when it was made"
+            if not math.isfinite(at_ms):
+                raise ValueError(at_ms)
+        except (KeyError, TypeError, ValueError, OverflowError, RecursionError):
+            reason = "the request does not say in which state and when it was made"
+            raise HTTPError(400, reason=reason) from None
         why: str = self.settings["lateness"](state, at_ms)
         return why
 

@@ -10,6 +10,7 @@ import argparse
 import sys
 
 from seft_msgs_py.node.node_kind import NodeKind, run_nodes
+from seft_msgs_py.printing import unbroken
 from seft_plant_sim.rig_node import RIG_NODE as RIG
 
 from seft_ros.nodes.force_controller_node import FORCE_CONTROLLER_NODE as FORCE_CONTROLLER
@@ -23,6 +24,10 @@ _KINDS: dict[str, NodeKind] = {
 
 def main() -> int:
     """Entry point of ``ros2 run seft_ros loop``."""
+    return unbroken("loop", _main)
+
+
+def _main() -> int:
     parser = argparse.ArgumentParser(
         prog="loop",
         description="Nodes of the loop in one process, with topics and bits as in several.",

@@ -8,24 +8,22 @@ import numpy as np
 
 from seft_ros.drawing.page import (
     Block,
-    Grid,
     PageSection,
     Plot,
     Text,
     VerdictBox,
-    dots,
     level,
     line,
     plot,
     write_page,
 )
-from seft_ros.drawing.style import GOOD_ERROR, MARK, OTHERS, Mark, number, percent
+from seft_ros.drawing.style import GOOD_ERROR, OTHERS, Mark, number, percent
 from seft_ros.drawing.table import Cell, Texts, TextTable
 from seft_ros.study.study_results import CORRELATIONS, STUDY_QUANTILES, errors_of, strength
 
 _HEADINGS = ("method", "mass\nratio", "test 0", *STUDY_QUANTILES, "tripped")
 _CAPTION = "NRMSE of the displacement: as configured (test 0), and of the drawn tests"
-_CAUSES = 6  # quantities that are listed and drawn
+_CAUSES = 6  # quantities that are listed
 _CHANCE = "Up to ±{:.2f} comes about by chance alone (95 %)"
 
 
@@ -176,26 +174,7 @@ def _dependence(summary: Mapping[str, Any]) -> list[Block]:
     if motions:
         by_motion = ("method", "mass ratio", "ground motion", "tests", *STUDY_QUANTILES)
         blocks.append(TextTable(by_motion, motions, numbers=False))
-    for best in best_results(summary):
-        names = [cause["quantity"] for cause in best["causes"][:_CAUSES]]
-        blocks.append(Text(f"{_name(best)}:"))
-        blocks.append(Grid([_scatter(name, best, summary) for name in names], columns=3))
     return blocks
-
-
-def _scatter(name: str, result: Mapping[str, Any], summary: Mapping[str, Any]) -> Plot:
-    errors = errors_of(result["runs"])
-    values = np.array([one["factors"][name] for one in summary["drawn"]])
-    panel = plot(
-        f"{name}, over the configured value", "NRMSE of displacement / %", log_y=True, height=230
-    )
-    stable = np.isfinite(errors) & (errors > 0)
-    dots(panel, values[stable], 100 * errors[stable])
-    lost = np.isinf(errors)
-    if lost.any():
-        top = float(100 * errors[stable].max()) if stable.any() else 100.0
-        dots(panel, values[lost], np.full(lost.sum(), 1.5 * top), "unstable", color=MARK)
-    return Plot(panel)
 
 
 def _worst(summary: Mapping[str, Any]) -> list[Block]:

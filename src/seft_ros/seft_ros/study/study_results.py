@@ -1,17 +1,22 @@
 """What the tests of a study say: distribution of the error, trips, causes, the worst tests."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.stats import binomtest, rankdata
 from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.experiment import write_parameter_file
 from seft_msgs_py.config.parameter_table import Section
+from seft_msgs_py.errors import InputError
 
 from seft_ros.drawing.style import RESPONSES, json_safe
-from seft_ros.ground_motion.record_file import source_name
-from seft_ros.study.study_plan import StudyPlan
+from seft_ros.ground_motion.ground_motion_block import FILES
+from seft_ros.ground_motion.record_file import files_of, source_name
+from seft_ros.study.study_plan import StudyPlan, StudyTest
 from seft_ros.study.study_runs import Run
 
 STUDY_QUANTILES = {"median": 0.5, "p90": 0.9, "p95": 0.95, "max": 1.0}
@@ -83,8 +88,8 @@ def result_of(plan: StudyPlan, runs: Sequence[Run]) -> dict[str, Any]:
     -------
     dict
         ``mass_ratio``, ``method``, ``uncompiled`` (why its tests were simulated uncompiled, or
-        empty), ``configured`` (summary of test 0); of the drawn tests ``distribution`` and
-        ``peak_error`` of displacement, force and acceleration (`STUDY_QUANTILES`; a test that
+        empty), ``configured`` (summary of test 0); of the drawn tests ``distribution``
+        of the errors of displacement, force and acceleration (`STUDY_QUANTILES`; a test that
         tripped is infinitely wrong), ``trips`` (count, share and its 95 % interval by Wilson 1927;
         of the tests that tripped or became unstable), ``causes`` (see `causes_of`), ``motions``
         (file -> tests, and `STUDY_QUANTILES` of the displacement's error), ``worst`` (test,
@@ -102,7 +107,6 @@ def result_of(plan: StudyPlan, runs: Sequence[Run]) -> dict[str, Any]:
         "uncompiled": configured.why_not_compiled,
         "configured": configured.summary,
         "distribution": {name: quantiles(errors_of(drawn, name)) for name in RESPONSES},
-        "peak_error": {name: quantiles(_peak_errors(drawn, name)) for name in RESPONSES},
         "trips": {
             "count": lost,
             "share": lost / len(drawn),
@@ -137,15 +141,6 @@ def errors_of(outcomes: Sequence[Mapping[str, Any]], response: str = "displaceme
     """NRMSE of tests by their summaries; infinite where unstable, NaN where it is undefined."""
     values = [one[response]["nrmse"] if one["stable"] else math.inf for one in outcomes]
     return np.array(values, dtype=float)
-
-
-def _peak_errors(outcomes: Sequence[Mapping[str, Any]], response: str) -> Floats:
-    """Magnitude of (peak - exact peak) / exact peak of tests, likewise."""
-    found = []
-    for one in outcomes:
-        peak, exact = (one[response][key] for key in ("peak", "reference_peak"))
-        found.append(abs(peak / exact - 1.0) if exact and one["stable"] else math.inf)
-    return np.array(found)
 
 
 def quantiles(errors: Floats) -> dict[str, float]:
@@ -184,3 +179,46 @@ def _spearman(x: Floats, y: Floats) -> float:
     if not len(x) or any(np.ptp(rank) == 0 for rank in ranks):
         return math.nan
     return float(np.corrcoef(*ranks)[0, 1])
+
+
+def worst_folder(page: Path) -> Path:
+    """Name the folder for the worst tests beside a page, before the work is done.
+
+    An InputError says that a file has this name.
+    """
+    folder = page.with_suffix("")
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is no folder; name another page, or remove it")
+    return folder
+
+
+def write_worst_tests(plan: StudyPlan, summary: dict[str, Any], folder: Path) -> None:
+    """Write the worst tests of each method and mass ratio as complete experiments.
+
+    ``seft simulate FILE`` repeats one. The summary gets their paths, as ``file`` of each; files of
+    an earlier study in this folder are replaced.
+
+    Raises
+    ------
+    InputError
+        If a file can't be written.
+    """
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: can't be made: {error.strerror or error}") from None
+    for result in summary["results"]:
+        for worst in result["worst"]:
+            test = StudyTest(result["mass_ratio"], result["method"], worst["test"])
+            method = re.sub(r"[^\w.-]", "_", test.method)
+            path = folder / f"{method}_{test.mass_ratio:g}_{test.number}.yaml"
+            sections = dict(plan.experiment_of(test).sections)
+            motion = sections["ground_motion"]
+            sections["ground_motion"] = motion | {
+                name: [str(Path(file).resolve()) for file in files]
+                for name in FILES
+                if (files := files_of(motion[name]))
+            }
+            about = f"{test} of seft study, seed {plan.drawn.seed}, spread {plan.drawn.spread:g}"
+            write_parameter_file(path, sections, [about], replace=True)
+            worst["file"] = str(path)

@@ -1,6 +1,9 @@
-"""The tests of a study are run, here or on a cluster."""
+"""The tests of a study are run, here or on a cluster, and kept until the page is written."""
 
-from collections.abc import Callable, Mapping
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from itertools import repeat
@@ -9,18 +12,73 @@ from tempfile import TemporaryDirectory, mkdtemp
 from typing import Any
 
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.errors import ExperimentError, SeftError
+from seft_msgs_py.errors import ExperimentError, InputError, SeftError
 from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.summary import summarise_briefly
 from seft_ros.bags.record import Record
 from seft_ros.ground_motion.ground_motion_block import FILES
 from seft_ros.ground_motion.record_file import files_of
-from seft_ros.study.finished_tests import FinishedTests, TestOutcome
 from seft_ros.study.study_plan import StudyPlan, StudyTest
-from seft_ros.study.workers import parallel_map
+from seft_ros.study.workers import parallel_map, software
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import BlockCache, simulate_test
+
+TestOutcome = tuple[dict[str, Any], str]
+"""Summary, and why it was not compiled, of a `seft_ros.study.study_runs.Run`."""
+
+
+class FinishedTests:
+    """A line of JSON for each test, in a file of this folder for equal inputs and software.
+
+    More tests, methods or mass ratios have the same file.
+    """
+
+    def __init__(self, plan: StudyPlan, folder: Path) -> None:
+        self._file = folder / f"study-{_digest(plan)}.jsonl"
+
+    def read(self) -> dict[StudyTest, TestOutcome]:
+        """Read the tests, and cut off a line that was not written to its end."""
+        if not self._file.exists():
+            return {}
+        with self._reported():
+            whole, end, _ = self._file.read_bytes().rpartition(b"\n")
+            self._file.write_bytes(whole + end)
+        try:
+            lines = [json.loads(line) for line in whole.splitlines()]
+            return {StudyTest(*test): (dict(summary), str(why)) for test, summary, why in lines}
+        except (ValueError, TypeError):
+            raise InputError(f"{self._file}: holds no finished tests; remove it") from None
+
+    def add(self, test: StudyTest, outcome: TestOutcome) -> None:
+        """Add a test."""
+        with self._reported(), self._file.open("a") as lines:
+            lines.write(json.dumps([test, *outcome]) + "\n")
+
+    def remove(self) -> None:
+        """Remove the file."""
+        with self._reported():
+            self._file.unlink(missing_ok=True)
+
+    @contextmanager
+    def _reported(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise InputError(
+                f"{self._file}: finished tests can't be kept there ({error.strerror}); start in a "
+                "folder that can be written to"
+            ) from None
+
+
+def _digest(plan: StudyPlan) -> str:
+    """Digest what the result of a test depends on beside its mass ratio, method and number."""
+    drawn = plan.drawn
+    inputs = [software(), plan.experiment.sections, drawn.seed, drawn.spread, drawn.motions]
+    contents = [hashlib.sha256(content).hexdigest() for content in plan.records().values()]
+    text = json.dumps([*inputs, contents], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
 
 _CACHE = BlockCache()
 

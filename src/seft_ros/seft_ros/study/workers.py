@@ -28,7 +28,6 @@ It gives the place and the result of each call as soon as there is one.
 """
 
 _STOP = signal.SIGUSR1
-_MOST_DEATHS = 3
 _CONNECT_TIME = 5.0  # s
 
 
@@ -41,8 +40,7 @@ def parallel_map(workers: int, scheduler: str = "") -> Iterator[Map]:
     """Give a `map` that calculates on several processes.
 
     A worker is a fresh interpreter (spawn) with one thread for linear algebra, which
-    `seft_msgs_py` sets. What a worker had begun that died is calculated by another. When the block
-    is left early, the workers stop their calculations.
+    `seft_msgs_py` sets. When the block is left early, the workers stop their calculations.
 
     Parameters
     ----------
@@ -54,7 +52,7 @@ def parallel_map(workers: int, scheduler: str = "") -> Iterator[Map]:
     Raises
     ------
     ExperimentError
-        If workers die again and again.
+        If a worker dies.
     InputError
         If there is no scheduler, or its workers have other software than this process.
     """
@@ -65,9 +63,10 @@ def parallel_map(workers: int, scheduler: str = "") -> Iterator[Map]:
     if workers == 1:
         yield lambda function, *arguments: enumerate(map(function, *arguments))
         return
-    others, pool = set(multiprocessing.active_children()), _Pool(workers)
+    others, context = set(multiprocessing.active_children()), multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(workers, context, _become_worker)
     try:
-        yield pool.spread
+        yield partial(_spread, pool)
     except BaseException:
         for worker in set(multiprocessing.active_children()) - others:
             # not terminated: one that dies while it sends a result leaves the pool waiting for it
@@ -75,57 +74,33 @@ def parallel_map(workers: int, scheduler: str = "") -> Iterator[Map]:
                 os.kill(worker.pid, _STOP)
         raise
     finally:
-        pool.processes.shutdown(cancel_futures=True)
+        pool.shutdown(cancel_futures=True)
 
 
-class _Pool:
-    """Processes on this machine, replaced when one of them dies."""
+def _spread(
+    pool: ProcessPoolExecutor, function: Callable[..., Any], *arguments: Any
+) -> Iterator[tuple[int, Any]]:
+    """Begin to calculate, see `Map`."""
+    # what is started here inherits the mask: Ctrl-C is for the parent alone to deal with
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, _STOP})
+    try:
+        calls = enumerate(zip(*arguments, strict=False))
+        places = {pool.submit(_calculate, function, *own): place for place, own in calls}
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    return _results(places)
 
-    def __init__(self, workers: int) -> None:
-        self._workers, self._deaths = workers, 0
-        self.processes = self._start()
 
-    def _start(self) -> ProcessPoolExecutor:
-        context = multiprocessing.get_context("spawn")
-        return ProcessPoolExecutor(self._workers, context, _become_worker)
-
-    def spread(self, function: Callable[..., Any], *arguments: Any) -> Iterator[tuple[int, Any]]:
-        """Begin to calculate, see `Map`."""
-        left = dict(enumerate(zip(*arguments, strict=False)))
-
-        def submit() -> dict[Future[Any], int]:
-            # what is started here inherits the mask: Ctrl-C is for the parent alone to deal with
-            before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, _STOP})
-            try:
-                call = partial(self.processes.submit, _calculate, function)
-                return {call(*own): place for place, own in left.items()}
-            finally:
-                signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-        def results(
-            processes: ProcessPoolExecutor, futures: dict[Future[Any], int]
-        ) -> Iterator[tuple[int, Any]]:
-            while left:
-                try:
-                    for future in as_completed(futures):
-                        result = future.result()
-                        del left[futures[future]]
-                        yield futures[future], result
-                except BrokenProcessPool:
-                    if processes is self.processes:  # nobody else has replaced them
-                        self._replace()
-                    processes, futures = self.processes, submit()
-
-        return results(self.processes, submit())
-
-    def _replace(self) -> None:
-        self._deaths += 1
-        if self._deaths >= _MOST_DEATHS:
+def _results(places: dict[Future[Any], int]) -> Iterator[tuple[int, Any]]:
+    for future in as_completed(list(places)):
+        try:
+            result = future.result()
+        except BrokenProcessPool:
             raise ExperimentError(
-                f"workers died {self._deaths} times, maybe for want of memory; take fewer workers"
+                "a worker died, maybe for want of memory; the same command with fewer --workers "
+                "continues"
             ) from None
-        self.processes.shutdown(cancel_futures=True)
-        self.processes = self._start()
+        yield places.pop(future), result
 
 
 class _Worker:

@@ -14,9 +14,11 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_plant_sim.compiled import OPTIONS, compiled, entry_point, kind_of
+from seft_plant_sim.faults import check_times
 from seft_plant_sim.rig import Rig, Rigs
 from seft_plant_sim.rig_step import (
     BLIND,
+    FORCE_NOW,
     RIG_LIMIT,
     RigParameters,
     RigState,
@@ -118,6 +120,8 @@ def build_blocks(experiment: Experiment, known: dict[str, Any] | None = None) ->
         shared("force_controller", interlock_of, experiment),
         _rigs(experiment),
     )
+    duration = (blocks.ground_motion.steps - 1) * timebase.dt
+    check_times(experiment["rig"]["faults"], axes, duration)
     check_lead(experiment, blocks.ground_motion, blocks.reference_force)
     check_target(experiment, blocks)
     return blocks
@@ -261,8 +265,8 @@ class LoopSamples(NamedTuple):
     ----------
     states, judged, forces, commands : ndarray
         Shapes (N, 4, n), (N, 4, n), (N, q, n) and (N, n).
-    found : ndarray
-        Results of `rig_step`, shape (N,).
+    found, true_forces : ndarray
+        Results of `rig_step`, and largest true force of any axis (N), shape (N,).
     estimates : ndarray
         Estimates of the compensation method at the sampled steps, shape (M, k, n).
     """
@@ -272,6 +276,7 @@ class LoopSamples(NamedTuple):
     forces: Floats
     commands: Floats
     found: Ints
+    true_forces: Floats
     estimates: Floats
 
 
@@ -362,7 +367,7 @@ def run_compiled(
         done = steps(loop, samples, known, noise, first, last)
         yield done
         if done < last or last == total:
-            rig.take(samples.found[:done])
+            rig.take(samples.found[:done], samples.true_forces[:done])
             return
 
 
@@ -380,7 +385,7 @@ def _run_steps(
     known : ndarray
         Ground motion, and what is known beyond its end, shape (N + lead, n), m/s^2.
     noise : ndarray
-        Of the sensors from the first step on, shape (steps, 4, n).
+        Of sensors and faults from the first step on, shape (steps, 4 + faults, n).
     first, last : int
         The first step, and the one after the last.
     """
@@ -396,7 +401,7 @@ def _run_steps(
     for step in range(first, last):
         measured, command = samples.states[step], samples.commands[step]
         found = rig_step(rig[0], rig[1], step, drive, noise[step - first], measured)
-        samples.found[step] = found
+        samples.found[step], samples.true_forces[step] = found, rig[1].peaks[FORCE_NOW]
         judged = samples.judged[step]
         take_sample(interlock[0], interlock[1], step, measured, judged)
         # reference force

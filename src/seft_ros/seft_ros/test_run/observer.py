@@ -10,6 +10,7 @@ from typing import Any
 from seft_msgs_py.errors import ExperimentError, InputError, WireError
 from seft_msgs_py.node.clock import AwakeClock
 from seft_msgs_py.node.dds import DdsEndpoint
+from seft_msgs_py.node.follower import Follower
 from seft_msgs_py.node.process import is_running, prepare_on_this_host
 from seft_msgs_py.node.rclpy_interface import (
     Publisher,
@@ -26,9 +27,8 @@ from seft_msgs_py.node.rclpy_interface import (
     sender,
     take_timed,
 )
-from seft_msgs_py.node.senders import Senders
 from seft_msgs_py.wire.messages import Status, decode_diagnostics, decode_status, encode_status
-from seft_msgs_py.wire.outcome import MOVING, RIG
+from seft_msgs_py.wire.outcome import RIG
 from seft_msgs_py.wire.topics import CLOCK_TOPIC, DIAGNOSTICS, EXPERIMENT_STATE, NODES, Topic, bare
 from std_srvs.srv import Trigger
 
@@ -73,14 +73,11 @@ class Observer:
         self._received_at = self._awake.time()
         self._since = time.monotonic()
         self._node = command_node("seft")
-        endpoint = DdsEndpoint(self._node)
-        states = endpoint.subscribe(EXPERIMENT_STATE)
-        self._take_state, self._senders = states.take, Senders(endpoint)
-        self._senders.add(EXPERIMENT_STATE, states.topic_name, states)
-        for topic, receive in ((CLOCK_TOPIC, self._on_clock), (DIAGNOSTICS, self._on_diagnostics)):
-            self._node.create_subscription(
-                message_class(topic), topic.name, receive, qos_profile(topic)
-            )
+        depths = {topic: topic.depth for topic in (EXPERIMENT_STATE, DIAGNOSTICS)}
+        self._test = Follower(DdsEndpoint(self._node), depths, self._nodes)
+        self._node.create_subscription(
+            message_class(CLOCK_TOPIC), CLOCK_TOPIC.name, self._on_clock, qos_profile(CLOCK_TOPIC)
+        )
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
 
@@ -90,7 +87,7 @@ class Observer:
         while True:
             self._executor.spin_once(timeout_sec=max(0.0, deadline - time.monotonic()))
             self._awake.time()
-            self._receive_states()
+            self._receive()
             if time.monotonic() >= deadline:
                 return
 
@@ -112,7 +109,7 @@ class Observer:
                 raise ExperimentError(f"service {service} is not there; is supervisor running?")
             future = client.call_async(Trigger.Request())
             self._executor.spin_until_future_complete(future, patience)
-            self._receive_states()
+            self._receive()
             response = future.result()
             if response is None:
                 raise ExperimentError(f"supervisor did not answer {service}")
@@ -182,33 +179,25 @@ class Observer:
         self._executor.shutdown()
         leave_graph(self._node)
 
-    def _receive_states(self) -> None:
-        while (taken := self._take_state()) is not None:
-            self._on_state(taken[0], taken[2])
-
-    def _on_state(self, raw: bytes, gid: bytes) -> None:
-        """Accept the state of a running test only from the supervisor that it began with."""
-        if self._senders.is_unexpected(EXPERIMENT_STATE.name, gid):
-            return
-        try:
-            status = decode_status(raw)
-        except WireError:
-            return
-        self._received_at = self._awake.time()
-        self.state, self.values = status.message, dict(status.values)
-        self._senders.follow(self.state in MOVING)
+    def _receive(self) -> None:
+        """Take the states and statuses that have arrived."""
+        for state in self._test.take(EXPERIMENT_STATE):
+            status = decode_status(state.raw)
+            self._received_at = self._awake.time()
+            self.state, self.values = status.message, dict(status.values)
+        for told in self._test.take(DIAGNOSTICS):
+            for status in decode_diagnostics(told.raw)[1]:
+                self._on_status(status)
 
     def _on_clock(self, message: Any) -> None:
         self.time_ns = message.clock.sec * 1_000_000_000 + message.clock.nanosec
 
-    def _on_diagnostics(self, message: Any) -> None:
-        for status in message.status:
-            values = {item.key: item.value for item in status.values}
-            phase = values.get("phase", "")
-            if status.name == "recorder":
-                self.recorder_phase, self.recorder_bag = phase, values.get("bag", "")
-            elif bare(status.name) == RIG:
-                (self.running.add if phase == "running" else self.running.discard)(status.name)
+    def _on_status(self, status: Status) -> None:
+        phase = status.values.get("phase", "")
+        if status.name == "recorder":
+            self.recorder_phase, self.recorder_bag = phase, status.values.get("bag", "")
+        elif bare(status.name) == RIG:
+            (self.running.add if phase == "running" else self.running.discard)(status.name)
 
 
 def _domain() -> str:

@@ -92,6 +92,7 @@ def simulate_test(
         np.empty((total, quantities, axes)),
         np.empty((total, axes)),
         np.empty(total, dtype=np.int64),
+        np.empty(total),
         np.empty((-(-total // period), len(estimated), axes)),
     )
     run = run_compiled if _is_compiled(blocks, total, compiles) else run_plain
@@ -102,6 +103,15 @@ def simulate_test(
         if progress is not None:
             progress(steps)
     wall = time.perf_counter() - start
+    trip = _trip_of(
+        blocks.rig.violation or blocks.force_controller.reason,
+        force.cause,
+        steps - 1,
+        steps - force.steps_ramped,
+        experiment.timebase,
+    )
+    begun = steps - force.steps_ramped if force.cause else steps - 1
+    blocks.rig.stop()
     estimates = None
     if estimated:
         sampled = np.arange(0, steps, period, dtype=np.int64)
@@ -110,14 +120,9 @@ def simulate_test(
         experiment=experiment,
         series=loop_series(motion, samples, steps),
         estimates=estimates,
-        trip=_trip_of(
-            blocks.rig.violation or blocks.force_controller.reason,
-            force.cause,
-            steps - 1,
-            steps - force.steps_ramped,
-            experiment.timebase,
-        ),
+        trip=trip,
         saturation=blocks.rig.saturation,
+        simulated=blocks.rig.simulated(begun),
         wall_s=wall,
         environment=environment,
     )

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.files import open_regular
 
 NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[EeDd][+-]?\d+)?", re.ASCII)
 """A number of Fortran, C or a spreadsheet; D is Fortran's double exponent."""
@@ -29,11 +30,8 @@ def read_bytes(path: Path) -> bytes:
         If it can't be read, or is no regular file.
     """
     try:
-        if path.is_dir():
-            raise InputError(f"{path}: is a folder; give the record file in it")
-        if path.exists() and not path.is_file():
-            raise InputError(f"{path}: is no regular file; give a record file")
-        return path.read_bytes()
+        with open_regular(path) as file:
+            return file.read()
     except FileNotFoundError:
         raise InputError(
             f"{path}: no such file; give its full path, or one from the working directory"

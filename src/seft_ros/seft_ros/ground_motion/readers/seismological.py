@@ -14,8 +14,7 @@ import numpy as np
 from seft_msgs_py.errors import InputError
 
 from seft_ros.ground_motion.readers.columns import Columns
-from seft_ros.ground_motion.readers.statements import Statement, other_quantity
-from seft_ros.ground_motion.readers.units import read_unit
+from seft_ros.ground_motion.readers.statements import Statement, other_quantity, read_unit
 
 _SAC_HEADER, _SAC_VERSION, _SAC_VERSIONS = 632, 304, (6, 7)  # bytes, place
 _SAC_OTHER = {6: "displacement", 7: "velocity", 50: "voltage"}

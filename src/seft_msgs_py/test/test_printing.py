@@ -1,0 +1,47 @@
+"""What is printed gives a terminal no commands, and its loss ends no program."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.printing import escaped
+
+MANY = """
+import sys
+from seft_msgs_py.printing import unbroken
+
+def main():
+    for _ in range(50_000):
+        print("a line")
+    print("told", file=sys.stderr)
+    return {status}
+
+sys.exit(unbroken("many", main))
+"""
+
+
+def test_control_characters_are_escaped_and_lines_and_letters_stay():
+    assert escaped("täglich\n\x1b[31mred\x07 \u202e\udcff") == (
+        "täglich\n\\x1b[31mred\\x07 \\u202e\\udcff"
+    )
+    assert str(InputError("a\nb\x1b]0;title")) == "a b\\x1b]0;title"
+
+
+@pytest.mark.parametrize("status", [0, 2])
+def test_a_full_device_is_told_when_the_program_has_ended(status):
+    with Path("/dev/full").open("w") as full:
+        words = [sys.executable, "-c", MANY.format(status=status)]
+        done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert done.stderr == "told\nmany: stdout can't be written (No space left on device)\n"
+    assert done.returncode == (status or 1)
+
+
+def test_a_reader_that_leaves_is_no_fault_and_a_full_stderr_neither():
+    words = [sys.executable, "-c", MANY.format(status=0)]
+    with Path("/dev/full").open("w") as full:
+        child = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=full)
+    assert child.stdout.readline() == b"a line\n"
+    child.stdout.close()
+    assert child.wait() == 0

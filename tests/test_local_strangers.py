@@ -1,0 +1,97 @@
+"""What strangers tell of a test's nodes, in virtual time."""
+
+import json
+
+import pytest
+from local_tools import LONG, NODES, UNREHEARSED
+from seft_msgs_py.node.follower import Follower
+from seft_msgs_py.virtual.memory import MemoryEndpoint
+from seft_msgs_py.wire.messages import (
+    Status,
+    decode_status,
+    encode_diagnostics,
+    encode_status,
+    encode_string,
+)
+from seft_msgs_py.wire.outcome import tripped_status
+from seft_msgs_py.wire.topics import (
+    DESCRIPTION,
+    DIAGNOSTICS,
+    EXPERIMENT_STATE,
+    REFERENCE_FORCE,
+    RIG_STATE,
+    VALVE_COMMAND,
+)
+from seft_ros.bags.record_bag import read_bag
+
+LIE = encode_diagnostics(0, [tripped_status("reference_force", "a lie", 7)])
+FALSE = encode_string(json.dumps({"node": "reference_force", "parameters": {"rate": "x"}}))
+FOREIGN = encode_status(Status("experiment", 0, "tripped", values={"detail": "a lie", "step": "7"}))
+
+
+@pytest.mark.parametrize("name", ["stranger", "reference_force"])
+def test_a_lie_neither_ends_a_test_nor_gets_into_its_bag(running, tmp_path, name):
+    """Also of a node that has joined under the name of one of the test's."""
+    graph = running(LONG, f"recorder:directory:={tmp_path}", nodes=(*NODES, "recorder"))
+    monitor = Follower(
+        MemoryEndpoint(graph.graph, "monitor"),
+        dict.fromkeys((EXPERIMENT_STATE, DIAGNOSTICS, DESCRIPTION), 64),
+        clock=graph.graph.clock,
+    )
+    told = []
+
+    def watch():
+        """What a monitor, and `seft run`, make of the test."""
+        told.extend(
+            each.raw for topic in (DIAGNOSTICS, DESCRIPTION) for each in monitor.take(topic)
+        )
+        told.extend(states := [each.raw for each in monitor.take(EXPERIMENT_STATE)])
+        return decode_status(states[-1]).values["detail"]
+
+    graph.run(0.5)
+    assert watch() == "running"
+    for topic, raw in ((DIAGNOSTICS, LIE), (DESCRIPTION, FALSE)):
+        send = graph.join(topic, name)
+        for _ in range(5):
+            send(raw)
+            graph.run(0.3)
+    assert graph.state == "running"
+    assert watch() == "running"
+    assert f"/{name} on diagnostics: 5" in graph.status("supervisor")["unexpected_publishers"]
+    graph.call("estop")
+    graph.run(0.05)
+    for _ in range(5):
+        graph.inject(EXPERIMENT_STATE, FOREIGN)
+        graph.run(0.3)
+    assert watch() == "aborted by the operator"
+    assert not {LIE, FALSE, FOREIGN} & {*told}
+    assert len(told) > 50
+    graph.until(lambda: graph.status("recorder")["phase"] == "saved")
+    record = read_bag(graph.status("recorder")["bag"])
+    assert record.trip.reason == "aborted by the operator"
+    assert not any("a lie" in event.text for event in record.events)
+
+
+def test_a_test_does_not_start_with_a_second_node_of_a_name(local_graph):
+    graph = local_graph(UNREHEARSED)
+    graph.until("ready")
+    graph.join(DIAGNOSTICS, "rig")
+    graph.until("idle", within=0.5)
+    assert "2 nodes rig publish diagnostics" in graph.values["detail"]
+
+
+def test_twenty_that_join_at_once_cost_each_node_a_line_for_each_topic(running):
+    """A line of the log takes a millisecond, and a rig at rest for 20 ms ends the test."""
+    graph = running(LONG)
+    before = len(graph.graph.lines)
+    topics = (VALVE_COMMAND, RIG_STATE, REFERENCE_FORCE, EXPERIMENT_STATE, DIAGNOSTICS, DESCRIPTION)
+    for topic in topics:
+        for k in range(20):
+            graph.join(topic, f"stranger_{k}")(b"\0" * 8)
+    graph.run(5.0)
+    assert graph.state == "running"
+    lines = graph.graph.lines[before:]
+    warned = [(line.at_ns, line.node) for line in lines if ", 12 more publish" in line.text]
+    assert len(warned) >= 8  # readers of these topics
+    assert len({*warned}) == len(warned)
+    assert len(lines) < 2 * len(warned)
