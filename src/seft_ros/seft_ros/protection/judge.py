@@ -39,6 +39,8 @@ CALIBRATION = 0.1
 2 ms apart at 7 Hz."""
 FLOW = 0.02
 """Likewise of the oil's change by the valve's flow in (3), beside the differences of before."""
+BOTH = 2.0 / 3.0
+"""Part of the largest noise that is beyond noise if (3) and (4) fail by the same amount."""
 RECENT, BRIEF, EVENTS = 0.3, 0.05, 3.0
 """Time constants, s, of the memory of the largest force and difference, of the largest change in a
 sample, and of the jumps of a specimen: a quarter of a cycle at 1 Hz, ..., three cycles at 1 Hz."""
@@ -381,14 +383,15 @@ def judge_force(
     off, dt = judged[F, i] - expected, p.dt
     kink = 0.125 * dt * dt * abs(judged[A, i] - state.judged[0, A, i])
     usual = max(FLOW * abs(dt * flow[i]) * p.oil[i, 0], USUAL * state.usual[0, i])
-    allowed = in_noise(p, state, 2, i, F) + usual + p.oil[i, 0] * kink
-    is_wrong = abs(off) > allowed and abs(state.off[2, i]) > 0.0
+    allowed = max(BOTH * in_noise(p, state, 2, i, F), usual) + p.oil[i, 0] * kink
+    is_wrong = abs(off) > allowed and abs(r) > BOTH * in_noise(p, state, 3, i, F)
     is_wrong = is_wrong and off * r > 0.5 * max(off * off, r * r)
     if is_wrong:
         state.verdict[F, i] = 1
-        # (4) is more exact, unless the specimen jumps in the same sample
-        by_specimen = judged[F, i] - r
-        judged[F, i] = by_specimen if abs(by_specimen - expected) < allowed else expected
+        by_specimen = judged[F, i] - r  # unless it jumps in the same sample
+        if abs(by_specimen - expected) < allowed:
+            expected = 0.5 * (expected + by_specimen)
+        judged[F, i] = expected
     else:
         accept(p, state, 0, i, off)
     return is_wrong
