@@ -1,7 +1,10 @@
 """`seft identify` offline, end to end, on short tests."""
 
+import contextlib
+import io
 import json
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -9,6 +12,7 @@ from experiments_at_hand import JHU, load
 from seft_msgs_py.config.experiment import Experiment, read_parameter_file
 from seft_plant_sim.lti import bilinear, polynomial_ratio
 from seft_ros.bags.record_bag import read_bag
+from seft_ros.cli.main import main
 from seft_ros.design.force_tracking import tracking_measures
 from seft_ros.design.plant import choose_plant
 from seft_ros.test_run.parameter_tables import TABLES
@@ -19,16 +23,39 @@ BRIEF = ("--duration", "15", "--amplitude", "0.2")
 """For what no number is held against; saves the pilot test, too."""
 
 
+def identified(seft, *words, overrides=()):
+    """Run `seft identify --json` on the paper's rig; (status, what it prints, last line)."""
+    parameters = [word for text in overrides for word in ("-p", text)]
+    status, out, err = seft("identify", JHU, *parameters, *words, "--json")
+    return status, json.loads(out) if out else None, err.strip().splitlines()[-1]
+
+
 @pytest.fixture
 def identify(seft):
-    """Run `seft identify --json` on the paper's rig; (status, what it prints, last line)."""
+    """Identify in an empty folder."""
+    return lambda *words, **options: identified(seft, *words, **options)
 
-    def run(*words, overrides=()):
-        parameters = [word for text in overrides for word in ("-p", text)]
-        status, out, err = seft("identify", JHU, *parameters, *words, "--json")
-        return status, json.loads(out) if out else None, err.strip().splitlines()[-1]
 
-    return run
+@pytest.fixture(scope="module")
+def linear(tmp_path_factory):
+    """Folder and numbers of the linear rig, identified for several tests that look at it."""
+    folder = tmp_path_factory.mktemp("linear")
+
+    def seft(*words):
+        out, errors = io.StringIO(), io.StringIO()
+        with (
+            pytest.MonkeyPatch.context() as patch,
+            contextlib.chdir(folder),
+            contextlib.redirect_stdout(out),
+            contextlib.redirect_stderr(errors),
+        ):
+            patch.setattr(sys, "argv", ["seft", *map(str, words)])
+            status = main()
+        return status, out.getvalue(), errors.getvalue()
+
+    status, found, _ = identified(seft, *SHORT, "--specimen", "--out", "out", overrides=LINEAR)
+    assert status == 0
+    return folder / "out", found
 
 
 def analytic(*overrides):
@@ -41,11 +68,10 @@ def analytic(*overrides):
     return plant, tracking_measures(f, loop / (1 + loop))
 
 
-def test_plant_loop_and_closed_loop_agree_with_the_analytic_model(identify):
-    status, found, _ = identify(*SHORT, "--out", "out", overrides=LINEAR)
+def test_plant_loop_and_closed_loop_agree_with_the_analytic_model(linear):
+    _, found = linear
     plant, measures = analytic(*LINEAR)
     zero, pole = plant.antiresonance(), plant.oil_column()
-    assert status == 0
     assert found["notes"][0].startswith("actuator.* describes the actuators and holds for any")
     rig = load(*LINEAR)["rig"]
     actuator = found["actuator"]
@@ -70,10 +96,8 @@ def test_plant_loop_and_closed_loop_agree_with_the_analytic_model(identify):
     assert found["fit_error"] < 0.06
 
 
-def test_the_folder_holds_what_repeats_and_uses_it(identify, seft, tmp_path):
-    status, found, _ = identify(*SHORT, "--specimen", "--out", "out", overrides=LINEAR)
-    assert status == 0
-    out = tmp_path / "out"
+def test_the_folder_holds_what_repeats_and_uses_it(linear, seft):
+    out, found = linear
     names = {"excitation.csv", "pilot.csv", "pilot", "open_loop", "closed_loop"}
     assert {path.name for path in out.iterdir()} == names | {"model.yaml", "figure.png"}
     record = read_bag(out / "open_loop")
