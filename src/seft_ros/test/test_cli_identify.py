@@ -124,7 +124,7 @@ def test_the_folder_holds_what_repeats_and_uses_it(linear, seft):
 
 def test_a_specimen_that_the_model_was_not_identified_with_needs_no_other(identify, seft):
     """What the recommended method needs, and by default no word of the specimen."""
-    assert identify(*SHORT, "--out", "out")[0] == 0
+    assert identify("--duration", "20", "--out", "out")[0] == 0
     model = read_parameter_file("out/model.yaml")
     assert not any(name.startswith("model.") for name in model["reference_force"])
     overrides = {
@@ -184,7 +184,8 @@ def test_several_axes_have_their_numbers_each(identify, seft, tmp_path):
         "rig:specimen.mass:=[52.7, 50.0]",
         "reference_force:model.mass:=[52.7, 50.0]",
     )
-    status, found, _ = identify(*SHORT, "--specimen", "--out", "out", overrides=overrides)
+    words = ("--duration", "20", "--specimen", "--out", "out")
+    status, found, _ = identify(*words, overrides=overrides)
     assert status == 0
     assert [axis["axis"] for axis in found["axes"]] == ["north", "east"]
     assert found["axes"][0]["plant_zero_hz"] == found["plant_zero_hz"]
@@ -223,7 +224,8 @@ def test_a_trip_in_the_open_loop_ends_it_and_keeps_the_bag(identify, tmp_path):
 
 def test_of_a_loop_that_is_unstable_the_plant_is_identified_all_the_same(identify):
     overrides = (*LINEAR, "force_controller:numerator:=200.0")
-    status, found, line = identify(*SHORT, "--out", "out", overrides=overrides)
+    words = ("--duration", "20", "--out", "out")
+    status, found, line = identify(*words, overrides=overrides)
     assert status == 1
     assert "closed loop" in line
     assert found["plant_zero_hz"] == pytest.approx(10.07, rel=0.01)
