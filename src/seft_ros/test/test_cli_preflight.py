@@ -90,17 +90,6 @@ def test_a_problem_is_shown_with_the_command_that_fixes_it(seft, told):
     assert (status, found["next"][0]["found"]) == (0, "no problem was found")
 
 
-def test_limits_that_would_end_the_test_are_told_with_a_command_that_writes_others(seft, told):
-    words = (JHU, *DELAY, "-p", f"{RATIO}0.5", "-p", "supervisor:limits.displacement:=0.001")
-    (step,) = told(*words)[1]["next"]
-    assert "expected to trip, by displacement" in step["found"]
-    assert seft(*shlex.split(step["commands"][0])[1:])[0] == 0
-    (step,) = told(*words, "--params-file", "limits.yaml")[1]["next"]
-    assert "displacement" in step["found"]  # -p wins over a file
-    (step,) = told(*words[:-2], "--params-file", "limits.yaml")[1]["next"]
-    assert step["found"] == "no problem was found"
-
-
 def test_an_unstable_plan_has_no_damping_in_the_test(seft, told):
     words = (JHU, *DELAY, "-p", f"{RATIO}1.0")
     status, found = told(*words)

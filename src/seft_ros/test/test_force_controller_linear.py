@@ -59,14 +59,6 @@ def test_a_controller_for_each_axis_is_that_controller_there():
             np.testing.assert_allclose(found[axis], drive, rtol=1e-12, atol=1e-15)
 
 
-def test_one_axis_and_a_gain_of_one_are_the_bits_of_the_plain_controller():
-    plain, written = made(1), made(1, gain=1.0, per_axis=True)
-    for force, state in random(1):
-        assert plain.step(1e4 * force[None, None], state) == written.step(
-            1e4 * force[None, None], state
-        )
-
-
 @given(st.lists(st.floats(-5e4, 5e4), min_size=40, max_size=40), st.floats(0.3, 3.0))
 def test_beyond_the_limit_it_does_not_wind_up_with_a_gain_either(forces, gain):
     """The same as a controller whose own output is limited to the limit over the gain."""

@@ -7,7 +7,6 @@ import experiments_at_hand
 import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.errors import InputError
 from seft_ros.force_controller.force_control import ControlInputs
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.methods import RegisteredControl
@@ -230,10 +229,3 @@ def test_a_controller_of_another_package_is_not_compiled(monkeypatch):
 
     monkeypatch.setattr(compiled_loop, "interlock_of", interlock_of)
     assert "another package" in BlockCache().why_not_compiled(load())
-
-
-def test_wrong_input_is_told_as_ever():
-    with pytest.raises(InputError, match="lead"):
-        BlockCache().run(load(*TARGET, "ground_motion:lead:=0.01"))
-    with pytest.raises(InputError, match="yield"):
-        BlockCache().run(load("rig:specimen.kind:=bilinear"))

@@ -130,11 +130,6 @@ def test_a_link_of_the_loop_that_is_not_there_is_named(publisher, topic, listene
     assert lost(publisher, topic, listener) == f"{publisher} to reach {listener} on {topic}"
 
 
-def test_a_rig_that_obeys_the_reference_force_must_hear_it():
-    reached = "reference_force to reach rig on reference_force"
-    assert lost("reference_force", "reference_force", "rig", drive="reference_force") == reached
-
-
 @pytest.mark.parametrize("topic", [topic for topic in TOPICS if topic.recorded and topic.publisher])
 def test_the_recorder_must_hear_every_recorded_topic(topic):
     expected = f"{topic.publisher} to reach recorder on {topic.name}"

@@ -1,9 +1,7 @@
 import itertools
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from seft_msgs_py.wire.outcome import ENDED, MOVING, State
+from seft_msgs_py.wire.outcome import ENDED, State
 from seft_ros.test_run.state_machine import StateMachine
 
 RUNNING = (("peers", ""), ("start",))
@@ -187,32 +185,6 @@ def test_the_next_test_does_not_inherit_the_step_of_a_trip():
     machine.peers("")
     machine.start()
     assert (machine.state, machine.step) == (State.RUNNING, None)
-
-
-@given(st.lists(st.sampled_from(sorted(EVENTS))))
-def test_no_test_runs_without_complete_peers_and_a_start(events):
-    machine, previous = StateMachine(), State.IDLE
-    for event in events:
-        send(machine, event)
-        if machine.state is State.RUNNING and previous is not State.RUNNING:
-            assert (previous, event) == (State.READY, "start")
-        if machine.state is State.READY and previous is not State.READY:
-            assert event == "complete"
-        previous = machine.state
-
-
-@given(st.lists(st.sampled_from(sorted(EVENTS))))
-def test_what_has_begun_to_come_down_never_goes_up_again(events):
-    machine, previous = StateMachine(), State.IDLE
-    for event in events:
-        send(machine, event)
-        if previous is State.RAMPING_DOWN:
-            assert machine.state in (State.RAMPING_DOWN, *ENDED)
-        if previous in ENDED and machine.state not in ENDED:
-            assert (machine.state, event) == (State.IDLE, "reset")
-        if previous not in MOVING and machine.state in MOVING:
-            assert event == "start"
-        previous = machine.state
 
 
 def test_states_are_the_words_on_the_topic():
