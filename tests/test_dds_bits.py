@@ -81,6 +81,7 @@ def test_two_rigs_give_the_bits_of_the_offline_loop(compiled, seft_json, arrange
 
 
 @THOROUGH
+@pytest.mark.wallclock
 def test_a_test_in_realtime_is_rehearsed_and_its_bag_has_the_figures(seft_json, tmp_path):
     """It needs a machine that keeps 50 Hz."""
     told = seft_json("run", JHU, *SHORT, "-p", "rate:=50.0", "--out", "bag", status=None)
@@ -128,6 +129,8 @@ LINKED = (
 
 
 @THOROUGH
+@pytest.mark.hosts
+@pytest.mark.wallclock
 def test_rigs_on_two_hosts_move_one_structure(two_hosts, east_on_b):
     two_hosts.link(delay=0.005, jitter=0.001)
     _, run = east_on_b(*LINKED)
@@ -143,6 +146,8 @@ def test_rigs_on_two_hosts_move_one_structure(two_hosts, east_on_b):
 
 
 @THOROUGH
+@pytest.mark.hosts
+@pytest.mark.wallclock
 def test_a_rig_lost_on_another_host_brings_all_to_rest(two_hosts, east_on_b):
     two_hosts.link(delay=0.002)
     timeouts = (

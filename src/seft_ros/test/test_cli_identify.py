@@ -1,18 +1,16 @@
 """`seft identify` offline, end to end, on short tests."""
 
-import contextlib
-import io
 import json
 import re
-import sys
+from functools import partial
 
 import numpy as np
 import pytest
+from commands_at_hand import run_seft
 from experiments_at_hand import JHU, load
 from seft_msgs_py.config.experiment import Experiment, read_parameter_file
 from seft_plant_sim.lti import bilinear, polynomial_ratio
 from seft_ros.bags.record_bag import read_bag
-from seft_ros.cli.main import main
 from seft_ros.design.force_tracking import tracking_measures
 from seft_ros.design.plant import choose_plant
 from seft_ros.test_run.parameter_tables import TABLES
@@ -40,19 +38,7 @@ def identify(seft):
 def linear(tmp_path_factory):
     """Folder and numbers of the linear rig, identified for several tests that look at it."""
     folder = tmp_path_factory.mktemp("linear")
-
-    def seft(*words):
-        out, errors = io.StringIO(), io.StringIO()
-        with (
-            pytest.MonkeyPatch.context() as patch,
-            contextlib.chdir(folder),
-            contextlib.redirect_stdout(out),
-            contextlib.redirect_stderr(errors),
-        ):
-            patch.setattr(sys, "argv", ["seft", *map(str, words)])
-            status = main()
-        return status, out.getvalue(), errors.getvalue()
-
+    seft = partial(run_seft, folder)
     status, found, _ = identified(seft, *SHORT, "--specimen", "--out", "out", overrides=LINEAR)
     assert status == 0
     return folder / "out", found
