@@ -85,18 +85,6 @@ def test_estop_ends_the_test_at_once_and_a_reset_makes_the_next_possible(running
     assert graph.call("start")[0]
 
 
-def test_an_estop_while_ramping_down_keeps_both_reasons(running):
-    graph = running("reference_force:ramp_down_time:=60.0")
-    graph.call("stop")
-    graph.run(0.5)
-    graph.call("estop")
-    assert graph.values["detail"] == (
-        "aborted by the operator (while ramping down: stopped by the operator)"
-    )
-    graph.until("tripped")
-    assert at_rest(graph)
-
-
 def test_live_parameters_may_be_set_and_others_not(local_graph):
     graph = local_graph(nodes=(*NODES, "recorder"))
     graph.until(lambda: graph.status("recorder").get("phase"))
