@@ -46,8 +46,7 @@ test: $(READY) ## lint, format, types, docs and tests: 6 minutes on two cores
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	@$(MAKE) --no-print-directory -j 2 types docs
-	$(PYTEST) src examples -n 2 --durations 10
-	$(PYTEST) tests -n 2 --dist loadfile --durations 10
+	$(PYTEST) -n 2 --dist loadfile --durations 10
 
 # All but what takes long and is arithmetic of our own, which no library changes: steps against
 # their formulas. The other tests call the same steps.

@@ -1,7 +1,6 @@
 """Runs of the `seft` command and of single nodes, each on a ROS domain of its own."""
 
 import contextlib
-import io
 import json
 import os
 import subprocess
@@ -9,11 +8,11 @@ import sys
 from collections.abc import Callable, Iterator
 
 import pytest
+from commands_at_hand import run_seft
 from graph_tools import JHU, PATIENCE
 from local_tools import NODES, UNREHEARSED
 from ros_domain import reserved_domain
 from seft_msgs_py.virtual import LocalGraph
-from seft_ros.cli.main import main
 from seft_ros.nodes.kinds import NODE_KINDS
 from seft_ros.test_run.observer import Observer
 from seft_ros.test_run.processes import MODULES
@@ -68,7 +67,7 @@ def running(local_graph):
 
 
 @pytest.fixture
-def seft(domain, tmp_path, monkeypatch) -> Callable[..., subprocess.CompletedProcess]:
+def seft(domain, tmp_path) -> Callable[..., subprocess.CompletedProcess]:
     """Run `seft` in an empty folder."""
 
     def run(*words, status=None) -> subprocess.CompletedProcess:
@@ -76,7 +75,7 @@ def seft(domain, tmp_path, monkeypatch) -> Callable[..., subprocess.CompletedPro
             words = (*words, "--no-figure")  # which would take longer than many a test
         words = tuple(map(str, words))
         if words[0] in _OFFLINE and os.environ.get("PYTHONPATH") == _PATH:
-            done = _here(words, tmp_path, monkeypatch)
+            done = subprocess.CompletedProcess(words, *run_seft(tmp_path, *words))
         else:
             command = [sys.executable, "-m", "seft_ros.cli.main", *words]
             done = subprocess.run(
@@ -87,18 +86,6 @@ def seft(domain, tmp_path, monkeypatch) -> Callable[..., subprocess.CompletedPro
         return done
 
     return run
-
-
-def _here(words, folder, monkeypatch) -> subprocess.CompletedProcess:
-    out, errors = io.StringIO(), io.StringIO()
-    monkeypatch.setattr(sys, "argv", ["seft", *words])
-    with (
-        contextlib.chdir(folder),
-        contextlib.redirect_stdout(out),
-        contextlib.redirect_stderr(errors),
-    ):
-        status = main()
-    return subprocess.CompletedProcess(words, status, out.getvalue(), errors.getvalue())
 
 
 @pytest.fixture

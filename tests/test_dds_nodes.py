@@ -193,7 +193,11 @@ def parameter_requests():
         ParameterValue(type=4, string_value="\x01\n" * 1000),
         ParameterValue(type=2, integer_value=-(2**63)),
     ]
-    sets = [[Parameter(name=n, value=v)] for n in (*names[:7], "name") for v in values]
+    sets = [
+        [Parameter(name=n, value=v)]
+        for n in ("", "use_sim_time", "rate", "no_such", "name")
+        for v in values
+    ]
     sets.append([Parameter(name=f"p{i}", value=values[3]) for i in range(1000)])
     many = [names, [], *[[n] for n in names], ["rate"] * 1000]
     found = [(SetParameters, "set_parameters", {"parameters": p}) for p in sets]

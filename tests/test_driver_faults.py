@@ -111,68 +111,6 @@ def test_a_fault_brings_the_hardware_to_its_safe_position_and_the_driver_lives_o
         assert "the converter does not answer" in trip["reason"]
 
 
-class Valve:
-    """A valve that is written to, and a pump."""
-
-    def __init__(self):
-        self.written, self.has_pressure = [], True
-
-    def write_command(self, volts):
-        self.written.append(volts[0])
-
-    def to_safe_position(self):
-        self.written.append(0.0)
-
-    def dump_pressure(self):
-        self.has_pressure = False
-
-
-def stop_of(valve):
-    from rig_driver.safe_stop import SafeStop
-
-    return SafeStop(valve, np.zeros(1), close_time=0.02, farthest=0.001, dt=0.002, sleep=time.sleep)
-
-
-def test_a_valve_closes_within_its_time(driver):
-    valve = Valve()
-    stop = stop_of(valve)
-    stop.begin(np.array([5.0]))
-    for _ in range(30):
-        stop.follow(np.array([0.01]))
-    np.testing.assert_allclose(
-        valve.written, 2.5 * (1.0 + np.cos(np.pi * np.arange(1, 11) / 10.0)), atol=1e-12
-    )
-    assert valve.has_pressure
-    stop.begin(np.array([-5.0]))
-    stop.finish()
-    assert valve.written[-1] == 0.0
-    assert len(valve.written) == 20
-
-
-def test_a_piston_that_goes_on_loses_its_pressure(driver):
-    valve = Valve()
-    stop = stop_of(valve)
-    stop.begin(np.array([5.0]))
-    moved = 0.01 + 0.0002 * np.arange(60)
-    for x in moved[:10]:
-        stop.follow(np.array([x]))
-    assert valve.has_pressure  # it may move until the valve is closed
-    for x in moved[10:]:
-        stop.follow(np.array([x]))
-    assert stop.has_dumped
-    assert not valve.has_pressure
-
-
-def test_a_fault_while_the_valve_closes_ends_that(driver):
-    valve = Valve()
-    stop = stop_of(valve)
-    stop.begin(np.array([5.0]))
-    stop.at_once()
-    for _ in range(5):
-        stop.follow(np.zeros(1))
-    assert valve.written[1:] == [0.0]
-
-
 class Pump:
     """Valves that are written to, and a pump whose pressure is counted away."""
 
@@ -238,6 +176,10 @@ def test_the_pressure_goes_also_where_the_valve_was_closed_at_once(driver):
     follow(stop, 7.1)
     assert pump.dumped == 1
     assert pump.written[4:] == ["safe"]
+    stop.begin(np.array([5.0, -3.0]))
+    stop.at_once()  # while the valve closes, which ends that
+    follow(stop, *range(5))
+    assert pump.written[6:] == ["safe"]
     stop = two_axes(pump, close_time=0.0)
     stop.at_once()
     follow(stop, *range(26), 9.0)

@@ -31,6 +31,7 @@ def test_two_tests_in_a_row_on_an_external_rig_give_the_numbers_of_the_offline_l
     assert last == "seft: the nodes must have one rate: ground_motion has 250.0, rig has 500.0"
     refused = seft("run", JHU, "--out", "bag", status=2)
     assert "already has a node rig" in refused.stderr
+    assert "ROS_DOMAIN_ID" in refused.stderr
 
     short = ("-p", "ground_motion:synthetic.duration:=3.0")
     done = seft(

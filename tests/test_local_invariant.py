@@ -36,6 +36,11 @@ EXPERIMENTS = {
         "reference_force:compensation.method:=model",
         "reference_force:compensation.delay:=0.0143",
     ),
+    "method_of_another_package": (
+        "reference_force:mass_ratio:=0.2",
+        "reference_force:compensation.method:=polynomial",
+        "reference_force:compensation.delay:=0.0139",
+    ),
     "target_motion": TARGET_MOTION,
     "target_motion_of_two_axes": (*TARGET_MOTION, *TWO_AXES),
     "target_motion_behind_a_link": (

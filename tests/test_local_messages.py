@@ -67,8 +67,7 @@ def test_a_command_just_in_time_is_not_missed(local_graph):
     assert_same(graph, offline(graph))
 
 
-@pytest.mark.parametrize("pace", ["realtime", "lockstep"])
-@pytest.mark.parametrize("as_stranger", [True, False])
+@pytest.mark.parametrize(("pace", "as_stranger"), [("realtime", True), ("lockstep", False)])
 def test_bad_messages_change_no_bit_of_a_test(local_graph, pace, as_stranger):
     graph = local_graph("ground_motion:synthetic.duration:=20.0", UNREHEARSED, f"rig:pace:={pace}")
     graph.until("ready")

@@ -14,6 +14,8 @@ def test_a_test_after_a_rehearsal_has_the_bits_of_the_offline_loop(local_graph, 
     assert steps == list(range(1000))
     assert graph.samples(rehearsed(VALVE_COMMAND))[0] == steps
     assert_same(graph, offline(graph))
+    assert graph.values["detail"] == "2501 steps done"
+    assert graph.status("rig")["missed"] == "0"
 
 
 @pytest.mark.parametrize("words", [(LOCKSTEP,), (UNREHEARSED,)])

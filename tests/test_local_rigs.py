@@ -12,8 +12,7 @@ BRIDGE = ROOT / "config" / "two_pier_bridge.yaml"
 SHORT = ("ground_motion:synthetic.duration:=6.0", "ground_motion:tail:=0.5")
 
 
-@pytest.mark.parametrize("pace", ["realtime", "lockstep"])
-@pytest.mark.parametrize("loop_delay", [0, 5])
+@pytest.mark.parametrize(("pace", "loop_delay"), [("realtime", 5), ("lockstep", 0)])
 def test_two_rigs_give_the_bits_of_the_offline_loop(local_graph, pace, loop_delay):
     words = (*SHORT, f"rig:pace:={pace}", f"reference_force:loop_delay:={loop_delay}")
     graph = local_graph(*words, config=BRIDGE, nodes=RIGS_NODES)

@@ -76,9 +76,8 @@ def test_a_fault_of_the_program_ends_the_test_and_estop_still_answers(running, t
     graph.until("ready")
 
 
-@pytest.mark.parametrize("pace", ["realtime", "lockstep"])
-def test_a_rig_that_finishes_before_the_end_of_the_motion_trips_the_test(running, pace):
-    graph = running(LONG, f"rig:pace:={pace}")
+def test_a_rig_that_finishes_before_the_end_of_the_motion_trips_the_test(running):
+    graph = running(LONG)
     finished = rig_status(Outcome(FINISHED, 499, 0, [], 1.0))
     graph.inject(DIAGNOSTICS, encode_diagnostics(0, [finished]), "rig")
     graph.until("tripped", within=0.1)

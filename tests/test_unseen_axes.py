@@ -21,8 +21,11 @@ KNOWN = Experiment.load(TABLES, [FRAME], [])
 
 
 def axes_and_seeds(seeds, at_once):
-    """2 to 10 axes, each with some seeds; those that are not tried at once are thorough."""
-    every = [(n, seed) for n in range(2, 11) for seed in range(seeds)]
+    """2 to 10 axes, each with some seeds; those that are not tried at once are thorough.
+
+    Not each number between: the steps are compiled for each.
+    """
+    every = [(n, seed) for n in (2, 3, 6, 10) for seed in range(seeds)]
     rare = pytest.mark.thorough
     return [pytest.param(*one, marks=() if one in at_once else rare) for one in every]
 
@@ -97,14 +100,14 @@ def simulated(*words):
     return record, summarise(record)
 
 
-@pytest.mark.parametrize(("n", "seed"), axes_and_seeds(3, at_once=[(3, 0), (6, 0)]))
+@pytest.mark.parametrize(("n", "seed"), axes_and_seeds(3, at_once=[(3, 0)]))
 def test_a_linear_rig_is_within_1_percent_of_the_whole_structure(n, seed):
     _, summary = simulated(*SHORT, *drawn(n, seed))
     assert not summary["saturated"]
     assert summary["displacement"]["nrmse"] < 0.01
 
 
-@pytest.mark.parametrize(("n", "seed"), axes_and_seeds(2, at_once=[(6, 0)]))
+@pytest.mark.parametrize(("n", "seed"), axes_and_seeds(2, at_once=[(3, 0)]))
 def test_a_rig_of_springs_that_yield_is_within_5_percent_of_the_whole_structure(n, seed):
     """Springs between the axes, each to those before it: K = D^T k D of its Cholesky factor.
 
@@ -119,7 +122,7 @@ def test_a_rig_of_springs_that_yield_is_within_5_percent_of_the_whole_structure(
     assert summary["displacement"]["nrmse"] < 0.045
 
 
-@pytest.mark.parametrize(("n", "seed"), axes_and_seeds(2, at_once=[(6, 0)]))
+@pytest.mark.parametrize(("n", "seed"), axes_and_seeds(2, at_once=[(3, 0)]))
 def test_a_frame_is_near_the_whole_structure_also_where_its_storeys_yield(n, seed):
     _, summary = simulated(*SHORT, *frame(n, seed))
     assert summary["displacement"]["nrmse"] < 0.012

@@ -13,25 +13,6 @@ from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 ROOT = Path(__file__).parents[3]  # of the project
-KOBE = ROOT.parent / "shared" / "data" / "kobe_jma_1995.txt"
-MOTIONS = {
-    "synthetic": ("ground_motion:synthetic.duration:=16.0",),
-    "Kobe": (
-        f"ground_motion:file:={KOBE}",
-        "ground_motion:unit:=cm/s2",
-        "ground_motion:dt:=0.005",
-        "ground_motion:column:=0",
-    ),
-}
-motions = pytest.mark.parametrize(
-    "motion",
-    [
-        "synthetic",
-        pytest.param(
-            "Kobe", marks=pytest.mark.skipif(not KOBE.is_file(), reason="no real record here")
-        ),
-    ],
-)
 DELAYED = (
     "rig:actuator.kind:=delay",
     "rig:actuator.delay:=0.01",
@@ -40,11 +21,11 @@ DELAYED = (
 ESTIMATED = "reference_force:compensation.settings:=estimate_delay=true"
 
 
-def run(motion, method, alpha, *words, peak=300.0):
+def run(method, alpha, *words):
     """Blocks and summary of a test."""
     given = (
-        *MOTIONS[motion],
-        f"ground_motion:peak_force:={peak}",
+        "ground_motion:synthetic.duration:=16.0",
+        "ground_motion:peak_force:=300.0",
         f"reference_force:mass_ratio:={alpha}",
         f"reference_force:compensation.method:={method}",
         *words,
@@ -55,12 +36,11 @@ def run(motion, method, alpha, *words, peak=300.0):
     return blocks, summarise(simulate_test(experiment, blocks))
 
 
-def error(*arguments, **options):
-    summary = run(*arguments, **options)[1]
+def error(*arguments):
+    summary = run(*arguments)[1]
     return summary["displacement"]["nrmse"] if summary["stable"] else np.inf
 
 
-@motions
 @pytest.mark.parametrize(
     ("method", "alpha", "least"),
     [
@@ -71,10 +51,8 @@ def error(*arguments, **options):
         ("polynomial", 0.2, 0.25),
     ],
 )
-def test_what_predicts_the_acceleration_goes_beyond_what_none_can(motion, method, alpha, least):
-    assert error(motion, method, alpha, *DELAYED) < min(
-        least, error(motion, "none", alpha, *DELAYED)
-    )
+def test_what_predicts_the_acceleration_goes_beyond_what_none_can(method, alpha, least):
+    assert error(method, alpha, *DELAYED) < min(least, error("none", alpha, *DELAYED))
 
 
 def phase_delays(frequencies_hz):
@@ -88,29 +66,20 @@ def phase_delays(frequencies_hz):
     return -np.unwrap(np.angle(loop / (1 + loop))) / (2 * np.pi * frequencies_hz)
 
 
-@motions
 @pytest.mark.parametrize("start", [0.007, 0.0208])
-def test_a_delay_that_is_half_wrong_is_found_while_the_test_runs(motion, start):
-    """jhu.yaml with noise: strong motion begins after 0.5 s (Kobe: 3 s), quiet ends it."""
+def test_a_delay_that_is_half_wrong_is_found_while_the_test_runs(start):
+    """jhu.yaml with noise: strong motion begins after 0.5 s, quiet ends it."""
     words = (f"reference_force:compensation.delay:={start}",)
-    blocks, summary = run(motion, "smith", 1.0, *words, ESTIMATED)
+    blocks, summary = run("smith", 1.0, *words, ESTIMATED)
     truth = phase_delays(np.linspace(1.0, 9.0, 33))
     assert summary["stable"]
     assert truth.min() < blocks.reference_force.estimates()["delay"][0] < truth.max()
-    assert summary["displacement"]["nrmse"] < min(0.25, error(motion, "smith", 1.0, *words) / 2)
+    assert summary["displacement"]["nrmse"] < min(0.25, error("smith", 1.0, *words) / 2)
 
 
-@motions
-def test_ats_adapts_to_the_servo_hydraulic_actuator(motion):
+def test_ats_adapts_to_the_servo_hydraulic_actuator():
     words = ("reference_force:compensation.delay:=0.0139",)
-    blocks, summary = run(motion, "ats", 1.0, *words)
+    blocks, summary = run("ats", 1.0, *words)
     assert summary["stable"]
-    assert summary["displacement"]["nrmse"] < error(motion, "none", 1.0) / 2
+    assert summary["displacement"]["nrmse"] < error("none", 1.0) / 2
     assert 0.011 < blocks.reference_force.estimates()["delay"][0] < 0.016
-
-
-@pytest.mark.parametrize("method", ["inverse", "ats"])
-def test_nothing_is_adapted_to_in_a_quiet_test(method):
-    words = ("reference_force:compensation.delay:=0.0139", ESTIMATED)
-    blocks, _ = run("synthetic", method, 1.0, *words, peak=1.0)
-    assert blocks.reference_force.estimates()["delay"].tolist() == [0.0139]

@@ -21,7 +21,6 @@ from compensators import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
-from seft_methods.methods import lagrange_weights
 from seft_methods.settings import SETTINGS
 from seft_msgs_py.errors import InputError
 
@@ -118,11 +117,6 @@ def test_bounds_of_the_delay_are_those_of_the_force_loop_as_the_delay_is():
 def test_smith_refuses_a_model_that_would_never_forget(damping, stiffness):
     with pytest.raises(InputError, match="smith needs a model that comes to rest"):
         compensator("smith", model__damping=damping, model__stiffness=stiffness)
-
-
-@pytest.mark.parametrize(("order", "weights"), [(1, [2, -1]), (2, [3, -3, 1]), (3, [4, -6, 4, -1])])
-def test_weights_at_the_spacing_itself_are_those_of_horiuchi(order, weights):
-    np.testing.assert_allclose(lagrange_weights(1.0, order), weights, atol=1e-12)
 
 
 @given(st.integers(1, 3), DELAYS, st.lists(st.floats(-9, 9), min_size=4, max_size=4))

@@ -70,12 +70,6 @@ def test_a_method_is_exact_to_preflight_and_the_same_where_it_starts_to_estimate
     assert adaptive.growth_rate() == pytest.approx(fixed["growth_rate"], rel=0.02)
 
 
-def test_what_adapts_is_promised_as_it_starts_only():
-    plan = Plan(experiment(compensation__method="ats", mass_ratio=0.5))
-    found = check_stability(plan)
-    assert "adapts" in found.promise and "does not promise" in found.promise
-
-
 @pytest.mark.parametrize("estimates", ["false", "true"])
 @pytest.mark.parametrize("method", FIXED)
 def test_with_a_computed_substructure_it_is_the_linear_filter_that_it_says_it_is(method, estimates):

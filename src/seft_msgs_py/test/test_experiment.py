@@ -222,13 +222,6 @@ def test_a_wrong_override_is_refused_like_a_wrong_file(load, overrides, told):
     assert told in refusal(load, RIG_HAS_MASS, overrides=overrides)
 
 
-def test_the_model_is_the_specimen_where_it_is_not_given(load):
-    assert load(RIG_HAS_MASS)["reference_force"]["model.mass"] == 52.7
-    own = load(RIG_HAS_MASS, overrides=["reference_force:model.mass:=60"])
-    assert own["reference_force"]["model.mass"] == 60.0
-    assert own["rig"]["specimen.mass"] == 52.7
-
-
 def test_a_node_takes_values_from_nodes_it_has_no_table_of(load):
     text = RIG_HAS_MASS + "supervisor: {ros__parameters: {limits: {force: 7}, foreign: 1}}\n"
     assert load(text, tables=[RIG])["rig"]["limits.force"] == 7.0

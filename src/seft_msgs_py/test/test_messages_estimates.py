@@ -7,7 +7,6 @@ from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.messages import (
     EstimatesCodec,
     Status,
-    decode_diagnostics,
     encode_diagnostics,
 )
 from seft_msgs_py.wire.topics import Timebase
@@ -92,9 +91,3 @@ def statuses(north, east, names=AXES):
 def test_a_message_that_is_not_of_this_test_is_refused_with_the_reason(stamp_ns, sent, reason):
     with pytest.raises(WireError, match=reason):
         CODEC.decode(encode_diagnostics(stamp_ns, sent))
-
-
-def test_a_message_of_estimates_is_a_diagnostic_array_like_any():
-    stamp_ns, found = decode_diagnostics(CODEC.encode(3, GOOD))
-    assert stamp_ns == 6_000_000
-    assert [status.message for status in found] == ["identified on line"] * 2

@@ -34,8 +34,8 @@ ENDED = """
 import os, pty, signal, sys, threading
 from seft_msgs_py.node.dds import DdsTransport
 from seft_msgs_py.node.turns import NodeProcess
-if sys.argv[1] == "nohup":
-    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+ignored = signal.SIG_IGN if sys.argv[1] == "nohup" else signal.SIG_DFL
+signal.signal(signal.SIGHUP, ignored)  # whatever this test itself was started with
 report = os.dup(1)
 keyboard, terminal = pty.openpty()
 os.dup2(terminal, 1)

@@ -63,15 +63,6 @@ def test_each_quantity_on_each_axis_has_its_limit(row, column, sign):
     )
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-@pytest.mark.parametrize("row", range(4))
-def test_what_is_no_number_breaks_every_limit(row, value):
-    for column in range(2):
-        assert f"{LIMIT_NAMES[row]} {value}" in Judge(PAPER, AXES, DT).violation(
-            state_with(row, column, value)
-        )
-
-
 def test_the_first_that_is_broken_is_told():
     state = np.full((4, 2), 1e9)
     assert Judge(PAPER, AXES, DT).violation(state).startswith("displacement 1e+09 m on axis east")

@@ -133,11 +133,9 @@ BREAKS = {
         """,
         "line 22, step: Mute",
     ),
-    "interrupts": ("raise KeyboardInterrupt", r"line 19, step: KeyboardInterrupt\(\)"),
     "raises escapes": (r"raise ValueError('\x1b[2J\nred')", r"step: \\x1b\[2J red"),
     "raises much": ("raise ValueError(10**7 * 'x')", "step: x{500}[.]{3}"),
     "recurses": ("self.step(t, displacement, velocity, ground_acceleration)", "step: maximum rec"),
-    "gives none": ("return None", "step gives no numbers .None., but"),
     "gives words": ("return ['5']", "step gives no numbers .*, but must give the force in N"),
     "gives infinity": ("return [float('-inf')]", "step gives a force that is not finite: .-inf. N"),
     "gives too many": ("return 10**6 * [1.0]", r"step gives a force of the shape \(1000000,\)"),
@@ -184,11 +182,8 @@ BEARABLE = {
     "prints": ("print('hello'); os.write(1, b'raw'); os.write(2, b'err')", "hello\nraw.?err"),
     "prints escapes": (r"print('\x1b]0;title\x07\x1b[2Jred\rover')", r"\\x1b]0;title\\x07"),
     "prints no text": (r"os.write(1, bytes(range(256)))", r"\\x00"),
-    "prints by a program": ("os.system('echo from a shell')", "from a shell"),
     "closes the standard files": ("os.closerange(0, 3)", ""),
-    "goes elsewhere": ("os.chdir('/')", ""),
     "takes signals": ("signal.signal(signal.SIGTERM, signal.SIG_IGN)", ""),
-    "forks": ("os.fork()", ""),
     "forks a child that stays": (
         "os.fork() or (os.setsid(), time.sleep(1e6))",
         "",
@@ -204,10 +199,8 @@ BEARABLE = {
 def test_what_a_model_does_beside_its_work_stays_in_its_process(model, capfd, how):
     code, printed = BEARABLE[how]
     source = model(code)
-    before = Path.cwd()
     force, error = run(source)
     assert (force, error) == (10.0 * LAST, "")
-    assert Path.cwd() == before
     out, err = capfd.readouterr()
     assert out == ""
     assert all(line.isprintable() for line in err.splitlines())

@@ -95,16 +95,6 @@ def test_samples_are_those_of_the_continuous_system(kind, delay, specimen):
     np.testing.assert_allclose(ours / scale, expected / scale, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("delay", "steps"), [(0.0, 0), (0.001, 1), (0.002, 1), (0.0027, 2), (0.010, 5), (0.0113, 6)]
-)
-def test_a_delayed_force_is_the_command_of_one_step_and_the_delay_before(delay, steps):
-    commands = np.random.default_rng(4).normal(size=(40, 1))
-    force = run(BareRig(delayed_force(PAPER, delay), DT), commands)[:, 3]
-    np.testing.assert_array_equal(force[1 + steps :], commands[: len(commands) - steps])
-    np.testing.assert_array_equal(force[: 1 + steps], 0.0)
-
-
 @pytest.mark.parametrize("rate", [100.0, 512.0, 1000.0, 2000.0])
 def test_a_delay_of_whole_samples_is_whole_at_any_rate(rate):
     dt = 1 / rate

@@ -1,19 +1,13 @@
 """What tests of commands share."""
 
-import sys
+from functools import partial
 
 import pytest
+from commands_at_hand import run_seft
 
 
 @pytest.fixture
-def seft(monkeypatch, capsys, tmp_path):
-    """Run the command line in this process and an empty folder; (status, stdout, stderr)."""
-    from seft_ros.cli.main import main  # most tests do without all that commands need
-
-    def run(*words):
-        monkeypatch.chdir(tmp_path)
-        monkeypatch.setattr(sys, "argv", ["seft", *map(str, words)])
-        status = main()
-        return status, *capsys.readouterr()
-
-    return run
+def seft(monkeypatch, tmp_path):
+    """Run the command line in an empty folder; (status, stdout, stderr)."""
+    monkeypatch.chdir(tmp_path)
+    return partial(run_seft, tmp_path)

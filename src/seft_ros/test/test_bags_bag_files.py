@@ -173,10 +173,18 @@ def test_a_file_without_a_whole_message_is_left_as_it_is(tmp_path, whole, size):
 
 def test_what_is_no_bag_is_an_input_error(tmp_path):
     (tmp_path / "folder").mkdir()
-    (tmp_path / "file.txt").write_text("no bag")
-    for name, reason in [("none", "no such bag"), ("folder", "no bag"), ("file.txt", "not a bag")]:
+    for name in ("file.txt", "text.mcap", "text.db3"):
+        (tmp_path / name).write_text("no bag")
+    for name, reason in {
+        "none": "no such bag",
+        "folder": "no bag",
+        "file.txt": "not a bag",
+    }.items():
         with pytest.raises(InputError, match=reason):
             recover_bag(tmp_path / name)
+    for name in ("text.mcap", "text.db3"):
+        with pytest.raises(InputError, match=f"{name}: nothing of the bag can be read"):
+            Bag(tmp_path / name)
 
 
 def test_a_sqlite3_bag_without_metadata_becomes_a_whole_mcap_bag(tmp_path):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from rosbags.rosbag2 import Reader
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.errors import InputError, WireError
+from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.outcome import Simulated, Trip
 from seft_msgs_py.wire.topics import LOOP_TOPICS, VALVE_COMMAND, Timebase
 from seft_msgs_py.wire.trajectory import TrajectoryCodec, parse_trajectory
@@ -159,20 +159,6 @@ def test_samples_that_no_message_can_carry_are_left_out_and_counted(tmp_path):
 def test_a_start_that_is_unknown_is_now(tmp_path):
     write_record(make_record(3, environment={"start": "yesterday"}), tmp_path / "bag")
     assert log(tmp_path / "bag")[0][1] > 1_767_000_000_000_000_000
-
-
-def test_an_existing_path_is_refused(tmp_path):
-    with pytest.raises(InputError, match="exists already"):
-        write_record(make_record(3), tmp_path)
-
-
-def test_a_second_generation_is_the_same_as_the_first(tmp_path):
-    write_record(make_record(), tmp_path / "a")
-    first = read_bag(tmp_path / "a")
-    write_record(first, tmp_path / "b")
-    second = read_bag(tmp_path / "b")
-    assert second.environment == first.environment
-    assert np.array_equal(second.series["rig/state"].values, first.series["rig/state"].values)
 
 
 @given(st.lists(st.tuples(st.integers(0, 30), st.integers(1, 5)), max_size=20))

@@ -1,9 +1,7 @@
 import json
-import shutil
 
 import numpy as np
 import pytest
-import yaml
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from seft_msgs_py.errors import InputError
@@ -98,13 +96,6 @@ def test_a_test_is_read_back(tmp_path):
     assert np.array_equal(record.series["rig/state"].values, [states(k) for k in range(10)])
     assert record.series["ground_motion"].values[7].tolist() == [[7.0, -7.0]]
     assert record.series["valve_command"].values[9].tolist() == [[-9.0, -9.0]]
-
-
-def test_a_single_file_is_a_bag(tmp_path):
-    for storage, suffix in (("mcap", "mcap"), ("sqlite3", "db3")):
-        path = ros2_bag_record(tmp_path / storage, TEST, storage=storage)
-        record = read_bag(path / f"{storage}.{suffix}")
-        assert len(record.series["rig/state"].steps) == 10
 
 
 def test_ground_motion_ends_with_the_last_rig_state(tmp_path):
@@ -248,18 +239,6 @@ def test_nodes_that_contradict_one_another_are_an_input_error(tmp_path):
         read_bag(path)
 
 
-def test_what_is_no_bag_is_an_input_error(tmp_path):
-    (tmp_path / "folder").mkdir()
-    (tmp_path / "file.txt").write_text("no bag")
-    (tmp_path / "text.mcap").write_text("no bag")
-    (tmp_path / "text.db3").write_text("no bag")
-    for name in ("none", "folder", "file.txt", "text.mcap", "text.db3"):
-        with pytest.raises(InputError) as caught:
-            read_bag(tmp_path / name)
-        assert str(tmp_path / name) in str(caught.value)
-        assert "\n" not in str(caught.value)
-
-
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 def test_a_bag_without_metadata_says_how_to_get_it_back(tmp_path, storage):
     path = ros2_bag_record(tmp_path / "bag", TEST, storage=storage)
@@ -335,28 +314,6 @@ def test_bags_of_other_recorders_are_read(tmp_path, storage, mode):
     record = read_bag(ros2_bag_record(tmp_path / "bag", TEST, mode=mode, storage=storage))
     assert record.series["rig/state"].steps.tolist() == list(range(10))
     assert record.environment["undecodable"] == 0
-
-
-def test_a_bag_of_several_files_is_read(tmp_path):
-    path = write(tmp_path / "bag", TEST[:12])
-    write(tmp_path / "next", TEST[12:])
-    shutil.move(tmp_path / "next" / "next.mcap", path / "bag_1.mcap")
-    tree = yaml.safe_load((path / "metadata.yaml").read_text())
-    more = yaml.safe_load((tmp_path / "next" / "metadata.yaml").read_text())
-    (info,), (info_more,) = tree.values(), more.values()
-    info["relative_file_paths"].append("bag_1.mcap")
-    present = {item["topic_metadata"]["name"] for item in info["topics_with_message_count"]}
-    for item in info_more["topics_with_message_count"]:
-        if item["topic_metadata"]["name"] not in present:
-            info["topics_with_message_count"].append(item)
-            continue
-        for known in info["topics_with_message_count"]:
-            if known["topic_metadata"] == item["topic_metadata"]:
-                known["message_count"] += item["message_count"]
-    (path / "metadata.yaml").write_text(yaml.safe_dump(tree))
-    record = read_bag(path)
-    assert record.series["rig/state"].steps.tolist() == list(range(10))
-    assert record.complete
 
 
 def test_a_test_in_a_namespace_is_read(tmp_path):

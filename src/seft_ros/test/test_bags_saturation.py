@@ -31,19 +31,3 @@ def test_what_the_rig_counted_is_in_the_bag_and_in_its_summary(tmp_path):
         assert one.saturation == blocks.rig.saturation
         assert summarise(one)["saturated"]["force_range"] == expected
         assert f"force range in {expected['samples']} samples from" in verdict_line(summarise(one))
-
-
-def test_a_second_test_of_the_same_blocks_counts_anew():
-    experiment = Experiment.load(TABLES, [JHU], [parse_override(word) for word in WORDS])
-    blocks = build_blocks(experiment)
-    first, second = simulate_test(experiment, blocks), simulate_test(experiment, blocks)
-    assert first.saturation == second.saturation
-    assert first.saturation is not second.saturation
-
-
-def test_a_test_that_is_blind_for_long_trips():
-    words = (*WORDS[:2], "supervisor:limits.saturated_time:=0.01")
-    experiment = Experiment.load(TABLES, [JHU], [parse_override(word) for word in words])
-    record = simulate_test(experiment, build_blocks(experiment))
-    assert "force at the end of the sensor's range" in record.trip.reason
-    assert summarise(record)["saturated"]["force_range"]["samples"] == 6

@@ -2,9 +2,11 @@
 
 import json
 import re
+from functools import partial
 
 import numpy as np
 import pytest
+from commands_at_hand import run_seft
 from experiments_at_hand import JHU, load
 from seft_msgs_py.config.experiment import Experiment, read_parameter_file
 from seft_plant_sim.lti import bilinear, polynomial_ratio
@@ -19,16 +21,27 @@ BRIEF = ("--duration", "15", "--amplitude", "0.2")
 """For what no number is held against; saves the pilot test, too."""
 
 
+def identified(seft, *words, overrides=()):
+    """Run `seft identify --json` on the paper's rig; (status, what it prints, last line)."""
+    parameters = [word for text in overrides for word in ("-p", text)]
+    status, out, err = seft("identify", JHU, *parameters, *words, "--json")
+    return status, json.loads(out) if out else None, err.strip().splitlines()[-1]
+
+
 @pytest.fixture
 def identify(seft):
-    """Run `seft identify --json` on the paper's rig; (status, what it prints, last line)."""
+    """Identify in an empty folder."""
+    return lambda *words, **options: identified(seft, *words, **options)
 
-    def run(*words, overrides=()):
-        parameters = [word for text in overrides for word in ("-p", text)]
-        status, out, err = seft("identify", JHU, *parameters, *words, "--json")
-        return status, json.loads(out) if out else None, err.strip().splitlines()[-1]
 
-    return run
+@pytest.fixture(scope="module")
+def linear(tmp_path_factory):
+    """Folder and numbers of the linear rig, identified for several tests that look at it."""
+    folder = tmp_path_factory.mktemp("linear")
+    seft = partial(run_seft, folder)
+    status, found, _ = identified(seft, *SHORT, "--specimen", "--out", "out", overrides=LINEAR)
+    assert status == 0
+    return folder / "out", found
 
 
 def analytic(*overrides):
@@ -41,11 +54,10 @@ def analytic(*overrides):
     return plant, tracking_measures(f, loop / (1 + loop))
 
 
-def test_plant_loop_and_closed_loop_agree_with_the_analytic_model(identify):
-    status, found, _ = identify(*SHORT, "--out", "out", overrides=LINEAR)
+def test_plant_loop_and_closed_loop_agree_with_the_analytic_model(linear):
+    _, found = linear
     plant, measures = analytic(*LINEAR)
     zero, pole = plant.antiresonance(), plant.oil_column()
-    assert status == 0
     assert found["notes"][0].startswith("actuator.* describes the actuators and holds for any")
     rig = load(*LINEAR)["rig"]
     actuator = found["actuator"]
@@ -70,10 +82,8 @@ def test_plant_loop_and_closed_loop_agree_with_the_analytic_model(identify):
     assert found["fit_error"] < 0.06
 
 
-def test_the_folder_holds_what_repeats_and_uses_it(identify, seft, tmp_path):
-    status, found, _ = identify(*SHORT, "--specimen", "--out", "out", overrides=LINEAR)
-    assert status == 0
-    out = tmp_path / "out"
+def test_the_folder_holds_what_repeats_and_uses_it(linear, seft):
+    out, found = linear
     names = {"excitation.csv", "pilot.csv", "pilot", "open_loop", "closed_loop"}
     assert {path.name for path in out.iterdir()} == names | {"model.yaml", "figure.png"}
     record = read_bag(out / "open_loop")
@@ -100,7 +110,7 @@ def test_the_folder_holds_what_repeats_and_uses_it(identify, seft, tmp_path):
 
 def test_a_specimen_that_the_model_was_not_identified_with_needs_no_other(identify, seft):
     """What the recommended method needs, and by default no word of the specimen."""
-    assert identify(*SHORT, "--out", "out")[0] == 0
+    assert identify("--duration", "20", "--out", "out")[0] == 0
     model = read_parameter_file("out/model.yaml")
     assert not any(name.startswith("model.") for name in model["reference_force"])
     overrides = {
@@ -160,7 +170,8 @@ def test_several_axes_have_their_numbers_each(identify, seft, tmp_path):
         "rig:specimen.mass:=[52.7, 50.0]",
         "reference_force:model.mass:=[52.7, 50.0]",
     )
-    status, found, _ = identify(*SHORT, "--specimen", "--out", "out", overrides=overrides)
+    words = ("--duration", "20", "--specimen", "--out", "out")
+    status, found, _ = identify(*words, overrides=overrides)
     assert status == 0
     assert [axis["axis"] for axis in found["axes"]] == ["north", "east"]
     assert found["axes"][0]["plant_zero_hz"] == found["plant_zero_hz"]
@@ -199,7 +210,8 @@ def test_a_trip_in_the_open_loop_ends_it_and_keeps_the_bag(identify, tmp_path):
 
 def test_of_a_loop_that_is_unstable_the_plant_is_identified_all_the_same(identify):
     overrides = (*LINEAR, "force_controller:numerator:=200.0")
-    status, found, line = identify(*SHORT, "--out", "out", overrides=overrides)
+    words = ("--duration", "20", "--out", "out")
+    status, found, line = identify(*words, overrides=overrides)
     assert status == 1
     assert "closed loop" in line
     assert found["plant_zero_hz"] == pytest.approx(10.07, rel=0.01)

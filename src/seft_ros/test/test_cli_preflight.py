@@ -85,15 +85,6 @@ def test_a_mass_and_a_motion_that_do_not_fit_the_rig_are_told(seft, told):
     assert told(JHU, *DELAY, *strong)[1]["warnings"] == []  # no valve
 
 
-def test_limits_are_written_that_fit(seft, told):
-    words = (JHU, *DELAY, "-p", f"{RATIO}0.5")
-    assert seft("preflight", *words, "--write", "limits.yaml")[0] == 0
-    _, found = told(*words, "--params-file", "limits.yaml")
-    assert all(
-        found["proposed_limits"][name] > peak for name, peak in found["expected_peaks"].items()
-    )
-
-
 def test_an_unstable_plan_has_no_damping_in_the_test(seft, told):
     words = (JHU, *DELAY, "-p", f"{RATIO}1.0")
     status, found = told(*words)

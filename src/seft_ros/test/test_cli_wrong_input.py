@@ -248,13 +248,6 @@ def test_examples_can_be_copied_from_a_terminal_of_80_columns(seft, monkeypatch,
         assert example in whole
 
 
-@pytest.mark.parametrize("words", [["--help"], ["simulate", "--help"], ["run", "--help"]])
-def test_help_is_a_result(seft, words):
-    status, out, err = seft(*words)
-    assert (status, err) == (0, "")
-    assert "seft" in out
-
-
 def test_help_and_wrong_input_load_no_large_library():
     large = {"numba", "scipy", "matplotlib", "bokeh", "rclpy"}
     code = f"import sys, seft_ros.cli.main; print(*{large} & set(sys.modules))"

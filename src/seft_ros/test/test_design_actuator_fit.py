@@ -1,6 +1,7 @@
 """The seven numbers of an actuator from a test of it, whatever specimen it pushes."""
 
 import re
+from functools import cache
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ DURATION, TAIL = 40.0, 1.0
 BAND = (0.3, 200.0)
 
 
+@cache
 def driven(*overrides, volts=0.2, of="jhu", seed=1):
     """Drive a rig by noise; commands, displacements, accelerations, forces, each (N, n), and dt."""
     experiment = load(*overrides, config=of)

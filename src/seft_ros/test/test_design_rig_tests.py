@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.signal
 from experiments_at_hand import JHU, load, simulated
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
@@ -11,7 +12,9 @@ from seft_ros.design.rig_tests import (
     check_levels,
     closed_loop_test,
     default_force,
+    frequency_response,
     has_valve,
+    motion_spectra,
     open_loop,
     pilot_voltage,
     voltage_after,
@@ -127,3 +130,72 @@ def test_idealised_actuators_have_no_valve(kind, valve):
 def test_of_a_rig_that_is_not_described_a_valve_is_expected():
     tables = [table for table in TABLES if table.node != "rig"]
     assert has_valve(Experiment.load(tables, [JHU])) is True
+
+
+RATE = 500.0
+COUNT = 120_000
+SEGMENT = 8.0
+BAND = (1.0, 200.0)
+INPUT, OUTPUT = slice(0, 1), slice(1, 2)
+
+
+def resonator(u):
+    """Resonance at 40 Hz, and its frequency response."""
+    b, a = scipy.signal.iirpeak(40.0, 8.0, fs=RATE)
+    return scipy.signal.lfilter(b, a, u), lambda f: scipy.signal.freqz(b, a, f, fs=RATE)[1]
+
+
+def measured(noise, seed=1):
+    rng = np.random.default_rng(seed)
+    u = rng.standard_normal(COUNT)
+    y, known = resonator(u)
+    y = y + noise * rng.standard_normal(COUNT)
+    found = frequency_response(
+        motion_spectra(np.column_stack([u, y]), RATE, SEGMENT), INPUT, OUTPUT, BAND
+    )
+    return found, known(found.frequencies_hz)
+
+
+def test_without_noise_it_is_the_known_response_with_coherence_1():
+    found, known = measured(0.0)
+    np.testing.assert_allclose(found.response[:, 0, 0], known, atol=0.02)
+    assert found.coherence.min() > 0.99
+    assert found.frequencies_hz[0] == BAND[0]
+    assert found.frequencies_hz[-1] == BAND[1]
+
+
+def test_coherence_is_the_share_of_power_that_the_input_explains():
+    for noise in (0.1, 1.0, 3.0):
+        found, known = measured(noise)
+        share = np.abs(known) ** 2 / (np.abs(known) ** 2 + noise**2)
+        bias = 1 / 29  # of the estimate where there is no coherence at all
+        np.testing.assert_allclose(found.coherence.mean(), share.mean(), atol=1.5 * bias)
+        at_peak = np.abs(found.frequencies_hz - 40.0).argmin()
+        assert found.coherence[at_peak, 0] == pytest.approx(share[at_peak], abs=0.25)
+
+
+def test_noise_of_the_output_scatters_the_response_as_predicted_and_does_not_bias_it():
+    errors, predicted = [], []
+    for seed in range(8):
+        found, known = measured(1.0, seed)
+        errors.append(found.response[:, 0, 0] - known)
+        predicted.append(found.variance()[:, 0, 0])
+    scatter = np.mean(np.abs(errors) ** 2)
+    assert scatter == pytest.approx(np.mean(predicted), rel=0.1)
+    assert abs(np.mean(errors)) < 5 * np.sqrt(scatter / np.size(errors))
+
+
+def test_of_several_inputs_at_once_each_response_is_found():
+    rng = np.random.default_rng(2)
+    u = rng.standard_normal((COUNT, 2)) @ np.array([[1.0, 0.4], [0.0, 1.0]])  # correlated
+    gains = np.array([[2.0, -0.5], [0.3, 1.5]])
+    y = np.roll(u, 3, axis=0) @ gains.T + 0.1 * rng.standard_normal((COUNT, 2))
+    found = frequency_response(
+        motion_spectra(np.hstack([u, y]), RATE, SEGMENT), slice(0, 2), slice(2, 4), (2.0, 150.0)
+    )
+    turn = np.exp(-6j * np.pi * found.frequencies_hz / RATE)[:, np.newaxis, np.newaxis]
+    np.testing.assert_allclose((found.response / turn).mean(axis=0), gains, atol=0.005)
+    assert found.coherence.min() > 0.95
+    np.testing.assert_allclose(
+        np.abs(found.noise[:, 0, 1]).mean() / found.noise[:, 0, 0].real.mean(), 0, atol=0.3
+    )

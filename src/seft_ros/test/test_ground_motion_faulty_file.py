@@ -113,17 +113,6 @@ def test_a_file_that_does_not_say_its_unit_asks_for_it(tmp_path):
     assert "largest is 2.5; set ground_motion unit (--unit) to g, m/s2, cm/s2" in told
 
 
-def test_a_dt_other_than_that_of_the_header_is_refused(tmp_path):
-    path = write(tmp_path, AT2 + "NPTS= 2, DT= .01 SEC\n 1. 2.\n")
-    assert "dt is 0.02 s, but" in refusal(path, dt=0.02)
-
-
-def test_a_unit_other_than_that_of_the_column_name_is_refused(tmp_path):
-    path = write(tmp_path, "t (s),a (cm/s^2)\n0,1\n0.01,2\n")
-    assert "says cm/s2 (the name of the column)" in refusal(path, [1], "g")
-    assert read_record(path, [1], "cm/s2").accelerations[1, 0] == pytest.approx(0.02)
-
-
 @pytest.mark.parametrize("times", ["0\n0.01\n0.01\n0.03", "0.03\n0.02\n0.01\n0", "0\n0\n0\n0"])
 def test_times_that_do_not_rise_evenly_are_refused(tmp_path, times):
     path = write(tmp_path, "time,a\n" + times.replace("\n", ",1\n") + ",1\n")

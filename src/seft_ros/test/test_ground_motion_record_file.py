@@ -90,14 +90,6 @@ def test_the_unit_of_an_at2_header_is_understood_in_its_spellings(tmp_path, head
             read_record(path, [0], other)
 
 
-@pytest.mark.parametrize(("unit", "size"), [("g", G), ("m/s2", 1.0), ("cm/s2", 0.01)])
-def test_each_unit_is_converted_to_metres_per_second_squared(tmp_path, unit, size):
-    path = write(tmp_path, "1\n-2.5\n")
-    np.testing.assert_allclose(
-        read_record(path, [0], unit, 0.01).accelerations, [[size], [-2.5 * size]], rtol=1e-15
-    )
-
-
 def test_columns_are_chosen_in_the_order_asked_for(tmp_path):
     path = write(tmp_path, "1 2 3\n4 5 6\n")
     record = read_record(path, [2, 0], "m/s2", 0.02)
@@ -171,17 +163,6 @@ def test_a_column_of_times_without_a_name_gives_the_sampling_period(tmp_path, he
     record = read_record(write(tmp_path, header + "\n".join(rows)), [-1, -1], "m/s2")
     assert record.dt == 0.02
     np.testing.assert_allclose(record.accelerations, np.stack([values, values], axis=1), atol=1e-9)
-
-
-def test_a_header_in_words_gives_unit_and_sampling_period(tmp_path):
-    path = write(tmp_path, "%Kobe, column 1 N-S.\n%Acc. in cm/sec^2 and dt=0.005 sec.\n1 2\n3 4\n")
-    record = read_record(path, [1])
-    assert (record.dt, record.unit) == (0.005, "cm/s2")
-    np.testing.assert_allclose(record.accelerations[:, 0], [0.02, 0.04])
-    with pytest.raises(InputError, match=r"dt is 0\.01 s, but .* says 0\.005 s"):
-        read_record(path, [1], dt=0.01)
-    with pytest.raises(InputError, match=r"unit is g, but .* says cm/s2 \(line 2\)"):
-        read_record(path, [1], "g")
 
 
 REALS = [-999.0] * 100

@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 from experiments_at_hand import load
-from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import LinkRecord
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.timing import link_numbers
@@ -113,11 +112,3 @@ def test_a_delay_that_is_to_be_measured_needs_a_link(monkeypatch, capsys, tmp_pa
     monkeypatch.setattr("sys.argv", ["seft", *words, "--out", str(tmp_path / "bag")])
     assert commands.main() == 2
     assert "--external force_controller" in capsys.readouterr().err
-    with pytest.raises(InputError, match="seft link"):
-        allowed_without_number()
-
-
-def allowed_without_number():
-    from seft_ros.test_run.compiled_loop import build_blocks
-
-    build_blocks(load("reference_force:loop_delay:=-1"))

@@ -161,13 +161,6 @@ def test_a_rig_that_does_not_say_what_it_held_is_not_replayed(experiment, blocks
         RigReplay(Recorded(record, [], {}))
 
 
-def test_a_realtime_test_with_missed_commands_is_replayed(seft, experiment, blocks, tmp_path):
-    record = held_test(experiment, blocks, {30: 29, 31: 29, 32: 31, 80: 79})
-    bag = write(tmp_path / "bag", record, blocks)
-    status, out, _ = seft("replay", bag, "--node", "rig", "--json")
-    assert (status, json.loads(out)["identical"]) == (0, True)
-
-
 def test_of_more_missed_commands_than_are_listed_the_rest_is_left_out(
     seft, experiment, blocks, tmp_path
 ):

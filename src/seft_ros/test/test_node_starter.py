@@ -26,11 +26,26 @@ def main():
 PATIENCE = 60.0  # s
 
 
+@pytest.fixture(scope="module", autouse=True)
+def sleeper(tmp_path_factory):
+    """Have the module of the processes found."""
+    folder = tmp_path_factory.mktemp("sleeper")
+    (folder / "sleeper.py").write_text(SLEEPER)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(folder), prepend=os.pathsep)
+        yield
+
+
+@pytest.fixture(scope="module")
+def starter(sleeper):
+    """A starter for all tests that do not end it: it takes long to get ready."""
+    with NodeStarter() as found:
+        yield found
+
+
 @pytest.fixture
-def start(tmp_path, monkeypatch):
+def start(tmp_path):
     """Start a process that does as it is told, and wait until it has said so, or has ended."""
-    (tmp_path / "sleeper.py").write_text(SLEEPER)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
 
     def start(starter, what, name="log"):
         log = tmp_path / name
@@ -47,45 +62,40 @@ def alive(pid):
 
 
 @pytest.mark.parametrize("status", [0, 3])
-def test_it_knows_how_a_node_ended(start, status):
-    with NodeStarter() as starter:
-        node, _ = start(starter, str(status))
-        assert node.wait(0.0)
-        assert node.poll() == status
+def test_it_knows_how_a_node_ended(start, starter, status):
+    node, _ = start(starter, str(status))
+    assert node.wait(0.0)
+    assert node.poll() == status
 
 
-def test_a_fault_is_in_the_log(start):
-    with NodeStarter() as starter:
-        node, log = start(starter, "raise")
-        assert node.poll() == 1
-        assert log.read_text().strip().endswith("ValueError: a fault of its own")
+def test_a_fault_is_in_the_log(start, starter):
+    node, log = start(starter, "raise")
+    assert node.poll() == 1
+    assert log.read_text().strip().endswith("ValueError: a fault of its own")
 
 
-def test_a_log_that_cannot_be_made_ends_the_node(start, tmp_path):
-    with NodeStarter() as starter:
-        node = starter.start(["sleeper", "sleep", ""], tmp_path / "missing" / "log")
-        assert node.wait(PATIENCE)
-        assert node.poll() == 1
+def test_a_log_that_cannot_be_made_ends_the_node(starter, tmp_path):
+    node = starter.start(["sleeper", "sleep", ""], tmp_path / "missing" / "log")
+    assert node.wait(PATIENCE)
+    assert node.poll() == 1
 
 
-def test_a_node_ends_by_a_signal(start):
-    with NodeStarter() as starter:
-        node, _ = start(starter, "sleep")
-        assert not node.wait(0.01)
-        node.send_signals(signal.SIGKILL)
-        assert node.wait(PATIENCE)
-        assert node.poll() == -signal.SIGKILL
-        node.send_signals(signal.SIGKILL)  # which finds none, and no other
+def test_a_node_ends_by_a_signal(start, starter):
+    node, _ = start(starter, "sleep")
+    assert not node.wait(0.01)
+    node.send_signals(signal.SIGKILL)
+    assert node.wait(PATIENCE)
+    assert node.poll() == -signal.SIGKILL
+    node.send_signals(signal.SIGKILL)  # which finds none, and no other
 
 
-def test_a_node_has_its_session_its_command_line_and_the_addresses_of_others(start):
-    with NodeStarter() as starter:
-        (one, log), (other, its_log) = start(starter, "sleep", "1"), start(starter, "sleep", "2")
-        for node, file in (one, log), (other, its_log):
-            assert os.getsid(node.pid) == node.pid
-            words = Path(f"/proc/{node.pid}/cmdline").read_bytes().decode().rstrip("\0")
-            assert words.split("\0")[1:] == ["-m", "sleeper", "sleep", str(file)]
-        assert log.read_text() == its_log.read_text()
+def test_a_node_has_its_session_its_command_line_and_the_addresses_of_others(start, starter):
+    (one, log), (other, its_log) = start(starter, "sleep", "1"), start(starter, "sleep", "2")
+    for node, file in (one, log), (other, its_log):
+        assert os.getsid(node.pid) == node.pid
+        words = Path(f"/proc/{node.pid}/cmdline").read_bytes().decode().rstrip("\0")
+        assert words.split("\0")[1:] == ["-m", "sleeper", "sleep", str(file)]
+    assert log.read_text() == its_log.read_text()
 
 
 @pytest.mark.parametrize("stopped", [False, True])
@@ -107,7 +117,6 @@ def test_nodes_end_with_their_starter(start, tmp_path):
             starter.start(["sleeper", "0", ""], tmp_path / "log")
 
 
-def test_it_has_one_thread_when_it_starts_nodes(start):
-    with NodeStarter() as starter:
-        start(starter, "0")
-        assert len(list(Path(f"/proc/{starter._process.pid}/task").iterdir())) == 1
+def test_it_has_one_thread_when_it_starts_nodes(start, starter):
+    start(starter, "0")
+    assert len(list(Path(f"/proc/{starter._process.pid}/task").iterdir())) == 1

@@ -32,15 +32,6 @@ def test_a_force_beyond_its_limit_is_ramped_from_the_last_below():
     np.testing.assert_array_equal(force_of(record)[first:], expected)
 
 
-def test_a_force_that_changes_too_fast_ends_the_test_softly():
-    free = force_of(run())
-    fastest = np.abs(np.diff(free)).max() / 0.002
-    assert run(f"reference_force:limits.force_rate:={1.001 * fastest}").trip is None
-    record = run(f"reference_force:limits.force_rate:={0.999 * fastest}")
-    assert record.trip.step == int(np.abs(np.diff(free)).argmax()) + 1
-    assert "N/s on axis x, beyond the limit of" in record.trip.reason
-
-
 def test_a_rig_that_trips_within_the_ramp_ends_it_at_once_and_both_causes_are_told():
     """The supervisor's limit stands in for both: the rig's force comes after its reference."""
     free = force_of(run())

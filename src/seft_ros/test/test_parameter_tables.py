@@ -9,7 +9,6 @@ from seft_msgs_py.config.experiment import (
     parse_override,
     split_ros_arguments,
 )
-from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import NODES
 from seft_plant_sim.rig_parameters import RIG_TABLE as RIG
 from seft_ros.design.rig_tests import Levels, open_loop
@@ -42,21 +41,11 @@ def test_the_mass_comes_down_from_the_specimen_over_the_model_to_the_motion(word
     )
 
 
-def test_the_model_is_the_specimen_where_it_is_not_given():
-    model = load(*SPECIMEN)["reference_force"]
-    assert (model["model.damping"], model["model.stiffness"]) == (9.0, 2.11e5)
-
-
 def test_the_rig_trips_at_the_limits_of_the_supervisor_unless_it_has_its_own():
     words = (*SPECIMEN, "supervisor:limits.force:=100", "supervisor:watchdog.command_timeout:=0.5")
     rig = load(*words)["rig"]
     assert (rig["limits.force"], rig["watchdog.command_timeout"]) == (100.0, 0.5)
     assert load(*words, "rig:limits.force:=50")["rig"]["limits.force"] == 50.0
-
-
-def test_the_specimen_must_be_given():
-    with pytest.raises(InputError, match="must be given"):
-        load()
 
 
 def test_there_is_a_table_for_every_node():

@@ -178,16 +178,6 @@ def test_a_state_that_is_faster_than_its_ground_motion_is_answered_when_that_has
         shell.handlers[GROUND_MOTION.name](motion, 0)
 
 
-def test_the_node_begins_anew_with_a_second_test(watched):
-    record = simulated(watched)
-    shell = start_node(watched)
-    feed(shell, record)
-    first = list(shell.sent)
-    shell.sent.clear()
-    feed(shell, record)
-    assert shell.sent == first
-
-
 def test_the_node_of_a_method_without_estimates_publishes_none():
     experiment = load(*WORDS)
     shell = start_node(experiment)

@@ -24,12 +24,6 @@ with parallel_map(2) as map_:
 POWERS = ([2, 3, 4], [3, 2, 1]), {0: 8, 1: 9, 2: 4}
 
 
-def test_results_come_with_their_places():
-    with parallel_map(1) as map_:
-        assert dict(map_(pow, *POWERS[0])) == POWERS[1]
-    assert multiprocessing.active_children() == []
-
-
 def test_workers_have_one_thread_for_linear_algebra_and_are_deaf_to_ctrl_c():
     with parallel_map(2) as map_:
         assert dict(map_(pow, *POWERS[0])) == POWERS[1]
