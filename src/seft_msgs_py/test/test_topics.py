@@ -140,7 +140,8 @@ def test_each_rig_has_nodes_and_topics_of_its_own():
     topics = {topic.name: topic for topic in topics_of((WEST, EAST))}
     assert "rig/state" not in topics
     assert topics["west/rig/state"].publisher == "west/rig"
-    assert topics["east/rig/state"].subscribers == ("reference_force", "east/force_controller")
+    assert topics["east/rig/state"].subscribers == ("east/force_controller",)
+    assert topics["east/rig/judged"].subscribers == ("reference_force",)
     assert topics["reference_force"].subscribers == (
         "west/force_controller",
         "east/force_controller",

@@ -13,13 +13,13 @@ from detector_samples import (
     NOISE,
     STIFFNESS,
     N,
+    detect,
     detectors,
     faded,
     noise_of_a_rig,
     shares_of,
 )
 from seft_ros.protection import detectors as rows
-from seft_ros.protection.detector_step import detect
 from seft_ros.protection.specimen_force import look_at_restoring_force
 
 SLOW, FAST = 0.1, 1e-3

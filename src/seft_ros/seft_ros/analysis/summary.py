@@ -8,6 +8,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import (
     GROUND_MOTION,
+    JUDGED,
     LOOP_TOPICS,
     REFERENCE_FORCE,
     RIG_STATE,
@@ -15,6 +16,7 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_plant_sim.computed_model import ModelError
 from seft_plant_sim.lti import split_dead_time
+from seft_plant_sim.rig_parameters import LIMIT_NAMES
 from seft_plant_sim.specimen import EnergyBalance, energy_balance
 from seft_plant_sim.whole_structure import ReferenceResponse, reference_response, tested_specimen
 
@@ -104,7 +106,7 @@ def summarise(
         "lost": {
             topic.name: steps - int(np.searchsorted(record.series[topic.name].steps, steps))
             for topic in LOOP_TOPICS
-            if topic.name in record.series
+            if topic is not JUDGED or _has_judged(record)
         },
         "ground_motion": record.facts.get(GROUND_MOTION.name, {}).get(MOTION),
         "energy": energy_numbers(balance or balance_of(judged)),
@@ -112,7 +114,7 @@ def summarise(
         "equivalent_motion": difference and difference.numbers(),
         "tracking_error": tracking_error_of(judged),
         "detectors": shares_of(judged),
-        "replaced": record.replaced(),
+        "replaced": replaced_in(record),
         "reference_specimen": ("simulated" if simulated else "model") if reference else None,
         "tracking": tracking_of(judged),
         **(by_axis[axes[0]] if len(axes) == 1 else _responses(judged, reference, slice(None))),
@@ -286,6 +288,18 @@ def shares_of(record: Record) -> dict[str, float] | None:
     measured, forces_there = states.values[at_states], forces.values[at_forces]
     with np.errstate(over="ignore", invalid="ignore"):
         return detector_shares(record.experiment, steps, forces_there, measured, commands)
+
+
+def _has_judged(record: Record) -> bool:
+    """Say whether judged samples were recorded: others record none."""
+    return JUDGED.name in record.series and len(record.series[JUDGED.name].steps) > 0
+
+
+def replaced_in(record: Record) -> dict[str, int]:
+    """Count the values that were wrong and replaced, by channel."""
+    measured, judged = record.series[RIG_STATE.name].values, record.states.values
+    count = np.count_nonzero(measured != judged, axis=(0, 2))
+    return dict(zip(LIMIT_NAMES, count.tolist(), strict=True))
 
 
 def strong_part(record: Record) -> tuple[float, float]:

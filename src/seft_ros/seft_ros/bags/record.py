@@ -19,7 +19,6 @@ from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.outcome import LinkRecord, Saturation, Simulated, Trip
 from seft_msgs_py.wire.topics import JUDGED, LOOP_TOPICS, RIG_STATE, RigAxes, bare
-from seft_plant_sim.sensors import CHANNELS
 
 PACKAGES = ("numpy", "scipy", "rosbags", "rclpy", "seft_msgs_py", "seft_plant_sim", "seft_ros")
 GIT_TIMEOUT = 5.0  # s
@@ -340,12 +339,6 @@ class Record:
         values = measured.values.copy()
         values[at] = judged.values[known]
         return replace(measured, values=values)
-
-    def replaced(self) -> dict[str, int]:
-        """Count the values that were wrong and replaced, by channel."""
-        measured, judged = self.series[RIG_STATE.name].values, self.states.values
-        count = np.count_nonzero(measured != judged, axis=(0, 2))
-        return dict(zip(CHANNELS, count.tolist(), strict=True))
 
 
 def of_all_rigs(parts: Sequence[Series], rigs: Sequence[RigAxes]) -> Series:

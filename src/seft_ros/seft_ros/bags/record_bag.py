@@ -115,8 +115,6 @@ def read_bag(path: str | Path, *, damaged: bool = False) -> Record:
     outcome = reports.outcome(len(experiment.rigs))
     if outcome is not None and outcome.steps > 0:  # the rig never sampled later stamps
         series = {name: one.until(outcome.steps - 1) for name, one in series.items()}
-    if not len(series[JUDGED.name].steps):  # recorded by others, or before there was a judge
-        del series[JUDGED.name]
     states = series[RIG_STATE.name]
     if states.received_ns is not None and len(states.received_ns):
         start_ns = int(states.received_ns[0])
