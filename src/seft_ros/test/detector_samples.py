@@ -84,24 +84,28 @@ def of_what(detector, axis):
     """
     samples, commands = noise_of_a_rig(100, size=0.3)
     one, count, to_and_fro = np.ones(40), np.arange(1.0, 41.0), (-1.0) ** np.arange(40)
-    shaken, rate = 2.0 * np.pi * 20.0 * DT * count, 2.0 * np.pi * 20.0
+    rate = 2.0 * np.pi * 20.0
+    shaken = rate * DT * count
     what = {
         "displacement_velocity": {0: 5e-5 * count},
         "velocity_acceleration": {1: 5e-3 * count},
         "oil_balance": {4: 8.0 * one},  # of a valve that is stuck
         "oil_noise": {4: 8.0 * one},
-        "force_noise": {3: 40.0 * to_and_fro},
+        "force_noise": {3: 50.0 * to_and_fro},
         "force_jump": {  # a specimen breaks
             0: 15.0 * (DT * count) ** 2,
             1: 30.0 * DT * (count - 0.5),
             2: 30.0 * one,
         },
-        "force_response": {  # of a motion between two samples
-            0: 30.0 / rate * DT * count - 30.0 / rate**2 * np.sin(shaken),
-            1: 30.0 / rate * (1.0 - np.cos(shaken)),
-            2: 30.0 * np.sin(shaken),
+        "force_response": {  # while it is shaken
+            0: 15.0 / rate**2 * (0.5 * shaken**2 + np.cos(shaken) - 1.0),
+            1: 15.0 / rate * (shaken - np.sin(shaken)),
+            2: 15.0 * (1.0 - np.cos(shaken)),
         },
     }
+    if detector == "force_noise":  # of a motion that does not stick
+        samples[:, 0] += 0.3 * DT * np.arange(100)[:, np.newaxis]
+        samples[:, 1] += 0.3
     for row, off in what[detector].items():
         if row < 4:
             samples[60:, row, axis] += off

@@ -20,7 +20,17 @@ def test_a_test_begins_without_what_was_seen_in_the_one_before():
     emptied = ("sent", "errors", "sums", "flows", "rise", "largest", "work", "response", "bends")
     for name in (*emptied, "repeats", "counts", "shares"):
         assert not getattr(state, name).any(), name
-    for name in ("judged", "restoring", "usual", "moves", "jump", "off", "verdict", "counts", "raw"):
+    for name in (
+        "judged",
+        "restoring",
+        "usual",
+        "moves",
+        "jump",
+        "off",
+        "verdict",
+        "counts",
+        "raw",
+    ):
         assert not getattr(state.judge, name).any(), name
     assert np.isinf(state.judge.resolution).all()
     for steps in (state.step, state.judge.wrong):
