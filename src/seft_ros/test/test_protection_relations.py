@@ -27,7 +27,6 @@ from seft_ros.protection.channel_relations import hold, look_at_sides, take_comm
 from seft_ros.protection.detector_step import begin_detectors
 from seft_ros.protection.valve_following import begin_following, doubt, follow_valve, under_load
 
-
 RESOLUTION = 1e-9
 """Less than any change of a channel in these tests, and not of no effect."""
 
@@ -71,7 +70,7 @@ def test_each_relation_is_held_against_its_threshold(drive):
     seen = shares_of(p, state, samples, commands)
     assert not state.judge.counts.any()
     assert not seen[0].any()  # of a first sample there is nothing to compare
-    x, v, a, f = samples.transpose(1, 0, 2)
+    _, v, a, f = samples.transpose(1, 0, 2)
     moved, steps = DT * mean(v), np.diff(samples, axis=0)
     found = relation(p, 0, steps[:, 0], moved, 2.0 * RESOLUTION, 0.1)
     np.testing.assert_allclose(seen[1:, rows.CHANGE], found[0], rtol=1e-9)
