@@ -358,6 +358,7 @@ class Interlock:
         """Begin a new test; also after a trip."""
         self.controller.reset()
         self.state.flags[:], self.state.drive[:] = 0, 0.0
+        self.state.flags[DETECTED] = VALID
         self._begin_detectors(self.state.detectors)
         self._outside = ""
 

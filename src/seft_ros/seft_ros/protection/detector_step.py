@@ -152,14 +152,17 @@ def look_at_tracking(
 
 @compiled
 def look_for_wrong(p: DetectorParameters, state: DetectorState, step: int, i: int) -> int:
-    """Whether a channel of an axis was replaced too often."""
+    """Whether a channel of an axis was replaced too often; a second time makes it suspect."""
+    found = VALID
     for row in range(4):
         steps, count = state.judge.wrong[row, i], 0
         for place in range(len(steps)):
             count += steps[place] > step - p.judge.window
-        if look(p, state, WRONG + row, i, float(count), len(steps) - 0.5):
-            return (WRONG + row) * state.last.shape[1] + i
-    return VALID
+        if look(p, state, WRONG + row, i, float(count), len(steps) - 0.5) and found < 0:
+            found = (WRONG + row) * state.last.shape[1] + i
+        if count > 1 and p.acts[WRONG + row]:
+            found = first_of(found, SUSPECT)
+    return found
 
 
 @compiled
@@ -170,7 +173,7 @@ def look_for_frozen(p: DetectorParameters, state: DetectorState, step: int, i: i
         if not sees(state, step, row):
             continue
         seen, threshold = 0.0, np.inf
-        if judge.moved[row, i] > 0.0:
+        if judge.moved[row, i] != 0.0:
             state.repeats[row, i] = 0
         else:
             state.repeats[row, i] += 1

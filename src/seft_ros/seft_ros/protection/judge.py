@@ -103,6 +103,8 @@ class JudgeState(NamedTuple):
         Largest recent differences of (3) and (4) that were accepted, shape (2, n), N.
     moves : ndarray
         Largest recent dt |v| and dt |a|, and the largest recent |r|; shape (3, n).
+    doubt : ndarray
+        Largest error of the last force if it was replaced, shape (n,), N.
     jump : ndarray
         Largest recent jump of the acceleration that the velocity has confirmed, shape (n,), m/s^2.
     off : ndarray
@@ -126,6 +128,7 @@ class JudgeState(NamedTuple):
     restoring: Floats
     usual: Floats
     moves: Floats
+    doubt: Floats
     jump: Floats
     off: Floats
     verdict: Ints
@@ -186,6 +189,7 @@ def judge_arrays(
         restoring=np.zeros((2, n)),
         usual=np.zeros((2, n)),
         moves=np.zeros((3, n)),
+        doubt=np.zeros(n),
         jump=np.zeros(n),
         off=np.zeros((4, n)),
         verdict=np.zeros((4, n), dtype=np.int64),
@@ -204,6 +208,7 @@ def begin_judge(state: JudgeState) -> None:
     """Begin a test."""
     state.usual[:] = 0.0
     state.moves[:] = 0.0
+    state.doubt[:] = 0.0
     state.jump[:] = 0.0
     state.off[:] = 0.0
     state.wrong[:] = -(2**40)
@@ -243,10 +248,7 @@ def judge(
     state.verdict[:] = 0
     for row in range(4):
         for i in range(n):
-            moved = abs(raw[row, i] - state.raw[row, i])
-            state.moved[row, i] = moved
-            if 0.0 < moved < state.resolution[row, i]:
-                state.resolution[row, i] = moved
+            state.moved[row, i] = abs(raw[row, i] - state.raw[row, i])
             state.raw[row, i] = raw[row, i]
             judged[row, i] = raw[row, i]
             if not abs(raw[row, i]) < NO_NUMBER:
@@ -268,6 +270,9 @@ def judge(
     keep(p, state, judged)
     for row in range(4):
         for i in range(n):
+            moved = state.moved[row, i]
+            if state.taken[1] > 0 and 0.0 < moved < state.resolution[row, i]:
+                state.resolution[row, i] = moved
             if state.verdict[row, i]:
                 state.wrong[row, i, state.counts[row, i] % state.wrong.shape[2]] = step
                 state.counts[row, i] += 1
@@ -384,6 +389,7 @@ def judge_force(
     kink = 0.125 * dt * dt * abs(judged[A, i] - state.judged[0, A, i])
     usual = max(FLOW * abs(dt * flow[i]) * p.oil[i, 0], USUAL * state.usual[0, i])
     allowed = max(BOTH * in_noise(p, state, 2, i, F), usual) + p.oil[i, 0] * kink
+    allowed += state.doubt[i]  # what the last sample may be wrong by if it was replaced
     is_wrong = abs(off) > allowed and abs(r) > BOTH * in_noise(p, state, 3, i, F)
     is_wrong = is_wrong and off * r > 0.5 * max(off * off, r * r)
     if is_wrong:
@@ -392,7 +398,9 @@ def judge_force(
         if abs(by_specimen - expected) < allowed:
             expected = 0.5 * (expected + by_specimen)
         judged[F, i] = expected
+        state.doubt[i] = allowed
     else:
+        state.doubt[i] = 0.0
         accept(p, state, 0, i, off)
     return is_wrong
 
