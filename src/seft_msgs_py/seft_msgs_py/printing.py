@@ -4,12 +4,9 @@ import errno
 import io
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Buffer, Callable
 from contextlib import suppress
-from typing import TYPE_CHECKING, TextIO
-
-if TYPE_CHECKING:
-    from _typeshed import ReadableBuffer
+from typing import TextIO
 
 
 def escaped(text: str) -> str:
@@ -39,7 +36,7 @@ class _Output(io.RawIOBase):
     def isatty(self) -> bool:
         return os.isatty(self._file)
 
-    def write(self, data: "ReadableBuffer") -> int:
+    def write(self, data: Buffer) -> int:
         if self.error is None:
             try:
                 return os.write(self._file, data)

@@ -261,7 +261,8 @@ def test_a_fault_closes_the_valve_from_the_last_sound_command_and_its_cause_stay
     last = drives[1]
     for taken, drive in enumerate(drives[2:], 1):
         np.testing.assert_allclose(drive, left(taken) * last, rtol=1e-14)
-    assert len(controller.seen) == 7
+    # of the second wrong sample on, a controller of forces holds its last command
+    assert len(controller.seen) == (7 if rows > 1 else 6)
     assert guarded.step_index == 7
     told = (
         f"measured position on axis {AXES[axis]} contradicts the other channels: 3 samples within"
