@@ -40,7 +40,7 @@ def motion(seed=1, size=1.0):
 def judged_of(samples, flow, steps=None, mass=MASS, oil=OIL):
     """Judge samples: the judged ones, and which values were replaced."""
     known = np.zeros((N, N)) if mass is None else mass
-    p, state = judge_arrays(NOISE, oil, known, STIFFNESS, 0.0, SIGMAS, DT)
+    p, state = judge_arrays(NOISE, oil, known, STIFFNESS, np.full((4, N), np.inf), 0.0, SIGMAS, DT)
     begin_judge(state)
     judged, verdicts = np.empty_like(samples), []
     for k, step in enumerate(range(len(samples)) if steps is None else steps):

@@ -152,7 +152,7 @@ def look_at_tracking(
 
 @compiled
 def look_for_wrong(p: DetectorParameters, state: DetectorState, step: int, i: int) -> int:
-    """Whether a channel of an axis was replaced too often; a second time makes it suspect."""
+    """Whether a channel of an axis was replaced too often; the second such sample is suspect."""
     found = VALID
     for row in range(4):
         steps, count = state.judge.wrong[row, i], 0
@@ -160,7 +160,7 @@ def look_for_wrong(p: DetectorParameters, state: DetectorState, step: int, i: in
             count += steps[place] > step - p.judge.window
         if look(p, state, WRONG + row, i, float(count), len(steps) - 0.5) and found < 0:
             found = (WRONG + row) * state.last.shape[1] + i
-        if count > 1 and p.acts[WRONG + row]:
+        if count > 1 and state.judge.verdict[row, i] and p.acts[WRONG + row]:
             found = first_of(found, SUSPECT)
     return found
 

@@ -366,6 +366,7 @@ def detector_arrays(
         np.transpose([np.where(known, actuator[:, 1], 0.0), actuator[:, 2]]),
         mass,
         stiffness,
+        np.where(ranges > 0.0, ranges, np.inf),
         UNCERTAIN_DELAY if velocity_is_derived else 0.0,
         SIGMAS,
         dt,

@@ -47,6 +47,7 @@ sample, and of the jumps of a specimen: a quarter of a cycle at 1 Hz, ..., three
 LASTS, WINDOW = 0.006, 0.05
 """Duration of wrong samples (three at least) within a time, s, that ends the test."""
 
+NEVER = -(2**40)
 NO_NUMBER = 1e9
 """A larger value is no value of a sensor, in any unit."""
 
@@ -73,6 +74,8 @@ class JudgeParameters(NamedTuple):
         M and its inverse, shape (n, n), kg and 1/kg; 0: not known.
     stiffness : ndarray
         Of the assumed specimen, shape (n, n), N/m.
+    range : ndarray
+        Largest value that each sensor can measure, shape (4, n); infinite if it is not known.
     window : int
         Steps in which so many wrong samples end the test as `JudgeState.wrong` has places.
     """
@@ -87,6 +90,7 @@ class JudgeParameters(NamedTuple):
     mass: Floats
     inverse: Floats
     stiffness: Floats
+    range: Floats
     window: int
 
 
@@ -145,6 +149,7 @@ def judge_arrays(
     oil: Floats,
     mass: Floats,
     stiffness: Floats,
+    ranges: Floats,
     late: float,
     sigmas: float,
     dt: float,
@@ -155,7 +160,7 @@ def judge_arrays(
     ----------
     noise : ndarray
         RMS noise of displacement, velocity, acceleration and force, shape (4, n).
-    oil, mass, stiffness, late
+    oil, mass, stiffness, late, ranges
         See `JudgeParameters`.
     sigmas : float
         Largest noise over its RMS.
@@ -182,6 +187,7 @@ def judge_arrays(
         mass=mass,
         inverse=np.linalg.inv(mass) if mass.any() else np.zeros_like(mass),
         stiffness=stiffness,
+        range=ranges,
         window=round(WINDOW / dt),
     )
     state = JudgeState(
@@ -211,7 +217,7 @@ def begin_judge(state: JudgeState) -> None:
     state.doubt[:] = 0.0
     state.jump[:] = 0.0
     state.off[:] = 0.0
-    state.wrong[:] = -(2**40)
+    state.wrong[:] = NEVER
     state.counts[:] = 0
     state.verdict[:] = 0
     state.resolution[:] = np.inf
@@ -273,7 +279,10 @@ def judge(
             moved = state.moved[row, i]
             if state.taken[1] > 0 and 0.0 < moved < state.resolution[row, i]:
                 state.resolution[row, i] = moved
-            if state.verdict[row, i]:
+            is_at_range = (
+                abs(judged[row, i]) >= p.range[row, i] and judged[row, i] * raw[row, i] > 0.0
+            )
+            if state.verdict[row, i] and not is_at_range:  # there the sensor can't do better
                 state.wrong[row, i, state.counts[row, i] % state.wrong.shape[2]] = step
                 state.counts[row, i] += 1
 
@@ -363,7 +372,11 @@ def judge_motion(p: JudgeParameters, state: JudgeState, judged: Floats, i: int) 
         + (0.5 * dt + p.late) * abs(a - a1)
         + dt * jump
     )
-    if abs(off) > allowed or state.verdict[V, i]:
+    # if the displacement knows better, the acceleration misses what came between the samples
+    by_expected = abs(judged[X, i] - x1 - 0.5 * dt * (expected + v1))
+    by_measured = abs(judged[X, i] - x1 - 0.5 * dt * (judged[V, i] + v1))
+    is_wrong = abs(off) > allowed and by_expected <= max(by_measured, in_noise(p, state, 0, i, X))
+    if is_wrong or state.verdict[V, i]:
         state.verdict[V, i] = 1
         judged[V, i] = expected
     v = judged[V, i]
@@ -395,10 +408,9 @@ def judge_force(
     if is_wrong:
         state.verdict[F, i] = 1
         by_specimen = judged[F, i] - r  # unless it jumps in the same sample
-        if abs(by_specimen - expected) < allowed:
-            expected = 0.5 * (expected + by_specimen)
-        judged[F, i] = expected
-        state.doubt[i] = allowed
+        apart = abs(by_specimen - expected)
+        state.doubt[i] = min(allowed, 0.5 * apart + BOTH * in_noise(p, state, 3, i, F))
+        judged[F, i] = 0.5 * (expected + by_specimen) if apart < allowed else expected
     else:
         state.doubt[i] = 0.0
         accept(p, state, 0, i, off)
@@ -425,6 +437,9 @@ def judge_acceleration(p: JudgeParameters, state: JudgeState, judged: Floats, i:
         is_shown = shown > max(0.5 * noise, SHOWN * dt * abs(jump))
     if is_shown:
         state.jump[i] = max(abs(jump), state.jump[i])
+        if jump * before > 0.0:  # the sample before was not wrong
+            state.counts[A, i] -= 1
+            state.wrong[A, i, state.counts[A, i] % state.wrong.shape[2]] = NEVER
     elif abs(jump) >= USUAL * state.jump[i]:
         state.verdict[A, i] = 1
         state.off[3, i] = jump
