@@ -1,6 +1,6 @@
 """Table of safety.md: wrong samples of one channel, drawn at random; run in the project.
 
-    .venv/bin/python docs/wrong_samples.py 40
+    .venv/bin/python docs/wrong_samples.py 12
 
 So many draws for each specimen, channel and number of wrong samples in a row. The value is drawn
 from all that the sensor can show: evenly, by its logarithm, its ends, 0, or the true one reversed.

@@ -60,7 +60,7 @@ def test_of_several_that_find_something_the_first_is_told(axis):
     samples[5:, 1, axis] += 5.0
     found = [detect(p, state, k, NO_TARGET, samples[k]) for k in range(8)]
     assert state.judge.counts[:, axis].tolist() == [3, 3, 0, 0]
-    assert found[5:] == [VALID, VALID, rows.WRONG * N + axis]
+    assert found[5:] == [VALID, rows.SUSPECT, rows.WRONG * N + axis]
 
 
 def test_a_detector_acts_once_it_is_beyond_its_threshold_for_its_persistence():

@@ -135,7 +135,7 @@ def test_the_specimen_is_held_against_its_thresholds():
 def test_the_last_turn_and_the_last_change_of_the_specimens_force_are_remembered():
     p, state = detectors(ALL)
     samples, _ = noise_of_a_rig(5)
-    samples[:, 1] = np.transpose([[0.5, 0.25, -0.25, -0.5, 0.0], [0.5, 0.25, 0.5, 0.25, 0.5]])
+    samples[:, 1] = np.transpose([[2.0, 1.0, -1.0, -2.0, 0.0], [2.0, 1.0, 2.0, 1.0, 2.0]]) * 1e-3
     r = samples[:, 3] - samples[:, 2] @ MASS
     turns = []
     for k in range(5):

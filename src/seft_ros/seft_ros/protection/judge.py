@@ -375,7 +375,9 @@ def judge_motion(p: JudgeParameters, state: JudgeState, judged: Floats, i: int) 
     # if the displacement knows better, the acceleration misses what came between the samples
     by_expected = abs(judged[X, i] - x1 - 0.5 * dt * (expected + v1))
     by_measured = abs(judged[X, i] - x1 - 0.5 * dt * (judged[V, i] + v1))
-    is_wrong = abs(off) > allowed and by_expected <= max(by_measured, in_noise(p, state, 0, i, X))
+    noise = in_noise(p, state, 0, i, X)
+    knows = by_measured <= noise + CALIBRATION * state.moves[0, i] and by_expected > noise
+    is_wrong = abs(off) > allowed and not (knows and by_measured < by_expected)
     if is_wrong or state.verdict[V, i]:
         state.verdict[V, i] = 1
         judged[V, i] = expected
