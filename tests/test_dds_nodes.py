@@ -27,6 +27,7 @@ from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
     EXPERIMENT_STATE,
+    JUDGED,
     LOOP_TOPICS,
     RIG_STATE,
     VALVE_COMMAND,
@@ -269,7 +270,7 @@ def test_what_strangers_send_is_told_and_changes_no_bit(graph, hostile, offline)
     observer = graph.observer
     graph.begin()
     hostile.join(*LOOP_TOPICS, DIAGNOSTICS, DESCRIPTION, EXPERIMENT_STATE)
-    heard = {RIG_STATE: 3, VALVE_COMMAND: 2, EXPERIMENT_STATE: 6}
+    heard = {RIG_STATE: 2, JUDGED: 2, VALVE_COMMAND: 2, EXPERIMENT_STATE: 6}
     graph.until(lambda: all(hostile.listeners(t) >= n for t, n in heard.items()), "listeners")
     for _ in range(3000):  # more than the test's own has sent
         hostile.send(VALVE_COMMAND, b"\0" * 8)

@@ -55,6 +55,7 @@ def run(motion, method, mass_ratio, peak_force, ratio, *words, loop_delay=0):
         f"reference_force:instability.ratio:={ratio}",
         f"reference_force:loop_delay:={loop_delay}",
         *(f"rig:{word}" for word in words),
+        "force_controller:detectors.warn_only:=all",
     )
     loaded = Experiment.load(TABLES, [JHU], [parse_override(word) for word in given])
     experiment = with_method(loaded, method)

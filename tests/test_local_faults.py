@@ -20,7 +20,7 @@ def test_a_rig_that_stands_still_tells_so_where_nobody_else_is_watching(running)
     graph = running(LONG, "force_controller:watchdog.state_timeout:=60.0")
     graph.freeze("rig", 0.3)
     graph.until("tripped")
-    assert graph.values["detail"].startswith("the rig stood still for 0.299 s")
+    assert graph.values["detail"].startswith("the rig stood still for 0.298 s")
     assert at_rest(graph)
 
 

@@ -9,6 +9,7 @@ from local_tools import LOCKSTEP, LONG, SHORT, SIX, UNREHEARSED, assert_same, at
 from seft_msgs_py.wire.messages import Status, encode_status
 from seft_msgs_py.wire.topics import (
     EXPERIMENT_STATE,
+    JUDGED,
     LOOP_TOPICS,
     REFERENCE_FORCE,
     RIG_STATE,
@@ -22,8 +23,8 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
     [
         (VALVE_COMMAND, None),
         (REFERENCE_FORCE, None),
-        (RIG_STATE, "reference_force"),
-        (RIG_STATE, "force_controller"),
+        (RIG_STATE, None),
+        (JUDGED, None),
     ],
 )
 def test_one_lost_message_is_one_missed_command(local_graph, topic, reader):

@@ -28,10 +28,10 @@ def test_no_rehearsal_is_made_in_lockstep_or_where_none_is_wanted(local_graph, w
 @pytest.mark.parametrize(
     ("topic", "late", "trip"),
     [
-        (VALVE_COMMAND, 0.0022, "2.4"),
-        (REFERENCE_FORCE, 0.0022, "2.4"),  # the next state overtakes it
-        (REFERENCE_FORCE, 0.0061, "6.4"),
-        (RIG_STATE, 0.0022, "2.4"),
+        (VALVE_COMMAND, 0.0022, "2.6"),
+        (REFERENCE_FORCE, 0.0022, "2.6"),  # the next state overtakes it
+        (REFERENCE_FORCE, 0.0061, "6.5"),
+        (RIG_STATE, 0.0022, "2.6"),
     ],
 )
 def test_a_loop_that_answers_late_is_refused_and_a_rate_that_fits_is_proposed(

@@ -30,7 +30,7 @@ def test_a_rig_whose_model_is_not_a_number_trips(running, monkeypatch):
 
     monkeypatch.setattr(Rig, "step", broken)
     graph.until("tripped", within=0.1)
-    assert "is not a finite number" in graph.values["detail"] or "nan" in graph.values["detail"]
+    assert graph.values["detail"].endswith(": position_wrong")
     monkeypatch.undo()
 
 
@@ -50,10 +50,11 @@ def test_a_limit_ends_a_test_at_the_same_sample_as_offline(local_graph, words, r
     graph.until("tripped")
     record = offline(graph)
     assert reason in graph.values["detail"]
-    assert graph.values["detail"] == record.trip.reason
+    assert graph.values["detail"].removeprefix("force_controller: ") == record.trip.reason
     assert graph.values["step"] == str(record.trip.step)
     assert_same(graph, record, steps=len(record.series["rig/state"].steps))
-    assert json.loads(graph.status("rig")["simulated"]) == vars(record.simulated)
+    if "force_controller" not in graph.values["detail"]:  # which begins to close the valve itself
+        assert json.loads(graph.status("rig")["simulated"]) == vars(record.simulated)
 
 
 @pytest.mark.parametrize(

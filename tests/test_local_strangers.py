@@ -18,6 +18,7 @@ from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
     EXPERIMENT_STATE,
+    JUDGED,
     REFERENCE_FORCE,
     RIG_STATE,
     VALVE_COMMAND,
@@ -84,7 +85,8 @@ def test_twenty_that_join_at_once_cost_each_node_a_line_for_each_topic(running):
     """A line of the log takes a millisecond, and a rig at rest for 20 ms ends the test."""
     graph = running(LONG)
     before = len(graph.graph.lines)
-    topics = (VALVE_COMMAND, RIG_STATE, REFERENCE_FORCE, EXPERIMENT_STATE, DIAGNOSTICS, DESCRIPTION)
+    topics = (VALVE_COMMAND, RIG_STATE, JUDGED, REFERENCE_FORCE, EXPERIMENT_STATE)
+    topics += (DIAGNOSTICS, DESCRIPTION)
     for topic in topics:
         for k in range(20):
             graph.join(topic, f"stranger_{k}")(b"\0" * 8)

@@ -20,6 +20,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError
 from seft_msgs_py.wire.outcome import Trip
 from seft_msgs_py.wire.topics import GROUND_MOTION, RIG_STATE
+from seft_plant_sim.rig_parameters import LIMIT_NAMES
 from seft_ros.analysis.metrics import Agreement, agreement
 from seft_ros.analysis.summary import COMPARED, reference_of
 from seft_ros.bags.record import Record
@@ -77,7 +78,9 @@ def delayed(delay: float, bandwidth_hz: float = 0.0) -> Changes:
     rig |= {"sensors.adc_bits": 0, "sensors.anti_alias": bandwidth_hz}
     for name in ("displacement", "velocity", "acceleration", "force"):  # nothing breaks
         rig |= {f"limits.{name}": 1e6, f"limits.{name}_rate": 1e12}
-    return {"rig": rig, "reference_force": {"limits.force": 1e6, "limits.force_rate": 1e12}}
+    force = {"limits.force": 1e6, "limits.force_rate": 1e12}
+    control = {f"limits.{name}": 1e6 for name in LIMIT_NAMES}
+    return {"rig": rig, "reference_force": force, "force_controller": control}
 
 
 def compensated(mass_ratio: float, delay: float) -> Changes:

@@ -14,6 +14,7 @@ from seft_msgs_py.wire.topics import (
     CLOCK_TOPIC,
     GROUND_MOTION,
     JOINT_TRAJECTORY,
+    JUDGED,
     LOOP_TOPICS,
     NODES,
     QUANTITIES,
@@ -37,6 +38,7 @@ def test_the_topics_are_those_of_the_contract():
     assert {topic.name: topic.publisher for topic in TOPICS} == {
         "ground_motion": "ground_motion",
         "rig/state": "rig",
+        "rig/judged": "force_controller",
         "reference_force": "reference_force",
         "valve_command": "force_controller",
         "reference_force/estimates": "reference_force",
@@ -52,6 +54,7 @@ def test_the_topics_are_those_of_the_contract():
     [
         (GROUND_MOTION, ("accelerations",), ("m/s^2",)),
         (RIG_STATE, QUANTITIES, ("m", "m/s", "m/s^2", "N")),
+        (JUDGED, QUANTITIES, ("m", "m/s", "m/s^2", "N")),
         (REFERENCE_FORCE, ("effort",), ("N",)),
         (VALVE_COMMAND, ("effort",), ("V",)),
     ],
@@ -137,7 +140,8 @@ def test_each_rig_has_nodes_and_topics_of_its_own():
     topics = {topic.name: topic for topic in topics_of((WEST, EAST))}
     assert "rig/state" not in topics
     assert topics["west/rig/state"].publisher == "west/rig"
-    assert topics["east/rig/state"].subscribers == ("reference_force", "east/force_controller")
+    assert topics["east/rig/state"].subscribers == ("east/force_controller",)
+    assert topics["east/rig/judged"].subscribers == ("reference_force",)
     assert topics["reference_force"].subscribers == (
         "west/force_controller",
         "east/force_controller",

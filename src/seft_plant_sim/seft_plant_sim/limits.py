@@ -11,18 +11,21 @@ from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_ROWS, LIMIT_UNITS
 
 
 @compiled
-def exceeds(limits: Floats, step: int, last: Floats, measured: Floats, largest: Floats) -> bool:
-    """Say whether a sample breaks a limit; NaN breaks every limit.
+def exceeds(limits: Floats, step: int, last: Floats, measured: Floats, largest: Floats) -> int:
+    """Say whether a sample (1), its change (2) or both (3) break a limit; NaN breaks each.
 
     ``last`` is the sample before ``measured``, both of shape (4, n); it is not used at step 0. The
     largest magnitudes so far, shape (8,), are updated; ``limits`` are `Limits.values`.
     """
-    broken = False
+    broken = 0
     for row in range(4):
         for i in range(measured.shape[1]):
             size = abs(measured[row, i])
             change = abs(measured[row, i] - last[row, i]) if step else 0.0
-            broken |= not (size <= limits[row] and change <= limits[4 + row])
+            if not size <= limits[row]:
+                broken |= 1
+            if not change <= limits[4 + row]:
+                broken |= 2
             if size > largest[row]:
                 largest[row] = size
             if change > largest[4 + row]:

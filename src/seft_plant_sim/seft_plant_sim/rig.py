@@ -132,7 +132,7 @@ class Rig:
             np.zeros(dynamics.output.shape[1]),
             np.zeros(n),
             np.zeros((whole + 2, n)),
-            np.zeros(2, dtype=np.int64),
+            np.zeros(4, dtype=np.int64),
             np.zeros((4, n)),
             np.zeros((4, n)),
             limits.largest,

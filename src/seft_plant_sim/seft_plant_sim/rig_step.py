@@ -14,6 +14,9 @@ from seft_plant_sim.limits import exceeds, is_exceeded
 from seft_plant_sim.sensors import CHANNELS, Channels, derive_velocity, measure_channels
 
 _STROKE, FORCE_CAPACITY, _VALVE = 16, 32, 64
+PERSISTENT = 3
+"""Samples in a row beyond a limit that end the test, of changes one more: fewer are wrong samples,
+which the force controller judges."""
 RIG_LIMIT, BLIND = 128, 256
 """Bits of a step's result: 1 to 8 for saturated sensors, then other saturated parts, then the
 reasons to end the test: a limit, or sensors that are saturated for too long."""
@@ -71,7 +74,8 @@ class RigState(NamedTuple):
     line : ndarray
         Ring buffer of the drives during the dead time, shape (whole periods + 2, n).
     counts : ndarray
-        Place of the oldest drive, and number of blind samples, shape (2,).
+        Place of the oldest drive, number of blind samples, and of samples in a row beyond a limit,
+        and beyond that of a change; shape (4,).
     measured, change : ndarray
         The sample as measured, and its change since the last one, shape (4, n).
     largest : ndarray
@@ -134,7 +138,10 @@ def rig_step(
         show(parameters.faults, step, noise, state.faulty, measured)
     derive_velocity(parameters.channels, step, state.measured, measured)
     blind = found > 0
-    if exceeds(parameters.limits, step, state.measured, measured, state.largest):
+    beyond = exceeds(parameters.limits, step, state.measured, measured, state.largest)
+    state.counts[2] = state.counts[2] + 1 if beyond & 1 else 0
+    state.counts[3] = state.counts[3] + 1 if beyond & 2 else 0
+    if state.counts[2] >= PERSISTENT or state.counts[3] > PERSISTENT:
         found |= RIG_LIMIT
     elif blind:
         if is_exceeded(state.blind, state.counts[1], step, parameters.window):

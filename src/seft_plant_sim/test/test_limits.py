@@ -34,7 +34,12 @@ class Judge(Limits):
         broken = exceeds(self.values, self.step, last, measured, self.seen)
         with np.errstate(invalid="ignore", over="ignore"):
             told = super().violation(measured)
-        assert broken == (told is not None)
+        change = np.abs(measured - last) if self.step else np.zeros_like(measured)
+        sizes = (np.abs(measured), change)
+        parts = (self.values[:4, None], self.values[4:, None])
+        beyond = [not (size <= part).all() for size, part in zip(sizes, parts, strict=True)]
+        assert broken == beyond[0] + 2 * beyond[1]
+        assert (broken > 0) == (told is not None)
         np.testing.assert_array_equal(self.largest, self.seen)
         self.step, self.before = self.step + 1, measured
         return told

@@ -56,7 +56,9 @@ def test_noise_is_measured_but_moves_nothing():
 def test_a_violation_is_that_of_the_last_sample_as_measured():
     one = rig(actuator__kind="ideal", limits__force=100.0)
     one.reset()
-    assert one.violation is None
+    for force in (101.0, 102.0):  # wrong samples, which are judged, do not last
+        one.step(np.full(1, force))
+        assert one.violation is None
     one.step(np.full(1, 101.0))
     assert one.violation == "force 101 N on axis x is beyond the limit of 100 N"
     one.step(np.full(1, 99.0))
@@ -66,6 +68,8 @@ def test_a_violation_is_that_of_the_last_sample_as_measured():
     assert one.violation is None
     loud = rig(sensors__force_noise=1000.0, limits__force=1.0)
     loud.reset()
+    for _ in range(2):
+        loud.step(np.zeros(1))
     assert loud.violation is not None  # the test must see what the sensor sees
 
 

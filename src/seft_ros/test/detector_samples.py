@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.signal import lfilter
 from seft_ros.protection.channel_relations import take_command
-from seft_ros.protection.detector_step import begin_detectors, detect
-from seft_ros.protection.detectors import DETECTORS, VALID, detector_arrays
+from seft_ros.protection.detector_step import begin_detectors, judge_sample, look_at_tracking
+from seft_ros.protection.detectors import DETECTORS, VALID, detector_arrays, first_of
 
 DT, N = 0.002, 2
 NOISE = np.array([[1e-5, 2e-5], [2e-3, 1e-3], [0.1, 0.2], [5.0, 3.0]])
@@ -40,6 +40,16 @@ def noise_of_a_rig(samples, seed=3, size=1.0):
 NO_TARGET = np.zeros((1, 1, N))
 
 
+def detect(p, state, step, points, raw):
+    """Judge a sample, and hold it against its target, as the interlock does."""
+    judged = np.empty((4, N))
+    found = judge_sample(p, state, step, raw, judged)
+    for i in range(N):
+        if points.shape[1] > 1:
+            found = first_of(found, look_at_tracking(p, state, step, points, judged, i))
+    return found
+
+
 def shares_of(p, state, samples, commands, steps=None, points=NO_TARGET):
     """Part of its threshold that each detector sees at each sample, shape (N, D, n)."""
     found = []
@@ -68,22 +78,37 @@ ALL = [one.name for one in DETECTORS]
 
 
 def of_what(detector, axis):
-    """Samples, and what is wrong in them from sample 60 on, that this detector alone should see."""
+    """Samples, and what is wrong in them from sample 60 on, that this detector alone should see.
+
+    No single value is so wrong that it is replaced.
+    """
     samples, commands = noise_of_a_rig(100, size=0.3)
-    wrong = np.zeros((100, 4))
-    to_and_fro = (-1.0) ** np.arange(40)
+    one, count, to_and_fro = np.ones(40), np.arange(1.0, 41.0), (-1.0) ** np.arange(40)
+    rate = 2.0 * np.pi * 20.0
+    shaken = rate * DT * count
     what = {
-        "displacement_velocity": (0, 2e-3),
-        "velocity_acceleration": (1, 0.5),
-        "oil_balance": (3, 3e4),
-        "displacement_noise": (0, 1e-3 * to_and_fro),
-        "velocity_noise": (1, 0.5 * to_and_fro),
-        "oil_noise": (3, 5e3 * to_and_fro),
-        "force_noise": (3, 500.0 * to_and_fro),
-        "force_jump": (3, 500.0),
-        "force_response": (2, 50.0 * to_and_fro),
+        "displacement_velocity": {0: 5e-5 * count},
+        "velocity_acceleration": {1: 5e-3 * count},
+        "oil_balance": {4: 8.0 * one},  # of a valve that is stuck
+        "oil_noise": {4: 8.0 * one},
+        "force_noise": {3: 50.0 * to_and_fro},
+        "force_jump": {  # a specimen breaks
+            0: 15.0 * (DT * count) ** 2,
+            1: 30.0 * DT * (count - 0.5),
+            2: 30.0 * one,
+        },
+        "force_response": {  # while it is shaken
+            0: 15.0 / rate**2 * (0.5 * shaken**2 + np.cos(shaken) - 1.0),
+            1: 15.0 / rate * (shaken - np.sin(shaken)),
+            2: 15.0 * (1.0 - np.cos(shaken)),
+        },
     }
-    row, off = what[detector]
-    wrong[60:, row] = off
-    samples[:, :, axis] += wrong
+    if detector == "force_noise":  # of a motion that does not stick
+        samples[:, 0] += 0.3 * DT * np.arange(100)[:, np.newaxis]
+        samples[:, 1] += 0.3
+    for row, off in what[detector].items():
+        if row < 4:
+            samples[60:, row, axis] += off
+        else:
+            commands[60:, axis] += off
     return samples, commands

@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 from experiments_at_hand import load, simulated
+from records_at_hand import as_measured
 from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.rig_parameters import LIMIT_ROWS
 from seft_ros.analysis.summary import balance_of, energy_numbers, summarise
@@ -59,11 +60,11 @@ def test_a_record_without_all_of_its_samples_has_no_energy():
     states = record.series["rig/state"]
     for kept in (np.arange(len(states.steps)) != 40, slice(1), slice(0)):
         part = Series(states.steps[kept], states.values[kept])
-        lost = dataclasses.replace(record, series={**record.series, "rig/state": part})
+        lost = dataclasses.replace(record, series=as_measured(record, part))
         assert energy_of(lost) is None
     values = states.values.copy()
     values[7, 2, 0] = np.nan
-    broken = {**record.series, "rig/state": Series(states.steps, values)}
+    broken = as_measured(record, Series(states.steps, values))
     assert energy_of(dataclasses.replace(record, series=broken)) is None
 
 
@@ -91,6 +92,6 @@ def test_a_test_that_went_unstable_is_json_still():
 def test_at_rest_there_is_no_closure():
     record = run()
     states = record.series["rig/state"]
-    rest = {**record.series, "rig/state": Series(states.steps, 0 * states.values)}
+    rest = as_measured(record, Series(states.steps, 0 * states.values))
     energy = summarise(dataclasses.replace(record, series=rest))["energy"]
     assert energy == {**dict.fromkeys(KEYS, 0.0), "closure": None}

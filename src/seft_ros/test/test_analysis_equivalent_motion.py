@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from records_at_hand import as_measured
 from scipy.signal import find_peaks
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import LOOP_TOPICS
@@ -76,6 +77,7 @@ def make_record(test, asked, states, forces=None):
     series = {
         "ground_motion": Series(steps, asked[:, np.newaxis]),
         "rig/state": Series(steps, states),
+        "rig/judged": Series(steps, states),
         "reference_force": Series(steps, none if forces is None else forces),
         "valve_command": Series(steps, none.copy()),
     }
@@ -185,7 +187,7 @@ def test_samples_that_are_lost_are_bridged():
     series = record.series["rig/state"]
     kept = ~np.isin(series.steps, [300, 301, 900])
     lost = Series(series.steps[kept], series.values[kept])
-    record = dataclasses.replace(record, series={**record.series, "rig/state": lost})
+    record = dataclasses.replace(record, series=as_measured(record, lost))
     assert motion_difference(record).response_nrmse < 0.01
 
 
@@ -199,6 +201,7 @@ def test_what_can_not_be_known_is_null(what):
     cut = slice(COUNT, None) if what == "empty" else slice(1, None)
     if what in ("no step 0", "no motion", "empty"):
         series[topic] = Series(series[topic].steps[cut], series[topic].values[cut])
+        series["rig/judged"] = series["rig/state"]
     elif what == "not finite":
         series[topic].values[-1, 2] = np.inf
     else:

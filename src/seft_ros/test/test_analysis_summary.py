@@ -65,6 +65,7 @@ def make_record(axes=("x",), gain=1.0, delay=0.0, **changes):
     series = {
         "ground_motion": Series(steps, ground[:, np.newaxis]),
         "rig/state": Series(steps, states),
+        "rig/judged": Series(steps, states),  # the same array
         "reference_force": Series(steps, one),
         "valve_command": Series(steps, one.copy()),
     }
@@ -171,6 +172,7 @@ def test_lost_steps_are_counted_and_the_others_compared():
     assert summary["lost"] == {
         "ground_motion": 0,
         "rig/state": 3,
+        "rig/judged": 3,
         "reference_force": 0,
         "valve_command": 10,
     }

@@ -20,6 +20,7 @@ from seft_msgs_py.wire.topics import (
     ESTIMATES,
     EXPERIMENT_STATE,
     GROUND_MOTION,
+    JUDGED,
     LOOP_TOPICS,
     REFERENCE_FORCE,
     RIG_STATE,
@@ -62,6 +63,7 @@ def motion(first_step, count):
 def loop(steps):
     for step in steps:
         yield RIG_STATE, CODECS["rig/state"].encode(step, states(step))
+        yield JUDGED, CODECS["rig/judged"].encode(step, states(step))
         yield REFERENCE_FORCE, CODECS["reference_force"].encode(step, np.full(2, float(step)))
         yield VALVE_COMMAND, CODECS["valve_command"].encode(step, np.full(2, -float(step)))
 
@@ -221,7 +223,7 @@ def test_messages_that_cannot_be_understood_are_left_out_and_counted(tmp_path):
 
 def test_a_test_with_no_samples_is_an_empty_record(tmp_path):
     record = read_bag(write(tmp_path / "bag", description()))
-    assert [len(series.steps) for series in record.series.values()] == [0, 0, 0, 0]
+    assert [len(series.steps) for series in record.series.values()] == [0] * len(LOOP_TOPICS)
     assert record.series["rig/state"].values.shape == (0, 4, 2)
 
 

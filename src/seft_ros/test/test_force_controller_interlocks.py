@@ -12,6 +12,11 @@ def of_rigs(*words):
     return load(*words, config="two_pier_bridge")
 
 
+def stepped(interlock, step, points, raw):
+    """Judge a sample, and step."""
+    return interlock.step(step, points, interlock.judge(step, raw))
+
+
 def test_each_rig_has_an_interlock_that_sees_its_own_axes():
     both = interlock_of(of_rigs())
     alone = [interlock_of(of_rigs()) for _ in range(2)]
@@ -19,12 +24,12 @@ def test_each_rig_has_an_interlock_that_sees_its_own_axes():
     for step in range(50):
         points = 1e-5 * rng.normal(size=(26, 3, 2))
         state = np.array([[5e-6], [1e-3], [0.05], [3.0]]) * rng.normal(size=(4, 2))
-        drive = both.step(step, points, state)
+        drive = stepped(both, step, points, state)
         for axis, one in enumerate(alone):  # what the other axis does is of no effect
             other = points.copy(), state.copy()
             for values in other:
                 values[..., 1 - axis] = 0.0
-            assert one.step(step, *other)[axis] == drive[axis] != 0.0
+            assert stepped(one, step, *other)[axis] == drive[axis] != 0.0
     assert both.reason == ""
 
 
@@ -32,15 +37,15 @@ def test_the_first_rig_that_trips_gives_the_reason_and_a_reset_is_for_all():
     both = interlock_of(of_rigs("force_controller:watchdog.close_time:=0.0"))
     points, rest = np.zeros((26, 3, 2)), np.zeros((4, 2))
     points[0, 2] = 0.0, 1e6
-    assert np.array_equal(both.step(0, points, rest), [0.0, 0.0])
+    assert np.array_equal(stepped(both, 0, points, rest), [0.0, 0.0])
     assert both.reason.startswith("reference force 1e+06 N on axis east/pier is beyond")
     points[0, 2] = -1e6, 1e6
-    both.step(1, points, rest)
+    stepped(both, 1, points, rest)
     assert both.reason.startswith("reference force -1e+06 N on axis west/pier is beyond")
     both.reset()
     assert both.reason == ""
     points[0, 2] = 0.0
-    both.step(0, points, rest)
+    stepped(both, 0, points, rest)
     assert both.reason == ""
 
 
@@ -61,7 +66,7 @@ def test_shares_of_a_test_are_the_largest_of_all_its_rigs():
         p, state = detectors_of(section, axes, experiment.timebase.dt, own)
         begin_detectors(state)
         series = (np.ascontiguousarray(each[..., own]) for each in (points, states, commands))
-        detect_all(p, state, steps, *series, 0.5)
+        detect_all(p, state, steps, *series, 0.5, np.empty((4, 1)))
         expected.append(state.shares[:, 0])
     found = detector_shares(experiment, steps, points, states, commands)
     assert list(found) == [one.name for one in DETECTORS]

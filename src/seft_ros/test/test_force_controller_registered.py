@@ -81,7 +81,7 @@ def test_a_drive_that_is_no_number_trips_and_never_gets_out():
             return np.array([0.0, np.nan]) if reference_force.any() else np.zeros(2)
 
     control = RegisteredControl(Broken, "theirs", KNOWN)
-    interlock = Interlock(control, ("x", "y"), 1e4, 0.5, 0.0, warning_detectors(2))
+    interlock = Interlock(control, ("x", "y"), 1e4, 0.5, 0.0, (np.inf,) * 4, warning_detectors(2))
     assert interlock.step(7, np.ones((1, 1, 2)), ZERO).tolist() == [0.0, 0.0]
     assert interlock.reason == "valve command on axis y is nan"
     assert interlock.step_index == 7

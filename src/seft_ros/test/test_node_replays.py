@@ -77,7 +77,9 @@ def held_test(experiment, blocks, held):
         states.append(rig.step(commands[at] if at >= 0 else np.zeros(1)))
     motion = blocks.ground_motion.samples
     forces, unused = np.zeros_like(commands)[:, None], np.empty(0)
-    course = LoopSamples(np.array(states), forces, commands, unused, unused)
+    course = LoopSamples(
+        np.array(states), np.array(states), forces, commands, unused, unused, unused
+    )
     series = loop_series(motion, course, steps)
     missed, applied = sorted(held), [held[step] for step in sorted(held)]
     return Record(experiment, series, missed=len(held), missed_steps=missed, held_steps=applied)

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from detector_samples import ACTUATOR, NO_TARGET, NOISE, detectors
+from detector_samples import ACTUATOR, NO_TARGET, NOISE, detect, detectors
 from seft_ros.protection.channel_relations import find_flow
-from seft_ros.protection.detector_step import begin_detectors, detect
+from seft_ros.protection.detector_step import begin_detectors
 from seft_ros.protection.detectors import DETECTORS, FROZEN, TRACKING
 
 N = NOISE.shape[1]
@@ -14,14 +14,28 @@ N = NOISE.shape[1]
 
 def test_a_test_begins_without_what_was_seen_in_the_one_before():
     _, state = detectors()
-    for values in state:
+    for values in (*state[:-1], *state.judge):
         values[:] = 7
     begin_detectors(state)
     emptied = ("sent", "errors", "sums", "flows", "rise", "largest", "work", "response", "bends")
     for name in (*emptied, "repeats", "counts", "shares"):
         assert not getattr(state, name).any(), name
-    assert np.isinf(state.resolution).all()
-    assert (state.step < -(10**9)).all()
+    for name in (
+        "judged",
+        "restoring",
+        "usual",
+        "moves",
+        "jump",
+        "off",
+        "verdict",
+        "counts",
+        "raw",
+    ):
+        assert not getattr(state.judge, name).any(), name
+    assert np.isinf(state.judge.resolution).all()
+    for steps in (state.step, state.judge.wrong):
+        assert (steps < -(10**9)).all()
+    assert (state.judge.taken == -2).all()
 
 
 @pytest.mark.parametrize(
@@ -52,18 +66,17 @@ def test_tracking_is_compared_with_the_largest_recent_motion_of_its_axis():
     alone = [one.name for one in DETECTORS if one.name != "tracking"]
     p, state = detectors(alone)
     at, found, largest = (0.004, 0.003), [], np.zeros(N)
-    for step in range(11):
-        target = np.array([0.004, -0.01 if step < 2 else -0.0099])
+    for step in range(10):
+        target = np.array([0.004, -0.01 if step < 1 else -0.0099])
         points, measured = np.zeros((1, 3, N)), np.zeros((4, N))
         points[0, 0], measured[0] = target, at
         state.shares[:] = 0.0
         found.append(detect(p, state, step, points, measured))
-        if step:
-            of_both = np.maximum(np.abs(target), at)
-            largest = np.maximum(of_both, p.memory * largest)
-            bias = p.bias[0] / (1.0 - p.fade)
-            share = np.abs(target - at) / (p.sums[0] + bias + p.off_target * largest)
-            np.testing.assert_allclose(state.shares[TRACKING], share, rtol=1e-12)
+        of_both = np.maximum(np.abs(target), at)
+        largest = np.maximum(of_both, p.memory * largest)
+        bias = p.bias[0] / (1.0 - p.fade)
+        share = np.abs(target - at) / (p.sums[0] + bias + p.off_target * largest)
+        np.testing.assert_allclose(state.shares[TRACKING], share, rtol=1e-12)
     assert found[-2:] == [-1, TRACKING * N + 1]
 
 

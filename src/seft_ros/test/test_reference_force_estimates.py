@@ -14,8 +14,8 @@ from seft_msgs_py.wire.topics import (
     ESTIMATES,
     EXPERIMENT_STATE,
     GROUND_MOTION,
+    JUDGED,
     REFERENCE_FORCE,
-    RIG_STATE,
     Timebase,
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
@@ -101,7 +101,7 @@ def test_a_reset_begins_at_step_0_again():
 
 def test_the_offline_loop_keeps_what_the_method_knew_after_each_of_these_steps(watched):
     record = simulated(watched)
-    states = record.series[RIG_STATE.name].values
+    states = record.series[JUDGED.name].values
     estimates = record.estimates
     assert estimates.names == ("least", "largest")
     assert estimates.steps.tolist() == list(range(0, len(states), 50))
@@ -136,13 +136,13 @@ def feed(shell, record):
     """Hand a record's ground motion and states to the node."""
     axes, timebase = record.experiment.axes, record.experiment.timebase
     motion = TrajectoryCodec(GROUND_MOTION, axes, timebase)
-    state = TrajectoryCodec(RIG_STATE, axes, timebase)
+    state = TrajectoryCodec(JUDGED, axes, timebase)
     samples = record.series[GROUND_MOTION.name].values
     for first in range(0, len(samples), 100):
         chunk = samples[first : first + 100]
         shell.handlers[GROUND_MOTION.name](motion.encode_points(first, chunk), 0)
-    for step, sample in enumerate(record.series[RIG_STATE.name].values):
-        shell.handlers[RIG_STATE.name](state.encode(step, sample), 0)
+    for step, sample in enumerate(record.series[JUDGED.name].values):
+        shell.handlers[JUDGED.name](state.encode(step, sample), 0)
 
 
 def test_the_node_publishes_the_estimates_of_the_offline_loop_after_the_force(watched):
@@ -168,8 +168,8 @@ def test_a_state_that_is_faster_than_its_ground_motion_is_answered_when_that_has
     shell = start_node(watched)
     running = Status("experiment", 0, "running", values={"steps": "900"})
     shell.handlers[EXPERIMENT_STATE.name](encode_status(running), 0)
-    state = TrajectoryCodec(RIG_STATE, axes, timebase).encode(0, np.zeros((4, 2)))
-    shell.handlers[RIG_STATE.name](state, 0)
+    state = TrajectoryCodec(JUDGED, axes, timebase).encode(0, np.zeros((4, 2)))
+    shell.handlers[JUDGED.name](state, 0)
     assert shell.sent == []
     motion = TrajectoryCodec(GROUND_MOTION, axes, timebase).encode_points(0, np.ones((100, 2)))
     shell.handlers[GROUND_MOTION.name](motion, 0)
@@ -197,7 +197,7 @@ def test_an_estimate_that_is_not_finite_is_refused_and_the_test_goes_on(watched,
     shell = start_node(watched)
     feed(shell, record)
     sent = [topic for topic, _ in shell.sent]
-    assert sent.count(REFERENCE_FORCE) == len(record.series[RIG_STATE.name].steps)
+    assert sent.count(REFERENCE_FORCE) == len(record.series[JUDGED.name].steps)
     assert 0 < sent.count(ESTIMATES) < len(record.estimates.steps)
     assert len(shell.refusals) == len(record.estimates.steps) - sent.count(ESTIMATES)
     assert set(shell.refusals) == {

@@ -254,11 +254,17 @@ class LoopTopic(Topic):
     """A topic of the loop: JointTrajectory, of which only the arrays of ``quantities`` have values.
 
     Quantities and their units are in the order of the wire.
+
+    Attributes
+    ----------
+    finite : bool
+        Whether a message with a value that is no number is refused.
     """
 
     type: str = JOINT_TRAJECTORY
     quantities: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
+    finite: bool = True
 
 
 GROUND_MOTION = LoopTopic(
@@ -273,10 +279,19 @@ GROUND_MOTION = LoopTopic(
 RIG_STATE = LoopTopic(
     "rig/state",
     publisher="rig",
-    subscribers=("reference_force", "force_controller"),
+    subscribers=("force_controller",),
     quantities=QUANTITIES,
     units=("m", "m/s", "m/s^2", "N"),
+    finite=False,  # a sensor may fail
 )
+JUDGED = replace(
+    RIG_STATE,
+    name="rig/judged",
+    publisher="force_controller",
+    subscribers=("reference_force",),
+    finite=True,
+)
+"""The sample of rig/state for the loop: a value that differs from it was wrong, and is replaced."""
 REFERENCE_FORCE = LoopTopic(
     "reference_force",
     publisher="reference_force",
@@ -295,7 +310,7 @@ VALVE_COMMAND = LoopTopic(
     quantities=("effort",),
     units=("V",),
 )
-LOOP_TOPICS = (GROUND_MOTION, RIG_STATE, REFERENCE_FORCE, VALVE_COMMAND)
+LOOP_TOPICS = (GROUND_MOTION, RIG_STATE, JUDGED, REFERENCE_FORCE, VALVE_COMMAND)
 
 REHEARSE = "rehearse"
 """Key of the state's values: duration of a requested rehearsal of the loop, s."""
@@ -332,7 +347,7 @@ LINK_PONG = Topic("link/pong", STRING, depth=256, recorded=False)
 
 TOPICS = (*STEP_TOPICS, EXPERIMENT_STATE, DESCRIPTION, DIAGNOSTICS, CLOCK_TOPIC)
 
-RIG_TOPICS = (RIG_STATE, VALVE_COMMAND)
+RIG_TOPICS = (RIG_STATE, JUDGED, VALVE_COMMAND)
 """Topics of which each of several rigs has its own."""
 
 

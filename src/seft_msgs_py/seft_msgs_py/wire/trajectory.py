@@ -188,7 +188,9 @@ class TrajectoryCodec:
         return self._encode(self._layout(count), step, values)
 
     def decode(self, raw: bytes) -> tuple[int, Floats]:
-        """Read a message: step of its first point, and finite values of shape (p, q, n).
+        """Read a message: step of its first point, and values of shape (p, q, n).
+
+        They are finite, unless the topic allows others.
 
         Raises
         ------
@@ -257,7 +259,7 @@ class TrajectoryCodec:
 
     def _check_finite(self, numbers: Sequence[float], values: Floats) -> None:
         """Check values of shape (p, q, n), faster if they are also given as numbers."""
-        if numbers and math.hypot(*numbers) < math.inf:
+        if not self.topic.finite or (numbers and math.hypot(*numbers) < math.inf):
             return
         if not np.isfinite(values).all():
             point, row, column = np.argwhere(~np.isfinite(values))[0]
@@ -331,7 +333,7 @@ def decode_batch(codec: TrajectoryCodec, rows: _Bytes) -> _Batch:
     one by one. The memory needed is a small multiple of theirs.
     """
     layout = codec.layout_of(rows[0].tobytes() if len(rows) else b"")
-    steps, values, fits = _of_layout(codec.timebase.period_ns, rows, layout)
+    steps, values, fits = _of_layout(codec, rows, layout)
     points, *shape = layout.values.shape
     every = steps[:, np.newaxis] + np.arange(points)
     kept = np.flatnonzero(fits)
@@ -354,7 +356,7 @@ def decode_batch(codec: TrajectoryCodec, rows: _Bytes) -> _Batch:
     return _Batch(found[order], points_of[order], messages[order], refused)
 
 
-def _of_layout(period_ns: int, rows: _Bytes, layout: Layout) -> tuple[Ints, Floats, _Flags]:
+def _of_layout(codec: TrajectoryCodec, rows: _Bytes, layout: Layout) -> tuple[Ints, Floats, _Flags]:
     """Read messages as if they had a layout: steps, values, and which of them are valid so."""
     (count, length), size = rows.shape, len(layout.template)
     if not count or length < size:
@@ -365,11 +367,14 @@ def _of_layout(period_ns: int, rows: _Bytes, layout: Layout) -> tuple[Ints, Floa
         )
     seconds = rows[:, 4:8].copy().view("<i4")[:, 0].astype(np.int64)
     nanoseconds = rows[:, 8:12].copy().view("<u4")[:, 0]
-    steps, rest = np.divmod(seconds * NANOSECONDS_PER_SECOND + nanoseconds, period_ns)
+    stamps = seconds * NANOSECONDS_PER_SECOND + nanoseconds
+    steps, rest = np.divmod(stamps, codec.timebase.period_ns)
     words = np.ndarray((count, (size - 4) // 8), "<f8", rows, 4, (length, 8))
     values = words[:, layout.values.ravel()]
     known = np.frombuffer(layout.known, np.uint8)
     differing = rows[:, :size] & known
     differing ^= np.frombuffer(layout.template, np.uint8) & known
-    fits = (rest == 0) & (steps >= 0) & ~differing.any(axis=1) & np.isfinite(values).all(axis=1)
+    fits = (rest == 0) & (steps >= 0) & ~differing.any(axis=1)
+    if codec.topic.finite:
+        fits &= np.isfinite(values).all(axis=1)
     return steps, values, fits

@@ -11,7 +11,6 @@ from seft_msgs_py.wire.topics import (
     LOOP_TOPICS,
     NANOSECONDS_PER_SECOND,
     REFERENCE_FORCE,
-    RIG_STATE,
     TARGET,
 )
 
@@ -96,7 +95,7 @@ def describe_bag(path: str, record: Record) -> dict[str, Any]:
 
 def length_s(record: Record) -> float:
     """Experiment time of a test's last sample of the rig or, without, of any; s."""
-    states = record.series[RIG_STATE.name]
+    states = record.states
     every = [states] if len(states.steps) else list(record.series.values())
     last = max((int(series.steps[-1]) for series in every if len(series.steps)), default=0)
     return record.experiment.timebase.stamp_ns(last) / NANOSECONDS_PER_SECOND

@@ -10,7 +10,7 @@ from scipy.linalg import eigh
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.topics import GROUND_MOTION, RIG_STATE
+from seft_msgs_py.wire.topics import GROUND_MOTION
 from seft_plant_sim.whole_structure import WholeStructure, reference_response, whole_structure
 
 from seft_ros.analysis.metrics import every_step, nrmse
@@ -191,7 +191,7 @@ def motion_difference(record: Record) -> MotionDifference | None:
         finite, or does not describe the structure.
     """
     assumed = assumed_structure(record.experiment)
-    states, motion = record.series[RIG_STATE.name], record.series[GROUND_MOTION.name]
+    states, motion = record.states, record.series[GROUND_MOTION.name]
     count = int(states.steps[-1]) + 1 if len(states.steps) else 0
     begun = count > 1 and states.steps[0] == 0
     whole = begun and np.array_equal(motion.steps[:count], np.arange(count))

@@ -9,7 +9,6 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from seft_msgs_py.arrays import Ints
-from seft_msgs_py.wire.topics import RIG_STATE
 from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.metrics import common_steps, nrmse
@@ -33,8 +32,8 @@ def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
     the compensation identified on line, if any.
     """
     axes, estimates = record.experiment.axes[:_MAX_AXES], record.estimates
-    states, dt = record.series[RIG_STATE.name], record.experiment.timebase.dt
-    judged = len(judged_part(record)[0].series[RIG_STATE.name].steps)
+    states, dt = record.states, record.experiment.timebase.dt
+    judged = len(judged_part(record)[0].states.steps)
     names = estimates.names if estimates else ()
     estimated = [name for name in names if not name.startswith(OF_MODEL)]
     heights = [2.4] * len(style.RESPONSES) + [1.3] * len(estimated)  # inches
@@ -90,7 +89,7 @@ def comparison_figure(
     """
     figure, grid = _panels(9.5, [1.9, 1.1] * len(style.RESPONSES), margin=0.6)
     panels, dt = grid[:, 0], a.experiment.timebase.dt
-    one, other = (record.series[RIG_STATE.name] for record in (a, b))
+    one, other = (record.states for record in (a, b))
     steps, in_a, in_b = common_steps(one.steps, other.steps)
     looks = ((one, names[0], style.REFERENCE, 2.4), (other, names[1], style.FIRST_COLOUR, 0.9))
     for name, overlay, below in zip(style.RESPONSES, panels[::2], panels[1::2], strict=True):

@@ -9,7 +9,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.fft import rfft
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
+from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, VALVE_COMMAND
 from seft_plant_sim.specimen import EnergyBalance
 from seft_plant_sim.whole_structure import ReferenceResponse
 
@@ -181,7 +181,7 @@ def _thinned(balance: EnergyBalance | None) -> dict[str, tuple[Ints, Floats]]:
 
 
 def _spectra(record: Record, reference: ReferenceResponse | None, name: str) -> _Spectra:
-    states, dt = record.series[RIG_STATE.name], record.experiment.timebase.dt
+    states, dt = record.states, record.experiment.timebase.dt
     every = np.arange(states.steps[-1] + 1) if len(states.steps) else states.steps
     measured = every_step(states, every)[:, COMPARED[name]]
     exact = None if reference is None else getattr(reference, name)
@@ -223,7 +223,7 @@ def histories(record: Record, reference: ReferenceResponse | None) -> tuple[list
     table : ndarray
         Shape (N, c); NaN where a sample was lost.
     """
-    axes, steps = record.experiment.axes, record.series[RIG_STATE.name].steps
+    axes, steps = record.experiment.axes, record.states.steps
     columns = [("time (s)", steps * record.experiment.timebase.dt)]
     for axis, name in enumerate(axes):
         prefix = f"{name} " if len(axes) > 1 else ""
@@ -240,7 +240,7 @@ def _of_axis(
 
     yield "ground acceleration (m/s^2)", of(GROUND_MOTION.name, 0)
     for quantity, label in enumerate(_STATE):
-        yield label, of(RIG_STATE.name, quantity)
+        yield label, _at(record.states, steps, quantity, axis)
     yield "reference force (N)", of(REFERENCE_FORCE.name, -1)
     yield "valve command (V)", of(VALVE_COMMAND.name, 0)
     for name, unit in _EXACT.items() if reference is not None else ():

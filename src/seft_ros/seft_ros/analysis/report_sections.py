@@ -6,7 +6,6 @@ import numpy as np
 from bokeh.models import Range1d
 from seft_msgs_py.arrays import Ints
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.topics import RIG_STATE
 from seft_plant_sim.whole_structure import tested_specimen
 
 from seft_ros.analysis.equivalent_motion import BAND_MARGIN
@@ -97,7 +96,7 @@ def ground_motion(report: Report) -> Iterator[Block]:
 def history_sections(report: Report, column: int, title: str) -> Iterator[PageSection]:
     """One section for each quantity of an axis: the whole test, and windows at peaks."""
     record = report.record
-    states, dt = record.series[RIG_STATE.name], record.experiment.timebase.dt
+    states, dt = record.states, record.experiment.timebase.dt
     if not len(states.steps):
         return
     time = states.steps * dt
@@ -161,7 +160,7 @@ def tracking(report: Report, signals: Tracked, column: int) -> Iterator[Block]:
 
 def hysteresis(report: Report, column: int) -> Iterator[Block]:
     """Restoring force over displacement of an axis, test and reference."""
-    states, exact = report.record.series[RIG_STATE.name], report.reference
+    states, exact = report.record.states, report.reference
     try:
         mass = tested_specimen(report.record.experiment).mass
     except (InputError, KeyError):

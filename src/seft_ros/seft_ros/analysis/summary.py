@@ -8,6 +8,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import (
     GROUND_MOTION,
+    JUDGED,
     LOOP_TOPICS,
     REFERENCE_FORCE,
     RIG_STATE,
@@ -15,6 +16,7 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_plant_sim.computed_model import ModelError
 from seft_plant_sim.lti import split_dead_time
+from seft_plant_sim.rig_parameters import LIMIT_NAMES
 from seft_plant_sim.specimen import EnergyBalance, energy_balance
 from seft_plant_sim.whole_structure import ReferenceResponse, reference_response, tested_specimen
 
@@ -66,7 +68,8 @@ def summarise(
         ``energy`` (see `energy_numbers`), ``estimates`` (identified on line by the compensation:
         name -> axis -> first, last, least and largest, SI units), ``equivalent_motion`` (see
         `MotionDifference.numbers`), ``tracking_error`` (see `tracking_error`), ``detectors`` (of
-        faults, see `shares_of`), ``reference_specimen`` (of the reference response: ``simulated``,
+        faults, see `shares_of`), ``replaced`` (values of each channel that were wrong, and were
+        replaced), ``reference_specimen`` (of the reference response: ``simulated``,
         or the ``model``, by which no test can be judged), ``tracking`` (see `tracking_of`), and for
         displacement (m), acceleration (m/s^2) and force (N) the fields of `Agreement`, over all
         axes; ``axes`` has the same three for each axis.
@@ -74,7 +77,7 @@ def summarise(
     """
     if reference is None:
         reference = reference_of(record)
-    steps, recorded = _steps(record), record.series[RIG_STATE.name].steps
+    steps, recorded = _steps(record), record.states.steps
     judged, reference = judged_part(record, reference)
     duration = steps * record.experiment.timebase.dt
     timing = timing_of(record)
@@ -103,6 +106,7 @@ def summarise(
         "lost": {
             topic.name: steps - int(np.searchsorted(record.series[topic.name].steps, steps))
             for topic in LOOP_TOPICS
+            if topic is not JUDGED or _has_judged(record)
         },
         "ground_motion": record.facts.get(GROUND_MOTION.name, {}).get(MOTION),
         "energy": energy_numbers(balance or balance_of(judged)),
@@ -110,6 +114,7 @@ def summarise(
         "equivalent_motion": difference and difference.numbers(),
         "tracking_error": tracking_error_of(judged),
         "detectors": shares_of(judged),
+        "replaced": replaced_in(record),
         "reference_specimen": ("simulated" if simulated else "model") if reference else None,
         "tracking": tracking_of(judged),
         **(by_axis[axes[0]] if len(axes) == 1 else _responses(judged, reference, slice(None))),
@@ -183,7 +188,7 @@ def balance_of(record: Record) -> EnergyBalance | None:
 
     None if the specimen is not known, or samples are missing or not finite.
     """
-    states = record.series[RIG_STATE.name]
+    states = record.states
     count = len(states.steps)
     whole = count > 1 and np.array_equal(states.steps, np.arange(count))
     if not whole or not np.isfinite(states.values).all():
@@ -237,7 +242,7 @@ def _responses(
     record: Record, reference: ReferenceResponse | None, columns: slice
 ) -> dict[str, dict[str, Any]]:
     """Measures of displacement, acceleration and force on some axes."""
-    states, dt = record.series[RIG_STATE.name], record.experiment.timebase.dt
+    states, dt = record.states, record.experiment.timebase.dt
     found = {}
     for name, row in COMPARED.items():
         y = states.values[:, row, columns]
@@ -285,6 +290,18 @@ def shares_of(record: Record) -> dict[str, float] | None:
         return detector_shares(record.experiment, steps, forces_there, measured, commands)
 
 
+def _has_judged(record: Record) -> bool:
+    """Say whether judged samples were recorded: others record none."""
+    return JUDGED.name in record.series and len(record.series[JUDGED.name].steps) > 0
+
+
+def replaced_in(record: Record) -> dict[str, int]:
+    """Count the values that were wrong and replaced, by channel."""
+    measured, judged = record.series[RIG_STATE.name].values, record.states.values
+    count = np.count_nonzero(measured != judged, axis=(0, 2))
+    return dict(zip(LIMIT_NAMES, count.tolist(), strict=True))
+
+
 def strong_part(record: Record) -> tuple[float, float]:
     """Choose the times between which a test is drawn at first, s.
 
@@ -304,5 +321,5 @@ def strong_part(record: Record) -> tuple[float, float]:
 
 
 def _steps(record: Record) -> int:
-    steps = record.series[RIG_STATE.name].steps
+    steps = record.states.steps
     return int(steps[-1]) + 1 if len(steps) else 0

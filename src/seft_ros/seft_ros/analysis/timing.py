@@ -88,7 +88,7 @@ def stalls_of(record: Record) -> dict[str, Any] | None:
     seen = record.environment.get("stalls")
     if not isinstance(seen, dict):
         return None
-    states = record.series[RIG_STATE.name]
+    states = record.states
     intervals = np.array(seen["intervals_ns"], dtype=np.int64).reshape(-1, 2)
     listed = attributed = 0
     if states.received_ns is not None:

@@ -52,9 +52,8 @@ def tracked_of(record: Record) -> Tracked:
     algebraic loop solved"). With the test's own ground motion a_eq this is
     f* = f + M_e (a_eq - a_g), whatever is computed.
     """
-    commands, states, motion = (
-        record.series[topic.name] for topic in (REFERENCE_FORCE, RIG_STATE, GROUND_MOTION)
-    )
+    commands, motion = (record.series[topic.name] for topic in (REFERENCE_FORCE, GROUND_MOTION))
+    states = record.states
     steps, _, _ = metrics.common_steps(commands.steps, states.steps)
     every = np.arange(steps[0], steps[-1] + 1) if len(steps) else steps
     counted = steps - every[:1]
@@ -110,7 +109,7 @@ def tracking_error_of(record: Record) -> dict[str, float] | None:
         ``rms`` and ``peak`` of x - x_target, m, over all axes, and ``nrmse``, that RMS over the
         RMS of x.
     """
-    targets, states = record.series[REFERENCE_FORCE.name], record.series[RIG_STATE.name]
+    targets, states = record.series[REFERENCE_FORCE.name], record.states
     if targets.values.shape[1] < len(TARGET.quantities):
         return None
     _, at_targets, at_states = metrics.common_steps(targets.steps, states.steps)

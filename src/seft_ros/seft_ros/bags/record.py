@@ -7,7 +7,7 @@ import subprocess
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from functools import cache, reduce
+from functools import cache, cached_property, reduce
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Self
@@ -18,7 +18,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.outcome import LinkRecord, Saturation, Simulated, Trip
-from seft_msgs_py.wire.topics import LOOP_TOPICS, RigAxes, bare
+from seft_msgs_py.wire.topics import JUDGED, LOOP_TOPICS, RIG_STATE, RigAxes, bare
 
 PACKAGES = ("numpy", "scipy", "rosbags", "rclpy", "seft_msgs_py", "seft_plant_sim", "seft_ros")
 GIT_TIMEOUT = 5.0  # s
@@ -324,9 +324,21 @@ class Record:
     facts: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        missing = {topic.name for topic in LOOP_TOPICS} - set(self.series)
+        missing = {topic.name for topic in LOOP_TOPICS if topic is not JUDGED} - set(self.series)
         if missing:
             raise ValueError(f"a record needs a series for each loop topic; missing {missing}")
+
+    @cached_property
+    def states(self) -> Series:
+        """The judged samples, as the loop used them; as measured where none was recorded."""
+        measured = self.series[RIG_STATE.name]
+        judged = self.series.get(JUDGED.name, measured)
+        if np.array_equal(measured.steps, judged.steps):
+            return replace(measured, values=judged.values)
+        _, at, known = np.intersect1d(measured.steps, judged.steps, True, return_indices=True)
+        values = measured.values.copy()
+        values[at] = judged.values[known]
+        return replace(measured, values=values)
 
 
 def of_all_rigs(parts: Sequence[Series], rigs: Sequence[RigAxes]) -> Series:

@@ -25,6 +25,7 @@ from seft_msgs_py.wire.topics import (
     ESTIMATES,
     EXPERIMENT_STATE,
     GROUND_MOTION,
+    JUDGED,
     REFERENCE_FORCE,
     RIG_STATE,
     RIG_TOPICS,
@@ -184,7 +185,7 @@ def _loop_of(experiment: Experiment) -> list[tuple[LoopTopic, tuple[RigAxes, ...
     """List the topics of the loop, each with the rigs that have their own, or one for all."""
     forces = reference_force_topic(experiment.sections.get("reference_force", {}))
     whole = (RigAxes.whole(experiment.axes),)
-    topics = (GROUND_MOTION, RIG_STATE, forces, VALVE_COMMAND)
+    topics = (GROUND_MOTION, RIG_STATE, JUDGED, forces, VALVE_COMMAND)
     return [(topic, experiment.rigs if topic in RIG_TOPICS else whole) for topic in topics]
 
 

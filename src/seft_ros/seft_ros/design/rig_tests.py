@@ -10,11 +10,11 @@ from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import Section, group, mass_matrix
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
+from seft_msgs_py.wire.topics import REFERENCE_FORCE, VALVE_COMMAND
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import LIMIT_NAMES
 
-from seft_ros.bags.record import Record
+from seft_ros.bags.record import Record, Series
 from seft_ros.design.force_tracking import BAND_HZ
 from seft_ros.force_controller.force_controller_parameters import (
     VELOCITY_FEEDFORWARD,
@@ -173,19 +173,18 @@ class MeasuredTest:
         self.record = record
         self.axes = record.experiment.axes
         self.dt = record.experiment.timebase.dt
-        self.steps = int(record.series[RIG_STATE.name].steps[-1]) + 1
+        self.steps = int(record.states.steps[-1]) + 1
         every = np.arange(self.steps)
 
-        def columns(topic: str, row: int) -> Floats:
+        def columns(series: Series, row: int) -> Floats:
             """Signal at every step, interpolated where a sample was lost."""
-            series = record.series[topic]
             values = series.values[:, row].T
             return np.stack([np.interp(every, series.steps, value) for value in values], axis=1)
 
         self._signals = [
-            columns(REFERENCE_FORCE.name, 0),
-            columns(VALVE_COMMAND.name, 0),
-            *(columns(RIG_STATE.name, row) for row in (0, 2, 3)),
+            columns(record.series[REFERENCE_FORCE.name], 0),
+            columns(record.series[VALVE_COMMAND.name], 0),
+            *(columns(record.states, row) for row in (0, 2, 3)),
         ]
         segment = self.steps * self.dt / _SEGMENTS
         self._spectra = motion_spectra(np.hstack(self._signals), 1.0 / self.dt, segment)
@@ -278,7 +277,7 @@ def voltage_after(pilot: Record, voltage: float) -> float:
 
     After a pilot test, open loop with an RMS of ``voltage`` V.
     """
-    states = pilot.series[RIG_STATE.name].values
+    states = pilot.states.values
     limits = group(pilot.experiment["supervisor"], "limits")
     largest = np.abs(states).max(axis=(0, 2)) / [limits[name] for name in LIMIT_NAMES]
     most = _LARGEST_SHARE * pilot.experiment["force_controller"]["voltage_limit"]

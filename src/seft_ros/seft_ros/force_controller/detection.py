@@ -119,6 +119,7 @@ def detector_shares(
             np.ascontiguousarray(states[..., own]),
             np.ascontiguousarray(commands[..., own]),
             section["voltage_limit"],
+            np.empty_like(parameters.noise),
         )
         shares = np.maximum(shares, state.shares.max(axis=1))
     return {one.name: share for one, share in zip(DETECTORS, shares.tolist(), strict=True)}

@@ -9,15 +9,16 @@ import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import RigAxes, Timebase
-from seft_plant_sim.compiled import compiled, copy, entry_point, is_finite, kind_of
+from seft_plant_sim.compiled import compiled, copy, entry_point, kind_of
 from seft_plant_sim.limits import event_ring, is_exceeded
 from seft_plant_sim.rig import left_open
+from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_UNITS
 
 from seft_ros.force_controller.detection import detectors_of
 from seft_ros.force_controller.force_control import ForceControl
 from seft_ros.force_controller.methods import force_control
 from seft_ros.protection.channel_relations import take_command
-from seft_ros.protection.detector_step import begin_detectors, detect
+from seft_ros.protection.detector_step import begin_detectors, judge_sample, look_at_tracking
 from seft_ros.protection.detectors import (
     DETECTORS,
     SUSPECT,
@@ -25,13 +26,14 @@ from seft_ros.protection.detectors import (
     DetectorParameters,
     DetectorState,
     describe,
+    first_of,
 )
-from seft_ros.protection.protection_step import extrapolate, not_finite
+from seft_ros.protection.protection_step import extrapolate
 
 TRIP, STEP, SATURATED, DETECTED = range(4)
 """Places of the flags: reason and step of the trip, number of limited drives, and the detector that
 has found a fault."""
-NO_TRIP, IMPLAUSIBLE, IMPLAUSIBLE_COMMAND, SATURATION, FAULT, OUTSIDE = range(6)
+NO_TRIP, IMPLAUSIBLE, IMPLAUSIBLE_COMMAND, SATURATION, FAULT, LIMIT, OUTSIDE = range(7)
 """Reasons of a trip; the last one is a reason from outside."""
 
 
@@ -46,6 +48,8 @@ class InterlockParameters(NamedTuple):
         Steps of a second.
     closing : float
         Steps in which the valve closes after a trip.
+    limits : ndarray
+        Largest judged displacement, velocity, acceleration and force, shape (4,).
     detectors : DetectorParameters
         Of faults.
     """
@@ -53,6 +57,7 @@ class InterlockParameters(NamedTuple):
     largest: float
     window: int
     closing: float
+    limits: Floats
     detectors: DetectorParameters
 
 
@@ -66,11 +71,14 @@ class InterlockState(NamedTuple):
     saturated : ndarray
         The last steps at which the drive was limited, see `is_exceeded`.
     force, measured, odd : ndarray
-        Reference force, sample and drive of the step of the trip, shapes (n,), (4, n) and (n,).
+        Reference force, judged sample and drive of the step of the trip, shapes (n,), (4, n) and
+        (n,).
     drive : ndarray
         The last sound command, shape (n,), V.
-    plan, sample : ndarray
-        Points and sample for the controller, shapes (p, q, n) and (4, n).
+    plan : ndarray
+        Points for the controller, shape (p, q, n).
+    sample : ndarray
+        Sample for the controller, shape (4, n).
     detectors : DetectorState
         Of faults.
     """
@@ -87,12 +95,34 @@ class InterlockState(NamedTuple):
 
 
 @compiled
+def take_sample(
+    parameters: InterlockParameters,
+    state: InterlockState,
+    step: int,
+    raw: Floats,
+    judged: Floats,
+) -> None:
+    """Judge a sample, see `judge_sample`; trip at a fault, or beyond a limit."""
+    found = judge_sample(parameters.detectors, state.detectors, step, raw, judged)
+    beyond = False
+    for row in range(4):
+        for i in range(judged.shape[1]):
+            beyond |= abs(judged[row, i]) > parameters.limits[row]
+    if state.flags[TRIP] == NO_TRIP:
+        state.flags[DETECTED] = found
+        if beyond or found >= 0:
+            trip(state, LIMIT if beyond else FAULT, step)
+            for row in range(4):
+                copy(judged.shape[1], judged[row], state.measured[row])
+
+
+@compiled
 def precheck(
     parameters: InterlockParameters,
     state: InterlockState,
     step: int,
     points: Floats,
-    measured: Floats,
+    judged: Floats,
     command: Floats,
 ) -> bool:
     """Say whether the controller answers a step; otherwise give its command.
@@ -110,22 +140,23 @@ def precheck(
         The step.
     points : ndarray
         Of the reference force, shape (p, q, n).
-    measured : ndarray
-        Displacement, velocity, acceleration and force, shape (4, n).
+    judged : ndarray
+        The step's judged sample, see `take_sample`; shape (4, n).
     command : ndarray
         Shape (n,), V.
     """
     last, n, left = points.shape[1] - 1, points.shape[2], 1.0
     if state.flags[TRIP] == NO_TRIP:
-        # a target is compared with the motion, too
-        fits = is_finite(measured, 0 if last else 3)
+        fits, found = True, state.flags[DETECTED]
         for i in range(n):
             fits &= abs(points[0, last, i]) <= parameters.largest
-        found = VALID
-        if fits and is_finite(measured, 0):  # without feedback, the motion need not be measured
-            found = detect(parameters.detectors, state.detectors, step, points, measured)
+        for i in range(n):
+            if fits and state.plan.shape[1] > 1:  # a controller of forces reads them alone
+                detectors = parameters.detectors
+                away = look_at_tracking(detectors, state.detectors, step, points, judged, i)
+                found = first_of(found, away)
         if fits and found == VALID:
-            take_plan(state, points, measured)
+            take_plan(state, points, judged)
             return True
         if fits and found == SUSPECT and last and state.plan.shape[1] > 1:
             follow_plan(state, parameters.detectors.dt)
@@ -134,8 +165,6 @@ def precheck(
             trip(state, FAULT if fits else IMPLAUSIBLE, step)
             state.flags[DETECTED] = found
             copy(n, points[0, last], state.force)
-            for row in range(4):
-                copy(n, measured[row], state.measured[row])
     if state.flags[TRIP] != NO_TRIP:
         left = left_open(step + 1 - state.flags[STEP], parameters.closing)
     for i in range(n):
@@ -221,6 +250,8 @@ class Interlock:
         Time within one second that the valve drive may be at its limit, s.
     close_time : float
         Time in which it closes the valve, s.
+    limits : sequence of float
+        Largest displacement, velocity, acceleration and force.
     detectors : tuple of DetectorParameters and DetectorState
         Of faults, see `detector_arrays`.
 
@@ -239,6 +270,7 @@ class Interlock:
         largest_force: float,
         longest_saturation: float,
         close_time: float,
+        limits: Sequence[float],
         detectors: tuple[DetectorParameters, DetectorState],
     ) -> None:
         self.controller = controller
@@ -246,7 +278,7 @@ class Interlock:
         dt = detectors[0].dt
         self._longest, (saturated, window) = longest_saturation, event_ring(longest_saturation, dt)
         self.parameters = InterlockParameters(
-            float(largest_force), window, close_time / dt, detectors[0]
+            float(largest_force), window, close_time / dt, np.array(limits), detectors[0]
         )
         self.state = InterlockState(
             flags=np.zeros(4, dtype=np.int64),
@@ -260,9 +292,10 @@ class Interlock:
             detectors=detectors[1],
         )
         both, drive = (self.parameters, self.state), self.state.drive
-        points = np.zeros((1, 1, n))
+        points, sample = np.zeros((1, 1, n)), self.state.sample
         self._begin_detectors = entry_point(begin_detectors, self.state.detectors)
-        self._begin = entry_point(precheck, *both, 0, points, self.state.measured, drive)
+        self._take = entry_point(take_sample, *both, 0, sample, sample)
+        self._begin = entry_point(precheck, *both, 0, points, sample, drive)
         self._end = entry_point(postcheck, *both, 0, False, drive)
         self.reset()
 
@@ -295,7 +328,8 @@ class Interlock:
         names = ("limits.force", "watchdog.saturation_time", "watchdog.close_time")
         detectors = detectors_of(section, axes, timebase.dt, own.places)
         force, saturation, closing = (section[name] for name in names)
-        return cls(controller, own.axes, force, saturation, closing, detectors)
+        limits = [section[f"limits.{name}"] for name in LIMIT_NAMES]
+        return cls(controller, own.axes, force, saturation, closing, limits, detectors)
 
     @cached_property
     def kind(self) -> Hashable:
@@ -324,10 +358,18 @@ class Interlock:
         """Begin a new test; also after a trip."""
         self.controller.reset()
         self.state.flags[:], self.state.drive[:] = 0, 0.0
+        self.state.flags[DETECTED] = VALID
         self._begin_detectors(self.state.detectors)
         self._outside = ""
 
-    def step(self, index: int, points: Floats, state: Floats) -> Floats:
+    def judge(self, index: int, raw: Floats) -> Floats:
+        """Judge the sample of a step, shape (4, n), see `judge_sample`."""
+        judged = np.empty_like(self.state.sample)
+        raw = np.ascontiguousarray(raw, np.float64)
+        self._take(self.parameters, self.state, index, raw, judged)
+        return judged
+
+    def step(self, index: int, points: Floats, judged: Floats) -> Floats:
         """Compute the valve drive of one step.
 
         Parameters
@@ -336,17 +378,17 @@ class Interlock:
             The step.
         points : ndarray
             See `ForceControl.step`.
-        state : ndarray
-            Measured displacement, velocity, acceleration and force, shape (4, n).
+        judged : ndarray
+            Its sample, see `judge`; shape (4, n).
 
         Returns
         -------
         ndarray
             Valve drive, shape (n,), V.
         """
-        points, state = (np.ascontiguousarray(values, np.float64) for values in (points, state))
+        points, judged = (np.ascontiguousarray(values, np.float64) for values in (points, judged))
         command = np.empty(len(self._axes))
-        if self._begin(self.parameters, self.state, index, points, state, command):
+        if self._begin(self.parameters, self.state, index, points, judged, command):
             command[:] = self.controller.step(self.state.plan, self.state.sample)
             limited = self.controller.limited
             self._end(self.parameters, self.state, index, limited, command)
@@ -365,7 +407,9 @@ class Interlock:
         if code == IMPLAUSIBLE_COMMAND:
             return self._not_a_number("valve command", state.odd)
         if code == IMPLAUSIBLE:
-            return self.implausible(state.force) or not_finite(state.measured, self._axes)
+            return self.implausible(state.force)
+        if code == LIMIT:
+            return self._beyond()
         if code == FAULT:
             detectors = state.detectors
             return describe(int(state.flags[DETECTED]), detectors.found, self._axes)
@@ -373,6 +417,15 @@ class Interlock:
         return (
             f"the valve command is at its limit for more than {self._longest:g} s within one "
             "second: the force is out of control"
+        )
+
+    def _beyond(self) -> str:
+        limits, sample = self.parameters.limits, self.state.measured
+        row, column = np.argwhere(np.abs(sample) > limits[:, np.newaxis])[0]
+        unit = LIMIT_UNITS[row]
+        return (
+            f"{LIMIT_NAMES[row]} {sample[row, column]:.5g} {unit} on axis {self._axes[column]} is "
+            f"beyond the limit of {limits[row]:g} {unit}"
         )
 
     def implausible(self, reference_force: Floats) -> str:
@@ -414,11 +467,18 @@ class Interlocks:
         for _, interlock in self._rigs:
             interlock.reset()
 
-    def step(self, index: int, points: Floats, state: Floats) -> Floats:
-        """Compute the valve drives of one step, see `Interlock.step`."""
-        drive = np.empty(state.shape[1])
+    def judge(self, index: int, raw: Floats) -> Floats:
+        """Judge the sample of a step, see `Interlock.judge`."""
+        judged = np.empty_like(raw)
         for places, interlock in self._rigs:
-            drive[places] = interlock.step(index, points[:, :, places], state[:, places])
+            judged[:, places] = interlock.judge(index, raw[:, places])
+        return judged
+
+    def step(self, index: int, points: Floats, judged: Floats) -> Floats:
+        """Compute the valve drives of one step, see `Interlock.step`."""
+        drive = np.empty(judged.shape[1])
+        for places, interlock in self._rigs:
+            drive[places] = interlock.step(index, points[:, :, places], judged[:, places])
         return drive
 
 

@@ -1,10 +1,9 @@
-"""Node ``force_controller``: answers state and reference force with the valve command."""
+"""Node ``force_controller``: judges each state, and answers its force with the valve command."""
 
 import math
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
@@ -12,11 +11,11 @@ from seft_msgs_py.errors import WireError
 from seft_msgs_py.node.clock import AwakeClock
 from seft_msgs_py.node.node_kind import NodeKind
 from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeBody, NodeShell
-from seft_msgs_py.node.turns import MAX_AT_ONCE
 from seft_msgs_py.wire.messages import OK, WARN, Status, decode_status
 from seft_msgs_py.wire.outcome import MOVING, REHEARSES, tripped_status
 from seft_msgs_py.wire.topics import (
     EXPERIMENT_STATE,
+    JUDGED,
     LINK_PING,
     LINK_PONG,
     REFERENCE_FORCE,
@@ -36,14 +35,14 @@ from seft_ros.force_controller.methods import force_control
 from seft_ros.force_controller.received_forces import PENDING, MatchedForces, NewestPreview
 from seft_ros.protection.detectors import WARNING
 from seft_ros.test_run.parameter_tables import TABLES
-from seft_ros.test_run.state_machine import SampleOrder, check_magnitude
+from seft_ros.test_run.state_machine import SampleOrder
 
 _REPORT_PERIOD = 1.0  # s between two reports of link and valves while a test runs
 STATE_WAIT = 0.0005  # s between polls for a state that is later than its reference force
 
 
 class ForceControllerNode(NodeBody):
-    """Matches states and reference forces by step and moves them through an `Interlock`.
+    """Judges states, matches them with reference forces by step, and answers both.
 
     If the reference force comes over a link, it answers each state at once with the force that the
     newest message has for its step.
@@ -61,6 +60,8 @@ class ForceControllerNode(NodeBody):
         self._estimates = getattr(self._controller.controller, "estimates", None)
         self._command_codec = TrajectoryCodec(VALVE_COMMAND.of(rig), axes, timebase)
         self._publish = shell.publisher(self._command_codec.topic)
+        self._judged_codec = TrajectoryCodec(JUDGED.of(rig), axes, timebase)
+        self._publish_judged = shell.publisher(self._judged_codec.topic)
         self._states: dict[int, Floats] = {}
         self._previews: NewestPreview | None = None
         if section["loop_delay"]:
@@ -90,18 +91,13 @@ class ForceControllerNode(NodeBody):
         if len(experiment.rigs) == 1 and self._previews is None:
             # a separate controller, so that a rehearsal does not influence a test
             self._rehearsing: Interlock | None = None
-            self._rehearsed: dict[TrajectoryCodec, dict[int, Floats]] = {  # by step
-                self._force_codec: {},
-                self._state_codec: {},
-            }
+            self._rehearsed: dict[int, Floats] = {}  # judged samples by step
             self.facts = {REHEARSES: True}
             self._publish_rehearsed = shell.publisher(rehearsed(VALVE_COMMAND))
-            for codec, sent in ((self._force_codec, topic), (self._state_codec, RIG_STATE)):
-                receive = partial(self._on_rehearsed, codec)
-                shell.subscribe(rehearsed(sent), receive, reliable=False)
-        wake = self._previews is not None
-        states = self._state_codec.topic
-        self._read_state = shell.subscribe(states, self._on_state, wake=wake, reliable=False)
+            self._publish_rehearsed_judged = shell.publisher(rehearsed(JUDGED))
+            shell.subscribe(rehearsed(RIG_STATE), self._on_rehearsed_state, reliable=False)
+            shell.subscribe(rehearsed(topic), self._on_rehearsed_force, reliable=False)
+        shell.subscribe(self._state_codec.topic, self._on_state, reliable=False)
 
     def _interlock(self) -> Interlock:
         experiment, rig = self._shell.experiment, self._shell.rig
@@ -112,7 +108,9 @@ class ForceControllerNode(NodeBody):
         axes = len(self._shell.rig.axes)
         points, state = np.zeros((1, 1, axes)), np.zeros((4, axes))
         for step in range(WARM_UP_STEPS):
-            raw = self._command_codec.encode(step, self._controller.step(step, points, state))
+            judged = self._controller.judge(step, state)
+            self._judged_codec.decode(self._judged_codec.encode(step, judged))
+            raw = self._command_codec.encode(step, self._controller.step(step, points, judged))
             self._command_codec.decode(raw)
         self._controller.reset()
 
@@ -154,20 +152,26 @@ class ForceControllerNode(NodeBody):
     def _on_state(self, raw: bytes, _: int) -> None:
         step, values = self._state_codec.decode(raw)
         state = values[0]
-        check_magnitude("rig/state of step", step, state)
         self._begin_with(step)
         self._order.check(RIG_STATE.name, step)
         if step in self._states:
             raise WireError(f"{RIG_STATE.name} of step {step} a second time")
+        if self._states and step < max(self._states):
+            raise WireError(f"{RIG_STATE.name} of step {step} after that of {max(self._states)}")
+        was_tripped = bool(self._controller.reason)
+        judged = self._controller.judge(step, state)
+        self._publish_judged(self._judged_codec.encode(step, judged))
+        if self._controller.reason and not was_tripped:
+            self._report_trip()
         if step + 1 < self._order.steps and not self._order.in_lockstep:
             self._heard_at = self._awake.time()
             self._refused_before = self._shell.refused
         else:
             self._heard_at = math.inf  # the test is over, not known to run, or in lockstep
         if self._controller.reason:  # after a trip no reference force is needed
-            self._answer(step, np.zeros((1, 1, state.shape[1])), state)
+            self._answer(step, np.zeros((1, 1, state.shape[1])), judged)
             return
-        self._states[step] = state
+        self._states[step] = judged
         self._answer_complete()
         if len(self._states) > PENDING:
             self._states.pop(min(self._states))
@@ -186,38 +190,28 @@ class ForceControllerNode(NodeBody):
         elif step > self._order.last + 1:  # that step has not begun
             raise WireError(f"{name} of step {step} after step {self._order.last}: in the future")
         self._forces.take(step, points)
-        if self._previews is None:
-            self._fetch_state(step)
         self._answer_complete()
 
-    def _fetch_state(self, step: int) -> None:
-        """Read states until that of a step, which is answered when it arrives."""
-        for _ in range(MAX_AT_ONCE):
-            if step <= self._order.last or step in self._states or self._read_state() is None:
-                return
-
-    def _on_rehearsed(self, codec: TrajectoryCodec, raw: bytes, _: int) -> None:
-        """Answer a step of a rehearsal when its state and its force have arrived.
-
-        The rig does not obey, so detectors must not trip.
-        """
-        step, values = codec.decode(raw)
-        forces, states = self._rehearsed.values()
-        if step == 0:  # of a new rehearsal
-            _drop(forces, lambda other: other > 0)
-            _drop(states, lambda other: other > 0)
-        self._rehearsed[codec][step] = values
-        if step not in forces or step not in states:
-            _drop(self._rehearsed[codec], lambda other: other <= step - PENDING)
-            return
+    def _on_rehearsed_state(self, raw: bytes, _: int) -> None:
+        """Judge a state of a rehearsal. The rig does not obey, so detectors must not trip."""
+        step, values = self._state_codec.decode(raw)
         if self._rehearsing is None:
             self._rehearsing = self._interlock()
         if step == 0 or self._rehearsing.reason:
             self._rehearsing.reset()
-        command = self._rehearsing.step(step, forces[step], states[step][0])
+            self._rehearsed.clear()
+        judged = self._rehearsed[step] = self._rehearsing.judge(step, values[0])
+        _drop(self._rehearsed, lambda other: other <= step - PENDING)
+        self._publish_rehearsed_judged(self._judged_codec.encode(step, judged))
+
+    def _on_rehearsed_force(self, raw: bytes, _: int) -> None:
+        """Answer a step of a rehearsal."""
+        step, points = self._force_codec.decode(raw)
+        if self._rehearsing is None or step not in self._rehearsed:
+            return
+        command = self._rehearsing.step(step, points, self._rehearsed[step])
         self._publish_rehearsed(self._command_codec.encode(step, command))
-        _drop(forces, lambda other: other <= step)
-        _drop(states, lambda other: other <= step)
+        _drop(self._rehearsed, lambda other: other <= step)
 
     def _begin_with(self, step: int) -> None:
         """Begin a test, if a sample of this step is its first."""

@@ -1,4 +1,4 @@
-"""Node ``reference_force``: answers each rig/state with the reference force of its step.
+"""Node ``reference_force``: answers each rig/judged with the reference force of its step.
 
 It ramps the force down on request of the supervisor, or after a fault of the force. Phases: ready,
 ramping_down, at_rest, ended.
@@ -18,7 +18,7 @@ from seft_msgs_py.wire.topics import (
     ESTIMATES,
     EXPERIMENT_STATE,
     GROUND_MOTION,
-    RIG_STATE,
+    JUDGED,
     rehearsed,
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
@@ -56,7 +56,7 @@ class ReferenceForceNode(NodeBody):
         self._motion_codec = TrajectoryCodec(GROUND_MOTION, axes, timebase)
         self._force_codec = TrajectoryCodec(topic, axes, timebase)
         self._state_codecs = [
-            TrajectoryCodec(RIG_STATE.of(rig), rig.axes, timebase) for rig in experiment.rigs
+            TrajectoryCodec(JUDGED.of(rig), rig.axes, timebase) for rig in experiment.rigs
         ]
         self._gathering: StateGathering | None = None
         if len(experiment.rigs) > 1:
@@ -78,7 +78,7 @@ class ReferenceForceNode(NodeBody):
             self._rehearsing: ProtectedForce | None = None
             self.facts = {REHEARSES: True}
             self._publish_rehearsed = shell.publisher(rehearsed(topic))
-            shell.subscribe(rehearsed(RIG_STATE), self._on_rehearsed_state, reliable=False)
+            shell.subscribe(rehearsed(JUDGED), self._on_rehearsed_state, reliable=False)
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
         shell.subscribe(GROUND_MOTION, self._on_ground_motion)
         # behind a link, a late node bridges old states instead of answering them
@@ -149,17 +149,17 @@ class ReferenceForceNode(NodeBody):
 
     def _on_rig_state(self, rig: int, raw: bytes, _: int) -> None:
         step, values = self._state_codecs[rig].decode(raw)
-        check_magnitude("rig/state of step", step, values)
+        check_magnitude("rig/judged of step", step, values)
         if step == 0:
             self._shell.catch_up(EXPERIMENT_STATE)  # earlier messages do not end this test
         if self._test in ENDED:
-            raise WireError(f"rig/state of step {step}: the test is {self._test}")
+            raise WireError(f"rig/judged of step {step}: the test is {self._test}")
         if self._order.begins(step):
             self._reset()
             self._trip_for(self._shell.several_senders(), step)
-        self._order.check("rig/state", step)
+        self._order.check(JUDGED.name, step)
         if step in self._waiting:
-            raise WireError(f"rig/state of step {step} a second time")
+            raise WireError(f"rig/judged of step {step} a second time")
         state: Floats | None = values[0]
         if self._gathering is not None:
             state = self._gathering.take(rig, step, values[0], self._clock.monotonic())

@@ -26,16 +26,16 @@ from seft_ros.protection.detectors import (
     FOLLOWED_VALVES,
     FORCE_CHANNEL,
     LIMITED_AT,
-    NOISE,
     OIL,
+    OIL_NOISE,
     SAMPLE,
     SIGMAS,
     VELOCITY,
     VELOCITY_ACCELERATION,
     DetectorParameters,
     DetectorState,
+    first_of,
     look,
-    more_severe,
     sees,
 )
 from seft_ros.protection.valve_following import follow_valve, under_load
@@ -82,10 +82,9 @@ class Sides(NamedTuple):
     """Least and largest value of the first side if the rig holds a command."""
     largest: float
     in_sums: float
-    """Difference that the times of the samples cause in the sums, and in one period."""
-    in_step: float
+    """Difference that the times of the samples cause in the sums."""
     part: float
-    """Relative error of the first side."""
+    """Relative error of the first side in a single step."""
     resolution: float
     """Of the first side."""
     missed: float
@@ -137,7 +136,7 @@ def look_at_sides(
 @compiled
 def resolution_of(state: DetectorState, row: int, i: int) -> float:
     """Resolution of a change of a channel; 0 as long as it is not known."""
-    resolution = 2.0 * state.resolution[row, i]
+    resolution = 2.0 * state.judge.resolution[row, i]
     return resolution if resolution < np.inf else 0.0
 
 
@@ -149,8 +148,7 @@ def displacement_sides(
     last = state.last
     one, other = measured[0, i] - last[0, i], 0.5 * p.dt * (measured[1, i] + last[1, i])
     late = p.late * abs(measured[1, i] - last[1, i])  # of a derived velocity
-    part = p.tolerance[DISPLACEMENT_VELOCITY]
-    return Sides(one, other, one, one, late, late, part, resolution_of(state, 0, i), 0.0)
+    return Sides(one, other, one, one, late, 0.0, resolution_of(state, 0, i), 0.0)
 
 
 @compiled
@@ -165,11 +163,9 @@ def velocity_sides(p: DetectorParameters, state: DetectorState, measured: Floats
     one, other = measured[1, i] - last[1, i], 0.5 * p.dt * (measured[2, i] + last[2, i])
     state.rise[0, i] = p.fade * state.rise[0, i] + rise
     state.rise[1, i] = p.fade * state.rise[1, i] + jump
-    at = 0.5 * p.dt + p.late
-    in_step = at * max(abs(rise), abs(jump))
-    in_sums = max(in_step, at * max(abs(state.rise[0, i]), abs(state.rise[1, i])))
-    part = p.tolerance[VELOCITY_ACCELERATION]
-    return Sides(one, other, one, one, in_sums, in_step, part, resolution_of(state, 1, i), 0.0)
+    rises = max(abs(rise), abs(jump), abs(state.rise[0, i]), abs(state.rise[1, i]))
+    late = (0.5 * p.dt + p.late) * rises
+    return Sides(one, other, one, one, late, 0.0, resolution_of(state, 1, i), 0.0)
 
 
 @compiled
@@ -184,24 +180,24 @@ def oil_sides(p: DetectorParameters, state: DetectorState, measured: Floats, i: 
     other = moved + (measured[3, i] - last[3, i] + leaked) / oil
     one = dt * (flow + errors[0] * flow + errors[1] * later)
     least, largest = hold(state.flows[i], one)
-    if state.counts[NOISE + OIL, i] == 0 and state.counts[CHANGE + OIL, i] == 0:
+    if state.counts[OIL_NOISE, i] == 0 and state.counts[CHANGE + OIL, i] == 0:
         follow_valve(errors, covariance, flow, later, other / dt, p.doubt[i])
     part = min(p.tolerance[OIL], FOLLOWED_VALVES + SIGMAS * math.sqrt(covariance[0]))
     change = abs(state.flow[1, i] - state.flow[0, i])
     state.largest[8, i] = max(change, p.fade * state.largest[8, i])
     missed = MISSED * dt * state.largest[8, i]
     resolution = resolution_of(state, FORCE_CHANNEL, i) / oil
-    return Sides(one, other, least, largest, 0.0, 0.0, part, resolution, missed)
+    return Sides(one, other, least, largest, 0.0, part, resolution, missed)
 
 
 @compiled
 def compare_channels(
     p: DetectorParameters, state: DetectorState, relation: int, n: int, i: int, sides: Sides
 ) -> int:
-    """Compare the sides of a relation, less their bias, over a period and as sums."""
+    """Compare the sums of the sides of a relation, less their bias; of (3) also single steps."""
     recent, bias, found = state.largest, state.bias[relation], -1
-    one, other = sides.one, sides.other + bias[0, i]
-    if state.counts[NOISE + relation, i] == 0 and state.counts[CHANGE + relation, i] == 0:
+    one, other, is_oil = sides.one, sides.other + bias[0, i], relation == OIL
+    if state.counts[CHANGE + relation, i] == 0 and not (is_oil and state.counts[OIL_NOISE, i]):
         constant = bias[0, i] + (1.0 - p.memory) * (one - other)
         bias[0, i] = min(max(constant, -p.bias[relation, i]), p.bias[relation, i])
         bias[1, i] *= p.memory
@@ -218,9 +214,9 @@ def compare_channels(
     threshold += sides.in_sums
     if look_at_sides(p, state, CHANGE + relation, i, summed, threshold, missed):
         found = (CHANGE + relation) * n + i
-    threshold = p.steps[relation, i] + sides.part * single + known + sides.in_step
-    if look_at_sides(p, state, NOISE + relation, i, now, threshold, missed) and found < 0:
-        found = (NOISE + relation) * n + i
+    threshold = p.steps[i] + sides.part * single + known
+    if is_oil and look_at_sides(p, state, OIL_NOISE, i, now, threshold, missed) and found < 0:
+        found = OIL_NOISE * n + i
     return found
 
 
@@ -236,8 +232,8 @@ def relations(
         found = compare_channels(p, state, DISPLACEMENT_VELOCITY, n, i, sides)
     if sees_velocity and sees(state, step, ACCELERATION):
         sides = velocity_sides(p, state, measured, i)
-        found = more_severe(found, compare_channels(p, state, VELOCITY_ACCELERATION, n, i, sides))
+        found = first_of(found, compare_channels(p, state, VELOCITY_ACCELERATION, n, i, sides))
     if sees_velocity and sees(state, step, FORCE_CHANNEL):
         sides = oil_sides(p, state, measured, i)
-        found = more_severe(found, compare_channels(p, state, OIL, n, i, sides))
+        found = first_of(found, compare_channels(p, state, OIL, n, i, sides))
     return found

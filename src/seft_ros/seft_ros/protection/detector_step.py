@@ -26,12 +26,14 @@ from seft_ros.protection.detectors import (
     TRACKING,
     TURN_AT,
     VALID,
+    WRONG,
     DetectorParameters,
     DetectorState,
+    first_of,
     look,
-    more_severe,
     sees,
 )
+from seft_ros.protection.judge import begin_judge, judge
 from seft_ros.protection.specimen_force import (
     look_at_response,
     look_at_restoring_force,
@@ -39,10 +41,10 @@ from seft_ros.protection.specimen_force import (
 )
 from seft_ros.protection.valve_following import begin_following
 
-OF_SENSORS = (0, 1, 3, 4, SECOND_ORDER_WORK, JUMP)
-"""Detectors that make a sample suspect."""
-
 _NEVER = -(2**40)
+
+OF_SENSORS = (0, 1, SECOND_ORDER_WORK, JUMP)
+"""Detectors that make a sample suspect."""
 
 SAME, SUSPECTED = 1e-9, 2.0 / 3.0
 """Chance of so many equal samples of a channel that is not frozen, and the part of these samples
@@ -64,17 +66,19 @@ def begin_detectors(state: DetectorState) -> None:
     state.response[:] = 0.0
     state.bends[:] = 0.0
     state.repeats[:] = 0
-    state.resolution[:] = np.inf
     state.counts[:] = 0
     state.shares[:] = 0.0
     state.step[:] = _NEVER
+    begin_judge(state.judge)
 
 
 @compiled
-def detect(
-    p: DetectorParameters, state: DetectorState, step: int, points: Floats, measured: Floats
+def judge_sample(
+    p: DetectorParameters, state: DetectorState, step: int, raw: Floats, judged: Floats
 ) -> int:
-    """Check a sample; give the detector that ends the test, row * n + axis, `VALID` or `SUSPECT`.
+    """Judge a sample, and look for faults.
+
+    Give the detector that ends the test, row * n + axis, `VALID` or `SUSPECT`.
 
     Parameters
     ----------
@@ -83,51 +87,50 @@ def detect(
     step : int
         Of the sample. Nothing is compared if the sample before is missing; a channel is not used if
         it is at the end of its sensor's range.
-    points : ndarray
-        Of the reference force, shape (h + 1, q, n); q is 3 for a target.
-    measured : ndarray
-        Displacement, velocity, acceleration and force, finite, shape (4, n).
+    raw : ndarray
+        Displacement, velocity, acceleration and force, shape (4, n).
+    judged : ndarray
+        The sample for the loop, finite, see `judge`; shape (4, n). The result.
     """
-    n, found = measured.shape[1], VALID
+    n, found = raw.shape[1], VALID
     lost = step - state.step[SAMPLE] - 1
     for row in range(4):
         for i in range(n):
-            if abs(measured[row, i]) >= p.range[row, i]:
+            if abs(raw[row, i]) >= p.range[row, i]:
                 state.step[AT_RANGE + row] = step
     is_first = lost > 0
     state.step[SAMPLE] = step
     find_flow(p, state, lost)
+    for i in range(n):
+        flow = 0.5 * (state.flow[0, i] + state.flow[1, i])
+        later = 0.5 * (state.later[0, i] + state.later[1, i])
+        state.mean[i] = flow + state.errors[i, 0] * flow + state.errors[i, 1] * later
+    judge(p.judge, state.judge, step, raw, state.mean, judged)
     last, restoring = state.last, state.restoring
     for i in range(n):
-        total = measured[3, i]
-        for k in range(n):
-            total -= p.mass[i, k] * measured[2, k]
-        restoring[2, i] = total
+        restoring[2, i] = state.judge.restoring[0, i]
     if not is_first:
         for i in range(n):
-            if measured[1, i] * last[1, i] <= 0.0:
+            if judged[1, i] * last[1, i] <= 0.0:
                 state.step[TURN_AT] = step
         knows_force = sees(state, step, ACCELERATION) and sees(state, step, FORCE_CHANNEL)
         if knows_force:
-            found = more_severe(found, look_at_work(p, state, measured))
+            found = first_of(found, look_at_work(p, state, judged))
         for i in range(n):
-            found = more_severe(found, relations(p, state, step, measured, i))
-            found = more_severe(found, look_for_frozen(p, state, step, measured, i))
+            found = first_of(found, relations(p, state, step, judged, i))
+            found = first_of(found, look_for_frozen(p, state, step, i))
             if knows_force:
-                found = more_severe(found, look_at_restoring_force(p, state, step, measured, i))
-                found = more_severe(found, look_at_response(p, state, measured, i))
-            if points.shape[1] > 1:
-                found = more_severe(found, look_at_tracking(p, state, step, points, measured, i))
+                found = first_of(found, look_at_restoring_force(p, state, step, judged, i))
+                found = first_of(found, look_at_response(p, state, judged, i))
     for i in range(n):
         restoring[1, i] = 0.0 if is_first else restoring[2, i] - restoring[0, i]
         restoring[0, i] = restoring[2, i]
         for row in range(4):
-            last[row, i] = measured[row, i]
-    if found < 0:
+            last[row, i] = judged[row, i]
+        found = first_of(found, look_for_wrong(p, state, step, i))
         for row in OF_SENSORS:
-            for i in range(n):
-                if state.counts[row, i] and p.acts[row]:
-                    return SUSPECT
+            if state.counts[row, i] and p.acts[row]:
+                found = first_of(found, SUSPECT)
     return found
 
 
@@ -148,29 +151,40 @@ def look_at_tracking(
 
 
 @compiled
-def look_for_frozen(
-    p: DetectorParameters, state: DetectorState, step: int, measured: Floats, i: int
-) -> int:
-    """Whether a channel of an axis repeats one value."""
-    n, found = measured.shape[1], VALID
+def look_for_wrong(p: DetectorParameters, state: DetectorState, step: int, i: int) -> int:
+    """Whether a channel of an axis was replaced too often; the second such sample is suspect."""
+    found = VALID
+    for row in range(4):
+        steps, count = state.judge.wrong[row, i], 0
+        for place in range(len(steps)):
+            count += steps[place] > step - p.judge.window
+        if look(p, state, WRONG + row, i, float(count), len(steps) - 0.5) and found < 0:
+            found = (WRONG + row) * state.last.shape[1] + i
+        if count > 1 and state.judge.verdict[row, i] and p.acts[WRONG + row]:
+            found = first_of(found, SUSPECT)
+    return found
+
+
+@compiled
+def look_for_frozen(p: DetectorParameters, state: DetectorState, step: int, i: int) -> int:
+    """Whether a channel of an axis repeats one value, as measured."""
+    n, found, judge = state.last.shape[1], VALID, state.judge
     for row in range(4):
         if not sees(state, step, row):
             continue
-        change, seen, threshold = abs(measured[row, i] - state.last[row, i]), 0.0, np.inf
-        if change > 0.0:
+        seen, threshold = 0.0, np.inf
+        if judge.moved[row, i] != 0.0:
             state.repeats[row, i] = 0
-            if change < state.resolution[row, i]:
-                state.resolution[row, i] = change
         else:
             state.repeats[row, i] += 1
             seen = float(state.repeats[row, i])
             # the chance of the same value twice is its step over 2 sqrt(pi) times the noise
-            chance = state.resolution[row, i] / (2.0 * math.sqrt(math.pi) * p.dither[row, i])
+            chance = judge.resolution[row, i] / (2.0 * math.sqrt(math.pi) * p.dither[row, i])
             threshold = math.log(SAME) / math.log(chance) if chance < 0.5 else np.inf
         if look(p, state, FROZEN + row, i, seen, threshold) and found < 0:
             found = (FROZEN + row) * n + i
         if seen > SUSPECTED * threshold and p.acts[FROZEN + row]:
-            found = more_severe(found, SUSPECT)
+            found = first_of(found, SUSPECT)
     return found
 
 
@@ -183,6 +197,7 @@ def detect_all(
     states: Floats,
     commands: Floats,
     limit: float,
+    judged: Floats,
 ) -> None:
     """Check the samples of a whole test.
 
@@ -196,9 +211,14 @@ def detect_all(
         Reference force, state and valve command at these, shapes (N, q, n), (N, 4, n) and (N, n).
     limit : float
         Largest command, V.
+    judged : ndarray
+        Shape (4, n), a work array.
     """
     for k in range(len(steps)):
-        detect(p, state, steps[k], points[k : k + 1], states[k])
+        judge_sample(p, state, steps[k], states[k], judged)
+        for i in range(commands.shape[1]):
+            if points.shape[1] > 1:
+                look_at_tracking(p, state, steps[k], points[k : k + 1], judged, i)
         limited = False
         for i in range(commands.shape[1]):
             limited |= abs(commands[k, i]) >= limit

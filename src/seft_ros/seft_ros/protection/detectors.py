@@ -10,6 +10,7 @@ from seft_msgs_py.arrays import Floats, Ints
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.sensors import CHANNELS
 
+from seft_ros.protection.judge import JudgeParameters, JudgeState, judge_arrays
 from seft_ros.protection.valve_following import UNCERTAIN_DELAY, doubt
 
 LASTS, LONG_LASTS = 0.006, 0.02
@@ -50,12 +51,11 @@ _SUMS = "disagree on axis {axis}: they differ by {seen} over the last 50 ms"
 _STEP = "disagree on axis {axis} from sample to sample, as with noise: they differ by {seen}"
 _OIL = "measured velocity and force, and the valve's flow by its commands,"
 _SAME = "measured {} on axis {{axis}} has repeated one value for {{seen}}"
+_WRONG = "measured {} on axis {{axis}} contradicts the other channels: {{seen}} within 50 ms"
 DETECTORS = (
     Detector("displacement_velocity", f"measured displacement and velocity {_SUMS}", "m"),
     Detector("velocity_acceleration", f"measured velocity and acceleration {_SUMS}", "m/s"),
     Detector("oil_balance", f"{_OIL} {_SUMS}", "m", of_valve=True),
-    Detector("displacement_noise", f"measured displacement and velocity {_STEP}", "m"),
-    Detector("velocity_noise", f"measured velocity and acceleration {_STEP}", "m/s"),
     Detector("oil_noise", f"{_OIL} {_STEP}", "m", of_valve=True),
     Detector(
         "second_order_work",
@@ -88,6 +88,7 @@ DETECTORS = (
         LONG_LASTS,
     ),
     *(Detector(f"{name}_frozen", _SAME.format(name), "samples", 0.0) for name in CHANNELS),
+    *(Detector(f"{name}_wrong", _WRONG.format(name), "samples", 0.0) for name in CHANNELS),
 )
 """In the order of the rows of a detector's arrays."""
 
@@ -165,8 +166,8 @@ class DetectorParameters(NamedTuple):
     limited : int
         Samples after one at the valve's limit in which the target need not be followed.
     sums, steps : ndarray
-        Noise of the differences of relations (1) to (3), `SIGMAS` times RMS: of sums and of a
-        single step, shape (3, n); infinite for a relation that is not watched.
+        Noise of the sums of the differences of relations (1) to (3), shape (3, n), and of those of
+        relation (3) in a single step, shape (n,): `SIGMAS` times RMS; infinite where not watched.
     bias : ndarray
         Largest mean difference in a step that is no fault, shape (3, n).
     late : float
@@ -187,6 +188,8 @@ class DetectorParameters(NamedTuple):
     samples : ndarray
         Count of a sample that no held command explains, so that its detector needs no longer time
         than without held commands; shape (D,).
+    judge : JudgeParameters
+        Of the judge.
     """
 
     dt: float
@@ -216,6 +219,7 @@ class DetectorParameters(NamedTuple):
     persistence: Ints
     acts: Ints
     samples: Ints
+    judge: JudgeParameters
 
 
 class DetectorState(NamedTuple):
@@ -257,8 +261,8 @@ class DetectorState(NamedTuple):
         changes of sign; shape (2, n).
     repeats : ndarray
         Number of repetitions of the last value of a channel, shape (4, n).
-    resolution : ndarray
-        Least change of a channel so far, shape (4, n); infinite at the beginning.
+    mean : ndarray
+        Mean flow of the valves since the last sample, shape (n,), m/s.
     counts : ndarray
         Samples for which each detector has been beyond its threshold, shape (D, n).
     shares : ndarray
@@ -269,6 +273,8 @@ class DetectorState(NamedTuple):
         Steps of the last sample, the last turn of the motion, the last command at the valve's
         limit and the last sample at the end of each channel's range, shape (7,); a large negative
         number at the beginning.
+    judge : JudgeState
+        Of the judge.
     """
 
     last: Floats
@@ -287,11 +293,12 @@ class DetectorState(NamedTuple):
     response: Floats
     bends: Floats
     repeats: Ints
-    resolution: Floats
+    mean: Floats
     counts: Ints
     shares: Floats
     found: Floats
     step: Ints
+    judge: JudgeState
 
 
 def detector_arrays(
@@ -346,7 +353,6 @@ def detector_arrays(
     oil = np.where(known, f / actuator[:, 1], np.inf)
     jumps, rates = np.array([x, v, oil]), dt * np.array([v, a, v])
     sums = np.sqrt(jumps**2 * 2.0 / (1.0 + fade) + rates**2 / (2.0 * (1.0 - fade)))
-    steps = np.sqrt(2.0 * jumps**2 + rates**2 / 2.0)
     rough = np.sqrt(6.0 * (f**2 + mass**2 @ a**2))
     unknown = 0.0 if mass.any() and stiffness.any() else math.inf
     by_force = np.zeros_like(mass) if has_valve or not mass.any() else np.linalg.inv(mass)
@@ -355,6 +361,17 @@ def detector_arrays(
         np.maximum(2 + (spans[:, 0] > 0.0), np.ceil(span / dt - 1e-9).astype(np.int64))
         for span in (spans[:, 0], spans.sum(axis=1))
     )
+    judging, judged = judge_arrays(
+        np.array([x, v, a, f]),
+        np.transpose([np.where(known, actuator[:, 1], 0.0), actuator[:, 2]]),
+        mass,
+        stiffness,
+        np.where(ranges > 0.0, ranges, np.inf),
+        UNCERTAIN_DELAY if velocity_is_derived else 0.0,
+        SIGMAS,
+        dt,
+    )
+    lasts[WRONG:] = 1  # they count by themselves
     acts = [each.name not in warn_only for each in DETECTORS]
     parameters = DetectorParameters(
         dt=dt,
@@ -376,7 +393,7 @@ def detector_arrays(
         sums=SIGMAS * sums,
         bias=BIAS * rates,
         late=UNCERTAIN_DELAY if velocity_is_derived else 0.0,
-        steps=SIGMAS * steps,
+        steps=SIGMAS * np.sqrt(2.0 * oil**2 + (dt * v) ** 2 / 2.0),
         rough=SIGMAS * rough + unknown,
         unknown=unknown,
         tolerance=np.array(TOLERANCES),
@@ -384,6 +401,7 @@ def detector_arrays(
         persistence=lasts,
         acts=np.array(acts, dtype=np.int64),
         samples=-(-lasts // shortest),
+        judge=judging,
     )
     state = DetectorState(
         last=np.zeros((4, n)),
@@ -402,11 +420,12 @@ def detector_arrays(
         response=np.zeros((2, n)),
         bends=np.zeros((2, n)),
         repeats=np.zeros((4, n), dtype=np.int64),
-        resolution=np.zeros((4, n)),
+        mean=np.zeros(n),
         counts=np.zeros((len(DETECTORS), n), dtype=np.int64),
         shares=np.zeros((len(DETECTORS), n)),
         found=np.zeros(2),
         step=np.zeros(7, dtype=np.int64),
+        judge=judged,
     )
     return parameters, state
 
@@ -417,9 +436,9 @@ SAMPLE, TURN_AT, LIMITED_AT, AT_RANGE = range(4)
 """Places of `DetectorState.step`."""
 DISPLACEMENT_VELOCITY, VELOCITY_ACCELERATION, OIL = range(3)
 """Relations (1) to (3)."""
-CHANGE, NOISE, SECOND_ORDER_WORK, ROUGH, JUMP = 0, 3, *range(6, 9)
-NO_RESPONSE, TRACKING, FROZEN = range(9, 12)
-"""Rows of the detectors: a relation's sums, its single steps, and so on; four frozen channels."""
+CHANGE, OIL_NOISE, SECOND_ORDER_WORK, ROUGH, JUMP = 0, *range(3, 7)
+NO_RESPONSE, TRACKING, FROZEN, WRONG = 7, 8, 9, 13
+"""Rows of the detectors: sums of three relations, ..., four frozen and four wrong channels."""
 
 
 @compiled
@@ -454,12 +473,12 @@ def sees(state: DetectorState, step: int, row: int) -> bool:
 
 
 VALID, SUSPECT = -1, -2
-"""Results of `detect` if no detector ends the test: nothing is beyond its threshold, or the sample
-must not be used."""
+"""Results if no detector ends the test: nothing is beyond its threshold, or the controller must not
+use the sample."""
 
 
 @compiled
-def more_severe(found: int, other: int) -> int:
+def first_of(found: int, other: int) -> int:
     """Give the first finding of a fault; without one, whether the sample is suspect."""
     if found < 0 <= other:
         return other

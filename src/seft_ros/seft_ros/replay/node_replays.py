@@ -63,7 +63,7 @@ class ReferenceForceReplay(Replay):
             if recorded.record.trip is None:
                 self.note_steps("the bag lacks the recorded answer", unrecorded)
                 answered = np.union1d(answered, unrecorded)
-        states = recorded.series(RIG_STATE)
+        states = recorded.record.states
         self.note_unanswered(states.steps, answered)
         self._states = states.of_steps(answered)
         unmoved = answered[answered >= moved]
@@ -150,8 +150,8 @@ class ForceControllerReplay(Replay):
         for step in self.expected.steps.tolist():
             if step not in self._points and not interlock.reason:
                 break  # the node would wait for it
-            points = self._points.get(step, none)
-            commands[step] = interlock.step(step, points, self._states[step]).copy()
+            points, judged = self._points.get(step, none), interlock.judge(step, self._states[step])
+            commands[step] = interlock.step(step, points, judged).copy()
         return series_of(commands, 1, len(axes)), None
 
 

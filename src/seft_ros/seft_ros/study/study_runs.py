@@ -13,7 +13,6 @@ from typing import Any
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError, SeftError
-from seft_msgs_py.wire.topics import RIG_STATE
 from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.summary import summarise_briefly
@@ -174,7 +173,7 @@ def _run(test: StudyTest, experiment: Experiment, carried: Mapping[str, bytes]) 
 
 def _brief(record: Record, reference: ReferenceResponse) -> dict[str, Any]:
     """Summarise a test against the reference response, cut to the steps that it lasted."""
-    steps = len(record.series[RIG_STATE.name].steps)
+    steps = len(record.states.steps)
     parts = {field.name: getattr(reference, field.name)[:steps] for field in fields(reference)}
     return summarise_briefly(record, ReferenceResponse(**parts))
 

@@ -45,6 +45,7 @@ from seft_ros.force_controller.interlock import (
     interlock_of,
     postcheck,
     precheck,
+    take_sample,
 )
 from seft_ros.force_controller.velocity_feedforward import (
     FeedforwardParameters,
@@ -262,8 +263,8 @@ class LoopSamples(NamedTuple):
 
     Attributes
     ----------
-    states, forces, commands : ndarray
-        Shapes (N, 4, n), (N, q, n) and (N, n).
+    states, judged, forces, commands : ndarray
+        Shapes (N, 4, n), (N, 4, n), (N, q, n) and (N, n).
     found, true_forces : ndarray
         Results of `rig_step`, and largest true force of any axis (N), shape (N,).
     estimates : ndarray
@@ -271,6 +272,7 @@ class LoopSamples(NamedTuple):
     """
 
     states: Floats
+    judged: Floats
     forces: Floats
     commands: Floats
     found: Ints
@@ -393,18 +395,21 @@ def _run_steps(
     window, is_target, n = loop.window, quantities > 1, len(loop.axes)
     # what the compiler takes from these makes the loop nearly twice as fast
     assert samples.states.shape[2] == n and samples.commands.shape[1] == n
+    assert samples.judged.shape[2] == n
     assert known.shape[1] == n and noise.shape[2] == n and loop.in_flight.shape[3] == n
     assert len(drive) == n
     for step in range(first, last):
         measured, command = samples.states[step], samples.commands[step]
         found = rig_step(rig[0], rig[1], step, drive, noise[step - first], measured)
         samples.found[step], samples.true_forces[step] = found, rig[1].peaks[FORCE_NOW]
+        judged = samples.judged[step]
+        take_sample(interlock[0], interlock[1], step, measured, judged)
         # reference force
         asked = loop.in_flight[step % turns]
         progress = begin_step(protection[0], protection[1], True)
         if not protection[1].flags[HOLDING]:
-            respond(force[0], force[1], known[step : step + window], measured, progress, asked)
-        protect(protection[0], protection[1], known[step], measured, True, progress, asked)
+            respond(force[0], force[1], known[step : step + window], judged, progress, asked)
+        protect(protection[0], protection[1], known[step], judged, True, progress, asked)
         late = loop.in_flight[(step + 1) % turns]
         sent = asked if is_target else late
         for row in range(quantities):
@@ -412,7 +417,7 @@ def _run_steps(
                 samples.forces[step, row, i] = sent[0, row, i]
         applied = late[turns - 1 if is_target else 0 :]
         # force control
-        if precheck(interlock[0], interlock[1], step, applied, measured, command):
+        if precheck(interlock[0], interlock[1], step, applied, judged, command):
             asked, sample = interlock[1].plan, interlock[1].sample
             limited = answer(control[0], control[1], asked, sample, command)
             postcheck(interlock[0], interlock[1], step, limited, command)

@@ -18,6 +18,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.outcome import Trip
 from seft_msgs_py.wire.topics import (
     GROUND_MOTION,
+    JUDGED,
     REFERENCE_FORCE,
     RIG_STATE,
     VALVE_COMMAND,
@@ -87,6 +88,7 @@ def simulate_test(
     estimated, period = force.estimates(), sampling_period(experiment.timebase, force.is_modelled)
     samples = LoopSamples(
         np.empty((total, 4, axes)),
+        np.empty((total, 4, axes)),
         np.empty((total, quantities, axes)),
         np.empty((total, axes)),
         np.empty(total, dtype=np.int64),
@@ -150,12 +152,17 @@ def run_plain(blocks: Blocks, samples: LoopSamples, loop_delay: int, period: int
     state = rig.reset()
     with np.errstate(over="ignore", invalid="ignore"):  # the limits see what is not finite
         for step in range(total):
-            points = force_step(known[step : step + window], state)
-            samples.states[step], samples.forces[step] = state, points[0]
+            judged = interlock.judge(step, state)
+            points = force_step(known[step : step + window], judged)
+            samples.states[step], samples.judged[step], samples.forces[step] = (
+                state,
+                judged,
+                points[0],
+            )
             if loop_delay:
                 in_flight.append(points)
                 points = in_flight.popleft()[loop_delay:]
-            command = samples.commands[step] = valve_step(step, points, state)
+            command = samples.commands[step] = valve_step(step, points, judged)
             if step % period == 0 and samples.estimates.size:
                 estimates = reference_force.estimates()
                 require_names(step, estimates, names)
@@ -176,6 +183,7 @@ def loop_series(motion: Floats, samples: LoopSamples, steps: int) -> dict[str, S
     values = {
         GROUND_MOTION.name: motion[:steps, np.newaxis],
         RIG_STATE.name: samples.states[:steps],
+        JUDGED.name: samples.judged[:steps],
         REFERENCE_FORCE.name: samples.forces[:steps],
         VALVE_COMMAND.name: samples.commands[:steps, np.newaxis],
     }

@@ -1,0 +1,185 @@
+"""The judge of samples: wrong values are replaced, and no other."""
+
+import math
+
+import numpy as np
+import pytest
+from detector_samples import ALL, DT, MASS, NO_TARGET, NOISE, STIFFNESS, N, detect, detectors
+from seft_ros.protection import detectors as rows
+from seft_ros.protection.judge import begin_judge, judge, judge_arrays
+
+X, V, A, F = range(4)
+DAMPING = np.array([[200.0, -20.0], [-20.0, 150.0]])
+OIL = np.array([[1e7, 2.0], [2e7, 3.0]])
+SIGMAS = 6.0
+AT, LENGTH = 150, 300
+
+
+def motion(seed=1, size=1.0):
+    """Samples of two sines with noise, these without it, and the flow of the valves."""
+    t = DT * np.arange(-1, LENGTH)[:, np.newaxis]
+    found = []
+    for k in range(3):  # x, v, a
+        phase = 0.5 * np.pi * k
+        parts = [
+            of * w**k * np.sin(w * t + phase + shift)
+            for of, w, shift in (
+                (np.array([3e-3, 2e-3]), 2.0 * np.pi * 3.0, np.array([0.3, 1.0])),
+                (np.array([4e-3, 5e-3]), 2.0 * np.pi * 8.0, np.array([2.0, 0.7])),
+            )
+        ]
+        found.append(sum(parts))
+    x, v, a = found
+    f = x @ STIFFNESS + v @ DAMPING + a @ MASS
+    flow = 0.5 * (v[1:] + v[:-1]) + (np.diff(f, axis=0) / DT + OIL[:, 1] * f[:-1]) / OIL[:, 0]
+    right = np.stack([x, v, a, f], axis=1)[1:]
+    rng = np.random.default_rng(seed)
+    return right + size * NOISE * rng.normal(size=right.shape), right, flow
+
+
+def judged_of(samples, flow, steps=None, mass=MASS, oil=OIL):
+    """Judge samples: the judged ones, and which values were replaced."""
+    known = np.zeros((N, N)) if mass is None else mass
+    p, state = judge_arrays(NOISE, oil, known, STIFFNESS, np.full((4, N), np.inf), 0.0, SIGMAS, DT)
+    begin_judge(state)
+    judged, verdicts = np.empty_like(samples), []
+    for k, step in enumerate(range(len(samples)) if steps is None else steps):
+        judge(p, state, step, samples[k], flow[k], judged[k])
+        verdicts.append(state.verdict.copy())
+    return judged, np.array(verdicts), p
+
+
+def bounds(p):
+    """Largest error of a replaced value, shape (4, n): noise of its relation, and its curvature."""
+    noise = p.noise
+    by_specimen = np.abs(np.linalg.inv(MASS)) @ (noise[3] + 60.0)
+    return np.array([2.0 * noise[0], 2.0 * noise[1], by_specimen, noise[2] + noise[3]])
+
+
+@pytest.mark.parametrize("size", [1.0, 0.3, 0.0])
+@pytest.mark.parametrize(("mass", "oil"), [(MASS, OIL), (None, OIL), (MASS, 0.0 * OIL)])
+def test_a_sound_record_is_as_measured(mass, oil, size):
+    for seed in range(5):
+        samples, _, flow = motion(seed, size)
+        judged, replaced, _ = judged_of(samples, flow, mass=mass, oil=oil)
+        assert not replaced.any()
+        np.testing.assert_array_equal(judged, samples)
+
+
+LARGEST = np.abs(motion()[1]).max(axis=0)
+WRONG = {
+    "by its peak": lambda value, peak: value + peak,
+    "by minus three peaks": lambda value, peak: value - 3.0 * peak,
+    "nan": lambda value, peak: math.nan,
+    "inf": lambda value, peak: math.inf,
+    "minus inf": lambda value, peak: -math.inf,
+    "1e300": lambda value, peak: 1e300,
+    "zero": lambda value, peak: 0.0,
+    "flipped": lambda value, peak: -value,
+}
+
+
+@pytest.mark.parametrize("length", [1, 2])
+@pytest.mark.parametrize("wrong", WRONG)
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("row", range(4))
+def test_a_wrong_value_is_replaced_by_one_near_the_true_one_and_no_other_is(
+    row, axis, wrong, length
+):
+    if row == 3 and wrong == "zero":
+        length = 1  # a second one must stand out of what the first replacement may be wrong by
+    samples, right, flow = motion()
+    at = 100 + int(np.abs(right[100:200, row, axis]).argmax())  # where zero is wrong
+    faulty = samples.copy()
+    for k in range(at, at + length):
+        faulty[k, row, axis] = WRONG[wrong](samples[k, row, axis], LARGEST[row, axis])
+    judged, replaced, p = judged_of(faulty, flow)
+    expected = np.zeros_like(replaced)
+    expected[at : at + length, row, axis] = 1
+    np.testing.assert_array_equal(replaced, expected)
+    off = np.abs(judged - right)[at : at + length, row, axis]
+    assert (off < length * bounds(p)[row, axis]).all()
+    others = expected == 0
+    np.testing.assert_array_equal(judged[others], samples[others])
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("row", range(4))
+def test_three_wrong_values_within_50_ms_end_the_test(row, axis):
+    for apart, ends in ((1, True), (12, True), (13, False)):
+        p, state = detectors(ALL[: rows.WRONG], actuator=np.zeros((N, 4)))
+        samples, _, _ = motion()
+        found = []
+        for k in range(LENGTH):
+            raw = samples[k].copy()
+            if k in (AT, AT + apart, AT + 2 * apart):
+                raw[row, axis] = math.nan
+            found.append(detect(p, state, k, NO_TARGET, raw))
+            if found[-1] >= 0:
+                break
+        assert state.judge.counts[row, axis] == 3
+        told = (rows.WRONG + row) * N + axis
+        assert (found[-1] == told) == ends
+        assert (len(found) == AT + 2 * apart + 1) == ends
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("part", [0.0, 0.3, 0.7, 0.95])
+def test_a_stop_is_accepted_at_once_or_one_sample_later(part, sign):
+    """The acceleration jumps at a part of the period before a sample, and the velocity follows."""
+    samples, _, flow = motion()
+    jump = sign * np.linalg.solve(MASS, [4000.0, 0.0])  # of the specimen's force on the first axis
+    t = DT * np.maximum(np.arange(LENGTH) - AT + 1 - part, 0.0)[:, np.newaxis]
+    lasts = np.minimum(t, 10 * DT)
+    moved = 0.5 * lasts**2 + lasts * (t - lasts)
+    samples = samples + np.stack(
+        [moved * jump, lasts * jump, ((t > 0.0) & (t <= 10 * DT)) * jump, 0.0 * t * jump], axis=1
+    )
+    flow[1:] += 0.5 * (lasts[1:] + lasts[:-1]) * jump
+    _, replaced, _ = judged_of(samples, flow)
+    for axis in range(N):
+        assert not replaced[:, [X, V, F], axis].any()
+        assert set(np.flatnonzero(replaced[:, A, axis])) <= {AT, AT + 10, AT + 11}
+
+
+def test_after_a_lost_sample_nothing_is_compared():
+    samples, _, flow = motion()
+    faulty = samples.copy()
+    faulty[AT] += 2.0 * LARGEST
+    steps = [*range(AT), AT + 1]
+    judged, replaced, _ = judged_of(faulty[: AT + 1], flow, steps)
+    assert not replaced.any()
+    np.testing.assert_array_equal(judged, faulty[: AT + 1])
+    faulty[AT, F, 1] = math.nan
+    judged, replaced, _ = judged_of(faulty[: AT + 1], flow, steps)
+    assert replaced.sum() == replaced[AT, F, 1] == 1
+    assert judged[AT, F, 1] == samples[AT - 1, F, 1]
+
+
+@pytest.mark.parametrize(
+    ("row", "mass", "oil"),
+    [
+        *((row, None, OIL) for row in (X, V)),
+        *((row, MASS, 0.0 * OIL) for row in (X, V, A, F)),
+        *((row, None, 0.0 * OIL) for row in (X, V)),
+    ],
+)
+@pytest.mark.parametrize("axis", [0, 1])
+def test_with_less_known_spikes_are_found_where_the_equations_allow(row, axis, mass, oil):
+    samples, right, flow = motion()
+    for sign in (1.0, -1.0):
+        faulty = samples.copy()
+        faulty[AT, row, axis] += sign * LARGEST[row, axis]
+        judged, replaced, _ = judged_of(faulty, flow, mass=mass, oil=oil)
+        assert replaced.sum() == replaced[AT, row, axis] == 1
+        assert abs(judged[AT, row, axis] - right[AT, row, axis]) < 0.1 * LARGEST[row, axis]
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300])
+@pytest.mark.parametrize("row", range(4))
+def test_a_first_value_that_is_no_number_is_taken_as_0(row, value):
+    samples, _, flow = motion()
+    samples[0, row, 1] = value
+    judged, replaced, _ = judged_of(samples[:1], flow)
+    assert replaced.sum() == replaced[0, row, 1] == 1
+    assert judged[0, row, 1] == 0.0

@@ -1,0 +1,147 @@
+"""Offline = nodes, and plain = compiled loop, bit for bit, for configurations drawn at random."""
+
+import numpy as np
+import pytest
+from graph_tools import JHU
+from local_tools import TARGET_MOTION, TWO_AXES, UNREHEARSED, assert_same, offline
+from seft_msgs_py.config.experiment import Experiment, parse_override
+from seft_ros.test_run.compiled_loop import build_blocks, why_not_compiled
+from seft_ros.test_run.offline import simulate_test
+from seft_ros.test_run.parameter_tables import TABLES
+
+SPECIMEN, RIG = "rig:specimen.", "rig:actuator."
+SPECIMENS = (
+    ("kind:=linear",),
+    ("kind:=bilinear", "yield_displacement:={small}"),
+    ("kind:=bouc_wen", "yield_displacement:={small}", "bouc_wen.exponent:={exponent}"),
+    ("kind:=flag", "yield_displacement:={small}", "flag.dissipation:=0.8"),
+    ("kind:=friction", "friction.force:={force}"),
+    ("kind:=gap", "gap.width:={small}", "gap.stiffness:=2.11e5"),
+    ("kind:=duffing", "duffing.cubic:=2e9"),
+)
+METHODS = (
+    TARGET_MOTION,
+    TARGET_MOTION,
+    (*TARGET_MOTION, "reference_force:loop_delay:=3"),
+    ("reference_force:compensation.method:=restoring",),
+    ("reference_force:compensation.method:=model", "reference_force:compensation.delay:=0.0139"),
+    ("reference_force:method:=eft",),
+)
+ACTUATORS = (
+    *((f"{RIG}flow_gain:={{gain}}", f"{RIG}dead_time:={{late}}"),) * 3,
+    (f"{RIG}kind:=servo_hydraulic_linear",),
+    (f"{RIG}kind:=delay", f"{RIG}delay:={{lag}}"),
+)
+DIFFERENCES = (
+    (),
+    ("rig:sensors.adc_bits:=12",),
+    ("rig:sensors.velocity:=derived",),
+    ("rig:sensors.anti_alias:=150.0",),
+    ("supervisor:limits.force:={force}",),
+    ("rig:limits.acceleration:=8.0",),
+    ("reference_force:limits.force:={force}",),
+    ("force_controller:voltage_limit:=0.4",),
+)
+WRONG = (
+    "displacement set 0.03 at {at} for 1",
+    "velocity add -0.2 at {at} for 2",
+    "acceleration flip at {at} for {some}",
+    "force set nan at {at} for 1",
+    "force add {force} at {at} for {some}",
+    "force scale 0.5 at {at}",
+    "acceleration freeze at {at}",
+    "valve stick at {at} for 20",
+    "supply scale 0.5 at {at}",
+    "specimen slip 1e-4 at {at}",
+)
+
+
+def drawn(seed):
+    """Draw the words of an experiment."""
+    rng = np.random.default_rng(seed)
+    values = {
+        **{"small": rng.uniform(5e-4, 2e-3), "force": rng.uniform(100.0, 600.0)},
+        **{"exponent": rng.uniform(1.0, 4.0), "gain": rng.uniform(0.035, 0.046)},
+        **{"late": rng.uniform(2e-4, 3e-3), "lag": rng.uniform(2e-3, 0.012)},
+        **{"at": rng.uniform(0.5, 1.6), "some": rng.integers(1, 5)},
+    }
+    values = {name: f"{value:.6g}" for name, value in values.items()}
+
+    def one_of(lists):
+        return [word.format(**values) for word in lists[rng.integers(len(lists))]]
+
+    faults = ", ".join(f'"{WRONG[k].format(**values)}"' for k in rng.choice(len(WRONG), 2))
+    words = [
+        *one_of(METHODS),
+        *(f"{SPECIMEN}{word}" for word in one_of(SPECIMENS)),
+        *one_of(ACTUATORS),
+        *one_of(DIFFERENCES),
+        f"reference_force:mass_ratio:={rng.uniform(0.2, 1.5):.4g}",
+        f"ground_motion:peak_force:={rng.uniform(100.0, 500.0):.4g}",
+        f"ground_motion:synthetic.seed:={seed}",
+        *("ground_motion:synthetic.duration:=3.0", "ground_motion:tail:=0.2"),
+        *(f"rig:seed:={seed}", f"rate:={rng.choice([250.0, 500.0, 1000.0])}"),
+        f"rig:pace:={rng.choice(['lockstep', 'realtime'])}",
+    ]
+    if rng.random() < 0.3:
+        words += TWO_AXES
+    if rng.random() < 0.7:
+        words.append(f"rig:faults:=[{faults}]")
+    if f"{RIG}kind:=delay" in words:
+        words += ["reference_force:compensation.delay:=0.02", "reference_force:loop_delay:=0"]
+        words += ["force_controller:method:=transfer_function"]
+    if not any("flow_gain" in word for word in words):
+        words = [word for word in words if "supply" not in word]
+    if "rig:sensors.velocity:=derived" in words:  # there is no such sensor
+        words = [word for word in words if '"velocity' not in word]
+    return words
+
+
+def loaded(words):
+    """Make the experiment."""
+    return Experiment.load(TABLES, [JHU], [parse_override(word) for word in words])
+
+
+def assert_equal(a, b):
+    assert a.trip == b.trip
+    for topic, series in a.series.items():
+        np.testing.assert_array_equal(series.steps, b.series[topic].steps)
+        np.testing.assert_array_equal(series.values, b.series[topic].values)
+
+
+def check_nodes(local_graph, seed):
+    with local_graph(*drawn(seed), UNREHEARSED, config=JHU) as graph:
+        graph.until("ready")
+        graph.call("start")
+        graph.until(lambda: graph.state in ("done", "tripped"))
+        record = offline(graph)
+        assert (record.trip is None) == (graph.state == "done")
+        assert_same(graph, record, steps=len(record.series["rig/state"].steps))
+
+
+def check_loops(seed):
+    experiment = loaded(drawn(seed))
+    plain, compiled = (build_blocks(experiment) for _ in range(2))
+    if why_not_compiled(compiled):
+        return
+    one = simulate_test(experiment, plain)
+    assert_equal(one, simulate_test(experiment, compiled, compiles=True))
+
+
+@pytest.mark.parametrize("seed", range(1, 25))
+def test_nodes_give_the_bits_of_the_offline_loop(local_graph, seed):
+    check_nodes(local_graph, seed)
+
+
+@pytest.mark.thorough
+@pytest.mark.offline
+@pytest.mark.parametrize("seed", range(25, 150))
+def test_nodes_give_the_bits_of_the_offline_loop_in_many_tests(local_graph, seed):
+    check_nodes(local_graph, seed)
+
+
+@pytest.mark.thorough
+@pytest.mark.offline
+@pytest.mark.parametrize("seed", range(1, 150))
+def test_the_compiled_loop_gives_the_bits_of_the_plain_one(seed):
+    check_loops(seed)
