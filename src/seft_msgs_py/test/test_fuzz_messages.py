@@ -22,7 +22,7 @@ from seft_msgs_py.wire.messages import (
     encode_string,
 )
 from seft_msgs_py.wire.outcome import Outcome, Trip, read_outcome, rig_status
-from seft_msgs_py.wire.topics import GROUND_MOTION, LOOP_TOPICS, Timebase
+from seft_msgs_py.wire.topics import GROUND_MOTION, LOOP_TOPICS, RIG_STATE, Timebase
 from seft_msgs_py.wire.trajectory import TrajectoryCodec, parse_trajectory
 
 TIMEBASE = Timebase.from_rate(500.0)
@@ -76,7 +76,7 @@ def test_decoders_raise_nothing_but_wire_errors(name, data, raw):
             if decode in LOOP_DECODERS:
                 step, values = found
                 assert step >= 0
-                assert np.isfinite(values).all()
+                assert name == RIG_STATE.name or np.isfinite(values).all()  # a sensor may fail
 
 
 TEXTS = st.text(max_size=20) | st.sampled_from(["1", "-1", "nan", "1e999", "9" * 5000, "[]", "{}"])
