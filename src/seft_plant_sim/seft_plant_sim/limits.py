@@ -33,6 +33,12 @@ def exceeds(limits: Floats, step: int, last: Floats, measured: Floats, largest: 
     return broken
 
 
+def beyond_limit(row: int, value: float, axis: str, limit: float) -> str:
+    """Say in one line that a value is beyond the limit of a row of `LIMIT_ROWS`."""
+    name, unit = LIMIT_ROWS[row].replace("_", " "), LIMIT_UNITS[row]
+    return f"{name} {value:.5g} {unit} on axis {axis} is beyond the limit of {limit:g} {unit}"
+
+
 class Limits:
     """Largest magnitudes of a sample, and of its change since the sample before.
 
@@ -75,11 +81,8 @@ class Limits:
         found = np.vstack([measured, change])
         row, column = np.argwhere(~(np.abs(found) <= self.values[:, np.newaxis]))[0]
         per = self._dt if row >= len(LIMIT_NAMES) else 1.0
-        name, unit = LIMIT_ROWS[row].replace("_", " "), LIMIT_UNITS[row]
-        return (
-            f"{name} {found[row, column] / per:.5g} {unit} on axis {self._axes[column]} "
-            f"is beyond the limit of {self.values[row] / per:g} {unit}"
-        )
+        limit = self.values[row] / per
+        return beyond_limit(int(row), found[row, column] / per, self._axes[column], limit)
 
     def margins(self) -> dict[str, float]:
         """Smallest distance to each limit since the reset, over the limit; 0 and below: broken."""

@@ -10,9 +10,9 @@ from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import compiled, copy, entry_point, kind_of
-from seft_plant_sim.limits import event_ring, is_exceeded
+from seft_plant_sim.limits import beyond_limit, event_ring, is_exceeded
 from seft_plant_sim.rig import left_open
-from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_UNITS
+from seft_plant_sim.rig_parameters import LIMIT_NAMES
 
 from seft_ros.force_controller.detection import detectors_of
 from seft_ros.force_controller.force_control import ForceControl
@@ -421,12 +421,8 @@ class Interlock:
 
     def _beyond(self) -> str:
         limits, sample = self.parameters.limits, self.state.measured
-        row, column = np.argwhere(np.abs(sample) > limits[:, np.newaxis])[0]
-        unit = LIMIT_UNITS[row]
-        return (
-            f"{LIMIT_NAMES[row]} {sample[row, column]:.5g} {unit} on axis {self._axes[column]} is "
-            f"beyond the limit of {limits[row]:g} {unit}"
-        )
+        row, column = np.argwhere(np.abs(sample) > limits[:, np.newaxis])[0].tolist()
+        return beyond_limit(row, sample[row, column], self._axes[column], limits[row])
 
     def implausible(self, reference_force: Floats) -> str:
         """Say what is wrong with a reference force, shape (n,); empty if nothing is."""

@@ -20,11 +20,6 @@ class MatchedForces:
     def __init__(self) -> None:
         self._points: dict[int, Floats] = {}
 
-    @property
-    def pending(self) -> int:
-        """Number of forces whose states have not arrived."""
-        return len(self._points)
-
     def reset(self, in_lockstep: bool = False) -> None:
         """Begin a new test; each force is waited for, also in lockstep."""
         self._points.clear()

@@ -38,7 +38,6 @@ from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.test_run.state_machine import SampleOrder
 
 _REPORT_PERIOD = 1.0  # s between two reports of link and valves while a test runs
-STATE_WAIT = 0.0005  # s between polls for a state that is later than its reference force
 
 
 class ForceControllerNode(NodeBody):
@@ -85,8 +84,6 @@ class ForceControllerNode(NodeBody):
         self._state_codec = TrajectoryCodec(RIG_STATE.of(rig), axes, timebase)
         # the reference force is one message for all rigs
         self._places = list(rig.places) if rig.name else slice(None)
-        # without a link the state of a step nearly always arrives before the force that answers it:
-        # only the force wakes the node
         shell.subscribe(topic, self._on_force, reliable=False)
         if len(experiment.rigs) == 1 and self._previews is None:
             # a separate controller, so that a rehearsal does not influence a test
@@ -132,9 +129,7 @@ class ForceControllerNode(NodeBody):
         self._trip(reason)
 
     def period(self) -> float:
-        """Poll soon while a force waits for its state, and for the watchdog."""
-        if isinstance(self._forces, MatchedForces) and self._forces.pending:
-            return STATE_WAIT
+        """Poll in time for the watchdog."""
         return min(IDLE_WAIT, self._timeout / 8) if self._heard_at < math.inf else IDLE_WAIT
 
     def _on_experiment_state(self, raw: bytes, _: int) -> None:

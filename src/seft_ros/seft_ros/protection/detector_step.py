@@ -1,4 +1,4 @@
-"""The detectors, step by step: `detect` passes a sample to each of them.
+"""The detectors, step by step: `judge_sample` passes a judged sample to each of them.
 
 The measured channels must agree with each other (`channel_relations`), with what a specimen can do
 (`specimen_force`) and with the target. A deviation of a few samples is a spike, so each detector
@@ -33,15 +33,13 @@ from seft_ros.protection.detectors import (
     look,
     sees,
 )
-from seft_ros.protection.judge import begin_judge, judge
+from seft_ros.protection.judge import NEVER, begin_judge, judge
 from seft_ros.protection.specimen_force import (
     look_at_response,
     look_at_restoring_force,
     look_at_work,
 )
 from seft_ros.protection.valve_following import begin_following
-
-_NEVER = -(2**40)
 
 OF_SENSORS = (0, 1, SECOND_ORDER_WORK, JUMP)
 """Detectors that make a sample suspect."""
@@ -68,7 +66,7 @@ def begin_detectors(state: DetectorState) -> None:
     state.repeats[:] = 0
     state.counts[:] = 0
     state.shares[:] = 0.0
-    state.step[:] = _NEVER
+    state.step[:] = NEVER
     begin_judge(state.judge)
 
 

@@ -10,12 +10,12 @@ from seft_msgs_py.arrays import Floats, Ints
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.sensors import CHANNELS
 
-from seft_ros.protection.judge import JudgeParameters, JudgeState, judge_arrays
+from seft_ros.protection.judge import LASTS, JudgeParameters, JudgeState, judge_arrays
 from seft_ros.protection.valve_following import UNCERTAIN_DELAY, doubt
 
-LASTS, LONG_LASTS = 0.006, 0.02
-"""Times for which a detector must be beyond its threshold, s: longer than a spike; and longer than
-the effects of a specimen that slips or hits a stop, or of a valve at its limit."""
+LONG_LASTS = 0.02
+"""Time for which some detectors must be beyond their thresholds, s: longer than the effects of a
+specimen that slips or hits a stop, or of a valve at its limit. For the others it is `LASTS`."""
 
 WARNING = 0.8
 """Part of its threshold at which a detector warns: noise alone reaches 0.75 in a test."""
@@ -353,7 +353,6 @@ def detector_arrays(
     oil = np.where(known, f / actuator[:, 1], np.inf)
     jumps, rates = np.array([x, v, oil]), dt * np.array([v, a, v])
     sums = np.sqrt(jumps**2 * 2.0 / (1.0 + fade) + rates**2 / (2.0 * (1.0 - fade)))
-    rough = np.sqrt(6.0 * (f**2 + mass**2 @ a**2))
     unknown = 0.0 if mass.any() and stiffness.any() else math.inf
     by_force = np.zeros_like(mass) if has_valve or not mass.any() else np.linalg.inv(mass)
     spans = np.array([[each.lasts, longest_hold * each.of_valve] for each in DETECTORS])
@@ -388,13 +387,13 @@ def detector_arrays(
         computed_mass=computed_mass,
         noise=np.array([x, v, a, f]),
         dither=noise,
-        range=np.where(ranges > 0.0, ranges, np.inf),
+        range=judging.range,
         limited=math.ceil(LIMITED / dt),
         sums=SIGMAS * sums,
         bias=BIAS * rates,
-        late=UNCERTAIN_DELAY if velocity_is_derived else 0.0,
+        late=judging.late,
         steps=SIGMAS * np.sqrt(2.0 * oil**2 + (dt * v) ** 2 / 2.0),
-        rough=SIGMAS * rough + unknown,
+        rough=judging.noise[3] + unknown,
         unknown=unknown,
         tolerance=np.array(TOLERANCES),
         off_target=OFF_TARGET,

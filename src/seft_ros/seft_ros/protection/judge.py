@@ -262,7 +262,7 @@ def judge(
                 judged[row, i] = state.judged[0, row, i]
     if state.taken[1] > 0:
         for i in range(n):
-            expect_force(p, state, flow, judged, i)
+            expect_missing(p, state, flow, judged, i)
         compare_accelerations(p, state, judged)
         for i in range(n):
             judge_motion(p, state, judged, i)
@@ -313,7 +313,7 @@ def expected_force(
 
 
 @compiled
-def expect_force(
+def expect_missing(
     p: JudgeParameters, state: JudgeState, flow: Floats, judged: Floats, i: int
 ) -> None:
     """Expect values for those that are no numbers, before others are compared with them."""
