@@ -137,10 +137,13 @@ class InterruptAt:
         self.left = line
 
     def __enter__(self):
+        # a process that a shell starts in the background ignores SIGINT
+        self.before = signal.signal(signal.SIGINT, signal.default_int_handler)
         sys.settrace(self.trace)
 
     def __exit__(self, *_):
         sys.settrace(None)
+        signal.signal(signal.SIGINT, self.before)
 
     def trace(self, frame, event, _):
         name = frame.f_code.co_filename
