@@ -48,11 +48,15 @@ class Command:
         A message determines the commands of its step and of so many later steps.
     rig : RigAxes, optional
         The rig that the command is for, if the topic has the axes of several.
+    is_plan : bool
+        Whether later points of a message are the commands of later steps, and no forecasts.
 
     Attributes
     ----------
     limit, loop_delay : float, int
         As given.
+    stops_since : int or None
+        Step from which on messages are plans: since then their sender brings the rig to rest.
     step : int
         Last step whose command is known; -1: none.
     current : int
@@ -62,9 +66,15 @@ class Command:
     """
 
     def __init__(
-        self, codec: TrajectoryCodec, limit: float, loop_delay: int = 0, rig: RigAxes | None = None
+        self,
+        codec: TrajectoryCodec,
+        limit: float,
+        loop_delay: int = 0,
+        rig: RigAxes | None = None,
+        *,
+        is_plan: bool = False,
     ) -> None:
-        self.codec = codec
+        self.codec, self._is_plan = codec, is_plan
         self._rig = rig or RigAxes.whole(codec.axes)
         self._places = None if self._rig.axes == codec.axes else list(self._rig.places)
         self.limit = limit
@@ -75,6 +85,7 @@ class Command:
         """Back to no drive, before the first sample of a test."""
         self.answered = self.current = -1
         self.step = self.loop_delay - 1
+        self.stops_since: int | None = None
         nothing = np.zeros((1 + self.loop_delay, len(self._rig.axes)))
         self._messages = MessagesAhead(self.loop_delay, nothing)
 
@@ -87,6 +98,15 @@ class Command:
         age, points = self._messages.of(self.current)
         value: Floats = points[min(age, len(points) - 1)]
         return value
+
+    @property
+    def plan(self) -> tuple[Floats, Floats | None]:
+        """Commands of the present step and the coming ones in the newest message, shape (m, n).
+
+        Also that of the last step, shape (n,), if the message is older.
+        """
+        age, points = self._messages.of(self.current)
+        return points[age:], points[age - 1] if 0 < age <= len(points) else None
 
     def take(self, raw: bytes) -> None:
         """Take a message.
@@ -106,7 +126,7 @@ class Command:
                 f"{name} of step {step} after that of step {self.answered}: stale, duplicated or "
                 "out of order"
             )
-        settled = values[: 1 + self.loop_delay, 0]  # later points of a target are forecasts
+        settled = values[: None if self._is_plan else 1 + self.loop_delay, 0]
         points = settled if self._places is None else settled[:, self._places]
         worst = points[0] if len(points) == 1 else points[np.abs(points).max(axis=1).argmax()]
         for axis, number in zip(self._rig.axes, worst.tolist(), strict=True):
@@ -117,5 +137,9 @@ class Command:
                     f"limit of {self.limit:g} {unit}"
                 )
         self.answered = step
+        if not (self._is_plan and len(points) > 1):
+            self.stops_since = None
+        elif self.stops_since is None:
+            self.stops_since = step
         self._messages.add(step, points)
         self.step = step + self.loop_delay

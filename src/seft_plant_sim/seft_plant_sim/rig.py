@@ -151,8 +151,10 @@ class Rig:
         self.kind = kind_of(both)
         arguments = 0, self._command, noise, measured
         self._step = entry_point(rig_step, *both, *arguments, kind=self.kind)
-        room, safely = self._command, (self._command, self._command, 0, 0)
-        self._rest = entry_point(come_to_rest, *both, 0, *safely, room, kind=self.kind)
+        one, plan = self._command, np.zeros((0, n))
+        self._rest = entry_point(
+            come_to_rest, *both, 0, plan, one, one, one, 0, 0, one, kind=self.kind
+        )
 
     @classmethod
     def from_parameters(
@@ -220,18 +222,23 @@ class Rig:
         self._command[:] = command
         return self._sample(self.step_index + 1)
 
-    def stop(self) -> Stopped:
+    def stop(self, plan: Floats | None = None, planned: Floats | None = None) -> Stopped:
         """Move the valve to its safe position and simulate the rig until it is at rest.
 
-        A closed valve locks the piston: the oil column rings, friction and leakage damp it, and the
-        remaining force decays. After that `sample` is the true state, and no limit trips.
+        Before that it follows a plan, the commands of this step and the coming ones, shape (m, n),
+        unless it ends the test by itself (`violation`). If the plan had another command for the
+        last step, ``planned``, the difference goes in the time in which the valve closes. A closed valve locks the piston: the oil
+        column rings, friction and leakage damp it, and the remaining force decays. After that
+        `sample` is the true state, and no limit trips.
         """
         if self._safe is None:
             return Stopped(0, 0.0)
+        if plan is None or self.violation is not None:
+            plan = np.zeros((0, len(self._command)))
         room, last, safe = np.empty_like(self._command), self.state.asked.copy(), self.safe_command
-        ends = last, safe, self._safe.closing, self._safe.longest
+        ends = last - (last if planned is None else planned), last, safe, self._safe.closing, self._safe.longest
         step = self.step_index
-        stopped = Stopped(*self._rest(self.parameters, self.state, step, *ends, room))
+        stopped = Stopped(*self._rest(self.parameters, self.state, step, plan, *ends, room))
         self._forces.append(stopped.peak_force)
         return stopped
 
@@ -355,10 +362,10 @@ class Rigs:
         """Apply a command and take the next sample, see `Rig.step`."""
         return self._gather(rig.step(command[places]) for places, rig in self._rigs)
 
-    def stop(self) -> None:
-        """Bring all of them to rest, see `Rig.stop`."""
-        for _, rig in self._rigs:
-            rig.stop()
+    def stop(self, plans: Sequence[Floats] | None = None) -> None:
+        """Bring all of them to rest, see `Rig.stop`; ``plans`` are one for each."""
+        for place, (_, rig) in enumerate(self._rigs):
+            rig.stop(plans and plans[place])
 
     def simulated(self, first: int | None = None) -> Simulated:
         """Largest true motion of any of them, see `Rig.simulated`."""

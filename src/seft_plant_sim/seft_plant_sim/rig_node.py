@@ -73,6 +73,8 @@ class RigNode(NodeBody):
             delay = max(self._section["loop_delay"], 0)
             axes = experiment.axes
             self._drive = self._command(topics.REFERENCE_FORCE, axes, "limits.force", delay)
+        reserve = topics.STOP_COMMAND.of(shell.rig)
+        self._reserve = self._command(reserve, shell.rig.axes, "limits.command")
         self.facts: dict[str, Any] = {"drive": self._drive.codec.topic.name}
         self._rehearsal: rig_watch.Rehearsal | None = None
         is_realtime = self._section["pace"] == "realtime"
@@ -152,7 +154,8 @@ class RigNode(NodeBody):
     ) -> Command:
         codec = TrajectoryCodec(topic, axes, self._timebase)
         rig = None if axes == self._shell.rig.axes else self._shell.rig
-        command = Command(codec, self._section[limit], loop_delay, rig)
+        is_plan = topic.units == topics.VALVE_COMMAND.units
+        command = Command(codec, self._section[limit], loop_delay, rig, is_plan=is_plan)
 
         def receive(raw: bytes, _: int) -> None:
             command.take(raw)
@@ -165,8 +168,8 @@ class RigNode(NodeBody):
         return command
 
     def _run_test(self, wanted: Status) -> None:
-        self._valve.reset()
-        self._drive.reset()
+        for command in (self._valve, self._drive, self._reserve):
+            command.reset()
         self._stop_begun = None
         self._missed: list[int] = []
         self._held: list[int] = []  # step of the command applied at each of them
@@ -189,7 +192,7 @@ class RigNode(NodeBody):
                 reason = self._shell.fault("a step", error)
         step = self._rig.step_index
         self._publish_clock(step)
-        stopped = self._rig.stop()
+        stopped = self._rig.stop(*(self._plan() if reason is not None else ()))
         if reason is None:
             self._report(FINISHED, stopped=stopped)
             return
@@ -212,6 +215,11 @@ class RigNode(NodeBody):
             self._samples = rig_watch.SampleClock(self._timebase.dt, start, makes_up=makes_up)
         while self._publish(step := rig.step_index, state):
             why = wait(step, step == last)
+            begun = self._drive.stops_since
+            if begun is not None and self._stop_begun is None:
+                self._stop_begun = begun
+            if begun is not None and begun < step:
+                rig.violation = None  # the controller brings the rig to rest
             if why is not None or rig.violation is not None:
                 return rig.violation or why
             if step == last:
@@ -220,6 +228,12 @@ class RigNode(NodeBody):
                 self._report_if_due()
             state = rig.step(self._drive.value)
         return rig.violation
+
+    def _plan(self) -> tuple[Floats | None, ...]:
+        """Give the stop that the controller has sent, for a rig with valves, see `Rig.stop`."""
+        if self._drive is not self._valve:
+            return ()
+        return self._reserve.plan if self._valve.stops_since is None else self._valve.plan[:1]
 
     def _start_together(self, wanted: Status) -> str | None:
         """Wait for the moment at which all rigs start; give the reason if they can't.
@@ -332,7 +346,7 @@ class RigNode(NodeBody):
 
     def _publish(self, step: int, state: Floats) -> bool:
         """Publish a sample; False if it is not finite, because messages must be finite."""
-        self._valve.current = self._drive.current = step
+        self._valve.current = self._drive.current = self._reserve.current = step
         try:
             raw = self._state_codec.encode(step, state)
         except WireError:

@@ -215,29 +215,55 @@ def come_to_rest(
     parameters: RigParameters,
     state: RigState,
     step: int,
+    plan: Floats,
+    offset: Floats,
     last: Floats,
     safe: Floats,
     closing: int,
     longest: int,
     command: Floats,
 ) -> tuple[int, float]:
-    """Move the drive from the last command to its safe value, until the rig is at rest.
+    """Follow the commands of a plan, then move to the safe value, until the rig is at rest.
 
-    ``step`` is that of the last sample; ``command`` is room of shape (n,), for the others see
-    `seft_plant_sim.rig.Safe`. Gives the number of steps and the largest true force, N.
+    The offset of the last command from the plan goes in the time in which a valve closes.
+
+    Parameters
+    ----------
+    parameters, state
+        The state is updated.
+    step : int
+        Of the last sample.
+    plan : ndarray
+        Shape (m, n); m is 0 without a plan.
+    offset, last : ndarray
+        The last command, and how much more it is than planned, shapes (n,).
+    safe, closing, longest
+        See `seft_plant_sim.rig.Safe`; the last counts from the end of the plan on.
+    command : ndarray
+        Room, shape (n,).
+
+    Returns
+    -------
+    tuple of int and float
+        Number of steps, and the largest true force, N.
     """
-    n = len(safe)
+    n, planned = len(safe), len(plan)
     steps, resting, peak = 0, 0, 0.0
-    while steps < longest and resting < RESTS:
+    while steps < planned + longest and resting < RESTS:
         left = left_open(steps + 1, closing)
         for i in range(n):
-            command[i] = safe[i] + left * (last[i] - safe[i])
+            if steps < planned:
+                command[i] = plan[steps, i] + left * offset[i]
+            else:
+                end = plan[planned - 1, i] if planned else last[i]
+                left = left_open(steps - planned + 1, closing)
+                command[i] = safe[i] + left * (end - safe[i])
         move(parameters, state, step + steps, command)
         peak = max(peak, state.peaks[FORCE_NOW])
         steps, fastest = steps + 1, 0.0
         for i in range(n):
             fastest = max(fastest, abs(state.true[n + i]))
-        resting = resting + 1 if fastest < _AT_REST else 0
+        resting = resting + 1 if fastest < _AT_REST and steps > planned else 0
     return steps, peak
 
 

@@ -310,6 +310,9 @@ VALVE_COMMAND = LoopTopic(
     quantities=("effort",),
     units=("V",),
 )
+"""After a trip of its publisher a message has several points: the commands until rest."""
+STOP_COMMAND = replace(VALVE_COMMAND, name="stop_command", subscribers=(), depth=4, recorded=False)
+"""The commands of a stop that would begin at its step; a rig that ends a test may follow them."""
 LOOP_TOPICS = (GROUND_MOTION, RIG_STATE, JUDGED, REFERENCE_FORCE, VALVE_COMMAND)
 
 REHEARSE = "rehearse"
@@ -345,9 +348,9 @@ LINK_PING = Topic("link/ping", STRING, depth=256, recorded=False)
 LINK_PONG = Topic("link/pong", STRING, depth=256, recorded=False)
 """Messages over a link and back, for `seft link`."""
 
-TOPICS = (*STEP_TOPICS, EXPERIMENT_STATE, DESCRIPTION, DIAGNOSTICS, CLOCK_TOPIC)
+TOPICS = (*STEP_TOPICS, STOP_COMMAND, EXPERIMENT_STATE, DESCRIPTION, DIAGNOSTICS, CLOCK_TOPIC)
 
-RIG_TOPICS = (RIG_STATE, JUDGED, VALVE_COMMAND)
+RIG_TOPICS = (RIG_STATE, JUDGED, VALVE_COMMAND, STOP_COMMAND)
 """Topics of which each of several rigs has its own."""
 
 

@@ -25,7 +25,6 @@ from seft_msgs_py.wire.topics import (
     GROUND_MOTION,
     NANOSECONDS_PER_SECOND,
     REFERENCE_FORCE,
-    TARGET,
     LoopTopic,
     RigAxes,
     Timebase,
@@ -43,12 +42,12 @@ _LEVELS = {OK: "ok", WARN: "warn", ERROR: "error", STALE: "stale"}
 def points_ahead(topic: LoopTopic, experiment: Experiment) -> float:
     """Give how many points of a message count, beside the first.
 
-    Over a link, a message holds the reference force of later steps, too. Of a target, which is
-    revised from step to step, the first point of each message counts.
+    Over a link, a message holds the reference force of later steps, too. Of a target and of a stop,
+    which are revised from step to step, the first point of each message counts.
     """
     if topic == REFERENCE_FORCE:
         return max(experiment.sections.get("reference_force", {}).get("loop_delay", 0), 0)
-    return 0 if topic == TARGET else inf
+    return inf if topic == GROUND_MOTION else 0
 
 
 class SeriesGatherer:

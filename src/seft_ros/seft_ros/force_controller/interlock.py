@@ -30,11 +30,13 @@ from seft_ros.protection.detectors import (
 )
 from seft_ros.protection.protection_step import extrapolate
 
-TRIP, STEP, SATURATED, DETECTED = range(4)
-"""Places of the flags: reason and step of the trip, number of limited drives, and the detector that
-has found a fault."""
+TRIP, STEP, SATURATED, DETECTED, ANSWERED = range(5)
+"""Places of the flags: reason and step of the trip, number of limited drives, the detector that has
+found a fault, and the last step that the controller answered."""
 NO_TRIP, IMPLAUSIBLE, IMPLAUSIBLE_COMMAND, SATURATION, FAULT, LIMIT, OUTSIDE = range(7)
 """Reasons of a trip; the last one is a reason from outside."""
+SOUND = NO_TRIP, IMPLAUSIBLE, LIMIT
+"""With these, sensors, valves and controller are sound, so that a stop can follow the plan."""
 
 
 class InterlockParameters(NamedTuple):
@@ -48,6 +50,8 @@ class InterlockParameters(NamedTuple):
         Steps of a second.
     closing : float
         Steps in which the valve closes after a trip.
+    has_stop : bool
+        Whether the controller can stop along its plan.
     limits : ndarray
         Largest judged displacement, velocity, acceleration and force, shape (4,).
     detectors : DetectorParameters
@@ -57,6 +61,7 @@ class InterlockParameters(NamedTuple):
     largest: float
     window: int
     closing: float
+    has_stop: bool
     limits: Floats
     detectors: DetectorParameters
 
@@ -67,7 +72,7 @@ class InterlockState(NamedTuple):
     Attributes
     ----------
     flags : ndarray
-        See `TRIP`, shape (4,).
+        See `TRIP`, shape (5,).
     saturated : ndarray
         The last steps at which the drive was limited, see `is_exceeded`.
     force, measured, odd : ndarray
@@ -129,8 +134,7 @@ def precheck(
 
     The controller answers `InterlockState.plan` and `InterlockState.sample`. While a sample is
     suspect, these are the motion that the last sound target has predicted for this step; without a
-    target, the last sound command is held. After a trip the valve closes from there, in some time:
-    a valve that closes at once on a moving mass makes a pressure surge in the oil.
+    target, the last sound command is held. At a trip the stop begins, see `Interlock.stop`.
 
     Parameters
     ----------
@@ -145,7 +149,7 @@ def precheck(
     command : ndarray
         Shape (n,), V.
     """
-    last, n, left = points.shape[1] - 1, points.shape[2], 1.0
+    last, n = points.shape[1] - 1, points.shape[2]
     if state.flags[TRIP] == NO_TRIP:
         fits, found = True, state.flags[DETECTED]
         for i in range(n):
@@ -157,18 +161,17 @@ def precheck(
                 found = first_of(found, away)
         if fits and found == VALID:
             take_plan(state, points, judged)
+            state.flags[ANSWERED] = step
             return True
         if fits and found == SUSPECT and last and state.plan.shape[1] > 1:
             follow_plan(state, parameters.detectors.dt)
+            state.flags[ANSWERED] = step
             return True
         if not fits or found >= 0:
             trip(state, FAULT if fits else IMPLAUSIBLE, step)
             state.flags[DETECTED] = found
             copy(n, points[0, last], state.force)
-    if state.flags[TRIP] != NO_TRIP:
-        left = left_open(step + 1 - state.flags[STEP], parameters.closing)
-    for i in range(n):
-        command[i] = left * state.drive[i]
+    begin_stop(parameters, state, command)
     take_command(parameters.detectors, state.detectors, command, False)
     return False
 
@@ -217,18 +220,27 @@ def postcheck(
         if is_exceeded(state.saturated, state.flags[SATURATED], step, parameters.window):
             trip(state, SATURATION, step)
         state.flags[SATURATED] += 1
-    for i in range(len(command)):
-        if state.flags[TRIP] == NO_TRIP:
-            state.drive[i] = command[i]
-        else:
-            state.odd[i] = command[i]
-            command[i] = left_open(1, parameters.closing) * state.drive[i]
+    if state.flags[TRIP] == NO_TRIP:
+        copy(len(command), command, state.drive)
+    else:
+        copy(len(command), command, state.odd)
+        begin_stop(parameters, state, command)
     take_command(parameters.detectors, state.detectors, command, limited)
 
 
 @compiled
+def begin_stop(parameters: InterlockParameters, state: InterlockState, command: Floats) -> None:
+    """Give the command of the step of a trip; without a trip, hold the last one."""
+    why, left = state.flags[TRIP], 1.0
+    if why != NO_TRIP and not (parameters.has_stop and why in SOUND):
+        left = left_open(1, parameters.closing)
+    for i in range(len(command)):
+        command[i] = left * state.drive[i]
+
+
+@compiled
 def trip(state: InterlockState, why: int, step: int) -> None:
-    """Close the valve from now on."""
+    """Stop from now on."""
     state.flags[TRIP] = why
     state.flags[STEP] = step
 
@@ -236,7 +248,7 @@ def trip(state: InterlockState, why: int, step: int) -> None:
 class Interlock:
     """A `ForceControl` that refuses implausible values, and does not stay at its limit for long.
 
-    After a trip it closes the valve, and then answers 0 V until the next test.
+    After a trip it brings the rig to rest, see `stop`, and then answers 0 V until the next test.
 
     Parameters
     ----------
@@ -278,10 +290,15 @@ class Interlock:
         dt = detectors[0].dt
         self._longest, (saturated, window) = longest_saturation, event_ring(longest_saturation, dt)
         self.parameters = InterlockParameters(
-            float(largest_force), window, close_time / dt, np.array(limits), detectors[0]
+            float(largest_force),
+            window,
+            close_time / dt,
+            hasattr(controller, "stop"),
+            np.array(limits),
+            detectors[0],
         )
         self.state = InterlockState(
-            flags=np.zeros(4, dtype=np.int64),
+            flags=np.zeros(5, dtype=np.int64),
             saturated=saturated,
             force=np.zeros(n),
             measured=np.zeros((4, n)),
@@ -357,10 +374,10 @@ class Interlock:
     def reset(self) -> None:
         """Begin a new test; also after a trip."""
         self.controller.reset()
-        self.state.flags[:], self.state.drive[:] = 0, 0.0
+        self.state.flags[:], self.state.drive[:], self.state.plan[:] = 0, 0.0, 0.0
         self.state.flags[DETECTED] = VALID
         self._begin_detectors(self.state.detectors)
-        self._outside = ""
+        self._outside, self._stopping = "", np.zeros((0, len(self._axes)))
 
     def judge(self, index: int, raw: Floats) -> Floats:
         """Judge the sample of a step, shape (4, n), see `judge_sample`."""
@@ -392,10 +409,36 @@ class Interlock:
             command[:] = self.controller.step(self.state.plan, self.state.sample)
             limited = self.controller.limited
             self._end(self.parameters, self.state, index, limited, command)
+        elif 0 <= self.step_index < index:
+            command[:] = self.stop(index)[0]
         return command
 
+    def stop(self, index: int) -> Floats:
+        """Give the commands of a stop, from a step on; shape (m, n), V.
+
+        It goes along the plan of a controller that has a ``stop``, unless sensors, valves or the
+        controller are at fault. Then, and else at once, the valve closes, in some time: a valve
+        that closes at once on a moving mass makes a pressure surge in the oil. Before a trip, it is
+        the stop that would begin at the last answered step.
+        """
+        state, first = self.state, self.step_index
+        stopping, is_sound = self._stopping, state.flags[TRIP] in SOUND
+        if first < 0 or not len(stopping):
+            last, stopping = state.drive, np.zeros((0, len(state.drive)))
+            if is_sound and self.parameters.has_stop:
+                controller: Any = self.controller
+                stopping = np.vstack([last, controller.stop(state.plan)])
+                last = stopping[-1]
+            closing = self.parameters.closing
+            left = [left_open(taken, closing) for taken in range(1, math.ceil(closing) + 1)]
+            stopping = np.vstack([stopping, np.outer([*left, 0.0], last)])
+        if first < 0:
+            return stopping
+        self._stopping = stopping
+        return stopping[min(index - first, len(stopping) - 1) :]
+
     def trip(self, index: int, reason: str) -> None:
-        """Close the valve from now on; the first reason is kept."""
+        """Stop from now on; the first reason is kept."""
         if not self.reason:
             self._outside, self.state.flags[TRIP], self.state.flags[STEP] = reason, OUTSIDE, index
 
@@ -476,6 +519,10 @@ class Interlocks:
         for places, interlock in self._rigs:
             drive[places] = interlock.step(index, points[:, :, places], judged[:, places])
         return drive
+
+    def stop(self, index: int) -> list[Floats]:
+        """Give the commands of the stop of each rig, see `Interlock.stop`."""
+        return [interlock.stop(index) for _, interlock in self._rigs]
 
 
 def interlock_of(experiment: Experiment) -> Interlock | Interlocks:

@@ -30,6 +30,7 @@ from seft_plant_sim.compiled import compiled, entry_point
 from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.valve_model import ASSUMED_ACTUATOR, read_actuators, valve_models
+from seft_ros.protection.protection_step import slow_down, stop_steps
 from seft_ros.protection.valve_following import begin_following, doubt, follow_valve, under_load
 from seft_ros.reference_force.compensator import NotLinearError
 from seft_ros.reference_force.observers import observe, observer_gains, sensor_noise
@@ -211,6 +212,38 @@ def _follow(p: FeedforwardParameters, state: FeedforwardState, i: int, force: fl
     follow_valve(state.errors[i], state.covariance[i], gain * flow, gain * later, seen, p.doubt[i])
 
 
+@compiled
+def feedforward_stop(
+    parameters: FeedforwardParameters,
+    state: FeedforwardState,
+    plan: Floats,
+    slowed: Floats,
+    sample: Floats,
+    commands: Floats,
+) -> None:
+    """Find the commands that bring the rig to rest along a plan.
+
+    Parameters
+    ----------
+    parameters, state
+        See `feedforward_step`; the state is used up.
+    plan, slowed : ndarray
+        See `slow_down`; the second is room of shape (N + taps + 2, 3, n).
+    sample : ndarray
+        Room, shape (4, n): the slowed target takes the place of samples.
+    commands : ndarray
+        From the step after that of the plan on, shape (N, n), V. The result.
+    """
+    slow_down(plan, len(commands), slowed)
+    for j in range(len(commands)):
+        points = slowed[j + 1 :]
+        for i in range(commands.shape[1]):
+            sample[0, i], sample[1, i] = points[0, 0, i], points[0, 1, i]
+            sample[2, i] = (points[1, 1, i] - points[0, 1, i]) / parameters.dt
+            sample[3, i] = points[0, 2, i]
+        feedforward_step(parameters, state, points, sample, commands[j])
+
+
 class VelocityFeedforward:
     """Force controller of n axes that opens the valves for the future motion.
 
@@ -292,6 +325,11 @@ class VelocityFeedforward:
         self._command, both = np.zeros(n), (self.parameters, self.state)
         arguments = self._points, self._measured, self._command
         self._step = entry_point(feedforward_step, *both, *arguments)
+        steps = stop_steps(1 + horizon, dt)
+        slowed = np.zeros((steps + needed + 2, 3, n))
+        self._room = slowed, np.zeros((4, n)), np.zeros((steps, n))
+        self._used_up = FeedforwardState(*(np.zeros_like(each) for each in self.state))
+        self._stop = entry_point(feedforward_stop, *both, self._points, *self._room)
         self._begin = entry_point(begin_feedforward, *both)
         self.reset()
 
@@ -340,3 +378,13 @@ class VelocityFeedforward:
             self.parameters, self.state, self._points, self._measured, self._command
         )
         return self._command.copy()
+
+    def stop(self, plan: Floats) -> Floats:
+        """Give the commands that bring the rig to rest, from the next step on; (N, n), V.
+
+        ``plan`` has the target's points of the last step and the coming ones, shape `shape` and n.
+        """
+        for used, own in zip(self._used_up, self.state, strict=True):
+            used[...] = own
+        self._stop(self.parameters, self._used_up, plan, *self._room)
+        return self._room[-1].copy()

@@ -20,6 +20,7 @@ from seft_msgs_py.wire.topics import (
     LINK_PONG,
     REFERENCE_FORCE,
     RIG_STATE,
+    STOP_COMMAND,
     TARGET,
     VALVE_COMMAND,
     rehearsed,
@@ -37,6 +38,7 @@ from seft_ros.protection.detectors import WARNING
 from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.test_run.state_machine import SampleOrder
 
+_STOP_PERIOD = 0.01  # s of the test, between two stops in reserve: little of a stop
 _REPORT_PERIOD = 1.0  # s between two reports of link and valves while a test runs
 
 
@@ -46,8 +48,9 @@ class ForceControllerNode(NodeBody):
     If the reference force comes over a link, it answers each state at once with the force that the
     newest message has for its step.
 
-    After a trip it answers every further state with 0 V. It sends nothing without a state: if the
-    rig's states are missing, 0 V for its last step would be stale.
+    After a trip it answers every further state with the commands of a stop, from that step until
+    rest. Before, it sends in reserve the stop that would begin now. It sends nothing without a
+    state: if the rig's states are missing, 0 V for its last step would be stale.
     """
 
     def __init__(self, shell: NodeShell) -> None:
@@ -59,6 +62,9 @@ class ForceControllerNode(NodeBody):
         self._estimates = getattr(self._controller.controller, "estimates", None)
         self._command_codec = TrajectoryCodec(VALVE_COMMAND.of(rig), axes, timebase)
         self._publish = shell.publisher(self._command_codec.topic)
+        self._stop_codec = TrajectoryCodec(STOP_COMMAND.of(rig), axes, timebase)
+        self._publish_stop = shell.publisher(self._stop_codec.topic)
+        self._stop_steps = max(1, round(_STOP_PERIOD / timebase.dt))
         self._judged_codec = TrajectoryCodec(JUDGED.of(rig), axes, timebase)
         self._publish_judged = shell.publisher(self._judged_codec.topic)
         self._states: dict[int, Floats] = {}
@@ -233,8 +239,15 @@ class ForceControllerNode(NodeBody):
 
     def _answer(self, step: int, points: Floats, state: Floats) -> None:
         was_tripped = bool(self._controller.reason)
-        command = self._controller.step(step, points, state)
-        self._publish(self._command_codec.encode(step, command))
+        controller = self._controller
+        command = controller.step(step, points, state)
+        if controller.reason:
+            self._publish(self._command_codec.encode_points(step, controller.stop(step)))
+        else:
+            self._publish(self._command_codec.encode(step, command))
+            if step % self._stop_steps == 0 and controller.parameters.has_stop:
+                stop = controller.stop(step)  # after the answer there is time
+                self._publish_stop(self._stop_codec.encode_points(step, stop))
         self._order.last = step
         for passed in [other for other in self._states if other <= step]:
             del self._states[passed]

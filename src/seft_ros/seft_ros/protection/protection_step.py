@@ -48,14 +48,52 @@ def extrapolated(points: Floats, age: int, count: int, dt: float) -> Floats:
     return result
 
 
-BEGUN, TAKEN = range(2)
-"""Places of the state of `next_factor`: whether the ramp has begun, and its steps so far."""
-
-
 @compiled
 def ramp_factor(taken: int, steps: int) -> float:
     """Factor of step ``taken`` of a ramp of some steps: half a cosine."""
     return 0.5 * (1.0 + math.cos(math.pi * taken / steps)) if taken < steps else 0.0
+
+
+STOP_TIME = 0.1
+"""Longest duration of a stop along the plan, s: ten periods of an oil column of 100 Hz."""
+
+
+def stop_steps(points: int, dt: float) -> int:
+    """Give the steps of a stop: `STOP_TIME`, or twice a shorter plan of so many points."""
+    return 2 * min(points - 1, round(STOP_TIME / 2 / dt))
+
+
+@compiled
+def slow_down(plan: Floats, steps: int, slowed: Floats) -> None:
+    """Slow a target down to rest, on its path and without a sample.
+
+    The plan has the target's motion x*(t), v*(t) and force f*(t). With the progress w(t) = (1 +
+    cos(pi t / T)) / 2 and its integral theta, the slowed target is at x*(theta), with the velocity
+    w v*(theta) and the force f*(theta). So it needs T / 2 of the plan.
+
+    Parameters
+    ----------
+    plan : ndarray
+        Displacement, velocity and force of the target at a step and the coming ones, (p, 3, n).
+    steps : int
+        Until rest, see `stop_steps`.
+    slowed : ndarray
+        The slowed target at the same step and the coming ones, shape (m, 3, n). The result.
+    """
+    for j in range(len(slowed)):
+        taken = min(j, steps)
+        phase = math.pi * taken / steps
+        theta = 0.5 * (taken + steps / math.pi * math.sin(phase))
+        before = min(int(theta), len(plan) - 2)
+        for row in range(3):
+            factor = ramp_factor(taken, steps) if row == 1 else 1.0
+            for i in range(slowed.shape[2]):
+                now, then = plan[before, row, i], plan[before + 1, row, i]
+                slowed[j, row, i] = factor * (now + (theta - before) * (then - now))
+
+
+BEGUN, TAKEN = range(2)
+"""Places of the state of `next_factor`: whether the ramp has begun, and its steps so far."""
 
 
 @compiled

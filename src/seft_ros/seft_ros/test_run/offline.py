@@ -10,7 +10,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Hashable, Iterator
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
@@ -103,15 +103,19 @@ def simulate_test(
         if progress is not None:
             progress(steps)
     wall = time.perf_counter() - start
+    violation = blocks.rig.violation or blocks.force_controller.reason
     trip = _trip_of(
-        blocks.rig.violation or blocks.force_controller.reason,
+        violation,
         force.cause,
         steps - 1,
         steps - force.steps_ramped,
         experiment.timebase,
     )
     begun = steps - force.steps_ramped if force.cause else steps - 1
-    blocks.rig.stop()
+    rig, plan = cast("Any", blocks.rig), None
+    if violation and rig.drive == VALVE_COMMAND.name:
+        plan = blocks.force_controller.stop(steps - 1)
+    rig.stop(plan)
     estimates = None
     if estimated:
         sampled = np.arange(0, steps, period, dtype=np.int64)
