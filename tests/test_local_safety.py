@@ -16,8 +16,9 @@ from local_tools import (
 )
 from seft_msgs_py.wire.messages import encode_diagnostics
 from seft_msgs_py.wire.outcome import FINISHED, Outcome, rig_status
-from seft_msgs_py.wire.topics import DIAGNOSTICS
+from seft_msgs_py.wire.topics import DIAGNOSTICS, RIG_STATE
 from seft_plant_sim.rig import Rig
+from seft_ros.test_run.compiled_loop import build_blocks
 
 
 def test_a_rig_whose_model_is_not_a_number_trips(running, monkeypatch):
@@ -55,6 +56,34 @@ def test_a_limit_ends_a_test_at_the_same_sample_as_offline(local_graph, words, r
     assert graph.values["step"] == str(record.trip.step)
     assert_same(graph, record, steps=len(record.series["rig/state"].steps))
     assert json.loads(graph.status("rig")["simulated"]) == vars(record.simulated)
+
+
+@pytest.mark.parametrize("end", ["estop", "force_controller", "supervisor"])
+def test_a_rig_follows_the_plan_to_rest_also_when_its_sender_is_dead(local_graph, end):
+    graph = local_graph(LONG, *TARGET_MOTION, LOCKSTEP, UNREHEARSED)
+    graph.until("ready")
+    graph.call("start")
+    graph.until(lambda: len(graph.samples(RIG_STATE)[0]) > 1503)
+    if end == "estop":
+        graph.call("estop")
+    else:
+        graph.kill(end)
+    graph.until(lambda: graph.status("rig").get("phase") == "tripped", within=8.0)
+    last = len(graph.samples(RIG_STATE)[0]) - 1
+    blocks = build_blocks(graph.experiment)
+    rig, force, interlock = blocks.rig, blocks.reference_force, blocks.force_controller
+    known, window, every = blocks.ground_motion.known, 1 + force.preview, 5
+    state = rig.reset()
+    for step in range(last + 1):
+        judged = interlock.judge(step, state)
+        command = interlock.step(step, force.step(known[step : step + window], judged), judged)
+        if step % every == 0 and (end != "force_controller" or step < last):
+            sent, plan = step, interlock.stop(step)
+        state = rig.step(command) if step < last else state
+    age = last - sent
+    rig.stop(plan[age:], plan[age - 1] if age else None)
+    assert json.loads(graph.status("rig")["simulated"]) == vars(rig.simulated())
+    assert float(graph.status("rig")["stop time (s)"]) > 0.1
 
 
 @pytest.mark.parametrize(

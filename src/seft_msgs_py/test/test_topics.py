@@ -41,6 +41,7 @@ def test_the_topics_are_those_of_the_contract():
         "rig/judged": "force_controller",
         "reference_force": "reference_force",
         "valve_command": "force_controller",
+        "stop_command": "force_controller",
         "reference_force/estimates": "reference_force",
         "experiment/state": "supervisor",
         "experiment/description": "",
@@ -85,8 +86,8 @@ def test_loop_topics_keep_enough_for_a_recorder_that_stalls():
             assert topic.depth >= 1000
 
 
-def test_all_but_the_clock_is_recorded():
-    assert [topic.name for topic in TOPICS if not topic.recorded] == ["/clock"]
+def test_all_but_the_clock_and_stops_in_reserve_is_recorded():
+    assert [topic.name for topic in TOPICS if not topic.recorded] == ["stop_command", "/clock"]
 
 
 def test_quantities_stand_in_the_order_of_the_message():

@@ -227,16 +227,18 @@ class Rig:
 
         Before that it follows a plan, the commands of this step and the coming ones, shape (m, n),
         unless it ends the test by itself (`violation`). If the plan had another command for the
-        last step, ``planned``, the difference goes in the time in which the valve closes. A closed valve locks the piston: the oil
-        column rings, friction and leakage damp it, and the remaining force decays. After that
-        `sample` is the true state, and no limit trips.
+        last step, ``planned``, the difference goes in the time in which the valve closes.
+
+        A closed valve locks the piston: the oil column rings, friction and leakage damp it, and the
+        remaining force decays. After that `sample` is the true state, and no limit trips.
         """
         if self._safe is None:
             return Stopped(0, 0.0)
         if plan is None or self.violation is not None:
             plan = np.zeros((0, len(self._command)))
         room, last, safe = np.empty_like(self._command), self.state.asked.copy(), self.safe_command
-        ends = last - (last if planned is None else planned), last, safe, self._safe.closing, self._safe.longest
+        offset = last - (last if planned is None else planned)
+        ends = offset, last, safe, self._safe.closing, self._safe.longest
         step = self.step_index
         stopped = Stopped(*self._rest(self.parameters, self.state, step, plan, *ends, room))
         self._forces.append(stopped.peak_force)
@@ -365,7 +367,7 @@ class Rigs:
     def stop(self, plans: Sequence[Floats] | None = None) -> None:
         """Bring all of them to rest, see `Rig.stop`; ``plans`` are one for each."""
         for place, (_, rig) in enumerate(self._rigs):
-            rig.stop(plans and plans[place])
+            rig.stop(None if plans is None else plans[place])
 
     def simulated(self, first: int | None = None) -> Simulated:
         """Largest true motion of any of them, see `Rig.simulated`."""

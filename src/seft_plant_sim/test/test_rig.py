@@ -7,7 +7,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import Simulated
 from seft_msgs_py.wire.topics import Timebase
-from seft_plant_sim.rig import Rig
+from seft_plant_sim.rig import Rig, left_open
 from seft_plant_sim.rig_parameters import RIG_TABLE
 
 TIMEBASE = Timebase.from_rate(500.0)
@@ -163,6 +163,25 @@ def test_a_closed_valve_locks_the_piston_on_its_oil_column():
     assert abs(rig.sample[1, 0]) < 0.2 * before
     assert stopped.peak_force > abs(rig.sample[3]).max()
     assert rig.step_index == 199 + 1  # the samples of the test are what they were
+
+
+def test_a_stop_follows_the_plan_then_closes():
+    planned, stepped = moving_rig(), moving_rig()
+    last, planned_last = stepped.state.asked.copy(), np.array([1.0])
+    plan = np.linspace(3.0, 0.5, 20)[:, np.newaxis]
+    stopped = planned.stop(plan, planned_last)
+    peak = 0.0
+    for taken, command in enumerate(plan, 1):
+        stepped.step(command + left_open(taken, 10) * (last - planned_last))
+        peak = max(peak, abs(stepped.sample[3, 0]))
+    assert stopped.peak_force == max(peak, stepped.stop().peak_force)
+    np.testing.assert_array_equal(planned.sample, stepped.sample)
+
+
+def test_a_rig_that_ends_a_test_by_itself_closes_its_valve_whatever_is_planned():
+    tripped, closed = moving_rig(), moving_rig()
+    tripped.violation = "a limit"
+    assert tripped.stop(np.full((20, 1), 9.0)) == closed.stop()
 
 
 def test_a_rig_without_a_settling_time_is_left_where_it_is():

@@ -15,6 +15,7 @@ from seft_ros.force_controller.velocity_feedforward import (
     VelocityFeedforward,
     feedforward_step,
 )
+from seft_ros.protection.protection_step import slow_down, stop_steps
 
 DT = 0.002
 valves = pytest.mark.parametrize(
@@ -68,7 +69,12 @@ def test_inverse_makes_the_wanted_flow(frequency, damping, dead_time):
     assert np.sqrt(np.mean(error**2) / np.mean(wanted**2)) < 0.03
 
 
-def controller(told=1.0, limit=10.0, horizon=25, **valve):
+def controller(*args, **valve):
+    made = feedforward(*args, **valve)
+    return made.parameters, made.state
+
+
+def feedforward(told=1.0, limit=10.0, horizon=25, **valve):
     actuator = {"flow_gain": 0.04 * told, "oil_stiffness": 1.66e7, "leakage": 50.0}
     actuator |= {"force_capacity": 24500.0, "valve_frequency": 70.0, "valve_damping": 0.6}
     actuator |= {"dead_time": 0.001} | valve
@@ -77,8 +83,7 @@ def controller(told=1.0, limit=10.0, horizon=25, **valve):
     given |= {f"actuator.{name}": value for name, value in actuator.items()}
     given |= {f"noise.{name}": value for name, value in noise.items()}
     section = resolve({"force_controller": FORCE_CONTROLLER_TABLE}, {"force_controller": given})
-    made = VelocityFeedforward(section["force_controller"], ("x",), Timebase.from_rate(1 / DT))
-    return made.parameters, made.state
+    return VelocityFeedforward(section["force_controller"], ("x",), Timebase.from_rate(1 / DT))
 
 
 def drive_piston(arrays, steps=3000, gain=0.04, offset=0.0):
@@ -163,3 +168,34 @@ def test_a_loaded_valve_opens_further():
 def test_horizon_that_is_too_short_is_refused():
     with pytest.raises(InputError, match=r"horizon is 0\.02 s; make it longer"):
         controller(horizon=10)
+
+
+def test_a_stop_stays_on_the_path_of_its_plan_and_ends_in_rest():
+    w, points = 2 * math.pi * 3.0, 26
+    time = DT * np.arange(points)
+    plan = np.stack([np.sin(w * time), w * np.cos(w * time), 100.0 * np.cos(w * time)], axis=1)
+    steps = stop_steps(points, DT)
+    assert steps * DT == pytest.approx(0.1)
+    slowed = np.empty((steps + 10, 3, 1))
+    slow_down(np.ascontiguousarray(plan[:, :, np.newaxis]), steps, slowed)
+    x, v, f = slowed[:, :, 0].T
+    np.testing.assert_allclose(f, 100.0 * np.sqrt(1 - x**2), atol=0.5)
+    np.testing.assert_allclose(v[: steps // 2 + 1 : steps // 2], [w, 0.5 * w * f[steps // 2] / 100])
+    np.testing.assert_allclose(np.gradient(x, DT)[1:-1], v[1:-1], atol=0.05)
+    assert x[-1] == pytest.approx(np.sin(w * time[-1]))
+    np.testing.assert_allclose(v[steps:], 0.0, atol=1e-12)
+
+
+def test_a_stop_brings_the_piston_to_the_end_of_the_slowed_plan():
+    one, speed, plan = feedforward(), 0.1, np.zeros((26, 3, 1))
+    plan[:, 1] = speed
+    for step in range(500):
+        plan[:, 0, 0] = speed * DT * (step + np.arange(26))
+        one.step(plan, np.array([plan[0, 0], [speed], [0.0], [0.0]]))
+    before = [each.copy() for each in one.state]
+    commands = one.stop(plan)
+    for each, other in zip(one.state, before, strict=True):
+        np.testing.assert_array_equal(each, other)
+    to_come = one.parameters.in_flight[0] @ one.state.sent[0] + DT * commands.sum()
+    assert 0.04 * to_come == pytest.approx(speed * (0.05 - DT), rel=0.02)  # after the next sample
+    assert abs(commands[-1, 0]) < 0.02 * speed / 0.04

@@ -79,7 +79,8 @@ class ForceControl(Protocol):
     """The interface of a force controller.
 
     A controller that identifies may also have ``estimates()``: each quantity by name, shape (n,).
-    The node publishes them in its diagnostics.
+    The node publishes them in its diagnostics. One that follows a target may have ``stop(plan)``,
+    as `VelocityFeedforward` has: the commands that bring the rig to rest.
 
     Attributes
     ----------
