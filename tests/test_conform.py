@@ -58,6 +58,7 @@ def check_conforms(seft, *words):
         assert (done.returncode, result["conforms"], result["not_run"]) == (0, True, 0)
 
 
+@THOROUGH
 def test_the_simulated_rig_conforms(seft):
     check_conforms(seft, "--start-rig", *PATIENT, *LONE)
 
@@ -68,22 +69,18 @@ def test_the_template_conforms(seft, start_driver):
     check_conforms(seft, *PATIENT, "--yes")
 
 
+@THOROUGH
 @pytest.mark.parametrize(
     ("fault", "checks"),
     [
         ("force_in_kn", {"force of specimen"}),
-        *(
-            pytest.param(*case, marks=THOROUGH)
-            for case in (
-                ("displacement_in_mm", {"stays within limits"}),  # stopped, whatever else is seen
-                ("wrong_stamp", {"stamps"}),
-                ("late_state", {"late states"}),
-                ("no_watchdog", {"watchdog: valve_command silent", "stands still"}),
-                ("stands_still", {"stands still"}),
-                ("no_safe_position", {"safe position"}),
-                ("careless", {"command stale", "command of the future", "trip is latched"}),
-            )
-        ),
+        ("displacement_in_mm", {"stays within limits"}),  # stopped, whatever else is seen
+        ("wrong_stamp", {"stamps"}),
+        ("late_state", {"late states"}),
+        ("no_watchdog", {"watchdog: valve_command silent", "stands still"}),
+        ("stands_still", {"stands still"}),
+        ("no_safe_position", {"safe position"}),
+        ("careless", {"command stale", "command of the future", "trip is latched"}),
     ],
 )
 def test_a_bad_driver_fails_what_it_is_bad_at(seft, start_driver, fault, checks):
