@@ -169,6 +169,7 @@ TABLE = Table(
         ("force_noise", "sensors.force_noise"),
         ("actuator.mass", "specimen.mass"),
         ("raet", "rate"),
+        ("sensors_force.noise", "sensors.force_noise"),
         ("axis", "axes"),
     ],
 )

@@ -295,7 +295,8 @@ class Table:
 def nearest(name: str, known: Iterable[str]) -> str:
     """Give a hint with the known text nearest to a mistyped one; empty if none is near."""
     known = [text for text in known if text]
-    last = [text for text in known if text.split(".")[-1] == name.split(".")[-1]]
+    same = [text for text in known if text.replace(".", "_") == name.replace(".", "_")]
+    last = same or [text for text in known if text.split(".")[-1] == name.split(".")[-1]]
     close = difflib.get_close_matches(name, last or known, n=1, cutoff=0.5) or last[:1]
     return f"; did you mean {close[0]}?" if close else ""
 
