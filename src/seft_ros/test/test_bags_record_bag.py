@@ -9,7 +9,7 @@ from rosbags.rosbag2 import Reader
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.outcome import Simulated, Trip
-from seft_msgs_py.wire.topics import LOOP_TOPICS, VALVE_COMMAND, Timebase
+from seft_msgs_py.wire.topics import LOOP_TOPICS, Timebase
 from seft_msgs_py.wire.trajectory import TrajectoryCodec, parse_trajectory
 from seft_ros.bags.gathering import EstimatesGatherer, SeriesGatherer
 from seft_ros.bags.message_blocks import MessageBlock
@@ -164,8 +164,8 @@ def test_a_start_that_is_unknown_is_now(tmp_path):
 @given(st.lists(st.tuples(st.integers(0, 30), st.integers(1, 5)), max_size=20))
 def test_the_first_sample_of_each_step_is_kept(messages):
     (rig,) = EXPERIMENT.rigs
-    codec = TrajectoryCodec(VALVE_COMMAND, AXES, EXPERIMENT.timebase)
-    gatherer = SeriesGatherer(VALVE_COMMAND, EXPERIMENT, rig, 0)
+    codec = TrajectoryCodec(GROUND_MOTION, AXES, EXPERIMENT.timebase)
+    gatherer = SeriesGatherer(GROUND_MOTION, EXPERIMENT, rig, 0)
     expected, raws = {}, []
     for number, (step, count) in enumerate(messages):
         raws.append(codec.encode_points(step, np.full((count, 2), float(number))))
