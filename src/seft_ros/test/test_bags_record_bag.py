@@ -9,7 +9,7 @@ from rosbags.rosbag2 import Reader
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.outcome import Simulated, Trip
-from seft_msgs_py.wire.topics import LOOP_TOPICS, Timebase
+from seft_msgs_py.wire.topics import GROUND_MOTION, LOOP_TOPICS, Timebase
 from seft_msgs_py.wire.trajectory import TrajectoryCodec, parse_trajectory
 from seft_ros.bags.gathering import EstimatesGatherer, SeriesGatherer
 from seft_ros.bags.message_blocks import MessageBlock
