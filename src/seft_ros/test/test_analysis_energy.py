@@ -31,7 +31,7 @@ def run(*words):
     [
         ((), 0.01),
         (YIELDING, 0.01),
-        (("rig:actuator.kind:=ideal", "rig:sensors.anti_alias:=150"), 0.01),
+        (("rig:actuator.kind:=ideal", "rig:sensors.force_filter:=150"), 0.01),
         (("rig:actuator.kind:=delay", "rig:actuator.delay:=0.0033", *YIELDING), 0.01),
         (("rig:actuator.kind:=delay", "rig:actuator.delay:=0.004"), 0.01),
         (("rig:sensors.velocity:=derived",), 0.02),

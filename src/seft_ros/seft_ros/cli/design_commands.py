@@ -229,7 +229,8 @@ def identify(
         table = identified.identified_table(summary)
         texts = [f"{config} as identified", table, *summary["notes"]]
         files |= {"model": folder / "model.yaml", "figure": folder / shared.FIGURE}
-        identified.write_model(found, files["model"], str(config), specimen)
+        lag = experiment["reference_force"]["compensation.sensor_lag"]
+        identified.write_model(found, files["model"], str(config), specimen, lag)
         save_figure(identified_figure(found, f"seft identify {config}"), files["figure"])
     summary["files"] = {what: str(path) for what, path in files.items()}
     shared.show(

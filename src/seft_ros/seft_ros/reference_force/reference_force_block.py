@@ -299,7 +299,8 @@ def method_inputs(
         )
     prefixes = ("compensation.", "tracking.")
     options = {name: value for name, value in section.items() if name.startswith(prefixes)}
-    late = loop_delay * timebase.dt  # delays that are given are those of the force loop alone
+    # delays that are given are those of the force loop alone
+    late = loop_delay * timebase.dt + options.get("compensation.sensor_lag", 0.0)
     for name in ("compensation.delay", "tracking.dead_time"):
         if options[name] > 0:
             options[name] += late
