@@ -87,6 +87,18 @@ def test_the_rest_of_a_wait_is_between_half_a_sample_and_three_halves():
         assert calibration.whole[F, 0] == AT_ONCE
 
 
+def test_what_waits_keeps_the_steps_of_its_converter_and_repeats_what_repeats():
+    """So that a frozen sensor, and the resolution, are still seen."""
+    step, rng = 0.01, np.random.default_rng(3)
+    coarse = np.rint(rng.normal(scale=0.02, size=(400, 4, 1)) / step) * step
+    coarse[300:] = coarse[300]
+    for wait in (0.0011, 0.0017, 0.0026):
+        found = corrected(coarse, force_lag=wait, acceleration_scale=1.25)[:, A, 0] * 1.25
+        np.testing.assert_allclose(found / step, np.rint(found / step), atol=1e-9)
+        np.testing.assert_array_equal(found[308:], found[308])
+        assert found[308] == pytest.approx(coarse[300, A, 0], abs=1e-12)
+
+
 def test_the_latest_channel_of_all_axes_counts_and_is_told():
     values = {"calibration.force_lag": [0.001, 0.003], "calibration.position_lag": 0.002}
     section = rig_section(**values)
