@@ -7,7 +7,7 @@ aligned to the latest one: the others wait, in whole samples and by a first-orde
     H(q) = (c + q^-1) / (1 + c q^-1),  c = (1 - d) / (1 + d)                               (1)
 
 The rest d is between 0.5 and 1.5 samples, where its delay is flattest; a shorter wait is all rest.
-The result has the steps of the channel's converter: its finest change so far.
+The result has the steps of the channel's converter, so that what repeats still does.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,8 +27,6 @@ AT_ONCE = -1
 """Value of `Calibration.whole` of a channel that does not wait."""
 SHORTEST_WAIT = 1e-6
 """Of a sample: a shorter one is rounding."""
-EXACT = 2.0**52
-"""A value of so many steps of its resolution is not changed by rounding."""
 
 
 class Calibration(NamedTuple):
@@ -41,6 +39,8 @@ class Calibration(NamedTuple):
     range : ndarray
         Largest magnitude that a sensor can measure, which remains as it is measured: what is
         beyond it is not known.
+    resolution : ndarray
+        Step of the converter, in the channel's unit; 0: finer than the noise.
     whole : ndarray
         Whole samples of a channel's wait; `AT_ONCE`: it does not wait.
     factor : ndarray
@@ -50,6 +50,7 @@ class Calibration(NamedTuple):
     zero: Floats
     scale: Floats
     range: Floats
+    resolution: Floats
     whole: Ints
     factor: Floats
 
@@ -63,13 +64,10 @@ class CalibrationState(NamedTuple):
         The last samples as measured, a ring buffer by step, shape (m, 4, n).
     aligned : ndarray
         The last result of Eq. (1), shape (4, n).
-    resolution : ndarray
-        Least change of the measured values so far, shape (4, n); infinite at the beginning.
     """
 
     measured: Floats
     aligned: Floats
-    resolution: Floats
 
 
 @compiled
@@ -92,15 +90,10 @@ def calibrate(
         As measured, and the result; shape (4, n). They may be the same array. A value that is no
         number, or is at the end of its sensor's range, comes out as it is, after the wait.
     """
-    c, last, places, steps = calibration, state.aligned, len(state.measured), state.resolution
+    c, last, places = calibration, state.aligned, len(state.measured)
     for row in range(4):
         for i in range(measured.shape[1]):
             zero, scale, whole = c.zero[row, i], c.scale[row, i], c.whole[row, i]
-            moved = abs(measured[row, i] - state.measured[(step - 1) % places, row, i])
-            if step == 0:
-                steps[row, i] = np.inf
-            elif 0.0 < moved < steps[row, i]:
-                steps[row, i] = moved
             for place in range(places if step == 0 else 1):
                 state.measured[(step + place) % places, row, i] = measured[row, i]
             if step == 0:
@@ -114,9 +107,9 @@ def calibrate(
                     before = last[row, i]
                 value = c.factor[row, i] * (value - last[row, i]) + before
                 last[row, i] = value
-                turns = value / steps[row, i] * scale
-                if c.factor[row, i] != 0.0 and 0.0 < abs(turns) < EXACT:
-                    value = np.rint(turns) * steps[row, i] / scale
+                if c.factor[row, i] != 0.0 and c.resolution[row, i] > 0.0:
+                    part = c.resolution[row, i] / scale
+                    value = np.rint(value / part) * part
             is_known = abs(shown) < c.range[row, i] and np.isfinite(shown)
             sample[row, i] = value if is_known else shown
 
@@ -127,6 +120,7 @@ def calibration_of(
     places: Sequence[int],
     dt: float,
     ranges: Floats | None = None,
+    resolution: Floats | None = None,
     velocity_is_derived: bool = False,
 ) -> tuple[Calibration, CalibrationState]:
     """Put ``calibration.*`` of a rig's section, which is for all axes, into arrays.
@@ -139,7 +133,7 @@ def calibration_of(
         Of the axes of this rig; all rigs are aligned to the latest channel of all axes.
     dt : float
         Sampling period, s.
-    ranges : ndarray, optional
+    ranges, resolution : ndarray, optional
         See `Calibration`; default none.
     velocity_is_derived : bool
         Whether the velocity is derived from the calibrated displacement, and needs none itself.
@@ -188,19 +182,19 @@ def calibration_of(
         zero,
         scale,
         np.full((4, n), np.inf) if ranges is None else ranges,
+        np.zeros((4, n)) if resolution is None else resolution,
         whole,
         (1.0 - rest) / (1.0 + rest),
     )
     periods = 2 + max(int(whole.max()), 0)
-    measured, room = np.zeros((periods, 4, n)), np.zeros((2, 4, n))
-    return calibration, CalibrationState(measured, *room)
+    return calibration, CalibrationState(np.zeros((periods, 4, n)), np.zeros((4, n)))
 
 
 def nothing_known(n: int) -> tuple[Calibration, CalibrationState]:
     """Make the arrays where the samples of n axes are published as they are measured."""
     none = np.zeros((0, n))
-    calibration = Calibration(none, none, none, np.zeros((0, n), dtype=np.int64), none)
-    return calibration, CalibrationState(np.zeros((0, 4, n)), none, none)
+    calibration = Calibration(none, none, none, none, np.zeros((0, n), dtype=np.int64), none)
+    return calibration, CalibrationState(np.zeros((0, 4, n)), none)
 
 
 def as_published(model: ContinuousModel, calibration: Calibration, dt: float) -> ContinuousModel:

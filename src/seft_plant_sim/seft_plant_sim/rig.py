@@ -214,6 +214,7 @@ class Rig:
                 own.places,
                 dt,
                 sensors.channels.range,
+                sensors.channels.resolution,
                 sensors.channels.cutoff > 0.0,
             ),
         )

@@ -21,10 +21,10 @@ DT = 0.002
 X, V, A, F = range(4)
 
 
-def known(*, ranges=None, derived=False, axes=("x",), **values):
+def known(*, ranges=None, resolution=None, derived=False, axes=("x",), **values):
     named = {f"calibration.{name}": value for name, value in values.items()}
     section = rig_section(**named)
-    return calibration_of(section, axes, range(len(axes)), DT, ranges, derived)
+    return calibration_of(section, axes, range(len(axes)), DT, ranges, resolution, derived)
 
 
 def corrected(samples, **values):
@@ -93,7 +93,9 @@ def test_what_waits_keeps_the_steps_of_its_converter_and_repeats_what_repeats():
     coarse = np.rint(rng.normal(scale=0.02, size=(400, 4, 1)) / step) * step
     coarse[300:] = coarse[300]
     for wait in (0.0011, 0.0017, 0.0026):
-        found = corrected(coarse, force_lag=wait, acceleration_scale=1.25)[:, A, 0] * 1.25
+        values = {"force_lag": wait, "acceleration_scale": 1.25}
+        found = corrected(coarse, resolution=np.full((4, 1), step), **values)[:, A, 0] * 1.25
+        assert np.abs(np.diff(found))[np.diff(found) != 0.0].min() > 0.99 * step
         np.testing.assert_allclose(found / step, np.rint(found / step), atol=1e-9)
         np.testing.assert_array_equal(found[308:], found[308])
         assert found[308] == pytest.approx(coarse[300, A, 0], abs=1e-12)

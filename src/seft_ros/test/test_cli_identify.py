@@ -10,6 +10,7 @@ from commands_at_hand import run_seft
 from experiments_at_hand import JHU, load
 from seft_msgs_py.config.experiment import Experiment, read_parameter_file
 from seft_plant_sim.lti import bilinear, polynomial_ratio
+from seft_plant_sim.sensors import CHANNELS
 from seft_ros.bags.record_bag import read_bag
 from seft_ros.design.force_tracking import tracking_measures
 from seft_ros.design.plant import choose_plant
@@ -146,6 +147,19 @@ def test_a_rig_whose_controller_needs_its_actuators_is_identified_without_knowin
     assert found["delay_s"] is None
     assert found["tripped"] == {"open_loop": None, "closed_loop": None}
     assert not any("tracking.num" in name for name in read_parameter_file("out/model.yaml"))
+
+
+def test_the_known_lag_of_the_sensors_is_no_part_of_what_is_written(identify):
+    """The loop adds it."""
+    lag, groups = 0.003, ("sensors", "calibration")
+    overrides = [f"rig:{g}.{c}_lag:={lag}" for g in groups for c in CHANNELS]
+    status, found, _ = identify(*BRIEF, "--out", "out", overrides=overrides)
+    assert status == 0
+    assert found["actuator"]["dead_time_s"] == pytest.approx(0.001 + lag, abs=3e-4)
+    written = read_parameter_file("out/model.yaml")
+    dead_times = written["force_controller"]["actuator.dead_time"]
+    assert dead_times == pytest.approx([found["actuator"]["dead_time_s"] - lag])
+    assert written["reference_force"]["compensation.delay"] == pytest.approx(found["delay_s"] - lag)
 
 
 def test_a_rig_without_a_valve_has_the_closed_loop_only(identify, tmp_path):

@@ -70,7 +70,8 @@ class DriverNode(NodeBody):
         self._section, self._timebase = experiment["rig"], experiment.timebase
         section, dt = self._section, self._timebase.dt
         self._calibration = Calibration(group(section, "calibration"), axes)
-        self._alignment = calibration_of(section, axes, range(len(axes)), dt)
+        step = self._calibration.resolution
+        self._alignment = calibration_of(section, axes, range(len(axes)), dt, resolution=step)
         self._read_so_far = 0
         self._limits = Limits(group(section, "limits"), axes, dt)
         self._rest = Rest(section["safe.rest_velocity"], dt)
