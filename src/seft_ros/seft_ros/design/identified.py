@@ -197,7 +197,12 @@ _LONGEST_DELAY = 1.0  # s, as in the parameter table
 
 
 def write_model(
-    identified: Identified, path: Path, source: str, specimen: bool, sensor_lag: float
+    identified: Identified,
+    path: Path,
+    source: str,
+    specimen: bool,
+    sensor_lag: float,
+    obeys_force: bool,
 ) -> None:
     """Write parameters of `reference_force` and `force_controller`, by node, to a new file.
 
@@ -205,10 +210,12 @@ def write_model(
     that was not identified on every axis is left out, so that the configured one counts. Closed
     loop and plant, which have one set of parameters, are those of the first axis, with the specimen
     of the tests. The specimen's matrices are included if ``specimen`` is true; ``source`` goes into
-    a comment. Delays and dead times have the ``sensor_lag`` (s) of the tests in them, which is not
-    written, because the loop adds it. An InputError says if the file can't be written.
+    a comment. Dead times have the ``sensor_lag`` (s) of the tests in them, and the closed loop of a
+    rig that obeys forces, too; it is not written, because the loop adds it. An InputError says if
+    the file can't be written.
     """
     comments = [f"Identified by seft identify from {source}", f"Axes: {identified.axes}"]
+    closed_lag = sensor_lag if obeys_force else 0.0
     reference: dict[str, Any] = {}
     controller: dict[str, Any] = {}
     if specimen:
@@ -217,9 +224,9 @@ def write_model(
     if identified.closed_loops:
         closed = identified.closed_loops[0]
         if closed.tracking.delay_s is not None:
-            delay = min(max(closed.tracking.delay_s - sensor_lag, 0.0), _LONGEST_DELAY)
+            delay = min(max(closed.tracking.delay_s - closed_lag, 0.0), _LONGEST_DELAY)
             reference["compensation.delay"] = float(delay)
-        reference |= _response("tracking", closed.fit.model, sensor_lag)
+        reference |= _response("tracking", closed.fit.model, closed_lag)
     if identified.valves:
         for name in _ACTUATOR:
             values = [float(getattr(valve.actuator, name)) for valve in identified.valves]

@@ -65,11 +65,12 @@ _COMPENSATION = parameter_rows(
     """
     compensation.delay                 | float  | 0.0   | s     | 0 .. 1    |
         delay that the method compensates: from reference force to measured force, with the
-        latency of the loop and without compensation.sensor_lag, as seft identify finds it (for an
-        idealised actuator its delay plus 1.5 steps); `none` and `restoring` do not use it
+        latency of the loop, as seft identify finds it (for an idealised actuator its delay plus
+        1.5 steps, without compensation.sensor_lag); `none` and `restoring` do not use it
     compensation.sensor_lag | float | rig:calibration.*_lag or 0.0 | s | 0 .. 1 |
-        lag of the measured state, which adds to the delay, the dead time and the horizon: that of
-        the rig's latest channel, to which the others are aligned
+        lag of the measured state, that of the rig's latest channel, to which the others are
+        aligned. It adds to the horizon, and to the delay or dead time of an idealised actuator. A
+        force loop with feedback has the same delay at low frequency with and without it
     compensation.actuator_kind | string | rig:actuator.kind or servo_hydraulic |  | ideal, delay,
         servo_hydraulic, servo_hydraulic_linear | `target_motion`: kind of the rig's
         actuators; ideal and delay obey reference_force, which is then sent ahead of time, by
@@ -95,7 +96,8 @@ _COMPENSATION = parameter_rows(
     tracking.denominator               | floats | [1.0] |       |           |
         its denominator, likewise
     tracking.dead_time                 | float  | 0.0   | s     | 0 .. 1    |
-        its dead time, with the loop's latency and without compensation.sensor_lag
+        its dead time, with the loop's latency and, of an idealised actuator, without
+        compensation.sensor_lag
     limits.force | float | supervisor:limits.force or 22200.0 | N | > 0 |
         largest reference force on any axis; beyond it the test is ramped down
     limits.force_rate                  | float  | 3.0e6 | N/s   | > 0       |
