@@ -21,7 +21,10 @@ WANTED = {"linear": 5e6, "nonlinear": 2.5e6}  # steps/s in a compiled loop
 WANTED_CALL = 4e-6  # s from Python, of the nonlinear rig
 
 YIELDS = ("rig", "specimen.yield_displacement", 0.002)
-FILTERED = [("rig", "sensors.anti_alias", 200.0), ("rig", "sensors.velocity", "derived")]
+FILTERED = [
+    *(("rig", f"sensors.{c}_filter", 200.0) for c in ("position", "acceleration", "force")),
+    ("rig", "sensors.velocity", "derived"),
+]
 CASES = {
     "linear": [("rig", "actuator.kind", "servo_hydraulic_linear")],
     "nonlinear": [],

@@ -62,7 +62,7 @@ def difference(draw, rng):
         (f"{GAIN}{0.0403 * draw(0.8, 1.2)}", f"{DEAD_TIME}{draw(1e-4, 3e-3)}", ADC),
         (f"reference_force:model.stiffness:={2.11e5 * draw(0.6, 1.5)}",),
         (ADC,),
-        (f"rig:sensors.anti_alias:={draw(80, 200)}",),
+        (f"rig:sensors.{rng.choice(list(sensors))}_filter:={draw(80, 200)}",),
         ("rig:sensors.velocity:=derived",),
         tuple(f"rig:sensors.{name}_noise:=0.0" for name in sensors),
         tuple(f"rig:sensors.{name}_noise:={5 * noise}" for name, noise in sensors.items()),

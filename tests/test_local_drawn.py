@@ -36,7 +36,17 @@ DIFFERENCES = (
     (),
     ("rig:sensors.adc_bits:=12",),
     ("rig:sensors.velocity:=derived",),
-    ("rig:sensors.anti_alias:=150.0",),
+    ("rig:sensors.force_filter:=150.0", "rig:sensors.acceleration_lag:=0.0007"),
+    ("rig:sensors.position_lag:={short}", "rig:calibration.position_lag:={short}"),
+    (
+        *("rig:sensors.force_scale:=1.03", "rig:calibration.force_scale:=1.03"),
+        *("rig:sensors.acceleration_lag:={short}", "rig:calibration.acceleration_lag:={short}"),
+    ),
+    tuple(
+        f"rig:{word}"
+        for channel in ("position", "velocity", "acceleration", "force")
+        for word in (f"sensors.{channel}_filter:=90.0", f"calibration.{channel}_lag:=0.0025")
+    ),
     ("supervisor:limits.force:={force}",),
     ("rig:limits.acceleration:=8.0",),
     ("reference_force:limits.force:={force}",),
@@ -64,6 +74,7 @@ def drawn(seed):
         **{"exponent": rng.uniform(1.0, 4.0), "gain": rng.uniform(0.035, 0.046)},
         **{"late": rng.uniform(2e-4, 3e-3), "lag": rng.uniform(2e-3, 0.012)},
         **{"at": rng.uniform(0.5, 1.6), "some": rng.integers(1, 5)},
+        **{"short": rng.uniform(2e-4, 3e-3)},
     }
     values = {name: f"{value:.6g}" for name, value in values.items()}
 

@@ -34,6 +34,29 @@ def test_a_driver_rehearses_and_performs_a_test(driver):
     assert (graph.status("rig")["missed"], graph.status("rig")["overruns"]) == ("0", "0")
 
 
+def test_a_driver_aligns_a_late_channel_and_the_loop_counts_its_lag(driver, monkeypatch):
+    from rig_driver import stand_in
+
+    for name, value in (("force_lag", 0.003), ("acceleration_lag", 0.0007)):
+        monkeypatch.setitem(stand_in._RIG, f"sensors.{name}", value)
+    words = ("rig:calibration.force_lag:=0.003", "rig:calibration.acceleration_lag:=0.0007")
+    graph = driver("ground_motion:peak_force:=400.0", *words)
+    perform(graph)
+    x, v, a, f = graph.samples(RIG_STATE)[1][:, :, 0].T
+    own = stand_in._RIG
+    r = own["specimen.damping"] * v + own["specimen.stiffness"] * x
+    left = f - own["specimen.mass"] * a - r
+    assert left.std() < 6.0  # N, of which the noise is 4
+    assert 0.003 * own["specimen.stiffness"] * v.std() > 12.0  # what 3 ms change of the spring's
+
+
+def test_a_rig_whose_lag_the_loop_does_not_know_is_not_started(driver):
+    graph = driver("rig:calibration.force_lag:=0.003", "reference_force:compensation.sensor_lag:=0")
+    graph.run(3.0)
+    assert "one lag of the measured state: rig has 0.003 s" in graph.values["detail"]
+    assert graph.state == "idle"
+
+
 def test_a_driver_without_commands_trips_and_closes_its_valve(driver):
     graph = driver()
     graph.delay(VALVE_COMMAND, 1.0, range(500, 3000))

@@ -74,8 +74,9 @@ def delayed(delay: float, bandwidth_hz: float = 0.0) -> Changes:
     rig: dict[str, Any] = {"actuator.kind": "delay", "actuator.delay": max(delay - lag, 0.0)}
     for name in ("position", "velocity", "acceleration", "force"):
         rig |= {f"sensors.{name}_{what}": 0.0 for what in ("noise", "bias", "range")}
-    # all of it is linear: a low-pass on every measured signal is one on the actuator's force
-    rig |= {"sensors.adc_bits": 0, "sensors.anti_alias": bandwidth_hz}
+        # all of it is linear: a low-pass on every measured signal is one on the actuator's force
+        rig[f"sensors.{name}_filter"] = bandwidth_hz
+    rig["sensors.adc_bits"] = 0
     for name in ("displacement", "velocity", "acceleration", "force"):  # nothing breaks
         rig |= {f"limits.{name}": 1e6, f"limits.{name}_rate": 1e12}
     force = {"limits.force": 1e6, "limits.force_rate": 1e12}

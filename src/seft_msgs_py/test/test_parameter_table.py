@@ -224,6 +224,31 @@ def test_what_is_not_given_comes_down_the_chain(given_values, expected):
     assert [sections[node]["x"] for node in "abc"] == expected
 
 
+@pytest.mark.parametrize(
+    ("given_values", "expected"),
+    [
+        ({}, 0.25),
+        ({"late_x": 1.0}, 1.0),
+        ({"late_x": [1.0, 3.0], "late_y": 2}, 3.0),
+        ({"late_x": 0.1, "late_y": 0.1}, 0.1),
+    ],
+)
+def test_a_default_of_a_pattern_is_the_largest_value_of_all_that_match(given_values, expected):
+    rows = [
+        Parameter(f"late_{name}", "floats", value, "") for name, value in (("x", 0), ("y", 0.25))
+    ]
+    rows.append(Parameter("most", "float", 9.0, ""))
+    tables = {
+        "a": Table("a", [Parameter("late", "float", 5.0, "", default_from="b:late_*")]),
+        "b": Table("b", rows),
+    }
+    assert resolve(tables, {"b": given_values})["a"]["late"] == expected
+    known = resolve({"a": tables["a"]}, {"b": given_values}, ["a"])  # b runs elsewhere
+    assert known["a"]["late"] == (expected if given_values else 5.0)
+    with pytest.raises(InputError, match='a: late is "much", but must be a number'):
+        resolve({"a": tables["a"]}, {"b": {"late_x": 1.0, "late_y": "much"}}, ["a"])
+
+
 def test_a_value_comes_from_a_node_without_a_table_and_is_checked():
     tables = chained("elsewhere:x")
     assert resolve(tables, {"elsewhere": {"x": 4}})["a"]["x"] == 4.0

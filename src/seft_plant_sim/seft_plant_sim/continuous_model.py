@@ -6,6 +6,7 @@ its valve, so that the loop closes over the controller.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
@@ -21,6 +22,24 @@ from seft_plant_sim.lti import first_order_hold
 from seft_plant_sim.specimen import Specimen
 
 Drive = Literal["valve_command", "reference_force"]
+
+
+@dataclass(frozen=True)
+class Sensed:
+    """What sensors show of a model, c z + d w + h r some time ago; with their filters.
+
+    Attributes
+    ----------
+    c, d, outputs : ndarray
+        Shapes (4n, s), (4n, n) and (4n, r).
+    late : ndarray
+        Lag of each, shape (4n,), s.
+    """
+
+    c: Floats
+    d: Floats
+    outputs: Floats
+    late: Floats
 
 
 @dataclass(frozen=True)
@@ -52,8 +71,8 @@ class ContinuousModel:
         Of the springs per displacement of each axis, shape (p, n).
     drive_limit : ndarray
         Drive at which the actuators saturate, shape (n,).
-    unfiltered : tuple of ndarray, optional
-        Rows of c, d and h for displacement and force before low-pass filters, 2n of them.
+    sensed : Sensed, optional
+        What its sensors show; default y.
     """
 
     a: Floats
@@ -68,7 +87,7 @@ class ContinuousModel:
     springs: tuple[springs.Spring, ...]
     deformation: Floats
     drive_limit: Floats
-    unfiltered: tuple[Floats, Floats, Floats] | None = None
+    sensed: Sensed | None = None
 
     @classmethod
     def linear(
@@ -100,28 +119,6 @@ def with_springs(model: ContinuousModel, specimen: Specimen) -> ContinuousModel:
         springs=specimen.springs,
         deformation=specimen.deformation,
     )
-
-
-def with_low_pass(model: ContinuousModel, cutoff: float) -> ContinuousModel:
-    """Put a second-order Butterworth low-pass of ``cutoff`` Hz behind every output."""
-    m, s = model.c.shape
-    n, r = model.b.shape[1], model.inputs.shape[1]
-    w = 2 * np.pi * cutoff
-    one = np.eye(m)
-    a = np.block(
-        [
-            [model.a, np.zeros((s, 2 * m))],
-            [np.zeros((m, s + m)), one],
-            [w**2 * model.c, -(w**2) * one, -np.sqrt(2) * w * one],
-        ]
-    )
-    b = np.vstack([model.b, np.zeros((m, n)), w**2 * model.d])
-    c = np.hstack([np.zeros((m, s)), one, np.zeros((m, m))])
-    inputs = np.vstack([model.inputs, np.zeros((m, r)), w**2 * model.outputs])
-    outputs, d = np.zeros_like(model.outputs), np.zeros_like(model.d)
-    rows = [*range(n), *range(3 * n, 4 * n)]
-    truth = np.hstack([model.c, np.zeros((m, 2 * m))])[rows], model.d[rows], model.outputs[rows]
-    return replace(model, a=a, b=b, c=c, d=d, inputs=inputs, outputs=outputs, unfiltered=truth)
 
 
 def delayed_force(specimen: Specimen, delay: float) -> ContinuousModel:
@@ -204,7 +201,7 @@ _MAX_STEPS = 500
 
 
 class Dynamics(NamedTuple):
-    """A `ContinuousModel` of n axes, s states and r residuals over two stretches of time.
+    """A `ContinuousModel` of n axes, s states and r residuals over stretches of time.
 
     Within a stretch the drive does not change. The stretch is integrated in equal steps by the
     exponential Runge-Kutta scheme ETD2RK (Cox & Matthews 2002, Eq. 22). The linear part, with the
@@ -213,17 +210,16 @@ class Dynamics(NamedTuple):
     Attributes
     ----------
     predict : ndarray
-        Shape (2, s + n + r, s): takes (z, drive, residuals) to the state after one step if the
+        Shape (m, s + n + r, s): takes (z, drive, residuals) to the state after one step if the
         residuals stay as they are.
     correct : ndarray
-        Shape (2, r, s): effect of a change of the residuals in the step.
+        Shape (m, r, s): effect of a change of the residuals in the step.
     steps : ndarray
-        Number of steps of each stretch, shape (2,); 0 for a stretch of no time.
+        Number of steps of each of the m stretches, shape (m,); 0 for a stretch of no time.
     period : ndarray
-        Length of a step, shape (2,), s.
+        Length of a step, shape (m,), s.
     output : ndarray
-        Takes (z, drive, residuals) to the outputs, and to those of `ContinuousModel.unfiltered`;
-        shape (s + n + r, 4n or 6n).
+        Takes (z, drive, residuals) to the outputs, transposed, shape (s + n + r, 4n).
     pistons, laws, deformation : ndarray
         Of the model.
     """
@@ -266,10 +262,8 @@ class Motion(NamedTuple):
     trial: Floats
 
 
-def dynamics_of(
-    model: ContinuousModel, before: float, after: float, longest: float = 0.0
-) -> Dynamics:
-    """Make it from a model, for two stretches of time in s, in steps of at most ``longest`` s.
+def dynamics_of(model: ContinuousModel, lengths: Sequence[float], longest: float = 0.0) -> Dynamics:
+    """Make it from a model, for stretches of time in s, in steps of at most ``longest`` s.
 
     0 means `LONGEST_STEP`.
 
@@ -281,18 +275,15 @@ def dynamics_of(
     fastest, longest = _fastest(model), longest or LONGEST_STEP
     if fastest * longest > STEP_TIMES_RATE:
         longest = STEP_TIMES_RATE / fastest
-        if max(before, after) > _MAX_STEPS * longest:
+        if max(lengths) > _MAX_STEPS * longest:
             raise InputError(
                 f"rig: friction, end stops or springs answer at {fastest:.3g} 1/s, too fast to be "
                 "followed; raise actuator.friction_velocity, or check mass, oil_stiffness and "
                 "springs"
             )
-    stretches = [_stretch(model, time, longest) for time in (before, after)]
+    stretches = [_stretch(model, time, longest) for time in lengths]
     predict, correct, steps, periods = zip(*stretches, strict=True)
-    output = np.hstack([model.c, model.d, model.outputs])
-    if model.unfiltered is not None:
-        output = np.vstack([output, np.hstack(model.unfiltered)])
-    output = output.T
+    output = np.hstack([model.c, model.d, model.outputs]).T
     arrays = (output, model.pistons, _laws(model), model.deformation)
     by_stretch = np.array(predict), np.array(correct), np.array(steps, dtype=np.int64)
     return Dynamics(*by_stretch, np.array(periods), *map(np.ascontiguousarray, arrays))

@@ -14,6 +14,12 @@ from seft_msgs_py.wire.outcome import Saturation, Simulated, all_saturated, coun
 from seft_msgs_py.wire.topics import VALVE_COMMAND, RigAxes, Timebase
 
 from seft_plant_sim.actuator import Hydraulics
+from seft_plant_sim.calibration import (
+    Calibration,
+    CalibrationState,
+    calibration_of,
+    nothing_known,
+)
 from seft_plant_sim.compiled import entry_point, kind_of
 from seft_plant_sim.continuous_model import (
     ContinuousModel,
@@ -22,7 +28,6 @@ from seft_plant_sim.continuous_model import (
     delayed_force,
     dynamics_of,
     servo_hydraulic,
-    with_low_pass,
 )
 from seft_plant_sim.faults import (
     NO_FAULTS,
@@ -46,6 +51,7 @@ from seft_plant_sim.rig_step import (
     rig_step,
 )
 from seft_plant_sim.rig_step import left_open as left_open
+from seft_plant_sim.sensor_dynamics import sensing_of, with_sensors
 from seft_plant_sim.sensors import CHANNELS, Sensors
 from seft_plant_sim.specimen import Specimen
 from seft_plant_sim.springs import ONE_SIDED, SPRING_KIND
@@ -109,6 +115,7 @@ class Rig:
         dt: float,
         safe: Safe | None = None,
         faults: tuple[Faults, int] = NO_FAULTS,
+        calibration: tuple[Calibration, CalibrationState] | None = None,
     ) -> None:
         self.drive: Drive = model.drive
         self.sensors = sensors
@@ -116,20 +123,28 @@ class Rig:
         whole, part = split_dead_time(model.delay, dt)
         if whole > LONGEST_DELAY_STEPS:
             raise InputError(f"actuator: a delay of {model.delay:g} s is {whole} samples long")
-        dynamics, n = dynamics_of(model, part, dt - part), model.b.shape[1]
+        n = model.b.shape[1]
+        lengths, change, sensing = sensing_of(model, part, dt)
+        dynamics, periods = dynamics_of(model, lengths), int(sensing.whole.max(initial=-1)) + 1
         blind, window = event_ring(saturated_time, dt)
+        known, known_state = calibration or nothing_known(n)
         self.parameters = RigParameters(
             dynamics,
             np.ascontiguousarray(model.drive_limit),
+            change,
             part > 0,
+            sensing,
             sensors.channels,
             limits.values,
             window,
             faults[0],
+            known,
         )
         self.state = RigState(
             at_rest(dynamics),
-            np.zeros(dynamics.output.shape[1]),
+            np.zeros(4 * n),
+            np.zeros((periods, len(sensing.whole))),
+            np.zeros(len(sensing.whole)),
             np.zeros(n),
             np.zeros((whole + 2, n)),
             np.zeros(4, dtype=np.int64),
@@ -139,6 +154,7 @@ class Rig:
             blind,
             np.zeros((len(faults[0].numbers), faults[1])),
             np.zeros(2),
+            known_state,
         )
         self.step_index = 0
         self.violation: str | None = None
@@ -194,12 +210,21 @@ class Rig:
                 len(model.springs) - stops,
                 section,
             ),
+            calibration_of(
+                section,
+                axes,
+                own.places,
+                dt,
+                sensors.channels.range,
+                sensors.channels.resolution,
+                sensors.channels.cutoff > 0.0,
+            ),
         )
 
     @property
     def sample(self) -> Floats:
-        """The true state at the last step, behind anti-aliasing filters, shape (4, n)."""
-        return self.state.true[: self.state.measured.size].reshape(4, -1).copy()
+        """The true state at the last step, shape (4, n)."""
+        return self.state.true.reshape(4, -1).copy()
 
     @property
     def safe_command(self) -> Floats:
@@ -308,7 +333,7 @@ def continuous_model(
     stiffness: float = 1.0,
     faults: Sequence[Fault] = (),
 ) -> ContinuousModel:
-    """Model of actuator, specimen and anti-aliasing filters from a rig's parameters.
+    """Model of actuator, specimen and sensors from a rig's parameters.
 
     See `Rig.from_parameters`; ``stiffness`` is a factor on the stiffness of the elastic specimen,
     ``faults`` are those that the specimen may have.
@@ -326,8 +351,7 @@ def continuous_model(
         everywhere = Hydraulics.from_parameters(actuator, whole, axes)
         hydraulics = everywhere.part(own.places)
         model = servo_hydraulic(specimen, hydraulics, linear=kind == "servo_hydraulic_linear")
-    cutoff = section["sensors.anti_alias"]
-    return with_low_pass(model, cutoff) if cutoff else model
+    return with_sensors(model, section, axes, own.places)
 
 
 class Rigs:

@@ -20,6 +20,7 @@ from seft_msgs_py.wire.outcome import (
     FINISHED,
     REHEARSED,
     REHEARSES,
+    SENSOR_LAG,
     TRIPPED,
     Outcome,
     State,
@@ -29,6 +30,7 @@ from seft_msgs_py.wire.outcome import (
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_plant_sim import rig_watch
+from seft_plant_sim.calibration import common_lag
 from seft_plant_sim.command import Command
 from seft_plant_sim.rig import Rig, Stopped
 from seft_plant_sim.rig_parameters import RIG_TABLE
@@ -76,6 +78,7 @@ class RigNode(NodeBody):
         reserve = topics.STOP_COMMAND.of(shell.rig)
         self._reserve = self._command(reserve, shell.rig.axes, "limits.command")
         self.facts: dict[str, Any] = {"drive": self._drive.codec.topic.name}
+        self.facts[SENSOR_LAG] = common_lag(self._section)
         self._rehearsal: rig_watch.Rehearsal | None = None
         is_realtime = self._section["pace"] == "realtime"
         if self._is_alone and is_realtime and not self._section["loop_delay"]:

@@ -186,6 +186,23 @@ paper's rig (docs/rig.md)."""
 
 SENSORS = parameter_rows(
     """
+    position_scale      | floats | 1.0   |       |         | measured over true displacement
+    velocity_scale      | floats | 1.0   |       |         | measured over true velocity
+    acceleration_scale  | floats | 1.0   |       |         | measured over true acceleration
+    force_scale         | floats | 1.0   |       |         | measured over true force
+    tilt                | floats | 0.0   |       |         |
+        accelerations that the accelerometers show per acceleration of each axis, a matrix row by
+        row; 0: each shows its own axis alone
+    position_lag        | floats | 0.0   | s     | 0 .. 1  |
+        time by which the measured displacement is late, in whole samples or not
+    velocity_lag        | floats | 0.0   | s     | 0 .. 1  | of the measured velocity, likewise
+    acceleration_lag    | floats | 0.0   | s     | 0 .. 1  | of the measured acceleration, likewise
+    force_lag           | floats | 0.0   | s     | 0 .. 1  | of the measured force, likewise
+    position_filter     | floats | 0.0   | Hz    | 0 ..    |
+        cut-off of the displacement's filter (Butterworth, second order); 0: none
+    velocity_filter     | floats | 0.0   | Hz    | 0 ..    | of the velocity's filter, likewise
+    acceleration_filter | floats | 0.0   | Hz    | 0 ..    | of the acceleration's filter, likewise
+    force_filter        | floats | 0.0   | Hz    | 0 ..    | of the force's filter, likewise
     position_noise     | floats | 0.0   | m     | 0 ..    | RMS noise of displacement
     velocity_noise     | floats | 0.0   | m/s   | 0 ..    | RMS noise of velocity
     acceleration_noise | floats | 0.0   | m/s^2 | 0 ..    | RMS noise of acceleration
@@ -204,14 +221,34 @@ SENSORS = parameter_rows(
         force in both directions at which the sensor saturates; 0: never
     adc_bits           | int    | 0     |       | 0 .. 32 |
         bits of the analog-digital converter over each range; 0: exact
-    anti_alias         | float  | 0.0   | Hz    | 0 ..    |
-        cut-off of the anti-aliasing filters (Butterworth, second order); 0: none
     velocity | string | measured |  | measured, derived |
         measured, or derived from the measured displacement by a filtered derivative
     velocity_cutoff    | float  | 100.0 | Hz    | > 0     | cut-off of that derivative
     """,
     "sensors",
 )
+
+CALIBRATION = parameter_rows(
+    """
+    position_scale     | floats | 1.0   |       |         |
+        what is known of the measured displacement: measured over true change
+    velocity_scale     | floats | 1.0   |       |         | of the velocity, likewise
+    acceleration_scale | floats | 1.0   |       |         | of the acceleration, likewise
+    force_scale        | floats | 1.0   |       |         | of the force, likewise
+    position_lag       | floats | 0.0   | s     | 0 .. 1  |
+        time by which the measured displacement is known to be late. All channels are aligned to
+        the latest one, and the loop counts its lag
+    velocity_lag       | floats | 0.0   | s     | 0 .. 1  | of the velocity, likewise
+    acceleration_lag   | floats | 0.0   | s     | 0 .. 1  | of the acceleration, likewise
+    force_lag          | floats | 0.0   | s     | 0 .. 1  | of the force, likewise
+    position_zero      | floats | 0.0   | m     |         | measured displacement at a true one of 0
+    velocity_zero      | floats | 0.0   | m/s   |         | measured velocity at a true one of 0
+    acceleration_zero  | floats | 0.0   | m/s^2 |         | measured acceleration at a true one of 0
+    force_zero         | floats | 0.0   | N     |         | measured force at a true one of 0
+    """,
+    "calibration",
+)
+"""What a rig, simulated or not, takes out of its samples: `calibration.calibration_of`."""
 
 SAFETY = parameter_rows(
     """
@@ -244,6 +281,7 @@ RIG_TABLE = Table(
         *SPRINGS,
         *_ACTUATOR,
         *SENSORS,
+        *CALIBRATION,
         *limit_rows(default_from="supervisor"),
         *SAFETY,
         *host.REALTIME_PARAMETERS,

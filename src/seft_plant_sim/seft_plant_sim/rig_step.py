@@ -7,10 +7,12 @@ from seft_msgs_py.arrays import Floats, Ints
 
 from seft_plant_sim.actuator import OPENING, PER_CAPACITY
 from seft_plant_sim.actuator import STROKE_COLUMN as STROKE_COLUMN
+from seft_plant_sim.calibration import Calibration, CalibrationState, calibrate
 from seft_plant_sim.compiled import compiled, multiply
 from seft_plant_sim.continuous_model import Dynamics, Motion, integrate, make_sound
 from seft_plant_sim.faults import Faults, obey, show, wear
 from seft_plant_sim.limits import exceeds, is_exceeded
+from seft_plant_sim.sensor_dynamics import Sensing, read_sensors
 from seft_plant_sim.sensors import CHANNELS, Channels, derive_velocity, measure_channels
 
 _STROKE, FORCE_CAPACITY, _VALVE = 16, 32, 64
@@ -35,11 +37,15 @@ class RigParameters(NamedTuple):
     Attributes
     ----------
     dynamics : Dynamics
-        Of actuator and specimen: from the last sample to the drive's change, and after it.
+        Of actuator and specimen, over the stretches of a sampling period.
     drive_limit : ndarray
         Drive at which the actuators saturate, shape (n,).
+    change : int
+        The last stretch before the delayed drive changes.
     changes_between : bool
-        Whether the delayed drive changes between the samples.
+        Whether it changes between the samples.
+    sensing : Sensing
+        What the sensors show.
     channels : Channels
         Of the sensors.
     limits : ndarray
@@ -48,15 +54,20 @@ class RigParameters(NamedTuple):
         Steps of a second.
     faults : Faults
         Of the rig.
+    calibration : Calibration
+        What is known of the channels.
     """
 
     dynamics: Dynamics
     drive_limit: Floats
+    change: int
     changes_between: bool
+    sensing: Sensing
     channels: Channels
     limits: Floats
     window: int
     faults: Faults
+    calibration: Calibration
 
 
 class RigState(NamedTuple):
@@ -68,7 +79,9 @@ class RigState(NamedTuple):
         Of actuator and specimen.
     true : ndarray
         Displacement (m), velocity (m/s), acceleration (m/s^2) and force (N) at the sample, (4n,).
-        With anti-aliasing filters behind them; displacement and force before these follow, (6n,).
+    read, shown : ndarray
+        What the sensors have read in the last periods, a ring buffer, shape (m, 4n), and what of it
+        they show at the sample, shape (4n,); (0, 0) and (0,) if that is the true state.
     asked : ndarray
         Last command, within the limits of the drive, shape (n,).
     line : ndarray
@@ -77,7 +90,7 @@ class RigState(NamedTuple):
         Place of the oldest drive, number of blind samples, and of samples in a row beyond a limit,
         and beyond that of a change; shape (4,).
     measured, change : ndarray
-        The sample as measured, and its change since the last one, shape (4, n).
+        The sample as it is published, and its change since the last one, shape (4, n).
     largest : ndarray
         Largest magnitudes of both so far, shape (8,).
     blind : ndarray
@@ -86,10 +99,14 @@ class RigState(NamedTuple):
         Memory of the faults.
     peaks : ndarray
         Largest true displacement so far (m), and true force now (N), of any axis, shape (2,).
+    calibration : CalibrationState
+        Of the channels.
     """
 
     motion: Motion
     true: Floats
+    read: Floats
+    shown: Floats
     asked: Floats
     line: Floats
     counts: Ints
@@ -99,6 +116,7 @@ class RigState(NamedTuple):
     blind: Ints
     faulty: Floats
     peaks: Floats
+    calibration: CalibrationState
 
 
 @compiled
@@ -121,8 +139,8 @@ def rig_step(
     command : ndarray
         Drive of the actuators after the last sample, shape (n,), V or N.
     noise, measured : ndarray
-        Noise of the sensors at this step, shape (4, n), and that of faults below it; the sample,
-        which is written, shape (4, n).
+        Noise of the sensors at this step, shape (4, n), and that of faults below it; the calibrated
+        sample, which is written, shape (4, n).
 
     Returns
     -------
@@ -133,9 +151,16 @@ def rig_step(
         rest(state)
     else:
         move(parameters, state, step - 1, command)
-    found = measure_channels(parameters.channels, state.true, noise, measured)
+    shown, places = state.true, len(state.read)
+    if places:
+        shown = state.shown
+        for i in range(len(shown)):
+            shown[i] = state.read[(step - parameters.sensing.whole[i]) % places, i]
+    found = measure_channels(parameters.channels, shown, noise, measured)
     if len(parameters.faults.numbers):
         show(parameters.faults, step, noise, state.faulty, measured)
+    if len(parameters.calibration.zero):
+        calibrate(parameters.calibration, state.calibration, step, measured, measured)
     derive_velocity(parameters.channels, step, state.measured, measured)
     blind = found > 0
     beyond = exceeds(parameters.limits, step, state.measured, measured, state.largest)
@@ -176,11 +201,18 @@ def move(parameters: RigParameters, state: RigState, step: int, command: Floats)
     after = (oldest + 1) % places
     if len(parameters.faults.numbers):
         wear(parameters.faults, step, dynamics, motion)
-    for stretch in range(2):
-        place = after if stretch else oldest
+    last, senses, change = len(dynamics.steps) - 1, len(state.read), parameters.change
+    for stretch in range(last + 1):
+        place = after if stretch > change else oldest
         for i in range(n):
             motion.work[drive + i] = line[place, i]
         integrate(dynamics, stretch, motion)
+        if senses and stretch < last:
+            place = after if stretch >= change else oldest
+            for i in range(n):
+                motion.work[drive + i] = line[place, i]
+            read = state.read[(step + 1) % senses]
+            read_sensors(parameters.sensing, motion, stretch, state.shown, read)
     for i in range(n):
         state.asked[i] = _bounded(command[i], parameters.drive_limit[i])
         line[oldest, i] = state.asked[i]
@@ -191,6 +223,9 @@ def move(parameters: RigParameters, state: RigState, step: int, command: Floats)
     for i in range(n):
         motion.work[drive + i] = line[now, i]
     multiply(dynamics.output, motion.work, state.true)
+    if senses:
+        read = state.read[(step + 1) % senses]
+        read_sensors(parameters.sensing, motion, last, state.shown, read)
     state.counts[0] = after
     _note_peaks(n, state.true, state.peaks)
 
@@ -203,11 +238,10 @@ def _bounded(drive: float, limit: float) -> float:
 @compiled
 def _note_peaks(n: int, true: Floats, peaks: Floats) -> None:
     """Update `RigState.peaks`."""
-    at, force_at = (0, 3 * n) if len(true) == 4 * n else (4 * n, 5 * n)
     peaks[FORCE_NOW] = 0.0
     for i in range(n):
-        peaks[LARGEST_TRAVEL] = max(peaks[LARGEST_TRAVEL], abs(true[at + i]))
-        peaks[FORCE_NOW] = max(peaks[FORCE_NOW], abs(true[force_at + i]))
+        peaks[LARGEST_TRAVEL] = max(peaks[LARGEST_TRAVEL], abs(true[i]))
+        peaks[FORCE_NOW] = max(peaks[FORCE_NOW], abs(true[3 * n + i]))
 
 
 @compiled
@@ -286,6 +320,7 @@ def rest(state: RigState) -> None:
     state.motion.springs[:] = 0.0
     make_sound(state.motion)
     state.true[:] = 0.0
+    state.read[:] = 0.0
     state.asked[:] = 0.0
     state.line[:] = 0.0
     state.counts[:] = 0

@@ -98,7 +98,7 @@ class ShakenStructure:
 
     def __init__(self, structure: Specimen, dt: float, steps: int) -> None:
         self._structure, self._dt = structure, dt
-        self._dynamics = dynamics_of(_shaken(structure), 0.0, dt, dt / steps)
+        self._dynamics = dynamics_of(_shaken(structure), [dt], dt / steps)
         self._motion = at_rest(self._dynamics)
         self._last: Floats | None = None
 
@@ -194,7 +194,7 @@ def _respond(
             motion.work[2 * n + i] = before
             motion.work[3 * n + i] = (ground_motion[k, i] - before) / dt
         if k or not from_rest:
-            integrate(dynamics, 1, motion)
+            integrate(dynamics, 0, motion)
         multiply(dynamics.output, motion.work, samples[k])
 
 

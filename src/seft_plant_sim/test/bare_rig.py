@@ -1,5 +1,7 @@
 """A rig of which the true samples count, and parameters for rigs."""
 
+from dataclasses import replace
+
 import numpy as np
 from seft_msgs_py.config.parameter_table import resolve
 from seft_plant_sim.continuous_model import ContinuousModel
@@ -25,26 +27,18 @@ def rig_section(group="", /, **values):
 
 
 class BareRig(Rig):
-    """Rig of a model, or of what is linear in it; `reset` and `step` give the true samples.
-
-    Nothing is measured, and nothing trips.
-    """
+    """Rig of a model, or of what is linear in it; its sensors have no noise, and nothing trips."""
 
     def __init__(self, model, dt, *, linear=False):
         if linear:
+            sensed = model.sensed
             model = ContinuousModel.linear(
                 model.a, model.b, model.c, model.d, model.delay, model.drive
             )
+            if sensed:
+                model = replace(model, sensed=replace(sensed, outputs=sensed.outputs[:, :0]))
         n = model.b.shape[1]
         nothing, no_end = np.zeros((4, n)), np.full((4, n), np.inf)
         sensors = Sensors(Channels(nothing, nothing, no_end, nothing), 0)
         limits = Limits(dict.fromkeys(LIMIT_NAMES, np.inf), [str(i) for i in range(n)], dt)
         super().__init__(model, sensors, limits, 1e9, dt)
-
-    def reset(self):
-        super().reset()
-        return self.sample
-
-    def step(self, command):
-        super().step(command)
-        return self.sample

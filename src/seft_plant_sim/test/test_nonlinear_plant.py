@@ -102,7 +102,7 @@ def test_nothing_is_named_within_all_ranges():
 @pytest.mark.parametrize("drive", [1e3, 1e9, 1e15])
 def test_no_drive_gives_what_is_no_number(drive):
     turns = drive * np.sign(np.sin(np.arange(600) / 50.0))[:, np.newaxis]
-    for values in ({}, {"actuator__friction": 300.0, "sensors__anti_alias": 100.0}):
+    for values in ({}, {"actuator__friction": 300.0, "sensors__force_filter": 100.0}):
         assert np.isfinite(run(plant(**values), turns)[0]).all()
     yields = {"specimen__kind": "bouc_wen", "specimen__yield_displacement": 0.002}
     assert np.isfinite(run(plant(**yields), turns)[0]).all()

@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 from seft_plant_sim import continuous_model as model_module
 from seft_plant_sim.actuator import STOP_DAMPING, STOP_STIFFNESS
 from seft_plant_sim.rig import continuous_model
+from seft_plant_sim.sensors import CHANNELS
 
 DT = 0.002
 COUNT = 150
@@ -42,7 +43,7 @@ def sampled(specimen, actuator, commands, cutoff=0.0):
     """Samples of our plant, shape (N + 1, 4, n): sample k + 1 follows command k."""
     values = {f"specimen.{name}": value for name, value in specimen.items()}
     values |= {f"actuator.{name}": value for name, value in actuator.items()}
-    values["sensors.anti_alias"] = cutoff
+    values |= {f"sensors.{channel}_filter": cutoff for channel in CHANNELS}
     section = rig_section(**values)
     plant = BareRig(continuous_model(section, ("x", "y")[: commands.shape[1]]), DT)
     return np.array([plant.reset(), *(plant.step(command) for command in commands)])

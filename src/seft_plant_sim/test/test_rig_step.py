@@ -24,7 +24,11 @@ KINDS = {
     "gap": {"gap.width": 0.003, "gap.stiffness": 8e5},
     "duffing": {"duffing.cubic": 4e9},
 }
-FILTERED = {"sensors.anti_alias": 200.0, "sensors.velocity": "derived"}
+FILTERED = {"sensors.position_filter": 200.0, "sensors.velocity": "derived"}
+LATE = {
+    **{"sensors.acceleration_lag": 7e-4, "sensors.force_lag": 0.0061, "sensors.force_filter": 90.0},
+    **{"calibration.force_lag": 0.0085, "calibration.acceleration_scale": 1.1},
+}
 FAULTS = [
     *(
         "force set 500 at 0.2 for 3",
@@ -46,6 +50,7 @@ RIGS = [
     {"actuator.kind": "delay", "actuator.delay": 0.0113},
     {"actuator.kind": "servo_hydraulic_linear", "actuator.dead_time": 0.0037},
     {"sensors.acceleration_range": 5.0, "limits.saturated_time": 0.1} | FILTERED,
+    {"sensors.acceleration_range": 5.0, "limits.saturated_time": 0.1, "faults": FAULTS[:3]} | LATE,
     {"specimen.kind": "bouc_wen", "specimen.yield_displacement": 0.003, "faults": FAULTS},
     {"faults": FAULTS},
 ]

@@ -42,7 +42,13 @@ YIELDING = (
     "rig:specimen.yield_displacement:=1.0e-3",
     f"rig:specimen.springs:={SPRINGS}",
 )
-FILTERED = ("rig:sensors.velocity:=derived", "rig:sensors.anti_alias:=100.0")
+FILTERED = (
+    "rig:sensors.velocity:=derived",
+    "rig:sensors.position_filter:=100.0",
+    "rig:sensors.force_lag:=[0.0, 0.003, 0.0005]",
+    "rig:calibration.force_lag:=[0.0, 0.003, 0.0005]",
+    "rig:calibration.acceleration_zero:=[0.1, 0.0, 0.2]",
+)
 
 
 FAULTS = (

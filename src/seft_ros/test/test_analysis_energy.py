@@ -9,6 +9,7 @@ from experiments_at_hand import load, simulated
 from records_at_hand import as_measured
 from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.rig_parameters import LIMIT_ROWS
+from seft_plant_sim.sensors import CHANNELS
 from seft_ros.analysis.summary import balance_of, energy_numbers, summarise
 from seft_ros.bags.record import Series
 from seft_ros.bags.record_bag import read_bag, write_record
@@ -16,6 +17,7 @@ from seft_ros.bags.record_bag import read_bag, write_record
 SHORT = ("ground_motion:synthetic.duration:=8.0", "ground_motion:tail:=1.0")
 YIELDING = ("rig:specimen.kind:=bilinear", "rig:specimen.yield_displacement:=0.002")
 KEYS = ["input_j", "kinetic_j", "strain_j", "damped_j", "hysteretic_j", "closure"]
+FILTERED = tuple(f"rig:sensors.{channel}_filter:=150" for channel in CHANNELS)
 
 
 def energy_of(record):
@@ -31,7 +33,7 @@ def run(*words):
     [
         ((), 0.01),
         (YIELDING, 0.01),
-        (("rig:actuator.kind:=ideal", "rig:sensors.anti_alias:=150"), 0.01),
+        (("rig:actuator.kind:=ideal", *FILTERED), 0.01),
         (("rig:actuator.kind:=delay", "rig:actuator.delay:=0.0033", *YIELDING), 0.01),
         (("rig:actuator.kind:=delay", "rig:actuator.delay:=0.004"), 0.01),
         (("rig:sensors.velocity:=derived",), 0.02),

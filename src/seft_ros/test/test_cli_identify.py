@@ -10,6 +10,7 @@ from commands_at_hand import run_seft
 from experiments_at_hand import JHU, load
 from seft_msgs_py.config.experiment import Experiment, read_parameter_file
 from seft_plant_sim.lti import bilinear, polynomial_ratio
+from seft_plant_sim.sensors import CHANNELS
 from seft_ros.bags.record_bag import read_bag
 from seft_ros.design.force_tracking import tracking_measures
 from seft_ros.design.plant import choose_plant
@@ -148,8 +149,24 @@ def test_a_rig_whose_controller_needs_its_actuators_is_identified_without_knowin
     assert not any("tracking.num" in name for name in read_parameter_file("out/model.yaml"))
 
 
+def test_the_known_lag_of_the_sensors_is_no_part_of_what_is_written(identify):
+    """The loop adds it."""
+    lag, groups = 0.003, ("sensors", "calibration")
+    overrides = [f"rig:{g}.{c}_lag:={lag}" for g in groups for c in CHANNELS]
+    status, found, _ = identify(*BRIEF, "--out", "out", overrides=overrides)
+    assert status == 0
+    assert found["actuator"]["dead_time_s"] == pytest.approx(0.001 + lag, abs=3e-4)
+    written = read_parameter_file("out/model.yaml")
+    dead_times = written["force_controller"]["actuator.dead_time"]
+    assert dead_times == pytest.approx([found["actuator"]["dead_time_s"] - lag])
+    # the delay of a force loop with feedback hardly depends on it
+    assert written["reference_force"]["compensation.delay"] == found["delay_s"]
+    assert found["delay_s"] == pytest.approx(0.0139, abs=2e-3)
+
+
 def test_a_rig_without_a_valve_has_the_closed_loop_only(identify, tmp_path):
-    overrides, delay = ("rig:actuator.kind:=delay", "rig:actuator.delay:=0.0113"), 0.0133
+    overrides, delay = ["rig:actuator.kind:=delay", "rig:actuator.delay:=0.0113"], 0.0163
+    overrides += [f"rig:{g}.{c}_lag:=0.003" for g in ("sensors", "calibration") for c in CHANNELS]
     status, found, _ = identify("--duration", "20", "--out", "out", overrides=overrides)
     assert status == 0
     assert found["plant_zero_hz"] is found["plant_pole_hz"] is None
@@ -160,6 +177,7 @@ def test_a_rig_without_a_valve_has_the_closed_loop_only(identify, tmp_path):
     assert any("valve" in note for note in found["notes"])
     section = read_parameter_file(tmp_path / "out" / "model.yaml")["reference_force"]
     assert section["tracking.dead_time"] > 0.0
+    assert section["compensation.delay"] == pytest.approx(found["delay_s"] - 0.003)
 
 
 def test_several_axes_have_their_numbers_each(identify, seft, tmp_path):

@@ -125,9 +125,12 @@ def test_a_rig_without_pressure_does_not_move(samples, drive, experiment):
     assert (finding.verdict, "is the pressure on?" in finding.remedy) == ("failed", True)
 
 
-@pytest.mark.parametrize(("later", "expected"), [(0, "passed"), (6, "failed")])
-def test_commands_that_are_applied_late_are_found(experiment, drive, later, expected):
-    finding = motion_checks.check_answer_delay(moved(experiment, drive, later), drive)
+@pytest.mark.parametrize(
+    ("later", "lag", "expected"),
+    [(0, 0.0, "passed"), (6, 0.0, "failed"), (6, 0.012, "passed"), (12, 0.012, "failed")],
+)
+def test_commands_that_are_applied_late_are_found(experiment, drive, later, lag, expected):
+    finding = motion_checks.check_answer_delay(moved(experiment, drive, later), drive, lag)
     assert finding.verdict == expected
 
 

@@ -39,6 +39,15 @@ COUPLED = {
     "specimen.stiffness": [2.0e5, -3.0e4, -3.0e4, 2.4e5],
 }
 LINEAR = [name for name in OWN_METHODS if name != "target_motion"]  # test_design_frozen_methods.py
+LATE = {
+    "rig": {
+        **{"sensors.acceleration_lag": 7e-4, "sensors.position_lag": 0.0047},
+        **{"sensors.force_lag": 0.004, "sensors.force_filter": 150.0, "sensors.force_scale": 0.9},
+        **{f"calibration.{name}_lag": 0.004 for name in ("position", "acceleration")},
+        "calibration.force_scale": 0.95,
+    }
+}
+"""Channels that wait do so for whole samples, for which preflight's delay is exact."""
 WIDE = {f"limits.{name}": 1e9 for name in LIMIT_ROWS}
 
 
@@ -134,7 +143,9 @@ def test_so_they_are_with_a_delay_of_the_loop(method):
         ([SERVO, {"reference_force": {"method": "eft"}}], "x"),
         ([SERVO, {"force_controller": {"feedback": False}}], "x"),
         ([SERVO, {"force_controller": {"numerator": [1e-4], "denominator": [1.0]}}], "x"),
-        ([SERVO, {"rig": {"sensors.anti_alias": 150.0}}], "x"),
+        ([SERVO, LATE], "x"),
+        ([SERVO, {"rig": COUPLED | {"actuator.dead_time": 0.0007}}, LATE], "xy"),
+        ([delayed(0.0033), LATE, {"rig": {"sensors.velocity": "derived"}}], "x"),
         ([SERVO, {"rig": {"actuator.viscous_friction": 300.0}}], "x"),
         ([delayed(0.01), {"rig": {"sensors.velocity": "derived"}}], "x"),
         ([SERVO, {"rig": COUPLED | {"sensors.velocity": "derived"}}], "xy"),

@@ -98,7 +98,7 @@ def test_the_response_is_that_of_the_transfer_function():
 @pytest.mark.parametrize(("dead_time", "cutoff"), [(0.0, 0.0), (0.004, 80.0), (0.0071, 0.0)])
 def test_the_sampled_response_is_the_rigs_own_pulse_response(dead_time, cutoff):
     test = experiment(
-        actuator__dead_time=dead_time, sensors__anti_alias=cutoff, actuator__leakage=2e3
+        actuator__dead_time=dead_time, sensors__force_filter=cutoff, actuator__leakage=2e3
     )
     dt, count = test.timebase.dt, 12000
     pulse = np.zeros((count, 1))

@@ -9,6 +9,7 @@ from experiments_at_hand import load, simulated
 from rig_faults import CHANNELS, FAULTS, HELD, SlowHost, lines_of
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig import Rig
+from seft_plant_sim.sensors import CHANNELS as SENSORS
 from seft_ros.analysis.summary import shares_of
 from seft_ros.protection.detectors import DETECTORS, WARNING
 from seft_ros.test_run.compiled_loop import build_blocks
@@ -105,7 +106,8 @@ def test_faults_of_the_hardware_end_a_test_soon(specimen, at):
         ("force_controller:actuator.flow_gain:=0.045",),
         ("force_controller:actuator.dead_time:=0.003",),
         ("rig:sensors.adc_bits:=12",),
-        ("rig:sensors.anti_alias:=100.0",),
+        tuple(f"rig:sensors.{name}_filter:=100.0" for name in SENSORS),
+        (*(f"rig:{name}.force_lag:=0.003" for name in ("sensors", "calibration")),),
         ("rig:sensors.velocity:=derived",),
         *(((f"{SPECIMEN}kind:=linear", f"rate:={rate}")) for rate in (250.0, 2000.0)),
         tuple(f"rig:sensors.{name}_noise:=0.0" for name in ("position", "velocity", "force")),

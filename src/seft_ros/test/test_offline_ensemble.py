@@ -94,7 +94,7 @@ CASES = {  # few combinations of blocks: a loop is compiled for each
         YIELDS,
     ),
     "derived and filtered": (
-        "rig:sensors.velocity:=derived", "rig:sensors.anti_alias:=200.0",
+        "rig:sensors.velocity:=derived", "rig:sensors.force_filter:=200.0",
         "rig:sensors.force_bias:=5.0",
     ),
     "eft": ("reference_force:method:=eft", RATIO(0.2), "ground_motion:peak_force:=300.0"),

@@ -1,5 +1,6 @@
 """The tables of all nodes together: what is taken from where, and that none contradicts itself."""
 
+from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
@@ -57,18 +58,31 @@ def test_a_default_is_a_value_its_own_row_accepts(node, row):
     if row.default is not None:
         assert row.check(row.default, node) == row.default
     assert row.description
-    assert not row.default_from or row.default_from.partition(":")[2] in {
-        other.name for owner, other in ROWS if owner == row.default_from.partition(":")[0]
-    }
+    node, _, pattern = row.default_from.partition(":")
+    assert not row.default_from or any(
+        fnmatch(other.name, pattern) for owner, other in ROWS if owner == node
+    )
 
 
 @pytest.mark.parametrize(("node", "row"), ROWS, ids=[f"{node} {row.name}" for node, row in ROWS])
 def test_a_default_that_comes_from_other_parameters_comes_from_a_last_one(node, row):
     sources = {f"{owner}:{other.name}": other.default_from for owner, other in ROWS}
-    passed = [f"{node}:{row.name}"]
-    while source := sources[passed[-1]]:
+    passed, source = [f"{node}:{row.name}"], row.default_from
+    while source and "*" not in source:
         assert source not in passed
         passed.append(source)
+        source = sources[source]
+    assert not any(sources[name] for name in sources if source and fnmatch(name, source))
+
+
+def test_the_loop_counts_the_lag_of_the_latest_channel():
+    words = (*SPECIMEN, "rig:calibration.force_lag:=0.002", "rig:calibration.position_lag:=[0.003]")
+    experiment = load(*words)
+    assert experiment["reference_force"]["compensation.sensor_lag"] == 0.003
+    assert experiment["force_controller"]["sensor_lag"] == 0.003
+    told = load(*words, "reference_force:compensation.sensor_lag:=0.001")
+    assert told["force_controller"]["sensor_lag"] == 0.001
+    assert load(*SPECIMEN)["force_controller"]["sensor_lag"] == 0.0
 
 
 @pytest.mark.parametrize("path", sorted(CONFIG.glob("*.yaml")), ids=lambda path: path.name)

@@ -220,6 +220,18 @@ def test_both_ends_of_a_link_must_agree_on_its_delay(sent, taken, fits):
     assert missing(PEERS, statuses, descriptions, NOW) == ("" if fits else told)
 
 
+def test_a_rig_and_the_loop_must_agree_on_the_lag_of_its_state():
+    statuses, descriptions = graph()
+    assert missing(PEERS, statuses, descriptions, NOW) == ""  # a rig that does not tell it
+    descriptions["rig"] = {**descriptions["rig"], "sensor_lag": 0.003}
+    told = "one lag of the measured state: rig has 0.003 s, reference_force has 0 s; give both"
+    assert missing(PEERS, statuses, descriptions, NOW).startswith(told)
+    loop = descriptions["reference_force"]
+    parameters = {**loop["parameters"], "compensation.sensor_lag": 0.003}
+    descriptions["reference_force"] = {**loop, "parameters": parameters}
+    assert missing(PEERS, statuses, descriptions, NOW) == ""
+
+
 ABLE = {"rehearses": True}
 
 

@@ -10,6 +10,7 @@ import sys
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatch
 from typing import Any, Literal
 
 import numpy as np
@@ -118,7 +119,8 @@ class Parameter:
     file_name : bool
         The text must be a valid name of a file or folder, without a path; it may be empty.
     default_from : str
-        ``node:parameter`` of the same experiment whose value is the default.
+        ``node:parameter`` of the same experiment whose value is the default; of parameters whose
+        names match a pattern such as ``node:*_lag``, the largest value.
     live : bool
         The parameter may be set while the node runs, and takes effect at its next use.
     """
@@ -307,6 +309,13 @@ def group(section: Mapping[str, Value], prefix: str) -> Section:
     return {k.removeprefix(dotted): v for k, v in section.items() if k.startswith(dotted)}
 
 
+def _largest(values: Sequence[Value]) -> Value:
+    """Give the largest number of values and lists of them; None without one, else what is none."""
+    flat = [one for v in values for one in (v if isinstance(v, list | tuple) else [v])]
+    other = [one for one in flat if isinstance(one, bool) or not isinstance(one, int | float)]
+    return other[0] if other else max(flat, default=None)
+
+
 def resolve(
     tables: Mapping[str, Table],
     given: Mapping[str, Mapping[str, Value]],
@@ -324,6 +333,9 @@ def resolve(
     """
 
     def value_of(node: str, name: str) -> Value:
+        if "*" in name:
+            known = {*given.get(node, {}), *(tables[node].rows if node in tables else ())}
+            return _largest([value_of(node, one) for one in sorted(known) if fnmatch(one, name)])
         if name in given.get(node, {}):
             return given[node][name]
         row = tables[node].rows.get(name) if node in tables else None

@@ -23,6 +23,8 @@ REHEARSES = "rehearses"
 """Key of the facts of a node of the loop: whether it can rehearse."""
 REHEARSED = "rehearsal"
 """Key of the rig's facts: result of a rehearsal of the loop."""
+SENSOR_LAG = "sensor_lag"
+"""Key of the rig's facts: lag of the state that it publishes, s."""
 LISTED_STEPS = 100
 """Largest number of missed steps that a status lists; all are counted."""
 ROUND_TRIPS = {

@@ -17,6 +17,7 @@ from seft_msgs_py.wire.topics import (
 from seft_plant_sim.computed_model import ModelError
 from seft_plant_sim.lti import split_dead_time
 from seft_plant_sim.rig_parameters import LIMIT_NAMES
+from seft_plant_sim.sensors import CHANNELS
 from seft_plant_sim.specimen import EnergyBalance, energy_balance
 from seft_plant_sim.whole_structure import ReferenceResponse, reference_response, tested_specimen
 
@@ -207,7 +208,8 @@ def _held(experiment: Experiment) -> float | None:
     """Part of a period after which an idealised actuator's force changes; None: it has none."""
     rig = experiment.sections.get("rig", {})
     kind, dt = rig.get("actuator.kind"), experiment.timebase.dt
-    if kind not in ("ideal", "delay") or rig.get("sensors.anti_alias"):
+    changed = any(np.any(rig.get(f"sensors.{c}_{w}")) for c in CHANNELS for w in ("lag", "filter"))
+    if kind not in ("ideal", "delay") or changed:
         return None
     _, part = split_dead_time(rig["actuator.delay"] if kind == "delay" else 0.0, dt)
     return part / dt if part else 1.0
@@ -281,7 +283,7 @@ def shares_of(record: Record) -> dict[str, float] | None:
         record.series[topic.name] for topic in (RIG_STATE, REFERENCE_FORCE, VALVE_COMMAND)
     )
     steps, at_states, at_forces = common_steps(states.steps, forces.steps)
-    if "detectors.warn_only" not in section or not len(steps) or not len(sent.steps):
+    if "sensor_lag" not in section or not len(steps) or not len(sent.steps):
         return None
     newest = np.searchsorted(sent.steps, steps, side="right") - 1
     commands = np.where(newest[:, np.newaxis] < 0, 0.0, sent.values[newest, 0])

@@ -166,6 +166,7 @@ def identify(
     from seft_ros.design import identified, rig_tests
     from seft_ros.design.identified_figure import identified_figure
     from seft_ros.drawing.style import save_figure
+    from seft_ros.reference_force.force_command import FORCE_DRIVEN
 
     if set(external or ()) - {"rig"}:
         raise InputError(
@@ -229,7 +230,9 @@ def identify(
         table = identified.identified_table(summary)
         texts = [f"{config} as identified", table, *summary["notes"]]
         files |= {"model": folder / "model.yaml", "figure": folder / shared.FIGURE}
-        identified.write_model(found, files["model"], str(config), specimen)
+        loop = experiment["reference_force"]
+        lags = loop["compensation.sensor_lag"], loop["compensation.actuator_kind"] in FORCE_DRIVEN
+        identified.write_model(found, files["model"], str(config), specimen, *lags)
         save_figure(identified_figure(found, f"seft identify {config}"), files["figure"])
     summary["files"] = {what: str(path) for what, path in files.items()}
     shared.show(

@@ -256,4 +256,7 @@ def _type(row: Parameter) -> str:
 
 def _default(row: Parameter) -> str:
     own = "**required**" if row.default is None else f"`{row.default!r}`".replace("'", '"')
-    return f"*{row.default_from}*, else {own}" if row.default_from else own
+    if not row.default_from:
+        return own
+    largest = "largest of " if "*" in row.default_from else ""
+    return f"{largest}*{row.default_from.replace('*', chr(92) + '*')}*, else {own}"

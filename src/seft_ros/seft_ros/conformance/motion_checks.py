@@ -198,8 +198,11 @@ def _why(factor: complex) -> str:
     return f"{words}, and the sign is reversed" if is_reversed else words
 
 
-def check_answer_delay(samples: Samples, drive: MotionDrive) -> Finding:
-    """Check that a command is applied from the next sample on, not later."""
+def check_answer_delay(samples: Samples, drive: MotionDrive, sensor_lag: float) -> Finding:
+    """Check that a command is applied from the next sample on, not later.
+
+    The force shows it after ``sensor_lag`` s.
+    """
     name, force = "answer applied", samples.values[:, 3]
     noise = np.maximum(force[drive.rest].std(axis=0), 1e-9)
     delays = []
@@ -210,9 +213,10 @@ def check_answer_delay(samples: Samples, drive: MotionDrive) -> Finding:
         delays += np.flatnonzero(change > ONSET_NOISE)[:1].tolist()
     if not delays:
         return found(name, False, "the doublets are not seen in the force")
-    first, latest = min(delays), 2 + math.floor(_VALVE / drive.dt)
+    longest = _VALVE + sensor_lag
+    first, latest = min(delays), 2 + math.floor(longest / drive.dt)
     text = f"the answer to a sample is first seen {first} samples later"
-    text += f" (2 to {latest} with up to {1e3 * _VALVE:g} ms of valve and oil)"
+    text += f" (2 to {latest} with up to {1e3 * longest:g} ms of valve, oil and sensor)"
     return found(name, 1 <= first <= latest, text, samples=float(first))
 
 

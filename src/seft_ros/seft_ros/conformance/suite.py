@@ -10,7 +10,7 @@ from dataclasses import replace
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.node.host import boot, started
-from seft_msgs_py.wire.outcome import FINISHED, TRIPPED, State
+from seft_msgs_py.wire.outcome import FINISHED, SENSOR_LAG, TRIPPED, State
 from seft_msgs_py.wire.topics import LOOP_TOPICS, VALVE_COMMAND
 from seft_plant_sim.whole_structure import tested_specimen
 
@@ -155,7 +155,8 @@ class Suite:
         if len(samples.steps) >= drive.steps:
             yield motion_checks.check_moves(samples, drive)
             yield from motion_checks.check_units(samples, drive, specimen)
-            yield motion_checks.check_answer_delay(samples, drive)
+            lag = float(driver.description.get(SENSOR_LAG, 0.0))
+            yield motion_checks.check_answer_delay(samples, drive, lag)
         elif len(samples.steps) > drive.bell.start + drive.step_at(_ABORTED):
             finding = motion_checks.check_units(samples, drive, specimen)[0]  # may be the cause
             if finding.verdict == "failed":

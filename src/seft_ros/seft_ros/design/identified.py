@@ -196,16 +196,26 @@ _MATRICES = ("mass", "damping", "stiffness")
 _LONGEST_DELAY = 1.0  # s, as in the parameter table
 
 
-def write_model(identified: Identified, path: Path, source: str, specimen: bool) -> None:
+def write_model(
+    identified: Identified,
+    path: Path,
+    source: str,
+    specimen: bool,
+    sensor_lag: float,
+    obeys_force: bool,
+) -> None:
     """Write parameters of `reference_force` and `force_controller`, by node, to a new file.
 
     To be read after the experiment's own. The actuators are those of all axes; a force capacity
     that was not identified on every axis is left out, so that the configured one counts. Closed
     loop and plant, which have one set of parameters, are those of the first axis, with the specimen
     of the tests. The specimen's matrices are included if ``specimen`` is true; ``source`` goes into
-    a comment. An InputError says if the file can't be written.
+    a comment. Dead times have the ``sensor_lag`` (s) of the tests in them, and the closed loop of a
+    rig that obeys forces, too; it is not written, because the loop adds it. An InputError says if
+    the file can't be written.
     """
     comments = [f"Identified by seft identify from {source}", f"Axes: {identified.axes}"]
+    closed_lag = sensor_lag if obeys_force else 0.0
     reference: dict[str, Any] = {}
     controller: dict[str, Any] = {}
     if specimen:
@@ -214,15 +224,17 @@ def write_model(identified: Identified, path: Path, source: str, specimen: bool)
     if identified.closed_loops:
         closed = identified.closed_loops[0]
         if closed.tracking.delay_s is not None:
-            delay = min(max(closed.tracking.delay_s, 0.0), _LONGEST_DELAY)
+            delay = min(max(closed.tracking.delay_s - closed_lag, 0.0), _LONGEST_DELAY)
             reference["compensation.delay"] = float(delay)
-        reference |= _response("tracking", closed.fit.model)
+        reference |= _response("tracking", closed.fit.model, closed_lag)
     if identified.valves:
         for name in _ACTUATOR:
             values = [float(getattr(valve.actuator, name)) for valve in identified.valves]
+            if name == "dead_time":
+                values = [max(value - sensor_lag, 0.0) for value in values]
             if name != "force_capacity" or all(values):
                 controller[f"actuator.{name}"] = values
-        controller |= _response("plant", _transfer_function(identified.valves[0]))
+        controller |= _response("plant", _transfer_function(identified.valves[0]), sensor_lag)
         comments += [
             "actuator: of the actuators, for any specimen",
             f"plant and tracking: with this specimen, of axis {identified.axes[0]}",
@@ -242,11 +254,11 @@ def _transfer_function(valve: ValveResponse) -> TransferFunction:
     return TransferFunction(tuple(numerator.tolist()), tuple(denominator.tolist()), plant.delay)
 
 
-def _response(prefix: str, model: TransferFunction) -> dict[str, Any]:
+def _response(prefix: str, model: TransferFunction, sensor_lag: float) -> dict[str, Any]:
     return {
         f"{prefix}.numerator": list(model.numerator),
         f"{prefix}.denominator": list(model.denominator),
-        f"{prefix}.dead_time": float(model.dead_time),
+        f"{prefix}.dead_time": max(float(model.dead_time) - sensor_lag, 0.0),
     }
 
 

@@ -12,12 +12,11 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_plant_sim.continuous_model import Drive
-from seft_plant_sim.rig import continuous_model
 from seft_plant_sim.specimen import Specimen
 from seft_plant_sim.whole_structure import tested_specimen
 
 from seft_ros.design.closed_loop import SampledLoop, closed_loop, frozen_feedforward, frozen_target
-from seft_ros.design.plant import Plant, choose_plant, small_signal
+from seft_ros.design.plant import Plant, choose_plant, simulated_rig, small_signal
 from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.methods import force_control
@@ -97,7 +96,7 @@ def choose_rig(experiment: Experiment, stiffness: float = 1.0) -> LoopRig:
     by_motion = controller.get("method") == VELOCITY_FEEDFORWARD
     identified = not by_motion and np.any(controller["plant.numerator"])
     if section is not None and not (identified and section["actuator.kind"] not in FORCE_DRIVEN):
-        model = continuous_model(section, experiment.axes, stiffness=stiffness)
+        model = simulated_rig(experiment, stiffness)
         plant = Plant.of_model("rig", model, motion=True)
         derived = section["sensors.velocity"] == "derived"
         cutoff = section["sensors.velocity_cutoff"] if derived else None

@@ -13,7 +13,8 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_plant_sim import lti
 from seft_plant_sim.actuator import Hydraulics
-from seft_plant_sim.continuous_model import ContinuousModel, servo_hydraulic
+from seft_plant_sim.calibration import as_published, calibration_of
+from seft_plant_sim.continuous_model import ContinuousModel, Sensed, servo_hydraulic
 from seft_plant_sim.rig import continuous_model
 from seft_plant_sim.specimen import Specimen
 
@@ -95,6 +96,8 @@ class Plant:
         Shapes (s, s), (s, n), (n, s), (n, n); u in V, f in N.
     delay : float
         Dead time, s.
+    late : ndarray, optional
+        Lag of the sensor of each output, s; default none.
     """
 
     source: Literal["rig", "identified"]
@@ -103,6 +106,7 @@ class Plant:
     c: Floats
     d: Floats
     delay: float
+    late: Floats | None = None
 
     @classmethod
     def of_model(
@@ -110,14 +114,17 @@ class Plant:
     ) -> "Plant":
         """Make it of actuators and specimen, to the forces or, with motion, to (x, v, a, f)."""
         outputs = slice(0 if motion else 3 * model.b.shape[1], None)
-        c, d = model.c[outputs], model.d[outputs]
-        return cls(source, model.a, model.b, c, d, model.delay).without_idle_states()
+        shown = model.sensed or Sensed(model.c, model.d, model.outputs, np.zeros(len(model.c)))
+        c, d, lags = shown.c[outputs], shown.d[outputs], shown.late[outputs]
+        late = lags if lags.any() else None
+        return cls(source, model.a, model.b, c, d, model.delay, late).without_idle_states()
 
     def axis(self, index: int) -> "Plant":
         """Plant of one axis alone, the valves of the others closed."""
         one = slice(index, index + 1)
+        late = None if self.late is None else self.late[one]
         return replace(
-            self, b=self.b[:, one], c=self.c[one], d=self.d[one, one]
+            self, b=self.b[:, one], c=self.c[one], d=self.d[one, one], late=late
         ).without_idle_states()
 
     def without_idle_states(self) -> "Plant":
@@ -146,7 +153,8 @@ class Plant:
         """Frequency response H_fu(jw) of the first axis, shape (N,), N/V."""
         s = np.asarray(2j * np.pi * frequencies_hz, dtype=np.complex128)
         forces = lti.state_space_response(self.a, self.b, self.c, self.d, s)
-        return forces[:, 0, 0] * np.exp(-s * self.delay)
+        delay = self.delay if self.late is None else self.delay + self.late[0]
+        return forces[:, 0, 0] * np.exp(-s * delay)
 
     def sampled(self, dt: float) -> tuple[Floats, Floats, Floats]:
         """Sample the plant exactly: zero-order hold, dead time and the loop's step of latency.
@@ -158,7 +166,8 @@ class Plant:
         -------
         a, b, c : ndarray
             State space from u_k to the outputs of sample k. The states are those of the plant,
-            then the drives of the last m + 2 samples, newest first.
+            then the drives of the last m + 2 samples, newest first, and what sensors have read that
+            are late.
 
         Raises
         ------
@@ -184,6 +193,40 @@ class Plant:
         c[:, :size] = self.c
         newest = size + (whole + (rest > 0)) * n
         c[:, newest : newest + n] = self.d
+        return (a, b, c) if self.late is None else self._behind_lags(a, b, c, rest, dt)
+
+    def _behind_lags(
+        self, a: Floats, b: Floats, c: Floats, rest: float, dt: float
+    ) -> tuple[Floats, Floats, Floats]:
+        """Put the lags behind a sampled plant, whose drive changes ``rest`` s after a sample."""
+        assert self.late is not None
+        (size, n), known = self.b.shape, len(a)
+        rows, lines = [], []
+        for row, late in enumerate(self.late.tolist()):
+            whole, part = lti.split_dead_time(late, dt)
+            after = dt - part  # of the sample before: the time at which the sensor is read
+            old, new = slice(known - n, known), slice(known - 2 * n, known - n)
+            state, drive = np.eye(size, known), old
+            for begin, end, acts in ((0.0, rest, old), (rest, dt, new)):
+                if part and begin <= after:
+                    free, forced, _ = lti.first_order_hold(self.a, self.b, min(after, end) - begin)
+                    state, drive = free @ state, acts
+                    state[:, acts] += forced
+            read = self.c[row] @ state if part else c[row].copy()
+            read[drive] += self.d[row] if part else 0.0
+            rows.append(read)
+            lines.append(whole + (part > 0))
+        more = sum(lines)
+        a = np.block([[a, np.zeros((known, more))], [np.zeros((more, known + more))]])
+        b = np.vstack([b, np.zeros((more, n))])
+        c = np.hstack([c, np.zeros((len(c), more))])
+        first = known
+        for row, (read, line) in enumerate(zip(rows, lines, strict=True)):
+            if line:
+                a[first, :known] = read
+                a[first + 1 : first + line, first : first + line - 1] = np.eye(line - 1)
+                c[row] = np.eye(1, known + more, first + line - 1)
+                first += line
         return a, b, c
 
     def sampled_response(self, frequencies_hz: Floats, dt: float) -> Complexes:
@@ -241,7 +284,7 @@ def choose_plant(experiment: Experiment) -> Plant:
             "let seft identify write one"
         )
     if not numerator.size:
-        model = continuous_model(experiment["rig"], experiment.axes)
+        model = simulated_rig(experiment)
         if model.drive != "valve_command":
             raise InputError(
                 f"rig: actuator.kind is {experiment['rig']['actuator.kind']}, which has no valve "
@@ -258,7 +301,20 @@ def choose_plant(experiment: Experiment) -> Plant:
         )
     one_axis = lti.companion_form(numerator, denominator)
     a, b, c, d = (block_diag(*[part] * len(experiment.axes)) for part in one_axis)
-    return Plant("identified", a, b, c, d, float(section["plant.dead_time"]))
+    delay = float(section["plant.dead_time"]) + section["sensor_lag"]
+    return Plant("identified", a, b, c, d, delay)
+
+
+def simulated_rig(experiment: Experiment, stiffness: float = 1.0) -> ContinuousModel:
+    """Make the simulated rig of an experiment, to the state that it publishes.
+
+    ``stiffness`` is a factor on that of the specimen. The velocity is the measured one; an
+    InputError says if sizes do not fit the axes.
+    """
+    section, axes, dt = experiment["rig"], experiment.axes, experiment.timebase.dt
+    derived = section["sensors.velocity"] == "derived"
+    known, _ = calibration_of(section, axes, range(len(axes)), dt, velocity_is_derived=derived)
+    return as_published(continuous_model(section, axes, stiffness=stiffness), known, dt)
 
 
 def small_signal(specimen: Specimen, **actuators: Any) -> ContinuousModel:

@@ -41,7 +41,9 @@ _ROWS = parameter_rows(
     actuator.valve_damping     | floats | 0.7   |       | 0 ..      |
         velocity_feedforward: damping ratio of the valve
     actuator.dead_time         | floats | 0.0   | s     | 0 ..      |
-        velocity_feedforward: dead time of the valve, without the loop's own step
+        velocity_feedforward: dead time of the valve, without the loop's own step and sensor_lag
+    sensor_lag | float | reference_force:compensation.sensor_lag or 0.0 | s | 0 .. 1 |
+        lag of the measured state, which adds to that dead time, for the detectors, too
     noise.position | floats | reference_force:compensation.noise.position or 0.0 | m | 0 .. |
         velocity_feedforward: RMS noise of the measured displacement
     noise.velocity | floats | reference_force:compensation.noise.velocity or 0.0 | m/s | 0 .. |
@@ -54,7 +56,8 @@ _ROWS = parameter_rows(
         |  | measured, derived | velocity_feedforward: whether the velocity is measured, or
         derived
     horizon | float | reference_force:compensation.horizon or 0.05 | s | > 0 .. 1 |
-        velocity_feedforward: how far ahead the planned motion is used
+        velocity_feedforward: how far ahead the planned motion is used; four times sensor_lag is
+        added
     detectors.specimen_mass | floats | reference_force:model.mass or 0.0 | kg | |
         mass of the specimen, for the detectors (docs/safety.md); 0: not known
     detectors.specimen_stiffness | floats | reference_force:model.stiffness or 0.0 | N/m | |
@@ -114,7 +117,7 @@ _ROWS = parameter_rows(
         it
     plant.denominator          | floats | [1.0] |       |           | its denominator, likewise
     plant.dead_time            | float  | 0.0   | s     | 0 .. 1    |
-        its dead time, without the loop's own step of latency
+        its dead time, without the loop's own step of latency and sensor_lag
     """
 )
 FORCE_CONTROLLER_TABLE = Table(

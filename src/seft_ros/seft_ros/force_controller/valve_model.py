@@ -115,13 +115,16 @@ def read_actuators(
     Returns
     -------
     dict of str to ndarray
-        `ASSUMED_ACTUATOR` and `_VALVE`, by name, shape (number of places,) each.
+        `ASSUMED_ACTUATOR` and `_VALVE`, by name, shape (number of places,) each. The dead time is
+        that from a command to the measured flow, with the lag of the measured state.
     """
     where, own = "force_controller: actuator", list(places)
-    return {
+    known = {
         name: per_axis(section[f"actuator.{name}"], axes, f"{where}.{name}")[own]
         for name in (*ASSUMED_ACTUATOR, *_VALVE)
     }
+    known["dead_time"] = known["dead_time"] + section["sensor_lag"]
+    return known
 
 
 def valve_models(actuator: Mapping[str, Floats], dt: float) -> list[ValveModel]:

@@ -34,6 +34,7 @@ from seft_ros.protection.protection_step import slow_down, stop_steps
 from seft_ros.protection.valve_following import begin_following, doubt, follow_valve, under_load
 from seft_ros.reference_force.compensator import NotLinearError
 from seft_ros.reference_force.observers import observe, observer_gains, sensor_noise
+from seft_ros.reference_force.reference_force_parameters import HORIZON_PER_LAG, horizon_steps
 
 FEEDBACK = math.pi / 8
 """Gain of the feedback times the valve's mean delay: a quarter of the value that would oscillate
@@ -282,12 +283,15 @@ class VelocityFeedforward:
         known = self.actuator(section, axes, rig)
         actuator = np.transpose([known[name] for name in ASSUMED_ACTUATOR])
         noise = sensor_noise(section, axes, "noise", "force_controller")[:, own]
-        horizon, valves = math.ceil(section["horizon"] / dt - 1e-9), valve_models(known, dt)
+        more = HORIZON_PER_LAG * section["sensor_lag"]
+        horizon = horizon_steps(section["horizon"], section["sensor_lag"], dt)
+        valves = valve_models(known, dt)
         n, needed = len(valves), max(valve.taps() for valve in valves)
         if horizon < needed + 1:
             raise InputError(
-                f"force_controller: the valves need {(needed + 1) * dt:g} s of the future motion, "
-                f"but reference_force: compensation.horizon is {horizon * dt:g} s; make it longer"
+                f"force_controller: the valves need {(needed + 1) * dt - more:g} s of the future "
+                f"motion, but reference_force: compensation.horizon is {section['horizon']:g} s; "
+                "make it longer"
             )
         memory = valves[0].memory
         inverse = np.array([valve.inverse(needed) for valve in valves])

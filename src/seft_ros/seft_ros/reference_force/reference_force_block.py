@@ -19,6 +19,7 @@ from seft_ros.reference_force.compensator import (
     has_computed_model,
     provides_target,
 )
+from seft_ros.reference_force.force_command import FORCE_DRIVEN
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 from seft_ros.reference_force.substructure import with_substructure
 
@@ -300,6 +301,8 @@ def method_inputs(
     prefixes = ("compensation.", "tracking.")
     options = {name: value for name, value in section.items() if name.startswith(prefixes)}
     late = loop_delay * timebase.dt  # delays that are given are those of the force loop alone
+    if options.get("compensation.actuator_kind") in FORCE_DRIVEN:  # nothing feeds the force back
+        late += options.get("compensation.sensor_lag", 0.0)
     for name in ("compensation.delay", "tracking.dead_time"):
         if options[name] > 0:
             options[name] += late

@@ -3,6 +3,7 @@
 The import of the methods themselves takes a third of a second; most nodes do not need it.
 """
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -64,15 +65,19 @@ _COMPENSATION = parameter_rows(
     """
     compensation.delay                 | float  | 0.0   | s     | 0 .. 1    |
         delay that the method compensates: from reference force to measured force, with the
-        latency of the loop, as seft identify finds it (for an idealised actuator its delay
-        plus 1.5 steps); `none` and `restoring` do not use it
+        latency of the loop, as seft identify finds it (for an idealised actuator its delay plus
+        1.5 steps, without compensation.sensor_lag); `none` and `restoring` do not use it
+    compensation.sensor_lag | float | rig:calibration.*_lag or 0.0 | s | 0 .. 1 |
+        lag of the measured state, that of the rig's latest channel, to which the others are
+        aligned. It adds to the horizon, and to the delay or dead time of an idealised actuator. A
+        force loop with feedback has the same delay at low frequency with and without it
     compensation.actuator_kind | string | rig:actuator.kind or servo_hydraulic |  | ideal, delay,
         servo_hydraulic, servo_hydraulic_linear | `target_motion`: kind of the rig's
         actuators; ideal and delay obey reference_force, which is then sent ahead of time, by
         their response (tracking.*)
     compensation.horizon               | float  | 0.05  | s     | > 0 .. 1  |
         `target_motion`: how far ahead the motion is predicted; four times the delay of the
-        valves, or three times that of the force loop
+        valves, or three times that of the force loop; four times compensation.sensor_lag is added
     compensation.noise.position | floats | rig:sensors.position_noise or 0.0 | m | 0 .. |
         RMS noise of the measured displacement, which determines its weight
     compensation.noise.velocity | floats | rig:sensors.velocity_noise or 0.0 | m/s | 0 .. |
@@ -91,7 +96,8 @@ _COMPENSATION = parameter_rows(
     tracking.denominator               | floats | [1.0] |       |           |
         its denominator, likewise
     tracking.dead_time                 | float  | 0.0   | s     | 0 .. 1    |
-        its dead time, with the loop's latency
+        its dead time, with the loop's latency and, of an idealised actuator, without
+        compensation.sensor_lag
     limits.force | float | supervisor:limits.force or 22200.0 | N | > 0 |
         largest reference force on any axis; beyond it the test is ramped down
     limits.force_rate                  | float  | 3.0e6 | N/s   | > 0       |
@@ -126,6 +132,23 @@ REFERENCE_FORCE_TABLE = Table(
         *host.REALTIME_PARAMETERS,
     ],
 )
+
+
+HORIZON_PER_LAG = 4.0
+"""Part of the horizon for the lag of the measured state, over that lag, as for the valve's."""
+
+
+def horizon_steps(horizon: float, sensor_lag: float, dt: float) -> int:
+    """Count the steps by which a target is predicted.
+
+    Parameters
+    ----------
+    horizon, sensor_lag : float
+        ``compensation.horizon`` and ``compensation.sensor_lag``, s.
+    dt : float
+        Sampling period, s.
+    """
+    return math.ceil((horizon + HORIZON_PER_LAG * sensor_lag) / dt - 1e-9)
 
 
 def reference_force_topic(section: Mapping[str, Any]) -> LoopTopic:

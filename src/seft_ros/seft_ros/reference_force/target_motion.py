@@ -26,7 +26,11 @@ from seft_ros.reference_force.compensator import MethodInputs, NotLinearError
 from seft_ros.reference_force.force_command import FORCE_DRIVEN, command_arrays, command_step
 from seft_ros.reference_force.linear_filter import LinearFilter
 from seft_ros.reference_force.observers import observer_gains, sensor_noise
-from seft_ros.reference_force.reference_force_parameters import OF_MODEL, TARGET_MOTION
+from seft_ros.reference_force.reference_force_parameters import (
+    OF_MODEL,
+    TARGET_MOTION,
+    horizon_steps,
+)
 from seft_ros.reference_force.restoring_model import model_arrays
 from seft_ros.reference_force.target_step import (
     ESTIMATE_NAMES,
@@ -226,7 +230,8 @@ class TargetMotion:
     """
 
     def __init__(self, known: MethodInputs) -> None:
-        horizon = math.ceil(known.options["compensation.horizon"] / known.dt - 1e-9)
+        lag = known.options["compensation.sensor_lag"]
+        horizon = horizon_steps(known.options["compensation.horizon"], lag, known.dt)
         self.preview, n = known.loop_delay + horizon, known.axes
         self.parameters, self.state, self.model = target_arrays(known)
         self._ground, self._measured = np.zeros((1 + self.preview, n)), np.zeros((4, n))

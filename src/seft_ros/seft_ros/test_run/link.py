@@ -30,7 +30,10 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.design.stability_verdict import MASS_RATIO_RESERVE as RESERVE
 from seft_ros.drawing.style import Mark, Number, rows_of
 from seft_ros.drawing.table import Cell, Texts, TextTable
-from seft_ros.reference_force.reference_force_parameters import reference_force_topic
+from seft_ros.reference_force.reference_force_parameters import (
+    horizon_steps,
+    reference_force_topic,
+)
 
 _Verdict = Literal["good", "marginal", "unusable"]
 
@@ -154,7 +157,8 @@ def message_size(experiment: Experiment) -> int:
     section, axes = experiment["reference_force"], experiment.axes
     topic, points = reference_force_topic(section), 11
     if topic == TARGET:
-        points += math.ceil(section["compensation.horizon"] * experiment.timebase.rate)
+        spans = section["compensation.horizon"], section["compensation.sensor_lag"]
+        points += horizon_steps(*spans, experiment.timebase.dt)
     codec = TrajectoryCodec(topic, axes, experiment.timebase)
     return len(codec.encode_points(0, np.zeros((points, len(topic.quantities), len(axes)))))
 

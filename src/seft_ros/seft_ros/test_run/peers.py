@@ -6,7 +6,7 @@ from typing import Any
 
 from seft_msgs_py.config.parameter_table import parameter_rows
 from seft_msgs_py.wire.messages import Status
-from seft_msgs_py.wire.outcome import FINISHED, REHEARSED, REHEARSES, RIG, TRIPPED
+from seft_msgs_py.wire.outcome import FINISHED, REHEARSED, REHEARSES, RIG, SENSOR_LAG, TRIPPED
 from seft_msgs_py.wire.topics import RigAxes, bare, topics_of, with_rigs
 
 REHEARSAL_PARAMETERS = parameter_rows(
@@ -83,6 +83,8 @@ WAITS = "waits"
 """Key of the recorder's values: why it can't record a test now; empty if it can."""
 CONFLICT = "one "
 """Start of the text if nodes were started with contradictory parameters."""
+SAME_LAG = 1e-6
+"""s: rounding."""
 _IN_A_TEST = ("running", FINISHED, TRIPPED)  # phases of the rig
 
 
@@ -197,4 +199,12 @@ def _conflict(
         # a delay below zero is the one that the other side has measured
         if bare(node) == "force_controller" and sent != taken and not (taken < 0 < sent):
             return f"{CONFLICT}loop_delay: reference_force has {sent}, {node} has {taken}"
+    lag = parameter("reference_force", "compensation.sensor_lag", 0.0)
+    for node in rig_nodes:
+        told = descriptions[node].get(SENSOR_LAG, lag)
+        if abs(told - lag) > SAME_LAG:
+            return (
+                f"{CONFLICT}lag of the measured state: {node} has {told:g} s, reference_force has "
+                f"{lag:g} s; give both the same rig: calibration.*_lag"
+            )
     return ""

@@ -23,6 +23,8 @@ PARAMETERS = parameter_rows(
     velocity_offset     | floats | 0.0 | V         |  | volts at zero velocity
     acceleration_offset | floats | 0.0 | V         |  | volts at zero acceleration
     force_offset        | floats | 0.0 | V         |  | volts at zero force
+    resolution          | float  | 0.0 | V         | 0 .. |
+        step of the converter; 0: finer than the noise
     """,
     "calibration",
 )
@@ -44,6 +46,8 @@ class Calibration:
         SI units per volt, shape (4, n).
     offsets : ndarray
         Volts at zero, shape (4, n).
+    resolution : ndarray
+        Step of the converter in SI units, shape (4, n).
     """
 
     def __init__(self, group: dict[str, Any], axes: Sequence[str]) -> None:
@@ -52,6 +56,7 @@ class Calibration:
             return np.array([per_axis(group[n], axes, f"rig: calibration.{n}") for n in names])
 
         self.factors, self.offsets = rows("factor"), rows("offset")
+        self.resolution = np.abs(self.factors) * group["resolution"]
 
     def to_si(self, volts: Floats) -> Floats:
         """Give displacement (m), velocity (m/s), acceleration (m/s^2) and force (N), (4, n)."""

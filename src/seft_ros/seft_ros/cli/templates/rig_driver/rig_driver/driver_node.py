@@ -20,6 +20,7 @@ from seft_msgs_py.wire.outcome import (
     FINISHED,
     REHEARSED,
     REHEARSES,
+    SENSOR_LAG,
     TRIPPED,
     Outcome,
     Trip,
@@ -33,6 +34,7 @@ from seft_msgs_py.wire.topics import (
     until_start,
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
+from seft_plant_sim.calibration import calibrate, calibration_of, common_lag
 from seft_plant_sim.command import Command
 from seft_plant_sim.limits import Limits
 from seft_plant_sim.rig_watch import CommandWatch, Rehearsal, Supervision
@@ -68,6 +70,9 @@ class DriverNode(NodeBody):
         self._section, self._timebase = experiment["rig"], experiment.timebase
         section, dt = self._section, self._timebase.dt
         self._calibration = Calibration(group(section, "calibration"), axes)
+        step = self._calibration.resolution
+        self._alignment = calibration_of(section, axes, range(len(axes)), dt, resolution=step)
+        self._read_so_far = 0
         self._limits = Limits(group(section, "limits"), axes, dt)
         self._rest = Rest(section["safe.rest_velocity"], dt)
         at = per_axis(section["safe.valve_command"], axes, "rig: safe.valve_command")
@@ -80,7 +85,7 @@ class DriverNode(NodeBody):
         self._command = Command(commands, limit)
         self._watch = CommandWatch(topic, dt, section["watchdog.command_timeout"])
         self._supervision = Supervision(section["watchdog.supervisor_timeout"], self._clock)
-        self.facts: dict[str, Any] = {"drive": topic.name}
+        self.facts: dict[str, Any] = {"drive": topic.name, SENSOR_LAG: common_lag(section)}
         self._rehearsal: Rehearsal | None = None
         self._rehearsed = False
         if not rig.name:
@@ -95,7 +100,9 @@ class DriverNode(NodeBody):
         self._phase = "idle"
         self._overruns = 0
         self._comes_to_rest = False
-        self._limits.violation(np.zeros((4, len(axes))))  # the first call takes longest
+        rest = np.zeros((4, len(axes)))  # the first calls take longest
+        self._limits.violation(rest)
+        self._align(rest)
 
     def run(self) -> None:
         """Sample until told to stop."""
@@ -136,7 +143,7 @@ class DriverNode(NodeBody):
         """Take one sample, and do with it what the phase asks for."""
         if self._phase == "running" and self._goes_on():
             self._hardware.write_command(self._command.value)
-        sample = self._calibration.to_si(self._hardware.read_sample())
+        sample = self._read()
         if self._phase == "running":
             self._publish(self._step + 1, sample)
         elif self._supervision.is_moving and self._clock.monotonic() >= self._start:
@@ -145,11 +152,23 @@ class DriverNode(NodeBody):
             self._stop.follow(sample[0])
             self._follow_to_rest(sample)
 
+    def _read(self) -> Floats:
+        """Read a sample, (4, n), in SI units and with its channels aligned to the latest one."""
+        sample = self._calibration.to_si(self._hardware.read_sample())
+        self._align(sample)
+        return sample
+
+    def _align(self, sample: Floats) -> None:
+        known, state = self._alignment
+        if len(known.zero):
+            calibrate(known, state, self._read_so_far, sample, sample)
+            self._read_so_far += 1
+
     def _rehearse(self, rehearsal: Rehearsal, seconds: float) -> None:
         """Run the loop at its rate with the valve at its safe value, which obeys no command."""
 
         def sample(_: int) -> Floats:
-            found = self._calibration.to_si(self._hardware.read_sample())
+            found = self._read()
             self._stop.follow(found[0])
             return found
 

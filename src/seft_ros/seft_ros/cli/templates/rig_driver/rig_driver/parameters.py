@@ -2,6 +2,7 @@
 
 from seft_msgs_py.config.parameter_table import Table, parameter_rows
 from seft_msgs_py.node import host
+from seft_plant_sim.rig_parameters import CALIBRATION as KNOWN
 from seft_plant_sim.rig_parameters import limit_rows
 
 from rig_driver.calibration import PARAMETERS as CALIBRATION
@@ -19,4 +20,5 @@ SAFETY = parameter_rows(
         longest silence of the supervisor before the rig trips
     """
 )
-TABLE = Table("rig", [*CALIBRATION, *limit_rows(), *SAFETY, *host.REALTIME_PARAMETERS])
+LAGS = [row for row in KNOWN if row.name.endswith("_lag")]
+TABLE = Table("rig", [*CALIBRATION, *LAGS, *limit_rows(), *SAFETY, *host.REALTIME_PARAMETERS])

@@ -1,0 +1,218 @@
+"""What is known of the measured channels, taken out of a sample before it is published.
+
+A channel with known scale s, zero z and lag measures y; its value is (y - z) / s. All channels are
+aligned to the latest one: the others wait, in whole samples and by a first-order all-pass of Thiran
+(1971), which is maximally flat: its gain is 1, its delay d at low frequency::
+
+    H(q) = (c + q^-1) / (1 + c q^-1),  c = (1 - d) / (1 + d)                               (1)
+
+The rest d is between 0.5 and 1.5 samples, where its delay is flattest; a shorter wait is all rest.
+The result has the steps of the channel's converter, so that what repeats still does.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from seft_msgs_py.arrays import Floats, Ints
+from seft_msgs_py.config.parameter_table import per_axis
+from seft_msgs_py.errors import InputError
+
+from seft_plant_sim.compiled import compiled
+from seft_plant_sim.continuous_model import ContinuousModel, Sensed
+from seft_plant_sim.sensors import CHANNELS
+
+AT_ONCE = -1
+"""Value of `Calibration.whole` of a channel that does not wait."""
+SHORTEST_WAIT = 1e-6
+"""Of a sample: a shorter one is rounding."""
+
+
+class Calibration(NamedTuple):
+    """What is known of the channels of n axes; arrays of shape (4, n), or (0, n) for nothing.
+
+    Attributes
+    ----------
+    zero, scale : ndarray
+        Measured value at a true one of 0, in the channel's unit; measured over true.
+    range : ndarray
+        Largest magnitude that a sensor can measure, which remains as it is measured: what is
+        beyond it is not known.
+    resolution : ndarray
+        Step of the converter, in the channel's unit; 0: finer than the noise.
+    whole : ndarray
+        Whole samples of a channel's wait; `AT_ONCE`: it does not wait.
+    factor : ndarray
+        c of Eq. (1) for the rest.
+    """
+
+    zero: Floats
+    scale: Floats
+    range: Floats
+    resolution: Floats
+    whole: Ints
+    factor: Floats
+
+
+class CalibrationState(NamedTuple):
+    """State of a calibration.
+
+    Attributes
+    ----------
+    measured : ndarray
+        The last samples as measured, a ring buffer by step, shape (m, 4, n).
+    aligned : ndarray
+        The last result of Eq. (1), shape (4, n).
+    """
+
+    measured: Floats
+    aligned: Floats
+
+
+@compiled
+def calibrate(
+    calibration: Calibration,
+    state: CalibrationState,
+    step: int,
+    measured: Floats,
+    sample: Floats,
+) -> None:
+    """Correct and align a sample.
+
+    Parameters
+    ----------
+    calibration, state
+        The state is updated. Step 0 begins a test, as if its values had lasted for long.
+    step : int
+        Of the sample; samples follow one another.
+    measured, sample : ndarray
+        As measured, and the result; shape (4, n). They may be the same array. A value that is no
+        number, or is at the end of its sensor's range, comes out as it is, after the wait.
+    """
+    c, last, places = calibration, state.aligned, len(state.measured)
+    for row in range(4):
+        for i in range(measured.shape[1]):
+            zero, scale, whole = c.zero[row, i], c.scale[row, i], c.whole[row, i]
+            for place in range(places if step == 0 else 1):
+                state.measured[(step + place) % places, row, i] = measured[row, i]
+            if step == 0:
+                first = (measured[row, i] - zero) / scale
+                last[row, i] = first if np.isfinite(first) else 0.0
+            shown = state.measured[(step - max(whole, 0)) % places, row, i]
+            value = (shown - zero) / scale
+            if whole >= 0 and np.isfinite(value):
+                before = (state.measured[(step - whole - 1) % places, row, i] - zero) / scale
+                if not np.isfinite(before):
+                    before = last[row, i]
+                value = c.factor[row, i] * (value - last[row, i]) + before
+                last[row, i] = value
+                if c.factor[row, i] != 0.0 and c.resolution[row, i] > 0.0:
+                    part = c.resolution[row, i] / scale
+                    value = np.rint(value / part) * part
+            is_known = abs(shown) < c.range[row, i] and np.isfinite(shown)
+            sample[row, i] = value if is_known else shown
+
+
+def calibration_of(
+    section: Mapping[str, Any],
+    axes: Sequence[str],
+    places: Sequence[int],
+    dt: float,
+    ranges: Floats | None = None,
+    resolution: Floats | None = None,
+    velocity_is_derived: bool = False,
+) -> tuple[Calibration, CalibrationState]:
+    """Put ``calibration.*`` of a rig's section, which is for all axes, into arrays.
+
+    Parameters
+    ----------
+    section, axes
+        The section, and the names of all axes.
+    places : sequence of int
+        Of the axes of this rig; all rigs are aligned to the latest channel of all axes.
+    dt : float
+        Sampling period, s.
+    ranges, resolution : ndarray, optional
+        See `Calibration`; default none.
+    velocity_is_derived : bool
+        Whether the velocity is derived from the calibrated displacement, and needs none itself.
+
+    Raises
+    ------
+    InputError
+        If sizes do not fit the axes, a scale is 0, or something is known of a velocity that is
+        derived.
+    """
+    own, names = list(places), ("zero", "scale", "lag")
+
+    def values(what: str) -> Floats:
+        rows = [f"calibration.{channel}_{what}" for channel in CHANNELS]
+        default = float(what == "scale")  # bags of older versions have none
+        given = (per_axis(section.get(name, default), axes, f"rig: {name}") for name in rows)
+        return np.array(list(given))
+
+    zero, scale, lag = map(values, names)
+    if not scale.all():
+        row = int(np.argmin(np.abs(scale).min(axis=1)))
+        raise InputError(
+            f"rig: calibration.{CHANNELS[row]}_scale is 0, but it is measured over true value; "
+            "give 1 if it is not known"
+        )
+    if velocity_is_derived:
+        of_velocity = CHANNELS.index("velocity")
+        for what, known, nothing in zip(names, (zero, scale, lag), (0.0, 1.0, 0.0), strict=True):
+            if (known[of_velocity] != nothing).any():
+                raise InputError(
+                    f"rig: calibration.velocity_{what} is given, but sensors.velocity is derived: "
+                    "it follows the displacement's calibration; leave it out"
+                )
+        lag[of_velocity] = lag[0]
+    n = len(own)
+    wait = (lag.max() - lag) / dt
+    wait[wait < SHORTEST_WAIT] = 0.0
+    wait, zero, scale = (np.ascontiguousarray(one[:, own]) for one in (wait, zero, scale))
+    if not zero.any() and (scale == 1.0).all() and not wait.any():
+        return nothing_known(n)
+    whole = np.floor(np.maximum(wait - 0.5, 0.0)).astype(np.int64)
+    rest = wait - whole
+    rest[abs(rest - 1.0) < SHORTEST_WAIT] = 1.0  # whole samples: nothing is filtered
+    whole[wait == 0.0] = AT_ONCE
+    calibration = Calibration(
+        zero,
+        scale,
+        np.full((4, n), np.inf) if ranges is None else ranges,
+        np.zeros((4, n)) if resolution is None else resolution,
+        whole,
+        (1.0 - rest) / (1.0 + rest),
+    )
+    periods = 2 + max(int(whole.max()), 0)
+    return calibration, CalibrationState(np.zeros((periods, 4, n)), np.zeros((4, n)))
+
+
+def nothing_known(n: int) -> tuple[Calibration, CalibrationState]:
+    """Make the arrays where the samples of n axes are published as they are measured."""
+    none = np.zeros((0, n))
+    calibration = Calibration(none, none, none, none, np.zeros((0, n), dtype=np.int64), none)
+    return calibration, CalibrationState(np.zeros((0, 4, n)), none)
+
+
+def as_published(model: ContinuousModel, calibration: Calibration, dt: float) -> ContinuousModel:
+    """Put a calibration behind a model with its sensors, for what is linear: zeros do not count.
+
+    What waits is late by its wait at all frequencies.
+    """
+    if not len(calibration.scale):
+        return model
+    nothing = np.zeros(len(model.c))
+    shown = model.sensed or Sensed(model.c, model.d, model.outputs, nothing)
+    rest = (1.0 - calibration.factor) / (1.0 + calibration.factor)
+    wait = np.where(calibration.whole == AT_ONCE, 0.0, calibration.whole + rest) * dt
+    by = 1.0 / calibration.scale.reshape(-1, 1)
+    late = shown.late + wait.ravel()
+    return replace(model, sensed=Sensed(by * shown.c, by * shown.d, by * shown.outputs, late))
+
+
+def common_lag(section: Mapping[str, Any]) -> float:
+    """Lag of the aligned channels of a rig's section: that of the latest one, s."""
+    return max(float(np.max(section[f"calibration.{channel}_lag"])) for channel in CHANNELS)

@@ -1,0 +1,172 @@
+"""What sensors do to the continuous signals before they are sampled: scale, tilt, lag and filter.
+
+A filter is part of the continuous model, and a lag is the time at which the model is read: the rig
+is integrated exactly to that time, so that both are as exact as the motion itself. As filter and
+lag are linear and do not change with time, their order does not matter.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from seft_msgs_py.arrays import Floats, Ints
+from seft_msgs_py.config.parameter_table import as_matrix, per_axis
+from seft_msgs_py.errors import InputError
+
+from seft_plant_sim.compiled import compiled, multiply
+from seft_plant_sim.continuous_model import ContinuousModel, Motion, Sensed
+from seft_plant_sim.lti import split_dead_time
+from seft_plant_sim.sensors import CHANNELS
+
+VELOCITY, ACCELERATION = CHANNELS.index("velocity"), CHANNELS.index("acceleration")
+
+
+class Sensing(NamedTuple):
+    """What the sensors of n axes show of a rig.
+
+    Attributes
+    ----------
+    output : ndarray
+        Takes (z, drive, residuals) to what the sensors show, transposed, shape (s + n + r, 4n);
+        (0, 0) if that is the true state.
+    stretch, whole : ndarray
+        The stretch of a sampling period at whose end each sensor is read, and the whole periods
+        after which that is sampled; shape (4n,).
+    """
+
+    output: Floats
+    stretch: Ints
+    whole: Ints
+
+
+@compiled
+def read_sensors(
+    sensing: Sensing, motion: Motion, stretch: int, room: Floats, shown: Floats
+) -> None:
+    """Read the sensors whose time is the end of a stretch; ``room`` and the result are (4n,)."""
+    multiply(sensing.output, motion.work, room)
+    for i in range(len(room)):
+        if sensing.stretch[i] == stretch:
+            shown[i] = room[i]
+
+
+def sensing_of(model: ContinuousModel, part: float, dt: float) -> tuple[list[float], int, Sensing]:
+    """Divide a sampling period where the drive changes and where sensors are read.
+
+    Parameters
+    ----------
+    model : ContinuousModel
+        With its sensors.
+    part : float
+        Time at which the drive changes, s; 0: at the sample.
+    dt : float
+        Sampling period, s.
+
+    Returns
+    -------
+    lengths : list of float
+        Of the stretches, s; without lags those before and after the drive's change.
+    change : int
+        The last stretch before the drive's change.
+    sensing : Sensing
+        When and how the sensors are read.
+    """
+    if model.sensed is None:
+        nothing = np.zeros(0, np.int64)
+        return [part, dt - part], 0, Sensing(np.zeros((0, 0)), nothing, nothing)
+    c, d, outputs = model.sensed.c, model.sensed.d, model.sensed.outputs
+    split = [split_dead_time(lag, dt) for lag in model.sensed.late.tolist()]
+    ends = [part, dt]
+    for _, rest in split:
+        if min(abs(end - (dt - rest)) for end in ends) > 1e-9 * dt:
+            ends.append(dt - rest)
+    ends.sort()
+    lengths = [end - begin for begin, end in zip([0.0, *ends[:-1]], ends, strict=True)]
+    at = [int(np.argmin([abs(end - (dt - rest)) for end in ends])) for _, rest in split]
+    whole = [number for number, _ in split]
+    output = np.ascontiguousarray(np.hstack([c, d, outputs]).T)
+    sensing = Sensing(output, np.array(at, np.int64), np.array(whole, np.int64))
+    return lengths, ends.index(part), sensing
+
+
+def with_sensors(
+    model: ContinuousModel, section: dict[str, Any], axes: Sequence[str], places: Sequence[int]
+) -> ContinuousModel:
+    """Put the sensors of a rig's section behind a model of the axes at some places.
+
+    Raises
+    ------
+    InputError
+        If sizes do not fit the axes, or the tilt mixes axes of different rigs.
+    """
+    own = list(places)
+
+    def values(what: str) -> Floats:
+        names = [f"sensors.{channel}_{what}" for channel in CHANNELS]
+        default = float(what == "scale")  # bags of older versions have none
+        given = [per_axis(section.get(name, default), axes, f"rig: {name}") for name in names]
+        return np.array(given)[:, own]
+
+    scale, lag, cutoff = values("scale"), values("lag"), values("filter")
+    if section["sensors.velocity"] == "derived":  # there is no velocity sensor
+        scale[VELOCITY], lag[VELOCITY], cutoff[VELOCITY] = 1.0, 0.0, 0.0
+    mix = np.eye(len(own))
+    if np.any(given := section.get("sensors.tilt", 0.0)):
+        tilt = as_matrix(given, axes, "rig: sensors.tilt")
+        if np.delete(tilt[own], own, axis=1).any():
+            raise InputError(
+                f"rig: sensors.tilt {tilt.tolist()} mixes axes of different rigs, which have "
+                "their own accelerometers"
+            )
+        mix = tilt[np.ix_(own, own)]
+    if (
+        (scale == 1.0).all()
+        and not lag.any()
+        and not cutoff.any()
+        and (mix == np.eye(len(mix))).all()
+    ):
+        return model
+    return sensed(model, scale.ravel(), mix, lag.ravel(), cutoff.ravel())
+
+
+def sensed(
+    model: ContinuousModel, scale: Floats, mix: Floats, lag: Floats, cutoff: Floats
+) -> ContinuousModel:
+    """Put sensors behind the outputs of a model.
+
+    Parameters
+    ----------
+    model : ContinuousModel
+        Of n axes, without sensors.
+    scale, lag, cutoff : ndarray
+        Factor, lag in s and cut-off of a Butterworth low-pass of second order in Hz (0: none) of
+        each output, shape (4n,).
+    mix : ndarray
+        Accelerations that the accelerometers show per acceleration of each axis, shape (n, n).
+    """
+    n, size = len(mix), len(model.a)
+    by_output = np.diag(scale)
+    accelerations = slice(ACCELERATION * n, (ACCELERATION + 1) * n)
+    by_output[accelerations, accelerations] = by_output[accelerations, accelerations] @ mix
+    c, d, h = by_output @ model.c, by_output @ model.d, by_output @ model.outputs
+    rows = np.flatnonzero(cutoff)
+    m = len(rows)
+    w = 2 * np.pi * cutoff[rows, np.newaxis]
+    one, none = np.eye(m), np.zeros((m, m))
+    a = np.block(
+        [
+            [model.a, np.zeros((size, 2 * m))],
+            [np.zeros((m, size)), none, one],
+            [w**2 * c[rows], -(w**2) * one, -np.sqrt(2) * w * one],
+        ]
+    )
+    b, inputs = (
+        np.vstack([own, np.zeros((m, own.shape[1])), w**2 * shown[rows]])
+        for own, shown in ((model.b, d), (model.inputs, h))
+    )
+    c = np.hstack([c, np.zeros((4 * n, 2 * m))])
+    c[rows], d[rows], h[rows] = 0.0, 0.0, 0.0
+    c[rows, size + np.arange(m)] = 1.0
+    truth = np.hstack([model.c, np.zeros((4 * n, 2 * m))])
+    return replace(model, a=a, b=b, c=truth, inputs=inputs, sensed=Sensed(c, d, h, lag))

@@ -1,0 +1,188 @@
+"""What is known of the channels, taken out of the samples."""
+
+import numpy as np
+import pytest
+from bare_rig import rig_section
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.topics import Timebase
+from seft_plant_sim.calibration import (
+    AT_ONCE,
+    as_published,
+    calibrate,
+    calibration_of,
+    common_lag,
+    nothing_known,
+)
+from seft_plant_sim.continuous_model import Sensed
+from seft_plant_sim.rig import Rig, continuous_model
+from seft_plant_sim.sensors import CHANNELS
+
+DT = 0.002
+X, V, A, F = range(4)
+
+
+def known(*, ranges=None, resolution=None, derived=False, axes=("x",), **values):
+    named = {f"calibration.{name}": value for name, value in values.items()}
+    section = rig_section(**named)
+    return calibration_of(section, axes, range(len(axes)), DT, ranges, resolution, derived)
+
+
+def corrected(samples, **values):
+    """Pass samples (N, 4, n) through a calibration."""
+    calibration, state = known(axes=tuple("xy"[: samples.shape[2]]), **values)
+    found = np.empty_like(samples)
+    for step, sample in enumerate(samples):
+        calibrate(calibration, state, step, np.ascontiguousarray(sample), found[step])
+    return found
+
+
+def sines(hz, lags=(0.0,) * 4, steps=1000):
+    """Sines of which each channel is late, (N, 4, 1)."""
+    time = DT * np.arange(steps)[:, np.newaxis] - np.array(lags)
+    return np.sin(2 * np.pi * hz * time)[:, :, np.newaxis]
+
+
+def test_it_undoes_scale_and_zero_exactly():
+    rng = np.random.default_rng(1)
+    true = rng.normal(size=(50, 4, 2))
+    scale = np.array([[1.02, 1.0], [0.5, 0.5], [2.0, 2.0], [0.97, 1.01]])
+    zero = np.array([[1e-4, -2e-4], [0.25, 0.25], [0.0, 0.5], [20.0, -5.0]])
+    values = {f"{name}_scale": row.tolist() for name, row in zip(CHANNELS, scale, strict=True)}
+    values |= {f"{name}_zero": row.tolist() for name, row in zip(CHANNELS, zero, strict=True)}
+    found = corrected(scale * true + zero, **values)
+    np.testing.assert_allclose(found, true, rtol=1e-13, atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    "lags",
+    [
+        (0.002, 0.0, 0.0, 0.0),
+        (0.0, 0.0, 0.002, 0.0),
+        (0.00375, 0.0031, 0.0, 0.0021),
+        (0.0003, 0.0058, 0.0113, 0.0002),
+        (0.0, 0.0, 0.0, 0.0004),
+    ],
+)
+def test_aligned_channels_have_one_phase(lags):
+    values = {f"{name}_lag": lag for name, lag in zip(CHANNELS, lags, strict=True)}
+    for hz in (2.0, 8.0, 15.0):
+        found = corrected(sines(hz, lags), **values)[500:, :, 0]
+        turns = np.exp(-2j * np.pi * hz * DT * np.arange(500, 1000))
+        amplitudes = turns @ found / 250.0
+        latest = np.exp(-2j * np.pi * hz * max(lags)) / 1j
+        np.testing.assert_allclose(np.abs(amplitudes), 1.0, rtol=1e-2)  # of 500 samples
+        expected = turns @ sines(hz, (max(lags),) * 4)[500:, :, 0] / 250.0
+        apart = np.angle(amplitudes / expected) / (2 * np.pi * hz * DT)  # samples
+        assert np.abs(apart).max() < 0.01
+        assert np.angle(expected / latest) == pytest.approx(np.zeros(4), abs=0.02)
+
+
+def test_the_rest_of_a_wait_is_between_half_a_sample_and_three_halves():
+    for wait in np.linspace(0.5, 6.0, 56):
+        calibration, _ = known(force_lag=wait * DT)
+        rest = (1 - calibration.factor[X, 0]) / (1 + calibration.factor[X, 0])
+        assert calibration.whole[X, 0] + rest == pytest.approx(wait)
+        assert 0.5 - 1e-9 <= rest < 1.5 + 1e-9
+        assert abs(calibration.factor[X, 0]) <= 1.0 / 3.0 + 1e-9
+        assert calibration.whole[F, 0] == AT_ONCE
+
+
+def test_what_waits_keeps_the_steps_of_its_converter_and_repeats_what_repeats():
+    """So that a frozen sensor, and the resolution, are still seen."""
+    step, rng = 0.01, np.random.default_rng(3)
+    coarse = np.rint(rng.normal(scale=0.02, size=(400, 4, 1)) / step) * step
+    coarse[300:] = coarse[300]
+    for wait in (0.0011, 0.0017, 0.0026):
+        values = {"force_lag": wait, "acceleration_scale": 1.25}
+        found = corrected(coarse, resolution=np.full((4, 1), step), **values)[:, A, 0] * 1.25
+        assert np.abs(np.diff(found))[np.diff(found) != 0.0].min() > 0.99 * step
+        np.testing.assert_allclose(found / step, np.rint(found / step), atol=1e-9)
+        np.testing.assert_array_equal(found[308:], found[308])
+        assert found[308] == pytest.approx(coarse[300, A, 0], abs=1e-12)
+
+
+def test_the_latest_channel_of_all_axes_counts_and_is_told():
+    values = {"calibration.force_lag": [0.001, 0.003], "calibration.position_lag": 0.002}
+    section = rig_section(**values)
+    assert common_lag(section) == 0.003
+    one, _ = calibration_of(section, ("east/x", "west/x"), [0], DT)
+    np.testing.assert_allclose(
+        (one.whole + (1 - one.factor) / (1 + one.factor))[:, 0] * DT, [0.001, 0.003, 0.003, 0.002]
+    )
+
+
+def test_a_constant_comes_out_as_it_is_from_the_first_sample_on():
+    found = corrected(np.full((20, 4, 1), 3.0), force_lag=0.0027, position_scale=1.5)
+    np.testing.assert_allclose(found[:, X, 0], 2.0, rtol=1e-12)
+    np.testing.assert_allclose(found[:, V:, 0], 3.0, rtol=1e-12)
+
+
+def test_what_is_no_number_or_at_the_end_of_the_range_comes_out_as_it_is_and_leaves_no_trace():
+    samples = sines(5.0)
+    sound = corrected(samples, force_lag=0.0047, acceleration_scale=1.01)
+    for value in (np.nan, np.inf, 9.0, -9.0):
+        wrong = samples.copy()
+        wrong[300, A] = value
+        found = corrected(
+            wrong, force_lag=0.0047, acceleration_scale=1.01, ranges=np.full((4, 1), 9.0)
+        )
+        np.testing.assert_equal(found[301, A, 0], value)  # after the whole sample of its wait
+        assert np.isfinite(np.delete(found, 301, axis=0)).all()
+        np.testing.assert_allclose(found[340:], sound[340:], atol=1e-9)
+
+
+def test_without_knowledge_nothing_is_done():
+    calibration, state = known(**{f"{name}_lag": 0.003 for name in CHANNELS})  # all alike
+    assert not len(calibration.zero)
+    assert not len(state.measured)
+    assert nothing_known(1)[0].zero.shape == (0, 1)
+
+
+def test_errors_name_the_parameter():
+    with pytest.raises(InputError, match=r"rig: calibration.force_scale is 0"):
+        known(force_scale=0.0)
+    with pytest.raises(InputError, match=r"velocity_lag is given, but sensors.velocity is derived"):
+        known(velocity_lag=0.001, derived=True)
+    with pytest.raises(InputError, match=r"rig: calibration.position_zero: 3 values for 2 axes"):
+        known(axes=("x", "y"), position_zero=[0.0, 1.0, 2.0])
+
+
+def test_a_rig_publishes_corrected_samples():
+    """Its errors are known, so that it publishes those of a sound one, all of them late."""
+    errors = {"force_scale": 1.03, "acceleration_scale": 0.98, "position_lag": 0.004}
+    given = {
+        f"{group}.{name}": v for group in ("sensors", "calibration") for name, v in errors.items()
+    }
+    given |= {"sensors.force_bias": 12.0, "calibration.force_zero": 12.0}
+    own, known_errors = (
+        Rig.from_parameters(rig_section(**values), ("x",), Timebase.from_rate(500.0))
+        for values in ({}, given)
+    )
+    one, other = (
+        np.array([rig.reset(), *(rig.step(np.ones(1)) for _ in range(100))])
+        for rig in (own, known_errors)
+    )
+    np.testing.assert_allclose(other[2:], one[:-2], rtol=1e-9, atol=1e-9)
+
+
+def test_a_derived_velocity_is_that_of_the_calibrated_displacement():
+    section = rig_section(
+        sensors__velocity="derived", sensors__position_scale=1.5, calibration__position_scale=1.5
+    )
+    own = rig_section(sensors__velocity="derived")
+    rigs = [Rig.from_parameters(s, ("x",), Timebase.from_rate(500.0)) for s in (section, own)]
+    one, other = (
+        np.array([rig.reset(), *(rig.step(np.ones(1)) for _ in range(60))]) for rig in rigs
+    )
+    np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
+
+
+def test_as_a_linear_model_what_waits_is_late():
+    model = continuous_model(rig_section(), ("x",))
+    calibration, _ = known(force_lag=0.0031, velocity_scale=2.0)
+    found = as_published(model, calibration, DT).sensed
+    assert isinstance(found, Sensed)
+    np.testing.assert_allclose(found.late, [0.0031, 0.0031, 0.0031, 0.0])
+    np.testing.assert_allclose(found.c[V], model.c[V] / 2.0)
+    np.testing.assert_array_equal(found.c[F], model.c[F])
+    assert as_published(model, nothing_known(1)[0], DT) is model

@@ -1,0 +1,182 @@
+"""Scale, tilt, lag and filter of the sensors against the exact motion."""
+
+import numpy as np
+import pytest
+from bare_rig import FRAME, BareRig, rig_section
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.topics import Timebase, rigs_of
+from seft_plant_sim.continuous_model import delayed_force
+from seft_plant_sim.rig import Rig, continuous_model
+from seft_plant_sim.rig_parameters import RIG_TABLE
+from seft_plant_sim.sensor_dynamics import sensed
+from seft_plant_sim.sensors import CHANNELS
+from seft_plant_sim.specimen import Specimen
+
+PAIR = Specimen(
+    np.array([[60.0, 5.0], [5.0, 45.0]]),
+    np.array([[900.0, -200.0], [-200.0, 700.0]]),
+    np.array([[3.0e5, -1.0e5], [-1.0e5, 2.5e5]]),
+)
+CUTOFF = 80.0
+DT = 0.002
+X, V, A, F = range(4)
+
+
+def behind(model, scale=1.0, mix=None, lag=0.0, cutoff=0.0):
+    n = model.b.shape[1]
+    rows = (np.broadcast_to(value, 4 * n).astype(float) for value in (scale, lag, cutoff))
+    scale, lag, cutoff = rows
+    return sensed(model, scale, np.eye(n) if mix is None else np.array(mix), lag, cutoff)
+
+
+def transfer(model, hz):
+    """From drives to what the sensors show, shape (4n, n)."""
+    s, shown = 2j * np.pi * hz, model.sensed or model
+    return shown.c @ np.linalg.solve(s * np.eye(len(model.a)) - model.a, model.b) + shown.d
+
+
+def butterworth(hz):
+    """|H|^2 = 1 / (1 + (w/wc)^4), poles at wc e^(+-3 pi j / 4)."""
+    pole = np.exp(0.75j * np.pi)
+    s = 1j * hz / CUTOFF
+    return 1 / ((s - pole) * (s - pole.conjugate()))
+
+
+@pytest.mark.parametrize("hz", [0.01, 5.0, 40.0, 80.0, 160.0, 1000.0])
+def test_a_filter_has_the_gain_and_phase_of_a_butterworth_low_pass(hz):
+    model = delayed_force(PAIR, 0.003)
+    filtered = behind(model, cutoff=[CUTOFF] * 6 + [0.0] * 2)
+    expected = transfer(model, hz)
+    expected[:6] *= butterworth(hz)
+    scale = np.abs(expected).max()
+    np.testing.assert_allclose(transfer(filtered, hz), expected, rtol=1e-7, atol=1e-12 * scale)
+    assert abs(butterworth(hz)) == pytest.approx((1 + (hz / CUTOFF) ** 4) ** -0.5)
+    assert filtered.delay == 0.003
+    assert filtered.drive == model.drive
+
+
+def test_the_specimen_does_not_feel_its_sensors():
+    model = delayed_force(PAIR, 0.0)
+    filtered = behind(model, 1.1, [[1.0, 0.1], [0.0, 1.0]], 0.001, CUTOFF)
+    size = len(model.a)
+    np.testing.assert_array_equal(filtered.a[:size, :size], model.a)
+    assert not filtered.a[:size, size:].any()
+    np.testing.assert_array_equal(filtered.c[:, :size], model.c)
+
+
+def swung(model, hz, force):
+    """Complex amplitudes of what the sensors show of a sine of the drive, shape (4,).
+
+    Of the samples at their times, when the motion is steady. The rate is high, because the images
+    of a held drive alias.
+    """
+    dt, steps = 4e-4, 10000
+    rig, time = BareRig(model, dt), dt * np.arange(steps)
+    drive = force * np.sin(2 * np.pi * hz * time)
+    samples = np.array([rig.reset(), *(rig.step(u * np.ones(1)) for u in drive[:-1])])[:, :, 0]
+    turns = np.exp(-2j * np.pi * hz * time)[:, np.newaxis]
+    return 2.0 * np.mean((samples * turns)[steps // 2 :], axis=0)
+
+
+@pytest.mark.parametrize("lag", [0.0003, 0.00137, 0.002, 0.0031, 0.0113])
+@pytest.mark.parametrize("kind", ["servo_hydraulic", "delay"])
+def test_a_lag_is_the_phase_of_a_sine_and_no_change_of_its_size(lag, kind):
+    section = rig_section(
+        actuator__kind=kind,
+        actuator__delay=0.0033,
+        actuator__dead_time=0.0007,
+        actuator__oil_stiffness=1.664e7,
+        actuator__leakage=200.0,
+        specimen__damping=800.0,
+    )
+    model = continuous_model(section, ("x",))
+    force = 200.0 if kind == "delay" else 0.5
+    for hz in (5.0, 12.5):
+        now, late = (swung(one, hz, force=force) for one in (model, behind(model, lag=lag)))
+        turned = np.exp(-2j * np.pi * hz * lag)
+        np.testing.assert_allclose((late / now)[[X, V]], turned, atol=2e-4)
+
+
+def test_a_lag_of_whole_samples_is_a_shift_of_bits():
+    section = rig_section(specimen__kind="friction", specimen__friction__force=60.0)
+    model = continuous_model(section, ("x",))
+    commands = np.random.default_rng(1).normal(size=(200, 1))
+    own, late = (BareRig(one, DT) for one in (model, behind(model, lag=3 * DT)))
+    own, late = (
+        np.array([rig.reset(), *(rig.step(command) for command in commands)]) for rig in (own, late)
+    )
+    np.testing.assert_array_equal(late[3:], own[:-3])
+    assert not late[:3].any()
+
+
+def test_a_lag_between_samples_is_the_motion_at_that_time():
+    """Of a rig that is sampled ten times as often."""
+    section = rig_section(
+        specimen__kind="bilinear", specimen__yield_displacement=0.001, actuator__dead_time=0.0011
+    )
+    model = continuous_model(section, ("x",))
+    commands = np.random.default_rng(2).normal(size=(300, 1))
+    late, fine = BareRig(behind(model, lag=0.0046), DT), BareRig(model, DT / 10)
+    late.reset()
+    fine.reset()
+    found = np.array([late.step(command) for command in commands])
+    # a command acts from the next sample on: here 9 fine samples later
+    drives = np.vstack([np.zeros((9, 1)), np.repeat(commands, 10, axis=0)])
+    often = np.array([fine.step(command) for command in drives])
+    # 4.6 ms before sample k + 1 is 23 fine samples before
+    at = 10 * np.arange(1, 301) - 23 - 1
+    known = at >= 0
+    scale = np.abs(often).max(axis=0)
+    np.testing.assert_allclose(found[known] / scale, often[at[known]] / scale, atol=2e-3)
+
+
+def test_scale_and_tilt_act_before_noise_bias_and_converter():
+    words = {
+        "sensors.force_scale": 1.03,
+        "sensors.tilt": [1.0, 0.02, -0.03, 1.0],
+        "sensors.acceleration_scale": [1.0, 2.0],
+        "sensors.force_bias": 5.0,
+    }
+    given = {f"specimen.{name}": value for name, value in FRAME.items()} | words
+    both = []
+    for values in (
+        given,
+        {**given, **dict.fromkeys(words, 1.0), "sensors.force_bias": 0.0, "sensors.tilt": 0.0},
+    ):
+        rig = Rig.from_parameters(rig_section(**values), ("x", "y"), Timebase.from_rate(500.0))
+        rig.reset()
+        both.append(np.array([rig.step(np.array([1.0, 0.5])) for _ in range(100)]))
+    shown, true = both
+    np.testing.assert_allclose(shown[:, F], 1.03 * true[:, F] + 5.0, rtol=1e-12)
+    np.testing.assert_allclose(shown[:, [X, V]], true[:, [X, V]], rtol=1e-12, atol=1e-15)
+    tilted = true[:, A] @ np.array([[1.0, 0.02], [-0.03, 1.0]]).T * [1.0, 2.0]
+    np.testing.assert_allclose(shown[:, A], tilted, rtol=1e-9, atol=1e-9)
+
+
+def test_a_derived_velocity_inherits_the_displacements_lag():
+    def velocities(**values):
+        section = rig_section(sensors__velocity="derived", **values)
+        rig = Rig.from_parameters(section, ("x",), Timebase.from_rate(500.0))
+        return np.array([rig.reset(), *(rig.step(np.ones(1)) for _ in range(50))])[:, V]
+
+    own, late = velocities(), velocities(sensors__position_lag=0.004, sensors__velocity_lag=0.5)
+    np.testing.assert_array_equal(late[2:], own[:-2])
+
+
+def test_a_tilt_between_rigs_is_refused():
+    axes = ("east/x", "west/x")
+    words = [("/**", "axes", list(axes)), ("rig", "sensors.tilt", [1.0, 0.02, 0.0, 1.0])]
+    words += [
+        ("rig", f"specimen.{name}", value) for name, value in (("mass", 50.0), ("stiffness", 2e5))
+    ]
+    experiment = Experiment.load([RIG_TABLE], [], words, nodes=["rig"])
+    with pytest.raises(InputError, match=r"sensors.tilt \[\[1.0, 0.02\], .* different rigs"):
+        Rig.from_parameters(experiment["rig"], axes, experiment.timebase, rigs_of(axes)[0])
+
+
+def test_each_channel_has_its_own_sensor():
+    names = {
+        f"sensors.{channel}_{what}" for channel in CHANNELS for what in ("scale", "lag", "filter")
+    }
+    assert names < RIG_TABLE.rows.keys()
