@@ -108,24 +108,6 @@ JSON = st.recursive(
 
 
 @few
-@given(
-    text=TEXTS
-    | JSON.map(json.dumps)
-    | st.builds(
-        lambda *counts: json.dumps({"valve": {"samples": counts[0], "first_step": counts[1]}}),
-        JSON | st.floats(),
-        JSON | st.floats(),
-    )
-    | st.sampled_from(["[" * 5000, '{"valve": 3}'])
-)
-def test_what_was_saturated_is_read_or_refused(text):
-    status = rig_status(Outcome("finished", 9, 1, [3], 1.0))
-    status.values["saturated"] = text
-    with contextlib.suppress(WireError):
-        read_outcome(status, TIMEBASE)
-
-
-@few
 @given(described=JSON)
 def test_any_json_is_a_description_or_refused(described):
     try:

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.computed_model import ComputedModel
@@ -133,23 +132,6 @@ def model_of(file, name, settings="", axes=("x",), **more):
     return ComputedSubstructure.from_parameters(section(file, name, settings, **more), axes).model
 
 
-def solved(force, motion, dt, mass, states=2):
-    """Displacement of mass x'' + C x' + K x + force(z) = -mass a_g, z' by force too."""
-    slope = np.diff(motion) / dt
-    z, found = np.zeros(states), [0.0]
-
-    def rate(t, z, k):
-        a_g = motion[k] + slope[k] * (t - k * dt)
-        g, *inside = force(z, a_g)
-        return [z[1], -a_g - (C * z[1] + K * z[0] + g) / mass, *inside]
-
-    for k in range(len(motion) - 1):
-        span = (k * dt, (k + 1) * dt)
-        z = solve_ivp(rate, span, z, args=(k,), rtol=1e-9, atol=1e-12).y[:, -1]
-        found.append(z[0])
-    return np.array(found)
-
-
 MOTION = 3.0 * np.sin(18.0 * 0.002 * np.arange(400))
 
 
@@ -167,13 +149,6 @@ def test_a_spring_that_is_a_model_acts_as_computed_stiffness_does(file):
     found = reference_response(experiment(file, "Spring"), asked)
     assert error(found.displacement, exact.displacement) < 1e-9
     assert error(found.force, exact.force) < 1e-9
-
-
-def test_the_whole_structure_with_a_hardening_damped_spring_is_that_of_an_ode_solver(file):
-    exact = solved(lambda z, _: [1e5 * z[0] + 1e9 * z[0] ** 3 + 400.0 * z[1]], MOTION, 0.002, 2 * M)
-    asked = experiment(file, "Spring", "k3=1e9 c=400.0")
-    found = reference_response(asked, MOTION[:, np.newaxis]).displacement[:, 0]
-    assert error(found, exact) < 5e-4
 
 
 def test_the_tangents_are_found_by_small_motions_or_told(file):

@@ -5,7 +5,7 @@ import pytest
 from bare_rig import rig_section
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
-from seft_plant_sim.faults import KINDS, Fault, check_times, faults_of, obey, read_faults, show
+from seft_plant_sim.faults import Fault, check_times, faults_of, obey, read_faults, show
 
 DT = 0.002
 TIMEBASE = Timebase.from_rate(500.0)
@@ -224,10 +224,3 @@ def test_a_rig_has_the_faults_of_its_own_axes():
     own = RigAxes("b", ("b/x", "b/y"), (1, 2))
     faults, _ = arrays("a/x/force flip at 0", "b/y/force flip at 0", axes=axes, own=own)
     assert faults.numbers[:, 2].tolist() == [1]
-
-
-@pytest.mark.parametrize("what", KINDS)
-def test_every_kind_of_fault_can_be_written(what):
-    for kind in KINDS[what]:
-        value = "" if kind in ("freeze", "flip", "stick") else "1"
-        assert len(read_faults(f"{what} {kind} {value} at 0", ("x",))) == 1

@@ -4,13 +4,11 @@ import itertools
 
 import numpy as np
 import pytest
-from bare_rig import BareRig
 from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.compiled import compiled
-from seft_plant_sim.rig import Rig, continuous_model, saturation_of
+from seft_plant_sim.rig import Rig, saturation_of
 from seft_plant_sim.rig_parameters import RIG_TABLE
 from seft_plant_sim.rig_step import rig_step
-from seft_plant_sim.whole_structure import ShakenStructure
 
 JHU = "config/jhu.yaml"
 YIELDS = {"yield_displacement": 0.003}
@@ -83,40 +81,6 @@ def test_a_rig_alone_and_in_a_compiled_loop_gives_the_same_bits(values, axes):
     assert one.saturation == saturation_of(found)
     assert one.violation == told
     assert np.abs(states[:, 0]).max() > 0.002
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_an_exact_force_gives_the_reference_the_nearer_the_finer_it_is_sampled(kind):
-    """The force of a held sample is that of its middle: -M a_g, of which M x'' + r = f knows."""
-    values = {"specimen.kind": kind, "actuator.kind": "ideal"}
-    values |= {f"specimen.{name}": value for name, value in KINDS[kind].items()}
-
-    def ground(time):
-        return 13.0 * np.sin(40.0 * time) * np.exp(-(((time - 0.3) / 0.15) ** 2))
-
-    errors = []
-    for rate in (1000.0, 4000.0):
-        experiment, _ = rig(values, rate=rate)
-        dt, model = 1.0 / rate, continuous_model(experiment["rig"], ("x",))
-        time = dt * np.arange(int(0.7 * rate) + 1)
-        force = -52.7 * ground(time[:-1] + dt / 2)[:, np.newaxis]
-        bare = BareRig(model, dt)
-        bare.reset()
-        x = np.array([bare.step(f)[0, 0] for f in force])
-        # the first command acts from the second sample on
-        wanted = reference(experiment, ground, time, 256 if kind != "linear" else 1)
-        errors.append(np.abs(x[1:] - wanted[1:-1]).max() / np.abs(wanted).max())
-    assert np.abs(wanted).max() > 0.0035
-    assert errors[1] < 2e-4
-    assert errors[1] < errors[0] / 3
-
-
-def reference(experiment, ground, time, steps):
-    from seft_plant_sim.whole_structure import tested_specimen
-
-    specimen = tested_specimen(experiment)
-    shaken = ShakenStructure(specimen, time[1] - time[0], steps)
-    return shaken.advance(ground(time)[:, np.newaxis])[0][:, 0]
 
 
 def test_rigs_do_not_share_what_they_remember():

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.outcome import Simulated
 from seft_plant_sim.rig import Rig, Rigs
 from seft_plant_sim.rig_parameters import RIG_TABLE
 
@@ -60,22 +59,6 @@ def test_rigs_together_do_what_one_with_all_axes_does(more):
     scale = np.abs(whole).max(axis=0)
     np.testing.assert_allclose(found / scale, whole / scale, rtol=0, atol=1e-10)
     assert together.drive == "valve_command"
-
-
-def test_the_largest_motion_is_that_of_any():
-    together, parts = Rigs(test := plan()), [made(test, rig) for rig in plan().rigs]
-    _, commands = driven(together, 3)
-    together.stop()
-    alone = []
-    for rig, of in zip(parts, test.rigs, strict=True):
-        rig.reset()
-        for command in commands:
-            rig.step(command[list(of.places)])
-        rig.stop()
-        alone.append(rig.simulated())
-    assert together.simulated() == Simulated(
-        *np.max([list(vars(p).values()) for p in alone], axis=0)
-    )
 
 
 @pytest.mark.parametrize("more", [(), FAULTS])

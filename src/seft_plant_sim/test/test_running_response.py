@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.rig_parameters import RIG_TABLE
 from seft_plant_sim.whole_structure import RunningResponse, reference_response
@@ -19,18 +17,6 @@ def experiment(**specimen):
 
 
 LINEAR = experiment(mass=52.7, damping=800.3, stiffness=2.11e5)
-MOTION = np.random.default_rng(1).normal(size=(300, 1))
-
-
-@given(st.lists(st.integers(1, 299), max_size=6))
-def test_any_pieces_give_the_response_at_once(cuts):
-    response = RunningResponse(LINEAR)
-    pieces = np.split(MOTION, sorted(set(cuts)))
-    found = [response.advance(piece) for piece in pieces]
-    wanted = reference_response(LINEAR, MOTION)
-    for index, quantity in enumerate((wanted.displacement, wanted.acceleration)):
-        joined = np.concatenate([part[index] for part in found])
-        np.testing.assert_allclose(joined, quantity, rtol=1e-9, atol=1e-12 * np.abs(quantity).max())
 
 
 @pytest.mark.parametrize("kind", ["bilinear", "bouc_wen"])

@@ -24,15 +24,6 @@ def specimen(axes=("x",), **values):
     return Specimen.from_parameters(group(section, "specimen"), axes, "rig: specimen")
 
 
-def test_a_specimen_is_linear_unless_its_kind_says_otherwise():
-    linear = specimen(damping=903.5)
-    assert linear.springs == ()
-    assert linear.stiffness.tolist() == [[2.11e5]]
-    assert linear.damping.tolist() == [[903.5]]
-    model = {"mass": 2.0, "damping": 1.0, "stiffness": 3.0}  # the reference-force node's
-    assert Specimen.from_parameters(model, ("x",), "reference_force: model").springs == ()
-
-
 def test_each_axis_has_a_spring_to_the_ground_unless_springs_are_given():
     pair = specimen(
         ("x", "y"), kind="bilinear", stiffness=[100.0, 200.0], yield_displacement=[0.01, 0.02]
@@ -148,12 +139,6 @@ def test_what_makes_no_hysteretic_specimen_is_refused_by_name(values, told):
 def test_what_a_kind_needs_is_asked_for(kind, told):
     with pytest.raises(InputError, match=told):
         specimen(kind=kind)
-
-
-def test_each_spring_may_have_numbers_of_its_own():
-    pair = specimen(("x", "y"), kind="gap", gap__width=[0.01, 0.02], gap__stiffness=[1e5, 2e5])
-    np.testing.assert_allclose([s.law[Z_Y] for s in pair.springs], [0.01, 0.02])
-    np.testing.assert_allclose([s.law[HYSTERETIC] for s in pair.springs], [1e5, 2e5])
 
 
 def test_bouc_wen_springs_must_yield_at_some_force():
