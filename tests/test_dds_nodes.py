@@ -300,20 +300,3 @@ def test_what_strangers_send_is_told_and_changes_no_bit(graph, hostile, offline)
     assert_same(graph.record(), offline)
     told = "/hostile publishes valve_command, too: this test ignores its messages"
     assert graph.logs["rig"].read_text().count(told) == 1
-
-
-def test_two_publishers_of_the_command_end_a_test_before_anything_moves(graph, hostile):
-    hostile.join(VALVE_COMMAND)
-    reads = VALVE_COMMAND.subscribers
-
-    def is_met():
-        """Whether all who read it know of both."""
-        return all(graph.told[node].get("senders valve_command") == "2" for node in reads)
-
-    graph.until(is_met, "both publishers")
-    assert graph.observer.call("start")[0]
-    graph.until("tripped", "the trip")
-    assert "2 nodes publish valve_command" in graph.observer.values["detail"]
-    series = graph.record().series
-    obeyed = len(series["rig/state"].steps) - 1  # 0 V may answer until the supervisor says stop
-    assert obeyed == 0 or not series["valve_command"].values.any()

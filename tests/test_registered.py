@@ -133,7 +133,7 @@ def package(tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("package")
 def test_what_is_registered_with_its_settings_is_simulated_and_known_to_preflight(seft, seft_json):
-    """In nodes: see test_local_invariant.py."""
+    """In nodes: see test_local_drawn.py."""
     words = (JHU, *SHORT, *METHOD, *CONTROLLER)
     whole = seft_json("preflight", JHU, *SHORT, *CONTROLLER, status=1)  # unstable
     part = seft_json("preflight", *words)

@@ -20,18 +20,13 @@ from seft_ros.analysis.equivalent_motion import (
     peaks,
     secant_stiffness,
 )
-from seft_ros.analysis.judgement import verdict_line
 from seft_ros.analysis.metrics import delayed
-from seft_ros.analysis.report_numbers import report_numbers
-from seft_ros.analysis.report_page import write_report
 from seft_ros.analysis.summary import summarise
 from seft_ros.analysis.tracking import tracked_of, tracking_error_of, tracking_of
 from seft_ros.bags.record import (
     Record,
     Series,
 )
-from seft_ros.bags.record_bag import read_bag
-from seft_ros.drawing.style import Mark
 from seft_ros.test_run.parameter_tables import TABLES
 
 ROOT = Path(__file__).parents[3]
@@ -97,12 +92,6 @@ def test_an_exact_test_is_of_the_ground_motion_that_was_asked_for(config):
     found = equivalent_of(test, states_of(test, motion))
     # internal degrees of freedom see the measured motion as linear between samples
     np.testing.assert_allclose(found, motion, atol=1e-4 * np.abs(motion).max())
-
-
-def test_so_it_is_in_an_eft_test():
-    test = experiment(reference_force__method="eft")
-    motion = ground(test)
-    np.testing.assert_allclose(equivalent_of(test, states_of(test, motion)), motion, atol=1e-12)
 
 
 @pytest.mark.parametrize("law", [FRICTION, {"specimen.kind": "bouc_wen"}])
@@ -237,16 +226,6 @@ def test_a_method_that_sends_ahead_is_held_against_what_it_meant(config):
     assert tracking_of(record)[test.axes[0]]["delay_s"] == pytest.approx(14e-3, abs=5e-4)
 
 
-def test_the_force_that_was_meant_is_that_of_theory():
-    test = experiment(reference_force__compensation__method="model")
-    motion = ground(test)
-    states = states_of(test, motion)
-    states[:, 3] += np.random.default_rng(4).normal(size=(COUNT, 1))
-    meant = tracked_of(make_record(test, motion, states)).command
-    restoring = states[:, 3] - 52.7 * states[:, 2]
-    np.testing.assert_allclose(meant, -52.7 * motion + 0.5 * restoring, atol=1e-9)
-
-
 def test_a_reference_force_with_a_target_tells_both_motion_and_force():
     test = experiment(reference_force__compensation__method="none")
     states = states_of(test, ground(test))
@@ -273,21 +252,6 @@ def test_a_simulated_test_tells_what_it_was_of(seft):
     assert found["structure"]["frequency_hz"] == pytest.approx([10.07 / 1.5**0.5], rel=0.01)
     assert summary["tracking_error"] is None
     assert summary["reference_specimen"] == "simulated"
-
-
-def test_a_rig_of_which_nothing_is_known_is_judged_all_the_same(seft, tmp_path):
-    recorded = tmp_path / "bag"
-    words = ("simulate", ROOT / "config" / "jhu.yaml", *SHORT, "--out", recorded, "--no-figure")
-    seft(*words, "-p", "reference_force:mass_ratio:=0.5")
-    record = read_bag(recorded)
-    rig = {name: record.experiment["rig"][name] for name in ("rate", "axes")}
-    bare = Experiment(record.experiment.sections | {"rig": rig})
-    findings = report_numbers(dataclasses.replace(record, experiment=bare))
-    assert findings.judgement.verdict is Mark.BAD
-    assert "equivalent ground motion" in findings.judgement.text
-    assert "equivalent ground motion" in verdict_line(findings.summary)
-    write_report(findings, "bare", tmp_path / "bare.html")
-    assert "The equivalent ground motion" in (tmp_path / "bare.html").read_text()
 
 
 @given(

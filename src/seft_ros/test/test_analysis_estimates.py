@@ -103,9 +103,3 @@ def test_a_figure_has_a_small_panel_for_each_estimate_and_axis(axes):
         np.testing.assert_allclose(course.get_ydata(), STIFFNESS[:, column] / 1e3)
         assert list(trip.get_xdata()) == [0.22, 0.22]
         assert panels[4, column].get_xlabel() == "time / s"
-
-
-def test_an_estimate_of_unknown_unit_is_drawn_by_its_name():
-    panels = draw(make_record(names=("$gain", "delay")), None).axes
-    assert panels[3].get_ylabel() == "$gain"
-    assert panels[4].get_ylabel() == "delay / ms"

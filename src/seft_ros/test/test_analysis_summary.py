@@ -73,15 +73,6 @@ def make_record(axes=("x",), gain=1.0, delay=0.0, **changes):
     return dataclasses.replace(record, **changes)
 
 
-def test_a_perfect_test_has_no_error():
-    summary = summarise(make_record())
-    for name in THREE:
-        assert summary[name]["nrmse"] == 0.0
-        assert summary[name]["nrmse_aligned"] == 0.0
-        assert summary[name]["delay_s"] == 0.0
-        assert summary[name]["peak"] == summary[name]["reference_peak"] > 0
-
-
 def test_gain_and_delay_of_a_test_are_told():
     summary = summarise(make_record(gain=1.04, delay=0.0137))
     for name in THREE:

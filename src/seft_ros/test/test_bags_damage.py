@@ -9,7 +9,6 @@ import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
 from seft_ros.bags.bag_files import recover_bag
-from seft_ros.bags.record import read_description, write_description
 from seft_ros.bags.record_bag import read_bag, write_record
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
@@ -164,12 +163,3 @@ def test_the_report_of_a_damaged_bag_names_what_is_missing(whole, seft, tmp_path
     status, _, told = seft("compare", "bag.cut", "bag", "--json")
     assert status == 0
     assert "bag.cut is damaged: bag.mcap: " in told
-
-
-def test_a_description_is_read_whatever_it_holds():
-    experiment = Experiment.load(TABLES, ["config/jhu.yaml"])
-    texts = write_description(experiment.sections, {})
-    odd = ["", "[", "null", "[1]", '{"node": 3}', "[" * 100_000, '{"environment": 4}', "\x00"]
-    described, refused = read_description([*odd, *texts])
-    assert refused == len(odd)
-    assert described.experiment().axes == experiment.axes

@@ -45,13 +45,10 @@ def record(tmp_path):
 
 @pytest.mark.parametrize(
     ("parameter", "told"),
-    [  # a rule of a table, of all nodes, of a block, and of a file; their tests know the others
-        ("reference_force:mass_ratio:=x", ['mass_ratio is "x"', "must be a number"]),
+    [  # of a table, of all nodes, and of a file; their tests know the others
         ("reference_force:mass_ration:=1", ["no parameter mass_ration", "mass_ratio?"]),
         ("rate:=333", ["333 Hz", "320 and 400"]),
-        ("force_controller:denominator:=0", ["denominator is zero"]),
         ('ground_motion:file:="two\\nlines"', ["two lines"]),
-        ("recorder:on_loss:=csv", ["one of stop, go_on"]),
     ],
 )
 def test_a_wrong_parameter_is_refused(refused, parameter, told):
@@ -129,16 +126,8 @@ def test_a_test_that_trips_ends_with_status_1_and_says_so(seft):
     assert "unstable" not in err  # a limit is no instability
 
 
-@pytest.mark.parametrize(
-    ("fault", "error"),
-    [
-        ("force set at 1", "set needs a value"),
-        ("z/force set 3 at 1", "there is no axis z; there are x"),
-        ("specimen melt at 1", "specimen can't melt; it can break, slip, collide"),
-        ("force set 3 at 90", "the test ends at 3 s, before the fault begins"),
-    ],
-)
-def test_a_wrong_fault_is_told_in_one_line_before_anything_moves(seft, fault, error):
+def test_a_wrong_fault_is_told_in_one_line_before_anything_moves(seft):
+    fault, error = "force set 3 at 90", "the test ends at 3 s, before the fault begins"
     for command in ("simulate", "run"):
         status, out, err = seft(command, JHU, *SHORT, "-p", f"rig:faults:={fault}")
         assert (status, out) == (2, "")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_msgs_py.config.parameter_table import Table, resolve
+from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 from seft_ros.ground_motion.ground_motion_block import GROUND_MOTION_TABLE, GroundMotion
@@ -61,11 +61,6 @@ def test_peak_force_scales_the_largest_mass_times_acceleration(tent):
     np.testing.assert_allclose(motion.samples[:, 0], [0, 10, 0, -20, 0])
 
 
-def test_peak_force_is_reached_at_any_rate_of_the_loop(tent):
-    motion = build(rate=125.0, peak_force=320.0, mass=10.0, **tent)
-    assert np.abs(motion.samples).max() == pytest.approx(32.0)
-
-
 @pytest.mark.parametrize(
     ("mass", "largest"),
     [
@@ -79,18 +74,6 @@ def test_the_mass_is_a_number_or_a_list_or_a_matrix(tent, mass, largest):
     values = {**tent, "column": [0, 1], "peak_force": 2 * largest, "mass": mass}
     motion = build(("x", "y"), 100.0, **values)
     np.testing.assert_allclose(motion.samples, [[0, 0], [4, 8], [0, 0], [-8, -16], [0, 0]])
-
-
-def test_the_mass_comes_from_the_reference_force_where_it_is_not_given(tent):
-    given = {
-        "ground_motion": GROUND_MOTION_TABLE.check({**tent, "peak_force": 100.0}),
-        "reference_force": {"model.mass": 25.0},
-    }
-    section = resolve({"ground_motion": GROUND_MOTION_TABLE, "other": Table("other", ())}, given)[
-        "ground_motion"
-    ]
-    motion = GroundMotion.from_parameters(section, ["x"], Timebase.from_rate(100))
-    assert np.abs(motion.samples).max() == pytest.approx(4.0)
 
 
 def test_the_influence_vector_is_a_factor_per_axis(tent):

@@ -271,13 +271,6 @@ def stock_recording(*bags):
             writer.write(topics[name], at, raw)
 
 
-def test_a_bag_of_the_stock_recorder_is_replayed(seft, record, blocks, tmp_path):
-    stock_recording(write(tmp_path / "bag", record, blocks), tmp_path / "stock")
-    status, out, _ = seft("replay", tmp_path / "stock", "--json")
-    result = json.loads(out)
-    assert (status, result["identical"], len(result["replays"])) == (0, True, 3)
-
-
 def test_motion_beyond_the_end_of_the_test_is_read_for_previews(record, blocks, tmp_path):
     recorded = read_recorded(write(tmp_path / "bag", record, blocks))
     last = max(first + len(values) for first, values in recorded.chunks)

@@ -42,9 +42,3 @@ def test_a_rig_that_trips_within_the_ramp_ends_it_at_once_and_both_causes_are_to
     assert record.trip.step == last
     assert record.trip.reason.startswith("force ")
     assert "(while ramping down: reference force" in record.trip.reason
-
-
-def test_a_record_that_ends_within_the_ramp_keeps_the_cause():
-    record = run("reference_force:limits.force:=500.0", "reference_force:ramp_down_time:=50.0")
-    assert len(record.series["rig/state"].steps) == 1501
-    assert "limit of 500 N" in record.trip.reason

@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 from compensators import force_section
-from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 from seft_ros.reference_force.reference_force_block import ReferenceForce
 
@@ -49,17 +48,3 @@ def test_one_mass_holds_for_every_axis_and_a_list_is_a_diagonal():
     np.testing.assert_allclose(same, [-4.0 - 6.0, -8.0 - 8.0])
     own = step(block(("x", "y"), model__mass=[2.0, 3.0], **values), [1.0, 2.0], [3.0, 4.0])
     np.testing.assert_allclose(own, [-4.0 - 6.0, -12.0 - 12.0])
-
-
-@pytest.mark.parametrize(
-    ("values", "told"),
-    [
-        ({"model__mass": [1.0, 2.0, 3.0, 4.0]}, "reference_force: model.mass: .* not symmetric"),
-        ({"model__stiffness": [1.0] * 3}, "reference_force: model.stiffness: 3 values"),
-        ({"model__damping": [1.0, 2.0, 3.0, 4.0]}, "model.damping: .* not symmetric"),
-        ({"compensation__method": "nonne"}, "compensation.method .* did you mean none?"),
-    ],
-)
-def test_parameters_that_make_no_reference_force_are_refused_by_name(values, told):
-    with pytest.raises(InputError, match=told):
-        block(("x", "y"), **values)
