@@ -8,13 +8,11 @@ import itertools
 
 import numpy as np
 import pytest
-from graph_tools import JHU, ROOT
-from seft_msgs_py.config.experiment import Experiment, parse_override
+from experiments_at_hand import load, simulated
+from graph_tools import ROOT
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_ros.analysis.summary import summarise
-from seft_ros.test_run.compiled_loop import build_blocks, with_method
-from seft_ros.test_run.offline import simulate_test
-from seft_ros.test_run.parameter_tables import TABLES
+from seft_ros.test_run.compiled_loop import with_method
 
 pytestmark = pytest.mark.offline
 THOROUGH = pytest.mark.thorough
@@ -53,9 +51,7 @@ def run(motion, mass_ratio, peak_force, *words):
         f"ground_motion:peak_force:={peak_force}",
         *words,
     )
-    loaded = Experiment.load(TABLES, [JHU], [parse_override(word) for word in given])
-    experiment = with_method(loaded, "target_motion")
-    result = simulate_test(experiment, build_blocks(experiment))
+    result = simulated(with_method(load(*given), "target_motion"))
     return summarise(result), np.abs(result.series[VALVE_COMMAND.name].values).max()
 
 

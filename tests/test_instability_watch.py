@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-from graph_tools import JHU, ROOT
-from seft_msgs_py.config.experiment import Experiment, parse_override
-from seft_ros.test_run.compiled_loop import build_blocks, with_method
-from seft_ros.test_run.offline import simulate_test
-from seft_ros.test_run.parameter_tables import TABLES
+from experiments_at_hand import load, simulated
+from graph_tools import ROOT
+from seft_ros.test_run.compiled_loop import with_method
 
 pytestmark = pytest.mark.offline
 THOROUGH = pytest.mark.thorough
@@ -57,9 +55,7 @@ def run(motion, method, mass_ratio, peak_force, ratio, *words, loop_delay=0):
         *(f"rig:{word}" for word in words),
         "force_controller:detectors.warn_only:=all",
     )
-    loaded = Experiment.load(TABLES, [JHU], [parse_override(word) for word in given])
-    experiment = with_method(loaded, method)
-    found = simulate_test(experiment, build_blocks(experiment))
+    found = simulated(with_method(load(*given), method))
     until = None if found.trip is None else found.trip.step + 1
     return found, np.abs(found.series["rig/state"].values[:until, 2]).max()
 

@@ -4,12 +4,11 @@ import json
 
 import numpy as np
 import pytest
+from experiments_at_hand import load
 from graph_tools import JHU
 from local_tools import SHORT, TARGET_MOTION, TWO_AXES, UNREHEARSED, assert_same, offline
-from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_ros.test_run.compiled_loop import build_blocks, why_not_compiled
 from seft_ros.test_run.offline import simulate_test
-from seft_ros.test_run.parameter_tables import TABLES
 
 SPECIMEN, RIG = "rig:specimen.", "rig:actuator."
 SPECIMENS = (
@@ -124,11 +123,6 @@ def drawn(seed):
     return words
 
 
-def loaded(words):
-    """Make the experiment."""
-    return Experiment.load(TABLES, [JHU], [parse_override(word) for word in words])
-
-
 def assert_equal(a, b):
     assert a.trip == b.trip
     for topic, series in a.series.items():
@@ -150,7 +144,7 @@ def check_nodes(local_graph, words):
 
 
 def check_loops(seed):
-    experiment = loaded(drawn(seed))
+    experiment = load(*drawn(seed))
     plain, compiled = (build_blocks(experiment) for _ in range(2))
     if why_not_compiled(compiled):
         return

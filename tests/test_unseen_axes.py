@@ -4,20 +4,17 @@ Masses, modes and what is computed are drawn; each actuator is sized in proporti
 it moves, as a laboratory does.
 """
 
+import experiments_at_hand
 import numpy as np
 import pytest
-from graph_tools import ROOT
-from seft_msgs_py.config.experiment import Experiment, parse_override
+from experiments_at_hand import load
 from seft_ros.analysis.summary import summarise
-from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate_test
-from seft_ros.test_run.parameter_tables import TABLES
 
 pytestmark = pytest.mark.offline
-FRAME = ROOT / "config" / "three_storey_frame.yaml"
+FRAME = "three_storey_frame"
 SHORT = ("ground_motion:synthetic.duration:=16.0", "ground_motion:peak_force:=250.0")
 STRONG = "ground_motion:peak_force:=400.0"
-KNOWN = Experiment.load(TABLES, [FRAME], [])
+KNOWN = load(config=FRAME)
 
 
 def axes_and_seeds(seeds, at_once):
@@ -95,8 +92,7 @@ def yielding(record, springs):
 
 
 def simulated(*words):
-    experiment = Experiment.load(TABLES, [FRAME], [parse_override(word) for word in words])
-    record = simulate_test(experiment, build_blocks(experiment))
+    record = experiments_at_hand.simulated(load(*words, config=FRAME))
     return record, summarise(record)
 
 

@@ -1,20 +1,14 @@
 """What preflight says of the methods is what simulated tests do."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from seft_msgs_py.config.experiment import Experiment
+from experiments_at_hand import load, simulated
 from seft_plant_sim.rig_parameters import LIMIT_ROWS
 from seft_ros.design.plan import Plan
 from seft_ros.design.preflight_tables import summarise_preflight
 from seft_ros.design.stability_margins import critical_mass_ratio
 from seft_ros.design.stability_verdict import check_stability
-from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate_test
-from seft_ros.test_run.parameter_tables import TABLES
 
-CONFIG = Path(__file__).parents[3] / "config"
 FIXED = ("polynomial", "linear_acceleration", "smith", "inverse")
 DELAY = {
     "rig": {
@@ -35,12 +29,12 @@ def experiment(config="jhu", parts=DELAY, **reference):
     words = [(node, *item) for node, section in parts.items() for item in section.items()]
     named = {name.replace("__", "."): value for name, value in reference.items()}
     words += [("reference_force", *item) for item in named.items()]
-    return Experiment.load(TABLES, [CONFIG / f"{config}.yaml"], words)
+    return load(*words, config=config)
 
 
 def grows(test):
     """Whether the free vibration after a short motion grows, by the offline loop."""
-    record = simulate_test(test, build_blocks(test))
+    record = simulated(test)
     if record.trip is not None:
         return True
     force = record.series["rig/state"].values[:, 3]

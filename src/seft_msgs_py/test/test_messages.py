@@ -6,9 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.messages import (
-    ERROR,
-    OK,
-    STALE,
     WARN,
     Status,
     decode_clock,
@@ -97,14 +94,6 @@ def test_bytes_past_the_end_are_ignored(padding):
 
 def test_big_endian_messages_are_read():
     assert decode_clock(b"\x00\x00\x00\x00" + struct.pack(">iI", 3, 4)) == 3_000_000_004
-
-
-def test_levels_are_those_of_ros():
-    ros = (DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR)
-    assert tuple(bytes([level]) for level in (OK, WARN, ERROR, STALE)) == (
-        *ros,
-        DiagnosticStatus.STALE,
-    )
 
 
 def test_of_keys_that_come_twice_the_last_counts():

@@ -141,12 +141,6 @@ def test_garbage_in_padding_and_past_the_end_is_ignored(message, pad, end):
     assert_decodes(codec, cdr(codec, step, values, pad, end), step, values)
 
 
-def test_a_frame_and_cdr_options_are_ignored():
-    codec = TrajectoryCodec(RIG_STATE, ("x", "y"), TIMEBASE)
-    values = np.arange(8.0).reshape(1, 4, 2)
-    assert_decodes(codec, cdr(codec, 7, values, frame_id="lab", options=b"\x00\x03"), 7, values)
-
-
 @pytest.mark.parametrize("shape", [(3,), (1, 3), (1, 1, 3)])
 def test_one_quantity_may_leave_out_its_dimension(shape):
     codec = TrajectoryCodec(REFERENCE_FORCE, ("x", "y", "z"), TIMEBASE)
@@ -180,13 +174,6 @@ def test_points_on_three_axes_are_not_mistaken_for_three_axes():
     codec = TrajectoryCodec(GROUND_MOTION, ("x", "y", "z"), TIMEBASE)
     with pytest.raises(WireError, match="shape"):
         codec.encode_points(0, np.zeros(3))
-
-
-def test_a_state_needs_all_four_quantities():
-    codec = TrajectoryCodec(RIG_STATE, ("x", "y"), TIMEBASE)
-    for shape in ((2,), (1, 2), (3, 2), (8,), (2, 4), (2, 4, 2)):
-        with pytest.raises(WireError, match="positions/velocities/accelerations/effort"):
-            codec.encode(0, np.zeros(shape))
 
 
 @given(messages(), NOT_FINITE, st.data())

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from models_at_hand import MODELS
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.computed_model import ComputedModel
@@ -9,96 +10,6 @@ from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_plant_sim.whole_structure import reference_response
 
 M, C, K = 50.0, 600.0, 2.0e5
-MODELS = '''
-import numpy as np
-
-
-class Spring:
-    """Hardening spring and damper on each axis."""
-
-    def __init__(self, axes=1, k=1e5, k3=0.0, c=0.0):
-        self.axes, self._k, self._k3, self._c = axes, k, k3, c
-
-    def start(self, dt, axes):
-        self.asked = []
-
-    def step(self, t, displacement, velocity, ground_acceleration):
-        spring = self._k * displacement + self._k3 * displacement**3
-        return spring + self._c * velocity
-
-
-class Bilinear:
-    axes = 1
-
-    def start(self, dt, axes):
-        self.slip = 0.0
-
-    def step(self, t, displacement, velocity, ground_acceleration):
-        x = displacement[0]
-        elastic = 9e4 * (x - self.slip)
-        held = min(max(elastic, -270.0), 270.0)
-        self.slip = x - held / 9e4
-        return [held + 1e4 * x]
-
-
-class Dashpot(Spring):
-    def step(self, t, displacement, velocity, ground_acceleration):
-        return 300.0 * velocity * abs(velocity)
-
-
-class Maxwell(Spring):
-    """A spring that a dashpot relaxes."""
-
-    def step(self, t, displacement, velocity, ground_acceleration):
-        self.asked.append(displacement)
-        relaxed = sum(self.asked[:-1], 0.0 * displacement)
-        return 1e4 * (displacement - 0.1 * relaxed)
-
-
-class Named(Spring):
-    """A spring below the first internal degree of freedom."""
-
-    def __init__(self):
-        super().__init__(["internal 1"])
-
-
-class Told(Spring):
-    stiffness = 7.0
-
-    @property
-    def damping(self):
-        return [[3.0]]
-
-
-class Late:
-    axes = 1
-
-    def start(self, dt, axes):
-        self.count = 0
-
-    def step(self, t, displacement, velocity, ground_acceleration):
-        self.count += 1
-        if self.count > 20:
-            return WRONG
-        return [0.0]
-
-
-class Stepless:
-    axes = 1
-
-    def start(self, dt, axes):
-        pass
-
-
-class Nameless(Spring):
-    def __init__(self):
-        super().__init__(["roof"])
-
-
-class Unmade(Spring):
-    def __init__(self):
-        raise ValueError("no such thing")
-'''
 
 
 @pytest.fixture

@@ -36,11 +36,3 @@ def test_every_output_has_the_gain_and_phase_of_the_filter(hz):
     assert abs(butterworth(hz)) == pytest.approx((1 + (hz / CUTOFF) ** 4) ** -0.5)
     assert filtered.delay == 0.003
     assert filtered.drive == model.drive
-
-
-def test_the_specimen_does_not_feel_its_sensors():
-    model = delayed_force(PAIR, 0.0)
-    filtered = with_low_pass(model, CUTOFF)
-    size = len(model.a)
-    np.testing.assert_array_equal(filtered.a[:size, :size], model.a)
-    assert not filtered.a[:size, size:].any()

@@ -49,17 +49,6 @@ def test_a_small_drive_sees_the_linear_rig():
     assert difference(1e-5).max() < 1e-6
 
 
-def test_a_specimen_that_yields_later_on_is_linear_until_then():
-    for law in ("bilinear", "bouc_wen"):
-        yields = {"specimen__kind": law, "specimen__yield_displacement": 1e3}
-        tolerance = 1e-9 if law == "bilinear" else 1e-5  # Bouc-Wen is never quite elastic
-        for kind, drive in (("ideal", 1000.0), ("servo_hydraulic_linear", 1.0)):
-            bent = run(plant(actuator__kind=kind, **yields), drive * NOISE)[0]
-            linear = run(plant(actuator__kind=kind), drive * NOISE)[0]
-            peak = np.abs(linear).max(axis=0)
-            np.testing.assert_allclose(bent / peak, linear / peak, atol=tolerance)
-
-
 @pytest.mark.parametrize("leakage", [0.0, 20.0])
 def test_a_fully_open_valve_stalls_at_the_force_capacity(leakage):
     """Against a specimen that the stroke does not end before."""

@@ -138,13 +138,6 @@ def test_pinching_slips_by_twice_its_length_at_each_passage_through_zero_force()
     assert reaches[1] == pytest.approx(reaches[0], abs=2e-3)
 
 
-@pytest.mark.parametrize("name", ["Bouc-Wen", "smooth", "degrading", "another package's"])
-def test_the_hysteretic_part_carries_no_more_than_the_yield_force(name):
-    path = through(0, 30, -30, 30, points=8000)
-    force = SPRINGS[name].follow(path)[0] - A * K * path
-    assert np.abs(force).max() <= (1 - A) * K * Y * (1 + 1e-9)
-
-
 @springs
 def test_a_path_in_small_steps_and_in_large_ones_is_the_same_loop(name):
     """No time occurs in a law: only the path counts."""

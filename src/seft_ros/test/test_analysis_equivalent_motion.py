@@ -2,10 +2,10 @@
 
 import dataclasses
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
+from experiments_at_hand import JHU, load
 from hypothesis import given
 from hypothesis import strategies as st
 from records_at_hand import as_measured
@@ -27,9 +27,7 @@ from seft_ros.bags.record import (
     Record,
     Series,
 )
-from seft_ros.test_run.parameter_tables import TABLES
 
-ROOT = Path(__file__).parents[3]
 COUNT = 1500
 CONFIGS = ("jhu", "three_storey_frame", "water_tower", "two_pier_bridge")
 FRICTION = {  # 45 times as stiff until it slips, at some 100 N
@@ -41,7 +39,7 @@ FRICTION = {  # 45 times as stiff until it slips, at some 100 N
 
 
 def experiment(config="jhu", mass_ratio=1.0, **changes):
-    loaded = Experiment.load(TABLES, [ROOT / "config" / f"{config}.yaml"]).sections
+    loaded = load(config=config).sections
     loaded["reference_force"]["mass_ratio"] = mass_ratio
     for name, value in changes.items():
         node, _, parameter = name.partition("__")
@@ -241,7 +239,7 @@ SHORT = ("-p", "ground_motion:synthetic.duration:=8.0", "-p", "ground_motion:pea
 
 
 def test_a_simulated_test_tells_what_it_was_of(seft):
-    words = ("simulate", ROOT / "config" / "jhu.yaml", *SHORT, "--json")
+    words = ("simulate", JHU, *SHORT, "--json")
     status, out, _ = seft(*words, "-p", "reference_force:mass_ratio:=0.5")
     summary = json.loads(out)
     found, true = summary["equivalent_motion"], summary["displacement"]["nrmse"]

@@ -6,13 +6,12 @@ import shutil
 
 import numpy as np
 import pytest
-from seft_msgs_py.config.experiment import Experiment, parse_override
+from experiments_at_hand import load
 from seft_msgs_py.errors import InputError
 from seft_ros.bags.bag_files import recover_bag
 from seft_ros.bags.record_bag import read_bag, write_record
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
-from seft_ros.test_run.parameter_tables import TABLES
 
 WORDS = ("ground_motion:synthetic.duration:=2.0", "ground_motion:tail:=0.0")
 
@@ -20,7 +19,7 @@ WORDS = ("ground_motion:synthetic.duration:=2.0", "ground_motion:tail:=0.0")
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """A bag of a short test, in some ten chunks, and its record."""
-    experiment = Experiment.load(TABLES, ["config/jhu.yaml"], list(map(parse_override, WORDS)))
+    experiment = load(*WORDS)
     blocks = build_blocks(experiment)
     path = tmp_path_factory.mktemp("whole") / "bag"
     write_record(simulate_test(experiment, blocks), path, blocks.ground_motion.chunks)
@@ -48,11 +47,6 @@ def swap(draw, raw, where):
     raw[where], raw[other] = raw[other], raw[where]
 
 
-def copy_over(draw, raw, where):
-    at = draw.randrange(len(raw) - size(where) + 1)
-    raw[at : at + size(where)] = raw[where]
-
-
 def shorten(draw, raw, where):
     del raw[where.start :]
 
@@ -63,32 +57,13 @@ def flip(draw, raw, where):
 
 DAMAGES = {
     "zeroed": lambda draw, raw, where: put(raw, where, bytes(size(where))),
-    "erased flash": lambda draw, raw, where: put(raw, where, b"\xff" * size(where)),
     "noise": lambda draw, raw, where: put(raw, where, draw.randbytes(size(where))),
     "a flipped bit": flip,
     "cut off": shorten,
-    "sectors that were never written": lambda draw, raw, where: put(
-        raw, slice(where.start, None), bytes(len(raw) - where.start)
-    ),
     "a lost part": lambda draw, raw, where: put(raw, where, b""),
     "a part that is there twice": lambda draw, raw, where: put(raw, where, 2 * raw[where]),
-    "noise that was put in": lambda draw, raw, where: put(
-        raw, slice(where.start, where.start), draw.randbytes(size(where))
-    ),
-    "a part over another": copy_over,
     "two parts that changed places": swap,
-    "a part back to front": lambda draw, raw, where: put(raw, where, raw[where][::-1]),
-    "a byte too late": lambda draw, raw, where: put(raw, where, b"\0" + raw[where][:-1]),
-    "line ends of another system": lambda draw, raw, where: put(
-        raw, slice(None), raw.replace(b"\n", b"\r\n")
-    ),
-    "the highest bits lost": lambda draw, raw, where: put(
-        raw, where, bytes(byte & 0x7F for byte in raw[where])
-    ),
     "another file behind it": lambda draw, raw, where: put(raw, slice(None), raw + raw),
-    "the end before the beginning": lambda draw, raw, where: put(
-        raw, slice(None), raw[where.start :] + raw[: where.start]
-    ),
 }
 
 

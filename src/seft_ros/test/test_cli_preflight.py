@@ -85,13 +85,6 @@ def test_a_mass_and_a_motion_that_do_not_fit_the_rig_are_told(seft, told):
     assert told(JHU, *DELAY, *strong)[1]["warnings"] == []  # no valve
 
 
-def test_an_unstable_plan_has_no_damping_in_the_test(seft, told):
-    words = (JHU, *DELAY, "-p", f"{RATIO}1.0")
-    status, found = told(*words)
-    assert (status, found["modes"], found["false_damping_ratio"]) == (1, [], None)
-    assert "in the test" not in seft("preflight", *words)[1]
-
-
 def test_the_figure_is_drawn_of_both_maps(seft, tmp_path, monkeypatch):
     monkeypatch.setattr(stability_map, "_FINEST", 15)
     words = ("preflight", JHU, *DELAY, "--figure", "map", "--json")

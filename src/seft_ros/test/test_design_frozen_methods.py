@@ -1,10 +1,10 @@
 """The loop of `target_motion` and `velocity_feedforward`: its matrix and margins hold in tests."""
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from experiments_at_hand import load
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig import Rig
@@ -20,9 +20,7 @@ from seft_ros.reference_force.reference_force_block import method_inputs
 from seft_ros.reference_force.target_motion import TargetMotion
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
-from seft_ros.test_run.parameter_tables import TABLES
 
-DEMO = Path(__file__).parents[3] / "config" / "demo.yaml"
 K, OIL = 2.11e5, 1.664e7
 QUIET = {f"sensors.{name}_noise": 0.0 for name in ("position", "velocity", "acceleration", "force")}
 BASE = {
@@ -67,7 +65,7 @@ def experiment(*parts):
         for node, values in part.items():
             sections[node] = sections.get(node, {}) | values
     words = [(node, *item) for node, values in sections.items() for item in values.items()]
-    return Experiment.load(TABLES, [DEMO], words)
+    return load(*words, config="demo")
 
 
 def test_motion(test, size, steps=2000, held=None, noise=True):
@@ -248,12 +246,3 @@ def test_a_transfer_function_takes_the_force_of_the_first_point():
 def test_velocity_feedforward_needs_a_target_motion():
     with pytest.raises(InputError, match="needs a target motion"):
         Plan(experiment({"reference_force": {"compensation.method": "none"}}))
-
-
-def test_a_usual_test_is_stable_within_the_sure_margins_whatever_it_learns():
-    margins = planned()[1]
-    late = {"rig": {"actuator.dead_time": 0.97 * margins.sure_dead_time.value}}
-    for change in (late, stronger(0.97 * margins.robust_gain.highest.value)):
-        _, found = test_motion(experiment(change), USUAL, 4000)
-        quiet, last = (np.abs(part).max() for part in (found[2000:3000, 3], found[3000:, 3]))
-        assert last < 1.5 * quiet < 100.0

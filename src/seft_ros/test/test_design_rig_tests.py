@@ -11,7 +11,6 @@ from seft_ros.design.rig_tests import (
     Motions,
     check_levels,
     closed_loop_test,
-    default_force,
     frequency_response,
     has_valve,
     motion_spectra,
@@ -72,12 +71,6 @@ def test_in_the_closed_loop_it_is_the_reference_force_and_the_controller_the_exp
         assert test["force_controller"][name] == of["force_controller"][name]
     assert test["supervisor"] == of["supervisor"]
     assert of["ground_motion"]["file"] == ""  # the experiment itself is as it was
-
-
-def test_the_default_force_follows_the_mass_up_to_a_share_of_the_limit():
-    assert default_force(load()) == pytest.approx(5.0 * 52.7)
-    heavy = load("reference_force:model.mass:=5000.0", "supervisor:limits.force:=2000.0")
-    assert default_force(heavy) == pytest.approx(100.0)
 
 
 @pytest.mark.parametrize(

@@ -111,36 +111,26 @@ def test_the_critical_mass_ratio_is_that_of_simulation_within_2_percent(method, 
 
 @pytest.mark.parametrize("method", ["none", "model"])
 @pytest.mark.parametrize("rig", RIGS)
-def test_so_are_the_critical_delay_gain_stiffness_and_told_delay(method, rig):
-    ratio = 0.6
-    chosen = RIGS[rig], reference(compensation__method=method, mass_ratio=ratio)
+def test_a_plan_that_has_the_critical_delay_gain_stiffness_or_told_delay_is_neutral(method, rig):
+    """That of a matrix is that of simulation: test_design_closed_loop.py."""
+    chosen = RIGS[rig], reference(compensation__method=method, mass_ratio=0.6)
     plan = Plan(experiment(*chosen))
     margins = find_margins(plan)
-
-    def told_to_grow(part):
-        return grows(experiment(*chosen, part))
-
-    assert margins.dead_time is not None
     kind = "actuator.delay" if rig == "delay" else "actuator.dead_time"
-    added = margins.dead_time.value - plan.dead_time
-    for factor, unstable in ((0.97, False), (1.03, True)):
-        dead_time = plan.dead_time + factor * added
-        assert told_to_grow({"rig": {kind: dead_time}}) is unstable
+    parts = [{"rig": {kind: margins.dead_time.value}}]
     if rig == "servo":
-        assert margins.gain.highest is not None
-        for factor, unstable in ((0.98, False), (1.02, True)):
-            gain = 0.0403 * factor * margins.gain.highest.value
-            assert told_to_grow({"rig": {"actuator.flow_gain": gain}}) is unstable
+        parts.append({"rig": {"actuator.flow_gain": 0.0403 * margins.gain.highest.value}})
+    parts += [softer(rig, end.value) for end in margins.stiffness.ends()]
     assert margins.followed is None
-    for end in margins.stiffness.ends():
-        for factor, unstable in ((0.97, False), (1.03, True)):
-            assert told_to_grow(softer(rig, 1.0 + factor * (end.value - 1.0))) is unstable
-    if method == "none":
-        assert margins.delay_error is None
-        return
-    for factor, unstable in ((0.97, False), (1.03, True)):
-        value = plan.section["compensation.delay"] + factor * margins.delay_error.highest.value
-        assert told_to_grow(reference(compensation__delay=value)) is unstable
+    assert (margins.delay_error is None) is (method == "none")
+    if method == "model":
+        told = plan.section["compensation.delay"] + margins.delay_error.highest.value
+        parts.append(reference(compensation__delay=told))
+    assert plan.growth_rate() < -4.0
+    for part in parts:
+        assert (
+            abs(Plan(experiment(*chosen, part)).growth_rate()) < 0.04
+        )  # at whole samples it jumps
 
 
 def test_an_unstable_plan_tells_the_delay_at_which_it_would_be_stable():

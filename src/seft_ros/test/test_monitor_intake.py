@@ -1,10 +1,8 @@
 """From messages of the loop to what is shown of one test after another."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from seft_msgs_py.config.experiment import Experiment
+from experiments_at_hand import load
 from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_plant_sim.whole_structure import reference_response, whole_structure
@@ -16,10 +14,8 @@ from seft_ros.analysis.equivalent_motion import (
 from seft_ros.bags.record import Record, Series
 from seft_ros.ground_motion.response_spectrum import response_spectrum
 from seft_ros.monitor.intake import Intake
-from seft_ros.test_run.parameter_tables import TABLES
 
-CONFIG = Path(__file__).parents[3] / "config" / "jhu.yaml"
-EXPERIMENT = Experiment.load(TABLES, [CONFIG])
+EXPERIMENT = load()
 AXES, TIMEBASE = EXPERIMENT.axes, EXPERIMENT.timebase
 MOTION = np.random.default_rng(2).normal(size=(400, 1))
 MS = 1_000_000
@@ -207,9 +203,9 @@ def test_each_axis_has_its_own_columns():
 
 
 def test_of_a_specimen_that_yields_the_response_is_said_to_be_near():
-    kind = [("rig", "specimen.kind", "bilinear"), ("rig", "specimen.yield_displacement", 0.004)]
+    kind = ("rig:specimen.kind:=bilinear", "rig:specimen.yield_displacement:=0.004")
     intake = Intake(AXES, TIMEBASE)
-    intake.describe(Experiment.load(TABLES, [CONFIG], kind).sections)
+    intake.describe(load(*kind).sections)
     intake.motion(motion(0, MOTION))
     intake.samples([states(range(100))], [])
     intake.samples([[]], [])

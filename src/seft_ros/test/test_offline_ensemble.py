@@ -10,7 +10,6 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_ros.force_controller.force_control import ControlInputs
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.methods import RegisteredControl
-from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
 from seft_ros.study.drawn_tests import drawn_rig
 from seft_ros.test_run import compiled_loop, offline
 from seft_ros.test_run.compiled_loop import build_blocks, why_not_compiled
@@ -54,7 +53,6 @@ LINEAR = (*TWO, "rig:actuator.kind:=servo_hydraulic_linear")
 CASES = {  # few combinations of blocks: a loop is compiled for each
     "nonlinear": (),
     "target": TARGET,
-    "target, yielding": (*TARGET, "rig:specimen.kind:=bouc_wen", YIELDS),
     "target, limited": (*TARGET, "reference_force:limits.force:=300.0"),
     "target, link": (*TARGET, "reference_force:loop_delay:=4"),
     "target, suspect samples": (  # while they are, the controller follows the plan to its end
@@ -65,7 +63,6 @@ CASES = {  # few combinations of blocks: a loop is compiled for each
         "ground_motion:peak_force:=500.0",
     ),
     "link": (RATIO(0.1), "reference_force:loop_delay:=4"),
-    "linear": (*LINEAR, RATIO(0.4)),
     "linear, mixed": (
         *LINEAR, RATIO(0.3), "force_controller:per_axis:=true",
         "force_controller:numerator:=[37.0, 30.0]", "force_controller:gain:=[1.0, 0.05, 0.0, 1.1]",
@@ -73,7 +70,6 @@ CASES = {  # few combinations of blocks: a loop is compiled for each
     ),
     "delay": (*TWO, "rig:actuator.kind:=delay", "rig:actuator.delay:=0.0103", RATIO(0.5)),
     "ideal": (*TWO, "rig:actuator.kind:=ideal", RATIO(0.5), METHOD("restoring")),
-    "bilinear": ("rig:specimen.kind:=bilinear", YIELDS, RATIO(0.3)),
     "degrading": (
         "rig:specimen.kind:=bouc_wen",
         YIELDS,
@@ -101,7 +97,6 @@ CASES = {  # few combinations of blocks: a loop is compiled for each
     "open loop": ("force_controller:feedback:=false",),
     "saturated valve": (STRONG, "rig:actuator.rated_voltage:=2.0"),
     "end stops": ("rig:actuator.stroke:=0.002", "rig:limits.displacement_rate:=30.0"),
-    "faults": (*TARGET, FAULTS),
     "faults of two axes": (*TWO, *TARGET, FAULTS.replace('"force noise', '"y/force noise')),
     # ends
     "displacement": ("rig:limits.displacement:=0.003",),
@@ -111,11 +106,8 @@ CASES = {  # few combinations of blocks: a loop is compiled for each
         "force_controller:detectors.warn_only:=all",
     ),
     "unstable": (RATIO(2.0),),
-    "unstable, not watched": (RATIO(2.0), "reference_force:instability.ratio:=0.0"),
     "force": ("reference_force:limits.force:=600.0",),
     "force rate": ("reference_force:limits.force_rate:=2e4",),
-    "force, short ramp": ("reference_force:limits.force:=600.0",
-                          "reference_force:ramp_down_time:=0.004"),
     "interlock": ("force_controller:limits.force:=700.0",),
     "valve at its limit": ("force_controller:voltage_limit:=0.05",),
 }  # fmt: skip
@@ -203,27 +195,11 @@ def test_members_of_an_ensemble_are_tests_of_their_own():
 
 
 def test_tests_of_one_workshop_are_those_of_workshops_of_their_own():
-    names = "force", "nonlinear", "target, limited", "target", "blind", "interlock", "linear"
+    names = "force", "nonlinear", "target, limited", "target", "blind", "interlock", "delay"
     shop = BlockCache()
     for name in (*names, *reversed(names)):  # what ends in a trip comes before what must not
         experiment = load(*CASES[name])
         alike(shop.run(experiment), BlockCache().run(experiment))
-
-
-def test_a_method_of_ones_own_is_not_compiled_and_says_so(monkeypatch):
-    assert BlockCache().why_not_compiled(load()) == ""
-
-    class Own:
-        def __init__(self, known):
-            self.preview, self._of = 0, COMPENSATION_METHODS["restoring"](known)
-
-        def __getattr__(self, name):
-            if name == "pace":
-                raise AttributeError(name)
-            return getattr(self._of, name)
-
-    monkeypatch.setitem(COMPENSATION_METHODS, "none", Own)
-    assert "a compensation method of another package" in BlockCache().why_not_compiled(load())
 
 
 def test_a_controller_of_another_package_is_not_compiled(monkeypatch):

@@ -112,11 +112,6 @@ def test_the_offline_loop_keeps_what_the_method_knew_after_each_of_these_steps(w
         np.testing.assert_array_equal(estimates.values[row, 1], so_far.max(axis=0))
 
 
-def test_a_method_without_estimates_leaves_none():
-    experiment = load(*WORDS)
-    assert simulated(experiment).estimates is None
-
-
 def test_estimates_may_not_change_their_names(watched, monkeypatch):
     names = iter([*[{"delay": np.zeros(2)}] * 3, {"stiffness": np.zeros(2)}])
     monkeypatch.setattr(Watcher, "estimates", lambda self: next(names))
