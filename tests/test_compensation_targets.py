@@ -9,19 +9,13 @@ import itertools
 import numpy as np
 import pytest
 from experiments_at_hand import load, simulated
-from graph_tools import ROOT
+from real_records import words_of
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_ros.analysis.summary import summarise
 from seft_ros.test_run.compiled_loop import with_method
 
 pytestmark = pytest.mark.offline
 THOROUGH = pytest.mark.thorough
-RECORDS = ROOT.parent / "shared" / "data"
-FILES = {
-    "Kobe JMA": "kobe_jma_1995.txt",
-    "El Centro": "elcentro_1940.txt",
-    "Nishi-Akashi": "kobe_nishi_akashi_090.AT2",
-}
 STIFFNESS, DAMPING = 2.11e5, 800.3
 KOBE = {  # mass ratio: peak force (N), largest error
     0.5: (500.0, 0.0115),  # 0.006 of it is the sensor's noise
@@ -37,16 +31,9 @@ NISHI_AKASHI = KOBE | {0.5: (500.0, 0.015), 1.5: (400.0, 0.011), 3.0: (250.0, 0.
 
 def run(motion, mass_ratio, peak_force, *words):
     """Summary of a test, and its largest valve command."""
-    if motion in FILES:
-        file = RECORDS / FILES[motion]
-        if not file.is_file():
-            pytest.skip("no real record here")
-        record = (f"ground_motion:file:={file}",)
-        record += ("ground_motion:column:=0",)
-    else:
-        record = ("ground_motion:synthetic.duration:=16.0", "ground_motion:tail:=1.0")
+    short = ("ground_motion:synthetic.duration:=16.0", "ground_motion:tail:=1.0")
     given = (
-        *record,
+        *words_of(motion, *short),
         f"reference_force:mass_ratio:={mass_ratio}",
         f"ground_motion:peak_force:={peak_force}",
         *words,

@@ -2,44 +2,33 @@
 
 import numpy as np
 import pytest
-from graph_tools import JHU, ROOT
-from seft_msgs_py.config.experiment import Experiment
+from experiments_at_hand import load, simulated
+from real_records import words_of
 from seft_ros.analysis.summary import reference_of, summarise
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import instability_band
-from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate_test
-from seft_ros.test_run.parameter_tables import TABLES
 
 pytestmark = pytest.mark.offline
-RECORDS = ROOT.parent / "shared" / "data"
 MOTIONS = {
-    "synthetic 1": {"synthetic.seed": 1},
-    "synthetic 7": {"synthetic.seed": 7},
-    "Kobe JMA": {"file": RECORDS / "kobe_jma_1995.txt", "column": 0},
-    "El Centro": {"file": RECORDS / "elcentro_1940.txt", "column": 0},
-    "Nishi-Akashi": {"file": RECORDS / "kobe_nishi_akashi_090.AT2"},
+    "synthetic 1": ("ground_motion:synthetic.seed:=1",),
+    "synthetic 7": ("ground_motion:synthetic.seed:=7",),
+    **dict.fromkeys(("Kobe JMA", "El Centro", "Nishi-Akashi"), ()),
 }
 AT_ONCE = ("synthetic 1", "Kobe JMA")
 HERE = [
-    pytest.param(name, marks=() if name in AT_ONCE else pytest.mark.thorough)
-    for name, motion in MOTIONS.items()
-    if motion.get("file", ROOT).exists()
+    pytest.param(name, marks=() if name in AT_ONCE else pytest.mark.thorough) for name in MOTIONS
 ]
 
 
 def uncompensated(name, mass_ratio, watched=0.0):
     """Run a test as the paper did, with nobody who looks for instability, or with."""
-    overrides = [("ground_motion", key, _plain(value)) for key, value in MOTIONS[name].items()]
-    overrides.append(("reference_force", "mass_ratio", mass_ratio))
-    overrides.append(("reference_force", "instability.ratio", watched))
-    experiment = Experiment.load(TABLES, [JHU], overrides)
-    record = simulate_test(experiment, build_blocks(experiment))
+    test = load(
+        *words_of(name, *MOTIONS[name]),
+        f"reference_force:mass_ratio:={mass_ratio}",
+        f"reference_force:instability.ratio:={watched}",
+    )
+    record = simulated(test)
     return record, summarise(record)
-
-
-def _plain(value):
-    return value if isinstance(value, int | float) else str(value)
 
 
 @pytest.mark.parametrize("name", HERE)

@@ -19,7 +19,6 @@ from claims import (
     of_the_compensation,
     of_the_delay,
     of_the_tests,
-    rising,
     vibration,
 )
 from paper_tests import Outcome
@@ -142,30 +141,11 @@ def test_a_number_agrees_within_its_tolerance_alone(ours, agrees):
     assert not near("", "", 0.002, 0.0020001, 0.0).agrees
 
 
-@pytest.mark.parametrize(("ours", "most", "least"), [(0.05, True, False), (0.2, False, True)])
-def test_a_measure_is_held_against_its_limit(ours, most, least):
-    assert limited("", "", "", np.float64(ours), "").agrees is most
-    assert limited("", "", "", np.float64(ours), "", at_least=True).agrees is least
-
-
 @pytest.mark.parametrize("ours", [math.nan, math.inf, -math.inf])
 def test_what_is_not_finite_never_agrees(ours):
     for at_least in (False, True):
         claim = limited("", "", "", ours, "", at_least=at_least)
         assert (claim.agrees, claim.ours) == (False, "not finite")
-
-
-@pytest.mark.parametrize(
-    ("values", "agrees"),
-    [
-        ([0.1, 0.2, 0.3], True),
-        ([0.1, 0.3, 0.2], False),
-        ([0.1, 0.1], False),
-        ([0.1, math.nan], False),
-    ],
-)
-def test_growth_is_from_each_to_the_next(values, agrees):
-    assert rising("", "", "", values, "", "g").agrees is agrees
 
 
 # Measures

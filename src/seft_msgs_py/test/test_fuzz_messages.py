@@ -98,20 +98,3 @@ def test_the_end_of_a_test_is_read_or_refused(changed, dropped, tripped):
     values = {key: value for key, value in good.values.items() if key not in dropped} | changed
     with contextlib.suppress(WireError):
         read_outcome(Status("rig", 0, "", values=values), TIMEBASE)
-
-
-JSON = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=9), inner),
-    max_leaves=8,
-)
-
-
-@few
-@given(described=JSON)
-def test_any_json_is_a_description_or_refused(described):
-    try:
-        node, _ = decode_description(encode_string(json.dumps(described)))
-    except WireError:
-        return
-    assert isinstance(node, str)

@@ -220,14 +220,6 @@ def test_the_force_of_a_target_is_read_by_who_does_not_know_of_it(monkeypatch, p
         target.decode(force.encode_points(7, values[:, 2:]))
 
 
-def test_too_many_values_for_the_axes_are_refused():
-    codec = TrajectoryCodec(REFERENCE_FORCE, ("x",), TIMEBASE)
-    message = ros_message(codec, 0, np.zeros((1, 1, 1)))
-    message.points[0].effort = [1.0, 2.0]
-    with pytest.raises(WireError, match="2 effort for 1 axes"):
-        codec.decode(serialization.serialize_message(message))
-
-
 @pytest.mark.parametrize(("theirs", "step"), [(1000.0, 1), (512.0, 1), (400.0, 3)])
 def test_samples_of_another_rate_are_refused(theirs, step):
     sender = TrajectoryCodec(REFERENCE_FORCE, ("x",), Timebase.from_rate(theirs))

@@ -66,13 +66,9 @@ def test_a_line_has_axis_what_kind_value_time_and_steps():
     ("line", "error"),
     [
         ("force", r"a fault is \[AXIS/\]WHAT KIND \[VALUE\] at TIME \[for STEPS\], such as"),
-        ("force set 3", "a fault is"),
-        ("force set 3 at", "a fault is"),
         ("force set 3 at 2 for", "a fault is"),
         ("force set 3 at 2 until 5", "a fault is"),
-        ("force set 3 4 at 2", "a fault is"),
         ("load set 3 at 2", "load can't fail; displacement, .*, valve, supply, specimen can"),
-        ("forse set 3 at 2", "did you mean force"),
         ("force stick at 2", "force can't stick; it can set, add, .*, bit"),
         (
             "valve noise 1 at 2",
@@ -82,7 +78,6 @@ def test_a_line_has_axis_what_kind_value_time_and_steps():
         ("force set at 2", "set needs a value"),
         ("force freeze 3 at 2", "freeze takes no value"),
         ("force set high at 2", "high is no number"),
-        ("force add nan at 2", "nan is no number"),
         ("valve set nan at 2", "nan is no number"),
         ("force noise -1 at 2", "noise needs an RMS of at least 0"),
         ("force late -0.1 at 2", "late needs a time of 0 to 10 s"),
@@ -93,9 +88,7 @@ def test_a_line_has_axis_what_kind_value_time_and_steps():
         ("specimen collide 0 at 2", "collide needs the stiffness of a stop, above 0 N/m"),
         ("force bit 1.5 at 2", "bit needs the number of a bit"),
         ("force set 3 at -2", "TIME is -2, but must be a time in s of the test"),
-        ("force set 3 at soon", "TIME is soon"),
         ("force set 3 at 2 for 0", "STEPS is 0, but must be a whole number of samples, at least 1"),
-        ("force set 3 at 2 for 1.5", "STEPS is 1.5"),
     ],
 )
 def test_a_wrong_line_says_what_is_possible(line, error):
@@ -188,8 +181,6 @@ def test_a_bit_of_the_converter_flips():
         ("valve null 100 at 0.004", [1, 2, 4, 7.2, 11.4, 16.6]),
         ("valve set 3 at 0.004 for 1", [1, 2, 3, 7, 11, 16]),
         ("valve add 2 at 0.004", [1, 2, 6, 9, 13, 18]),
-        ("valve scale 0.5 at 0.004", [1, 2, 2, 3.5, 5.5, 8]),
-        ("valve flip at 0.004", [1, 2, -4, -7, -11, -16]),
         ("valve late 0.004 at 0.004", [1, 2, 1, 2, 4, 7]),
     ],
 )

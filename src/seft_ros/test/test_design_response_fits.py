@@ -55,15 +55,6 @@ def test_noise_of_the_sensors_does_not_bias_it():
         assert abs(values.mean() - 1) < 3 * values.std() / np.sqrt(len(values)) + 0.005
 
 
-def test_frequencies_and_dampings_are_those_of_the_matrices():
-    fit = fit_specimen([measured(1, (0.0, 0.0, 0.0))])
-    (root,) = fit.roots()
-    assert root.hz == pytest.approx(np.sqrt(2.1e5 / 52.7) / (2 * np.pi), rel=1e-3)
-    assert root.damping == pytest.approx(800.0 / (2 * np.sqrt(2.1e5 * 52.7)), rel=0.01)
-    own = fit.axis_root(0)
-    assert (own.hz, own.damping) == pytest.approx((root.hz, root.damping), rel=1e-9)
-
-
 def test_damping_is_never_negative():
     drowned = (1.5e-2, 40.0, 3000.0)
     for seed in range(6):
@@ -106,16 +97,6 @@ def test_it_is_stable_whatever_the_data(seed):
     fit = fit_tracking(F, np.exp(-0.06j * F) + 0.5 * noise, ONES)
     assert np.roots(fit.model.denominator).real.max() < 0
     assert fit.model.dead_time >= 0
-
-
-def test_noise_is_weighed_out():
-    known = TransferFunction((pair(25.0, 0.6)[2],), tuple(pair(25.0, 0.6)), 0.008)
-    rng = np.random.default_rng(1)
-    deviation = np.where(F > 40.0, 0.3, 0.001)
-    noise = deviation * (rng.standard_normal(len(F)) + 1j * rng.standard_normal(len(F)))
-    fit = fit_tracking(F, known.response(F) + noise, 1 / np.hypot(deviation, 0.01))
-    low = F < 40.0
-    assert np.abs(fit.model.response(F) - known.response(F))[low].max() < 0.01
 
 
 def test_the_dead_time_is_at_least_the_latency_that_is_there():

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from seft_msgs_py.errors import InputError
-from seft_ros.ground_motion.readers.columns import rounded_period
 from seft_ros.ground_motion.readers.statements import is_other_unit, read_unit
 from seft_ros.ground_motion.record_file import read_record
 
@@ -123,13 +122,6 @@ def test_a_unit_that_is_given_is_never_hinted_at_another(read, unit):
     assert "did you mean" not in str(told.value)
 
 
-def test_gal_is_a_unit(read):
-    record = read(ONE_COLUMN, unit="gal", dt=0.01)
-    assert record.unit == "cm/s2"
-    np.testing.assert_allclose(record.accelerations[:, 0], WAVE * 0.01, atol=1e-7)
-    assert record.channels[0]["unit_from"] == "as given"
-
-
 def table(*names, separator=","):
     """Columns with a time of 0.01 s first, then multiples of the wave."""
     rows = [
@@ -222,10 +214,3 @@ def test_times_that_are_off_by_more_than_their_last_digit_are_uneven(read):
     for dt in (0.0, 1 / 128):
         with pytest.raises(InputError, match=r"time goes from 0.\d+ to 0.\d+.*resample the record"):
             read(text, dt=dt)
-
-
-@pytest.mark.parametrize(
-    "texts", [["0", "0", "0", "1"], ["0.0", "0.0", "0.1", "0.1", "0.1", "0.2"]]
-)
-def test_times_with_too_few_digits_tell_no_period(texts):
-    assert rounded_period(np.array(texts, dtype=float), texts, 0.0) == 0.0

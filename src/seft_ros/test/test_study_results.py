@@ -76,11 +76,6 @@ def test_the_correlation_is_that_of_ranks(values, seed):
     assert cause["value"] == pytest.approx(spearmanr(values, errors).statistic)
 
 
-def test_equal_errors_correlate_with_nothing():
-    (cause,) = result_of([0.1] * 5, factors={"a": np.array([0.9, 1.0, 1.1, 1.2])})["causes"]
-    assert (cause["value"], cause["deviation"]) == (None, None)
-
-
 def test_the_interval_of_a_share_is_wilsons():
     def interval(count, total):
         errors = [0.01] + [LOST] * count + [0.01] * (total - count)

@@ -152,14 +152,6 @@ def test_all_methods_and_mass_ratios_meet_the_same_tests():
         assert own["reference_force"] == base["reference_force"] | changed
 
 
-def test_the_configured_method_keeps_its_force_controller():
-    words = ("reference_force:compensation.method:=target_motion",)
-    with pytest.raises(InputError, match="gives the motion of a target"):
-        planned(*words, methods=())
-    plan = planned(*words, "force_controller:method:=velocity_feedforward", methods=(), ratios=())
-    assert (plan.methods, plan.mass_ratios) == (("target_motion",), (0.0,))
-
-
 def test_results_do_not_depend_on_the_number_of_workers():
     plan = planned(ratios=[0.5, 1.5])
     reported = []
