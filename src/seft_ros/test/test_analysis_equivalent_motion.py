@@ -115,16 +115,6 @@ def test_a_known_error_of_force_is_a_known_error_of_ground_motion():
 
 
 @pytest.mark.parametrize("config", CONFIGS)
-def test_piece_by_piece_it_is_the_same(config):
-    test = experiment(config)
-    states = states_of(test, ground(test))
-    running = EquivalentMotion(whole_structure(assumed_structure(test)), test.timebase.dt)
-    cuts = np.split(states, [1, 2, 700])
-    found = np.concatenate([running.advance(piece) for piece in cuts])
-    np.testing.assert_allclose(found, equivalent_of(test, states), atol=1e-9)
-
-
-@pytest.mark.parametrize("config", CONFIGS)
 def test_the_difference_is_the_error_of_a_linear_test(config):
     test = experiment(config)
     motion = ground(test)

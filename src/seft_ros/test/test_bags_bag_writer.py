@@ -305,12 +305,3 @@ def test_the_reason_for_leaving_is_not_hidden_by_a_full_disk(tmp_path, monkeypat
     with pytest.raises(KeyboardInterrupt), BagWriter(tmp_path / "bag") as bag:
         bag.write(VALVE_COMMAND, sample(0), START)
         raise KeyboardInterrupt
-
-
-def test_closing_twice_is_once(tmp_path):
-    bag = BagWriter(tmp_path / "bag")
-    bag.write(VALVE_COMMAND, sample(0), START)
-    bag.close()
-    bag.close()
-    bag.flush()
-    assert len(contents(tmp_path / "bag")) == 1

@@ -153,13 +153,6 @@ def test_what_nodes_tell_is_an_event_once_until_they_tell_another(tmp_path):
     assert times[0] < 0 < times[1]  # the rig's first sample is time zero
 
 
-def test_steps_that_were_lost_are_not_there(tmp_path):
-    messages = [*description(), motion(0, 10), *loop([0, 1, 4, 5])]
-    record = read_bag(write(tmp_path / "bag", messages))
-    assert record.series["rig/state"].steps.tolist() == [0, 1, 4, 5]
-    assert record.series["ground_motion"].steps.tolist() == [0, 1, 2, 3, 4, 5]
-
-
 def test_estimates_that_do_not_fit_the_test_are_left_out_and_counted(tmp_path):
     codec, foreign = EstimatesCodec(AXES, TIMEBASE), EstimatesCodec(("z",), TIMEBASE)
     delay = {"delay": np.array([0.01, 0.02])}

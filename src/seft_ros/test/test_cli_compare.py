@@ -41,19 +41,3 @@ def test_two_bags_are_drawn(seft, tmp_path, record):
     assert "first difference at step 41, rig/state" in out
     status, out, _ = seft("compare", "one", "one", "--json")
     assert (status, json.loads(out)["identical"]) == (0, True)
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (["one"], "Missing argument"),
-        (["one", "one", "--figure", "none/figure.png"], "no folder none"),
-        (["one", "one", "--figure", "figure.xyz"], "figures end in"),
-    ],
-)
-def test_wrong_use_is_refused_in_one_line(seft, tmp_path, record, words, told):
-    write_record(record, tmp_path / "one")
-    status, out, err = seft("compare", *words)
-    assert (status, out) == (2, "")
-    assert told in err
-    assert err.count("\n") == 1

@@ -219,20 +219,3 @@ def test_too_little_amplitude_is_told_with_band_and_remedy(identify, tmp_path):
     assert found["plant_zero_hz"] is None
     assert found["delay_s"] is not None
     assert not read_parameter_file(tmp_path / "out" / "model.yaml").get("force_controller")
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (("--band", "10", "5"), "--band is 10 to 5 Hz"),
-        (("--duration", "5"), "needs 13.3333 s"),
-        (("--external", "force_controller"), "--external"),
-        (("--out", "."), "exists already"),
-    ],
-)
-def test_wrong_input_is_told_before_anything_is_written(seft, tmp_path, words, told):
-    status, out, err = seft("identify", JHU, *words)
-    assert (status, out) == (2, "")
-    assert err.count("\n") == 1
-    assert told in err
-    assert not any(tmp_path.iterdir())

@@ -77,14 +77,40 @@ def test_a_faulty_file_is_refused(refused, record, tmp_path):
         (["run", JHU, "--external", "recorder"], "--external recorder: must be one of"),
         (["report", "none"], "none"),
         (["compare", "none", "other"], "none"),
+        (["compare", "one"], "Missing argument"),
+        (["compare", "one", "one", "--figure", "none/figure.png"], "no folder none"),
+        (["compare", "one", "one", "--figure", "figure.xyz"], "figures end in"),
+        (["preflight", JHU, "--external", "rig"], "seft identify"),
+        (["preflight", JHU, "--external", "reference_force"], "reference_force: runs elsewhere"),
+        (["identify", JHU, "--band", "10", "5"], "--band is 10 to 5 Hz"),
+        (["identify", JHU, "--duration", "5"], "needs 13.3333 s"),
+        (["identify", JHU, "--external", "force_controller"], "--external"),
+        (["link", "--out", "x.yaml"], "--out needs CONFIG"),
+        (["link", "--duration", "0"], "must be positive"),
+        (["run", JHU, "-p", "reference_force:loop_delay:=-1"], "--external force_controller"),
+        (["new", "driver", "../rig"], "use lower-case letters"),
+        (["new", "driver", "class"], "use lower-case letters"),
+        (["new", "driver", "json"], "another package has this name"),
+        (["new", "bridge", "my_rig"], "can't make a new bridge; seft new driver NAME makes a"),
+        (["study", JHU, *SHORT, "--method", "nome"], "did you mean none?"),
+        (["study", JHU, *SHORT, "--workers", "0"], "--workers"),
+        (["study", JHU, *SHORT, "--motion", "none.AT2"], "none.AT2"),
+        (["study", JHU, *SHORT, "--out", "none/page.html"], "no folder none"),
+        (["study", JHU, *SHORT, "--spread", "2"], "--spread"),
+        (["study", JHU, *SHORT, "-p", "rig:actuator.oil_column_frequency:=10.08"], "drawn test"),
+        (
+            ["replay", "bag", "-p", "rig:seed:=3"],
+            "-p needs one --node, whose parameters it changes",
+        ),
         (["recover", "none"], "none"),
         (["motion"], "name a record, or an experiment by --config"),
         (["motion", "none.AT2", "-p", "rate:=100"], "name it by --config"),
         (["parameters", "rigg"], "did you mean rig?"),
     ],
 )
-def test_a_wrong_command_line_is_refused(refused, words, told):
+def test_a_wrong_command_line_is_refused_before_anything_is_written(refused, tmp_path, words, told):
     assert told in refused(*words)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_process_ends_with_status_2_and_without_a_traceback():

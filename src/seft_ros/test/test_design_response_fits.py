@@ -80,16 +80,6 @@ def test_a_pair_with_dead_time_is_found():
     np.testing.assert_allclose(fit.model.numerator, [pair(25.0, 0.6)[2]], rtol=1e-3)
 
 
-def test_further_pairs_are_added_where_the_response_needs_them():
-    numerator = np.polymul(pair(10.2, 0.1), [pair(30.0, 0.7)[2] * 3000.0])
-    denominator = np.polymul(np.polymul(pair(10.0, 0.12), pair(30.0, 0.7)), [1.0, 3000.0])
-    known = TransferFunction(tuple(numerator), tuple(denominator), 0.007)
-    fit = fit_tracking(F, known.response(F), ONES)
-    assert fit.error < 0.01
-    assert len(fit.model.denominator) == 5
-    assert np.abs(fit.model.response(F) - known.response(F)).max() < 0.03
-
-
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_it_is_stable_whatever_the_data(seed):
     rng = np.random.default_rng(seed)

@@ -167,17 +167,6 @@ def test_coherence_is_the_share_of_power_that_the_input_explains():
         assert found.coherence[at_peak, 0] == pytest.approx(share[at_peak], abs=0.25)
 
 
-def test_noise_of_the_output_scatters_the_response_as_predicted_and_does_not_bias_it():
-    errors, predicted = [], []
-    for seed in range(8):
-        found, known = measured(1.0, seed)
-        errors.append(found.response[:, 0, 0] - known)
-        predicted.append(found.variance()[:, 0, 0])
-    scatter = np.mean(np.abs(errors) ** 2)
-    assert scatter == pytest.approx(np.mean(predicted), rel=0.1)
-    assert abs(np.mean(errors)) < 5 * np.sqrt(scatter / np.size(errors))
-
-
 def test_of_several_inputs_at_once_each_response_is_found():
     rng = np.random.default_rng(2)
     u = rng.standard_normal((COUNT, 2)) @ np.array([[1.0, 0.4], [0.0, 1.0]])  # correlated

@@ -122,14 +122,6 @@ def test_records_of_the_axes_must_fit(tmp_path, pair):
         build(("x", "y"), file=pair)
 
 
-def test_samples_are_float64_contiguous_and_read_only(tent):
-    samples = build(("x", "y"), **tent).samples
-    assert samples.dtype == np.float64
-    assert samples.flags.c_contiguous
-    with pytest.raises(ValueError, match="read-only"):
-        samples[0, 0] = 1.0
-
-
 @given(st.integers(1, 300), st.integers(1, 50))
 def test_chunks_cover_every_step_once_and_in_order(steps, chunk_steps):
     values = np.arange(2.0 * steps).reshape(steps, 2)
@@ -184,17 +176,12 @@ def test_without_a_file_the_motion_is_synthetic_and_the_same_on_every_axis():
         ({"peak_force": 10.0, "mass": 1.0, "influence": 0.0}, "motion of zeros can't be scaled"),
         ({"column": [0, 1, 0]}, "column: 3 values for 2 axes"),
         ({"column": 2}, "2 columns, 0 to 1"),
-        ({"influence": [1.0, 1.0, 1.0]}, "influence: 3 values for 2 axes"),
         ({"influence": 1e308}, "accelerations are not finite"),
         ({"tail": 1e9}, "5e+07 steps"),
-        ({"time_scale": 1e30}, "5e+07 steps"),
         ({"time_scale": 1e-300}, "less than a step"),
         ({"dt": 0.0}, "set ground_motion dt"),
         ({"file": "", "synthetic.duration": 1e300}, "5e+07 steps"),
-        ({"file": "", "synthetic.dt": 1e-300}, "5e+07 steps"),
         ({"file": "", "synthetic.rise": 9.0}, "synthetic.plateau_end is 8 s"),
-        ({"synthetic.duration": 0.0}, "must be greater than zero"),
-        ({"time_scale": -1.0}, "must be greater than zero"),
         ({"unit": "ft/s^2"}, "unit is ft/s^2, but must be g, m/s2, cm/s2 or gal; convert"),
         ({"file": "", "unit": "mm/s2"}, "must be g, m/s2, cm/s2 or gal; convert the record"),
     ],

@@ -129,13 +129,6 @@ def test_who_comes_in_the_middle_shows_the_rest(intake):
     assert np.isfinite(found[200:]).all()
 
 
-def test_without_the_first_of_the_motion_there_is_no_reference(intake):
-    intake.motion(motion(100, MOTION))
-    intake.samples([states(range(100, 200))], [])
-    intake.samples([[]], [])
-    assert np.isnan(recent(intake, intake.signals.reference["displacement"])).all()
-
-
 def test_step_zero_begins_a_test_and_its_own_motion(intake):
     intake.motion(motion(0, MOTION))
     intake.samples([states(range(100))], [])

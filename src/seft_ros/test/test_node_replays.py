@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from experiments_at_hand import load
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
-from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.messages import Status, encode_diagnostics, encode_status
 from seft_msgs_py.wire.topics import (
@@ -24,31 +24,12 @@ from seft_ros.replay.node_replays import RigReplay
 from seft_ros.replay.recorded_test import Recorded, read_recorded
 from seft_ros.test_run.compiled_loop import LoopSamples, build_blocks
 from seft_ros.test_run.offline import loop_series, simulate_test
-from seft_ros.test_run.parameter_tables import TABLES
-
-OVERRIDES = [
-    ("/**", "axes", ["x"]),
-    ("ground_motion", "synthetic.duration", 1.0),
-    ("ground_motion", "tail", 0.0),
-    ("ground_motion", "peak_force", 400.0),
-    ("reference_force", "mass_ratio", 0.5),
-    ("reference_force", "model.mass", 52.7),
-    ("reference_force", "model.damping", 800.3),
-    ("reference_force", "model.stiffness", 2.11e5),
-    ("reference_force", "ramp_down_time", 0.1),
-    ("force_controller", "numerator", [37.0]),
-    ("force_controller", "denominator", [1.0, 17.14, 4002.0]),
-    ("rig", "specimen.mass", 52.7),
-    ("rig", "specimen.damping", 800.3),
-    ("rig", "specimen.stiffness", 2.11e5),
-    ("rig", "actuator.kind", "servo_hydraulic_linear"),
-    ("rig", "sensors.force_noise", 3.0),
-]
 
 
 @pytest.fixture
 def experiment():
-    return Experiment.load(TABLES, [], OVERRIDES)
+    words = ("ground_motion:synthetic.duration:=1.0", "ground_motion:tail:=0.1")
+    return load(*words, "rig:actuator.kind:=servo_hydraulic_linear")
 
 
 @pytest.fixture
@@ -225,7 +206,6 @@ def test_steps_that_the_recorder_lost_altogether_are_told(seft, record, blocks, 
     ("words", "told"),
     [
         (["--node", "recorder"], "--node recorder: must be one of reference_force"),
-        (["-p", "rig:seed:=3"], "-p needs one --node, whose parameters it changes"),
         (["--node", "rig", "-p", "rate:=100.0"], "the recorded samples have their own rate"),
         (["--node", "rig", "-p", "rig:sed:=3"], "there is no parameter sed; did you mean seed"),
         (["--node", "rig", "-p", "supervisor:peers:=[rig]"], "the replay is to rig alone"),

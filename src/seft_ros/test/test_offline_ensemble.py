@@ -1,16 +1,13 @@
 """The compiled loop gives the bits of the plain one, alone and in an ensemble."""
 
 from collections import Counter
-from concurrent.futures import ThreadPoolExecutor
 
 import experiments_at_hand
 import numpy as np
 import pytest
-from seft_msgs_py.config.experiment import Experiment
 from seft_ros.force_controller.force_control import ControlInputs
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.methods import RegisteredControl
-from seft_ros.study.drawn_tests import drawn_rig
 from seft_ros.test_run import compiled_loop, offline
 from seft_ros.test_run.compiled_loop import build_blocks, why_not_compiled
 from seft_ros.test_run.offline import BlockCache, simulate_test
@@ -113,17 +110,6 @@ CASES = {  # few combinations of blocks: a loop is compiled for each
 }  # fmt: skip
 
 
-def run_ensemble(experiments, reduce, workers=1):
-    """Results of tests on several threads, in their order."""
-    shop = BlockCache()
-
-    def one(number, experiment):
-        return reduce(number, shop.run(experiment))
-
-    with ThreadPoolExecutor(workers) as pool:
-        return list(pool.map(one, range(len(experiments)), experiments))
-
-
 def load(*words):
     return experiments_at_hand.load(*SHORT, *words)
 
@@ -182,16 +168,6 @@ def test_the_cases_end_in_every_way():
         "reference force", "out of control", "valve command is at its limit",
     ):  # fmt: skip
         assert any(part in reason for reason in reasons), part
-
-
-def test_members_of_an_ensemble_are_tests_of_their_own():
-    whole = load(*FINE, RATIO(0.5))
-    rigs = [drawn_rig(whole["rig"], whole.axes, 3, number, 0.3) for number in range(1, 7)]
-    experiments = [Experiment(whole.sections | {"rig": rig}) for rig in rigs]
-    found = dict(run_ensemble(experiments, lambda number, record: (number, record), workers=2))
-    assert list(found) == list(range(6))
-    for number, experiment in enumerate(experiments):
-        alike(found[number], experiments_at_hand.simulated(experiment))
 
 
 def test_tests_of_one_workshop_are_those_of_workshops_of_their_own():

@@ -232,14 +232,6 @@ def test_a_method_that_can_not_be_set_up_is_left_out_and_the_others_go_on(monkey
         planned(methods=["impossible"])
 
 
-@pytest.mark.parametrize(
-    ("method", "words"), [("nome", "did you mean none"), ("smyth", "must be all or one of none")]
-)
-def test_an_unknown_method_is_refused(method, words):
-    with pytest.raises(InputError, match=words):
-        planned(methods=[method])
-
-
 def test_an_experiment_that_makes_no_test_is_refused_before_any_method_is_blamed():
     with pytest.raises(InputError, match="denominator is zero"):
         planned("force_controller:denominator:=0", methods=["all"])
