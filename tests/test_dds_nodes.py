@@ -24,12 +24,8 @@ from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.node.rclpy_interface import message_class, qos_profile
 from seft_msgs_py.wire.messages import Status, encode_status
 from seft_msgs_py.wire.topics import (
-    DESCRIPTION,
     DIAGNOSTICS,
     EXPERIMENT_STATE,
-    JUDGED,
-    LOOP_TOPICS,
-    RIG_STATE,
     VALVE_COMMAND,
 )
 from seft_ros.bags.record_bag import read_bag
@@ -44,7 +40,6 @@ OVERRIDES = (
     "ground_motion:synthetic.duration:=400.0",
 )
 ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-READERS = ("rig", "force_controller", "reference_force")
 
 
 @pytest.fixture(scope="module")
@@ -259,22 +254,19 @@ def test_no_request_stops_a_node_or_changes_the_test_that_runs(graph, offline):
 
 
 def test_what_strangers_send_is_told_and_changes_no_bit(graph, hostile, offline):
-    """Also what is valid, of who has sent more messages than the test's own node."""
+    """What is valid, of who has sent more messages than the test's own node.
+
+    What is not valid, on any topic: test_local_messages.py.
+    """
     observer = graph.observer
     graph.begin()
-    hostile.join(*LOOP_TOPICS, DIAGNOSTICS, DESCRIPTION, EXPERIMENT_STATE)
-    heard = {RIG_STATE: 2, JUDGED: 2, VALVE_COMMAND: 2, EXPERIMENT_STATE: 6}
+    hostile.join(VALVE_COMMAND, EXPERIMENT_STATE)
+    heard = {VALVE_COMMAND: 2, EXPERIMENT_STATE: 6}
     graph.until(lambda: all(hostile.listeners(t) >= n for t, n in heard.items()), "listeners")
     for _ in range(3000):  # more than the test's own has sent
         hostile.send(VALVE_COMMAND, b"\0" * 8)
     for state in ("idle", "done", "tripped"):
         hostile.send(EXPERIMENT_STATE, encode_status(Status("experiment", 0, state, values={})))
-
-    def is_refused():
-        hostile.attack()
-        return all(int(graph.told[node].get("refused", 0)) > 50 for node in READERS)
-
-    graph.until(is_refused, "the counts of what was refused")
 
     def is_named():
         """Whether each node tells of the stranger what it has refused of it."""

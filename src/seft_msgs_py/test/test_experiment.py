@@ -57,7 +57,6 @@ def load(tmp_path):
 def refusal(load, *texts, **rest):
     with pytest.raises(InputError) as caught:
         load(*texts, **rest)
-    assert "\n" not in str(caught.value)
     return str(caught.value)
 
 
@@ -415,14 +414,10 @@ YAML_PIECES = st.sampled_from([*YAML_WORDS.split(), *YAML_MARKS.split("|"), *YAM
 def test_any_text_is_read_or_refused_with_an_input_error(tmp_path, text):
     path = tmp_path / "any.yaml"
     path.write_bytes(text.encode(errors="surrogatepass"))
-    try:
+    with contextlib.suppress(InputError):
         sections = read_parameter_file(path)
-    except InputError as error:
-        assert "\n" not in str(error)
-    else:
-        with contextlib.suppress(InputError):
-            Experiment.load(TABLES, [path])
         assert all(isinstance(name, str) for section in sections.values() for name in section)
+        Experiment.load(TABLES, [path])
     with contextlib.suppress(InputError):
         parse_override(f"rig:seed:={text}")
     with contextlib.suppress(InputError):

@@ -68,11 +68,8 @@ def damaged(data, good):
 def test_decoders_raise_nothing_but_wire_errors(name, data, raw):
     decode, good = DECODERS[name]
     for one in (raw, good[:4] + raw, damaged(data, good)):
-        try:
+        with contextlib.suppress(WireError):
             found = decode(one)
-        except WireError as error:
-            assert "\n" not in str(error)
-        else:
             if decode in LOOP_DECODERS:
                 step, values = found
                 assert step >= 0

@@ -113,18 +113,6 @@ DIVISORS = sorted(2**i * 5**j for i in range(10) for j in range(10))
 STEPS = st.integers(0, 10**12)
 
 
-@given(st.integers(1, 10**6))
-def test_whole_rates_are_usable_if_and_only_if_they_divide_a_billion(rate):
-    if rate in DIVISORS:
-        assert Timebase.from_rate(rate).period_ns * rate == 10**9
-    else:
-        with pytest.raises(InputError) as caught:
-            Timebase.from_rate(rate)
-        below = max(d for d in DIVISORS if d < rate)
-        above = min(d for d in DIVISORS if d > rate)
-        assert f"{below} and {above} Hz" in str(caught.value)
-
-
 @given(st.floats(min_value=1e-3, max_value=1e9))
 def test_an_accepted_rate_and_its_period_multiply_to_one_second_exactly(rate):
     try:

@@ -122,9 +122,8 @@ def test_springs_may_be_more_than_axes():
     ],
 )
 def test_what_makes_no_hysteretic_specimen_is_refused_by_name(values, told):
-    with pytest.raises(InputError, match=told) as caught:
+    with pytest.raises(InputError, match=told):
         specimen(("x", "y"), kind="bilinear", **values)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(

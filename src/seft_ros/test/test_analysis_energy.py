@@ -11,7 +11,6 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.rig_parameters import LIMIT_ROWS
 from seft_ros.analysis.summary import balance_of, energy_numbers, summarise
 from seft_ros.bags.record import Series
-from seft_ros.bags.record_bag import read_bag, write_record
 
 SHORT = ("ground_motion:synthetic.duration:=8.0", "ground_motion:tail:=1.0")
 YIELDING = ("rig:specimen.kind:=bilinear", "rig:specimen.yield_displacement:=0.002")
@@ -43,14 +42,6 @@ def test_the_energy_of_a_simulated_test_closes_with_the_noise_of_its_sensors(wor
     held = sum(energy[f"{name}_j"] for name in ("kinetic", "strain", "damped", "hysteretic"))
     assert energy["input_j"] == pytest.approx(held, rel=most)
     assert (energy["hysteretic_j"] > 0.1 * energy["input_j"]) == (YIELDING[0] in words)
-
-
-def test_it_stands_in_the_summary_and_survives_the_bag(tmp_path):
-    record = run(*YIELDING)
-    energy = summarise(record)["energy"]
-    assert energy == energy_of(record)
-    write_record(record, tmp_path / "bag")
-    assert summarise(read_bag(tmp_path / "bag"))["energy"] == energy
 
 
 def test_a_record_without_all_of_its_samples_has_no_energy():

@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from experiments_at_hand import JHU, load
+from experiments_at_hand import load
 from hypothesis import given
 from hypothesis import strategies as st
 from records_at_hand import as_measured
@@ -223,23 +223,6 @@ def test_a_reference_force_with_a_target_tells_both_motion_and_force():
     assert tracking_of(record)["x"]["nrmse"] == 0.0
     assert summarise(record)["tracking_error"]["nrmse"] == pytest.approx(0.1)
     assert tracking_error_of(make_record(test, ground(test), states)) is None
-
-
-SHORT = ("-p", "ground_motion:synthetic.duration:=8.0", "-p", "ground_motion:peak_force:=300.0")
-
-
-def test_a_simulated_test_tells_what_it_was_of(seft):
-    words = ("simulate", JHU, *SHORT, "--json")
-    status, out, _ = seft(*words, "-p", "reference_force:mass_ratio:=0.5")
-    summary = json.loads(out)
-    found, true = summary["equivalent_motion"], summary["displacement"]["nrmse"]
-    assert status == 0 and true > 0.2
-    assert found["response_nrmse"] == pytest.approx(true, rel=0.05)
-    assert found["worst_response_nrmse"] >= found["response_nrmse"]
-    assert abs(found["spectrum_deviation"]) > 0.1
-    assert found["structure"]["frequency_hz"] == pytest.approx([10.07 / 1.5**0.5], rel=0.01)
-    assert summary["tracking_error"] is None
-    assert summary["reference_specimen"] == "simulated"
 
 
 @given(

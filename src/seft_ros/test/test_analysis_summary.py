@@ -303,6 +303,5 @@ def test_what_can_not_be_compared_is_drawn_still(tmp_path):
 @pytest.mark.parametrize("name", ["no/folder/figure.png", "figure.docx"])
 def test_a_figure_that_cannot_be_saved_is_an_input_error(tmp_path, name):
     record = make_record()
-    with pytest.raises(InputError, match="can't be saved") as caught:
+    with pytest.raises(InputError, match="can't be saved"):
         save_figure(figures.test_figure(record, None), tmp_path / name)
-    assert "\n" not in str(caught.value)

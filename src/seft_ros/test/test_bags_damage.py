@@ -96,7 +96,6 @@ def test_what_is_read_is_right_and_recover_agrees(whole, tmp_path, kind):
         try:
             record = read_bag(path, damaged=True)
         except InputError as error:
-            assert "\n" not in str(error)
             assert "damaged" in str(error) or "nothing of the bag can be read" in str(error)
             with pytest.raises(InputError):
                 read_bag(path)

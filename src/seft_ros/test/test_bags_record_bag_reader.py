@@ -230,9 +230,8 @@ def test_a_bag_without_metadata_says_how_to_get_it_back(tmp_path, storage):
 def test_garbled_metadata_is_an_input_error(tmp_path, text):
     path = write(tmp_path / "bag", TEST)
     (path / "metadata.yaml").write_text(text)
-    with pytest.raises(InputError, match="seft recover") as caught:
+    with pytest.raises(InputError, match="seft recover"):
         read_bag(path)
-    assert "\n" not in str(caught.value)
 
 
 def test_damage_inside_the_file_is_named_with_the_steps_that_are_missing(tmp_path):

@@ -77,6 +77,14 @@ CASES = {  # few combinations of blocks: a loop is compiled for each
         "rig:specimen.bouc_wen.strength_loss:=0.02",
         "rig:specimen.bouc_wen.stiffness_loss:=0.03",
     ),
+    "pinching": ("rig:specimen.kind:=pinching", YIELDS),
+    "flag": ("rig:specimen.kind:=flag", YIELDS),
+    "friction": ("rig:specimen.kind:=friction", "rig:specimen.friction.force:=50.0"),
+    "gap": (
+        *("rig:specimen.kind:=gap", "rig:specimen.gap.width:=0.003"),
+        "rig:specimen.gap.stiffness:=8e5",
+    ),
+    "duffing": ("rig:specimen.kind:=duffing", "rig:specimen.duffing.cubic:=4e9"),
     "model": (METHOD("model"), DELAY, RATIO(1.0), WEAK),
     "target, two axes, yielding, sloshing water": (
         *TWO,

@@ -35,13 +35,6 @@ def test_a_bag_gives_back_what_all_rigs_did(tmp_path):
     assert found.experiment.rigs == rigs_of(["west/x", "east/x"])
 
 
-def test_a_test_that_trips_tells_so_for_all(tmp_path):
-    record = simulated(plan(TWO, "supervisor:limits.displacement:=1.0e-4"))
-    assert "on axis " in record.trip.reason
-    write_record(record, tmp_path / "bag")
-    assert read_bag(tmp_path / "bag").trip == record.trip
-
-
 def test_steps_that_a_rig_lacks_are_nobody_s():
     west = Series(
         np.array([0, 1, 3]), np.arange(3.0)[:, None, None], received_ns=np.array([5, 6, 9])
