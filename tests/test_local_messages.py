@@ -125,6 +125,21 @@ def test_two_publishers_of_a_topic_end_the_test_before_anything_moves(local_grap
     assert obeyed == 0 or not graph.samples(VALVE_COMMAND)[1].any()
 
 
+def test_true_messages_come_through_a_flood(local_graph):
+    graph = local_graph(SIX, UNREHEARSED, LOCKSTEP)
+    graph.until("ready")
+    graph.call("start")
+    graph.run(0.1)
+    for _ in range(5):
+        for topic in (VALVE_COMMAND, RIG_STATE, REFERENCE_FORCE):
+            bad = list(bad_messages(topic, graph.experiment).values())
+            for index in range(2000):
+                graph.inject(topic, bad[index % len(bad)])
+        graph.run(0.05)
+    graph.until("done")
+    assert_same(graph, offline(graph))
+
+
 PATIENT = "supervisor:watchdog.peer_timeout:=6.0"
 
 

@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 
 import pytest
 from graph_tools import DEMO, MISSES_ALLOWED, STALLS_ALLOWED, shared_memory, wait_for
-from real_browser import NEEDED, PHONE, SCREEN, start_browser, webdriver
+from real_browser import DRAWN, NEEDED, PHONE, SCREEN, start_browser, webdriver
 
 pytestmark = [NEEDED, pytest.mark.thorough, pytest.mark.browser, pytest.mark.wallclock]
 LONG = (
@@ -22,26 +22,6 @@ LONG = (
     *(*STALLS_ALLOWED, *MISSES_ALLOWED),
 )
 """A test that is still running whenever a browser is ready, also on a machine with much to do."""
-DRAWN = """
-const colours = [];
-for (const figure of document.querySelectorAll("figure")) {
-  const found = new Set();
-  const walk = (node) => {
-    for (const child of node.querySelectorAll("*")) {
-      if (child.tagName === "CANVAS" && child.width && child.height) {
-        const {data} = child.getContext("2d").getImageData(0, 0, child.width, child.height);
-        for (let at = 0; at < data.length; at += 4)
-          if (data[at + 3] > 200) found.add((data[at] << 16) | (data[at + 1] << 8) | data[at + 2]);
-      }
-      if (child.shadowRoot) walk(child.shadowRoot);
-    }
-  };
-  walk(figure);
-  colours.push([...found]);
-}
-return colours;
-"""
-"""Colours that are on the canvases of each figure."""
 MEASURED, ERROR = 0x0B5FA5, 0x8F5500
 POINTS = """
 return Bokeh.documents.slice(0, 5).map((d) => {
@@ -116,7 +96,7 @@ def beginning(browser):
 
 def lines_are_drawn(browser):
     """Tell of the figures of displacement, its error, force's, acceleration and force."""
-    drawn = browser.execute_script(DRAWN)
+    drawn = [colours for *_, colours in browser.execute_script(DRAWN)]
     wanted = (MEASURED, ERROR, ERROR, MEASURED, MEASURED)
     return [colour in found for colour, found in zip(wanted, drawn, strict=False)]
 

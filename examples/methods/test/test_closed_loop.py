@@ -70,11 +70,3 @@ def test_a_delay_that_is_half_wrong_is_found_while_the_test_runs(start):
     assert summary["stable"]
     assert truth.min() < blocks.reference_force.estimates()["delay"][0] < truth.max()
     assert summary["displacement"]["nrmse"] < min(0.25, error("smith", 1.0, *words) / 2)
-
-
-def test_ats_adapts_to_the_servo_hydraulic_actuator():
-    words = ("reference_force:compensation.delay:=0.0139",)
-    blocks, summary = run("ats", 1.0, *words)
-    assert summary["stable"]
-    assert summary["displacement"]["nrmse"] < error("none", 1.0) / 2
-    assert 0.011 < blocks.reference_force.estimates()["delay"][0] < 0.016

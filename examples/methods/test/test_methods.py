@@ -178,33 +178,6 @@ class DelayedSpecimen:
         return self.line.pop(0)[:, np.newaxis]
 
 
-@pytest.mark.parametrize("alpha", [0.5, 3.0, 10.0])
-def test_smith_takes_the_delay_out_of_the_loop(alpha):
-    """The force is that of the whole structure itself, as many steps early as it comes late."""
-    late, steps = 6, 1500
-    motion = np.zeros((steps + 50, 1))
-    white = np.random.default_rng(3).normal(0, 3, 550)
-    motion[50:600, 0] = np.convolve(white, np.full(10, 0.3), "same")
-    one = compensator("smith", compensation__delay=late * DT, mass_ratio=alpha)
-    specimen, forces = DelayedSpecimen(late), []
-    for k in range(steps):
-        force = one.step(motion[k : k + 1 + one.preview], specimen.measure())
-        specimen.apply(force[0])
-        forces.append(force[0])
-    total = (1 + alpha) * M
-    a = np.zeros((4, 4))
-    a[0, 1], a[2, 3] = 1.0, 1 / DT
-    a[1, :3] = np.array([-K, -C, -total]) / total
-    transition, z, expected = expm(a * DT)[:2], np.zeros(2), []
-    for now, then in zip(motion[: steps + late, 0], motion[1:, 0], strict=False):
-        restoring = C * z[1] + K * z[0]
-        expected.append(M * (-now - restoring / total) + restoring)
-        z = transition @ np.array([*z, now, then - now])
-    expected = np.array(expected[late:])
-    scale = np.abs(expected).max()
-    np.testing.assert_allclose(np.array(forces) / scale, expected / scale, atol=0.02)
-
-
 def test_smith_answers_a_steady_offset_of_the_sensors_by_a_steady_force():
     """At rest f = S (f + b), so f = alpha b: as without delay, and nothing accumulates."""
     specimen, offset = DelayedSpecimen(6), 5.0
