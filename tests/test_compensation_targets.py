@@ -82,26 +82,3 @@ def test_a_wrong_model_costs_no_accuracy(motion, mass_ratio, factors):
     assert stiffness["last"] == pytest.approx(STIFFNESS, rel=0.1)
     damping = summary["estimates"]["damping"]["x"]["last"]  # of a motion that has died down
     assert damping == pytest.approx(DAMPING, rel=0.35)
-
-
-@pytest.mark.parametrize(
-    ("kind", "mass_ratio", "peak_force", "most"),
-    [
-        pytest.param("bouc_wen", 1.0, 500.0, 0.0085, marks=THOROUGH),
-        ("bouc_wen", 3.0, 250.0, 0.0065),
-        pytest.param("bilinear", 3.0, 250.0, 0.01, marks=THOROUGH),
-    ],
-)
-def test_a_yielding_specimen_at_a_ductility_of_about_four_on_kobe(
-    kind, mass_ratio, peak_force, most
-):
-    summary, volts = run(
-        "Kobe JMA",
-        mass_ratio,
-        peak_force,
-        f"rig:specimen.kind:={kind}",
-        "rig:specimen.yield_displacement:=0.0038",
-    )
-    assert 3.0 < summary["displacement"]["reference_peak"] / 0.0038 < 5.5
-    assert summary["stable"] and volts < 10.0
-    assert summary["displacement"]["nrmse"] < most

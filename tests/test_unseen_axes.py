@@ -52,23 +52,6 @@ def drawn(n, seed):
     return overrides(specimen, {"reference_force:computed.mass": computed})
 
 
-def frame(n, seed):
-    """Overrides of a shear frame: storeys of 30 to 120 kg, the lowest mode at 3 to 6 Hz."""
-    rng = np.random.default_rng([n, seed, 7])
-    mass, storeys = rng.uniform(30.0, 120.0, n), np.eye(n) - np.eye(n, k=-1)
-    stiffness = storeys.T @ np.diag(rng.uniform(0.7, 1.3, n)) @ storeys
-    lowest = np.linalg.eigvals(np.linalg.solve(np.diag(mass), stiffness)).real.min() ** 0.5
-    w = 2 * np.pi * rng.uniform(3.0, 6.0)
-    stiffness *= (w / lowest) ** 2
-    damping = 0.03 * (stiffness / w + np.diag(mass) * w)
-    specimen = {"mass": mass, "stiffness": stiffness, "damping": damping}
-    values = {
-        "rig:specimen.springs": storeys,
-        "reference_force:computed.mass": np.diag(rng.uniform(0.5, 1.5, n) * mass),
-    }
-    return overrides(specimen, values)
-
-
 def overrides(specimen, values):
     """Overrides of a specimen that is known, and of what else there is."""
     n = len(specimen["mass"])
@@ -116,14 +99,3 @@ def test_a_rig_of_springs_that_yield_is_within_5_percent_of_the_whole_structure(
     _, summary = simulated(*words, *yields)
     assert summary["trip"] is None
     assert summary["displacement"]["nrmse"] < 0.045
-
-
-@pytest.mark.parametrize(("n", "seed"), axes_and_seeds(2, at_once=[(3, 0)]))
-def test_a_frame_is_near_the_whole_structure_also_where_its_storeys_yield(n, seed):
-    _, summary = simulated(*SHORT, *frame(n, seed))
-    assert summary["displacement"]["nrmse"] < 0.012
-    words = *SHORT, *frame(n, seed), STRONG
-    record, _ = simulated(*words)
-    _, summary = simulated(*words, *yielding(record, np.eye(n) - np.eye(n, k=-1)))
-    assert summary["trip"] is None
-    assert summary["displacement"]["nrmse"] < 0.07

@@ -7,11 +7,8 @@ from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.specimen import Specimen
 from seft_plant_sim.springs import (
-    EXPONENT,
     HYSTERETIC,
     SPRING_BESIDE,
-    SPRING_SLIP,
-    STIFFNESS_LOSS,
     Z_Y,
 )
 
@@ -33,24 +30,6 @@ def test_each_axis_has_a_spring_to_the_ground_unless_springs_are_given():
     np.testing.assert_allclose([s.law[SPRING_BESIDE] for s in pair.springs], [5.0, 10.0])
     np.testing.assert_allclose([s.law[HYSTERETIC] for s in pair.springs], [95.0, 190.0])
     assert pair.deformation.tolist() == np.eye(2).tolist()
-
-
-def test_a_bouc_wen_spring_has_the_parameters_of_its_group():
-    one = specimen(
-        kind="bouc_wen",
-        yield_displacement=0.01,
-        hardening_ratio=0.1,
-        bouc_wen__exponent=2.0,
-        bouc_wen__beta=0.8,
-        bouc_wen__gamma=0.2,
-        bouc_wen__amplitude_loss=0.1,
-        bouc_wen__strength_loss=0.2,
-        bouc_wen__stiffness_loss=0.3,
-    )
-    (spring,) = one.springs
-    assert spring.stiffness == pytest.approx(2.11e5)
-    assert spring.law[EXPONENT : STIFFNESS_LOSS + 1] == (2.0, 0.8, 0.2, 0.1, 0.2, 0.3)
-    assert spring.law[SPRING_SLIP] == 0.0
 
 
 @given(st.lists(st.floats(1e2, 1e7), min_size=3, max_size=3))

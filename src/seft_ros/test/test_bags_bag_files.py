@@ -3,13 +3,15 @@ import os
 import sqlite3
 import struct
 
+import bags_at_hand
 import numpy as np
 import pytest
 import yaml
 import zstandard
+from bags_at_hand import write_stock_bag
 from mcap.writer import CompressionType
 from mcap.writer import Writer as PlainWriter
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.messages import encode_string
@@ -25,13 +27,11 @@ TEXT = encode_string("what the test was")
 
 
 ALL = [TEXT, *SAMPLES]
-STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
 def contents(path):
     """What rosbags reads of a bag."""
-    with Reader(path) as reader:
-        return [bytes(raw) for _, _, raw in reader.messages()]
+    return [raw for *_, raw in bags_at_hand.contents(path)]
 
 
 def messages(bag):
@@ -57,15 +57,10 @@ def write_bag(path):
     return path
 
 
-def stock_bag(path, raws=ALL, storage="mcap", mode=CompressionMode.NONE):
+def stock_bag(path, raws=ALL, storage="mcap"):
     """A bag of texts as another recorder writes it: without checksums."""
-    writer = Writer(path, version=9, storage_plugin=StoragePlugin[storage.upper()])
-    writer.set_compression(mode, CompressionFormat.ZSTD)
-    with writer:
-        connection = writer.add_connection("/text", DESCRIPTION.type, typestore=STORE)
-        for k, raw in enumerate(raws):
-            writer.write(connection, k, raw)
-    return path
+    messages = [("/text", DESCRIPTION.type, k, raw) for k, raw in enumerate(raws)]
+    return write_stock_bag(path, messages, storage)
 
 
 @pytest.fixture(scope="module")

@@ -2,10 +2,10 @@ import dataclasses
 
 import numpy as np
 import pytest
+from bags_at_hand import contents
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from rosbags.rosbag2 import Reader
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.outcome import Simulated, Trip
@@ -60,11 +60,6 @@ def assert_same(a, b):
     assert b.environment == {**a.environment, "undecodable": 0}
 
 
-def log(path):
-    with Reader(path) as reader:
-        return [(c.topic, t, bytes(raw)) for c, t, raw in reader.messages()]
-
-
 @pytest.mark.parametrize("simulated", [None, Simulated(0.1 + 0.2, 1e3 / 3, 7.0)])
 def test_a_record_is_read_back_bit_for_bit(tmp_path, simulated):
     saturation = {"force_range": {"samples": 3, "first_step": 40}}
@@ -77,13 +72,13 @@ def test_estimates_are_read_back_bit_for_bit(tmp_path):
     record = make_record(estimates=make_estimates())
     write_record(record, tmp_path / "bag")
     assert_same(record, read_bag(tmp_path / "bag"))
-    found = [(t - START, n) for n, t, _ in log(tmp_path / "bag") if t == START + 100_000_000]
+    found = [(t - START, n) for n, t, _ in contents(tmp_path / "bag") if t == START + 100_000_000]
     assert found[-2:] == [(100_000_000, "/valve_command"), (100_000_000, ESTIMATES_NAME)]
 
 
 def test_a_bag_of_a_test_without_estimates_lacks_the_topic(tmp_path):
     write_record(make_record(), tmp_path / "bag")
-    assert ESTIMATES_NAME not in {name for name, _, _ in log(tmp_path / "bag")}
+    assert ESTIMATES_NAME not in {name for name, _, _ in contents(tmp_path / "bag")}
     assert read_bag(tmp_path / "bag").estimates is None
 
 
@@ -115,7 +110,7 @@ def test_a_record_without_end_stays_without_end(tmp_path):
 
 def test_messages_come_in_the_order_of_time_and_at_the_wall_clock_of_their_step(tmp_path):
     write_record(make_record(), tmp_path / "bag")
-    messages = log(tmp_path / "bag")
+    messages = contents(tmp_path / "bag")
     times = [time_ns for _, time_ns, _ in messages]
     assert times == sorted(times)
     assert times[0] == START
@@ -138,7 +133,9 @@ def test_ground_motion_is_sent_ahead_in_the_messages_that_were_given(tmp_path):
     chunks = [(0, values[:64]), (64, values[64:128]), (128, values[128:256]), (256, values[256:])]
     write_record(record, tmp_path / "bag", ground_motion=chunks)
     codec = TrajectoryCodec(LOOP_TOPICS[0], AXES, Timebase.from_rate(1000.0))
-    sent = [(t, *codec.decode(raw)) for n, t, raw in log(tmp_path / "bag") if n == "/ground_motion"]
+    sent = [
+        (t, *codec.decode(raw)) for n, t, raw in contents(tmp_path / "bag") if n == "/ground_motion"
+    ]
     assert [first for _, first, _ in sent] == [0, 64, 128, 256]
     assert [t - START for t, _, _ in sent] == [0, 0, 64_000_000, 128_000_000]
     series = read_bag(tmp_path / "bag").series["ground_motion"]

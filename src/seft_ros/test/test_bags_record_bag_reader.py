@@ -2,8 +2,7 @@ import json
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from bags_at_hand import write_stock_bag
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.messages import (
     EstimatesCodec,
@@ -256,23 +255,14 @@ def test_damage_inside_the_file_is_named_with_the_steps_that_are_missing(tmp_pat
 
 def ros2_bag_record(path, messages, prefix="", storage="mcap"):
     """A bag as `ros2 bag record -a` makes it: all topics, of whatever type."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    writer = Writer(path, version=9, storage_plugin=StoragePlugin[storage.upper()])
-    with writer:
-        known = {}
-        for k, (name, kind, raw) in enumerate(
-            [
-                ("/rosout", STRING, encode_string("log")),
-                ("/clock", CLOCK, b"\x00\x01\x00\x00" + bytes(8)),
-                (prefix + "/rig/state", STRING, encode_string("a foreign topic of that name")),
-                *((f"{prefix}/{topic.name}", topic.type, raw) for topic, raw in messages),
-            ]
-        ):
-            key = (name, kind)
-            if key not in known:
-                known[key] = writer.add_connection(name, kind, typestore=store)
-            writer.write(known[key], START + k, raw)
-    return path
+    told = [
+        ("/rosout", STRING, encode_string("log")),
+        ("/clock", CLOCK, b"\x00\x01\x00\x00" + bytes(8)),
+        (prefix + "/rig/state", STRING, encode_string("a foreign topic of that name")),
+        *((f"{prefix}/{topic.name}", topic.type, raw) for topic, raw in messages),
+    ]
+    stamped = [(name, kind, START + k, raw) for k, (name, kind, raw) in enumerate(told)]
+    return write_stock_bag(path, stamped, storage)
 
 
 @pytest.mark.parametrize("prefix", ["", "/lab/rig2"])
@@ -284,12 +274,8 @@ def test_a_bag_of_another_recorder_is_read_also_in_a_namespace(tmp_path, prefix)
 
 
 def test_tests_in_two_namespaces_are_an_input_error(tmp_path):
-    store = get_typestore(Stores.ROS2_JAZZY)
-    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        for name in ("/a", "/b"):
-            connection = writer.add_connection(
-                f"{name}/experiment/description", STRING, typestore=store
-            )
-            writer.write(connection, START, description()[0][1])
+    raw = description()[0][1]
+    told = [(f"{name}/experiment/description", STRING, START, raw) for name in ("/a", "/b")]
+    write_stock_bag(tmp_path / "bag", told)
     with pytest.raises(InputError, match="several tests, in /a/, /b/"):
         read_bag(tmp_path / "bag")

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bags_at_hand import write_stock_bag
 from experiments_at_hand import load
-from rosbags.rosbag2 import Reader, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.rosbag2 import Reader
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.messages import Status, encode_diagnostics, encode_status
 from seft_msgs_py.wire.topics import (
@@ -239,16 +239,11 @@ def test_a_bag_that_begins_in_the_middle_or_has_two_tests_is_refused(
 
 def stock_recording(*bags):
     """Write what bags hold into the last, a sqlite3 bag without our metadata."""
-    store = get_typestore(Stores.ROS2_JAZZY)
     messages = []
     for bag in bags[:-1]:
         with Reader(bag) as reader:
             messages += [(c.topic, c.msgtype, at, raw) for c, at, raw in reader.messages()]
-    with Writer(bags[-1], version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        kinds = dict.fromkeys(message[:2] for message in messages)
-        topics = {n: writer.add_connection(n, kind, typestore=store) for n, kind in kinds}
-        for name, _, at, raw in sorted(messages, key=lambda message: message[2]):
-            writer.write(topics[name], at, raw)
+    write_stock_bag(bags[-1], sorted(messages, key=lambda message: message[2]), "sqlite3")
 
 
 def test_motion_beyond_the_end_of_the_test_is_read_for_previews(record, blocks, tmp_path):
