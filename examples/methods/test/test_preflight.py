@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from experiments_at_hand import load, simulated
+from experiments_at_hand import of_parts, simulated
 from seft_plant_sim.rig_parameters import LIMIT_ROWS
 from seft_ros.design.plan import Plan
 from seft_ros.design.preflight_tables import summarise_preflight
@@ -25,11 +25,9 @@ DELAY = {
 }
 
 
-def experiment(config="jhu", parts=DELAY, **reference):
-    words = [(node, *item) for node, section in parts.items() for item in section.items()]
+def experiment(**reference):
     named = {name.replace("__", "."): value for name, value in reference.items()}
-    words += [("reference_force", *item) for item in named.items()]
-    return load(*words, config=config)
+    return of_parts(DELAY, {"reference_force": named}, config="jhu")
 
 
 def grows(test):

@@ -175,12 +175,6 @@ def test_a_parameter_of_every_node_reaches_every_node(load):
         assert (experiment[node]["rate"], experiment[node]["seed"]) == (512.0, 4)
 
 
-def test_a_parameter_of_one_node_may_stand_under_every_node(load):
-    experiment = load(wildcard("mass_ratio: 0.5, specimen: {mass: 2}"))
-    assert experiment["reference_force"]["mass_ratio"] == 0.5
-    assert experiment["rig"]["specimen.mass"] == 2.0
-
-
 @pytest.mark.parametrize("wildcard_first", [True, False])
 def test_within_a_file_the_node_itself_wins_over_every_node(load, wildcard_first):
     parts = [wildcard("seed: 4"), in_rig("seed: 5", "specimen.mass: 1")]

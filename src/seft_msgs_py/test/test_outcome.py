@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-import json
 
 import pytest
 from hypothesis import given
@@ -129,13 +128,6 @@ def test_each_name_has_the_number_of_its_samples_and_the_first(steps):
     for name in seen:
         at = [step for step, names in enumerate(steps) if name in names]
         assert saturation[name] == {"samples": len(at), "first_step": at[0]}
-
-
-def test_the_text_is_json_in_the_order_of_names():
-    text = ended(counted([["valve"], ["stroke", "valve"]])).values["saturated"]
-    assert list(json.loads(text)) == ["stroke", "valve"]
-    assert json.loads(text)["valve"] == {"samples": 2, "first_step": 0}
-    assert ended({}).values["saturated"] == "{}"
 
 
 @pytest.mark.parametrize(

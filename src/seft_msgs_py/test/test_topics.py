@@ -30,14 +30,6 @@ def test_quantities_stand_in_the_order_of_the_message():
     assert fields == [*QUANTITIES, "time_from_start"]
 
 
-def test_types_exist():
-    pytest.importorskip("rclpy")
-    from seft_msgs_py.node.rclpy_interface import message_class
-
-    for topic in TOPICS:
-        assert message_class(topic).__name__ == topic.type.split("/")[-1]
-
-
 AXES = ("west/x", "east/x", "west/y")
 WEST, EAST = RigAxes("west", ("west/x", "west/y"), (0, 2)), RigAxes("east", ("east/x",), (1,))
 

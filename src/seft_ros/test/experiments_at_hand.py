@@ -17,6 +17,17 @@ def load(*words, config="jhu", files=(), nodes=None):
     return Experiment.load(TABLES, [CONFIG / f"{config}.yaml", *files], overrides, nodes)
 
 
+def of_parts(base, *parts, more=(), config=None):
+    """Experiment of parameters by node, the later parts over the earlier ones, and overrides."""
+    sections = {node: dict(values) for node, values in base.items()}
+    for part in parts:
+        for node, values in part.items():
+            sections[node] = sections.get(node, {}) | values
+    words = [(node, *item) for node, values in sections.items() for item in values.items()]
+    files = [CONFIG / f"{config}.yaml"] if config else []
+    return Experiment.load(TABLES, files, [*words, *more])
+
+
 def simulated(experiment):
     """Record of a test by the offline loop."""
     return simulate_test(experiment, build_blocks(experiment))

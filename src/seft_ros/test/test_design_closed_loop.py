@@ -4,6 +4,7 @@ from collections import deque
 
 import numpy as np
 import pytest
+from experiments_at_hand import of_parts
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import ss2tf
@@ -21,7 +22,6 @@ from seft_ros.design.stability_verdict import predicted_modes
 from seft_ros.force_controller.force_control import ForceController
 from seft_ros.reference_force.reference_force_block import ReferenceForce
 from seft_ros.reference_force.reference_force_parameters import OWN_METHODS
-from seft_ros.test_run.parameter_tables import TABLES
 
 M, C, K = 52.7, 800.3, 2.11e5
 RIG = {
@@ -38,7 +38,14 @@ COUPLED = {
     "specimen.stiffness": [2.0e5, -3.0e4, -3.0e4, 2.4e5],
 }
 LINEAR = [name for name in OWN_METHODS if name != "target_motion"]  # test_design_frozen_methods.py
-WIDE = {f"limits.{name}": 1e9 for name in LIMIT_ROWS}
+BASE = {
+    "rig": RIG | {f"limits.{name}": 1e9 for name in LIMIT_ROWS},
+    "reference_force": {
+        "compensation.delay": 0.012,
+        "tracking.numerator": [1.0],
+        "tracking.dead_time": 0.012,
+    },
+}
 
 
 def delayed(delay):
@@ -47,21 +54,9 @@ def delayed(delay):
 
 def experiment(*parts, rate=500.0, axes=("x",), **reference):
     """Experiment of the paper's rig, and what parts say otherwise, by node."""
-    sections = {
-        "rig": RIG | WIDE,
-        "reference_force": {
-            "compensation.delay": 0.012,
-            "tracking.numerator": [1.0],
-            "tracking.dead_time": 0.012,
-        },
-    }
     named = {name.replace("__", "."): value for name, value in reference.items()}
-    for part in (*parts, {"reference_force": named}):
-        for node, values in part.items():
-            sections[node] = sections.get(node, {}) | values
-    words = [(node, *item) for node, values in sections.items() for item in values.items()]
-    words += [("/**", "rate", rate), ("/**", "axes", list(axes))]
-    return Experiment.load(TABLES, overrides=words)
+    more = [("/**", "rate", rate), ("/**", "axes", list(axes))]
+    return of_parts(BASE, *parts, {"reference_force": named}, more=more)
 
 
 def blocks_displacements(test, motion, steps):

@@ -1,12 +1,11 @@
 """The loop of `target_motion` and `velocity_feedforward`: its matrix and margins hold in tests."""
 
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
-from experiments_at_hand import load
+from experiments_at_hand import of_parts
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import LIMIT_ROWS
 from seft_ros.design.closed_loop import frozen_target
@@ -59,13 +58,7 @@ SMALL, USUAL = 1e-6, 1.0
 have, and a usual test."""
 
 
-def experiment(*parts):
-    sections = {node: dict(values) for node, values in BASE.items()}
-    for part in parts:
-        for node, values in part.items():
-            sections[node] = sections.get(node, {}) | values
-    words = [(node, *item) for node, values in sections.items() for item in values.items()]
-    return load(*words, config="demo")
+experiment = partial(of_parts, BASE, config="demo")
 
 
 def test_motion(test, size, steps=2000, held=None, noise=True):
@@ -241,8 +234,3 @@ def test_a_transfer_function_takes_the_force_of_the_first_point():
     filters = plan.compensation()
     assert filters.d.shape[0] == 3 * (1 + plan.compensator().preview)
     assert not plan.follows_valves and np.isfinite(plan.growth_rate())
-
-
-def test_velocity_feedforward_needs_a_target_motion():
-    with pytest.raises(InputError, match="needs a target motion"):
-        Plan(experiment({"reference_force": {"compensation.method": "none"}}))

@@ -1,9 +1,10 @@
 """Margins against simulation: the blocks run free just inside and just outside of them."""
 
+from functools import partial
+
 import numpy as np
 import pytest
-from experiments_at_hand import simulated
-from seft_msgs_py.config.experiment import Experiment
+from experiments_at_hand import of_parts, simulated
 from seft_plant_sim.rig_parameters import LIMIT_ROWS
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import (
@@ -15,7 +16,6 @@ from seft_ros.design.stability_margins import (
 from seft_ros.design.stability_verdict import check_stability
 from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS, model
 from seft_ros.reference_force.reference_force_parameters import OWN_METHODS
-from seft_ros.test_run.parameter_tables import TABLES
 
 M, C, K = 52.7, 800.3, 2.11e5
 OF_FORCES = [
@@ -58,14 +58,7 @@ SERVO = {
 RIGS = {"delay": DELAY, "servo": SERVO}
 
 
-def experiment(*parts):
-    sections = {node: dict(values) for node, values in BASE.items()}
-    for part in parts:
-        for node, values in part.items():
-            sections[node] = sections.get(node, {}) | values
-    words = [(node, *item) for node, values in sections.items() for item in values.items()]
-    words += [("force_controller", "detectors.warn_only", "all")]
-    return Experiment.load(TABLES, overrides=words)
+experiment = partial(of_parts, BASE, more=[("force_controller", "detectors.warn_only", "all")])
 
 
 def reference(**values):
