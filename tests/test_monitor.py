@@ -3,8 +3,6 @@
 import json
 import os
 import signal
-import subprocess
-import sys
 from urllib.parse import urlsplit
 
 import pytest
@@ -202,18 +200,3 @@ def test_keys_stop_a_test_that_began_before_the_monitor_beyond_localhost(browser
     assert "stopped by the operator" in test.communicate(timeout=60)[1]
     hold_clean(browser, bare)
     end(server, after=signal.SIGTERM)
-
-
-def test_a_port_in_use_is_one_line(monitor, tmp_path):
-    _, address = monitor()
-    port = urlsplit(address).port
-    again = subprocess.run(
-        [sys.executable, "-m", "seft_ros.cli.main", "monitor", f"--port={port}"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert again.returncode == 2
-    assert again.stderr.count("\n") == 1
-    assert "--port" in again.stderr

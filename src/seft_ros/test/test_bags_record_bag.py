@@ -7,11 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.outcome import Simulated, Trip
 from seft_msgs_py.wire.topics import LOOP_TOPICS, VALVE_COMMAND, Timebase
 from seft_msgs_py.wire.trajectory import TrajectoryCodec, parse_trajectory
-from seft_ros.bags.gathering import EstimatesGatherer, SeriesGatherer
+from seft_ros.bags.gathering import SeriesGatherer
 from seft_ros.bags.message_blocks import MessageBlock
 from seft_ros.bags.record import Estimates, Record, Series
 from seft_ros.bags.record_bag import read_bag, write_record
@@ -172,21 +171,6 @@ def test_the_first_sample_of_each_step_is_kept(messages):
         dict(zip(series.steps.tolist(), series.values[:, 0, 0].tolist(), strict=True)) == expected
     )
     assert series.steps.tolist() == sorted(expected)
-
-
-def test_estimates_are_ordered_by_step_and_all_have_the_names_of_the_first():
-    buffer = EstimatesGatherer(EXPERIMENT)
-    assert buffer.series() is None
-    buffer.append(7, {})
-    assert buffer.series() is None
-    for step in (100, 0, 50, 0):
-        buffer.append(step, {"delay": np.full(2, step), "gain": np.full(2, -step)})
-    with pytest.raises(WireError, match="estimates of step 150 are gain, but were delay, gain"):
-        buffer.append(150, {"gain": np.zeros(2)})
-    estimates = buffer.series()
-    assert estimates.names == ("delay", "gain")
-    assert estimates.steps.tolist() == [0, 50, 100]
-    assert estimates.values[:, :, 1].tolist() == [[0, 0], [50, -50], [100, -100]]
 
 
 def test_a_series_is_cut_after_a_step():

@@ -99,15 +99,6 @@ def test_a_test_is_read_back(tmp_path):
     assert record.series["valve_command"].values[9].tolist() == [[-9.0, -9.0]]
 
 
-def test_samples_are_ordered_by_step_and_of_duplicates_the_first_counts(tmp_path):
-    codec = CODECS["rig/state"]
-    messages = [*description(), *loop([0, 3, 1]), (RIG_STATE, codec.encode(3, states(99)))]
-    record = read_bag(write(tmp_path / "bag", [*messages, *loop([2])]))
-    series = record.series["rig/state"]
-    assert series.steps.tolist() == [0, 1, 2, 3]
-    assert np.array_equal(series.values, [states(k) for k in range(4)])
-
-
 def test_each_sample_has_the_time_its_message_was_received(tmp_path):
     late = [(RIG_STATE, CODECS["rig/state"].encode(3, states(99)))]
     messages = [*description(), motion(0, 10), *loop([0, 3, 1]), *late, *loop([2])]

@@ -10,7 +10,6 @@ from seft_ros.design.rig_tests import (
     Levels,
     Motions,
     check_levels,
-    closed_loop_test,
     frequency_response,
     has_valve,
     motion_spectra,
@@ -57,20 +56,6 @@ def test_in_the_open_loop_the_record_drives_the_valves_whatever_the_experiment_w
     np.testing.assert_allclose(commands[: len(unit)], LEVELS.voltage * unit, atol=1e-9)
     np.testing.assert_allclose(commands[len(unit) :], 0.0, atol=1e-9)
     assert np.abs(done.series["rig/state"].values[:, 3]).max() > 100.0
-
-
-def test_in_the_closed_loop_it_is_the_reference_force_and_the_controller_the_experiments_own(
-    record,
-):
-    of = load()
-    path, unit = record(of)
-    test = closed_loop_test(of, path)
-    forces = simulated(test).series["reference_force"].values[:, 0]
-    np.testing.assert_allclose(forces[: len(unit)], LEVELS.force * unit, atol=1e-9)
-    for name in ("numerator", "denominator", "feedback", "voltage_limit"):
-        assert test["force_controller"][name] == of["force_controller"][name]
-    assert test["supervisor"] == of["supervisor"]
-    assert of["ground_motion"]["file"] == ""  # the experiment itself is as it was
 
 
 @pytest.mark.parametrize(
