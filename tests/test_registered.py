@@ -171,8 +171,3 @@ def test_what_a_method_lacks_is_told_in_one_line(seft, method, why):
     words = ("-p", f"reference_force:compensation.method:={method}")
     (line,) = seft("simulate", JHU, *words, status=2).stderr.strip().splitlines()
     assert why in line
-
-
-def test_a_method_that_nobody_registered_is_refused(seft):
-    (line,) = seft("simulate", JHU, *METHOD, status=2).stderr.strip().splitlines()
-    assert 'compensation.method is "half", but must be one of none, ' in line

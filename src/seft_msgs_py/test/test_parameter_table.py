@@ -254,10 +254,6 @@ def test_one_number_holds_for_every_axis():
     assert per_axis([2.5], XYZ, "here").tolist() == [2.5, 2.5, 2.5]
 
 
-def test_one_number_for_each_axis_stays_in_order():
-    assert per_axis([1.0, 2.0, 3.0], XYZ, "here").tolist() == [1.0, 2.0, 3.0]
-
-
 def test_numbers_for_other_than_one_or_all_axes_are_refused():
     for values in ([1.0, 2.0], [1.0] * 4, [1.0] * 9):
         with pytest.raises(InputError, match=rf"there: {len(values)} values for 3 axes"):

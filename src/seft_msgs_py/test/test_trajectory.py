@@ -148,12 +148,6 @@ def test_one_quantity_may_leave_out_its_dimension(shape):
     assert_decodes(codec, codec.encode(4, values), 4, values.reshape(1, 1, 3))
 
 
-def test_points_of_one_quantity_may_leave_out_its_dimension():
-    codec = TrajectoryCodec(GROUND_MOTION, ("x", "y"), TIMEBASE)
-    values = np.arange(6.0).reshape(3, 2)
-    assert_decodes(codec, codec.encode_points(4, values), 4, values.reshape(3, 1, 2))
-
-
 TYPES = (np.int64, np.float32, np.complex128, ">f8", bool, str)
 SHAPES = ((), (0,), (2,), (4,), (3, 1), (2, 2), (1, 3, 1), (0, 3), (3, 0))
 

@@ -109,12 +109,6 @@ def test_a_cycle_of_the_steady_state_puts_in_pi_c_w_times_the_amplitude_squared(
     assert trapezoidal / cycles == pytest.approx(np.sinc(hz * DT * 2), abs=1e-6)
 
 
-def test_a_held_force_does_its_work_between_the_samples():
-    specimen, samples = shaken_rig(900.0 * drive_of("sine"), {}, "ideal")
-    assert np.abs(balance_of(specimen, samples, held=1.0).error).max() < 2e-3
-    assert np.abs(balance_of(specimen, samples).error).max() > 0.01  # half a sample late
-
-
 def test_a_wrong_specimen_does_not_close():
     specimen, samples = shaken_rig(4.0 * drive_of("earthquake"), LAWS["bilinear"])
     for wrong in (

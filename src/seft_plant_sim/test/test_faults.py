@@ -207,10 +207,3 @@ def test_faults_act_in_their_order_and_on_their_axis():
     show(faults, 0, np.zeros((4, 2)), memory, measured)
     assert measured[3].tolist() == [-6.0, 8.0]
     assert (measured[:3] == 3.0).all()
-
-
-def test_a_rig_has_the_faults_of_its_own_axes():
-    axes = ("a/x", "b/x", "b/y")
-    own = RigAxes("b", ("b/x", "b/y"), (1, 2))
-    faults, _ = arrays("a/x/force flip at 0", "b/y/force flip at 0", axes=axes, own=own)
-    assert faults.numbers[:, 2].tolist() == [1]

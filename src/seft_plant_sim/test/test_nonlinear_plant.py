@@ -31,17 +31,6 @@ def difference(amplitude, **values):
     return (np.abs(nonlinear - linear).max(axis=0) / np.abs(linear).max(axis=0)).ravel()
 
 
-def test_the_linear_kinds_are_solved_exactly_in_one_step_and_the_others_in_several():
-    def steps(**values):
-        return max(plant(**values).parameters.dynamics.steps)
-
-    for kind in ("ideal", "delay", "servo_hydraulic_linear"):
-        assert steps(actuator__kind=kind) == 1
-    assert steps() > 1
-    yields = {"specimen__kind": "bilinear", "specimen__yield_displacement": 1.0}
-    assert steps(actuator__kind="ideal", **yields) > 1
-
-
 def test_a_small_drive_sees_the_linear_rig():
     """The difference falls with the square of the amplitude, as of the root of the pressure."""
     small, large = difference(1e-3), difference(1e-1)

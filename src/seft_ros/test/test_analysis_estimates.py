@@ -50,12 +50,6 @@ def test_a_summary_tells_how_each_estimate_went_per_axis_in_si_units():
     assert estimates["stiffness"]["x"]["last"] == 1.9e5
 
 
-def test_a_summary_without_estimates_has_none():
-    record = make_record(estimates=None)
-    assert summarise(record)["estimates"] == {}
-    assert "identified" not in table(record)
-
-
 def test_a_summary_of_estimates_that_are_not_finite_is_json_and_can_be_shown():
     record = make_record()
     record.estimates.values[2, 0, 0] = math.nan

@@ -191,17 +191,6 @@ def test_an_answer_that_was_lost_by_the_recorder_is_given_all_the_same(
     assert result["notes"] == ["the bag lacks the recorded answer: step 40"]
 
 
-@pytest.mark.parametrize("node", ["reference_force", "force_controller"])
-def test_steps_that_the_recorder_lost_altogether_are_told(seft, record, blocks, tmp_path, node):
-    """As `ros2 bag record` does where its queues of ten messages overflow."""
-    for topic in (RIG_STATE, REFERENCE_FORCE, VALVE_COMMAND):
-        record = lacking(record, topic, 40)
-    bag = write(tmp_path / "bag", record, blocks)
-    _, out, _ = seft("replay", bag, "--node", node, "--json")
-    note = "neither rig/state nor its answer is in the bag, and whether the node had them is not"
-    assert json.loads(out)["notes"] == [f"{note} known: step 40"]
-
-
 @pytest.mark.parametrize(
     ("words", "told"),
     [

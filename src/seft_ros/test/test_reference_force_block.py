@@ -40,11 +40,3 @@ def test_coupled_axes_by_hand():
     seft = step(block(("x", "y"), **values), [2.0, -2.0], [10.0, 20.0])
     np.testing.assert_allclose(eft, [-9.0, 6.0])
     np.testing.assert_allclose(seft, [-9.0 - 30.0, 6.0 - 35.0])
-
-
-def test_one_mass_holds_for_every_axis_and_a_list_is_a_diagonal():
-    values = {"mass_ratio": 1.0, "model__stiffness": 1.0}
-    same = step(block(("x", "y"), model__mass=2.0, **values), [1.0, 2.0], [3.0, 4.0])
-    np.testing.assert_allclose(same, [-4.0 - 6.0, -8.0 - 8.0])
-    own = step(block(("x", "y"), model__mass=[2.0, 3.0], **values), [1.0, 2.0], [3.0, 4.0])
-    np.testing.assert_allclose(own, [-4.0 - 6.0, -12.0 - 12.0])
