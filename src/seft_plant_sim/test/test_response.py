@@ -5,7 +5,12 @@ import pytest
 from bare_rig import FRAME, rig_section
 from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim import whole_structure
-from seft_plant_sim.whole_structure import ShakenStructure, response
+from seft_plant_sim.whole_structure import (
+    RunningResponse,
+    ShakenStructure,
+    reference_response,
+    response,
+)
 
 DT = 0.002
 ONE = {"mass": 52.7, "damping": 500.0, "stiffness": 2.11e5}
@@ -75,3 +80,17 @@ def test_the_response_moves_by_the_forces_that_its_springs_have_along_its_path(s
     most = 0.06 if law["kind"] == "friction" else 0.01
     np.testing.assert_allclose(along, force, atol=most * np.abs(force).max())
     assert np.abs(x).max() > 0.0035  # it yields
+
+
+@pytest.mark.parametrize("kind", ["bilinear", "bouc_wen"])
+def test_piece_by_piece_the_response_of_what_yields_is_near(kind):
+    yielding = experiment(ONE | {"kind": kind, "yield_displacement": 0.004})
+    ground = 8.0 * np.sin(2.0 * np.pi * 5.0 * DT * np.arange(500))[:, np.newaxis]
+    running = RunningResponse(yielding)
+    assert not running.exact
+    found = [running.advance(piece) for piece in np.split(ground, [70, 71, 300])]
+    wanted, linear = (reference_response(each, ground) for each in (yielding, experiment(ONE)))
+    assert np.abs(wanted.displacement - linear.displacement).max() > 0.004  # it does yield
+    for index, quantity in enumerate((wanted.displacement, wanted.acceleration)):
+        joined = np.concatenate([part[index] for part in found])
+        np.testing.assert_allclose(joined, quantity, rtol=0.0, atol=0.02 * np.abs(quantity).max())

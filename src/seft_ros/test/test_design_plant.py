@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig import continuous_model
-from seft_ros.design.plant import choose_plant
+from seft_ros.design.plant import Root, choose_plant, lightly_damped, polynomial_of, roots_of
 from seft_ros.test_run.parameter_tables import TABLES
 
 MASS, DAMPING, STIFFNESS = 52.7, 800.0, 2.11e5
@@ -134,3 +134,24 @@ def test_a_dead_time_of_many_samples_is_refused():
     plant = choose_plant(experiment(controller=identified([1.0], [1.0, 1.0], 1.0)))
     with pytest.raises(InputError, match="1000 samples"):
         plant.sampled(0.001)
+
+
+def test_roots_make_their_polynomial():
+    pair = Root(np.sqrt(4002.0) / (2 * np.pi), 17.14 / (2 * np.sqrt(4002.0)))
+    assert polynomial_of([pair]) == pytest.approx([1.0, 17.14, 4002.0])
+    assert polynomial_of([Root(1.0), Root(0.0)]) == pytest.approx([1.0, 2 * np.pi, 0.0])
+    assert roots_of(np.roots([1.0, 17.14, 4002.0])) == [
+        Root(pytest.approx(pair.hz), pytest.approx(pair.damping))
+    ]
+
+
+def test_an_unstable_real_pole_has_a_negative_frequency():
+    (root,) = roots_of([2 * np.pi])
+    assert (root.hz, root.damping) == (pytest.approx(-1.0), None)
+
+
+def test_lightly_damped_are_the_pairs_that_show():
+    values = [-1 + 100j, -1 - 100j, -90 + 100j, -90 - 100j, -50, 1 + 80j, 1 - 80j, 60j, -60j]
+    found = lightly_damped(roots_of(values))
+    assert [round(2 * np.pi * root.hz) for root in found] == [60, 100]
+    assert found[0].damping == 0.0
