@@ -119,6 +119,7 @@ class InterruptAt:
         self.left = line
 
     def __enter__(self):
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever pytest began with
         sys.settrace(self.trace)
 
     def __exit__(self, *_):
