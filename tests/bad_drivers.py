@@ -4,7 +4,6 @@ python -m bad_drivers FAULT --ros-args --params-file FILE
 """
 
 import sys
-import time
 from types import SimpleNamespace
 
 from rig_driver.driver_node import DriverNode, stand_in
@@ -17,10 +16,8 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 TIMEOUT = "watchdog.command_timeout"
 
 
-class WrongUnit(DriverNode):
+class ForceInKn(DriverNode):
     """Sends one of the four quantities in a unit of its own."""
-
-    row, factor = 0, 1.0
 
     def __init__(self, shell, hardware):
         super().__init__(shell, hardware)
@@ -29,16 +26,8 @@ class WrongUnit(DriverNode):
 
     def encode(self, step, sample):
         sample = sample.copy()
-        sample[self.row] *= self.factor
+        sample[3] *= 1e-3
         return self._right.encode(step, sample)
-
-
-class DisplacementInMm(WrongUnit):
-    factor = 1e3
-
-
-class ForceInKn(WrongUnit):
-    row, factor = 3, 1e-3
 
 
 class NoSafePosition(DriverNode):
@@ -61,29 +50,6 @@ class Reversed:
 
     def __getattr__(self, name):
         return getattr(self._hardware, name)
-
-
-class WrongStamp(DriverNode):
-    """Stamps by a clock that it reads, a microsecond after the sample."""
-
-    def __init__(self, shell, hardware):
-        super().__init__(shell, hardware)
-        publish = self._publish_state
-
-        def late_stamp(raw):
-            nanoseconds = int.from_bytes(raw[8:12], "little") + 1000
-            publish(raw[:8] + nanoseconds.to_bytes(4, "little") + raw[12:])
-
-        self._publish_state = late_stamp
-
-
-class LateState(DriverNode):
-    """Every fifth state comes most of a period late: something else is done first."""
-
-    def _publish(self, step, sample):
-        if step % 5 == 4:
-            time.sleep(0.9 * self._timebase.dt)
-        super()._publish(step, sample)
 
 
 class NoWatchdog(DriverNode):
@@ -127,11 +93,8 @@ class Careless(DriverNode):
 
 
 NODES = {
-    "displacement_in_mm": DisplacementInMm,
     "force_in_kn": ForceInKn,
     "no_safe_position": NoSafePosition,
-    "wrong_stamp": WrongStamp,
-    "late_state": LateState,
     "no_watchdog": NoWatchdog,
     "stands_still": StandsStill,
     "careless": Careless,

@@ -2,7 +2,6 @@
 
 import numpy as np
 import rclpy
-from bad_messages import bad_messages
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -16,12 +15,7 @@ from seft_msgs_py.node.rclpy_interface import (
     raw_subscription,
     taker,
 )
-from seft_msgs_py.wire.messages import Status, encode_diagnostics, encode_status, encode_string
-from seft_msgs_py.wire.outcome import tripped_status
 from seft_msgs_py.wire.topics import (
-    DESCRIPTION,
-    DIAGNOSTICS,
-    LOOP_TOPICS,
     RIG_STATE,
     VALVE_COMMAND,
     Topic,
@@ -30,7 +24,7 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 
 class Hostile:
-    """Sends every bad kind of message, and valve commands that are as good as the true ones."""
+    """Sends what it likes, and valve commands that are as good as the true ones."""
 
     def __init__(self, experiment: Experiment) -> None:
         self._context = Context()  # an `Observer` beside it has the default one
@@ -63,21 +57,6 @@ class Hostile:
                 self.send(VALVE_COMMAND, commands.encode(step, np.full(len(axes), value)))
                 count -= 1
         self._node.destroy_subscription(subscription)
-
-    def attack(self) -> None:
-        """Send one of each bad kind on each topic that was joined: fewer than a queue holds."""
-        for topic in self._publishers:
-            if topic in LOOP_TOPICS:
-                for raw in bad_messages(topic, self._experiment).values():
-                    self.send(topic, raw)
-        garbage = bytes(range(256))
-        running = encode_status(Status("experiment", 0, "running", values={"steps": "x"}))
-        lie = encode_diagnostics(0, [tripped_status("reference_force", "a lie", 7)])
-        for raw in (garbage, running, lie, b"\x00\x01\x00\x00"):
-            self.send(DIAGNOSTICS, raw)
-        false = '{"node": "rig", "parameters": {}}'
-        for raw in (garbage, *map(encode_string, (false, "{", '{"node": ["rig"]}', "[" * 5000))):
-            self.send(DESCRIPTION, raw)
 
     def send(self, topic: Topic, raw: bytes) -> None:
         """Publish bytes as they are."""

@@ -8,22 +8,14 @@ import itertools
 
 import numpy as np
 import pytest
-from graph_tools import JHU, ROOT
-from seft_msgs_py.config.experiment import Experiment, parse_override
+from experiments_at_hand import load, simulated
+from real_records import words_of
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_ros.analysis.summary import summarise
-from seft_ros.test_run.compiled_loop import build_blocks, with_method
-from seft_ros.test_run.offline import simulate_test
-from seft_ros.test_run.parameter_tables import TABLES
+from seft_ros.test_run.compiled_loop import with_method
 
 pytestmark = pytest.mark.offline
 THOROUGH = pytest.mark.thorough
-RECORDS = ROOT.parent / "shared" / "data"
-FILES = {
-    "Kobe JMA": "kobe_jma_1995.txt",
-    "El Centro": "elcentro_1940.txt",
-    "Nishi-Akashi": "kobe_nishi_akashi_090.AT2",
-}
 STIFFNESS, DAMPING = 2.11e5, 800.3
 KOBE = {  # mass ratio: peak force (N), largest error
     0.5: (500.0, 0.0115),  # 0.006 of it is the sensor's noise
@@ -39,23 +31,14 @@ NISHI_AKASHI = KOBE | {0.5: (500.0, 0.015), 1.5: (400.0, 0.011), 3.0: (250.0, 0.
 
 def run(motion, mass_ratio, peak_force, *words):
     """Summary of a test, and its largest valve command."""
-    if motion in FILES:
-        file = RECORDS / FILES[motion]
-        if not file.is_file():
-            pytest.skip("no real record here")
-        record = (f"ground_motion:file:={file}",)
-        record += ("ground_motion:column:=0",)
-    else:
-        record = ("ground_motion:synthetic.duration:=16.0", "ground_motion:tail:=1.0")
+    short = ("ground_motion:synthetic.duration:=16.0", "ground_motion:tail:=1.0")
     given = (
-        *record,
+        *words_of(motion, *short),
         f"reference_force:mass_ratio:={mass_ratio}",
         f"ground_motion:peak_force:={peak_force}",
         *words,
     )
-    loaded = Experiment.load(TABLES, [JHU], [parse_override(word) for word in given])
-    experiment = with_method(loaded, "target_motion")
-    result = simulate_test(experiment, build_blocks(experiment))
+    result = simulated(with_method(load(*given), "target_motion"))
     return summarise(result), np.abs(result.series[VALVE_COMMAND.name].values).max()
 
 
@@ -99,26 +82,3 @@ def test_a_wrong_model_costs_no_accuracy(motion, mass_ratio, factors):
     assert stiffness["last"] == pytest.approx(STIFFNESS, rel=0.1)
     damping = summary["estimates"]["damping"]["x"]["last"]  # of a motion that has died down
     assert damping == pytest.approx(DAMPING, rel=0.35)
-
-
-@pytest.mark.parametrize(
-    ("kind", "mass_ratio", "peak_force", "most"),
-    [
-        pytest.param("bouc_wen", 1.0, 500.0, 0.0085, marks=THOROUGH),
-        ("bouc_wen", 3.0, 250.0, 0.0065),
-        pytest.param("bilinear", 3.0, 250.0, 0.01, marks=THOROUGH),
-    ],
-)
-def test_a_yielding_specimen_at_a_ductility_of_about_four_on_kobe(
-    kind, mass_ratio, peak_force, most
-):
-    summary, volts = run(
-        "Kobe JMA",
-        mass_ratio,
-        peak_force,
-        f"rig:specimen.kind:={kind}",
-        "rig:specimen.yield_displacement:=0.0038",
-    )
-    assert 3.0 < summary["displacement"]["reference_peak"] / 0.0038 < 5.5
-    assert summary["stable"] and volts < 10.0
-    assert summary["displacement"]["nrmse"] < most

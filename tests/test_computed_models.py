@@ -6,9 +6,10 @@ import sys
 
 import numpy as np
 import pytest
+from experiments_at_hand import load
 from graph_tools import DEMO, ROOT
 from local_tools import UNREHEARSED, assert_same, offline, perform
-from seft_msgs_py.config.experiment import Experiment, parse_override
+from models_at_hand import MODELS
 from seft_msgs_py.wire.topics import RIG_STATE
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.cli.main import main
@@ -18,61 +19,7 @@ from seft_ros.design.stability_verdict import predicted_modes
 from seft_ros.protection.protected_force import ProtectedForce
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
-from seft_ros.test_run.parameter_tables import TABLES
 
-MODELS = '''
-class Hardening:
-    """A spring that becomes stiffer: ten lines are enough."""
-
-    axes = 1
-
-    def start(self, dt, axes):
-        pass
-
-    def step(self, t, displacement, velocity, ground_acceleration):
-        return 1e5 * displacement + 1e9 * displacement**3
-
-
-class Slipping:
-    """Friction beside a spring, and what it tells of it."""
-
-    axes = 1
-
-    def start(self, dt, axes):
-        self.slip = 0.0
-
-    def step(self, t, displacement, velocity, ground_acceleration):
-        x = displacement[0]
-        held = min(max(8e4 * (x - self.slip), -200.0), 200.0)
-        self.slip = x - held / 8e4
-        return [held]
-
-
-class Damper:
-    """A mass on a spring and a dashpot (implicit Euler would damp more: Newmark's method)."""
-
-    axes = 1
-
-    def start(self, dt, axes):
-        self.dt, self.z, self.v, self.a = dt, 0.0, 0.0, 0.0
-
-    def step(self, t, displacement, velocity, ground_acceleration):
-        m, c, k, h = 8.0, 80.0, 11000.0, self.dt
-        x, v = displacement[0], velocity[0]
-        if t > 0.0:
-            z, w = self.z + h * self.v + h * h / 4 * self.a, self.v + h / 2 * self.a
-            pull = -m * ground_acceleration[0] - c * (w - v) - k * (z - x)
-            self.a = pull / (m + h / 2 * c + h * h / 4 * k)
-            self.z, self.v = z + h * h / 4 * self.a, w + h / 2 * self.a
-        return [c * (v - self.v) + k * (x - self.z)]
-
-
-class Breaking(Hardening):
-    def step(self, t, displacement, velocity, ground_acceleration):
-        if t > 1.5:
-            raise ValueError("it broke")
-        return super().step(t, displacement, velocity, ground_acceleration)
-'''
 THOROUGH = (pytest.mark.thorough, pytest.mark.offline)
 SHORT = ("-p", "ground_motion:synthetic.duration:=5.0", "-p", "ground_motion:tail:=0.5")
 BILINEAR = ("rig:specimen.kind:=bilinear", "rig:specimen.yield_displacement:=0.004")
@@ -93,9 +40,12 @@ def example(name, *settings):
     return config, "-p", f"reference_force:computed.settings:={words}"
 
 
-@pytest.mark.parametrize("name", ["Hardening", "Slipping", "Damper"])
-def test_a_test_with_a_model_is_near_the_whole_structure(seft_json, model, name):
-    summary = seft_json("simulate", DEMO, *SHORT, *model(name))
+@pytest.mark.parametrize(
+    ("name", "settings"), [("Spring", "k3=1e9"), ("Bilinear", ""), ("Damper", "")]
+)
+def test_a_test_with_a_model_is_near_the_whole_structure(seft_json, model, name, settings):
+    told = ("-p", f"reference_force:computed.settings:={settings}") if settings else ()
+    summary = seft_json("simulate", DEMO, *SHORT, *model(name), *told)
     assert summary["displacement"]["nrmse"] < 0.01
 
 
@@ -124,7 +74,7 @@ def test_a_model_gives_the_bits_of_the_offline_loop_in_its_node(local_graph, mod
 
 def test_a_model_that_fails_brings_the_test_down_softly_and_says_where(seft, refused, model):
     """Of all ways in which a model fails, see test_model_process.py."""
-    words, told = (DEMO, *SHORT, *model("Breaking")), "models.py:Breaking line 51, step: it broke"
+    words, told = (DEMO, *SHORT, *model("Breaking")), "models.py:Breaking line 101, step: it broke"
     offline = seft("simulate", *words, "--json", status=1)
     found = json.loads(offline.stdout)
     assert told in found["trip"]["reason"]
@@ -141,12 +91,12 @@ def test_a_model_takes_every_second_sample(seft_json, model):
 def test_a_model_that_fails_in_its_node_alone_trips_the_test(local_graph, model):
     graph = local_graph(*bare([*SHORT, *model("Breaking")]), UNREHEARSED, config=DEMO)
     perform(graph, "tripped")
-    assert "models.py:Breaking line 51, step: it broke (step 75" in graph.values["detail"]
+    assert "models.py:Breaking line 101, step: it broke (step 75" in graph.values["detail"]
     assert len(graph.samples(RIG_STATE)[0]) > 750 + 250
 
 
 def test_a_model_that_becomes_slow_in_a_test_trips_it(local_graph, model, monkeypatch):
-    graph = local_graph(*bare([*SHORT, *model("Hardening")]), UNREHEARSED, config=DEMO)
+    graph = local_graph(*bare([*SHORT, *model("Spring")]), UNREHEARSED, config=DEMO)
     ask = ProtectedForce.ask_model
 
     def slow(block):
@@ -158,13 +108,13 @@ def test_a_model_that_becomes_slow_in_a_test_trips_it(local_graph, model, monkey
     graph.run(0.2)
     monkeypatch.setattr(ProtectedForce, "ask_model", slow)
     graph.until("tripped")
-    assert "models.py:Hardening took 0.051 s for a step" in graph.values["detail"]
+    assert "models.py:Spring took 0.051 s for a step" in graph.values["detail"]
 
 
 def test_a_model_that_is_too_slow_is_refused_with_the_rate_that_fits(
     seft_json, refused, model, monkeypatch
 ):
-    words = (DEMO, *SHORT, *model("Hardening"))
+    words = (DEMO, *SHORT, *model("Spring"))
     times = [4.1e-3] * 1501
     monkeypatch.setattr(preflight_tables, "model_times", lambda *_: times)
     found = seft_json("preflight", *words, status=1)["model"]
@@ -176,20 +126,19 @@ def test_a_model_that_is_too_slow_is_refused_with_the_rate_that_fits(
 
 
 def test_only_a_target_takes_a_model(seft, model):
-    words = ("-p", "reference_force:compensation.method:=restoring", *model("Hardening"))
+    words = ("-p", "reference_force:compensation.method:=restoring", *model("Spring"))
     control = ("-p", "force_controller:method:=transfer_function")
     (line,) = seft("simulate", DEMO, *words, *control, status=2).stderr.strip().splitlines()
     assert "restoring does not compute; make that target_motion" in line
-    eft = ("-p", "reference_force:method:=eft", *model("Hardening"))
+    eft = ("-p", "reference_force:method:=eft", *model("Spring"))
     (line,) = seft("simulate", DEMO, *eft, status=2).stderr.strip().splitlines()
     assert "with method eft nothing is computed" in line
 
 
 def test_preflight_takes_the_tangent(model):
     lowest = []
-    for words in ((), model("Hardening")):
-        overrides = map(parse_override, bare([*SHORT, *words]))
-        plan = Plan(Experiment.load(TABLES, [DEMO], list(overrides)))
+    for words in ((), model("Spring")):
+        plan = Plan(load(*bare([*SHORT, *words]), config="demo"))
         lowest.append(predicted_modes(plan)[0].exact_hz)
     assert lowest[1] / lowest[0] == pytest.approx((1 + 1e5 / 2.11e5) ** 0.5, rel=1e-3)
 
@@ -283,7 +232,7 @@ def test_an_example_is_near_the_solution_of_opensees_itself(tmp_path, name, foun
     config, _, script = example(name)
     overrides = [script, f"ground_motion:synthetic.seed:={seed}"]
     overrides += BILINEAR if kind == "bilinear" else ()
-    experiment = Experiment.load(TABLES, [config], [parse_override(word) for word in overrides])
+    experiment = load(*overrides, config=config.stem)
     blocks = build_blocks(experiment)
     record = simulate_test(experiment, blocks)
     assert record.trip is None

@@ -24,12 +24,8 @@ from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.node.rclpy_interface import message_class, qos_profile
 from seft_msgs_py.wire.messages import Status, encode_status
 from seft_msgs_py.wire.topics import (
-    DESCRIPTION,
     DIAGNOSTICS,
     EXPERIMENT_STATE,
-    JUDGED,
-    LOOP_TOPICS,
-    RIG_STATE,
     VALVE_COMMAND,
 )
 from seft_ros.bags.record_bag import read_bag
@@ -44,7 +40,6 @@ OVERRIDES = (
     "ground_motion:synthetic.duration:=400.0",
 )
 ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-READERS = ("rig", "force_controller", "reference_force")
 
 
 @pytest.fixture(scope="module")
@@ -182,41 +177,34 @@ def test_commands_operate_nodes_that_were_started_by_hand(graph, seft, seft_json
 
 def parameter_requests():
     """Give requests to each service of parameters that make little sense, or none."""
-    nan, deep = float("nan"), "a" + ".b" * 500
-    names = ["", ".", " ", "\n", "use_sim_time", "rate", "no_such", deep, "x" * 100_000, "\xe4/%s"]
-    values = [
-        ParameterValue(type=kind, double_value=nan, double_array_value=[nan, float("inf")])
-        for kind in (*range(10), 10, 99, 255)
+    nan = float("nan")
+    names = [
+        "",
+        "\n",
+        "use_sim_time",
+        "rate",
+        "no_such",
+        "a" + ".b" * 500,
+        "x" * 100_000,
+        "\xe4/%s",
     ]
+    values = [ParameterValue(type=kind, double_value=nan) for kind in (*range(11), 99, 255)]
     values += [
         ParameterValue(type=8, double_array_value=[nan] * 100_000),
-        ParameterValue(type=9, string_array_value=["x"] * 10_000),
         ParameterValue(type=4, string_value="\x01\n" * 1000),
         ParameterValue(type=2, integer_value=-(2**63)),
     ]
-    sets = [
-        [Parameter(name=n, value=v)]
-        for n in ("", "use_sim_time", "rate", "no_such", "name")
-        for v in values
-    ]
-    sets.append([Parameter(name=f"p{i}", value=values[3]) for i in range(1000)])
+    sets = [[Parameter(name=n, value=v)] for n in (*names[:5], "name") for v in values]
+    sets += [[], [Parameter(name=f"p{i}", value=values[3]) for i in range(1000)]]
     many = [names, [], *[[n] for n in names], ["rate"] * 1000]
-    found = [(SetParameters, "set_parameters", {"parameters": p}) for p in sets]
-    kind = SetParametersAtomically
-    found += [(kind, "set_parameters_atomically", {"parameters": p}) for p in (*sets, [])]
-    for kind, service in (
-        (GetParameters, "get_parameters"),
-        (GetParameterTypes, "get_parameter_types"),
-        (DescribeParameters, "describe_parameters"),
-    ):
-        found += [(kind, service, {"names": each}) for each in many]
-    depths = (0, 1, 2**64 - 1)
-    found += [
-        (ListParameters, "list_parameters", {"prefixes": p, "depth": d})
-        for p in many
-        for d in depths
+    return [
+        *((SetParameters, "set_parameters", {"parameters": p}) for p in sets),
+        *((SetParametersAtomically, "set_parameters_atomically", {"parameters": p}) for p in sets),
+        *((GetParameters, "get_parameters", {"names": each}) for each in many),
+        *((GetParameterTypes, "get_parameter_types", {"names": each}) for each in many),
+        *((DescribeParameters, "describe_parameters", {"names": each}) for each in many),
+        *((ListParameters, "list_parameters", {"prefixes": p, "depth": 2**64 - 1}) for p in many),
     ]
-    return found
 
 
 def test_no_request_stops_a_node_or_changes_the_test_that_runs(graph, offline):
@@ -266,22 +254,19 @@ def test_no_request_stops_a_node_or_changes_the_test_that_runs(graph, offline):
 
 
 def test_what_strangers_send_is_told_and_changes_no_bit(graph, hostile, offline):
-    """Also what is valid, of who has sent more messages than the test's own node."""
+    """What is valid, of who has sent more messages than the test's own node.
+
+    What is not valid, on any topic: test_local_messages.py.
+    """
     observer = graph.observer
     graph.begin()
-    hostile.join(*LOOP_TOPICS, DIAGNOSTICS, DESCRIPTION, EXPERIMENT_STATE)
-    heard = {RIG_STATE: 2, JUDGED: 2, VALVE_COMMAND: 2, EXPERIMENT_STATE: 6}
+    hostile.join(VALVE_COMMAND, EXPERIMENT_STATE)
+    heard = {VALVE_COMMAND: 2, EXPERIMENT_STATE: 6}
     graph.until(lambda: all(hostile.listeners(t) >= n for t, n in heard.items()), "listeners")
     for _ in range(3000):  # more than the test's own has sent
         hostile.send(VALVE_COMMAND, b"\0" * 8)
     for state in ("idle", "done", "tripped"):
         hostile.send(EXPERIMENT_STATE, encode_status(Status("experiment", 0, state, values={})))
-
-    def is_refused():
-        hostile.attack()
-        return all(int(graph.told[node].get("refused", 0)) > 50 for node in READERS)
-
-    graph.until(is_refused, "the counts of what was refused")
 
     def is_named():
         """Whether each node tells of the stranger what it has refused of it."""
@@ -300,20 +285,3 @@ def test_what_strangers_send_is_told_and_changes_no_bit(graph, hostile, offline)
     assert_same(graph.record(), offline)
     told = "/hostile publishes valve_command, too: this test ignores its messages"
     assert graph.logs["rig"].read_text().count(told) == 1
-
-
-def test_two_publishers_of_the_command_end_a_test_before_anything_moves(graph, hostile):
-    hostile.join(VALVE_COMMAND)
-    reads = VALVE_COMMAND.subscribers
-
-    def is_met():
-        """Whether all who read it know of both."""
-        return all(graph.told[node].get("senders valve_command") == "2" for node in reads)
-
-    graph.until(is_met, "both publishers")
-    assert graph.observer.call("start")[0]
-    graph.until("tripped", "the trip")
-    assert "2 nodes publish valve_command" in graph.observer.values["detail"]
-    series = graph.record().series
-    obeyed = len(series["rig/state"].steps) - 1  # 0 V may answer until the supervisor says stop
-    assert obeyed == 0 or not series["valve_command"].values.any()

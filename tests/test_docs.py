@@ -5,8 +5,8 @@ import re
 from xml.etree import ElementTree
 
 import pytest
+from experiments_at_hand import load
 from graph_tools import ROOT
-from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.wire.topics import LOOP_TOPICS, TOPICS
 from seft_ros.cli.main import APP
 from seft_ros.cli.show_commands import parameters_text
@@ -46,9 +46,7 @@ def test_every_compensation_method_is_in_both_tables_of_methods():
 
 def test_the_demo_uses_the_recommended_method_and_the_papers_experiment_none():
     chosen = {
-        name: Experiment.load(TABLES, [ROOT / "config" / f"{name}.yaml"])["reference_force"][
-            "compensation.method"
-        ]
+        name: load(config=name)["reference_force"]["compensation.method"]
         for name in ("demo", "jhu")
     }
     assert chosen == {"demo": "target_motion", "jhu": "none"}
@@ -63,10 +61,8 @@ def test_where_a_method_ends_is_what_preflight_says(method, column, overrides):
     section = COMPENSATION.read_text().split("### Where each ends")[1]
     row = next(line for line in section.splitlines() if line.startswith(f"| `{method}` |"))
     told = row.split("|")[1 + column].strip()
-    given = [parse_override(text) for text in overrides]
-    given += [("reference_force", "compensation.method", method)]
-    experiment = Experiment.load(TABLES, [ROOT / "config" / "jhu.yaml"], given)
-    critical = critical_mass_ratio(Plan(experiment))
+    method_word = f"reference_force:compensation.method:={method}"
+    critical = critical_mass_ratio(Plan(load(*overrides, method_word)))
     if critical is None:
         assert told == "> 50"
     else:

@@ -22,15 +22,3 @@ def test_each_example_beside_the_paper_s_rig_is_looked_at():
 def test_an_example_is_near_the_whole_structure(seft_json, name):
     summary = seft_json("simulate", CONFIG / f"{name}.yaml")
     assert summary["displacement"]["nrmse"] < LARGEST_ERROR[name]
-
-
-def test_a_frame_whose_storeys_yield_is_near_the_whole_structure(seft_json):
-    words = (
-        "rig:specimen.kind:=bouc_wen",
-        "rig:specimen.springs:=[1.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0, -1.0, 1.0]",  # storeys
-        "rig:specimen.yield_displacement:=0.004",
-    )
-    overrides = [part for word in words for part in ("-p", word)]
-    summary = seft_json("simulate", CONFIG / "three_storey_frame.yaml", *overrides)
-    assert summary["stable"] is True
-    assert summary["displacement"]["nrmse"] < 0.05

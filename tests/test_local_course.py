@@ -28,9 +28,7 @@ def test_twice_the_same_messages_at_the_same_times(local_graph):
     digests = set()
     for _ in range(2):
         graph = local_graph(SIX)
-        graph.until("ready")
-        graph.call("start")
-        graph.until("done")
+        perform(graph)
         digests.add(digest(graph))
     assert len(digests) == 1
 

@@ -1,13 +1,14 @@
 """Offline = nodes, and plain = compiled loop, bit for bit, for configurations drawn at random."""
 
+import json
+
 import numpy as np
 import pytest
+from experiments_at_hand import load
 from graph_tools import JHU
-from local_tools import TARGET_MOTION, TWO_AXES, UNREHEARSED, assert_same, offline
-from seft_msgs_py.config.experiment import Experiment, parse_override
+from local_tools import SHORT, TARGET_MOTION, TWO_AXES, UNREHEARSED, assert_same, offline
 from seft_ros.test_run.compiled_loop import build_blocks, why_not_compiled
 from seft_ros.test_run.offline import simulate_test
-from seft_ros.test_run.parameter_tables import TABLES
 
 SPECIMEN, RIG = "rig:specimen.", "rig:actuator."
 SPECIMENS = (
@@ -65,6 +66,31 @@ WRONG = (
     "specimen slip 1e-4 at {at}",
 )
 
+DELAYED = f"{RIG}kind:=delay"
+BESIDE = {
+    "method of another package": (
+        "reference_force:compensation.method:=polynomial",
+        "reference_force:compensation.delay:=0.0139",
+    ),
+    "eft of an ideal actuator": (f"{RIG}kind:=ideal", "reference_force:method:=eft"),
+    "coupled axes": (
+        *TWO_AXES,
+        "rig:specimen.stiffness:=[2.0e5, -1.0e4, -1.0e4, 2.2e5]",
+        "rig:specimen.mass:=[52.7, 55.0]",
+    ),
+    "forces late over a link": (
+        *(DELAYED, f"{RIG}delay:=0.0113", "reference_force:loop_delay:=5"),
+        "reference_force:compensation.method:=model",
+        "reference_force:compensation.delay:=0.0143",
+    ),
+    "a target late over a link": (
+        *(*TARGET_MOTION, DELAYED, f"{RIG}delay:=0.005", "reference_force:loop_delay:=2"),
+        "force_controller:method:=transfer_function",
+        "reference_force:compensation.delay:=0.008",
+    ),
+}
+"""What is not drawn, each at a mass ratio of 0.2."""
+
 
 def drawn(seed):
     """Draw the words of an experiment."""
@@ -90,7 +116,7 @@ def drawn(seed):
         f"reference_force:mass_ratio:={rng.uniform(0.2, 1.5):.4g}",
         f"ground_motion:peak_force:={rng.uniform(100.0, 500.0):.4g}",
         f"ground_motion:synthetic.seed:={seed}",
-        *("ground_motion:synthetic.duration:=3.0", "ground_motion:tail:=0.2"),
+        *SHORT,
         *(f"rig:seed:={seed}", f"rate:={rng.choice([250.0, 500.0, 1000.0])}"),
         f"rig:pace:={rng.choice(['lockstep', 'realtime'])}",
     ]
@@ -108,11 +134,6 @@ def drawn(seed):
     return words
 
 
-def loaded(words):
-    """Make the experiment."""
-    return Experiment.load(TABLES, [JHU], [parse_override(word) for word in words])
-
-
 def assert_equal(a, b):
     assert a.trip == b.trip
     for topic, series in a.series.items():
@@ -120,18 +141,21 @@ def assert_equal(a, b):
         np.testing.assert_array_equal(series.values, b.series[topic].values)
 
 
-def check_nodes(local_graph, seed):
-    with local_graph(*drawn(seed), UNREHEARSED, config=JHU) as graph:
+def check_nodes(local_graph, words):
+    with local_graph(*words, UNREHEARSED, config=JHU) as graph:
         graph.until("ready")
         graph.call("start")
         graph.until(lambda: graph.state in ("done", "tripped"))
         record = offline(graph)
         assert (record.trip is None) == (graph.state == "done")
         assert_same(graph, record, steps=len(record.series["rig/state"].steps))
+        if graph.state == "done":
+            assert graph.status("rig")["missed"] == "0"
+            assert json.loads(graph.status("rig")["simulated"]) == vars(record.simulated)
 
 
 def check_loops(seed):
-    experiment = loaded(drawn(seed))
+    experiment = load(*drawn(seed))
     plain, compiled = (build_blocks(experiment) for _ in range(2))
     if why_not_compiled(compiled):
         return
@@ -141,14 +165,21 @@ def check_loops(seed):
 
 @pytest.mark.parametrize("seed", range(1, 25))
 def test_nodes_give_the_bits_of_the_offline_loop(local_graph, seed):
-    check_nodes(local_graph, seed)
+    check_nodes(local_graph, drawn(seed))
+
+
+@pytest.mark.parametrize("pace", ["lockstep", "realtime"])
+@pytest.mark.parametrize("what", BESIDE)
+def test_so_they_do_of_what_is_not_drawn(local_graph, what, pace):
+    ratio = "reference_force:mass_ratio:=0.2"
+    check_nodes(local_graph, (*SHORT, ratio, *BESIDE[what], f"rig:pace:={pace}"))
 
 
 @pytest.mark.thorough
 @pytest.mark.offline
 @pytest.mark.parametrize("seed", range(25, 150))
 def test_nodes_give_the_bits_of_the_offline_loop_in_many_tests(local_graph, seed):
-    check_nodes(local_graph, seed)
+    check_nodes(local_graph, drawn(seed))
 
 
 @pytest.mark.thorough

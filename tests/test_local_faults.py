@@ -1,7 +1,7 @@
 """Nodes that stand still, die, or are missing, in virtual time."""
 
 import pytest
-from local_tools import LOCKSTEP, LONG, NO_COMMAND_WATCH, UNREHEARSED, at_rest
+from local_tools import LOCKSTEP, LONG, NO_COMMAND_WATCH, UNREHEARSED, at_rest, perform
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE
 
 SLOW = 5e-4  # s, latency with which a test in lockstep takes fewer steps
@@ -139,9 +139,7 @@ def test_a_rig_that_comes_back_in_the_middle_of_a_test_stays_at_rest(running):
 def test_a_missing_peer_in_lockstep_ends_the_test_with_its_name(local_graph):
     nodes = ("ground_motion", "reference_force", "rig", "supervisor")
     graph = local_graph(LOCKSTEP, "rig:lockstep_timeout:=1.0", nodes=nodes)
-    graph.until("ready")
-    graph.call("start")
-    graph.until("tripped")
+    perform(graph, "tripped")
     assert graph.values["detail"].startswith("no valve_command for step 0 within 1 s")
     assert "is force_controller running?" in graph.values["detail"]
     assert len(graph.samples(RIG_STATE)[0]) == 1

@@ -5,7 +5,17 @@ import struct
 import numpy as np
 import pytest
 from bad_messages import bad_messages
-from local_tools import LOCKSTEP, LONG, SHORT, SIX, UNREHEARSED, assert_same, at_rest, offline
+from local_tools import (
+    LOCKSTEP,
+    LONG,
+    SHORT,
+    SIX,
+    UNREHEARSED,
+    assert_same,
+    at_rest,
+    offline,
+    perform,
+)
 from seft_msgs_py.wire.messages import Status, encode_status
 from seft_msgs_py.wire.topics import (
     EXPERIMENT_STATE,
@@ -30,9 +40,7 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 def test_one_lost_message_is_one_missed_command(local_graph, topic, reader):
     graph = local_graph(SIX, UNREHEARSED)
     graph.drop(topic, {500}, reader)
-    graph.until("ready")
-    graph.call("start")
-    graph.until("done")
+    perform(graph)
     told = graph.status("rig")
     assert (told["missed"], told["missed_steps"]) == ("1", "500")
     assert_same(graph, offline(graph), steps=501 if topic == VALVE_COMMAND else 500)
@@ -41,15 +49,11 @@ def test_one_lost_message_is_one_missed_command(local_graph, topic, reader):
 def test_a_late_command_is_missed_and_a_very_late_one_trips(local_graph):
     graph = local_graph(SIX, UNREHEARSED)
     graph.delay(VALVE_COMMAND, 0.003, {500})
-    graph.until("ready")
-    graph.call("start")
-    graph.until("done")
+    perform(graph)
     assert (graph.status("rig")["missed"], graph.status("rig")["missed_steps"]) == ("1", "500")
     graph.delay(VALVE_COMMAND, 0.5, range(700, 2000))
     graph.call("reset")
-    graph.until("ready")
-    graph.call("start")
-    graph.until("tripped")
+    perform(graph, "tripped")
     assert graph.values["detail"].startswith(
         "no new valve_command for 0.02 s (the last is of step 699)"
     )
@@ -59,9 +63,7 @@ def test_a_late_command_is_missed_and_a_very_late_one_trips(local_graph):
 def test_a_command_just_in_time_is_not_missed(local_graph):
     graph = local_graph(SIX, UNREHEARSED)
     graph.delay(VALVE_COMMAND, 0.0016)
-    graph.until("ready")
-    graph.call("start")
-    graph.until("done")
+    perform(graph)
     assert graph.status("rig")["missed"] == "0"
     assert float(graph.status("rig")["round trip median (ms)"]) == pytest.approx(1.9, rel=0.07)
     assert_same(graph, offline(graph))

@@ -13,6 +13,7 @@ from local_tools import (
     assert_same,
     at_rest,
     offline,
+    perform,
 )
 from seft_msgs_py.wire.messages import encode_diagnostics
 from seft_msgs_py.wire.outcome import FINISHED, Outcome, rig_status
@@ -47,9 +48,7 @@ def test_a_rig_whose_model_is_not_a_number_trips(running, monkeypatch):
 def test_a_limit_ends_a_test_at_the_same_sample_as_offline(local_graph, words, reason):
     """By a ramp, at once, and by a target that comes to rest."""
     graph = local_graph("ground_motion:synthetic.duration:=5.0", *words, LOCKSTEP, UNREHEARSED)
-    graph.until("ready")
-    graph.call("start")
-    graph.until("tripped")
+    perform(graph, "tripped")
     record = offline(graph)
     assert reason in graph.values["detail"]
     assert graph.values["detail"].removeprefix("force_controller: ") == record.trip.reason

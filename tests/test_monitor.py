@@ -3,13 +3,11 @@
 import json
 import os
 import signal
-import subprocess
-import sys
 from urllib.parse import urlsplit
 
 import pytest
 from graph_tools import DEMO, MISSES_ALLOWED, STALLS_ALLOWED, shared_memory, wait_for
-from real_browser import NEEDED, PHONE, SCREEN, start_browser, webdriver
+from real_browser import DRAWN, NEEDED, PHONE, SCREEN, start_browser, webdriver
 
 pytestmark = [NEEDED, pytest.mark.thorough, pytest.mark.browser, pytest.mark.wallclock]
 LONG = (
@@ -22,26 +20,6 @@ LONG = (
     *(*STALLS_ALLOWED, *MISSES_ALLOWED),
 )
 """A test that is still running whenever a browser is ready, also on a machine with much to do."""
-DRAWN = """
-const colours = [];
-for (const figure of document.querySelectorAll("figure")) {
-  const found = new Set();
-  const walk = (node) => {
-    for (const child of node.querySelectorAll("*")) {
-      if (child.tagName === "CANVAS" && child.width && child.height) {
-        const {data} = child.getContext("2d").getImageData(0, 0, child.width, child.height);
-        for (let at = 0; at < data.length; at += 4)
-          if (data[at + 3] > 200) found.add((data[at] << 16) | (data[at + 1] << 8) | data[at + 2]);
-      }
-      if (child.shadowRoot) walk(child.shadowRoot);
-    }
-  };
-  walk(figure);
-  colours.push([...found]);
-}
-return colours;
-"""
-"""Colours that are on the canvases of each figure."""
 MEASURED, ERROR = 0x0B5FA5, 0x8F5500
 POINTS = """
 return Bokeh.documents.slice(0, 5).map((d) => {
@@ -116,7 +94,7 @@ def beginning(browser):
 
 def lines_are_drawn(browser):
     """Tell of the figures of displacement, its error, force's, acceleration and force."""
-    drawn = browser.execute_script(DRAWN)
+    drawn = [colours for *_, colours in browser.execute_script(DRAWN)]
     wanted = (MEASURED, ERROR, ERROR, MEASURED, MEASURED)
     return [colour in found for colour, found in zip(wanted, drawn, strict=False)]
 
@@ -222,18 +200,3 @@ def test_keys_stop_a_test_that_began_before_the_monitor_beyond_localhost(browser
     assert "stopped by the operator" in test.communicate(timeout=60)[1]
     hold_clean(browser, bare)
     end(server, after=signal.SIGTERM)
-
-
-def test_a_port_in_use_is_one_line(monitor, tmp_path):
-    _, address = monitor()
-    port = urlsplit(address).port
-    again = subprocess.run(
-        [sys.executable, "-m", "seft_ros.cli.main", "monitor", f"--port={port}"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert again.returncode == 2
-    assert again.stderr.count("\n") == 1
-    assert "--port" in again.stderr

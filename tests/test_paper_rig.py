@@ -2,44 +2,33 @@
 
 import numpy as np
 import pytest
-from graph_tools import JHU, ROOT
-from seft_msgs_py.config.experiment import Experiment
-from seft_ros.analysis.summary import reference_of, summarise
+from experiments_at_hand import load, simulated
+from real_records import words_of
+from seft_ros.analysis.summary import summarise
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import instability_band
-from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate_test
-from seft_ros.test_run.parameter_tables import TABLES
 
 pytestmark = pytest.mark.offline
-RECORDS = ROOT.parent / "shared" / "data"
 MOTIONS = {
-    "synthetic 1": {"synthetic.seed": 1},
-    "synthetic 7": {"synthetic.seed": 7},
-    "Kobe JMA": {"file": RECORDS / "kobe_jma_1995.txt", "column": 0},
-    "El Centro": {"file": RECORDS / "elcentro_1940.txt", "column": 0},
-    "Nishi-Akashi": {"file": RECORDS / "kobe_nishi_akashi_090.AT2"},
+    "synthetic 1": ("ground_motion:synthetic.seed:=1",),
+    "synthetic 7": ("ground_motion:synthetic.seed:=7",),
+    **dict.fromkeys(("Kobe JMA", "El Centro", "Nishi-Akashi"), ()),
 }
 AT_ONCE = ("synthetic 1", "Kobe JMA")
 HERE = [
-    pytest.param(name, marks=() if name in AT_ONCE else pytest.mark.thorough)
-    for name, motion in MOTIONS.items()
-    if motion.get("file", ROOT).exists()
+    pytest.param(name, marks=() if name in AT_ONCE else pytest.mark.thorough) for name in MOTIONS
 ]
 
 
 def uncompensated(name, mass_ratio, watched=0.0):
     """Run a test as the paper did, with nobody who looks for instability, or with."""
-    overrides = [("ground_motion", key, _plain(value)) for key, value in MOTIONS[name].items()]
-    overrides.append(("reference_force", "mass_ratio", mass_ratio))
-    overrides.append(("reference_force", "instability.ratio", watched))
-    experiment = Experiment.load(TABLES, [JHU], overrides)
-    record = simulate_test(experiment, build_blocks(experiment))
+    test = load(
+        *words_of(name, *MOTIONS[name]),
+        f"reference_force:mass_ratio:={mass_ratio}",
+        f"reference_force:instability.ratio:={watched}",
+    )
+    record = simulated(test)
     return record, summarise(record)
-
-
-def _plain(value):
-    return value if isinstance(value, int | float) else str(value)
 
 
 @pytest.mark.parametrize("name", HERE)
@@ -51,17 +40,3 @@ def test_it_goes_unstable_in_the_band_where_preflight_sees_it_start(name):
     spectrum = np.abs(np.fft.rfft(last * np.hanning(len(last))))
     hz = np.fft.rfftfreq(len(last), record.experiment.timebase.dt)[spectrum.argmax()]
     assert low < hz < high
-
-
-@pytest.mark.parametrize("name", HERE)
-def test_the_watch_brings_it_down_softly_long_before_any_limit(name):
-    record, summary = uncompensated(name, 1.5, watched=5.0)
-    assert summary["trip"]["reason"].startswith("instability: acceleration above 20.1 Hz on axis x")
-    assert not summary["saturated"]
-    states = record.series["rig/state"].values
-    limits = record.experiment["supervisor"]
-    for row, quantity in enumerate(("displacement", "velocity", "acceleration", "force")):
-        assert np.abs(states[:, row]).max() < 0.5 * limits[f"limits.{quantity}"]
-    whole = reference_of(uncompensated(name, 0.0)[0])
-    assert np.abs(states[:, 0]).max() < 1.5 * np.abs(whole.displacement).max()
-    assert np.abs(record.series["reference_force"].values[-1]).max() == 0.0

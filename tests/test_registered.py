@@ -133,7 +133,7 @@ def package(tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("package")
 def test_what_is_registered_with_its_settings_is_simulated_and_known_to_preflight(seft, seft_json):
-    """In nodes: see test_local_invariant.py."""
+    """In nodes: see test_local_drawn.py."""
     words = (JHU, *SHORT, *METHOD, *CONTROLLER)
     whole = seft_json("preflight", JHU, *SHORT, *CONTROLLER, status=1)  # unstable
     part = seft_json("preflight", *words)
@@ -171,8 +171,3 @@ def test_what_a_method_lacks_is_told_in_one_line(seft, method, why):
     words = ("-p", f"reference_force:compensation.method:={method}")
     (line,) = seft("simulate", JHU, *words, status=2).stderr.strip().splitlines()
     assert why in line
-
-
-def test_a_method_that_nobody_registered_is_refused(seft):
-    (line,) = seft("simulate", JHU, *METHOD, status=2).stderr.strip().splitlines()
-    assert 'compensation.method is "half", but must be one of none, ' in line

@@ -4,20 +4,17 @@ Masses, modes and what is computed are drawn; each actuator is sized in proporti
 it moves, as a laboratory does.
 """
 
+import experiments_at_hand
 import numpy as np
 import pytest
-from graph_tools import ROOT
-from seft_msgs_py.config.experiment import Experiment, parse_override
+from experiments_at_hand import load
 from seft_ros.analysis.summary import summarise
-from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate_test
-from seft_ros.test_run.parameter_tables import TABLES
 
 pytestmark = pytest.mark.offline
-FRAME = ROOT / "config" / "three_storey_frame.yaml"
+FRAME = "three_storey_frame"
 SHORT = ("ground_motion:synthetic.duration:=16.0", "ground_motion:peak_force:=250.0")
 STRONG = "ground_motion:peak_force:=400.0"
-KNOWN = Experiment.load(TABLES, [FRAME], [])
+KNOWN = load(config=FRAME)
 
 
 def axes_and_seeds(seeds, at_once):
@@ -55,23 +52,6 @@ def drawn(n, seed):
     return overrides(specimen, {"reference_force:computed.mass": computed})
 
 
-def frame(n, seed):
-    """Overrides of a shear frame: storeys of 30 to 120 kg, the lowest mode at 3 to 6 Hz."""
-    rng = np.random.default_rng([n, seed, 7])
-    mass, storeys = rng.uniform(30.0, 120.0, n), np.eye(n) - np.eye(n, k=-1)
-    stiffness = storeys.T @ np.diag(rng.uniform(0.7, 1.3, n)) @ storeys
-    lowest = np.linalg.eigvals(np.linalg.solve(np.diag(mass), stiffness)).real.min() ** 0.5
-    w = 2 * np.pi * rng.uniform(3.0, 6.0)
-    stiffness *= (w / lowest) ** 2
-    damping = 0.03 * (stiffness / w + np.diag(mass) * w)
-    specimen = {"mass": mass, "stiffness": stiffness, "damping": damping}
-    values = {
-        "rig:specimen.springs": storeys,
-        "reference_force:computed.mass": np.diag(rng.uniform(0.5, 1.5, n) * mass),
-    }
-    return overrides(specimen, values)
-
-
 def overrides(specimen, values):
     """Overrides of a specimen that is known, and of what else there is."""
     n = len(specimen["mass"])
@@ -95,8 +75,7 @@ def yielding(record, springs):
 
 
 def simulated(*words):
-    experiment = Experiment.load(TABLES, [FRAME], [parse_override(word) for word in words])
-    record = simulate_test(experiment, build_blocks(experiment))
+    record = experiments_at_hand.simulated(load(*words, config=FRAME))
     return record, summarise(record)
 
 
@@ -120,14 +99,3 @@ def test_a_rig_of_springs_that_yield_is_within_5_percent_of_the_whole_structure(
     _, summary = simulated(*words, *yields)
     assert summary["trip"] is None
     assert summary["displacement"]["nrmse"] < 0.045
-
-
-@pytest.mark.parametrize(("n", "seed"), axes_and_seeds(2, at_once=[(3, 0)]))
-def test_a_frame_is_near_the_whole_structure_also_where_its_storeys_yield(n, seed):
-    _, summary = simulated(*SHORT, *frame(n, seed))
-    assert summary["displacement"]["nrmse"] < 0.012
-    words = *SHORT, *frame(n, seed), STRONG
-    record, _ = simulated(*words)
-    _, summary = simulated(*words, *yielding(record, np.eye(n) - np.eye(n, k=-1)))
-    assert summary["trip"] is None
-    assert summary["displacement"]["nrmse"] < 0.07

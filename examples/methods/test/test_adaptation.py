@@ -71,14 +71,6 @@ def test_any_delay_is_found_whatever_the_amplitude(delay, amplitude, seed):
     assert found[-1] == pytest.approx(delay, abs=1e-4)
 
 
-def test_each_axis_has_its_own_delay():
-    forces = np.column_stack([broad_band(2000, seed) for seed in (1, 2)])
-    measured = np.column_stack([delayed(forces[:, 0], 0.008), delayed(forces[:, 1], 0.021)])
-    np.testing.assert_allclose(
-        follow(estimator(2), forces, measured)[-1], [0.008, 0.021], atol=1e-4
-    )
-
-
 def test_sensor_noise_alone_moves_nothing():
     noise = np.random.default_rng(1).normal(0, 10, (5000, 2))
     noise[:, 0] += 0.8 * noise[:, 1]  # what is fed back

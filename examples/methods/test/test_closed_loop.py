@@ -1,18 +1,14 @@
 """Compensated tests as a whole, against the exact response of the whole structure."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from seft_msgs_py.config.experiment import Experiment, parse_override
+from experiments_at_hand import load
 from seft_plant_sim.lti import bilinear
 from seft_ros.analysis.summary import summarise
 from seft_ros.design.plant import choose_plant
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
-from seft_ros.test_run.parameter_tables import TABLES
 
-ROOT = Path(__file__).parents[3]  # of the project
 DELAYED = (
     "rig:actuator.kind:=delay",
     "rig:actuator.delay:=0.01",
@@ -30,8 +26,7 @@ def run(method, alpha, *words):
         f"reference_force:compensation.method:={method}",
         *words,
     )
-    config = ROOT / "config" / "jhu.yaml"
-    experiment = Experiment.load(TABLES, [config], [parse_override(word) for word in given])
+    experiment = load(*given)
     blocks = build_blocks(experiment)
     return blocks, summarise(simulate_test(experiment, blocks))
 
@@ -57,7 +52,7 @@ def test_what_predicts_the_acceleration_goes_beyond_what_none_can(method, alpha,
 
 def phase_delays(frequencies_hz):
     """Delays of the servo-hydraulic force loop from its linear model, s."""
-    experiment = Experiment.load(TABLES, [ROOT / "config" / "jhu.yaml"])
+    experiment = load()
     dt, control = experiment.timebase.dt, experiment["force_controller"]
     b, a = bilinear(control["numerator"], control["denominator"], dt)
     z = np.exp(2j * np.pi * frequencies_hz * dt)
@@ -75,11 +70,3 @@ def test_a_delay_that_is_half_wrong_is_found_while_the_test_runs(start):
     assert summary["stable"]
     assert truth.min() < blocks.reference_force.estimates()["delay"][0] < truth.max()
     assert summary["displacement"]["nrmse"] < min(0.25, error("smith", 1.0, *words) / 2)
-
-
-def test_ats_adapts_to_the_servo_hydraulic_actuator():
-    words = ("reference_force:compensation.delay:=0.0139",)
-    blocks, summary = run("ats", 1.0, *words)
-    assert summary["stable"]
-    assert summary["displacement"]["nrmse"] < error("none", 1.0) / 2
-    assert 0.011 < blocks.reference_force.estimates()["delay"][0] < 0.016

@@ -20,7 +20,6 @@ from compensators import (
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.linalg import expm
 from seft_methods.settings import SETTINGS
 from seft_msgs_py.errors import InputError
 
@@ -156,69 +155,6 @@ def test_the_inverse_undoes_the_first_order_actuator(delay, seed):
     for command, r in zip(commands, restoring, strict=True):
         applied = (command + (alpha_c - 1) * applied) / alpha_c
         assert applied == pytest.approx(r / 2, rel=1e-6, abs=1e-6)
-
-
-class DelayedSpecimen:
-    """A specimen under a force that varies linearly from step to step, seen some steps later."""
-
-    def __init__(self, delay):
-        a = np.zeros((4, 4))
-        a[0, 1], a[2, 3] = 1.0, 1 / DT
-        a[1, :3] = np.array([-K, -C, 1.0]) / M
-        self.transition = expm(a * DT)[:2]
-        self.z, self.force, self.line = np.zeros(2), 0.0, [np.zeros(4)] * delay
-
-    def apply(self, force):
-        self.z = self.transition @ np.array([*self.z, self.force, force - self.force])
-        self.force = force
-        x, v = self.z
-        self.line = [*self.line, np.array([x, v, (force - C * v - K * x) / M, force])]
-
-    def measure(self):
-        return self.line.pop(0)[:, np.newaxis]
-
-
-@pytest.mark.parametrize("alpha", [0.5, 3.0, 10.0])
-def test_smith_takes_the_delay_out_of_the_loop(alpha):
-    """The force is that of the whole structure itself, as many steps early as it comes late."""
-    late, steps = 6, 1500
-    motion = np.zeros((steps + 50, 1))
-    white = np.random.default_rng(3).normal(0, 3, 550)
-    motion[50:600, 0] = np.convolve(white, np.full(10, 0.3), "same")
-    one = compensator("smith", compensation__delay=late * DT, mass_ratio=alpha)
-    specimen, forces = DelayedSpecimen(late), []
-    for k in range(steps):
-        force = one.step(motion[k : k + 1 + one.preview], specimen.measure())
-        specimen.apply(force[0])
-        forces.append(force[0])
-    total = (1 + alpha) * M
-    a = np.zeros((4, 4))
-    a[0, 1], a[2, 3] = 1.0, 1 / DT
-    a[1, :3] = np.array([-K, -C, -total]) / total
-    transition, z, expected = expm(a * DT)[:2], np.zeros(2), []
-    for now, then in zip(motion[: steps + late, 0], motion[1:, 0], strict=False):
-        restoring = C * z[1] + K * z[0]
-        expected.append(M * (-now - restoring / total) + restoring)
-        z = transition @ np.array([*z, now, then - now])
-    expected = np.array(expected[late:])
-    scale = np.abs(expected).max()
-    np.testing.assert_allclose(np.array(forces) / scale, expected / scale, atol=0.02)
-
-
-def test_smith_answers_a_steady_offset_of_the_sensors_by_a_steady_force():
-    """At rest f = S (f + b), so f = alpha b: as without delay, and nothing accumulates."""
-    specimen, offset = DelayedSpecimen(6), 5.0
-    one = compensator("smith", mass_ratio=3.0, compensation__delay=6 * DT)
-    ground, forces = np.zeros((1 + one.preview, 1)), []
-    for _ in range(20000):
-        state = specimen.measure()
-        state[3] += offset
-        force = one.step(ground, state)
-        specimen.apply(force[0])
-        forces.append(force[0])
-    assert forces[-1] == pytest.approx(3.0 * offset, rel=1e-6)
-    assert forces[-5000] == pytest.approx(3.0 * offset, rel=1e-6)
-    assert np.abs(forces).max() < 6.0 * offset
 
 
 def test_the_readme_names_every_method_and_setting_with_its_default():

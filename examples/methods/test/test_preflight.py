@@ -1,23 +1,14 @@
 """What preflight says of the methods is what simulated tests do."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from seft_msgs_py.config.experiment import Experiment
+from experiments_at_hand import of_parts, simulated
 from seft_plant_sim.rig_parameters import LIMIT_ROWS
 from seft_ros.design.plan import Plan
 from seft_ros.design.preflight_tables import summarise_preflight
 from seft_ros.design.stability_margins import critical_mass_ratio
 from seft_ros.design.stability_verdict import check_stability
-from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
-from seft_ros.reference_force.linear_filter import LinearCompensator
-from seft_ros.reference_force.reference_force_block import compensator, method_inputs
-from seft_ros.test_run.compiled_loop import build_blocks
-from seft_ros.test_run.offline import simulate_test
-from seft_ros.test_run.parameter_tables import TABLES
 
-CONFIG = Path(__file__).parents[3] / "config"
 FIXED = ("polynomial", "linear_acceleration", "smith", "inverse")
 DELAY = {
     "rig": {
@@ -34,16 +25,14 @@ DELAY = {
 }
 
 
-def experiment(config="jhu", parts=DELAY, **reference):
-    words = [(node, *item) for node, section in parts.items() for item in section.items()]
+def experiment(**reference):
     named = {name.replace("__", "."): value for name, value in reference.items()}
-    words += [("reference_force", *item) for item in named.items()]
-    return Experiment.load(TABLES, [CONFIG / f"{config}.yaml"], words)
+    return of_parts(DELAY, {"reference_force": named}, config="jhu")
 
 
 def grows(test):
     """Whether the free vibration after a short motion grows, by the offline loop."""
-    record = simulate_test(test, build_blocks(test))
+    record = simulated(test)
     if record.trip is not None:
         return True
     force = record.series["rig/state"].values[:, 3]
@@ -68,28 +57,3 @@ def test_a_method_is_exact_to_preflight_and_the_same_where_it_starts_to_estimate
     told = {"compensation__method": method, "compensation__settings": "estimate_delay=true"}
     adaptive = Plan(experiment(**told, mass_ratio=0.2))
     assert adaptive.growth_rate() == pytest.approx(fixed["growth_rate"], rel=0.02)
-
-
-@pytest.mark.parametrize("estimates", ["false", "true"])
-@pytest.mark.parametrize("method", FIXED)
-def test_with_a_computed_substructure_it_is_the_linear_filter_that_it_says_it_is(method, estimates):
-    """A fixed delay is one filter with the substructure, which the compiled loop runs."""
-    section = experiment(
-        "water_tower",
-        {},
-        compensation__method=method,
-        compensation__delay=0.0133,
-        compensation__settings=f"estimate_delay={estimates}",
-    )
-    known = method_inputs(section["reference_force"], section.axes, section.timebase)
-    one = compensator(method, known)
-    assert isinstance(one, LinearCompensator) is (estimates == "false")
-    assert len(one.linear().a) > len(COMPENSATION_METHODS[method](known).linear().a)
-    matrix, size = one.linear().matrix(), len(one.linear().a)
-    rng, work = np.random.default_rng(1), np.zeros(one.linear().matrix().shape[1])
-    for _ in range(9):  # too few to adapt to
-        ground, state = rng.normal(size=(1 + one.preview, 1)), rng.normal(size=(4, 1))
-        work[size:] = np.concatenate([state.ravel(), ground.ravel()])
-        result = matrix @ work
-        work[:size] = result[1:]
-        np.testing.assert_allclose(one.step(ground, state), result[:1], rtol=1e-7, atol=1e-9)

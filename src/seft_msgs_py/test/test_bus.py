@@ -69,13 +69,6 @@ def test_what_waits_goes_outside_also_where_a_listener_fails_or_the_process_ends
     assert outside == [b"a", b"b"]
 
 
-def test_without_listeners_inside_a_message_only_goes_outside():
-    box, outside = IntraProcessBus(["rig"]), []
-    box.sender("/rig/state", outside.append)(b"a")
-    assert outside == [b"a"]
-    assert box.deliver() is False
-
-
 def test_a_mailbox_serves_topics_of_the_loop_that_its_own_nodes_publish():
     box = IntraProcessBus(["rig", "reference_force"])
     assert box.serves(RIG_STATE)

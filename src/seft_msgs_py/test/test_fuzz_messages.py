@@ -68,11 +68,8 @@ def damaged(data, good):
 def test_decoders_raise_nothing_but_wire_errors(name, data, raw):
     decode, good = DECODERS[name]
     for one in (raw, good[:4] + raw, damaged(data, good)):
-        try:
+        with contextlib.suppress(WireError):
             found = decode(one)
-        except WireError as error:
-            assert "\n" not in str(error)
-        else:
             if decode in LOOP_DECODERS:
                 step, values = found
                 assert step >= 0
@@ -98,38 +95,3 @@ def test_the_end_of_a_test_is_read_or_refused(changed, dropped, tripped):
     values = {key: value for key, value in good.values.items() if key not in dropped} | changed
     with contextlib.suppress(WireError):
         read_outcome(Status("rig", 0, "", values=values), TIMEBASE)
-
-
-JSON = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=9), inner),
-    max_leaves=8,
-)
-
-
-@few
-@given(
-    text=TEXTS
-    | JSON.map(json.dumps)
-    | st.builds(
-        lambda *counts: json.dumps({"valve": {"samples": counts[0], "first_step": counts[1]}}),
-        JSON | st.floats(),
-        JSON | st.floats(),
-    )
-    | st.sampled_from(["[" * 5000, '{"valve": 3}'])
-)
-def test_what_was_saturated_is_read_or_refused(text):
-    status = rig_status(Outcome("finished", 9, 1, [3], 1.0))
-    status.values["saturated"] = text
-    with contextlib.suppress(WireError):
-        read_outcome(status, TIMEBASE)
-
-
-@few
-@given(described=JSON)
-def test_any_json_is_a_description_or_refused(described):
-    try:
-        node, _ = decode_description(encode_string(json.dumps(described)))
-    except WireError:
-        return
-    assert isinstance(node, str)

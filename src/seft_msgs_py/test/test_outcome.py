@@ -1,7 +1,7 @@
 """What was at the end of its range: counted, and told as text."""
 
 import dataclasses
-import json
+import itertools
 
 import pytest
 from hypothesis import given
@@ -11,6 +11,7 @@ from seft_msgs_py.wire.messages import ERROR, OK, WARN, Status, decode_status, e
 from seft_msgs_py.wire.outcome import (
     LISTED_STEPS,
     Outcome,
+    Simulated,
     Trip,
     count_saturated,
     read_outcome,
@@ -28,15 +29,17 @@ TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\x00"))
     missed_steps=st.lists(COUNT, max_size=LISTED_STEPS),
     wall_s=st.none() | st.floats(0, 1e9),
     trip=st.none() | st.builds(Trip, TEXT, COUNT, st.just(0.0)),
+    saturated=st.lists(TEXT, max_size=5),
 )
-def test_what_the_rig_tells_of_the_end_is_read_back(steps, missed_steps, wall_s, trip):
+def test_what_the_rig_tells_of_the_end_is_read_back(steps, missed_steps, wall_s, trip, saturated):
     phase = "tripped" if trip else "finished"
     missed = len(missed_steps)
     held = [step - 1 for step in missed_steps]
-    status = rig_status(Outcome(phase, steps, missed, missed_steps, wall_s, trip, held_steps=held))
-    outcome = read_outcome(decode_status(encode_status(status)), TIMEBASE)
+    counts = {name: {"samples": 2, "first_step": 7} for name in saturated}
+    told = Outcome(phase, steps, missed, missed_steps, wall_s, trip, 0, counts, held_steps=held)
     expected = trip and Trip(trip.reason, trip.step, trip.step * 2_000_000 / 1e9)
-    assert outcome == Outcome(phase, steps, missed, missed_steps, wall_s, expected, held_steps=held)
+    outcome = read_outcome(decode_status(encode_status(rig_status(told))), TIMEBASE)
+    assert outcome == dataclasses.replace(told, trip=expected)
 
 
 def test_all_missed_steps_are_counted_and_the_first_are_listed():
@@ -127,41 +130,31 @@ def test_each_name_has_the_number_of_its_samples_and_the_first(steps):
         assert saturation[name] == {"samples": len(at), "first_step": at[0]}
 
 
-def test_the_text_is_json_in_the_order_of_names():
-    text = ended(counted([["valve"], ["stroke", "valve"]])).values["saturated"]
-    assert list(json.loads(text)) == ["stroke", "valve"]
-    assert json.loads(text)["valve"] == {"samples": 2, "first_step": 0}
-    assert ended({}).values["saturated"] == "{}"
-
-
 @pytest.mark.parametrize(
-    "text",
+    ("key", "text"),
     [
-        "",
-        "no json",
-        "[]",
-        "3",
-        '{"valve": 3}',
-        '{"valve": {"samples": 3}}',
-        '{"valve": {"samples": "many", "first_step": 0}}',
-        '{"valve": {"samples": null, "first_step": 0}}',
+        *itertools.product(("saturated", "simulated"), ("", "no json", "[]", "3")),
+        ("saturated", '{"valve": 3}'),
+        ("saturated", '{"valve": {"samples": 3}}'),
+        ("saturated", '{"valve": {"samples": "many", "first_step": 0}}'),
+        ("simulated", "{}"),
+        ("simulated", '{"displacement_peak": 1, "force_peak": "no"}'),
     ],
 )
-def test_other_text_is_refused(text):
+def test_other_text_is_refused(key, text):
     status = ended({})
-    status.values["saturated"] = text
+    status.values[key] = text
     with pytest.raises(WireError, match="status of the finished rig"):
         read_outcome(status, TIMEBASE)
 
 
-@given(st.lists(st.lists(NAMES | st.text(st.characters(codec="utf-8"))), max_size=20))
-def test_it_survives_the_rigs_last_status(steps):
-    saturation = counted(steps)
-    outcome = read_outcome(decode_status(encode_status(ended(saturation))), TIMEBASE)
-    assert outcome.saturation == saturation
-
-
-def test_a_driver_that_says_nothing_of_it_had_nothing_at_its_end():
-    status = ended({})
-    assert status.values.pop("saturated") == "{}"
-    assert read_outcome(status, TIMEBASE).saturation == {}
+def test_the_largest_true_motion_of_a_simulated_rig_is_told_bit_for_bit():
+    peaks = Simulated(0.1 + 0.2, 1234.5, 1e-300)
+    real, simulated = (Outcome("finished", 9, 0, [], 1.0, simulated=one) for one in (None, peaks))
+    for one in (real, simulated):
+        assert read_outcome(decode_status(encode_status(rig_status(one))), TIMEBASE) == one
+    assert "simulated" not in rig_status(real).values
+    other = dataclasses.replace(simulated, simulated=Simulated(0.1, 2000.0, 5.0))
+    largest = Simulated(peaks.displacement_peak, 2000.0, 5.0)
+    assert Outcome.of_all([simulated, other]).simulated == largest
+    assert Outcome.of_all([simulated, real]).simulated is None

@@ -2,12 +2,11 @@ import struct
 from itertools import groupby
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.wire.topics import LOOP_TOPICS, REFERENCE_FORCE, RIG_STATE, TARGET, Timebase
+from seft_msgs_py.wire.topics import LOOP_TOPICS, RIG_STATE, TARGET, Timebase
 from seft_msgs_py.wire.trajectory import TrajectoryCodec, decode_batch
 
 TIMEBASE = Timebase.from_rate(500.0)
@@ -99,23 +98,6 @@ def test_a_batch_gives_what_its_messages_give_one_by_one(batch):
     assert_as_each(*batch)
 
 
-@pytest.mark.parametrize("pad", [b"\x00", b"\xa5"])
-def test_padding_and_trailing_bytes_are_ignored_as_in_a_single_message(pad):
-    codec = TrajectoryCodec(RIG_STATE, ("abc",), TIMEBASE)
-    raws = [codec.encode(step, np.full((4, 1), float(step))) for step in range(5)]
-    layout = codec.layout_of(raws[0])
-    known, values = layout.known, set((4 + 8 * layout.values.ravel()).tolist())
-    padded = []
-    for raw in raws:
-        changed = bytearray(raw)
-        for at in range(12, len(known)):
-            if not known[at] and not any(start <= at < start + 8 for start in values):
-                changed[at : at + 1] = pad
-        padded.append(bytes(changed) + b"past the end")
-    assert_as_each(codec, padded)
-    assert decode_all(codec, padded)[-1] == 0
-
-
 def test_stamps_off_the_grid_and_before_the_start_are_refused():
     codec = TrajectoryCodec(RIG_STATE, ("x",), TIMEBASE)
     raws = [bytearray(codec.encode(step, np.zeros((4, 1)))) for step in range(6)]
@@ -143,15 +125,3 @@ def test_most_messages_never_meet_the_codec(monkeypatch):
     monkeypatch.setattr(codec, "decode", lambda raw: single.append(raw) or (0, np.zeros((1, 4, 1))))
     decode_all(codec, raws)
     assert single == [raws[20]]
-
-
-def test_the_forces_of_a_target_are_read_by_who_does_not_know_of_it():
-    axes = ("x", "y")
-    target, force = (TrajectoryCodec(topic, axes, TIMEBASE) for topic in (TARGET, REFERENCE_FORCE))
-    values = np.random.default_rng(1).normal(size=(9, 5, 3, 2))
-    raws = [target.encode_points(step, points) for step, points in enumerate(values)]
-    rows = np.frombuffer(b"".join(raws), np.uint8).reshape(len(raws), -1)
-    batch = decode_batch(force, rows).up_to(0)
-    np.testing.assert_array_equal(batch.values, values[:, 0, 2:])
-    assert batch.steps.tolist() == list(range(9))
-    assert batch.refused == 0

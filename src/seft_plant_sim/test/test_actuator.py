@@ -96,9 +96,3 @@ def test_each_axis_may_have_its_own_actuator():
 def test_values_that_contradict_each_other_are_refused(values, told):
     with pytest.raises(InputError, match=told):
         hydraulics(**values)
-
-
-def test_the_default_data_sheets_put_the_oil_column_at_90_hz():
-    made = Hydraulics.from_parameters(group(rig_section(), "actuator"), SPECIMEN, ("x",))
-    resonance = np.sqrt((made.oil_stiffness.item() + 2.11e5) / 52.7) / (2 * np.pi)
-    assert resonance == pytest.approx(90.0, abs=0.1)

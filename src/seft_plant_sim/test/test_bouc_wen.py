@@ -31,47 +31,6 @@ def test_bouc_wen_of_any_exponent_loads_as_published(n):
     np.testing.assert_allclose(ratio, expected, atol=2e-6)
 
 
-@pytest.mark.parametrize("n", [1.0, 2.0, 5.0])
-def test_bouc_wen_unloads_elastically_where_beta_is_gamma(n):
-    path = through(0, 4, 4 - 0.9)  # no further than to z = 0
-    z = hysteretic(bouc_wen(n), path)
-    turn = np.argmax(path)
-    assert z[turn] > 0.95 * Y
-    np.testing.assert_allclose(np.diff(z[turn:]), np.diff(path[turn:]), atol=1e-12 * Y)
-
-
-@pytest.mark.parametrize(("n", "reach"), [(1.0, 3.0), (2.0, 2.0)])
-def test_bouc_wen_under_cycles_has_the_limit_cycle_of_ikhouane_and_rodellar(n, reach):
-    """Systems with Hysteresis (2007), Theorem 3, by their functions psi+ and psi-.
-
-    Between turning points -X and X of a cycle z goes from -z_m to z_m, where the deformation is
-    psi(z_m) - psi(-z_m) = 2 X, psi the integral of dz / (1 - (beta sgn z + gamma) |z|^n):
-    psi+ while z and v have the same sign, psi- while they have not.
-    """
-    beta, gamma = 0.7, 0.3
-    one = bouc_wen(n, beta=beta, gamma=gamma)
-
-    def psi(r, shape):
-        return r * hyp2f1(1, 1 / n, 1 + 1 / n, shape * r**n)
-
-    def taken(r):  # deformation from z = -r to z = r
-        return psi(r, beta + gamma) + psi(r, gamma - beta)
-
-    highest = brentq(lambda r: taken(r) - 2 * reach, 0, 1 - 1e-13)
-    z = hysteretic(one, through(0, *(reach, -reach) * 12, reach)) / Y
-    branch = z[-4000:]
-    assert z[-1] == pytest.approx(highest, abs=1e-6)
-    assert branch[0] == pytest.approx(-highest, abs=1e-4)
-    path = np.linspace(-reach, reach, 4000)
-    inside = branch[10::300]
-    expected = np.where(
-        inside < 0,
-        -reach + psi(highest, gamma - beta) - psi(np.abs(inside), gamma - beta),
-        -reach + psi(highest, gamma - beta) + psi(np.abs(inside), beta + gamma),
-    )
-    np.testing.assert_allclose(path[10::300], expected, atol=1e-4)
-
-
 def baber_wen(path, n, beta, gamma, losses):
     """Baber & Wen (1981) by an ODE solver, branch by branch; e is the time of each branch."""
     d_a, d_nu, d_eta = losses

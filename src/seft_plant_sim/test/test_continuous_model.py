@@ -3,7 +3,7 @@ import pytest
 from bare_rig import rig_section
 from seft_msgs_py.config.parameter_table import group
 from seft_plant_sim.actuator import Hydraulics
-from seft_plant_sim.continuous_model import delayed_force, servo_hydraulic
+from seft_plant_sim.continuous_model import servo_hydraulic
 from seft_plant_sim.specimen import Specimen
 
 M, C, K = 52.7, 903.5, 2.11e5
@@ -52,14 +52,6 @@ def test_the_response_is_that_of_the_equations_by_hand(hz):
     specimen = M * s**2 + C * s + K
     for row, factor in enumerate([1 / specimen, s / specimen, s**2 / specimen, 1.0]):
         assert response(row, hz) == pytest.approx(force * factor, rel=1e-9)
-
-
-def test_the_drives_are_the_reference_force_and_the_valve():
-    assert MODEL.drive == "valve_command"
-    ideal = delayed_force(SPECIMEN, 0.0)
-    assert (ideal.drive, ideal.delay) == ("reference_force", 0.0)
-    assert delayed_force(SPECIMEN, 0.01).delay == 0.01
-    assert MODEL.delay == 0.001
 
 
 def test_axes_are_coupled_by_the_specimen_alone():

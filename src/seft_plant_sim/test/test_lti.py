@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-from scipy.signal import cont2discrete
 from seft_plant_sim.lti import (
     TransferFunction,
     companion_form,
-    first_order_hold,
     split_dead_time,
     state_space_response,
 )
@@ -26,26 +24,6 @@ def test_dead_time_turns_the_phase_alone():
     late = TransferFunction(given.numerator, given.denominator, 0.003)
     turned = given.response(HZ) * np.exp(-2j * np.pi * HZ * 0.003)
     np.testing.assert_allclose(late.response(HZ), turned, rtol=1e-12)
-
-
-def test_a_first_order_hold_of_a_constant_is_a_zero_order_hold():
-    a, b, c, d = companion_form(NUMERATOR, DENOMINATOR)
-    free, start, _ = first_order_hold(a, b, 0.002)
-    held = cont2discrete((a, b, c, d), 0.002, "zoh")
-    np.testing.assert_allclose(free, held[0], rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(start, held[1], rtol=1e-9, atol=1e-12)
-
-
-def test_two_first_order_holds_of_half_a_step_are_one():
-    a, b, _, _ = companion_form(NUMERATOR, DENOMINATOR)
-
-    def step(s, before, after, dt):
-        free, start, change = first_order_hold(a, b, dt)
-        return free @ s + start * before + change * (after - before)
-
-    rest = np.zeros((3, 1))
-    halves = step(step(rest, 1.0, 2.0, 0.001), 2.0, 3.0, 0.001)
-    np.testing.assert_allclose(halves, step(rest, 1.0, 3.0, 0.002), rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.001, 0.002, 0.0035, 0.01, 0.0123])

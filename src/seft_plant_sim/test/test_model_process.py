@@ -20,12 +20,8 @@ import os, signal, sys, threading, time
 class Model:
     axes = 1
 
-    def __init__(self):
-        pass  # MADE
-
     def start(self, dt, axes):
         self.count = 0
-        # START
 
     def step(self, t, displacement, velocity, ground_acceleration):
         self.count += 1
@@ -36,8 +32,7 @@ class Model:
 
     # MORE
 """
-STEP = MODEL[: MODEL.index("def step")].count("\n") + 1
-PLACES = {"MADE": 8, "START": 8, "STEP": 12, "MORE": 4}
+PLACES = {"STEP": 12, "MORE": 4}
 ZERO, LAST = np.zeros(1), 5
 
 
@@ -49,8 +44,6 @@ def model(tmp_path):
     def source(code, place="STEP"):
         code = textwrap.indent(textwrap.dedent(code).strip(), " " * PLACES[place])
         file.write_text(MODEL.replace(" " * PLACES[place] + f"# {place}", code))
-        if place == "MADE":
-            file.write_text(MODEL.replace("        pass  # MADE", code))
         return ModelSource(f"{file}:Model", "", ("x",), np.eye(1), 1, np.eye(1))
 
     return source
@@ -92,8 +85,7 @@ def nothing_left(source):
 
 
 BREAKS = {
-    "exits": ("sys.exit(0)", r"line 19, step: SystemExit\(0\)"),
-    "exits as it is made": ("sys.exit()", r"line 9, made: SystemExit\(\)"),
+    "exits": ("sys.exit(0)", r"line 15, step: SystemExit\(0\)"),
     "ends at once": ("os._exit(3)", "step: its process has ended with exit status 3"),
     "ends itself": (
         "os.kill(os.getpid(), signal.SIGKILL)",
@@ -101,9 +93,9 @@ BREAKS = {
     ),
     "crashes": (
         "import ctypes; ctypes.string_at(0)",
-        "step: its process was ended by SIGSEGV at models.py line 19",
+        "step: its process was ended by SIGSEGV at models.py line 15",
     ),
-    "hangs": ("while True: pass", "step: no answer within 1 s at models.py line 19"),
+    "hangs": ("while True: pass", "step: no answer within 1 s at models.py line 15"),
     "hangs and hears no signals": (
         """
         for number in set(signal.Signals) - {signal.SIGKILL, signal.SIGSTOP}:
@@ -113,38 +105,17 @@ BREAKS = {
         "step: no answer within 1 s",
     ),
     "stands still": ("os.kill(os.getpid(), signal.SIGSTOP)", "step: no answer within 1 s"),
-    "closes all files": (
-        "os.closerange(0, 1000)",
-        "step: its process has ended with exit status [0-9]+",
-    ),
     "closes all files and waits": (
         "os.closerange(0, 1000); time.sleep(1e6)",
         "step: its process answers no more: it has closed the connection",
     ),
-    "reads the terminal": ("input()", "line 19, step: EOF when reading a line"),
-    "opens the terminal": ("open('/dev/tty')", "line 19, step: .*/dev/tty"),
+    "reads the terminal": ("input()", "line 15, step: EOF when reading a line"),
     "raises what is no error": ("raise BaseException('b')", r"step: BaseException\('b'\)"),
-    "raises what has no text": (
-        """
-        class Mute(Exception):
-            def __str__(self):
-                raise ValueError
-        raise Mute
-        """,
-        "line 22, step: Mute",
-    ),
-    "raises escapes": (r"raise ValueError('\x1b[2J\nred')", r"step: \\x1b\[2J red"),
     "raises much": ("raise ValueError(10**7 * 'x')", "step: x{500}[.]{3}"),
-    "recurses": ("self.step(t, displacement, velocity, ground_acceleration)", "step: maximum rec"),
     "gives words": ("return ['5']", "step gives no numbers .*, but must give the force in N"),
     "gives infinity": ("return [float('-inf')]", "step gives a force that is not finite: .-inf. N"),
     "gives too many": ("return 10**6 * [1.0]", r"step gives a force of the shape \(1000000,\)"),
     "gives an odd tangent": ("self.stiffness = 'soft'", "stiffness is 'soft', but must be finite"),
-    "gives odd responses": ("self.responses = lambda: 5", "responses gives 5, but must give"),
-    "gives odd names": (
-        r"self.responses = lambda: {'\x1b[2J': 1.0}",
-        r"responses gives .*x1b.*, but must give printable names and numbers",
-    ),
     "writes to any file": (
         """
         for file in range(3, 4096):
@@ -166,7 +137,7 @@ def test_a_model_that_breaks_is_one_line_that_says_where(model, capfd, monkeypat
     if how.startswith(STUCK):  # the others have their time, on a busy machine too
         monkeypatch.setattr(model_process, "STEP_TIME", 1.0)
         monkeypatch.setattr(model_process, "ENDING_TIME", 0.1)
-    source = model(code, "MADE" if "made" in how else "STEP")
+    source = model(code)
     _, error = run(source)
     assert re.search(why, error), error
     assert error.startswith(f"reference_force: computed.model: {source.name}")
@@ -182,16 +153,13 @@ BEARABLE = {
     "prints": ("print('hello'); os.write(1, b'raw'); os.write(2, b'err')", "hello\nraw.?err"),
     "prints escapes": (r"print('\x1b]0;title\x07\x1b[2Jred\rover')", r"\\x1b]0;title\\x07"),
     "prints no text": (r"os.write(1, bytes(range(256)))", r"\\x00"),
-    "closes the standard files": ("os.closerange(0, 3)", ""),
     "takes signals": ("signal.signal(signal.SIGTERM, signal.SIG_IGN)", ""),
     "forks a child that stays": (
         "os.fork() or (os.setsid(), time.sleep(1e6))",
         "",
     ),
-    "starts programs": ("import subprocess; subprocess.Popen(['sleep', '1e6'])", ""),
     "starts threads": ("threading.Thread(target=time.sleep, args=[1e6]).start()", ""),
     "registers its end": ("import atexit; atexit.register(time.sleep, 1e6)", ""),
-    "breaks numpy": ("import numpy; numpy.set_printoptions(precision=1)", ""),
 }
 
 
@@ -227,7 +195,7 @@ def test_a_model_that_hangs_in_its_end_is_ended(model, monkeypatch):
 def test_what_goes_wrong_in_the_end_of_a_model_is_shown(model, capfd):
     source = model("def close(self):\n    raise ValueError('not closed')", "MORE")
     assert run(source) == (10.0 * LAST, "")
-    assert "line 23, close: not closed" in capfd.readouterr().err
+    assert "line 19, close: not closed" in capfd.readouterr().err
 
 
 def test_a_model_that_has_ended_starts_again_for_the_next_test(model):

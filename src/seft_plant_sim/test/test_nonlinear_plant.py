@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from bare_rig import BareRig, rig_section
 from seft_msgs_py.errors import InputError
-from seft_plant_sim import continuous_model as model_module
 from seft_plant_sim.rig import continuous_model
 
 DT = 0.002
@@ -32,33 +31,11 @@ def difference(amplitude, **values):
     return (np.abs(nonlinear - linear).max(axis=0) / np.abs(linear).max(axis=0)).ravel()
 
 
-def test_the_linear_kinds_are_solved_exactly_in_one_step_and_the_others_in_several():
-    def steps(**values):
-        return max(plant(**values).parameters.dynamics.steps)
-
-    for kind in ("ideal", "delay", "servo_hydraulic_linear"):
-        assert steps(actuator__kind=kind) == 1
-    assert steps() > 1
-    yields = {"specimen__kind": "bilinear", "specimen__yield_displacement": 1.0}
-    assert steps(actuator__kind="ideal", **yields) > 1
-
-
 def test_a_small_drive_sees_the_linear_rig():
     """The difference falls with the square of the amplitude, as of the root of the pressure."""
     small, large = difference(1e-3), difference(1e-1)
     np.testing.assert_allclose(large / small, 100.0, rtol=0.02)
     assert difference(1e-5).max() < 1e-6
-
-
-def test_a_specimen_that_yields_later_on_is_linear_until_then():
-    for law in ("bilinear", "bouc_wen"):
-        yields = {"specimen__kind": law, "specimen__yield_displacement": 1e3}
-        tolerance = 1e-9 if law == "bilinear" else 1e-5  # Bouc-Wen is never quite elastic
-        for kind, drive in (("ideal", 1000.0), ("servo_hydraulic_linear", 1.0)):
-            bent = run(plant(actuator__kind=kind, **yields), drive * NOISE)[0]
-            linear = run(plant(actuator__kind=kind), drive * NOISE)[0]
-            peak = np.abs(linear).max(axis=0)
-            np.testing.assert_allclose(bent / peak, linear / peak, atol=tolerance)
 
 
 @pytest.mark.parametrize("leakage", [0.0, 20.0])
@@ -106,37 +83,6 @@ def test_no_drive_gives_what_is_no_number(drive):
         assert np.isfinite(run(plant(**values), turns)[0]).all()
     yields = {"specimen__kind": "bouc_wen", "specimen__yield_displacement": 0.002}
     assert np.isfinite(run(plant(**yields), turns)[0]).all()
-
-
-@pytest.mark.parametrize("law", ["linear", "bilinear", "bouc_wen"])
-def test_axes_that_are_not_coupled_are_rigs_of_their_own(law, monkeypatch):
-    """In equal steps: else those of the fastest axis are the steps of all."""
-    monkeypatch.setattr(model_module, "LONGEST_STEP", 1e-4)
-    axes = ("x", "y", "z")
-    each = {
-        "specimen__mass": [52.7, 80.0, 40.0],
-        "specimen__stiffness": [2.11e5, 3e5, 1.5e5],
-        "actuator__oil_stiffness": [1.664e7, 2e7, 1.2e7],
-        "actuator__stroke": [0.076, 0.004, 0.05],
-        "actuator__friction": [0.0, 50.0, 10.0],
-    }
-    both = {"specimen__kind": law}
-    if law != "linear":
-        each["specimen__yield_displacement"] = [0.001, 0.002, 0.003]
-    if law != "linear":
-        both["specimen__yield_displacement"] = 0.001
-    commands = 5.0 * np.random.default_rng(6).normal(size=(150, 3))
-    together = run(plant(axes, **(both | each)), commands)[0]
-    for column in range(3):
-        own = {name: values[column] for name, values in each.items()}
-        alone = run(plant(**(both | own)), commands[:, column : column + 1])[0]
-        peak = np.abs(alone).max(axis=0)
-        error = np.abs(together[:, :, column] - alone[:, :, 0]) / peak[:, 0]
-        assert error.max() < 1e-9, column
-    twice = run(plant(("x", "y"), **both), np.repeat(commands[:, :1], 2, axis=1))[0]
-    once = run(plant(**both), commands[:, :1])[0]
-    np.testing.assert_allclose(twice[:, :, 1:], once, rtol=1e-9, atol=1e-9)
-    np.testing.assert_array_equal(twice[:, :, 0], twice[:, :, 1])
 
 
 def test_what_is_too_fast_to_be_followed_is_refused():

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from bare_rig import FRAME, BareRig, rig_section
 from scipy.integrate import solve_ivp
-from seft_plant_sim import continuous_model as model_module
 from seft_plant_sim.actuator import STOP_DAMPING, STOP_STIFFNESS
 from seft_plant_sim.rig import continuous_model
 from seft_plant_sim.sensors import CHANNELS
@@ -161,29 +160,6 @@ def test_actuator_with_valve_flow_and_friction(name, amplitude, dead_time):
     assert error(ONE, actuator, commands, expected) < TOLERANCE[name]
     linear = sampled(ONE, actuator | {"kind": "servo_hydraulic_linear"}, commands)
     assert np.abs(linear - expected)[:, 3].max() > 0.05 * np.abs(expected[:, 3]).max()
-
-
-WEAK = {"force_capacity": 6000.0, "rated_voltage": 5.0}
-
-
-@pytest.mark.parametrize(
-    ("actuator", "commands", "law"),
-    [
-        (WEAK, drive("noise", 1, 8.0), "bilinear"),
-        ({"friction": 300.0}, drive("sine", 1, 6.0), "linear"),
-    ],
-    ids=["full opening and stall, and yielding", "much friction"],
-)
-def test_where_it_gets_rough_the_error_falls_as_the_step_does(actuator, commands, law, monkeypatch):
-    """What is left comes of the steps and not of the equations: in steps a quarter as long.."""
-    specimen = ONE | {"kind": law} | YIELD
-    expected = solved(specimen, SERVO | actuator, commands)
-    coarse = error(specimen, SERVO | actuator, commands, expected)
-    for name in ("LONGEST_STEP", "STEP_TIMES_RATE"):
-        monkeypatch.setattr(model_module, name, getattr(model_module, name) / 4)
-    fine = error(specimen, SERVO | actuator, commands, expected)
-    assert coarse < 0.03
-    assert fine < max(coarse / 6, 1e-4)
 
 
 def test_end_stops_push_and_do_not_pull():

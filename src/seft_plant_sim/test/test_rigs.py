@@ -1,10 +1,13 @@
 """Several rigs, each with its part of the parameters."""
 
+import itertools
+
 import numpy as np
 import pytest
+from bare_rig import rig_section
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.outcome import Simulated
+from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.rig import Rig, Rigs
 from seft_plant_sim.rig_parameters import RIG_TABLE
 
@@ -68,22 +71,6 @@ def test_rigs_together_do_what_one_with_all_axes_does(more):
     assert together.drive == "valve_command"
 
 
-def test_the_largest_motion_is_that_of_any():
-    together, parts = Rigs(test := plan()), [made(test, rig) for rig in plan().rigs]
-    _, commands = driven(together, 3)
-    together.stop()
-    alone = []
-    for rig, of in zip(parts, test.rigs, strict=True):
-        rig.reset()
-        for command in commands:
-            rig.step(command[list(of.places)])
-        rig.stop()
-        alone.append(rig.simulated())
-    assert together.simulated() == Simulated(
-        *np.max([list(vars(p).values()) for p in alone], axis=0)
-    )
-
-
 @pytest.mark.parametrize("more", [(), FAULTS])
 def test_each_has_the_bits_of_its_node(more):
     test = plan(*more)
@@ -124,3 +111,20 @@ def test_no_spring_connects_rigs():
     )
     with pytest.raises(InputError, match="a spring connects west with another rig"):
         made(test, test.rigs[0])
+
+
+def test_rigs_do_not_share_what_they_remember():
+    """Two at once, step by step, and each for itself."""
+    command, section = (
+        np.full(1, 3.0),
+        rig_section(specimen__kind="bilinear", specimen__yield_displacement=0.003),
+    )
+    one, other = (Rig.from_parameters(section, ("x",), Timebase.from_rate(500.0)) for _ in "ab")
+    one.reset()
+    alone = np.array([one.step(command) for _ in range(50)])
+    one.reset()
+    other.reset()
+    pairs = [(one.step(command), other.step(-command)) for _ in range(50)]
+    np.testing.assert_array_equal([first for first, _ in pairs], alone)
+    for first, second in itertools.islice(pairs, 5):
+        assert first is not second

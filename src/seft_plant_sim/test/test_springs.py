@@ -138,23 +138,6 @@ def test_pinching_slips_by_twice_its_length_at_each_passage_through_zero_force()
     assert reaches[1] == pytest.approx(reaches[0], abs=2e-3)
 
 
-def test_pinched_loops_grow_narrow():
-    """Each cycle dissipates less than the one before, and ever less than without."""
-    path = through(0, *(2, -2) * 6, points=2000)
-    ends = np.arange(1, 12) * 1999
-    pinched = np.diff(spring("pinching", pinching__growth=0.05).follow(path)[2][ends])
-    plain = np.diff(spring("bouc_wen").follow(path)[2][ends])
-    assert (np.diff(pinched) < 0).all()
-    assert pinched[-1] < 0.75 * plain[-1]
-
-
-@pytest.mark.parametrize("name", ["Bouc-Wen", "smooth", "degrading", "another package's"])
-def test_the_hysteretic_part_carries_no_more_than_the_yield_force(name):
-    path = through(0, 30, -30, 30, points=8000)
-    force = SPRINGS[name].follow(path)[0] - A * K * path
-    assert np.abs(force).max() <= (1 - A) * K * Y * (1 + 1e-9)
-
-
 @springs
 def test_a_path_in_small_steps_and_in_large_ones_is_the_same_loop(name):
     """No time occurs in a law: only the path counts."""
@@ -196,14 +179,6 @@ def test_a_spring_pushed_the_other_way_is_its_mirror_image(name, turns):
     one, other = SPRINGS[name].follow(path), SPRINGS[name].follow(-path)
     np.testing.assert_array_equal(other[0], -one[0])
     np.testing.assert_array_equal(other[1:], one[1:])
-
-
-@given(st.lists(st.floats(-1, 1), min_size=1, max_size=12))
-@pytest.mark.parametrize("name", ["bilinear", "flag", "gap"])
-def test_a_spring_that_has_not_come_to_its_knee_is_linear(name, turns):
-    made = spring("flag", flag__dissipation=0.0) if name == "flag" else SPRINGS[name]
-    path = through(0, *turns, points=3)
-    np.testing.assert_allclose(made.follow(path)[0], K * path, atol=1e-12 * K * Y)
 
 
 @springs

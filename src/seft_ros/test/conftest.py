@@ -1,4 +1,4 @@
-"""What tests of commands share."""
+"""What tests of commands and of records share."""
 
 from functools import partial
 
@@ -11,3 +11,16 @@ def seft(monkeypatch, tmp_path):
     """Run the command line in an empty folder; (status, stdout, stderr)."""
     monkeypatch.chdir(tmp_path)
     return partial(run_seft, tmp_path)
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Read a text or bytes as a ground motion; gives the record."""
+    from seft_ros.ground_motion.record_file import read_record  # which few tests need
+
+    def read(content, columns=(-1,), unit="", dt=0.0, name="record.txt", **words):
+        path = tmp_path / name
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return read_record(path, list(columns), unit, dt, **words)
+
+    return read

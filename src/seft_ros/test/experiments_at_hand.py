@@ -11,10 +11,21 @@ CONFIG = Path(__file__).parents[3] / "config"  # wherever it runs, as by colcon 
 JHU = CONFIG / "jhu.yaml"
 
 
-def load(*words, config="jhu"):
-    """Experiment of a file in config, with overrides as after -p."""
-    file = CONFIG / f"{config}.yaml"
-    return Experiment.load(TABLES, [file], [parse_override(word) for word in words])
+def load(*words, config="jhu", files=(), nodes=None):
+    """Experiment of a file in config and of others; overrides as after -p, or in their parts."""
+    overrides = [parse_override(word) if isinstance(word, str) else word for word in words]
+    return Experiment.load(TABLES, [CONFIG / f"{config}.yaml", *files], overrides, nodes)
+
+
+def of_parts(base, *parts, more=(), config=None):
+    """Experiment of parameters by node, the later parts over the earlier ones, and overrides."""
+    sections = {node: dict(values) for node, values in base.items()}
+    for part in parts:
+        for node, values in part.items():
+            sections[node] = sections.get(node, {}) | values
+    words = [(node, *item) for node, values in sections.items() for item in values.items()]
+    files = [CONFIG / f"{config}.yaml"] if config else []
+    return Experiment.load(TABLES, files, [*words, *more])
 
 
 def simulated(experiment):

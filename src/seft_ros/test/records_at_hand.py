@@ -1,9 +1,12 @@
-"""Records with samples lost, and texts as a terminal shows them."""
+"""Records with samples lost, texts as a terminal shows them, and disks with little room."""
 
 import dataclasses
 import io
+import subprocess
+import sys
 
 import numpy as np
+import pytest
 from rich.console import Console
 from seft_ros.bags.record import Series
 
@@ -28,3 +31,14 @@ def shown(texts, width=200):
     stream = io.StringIO()
     Console(file=stream, width=width).print(*texts, sep="\n")
     return stream.getvalue()
+
+
+def run_on_a_disk(options, folder, *words):
+    """Run Python on a file system of its own, mounted with options, which is gone afterwards."""
+    shell = 'mount -t tmpfs -o "$1" tmpfs "$2" && cd "$2" && shift 2 && exec "$@"'
+    words = ["unshare", "-m", "sh", "-c", shell, "sh", options, folder, sys.executable, *words]
+    done = subprocess.run(words, capture_output=True, text=True)
+    if "unshare" in done.stderr or "mount:" in done.stderr:
+        pytest.skip("may not mount a file system here")
+    assert done.stderr == ""
+    return done.stdout.strip()

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from records_at_hand import shown, without
+from records_at_hand import shown
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.comparison import compare_records
+from seft_ros.analysis.figures import comparison_figure
 from seft_ros.analysis.result_text import comparison_texts
 from seft_ros.bags.record import (
     Estimates,
@@ -27,11 +29,11 @@ PLACES = [
 ]
 
 
-def make_record(count=COUNT, rate=500.0, axes=AXES, missed=0):
+def make_record(count=COUNT, rate=500.0, axes=AXES, missed=0, start=0):
     rng = np.random.default_rng(5)
-    steps = np.arange(count)
+    steps = np.arange(start, count)
     shapes = {topic.name: (COUNT, len(topic.quantities), len(axes)) for topic in LOOP_TOPICS}
-    series = {name: Series(steps, rng.normal(size=shape)[:count]) for name, shape in shapes.items()}
+    series = {name: Series(steps, rng.normal(size=shape)[steps]) for name, shape in shapes.items()}
     return Record(Experiment({"rig": {"rate": rate, "axes": list(axes)}}), series, missed=missed)
 
 
@@ -116,22 +118,64 @@ def test_errors_are_told_of_each_field_and_the_largest_of_the_topic():
     assert row["nrmse"] == pytest.approx(max(0.5, 10.0 / np.sqrt(80) / rms))
 
 
-def test_samples_are_aligned_by_step_and_not_by_place():
-    a = without(make_record(), "rig/state", [3, 4])
-    result = compare_records(a, without(make_record(), "rig/state", [10]))
-    assert result["topics"]["rig/state"]["max_abs"] == 0.0
-    assert (result["topics"]["rig/state"]["missing_a"], result["first_difference"]["step"]) == (
-        2,
-        3,
-    )
-    assert result["first_difference"]["a"] == "missing"
-
-
 def test_records_without_a_common_step_are_compared():
     result = compare_records(make_record(0), make_record())
     assert result["first_difference"]["step"] == 0
     assert result["topics"]["rig/state"]["missing_a"] == 40
     assert compare_records(make_record(0), make_record(0))["identical"] is True
+
+
+@pytest.mark.parametrize(
+    ("other", "told"),
+    [
+        ({"rate": 250.0}, "the rate is 500 Hz in the first and 250 Hz in the second"),
+        ({"axes": ("x",)}, "the axes are x, y in the first and x in the second"),
+        ({"axes": ("y", "x")}, "the axes are x, y in the first and y, x in the second"),
+    ],
+)
+def test_rates_and_axes_must_be_the_same(other, told):
+    with pytest.raises(InputError, match=told):
+        compare_records(make_record(), make_record(**other))
+
+
+def test_the_common_part_of_different_lengths_is_compared_and_both_are_told():
+    result = compare_records(make_record(), make_record(20))
+    assert result["length_s"] == {"a": 0.078, "b": 0.038}
+    assert result["first_difference"]["b"] == "missing"
+    assert result["first_value_difference"] is None
+    assert result["topics"]["rig/state"]["compared"] == 20
+    assert result["topics"]["rig/state"]["missing_b"] == 20
+    text = shown(comparison_texts(result), width=80)
+    assert "lengths differ: 0.078 s in a, 0.038 s in b" in text
+    assert "rig/state: 40 samples in a and 20 in b, 0 not in a, 20 not in b" in text
+    assert "…" not in text
+
+
+def test_the_first_value_that_differs_is_told_besides_a_sample_that_is_missing():
+    b = make_record(start=3)
+    b.series["valve_command"].values[20, 0, 0] = 77.0
+    result = compare_records(make_record(), b)
+    assert result["first_difference"]["step"] == 0
+    assert result["first_value_difference"]["step"] == 23
+    assert result["first_value_difference"]["topic"] == "valve_command"
+
+
+def test_both_tests_are_drawn_with_their_difference_its_first_mark_and_gaps():
+    a, b = make_record(), make_record()
+    b.series["valve_command"].values[20] += 1.0
+    kept = np.setdiff1d(np.arange(COUNT), range(30, 35))
+    b.series.update({name: series.of_steps(kept) for name, series in b.series.items()})
+    figure = comparison_figure(a, b, compare_records(a, b), ["a: bag", "b: bag"])
+    figure.canvas.draw()
+    legend = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert legend == ["a: bag", "b: bag", "first difference: valve_command, 0.04 s"]
+    labels = [panel.get_ylabel() for panel in figure.axes]
+    assert labels[0] == "displacement / mm"
+    assert len(labels) == 6
+    assert all(label.startswith("difference") for label in labels[1::2])
+    assert figure.texts[0].get_text().startswith("axis x")
+    (line,) = (line for line in figure.axes[1].lines if len(line.get_xdata()) > 2)
+    assert np.isnan(line.get_ydata()).sum() == 1
 
 
 ESTIMATES = Estimates(np.array([0, 20]), np.arange(8.0).reshape(2, 2, 2), ("delay", "gain"))

@@ -2,10 +2,10 @@
 
 import dataclasses
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
+from experiments_at_hand import load
 from hypothesis import given
 from hypothesis import strategies as st
 from records_at_hand import as_measured
@@ -20,21 +20,14 @@ from seft_ros.analysis.equivalent_motion import (
     peaks,
     secant_stiffness,
 )
-from seft_ros.analysis.judgement import verdict_line
 from seft_ros.analysis.metrics import delayed
-from seft_ros.analysis.report_numbers import report_numbers
-from seft_ros.analysis.report_page import write_report
 from seft_ros.analysis.summary import summarise
 from seft_ros.analysis.tracking import tracked_of, tracking_error_of, tracking_of
 from seft_ros.bags.record import (
     Record,
     Series,
 )
-from seft_ros.bags.record_bag import read_bag
-from seft_ros.drawing.style import Mark
-from seft_ros.test_run.parameter_tables import TABLES
 
-ROOT = Path(__file__).parents[3]
 COUNT = 1500
 CONFIGS = ("jhu", "three_storey_frame", "water_tower", "two_pier_bridge")
 FRICTION = {  # 45 times as stiff until it slips, at some 100 N
@@ -46,7 +39,7 @@ FRICTION = {  # 45 times as stiff until it slips, at some 100 N
 
 
 def experiment(config="jhu", mass_ratio=1.0, **changes):
-    loaded = Experiment.load(TABLES, [ROOT / "config" / f"{config}.yaml"]).sections
+    loaded = load(config=config).sections
     loaded["reference_force"]["mass_ratio"] = mass_ratio
     for name, value in changes.items():
         node, _, parameter = name.partition("__")
@@ -99,12 +92,6 @@ def test_an_exact_test_is_of_the_ground_motion_that_was_asked_for(config):
     np.testing.assert_allclose(found, motion, atol=1e-4 * np.abs(motion).max())
 
 
-def test_so_it_is_in_an_eft_test():
-    test = experiment(reference_force__method="eft")
-    motion = ground(test)
-    np.testing.assert_allclose(equivalent_of(test, states_of(test, motion)), motion, atol=1e-12)
-
-
 @pytest.mark.parametrize("law", [FRICTION, {"specimen.kind": "bouc_wen"}])
 def test_of_the_specimen_nothing_but_the_mass_counts(law):
     sections = experiment().sections
@@ -125,16 +112,6 @@ def test_a_known_error_of_force_is_a_known_error_of_ground_motion():
     wanted = -np.linalg.solve(whole.structure.mass, error.T).T
     found = equivalent_of(test, wrong) - equivalent_of(test, states)
     np.testing.assert_allclose(found, wanted, atol=1e-12)
-
-
-@pytest.mark.parametrize("config", CONFIGS)
-def test_piece_by_piece_it_is_the_same(config):
-    test = experiment(config)
-    states = states_of(test, ground(test))
-    running = EquivalentMotion(whole_structure(assumed_structure(test)), test.timebase.dt)
-    cuts = np.split(states, [1, 2, 700])
-    found = np.concatenate([running.advance(piece) for piece in cuts])
-    np.testing.assert_allclose(found, equivalent_of(test, states), atol=1e-9)
 
 
 @pytest.mark.parametrize("config", CONFIGS)
@@ -237,16 +214,6 @@ def test_a_method_that_sends_ahead_is_held_against_what_it_meant(config):
     assert tracking_of(record)[test.axes[0]]["delay_s"] == pytest.approx(14e-3, abs=5e-4)
 
 
-def test_the_force_that_was_meant_is_that_of_theory():
-    test = experiment(reference_force__compensation__method="model")
-    motion = ground(test)
-    states = states_of(test, motion)
-    states[:, 3] += np.random.default_rng(4).normal(size=(COUNT, 1))
-    meant = tracked_of(make_record(test, motion, states)).command
-    restoring = states[:, 3] - 52.7 * states[:, 2]
-    np.testing.assert_allclose(meant, -52.7 * motion + 0.5 * restoring, atol=1e-9)
-
-
 def test_a_reference_force_with_a_target_tells_both_motion_and_force():
     test = experiment(reference_force__compensation__method="none")
     states = states_of(test, ground(test))
@@ -256,38 +223,6 @@ def test_a_reference_force_with_a_target_tells_both_motion_and_force():
     assert tracking_of(record)["x"]["nrmse"] == 0.0
     assert summarise(record)["tracking_error"]["nrmse"] == pytest.approx(0.1)
     assert tracking_error_of(make_record(test, ground(test), states)) is None
-
-
-SHORT = ("-p", "ground_motion:synthetic.duration:=8.0", "-p", "ground_motion:peak_force:=300.0")
-
-
-def test_a_simulated_test_tells_what_it_was_of(seft):
-    words = ("simulate", ROOT / "config" / "jhu.yaml", *SHORT, "--json")
-    status, out, _ = seft(*words, "-p", "reference_force:mass_ratio:=0.5")
-    summary = json.loads(out)
-    found, true = summary["equivalent_motion"], summary["displacement"]["nrmse"]
-    assert status == 0 and true > 0.2
-    assert found["response_nrmse"] == pytest.approx(true, rel=0.05)
-    assert found["worst_response_nrmse"] >= found["response_nrmse"]
-    assert abs(found["spectrum_deviation"]) > 0.1
-    assert found["structure"]["frequency_hz"] == pytest.approx([10.07 / 1.5**0.5], rel=0.01)
-    assert summary["tracking_error"] is None
-    assert summary["reference_specimen"] == "simulated"
-
-
-def test_a_rig_of_which_nothing_is_known_is_judged_all_the_same(seft, tmp_path):
-    recorded = tmp_path / "bag"
-    words = ("simulate", ROOT / "config" / "jhu.yaml", *SHORT, "--out", recorded, "--no-figure")
-    seft(*words, "-p", "reference_force:mass_ratio:=0.5")
-    record = read_bag(recorded)
-    rig = {name: record.experiment["rig"][name] for name in ("rate", "axes")}
-    bare = Experiment(record.experiment.sections | {"rig": rig})
-    findings = report_numbers(dataclasses.replace(record, experiment=bare))
-    assert findings.judgement.verdict is Mark.BAD
-    assert "equivalent ground motion" in findings.judgement.text
-    assert "equivalent ground motion" in verdict_line(findings.summary)
-    write_report(findings, "bare", tmp_path / "bare.html")
-    assert "The equivalent ground motion" in (tmp_path / "bare.html").read_text()
 
 
 @given(

@@ -50,12 +50,6 @@ def test_a_summary_tells_how_each_estimate_went_per_axis_in_si_units():
     assert estimates["stiffness"]["x"]["last"] == 1.9e5
 
 
-def test_a_summary_without_estimates_has_none():
-    record = make_record(estimates=None)
-    assert summarise(record)["estimates"] == {}
-    assert "identified" not in table(record)
-
-
 def test_a_summary_of_estimates_that_are_not_finite_is_json_and_can_be_shown():
     record = make_record()
     record.estimates.values[2, 0, 0] = math.nan
@@ -103,9 +97,3 @@ def test_a_figure_has_a_small_panel_for_each_estimate_and_axis(axes):
         np.testing.assert_allclose(course.get_ydata(), STIFFNESS[:, column] / 1e3)
         assert list(trip.get_xdata()) == [0.22, 0.22]
         assert panels[4, column].get_xlabel() == "time / s"
-
-
-def test_an_estimate_of_unknown_unit_is_drawn_by_its_name():
-    panels = draw(make_record(names=("$gain", "delay")), None).axes
-    assert panels[3].get_ylabel() == "$gain"
-    assert panels[4].get_ylabel() == "delay / ms"

@@ -14,7 +14,7 @@ from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis import figures
 from seft_ros.analysis.judgement import verdict_line
-from seft_ros.analysis.metrics import delayed, nrmse
+from seft_ros.analysis.metrics import delayed
 from seft_ros.analysis.result_text import summary_texts
 from seft_ros.analysis.summary import reference_of, summarise
 from seft_ros.bags.record import (
@@ -73,15 +73,6 @@ def make_record(axes=("x",), gain=1.0, delay=0.0, **changes):
     return dataclasses.replace(record, **changes)
 
 
-def test_a_perfect_test_has_no_error():
-    summary = summarise(make_record())
-    for name in THREE:
-        assert summary[name]["nrmse"] == 0.0
-        assert summary[name]["nrmse_aligned"] == 0.0
-        assert summary[name]["delay_s"] == 0.0
-        assert summary[name]["peak"] == summary[name]["reference_peak"] > 0
-
-
 def test_gain_and_delay_of_a_test_are_told():
     summary = summarise(make_record(gain=1.04, delay=0.0137))
     for name in THREE:
@@ -121,19 +112,6 @@ def test_a_summary_is_json():
     assert summary["axes"]["y"]["displacement"]["nrmse"] == 0.0
 
 
-def test_of_several_axes_each_is_told_and_the_top_level_is_all_of_them():
-    record = make_record(("x", "y", "z"))
-    record.series["rig/state"].values[:, :, 1] *= 1.1
-    summary = summarise(record)
-    assert list(summary["axes"]) == ["x", "y", "z"]
-    errors = [summary["axes"][axis]["displacement"]["nrmse"] for axis in "xyz"]
-    assert errors == [0.0, pytest.approx(0.1), 0.0]
-    reference = reference_of(record).displacement
-    assert summary["displacement"]["nrmse"] == nrmse(
-        record.series["rig/state"].values[:, 0], reference
-    )
-
-
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 @pytest.mark.parametrize("topic", [topic.name for topic in LOOP_TOPICS[1:]])
 def test_a_test_with_values_that_are_not_finite_is_not_stable(topic, value):
@@ -153,16 +131,6 @@ def test_the_numbers_of_a_tripped_test_leave_out_its_ramp_down():
     assert "numbers are of its first 1000 steps" in " ".join(text.split())
     whole = summarise(make_record())
     assert whole["judged_steps"] == whole["steps"]
-
-
-def test_a_figure_shows_the_strong_part_of_the_ground_motion():
-    record = make_record()  # a packet of 6 Hz about 1 s
-    panel = figures.test_figure(record, reference_of(record)).axes[0]
-    start, end = panel.get_xlim()
-    assert start == 0.0
-    assert 3.0 < end < 3.6
-    tripped = make_record(trip=Trip("limit", 1999, 3.998))
-    assert figures.test_figure(tripped, None).axes[0].get_xlim()[1] == pytest.approx(3.998)
 
 
 def test_lost_steps_are_counted_and_the_others_compared():
@@ -287,6 +255,11 @@ def test_a_figure_holds_the_samples_in_units_for_people_against_time():
     assert test.get_xdata()[-1] == pytest.approx(3.998)
     assert np.array_equal(exact.get_ydata(), reference_of(record).displacement[:, 0] * 1e3)
     assert panel.get_title(loc="right") == "NRMSE 10.0 %"
+    start, end = panel.get_xlim()  # of the strong part of the ground motion, a packet about 1 s
+    assert start == 0.0
+    assert 3.0 < end < 3.6
+    tripped = make_record(trip=Trip("limit", 1999, 3.998))
+    assert figures.test_figure(tripped, None).axes[0].get_xlim()[1] == pytest.approx(3.998)
 
 
 def test_figures_are_saved_as_png_without_touching_the_users_pyplot(tmp_path):
@@ -312,6 +285,5 @@ def test_what_can_not_be_compared_is_drawn_still(tmp_path):
 @pytest.mark.parametrize("name", ["no/folder/figure.png", "figure.docx"])
 def test_a_figure_that_cannot_be_saved_is_an_input_error(tmp_path, name):
     record = make_record()
-    with pytest.raises(InputError, match="can't be saved") as caught:
+    with pytest.raises(InputError, match="can't be saved"):
         save_figure(figures.test_figure(record, None), tmp_path / name)
-    assert "\n" not in str(caught.value)

@@ -80,18 +80,6 @@ def test_a_missed_step_is_the_machines_where_a_bare_process_was_late_too():
     assert stalls["count"] == 1
 
 
-def test_a_step_is_the_machines_too_where_its_state_came_late_out_of_a_stall():
-    record = make_record(np.full(20, 300_000), drop=[7])
-    states = record.series["rig/state"]
-    states.received_ns[7] += 1_600_000
-    end = int(states.received_ns[7]) - 100_000
-    seen = {"beats": 80, "count": 1, "late_s": 1e-3, "longest_s": 1.3e-3}
-    seen["intervals_ns"] = [[end - 1_300_000, end]]
-    environment = {"mode": "run", "stalls": seen}
-    record = dataclasses.replace(record, missed=1, missed_steps=[7], environment=environment)
-    assert stalls_of(record)["missed_in_a_stall"] == 1
-
-
 def test_where_nobody_watched_the_machine_nothing_is_said_of_it():
     assert stalls_of(make_record(np.full(5, 1))) is None
 

@@ -1,9 +1,7 @@
 import os
 import resource
-import subprocess
-import sys
 
-import pytest
+from records_at_hand import run_on_a_disk
 from seft_ros.bags import bag_place
 from seft_ros.bags.bag_place import why_not_writable
 
@@ -17,14 +15,7 @@ print(why_not_writable(Path(sys.argv[1])))
 
 def asked_on(options, folder, place):
     """Ask on a file system of its own, mounted with options."""
-    shell = 'mount -t tmpfs -o "$1" tmpfs "$2" && cd "$2" && exec "$3" -c "$4" "$5" "$6"'
-    words = ["unshare", "-m", "sh", "-c", shell, "sh", options, folder]
-    words += [sys.executable, ASK, place]
-    done = subprocess.run(words, capture_output=True, text=True)
-    if "unshare" in done.stderr or "mount:" in done.stderr:
-        pytest.skip("may not mount a file system here")
-    assert done.stderr == ""
-    return done.stdout.strip()
+    return run_on_a_disk(options, folder, "-c", ASK, place)
 
 
 def test_there_is_a_place_in_a_folder_that_is_there_or_can_be_made(tmp_path):

@@ -1,10 +1,10 @@
 import struct
 
 import pytest
+from bags_at_hand import write_stock_bag
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.rosbag2 import CompressionMode, Reader
 from seft_msgs_py.wire.messages import encode_string
 from seft_msgs_py.wire.topics import STRING
 from seft_ros.bags import mcap_file
@@ -19,25 +19,21 @@ MESSAGES = st.lists(
 )
 
 
-def write(path, messages, mode=CompressionMode.NONE, storage=StoragePlugin.MCAP):
-    """A bag of (topic, log time, whether a chunk ends here)."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    writer = Writer(path, version=9, storage_plugin=storage)
-    writer.set_compression(mode, CompressionFormat.ZSTD)
-    with writer:
-        known = {name: writer.add_connection(name, STRING, typestore=store) for name in TOPICS}
-        for number, (topic, time, ends) in enumerate(messages):
-            # lengths differ now and then
-            writer.write(known[topic], time, encode_string("x" * (number // 5) + f"{number:2d}"))
-            if ends and storage is StoragePlugin.MCAP:
-                writer.storage.close_chunk()
-    return path
+def write(path, messages, mode=CompressionMode.NONE, storage="mcap"):
+    """A bag of (topic, log time, whether a chunk ends here); lengths differ now and then."""
+    told = [
+        (topic, STRING, time, encode_string("x" * (number // 5) + f"{number:2d}"))
+        for number, (topic, time, _) in enumerate(messages)
+    ]
+    ends = [number for number, (*_, end) in enumerate(messages) if end]
+    return write_stock_bag(path, told, storage, mode, ends)
 
 
 def expected(path, topics):
     with Reader(path) as reader:
         wanted = [item for item in reader.connections if item.topic in topics]
-        return [(item.topic, time, raw) for item, time, raw in reader.messages(wanted)]
+        found = reader.messages(wanted) if wanted else ()  # of none, it gives all
+        return [(item.topic, time, raw) for item, time, raw in found]
 
 
 def found(path, topics):
@@ -64,10 +60,10 @@ def test_messages_come_as_they_were_written(tmp_path_factory, messages, topics, 
     assert sorted(got) == sorted(expected(path, topics))
 
 
-@pytest.mark.parametrize("storage", list(StoragePlugin))
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 @pytest.mark.parametrize("mode", list(CompressionMode))
 def test_bags_of_any_storage_and_single_files_are_read(tmp_path, storage, mode):
-    if storage is StoragePlugin.SQLITE3 and mode is CompressionMode.STORAGE:
+    if storage == "sqlite3" and mode is CompressionMode.STORAGE:
         pytest.skip("there is no such bag")
     messages = [(TOPICS[k % 3], k // 2, k % 7 == 0) for k in range(1, 60)]
     path = write(tmp_path / "bag", messages, mode, storage)

@@ -2,8 +2,7 @@ import json
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from bags_at_hand import write_stock_bag
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.messages import (
     EstimatesCodec,
@@ -100,21 +99,6 @@ def test_a_test_is_read_back(tmp_path):
     assert record.series["valve_command"].values[9].tolist() == [[-9.0, -9.0]]
 
 
-def test_ground_motion_ends_with_the_last_rig_state(tmp_path):
-    messages = [*description(), motion(0, 50), motion(50, 50), *loop(range(60))]
-    record = read_bag(write(tmp_path / "bag", messages))
-    assert record.series["ground_motion"].steps.tolist() == list(range(60))
-
-
-def test_samples_are_ordered_by_step_and_of_duplicates_the_first_counts(tmp_path):
-    codec = CODECS["rig/state"]
-    messages = [*description(), *loop([0, 3, 1]), (RIG_STATE, codec.encode(3, states(99)))]
-    record = read_bag(write(tmp_path / "bag", [*messages, *loop([2])]))
-    series = record.series["rig/state"]
-    assert series.steps.tolist() == [0, 1, 2, 3]
-    assert np.array_equal(series.values, [states(k) for k in range(4)])
-
-
 def test_each_sample_has_the_time_its_message_was_received(tmp_path):
     late = [(RIG_STATE, CODECS["rig/state"].encode(3, states(99)))]
     messages = [*description(), motion(0, 10), *loop([0, 3, 1]), *late, *loop([2])]
@@ -159,13 +143,6 @@ def test_what_nodes_tell_is_an_event_once_until_they_tell_another(tmp_path):
     assert times[0] < 0 < times[1]  # the rig's first sample is time zero
 
 
-def test_steps_that_were_lost_are_not_there(tmp_path):
-    messages = [*description(), motion(0, 10), *loop([0, 1, 4, 5])]
-    record = read_bag(write(tmp_path / "bag", messages))
-    assert record.series["rig/state"].steps.tolist() == [0, 1, 4, 5]
-    assert record.series["ground_motion"].steps.tolist() == [0, 1, 2, 3, 4, 5]
-
-
 def test_estimates_that_do_not_fit_the_test_are_left_out_and_counted(tmp_path):
     codec, foreign = EstimatesCodec(AXES, TIMEBASE), EstimatesCodec(("z",), TIMEBASE)
     delay = {"delay": np.array([0.01, 0.02])}
@@ -192,13 +169,6 @@ def test_without_the_rigs_last_word_the_end_is_unknown(tmp_path):
     assert record.trip is None
 
 
-def test_a_trip_is_told_with_reason_step_and_time(tmp_path):
-    trip = Trip("force 900 N on axis x is beyond the limit of 800 N", 9, 0.018)
-    record = read_bag(write(tmp_path / "bag", [*TEST[:-1], ending("tripped", trip)]))
-    assert record.trip == trip
-    assert record.complete
-
-
 def test_the_rigs_last_word_counts(tmp_path):
     trip = Trip("limit", 9, 0.018)
     record = read_bag(write(tmp_path / "bag", [*TEST, ending("tripped", trip)]))
@@ -219,12 +189,6 @@ def test_messages_that_cannot_be_understood_are_left_out_and_counted(tmp_path):
     assert record.environment["undecodable"] == 6
     assert record.series["rig/state"].steps.tolist() == list(range(10))
     assert record.missed == 2
-
-
-def test_a_test_with_no_samples_is_an_empty_record(tmp_path):
-    record = read_bag(write(tmp_path / "bag", description()))
-    assert [len(series.steps) for series in record.series.values()] == [0] * len(LOOP_TOPICS)
-    assert record.series["rig/state"].values.shape == (0, 4, 2)
 
 
 @pytest.mark.parametrize("bad", [[], [(DESCRIPTION, encode_string("{}"))], description({})])
@@ -256,9 +220,8 @@ def test_a_bag_without_metadata_says_how_to_get_it_back(tmp_path, storage):
 def test_garbled_metadata_is_an_input_error(tmp_path, text):
     path = write(tmp_path / "bag", TEST)
     (path / "metadata.yaml").write_text(text)
-    with pytest.raises(InputError, match="seft recover") as caught:
+    with pytest.raises(InputError, match="seft recover"):
         read_bag(path)
-    assert "\n" not in str(caught.value)
 
 
 def test_damage_inside_the_file_is_named_with_the_steps_that_are_missing(tmp_path):
@@ -281,55 +244,29 @@ def test_damage_inside_the_file_is_named_with_the_steps_that_are_missing(tmp_pat
     assert f"/rig/state: {len(missing)} of 2000 messages are missing" in record.damage
 
 
-def ros2_bag_record(path, messages, prefix="", mode=CompressionMode.NONE, storage="mcap"):
+def ros2_bag_record(path, messages, prefix="", storage="mcap"):
     """A bag as `ros2 bag record -a` makes it: all topics, of whatever type."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    writer = Writer(path, version=9, storage_plugin=StoragePlugin[storage.upper()])
-    writer.set_compression(mode, CompressionFormat.ZSTD)
-    with writer:
-        known = {}
-        for k, (name, kind, raw) in enumerate(
-            [
-                ("/rosout", STRING, encode_string("log")),
-                ("/clock", CLOCK, b"\x00\x01\x00\x00" + bytes(8)),
-                (prefix + "/rig/state", STRING, encode_string("a foreign topic of that name")),
-                *((f"{prefix}/{topic.name}", topic.type, raw) for topic, raw in messages),
-            ]
-        ):
-            key = (name, kind)
-            if key not in known:
-                known[key] = writer.add_connection(name, kind, typestore=store)
-            writer.write(known[key], START + k, raw)
-    return path
+    told = [
+        ("/rosout", STRING, encode_string("log")),
+        ("/clock", CLOCK, b"\x00\x01\x00\x00" + bytes(8)),
+        (prefix + "/rig/state", STRING, encode_string("a foreign topic of that name")),
+        *((f"{prefix}/{topic.name}", topic.type, raw) for topic, raw in messages),
+    ]
+    stamped = [(name, kind, START + k, raw) for k, (name, kind, raw) in enumerate(told)]
+    return write_stock_bag(path, stamped, storage)
 
 
-@pytest.mark.parametrize(
-    ("storage", "mode"),
-    [
-        (s, m)
-        for s in ("mcap", "sqlite3")
-        for m in CompressionMode
-        if (s, m.name) != ("sqlite3", "STORAGE")
-    ],
-)
-def test_bags_of_other_recorders_are_read(tmp_path, storage, mode):
-    record = read_bag(ros2_bag_record(tmp_path / "bag", TEST, mode=mode, storage=storage))
+@pytest.mark.parametrize("prefix", ["", "/lab/rig2"])
+def test_a_bag_of_another_recorder_is_read_also_in_a_namespace(tmp_path, prefix):
+    """Of all storages and compressions, see test_bags_message_blocks.py."""
+    record = read_bag(ros2_bag_record(tmp_path / "bag", TEST, prefix, storage="sqlite3"))
     assert record.series["rig/state"].steps.tolist() == list(range(10))
     assert record.environment["undecodable"] == 0
 
 
-def test_a_test_in_a_namespace_is_read(tmp_path):
-    record = read_bag(ros2_bag_record(tmp_path / "bag", TEST, prefix="/lab/rig2"))
-    assert record.series["rig/state"].steps.tolist() == list(range(10))
-
-
 def test_tests_in_two_namespaces_are_an_input_error(tmp_path):
-    store = get_typestore(Stores.ROS2_JAZZY)
-    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        for name in ("/a", "/b"):
-            connection = writer.add_connection(
-                f"{name}/experiment/description", STRING, typestore=store
-            )
-            writer.write(connection, START, description()[0][1])
+    raw = description()[0][1]
+    told = [(f"{name}/experiment/description", STRING, START, raw) for name in ("/a", "/b")]
+    write_stock_bag(tmp_path / "bag", told)
     with pytest.raises(InputError, match="several tests, in /a/, /b/"):
         read_bag(tmp_path / "bag")

@@ -3,8 +3,8 @@
 import os
 import shutil
 
+import bags_at_hand
 import pytest
-from rosbags.rosbag2 import Reader
 from seft_msgs_py.errors import ExperimentError
 from seft_msgs_py.wire.messages import encode_string
 from seft_msgs_py.wire.topics import DESCRIPTION, DIAGNOSTICS
@@ -20,8 +20,7 @@ ALL = sorted((k, "/" + topic.name, raw) for topic, raw, k in MESSAGES)
 def contents(path):
     with Bag(path) as bag:
         assert bag.damage == []
-    with Reader(path) as reader:
-        return sorted((t, c.topic, bytes(raw)) for c, t, raw in reader.messages())
+    return sorted((t, topic, raw) for topic, t, raw in bags_at_hand.contents(path))
 
 
 def delete(bag):

@@ -4,7 +4,6 @@ import json
 
 import pytest
 from experiments_at_hand import JHU
-from matplotlib.figure import Figure
 from seft_msgs_py.errors import ExperimentError
 from seft_ros.design import stability_map
 
@@ -85,13 +84,6 @@ def test_a_mass_and_a_motion_that_do_not_fit_the_rig_are_told(seft, told):
     assert told(JHU, *DELAY, *strong)[1]["warnings"] == []  # no valve
 
 
-def test_an_unstable_plan_has_no_damping_in_the_test(seft, told):
-    words = (JHU, *DELAY, "-p", f"{RATIO}1.0")
-    status, found = told(*words)
-    assert (status, found["modes"], found["false_damping_ratio"]) == (1, [], None)
-    assert "in the test" not in seft("preflight", *words)[1]
-
-
 def test_the_figure_is_drawn_of_both_maps(seft, tmp_path, monkeypatch):
     monkeypatch.setattr(stability_map, "_FINEST", 15)
     words = ("preflight", JHU, *DELAY, "--figure", "map", "--json")
@@ -99,24 +91,6 @@ def test_the_figure_is_drawn_of_both_maps(seft, tmp_path, monkeypatch):
     assert status == 0
     assert json.loads(out)["figure"] == "map.png"
     assert (tmp_path / "map.png").stat().st_size > 20_000
-
-
-@pytest.mark.parametrize(
-    ("words", "named"),
-    [
-        ([JHU, "--external", "rig"], "seft identify"),
-        ([JHU, "--external", "reference_force"], "reference_force: runs elsewhere"),
-        ([JHU, "--figure", "none/map.png"], "none/map.png"),
-    ],
-)
-def test_wrong_input_is_told_in_one_line(seft, tmp_path, monkeypatch, words, named):
-    monkeypatch.setattr("seft_ros.design.stability_map.preflight_figure", lambda *_: Figure())
-    monkeypatch.setattr("seft_ros.design.stability_map.stability_maps", lambda *_: None)
-    status, out, err = seft("preflight", *words)
-    assert (status, out) == (2, "")
-    assert err.count("\n") == 1
-    assert named in err
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.fixture

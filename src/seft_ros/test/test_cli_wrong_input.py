@@ -45,13 +45,10 @@ def record(tmp_path):
 
 @pytest.mark.parametrize(
     ("parameter", "told"),
-    [  # a rule of a table, of all nodes, of a block, and of a file; their tests know the others
-        ("reference_force:mass_ratio:=x", ['mass_ratio is "x"', "must be a number"]),
+    [  # of a table, of all nodes, and of a file; their tests know the others
         ("reference_force:mass_ration:=1", ["no parameter mass_ration", "mass_ratio?"]),
         ("rate:=333", ["333 Hz", "320 and 400"]),
-        ("force_controller:denominator:=0", ["denominator is zero"]),
         ('ground_motion:file:="two\\nlines"', ["two lines"]),
-        ("recorder:on_loss:=csv", ["one of stop, go_on"]),
     ],
 )
 def test_a_wrong_parameter_is_refused(refused, parameter, told):
@@ -80,14 +77,40 @@ def test_a_faulty_file_is_refused(refused, record, tmp_path):
         (["run", JHU, "--external", "recorder"], "--external recorder: must be one of"),
         (["report", "none"], "none"),
         (["compare", "none", "other"], "none"),
+        (["compare", "one"], "Missing argument"),
+        (["compare", "one", "one", "--figure", "none/figure.png"], "no folder none"),
+        (["compare", "one", "one", "--figure", "figure.xyz"], "figures end in"),
+        (["preflight", JHU, "--external", "rig"], "seft identify"),
+        (["preflight", JHU, "--external", "reference_force"], "reference_force: runs elsewhere"),
+        (["identify", JHU, "--band", "10", "5"], "--band is 10 to 5 Hz"),
+        (["identify", JHU, "--duration", "5"], "needs 13.3333 s"),
+        (["identify", JHU, "--external", "force_controller"], "--external"),
+        (["link", "--out", "x.yaml"], "--out needs CONFIG"),
+        (["link", "--duration", "0"], "must be positive"),
+        (["run", JHU, "-p", "reference_force:loop_delay:=-1"], "--external force_controller"),
+        (["new", "driver", "../rig"], "use lower-case letters"),
+        (["new", "driver", "class"], "use lower-case letters"),
+        (["new", "driver", "json"], "another package has this name"),
+        (["new", "bridge", "my_rig"], "can't make a new bridge; seft new driver NAME makes a"),
+        (["study", JHU, *SHORT, "--method", "nome"], "did you mean none?"),
+        (["study", JHU, *SHORT, "--workers", "0"], "--workers"),
+        (["study", JHU, *SHORT, "--motion", "none.AT2"], "none.AT2"),
+        (["study", JHU, *SHORT, "--out", "none/page.html"], "no folder none"),
+        (["study", JHU, *SHORT, "--spread", "2"], "--spread"),
+        (["study", JHU, *SHORT, "-p", "rig:actuator.oil_column_frequency:=10.08"], "drawn test"),
+        (
+            ["replay", "bag", "-p", "rig:seed:=3"],
+            "-p needs one --node, whose parameters it changes",
+        ),
         (["recover", "none"], "none"),
         (["motion"], "name a record, or an experiment by --config"),
         (["motion", "none.AT2", "-p", "rate:=100"], "name it by --config"),
         (["parameters", "rigg"], "did you mean rig?"),
     ],
 )
-def test_a_wrong_command_line_is_refused(refused, words, told):
+def test_a_wrong_command_line_is_refused_before_anything_is_written(refused, tmp_path, words, told):
     assert told in refused(*words)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_process_ends_with_status_2_and_without_a_traceback():
@@ -129,16 +152,8 @@ def test_a_test_that_trips_ends_with_status_1_and_says_so(seft):
     assert "unstable" not in err  # a limit is no instability
 
 
-@pytest.mark.parametrize(
-    ("fault", "error"),
-    [
-        ("force set at 1", "set needs a value"),
-        ("z/force set 3 at 1", "there is no axis z; there are x"),
-        ("specimen melt at 1", "specimen can't melt; it can break, slip, collide"),
-        ("force set 3 at 90", "the test ends at 3 s, before the fault begins"),
-    ],
-)
-def test_a_wrong_fault_is_told_in_one_line_before_anything_moves(seft, fault, error):
+def test_a_wrong_fault_is_told_in_one_line_before_anything_moves(seft):
+    fault, error = "force set 3 at 90", "the test ends at 3 s, before the fault begins"
     for command in ("simulate", "run"):
         status, out, err = seft(command, JHU, *SHORT, "-p", f"rig:faults:={fault}")
         assert (status, out) == (2, "")
@@ -188,32 +203,9 @@ def test_simulate_report_and_motion_tell_the_same_of_a_ground_motion(seft, recor
     status, out, _ = seft("simulate", JHU, *words, "--out", "bag", "--json")
     assert status == 0
     simulated = json.loads(out)["ground_motion"]
-    assert simulated == {
-        "source": "own.csv",
-        "unit": "cm/s2",
-        "dt_s": 0.01,
-        "channels": [
-            {
-                "axis": "x",
-                "file": "own.csv",
-                "layout": "columns",
-                "column": "column 1",
-                "unit": "cm/s2",
-                "unit_from": "as given",
-                "dt_s": 0.01,
-                "dt_from": "column 0",
-                "samples": 101,
-            }
-        ],
-        "correction": None,
-        "scale_factor": pytest.approx(2.0),
-        "peak_force_n": 105.4,
-        "time_scale": 0.5,
-        "peak_acceleration": [pytest.approx(2.0)],
-        "duration_s": pytest.approx(0.5),
-        "tail_s": 0.5,
-        "resampling": "band-limited to 100 Hz; its largest sample is a step, it begins 1 ms later",
-    }
+    assert (simulated["source"], simulated["unit"], simulated["dt_s"]) == ("own.csv", "cm/s2", 0.01)
+    assert simulated["channels"][0]["dt_from"] == "column 0"
+    assert (simulated["scale_factor"], simulated["duration_s"]) == pytest.approx((2.0, 0.5))
     assert json.loads(seft("report", "bag", "--json")[1])["ground_motion"] == simulated
     shown = json.loads(seft("motion", "--config", JHU, *words, "--json")[1])
     assert {name: shown[name] for name in simulated} == simulated

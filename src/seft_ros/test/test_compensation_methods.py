@@ -19,13 +19,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 from seft_msgs_py.errors import InputError
-from seft_ros.reference_force.compensation_methods import (
-    COMPENSATION_METHODS,
-    TargetMotion,
-    model,
-    none,
-    restoring,
-)
 
 LINEAR = ("none", "model", "restoring")
 DELAYS = st.floats(0.0021, 0.0399)
@@ -89,8 +82,3 @@ def test_the_model_predicts_as_the_exact_solution_of_the_whole_structure(delay, 
     expected = -2.5 * mass @ ground - 1.5 * mass @ a
     scale = np.abs(K * state[0]).max() + np.abs(mass @ motion[:25].T).max()
     np.testing.assert_allclose(force / scale, expected / scale, atol=0.02)
-
-
-def test_each_name_is_that_of_its_method():
-    own = {"none": none, "model": model, "restoring": restoring, "target_motion": TargetMotion}
-    assert {name: COMPENSATION_METHODS[name] for name in own} == own

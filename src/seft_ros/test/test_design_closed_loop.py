@@ -4,9 +4,9 @@ from collections import deque
 
 import numpy as np
 import pytest
+from experiments_at_hand import of_parts
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import brentq
 from scipy.signal import ss2tf
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
@@ -22,7 +22,6 @@ from seft_ros.design.stability_verdict import predicted_modes
 from seft_ros.force_controller.force_control import ForceController
 from seft_ros.reference_force.reference_force_block import ReferenceForce
 from seft_ros.reference_force.reference_force_parameters import OWN_METHODS
-from seft_ros.test_run.parameter_tables import TABLES
 
 M, C, K = 52.7, 800.3, 2.11e5
 RIG = {
@@ -48,7 +47,14 @@ LATE = {
     }
 }
 """Channels that wait do so for whole samples, for which preflight's delay is exact."""
-WIDE = {f"limits.{name}": 1e9 for name in LIMIT_ROWS}
+BASE = {
+    "rig": RIG | {f"limits.{name}": 1e9 for name in LIMIT_ROWS},
+    "reference_force": {
+        "compensation.delay": 0.012,
+        "tracking.numerator": [1.0],
+        "tracking.dead_time": 0.012,
+    },
+}
 
 
 def delayed(delay):
@@ -57,21 +63,9 @@ def delayed(delay):
 
 def experiment(*parts, rate=500.0, axes=("x",), **reference):
     """Experiment of the paper's rig, and what parts say otherwise, by node."""
-    sections = {
-        "rig": RIG | WIDE,
-        "reference_force": {
-            "compensation.delay": 0.012,
-            "tracking.numerator": [1.0],
-            "tracking.dead_time": 0.012,
-        },
-    }
     named = {name.replace("__", "."): value for name, value in reference.items()}
-    for part in (*parts, {"reference_force": named}):
-        for node, values in part.items():
-            sections[node] = sections.get(node, {}) | values
-    words = [(node, *item) for node, values in sections.items() for item in values.items()]
-    words += [("/**", "rate", rate), ("/**", "axes", list(axes))]
-    return Experiment.load(TABLES, overrides=words)
+    more = [("/**", "rate", rate), ("/**", "axes", list(axes))]
+    return of_parts(BASE, *parts, {"reference_force": named}, more=more)
 
 
 def blocks_displacements(test, motion, steps):
@@ -208,34 +202,6 @@ def test_a_loop_taken_apart_has_the_eigenvalues_of_the_whole(size, density, seed
     assert len(found) == size
     power = [np.trace(np.linalg.matrix_power(matrix, k)) for k in (1, 2, 5)]
     assert [np.sum(found**k).real for k in (1, 2, 5)] == pytest.approx(power, rel=1e-6, abs=1e-6)
-
-
-def neutral_delay_critical(damping_ratio, delay, natural):
-    """Smallest alpha at which m s^2 (1 + alpha exp(-s T)) + c s + k has a root s = jw."""
-
-    def forced(w):
-        u = (natural / w) ** 2
-        return u - 1 + 2j * damping_ratio * np.sqrt(u)
-
-    def turned(w):  # alpha exp(-jwT) = forced(w)
-        return np.angle(forced(w) * np.exp(1j * w * delay))
-
-    w = np.linspace(0.05 * natural, 30 * natural, 200_000)
-    angles = turned(w)
-    crossing = np.flatnonzero((angles[:-1] * angles[1:] < 0) & (np.abs(np.diff(angles)) < 1))
-    return min(abs(forced(brentq(turned, w[i], w[i + 1]))) for i in crossing)
-
-
-@pytest.mark.parametrize(("delay", "damping"), [(0.004, C), (0.020, 100.0)])
-def test_a_pure_delay_ends_where_the_neutral_delay_equation_says(delay, damping):
-    """At a high rate; the sample that answers is one later, and the hold half a sample more."""
-    rate, natural = 5000.0, np.sqrt(K / M)
-    rig = {"rig": delayed(delay)["rig"] | {"specimen.damping": damping}}
-    found = critical_mass_ratio(Plan(experiment(rig, rate=rate)))
-    ratio = damping / (2 * np.sqrt(K * M))
-    assert found.value == pytest.approx(
-        neutral_delay_critical(ratio, delay + 1 / rate, natural), rel=0.01
-    )
 
 
 @pytest.mark.parametrize("alpha", [0.2, 0.5, 0.9])

@@ -1,12 +1,11 @@
 """The loop of `target_motion` and `velocity_feedforward`: its matrix and margins hold in tests."""
 
-from functools import cache
-from pathlib import Path
+from functools import cache, partial
 
 import numpy as np
 import pytest
+from experiments_at_hand import of_parts
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import LIMIT_ROWS
 from seft_ros.design.closed_loop import frozen_target
@@ -20,9 +19,7 @@ from seft_ros.reference_force.reference_force_block import method_inputs
 from seft_ros.reference_force.target_motion import TargetMotion
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
-from seft_ros.test_run.parameter_tables import TABLES
 
-DEMO = Path(__file__).parents[3] / "config" / "demo.yaml"
 K, OIL = 2.11e5, 1.664e7
 QUIET = {f"sensors.{name}_noise": 0.0 for name in ("position", "velocity", "acceleration", "force")}
 BASE = {
@@ -61,13 +58,7 @@ SMALL, USUAL = 1e-6, 1.0
 have, and a usual test."""
 
 
-def experiment(*parts):
-    sections = {node: dict(values) for node, values in BASE.items()}
-    for part in parts:
-        for node, values in part.items():
-            sections[node] = sections.get(node, {}) | values
-    words = [(node, *item) for node, values in sections.items() for item in values.items()]
-    return Experiment.load(TABLES, [DEMO], words)
+experiment = partial(of_parts, BASE, config="demo")
 
 
 def test_motion(test, size, steps=2000, held=None, noise=True):
@@ -243,17 +234,3 @@ def test_a_transfer_function_takes_the_force_of_the_first_point():
     filters = plan.compensation()
     assert filters.d.shape[0] == 3 * (1 + plan.compensator().preview)
     assert not plan.follows_valves and np.isfinite(plan.growth_rate())
-
-
-def test_velocity_feedforward_needs_a_target_motion():
-    with pytest.raises(InputError, match="needs a target motion"):
-        Plan(experiment({"reference_force": {"compensation.method": "none"}}))
-
-
-def test_a_usual_test_is_stable_within_the_sure_margins_whatever_it_learns():
-    margins = planned()[1]
-    late = {"rig": {"actuator.dead_time": 0.97 * margins.sure_dead_time.value}}
-    for change in (late, stronger(0.97 * margins.robust_gain.highest.value)):
-        _, found = test_motion(experiment(change), USUAL, 4000)
-        quiet, last = (np.abs(part).max() for part in (found[2000:3000, 3], found[3000:, 3]))
-        assert last < 1.5 * quiet < 100.0

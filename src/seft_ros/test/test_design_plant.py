@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig import continuous_model
-from seft_ros.design.plant import choose_plant
+from seft_ros.design.plant import Root, choose_plant, lightly_damped, polynomial_of, roots_of
 from seft_ros.test_run.parameter_tables import TABLES
 
 MASS, DAMPING, STIFFNESS = 52.7, 800.0, 2.11e5
@@ -58,16 +58,6 @@ def test_an_identified_plant_may_answer_at_once():
     assert plant.response(f) == pytest.approx(exact)
 
 
-def expanded():
-    """The rig's transfer function, multiplied out by hand."""
-    wv, oil, leakage = 2 * np.pi * 70.0, 1.664e7, 50.0
-    specimen = np.array([MASS, DAMPING, STIFFNESS])
-    numerator = oil * 0.04 * wv**2 * specimen
-    fluid = np.polyadd(np.polymul([1.0, leakage], specimen), [oil, 0.0])
-    denominator = np.polymul([1.0, 2 * 0.6 * wv, wv**2], fluid)
-    return numerator.tolist(), denominator.tolist()
-
-
 @settings(max_examples=15, derandomize=True)
 @given(st.floats(10.0, 500.0), st.floats(1.0, 30.0), st.floats(0.002, 0.4))
 def test_the_zeros_of_the_plant_are_the_specimens_poles(mass, hz, damping):
@@ -85,14 +75,6 @@ def test_the_oil_column_is_the_spring_of_oil_and_specimen_under_the_mass(oil_sti
     expected = np.sqrt((oil_stiffness + STIFFNESS) / MASS) / (2 * np.pi)
     assert pole.hz == pytest.approx(expected, rel=5e-3)
     assert 0 < pole.damping < 0.2
-
-
-def test_the_response_is_that_of_the_transfer_function():
-    numerator, denominator = expanded()
-    f = np.array([0.3, 5.0, 10.0, 40.0, 90.0, 200.0])
-    s = 2j * np.pi * f
-    exact = np.polyval(numerator, s) / np.polyval(denominator, s) * np.exp(-0.001 * s)
-    assert choose_plant(experiment()).response(f) == pytest.approx(exact, rel=1e-9)
 
 
 @pytest.mark.parametrize(("dead_time", "cutoff"), [(0.0, 0.0), (0.004, 80.0), (0.0071, 0.0)])
@@ -129,12 +111,6 @@ def test_coupled_axes_see_each_other_through_closed_valves():
     assert len(choose_plant(coupled).axis(0).a) == 8  # all but the other valve's
 
 
-def test_springs_at_rest_are_no_states():
-    test = experiment(specimen__kind="bilinear", specimen__yield_displacement=0.01)
-    plant = choose_plant(test)
-    assert len(plant.a) == 5
-
-
 @pytest.mark.parametrize(
     ("changed", "told"),
     [
@@ -158,3 +134,24 @@ def test_a_dead_time_of_many_samples_is_refused():
     plant = choose_plant(experiment(controller=identified([1.0], [1.0, 1.0], 1.0)))
     with pytest.raises(InputError, match="1000 samples"):
         plant.sampled(0.001)
+
+
+def test_roots_make_their_polynomial():
+    pair = Root(np.sqrt(4002.0) / (2 * np.pi), 17.14 / (2 * np.sqrt(4002.0)))
+    assert polynomial_of([pair]) == pytest.approx([1.0, 17.14, 4002.0])
+    assert polynomial_of([Root(1.0), Root(0.0)]) == pytest.approx([1.0, 2 * np.pi, 0.0])
+    assert roots_of(np.roots([1.0, 17.14, 4002.0])) == [
+        Root(pytest.approx(pair.hz), pytest.approx(pair.damping))
+    ]
+
+
+def test_an_unstable_real_pole_has_a_negative_frequency():
+    (root,) = roots_of([2 * np.pi])
+    assert (root.hz, root.damping) == (pytest.approx(-1.0), None)
+
+
+def test_lightly_damped_are_the_pairs_that_show():
+    values = [-1 + 100j, -1 - 100j, -90 + 100j, -90 - 100j, -50, 1 + 80j, 1 - 80j, 60j, -60j]
+    found = lightly_damped(roots_of(values))
+    assert [round(2 * np.pi * root.hz) for root in found] == [60, 100]
+    assert found[0].damping == 0.0

@@ -1,10 +1,11 @@
 """Limits that fit a test: expected peaks, what is proposed, and what is far beyond."""
 
-from pathlib import Path
+from functools import partial
 
+import experiments_at_hand
 import pytest
 from experiments_at_hand import simulated
-from seft_msgs_py.config.experiment import Experiment, parse_override, read_parameter_file
+from seft_msgs_py.config.experiment import read_parameter_file
 from seft_msgs_py.errors import InputError
 from seft_ros.design.preflight_tables import (
     expected_peaks,
@@ -15,14 +16,8 @@ from seft_ros.design.preflight_tables import (
 )
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
-from seft_ros.test_run.parameter_tables import TABLES
 
-DEMO = Path(__file__).parents[3] / "config" / "demo.yaml"
-
-
-def load(*words, files=(), nodes=None):
-    given = [parse_override(word) for word in words]
-    return Experiment.load(TABLES, [DEMO, *files], given, nodes)
+load = partial(experiments_at_hand.load, config="demo")
 
 
 def peaks_of(experiment):

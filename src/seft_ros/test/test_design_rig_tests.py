@@ -10,8 +10,6 @@ from seft_ros.design.rig_tests import (
     Levels,
     Motions,
     check_levels,
-    closed_loop_test,
-    default_force,
     frequency_response,
     has_valve,
     motion_spectra,
@@ -58,26 +56,6 @@ def test_in_the_open_loop_the_record_drives_the_valves_whatever_the_experiment_w
     np.testing.assert_allclose(commands[: len(unit)], LEVELS.voltage * unit, atol=1e-9)
     np.testing.assert_allclose(commands[len(unit) :], 0.0, atol=1e-9)
     assert np.abs(done.series["rig/state"].values[:, 3]).max() > 100.0
-
-
-def test_in_the_closed_loop_it_is_the_reference_force_and_the_controller_the_experiments_own(
-    record,
-):
-    of = load()
-    path, unit = record(of)
-    test = closed_loop_test(of, path)
-    forces = simulated(test).series["reference_force"].values[:, 0]
-    np.testing.assert_allclose(forces[: len(unit)], LEVELS.force * unit, atol=1e-9)
-    for name in ("numerator", "denominator", "feedback", "voltage_limit"):
-        assert test["force_controller"][name] == of["force_controller"][name]
-    assert test["supervisor"] == of["supervisor"]
-    assert of["ground_motion"]["file"] == ""  # the experiment itself is as it was
-
-
-def test_the_default_force_follows_the_mass_up_to_a_share_of_the_limit():
-    assert default_force(load()) == pytest.approx(5.0 * 52.7)
-    heavy = load("reference_force:model.mass:=5000.0", "supervisor:limits.force:=2000.0")
-    assert default_force(heavy) == pytest.approx(100.0)
 
 
 @pytest.mark.parametrize(
@@ -172,17 +150,6 @@ def test_coherence_is_the_share_of_power_that_the_input_explains():
         np.testing.assert_allclose(found.coherence.mean(), share.mean(), atol=1.5 * bias)
         at_peak = np.abs(found.frequencies_hz - 40.0).argmin()
         assert found.coherence[at_peak, 0] == pytest.approx(share[at_peak], abs=0.25)
-
-
-def test_noise_of_the_output_scatters_the_response_as_predicted_and_does_not_bias_it():
-    errors, predicted = [], []
-    for seed in range(8):
-        found, known = measured(1.0, seed)
-        errors.append(found.response[:, 0, 0] - known)
-        predicted.append(found.variance()[:, 0, 0])
-    scatter = np.mean(np.abs(errors) ** 2)
-    assert scatter == pytest.approx(np.mean(predicted), rel=0.1)
-    assert abs(np.mean(errors)) < 5 * np.sqrt(scatter / np.size(errors))
 
 
 def test_of_several_inputs_at_once_each_response_is_found():

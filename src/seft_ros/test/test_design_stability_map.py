@@ -1,16 +1,12 @@
 """Maps hold what single loops give, at their places."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from seft_msgs_py.config.experiment import Experiment, parse_override
+from experiments_at_hand import load
 from seft_ros.design import stability_map
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import find_margins
-from seft_ros.test_run.parameter_tables import TABLES
 
-CONFIG = Path(__file__).parents[3] / "config"
 RATIO = "reference_force:mass_ratio:=0.5"
 MODEL = ("reference_force:compensation.method:=model", "reference_force:compensation.delay:=0.013")
 PLANT = {
@@ -25,15 +21,10 @@ CASES = {
 }
 
 
-def plan_of(*words):
-    overrides = [parse_override(word) for word in words]
-    return Plan(Experiment.load(TABLES, [CONFIG / "jhu.yaml"], overrides))
-
-
 @pytest.mark.parametrize("name", CASES)
 def test_a_map_holds_what_the_plan_says_at_its_places(monkeypatch, name):
     monkeypatch.setattr(stability_map, "_FINEST", 11)
-    plan, seen = plan_of(RATIO, *CASES[name]), []
+    plan, seen = Plan(load(RATIO, *CASES[name])), []
     maps = stability_map.stability_maps(
         plan, find_margins(plan), lambda what, done, total: seen.append((done, total))
     )
@@ -53,7 +44,9 @@ def test_a_map_holds_what_the_plan_says_at_its_places(monkeypatch, name):
 
 def test_a_plant_that_is_identified_as_a_whole_has_no_map_of_the_stiffness(monkeypatch):
     monkeypatch.setattr(stability_map, "_FINEST", 11)
-    plan = plan_of(RATIO, *(f"force_controller:{name}:={value}" for name, value in PLANT.items()))
+    plan = Plan(
+        load(RATIO, *(f"force_controller:{name}:={value}" for name, value in PLANT.items()))
+    )
     margins = find_margins(plan)
     assert margins.stiffness is None
     assert len(stability_map.stability_maps(plan, margins)) == 1

@@ -75,18 +75,6 @@ def test_a_controller_that_cannot_be_sampled_is_refused(numerator, denominator, 
         controller(numerator, denominator)
 
 
-@pytest.mark.parametrize("name", CONTROLLERS)
-def test_without_feedback_the_reference_force_alone_goes_through_it(name):
-    rng = np.random.default_rng(5)
-    reference, force = rng.normal(size=(2, 300, 2))
-    numerator, denominator = CONTROLLERS[name]
-    block = ForceController([(numerator, denominator)] * 2, 1e300, DT, feedback=False)
-    closed = controller(numerator, denominator, axes=2)
-    np.testing.assert_array_equal(
-        drive(block, reference, 1e9 * force), drive(closed, reference, 0 * force)
-    )
-
-
 @given(
     st.sampled_from(sorted(CONTROLLERS)),
     st.floats(1e-3, 1e3),

@@ -2,14 +2,13 @@ import math
 
 import numpy as np
 import pytest
-from seft_msgs_py.config.experiment import Experiment, parse_override
+from experiments_at_hand import load
 from seft_msgs_py.errors import InputError
 from seft_ros.force_controller.detection import detectors_of
 from seft_ros.force_controller.force_control import ForceController
 from seft_ros.force_controller.interlock import DETECTED, Interlock
 from seft_ros.protection.detectors import DETECTORS, LIMITED_AT, SUSPECT, detector_arrays
 from seft_ros.protection.protection_step import extrapolated
-from seft_ros.test_run.parameter_tables import TABLES
 from warning_detectors import warning_detectors
 
 AXES = ("east", "north")
@@ -337,13 +336,10 @@ def test_a_controller_gets_as_many_points_as_it_asks_for(axes):
         np.testing.assert_array_equal(sample, measured)
 
 
-BRIDGE = "config/two_pier_bridge.yaml"
-
-
 def section_of(*words):
     """The force controller's section of a test with two rigs, its axes, and the test."""
-    given = [parse_override(f"force_controller:{word}") for word in words]
-    experiment = Experiment.load(TABLES, [BRIDGE], given)
+    given = [f"force_controller:{word}" for word in words]
+    experiment = load(*given, config="two_pier_bridge")
     return experiment["force_controller"], experiment.axes, experiment
 
 

@@ -2,13 +2,12 @@ import itertools
 
 import numpy as np
 import pytest
+from experiments_at_hand import load
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.topics import Timebase
 from seft_ros.force_controller.received_forces import NewestPreview
-from seft_ros.test_run.parameter_tables import TABLES
 
 D, DT = 4, 0.002
 
@@ -139,8 +138,7 @@ def test_a_message_that_is_repeated_or_out_of_order_is_refused():
 
 
 def test_a_watchdog_shorter_than_the_loops_own_delay_is_refused():
-    given = [parse_override("force_controller:loop_delay:=60")]
-    experiment = Experiment.load(TABLES, ["config/jhu.yaml"], given)
+    experiment = load("force_controller:loop_delay:=60")
     section = experiment["force_controller"]
     words = "reference_timeout is 0.1 s, but the loop's own delay is 0.12 s"
     with pytest.raises(InputError, match=words):

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 from seft_msgs_py.errors import InputError
 from seft_ros.force_controller.force_control import ControlInputs, LinearControl
-from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.methods import RegisteredControl
-from warning_detectors import warning_detectors
 
 KNOWN = ControlInputs(axes=2, dt=0.002, voltage_limit=10.0)
 ZERO = np.zeros((4, 2))
@@ -73,15 +71,3 @@ def test_linear_is_its_own_or_told_to_be_missing():
     np.testing.assert_allclose(found.d @ signals, 0.1 * (signals[:2] - signals[8:]))
     with pytest.raises(InputError, match=r"theirs has no linear\(\)"):
         RegisteredControl(Gain, "theirs", KNOWN).linear()
-
-
-def test_a_drive_that_is_no_number_trips_and_never_gets_out():
-    class Broken(Gain):
-        def step(self, reference_force, state):
-            return np.array([0.0, np.nan]) if reference_force.any() else np.zeros(2)
-
-    control = RegisteredControl(Broken, "theirs", KNOWN)
-    interlock = Interlock(control, ("x", "y"), 1e4, 0.5, 0.0, (np.inf,) * 4, warning_detectors(2))
-    assert interlock.step(7, np.ones((1, 1, 2)), ZERO).tolist() == [0.0, 0.0]
-    assert interlock.reason == "valve command on axis y is nan"
-    assert interlock.step_index == 7

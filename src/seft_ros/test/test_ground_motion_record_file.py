@@ -66,30 +66,6 @@ def test_fixed_width_columns_read_as_what_was_written_run_together_or_not(tmp_pa
     np.testing.assert_allclose(read, values, rtol=1e-6, atol=0)
 
 
-@pytest.mark.parametrize(
-    ("header", "unit", "size"),
-    [
-        ("ACCELERATION TIME SERIES IN UNITS OF g (9.81)", "g", G),
-        ("ACCELERATION TIME HISTORY IN UNITS OF G. FILTER POINTS: HP=0.2 Hz LP=30.0 Hz", "g", G),
-        ("Acceleration, units: cm/s/s", "cm/s2", 0.01),
-        ("ACCELERATION IN UNITS OF CM/SEC/SEC", "cm/s2", 0.01),
-        ("Acceleration (units of cm/sec^2)", "cm/s2", 0.01),
-        ("ACCELERATION UNITS: GAL", "cm/s2", 0.01),
-        ("acceleration in units of m/s**2", "m/s2", 1.0),
-        ("acceleration", "cm/s2", 0.01),
-    ],
-)
-def test_the_unit_of_an_at2_header_is_understood_in_its_spellings(tmp_path, header, unit, size):
-    path = write(tmp_path, f"{header}\nNPTS= 2, DT= .01 SEC\n 1.0 2.0\n")
-    np.testing.assert_allclose(read_record(path, [0], unit).accelerations[:, 0], [size, 2 * size])
-    others = {"g", "m/s2", "cm/s2"} - {unit} if "nits" in header.lower() else set()
-    for other in others:
-        with pytest.raises(
-            InputError, match=f"unit is {other}, but .* says {unit} .line 1.; leave"
-        ):
-            read_record(path, [0], other)
-
-
 def test_columns_are_chosen_in_the_order_asked_for(tmp_path):
     path = write(tmp_path, "1 2 3\n4 5 6\n")
     record = read_record(path, [2, 0], "m/s2", 0.02)
@@ -128,14 +104,9 @@ def test_headers_separators_and_line_ends_are_told_by_the_content(tmp_path, text
     ("header", "separator", "factor"),
     [
         ("time,acc", ",", 1),
-        ("Time (s),Acc (g)", ",", 1),
         ("t [s];a [g]", ";", 1),
         ("t\ta", "\t", 1),
-        ("Time (s)\tAcc (g)", "\t", 1),
-        ("TIME   ACCELERATION", "  ", 1),
         ("# time acc", " ", 1),
-        ("% time, acc", " ", 1),
-        ("time_s,a", ",", 1),
         ('"Time (sec)","a"', ",", 1),
         ("t (ms),a", ",", 1000),
     ],
@@ -255,13 +226,6 @@ def test_times_may_be_uneven_by_less_than_one_percent_of_the_step(tmp_path):
     uneven = write(tmp_path, "t,a\n0,1\n1.0,1\n2.011,1\n3.0,1\n4,2\n")
     with pytest.raises(InputError, match=r"line 4: time goes from 1 to 2\.011"):
         read_record(uneven, [1], "g")
-
-
-def test_a_long_file_reads_whole(tmp_path):
-    lines = [f"{k * 0.005:.3f},{k % 7}" for k in range(100_000)]
-    record = read_record(write(tmp_path, "time,acc\n" + "\n".join(lines)), [1], "m/s2")
-    np.testing.assert_array_equal(record.accelerations[:, 0], np.arange(100_000) % 7)
-    assert record.dt == 0.005
 
 
 DATA = Path(__file__).parents[3].parent / "shared" / "data"

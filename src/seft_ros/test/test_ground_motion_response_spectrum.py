@@ -35,35 +35,8 @@ def test_a_ramp_without_damping_follows_the_closed_form():
     np.testing.assert_allclose(spectrum, rate * (t - np.sin(w * t) / w), rtol=1e-12)
 
 
-def test_a_sine_off_resonance_follows_the_closed_form():
-    # x = -(1 / (w^2 - p^2)) (sin p t - p / w sin w t) without damping
-    dt, p = 0.001, 2 * np.pi * 2.0
-    t = dt * np.arange(5000)
-    periods = np.array([0.1, 0.3, 0.9, 4.0])
-    w = 2 * np.pi / periods[:, np.newaxis]
-    x = (np.sin(p * t) - p / w * np.sin(w * t)) / (w**2 - p**2)
-    expected = (w**2 * np.abs(x)).max(axis=1)
-    # the motion is linear between its samples: (p dt)^2 / 12 = 1.3e-5 below the sine
-    np.testing.assert_allclose(
-        response_spectrum(np.sin(p * t), dt, periods, 0.0), expected, rtol=5e-5
-    )
-
-
-def test_a_sine_in_resonance_grows_to_one_over_twice_the_damping():
-    dt, period = 0.002, 0.5
-    a = np.sin(2 * np.pi / period * dt * np.arange(20000))
-    np.testing.assert_allclose(response_spectrum(a, dt, [period], 0.05), 10.0, rtol=2e-3)
-
-
 def test_period_zero_gives_the_peak_ground_acceleration():
     assert response_spectrum([0.0, -3.0, 1.0], 0.01, [0.0, 0.5])[0] == 3.0
-
-
-def test_very_long_periods_see_the_ground_displacement():
-    # w -> 0: x is minus the ground displacement, a t^2 / 2 for constant a
-    period = 1e7
-    spectrum = response_spectrum(np.full(1001, 2.0), 0.01, [period], 0.05)
-    np.testing.assert_allclose(spectrum, (2 * np.pi / period) ** 2 * 10.0**2, rtol=1e-5)
 
 
 def test_every_sample_counts_across_the_blocks_of_the_computation():
@@ -84,15 +57,6 @@ def test_the_spectrum_scales_with_the_motion_and_with_time(motion, factor):
     slowed = response_spectrum(motion, 0.01 * factor, periods * factor)
     np.testing.assert_allclose(scaled, factor * spectrum, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(slowed, spectrum, rtol=1e-9, atol=1e-12)
-
-
-def test_the_summary_of_a_constant_motion_is_counted_by_hand():
-    summary = motion_summary(np.full((201, 1), 3.0), 0.01)
-    assert summary["steps"] == 201
-    assert summary["duration"] == pytest.approx(2.0)
-    assert summary["peak_acceleration"] == [3.0]
-    assert summary["arias_intensity"] == pytest.approx([np.pi / (2 * G) * 9 * 2])
-    assert summary["significant_duration"] == pytest.approx([0.9 * 2.0])
 
 
 def test_the_summary_integrates_a_linear_motion_exactly_and_per_axis():

@@ -1,9 +1,10 @@
 """One motion in rows of several numbers: read as one, or refused, never as a column of it."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from seft_msgs_py.errors import InputError
-from seft_ros.ground_motion.record_file import read_record
 
 MOTION = np.round(np.exp(-np.arange(118) / 40) * np.sin(0.3 * np.arange(118)), 5)
 
@@ -15,15 +16,9 @@ def in_rows(values, width=5):
 
 
 @pytest.fixture
-def read(tmp_path):
-    """Read a text, by default in g with 0.02 s; gives the record."""
-
-    def read(text, columns=(-1,), unit="g", dt=0.02, name="motion.acc", **words):
-        path = tmp_path / name
-        path.write_text(text)
-        return read_record(path, list(columns), unit, dt, **words)
-
-    return read
+def read(read):
+    """Read a text in g with 0.02 s."""
+    return partial(read, unit="g", dt=0.02)
 
 
 def layout(record):

@@ -39,12 +39,6 @@ def test_the_spectrum_has_the_values_of_kanai_tajimi_and_clough_penzien():
     np.testing.assert_allclose(motion_spectrum(2.5), kanai_tajimi * clough_penzien)
 
 
-def test_the_spectrum_vanishes_at_zero_with_the_fourth_power_of_frequency():
-    low = motion_spectrum([0.0, 1e-4, 2e-4])
-    assert low[0] == 0
-    assert low[2] / low[1] == pytest.approx(16, rel=1e-4)
-
-
 def test_the_average_periodogram_of_many_seeds_is_the_target_spectrum():
     steps, dt, seeds = 2000, 0.01, 400
     periodograms = [
@@ -63,16 +57,6 @@ def test_the_envelope_rises_stays_and_decays():
     times = [0, 1, 2, 5, 8, 8 + 1 / 0.35]
     np.testing.assert_allclose(envelope(times, **SHAPE), [0, 0.25, 1, 1, 1, np.exp(-1)])
     np.testing.assert_array_equal(envelope([0, 1, 99], 0, 0, 0), [1, 1, 1])
-
-
-def test_motions_of_many_seeds_are_as_strong_as_the_envelope_says():
-    motions = np.array([synthetic_motion(**{**MOTION, "seed": seed}) for seed in range(200)])
-    rms = np.sqrt(np.mean(motions**2, axis=0))
-    at = {t: np.sqrt(np.mean(rms[round(t / 0.005) - 20 : round(t / 0.005) + 21] ** 2))
-          for t in (1.0, 5.0, 12.0)}  # fmt: skip
-    assert at[1.0] / at[5.0] == pytest.approx(0.25, rel=0.1)
-    assert at[12.0] / at[5.0] == pytest.approx(np.exp(-0.35 * 4), rel=0.1)
-    assert not motions[:, 0].any()
 
 
 def test_a_seed_is_a_motion():
@@ -101,7 +85,6 @@ def test_contradictions_are_refused_by_name(given, what):
     with pytest.raises(InputError) as caught:
         synthetic_motion(**{**MOTION, **given})
     assert what in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 DT = 0.002
@@ -117,24 +100,6 @@ def test_it_goes_from_rest_to_rest_with_zero_mean_and_unit_rms(axes):
     assert np.abs(np.diff(samples[:5], axis=0)).max() < 1e-3
     np.testing.assert_allclose(samples.mean(axis=0), 0.0, atol=1e-12)
     np.testing.assert_allclose(np.mean(samples**2, axis=0), 1.0, rtol=1e-12)
-
-
-def test_its_power_lies_in_the_band_so_that_an_integrating_valve_does_not_drift():
-    samples = excitation(STEPS, 1, DT, BAND, 1)[:, 0]
-    power = np.abs(np.fft.rfft(samples)) ** 2
-    f = np.fft.rfftfreq(STEPS, DT)
-    assert power[f < BAND[0] / 1.6].sum() < 2e-3 * power.sum()
-    assert power[f > BAND[1] * 1.3].sum() < 2e-3 * power.sum()
-    drift = np.cumsum(samples) * DT
-    assert np.abs(drift).max() < 6 / (2 * np.pi * BAND[0])
-
-
-def test_the_random_signal_is_flat_over_the_band():
-    samples = excitation(200_000, 1, DT, BAND, 3)[:, 0]
-    power = np.abs(np.fft.rfft(samples)) ** 2
-    f = np.fft.rfftfreq(len(samples), DT)
-    bands = [power[(f >= low) & (f < low + 9)].mean() for low in range(1, 91, 9)]
-    assert max(bands) < 1.15 * min(bands)
 
 
 def test_a_seed_gives_the_same_bits_and_axes_are_independent():

@@ -5,7 +5,8 @@ from pathlib import Path
 
 SOURCE = Path(__file__).parents[2]
 LAYERS = (
-    *("seft_msgs_py", "seft_plant_sim"),
+    *("arrays", "printing", "errors", "files", "wire", "config", "node", "virtual"),
+    "seft_plant_sim",
     *("drawing", "ground_motion", "reference_force", "protection", "force_controller"),
     *("bags", "design", "test_run", "nodes"),
     *("analysis", "replay", "study", "monitor", "conformance", "paper", "cli"),
@@ -23,7 +24,8 @@ def imports(file):
 
 def layer(parts):
     """Place in the list of a module, given by the parts of its name."""
-    return LAYERS.index(parts[1] if parts[0] == "seft_ros" else parts[0])
+    own = parts[0] if parts[0] in LAYERS else parts[1].removesuffix(".py")
+    return LAYERS.index(own)
 
 
 def test_a_folder_imports_only_from_those_below_it():

@@ -5,7 +5,6 @@ from seft_msgs_py.wire.outcome import LinkRecord
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.timing import link_numbers
 from seft_ros.bags.record import Record, Series
-from seft_ros.cli import main as commands
 from seft_ros.test_run.link import (
     Allowed,
     RoundTrips,
@@ -92,23 +91,3 @@ def test_a_record_over_a_link_counts_what_was_predicted():
         "forces": 100,
     }
     assert link_numbers(Record(load(), series, link=told)) is None
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (["--out", "x.yaml"], "--out needs CONFIG"),
-        (["--duration", "0"], "must be positive"),
-    ],
-)
-def test_wrong_input_is_told_in_one_line(words, told, monkeypatch, capsys):
-    monkeypatch.setattr("sys.argv", ["seft", "link", *words])
-    assert commands.main() == 2
-    assert told in capsys.readouterr().err
-
-
-def test_a_delay_that_is_to_be_measured_needs_a_link(monkeypatch, capsys, tmp_path):
-    words = ["run", "config/demo.yaml", "-p", "reference_force:loop_delay:=-1"]
-    monkeypatch.setattr("sys.argv", ["seft", *words, "--out", str(tmp_path / "bag")])
-    assert commands.main() == 2
-    assert "--external force_controller" in capsys.readouterr().err

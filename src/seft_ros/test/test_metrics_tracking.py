@@ -84,13 +84,3 @@ def test_against_a_force_that_is_zero_errors_are_null(topic):
     assert found["delay_s"] is None
     none = {"reference_force": {"nrmse", "peak_error"}, "rig/state": set()}[topic]
     assert {name for name in NAMES[1:] if found[name] is None} == none
-
-
-@pytest.mark.parametrize("scale", [1e-200, 1e200])
-def test_forces_whose_squares_leave_the_numbers_are_told_all_the_same(scale):
-    record = make_record(1.05, 0.0037)
-    for topic in ("reference_force", "rig/state"):
-        record.series[topic].values[...] *= scale
-    found, plain = tracking_of(record)["x"], tracking_of(make_record(1.05, 0.0037))["x"]
-    for name in ("delay_s", "nrmse", "peak_error"):
-        assert found[name] == pytest.approx(plain[name], rel=1e-9)

@@ -1,10 +1,8 @@
 """From messages of the loop to what is shown of one test after another."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from seft_msgs_py.config.experiment import Experiment
+from experiments_at_hand import load
 from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_plant_sim.whole_structure import reference_response, whole_structure
@@ -16,10 +14,8 @@ from seft_ros.analysis.equivalent_motion import (
 from seft_ros.bags.record import Record, Series
 from seft_ros.ground_motion.response_spectrum import response_spectrum
 from seft_ros.monitor.intake import Intake
-from seft_ros.test_run.parameter_tables import TABLES
 
-CONFIG = Path(__file__).parents[3] / "config" / "jhu.yaml"
-EXPERIMENT = Experiment.load(TABLES, [CONFIG])
+EXPERIMENT = load()
 AXES, TIMEBASE = EXPERIMENT.axes, EXPERIMENT.timebase
 MOTION = np.random.default_rng(2).normal(size=(400, 1))
 MS = 1_000_000
@@ -133,13 +129,6 @@ def test_who_comes_in_the_middle_shows_the_rest(intake):
     assert np.isfinite(found[200:]).all()
 
 
-def test_without_the_first_of_the_motion_there_is_no_reference(intake):
-    intake.motion(motion(100, MOTION))
-    intake.samples([states(range(100, 200))], [])
-    intake.samples([[]], [])
-    assert np.isnan(recent(intake, intake.signals.reference["displacement"])).all()
-
-
 def test_step_zero_begins_a_test_and_its_own_motion(intake):
     intake.motion(motion(0, MOTION))
     intake.samples([states(range(100))], [])
@@ -207,9 +196,9 @@ def test_each_axis_has_its_own_columns():
 
 
 def test_of_a_specimen_that_yields_the_response_is_said_to_be_near():
-    kind = [("rig", "specimen.kind", "bilinear"), ("rig", "specimen.yield_displacement", 0.004)]
+    kind = ("rig:specimen.kind:=bilinear", "rig:specimen.yield_displacement:=0.004")
     intake = Intake(AXES, TIMEBASE)
-    intake.describe(Experiment.load(TABLES, [CONFIG], kind).sections)
+    intake.describe(load(*kind).sections)
     intake.motion(motion(0, MOTION))
     intake.samples([states(range(100))], [])
     intake.samples([[]], [])

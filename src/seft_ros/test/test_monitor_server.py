@@ -1,18 +1,15 @@
 """What a monitor takes in from a graph, look by look."""
 
 import json
-from pathlib import Path
 
 import numpy as np
-from seft_msgs_py.config.experiment import Experiment
+from experiments_at_hand import load
 from seft_msgs_py.wire.messages import Status, encode_status, encode_string
 from seft_msgs_py.wire.topics import DESCRIPTION, EXPERIMENT_STATE, RIG_STATE
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.monitor.server import Watch
-from seft_ros.test_run.parameter_tables import TABLES
 
-CONFIG = Path(__file__).parents[3] / "config" / "jhu.yaml"
-EXPERIMENT = Experiment.load(TABLES, [CONFIG])
+EXPERIMENT = load()
 
 
 class Graph:

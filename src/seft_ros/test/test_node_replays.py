@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import Reader, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
-from seft_msgs_py.config.experiment import Experiment
+from bags_at_hand import write_stock_bag
+from experiments_at_hand import load
+from rosbags.rosbag2 import Reader
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.messages import Status, encode_diagnostics, encode_status
 from seft_msgs_py.wire.topics import (
@@ -24,31 +24,12 @@ from seft_ros.replay.node_replays import RigReplay
 from seft_ros.replay.recorded_test import Recorded, read_recorded
 from seft_ros.test_run.compiled_loop import LoopSamples, build_blocks
 from seft_ros.test_run.offline import loop_series, simulate_test
-from seft_ros.test_run.parameter_tables import TABLES
-
-OVERRIDES = [
-    ("/**", "axes", ["x"]),
-    ("ground_motion", "synthetic.duration", 1.0),
-    ("ground_motion", "tail", 0.0),
-    ("ground_motion", "peak_force", 400.0),
-    ("reference_force", "mass_ratio", 0.5),
-    ("reference_force", "model.mass", 52.7),
-    ("reference_force", "model.damping", 800.3),
-    ("reference_force", "model.stiffness", 2.11e5),
-    ("reference_force", "ramp_down_time", 0.1),
-    ("force_controller", "numerator", [37.0]),
-    ("force_controller", "denominator", [1.0, 17.14, 4002.0]),
-    ("rig", "specimen.mass", 52.7),
-    ("rig", "specimen.damping", 800.3),
-    ("rig", "specimen.stiffness", 2.11e5),
-    ("rig", "actuator.kind", "servo_hydraulic_linear"),
-    ("rig", "sensors.force_noise", 3.0),
-]
 
 
 @pytest.fixture
 def experiment():
-    return Experiment.load(TABLES, [], OVERRIDES)
+    words = ("ground_motion:synthetic.duration:=1.0", "ground_motion:tail:=0.1")
+    return load(*words, "rig:actuator.kind:=servo_hydraulic_linear")
 
 
 @pytest.fixture
@@ -210,22 +191,10 @@ def test_an_answer_that_was_lost_by_the_recorder_is_given_all_the_same(
     assert result["notes"] == ["the bag lacks the recorded answer: step 40"]
 
 
-@pytest.mark.parametrize("node", ["reference_force", "force_controller"])
-def test_steps_that_the_recorder_lost_altogether_are_told(seft, record, blocks, tmp_path, node):
-    """As `ros2 bag record` does where its queues of ten messages overflow."""
-    for topic in (RIG_STATE, REFERENCE_FORCE, VALVE_COMMAND):
-        record = lacking(record, topic, 40)
-    bag = write(tmp_path / "bag", record, blocks)
-    _, out, _ = seft("replay", bag, "--node", node, "--json")
-    note = "neither rig/state nor its answer is in the bag, and whether the node had them is not"
-    assert json.loads(out)["notes"] == [f"{note} known: step 40"]
-
-
 @pytest.mark.parametrize(
     ("words", "told"),
     [
         (["--node", "recorder"], "--node recorder: must be one of reference_force"),
-        (["-p", "rig:seed:=3"], "-p needs one --node, whose parameters it changes"),
         (["--node", "rig", "-p", "rate:=100.0"], "the recorded samples have their own rate"),
         (["--node", "rig", "-p", "rig:sed:=3"], "there is no parameter sed; did you mean seed"),
         (["--node", "rig", "-p", "supervisor:peers:=[rig]"], "the replay is to rig alone"),
@@ -259,23 +228,11 @@ def test_a_bag_that_begins_in_the_middle_or_has_two_tests_is_refused(
 
 def stock_recording(*bags):
     """Write what bags hold into the last, a sqlite3 bag without our metadata."""
-    store = get_typestore(Stores.ROS2_JAZZY)
     messages = []
     for bag in bags[:-1]:
         with Reader(bag) as reader:
             messages += [(c.topic, c.msgtype, at, raw) for c, at, raw in reader.messages()]
-    with Writer(bags[-1], version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        kinds = dict.fromkeys(message[:2] for message in messages)
-        topics = {n: writer.add_connection(n, kind, typestore=store) for n, kind in kinds}
-        for name, _, at, raw in sorted(messages, key=lambda message: message[2]):
-            writer.write(topics[name], at, raw)
-
-
-def test_a_bag_of_the_stock_recorder_is_replayed(seft, record, blocks, tmp_path):
-    stock_recording(write(tmp_path / "bag", record, blocks), tmp_path / "stock")
-    status, out, _ = seft("replay", tmp_path / "stock", "--json")
-    result = json.loads(out)
-    assert (status, result["identical"], len(result["replays"])) == (0, True, 3)
+    write_stock_bag(bags[-1], sorted(messages, key=lambda message: message[2]), "sqlite3")
 
 
 def test_motion_beyond_the_end_of_the_test_is_read_for_previews(record, blocks, tmp_path):

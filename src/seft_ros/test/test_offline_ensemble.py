@@ -1,17 +1,13 @@
 """The compiled loop gives the bits of the plain one, alone and in an ensemble."""
 
 from collections import Counter
-from concurrent.futures import ThreadPoolExecutor
 
 import experiments_at_hand
 import numpy as np
 import pytest
-from seft_msgs_py.config.experiment import Experiment
 from seft_ros.force_controller.force_control import ControlInputs
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.methods import RegisteredControl
-from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
-from seft_ros.study.drawn_tests import drawn_rig
 from seft_ros.test_run import compiled_loop, offline
 from seft_ros.test_run.compiled_loop import build_blocks, why_not_compiled
 from seft_ros.test_run.offline import BlockCache, simulate_test
@@ -54,7 +50,6 @@ LINEAR = (*TWO, "rig:actuator.kind:=servo_hydraulic_linear")
 CASES = {  # few combinations of blocks: a loop is compiled for each
     "nonlinear": (),
     "target": TARGET,
-    "target, yielding": (*TARGET, "rig:specimen.kind:=bouc_wen", YIELDS),
     "target, limited": (*TARGET, "reference_force:limits.force:=300.0"),
     "target, link": (*TARGET, "reference_force:loop_delay:=4"),
     "target, suspect samples": (  # while they are, the controller follows the plan to its end
@@ -65,7 +60,6 @@ CASES = {  # few combinations of blocks: a loop is compiled for each
         "ground_motion:peak_force:=500.0",
     ),
     "link": (RATIO(0.1), "reference_force:loop_delay:=4"),
-    "linear": (*LINEAR, RATIO(0.4)),
     "linear, mixed": (
         *LINEAR, RATIO(0.3), "force_controller:per_axis:=true",
         "force_controller:numerator:=[37.0, 30.0]", "force_controller:gain:=[1.0, 0.05, 0.0, 1.1]",
@@ -73,7 +67,6 @@ CASES = {  # few combinations of blocks: a loop is compiled for each
     ),
     "delay": (*TWO, "rig:actuator.kind:=delay", "rig:actuator.delay:=0.0103", RATIO(0.5)),
     "ideal": (*TWO, "rig:actuator.kind:=ideal", RATIO(0.5), METHOD("restoring")),
-    "bilinear": ("rig:specimen.kind:=bilinear", YIELDS, RATIO(0.3)),
     "degrading": (
         "rig:specimen.kind:=bouc_wen",
         YIELDS,
@@ -84,6 +77,14 @@ CASES = {  # few combinations of blocks: a loop is compiled for each
         "rig:specimen.bouc_wen.strength_loss:=0.02",
         "rig:specimen.bouc_wen.stiffness_loss:=0.03",
     ),
+    "pinching": ("rig:specimen.kind:=pinching", YIELDS),
+    "flag": ("rig:specimen.kind:=flag", YIELDS),
+    "friction": ("rig:specimen.kind:=friction", "rig:specimen.friction.force:=50.0"),
+    "gap": (
+        *("rig:specimen.kind:=gap", "rig:specimen.gap.width:=0.003"),
+        "rig:specimen.gap.stiffness:=8e5",
+    ),
+    "duffing": ("rig:specimen.kind:=duffing", "rig:specimen.duffing.cubic:=4e9"),
     "model": (METHOD("model"), DELAY, RATIO(1.0), WEAK),
     "target, two axes, yielding, sloshing water": (
         *TWO,
@@ -101,7 +102,6 @@ CASES = {  # few combinations of blocks: a loop is compiled for each
     "open loop": ("force_controller:feedback:=false",),
     "saturated valve": (STRONG, "rig:actuator.rated_voltage:=2.0"),
     "end stops": ("rig:actuator.stroke:=0.002", "rig:limits.displacement_rate:=30.0"),
-    "faults": (*TARGET, FAULTS),
     "faults of two axes": (*TWO, *TARGET, FAULTS.replace('"force noise', '"y/force noise')),
     # ends
     "displacement": ("rig:limits.displacement:=0.003",),
@@ -111,25 +111,11 @@ CASES = {  # few combinations of blocks: a loop is compiled for each
         "force_controller:detectors.warn_only:=all",
     ),
     "unstable": (RATIO(2.0),),
-    "unstable, not watched": (RATIO(2.0), "reference_force:instability.ratio:=0.0"),
     "force": ("reference_force:limits.force:=600.0",),
     "force rate": ("reference_force:limits.force_rate:=2e4",),
-    "force, short ramp": ("reference_force:limits.force:=600.0",
-                          "reference_force:ramp_down_time:=0.004"),
     "interlock": ("force_controller:limits.force:=700.0",),
     "valve at its limit": ("force_controller:voltage_limit:=0.05",),
 }  # fmt: skip
-
-
-def run_ensemble(experiments, reduce, workers=1):
-    """Results of tests on several threads, in their order."""
-    shop = BlockCache()
-
-    def one(number, experiment):
-        return reduce(number, shop.run(experiment))
-
-    with ThreadPoolExecutor(workers) as pool:
-        return list(pool.map(one, range(len(experiments)), experiments))
 
 
 def load(*words):
@@ -192,38 +178,12 @@ def test_the_cases_end_in_every_way():
         assert any(part in reason for reason in reasons), part
 
 
-def test_members_of_an_ensemble_are_tests_of_their_own():
-    whole = load(*FINE, RATIO(0.5))
-    rigs = [drawn_rig(whole["rig"], whole.axes, 3, number, 0.3) for number in range(1, 7)]
-    experiments = [Experiment(whole.sections | {"rig": rig}) for rig in rigs]
-    found = dict(run_ensemble(experiments, lambda number, record: (number, record), workers=2))
-    assert list(found) == list(range(6))
-    for number, experiment in enumerate(experiments):
-        alike(found[number], experiments_at_hand.simulated(experiment))
-
-
 def test_tests_of_one_workshop_are_those_of_workshops_of_their_own():
-    names = "force", "nonlinear", "target, limited", "target", "blind", "interlock", "linear"
+    names = "force", "nonlinear", "target, limited", "target", "blind", "interlock", "delay"
     shop = BlockCache()
     for name in (*names, *reversed(names)):  # what ends in a trip comes before what must not
         experiment = load(*CASES[name])
         alike(shop.run(experiment), BlockCache().run(experiment))
-
-
-def test_a_method_of_ones_own_is_not_compiled_and_says_so(monkeypatch):
-    assert BlockCache().why_not_compiled(load()) == ""
-
-    class Own:
-        def __init__(self, known):
-            self.preview, self._of = 0, COMPENSATION_METHODS["restoring"](known)
-
-        def __getattr__(self, name):
-            if name == "pace":
-                raise AttributeError(name)
-            return getattr(self._of, name)
-
-    monkeypatch.setitem(COMPENSATION_METHODS, "none", Own)
-    assert "a compensation method of another package" in BlockCache().why_not_compiled(load())
 
 
 def test_a_controller_of_another_package_is_not_compiled(monkeypatch):

@@ -1,16 +1,14 @@
-"""The offline loop against a simulation written anew, and against the paper's numbers."""
-
-from pathlib import Path
+"""The offline loop: where it ends, and that its stability is that of the paper's equation."""
 
 import numpy as np
 import pytest
 from experiments_at_hand import load, simulated
 from seft_plant_sim.rig_step import PERSISTENT
 from seft_plant_sim.sensors import BLOCK
+from seft_ros.protection.protection_step import RampDown
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
 
-ROOT = Path(__file__).parents[3]
 PERFECT = (
     "rig:sensors.adc_bits:=0",
     *(
@@ -20,24 +18,11 @@ PERFECT = (
     ),
 )
 """Sensors that measure the truth."""
-LINEAR = (
-    "rig:actuator.kind:=servo_hydraulic_linear",
-    "rig:actuator.oil_stiffness:=1.664e7",
-    "rig:actuator.oil_column_frequency:=0",
-    "rig:actuator.leakage:=20",
-    "rig:actuator.flow_gain:=0.038527",
-    "rig:actuator.valve_frequency:=60",
-    "rig:actuator.valve_damping:=0.7",
-    "rig:actuator.dead_time:=0.001",
-    "rig:actuator.viscous_friction:=0",
+QUIET = (
+    *PERFECT,
     *(f"{node}.damping:=903.5" for node in ("rig:specimen", "reference_force:model")),
 )
-"""A linear rig with the poles of Eq. 3.1."""
-QUIET = (*LINEAR, *PERFECT)
 DELAY = ("rig:actuator.kind:=delay", "rig:actuator.delay:=0.01")
-
-M, C, K = 52.7, 903.5, 2.11e5
-H = 0.001  # half a step: the valve's dead time
 
 
 UNWATCHED = "reference_force:instability.ratio:=0.0"
@@ -52,69 +37,6 @@ def run(*words):
 
 def with_ratio(alpha):
     return f"reference_force:mass_ratio:={alpha}"
-
-
-def ground_of(record):
-    return record.series["ground_motion"].values[:, 0, 0].tolist()
-
-
-class Servo:
-    """The linear actuator and its specimen by modes, in steps of 1 ms."""
-
-    drive = "valve"
-
-    def __init__(self):
-        oil, leakage, flow, wv, zv = 1.664e7, 20.0, 0.038527, 2 * np.pi * 60.0, 0.7
-        a = np.array(
-            [
-                [0, 1, 0, 0, 0],
-                [-K / M, -C / M, 1 / M, 0, 0],
-                [0, -oil, -leakage, oil * flow, 0],
-                [0, 0, 0, 0, 1],
-                [0, 0, 0, -(wv**2), -2 * zv * wv],
-            ]
-        )
-        values, modes = np.linalg.eig(a)
-        inverse = np.linalg.inv(modes)
-        self.free = (modes * np.exp(values * H) @ inverse).real
-        self.forced = (modes * (np.expm1(values * H) / values) @ inverse).real[:, 4] * wv**2
-        self.z = np.zeros(5)
-        self.old = self.now = 0.0
-
-    def advance(self, command):
-        """To the next sample: the drive changes half way, when the dead time is over."""
-        for u in (self.old, self.now):
-            self.z = self.free @ self.z + self.forced * u
-        self.old, self.now = self.now, command
-        x, v, f = self.z[:3].tolist()
-        return x, v, (f - C * v - K * x) / M, f
-
-
-def by_hand(motion, alpha, plant):
-    """The test of Eq. 2.4 and 2.5 with Eq. 3.1, sample after sample, in plain floats."""
-    s = 2 / (2 * H)
-    a0, a1, a2 = s**2 + 17.14 * s + 4002, 2 * 4002 - 2 * s**2, s**2 - 17.14 * s + 4002
-    e1 = e2 = u1 = u2 = reference = 0.0
-    state, samples = (0.0, 0.0, 0.0, 0.0), []
-    for k, ground in enumerate(motion):
-        if k:
-            state = plant.advance(u1 if plant.drive == "valve" else reference)
-        samples.append(state)
-        reference = -(1 + alpha) * M * ground - alpha * M * state[2]
-        error = reference - state[3]
-        u = (37 * (error + 2 * e1 + e2) - a1 * u1 - a2 * u2) / a0
-        u = max(-10.0, min(10.0, u))  # the recursion goes on from what the valve does
-        e2, e1, u2, u1 = e1, error, u1, u
-    return np.array(samples)
-
-
-@pytest.mark.parametrize("alpha", [0.0, 0.5, 1.0])
-def test_the_rig_of_the_paper_moves_as_in_a_simulation_written_anew(alpha):
-    record, states = run(*QUIET, with_ratio(alpha))
-    expected = by_hand(ground_of(record), alpha, Servo())
-    assert len(states) == len(expected)
-    scale = np.abs(expected).max(axis=0)
-    np.testing.assert_allclose(states[:, :, 0] / scale, expected / scale, atol=1e-6)
 
 
 def test_a_delay_of_10_ms_is_stable_below_a_mass_ratio_of_one_and_not_at_one():
@@ -171,3 +93,42 @@ def test_progress_is_told_in_steps():
     told = []
     simulate_test(experiment, build_blocks(experiment), told.append)
     assert told == [BLOCK, 2 * BLOCK, 8501]
+
+
+SHORT = ("ground_motion:synthetic.duration:=5.0", "ground_motion:tail:=0.5")
+
+
+def ended(*words):
+    return simulated(load(*SHORT, *words))
+
+
+def force_of(record):
+    return record.series["reference_force"].values[:, 0, 0]
+
+
+def test_a_force_beyond_its_limit_is_ramped_from_the_last_below():
+    free = force_of(ended())
+    first = int(np.argmax(np.abs(free) > 500.0))
+    record = ended("reference_force:limits.force:=500.0")
+    assert record.trip.step == first
+    assert record.trip.time_s == pytest.approx(first * 0.002)
+    assert record.trip.reason == (
+        f"reference force {free[first]:.5g} N on axis x is beyond the limit of 500 N"
+    )
+    ramp = RampDown(250)
+    ramp.begin()
+    expected = [free[first - 1] * ramp.next() for _ in range(250)]
+    np.testing.assert_array_equal(force_of(record)[:first], free[:first])
+    np.testing.assert_array_equal(force_of(record)[first:], expected)
+
+
+def test_a_rig_that_trips_within_the_ramp_ends_it_at_once_and_both_causes_are_told():
+    """The supervisor's limit stands in for both: the rig's force comes after its reference."""
+    free = force_of(ended())
+    first = int(np.argmax(np.abs(free) > 500.0))
+    record = ended("supervisor:limits.force:=500.0")
+    last = int(record.series["rig/state"].steps[-1])
+    assert first < last < first + 249
+    assert record.trip.step == last
+    assert record.trip.reason.startswith("force ")
+    assert "(while ramping down: reference force" in record.trip.reason

@@ -52,19 +52,6 @@ def test_of_several_rigs_each_must_be_there_and_hear():
     assert lacks(driven) == "reference_force to reach east/rig on reference_force"
 
 
-@pytest.mark.parametrize(
-    ("node", "name", "value", "expected"),
-    [
-        ("east/rig", "pace", "lockstep", "one pace: west/rig has None, east/rig has lockstep"),
-        ("east/force_controller", "loop_delay", 3, "one loop_delay: reference_force has 0, east/"),
-    ],
-)
-def test_several_rigs_must_agree(node, name, value, expected):
-    statuses, descriptions = graph(PEERS_OF_TWO, rigs=TWO_RIGS)
-    descriptions[node]["parameters"][name] = value
-    assert missing(PEERS_OF_TWO, statuses, descriptions, NOW, TWO_RIGS).startswith(expected)
-
-
 def lost(publisher, topic, listener, **rest):
     """What is missing where a listener does not hear a publisher on a topic."""
     statuses, descriptions = graph(**rest)
@@ -98,18 +85,31 @@ def test_a_node_without_a_description_is_named(node):
     assert missing(PEERS, statuses, descriptions, NOW) == f"the parameters of {node}"
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "expected"),
-    [
-        ("rate", 1000.0, "one rate: ground_motion has 500.0, rig has 1000.0"),
-        ("axes", ["x", "y"], "one axes: ground_motion has ['x'], rig has ['x', 'y']"),
-    ],
-)
-def test_nodes_that_were_started_differently_are_named_with_their_values(name, value, expected):
-    statuses, descriptions = graph()
-    parameters = {**descriptions["rig"]["parameters"], name: value}
-    descriptions["rig"] = {**descriptions["rig"], "parameters": parameters}
-    assert missing(PEERS, statuses, descriptions, NOW) == expected
+def delays(sent, taken):
+    return {"reference_force": {"loop_delay": sent}, "force_controller": {"loop_delay": taken}}
+
+
+FITTING = [(0, 0), (7, 7), (7, -1)]  # -1: it is the other's
+UNLIKE = [(7, 0), (0, 7), (0, -1)]
+PARAMETERS = [
+    (ONE_RIG, {"rig": {"rate": 1000.0}}, "one rate: ground_motion has 500.0, rig has 1000.0"),
+    (ONE_RIG, {"rig": {"axes": ["y"]}}, "one axes: ground_motion has ['x'], rig has ['y']"),
+    (TWO_RIGS, {"east/rig": {"pace": "lockstep"}}, "one pace: west/rig has None, east/rig has"),
+    (TWO_RIGS, {"east/force_controller": {"loop_delay": 3}}, "one loop_delay: reference_force"),
+    *((ONE_RIG, delays(*both), "") for both in FITTING),
+    *((ONE_RIG, delays(*both), "one loop_delay: reference_force has") for both in UNLIKE),
+]
+
+
+@pytest.mark.parametrize(("rigs", "told", "expected"), PARAMETERS)
+def test_nodes_that_were_started_differently_are_named_with_their_values(rigs, told, expected):
+    peers = with_rigs(PEERS, rigs)
+    statuses, descriptions = graph(peers, rigs=rigs)
+    for node, values in told.items():
+        parameters = {**descriptions[node]["parameters"], **values}
+        descriptions[node] = {**descriptions[node], "parameters": parameters}
+    found = missing(peers, statuses, descriptions, NOW, rigs)
+    assert found.startswith(expected) if expected else found == ""
 
 
 LINKS = [
@@ -145,57 +145,42 @@ def test_without_a_recorder_nobody_waits_for_it():
     assert missing(peers, statuses, descriptions, NOW) == ""
 
 
-def test_a_test_waits_for_the_first_of_the_ground_motion():
+LAST_TEST = "to leave the last test"
+
+
+@pytest.mark.parametrize(
+    ("node", "values", "expected"),
+    [
+        ("ground_motion", {"phase": "idle"}, "the first of the ground motion"),
+        ("force_controller", {"senders rig/state": "1"}, ""),
+        (  # a listener that knows no sender yet
+            *("force_controller", {"senders rig/state": "0"}),
+            "force_controller to receive from rig on rig/state",
+        ),
+        ("rig", {"phase": "idle"}, ""),
+        *(
+            ("rig", {"phase": p}, f"the rig {LAST_TEST}")
+            for p in ("running", "finished", "tripped")
+        ),
+        *(
+            ("reference_force", {"phase": phase}, f"the reference force {LAST_TEST}")
+            for phase in ("ramping_down", "at_rest", "ended")
+        ),
+        ("recorder", {"phase": "recording"}, "the recorder to save the last test"),
+        ("recorder", {"phase": "saved", "waits": "it is full"}, "the recorder, as it is full"),
+        ("recorder", {"phase": "saved", "waits": ""}, ""),
+    ],
+)
+def test_a_node_that_is_not_ready_for_the_next_test_is_waited_for(node, values, expected):
     statuses, descriptions = graph()
-    statuses["ground_motion"].status.values["phase"] = "idle"
-    assert missing(PEERS, statuses, descriptions, NOW) == "the first of the ground motion"
+    statuses[node].status.values.update(values)
+    assert missing(PEERS, statuses, descriptions, NOW) == expected
 
 
 def test_a_test_without_a_ground_motion_node_waits_for_it_too():
     peers = tuple(node for node in PEERS if node != "ground_motion")
     statuses, descriptions = graph(peers)
     assert missing(peers, statuses, descriptions, NOW) == "the first of the ground motion"
-
-
-def test_a_listener_that_knows_no_sender_yet_is_named():
-    statuses, descriptions = graph()
-    statuses["force_controller"].status.values["senders rig/state"] = "0"
-    expected = "force_controller to receive from rig on rig/state"
-    assert missing(PEERS, statuses, descriptions, NOW) == expected
-    statuses["force_controller"].status.values["senders rig/state"] = "1"
-    assert missing(PEERS, statuses, descriptions, NOW) == ""
-
-
-@pytest.mark.parametrize("phase", ["running", "finished", "tripped"])
-def test_a_rig_that_still_tells_of_the_last_test_is_waited_for(phase):
-    statuses, descriptions = graph()
-    statuses["rig"].status.values["phase"] = phase
-    assert missing(PEERS, statuses, descriptions, NOW) == "the rig to leave the last test"
-    statuses["rig"].status.values["phase"] = "idle"
-    assert missing(PEERS, statuses, descriptions, NOW) == ""
-
-
-@pytest.mark.parametrize("phase", ["ramping_down", "at_rest", "ended"])
-def test_the_reference_force_must_have_left_the_last_test(phase):
-    statuses, descriptions = graph()
-    statuses["reference_force"].status.values["phase"] = phase
-    assert missing(PEERS, statuses, descriptions, NOW) == (
-        "the reference force to leave the last test"
-    )
-
-
-@pytest.mark.parametrize(
-    ("values", "expected"),
-    [
-        ({"phase": "recording"}, "the recorder to save the last test"),
-        ({"phase": "saved", "waits": "it is full"}, "the recorder, as it is full"),
-        ({"phase": "saved", "waits": ""}, ""),
-    ],
-)
-def test_the_recorder_must_be_done_with_the_last_test_and_able_to_record_the_next(values, expected):
-    statuses, descriptions = graph()
-    statuses["recorder"].status.values.update(values)
-    assert missing(PEERS, statuses, descriptions, NOW) == expected
 
 
 def test_the_silent_are_named_with_the_time_of_their_last_sign_of_life():
@@ -205,19 +190,6 @@ def test_the_silent_are_named_with_the_time_of_their_last_sign_of_life():
     del statuses["ground_motion"]  # never heard: not silent, but absent
     assert silent(PEERS, statuses, NOW, 1.0) == ["rig"]
     assert silence("rig", statuses) == "node rig has been silent since 12.34 s"
-
-
-@pytest.mark.parametrize(
-    ("sent", "taken", "fits"),
-    [(0, 0, True), (7, 7, True), (7, -1, True), (7, 0, False), (0, 7, False), (0, -1, False)],
-)
-def test_both_ends_of_a_link_must_agree_on_its_delay(sent, taken, fits):
-    statuses, descriptions = graph()
-    for node, steps in (("reference_force", sent), ("force_controller", taken)):
-        parameters = {**descriptions[node]["parameters"], "loop_delay": steps}
-        descriptions[node] = {**descriptions[node], "parameters": parameters}
-    told = f"one loop_delay: reference_force has {sent}, force_controller has {taken}"
-    assert missing(PEERS, statuses, descriptions, NOW) == ("" if fits else told)
 
 
 def test_a_rig_and_the_loop_must_agree_on_the_lag_of_its_state():

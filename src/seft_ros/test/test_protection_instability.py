@@ -2,14 +2,13 @@
 
 import dataclasses
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
+from experiments_at_hand import load
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, lfilter, sosfilt
-from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_plant_sim.whole_structure import reference_response
@@ -20,9 +19,7 @@ from seft_ros.protection.instability import (
     watch_step,
 )
 from seft_ros.reference_force.compensator import MethodInputs
-from seft_ros.test_run.parameter_tables import TABLES
 
-CONFIGS = Path(__file__).parents[3] / "config"
 RATIO, FLOOR = 5.0, 0.3
 
 
@@ -156,7 +153,7 @@ def test_a_new_test_begins_at_rest():
 
 @pytest.mark.parametrize("config", ["demo", "three_storey_frame", "two_pier_bridge", "water_tower"])
 def test_in_a_perfect_test_both_accelerations_are_one_and_pass_butterworths_high_pass(config):
-    test = Experiment.load(TABLES, [CONFIGS / f"{config}.yaml"])
+    test = load(config=config)
     n, section = len(test.axes), test["reference_force"] | {"instability.lowest": 30.0}
     guard = InstabilityWatch.from_parameters(section, test.axes, test.timebase)
     ground = motion(1, 600, n)

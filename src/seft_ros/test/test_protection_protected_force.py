@@ -3,13 +3,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from seft_msgs_py.config.experiment import Experiment, parse_override
+from experiments_at_hand import load
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_ros.protection.instability import InstabilityWatch
 from seft_ros.protection.protected_force import ProtectedForce
 from seft_ros.protection.protection_step import PlausibleForce, RampDown, extrapolated
 from seft_ros.reference_force.compensator import MethodInputs
-from seft_ros.test_run.parameter_tables import TABLES
 
 DT = 0.002
 MOTION, STATE = np.zeros((1, 1)), np.zeros((4, 1))
@@ -149,8 +148,7 @@ def test_a_reset_is_one_of_all_parts():
 
 def test_it_is_made_of_its_section():
     words = ("limits.force:=900.0", "limits.force_rate:=1.0e4", "ramp_down_time:=0.1")
-    given = [parse_override(f"reference_force:{word}") for word in words]
-    experiment = Experiment.load(TABLES, ["config/jhu.yaml"], given)
+    experiment = load(*(f"reference_force:{word}" for word in words))
     section, axes, timebase = experiment["reference_force"], experiment.axes, experiment.timebase
     for delay in (0, 3):
         section["loop_delay"] = delay

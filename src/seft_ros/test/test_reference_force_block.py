@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 from compensators import force_section
-from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.topics import Timebase
-from seft_ros.reference_force.reference_force_block import ReferenceForce
+from seft_msgs_py.errors import WireError
+from seft_msgs_py.wire.topics import Timebase, rigs_of
+from seft_ros.reference_force.reference_force_block import ReferenceForce, StateGathering
 
 
 def block(axes=("x",), **values):
@@ -43,23 +43,43 @@ def test_coupled_axes_by_hand():
     np.testing.assert_allclose(seft, [-9.0 - 30.0, 6.0 - 35.0])
 
 
-def test_one_mass_holds_for_every_axis_and_a_list_is_a_diagonal():
-    values = {"mass_ratio": 1.0, "model__stiffness": 1.0}
-    same = step(block(("x", "y"), model__mass=2.0, **values), [1.0, 2.0], [3.0, 4.0])
-    np.testing.assert_allclose(same, [-4.0 - 6.0, -8.0 - 8.0])
-    own = step(block(("x", "y"), model__mass=[2.0, 3.0], **values), [1.0, 2.0], [3.0, 4.0])
-    np.testing.assert_allclose(own, [-4.0 - 6.0, -12.0 - 12.0])
+RIGS = rigs_of(["west/x", "east/x", "west/y"])
+WEST, EAST = np.arange(8.0).reshape(4, 2), -np.ones((4, 1))
 
 
-@pytest.mark.parametrize(
-    ("values", "told"),
-    [
-        ({"model__mass": [1.0, 2.0, 3.0, 4.0]}, "reference_force: model.mass: .* not symmetric"),
-        ({"model__stiffness": [1.0] * 3}, "reference_force: model.stiffness: 3 values"),
-        ({"model__damping": [1.0, 2.0, 3.0, 4.0]}, "model.damping: .* not symmetric"),
-        ({"compensation__method": "nonne"}, "compensation.method .* did you mean none?"),
-    ],
-)
-def test_parameters_that_make_no_reference_force_are_refused_by_name(values, told):
-    with pytest.raises(InputError, match=told):
-        block(("x", "y"), **values)
+def test_a_step_is_complete_when_all_have_sent_it():
+    gathering = StateGathering(RIGS, 0.01)
+    assert gathering.take(0, 0, WEST, 0.0) is None
+    assert gathering.is_waiting
+    whole = gathering.take(1, 0, EAST, 0.001)
+    np.testing.assert_array_equal(whole, np.column_stack([WEST[:, 0], EAST, WEST[:, 1]]))
+    assert not gathering.is_waiting
+
+
+def test_a_complete_step_ends_the_waiting_for_those_before():
+    gathering = StateGathering(RIGS, 0.01)
+    assert gathering.take(0, 0, WEST, 0.0) is None
+    assert gathering.take(0, 1, WEST, 0.002) is None
+    assert gathering.take(1, 1, EAST, 0.003) is not None
+    assert not gathering.is_waiting
+    assert gathering.lost(100.0) == ""
+
+
+def test_who_fails_to_send_is_named():
+    gathering = StateGathering(RIGS, 0.01)
+    gathering.take(0, 0, WEST, 5.0)
+    assert gathering.lost(5.01) == ""
+    expected = "no rig/state of east for 0.01 s (none has arrived; west is at step 0)"
+    assert expected in gathering.lost(6)
+    gathering.take(1, 0, EAST, 6.0)
+    gathering.take(1, 1, EAST, 7.0)
+    assert "of west for 0.01 s (the last is of step 0; east is at step 1)" in gathering.lost(8.0)
+    gathering.reset()
+    assert gathering.lost(9.0) == ""
+
+
+def test_a_second_state_of_a_step_is_refused():
+    gathering = StateGathering(RIGS, 0.01)
+    gathering.take(0, 3, WEST, 0.0)
+    with pytest.raises(WireError, match="state of step 3 of west a second time"):
+        gathering.take(0, 3, WEST, 0.0)

@@ -91,14 +91,6 @@ def test_where_the_due_step_was_lost_the_next_one_counts(steps):
     assert sampled == list(firsts.values())
 
 
-def test_a_reset_begins_at_step_0_again():
-    samples = sampler(500.0)
-    samples.sample(120)
-    assert samples.due == 150
-    samples.reset()
-    assert samples.due == 0
-
-
 def test_the_offline_loop_keeps_what_the_method_knew_after_each_of_these_steps(watched):
     record = simulated(watched)
     states = record.series[JUDGED.name].values
@@ -110,11 +102,6 @@ def test_the_offline_loop_keeps_what_the_method_knew_after_each_of_these_steps(w
         so_far = np.vstack([np.zeros((1, 2)), force[: step + 1]])
         np.testing.assert_array_equal(estimates.values[row, 0], so_far.min(axis=0))
         np.testing.assert_array_equal(estimates.values[row, 1], so_far.max(axis=0))
-
-
-def test_a_method_without_estimates_leaves_none():
-    experiment = load(*WORDS)
-    assert simulated(experiment).estimates is None
 
 
 def test_estimates_may_not_change_their_names(watched, monkeypatch):
@@ -176,13 +163,6 @@ def test_a_state_that_is_faster_than_its_ground_motion_is_answered_when_that_has
     assert REFERENCE_FORCE in [topic for topic, _ in shell.sent]
     with pytest.raises(WireError, match="in the middle of a test"):
         shell.handlers[GROUND_MOTION.name](motion, 0)
-
-
-def test_the_node_of_a_method_without_estimates_publishes_none():
-    experiment = load(*WORDS)
-    shell = start_node(experiment)
-    feed(shell, simulated(experiment))
-    assert {topic for topic, _ in shell.sent} == {REFERENCE_FORCE}
 
 
 def test_an_estimate_that_is_not_finite_is_refused_and_the_test_goes_on(watched, monkeypatch):

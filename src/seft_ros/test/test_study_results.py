@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 from scipy.stats import spearmanr
-from seft_ros.drawing.style import percent
 from seft_ros.study.drawn_tests import DrawnTests
 from seft_ros.study.study_page import headline, study_notes, study_texts, write_study
 from seft_ros.study.study_plan import StudyPlan, StudyTest
@@ -75,11 +74,6 @@ def test_the_correlation_is_that_of_ranks(values, seed):
     errors = np.random.default_rng(seed).permutation(len(values)).astype(float)
     (cause,) = causes_of({"a": np.array(values)}, errors)
     assert cause["value"] == pytest.approx(spearmanr(values, errors).statistic)
-
-
-def test_equal_errors_correlate_with_nothing():
-    (cause,) = result_of([0.1] * 5, factors={"a": np.array([0.9, 1.0, 1.1, 1.2])})["causes"]
-    assert (cause["value"], cause["deviation"]) == (None, None)
 
 
 def test_the_interval_of_a_share_is_wilsons():
@@ -162,14 +156,6 @@ def test_the_terminal_shows_each_method_and_names_what_is_missing():
         "lacking: not possible: it lacks a delay",
         "wild: simulated uncompiled: several rigs",
     ]
-
-
-@pytest.mark.parametrize(
-    ("share", "text"),
-    [(None, "-"), (0.012345, "1.23 %"), (0.5, "50.0 %"), (1.5, "150 %"), (23.4, "2340 %")],
-)
-def test_percent(share, text):
-    assert percent(share) == text
 
 
 def test_the_sentence_says_what_the_error_depends_on_if_that_is_more_than_chance():

@@ -152,14 +152,6 @@ def test_all_methods_and_mass_ratios_meet_the_same_tests():
         assert own["reference_force"] == base["reference_force"] | changed
 
 
-def test_the_configured_method_keeps_its_force_controller():
-    words = ("reference_force:compensation.method:=target_motion",)
-    with pytest.raises(InputError, match="gives the motion of a target"):
-        planned(*words, methods=())
-    plan = planned(*words, "force_controller:method:=velocity_feedforward", methods=(), ratios=())
-    assert (plan.methods, plan.mass_ratios) == (("target_motion",), (0.0,))
-
-
 def test_results_do_not_depend_on_the_number_of_workers():
     plan = planned(ratios=[0.5, 1.5])
     reported = []
@@ -238,14 +230,6 @@ def test_a_method_that_can_not_be_set_up_is_left_out_and_the_others_go_on(monkey
     assert plan.tests() == [StudyTest(0.5, "none", number) for number in range(3)]
     with pytest.raises(InputError, match=r"^there is no model$"):
         planned(methods=["impossible"])
-
-
-@pytest.mark.parametrize(
-    ("method", "words"), [("nome", "did you mean none"), ("smyth", "must be all or one of none")]
-)
-def test_an_unknown_method_is_refused(method, words):
-    with pytest.raises(InputError, match=words):
-        planned(methods=[method])
 
 
 def test_an_experiment_that_makes_no_test_is_refused_before_any_method_is_blamed():

@@ -8,7 +8,6 @@ from seft_ros.analysis.metrics import nrmse
 from seft_ros.reference_force.observers import observe, observer_gains
 from seft_ros.reference_force.reference_force_block import method_inputs
 from seft_ros.reference_force.restoring_model import (
-    THRESHOLDS,
     begin_model,
     follow_specimen,
     model_arrays,
@@ -158,58 +157,6 @@ def followed(restoring, x, v, stiffness=K, damping=800.0, noise=4.0, seed=1):
         error = r - state.values[0] @ state.regressors[0]
         left.append((error, error - state.sums[0, 3]))
     return parameters, state, np.transpose(left)
-
-
-def swing(steps=4000, amplitude=0.005):
-    t = 0.002 * np.arange(steps)
-    envelope = amplitude * np.minimum(t / 2, 1)
-    x = envelope * np.sin(40 * t) + 0.3 * envelope * np.sin(23 * t)
-    return x, np.gradient(x, 0.002)
-
-
-def test_what_is_told_is_used_where_it_is_right():
-    x, v = swing()
-    _, state, left = followed(K * x + 800 * v, x, v)
-    assert state.values[0, 1] == pytest.approx(K, rel=1e-3)
-    assert np.abs(left[0, 1000:]).max() < 1.0  # N, of 4 N of noise
-
-
-@pytest.mark.parametrize("factor", [0.6, 0.95, 1.5])
-def test_what_is_told_wrongly_is_found(factor):
-    x, v = swing()
-    _, state, left = followed(K * x + 800 * v, x, v, stiffness=factor * K, damping=300.0)
-    assert state.values[0, 1] == pytest.approx(K, rel=0.01)
-    assert state.values[0, 2] == pytest.approx(800, rel=0.05)
-    assert left[0, 2000:].std() < 1.5
-
-
-def friction(x, force, presliding=2e-5):
-    found, z = np.empty_like(x), 0.0
-    for k, change in enumerate(np.diff(x, prepend=0.0)):
-        z = np.clip(z + change, -presliding, presliding)
-        found[k] = force * z / presliding
-    return found
-
-
-@pytest.mark.parametrize("force", [20.0, 100.0])
-def test_sliders_find_friction(force):
-    x, v = swing(8000)
-    parameters, state, left = followed(K * x + 800 * v + friction(x, force), x, v)
-    sliders = state.values[0, 3 : 3 + THRESHOLDS] * parameters.thresholds[0]
-    assert sliders.sum() == pytest.approx(force, rel=0.25)
-    assert np.sqrt(np.mean(left[0, 4000:] ** 2)) < 0.12 * force + 2
-
-
-def test_force_is_followed_through_a_knee_without_losing_an_impulse():
-    x, v = swing()
-    limit = 0.003
-    z, path = 0.0, np.empty_like(x)
-    for k, change in enumerate(np.diff(x, prepend=0.0)):
-        z = np.clip(z + change, -limit, limit)
-        path[k] = 0.1 * K * x[k] + 0.9 * K * z
-    _, _, left = followed(path + 800 * v, x, v)
-    assert np.abs(left[0, 1500:]).max() < 0.25 * K * limit
-    assert np.sqrt(np.mean(left[0, 1500:] ** 2)) < 0.03 * K * limit
 
 
 def test_later_samples_mend_the_impulse_before_them():
