@@ -1,29 +1,21 @@
-"""Mass, scales and lags of a test from its own samples, and what they would have done to it.
+"""Mass, scales and lags of a test from its own samples, against what the test was told.
 
-The estimates are those of `seft_ros.analysis.channel_estimates`. What a deviation means for the test
-is the response to the change of its equivalent ground motion: if the mass or a channel was not as it
-was told, the test was the exact one for another motion (`seft_ros.analysis.equivalent_motion`). Which
-of two channels is wrong can't be told from their disagreement, so the worse case counts:
-
-- mass: either the mass is m times the one told, or the force is m times too large;
-- scale and lag of acceleration and velocity against displacement: the displacement may be the wrong
-  one, so that the specimen moved otherwise than the target by the difference. The computed part sees
-  less of a wrong acceleration. A wrong velocity misleads the valve as a wrong displacement does;
-- lag of the force behind the acceleration: the force.
+The estimates are those of `seft_ros.analysis.channel_estimates`; what a deviation means for the
+test is in `seft_ros.analysis.calibration_effect`.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.topics import RIG_STATE
 from seft_plant_sim.specimen import deformations
-from seft_plant_sim.whole_structure import WholeStructure, reference_response, whole_structure
+from seft_plant_sim.whole_structure import WholeStructure, whole_structure
 
+from seft_ros.analysis.calibration_effect import CalibrationEffect, calibration_structure
 from seft_ros.analysis.channel_estimates import (
     Inertia,
     Relation,
@@ -31,27 +23,19 @@ from seft_ros.analysis.channel_estimates import (
     motion_frequency,
     relation,
 )
-from seft_ros.analysis.equivalent_motion import (
-    EquivalentMotion,
-    assumed_structure,
-    damping_factor,
-    stiffness_factors,
-)
-from seft_ros.analysis.metrics import every_step, ratio
+from seft_ros.analysis.metrics import every_step
 from seft_ros.bags.record import Record
 from seft_ros.design.plan import choose_rig
 from seft_ros.reference_force.force_command import FORCE_DRIVEN
 
 SIGMAS = 4.0
-"""Standard errors beyond which a deviation counts: of a law that is not described exactly 3 are too
-few (docs/metrics.md)."""
+"""Standard errors beyond which a deviation counts. Of 340 estimates on sound tests the worst were
+3.7 away: no law is described exactly, and the tails are longer than a normal distribution's."""
 MOST_LOST = 0.01
 """Share of samples that may be lost: they are interpolated, which is no measurement."""
+MOST_SAMPLES = 1 << 16
+"""Of a longer test the part that moves most counts, so that it takes a second and little memory."""
 _COUPLED = 1e-6  # of the largest stiffness: less is rounding
-_X, _V, _A, _F = (
-    RIG_STATE.quantities.index(name)
-    for name in ("positions", "velocities", "accelerations", "effort")
-)
 
 
 @dataclass(frozen=True)
@@ -73,63 +57,62 @@ class IdentifiedMass:
 
 
 @dataclass(frozen=True)
-class CalibrationCheck:
-    """Estimates of a test, and the displacement errors that they mean; None: not known.
+class Deviation:
+    """An estimate against what it should be; of a channel and an axis.
 
     Attributes
     ----------
-    axes : tuple of str
-        Names of the n axes.
-    mass : ndarray
-        M as it was told, shape (n, n), kg.
-    inertia : Inertia or None
-        Mass, and lag of the force behind the acceleration.
-    acceleration, velocity : Relation or None
-        Against the displacement.
-    effect : dict
-        ``mass``, ``scale``, ``lag`` -> displacement error (RMS over RMS) that the estimates mean;
-        of estimates within `SIGMAS` standard errors of what they should be, 0.
-    unsure : float or None
-        The same of an error of the mass of `SIGMAS` standard errors.
+    effect : float
+        Displacement error (RMS over RMS) that it means, with those of the other axes; 0 if all are
+        within `SIGMAS` standard errors.
+    kind : str
+        ``mass``, ``scale`` or ``lag``.
+    channel, axis : str
+        ``force`` (of a mass, too), ``acceleration`` or ``velocity``, and the axis.
+    part_of : str
+        Axis whose acceleration it is a part of; another one where an accelerometer is tilted.
+    estimate, told, error : float
+        Estimate, what it should be, and its standard error: kg, s, or 1 for a scale.
     """
 
-    axes: tuple[str, ...]
-    mass: Floats
-    inertia: Inertia | None
-    acceleration: Relation | None
-    velocity: Relation | None
-    effect: dict[str, float | None]
+    effect: float
+    kind: str
+    channel: str
+    axis: str
+    part_of: str
+    estimate: float
+    told: float
+    error: float
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        """The worst has the largest effect, and without one the least likely estimate."""
+        return self.effect, abs(self.estimate - self.told) / self.error
+
+
+@dataclass(frozen=True)
+class CalibrationCheck:
+    """Estimates of mass, scales and lags of a test; None: not known.
+
+    Attributes
+    ----------
+    mass, scale, lag : Deviation or None
+        The worst of each kind.
+    unsure : float or None
+        Displacement error that an error of the masses of `SIGMAS` standard errors would mean.
+    axes : dict
+        Axis -> ``mass``, ``force``, ``acceleration``, ``velocity``: JSON values of all estimates.
+    """
+
+    mass: Deviation | None
+    scale: Deviation | None
+    lag: Deviation | None
     unsure: float | None
+    axes: dict[str, Any]
 
     def numbers(self) -> dict[str, Any]:
         """For JSON; docs/metrics.md explains each number."""
-        return {
-            "effect": self.effect,
-            "unsure": self.unsure,
-            "axes": {axis: self._of_axis(i) for i, axis in enumerate(self.axes)},
-        }
-
-    def _of_axis(self, i: int) -> dict[str, Any]:
-        found: dict[str, Any] = {"mass": None, "force": None}
-        if self.inertia is not None:
-            told, own = float(self.mass[i, i]), self.inertia
-            found["mass"] = {
-                "told": told,
-                "estimate": told * float(own.factor[i]),
-                "error": told * float(own.factor_error[i]),
-            }
-            found["force"] = {
-                "lag_s": float(own.lag[i]),
-                "lag_error_s": float(own.lag_error[i]),
-            }
-        for name, against in (("acceleration", self.acceleration), ("velocity", self.velocity)):
-            found[name] = against and {
-                "scale": against.scale[i].tolist(),
-                "scale_error": against.scale_error[i].tolist(),
-                "lag_s": float(against.lag[i]),
-                "lag_error_s": float(against.lag_error[i]),
-            }
-        return found
+        return asdict(self)
 
 
 def calibration_check(
@@ -147,50 +130,121 @@ def calibration_check(
     Returns
     -------
     CalibrationCheck or None
-        None if the record does not describe the specimen, holds what is not finite or too few of
-        the samples.
+        None if the record does not describe the specimen, holds what is not finite, or lacks too
+        many samples.
     """
     states, experiment = record.states, record.experiment
-    assumed = _structure(experiment)
-    if assumed is None or len(states.steps) < 2 or not np.isfinite(states.values).all():
+    structure = calibration_structure(experiment)
+    if structure is None or len(states.steps) < 2:
         return None
     every = np.arange(states.steps[0], states.steps[-1] + 1)
-    if len(states.steps) < (1.0 - MOST_LOST) * len(every):
+    whole = len(states.steps) >= (1.0 - MOST_LOST) * len(every)
+    if not whole or not np.isfinite(states.values).all():
         return None
-    samples, dt = every_step(states, every), experiment.timebase.dt
-    whole = whole_structure(assumed)
-    mass = EquivalentMotion(whole, dt).mass
+    samples, dt = strongest(every_step(states, every)), experiment.timebase.dt
     frequency = motion_frequency(samples)
-    if not frequency > 0:
-        return CalibrationCheck(experiment.axes, mass, None, None, None, dict(_NOTHING), None)
-    rig = experiment.sections.get("rig", {})
+    found: list[Deviation] = []
+    unsure = None
+    if frequency > 0:
+        effect = CalibrationEffect(experiment, structure, samples)
+        springs = _springs(structure, whole_structure(structure))
+        own = inertia(samples, effect.mass, springs, dt, frequency)
+        own = _combined(own, identified)
+        if own is not None:
+            unsure = effect.of_mass(1.0 + SIGMAS * own.factor_error)
+            found += _masses(effect, own, experiment.axes)
+        for channel, against, scale, lag in _relations(experiment, samples, frequency):
+            found += _scales(effect, channel, against, scale, experiment.axes)
+            found += _lags(effect, channel, against, lag, experiment.axes)
+    worst = {
+        kind: max(
+            (one for one in found if one.kind == kind), key=lambda one: one.rank, default=None
+        )
+        for kind in ("mass", "scale", "lag")
+    }
+    numbers = {axis: _numbers(found, axis) for axis in experiment.axes}
+    return CalibrationCheck(**worst, unsure=unsure, axes=numbers)
+
+
+def strongest(samples: Floats) -> Floats:
+    """Cut the part of `MOST_SAMPLES` with the largest accelerations out of longer ones."""
+    if len(samples) <= MOST_SAMPLES:
+        return samples
+    energy = np.cumsum(np.pad((samples[:, 2] ** 2).sum(axis=1), (1, 0)))
+    begin = int(np.argmax(energy[MOST_SAMPLES:] - energy[:-MOST_SAMPLES]))
+    return samples[begin : begin + MOST_SAMPLES]
+
+
+def _numbers(found: list[Deviation], axis: str) -> dict[str, Any]:
+    """All estimates of an axis, by channel and kind: estimate, told and standard error."""
+    numbers: dict[str, Any] = {}
+    for one in found:
+        if one.axis == axis:
+            kind = one.kind if one.part_of == axis else f"{one.kind} of {one.part_of}"
+            parts = {"estimate": one.estimate, "told": one.told, "error": one.error}
+            numbers.setdefault(one.channel, {})[kind] = parts
+    return numbers
+
+
+def _sure(value: Floats, error: Floats) -> Floats:
+    """Give the deviations that are beyond chance, and 0 for the others."""
+    return np.where(np.abs(value) > SIGMAS * error, value, 0.0)
+
+
+def _masses(effect: CalibrationEffect, own: Inertia, axes: tuple[str, ...]) -> Iterator[Deviation]:
+    of_mass = effect.of_mass(1.0 + _sure(own.factor - 1.0, own.factor_error))
+    of_lag = effect.of_force_lag(_sure(own.lag, own.lag_error))
+    for i, axis in enumerate(axes):
+        told = float(effect.mass[i, i])
+        mass = (told * float(own.factor[i]), told, told * float(own.factor_error[i]))
+        yield Deviation(of_mass, "mass", "force", axis, axis, *mass)
+        lag = (float(own.lag[i]), 0.0, float(own.lag_error[i]))
+        yield Deviation(of_lag, "lag", "force", axis, axis, *lag)
+
+
+def _scales(
+    effect: CalibrationEffect, channel: str, own: Relation, told: Floats, axes: tuple[str, ...]
+) -> Iterator[Deviation]:
+    """Scales of a channel on all axes; ``told`` has shape (n,)."""
+    expected = np.diag(told)
+    off = _sure(own.scale - expected, own.scale_error)
+    of_scale = effect.of_scale(np.eye(len(axes)) + off)
+    for i, j in np.ndindex(expected.shape):
+        numbers = (float(each[i, j]) for each in (own.scale, expected, own.scale_error))
+        yield Deviation(of_scale, "scale", channel, axes[i], axes[j], *numbers)
+
+
+def _lags(
+    effect: CalibrationEffect, channel: str, own: Relation, told: Floats, axes: tuple[str, ...]
+) -> Iterator[Deviation]:
+    """Lags of a channel on all axes; ``told`` has shape (n,), s."""
+    of_lag = effect.of_lag(_sure(own.lag - told, own.lag_error))
+    for i, axis in enumerate(axes):
+        numbers = (float(each[i]) for each in (own.lag, told, own.lag_error))
+        yield Deviation(of_lag, "lag", channel, axis, axis, *numbers)
+
+
+def _relations(
+    experiment: Experiment, samples: Floats, frequency: float
+) -> Iterator[tuple[str, Relation, Floats, Floats]]:
+    """Give each channel with its relation to the displacement, and the scale and lag expected.
+
+    There are none if the relations of sound channels are not known: of an idealised actuator, whose
+    force jumps from sample to sample, and where no actuator is told. A velocity that is derived
+    from the displacement is no channel.
+    """
+    rig, expected = experiment.sections.get("rig", {}), expected_relations(experiment, frequency)
+    if expected is None or rig.get("actuator.kind") in FORCE_DRIVEN:
+        return
     x, v, a, _ = np.moveaxis(samples, 1, 0)
-    of_acceleration = of_velocity = None
-    expected = expected_relations(experiment, frequency)
-    if expected is not None and rig.get("actuator.kind") not in FORCE_DRIVEN:
-        of_acceleration = relation(a, x, 2, dt, frequency)
-        if rig.get("sensors.velocity") != "derived":
-            of_velocity = relation(v, x, 1, dt, frequency)
-    springs = _springs(assumed, whole)
-    own = _combined(inertia(samples, mass, springs, dt, frequency), identified)
-    effect = _Effect(experiment, whole, samples, dt)
-    errors, unsure = _errors(effect, own, [of_velocity, of_acceleration], expected)
-    return CalibrationCheck(
-        experiment.axes, mass, own, of_acceleration, of_velocity, errors, unsure
-    )
-
-
-_NOTHING: dict[str, float | None] = {"mass": None, "scale": None, "lag": None}
-
-
-def _structure(experiment: Experiment, *factors: float) -> Experiment | None:
-    """Give the assumed structure; with a computed model, the specimen alone."""
-    assumed = assumed_structure(experiment, *factors)
-    if assumed is None and "reference_force" in experiment.sections:
-        section = experiment["reference_force"] | {"method": "eft", "mass_ratio": 0.0}
-        alone = Experiment({**experiment.sections, "reference_force": section})
-        return assumed_structure(alone, *factors)
-    return assumed
+    dt = experiment.timebase.dt
+    channels = [("velocity", v)] * (rig.get("sensors.velocity") != "derived") + [
+        ("acceleration", a)
+    ]
+    for channel, y in channels:
+        order = 1 if channel == "velocity" else 2
+        if (found := relation(y, x, order, dt, frequency)) is not None:
+            yield channel, found, expected[0][order - 1], expected[1][order - 1]
 
 
 def expected_relations(experiment: Experiment, frequency: float) -> tuple[Floats, Floats] | None:
@@ -263,104 +317,3 @@ def _combined(own: Inertia | None, known: IdentifiedMass | None) -> Inertia | No
         *mean(own.factor, own.factor_error, known.factor, known.factor_error),
         *mean(own.lag, own.lag_error, known.lag, known.lag_error),
     )
-
-
-def _sure(value: Floats, error: Floats) -> Floats:
-    """Give the deviations that are beyond chance, and 0 for the others."""
-    return np.where(np.abs(value) > SIGMAS * error, value, 0.0)
-
-
-def _errors(
-    effect: "_Effect",
-    own: Inertia | None,
-    relations: list[Relation | None],
-    expected: tuple[Floats, Floats] | None,
-) -> tuple[dict[str, float | None], float | None]:
-    """Find the displacement errors that deviations mean, and that of the mass's uncertainty."""
-    found, unsure = dict(_NOTHING), None
-    scales, lags = [], []
-    if own is not None:
-        factor = 1.0 + _sure(own.factor - 1.0, own.factor_error)
-        found["mass"] = effect.of_mass(factor)
-        unsure = effect.of_mass(1.0 + SIGMAS * own.factor_error)
-        lags.append(effect.of_force_lag(_sure(own.lag, own.lag_error)))
-    for i, one in enumerate(relations):
-        if one is not None and expected is not None:
-            scale, lag = np.diag(expected[0][i]), expected[1][i]
-            off = _sure(one.scale - scale, one.scale_error)
-            scales.append(effect.of_scale(np.eye(len(lag)) + off))
-            lags.append(effect.of_lag(_sure(one.lag - lag, one.lag_error)))
-    found["scale"] = max(scales, default=None)
-    found["lag"] = max(lags, default=None)
-    return found, unsure
-
-
-class _Effect:
-    """Displacement errors that deviations mean, over the displacement, RMS over all axes.
-
-    They are the responses of linear structures to the change of the equivalent ground motion: with
-    the model's stiffness, and with the smallest and the largest one of `stiffness_factors`.
-    """
-
-    def __init__(
-        self, experiment: Experiment, whole: WholeStructure, samples: Floats, dt: float
-    ) -> None:
-        self._whole, self._samples, self._dt = whole, samples, dt
-        self._motion = EquivalentMotion(whole, dt).advance(samples)
-        n = samples.shape[2]
-        self._mass = whole.structure.mass[:n, :n]
-        self._own = EquivalentMotion(whole, dt).mass
-        factors = stiffness_factors(whole, samples, self._own)
-        damped = damping_factor(whole, samples, self._own)
-        tried = (_structure(experiment, one, damped) for one in (factors[0], 1.0, factors[-1]))
-        self._structures = [one for one in tried if one is not None]
-        self._sizes = [self._response(one, self._motion) for one in self._structures]
-
-    def _response(self, structure: Experiment, motion: Floats) -> float:
-        return float(np.sqrt(np.mean(reference_response(structure, motion).displacement ** 2)))
-
-    def _of(self, change: Floats) -> float:
-        """Error for a change of the ground motion, shape (N, n), m/s^2."""
-        if not change.any():
-            return 0.0
-        each = zip(self._structures, self._sizes, strict=True)
-        return max(ratio(self._response(one, change), size) for one, size in each)
-
-    def of_mass(self, factor: Floats) -> float:
-        """Error if the mass is so many times the one told, or the force too large; shape (n,)."""
-        if (factor == 1.0).all():
-            return 0.0
-        true = self._mass + (factor - 1.0)[:, np.newaxis] * self._own
-        by_mass = self._motion @ np.linalg.solve(true, self._mass).T - self._motion
-        return max(self._of(by_mass), self._of_force((1.0 / factor - 1.0) * self._samples[:, _F]))
-
-    def of_force_lag(self, lag: Floats) -> float:
-        """Error if the force is late by so much, shape (n,), s."""
-        return self._of_force(led(self._samples[:, _F], lag, self._dt))
-
-    def _of_force(self, change: Floats) -> float:
-        if not change.any():
-            return 0.0
-        states = np.zeros_like(self._samples)
-        states[:, _F] = change
-        return self._of(EquivalentMotion(self._whole, self._dt).advance(states))
-
-    def of_scale(self, scale: Floats) -> float:
-        """Error if the displacement is wrong by such a scale and tilt, shape (n, n)."""
-        true = np.linalg.inv(scale)
-        return self._of(self._samples[:, _A] @ (true - np.eye(len(true))).T)
-
-    def of_lag(self, lag: Floats) -> float:
-        """Error if the displacement leads the acceleration by so much, shape (n,), s."""
-        return self._of(led(self._samples[:, _A], lag, self._dt))
-
-
-def led(y: Floats, lead: Floats, dt: float) -> Floats:
-    """Give y(t + lead) - y(t) of signals of shape (N, n), leads of shape (n,) in s."""
-    if not lead.any():
-        return np.zeros_like(y)
-    room = int(np.ceil(np.abs(lead).max() / dt)) + 64  # so that the ends do not meet
-    size = next_fast_len(len(y) + room, real=True)
-    w = 2j * np.pi * rfftfreq(size, dt)
-    moved = irfft(rfft(y, size, axis=0) * np.exp(np.outer(w, lead)), size, axis=0)
-    return moved[: len(y)] - y

@@ -34,14 +34,13 @@ KINEMATIC_BAND = (0.3, 3.0)
 """Band of Eq. (1), over the frequency of the motion: where most of the motion is. Below, the
 acceleration is lost in the bias and the noise of the displacement, above in those of x''."""
 INERTIA_BAND = 8.0
-"""Highest frequency of Eq. (2) over that of the motion: there the specimen's stiffness is 2 % of its
-inertia, and the valve moves no more."""
+"""Highest frequency of Eq. (2) over that of the motion: there a stiffness is 2 % of the inertia."""
 OF_SAMPLING = 0.22
 """The highest frequency of any band over the sampling rate: filters need some room below half."""
 WINDOWS = (0.7, 1.4, 2.8)
 """Lengths of the windows of Eq. (2), over the period of the motion: a line in x describes a part of
-a cycle, and a short window has little but noise beside it. The median of the three counts, and their
-scatter is part of the standard error."""
+a cycle, and a short window has little but noise beside it. The median of the three counts, and
+their scatter is part of the standard error."""
 FEWEST_WINDOWS = 20
 """Windows without which a length does not count; no mass is given of one length alone."""
 MOST_WINDOWS = 1500
@@ -54,8 +53,8 @@ SLIDERS, CURVE = 12, 12
 MEMORY = 12
 """Windows, half of each overlapping the next, over which residuals may be correlated."""
 WIDEN = 1.5
-"""Factor on the standard error of Eq. (2): the law is not described exactly; with it 95 % of tests of
-nine kinds of specimen are within two standard errors (docs/metrics.md)."""
+"""Factor on the standard error of Eq. (2), because no law is described exactly: with it nine kinds
+of specimen are within two standard errors in 93 of 100 tests (docs/metrics.md)."""
 LEAST_ERROR = 1.5e-3
 """Least standard error of a mass, relative: the samples' timing and the converter's steps."""
 _ALIKE = 1e6  # condition number of deformations that do not determine the displacements
@@ -120,7 +119,7 @@ def noise_of(y: Floats) -> Floats:
 def derivatives(
     y: Floats, orders: tuple[int, ...], band: tuple[float, float], dt: float, half: float
 ) -> list[Floats]:
-    """Derivatives of signals in a band of frequencies, without a shift in time.
+    """Give derivatives of signals in a band of frequencies, without a shift in time.
 
     Parameters
     ----------
@@ -324,8 +323,8 @@ def law_regressors(e: Floats, noise: float) -> Floats:
 def moving_windows(travel: Floats, size: int, least: Floats) -> npt.NDArray[np.intp]:
     """Choose windows in which some axis moves by more than the least RMS.
 
-    ``travel`` has shape (N, n), ``least`` (n,); the result are indices, shape (w, size), each window
-    overlapping the next by half.
+    ``travel`` has shape (N, n), ``least`` (n,); the result are indices, shape (w, size). Each
+    window overlaps the next by half.
     """
     starts = np.arange(0, len(travel) - size + 1, max(1, size // 2))
     take = starts[:, np.newaxis] + np.arange(size)

@@ -186,7 +186,8 @@ def motion_difference(record: Record) -> MotionDifference | None:
     """Compare the ground motion of which a test is the exact one with the one asked for.
 
     It needs no specimen model: the structures tried are linear, and their stiffness runs from half
-    the smallest to twice the largest secant stiffness that the specimen had in the test.
+    the smallest to twice the largest secant stiffness that the specimen had in the test. They
+    dissipate what the specimen did.
 
     Returns
     -------
@@ -207,7 +208,9 @@ def motion_difference(record: Record) -> MotionDifference | None:
     with np.errstate(over="ignore", invalid="ignore"):  # of a test that went unstable
         tested = equivalent.advance(measured)
         factors = stiffness_factors(structure, measured, equivalent.mass)
-        tried = [one for one in (assumed_structure(record.experiment, f) for f in factors) if one]
+        damped = damping_factor(structure, measured, equivalent.mass)
+        each = (assumed_structure(record.experiment, factor, damped) for factor in factors)
+        tried = [one for one in each if one]
         first, *errors = (_response_nrmse(one, asked, tested) for one in (assumed, *tried))
         modes = [natural_frequencies(one) for one in tried]
         natural, damping = _modes(structure)
