@@ -261,9 +261,10 @@ def _loop(summary: dict[str, Any]) -> Iterator[TestFinding]:
     if summary["energy"] and (closure := summary["energy"]["closure"]) is not None:
         text = f"energy balance of the specimen closes to {percent(closure)}"
         detail = f"good: {GOOD_CLOSURE:.0%}; otherwise samples and specimen do not fit"
-        yield TestFinding(
-            "energy_balance", _grade(closure, GOOD_CLOSURE, float("inf")), text, detail
-        )
+        mark = _grade(closure, GOOD_CLOSURE, float("inf"))
+        if summary["reference_specimen"] != "simulated":
+            mark, detail = Mark.NONE, "of the assumed specimen, which need not be the real one"
+        yield TestFinding("energy_balance", mark, text, detail)
 
 
 def losses(summary: dict[str, Any]) -> Iterator[TestFinding]:
