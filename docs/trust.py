@@ -185,7 +185,7 @@ def main():
             continue
         sound, right = run(words, axes)
         rows = []
-        if right is not None and right <= SPOILED:
+        if right is not None and right <= SPOILED and not sound.saturation:
             rows.append(("sound", sound))
         if right is not None and wrong > max(SPOILED, WORSE * right):
             rows.append(("spoiled", record))

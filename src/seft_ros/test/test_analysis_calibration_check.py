@@ -62,7 +62,7 @@ def test_a_sound_test_is_not_doubted(words):
     [
         (WRONG_MASS, {"mass"}),
         ((*FRICTION, "rig:sensors.force_scale:=1.08"), {"mass"}),
-        (("rig:sensors.acceleration_lag:=0.0004",), {"lag"}),
+        (("rig:sensors.acceleration_lag:=0.0002",), {"lag"}),
         (("rig:sensors.position_lag:=0.0008",), {"lag"}),
         (("rig:sensors.position_scale:=1.03",), {"scale"}),
     ],
@@ -83,7 +83,7 @@ def test_text_and_json_say_what_is_wrong():
     assert names["mass"] == "doubt"
     assert {"scale", "lag"} <= set(names)
     told = found["calibration"]["axes"]["x"]["force"]["mass"]
-    assert told["told"] == 57.0
+    assert told["told"] == pytest.approx(57.0)
     assert told["estimate"] == pytest.approx(52.7, abs=4 * told["error"])
 
 
@@ -117,7 +117,8 @@ def test_three_axes_find_a_wrong_floor():
 
 @pytest.mark.parametrize("kind", ["ideal", "delay"])
 def test_of_an_idealised_actuator_the_mass_is_known_and_no_relation(kind):
-    record = simulated(load(*PLAN[2:], f"rig:actuator.kind:={kind}", "rate:=1000.0"))
+    words = "ground_motion:peak_force:=450.0", "rate:=1000.0", f"rig:actuator.kind:={kind}"
+    record = simulated(load(*words))
     check = calibration_check(record)
     assert check.scale is None
     assert check.mass.estimate == pytest.approx(52.7, abs=4 * check.mass.error)

@@ -243,13 +243,21 @@ def test_it_says_how_well_the_mass_is_known():
 
 def test_with_a_target_only_a_gross_error_of_the_ground_motion_counts():
     on_target = {"rms": 1e-5, "peak": 1e-4, "nrmse": 0.01}
-    for error, mark in ((0.2, Mark.GOOD), (0.3, Mark.DOUBT)):
+    for error, mark in ((0.19, Mark.GOOD), (0.21, Mark.DOUBT)):
         hardware = changed(
             reference_specimen="model",
             tracking_error=on_target,
             equivalent_motion__worst_response_nrmse=error,
         )
         assert judge_test(hardware).verdict is mark
+
+
+def test_vibration_beyond_that_of_an_assumed_specimen_judges_no_test_with_a_target():
+    assert judge_test(changed(vibration__ratio=0.4)).verdict is Mark.BAD
+    without = changed(vibration__ratio=0.4, reference_specimen="model")
+    assert judge_test(without).verdict is Mark.BAD
+    on_target = without | {"tracking_error": {"rms": 1e-5, "peak": 1e-4, "nrmse": 0.01}}
+    assert judge_test(on_target).verdict is Mark.GOOD
 
 
 def test_the_energy_of_an_assumed_specimen_judges_no_test():
