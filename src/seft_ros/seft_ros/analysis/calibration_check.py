@@ -17,6 +17,7 @@ from seft_plant_sim.whole_structure import WholeStructure, whole_structure
 
 from seft_ros.analysis.calibration_effect import CalibrationEffect, calibration_structure
 from seft_ros.analysis.channel_estimates import (
+    SIGMAS,
     Inertia,
     Relation,
     inertia,
@@ -28,9 +29,6 @@ from seft_ros.bags.record import Record
 from seft_ros.design.plan import choose_rig
 from seft_ros.reference_force.force_command import FORCE_DRIVEN
 
-SIGMAS = 4.0
-"""Standard errors beyond which a deviation counts. Of 340 estimates on sound tests the worst were
-3.7 away: no law is described exactly, and the tails are longer than a normal distribution's."""
 MOST_LOST = 0.01
 """Share of samples that may be lost: they are interpolated, which is no measurement."""
 MOST_SAMPLES = 1 << 16
