@@ -7,6 +7,21 @@ import pytest
 from seft_ros.analysis.judgement import judge_test
 from seft_ros.drawing.style import Mark
 
+
+def deviation(kind, channel, estimate, told, error, effect=0.0, part_of="x"):
+    """Give the numbers of a `seft_ros.analysis.calibration_check.Deviation`."""
+    return {
+        "effect": effect,
+        "kind": kind,
+        "channel": channel,
+        "axis": "x",
+        "part_of": part_of,
+        "estimate": estimate,
+        "told": told,
+        "error": error,
+    }
+
+
 GOOD = {
     "steps": 1000,
     "judged_steps": 1000,
@@ -36,6 +51,13 @@ GOOD = {
     "instability_band_hz": [20.0, 60.0],
     "uncompensated_delay_s": None,
     "energy": {"closure": 0.001},
+    "axes": {"x": {}},
+    "calibration": {
+        "mass": deviation("mass", "force", 52.8, 52.7, 0.1),
+        "scale": deviation("scale", "acceleration", 1.001, 1.0, 0.001),
+        "lag": deviation("lag", "force", -1e-5, 0.0, 1e-5),
+        "unsure": 0.02,
+    },
 }
 
 
@@ -66,6 +88,21 @@ def test_a_test_without_fault_can_be_trusted():
         ({"complete": False}, Mark.BAD, "ending"),
         ({"complete": False, "first_step": None}, Mark.BAD, "ending"),
         ({"first_step": 120, "displacement__nrmse": 9.0}, Mark.BAD, "beginning"),
+        (
+            {"calibration__mass": deviation("mass", "force", 55.2, 52.7, 0.3, 0.04)},
+            Mark.DOUBT,
+            "mass",
+        ),
+        (
+            {"calibration__scale": deviation("scale", "velocity", 1.03, 1.0, 0.001, 0.03)},
+            Mark.DOUBT,
+            "scale",
+        ),
+        (
+            {"calibration__lag": deviation("lag", "acceleration", 1e-3, 0.0, 1e-5, 0.03)},
+            Mark.DOUBT,
+            "lag",
+        ),
         ({"displacement__nrmse": 0.06}, Mark.DOUBT, "displacement_error"),
         ({"displacement__nrmse": 0.16}, Mark.BAD, "displacement_error"),
         ({"displacement__nrmse": None}, Mark.DOUBT, "displacement_error"),
@@ -158,3 +195,71 @@ def test_programs_find_the_same_as_people():
     assert numbers["verdict"] == "doubt"
     assert numbers["findings"][0]["name"] == "missed"
     assert "3 of 1000" in numbers["findings"][0]["text"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "numbers", "text"),
+    [
+        (
+            "mass",
+            deviation("mass", "force", 55.2, 52.7, 0.3, 0.0412),
+            "mass 55.2 +- 0.3 kg, told 52.7 kg: the displacement may be 4.1 % wrong",
+        ),
+        (
+            "scale",
+            deviation("scale", "acceleration", 0.98, 1.0, 0.001, 0.03),
+            "acceleration is 2.00 % smaller than the displacement says: the displacement may be "
+            "3 % wrong",
+        ),
+        (
+            "scale",
+            deviation("scale", "acceleration", 0.05, 0.0, 0.001, 0.03, part_of="y"),
+            "acceleration shows 5.00 % of that of y: the displacement may be 3 % wrong",
+        ),
+        (
+            "lag",
+            deviation("lag", "force", -4e-4, 0.0, 1e-5, 0.12),
+            "force is 0.4 ms ahead of the acceleration: the displacement may be 12 % wrong",
+        ),
+    ],
+)
+def test_a_wrong_mass_scale_or_lag_is_said_in_one_line(kind, numbers, text):
+    judgement = judge_test(changed(**{f"calibration__{kind}": numbers}))
+    assert judgement.text == f"This test can be trusted with reservations: {text}."
+
+
+@pytest.mark.parametrize("what", [{"calibration": None}, {"calibration__lag": None}])
+def test_what_is_not_known_of_mass_and_channels_is_no_reason_to_doubt(what):
+    judgement = judge_test(changed(**what))
+    assert judgement.verdict is Mark.GOOD
+    assert any("is not known from the test" in finding.text for finding in judgement.findings)
+
+
+def test_it_says_how_well_the_mass_is_known():
+    (mass,) = (finding for finding in judge_test(GOOD).findings if finding.name == "mass")
+    assert mass.text == "mass 52.8 +- 0.1 kg, told 52.7 kg"
+    assert "2 % of displacement" in mass.detail
+
+
+def test_with_a_target_only_a_gross_error_of_the_ground_motion_counts():
+    on_target = {"rms": 1e-5, "peak": 1e-4, "nrmse": 0.01}
+    for error, mark in ((0.19, Mark.GOOD), (0.21, Mark.DOUBT)):
+        hardware = changed(
+            reference_specimen="model",
+            tracking_error=on_target,
+            equivalent_motion__worst_response_nrmse=error,
+        )
+        assert judge_test(hardware).verdict is mark
+
+
+def test_vibration_beyond_that_of_an_assumed_specimen_judges_no_test_with_a_target():
+    assert judge_test(changed(vibration__ratio=0.4)).verdict is Mark.BAD
+    without = changed(vibration__ratio=0.4, reference_specimen="model")
+    assert judge_test(without).verdict is Mark.BAD
+    on_target = without | {"tracking_error": {"rms": 1e-5, "peak": 1e-4, "nrmse": 0.01}}
+    assert judge_test(on_target).verdict is Mark.GOOD
+
+
+def test_the_energy_of_an_assumed_specimen_judges_no_test():
+    assert judge_test(changed(energy__closure=0.4)).verdict is Mark.DOUBT
+    assert judge_test(changed(energy__closure=0.4, reference_specimen="model")).verdict is Mark.GOOD

@@ -27,19 +27,23 @@ _FACTORS = (0.1, 10.0)  # of secant stiffness: what is beyond is noise or a stop
 _SMALLEST = 0.1  # half cycle that counts, over the largest
 
 
-def assumed_structure(experiment: Experiment, stiffness_factor: float = 1.0) -> Experiment | None:
+def assumed_structure(
+    experiment: Experiment, stiffness_factor: float = 1.0, damping_factor: float = 1.0
+) -> Experiment | None:
     """Give the structure that the reference-force node assumes, the model and what is computed.
 
     Returns
     -------
     Experiment or None
-        One without a rig: its whole structure is linear, with the model's stiffness times the
-        factor. None if the experiment does not describe one, or it has a computed model.
+        One without a rig: its whole structure is linear, with the model's stiffness and damping
+        times the factors. None if the experiment does not describe one, or it has a computed model.
     """
     section = experiment.sections.get("reference_force", {})
     try:
         stiffness = np.multiply(section["model.stiffness"], stiffness_factor).tolist()
-        assumed = Experiment({"reference_force": section | {"model.stiffness": stiffness}})
+        damping = np.multiply(section["model.damping"], damping_factor).tolist()
+        changed = {"model.stiffness": stiffness, "model.damping": damping}
+        assumed = Experiment({"reference_force": section | changed})
         computed = whole_structure(assumed).computed
         if computed.model is not None or computed.on_axes is not None:
             return None
@@ -182,7 +186,8 @@ def motion_difference(record: Record) -> MotionDifference | None:
     """Compare the ground motion of which a test is the exact one with the one asked for.
 
     It needs no specimen model: the structures tried are linear, and their stiffness runs from half
-    the smallest to twice the largest secant stiffness that the specimen had in the test.
+    the smallest to twice the largest secant stiffness that the specimen had in the test. They
+    dissipate what the specimen did.
 
     Returns
     -------
@@ -202,8 +207,10 @@ def motion_difference(record: Record) -> MotionDifference | None:
     equivalent = EquivalentMotion(structure, dt)
     with np.errstate(over="ignore", invalid="ignore"):  # of a test that went unstable
         tested = equivalent.advance(measured)
-        factors = _factors(structure, measured, equivalent.mass)
-        tried = [one for one in (assumed_structure(record.experiment, f) for f in factors) if one]
+        factors = stiffness_factors(structure, measured, equivalent.mass)
+        damped = damping_factor(structure, measured, equivalent.mass)
+        each = (assumed_structure(record.experiment, factor, damped) for factor in factors)
+        tried = [one for one in each if one]
         first, *errors = (_response_nrmse(one, asked, tested) for one in (assumed, *tried))
         modes = [natural_frequencies(one) for one in tried]
         natural, damping = _modes(structure)
@@ -247,7 +254,7 @@ def _modes(whole: WholeStructure) -> tuple[Floats, Floats]:
     return w / (2 * np.pi), damping
 
 
-def _factors(whole: WholeStructure, states: Floats, mass: Floats) -> Floats:
+def stiffness_factors(whole: WholeStructure, states: Floats, mass: Floats) -> Floats:
     """Stiffnesses to try, over the model's: half to twice the secant stiffnesses of the test."""
     n = len(mass)
     stiffness = (whole.structure.stiffness[:n, :n] - whole.computed.stiffness[:n, :n]).copy()
@@ -255,6 +262,20 @@ def _factors(whole: WholeStructure, states: Floats, mass: Floats) -> Floats:
     ends = [seen.min(), seen.max()] if len(seen) else [1.0, 1.0]
     low, high = np.clip(ends, *_FACTORS) * [1 / BAND_MARGIN, BAND_MARGIN]
     return np.geomspace(low, high, 1 + math.ceil(math.log(high / low) / math.log(_FACTOR_STEP)))
+
+
+def damping_factor(whole: WholeStructure, states: Floats, mass: Floats) -> float:
+    """Damping over the model's with which a linear specimen dissipates what this one did, >= 1.
+
+    It is the work of the restoring force r = f - M_e a over that of the model's damping; arguments
+    as for `secant_stiffness`. 1 where the model has no damping.
+    """
+    n = len(mass)
+    damping = whole.structure.damping[:n, :n] - whole.computed.damping[:n, :n]
+    _, v, a, f = np.moveaxis(states, 1, 0)
+    work = float(np.einsum("ki,ki->", f - a @ mass.T, v))
+    damped = float(np.einsum("ki,ij,kj->", v, damping, v))
+    return max(work / damped, 1.0) if damped > 0 else 1.0
 
 
 def secant_stiffness(states: Floats, mass: Floats, stiffness: Floats) -> Floats:

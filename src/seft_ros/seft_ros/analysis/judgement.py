@@ -11,6 +11,14 @@ BAD_ERROR = 0.15
 for the response to its own ground motion, and for a target's displacement."""
 GOOD_VIBRATION, BAD_VIBRATION = 0.1, 0.3
 """Acceleration in the instability band beyond the reference's, over all of the reference's."""
+GOOD_EFFECT = 0.02
+"""Displacement error that a wrong mass, scale or lag would mean: less than half of what would be
+too much, because it is an estimate. It may be several times too large, so no test is worth nothing
+for it."""
+GROSS_ERROR = 0.2
+"""Response error to its own ground motion from which a test with a target is in doubt. There the
+displacement off its target, mass, scales and lags say more: linear structures exaggerate the error
+of a specimen that slips, up to five times."""
 BAD_MISSED = 0.05
 """Share of steps that missed the command deadline."""
 BAD_LATE = 0.2
@@ -54,7 +62,13 @@ class Judgement:
 def judge_test(summary: dict[str, Any]) -> Judgement:
     """Judge a test by the summary that `seft_ros.analysis.report_numbers` gives."""
     order = (Mark.BAD, Mark.DOUBT, Mark.GOOD, Mark.NONE)
-    found = (*_beginning(summary), *_errors(summary), *_loop(summary), *losses(summary))
+    found = (
+        *_beginning(summary),
+        *response_findings(summary),
+        *calibration_findings(summary),
+        *_loop(summary),
+        *losses(summary),
+    )
     findings = sorted(found, key=lambda finding: order.index(finding.verdict))
     worst = findings[0].verdict
     reasons = "; ".join(finding.text for finding in findings if finding.verdict is worst)
@@ -73,8 +87,9 @@ def verdict_line(summary: dict[str, Any]) -> str:
         text = f"done: response to the equivalent ground motion off by {percent(worst)} at most"
     else:
         text = "done, without a reference to compare it with"
+    wrong = (f.text for f in calibration_findings(summary) if f.verdict is Mark.DOUBT)
     bad = (f.whole for f in losses(summary) if f.verdict is not Mark.GOOD and summary[f.name])
-    return "; ".join((text, *bad))
+    return "; ".join((text, *wrong, *bad))
 
 
 def worst_response(summary: dict[str, Any]) -> float | None:
@@ -125,7 +140,7 @@ def _beginning(summary: dict[str, Any]) -> Iterator[TestFinding]:
         yield TestFinding("ending", Mark.GOOD, text)
 
 
-def _errors(summary: dict[str, Any]) -> Iterator[TestFinding]:
+def response_findings(summary: dict[str, Any]) -> Iterator[TestFinding]:
     """Find how right it was; without a simulated specimen its own ground motion and target say."""
     simulated, part = summary["reference_specimen"] == "simulated", summary["displacement"]
     good = f"good: up to {percent(GOOD_ERROR)}"
@@ -143,6 +158,7 @@ def _errors(summary: dict[str, Any]) -> Iterator[TestFinding]:
         yield TestFinding("displacement_peak", _grade(off), text, good)
 
     found, error = summary["equivalent_motion"], worst_response(summary)
+    target = summary["tracking_error"]
     if error is None:
         text = "the equivalent ground motion is not known from the record"
         yield TestFinding("equivalent_motion", Mark.NONE if simulated else Mark.DOUBT, text)
@@ -154,12 +170,16 @@ def _errors(summary: dict[str, Any]) -> Iterator[TestFinding]:
         )
         detail = (
             f"worst at {found['worst_frequency_hz']:.3g} Hz of {low:.3g} to {high:.3g} Hz; "
-            f"{percent(found['response_nrmse'])} with the stiffness of the model; {good}"
+            f"{percent(found['response_nrmse'])} with the stiffness of the model; "
         )
-        mark = Mark.NONE if simulated else _grade(error)
+        if target is None:
+            mark, detail = _grade(error), detail + good
+        else:
+            detail += f"good beside a target: up to {percent(GROSS_ERROR)}"
+            mark = _grade(error, GROSS_ERROR, float("inf"))
+        mark = Mark.NONE if simulated else mark
         yield TestFinding("equivalent_motion", mark, text, detail)
 
-    target = summary["tracking_error"]
     if target is not None and target["nrmse"] is None:
         yield TestFinding("tracking_error", Mark.DOUBT, "its distance from its target is not known")
     elif target is not None:
@@ -167,6 +187,59 @@ def _errors(summary: dict[str, Any]) -> Iterator[TestFinding]:
         detail = f"RMS {target['rms'] * 1e3:.3g} mm, at most {target['peak'] * 1e3:.3g} mm; {good}"
         mark = Mark.NONE if simulated else _grade(target["nrmse"])
         yield TestFinding("tracking_error", mark, text, detail)
+
+
+_AGAINST = {"force": "acceleration", "acceleration": "displacement", "velocity": "displacement"}
+
+
+def calibration_findings(summary: dict[str, Any]) -> Iterator[TestFinding]:
+    """Find whether mass, scales and lags were as they were told, by the test's own samples."""
+    found: dict[str, Any] = summary["calibration"] or dict.fromkeys(("mass", "scale", "lag"))
+    names = {"mass": "the specimen's mass", "scale": "the channels' scale", "lag": "their lag"}
+    for kind, told in names.items():
+        one = found[kind]
+        if one is None:
+            text = f"{told} is not known from the test: too short, too quiet, or not described"
+            yield TestFinding(kind, Mark.NONE, text)
+            continue
+        of = "" if len(summary["axes"]) == 1 else f" of {one['axis']}"
+        text, detail = _DEVIATIONS[kind](one, of)
+        detail += f"good: up to {percent(GOOD_EFFECT)}"
+        if one["effect"] > GOOD_EFFECT:
+            text += f": the displacement may be {_about(one['effect'])} wrong"
+        elif kind == "mass":
+            detail = f"an error not seen may mean up to {_about(found['unsure'])} of displacement"
+        yield TestFinding(kind, _grade(one["effect"], GOOD_EFFECT, float("inf")), text, detail)
+
+
+def _about(value: float) -> str:
+    """Write an estimated ratio as a percentage of two digits."""
+    return f"{float(f'{value * 100:.2g}'):g} %"
+
+
+def _of_mass(one: dict[str, Any], of: str) -> tuple[str, str]:
+    text = f"mass{of} {one['estimate']:.4g} +- {one['error']:.2g} kg, told {one['told']:.4g} kg"
+    return text, f"or the force is {percent(one['estimate'] / one['told'])} of the true one; "
+
+
+def _of_scale(one: dict[str, Any], of: str) -> tuple[str, str]:
+    error = f"+- {percent(one['error'])}; "
+    off = one["estimate"] - one["told"]
+    if one["part_of"] != one["axis"]:
+        return f"{one['channel']}{of} shows {percent(off)} of that of {one['part_of']}", error
+    more = "larger" if off > 0 else "smaller"
+    size = percent(abs(off))
+    return f"{one['channel']}{of} is {size} {more} than the displacement says", error
+
+
+def _of_lag(one: dict[str, Any], of: str) -> tuple[str, str]:
+    late = one["estimate"] - one["told"]
+    word, against = "behind" if late > 0 else "ahead of", _AGAINST[one["channel"]]
+    text = f"{one['channel']}{of} is {abs(late) * 1e3:.2g} ms {word} the {against}"
+    return text, f"+- {one['error'] * 1e3:.2g} ms; "
+
+
+_DEVIATIONS = {"mass": _of_mass, "scale": _of_scale, "lag": _of_lag}
 
 
 def _loop(summary: dict[str, Any]) -> Iterator[TestFinding]:
@@ -178,8 +251,13 @@ def _loop(summary: dict[str, Any]) -> Iterator[TestFinding]:
             f"vibration of {percent(ratio)} of the reference acceleration where instability would "
             f"start, {low:.3g} to {high:.3g} Hz"
         )
-        detail = f"good: up to {GOOD_VIBRATION:.0%}"
-        yield TestFinding("vibration", _grade(ratio, GOOD_VIBRATION, BAD_VIBRATION), text, detail)
+        mark, detail = (
+            _grade(ratio, GOOD_VIBRATION, BAD_VIBRATION),
+            f"good: up to {GOOD_VIBRATION:.0%}",
+        )
+        if summary["reference_specimen"] != "simulated" and summary["tracking_error"] is not None:
+            mark, detail = Mark.NONE, "the reference is of the assumed specimen; the target decides"
+        yield TestFinding("vibration", mark, text, detail)
     if delay is not None:
         good = GOOD_DELAY * (1.0 / summary["rate_hz"])
         text = f"force lags by {delay * 1e3:.3g} ms and nothing compensates for it"
@@ -188,9 +266,10 @@ def _loop(summary: dict[str, Any]) -> Iterator[TestFinding]:
     if summary["energy"] and (closure := summary["energy"]["closure"]) is not None:
         text = f"energy balance of the specimen closes to {percent(closure)}"
         detail = f"good: {GOOD_CLOSURE:.0%}; otherwise samples and specimen do not fit"
-        yield TestFinding(
-            "energy_balance", _grade(closure, GOOD_CLOSURE, float("inf")), text, detail
-        )
+        mark = _grade(closure, GOOD_CLOSURE, float("inf"))
+        if summary["reference_specimen"] != "simulated":
+            mark, detail = Mark.NONE, "of the assumed specimen, which need not be the real one"
+        yield TestFinding("energy_balance", mark, text, detail)
 
 
 def losses(summary: dict[str, Any]) -> Iterator[TestFinding]:

@@ -9,7 +9,7 @@ import numpy as np
 from seft_ros.analysis import report_sections
 from seft_ros.analysis.judgement import ramp_note
 from seft_ros.analysis.report_numbers import Report
-from seft_ros.analysis.result_text import agreement_table, test_rows, title_of
+from seft_ros.analysis.result_text import OF_THE_MODEL, agreement_table, test_rows, title_of
 from seft_ros.analysis.timing import timing_of
 from seft_ros.analysis.tracking import tracked_of
 from seft_ros.bags.record import Record
@@ -22,10 +22,6 @@ from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 _BINS = 80
 _MACHINE = ("python", "platform", "cpus")
 _MARKS = {"ok": Mark.NONE, "warn": Mark.DOUBT, "error": Mark.BAD, "stale": Mark.BAD}
-_MODEL = (
-    "The reference response is that of the linear model in the parameters of reference_force: "
-    "these numbers include how the specimen differs from it."
-)
 _OFFLINE = "The offline loop has no messages that could be late."
 _WITHOUT_TIMES = "The record does not say when its messages were received."
 _OF_TRIPS = (
@@ -89,7 +85,7 @@ def _sections(report: Report) -> Iterator[PageSection]:
 def _agreement(report: Report) -> PageSection:
     """Table of peaks, errors and delays."""
     summary = report.summary
-    note = [Text(_MODEL)] if summary["reference_specimen"] == "model" else []
+    note = [Text(OF_THE_MODEL)] if summary["reference_specimen"] == "model" else []
     if left_out := ramp_note(summary):
         note.append(Text(f"{left_out[0].upper()}{left_out[1:]}."))
     return PageSection("Agreement with the reference response", [*note, agreement_table(summary)])

@@ -5,11 +5,15 @@ from typing import Any
 
 from seft_msgs_py.wire.topics import LOOP_TOPICS, TARGET
 
-from seft_ros.analysis.judgement import ramp_note, verdict_line, worst_response
+from seft_ros.analysis.judgement import (
+    calibration_findings,
+    ramp_note,
+    response_findings,
+    verdict_line,
+)
 from seft_ros.bags.record import Record
 from seft_ros.drawing.style import (
     DISPLAY_UNITS,
-    GOOD_ERROR,
     RESPONSES,
     Mark,
     number,
@@ -28,13 +32,21 @@ FIELD_UNITS = {
 """Topic and field -> its unit."""
 
 
+OF_THE_MODEL = (
+    "The reference response is that of the assumed specimen (reference_force: model): these "
+    "errors include how the real one differs from it, and judge no test."
+)
+
+
 def agreement_table(summary: dict[str, Any]) -> TextTable:
     """Tabulate how a test agrees with the reference response: over all axes, then on each."""
     rows: list[list[str] | None] = [*_agreement_rows(summary)]
     if len(summary["axes"]) > 1:
         for axis, part in summary["axes"].items():
             rows += [None, *_agreement_rows(part, f"{axis} ")]
-    return TextTable(("", "peak", "reference\npeak", "NRMSE", "NRMSE\naligned", "delay"), rows)
+    against = "model's" if summary["reference_specimen"] == "model" else "reference"
+    heads = ("", "peak", f"{against}\npeak", "NRMSE", "NRMSE\naligned", "delay")
+    return TextTable(heads, rows)
 
 
 def _agreement_rows(part: dict[str, Any], prefix: str = "") -> Iterator[list[str]]:
@@ -52,7 +64,10 @@ def summary_texts(record: Record, summary: dict[str, Any]) -> Texts:
     """Show a test on the terminal: what it was, how it agrees with the reference, its verdict."""
     mark = _mark(summary)
     facts = TextTable((), [*test_rows(summary), *_finding_rows(summary, mark)])
-    return [title_of(record), facts, agreement_table(summary), Cell(verdict_line(summary), mark)]
+    table: Texts = [agreement_table(summary)]
+    if summary["reference_specimen"] == "model":
+        table.append(OF_THE_MODEL)
+    return [title_of(record), facts, *table, Cell(verdict_line(summary), mark)]
 
 
 def title_of(record: Record) -> str:
@@ -142,9 +157,8 @@ def _mark(summary: dict[str, Any]) -> Mark:
     """Bad: the test did not run to its end; in doubt: it did, and is wrong or missed deadlines."""
     if summary["damage"] or not (summary["stable"] and summary["complete"]):
         return Mark.BAD
-    simulated = summary["reference_specimen"] == "simulated"
-    error = summary["displacement"]["nrmse"] if simulated else worst_response(summary)
-    right = error is not None and error <= GOOD_ERROR
+    found = (*response_findings(summary), *calibration_findings(summary))
+    right = all(finding.verdict in (Mark.GOOD, Mark.NONE) for finding in found)
     return Mark.GOOD if right and not summary["missed"] else Mark.DOUBT
 
 
@@ -159,6 +173,11 @@ def _finding_rows(summary: dict[str, Any], mark: Mark) -> Iterator[tuple[str, st
         yield "equivalent ground motion against the one asked for", text
     if tracking is not None:
         yield "displacement off its target", percent(tracking["nrmse"])
+    yield from (
+        (f"{finding.name} by the test's own samples", finding.text)
+        for finding in calibration_findings(summary)
+        if finding.verdict is Mark.DOUBT or finding.name == "mass"
+    )
     if summary["detectors"] and mark is not Mark.GOOD:
         name, share = max(summary["detectors"].items(), key=lambda item: item[1])
         yield "detectors of faults", f"{name} reached {percent(share)} of its threshold"

@@ -21,6 +21,7 @@ from seft_plant_sim.sensors import CHANNELS
 from seft_plant_sim.specimen import EnergyBalance, energy_balance
 from seft_plant_sim.whole_structure import ReferenceResponse, reference_response, tested_specimen
 
+from seft_ros.analysis.calibration_check import calibration_check
 from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
 from seft_ros.analysis.metrics import Agreement, agreement, common_steps, every_step, peak
 from seft_ros.analysis.timing import link_numbers, timing_of
@@ -68,7 +69,8 @@ def summarise(
         ``ground_motion`` (see `seft_ros.ground_motion.ground_motion_block.motion_facts`),
         ``energy`` (see `energy_numbers`), ``estimates`` (identified on line by the compensation:
         name -> axis -> first, last, least and largest, SI units), ``equivalent_motion`` (see
-        `MotionDifference.numbers`), ``tracking_error`` (see `tracking_error`), ``detectors`` (of
+        `MotionDifference.numbers`), ``calibration`` (of mass and channels, see
+        `CalibrationCheck.numbers`), ``tracking_error`` (see `tracking_error`), ``detectors`` (of
         faults, see `shares_of`), ``replaced`` (values of each channel that were wrong, and were
         replaced), ``reference_specimen`` (of the reference response: ``simulated``,
         or the ``model``, by which no test can be judged), ``tracking`` (see `tracking_of`), and for
@@ -88,6 +90,7 @@ def summarise(
         for column, axis in enumerate(axes)
     }
     difference = difference or motion_difference(judged)
+    check = calibration_check(judged)
     simulated = "specimen.mass" in record.experiment.sections.get("rig", {})
     found = {
         **_outcome(record),
@@ -113,6 +116,7 @@ def summarise(
         "energy": energy_numbers(balance or balance_of(judged)),
         "estimates": _estimates(judged.estimates, axes),
         "equivalent_motion": difference and difference.numbers(),
+        "calibration": check and check.numbers(),
         "tracking_error": tracking_error_of(judged),
         "detectors": shares_of(judged),
         "replaced": replaced_in(record),

@@ -1,0 +1,317 @@
+"""Mass, scales and lags of a test from its own samples, against what the test was told.
+
+The estimates are those of `seft_ros.analysis.channel_estimates`; what a deviation means for the
+test is in `seft_ros.analysis.calibration_effect`.
+"""
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import InputError
+from seft_plant_sim.specimen import deformations
+from seft_plant_sim.whole_structure import WholeStructure, whole_structure
+
+from seft_ros.analysis.calibration_effect import CalibrationEffect, calibration_structure
+from seft_ros.analysis.channel_estimates import (
+    SIGMAS,
+    Inertia,
+    Relation,
+    inertia,
+    motion_frequency,
+    relation,
+)
+from seft_ros.analysis.metrics import every_step
+from seft_ros.bags.record import Record
+from seft_ros.design.plan import choose_rig
+from seft_ros.reference_force.force_command import FORCE_DRIVEN
+
+MOST_LOST = 0.01
+"""Share of samples that may be lost: they are interpolated, which is no measurement."""
+MOST_SAMPLES = 1 << 16
+"""Of a longer test the part that moves most counts, so that it takes a second and little memory."""
+_COUPLED = 1e-6  # of the largest stiffness: less is rounding
+
+
+@dataclass(frozen=True)
+class IdentifiedMass:
+    """Mass and lag of the force as a separate test of the specimen found them.
+
+    Attributes
+    ----------
+    factor, factor_error : ndarray
+        Mass over the one told, and its standard error, shape (n,).
+    lag, lag_error : ndarray
+        Of the force behind the acceleration, and its standard error, shape (n,), s.
+    """
+
+    factor: Floats
+    factor_error: Floats
+    lag: Floats
+    lag_error: Floats
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """An estimate against what it should be; of a channel and an axis.
+
+    Attributes
+    ----------
+    effect : float
+        Displacement error (RMS over RMS) that it means, with those of the other axes; 0 if all are
+        within `SIGMAS` standard errors.
+    kind : str
+        ``mass``, ``scale`` or ``lag``.
+    channel, axis : str
+        ``force`` (of a mass, too), ``acceleration`` or ``velocity``, and the axis.
+    part_of : str
+        Axis whose acceleration it is a part of; another one where an accelerometer is tilted.
+    estimate, told, error : float
+        Estimate, what it should be, and its standard error: kg, s, or 1 for a scale.
+    """
+
+    effect: float
+    kind: str
+    channel: str
+    axis: str
+    part_of: str
+    estimate: float
+    told: float
+    error: float
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        """The worst has the largest effect, and without one the least likely estimate."""
+        return self.effect, abs(self.estimate - self.told) / self.error
+
+
+@dataclass(frozen=True)
+class CalibrationCheck:
+    """Estimates of mass, scales and lags of a test; None: not known.
+
+    Attributes
+    ----------
+    mass, scale, lag : Deviation or None
+        The worst of each kind.
+    unsure : float or None
+        Displacement error that an error of the masses of `SIGMAS` standard errors would mean.
+    axes : dict
+        Axis -> ``mass``, ``force``, ``acceleration``, ``velocity``: JSON values of all estimates.
+    """
+
+    mass: Deviation | None
+    scale: Deviation | None
+    lag: Deviation | None
+    unsure: float | None
+    axes: dict[str, Any]
+
+    def numbers(self) -> dict[str, Any]:
+        """For JSON; docs/metrics.md explains each number."""
+        return asdict(self)
+
+
+def calibration_check(
+    record: Record, identified: IdentifiedMass | None = None
+) -> CalibrationCheck | None:
+    """Estimate mass, scales and lags of a test, and what they mean for it.
+
+    Parameters
+    ----------
+    record : Record
+        Of the test, without its ramp-down.
+    identified : IdentifiedMass, optional
+        Combined with the test's own estimate, by their standard errors.
+
+    Returns
+    -------
+    CalibrationCheck or None
+        None if the record does not describe the specimen, holds what is not finite, or lacks too
+        many samples.
+    """
+    states, experiment = record.states, record.experiment
+    structure = calibration_structure(experiment)
+    if structure is None or len(states.steps) < 2:
+        return None
+    every = np.arange(states.steps[0], states.steps[-1] + 1)
+    whole = len(states.steps) >= (1.0 - MOST_LOST) * len(every)
+    if not whole or not np.isfinite(states.values).all():
+        return None
+    samples, dt = strongest(every_step(states, every)), experiment.timebase.dt
+    frequency = motion_frequency(samples)
+    found: list[Deviation] = []
+    unsure = None
+    if frequency > 0:
+        effect = CalibrationEffect(experiment, structure, samples)
+        springs = _springs(structure, whole_structure(structure))
+        own = inertia(samples, effect.mass, springs, dt, frequency)
+        own = _combined(own, identified)
+        if own is not None:
+            unsure = effect.of_mass(1.0 + SIGMAS * own.factor_error)
+            found += _masses(effect, own, experiment.axes)
+        for channel, against, scale, lag in _relations(experiment, samples, frequency):
+            found += _scales(effect, channel, against, scale, experiment.axes)
+            found += _lags(effect, channel, against, lag, experiment.axes)
+    worst = {
+        kind: max(
+            (one for one in found if one.kind == kind), key=lambda one: one.rank, default=None
+        )
+        for kind in ("mass", "scale", "lag")
+    }
+    numbers = {axis: _numbers(found, axis) for axis in experiment.axes}
+    return CalibrationCheck(**worst, unsure=unsure, axes=numbers)
+
+
+def strongest(samples: Floats) -> Floats:
+    """Cut the part of `MOST_SAMPLES` with the largest accelerations out of longer ones."""
+    if len(samples) <= MOST_SAMPLES:
+        return samples
+    energy = np.cumsum(np.pad((samples[:, 2] ** 2).sum(axis=1), (1, 0)))
+    begin = int(np.argmax(energy[MOST_SAMPLES:] - energy[:-MOST_SAMPLES]))
+    return samples[begin : begin + MOST_SAMPLES]
+
+
+def _numbers(found: list[Deviation], axis: str) -> dict[str, Any]:
+    """All estimates of an axis, by channel and kind: estimate, told and standard error."""
+    numbers: dict[str, Any] = {}
+    for one in found:
+        if one.axis == axis:
+            kind = one.kind if one.part_of == axis else f"{one.kind} of {one.part_of}"
+            parts = {"estimate": one.estimate, "told": one.told, "error": one.error}
+            numbers.setdefault(one.channel, {})[kind] = parts
+    return numbers
+
+
+def _sure(value: Floats, error: Floats) -> Floats:
+    """Give the deviations that are beyond chance, and 0 for the others."""
+    return np.where(np.abs(value) > SIGMAS * error, value, 0.0)
+
+
+def _masses(effect: CalibrationEffect, own: Inertia, axes: tuple[str, ...]) -> Iterator[Deviation]:
+    of_mass = effect.of_mass(1.0 + _sure(own.factor - 1.0, own.factor_error))
+    of_lag = effect.of_force_lag(_sure(own.lag, own.lag_error))
+    for i, axis in enumerate(axes):
+        told = float(effect.mass[i, i])
+        mass = (told * float(own.factor[i]), told, told * float(own.factor_error[i]))
+        yield Deviation(of_mass, "mass", "force", axis, axis, *mass)
+        lag = (float(own.lag[i]), 0.0, float(own.lag_error[i]))
+        yield Deviation(of_lag, "lag", "force", axis, axis, *lag)
+
+
+def _scales(
+    effect: CalibrationEffect, channel: str, own: Relation, told: Floats, axes: tuple[str, ...]
+) -> Iterator[Deviation]:
+    """Scales of a channel on all axes; ``told`` has shape (n,)."""
+    expected = np.diag(told)
+    off = _sure(own.scale - expected, own.scale_error)
+    of_scale = effect.of_scale(np.eye(len(axes)) + off)
+    for i, j in np.ndindex(expected.shape):
+        numbers = (float(each[i, j]) for each in (own.scale, expected, own.scale_error))
+        yield Deviation(of_scale, "scale", channel, axes[i], axes[j], *numbers)
+
+
+def _lags(
+    effect: CalibrationEffect, channel: str, own: Relation, told: Floats, axes: tuple[str, ...]
+) -> Iterator[Deviation]:
+    """Lags of a channel on all axes; ``told`` has shape (n,), s."""
+    of_lag = effect.of_lag(_sure(own.lag - told, own.lag_error))
+    for i, axis in enumerate(axes):
+        numbers = (float(each[i]) for each in (own.lag, told, own.lag_error))
+        yield Deviation(of_lag, "lag", channel, axis, axis, *numbers)
+
+
+def _relations(
+    experiment: Experiment, samples: Floats, frequency: float
+) -> Iterator[tuple[str, Relation, Floats, Floats]]:
+    """Give each channel with its relation to the displacement, and the scale and lag expected.
+
+    There are none if the relations of sound channels are not known: of an idealised actuator, whose
+    force jumps from sample to sample, and where no actuator is told. A velocity that is derived
+    from the displacement is no channel.
+    """
+    rig, expected = experiment.sections.get("rig", {}), expected_relations(experiment, frequency)
+    if expected is None or rig.get("actuator.kind") in FORCE_DRIVEN:
+        return
+    x, v, a, _ = np.moveaxis(samples, 1, 0)
+    dt = experiment.timebase.dt
+    channels = [("velocity", v)] * (rig.get("sensors.velocity") != "derived") + [
+        ("acceleration", a)
+    ]
+    for channel, y in channels:
+        order = 1 if channel == "velocity" else 2
+        if (found := relation(y, x, order, dt, frequency)) is not None:
+            yield channel, found, expected[0][order - 1], expected[1][order - 1]
+
+
+def expected_relations(experiment: Experiment, frequency: float) -> tuple[Floats, Floats] | None:
+    """Scale and lag that sound channels have because a command is held over a period.
+
+    The ripple of held commands folds down to the frequency of the motion. In the acceleration it is
+    0.1 % of it at 500 Hz and 0.8 % at 250 Hz with a valve of 70 Hz and an oil column of 90 Hz. It
+    follows from the actuator that the test was told, on the specimen's model.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Of the test.
+    frequency : float
+        Of the motion, Hz.
+
+    Returns
+    -------
+    scale, lag : ndarray
+        Of velocity and acceleration against the displacement, shape (2, n), lags in s. None if no
+        actuator is told.
+    """
+    nodes = ("reference_force", "force_controller")
+    if any(node not in experiment.sections for node in nodes):
+        return None
+    told = Experiment({node: experiment[node] for node in nodes})
+    try:
+        rig = choose_rig(told)
+        a, b, c = rig.sampled(experiment.timebase.dt, rig.plant.delay, 1.0)
+    except (InputError, KeyError):
+        return None
+    n, s = len(experiment.axes), 2j * np.pi * frequency
+    z = np.exp(s * experiment.timebase.dt)
+    x, *others = np.split(c @ np.linalg.solve(z * np.eye(len(a)) - a, b), 4)
+    ratios = np.array([np.diag(others[i]) / (s ** (i + 1) * np.diag(x)) for i in range(2)])
+    return np.abs(ratios).reshape(2, n), -np.angle(ratios).reshape(2, n) / (2 * np.pi * frequency)
+
+
+def _springs(assumed: Experiment, whole: WholeStructure) -> Floats:
+    """Deformations of the specimen's springs per displacement, shape (p, n).
+
+    Those of the model; without, springs between the axes that its stiffness couples, and to the
+    ground where the stiffness does not add up to 0: of a shear frame its storeys.
+    """
+    section, axes = assumed["reference_force"], assumed.axes
+    n = len(axes)
+    if np.any(section.get("model.springs", 0.0)):
+        return deformations(section["model.springs"], axes, "reference_force: model")
+    stiffness = whole.structure.stiffness[:n, :n] - whole.computed.stiffness[:n, :n]
+    least, one = _COUPLED * np.abs(stiffness).max(), np.eye(n)
+    grounded = [one[i] for i in range(n) if abs(stiffness[i].sum()) > least]
+    pairs = zip(*np.nonzero(np.abs(np.triu(stiffness, 1)) > least), strict=True)
+    return np.array([*grounded, *(one[j] - one[i] for i, j in pairs)])
+
+
+def _combined(own: Inertia | None, known: IdentifiedMass | None) -> Inertia | None:
+    """Combine two estimates by their standard errors."""
+    if known is None:
+        return own
+    if own is None:
+        return Inertia(known.factor, known.factor_error, known.lag, known.lag_error)
+
+    def mean(
+        one: Floats, one_error: Floats, two: Floats, two_error: Floats
+    ) -> tuple[Floats, Floats]:
+        p, q = one_error**-2, two_error**-2
+        return (p * one + q * two) / (p + q), (p + q) ** -0.5
+
+    return Inertia(
+        *mean(own.factor, own.factor_error, known.factor, known.factor_error),
+        *mean(own.lag, own.lag_error, known.lag, known.lag_error),
+    )

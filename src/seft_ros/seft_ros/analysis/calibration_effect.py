@@ -1,0 +1,120 @@
+"""What a wrong mass, scale or lag would have done to a test: displacement errors.
+
+If the mass or a channel was not as the test was told, the test was the exact one for another ground
+motion (`seft_ros.analysis.equivalent_motion`). The effect of a deviation is the response of linear
+structures to that change of the motion, with the model's stiffness, and with the smallest and the
+largest one that the specimen may have had. They dissipate as much as the specimen did.
+
+Which of two channels is wrong can't be told from their disagreement, so the worse case counts:
+
+- mass: either the mass is m times the one told, or the force is m times too large;
+- scale and lag of acceleration and velocity against the displacement: the displacement is wrong,
+  and the specimen moved otherwise than its target by the difference. The computed part would see
+  less of a wrong acceleration; a wrong velocity misleads the valve as a wrong displacement does;
+- lag of the force behind the acceleration: the force is late.
+"""
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.wire.topics import RIG_STATE
+from seft_plant_sim.whole_structure import reference_response, whole_structure
+
+from seft_ros.analysis.equivalent_motion import (
+    EquivalentMotion,
+    assumed_structure,
+    damping_factor,
+    stiffness_factors,
+)
+from seft_ros.analysis.metrics import ratio
+
+_A, _F = (RIG_STATE.quantities.index(name) for name in ("accelerations", "effort"))
+
+
+def calibration_structure(experiment: Experiment, *factors: float) -> Experiment | None:
+    """Give the assumed structure; with a computed model, the specimen alone."""
+    assumed = assumed_structure(experiment, *factors)
+    if assumed is None and "reference_force" in experiment.sections:
+        section = experiment["reference_force"] | {"method": "eft", "mass_ratio": 0.0}
+        alone = Experiment({**experiment.sections, "reference_force": section})
+        return assumed_structure(alone, *factors)
+    return assumed
+
+
+class CalibrationEffect:
+    """Displacement errors that deviations mean, over the displacement, RMS over all axes.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Of the test; `calibration_structure` gives its structure.
+    samples : ndarray
+        Displacement, velocity, acceleration and force as measured, shape (N, 4, n), every step.
+
+    The attribute ``mass`` is that of the specimen as it was told, shape (n, n), kg.
+    """
+
+    def __init__(self, experiment: Experiment, structure: Experiment, samples: Floats) -> None:
+        self._samples, self._dt = samples, experiment.timebase.dt
+        self._whole = whole_structure(structure)
+        equivalent, n = EquivalentMotion(self._whole, self._dt), samples.shape[2]
+        self.mass = equivalent.mass
+        self._total = self._whole.structure.mass[:n, :n]
+        self._motion = equivalent.advance(samples)
+        factors = stiffness_factors(self._whole, samples, self.mass)
+        damped = damping_factor(self._whole, samples, self.mass)
+        tried = (
+            calibration_structure(experiment, one, damped) for one in (factors[0], 1.0, factors[-1])
+        )
+        self._structures = [one for one in tried if one is not None]
+        self._sizes = [self._response(one, self._motion) for one in self._structures]
+
+    def _response(self, structure: Experiment, motion: Floats) -> float:
+        return float(np.sqrt(np.mean(reference_response(structure, motion).displacement ** 2)))
+
+    def _of(self, change: Floats) -> float:
+        """Error for a change of the ground motion, shape (N, n), m/s^2."""
+        if not change.any():
+            return 0.0
+        each = zip(self._structures, self._sizes, strict=True)
+        return max(ratio(self._response(one, change), size) for one, size in each)
+
+    def of_mass(self, factor: Floats) -> float:
+        """Error if the mass is so many times the one told, or the force too large; shape (n,)."""
+        if (factor == 1.0).all():
+            return 0.0
+        true = self._total + (factor - 1.0)[:, np.newaxis] * self.mass
+        by_mass = self._motion @ np.linalg.solve(true, self._total).T - self._motion
+        return max(self._of(by_mass), self._of_force((1.0 / factor - 1.0) * self._samples[:, _F]))
+
+    def of_force_lag(self, lag: Floats) -> float:
+        """Error if the force is late by so much, shape (n,), s."""
+        return self._of_force(led(self._samples[:, _F], lag, self._dt))
+
+    def _of_force(self, change: Floats) -> float:
+        if not change.any():
+            return 0.0
+        states = np.zeros_like(self._samples)
+        states[:, _F] = change
+        return self._of(EquivalentMotion(self._whole, self._dt).advance(states))
+
+    def of_scale(self, scale: Floats) -> float:
+        """Error if the displacement is wrong by such a scale and tilt, shape (n, n)."""
+        true = np.linalg.inv(scale)
+        return self._of(self._samples[:, _A] @ (true - np.eye(len(true))).T)
+
+    def of_lag(self, lag: Floats) -> float:
+        """Error if the displacement leads the acceleration by so much, shape (n,), s."""
+        return self._of(led(self._samples[:, _A], lag, self._dt))
+
+
+def led(y: Floats, lead: Floats, dt: float) -> Floats:
+    """Give y(t + lead) - y(t) of signals of shape (N, n), leads of shape (n,) in s."""
+    if not lead.any():
+        return np.zeros_like(y)
+    room = int(np.ceil(np.abs(lead).max() / dt)) + 64  # so that the ends do not meet
+    size = next_fast_len(len(y) + room, real=True)
+    w = 2j * np.pi * rfftfreq(size, dt)
+    moved = irfft(rfft(y, size, axis=0) * np.exp(np.outer(w, lead)), size, axis=0)
+    return moved[: len(y)] - y

@@ -1,0 +1,417 @@
+"""What a test's own samples say of its channels and of the specimen's mass, whatever its law is.
+
+Acceleration and velocity are derivatives of the displacement. With the scale s and the lag tau of a
+channel against the displacement, and in the first order of the lag::
+
+    a_i(t) = sum_j s_ij x_j''(t) - s_ii tau_i x_i'''(t)                                    (1)
+
+Off the diagonal s is the tilt of an accelerometer. The mass is in the measured force::
+
+    f_i = m_i (M a)_i - m_i tau_i (M a)_i' + r_i                                           (2)
+
+with the mass matrix M that the test was told, a factor m_i on it and the lag tau_i of the force
+behind the acceleration. The restoring force r of any specimen is, in a short window, a constant and
+a line in x; what that leaves is taken by stop operators, a curve and dampers of the springs'
+deformations (the hysteresis of Prandtl and Ishlinskii, see
+`seft_ros.reference_force.restoring_model`). Noise of the acceleration would make the estimate too
+small; the derivative of the velocity, which has other noise, serves as an instrument (Reiersol
+1945). Windows in which the specimen is not described so well weigh less. Standard errors are those
+of correlated residuals (Newey & West 1987).
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+from seft_msgs_py.arrays import Floats
+from seft_plant_sim.compiled import compiled
+
+from seft_ros.reference_force.restoring_model import STANDS_OUT, stopped
+
+SIGMAS = 4.0
+"""Standard errors beyond which a deviation counts. Of 340 estimates on sound tests the worst were
+3.7 away: no law is described exactly, and the tails are longer than a normal distribution's."""
+KINEMATIC_BAND = (0.3, 3.0)
+"""Band of Eq. (1), over the frequency of the motion: where most of the motion is. Below, the
+acceleration is lost in the bias and the noise of the displacement, above in those of x''."""
+INERTIA_BAND = 8.0
+"""Highest frequency of Eq. (2) over that of the motion: there a stiffness is 2 % of the inertia."""
+OF_SAMPLING = 0.22
+"""The highest frequency of any band over the sampling rate: filters need some room below half."""
+WINDOWS = (0.7, 1.4, 2.8)
+"""Lengths of the windows of Eq. (2), over the period of the motion: a line in x describes a part of
+a cycle, and a short window has little but noise beside it. The median of the three counts, and
+their scatter is part of the standard error."""
+FEWEST_WINDOWS = 20
+"""Windows without which a length does not count; no mass is given of one length alone."""
+MOST_WINDOWS = 1500
+"""Of a long test, those that move most: the error is below a part in a thousand then."""
+WEIGHT_POWER = 1.5
+"""Power of 1/variance that is a window's weight: more than the 1 of equal laws with other noise,
+because a large residual means a law that is not described, which is a bias and not a noise."""
+SLIDERS, CURVE = 12, 12
+"""Stop operators and B-splines of the law of a spring: one for each factor 1.6 of deformation."""
+MEMORY = 12
+"""Windows, half of each overlapping the next, over which residuals may be correlated."""
+WIDEN = 1.5
+"""Factor on the standard error of Eq. (2), because no law is described exactly: with it nine kinds
+of specimen are within two standard errors in 93 of 100 tests (docs/metrics.md)."""
+LEAST_ERROR = 1.5e-3
+"""Least standard error of a mass, relative: the samples' timing and the converter's steps."""
+_ALIKE = 1e6  # condition number of deformations that do not determine the displacements
+_ROUNDS = 5  # of weighting; then weights change by less than a percent
+_RIDGE = 1e-6  # of the law's regressors, which may be alike
+_SIXTH = 924.0  # sum of the squares of the binomials: a sixth difference's noise over a sample's
+_NORMAL = 0.6745  # median of |z| of a normal variable
+
+
+@dataclass(frozen=True)
+class Relation:
+    """A channel against a derivative of the displacement, Eq. (1).
+
+    Attributes
+    ----------
+    scale, scale_error : ndarray
+        s and its standard error, shape (n, n); the unit matrix for equal channels. A tilt within
+        `SIGMAS` standard errors is 0.
+    lag, lag_error : ndarray
+        tau of each axis, positive where the channel is behind the displacement, and its standard
+        error, shape (n,), s.
+    """
+
+    scale: Floats
+    scale_error: Floats
+    lag: Floats
+    lag_error: Floats
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """What acceleration and force say of the mass, Eq. (2); arrays of shape (n,).
+
+    Attributes
+    ----------
+    factor, factor_error : ndarray
+        m, the mass over the one told, and its standard error. A force that is m times too large
+        looks the same.
+    lag, lag_error : ndarray
+        tau of the force behind the acceleration, and its standard error, s.
+    """
+
+    factor: Floats
+    factor_error: Floats
+    lag: Floats
+    lag_error: Floats
+
+
+def motion_frequency(states: Floats) -> float:
+    """Frequency of a sine with this ratio of acceleration and displacement (RMS), Hz; NaN: none."""
+    x, a = states[:, 0], states[:, 2]
+    travel = float(np.sqrt(np.mean((x - x.mean(axis=0)) ** 2)))
+    rms = float(np.sqrt(np.mean((a - a.mean(axis=0)) ** 2)))
+    return math.sqrt(rms / travel) / (2 * np.pi) if travel > 0 else math.nan
+
+
+def noise_of(y: Floats) -> Floats:
+    """RMS of the white noise of smooth signals, shape (N, n): of their sixth differences, (n,)."""
+    size: Floats = np.median(np.abs(np.diff(y, 6, axis=0)), axis=0) / (_NORMAL * math.sqrt(_SIXTH))
+    return size
+
+
+def derivatives(
+    y: Floats, orders: tuple[int, ...], band: tuple[float, float], dt: float, half: float
+) -> list[Floats]:
+    """Give derivatives of signals in a band of frequencies, without a shift in time.
+
+    Parameters
+    ----------
+    y : ndarray
+        Shape (N, c).
+    orders : tuple of int
+        Of the derivatives; 0: the signal itself.
+    band : tuple of float
+        Where the amplitude is half (0: no lower end), Hz.
+    half : float
+        Half the length of the filter's impulse response, s; so much is lost at both ends.
+
+    Returns
+    -------
+    list of ndarray
+        One for each order, shape (N - 2 round(half / dt), c).
+    """
+    k = max(1, round(half / dt))
+    size = next_fast_len(len(y) + 2 * k, real=True)
+    spectrum = rfft(y, size, axis=0)
+    found = []
+    for order in orders:
+        response = rfft(_impulse_response(band, dt, order, k), size)
+        found.append(irfft(spectrum * response[:, np.newaxis], size, axis=0)[2 * k : len(y)])
+    return found
+
+
+def _impulse_response(band: tuple[float, float], dt: float, order: int, k: int) -> Floats:
+    """Impulse response of a smooth band-pass and a derivative of this order, shape (2k + 1,)."""
+    n = 8 * k
+    frequency, (low, high) = rfftfreq(n, dt), band
+    fall = np.sin(np.pi / 2 * np.clip((1.2 * high - frequency) / (0.4 * high), 0.0, 1.0)) ** 2
+    if low > 0:
+        fall *= np.sin(np.pi / 2 * np.clip((frequency / low - 0.6) / 0.8, 0.0, 1.0)) ** 2
+    shaped = np.roll(irfft(fall, n), k)[: 2 * k + 1] * np.hanning(2 * k + 3)[1:-1] ** 2
+    centred = np.roll(np.pad(shaped, (0, n - len(shaped))), -k)
+    derived = irfft(rfft(centred) * (2j * np.pi * frequency) ** order, n)
+    return np.concatenate([derived[-k:], derived[: k + 1]])
+
+
+def relation(y: Floats, x: Floats, order: int, dt: float, frequency: float) -> Relation | None:
+    """Compare a channel with a derivative of the displacement, Eq. (1).
+
+    Parameters
+    ----------
+    y, x : ndarray
+        Channel and displacement of each axis, shape (N, n).
+    order : int
+        1: y is the velocity; 2: it is the acceleration.
+    frequency : float
+        Of the motion, Hz, see `motion_frequency`.
+
+    Returns
+    -------
+    Relation or None
+        None if the test is too short or too quiet: the derivatives of the displacement do not
+        stand out from its noise in the band.
+    """
+    low, high = (factor * frequency for factor in KINEMATIC_BAND)
+    band, half = (low, min(high, OF_SAMPLING / dt)), 0.4 / low
+    n, k = x.shape[1], round(half / dt)
+    if len(x) < 6 * k:
+        return None
+    (seen,) = derivatives(y, (0,), band, dt, half)
+    motion, change = derivatives(x, (order, order + 1), band, dt, half)
+    response = _impulse_response(band, dt, order, k)
+    if (np.sqrt(np.mean(motion**2, axis=0)) < STANDS_OUT * noise_of(x) * _size(response)).any():
+        return None
+    scale, scale_error = np.empty((2, n, n))
+    lag, lag_error = np.empty((2, n))
+    for i in range(n):
+        b, error = _regressed(seen[:, i], np.column_stack([motion, change[:, i]]), 2 * k)
+        others = np.arange(n) != i
+        scale[i], scale_error[i] = b[:n], error[:n]
+        if not (np.abs(scale[i]) > SIGMAS * scale_error[i])[others].any():
+            # floors move alike: without a tilt its own motion alone gives an axis' scale far better
+            own = np.column_stack([motion[:, i], change[:, i]])
+            (scale[i, i], b[n]), (scale_error[i, i], error[n]) = _regressed(seen[:, i], own, 2 * k)
+            scale[i, others] = 0.0
+        lag[i], lag_error[i] = -b[n] / scale[i, i], error[n] / abs(scale[i, i])
+    return Relation(scale, scale_error, lag, lag_error)
+
+
+def _regressed(y: Floats, regressors: Floats, lags: int) -> tuple[Floats, Floats]:
+    """Regress a signal, shape (N,); give the coefficients and their standard errors, (k,)."""
+    cut = np.linalg.inv(regressors.T @ regressors)
+    b = cut @ (regressors.T @ y)
+    scores = regressors * (y - regressors @ b)[:, np.newaxis]
+    return b, np.sqrt(np.diag(cut @ summed_covariance(scores, lags) @ cut))
+
+
+def _size(response: Floats) -> float:
+    return float(np.sqrt(response @ response))
+
+
+def summed_covariance(scores: Floats, lags: int) -> Floats:
+    """Covariance of the sum of correlated scores, shape (N, k) (Newey & West 1987)."""
+    size = next_fast_len(len(scores) + lags, real=True)
+    spectrum = rfft(scores, size, axis=0)
+    weights = np.zeros(size)
+    weights[:lags] = 1.0 - np.arange(lags) / lags
+    weights[size - lags + 1 :] = weights[1:lags][::-1]
+    # sum over all lags of weight times cross-product, by Parseval's theorem
+    density = rfft(weights).real
+    both = np.full(len(density), 2.0)
+    both[0] = 1.0
+    if size % 2 == 0:
+        both[-1] = 1.0
+    covariance: Floats = ((spectrum.conj() * (both * density)[:, np.newaxis]).T @ spectrum).real
+    return covariance / size
+
+
+def inertia(
+    states: Floats, mass: Floats, deformation: Floats, dt: float, frequency: float
+) -> Inertia | None:
+    """Estimate the mass from a test's own samples, Eq. (2).
+
+    Parameters
+    ----------
+    states : ndarray
+        Displacement, velocity, acceleration and force as measured, shape (N, 4, n).
+    mass : ndarray
+        M, shape (n, n), kg.
+    deformation : ndarray
+        Of each spring per displacement of each axis, shape (p, n).
+    frequency : float
+        Of the motion, Hz.
+
+    Returns
+    -------
+    Inertia or None
+        None if too few windows move by more than the noise, or the regressors are alike.
+    """
+    x, v, a, f = np.moveaxis(states, 1, 0)
+    top = min(INERTIA_BAND * frequency, OF_SAMPLING / dt)
+    half = 3.5 / top
+    if len(x) < 6 * half / dt:
+        return None
+    every = max(1, int(0.4 / (top * dt)))  # no higher frequency is left
+    band, noise = (0.0, top), noise_of(x)
+    by_spring = x @ deformation.T
+    laws = [law_regressors(e, s) for e, s in zip(by_spring.T, noise_of(by_spring), strict=True)]
+    n = x.shape[1]
+    share = np.eye(n)
+    if len(deformation) == n and np.linalg.cond(deformation) < _ALIKE:
+        share = np.linalg.inv(deformation).T  # the equation of a spring, of its own law alone
+    else:
+        laws = [np.hstack(laws)] * n
+    rates = v @ deformation.T
+
+    def filtered(y: Floats, *orders: int) -> list[Floats]:
+        return [one[::every] for one in derivatives(y, orders, band, dt, half)]
+
+    own = [*filtered(f, 0), *filtered(a @ mass.T, 0, 1), *filtered(v @ mass.T, 1, 2)]
+    (travel,) = filtered(x, 0)
+    laws = [one for law in laws for one in filtered(np.column_stack([law, rates]), 0)]
+    found = []
+    for length in WINDOWS:
+        size = max(n + 3, round(length / (frequency * dt * every)))
+        take = moving_windows(travel, size, STANDS_OUT * noise)
+        if len(take) < FEWEST_WINDOWS:
+            continue
+        projected = without_line([*own, *laws], travel, take)
+        found.append(_fit(projected[: len(own)], projected[len(own) :], share))
+    if len(found) < 2:
+        return None
+    each = np.array(found).reshape(-1, 2, 2, n)  # length, (value, error), (m, -m tau), axis
+    value = np.median(each[:, 0], axis=0)
+    scatter = each[:, 0].var(axis=0, ddof=1)
+    error = WIDEN * np.sqrt(np.median(each[:, 1], axis=0) ** 2 + scatter)
+    factor = value[0]
+    if not np.isfinite(each).all() or (factor <= 0).any():
+        return None
+    return Inertia(
+        factor,
+        np.maximum(error[0], LEAST_ERROR * factor),
+        -value[1] / factor,
+        error[1] / factor,
+    )
+
+
+@compiled
+def slide(e: Floats, thresholds: Floats, stops: Floats) -> None:
+    """Let stop operators follow a deformation from rest, (N,); the result is (N, m)."""
+    for i in range(len(thresholds)):
+        z = 0.0
+        for k in range(1, len(e)):
+            z = stopped(z + e[k] - e[k - 1], thresholds[i])
+            stops[k, i] = z
+
+
+def law_regressors(e: Floats, noise: float) -> Floats:
+    """Regressors of the force of a spring of any law: stop operators and a curve.
+
+    ``e`` is its deformation, shape (N,), and ``noise`` its RMS noise; the result has shape
+    (N, SLIDERS + CURVE - 2).
+    """
+    low, high, most = e.min(), e.max(), np.abs(e).max()
+    if not high > low:
+        return np.zeros((len(e), SLIDERS + CURVE - 2))
+    thresholds = np.geomspace(max(8 * noise, most / 500), 0.7 * most, SLIDERS)
+    stops = np.zeros((len(e), SLIDERS))
+    slide(np.ascontiguousarray(e), thresholds, stops)
+    # uniform cubic B-splines, but the first and the last
+    place = (e - low) / (high - low) * (CURVE - 3)
+    t = np.abs(place[:, np.newaxis] - np.arange(CURVE - 2))
+    near, far = 2 / 3 - t**2 + t**3 / 2, (2.0 - t) ** 3 / 6
+    return np.hstack([stops, np.where(t < 1, near, np.where(t < 2, far, 0.0))])
+
+
+def moving_windows(travel: Floats, size: int, least: Floats) -> npt.NDArray[np.intp]:
+    """Choose windows in which some axis moves by more than the least RMS.
+
+    ``travel`` has shape (N, n), ``least`` (n,); the result are indices, shape (w, size). Each
+    window overlaps the next by half.
+    """
+    starts = np.arange(0, len(travel) - size + 1, max(1, size // 2))
+    take = starts[:, np.newaxis] + np.arange(size)
+    if not len(starts):
+        return take
+    moved = travel[take].std(axis=1)
+    ratio = (moved / np.maximum(least, 1e-3 * moved.max())).max(axis=1)
+    chosen = np.flatnonzero(ratio > 1.0)
+    if len(chosen) > MOST_WINDOWS:
+        chosen = np.sort(chosen[np.argsort(ratio[chosen])[-MOST_WINDOWS:]])
+    return take[chosen]
+
+
+def without_line(signals: list[Floats], travel: Floats, take: npt.NDArray[np.intp]) -> list[Floats]:
+    """Take a constant and a line in the displacements out of signals, of each window its own.
+
+    Signals and displacements have shape (N, c) and (N, n), windows (w, size); the results
+    (w, size, c).
+    """
+    moved = travel[take]
+    moved = moved - moved.mean(axis=1, keepdims=True)
+    one = np.ones((*take.shape, 1))
+    basis = np.concatenate([one, moved], axis=2)
+    basis /= np.sqrt((basis**2).sum(axis=1, keepdims=True)) + 1e-300
+    q, _ = np.linalg.qr(basis)
+    across = q.transpose(0, 2, 1)
+    return [(y := signal[take]) - q @ (across @ y) for signal in signals]
+
+
+def _fit(own: list[Floats], laws: list[Floats], share: Floats) -> tuple[Floats, Floats]:
+    """Fit Eq. (2) of all springs together; give (m, -m tau) and standard errors, shape (2n,).
+
+    Parameters
+    ----------
+    own : list of ndarray
+        Force, inertial force and its rate of each axis, and the instruments of these two; shape
+        (w, size, n), in windows.
+    laws : list of ndarray
+        Regressors of the force of each spring, shape (w, size, q).
+    share : ndarray
+        Of each axis' forces in the equation of each spring, shape (n, n).
+    """
+    force, inertial, rate, instrument, of_rate = own
+    (windows, size, n), q = force.shape, laws[0].shape[2]
+    equations = []
+    for spring, law in zip(share, laws, strict=True):
+        law = law / (np.sqrt((law**2).mean(axis=(0, 1))) + 1e-300)
+        regressors = np.concatenate([inertial * spring, rate * spring, law], axis=2)
+        z = np.concatenate([instrument * spring, of_rate * spring, law], axis=2)
+        target = force @ spring
+        equations.append((target, regressors, z, np.full(windows, 1.0 / np.mean(target**2))))
+    columns = 2 * n + n * q
+    try:
+        for _ in range(_ROUNDS):
+            normal, right = np.zeros((columns, columns)), np.zeros(columns)
+            for j, (target, regressors, z, weights) in enumerate(equations):
+                at = np.r_[: 2 * n, 2 * n + j * q : 2 * n + (j + 1) * q]
+                weighted = (z * weights[:, np.newaxis, np.newaxis]).reshape(-1, 2 * n + q)
+                normal[np.ix_(at, at)] += weighted.T @ regressors.reshape(-1, 2 * n + q)
+                right[at] += weighted.T @ target.ravel()
+                places = at[2 * n :]
+                normal[places, places] += _RIDGE * size * weights.sum()
+            b = np.linalg.solve(normal, right)
+            scores = np.zeros((windows, columns))
+            for j, (target, regressors, z, weights) in enumerate(equations):
+                at = np.r_[: 2 * n, 2 * n + j * q : 2 * n + (j + 1) * q]
+                left = target - regressors @ b[at]
+                moments = (z.transpose(0, 2, 1) @ left[:, :, np.newaxis])[:, :, 0]
+                scores[:, at] += weights[:, np.newaxis] * moments
+                variance = (left**2).mean(axis=1)
+                least = max(float(np.quantile(variance, 0.1)), 1e-300)
+                weights[:] = (np.maximum(variance, least) / least) ** -WEIGHT_POWER / least
+        cut = np.linalg.inv(normal)[: 2 * n]
+    except np.linalg.LinAlgError:
+        return np.full(2 * n, np.nan), np.full(2 * n, np.nan)
+    return b[: 2 * n], np.sqrt(np.diag(cut @ summed_covariance(scores, MEMORY) @ cut.T))

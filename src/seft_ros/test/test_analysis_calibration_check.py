@@ -1,0 +1,166 @@
+"""The verdict on mass and channels by a test's own samples, on the simulated rig."""
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from experiments_at_hand import load, simulated
+from records_at_hand import as_measured, shown, without
+from seft_msgs_py.config.experiment import Experiment
+from seft_ros.analysis import calibration_check as checks
+from seft_ros.analysis.calibration_check import IdentifiedMass, calibration_check
+from seft_ros.analysis.calibration_effect import led
+from seft_ros.analysis.judgement import calibration_findings
+from seft_ros.analysis.report_numbers import report_numbers
+from seft_ros.analysis.result_text import OF_THE_MODEL, summary_texts
+from seft_ros.analysis.summary import summarise
+from seft_ros.bags.record import Series
+from seft_ros.drawing.style import Mark
+
+PLAN = (
+    *("reference_force:compensation.method:=target_motion", "reference_force:mass_ratio:=1.3"),
+    *("force_controller:method:=velocity_feedforward", "ground_motion:peak_force:=450.0"),
+    *("ground_motion:synthetic.seed:=11", "ground_motion:synthetic.duration:=16.0"),
+)
+FRICTION = ("rig:specimen.kind:=friction", "rig:specimen.friction.force:=35.0")
+WRONG_MASS = ("reference_force:model.mass:=57.0",)
+
+
+@cache
+def record_of(*words):
+    """Give the record of a test that ran to its end."""
+    record = simulated(load(*PLAN, *words))
+    assert record.trip is None
+    return record
+
+
+def as_of_hardware(record):
+    """Give the record of a real rig, of whose specimen no more is known than the model."""
+    sections = {node: own for node, own in record.experiment.sections.items() if node != "rig"}
+    return replace(record, experiment=Experiment(sections))
+
+
+def doubted(record):
+    """Findings on mass and channels that put a test in doubt."""
+    findings = calibration_findings(summarise(record))
+    return {finding.name for finding in findings if finding.verdict is Mark.DOUBT}
+
+
+@pytest.mark.parametrize("words", [(), FRICTION, ("rate:=250.0",), ("rate:=1000.0",)])
+def test_a_sound_test_is_not_doubted(words):
+    record = as_of_hardware(record_of(*words))
+    check = calibration_check(record)
+    assert doubted(record) == set()
+    assert check.mass.estimate == pytest.approx(52.7, abs=4 * check.mass.error)
+    assert None not in (check.scale, check.lag, check.unsure)
+
+
+@pytest.mark.parametrize(
+    ("words", "kinds"),
+    [
+        (WRONG_MASS, {"mass"}),
+        ((*FRICTION, "rig:sensors.force_scale:=1.08"), {"mass"}),
+        (("rig:sensors.acceleration_lag:=0.0002",), {"lag"}),
+        (("rig:sensors.position_lag:=0.0008",), {"lag"}),
+        (("rig:sensors.position_scale:=1.03",), {"scale"}),
+    ],
+)
+def test_a_wrong_mass_scale_or_lag_puts_a_test_in_doubt(words, kinds):
+    assert kinds <= doubted(as_of_hardware(record_of(*words)))
+
+
+def test_text_and_json_say_what_is_wrong():
+    record = as_of_hardware(record_of(*WRONG_MASS))
+    summary = summarise(record)
+    text = shown(summary_texts(record, summary))
+    assert "kg, told 57 kg: the displacement may be" in text
+    assert " ".join(OF_THE_MODEL.split()) in " ".join(text.split())
+    assert "model's" in text
+    found = json.loads(json.dumps(report_numbers(record).summary, allow_nan=False))
+    names = {finding["name"]: finding["verdict"] for finding in found["verdict"]["findings"]}
+    assert names["mass"] == "doubt"
+    assert {"scale", "lag"} <= set(names)
+    told = found["calibration"]["axes"]["x"]["force"]["mass"]
+    assert told["told"] == pytest.approx(57.0)
+    assert told["estimate"] == pytest.approx(52.7, abs=4 * told["error"])
+
+
+def test_a_reference_of_the_simulated_specimen_is_not_called_the_models():
+    record = record_of()
+    assert "model's" not in shown(summary_texts(record, summarise(record)))
+
+
+def test_what_a_separate_test_found_is_combined_by_the_errors():
+    record = record_of(*FRICTION)
+    own = calibration_check(record).mass
+    known = IdentifiedMass(*(np.array([one]) for one in (1.04, 1e-4, 0.0, 1e-6)))
+    both = calibration_check(record, known).mass
+    assert both.estimate == pytest.approx(1.04 * 52.7, rel=1e-3)
+    assert both.error < 0.1 * own.error
+    short = replace(record, series={name: s.until(60) for name, s in record.series.items()})
+    assert calibration_check(short).mass is None
+    assert calibration_check(short, known).mass.estimate == pytest.approx(1.04 * 52.7)
+
+
+def test_three_axes_find_a_wrong_floor():
+    frame = load(
+        *("reference_force:model.mass:=[52.7, 52.7, 60.0]", "ground_motion:synthetic.seed:=5"),
+        config="three_storey_frame",
+    )
+    record = as_of_hardware(simulated(frame))
+    assert "mass" in doubted(record)
+    axes = calibration_check(record).axes
+    assert axes["floor_3"]["force"]["mass"]["estimate"] == pytest.approx(52.7, rel=0.03)
+
+
+@pytest.mark.parametrize("kind", ["ideal", "delay"])
+def test_of_an_idealised_actuator_the_mass_is_known_and_no_relation(kind):
+    words = "ground_motion:peak_force:=450.0", "rate:=1000.0", f"rig:actuator.kind:={kind}"
+    record = simulated(load(*words))
+    check = calibration_check(record)
+    assert check.scale is None
+    assert check.mass.estimate == pytest.approx(52.7, abs=4 * check.mass.error)
+
+
+def test_a_computed_model_and_an_eft_test_are_checked_too():
+    for config, *words in (("computed_damper",), ("jhu", "reference_force:method:=eft")):
+        check = calibration_check(simulated(load(*words, config=config)))
+        assert check.mass.effect < 0.02
+        assert check.mass.error < 0.05 * check.mass.told
+
+
+def test_too_many_lost_samples_or_one_that_is_no_number_make_nothing_known():
+    record = record_of()
+    assert calibration_check(without(record, "rig/state", range(100, 110))).mass is not None
+    assert calibration_check(without(record, "rig/state", range(100, 400))) is None
+    states = record.series["rig/state"]
+    values = states.values.copy()
+    values[50, 2] = np.nan
+    broken = replace(record, series=as_measured(record, Series(states.steps, values)))
+    assert calibration_check(broken) is None
+
+
+def test_a_rig_at_rest_says_nothing():
+    record = record_of()
+    states = record.series["rig/state"]
+    still = Series(states.steps, np.zeros_like(states.values))
+    check = calibration_check(replace(record, series=as_measured(record, still)))
+    assert (check.mass, check.scale, check.lag) == (None, None, None)
+
+
+def test_of_a_long_test_the_part_that_moves_most_counts(monkeypatch):
+    monkeypatch.setattr(checks, "MOST_SAMPLES", 100)
+    samples = np.zeros((1000, 4, 1))
+    samples[400:500, 2] = 1.0
+    assert checks.strongest(samples)[:, 2].min() == 1.0
+
+
+def test_a_lead_is_that_of_a_sine():
+    times = 0.001 * np.arange(4000)
+    window = np.hanning(4000)
+    y, later = (np.sin(2 * np.pi * 7.0 * (times + lead)) * window for lead in (0.0, 3.3e-3))
+    assert led(y[:, np.newaxis], np.array([3.3e-3]), 0.001)[:, 0] == pytest.approx(
+        later - y, abs=5e-3
+    )

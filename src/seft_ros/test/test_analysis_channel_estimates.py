@@ -1,0 +1,119 @@
+"""Mass, scales and lags from samples alone, of a specimen whose law is made up here."""
+
+import numpy as np
+import pytest
+from seft_ros.analysis.channel_estimates import (
+    inertia,
+    law_regressors,
+    motion_frequency,
+    noise_of,
+    relation,
+    summed_covariance,
+)
+
+DT, MASS = 0.002, 40.0
+NOISE = np.array([3e-6, 5e-4, 0.03, 2.0])  # m, m/s, m/s^2, N
+
+
+def samples(
+    *, lag=(0.0, 0.0, 0.0, 0.0), scale=(1.0, 1.0, 1.0, 1.0), seconds=16.0, size=1.0, seed=1
+):
+    """Samples of a specimen with a softening spring and a weak slider, shape (N, 4, 1).
+
+    Its motion is a sum of sines, so that each channel is exact at any time.
+    """
+    rng = np.random.default_rng(seed)
+    frequency = rng.uniform(1.5, 40.0, 60)
+    amplitude = size * 4e-3 / (1.0 + (frequency / 6.0) ** 3) / np.sqrt(10)
+    phase = rng.uniform(0.0, 2 * np.pi, 60)
+    w = 2 * np.pi * frequency
+
+    def motion(times, order):
+        turned = np.outer(times, w) + phase + order * np.pi / 2
+        return np.cos(turned) @ (amplitude * w**order)
+
+    times = DT * np.arange(round(seconds / DT))
+    x, v, a = (motion(times - lag[order], order) for order in range(3))
+    own = motion(times - lag[3], 0)
+    slider, z = np.zeros(len(times)), 0.0
+    for k, moved in enumerate(np.diff(own), start=1):
+        z = min(max(z + moved, -3e-4), 3e-4)
+        slider[k] = z
+    spring = 1.2e5 * 6e-3 * np.tanh(own / 6e-3) + 8e4 * slider
+    force = MASS * motion(times - lag[3], 2) + 300.0 * motion(times - lag[3], 1) + spring
+    exact = np.stack([x, v, a, force], axis=1) * scale
+    return (exact + NOISE * rng.standard_normal(exact.shape))[:, :, np.newaxis]
+
+
+def estimate(y, told=MASS):
+    """Mass over the told one, of one axis."""
+    return inertia(y, np.array([[told]]), np.eye(1), DT, motion_frequency(y))
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("told", [40.0, 44.0])
+def test_mass_is_found_within_its_standard_error(seed, told):
+    found = estimate(samples(seed=seed), told)
+    assert found.factor_error[0] < 0.01
+    assert found.factor[0] == pytest.approx(MASS / told, abs=3 * found.factor_error[0])
+    assert found.lag[0] == pytest.approx(0.0, abs=3 * found.lag_error[0])
+
+
+def test_lag_of_the_force_is_found():
+    found = estimate(samples(lag=(0.0, 0.0, 0.0, 8e-4)))
+    assert found.lag_error[0] < 1e-4
+    assert found.lag[0] == pytest.approx(8e-4, abs=3 * found.lag_error[0])
+
+
+@pytest.mark.parametrize(("channel", "order"), [(1, 1), (2, 2)])
+def test_scale_and_lag_against_the_displacement_are_found(channel, order):
+    lag, scale = [0.0] * 4, [1.0] * 4
+    lag[channel], scale[channel] = 7e-4, 1.013
+    y = samples(lag=lag, scale=scale)
+    found = relation(y[:, channel], y[:, 0], order, DT, motion_frequency(y))
+    assert found.scale_error[0, 0] < 1e-3
+    assert found.scale[0, 0] == pytest.approx(1.013, abs=1e-3)
+    assert found.lag[0] == pytest.approx(7e-4, abs=2e-5)
+
+
+def test_tilt_is_the_part_of_another_axis():
+    y = np.concatenate([samples(seed=1), samples(seed=2)], axis=2)
+    y[:, 2, 0] += 0.05 * y[:, 2, 1]
+    found = relation(y[:, 2], y[:, 0], 2, DT, motion_frequency(y))
+    assert found.scale == pytest.approx(np.array([[1.0, 0.05], [0.0, 1.0]]), abs=2e-3)
+
+
+def test_masses_of_a_frame_are_found_by_the_equations_of_its_storeys():
+    one, two = samples(seed=4), samples(seed=5)  # deformations of the storeys
+    deformation = np.array([[1.0, 0.0], [-1.0, 1.0]])
+    y = np.empty((len(one), 4, 2))
+    y[:, :3, 0], y[:, :3, 1] = one[:, :3, 0], one[:, :3, 0] + two[:, :3, 0]
+    storeys = np.stack([each[:, 3, 0] - MASS * each[:, 2, 0] for each in (one, two)], axis=1)
+    y[:, 3] = storeys @ deformation + np.array([30.0, 50.0]) * y[:, 2]
+    found = inertia(y, np.diag([33.0, 50.0]), deformation, DT, motion_frequency(y))
+    assert found.factor == pytest.approx([30 / 33, 1.0], abs=0.01)
+    assert (np.abs(found.factor - [30 / 33, 1.0]) < 4 * found.factor_error).all()
+
+
+def test_of_a_quiet_or_a_short_test_nothing_is_known():
+    for y in (samples(size=1e-3), samples(seconds=0.4)):
+        frequency = motion_frequency(y)
+        assert estimate(y) is None
+        assert relation(y[:, 2], y[:, 0], 2, DT, frequency) is None
+
+
+def test_noise_is_that_of_a_smooth_signal():
+    assert noise_of(samples()[:, 0]) == pytest.approx(NOISE[:1], rel=0.1)
+
+
+def test_a_spring_that_does_not_move_has_no_law():
+    assert not law_regressors(np.full(100, 1e-3), 1e-6).any()
+
+
+def test_covariance_of_a_sum_counts_neighbours():
+    scores = np.random.default_rng(3).standard_normal((500, 2))
+    lags, wanted = 7, scores.T @ scores
+    for lag in range(1, lags):
+        product = scores[lag:].T @ scores[:-lag]
+        wanted = wanted + (1 - lag / lags) * (product + product.T)
+    assert summed_covariance(scores, lags) == pytest.approx(wanted, rel=1e-9)
