@@ -220,11 +220,7 @@ def own_solution(script, kind, foundation, motion, dt, folder):
 @pytest.mark.parametrize(
     ("name", "foundation", "kind", "seed"),
     [
-        *(
-            ("frame", 0.0, "bilinear", 1),
-            ("damper", 0.0, "linear", 1),
-            ("soil", 150.0, "linear", 1),
-        ),
+        ("frame", 0.0, "bilinear", 1),
         *(pytest.param(*case, marks=THOROUGH) for case in OTHERS),
     ],
 )

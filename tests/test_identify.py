@@ -3,6 +3,7 @@
 import json
 import signal
 
+import pytest
 from graph_tools import JHU, PATIENCE, STALLS_ALLOWED
 
 SHORT = ("--duration", "6", "--band", "1", "100", "--amplitude", "0.2")
@@ -12,6 +13,7 @@ def numbers(printed):
     return {key: value for key, value in printed.items() if key != "files"}
 
 
+@pytest.mark.thorough
 def test_two_tests_in_a_row_on_an_external_rig_give_the_numbers_of_the_offline_loop(
     seft, seft_json, start_node, tmp_path
 ):

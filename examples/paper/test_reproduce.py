@@ -56,6 +56,8 @@ def verdicts_of(text):
     return {claim: not ours.startswith("**") for claim, ours in rows}
 
 
+@pytest.mark.thorough
+@pytest.mark.offline
 def test_under_the_synthetic_motion_66_of_70_claims_agree(capsys, tmp_path):
     found, page, table = reproduced(capsys, tmp_path)
     assert list(found) == ["record", "synthetic", "claims", "agree", "disagree", "beyond", "page"]

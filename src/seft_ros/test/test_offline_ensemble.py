@@ -102,7 +102,6 @@ CASES = {  # few combinations of blocks: a loop is compiled for each
     "open loop": ("force_controller:feedback:=false",),
     "saturated valve": (STRONG, "rig:actuator.rated_voltage:=2.0"),
     "end stops": ("rig:actuator.stroke:=0.002", "rig:limits.displacement_rate:=30.0"),
-    "faults of two axes": (*TWO, *TARGET, FAULTS.replace('"force noise', '"y/force noise')),
     # ends
     "displacement": ("rig:limits.displacement:=0.003",),
     "rate": ("rig:limits.acceleration_rate:=900.0",),
@@ -116,6 +115,8 @@ CASES = {  # few combinations of blocks: a loop is compiled for each
     "interlock": ("force_controller:limits.force:=700.0",),
     "valve at its limit": ("force_controller:voltage_limit:=0.05",),
 }  # fmt: skip
+MORE = {"faults of two axes": (*TWO, *TARGET, FAULTS.replace('"force noise', '"y/force noise'))}
+"""A loop of its own, which takes as long to compile as ten of the others to run."""
 
 
 def load(*words):
@@ -143,9 +144,12 @@ def plain(monkeypatch, experiment):
         return experiments_at_hand.simulated(experiment)
 
 
-@pytest.mark.parametrize("name", CASES)
+THOROUGH = pytest.mark.thorough, pytest.mark.offline
+
+
+@pytest.mark.parametrize("name", [*CASES, *(pytest.param(name, marks=THOROUGH) for name in MORE)])
 def test_a_test_is_that_of_the_plain_loop(name, monkeypatch):
-    experiment = load(*FINE, *CASES[name])
+    experiment = load(*FINE, *(CASES | MORE)[name])
     assert why_not_compiled(build_blocks(experiment)) == ""
     alike(BlockCache().run(experiment), plain(monkeypatch, experiment))
 
