@@ -124,11 +124,14 @@ def test_of_an_idealised_actuator_the_mass_is_known_and_no_relation(kind):
     assert check.mass.estimate == pytest.approx(52.7, abs=4 * check.mass.error)
 
 
-def test_a_computed_model_and_an_eft_test_are_checked_too():
-    for config, *words in (("computed_damper",), ("jhu", "reference_force:method:=eft")):
-        check = calibration_check(simulated(load(*words, config=config)))
-        assert check.mass.effect < 0.02
-        assert check.mass.error < 0.05 * check.mass.told
+@pytest.mark.parametrize("config", ["computed_damper", "jhu"])
+def test_a_computed_model_and_an_eft_test_are_checked_too(config):
+    if config == "computed_damper":
+        pytest.importorskip("openseespy", reason="OpenSeesPy is not installed")
+    words = ("reference_force:method:=eft",) if config == "jhu" else ()
+    check = calibration_check(simulated(load(*words, config=config)))
+    assert check.mass.effect < 0.02
+    assert check.mass.error < 0.05 * check.mass.told
 
 
 def test_too_many_lost_samples_or_one_that_is_no_number_make_nothing_known():
