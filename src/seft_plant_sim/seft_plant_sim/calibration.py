@@ -204,8 +204,7 @@ def as_published(model: ContinuousModel, calibration: Calibration, dt: float) ->
     """
     if not len(calibration.scale):
         return model
-    nothing = np.zeros(len(model.c))
-    shown = model.sensed or Sensed(model.c, model.d, model.outputs, nothing)
+    shown = model.shown
     rest = (1.0 - calibration.factor) / (1.0 + calibration.factor)
     wait = np.where(calibration.whole == AT_ONCE, 0.0, calibration.whole + rest) * dt
     by = 1.0 / calibration.scale.reshape(-1, 1)

@@ -103,6 +103,11 @@ class ContinuousModel:
         """Whether there are no residuals."""
         return not (len(self.pistons) or self.springs)
 
+    @property
+    def shown(self) -> Sensed:
+        """What is seen of it: what its sensors show, or else y."""
+        return self.sensed or Sensed(self.c, self.d, self.outputs, np.zeros(len(self.c)))
+
 
 def with_springs(model: ContinuousModel, specimen: Specimen) -> ContinuousModel:
     """Add the springs' residuals to a model whose first states are x and v."""

@@ -13,7 +13,7 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.specimen import deformations
-from seft_plant_sim.whole_structure import WholeStructure, whole_structure
+from seft_plant_sim.whole_structure import WholeStructure
 
 from seft_ros.analysis.calibration_effect import CalibrationEffect, calibration_structure
 from seft_ros.analysis.channel_estimates import (
@@ -145,7 +145,7 @@ def calibration_check(
     unsure = None
     if frequency > 0:
         effect = CalibrationEffect(experiment, structure, samples)
-        springs = _springs(structure, whole_structure(structure))
+        springs = _springs(structure, effect.whole)
         own = inertia(samples, effect.mass, springs, dt, frequency)
         own = _combined(own, identified)
         if own is not None:

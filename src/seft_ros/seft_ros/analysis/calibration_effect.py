@@ -52,18 +52,23 @@ class CalibrationEffect:
     samples : ndarray
         Displacement, velocity, acceleration and force as measured, shape (N, 4, n), every step.
 
-    The attribute ``mass`` is that of the specimen as it was told, shape (n, n), kg.
+    Attributes
+    ----------
+    whole : WholeStructure
+        That of the structure.
+    mass : ndarray
+        Of the specimen as it was told, shape (n, n), kg.
     """
 
     def __init__(self, experiment: Experiment, structure: Experiment, samples: Floats) -> None:
         self._samples, self._dt = samples, experiment.timebase.dt
-        self._whole = whole_structure(structure)
-        equivalent, n = EquivalentMotion(self._whole, self._dt), samples.shape[2]
+        self.whole = whole_structure(structure)
+        equivalent, n = EquivalentMotion(self.whole, self._dt), samples.shape[2]
         self.mass = equivalent.mass
-        self._total = self._whole.structure.mass[:n, :n]
+        self._total = self.whole.structure.mass[:n, :n]
         self._motion = equivalent.advance(samples)
-        factors = stiffness_factors(self._whole, samples, self.mass)
-        damped = damping_factor(self._whole, samples, self.mass)
+        factors = stiffness_factors(self.whole, samples, self.mass)
+        damped = damping_factor(self.whole, samples, self.mass)
         tried = (
             calibration_structure(experiment, one, damped) for one in (factors[0], 1.0, factors[-1])
         )
@@ -97,7 +102,7 @@ class CalibrationEffect:
             return 0.0
         states = np.zeros_like(self._samples)
         states[:, _F] = change
-        return self._of(EquivalentMotion(self._whole, self._dt).advance(states))
+        return self._of(EquivalentMotion(self.whole, self._dt).advance(states))
 
     def of_scale(self, scale: Floats) -> float:
         """Error if the displacement is wrong by such a scale and tilt, shape (n, n)."""

@@ -14,7 +14,7 @@ from seft_msgs_py.errors import InputError
 from seft_plant_sim import lti
 from seft_plant_sim.actuator import Hydraulics
 from seft_plant_sim.calibration import as_published, calibration_of
-from seft_plant_sim.continuous_model import ContinuousModel, Sensed, servo_hydraulic
+from seft_plant_sim.continuous_model import ContinuousModel, servo_hydraulic
 from seft_plant_sim.rig import continuous_model
 from seft_plant_sim.specimen import Specimen
 
@@ -114,7 +114,7 @@ class Plant:
     ) -> "Plant":
         """Make it of actuators and specimen, to the forces or, with motion, to (x, v, a, f)."""
         outputs = slice(0 if motion else 3 * model.b.shape[1], None)
-        shown = model.sensed or Sensed(model.c, model.d, model.outputs, np.zeros(len(model.c)))
+        shown = model.shown
         c, d, lags = shown.c[outputs], shown.d[outputs], shown.late[outputs]
         late = lags if lags.any() else None
         return cls(source, model.a, model.b, c, d, model.delay, late).without_idle_states()

@@ -28,7 +28,7 @@ from seft_ros.protection.detectors import (
     describe,
     first_of,
 )
-from seft_ros.protection.protection_step import extrapolate
+from seft_ros.protection.protection_step import as_sample, extrapolate
 
 TRIP, STEP, SATURATED, DETECTED, ANSWERED = range(5)
 """Places of the flags: reason and step of the trip, number of limited drives, the detector that has
@@ -196,12 +196,8 @@ def take_plan(state: InterlockState, points: Floats, measured: Floats) -> None:
 @compiled
 def follow_plan(state: InterlockState, dt: float) -> None:
     """Let the controller answer the motion that was predicted before samples were suspect."""
-    plan, sample = state.plan, state.sample
-    extrapolate(plan, 1, dt, plan)
-    for i in range(sample.shape[1]):
-        sample[0, i], sample[1, i] = plan[0, 0, i], plan[0, 1, i]
-        sample[2, i] = (plan[min(1, len(plan) - 1), 1, i] - plan[0, 1, i]) / dt
-        sample[3, i] = plan[0, 2, i]
+    extrapolate(state.plan, 1, dt, state.plan)
+    as_sample(state.plan, dt, state.sample)
 
 
 @compiled
@@ -288,11 +284,14 @@ class Interlock:
         self.controller = controller
         self._axes, n = tuple(axes), len(axes)
         dt = detectors[0].dt
+        closing = close_time / dt
+        left = [left_open(taken, closing) for taken in range(1, math.ceil(closing) + 1)]
+        self._closing = np.array([*left, 0.0])  # of the last drive, step by step
         self._longest, (saturated, window) = longest_saturation, event_ring(longest_saturation, dt)
         self.parameters = InterlockParameters(
             float(largest_force),
             window,
-            close_time / dt,
+            closing,
             hasattr(controller, "stop"),
             np.array(limits),
             detectors[0],
@@ -429,9 +428,7 @@ class Interlock:
                 controller: Any = self.controller
                 stopping = np.vstack([last, controller.stop(state.plan)])
                 last = stopping[-1]
-            closing = self.parameters.closing
-            left = [left_open(taken, closing) for taken in range(1, math.ceil(closing) + 1)]
-            stopping = np.vstack([stopping, np.outer([*left, 0.0], last)])
+            stopping = np.vstack([stopping, np.outer(self._closing, last)])
         if first < 0:
             return stopping
         self._stopping = stopping

@@ -30,7 +30,7 @@ from seft_plant_sim.compiled import compiled, entry_point
 from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.valve_model import ASSUMED_ACTUATOR, read_actuators, valve_models
-from seft_ros.protection.protection_step import slow_down, stop_steps
+from seft_ros.protection.protection_step import as_sample, slow_down, stop_steps
 from seft_ros.protection.valve_following import begin_following, doubt, follow_valve, under_load
 from seft_ros.reference_force.compensator import NotLinearError
 from seft_ros.reference_force.observers import observe, observer_gains, sensor_noise
@@ -238,10 +238,7 @@ def feedforward_stop(
     slow_down(plan, len(commands), slowed)
     for j in range(len(commands)):
         points = slowed[j + 1 :]
-        for i in range(commands.shape[1]):
-            sample[0, i], sample[1, i] = points[0, 0, i], points[0, 1, i]
-            sample[2, i] = (points[1, 1, i] - points[0, 1, i]) / parameters.dt
-            sample[3, i] = points[0, 2, i]
+        as_sample(points, parameters.dt, sample)
         feedforward_step(parameters, state, points, sample, commands[j])
 
 

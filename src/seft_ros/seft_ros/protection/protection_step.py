@@ -92,6 +92,26 @@ def slow_down(plan: Floats, steps: int, slowed: Floats) -> None:
                 slowed[j, row, i] = factor * (now + (theta - before) * (then - now))
 
 
+@compiled
+def as_sample(points: Floats, dt: float, sample: Floats) -> None:
+    """Give the sample that a specimen on its target would show.
+
+    Parameters
+    ----------
+    points : ndarray
+        Displacement, velocity and force of the target at a step and the coming ones, (p, 3, n).
+    dt : float
+        Sampling period, s.
+    sample : ndarray
+        Displacement, velocity, acceleration and force, shape (4, n). The result.
+    """
+    after = points[min(1, len(points) - 1)]
+    for i in range(sample.shape[1]):
+        sample[0, i], sample[1, i] = points[0, 0, i], points[0, 1, i]
+        sample[2, i] = (after[1, i] - points[0, 1, i]) / dt
+        sample[3, i] = points[0, 2, i]
+
+
 BEGUN, TAKEN = range(2)
 """Places of the state of `next_factor`: whether the ramp has begun, and its steps so far."""
 
