@@ -55,7 +55,7 @@ def test_realtime_in_one_process_differs_only_from_the_first_missed_command_on(
     elif compared["first_difference"] is not None:
         assert compared["first_difference"]["step"] > record.missed_steps[0]
     replayed = seft_json("replay", "realtime", "--node", "rig")
-    assert replayed["identical"] is True  # with the commands that the rig says it held
+    assert replayed["identical"] is True  # with the commands that the rig says it applied
     logs = {path.name for path in (tmp_path / "realtime" / "logs").glob("r*.log")}
     assert logs == {"recorder.log", "rig_reference_force_force_controller.log"}
     for node in ("rig", "reference_force", "force_controller"):

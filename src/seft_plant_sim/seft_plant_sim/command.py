@@ -95,9 +95,14 @@ class Command:
 
         If a message has points of later steps, the point of the sample's step is used, or the last.
         """
-        age, points = self._messages.of(self.current)
+        age, points = self.newest
         value: Floats = points[min(age, len(points) - 1)]
         return value
+
+    @property
+    def newest(self) -> tuple[int, Floats]:
+        """Age of the newest message, in steps, and its points, shape (m, n)."""
+        return self._messages.of(self.current)
 
     @property
     def plan(self) -> tuple[Floats, Floats | None]:
@@ -105,7 +110,7 @@ class Command:
 
         Also that of the last step, shape (n,), if the message is older.
         """
-        age, points = self._messages.of(self.current)
+        age, points = self.newest
         return points[age:], points[age - 1] if 0 < age <= len(points) else None
 
     def take(self, raw: bytes) -> None:

@@ -247,6 +247,20 @@ class Rig:
         self._command[:] = command
         return self._sample(self.step_index + 1)
 
+    def continued(self, last: Floats, age: int, plan: Floats, taken: int) -> Floats:
+        """Give a command, shape (n,), where the last one is so many steps old.
+
+        It is that of a ``plan`` of so many steps ago, shape (m, n); the difference between the last
+        command and the plan goes in the time in which the valve closes. A plan of one point holds
+        it.
+        """
+        end, closing = len(plan) - 1, self._safe.closing if self._safe else 0
+        then = age - taken
+        offset = last - plan[min(then, end)] if then >= 0 else np.zeros_like(last)
+        left = left_open(taken, closing) if end else 1.0
+        command: Floats = plan[min(age, end)] + left * offset
+        return command
+
     def stop(self, plan: Floats | None = None, planned: Floats | None = None) -> Stopped:
         """Move the valve to its safe position and simulate the rig until it is at rest.
 

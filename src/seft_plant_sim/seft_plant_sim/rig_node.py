@@ -18,6 +18,7 @@ from seft_msgs_py.wire import topics
 from seft_msgs_py.wire.messages import Status, encode_clock, restamp
 from seft_msgs_py.wire.outcome import (
     FINISHED,
+    LISTED_STEPS,
     REHEARSED,
     REHEARSES,
     SENSOR_LAG,
@@ -175,7 +176,7 @@ class RigNode(NodeBody):
             command.reset()
         self._stop_begun = None
         self._missed: list[int] = []
-        self._held: list[int] = []  # step of the command applied at each of them
+        self._applied: list[Floats] = []  # at each of them
         self._samples = None
         self._recorder_lag.reset()
         self._round_trip.reset()
@@ -229,8 +230,23 @@ class RigNode(NodeBody):
                 return None
             if self._samples is None:
                 self._report_if_due()
-            state = rig.step(self._drive.value)
+            state = rig.step(self._next_command(step))
         return rig.violation
+
+    def _next_command(self, step: int) -> Floats:
+        """Give the command of a step; where it is missing, that of the stop in reserve.
+
+        Without a stop in reserve, the last command is held. A stop begins with the motion of the
+        test, so that little is lost until the next command comes.
+        """
+        command, last = self._drive.value, self._drive.step
+        if last >= step:
+            return command
+        if self._drive is self._valve and self._valve.stops_since is None:
+            command = self._rig.continued(command, *self._reserve.newest, step - last)
+        if len(self._applied) < LISTED_STEPS:
+            self._applied.append(command)
+        return command
 
     def _plan(self) -> tuple[Floats | None, ...]:
         """Give the stop that the controller has sent, for a rig with valves, see `Rig.stop`."""
@@ -278,7 +294,7 @@ class RigNode(NodeBody):
             self._samples.overruns if self._samples else 0,
             self._rig.saturation,
             self._round_trip.numbers(),
-            self._held,
+            [] if stopped is None else [command.tolist() for command in self._applied],
             stopped and self._rig.simulated(self._stop_begun),
         )
         status = rig_status(outcome)
@@ -332,7 +348,6 @@ class RigNode(NodeBody):
             return why
         if drive.step < step:
             self._missed.append(step)
-            self._held.append(drive.step)
         in_vain = self._waited_in_vain and drive.step < step
         fault = self._watch.fault(self._clock.elapsed(), step, drive.step, in_vain=in_vain)
         return (

@@ -62,8 +62,10 @@ def held_test(experiment, blocks, held):
         np.array(states), np.array(states), forces, commands, unused, unused, unused
     )
     series = loop_series(motion, course, steps)
-    missed, applied = sorted(held), [held[step] for step in sorted(held)]
-    return Record(experiment, series, missed=len(held), missed_steps=missed, held_steps=applied)
+    applied = [commands[held[k]].tolist() if held[k] >= 0 else [0.0] for k in sorted(held)]
+    return Record(
+        experiment, series, missed=len(held), missed_steps=sorted(held), missed_commands=applied
+    )
 
 
 @pytest.mark.parametrize("node", ["reference_force", "force_controller", "rig"])
@@ -130,7 +132,7 @@ def test_a_ramp_begins_at_the_step_that_reference_force_told(
         {30: 29, 31: 30, 32: 31, 60: 59, 61: 59, 62: 61},
     ],
 )
-def test_commands_that_a_rig_says_it_held_are_replayed(experiment, blocks, held):
+def test_commands_that_a_rig_says_it_applied_are_replayed(experiment, blocks, held):
     record = held_test(experiment, blocks, held)
     replay = RigReplay(Recorded(record, [], {}))
     states, _ = replay.computed(experiment["rig"])
@@ -138,8 +140,8 @@ def test_commands_that_a_rig_says_it_held_are_replayed(experiment, blocks, held)
     np.testing.assert_array_equal(states.values, record.series[RIG_STATE.name].values)
 
 
-def test_a_rig_that_does_not_say_what_it_held_is_not_replayed(experiment, blocks):
-    record = replace(held_test(experiment, blocks, {20: 19, 40: 39, 41: 39}), held_steps=[])
+def test_a_rig_that_does_not_say_what_it_applied_is_not_replayed(experiment, blocks):
+    record = replace(held_test(experiment, blocks, {20: 19, 40: 39, 41: 39}), missed_commands=[])
     with pytest.raises(InputError, match="missed 3 commands, but the bag does not say which"):
         RigReplay(Recorded(record, [], {}))
 

@@ -121,7 +121,7 @@ class Outcome:
     steps : int
         Samples that the rig took.
     missed : int
-        Steps without a new command, at which it held the last one.
+        Steps without a new command.
     missed_steps : list of int
         The first of them, at most `LISTED_STEPS`.
     wall_s : float or None
@@ -134,9 +134,9 @@ class Outcome:
         Saturated parts.
     round_trips : dict
         From a sample to its command, s, by the keys of `ROUND_TRIPS`; empty if not measured.
-    held_steps : list of int
-        Step of the command applied at each of `missed_steps`, -1 for none; empty if the rig does
-        not report it, and with several rigs.
+    missed_commands : list of list of float
+        What was applied at each of `missed_steps` instead, by axis; empty if the rig does not
+        report it, and with several rigs.
     simulated : Simulated or None
         Largest true motion of a simulated rig; None if the rig is none.
     """
@@ -150,7 +150,7 @@ class Outcome:
     overruns: int = 0
     saturation: Saturation = field(default_factory=dict)
     round_trips: dict[str, float] = field(default_factory=dict)
-    held_steps: list[int] = field(default_factory=list)
+    missed_commands: list[list[float]] = field(default_factory=list)
     simulated: Simulated | None = None
 
     @classmethod
@@ -204,8 +204,8 @@ def rig_status(outcome: Outcome) -> Status:
     }
     if outcome.simulated is not None:
         values["simulated"] = json.dumps(asdict(outcome.simulated))
-    if outcome.held_steps:
-        values["held_steps"] = _listed(outcome.held_steps)
+    if outcome.missed_commands:
+        values["missed_commands"] = json.dumps(outcome.missed_commands[:LISTED_STEPS])
     for key, seconds in outcome.round_trips.items():
         values[ROUND_TRIPS[key]] = f"{seconds * 1e3:.3f}"
     if outcome.wall_s is not None:
@@ -248,7 +248,7 @@ def read_outcome(status: Status, timebase: Timebase) -> Outcome | None:
             missed=int(values["missed"]),
             overruns=int(values.get("overruns", "0")),  # optional for a driver
             missed_steps=_steps(values["missed_steps"]),
-            held_steps=_steps(values.get("held_steps", "")),
+            missed_commands=_commands(values.get("missed_commands", "[]")),
             wall_s=float(values["wall_s"]) if "wall_s" in values else None,
             trip=trip,
             saturation={
@@ -276,12 +276,16 @@ def _steps(text: str) -> list[int]:
     return [int(step) for step in text.split(",")] if text else []
 
 
+def _commands(text: str) -> list[list[float]]:
+    return [[_finite(value) for value in command] for command in json.loads(text)]
+
+
 def _simulated(text: str) -> Simulated:
     values = json.loads(text)
     return Simulated(**{part.name: float(values[part.name]) for part in fields(Simulated)})
 
 
-def _finite(text: str) -> float:
+def _finite(text: str | float) -> float:
     if not math.isfinite(number := float(text)):
         raise ValueError(f"{text} is not finite")
     return number

@@ -268,12 +268,12 @@ class Record:
     trip : Trip or None
         None if the test ran to its end.
     missed : int or None
-        Steps at which the rig had no new command and held the last; None if unknown (the
+        Steps at which the rig had no new command; None if unknown (the
         recorder was cut off before the rig reported it).
     missed_steps : list of int
         The first of these steps (the rig lists a bounded number).
-    held_steps : list of int
-        Step of the command that was applied at each of them, -1 for none; empty if unknown.
+    missed_commands : list of list of float
+        What was applied at each of them instead, by axis; empty if unknown.
     overruns : int or None
         Sampling overruns: the rig's own clock was late by more than half a period, and went on
         from there; None if unknown.
@@ -309,7 +309,7 @@ class Record:
     trip: Trip | None = None
     missed: int | None = 0
     missed_steps: list[int] = field(default_factory=list)
-    held_steps: list[int] = field(default_factory=list)
+    missed_commands: list[list[float]] = field(default_factory=list)
     overruns: int | None = 0
     saturation: Saturation = field(default_factory=dict)
     simulated: Simulated | None = None

@@ -158,7 +158,7 @@ class ForceControllerReplay(Replay):
 class RigReplay(Replay):
     """What force_controller, or reference_force, sent to the rig.
 
-    Where it missed a command, it is given the one that it held.
+    Where it missed a command, it is given what it applied instead.
     """
 
     node = "rig"
@@ -181,10 +181,10 @@ class RigReplay(Replay):
         listed = record.missed_steps
         if record.missed is None:
             self.notes.append("the bag does not say which commands the rig missed")
-        elif record.missed and not 0 < len(listed) == len(record.held_steps):
+        elif record.missed and not 0 < len(listed) == len(record.missed_commands):
             raise InputError(
                 f"the rig missed {record.missed} commands, but the bag does not say which, and "
-                "which it held instead"
+                "what it applied instead"
             )
         elif record.missed > len(listed):
             self.expected = self.expected.until(listed[-1] + 1)
@@ -198,22 +198,20 @@ class RigReplay(Replay):
         """Give what was applied after each sample but the last, shape (n,), in the drive's unit."""
         record = recorded.record
         known = {step: values[-1] for step, values in recorded.series(self._drive).samples()}
-        known[-1] = np.zeros(len(self.experiment.axes))
-        held = dict(zip(record.missed_steps, record.held_steps, strict=False))
-        missed = set(record.missed_steps)
-        applied, newest = [], -1
+        told = map(np.array, record.missed_commands)
+        known.update(zip(record.missed_steps, told, strict=False))
+        applied = [np.zeros(len(self.experiment.axes))]
         for step in range(steps):
-            if step in missed or (record.missed is None and step not in known):
-                newest = held.get(step, newest)
-            else:
-                newest = step
-            if newest not in known:
+            if record.missed is None and step not in known:
+                applied.append(applied[-1])
+            elif step not in known:
                 raise InputError(
-                    f"the bag lacks {self._drive.name} of step {newest}, which the rig did "
+                    f"the bag lacks {self._drive.name} of step {step}, which the rig did "
                     "not miss: what it applied is not known"
                 )
-            applied.append(known[newest])
-        return applied
+            else:
+                applied.append(known[step])
+        return applied[1:]
 
     def computed(self, section: dict[str, Any]) -> tuple[Series, Estimates | None]:
         """Compute the states of the simulated rig."""
