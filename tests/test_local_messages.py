@@ -10,6 +10,7 @@ from local_tools import (
     LONG,
     SHORT,
     SIX,
+    TARGET_MOTION,
     UNREHEARSED,
     assert_same,
     at_rest,
@@ -44,6 +45,16 @@ def test_one_lost_message_is_one_missed_command(local_graph, topic, reader):
     told = graph.status("rig")
     assert (told["missed"], told["missed_steps"]) == ("1", "500")
     assert_same(graph, offline(graph), steps=501 if topic == VALVE_COMMAND else 500)
+
+
+def test_a_rig_that_misses_commands_continues_along_its_stop_in_reserve(local_graph):
+    graph = local_graph(SIX, UNREHEARSED, *TARGET_MOTION)
+    graph.drop(VALVE_COMMAND, range(800, 809))  # the last that the watchdog allows, in fast motion
+    perform(graph)
+    displacement = graph.samples(RIG_STATE)[1][:, 0, 0]
+    meant = offline(graph).series[RIG_STATE.name].values[:, 0, 0]
+    assert graph.status("rig")["missed"] == "9"
+    assert abs(displacement - meant).max() < 0.02 * abs(meant).max()  # a held valve: 0.19
 
 
 def test_a_late_command_is_missed_and_a_very_late_one_trips(local_graph):

@@ -58,8 +58,8 @@ def limit_rows(default_from: str = "") -> list[Parameter]:
 _PACE = parameter_rows(
     """
     pace | string | realtime |  | realtime, lockstep |
-        realtime: absolute deadlines, a missing command holds the last; lockstep: each step waits
-        for its command
+        realtime: absolute deadlines, a missing command is that of the stop in reserve, or the
+        last; lockstep: each step waits for its command
     lockstep_timeout | float | 5.0 | s | > 0  | longest wait for a command in lockstep
     loop_delay | int | reference_force:loop_delay or 0 |  | -1 .. 100 |
         for an idealised actuator, which obeys reference_force: steps from a state to the first use
