@@ -50,6 +50,7 @@ TESTS = {
     "src/seft_msgs_py/seft_msgs_py/node/senders.py": ("src/seft_msgs_py/test/test_senders.py",),
     f"{CONTROL}detection.py": CONTROL_TESTS,
     f"{CONTROL}interlock.py": CONTROL_TESTS,
+    f"{CONTROL}interlock_step.py": CONTROL_TESTS,
     f"{PROTECTION}protection_step.py": (*FORCE_TESTS, *CONTROL_TESTS),
     f"{PROTECTION}protected_force.py": FORCE_TESTS,
     **{

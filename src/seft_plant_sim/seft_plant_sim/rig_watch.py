@@ -316,8 +316,9 @@ class RoundTrip:
         return {**dict(zip(_QUANTILES, middles.tolist(), strict=True)), "largest": self._largest}
 
 
-UNCOUNTED = 0.25  # of the steps: in this time the host adapts to the load of the loop
+ALONE = 0.25  # of the steps: each one after the answer to the one before, and the host adapts
 FIRST_ANSWER = 5.0  # s, longest wait: the nodes make blocks for the rehearsal
+LATER_ANSWER = 0.1  # s, longest wait: a message may be lost, which ends the steps alone
 
 
 class Rehearsal:
@@ -342,14 +343,16 @@ class Rehearsal:
         self._codec = TrajectoryCodec(RIG_STATE, shell.rig.axes, timebase)
         self._publish = shell.publisher(rehearsed(RIG_STATE))
         self._command = Command(TrajectoryCodec(drive, shell.rig.axes, timebase), limit)
-        self._round_trip = RoundTrip()
-        self._counts = False
+        self._alone, self._round_trip = RoundTrip(), RoundTrip()
+        self._times = self._alone
         shell.subscribe(rehearsed(drive), self._take, reliable=False)
 
     def run(
         self, seconds: float, sample: Callable[[int], Floats], stop: Callable[[], bool]
     ) -> dict[str, Any]:
-        """Publish samples at the rate, and count the answers.
+        """Publish samples, the first ones when the loop has answered, the others at the rate.
+
+        So the first ones show how fast the loop can be: at a rate that is too high answers queue.
 
         Parameters
         ----------
@@ -363,40 +366,45 @@ class Rehearsal:
         Returns
         -------
         dict
-            ``rate_hz``; the counted ``steps``, ``missed`` (steps without a command at their end),
-            ``overruns`` of the rig itself, and ``round_trip_s``, see
-            `seft_msgs_py.wire.outcome.ROUND_TRIPS`. JSON values.
+            ``rate_hz``; the ``steps`` at the rate, ``missed`` (steps without a command at their
+            end), ``overruns`` of the rig itself, and ``round_trip_s``, see
+            `seft_msgs_py.wire.outcome.ROUND_TRIPS`; ``round_trip_alone_s`` of the others. JSON
+            values.
         """
         shell, command, period = self._shell, self._command, self._timebase.dt
         steps = max(round(seconds / period), 8)
-        first = round(UNCOUNTED * steps)
+        first, longest = round(ALONE * steps), FIRST_ANSWER  # other nodes prepare at step 0
         command.reset()
-        self._round_trip.reset()
-        self._counts, missed, clock, before = False, 0, SampleClock(period, 0.0, makes_up=False), 0
+        self._times, missed, clock = self._alone, 0, SampleClock(period, 0.0, makes_up=False)
+        for times in (self._alone, self._round_trip):
+            times.reset()
         for step in range(steps):
-            if step == first:
-                self._counts, before = True, clock.overruns
             command.current = step
             raw = self._codec.encode(step, sample(step))
-            self._round_trip.published(step, shell.clock.monotonic())
+            now = shell.clock.monotonic()
+            if step == first:
+                self._times = self._round_trip
+                clock.fall_back(now - clock.deadline(step))
+            self._times.published(step, now)
             self._publish(raw)
-            if step == 0:  # other nodes prepare at the first sample
-                wait_for_command(shell, command, 0, FIRST_ANSWER, stop)
-                clock.fall_back(shell.clock.monotonic())
-            wait_for_sample(shell, command, step, clock, lambda: None)
-            missed += self._counts and command.step < step
+            if step < first:
+                wait_for_command(shell, command, step, longest, stop)
+                first, longest = first if command.step == step else step + 1, LATER_ANSWER
+            else:
+                wait_for_sample(shell, command, step, clock, lambda: None)
+                missed += command.step < step
             if stop():
                 break
         return {
             "rate_hz": self._timebase.rate,
             "steps": max(step + 1 - first, 0),
             "missed": missed,
-            "overruns": clock.overruns - before,
+            "overruns": clock.overruns,
             "round_trip_s": self._round_trip.numbers(),
+            "round_trip_alone_s": self._alone.numbers(),
         }
 
     def _take(self, raw: bytes, _: int) -> None:
         now = self._shell.clock.monotonic()
         self._command.take(raw)
-        if self._counts:
-            self._round_trip.answered(self._command, now)
+        self._times.answered(self._command, now)

@@ -63,7 +63,7 @@ def rehearse(delay_of, stop=lambda: False, sample=lambda step: np.zeros((4, 1)))
 
 def test_a_quick_loop_misses_nothing_and_its_round_trip_is_told():
     loop, found = rehearse(lambda step: 0.001)
-    assert (found["rate_hz"], found["steps"]) == (100.0, 30)  # the first quarter does not count
+    assert (found["rate_hz"], found["steps"]) == (100.0, 30)  # the others are not at the rate
     assert len(loop.states) == 40
     assert (found["missed"], found["overruns"]) == (0, 0)
     assert found["round_trip_s"]["largest"] == pytest.approx(0.001)
@@ -77,7 +77,23 @@ def test_a_loop_that_is_slower_than_a_period_misses_its_steps():
 
 def test_a_loop_that_does_not_answer_misses_all_steps():
     _, found = rehearse(lambda step: None)
-    assert (found["missed"], found["round_trip_s"]) == (30, {})
+    assert (found["missed"], found["round_trip_s"], found["round_trip_alone_s"]) == (39, {}, {})
+
+
+def test_answers_that_queue_do_not_hide_how_fast_the_loop_can_be():
+    busy = [0.0]
+
+    def queued(step):  # each answer takes 25 ms, one after the other
+        now, busy[0] = loop._now, max(busy[0], loop._now) + 0.025
+        return busy[0] - now
+
+    loop = Loop(queued)
+    found = Rehearsal(loop, TIMEBASE, VALVE_COMMAND, 10.0).run(
+        2.0, lambda step: np.zeros((4, 1)), lambda: False
+    )
+    assert found["missed"] == found["steps"] == 150
+    assert found["round_trip_s"]["largest"] > 0.5
+    assert found["round_trip_alone_s"]["p99"] == pytest.approx(0.025, rel=0.06)  # a bin
 
 
 def test_commands_are_not_obeyed_and_samples_are_those_of_the_rig_at_rest():

@@ -6,7 +6,8 @@ from experiments_at_hand import load
 from seft_msgs_py.errors import InputError
 from seft_ros.force_controller.detection import detectors_of
 from seft_ros.force_controller.force_control import ForceController
-from seft_ros.force_controller.interlock import DETECTED, Interlock
+from seft_ros.force_controller.interlock import Interlock
+from seft_ros.force_controller.interlock_step import DETECTED
 from seft_ros.protection.detectors import DETECTORS, LIMITED_AT, SUSPECT, detector_arrays
 from seft_ros.protection.protection_step import extrapolated
 from warning_detectors import warning_detectors

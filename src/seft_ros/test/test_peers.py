@@ -213,7 +213,7 @@ def loop(rig=ABLE):
 
 def rig(missed=0, p99=0.0005, rate=1000.0, steps=1500):
     found = {"rate_hz": rate, "steps": steps, "missed": missed, "overruns": 0}
-    return loop(ABLE | {"rehearsal": {**found, "round_trip_s": {"p99": p99} if p99 else {}}})
+    return loop(ABLE | {"rehearsal": {**found, "round_trip_alone_s": {"p99": p99} if p99 else {}}})
 
 
 def test_a_rig_that_can_is_asked_until_it_has_told():

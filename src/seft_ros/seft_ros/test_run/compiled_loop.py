@@ -35,14 +35,12 @@ from seft_ros.force_controller.force_controller_parameters import (
     TRANSFER_FUNCTION,
     VELOCITY_FEEDFORWARD,
 )
-from seft_ros.force_controller.interlock import (
+from seft_ros.force_controller.interlock import Interlock, Interlocks, interlock_of
+from seft_ros.force_controller.interlock_step import (
     NO_TRIP,
     TRIP,
-    Interlock,
     InterlockParameters,
-    Interlocks,
     InterlockState,
-    interlock_of,
     postcheck,
     precheck,
     take_sample,

@@ -58,13 +58,13 @@ def judge_peers(duration: float, nodes: Mapping[str, Mapping[str, Any]]) -> Rehe
         return Rehearsed(asked=duration)
     try:
         steps, missed, rate = (float(found[key]) for key in ("steps", "missed", "rate_hz"))
-        slowest = float(found["round_trip_s"].get("p99", 0.0))
+        slowest = float(found["round_trip_alone_s"].get("p99", 0.0))
     except (KeyError, TypeError, ValueError, AttributeError):
         return Rehearsed("the rig reports a rehearsal that can't be read; see docs/hardware.md")
     if missed <= WARNED * steps:
         return Rehearsed()
     share = f"{missed:.0f} of {steps:.0f} steps without a command in time"
-    trip = f"round trip p99 {1e3 * slowest:.2g} ms" if slowest else "no answer came in time"
+    trip = f"round trip p99 {1e3 * slowest:.2g} ms" if slowest else "no answer came"
     if missed < REFUSED * steps:
         return Rehearsed(warning=f"{rate:g} Hz is hard to keep here: {trip}, {share}")
     fits = [f"{r:g} Hz does" for r in _RATES if slowest and r < rate and slowest <= ROOM / r]
