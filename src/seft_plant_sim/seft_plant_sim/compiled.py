@@ -1,10 +1,11 @@
 """Machine code of the steps, cached on disk, and array functions that the steps share."""
 
+import fcntl
 import hashlib
 import math
 import os
-from collections.abc import Callable, Hashable
-from contextlib import suppress
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -115,9 +116,26 @@ def entry_point(function: Any, *arguments: Any, kind: Hashable = None) -> Callab
     key = function, kind or kind_of(arguments)
     if key not in _entry_points:  # numba's check takes as long as thousands of steps
         signature = tuple(numba.typeof(argument) for argument in arguments)
-        function.compile(signature)
+        with _one_at_a_time(function, signature):
+            function.compile(signature)
         _entry_points[key] = function.overloads[signature].entry_point
     return _entry_points[key]
+
+
+@contextmanager
+def _one_at_a_time(function: Any, signature: Any) -> Iterator[None]:
+    """Make processes that need the same machine code wait for the first, and read what it made."""
+    folder = code_folder(Path(function.py_func.__code__.co_filename).parent)
+    name = hashlib.sha256(f"{function.py_func.__qualname__} {signature}".encode()).hexdigest()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = (folder / f"{name[:16]}.lock").open("wb")
+    except OSError:  # where nothing can be written, each process compiles for itself
+        yield
+        return
+    with lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 def kind_of(argument: Any) -> Any:

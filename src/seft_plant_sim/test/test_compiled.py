@@ -1,4 +1,8 @@
-"""Machine code on the disk: who compiles is told so once."""
+"""Machine code on the disk: who compiles is told so once, and others wait for it."""
+
+import os
+import subprocess
+import sys
 
 import pytest
 from seft_plant_sim import compiled as module
@@ -26,3 +30,28 @@ def test_the_first_compilation_of_a_process_is_told_and_none_of_what_is_on_the_d
     tell_of_compilation(lambda: told.append("once more"))
     assert compiled(double)(4.0) == 8.0
     assert told == ["compiling"]
+
+
+COMPILES_A_FUNCTION = """
+import sys
+import numpy as np
+from seft_plant_sim.compiled import copy, entry_point, tell_of_compilation
+tell_of_compilation(lambda: print("compiled here", flush=True))
+print("begin", flush=True)
+sys.stdin.readline()
+entry_point(copy, 1, np.zeros(1), np.zeros(1))
+"""
+
+
+def test_of_processes_that_need_the_same_code_at_the_same_time_one_compiles(tmp_path):
+    run = [sys.executable, "-c", COMPILES_A_FUNCTION]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    paths = {"XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": os.pathsep.join(sys.path)}
+    begun = [subprocess.Popen(run, env=os.environ | paths, **pipes) for _ in range(3)]
+    for process in begun:
+        assert process.stdout.readline() == "begin\n"
+    for process in begun:
+        process.stdin.write("\n")
+        process.stdin.flush()
+    told = [process.communicate()[0] for process in begun]
+    assert sorted(told) == ["", "", "compiled here\n"]

@@ -269,7 +269,7 @@ def test_what_a_full_disk_does_not_take_goes_into_the_room_that_was_reserved(tmp
 
 
 def test_what_has_no_room_at_all_is_told_and_the_bag_can_be_read_so_far(tmp_path):
-    _, saved, found = little_room(tmp_path, "16m", count=30_000, end="save")
+    _, saved, found = little_room(tmp_path, "16m", period=3600.0, count=30_000, end="save")
     assert saved.startswith("1 the bag can't be saved: ")
     assert saved.endswith(": No space left on device")
     count, damage = found.split(" ", 1)
