@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig_parameters import RIG_TABLE
 from seft_ros.study.drawn_tests import (
+    DRAWN_OFFSETS,
     DRAWN_QUANTITIES,
     check_rig,
     draw_tests,
@@ -20,13 +21,16 @@ TWO = ("/**:axes:=[x, y]", "rig:specimen.stiffness:=[2.11e5, -3.0e4, -3.0e4, 1.8
 EXPERIMENT = load()
 
 
+CHANNELS = ("position", "velocity", "acceleration", "force")
+
+
 def rig_of(number, seed=1, spread=0.2, experiment=EXPERIMENT):
     return drawn_rig(experiment["rig"], experiment.axes, seed, number, spread)
 
 
 def test_every_drawn_quantity_is_a_parameter():
     known = {f"{table.node}:{row}" for table in TABLES for row in table.rows}
-    assert set(DRAWN_QUANTITIES) <= known
+    assert {*DRAWN_QUANTITIES, *DRAWN_OFFSETS} <= known
 
 
 def test_test_0_is_the_configured_one_and_the_others_are_drawn():
@@ -54,6 +58,9 @@ def test_parameters_stay_within_their_spread_and_the_others_as_they_are(number, 
     for name, value in nominal.items():
         if name == "seed":
             continue
+        if name.startswith("sensors.") and name.endswith("_lag"):
+            assert 0.0 <= own[name] <= DRAWN_OFFSETS[f"rig:{name}"] * spread
+            continue
         uncertainty = DRAWN_QUANTITIES.get(f"rig:{name}")
         if uncertainty is None or value == 0:
             assert own[name] == value
@@ -66,7 +73,7 @@ def test_parameters_stay_within_their_spread_and_the_others_as_they_are(number, 
 def test_without_spread_only_the_seeds_differ():
     assert rig_of(3, spread=0.0) | {"seed": 1} == EXPERIMENT["rig"]
     drawn = draw_tests(EXPERIMENT, 2, spread=0.0)
-    assert drawn.factors == {}
+    assert drawn.factors == drawn.offsets == {}
     assert drawn.sections[1]["ground_motion"] | {"synthetic.seed": 1} == EXPERIMENT["ground_motion"]
 
 
@@ -77,7 +84,15 @@ def test_actuators_differ_from_axis_to_axis_and_the_specimen_stays_symmetric():
     assert not np.array_equal(
         two["rig:actuator.flow_gain, axis x"], two["rig:actuator.flow_gain, axis y"]
     )
+    assert drawn.offsets.keys() == {
+        *(f"rig:sensors.{channel}_lag, axis {axis}" for channel in CHANNELS for axis in "xy"),
+        "rig:sensors.tilt, axis x by y",
+        "rig:sensors.tilt, axis y by x",
+    }
     for number, sections in enumerate(drawn.sections[1:]):
+        _, x_by_y, y_by_x, _ = sections["rig"]["sensors.tilt"]
+        assert x_by_y == drawn.offsets["rig:sensors.tilt, axis x by y"][number]
+        assert 0.0 < abs(y_by_x) <= 0.01
         stiffness = np.divide(
             sections["rig"]["specimen.stiffness"], experiment["rig"]["specimen.stiffness"]
         )

@@ -20,7 +20,7 @@ LOST = math.inf
 """Error of a test that tripped."""
 
 
-def made_up(errors, factors=None, files=(), not_possible=None, obstacles=None):
+def made_up(errors, factors=None, offsets=None, files=(), not_possible=None, obstacles=None):
     """A plan and its runs with these errors by method, the configured one first."""
 
     def part(error):
@@ -35,7 +35,7 @@ def made_up(errors, factors=None, files=(), not_possible=None, obstacles=None):
 
     count = len(next(iter(errors.values())))
     sections = [{"ground_motion": {"file": file}} for file in files or [""] * count]
-    drawn = DrawnTests(tuple(sections), factors or {}, 1, 0.1, ())
+    drawn = DrawnTests(tuple(sections), factors or {}, offsets or {}, 1, 0.1, ())
     lacking = {(1.0, name): reason for name, reason in (not_possible or {}).items()}
     methods = (*errors, *(not_possible or {}))
     plan = StudyPlan(SimpleNamespace(), drawn, methods, (1.0,), lacking)
@@ -64,7 +64,7 @@ def test_a_test_that_tripped_is_the_most_wrong():
     errors = np.array([0.01, 0.03, LOST, 0.02])
     assert quantiles(errors) == {"median": 0.02, "p90": LOST, "p95": LOST, "max": LOST}
     rising = {"a": np.array([1.0, 1.2, 1.3, 1.1]), "b": np.array([0.9, 1.25, 0.7, 1.15])}
-    first, second = causes_of(rising, errors)
+    first, second = causes_of(DrawnTests((), rising, {}, 1, 0.1, ()), errors)
     assert (first["quantity"], first["value"]) == ("a", pytest.approx(1.0))
     assert second["quantity"] == "b" and second["deviation"] == pytest.approx(1.0)
 
@@ -72,7 +72,7 @@ def test_a_test_that_tripped_is_the_most_wrong():
 @given(st.lists(st.floats(0.5, 2.0), min_size=5, max_size=30, unique=True), st.integers(0, 99))
 def test_the_correlation_is_that_of_ranks(values, seed):
     errors = np.random.default_rng(seed).permutation(len(values)).astype(float)
-    (cause,) = causes_of({"a": np.array(values)}, errors)
+    (cause,) = causes_of(DrawnTests((), {"a": np.array(values)}, {}, 1, 0.1, ()), errors)
     assert cause["value"] == pytest.approx(spearmanr(values, errors).statistic)
 
 
@@ -89,7 +89,8 @@ def test_the_interval_of_a_share_is_wilsons():
 
 def test_a_summary_counts_what_tripped_and_lists_the_worst():
     factors = {"a": np.array([1.0, 1.1, 1.2]), "b": np.array([0.5, 0.9, 1.1])}
-    summary = summary_of({"a": [0.01, 0.02, LOST, 0.03]}, factors=factors)
+    late = {"late": np.array([0.0, 2e-4, 1e-4])}
+    summary = summary_of({"a": [0.01, 0.02, LOST, 0.03]}, factors=factors, offsets=late)
     (result,) = summary["results"]
     assert summary["tests"] == 3
     assert (result["trips"]["count"], result["trips"]["share"]) == (1, pytest.approx(1 / 3))
@@ -97,13 +98,16 @@ def test_a_summary_counts_what_tripped_and_lists_the_worst():
     assert result["distribution"]["displacement"] == wanted
     assert result["configured"]["displacement"]["nrmse"] == 0.01
     assert [run["test"] for run in result["runs"]] == [1, 2, 3]
-    assert summary["drawn"][2] == {"test": 3, "motion": "", "factors": {"a": 1.2, "b": 1.1}}
+    drawn = {"factors": {"a": 1.2, "b": 1.1}, "offsets": {"late": 1e-4}}
+    assert summary["drawn"][2] == {"test": 3, "motion": "", **drawn}
     assert [(one["test"], one["stable"]) for one in result["worst"]] == [
         (2, False),
         (3, True),
         (1, True),
     ]
-    assert list(result["worst"][1]["furthest"]) == ["a", "b"]
+    # for how far they are drawn at most
+    assert list(result["worst"][1]["furthest"]) == ["a", "late", "b"]
+    assert result["worst"][1]["furthest"]["late"] == 1e-4
 
 
 def test_tests_are_grouped_by_their_ground_motion():
@@ -166,7 +170,7 @@ def test_the_sentence_says_what_the_error_depends_on_if_that_is_more_than_chance
         said = headline(summary["results"][0], summary)
         assert said.startswith("a at mass ratio 1: 95 % of the tests are at most")
         assert "none of 21 tests tripped" in said
-        assert ("depends most on rig:specimen.mass" in said) is wanted
+        assert ("depends most on rig:specimen.mass, which explains 100 %" in said) is wanted
 
 
 def test_the_sentence_has_the_largest_error_that_most_tests_do_not_exceed():

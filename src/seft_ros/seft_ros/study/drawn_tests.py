@@ -5,11 +5,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import Section, per_axis
+from seft_msgs_py.config.parameter_table import Section, as_matrix, per_axis
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.topics import Timebase
+from seft_msgs_py.wire.topics import Timebase, rigs_of
 from seft_plant_sim import rig_parameters
 from seft_plant_sim.rig import Rig
 
@@ -37,12 +38,34 @@ DRAWN_QUANTITIES = {
     "rig:specimen.gap.width": 1.0,
     "rig:specimen.gap.stiffness": 1.0,
     "rig:specimen.duffing.cubic": 1.0,
+    "rig:sensors.position_scale": 0.1,  # it is calibrated
+    "rig:sensors.velocity_scale": 0.1,
+    "rig:sensors.acceleration_scale": 0.1,
+    "rig:sensors.force_scale": 0.1,
+    "rig:sensors.position_filter": 0.1,
+    "rig:sensors.velocity_filter": 0.1,
+    "rig:sensors.acceleration_filter": 0.1,
+    "rig:sensors.force_filter": 0.1,
     "ground_motion:peak_force": 1.0,
     "ground_motion:influence": 1.0,  # in place of peak_force where the motion is as recorded
     "ground_motion:synthetic.ground_frequency": 3.0,
     "ground_motion:synthetic.ground_damping": 3.0,
 }
 """How uncertain each parameter is, in units of the spread; new ones go to the end of their node."""
+
+DRAWN_OFFSETS = {
+    # s: of two filters alike, of 60 Hz, whose corners differ by a tenth of the spread
+    "rig:sensors.position_lag": 5e-4,
+    "rig:sensors.velocity_lag": 5e-4,
+    "rig:sensors.acceleration_lag": 5e-4,
+    "rig:sensors.force_lag": 5e-4,
+    "rig:sensors.tilt": 0.1,  # rad: between the axes of a rig
+}
+"""Largest addition to parameters that are zero where nothing is wrong, in units of the spread."""
+
+
+_TILT = "rig:sensors.tilt"
+_OF_AN_AXIS = "actuator.", "sensors."
 
 
 @dataclass(frozen=True)
@@ -56,15 +79,23 @@ class DrawnTests:
     factors : dict
         Drawn quantity -> its values in tests 1 to N over the configured one, shape (N,). Those on
         which the simulated test does not depend are left out.
+    offsets : dict
+        Drawn quantity -> what is added to it in tests 1 to N, shape (N,), in its unit.
     seed, spread, motions : int, float, tuple of str
         Of `draw_tests`.
     """
 
     sections: tuple[dict[str, Section], ...]
     factors: dict[str, Floats]
+    offsets: dict[str, Floats]
     seed: int
     spread: float
     motions: tuple[str, ...]
+
+    def deviations(self) -> dict[str, Floats]:
+        """Say how far each drawn quantity is from the configured one, either way; shape (N,)."""
+        logarithms = {name: np.abs(np.log(own)) for name, own in self.factors.items()}
+        return logarithms | {name: np.abs(own) for name, own in self.offsets.items()}
 
 
 def draw_tests(
@@ -114,7 +145,15 @@ def draw_tests(
             values = np.array([np.ravel(one[node][name])[place] for one in drawn])
             if np.any(values != configured[place]):
                 factors[label] = values / configured[place]
-    return DrawnTests((own, *drawn), factors, seed, spread, tuple(motions))
+    offsets: dict[str, Floats] = {}
+    for quantity in DRAWN_OFFSETS:
+        node, name = quantity.split(":")
+        at_first = np.ravel(base[node][name])
+        values = np.array([np.ravel(one[node][name]) for one in drawn]) - at_first
+        for label, place in _added(base[node], quantity, axes, timebase):
+            if values[:, place].any():
+                offsets[label] = values[:, place]
+    return DrawnTests((own, *drawn), factors, offsets, seed, spread, tuple(motions))
 
 
 def drawn_rig(
@@ -126,17 +165,28 @@ def drawn_rig(
     drawn uniformly between -1 and 1: with a spread of 0.2 the stiffness is up to 20 % too high or
     too low, and the damping up to twice or half. Actuators differ from axis to axis; the matrices
     of the specimen are scaled as a whole. Zero stays zero. The seed of the sensor noise is drawn
-    too.
+    too. To each parameter of `DRAWN_OFFSETS` its largest addition times d is added; for a lag d is
+    drawn between 0 and 1.
     """
     random = np.random.default_rng([seed, number])
     drawn: Section = {"seed": int(random.integers(2**31))}
     for name, uncertainty in _of_node("rig").items():
         factors = _draw_factors(random, uncertainty, spread, len(axes))
         value, kind = section[name], rig_parameters.RIG_TABLE.rows[name].kind
-        if len(axes) > 1 and kind == "floats" and name.startswith("actuator."):
+        if len(axes) > 1 and kind == "floats" and name.startswith(_OF_AN_AXIS):
             drawn[name] = (per_axis(value, axes, f"rig: {name}") * factors).tolist()
         else:
             drawn[name] = np.multiply(value, float(factors[0])).tolist()
+    for quantity, most in DRAWN_OFFSETS.items():
+        name, several = quantity.removeprefix("rig:"), len(axes) > 1
+        if quantity != _TILT:
+            each = most * spread * random.uniform(0.0, 1.0, len(axes))
+            value = section[name] if several else np.ravel(section[name])[0]
+            drawn[name] = (value + each if several else value + each[0]).tolist()
+        elif several:
+            each = most * spread * random.uniform(-1.0, 1.0, (len(axes), len(axes)))
+            tilt = as_matrix(section[name], axes, f"rig: {name}")
+            drawn[name] = (tilt + np.where(_neighbours(axes), each, 0.0)).ravel().tolist()
     return section | drawn
 
 
@@ -192,6 +242,36 @@ def _draw_factors(random: np.random.Generator, uncertainty: float, spread: float
     return factors
 
 
+def _neighbours(axes: Sequence[str]) -> npt.NDArray[np.bool_]:
+    """Say which pairs of axes belong to one rig, shape (n, n)."""
+    found = np.zeros((len(axes), len(axes)), dtype=bool)
+    for rig in rigs_of(axes):
+        found[np.ix_(rig.places, rig.places)] = True
+    np.fill_diagonal(found, False)
+    return found
+
+
+def _added(
+    base: Section, quantity: str, axes: tuple[str, ...], timebase: Timebase
+) -> list[tuple[str, int]]:
+    """Labels and places of the values of `DRAWN_OFFSETS` on which the simulated test depends."""
+    name = quantity.removeprefix("rig:")
+    if quantity == _TILT:
+        pairs = np.argwhere(_neighbours(axes))
+        return [
+            (f"{quantity}, axis {axes[i]} by {axes[j]}", int(i * len(axes) + j)) for i, j in pairs
+        ]
+    more = np.add(base[name], DRAWN_OFFSETS[quantity]).tolist()
+    one, other = (
+        pickle.dumps(Rig.from_parameters(section, axes, timebase).parameters)
+        for section in (base, base | {name: more})
+    )
+    if one == other:
+        return []
+    several = len(axes) > 1
+    return [(f"{quantity}, axis {axis}" if several else quantity, n) for n, axis in enumerate(axes)]
+
+
 def _effective(
     base: Section, quantity: str, axes: tuple[str, ...], timebase: Timebase
 ) -> list[tuple[str, int]]:
@@ -207,6 +287,6 @@ def _effective(
 
     if simulated(base | {name: np.multiply(base[name], 1.01).tolist()}) == simulated(base):
         return []
-    if len(axes) > 1 and name.startswith("actuator.") and len(values) == len(axes):
+    if len(axes) > 1 and name.startswith(_OF_AN_AXIS) and len(values) == len(axes):
         return [(f"{quantity}, axis {axis}", n) for n, axis in enumerate(axes) if values[n]]
     return largest

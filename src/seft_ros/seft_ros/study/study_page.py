@@ -51,7 +51,8 @@ def headline(result: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
     )
     for cause in result["causes"][:1]:
         if strength(cause) > summary["chance"]:
-            said += f"; the error depends most on {cause['quantity']}"
+            explained = f"{cause['quantity']}, which explains {percent(cause['explains'])} of it"
+            said += f"; the error depends most on {explained}"
     return f"{said}."
 
 
@@ -151,7 +152,8 @@ def _dependence(summary: Mapping[str, Any]) -> list[Block]:
     chance = summary["chance"]
     text = (
         "Rank correlation (Spearman) of the displacement's error with each drawn quantity, and "
-        "with its deviation from the configured value either way; unstable tests are the most "
+        "with its deviation from the configured value either way; the square of the larger one is "
+        "the share of the differences that it explains. Unstable tests are the most "
         f"wrong. {_CHANCE.format(chance)}. The largest are listed."
     )
     causes: list[list[str | Cell]] = [
@@ -159,11 +161,12 @@ def _dependence(summary: Mapping[str, Any]) -> list[Block]:
             *_place(result),
             Cell(cause["quantity"], Mark.DOUBT if strength(cause) > chance else Mark.NONE),
             *(number(cause[key], form="+.2f") for key in CORRELATIONS),
+            percent(cause["explains"]),
         ]
         for result in summary["results"]
         for cause in result["causes"][:_CAUSES]
     ]
-    headings = ("method", "mass ratio", "quantity", "its value", "its deviation")
+    headings = ("method", "mass ratio", "quantity", "its value", "its deviation", "explains")
     blocks: list[Block] = [Text(text), TextTable(headings, causes, numbers=False)]
     motions = [
         [*_place(result), file, str(own["tests"]), *(_error(own[name]) for name in STUDY_QUANTILES)]
@@ -179,10 +182,13 @@ def _dependence(summary: Mapping[str, Any]) -> list[Block]:
 
 def _worst(summary: Mapping[str, Any]) -> list[Block]:
     """List the tests with the largest errors, and how each differs most from the configured one."""
-    rows = []
+    rows, offsets = [], summary["drawn"][0]["offsets"]
     for result in summary["results"]:
         for one in result["worst"]:
-            differs = ", ".join(f"{name} times {by:.3g}" for name, by in one["furthest"].items())
+            differs = ", ".join(
+                f"{name} {'+' if name in offsets else 'times'} {by:.3g}"
+                for name, by in one["furthest"].items()
+            )
             how = one["trip"]["reason"] if one["trip"] else ""
             error = _of_test(one["stable"], one["nrmse"])
             rows.append([*_place(result), str(one["test"]), error, differs, how, one["file"]])

@@ -16,6 +16,7 @@ from seft_msgs_py.errors import InputError
 from seft_ros.drawing.style import RESPONSES, json_safe
 from seft_ros.ground_motion.ground_motion_block import FILES
 from seft_ros.ground_motion.record_file import files_of, source_name
+from seft_ros.study.drawn_tests import DrawnTests
 from seft_ros.study.study_plan import StudyPlan, StudyTest
 from seft_ros.study.study_runs import Run
 
@@ -44,7 +45,7 @@ def summarise_study(plan: StudyPlan, runs: Sequence[Run]) -> dict[str, Any]:
         ``tests`` (N), ``seed``, ``spread``, ``results`` (see `result_of`; the mass ratios in their
         order, the methods of each with the best first), ``not_possible`` (mass_ratio, method,
         reason), ``chance`` (rank correlations up to this come about by chance alone, 95 %) and
-        ``drawn`` (of each test: test, motion, factors).
+        ``drawn`` (of each test: test, motion, factors, offsets).
 
         A method is better if fewer of its tests tripped; of those with as many, if the error of
         the displacement is smaller in 95 % of the tests, at most, as a median.
@@ -73,6 +74,7 @@ def summarise_study(plan: StudyPlan, runs: Sequence[Run]) -> dict[str, Any]:
                     "test": number,
                     "motion": _motion(sections),
                     "factors": {name: own[number - 1] for name, own in drawn.factors.items()},
+                    "offsets": {name: own[number - 1] for name, own in drawn.offsets.items()},
                 }
                 for number, sections in enumerate(drawn.sections[1:], 1)
             ],
@@ -93,8 +95,8 @@ def result_of(plan: StudyPlan, runs: Sequence[Run]) -> dict[str, Any]:
         tripped is infinitely wrong), ``trips`` (count, share and its 95 % interval by Wilson 1927;
         of the tests that tripped or became unstable), ``causes`` (see `causes_of`), ``motions``
         (file -> tests, and `STUDY_QUANTILES` of the displacement's error), ``worst`` (test,
-        nrmse, stable, trip, furthest: the factors that differ most from 1) and ``runs`` (test,
-        and its summary).
+        nrmse, stable, trip, furthest: the factors that differ most from 1, and the offsets from
+        0, for how they are drawn) and ``runs`` (test, and its summary).
     """
     configured, drawn = runs[0], [run.summary for run in runs[1:]]
     errors, lost = errors_of(drawn), sum(not one["stable"] for one in drawn)
@@ -112,7 +114,7 @@ def result_of(plan: StudyPlan, runs: Sequence[Run]) -> dict[str, Any]:
             "share": lost / len(drawn),
             "interval_95": binomtest(lost, len(drawn)).proportion_ci(method="wilson"),
         },
-        "causes": causes_of(plan.drawn.factors, errors),
+        "causes": causes_of(plan.drawn, errors),
         "motions": {name: {"tests": len(own), **quantiles(own)} for name, own in groups.items()},
         "worst": [_worst(plan, 1 + n, drawn[n]) for n in ranked[:_WORST]],
         "runs": [{"test": number} | one for number, one in enumerate(drawn, 1)],
@@ -124,11 +126,15 @@ def _motion(sections: Mapping[str, Section]) -> str:
 
 
 def _worst(plan: StudyPlan, number: int, outcome: Mapping[str, Any]) -> dict[str, Any]:
-    factors = {name: own[number - 1] for name, own in plan.drawn.factors.items()}
-    furthest = sorted(factors.items(), key=lambda one: -abs(math.log(one[1])))[:_FURTHEST]
+    drawn = plan.drawn.factors | plan.drawn.offsets
+    shares = {
+        name: own[number - 1] / (own.max() or 1.0) for name, own in plan.drawn.deviations().items()
+    }
+    names = sorted(shares, key=lambda name: -shares[name])[:_FURTHEST]
+    furthest = {name: drawn[name][number - 1] for name in names}
     error, stable, trip = outcome["displacement"]["nrmse"], outcome["stable"], outcome["trip"]
     found = {"test": number, "nrmse": error, "stable": stable, "trip": trip}
-    return found | {"furthest": dict(furthest)}
+    return found | {"furthest": furthest}
 
 
 def _rank(result: Mapping[str, Any]) -> list[float]:
@@ -152,18 +158,20 @@ def quantiles(errors: Floats) -> dict[str, float]:
     return {name: float(known[max(place, 0)]) for name, place in places.items()}
 
 
-def causes_of(factors: Mapping[str, Floats], errors: Floats) -> list[dict[str, Any]]:
+def causes_of(drawn: DrawnTests, errors: Floats) -> list[dict[str, Any]]:
     """Rank correlations (Spearman) of the error with each drawn quantity, largest first.
 
-    With its value, and with how far that is from the configured one either way (`CORRELATIONS`).
-    Unstable tests are the most wrong. NaN where all errors are equal.
+    With its value, and with how far that is from the configured one either way (`CORRELATIONS`);
+    the square of the larger one is the share of the differences between the tests' ranks that the
+    quantity explains. Unstable tests are the most wrong. NaN where all errors are equal.
     """
     known = ~np.isnan(errors)
-    found = []
-    for name, values in factors.items():
-        both = values[known], np.abs(np.log(values[known]))
-        pairs = zip(CORRELATIONS, both, strict=True)
-        found.append({"quantity": name, **{key: _spearman(x, errors[known]) for key, x in pairs}})
+    found: list[dict[str, Any]] = []
+    deviations = drawn.deviations()
+    for name, values in (drawn.factors | drawn.offsets).items():
+        pairs = zip(CORRELATIONS, (values, deviations[name]), strict=True)
+        cause = {key: _spearman(x[known], errors[known]) for key, x in pairs}
+        found.append({"quantity": name, **cause, "explains": strength(cause) ** 2})
     return sorted(found, key=strength, reverse=True)
 
 
