@@ -90,7 +90,8 @@ def test_actuators_differ_from_axis_to_axis_and_the_specimen_stays_symmetric():
         "rig:sensors.tilt, axis y by x",
     }
     for number, sections in enumerate(drawn.sections[1:]):
-        _, x_by_y, y_by_x, _ = sections["rig"]["sensors.tilt"]
+        x, x_by_y, y_by_x, y = sections["rig"]["sensors.tilt"]
+        assert x == y == 1.0
         assert x_by_y == drawn.offsets["rig:sensors.tilt, axis x by y"][number]
         assert 0.0 < abs(y_by_x) <= 0.01
         stiffness = np.divide(

@@ -185,8 +185,9 @@ def drawn_rig(
             drawn[name] = (value + each if several else value + each[0]).tolist()
         elif several:
             each = most * spread * random.uniform(-1.0, 1.0, (len(axes), len(axes)))
-            tilt = as_matrix(section[name], axes, f"rig: {name}")
-            drawn[name] = (tilt + np.where(_neighbours(axes), each, 0.0)).ravel().tolist()
+            given = np.any(section[name])
+            own = as_matrix(section[name], axes, f"rig: {name}") if given else np.eye(len(axes))
+            drawn[name] = (own + np.where(_neighbours(axes), each, 0.0)).ravel().tolist()
     return section | drawn
 
 
