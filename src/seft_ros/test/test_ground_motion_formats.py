@@ -96,6 +96,8 @@ def test_geonet_reads_in_mm_with_each_component_as_a_column(read, others):
     assert read(text, [1]).channels[0]["column"] == 'column 1 "N80W"'
     with pytest.raises(InputError, match=r"unit is m/s2, but .* says mm/s2"):
         read(text, unit="m/s2")
+    with pytest.raises(InputError, match=r"\d rows of values follow, but 23 points are 3 rows"):
+        read(text.replace("    2016      11\n", "", 1))
 
 
 def test_geonet_of_volume_1_reads_in_the_unit_of_its_raw_readings(read):
@@ -153,6 +155,10 @@ def test_knet_reads_as_counts_times_the_scale_factor_in_gal(read):
     check(read(text, unit="gal", dt=0.005), counts * 2000 / 8388608, "cm/s2", 0.01, 0.005, "K-NET")
     with pytest.raises(InputError, match=r"unit is g, but .* says cm/s2"):
         read(text, unit="g")
+    for other in (b"\n" + text.encode(), text.encode("utf-16"), text.replace("\n", "\r").encode()):
+        check(read(other), counts * 2000 / 8388608, "cm/s2", 0.01, 0.005, "K-NET")
+    with pytest.raises(InputError, match=r"says 3 s, but 23 values follow, .* truncated"):
+        read(text.replace("Time(s)  1", "Time(s)  3"))
 
 
 @pytest.mark.parametrize("content", [KNET + "1 2\n", b"000001D " + bytes(100)])
@@ -175,16 +181,19 @@ def seismogram(folder, kind, values, **header):
     return path.read_bytes()
 
 
-def metadata(folder, unit="M/S**2", value=2000.0):
-    """Write the metadata of the station."""
+def metadata(folder, unit="M/S**2", value=2000.0, corner=None):
+    """Write the metadata of the station; a response with a high-pass if there is a corner, Hz."""
     obspy = pytest.importorskip("obspy")
     from obspy.core.inventory import Channel, InstrumentSensitivity, Network, Response, Station
 
-    gain = InstrumentSensitivity(value, 1.0, unit, "COUNTS")
-    channels = [
-        Channel(f"HN{name}", "", 0, 0, 0, 0, response=Response(instrument_sensitivity=gain))
-        for name in "EN"
-    ]
+    gain = InstrumentSensitivity(value, 10.0, unit, "COUNTS")
+    response = Response(instrument_sensitivity=gain)
+    if corner is not None:
+        poles = {"zeros": [0.0], "poles": [-2 * np.pi * corner]}
+        response = Response.from_paz(**poles, stage_gain=value, stage_gain_frequency=10.0)
+        response.response_stages[0].input_units = unit
+        response.instrument_sensitivity = gain
+    channels = [Channel(f"HN{name}", "", 0, 0, 0, 0, response=response) for name in "EN"]
     station = Station("ABC", 0, 0, 0, channels=channels)
     path = folder / "station.xml"
     inventory = obspy.Inventory([Network("XX", stations=[station])], source="test")
@@ -217,6 +226,10 @@ def test_counts_need_the_response_of_an_accelerometer(read, tmp_path, kind):
         read(data, response=metadata(tmp_path), unit="g")
     with pytest.raises(InputError, match=r"measures M/S, .*accelerometer"):
         read(data, response=metadata(tmp_path, "M/S"))
+    flat = read(data, response=metadata(tmp_path, corner=0.01))
+    np.testing.assert_array_equal(flat.accelerations, record.accelerations)
+    with pytest.raises(InputError, match=r"is 0.1 times its sensitivity at 0.1 Hz; remove it"):
+        read(data, response=metadata(tmp_path, corner=1.0))
     with pytest.raises(InputError, match=r"gives no sensitivity of channel XX.ABC..HNE"):
         read(data, response=str(tmp_path / "none.xml"))
 

@@ -46,6 +46,7 @@ from seft_ros.ground_motion.readers.statements import (
 )
 
 TEXT_FORMATS = (
+    (is_knet, read_knet),
     (is_cosmos, read_cosmos),
     (is_smc, read_smc),
     (is_geonet, read_geonet),
@@ -76,8 +77,6 @@ def read_file(path: Path, rows: bool = False, response: str = "") -> Columns:
         If the file can't be read, or is no record.
     """
     data = read_bytes(path)
-    if is_knet(data):
-        return read_knet(path, data)
     for matches, read in SEISMOLOGICAL_FORMATS:
         if matches(data):
             return read(path, data, response)
@@ -94,6 +93,7 @@ FIRST_MOTION = -1
 """Means the column that the names tell, or the first that is not the time."""
 
 _GIVEN = "as given"
+_LONGEST_PERIOD = 1.0  # s; a longer one is in another unit
 
 
 @dataclass(frozen=True)
@@ -271,6 +271,12 @@ def _unit_of(file: Columns, column: int, given: str) -> Statement[str]:
 def _period_of(file: Columns, given: float) -> Statement[float]:
     """Give the sampling period; the file's and the given one must agree, and one be there."""
     own = file.dt(given)
+    for each in (own, Statement(given, _GIVEN)):
+        if each and each.value > _LONGEST_PERIOD:
+            raise InputError(
+                f"{file.path}: a sampling period of {each.value:g} s ({each.place}) is that of no "
+                "ground motion; correct it"
+            )
     if own is None and not given:
         raise InputError(
             f"{file.path}: states no sampling period; set ground_motion dt (--dt), in s"

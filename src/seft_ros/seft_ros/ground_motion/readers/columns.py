@@ -27,7 +27,7 @@ _SECONDS = {
 }
 _ACCELERATION = re.compile(r"(?<![a-z])(?:acc(?:el)?(?:eration)?s?|a|a_?[gxyz])(?![a-z])", re.I)
 _OTHER = re.compile(
-    r"(?<![a-z])(?:vel(?:ocity)?|disp?(?:lacement)?|spectral|spectrum|p?s[avd]|arias|force)(?![a-z])",
+    r"(?<![a-z])(?:vel\w*|speed|displ?\w*|spectr\w*|fourier|p?s[avd]|arias|force)(?![a-z])",
     re.I,
 )
 _UNEVEN = 0.01  # of a step
@@ -97,7 +97,7 @@ class Columns:
         name = self.names[column] if self.names else ""
         told = [text for find in (_IN_BRACKETS, _AFTER_WORD) for text in find.findall(name)]
         unit = next(filter(None, map(read_unit, told)), None)
-        if unit is None and (any(map(is_other_unit, told)) or _OTHER.search(name)):
+        if _OTHER.search(name) or (unit is None and any(map(is_other_unit, told))):
             raise InputError(
                 f"{self.path}: {self.called(column)}{self.header} is no acceleration in a unit "
                 "known here; choose another --column, or convert it to g, m/s2 or cm/s2"
@@ -206,7 +206,7 @@ class Columns:
 def says_acceleration(name: str) -> bool:
     """Whether the name of a column says that it is an acceleration, or in its unit."""
     told = any(map(read_unit, _IN_BRACKETS.findall(name)))
-    return told or bool(_ACCELERATION.search(name) and not _OTHER.search(name))
+    return not _OTHER.search(name) and (told or bool(_ACCELERATION.search(name)))
 
 
 def tells_quantity(name: str) -> bool:

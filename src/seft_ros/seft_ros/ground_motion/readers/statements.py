@@ -35,6 +35,9 @@ _OTHER = {
     *("n", "kn", "lb", "lbs", "kip", "kips", "kg", "kgf", "pa", "kpa", "mpa", "psi", "%"),
     *("s", "ms", "hz", "rad", "rad/s", "deg", "strain"),
 }
+_TIMES = ("s", "ms", "hz")
+_OF_MULTIPLES = {"g", "gal", "gals"}
+_LETTERS = re.compile(r"[a-z]+")
 
 
 def read_unit(text: str) -> str | None:
@@ -51,12 +54,15 @@ def read_unit(text: str) -> str | None:
 
 
 def is_other_unit(text: str) -> bool:
-    """Whether a text is a unit in which no acceleration can be read: cm/s, mm, counts, in/s2."""
+    """Whether a text is a unit in which no acceleration can be read: cm/s, mm, counts, 0.1 g."""
     if read_unit(text):
         return False
     word = _plain(text)
     length, power = _parts(word)
-    return word in _OTHER or word in _LENGTHS or (length in _LENGTHS and power > 0)
+    multiple = re.search(r"[\d%*/]", word) and not _OF_MULTIPLES.isdisjoint(_LETTERS.findall(word))
+    return bool(
+        word in _OTHER or word in _LENGTHS or (length in _LENGTHS and power > 0) or multiple
+    )
 
 
 def _plain(text: str) -> str:
@@ -91,22 +97,24 @@ SAME_PERIOD = 1e-3
 _N = NUMBER.pattern
 _FLAGS = re.IGNORECASE | re.ASCII
 
+_WORD = (  # cm/s2, cm / s^2, cm s-2, cm/(s^2), cm per second squared, g / 10
+    r"([^\s,;()\[\]]+(?:\s*/\s*s(?:ec)?\b(?:[*^]*2)?|\s+s(?:ec)?[*^]*-\d|\s?\(s(?:ec)?[*^]*2\)"
+    r"|\s+per\s+sec\w*(?:\s+squared)?|\s*[/*x]\s*[\d.]+)*)"
+)
 _UNIT = re.compile(
     r"(?:units?|unidad(?:es)?)\b[\w\s]{0,24}?\s*(?:\bof\b|\bin\b|\bis\b|\bare\b|[:=(\[])"
-    r"[\s:=(\[]*(?:acceleration\s*[:=(\[]?\s*|the\s+)?([^\s,;()\[\]]+)",
+    rf"[\s:=(\[]*(?:acceleration\s*[:=(\[]?\s*|the\s+)?{_WORD}",
     _FLAGS,
 )
-_IN_UNIT = re.compile(r"\b(?:in|units?)\s+([^\s,;()\[\]]+)", _FLAGS)
-_ACCELERATION_IN = re.compile(
-    r"^\W*acc(?:el(?:eration)?s?)?\.?\s*[:=(\[]\s*([^\s,;()\[\]]+)", _FLAGS
-)
+_IN_UNIT = re.compile(rf"\b(?:in|units?)\s+{_WORD}", _FLAGS)
+_ACCELERATION_IN = re.compile(rf"^\W*acc(?:el(?:eration)?s?)?\.?\s*[:=(\[]\s*{_WORD}", _FLAGS)
 _BARE = re.compile(r"[\s,;:()\[\]]+")
 _VALUE = re.compile(  # the unit of one value, not of the record
     rf"peak|max|pga|trigger|threshold|umbral|\bscale|sensit|factor|{_N}\s*(?:gal|c?m/s)", _FLAGS
 )
 _PERIOD_NAME = (
     r"(?:\bdt\b|\bdelta[_ ]?t\b|\b(?:sampling|sample|time)[\s_]*(?:interval|period|step|spacing|"
-    r"increment)|\bequal(?:ly)?[\s-]+spac(?:ed|ing)(?:[\s-]+intervals?)?|\btime[\s_]*delta\b)"
+    r"increment)|\bdelta(?=\s*[:=])|\bequal(?:ly)?[\s-]+spac(?:ed|ing)(?:[\s-]+intervals?)?|\btime[\s_]*delta\b)"
 )
 _IN_MILLI = r"(?:[\s_]*[(\[]?\s*(ms|msec|milliseconds?|s|secs?|seconds?)\b\s*[)\]]?)?"
 _PERIOD = re.compile(
@@ -117,9 +125,10 @@ _PERIOD = re.compile(
 _RATE = re.compile(
     r"\b(?:sampling|sample)[\s_]*(?:rate|freq(?:uency)?)\b\.?[\s_]*(?:[(\[]?\s*hz\s*[)\]]?)?"
     rf"\s*(?:of|at|is)?\s*[:=]?\s*({_N})"
-    rf"|\bsampl(?:ed|ing)\s*(?:at|:)\s*({_N})\s*hz\b",
+    rf"|\bsampl(?:ed|ing)\s*(?:at|:)\s*({_N})(?=\s*k?hz\b)|\bfs\s*[:=]\s*({_N})",
     _FLAGS,
 )
+_KILO = re.compile(r"\s*khz\b", _FLAGS)
 _PER_SECOND = re.compile(
     rf"({_N})\s*(?:(?:samples?|points?|pts)\s*(?:/|per)\s*s(?:ec(?:ond)?)?|sps)\b", _FLAGS
 )
@@ -133,6 +142,7 @@ _COUNT_FIRST = re.compile(
     r"(?!\s*(?:/|per|across|in\s+(?:a|each)|(?:a|each)\s+(?:row|line)))",
     _FLAGS,
 )
+_SCALE = re.compile(rf"\b(?:scal(?:e|ing)[\s_]*factor|multipl(?:ier|y\s+by))\W*({_N})", _FLAGS)
 _OTHER_QUANTITY = re.compile(
     r"\bdata[_ ]?type\W+(velocity|displacement)\b"
     r"|\b(velocity|displacement)\s+(?:time|history|series|record)\b"
@@ -187,6 +197,16 @@ def read_header(path: Path, lines: Sequence[tuple[int, str]]) -> Header:
         agreed(path, "sampling period, s,", *periods),
         agreed(path, "number of points", *counts),
     )
+
+
+def check_factor(path: Path, lines: Sequence[tuple[int, str]]) -> None:
+    """Refuse values without a unit that are to be multiplied by a factor, as counts are."""
+    for number, line in lines:
+        if (scale := _SCALE.search(line)) and to_float(scale.group(1), path, number) != 1:
+            raise InputError(
+                f"{path}: line {number}: states the factor {scale.group(1)}, but no line the unit "
+                "of the values; multiply them by it, if they are not yet, and take off that line"
+            )
 
 
 def is_same_period(first: float, second: float) -> bool:
@@ -253,8 +273,10 @@ def _units(path: Path, number: int, line: str) -> Iterable[str]:
     for text in (*stated, *told):
         if read_unit(text) or is_other_unit(text):
             yield known_unit(path, number, text)
-    if not stated:
-        yield from (unit for unit in map(read_unit, _IN_UNIT.findall(line)) if unit)
+    for text in () if stated else _IN_UNIT.findall(line):
+        of_motion = "accel" in line.lower() and _plain(text) not in _TIMES
+        if read_unit(text) or (of_motion and is_other_unit(text)):
+            yield known_unit(path, number, text)
     if not (stated or told or _VALUE.search(line)):
         for text in _BARE.split(line):
             if text.lower() == "counts" or (len(text) > 1 and read_unit(text)):
@@ -272,8 +294,10 @@ def _periods(path: Path, number: int, line: str) -> Iterable[float]:
             period = float(f"{period * 1e-3:.12g}")
         if 0 < period < float("inf"):
             yield period
-    rates = [named or at for named, at in _RATE.findall(line)] + _PER_SECOND.findall(line)
-    yield from (1 / rate for rate in (to_float(text, path, number) for text in rates) if rate > 0)
+    for found in (*_RATE.finditer(line), *_PER_SECOND.finditer(line)):
+        rate = to_float(next(filter(None, found.groups())), path, number)
+        if rate > 0:
+            yield 1e-3 / rate if _KILO.match(line, found.end()) else 1 / rate
 
 
 def _counts(line: str) -> Iterable[int]:
