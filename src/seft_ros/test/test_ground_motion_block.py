@@ -93,7 +93,9 @@ def test_each_axis_may_have_a_record_and_zeros_follow_the_shorter_one(pair):
     expected = [[0, 1], [2, 3], [0, 5], [0, 7], [0, 0]]
     np.testing.assert_allclose(motion.samples, np.array(expected) * 9.80665)
     assert motion.facts["source"] == "a.AT2, b.AT2"
-    channels = motion.facts["channels"]
+    named = build(("x", "y"), 100.0, file=[f"y={pair[1]}", f"x={pair[0]}"], tail=0.01)
+    np.testing.assert_array_equal(named.samples, motion.samples)
+    channels = named.facts["channels"]
     assert [(c["axis"], c["file"], c["samples"]) for c in channels] == [
         ("x", "a.AT2", 3),
         ("y", "b.AT2", 4),
@@ -111,6 +113,10 @@ def test_records_of_the_axes_must_fit(tmp_path, pair):
         build(("x", "y", "z"), file=pair)
     with pytest.raises(InputError, match="a record for each axis must be named"):
         build(("x", "y"), file=[pair[0], ""])
+    for axes in (("x", "z"), ("x", "x"), ("x",)):
+        files = [f"{axis}={file}" for axis, file in zip(axes, pair, strict=False)]
+        with pytest.raises(InputError, match=r"must be AXIS=FILE for each axis of \[x, y\], once"):
+            build(("x", "y"), file=files)
     other = tmp_path / "b.AT2"
     other.write_text(other.read_text().replace(".01", ".02"))
     with pytest.raises(InputError, match=r"y: b.AT2 has .* 0.02 s, but x: a.AT2 of 0.01 s"):

@@ -187,25 +187,35 @@ def read_record(
     return RecordedMotion(accelerations, period.value, path.name, units[0].value, channels)
 
 
-def files_of(file: str | Sequence[str]) -> list[str]:
+def files_of(file: str | Sequence[str], axes: Sequence[str]) -> list[str]:
     """Give the records that the parameter ``file`` names; none: the motion is synthetic.
+
+    Several are in the order of ``axes``, or each is ``AXIS=FILE``.
 
     Raises
     ------
     InputError
-        If one of several is empty.
+        If one of several is empty; if there is not one for each axis, where axes are named.
     """
     files = [file] if isinstance(file, str) else list(file)
     if len(files) > 1 and not all(files):
         raise InputError(
             f"ground_motion: file is {files}, but a record for each axis must be named"
         )
-    return [name for name in files if name]
+    by_axis = {axis: name for axis, mark, name in (each.partition("=") for each in files) if mark}
+    if by_axis.keys().isdisjoint(axes):
+        return [name for name in files if name]
+    if sorted(by_axis) != sorted(axes) or len(files) != len(axes):
+        raise InputError(
+            f"ground_motion: file is {files}, but must be AXIS=FILE for each axis of "
+            f"[{', '.join(axes)}], once"
+        )
+    return [by_axis[axis] for axis in axes]
 
 
 def source_name(file: str | Sequence[str]) -> str:
     """Name the records of the parameter ``file``, without their folders; empty: none."""
-    return ", ".join(Path(name).name for name in files_of(file))
+    return ", ".join(Path(name).name for name in files_of(file, ()))
 
 
 def _check_columns(file: Columns, columns: Sequence[int]) -> None:
