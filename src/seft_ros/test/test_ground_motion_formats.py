@@ -171,7 +171,7 @@ def test_without_obspy_its_formats_are_refused_with_its_installation(read, conte
 def seismogram(folder, kind, values, **header):
     """Write a stream of traces by ObsPy; gives its bytes."""
     obspy = pytest.importorskip("obspy")
-    station = {"network": "XX", "station": "ABC", "starttime": obspy.UTCDateTime(2020, 1, 1)}
+    station = {"network": "XX", "station": "PSD", "starttime": obspy.UTCDateTime(2020, 1, 1)}
     traces = [
         obspy.Trace(np.array(each), {**station, "channel": f"HN{name}", "delta": 0.005, **header})
         for name, each in zip("ENZ", values, strict=False)
@@ -194,7 +194,7 @@ def metadata(folder, unit="M/S**2", value=2000.0, corner=None):
         response.response_stages[0].input_units = unit
         response.instrument_sensitivity = gain
     channels = [Channel(f"HN{name}", "", 0, 0, 0, 0, response=response) for name in "EN"]
-    station = Station("ABC", 0, 0, 0, channels=channels)
+    station = Station("PSD", 0, 0, 0, channels=channels)
     path = folder / "station.xml"
     inventory = obspy.Inventory([Network("XX", stations=[station])], source="test")
     inventory.write(str(path), format="STATIONXML")
@@ -230,7 +230,7 @@ def test_counts_need_the_response_of_an_accelerometer(read, tmp_path, kind):
     np.testing.assert_array_equal(flat.accelerations, record.accelerations)
     with pytest.raises(InputError, match=r"is 0.1 times its sensitivity at 0.1 Hz; remove it"):
         read(data, response=metadata(tmp_path, corner=1.0))
-    with pytest.raises(InputError, match=r"gives no sensitivity of channel XX.ABC..HNE"):
+    with pytest.raises(InputError, match=r"gives no sensitivity of channel XX.PSD..HNE"):
         read(data, response=str(tmp_path / "none.xml"))
 
 
@@ -239,10 +239,10 @@ def test_miniseed_has_a_column_for_each_channel_and_no_gaps(read, tmp_path):
     data = seismogram(tmp_path, "MSEED", counts)
     record = read(data, [1], response=metadata(tmp_path))
     np.testing.assert_allclose(record.accelerations[:, 0], counts[1] / 2000)
-    assert record.channels[0]["column"] == 'column 1 "XX.ABC..HNN"'
+    assert record.channels[0]["column"] == 'column 1 "XX.PSD..HNN"'
     obspy = pytest.importorskip("obspy")
     later = seismogram(tmp_path, "MSEED", counts[:1], starttime=obspy.UTCDateTime(2020, 1, 2))
-    with pytest.raises(InputError, match=r"channel XX.ABC..HNE has a gap"):
+    with pytest.raises(InputError, match=r"channel XX.PSD..HNE has a gap"):
         read(seismogram(tmp_path, "MSEED", counts[:1]) + later, response=metadata(tmp_path))
 
 

@@ -21,7 +21,7 @@ def stated(record):
             "cm/s2",
             ["gal", "Gal", "gals", "cm/s^2", "CM/SEC/SEC", "cm/sec2.", "cm/sec**2", "cm s-2"],
         ),
-        ("cm/s2", ["CMS/SEC/SEC", "cm/s²", "cm per second squared", "cm/(s*s)", "cm/(s^2)"]),
+        ("cm/s2", ["CMS/SEC/SEC", "cm/s²", "cm per second squared", "cm/(s*s)", "cm_s2", "cms2"]),
         ("m/s2", ["m/s2", "M/S**2", "m/s/s", "m·s⁻²", "m s^-2", "m/sec^{2}", "m / s^2"]),
         ("mm/s2", ["mm/s2", "mm/s/s", "mm/sec^2"]),
     ],
@@ -33,7 +33,21 @@ def test_units_are_read_in_their_spellings(unit, spellings):
 
 @pytest.mark.parametrize(
     "text",
-    ["cm/s", "mm", "in/s2", "%g", "ft/s^2", "counts", "mg", "cm/sec", "kine", "g/10", "0.1g", "s"],
+    [
+        "cm/s",
+        "mm",
+        "in/s2",
+        "%g",
+        "ft/s^2",
+        "counts",
+        "mg",
+        "cm/sec",
+        "kine",
+        "g/10",
+        "0.1g",
+        "m/s3",
+        "m_s",
+    ],
 )
 def test_a_unit_in_which_no_acceleration_can_be_read_is_told_from_a_word(text):
     assert read_unit(text) is None
@@ -55,6 +69,10 @@ def test_a_unit_in_which_no_acceleration_can_be_read_is_told_from_a_word(text):
         ("SAMPLING RATE= 100Hz\n UNIT  = gal(cm/s/s)\n", "cm/s2", 0.01),
         ("#AmplitudeUnit:  gal. DCoffset(corr)\n#SampleRate(Hz): 50\n", "cm/s2", 0.02),
         ("SAMPLING INTERVAL (ms) : 10\nAcceleration [m/s^2]\n", "m/s2", 0.01),
+        ("Acc/g, 40 points at 5 ms\n", "g", 0.005),
+        ("fraction of g, sampled every 0.005 s\n", "g", 0.005),
+        ("# g\n@ 200 Hz\n", "g", 0.005),
+        ("centimeters per second per second\nΔt=0.005s\n", "cm/s2", 0.005),
         ("Acceleration in cm s-2\nfs = 200 Hz\n", "cm/s2", 0.005),
         ("UNITS: cm / s^2\nsampling rate: 0.2 kHz\n", "cm/s2", 0.005),
         ("units: cm/(s^2)\nNPTS: 40\nDELTA: 0.02\n", "cm/s2", 0.02),
@@ -86,7 +104,9 @@ def test_a_header_states_unit_and_sampling_period(read, header, unit, dt):
         ("UNITS ARE SEC AND G/10\n", "SEC is no acceleration unit"),
         ("Unit: furlong\n", 'states the unit "furlong", which is not known'),
         ("DATA_TYPE: VELOCITY\n", "line 1: holds a velocity"),
-        ("velocity (cm/s)\n", "is no acceleration in a unit known here"),
+        ("velocity (cm/s)\n", "line 1: holds a velocity"),
+        ("Desplazamiento (cm) dt=0.01\n", "line 1: holds a displacement"),
+        ("units: g\nSampling rate: 99,5 Hz\n", "line 2: write decimal points, not commas"),
     ],
 )
 def test_a_statement_that_can_not_be_used_is_refused_whatever_is_given(read, header, told):

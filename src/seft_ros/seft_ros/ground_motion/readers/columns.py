@@ -27,7 +27,7 @@ _SECONDS = {
 }
 _ACCELERATION = re.compile(r"(?<![a-z])(?:acc(?:el)?(?:eration)?s?|a|a_?[gxyz])(?![a-z])", re.I)
 _OTHER = re.compile(
-    r"(?<![a-z])(?:vel\w*|speed|displ?\w*|spectr\w*|fourier|p?s[avd]|arias|force)(?![a-z])",
+    r"(?<![a-z])(?:vel\w*|speed|displ?\w*|spectr\w*|fourier|p?s_?[avd]|arias|force)(?![a-z])",
     re.I,
 )
 _UNEVEN = 0.01  # of a step
@@ -61,6 +61,8 @@ class Columns:
         The numbers as they are written, by row; empty if rounding is no matter.
     counts : tuple of int
         Number of values of each column, where they differ; below there are NaN.
+    quantities : bool
+        The names tell quantities; they are not those of channels.
     sure : bool
         Each column that is not the time is a motion: the first may be taken unasked.
     """
@@ -75,6 +77,7 @@ class Columns:
     own_unit: Statement[str] | None = None
     texts: Sequence[Sequence[str]] = ()
     counts: tuple[int, ...] = ()
+    quantities: bool = True
     sure: bool = True
 
     def count(self, column: int) -> int:
@@ -94,7 +97,7 @@ class Columns:
         InputError
             If the two differ, or the name says that it is no acceleration.
         """
-        name = self.names[column] if self.names else ""
+        name = self.names[column] if self.names and self.quantities else ""
         told = [text for find in (_IN_BRACKETS, _AFTER_WORD) for text in find.findall(name)]
         unit = next(filter(None, map(read_unit, told)), None)
         if _OTHER.search(name) or (unit is None and any(map(is_other_unit, told))):

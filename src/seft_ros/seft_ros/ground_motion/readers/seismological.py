@@ -206,4 +206,5 @@ def _columns(
         tuple(names) if any(names) else (),
         own_dt=Statement(float(f"{delta:.7g}"), "its header"),
         own_unit=unit,
+        quantities=False,
     )

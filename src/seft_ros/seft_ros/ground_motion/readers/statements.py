@@ -22,7 +22,10 @@ UNITS = {"g": STANDARD_GRAVITY, "m/s2": 1.0, "cm/s2": 0.01, "mm/s2": 0.001}
 GIVEN_UNITS = ("g", "m/s2", "cm/s2")
 """Units in which a user may say that a file is, where it does not say so itself."""
 
-_WORDS = {"gal": "cm/s2", "gals": "cm/s2", "g's": "g", "gs": "g", "g0": "g", "gn": "g"}
+_WORDS = {
+    **dict.fromkeys(("gal", "gals"), "cm/s2"),
+    **dict.fromkeys(("g's", "gs", "g0", "gn", "gravity"), "g"),
+}
 _LENGTHS = {
     **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), "m"),
     **dict.fromkeys(("cm", "cms", "centimeter", "centimeters", "centimetre"), "cm"),
@@ -59,10 +62,11 @@ def is_other_unit(text: str) -> bool:
         return False
     word = _plain(text)
     length, power = _parts(word)
-    multiple = re.search(r"[\d%*/]", word) and not _OF_MULTIPLES.isdisjoint(_LETTERS.findall(word))
-    return bool(
-        word in _OTHER or word in _LENGTHS or (length in _LENGTHS and power > 0) or multiple
+    multiple = re.search(r"[\d%*/]|milli|micro", word) and not _OF_MULTIPLES.isdisjoint(
+        _LETTERS.findall(word)
     )
+    of_length = word.partition("/")[0] in _LENGTHS or (length in _LENGTHS and power > 0)
+    return word in _OTHER or of_length or bool(multiple)
 
 
 def _plain(text: str) -> str:
@@ -88,6 +92,9 @@ def _parts(word: str) -> tuple[str, int]:
     over = re.fullmatch(r"([a-z]+?)[ .*]?s-([12])", word)
     if over:
         return over.group(1), int(over.group(2))
+    over = re.fullmatch(r"([a-z]+?)(?:[_p]s|(?=s2))(?:s?(2))?", word)  # m_s2, mps2, cms2; m_s
+    if over and over.group(1) in _LENGTHS:
+        return over.group(1), int(over.group(2) or 1)
     return word, 0
 
 
@@ -99,22 +106,23 @@ _FLAGS = re.IGNORECASE | re.ASCII
 
 _WORD = (  # cm/s2, cm / s^2, cm s-2, cm/(s^2), cm per second squared, g / 10
     r"([^\s,;()\[\]]+(?:\s*/\s*s(?:ec)?\b(?:[*^]*2)?|\s+s(?:ec)?[*^]*-\d|\s?\(s(?:ec)?[*^]*2\)"
-    r"|\s+per\s+sec\w*(?:\s+squared)?|\s*[/*x]\s*[\d.]+)*)"
+    r"|\s+per\s+sec\w*(?:\s+(?:squared|per\s+sec\w*))?|\s*[/*x]\s*[\d.]+)*)"
 )
 _UNIT = re.compile(
     r"(?:units?|unidad(?:es)?)\b[\w\s]{0,24}?\s*(?:\bof\b|\bin\b|\bis\b|\bare\b|[:=(\[])"
     rf"[\s:=(\[]*(?:acceleration\s*[:=(\[]?\s*|the\s+)?{_WORD}",
     _FLAGS,
 )
-_IN_UNIT = re.compile(rf"\b(?:in|units?)\s+{_WORD}", _FLAGS)
-_ACCELERATION_IN = re.compile(rf"^\W*acc(?:el(?:eration)?s?)?\.?\s*[:=(\[]\s*{_WORD}", _FLAGS)
+_IN_UNIT = re.compile(rf"\b(?:in|units?|fractions?\s+of)\s+{_WORD}", _FLAGS)
+_ACCELERATION_IN = re.compile(rf"^\W*acc(?:el(?:eration)?s?)?\.?\s*[:=(\[/]+\s*{_WORD}", _FLAGS)
+_PER_SQUARED = re.compile(r"\b\w+\s+per\s+sec\w*\s+(?:squared|per\s+sec\w*)", _FLAGS)
 _BARE = re.compile(r"[\s,;:()\[\]]+")
 _VALUE = re.compile(  # the unit of one value, not of the record
     rf"peak|max|pga|trigger|threshold|umbral|\bscale|sensit|factor|{_N}\s*(?:gal|c?m/s)", _FLAGS
 )
 _PERIOD_NAME = (
     r"(?:\bdt\b|\bdelta[_ ]?t\b|\b(?:sampling|sample|time)[\s_]*(?:interval|period|step|spacing|"
-    r"increment)|\bdelta(?=\s*[:=])|\bequal(?:ly)?[\s-]+spac(?:ed|ing)(?:[\s-]+intervals?)?|\btime[\s_]*delta\b)"
+    r"increment)|\bintervals?\b|\bintervalo\s+de\s+muestreo|Δt|\bdelta(?=\s*[:=])|\bequal(?:ly)?[\s-]+spac(?:ed|ing)(?:[\s-]+intervals?)?|\btime[\s_]*delta\b)"
 )
 _IN_MILLI = r"(?:[\s_]*[(\[]?\s*(ms|msec|milliseconds?|s|secs?|seconds?)\b\s*[)\]]?)?"
 _PERIOD = re.compile(
@@ -125,7 +133,12 @@ _PERIOD = re.compile(
 _RATE = re.compile(
     r"\b(?:sampling|sample)[\s_]*(?:rate|freq(?:uency)?)\b\.?[\s_]*(?:[(\[]?\s*hz\s*[)\]]?)?"
     rf"\s*(?:of|at|is)?\s*[:=]?\s*({_N})"
-    rf"|\bsampl(?:ed|ing)\s*(?:at|:)\s*({_N})(?=\s*k?hz\b)|\bfs\s*[:=]\s*({_N})",
+    rf"|(?:\bsampl(?:ed|ing)\s*(?:at|:)?|@)\s*({_N})(?=\s*k?hz\b)|\bfs\s*[:=]\s*({_N})",
+    _FLAGS,
+)
+_EVERY = re.compile(
+    rf"(?:\bevery|\b(?:points|pts|samples|values|data)\s+at|@)()\s*({_N})()"
+    r"\s*(ms|msec|milliseconds?|s|secs?|seconds?)\b",
     _FLAGS,
 )
 _KILO = re.compile(r"\s*khz\b", _FLAGS)
@@ -146,7 +159,12 @@ _SCALE = re.compile(rf"\b(?:scal(?:e|ing)[\s_]*factor|multipl(?:ier|y\s+by))\W*(
 _OTHER_QUANTITY = re.compile(
     r"\bdata[_ ]?type\W+(velocity|displacement)\b"
     r"|\b(velocity|displacement)\s+(?:time|history|series|record)\b"
-    r"|^\W*(?:un)?corrected\s+(velocity|displacement)\b",
+    r"|^\W*(?:(?:un)?corrected|ground|relative|filtered)\s+(velocity|displacement)\b",
+    _FLAGS,
+)
+_OTHER_FIRST = re.compile(
+    r"^\W*(?:(?:ground|relative)\s+|(?:data\W*)?type\W+|quantity\W+)?"
+    r"(?:(vel|veloc\w*)|disp|displ|displacements?|desplazamientos?)\b(?!\W+de\s+muestreo)",
     _FLAGS,
 )
 
@@ -189,6 +207,9 @@ def read_header(path: Path, lines: Sequence[tuple[int, str]]) -> Header:
     for number, line in lines:
         if found := _OTHER_QUANTITY.search(line):
             raise other_quantity(path, number, next(filter(None, found.groups())))
+        first = _OTHER_FIRST.match(line)
+        if first and not (_VALUE.search(line) or "acc" in line.lower()):
+            raise other_quantity(path, number, "velocity" if first.group(1) else "displacement")
     units = [Statement(unit, f"line {n}") for n, line in lines for unit in _units(path, n, line)]
     periods = [Statement(dt, f"line {n}") for n, line in lines for dt in _periods(path, n, line)]
     counts = [Statement(count, f"line {n}") for n, line in lines for count in _counts(line)]
@@ -278,13 +299,17 @@ def _units(path: Path, number: int, line: str) -> Iterable[str]:
         if read_unit(text) or (of_motion and is_other_unit(text)):
             yield known_unit(path, number, text)
     if not (stated or told or _VALUE.search(line)):
-        for text in _BARE.split(line):
-            if text.lower() == "counts" or (len(text) > 1 and read_unit(text)):
+        alone = "g" if line.strip(" \t%#/!;").lower() == "g" else ""
+        for text in (alone, *_PER_SQUARED.findall(line), *_BARE.split(line)):
+            unit = (text == alone or len(text) > 1) and read_unit(text)
+            if unit or text.lower() in ("counts", "volts"):
                 yield known_unit(path, number, text)
 
 
 def _periods(path: Path, number: int, line: str) -> Iterable[float]:
-    for before, value, divisor, after in _PERIOD.findall(line):
+    for found in (*_PERIOD.finditer(line), *_EVERY.finditer(line)):
+        before, value, divisor, after = (text or "" for text in found.groups())
+        _check_point(path, number, line, found.end(2))
         period = to_float(value, path, number)
         if divisor:
             period /= to_float(divisor, path, number) or float("nan")
@@ -296,8 +321,15 @@ def _periods(path: Path, number: int, line: str) -> Iterable[float]:
             yield period
     for found in (*_RATE.finditer(line), *_PER_SECOND.finditer(line)):
         rate = to_float(next(filter(None, found.groups())), path, number)
+        _check_point(path, number, line, found.end(found.lastindex or 0))
         if rate > 0:
             yield 1e-3 / rate if _KILO.match(line, found.end()) else 1 / rate
+
+
+def _check_point(path: Path, number: int, line: str, end: int) -> None:
+    """Refuse a number that goes on with a decimal comma."""
+    if re.match(r",\d", line[end:]):
+        raise InputError(f"{path}: line {number}: write decimal points, not commas")
 
 
 def _counts(line: str) -> Iterable[int]:
