@@ -21,6 +21,7 @@ _SNAP = 1e-9  # of a record's step: rounding in k * dt must not move a sample of
 _ZEROS = 32  # zeros of the sinc on either side
 _BETA = 8.0  # of the Kaiser window: 80 dB; its transition is 8 % of the band on either side
 _BELOW = 0.92  # of half the loop's rate: the band's edge, so that nothing is folded
+_PHASE_DIGITS = 9  # of a record's step; positions between two samples repeat
 _BLOCK = 4096
 
 
@@ -127,14 +128,15 @@ def band_limited(record: Floats, positions: Floats, band: float) -> Floats:
     taps = np.arange(-int(np.ceil(reach)) + 1, int(np.ceil(reach)) + 1)
     found = np.empty((len(positions), record.shape[1]))
     for start in range(0, len(positions), _BLOCK):
-        block = positions[start : start + _BLOCK, np.newaxis]
-        places = np.floor(block).astype(int) + taps
-        off = (block - places) / reach
+        block = positions[start : start + _BLOCK]
+        first = np.floor(block).astype(int)
+        phases, which = np.unique(np.round(block - first, _PHASE_DIGITS), return_inverse=True)
+        off = (phases[:, np.newaxis] - taps) / reach
         window = np.i0(_BETA * np.sqrt(np.clip(1 - off**2, 0.0, None))) * (np.abs(off) <= 1)
         weights = np.sinc(off * _ZEROS) * window
         weights /= weights.sum(axis=1, keepdims=True)
-        values = record[np.clip(places, 0, len(record) - 1)]
-        found[start : start + _BLOCK] = (weights[:, :, np.newaxis] * values).sum(axis=1)
+        values = record[np.clip(first[:, np.newaxis] + taps, 0, len(record) - 1)]
+        found[start : start + _BLOCK] = np.einsum("nk,nkc->nc", weights[which], values)
     return found
 
 
