@@ -1,5 +1,6 @@
 """Formats of agencies: CSMIP, GeoNet, ESM, and what ObsPy reads; PEER, COSMOS and SMC elsewhere."""
 
+import re
 import sys
 
 import numpy as np
@@ -157,6 +158,11 @@ def test_knet_reads_as_counts_times_the_scale_factor_in_gal(read):
         read(text, unit="g")
     for other in (b"\n" + text.encode(), text.encode("utf-16"), text.replace("\n", "\r").encode()):
         check(read(other), counts * 2000 / 8388608, "cm/s2", 0.01, 0.005, "K-NET")
+    head = re.sub(r"(?<=[a-z)e.]) {2,}", ",", KNET)
+    times = "".join(f"{0.005 * k:.3f},{v:.1f},0\n" for k, v in enumerate(WAVE))
+    check(read(f"{head}Time(s),NS(gal),UD(gal)\n{times}"), WAVE, "cm/s2", 0.01, 0.005, "columns")
+    with pytest.raises(InputError, match="states the factor 2000, but no line the unit"):
+        read(head + times, [1], unit="gal")
     with pytest.raises(InputError, match=r"says 3 s, but 23 values follow, .* truncated"):
         read(text.replace("Time(s)  1", "Time(s)  3"))
 

@@ -9,7 +9,12 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 
-from seft_ros.ground_motion.readers.columns import Columns, says_acceleration, tells_quantity
+from seft_ros.ground_motion.readers.columns import (
+    Columns,
+    named_unit,
+    says_acceleration,
+    tells_quantity,
+)
 from seft_ros.ground_motion.readers.record_text import (
     COMMENT_MARKS,
     is_comment,
@@ -59,7 +64,7 @@ def read_column_file(path: Path, lines: list[str], rows: bool) -> Columns:
     counted, data = _numeric_header(path, data)
     names, place, stated = _read_head(path, lines[:start], separator, data)
     header = _with(header=stated, counted=counted, path=path)
-    if header.unit is None:
+    if header.unit is None and not any(map(named_unit, names)):
         check_factor(path, list(enumerate(lines[:start], start=1)))
     if _is_in_rows(path, data, header, rows):
         return _one_motion(path, data, header)

@@ -98,8 +98,8 @@ class Columns:
             If the two differ, or the name says that it is no acceleration.
         """
         name = self.names[column] if self.names and self.quantities else ""
-        told = [text for find in (_IN_BRACKETS, _AFTER_WORD) for text in find.findall(name)]
-        unit = next(filter(None, map(read_unit, told)), None)
+        told = _told_units(name)
+        unit = named_unit(name)
         if _OTHER.search(name) or (unit is None and any(map(is_other_unit, told))):
             raise InputError(
                 f"{self.path}: {self.called(column)}{self.header} is no acceleration in a unit "
@@ -206,15 +206,26 @@ class Columns:
             )
 
 
+def _told_units(name: str) -> list[str]:
+    """Give what may be units in a name: acc (g), acc_g, or the name itself, as under another."""
+    own = [name] if "/" in name or name.lower() in ("g", "gal") else []
+    return [text for find in (_IN_BRACKETS, _AFTER_WORD) for text in find.findall(name)] + own
+
+
+def named_unit(name: str) -> str | None:
+    """Give the acceleration unit that the name of a column tells, a key of `UNITS`."""
+    return next(filter(None, map(read_unit, _told_units(name))), None)
+
+
 def says_acceleration(name: str) -> bool:
     """Whether the name of a column says that it is an acceleration, or in its unit."""
-    told = any(map(read_unit, _IN_BRACKETS.findall(name)))
-    return not _OTHER.search(name) and (told or bool(_ACCELERATION.search(name)))
+    told = named_unit(name) is not None or bool(_ACCELERATION.search(name))
+    return told and not _OTHER.search(name)
 
 
 def tells_quantity(name: str) -> bool:
     """Whether the name of a column says which quantity it is, or its unit."""
-    told = [text for find in (_IN_BRACKETS, _AFTER_WORD) for text in find.findall(name)]
+    told = _told_units(name)
     named = says_acceleration(name) or _OTHER.search(name) is not None
     return named or any(read_unit(text) or is_other_unit(text) for text in told)
 

@@ -5,6 +5,7 @@ ObsPy reads too (StationXML, RESP, dataless SEED).
 """
 
 import io
+import re
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,9 +24,9 @@ _FLAT = 0.05  # relative to the sensitivity
 
 
 def is_knet(_: Path, lines: list[str]) -> bool:
-    """Whether a file is a K-NET or KiK-net record in ASCII."""
+    """Whether a file is a K-NET or KiK-net record in ASCII, not as csv."""
     head = "\n".join(lines[:40]).lstrip()
-    return head.startswith("Origin Time") and "Scale Factor" in head
+    return bool(re.match(r"Origin Time\s+\d", head)) and "Scale Factor" in head
 
 
 def is_sac(data: bytes) -> bool:

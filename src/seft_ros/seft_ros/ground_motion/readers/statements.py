@@ -115,6 +115,7 @@ _UNIT = re.compile(
 )
 _IN_UNIT = re.compile(rf"\b(?:in|units?|fractions?\s+of)\s+{_WORD}", _FLAGS)
 _ACCELERATION_IN = re.compile(rf"^\W*acc(?:el(?:eration)?s?)?\.?\s*[:=(\[/]+\s*{_WORD}", _FLAGS)
+_UNIT_CELL = re.compile(rf"^\W*(?:units?|unidad(?:es)?)\W*[,;\t]\W*{_WORD}", _FLAGS)
 _PER_SQUARED = re.compile(r"\b\w+\s+per\s+sec\w*\s+(?:squared|per\s+sec\w*)", _FLAGS)
 _BARE = re.compile(r"[\s,;:()\[\]]+")
 _VALUE = re.compile(  # the unit of one value, not of the record
@@ -126,13 +127,13 @@ _PERIOD_NAME = (
 )
 _IN_MILLI = r"(?:[\s_]*[(\[]?\s*(ms|msec|milliseconds?|s|secs?|seconds?)\b\s*[)\]]?)?"
 _PERIOD = re.compile(
-    rf"{_PERIOD_NAME}{_IN_MILLI}\s*(?:of|at|is)?\s*[:=]?\s*"
+    rf"{_PERIOD_NAME}{_IN_MILLI}\s*(?:of|at|is)?\s*[:=,]?\s*"
     rf"({_N})(?:\s*/\s*({_N}))?\s*(ms|msec|milliseconds?|s|secs?|seconds?|hz)?\b",
     _FLAGS,
 )
 _RATE = re.compile(
     r"\b(?:sampling|sample)[\s_]*(?:rate|freq(?:uency)?)\b\.?[\s_]*(?:[(\[]?\s*hz\s*[)\]]?)?"
-    rf"\s*(?:of|at|is)?\s*[:=]?\s*({_N})"
+    rf"\s*(?:of|at|is)?\s*[:=,]?\s*({_N})"
     rf"|(?:\bsampl(?:ed|ing)\s*(?:at|:)?|@)\s*({_N})(?=\s*k?hz\b)|\bfs\s*[:=]\s*({_N})",
     _FLAGS,
 )
@@ -204,6 +205,7 @@ def read_header(path: Path, lines: Sequence[tuple[int, str]]) -> Header:
     InputError
         If two differ, or a unit is unknown, or the file holds a velocity or displacement.
     """
+    lines = [(number, line.replace('"', "")) for number, line in lines]
     for number, line in lines:
         if found := _OTHER_QUANTITY.search(line):
             raise other_quantity(path, number, next(filter(None, found.groups())))
@@ -284,7 +286,8 @@ def _is_same(first: object, second: object) -> bool:
 
 
 def _units(path: Path, number: int, line: str) -> Iterable[str]:
-    stated, told = _UNIT.findall(line), _ACCELERATION_IN.findall(line)
+    stated = _UNIT.findall(line)
+    told = _ACCELERATION_IN.findall(line) + _UNIT_CELL.findall(line)
     for text in stated:
         if not read_unit(text) and not is_other_unit(text):
             raise InputError(
