@@ -72,7 +72,7 @@ def test_a_unit_in_which_no_acceleration_can_be_read_is_told_from_a_word(text):
         ('"Unit","gal"\n"Sampling interval (ms)","5"\n', "cm/s2", 0.005),
         ("Acc/g, 40 points at 5 ms\n", "g", 0.005),
         ("fraction of g, sampled every 0.005 s\n", "g", 0.005),
-        ("# g\n@ 200 Hz\n", "g", 0.005),
+        ("# g\nsampling 200 Hz, low-pass @ 25 Hz, FS = 2 g, delta = 0.5 deg\n", "g", 0.005),
         ("centimeters per second per second\nΔt=0.005s\n", "cm/s2", 0.005),
         ("Acceleration in cm s-2\nfs = 200 Hz\n", "cm/s2", 0.005),
         ("UNITS: cm / s^2\nsampling rate: 0.2 kHz\n", "cm/s2", 0.005),

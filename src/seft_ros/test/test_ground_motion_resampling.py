@@ -40,6 +40,7 @@ def test_at_a_multiple_of_its_rate_each_sample_of_the_record_is_a_step(rate, tim
     found = resample(record, 0.005, at(rate), time_scale)
     every = round(rate * 0.005 * time_scale)
     np.testing.assert_allclose(found.samples[::every], record, atol=1e-12)
+    assert found.done.endswith("each of its samples is a step")
 
 
 @pytest.mark.parametrize(

@@ -123,22 +123,25 @@ _VALUE = re.compile(  # the unit of one value, not of the record
 )
 _PERIOD_NAME = (
     r"(?:\bdt\b|\bdelta[_ ]?t\b|\b(?:sampling|sample|time)[\s_]*(?:interval|period|step|spacing|"
-    r"increment)|\bintervals?\b|\bintervalo\s+de\s+muestreo|Δt|\bdelta(?=\s*[:=])|\bequal(?:ly)?[\s-]+spac(?:ed|ing)(?:[\s-]+intervals?)?|\btime[\s_]*delta\b)"
+    r"increment)|\bintervalo\s+de\s+muestreo|Δt|\bdelta(?=\s*[:=])"
+    r"|\bequal(?:ly)?[\s-]+spac(?:ed|ing)(?:[\s-]+intervals?)?|\btime[\s_]*delta\b)"
 )
 _IN_MILLI = r"(?:[\s_]*[(\[]?\s*(ms|msec|milliseconds?|s|secs?|seconds?)\b\s*[)\]]?)?"
 _PERIOD = re.compile(
     rf"{_PERIOD_NAME}{_IN_MILLI}\s*(?:of|at|is)?\s*[:=,]?\s*"
-    rf"({_N})(?:\s*/\s*({_N}))?\s*(ms|msec|milliseconds?|s|secs?|seconds?|hz)?\b",
+    rf"({_N})(?:\s*/\s*({_N}))?\s*(ms|msec|milliseconds?|s|secs?|seconds?|hz)?\b"
+    r"(?!\d|\.\d|\s*(?:deg|°|km))",  # delta may be a distance
     _FLAGS,
 )
 _RATE = re.compile(
     r"\b(?:sampling|sample)[\s_]*(?:rate|freq(?:uency)?)\b\.?[\s_]*(?:[(\[]?\s*hz\s*[)\]]?)?"
     rf"\s*(?:of|at|is)?\s*[:=,]?\s*({_N})"
-    rf"|(?:\bsampl(?:ed|ing)\s*(?:at|:)?|@)\s*({_N})(?=\s*k?hz\b)|\bfs\s*[:=]\s*({_N})",
+    rf"|\bsampl(?:ed|ing)\s*(?:at|:)?\s*({_N})(?=\s*k?hz\b)"
+    rf"|\bfs\s*[:=]\s*({_N})(?=\s*(?:k?hz\b|sps\b|[,;)]|$))",  # fs may be the full scale
     _FLAGS,
 )
 _EVERY = re.compile(
-    rf"(?:\bevery|\b(?:points|pts|samples|values|data)\s+at|@)()\s*({_N})()"
+    rf"(?:\b(?:every|intervals?|(?:points|pts|samples)\s+at))()(?:\s+of)?[\s:=]*({_N})()"
     r"\s*(ms|msec|milliseconds?|s|secs?|seconds?)\b",
     _FLAGS,
 )
@@ -206,11 +209,12 @@ def read_header(path: Path, lines: Sequence[tuple[int, str]]) -> Header:
         If two differ, or a unit is unknown, or the file holds a velocity or displacement.
     """
     lines = [(number, line.replace('"', "")) for number, line in lines]
+    of_acceleration = any("acc" in line.lower() for _, line in lines)
     for number, line in lines:
         if found := _OTHER_QUANTITY.search(line):
             raise other_quantity(path, number, next(filter(None, found.groups())))
         first = _OTHER_FIRST.match(line)
-        if first and not (_VALUE.search(line) or "acc" in line.lower()):
+        if first and not (of_acceleration or _VALUE.search(line)):
             raise other_quantity(path, number, "velocity" if first.group(1) else "displacement")
     units = [Statement(unit, f"line {n}") for n, line in lines for unit in _units(path, n, line)]
     periods = [Statement(dt, f"line {n}") for n, line in lines for dt in _periods(path, n, line)]
@@ -310,7 +314,7 @@ def _units(path: Path, number: int, line: str) -> Iterable[str]:
 
 
 def _periods(path: Path, number: int, line: str) -> Iterable[float]:
-    for found in (*_PERIOD.finditer(line), *_EVERY.finditer(line)):
+    for found in (*_PERIOD.finditer(line), *(() if _VALUE.search(line) else _EVERY.finditer(line))):
         before, value, divisor, after = (text or "" for text in found.groups())
         _check_point(path, number, line, found.end(2))
         period = to_float(value, path, number)
