@@ -33,26 +33,10 @@ def tent(tmp_path):
     return {"file": str(path), "column": 0, "unit": "m/s2", "dt": 0.01, "tail": 0.0}
 
 
-@pytest.mark.parametrize(
-    ("rate", "time_scale", "expected"),
-    [
-        (100.0, 1.0, [0, 2, 0, -4, 0]),
-        (200.0, 1.0, [0, 1, 2, 1, 0, -2, -4, -2, 0]),
-        (200.0, 0.5, [0, 2, 0, -4, 0]),
-        (100.0, 2.0, [0, 1, 2, 1, 0, -2, -4, -2, 0]),
-    ],
-)
-def test_at_a_multiple_of_its_rate_the_record_is_linear_between_its_samples(
-    tent, rate, time_scale, expected
-):
-    motion = build(rate=rate, time_scale=time_scale, **tent)
-    np.testing.assert_allclose(motion.samples[:, 0], expected, atol=1e-12)
-    assert motion.facts["resampling"].startswith("each of its samples is a step")
-
-
 def test_the_tail_is_zeros_after_the_record(tent):
     motion = build(rate=100.0, **{**tent, "tail": 0.03})
     np.testing.assert_array_equal(motion.samples[:, 0], [0, 2, 0, -4, 0, 0, 0, 0])
+    assert motion.facts["resampling"] == "each of its samples is a step"
     assert motion.steps == 8
 
 
@@ -98,7 +82,9 @@ def test_each_axis_may_have_a_record_and_zeros_follow_the_shorter_one(pair):
     expected = [[0, 1], [2, 3], [0, 5], [0, 7], [0, 0]]
     np.testing.assert_allclose(motion.samples, np.array(expected) * 9.80665)
     assert motion.facts["source"] == "a.AT2, b.AT2"
-    channels = motion.facts["channels"]
+    named = build(("x", "y"), 100.0, file=[f"y={pair[1]}", f"x={pair[0]}"], tail=0.01)
+    np.testing.assert_array_equal(named.samples, motion.samples)
+    channels = named.facts["channels"]
     assert [(c["axis"], c["file"], c["samples"]) for c in channels] == [
         ("x", "a.AT2", 3),
         ("y", "b.AT2", 4),
@@ -116,6 +102,10 @@ def test_records_of_the_axes_must_fit(tmp_path, pair):
         build(("x", "y", "z"), file=pair)
     with pytest.raises(InputError, match="a record for each axis must be named"):
         build(("x", "y"), file=[pair[0], ""])
+    for axes in (("x", "z"), ("x", "x"), ("x",)):
+        files = [f"{axis}={file}" for axis, file in zip(axes, pair, strict=False)]
+        with pytest.raises(InputError, match=r"must be AXIS=FILE for each axis of \[x, y\], once"):
+            build(("x", "y"), file=files)
     other = tmp_path / "b.AT2"
     other.write_text(other.read_text().replace(".01", ".02"))
     with pytest.raises(InputError, match=r"y: b.AT2 has .* 0.02 s, but x: a.AT2 of 0.01 s"):

@@ -1,5 +1,6 @@
 """Formats of agencies: CSMIP, GeoNet, ESM, and what ObsPy reads; PEER, COSMOS and SMC elsewhere."""
 
+import re
 import sys
 
 import numpy as np
@@ -96,6 +97,8 @@ def test_geonet_reads_in_mm_with_each_component_as_a_column(read, others):
     assert read(text, [1]).channels[0]["column"] == 'column 1 "N80W"'
     with pytest.raises(InputError, match=r"unit is m/s2, but .* says mm/s2"):
         read(text, unit="m/s2")
+    with pytest.raises(InputError, match=r"\d rows of values follow, but 23 points are 3 rows"):
+        read(text.replace("    2016      11\n", "", 1))
 
 
 def test_geonet_of_volume_1_reads_in_the_unit_of_its_raw_readings(read):
@@ -153,6 +156,15 @@ def test_knet_reads_as_counts_times_the_scale_factor_in_gal(read):
     check(read(text, unit="gal", dt=0.005), counts * 2000 / 8388608, "cm/s2", 0.01, 0.005, "K-NET")
     with pytest.raises(InputError, match=r"unit is g, but .* says cm/s2"):
         read(text, unit="g")
+    for other in (b"\n" + text.encode(), text.encode("utf-16"), text.replace("\n", "\r").encode()):
+        check(read(other), counts * 2000 / 8388608, "cm/s2", 0.01, 0.005, "K-NET")
+    head = re.sub(r"(?<=[a-z)e.]) {2,}", ",", KNET)
+    times = "".join(f"{0.005 * k:.3f},{v:.1f},0\n" for k, v in enumerate(WAVE))
+    check(read(f"{head}Time(s),NS(gal),UD(gal)\n{times}"), WAVE, "cm/s2", 0.01, 0.005, "columns")
+    with pytest.raises(InputError, match="states the factor 2000, but no line the unit"):
+        read(head + times, [1], unit="gal")
+    with pytest.raises(InputError, match=r"says 3 s, but 23 values follow, .* truncated"):
+        read(text.replace("Time(s)  1", "Time(s)  3"))
 
 
 @pytest.mark.parametrize("content", [KNET + "1 2\n", b"000001D " + bytes(100)])
@@ -165,7 +177,7 @@ def test_without_obspy_its_formats_are_refused_with_its_installation(read, conte
 def seismogram(folder, kind, values, **header):
     """Write a stream of traces by ObsPy; gives its bytes."""
     obspy = pytest.importorskip("obspy")
-    station = {"network": "XX", "station": "ABC", "starttime": obspy.UTCDateTime(2020, 1, 1)}
+    station = {"network": "XX", "station": "PSD", "starttime": obspy.UTCDateTime(2020, 1, 1)}
     traces = [
         obspy.Trace(np.array(each), {**station, "channel": f"HN{name}", "delta": 0.005, **header})
         for name, each in zip("ENZ", values, strict=False)
@@ -175,17 +187,20 @@ def seismogram(folder, kind, values, **header):
     return path.read_bytes()
 
 
-def metadata(folder, unit="M/S**2", value=2000.0):
-    """Write the metadata of the station."""
+def metadata(folder, unit="M/S**2", value=2000.0, corner=None):
+    """Write the metadata of the station; a response with a high-pass if there is a corner, Hz."""
     obspy = pytest.importorskip("obspy")
     from obspy.core.inventory import Channel, InstrumentSensitivity, Network, Response, Station
 
-    gain = InstrumentSensitivity(value, 1.0, unit, "COUNTS")
-    channels = [
-        Channel(f"HN{name}", "", 0, 0, 0, 0, response=Response(instrument_sensitivity=gain))
-        for name in "EN"
-    ]
-    station = Station("ABC", 0, 0, 0, channels=channels)
+    gain = InstrumentSensitivity(value, 10.0, unit, "COUNTS")
+    response = Response(instrument_sensitivity=gain)
+    if corner is not None:
+        poles = {"zeros": [0.0], "poles": [-2 * np.pi * corner]}
+        response = Response.from_paz(**poles, stage_gain=value, stage_gain_frequency=10.0)
+        response.response_stages[0].input_units = unit
+        response.instrument_sensitivity = gain
+    channels = [Channel(f"HN{name}", "", 0, 0, 0, 0, response=response) for name in "EN"]
+    station = Station("PSD", 0, 0, 0, channels=channels)
     path = folder / "station.xml"
     inventory = obspy.Inventory([Network("XX", stations=[station])], source="test")
     inventory.write(str(path), format="STATIONXML")
@@ -217,7 +232,11 @@ def test_counts_need_the_response_of_an_accelerometer(read, tmp_path, kind):
         read(data, response=metadata(tmp_path), unit="g")
     with pytest.raises(InputError, match=r"measures M/S, .*accelerometer"):
         read(data, response=metadata(tmp_path, "M/S"))
-    with pytest.raises(InputError, match=r"gives no sensitivity of channel XX.ABC..HNE"):
+    flat = read(data, response=metadata(tmp_path, corner=0.01))
+    np.testing.assert_array_equal(flat.accelerations, record.accelerations)
+    with pytest.raises(InputError, match=r"is 0.1 times its sensitivity at 0.1 Hz; remove it"):
+        read(data, response=metadata(tmp_path, corner=1.0))
+    with pytest.raises(InputError, match=r"gives no sensitivity of channel XX.PSD..HNE"):
         read(data, response=str(tmp_path / "none.xml"))
 
 
@@ -226,10 +245,10 @@ def test_miniseed_has_a_column_for_each_channel_and_no_gaps(read, tmp_path):
     data = seismogram(tmp_path, "MSEED", counts)
     record = read(data, [1], response=metadata(tmp_path))
     np.testing.assert_allclose(record.accelerations[:, 0], counts[1] / 2000)
-    assert record.channels[0]["column"] == 'column 1 "XX.ABC..HNN"'
+    assert record.channels[0]["column"] == 'column 1 "XX.PSD..HNN"'
     obspy = pytest.importorskip("obspy")
     later = seismogram(tmp_path, "MSEED", counts[:1], starttime=obspy.UTCDateTime(2020, 1, 2))
-    with pytest.raises(InputError, match=r"channel XX.ABC..HNE has a gap"):
+    with pytest.raises(InputError, match=r"channel XX.PSD..HNE has a gap"):
         read(seismogram(tmp_path, "MSEED", counts[:1]) + later, response=metadata(tmp_path))
 
 

@@ -21,7 +21,7 @@ def stated(record):
             "cm/s2",
             ["gal", "Gal", "gals", "cm/s^2", "CM/SEC/SEC", "cm/sec2.", "cm/sec**2", "cm s-2"],
         ),
-        ("cm/s2", ["CMS/SEC/SEC", "cm/s²", "cm per second squared", "cm/(s*s)", "cm/s/s"]),
+        ("cm/s2", ["CMS/SEC/SEC", "cm/s²", "cm per second squared", "cm/(s*s)", "cm_s2", "cms2"]),
         ("m/s2", ["m/s2", "M/S**2", "m/s/s", "m·s⁻²", "m s^-2", "m/sec^{2}", "m / s^2"]),
         ("mm/s2", ["mm/s2", "mm/s/s", "mm/sec^2"]),
     ],
@@ -32,7 +32,22 @@ def test_units_are_read_in_their_spellings(unit, spellings):
 
 
 @pytest.mark.parametrize(
-    "text", ["cm/s", "mm", "in/s2", "%g", "ft/s^2", "counts", "mg", "cm/sec", "kine", "g/10", "s"]
+    "text",
+    [
+        "cm/s",
+        "mm",
+        "in/s2",
+        "%g",
+        "ft/s^2",
+        "counts",
+        "mg",
+        "cm/sec",
+        "kine",
+        "g/10",
+        "0.1g",
+        "m/s3",
+        "m_s",
+    ],
 )
 def test_a_unit_in_which_no_acceleration_can_be_read_is_told_from_a_word(text):
     assert read_unit(text) is None
@@ -54,6 +69,14 @@ def test_a_unit_in_which_no_acceleration_can_be_read_is_told_from_a_word(text):
         ("SAMPLING RATE= 100Hz\n UNIT  = gal(cm/s/s)\n", "cm/s2", 0.01),
         ("#AmplitudeUnit:  gal. DCoffset(corr)\n#SampleRate(Hz): 50\n", "cm/s2", 0.02),
         ("SAMPLING INTERVAL (ms) : 10\nAcceleration [m/s^2]\n", "m/s2", 0.01),
+        ('"Unit","gal"\n"Sampling interval (ms)","5"\n', "cm/s2", 0.005),
+        ("Acc/g, 40 points at 5 ms\n", "g", 0.005),
+        ("fraction of g, sampled every 0.005 s\n", "g", 0.005),
+        ("# g\nsampling 200 Hz, low-pass @ 25 Hz, FS = 2 g, delta = 0.5 deg\n", "g", 0.005),
+        ("centimeters per second per second\nΔt=0.005s\n", "cm/s2", 0.005),
+        ("Acceleration in cm s-2\nfs = 200 Hz\n", "cm/s2", 0.005),
+        ("UNITS: cm / s^2\nsampling rate: 0.2 kHz\n", "cm/s2", 0.005),
+        ("units: cm/(s^2)\nNPTS: 40\nDELTA: 0.02\n", "cm/s2", 0.02),
         ("# El Centro, m/s^2, dt 0.02 s, unscaled\n", "m/s2", 0.02),
     ],
 )
@@ -76,10 +99,15 @@ def test_a_header_states_unit_and_sampling_period(read, header, unit, dt):
         ("NDATA: 40\n41 points\n", "line 2 states the number of points 41, but line 1 40"),
         ("units: counts\n", "counts is no acceleration unit"),
         ("TIMESERIES XX_ABC, 40 samples, 200 sps, SLIST, INTEGER, Counts\n", "Counts is no acc"),
+        ("UNITS: g / 10\n", "g / 10 is no acceleration unit"),
+        ("Acceleration in in/s2\n", "in/s2 is no acceleration unit"),
+        ("Scale factor: 0.001\n", "line 1: states the factor 0.001"),
         ("UNITS ARE SEC AND G/10\n", "SEC is no acceleration unit"),
         ("Unit: furlong\n", 'states the unit "furlong", which is not known'),
         ("DATA_TYPE: VELOCITY\n", "line 1: holds a velocity"),
-        ("velocity (cm/s)\n", "is no acceleration in a unit known here"),
+        ("velocity (cm/s)\n", "line 1: holds a velocity"),
+        ("Desplazamiento (cm) dt=0.01\n", "line 1: holds a displacement"),
+        ("units: g\nSampling rate: 99,5 Hz\n", "line 2: write decimal points, not commas"),
     ],
 )
 def test_a_statement_that_can_not_be_used_is_refused_whatever_is_given(read, header, told):
@@ -133,6 +161,10 @@ def test_the_names_of_columns_choose_the_acceleration(read, names, column):
     [
         (table("time", "vel (cm/s)"), 'column 1 "vel \\(cm/s\\)" .* is no acceleration'),
         (table("time", "acc (in/s2)"), "is no acceleration in a unit known here"),
+        (table("time", "acc (0.1 g)"), "is no acceleration in a unit known here"),
+        (table("s", "cm/s"), "is no acceleration in a unit known here"),
+        (table("time", "displ"), "is no acceleration in a unit known here"),
+        (table("T(s)", "PSA (gal)"), "is no acceleration in a unit known here"),
         (table("Period (s)", "PSA (gal)"), "PSA .gal. .line 1.: a spectrum, no time history"),
         (table("Frequency", "Amplitude"), "Amplitude .line 1.: a spectrum, no time history"),
         (
@@ -146,6 +178,15 @@ def test_named_columns_that_are_no_acceleration_are_refused(read, text, told):
     for words in ({}, {"unit": "cm/s2"}, {"columns": [1], "unit": "cm/s2"}):
         with pytest.raises(InputError, match=told):
             read(text, **words)
+
+
+@pytest.mark.parametrize(
+    "names", ['"time (s)"\t"acc (gal)"', "time [s] acc[gal]", "Time (s)\tAcceleration (gal)"]
+)
+def test_names_stand_beside_their_units_in_any_columns(read, names):
+    quoted = "\n".join(f'"{0.01 * k:.2f}"\t"{a:.5f}"' for k, a in enumerate(WAVE))
+    text = quoted if '"' in names else quoted.replace('"', "")
+    assert stated(read(f"{names}\n{text}\n")) == ("cm/s2", 0.01)
 
 
 def test_the_words_of_a_sentence_are_no_names_of_columns(read):

@@ -40,14 +40,18 @@ def test_at_a_multiple_of_its_rate_each_sample_of_the_record_is_a_step(rate, tim
     found = resample(record, 0.005, at(rate), time_scale)
     every = round(rate * 0.005 * time_scale)
     np.testing.assert_allclose(found.samples[::every], record, atol=1e-12)
+    assert found.done.endswith("each of its samples is a step")
 
 
-@pytest.mark.parametrize(("rate", "time_scale"), [(500.0, 1.0), (512.0, 1.0), (625.0, 0.7)])
+@pytest.mark.parametrize(
+    ("rate", "time_scale"), [(500.0, 1.0), (512.0, 1.0), (625.0, 0.7), (1000.0, 1.0)]
+)
 def test_between_its_samples_a_record_is_band_limited(rate, time_scale):
     record = waves([1.3, 11.0, 60.0])
     found = resample(record, 0.005, at(rate), time_scale).samples[:, 0]
-    shift = np.argmax(np.abs(record)) % (1 / rate / (0.005 * time_scale))
-    places = shift + np.arange(len(found)) / rate / (0.005 * time_scale)
+    ratio = 1 / rate / (0.005 * time_scale)
+    shift = np.round(np.argmax(np.abs(record)) % ratio, 9) % ratio
+    places = shift + np.arange(len(found)) * ratio
     fine = np.sin(np.pi * places / STEPS[-1]) ** 2
     expected = sum(np.sin(2 * np.pi * f * 0.005 * places + f) for f in (1.3, 11.0, 60.0)) * fine
     np.testing.assert_allclose(found, expected, atol=2e-4)

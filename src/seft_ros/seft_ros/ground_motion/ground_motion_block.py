@@ -39,7 +39,8 @@ _CHUNKS_PER_LEAD = 4
 
 _ROWS = """
     file       | texts  | "" |       |             |
-        record to read, or one for each axis, in the order of axes; empty: make a synthetic motion
+        record to read, or one for each axis, in the order of axes or as AXIS=FILE; empty: make a
+        synthetic motion
     column     | ints   | -1  |       | -1 ..       |
         column of the file, counted from 0; one for all axes, or one per axis; -1: the one whose
         name says that it is an acceleration, or the first that is not the time
@@ -166,7 +167,7 @@ class GroundMotion:
         """
         influence = per_axis(section["influence"], axes, "ground_motion: influence")
         given_unit(section["unit"])
-        files = files_of(section["file"])
+        files = files_of(section["file"], axes)
         if files:
             record = _recorded(section, axes, files)
         else:

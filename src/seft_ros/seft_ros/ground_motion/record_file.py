@@ -46,6 +46,7 @@ from seft_ros.ground_motion.readers.statements import (
 )
 
 TEXT_FORMATS = (
+    (is_knet, read_knet),
     (is_cosmos, read_cosmos),
     (is_smc, read_smc),
     (is_geonet, read_geonet),
@@ -76,8 +77,6 @@ def read_file(path: Path, rows: bool = False, response: str = "") -> Columns:
         If the file can't be read, or is no record.
     """
     data = read_bytes(path)
-    if is_knet(data):
-        return read_knet(path, data)
     for matches, read in SEISMOLOGICAL_FORMATS:
         if matches(data):
             return read(path, data, response)
@@ -94,6 +93,7 @@ FIRST_MOTION = -1
 """Means the column that the names tell, or the first that is not the time."""
 
 _GIVEN = "as given"
+_LONGEST_PERIOD = 1.0  # s; a longer one is in another unit
 
 
 @dataclass(frozen=True)
@@ -187,25 +187,35 @@ def read_record(
     return RecordedMotion(accelerations, period.value, path.name, units[0].value, channels)
 
 
-def files_of(file: str | Sequence[str]) -> list[str]:
+def files_of(file: str | Sequence[str], axes: Sequence[str]) -> list[str]:
     """Give the records that the parameter ``file`` names; none: the motion is synthetic.
+
+    Several are in the order of ``axes``, or each is ``AXIS=FILE``.
 
     Raises
     ------
     InputError
-        If one of several is empty.
+        If one of several is empty; if there is not one for each axis, where axes are named.
     """
     files = [file] if isinstance(file, str) else list(file)
     if len(files) > 1 and not all(files):
         raise InputError(
             f"ground_motion: file is {files}, but a record for each axis must be named"
         )
-    return [name for name in files if name]
+    by_axis = {axis: name for axis, mark, name in (each.partition("=") for each in files) if mark}
+    if by_axis.keys().isdisjoint(axes):
+        return [name for name in files if name]
+    if sorted(by_axis) != sorted(axes) or len(files) != len(axes):
+        raise InputError(
+            f"ground_motion: file is {files}, but must be AXIS=FILE for each axis of "
+            f"[{', '.join(axes)}], once"
+        )
+    return [by_axis[axis] for axis in axes]
 
 
 def source_name(file: str | Sequence[str]) -> str:
     """Name the records of the parameter ``file``, without their folders; empty: none."""
-    return ", ".join(Path(name).name for name in files_of(file))
+    return ", ".join(Path(name).name for name in files_of(file, ()))
 
 
 def _check_columns(file: Columns, columns: Sequence[int]) -> None:
@@ -271,6 +281,12 @@ def _unit_of(file: Columns, column: int, given: str) -> Statement[str]:
 def _period_of(file: Columns, given: float) -> Statement[float]:
     """Give the sampling period; the file's and the given one must agree, and one be there."""
     own = file.dt(given)
+    for each in (own, Statement(given, _GIVEN)):
+        if each and each.value > _LONGEST_PERIOD:
+            raise InputError(
+                f"{file.path}: a sampling period of {each.value:g} s ({each.place}) is that of no "
+                "ground motion; correct it"
+            )
     if own is None and not given:
         raise InputError(
             f"{file.path}: states no sampling period; set ground_motion dt (--dt), in s"

@@ -1,10 +1,10 @@
 """Resampling of a record to the rate of the loop, without a loss of its peak.
 
-A synthetic motion is linear between its samples. So is a recorded one if the rate of the loop is a
-multiple of its own: each of its samples is then one of the test. At any other rate samples of the
-record fall between two steps, and a motion that is linear between them would lose peaks. It is then
-resampled with band limitation, and shifted by less than a step so that its largest sample is one of
-the test.
+A synthetic motion is linear between its samples. A recorded one is band-limited between them: lines
+would take a share ``1 - sinc(f dt)^2`` off what it has at a frequency f. If the rate of the loop is
+a multiple of the record's, each sample of the record is one of the test. At any other rate they
+fall between two steps; the record is then shifted by less than a step, so that its largest sample
+is one of the test.
 """
 
 from dataclasses import dataclass
@@ -21,6 +21,7 @@ _SNAP = 1e-9  # of a record's step: rounding in k * dt must not move a sample of
 _ZEROS = 32  # zeros of the sinc on either side
 _BETA = 8.0  # of the Kaiser window: 80 dB; its transition is 8 % of the band on either side
 _BELOW = 0.92  # of half the loop's rate: the band's edge, so that nothing is folded
+_PHASE_DIGITS = 9  # of a record's step; positions between two samples repeat
 _BLOCK = 4096
 
 
@@ -86,15 +87,14 @@ def resample(
     shift = max(peak - ratio * np.floor(peak / ratio + _SNAP), 0.0)
     steps = np.arange(int((last - shift) / ratio * (1 + 1e-12) + _SNAP) + 1, dtype=np.float64)
     positions = shift + steps * ratio
-    if linear or on_knots:
+    if linear or (on_knots and multiple < 1.5):
         moving = _linear(record, positions)
-        done = "linear between its samples"
-        if on_knots and not linear:
-            done = "each of its samples is a step" + (", linear between" if multiple > 1.5 else "")
+        done = "linear between its samples" if linear else "each of its samples is a step"
     else:
         band, period = _BELOW / ratio if ratio > 1 else 1.0, record_dt * time_scale
         moving = band_limited(record, positions, band)
-        done = f"band-limited to {0.5 * band / period:.4g} Hz; its largest sample is a step"
+        kept = "each of its samples" if on_knots else "its largest sample"
+        done = f"band-limited to {0.5 * band / period:.4g} Hz; {kept} is a step"
         if shift:
             done += f", it begins {1e3 * shift * period:.3g} ms later"
     return Resampled(np.pad(moving, ((0, round(tail * timebase.rate)), (0, 0))), done)
@@ -128,14 +128,15 @@ def band_limited(record: Floats, positions: Floats, band: float) -> Floats:
     taps = np.arange(-int(np.ceil(reach)) + 1, int(np.ceil(reach)) + 1)
     found = np.empty((len(positions), record.shape[1]))
     for start in range(0, len(positions), _BLOCK):
-        block = positions[start : start + _BLOCK, np.newaxis]
-        places = np.floor(block).astype(int) + taps
-        off = (block - places) / reach
+        block = positions[start : start + _BLOCK]
+        first = np.floor(block).astype(int)
+        phases, which = np.unique(np.round(block - first, _PHASE_DIGITS), return_inverse=True)
+        off = (phases[:, np.newaxis] - taps) / reach
         window = np.i0(_BETA * np.sqrt(np.clip(1 - off**2, 0.0, None))) * (np.abs(off) <= 1)
         weights = np.sinc(off * _ZEROS) * window
         weights /= weights.sum(axis=1, keepdims=True)
-        values = record[np.clip(places, 0, len(record) - 1)]
-        found[start : start + _BLOCK] = (weights[:, :, np.newaxis] * values).sum(axis=1)
+        values = record[np.clip(first[:, np.newaxis] + taps, 0, len(record) - 1)]
+        found[start : start + _BLOCK] = np.einsum("nk,nkc->nc", weights[which], values)
     return found
 
 

@@ -207,7 +207,7 @@ def drawn_motion(
         drawn["file"] = files[int(random.integers(len(files)))]
     drawn["synthetic.seed"] = int(random.integers(2**31))
     amplitude = "peak_force" if section["peak_force"] else "influence"
-    synthetic = not (files or files_of(section["file"]))
+    synthetic = not (files or files_of(section["file"], ()))
     for name, uncertainty in _of_node("ground_motion").items():
         by = float(_draw_factors(random, uncertainty, spread, 1)[0])
         if name == amplitude or (synthetic and name.startswith("synthetic.")):

@@ -78,8 +78,10 @@ class StudyPlan:
 
     def records(self) -> dict[str, bytes]:
         """Read the files of the ground motions."""
-        motion = self.experiment["ground_motion"]
-        files = {file for name in FILES for file in files_of(motion[name])} | {*self.drawn.motions}
+        motion, axes = self.experiment["ground_motion"], self.experiment.axes
+        files = {file for name in FILES for file in files_of(motion[name], axes)} | {
+            *self.drawn.motions
+        }
         return {file: Path(file).read_bytes() for file in sorted(files)}
 
 

@@ -225,7 +225,7 @@ def write_worst_tests(plan: StudyPlan, summary: dict[str, Any], folder: Path) ->
             sections["ground_motion"] = motion | {
                 name: [str(Path(file).resolve()) for file in files]
                 for name in FILES
-                if (files := files_of(motion[name]))
+                if (files := files_of(motion[name], plan.experiment.axes))
             }
             about = f"{test} of seft study, seed {plan.drawn.seed}, spread {plan.drawn.spread:g}"
             write_parameter_file(path, sections, [about], replace=True)

@@ -156,7 +156,7 @@ def _run(test: StudyTest, experiment: Experiment, carried: Mapping[str, bytes]) 
             section = experiment["ground_motion"] | {
                 name: [_at_hand(Path(file).name, carried[file]) for file in files]
                 for name in FILES
-                if (files := files_of(experiment["ground_motion"][name]))
+                if (files := files_of(experiment["ground_motion"][name], experiment.axes))
             }
             experiment = Experiment(experiment.sections | {"ground_motion": section})
         reference, why = _CACHE.reference(experiment), _CACHE.why_not_compiled(experiment)

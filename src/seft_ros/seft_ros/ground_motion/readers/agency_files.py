@@ -5,6 +5,7 @@ shorter. CSMIP and GeoNet files have a block of headers and values for each chan
 """
 
 import re
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from seft_ros.ground_motion.readers.record_text import (
     NUMBER,
     header_numbers,
     is_comment,
+    is_number,
     pieces,
     read_values,
     to_float,
@@ -35,7 +37,7 @@ _PEER_NPTS = re.compile(r"\bNPTS\b", re.IGNORECASE)
 
 
 def is_peer(_: Path, lines: list[str]) -> bool:
-    """Whether a file has the NPTS line of an AT2 file's header."""
+    """Whether a file has the line of an AT2 file's header with NPTS and DT."""
     return _header_end(lines) is not None
 
 
@@ -57,16 +59,11 @@ def read_peer(path: Path, lines: list[str]) -> Columns:
     Raises
     ------
     InputError
-        If the header can't be understood or is not that of an acceleration, or if the number of
-        values is not that of the header.
+        If the header is not that of an acceleration, or if the number of values is not that of the
+        header.
     """
     end = _header_end(lines) or 0
     numbers = NUMBER.findall(lines[end])
-    if len(numbers) < 2 or not numbers[0].isdigit():
-        raise InputError(
-            f"{path}: line {end + 1}: NPTS without a count and a DT; "
-            'expected "NPTS= 4096, DT= .0100 SEC" or "4096 0.0100 NPTS, DT"'
-        )
     count, dt = int(numbers[0]), to_float(numbers[1], path, end + 1)
     if count < 1 or not 0 < dt < np.inf:
         raise InputError(
@@ -79,8 +76,11 @@ def read_peer(path: Path, lines: list[str]) -> Columns:
 
 
 def _header_end(lines: list[str]) -> int | None:
-    header = enumerate(lines[:_PEER_HEADER])
-    return next((n for n, line in header if _PEER_NPTS.search(line) and not is_comment(line)), None)
+    for index, line in enumerate(lines[:_PEER_HEADER]):
+        numbers = NUMBER.findall(line) if _PEER_NPTS.search(line) and not is_comment(line) else []
+        if len(numbers) > 1 and numbers[0].isdigit():
+            return index
+    return None
 
 
 _SMC_FIRST_LINE = re.compile(r"^\s*[0-9]\s+(?:UN)?CORRECTED\s+ACCELEROGRAM\b", re.IGNORECASE)
@@ -106,7 +106,7 @@ def read_smc(path: Path, lines: list[str]) -> Columns:
     end = reals + _SMC_REALS
     integers = header_numbers(path, lines, _SMC_TEXT, reals, 10)
     numbers = header_numbers(path, lines, reals, end, 15)
-    known = len(integers) > _SMC_COUNT and len(numbers) > _SMC_RATE
+    known = len(integers) == 8 * _SMC_INTEGERS and len(numbers) == 5 * _SMC_REALS
     if not known or not 0 < numbers[_SMC_RATE] < _SMC_NO_RATE:
         raise InputError(
             f"{path}: the header of an SMC record gives no count of values and no rate; fetch the "
@@ -280,6 +280,11 @@ def is_geonet(_: Path, lines: list[str]) -> bool:
     return any(map(_GEONET_PERIOD.match, lines)) and any(map(_GEONET_POINTS.match, lines))
 
 
+def _is_geonet_row(line: str) -> bool:
+    cut = pieces(line, _GEONET_WIDTH)
+    return bool(cut) and all(map(is_number, cut))
+
+
 def read_geonet(path: Path, lines: list[str]) -> Columns:
     """Read a GeoNet file, V1A or V2A: a column for each component's acceleration.
 
@@ -307,7 +312,14 @@ def read_geonet(path: Path, lines: list[str]) -> Columns:
                 "points and the acceleration's peak with its unit; fetch the record again"
             )
         count = int(points.group(1))
-        last = start + -(-count // _IN_A_ROW)
+        rows = -(-count // _IN_A_ROW)
+        last = start + rows
+        there = sum(1 for _ in takewhile(_is_geonet_row, lines[start:]))
+        if there % max(rows, 1):
+            raise InputError(
+                f"{path}: line {index + 1}: {there} rows of values follow, but {count} points are "
+                f"{rows} rows for each quantity; fetch the record again"
+            )
         size, place = float(period.group(1) or 1), f"line {index + 1}"
         dt = Statement(float(period.group(3)), place)
         unit = Statement(known_unit(path, index + 1, period.group(2) or peak.group(1)), place)

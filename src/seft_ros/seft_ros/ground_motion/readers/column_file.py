@@ -9,7 +9,12 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 
-from seft_ros.ground_motion.readers.columns import Columns, says_acceleration, tells_quantity
+from seft_ros.ground_motion.readers.columns import (
+    Columns,
+    named_unit,
+    says_acceleration,
+    tells_quantity,
+)
 from seft_ros.ground_motion.readers.record_text import (
     COMMENT_MARKS,
     is_comment,
@@ -17,7 +22,13 @@ from seft_ros.ground_motion.readers.record_text import (
     is_number,
     to_float,
 )
-from seft_ros.ground_motion.readers.statements import Header, Statement, agreed, read_header
+from seft_ros.ground_motion.readers.statements import (
+    Header,
+    Statement,
+    agreed,
+    check_factor,
+    read_header,
+)
 
 _OF_SPECTRUM = re.compile(r"\W*(?:natural\s+)?(?:period|freq(?:uency)?)(?![a-z])", re.I)
 IN_COLUMNS = "columns"
@@ -29,6 +40,7 @@ _LONGEST_PERIOD = 0.1  # s
 _FEWEST_COUNTED = 10
 _FEWEST_IN_A_ROW = 4  # values; agencies write four to ten
 _LONGEST_NAME = 3  # words; a longer one is a sentence
+_UNEVEN_PAIRS = 0.5  # of a step
 _LIKE = 4.0  # factor between mean squares of steps that are of one kind
 
 _Rows = list[tuple[int, list[str]]]
@@ -52,6 +64,8 @@ def read_column_file(path: Path, lines: list[str], rows: bool) -> Columns:
     counted, data = _numeric_header(path, data)
     names, place, stated = _read_head(path, lines[:start], separator, data)
     header = _with(header=stated, counted=counted, path=path)
+    if header.unit is None and not any(map(named_unit, names)):
+        check_factor(path, list(enumerate(lines[:start], start=1)))
     if _is_in_rows(path, data, header, rows):
         return _one_motion(path, data, header)
     if any(map(_OF_SPECTRUM.match, names)):
@@ -60,6 +74,7 @@ def read_column_file(path: Path, lines: list[str], rows: bool) -> Columns:
             "the record of the acceleration"
         )
     values, told = _table(path, data), any(map(says_acceleration, names))
+    _check_pairs(path, values)
     return Columns(
         path,
         values,
@@ -80,7 +95,8 @@ def _find_data(path: Path, lines: list[str]) -> tuple[int, str | None]:
     for index, line in enumerate(lines):
         if not line.strip() or is_comment(line):
             continue
-        separator = ";" if ";" in line else "," if "," in line else None
+        marks = (";", ",", *(("\t",) if '"' in line else ()))
+        separator = next((mark for mark in marks if mark in line), None)
         if _LONE_DECIMAL_COMMA.fullmatch(line.strip()):
             to_float(line.strip(), path, index + 1)
         if all(map(is_number, _fields(line, separator))):
@@ -140,6 +156,7 @@ def _read_head(
     for number, line in numbered:
         fields = _fields(line, separator)
         suspect = any(is_number(field) or _LIKE_A_NUMBER.match(field) for field in fields)
+        suspect = suspect and read_header(path, [(number, line)]) == Header()
         if len(fields) == count and suspect and not is_comment(line):
             for field in fields:
                 to_float(field, path, number)
@@ -239,6 +256,18 @@ def _table(path: Path, data: _Rows) -> npt.NDArray[np.float64]:
     return np.array(rows)
 
 
+def _check_pairs(path: Path, values: npt.NDArray[np.float64]) -> None:
+    """Refuse several pairs of time and value in each row: times then go on from pair to pair."""
+    count, odd = divmod(values.shape[1], 2)
+    if count < 2 or odd:
+        return
+    steps = np.diff(values[:, ::2].ravel())
+    if (steps > 0).all() and np.ptp(steps) < _UNEVEN_PAIRS * np.median(steps):
+        raise InputError(
+            f"{path}: each row holds {count} pairs of time and value; write a pair to a line"
+        )
+
+
 def _fields(line: str, separator: str | None) -> list[str]:
     if separator is None:
         return line.split()
@@ -258,6 +287,7 @@ def _names(line: str, separator: str | None, count: int) -> tuple[str, ...]:
     ways: Sequence[list[str]] = (
         *((_fields(text, separator),) if separator else ()),
         re.split(r"\t+|\s{2,}", text),
+        re.split(r"\s+(?![\[(])", text),
         *(_fields(text, mark) for mark in (None, ",", ";")),
     )
     for fields in ways:

@@ -27,7 +27,7 @@ _SECONDS = {
 }
 _ACCELERATION = re.compile(r"(?<![a-z])(?:acc(?:el)?(?:eration)?s?|a|a_?[gxyz])(?![a-z])", re.I)
 _OTHER = re.compile(
-    r"(?<![a-z])(?:vel(?:ocity)?|disp?(?:lacement)?|spectral|spectrum|p?s[avd]|arias|force)(?![a-z])",
+    r"(?<![a-z])(?:vel\w*|speed|displ?\w*|spectr\w*|fourier|p?s_?[avd]|arias|force)(?![a-z])",
     re.I,
 )
 _UNEVEN = 0.01  # of a step
@@ -61,6 +61,8 @@ class Columns:
         The numbers as they are written, by row; empty if rounding is no matter.
     counts : tuple of int
         Number of values of each column, where they differ; below there are NaN.
+    quantities : bool
+        The names tell quantities; they are not those of channels.
     sure : bool
         Each column that is not the time is a motion: the first may be taken unasked.
     """
@@ -75,6 +77,7 @@ class Columns:
     own_unit: Statement[str] | None = None
     texts: Sequence[Sequence[str]] = ()
     counts: tuple[int, ...] = ()
+    quantities: bool = True
     sure: bool = True
 
     def count(self, column: int) -> int:
@@ -94,10 +97,10 @@ class Columns:
         InputError
             If the two differ, or the name says that it is no acceleration.
         """
-        name = self.names[column] if self.names else ""
-        told = [text for find in (_IN_BRACKETS, _AFTER_WORD) for text in find.findall(name)]
-        unit = next(filter(None, map(read_unit, told)), None)
-        if unit is None and (any(map(is_other_unit, told)) or _OTHER.search(name)):
+        name = self.names[column] if self.names and self.quantities else ""
+        told = _told_units(name)
+        unit = named_unit(name)
+        if _OTHER.search(name) or (unit is None and any(map(is_other_unit, told))):
             raise InputError(
                 f"{self.path}: {self.called(column)}{self.header} is no acceleration in a unit "
                 "known here; choose another --column, or convert it to g, m/s2 or cm/s2"
@@ -203,15 +206,26 @@ class Columns:
             )
 
 
+def _told_units(name: str) -> list[str]:
+    """Give what may be units in a name: acc (g), acc_g, or the name itself, as under another."""
+    own = [name] if "/" in name or name.lower() in ("g", "gal") else []
+    return [text for find in (_IN_BRACKETS, _AFTER_WORD) for text in find.findall(name)] + own
+
+
+def named_unit(name: str) -> str | None:
+    """Give the acceleration unit that the name of a column tells, a key of `UNITS`."""
+    return next(filter(None, map(read_unit, _told_units(name))), None)
+
+
 def says_acceleration(name: str) -> bool:
     """Whether the name of a column says that it is an acceleration, or in its unit."""
-    told = any(map(read_unit, _IN_BRACKETS.findall(name)))
-    return told or bool(_ACCELERATION.search(name) and not _OTHER.search(name))
+    told = named_unit(name) is not None or bool(_ACCELERATION.search(name))
+    return told and not _OTHER.search(name)
 
 
 def tells_quantity(name: str) -> bool:
     """Whether the name of a column says which quantity it is, or its unit."""
-    told = [text for find in (_IN_BRACKETS, _AFTER_WORD) for text in find.findall(name)]
+    told = _told_units(name)
     named = says_acceleration(name) or _OTHER.search(name) is not None
     return named or any(read_unit(text) or is_other_unit(text) for text in told)
 

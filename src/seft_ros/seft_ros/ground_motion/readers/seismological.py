@@ -5,6 +5,7 @@ ObsPy reads too (StationXML, RESP, dataless SEED).
 """
 
 import io
+import re
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,11 +19,14 @@ from seft_ros.ground_motion.readers.statements import Statement, other_quantity,
 
 _SAC_HEADER, _SAC_VERSION, _SAC_VERSIONS = 632, 304, (6, 7)  # bytes, place
 _SAC_OTHER = {6: "displacement", 7: "velocity", 50: "voltage"}
+_LOWEST, _HIGHEST = 0.1, 0.25  # Hz, of the rate: the band in which a response must be flat
+_FLAT = 0.05  # relative to the sensitivity
 
 
-def is_knet(data: bytes) -> bool:
-    """Whether a file is a K-NET or KiK-net record in ASCII."""
-    return data.lstrip().startswith(b"Origin Time") and b"Scale Factor" in data[:2000]
+def is_knet(_: Path, lines: list[str]) -> bool:
+    """Whether a file is a K-NET or KiK-net record in ASCII, not as csv."""
+    head = "\n".join(lines[:40]).lstrip()
+    return bool(re.match(r"Origin Time\s+\d", head)) and "Scale Factor" in head
 
 
 def is_sac(data: bytes) -> bool:
@@ -39,15 +43,22 @@ def is_miniseed(data: bytes) -> bool:
     return len(data) > 48 and (data.startswith(b"MS\x03") or is_old)
 
 
-def read_knet(path: Path, data: bytes) -> Columns:
+def read_knet(path: Path, lines: list[str]) -> Columns:
     """Read a K-NET or KiK-net record: counts times the scale factor of its header, in cm/s^2.
 
     Raises
     ------
     InputError
-        If ObsPy can't read it, or is not installed.
+        If ObsPy can't read it, or is not installed; if it is shorter than its header says.
     """
-    trace = _read(path, data, "KNET", "K-NET")[0]
+    text = "\n".join(line for line in lines if line.strip())
+    trace = _read(path, text.encode("ascii", "replace"), "KNET", "K-NET")[0]
+    duration, stated = len(trace) * trace.stats.delta, float(trace.stats.knet.duration)
+    if stated - duration >= 1:  # s; it is stated in whole ones
+        raise InputError(
+            f"{path}: its header says {stated:g} s, but {len(trace)} values follow, {duration:g} "
+            "s: the file is truncated; fetch it again"
+        )
     unit = Statement("cm/s2", "Scale Factor in gal")
     values = np.asarray(trace.data, dtype=float) * (100 * trace.stats.calib)
     return _columns(path, [values], [""], "K-NET", trace.stats.delta, unit)
@@ -72,7 +83,8 @@ def read_miniseed(path: Path, data: bytes, response: str) -> Columns:
     ------
     InputError
         If ObsPy can't read it, or is not installed; if there are counts without their response, or
-        it is not that of an accelerometer; if there is a gap.
+        it is not that of an accelerometer, flat within 5 % of its sensitivity from 0.1 Hz to a
+        quarter of the rate; if there is a gap.
     """
     return _scaled(path, _read(path, data, "MSEED", "miniSEED"), response, "miniSEED")
 
@@ -86,13 +98,17 @@ def _read(path: Path, data: bytes, kind: str, called: str) -> Any:
             stream = obspy.read(io.BytesIO(data), format=kind)
             stream.merge(method=-1)
         except Exception as error:  # ObsPy raises any kind
-            told = " ".join(str(error).split()) or type(error).__name__
             raise InputError(
-                f"{path}: ObsPy can't read it as {called}: {told[:200]}; fetch it again"
+                f"{path}: ObsPy can't read it as {called}: {_told(error)}; fetch it again"
             ) from None
     if not len(stream) or any(not len(trace) for trace in stream):
         raise InputError(f"{path}: holds no samples; fetch it again")
     return stream
+
+
+def _told(error: Exception) -> str:
+    """Give what ObsPy says, in one short line."""
+    return (" ".join(str(error).split()) or type(error).__name__)[:200]
 
 
 def _obspy(path: Path, called: str) -> Any:
@@ -138,12 +154,12 @@ def _sensitivity(path: Path, trace: Any, response: str) -> float:
     obspy = _obspy(path, "seismological")
     try:
         inventory = obspy.read_inventory(response)
-        found = inventory.get_response(trace.id, trace.stats.starttime).instrument_sensitivity
+        stated = inventory.get_response(trace.id, trace.stats.starttime)
+        found = stated.instrument_sensitivity
         unit, size = read_unit(found.input_units or ""), float(found.value)
     except Exception as error:  # ObsPy raises any kind
-        told = " ".join(str(error).split()) or type(error).__name__
         raise InputError(
-            f"{path}: {response} gives no sensitivity of channel {trace.id}: {told[:200]}; give "
+            f"{path}: {response} gives no sensitivity of channel {trace.id}: {_told(error)}; give "
             "the metadata of that station and time"
         ) from None
     if unit != "m/s2" or not np.isfinite(size) or size == 0:
@@ -151,7 +167,28 @@ def _sensitivity(path: Path, trace: Any, response: str) -> float:
             f"{path}: {response} says that channel {trace.id} measures {found.input_units}, "
             f"{size:g} counts for 1; give the record of an accelerometer, in m/s2"
         )
+    if stated.response_stages:
+        _check_flat(path, trace, stated, size, response)
     return size
+
+
+def _check_flat(path: Path, trace: Any, stated: Any, size: float, response: str) -> None:
+    """Refuse an instrument whose response is not its sensitivity in the band of a test."""
+    f = np.geomspace(_LOWEST, max(_HIGHEST / trace.stats.delta, _LOWEST), 50)
+    try:
+        share = np.abs(stated.get_evalresp_response_for_frequencies(f, output="ACC") / size)
+    except Exception as error:  # ObsPy raises any kind
+        raise InputError(
+            f"{path}: {response} gives no response of channel {trace.id}: {_told(error)}; give the "
+            "metadata of that station and time"
+        ) from None
+    worst = int(np.abs(share - 1).argmax())
+    if not abs(share[worst] - 1) <= _FLAT:
+        raise InputError(
+            f"{path}: {response} says that the response of channel {trace.id} is "
+            f"{share[worst]:.3g} times its sensitivity at {f[worst]:.3g} Hz; remove it by ObsPy "
+            "(remove_response, output ACC), save the accelerations, and give their unit"
+        )
 
 
 def _columns(
@@ -170,4 +207,5 @@ def _columns(
         tuple(names) if any(names) else (),
         own_dt=Statement(float(f"{delta:.7g}"), "its header"),
         own_unit=unit,
+        quantities=False,
     )

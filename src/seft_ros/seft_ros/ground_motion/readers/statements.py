@@ -22,7 +22,10 @@ UNITS = {"g": STANDARD_GRAVITY, "m/s2": 1.0, "cm/s2": 0.01, "mm/s2": 0.001}
 GIVEN_UNITS = ("g", "m/s2", "cm/s2")
 """Units in which a user may say that a file is, where it does not say so itself."""
 
-_WORDS = {"gal": "cm/s2", "gals": "cm/s2", "g's": "g", "gs": "g", "g0": "g", "gn": "g"}
+_WORDS = {
+    **dict.fromkeys(("gal", "gals"), "cm/s2"),
+    **dict.fromkeys(("g's", "gs", "g0", "gn", "gravity"), "g"),
+}
 _LENGTHS = {
     **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), "m"),
     **dict.fromkeys(("cm", "cms", "centimeter", "centimeters", "centimetre"), "cm"),
@@ -35,6 +38,9 @@ _OTHER = {
     *("n", "kn", "lb", "lbs", "kip", "kips", "kg", "kgf", "pa", "kpa", "mpa", "psi", "%"),
     *("s", "ms", "hz", "rad", "rad/s", "deg", "strain"),
 }
+_TIMES = ("s", "ms", "hz")
+_OF_MULTIPLES = {"g", "gal", "gals"}
+_LETTERS = re.compile(r"[a-z]+")
 
 
 def read_unit(text: str) -> str | None:
@@ -51,12 +57,16 @@ def read_unit(text: str) -> str | None:
 
 
 def is_other_unit(text: str) -> bool:
-    """Whether a text is a unit in which no acceleration can be read: cm/s, mm, counts, in/s2."""
+    """Whether a text is a unit in which no acceleration can be read: cm/s, mm, counts, 0.1 g."""
     if read_unit(text):
         return False
     word = _plain(text)
     length, power = _parts(word)
-    return word in _OTHER or word in _LENGTHS or (length in _LENGTHS and power > 0)
+    multiple = re.search(r"[\d%*/]|milli|micro", word) and not _OF_MULTIPLES.isdisjoint(
+        _LETTERS.findall(word)
+    )
+    of_length = word.partition("/")[0] in _LENGTHS or (length in _LENGTHS and power > 0)
+    return word in _OTHER or of_length or bool(multiple)
 
 
 def _plain(text: str) -> str:
@@ -82,6 +92,9 @@ def _parts(word: str) -> tuple[str, int]:
     over = re.fullmatch(r"([a-z]+?)[ .*]?s-([12])", word)
     if over:
         return over.group(1), int(over.group(2))
+    over = re.fullmatch(r"([a-z]+?)(?:[_p]s|(?=s2))(?:s?(2))?", word)  # m_s2, mps2, cms2; m_s
+    if over and over.group(1) in _LENGTHS:
+        return over.group(1), int(over.group(2) or 1)
     return word, 0
 
 
@@ -91,35 +104,48 @@ SAME_PERIOD = 1e-3
 _N = NUMBER.pattern
 _FLAGS = re.IGNORECASE | re.ASCII
 
+_WORD = (  # cm/s2, cm / s^2, cm s-2, cm/(s^2), cm per second squared, g / 10
+    r"([^\s,;()\[\]]+(?:\s*/\s*s(?:ec)?\b(?:[*^]*2)?|\s+s(?:ec)?[*^]*-\d|\s?\(s(?:ec)?[*^]*2\)"
+    r"|\s+per\s+sec\w*(?:\s+(?:squared|per\s+sec\w*))?|\s*[/*x]\s*[\d.]+)*)"
+)
 _UNIT = re.compile(
     r"(?:units?|unidad(?:es)?)\b[\w\s]{0,24}?\s*(?:\bof\b|\bin\b|\bis\b|\bare\b|[:=(\[])"
-    r"[\s:=(\[]*(?:acceleration\s*[:=(\[]?\s*|the\s+)?([^\s,;()\[\]]+)",
+    rf"[\s:=(\[]*(?:acceleration\s*[:=(\[]?\s*|the\s+)?{_WORD}",
     _FLAGS,
 )
-_IN_UNIT = re.compile(r"\b(?:in|units?)\s+([^\s,;()\[\]]+)", _FLAGS)
-_ACCELERATION_IN = re.compile(
-    r"^\W*acc(?:el(?:eration)?s?)?\.?\s*[:=(\[]\s*([^\s,;()\[\]]+)", _FLAGS
-)
+_IN_UNIT = re.compile(rf"\b(?:in|units?|fractions?\s+of)\s+{_WORD}", _FLAGS)
+_ACCELERATION_IN = re.compile(rf"^\W*acc(?:el(?:eration)?s?)?\.?\s*[:=(\[/]+\s*{_WORD}", _FLAGS)
+_UNIT_CELL = re.compile(rf"^\W*(?:units?|unidad(?:es)?)\W*[,;\t]\W*{_WORD}", _FLAGS)
+_PER_SQUARED = re.compile(r"\b\w+\s+per\s+sec\w*\s+(?:squared|per\s+sec\w*)", _FLAGS)
 _BARE = re.compile(r"[\s,;:()\[\]]+")
 _VALUE = re.compile(  # the unit of one value, not of the record
     rf"peak|max|pga|trigger|threshold|umbral|\bscale|sensit|factor|{_N}\s*(?:gal|c?m/s)", _FLAGS
 )
 _PERIOD_NAME = (
     r"(?:\bdt\b|\bdelta[_ ]?t\b|\b(?:sampling|sample|time)[\s_]*(?:interval|period|step|spacing|"
-    r"increment)|\bequal(?:ly)?[\s-]+spac(?:ed|ing)(?:[\s-]+intervals?)?|\btime[\s_]*delta\b)"
+    r"increment)|\bintervalo\s+de\s+muestreo|Δt|\bdelta(?=\s*[:=])"
+    r"|\bequal(?:ly)?[\s-]+spac(?:ed|ing)(?:[\s-]+intervals?)?|\btime[\s_]*delta\b)"
 )
 _IN_MILLI = r"(?:[\s_]*[(\[]?\s*(ms|msec|milliseconds?|s|secs?|seconds?)\b\s*[)\]]?)?"
 _PERIOD = re.compile(
-    rf"{_PERIOD_NAME}{_IN_MILLI}\s*(?:of|at|is)?\s*[:=]?\s*"
-    rf"({_N})(?:\s*/\s*({_N}))?\s*(ms|msec|milliseconds?|s|secs?|seconds?|hz)?\b",
+    rf"{_PERIOD_NAME}{_IN_MILLI}\s*(?:of|at|is)?\s*[:=,]?\s*"
+    rf"({_N})(?:\s*/\s*({_N}))?\s*(ms|msec|milliseconds?|s|secs?|seconds?|hz)?\b"
+    r"(?!\d|\.\d|\s*(?:deg|°|km))",  # delta may be a distance
     _FLAGS,
 )
 _RATE = re.compile(
     r"\b(?:sampling|sample)[\s_]*(?:rate|freq(?:uency)?)\b\.?[\s_]*(?:[(\[]?\s*hz\s*[)\]]?)?"
-    rf"\s*(?:of|at|is)?\s*[:=]?\s*({_N})"
-    rf"|\bsampl(?:ed|ing)\s*(?:at|:)\s*({_N})\s*hz\b",
+    rf"\s*(?:of|at|is)?\s*[:=,]?\s*({_N})"
+    rf"|\bsampl(?:ed|ing)\s*(?:at|:)?\s*({_N})(?=\s*k?hz\b)"
+    rf"|\bfs\s*[:=]\s*({_N})(?=\s*(?:k?hz\b|sps\b|[,;)]|$))",  # fs may be the full scale
     _FLAGS,
 )
+_EVERY = re.compile(
+    rf"(?:\b(?:every|intervals?|(?:points|pts|samples)\s+at))()(?:\s+of)?[\s:=]*({_N})()"
+    r"\s*(ms|msec|milliseconds?|s|secs?|seconds?)\b",
+    _FLAGS,
+)
+_KILO = re.compile(r"\s*khz\b", _FLAGS)
 _PER_SECOND = re.compile(
     rf"({_N})\s*(?:(?:samples?|points?|pts)\s*(?:/|per)\s*s(?:ec(?:ond)?)?|sps)\b", _FLAGS
 )
@@ -133,10 +159,16 @@ _COUNT_FIRST = re.compile(
     r"(?!\s*(?:/|per|across|in\s+(?:a|each)|(?:a|each)\s+(?:row|line)))",
     _FLAGS,
 )
+_SCALE = re.compile(rf"\b(?:scal(?:e|ing)[\s_]*factor|multipl(?:ier|y\s+by))\W*({_N})", _FLAGS)
 _OTHER_QUANTITY = re.compile(
     r"\bdata[_ ]?type\W+(velocity|displacement)\b"
     r"|\b(velocity|displacement)\s+(?:time|history|series|record)\b"
-    r"|^\W*(?:un)?corrected\s+(velocity|displacement)\b",
+    r"|^\W*(?:(?:un)?corrected|ground|relative|filtered)\s+(velocity|displacement)\b",
+    _FLAGS,
+)
+_OTHER_FIRST = re.compile(
+    r"^\W*(?:(?:ground|relative)\s+|(?:data\W*)?type\W+|quantity\W+)?"
+    r"(?:(vel|veloc\w*)|disp|displ|displacements?|desplazamientos?)\b(?!\W+de\s+muestreo)",
     _FLAGS,
 )
 
@@ -176,9 +208,14 @@ def read_header(path: Path, lines: Sequence[tuple[int, str]]) -> Header:
     InputError
         If two differ, or a unit is unknown, or the file holds a velocity or displacement.
     """
+    lines = [(number, line.replace('"', "")) for number, line in lines]
+    of_acceleration = any("acc" in line.lower() for _, line in lines)
     for number, line in lines:
         if found := _OTHER_QUANTITY.search(line):
             raise other_quantity(path, number, next(filter(None, found.groups())))
+        first = _OTHER_FIRST.match(line)
+        if first and not (of_acceleration or _VALUE.search(line)):
+            raise other_quantity(path, number, "velocity" if first.group(1) else "displacement")
     units = [Statement(unit, f"line {n}") for n, line in lines for unit in _units(path, n, line)]
     periods = [Statement(dt, f"line {n}") for n, line in lines for dt in _periods(path, n, line)]
     counts = [Statement(count, f"line {n}") for n, line in lines for count in _counts(line)]
@@ -187,6 +224,16 @@ def read_header(path: Path, lines: Sequence[tuple[int, str]]) -> Header:
         agreed(path, "sampling period, s,", *periods),
         agreed(path, "number of points", *counts),
     )
+
+
+def check_factor(path: Path, lines: Sequence[tuple[int, str]]) -> None:
+    """Refuse values without a unit that are to be multiplied by a factor, as counts are."""
+    for number, line in lines:
+        if (scale := _SCALE.search(line)) and to_float(scale.group(1), path, number) != 1:
+            raise InputError(
+                f"{path}: line {number}: states the factor {scale.group(1)}, but no line the unit "
+                "of the values; multiply them by it, if they are not yet, and take off that line"
+            )
 
 
 def is_same_period(first: float, second: float) -> bool:
@@ -243,7 +290,8 @@ def _is_same(first: object, second: object) -> bool:
 
 
 def _units(path: Path, number: int, line: str) -> Iterable[str]:
-    stated, told = _UNIT.findall(line), _ACCELERATION_IN.findall(line)
+    stated = _UNIT.findall(line)
+    told = _ACCELERATION_IN.findall(line) + _UNIT_CELL.findall(line)
     for text in stated:
         if not read_unit(text) and not is_other_unit(text):
             raise InputError(
@@ -253,16 +301,22 @@ def _units(path: Path, number: int, line: str) -> Iterable[str]:
     for text in (*stated, *told):
         if read_unit(text) or is_other_unit(text):
             yield known_unit(path, number, text)
-    if not stated:
-        yield from (unit for unit in map(read_unit, _IN_UNIT.findall(line)) if unit)
+    for text in () if stated else _IN_UNIT.findall(line):
+        of_motion = "accel" in line.lower() and _plain(text) not in _TIMES
+        if read_unit(text) or (of_motion and is_other_unit(text)):
+            yield known_unit(path, number, text)
     if not (stated or told or _VALUE.search(line)):
-        for text in _BARE.split(line):
-            if text.lower() == "counts" or (len(text) > 1 and read_unit(text)):
+        alone = "g" if line.strip(" \t%#/!;").lower() == "g" else ""
+        for text in (alone, *_PER_SQUARED.findall(line), *_BARE.split(line)):
+            unit = (text == alone or len(text) > 1) and read_unit(text)
+            if unit or text.lower() in ("counts", "volts"):
                 yield known_unit(path, number, text)
 
 
 def _periods(path: Path, number: int, line: str) -> Iterable[float]:
-    for before, value, divisor, after in _PERIOD.findall(line):
+    for found in (*_PERIOD.finditer(line), *(() if _VALUE.search(line) else _EVERY.finditer(line))):
+        before, value, divisor, after = (text or "" for text in found.groups())
+        _check_point(path, number, line, found.end(2))
         period = to_float(value, path, number)
         if divisor:
             period /= to_float(divisor, path, number) or float("nan")
@@ -272,8 +326,17 @@ def _periods(path: Path, number: int, line: str) -> Iterable[float]:
             period = float(f"{period * 1e-3:.12g}")
         if 0 < period < float("inf"):
             yield period
-    rates = [named or at for named, at in _RATE.findall(line)] + _PER_SECOND.findall(line)
-    yield from (1 / rate for rate in (to_float(text, path, number) for text in rates) if rate > 0)
+    for found in (*_RATE.finditer(line), *_PER_SECOND.finditer(line)):
+        rate = to_float(next(filter(None, found.groups())), path, number)
+        _check_point(path, number, line, found.end(found.lastindex or 0))
+        if rate > 0:
+            yield 1e-3 / rate if _KILO.match(line, found.end()) else 1 / rate
+
+
+def _check_point(path: Path, number: int, line: str, end: int) -> None:
+    """Refuse a number that goes on with a decimal comma."""
+    if re.match(r",\d", line[end:]):
+        raise InputError(f"{path}: line {number}: write decimal points, not commas")
 
 
 def _counts(line: str) -> Iterable[int]:
