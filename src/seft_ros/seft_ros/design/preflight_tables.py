@@ -1,19 +1,21 @@
 """What a preflight found: tables, JSON values, expected peaks, limits, a computed model's time."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment, write_parameter_file
 from seft_msgs_py.config.parameter_table import Section, group, mass_matrix
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_UNITS
-from seft_plant_sim.whole_structure import model_times, reference_response, whole_structure
+from seft_plant_sim.rig_parameters import LIMIT_UNITS
+from seft_plant_sim.whole_structure import model_times, whole_structure
 
 from seft_ros.design.plan import Plan
+from seft_ros.design.plausibility import FACTORS
 from seft_ros.design.stability_margins import HIGHEST_MASS_RATIO, Critical, Range, added_delays
 from seft_ros.design.stability_verdict import Preflight
 from seft_ros.drawing.style import Mark, Number
@@ -136,8 +138,6 @@ def model_time(experiment: Experiment, planned: GroundMotion | None) -> ModelTim
     )
 
 
-_FACTORS = {"displacement": 1.5, "velocity": 2.0, "acceleration": 2.0, "force": 1.5}
-"""Proposed limit over the expected peak: oil that rings moves the piston little, but fast."""
 SAME_MASS = 0.01
 """Error of the assumed mass that weighing has."""
 FAR = 4.0
@@ -290,39 +290,17 @@ def _range(found: Range | None) -> dict[str, Any] | None:
     }
 
 
-def expected_peaks(experiment: Experiment, planned: GroundMotion | None) -> dict[str, float]:
-    """Largest value of each quantity on any axis in the reference response of a test.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        The specimen is that of its rig, if it is simulated, else the model's.
-    planned : GroundMotion or None
-        Its `planned_motion`.
-
-    Returns
-    -------
-    dict
-        Displacement (m), velocity (m/s), acceleration (m/s^2) and force (N). Empty if the ground
-        motion or another node runs elsewhere.
-
-    Raises
-    ------
-    InputError
-        If the structure makes no sense.
-    """
-    if planned is None or not {"reference_force", "supervisor"} <= set(experiment.sections):
-        return {}
-    exact = reference_response(experiment, planned.samples)
-    return {name: float(np.abs(getattr(exact, name)).max()) for name in LIMIT_NAMES}
+def expected_peaks(by_axis: Mapping[str, Floats]) -> dict[str, float]:
+    """Largest of the `peaks_by_axis` on any axis: of each quantity, or none."""
+    return {name: float(peaks.max()) for name, peaks in by_axis.items()}
 
 
 def proposed_limits(peaks: dict[str, float]) -> dict[str, float]:
     """Limits that fit expected peaks, rounded up to two digits."""
     limits = {}
     for name, peak in peaks.items():
-        unit = 10.0 ** (np.floor(np.log10(_FACTORS[name] * peak)) - 1) if peak > 0.0 else 1.0
-        limits[name] = float(f"{np.ceil(_FACTORS[name] * peak / unit - 1e-9) * unit:.6g}")
+        unit = 10.0 ** (np.floor(np.log10(FACTORS[name] * peak)) - 1) if peak > 0.0 else 1.0
+        limits[name] = float(f"{np.ceil(FACTORS[name] * peak / unit - 1e-9) * unit:.6g}")
     return limits
 
 
