@@ -122,7 +122,12 @@ def test_a_model_that_is_too_slow_is_refused_with_the_rate_that_fits(
     assert (found["fitting_rate_hz"], found["fitting_every"]) == (125, 4)
     times[:] = [1e-4] * 1501  # but one, at which the test would trip
     times[151] = 0.21
-    assert "takes 0.21 s for the step at 0.302 s, at which the test would trip" in refused(*words)
+    told = refused(*words)
+    assert "takes 0.21 s for the step at 0.302 s, at which the test would trip" in told
+    assert "a watchdog allows 0.05 s (supervisor: watchdog.command_timeout, at most 0.05)" in told
+    times[151] = 0.04
+    watchdog = ("-p", "supervisor:watchdog.command_timeout:=0.03")
+    assert "a watchdog allows 0.03 s" in refused(*words, *watchdog)
 
 
 def test_only_a_target_takes_a_model(seft, model):

@@ -100,6 +100,7 @@ def preflight(
         summary["warnings"] = warnings
         if write is not None:
             preflight_tables.write_limits(write, limits)
+            shared.stands(f"{write} is written")
         if path is not None:
             maps = stability_map.stability_maps(plan, found.margins, progress)
             save_figure(stability_map.preflight_figure(plan, found, maps), path)
@@ -196,6 +197,7 @@ def identify(
     motions.check(duration)
     shared.check_out(folder)
     record = motions.write(folder / "excitation.csv", duration)
+    shared.stands(f"{folder} has the excitation")
 
     tests: dict[str, Record] = {}
 

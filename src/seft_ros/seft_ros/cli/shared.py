@@ -100,6 +100,15 @@ def complain(text: str) -> None:
     print(escaped(f"seft: {text}"), file=sys.stderr, flush=True)
 
 
+STANDS: list[str] = []
+"""What a command has done so far that stays, if it is interrupted."""
+
+
+def stands(what: str) -> None:
+    """Note something that stays, if the command is interrupted."""
+    STANDS.append(what)
+
+
 def announce_compilation() -> None:
     """Say on a terminal, once, that this command compiles steps, which it does not do again."""
     from seft_plant_sim.compiled import tell_of_compilation
@@ -178,6 +187,7 @@ def offline_test(
             from seft_ros.bags.record_bag import write_record
 
             write_record(record, bag, motion.chunks)
+            stands(f"{bag} is whole")
     return record
 
 
@@ -235,10 +245,11 @@ def dds_test(
         try:
             fault, bag = run_experiment(experiment, bag, progress, layout, external)
         except KeyboardInterrupt:
-            kept = f"; what was recorded is in {bag}" if bag.exists() else ""
-            raise ExperimentError(f"{label}interrupted{kept}") from None
+            kept = f"what was recorded is in {bag}" if bag.exists() else "nothing was recorded"
+            raise ExperimentError(f"{label}interrupted; {kept}") from None
     if fault:
         raise ExperimentError(f"{label}{fault}; what was recorded is in {bag}")
+    stands(f"{bag} is whole")
     return read_bag(bag), bag
 
 

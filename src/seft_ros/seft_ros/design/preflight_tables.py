@@ -50,6 +50,8 @@ class ModelTime:
         When in the test the longest step is.
     budget_s : float
         Time that a step may take.
+    longest_allowed_s : float
+        Time that a single step may take: the watchdog's for commands, `LONGEST_MODEL_STEP` at most.
     rate_hz : float
         Rate of the test.
     fits : bool
@@ -63,6 +65,7 @@ class ModelTime:
     longest_s: float
     longest_at_s: float
     budget_s: float
+    longest_allowed_s: float
     rate_hz: float
     fits: bool
     fitting_every: int | None
@@ -72,12 +75,12 @@ class ModelTime:
         """Say that it is too slow, and what would do; empty if it is not."""
         if self.fits:
             return ""
-        if self.median_s <= self.budget_s and self.longest_s > LONGEST_MODEL_STEP:
+        if self.median_s <= self.budget_s and self.longest_s > self.longest_allowed_s:
             return (
                 f"reference_force: computed.model takes {self.longest_s:.3g} s for the step at "
-                f"{self.longest_at_s:.6g} s, at which the test would trip: after "
-                f"{LONGEST_MODEL_STEP:g} s the rig has held its command too long; make this step "
-                "of the model faster"
+                f"{self.longest_at_s:.6g} s, at which the test would trip: a watchdog allows "
+                f"{self.longest_allowed_s:g} s (supervisor: watchdog.command_timeout, at most "
+                f"{LONGEST_MODEL_STEP:g}); make this step of the model faster"
             )
         every, rate = self.fitting_every, self.fitting_rate_hz
         ways = [f"reference_force: computed.every {every}"] if every else []
@@ -90,7 +93,13 @@ class ModelTime:
 
 
 def planned_motion(experiment: Experiment) -> GroundMotion | None:
-    """Make the ground motion of an experiment; None if it comes from elsewhere."""
+    """Make the ground motion of an experiment; None if it comes from elsewhere.
+
+    The masses are checked first: that of the ground motion is by default the specimen's.
+    """
+    for node, name in (("rig", "specimen.mass"), ("reference_force", "model.mass")):
+        if name in (values := experiment.sections.get(node, {})):
+            mass_matrix(values[name], experiment.axes, f"{node}: {name}")
     section = experiment.sections.get("ground_motion")
     if section is None:
         return None
@@ -113,13 +122,15 @@ def model_time(experiment: Experiment, planned: GroundMotion | None) -> ModelTim
         return None
     motion = planned.samples[: _STEPS * model.every : model.every]
     share = SHARE * dt * model.every
+    watchdog = experiment.sections.get("supervisor", {}).get("watchdog.command_timeout", np.inf)
+    allowed = min(float(watchdog), LONGEST_MODEL_STEP)
     times = np.full(len(motion), np.inf)
     for _ in range(LOOKS):
         times = np.minimum(times, model_times(whole, motion, model.every * dt))
         median, p999 = np.percentile(times, [50.0, 99.9]).tolist()
         slowest = _FIRST + int(times[_FIRST:].argmax()) if len(times) > _FIRST else 0
         longest, fits = float(times[slowest]), p999 <= share
-        fits = fits and longest <= LONGEST_MODEL_STEP
+        fits = fits and longest <= allowed
         if fits or median > share:  # half of the steps: no stalls of the host
             break
     every = math.ceil(p999 / (SHARE * dt))
@@ -131,6 +142,7 @@ def model_time(experiment: Experiment, planned: GroundMotion | None) -> ModelTim
         longest_s=longest,
         longest_at_s=slowest * model.every * dt,
         budget_s=share,
+        longest_allowed_s=allowed,
         rate_hz=1 / dt,
         fits=fits,
         fitting_every=every if can_divide else None,

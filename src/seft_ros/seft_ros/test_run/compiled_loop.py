@@ -114,11 +114,13 @@ def build_blocks(experiment: Experiment, known: dict[str, Any] | None = None) ->
         return made[-1][1]
 
     motion, force = experiment["ground_motion"], experiment["reference_force"]
+    rigs = _rigs(experiment)  # first: a wrong mass of the specimen is named as that
+    made = shared("reference_force", ProtectedForce.from_parameters, force, axes, timebase)
     blocks = Blocks(
         shared("ground_motion", GroundMotion.from_parameters, motion, axes, timebase),
-        shared("reference_force", ProtectedForce.from_parameters, force, axes, timebase),
+        made,
         shared("force_controller", interlock_of, experiment),
-        _rigs(experiment),
+        rigs,
     )
     duration = (blocks.ground_motion.steps - 1) * timebase.dt
     check_times(experiment["rig"]["faults"], axes, duration)
