@@ -106,6 +106,7 @@ def test_a_faulty_file_is_refused(refused, record, tmp_path):
         (["motion"], "name a record, or an experiment by --config"),
         (["motion", "none.AT2", "-p", "rate:=100"], "name it by --config"),
         (["parameters", "rigg"], "did you mean rig?"),
+        (["simulate", JHU, "-p", "rig:sensors.force_bias:=3000"], "rig: force is 3e+03 N at rest"),
         (["simulate", JHU, "-p", "rig:specimen.mass:=-52.7"], "rig: specimen.mass is -52.7"),
         (["preflight", JHU, "-p", "reference_force:model.mass:=-5"], "_force: model.mass is -5"),
         (["simulate", JHU, "-p", "reference_force:model.mass:=-5"], "_force: model.mass is -5"),

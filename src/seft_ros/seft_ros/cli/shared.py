@@ -15,6 +15,7 @@ from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.printing import escaped
+from seft_msgs_py.wire.outcome import ZEROED
 from seft_msgs_py.wire.topics import GROUND_MOTION, NODES, with_rigs
 
 from seft_ros.bags.record import Record
@@ -181,7 +182,10 @@ def offline_test(
         record = simulate_test(
             experiment, blocks, lambda done: progress(f"{label}simulating", done)
         )
-        record = replace(record, facts={GROUND_MOTION.name: {MOTION: motion.facts}})
+        facts = {GROUND_MOTION.name: {MOTION: motion.facts}}
+        if blocks.rig.zeroed is not None:
+            facts["rig"] = {ZEROED: blocks.rig.zeroed}
+        record = replace(record, facts=facts)
         progress(f"{label}done", len(record.series["rig/state"].steps))
         if bag is not None:
             from seft_ros.bags.record_bag import write_record
