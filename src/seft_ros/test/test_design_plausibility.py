@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 from experiments_at_hand import load
-from seft_ros.design.plausibility import peaks_by_axis, range_refusal, unit_refusal
+from seft_ros.design.plausibility import (
+    mass_refusal,
+    peaks_by_axis,
+    range_refusal,
+    unit_refusal,
+)
 from seft_ros.design.preflight_tables import expected_peaks, planned_motion, proposed_limits
 
 CONFIGS = (
@@ -106,3 +111,23 @@ def _ranges(experiment):
         name: section[f"detectors.{channel}_range"]
         for name, channel in zip(names, channels, strict=True)
     }
+
+
+@pytest.mark.parametrize(
+    ("mass", "found", "error", "refuses"),
+    [
+        (52.7, [52.0], [0.02], False),  # 1.3 %
+        (52.7, [51.0], [0.02], True),  # 3.3 %
+        (52.7, [51.0], [0.6], False),  # three standard errors
+        (52.7, [0.0], [0.0], False),  # not identified
+        ([52.7, 60.0], [52.7, 0.0, 0.0, 62.0], [0.02, 0.02], True),
+    ],
+)
+def test_a_mass_that_is_not_the_identified_one_is_told(mass, found, error, refuses):
+    axes = ["x", "y"][: len(error)]
+    identified = {"identified.mass": found, "identified.mass_error": error}
+    test = load(("/**", "axes", axes), ("reference_force", "model.mass", mass))
+    told = mass_refusal(test.changed({"reference_force": identified}))
+    assert bool(told) == refuses
+    if refuses:
+        assert f"on axis {axes[-1]}, but seft identify has found {found[-1]:g} +- 0.02 kg" in told

@@ -71,8 +71,8 @@ def preflight(
         by_axis = plausibility.peaks_by_axis(experiment, motion)
         peaks = preflight_tables.expected_peaks(by_axis)
         mixed_up = plausibility.unit_refusal(experiment, motion, by_axis)
-    if mixed_up:
-        raise InputError(mixed_up)
+    if wrong := mixed_up or plausibility.mass_refusal(experiment):
+        raise InputError(wrong)
     unfit = [*filter(None, [plausibility.range_refusal(experiment, by_axis)])]
     try:
         plan = Plan(experiment)

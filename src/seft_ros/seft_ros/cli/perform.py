@@ -152,7 +152,8 @@ def run(
 
     The test must be stable by the closed loop's eigenvalues, which seft preflight shows in detail;
     an unstable plan is refused. So is one that uses less than 2 % or more than 90 % of a sensor's
-    range, and, always, one whose stiffness or mass seems to be in another unit.
+    range, and, always, one whose stiffness or mass seems to be in another unit, or whose mass is
+    not the identified one.
 
     Starts ground_motion, reference_force, force_controller, rig, recorder and supervisor,
     waits until all have found each other, runs the test, and ends them. The bag is in the
@@ -191,8 +192,9 @@ def run(
     if model is not None and (too_slow := model.refusal()):
         raise InputError(too_slow)
     by_axis = plausibility.peaks_by_axis(experiment, motion)
-    if mixed_up := plausibility.unit_refusal(experiment, motion, by_axis):
-        raise InputError(mixed_up)
+    mixed_up = plausibility.unit_refusal(experiment, motion, by_axis)
+    if wrong := mixed_up or plausibility.mass_refusal(experiment):
+        raise InputError(wrong)
     _check_stable(experiment, blocks, accept_unstable)
     if unfit := plausibility.range_refusal(experiment, by_axis):
         if not accept_unstable:

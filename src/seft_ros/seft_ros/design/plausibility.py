@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import Section, group, per_axis
+from seft_msgs_py.config.parameter_table import Section, as_matrix, group, per_axis
 from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_UNITS
 from seft_plant_sim.sensors import CHANNELS
 from seft_plant_sim.specimen import Specimen
@@ -26,6 +26,9 @@ PER_PERIOD = 5.0
 """Samples in a period of the specimen, below which its motion can't be seen."""
 CONTROLLED = 10.0
 """Samples in a period with which it can be controlled."""
+SAME_MASS, ERRORS = 0.02, 3.0
+"""Of the identified mass, which costs 1 to 2 % of the displacement; and standard errors: what an
+assumed mass may differ by."""
 USUAL_DAMPING = 0.2
 """Damping ratio that a structure has at most."""
 
@@ -114,6 +117,28 @@ def range_refusal(experiment: Experiment, peaks: Mapping[str, Floats]) -> str:
         "peak_force, or choose other sensors or ranges of their amplifiers (rig: sensors.*_range; "
         "of an external rig force_controller: detectors.*_range)"
     )
+
+
+def mass_refusal(experiment: Experiment) -> str:
+    """Say where the assumed mass differs from the one that a shake has found; empty if nowhere.
+
+    It may differ by `SAME_MASS`, or by `ERRORS` standard errors.
+    """
+    section = experiment.sections.get("reference_force", {})
+    if not np.any(section.get("identified.mass_error", 0.0)):
+        return ""
+    axes, where = experiment.axes, "reference_force: identified."
+    error = per_axis(section["identified.mass_error"], axes, f"{where}mass_error")
+    found = as_matrix(section["identified.mass"], axes, f"{where}mass").diagonal()
+    assumed = as_matrix(section["model.mass"], axes, "reference_force: model.mass").diagonal()
+    for axis, own, mass, sigma in zip(axes, assumed, found, error, strict=True):
+        if sigma > 0.0 and abs(own - mass) > max(ERRORS * sigma, SAME_MASS * mass):
+            return (
+                f"reference_force: model.mass is {own:.4g} kg on axis {axis}, but seft identify "
+                f"has found {mass:.4g} +- {sigma:.2g} kg; take that, or identify this specimen "
+                "(seft identify --specimen)"
+            )
+    return ""
 
 
 @dataclass(frozen=True)
