@@ -18,8 +18,6 @@ from seft_msgs_py.wire.outcome import (
 from seft_msgs_py.wire.topics import RigAxes, bare, topics_of, with_rigs
 from seft_plant_sim.rig_parameters import LIMIT_NAMES
 
-from seft_ros.protection.zeros import judge_zeros
-
 REHEARSAL_PARAMETERS = parameter_rows(
     """
     rehearsal.duration | float | 2.0 | s | 0 .. 60 |
@@ -88,6 +86,8 @@ def judge_peers(duration: float, nodes: Mapping[str, Mapping[str, Any]]) -> Rehe
 
 def with_zeros(found: Rehearsed, rigs: Iterable[Mapping[str, Any]]) -> Rehearsed:
     """Add what the descriptions of rigs say of their zeros to the result of a rehearsal."""
+    from seft_ros.protection.zeros import judge_zeros  # numba, which the tables do not need
+
     if found.asked:
         return found
     for described in rigs:
