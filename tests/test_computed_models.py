@@ -148,6 +148,24 @@ def test_preflight_takes_the_tangent(model):
     assert lowest[1] / lowest[0] == pytest.approx((1 + 1e5 / 2.11e5) ** 0.5, rel=1e-3)
 
 
+def test_preflight_has_all_modes_of_a_model_with_a_mass_of_its_own(seft_json, model):
+    found = seft_json("preflight", DEMO, *SHORT, *model("Damper"))["modes"]
+    c, k = (
+        np.array([[own + part, -part], [-part, part]])
+        for own, part in ((800.3, 80.0), (2.11e5, 11000.0))
+    )
+    m = np.diag([2.5 * 52.7, 8.0])
+    a = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.linalg.solve(m, k), -np.linalg.solve(m, c)]])
+    poles = sorted((pole for pole in np.linalg.eigvals(a) if pole.imag > 0), key=abs)
+    assert [mode["exact_hz"] for mode in found] == pytest.approx(
+        [abs(pole) / (2 * np.pi) for pole in poles], rel=1e-3
+    )
+    assert [mode["exact_damping"] for mode in found] == pytest.approx(
+        [-pole.real / abs(pole) for pole in poles], rel=1e-2
+    )
+    assert {mode["hz"] for mode in found} == {None}
+
+
 # ---- OpenSees
 
 

@@ -111,7 +111,7 @@ def preflight(
             f"computed model: {1e3 * timed.median_s:.2g} ms for a step, "
             f"{1e3 * timed.p999_s:.2g} ms for one of 1000, {1e3 * timed.longest_s:.2g} ms for the "
             f"longest, of {1e3 * timed.budget_s:.2g} ms",
-            "the tables above take its tangent at rest",
+            "the margins above take its tangent at rest",
         ]
     texts = preflight_tables.preflight_texts(plan, found, f"preflight of {config}")
     limits_table = preflight_tables.limits_table(experiment, peaks)
