@@ -21,9 +21,9 @@ PULSE = 4
 """Samples of the ground motion that begins the vibration."""
 ROWS, LONGEST = 30, 600
 """Samples in a column of the Hankel matrix, at least, and values, at most."""
-PRESENT = 1e-5
-"""Singular value over the largest one, from which on a state is there: the error of the steps is
-below."""
+PRESENT = 1e-4
+"""Singular value over the largest one, from which on a state is there: what steps and small
+nonlinearities make is below."""
 
 
 def modes_with_model(whole: WholeStructure, dt: float) -> Complexes:
