@@ -209,15 +209,18 @@ def _mixed_up(
     if not now.misfit:
         return ""
     given = group(experiment[node], prefix)
+    rate, dt = experiment.timebase.rate, experiment.timebase.dt
+    slow, fast = 1.0 / (planned.steps * dt), rate / CONTROLLED
     for units in _MIXED_UP:
         if not (now.too_light if units.mass > 1.0 else now.too_soft):
             continue
         changed = _scaled(experiment, node, prefix, units)
+        hz, damping = _first_mode(tested_specimen(changed))
+        if not slow < hz < fast or damping > USUAL_DAMPING:
+            continue
         section, axes, timebase = changed["ground_motion"], changed.axes, changed.timebase
         motion = GroundMotion.from_parameters(section, axes, timebase)
-        then = _fit(changed, motion, peaks_by_axis(changed, motion))
-        slow, fast = 1.0 / (planned.steps * timebase.dt), timebase.rate / CONTROLLED
-        if then.misfit or not slow < then.hz < fast or then.damping > USUAL_DAMPING:
+        if _fit(changed, motion, peaks_by_axis(changed, motion)).misfit:
             continue
         fitting = [
             f"a {name} of {_largest(given[name]) * factor:.6g} {si} ({unit}?)"
@@ -230,7 +233,7 @@ def _mixed_up(
         return (
             f"{node}: {prefix}: stiffness {_largest(given['stiffness']):.6g} N/m and mass "
             f"{_largest(given['mass']):.6g} kg give a natural frequency of {now.hz:.3g} Hz, "
-            f"{now.misfit}; {' and '.join(fitting)} would give {then.hz:.3g} Hz and fit"
+            f"{now.misfit}; {' and '.join(fitting)} would give {hz:.3g} Hz and fit"
         )
     return ""
 
