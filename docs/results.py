@@ -18,6 +18,7 @@ from seft_ros.test_run.parameter_tables import TABLES
 
 SPECIMEN, ACTUATOR, ASSUMED = "rig:specimen.", "rig:actuator.", "force_controller:actuator."
 MODEL, METHOD = "reference_force:model.", "reference_force:compensation.method"
+UNZEROED = "rig:calibration.zeroing:=0.0"
 WATCH = "reference_force:instability.ratio:=100.0"  # each test goes on to its end
 YIELD = f"{SPECIMEN}yield_displacement:="
 STOREYS = f"{SPECIMEN}springs:=[1.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0, -1.0, 1.0]"
@@ -131,7 +132,7 @@ TESTS: dict[str, list[Row]] = {
         *((*PLAN, *loaded(1.0, newtons)) for newtons in (700.0, 1000.0)),
         (*PLAN, *ONE, "rig:sensors.position_noise:=0.0"),
         *(
-            (*PLAN, *ONE, f"rig:sensors.{name}_bias:={value}")
+            (*PLAN, *ONE, UNZEROED, f"rig:sensors.{name}_bias:={value}")
             for name, value in (("force", 5.0), ("position", 1e-4), ("acceleration", 0.1))
         ),
     ],

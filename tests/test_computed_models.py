@@ -122,7 +122,12 @@ def test_a_model_that_is_too_slow_is_refused_with_the_rate_that_fits(
     assert (found["fitting_rate_hz"], found["fitting_every"]) == (125, 4)
     times[:] = [1e-4] * 1501  # but one, at which the test would trip
     times[151] = 0.21
-    assert "takes 0.21 s for the step at 0.302 s, at which the test would trip" in refused(*words)
+    told = refused(*words)
+    assert "takes 0.21 s for the step at 0.302 s, at which the test would trip" in told
+    assert "a watchdog allows 0.05 s (supervisor: watchdog.command_timeout, at most 0.05)" in told
+    times[151] = 0.04
+    watchdog = ("-p", "supervisor:watchdog.command_timeout:=0.03")
+    assert "a watchdog allows 0.03 s" in refused(*words, *watchdog)
 
 
 def test_only_a_target_takes_a_model(seft, model):
@@ -141,6 +146,24 @@ def test_preflight_takes_the_tangent(model):
         plan = Plan(load(*bare([*SHORT, *words]), config="demo"))
         lowest.append(predicted_modes(plan)[0].exact_hz)
     assert lowest[1] / lowest[0] == pytest.approx((1 + 1e5 / 2.11e5) ** 0.5, rel=1e-3)
+
+
+def test_preflight_has_all_modes_of_a_model_with_a_mass_of_its_own(seft_json, model):
+    found = seft_json("preflight", DEMO, *SHORT, *model("Damper"))["modes"]
+    c, k = (
+        np.array([[own + part, -part], [-part, part]])
+        for own, part in ((800.3, 80.0), (2.11e5, 11000.0))
+    )
+    m = np.diag([2.5 * 52.7, 8.0])
+    a = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.linalg.solve(m, k), -np.linalg.solve(m, c)]])
+    poles = sorted((pole for pole in np.linalg.eigvals(a) if pole.imag > 0), key=abs)
+    assert [mode["exact_hz"] for mode in found] == pytest.approx(
+        [abs(pole) / (2 * np.pi) for pole in poles], rel=1e-3
+    )
+    assert [mode["exact_damping"] for mode in found] == pytest.approx(
+        [-pole.real / abs(pole) for pole in poles], rel=1e-2
+    )
+    assert {mode["hz"] for mode in found} == {None}
 
 
 # ---- OpenSees

@@ -4,7 +4,8 @@ import sys
 
 import pytest
 from local_tools import at_rest, perform
-from seft_msgs_py.wire.topics import RIG_STATE, VALVE_COMMAND
+from seft_msgs_py.wire.messages import decode_description
+from seft_msgs_py.wire.topics import DESCRIPTION, RIG_STATE, VALVE_COMMAND
 from seft_ros.cli.rig_commands import TEMPLATES
 from seft_ros.nodes.kinds import NODE_KINDS
 
@@ -48,6 +49,42 @@ def test_a_driver_aligns_a_late_channel_and_the_loop_counts_its_lag(driver, monk
     left = f - own["specimen.mass"] * a - r
     assert left.std() < 6.0  # N, of which the noise is 4
     assert 0.003 * own["specimen.stiffness"] * v.std() > 12.0  # what 3 ms change of the spring's
+
+
+def zeroed(graph):
+    """What the rig's last description tells of its zeros."""
+    told = [sent.raw for sent in graph.graph.sent if sent.topic == DESCRIPTION.name]
+    return [facts for node, facts in map(decode_description, told) if node == "rig"][-1]["zeroed"]
+
+
+@pytest.fixture
+def biased(driver, monkeypatch):
+    """Make the nodes of a test with a load cell that shows some force at rest, N."""
+    from rig_driver import stand_in
+
+    def make(force):
+        monkeypatch.setitem(stand_in._RIG, "sensors.force_bias", force)
+        return driver()
+
+    return make
+
+
+def test_a_driver_zeroes_its_sensors_in_the_rehearsal(biased):
+    graph = biased(22.2)
+    perform(graph)
+    force = graph.samples(RIG_STATE)[1][:100, 3]
+    assert abs(force.mean()) < 1.5  # N, of which the noise is 0.3
+    told = zeroed(graph)
+    assert told["samples"] == 500
+    assert abs(told["subtracted"]["force"][0] - 22.2) < 1.0
+    assert told["subtracted"]["position"] == [0.0]
+
+
+def test_a_driver_whose_force_at_rest_is_large_is_not_started(biased):
+    graph = biased(2220.0)
+    graph.until(lambda: "at rest" in graph.values.get("detail", ""))
+    assert "force is 2.22e+03 N at rest, more than a tenth of its limit" in graph.values["detail"]
+    assert graph.call("start")[0] is False
 
 
 def test_a_rig_whose_lag_the_loop_does_not_know_is_not_started(driver):

@@ -16,7 +16,7 @@ LONG = (
     *("-p", "rig:actuator.kind:=ideal", "-p", "reference_force:compensation.method:=none"),
     *("-p", "force_controller:method:=transfer_function"),
     *("-p", "reference_force:method:=eft"),
-    *("-p", "ground_motion:peak_force:=100.0"),
+    *("-p", "ground_motion:peak_force:=200.0"),
     *(*STALLS_ALLOWED, *MISSES_ALLOWED),
 )
 """A test that is still running whenever a browser is ready, also on a machine with much to do."""

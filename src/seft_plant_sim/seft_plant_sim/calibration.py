@@ -190,6 +190,47 @@ def calibration_of(
     return calibration, CalibrationState(np.zeros((periods, 4, n)), np.zeros((4, n)))
 
 
+SIGNIFICANT = 4.0
+"""Standard errors up to which a mean at rest is noise, which a zero would add to the samples."""
+
+
+def zeroed_at_rest(
+    section: Mapping[str, Any], axes: Sequence[str], places: Sequence[int], samples: Floats
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Take zeros that nobody has told from samples at rest.
+
+    Parameters
+    ----------
+    section, axes, places
+        See `calibration_of`.
+    samples : ndarray
+        Of the rig's n axes at rest, as measured, shape (N, 4, n).
+
+    Returns
+    -------
+    section : dict
+        With ``calibration.*_zero`` as measured, where they are not told.
+    facts : dict
+        ``samples`` N; ``subtracted``: these zeros; ``left``: what a channel shows beside a told
+        zero; both by channel, a list over the rig's axes, in the channel's unit. What is no more
+        than noise is 0. JSON values.
+    """
+    own, changed = list(places), dict(section)
+    subtracted, left = {}, {}
+    error = samples.std(axis=0) / np.sqrt(len(samples))
+    for row, channel in enumerate(CHANNELS):
+        name = f"calibration.{channel}_zero"
+        told = per_axis(section.get(name, 0.0), axes, f"rig: {name}")
+        shown = samples[:, row].mean(axis=0) - told[own]
+        shown[~(np.abs(shown) > SIGNIFICANT * error[row])] = 0.0
+        is_told = told[own] != 0.0
+        subtracted[channel] = np.where(is_told, 0.0, shown).tolist()
+        left[channel] = np.where(is_told, shown, 0.0).tolist()
+        told[own] += subtracted[channel]
+        changed[name] = told.tolist()
+    return changed, {"samples": len(samples), "subtracted": subtracted, "left": left}
+
+
 def nothing_known(n: int) -> tuple[Calibration, CalibrationState]:
     """Make the arrays where the samples of n axes are published as they are measured."""
     none = np.zeros((0, n))

@@ -19,6 +19,7 @@ from seft_plant_sim.calibration import (
     CalibrationState,
     calibration_of,
     nothing_known,
+    zeroed_at_rest,
 )
 from seft_plant_sim.compiled import entry_point, kind_of
 from seft_plant_sim.continuous_model import (
@@ -104,6 +105,8 @@ class Rig:
         The limit that the last sample breaks; the test must end with that sample.
     saturation : Saturation
         Saturation since the reset: of stroke, force capacity, valve, and sensors.
+    zeroed : dict or None
+        What it measured at rest, see `zeroed_at_rest`; None: nothing.
     """
 
     def __init__(
@@ -159,6 +162,7 @@ class Rig:
         self.step_index = 0
         self.violation: str | None = None
         self.saturation: Saturation = {}
+        self.zeroed: dict[str, Any] | None = None
         self._model, self._saturated_time, self._safe = model, saturated_time, safe
         self._command = np.zeros(n)
         self._forces = array("d")  # largest true force of each sample, and of the stop
@@ -195,7 +199,11 @@ class Rig:
         sensors = Sensors.from_parameters(section, axes, dt, own.places, noises)
         model = continuous_model(section, axes, own, faults=faults)
         stops = sum(law.law[SPRING_KIND] == ONE_SIDED for law in model.springs)
-        return cls(
+        known, zeroed = section, None
+        # bags of older versions have none
+        if resting := round(section.get("calibration.zeroing", 0.0) / dt):
+            known, zeroed = zeroed_at_rest(section, axes, own.places, sensors.at_rest(resting))
+        made = cls(
             model,
             sensors,
             Limits(group(section, "limits"), own.axes, dt),
@@ -211,7 +219,7 @@ class Rig:
                 section,
             ),
             calibration_of(
-                section,
+                known,
                 axes,
                 own.places,
                 dt,
@@ -220,6 +228,8 @@ class Rig:
                 sensors.channels.cutoff > 0.0,
             ),
         )
+        made.zeroed = zeroed
+        return made
 
     @property
     def sample(self) -> Floats:
@@ -388,6 +398,21 @@ class Rigs:
     def violation(self) -> str | None:
         """The limit that the last sample breaks, of the first rig that has one."""
         return next((rig.violation for _, rig in self._rigs if rig.violation), None)
+
+    @property
+    def zeroed(self) -> dict[str, Any] | None:
+        """What they measured at rest, over all axes; None: nothing."""
+        found = [(places, rig.zeroed) for places, rig in self._rigs if rig.zeroed is not None]
+        if not found:
+            return None
+        whole: dict[str, Any] = {"samples": found[0][1]["samples"]}
+        for what in ("subtracted", "left"):
+            whole[what] = {name: [0.0] * self._axes for name in CHANNELS}
+            for places, zeroed in found:
+                for name, row in whole[what].items():
+                    for place, value in zip(places, zeroed[what][name], strict=True):
+                        row[place] = value
+        return whole
 
     @property
     def saturation(self) -> Saturation:

@@ -23,6 +23,7 @@ from seft_msgs_py.wire.outcome import (
     REHEARSES,
     SENSOR_LAG,
     TRIPPED,
+    ZEROED,
     Outcome,
     State,
     Trip,
@@ -80,6 +81,8 @@ class RigNode(NodeBody):
         self._reserve = self._command(reserve, shell.rig.axes, "limits.command")
         self.facts: dict[str, Any] = {"drive": self._drive.codec.topic.name}
         self.facts[SENSOR_LAG] = common_lag(self._section)
+        if self._rig.zeroed is not None:
+            self.facts[ZEROED] = self._rig.zeroed
         self._rehearsal: rig_watch.Rehearsal | None = None
         is_realtime = self._section["pace"] == "realtime"
         if self._is_alone and is_realtime and not self._section["loop_delay"]:

@@ -245,6 +245,9 @@ CALIBRATION = parameter_rows(
     velocity_zero      | floats | 0.0   | m/s   |         | measured velocity at a true one of 0
     acceleration_zero  | floats | 0.0   | m/s^2 |         | measured acceleration at a true one of 0
     force_zero         | floats | 0.0   | N     |         | measured force at a true one of 0
+    zeroing            | float  | supervisor:rehearsal.zeroing or 1.0 | s | 0 .. 60 |
+        time at rest before a test in which the simulated rig measures the zeros that are 0 here;
+        0: it does not
     """,
     "calibration",
 )

@@ -13,7 +13,7 @@ from seft_msgs_py.node.clock import AwakeClock, Clock
 from seft_msgs_py.node.node_shell import NodeShell
 from seft_msgs_py.wire.messages import WARN, Status, decode_diagnostics, decode_status
 from seft_msgs_py.wire.outcome import MOVING, RECORDED, RECORDER_NODE_NAME, STOPPED
-from seft_msgs_py.wire.topics import REHEARSE, RIG_STATE, LoopTopic, Timebase, rehearsed
+from seft_msgs_py.wire.topics import REHEARSE, RIG_STATE, ZEROING, LoopTopic, Timebase, rehearsed
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_plant_sim.command import Command
@@ -193,6 +193,8 @@ class Supervision:
         Whether a test tripped: no new one begins before the supervisor publishes idle.
     rehearsal : float
         Requested duration of a rehearsal, s; 0: none.
+    zeroing : float
+        Time in it in which the rig measures its zeros, s; 0: none.
     """
 
     def __init__(self, patience: float, clock: Clock) -> None:
@@ -201,7 +203,7 @@ class Supervision:
         self.wanted: Status | None = None
         self.state = self.fault = ""
         self.latched = self._armed = False
-        self.rehearsal = 0.0
+        self.rehearsal = self.zeroing = 0.0
 
     @property
     def is_moving(self) -> bool:
@@ -213,6 +215,7 @@ class Supervision:
         status = decode_status(raw)
         self._received_at = self._awake.time()
         self.rehearsal = status.number(REHEARSE) or 0.0
+        self.zeroing = status.number(ZEROING) or 0.0
         if status.message == self.state:
             return  # a sign of life
         self.state = status.message

@@ -150,6 +150,14 @@ class Sensors:
             self._block = self.noise_block(index)
         return self._block[row]
 
+    def at_rest(self, steps: int) -> Floats:
+        """Give the samples of the first steps of a rig that stays at rest, shape (steps, 4, n)."""
+        c, firsts = self.channels, range(0, steps, BLOCK)
+        blocks = [self.noise_block(at // BLOCK, min(BLOCK, steps - at)) for at in firsts]
+        shown = np.clip(c.noise * np.concatenate(blocks)[:, :4] + c.bias, -c.range, c.range)
+        step = np.where(c.resolution == 0.0, 1.0, c.resolution)
+        return np.where(c.resolution == 0.0, shown, np.rint(shown / step) * step)
+
     def noise_block(self, index: int, steps: int = BLOCK) -> Floats:
         """Noise of the first steps of a block, RMS 1, shape (steps, 4 + faulty, n).
 

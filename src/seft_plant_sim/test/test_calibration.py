@@ -12,6 +12,7 @@ from seft_plant_sim.calibration import (
     calibration_of,
     common_lag,
     nothing_known,
+    zeroed_at_rest,
 )
 from seft_plant_sim.continuous_model import Sensed
 from seft_plant_sim.rig import Rig, continuous_model
@@ -186,3 +187,52 @@ def test_as_a_linear_model_what_waits_is_late():
     np.testing.assert_allclose(found.c[V], model.c[V] / 2.0)
     np.testing.assert_array_equal(found.c[F], model.c[F])
     assert as_published(model, nothing_known(1)[0], DT) is model
+
+
+def test_zeros_are_the_means_at_rest_that_are_more_than_noise():
+    noise = np.random.default_rng(1).standard_normal((500, 4, 2))
+    noise -= noise.mean(axis=0)
+    bias = np.zeros((4, 2))
+    bias[F], bias[X, 1] = (5.0, 0.17), 0.19  # 0.18 is four standard errors
+    section, told = zeroed_at_rest({}, ("x", "y", "z"), (0, 2), noise + bias)
+    assert told["samples"] == 500
+    assert told["subtracted"]["force"] == pytest.approx([5.0, 0.0])
+    assert told["subtracted"]["position"] == pytest.approx([0.0, 0.19])
+    assert section["calibration.force_zero"] == pytest.approx([5.0, 0.0, 0.0])
+    assert section["calibration.position_zero"] == pytest.approx([0.0, 0.0, 0.19])
+    assert not any(map(any, told["left"].values()))
+
+
+def test_a_zero_that_is_told_stays_and_what_is_left_is_told():
+    given = {"calibration.force_zero": [12.0]}
+    samples = np.full((100, 4, 1), 33.0)
+    section, told = zeroed_at_rest(given, ("x",), (0,), samples)
+    assert section["calibration.force_zero"] == [12.0]
+    assert (told["subtracted"]["force"], told["left"]["force"]) == ([0.0], [21.0])
+
+
+@pytest.mark.parametrize("told", [{}, {"sensors__velocity": "derived"}])
+def test_a_rig_zeroes_its_sensors_at_rest_but_not_what_goes_wrong_later(told):
+    bias = {"sensors__position_bias": 3e-4, "sensors__acceleration_bias": 0.1}
+    errors = {**bias, "sensors__position_range": 0.1, "sensors__force_bias": 5.0}
+    fault = {"faults": ["force add 7.0 at 0.0"]}
+
+    def samples(**values):
+        section = rig_section(**{"sensors__force_noise": 3.0, **told, **fault, **values})
+        rig = Rig.from_parameters(section, ("x",), Timebase.from_rate(500.0))
+        return rig.zeroed, np.array([rig.reset(), *(rig.step(np.ones(1)) for _ in range(50))])
+
+    none, sound = samples()
+    zeroed, found = samples(**errors, calibration__zeroing=1.0)
+    assert none is None
+    mean = zeroed["subtracted"]["force"][0]
+    assert abs(mean - 5.0) < 4 * 3.0 / np.sqrt(500.0)
+    np.testing.assert_allclose(found[:, :F], sound[:, :F], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(found[:, F] - sound[:, F], 5.0 - mean, rtol=0.0, atol=1e-9)
+
+
+def test_without_errors_a_rig_subtracts_nothing():
+    noise = dict.fromkeys(("sensors__position_noise", "sensors__force_noise"), 1e-3)
+    quiet = [rig_section(**noise, calibration__zeroing=seconds) for seconds in (0.0, 1.0)]
+    one, other = (Rig.from_parameters(s, ("x",), Timebase.from_rate(500.0)).reset() for s in quiet)
+    np.testing.assert_array_equal(one, other)

@@ -12,7 +12,7 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import Trip
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_plant_sim.whole_structure import reference_response
-from seft_ros.analysis import figures
+from seft_ros.analysis import figures, result_text
 from seft_ros.analysis.judgement import verdict_line
 from seft_ros.analysis.metrics import delayed
 from seft_ros.analysis.result_text import summary_texts
@@ -287,3 +287,21 @@ def test_a_figure_that_cannot_be_saved_is_an_input_error(tmp_path, name):
     record = make_record()
     with pytest.raises(InputError, match="can't be saved"):
         save_figure(figures.test_figure(record, None), tmp_path / name)
+
+
+@pytest.mark.parametrize("axes", [("x", "y"), ("west/x", "east/x")])
+def test_what_the_rigs_have_zeroed_is_told(axes):
+    names = ("position", "velocity", "acceleration", "force")
+
+    def zeroed(*force):
+        rows = {name: [0.0] * len(force) for name in names}
+        return {"zeroed": {"samples": 500, "subtracted": rows | {"force": force}, "left": rows}}
+
+    nodes = {"rig": zeroed(5.0, 0.0)}
+    if "/" in axes[0]:
+        nodes = {"west/rig": zeroed(5.0), "east/rig": zeroed(0.0)}
+    told = summarise(make_record(axes, facts=nodes))
+    assert told["zeroed"]["subtracted"]["force"] == [5.0, 0.0]
+    assert ("zeroed at rest", "force 5, 0 N") in result_text.test_rows(told)
+    silent = summarise(make_record(axes, facts={"rig": {"zeroed": 3}}))
+    assert silent["zeroed"] is None and "zeroed at rest" not in dict(result_text.test_rows(silent))

@@ -7,7 +7,8 @@ from experiments_at_hand import JHU
 from seft_msgs_py.errors import ExperimentError
 from seft_ros.design import stability_map
 
-DELAY = ("-p", "rig:actuator.kind:=delay", "-p", "rig:actuator.delay:=0.01")
+WITHIN = ("-p", "ground_motion:peak_force:=500.0")  # of the sensors, at any mass ratio here
+DELAY = ("-p", "rig:actuator.kind:=delay", "-p", "rig:actuator.delay:=0.01", *WITHIN)
 RATIO = "reference_force:mass_ratio:="
 IDENTIFIED = {
     "plant.numerator": [7000.0],
@@ -21,6 +22,7 @@ KEYS = {
     *("local_stiffness", "local_stiffness_followed", "assumed_delay_error_s"),
     *("false_damping_ratio", "frequency_error", "modes", "spectral_radius", "growth_rate"),
     *("dominant_hz", "states", "expected_peaks", "proposed_limits", "warnings"),
+    "unfit",
 }
 
 
@@ -84,6 +86,30 @@ def test_a_mass_and_a_motion_that_do_not_fit_the_rig_are_told(seft, told):
     assert told(JHU, *DELAY, *strong)[1]["warnings"] == []  # no valve
 
 
+def test_a_specimen_in_other_units_is_refused(seft, flown):
+    soft = ("-p", "rig:specimen.stiffness:=177.653")
+    for command in ("preflight", "run"):
+        status, out, err = seft(command, JHU, *soft)
+        assert (status, out, flown, err.count("\n")) == (2, "", [], 1)
+        assert "stiffness 177.653 N/m and mass 52.7 kg give a natural frequency of 0.292 Hz" in err
+        assert "a stiffness of 177653 N/m (kN/m?) would give 9.24 Hz and fit" in err
+
+
+def test_a_test_that_uses_little_of_a_sensor_is_refused(seft, told, flown):
+    weak = ("-p", "ground_motion:peak_force:=100.0")
+    status, found = told(JHU, *weak)
+    (reason,) = found["unfit"]
+    assert (status, found["verdict"]) == (1, "stable")
+    assert "displacement 0.000698 of 0.1 m (0.698 %), force 100 of 22200 N (0.45 %)" in reason
+    assert seft("preflight", JHU, *weak)[2].splitlines()[-1] == f"seft: {reason}"
+    status, _, err = seft("run", JHU, *weak)
+    assert (status, err.count("\n"), flown) == (2, 1, [])
+    assert err.startswith(f"seft: {reason}, or run it all the same with --accept-unstable")
+    own = ("-p", "force_controller:detectors.acceleration_range:=20", "--accept-unstable")
+    assert "acceleration 22.2 of 20 m/s^2 (111 %)" in seft("run", JHU, *own)[2]
+    assert len(flown) == 1
+
+
 def test_the_figure_is_drawn_of_both_maps(seft, tmp_path, monkeypatch):
     monkeypatch.setattr(stability_map, "_FINEST", 15)
     words = ("preflight", JHU, *DELAY, "--figure", "map", "--json")
@@ -123,7 +149,7 @@ def test_run_takes_an_unstable_plan_that_is_accepted(seft, flown):
 
 
 def test_run_starts_a_stable_plan_without_a_word(seft, flown):
-    status, _, err = seft("run", JHU, "-p", f"{RATIO}0.5")
+    status, _, err = seft("run", JHU, *WITHIN, "-p", f"{RATIO}0.5")
     assert (status, len(flown)) == (1, 1)
     assert [line for line in err.splitlines() if FAR not in line] == ["seft: started"]
 

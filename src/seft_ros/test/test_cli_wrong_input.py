@@ -106,6 +106,10 @@ def test_a_faulty_file_is_refused(refused, record, tmp_path):
         (["motion"], "name a record, or an experiment by --config"),
         (["motion", "none.AT2", "-p", "rate:=100"], "name it by --config"),
         (["parameters", "rigg"], "did you mean rig?"),
+        (["simulate", JHU, "-p", "rig:sensors.force_bias:=3000"], "rig: force is 3e+03 N at rest"),
+        (["simulate", JHU, "-p", "rig:specimen.mass:=-52.7"], "rig: specimen.mass is -52.7"),
+        (["preflight", JHU, "-p", "reference_force:model.mass:=-5"], "_force: model.mass is -5"),
+        (["simulate", JHU, "-p", "reference_force:model.mass:=-5"], "_force: model.mass is -5"),
     ],
 )
 def test_a_wrong_command_line_is_refused_before_anything_is_written(refused, tmp_path, words, told):
@@ -247,3 +251,19 @@ def test_help_and_wrong_input_load_no_large_library():
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     assert done.stdout.split() == []
+
+
+@pytest.mark.parametrize(
+    ("where", "told"),
+    [
+        ("seft_ros.test_run.offline.simulate_test", "nothing was written"),
+        ("seft_ros.drawing.style.save_figure", "bag is whole"),
+    ],
+)
+def test_an_interruption_says_what_stands(seft, monkeypatch, where, told):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(where, interrupt)
+    status, out, err = seft("simulate", JHU, *SHORT, "--out", "bag")
+    assert (status, out, err.splitlines()[-1]) == (1, "", f"seft: interrupted; {told}")

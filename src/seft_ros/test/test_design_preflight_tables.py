@@ -7,6 +7,7 @@ import pytest
 from experiments_at_hand import simulated
 from seft_msgs_py.config.experiment import read_parameter_file
 from seft_msgs_py.errors import InputError
+from seft_ros.design.plausibility import peaks_by_axis
 from seft_ros.design.preflight_tables import (
     expected_peaks,
     limit_warning,
@@ -21,7 +22,7 @@ load = partial(experiments_at_hand.load, config="demo")
 
 
 def peaks_of(experiment):
-    return expected_peaks(experiment, planned_motion(experiment))
+    return expected_peaks(peaks_by_axis(experiment, planned_motion(experiment)))
 
 
 def test_a_test_stays_within_limits_that_fit_it(tmp_path):

@@ -1,7 +1,14 @@
 import pytest
 from seft_msgs_py.wire.messages import Status
 from seft_msgs_py.wire.topics import NODES, TOPICS, rigs_of, topics_of, with_rigs
-from seft_ros.test_run.peers import LastStatus, Rehearsed, judge_peers, silence, silent
+from seft_ros.test_run.peers import (
+    LastStatus,
+    Rehearsed,
+    judge_peers,
+    silence,
+    silent,
+    with_zeros,
+)
 from seft_ros.test_run.peers import missing as missing_after
 
 PEERS = tuple(node for node in NODES if node != "supervisor")
@@ -219,6 +226,38 @@ def rig(missed=0, p99=0.0005, rate=1000.0, steps=1500):
 def test_a_rig_that_can_is_asked_until_it_has_told():
     assert judge_peers(2.0, loop()) == Rehearsed(asked=2.0)
     assert judge_peers(2.0, rig()) == Rehearsed()
+
+
+LIMITS = {"displacement": 0.03, "velocity": 0.5, "acceleration": 50.0, "force": 4500.0}
+
+
+def zeroed(left=0.0, **subtracted):
+    """Description of a rig that has measured at rest."""
+    names = ("position", "velocity", "acceleration", "force")
+    rows = {name: [subtracted.get(name, 0.0), 0.0] for name in names}
+    lefts = {name: [0.0, left * (name == "force")] for name in names}
+    return {
+        "parameters": {f"limits.{name}": limit for name, limit in LIMITS.items()},
+        "zeroed": {"samples": 500, "subtracted": rows, "left": lefts},
+    }
+
+
+def test_a_zero_of_more_than_a_tenth_of_a_limit_is_refused():
+    assert with_zeros(Rehearsed(), [zeroed(force=4.0), {}]) == Rehearsed()
+    told = with_zeros(Rehearsed(), [zeroed(), zeroed(position=-0.004)]).refusal
+    assert told.startswith(
+        "displacement is 0.004 m at rest, more than a tenth of its limit of 0.03"
+    )
+    assert with_zeros(Rehearsed(asked=2.0), [zeroed(force=900.0)]) == Rehearsed(asked=2.0)
+    assert "can't be read" in with_zeros(Rehearsed(), [zeroed() | {"zeroed": 3}]).refusal
+
+
+def test_a_force_at_rest_that_may_be_real_is_warned_of():
+    found = with_zeros(Rehearsed(warning="slow"), [zeroed(force=21.0)])
+    assert found.warning.startswith("slow; a force of 21 N at rest was zeroed: if friction or a")
+    assert not found.refusal
+    held = with_zeros(Rehearsed(), [zeroed(left=-21.0)]).warning
+    assert held.startswith("the force at rest is 21 N beside its told zero: friction or")
 
 
 def test_nobody_is_asked_where_there_is_no_rehearsal():

@@ -25,6 +25,8 @@ REHEARSED = "rehearsal"
 """Key of the rig's facts: result of a rehearsal of the loop."""
 SENSOR_LAG = "sensor_lag"
 """Key of the rig's facts: lag of the state that it publishes, s."""
+ZEROED = "zeroed"
+"""Key of the rig's facts: what it has measured at rest and subtracts."""
 LISTED_STEPS = 100
 """Largest number of missed steps that a status lists; all are counted."""
 ROUND_TRIPS = {

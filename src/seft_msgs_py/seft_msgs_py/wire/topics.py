@@ -319,6 +319,10 @@ REHEARSE = "rehearse"
 """Key of the state's values: duration of a requested rehearsal of the loop, s."""
 
 
+ZEROING = "zeroing"
+"""Key of the state's values: time at rest in it, in which the rig measures its zeros, s."""
+
+
 def rehearsed(topic: LoopTopic) -> LoopTopic:
     """Give the topic of the loop's rehearsal before a test, which is not recorded."""
     return replace(topic, name=f"rehearsal/{topic.name}", recorded=False)

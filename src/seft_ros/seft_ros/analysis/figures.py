@@ -59,7 +59,10 @@ def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
                 y = estimates.values[:, names.index(name), column]
                 panel.plot(estimates.steps * dt, y * scale, color=style.SECOND, lw=1.2)
     for panel, name in zip(panels[:, 0], (*style.RESPONSES, *estimated), strict=True):
-        panel.set_ylabel(axis_label(name), color=style.TEXT, parse_math=False)
+        label = axis_label(name)
+        if name in estimated:  # their panels are low
+            label = label.replace(" / ", "\n/ ")
+        panel.set_ylabel(label, color=style.TEXT, parse_math=False)
     _frame(panels.flat, None if record.trip is None else record.trip.time_s, "trip")
     start, end = strong_part(record)
     panels[0, 0].set_xlim(start, end)  # all panels share their time

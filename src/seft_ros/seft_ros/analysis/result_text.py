@@ -4,6 +4,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from seft_msgs_py.wire.topics import LOOP_TOPICS, TARGET
+from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_UNITS
+from seft_plant_sim.sensors import CHANNELS
 
 from seft_ros.analysis.judgement import (
     calibration_findings,
@@ -148,9 +150,23 @@ def test_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         duration += f", in {summary['wall_s']:.3g} s ({pace})"
     return [
         *(motion_rows(motion) if motion else [("ground motion", "unknown")]),
+        *_zero_rows(summary["zeroed"]),
         ("rate and steps", f"{summary['rate_hz']:g} Hz, {summary['steps']} steps"),
         ("duration", duration),
     ]
+
+
+def _zero_rows(zeroed: dict[str, Any] | None) -> list[tuple[str, str]]:
+    """Say what the rig subtracts of its channels since it measured them at rest, if anything."""
+    if zeroed is None:
+        return []
+    shown = [
+        f"{name} {', '.join(f'{value:.3g}' for value in zeroed['subtracted'][channel])} {unit}"
+        for channel, name, unit in zip(CHANNELS, LIMIT_NAMES, LIMIT_UNITS, strict=False)
+        if any(zeroed["subtracted"][channel])
+    ]
+    text = "; ".join([*([", ".join(shown)] if shown else []), *filter(None, [zeroed["warning"]])])
+    return [("zeroed at rest", text)] if text else []
 
 
 def _mark(summary: dict[str, Any]) -> Mark:

@@ -5,7 +5,9 @@ from typing import Any
 
 import numpy as np
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.outcome import RIG, ZEROED
 from seft_msgs_py.wire.topics import (
     GROUND_MOTION,
     JUDGED,
@@ -31,6 +33,7 @@ from seft_ros.drawing.style import json_safe
 from seft_ros.force_controller.detection import detector_shares
 from seft_ros.ground_motion.ground_motion_block import MOTION
 from seft_ros.ground_motion.response_spectrum import significant_parts
+from seft_ros.protection.zeros import judge_zeros
 
 COMPARED = {
     "displacement": RIG_STATE.quantities.index("positions"),
@@ -113,6 +116,7 @@ def summarise(
             if topic is not JUDGED or _has_judged(record)
         },
         "ground_motion": record.facts.get(GROUND_MOTION.name, {}).get(MOTION),
+        "zeroed": zeroed_in(record),
         "energy": energy_numbers(balance or balance_of(judged)),
         "estimates": _estimates(judged.estimates, axes),
         "equivalent_motion": difference and difference.numbers(),
@@ -126,6 +130,33 @@ def summarise(
         "axes": by_axis,
     }
     return json_safe(found)
+
+
+def zeroed_in(record: Record) -> dict[str, Any] | None:
+    """Give what the rigs measured at rest: None if nothing, or nothing that can be read.
+
+    ``subtracted`` and ``left`` as of `seft_plant_sim.calibration.zeroed_at_rest`, over the test's
+    axes; ``warning`` as of `judge_zeros`.
+    """
+    experiment, axes = record.experiment, len(record.experiment.axes)
+    whole: dict[str, Any] = {
+        what: {name: [0.0] * axes for name in CHANNELS} for what in ("subtracted", "left")
+    }
+    try:
+        for rig in experiment.rigs:
+            node = f"{rig.name}/{RIG}" if rig.name else RIG
+            of_all = node not in record.facts  # of an offline test
+            found = record.facts[RIG if of_all else node][ZEROED]
+            for what, rows in whole.items():
+                for name, row in rows.items():
+                    for at, place in enumerate(rig.places):
+                        row[place] = float(found[what][name][place if of_all else at])
+    except (KeyError, TypeError, ValueError, IndexError):
+        return None
+    sections = experiment.sections
+    limits = group(sections.get("rig", sections.get("supervisor", {})), "limits")
+    known = set(LIMIT_NAMES) <= set(limits)
+    return whole | {"warning": judge_zeros(whole, limits).warning if known else ""}
 
 
 def summarise_briefly(record: Record, reference: ReferenceResponse) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from seft_ros.cli.shared import (
     complain,
     option,
     show,
+    stands,
     step_progress,
 )
 
@@ -61,6 +62,7 @@ def report(
     table = None if csv is None else check_table(csv)
     findings = report_numbers(read_bag(bag, damaged=True))
     write_report(findings, bag.resolve().name, page)
+    stands(f"{page} is written")
     summary = findings.summary | {"bag": str(bag), "page": str(page)}
     if table is not None:
         write_table(table, *histories(findings.record, findings.reference))

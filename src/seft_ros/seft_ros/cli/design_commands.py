@@ -40,16 +40,18 @@ def preflight(
     If a method or controller of your own has no linear(), the planned test is simulated instead.
 
     The exact response of the planned test gives the peaks to expect, and limits that fit them.
-    It warns where the assumed mass, or the flow of the valves, does not fit.
+    It warns where the assumed mass, or the flow of the valves, does not fit. A specimen whose
+    stiffness or mass seems to be in another unit is refused.
 
     A computed model enters the loop with its tangent at rest. Its steps are timed along the
     motion of the planned test.
 
-    Exit status 1: the plan is unstable, or the computed model too slow.
+    Exit status 1: the plan is unstable, uses too little or too much of a sensor's range, or its
+    computed model is too slow.
 
     Examples:
 
-        seft preflight config/jhu.yaml -p reference_force:mass_ratio:=1.0
+        seft preflight config/demo.yaml -p reference_force:mass_ratio:=3.0
 
         seft preflight config/demo.yaml --figure preflight.png
 
@@ -57,13 +59,21 @@ def preflight(
 
         seft preflight config/jhu.yaml --params-file identified/model.yaml
     """
-    from seft_ros.design import preflight_tables, stability_map, stability_verdict
+    from seft_ros.design import plausibility, preflight_tables, stability_map, stability_verdict
     from seft_ros.design.plan import Plan
     from seft_ros.drawing.style import check_figure, save_figure
     from seft_ros.reference_force.compensator import NotLinearError
 
     path = check_figure(figure) if figure is not None else None
     experiment = shared.load_experiment(config, param, params_file, external)
+    motion = preflight_tables.planned_motion(experiment)
+    with shared.passing_progress():
+        by_axis = plausibility.peaks_by_axis(experiment, motion)
+        peaks = preflight_tables.expected_peaks(by_axis)
+        mixed_up = plausibility.unit_refusal(experiment, motion, by_axis)
+    if wrong := mixed_up or plausibility.mass_refusal(experiment):
+        raise InputError(wrong)
+    unfit = [*filter(None, [plausibility.range_refusal(experiment, by_axis)])]
     try:
         plan = Plan(experiment)
         with shared.passing_progress() as progress:
@@ -72,23 +82,25 @@ def preflight(
         if figure is not None:
             raise InputError(f"{error}; --figure can't draw them") from None
         if write is not None:
-            motion = preflight_tables.planned_motion(experiment)
-            peaks = preflight_tables.expected_peaks(experiment, motion)
             preflight_tables.write_limits(write, preflight_tables.proposed_limits(peaks))
-        return 0 if shared.is_stable_in_simulation(experiment, error, as_json=json) else 1
+        stable = shared.is_stable_in_simulation(experiment, error, as_json=json)
+        for reason in unfit:
+            shared.complain(reason)
+        return 0 if stable and not unfit else 1
     with shared.passing_progress() as progress:
         summary = preflight_tables.summarise_preflight(plan, found)
-        motion = preflight_tables.planned_motion(experiment)
-        peaks = preflight_tables.expected_peaks(experiment, motion)
         limits = preflight_tables.proposed_limits(peaks)
         summary |= {"expected_peaks": peaks, "proposed_limits": limits}
         timed = preflight_tables.model_time(experiment, motion)
         if timed is not None:
             summary["model"] = asdict(timed)
+            unfit += [timed.refusal()] if timed.refusal() else []
+        summary["unfit"] = unfit
         warnings = list(preflight_tables.mismatches(experiment, peaks))
         summary["warnings"] = warnings
         if write is not None:
             preflight_tables.write_limits(write, limits)
+            shared.stands(f"{write} is written")
         if path is not None:
             maps = stability_map.stability_maps(plan, found.margins, progress)
             save_figure(stability_map.preflight_figure(plan, found, maps), path)
@@ -99,7 +111,7 @@ def preflight(
             f"computed model: {1e3 * timed.median_s:.2g} ms for a step, "
             f"{1e3 * timed.p999_s:.2g} ms for one of 1000, {1e3 * timed.longest_s:.2g} ms for the "
             f"longest, of {1e3 * timed.budget_s:.2g} ms",
-            "the tables above take its tangent at rest",
+            "the margins above take its tangent at rest",
         ]
     texts = preflight_tables.preflight_texts(plan, found, f"preflight of {config}")
     limits_table = preflight_tables.limits_table(experiment, peaks)
@@ -108,9 +120,9 @@ def preflight(
         shared.warn(warning)
     for reason in found.reasons:
         shared.complain(f"{found.verdict}: {reason}")
-    if too_slow := timed.refusal() if timed is not None else "":
-        shared.complain(too_slow)
-    return 1 if found.verdict == "unstable" or too_slow else 0
+    for reason in unfit:
+        shared.complain(reason)
+    return 1 if found.verdict == "unstable" or unfit else 0
 
 
 PILOT, OPEN_LOOP, CLOSED_LOOP = "pilot", "open_loop", "closed_loop"
@@ -185,6 +197,7 @@ def identify(
     motions.check(duration)
     shared.check_out(folder)
     record = motions.write(folder / "excitation.csv", duration)
+    shared.stands(f"{folder} has the excitation")
 
     tests: dict[str, Record] = {}
 

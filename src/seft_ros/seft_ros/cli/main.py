@@ -15,7 +15,7 @@ from seft_ros.cli.bag_commands import compare, recover, replay, report
 from seft_ros.cli.design_commands import identify, preflight, study
 from seft_ros.cli.perform import reset, run, simulate, start, status, stop
 from seft_ros.cli.rig_commands import conform, link, new
-from seft_ros.cli.shared import complain, option
+from seft_ros.cli.shared import STANDS, complain, option
 from seft_ros.cli.show_commands import monitor, motion, parameters
 
 APP = typer.Typer(
@@ -60,18 +60,26 @@ def main() -> int:
     return unbroken("seft", _main)
 
 
+_INTERRUPTED = 130
+"""What newer versions of typer return in place of a KeyboardInterrupt."""
+
+
 def _main() -> int:
     gc.set_threshold(100_000)  # most objects of a command live to its end
     before = on_ending(signal.default_int_handler)
+    STANDS.clear()
     try:
-        return int(APP(standalone_mode=False) or 0)
+        status = int(APP(standalone_mode=False) or 0)
+        if status == _INTERRUPTED:
+            raise KeyboardInterrupt
+        return status
     except SeftError as error:
         complain(str(error))
         return error.exit_status
     except typer.Exit as end:
         return end.exit_code
     except (typer.Abort, KeyboardInterrupt):
-        complain("interrupted")
+        complain(f"interrupted; {', '.join(STANDS) or 'nothing was written'}")
         return 1
     except Exception as error:
         if not hasattr(error, "format_message"):

@@ -142,14 +142,18 @@ def run(
     pin: bool = option(True, "Give the loop's nodes cores of their own; keep cores awake."),
     composed: bool = option(False, "Run the loop's nodes in one process.", "--composed"),
     priority: int = option(0, "Real-time priority of the loop; 0: none.", "N", min=0, max=98),
-    accept_unstable: bool = option(False, "Run also an unstable plan.", "--accept-unstable"),
+    accept_unstable: bool = option(
+        False, "Run also an unstable or unfit plan.", "--accept-unstable"
+    ),
     figure: Figure = True,
     json: shared.Json = False,
 ) -> int:
     """Run an experiment as separate nodes over DDS, record it, and show how it went.
 
     The test must be stable by the closed loop's eigenvalues, which seft preflight shows in detail;
-    an unstable plan is refused.
+    an unstable plan is refused. So is one that uses less than 2 % or more than 90 % of a sensor's
+    range, and, always, one whose stiffness or mass seems to be in another unit, or whose mass is
+    not the identified one.
 
     Starts ground_motion, reference_force, force_controller, rig, recorder and supervisor,
     waits until all have found each other, runs the test, and ends them. The bag is in the
@@ -173,7 +177,7 @@ def run(
 
         seft run config/jhu.yaml --params-file plan.yaml --accept-unstable
     """
-    from seft_ros.design import preflight_tables
+    from seft_ros.design import plausibility, preflight_tables
     from seft_ros.test_run.processes import ProcessLayout
     from seft_ros.test_run.run import bag_path
 
@@ -183,12 +187,20 @@ def run(
     experiment = _with_measured_delay(experiment)
     blocks = _blocks(experiment)
     motion = blocks.ground_motion if blocks else preflight_tables.planned_motion(experiment)
-    _check_stable(experiment, blocks, accept_unstable)
     in_lockstep = experiment.sections.get("rig", {}).get("pace") == "lockstep"
     model = None if in_lockstep else preflight_tables.model_time(experiment, motion)
     if model is not None and (too_slow := model.refusal()):
         raise InputError(too_slow)
-    peaks = preflight_tables.expected_peaks(experiment, motion)
+    by_axis = plausibility.peaks_by_axis(experiment, motion)
+    mixed_up = plausibility.unit_refusal(experiment, motion, by_axis)
+    if wrong := mixed_up or plausibility.mass_refusal(experiment):
+        raise InputError(wrong)
+    _check_stable(experiment, blocks, accept_unstable)
+    if unfit := plausibility.range_refusal(experiment, by_axis):
+        if not accept_unstable:
+            raise InputError(f"{unfit}, or run it all the same with --accept-unstable")
+        shared.complain(f"{unfit}; accepted")
+    peaks = preflight_tables.expected_peaks(by_axis)
     if warning := preflight_tables.limit_warning(experiment, peaks):
         shared.warn(warning)
     layout = ProcessLayout(pin=pin, composed=composed, priority=priority)

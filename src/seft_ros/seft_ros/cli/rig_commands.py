@@ -160,6 +160,8 @@ def conform(
     ):
         console.print(finding_line(finding), soft_wrap=True, highlight=False)
         findings.append(finding)
+        if len(findings) == 1:
+            shared.stands("a rig that moves trips without its supervisor; see that it rests")
     result = summarise_findings(findings)
     words = "conforms" if result["conforms"] else "does not conform"
     counts = "{passed} passed, {failed} failed, {not_run} not run".format_map(result)

@@ -15,6 +15,7 @@ from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.printing import escaped
+from seft_msgs_py.wire.outcome import ZEROED
 from seft_msgs_py.wire.topics import GROUND_MOTION, NODES, with_rigs
 
 from seft_ros.bags.record import Record
@@ -100,6 +101,15 @@ def complain(text: str) -> None:
     print(escaped(f"seft: {text}"), file=sys.stderr, flush=True)
 
 
+STANDS: list[str] = []
+"""What a command has done so far that stays, if it is interrupted."""
+
+
+def stands(what: str) -> None:
+    """Note something that stays, if the command is interrupted."""
+    STANDS.append(what)
+
+
 def announce_compilation() -> None:
     """Say on a terminal, once, that this command compiles steps, which it does not do again."""
     from seft_plant_sim.compiled import tell_of_compilation
@@ -172,12 +182,16 @@ def offline_test(
         record = simulate_test(
             experiment, blocks, lambda done: progress(f"{label}simulating", done)
         )
-        record = replace(record, facts={GROUND_MOTION.name: {MOTION: motion.facts}})
+        facts = {GROUND_MOTION.name: {MOTION: motion.facts}}
+        if blocks.rig.zeroed is not None:
+            facts["rig"] = {ZEROED: blocks.rig.zeroed}
+        record = replace(record, facts=facts)
         progress(f"{label}done", len(record.series["rig/state"].steps))
         if bag is not None:
             from seft_ros.bags.record_bag import write_record
 
             write_record(record, bag, motion.chunks)
+            stands(f"{bag} is whole")
     return record
 
 
@@ -235,10 +249,11 @@ def dds_test(
         try:
             fault, bag = run_experiment(experiment, bag, progress, layout, external)
         except KeyboardInterrupt:
-            kept = f"; what was recorded is in {bag}" if bag.exists() else ""
-            raise ExperimentError(f"{label}interrupted{kept}") from None
+            kept = f"what was recorded is in {bag}" if bag.exists() else "nothing was recorded"
+            raise ExperimentError(f"{label}interrupted; {kept}") from None
     if fault:
         raise ExperimentError(f"{label}{fault}; what was recorded is in {bag}")
+    stands(f"{bag} is whole")
     return read_bag(bag), bag
 
 

@@ -1,19 +1,21 @@
 """What a preflight found: tables, JSON values, expected peaks, limits, a computed model's time."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment, write_parameter_file
 from seft_msgs_py.config.parameter_table import Section, group, mass_matrix
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_UNITS
-from seft_plant_sim.whole_structure import model_times, reference_response, whole_structure
+from seft_plant_sim.rig_parameters import LIMIT_UNITS
+from seft_plant_sim.whole_structure import model_times, whole_structure
 
 from seft_ros.design.plan import Plan
+from seft_ros.design.plausibility import FACTORS
 from seft_ros.design.stability_margins import HIGHEST_MASS_RATIO, Critical, Range, added_delays
 from seft_ros.design.stability_verdict import Preflight
 from seft_ros.drawing.style import Mark, Number
@@ -48,6 +50,8 @@ class ModelTime:
         When in the test the longest step is.
     budget_s : float
         Time that a step may take.
+    longest_allowed_s : float
+        Time that a single step may take: the watchdog's for commands, `LONGEST_MODEL_STEP` at most.
     rate_hz : float
         Rate of the test.
     fits : bool
@@ -61,6 +65,7 @@ class ModelTime:
     longest_s: float
     longest_at_s: float
     budget_s: float
+    longest_allowed_s: float
     rate_hz: float
     fits: bool
     fitting_every: int | None
@@ -70,12 +75,12 @@ class ModelTime:
         """Say that it is too slow, and what would do; empty if it is not."""
         if self.fits:
             return ""
-        if self.median_s <= self.budget_s and self.longest_s > LONGEST_MODEL_STEP:
+        if self.median_s <= self.budget_s and self.longest_s > self.longest_allowed_s:
             return (
                 f"reference_force: computed.model takes {self.longest_s:.3g} s for the step at "
-                f"{self.longest_at_s:.6g} s, at which the test would trip: after "
-                f"{LONGEST_MODEL_STEP:g} s the rig has held its command too long; make this step "
-                "of the model faster"
+                f"{self.longest_at_s:.6g} s, at which the test would trip: a watchdog allows "
+                f"{self.longest_allowed_s:g} s (supervisor: watchdog.command_timeout, at most "
+                f"{LONGEST_MODEL_STEP:g}); make this step of the model faster"
             )
         every, rate = self.fitting_every, self.fitting_rate_hz
         ways = [f"reference_force: computed.every {every}"] if every else []
@@ -88,7 +93,13 @@ class ModelTime:
 
 
 def planned_motion(experiment: Experiment) -> GroundMotion | None:
-    """Make the ground motion of an experiment; None if it comes from elsewhere."""
+    """Make the ground motion of an experiment; None if it comes from elsewhere.
+
+    The masses are checked first: that of the ground motion is by default the specimen's.
+    """
+    for node, name in (("rig", "specimen.mass"), ("reference_force", "model.mass")):
+        if name in (values := experiment.sections.get(node, {})):
+            mass_matrix(values[name], experiment.axes, f"{node}: {name}")
     section = experiment.sections.get("ground_motion")
     if section is None:
         return None
@@ -111,13 +122,15 @@ def model_time(experiment: Experiment, planned: GroundMotion | None) -> ModelTim
         return None
     motion = planned.samples[: _STEPS * model.every : model.every]
     share = SHARE * dt * model.every
+    watchdog = experiment.sections.get("supervisor", {}).get("watchdog.command_timeout", np.inf)
+    allowed = min(float(watchdog), LONGEST_MODEL_STEP)
     times = np.full(len(motion), np.inf)
     for _ in range(LOOKS):
         times = np.minimum(times, model_times(whole, motion, model.every * dt))
         median, p999 = np.percentile(times, [50.0, 99.9]).tolist()
         slowest = _FIRST + int(times[_FIRST:].argmax()) if len(times) > _FIRST else 0
         longest, fits = float(times[slowest]), p999 <= share
-        fits = fits and longest <= LONGEST_MODEL_STEP
+        fits = fits and longest <= allowed
         if fits or median > share:  # half of the steps: no stalls of the host
             break
     every = math.ceil(p999 / (SHARE * dt))
@@ -129,6 +142,7 @@ def model_time(experiment: Experiment, planned: GroundMotion | None) -> ModelTim
         longest_s=longest,
         longest_at_s=slowest * model.every * dt,
         budget_s=share,
+        longest_allowed_s=allowed,
         rate_hz=1 / dt,
         fits=fits,
         fitting_every=every if can_divide else None,
@@ -136,8 +150,6 @@ def model_time(experiment: Experiment, planned: GroundMotion | None) -> ModelTim
     )
 
 
-_FACTORS = {"displacement": 1.5, "velocity": 2.0, "acceleration": 2.0, "force": 1.5}
-"""Proposed limit over the expected peak: oil that rings moves the piston little, but fast."""
 SAME_MASS = 0.01
 """Error of the assumed mass that weighing has."""
 FAR = 4.0
@@ -290,39 +302,17 @@ def _range(found: Range | None) -> dict[str, Any] | None:
     }
 
 
-def expected_peaks(experiment: Experiment, planned: GroundMotion | None) -> dict[str, float]:
-    """Largest value of each quantity on any axis in the reference response of a test.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        The specimen is that of its rig, if it is simulated, else the model's.
-    planned : GroundMotion or None
-        Its `planned_motion`.
-
-    Returns
-    -------
-    dict
-        Displacement (m), velocity (m/s), acceleration (m/s^2) and force (N). Empty if the ground
-        motion or another node runs elsewhere.
-
-    Raises
-    ------
-    InputError
-        If the structure makes no sense.
-    """
-    if planned is None or not {"reference_force", "supervisor"} <= set(experiment.sections):
-        return {}
-    exact = reference_response(experiment, planned.samples)
-    return {name: float(np.abs(getattr(exact, name)).max()) for name in LIMIT_NAMES}
+def expected_peaks(by_axis: Mapping[str, Floats]) -> dict[str, float]:
+    """Largest of the `peaks_by_axis` on any axis: of each quantity, or none."""
+    return {name: float(peaks.max()) for name, peaks in by_axis.items()}
 
 
 def proposed_limits(peaks: dict[str, float]) -> dict[str, float]:
     """Limits that fit expected peaks, rounded up to two digits."""
     limits = {}
     for name, peak in peaks.items():
-        unit = 10.0 ** (np.floor(np.log10(_FACTORS[name] * peak)) - 1) if peak > 0.0 else 1.0
-        limits[name] = float(f"{np.ceil(_FACTORS[name] * peak / unit - 1e-9) * unit:.6g}")
+        unit = 10.0 ** (np.floor(np.log10(FACTORS[name] * peak)) - 1) if peak > 0.0 else 1.0
+        limits[name] = float(f"{np.ceil(FACTORS[name] * peak / unit - 1e-9) * unit:.6g}")
     return limits
 
 

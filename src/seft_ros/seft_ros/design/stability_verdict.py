@@ -9,6 +9,7 @@ from scipy.linalg import eigh
 from scipy.optimize import linear_sum_assignment
 from seft_plant_sim.whole_structure import WholeStructure
 
+from seft_ros.design.model_modes import modes_with_model
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import Margins, Progress, find_margins
 
@@ -28,23 +29,25 @@ class Mode:
     false_damping : float
         What the test adds to the damping ratio.
     frequency_error : float
-        Relative error of the natural frequency.
+        Relative error of the natural frequency. What is of the test is None where the loop does not
+        have the mode: that of a computed model with masses of its own.
     """
 
     exact_hz: float
     exact_damping: float
-    hz: float
-    damping: float
-    false_damping: float
-    frequency_error: float
+    hz: float | None = None
+    damping: float | None = None
+    false_damping: float | None = None
+    frequency_error: float | None = None
 
     @classmethod
-    def of_poles(cls, exact: complex, test: complex) -> "Mode":
-        """Compare a pole of the structure with that in the test, 1/s."""
-        exact_hz, hz = (abs(pole) / (2 * np.pi) for pole in (exact, test))
-        exact_damping, damping = (-pole.real / abs(pole) for pole in (exact, test))
-        added = damping - exact_damping
-        return cls(exact_hz, exact_damping, hz, damping, added, hz / exact_hz - 1)
+    def of_poles(cls, exact: complex, test: complex | None = None) -> "Mode":
+        """Compare a pole of the structure with that in the test, if there is one, 1/s."""
+        exact_hz, exact_damping = abs(exact) / (2 * np.pi), -exact.real / abs(exact)
+        if test is None:
+            return cls(exact_hz, exact_damping)
+        hz, damping = abs(test) / (2 * np.pi), -test.real / abs(test)
+        return cls(exact_hz, exact_damping, hz, damping, damping - exact_damping, hz / exact_hz - 1)
 
 
 def predicted_modes(plan: Plan) -> list[Mode]:
@@ -54,9 +57,14 @@ def predicted_modes(plan: Plan) -> list[Mode]:
     ground motion moves the mode's shape most: the residue over the distance from the unit
     circle; each eigenvalue is matched once. Overdamped modes, and those that the loop does not
     show, are left out. If the method adapts to the specimen, the loop is that with the restoring
-    force as measured.
+    force as measured. A computed model with masses of its own is a tangent in the loop, so that
+    the structure's modes stand alone, see `modes_with_model`.
     """
-    whole = WholeStructure.of_test(plan.rig.specimen, plan.section, plan.axes).structure
+    tested = WholeStructure.of_test(plan.rig.specimen, plan.section, plan.axes)
+    whole, model = tested.structure, tested.computed.model
+    if model is not None and not model.probed.is_static:
+        found = modes_with_model(tested, model.every * plan.dt)
+        return [Mode.of_poles(complex(pole)) for pole in found]
     n = len(plan.axes)
     _, shapes = eigh(whole.stiffness, whole.mass)
     poles = np.linalg.eigvals(whole.state_matrices()[0])

@@ -33,6 +33,7 @@ from seft_msgs_py.wire.topics import (
     NANOSECONDS_PER_SECOND,
     REHEARSE,
     START,
+    ZEROING,
     with_rigs,
 )
 
@@ -49,6 +50,7 @@ from seft_ros.test_run.peers import (
     missing,
     silence,
     silent,
+    with_zeros,
 )
 from seft_ros.test_run.state_machine import PACE_KEY, ServiceAnswer, StateMachine
 
@@ -167,7 +169,9 @@ class SupervisorNode(NodeBody):
     def _rehearsal(self) -> str:
         """Rehearse the loop, and say what a test still needs; empty if nothing."""
         nodes = {name: self._descriptions.get(name, {}) for name in self._peers}
-        self._rehearsed = found = judge_peers(self._section["rehearsal.duration"], nodes)
+        found = judge_peers(self._section["rehearsal.duration"], nodes)
+        rigs = [nodes[name] for name in self._rig_nodes if name in nodes]
+        self._rehearsed = found = with_zeros(found, rigs)
         if found.warning and found.warning != self._warned:
             self._warned = found.warning
             self._shell.log("warning", found.warning)
@@ -239,6 +243,7 @@ class SupervisorNode(NodeBody):
         values = {"detail": machine.detail}
         if self._rehearsed.asked and machine.state is State.IDLE:
             values[REHEARSE] = f"{self._rehearsed.asked:g}"
+            values[ZEROING] = f"{self._section['rehearsal.zeroing']:g}"
         if machine.step is not None:
             time_s = self._shell.experiment.timebase.stamp_ns(machine.step) / 1e9
             values |= {"step": str(machine.step), "time_s": f"{time_s:.9g}"}

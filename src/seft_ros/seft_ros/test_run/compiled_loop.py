@@ -11,6 +11,7 @@ import numpy as np
 from numba.extending import overload
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_plant_sim.compiled import OPTIONS, compiled, entry_point, kind_of
@@ -60,6 +61,7 @@ from seft_ros.protection.protection_step import (
     begin_step,
     protect,
 )
+from seft_ros.protection.zeros import judge_zeros
 from seft_ros.reference_force.force_command import FORCE_DRIVEN
 from seft_ros.reference_force.linear_filter import (
     LinearCompensator,
@@ -112,16 +114,21 @@ def build_blocks(experiment: Experiment, known: dict[str, Any] | None = None) ->
         return made[-1][1]
 
     motion, force = experiment["ground_motion"], experiment["reference_force"]
+    rigs = _rigs(experiment)  # first: a wrong mass of the specimen is named as that
+    made = shared("reference_force", ProtectedForce.from_parameters, force, axes, timebase)
     blocks = Blocks(
         shared("ground_motion", GroundMotion.from_parameters, motion, axes, timebase),
-        shared("reference_force", ProtectedForce.from_parameters, force, axes, timebase),
+        made,
         shared("force_controller", interlock_of, experiment),
-        _rigs(experiment),
+        rigs,
     )
     duration = (blocks.ground_motion.steps - 1) * timebase.dt
     check_times(experiment["rig"]["faults"], axes, duration)
     check_lead(experiment, blocks.ground_motion, blocks.reference_force)
     check_target(experiment, blocks)
+    zeros = judge_zeros(rigs.zeroed, group(experiment["rig"], "limits"))
+    if zeros.refusal:
+        raise InputError(f"rig: {zeros.refusal}")
     return blocks
 
 

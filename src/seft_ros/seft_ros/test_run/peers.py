@@ -1,23 +1,35 @@
 """Whether the nodes of a test have found each other, and keep its rate in a rehearsal."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from seft_msgs_py.config.parameter_table import parameter_rows
+from seft_msgs_py.config.parameter_table import group, parameter_rows
 from seft_msgs_py.wire.messages import Status
-from seft_msgs_py.wire.outcome import FINISHED, REHEARSED, REHEARSES, RIG, SENSOR_LAG, TRIPPED
+from seft_msgs_py.wire.outcome import (
+    FINISHED,
+    REHEARSED,
+    REHEARSES,
+    RIG,
+    SENSOR_LAG,
+    TRIPPED,
+    ZEROED,
+)
 from seft_msgs_py.wire.topics import RigAxes, bare, topics_of, with_rigs
+from seft_plant_sim.rig_parameters import LIMIT_NAMES
 
 REHEARSAL_PARAMETERS = parameter_rows(
     """
     rehearsal.duration | float | 2.0 | s | 0 .. 60 |
         duration of the rehearsal before a test in realtime, with the valve at its safe value and
         the ground at rest; 0: none. A loop that does not keep its rate is refused
+    rehearsal.zeroing  | float | 1.0 | s | 0 .. 60 |
+        time at its end in which a rig measures the zeros of its sensors that nobody has told; 0:
+        none. A zero of more than a tenth of the channel's limit is refused
     """
 )
-UNFIT = "a loop that keeps its rate: "
-"""Start of the text if the rehearsal failed."""
+UNFIT = "a rehearsal without fault: "
+"""Start of the text if the rehearsal, or what the rig measured at rest, prevents a test."""
 RUNS = "the rehearsal of the loop"
 """What is missing while the rehearsal runs."""
 
@@ -70,6 +82,22 @@ def judge_peers(duration: float, nodes: Mapping[str, Mapping[str, Any]]) -> Rehe
     fits = [f"{r:g} Hz does" for r in _RATES if slowest and r < rate and slowest <= ROOM / r]
     remedy = [*fits[:1], "seft run --composed, --priority or another host may (docs/realtime.md)"]
     return Rehearsed(f"{rate:g} Hz does not fit here: {trip}, {share}; {'; '.join(remedy)}")
+
+
+def with_zeros(found: Rehearsed, rigs: Iterable[Mapping[str, Any]]) -> Rehearsed:
+    """Add what the descriptions of rigs say of their zeros to the result of a rehearsal."""
+    from seft_ros.protection.zeros import judge_zeros  # numba, which the tables do not need
+
+    if found.asked:
+        return found
+    for described in rigs:
+        limits = group(described.get("parameters", {}), "limits")
+        if not set(LIMIT_NAMES) <= set(limits):
+            continue
+        zeros = judge_zeros(described.get(ZEROED), limits)
+        texts = [text for text in (found.warning, zeros.warning) if text]
+        found = Rehearsed(found.refusal or zeros.refusal, "; ".join(texts))
+    return found
 
 
 RAMPING_DOWN, AT_REST_KEY = "ramping_down", "at_rest"  # phases of the reference force

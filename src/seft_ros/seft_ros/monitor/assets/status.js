@@ -78,7 +78,8 @@ export function showNumbers(status, test, head, motion) {
   const margins = Object.entries(status.margins).sort((a, b) => a[1] - b[1]);
   const least = margins.length ? margins[0][1] : 1;
   mark("margin", least <= 0 ? "error" : least < NARROW ? "warning" : "");
-  set("margin", margins.length ? `${left(margins[0][1])}: ${margins[0][0]}` : "–");
+  set("margin-name", margins.length ? `margin, ${margins[0][0]}` : "smallest margin");
+  set("margin", margins.length ? left(margins[0][1]) : "–");
 }
 
 export function showMargins(margins) {

@@ -22,6 +22,7 @@ from seft_msgs_py.wire.outcome import (
     REHEARSES,
     SENSOR_LAG,
     TRIPPED,
+    ZEROED,
     Outcome,
     Trip,
     rig_status,
@@ -34,7 +35,7 @@ from seft_msgs_py.wire.topics import (
     until_start,
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
-from seft_plant_sim.calibration import calibrate, calibration_of, common_lag
+from seft_plant_sim.calibration import calibrate, calibration_of, common_lag, zeroed_at_rest
 from seft_plant_sim.command import Command
 from seft_plant_sim.limits import Limits
 from seft_plant_sim.rig_watch import CommandWatch, Rehearsal, Supervision
@@ -70,9 +71,8 @@ class DriverNode(NodeBody):
         self._section, self._timebase = experiment["rig"], experiment.timebase
         section, dt = self._section, self._timebase.dt
         self._calibration = Calibration(group(section, "calibration"), axes)
-        step = self._calibration.resolution
-        self._alignment = calibration_of(section, axes, range(len(axes)), dt, resolution=step)
-        self._read_so_far = 0
+        self._axes = axes
+        self._know(section)
         self._limits = Limits(group(section, "limits"), axes, dt)
         self._rest = Rest(section["safe.rest_velocity"], dt)
         at = per_axis(section["safe.valve_command"], axes, "rig: safe.valve_command")
@@ -158,6 +158,20 @@ class DriverNode(NodeBody):
         self._align(sample)
         return sample
 
+    def _know(self, section: dict[str, Any]) -> None:
+        """Begin to align and correct samples by what a section knows of the channels."""
+        axes, dt, step = self._axes, self._timebase.dt, self._calibration.resolution
+        self._alignment = calibration_of(section, axes, range(len(axes)), dt, resolution=step)
+        self._read_so_far = 0
+
+    def _zero(self, resting: list[Floats]) -> dict[str, Any] | None:
+        """Take zeros from samples at rest, if there are any; give what the description tells."""
+        section, told, places = self._section, None, range(len(self._axes))
+        if resting:
+            section, told = zeroed_at_rest(section, self._axes, places, np.array(resting))
+        self._know(section)
+        return told
+
     def _align(self, sample: Floats) -> None:
         known, state = self._alignment
         if len(known.zero):
@@ -166,9 +180,12 @@ class DriverNode(NodeBody):
 
     def _rehearse(self, rehearsal: Rehearsal, seconds: float) -> None:
         """Run the loop at its rate with the valve at its safe value, which obeys no command."""
+        resting: list[Floats] = []
 
         def sample(_: int) -> Floats:
-            found = self._read()
+            found = self._calibration.to_si(self._hardware.read_sample())
+            resting.append(found.copy())
+            self._align(found)
             self._stop.follow(found[0])
             return found
 
@@ -178,7 +195,9 @@ class DriverNode(NodeBody):
         found = rehearsal.run(seconds, sample, stopped)
         if self._supervision.rehearsal:  # it was not interrupted
             self._rehearsed = True
-            self._shell.add_facts({REHEARSED: found})
+            last = round(self._supervision.zeroing / self._timebase.dt)
+            zeroed = self._zero(resting[-last:] if last else [])
+            self._shell.add_facts({REHEARSED: found, ZEROED: zeroed})
 
     def _begin(self, sample: Floats) -> None:
         self._total = self._supervision.wanted.number("steps")

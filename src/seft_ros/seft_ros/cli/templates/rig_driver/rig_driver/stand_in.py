@@ -25,6 +25,7 @@ _RIG = {
     "sensors.velocity_noise": 1e-3,  # m/s
     "sensors.acceleration_noise": 0.05,  # m/s^2
     "sensors.force_noise": 3.0,  # N
+    "calibration.zeroing": 0.0,  # s: the driver zeroes, not the board
 }
 
 

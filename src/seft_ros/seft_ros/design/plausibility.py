@@ -1,0 +1,303 @@
+"""Whether a plan fits its limits and sensors: units that were mixed up, ranges that do not fit."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import Section, as_matrix, group, per_axis
+from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_UNITS
+from seft_plant_sim.sensors import CHANNELS
+from seft_plant_sim.specimen import Specimen
+from seft_plant_sim.whole_structure import reference_response, tested_specimen
+
+from seft_ros.ground_motion.ground_motion_block import GroundMotion
+
+FACTORS = {"displacement": 1.5, "velocity": 2.0, "acceleration": 2.0, "force": 1.5}
+"""Proposed limit over the expected peak: oil that rings moves the piston little, but fast. As much
+beyond its limit, a peak is none that an estimate of the specimen explains."""
+SMALLEST_SHARE, LARGEST_SHARE = 0.02, 0.9
+"""Of a sensor's range, for the expected peak. A sensor of accuracy class 0.1 is wrong by a
+thousandth of its range, 5 % of less than the first; beyond the second a peak that is a tenth larger
+than expected is cut off."""
+PER_PERIOD = 5.0
+"""Samples in a period of the specimen, below which its motion can't be seen."""
+CONTROLLED = 10.0
+"""Samples in a period with which it can be controlled."""
+SAME_MASS, ERRORS = 0.02, 3.0
+"""Of the identified mass, which costs 1 to 2 % of the displacement; and standard errors: what an
+assumed mass may differ by."""
+USUAL_DAMPING = 0.2
+"""Damping ratio that a structure has at most."""
+
+
+@dataclass(frozen=True)
+class _Units:
+    """Factors by which a specimen's values may have been given too small, and their units then."""
+
+    stiffness: float
+    damping: float
+    mass: float
+    stiffness_unit: str
+    mass_unit: str
+
+
+_MIXED_UP = (
+    _Units(1e3, 1.0, 1.0, "kN/m", ""),
+    _Units(1e3, 1e3, 1.0, "kN/m", ""),
+    _Units(1e3, 1.0, 1e3, "kN/m", "t"),
+    _Units(1e3, 1e3, 1e3, "kN/m", "t"),
+    _Units(1.0, 1.0, 1e3, "", "t"),
+    _Units(1e6, 1.0, 1.0, "kN/mm", ""),
+)
+"""In this order: who gives a mass in t gives a stiffness in kN/m, if the other fits, too."""
+
+
+def peaks_by_axis(experiment: Experiment, planned: GroundMotion | None) -> dict[str, Floats]:
+    """Largest value of each quantity on each axis in the reference response of a test.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The specimen is that of its rig, if it is simulated, else the model's.
+    planned : GroundMotion or None
+        Its motion.
+
+    Returns
+    -------
+    dict
+        Displacement (m), velocity (m/s), acceleration (m/s^2) and force (N), shape (n,). Empty if
+        the ground motion or another node runs elsewhere.
+
+    Raises
+    ------
+    InputError
+        If the structure makes no sense.
+    """
+    if planned is None or not {"reference_force", "supervisor"} <= set(experiment.sections):
+        return {}
+    exact = reference_response(experiment, planned.samples)
+    return {name: np.abs(getattr(exact, name)).max(axis=0) for name in LIMIT_NAMES}
+
+
+def range_refusal(experiment: Experiment, peaks: Mapping[str, Floats]) -> str:
+    """Say which sensors have a range that does not fit the expected peaks; empty if all do.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The ranges are those that its force controller knows; 0: not known.
+    peaks : mapping
+        Of `peaks_by_axis`. Of a range that is too large the axis that uses most of it counts: a
+        motion need not drive all axes.
+    """
+    section = experiment.sections.get("force_controller")
+    if section is None or not peaks:
+        return ""
+    found = []
+    for channel, name, unit in zip(CHANNELS, LIMIT_NAMES, LIMIT_UNITS, strict=False):
+        parameter = f"detectors.{channel}_range"
+        ranges = per_axis(section[parameter], experiment.axes, f"force_controller: {parameter}")
+        if not ranges.all():
+            continue
+        share = peaks[name] / ranges
+        axis = int(share.argmax())
+        if not SMALLEST_SHARE <= share[axis] <= LARGEST_SHARE:
+            found.append(
+                f"{name} {peaks[name][axis]:.3g} of {ranges[axis]:g} {unit} "
+                f"({100 * share[axis]:.3g} %)"
+            )
+    if not found:
+        return ""
+    return (
+        f"expected peaks use less than {100 * SMALLEST_SHARE:g} % or more than "
+        f"{100 * LARGEST_SHARE:g} % of a sensor's range: {', '.join(found)}; change ground_motion: "
+        "peak_force, or choose other sensors or ranges of their amplifiers (rig: sensors.*_range; "
+        "of an external rig force_controller: detectors.*_range)"
+    )
+
+
+def mass_refusal(experiment: Experiment) -> str:
+    """Say where the assumed mass differs from the one that a shake has found; empty if nowhere.
+
+    It may differ by `SAME_MASS`, or by `ERRORS` standard errors.
+    """
+    section = experiment.sections.get("reference_force", {})
+    if not np.any(section.get("identified.mass_error", 0.0)):
+        return ""
+    axes, where = experiment.axes, "reference_force: identified."
+    error = per_axis(section["identified.mass_error"], axes, f"{where}mass_error")
+    found = as_matrix(section["identified.mass"], axes, f"{where}mass").diagonal()
+    assumed = as_matrix(section["model.mass"], axes, "reference_force: model.mass").diagonal()
+    for axis, own, mass, sigma in zip(axes, assumed, found, error, strict=True):
+        if sigma > 0.0 and abs(own - mass) > max(ERRORS * sigma, SAME_MASS * mass):
+            return (
+                f"reference_force: model.mass is {own:.4g} kg on axis {axis}, but seft identify "
+                f"has found {mass:.4g} +- {sigma:.2g} kg; take that, or identify this specimen "
+                "(seft identify --specimen)"
+            )
+    return ""
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """How a specimen fits the test.
+
+    ``misfit`` says what does not, empty if nothing; ``too_light`` and ``too_soft`` whether a mass
+    or a stiffness that was given too small explains it.
+    """
+
+    hz: float
+    damping: float
+    misfit: str = ""
+    too_light: bool = False
+    too_soft: bool = False
+
+
+def unit_refusal(
+    experiment: Experiment, planned: GroundMotion | None, peaks: Mapping[str, Floats]
+) -> str:
+    """Say which unit of the specimen seems to be mixed up; empty if there is none.
+
+    A plan is refused where it can't be right and would be with stiffness in kN/m, or mass in t, in
+    place of the numbers as given: its specimen vibrates too fast for the rate, or has more than
+    critical damping, or expected peaks are far beyond the limits, or are next to nothing.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Of the rig, if it is simulated, and of the model.
+    planned : GroundMotion or None
+        Its motion.
+    peaks : mapping
+        Its `peaks_by_axis`.
+    """
+    if planned is None or not peaks:
+        return ""
+    for node, prefix, seen in _specimens(experiment):
+        of_seen = peaks if seen is experiment else peaks_by_axis(seen, planned)
+        if refusal := _mixed_up(seen, node, prefix, planned, of_seen):
+            return refusal
+    return ""
+
+
+def _specimens(experiment: Experiment) -> Iterator[tuple[str, str, Experiment]]:
+    """Give the node, the group of parameters, and the experiment in which that specimen counts."""
+    sections = experiment.sections
+    names = ("mass", "damping", "stiffness")
+    assumed = group(experiment["reference_force"], "model")
+    own = group(sections.get("rig", {}), "specimen")
+    if own:
+        yield "rig", "specimen", experiment
+    if not own:
+        yield "reference_force", "model", experiment
+    elif any(own[name] != assumed[name] for name in names):
+        others = {node: section for node, section in sections.items() if node != "rig"}
+        yield "reference_force", "model", Experiment(others)
+
+
+def _mixed_up(
+    experiment: Experiment,
+    node: str,
+    prefix: str,
+    planned: GroundMotion,
+    peaks: Mapping[str, Floats],
+) -> str:
+    now = _fit(experiment, planned, peaks)
+    if not now.misfit:
+        return ""
+    given = group(experiment[node], prefix)
+    rate, dt = experiment.timebase.rate, experiment.timebase.dt
+    slow, fast = 1.0 / (planned.steps * dt), rate / CONTROLLED
+    for units in _MIXED_UP:
+        if not (now.too_light if units.mass > 1.0 else now.too_soft):
+            continue
+        changed = _scaled(experiment, node, prefix, units)
+        hz, damping = _first_mode(tested_specimen(changed))
+        if not slow < hz < fast or damping > USUAL_DAMPING:
+            continue
+        section, axes, timebase = changed["ground_motion"], changed.axes, changed.timebase
+        motion = GroundMotion.from_parameters(section, axes, timebase)
+        if _fit(changed, motion, peaks_by_axis(changed, motion)).misfit:
+            continue
+        fitting = [
+            f"a {name} of {_largest(given[name]) * factor:.6g} {si} ({unit}?)"
+            for name, factor, si, unit in (
+                ("stiffness", units.stiffness, "N/m", units.stiffness_unit),
+                ("mass", units.mass, "kg", units.mass_unit),
+            )
+            if unit
+        ]
+        return (
+            f"{node}: {prefix}: stiffness {_largest(given['stiffness']):.6g} N/m and mass "
+            f"{_largest(given['mass']):.6g} kg give a natural frequency of {now.hz:.3g} Hz, "
+            f"{now.misfit}; {' and '.join(fitting)} would give {hz:.3g} Hz and fit"
+        )
+    return ""
+
+
+def _fit(experiment: Experiment, planned: GroundMotion, peaks: Mapping[str, Floats]) -> _Fit:
+    hz, damping = _first_mode(tested_specimen(experiment))
+    if not hz:  # nothing that a unit could change
+        return _Fit(hz, damping)
+    rate, limits = experiment.timebase.rate, group(experiment["supervisor"], "limits")
+    if hz * PER_PERIOD > rate:
+        fast = f"less than {PER_PERIOD:g} samples in a period at {rate:g} Hz"
+        return _Fit(hz, damping, fast, too_light=True)
+    ground = float(np.abs(planned.samples).max())
+    if ground > FACTORS["acceleration"] * limits["acceleration"]:
+        limit = f"(limit: {limits['acceleration']:g})"
+        strong = f"and a ground acceleration of {ground:.2g} m/s^2 {limit}"
+        return _Fit(hz, damping, strong, too_light=True)
+    highest = {name: float(peak.max()) for name, peak in peaks.items()}
+    farthest, limit = highest["displacement"], limits["displacement"]
+    text = f"and a peak displacement of {farthest:.2g} m (limit: {limit:g})"
+    if farthest > FACTORS["displacement"] * limit:
+        return _Fit(hz, damping, text, too_soft=True)
+    if all(highest[name] < SMALLEST_SHARE * limits[name] for name in highest if name != "force"):
+        return _Fit(hz, damping, text, too_light=True)
+    if damping > 1.0:
+        return _Fit(hz, damping, f"and {damping:.3g} times the critical damping", too_soft=True)
+    return _Fit(hz, damping)
+
+
+def _first_mode(specimen: Specimen) -> tuple[float, float]:
+    """Frequency in Hz and damping ratio of a specimen's slowest mode; 0 Hz if it has no stiffness.
+
+    Its matrices are symmetric, and the mass is positive.
+    """
+    root = np.linalg.inv(np.linalg.cholesky(specimen.mass))
+    squares, modes = np.linalg.eigh(root @ specimen.stiffness @ root.T)
+    if squares[0] <= 0.0:
+        return 0.0, 0.0
+    omega, mode = float(np.sqrt(squares[0])), modes[:, 0]
+    return omega / (2.0 * np.pi), float(mode @ (root @ specimen.damping @ root.T) @ mode) / (
+        2.0 * omega
+    )
+
+
+def _scaled(experiment: Experiment, node: str, prefix: str, units: _Units) -> Experiment:
+    """Give the experiment with the specimen in other units, and with what follows its mass."""
+
+    def times(value: Any, factor: float) -> Any:
+        return (np.asarray(value) * factor).tolist()
+
+    values = group(experiment[node], prefix)
+    factors = (
+        ("stiffness", units.stiffness),
+        ("damping", units.damping),
+        ("mass", units.mass),
+    )
+    changes: dict[str, Section] = {
+        node: {f"{prefix}.{name}": times(values[name], factor) for name, factor in factors}
+    }
+    for other, name in (("reference_force", "model.mass"), ("ground_motion", "mass")):
+        if experiment[other][name] == values["mass"]:
+            changes.setdefault(other, {})[name] = times(values["mass"], units.mass)
+    return experiment.changed(changes)
+
+
+def _largest(value: Any) -> float:
+    return float(np.abs(value).max())
