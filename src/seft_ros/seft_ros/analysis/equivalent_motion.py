@@ -193,7 +193,7 @@ def motion_difference(record: Record) -> MotionDifference | None:
     -------
     MotionDifference or None
         None if the record does not begin with step 0, lacks ground motion, holds what is not
-        finite, or does not describe the structure.
+        finite, or does not describe a structure with stiffness.
     """
     assumed = assumed_structure(record.experiment)
     states, motion = record.states, record.series[GROUND_MOTION.name]
@@ -204,6 +204,9 @@ def motion_difference(record: Record) -> MotionDifference | None:
         return None
     measured, asked = every_step(states, np.arange(count)), motion.values[:count, 0, :]
     structure, dt = whole_structure(assumed), record.experiment.timebase.dt
+    natural, damping = _modes(structure)
+    if not len(natural):
+        return None
     equivalent = EquivalentMotion(structure, dt)
     with np.errstate(over="ignore", invalid="ignore"):  # of a test that went unstable
         tested = equivalent.advance(measured)
@@ -213,7 +216,6 @@ def motion_difference(record: Record) -> MotionDifference | None:
         tried = [one for one in each if one]
         first, *errors = (_response_nrmse(one, asked, tested) for one in (assumed, *tried))
         modes = [natural_frequencies(one) for one in tried]
-        natural, damping = _modes(structure)
         band = (float(modes[0][0]), float(modes[-1][-1]))
         frequency = spectrum_frequencies(band, dt)
         spectra = [
