@@ -97,6 +97,11 @@ MODEL_BASED = (
     *("force_noise", "force_jump", "force_response"),
 )
 """Detectors that need actuators or specimen: they only warn while these are being identified."""
+BETWEEN_CHANNELS = (
+    *("displacement_velocity", "velocity_acceleration"),
+    *(f"{name}_wrong" for name in CHANNELS),
+)
+"""Detectors that compare channels: they only warn while scales and lags are being identified."""
 ALL = "all"
 
 

@@ -20,5 +20,4 @@ SAFETY = parameter_rows(
         longest silence of the supervisor before the rig trips
     """
 )
-LAGS = [row for row in KNOWN if row.name.endswith("_lag")]
-TABLE = Table("rig", [*CALIBRATION, *LAGS, *limit_rows(), *SAFETY, *host.REALTIME_PARAMETERS])
+TABLE = Table("rig", [*CALIBRATION, *KNOWN, *limit_rows(), *SAFETY, *host.REALTIME_PARAMETERS])
