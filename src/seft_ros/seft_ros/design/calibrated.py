@@ -217,7 +217,7 @@ def moved_by(record: Record, sines: Sequence[Sine]) -> Floats:
 
 
 def _samples(record: Record) -> Floats:
-    """Samples at every step as measured, shape (N, 4, n)."""
+    """Give the samples at every step as measured, shape (N, 4, n)."""
     states = as_measured(record).states
     return every_step(states, np.arange(states.steps[-1] + 1))
 
