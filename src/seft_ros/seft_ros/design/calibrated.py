@@ -18,7 +18,7 @@ from seft_ros.analysis.metrics import every_step
 from seft_ros.bags.record import Record
 from seft_ros.design.identified import Identified
 from seft_ros.design.shake import Shake, Sine, sound_relations
-from seft_ros.design.shake_estimates import SIGMAS, ShakeFit, fit_shake, harmonics
+from seft_ros.design.shake_estimates import SIGMAS, ShakeFit, fit_shake, harmonics, significant
 from seft_ros.drawing.table import TextTable
 
 FORCE = CHANNELS.index("force")
@@ -68,9 +68,9 @@ class Calibrated:
         """Combine a shake with the calibration of its own experiment."""
         known = known_of(experiment)
         derived = experiment.sections.get("rig", {}).get("sensors.velocity") == "derived"
-        lag = _significant(fit.lag, np.maximum(fit.lag_error, LEAST_LAG / SIGMAS))
-        scale = 1.0 + _significant(fit.scale - 1.0, fit.scale_error)
-        zero = _significant(fit.zero, fit.zero_error)
+        lag = significant(fit.lag, np.maximum(fit.lag_error, LEAST_LAG / SIGMAS))
+        scale = 1.0 + significant(fit.scale - 1.0, fit.scale_error)
+        zero = significant(fit.zero, fit.zero_error)
         if derived:
             of_velocity = CHANNELS.index("velocity")
             scale[of_velocity], lag[of_velocity], zero[of_velocity] = 1.0, lag[0], 0.0
@@ -121,10 +121,6 @@ def _parameters(known: Mapping[str, Floats], derived: bool) -> dict[str, Any]:
         for what in _UNKNOWN
         if not (derived and channel == "velocity")
     }
-
-
-def _significant(value: Floats, error: Floats) -> Floats:
-    return np.where(np.abs(value) > SIGMAS * error, value, 0.0)
 
 
 @dataclass(frozen=True)

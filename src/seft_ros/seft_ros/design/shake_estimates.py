@@ -30,6 +30,11 @@ SIGMAS = 4.0
 """Standard errors within which a deviation is none: curvature, tilt."""
 
 
+def significant(value: Floats, error: Floats) -> Floats:
+    """Give the values that are beyond `SIGMAS` standard errors, and 0 for the others."""
+    return np.where(np.abs(value) > SIGMAS * error, value, 0.0)
+
+
 @dataclass(frozen=True)
 class Harmonics:
     """Amplitudes of m sines on n axes.
@@ -112,7 +117,8 @@ class ShakeFit:
     Attributes
     ----------
     mass, mass_error : ndarray
-        M and its standard errors, shape (n, n), kg.
+        M and its standard errors, shape (n, n), kg: force over acceleration, whose scale is
+        corrected if that is significant.
     stiffness : ndarray
         K of Eq. (2), shape (n, n), N/m.
     scale, scale_error : ndarray
@@ -163,10 +169,11 @@ def fit_shake(of: Harmonics, sound: Complexes) -> ShakeFit:
             tilt[i], tilt_error[i] = own.value[:n] / own.value[i], own.error[:n] / own.value[i]
             acceleration[:, i] *= aligning
     tilt_error[np.diag_indices(n)] = 0.0
-    acceleration = np.linalg.solve(scale[2][:, np.newaxis] * tilt, acceleration.T).T
+    adopted = 1.0 + significant(scale - 1.0, scale_error)
+    acceleration = np.linalg.solve(adopted[2][:, np.newaxis] * tilt, acceleration.T).T
     mass, mass_error, stiffness = np.zeros((3, n, n))
     for i in range(n):
-        own, k = _inertia(of, acceleration, scale[2], i)
+        own, k = _inertia(of, acceleration, adopted[2], i)
         mass[i], mass_error[i], stiffness[i] = own.value[:n], own.error[:n], k
         lag[3, i], lag_error[3, i] = own.value[-1], own.error[-1]
     zero, zero_error = of.mean.mean(axis=0), of.mean.std(axis=0, ddof=1) / np.sqrt(m)
