@@ -186,12 +186,13 @@ class _Identification:
     def _shake(self, plan: "Shake") -> None:
         """Shake the specimen, if the actuators were found; a pilot finds the commands."""
         from seft_ros.design import shake
-        from seft_ros.design.calibrated import Shaken, as_measured, moved_by
+        from seft_ros.design.calibrated import Shaken, moved_by, rough_calibration
         from seft_ros.design.identified import identify_from_records
 
         tests, dt = self._tests, self._tests.experiment.timebase.dt
-        opened = as_measured(tests.records[OPEN_LOOP])
-        found = identify_from_records(opened, None, self._motions.band)
+        opened, band = tests.records[OPEN_LOOP], self._motions.band
+        known = rough_calibration(opened, band)
+        found = identify_from_records(known.corrected(opened), None, band)
         if not found.valves:
             return
         plan = shake.with_actuators(plan, found, tests.experiment)
@@ -203,9 +204,9 @@ class _Identification:
         if not self._run_shake(SHAKE, commands):
             return
         record = tests.records[SHAKE]
-        rough = Shaken.of_record(plan, record, sines, found)
-        found = identify_from_records(rough.calibrated.corrected(opened), None, self._motions.band)
-        self._shaken = Shaken.of_record(plan, record, sines, found)
+        known = Shaken.of_record(plan, record, sines, found, known).calibrated
+        found = identify_from_records(known.corrected(opened), None, band)
+        self._shaken = Shaken.of_record(plan, record, sines, found, known)
 
     def _run_shake(self, name: str, commands: np.ndarray) -> bool:
         from seft_ros.design import rig_tests

@@ -9,7 +9,7 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import Section, per_axis
-from seft_msgs_py.wire.topics import JUDGED, RIG_STATE
+from seft_msgs_py.wire.topics import JUDGED, RIG_STATE, VALVE_COMMAND
 from seft_plant_sim.calibration import calibrate_all, calibration_of
 from seft_plant_sim.rig_parameters import LIMIT_NAMES
 from seft_plant_sim.sensors import CHANNELS
@@ -17,11 +17,20 @@ from seft_plant_sim.sensors import CHANNELS
 from seft_ros.analysis.metrics import every_step
 from seft_ros.bags.record import Record
 from seft_ros.design.identified import Identified
-from seft_ros.design.shake import Shake, Sine, sound_relations
-from seft_ros.design.shake_estimates import SIGMAS, ShakeFit, fit_shake, harmonics, significant
+from seft_ros.design.rig_tests import frequency_response, motion_spectra
+from seft_ros.design.shake import OF_RATE, Shake, Sine, sound_relations
+from seft_ros.design.shake_estimates import (
+    SIGMAS,
+    Harmonics,
+    ShakeFit,
+    fit_shake,
+    harmonics,
+    significant,
+)
 from seft_ros.drawing.table import TextTable
 
 FORCE = CHANNELS.index("force")
+_FEWEST_PERIODS, _SEGMENT = 3.0, 4.0  # of a spectrum: of the lowest frequency, and s
 _UNKNOWN = {"scale": 1.0, "lag": 0.0, "zero": 0.0}
 LEAST_LAG = 2e-5
 """A lag below costs less than 0.4 % of the displacement, s (rig.md): channels that wait for it
@@ -147,13 +156,24 @@ class Shaken:
 
     @classmethod
     def of_record(
-        cls, shake: Shake, record: Record, sines: Sequence[Sine], found: Identified
+        cls,
+        shake: Shake,
+        record: Record,
+        sines: Sequence[Sine],
+        found: Identified,
+        known: Calibrated,
     ) -> "Shaken":
-        """Evaluate the record of a shake, on a rig that was found so far."""
+        """Evaluate the record of a shake.
+
+        ``found`` was identified from a record that ``known`` has corrected.
+        """
         samples = _samples(record)
         dt = record.experiment.timebase.dt
         of = harmonics(samples, sines, dt)
-        fit = fit_shake(of, sound_relations(found, sines, dt))
+        late = known.found["lag"] - known.found["lag"].min()
+        dead_time = np.mean([valve.actuator.dead_time for valve in found.valves]) - late.max()
+        sound = sound_relations(found, sines, dt, max(float(dead_time), 0.0), late)
+        fit = fit_shake(of, sound)
         largest = np.abs(samples).max(axis=(0, 2)).tolist()
         calibrated = Calibrated.of_shake(fit, record.experiment)
         return cls(shake, dict(zip(LIMIT_NAMES, largest, strict=True)), fit, calibrated)
@@ -204,6 +224,32 @@ class Shaken:
             "tilt_error": fit.tilt_error.squeeze().tolist(),
             "axes": by_axis,
         }
+
+
+def rough_calibration(record: Record, band: tuple[float, float]) -> Calibrated:
+    """Estimate the channels from a test by random commands, well enough for the actuators' fit.
+
+    The cross spectra with the commands take the place of a shake's sines, up to `OF_RATE` times the
+    rate and within the band of the excitation, Hz.
+    """
+    n, dt = len(record.experiment.axes), record.experiment.timebase.dt
+    samples, command = _samples(record), record.series[VALVE_COMMAND.name]
+    every = np.arange(len(samples))
+    driven = every_step(command, every)[:, 0]
+    signals = np.concatenate([driven, samples.reshape(len(samples), -1)], axis=1)
+    segment = max(_FEWEST_PERIODS / band[0], _SEGMENT)
+    spectra = motion_spectra(signals, 1.0 / dt, segment)
+    used = max(band[0], _FEWEST_PERIODS / segment), min(band[1], OF_RATE / dt)
+    response = frequency_response(spectra, slice(0, n), slice(n, 5 * n), used)
+    shape = (len(response.frequencies_hz), 4, n, n)
+    amplitude = np.moveaxis(response.response.reshape(shape), 3, 0).reshape(-1, 4, n)
+    noise = np.sqrt(np.maximum(response.variance(), 0.0) / 2.0).reshape(shape)
+    noise = np.moveaxis(noise, 3, 0).reshape(-1, 4, n)
+    w = np.tile(2 * np.pi * response.frequencies_hz, n)
+    of = Harmonics(w, amplitude, noise, np.zeros_like(noise))
+    fit = fit_shake(of, np.ones((len(w), 2), complex))
+    fit.lag[FORCE] = 0.0  # a random motion of a specimen with friction does not tell it
+    return Calibrated.of_shake(fit, record.experiment)
 
 
 def moved_by(record: Record, sines: Sequence[Sine]) -> Floats:

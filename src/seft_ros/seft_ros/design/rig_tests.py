@@ -13,6 +13,7 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, VALVE_COMMAND
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import LIMIT_NAMES
+from seft_plant_sim.sensors import CHANNELS
 
 from seft_ros.bags.record import Record, Series
 from seft_ros.design.force_tracking import BAND_HZ
@@ -23,7 +24,7 @@ from seft_ros.force_controller.force_controller_parameters import (
 from seft_ros.force_controller.methods import force_control
 from seft_ros.ground_motion.resampling import check_size
 from seft_ros.ground_motion.synthetic_motion import excitation, shortest_duration
-from seft_ros.protection.detectors import BETWEEN_CHANNELS, MODEL_BASED
+from seft_ros.protection.detectors import MODEL_BASED, NOISE_BASED
 from seft_ros.reference_force.force_command import FORCE_DRIVEN
 from seft_ros.reference_force.reference_force_block import ReferenceForce
 
@@ -314,15 +315,17 @@ def open_loop(
     """Test that drives the valves by a record of ground motion, without force feedback.
 
     The motion's reference force has an RMS of ``levels.force``, the commands get
-    ``levels.voltage``. Where channels are not known, as before a shake, detectors that compare
-    them only warn: no command depends on what is measured.
+    ``levels.voltage``. Where channels are not known, as before a shake, nothing compares them: to
+    judge and detectors they are as noisy as their limits are large. No command depends on what is
+    measured, and the limits hold.
     """
-    controller = one_controller([levels.voltage / levels.force], [1.0])
-    test = _with(experiment, record, controller | {"feedback": False})
-    if known_channels:
-        return test
-    warn_only = ",".join([*MODEL_BASED, *BETWEEN_CHANNELS])
-    return changed(test, {"force_controller": {"detectors.warn_only": warn_only}})
+    controller = one_controller([levels.voltage / levels.force], [1.0]) | {"feedback": False}
+    if not known_channels:
+        limits = group(experiment["supervisor"], "limits")
+        noise = zip(CHANNELS, (limits[name] for name in LIMIT_NAMES), strict=True)
+        controller |= {f"noise.{channel}": largest for channel, largest in noise}
+        controller["detectors.warn_only"] = ",".join([*MODEL_BASED, *NOISE_BASED])
+    return _with(experiment, record, controller)
 
 
 def shake_test(experiment: Experiment, record: Path) -> Experiment:

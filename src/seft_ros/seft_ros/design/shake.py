@@ -305,19 +305,34 @@ def gains_after(shake: Shake, moved: Floats) -> Floats:
     return factors
 
 
-def sound_relations(found: Identified, sines: Sequence[Sine], dt: float) -> Complexes:
+def sound_relations(
+    found: Identified, sines: Sequence[Sine], dt: float, dead_time: float, lag: Floats
+) -> Complexes:
     """Velocity and acceleration of a rig whose channels agree, over the derivatives of x.
 
     They differ from 1 because a command is held over a period: what that makes at higher
     frequencies folds down to that of the sine. In the acceleration it is 0.1 % at 500 Hz with a
-    valve of 70 Hz and an oil column of 90 Hz. It follows from the identified actuators; shape
-    (m, 2).
+    valve of 70 Hz and an oil column of 90 Hz. It follows from the identified actuators.
+
+    Parameters
+    ----------
+    found, sines, dt
+        The rig, the shake, and the sampling period, s.
+    dead_time : float
+        Of the valves alone, s.
+    lag : ndarray
+        Of each channel, shape (4, n), s; it turns what is folded down.
+
+    Returns
+    -------
+    ndarray
+        Shape (m, 2), without the lags themselves.
     """
-    late = float(np.mean([valve.actuator.dead_time for valve in found.valves]))
-    a, b, c = replace(_plant(found), delay=late).sampled(dt)
+    plant = replace(_plant(found), delay=dead_time, late=lag.ravel() if lag.any() else None)
+    a, b, c = plant.sampled(dt)
     s = np.array([2j * np.pi * sine.frequency for sine in sines])
     axes = [sine.axis for sine in sines]
     response = lti.state_space_response(a, b, c, np.zeros((len(c), b.shape[1])), np.exp(s * dt))
-    x, v, acceleration, _ = np.split(response, 4, axis=1)
-    at = np.arange(len(s)), axes, axes
-    return np.stack([v[at] / (s * x[at]), acceleration[at] / (s * s * x[at])], axis=1)
+    turned = response.reshape(len(s), 4, -1, b.shape[1])[np.arange(len(s)), :, axes, axes]
+    x, v, acceleration, _ = (turned * np.exp(s[:, np.newaxis] * lag.T[axes])).T
+    return np.stack([v / (s * x), acceleration / (s * s * x)], axis=1)
