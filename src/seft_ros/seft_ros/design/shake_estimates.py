@@ -28,6 +28,9 @@ _OVERTONES = 9  # of a sine, which friction makes, and which are no noise
 _ROUNDS = 4  # of linearisation in the lag; it converges quadratically
 SIGMAS = 4.0
 """Standard errors within which a deviation is none: curvature, tilt."""
+FOLDED = 0.5
+"""Part of what held commands fold down that is not known: filters and lags of a channel change it.
+It is part of the standard errors."""
 
 
 def significant(value: Floats, error: Floats) -> Floats:
@@ -161,9 +164,11 @@ def fit_shake(of: Harmonics, sound: Complexes) -> ShakeFit:
     scale_error, lag_error = np.zeros((4, n)), np.zeros((4, n))
     tilt, tilt_error = np.eye(n), np.zeros((n, n))
     acceleration = of.amplitude[:, 2].copy()
+    folded = FOLDED * np.abs(sound - 1.0).max(axis=0)
     for order, i in ((order, i) for order in (1, 2) for i in range(n)):
         own, aligning = _relation(of, order, i, sound[:, order - 1])
-        scale[order, i], scale_error[order, i] = own.value[i], own.error[i]
+        scale[order, i] = own.value[i]
+        scale_error[order, i] = np.hypot(own.error[i], folded[order - 1])
         lag[order, i], lag_error[order, i] = own.value[n], own.error[n]
         if order == 2:
             tilt[i], tilt_error[i] = own.value[:n] / own.value[i], own.error[:n] / own.value[i]
@@ -174,7 +179,8 @@ def fit_shake(of: Harmonics, sound: Complexes) -> ShakeFit:
     mass, mass_error, stiffness = np.zeros((3, n, n))
     for i in range(n):
         own, k = _inertia(of, acceleration, adopted[2], i)
-        mass[i], mass_error[i], stiffness[i] = own.value[:n], own.error[:n], k
+        mass[i], stiffness[i] = own.value[:n], k
+        mass_error[i] = np.hypot(own.error[:n], folded[1] * np.abs(own.value[:n]))
         lag[3, i], lag_error[3, i] = own.value[-1], own.error[-1]
     zero, zero_error = of.mean.mean(axis=0), of.mean.std(axis=0, ddof=1) / np.sqrt(m)
     return ShakeFit(
