@@ -79,7 +79,8 @@ def test_plant_loop_and_closed_loop_agree_with_the_analytic_model(linear):
         measures.closed_loop_flat_to_hz, rel=0.03
     )
     assert found["bandwidth_hz"] == pytest.approx(measures.bandwidth_hz, rel=0.02)
-    assert found["tripped"] == {"pilot": None, "open_loop": None, "closed_loop": None}
+    tests = ("pilot", "open_loop", "shake_pilot", "shake", "closed_loop")
+    assert found["tripped"] == dict.fromkeys(tests)
     assert found["fit_error"] < 0.06
 
 
@@ -278,9 +279,10 @@ def test_a_shake_beyond_the_limits_is_refused_before_anything_moves(identify, tm
 
 
 def test_a_trip_of_the_shake_ends_it_with_one_line(identify, tmp_path):
-    """A limit that the pilot keeps, with half of the displacement that the plan has."""
+    """One of the rig alone, which the plan does not know."""
     limit = "rig:limits.acceleration:=9.0"
-    status, found, line = identify(*BRIEF, "--specimen", "--out", "out", overrides=(limit,))
+    words = ("--duration", "15", "--amplitude", "0.1", "--specimen", "--out", "out")
+    status, found, line = identify(*words, overrides=(limit,))
     assert status == 1
     assert line.startswith("seft: shake pilot tripped at ")
     assert found["tripped"]["shake_pilot"].startswith("acceleration")
