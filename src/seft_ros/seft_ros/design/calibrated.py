@@ -246,7 +246,7 @@ def rough_calibration(record: Record, band: tuple[float, float]) -> Calibrated:
     deviation = np.sqrt(np.maximum(response.variance(), 0.0) / 2.0).reshape(shape)
     noise = np.moveaxis(deviation, 3, 0).reshape(-1, 4, n)
     w = np.tile(2 * np.pi * response.frequencies_hz, n)
-    of = Harmonics(w, amplitude, noise, np.zeros_like(noise))
+    of = Harmonics(w, amplitude[:, np.newaxis], noise, np.zeros_like(noise))
     fit = fit_shake(of, np.ones((len(w), 2), complex))
     fit.lag[FORCE] = 0.0  # a random motion of a specimen with friction does not tell it
     return Calibrated.of_shake(fit, record.experiment)

@@ -10,7 +10,8 @@ Off the diagonal s is the tilt of an accelerometer. With these known, the force 
 
     F_i exp(i w tau_i) = sum_j M_ij A_j + (K_ij + i H_ij + i w C_ij) X_j                   (2)
 
-K + iH is the stiffness at the shake's amplitude of a specimen that does not depend on rate. Load
+K + iH is the stiffness at the shake's amplitude of a specimen that does not depend on rate; where
+friction bends the motion it is made so (`seft_ros.design.shake_hysteresis`). Load
 cell and displacement sensor are the reference: of scales that all are wrong by the same factor, and
 of a lag that all have in common, a shake says nothing. Standard errors are those of the sensors'
 noise or of what the equations leave, if that is more.
@@ -23,6 +24,7 @@ import numpy as np
 from seft_msgs_py.arrays import Complexes, Floats
 
 from seft_ros.design.shake import Sine
+from seft_ros.design.shake_hysteresis import uneven_force
 
 _OVERTONES = 9  # of a sine, which friction makes, and which are no noise
 _ROUNDS = 4  # of linearisation in the lag; it converges quadratically
@@ -46,23 +48,29 @@ class Harmonics:
     ----------
     w : ndarray
         Shape (m,), rad/s.
-    amplitude : ndarray
-        Of displacement, velocity, acceleration and force, complex, shape (m, 4, n).
+    overtones : ndarray
+        Amplitudes of displacement, velocity, acceleration and force, complex, shape (m, H, 4, n):
+        of the sine and of its overtones; 0: not evaluated.
     noise : ndarray
-        Standard error of its real and of its imaginary part, shape (m, 4, n).
+        Standard error of the real and of the imaginary part of a sine, shape (m, 4, n).
     mean : ndarray
         Mean over whole cycles, shape (m, 4, n).
     """
 
     w: Floats
-    amplitude: Complexes
+    overtones: Complexes
     noise: Floats
     mean: Floats
+
+    @property
+    def amplitude(self) -> Complexes:
+        """Amplitudes of the sines, shape (m, 4, n)."""
+        return self.overtones[:, 0]
 
 
 def harmonics(samples: Floats, sines: Sequence[Sine], dt: float) -> Harmonics:
     """Evaluate a shake; ``samples`` are as measured, shape (N, 4, n)."""
-    amplitude, noise, mean = [], [], []
+    overtones, noise, mean = [], [], []
     for sine in sines:
         part = samples[sine.first : sine.end]
         flat = part.reshape(len(part), -1)
@@ -76,13 +84,16 @@ def harmonics(samples: Floats, sines: Sequence[Sine], dt: float) -> Harmonics:
         found, *_ = np.linalg.lstsq(columns, flat, rcond=None)
         left = flat - columns @ found
         variance = (left**2).sum(axis=0) / (len(t) - columns.shape[1])
-        amplitude.append(found[0] - 1j * found[len(orders)])
+        count = len(orders)
+        waves = np.zeros((_OVERTONES, flat.shape[1]), dtype=np.complex128)
+        waves[:count] = found[:count] - 1j * found[count : 2 * count]
+        overtones.append(waves)
         noise.append(np.sqrt(2.0 * variance / len(t)))
         mean.append(found[-2])
     shape = (len(sines), *samples.shape[1:])
     return Harmonics(
         2 * np.pi * np.array([sine.frequency for sine in sines]),
-        np.reshape(amplitude, shape),
+        np.reshape(overtones, (len(sines), _OVERTONES, *samples.shape[1:])),
         np.reshape(noise, shape),
         np.reshape(mean, shape),
     )
@@ -178,7 +189,10 @@ def fit_shake(of: Harmonics, sound: Complexes) -> ShakeFit:
     acceleration = np.linalg.solve(adopted[2][:, np.newaxis] * tilt, acceleration.T).T
     mass, mass_error, stiffness = np.zeros((3, n, n))
     for i in range(n):
-        own, k = _inertia(of, acceleration, adopted[2], i)
+        force = of.amplitude[:, 3, i]
+        own, k = _inertia(of, force, acceleration, adopted[2], i)
+        even = force - _uneven(of, i, lag[2, i], own.value[-1])
+        own, k = _inertia(of, even, acceleration, adopted[2], i)
         mass[i], stiffness[i] = own.value[:n], k
         mass_error[i] = np.hypot(own.error[:n], folded[1] * np.abs(own.value[:n]))
         lag[3, i], lag_error[3, i] = own.value[-1], own.error[-1]
@@ -238,14 +252,30 @@ def _shaped(y: Complexes, columns: Complexes, noise: Floats, w: Floats) -> tuple
     return Fit(value, error), np.exp(-powers[:, :count] @ found)
 
 
-def _inertia(of: Harmonics, acceleration: Complexes, scale: Floats, i: int) -> tuple[Fit, Floats]:
+def _uneven(of: Harmonics, i: int, late_acceleration: float, late_force: float) -> Complexes:
+    """Force of friction on axis i that differs from sine to sine, as measured, shape (m,)."""
+    uneven = np.zeros(len(of.w), dtype=np.complex128)
+    if of.overtones.shape[1] == 1:  # of a spectrum
+        return uneven
+    own = np.abs(of.amplitude[:, 0]).argmax(axis=1) == i  # the sines of this axis
+    orders = np.arange(1, of.overtones.shape[1] + 1)
+    s = 1j * of.w[own, np.newaxis] * orders
+    x, _, a, f = np.moveaxis(of.overtones[own, :, :, i], 2, 0)
+    a, f = a * np.exp(s * late_acceleration), f * np.exp(s * late_force)
+    uneven[own] = uneven_force(of.w[own], x, a, f) * np.exp(-s[:, 0] * late_force)
+    return uneven
+
+
+def _inertia(
+    of: Harmonics, force: Complexes, acceleration: Complexes, scale: Floats, i: int
+) -> tuple[Fit, Floats]:
     """Fit Eq. (2) for axis i: masses and the lag of the force; and give the stiffness."""
     n, w = acceleration.shape[1], of.w[:, np.newaxis]
     x = of.amplitude[:, 0]
     columns = np.concatenate([acceleration, x, 1j * x, 1j * w * x], axis=1)
     noise = of.noise[:, 3, i]
     for _ in range(2):
-        fit, _ = _shaped(of.amplitude[:, 3, i], columns, noise, of.w)
+        fit, _ = _shaped(force, columns, noise, of.w)
         m, k, h, c = fit.value[:-1].reshape(4, n)
         motion = (of.noise[:, 0] * np.abs(k + 1j * (h + w * c))) ** 2
         motion += (of.noise[:, 2] / scale * m) ** 2
