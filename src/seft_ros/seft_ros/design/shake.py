@@ -32,8 +32,8 @@ PILOT_SECONDS = 4.0
 FEWEST_CYCLES = 8
 """Of each sine, where that takes longer."""
 ACCURACY = 4e-4
-"""Standard error of a scale, which determines the displacement by the noise: a tenth of what is
-worth a correction (hardware.md)."""
+"""Standard error of a scale, which determines the displacement by the noise. A scale that is wrong
+by 1 % costs up to 3.3 % of the displacement (docs/rig.md), so this costs 0.1 %."""
 LARGEST_SHARE = 0.5
 """Of a limit or a sensor's range that a peak may reach."""
 OF_RATE = 0.1
