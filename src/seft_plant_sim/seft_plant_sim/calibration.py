@@ -114,6 +114,13 @@ def calibrate(
             sample[row, i] = value if is_known else shown
 
 
+@compiled
+def calibrate_all(calibration: Calibration, state: CalibrationState, samples: Floats) -> None:
+    """Correct and align all samples of a test in place, shape (N, 4, n), from its step 0 on."""
+    for step in range(len(samples)):
+        calibrate(calibration, state, step, samples[step], samples[step])
+
+
 def calibration_of(
     section: Mapping[str, Any],
     axes: Sequence[str],

@@ -10,8 +10,9 @@ from experiments_at_hand import load, simulated
 from records_at_hand import as_measured, shown, without
 from seft_msgs_py.config.experiment import Experiment
 from seft_ros.analysis import calibration_check as checks
-from seft_ros.analysis.calibration_check import IdentifiedMass, calibration_check
+from seft_ros.analysis.calibration_check import calibration_check
 from seft_ros.analysis.calibration_effect import led
+from seft_ros.analysis.channel_estimates import LEAST_ERROR
 from seft_ros.analysis.judgement import calibration_findings
 from seft_ros.analysis.report_numbers import report_numbers
 from seft_ros.analysis.result_text import OF_THE_MODEL, summary_texts
@@ -95,13 +96,19 @@ def test_a_reference_of_the_simulated_specimen_is_not_called_the_models():
 def test_what_a_separate_test_found_is_combined_by_the_errors():
     record = record_of(*FRICTION)
     own = calibration_check(record).mass
-    known = IdentifiedMass(*(np.array([one]) for one in (1.04, 1e-4, 0.0, 1e-6)))
-    both = calibration_check(record, known).mass
+    told = {"mass": 1.04 * 52.7, "mass_error": 0.1, "force_lag_error": 1e-6}
+    words = [f"reference_force:identified.{name}:={value}" for name, value in told.items()]
+    both = calibration_check(record_of(*FRICTION, *words)).mass
     assert both.estimate == pytest.approx(1.04 * 52.7, rel=1e-3)
     assert both.error < 0.1 * own.error
-    short = replace(record, series={name: s.until(60) for name, s in record.series.items()})
-    assert calibration_check(short).mass is None
-    assert calibration_check(short, known).mass.estimate == pytest.approx(1.04 * 52.7)
+
+    def short(of):
+        return replace(of, series={name: s.until(60) for name, s in of.series.items()})
+
+    assert calibration_check(short(record)).mass is None
+    alone = calibration_check(short(record_of(*FRICTION, *words))).mass
+    assert alone.estimate == pytest.approx(1.04 * 52.7)
+    assert alone.error == pytest.approx(LEAST_ERROR * 52.7)  # no mass is known better
 
 
 def test_three_axes_find_a_wrong_floor():

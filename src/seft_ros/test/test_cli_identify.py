@@ -79,14 +79,16 @@ def test_plant_loop_and_closed_loop_agree_with_the_analytic_model(linear):
         measures.closed_loop_flat_to_hz, rel=0.03
     )
     assert found["bandwidth_hz"] == pytest.approx(measures.bandwidth_hz, rel=0.02)
-    assert found["tripped"] == {"pilot": None, "open_loop": None, "closed_loop": None}
+    tests = ("pilot", "open_loop", "shake_pilot", "shake", "closed_loop")
+    assert found["tripped"] == dict.fromkeys(tests)
     assert found["fit_error"] < 0.06
 
 
 def test_the_folder_holds_what_repeats_and_uses_it(linear, seft):
     out, found = linear
-    names = {"excitation.csv", "pilot.csv", "pilot", "open_loop", "closed_loop"}
-    assert {path.name for path in out.iterdir()} == names | {"model.yaml", "figure.png"}
+    tests = {"pilot", "open_loop", "shake_pilot", "shake", "closed_loop"}
+    names = {f"{name}.csv" for name in ("excitation", "pilot", "shake_pilot", "shake")}
+    assert {path.name for path in out.iterdir()} == names | tests | {"model.yaml", "figure.png"}
     record = read_bag(out / "open_loop")
     assert record.experiment["force_controller"]["feedback"] is False
     voltage = record.series["valve_command"].values.std()
@@ -95,8 +97,13 @@ def test_the_folder_holds_what_repeats_and_uses_it(linear, seft):
     assert forces.std() == pytest.approx(found["excitation_rms"]["force"], rel=1e-6)
 
     model = read_parameter_file(out / "model.yaml")
-    assert set(model) == {"reference_force", "force_controller"}
-    assert model["reference_force"]["model.mass"] == [pytest.approx(52.7, rel=0.005)]
+    assert set(model) == {"reference_force", "force_controller", "rig"}
+    shake, section = found["shake"], model["reference_force"]
+    assert section["model.mass"] == section["identified.mass"] == [shake["mass"]]
+    assert shake["mass"] == pytest.approx(52.7, abs=4 * shake["mass_error"])
+    assert section["identified.mass_error"] == [pytest.approx(0.04, abs=0.03)]
+    assert section["identified.force_lag_error"] == [shake["axes"][0]["force"]["lag"]["error"]]
+    assert shake["largest"]["displacement"] < 1.2 * shake["travel"]
     assert model["reference_force"]["model.stiffness"] == [pytest.approx(2.11e5, rel=0.005)]
     assert model["reference_force"]["compensation.delay"] == found["delay_s"]
     assert len(model["force_controller"]["actuator.flow_gain"]) == 1
@@ -107,6 +114,39 @@ def test_the_folder_holds_what_repeats_and_uses_it(linear, seft):
     with_model = ("--params-file", out / "model.yaml", "--json")
     status, text, _ = seft("simulate", JHU, *with_model, "-p", "ground_motion:tail:=0.5")
     assert (status, json.loads(text)["stable"]) == (0, True)
+
+
+SENSORS = (
+    *("rig:sensors.acceleration_lag:=0.002", "rig:sensors.velocity_scale:=1.03"),
+    *("rig:sensors.force_bias:=5.0", "rig:sensors.acceleration_bias:=0.1"),
+)
+PLAN = {
+    "reference_force:compensation.method": "target_motion",
+    "force_controller:method": "velocity_feedforward",
+    "reference_force:mass_ratio": "1.0",
+    "ground_motion:peak_force": "400.0",
+    "ground_motion:synthetic.duration": "12.0",
+}
+
+
+def test_a_rig_whose_channels_disagree_is_corrected_by_the_file(identify, seft):
+    words = ("--duration", "20", "--specimen", "--out", "out")
+    status, found, _ = identify(*words, overrides=SENSORS)
+    assert status == 0
+    assert found["actuator"]["flow_gain_m_per_s_per_v"] == pytest.approx(0.0403, rel=0.01)
+    lag = found["shake"]["axes"][0]["acceleration"]["lag"]
+    assert lag["value"] == pytest.approx(0.002, abs=4 * lag["error"])
+    written = read_parameter_file("out/model.yaml")
+    assert written["force_controller"]["actuator.dead_time"] == [pytest.approx(0.001, abs=1e-4)]
+    overrides = [f"{name}:={value}" for name, value in PLAN.items()] + list(SENSORS)
+    words = [word for text in overrides for word in ("-p", text)]
+    assert seft("simulate", JHU, *words, "--json")[0] == 1  # it trips
+    status, text, _ = seft("simulate", JHU, "--params-file", "out/model.yaml", *words, "--json")
+    summary = json.loads(text)
+    assert (status, summary["stable"]) == (0, True)
+    assert summary["displacement"]["nrmse_aligned"] < 0.01
+    mass = summary["calibration"]["axes"]["x"]["force"]["mass"]
+    assert mass["error"] < 0.2  # with that of the shake
 
 
 def test_a_specimen_that_the_model_was_not_identified_with_needs_no_other(identify, seft):
@@ -226,6 +266,29 @@ def test_of_a_loop_that_is_unstable_the_plant_is_identified_all_the_same(identif
     assert "closed loop" in line
     assert found["plant_zero_hz"] == pytest.approx(10.07, rel=0.01)
     assert found["delay_s"] is None
+
+
+def test_a_shake_beyond_the_limits_is_refused_before_anything_moves(identify, tmp_path):
+    words = ("--specimen", "--travel", "0.05", "--out", "out")
+    status, found, line = identify(*words)
+    assert (status, found) == (2, None)
+    assert "limits.displacement" in line
+    assert not (tmp_path / "out").exists()
+    status, _, line = identify("--travel", "1e-4", "--out", "out")
+    assert (status, line) == (2, "seft: --travel is that of the shake: give --specimen, too")
+
+
+def test_a_trip_of_the_shake_ends_it_with_one_line(identify, tmp_path):
+    """One of the rig alone, which the plan does not know."""
+    limit = "rig:limits.acceleration:=9.0"
+    words = ("--duration", "15", "--amplitude", "0.1", "--specimen", "--out", "out")
+    status, found, line = identify(*words, overrides=(limit,))
+    assert status == 1
+    assert line.startswith("seft: shake pilot tripped at ")
+    assert found["tripped"]["shake_pilot"].startswith("acceleration")
+    assert found["tripped"]["closed_loop"] is None
+    assert not (tmp_path / "out" / "closed_loop").exists()
+    assert "flow_gain" in (tmp_path / "out" / "model.yaml").read_text()
 
 
 def test_too_little_amplitude_is_told_with_band_and_remedy(identify, tmp_path):

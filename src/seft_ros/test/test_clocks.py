@@ -26,7 +26,7 @@ ALLOWED = {
     "seft_ros/test_run/stall_watch.py": "when the host stood still, for the bag",
     "seft_ros/bags/record.py": "when the test was",
     "seft_ros/bags/record_bag.py": "times in the bag",
-    "seft_ros/cli/design_commands.py": "the folder's name",
+    "seft_ros/cli/identify_command.py": "the folder's name",
 }
 
 

@@ -1,5 +1,6 @@
 """The seven numbers of an actuator from a test of it, whatever specimen it pushes."""
 
+import math
 import re
 from functools import cache
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 from experiments_at_hand import load
 from seft_plant_sim.rig import Rig
+from seft_plant_sim.sensors import CHANNELS
 from seft_ros.design.actuator_fit import fit_actuator
 from seft_ros.ground_motion.synthetic_motion import excitation
 
@@ -93,6 +95,18 @@ def test_of_several_axes_each_has_its_own():
         axis=axis,
     )
     assert_found(fit, flow_gain=0.05, oil_stiffness=1.685e7, valve_frequency=90.0)
+
+
+@pytest.mark.parametrize("cutoff", [40.0, 60.0, 120.0])
+def test_a_filter_of_all_sensors_is_dead_time_and_no_lack_of_pressure(cutoff):
+    fit = fitted(*(f"rig:sensors.{channel}_filter:={cutoff}" for channel in CHANNELS))
+    late = math.sqrt(2.0) / (2 * math.pi * cutoff)
+    assert fit.force_capacity == 0.0
+    assert fit.flow_gain == pytest.approx(KNOWN["flow_gain"], rel=0.01)
+    assert fit.oil_stiffness == pytest.approx(KNOWN["oil_stiffness"], rel=0.1)
+    valve = fit.valve_damping / (math.pi * fit.valve_frequency)
+    own = KNOWN["valve_damping"] / (math.pi * KNOWN["valve_frequency"])
+    assert fit.dead_time + valve == pytest.approx(1e-3 + late + own, abs=2e-4)
 
 
 def test_a_force_capacity_is_told_where_the_load_shows_it():

@@ -11,12 +11,14 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import as_matrix, per_axis
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.specimen import deformations
 from seft_plant_sim.whole_structure import WholeStructure
 
 from seft_ros.analysis.calibration_effect import CalibrationEffect, calibration_structure
 from seft_ros.analysis.channel_estimates import (
+    LEAST_ERROR,
     SIGMAS,
     Inertia,
     Relation,
@@ -52,6 +54,23 @@ class IdentifiedMass:
     factor_error: Floats
     lag: Floats
     lag_error: Floats
+
+    @classmethod
+    def told(cls, experiment: Experiment, mass: Floats) -> "IdentifiedMass | None":
+        """Read what the test was told of a shake (``identified.*``); None: nothing.
+
+        ``mass`` is the mass matrix that the test used, (n, n), kg.
+        """
+        section, axes = experiment["reference_force"], experiment.axes
+        if not np.any(section.get("identified.mass_error", 0.0)):  # older bags have none
+            return None
+        where = "reference_force: identified."
+        found = np.diag(as_matrix(section["identified.mass"], axes, f"{where}mass"))
+        names = ("mass_error", "force_lag_error")
+        error, late = (per_axis(section[f"identified.{n}"], axes, f"{where}{n}") for n in names)
+        own = np.diag(mass)
+        error = np.maximum(np.where(error > 0, error / own, np.inf), LEAST_ERROR)
+        return cls(found / own, error, np.zeros(len(axes)), np.where(late > 0, late, np.inf))
 
 
 @dataclass(frozen=True)
@@ -113,17 +132,14 @@ class CalibrationCheck:
         return asdict(self)
 
 
-def calibration_check(
-    record: Record, identified: IdentifiedMass | None = None
-) -> CalibrationCheck | None:
+def calibration_check(record: Record) -> CalibrationCheck | None:
     """Estimate mass, scales and lags of a test, and what they mean for it.
 
     Parameters
     ----------
     record : Record
-        Of the test, without its ramp-down.
-    identified : IdentifiedMass, optional
-        Combined with the test's own estimate, by their standard errors.
+        Of the test, without its ramp-down. A mass that was identified before the test
+        (`IdentifiedMass.told`) is combined with the test's own estimate, by their standard errors.
 
     Returns
     -------
@@ -147,7 +163,7 @@ def calibration_check(
         effect = CalibrationEffect(experiment, structure, samples)
         springs = _springs(structure, effect.whole)
         own = inertia(samples, effect.mass, springs, dt, frequency)
-        own = _combined(own, identified)
+        own = _combined(own, IdentifiedMass.told(experiment, effect.mass))
         if own is not None:
             unsure = effect.of_mass(1.0 + SIGMAS * own.factor_error)
             found += _masses(effect, own, experiment.axes)

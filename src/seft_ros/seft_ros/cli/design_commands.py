@@ -1,22 +1,14 @@
-"""``seft preflight``: stability and delay margins before anything moves.
+"""``seft preflight``: stability and delay margins before anything moves; ``seft study``."""
 
-``seft identify``: the rig.
-"""
-
-import math
 import os
-from dataclasses import asdict, replace
-from datetime import datetime
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Optional
+from typing import Optional
 
-from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 
-from seft_ros.bags.record import Record
 from seft_ros.cli import shared
 from seft_ros.cli.shared import option
-from seft_ros.drawing.table import Texts
 
 
 def preflight(
@@ -123,143 +115,6 @@ def preflight(
     for reason in unfit:
         shared.complain(reason)
     return 1 if found.verdict == "unstable" or unfit else 0
-
-
-PILOT, OPEN_LOOP, CLOSED_LOOP = "pilot", "open_loop", "closed_loop"
-_BY_RATE = (math.nan, math.nan)
-
-
-def identify(
-    config: shared.Config,
-    param: shared.Params = None,
-    params_file: shared.Files = None,
-    over_dds: bool = option(False, "Run nodes over DDS, or one process.", "--over-dds/--offline"),
-    external: shared.External = None,
-    seed: int = option(1, "Seed of the excitation, Gaussian noise.", min=0),
-    band: tuple[float, float] = option(
-        _BY_RATE, "Band of the excitation in Hz; default by the rate.", "LO HI", show_default=False
-    ),
-    duration: float = option(120.0, "Duration of each test in s.", "S"),
-    amplitude: Optional[float] = option(None, "RMS of the valve drive, open loop.", "V"),
-    force: Optional[float] = option(None, "RMS of the reference force, closed loop.", "N"),
-    out: Optional[Path] = option(None, "New folder of the results; default by the time.", "DIR"),
-    specimen: bool = option(False, "Write the specimen to model.yaml, too.", "--specimen"),
-    json: shared.Json = False,
-) -> int:
-    """Identify a rig: its actuators, and its force loop with this specimen.
-
-    Runs ordinary tests, with all limits, and records each. The band of the excitation is 0.3 Hz to
-    0.45 times the rate, 200 Hz at most, unless --band names another.
-
-    Open loop: the excitation drives the valves, and force_controller's feedback is off. A short
-    pilot test at a low level finds the amplitude, so that the rig uses up to a fifth of its
-    limits; --amplitude gives it instead. The result describes the actuators, which
-    velocity_feedforward needs. It holds for any specimen.
-
-    Closed loop: the excitation is the reference force, where the force controller follows one. Its
-    RMS is 5 m/s^2 times the mass, a 20th of the force limit at most, unless --force gives
-    another. The result describes the force loop with this specimen, which the other
-    methods need. Rigs without a valve (actuator.kind ideal or delay) have this test only.
-
-    The folder then holds the excitation, the bags, a figure, and model.yaml: parameters of
-    reference_force and force_controller for --params-file. With --specimen they include mass,
-    damping and stiffness of the specimen, as reference_force's model.*.
-
-    Examples:
-
-        seft identify config/jhu.yaml --out identified
-
-        seft simulate config/jhu.yaml --params-file identified/model.yaml
-
-        seft identify config/jhu.yaml --over-dds -p rig:pace:=lockstep --json
-
-        seft identify config/lab.yaml --external rig --duration 300
-    """
-    from seft_ros.design import identified, rig_tests
-    from seft_ros.design.identified_figure import identified_figure
-    from seft_ros.drawing.style import save_figure
-    from seft_ros.reference_force.force_command import FORCE_DRIVEN
-
-    if set(external or ()) - {"rig"}:
-        raise InputError(
-            "--external: only the rig may be external; the other nodes are set up here"
-        )
-    experiment = shared.load_experiment(config, param, params_file, external)
-    levels = rig_tests.Levels(
-        rig_tests.pilot_voltage(experiment) if amplitude is None else amplitude,
-        rig_tests.default_force(experiment) if force is None else force,
-    )
-    rig_tests.check_levels(experiment, levels)
-    if all(map(math.isnan, band)):
-        band = (0.3, min(0.45 * experiment.timebase.rate, 200.0))
-    folder = out or Path(datetime.now().strftime("identify_%Y-%m-%d_%H-%M-%S"))
-    motions = rig_tests.Motions(experiment, levels.force, band, seed)
-    motions.check(duration)
-    shared.check_out(folder)
-    record = motions.write(folder / "excitation.csv", duration)
-    shared.stands(f"{folder} has the excitation")
-
-    tests: dict[str, Record] = {}
-
-    def done(name: str, test: Experiment, seconds: float) -> bool:
-        """Run a test; say whether it drove a valve, to its end."""
-        bag, label = folder / name, f"{name}: "
-        if over_dds or external:
-            steps = motions.steps(seconds)
-            tests[name] = shared.dds_test(test, bag, steps, external or (), label=label)[0]
-        else:
-            tests[name] = shared.offline_test(test, bag, label)
-        return tests[name].trip is None and rig_tests.has_valve(tests[name].experiment)
-
-    valve = rig_tests.has_valve(experiment)
-    if valve and amplitude is None:
-        seconds = min(duration, max(rig_tests.PILOT_DURATION, motions.shortest))
-        short = motions.write(folder / f"{PILOT}.csv", seconds)
-        valve = done(PILOT, rig_tests.open_loop(experiment, short, levels), seconds)
-        if valve:
-            voltage = rig_tests.voltage_after(tests[PILOT], levels.voltage)
-            levels = replace(levels, voltage=voltage)
-    if valve:
-        valve = done(OPEN_LOOP, rig_tests.open_loop(experiment, record, levels), duration)
-    followed = rig_tests.has_force_loop(experiment) or not valve
-    if followed and not any(test.trip for test in tests.values()):
-        done(CLOSED_LOOP, rig_tests.closed_loop_test(experiment, record), duration)
-
-    whole = {name: test for name, test in tests.items() if test.trip is None and name != PILOT}
-    if not valve:
-        whole.pop(OPEN_LOOP, None)  # only now an external rig has reported that it has none
-    files = {"folder": folder, "excitation": record, **{name: folder / name for name in tests}}
-    trips = {name: test.trip.reason if test.trip else None for name, test in tests.items()}
-    summary: dict[str, Any] = {
-        "tripped": {OPEN_LOOP: None, CLOSED_LOOP: None, **trips},
-        "excitation_rms": asdict(levels),
-    }
-    texts: Texts = []
-    unusable: list[str] = []
-    if whole:
-        found = identified.identify_from_records(whole.get(OPEN_LOOP), whole.get(CLOSED_LOOP), band)
-        unusable = found.unusable
-        summary |= identified.summarise_identified(found)
-        table = identified.identified_table(summary)
-        texts = [f"{config} as identified", table, *summary["notes"]]
-        files |= {"model": folder / "model.yaml", "figure": folder / shared.FIGURE}
-        loop = experiment["reference_force"]
-        lags = loop["compensation.sensor_lag"], loop["compensation.actuator_kind"] in FORCE_DRIVEN
-        identified.write_model(found, files["model"], str(config), specimen, *lags)
-        save_figure(identified_figure(found, f"seft identify {config}"), files["figure"])
-    summary["files"] = {what: str(path) for what, path in files.items()}
-    shared.show(
-        summary, json, [*texts, *(f"{what + ':':13}{path}" for what, path in files.items())]
-    )
-    for name, test in tests.items():
-        if test.trip is not None:
-            at = f"{name.replace('_', ' ')} tripped at {test.trip.time_s:.3f} s"
-            shared.complain(f"{at}: {test.trip.reason}; its bag is in {folder / name}")
-            return 1
-    if unusable:
-        shared.complain(unusable[0])
-        return 1
-    return 0
 
 
 _CORES = len(os.sched_getaffinity(0))

@@ -12,7 +12,8 @@ from seft_msgs_py.node.process import as_before, on_ending
 from seft_msgs_py.printing import unbroken
 
 from seft_ros.cli.bag_commands import compare, recover, replay, report
-from seft_ros.cli.design_commands import identify, preflight, study
+from seft_ros.cli.design_commands import preflight, study
+from seft_ros.cli.identify_command import identify
 from seft_ros.cli.perform import reset, run, simulate, start, status, stop
 from seft_ros.cli.rig_commands import conform, link, new
 from seft_ros.cli.shared import STANDS, complain, option

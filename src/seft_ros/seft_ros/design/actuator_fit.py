@@ -129,12 +129,15 @@ class OilBalance:
         """Flow of the commands over q, V, shape (N - 1,).
 
         The parameters p are, here and below, the logarithms of the valve's frequency (Hz) and
-        damping ratio, its dead time in ms, the largest force over the force capacity, and the
-        logarithm of the velocity (m/s) over which friction builds up.
+        damping ratio, its dead time in ms, the largest force over the force capacity, the
+        logarithm of the velocity (m/s) over which friction builds up, and the lag in ms of a
+        Butterworth filter of second order that all sensors have: 1 / (1 + s lag + (s lag)^2 / 2).
         """
         valve = ValveModel(math.exp(p[0]), math.exp(p[1]), p[2] / 1e3, self._dt)
         pulse = np.diff(valve.volume(self._times)) / self._dt
-        flow = self._back(self._commands * self._spectrum(pulse))
+        late = 2j * np.pi * self._hz * p[5] / 1e3
+        filtered = self._commands / (1.0 + late + late * late / 2.0)
+        flow = self._back(filtered * self._spectrum(pulse))
         return flow * np.sqrt(1.0 - np.sign(flow) * p[3] / self.largest_force * self.between)
 
     def slip(self, p: Floats) -> Floats:
@@ -189,9 +192,11 @@ _TOLERANCE = 0.01  # of the flow at a frequency: accuracy of the model itself
 _LEAST_LOAD = 0.15  # of the force capacity: below, friction can be taken for it
 _UNSURE = 0.1  # relative standard deviation; of the dead time in ms
 _DOUBTED = ("flow_gain", "oil_stiffness", "valve_frequency", "valve_damping", "dead_time")
-_LOWEST = np.array([math.log(3.0), math.log(0.1), 0.0, 0.0, math.log(2e-4)])
-_HIGHEST = np.array([math.log(1000.0), math.log(3.0), 50.0, 0.9, math.log(0.1)])
-_SCALE = np.array([0.1, 0.1, 0.1, 0.01, 0.3])
+_LOWEST = np.array([math.log(3.0), math.log(0.1), 0.0, 0.0, math.log(2e-4), 0.0])
+_HIGHEST = np.array([math.log(1000.0), math.log(3.0), 50.0, 0.9, math.log(0.1), 20.0])
+_SCALE = np.array([0.1, 0.1, 0.1, 0.01, 0.3, 0.1])
+_FILTER_LAG = 1.0  # ms, of a filter of 225 Hz: first guess
+_FILTERED = 0.5  # part of what no filter leaves: a filter that leaves more is none
 
 
 @dataclass(frozen=True)
@@ -211,7 +216,8 @@ class ActuatorFit:
     valve_frequency, valve_damping : float
         Hz, and damping ratio.
     dead_time : float
-        Of the valve, without the loop's own step, s.
+        Of the valve, without the loop's own step, s; with the lag of a filter that all sensors
+        have, which is no part of the valve.
     drag : float
         Viscous friction equivalent to the piston's friction in the test, N s/m.
     explained : float
@@ -280,22 +286,15 @@ def fit_actuator(
     the load cell does not measure, is fitted too.
     """
     oil = OilBalance(commands, positions, accelerations, forces, dt, band)
-    p, deviation = _roughly(oil), oil.rough
-    for _ in range(2):
-        power, flow = oil.left(p, deviation)
-        deviation = np.sqrt(power + _TOLERANCE**2 * flow + 1e-30)
-        found = least_squares(
-            lambda q, weights: oil.solve(q, weights)[2],
-            p,
-            bounds=(_LOWEST, _HIGHEST),
-            x_scale=_SCALE,
-            ftol=1e-6,
-            max_nfev=_MOST_STEPS,
-            args=(deviation,),
-        )
-        p = found.x
+    start = _roughly(oil)
+    p, deviation, jacobian = _fitted(oil, start, filtered=False)
+    start[5] = _FILTER_LAG
+    behind = _fitted(oil, start, filtered=True)
+    alone, with_filter = (np.sum(oil.solve(q, deviation)[2] ** 2) for q in (p, behind[0]))
+    if with_filter < _FILTERED * alone:
+        p, deviation, jacobian = behind
     linear, linear_deviations, errors = oil.solve(p, deviation)
-    covariance = np.linalg.pinv(found.jac.T @ found.jac) * float(np.mean(errors**2))
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * float(np.mean(errors**2))
     deviations = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
     q, compliance, leaking, friction = linear.tolist()
     lost = leaking * oil.between + friction * oil.slip(p)
@@ -311,7 +310,7 @@ def fit_actuator(
         force_capacity=oil.largest_force / float(p[3]) if p[3] > _LEAST_LOAD else 0.0,
         valve_frequency=math.exp(p[0]),
         valve_damping=math.exp(p[1]),
-        dead_time=float(p[2]) / 1e3,
+        dead_time=float(p[2] + p[5]) / 1e3,
         drag=max(friction / compliance, 0.0) * oil.drag(p) if compliance else 0.0,
         explained=1.0 - float(np.sum((measured - modelled) ** 2)) / total if total else 0.0,
         unsure=tuple(n for n, r in zip(_DOUBTED, relative, strict=True) if r > _UNSURE),
@@ -320,6 +319,32 @@ def fit_actuator(
         measured=measured,
         modelled=modelled,
     )
+
+
+def _fitted(oil: OilBalance, p: Floats, filtered: bool) -> tuple[Floats, Floats, Floats]:
+    """Fit the parameters, with a filter of the sensors or without.
+
+    Give them, the expected errors, and the Jacobian of what is left over these.
+    """
+    free, deviation = slice(None if filtered else 5), oil.rough
+
+    def errors(q: Floats, weights: Floats) -> Floats:
+        return oil.solve(np.append(q, p[len(q) :]), weights)[2]
+
+    for _ in range(2):
+        power, flow = oil.left(p, deviation)
+        deviation = np.sqrt(power + _TOLERANCE**2 * flow + 1e-30)
+        found = least_squares(
+            errors,
+            p[free],
+            bounds=(_LOWEST[free], _HIGHEST[free]),
+            x_scale=_SCALE[free],
+            ftol=1e-6,
+            max_nfev=_MOST_STEPS,
+            args=(deviation,),
+        )
+        p = np.append(found.x, p[len(found.x) :])
+    return p, deviation, found.jac
 
 
 def _roughly(oil: OilBalance) -> Floats:
@@ -331,7 +356,7 @@ def _roughly(oil: OilBalance) -> Floats:
     """
 
     def whole(valve: Floats) -> Floats:
-        return np.append(valve, [0.0, _OVER])
+        return np.append(valve, [0.0, _OVER, 0.0])
 
     def errors(valve: Floats) -> Floats:
         return oil.solve(whole(valve), oil.rough)[2]

@@ -1,12 +1,13 @@
 """An identified rig: actuators, specimen, closed loop; its parameter file, table and numbers."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from seft_msgs_py.config.experiment import write_parameter_file
+from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import ExperimentError
 from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.specimen import Specimen
@@ -147,15 +148,7 @@ def _valves(
     test: MeasuredTest, specimen: SpecimenFit, actuators: list[ActuatorFit]
 ) -> list[ValveResponse]:
     """Combine the fitted actuators with the fitted specimen, the valves of other axes closed."""
-    names = ("oil_stiffness", "leakage", "flow_gain", "valve_frequency", "valve_damping")
-    known = {name: np.array([getattr(fit, name) for fit in actuators]) for name in names}
-    model = small_signal(
-        Specimen(specimen.mass, specimen.damping, specimen.stiffness),
-        viscous_friction=np.array([fit.drag for fit in actuators]),
-        dead_time=0.0,
-        **known,
-    )
-    whole, dt, valves = Plant.of_model("identified", model), test.dt, []
+    whole, dt, valves = fitted_plant(specimen, actuators), test.dt, []
     for axis, actuator in enumerate(actuators):
         plant = replace(whole.axis(axis), delay=actuator.dead_time)
         measured = test.plant(axis)
@@ -165,6 +158,21 @@ def _valves(
         error = float(np.linalg.norm(wrong / deviation) / np.linalg.norm(size / deviation))
         valves.append(ValveResponse(actuator, measured, error, plant))
     return valves
+
+
+def fitted_plant(
+    specimen: SpecimenFit, actuators: Sequence[ActuatorFit], motion: bool = False
+) -> Plant:
+    """Give the plant of all axes, without dead time; to the forces or to the motion, too."""
+    names = ("oil_stiffness", "leakage", "flow_gain", "valve_frequency", "valve_damping")
+    known = {name: np.array([getattr(fit, name) for fit in actuators]) for name in names}
+    model = small_signal(
+        Specimen(specimen.mass, specimen.damping, specimen.stiffness),
+        viscous_friction=np.array([fit.drag for fit in actuators]),
+        dead_time=0.0,
+        **known,
+    )
+    return Plant.of_model("identified", model, motion)
 
 
 def _closed_loops(test: MeasuredTest) -> list[ClosedLoop]:
@@ -203,6 +211,7 @@ def write_model(
     specimen: bool,
     sensor_lag: float,
     obeys_force: bool,
+    shaken: Mapping[str, Section] | None = None,
 ) -> None:
     """Write parameters of `reference_force` and `force_controller`, by node, to a new file.
 
@@ -211,8 +220,8 @@ def write_model(
     loop and plant, which have one set of parameters, are those of the first axis, with the specimen
     of the tests. The specimen's matrices are included if ``specimen`` is true; ``source`` goes into
     a comment. Dead times have the ``sensor_lag`` (s) of the tests in them, and the closed loop of a
-    rig that obeys forces, too; it is not written, because the loop adds it. An InputError says if
-    the file can't be written.
+    rig that obeys forces, too; it is not written, because the loop adds it. What a shake
+    has found, by node, is included. An InputError says if the file can't be written.
     """
     comments = [f"Identified by seft identify from {source}", f"Axes: {identified.axes}"]
     closed_lag = sensor_lag if obeys_force else 0.0
@@ -240,6 +249,8 @@ def write_model(
             f"plant and tracking: with this specimen, of axis {identified.axes[0]}",
         ]
     sections = {"reference_force": reference, "force_controller": controller}
+    for node, own in (shaken or {}).items():
+        sections[node] = sections.get(node, {}) | own
     known = {node: section for node, section in sections.items() if section}
     write_parameter_file(path, known, comments)
 

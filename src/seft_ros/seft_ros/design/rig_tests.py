@@ -13,6 +13,7 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, VALVE_COMMAND
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import LIMIT_NAMES
+from seft_plant_sim.sensors import CHANNELS
 
 from seft_ros.bags.record import Record, Series
 from seft_ros.design.force_tracking import BAND_HZ
@@ -23,7 +24,7 @@ from seft_ros.force_controller.force_controller_parameters import (
 from seft_ros.force_controller.methods import force_control
 from seft_ros.ground_motion.resampling import check_size
 from seft_ros.ground_motion.synthetic_motion import excitation, shortest_duration
-from seft_ros.protection.detectors import MODEL_BASED
+from seft_ros.protection.detectors import MODEL_BASED, NOISE_BASED
 from seft_ros.reference_force.force_command import FORCE_DRIVEN
 from seft_ros.reference_force.reference_force_block import ReferenceForce
 
@@ -308,14 +309,32 @@ def has_valve(experiment: Experiment) -> bool:
     return experiment.sections.get("rig", {}).get("actuator.kind") not in FORCE_DRIVEN
 
 
-def open_loop(experiment: Experiment, record: Path, levels: Levels) -> Experiment:
+def open_loop(
+    experiment: Experiment, record: Path, levels: Levels, known_channels: bool = True
+) -> Experiment:
     """Test that drives the valves by a record of ground motion, without force feedback.
 
     The motion's reference force has an RMS of ``levels.force``, the commands get
-    ``levels.voltage``.
+    ``levels.voltage``. Where channels are not known, as before a shake, nothing compares them: to
+    judge and detectors they are as noisy as their limits are large. No command depends on what is
+    measured, and the limits hold.
     """
-    controller = one_controller([levels.voltage / levels.force], [1.0])
-    return _with(experiment, record, controller | {"feedback": False})
+    controller = one_controller([levels.voltage / levels.force], [1.0]) | {"feedback": False}
+    if not known_channels:
+        limits = group(experiment["supervisor"], "limits")
+        noise = zip(CHANNELS, (limits[name] for name in LIMIT_NAMES), strict=True)
+        controller |= {f"noise.{channel}": largest for channel, largest in noise}
+        controller["detectors.warn_only"] = ",".join([*MODEL_BASED, *NOISE_BASED])
+    return _with(experiment, record, controller)
+
+
+def shake_test(experiment: Experiment, record: Path) -> Experiment:
+    """Test that drives the valves by a record whose forces in N are the commands in V.
+
+    What it excites is no instability: nothing is fed back.
+    """
+    test = open_loop(experiment, record, Levels(1.0, 1.0), known_channels=False)
+    return changed(test, {"reference_force": {"instability.ratio": 0.0}})
 
 
 def closed_loop_test(experiment: Experiment, record: Path) -> Experiment:
@@ -361,6 +380,22 @@ def _with(experiment: Experiment, record: Path, controller: Section) -> Experime
     return changed(experiment, changes)
 
 
+def write_forces(path: Path, experiment: Experiment, forces: Floats) -> Path:
+    """Write a motion with reference forces -M a_g of shape (N, n), in N; give its path.
+
+    It is a record that ground_motion reads exactly. The folder is made if need be. An InputError
+    says if it can't be written.
+    """
+    accelerations = -np.linalg.solve(_mass(experiment), forces.T).T
+    names = [f"axis {index + 1} (m/s2)" for index in range(accelerations.shape[1])]
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.savetxt(path, accelerations, "%.17g", ",", header=",".join(names))
+    except OSError as error:
+        raise InputError(f"{error.filename}: {error.strerror or error}") from None
+    return path
+
+
 @dataclass(frozen=True)
 class Motions:
     """Ground motions of any duration for the tests of one identification.
@@ -397,20 +432,8 @@ class Motions:
             Rig.from_parameters(sections["rig"], *made)
 
     def write(self, path: Path, duration: float) -> Path:
-        """Write the motion of a test as a record that ground_motion reads exactly; give its path.
-
-        Its reference forces -M a_g are the excitation. The folder is made if need be. An
-        InputError says if it can't be written.
-        """
-        forces = self.force * self._unit(duration)
-        accelerations = -np.linalg.solve(_mass(self.experiment), forces.T).T
-        names = [f"axis {index + 1} (m/s2)" for index in range(accelerations.shape[1])]
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            np.savetxt(path, accelerations, "%.17g", ",", header=",".join(names))
-        except OSError as error:
-            raise InputError(f"{error.filename}: {error.strerror or error}") from None
-        return path
+        """Write the motion of a test, whose forces are the excitation; see `write_forces`."""
+        return write_forces(path, self.experiment, self.force * self._unit(duration))
 
     def steps(self, duration: float) -> int:
         """Count the steps of a test with such a motion."""

@@ -97,6 +97,8 @@ MODEL_BASED = (
     *("force_noise", "force_jump", "force_response"),
 )
 """Detectors that need actuators or specimen: they only warn while these are being identified."""
+NOISE_BASED = tuple(f"{name}_frozen" for name in CHANNELS)
+"""Detectors that need the noise of the channels: a value with noise does not repeat."""
 ALL = "all"
 
 

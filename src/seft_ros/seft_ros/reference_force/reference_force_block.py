@@ -6,7 +6,12 @@ from typing import Any
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
-from seft_msgs_py.config.parameter_table import mass_matrix, symmetric_matrix
+from seft_msgs_py.config.parameter_table import (
+    as_matrix,
+    mass_matrix,
+    per_axis,
+    symmetric_matrix,
+)
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.topics import NANOSECONDS_PER_SECOND, RigAxes, Timebase
 from seft_plant_sim.computed_substructure import ComputedSubstructure
@@ -259,6 +264,16 @@ def compensator(method: str, known: MethodInputs) -> Compensator:
     return made if provides_target(made) else with_substructure(made, known)
 
 
+def _check_identified(section: dict[str, Any], axes: tuple[str, ...]) -> None:
+    """Refuse sizes that do not fit, and a standard error without its mass, by an InputError."""
+    where = "reference_force: identified"
+    found = as_matrix(section.get("identified.mass", 0.0), axes, f"{where}.mass")
+    for name in ("mass_error", "force_lag_error"):  # bags of older versions have none
+        error = per_axis(section.get(f"identified.{name}", 0.0), axes, f"{where}.{name}")
+        if name == "mass_error" and (error > 0).any() and not (np.diag(found) > 0).all():
+            raise InputError(f"{where}.mass_error is given, but identified.mass is not positive")
+
+
 def method_inputs(
     section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
 ) -> MethodInputs:
@@ -276,6 +291,7 @@ def method_inputs(
         symmetric_matrix(section[f"model.{name}"], axes, f"{where}.{name}")
         for name in ("damping", "stiffness")
     )
+    _check_identified(section, axes)
     if section["method"] == "eft":  # the specimen carries all of the mass (Eq. 2.2)
         if section["computed.model"]:
             raise InputError(

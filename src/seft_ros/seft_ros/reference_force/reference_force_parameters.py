@@ -56,6 +56,13 @@ _TEST = parameter_rows(
         assumed damping of the specimen
     model.stiffness    | floats | rig:specimen.stiffness | N/m   |           |
         assumed stiffness of the specimen
+    identified.mass    | floats | 0.0 | kg    | |
+        mass of the specimen as seft identify --specimen finds it, likewise; what a test says of
+        its own mass is combined with it
+    identified.mass_error | floats | 0.0 | kg | 0 .. |
+        its standard error on each axis; 0: not identified
+    identified.force_lag_error | floats | 0.0 | s | 0 .. |
+        standard error of the lag of the force behind the acceleration, likewise
     model.springs      | floats | rig:specimen.springs or 0.0 |       |           |
         springs of the specimen that may yield: deformation of each spring per displacement of
         each axis; 0: one spring between each axis and the ground

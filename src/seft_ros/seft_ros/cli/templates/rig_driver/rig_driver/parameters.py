@@ -2,11 +2,12 @@
 
 from seft_msgs_py.config.parameter_table import Table, parameter_rows
 from seft_msgs_py.node import host
-from seft_plant_sim.rig_parameters import CALIBRATION as KNOWN
+from seft_plant_sim.rig_parameters import CALIBRATION as KNOWN_OF_A_RIG
 from seft_plant_sim.rig_parameters import limit_rows
 
 from rig_driver.calibration import PARAMETERS as CALIBRATION
 
+KNOWN = [row for row in KNOWN_OF_A_RIG if row.name != "calibration.zeroing"]  # the supervisor's
 SAFETY = parameter_rows(
     """
     limits.command              | float  | 10.0 | V   | > 0  | largest valve command either way
@@ -20,5 +21,4 @@ SAFETY = parameter_rows(
         longest silence of the supervisor before the rig trips
     """
 )
-LAGS = [row for row in KNOWN if row.name.endswith("_lag")]
-TABLE = Table("rig", [*CALIBRATION, *LAGS, *limit_rows(), *SAFETY, *host.REALTIME_PARAMETERS])
+TABLE = Table("rig", [*CALIBRATION, *KNOWN, *limit_rows(), *SAFETY, *host.REALTIME_PARAMETERS])

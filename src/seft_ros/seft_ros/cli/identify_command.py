@@ -1,0 +1,304 @@
+"""``seft identify``: actuators, force loop and, with a shake, mass and channels of a rig."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Optional
+
+import numpy as np
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import InputError
+
+from seft_ros.bags.record import Record
+from seft_ros.cli import shared
+from seft_ros.cli.shared import option
+from seft_ros.drawing.table import Texts
+
+if TYPE_CHECKING:
+    from seft_ros.design.calibrated import Shaken
+    from seft_ros.design.identified import Identified
+    from seft_ros.design.rig_tests import Levels, Motions
+    from seft_ros.design.shake import Shake
+
+PILOT, OPEN_LOOP, CLOSED_LOOP = "pilot", "open_loop", "closed_loop"
+SHAKE_PILOT, SHAKE = "shake_pilot", "shake"
+_BY_RATE = (math.nan, math.nan)
+
+
+def identify(
+    config: shared.Config,
+    param: shared.Params = None,
+    params_file: shared.Files = None,
+    over_dds: bool = option(False, "Run nodes over DDS, or one process.", "--over-dds/--offline"),
+    external: shared.External = None,
+    seed: int = option(1, "Seed of the excitation, Gaussian noise.", min=0),
+    band: tuple[float, float] = option(
+        _BY_RATE, "Band of the excitation in Hz; default by the rate.", "LO HI", show_default=False
+    ),
+    duration: float = option(120.0, "Duration of each test in s.", "S"),
+    amplitude: Optional[float] = option(None, "RMS of the valve drive, open loop.", "V"),
+    force: Optional[float] = option(None, "RMS of the reference force, closed loop.", "N"),
+    out: Optional[Path] = option(None, "New folder of the results; default by the time.", "DIR"),
+    specimen: bool = option(False, "Shake: mass and channels, too.", "--specimen"),
+    travel: Optional[float] = option(
+        None, "Displacement of the shake; default by the sensors' noise.", "M"
+    ),
+    json: shared.Json = False,
+) -> int:
+    """Identify a rig: its actuators, and its force loop with this specimen.
+
+    Runs ordinary tests, with all limits, and records each. The band of the excitation is 0.3 Hz to
+    0.45 times the rate, 200 Hz at most, unless --band names another.
+
+    Open loop: the excitation drives the valves, and force_controller's feedback is off. A short
+    pilot test at a low level finds the amplitude, so that the rig uses up to a fifth of its
+    limits; --amplitude gives it instead. The result describes the actuators, which
+    velocity_feedforward needs. It holds for any specimen.
+
+    Shake, with --specimen: six sines of the same displacement, some 0.2 mm, on each axis for 20 s,
+    after a pilot of 4 s. What it will reach is told before anything moves, within half of all
+    limits. It finds the mass, and scale, lag and zero of each channel, with standard errors. They
+    correct the open loop's test.
+
+    Closed loop: the excitation is the reference force, where the force controller follows one. Its
+    RMS is 5 m/s^2 times the mass, a 20th of the force limit at most, unless --force gives
+    another. The result describes the force loop with this specimen, which the other
+    methods need. Rigs without a valve (actuator.kind ideal or delay) have this test only.
+
+    The folder then holds the excitation, the bags, a figure, and model.yaml: parameters of
+    reference_force and force_controller for --params-file. With --specimen they include mass,
+    damping and stiffness of the specimen, as reference_force's model.*, the standard error of the
+    mass, and rig: calibration.*.
+
+    Examples:
+
+        seft identify config/jhu.yaml --out identified
+
+        seft simulate config/jhu.yaml --params-file identified/model.yaml
+
+        seft identify config/jhu.yaml --specimen --travel 1e-4
+
+        seft identify config/jhu.yaml --over-dds -p rig:pace:=lockstep --json
+
+        seft identify config/lab.yaml --external rig --duration 300
+    """
+    from seft_ros.design import rig_tests
+    from seft_ros.design.shake import plan_shake
+
+    if set(external or ()) - {"rig"}:
+        raise InputError(
+            "--external: only the rig may be external; the other nodes are set up here"
+        )
+    if travel is not None and not specimen:
+        raise InputError("--travel is that of the shake: give --specimen, too")
+    experiment = shared.load_experiment(config, param, params_file, external)
+    levels = rig_tests.Levels(
+        rig_tests.pilot_voltage(experiment) if amplitude is None else amplitude,
+        rig_tests.default_force(experiment) if force is None else force,
+    )
+    rig_tests.check_levels(experiment, levels)
+    if all(map(math.isnan, band)):
+        band = (0.3, min(0.45 * experiment.timebase.rate, 200.0))
+    folder = out or Path(datetime.now().strftime("identify_%Y-%m-%d_%H-%M-%S"))
+    motions = rig_tests.Motions(experiment, levels.force, band, seed)
+    motions.check(duration)
+    plan = None
+    if specimen and rig_tests.has_valve(experiment):
+        plan = plan_shake(experiment, travel)
+        shared.complain(plan.text())
+    shared.check_out(folder)
+    record = motions.write(folder / "excitation.csv", duration)
+    shared.stands(f"{folder} has the excitation")
+    tests = _Tests(experiment, folder, over_dds, external or ())
+    run = _Identification(tests, motions, levels, plan, record, duration)
+    run.drive_valves(by_pilot=amplitude is None)
+    run.close_loop()
+    return run.show(str(config), specimen, as_json=json)
+
+
+@dataclass
+class _Tests:
+    """Runs the tests of an identification, and keeps their records."""
+
+    experiment: Experiment
+    folder: Path
+    over_dds: bool
+    external: Sequence[str]
+    records: dict[str, Record] = field(default_factory=dict)
+
+    def run(self, name: str, test: Experiment, steps: int) -> bool:
+        """Run a test; say whether it drove a valve, to its end."""
+        from seft_ros.design.rig_tests import has_valve
+
+        bag, label = self.folder / name, f"{name}: "
+        if self.over_dds or self.external:
+            record = shared.dds_test(test, bag, steps, self.external, label=label)[0]
+        else:
+            record = shared.offline_test(test, bag, label)
+        self.records[name] = record
+        return record.trip is None and has_valve(record.experiment)
+
+    @property
+    def tripped(self) -> bool:
+        return any(record.trip for record in self.records.values())
+
+
+class _Identification:
+    """The tests of an identification one after the other, and what they say."""
+
+    def __init__(
+        self,
+        tests: _Tests,
+        motions: "Motions",
+        levels: "Levels",
+        plan: "Shake | None",
+        record: Path,
+        duration: float,
+    ) -> None:
+        self._tests, self._motions, self._levels, self._plan = tests, motions, levels, plan
+        self._record, self._duration = record, duration
+        self._valve = False
+        self._shaken: Shaken | None = None
+        self._notes: list[str] = []
+
+    def drive_valves(self, by_pilot: bool) -> None:
+        """Run the tests without force feedback, and the shake."""
+        from seft_ros.design import rig_tests
+
+        tests, motions, known = self._tests, self._motions, self._plan is None
+        self._valve = rig_tests.has_valve(tests.experiment)
+        if self._valve and by_pilot:
+            seconds = min(self._duration, max(rig_tests.PILOT_DURATION, motions.shortest))
+            short = motions.write(tests.folder / f"{PILOT}.csv", seconds)
+            test = rig_tests.open_loop(tests.experiment, short, self._levels, known)
+            self._valve = tests.run(PILOT, test, motions.steps(seconds))
+            if self._valve:
+                pilot = tests.records[PILOT]
+                voltage = rig_tests.voltage_after(pilot, self._levels.voltage)
+                self._levels = replace(self._levels, voltage=voltage)
+        if self._valve:
+            test = rig_tests.open_loop(tests.experiment, self._record, self._levels, known)
+            self._valve = tests.run(OPEN_LOOP, test, motions.steps(self._duration))
+        if self._valve and self._plan is not None:
+            self._shake(self._plan)
+
+    def _shake(self, plan: "Shake") -> None:
+        """Shake the specimen, if the actuators were found; a pilot finds the commands."""
+        from seft_ros.design import shake
+        from seft_ros.design.calibrated import Shaken, moved_by, rough_calibration
+        from seft_ros.design.identified import identify_from_records
+
+        tests, dt = self._tests, self._tests.experiment.timebase.dt
+        opened, band = tests.records[OPEN_LOOP], self._motions.band
+        known = rough_calibration(opened, band)
+        found = identify_from_records(known.corrected(opened), None, band)
+        if not found.valves:
+            return
+        plan = shake.with_actuators(plan, found, tests.experiment)
+        pilot = shake.shake_drive(plan, found, dt, seconds=shake.PILOT_SECONDS)
+        if not self._run_shake(SHAKE_PILOT, pilot[0]):
+            return
+        moved = moved_by(tests.records[SHAKE_PILOT], pilot[1])
+        commands, sines = shake.shake_drive(plan, found, dt, gains=shake.gains_after(plan, moved))
+        if not self._run_shake(SHAKE, commands):
+            return
+        record = tests.records[SHAKE]
+        known = Shaken.of_record(plan, record, sines, found, known).calibrated
+        found = identify_from_records(known.corrected(opened), None, band)
+        self._shaken = Shaken.of_record(plan, record, sines, found, known)
+
+    def _run_shake(self, name: str, commands: np.ndarray) -> bool:
+        from seft_ros.design import rig_tests
+
+        tests = self._tests
+        path = rig_tests.write_forces(tests.folder / f"{name}.csv", tests.experiment, commands)
+        steps = len(commands) + round(rig_tests.TAIL * tests.experiment.timebase.rate)
+        return tests.run(name, rig_tests.shake_test(tests.experiment, path), steps)
+
+    def close_loop(self) -> None:
+        """Run the test with force feedback, where there is one, on channels as found."""
+        from seft_ros.design import rig_tests
+
+        tests, shaken = self._tests, self._shaken
+        experiment = tests.experiment
+        followed = rig_tests.has_force_loop(experiment) or not self._valve
+        if not followed or tests.tripped:
+            return
+        if shaken is not None and tests.external and shaken.calibrated.changes:
+            self._notes.append(
+                "no closed-loop test: the driver has to apply rig: calibration.* of model.yaml "
+                "first; give it that file, start it again, and repeat with --params-file model.yaml"
+            )
+            return
+        if shaken is not None and not tests.external:
+            known = {**shaken.lags(), "rig": shaken.calibrated.parameters()}
+            experiment = rig_tests.changed(experiment, known)
+        steps = self._motions.steps(self._duration)
+        tests.run(CLOSED_LOOP, rig_tests.closed_loop_test(experiment, self._record), steps)
+
+    def show(self, config: str, specimen: bool, as_json: bool) -> int:
+        """Evaluate the tests, write and print; give the exit status."""
+        tests = self._tests.records
+        whole = {name: test for name, test in tests.items() if test.trip is None}
+        opened = whole.get(OPEN_LOOP) if self._valve else None
+        if opened is not None and self._shaken is not None:
+            opened = self._shaken.calibrated.corrected(opened)
+        folder = self._tests.folder
+        files = {"folder": folder, "excitation": self._record}
+        files |= {name: folder / name for name in tests}
+        trips = {name: test.trip.reason if test.trip else None for name, test in tests.items()}
+        summary: dict[str, Any] = {
+            "tripped": {OPEN_LOOP: None, CLOSED_LOOP: None, **trips},
+            "excitation_rms": asdict(self._levels),
+        }
+        texts: Texts = []
+        unusable: list[str] = []
+        if opened is not None or CLOSED_LOOP in whole:
+            from seft_ros.design import identified
+
+            found = identified.identify_from_records(
+                opened, whole.get(CLOSED_LOOP), self._motions.band
+            )
+            unusable = found.unusable
+            files |= {"model": folder / "model.yaml", "figure": folder / shared.FIGURE}
+            texts, numbers = self._write(found, config, specimen, files)
+            summary |= numbers
+        summary["files"] = {what: str(path) for what, path in files.items()}
+        lines = [f"{what + ':':13}{path}" for what, path in files.items()]
+        shared.show(summary, as_json, [*texts, *lines])
+        for name, test in tests.items():
+            if test.trip is not None:
+                at = f"{name.replace('_', ' ')} tripped at {test.trip.time_s:.3f} s"
+                shared.complain(f"{at}: {test.trip.reason}; its bag is in {folder / name}")
+                return 1
+        if unusable:
+            shared.complain(unusable[0])
+            return 1
+        return 0
+
+    def _write(
+        self, found: "Identified", config: str, specimen: bool, files: dict[str, Path]
+    ) -> tuple[Texts, dict[str, Any]]:
+        """Write parameters and figure; give texts and numbers."""
+        from seft_ros.design import calibrated, identified
+        from seft_ros.design.identified_figure import identified_figure
+        from seft_ros.drawing.style import save_figure
+        from seft_ros.reference_force.force_command import FORCE_DRIVEN
+
+        summary = identified.summarise_identified(found)
+        summary["notes"] += self._notes
+        texts: Texts = [f"{config} as identified", identified.identified_table(summary)]
+        loop, shaken = self._tests.experiment["reference_force"], self._shaken
+        lag, more = loop["compensation.sensor_lag"], None
+        if shaken is not None:
+            lag, more = shaken.calibrated.common_lag, shaken.sections()
+            summary["shake"] = shaken.numbers(found.axes)
+            summary["notes"] += calibrated.shake_notes(shaken, found.axes)
+            texts.append(calibrated.shake_table(shaken, found.axes))
+        texts += summary["notes"]
+        obeys_force = loop["compensation.actuator_kind"] in FORCE_DRIVEN
+        identified.write_model(found, files["model"], config, specimen, lag, obeys_force, more)
+        save_figure(identified_figure(found, f"seft identify {config}"), files["figure"])
+        return texts, summary

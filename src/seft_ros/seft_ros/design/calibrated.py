@@ -1,0 +1,310 @@
+"""What a shake has found of the channels: as parameters of the rig, and taken out of a record."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import Section, per_axis
+from seft_msgs_py.wire.topics import JUDGED, RIG_STATE, VALVE_COMMAND
+from seft_plant_sim.calibration import calibrate_all, calibration_of
+from seft_plant_sim.rig_parameters import LIMIT_NAMES
+from seft_plant_sim.sensors import CHANNELS
+
+from seft_ros.analysis.metrics import every_step
+from seft_ros.bags.record import Record
+from seft_ros.design.identified import Identified
+from seft_ros.design.rig_tests import frequency_response, motion_spectra
+from seft_ros.design.shake import OF_RATE, Shake, Sine, sound_relations
+from seft_ros.design.shake_estimates import (
+    SIGMAS,
+    Harmonics,
+    ShakeFit,
+    fit_shake,
+    harmonics,
+    significant,
+)
+from seft_ros.drawing.table import TextTable
+
+FORCE = CHANNELS.index("force")
+_FEWEST_PERIODS, _SEGMENT = 3.0, 4.0  # of a spectrum: of the lowest frequency, and s
+_UNKNOWN = {"scale": 1.0, "lag": 0.0, "zero": 0.0}
+LEAST_LAG = 2e-5
+"""A lag below costs less than 0.4 % of the displacement, s (rig.md): channels that wait for it
+would spread a wrong sample over the next ones."""
+
+
+def known_of(experiment: Experiment) -> dict[str, Floats]:
+    """Give what is known of the channels already: scale, lag and zero, shape (4, n) each."""
+    rig, axes = experiment.sections.get("rig", {}), experiment.axes
+
+    def values(what: str) -> Floats:
+        names = [f"calibration.{channel}_{what}" for channel in CHANNELS]
+        given = (per_axis(rig.get(name, _UNKNOWN[what]), axes, f"rig: {name}") for name in names)
+        return np.array(list(given))
+
+    return {what: values(what) for what in _UNKNOWN}
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """What a shake adds to what was known of the channels.
+
+    Attributes
+    ----------
+    found : dict
+        Scale, lag and zero of the channels as published in the shake, shape (4, n): of what is
+        within `SIGMAS` standard errors, nothing is known.
+    whole : dict
+        With what was known before: `parameters` of the rig.
+    common_lag : float
+        Part of the lag of a record that `corrected` gives which is not in ``whole``, s: it counts
+        as dead time of the actuator.
+    derived : bool
+        Whether the velocity is derived from the displacement.
+    """
+
+    found: dict[str, Floats]
+    whole: dict[str, Floats]
+    common_lag: float
+    derived: bool
+
+    @classmethod
+    def of_shake(cls, fit: ShakeFit, experiment: Experiment) -> "Calibrated":
+        """Combine a shake with the calibration of its own experiment."""
+        known = known_of(experiment)
+        derived = experiment.sections.get("rig", {}).get("sensors.velocity") == "derived"
+        lag = significant(fit.lag, np.maximum(fit.lag_error, LEAST_LAG / SIGMAS))
+        scale = 1.0 + significant(fit.scale - 1.0, fit.scale_error)
+        zero = significant(fit.zero, fit.zero_error)
+        if derived:
+            of_velocity = CHANNELS.index("velocity")
+            scale[of_velocity], lag[of_velocity], zero[of_velocity] = 1.0, lag[0], 0.0
+        whole = {
+            "scale": known["scale"] * scale,
+            "zero": known["zero"] + known["scale"] * zero,
+            "lag": known["lag"] + lag,
+        }
+        earliest = max(0.0, -float(whole["lag"].min()))
+        whole["lag"] = whole["lag"] + earliest
+        common = float(known["lag"].max() + lag.max()) + earliest
+        return cls({"scale": scale, "lag": lag, "zero": zero}, whole, common, derived)
+
+    @property
+    def changes(self) -> bool:
+        """Whether anything was found that was not known."""
+        return any((self.found[what] != nothing).any() for what, nothing in _UNKNOWN.items())
+
+    def parameters(self) -> Section:
+        """Values of ``rig: calibration.*``, complete."""
+        return _parameters(self.whole, self.derived)
+
+    def corrected(self, record: Record) -> Record:
+        """Take what was found out of a record of the same rig, as the rig would have."""
+        axes, dt = record.experiment.axes, record.experiment.timebase.dt
+        lag = self.found["lag"]
+        section = _parameters(self.found | {"lag": lag - lag.min()}, False)
+        known, state = calibration_of(section, axes, range(len(axes)), dt)
+        record = as_measured(record)
+        states = record.states
+        every, values = np.arange(states.steps[-1] + 1), _samples(record).copy()
+        if len(known.scale):
+            calibrate_all(known, state, values)
+        whole = replace(states, steps=every, values=values, received_ns=None)
+        return replace(record, series={**record.series, RIG_STATE.name: whole})
+
+
+def as_measured(record: Record) -> Record:
+    """Take the judged samples out of a record: the judge trusts the channels."""
+    series = {name: own for name, own in record.series.items() if name != JUDGED.name}
+    return replace(record, series=series)
+
+
+def _parameters(known: Mapping[str, Floats], derived: bool) -> dict[str, Any]:
+    return {
+        f"calibration.{channel}_{what}": known[what][row].tolist()
+        for row, channel in enumerate(CHANNELS)
+        for what in _UNKNOWN
+        if not (derived and channel == "velocity")
+    }
+
+
+@dataclass(frozen=True)
+class Shaken:
+    """A shake, and what it has found.
+
+    Attributes
+    ----------
+    shake : Shake
+        Its plan.
+    largest : dict
+        Largest measured magnitude of any axis: ``displacement``, ``velocity``, ``acceleration``,
+        ``force``; SI units.
+    fit : ShakeFit
+        Of the channels as published.
+    calibrated : Calibrated
+        The calibration that follows.
+    """
+
+    shake: Shake
+    largest: dict[str, float]
+    fit: ShakeFit
+    calibrated: Calibrated
+
+    @classmethod
+    def of_record(
+        cls,
+        shake: Shake,
+        record: Record,
+        sines: Sequence[Sine],
+        found: Identified,
+        known: Calibrated,
+    ) -> "Shaken":
+        """Evaluate the record of a shake.
+
+        ``found`` was identified from a record that ``known`` has corrected.
+        """
+        samples = _samples(record)
+        dt = record.experiment.timebase.dt
+        of = harmonics(samples, sines, dt)
+        late = known.found["lag"] - known.found["lag"].min()
+        dead_time = np.mean([valve.actuator.dead_time for valve in found.valves]) - late.max()
+        sound = sound_relations(found, sines, dt, max(float(dead_time), 0.0), late)
+        fit = fit_shake(of, sound)
+        largest = np.abs(samples).max(axis=(0, 2)).tolist()
+        calibrated = Calibrated.of_shake(fit, record.experiment)
+        return cls(shake, dict(zip(LIMIT_NAMES, largest, strict=True)), fit, calibrated)
+
+    def sections(self) -> dict[str, Section]:
+        """Parameters by node: the calibration, and the mass with its standard errors."""
+        fit, mass = self.fit, self.fit.mass.ravel().tolist()
+        reference = {
+            "model.mass": mass,
+            "identified.mass": mass,
+            "identified.mass_error": fit.mass_error.diagonal().tolist(),
+            "identified.force_lag_error": fit.lag_error[FORCE].tolist(),
+        }
+        return {"reference_force": reference, "rig": self.calibrated.parameters()}
+
+    def lags(self) -> dict[str, Section]:
+        """Give parameters of the loop that follow from the calibration's lags."""
+        lag = float(self.calibrated.whole["lag"].max())
+        return {
+            "reference_force": {"compensation.sensor_lag": lag},
+            "force_controller": {"sensor_lag": lag},
+        }
+
+    def numbers(self, axes: Sequence[str]) -> dict[str, Any]:
+        """Give ``shake`` of ``seft identify --json``: SI units, errors are standard errors."""
+        fit = self.fit
+        by_axis = []
+        for i, axis in enumerate(axes):
+            channels = {
+                channel: {
+                    what: {
+                        "value": float(getattr(fit, what)[row, i]),
+                        "error": float(getattr(fit, f"{what}_error")[row, i]),
+                    }
+                    for what in _UNKNOWN
+                }
+                for row, channel in enumerate(CHANNELS)
+            }
+            mass = {"value": float(fit.mass[i, i]), "error": float(fit.mass_error[i, i])}
+            by_axis.append({"axis": axis, "mass": mass, **channels})
+        return {
+            "travel": self.shake.travel,
+            "frequencies_hz": self.shake.frequencies.tolist(),
+            "largest": self.largest,
+            "mass": fit.mass.squeeze().tolist(),
+            "mass_error": fit.mass_error.squeeze().tolist(),
+            "tilt": fit.tilt.squeeze().tolist(),
+            "tilt_error": fit.tilt_error.squeeze().tolist(),
+            "axes": by_axis,
+        }
+
+
+def rough_calibration(record: Record, band: tuple[float, float]) -> Calibrated:
+    """Estimate the channels from a test by random commands, well enough for the actuators' fit.
+
+    The cross spectra with the commands take the place of a shake's sines, up to `OF_RATE` times the
+    rate and within the band of the excitation, Hz.
+    """
+    n, dt = len(record.experiment.axes), record.experiment.timebase.dt
+    samples, command = _samples(record), record.series[VALVE_COMMAND.name]
+    every = np.arange(len(samples))
+    driven = every_step(command, every)[:, 0]
+    signals = np.concatenate([driven, samples.reshape(len(samples), -1)], axis=1)
+    segment = max(_FEWEST_PERIODS / band[0], _SEGMENT)
+    spectra = motion_spectra(signals, 1.0 / dt, segment)
+    used = max(band[0], _FEWEST_PERIODS / segment), min(band[1], OF_RATE / dt)
+    response = frequency_response(spectra, slice(0, n), slice(n, 5 * n), used)
+    shape = (len(response.frequencies_hz), 4, n, n)
+    amplitude = np.moveaxis(response.response.reshape(shape), 3, 0).reshape(-1, 4, n)
+    deviation = np.sqrt(np.maximum(response.variance(), 0.0) / 2.0).reshape(shape)
+    noise = np.moveaxis(deviation, 3, 0).reshape(-1, 4, n)
+    w = np.tile(2 * np.pi * response.frequencies_hz, n)
+    of = Harmonics(w, amplitude[:, np.newaxis], noise, np.zeros_like(noise))
+    fit = fit_shake(of, np.ones((len(w), 2), complex))
+    fit.lag[FORCE] = 0.0  # a random motion of a specimen with friction does not tell it
+    return Calibrated.of_shake(fit, record.experiment)
+
+
+def moved_by(record: Record, sines: Sequence[Sine]) -> Floats:
+    """Amplitude of the displacement of each sine in the record of a shake, shape (m,), m."""
+    of = harmonics(_samples(record), sines, record.experiment.timebase.dt)
+    return np.array([abs(of.amplitude[k, 0, sine.axis]) for k, sine in enumerate(sines)])
+
+
+def _samples(record: Record) -> Floats:
+    """Give the samples at every step as measured, shape (N, 4, n)."""
+    states = as_measured(record).states
+    return every_step(states, np.arange(states.steps[-1] + 1))
+
+
+_ROWS = (  # label, channel, what, unit, scale
+    ("velocity: scale", "velocity", "scale", "", 1.0),
+    ("  lag", "velocity", "lag", "ms", 1e3),
+    ("  zero", "velocity", "zero", "mm/s", 1e3),
+    ("acceleration: scale", "acceleration", "scale", "", 1.0),
+    ("  lag", "acceleration", "lag", "ms", 1e3),
+    ("  zero", "acceleration", "zero", "m/s²", 1.0),
+    ("force: lag", "force", "lag", "ms", 1e3),
+    ("  zero", "force", "zero", "N", 1.0),
+    ("displacement: zero", "position", "zero", "mm", 1e3),
+)
+
+
+def shake_table(shaken: Shaken, axes: Sequence[str]) -> TextTable:
+    """Tabulate what a shake has found, value and standard error, a column for each axis."""
+    found = shaken.numbers(axes)["axes"]
+
+    def cell(number: Mapping[str, float], unit: str, scale: float) -> str:
+        error = scale * number["error"]
+        digits = int(max(0, min(6, 1 - math.floor(math.log10(error))))) if error > 0 else 3
+        return f"{scale * number['value']:.{digits}f} ± {error:.{digits}f} {unit}".rstrip()
+
+    rows: list[list[str] | None] = [["mass", *(cell(one["mass"], "kg", 1.0) for one in found)]]
+    for label, channel, what, unit, scale in _ROWS:
+        if channel == "velocity" and shaken.calibrated.derived:
+            continue
+        rows.append([label, *(cell(one[channel][what], unit, scale) for one in found)])
+    return TextTable(["shake", *axes], rows)
+
+
+def shake_notes(shaken: Shaken, axes: Sequence[str]) -> list[str]:
+    """List what a reader must know about a shake, one line each."""
+    fit = shaken.fit
+    found = [
+        "shake: load cell and displacement sensor are the reference: mass and scales are against "
+        "them, lags against the earliest channel"
+    ]
+    off = np.abs(fit.tilt - np.eye(len(axes))) > SIGMAS * fit.tilt_error
+    for i, j in zip(*np.nonzero(off & ~np.eye(len(axes), dtype=bool)), strict=True):
+        found.append(
+            f"axis {axes[i]}: the accelerometer shows {fit.tilt[i, j]:.2g} of the acceleration of "
+            f"{axes[j]}: it is tilted, which no calibration corrects; mount it straight"
+        )
+    return found

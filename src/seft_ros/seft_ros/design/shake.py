@@ -1,0 +1,338 @@
+"""A shake of the specimen: sines of one displacement, one after the other; its plan and its drive.
+
+At one amplitude the restoring force of a specimen that does not depend on rate has the same
+complex stiffness at all frequencies, whatever its law is. What changes with the frequency is the
+inertia. So the shake tells the mass, and the channels against each other
+(`seft_ros.design.shake_estimates`).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from seft_msgs_py.arrays import Complexes, Floats
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import group, mass_matrix, per_axis, symmetric_matrix
+from seft_msgs_py.errors import InputError
+from seft_plant_sim import lti
+from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_ROWS
+from seft_plant_sim.sensors import CHANNELS
+
+from seft_ros.design.identified import Identified, fitted_plant
+from seft_ros.design.plant import Plant
+
+SINES = 6
+"""On each axis: twice as many equations as the five unknowns of an axis leave some to judge by."""
+SPAN = 5.6
+"""Highest over lowest frequency: the inertia, which tells the mass, differs 30 times."""
+SECONDS = 20.0
+"""Of the shake of an axis."""
+PILOT_SECONDS = 4.0
+"""Of the short shake that finds the commands."""
+FEWEST_CYCLES = 8
+"""Of each sine, where that takes longer."""
+ACCURACY = 4e-4
+"""Standard error of a scale, which determines the displacement by the noise. A scale that is wrong
+by 1 % costs up to 3.3 % of the displacement (docs/rig.md), so this costs 0.1 %."""
+LARGEST_SHARE = 0.5
+"""Of a limit or a sensor's range that a peak may reach."""
+OF_RATE = 0.1
+"""Highest frequency over the rate: what held commands fold down to it is small (see
+`sound_relations`)."""
+OF_ACTUATOR = 0.6
+"""Highest frequency over that of the valve and of the oil column: there the piston still follows
+without a resonance."""
+LOWEST_TOP = 0.02
+"""Least highest frequency over the rate; the shake is refused below."""
+RISE = 0.08
+"""Part of a sine's time in which it rises, and in which it falls."""
+SETTLED = 0.16
+"""Part of a sine's time after which it is evaluated, and before the end of which: what the rise
+has excited has decayed."""
+_QUANTISED = 12.0**-0.5  # RMS of the error of a converter, over its step
+
+
+@dataclass(frozen=True)
+class Shake:
+    """Plan of a shake.
+
+    Attributes
+    ----------
+    travel : float
+        Amplitude of the displacement of each sine, m.
+    top : float
+        Highest frequency, Hz; the lowest is `SPAN` times less.
+    peaks : dict
+        Largest expected ``displacement`` (m), ``velocity`` (m/s), ``acceleration`` (m/s^2) and
+        ``force`` (N) of any axis, with the model that the test was told.
+    """
+
+    travel: float
+    top: float
+    peaks: dict[str, float]
+
+    @property
+    def frequencies(self) -> Floats:
+        """Frequencies, lowest first, shape (`SINES`,), Hz."""
+        return np.linspace(self.top / SPAN, self.top, SINES)
+
+    def text(self) -> str:
+        """Say what will be reached, in one line."""
+        peaks = self.peaks
+        return (
+            f"shake: {SINES} sines of {1e3 * self.travel:.3g} mm on each axis, up to "
+            f"{self.top:.3g} Hz; peaks up to {1e3 * peaks['velocity']:.3g} mm/s, "
+            f"{peaks['acceleration']:.3g} m/s², {peaks['force']:.3g} N"
+        )
+
+
+def plan_shake(experiment: Experiment, travel: float | None = None) -> Shake:
+    """Plan a shake before anything moves.
+
+    The displacement follows from the noise of the sensors (``compensation.noise.*``, and the steps
+    of the simulated rig's converter): the sines of an axis together tell scale and mass with a
+    standard error of `ACCURACY`. The highest frequency is `OF_RATE` times the rate, or less, so
+    that peaks reach half of the limits and of the sensors' ranges at most.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Its mass and stiffness (``model.*``) tell the forces to expect.
+    travel : float, optional
+        Displacement, m, in place of the one that follows from the noise.
+
+    Raises
+    ------
+    InputError
+        If no frequency is within the limits, or the noise is not known.
+    """
+    rate, axes = experiment.timebase.rate, experiment.axes
+    section = experiment["reference_force"]
+    mass = mass_matrix(section["model.mass"], axes, "reference_force: model.mass")
+    where = "reference_force: model.stiffness"
+    stiffness = symmetric_matrix(section["model.stiffness"], axes, where)
+    noise = _noise(experiment)
+    if travel is None and not noise["position"].any():
+        raise InputError(
+            "reference_force: compensation.noise.position is 0, but the displacement of the shake "
+            "follows from it; enter the sensor's noise, or give --travel"
+        )
+    if travel is not None and not 0 < travel < float("inf"):
+        raise InputError(f"--travel is {travel:g} m, but must be positive")
+    allowed = _allowed(experiment)
+    tried = []
+    for top in np.geomspace(OF_RATE, LOWEST_TOP, 33) * rate:
+        needed = _needed(noise, mass, stiffness, top, rate) if travel is None else travel
+        shake = Shake(needed, float(top), _peaks(needed, top, mass, stiffness))
+        over = _over(shake, allowed)
+        if not over:
+            return shake
+        tried.append(over)
+    how = "give a smaller --travel" if travel is not None else "raise it, or give --travel"
+    raise InputError(f"the shake would reach {tried[-1]}; {how}")
+
+
+def _noise(experiment: Experiment) -> dict[str, Floats]:
+    """RMS noise of each channel, with that of the converter, by axis."""
+    section, rig = experiment["reference_force"], experiment.sections.get("rig", {})
+    found = {}
+    for name in CHANNELS:
+        own = section[f"compensation.noise.{name}"]
+        told = per_axis(own, experiment.axes, f"reference_force: compensation.noise.{name}")
+        bits = rig.get("sensors.adc_bits", 0)
+        step = 2.0 * np.max(rig[f"sensors.{name}_range"]) / 2**bits if bits else 0.0
+        found[name] = np.hypot(told, _QUANTISED * step)
+    return found
+
+
+def _needed(
+    noise: Mapping[str, Floats], mass: Floats, stiffness: Floats, top: float, rate: float
+) -> float:
+    """Displacement that tells scale and mass to `ACCURACY` on every axis, m."""
+    w = 2 * np.pi * top
+    inertia = np.diag(mass) * w * w
+    per_sample = np.maximum.reduce(
+        [
+            noise["position"] * np.maximum(1.0, np.abs(np.diag(stiffness)) / inertia),
+            noise["acceleration"] / w**2,
+            noise["force"] / inertia,
+        ]
+    )
+    return float(per_sample.max() / ACCURACY * np.sqrt(2.0 / (SECONDS * rate)))
+
+
+def _peaks(travel: float, top: float, mass: Floats, stiffness: Floats) -> dict[str, float]:
+    """Largest magnitudes at the highest frequency; the force is an upper bound."""
+    w = 2 * np.pi * top
+    force = float((np.abs(stiffness) + w * w * np.abs(mass)).max()) * travel
+    return dict(zip(LIMIT_NAMES, (travel, w * travel, w * w * travel, force), strict=True))
+
+
+def _allowed(experiment: Experiment) -> dict[str, tuple[float, str]]:
+    """Largest peak of each quantity and rate of change, and the parameter that says so."""
+    limits = group(experiment["supervisor"], "limits")
+    allowed = {name: (float(limits[name]), f"supervisor: limits.{name}") for name in LIMIT_ROWS}
+    rig = experiment.sections.get("rig", {})
+    for name, channel in zip(LIMIT_NAMES, CHANNELS, strict=True):
+        parameter = f"sensors.{channel}_range"
+        if parameter in rig:
+            own = float(np.min(rig[parameter]))
+            allowed[name] = min(allowed[name], (own, f"rig: {parameter}"))
+    return allowed
+
+
+def _over(shake: Shake, allowed: Mapping[str, tuple[float, str]]) -> str:
+    """Say which peak is too large, if any."""
+    w = 2 * np.pi * shake.top
+    for name, (limit, where) in allowed.items():
+        peak = shake.peaks.get(name, w * shake.peaks.get(name.removesuffix("_rate"), 0.0))
+        if peak > LARGEST_SHARE * limit:
+            return (
+                f"{peak:.3g} with {1e3 * shake.travel:.3g} mm at {shake.top:.3g} Hz, more than "
+                f"half of {where}, {limit:g}"
+            )
+    return ""
+
+
+@dataclass(frozen=True)
+class Sine:
+    """One sine of a shake: axis, frequency in Hz, first and last step that are evaluated."""
+
+    axis: int
+    frequency: float
+    first: int
+    end: int
+
+
+def with_actuators(shake: Shake, found: Identified, experiment: Experiment) -> Shake:
+    """Fit a shake to the actuators: its highest frequency is lowered where need be.
+
+    To `OF_ACTUATOR` times that of valve and oil column, and so far that commands reach half of the
+    voltage limit at most.
+
+    Raises
+    ------
+    InputError
+        If the lowest frequency needs more.
+    """
+    valves = [valve.actuator.valve_frequency for valve in found.valves]
+    oil = [column.hz for valve in found.valves if (column := valve.plant.oil_column())]
+    top = min(shake.top, OF_ACTUATOR * min(valves + oil))
+    limit = experiment["force_controller"]["voltage_limit"]
+    frequencies = np.geomspace(top / SPAN, top, 33)
+    voltage = shake.travel / _moved(found, frequencies).min(axis=1)
+    within = np.maximum.accumulate(voltage) <= LARGEST_SHARE * limit
+    if not within[0]:
+        raise InputError(
+            f"the shake would need {voltage[0]:.3g} V with {1e3 * shake.travel:.3g} mm at "
+            f"{frequencies[0]:.3g} Hz, more than half of force_controller: voltage_limit, "
+            f"{limit:g} V; give a smaller --travel"
+        )
+    return replace(shake, top=float(frequencies[within][-1]))
+
+
+def _moved(found: Identified, frequencies: Floats) -> Floats:
+    """Displacement of each axis per command of its valve, at m frequencies, shape (m, n), m/V."""
+    plant, n = _plant(found), len(found.axes)
+    points = np.asarray(2j * np.pi * frequencies, dtype=np.complex128)
+    response = lti.state_space_response(plant.a, plant.b, plant.c, plant.d, points)
+    moved: Floats = np.abs(np.diagonal(response[:, :n], axis1=1, axis2=2))
+    return moved
+
+
+def _plant(found: Identified) -> Plant:
+    return fitted_plant(found.specimen, [valve.actuator for valve in found.valves], motion=True)
+
+
+def shake_drive(
+    shake: Shake,
+    found: Identified,
+    dt: float,
+    seconds: float = SECONDS,
+    gains: Floats | None = None,
+) -> tuple[Floats, list[Sine]]:
+    """Valve commands of a shake.
+
+    Parameters
+    ----------
+    shake : Shake
+        Its plan, see `with_actuators`.
+    found : Identified
+        The rig, which tells the commands for the displacement.
+    dt : float
+        Sampling period, s.
+    seconds : float
+        Of each axis.
+    gains : ndarray, optional
+        Factor on each sine, shape (m,), see `gains_after`.
+
+    Returns
+    -------
+    commands : ndarray
+        Shape (N, n), V: the sines of the first axis, lowest first, then those of the next. Each
+        rises and falls slowly, so that the piston does not drift.
+    sines : list of Sine
+        Evaluated over whole cycles.
+    """
+    n, first = len(found.axes), 0
+    parts: list[Floats] = []
+    sines: list[Sine] = []
+    volts = shake.travel / _moved(found, shake.frequencies)
+    for axis in range(n):
+        for place, frequency in enumerate(shake.frequencies.tolist()):
+            steps = round(max(seconds / SINES, FEWEST_CYCLES / frequency) / dt)
+            at = np.arange(steps)
+            rise = np.clip(np.minimum(at, steps - 1 - at) / (RISE * steps), 0.0, 1.0)
+            window = 0.5 - 0.5 * np.cos(np.pi * rise)
+            gain = volts[place, axis] * (1.0 if gains is None else gains[len(sines)])
+            command = np.zeros((steps, n))
+            command[:, axis] = gain * window * np.cos(2 * np.pi * frequency * dt * at)
+            parts.append(command)
+            begin = int(SETTLED * steps)
+            cycles = int((steps - 2 * begin) * frequency * dt)
+            end = begin + round(cycles / (frequency * dt))
+            sines.append(Sine(axis, frequency, first + begin, first + end))
+            first += steps
+    return np.concatenate(parts), sines
+
+
+def gains_after(shake: Shake, moved: Floats) -> Floats:
+    """Factors on the sines of a shake after a pilot, in which they moved so much, (m,), m.
+
+    Between 1/2 and 2: where the pilot was held by friction, more may move it suddenly.
+    """
+    factors: Floats = np.clip(shake.travel / np.maximum(moved, 1e-30), 0.5, 2.0)
+    return factors
+
+
+def sound_relations(
+    found: Identified, sines: Sequence[Sine], dt: float, dead_time: float, lag: Floats
+) -> Complexes:
+    """Velocity and acceleration of a rig whose channels agree, over the derivatives of x.
+
+    They differ from 1 because a command is held over a period: what that makes at higher
+    frequencies folds down to that of the sine. In the acceleration it is 0.1 % at 500 Hz with a
+    valve of 70 Hz and an oil column of 90 Hz. It follows from the identified actuators.
+
+    Parameters
+    ----------
+    found, sines, dt
+        The rig, the shake, and the sampling period, s.
+    dead_time : float
+        Of the valves alone, s.
+    lag : ndarray
+        Of each channel, shape (4, n), s; it turns what is folded down.
+
+    Returns
+    -------
+    ndarray
+        Shape (m, 2), without the lags themselves.
+    """
+    plant = replace(_plant(found), delay=dead_time, late=lag.ravel() if lag.any() else None)
+    a, b, c = plant.sampled(dt)
+    s = np.array([2j * np.pi * sine.frequency for sine in sines])
+    axes = [sine.axis for sine in sines]
+    response = lti.state_space_response(a, b, c, np.zeros((len(c), b.shape[1])), np.exp(s * dt))
+    turned = response.reshape(len(s), 4, -1, b.shape[1])[np.arange(len(s)), :, axes, axes]
+    x, v, acceleration, _ = (turned * np.exp(s[:, np.newaxis] * lag.T[axes])).T
+    return np.stack([v / (s * x), acceleration / (s * s * x)], axis=1)

@@ -1,0 +1,283 @@
+"""What a shake says of mass, scale, lag and zero of the channels, with standard errors.
+
+Each sine gives the complex amplitude of each channel, over whole cycles. Velocity and acceleration
+of an axis are derivatives of the displacement X, with scale s, lag tau and, where a channel has
+another filter than the displacement, a gain and a phase that are curved (g, h)::
+
+    Y_i = sum_j s_ij (i w)^k X_j exp(-i w tau_i + g_i w^2 + i h_i w^3)                     (1)
+
+Off the diagonal s is the tilt of an accelerometer. With these known, the force is::
+
+    F_i exp(i w tau_i) = sum_j M_ij A_j + (K_ij + i H_ij + i w C_ij) X_j                   (2)
+
+K + iH is the stiffness at the shake's amplitude of a specimen that does not depend on rate; where
+friction bends the motion it is made so (`seft_ros.design.shake_hysteresis`). Load
+cell and displacement sensor are the reference: of scales that all are wrong by the same factor, and
+of a lag that all have in common, a shake says nothing. Standard errors are those of the sensors'
+noise or of what the equations leave, if that is more.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from seft_msgs_py.arrays import Complexes, Floats
+
+from seft_ros.design.shake import Sine
+from seft_ros.design.shake_hysteresis import uneven_force
+
+_OVERTONES = 9  # of a sine, which friction makes, and which are no noise
+_ROUNDS = 4  # of linearisation in the lag; it converges quadratically
+SIGMAS = 4.0
+"""Standard errors within which a deviation is none: curvature, tilt."""
+FOLDED = 0.5
+"""Part of what held commands fold down that is not known: filters and lags of a channel change it.
+It is part of the standard errors."""
+
+
+def significant(value: Floats, error: Floats) -> Floats:
+    """Give the values that are beyond `SIGMAS` standard errors, and 0 for the others."""
+    return np.where(np.abs(value) > SIGMAS * error, value, 0.0)
+
+
+@dataclass(frozen=True)
+class Harmonics:
+    """Amplitudes of m sines on n axes.
+
+    Attributes
+    ----------
+    w : ndarray
+        Shape (m,), rad/s.
+    overtones : ndarray
+        Amplitudes of displacement, velocity, acceleration and force, complex, shape (m, H, 4, n):
+        of the sine and of its overtones; 0: not evaluated.
+    noise : ndarray
+        Standard error of the real and of the imaginary part of a sine, shape (m, 4, n).
+    mean : ndarray
+        Mean over whole cycles, shape (m, 4, n).
+    """
+
+    w: Floats
+    overtones: Complexes
+    noise: Floats
+    mean: Floats
+
+    @property
+    def amplitude(self) -> Complexes:
+        """Amplitudes of the sines, shape (m, 4, n)."""
+        return self.overtones[:, 0]
+
+
+def harmonics(samples: Floats, sines: Sequence[Sine], dt: float) -> Harmonics:
+    """Evaluate a shake; ``samples`` are as measured, shape (N, 4, n)."""
+    overtones, noise, mean = [], [], []
+    for sine in sines:
+        part = samples[sine.first : sine.end]
+        flat = part.reshape(len(part), -1)
+        t = dt * np.arange(sine.first, sine.end)
+        w = 2 * np.pi * sine.frequency
+        slow = np.linspace(-1.0, 1.0, len(t))  # the piston may drift
+        orders = np.arange(1, max(1, min(_OVERTONES, int(0.45 * 2 * np.pi / (w * dt)))) + 1)
+        waves = w * t[:, np.newaxis] * orders
+        rows = [np.cos(waves), np.sin(waves), np.ones((len(t), 1)), slow[:, np.newaxis]]
+        columns = np.concatenate(rows, axis=1)
+        found, *_ = np.linalg.lstsq(columns, flat, rcond=None)
+        left = flat - columns @ found
+        variance = (left**2).sum(axis=0) / (len(t) - columns.shape[1])
+        count = len(orders)
+        waves = np.zeros((_OVERTONES, flat.shape[1]), dtype=np.complex128)
+        waves[:count] = found[:count] - 1j * found[count : 2 * count]
+        overtones.append(waves)
+        noise.append(np.sqrt(2.0 * variance / len(t)))
+        mean.append(found[-2])
+    shape = (len(sines), *samples.shape[1:])
+    return Harmonics(
+        2 * np.pi * np.array([sine.frequency for sine in sines]),
+        np.reshape(overtones, (len(sines), _OVERTONES, *samples.shape[1:])),
+        np.reshape(noise, shape),
+        np.reshape(mean, shape),
+    )
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Estimates of a linear regression with their standard errors, shape (p,)."""
+
+    value: Floats
+    error: Floats
+
+
+def regressed(columns: Complexes, target: Complexes, noise: Floats) -> Fit:
+    """Real solution of complex equations, shape (m, p) and (m,), by weighted least squares.
+
+    ``noise`` is the standard error of the real and the imaginary part of each equation. The
+    standard errors follow from it, or from what is left, if that is more.
+    """
+    weighted, wanted = columns / noise[:, np.newaxis], target / noise
+    a = np.concatenate([weighted.real, weighted.imag])
+    b = np.concatenate([wanted.real, wanted.imag])
+    size = np.maximum(np.linalg.norm(a, axis=0), 1e-300)
+    inverse = np.linalg.pinv((a / size).T @ (a / size), rcond=1e-12)
+    value = inverse @ ((a / size).T @ b)
+    left = b - a / size @ value
+    spread = max(1.0, float(left @ left) / max(1, len(b) - a.shape[1]))
+    return Fit(value / size, np.sqrt(inverse.diagonal() * spread) / size)
+
+
+@dataclass(frozen=True)
+class ShakeFit:
+    """What a shake says; everything as published, after what was known of the channels.
+
+    Attributes
+    ----------
+    mass, mass_error : ndarray
+        M and its standard errors, shape (n, n), kg: force over acceleration, whose scale is
+        corrected if that is significant.
+    stiffness : ndarray
+        K of Eq. (2), shape (n, n), N/m.
+    scale, scale_error : ndarray
+        Measured over true, shape (4, n); 1 for displacement and force, which are the reference.
+    lag, lag_error : ndarray
+        Behind the displacement, shape (4, n), s. That of the force is behind the aligned
+        acceleration.
+    zero, zero_error : ndarray
+        Mean over whole cycles, shape (4, n), SI units.
+    tilt, tilt_error : ndarray
+        What the accelerometers show of the acceleration of each axis, shape (n, n).
+    """
+
+    mass: Floats
+    mass_error: Floats
+    stiffness: Floats
+    scale: Floats
+    scale_error: Floats
+    lag: Floats
+    lag_error: Floats
+    zero: Floats
+    zero_error: Floats
+    tilt: Floats
+    tilt_error: Floats
+
+
+def fit_shake(of: Harmonics, sound: Complexes) -> ShakeFit:
+    """Estimate mass, scales, lags and zeros.
+
+    Parameters
+    ----------
+    of : Harmonics
+        Of at least five sines on each axis.
+    sound : ndarray
+        Velocity and acceleration that a sound rig shows, over the derivatives of the displacement,
+        shape (m, 2): a held command folds down.
+    """
+    m, _, n = of.amplitude.shape
+    scale, lag = np.ones((4, n)), np.zeros((4, n))
+    scale_error, lag_error = np.zeros((4, n)), np.zeros((4, n))
+    tilt, tilt_error = np.eye(n), np.zeros((n, n))
+    acceleration = of.amplitude[:, 2].copy()
+    folded = FOLDED * np.abs(sound - 1.0).max(axis=0)
+    for order, i in ((order, i) for order in (1, 2) for i in range(n)):
+        own, aligning = _relation(of, order, i, sound[:, order - 1])
+        scale[order, i] = own.value[i]
+        scale_error[order, i] = np.hypot(own.error[i], folded[order - 1])
+        lag[order, i], lag_error[order, i] = own.value[n], own.error[n]
+        if order == 2:
+            tilt[i], tilt_error[i] = own.value[:n] / own.value[i], own.error[:n] / own.value[i]
+            acceleration[:, i] *= aligning
+    tilt_error[np.diag_indices(n)] = 0.0
+    adopted = 1.0 + significant(scale - 1.0, scale_error)
+    acceleration = np.linalg.solve(adopted[2][:, np.newaxis] * tilt, acceleration.T).T
+    mass, mass_error, stiffness = np.zeros((3, n, n))
+    for i in range(n):
+        force = of.amplitude[:, 3, i]
+        own, k = _inertia(of, force, acceleration, adopted[2], i)
+        even = force - _uneven(of, i, lag[2, i], own.value[-1])
+        own, k = _inertia(of, even, acceleration, adopted[2], i)
+        mass[i], stiffness[i] = own.value[:n], k
+        mass_error[i] = np.hypot(own.error[:n], folded[1] * np.abs(own.value[:n]))
+        lag[3, i], lag_error[3, i] = own.value[-1], own.error[-1]
+    zero, zero_error = of.mean.mean(axis=0), of.mean.std(axis=0, ddof=1) / np.sqrt(m)
+    return ShakeFit(
+        (mass + mass.T) / 2,
+        np.hypot(mass_error, mass_error.T) / 2 * np.sqrt(1.0 + np.eye(n)),
+        stiffness,
+        scale,
+        scale_error,
+        lag,
+        lag_error,
+        zero,
+        zero_error,
+        tilt,
+        tilt_error,
+    )
+
+
+def _relation(of: Harmonics, order: int, i: int, sound: Complexes) -> tuple[Fit, Complexes]:
+    """Fit Eq. (1) for axis i: scales to each axis, lag; and give the factor that aligns it."""
+    n = of.amplitude.shape[2]
+    by_x = (1j * of.w) ** order
+    y, motion = of.amplitude[:, order, i] / sound, by_x[:, np.newaxis] * of.amplitude[:, 0]
+    noise = np.hypot(of.noise[:, order, i], np.abs(by_x) * of.noise[:, 0, i])
+    others = np.arange(n) != i
+    used = np.arange(n)
+    fit, shape = _shaped(y, motion, noise, of.w)
+    if n > 1 and not (np.abs(fit.value[:n]) > SIGMAS * fit.error[:n])[others].any():
+        used = np.array([i])
+        fit, shape = _shaped(y, motion[:, used], noise, of.w)
+    value, error = np.zeros(n + 1), np.zeros(n + 1)
+    at = np.append(used, n)
+    value[at], error[at] = fit.value, fit.error
+    return Fit(value, error), shape
+
+
+def _shaped(y: Complexes, columns: Complexes, noise: Floats, w: Floats) -> tuple[Fit, Complexes]:
+    """Fit y = columns b exp(-i w tau + g w^2 + i h w^3); give b and tau, and the factor on y.
+
+    Without g and h, unless one of them is significant.
+    """
+    powers = np.stack([-1j * w, w**2 + 0j, 1j * w**3], axis=1)
+    for count in (3, 1):
+        found = np.zeros(count)
+        for _ in range(_ROUNDS):
+            factor = np.exp(-powers[:, :count] @ found)
+            turned = y * factor
+            more = powers[:, :count] * turned[:, np.newaxis]
+            fit = regressed(np.concatenate([columns, more], axis=1), turned, noise)
+            found = found + fit.value[-count:]
+        curved = np.abs(found[1:]) > SIGMAS * fit.error[len(fit.error) - count + 1 :]
+        if count == 1 or curved.any():
+            break
+    b = columns.shape[1]
+    value, error = np.append(fit.value[:b], found[0]), fit.error[: b + 1]
+    return Fit(value, error), np.exp(-powers[:, :count] @ found)
+
+
+def _uneven(of: Harmonics, i: int, late_acceleration: float, late_force: float) -> Complexes:
+    """Force of friction on axis i that differs from sine to sine, as measured, shape (m,)."""
+    uneven = np.zeros(len(of.w), dtype=np.complex128)
+    if of.overtones.shape[1] == 1:  # of a spectrum
+        return uneven
+    own = np.abs(of.amplitude[:, 0]).argmax(axis=1) == i  # the sines of this axis
+    orders = np.arange(1, of.overtones.shape[1] + 1)
+    s = 1j * of.w[own, np.newaxis] * orders
+    x, _, a, f = np.moveaxis(of.overtones[own, :, :, i], 2, 0)
+    a, f = a * np.exp(s * late_acceleration), f * np.exp(s * late_force)
+    uneven[own] = uneven_force(of.w[own], x, a, f) * np.exp(-s[:, 0] * late_force)
+    return uneven
+
+
+def _inertia(
+    of: Harmonics, force: Complexes, acceleration: Complexes, scale: Floats, i: int
+) -> tuple[Fit, Floats]:
+    """Fit Eq. (2) for axis i: masses and the lag of the force; and give the stiffness."""
+    n, w = acceleration.shape[1], of.w[:, np.newaxis]
+    x = of.amplitude[:, 0]
+    columns = np.concatenate([acceleration, x, 1j * x, 1j * w * x], axis=1)
+    noise = of.noise[:, 3, i]
+    for _ in range(2):
+        fit, _ = _shaped(force, columns, noise, of.w)
+        m, k, h, c = fit.value[:-1].reshape(4, n)
+        motion = (of.noise[:, 0] * np.abs(k + 1j * (h + w * c))) ** 2
+        motion += (of.noise[:, 2] / scale * m) ** 2
+        noise = np.sqrt(of.noise[:, 3, i] ** 2 + motion.sum(axis=1))
+    return fit, k

@@ -1,0 +1,162 @@
+"""A shake: what it will reach, and what it says of mass and channels of the simulated rig."""
+
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+from experiments_at_hand import load, simulated
+from seft_msgs_py.errors import InputError
+from seft_plant_sim.sensors import CHANNELS
+from seft_ros.design.actuator_fit import ActuatorFit
+from seft_ros.design.calibrated import Calibrated, Shaken, known_of, shake_notes
+from seft_ros.design.identified import Identified, ValveResponse, fitted_plant
+from seft_ros.design.response_fits import SpecimenFit
+from seft_ros.design.rig_tests import shake_test, write_forces
+from seft_ros.design.shake import Shake, plan_shake, shake_drive, with_actuators
+from seft_ros.reference_force.reference_force_block import method_inputs
+
+POSITION, VELOCITY, ACCELERATION, FORCE = range(4)
+FLAG = (  # another mass, stiffness and law than any configuration has
+    *("rig:specimen.mass:=73.0", "rig:specimen.stiffness:=1.4e5", "rig:specimen.damping:=300.0"),
+    *("rig:specimen.kind:=flag", "rig:specimen.yield_displacement:=0.0001"),
+    *("reference_force:model.mass:=60.0", "reference_force:model.stiffness:=2.0e5"),
+)
+FRICTION = ("rig:specimen.kind:=friction", "rig:specimen.friction.force:=60.0")
+
+
+def identified(experiment):
+    """The rig with the actuators that its force controller was told, and the told specimen."""
+    names = ("flow_gain", "oil_stiffness", "leakage", "force_capacity")
+    names += ("valve_frequency", "valve_damping", "dead_time")
+    told = {name: experiment["force_controller"][f"actuator.{name}"] for name in names}
+    none = np.zeros(0)
+    more = {"drag": 0.0, "explained": 1.0, "unsure": (), "largest_force": 0.0, "dt": 0.002}
+    fit = ActuatorFit(**told, **more, measured=none, modelled=none)
+    assumed = method_inputs(experiment["reference_force"], experiment.axes, experiment.timebase)
+    model = SpecimenFit(assumed.mass, assumed.damping, assumed.stiffness, 0.0)
+    whole = fitted_plant(model, [fit] * len(experiment.axes))
+    valves = [
+        ValveResponse(fit, None, 0.0, whole.axis(axis)) for axis in range(len(experiment.axes))
+    ]
+    return Identified(experiment.axes, (0.3, 200.0), model, valves, [], [], [])
+
+
+@cache
+def shaken(*words, config="jhu"):
+    """Shake the rig of a configuration once, with the actuators as told."""
+    experiment = load(*words, config=config)
+    found = identified(experiment)
+    plan = with_actuators(plan_shake(experiment), found, experiment)
+    commands, sines = shake_drive(plan, found, experiment.timebase.dt)
+    with TemporaryDirectory() as folder:
+        path = write_forces(Path(folder) / "shake.csv", experiment, commands)
+        record = simulated(shake_test(experiment, path))
+    assert record.trip is None
+    nothing = known_of(load())
+    n = len(experiment.axes)
+    known = {what: np.repeat(value, n, axis=1) for what, value in nothing.items()}
+    return Shaken.of_record(plan, record, sines, found, Calibrated(known, known, 0.0, False))
+
+
+def assert_known(value, error, true, most):
+    """Within four standard errors, which are small."""
+    assert value == pytest.approx(true, abs=4 * error)
+    assert error < most
+
+
+def test_mass_scale_lag_and_zero_are_recovered():
+    words = (
+        *("rig:sensors.acceleration_lag:=0.0013", "rig:sensors.velocity_lag:=0.0004"),
+        *("rig:sensors.acceleration_scale:=0.98", "rig:sensors.velocity_scale:=1.02"),
+        *("rig:sensors.force_bias:=4.0", "rig:sensors.acceleration_bias:=0.08"),
+    )
+    found = shaken(*FLAG, *words)
+    fit = found.fit
+    assert_known(fit.mass[0, 0], fit.mass_error[0, 0], 73.0, 0.1)
+    for row, scale, lag in ((VELOCITY, 1.02, 0.0004), (ACCELERATION, 0.98, 0.0013)):
+        assert_known(fit.scale[row, 0], fit.scale_error[row, 0], scale, 2e-3)
+        assert_known(fit.lag[row, 0], fit.lag_error[row, 0], lag, 1e-5)
+    assert_known(fit.lag[FORCE, 0], fit.lag_error[FORCE, 0], 0.0, 1e-5)
+    assert_known(fit.zero[ACCELERATION, 0], fit.zero_error[ACCELERATION, 0], 0.08, 2e-3)
+    assert_known(fit.zero[FORCE, 0], fit.zero_error[FORCE, 0], 4.0, 0.5)
+    section = found.sections()["rig"]
+    assert section["calibration.acceleration_lag"] == [pytest.approx(0.0013, abs=4e-5)]
+    assert section["calibration.position_scale"] == [1.0]
+    assert section["calibration.force_scale"] == [1.0]
+
+    told = [f"rig:{name}:={value}" for name, value in section.items()]
+    again = shaken(*FLAG, *words, *told)
+    assert not again.calibrated.changes  # and what it knows is kept
+    assert again.sections()["rig"] == section
+
+
+def test_friction_spoils_neither_mass_nor_zero():
+    fit = shaken(*FRICTION, "rig:sensors.force_bias:=5.0", "rig:sensors.position_bias:=2e-4").fit
+    assert_known(fit.mass[0, 0], fit.mass_error[0, 0], 52.7, 0.12)
+    assert fit.mass[0, 0] == pytest.approx(52.7, rel=4e-3)
+    assert fit.zero[POSITION, 0] == pytest.approx(2e-4, abs=1e-5)
+    assert fit.zero[FORCE, 0] == pytest.approx(5.0, abs=1.0)
+
+
+def test_what_is_late_is_told_whatever_is_the_latest():
+    fit = shaken("rig:sensors.position_lag:=0.002")
+    lags = [fit.sections()["rig"][f"calibration.{channel}_lag"][0] for channel in CHANNELS]
+    assert lags == pytest.approx([0.002, 0.0, 0.0, 0.0], abs=2e-5)
+
+
+def test_a_derived_velocity_has_no_calibration():
+    section = shaken("rig:sensors.velocity:=derived").sections()["rig"]
+    assert not any("velocity" in name for name in section)
+    load("rig:sensors.velocity:=derived", *(("rig", *item) for item in section.items()))
+
+
+def test_several_axes_give_the_matrix_and_a_tilt():
+    tilt = "rig:sensors.tilt:=[1.0, 0.0, 0.0, 0.03, 1.0, 0.0, 0.0, 0.0, 1.0]"
+    found = shaken(tilt, config="three_storey_frame")
+    fit = found.fit
+    np.testing.assert_allclose(fit.mass, 52.7 * np.eye(3), atol=0.3)
+    assert_known(fit.tilt[1, 0], fit.tilt_error[1, 0], 0.03, 2e-3)
+    notes = shake_notes(found, ("a", "b", "c"))
+    assert [note for note in notes if "axis b" in note and "of a" in note]
+    assert sum("tilted" in note for note in notes) == 1
+
+
+def test_the_displacement_follows_from_the_noise_and_the_peaks_are_told():
+    plan = plan_shake(load())
+    noisy = plan_shake(load("rig:sensors.position_noise:=2e-5"))
+    assert noisy.travel == pytest.approx(4 * plan.travel, rel=0.05)
+    told = plan_shake(load(), travel=1e-4)
+    assert (told.travel, told.peaks["displacement"]) == (1e-4, 1e-4)
+    assert "sines of 0.1 mm on each axis, up to 50 Hz" in told.text()
+    largest, peaks = shaken(*FLAG).largest, shaken(*FLAG).shake.peaks
+    for name, peak in peaks.items():
+        assert largest[name] < 1.15 * peak, name  # with the noise
+
+
+def test_limits_lower_the_highest_frequency():
+    free, bound = plan_shake(load()), plan_shake(load("supervisor:limits.acceleration:=10.0"))
+    assert bound.peaks["acceleration"] <= 5.0 < free.peaks["acceleration"]
+    assert bound.top < free.top
+
+
+@pytest.mark.parametrize(
+    ("words", "travel", "told"),
+    [
+        ((), 0.06, "would reach 0.06 with 60 mm.*half of supervisor: limits.displacement, 0.076"),
+        ((), -1e-4, "--travel is -0.0001 m"),
+        (("supervisor:limits.force:=20.0",), None, "half of supervisor: limits.force.*--travel"),
+        (("rig:sensors.position_noise:=0.0", "rig:sensors.adc_bits:=0"), None, "noise.position"),
+    ],
+)
+def test_a_shake_beyond_the_limits_is_refused_before_anything_moves(words, travel, told):
+    with pytest.raises(InputError, match=told):
+        plan_shake(load(*words), travel)
+
+
+def test_a_shake_beyond_the_valve_is_refused():
+    experiment = load()
+    with pytest.raises(InputError, match=r"voltage_limit, 10 V; give a smaller --travel"):
+        plan = Shake(0.01, 50.0, {})
+        with_actuators(plan, identified(experiment), experiment)
