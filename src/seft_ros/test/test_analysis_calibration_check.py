@@ -99,8 +99,10 @@ def test_what_a_separate_test_found_is_combined_by_the_errors():
     told = {"mass": 1.04 * 52.7, "mass_error": 0.1, "force_lag_error": 1e-6}
     words = [f"reference_force:identified.{name}:={value}" for name, value in told.items()]
     both = calibration_check(record_of(*FRICTION, *words)).mass
-    assert both.estimate == pytest.approx(1.04 * 52.7, rel=1e-3)
-    assert both.error < 0.1 * own.error
+    weights = np.array([own.error, told["mass_error"]]) ** -2.0
+    estimates = own.estimate, told["mass"]
+    assert both.estimate == pytest.approx(np.average(estimates, weights=weights), rel=1e-4)
+    assert both.error == pytest.approx(weights.sum() ** -0.5, rel=1e-3)
 
     def short(of):
         return replace(of, series={name: s.until(60) for name, s in of.series.items()})
@@ -108,7 +110,7 @@ def test_what_a_separate_test_found_is_combined_by_the_errors():
     assert calibration_check(short(record)).mass is None
     alone = calibration_check(short(record_of(*FRICTION, *words))).mass
     assert alone.estimate == pytest.approx(1.04 * 52.7)
-    assert alone.error == pytest.approx(LEAST_ERROR * 52.7)  # no mass is known better
+    assert alone.error == pytest.approx(0.1)
 
 
 def test_three_axes_find_a_wrong_floor():
