@@ -36,7 +36,7 @@ from seft_ros.force_controller.methods import force_control
 from seft_ros.force_controller.received_forces import PENDING, MatchedForces, NewestPreview
 from seft_ros.protection.detectors import WARNING
 from seft_ros.test_run.parameter_tables import TABLES
-from seft_ros.test_run.state_machine import SampleOrder
+from seft_ros.test_run.state_machine import SampleOrder, check_magnitude
 
 _STOP_PERIOD = 0.01  # s of the test, between two stops in reserve: little of a stop
 _REPORT_PERIOD = 1.0  # s between two reports of link and valves while a test runs
@@ -182,9 +182,7 @@ class ForceControllerNode(NodeBody):
         points, name = values[:, :, self._places], REFERENCE_FORCE.name
         if self._controller.reason and step <= self._order.last:
             return
-        for force in points[: self._settled, -1]:
-            if implausible := self._controller.implausible(force):
-                raise WireError(f"{name} of step {step}: {implausible}")
+        check_magnitude(f"{name} of step", step, points[: self._settled, -1])
         self._begin_with(step)  # it may be read before its state
         if self._previews is None:
             self._order.check(name, step)
