@@ -51,6 +51,7 @@ DIFFERENCES = (
     ("supervisor:limits.force:={force}",),
     ("rig:limits.acceleration:=8.0",),
     ("reference_force:limits.force:={force}",),
+    ("force_controller:limits.force:={force}",),
     ("force_controller:voltage_limit:=0.4",),
 )
 WRONG = (
