@@ -24,6 +24,7 @@ from seft_msgs_py.wire.topics import (
     LOOP_TOPICS,
     REFERENCE_FORCE,
     RIG_STATE,
+    TARGET,
     VALVE_COMMAND,
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
@@ -55,6 +56,16 @@ def test_a_rig_that_misses_commands_continues_along_its_stop_in_reserve(local_gr
     meant = offline(graph).series[RIG_STATE.name].values[:, 0, 0]
     assert graph.status("rig")["missed"] == "9"
     assert abs(displacement - meant).max() < 0.02 * abs(meant).max()  # a held valve: 0.19
+
+
+def test_the_detectors_know_what_a_rig_applies_while_answers_queue(local_graph):
+    graph = local_graph(SIX, UNREHEARSED, *TARGET_MOTION)
+    for step in (700, 800, 900, 1000):
+        for place in range(12):
+            graph.delay(TARGET, 0.014 - 0.001 * place, {step + place})
+    perform(graph)
+    assert graph.status("rig")["missed"] == "48"
+    assert graph.status("force_controller")["nearest detector"].startswith("velocity_acceleration")
 
 
 def test_a_late_command_is_missed_and_a_very_late_one_trips(local_graph):

@@ -258,18 +258,8 @@ class Rig:
         return self._sample(self.step_index + 1)
 
     def continued(self, last: Floats, age: int, plan: Floats, taken: int) -> Floats:
-        """Give a command, shape (n,), where the last one is so many steps old.
-
-        It is that of a ``plan`` of so many steps ago, shape (m, n); the difference between the last
-        command and the plan goes in the time in which the valve closes. A plan of one point holds
-        it.
-        """
-        end, closing = len(plan) - 1, self._safe.closing if self._safe else 0
-        then = age - taken
-        offset = last - plan[min(then, end)] if then >= 0 else np.zeros_like(last)
-        left = left_open(taken, closing) if end else 1.0
-        command: Floats = plan[min(age, end)] + left * offset
-        return command
+        """Give the command of a step without one, see `continued`."""
+        return continued(last, age, plan, taken, self._safe.closing if self._safe else 0)
 
     def stop(self, plan: Floats | None = None, planned: Floats | None = None) -> Stopped:
         """Move the valve to its safe position and simulate the rig until it is at rest.
@@ -342,6 +332,27 @@ class Rig:
                 if found & bit:
                     count_saturated(self.saturation, name, 1, step)
         return measured
+
+
+def continued(last: Floats, age: int, plan: Floats, taken: int, closing: float) -> Floats:
+    """Give the command of a step without one: it continues along a stop.
+
+    Parameters
+    ----------
+    last : ndarray
+        The last command, shape (n,), V.
+    age, plan : int, ndarray
+        The stop, shape (m, n), V, and its age in steps. One of one point holds the last command.
+    taken : int
+        Age of the last command, in steps.
+    closing : float
+        Steps in which the valve closes: then the difference between last command and stop is gone.
+    """
+    end, then = len(plan) - 1, age - taken
+    offset = last - plan[min(then, end)] if then >= 0 else np.zeros_like(last)
+    left = left_open(taken, closing) if end else 1.0
+    command: Floats = plan[min(age, end)] + left * offset
+    return command
 
 
 def saturation_of(found: Ints) -> Saturation:

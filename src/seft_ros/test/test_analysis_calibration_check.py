@@ -12,7 +12,6 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_ros.analysis import calibration_check as checks
 from seft_ros.analysis.calibration_check import calibration_check
 from seft_ros.analysis.calibration_effect import led
-from seft_ros.analysis.channel_estimates import LEAST_ERROR
 from seft_ros.analysis.judgement import calibration_findings
 from seft_ros.analysis.report_numbers import report_numbers
 from seft_ros.analysis.result_text import OF_THE_MODEL, summary_texts

@@ -25,9 +25,9 @@ def run(tmp_path, monkeypatch):
     monkeypatch.setattr(of_nodes, "COMPOSED", "waiting")
 
     @contextmanager
-    def run_nodes(layout):
+    def run_nodes(layout, lockstep=True):
         with NodeStarter() as starter:
-            found = NodeProcesses(starter, NODES, [], tmp_path, layout, lockstep=True)
+            found = NodeProcesses(starter, NODES, [], tmp_path, layout, lockstep=lockstep)
             try:
                 yield found
             finally:
@@ -37,13 +37,13 @@ def run(tmp_path, monkeypatch):
 
 
 @SEVERAL_CORES
-@pytest.mark.parametrize("composed", [False, True])
-def test_nodes_of_the_loop_share_a_core(run, composed):
+@pytest.mark.parametrize(("composed", "lockstep"), [(False, True), (True, True), (False, False)])
+def test_nodes_of_the_loop_have_a_core_of_their_own_and_in_realtime_all(run, composed, lockstep):
     cores = os.sched_getaffinity(0)
-    with run(ProcessLayout(composed=composed)) as processes:
+    with run(ProcessLayout(composed=composed), lockstep) as processes:
         found = {node: os.sched_getaffinity(pid) for node, pid in processes.pids().items()}
     assert found.pop("recorder") == cores - {min(cores)}
-    assert found == {node: {min(cores)} for node in LOOP_NODES}
+    assert found == dict.fromkeys(LOOP_NODES, {min(cores)} if lockstep else cores)
     assert os.sched_getaffinity(0) == cores
 
 

@@ -11,17 +11,19 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import entry_point, kind_of
 from seft_plant_sim.limits import beyond_limit, event_ring
-from seft_plant_sim.rig import left_open
+from seft_plant_sim.rig import continued, left_open
 from seft_plant_sim.rig_parameters import LIMIT_NAMES
 
 from seft_ros.force_controller.detection import detectors_of
 from seft_ros.force_controller.force_control import ForceControl
 from seft_ros.force_controller.interlock_step import (
+    ANSWERED,
     DETECTED,
     FAULT,
     IMPLAUSIBLE,
     IMPLAUSIBLE_COMMAND,
     LIMIT,
+    MISSED,
     NO_TRIP,
     OUTSIDE,
     SATURATION,
@@ -30,6 +32,7 @@ from seft_ros.force_controller.interlock_step import (
     TRIP,
     InterlockParameters,
     InterlockState,
+    miss_command,
     postcheck,
     precheck,
     take_sample,
@@ -101,7 +104,7 @@ class Interlock:
             detectors[0],
         )
         self.state = InterlockState(
-            flags=np.zeros(5, dtype=np.int64),
+            flags=np.zeros(6, dtype=np.int64),
             saturated=saturated,
             force=np.zeros(n),
             measured=np.zeros((4, n)),
@@ -117,6 +120,7 @@ class Interlock:
         self._take = entry_point(take_sample, *both, 0, sample, sample)
         self._begin = entry_point(precheck, *both, 0, points, sample, drive)
         self._end = entry_point(postcheck, *both, 0, False, drive)
+        self._miss = entry_point(miss_command, *both, 0, drive)
         self.reset()
 
     @classmethod
@@ -178,9 +182,10 @@ class Interlock:
         """Begin a new test; also after a trip."""
         self.controller.reset()
         self.state.flags[:], self.state.drive[:], self.state.plan[:] = 0, 0.0, 0.0
-        self.state.flags[DETECTED] = VALID
+        self.state.flags[DETECTED], self.state.flags[MISSED] = VALID, -1
         self._begin_detectors(self.state.detectors)
         self._outside, self._stopping = "", np.zeros((0, len(self._axes)))
+        self._reserve = -1, self._stopping
 
     def judge(self, index: int, raw: Floats) -> Floats:
         """Judge the sample of a step, shape (4, n), see `judge_sample`."""
@@ -216,6 +221,18 @@ class Interlock:
             command[:] = self.stop(index)[0]
         return command
 
+    def missed(self, index: int) -> None:
+        """Learn that the rig sampled again before it had the answer to a step.
+
+        Then it has continued along the stop in reserve (`seft_plant_sim.rig.continued`).
+        """
+        begun, plan = self._reserve
+        command, answered = self.state.drive, int(self.state.flags[ANSWERED])
+        if not self.reason and begun >= 0:
+            closing = self.parameters.closing
+            command = continued(command, index - begun, plan, index - answered, closing)
+        self._miss(self.parameters, self.state, index, command)
+
     def stop(self, index: int) -> Floats:
         """Give the commands of a stop, from a step on; shape (m, n), V.
 
@@ -234,6 +251,7 @@ class Interlock:
                 last = stopping[-1]
             stopping = np.vstack([stopping, np.outer(self._closing, last)])
         if first < 0:
+            self._reserve = index, stopping
             return stopping
         self._stopping = stopping
         return stopping[min(index - first, len(stopping) - 1) :]

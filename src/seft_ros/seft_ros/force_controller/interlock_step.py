@@ -19,9 +19,10 @@ from seft_ros.protection.detectors import (
 )
 from seft_ros.protection.protection_step import as_sample, extrapolate
 
-TRIP, STEP, SATURATED, DETECTED, ANSWERED = range(5)
+TRIP, STEP, SATURATED, DETECTED, ANSWERED, MISSED = range(6)
 """Places of the flags: reason and step of the trip, number of limited drives, the detector that has
-found a fault, and the last step that the controller answered."""
+found a fault, the last step that the controller answered, and the last one whose command the rig
+missed."""
 NO_TRIP, IMPLAUSIBLE, IMPLAUSIBLE_COMMAND, SATURATION, FAULT, LIMIT, OUTSIDE = range(7)
 """Reasons of a trip; the last one is a reason from outside."""
 SOUND = NO_TRIP, IMPLAUSIBLE, LIMIT
@@ -61,7 +62,7 @@ class InterlockState(NamedTuple):
     Attributes
     ----------
     flags : ndarray
-        See `TRIP`, shape (5,).
+        See `TRIP`, shape (6,).
     saturated : ndarray
         The last steps at which the drive was limited, see `is_exceeded`.
     force, measured, odd : ndarray
@@ -161,7 +162,8 @@ def precheck(
             state.flags[DETECTED] = found
             copy(n, points[0, last], state.force)
     begin_stop(parameters, state, command)
-    take_command(parameters.detectors, state.detectors, command, False)
+    if step > state.flags[MISSED]:
+        take_command(parameters.detectors, state.detectors, command, False)
     return False
 
 
@@ -210,7 +212,17 @@ def postcheck(
     else:
         copy(len(command), command, state.odd)
         begin_stop(parameters, state, command)
-    take_command(parameters.detectors, state.detectors, command, limited)
+    if step > state.flags[MISSED]:
+        take_command(parameters.detectors, state.detectors, command, limited)
+
+
+@compiled
+def miss_command(
+    parameters: InterlockParameters, state: InterlockState, step: int, command: Floats
+) -> None:
+    """Let the detectors know what the rig applied where the answer to a step comes too late."""
+    take_command(parameters.detectors, state.detectors, command, False)
+    state.flags[MISSED] = step
 
 
 @compiled

@@ -159,6 +159,8 @@ class ForceControllerNode(NodeBody):
             raise WireError(f"{RIG_STATE.name} of step {step} a second time")
         if self._states and step < max(self._states):
             raise WireError(f"{RIG_STATE.name} of step {step} after that of {max(self._states)}")
+        if step - 1 in self._states:
+            self._controller.missed(step - 1)
         was_tripped = bool(self._controller.reason)
         judged = self._controller.judge(step, state)
         self._publish_judged(self._judged_codec.encode(step, judged))

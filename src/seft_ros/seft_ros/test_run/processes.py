@@ -42,7 +42,11 @@ _LIBC = ctypes.CDLL(None, use_errno=True)
 
 
 class Placement:
-    """The loop's nodes on as many cores as there are rigs, and everything else on the others.
+    """Everything but the loop's nodes stays off as many cores as there are rigs.
+
+    In lockstep the loop's nodes stay on these. In real time they may use all cores, before others:
+    what they do after an answer then delays nobody, and what has queued in a stall of the host is
+    made up for.
 
     Parameters
     ----------
@@ -60,7 +64,8 @@ class Placement:
     def __init__(self, nodes: Collection[str], *, lockstep: bool) -> None:
         cores = sorted(os.sched_getaffinity(0))
         rigs = max(1, sum(bare(node) == "rig" for node in nodes))  # they work side by side
-        self.loop = set(cores[:rigs])
+        self._all = set(cores)
+        self.loop = set(cores[:rigs]) if lockstep else self._all
         self.others = set(cores[rigs:]) or set(cores)
         self._lockstep = lockstep
 
@@ -90,10 +95,12 @@ class Placement:
         Threads through which no message of the loop passes are moved off the loop's cores.
         """
         with contextlib.suppress(OSError):  # it has ended; `ended` says how
+            if self._lockstep and not lockstep:
+                for thread in threads_of(pid):
+                    os.sched_setaffinity(thread, self._all)
+                _request_low_latency(pid)
             for thread in side_threads(pid):
                 os.sched_setaffinity(thread, self.others)
-            if self._lockstep and not lockstep:
-                _request_low_latency(pid)
 
 
 def _request_low_latency(pid: int) -> None:
@@ -124,9 +131,7 @@ class ProcessLayout:
     Attributes
     ----------
     pin : bool
-        Keep the loop's nodes on one core and the others off it. They work in turn, so that a
-        second core would only add wake-ups across cores. Several rigs work side by side, and have
-        as many cores. All cores stay awake, where that is allowed.
+        See `Placement`. All cores stay awake, where that is allowed.
     composed : bool
         Put the loop's nodes into one process; with several rigs, each rig's own.
     priority : int
