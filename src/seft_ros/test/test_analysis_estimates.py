@@ -91,7 +91,7 @@ def test_a_figure_has_a_small_panel_for_each_estimate_and_axis(axes):
     drawn.draw_without_rendering()
     heights = [panel.get_window_extent().height for panel in panels[:, 0]]
     assert max(heights[3:]) < 0.7 * min(heights[:3])
-    assert [panel.get_ylabel() for panel in panels[3:, 0]] == ["delay / ms", "stiffness / kN/m"]
+    assert [panel.get_ylabel() for panel in panels[3:, 0]] == ["delay\n/ ms", "stiffness\n/ kN/m"]
     for column in range(len(axes)):
         course, trip = panels[4, column].lines
         np.testing.assert_allclose(course.get_xdata(), [0.0, 0.1, 0.2])

@@ -26,8 +26,7 @@ from seft_ros.analysis.channel_estimates import (
     motion_frequency,
     relation,
 )
-from seft_ros.analysis.metrics import every_step
-from seft_ros.bags.record import Record
+from seft_ros.bags.record import Record, every_step
 from seft_ros.design.plan import choose_rig
 from seft_ros.reference_force.force_command import FORCE_DRIVEN
 

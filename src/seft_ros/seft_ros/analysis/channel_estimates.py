@@ -26,9 +26,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from seft_msgs_py.arrays import Floats
-from seft_plant_sim.compiled import compiled
 
-from seft_ros.reference_force.restoring_model import STANDS_OUT, stopped
+from seft_ros.reference_force.restoring_model import STANDS_OUT, slide
 
 SIGMAS = 4.0
 """Standard errors beyond which a deviation counts. Of 340 estimates on sound tests the worst were
@@ -303,16 +302,6 @@ def inertia(
         -value[1] / factor,
         error[1] / factor,
     )
-
-
-@compiled
-def slide(e: Floats, thresholds: Floats, stops: Floats) -> None:
-    """Let stop operators follow a deformation from rest, (N,); the result is (N, m)."""
-    for i in range(len(thresholds)):
-        z = 0.0
-        for k in range(1, len(e)):
-            z = stopped(z + e[k] - e[k - 1], thresholds[i])
-            stops[k, i] = z
 
 
 def law_regressors(e: Floats, noise: float) -> Floats:

@@ -13,8 +13,8 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import GROUND_MOTION
 from seft_plant_sim.whole_structure import WholeStructure, reference_response, whole_structure
 
-from seft_ros.analysis.metrics import every_step, nrmse
-from seft_ros.bags.record import Record
+from seft_ros.analysis.metrics import nrmse
+from seft_ros.bags.record import Record, every_step
 from seft_ros.ground_motion.response_spectrum import response_spectrum
 
 DAMPING = 0.05

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from scipy.fft import irfft, next_fast_len, rfft
 from seft_msgs_py.arrays import Floats, Ints
 
-from seft_ros.bags.record import Series
+from seft_ros.bags.record import Series, every_step
 
 Where = slice | npt.NDArray[np.intp]
 
@@ -27,15 +27,6 @@ def common_steps(one: Ints, other: Ints) -> tuple[Ints, Where, Where]:
         return one, slice(None), slice(None)
     common, in_one, in_other = np.intersect1d(one, other, assume_unique=True, return_indices=True)
     return common, in_one, in_other
-
-
-def every_step(series: Series, every: Ints) -> Floats:
-    """Values at every one of these consecutive steps, shape (N, q, n); lost ones interpolated."""
-    if len(every) == 0 or np.array_equal(series.steps[: len(every)], every):
-        return series.values[: len(every)]
-    flat = series.values.reshape(len(series.steps), -1)
-    columns = [np.interp(every, series.steps, column) for column in flat.T]
-    return np.stack(columns, axis=1).reshape(len(every), *series.values.shape[1:])
 
 
 _ITERATIONS = 30

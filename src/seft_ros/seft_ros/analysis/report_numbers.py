@@ -15,7 +15,6 @@ from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
 from seft_ros.analysis.judgement import Judgement, judge_test
-from seft_ros.analysis.metrics import every_step
 from seft_ros.analysis.summary import (
     COMPARED,
     ENERGIES,
@@ -24,7 +23,7 @@ from seft_ros.analysis.summary import (
     reference_of,
     summarise,
 )
-from seft_ros.bags.record import Record, Series
+from seft_ros.bags.record import Record, Series, every_step
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import instability_band
 from seft_ros.drawing.style import json_safe, thinned

@@ -25,10 +25,10 @@ from seft_plant_sim.whole_structure import ReferenceResponse, reference_response
 
 from seft_ros.analysis.calibration_check import calibration_check
 from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
-from seft_ros.analysis.metrics import Agreement, agreement, common_steps, every_step, peak
+from seft_ros.analysis.metrics import Agreement, agreement, common_steps, peak
 from seft_ros.analysis.timing import link_numbers, timing_of
 from seft_ros.analysis.tracking import tracking_error_of, tracking_of
-from seft_ros.bags.record import Estimates, Record
+from seft_ros.bags.record import Estimates, Record, every_step
 from seft_ros.drawing.style import json_safe
 from seft_ros.force_controller.detection import detector_shares
 from seft_ros.ground_motion.ground_motion_block import MOTION

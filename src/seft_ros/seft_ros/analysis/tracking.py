@@ -13,7 +13,7 @@ from seft_plant_sim.whole_structure import whole_structure
 
 from seft_ros.analysis import metrics
 from seft_ros.analysis.equivalent_motion import EquivalentMotion, assumed_structure
-from seft_ros.bags.record import Record
+from seft_ros.bags.record import Record, every_step
 
 SENT_AS_MEANT = ("none", "restoring", "target_motion")
 """Compensation methods whose reference force is that of its own step; others send it ahead."""
@@ -57,17 +57,17 @@ def tracked_of(record: Record) -> Tracked:
     steps, _, _ = metrics.common_steps(commands.steps, states.steps)
     every = np.arange(steps[0], steps[-1] + 1) if len(steps) else steps
     counted = steps - every[:1]
-    measured = metrics.every_step(states, every)
+    measured = every_step(states, every)
     force = measured[:, _FORCE]
     section = record.experiment.sections.get("reference_force", {})
     assumed = assumed_structure(record.experiment)
     ahead = section.get("compensation.method", "none") not in SENT_AS_MEANT
-    command = metrics.every_step(commands, every)[:, -1]  # effort, with a target's motion or not
+    command = every_step(commands, every)[:, -1]  # effort, with a target's motion or not
     derived = bool(ahead and assumed and len(motion.steps) and len(every))
     if derived and assumed:
         equivalent = EquivalentMotion(whole_structure(assumed), record.experiment.timebase.dt)
         with np.errstate(over="ignore", invalid="ignore"):  # of a test that went unstable
-            difference = equivalent.advance(measured) - metrics.every_step(motion, every)[:, 0]
+            difference = equivalent.advance(measured) - every_step(motion, every)[:, 0]
             command = force + difference @ equivalent.mass.T
     return Tracked(every, counted, command, force, derived)
 

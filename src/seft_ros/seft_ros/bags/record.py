@@ -206,6 +206,15 @@ class Series:
         return self.rows(np.isin(self.steps, steps))
 
 
+def every_step(series: Series, every: Ints) -> Floats:
+    """Values at every one of these consecutive steps, shape (N, q, n); lost ones interpolated."""
+    if len(every) == 0 or np.array_equal(series.steps[: len(every)], every):
+        return series.values[: len(every)]
+    flat = series.values.reshape(len(series.steps), -1)
+    columns = [np.interp(every, series.steps, column) for column in flat.T]
+    return np.stack(columns, axis=1).reshape(len(every), *series.values.shape[1:])
+
+
 def series_of(samples: Mapping[int, Floats], quantities: int, axes: int) -> Series:
     """Make a series of samples by step, each of shape (q, n), or (n,) where q is 1.
 

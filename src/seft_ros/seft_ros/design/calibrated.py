@@ -14,8 +14,7 @@ from seft_plant_sim.calibration import calibrate_all, calibration_of
 from seft_plant_sim.rig_parameters import LIMIT_NAMES
 from seft_plant_sim.sensors import CHANNELS
 
-from seft_ros.analysis.metrics import every_step
-from seft_ros.bags.record import Record
+from seft_ros.bags.record import Record, every_step
 from seft_ros.design.identified import Identified
 from seft_ros.design.rig_tests import frequency_response, motion_spectra
 from seft_ros.design.shake import OF_RATE, Shake, Sine, sound_relations

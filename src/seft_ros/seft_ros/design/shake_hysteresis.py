@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import nnls
 from seft_msgs_py.arrays import Complexes, Floats
 
-from seft_ros.analysis.channel_estimates import slide
+from seft_ros.reference_force.restoring_model import slide
 
 _ORDERS = (1, 3, 5)  # a law that is odd has no others
 _STOPS, _LEAST, _MOST = 8, 0.03, 0.8  # thresholds over the displacement

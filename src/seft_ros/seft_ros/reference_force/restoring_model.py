@@ -266,6 +266,16 @@ def stopped(z: float, y: float) -> float:
 
 
 @compiled
+def slide(e: Floats, thresholds: Floats, stops: Floats) -> None:
+    """Let stop operators follow a deformation from rest, (N,); the result is (N, m)."""
+    for i in range(len(thresholds)):
+        z = 0.0
+        for k in range(1, len(e)):
+            z = stopped(z + e[k] - e[k - 1], thresholds[i])
+            stops[k, i] = z
+
+
+@compiled
 def move_stops(parameters: ModelParameters, change: Floats, stops: Floats) -> None:
     """Move stop operators by a change of each deformation, shape (n,), m."""
     thresholds = parameters.thresholds
