@@ -10,18 +10,17 @@ The rest d is between 0.5 and 1.5 samples, where its delay is flattest; a shorte
 The result has the steps of the channel's converter, so that what repeats still does.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
-from seft_msgs_py.config.parameter_table import per_axis
 from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.continuous_model import ContinuousModel, Sensed
-from seft_plant_sim.sensors import CHANNELS
+from seft_plant_sim.sensors import CHANNELS, per_channel
 
 AT_ONCE = -1
 """Value of `Calibration.whole` of a channel that does not wait."""
@@ -121,6 +120,18 @@ def calibrate_all(calibration: Calibration, state: CalibrationState, samples: Fl
         calibrate(calibration, state, step, samples[step], samples[step])
 
 
+NOTHING_KNOWN = {"zero": 0.0, "scale": 1.0, "lag": 0.0}
+"""What ``calibration.*`` says of a channel of which nothing is known."""
+
+
+def known_channels(section: Mapping[str, Any], axes: Sequence[str]) -> dict[str, Floats]:
+    """Give what a rig's section says, by the keys of `NOTHING_KNOWN`, shape (4, n) each."""
+    return {
+        what: per_channel(section, axes, f"calibration.{{}}_{what}", "rig", nothing)
+        for what, nothing in NOTHING_KNOWN.items()
+    }
+
+
 def calibration_of(
     section: Mapping[str, Any],
     axes: Sequence[str],
@@ -151,15 +162,8 @@ def calibration_of(
         If sizes do not fit the axes, a scale is 0, or something is known of a velocity that is
         derived.
     """
-    own, names = list(places), ("zero", "scale", "lag")
-
-    def values(what: str) -> Floats:
-        rows = [f"calibration.{channel}_{what}" for channel in CHANNELS]
-        default = float(what == "scale")  # bags of older versions have none
-        given = (per_axis(section.get(name, default), axes, f"rig: {name}") for name in rows)
-        return np.array(list(given))
-
-    zero, scale, lag = map(values, names)
+    own, known = list(places), known_channels(section, axes)
+    zero, scale, lag = known["zero"], known["scale"], known["lag"]
     if not scale.all():
         row = int(np.argmin(np.abs(scale).min(axis=1)))
         raise InputError(
@@ -168,8 +172,8 @@ def calibration_of(
         )
     if velocity_is_derived:
         of_velocity = CHANNELS.index("velocity")
-        for what, known, nothing in zip(names, (zero, scale, lag), (0.0, 1.0, 0.0), strict=True):
-            if (known[of_velocity] != nothing).any():
+        for what, nothing in NOTHING_KNOWN.items():
+            if (known[what][of_velocity] != nothing).any():
                 raise InputError(
                     f"rig: calibration.velocity_{what} is given, but sensors.velocity is derived: "
                     "it follows the displacement's calibration; leave it out"
@@ -222,20 +226,39 @@ def zeroed_at_rest(
         zero; both by channel, a list over the rig's axes, in the channel's unit. What is no more
         than noise is 0. JSON values.
     """
-    own, changed = list(places), dict(section)
-    subtracted, left = {}, {}
+    own, zero = list(places), known_channels(section, axes)["zero"]
+    told = zero[:, own]
+    shown = samples.mean(axis=0) - told
     error = samples.std(axis=0) / np.sqrt(len(samples))
-    for row, channel in enumerate(CHANNELS):
-        name = f"calibration.{channel}_zero"
-        told = per_axis(section.get(name, 0.0), axes, f"rig: {name}")
-        shown = samples[:, row].mean(axis=0) - told[own]
-        shown[~(np.abs(shown) > SIGNIFICANT * error[row])] = 0.0
-        is_told = told[own] != 0.0
-        subtracted[channel] = np.where(is_told, 0.0, shown).tolist()
-        left[channel] = np.where(is_told, shown, 0.0).tolist()
-        told[own] += subtracted[channel]
-        changed[name] = told.tolist()
-    return changed, {"samples": len(samples), "subtracted": subtracted, "left": left}
+    shown[~(np.abs(shown) > SIGNIFICANT * error)] = 0.0
+    subtracted = np.where(told == 0.0, shown, 0.0)
+    left = shown - subtracted
+    zero[:, own] += subtracted
+    changed = {f"calibration.{name}_zero": zero[row].tolist() for row, name in enumerate(CHANNELS)}
+    by_channel = {
+        "subtracted": dict(zip(CHANNELS, subtracted.tolist(), strict=True)),
+        "left": dict(zip(CHANNELS, left.tolist(), strict=True)),
+    }
+    return {**section, **changed}, {"samples": len(samples), **by_channel}
+
+
+def zeros_of_all(
+    axes: int, parts: Iterable[tuple[Sequence[int], Mapping[str, Any]]]
+) -> dict[str, Any]:
+    """Put what several rigs have measured at rest together, over all axes of a test.
+
+    ``parts`` are the places of the axes of each rig, and its facts of `zeroed_at_rest`. A rig that
+    tells them otherwise is a KeyError, TypeError, ValueError or IndexError.
+    """
+    whole: dict[str, Any] = {
+        what: {name: [0.0] * axes for name in CHANNELS} for what in ("subtracted", "left")
+    }
+    for places, found in parts:
+        for what, rows in whole.items():
+            for name, row in rows.items():
+                for at, place in enumerate(places):
+                    row[place] = float(found[what][name][at])
+    return whole
 
 
 def nothing_known(n: int) -> tuple[Calibration, CalibrationState]:

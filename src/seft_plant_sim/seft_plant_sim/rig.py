@@ -20,6 +20,7 @@ from seft_plant_sim.calibration import (
     calibration_of,
     nothing_known,
     zeroed_at_rest,
+    zeros_of_all,
 )
 from seft_plant_sim.compiled import entry_point, kind_of
 from seft_plant_sim.continuous_model import (
@@ -416,14 +417,7 @@ class Rigs:
         found = [(places, rig.zeroed) for places, rig in self._rigs if rig.zeroed is not None]
         if not found:
             return None
-        whole: dict[str, Any] = {"samples": found[0][1]["samples"]}
-        for what in ("subtracted", "left"):
-            whole[what] = {name: [0.0] * self._axes for name in CHANNELS}
-            for places, zeroed in found:
-                for name, row in whole[what].items():
-                    for place, value in zip(places, zeroed[what][name], strict=True):
-                        row[place] = value
-        return whole
+        return {"samples": found[0][1]["samples"], **zeros_of_all(self._axes, found)}
 
     @property
     def saturation(self) -> Saturation:

@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
-from seft_msgs_py.config.parameter_table import as_matrix, per_axis
+from seft_msgs_py.config.parameter_table import as_matrix
 from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.compiled import compiled, multiply
 from seft_plant_sim.continuous_model import ContinuousModel, Motion, Sensed
 from seft_plant_sim.lti import split_dead_time
-from seft_plant_sim.sensors import CHANNELS
+from seft_plant_sim.sensors import CHANNELS, per_channel
 
 VELOCITY, ACCELERATION = CHANNELS.index("velocity"), CHANNELS.index("acceleration")
 
@@ -102,13 +102,10 @@ def with_sensors(
     """
     own = list(places)
 
-    def values(what: str) -> Floats:
-        names = [f"sensors.{channel}_{what}" for channel in CHANNELS]
-        default = float(what == "scale")  # bags of older versions have none
-        given = [per_axis(section.get(name, default), axes, f"rig: {name}") for name in names]
-        return np.array(given)[:, own]
-
-    scale, lag, cutoff = values("scale"), values("lag"), values("filter")
+    scale, lag, cutoff = (
+        per_channel(section, axes, f"sensors.{{}}_{what}", "rig", nothing)[:, own]
+        for what, nothing in (("scale", 1.0), ("lag", 0.0), ("filter", 0.0))
+    )
     if section["sensors.velocity"] == "derived":  # there is no velocity sensor
         scale[VELOCITY], lag[VELOCITY], cutoff[VELOCITY] = 1.0, 0.0, 0.0
     mix = np.eye(len(own))

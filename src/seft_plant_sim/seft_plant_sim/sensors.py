@@ -1,6 +1,6 @@
 """Sensors of the rig: their noise, bias, range and resolution."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +13,37 @@ from seft_plant_sim.compiled import compiled
 BLOCK = 4096
 """Number of steps for which noise is drawn at once."""
 CHANNELS = ("position", "velocity", "acceleration", "force")
+
+
+def per_channel(
+    section: Mapping[str, Any],
+    axes: Sequence[str],
+    form: str,
+    node: str,
+    default: float | None = None,
+) -> Floats:
+    """Give the values of a parameter of each channel, shape (4, n).
+
+    Parameters
+    ----------
+    section, axes
+        The node's section, and the names of the n axes.
+    form : str
+        Of the names, ``{}`` for the channel.
+    node : str
+        Of the section, for errors.
+    default : float, optional
+        Where a bag of an older version has no such parameter.
+
+    Raises
+    ------
+    InputError
+        If sizes do not fit the axes.
+    """
+    names = [form.format(channel) for channel in CHANNELS]
+    given = [section[name] if default is None else section.get(name, default) for name in names]
+    rows = zip(names, given, strict=True)
+    return np.array([per_axis(value, axes, f"{node}: {name}") for name, value in rows])
 
 
 class Channels(NamedTuple):
@@ -116,11 +147,10 @@ class Sensors:
         """
         where, sensors = "rig: sensors", group(section, "sensors")
 
-        def values(what: str) -> Floats:
-            names = [f"{channel}_{what}" for channel in CHANNELS]
-            return np.array([per_axis(sensors[name], axes, f"{where}.{name}") for name in names])
-
-        noise, bias, ranges = values("noise"), values("bias"), values("range")
+        noise, bias, ranges = (
+            per_channel(section, axes, f"sensors.{{}}_{what}", "rig")
+            for what in ("noise", "bias", "range")
+        )
         derived = sensors["velocity"] == "derived"
         if derived:  # there is no velocity sensor
             for rows in (noise, bias, ranges):

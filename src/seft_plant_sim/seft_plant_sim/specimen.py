@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import eigh
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.parameter_table import mass_matrix, symmetric_matrix
 from seft_msgs_py.errors import InputError
@@ -73,6 +74,17 @@ class Specimen:
     def axes(self) -> int:
         """Number of axes n."""
         return len(self.mass)
+
+    def modes(self) -> tuple[Floats, Floats]:
+        """Natural frequencies, Hz, lowest first, and damping ratios of its modes, if elastic.
+
+        Of those that have stiffness, both of shape (m,).
+        """
+        squares, shapes = eigh(self.stiffness, self.mass)
+        held = squares > 1e-12 * max(squares[-1], 1e-300)
+        w, shapes = np.sqrt(squares[held]), shapes[:, held]
+        damping = np.einsum("ij,ik,kj->j", shapes, self.damping, shapes) / (2 * w)
+        return w / (2 * np.pi), damping
 
     def part(self, rig: RigAxes, where: str) -> "Specimen":
         """Take the part of one of several rigs.

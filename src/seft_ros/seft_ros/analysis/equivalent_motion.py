@@ -6,7 +6,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy.linalg import eigh
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
@@ -204,7 +203,7 @@ def motion_difference(record: Record) -> MotionDifference | None:
         return None
     measured, asked = every_step(states, np.arange(count)), motion.values[:count, 0, :]
     structure, dt = whole_structure(assumed), record.experiment.timebase.dt
-    natural, damping = _modes(structure)
+    natural, damping = structure.structure.modes()
     if not len(natural):
         return None
     equivalent = EquivalentMotion(structure, dt)
@@ -238,22 +237,12 @@ def spectrum_frequencies(band_hz: tuple[float, float], dt: float) -> Floats:
 
 def natural_frequencies(experiment: Experiment) -> Floats:
     """Natural frequencies of an experiment's whole structure, elastic, shape (d,), Hz."""
-    return _modes(whole_structure(experiment))[0]
+    return whole_structure(experiment).structure.modes()[0]
 
 
 def _response_nrmse(assumed: Experiment, asked: Floats, tested: Floats) -> float:
     y = reference_response(assumed, asked).displacement
     return nrmse(reference_response(assumed, tested).displacement, y)
-
-
-def _modes(whole: WholeStructure) -> tuple[Floats, Floats]:
-    """Natural frequencies, Hz, of a whole structure that is not free, and damping ratios."""
-    structure = whole.structure
-    squares, shapes = eigh(structure.stiffness, structure.mass)
-    held = squares > 1e-12 * max(squares[-1], 1e-300)
-    w, shapes = np.sqrt(squares[held]), shapes[:, held]
-    damping = np.einsum("ij,ik,kj->j", shapes, structure.damping, shapes) / (2 * w)
-    return w / (2 * np.pi), damping
 
 
 def stiffness_factors(whole: WholeStructure, states: Floats, mass: Floats) -> Floats:

@@ -16,6 +16,7 @@ from seft_msgs_py.wire.topics import (
     RIG_STATE,
     VALVE_COMMAND,
 )
+from seft_plant_sim.calibration import zeros_of_all
 from seft_plant_sim.computed_model import ModelError
 from seft_plant_sim.lti import split_dead_time
 from seft_plant_sim.rig_parameters import LIMIT_NAMES
@@ -139,18 +140,12 @@ def zeroed_in(record: Record) -> dict[str, Any] | None:
     axes; ``warning`` as of `judge_zeros`.
     """
     experiment, axes = record.experiment, len(record.experiment.axes)
-    whole: dict[str, Any] = {
-        what: {name: [0.0] * axes for name in CHANNELS} for what in ("subtracted", "left")
-    }
+    nodes = [(rig.places, rig.node(RIG)) for rig in experiment.rigs]
+    if not any(node in record.facts for _, node in nodes):  # an offline test has one for all
+        nodes = [(tuple(range(axes)), RIG)]
     try:
-        for rig in experiment.rigs:
-            node = f"{rig.name}/{RIG}" if rig.name else RIG
-            of_all = node not in record.facts  # of an offline test
-            found = record.facts[RIG if of_all else node][ZEROED]
-            for what, rows in whole.items():
-                for name, row in rows.items():
-                    for at, place in enumerate(rig.places):
-                        row[place] = float(found[what][name][place if of_all else at])
+        parts = [(places, record.facts[node][ZEROED]) for places, node in nodes]
+        whole = zeros_of_all(axes, parts)
     except (KeyError, TypeError, ValueError, IndexError):
         return None
     sections = experiment.sections

@@ -62,8 +62,8 @@ def preflight(
     with shared.passing_progress():
         by_axis = plausibility.peaks_by_axis(experiment, motion)
         peaks = preflight_tables.expected_peaks(by_axis)
-        mixed_up = plausibility.unit_refusal(experiment, motion, by_axis)
-    if wrong := mixed_up or plausibility.mass_refusal(experiment):
+        wrong = plausibility.wrong_number(experiment, motion, by_axis)
+    if wrong:
         raise InputError(wrong)
     unfit = [*filter(None, [plausibility.range_refusal(experiment, by_axis)])]
     try:

@@ -192,8 +192,7 @@ def run(
     if model is not None and (too_slow := model.refusal()):
         raise InputError(too_slow)
     by_axis = plausibility.peaks_by_axis(experiment, motion)
-    mixed_up = plausibility.unit_refusal(experiment, motion, by_axis)
-    if wrong := mixed_up or plausibility.mass_refusal(experiment):
+    if wrong := plausibility.wrong_number(experiment, motion, by_axis):
         raise InputError(wrong)
     _check_stable(experiment, blocks, accept_unstable)
     if unfit := plausibility.range_refusal(experiment, by_axis):

@@ -8,9 +8,14 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import Section, per_axis
+from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.wire.topics import JUDGED, RIG_STATE, VALVE_COMMAND
-from seft_plant_sim.calibration import calibrate_all, calibration_of
+from seft_plant_sim.calibration import (
+    NOTHING_KNOWN,
+    calibrate_all,
+    calibration_of,
+    known_channels,
+)
 from seft_plant_sim.rig_parameters import LIMIT_NAMES
 from seft_plant_sim.sensors import CHANNELS
 
@@ -30,22 +35,9 @@ from seft_ros.drawing.table import TextTable
 
 FORCE = CHANNELS.index("force")
 _FEWEST_PERIODS, _SEGMENT = 3.0, 4.0  # of a spectrum: of the lowest frequency, and s
-_UNKNOWN = {"scale": 1.0, "lag": 0.0, "zero": 0.0}
 LEAST_LAG = 2e-5
 """A lag below costs less than 0.4 % of the displacement, s (rig.md): channels that wait for it
 would spread a wrong sample over the next ones."""
-
-
-def known_of(experiment: Experiment) -> dict[str, Floats]:
-    """Give what is known of the channels already: scale, lag and zero, shape (4, n) each."""
-    rig, axes = experiment.sections.get("rig", {}), experiment.axes
-
-    def values(what: str) -> Floats:
-        names = [f"calibration.{channel}_{what}" for channel in CHANNELS]
-        given = (per_axis(rig.get(name, _UNKNOWN[what]), axes, f"rig: {name}") for name in names)
-        return np.array(list(given))
-
-    return {what: values(what) for what in _UNKNOWN}
 
 
 @dataclass(frozen=True)
@@ -74,7 +66,7 @@ class Calibrated:
     @classmethod
     def of_shake(cls, fit: ShakeFit, experiment: Experiment) -> "Calibrated":
         """Combine a shake with the calibration of its own experiment."""
-        known = known_of(experiment)
+        known = known_channels(experiment.sections.get("rig", {}), experiment.axes)
         derived = experiment.sections.get("rig", {}).get("sensors.velocity") == "derived"
         lag = significant(fit.lag, np.maximum(fit.lag_error, LEAST_LAG / SIGMAS))
         scale = 1.0 + significant(fit.scale - 1.0, fit.scale_error)
@@ -95,7 +87,7 @@ class Calibrated:
     @property
     def changes(self) -> bool:
         """Whether anything was found that was not known."""
-        return any((self.found[what] != nothing).any() for what, nothing in _UNKNOWN.items())
+        return any((self.found[what] != nothing).any() for what, nothing in NOTHING_KNOWN.items())
 
     def parameters(self) -> Section:
         """Values of ``rig: calibration.*``, complete."""
@@ -107,12 +99,11 @@ class Calibrated:
         lag = self.found["lag"]
         section = _parameters(self.found | {"lag": lag - lag.min()}, False)
         known, state = calibration_of(section, axes, range(len(axes)), dt)
-        record = as_measured(record)
-        states = record.states
-        every, values = np.arange(states.steps[-1] + 1), _samples(record).copy()
+        record, values = as_measured(record), _samples(record).copy()
         if len(known.scale):
             calibrate_all(known, state, values)
-        whole = replace(states, steps=every, values=values, received_ns=None)
+        every = np.arange(len(values))
+        whole = replace(record.states, steps=every, values=values, received_ns=None)
         return replace(record, series={**record.series, RIG_STATE.name: whole})
 
 
@@ -126,7 +117,7 @@ def _parameters(known: Mapping[str, Floats], derived: bool) -> dict[str, Any]:
     return {
         f"calibration.{channel}_{what}": known[what][row].tolist()
         for row, channel in enumerate(CHANNELS)
-        for what in _UNKNOWN
+        for what in NOTHING_KNOWN
         if not (derived and channel == "velocity")
     }
 
@@ -207,7 +198,7 @@ class Shaken:
                         "value": float(getattr(fit, what)[row, i]),
                         "error": float(getattr(fit, f"{what}_error")[row, i]),
                     }
-                    for what in _UNKNOWN
+                    for what in NOTHING_KNOWN
                 }
                 for row, channel in enumerate(CHANNELS)
             }

@@ -156,6 +156,13 @@ class _Fit:
     too_soft: bool = False
 
 
+def wrong_number(
+    experiment: Experiment, planned: GroundMotion | None, peaks: Mapping[str, Floats]
+) -> str:
+    """Say which number of the specimen can't be right; empty if none, see the two refusals."""
+    return unit_refusal(experiment, planned, peaks) or mass_refusal(experiment)
+
+
 def unit_refusal(
     experiment: Experiment, planned: GroundMotion | None, peaks: Mapping[str, Floats]
 ) -> str:
@@ -264,18 +271,9 @@ def _fit(experiment: Experiment, planned: GroundMotion, peaks: Mapping[str, Floa
 
 
 def _first_mode(specimen: Specimen) -> tuple[float, float]:
-    """Frequency in Hz and damping ratio of a specimen's slowest mode; 0 Hz if it has no stiffness.
-
-    Its matrices are symmetric, and the mass is positive.
-    """
-    root = np.linalg.inv(np.linalg.cholesky(specimen.mass))
-    squares, modes = np.linalg.eigh(root @ specimen.stiffness @ root.T)
-    if squares[0] <= 0.0:
-        return 0.0, 0.0
-    omega, mode = float(np.sqrt(squares[0])), modes[:, 0]
-    return omega / (2.0 * np.pi), float(mode @ (root @ specimen.damping @ root.T) @ mode) / (
-        2.0 * omega
-    )
+    """Frequency in Hz and damping ratio of a specimen's slowest mode; 0 Hz without stiffness."""
+    hz, damping = specimen.modes()
+    return (float(hz[0]), float(damping[0])) if len(hz) == specimen.axes else (0.0, 0.0)
 
 
 def _scaled(experiment: Experiment, node: str, prefix: str, units: _Units) -> Experiment:

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import mass_matrix, per_axis, symmetric_matrix
+from seft_msgs_py.config.parameter_table import mass_matrix, symmetric_matrix
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig_parameters import LIMIT_NAMES
-from seft_plant_sim.sensors import CHANNELS
+from seft_plant_sim.sensors import per_channel
 
 from seft_ros.force_controller.valve_model import ASSUMED_ACTUATOR, read_actuators, valve_models
 from seft_ros.protection.detector_step import begin_detectors, detect_all
@@ -67,12 +67,14 @@ def detectors_of(
     if section["detectors.test"] == "eft":  # the specimen carries all of the mass
         mass, ratio = (1.0 + ratio) * mass, 0.0
     valves = valve_models(actuator, dt)
-    noise = [f"noise.{channel}" for channel in CHANNELS]
-    ranges = [f"detectors.{channel}_range" for channel in CHANNELS]
+    noise, ranges = (
+        per_channel(section, axes, form, "force_controller")[:, own]
+        for form in ("noise.{}", "detectors.{}_range")
+    )
     return detector_arrays(
-        np.array([per_axis(section[n], axes, _WHERE + n)[own] for n in noise]),
+        noise,
         np.array([section[f"limits.{name}"] for name in LIMIT_NAMES]),
-        np.array([per_axis(section[n], axes, _WHERE + n)[own] for n in ranges]),
+        ranges,
         section["noise.velocity_source"] == "derived",
         np.transpose([actuator[name] for name in ASSUMED_ACTUATOR]),
         np.array([[valve.past() for valve in valves], [valve.later() for valve in valves]]),

@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 from scipy.linalg import solve_discrete_are
 from seft_msgs_py.arrays import Floats
-from seft_msgs_py.config.parameter_table import per_axis
 from seft_plant_sim.compiled import compiled
-from seft_plant_sim.sensors import CHANNELS
+from seft_plant_sim.sensors import per_channel
 
 BETWEEN_SAMPLES = 3.0
 """Noise of the integrated acceleration over the sensor's: the acceleration changes between samples.
@@ -37,8 +36,7 @@ def sensor_noise(section: Mapping[str, Any], axes: Sequence[str], group: str, wh
     ndarray
         Shape (4, n), m, m/s, m/s^2, N.
     """
-    names = [f"{group}.{channel}" for channel in CHANNELS]
-    given = np.array([per_axis(section[n], tuple(axes), f"{where}: {n}") for n in names])
+    given = per_channel(section, tuple(axes), f"{group}.{{}}", where)
     noise = np.maximum(given, MIN_NOISE[:, np.newaxis])
     if section[f"{group}.velocity_source"] == "derived":
         noise[1] = UNKNOWN_VELOCITY

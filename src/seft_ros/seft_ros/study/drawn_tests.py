@@ -252,6 +252,17 @@ def _neighbours(axes: Sequence[str]) -> npt.NDArray[np.bool_]:
     return found
 
 
+def _matters(
+    base: Section, name: str, value: Floats, axes: tuple[str, ...], timebase: Timebase
+) -> bool:
+    """Whether the simulated rig is another one with this value of a parameter."""
+    one, other = (
+        pickle.dumps(Rig.from_parameters(section, axes, timebase).parameters)
+        for section in (base, base | {name: value.tolist()})
+    )
+    return one != other
+
+
 def _added(
     base: Section, quantity: str, axes: tuple[str, ...], timebase: Timebase
 ) -> list[tuple[str, int]]:
@@ -262,12 +273,7 @@ def _added(
         return [
             (f"{quantity}, axis {axes[i]} by {axes[j]}", int(i * len(axes) + j)) for i, j in pairs
         ]
-    more = np.add(base[name], DRAWN_OFFSETS[quantity]).tolist()
-    one, other = (
-        pickle.dumps(Rig.from_parameters(section, axes, timebase).parameters)
-        for section in (base, base | {name: more})
-    )
-    if one == other:
+    if not _matters(base, name, np.add(base[name], DRAWN_OFFSETS[quantity]), axes, timebase):
         return []
     several = len(axes) > 1
     return [(f"{quantity}, axis {axis}" if several else quantity, n) for n, axis in enumerate(axes)]
@@ -283,10 +289,7 @@ def _effective(
     if node != "rig":
         return largest
 
-    def simulated(section: Section) -> bytes:
-        return pickle.dumps(Rig.from_parameters(section, axes, timebase).parameters)
-
-    if simulated(base | {name: np.multiply(base[name], 1.01).tolist()}) == simulated(base):
+    if not _matters(base, name, np.multiply(base[name], 1.01), axes, timebase):
         return []
     if len(axes) > 1 and name.startswith(_OF_AN_AXIS) and len(values) == len(axes):
         return [(f"{quantity}, axis {axis}", n) for n, axis in enumerate(axes) if values[n]]

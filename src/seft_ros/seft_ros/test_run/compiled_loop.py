@@ -114,19 +114,19 @@ def build_blocks(experiment: Experiment, known: dict[str, Any] | None = None) ->
         return made[-1][1]
 
     motion, force = experiment["ground_motion"], experiment["reference_force"]
-    rigs = _rigs(experiment)  # first: a wrong mass of the specimen is named as that
-    made = shared("reference_force", ProtectedForce.from_parameters, force, axes, timebase)
     blocks = Blocks(
-        shared("ground_motion", GroundMotion.from_parameters, motion, axes, timebase),
-        made,
-        shared("force_controller", interlock_of, experiment),
-        rigs,
+        rig=_rigs(experiment),  # first: a wrong mass of the specimen is named as that
+        reference_force=shared(
+            "reference_force", ProtectedForce.from_parameters, force, axes, timebase
+        ),
+        ground_motion=shared("ground_motion", GroundMotion.from_parameters, motion, axes, timebase),
+        force_controller=shared("force_controller", interlock_of, experiment),
     )
     duration = (blocks.ground_motion.steps - 1) * timebase.dt
     check_times(experiment["rig"]["faults"], axes, duration)
     check_lead(experiment, blocks.ground_motion, blocks.reference_force)
     check_target(experiment, blocks)
-    zeros = judge_zeros(rigs.zeroed, group(experiment["rig"], "limits"))
+    zeros = judge_zeros(blocks.rig.zeroed, group(experiment["rig"], "limits"))
     if zeros.refusal:
         raise InputError(f"rig: {zeros.refusal}")
     return blocks
