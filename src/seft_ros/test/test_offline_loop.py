@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from experiments_at_hand import load, simulated
+from seft_plant_sim.compiled import kind_of
 from seft_plant_sim.rig_step import PERSISTENT
 from seft_plant_sim.sensors import BLOCK
 from seft_ros.protection.protection_step import RampDown
@@ -132,3 +133,15 @@ def test_a_rig_that_trips_within_the_ramp_ends_it_at_once_and_both_causes_are_to
     assert record.trip.step == last
     assert record.trip.reason.startswith("force ")
     assert "(while ramping down: reference force" in record.trip.reason
+
+
+@pytest.mark.parametrize("of", ["rig", "reference_force", "force_controller"])
+def test_tests_of_any_number_of_axes_beyond_one_have_the_same_machine_code(of):
+    three, six = (build_blocks(load(config=f"{n}_storey_frame")) for n in ("three", "six"))
+    assert getattr(three, of).kind == getattr(six, of).kind
+
+
+def test_the_checks_of_one_axis_have_the_machine_code_of_several():
+    one, three = (load(config=name) for name in ("demo", "three_storey_frame"))
+    one, three = (build_blocks(each).force_controller for each in (one, three))
+    assert kind_of((one.parameters, one.state)) == kind_of((three.parameters, three.state))
