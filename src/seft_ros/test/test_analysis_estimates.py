@@ -6,17 +6,13 @@ import math
 
 import numpy as np
 import pytest
-from records_at_hand import shown
-from seft_msgs_py.config.experiment import Experiment
+from records_at_hand import noise_record, shown
 from seft_msgs_py.wire.outcome import Trip
-from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.figures import test_figure as draw
 from seft_ros.analysis.result_text import summary_texts
 from seft_ros.analysis.summary import summarise
 from seft_ros.bags.record import (
     Estimates,
-    Record,
-    Series,
 )
 
 DELAY = np.array([[0.010, 0.010], [0.0141, 0.009], [0.0136, 0.012]])
@@ -25,14 +21,8 @@ STEPS = np.array([0, 50, 100])
 
 
 def make_record(axes=("x",), names=("delay", "stiffness"), **changes):
-    steps = np.arange(120)
-    series = {
-        topic.name: Series(steps, np.ones((120, len(topic.quantities), len(axes))))
-        for topic in LOOP_TOPICS
-    }
     values = np.stack([DELAY, STIFFNESS], axis=1)[:, :, : len(axes)].copy()
-    experiment = Experiment({"rig": {"rate": 500.0, "axes": list(axes)}})
-    record = Record(experiment, series, estimates=Estimates(STEPS, values, names))
+    record = noise_record(120, axes, estimates=Estimates(STEPS, values, names))
     return dataclasses.replace(record, **changes)
 
 

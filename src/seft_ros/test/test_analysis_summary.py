@@ -6,7 +6,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.image import imread
-from records_at_hand import shown, without
+from records_at_hand import record_of, shown, without
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import Trip
@@ -17,10 +17,6 @@ from seft_ros.analysis.judgement import verdict_line
 from seft_ros.analysis.metrics import delayed
 from seft_ros.analysis.result_text import summary_texts
 from seft_ros.analysis.summary import reference_of, summarise
-from seft_ros.bags.record import (
-    Record,
-    Series,
-)
 from seft_ros.drawing.style import save_figure
 
 COUNT = 2000
@@ -60,16 +56,7 @@ def make_record(axes=("x",), gain=1.0, delay=0.0, **changes):
         [getattr(exact, n) for n in ("displacement", "velocity", "acceleration", "force")], axis=1
     )
     states = gain * np.stack([delayed(states[:, row], delay, DT) for row in range(4)], axis=1)
-    steps = np.arange(COUNT)
-    one = np.zeros((COUNT, 1, len(axes)))
-    series = {
-        "ground_motion": Series(steps, ground[:, np.newaxis]),
-        "rig/state": Series(steps, states),
-        "rig/judged": Series(steps, states),  # the same array
-        "reference_force": Series(steps, one),
-        "valve_command": Series(steps, one.copy()),
-    }
-    record = Record(experiment(axes), series, missed=0, wall_s=2.0)
+    record = record_of(experiment(axes), ground, states, missed=0, wall_s=2.0)
     return dataclasses.replace(record, **changes)
 
 
