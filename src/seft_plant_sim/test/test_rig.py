@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from bare_rig import rig_section
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import Simulated
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.rig import Rig, left_open
@@ -73,11 +72,6 @@ def test_a_violation_is_that_of_the_last_sample_as_measured():
     assert loud.violation is not None  # the test must see what the sensor sees
 
 
-def test_an_actuator_has_one_number_or_one_for_each_axis():
-    with pytest.raises(InputError, match=r"rig: actuator.flow_gain: 3 values for 2 axes"):
-        rig(axes=("x", "y"), actuator__flow_gain=[1.0, 2.0, 3.0])
-
-
 def counts(one):
     """Samples and first step of each part."""
     found = one.saturation.items()
@@ -106,13 +100,6 @@ def test_valve_force_capacity_and_stroke_are_counted():
     assert set(samples) >= {"valve", "stroke"}
     assert first["valve"] < first["stroke"]
     assert samples["stroke"] <= 300 - first["stroke"] + 1
-
-
-def test_a_sample_counts_once_however_many_axes_are_at_the_end():
-    one = rig(axes=("x", "y"), actuator__kind="ideal", sensors__force_range=10.0)
-    one.reset()
-    one.step(np.full(2, 99.0))
-    assert counts(one) == ({"force_range": 1}, {"force_range": 1})
 
 
 def test_reset_forgets_what_was_at_the_end_and_leaves_the_last_report_alone():
@@ -209,17 +196,6 @@ def test_each_blind_sensor_is_named():
     one.reset()
     one.step(np.full(1, 99.0))
     assert one.violation.startswith("acceleration and force at the end of the sensor's range")
-
-
-def test_two_axes_stop_too():
-    axes = ("/**", "axes", ["x", "y"])
-    experiment = Experiment.load([RIG_TABLE], [JHU], [axes], nodes=["rig"])
-    rig = Rig.from_parameters(experiment["rig"], experiment.axes, experiment.timebase)
-    rig.reset()
-    for _ in range(50):
-        rig.step(np.array([3.0, -3.0]))
-    assert rig.stop().peak_force > 0.0
-    assert np.abs(rig.sample[1]).max() < 0.05
 
 
 def test_the_largest_true_motion_is_known_without_noise_and_filters():

@@ -85,20 +85,3 @@ def test_coupled_axes_move_by_their_equation_and_the_force_is_that_of_the_method
         scale = np.abs(own).max()
         np.testing.assert_allclose((r.acceleration + motion) @ whole, -own, atol=1e-9 * scale)
         np.testing.assert_allclose(r.force, force, atol=1e-9 * np.abs(force).max())
-
-
-def test_without_a_simulated_rig_the_model_is_the_specimen():
-    motion = np.random.default_rng(5).normal(size=(100, 3))
-    parameters = {"ratio": 0.5, "mass": MASS, "damping": DAMPING, "stiffness": STIFFNESS}
-    with_rig, without = (
-        reference_response(experiment(**parameters, rig=rig), motion) for rig in (True, False)
-    )
-    np.testing.assert_array_equal(with_rig.displacement, without.displacement)
-    np.testing.assert_array_equal(with_rig.force, without.force)
-
-
-def test_every_sample_of_the_motion_has_a_response():
-    for steps in (1, 2, 7):
-        response = reference_response(experiment(), np.zeros((steps, 1)))
-        for array in (response.displacement, response.velocity, response.acceleration):
-            np.testing.assert_array_equal(array, np.zeros((steps, 1)))
