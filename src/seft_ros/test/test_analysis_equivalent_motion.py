@@ -22,9 +22,7 @@ from seft_ros.analysis.equivalent_motion import (
 from seft_ros.analysis.metrics import delayed
 from seft_ros.analysis.summary import summarise
 from seft_ros.analysis.tracking import tracked_of, tracking_error_of, tracking_of
-from seft_ros.bags.record import (
-    Series,
-)
+from seft_ros.bags.record import Series
 
 COUNT = 1500
 CONFIGS = ("jhu", "three_storey_frame", "water_tower", "two_pier_bridge")

@@ -5,15 +5,10 @@ import json
 import math
 
 import numpy as np
-import pytest
 from records_at_hand import noise_record, shown
-from seft_msgs_py.wire.outcome import Trip
-from seft_ros.analysis.figures import test_figure as draw
 from seft_ros.analysis.result_text import summary_texts
 from seft_ros.analysis.summary import summarise
-from seft_ros.bags.record import (
-    Estimates,
-)
+from seft_ros.bags.record import Estimates
 
 DELAY = np.array([[0.010, 0.010], [0.0141, 0.009], [0.0136, 0.012]])
 STIFFNESS = np.array([[2.11e5, 3e5], [2.0e5, 3.1e5], [1.9e5, 3.2e5]])
@@ -68,23 +63,3 @@ def test_where_nothing_is_wrong_the_summary_names_neither_detectors_nor_estimate
         text = shown(summary_texts(record, summary))
         assert ("tracking reached 40.0 % of its threshold" in text) is told
         assert ("stiffness as identified" in text) is told
-
-
-@pytest.mark.parametrize("axes", [("x",), ("x", "y")])
-def test_a_figure_has_a_small_panel_for_each_estimate_and_axis(axes):
-    plain = draw(make_record(axes, estimates=None), None)
-    record = make_record(axes, trip=Trip("limit", 110, 0.22))
-    drawn = draw(record, None)
-    panels = np.array(drawn.axes).reshape(5, len(axes))
-    assert len(plain.axes) == 3 * len(axes)
-    assert drawn.get_size_inches()[1] > plain.get_size_inches()[1]
-    drawn.draw_without_rendering()
-    heights = [panel.get_window_extent().height for panel in panels[:, 0]]
-    assert max(heights[3:]) < 0.7 * min(heights[:3])
-    assert [panel.get_ylabel() for panel in panels[3:, 0]] == ["delay\n/ ms", "stiffness\n/ kN/m"]
-    for column in range(len(axes)):
-        course, trip = panels[4, column].lines
-        np.testing.assert_allclose(course.get_xdata(), [0.0, 0.1, 0.2])
-        np.testing.assert_allclose(course.get_ydata(), STIFFNESS[:, column] / 1e3)
-        assert list(trip.get_xdata()) == [0.22, 0.22]
-        assert panels[4, column].get_xlabel() == "time / s"

@@ -11,12 +11,7 @@ from records_at_hand import run_on_a_disk
 from rosbags.interfaces import QosDurability, QosHistory, QosReliability
 from rosbags.rosbag2 import Reader
 from seft_msgs_py.errors import ExperimentError, InputError
-from seft_msgs_py.wire.topics import (
-    DESCRIPTION,
-    TOPICS,
-    VALVE_COMMAND,
-    Timebase,
-)
+from seft_msgs_py.wire.topics import DESCRIPTION, TOPICS, VALVE_COMMAND, Timebase
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.bags import bag_writer
 from seft_ros.bags.bag_files import Bag
