@@ -16,10 +16,7 @@ from seft_ros.reference_force.reference_force_parameters import (
     REFERENCE_FORCE_TABLE,
     TARGET_MOTION,
 )
-from seft_ros.reference_force.substructure import (
-    _BehindMotion,
-    substructure_motion,
-)
+from seft_ros.reference_force.substructure import _BehindMotion, substructure_motion
 
 RATE = 4000.0
 
