@@ -14,11 +14,7 @@ from seft_msgs_py.wire.messages import (
     encode_string,
 )
 from seft_msgs_py.wire.outcome import tripped_status
-from seft_msgs_py.wire.topics import (
-    DESCRIPTION,
-    DIAGNOSTICS,
-    EXPERIMENT_STATE,
-)
+from seft_msgs_py.wire.topics import DESCRIPTION, DIAGNOSTICS, EXPERIMENT_STATE
 from seft_ros.bags.record_bag import read_bag
 
 LIE = encode_diagnostics(0, [tripped_status("reference_force", "a lie", 7)])
