@@ -1,4 +1,4 @@
-"""The force loop: margins against closed forms, stability against the blocks, proposals."""
+"""The force loop: margins against closed forms, and proposals."""
 
 import json
 from dataclasses import replace
@@ -80,6 +80,8 @@ def test_for_the_papers_rig_it_is_the_papers_controller():
     numerator, denominator = coefficients(proposed)
     assert numerator == pytest.approx([37.0], rel=0.02)
     assert denominator == pytest.approx([1.0, 17.14, 4002.0], rel=0.01)
+    assert is_stable(plant(), proposed, DT)
+    assert not is_stable(plant(), 2.6 * proposed, DT)
 
 
 @pytest.mark.parametrize(

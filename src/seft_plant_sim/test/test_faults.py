@@ -77,6 +77,7 @@ def test_a_line_has_axis_what_kind_value_time_and_steps():
         ("force set at 2", "set needs a value"),
         ("force freeze 3 at 2", "freeze takes no value"),
         ("force set high at 2", "high is no number"),
+        ("valve set nan at 2", "nan is no number"),
         ("force noise -1 at 2", "noise needs an RMS of at least 0"),
         ("force late -0.1 at 2", "late needs a time of 0 to 10 s"),
         ("force lowpass 0 at 2", "lowpass needs a cut-off above 0 Hz"),

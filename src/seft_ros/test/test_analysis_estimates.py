@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 from records_at_hand import noise_record, shown
+from seft_ros.analysis.figures import test_figure as draw
 from seft_ros.analysis.result_text import summary_texts
 from seft_ros.analysis.summary import summarise
 from seft_ros.bags.record import Estimates
@@ -63,3 +64,12 @@ def test_where_nothing_is_wrong_the_summary_names_neither_detectors_nor_estimate
         text = shown(summary_texts(record, summary))
         assert ("tracking reached 40.0 % of its threshold" in text) is told
         assert ("stiffness as identified" in text) is told
+
+
+def test_a_figure_has_a_panel_for_each_estimate_and_axis():
+    drawn = draw(make_record(("x", "y")), None)
+    panels = np.array(drawn.axes).reshape(5, 2)
+    assert [panel.get_ylabel() for panel in panels[3:, 0]] == ["delay\n/ ms", "stiffness\n/ kN/m"]
+    (course,) = panels[4, 1].lines
+    np.testing.assert_allclose(course.get_xdata(), [0.0, 0.1, 0.2])
+    np.testing.assert_allclose(course.get_ydata(), STIFFNESS[:, 1] / 1e3)

@@ -2,8 +2,10 @@ import dataclasses
 import json
 import math
 
+import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.image import imread
 from records_at_hand import record_of, shown, without
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
@@ -245,6 +247,17 @@ def test_a_figure_holds_the_samples_in_units_for_people_against_time():
     assert 3.0 < end < 3.6
     tripped = make_record(trip=Trip("limit", 1999, 3.998))
     assert figures.test_figure(tripped, None).axes[0].get_xlim()[1] == pytest.approx(3.998)
+
+
+def test_figures_are_saved_as_png_whatever_a_reason_holds_or_refused(tmp_path):
+    backend = mpl.get_backend()
+    drawn = figures.test_figure(make_record(trip=Trip("force of $5 on axis $x", 1999, 3.998)), None)
+    save_figure(drawn, tmp_path / "figure")
+    assert imread(tmp_path / "figure.png").shape[:2] == (1080, 1425)
+    assert mpl.get_backend() == backend  # the user's pyplot
+    for name in ("no/folder/figure.png", "figure.docx"):
+        with pytest.raises(InputError, match="can't be saved"):
+            save_figure(drawn, tmp_path / name)
 
 
 def test_what_can_not_be_compared_is_drawn_still(tmp_path):

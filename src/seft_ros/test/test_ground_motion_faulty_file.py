@@ -122,6 +122,9 @@ def test_a_nameless_column_of_times_is_not_taken_for_accelerations(tmp_path):
     assert "dt is 0.02 s, but" in refusal(path, [1], dt=0.02)
     uneven = path.read_text().replace("0.30 ", "0.305 ")
     assert "line 31: time goes from" in refusal(write(tmp_path, uneven), [1])
+    even = write(tmp_path, "t,a\n0,1\n1.0,1\n2.009,1\n3.0,1\n4,2\n")  # within 1 % of a step
+    assert read_record(even, [1], "g").dt == 1.0
+    assert "2.011" in refusal(write(tmp_path, even.read_text().replace("09", "11")), [1])
 
 
 def test_a_column_that_counts_the_lines_is_not_taken_for_accelerations(tmp_path):

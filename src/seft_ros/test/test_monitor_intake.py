@@ -140,19 +140,12 @@ def test_step_zero_begins_a_test_and_its_own_motion(intake):
     np.testing.assert_allclose(found, exact, atol=1e-5 * np.abs(exact).max())
 
 
-def test_nothing_is_left_of_the_last_test_before_the_next_one_s_first_sample(intake):
-    intake.samples([states(range(100))], [])
-    intake.clear()
-    assert (intake.number, intake.history.head, len(intake.history.recent().values)) == (2, 0, 0)
-    intake.samples([states(range(20))], [])
-    assert (intake.number, intake.history.head) == (2, 20)
-
-
 def test_old_steps_of_somebody_else_are_left_out_unless_a_test_is_expected(intake):
     intake.samples([states(range(100))], [])
     intake.samples([states(range(10, 20))], [])
     assert (intake.number, intake.history.head) == (1, 100)
     intake.clear()
+    assert (intake.number, intake.history.head, len(intake.history.recent().values)) == (2, 0, 0)
     intake.samples([states(range(3, 20))], [])
     assert (intake.number, intake.history.head) == (2, 20)
 

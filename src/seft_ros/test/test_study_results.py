@@ -165,6 +165,14 @@ def test_the_sentence_has_the_largest_error_that_most_tests_do_not_exceed():
     assert said.startswith("a at mass ratio 1: 10 of 10 tests tripped")
 
 
+def test_the_sentence_says_what_the_error_depends_on_if_that_is_more_than_chance():
+    for errors, is_told in ((np.arange(21), True), (np.arange(21) % 2, False)):
+        factors = {"rig:specimen.mass": np.linspace(0.9, 1.1, 21)}
+        summary = summary_of({"a": [0.0, *(errors / 1000).tolist()]}, factors=factors)
+        said = headline(summary["results"][0], summary)
+        assert ("depends most on rig:specimen.mass, which explains 100 %" in said) is is_told
+
+
 @pytest.mark.parametrize("factors", [{"b": np.array([0.9, 1.1])}, {}])
 @pytest.mark.parametrize("errors", [[0.1, 0.1, 0.2], [LOST] * 3, [0.0] * 3, [None] * 3])
 def test_a_page_of_little_can_be_written(errors, factors, tmp_path):
