@@ -91,17 +91,6 @@ def test_what_is_at_the_end_of_its_range_is_counted_from_its_first_step():
     assert set(samples) == set(first) == {"force_range", "acceleration_range"}
 
 
-def test_valve_force_capacity_and_stroke_are_counted():
-    one = rig(actuator__stroke=0.01, limits__displacement=1.0, limits__velocity=10.0)
-    one.reset()
-    for _ in range(300):
-        one.step(np.full(1, 12.0))
-    samples, first = counts(one)
-    assert set(samples) >= {"valve", "stroke"}
-    assert first["valve"] < first["stroke"]
-    assert samples["stroke"] <= 300 - first["stroke"] + 1
-
-
 def test_reset_forgets_what_was_at_the_end_and_leaves_the_last_report_alone():
     one = rig(("x", "y"), actuator__kind="ideal", sensors__force_range=10.0)
     one.reset()
