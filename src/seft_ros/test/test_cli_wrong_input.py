@@ -60,7 +60,6 @@ def record(tmp_path):
         (["compare", "one", "one", "--figure", "none/figure.png"], "no folder none"),
         (["compare", "one", "one", "--figure", "figure.xyz"], "figures end in"),
         (["preflight", JHU, "--external", "rig"], "seft identify"),
-        (["preflight", JHU, "--external", "reference_force"], "reference_force: runs elsewhere"),
         (["identify", JHU, "--duration", "5"], "needs 13.3333 s"),
         (["identify", JHU, "--external", "force_controller"], "--external"),
         (["link", "--out", "x.yaml"], "--out needs CONFIG"),
@@ -71,10 +70,8 @@ def record(tmp_path):
         (["new", "driver", "json"], "another package has this name"),
         (["new", "bridge", "my_rig"], "can't make a new bridge; seft new driver NAME makes a"),
         (["study", JHU, *SHORT, "--method", "nome"], "did you mean none?"),
-        (["study", JHU, *SHORT, "--motion", "none.AT2"], "none.AT2"),
         (["study", JHU, *SHORT, "--out", "none/page.html"], "no folder none"),
         (["study", JHU, *SHORT, "--spread", "2"], "--spread"),
-        (["study", JHU, *SHORT, "-p", "rig:actuator.oil_column_frequency:=10.08"], "drawn test"),
         (
             ["replay", "bag", "-p", "rig:seed:=3"],
             "-p needs one --node, whose parameters it changes",
@@ -84,7 +81,6 @@ def record(tmp_path):
         (["parameters", "rigg"], "did you mean rig?"),
         (["simulate", JHU, "-p", "rig:sensors.force_bias:=3000"], "rig: force is 3e+03 N at rest"),
         (["simulate", JHU, "-p", "rig:specimen.mass:=-52.7"], "rig: specimen.mass is -52.7"),
-        (["simulate", JHU, "-p", "reference_force:model.mass:=-5"], "_force: model.mass is -5"),
     ],
 )
 def test_a_wrong_command_line_is_refused_before_anything_is_written(refused, tmp_path, words, told):
