@@ -69,7 +69,7 @@ def test_a_model_gives_the_bits_of_the_offline_loop_in_its_node(local_graph, mod
 
 def test_a_model_that_fails_brings_the_test_down_softly_and_says_where(seft, refused, model):
     """Of all ways in which a model fails, see test_model_process.py."""
-    words, told = (DEMO, *SHORT, *model("Breaking")), "models.py:Breaking line 101, step: it broke"
+    words, told = (DEMO, *SHORT, *model("Breaking")), "models.py:Breaking line 89, step: it broke"
     offline = seft("simulate", *words, "--json", status=1)
     found = json.loads(offline.stdout)
     assert told in found["trip"]["reason"]
@@ -86,7 +86,7 @@ def test_a_model_takes_every_second_sample(seft_json, model):
 def test_a_model_that_fails_in_its_node_alone_trips_the_test(local_graph, model):
     graph = local_graph(*bare([*SHORT, *model("Breaking")]), UNREHEARSED, config=DEMO)
     perform(graph, "tripped")
-    assert "models.py:Breaking line 101, step: it broke (step 75" in graph.values["detail"]
+    assert "models.py:Breaking line 89, step: it broke (step 75" in graph.values["detail"]
     assert len(graph.samples(RIG_STATE)[0]) > 750 + 250
 
 
