@@ -148,6 +148,13 @@ def test_a_rig_that_obeys_forces_has_no_valve_to_stay_at_its_limit():
     assert guarded.state.detectors.step[LIMITED_AT] < 0  # tracking is watched on
 
 
+def test_the_first_reason_counts():
+    guarded = interlock()
+    guarded.trip(3, "first")
+    guarded.trip(4, "second")
+    assert (guarded.reason, guarded.step_index) == ("first", 3)
+
+
 class Scripted:
     """A controller that notes what it is to answer, and answers step, 2 step, ... on its axes."""
 
