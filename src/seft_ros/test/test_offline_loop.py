@@ -6,7 +6,6 @@ from experiments_at_hand import load, simulated
 from seft_plant_sim.compiled import kind_of
 from seft_plant_sim.rig_step import PERSISTENT
 from seft_plant_sim.sensors import BLOCK
-from seft_ros.protection.protection_step import RampDown
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
 
@@ -105,22 +104,6 @@ def ended(*words):
 
 def force_of(record):
     return record.series["reference_force"].values[:, 0, 0]
-
-
-def test_a_force_beyond_its_limit_is_ramped_from_the_last_below():
-    free = force_of(ended())
-    first = int(np.argmax(np.abs(free) > 500.0))
-    record = ended("reference_force:limits.force:=500.0")
-    assert record.trip.step == first
-    assert record.trip.time_s == pytest.approx(first * 0.002)
-    assert record.trip.reason == (
-        f"reference force {free[first]:.5g} N on axis x is beyond the limit of 500 N"
-    )
-    ramp = RampDown(250)
-    ramp.begin()
-    expected = [free[first - 1] * ramp.next() for _ in range(250)]
-    np.testing.assert_array_equal(force_of(record)[:first], free[:first])
-    np.testing.assert_array_equal(force_of(record)[first:], expected)
 
 
 def test_a_rig_that_trips_within_the_ramp_ends_it_at_once_and_both_causes_are_told():
