@@ -22,14 +22,13 @@ sys.path.append("src/seft_ros/test")
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.calibration import known_channels
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.sensors import CHANNELS
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.calibration_effect import led
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.analysis.report_numbers import report_numbers
-from seft_ros.design.calibrated import Calibrated, Shaken, moved_by
+from seft_ros.design.calibrated import Calibrated, Shaken, all_known, moved_by
 from seft_ros.design.rig_tests import shake_test, write_forces
 from seft_ros.design.shake import (
     PILOT_SECONDS,
@@ -192,7 +191,7 @@ def shaken(words, axes):
     commands, sines = shake_drive(plan, found, dt, seconds=PILOT_SECONDS)
     gains = gains_after(plan, moved_by(moved(commands), sines))
     commands, sines = shake_drive(plan, found, dt, gains=gains)
-    record, nothing = moved(commands), known_channels({}, experiment.axes)
+    record, nothing = moved(commands), all_known(experiment)
     known = Calibrated(nothing, nothing, 0.0, False)
     for _ in range(2):  # the second time with the lags that it has found
         shake = Shaken.of_record(plan, record, sines, found, known)

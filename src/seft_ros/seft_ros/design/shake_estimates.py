@@ -12,8 +12,10 @@ Off the diagonal s is the tilt of an accelerometer. With these known, the force 
 
 K + iH is the stiffness at the shake's amplitude of a specimen that does not depend on rate; where
 friction bends the motion it is made so (`seft_ros.design.shake_hysteresis`). Load
-cell and displacement sensor are the reference: of scales that all are wrong by the same factor, and
-of a lag that all have in common, a shake says nothing. Standard errors are those of the sensors'
+cell and displacement sensor are the reference, unless velocity and acceleration agree against the
+displacement: two sensors that are wrong by the same factor are less likely than one. Of scales that
+all are wrong by the same factor, and of a lag that all have in common, a shake says nothing.
+Standard errors are those of the sensors'
 noise or of what the equations leave, if that is more.
 """
 
@@ -136,7 +138,8 @@ class ShakeFit:
     stiffness : ndarray
         K of Eq. (2), shape (n, n), N/m.
     scale, scale_error : ndarray
-        Measured over true, shape (4, n); 1 for displacement and force, which are the reference.
+        Measured over true, shape (4, n); 1 for the force, and for the displacement unless velocity
+        and acceleration agree against it.
     lag, lag_error : ndarray
         Behind the displacement, shape (4, n), s. That of the force is behind the aligned
         acceleration.
@@ -185,14 +188,16 @@ def fit_shake(of: Harmonics, sound: Complexes) -> ShakeFit:
             tilt[i], tilt_error[i] = own.value[:n] / own.value[i], own.error[:n] / own.value[i]
             acceleration[:, i] *= aligning
     tilt_error[np.diag_indices(n)] = 0.0
+    scale[0], scale_error[0] = _displacement_scale(scale, scale_error)
+    scale[1:3] *= scale[0]
     adopted = 1.0 + significant(scale - 1.0, scale_error)
     acceleration = np.linalg.solve(adopted[2][:, np.newaxis] * tilt, acceleration.T).T
     mass, mass_error, stiffness = np.zeros((3, n, n))
     for i in range(n):
         force = of.amplitude[:, 3, i]
-        own, k = _inertia(of, force, acceleration, adopted[2], i)
+        own, k = _inertia(of, force, acceleration, adopted, i)
         even = force - _uneven(of, i, lag[2, i], own.value[-1])
-        own, k = _inertia(of, even, acceleration, adopted[2], i)
+        own, k = _inertia(of, even, acceleration, adopted, i)
         mass[i], stiffness[i] = own.value[:n], k
         mass_error[i] = np.hypot(own.error[:n], folded[1] * np.abs(own.value[:n]))
         lag[3, i], lag_error[3, i] = own.value[-1], own.error[-1]
@@ -210,6 +215,19 @@ def fit_shake(of: Harmonics, sound: Complexes) -> ShakeFit:
         tilt,
         tilt_error,
     )
+
+
+def _displacement_scale(scale: Floats, error: Floats) -> tuple[Floats, Floats]:
+    """Scale of the displacement and its standard error, (n,), from those against it, (4, n).
+
+    It is 1, without an error, unless velocity and acceleration both differ, by the same factor.
+    """
+    (v, a), (of_v, of_a) = scale[1:3], error[1:3]
+    differ = (np.abs(v - 1.0) > SIGMAS * of_v) & (np.abs(a - 1.0) > SIGMAS * of_a)
+    alike = differ & (np.abs(v - a) <= SIGMAS * np.hypot(of_v, of_a))
+    p, q = of_v**-2.0, of_a**-2.0
+    found = (p + q) / (p * v + q * a)
+    return np.where(alike, found, 1.0), np.where(alike, found**2 / np.sqrt(p + q), 0.0)
 
 
 def _relation(of: Harmonics, order: int, i: int, sound: Complexes) -> tuple[Fit, Complexes]:
@@ -269,15 +287,18 @@ def _uneven(of: Harmonics, i: int, late_acceleration: float, late_force: float) 
 def _inertia(
     of: Harmonics, force: Complexes, acceleration: Complexes, scale: Floats, i: int
 ) -> tuple[Fit, Floats]:
-    """Fit Eq. (2) for axis i: masses and the lag of the force; and give the stiffness."""
+    """Fit Eq. (2) for axis i: masses and the lag of the force; and give the stiffness.
+
+    ``acceleration`` is corrected by ``scale``, of which that of the displacement counts, too.
+    """
     n, w = acceleration.shape[1], of.w[:, np.newaxis]
-    x = of.amplitude[:, 0]
+    x = of.amplitude[:, 0] / scale[0]
     columns = np.concatenate([acceleration, x, 1j * x, 1j * w * x], axis=1)
     noise = of.noise[:, 3, i]
     for _ in range(2):
         fit, _ = _shaped(force, columns, noise, of.w)
         m, k, h, c = fit.value[:-1].reshape(4, n)
-        motion = (of.noise[:, 0] * np.abs(k + 1j * (h + w * c))) ** 2
-        motion += (of.noise[:, 2] / scale * m) ** 2
+        motion = (of.noise[:, 0] / scale[0] * np.abs(k + 1j * (h + w * c))) ** 2
+        motion += (of.noise[:, 2] / scale[2] * m) ** 2
         noise = np.sqrt(of.noise[:, 3, i] ** 2 + motion.sum(axis=1))
     return fit, k
