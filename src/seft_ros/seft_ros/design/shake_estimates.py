@@ -25,6 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from seft_msgs_py.arrays import Complexes, Floats
 
+from seft_ros.design.plant import FOLDED
 from seft_ros.design.shake import Sine
 from seft_ros.design.shake_hysteresis import uneven_force
 
@@ -32,9 +33,6 @@ _OVERTONES = 9  # of a sine, which friction makes, and which are no noise
 _ROUNDS = 4  # of linearisation in the lag; it converges quadratically
 SIGMAS = 4.0
 """Standard errors within which a deviation is none: curvature, tilt."""
-FOLDED = 0.5
-"""Part of what held commands fold down that is not known: filters and lags of a channel change it.
-It is part of the standard errors."""
 
 
 def significant(value: Floats, error: Floats) -> Floats:
