@@ -74,7 +74,7 @@ class Relation:
     ----------
     scale, scale_error : ndarray
         s and its standard error, shape (n, n); the unit matrix for equal channels. A tilt within
-        `SIGMAS` standard errors is 0.
+        `SIGMAS` standard errors is 0, of a velocity always.
     lag, lag_error : ndarray
         tau of each axis, positive where the channel is behind the displacement, and its standard
         error, shape (n,), s.
@@ -191,18 +191,24 @@ def relation(y: Floats, x: Floats, order: int, dt: float, frequency: float) -> R
     response = _impulse_response(band, dt, order, k)
     if (np.sqrt(np.mean(motion**2, axis=0)) < STANDS_OUT * noise_of(x) * _size(response)).any():
         return None
-    scale, scale_error = np.empty((2, n, n))
+    noise = np.append(noise_of(x) * _size(response), 0.0)
+    scale, scale_error = np.zeros((2, n, n))
     lag, lag_error = np.empty((2, n))
     for i in range(n):
-        b, error = _regressed(seen[:, i], np.column_stack([motion, change[:, i]]), 2 * k)
-        others = np.arange(n) != i
-        scale[i], scale_error[i] = b[:n], error[:n]
-        if not (np.abs(scale[i]) > SIGMAS * scale_error[i])[others].any():
-            # floors move alike: without a tilt its own motion alone gives an axis' scale far better
-            own = np.column_stack([motion[:, i], change[:, i]])
-            (scale[i, i], b[n]), (scale_error[i, i], error[n]) = _regressed(seen[:, i], own, 2 * k)
-            scale[i, others] = 0.0
-        lag[i], lag_error[i] = -b[n] / scale[i, i], error[n] / abs(scale[i, i])
+        # floors move alike: without a tilt its own motion alone gives an axis' scale far better
+        own = np.column_stack([motion[:, i], change[:, i]])
+        used = np.array([i])
+        b, error = _regressed(seen[:, i], own, 2 * k)
+        if n > 1 and order == 2:
+            every, regressors = np.arange(n), np.column_stack([motion, change[:, i]])
+            tilted, more = _regressed(seen[:, i], regressors, 2 * k)
+            # noise of floors that move alike looks like a tilt
+            cut = np.linalg.inv(regressors.T @ regressors)
+            more = np.hypot(more, cut @ (len(regressors) * noise**2 * tilted))
+            if (np.abs(tilted) > SIGMAS * more)[:n][every != i].any():
+                used, b, error = every, tilted, more
+        scale[i, used], scale_error[i, used] = b[:-1], error[:-1]
+        lag[i], lag_error[i] = -b[-1] / scale[i, i], error[-1] / abs(scale[i, i])
     return Relation(scale, scale_error, lag, lag_error)
 
 

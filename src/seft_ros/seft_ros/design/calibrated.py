@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import Section
+from seft_msgs_py.config.parameter_table import Section, mass_matrix
 from seft_msgs_py.wire.topics import JUDGED, RIG_STATE, VALVE_COMMAND
 from seft_plant_sim.calibration import (
     ACCELERATION,
@@ -24,6 +24,7 @@ from seft_plant_sim.sensors import CHANNELS, tilt_of
 
 from seft_ros.bags.record import Record, every_step
 from seft_ros.design.identified import Identified
+from seft_ros.design.plausibility import SAME_MASS
 from seft_ros.design.rig_tests import frequency_response, motion_spectra
 from seft_ros.design.shake import OF_RATE, Shake, Sine, sound_relations
 from seft_ros.design.shake_estimates import (
@@ -172,12 +173,15 @@ class Shaken:
         Of the channels as published.
     calibrated : Calibrated
         The calibration that follows.
+    told : ndarray
+        Mass matrix that the shake was told, shape (n, n), kg.
     """
 
     shake: Shake
     largest: dict[str, float]
     fit: ShakeFit
     calibrated: Calibrated
+    told: Floats
 
     @classmethod
     def of_record(
@@ -200,15 +204,22 @@ class Shaken:
         sound = sound_relations(found, sines, dt, max(float(dead_time), 0.0), late)
         fit = fit_shake(of, sound)
         largest = np.abs(samples).max(axis=(0, 2)).tolist()
-        calibrated = Calibrated.of_shake(fit, record.experiment)
-        return cls(shake, dict(zip(LIMIT_NAMES, largest, strict=True)), fit, calibrated)
+        experiment = record.experiment
+        calibrated, section = Calibrated.of_shake(fit, experiment), experiment["reference_force"]
+        told = mass_matrix(section["model.mass"], experiment.axes, "reference_force: model.mass")
+        return cls(shake, dict(zip(LIMIT_NAMES, largest, strict=True)), fit, calibrated, told)
+
+    @property
+    def mass(self) -> Floats:
+        """Mass matrix, (n, n), kg: as told, but where the shake has found another one."""
+        return self.told + significant(self.fit.mass - self.told, self.fit.mass_error)
 
     def sections(self) -> dict[str, Section]:
         """Parameters by node: the calibration, and the mass with its standard errors."""
-        fit, mass = self.fit, self.fit.mass.ravel().tolist()
+        fit = self.fit
         reference = {
-            "model.mass": mass,
-            "identified.mass": mass,
+            "model.mass": self.mass.ravel().tolist(),
+            "identified.mass": fit.mass.ravel().tolist(),
             "identified.mass_error": fit.mass_error.diagonal().tolist(),
             "identified.force_lag_error": fit.lag_error[FORCE].tolist(),
         }
@@ -271,7 +282,8 @@ def rough_calibration(record: Record, band: tuple[float, float]) -> Calibrated:
     deviation = np.sqrt(np.maximum(response.variance(), 0.0) / 2.0).reshape(shape)
     noise = np.moveaxis(deviation, 3, 0).reshape(-1, 4, n)
     w = np.tile(2 * np.pi * response.frequencies_hz, n)
-    of = Harmonics(w, amplitude[:, np.newaxis], noise, np.zeros_like(noise))
+    nothing = np.zeros_like(noise)
+    of = Harmonics(w, amplitude[:, np.newaxis], noise, nothing, nothing[:, 0, 0])
     fit = fit_shake(of, np.ones((len(w), 2), complex))
     fit.lag[FORCE] = 0.0  # a random motion of a specimen with friction does not tell it
     return Calibrated.of_shake(fit, record.experiment)
@@ -333,6 +345,13 @@ def shake_notes(shaken: Shaken, axes: Sequence[str]) -> list[str]:
         "them (displacement's if velocity and acceleration agree against it), lags against the "
         "earliest channel"
     ]
+    for axis, told, mass in zip(axes, shaken.told.diagonal(), shaken.mass.diagonal(), strict=True):
+        if abs(mass - told) > SAME_MASS * mass:
+            found.append(
+                f"axis {axis}: mass {mass:.4g} kg, configured {told:.4g} kg: if that was weighed, "
+                f"the load cell shows {mass / told:.1%} of the force; then tell rig: "
+                "calibration.force_scale, and shake again"
+            )
     off = np.abs(fit.tilt - np.eye(len(axes))) > SIGMAS * fit.tilt_error
     for i, j in zip(*np.nonzero(off & ~np.eye(len(axes), dtype=bool)), strict=True):
         found.append(
