@@ -226,7 +226,7 @@ def _scales(
     expected = np.diag(told)
     off = _sure(own.scale - expected, own.scale_error)
     of_scale = effect.of_scale(np.eye(len(axes)) + off)
-    for i, j in np.ndindex(expected.shape):
+    for i, j in zip(*np.nonzero(own.scale_error), strict=True):
         numbers = (float(each[i, j]) for each in (own.scale, expected, own.scale_error))
         yield Deviation(of_scale, "scale", channel, axes[i], axes[j], *numbers)
 

@@ -209,17 +209,12 @@ class Shaken:
         told = mass_matrix(section["model.mass"], experiment.axes, "reference_force: model.mass")
         return cls(shake, dict(zip(LIMIT_NAMES, largest, strict=True)), fit, calibrated, told)
 
-    @property
-    def mass(self) -> Floats:
-        """Mass matrix, (n, n), kg: as told, but where the shake has found another one."""
-        return self.told + significant(self.fit.mass - self.told, self.fit.mass_error)
-
     def sections(self) -> dict[str, Section]:
         """Parameters by node: the calibration, and the mass with its standard errors."""
-        fit = self.fit
+        fit, mass = self.fit, self.fit.mass.ravel().tolist()
         reference = {
-            "model.mass": self.mass.ravel().tolist(),
-            "identified.mass": fit.mass.ravel().tolist(),
+            "model.mass": mass,
+            "identified.mass": mass,
             "identified.mass_error": fit.mass_error.diagonal().tolist(),
             "identified.force_lag_error": fit.lag_error[FORCE].tolist(),
         }
@@ -345,8 +340,9 @@ def shake_notes(shaken: Shaken, axes: Sequence[str]) -> list[str]:
         "them (displacement's if velocity and acceleration agree against it), lags against the "
         "earliest channel"
     ]
-    for axis, told, mass in zip(axes, shaken.told.diagonal(), shaken.mass.diagonal(), strict=True):
-        if abs(mass - told) > SAME_MASS * mass:
+    masses = (each.diagonal() for each in (shaken.told, fit.mass, fit.mass_error))
+    for axis, told, mass, error in zip(axes, *masses, strict=True):
+        if abs(mass - told) > max(SIGMAS * error, SAME_MASS * mass):
             found.append(
                 f"axis {axis}: mass {mass:.4g} kg, configured {told:.4g} kg: if that was weighed, "
                 f"the load cell shows {mass / told:.1%} of the force; then tell rig: "
