@@ -5,7 +5,7 @@ test is in `seft_ros.analysis.calibration_effect`.
 """
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -255,17 +255,14 @@ def _relations(
         return
     x, v, a, _ = np.moveaxis(samples, 1, 0)
     dt, w = experiment.timebase.dt, 2 * np.pi * frequency
-    unknown = FOLDED * np.abs(expected - 1.0)
     channels = [("velocity", v)] * (rig.get("sensors.velocity") != "derived") + [
         ("acceleration", a)
     ]
     for channel, y in channels:
         order = 1 if channel == "velocity" else 2
-        if (found := relation(y, x, order, dt, frequency)) is not None:
-            own, more = expected[order - 1], unknown[order - 1]
-            scale_error = np.hypot(found.scale_error, np.diag(more))
-            lag_error = np.hypot(found.lag_error, more / w)
-            found = replace(found, scale_error=scale_error, lag_error=lag_error)
+        own = expected[order - 1]
+        unsure = FOLDED * np.abs(own - 1.0)
+        if (found := relation(y, x, order, dt, frequency, unsure)) is not None:
             yield channel, found, np.abs(own), -np.angle(own) / w
 
 
