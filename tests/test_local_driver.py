@@ -117,11 +117,6 @@ def facts(graph):
     return [facts for node, facts in map(decode_description, told) if node == "rig"][-1]
 
 
-def zeroed(graph):
-    """What it tells of its zeros."""
-    return facts(graph)["zeroed"]
-
-
 def test_a_driver_zeroes_its_sensors_in_the_rehearsal(driver, monkeypatch):
     from rig_driver import stand_in
 
