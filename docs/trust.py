@@ -1,30 +1,46 @@
 """Confusion table of metrics.md: verdicts on drawn tests with and without an error of the channels.
 
-    .venv/bin/python docs/trust.py 400 1 kobe.txt:cm/s2:0.005:0 elcentro.txt:cm/s2:0.005:0 ...
+    .venv/bin/python docs/trust.py --shake 400 1 kobe.txt:cm/s2:0.005:0 nishi_akashi.AT2 ...
 
 Draws so many tests of one axis or three, each with and without a wrong mass, scale, lag, filter
-or tilt, and judges them as those of a real rig: without the simulated specimen. Each motion is
-FILE, or FILE:UNIT:DT:COLUMN (yours to bring), beside the synthetic one.
+or tilt, and judges them as those of a real rig: without the simulated specimen. With --shake each
+rig is shaken first, and tests get what that has found: once the error comes after the shake, and
+once it is there already. Each motion is FILE, or FILE:UNIT:DT:COLUMN (yours to bring), beside the
+synthetic one.
 """
 
+import argparse
 import sys
 from collections import Counter
 from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 sys.path.append("src/seft_ros/test")
 
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.sensors import CHANNELS
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.calibration_effect import led
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.analysis.report_numbers import report_numbers
+from seft_ros.design.calibrated import Calibrated, Shaken, all_known, moved_by
+from seft_ros.design.rig_tests import shake_test, write_forces
+from seft_ros.design.shake import (
+    PILOT_SECONDS,
+    gains_after,
+    plan_shake,
+    shake_drive,
+    with_actuators,
+)
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
 from sound_tests import motion_words
+from test_design_shake import identified
 from test_detectors import KIND, PLAN, SPECIMEN, load
 
 MASS = 52.7
@@ -34,6 +50,7 @@ SPOILED, WORSE = 0.05, 1.5
 """A test is spoiled if its displacement is off by more than this, and more than without error."""
 SHIFTS = np.linspace(-8e-3, 8e-3, 33)
 """Of the whole test, s: such a shift is no error."""
+ALONE, BEFORE, AFTER = "with error", "error before the shake", "error after the shake"
 
 
 def specimen(draw):
@@ -146,11 +163,47 @@ def drawn_test(seed, axes, motions):
     return words, Errors(rng, draw, axes).words()
 
 
+def loaded(words, axes):
+    """Make the experiment of a test."""
+    return load(*words) if axes == 1 else load(*words, config=FRAME)
+
+
+def simulated(experiment):
+    """Run a test; give its blocks and its record."""
+    blocks = build_blocks(experiment)
+    return blocks, simulate_test(experiment, blocks, compiles=True)
+
+
+def shaken(words, axes):
+    """Shake the rig of a test, whose actuators are as told; give the words that follow."""
+    experiment = loaded(words, axes)
+    dt, found = experiment.timebase.dt, identified(experiment)
+
+    def moved(commands):
+        with TemporaryDirectory() as folder:
+            path = write_forces(Path(folder) / "shake.csv", experiment, commands)
+            record = simulated(shake_test(experiment, path))[1]
+        if record.trip is not None:
+            raise InputError(f"the shake tripped: {record.trip.reason}")
+        return record
+
+    plan = with_actuators(plan_shake(experiment), found, experiment)
+    commands, sines = shake_drive(plan, found, dt, seconds=PILOT_SECONDS)
+    gains = gains_after(plan, moved_by(moved(commands), sines))
+    commands, sines = shake_drive(plan, found, dt, gains=gains)
+    record, nothing = moved(commands), all_known(experiment)
+    known = Calibrated(nothing, nothing, 0.0, False)
+    for _ in range(2):  # the second time with the lags that it has found
+        shake = Shaken.of_record(plan, record, sines, found, known)
+        known = shake.calibrated
+    sections = shake.sections().items()
+    return tuple((node, *item) for node, section in sections for item in section.items())
+
+
 def run(words, axes):
     """Run a test; give its record, and the error of the true displacement (None: it tripped)."""
-    experiment = load(*words) if axes == 1 else load(*words, config=FRAME)
-    blocks = build_blocks(experiment)
-    record = simulate_test(experiment, blocks)
+    experiment = loaded(words, axes)
+    blocks, record = simulated(experiment)
     if record.trip is not None:
         return record, None
     rig = Rig.from_parameters(experiment["rig"], experiment.axes, experiment.timebase)
@@ -167,37 +220,71 @@ def run(words, axes):
 
 
 def verdict_of(record):
-    """Judge a test as one of a real rig, of whose specimen no more is known than the model."""
-    sections = {node: own for node, own in record.experiment.sections.items() if node != "rig"}
+    """Judge a test as one of a real rig, of which no more is known than what it was told."""
+    sections = dict(record.experiment.sections)
+    told = ("rate", "axes", "calibration.")
+    sections["rig"] = {name: own for name, own in sections["rig"].items() if name.startswith(told)}
     return report_numbers(replace(record, experiment=Experiment(sections))).judgement
+
+
+class Table:
+    """Verdicts on sound and spoiled tests, counted; prints the wrong ones."""
+
+    def __init__(self):
+        self.counts = Counter()
+
+    def add(self, name, test, right, told):
+        """Count a test, its record and error; ``right`` is that of the test without the error.
+
+        A slight error that is still there may be doubted, or not: it is neither.
+        """
+        record, wrong = test
+        if wrong is None:
+            self.counts[name, "tripped", ""] += 1
+            return
+        spoiled = wrong > max(SPOILED, WORSE * right)
+        if not spoiled and (wrong > SPOILED or record.saturation or name in (ALONE, AFTER)):
+            self.counts[name, "neither", ""] += 1
+            return
+        row, judgement = "spoiled" if spoiled else "sound", verdict_of(record)
+        self.counts[name, row, str(judgement.verdict)] += 1
+        if (judgement.verdict == "good") == spoiled:
+            print(f"{name}, {row}: {judgement.text} {wrong:.3f} {right:.3f} {told}", flush=True)
+
+    def show(self):
+        """Print the table."""
+        for (*names, verdict), number in sorted(self.counts.items()):
+            print(f"{', '.join(names)}, {verdict}: {number}")
 
 
 def main():
     """Run the tests and print the table."""
-    count, axes = int(sys.argv[1]), int(sys.argv[2])
-    motions = [(), (), *map(motion_words, sys.argv[3:])]
-    table = Counter()
-    for seed in range(1, 1 + count):
+    parser = argparse.ArgumentParser()
+    parser.add_argument("count", type=int)
+    parser.add_argument("axes", type=int, choices=(1, 3))
+    parser.add_argument("motions", nargs="*", type=motion_words)
+    parser.add_argument("--first", type=int, default=1, help="seed of the first test")
+    parser.add_argument("--shake", action="store_true")
+    given = parser.parse_args()
+    axes, motions, table = given.axes, [(), (), *given.motions], Table()
+    for seed in range(given.first, given.first + given.count):
         words, error = drawn_test(seed, axes, motions)
-        record, wrong = run((*words, *error), axes)
-        if wrong is None:
-            table["with the error", "tripped"] += 1
-            continue
-        sound, right = run(words, axes)
-        rows = []
-        if right is not None and right <= SPOILED and not sound.saturation:
-            rows.append(("sound", sound))
-        if right is not None and wrong > max(SPOILED, WORSE * right):
-            rows.append(("spoiled", record))
-        for row, judged in rows:
-            judgement = verdict_of(judged)
-            table[row, str(judgement.verdict)] += 1
-            if (judgement.verdict == "good") != (row == "sound"):
-                print(
-                    f"{row}: {judgement.text} {wrong:.3f} {right:.3f} {words} {error}", flush=True
-                )
-    for (row, verdict), number in sorted(table.items()):
-        print(f"{row}, {verdict}: {number}")
+        told = f"{seed}: {words} {error}"
+        try:
+            found = shaken(words, axes) if given.shake else ()
+            sound = run((*words, *found), axes)
+            if sound[1] is None:
+                continue
+            table.add("without error", sound, sound[1], told)
+            after = run((*words, *found, *error), axes)
+            table.add(AFTER if found else ALONE, after, sound[1], told)
+            if found:
+                known = shaken((*words, *error), axes)
+                table.add(BEFORE, run((*words, *error, *known), axes), sound[1], told)
+        except InputError as refusal:
+            table.counts["refused", "", ""] += 1
+            print(f"refused: {refusal} {told}", flush=True)
+    table.show()
 
 
 if __name__ == "__main__":

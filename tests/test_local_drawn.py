@@ -78,6 +78,8 @@ BESIDE = {
         *TWO_AXES,
         "rig:specimen.stiffness:=[2.0e5, -1.0e4, -1.0e4, 2.2e5]",
         "rig:specimen.mass:=[52.7, 55.0]",
+        *(f"rig:{name}.tilt:=[1.0, 0.03, -0.04, 1.0]" for name in ("sensors", "calibration")),
+        'rig:faults:=["north/acceleration set nan at 0.7 for 1"]',
     ),
     "forces late over a link": (
         *(DELAYED, f"{RIG}delay:=0.0113", "reference_force:loop_delay:=5"),

@@ -1,6 +1,7 @@
 """What is known of the measured channels, taken out of a sample before it is published.
 
-A channel with known scale s, zero z and lag measures y; its value is (y - z) / s. All channels are
+A channel with known scale s, zero z and lag measures y; its value is (y - z) / s. The accelerations
+are T^-1 times those of the accelerometers, which show T a where they are tilted. All channels are
 aligned to the latest one: the others wait, in whole samples and by a first-order all-pass of Thiran
 (1971), which is maximally flat: its gain is 1, its delay d at low frequency::
 
@@ -20,8 +21,9 @@ from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.continuous_model import ContinuousModel, Sensed
-from seft_plant_sim.sensors import CHANNELS, per_channel
+from seft_plant_sim.sensors import CHANNELS, per_channel, tilt_of
 
+ACCELERATION = CHANNELS.index("acceleration")
 AT_ONCE = -1
 """Value of `Calibration.whole` of a channel that does not wait."""
 SHORTEST_WAIT = 1e-6
@@ -44,6 +46,8 @@ class Calibration(NamedTuple):
         Whole samples of a channel's wait; `AT_ONCE`: it does not wait.
     factor : ndarray
         c of Eq. (1) for the rest.
+    straight : ndarray
+        T^-1, shape (n, n), or (0, 0) for accelerometers that are not tilted.
     """
 
     zero: Floats
@@ -52,6 +56,7 @@ class Calibration(NamedTuple):
     resolution: Floats
     whole: Ints
     factor: Floats
+    straight: Floats
 
 
 class CalibrationState(NamedTuple):
@@ -63,10 +68,14 @@ class CalibrationState(NamedTuple):
         The last samples as measured, a ring buffer by step, shape (m, 4, n).
     aligned : ndarray
         The last result of Eq. (1), shape (4, n).
+    tilted : ndarray
+        The last accelerations that were known, as tilted accelerometers show them, and 1 where
+        they are of this sample, shape (2, n).
     """
 
     measured: Floats
     aligned: Floats
+    tilted: Floats
 
 
 @compiled
@@ -87,7 +96,8 @@ def calibrate(
         Of the sample; samples follow one another.
     measured, sample : ndarray
         As measured, and the result; shape (4, n). They may be the same array. A value that is no
-        number, or is at the end of its sensor's range, comes out as it is, after the wait.
+        number, or is at the end of its sensor's range, comes out as it is, after the wait; for
+        the other axes of a tilted accelerometer its last one stands.
     """
     c, last, places = calibration, state.aligned, len(state.measured)
     for row in range(4):
@@ -111,6 +121,16 @@ def calibrate(
                     value = np.rint(value / part) * part
             is_known = abs(shown) < c.range[row, i] and np.isfinite(shown)
             sample[row, i] = value if is_known else shown
+            if row == ACCELERATION:
+                state.tilted[1, i] = 1.0 if is_known else 0.0
+                if is_known or step == 0:
+                    state.tilted[0, i] = value if is_known else 0.0
+    for i in range(len(c.straight)):
+        if state.tilted[1, i]:
+            value = 0.0
+            for j in range(len(c.straight)):
+                value += c.straight[i, j] * state.tilted[0, j]
+            sample[ACCELERATION, i] = value
 
 
 @compiled
@@ -120,6 +140,8 @@ def calibrate_all(calibration: Calibration, state: CalibrationState, samples: Fl
         calibrate(calibration, state, step, samples[step], samples[step])
 
 
+TILT = "calibration.tilt"
+_ALIKE = 1e6  # condition number of a tilt that can not be inverted
 NOTHING_KNOWN = {"zero": 0.0, "scale": 1.0, "lag": 0.0}
 """What ``calibration.*`` says of a channel of which nothing is known."""
 
@@ -159,8 +181,8 @@ def calibration_of(
     Raises
     ------
     InputError
-        If sizes do not fit the axes, a scale is 0, or something is known of a velocity that is
-        derived.
+        If sizes do not fit the axes, a scale is 0, something is known of a velocity that is
+        derived, or a tilt mixes axes of different rigs or can not be inverted.
     """
     own, known = list(places), known_channels(section, axes)
     zero, scale, lag = known["zero"], known["scale"], known["lag"]
@@ -183,7 +205,14 @@ def calibration_of(
     wait = (lag.max() - lag) / dt
     wait[wait < SHORTEST_WAIT] = 0.0
     wait, zero, scale = (np.ascontiguousarray(one[:, own]) for one in (wait, zero, scale))
-    if not zero.any() and (scale == 1.0).all() and not wait.any():
+    tilt = tilt_of(section, axes, own, TILT)
+    if np.linalg.cond(tilt) > _ALIKE:
+        raise InputError(
+            f"rig: {TILT} {tilt.tolist()} says that accelerometers show the same; give a row for "
+            "each, about 1 in its own place"
+        )
+    is_straight = (tilt == np.eye(n)).all()
+    if not zero.any() and (scale == 1.0).all() and not wait.any() and is_straight:
         return nothing_known(n)
     whole = np.floor(np.maximum(wait - 0.5, 0.0)).astype(np.int64)
     rest = wait - whole
@@ -196,9 +225,11 @@ def calibration_of(
         np.zeros((4, n)) if resolution is None else resolution,
         whole,
         (1.0 - rest) / (1.0 + rest),
+        np.zeros((0, 0)) if is_straight else np.linalg.inv(tilt),
     )
     periods = 2 + max(int(whole.max()), 0)
-    return calibration, CalibrationState(np.zeros((periods, 4, n)), np.zeros((4, n)))
+    state = CalibrationState(np.zeros((periods, 4, n)), np.zeros((4, n)), np.zeros((2, n)))
+    return calibration, state
 
 
 SIGNIFICANT = 4.0
@@ -264,8 +295,9 @@ def zeros_of_all(
 def nothing_known(n: int) -> tuple[Calibration, CalibrationState]:
     """Make the arrays where the samples of n axes are published as they are measured."""
     none = np.zeros((0, n))
-    calibration = Calibration(none, none, none, none, np.zeros((0, n), dtype=np.int64), none)
-    return calibration, CalibrationState(np.zeros((0, 4, n)), none)
+    wait, straight = np.zeros((0, n), dtype=np.int64), np.zeros((0, 0))
+    calibration = Calibration(none, none, none, none, wait, none, straight)
+    return calibration, CalibrationState(np.zeros((0, 4, n)), none, none)
 
 
 def as_published(model: ContinuousModel, calibration: Calibration, dt: float) -> ContinuousModel:
@@ -278,9 +310,12 @@ def as_published(model: ContinuousModel, calibration: Calibration, dt: float) ->
     shown = model.shown
     rest = (1.0 - calibration.factor) / (1.0 + calibration.factor)
     wait = np.where(calibration.whole == AT_ONCE, 0.0, calibration.whole + rest) * dt
-    by = 1.0 / calibration.scale.reshape(-1, 1)
+    by, n = np.diag(1.0 / calibration.scale.ravel()), calibration.scale.shape[1]
+    if len(calibration.straight):
+        rows = slice(ACCELERATION * n, (ACCELERATION + 1) * n)
+        by[rows, rows] = calibration.straight @ by[rows, rows]
     late = shown.late + wait.ravel()
-    return replace(model, sensed=Sensed(by * shown.c, by * shown.d, by * shown.outputs, late))
+    return replace(model, sensed=Sensed(by @ shown.c, by @ shown.d, by @ shown.outputs, late))
 
 
 def common_lag(section: Mapping[str, Any]) -> float:

@@ -235,6 +235,9 @@ CALIBRATION = parameter_rows(
     velocity_scale     | floats | 1.0   |       |         | of the velocity, likewise
     acceleration_scale | floats | 1.0   |       |         | of the acceleration, likewise
     force_scale        | floats | 1.0   |       |         | of the force, likewise
+    tilt               | floats | 0.0   |       |         |
+        what is known of what the accelerometers show per acceleration of each axis, a matrix row
+        by row; 0: each shows its own axis alone
     position_lag       | floats | 0.0   | s     | 0 .. 1  |
         time by which the measured displacement is known to be late. All channels are aligned to
         the latest one, and the loop counts its lag

@@ -11,13 +11,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
-from seft_msgs_py.config.parameter_table import as_matrix
-from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.compiled import compiled, multiply
 from seft_plant_sim.continuous_model import ContinuousModel, Motion, Sensed
 from seft_plant_sim.lti import split_dead_time
-from seft_plant_sim.sensors import CHANNELS, per_channel
+from seft_plant_sim.sensors import CHANNELS, per_channel, tilt_of
 
 VELOCITY, ACCELERATION = CHANNELS.index("velocity"), CHANNELS.index("acceleration")
 
@@ -108,15 +106,7 @@ def with_sensors(
     )
     if section["sensors.velocity"] == "derived":  # there is no velocity sensor
         scale[VELOCITY], lag[VELOCITY], cutoff[VELOCITY] = 1.0, 0.0, 0.0
-    mix = np.eye(len(own))
-    if np.any(given := section.get("sensors.tilt", 0.0)):
-        tilt = as_matrix(given, axes, "rig: sensors.tilt")
-        if np.delete(tilt[own], own, axis=1).any():
-            raise InputError(
-                f"rig: sensors.tilt {tilt.tolist()} mixes axes of different rigs, which have "
-                "their own accelerometers"
-            )
-        mix = tilt[np.ix_(own, own)]
+    mix = tilt_of(section, axes, own, "sensors.tilt")
     if (
         (scale == 1.0).all()
         and not lag.any()

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
-from seft_msgs_py.config.parameter_table import group, per_axis
+from seft_msgs_py.config.parameter_table import as_matrix, group, per_axis
 from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.compiled import compiled
@@ -44,6 +44,38 @@ def per_channel(
     given = [section[name] if default is None else section.get(name, default) for name in names]
     rows = zip(names, given, strict=True)
     return np.array([per_axis(value, axes, f"{node}: {name}") for name, value in rows])
+
+
+def tilt_of(
+    section: Mapping[str, Any], axes: Sequence[str], places: Sequence[int], name: str
+) -> Floats:
+    """Give what accelerometers show of the acceleration of each axis, shape (n, n).
+
+    Parameters
+    ----------
+    section, axes
+        The rig's section, and the names of all axes.
+    places : sequence of int
+        Of the n axes of this rig.
+    name : str
+        Of the parameter; without it, as in a bag of an older version, or if it is 0, each
+        accelerometer shows its own axis alone.
+
+    Raises
+    ------
+    InputError
+        If the size does not fit the axes, or it mixes axes of different rigs.
+    """
+    own = list(places)
+    if not np.any(given := section.get(name, 0.0)):
+        return np.eye(len(own))
+    tilt = as_matrix(given, axes, f"rig: {name}")
+    if np.delete(tilt[own], own, axis=1).any():
+        raise InputError(
+            f"rig: {name} {tilt.tolist()} mixes axes of different rigs, which have "
+            "their own accelerometers"
+        )
+    return np.ascontiguousarray(tilt[np.ix_(own, own)])
 
 
 class Channels(NamedTuple):

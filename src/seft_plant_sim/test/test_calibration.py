@@ -22,19 +22,48 @@ DT = 0.002
 X, V, A, F = range(4)
 
 
-def known(*, ranges=None, resolution=None, derived=False, axes=("x",), **values):
+def known(*, ranges=None, resolution=None, derived=False, axes=("x",), places=None, **values):
     named = {f"calibration.{name}": value for name, value in values.items()}
-    section = rig_section(**named)
-    return calibration_of(section, axes, range(len(axes)), DT, ranges, resolution, derived)
+    section, own = rig_section(**named), places or range(len(axes))
+    return calibration_of(section, axes, own, DT, ranges, resolution, derived)
 
 
 def corrected(samples, **values):
     """Pass samples (N, 4, n) through a calibration."""
-    calibration, state = known(axes=tuple("xy"[: samples.shape[2]]), **values)
+    calibration, state = known(axes=("x", "y")[: samples.shape[2]], **values)
     found = np.empty_like(samples)
     for step, sample in enumerate(samples):
         calibrate(calibration, state, step, np.ascontiguousarray(sample), found[step])
     return found
+
+
+TILT = np.array([[1.0, 0.03], [-0.05, 0.99]])
+
+
+def tilted(seed=4, steps=60):
+    """True samples (N, 4, 2), and what tilted accelerometers, one of scale 1.1, show of them."""
+    true = np.random.default_rng(seed).normal(size=(steps, 4, 2))
+    shown = true.copy()
+    shown[:, A] = true[:, A] @ TILT.T * [1.0, 1.1]
+    known = {"tilt": TILT.ravel().tolist(), "acceleration_scale": [1.0, 1.1]}
+    return true, shown, known
+
+
+def test_it_undoes_a_tilt_exactly():
+    true, shown, values = tilted()
+    np.testing.assert_allclose(corrected(shown, **values), true, rtol=0.0, atol=1e-13)
+
+
+def test_what_a_tilted_accelerometer_can_not_show_leaves_the_other_axis_its_last_one():
+    true, shown, values = tilted()
+    for value in (np.nan, np.inf, 30.0):
+        wrong = shown.copy()
+        wrong[30, A, 0] = value
+        found = corrected(wrong, ranges=np.full((4, 2), 30.0), **values)
+        np.testing.assert_equal(found[30, A, 0], value)
+        held = np.linalg.solve(TILT, [shown[29, A, 0], shown[30, A, 1] / 1.1])[1]
+        assert found[30, A, 1] == pytest.approx(held, abs=1e-13)
+        np.testing.assert_allclose(np.delete(found, 30, 0), np.delete(true, 30, 0), atol=1e-13)
 
 
 def sines(hz, lags=(0.0,) * 4, steps=1000):
@@ -146,6 +175,10 @@ def test_errors_name_the_parameter():
         known(velocity_lag=0.001, derived=True)
     with pytest.raises(InputError, match=r"rig: calibration.position_zero: 3 values for 2 axes"):
         known(axes=("x", "y"), position_zero=[0.0, 1.0, 2.0])
+    with pytest.raises(InputError, match=r"calibration.tilt \[\[1.0, 1.0\].*show the same"):
+        known(axes=("x", "y"), tilt=[1.0, 1.0, 1.0, 1.0])
+    with pytest.raises(InputError, match=r"calibration.tilt .* mixes axes of different rigs"):
+        known(axes=("east/x", "west/x"), places=[1], tilt=[1.0, 0.0, 0.03, 1.0])
 
 
 def test_a_rig_publishes_corrected_samples():
@@ -187,6 +220,15 @@ def test_as_a_linear_model_what_waits_is_late():
     np.testing.assert_allclose(found.c[V], model.c[V] / 2.0)
     np.testing.assert_array_equal(found.c[F], model.c[F])
     assert as_published(model, nothing_known(1)[0], DT) is model
+
+
+def test_as_a_linear_model_a_known_tilt_is_taken_out():
+    axes = ("x", "y")
+    section = {"sensors.tilt": TILT.ravel().tolist(), "axes": list(axes)}
+    sound, rig = (continuous_model(rig_section(**s), axes) for s in ({"axes": list(axes)}, section))
+    calibration, _ = known(axes=axes, tilt=TILT.ravel().tolist())
+    found = as_published(rig, calibration, DT).sensed
+    np.testing.assert_allclose(found.c, sound.c, atol=1e-9 * np.abs(sound.c).max())
 
 
 def test_zeros_are_the_means_at_rest_that_are_more_than_noise():

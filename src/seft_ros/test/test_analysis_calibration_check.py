@@ -95,7 +95,7 @@ def test_a_reference_of_the_simulated_specimen_is_not_called_the_models():
 def test_what_a_separate_test_found_is_combined_by_the_errors():
     record = record_of(*FRICTION)
     own = calibration_check(record).mass
-    told = {"mass": 1.04 * 52.7, "mass_error": 0.1, "force_lag_error": 1e-6}
+    told = {"mass": own.estimate + 2 * own.error, "mass_error": 0.1, "force_lag_error": 1e-6}
     words = [f"reference_force:identified.{name}:={value}" for name, value in told.items()]
     both = calibration_check(record_of(*FRICTION, *words)).mass
     weights = np.array([own.error, told["mass_error"]]) ** -2.0
@@ -108,8 +108,23 @@ def test_what_a_separate_test_found_is_combined_by_the_errors():
 
     assert calibration_check(short(record)).mass is None
     alone = calibration_check(short(record_of(*FRICTION, *words))).mass
-    assert alone.estimate == pytest.approx(1.04 * 52.7)
+    assert alone.estimate == pytest.approx(told["mass"])
     assert alone.error == pytest.approx(0.1)
+
+
+def test_what_has_changed_after_a_separate_test_is_seen():
+    words = (
+        "identified.mass:=52.7",
+        "identified.mass_error:=0.05",
+        "identified.force_lag_error:=1e-6",
+    )
+    words = [*(f"reference_force:{word}" for word in words), "rig:sensors.force_scale:=1.08"]
+    check = calibration_check(record_of(*words, "rig:sensors.force_lag:=0.0004"))
+    assert check.mass.estimate == pytest.approx(1.08 * 52.7, rel=0.01)
+    lag = check.axes["x"]["force"]["lag"]
+    assert lag["estimate"] == pytest.approx(0.0004, abs=4 * lag["error"])
+    assert abs(lag["estimate"]) > 4 * lag["error"]
+    assert check.lag.effect > 0.02
 
 
 def test_three_axes_find_a_wrong_floor():

@@ -3,6 +3,7 @@
 import json
 import re
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from seft_msgs_py.config.experiment import Experiment, read_parameter_file
 from seft_plant_sim.lti import bilinear, polynomial_ratio
 from seft_plant_sim.sensors import CHANNELS
 from seft_ros.bags.record_bag import read_bag
+from seft_ros.cli import identify_command, shared
 from seft_ros.design.force_tracking import tracking_measures
 from seft_ros.design.plant import choose_plant
 from seft_ros.test_run.parameter_tables import TABLES
@@ -147,6 +149,17 @@ def test_a_rig_whose_channels_disagree_is_corrected_by_the_file(identify, seft):
     assert summary["displacement"]["nrmse_aligned"] < 0.01
     mass = summary["calibration"]["axes"]["x"]["force"]["mass"]
     assert mass["error"] < 0.2  # with that of the shake
+
+
+def test_a_host_that_misses_commands_is_told(monkeypatch, tmp_path, capsys):
+    record = SimpleNamespace(trip=None, missed=51, experiment=load())
+    monkeypatch.setattr(shared, "dds_test", lambda *_, **__: (record, tmp_path))
+    tests = identify_command._Tests(load(), tmp_path, False, ["rig"])
+    assert tests.run("open_loop", load(), 1000)
+    assert "open_loop: 51 of 1000 steps had no command in time" in capsys.readouterr().err
+    record.missed = 50
+    assert tests.run("open_loop", load(), 1000)
+    assert not capsys.readouterr().err
 
 
 def test_a_specimen_that_the_model_was_not_identified_with_needs_no_other(identify, seft):

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from experiments_at_hand import load, simulated
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.calibration import known_channels
 from seft_plant_sim.sensors import CHANNELS
 from seft_ros.design.actuator_fit import ActuatorFit
-from seft_ros.design.calibrated import Calibrated, Shaken, shake_notes
+from seft_ros.design.calibrated import Calibrated, Shaken, all_known, shake_notes
 from seft_ros.design.identified import Identified, ValveResponse, fitted_plant
 from seft_ros.design.response_fits import SpecimenFit
 from seft_ros.design.rig_tests import shake_test, write_forces
@@ -55,9 +54,7 @@ def shaken(*words, config="jhu"):
         path = write_forces(Path(folder) / "shake.csv", experiment, commands)
         record = simulated(shake_test(experiment, path))
     assert record.trip is None
-    nothing = known_channels(load().sections["rig"], load().axes)
-    n = len(experiment.axes)
-    known = {what: np.repeat(value, n, axis=1) for what, value in nothing.items()}
+    known = all_known(load(config=config))
     return Shaken.of_record(plan, record, sines, found, Calibrated(known, known, 0.0, False))
 
 
@@ -120,8 +117,25 @@ def test_several_axes_give_the_matrix_and_a_tilt():
     np.testing.assert_allclose(fit.mass, 52.7 * np.eye(3), atol=0.3)
     assert_known(fit.tilt[1, 0], fit.tilt_error[1, 0], 0.03, 2e-3)
     notes = shake_notes(found, ("a", "b", "c"))
-    assert [note for note in notes if "axis b" in note and "of a" in note]
+    assert [note for note in notes if "axis b" in note and "of a:" in note and "tilt corr" in note]
     assert sum("tilted" in note for note in notes) == 1
+
+    section = found.sections()["rig"]
+    assert section["calibration.tilt"] == pytest.approx([1, 0, 0, 0.03, 1, 0, 0, 0, 1], abs=2e-3)
+    told = [f"rig:{name}:={value}" for name, value in section.items()]
+    again = shaken(tilt, *told, config="three_storey_frame")
+    assert not again.calibrated.changes
+    assert again.sections()["rig"] == section
+
+
+def test_velocity_and_acceleration_against_the_displacement_are_right():
+    found = shaken(*FLAG, "rig:sensors.position_scale:=0.96")
+    fit = found.fit
+    assert_known(fit.scale[POSITION, 0], fit.scale_error[POSITION, 0], 0.96, 2e-3)
+    assert_known(fit.mass[0, 0], fit.mass_error[0, 0], 73.0, 0.1)
+    section = found.sections()["rig"]
+    assert section["calibration.velocity_scale"] == section["calibration.acceleration_scale"] == [1]
+    assert section["calibration.position_scale"] == [pytest.approx(0.96, abs=2e-3)]
 
 
 def test_the_displacement_follows_from_the_noise_and_the_peaks_are_told():
@@ -130,7 +144,7 @@ def test_the_displacement_follows_from_the_noise_and_the_peaks_are_told():
     assert noisy.travel == pytest.approx(4 * plan.travel, rel=0.05)
     told = plan_shake(load(), travel=1e-4)
     assert (told.travel, told.peaks["displacement"]) == (1e-4, 1e-4)
-    assert "sines of 0.1 mm on each axis, up to 50 Hz" in told.text()
+    assert "sines of 0.1 mm on each axis, up to 48.5 Hz" in told.text()
     largest, peaks = shaken(*FLAG).largest, shaken(*FLAG).shake.peaks
     for name, peak in peaks.items():
         assert largest[name] < 1.15 * peak, name  # with the noise

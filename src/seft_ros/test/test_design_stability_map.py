@@ -50,3 +50,12 @@ def test_a_plant_that_is_identified_as_a_whole_has_no_map_of_the_stiffness(monke
     margins = find_margins(plan)
     assert margins.stiffness is None
     assert len(stability_map.stability_maps(plan, margins)) == 1
+
+
+def test_without_stiffness_there_is_no_map_of_it(monkeypatch):
+    monkeypatch.setattr(stability_map, "_FINEST", 3)
+    plan = Plan(load(RATIO, "rig:specimen.stiffness:=0.0", config="demo"))
+    margins = find_margins(plan)
+    assert margins.stiffness is margins.followed is None
+    assert margins.dead_time is not None
+    assert len(stability_map.stability_maps(plan, margins)) == 1

@@ -9,10 +9,12 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import as_matrix, per_axis
 from seft_msgs_py.errors import InputError
+from seft_plant_sim.calibration import known_channels
+from seft_plant_sim.sensors import CHANNELS
 from seft_plant_sim.specimen import deformations
 from seft_plant_sim.whole_structure import WholeStructure
 
@@ -28,6 +30,7 @@ from seft_ros.analysis.channel_estimates import (
 )
 from seft_ros.bags.record import Record, every_step
 from seft_ros.design.plan import choose_rig
+from seft_ros.design.plant import FOLDED, held_relations
 from seft_ros.reference_force.force_command import FORCE_DRIVEN
 
 MOST_LOST = 0.01
@@ -138,7 +141,8 @@ def calibration_check(record: Record) -> CalibrationCheck | None:
     ----------
     record : Record
         Of the test, without its ramp-down. A mass that was identified before the test
-        (`IdentifiedMass.told`) is combined with the test's own estimate, by their standard errors.
+        (`IdentifiedMass.told`) is combined with the test's own estimate, by their standard errors,
+        unless they contradict each other.
 
     Returns
     -------
@@ -222,7 +226,7 @@ def _scales(
     expected = np.diag(told)
     off = _sure(own.scale - expected, own.scale_error)
     of_scale = effect.of_scale(np.eye(len(axes)) + off)
-    for i, j in np.ndindex(expected.shape):
+    for i, j in zip(*np.nonzero(own.scale_error), strict=True):
         numbers = (float(each[i, j]) for each in (own.scale, expected, own.scale_error))
         yield Deviation(of_scale, "scale", channel, axes[i], axes[j], *numbers)
 
@@ -250,22 +254,23 @@ def _relations(
     if expected is None or rig.get("actuator.kind") in FORCE_DRIVEN:
         return
     x, v, a, _ = np.moveaxis(samples, 1, 0)
-    dt = experiment.timebase.dt
+    dt, w = experiment.timebase.dt, 2 * np.pi * frequency
     channels = [("velocity", v)] * (rig.get("sensors.velocity") != "derived") + [
         ("acceleration", a)
     ]
     for channel, y in channels:
         order = 1 if channel == "velocity" else 2
-        if (found := relation(y, x, order, dt, frequency)) is not None:
-            yield channel, found, expected[0][order - 1], expected[1][order - 1]
+        own = expected[order - 1]
+        unsure = FOLDED * np.abs(own - 1.0)
+        if (found := relation(y, x, order, dt, frequency, unsure)) is not None:
+            yield channel, found, np.abs(own), -np.angle(own) / w
 
 
-def expected_relations(experiment: Experiment, frequency: float) -> tuple[Floats, Floats] | None:
-    """Scale and lag that sound channels have because a command is held over a period.
+def expected_relations(experiment: Experiment, frequency: float) -> Complexes | None:
+    """Velocity and acceleration of sound channels over the derivatives of x.
 
-    The ripple of held commands folds down to the frequency of the motion. In the acceleration it is
-    0.1 % of it at 500 Hz and 0.8 % at 250 Hz with a valve of 70 Hz and an oil column of 90 Hz. It
-    follows from the actuator that the test was told, on the specimen's model.
+    See `seft_ros.design.plant.held_relations`; it follows from the actuator that the test was told,
+    on the specimen's model, and from what is known of the channels' lags.
 
     Parameters
     ----------
@@ -276,24 +281,25 @@ def expected_relations(experiment: Experiment, frequency: float) -> tuple[Floats
 
     Returns
     -------
-    scale, lag : ndarray
-        Of velocity and acceleration against the displacement, shape (2, n), lags in s. None if no
-        actuator is told.
+    ndarray or None
+        Shape (2, n); None if no actuator is told.
     """
     nodes = ("reference_force", "force_controller")
     if any(node not in experiment.sections for node in nodes):
         return None
-    told = Experiment({node: experiment[node] for node in nodes})
+    told, section = (
+        Experiment({n: experiment[n] for n in nodes}),
+        experiment.sections.get("rig", {}),
+    )
+    lag = known_channels(section, experiment.axes)["lag"]
+    if section.get("sensors.velocity") == "derived":
+        lag[CHANNELS.index("velocity")] = lag[0]
     try:
-        rig = choose_rig(told)
-        a, b, c = rig.sampled(experiment.timebase.dt, rig.plant.delay, 1.0)
+        plant = choose_rig(told).plant
+        held = held_relations(plant, np.array([frequency]), experiment.timebase.dt, lag)
     except (InputError, KeyError):
         return None
-    n, s = len(experiment.axes), 2j * np.pi * frequency
-    z = np.exp(s * experiment.timebase.dt)
-    x, *others = np.split(c @ np.linalg.solve(z * np.eye(len(a)) - a, b), 4)
-    ratios = np.array([np.diag(others[i]) / (s ** (i + 1) * np.diag(x)) for i in range(2)])
-    return np.abs(ratios).reshape(2, n), -np.angle(ratios).reshape(2, n) / (2 * np.pi * frequency)
+    return held[0]
 
 
 def _springs(assumed: Experiment, whole: WholeStructure) -> Floats:
@@ -314,7 +320,11 @@ def _springs(assumed: Experiment, whole: WholeStructure) -> Floats:
 
 
 def _combined(own: Inertia | None, known: IdentifiedMass | None) -> Inertia | None:
-    """Combine two estimates by their standard errors."""
+    """Combine two estimates by their standard errors.
+
+    Where they contradict each other something has changed after the mass was identified: then the
+    test's own estimate stands alone.
+    """
     if known is None:
         return own
     if own is None:
@@ -323,8 +333,10 @@ def _combined(own: Inertia | None, known: IdentifiedMass | None) -> Inertia | No
     def mean(
         one: Floats, one_error: Floats, two: Floats, two_error: Floats
     ) -> tuple[Floats, Floats]:
+        alike = np.abs(one - two) <= SIGMAS * np.hypot(one_error, two_error)
         p, q = one_error**-2, two_error**-2
-        return (p * one + q * two) / (p + q), (p + q) ** -0.5
+        both, error = (p * one + q * two) / (p + q), (p + q) ** -0.5
+        return np.where(alike, both, one), np.where(alike, error, one_error)
 
     return Inertia(
         *mean(own.factor, own.factor_error, known.factor, known.factor_error),

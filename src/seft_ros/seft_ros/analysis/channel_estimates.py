@@ -74,7 +74,7 @@ class Relation:
     ----------
     scale, scale_error : ndarray
         s and its standard error, shape (n, n); the unit matrix for equal channels. A tilt within
-        `SIGMAS` standard errors is 0.
+        `SIGMAS` standard errors is 0, of a velocity always.
     lag, lag_error : ndarray
         tau of each axis, positive where the channel is behind the displacement, and its standard
         error, shape (n,), s.
@@ -163,7 +163,9 @@ def _impulse_response(band: tuple[float, float], dt: float, order: int, k: int) 
     return np.concatenate([derived[-k:], derived[: k + 1]])
 
 
-def relation(y: Floats, x: Floats, order: int, dt: float, frequency: float) -> Relation | None:
+def relation(
+    y: Floats, x: Floats, order: int, dt: float, frequency: float, unsure: float | Floats = 0.0
+) -> Relation | None:
     """Compare a channel with a derivative of the displacement, Eq. (1).
 
     Parameters
@@ -174,6 +176,9 @@ def relation(y: Floats, x: Floats, order: int, dt: float, frequency: float) -> R
         1: y is the velocity; 2: it is the acceleration.
     frequency : float
         Of the motion, Hz, see `motion_frequency`.
+    unsure : float or ndarray
+        Part of the motion of each axis, shape (n,), that a sound channel may show besides: it is
+        part of the standard errors.
 
     Returns
     -------
@@ -191,18 +196,28 @@ def relation(y: Floats, x: Floats, order: int, dt: float, frequency: float) -> R
     response = _impulse_response(band, dt, order, k)
     if (np.sqrt(np.mean(motion**2, axis=0)) < STANDS_OUT * noise_of(x) * _size(response)).any():
         return None
-    scale, scale_error = np.empty((2, n, n))
+    noise = np.append(noise_of(x) * _size(response), 0.0)
+    unsure = np.broadcast_to(unsure, n)
+    scale, scale_error = np.zeros((2, n, n))
     lag, lag_error = np.empty((2, n))
     for i in range(n):
-        b, error = _regressed(seen[:, i], np.column_stack([motion, change[:, i]]), 2 * k)
-        others = np.arange(n) != i
-        scale[i], scale_error[i] = b[:n], error[:n]
-        if not (np.abs(scale[i]) > SIGMAS * scale_error[i])[others].any():
-            # floors move alike: without a tilt its own motion alone gives an axis' scale far better
-            own = np.column_stack([motion[:, i], change[:, i]])
-            (scale[i, i], b[n]), (scale_error[i, i], error[n]) = _regressed(seen[:, i], own, 2 * k)
-            scale[i, others] = 0.0
-        lag[i], lag_error[i] = -b[n] / scale[i, i], error[n] / abs(scale[i, i])
+        # floors move alike: without a tilt its own motion alone gives an axis' scale far better
+        own = np.column_stack([motion[:, i], change[:, i]])
+        used = np.array([i])
+        b, error = _regressed(seen[:, i], own, 2 * k)
+        error = np.hypot(error, unsure[i] * np.array([1.0, 1.0 / (2 * np.pi * frequency)]))
+        if n > 1 and order == 2:
+            every, regressors = np.arange(n), np.column_stack([motion, change[:, i]])
+            tilted, more = _regressed(seen[:, i], regressors, 2 * k)
+            # noise of floors that move alike, and what else is in their motion, look like a tilt
+            cut = np.linalg.inv(regressors.T @ regressors)
+            more = np.hypot(more, cut @ (len(regressors) * noise**2 * tilted))
+            beside = unsure[i] * np.linalg.norm(motion[:, i])
+            more = np.hypot(more, np.sqrt(cut.diagonal()) * beside)
+            if (np.abs(tilted) > SIGMAS * more)[:n][every != i].any():
+                used, b, error = every, tilted, more
+        scale[i, used], scale_error[i, used] = b[:-1], error[:-1]
+        lag[i], lag_error[i] = -b[-1] / scale[i, i], error[-1] / abs(scale[i, i])
     return Relation(scale, scale_error, lag, lag_error)
 
 

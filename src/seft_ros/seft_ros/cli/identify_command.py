@@ -130,6 +130,7 @@ class _Tests:
 
     def run(self, name: str, test: Experiment, steps: int) -> bool:
         """Run a test; say whether it drove a valve, to its end."""
+        from seft_ros.analysis.judgement import BAD_MISSED
         from seft_ros.design.rig_tests import has_valve
 
         bag, label = self.folder / name, f"{name}: "
@@ -138,6 +139,12 @@ class _Tests:
         else:
             record = shared.offline_test(test, bag, label)
         self.records[name] = record
+        if (record.missed or 0) > BAD_MISSED * steps:
+            shared.complain(
+                f"{label}{record.missed} of {steps} steps had no command in time: the rig moved "
+                "otherwise than asked, and what it says is poor; take a lower rate, or a host that "
+                "keeps this one (docs/realtime.md)"
+            )
         return record.trip is None and has_valve(record.experiment)
 
     @property

@@ -6,21 +6,25 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import Section
+from seft_msgs_py.config.parameter_table import Section, mass_matrix
 from seft_msgs_py.wire.topics import JUDGED, RIG_STATE, VALVE_COMMAND
 from seft_plant_sim.calibration import (
+    ACCELERATION,
     NOTHING_KNOWN,
+    TILT,
     calibrate_all,
     calibration_of,
     known_channels,
 )
 from seft_plant_sim.rig_parameters import LIMIT_NAMES
-from seft_plant_sim.sensors import CHANNELS
+from seft_plant_sim.sensors import CHANNELS, tilt_of
 
 from seft_ros.bags.record import Record, every_step
 from seft_ros.design.identified import Identified
+from seft_ros.design.plausibility import SAME_MASS
 from seft_ros.design.rig_tests import frequency_response, motion_spectra
 from seft_ros.design.shake import OF_RATE, Shake, Sine, sound_relations
 from seft_ros.design.shake_estimates import (
@@ -47,8 +51,9 @@ class Calibrated:
     Attributes
     ----------
     found : dict
-        Scale, lag and zero of the channels as published in the shake, shape (4, n): of what is
-        within `SIGMAS` standard errors, nothing is known.
+        Scale, lag and zero of the channels as published in the shake, shape (4, n), and the tilt
+        of the accelerometers of each rig, (n, n): of what is within `SIGMAS` standard errors,
+        nothing is known.
     whole : dict
         With what was known before: `parameters` of the rig.
     common_lag : float
@@ -66,28 +71,38 @@ class Calibrated:
     @classmethod
     def of_shake(cls, fit: ShakeFit, experiment: Experiment) -> "Calibrated":
         """Combine a shake with the calibration of its own experiment."""
-        known = known_channels(experiment.sections.get("rig", {}), experiment.axes)
-        derived = experiment.sections.get("rig", {}).get("sensors.velocity") == "derived"
+        section = experiment.sections.get("rig", {})
+        known, derived = all_known(experiment), section.get("sensors.velocity") == "derived"
         lag = significant(fit.lag, np.maximum(fit.lag_error, LEAST_LAG / SIGMAS))
         scale = 1.0 + significant(fit.scale - 1.0, fit.scale_error)
         zero = significant(fit.zero, fit.zero_error)
         if derived:
             of_velocity = CHANNELS.index("velocity")
             scale[of_velocity], lag[of_velocity], zero[of_velocity] = 1.0, lag[0], 0.0
+        off, one = (
+            significant(fit.tilt - np.eye(len(fit.tilt)), fit.tilt_error),
+            scale[ACCELERATION],
+        )
+        tilt = np.eye(len(off)) + np.where(_of_one_rig(experiment), off, 0.0)
+        shown = zero.copy()
+        shown[ACCELERATION] = known["tilt"] @ zero[ACCELERATION]
         whole = {
             "scale": known["scale"] * scale,
-            "zero": known["zero"] + known["scale"] * zero,
+            "zero": known["zero"] + known["scale"] * shown,
             "lag": known["lag"] + lag,
+            "tilt": known["tilt"] * one / one[:, np.newaxis] @ tilt,
         }
         earliest = max(0.0, -float(whole["lag"].min()))
         whole["lag"] = whole["lag"] + earliest
         common = float(known["lag"].max() + lag.max()) + earliest
-        return cls({"scale": scale, "lag": lag, "zero": zero}, whole, common, derived)
+        found = {"scale": scale, "lag": lag, "zero": zero, "tilt": tilt}
+        return cls(found, whole, common, derived)
 
     @property
     def changes(self) -> bool:
         """Whether anything was found that was not known."""
-        return any((self.found[what] != nothing).any() for what, nothing in NOTHING_KNOWN.items())
+        known = any((self.found[what] != nothing).any() for what, nothing in NOTHING_KNOWN.items())
+        return known or _is_tilted(self.found["tilt"])
 
     def parameters(self) -> Section:
         """Values of ``rig: calibration.*``, complete."""
@@ -113,13 +128,34 @@ def as_measured(record: Record) -> Record:
     return replace(record, series=series)
 
 
+def all_known(experiment: Experiment) -> dict[str, Floats]:
+    """Give what an experiment tells of the channels, as `Calibrated.whole` is."""
+    section, axes = experiment.sections.get("rig", {}), experiment.axes
+    return known_channels(section, axes) | {"tilt": tilt_of(section, axes, range(len(axes)), TILT)}
+
+
+def _of_one_rig(experiment: Experiment) -> NDArray[np.bool_]:
+    """Say of which axes one rig has the accelerometers, and can correct their tilt, (n, n)."""
+    alike = np.zeros((len(experiment.axes), len(experiment.axes)), dtype=bool)
+    for rig in experiment.rigs:
+        alike[np.ix_(rig.places, rig.places)] = True
+    return alike
+
+
+def _is_tilted(tilt: Floats) -> bool:
+    return bool((tilt != np.eye(len(tilt))).any())
+
+
 def _parameters(known: Mapping[str, Floats], derived: bool) -> dict[str, Any]:
-    return {
+    parameters: dict[str, Any] = {
         f"calibration.{channel}_{what}": known[what][row].tolist()
         for row, channel in enumerate(CHANNELS)
         for what in NOTHING_KNOWN
         if not (derived and channel == "velocity")
     }
+    if len(known["tilt"]) > 1:
+        parameters[TILT] = known["tilt"].ravel().tolist() if _is_tilted(known["tilt"]) else [0.0]
+    return parameters
 
 
 @dataclass(frozen=True)
@@ -137,12 +173,15 @@ class Shaken:
         Of the channels as published.
     calibrated : Calibrated
         The calibration that follows.
+    told : ndarray
+        Mass matrix that the shake was told, shape (n, n), kg.
     """
 
     shake: Shake
     largest: dict[str, float]
     fit: ShakeFit
     calibrated: Calibrated
+    told: Floats
 
     @classmethod
     def of_record(
@@ -165,8 +204,10 @@ class Shaken:
         sound = sound_relations(found, sines, dt, max(float(dead_time), 0.0), late)
         fit = fit_shake(of, sound)
         largest = np.abs(samples).max(axis=(0, 2)).tolist()
-        calibrated = Calibrated.of_shake(fit, record.experiment)
-        return cls(shake, dict(zip(LIMIT_NAMES, largest, strict=True)), fit, calibrated)
+        experiment = record.experiment
+        calibrated, section = Calibrated.of_shake(fit, experiment), experiment["reference_force"]
+        told = mass_matrix(section["model.mass"], experiment.axes, "reference_force: model.mass")
+        return cls(shake, dict(zip(LIMIT_NAMES, largest, strict=True)), fit, calibrated, told)
 
     def sections(self) -> dict[str, Section]:
         """Parameters by node: the calibration, and the mass with its standard errors."""
@@ -236,7 +277,8 @@ def rough_calibration(record: Record, band: tuple[float, float]) -> Calibrated:
     deviation = np.sqrt(np.maximum(response.variance(), 0.0) / 2.0).reshape(shape)
     noise = np.moveaxis(deviation, 3, 0).reshape(-1, 4, n)
     w = np.tile(2 * np.pi * response.frequencies_hz, n)
-    of = Harmonics(w, amplitude[:, np.newaxis], noise, np.zeros_like(noise))
+    nothing = np.zeros_like(noise)
+    of = Harmonics(w, amplitude[:, np.newaxis], noise, nothing, nothing[:, 0, 0])
     fit = fit_shake(of, np.ones((len(w), 2), complex))
     fit.lag[FORCE] = 0.0  # a random motion of a specimen with friction does not tell it
     return Calibrated.of_shake(fit, record.experiment)
@@ -263,7 +305,8 @@ _ROWS = (  # label, channel, what, unit, scale
     ("  zero", "acceleration", "zero", "m/s²", 1.0),
     ("force: lag", "force", "lag", "ms", 1e3),
     ("  zero", "force", "zero", "N", 1.0),
-    ("displacement: zero", "position", "zero", "mm", 1e3),
+    ("displacement: scale", "position", "scale", "", 1.0),
+    ("  zero", "position", "zero", "mm", 1e3),
 )
 
 
@@ -280,8 +323,13 @@ def shake_table(shaken: Shaken, axes: Sequence[str]) -> TextTable:
     for label, channel, what, unit, scale in _ROWS:
         if channel == "velocity" and shaken.calibrated.derived:
             continue
+        if not any(one[channel][what]["error"] for one in found):  # the reference
+            continue
         rows.append([label, *(cell(one[channel][what], unit, scale) for one in found)])
     return TextTable(["shake", *axes], rows)
+
+
+_NOT_CORRECTED = "; the axes have their own rigs, and neither can correct it: mount it straight"
 
 
 def shake_notes(shaken: Shaken, axes: Sequence[str]) -> list[str]:
@@ -289,12 +337,22 @@ def shake_notes(shaken: Shaken, axes: Sequence[str]) -> list[str]:
     fit = shaken.fit
     found = [
         "shake: load cell and displacement sensor are the reference: mass and scales are against "
-        "them, lags against the earliest channel"
+        "them (displacement's if velocity and acceleration agree against it), lags against the "
+        "earliest channel"
     ]
+    masses = (each.diagonal() for each in (shaken.told, fit.mass, fit.mass_error))
+    for axis, told, mass, error in zip(axes, *masses, strict=True):
+        if abs(mass - told) > max(SIGMAS * error, SAME_MASS * mass):
+            found.append(
+                f"axis {axis}: mass {mass:.4g} kg, configured {told:.4g} kg: if that was weighed, "
+                f"the load cell shows {mass / told:.1%} of the force; then tell rig: "
+                "calibration.force_scale, and shake again"
+            )
     off = np.abs(fit.tilt - np.eye(len(axes))) > SIGMAS * fit.tilt_error
     for i, j in zip(*np.nonzero(off & ~np.eye(len(axes), dtype=bool)), strict=True):
         found.append(
             f"axis {axes[i]}: the accelerometer shows {fit.tilt[i, j]:.2g} of the acceleration of "
-            f"{axes[j]}: it is tilted, which no calibration corrects; mount it straight"
+            f"{axes[j]}: it is tilted"
+            + (f"; {TILT} corrects it" if shaken.calibrated.found["tilt"][i, j] else _NOT_CORRECTED)
         )
     return found

@@ -19,12 +19,15 @@ from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_ROWS
 from seft_plant_sim.sensors import CHANNELS
 
 from seft_ros.design.identified import Identified, fitted_plant
-from seft_ros.design.plant import Plant
+from seft_ros.design.plant import Plant, held_relations
 
 SINES = 6
 """On each axis: twice as many equations as the five unknowns of an axis leave some to judge by."""
 SPAN = 5.6
 """Highest over lowest frequency: the inertia, which tells the mass, differs 30 times."""
+ORDER = (1, 5, 3, 2, 0, 4)
+"""Of the frequencies, lowest 0: neither w nor w^2 is correlated with time or its square (0.03), so
+that a specimen that degrades meanwhile is not taken for inertia."""
 SECONDS = 20.0
 """Of the shake of an axis."""
 PILOT_SECONDS = 4.0
@@ -36,9 +39,10 @@ ACCURACY = 4e-4
 by 1 % costs up to 3.3 % of the displacement (docs/rig.md), so this costs 0.1 %."""
 LARGEST_SHARE = 0.5
 """Of a limit or a sensor's range that a peak may reach."""
-OF_RATE = 0.1
+OF_RATE = 0.097
 """Highest frequency over the rate: what held commands fold down to it is small (see
-`sound_relations`)."""
+`sound_relations`). With 1/10 the 9th and the 11th overtone, which friction makes, would fold down
+to the sine itself: at 250 Hz the mass was 2 % wrong with 50 N of friction."""
 OF_ACTUATOR = 0.6
 """Highest frequency over that of the valve and of the oil column: there the piston still follows
 without a resonance."""
@@ -269,7 +273,7 @@ def shake_drive(
     Returns
     -------
     commands : ndarray
-        Shape (N, n), V: the sines of the first axis, lowest first, then those of the next. Each
+        Shape (N, n), V: the sines of the first axis in `ORDER`, then those of the next. Each
         rises and falls slowly, so that the piston does not drift.
     sines : list of Sine
         Evaluated over whole cycles.
@@ -279,7 +283,8 @@ def shake_drive(
     sines: list[Sine] = []
     volts = shake.travel / _moved(found, shake.frequencies)
     for axis in range(n):
-        for place, frequency in enumerate(shake.frequencies.tolist()):
+        for place in ORDER:
+            frequency = float(shake.frequencies[place])
             steps = round(max(seconds / SINES, FEWEST_CYCLES / frequency) / dt)
             at = np.arange(steps)
             rise = np.clip(np.minimum(at, steps - 1 - at) / (RISE * steps), 0.0, 1.0)
@@ -308,11 +313,7 @@ def gains_after(shake: Shake, moved: Floats) -> Floats:
 def sound_relations(
     found: Identified, sines: Sequence[Sine], dt: float, dead_time: float, lag: Floats
 ) -> Complexes:
-    """Velocity and acceleration of a rig whose channels agree, over the derivatives of x.
-
-    They differ from 1 because a command is held over a period: what that makes at higher
-    frequencies folds down to that of the sine. In the acceleration it is 0.1 % at 500 Hz with a
-    valve of 70 Hz and an oil column of 90 Hz. It follows from the identified actuators.
+    """Velocity and acceleration of a sound rig over the derivatives of x, see `held_relations`.
 
     Parameters
     ----------
@@ -321,18 +322,14 @@ def sound_relations(
     dead_time : float
         Of the valves alone, s.
     lag : ndarray
-        Of each channel, shape (4, n), s; it turns what is folded down.
+        Of each channel, shape (4, n), s.
 
     Returns
     -------
     ndarray
         Shape (m, 2), without the lags themselves.
     """
-    plant = replace(_plant(found), delay=dead_time, late=lag.ravel() if lag.any() else None)
-    a, b, c = plant.sampled(dt)
-    s = np.array([2j * np.pi * sine.frequency for sine in sines])
-    axes = [sine.axis for sine in sines]
-    response = lti.state_space_response(a, b, c, np.zeros((len(c), b.shape[1])), np.exp(s * dt))
-    turned = response.reshape(len(s), 4, -1, b.shape[1])[np.arange(len(s)), :, axes, axes]
-    x, v, acceleration, _ = (turned * np.exp(s[:, np.newaxis] * lag.T[axes])).T
-    return np.stack([v / (s * x), acceleration / (s * s * x)], axis=1)
+    frequencies = np.array([sine.frequency for sine in sines])
+    plant = replace(_plant(found), delay=dead_time)
+    held = held_relations(plant, frequencies, dt, lag)
+    return held[np.arange(len(sines)), :, [sine.axis for sine in sines]]

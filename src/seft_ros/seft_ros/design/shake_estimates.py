@@ -4,25 +4,34 @@ Each sine gives the complex amplitude of each channel, over whole cycles. Veloci
 of an axis are derivatives of the displacement X, with scale s, lag tau and, where a channel has
 another filter than the displacement, a gain and a phase that are curved (g, h)::
 
-    Y_i = sum_j s_ij (i w)^k X_j exp(-i w tau_i + g_i w^2 + i h_i w^3)                     (1)
+    Y_i = sum_j s_ij (i w)^k X_j exp(-i w tau_i + g_i w^p + i h_i w^3)                     (1)
 
+p is 4 for filters that are flat (Butterworth's of second order: log H = -i sqrt(2) u - u^4 / 2 -
+i sqrt(2) u^3 / 3, u = w / w_c) and 2 for others (Bessel's, one pole): what fits better counts.
 Off the diagonal s is the tilt of an accelerometer. With these known, the force is::
 
-    F_i exp(i w tau_i) = sum_j M_ij A_j + (K_ij + i H_ij + i w C_ij) X_j                   (2)
+    F_i exp(i w tau_i) = sum_j M_ij A_j + (K_ij + i H_ij + i w C_ij) X_j + (K'_i + i H'_i) t X_i
+                                                                                           (2)
 
-K + iH is the stiffness at the shake's amplitude of a specimen that does not depend on rate; where
-friction bends the motion it is made so (`seft_ros.design.shake_hysteresis`). Load
-cell and displacement sensor are the reference: of scales that all are wrong by the same factor, and
-of a lag that all have in common, a shake says nothing. Standard errors are those of the sensors'
+K' and H' are a change in the time t of the shake: some specimens degrade. K + iH is the stiffness
+at the shake's amplitude of a specimen that does not depend on rate; where friction bends the motion
+it is made so (`seft_ros.design.shake_hysteresis`). Load cell and displacement sensor are the
+reference, unless velocity and acceleration agree against the displacement: two sensors that are
+wrong by the same factor are less likely than one. Of scales that all are wrong by the same factor,
+and of a lag that all have in common, a shake says nothing.
+Standard errors are those of the sensors'
 noise or of what the equations leave, if that is more.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from seft_msgs_py.arrays import Complexes, Floats
 
+from seft_ros.design.plant import FOLDED
 from seft_ros.design.shake import Sine
 from seft_ros.design.shake_hysteresis import uneven_force
 
@@ -30,9 +39,6 @@ _OVERTONES = 9  # of a sine, which friction makes, and which are no noise
 _ROUNDS = 4  # of linearisation in the lag; it converges quadratically
 SIGMAS = 4.0
 """Standard errors within which a deviation is none: curvature, tilt."""
-FOLDED = 0.5
-"""Part of what held commands fold down that is not known: filters and lags of a channel change it.
-It is part of the standard errors."""
 
 
 def significant(value: Floats, error: Floats) -> Floats:
@@ -55,12 +61,15 @@ class Harmonics:
         Standard error of the real and of the imaginary part of a sine, shape (m, 4, n).
     mean : ndarray
         Mean over whole cycles, shape (m, 4, n).
+    time : ndarray
+        Of each sine, -1 to 1 over those of an axis, shape (m,); 0: of all at once.
     """
 
     w: Floats
     overtones: Complexes
     noise: Floats
     mean: Floats
+    time: Floats
 
     @property
     def amplitude(self) -> Complexes:
@@ -91,20 +100,30 @@ def harmonics(samples: Floats, sines: Sequence[Sine], dt: float) -> Harmonics:
         noise.append(np.sqrt(2.0 * variance / len(t)))
         mean.append(found[-2])
     shape = (len(sines), *samples.shape[1:])
+    middle = np.array([(sine.first + sine.end) / 2 for sine in sines])
+    for axis in {sine.axis for sine in sines}:
+        own = [sine.axis == axis for sine in sines]
+        first, end = middle[own].min(), middle[own].max()
+        middle[own] = (2 * middle[own] - first - end) / max(end - first, 1.0)
     return Harmonics(
         2 * np.pi * np.array([sine.frequency for sine in sines]),
         np.reshape(overtones, (len(sines), _OVERTONES, *samples.shape[1:])),
         np.reshape(noise, shape),
         np.reshape(mean, shape),
+        middle,
     )
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Estimates of a linear regression with their standard errors, shape (p,)."""
+    """Estimates of a linear regression with their standard errors, shape (p,).
+
+    ``left`` is the sum of the squares that are left, over their variance.
+    """
 
     value: Floats
     error: Floats
+    left: float
 
 
 def regressed(columns: Complexes, target: Complexes, noise: Floats) -> Fit:
@@ -120,8 +139,9 @@ def regressed(columns: Complexes, target: Complexes, noise: Floats) -> Fit:
     inverse = np.linalg.pinv((a / size).T @ (a / size), rcond=1e-12)
     value = inverse @ ((a / size).T @ b)
     left = b - a / size @ value
-    spread = max(1.0, float(left @ left) / max(1, len(b) - a.shape[1]))
-    return Fit(value / size, np.sqrt(inverse.diagonal() * spread) / size)
+    squares = float(left @ left)
+    spread = max(1.0, squares / max(1, len(b) - a.shape[1]))
+    return Fit(value / size, np.sqrt(inverse.diagonal() * spread) / size, squares)
 
 
 @dataclass(frozen=True)
@@ -136,7 +156,8 @@ class ShakeFit:
     stiffness : ndarray
         K of Eq. (2), shape (n, n), N/m.
     scale, scale_error : ndarray
-        Measured over true, shape (4, n); 1 for displacement and force, which are the reference.
+        Measured over true, shape (4, n); 1 for the force, and for the displacement unless velocity
+        and acceleration agree against it.
     lag, lag_error : ndarray
         Behind the displacement, shape (4, n), s. That of the force is behind the aligned
         acceleration.
@@ -185,14 +206,16 @@ def fit_shake(of: Harmonics, sound: Complexes) -> ShakeFit:
             tilt[i], tilt_error[i] = own.value[:n] / own.value[i], own.error[:n] / own.value[i]
             acceleration[:, i] *= aligning
     tilt_error[np.diag_indices(n)] = 0.0
+    scale[0], scale_error[0] = _displacement_scale(scale, scale_error)
+    scale[1:3] *= scale[0]
     adopted = 1.0 + significant(scale - 1.0, scale_error)
     acceleration = np.linalg.solve(adopted[2][:, np.newaxis] * tilt, acceleration.T).T
     mass, mass_error, stiffness = np.zeros((3, n, n))
     for i in range(n):
         force = of.amplitude[:, 3, i]
-        own, k = _inertia(of, force, acceleration, adopted[2], i)
+        own, k = _inertia(of, force, acceleration, adopted, i)
         even = force - _uneven(of, i, lag[2, i], own.value[-1])
-        own, k = _inertia(of, even, acceleration, adopted[2], i)
+        own, k = _inertia(of, even, acceleration, adopted, i)
         mass[i], stiffness[i] = own.value[:n], k
         mass_error[i] = np.hypot(own.error[:n], folded[1] * np.abs(own.value[:n]))
         lag[3, i], lag_error[3, i] = own.value[-1], own.error[-1]
@@ -212,6 +235,19 @@ def fit_shake(of: Harmonics, sound: Complexes) -> ShakeFit:
     )
 
 
+def _displacement_scale(scale: Floats, error: Floats) -> tuple[Floats, Floats]:
+    """Scale of the displacement and its standard error, (n,), from those against it, (4, n).
+
+    It is 1, without an error, unless velocity and acceleration both differ, by the same factor.
+    """
+    (v, a), (of_v, of_a) = scale[1:3], error[1:3]
+    differ = (np.abs(v - 1.0) > SIGMAS * of_v) & (np.abs(a - 1.0) > SIGMAS * of_a)
+    alike = differ & (np.abs(v - a) <= SIGMAS * np.hypot(of_v, of_a))
+    p, q = of_v**-2.0, of_a**-2.0
+    found = (p + q) / (p * v + q * a)
+    return np.where(alike, found, 1.0), np.where(alike, found**2 / np.sqrt(p + q), 0.0)
+
+
 def _relation(of: Harmonics, order: int, i: int, sound: Complexes) -> tuple[Fit, Complexes]:
     """Fit Eq. (1) for axis i: scales to each axis, lag; and give the factor that aligns it."""
     n = of.amplitude.shape[2]
@@ -227,29 +263,42 @@ def _relation(of: Harmonics, order: int, i: int, sound: Complexes) -> tuple[Fit,
     value, error = np.zeros(n + 1), np.zeros(n + 1)
     at = np.append(used, n)
     value[at], error[at] = fit.value, fit.error
-    return Fit(value, error), shape
+    return Fit(value, error, fit.left), shape
 
 
 def _shaped(y: Complexes, columns: Complexes, noise: Floats, w: Floats) -> tuple[Fit, Complexes]:
-    """Fit y = columns b exp(-i w tau + g w^2 + i h w^3); give b and tau, and the factor on y.
+    """Fit y = columns b exp(-i w tau + g w^p + i h w^3); give b and tau, and the factor on y.
 
     Without g and h, unless one of them is significant.
     """
-    powers = np.stack([-1j * w, w**2 + 0j, 1j * w**3], axis=1)
-    for count in (3, 1):
-        found = np.zeros(count)
-        for _ in range(_ROUNDS):
-            factor = np.exp(-powers[:, :count] @ found)
-            turned = y * factor
-            more = powers[:, :count] * turned[:, np.newaxis]
-            fit = regressed(np.concatenate([columns, more], axis=1), turned, noise)
-            found = found + fit.value[-count:]
-        curved = np.abs(found[1:]) > SIGMAS * fit.error[len(fit.error) - count + 1 :]
-        if count == 1 or curved.any():
-            break
-    b = columns.shape[1]
-    value, error = np.append(fit.value[:b], found[0]), fit.error[: b + 1]
-    return Fit(value, error), np.exp(-powers[:, :count] @ found)
+    late, bent = -1j * w, 1j * w**3
+    fit, shape = min(
+        (_aligned(y, columns, noise, _stacked(late, w**p, bent)) for p in (4, 2)),
+        key=lambda tried: tried[0].left,
+    )
+    if not (np.abs(fit.value[-2:]) > SIGMAS * fit.error[-2:]).any():
+        fit, shape = _aligned(y, columns, noise, _stacked(late))
+    count = columns.shape[1] + 1
+    return Fit(fit.value[:count], fit.error[:count], fit.left), shape
+
+
+def _stacked(*columns: NDArray[Any]) -> Complexes:
+    return np.stack(columns, axis=1).astype(np.complex128)
+
+
+def _aligned(
+    y: Complexes, columns: Complexes, noise: Floats, powers: Complexes
+) -> tuple[Fit, Complexes]:
+    """Fit y = columns b exp(powers q); give (b, q), and the factor on y."""
+    count = powers.shape[1]
+    found = np.zeros(count)
+    for _ in range(_ROUNDS):
+        turned = y * np.exp(-powers @ found)
+        more = powers * turned[:, np.newaxis]
+        fit = regressed(np.concatenate([columns, more], axis=1), turned, noise)
+        found = found + fit.value[-count:]
+    value = np.append(fit.value[:-count], found)
+    return Fit(value, fit.error, fit.left), np.exp(-powers @ found)
 
 
 def _uneven(of: Harmonics, i: int, late_acceleration: float, late_force: float) -> Complexes:
@@ -269,15 +318,21 @@ def _uneven(of: Harmonics, i: int, late_acceleration: float, late_force: float) 
 def _inertia(
     of: Harmonics, force: Complexes, acceleration: Complexes, scale: Floats, i: int
 ) -> tuple[Fit, Floats]:
-    """Fit Eq. (2) for axis i: masses and the lag of the force; and give the stiffness."""
+    """Fit Eq. (2) for axis i: masses and the lag of the force; and give the stiffness.
+
+    ``acceleration`` is corrected by ``scale``, of which that of the displacement counts, too.
+    """
     n, w = acceleration.shape[1], of.w[:, np.newaxis]
-    x = of.amplitude[:, 0]
+    x = of.amplitude[:, 0] / scale[0]
     columns = np.concatenate([acceleration, x, 1j * x, 1j * w * x], axis=1)
+    if of.time.any():
+        changed = of.time * x[:, i]
+        columns = np.concatenate([columns, np.stack([changed, 1j * changed], axis=1)], axis=1)
     noise = of.noise[:, 3, i]
     for _ in range(2):
         fit, _ = _shaped(force, columns, noise, of.w)
-        m, k, h, c = fit.value[:-1].reshape(4, n)
-        motion = (of.noise[:, 0] * np.abs(k + 1j * (h + w * c))) ** 2
-        motion += (of.noise[:, 2] / scale * m) ** 2
+        m, k, h, c = fit.value[: 4 * n].reshape(4, n)
+        motion = (of.noise[:, 0] / scale[0] * np.abs(k + 1j * (h + w * c))) ** 2
+        motion += (of.noise[:, 2] / scale[2] * m) ** 2
         noise = np.sqrt(of.noise[:, 3, i] ** 2 + motion.sum(axis=1))
     return fit, k

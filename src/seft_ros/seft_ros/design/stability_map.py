@@ -58,15 +58,16 @@ def stability_maps(
     """Map a plan's growth rate as far as its margins reach; progress is in rows.
 
     Over the dead time of the actuator's path in s, and, unless the plant was identified as a
-    whole, over the ratio of the specimen's local stiffness to the one that the method assumes.
+    whole or there is no stiffness, over the ratio of the specimen's local stiffness to the one that
+    the method assumes.
     """
     ends = (margins.dead_time, margins.mass_ratio)
     end, critical = (part.value if part else 0.0 for part in ends)
     longest = max(2 * plan.dead_time, 10 * plan.dt, 1.5 * end)
     longest = min(longest, plan.dead_time + float(stability_margins.added_delays(plan)[-1]))
     swept = {"dead_time": (longest, 1.0, plan.dead_time)}
-    if plan.rig.swept:
-        own = stability_margins.local_stiffness(plan)
+    own = stability_margins.local_stiffness(plan) if plan.rig.swept else None
+    if own is not None:
         swept["stiffness"] = (max(stability_margins.STIFFEST, 1.2 * own), own, own)
     plan.growth_rate(dead_time=longest)  # fills the caches
     each = timeit(lambda: plan.growth_rate(dead_time=longest), number=1)

@@ -82,7 +82,7 @@ class Margins:
         Likewise.
     stiffness : Range or None
         Local stiffness of the specimen over the assumed one. None if the plant was identified as
-        a whole.
+        a whole, or one of them is 0.
     followed : Range or None
         Likewise, when the method has adapted to it. None if it does not adapt.
     delay_error : Range or None
@@ -115,8 +115,8 @@ def find_margins(plan: Plan, progress: Progress | None = None) -> Margins:
         if plan.follows_valves:
             searches["sure_dead_time"] = partial(_sure_dead_time, plan)
             searches["robust_gain"] = partial(gain, any_valve=True)
-        if plan.rig.swept:
-            own = local_stiffness(plan)
+        own = local_stiffness(plan) if plan.rig.swept else None
+        if own is not None:
             up, down = np.linspace(own, max(STIFFEST, own), 17), np.linspace(own, 0.0, 17)
             stiffness = partial(_range, plan, "stiffness", own, up, down, own)
             searches["stiffness"] = stiffness
@@ -168,12 +168,16 @@ def instability_band(plan: Plan) -> tuple[float, float] | None:
     return min(oscillating) / HALF_WIDTH, min(max(oscillating) * HALF_WIDTH, nyquist)
 
 
-def local_stiffness(plan: Plan) -> float:
-    """Stiffness of the specimen over the assumed one; of several axes the ratio of the traces."""
+def local_stiffness(plan: Plan) -> float | None:
+    """Stiffness of the specimen over the assumed one, with several axes the ratio of the traces.
+
+    None if one of them is 0.
+    """
     model = symmetric_matrix(
         plan.section["model.stiffness"], plan.axes, "reference_force: model.stiffness"
     )
-    return float(np.trace(plan.rig.specimen.stiffness) / np.trace(model))
+    own, assumed = float(np.trace(plan.rig.specimen.stiffness)), float(np.trace(model))
+    return own / assumed if own and assumed else None
 
 
 def added_delays(plan: Plan) -> Floats:
