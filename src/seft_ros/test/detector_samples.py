@@ -24,7 +24,7 @@ def detectors(warn_only=(), **changes):
         **{"velocity_is_derived": False, "actuator": ACTUATOR, "past": PAST, "mass": MASS},
         **{"has_valve": True},
         **{"stiffness": STIFFNESS, "computed_mass": COMPUTED, "warn_only": warn_only},
-        **{"longest_hold": 0.0, "dt": DT, **changes},
+        **{"longest_hold": 0.0, "largest_drive": 10.0, "dt": DT, **changes},
     }
     p, state = detector_arrays(**known)
     begin_detectors(state)
@@ -90,7 +90,6 @@ def of_what(detector, axis):
         "displacement_velocity": {0: 5e-5 * count},
         "velocity_acceleration": {1: 5e-3 * count},
         "oil_balance": {4: 8.0 * one},  # of a valve that is stuck
-        "oil_noise": {4: 8.0 * one},
         "force_noise": {3: 50.0 * to_and_fro},
         "force_jump": {  # a specimen breaks
             0: 15.0 * (DT * count) ** 2,

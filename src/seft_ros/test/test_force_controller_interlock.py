@@ -367,7 +367,7 @@ def test_detectors_know_what_their_section_says_of_their_axes():
         "noise.force:=[3.0, 4.0]",
         "detectors.force_range:=[0.0, 9000.0]",
         "watchdog.state_timeout:=0.02",
-        "detectors.warn_only:=oil_noise, tracking",
+        "detectors.warn_only:=oil_balance, tracking",
     )
     p, _ = detectors_of(section, axes, DT, (0, 1))
     expected = [[0.04, 1.685e7, 50.0, 24500.0], [0.0, 1.685e7, 50.0, 24500.0]]
@@ -381,8 +381,9 @@ def test_detectors_know_what_their_section_says_of_their_axes():
     np.testing.assert_array_equal(p.stiffness, np.diag([211e3, 160e3]))
     np.testing.assert_array_equal(p.computed_mass, p.mass)
     quiet = [one.name for one, acts in zip(DETECTORS, p.acts, strict=True) if not acts]
-    assert quiet == ["oil_noise", "tracking"]
-    assert p.persistence[2] == 13
+    assert quiet == ["oil_balance", "tracking"]
+    assert p.persistence[2] == 3
+    assert p.hold > 10
     np.testing.assert_allclose(p.past[0].sum(axis=1), 1.0, atol=0.01)  # what is sent, flows
     alone, state = detectors_of(section, axes, DT, (1,))
     assert (alone.mass.item(), alone.stiffness.item(), alone.noise[3, 0]) == (45.0, 160e3, 4.0)

@@ -13,5 +13,5 @@ def warning_detectors(axes, dt=0.002, has_valve=True):
     return detector_arrays(
         *(none, limits, none, False, actuator, past, has_valve),
         *[nothing] * 3,
-        *(names, 0.0, dt),
+        *(names, 0.0, 10.0, dt),
     )

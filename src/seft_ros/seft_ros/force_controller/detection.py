@@ -84,6 +84,7 @@ def detectors_of(
         np.ascontiguousarray(ratio * mass),
         warn_only,
         section["watchdog.state_timeout"],
+        section["voltage_limit"],
         dt,
     )
 

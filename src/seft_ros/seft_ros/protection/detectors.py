@@ -11,7 +11,13 @@ from seft_plant_sim.compiled import compiled
 from seft_plant_sim.sensors import CHANNELS
 
 from seft_ros.protection.judge import LASTS, JudgeParameters, JudgeState, judge_arrays
-from seft_ros.protection.valve_following import UNCERTAIN_DELAY, doubt
+from seft_ros.protection.relation_following import DRIFT, SIGMAS
+from seft_ros.protection.valve_following import (
+    LARGEST_DELAY_ERROR,
+    LARGEST_GAIN_ERROR,
+    UNCERTAIN_DELAY,
+    UNCERTAIN_GAIN,
+)
 
 LONG_LASTS = 0.02
 """Time for which some detectors must be beyond their thresholds, s: longer than the effects of a
@@ -36,27 +42,22 @@ class Detector:
     lasts : float
         Persistence, s; three samples at least, because an event between two samples shows in both;
         0: two samples.
-    of_valve : bool
-        Whether it uses the flow of the commands, some of which a rig may have missed.
     """
 
     name: str
     text: str
     unit: str
     lasts: float = LASTS
-    of_valve: bool = False
 
 
-_SUMS = "disagree on axis {axis}: they differ by {seen} over the last 50 ms"
-_STEP = "disagree on axis {axis} from sample to sample, as with noise: they differ by {seen}"
-_OIL = "measured velocity and force, and the valve's flow by its commands,"
+_SUMS = "disagree on axis {axis}: they differ by {seen} over the last"
+_OIL = "measured displacement and force, and the valve's flow by its commands,"
 _SAME = "measured {} on axis {{axis}} has repeated one value for {{seen}}"
 _WRONG = "measured {} on axis {{axis}} contradicts the other channels: {{seen}} within 50 ms"
 DETECTORS = (
-    Detector("displacement_velocity", f"measured displacement and velocity {_SUMS}", "m"),
-    Detector("velocity_acceleration", f"measured velocity and acceleration {_SUMS}", "m/s"),
-    Detector("oil_balance", f"{_OIL} {_SUMS}", "m", of_valve=True),
-    Detector("oil_noise", f"{_OIL} {_STEP}", "m", of_valve=True),
+    Detector("displacement_velocity", f"measured displacement and velocity {_SUMS} 50 ms", "m"),
+    Detector("velocity_acceleration", f"measured velocity and acceleration {_SUMS} 50 ms", "m/s"),
+    Detector("oil_balance", f"{_OIL} {_SUMS} 0.2 s", "m"),
     Detector(
         "second_order_work",
         "the measured force falls as the specimen is deformed further: work of {seen} against it",
@@ -93,7 +94,7 @@ DETECTORS = (
 """In the order of the rows of a detector's arrays."""
 
 MODEL_BASED = (
-    *("oil_balance", "oil_noise", "second_order_work"),
+    *("oil_balance", "second_order_work"),
     *("force_noise", "force_jump", "force_response"),
 )
 """Detectors that need actuators or specimen: they only warn while these are being identified."""
@@ -110,8 +111,9 @@ def describe(place: int, found: Floats, axes: Sequence[str]) -> str:
     return f"{one.text.format(axis=axes[axis], seen=seen)} ({threshold} allowed): {one.name}"
 
 
-_MEMORY = 0.05
-"""Time constant of the sums of both sides of a relation, s."""
+_MEMORY, _OIL_MEMORY = 0.05, 0.2
+"""Time constants of the sums of both sides of relations (1) and (2), and of (3), s: to longer sums
+the displacement adds no noise, as velocity and acceleration do."""
 SHORT, FEWEST = 0.015, 7.0
 """Time constant of short sums (of the second-order work, of noise), s, and its least value in
 samples: with fewer, some friction looks like noise."""
@@ -120,14 +122,18 @@ BIAS = 2.0
 LARGEST = 0.3
 """Time constant of the memory of the largest motion, and of the mean that gives a bias, s: a
 quarter of a cycle at 1 Hz."""
-SIGMAS = 6.0
-"""Threshold over the RMS of the noise alone."""
 TOLERANCES = (0.1, 0.1, 0.35)
 """Largest difference of relations (1) to (3) over the motion: calibration and channels 2 ms apart
 at 7 Hz; a flow gain with an error of 0.3, which the controller corrects."""
-FOLLOWED_VALVES = 0.1
-"""Largest difference of the flow from sample to sample, over the flow, once its gain is estimated:
-effects of the valve that gain and delay do not describe, the piston's friction."""
+LEFT = (0.02, 0.02, 0.1)
+"""Part of these that gain, delay and bias do not describe, at the beginning: a sensor's linearity,
+a valve's, and the piston's friction."""
+APART = 2e-3
+"""Largest time by which two channels are apart, s."""
+SETTLED = 0.5
+"""Part of its flow at which a valve has followed a command: a held one shows late, too."""
+NULL = 0.03
+"""Standard deviation of a valve's null, over its full flow (servo-valves of a test's accuracy)."""
 OFF_TARGET = 0.5
 """Largest distance to the target over the target's motion."""
 LIMITED = 0.1
@@ -145,13 +151,15 @@ class DetectorParameters(NamedTuple):
         Sampling period, s.
     fade, short, memory : float
         Factors per step with which sums, short sums and the largest motion fade.
+    oil_fade : float
+        That of the sums of relation (3).
     actuator : ndarray
         Flow gain, oil stiffness, leakage and force capacity, see `FeedforwardParameters`; (n, 4).
     past : ndarray
         Part of past commands in the present flow, the newest first, and its change per delay (1/s);
         shape (2, n, m).
-    doubt : ndarray
-        Variance of the measured flow, shape (n,), (m/s)^2, see `follow_valve`.
+    hold : int
+        Samples for which a rig may hold a command, until the valve has followed the next one.
     has_valve : bool
         Whether valves drive the rig; else it obeys the reference force, which it holds.
     mass, stiffness : ndarray
@@ -169,9 +177,13 @@ class DetectorParameters(NamedTuple):
         Samples after one at the valve's limit in which the target need not be followed.
     sums, steps : ndarray
         Noise of the sums of the differences of relations (1) to (3), shape (3, n), and of those of
-        relation (3) in a single step, shape (n,): `SIGMAS` times RMS; infinite where not watched.
-    bias : ndarray
-        Largest mean difference in a step that is no fault, shape (3, n).
+        relation (3) in a single step, by the velocity if it is measured, shape (n,): `SIGMAS` times
+        RMS; infinite where not watched.
+    deviation, most, drift : ndarray
+        Of the estimated gain, delay (s) and bias of each relation: standard deviation at the
+        beginning, largest value, growth of the variance in a step; shape (3, 3, n).
+    correlated : ndarray
+        So many samples of each relation count as one, shape (3,).
     late : float
         Time by which a derived velocity is late, s; 0: it is measured.
     rough : ndarray
@@ -180,6 +192,8 @@ class DetectorParameters(NamedTuple):
         0; infinite if the specimen is not known.
     tolerance : ndarray
         Part of the largest motion by which the sides of a relation may differ, shape (3,).
+    left : ndarray
+        Likewise, less what gain, delay and bias describe, at the beginning; shape (3,).
     off_target : float
         Largest distance of the specimen to the target, over the target's largest motion; infinite
         without a target.
@@ -187,20 +201,18 @@ class DetectorParameters(NamedTuple):
         Samples for which a detector must be beyond its threshold, shape (D,).
     acts : ndarray
         Whether a detector ends the test, shape (D,); 0: it only warns.
-    samples : ndarray
-        Count of a sample that no held command explains, so that its detector needs no longer time
-        than without held commands; shape (D,).
     judge : JudgeParameters
         Of the judge.
     """
 
     dt: float
     fade: float
+    oil_fade: float
     short: float
     memory: float
     actuator: Floats
     past: Floats
-    doubt: Floats
+    hold: int
     has_valve: bool
     mass: Floats
     stiffness: Floats
@@ -212,15 +224,18 @@ class DetectorParameters(NamedTuple):
     limited: int
     sums: Floats
     steps: Floats
-    bias: Floats
+    deviation: Floats
+    most: Floats
+    drift: Floats
+    correlated: Floats
     late: float
     rough: Floats
     unknown: float
     tolerance: Floats
+    left: Floats
     off_target: float
     persistence: Ints
     acts: Ints
-    samples: Ints
     judge: JudgeParameters
 
 
@@ -234,24 +249,30 @@ class DetectorState(NamedTuple):
     flow, later : ndarray
         Flow of the valve from the commands at the last sample and at this one, m/s, and its change
         per delay, m/s^2; shapes (2, n).
-    errors, covariance : ndarray
-        Of the estimated gain and delay, see `follow_valve`; shapes (n, 2) and (n, 3).
+    estimated, covariance : ndarray
+        Estimated gain, delay and bias of relations (1) to (3), see `relation_following`; shapes
+        (3, 3, n) and (3, n, 3, 3).
+    scatter : ndarray
+        See `remember`, shape (3, 2, n).
     sent : ndarray
         Past commands as they act under load, the newest first, shape (n, m), V.
     sums : ndarray
-        Both sides of relations (1) to (3), and the least and the largest value of the left side if
-        the rig holds a command; shape (3, 4, n).
-    bias : ndarray
-        Mean difference of the sides of relations (1) to (3) in the recent steps, and the part of
-        the largest bias that this mean does not contain yet; shape (3, 2, n).
+        Of relations (1) to (3), see `relation_following`; shape (3, 4, n).
+    held : ndarray
+        Recent samples that a held command explains, and no other, shape (n,).
+    withheld : ndarray
+        Sum of the differences in these, m, shape (n,).
+    missed : ndarray
+        1 at such a sample, then fading, shape (n,).
     flows : ndarray
         Left side of relation (3) of the last steps, for the time of a held command, the newest
         first, m; shape (n, h).
     rise : ndarray
-        Sums of the acceleration's changes, and of its jumps by a held force, m/s^2, shape (2, n).
+        Last change of the acceleration, largest recent change of that, and the sum of the jumps by
+        a held force, m/s^2, shape (3, n).
     largest : ndarray
-        Largest recent values: of these sums, of a single step, of the target's motion, of r, and of
-        the change of the flow in a step (m/s); shape (9, n).
+        Largest recent values: of these sums, of a single step, of the target's motion, and of r;
+        shape (8, n).
     restoring : ndarray
         r at the last sample, its last change, and the present r; shape (3, n), N.
     work : ndarray
@@ -282,11 +303,14 @@ class DetectorState(NamedTuple):
     last: Floats
     flow: Floats
     later: Floats
-    errors: Floats
+    estimated: Floats
     covariance: Floats
+    scatter: Floats
     sent: Floats
     sums: Floats
-    bias: Floats
+    held: Ints
+    withheld: Floats
+    missed: Floats
     flows: Floats
     rise: Floats
     largest: Floats
@@ -316,6 +340,7 @@ def detector_arrays(
     computed_mass: Floats,
     warn_only: Sequence[str],
     longest_hold: float,
+    largest_drive: float,
     dt: float,
 ) -> tuple[DetectorParameters, DetectorState]:
     """Put the detectors of n axes into arrays.
@@ -340,10 +365,12 @@ def detector_arrays(
         Names of the detectors that do not end a test.
     longest_hold : float
         Longest time for which a rig that misses commands holds the last one, s: no fault.
+    largest_drive : float
+        Of a valve, V.
     dt : float
         Sampling period, s.
     """
-    n, fade = noise.shape[1], math.exp(-dt / _MEMORY)
+    n, fade, oil_fade = noise.shape[1], math.exp(-dt / _MEMORY), math.exp(-dt / _OIL_MEMORY)
     short = math.exp(-1.0 / max(SHORT / dt, FEWEST))
     x, v, a, f = np.where(noise > 0.0, noise, ASSUMED_NOISE * limits[:, np.newaxis])
     if velocity_is_derived:
@@ -352,23 +379,35 @@ def detector_arrays(
     actuator = actuator.copy()
     actuator[~known, 1] = 1.0
     actuator[actuator[:, 3] <= 0.0, 3] = np.inf
-    oil = np.where(known, f / actuator[:, 1], np.inf)
-    jumps, rates = np.array([x, v, oil]), dt * np.array([v, a, v])
+    oil, one = np.where(known, f / actuator[:, 1], np.inf), np.ones(n)
+    jumps, rates = np.array([x, v]), dt * np.array([v, a])
     sums = np.sqrt(jumps**2 * 2.0 / (1.0 + fade) + rates**2 / (2.0 * (1.0 - fade)))
+    of_oil = np.hypot(x, oil) * math.sqrt(2.0 / (1.0 + oil_fade))
+    late = UNCERTAIN_DELAY if velocity_is_derived else 0.0
+    null = np.where(known, NULL * actuator[:, 0] * largest_drive, 0.0)
+    most = np.array(
+        [
+            [TOLERANCES[0] * one, (APART + late) * one, BIAS * v],
+            [TOLERANCES[1] * one, (APART + late) * one, BIAS * a],
+            [LARGEST_GAIN_ERROR * one, LARGEST_DELAY_ERROR * one, SIGMAS * null],
+        ]
+    )
+    deviation = most.copy()
+    deviation[:2, :2] /= SIGMAS
+    deviation[2] = UNCERTAIN_GAIN * one, UNCERTAIN_DELAY * one, null
     unknown = 0.0 if mass.any() and stiffness.any() else math.inf
     by_force = np.zeros_like(mass) if has_valve or not mass.any() else np.linalg.inv(mass)
-    spans = np.array([[each.lasts, longest_hold * each.of_valve] for each in DETECTORS])
-    shortest, lasts = (
-        np.maximum(2 + (spans[:, 0] > 0.0), np.ceil(span / dt - 1e-9).astype(np.int64))
-        for span in (spans[:, 0], spans.sum(axis=1))
-    )
+    spans = np.array([each.lasts for each in DETECTORS])
+    lasts = np.maximum(2 + (spans > 0.0), np.ceil(spans / dt - 1e-9).astype(np.int64))
+    settled = np.cumsum(past[0], axis=1) >= SETTLED
+    hold = math.ceil(longest_hold / dt - 1e-9) + int(settled.argmax(axis=1).max())
     judging, judged = judge_arrays(
         np.array([x, v, a, f]),
         np.transpose([np.where(known, actuator[:, 1], 0.0), actuator[:, 2]]),
         mass,
         stiffness,
         np.where(ranges > 0.0, ranges, np.inf),
-        UNCERTAIN_DELAY if velocity_is_derived else 0.0,
+        late,
         SIGMAS,
         dt,
     )
@@ -377,11 +416,12 @@ def detector_arrays(
     parameters = DetectorParameters(
         dt=dt,
         fade=fade,
+        oil_fade=oil_fade,
         short=short,
         memory=math.exp(-dt / LARGEST),
         actuator=actuator,
         past=past,
-        doubt=doubt(v, f, actuator[:, 1], dt),
+        hold=hold,
         has_valve=has_valve,
         mass=mass,
         stiffness=stiffness,
@@ -391,31 +431,37 @@ def detector_arrays(
         dither=noise,
         range=judging.range,
         limited=math.ceil(LIMITED / dt),
-        sums=SIGMAS * sums,
-        bias=BIAS * rates,
+        sums=SIGMAS * np.vstack([sums, of_oil]),
+        deviation=deviation,
+        most=most,
+        drift=(DRIFT * deviation) ** 2 * dt,
+        correlated=np.maximum(1.0, np.array([_MEMORY, _MEMORY, _OIL_MEMORY]) / dt),
         late=judging.late,
-        steps=SIGMAS * np.sqrt(2.0 * oil**2 + (dt * v) ** 2 / 2.0),
+        steps=SIGMAS * np.sqrt(2.0 * oil**2 + (2.0 * x**2 if late else (dt * v) ** 2 / 2.0)),
         rough=judging.noise[3] + unknown,
         unknown=unknown,
         tolerance=np.array(TOLERANCES),
+        left=np.array(LEFT),
         off_target=OFF_TARGET,
         persistence=lasts,
         acts=np.array(acts, dtype=np.int64),
-        samples=-(-lasts // shortest),
         judge=judging,
     )
     state = DetectorState(
         last=np.zeros((4, n)),
         flow=np.zeros((2, n)),
         later=np.zeros((2, n)),
-        errors=np.zeros((n, 2)),
-        covariance=np.zeros((n, 3)),
+        estimated=np.zeros((3, 3, n)),
+        covariance=np.zeros((3, n, 3, 3)),
+        scatter=np.zeros((3, 2, n)),
         sent=np.zeros_like(past[0]),
         sums=np.zeros((3, 4, n)),
-        bias=np.zeros((3, 2, n)),
-        rise=np.zeros((2, n)),
-        flows=np.zeros((n, 1 + math.ceil(longest_hold / dt - 1e-9))),
-        largest=np.zeros((9, n)),
+        held=np.zeros(n, dtype=np.int64),
+        withheld=np.zeros(n),
+        missed=np.zeros(n),
+        rise=np.zeros((3, n)),
+        flows=np.zeros((n, 1 + hold)),
+        largest=np.zeros((8, n)),
         restoring=np.zeros((3, n)),
         work=np.zeros(3),
         response=np.zeros((2, n)),
@@ -437,8 +483,8 @@ SAMPLE, TURN_AT, LIMITED_AT, AT_RANGE = range(4)
 """Places of `DetectorState.step`."""
 DISPLACEMENT_VELOCITY, VELOCITY_ACCELERATION, OIL = range(3)
 """Relations (1) to (3)."""
-CHANGE, OIL_NOISE, SECOND_ORDER_WORK, ROUGH, JUMP = 0, *range(3, 7)
-NO_RESPONSE, TRACKING, FROZEN, WRONG = 7, 8, 9, 13
+DIFFERS, SECOND_ORDER_WORK, ROUGH, JUMP = 0, *range(3, 6)
+NO_RESPONSE, TRACKING, FROZEN, WRONG = 6, 7, 8, 12
 """Rows of the detectors: sums of three relations, ..., four frozen and four wrong channels."""
 
 
@@ -450,17 +496,13 @@ def look(
     i: int,
     seen: float,
     threshold: float,
-    samples: int = 1,
 ) -> bool:
-    """Compare a detector's value with its threshold; say whether it has persisted and acts.
-
-    A sample beyond the threshold counts as ``samples`` samples.
-    """
+    """Compare a detector's value with its threshold; say whether it has persisted and acts."""
     share = seen / threshold if threshold > 0.0 else 0.0
     if share > state.shares[row, i]:
         state.shares[row, i] = share
     count = state.counts[row, i]
-    state.counts[row, i] = count = count + samples if share > 1.0 else max(count - 1, 0)
+    state.counts[row, i] = count = count + 1 if share > 1.0 else max(count - 1, 0)
     if count >= p.persistence[row] and p.acts[row]:
         state.found[0], state.found[1] = seen, threshold
         return True
