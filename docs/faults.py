@@ -19,9 +19,9 @@ from test_detectors import (
     HARD,
     HARMLESS,
     IN_TIME,
-    LATE,
     PLAN,
     SPECIMEN,
+    TOO_LATE,
     sound,
     with_fault,
 )
@@ -39,7 +39,7 @@ def main() -> None:
     tests = [(motion, time) for motion in motions for time in TIMES]
     heads = "".join(f" {motion}, {time:g} s |" for motion, time in tests)
     print(f"| of {len(FAULTS)} faults: in time + harmless |{heads}\n|---|{'---|' * len(tests)}")
-    found = {verdict: Counter() for verdict in (LATE, HARD, HARMLESS)}
+    found = {verdict: Counter() for verdict in (TOO_LATE, HARD, HARMLESS)}
     for specimen, words in TESTS.items():
         cells = []
         for motion, time in tests:

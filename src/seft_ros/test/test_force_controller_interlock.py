@@ -8,7 +8,8 @@ from seft_ros.force_controller.detection import detectors_of
 from seft_ros.force_controller.force_control import ForceController
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.interlock_step import DETECTED
-from seft_ros.protection.detectors import DETECTORS, LIMITED_AT, SUSPECT, detector_arrays
+from seft_ros.protection.detector_list import DETECTORS
+from seft_ros.protection.detectors import LIMITED_AT, SUSPECT, detector_arrays
 from seft_ros.protection.protection_step import extrapolated
 from warning_detectors import warning_detectors
 
@@ -176,7 +177,7 @@ def watched(controller, axes=AXES, warn_only=(), of_position=1e-6):
     noise = np.repeat([[of_position], [1e-3], [1e-3], [1.0]], n, axis=1)
     nothing, none = np.zeros((n, n)), np.zeros((4, n))
     unknown = np.zeros((n, 4)), np.zeros((2, n, 2)), True, nothing, nothing, nothing
-    detectors = detector_arrays(noise, np.ones(4), none, False, *unknown, warn_only, 0.0, 10.0, DT)
+    detectors = detector_arrays(noise, np.ones(4), none, False, *unknown, warn_only, 10.0, 0.0, DT)
     return Interlock(controller, axes, 1000.0, 0.02, 5 * DT, NO_LIMITS, detectors)
 
 

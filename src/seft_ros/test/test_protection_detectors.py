@@ -20,8 +20,9 @@ from detector_samples import (
 )
 from seft_ros.protection import detectors as rows
 from seft_ros.protection.channel_relations import take_command
+from seft_ros.protection.detector_list import DETECTORS, describe
 from seft_ros.protection.detector_step import begin_detectors, detect_all, look_at_tracking
-from seft_ros.protection.detectors import DETECTORS, SUSPECT, VALID, describe, look
+from seft_ros.protection.detectors import SUSPECT, VALID, look
 
 
 def test_a_new_test_knows_nothing_of_the_one_before():
@@ -79,7 +80,7 @@ def test_a_detector_acts_once_it_is_beyond_its_threshold_for_its_persistence():
 
 
 def test_persistences_in_samples():
-    p, _ = detectors(["oil_balance", "force_jump"], longest_hold=0.02)
+    p, _ = detectors(["oil_balance", "force_jump"])
     lasts = dict(zip((one.name for one in DETECTORS), p.persistence.tolist(), strict=True))
     assert lasts.pop("force_response") == lasts.pop("tracking") == 10
     assert [lasts.pop(name) for name in ("force_noise", "force_jump")] == [2, 2]

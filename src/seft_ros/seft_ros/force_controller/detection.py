@@ -12,10 +12,9 @@ from seft_plant_sim.rig_parameters import LIMIT_NAMES
 from seft_plant_sim.sensors import per_channel
 
 from seft_ros.force_controller.valve_model import ASSUMED_ACTUATOR, read_actuators, valve_models
+from seft_ros.protection.detector_list import ALL, DETECTORS
 from seft_ros.protection.detector_step import begin_detectors, detect_all
 from seft_ros.protection.detectors import (
-    ALL,
-    DETECTORS,
     DetectorParameters,
     DetectorState,
     detector_arrays,
@@ -83,8 +82,8 @@ def detectors_of(
         np.ascontiguousarray(stiffness),
         np.ascontiguousarray(ratio * mass),
         warn_only,
-        section["watchdog.state_timeout"],
         section["voltage_limit"],
+        section["watchdog.state_timeout"],
         dt,
     )
 
@@ -122,6 +121,7 @@ def detector_shares(
             np.ascontiguousarray(states[..., own]),
             np.ascontiguousarray(commands[..., own]),
             section["voltage_limit"],
+            section["watchdog.state_timeout"],
             np.empty_like(parameters.noise),
         )
         shares = np.maximum(shares, state.shares.max(axis=1))

@@ -38,7 +38,6 @@ from seft_ros.protection.detectors import (
 from seft_ros.protection.relation_following import (
     BIAS_OF,
     CHANGE,
-    GAIN,
     INTEGRAL,
     PER_DELAY,
     PERIODS,
@@ -52,11 +51,6 @@ from seft_ros.protection.relation_following import (
     uncertain,
 )
 from seft_ros.protection.valve_following import under_load
-
-MISSES = 0.05
-"""Value of `DetectorState.missed` above which the rig still may miss commands: for 1 s."""
-OVERSHOOT = 0.2
-"""Part of the change of the flow by which a valve may overshoot after a held command."""
 
 Sides = tuple[float, float, float]
 """Change of one side in a period, integral of the other, and its change per delay."""
@@ -106,17 +100,6 @@ def begin_relations(p: DetectorParameters, state: DetectorState) -> None:
 
 
 @compiled
-def hold(flows: Floats, newest: float) -> tuple[float, float]:
-    """Store a flow; give the least and the largest of those that the rig may hold."""
-    least = largest = newest
-    for j in range(len(flows) - 1, 0, -1):
-        flows[j] = flows[j - 1]
-        least, largest = min(least, flows[j]), max(largest, flows[j])
-    flows[0] = newest
-    return least, largest
-
-
-@compiled
 def resolution_of(state: DetectorState, row: int, i: int) -> float:
     """Resolution of a change of a channel; 0 as long as it is not known."""
     resolution = 2.0 * state.judge.resolution[row, i]
@@ -150,8 +133,6 @@ def compare(
     covariance, row = state.covariance[relation, i], DIFFERS + relation
     fade = p.oil_fade if relation == OIL else p.fade
     change, integral, per_delay = sides
-    single = max(abs(change), abs(integral), p.fade * state.largest[3 + relation, i])
-    state.largest[3 + relation, i] = single
     now = (change, integral, per_delay, p.dt)
     for place in range(4):
         sums[place, i] = fade * sums[place, i] + now[place]
@@ -166,11 +147,9 @@ def compare(
     bias = SIGMAS * math.sqrt(max(covariance[BIAS_OF, BIAS_OF], 0.0))
     bias = min(bias, p.deviation[relation, BIAS_OF, i]) * sums[PERIODS, i]
     most = noise + bias + p.tolerance[relation] * whole
-    if relation == OIL and state.missed[i] > MISSES:  # others may be late
-        known = most
     threshold = min(known, most) + rough
     is_fault = look(p, state, row, i, abs(off), threshold)
-    if state.counts[row, i] == 0 and not (relation == OIL and state.held[i]):
+    if state.counts[row, i] == 0:
         persistent = p.correlated[relation] * ((rough / SIGMAS) ** 2 + left)
         white = 1.0 if relation == OIL else p.correlated[relation]  # the noise of a displacement is
         doubt = white * (noise / SIGMAS) ** 2 + persistent
@@ -217,42 +196,16 @@ def velocity_acceleration(
 
 @compiled
 def oil_balance(p: DetectorParameters, state: DetectorState, measured: Floats, i: int) -> int:
-    """Relation (3), less what a command explains that the rig holds.
-
-    The sums have the measured displacement. Whether the flow is that of an earlier command is seen
-    in single steps, by the velocity, which is then less noisy, if it is measured.
-    """
-    dt, last, found = p.dt, state.last, state.estimated[OIL]
-    oil, leakage = p.actuator[i, 1], p.actuator[i, 2]
-    flow = 0.5 * dt * (state.flow[0, i] + state.flow[1, i])
-    later = 0.5 * dt * (state.later[0, i] + state.later[1, i])
-    by_force = measured[3, i] - last[3, i]
-    by_force = (by_force + 0.5 * dt * leakage * (measured[3, i] + last[3, i])) / oil
-    change = measured[0, i] - last[0, i] + by_force
-    seen = change if p.late else 0.5 * dt * (measured[1, i] + last[1, i]) + by_force
-    resolution = resolution_of(state, FORCE_CHANNEL, i) / oil
-    one = expected(found, i, flow, later, dt)
-    least, largest = hold(state.flows[i], one)
-    unknown = state.covariance[OIL, i, GAIN, GAIN] + max(state.scatter[OIL, SCATTER, i], 0.0)
-    part = SIGMAS * math.sqrt(max(unknown, 0.0))
-    single = max(abs(seen), abs(one), p.fade * state.largest[3 + OIL, i])
-    usual = p.steps[i] + min(part, p.tolerance[OIL]) * single + resolution
-    beyond = usual + OVERSHOOT * (largest - least)
-    state.missed[i] *= p.memory
-    if abs(seen - one) <= usual:
-        state.held[i] = max(state.held[i] - 1, 0)
-        state.withheld[i] = state.withheld[i] if state.held[i] else 0.0
-    elif least - beyond <= seen <= largest + beyond and state.held[i] < p.hold:
-        state.held[i] += 1
-        state.withheld[i] += change - one
-        state.missed[i] = 1.0
-        change = one
-    else:  # no held command explains this, nor what was held against none
-        change += state.withheld[i]
-        state.withheld[i] = state.missed[i] = 0.0
-    # in single steps a held command may hide in the noise
-    hidden = 0.5 * p.hold * min(p.steps[i], largest - least)
-    rough = resolution + resolution_of(state, DISPLACEMENT, i) + hidden
+    """Relation (3); a rig that misses commands slows down, and nobody tells."""
+    last, oil = state.last, p.actuator[i, 1]
+    flow = 0.5 * p.dt * (state.flow[0, i] + state.flow[1, i])
+    later = 0.5 * p.dt * (state.later[0, i] + state.later[1, i])
+    leaked = 0.5 * p.dt * p.actuator[i, 2] * (measured[3, i] + last[3, i])
+    change = measured[0, i] - last[0, i] + (measured[3, i] - last[3, i] + leaked) / oil
+    rough = resolution_of(state, FORCE_CHANNEL, i) / oil + resolution_of(state, DISPLACEMENT, i)
+    slowed = max(p.lost * abs(measured[1, i]), p.oil_fade * state.largest[5, i])
+    state.largest[5, i] = slowed
+    rough += slowed
     return compare(p, state, OIL, measured.shape[1], i, (change, flow, later), rough)
 
 

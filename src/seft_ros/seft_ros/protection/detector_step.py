@@ -44,6 +44,7 @@ from seft_ros.protection.relation_following import BIAS_OF, expected
 from seft_ros.protection.specimen_force import (
     look_at_response,
     look_at_restoring_force,
+    look_at_strength,
     look_at_work,
 )
 
@@ -60,13 +61,11 @@ def begin_detectors(state: DetectorState) -> None:
     """Begin a test."""
     state.sent[:] = 0.0
     state.sums[:] = 0.0
-    state.flows[:] = 0.0
     state.rise[:] = 0.0
-    state.held[:] = 0
-    state.withheld[:] = 0.0
-    state.missed[:] = 0.0
     state.largest[:] = 0.0
     state.work[:] = 0.0
+    state.farthest[:] = 0.0
+    state.carried[:] = 0.0
     state.response[:] = 0.0
     state.bends[:] = 0.0
     state.repeats[:] = 0
@@ -122,6 +121,7 @@ def judge_sample(
         knows_force = sees(state, step, ACCELERATION) and sees(state, step, FORCE_CHANNEL)
         if knows_force:
             found = first_of(found, look_at_work(p, state, judged))
+            found = first_of(found, look_at_strength(p, state, judged))
         for i in range(n):
             found = first_of(found, relations(p, state, step, judged, i))
             found = first_of(found, look_for_frozen(p, state, step, i))
@@ -146,8 +146,8 @@ def look_at_tracking(
 ) -> int:
     """Whether the specimen is away from the target, although the valve is not at its limit."""
     away = abs(points[0, 0, i] - measured[0, i])
-    largest = max(abs(points[0, 0, i]), abs(measured[0, i]), p.memory * state.largest[6, i])
-    state.largest[6, i] = largest
+    largest = max(abs(points[0, 0, i]), abs(measured[0, i]), p.memory * state.largest[3, i])
+    state.largest[3, i] = largest
     bias = p.most[DISPLACEMENT_VELOCITY, BIAS_OF, i] * p.dt / (1.0 - p.fade)
     threshold = p.sums[DISPLACEMENT_VELOCITY, i] + bias + p.off_target * largest
     if step - state.step[LIMITED_AT] <= p.limited:

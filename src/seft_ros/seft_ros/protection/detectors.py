@@ -1,16 +1,16 @@
-"""Detectors of faulty sensors, valves and supplies: by name, their thresholds, and their arrays."""
+"""Detectors of faulty sensors, valves and supplies: their thresholds and their arrays."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 from seft_plant_sim.compiled import compiled
-from seft_plant_sim.sensors import CHANNELS
 
-from seft_ros.protection.judge import LASTS, JudgeParameters, JudgeState, judge_arrays
+from seft_ros.protection.detector_list import DETECTORS
+from seft_ros.protection.judge import JudgeParameters, JudgeState, judge_arrays
+from seft_ros.protection.protection_step import STOP_TIME
 from seft_ros.protection.relation_following import DRIFT, SIGMAS
 from seft_ros.protection.valve_following import (
     LARGEST_DELAY_ERROR,
@@ -18,98 +18,6 @@ from seft_ros.protection.valve_following import (
     UNCERTAIN_DELAY,
     UNCERTAIN_GAIN,
 )
-
-LONG_LASTS = 0.02
-"""Time for which some detectors must be beyond their thresholds, s: longer than the effects of a
-specimen that slips or hits a stop, or of a valve at its limit. For the others it is `LASTS`."""
-
-WARNING = 0.8
-"""Part of its threshold at which a detector warns: noise alone reaches 0.75 in a test."""
-
-
-@dataclass(frozen=True)
-class Detector:
-    """One of the detectors.
-
-    Attributes
-    ----------
-    name : str
-        Name in parameters and reports.
-    text : str
-        Its finding in a sentence, with the measured value and the threshold.
-    unit : str
-        Of both.
-    lasts : float
-        Persistence, s; three samples at least, because an event between two samples shows in both;
-        0: two samples.
-    """
-
-    name: str
-    text: str
-    unit: str
-    lasts: float = LASTS
-
-
-_SUMS = "disagree on axis {axis}: they differ by {seen} over the last"
-_OIL = "measured displacement and force, and the valve's flow by its commands,"
-_SAME = "measured {} on axis {{axis}} has repeated one value for {{seen}}"
-_WRONG = "measured {} on axis {{axis}} contradicts the other channels: {{seen}} within 50 ms"
-DETECTORS = (
-    Detector("displacement_velocity", f"measured displacement and velocity {_SUMS} 50 ms", "m"),
-    Detector("velocity_acceleration", f"measured velocity and acceleration {_SUMS} 50 ms", "m/s"),
-    Detector("oil_balance", f"{_OIL} {_SUMS} 0.2 s", "m"),
-    Detector(
-        "second_order_work",
-        "the measured force falls as the specimen is deformed further: work of {seen} against it",
-        "N m",
-    ),
-    Detector(
-        "force_noise",
-        "measured force and acceleration disagree on axis {axis} from sample to sample, as with "
-        "noise: the specimen's force alternated in {seen} recently",
-        "samples",
-        0.0,
-    ),
-    Detector(
-        "force_jump",
-        "the specimen's force by measured force and acceleration on axis {axis} jumps by {seen}",
-        "N",
-        0.0,
-    ),
-    Detector(
-        "force_response",
-        "measured force on axis {axis} does not answer the motion: sum of squares {seen}",
-        "N^2",
-        LONG_LASTS,
-    ),
-    Detector(
-        "tracking",
-        "measured displacement on axis {axis} is {seen} away from its target",
-        "m",
-        LONG_LASTS,
-    ),
-    *(Detector(f"{name}_frozen", _SAME.format(name), "samples", 0.0) for name in CHANNELS),
-    *(Detector(f"{name}_wrong", _WRONG.format(name), "samples", 0.0) for name in CHANNELS),
-)
-"""In the order of the rows of a detector's arrays."""
-
-MODEL_BASED = (
-    *("oil_balance", "second_order_work"),
-    *("force_noise", "force_jump", "force_response"),
-)
-"""Detectors that need actuators or specimen: they only warn while these are being identified."""
-NOISE_BASED = tuple(f"{name}_frozen" for name in CHANNELS)
-"""Detectors that need the noise of the channels: a value with noise does not repeat."""
-ALL = "all"
-
-
-def describe(place: int, found: Floats, axes: Sequence[str]) -> str:
-    """Describe a detector's finding in a sentence, from the results of `detect`."""
-    row, axis = divmod(place, len(axes))
-    one = DETECTORS[row]
-    seen, threshold = (f"{value:.3g} {one.unit}" for value in found.tolist())
-    return f"{one.text.format(axis=axes[axis], seen=seen)} ({threshold} allowed): {one.name}"
-
 
 _MEMORY, _OIL_MEMORY = 0.05, 0.2
 """Time constants of the sums of both sides of relations (1) and (2), and of (3), s: to longer sums
@@ -130,8 +38,6 @@ LEFT = (0.02, 0.02, 0.1)
 a valve's, and the piston's friction."""
 APART = 2e-3
 """Largest time by which two channels are apart, s."""
-SETTLED = 0.5
-"""Part of its flow at which a valve has followed a command: a held one shows late, too."""
 NULL = 0.03
 """Standard deviation of a valve's null, over its full flow (servo-valves of a test's accuracy)."""
 OFF_TARGET = 0.5
@@ -158,8 +64,6 @@ class DetectorParameters(NamedTuple):
     past : ndarray
         Part of past commands in the present flow, the newest first, and its change per delay (1/s);
         shape (2, n, m).
-    hold : int
-        Samples for which a rig may hold a command, until the valve has followed the next one.
     has_valve : bool
         Whether valves drive the rig; else it obeys the reference force, which it holds.
     mass, stiffness : ndarray
@@ -173,11 +77,12 @@ class DetectorParameters(NamedTuple):
         RMS noise of the sensors, shape (4, n): assumed, and configured (0: not configured).
     range : ndarray
         Largest value that each sensor can measure, shape (4, n); infinite if it is not known.
+    lost : float
+        Time of motion that a rig loses while it misses commands, s; see `lost_time`.
     limited : int
         Samples after one at the valve's limit in which the target need not be followed.
-    sums, steps : ndarray
-        Noise of the sums of the differences of relations (1) to (3), shape (3, n), and of those of
-        relation (3) in a single step, by the velocity if it is measured, shape (n,): `SIGMAS` times
+    sums : ndarray
+        Noise of the sums of the differences of relations (1) to (3), shape (3, n): `SIGMAS` times
         RMS; infinite where not watched.
     deviation, most, drift : ndarray
         Of the estimated gain, delay (s) and bias of each relation: standard deviation at the
@@ -212,7 +117,6 @@ class DetectorParameters(NamedTuple):
     memory: float
     actuator: Floats
     past: Floats
-    hold: int
     has_valve: bool
     mass: Floats
     stiffness: Floats
@@ -221,9 +125,9 @@ class DetectorParameters(NamedTuple):
     noise: Floats
     dither: Floats
     range: Floats
+    lost: float
     limited: int
     sums: Floats
-    steps: Floats
     deviation: Floats
     most: Floats
     drift: Floats
@@ -258,25 +162,19 @@ class DetectorState(NamedTuple):
         Past commands as they act under load, the newest first, shape (n, m), V.
     sums : ndarray
         Of relations (1) to (3), see `relation_following`; shape (3, 4, n).
-    held : ndarray
-        Recent samples that a held command explains, and no other, shape (n,).
-    withheld : ndarray
-        Sum of the differences in these, m, shape (n,).
-    missed : ndarray
-        1 at such a sample, then fading, shape (n,).
-    flows : ndarray
-        Left side of relation (3) of the last steps, for the time of a held command, the newest
-        first, m; shape (n, h).
     rise : ndarray
         Last change of the acceleration, largest recent change of that, and the sum of the jumps by
         a held force, m/s^2, shape (3, n).
     largest : ndarray
-        Largest recent values: of these sums, of a single step, of the target's motion, and of r;
-        shape (8, n).
+        Largest recent values: of these sums, of the target's motion, of r, and of the way that the
+        rig loses while it misses commands, m; shape (6, n).
     restoring : ndarray
         r at the last sample, its last change, and the present r; shape (3, n), N.
     work : ndarray
         Sums of dr dx, of dx K dx and of squares of its noise, shape (3,).
+    farthest, carried : ndarray
+        In both directions, the farthest displacement, shape (2, n), x K x there in N m, and the
+        force in sqrt(N m), shape (2, 2), see `look_at_strength`.
     response : ndarray
         Sums of squares of the changes of f and of M_c a, shape (2, n), N^2.
     bends : ndarray
@@ -308,14 +206,12 @@ class DetectorState(NamedTuple):
     scatter: Floats
     sent: Floats
     sums: Floats
-    held: Ints
-    withheld: Floats
-    missed: Floats
-    flows: Floats
     rise: Floats
     largest: Floats
     restoring: Floats
     work: Floats
+    farthest: Floats
+    carried: Floats
     response: Floats
     bends: Floats
     repeats: Ints
@@ -325,6 +221,12 @@ class DetectorState(NamedTuple):
     found: Floats
     step: Ints
     judge: JudgeState
+
+
+def lost_time(missing: float) -> float:
+    """Time of motion that a rig loses in some time along a stop, half a cosine of the velocity."""
+    phase = math.pi * min(missing / STOP_TIME, 1.0)
+    return missing / 2.0 - STOP_TIME / (2.0 * math.pi) * math.sin(phase)
 
 
 def detector_arrays(
@@ -339,8 +241,8 @@ def detector_arrays(
     stiffness: Floats,
     computed_mass: Floats,
     warn_only: Sequence[str],
-    longest_hold: float,
     largest_drive: float,
+    longest_miss: float,
     dt: float,
 ) -> tuple[DetectorParameters, DetectorState]:
     """Put the detectors of n axes into arrays.
@@ -363,10 +265,10 @@ def detector_arrays(
         Shape (n, n), kg, N/m and kg.
     warn_only : sequence of str
         Names of the detectors that do not end a test.
-    longest_hold : float
-        Longest time for which a rig that misses commands holds the last one, s: no fault.
     largest_drive : float
         Of a valve, V.
+    longest_miss : float
+        Longest time in which a rig may miss commands, s: no fault.
     dt : float
         Sampling period, s.
     """
@@ -399,8 +301,6 @@ def detector_arrays(
     by_force = np.zeros_like(mass) if has_valve or not mass.any() else np.linalg.inv(mass)
     spans = np.array([each.lasts for each in DETECTORS])
     lasts = np.maximum(2 + (spans > 0.0), np.ceil(spans / dt - 1e-9).astype(np.int64))
-    settled = np.cumsum(past[0], axis=1) >= SETTLED
-    hold = math.ceil(longest_hold / dt - 1e-9) + int(settled.argmax(axis=1).max())
     judging, judged = judge_arrays(
         np.array([x, v, a, f]),
         np.transpose([np.where(known, actuator[:, 1], 0.0), actuator[:, 2]]),
@@ -421,7 +321,6 @@ def detector_arrays(
         memory=math.exp(-dt / LARGEST),
         actuator=actuator,
         past=past,
-        hold=hold,
         has_valve=has_valve,
         mass=mass,
         stiffness=stiffness,
@@ -430,6 +329,7 @@ def detector_arrays(
         noise=np.array([x, v, a, f]),
         dither=noise,
         range=judging.range,
+        lost=lost_time(longest_miss),
         limited=math.ceil(LIMITED / dt),
         sums=SIGMAS * np.vstack([sums, of_oil]),
         deviation=deviation,
@@ -437,7 +337,6 @@ def detector_arrays(
         drift=(DRIFT * deviation) ** 2 * dt,
         correlated=np.maximum(1.0, np.array([_MEMORY, _MEMORY, _OIL_MEMORY]) / dt),
         late=judging.late,
-        steps=SIGMAS * np.sqrt(2.0 * oil**2 + (2.0 * x**2 if late else (dt * v) ** 2 / 2.0)),
         rough=judging.noise[3] + unknown,
         unknown=unknown,
         tolerance=np.array(TOLERANCES),
@@ -456,14 +355,12 @@ def detector_arrays(
         scatter=np.zeros((3, 2, n)),
         sent=np.zeros_like(past[0]),
         sums=np.zeros((3, 4, n)),
-        held=np.zeros(n, dtype=np.int64),
-        withheld=np.zeros(n),
-        missed=np.zeros(n),
         rise=np.zeros((3, n)),
-        flows=np.zeros((n, 1 + hold)),
-        largest=np.zeros((8, n)),
+        largest=np.zeros((6, n)),
         restoring=np.zeros((3, n)),
         work=np.zeros(3),
+        farthest=np.zeros((2, n)),
+        carried=np.zeros((2, 2)),
         response=np.zeros((2, n)),
         bends=np.zeros((2, n)),
         repeats=np.zeros((4, n), dtype=np.int64),
@@ -483,8 +380,8 @@ SAMPLE, TURN_AT, LIMITED_AT, AT_RANGE = range(4)
 """Places of `DetectorState.step`."""
 DISPLACEMENT_VELOCITY, VELOCITY_ACCELERATION, OIL = range(3)
 """Relations (1) to (3)."""
-DIFFERS, SECOND_ORDER_WORK, ROUGH, JUMP = 0, *range(3, 6)
-NO_RESPONSE, TRACKING, FROZEN, WRONG = 6, 7, 8, 12
+DIFFERS, SECOND_ORDER_WORK, WEAKENS, ROUGH, JUMP = 0, *range(3, 7)
+NO_RESPONSE, TRACKING, FROZEN, WRONG = 7, 8, 9, 13
 """Rows of the detectors: sums of three relations, ..., four frozen and four wrong channels."""
 
 
