@@ -56,10 +56,15 @@ def with_fault(fault, words, at):
     return record, verdict(record, largest[3], right)
 
 
+def of_sensor(line):
+    """Say whether a fault is one of a sensor."""
+    return line.rpartition("/")[2].startswith(CHANNELS)
+
+
 def sound_sensors(record):
     """Give what sound sensors would have measured in a test, shape (N, 4, n)."""
     experiment = record.experiment
-    faults = [line for line in experiment["rig"]["faults"] if not line.startswith(CHANNELS)]
+    faults = [line for line in experiment["rig"]["faults"] if not of_sensor(line)]
     section = experiment["rig"] | {"faults": faults or ""}
     rig = Rig.from_parameters(section, experiment.axes, experiment.timebase)
     commands = record.series["valve_command"].values[:-1, 0]

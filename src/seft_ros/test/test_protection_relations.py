@@ -144,7 +144,7 @@ def test_without_a_mass_a_held_force_says_nothing_of_the_acceleration():
 def test_a_valve_that_closes_or_jams_is_found(axis):
     p, state = detectors([each for each in ALL if "frozen" in each])
     commands, samples = np.full((90, N), 4.0), np.zeros((90, 4, N))
-    speed = 4.0 * ACTUATOR[:, 0] * PAST[0].sum(axis=1)
+    speed, ends = 4.0 * ACTUATOR[:, 0] * PAST[0].sum(axis=1), []
     for closes in (True, False):
         commands[60:, axis] = 4.0 if closes else 0.0
         samples[:, 1], samples[:, 2:] = speed, 0.0
@@ -159,8 +159,29 @@ def test_a_valve_that_closes_or_jams_is_found(axis):
             found.append(detect(p, state, k, NO_TARGET, samples[k]))
             take_command(p, state, commands[k], False)
         end = next(k for k, each in enumerate(found) if each >= 0)
-        assert (found[end], end) == (rows.OIL * N + axis, 67)
+        ends.append(end)
+        assert found[end] == rows.OIL * N + axis
         begin_detectors(state)
+    assert ends == [67, 68]
+
+
+def test_a_rig_that_misses_commands_may_lose_what_its_stop_takes_from_the_motion():
+    times = np.linspace(0.0, 0.02, 2001)
+    lost = np.trapezoid(0.5 - 0.5 * np.cos(math.pi * times / 0.1), times)
+    (p, state), (other, alone) = (detectors(ALL, longest_miss=each) for each in (0.02, 0.0))
+    assert (p.lost, other.lost) == (pytest.approx(lost, rel=1e-6), 0.0)
+    samples, commands = noise_of_a_rig(60)
+    rate, phase = 30.0, 30.0 * DT * np.arange(60)[:, np.newaxis]
+    samples[:, 0] += 0.2 / rate * (1.0 - np.cos(phase))
+    samples[:, 1] += 0.2 * np.sin(phase)
+    samples[:, 2] += 0.2 * rate * np.cos(phase)
+    samples[:, 3] += samples[:, 2] @ MASS
+    state.judge.resolution[:] = alone.judge.resolution[:] = RESOLUTION
+    seen = shares_of(p, state, samples, commands)
+    fastest = lost * largest_recent(samples[1:, 1], p.oil_fade)
+    np.testing.assert_allclose(state.largest[5], fastest[-1], rtol=1e-6)
+    before = shares_of(other, alone, samples, commands)
+    assert (seen[-1, rows.OIL] < before[-1, rows.OIL]).all()
 
 
 def test_nothing_is_followed_while_its_relation_is_off():
