@@ -95,8 +95,9 @@ def test_each_relation_is_followed_and_held_against_its_threshold(drive):
     flow, later = (mean(flows(commands, f, past)) for past in PAST)
     force = (np.diff(f, axis=0) + DT * leakage * mean(f)) / oil
     none = np.zeros_like(rises)
+    moved = DT * mean(v) - DT**2 / 12.0 * np.diff(a, axis=0)
     sides = (
-        (np.diff(x, axis=0), DT * mean(v), -np.diff(v, axis=0), none + 2.0 * RESOLUTION),
+        (np.diff(x, axis=0), moved, -np.diff(v, axis=0), none + 2.0 * RESOLUTION),
         (np.diff(v, axis=0), DT * mean(a), -np.diff(a, axis=0), rises + 2.0 * RESOLUTION),
         (np.diff(x, axis=0) + force, DT * flow, DT * later, 2.0 * RESOLUTION * (1.0 + 1.0 / oil)),
     )
@@ -230,7 +231,10 @@ def test_a_derived_velocity_may_be_late(late, sign):
     state.judge.resolution[:] = RESOLUTION
     seen = shares_of(p, state, samples, commands)[1, :2, 1]
     assert not state.judge.counts.any()
-    sides = ([1.8e-3], [0.5 * DT * 2.03], [-0.03]), ([0.03], [0.5 * DT * 22.0], [-2.0])
+    sides = (
+        ([1.8e-3], [0.5 * DT * (2.03 - DT / 6.0 * 2.0)], [-0.03]),
+        ([0.03], [0.5 * DT * 22.0], [-2.0]),
+    )
     roughs = late * 0.03, (0.5 * DT + late) * 2.0
     for row, (side, rough) in enumerate(zip(sides, roughs, strict=True)):
         ((off,), (threshold,)), _ = followed(p, row, 1, *side, [rough + 2.0 * RESOLUTION])

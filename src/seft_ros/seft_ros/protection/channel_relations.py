@@ -127,7 +127,8 @@ def compare(
     sides : Sides
         Of the last period.
     rough : float
-        Difference of the sums by what came between the samples, and by the converter.
+        Difference of the sums by what came between the samples, by the converter, and by missed
+        commands.
     """
     sums, found, scatter = state.sums[relation], state.estimated[relation], state.scatter[relation]
     covariance, row = state.covariance[relation, i], DIFFERS + relation
@@ -164,9 +165,10 @@ def compare(
 def displacement_velocity(
     p: DetectorParameters, state: DetectorState, measured: Floats, i: int
 ) -> int:
-    """Relation (1)."""
+    """Relation (1); the acceleration tells how the velocity bends between the samples."""
     last, change = state.last, measured[1, i] - state.last[1, i]
-    moved = 0.5 * p.dt * (measured[1, i] + last[1, i])
+    bend = p.dt / 6.0 * (measured[2, i] - last[2, i])
+    moved = 0.5 * p.dt * (measured[1, i] + last[1, i] - bend)
     rough = p.late * abs(change) + resolution_of(state, DISPLACEMENT, i)
     sides = (measured[0, i] - last[0, i], moved, -change)
     return compare(p, state, DISPLACEMENT_VELOCITY, measured.shape[1], i, sides, rough)
