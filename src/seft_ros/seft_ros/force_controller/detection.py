@@ -121,7 +121,6 @@ def detector_shares(
             np.ascontiguousarray(states[..., own]),
             np.ascontiguousarray(commands[..., own]),
             section["voltage_limit"],
-            section["watchdog.state_timeout"],
             np.empty_like(parameters.noise),
         )
         shares = np.maximum(shares, state.shares.max(axis=1))
