@@ -12,6 +12,8 @@ BUILD_FILES := $(wildcard $(foreach p,$(PACKAGES),$(p)/setup.py $(p)/setup.cfg $
 
 # .venv brings its own ROS: one sourced in this shell must not shine through.
 unexport AMENT_PREFIX_PATH PYTHONHOME PYTHONPATH RMW_IMPLEMENTATION _ROS_WHEELS_BOOTSTRAP_COMPLETE
+# What Python and pytest make of a file is kept beside it, so that it is made once.
+unexport PYTHONDONTWRITEBYTECODE
 ifdef ROS_DISTRO
 unexport LD_LIBRARY_PATH
 endif
@@ -67,8 +69,8 @@ docs: $(READY) ## the pages as HTML in build/docs, every link between them check
 thorough: thorough-offline ## all other tests: hosts, browser, colcon, cluster, time; an idle machine
 	$(PYTEST) src examples tests -m "thorough and not offline"
 
-thorough-offline: $(READY) ## of these what is arithmetic alone: many rigs, specimens and motions
-	$(PYTEST) src examples tests -n 2 -m "thorough and offline"
+thorough-offline: $(READY) ## of these what is arithmetic alone, and what is drawn anew in each run
+	$(PYTEST) -n 2 -m "(thorough and offline) or hypothesis" --hypothesis-profile drawn
 
 bench: $(READY) ## every benchmark in bench, one after another
 	@failed=; for file in $(sort $(wildcard bench/[!_]*.py)); do \

@@ -149,7 +149,8 @@ def test_preflight_takes_the_tangent(model):
 
 
 def test_preflight_has_all_modes_of_a_model_with_a_mass_of_its_own(seft_json, model):
-    found = seft_json("preflight", DEMO, *SHORT, *model("Damper"))["modes"]
+    # whether the model is fast enough is the machine's matter
+    found = seft_json("preflight", DEMO, *SHORT, *model("Damper"), status=None)["modes"]
     c, k = (
         np.array([[own + part, -part], [-part, part]])
         for own, part in ((800.3, 80.0), (2.11e5, 11000.0))

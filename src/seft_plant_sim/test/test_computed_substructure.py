@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from scipy.integrate import solve_ivp
+from scipy.signal import lsim
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.computed_substructure import ComputedSubstructure
@@ -115,6 +115,7 @@ def test_what_makes_no_structure_is_refused(values, words):
 @settings(max_examples=6)
 @given(seed=st.integers(0, 2**31), axes=st.integers(1, 4), internal=st.integers(0, 4))
 @example(seed=0, axes=3, internal=0)
+@example(seed=2**31, axes=2, internal=0)
 def test_the_response_is_that_of_the_assembled_structure(seed, axes, internal):
     rng = np.random.default_rng(seed)
     values, size = structure(rng, axes, internal), axes + internal
@@ -129,24 +130,15 @@ def test_the_response_is_that_of_the_assembled_structure(seed, axes, internal):
     )
     inside = values["computed.influence"] if internal else np.zeros((0, axes))
     influence = np.vstack([np.eye(axes), inside])
-    time = 0.002 * np.arange(steps)
-
-    def slope(t, state):
-        motion = influence @ [np.interp(t, time, column) for column in ground.T]
-        force = stiffness @ state[:size] + damping @ state[size:]
-        return np.concatenate([state[size:], -motion - np.linalg.solve(mass, force)])
-
-    solved = solve_ivp(
-        slope,
-        (0.0, time[-1]),
-        np.zeros(2 * size),
-        t_eval=time,
-        max_step=0.002,  # the motion has a kink at each sample
-        rtol=1e-8,
-        atol=1e-12,
-    )
-    scale = np.abs(solved.y[:size]).max()
-    np.testing.assert_allclose(found.displacement, solved.y[:axes].T, rtol=0, atol=1e-5 * scale)
+    free = np.zeros((size, size))
+    back = (-np.linalg.solve(mass, part) for part in (stiffness, damping))
+    states = np.block([[free, np.eye(size)], [*back]])
+    moved = np.vstack([np.zeros((size, axes)), -influence])
+    outputs = np.eye(axes, 2 * size)
+    system = states, moved, outputs, np.zeros((axes, axes))
+    _, solved, _ = lsim(system, ground, 0.002 * np.arange(steps))  # exact where lines join samples
+    scale, solved = np.abs(solved).max(), solved.reshape(steps, axes)
+    np.testing.assert_allclose(found.displacement, solved, rtol=0, atol=1e-9 * scale)
 
     own = values["model.damping"] @ found.velocity.T + values["model.stiffness"] @ (
         found.displacement.T

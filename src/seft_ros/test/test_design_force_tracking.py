@@ -8,7 +8,7 @@ F = np.geomspace(0.05, 200.0, 600)
 S = 2j * np.pi * F
 
 
-@settings(max_examples=12, derandomize=True)
+@settings(max_examples=12)
 @given(st.floats(0.0, 0.04), st.booleans())
 def test_a_pure_delay_is_found_however_the_frequencies_lie(delay, evenly):
     f = np.linspace(0.5, 100.0, 200) if evenly else F

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from experiments_at_hand import load, simulated
 from seft_msgs_py.errors import InputError
+from seft_plant_sim.calibration import known_channels
 from seft_plant_sim.sensors import CHANNELS
 from seft_ros.design.actuator_fit import ActuatorFit
-from seft_ros.design.calibrated import Calibrated, Shaken, known_of, shake_notes
+from seft_ros.design.calibrated import Calibrated, Shaken, shake_notes
 from seft_ros.design.identified import Identified, ValveResponse, fitted_plant
 from seft_ros.design.response_fits import SpecimenFit
 from seft_ros.design.rig_tests import shake_test, write_forces
@@ -54,7 +55,7 @@ def shaken(*words, config="jhu"):
         path = write_forces(Path(folder) / "shake.csv", experiment, commands)
         record = simulated(shake_test(experiment, path))
     assert record.trip is None
-    nothing = known_of(load())
+    nothing = known_channels(load().sections["rig"], load().axes)
     n = len(experiment.axes)
     known = {what: np.repeat(value, n, axis=1) for what, value in nothing.items()}
     return Shaken.of_record(plan, record, sines, found, Calibrated(known, known, 0.0, False))
