@@ -185,6 +185,16 @@ def test_a_rig_that_misses_commands_may_lose_what_its_stop_takes_from_the_motion
     assert (seen[-1, rows.OIL] < before[-1, rows.OIL]).all()
 
 
+def test_of_a_velocity_that_was_replaced_the_displacement_says_nothing():
+    p, state = detectors(ALL)
+    samples, commands = noise_of_a_rig(30)
+    samples[20, 1, 0] += 100.0 * NOISE[1, 0]
+    seen = shares_of(p, state, samples, commands)[:, 0]
+    assert state.judge.counts[1].tolist() == [1, 0]
+    assert np.flatnonzero(seen[1:, 0] == 0.0).tolist() == [19, 20]
+    assert (seen[1:, 1] > 0.0).all()
+
+
 def test_nothing_is_followed_while_its_relation_is_off():
     for row in range(3):
         p, state = detectors(ALL)

@@ -212,14 +212,21 @@ def oil_balance(p: DetectorParameters, state: DetectorState, measured: Floats, i
 
 
 @compiled
+def was_replaced(state: DetectorState, step: int, row: int, i: int) -> bool:
+    """Say whether the judge replaced a channel at this sample or the last one."""
+    steps = state.judge.wrong[row, i]
+    return step - steps[(state.judge.counts[row, i] - 1) % len(steps)] <= 1
+
+
+@compiled
 def relations(
     p: DetectorParameters, state: DetectorState, step: int, measured: Floats, i: int
 ) -> int:
-    """Relations (1) to (3) of an axis."""
+    """Relations (1) to (3) of an axis; (1) would not forget a velocity that is only expected."""
     found, sees_displacement = -1, sees(state, step, DISPLACEMENT)
     if not sees(state, step, VELOCITY):
         return found
-    if sees_displacement:
+    if sees_displacement and not was_replaced(state, step, VELOCITY, i):
         found = displacement_velocity(p, state, measured, i)
     if sees(state, step, ACCELERATION):
         found = first_of(found, velocity_acceleration(p, state, measured, i))
