@@ -12,7 +12,7 @@ import numpy as np
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.metrics import nrmse
-from seft_ros.test_run.compiled_loop import Blocks, build_blocks
+from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
@@ -25,7 +25,7 @@ STOREYS = f"{SPECIMEN}springs:=[1.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0, -1.0, 1.0]"
 LINK = "reference_force:loop_delay:=5"
 EXAMPLES = "three_storey_frame", "six_storey_frame", "two_pier_bridge", "water_tower", "demo"
 Row = tuple[str, ...]
-"""Overrides; one that begins with ``config:`` names the file, with ``missed:`` every how many."""
+"""Overrides; one that begins with ``config:`` names the file."""
 
 
 def loaded(alpha: float, newtons: float) -> Row:
@@ -100,7 +100,6 @@ TESTS: dict[str, list[Row]] = {
         (*PLAN, *ONE, *valve("valve_frequency", 30.0)),
         (*PLAN, *ONE, *valve("dead_time", 0.006)),
         (*PLAN, *ONE, *valve("dead_time", 0.01), "reference_force:compensation.horizon:=0.08"),
-        (*PLAN, *ONE, WATCH, "missed:20"),
     ],
     "behind a link of 10 ms": [
         (*PLAN, *ONE, LINK, *specimen(*words))
@@ -137,8 +136,6 @@ ANOTHER = (f"{SPECIMEN}stiffness:=2.1142e5",), (f"{SPECIMEN}damping:=808.3",)
 def named(word: str) -> str:
     """Write an override for a table."""
     name, _, value = word.partition(":")
-    if name == "missed":
-        return f"every {value}th command missed"
     return f"`config/{value}.yaml`" if name == "config" else f"`{word}`"
 
 
@@ -150,15 +147,11 @@ def tested(row: Row, motion: Row) -> str:
     overrides = [parse_override(word) for word in (*plan, *motion)]
     experiment = Experiment.load(TABLES, [config], overrides)
     blocks = build_blocks(experiment)
-    if "missed" in special:
-        displacement, trip = with_missed(blocks, int(special["missed"])), None
-    else:
-        record = simulate_test(experiment, blocks)
-        displacement, trip = record.series["rig/state"].values[:, 0], record.trip
-    if trip:
-        return f"trips at {trip.time_s:.1f} s"
+    record = simulate_test(experiment, blocks)
+    if record.trip:
+        return f"trips at {record.trip.time_s:.1f} s"
     exact = reference_response(experiment, blocks.ground_motion.samples).displacement
-    return percent(nrmse(displacement, exact))
+    return percent(nrmse(record.series["rig/state"].values[:, 0], exact))
 
 
 def percent(ratio: float) -> str:
@@ -178,25 +171,6 @@ def exact_displacement(words: Row) -> np.ndarray:
     experiment = Experiment.load(TABLES, ["config/jhu.yaml"], map(parse_override, words))
     motion = build_blocks(experiment).ground_motion.samples
     return reference_response(experiment, motion).displacement
-
-
-def with_missed(blocks: Blocks, every: int) -> np.ndarray:
-    """Run a test in which every so many commands come too late: the rig holds the last."""
-    motion, known = blocks.ground_motion.samples, blocks.ground_motion.known
-    window = 1 + blocks.reference_force.preview
-    blocks.reference_force.reset()
-    blocks.force_controller.reset()
-    state = blocks.rig.reset()
-    found = [state[0].copy()]
-    applied = np.zeros(motion.shape[1])
-    for step in range(len(motion) - 1):
-        points = blocks.reference_force.step(known[step : step + window], state)
-        command = blocks.force_controller.step(step, points, state)
-        if step % every:
-            applied = command
-        state = blocks.rig.step(applied)
-        found.append(state[0].copy())
-    return np.array(found)
 
 
 def main() -> None:

@@ -10,24 +10,8 @@ from rig_driver.driver_node import DriverNode, stand_in
 from rig_driver.parameters import TABLE
 from seft_msgs_py.node.node_kind import NodeKind
 from seft_msgs_py.node.node_shell import NodeShell
-from seft_msgs_py.wire.topics import RIG_STATE
-from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 TIMEOUT = "watchdog.command_timeout"
-
-
-class ForceInKn(DriverNode):
-    """Sends one of the four quantities in a unit of its own."""
-
-    def __init__(self, shell, hardware):
-        super().__init__(shell, hardware)
-        self._states = self
-        self._right = TrajectoryCodec(RIG_STATE, shell.experiment.axes, self._timebase)
-
-    def encode(self, step, sample):
-        sample = sample.copy()
-        sample[3] *= 1e-3
-        return self._right.encode(step, sample)
 
 
 class NoSafePosition(DriverNode):
@@ -37,19 +21,6 @@ class NoSafePosition(DriverNode):
         super().__init__(shell, hardware)
         nothing = {name: lambda *_: None for name in ("begin", "follow", "finish", "at_once")}
         self._stop = SimpleNamespace(has_dumped=False, **nothing)
-
-
-class Reversed:
-    """Hardware whose valve is connected the other way round."""
-
-    def __init__(self, hardware):
-        self._hardware = hardware
-
-    def write_command(self, volts):
-        self._hardware.write_command(-volts)
-
-    def __getattr__(self, name):
-        return getattr(self._hardware, name)
 
 
 class NoWatchdog(DriverNode):
@@ -93,7 +64,6 @@ class Careless(DriverNode):
 
 
 NODES = {
-    "force_in_kn": ForceInKn,
     "no_safe_position": NoSafePosition,
     "no_watchdog": NoWatchdog,
     "stands_still": StandsStill,
@@ -105,10 +75,7 @@ def main() -> int:
     fault = sys.argv.pop(1)
 
     def make(shell: NodeShell) -> DriverNode:
-        hardware = stand_in(shell)
-        if fault == "valve_reversed":
-            hardware = Reversed(hardware)
-        return NODES.get(fault, DriverNode)(shell, hardware)
+        return NODES[fault](shell, stand_in(shell))
 
     return NodeKind(TABLE, [TABLE], make).main()
 

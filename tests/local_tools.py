@@ -4,7 +4,8 @@ import hashlib
 
 import numpy as np
 from seft_msgs_py.virtual import LocalGraph
-from seft_msgs_py.wire.topics import JUDGED, RIG_STATE, VALVE_COMMAND
+from seft_msgs_py.wire.messages import EstimatesCodec
+from seft_msgs_py.wire.topics import ESTIMATES, JUDGED, RIG_STATE, VALVE_COMMAND
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
@@ -56,6 +57,13 @@ def assert_same(graph: LocalGraph, record, steps: int | None = None) -> None:
         assert found[:count] == there.steps[:count].tolist(), topic.name
         expected = there.values[:count].reshape(values[:count].shape)
         np.testing.assert_array_equal(values[:count], expected)
+    if (known := record.estimates) is not None:
+        codec = EstimatesCodec(graph.experiment.axes, graph.experiment.timebase)
+        sent = (codec.decode(each.raw) for each in graph.graph.sent if each.topic == ESTIMATES.name)
+        told = dict(sent)
+        until = [step for step in known.steps.tolist() if steps is None or step < steps]
+        found = [list(told[step].values()) for step in until]
+        np.testing.assert_array_equal(found, known.values[: len(until)])
 
 
 def perform(graph: LocalGraph, end: str = "done") -> None:

@@ -14,8 +14,6 @@ from seft_msgs_py.wire.topics import RIG_STATE
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.cli.main import main
 from seft_ros.design import preflight_tables
-from seft_ros.design.plan import Plan
-from seft_ros.design.stability_verdict import predicted_modes
 from seft_ros.protection.protected_force import ProtectedForce
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
@@ -40,12 +38,9 @@ def example(name, *settings):
     return config, "-p", f"reference_force:computed.settings:={words}"
 
 
-@pytest.mark.parametrize(
-    ("name", "settings"), [("Spring", "k3=1e9"), ("Bilinear", ""), ("Damper", "")]
-)
-def test_a_test_with_a_model_is_near_the_whole_structure(seft_json, model, name, settings):
-    told = ("-p", f"reference_force:computed.settings:={settings}") if settings else ()
-    summary = seft_json("simulate", DEMO, *SHORT, *model(name), *told)
+@pytest.mark.parametrize("name", ["Bilinear", "Damper"])
+def test_a_test_with_a_model_is_near_the_whole_structure(seft_json, model, name):
+    summary = seft_json("simulate", DEMO, *SHORT, *model(name))
     assert summary["displacement"]["nrmse"] < 0.01
 
 
@@ -74,7 +69,7 @@ def test_a_model_gives_the_bits_of_the_offline_loop_in_its_node(local_graph, mod
 
 def test_a_model_that_fails_brings_the_test_down_softly_and_says_where(seft, refused, model):
     """Of all ways in which a model fails, see test_model_process.py."""
-    words, told = (DEMO, *SHORT, *model("Breaking")), "models.py:Breaking line 101, step: it broke"
+    words, told = (DEMO, *SHORT, *model("Breaking")), "models.py:Breaking line 89, step: it broke"
     offline = seft("simulate", *words, "--json", status=1)
     found = json.loads(offline.stdout)
     assert told in found["trip"]["reason"]
@@ -91,7 +86,7 @@ def test_a_model_takes_every_second_sample(seft_json, model):
 def test_a_model_that_fails_in_its_node_alone_trips_the_test(local_graph, model):
     graph = local_graph(*bare([*SHORT, *model("Breaking")]), UNREHEARSED, config=DEMO)
     perform(graph, "tripped")
-    assert "models.py:Breaking line 101, step: it broke (step 75" in graph.values["detail"]
+    assert "models.py:Breaking line 89, step: it broke (step 75" in graph.values["detail"]
     assert len(graph.samples(RIG_STATE)[0]) > 750 + 250
 
 
@@ -138,14 +133,6 @@ def test_only_a_target_takes_a_model(seft, model):
     eft = ("-p", "reference_force:method:=eft", *model("Spring"))
     (line,) = seft("simulate", DEMO, *eft, status=2).stderr.strip().splitlines()
     assert "with method eft nothing is computed" in line
-
-
-def test_preflight_takes_the_tangent(model):
-    lowest = []
-    for words in ((), model("Spring")):
-        plan = Plan(load(*bare([*SHORT, *words]), config="demo"))
-        lowest.append(predicted_modes(plan)[0].exact_hz)
-    assert lowest[1] / lowest[0] == pytest.approx((1 + 1e5 / 2.11e5) ** 0.5, rel=1e-3)
 
 
 def test_preflight_has_all_modes_of_a_model_with_a_mass_of_its_own(seft_json, model):

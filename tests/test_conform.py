@@ -73,7 +73,6 @@ def test_the_template_conforms(seft, start_driver):
 @pytest.mark.parametrize(
     ("fault", "checks"),
     [
-        ("force_in_kn", {"force of specimen"}),
         ("no_watchdog", {"watchdog: valve_command silent", "stands still"}),
         ("stands_still", {"stands still"}),
         ("no_safe_position", {"safe position"}),
@@ -81,6 +80,7 @@ def test_the_template_conforms(seft, start_driver):
     ],
 )
 def test_a_bad_driver_fails_what_it_is_bad_at(seft, start_driver, fault, checks):
+    """Of wrong units and signs, see test_conformance.py."""
     start_driver("bad_drivers", fault)
     done = seft("conform", JHU, *PATIENT, "--yes", "--json", status=1)
     result = json.loads(done.stdout)

@@ -87,11 +87,3 @@ def test_a_test_in_realtime_is_rehearsed_and_its_bag_has_the_figures(seft_json, 
     assert (found["rate_hz"], found["steps"]) == (50.0, 75)
     assert 0 < found["round_trip_s"]["p50"] < 0.02
     assert told["timing"]["rehearsal"] == found
-
-
-@THOROUGH
-def test_a_rate_that_can_not_be_kept_is_refused_before_anything_moves(seft, tmp_path):
-    words = ("-p", "rate:=8000.0", "--accept-unstable", "--out", "bag")
-    told = seft("run", JHU, *SHORT, *words, status=1).stderr
-    assert "8000 Hz does not fit here: " in told and "--composed" in told
-    assert not (tmp_path / "bag").exists()

@@ -1,13 +1,13 @@
-"""How a `seft run` ends: by signals, by the death of its nodes, by its disk; nothing is left."""
+"""How a `seft run` ends: by signals, and by the death of its nodes; nothing is left.
+
+Nodes that die or stand still at any moment, and bags without room: test_local_faults.py,
+test_local_recorder.py, test_bags_bag_writer.py.
+"""
 
 import fcntl
-import json
 import os
 import pty
-import shlex
 import signal
-import subprocess
-import sys
 import termios
 from pathlib import Path
 
@@ -24,6 +24,7 @@ from graph_tools import (
     wait_for,
 )
 from seft_ros.bags.record_bag import read_bag
+from seft_ros.test_run.run import Interruption
 
 LONG = ("-p", "ground_motion:synthetic.duration:=1000.0")
 LOCKSTEP = ("-p", "rig:pace:=lockstep", "-p", "rig:lockstep_timeout:=60.0")
@@ -166,15 +167,6 @@ def test_a_node_that_fails_before_the_test_is_named(run, tmp_path, node, number,
 
 
 @THOROUGH
-def test_a_run_without_its_supervisor_ends_by_itself(run, tmp_path):
-    found = run(*FEW_SECONDS, "-p", "rig:watchdog.supervisor_timeout:=5.0")
-    found.wait_for_data()
-    kill(found.nodes["supervisor"])
-    assert "node supervisor ended (killed by signal 9)" in found.ending()
-    assert recorded(tmp_path).trip.reason == "node supervisor has been silent for 5 s"
-
-
-@THOROUGH
 def test_a_second_interruption_is_an_abort(run, tmp_path):
     """SIGTERM is one as Ctrl-C is; in realtime the ramp takes its time."""
     found = run(*LONG_RAMP, "-p", "rig:pace:=realtime", *MISSES_ALLOWED)
@@ -185,6 +177,16 @@ def test_a_second_interruption_is_an_abort(run, tmp_path):
     assert recorded(tmp_path).trip.reason == (
         "aborted by the operator (while ramping down: stopped by the operator)"
     )
+
+
+def test_the_third_signal_acts_at_once():
+    with Interruption() as interruption:
+        for _ in range(2):
+            signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+        with pytest.raises(KeyboardInterrupt):
+            interruption.check()
 
 
 @THOROUGH
@@ -202,33 +204,3 @@ def test_a_run_whose_terminal_is_closed_comes_down_softly(run, tmp_path):
     assert found.process.wait(PATIENCE) == 1
     found.assert_nothing_is_left()
     assert_came_down_softly(tmp_path)
-
-
-@THOROUGH
-def test_a_disk_that_fills_up_brings_the_test_down_softly_and_all_is_recorded(domain, tmp_path):
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    run = [sys.executable, "-m", "seft_ros.cli.main", "run", str(JHU), *LONG]
-    run += ["-p", "ground_motion:synthetic.duration:=400.0"]  # has room at the start
-    run += [*STALLS_ALLOWED, *MISSES_ALLOWED, "--out", "bag"]
-    report = [sys.executable, "-m", "seft_ros.cli.main", "report", "bag", "--out", "page.html"]
-    shell = (
-        f"mount -t tmpfs -o size=60m tmpfs {disk} && cd {disk} || exit 77\n"
-        f"{shlex.join(run)} & pid=$!\n"
-        "until [ $(cat bag/bag.mcap 2> /dev/null | wc -c) -gt 60000 ]; do sleep 0.1; done\n"
-        "cat /dev/zero > filler 2> /dev/null; wait $pid; echo run $?; rm filler\n"
-        f"{shlex.join([*report, '--json'])}"
-    )
-    done = subprocess.run(
-        ["unshare", "-m", "sh", "-c", shell], capture_output=True, text=True, timeout=PATIENCE
-    )
-    if done.returncode == 77 or "unshare" in done.stderr:
-        pytest.skip("may not mount a file system here")
-    _, summary = done.stdout.split("run 1\n")
-    assert "Traceback" not in done.stderr
-    found = json.loads(summary)
-    assert found["steps"] > 100
-    reason = found["trip"]["reason"]
-    assert reason.startswith("the recorder's bag is lost: ")
-    assert "No space left" in reason
-    assert f"seft: the test tripped: {reason}" in done.stderr

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import quiet_shell
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.node.clock import MACHINE
 from seft_msgs_py.wire.messages import Status
 from seft_msgs_py.wire.topics import RigAxes
 from seft_ros.cli.rig_commands import TEMPLATES
@@ -37,22 +37,13 @@ class Hardware:
         self.calls.append("close")
 
 
-class Shell:
+class Shell(quiet_shell.Shell):
     """A node's shell without a network: tells of a fault as the process does, at the next turn."""
 
     def __init__(self, experiment, turns):
-        self.experiment, self.rig = experiment, RigAxes.whole(experiment.axes)
-        self.name, self.stopping, self.clock = "rig", False, MACHINE
-        self.reports, self._faults, self._turns = [], [], turns
-
-    def publisher(self, topic):
-        return lambda raw: None
-
-    def subscribe(self, topic, handler, **_):
-        """Nothing comes."""
-
-    def several_senders(self):
-        return ""
+        super().__init__(experiment, "rig")
+        self.rig, self.stopping = RigAxes.whole(experiment.axes), False
+        self.reports, self._turns = [], turns
 
     def report(self, status):
         self.reports.append(status)
@@ -61,11 +52,11 @@ class Shell:
         try:
             call()
         except OSError as error:
-            self._faults.append(f"a fault of the program in {what}: {error}")
+            self.faults.append(f"a fault of the program in {what}: {error}")
 
     def spin_once(self, timeout):
-        while self._faults:
-            self.node.fault(self._faults.pop())
+        while self.faults:
+            self.node.fault(self.faults.pop())
         time.sleep(timeout)
         self._turns -= 1
         self.stopping = self._turns <= 0

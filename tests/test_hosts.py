@@ -32,10 +32,8 @@ PATIENT = (  # whatever a machine that stands still makes of a test, it goes on 
     *("-p", "rig:watchdog.supervisor_timeout:=60.0"),
     *(word for limit in NO_LIMITS for word in ("-p", limit)),
 )
-CUT = 1.0  # s without a reference force, after which it is brought down
-RAMP = 0.5  # s in which it is
 SILENCE = (  # what a machine that stands still may take, without it being a cut
-    *("-p", f"force_controller:watchdog.reference_timeout:={CUT}"),
+    *("-p", "force_controller:watchdog.reference_timeout:=1.0"),
     *("-p", "rig:watchdog.supervisor_timeout:=5.0"),
     *("-p", "supervisor:watchdog.peer_timeout:=10.0"),
     *("-p", "supervisor:watchdog.command_timeout:=5.0"),
@@ -123,40 +121,22 @@ def test_what_is_lost_on_the_link_is_bridged_and_what_comes_twice_or_late_is_har
     assert min(way["lost"] for way in ways) > 100
 
 
-def test_a_cut_link_ends_the_test_safely_and_both_hosts_say_why(two_hosts, rig_host):
+def test_a_cut_link_ends_the_test_and_both_hosts_say_why(two_hosts, rig_host):
+    """The force comes down before: test_local_faults.py."""
     two_hosts.link(**DELAYED)
-    _, controller = rig_host(*SILENCE)
-    probe = two_hosts.start("b", "host_probe", DEMO, prompt=True)
-    seen = []
-
-    def listen():
-        for line in probe.stdout:
-            seen.append(json.loads(line))
-
-    threading.Thread(target=listen, daemon=True).start()
+    on_b = rig_host(*SILENCE)
     run = seft_run(two_hosts, *SILENCE, "--out", "hosts", "--json")
-    wait_for(lambda: seen and seen[-1].get("step", 0) > 1500, "the strong motion")
+    bag = two_hosts.folder / "hosts" / "hosts.mcap"
+    wait_for(lambda: bag.exists() and bag.stat().st_size > 300_000, "the test to be under way")
     two_hosts.link(cut=True)
-    cut_at = time.time()
     _, told = run.communicate(timeout=PATIENCE)
     assert run.returncode == 1
     assert "has been silent since" in told.splitlines()[-1]
-    trip = wait_for(lambda: [row for row in seen if "tripped" in row], "the rig's trip")[0]
-    assert "supervisor has been silent" in trip["tripped"]
-    controller.terminate()
-    assert "(the last is of step" in controller.communicate(timeout=PATIENCE)[1]
-
-    commands = {r["step"]: r["value"] for r in seen if r.get("topic") == "valve_command"}
-    forces = {r["step"]: r["value"] for r in seen if r.get("topic") == "rig/state"}
-    times = {r["step"]: r["at"] for r in seen if r.get("topic") == "rig/state"}
-    cut = max(step for step, at in times.items() if at <= cut_at)
-    moving = max(step for step, volts in commands.items() if volts != 0.0)
-    patience = round((CUT + RAMP) * 500) + LOOP_DELAY
-    assert cut < moving < cut + patience
-    peak = max(abs(forces[step]) for step in range(cut - 500, cut))
-    assert peak > 100
-    assert abs(forces[moving]) < 0.2 * peak  # it came down before the valve was closed
-    assert abs(forces[max(forces)]) < 0.2 * peak
+    for process, why in zip(
+        on_b, ("supervisor has been silent", "(the last is of step"), strict=True
+    ):
+        process.terminate()
+        assert why in process.communicate(timeout=PATIENCE)[1]
 
 
 def test_the_link_is_measured_and_a_test_takes_the_delay_that_it_needs(two_hosts, rig_host):

@@ -27,14 +27,6 @@ def test_two_tests_in_a_row_on_an_external_rig_give_the_numbers_of_the_offline_l
         bags = (f"external/{name}", f"offline/{name}")
         assert seft_json("compare", *bags)["identical"] is True
 
-    refused = seft("run", JHU, "--external", "rig", "-p", "rate:=250.0", "--out", "bag", status=2)
-    assert refused.stdout == ""
-    last = refused.stderr.strip().splitlines()[-1]
-    assert last == "seft: the nodes must have one rate: ground_motion has 250.0, rig has 500.0"
-    refused = seft("run", JHU, "--out", "bag", status=2)
-    assert "already has a node rig" in refused.stderr
-    assert "ROS_DOMAIN_ID" in refused.stderr
-
     short = ("-p", "ground_motion:synthetic.duration:=3.0")
     done = seft(
         "run", JHU, *short, *STALLS_ALLOWED, "--external", "rig", "--out", "bag", "--json", status=0

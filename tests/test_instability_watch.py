@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from experiments_at_hand import load, simulated
 from real_records import words_of
+from seft_ros.design.plan import Plan
+from seft_ros.design.stability_margins import instability_band
 from seft_ros.test_run.compiled_loop import with_method
 
 pytestmark = pytest.mark.offline
@@ -70,10 +72,14 @@ def test_a_link_of_10_ms_to_a_specimen_that_yields_trips_nothing(motion, specime
 
 @pytest.mark.parametrize("peak_force", [200.0, 1000.0])
 @pytest.mark.parametrize("motion", IN_SHORT)
-def test_an_unstable_test_trips_long_before_a_limit(motion, peak_force):
+def test_an_unstable_test_shakes_as_foreseen_and_trips_long_before_a_limit(motion, peak_force):
     """Of the paper's: mass ratio 1.5, without compensation."""
     limit, _ = run(motion, "none", 1.5, peak_force, 0.0)
     assert limit.trip.reason.startswith("acceleration")
+    low, high = instability_band(Plan(limit.experiment))  # where preflight sees it start
+    last = limit.series["rig/state"].values[-150:, 2, 0]
+    spectrum = np.abs(np.fft.rfft(last * np.hanning(len(last))))
+    assert low < np.fft.rfftfreq(len(last), 0.002)[spectrum.argmax()] < high
     found, largest = run(motion, "none", 1.5, peak_force, HIGHER)
     assert found.trip.reason.startswith("instability")
     assert found.trip.step < 0.8 * limit.trip.step

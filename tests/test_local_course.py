@@ -16,11 +16,7 @@ from local_tools import (
 )
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.messages import decode_description
-from seft_msgs_py.wire.topics import (
-    DESCRIPTION,
-    REFERENCE_FORCE,
-    RIG_STATE,
-)
+from seft_msgs_py.wire.topics import DESCRIPTION, REFERENCE_FORCE, RIG_STATE
 from seft_ros.protection.protection_step import RampDown
 
 

@@ -51,47 +51,19 @@ def test_a_driver_aligns_a_late_channel_and_the_loop_counts_its_lag(driver, monk
     assert 0.003 * own["specimen.stiffness"] * v.std() > 12.0  # what 3 ms change of the spring's
 
 
-def zeroed(graph):
-    """What the rig's last description tells of its zeros."""
-    told = [sent.raw for sent in graph.graph.sent if sent.topic == DESCRIPTION.name]
-    return [facts for node, facts in map(decode_description, told) if node == "rig"][-1]["zeroed"]
-
-
-@pytest.fixture
-def biased(driver, monkeypatch):
-    """Make the nodes of a test with a load cell that shows some force at rest, N."""
+def test_a_driver_zeroes_its_sensors_in_the_rehearsal(driver, monkeypatch):
     from rig_driver import stand_in
 
-    def make(force):
-        monkeypatch.setitem(stand_in._RIG, "sensors.force_bias", force)
-        return driver()
-
-    return make
-
-
-def test_a_driver_zeroes_its_sensors_in_the_rehearsal(biased):
-    graph = biased(22.2)
+    monkeypatch.setitem(stand_in._RIG, "sensors.force_bias", 22.2)
+    graph = driver()
     perform(graph)
     force = graph.samples(RIG_STATE)[1][:100, 3]
     assert abs(force.mean()) < 1.5  # N, of which the noise is 0.3
-    told = zeroed(graph)
+    sent = [each.raw for each in graph.graph.sent if each.topic == DESCRIPTION.name]
+    told = [facts for node, facts in map(decode_description, sent) if node == "rig"][-1]["zeroed"]
     assert told["samples"] == 500
     assert abs(told["subtracted"]["force"][0] - 22.2) < 1.0
     assert told["subtracted"]["position"] == [0.0]
-
-
-def test_a_driver_whose_force_at_rest_is_large_is_not_started(biased):
-    graph = biased(2220.0)
-    graph.until(lambda: "at rest" in graph.values.get("detail", ""))
-    assert "force is 2.22e+03 N at rest, more than a tenth of its limit" in graph.values["detail"]
-    assert graph.call("start")[0] is False
-
-
-def test_a_rig_whose_lag_the_loop_does_not_know_is_not_started(driver):
-    graph = driver("rig:calibration.force_lag:=0.003", "reference_force:compensation.sensor_lag:=0")
-    graph.run(3.0)
-    assert "one lag of the measured state: rig has 0.003 s" in graph.values["detail"]
-    assert graph.state == "idle"
 
 
 def test_a_driver_without_commands_trips_and_closes_its_valve(driver):

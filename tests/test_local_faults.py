@@ -115,6 +115,19 @@ def test_nodes_that_are_terminated_end_cleanly_and_the_others_miss_them(running)
     assert graph.endings == dict.fromkeys((*gone, "supervisor"), 0)
 
 
+def test_a_link_that_is_cut_brings_the_force_down_before_the_rig_closes_its_valve(running):
+    """As the hosts of rig and force controller see it: all others stand still."""
+    graph = running(LONG, NO_COMMAND_WATCH, "reference_force:loop_delay:=9")
+    graph.run(3.0)
+    peak = abs(graph.samples(RIG_STATE)[1][-500:, 3]).max()
+    for node in ("ground_motion", "reference_force", "supervisor"):
+        graph.freeze(node)
+    graph.until(lambda: graph.status("rig")["phase"] == "tripped", within=2.0)
+    assert graph.status("rig")["reason"] == "node supervisor has been silent for 1 s"
+    assert abs(graph.samples(RIG_STATE)[1][-1, 3]) < 0.1 * peak
+    assert peak > 100.0
+
+
 def test_a_rig_that_comes_back_in_the_middle_of_a_test_stays_at_rest(running):
     allowed = (
         "supervisor:watchdog.command_timeout",

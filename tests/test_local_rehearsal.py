@@ -1,4 +1,4 @@
-"""The rehearsal of a loop whose messages are late, in virtual time."""
+"""The rehearsal of a loop, in virtual time."""
 
 import pytest
 from graph_tools import DEMO, JHU
@@ -10,8 +10,9 @@ from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND, 
 def test_a_test_after_a_rehearsal_has_the_bits_of_the_offline_loop(local_graph, config):
     graph = local_graph(SIX, config=config)
     perform(graph)
-    steps, _ = graph.samples(rehearsed(RIG_STATE))
+    steps, states = graph.samples(rehearsed(RIG_STATE))
     assert steps == list(range(1000))
+    assert abs(states[:, 0]).max() < 1e-4  # m: it does not obey
     assert graph.samples(rehearsed(VALVE_COMMAND))[0] == steps
     assert_same(graph, offline(graph))
     assert graph.values["detail"] == "2501 steps done"
@@ -44,6 +45,19 @@ def test_a_loop_that_answers_late_is_refused_and_a_rate_that_fits_is_proposed(
     assert f"500 Hz does not fit here: round trip p99 {trip} ms, " in detail
     assert f"; {250 if late < 0.003 else 100} Hz does; " in detail
     assert graph.call("start")[0] is False
+
+
+def test_a_loop_that_does_not_answer_is_refused(local_graph):
+    graph = local_graph(SIX)
+    graph.drop(rehearsed(VALVE_COMMAND), range(1000))
+    graph.until(lambda: "no answer came" in graph.values.get("detail", ""))
+
+
+def test_a_rehearsal_ends_with_its_node(local_graph):
+    graph = local_graph(SIX)
+    graph.until(lambda: len(graph.samples(rehearsed(RIG_STATE))[0]) > 100)
+    graph.terminate("rig")
+    graph.until(lambda: graph.endings == {"rig": 0}, within=0.5)
 
 
 @pytest.mark.parametrize("topic", [VALVE_COMMAND, REFERENCE_FORCE])

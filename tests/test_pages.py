@@ -78,13 +78,6 @@ def test_a_report_is_drawn_on_a_phone_and_on_a_screen(browser, demo):
     assert "can be trusted" in browser.find_element("css selector", ".verdict").text
 
 
-def test_a_report_of_an_unstable_test_says_so_and_is_drawn(browser, tmp_path):
-    unstable = ("reference_force:mass_ratio:=1.5", "reference_force:compensation.method:=none")
-    page = report_of(tmp_path, JHU, *(word for p in unstable for word in ("-p", p)))
-    check_page(browser, page, least_figures=15)
-    assert "can not be trusted: tripped" in browser.find_element("css selector", ".verdict").text
-
-
 def test_figures_over_time_zoom_together(browser, demo):
     look_at(browser, demo, SCREEN)
     shared = browser.execute_script(

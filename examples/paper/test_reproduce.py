@@ -11,14 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import reproduce
-from claims import (
-    limited,
-    near,
-    of_the_compensation,
-    of_the_delay,
-    of_the_tests,
-    vibration,
-)
+from claims import limited, near, of_the_compensation, of_the_delay, of_the_tests, vibration
 from paper_tests import Outcome
 from seft_msgs_py.wire.outcome import Trip
 from seft_ros.design.plant import Root

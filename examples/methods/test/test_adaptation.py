@@ -2,18 +2,17 @@
 
 import numpy as np
 import pytest
+from compensators import force_section
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, lfilter
 from seft_methods.delay_estimate import DelayEstimator, band_pass
 from seft_methods.settings import read_settings
 from seft_methods.time_series import Ats, parabola_weights
-from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_ros.reference_force.compensator import MethodInputs
 from seft_ros.reference_force.reference_force_block import method_inputs
-from seft_ros.reference_force.reference_force_parameters import REFERENCE_FORCE_TABLE
 
 DT, START, BOUNDS, RATE = 0.002, 0.014, (0.002, 0.04), 0.01
 
@@ -111,18 +110,9 @@ def test_a_parabola_has_its_derivatives(coefficients, count):
 
 
 def ats():
-    section = {
-        "model.mass": 50.0,
-        "model.stiffness": 2e5,
-        "mass_ratio": 1.0,
-        "compensation.method": "ats",
-        "compensation.delay": START,
-    }
-    table = {"reference_force": REFERENCE_FORCE_TABLE}
-    values = resolve(table, {"reference_force": REFERENCE_FORCE_TABLE.check(section)})[
-        "reference_force"
-    ]
-    return Ats(method_inputs(values, ("x",), Timebase.from_rate(500)))
+    method = {"compensation__method": "ats", "compensation__delay": START}
+    section = force_section(model__mass=50.0, model__stiffness=2e5, mass_ratio=1.0, **method)
+    return Ats(method_inputs(section, ("x",), Timebase.from_rate(500)))
 
 
 def force_response(one, frequencies_hz):

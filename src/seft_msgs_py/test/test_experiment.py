@@ -104,13 +104,9 @@ def test_dotted_and_nested_names_are_the_same(load):
         ("/lab/rig: {ros__parameters: {}}", "there is no node /lab/rig"),
         (in_rig("seed: x"), 'rig: seed is "x", but must be a whole number'),
         (in_rig("seed:"), "rig seed has no value"),
-        (in_rig("seed: 1" + "0" * 30), "must be a whole number"),
-        (in_rig("specimen.mass: 1" + "0" * 400), "must be finite"),
-        (in_rig("specimen.mass: .nan"), "specimen.mass is nan, but must be finite"),
         (in_rig("specimen.mass: 2024-01-01"), "must be a number"),
         (in_rig("specimen: 3"), "there is no parameter specimen"),
         (RIG_HAS_MASS + "/**: {ros__parameters: {rate: 333}}", "usable rates are 320 and 400 Hz"),
-        (RIG_HAS_MASS + "/**: {ros__parameters: {axes: x}}", "must be a list of texts"),
         (RIG_HAS_MASS + "/**: {ros__parameters: {axes: [x, x]}}", "names must differ"),
         (RIG_HAS_MASS + f"/**: {{ros__parameters: {{axes: {[*'ab' * 500]}}}}}", "at most 100"),
         (RIG_HAS_MASS + '/**: {ros__parameters: {axes: [""]}}', "names must differ"),
@@ -119,7 +115,6 @@ def test_dotted_and_nested_names_are_the_same(load):
         ("", "holds no node names"),
         ("[rig]", "holds no node names"),
         ("rig: {seed: 1}", "under rig there must be ros__parameters, and only that"),
-        ("rig: {ros__parameters: {}, seed: 1}", "and only that"),
         ("rig: 3", "there must be ros__parameters"),
         ("rig: {ros__parameters: 3}", "must hold names and values"),
         ("rig:\n  ros__parameters:\n\tseed: 1", "line 3 "),
@@ -196,11 +191,8 @@ def test_later_files_win_and_overrides_win_over_files(load):
 @pytest.mark.parametrize(
     ("overrides", "told"),
     [
-        (["rig:sede:=1"], "-p: rig: there is no parameter sede; did you mean seed?"),
         (["mass_ration:=1"], "-p: /**: there is no parameter mass_ration; did you mean mass_ratio"),
-        (["reference_force:mass_ratio:=x"], 'mass_ratio is "x", but must be a number'),
         (["reference_force:mass_ratio:="], "mass_ratio is empty, but must be a number"),
-        (["rate:=333"], "320 and 400"),
     ],
 )
 def test_a_wrong_override_is_refused_like_a_wrong_file(load, overrides, told):
@@ -369,9 +361,7 @@ def test_an_override_for_an_unknown_node_names_the_nearest():
 @pytest.mark.parametrize(
     ("argv", "files", "overrides"),
     [
-        ([], [], []),
         (["node", "--params-file", "no"], [], []),
-        (["node", "--ros-args", "--params-file", "a.yaml"], ["a.yaml"], []),
         (["--ros-args", "--params-file", "a", "--params-file", "b"], ["a", "b"], []),
         (["--ros-args", "-p", "rig:seed:=1"], [], [("rig", "seed", 1)]),
         (["--ros-args", "--param", "rate:=100"], [], [(EVERY_NODE, "rate", 100)]),

@@ -21,7 +21,6 @@ from seft_msgs_py.wire.messages import (
     encode_status,
     encode_string,
 )
-from seft_msgs_py.wire.outcome import Outcome, Trip, read_outcome, rig_status
 from seft_msgs_py.wire.topics import GROUND_MOTION, LOOP_TOPICS, RIG_STATE, Timebase
 from seft_msgs_py.wire.trajectory import TrajectoryCodec, parse_trajectory
 
@@ -74,24 +73,3 @@ def test_decoders_raise_nothing_but_wire_errors(name, data, raw):
                 step, values = found
                 assert step >= 0
                 assert name == RIG_STATE.name or np.isfinite(values).all()  # a sensor may fail
-
-
-TEXTS = st.text(max_size=20) | st.sampled_from(["1", "-1", "nan", "1e999", "9" * 5000, "[]", "{}"])
-
-
-@few
-@given(
-    changed=st.dictionaries(
-        st.sampled_from(["phase", "steps", "missed", "overruns", "missed_steps", "saturated"])
-        | st.sampled_from(["wall_s", "reason", "step"]),
-        TEXTS,
-    ),
-    dropped=st.sets(st.sampled_from(["steps", "missed", "step", "reason", "missed_steps"])),
-    tripped=st.booleans(),
-)
-def test_the_end_of_a_test_is_read_or_refused(changed, dropped, tripped):
-    trip = Trip("limit", 3, 0.006) if tripped else None
-    good = rig_status(Outcome("tripped" if tripped else "finished", 9, 1, [3], 1.0, trip))
-    values = {key: value for key, value in good.values.items() if key not in dropped} | changed
-    with contextlib.suppress(WireError):
-        read_outcome(Status("rig", 0, "", values=values), TIMEBASE)

@@ -77,10 +77,12 @@ def test_a_missing_value_is_named(key):
         read_outcome(status, TIMEBASE)
 
 
-def test_a_value_that_is_no_number_is_refused():
-    status = rig_status(Outcome("finished", 9, 0, [], 1.0))
-    status.values["steps"] = "many"
-    with pytest.raises(WireError, match="many"):
+@pytest.mark.parametrize("text", ["many", "nan", "9" * 5000, "{}"])
+@pytest.mark.parametrize("key", ["steps", "missed", "missed_steps", "step"])
+def test_a_value_that_is_no_number_is_refused(key, text):
+    status = rig_status(Outcome("tripped", 9, 0, [], 1.0, Trip("limit", 7, 0.014)))
+    status.values[key] = text
+    with pytest.raises(WireError):
         read_outcome(status, TIMEBASE)
 
 

@@ -11,12 +11,14 @@ from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.outcome import Outcome, Trip, all_saturated
 from seft_msgs_py.wire.topics import (
     CLOCK_TOPIC,
+    LOOP_TOPICS,
     QUANTITIES,
     RIG_STATE,
     START,
     TOPICS,
     RigAxes,
     Timebase,
+    rehearsed,
     rigs_of,
     topics_of,
     until_start,
@@ -76,6 +78,13 @@ def test_each_rig_has_nodes_and_topics_of_its_own():
     assert topics["experiment/state"].subscribers == ("ground_motion", "west/rig", "east/rig")
     assert topics[CLOCK_TOPIC.name].publisher == "west/rig"
     assert with_rigs(["rig", "recorder"], (WEST, EAST)) == ["west/rig", "east/rig", "recorder"]
+
+
+def test_a_rehearsal_has_topics_that_no_bag_holds_and_no_test_has():
+    for topic in LOOP_TOPICS:
+        own = rehearsed(topic)
+        assert (own.name, own.recorded) == (f"rehearsal/{topic.name}", False)
+        assert own != topic and own.quantities == topic.quantities
 
 
 def test_rigs_start_together_if_their_clocks_agree():

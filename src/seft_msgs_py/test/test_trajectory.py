@@ -77,7 +77,7 @@ def cdr(codec, step, values, pad=b"\x00", end=b"", frame_id="", options=b"\x00\x
 
 
 def ros_message(codec, step, values):
-    message = JointTrajectory(joint_names=codec.axes)
+    message = JointTrajectory(joint_names=list(codec.axes))
     stamp = message.header.stamp
     stamp.sec, stamp.nanosec = divmod(step * codec.timebase.period_ns, 10**9)
     for index, point in enumerate(values):
@@ -88,25 +88,6 @@ def ros_message(codec, step, values):
     return message
 
 
-def assert_holds(message, codec, step, values):
-    """A message of rclpy or rosbags has these names, times and values, bit for bit."""
-    stamp = message.header.stamp
-    assert stamp.sec * 10**9 + stamp.nanosec == step * 2_000_000
-    assert message.header.frame_id == ""
-    assert tuple(message.joint_names) == codec.axes
-    assert len(message.points) == len(values)
-    for index, point in enumerate(message.points):
-        after = point.time_from_start
-        assert (after.sec, after.nanosec) == (0, index * 2_000_000)
-        for name in QUANTITIES:
-            got = np.asarray(getattr(point, name), dtype=np.float64)
-            if name in codec.topic.quantities:
-                expected = values[index, codec.topic.quantities.index(name)]
-                assert got.tobytes() == expected.tobytes()
-            else:
-                assert not got.size
-
-
 def assert_decodes(codec, raw, step, values):
     got_step, got = codec.decode(raw)
     assert got_step == step
@@ -115,11 +96,15 @@ def assert_decodes(codec, raw, step, values):
 
 
 @given(messages())
-def test_rclpy_and_rosbags_read_the_samples_bit_for_bit(message):
+def test_rclpy_and_rosbags_read_the_samples_as_they_are(message):
     codec, step, values = message
     raw = codec.encode_points(step, values)
-    assert_holds(serialization.deserialize_message(raw, JointTrajectory), codec, step, values)
-    assert_holds(typestore().deserialize_cdr(raw, JOINT_TRAJECTORY), codec, step, values)
+    expected = ros_message(codec, step, values)
+    assert serialization.deserialize_message(raw, JointTrajectory) == expected
+    found = typestore().deserialize_cdr(raw, JOINT_TRAJECTORY)
+    for point, wanted in zip(found.points, expected.points, strict=True):
+        for name in QUANTITIES:
+            assert getattr(point, name).tolist() == list(getattr(wanted, name))
 
 
 @given(messages())

@@ -14,7 +14,7 @@ import llvmlite.binding as llvm
 import numba as typed_numba
 import numpy as np
 from numba.core import caching
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Floats, Ints
 
 numba: Any = typed_numba  # older versions have no types
 # most loops run over few axes, so that loop vectorisation costs more than it saves; vectorisation
@@ -141,7 +141,9 @@ def _one_at_a_time(function: Any, signature: Any) -> Iterator[None]:
 def kind_of(argument: Any) -> Any:
     """Give what numba's type of an argument depends on."""
     if isinstance(argument, np.ndarray):
-        return argument.dtype.char, argument.ndim, argument.flags.num
+        flags = argument.flags
+        layout = "C" if flags.c_contiguous else "F" if flags.f_contiguous else "A"
+        return argument.dtype.char, argument.ndim, layout, flags.writeable, flags.aligned
     if isinstance(argument, tuple):
         return type(argument), *map(kind_of, argument)
     return type(argument)
@@ -159,6 +161,15 @@ def code_folder(folder: Path) -> Path:
             texts.update(file.read_bytes())
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     return home / "seft" / texts.hexdigest()[:16]
+
+
+def places(count: int) -> tuple[int, ...] | Ints:
+    """Give 0 to count - 1, so that a step that counts them has machine code of its own for one.
+
+    The length of a tuple is known when a step is compiled, and a loop over one place is none, which
+    saves most of the time of a test of one axis. All others share one machine code.
+    """
+    return (0,) if count == 1 else np.arange(count)
 
 
 @compiled

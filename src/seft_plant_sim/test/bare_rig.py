@@ -1,4 +1,4 @@
-"""A rig of which the true samples count, and parameters for rigs."""
+"""A rig of which the true samples count, and parameters for rigs and other nodes."""
 
 from dataclasses import replace
 
@@ -19,12 +19,18 @@ FRAME = {
 """Specimen of two storeys."""
 
 
+def section_of(table, **values):
+    """Section of a table's defaults with changes; a double underscore stands for a dot."""
+    named = {name.replace("__", "."): value for name, value in values.items()}
+    return resolve({table.node: table}, {table.node: table.check(named)})[table.node]
+
+
 def rig_section(group="", /, **values):
     """Section of the table's defaults with changes in a group; a double underscore is a dot."""
     named = {group + name.replace("__", "."): value for name, value in values.items()}
     unzeroed = {"calibration.zeroing": 0.0}  # its sensors show what they do
     given = {"specimen.mass": 52.7, "specimen.stiffness": 2.11e5} | unzeroed | named
-    return resolve({"rig": RIG_TABLE}, {"rig": RIG_TABLE.check(given)})["rig"]
+    return section_of(RIG_TABLE, **given)
 
 
 class BareRig(Rig):

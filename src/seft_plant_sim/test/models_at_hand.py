@@ -46,13 +46,6 @@ class Maxwell(Spring):
         return 1e4 * (displacement - 0.1 * relaxed)
 
 
-class Named(Spring):
-    """A spring below the first internal degree of freedom."""
-
-    def __init__(self):
-        super().__init__(["internal 1"])
-
-
 class Told(Spring):
     stiffness = 7.0
 
@@ -66,11 +59,6 @@ class Stepless:
 
     def start(self, dt, axes):
         pass
-
-
-class Nameless(Spring):
-    def __init__(self):
-        super().__init__(["roof"])
 
 
 class Unmade(Spring):

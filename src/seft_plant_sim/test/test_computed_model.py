@@ -83,9 +83,12 @@ def test_a_force_that_depends_on_displacement_alone_is_known_as_such(
     assert model_of(file, name, settings).probed.is_static is is_static
 
 
+BELOW = """'axes=["internal 1"]'"""  # the first internal degree of freedom
+
+
 def test_a_model_acts_on_the_internal_degree_of_freedom_that_it_names(file):
     more = {"computed__internal": 1, "computed__mass": [0.0, M, M, 3 * M]}  # a base that moves
-    whole = ComputedSubstructure.from_parameters(section(file, "Named", **more), ("x",))
+    whole = ComputedSubstructure.from_parameters(section(file, "Spring", BELOW, **more), ("x",))
     assert np.allclose(whole.stiffness, [[0.0, 0.0], [0.0, 1e5]])
     own = whole.without_inertial_coupling()
     # the base goes by -M / 3M of the axis's displacement, where the centre of mass rests
@@ -107,9 +110,9 @@ def test_a_model_acts_on_the_internal_degree_of_freedom_that_it_names(file):
             "axes of .*Spring are None, but must be their number, or different ones of x",
         ),
         (
-            "Nameless",
-            "",
-            "axes of .*Nameless are .'roof'., but must be their number, or different ones of x",
+            "Spring",
+            """'axes=["roof"]'""",
+            "axes of .*Spring are .'roof'., but must be their number, or different ones of x",
         ),
         ("Stepless", "", "has no step.t, displacement, velocity, ground_acceleration."),
         ("Unmade", "", "models.py:Unmade line [0-9]+, made: no such thing"),

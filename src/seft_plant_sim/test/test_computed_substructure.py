@@ -9,6 +9,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_plant_sim.whole_structure import RunningResponse, reference_response
+from structures_at_hand import as_lists, structure
 
 NOTHING = {
     "mass_ratio": 1.0,
@@ -26,33 +27,9 @@ def computed_of(axes=("x",), **given_values):
     return ComputedSubstructure.from_parameters(NOTHING | given_values, axes)
 
 
-def positive(rng, size, scale):
-    """Symmetric positive definite matrix."""
-    root = rng.normal(size=(size, size))
-    return scale * (root @ root.T / size + 0.3 * np.eye(size))
-
-
-def structure(rng, axes, internal):
-    """Parameters of a specimen and of a computed substructure, coupled in everything."""
-    size = axes + internal
-    return {
-        "model.mass": positive(rng, axes, 50.0),
-        "model.damping": positive(rng, axes, 400.0),
-        "model.stiffness": positive(rng, axes, 2e5),
-        "computed.mass": positive(rng, size, 40.0),
-        "computed.damping": positive(rng, size, 200.0),
-        "computed.stiffness": positive(rng, size, 1e5),
-        "computed.internal": internal,
-        "computed.influence": rng.normal(size=(internal, axes)) if internal else 0.0,
-    }
-
-
 def experiment_of(values, axes, rate=500.0):
-    section = {name: np.ravel(value).tolist() for name, value in values.items()}
-    section |= {"computed.internal": values["computed.internal"], "mass_ratio": 1.0}
-    if not values["computed.internal"]:
-        section["computed.influence"] = 0.0
-    section |= {"method": "seft", "rate": rate, "axes": [f"axis {i}" for i in range(axes)]}
+    section = {"computed.influence": 0.0, "method": "seft", "rate": rate}
+    section |= {"axes": [f"axis {i}" for i in range(axes)], **as_lists(values)}
     return Experiment({"reference_force": section})
 
 

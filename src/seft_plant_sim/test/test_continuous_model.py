@@ -52,18 +52,3 @@ def test_the_response_is_that_of_the_equations_by_hand(hz):
     specimen = M * s**2 + C * s + K
     for row, factor in enumerate([1 / specimen, s / specimen, s**2 / specimen, 1.0]):
         assert response(row, hz) == pytest.approx(force * factor, rel=1e-9)
-
-
-def test_axes_are_coupled_by_the_specimen_alone():
-    mass = np.array([[2.0, 0.5], [0.5, 1.0]])
-    pair = Specimen(mass, np.zeros((2, 2)), np.diag([100.0, 200.0]))
-    values = np.array([[1e5, 2e5], [3.0, 4.0], [0.1, 0.2], [50.0, 60.0], [0.7, 0.8]])
-    names = ("oil_stiffness", "leakage", "flow_gain", "valve_frequency", "valve_damping")
-    given = {name: row.tolist() for name, row in zip(names, values, strict=True)}
-    model = servo_hydraulic(pair, hydraulics(pair, ("x", "y"), **given), linear=True)
-    x, v, f, w = (np.eye(10)[2 * i] + 2 * np.eye(10)[2 * i + 1] for i in range(4))
-    np.testing.assert_allclose((model.a @ f)[2:4], np.linalg.solve(mass, [1, 2]))
-    np.testing.assert_allclose((model.a @ x)[2:4], np.linalg.solve(mass, [-100, -400]))
-    np.testing.assert_allclose((model.a @ v)[4:6], [-1e5, -4e5])
-    np.testing.assert_allclose((model.a @ f)[4:6], [-3, -8])
-    np.testing.assert_allclose((model.a @ w)[4:6], [1e4, 8e4])

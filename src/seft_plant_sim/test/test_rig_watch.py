@@ -11,14 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.node.clock import MACHINE
-from seft_msgs_py.wire.messages import (
-    ERROR,
-    OK,
-    WARN,
-    Status,
-    encode_diagnostics,
-    encode_status,
-)
+from seft_msgs_py.wire.messages import ERROR, OK, WARN, Status, encode_diagnostics, encode_status
 from seft_msgs_py.wire.outcome import RECORDED, RECORDER_NODE_NAME, ROUND_TRIPS, STOPPED
 from seft_msgs_py.wire.topics import REHEARSE, VALVE_COMMAND
 from seft_plant_sim import rig_watch

@@ -6,11 +6,7 @@ from hypothesis import strategies as st
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.specimen import Specimen
-from seft_plant_sim.springs import (
-    HYSTERETIC,
-    SPRING_BESIDE,
-    Z_Y,
-)
+from seft_plant_sim.springs import HYSTERETIC, SPRING_BESIDE, Z_Y
 
 STOREYS = np.array([[1.0, 0.0, 0.0], [-1.0, 1.0, 0.0], [0.0, -1.0, 1.0]])  # of a shear frame
 

@@ -13,9 +13,7 @@ DAMPING = np.array([[900.0, -200.0, 0.0], [-200.0, 700.0, -100.0], [0.0, -100.0,
 STIFFNESS = np.array([[3.0e5, -1.0e5, 0.0], [-1.0e5, 2.5e5, -0.8e5], [0.0, -0.8e5, 0.9e5]])
 
 
-def experiment(
-    mass=M, damping=C, stiffness=K, *, ratio=0.0, method="seft", rate=500.0, model=None, rig=True
-):
+def experiment(mass=M, damping=C, stiffness=K, *, ratio=0.0, method="seft", rate=500.0, model=None):
     """Experiment of a specimen; the model's mass is the specimen's unless it is given."""
     axes = [f"axis {index}" for index in range(np.atleast_2d(mass).shape[0])]
     common = {"rate": rate, "axes": axes}
@@ -25,10 +23,8 @@ def experiment(
     reference_force |= {f"model.{name}": value for name, value in specimen.items()}
     if model is not None:
         reference_force["model.mass"] = np.ravel(model).tolist()
-    sections = {"reference_force": common | reference_force}
-    if rig:
-        sections["rig"] = common | {f"specimen.{name}": v for name, v in specimen.items()}
-    return Experiment(sections)
+    rig = common | {f"specimen.{name}": value for name, value in specimen.items()}
+    return Experiment({"reference_force": common | reference_force, "rig": rig})
 
 
 def sdof(w, zeta, motion, dt):
@@ -85,20 +81,3 @@ def test_coupled_axes_move_by_their_equation_and_the_force_is_that_of_the_method
         scale = np.abs(own).max()
         np.testing.assert_allclose((r.acceleration + motion) @ whole, -own, atol=1e-9 * scale)
         np.testing.assert_allclose(r.force, force, atol=1e-9 * np.abs(force).max())
-
-
-def test_without_a_simulated_rig_the_model_is_the_specimen():
-    motion = np.random.default_rng(5).normal(size=(100, 3))
-    parameters = {"ratio": 0.5, "mass": MASS, "damping": DAMPING, "stiffness": STIFFNESS}
-    with_rig, without = (
-        reference_response(experiment(**parameters, rig=rig), motion) for rig in (True, False)
-    )
-    np.testing.assert_array_equal(with_rig.displacement, without.displacement)
-    np.testing.assert_array_equal(with_rig.force, without.force)
-
-
-def test_every_sample_of_the_motion_has_a_response():
-    for steps in (1, 2, 7):
-        response = reference_response(experiment(), np.zeros((steps, 1)))
-        for array in (response.displacement, response.velocity, response.acceleration):
-            np.testing.assert_array_equal(array, np.zeros((steps, 1)))

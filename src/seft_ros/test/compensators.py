@@ -3,7 +3,7 @@
 import json
 
 import numpy as np
-from seft_msgs_py.config.parameter_table import resolve
+from bare_rig import section_of
 from seft_msgs_py.wire.topics import Timebase
 from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
 from seft_ros.reference_force.reference_force_block import method_inputs
@@ -14,10 +14,8 @@ M, C, K, DT, DELAY = 52.7, 800.3, 2.11e5, 0.002, 0.0133
 
 def force_section(**values):
     """Section of the table's defaults with changes; a double underscore stands for a dot."""
-    named = {name.replace("__", "."): value for name, value in values.items()}
-    given = {"model.mass": M, "model.stiffness": K} | named
-    node = REFERENCE_FORCE_TABLE.node
-    return resolve({node: REFERENCE_FORCE_TABLE}, {node: REFERENCE_FORCE_TABLE.check(given)})[node]
+    given = {"model.mass": M, "model.stiffness": K} | values
+    return section_of(REFERENCE_FORCE_TABLE, **given)
 
 
 def compensator(method, axes=("x",), rate=500, told=(), **values):

@@ -1,4 +1,4 @@
-"""Records with samples lost, texts as a terminal shows them, and disks with little room."""
+"""Records, also with samples lost, texts as a terminal shows them, and disks with little room."""
 
 import dataclasses
 import io
@@ -8,7 +8,31 @@ import sys
 import numpy as np
 import pytest
 from rich.console import Console
-from seft_ros.bags.record import Series
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.wire.topics import LOOP_TOPICS
+from seft_ros.bags.record import Record, Series
+
+
+def noise_record(count, axes=("x", "y"), rate=500.0, **facts):
+    """Record of a test with noise on every topic."""
+    rng, steps = np.random.default_rng(5), np.arange(count)
+    shapes = {topic.name: (count, len(topic.quantities), len(axes)) for topic in LOOP_TOPICS}
+    series = {name: Series(steps, rng.normal(size=shape)) for name, shape in shapes.items()}
+    return Record(Experiment({"rig": {"rate": rate, "axes": list(axes)}}), series, **facts)
+
+
+def record_of(test, ground, states, forces=None, **facts):
+    """Record of a test with this ground motion (N, n), states (N, 4, n) and reference forces."""
+    steps = np.arange(len(states))
+    none = np.zeros((len(states), 1, len(test.axes)))
+    series = {
+        "ground_motion": Series(steps, ground[:, np.newaxis]),
+        "rig/state": Series(steps, states),
+        "rig/judged": Series(steps, states),  # the same array
+        "reference_force": Series(steps, none if forces is None else forces),
+        "valve_command": Series(steps, none.copy()),
+    }
+    return Record(test, series, **facts)
 
 
 def as_measured(record, states):

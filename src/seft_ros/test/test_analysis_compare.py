@@ -6,18 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from records_at_hand import shown
-from seft_msgs_py.config.experiment import Experiment
+from records_at_hand import noise_record, shown
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.comparison import compare_records
 from seft_ros.analysis.figures import comparison_figure
 from seft_ros.analysis.result_text import comparison_texts
-from seft_ros.bags.record import (
-    Estimates,
-    Record,
-    Series,
-)
+from seft_ros.bags.record import Estimates
 
 AXES = ("x", "y")
 COUNT = 40
@@ -30,11 +25,10 @@ PLACES = [
 
 
 def make_record(count=COUNT, rate=500.0, axes=AXES, missed=0, start=0):
-    rng = np.random.default_rng(5)
-    steps = np.arange(start, count)
-    shapes = {topic.name: (COUNT, len(topic.quantities), len(axes)) for topic in LOOP_TOPICS}
-    series = {name: Series(steps, rng.normal(size=shape)[steps]) for name, shape in shapes.items()}
-    return Record(Experiment({"rig": {"rate": rate, "axes": list(axes)}}), series, missed=missed)
+    record = noise_record(COUNT, axes, rate, missed=missed)
+    kept = np.arange(start, count)
+    series = {name: whole.of_steps(kept) for name, whole in record.series.items()}
+    return dataclasses.replace(record, series=series)
 
 
 def test_the_same_samples_are_identical():

@@ -8,10 +8,9 @@ import pytest
 from experiments_at_hand import load
 from hypothesis import given
 from hypothesis import strategies as st
-from records_at_hand import as_measured
+from records_at_hand import as_measured, record_of
 from scipy.signal import find_peaks
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_plant_sim.whole_structure import reference_response, whole_structure
 from seft_ros.analysis.equivalent_motion import (
     EquivalentMotion,
@@ -23,10 +22,7 @@ from seft_ros.analysis.equivalent_motion import (
 from seft_ros.analysis.metrics import delayed
 from seft_ros.analysis.summary import summarise
 from seft_ros.analysis.tracking import tracked_of, tracking_error_of, tracking_of
-from seft_ros.bags.record import (
-    Record,
-    Series,
-)
+from seft_ros.bags.record import Series
 
 COUNT = 1500
 CONFIGS = ("jhu", "three_storey_frame", "water_tower", "two_pier_bridge")
@@ -61,21 +57,6 @@ def states_of(test, motion):
     exact = reference_response(test, motion)
     names = ("displacement", "velocity", "acceleration", "force")
     return np.stack([getattr(exact, name) for name in names], axis=1)
-
-
-def make_record(test, asked, states, forces=None):
-    """A test that was asked for one ground motion and has these states."""
-    steps = np.arange(len(states))
-    none = np.zeros((len(states), 1, len(test.axes)))
-    series = {
-        "ground_motion": Series(steps, asked[:, np.newaxis]),
-        "rig/state": Series(steps, states),
-        "rig/judged": Series(steps, states),
-        "reference_force": Series(steps, none if forces is None else forces),
-        "valve_command": Series(steps, none.copy()),
-    }
-    assert set(series) == {topic.name for topic in LOOP_TOPICS}
-    return Record(test, series)
 
 
 def equivalent_of(test, states):
@@ -119,7 +100,7 @@ def test_the_difference_is_the_error_of_a_linear_test(config):
     test = experiment(config)
     motion = ground(test)
     wrong = motion + 0.2 * ground(test, seed=2)
-    record = make_record(test, motion, states_of(test, wrong))
+    record = record_of(test, motion, states_of(test, wrong))
     summary = summarise(record)
     true, found = summary["displacement"]["nrmse"], summary["equivalent_motion"]
     assert true > 0.05
@@ -130,7 +111,7 @@ def test_the_difference_is_the_error_of_a_linear_test(config):
 def test_a_larger_motion_differs_as_much_everywhere():
     test = experiment("three_storey_frame")
     motion = ground(test)
-    found = motion_difference(make_record(test, motion, states_of(test, 1.1 * motion)))
+    found = motion_difference(record_of(test, motion, states_of(test, 1.1 * motion)))
     np.testing.assert_allclose(found.tried_nrmse, 0.1, rtol=1e-9)
     np.testing.assert_allclose(found.tested, 1.1 * found.asked, rtol=1e-9)
     assert found.numbers()["spectrum_deviation"] == pytest.approx(0.1)
@@ -145,22 +126,22 @@ def test_half_cycles_tell_the_stiffness_that_a_specimen_had():
     states = states_of(test, ground(test))
     mass, stiffness = np.array([[52.7]]), np.array([[2 * 2.11e5]])
     np.testing.assert_allclose(secant_stiffness(states, mass, stiffness), 0.5, rtol=0.02)
-    found = motion_difference(make_record(test, ground(test), states))
+    found = motion_difference(record_of(test, ground(test), states))
     np.testing.assert_allclose(found.factors[[0, -1]], [0.25, 1.0], rtol=0.02)
 
 
 def test_friction_widens_the_band_to_stiffer_structures():
     sections = experiment().sections
     test = Experiment(sections | {"rig": sections["rig"] | FRICTION})
-    record = make_record(test, ground(test), states_of(test, ground(test)))
-    linear = make_record(experiment(), ground(test), states_of(experiment(), ground(test)))
+    record = record_of(test, ground(test), states_of(test, ground(test)))
+    linear = record_of(experiment(), ground(test), states_of(experiment(), ground(test)))
     assert motion_difference(record).factors[-1] > 1.3 * motion_difference(linear).factors[-1]
 
 
 def test_samples_that_are_lost_are_bridged():
     test = experiment()
     motion = ground(test)
-    record = make_record(test, motion, states_of(test, motion))
+    record = record_of(test, motion, states_of(test, motion))
     series = record.series["rig/state"]
     kept = ~np.isin(series.steps, [300, 301, 900])
     lost = Series(series.steps[kept], series.values[kept])
@@ -172,7 +153,7 @@ def test_samples_that_are_lost_are_bridged():
 def test_what_can_not_be_known_is_null(what):
     test = experiment()
     motion = ground(test)
-    record = make_record(test, motion, states_of(test, motion))
+    record = record_of(test, motion, states_of(test, motion))
     series = dict(record.series)
     topic = "ground_motion" if what == "no motion" else "rig/state"
     cut = slice(COUNT, None) if what == "empty" else slice(1, None)
@@ -190,7 +171,7 @@ def test_what_can_not_be_known_is_null(what):
 
 def test_a_motion_of_zeros_has_no_difference_but_no_error_either():
     test = experiment()
-    record = make_record(test, np.zeros((COUNT, 1)), np.zeros((COUNT, 4, 1)))
+    record = record_of(test, np.zeros((COUNT, 1)), np.zeros((COUNT, 4, 1)))
     found = summarise(record)["equivalent_motion"]
     assert found["response_nrmse"] is found["spectrum_deviation"] is None
     json.dumps(found, allow_nan=False)
@@ -203,7 +184,7 @@ def test_a_method_that_sends_ahead_is_held_against_what_it_meant(config):
     states = states_of(test, motion)
     force = states[:, 3]
     ahead = np.stack([delayed(y, -0.014, test.timebase.dt) for y in force.T], axis=1)
-    record = make_record(test, motion, states, ahead[:, np.newaxis])
+    record = record_of(test, motion, states, ahead[:, np.newaxis])
     assert tracked_of(record).derived
     found = tracking_of(record)
     for axis in test.axes:
@@ -218,11 +199,11 @@ def test_a_reference_force_with_a_target_tells_both_motion_and_force():
     test = experiment(reference_force__compensation__method="none")
     states = states_of(test, ground(test))
     targets = np.stack([0.9 * states[:, 0], states[:, 1], states[:, 3]], axis=1)
-    record = make_record(test, ground(test), states, targets)
+    record = record_of(test, ground(test), states, targets)
     assert tracking_error_of(record)["nrmse"] == pytest.approx(0.1)
     assert tracking_of(record)["x"]["nrmse"] == 0.0
     assert summarise(record)["tracking_error"]["nrmse"] == pytest.approx(0.1)
-    assert tracking_error_of(make_record(test, ground(test), states)) is None
+    assert tracking_error_of(record_of(test, ground(test), states)) is None
 
 
 @given(

@@ -5,19 +5,11 @@ import json
 import math
 
 import numpy as np
-import pytest
-from records_at_hand import shown
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.wire.outcome import Trip
-from seft_msgs_py.wire.topics import LOOP_TOPICS
+from records_at_hand import noise_record, shown
 from seft_ros.analysis.figures import test_figure as draw
 from seft_ros.analysis.result_text import summary_texts
 from seft_ros.analysis.summary import summarise
-from seft_ros.bags.record import (
-    Estimates,
-    Record,
-    Series,
-)
+from seft_ros.bags.record import Estimates
 
 DELAY = np.array([[0.010, 0.010], [0.0141, 0.009], [0.0136, 0.012]])
 STIFFNESS = np.array([[2.11e5, 3e5], [2.0e5, 3.1e5], [1.9e5, 3.2e5]])
@@ -25,14 +17,8 @@ STEPS = np.array([0, 50, 100])
 
 
 def make_record(axes=("x",), names=("delay", "stiffness"), **changes):
-    steps = np.arange(120)
-    series = {
-        topic.name: Series(steps, np.ones((120, len(topic.quantities), len(axes))))
-        for topic in LOOP_TOPICS
-    }
     values = np.stack([DELAY, STIFFNESS], axis=1)[:, :, : len(axes)].copy()
-    experiment = Experiment({"rig": {"rate": 500.0, "axes": list(axes)}})
-    record = Record(experiment, series, estimates=Estimates(STEPS, values, names))
+    record = noise_record(120, axes, estimates=Estimates(STEPS, values, names))
     return dataclasses.replace(record, **changes)
 
 
@@ -80,21 +66,10 @@ def test_where_nothing_is_wrong_the_summary_names_neither_detectors_nor_estimate
         assert ("stiffness as identified" in text) is told
 
 
-@pytest.mark.parametrize("axes", [("x",), ("x", "y")])
-def test_a_figure_has_a_small_panel_for_each_estimate_and_axis(axes):
-    plain = draw(make_record(axes, estimates=None), None)
-    record = make_record(axes, trip=Trip("limit", 110, 0.22))
-    drawn = draw(record, None)
-    panels = np.array(drawn.axes).reshape(5, len(axes))
-    assert len(plain.axes) == 3 * len(axes)
-    assert drawn.get_size_inches()[1] > plain.get_size_inches()[1]
-    drawn.draw_without_rendering()
-    heights = [panel.get_window_extent().height for panel in panels[:, 0]]
-    assert max(heights[3:]) < 0.7 * min(heights[:3])
+def test_a_figure_has_a_panel_for_each_estimate_and_axis():
+    drawn = draw(make_record(("x", "y")), None)
+    panels = np.array(drawn.axes).reshape(5, 2)
     assert [panel.get_ylabel() for panel in panels[3:, 0]] == ["delay\n/ ms", "stiffness\n/ kN/m"]
-    for column in range(len(axes)):
-        course, trip = panels[4, column].lines
-        np.testing.assert_allclose(course.get_xdata(), [0.0, 0.1, 0.2])
-        np.testing.assert_allclose(course.get_ydata(), STIFFNESS[:, column] / 1e3)
-        assert list(trip.get_xdata()) == [0.22, 0.22]
-        assert panels[4, column].get_xlabel() == "time / s"
+    (course,) = panels[4, 1].lines
+    np.testing.assert_allclose(course.get_xdata(), [0.0, 0.1, 0.2])
+    np.testing.assert_allclose(course.get_ydata(), STIFFNESS[:, 1] / 1e3)

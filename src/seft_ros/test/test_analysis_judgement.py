@@ -198,33 +198,29 @@ def test_programs_find_the_same_as_people():
 
 
 @pytest.mark.parametrize(
-    ("kind", "numbers", "text"),
+    ("numbers", "text"),
     [
         (
-            "mass",
             deviation("mass", "force", 55.2, 52.7, 0.3, 0.0412),
             "mass 55.2 +- 0.3 kg, told 52.7 kg: the displacement may be 4.1 % wrong",
         ),
         (
-            "scale",
             deviation("scale", "acceleration", 0.98, 1.0, 0.001, 0.03),
             "acceleration is 2.00 % smaller than the displacement says: the displacement may be "
             "3 % wrong",
         ),
         (
-            "scale",
             deviation("scale", "acceleration", 0.05, 0.0, 0.001, 0.03, part_of="y"),
             "acceleration shows 5.00 % of that of y: the displacement may be 3 % wrong",
         ),
         (
-            "lag",
             deviation("lag", "force", -4e-4, 0.0, 1e-5, 0.12),
             "force is 0.4 ms ahead of the acceleration: the displacement may be 12 % wrong",
         ),
     ],
 )
-def test_a_wrong_mass_scale_or_lag_is_said_in_one_line(kind, numbers, text):
-    judgement = judge_test(changed(**{f"calibration__{kind}": numbers}))
+def test_a_wrong_mass_scale_or_lag_is_said_in_one_line(numbers, text):
+    judgement = judge_test(changed(**{f"calibration__{numbers['kind']}": numbers}))
     assert judgement.text == f"This test can be trusted with reservations: {text}."
 
 

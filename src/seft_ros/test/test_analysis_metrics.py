@@ -119,12 +119,14 @@ def test_a_constant_has_no_delay():
     assert found == Agreement(pytest.approx(0.1), pytest.approx(0.1), 3.3, 3.0, 0.0)
 
 
-def test_against_a_zero_reference_errors_and_delay_are_undefined():
-    found = agreement(motion(), np.zeros_like(TIME), DT)
-    assert math.isnan(found.nrmse)
-    assert math.isnan(found.nrmse_aligned)
-    assert math.isnan(found.delay_s)
-    assert found.reference_peak == 0.0
+EMPTY = np.empty((0, 2))
+
+
+@pytest.mark.parametrize(("y", "reference"), [(motion(), 0.0 * TIME), (EMPTY, EMPTY)])
+def test_against_zeros_and_without_samples_errors_and_delay_are_undefined(y, reference):
+    found = agreement(y, reference, DT)
+    assert np.isnan([found.nrmse, found.nrmse_aligned, found.delay_s]).all()
+    assert math.isnan(found.peak) == math.isnan(found.reference_peak) == (not len(y))
 
 
 def test_a_response_of_zeros_is_all_error_and_has_no_delay():
@@ -138,16 +140,9 @@ def test_a_value_that_is_not_finite_makes_the_errors_undefined(value):
     y = motion()
     y[7] = value
     found = agreement(y, motion(), DT)
-    assert math.isnan(found.nrmse)
-    assert math.isnan(found.nrmse_aligned)
-    assert math.isnan(found.delay_s)
+    assert np.isnan([found.nrmse, found.nrmse_aligned, found.delay_s]).all()
     assert not math.isfinite(found.peak)
     assert math.isnan(best_fit_delay(y, motion(), DT))
-
-
-def test_no_samples_have_no_measures():
-    found = agreement(np.empty((0, 2)), np.empty((0, 2)), DT)
-    assert all(math.isnan(value) for value in vars(found).values())
 
 
 def test_lost_steps_are_bridged_for_the_delay_and_left_out_of_the_errors():

@@ -125,6 +125,7 @@ def test_the_report_of_a_damaged_bag_names_what_is_missing(whole, seft, tmp_path
     assert status == 1
     missing = [line for line in summary["damage"] if line.startswith("rig/state: ")]
     assert missing[0].startswith(f"rig/state: {summary['lost']['rig/state']} of ")
+    assert " steps are missing, " in missing[0]
     page = (path / "report.html").read_text()
     assert "the bag is damaged" in page
     assert "fails its checksum" in page

@@ -6,13 +6,14 @@ from bags_at_hand import contents
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from records_at_hand import noise_record
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.outcome import Simulated, Trip
 from seft_msgs_py.wire.topics import GROUND_MOTION, LOOP_TOPICS, Timebase
 from seft_msgs_py.wire.trajectory import TrajectoryCodec, parse_trajectory
 from seft_ros.bags.gathering import SeriesGatherer
 from seft_ros.bags.message_blocks import MessageBlock
-from seft_ros.bags.record import Estimates, Record, Series
+from seft_ros.bags.record import Estimates, Series
 from seft_ros.bags.record_bag import read_bag, write_record
 
 AXES = ("x", "y")
@@ -25,14 +26,8 @@ FINITE = st.floats(allow_nan=False, allow_infinity=False)
 
 
 def make_record(count=250, **changes):
-    rng = np.random.default_rng(1)
-    steps = np.arange(count)
-    series = {
-        topic.name: Series(steps, rng.normal(size=(count, len(topic.quantities), 2)))
-        for topic in LOOP_TOPICS
-    }
-    record = Record(EXPERIMENT, series, wall_s=0.123, environment=ENVIRONMENT)
-    return dataclasses.replace(record, **changes)
+    record = noise_record(count, AXES, wall_s=0.123, environment=ENVIRONMENT)
+    return dataclasses.replace(record, experiment=EXPERIMENT, **changes)
 
 
 def make_estimates(steps=range(0, 250, 100)):

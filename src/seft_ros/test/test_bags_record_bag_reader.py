@@ -82,23 +82,6 @@ def write(path, messages):
     return path
 
 
-def test_a_test_is_read_back(tmp_path):
-    record = read_bag(write(tmp_path / "bag", TEST))
-    assert record.experiment.sections == NODES
-    assert record.experiment.axes == AXES
-    assert record.experiment.timebase == TIMEBASE
-    assert record.environment == {**ENVIRONMENT, "undecodable": 0}
-    assert record.complete
-    assert record.trip is None
-    assert (record.missed, record.missed_steps, record.wall_s) == (2, [4, 6], 1.25)
-    for topic in LOOP_TOPICS:
-        assert record.series[topic.name].steps.tolist() == list(range(10))
-        assert record.series[topic.name].values.shape == (10, len(topic.quantities), 2)
-    assert np.array_equal(record.series["rig/state"].values, [states(k) for k in range(10)])
-    assert record.series["ground_motion"].values[7].tolist() == [[7.0, -7.0]]
-    assert record.series["valve_command"].values[9].tolist() == [[-9.0, -9.0]]
-
-
 def test_each_sample_has_the_time_its_message_was_received(tmp_path):
     late = [(RIG_STATE, CODECS["rig/state"].encode(3, states(99)))]
     messages = [*description(), motion(0, 10), *loop([0, 3, 1]), *late, *loop([2])]
@@ -160,15 +143,6 @@ def test_estimates_that_do_not_fit_the_test_are_left_out_and_counted(tmp_path):
     assert record.environment["undecodable"] == 3
 
 
-def test_without_the_rigs_last_word_the_end_is_unknown(tmp_path):
-    running = (DIAGNOSTICS, encode_diagnostics(0, [rig_status(Outcome("running", 3, 1, [2], 0.1))]))
-    record = read_bag(write(tmp_path / "bag", [*TEST[:-1], running]))
-    assert not record.complete
-    assert record.missed is None
-    assert record.wall_s is None
-    assert record.trip is None
-
-
 def test_the_rigs_last_word_counts(tmp_path):
     trip = Trip("limit", 9, 0.018)
     record = read_bag(write(tmp_path / "bag", [*TEST, ending("tripped", trip)]))
@@ -214,34 +188,6 @@ def test_a_bag_without_metadata_says_how_to_get_it_back(tmp_path, storage):
     record = read_bag(path, damaged=True)
     assert record.damage == ["metadata.yaml is missing"]
     assert record.series["rig/state"].steps.tolist() == list(range(10))
-
-
-@pytest.mark.parametrize("text", ["", "a: [", "rosbag2_bagfile_information: 3", "\x00"])
-def test_garbled_metadata_is_an_input_error(tmp_path, text):
-    path = write(tmp_path / "bag", TEST)
-    (path / "metadata.yaml").write_text(text)
-    with pytest.raises(InputError, match="seft recover"):
-        read_bag(path)
-
-
-def test_damage_inside_the_file_is_named_with_the_steps_that_are_missing(tmp_path):
-    path = write(tmp_path / "bag", [*TEST, *loop(range(10, 2000)), ending(steps=2000)])
-    file = path / "bag.mcap"
-    data = bytearray(file.read_bytes())
-    lost = data.index(CODECS["rig/state"].encode(700, states(700)))
-    data[lost + 60 : lost + 68] = b"\xff" * 8
-    file.write_bytes(data)
-    with pytest.raises(InputError, match=r"a chunk of messages fails its checksum.*seft recover"):
-        read_bag(path)
-    record = read_bag(path, damaged=True)
-    steps = record.series["rig/state"].steps
-    missing = np.setdiff1d(np.arange(2000), steps)
-    assert 700 in missing
-    assert 0 < len(missing) < 400
-    assert np.array_equal(record.series["rig/state"].values, [states(k) for k in steps])
-    told = f"{len(missing)} of 2000 steps are missing, {missing[0]} to {missing[-1]}"
-    assert f"rig/state: {told}" in record.damage
-    assert f"/rig/state: {len(missing)} of 2000 messages are missing" in record.damage
 
 
 def ros2_bag_record(path, messages, prefix="", storage="mcap"):

@@ -4,31 +4,17 @@ import dataclasses
 import json
 
 import numpy as np
-import pytest
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.wire.topics import LOOP_TOPICS
-from seft_ros.bags.record import Record, Series
+from records_at_hand import noise_record
+from seft_ros.bags.record import Series
 from seft_ros.bags.record_bag import write_record
 
-COUNT = 60
 
-
-@pytest.fixture
-def record():
-    rng = np.random.default_rng(3)
-    steps = np.arange(COUNT)
-    series = {
-        topic.name: Series(steps, rng.normal(size=(COUNT, len(topic.quantities), 2)))
-        for topic in LOOP_TOPICS
-    }
-    return Record(Experiment({"rig": {"rate": 500.0, "axes": ["x", "y"]}}), series)
-
-
-def test_two_bags_are_drawn(seft, tmp_path, record):
+def test_two_bags_are_drawn(seft, tmp_path):
+    record = noise_record(60)
     write_record(record, tmp_path / "one")
     values = record.series["rig/state"].values.copy()
     values[41, 3, 1] = np.nextafter(values[41, 3, 1], np.inf)
-    altered = {**record.series, "rig/state": Series(np.arange(COUNT), values)}
+    altered = {**record.series, "rig/state": Series(np.arange(60), values)}
     write_record(dataclasses.replace(record, series=altered), tmp_path / "two")
     status, out, err = seft("compare", "one", "two", "--figure", "tests.png", "--json")
     result = json.loads(out)

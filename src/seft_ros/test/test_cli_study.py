@@ -5,7 +5,6 @@ import sys
 import pytest
 from experiments_at_hand import CONFIG, JHU
 from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
-from seft_ros.study import study_runs
 from seft_ros.test_run import offline
 
 SHORT = ("-p", "ground_motion:synthetic.duration:=4", "-p", "ground_motion:tail:=0.5")
@@ -59,26 +58,3 @@ def test_without_dask_a_scheduler_is_refused_with_the_way_to_install_it(seft, mo
     assert status == 2
     assert "pip install 'seft_ros[dask]'" in err
     assert os.linesep.join(err.splitlines()[-1:]).startswith("seft: --scheduler")
-
-
-def test_an_interruption_says_how_it_goes_on_and_so_it_does(seft, tmp_path, monkeypatch):
-    words = ("study", JHU, *SHORT, "--tests", "3", "--workers", "1", "--json")
-    whole, run_study = seft(*words)[1], study_runs.run_study
-
-    def interrupted(plan, progress, **options):
-        def report(what, done):
-            progress(what, done)
-            if done == 2:
-                raise KeyboardInterrupt
-
-        return run_study(plan, report, **options)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(study_runs, "run_study", interrupted)
-        status, out, err = seft(*words)
-    assert (status, out) == (1, "")
-    told = "seft: interrupted; no result yet; the same command in this folder continues\n"
-    assert err.endswith(told)
-    assert len(list(tmp_path.glob("study-*.jsonl"))) == 1
-    assert seft(*words)[1] == whole
-    assert not list(tmp_path.glob("study-*.jsonl"))

@@ -2,54 +2,27 @@
 
 import numpy as np
 import pytest
+from compensators import force_section
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
 from seft_ros.reference_force.reference_force_block import compensator, method_inputs
-from seft_ros.reference_force.reference_force_parameters import (
-    OWN_METHODS,
-    REFERENCE_FORCE_TABLE,
-    TARGET_MOTION,
-)
-from seft_ros.reference_force.substructure import (
-    _BehindMotion,
-    substructure_motion,
-)
+from seft_ros.reference_force.reference_force_parameters import OWN_METHODS, TARGET_MOTION
+from seft_ros.reference_force.substructure import _BehindMotion, substructure_motion
+from structures_at_hand import as_lists, structure
 
 RATE = 4000.0
 
 
-def positive(rng, size, scale):
-    root = rng.normal(size=(size, size))
-    return scale * (root @ root.T / size + 0.5 * np.eye(size))
-
-
 def section_of(seed, axes, internal, rate=RATE, **values):
     """A specimen and a computed substructure, coupled in everything."""
-    rng, size = np.random.default_rng(seed), axes + internal
-    matrices = {
-        "model.mass": positive(rng, axes, 50.0),
-        "model.damping": positive(rng, axes, 400.0),
-        "model.stiffness": positive(rng, axes, 2e5),
-        "computed.mass": positive(rng, size, 40.0),
-        "computed.damping": positive(rng, size, 200.0),
-        "computed.stiffness": positive(rng, size, 1e5),
-    }
-    given_values = {name: matrix.ravel().tolist() for name, matrix in matrices.items()}
-    if internal:
-        given_values["computed.influence"] = rng.normal(size=internal * axes).tolist()
+    drawn = as_lists(structure(np.random.default_rng(seed), axes, internal))
     names = [f"axis {index}" for index in range(axes)]
-    given_values |= {"computed.internal": internal, "mass_ratio": 1.0, "rate": rate, "axes": names}
-    given_values |= {name.replace("__", "."): value for name, value in values.items()}
-    checked = REFERENCE_FORCE_TABLE.check(given_values)
-    return resolve({"reference_force": REFERENCE_FORCE_TABLE}, {"reference_force": checked})[
-        "reference_force"
-    ]
+    return force_section(**drawn, rate=rate, axes=names, **values)
 
 
 def known_of(section):
@@ -125,12 +98,10 @@ def test_a_method_is_the_linear_filter_that_it_says_it_is(method, internal):
 
 
 def test_masses_on_the_axes_alone_have_the_bits_of_a_mass_ratio():
-    plain = {"model.mass": 52.7, "model.stiffness": 2e5, "mass_ratio": 1.0}
+    plain = {"model.stiffness": 2e5, "mass_ratio": 1.0}
     forces = []
     for more in ({}, {"computed.mass": 52.7}, {"computed.mass": 52.7, "computed.damping": 0.0}):
-        checked = REFERENCE_FORCE_TABLE.check(plain | more)
-        section = resolve({"reference_force": REFERENCE_FORCE_TABLE}, {"reference_force": checked})
-        one = compensator("restoring", known_of(section["reference_force"]))
+        one = compensator("restoring", known_of(force_section(**plain, **more)))
         rng = np.random.default_rng(1)
         steps = [one.step(rng.normal(size=(1, 1)), rng.normal(size=(4, 1))) for _ in range(20)]
         forces.append(np.array(steps))
@@ -138,10 +109,6 @@ def test_masses_on_the_axes_alone_have_the_bits_of_a_mass_ratio():
 
 
 def test_a_mass_that_is_taken_away_must_leave_one():
-    checked = {"model.mass": 50.0, "model.stiffness": 2e5, "mass_ratio": 1.0}
-    checked = REFERENCE_FORCE_TABLE.check(checked | {"computed.mass": -60.0})
-    section = resolve({"reference_force": REFERENCE_FORCE_TABLE}, {"reference_force": checked})[
-        "reference_force"
-    ]
+    section = force_section(model__mass=50.0, mass_ratio=1.0, computed__mass=-60.0)
     with pytest.raises(InputError, match="add up to a mass on the axes that is not positive"):
         known_of(section)

@@ -10,10 +10,7 @@ from hypothesis import strategies as st
 from scipy.signal import ss2tf
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.rig import (
-    Rig,
-    continuous_model,
-)
+from seft_plant_sim.rig import Rig, continuous_model
 from seft_plant_sim.rig_parameters import LIMIT_ROWS
 from seft_ros.design.closed_loop import SampledLoop
 from seft_ros.design.plan import Plan
@@ -115,22 +112,10 @@ def test_powers_of_the_matrix_are_what_the_blocks_do(method, rig):
     assert_same(test)
 
 
-@pytest.mark.parametrize("method", LINEAR)
-def test_so_they_are_with_a_delay_of_the_loop(method):
-    test = experiment(
-        {"rig": COUPLED},
-        SERVO,
-        axes=("x", "y"),
-        mass_ratio=0.7,
-        loop_delay=3,
-        compensation__method=method,
-    )
-    assert_same(test)
-
-
 @pytest.mark.parametrize(
     ("parts", "axes"),
     [
+        ([{"rig": COUPLED, "reference_force": {"loop_delay": 3}}, SERVO], "xy"),
         ([{"rig": {"actuator.kind": "ideal"}}], "x"),
         ([{"rig": COUPLED}, delayed(0.0034)], "xy"),
         ([{"rig": COUPLED}, SERVO], "xy"),

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import scipy.signal
+from bare_rig import section_of
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 from seft_ros.force_controller.force_control import ForceController
@@ -116,12 +116,9 @@ MIXED = np.array([[1.0, -0.3, 0.0], [0.2, 1.5, 0.1], [0.0, 0.0, 0.7]])
 
 
 def made(axes, **values):
-    names = [f"axis {index}" for index in range(axes)]
-    section = resolve(
-        {"force_controller": FORCE_CONTROLLER_TABLE},
-        {"force_controller": FORCE_CONTROLLER_TABLE.check(values)},
-    )
-    return force_control(section["force_controller"], tuple(names), Timebase.from_rate(500.0))
+    names = tuple(f"axis {index}" for index in range(axes))
+    section = section_of(FORCE_CONTROLLER_TABLE, **values)
+    return force_control(section, names, Timebase.from_rate(500.0))
 
 
 def random(axes, steps=50):

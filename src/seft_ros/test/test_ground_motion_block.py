@@ -6,9 +6,9 @@ import sys
 
 import numpy as np
 import pytest
+from bare_rig import section_of
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 from seft_ros.ground_motion.ground_motion_block import GROUND_MOTION_TABLE, GroundMotion
@@ -16,12 +16,7 @@ from seft_ros.ground_motion.ground_motion_block import GROUND_MOTION_TABLE, Grou
 
 def build(axes=("x",), rate=200.0, **values):
     """Ground motion of these parameters; a double underscore stands for a dot."""
-    given = GROUND_MOTION_TABLE.check(
-        {name.replace("__", "."): value for name, value in values.items()}
-    )
-    section = resolve({"ground_motion": GROUND_MOTION_TABLE}, {"ground_motion": given})[
-        "ground_motion"
-    ]
+    section = section_of(GROUND_MOTION_TABLE, **values)
     return GroundMotion.from_parameters(section, axes, Timebase.from_rate(rate))
 
 

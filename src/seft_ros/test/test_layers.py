@@ -1,10 +1,11 @@
-"""A folder imports only from folders below it: the list is the way up from wire to commands."""
+"""The packages' folders, and which of them may import which."""
 
 import ast
 from pathlib import Path
 
 SOURCE = Path(__file__).parents[2]
-LAYERS = (
+ROS = ("rclpy", "rcl_", "std_", "rosgraph", "ament", "trajectory_msgs", "diagnostic_msgs")
+LAYERS = (  # the way up from wire to commands
     *("arrays", "printing", "errors", "files", "wire", "config", "node", "virtual"),
     "seft_plant_sim",
     *("drawing", "ground_motion", "reference_force", "protection", "force_controller"),
@@ -37,3 +38,10 @@ def test_a_folder_imports_only_from_those_below_it():
             if parts[0].startswith("seft_") and len(parts) > 1 and layer(parts) > layer(own):
                 upwards.append(f"{file}, line {line}: {name}")
     assert not upwards, upwards
+
+
+def test_two_modules_of_messages_know_ros():
+    """The graph as DDS, and the private part of rclpy that it needs."""
+    files = (SOURCE / "seft_msgs_py" / "seft_msgs_py").rglob("*.py")
+    found = {file.name for file in files if any(name.startswith(ROS) for name, _ in imports(file))}
+    assert found == {"dds.py", "rclpy_interface.py"}

@@ -1,17 +1,16 @@
 """Memory by sample: what a bag of an hour takes is told by one of some minutes."""
 
+import dataclasses
 import tracemalloc
 from collections import Counter
 
-import numpy as np
 import pytest
+from records_at_hand import noise_record
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis import calibration_check
 from seft_ros.analysis.comparison import compare_records
 from seft_ros.analysis.summary import reference_of, summarise
 from seft_ros.bags.bag_files import Bag
-from seft_ros.bags.record import Record, Series
 from seft_ros.bags.record_bag import read_bag, write_record
 
 STEPS = 40_000
@@ -23,13 +22,9 @@ def bag(tmp_path_factory):
     node = {"rate": 1000.0, "axes": ["x"], "method": "seft", "mass_ratio": 0.5}
     model = {"model.mass": 50.0, "model.damping": 800.0, "model.stiffness": 2e5}
     experiment = Experiment({"reference_force": node | model})
-    rng, steps = np.random.default_rng(1), np.arange(STEPS)
-    series = {
-        topic.name: Series(steps, rng.normal(size=(STEPS, len(topic.quantities), 1)))
-        for topic in LOOP_TOPICS
-    }
     path = tmp_path_factory.mktemp("bags") / "long"
-    write_record(Record(experiment, series), path)
+    record = noise_record(STEPS, ["x"])
+    write_record(dataclasses.replace(record, experiment=experiment), path)
     return path
 
 

@@ -2,12 +2,11 @@ import math
 
 import numpy as np
 import pytest
-from records_at_hand import without
+from records_at_hand import record_of, without
 from seft_msgs_py.config.experiment import Experiment
 from seft_ros.analysis.metrics import delayed
 from seft_ros.analysis.summary import summarise
 from seft_ros.analysis.tracking import tracking_of
-from seft_ros.bags.record import Record, Series
 
 COUNT = 3000
 DT = 0.002
@@ -24,14 +23,8 @@ def make_record(gain=1.0, delay=0.0, axes=("x",)):
     states[:, 1] = VELOCITY[:, np.newaxis]
     states[:, 3] = gain * delayed(FORCE, delay, DT)[:, np.newaxis]
     command = np.repeat(FORCE[:, np.newaxis, np.newaxis], len(axes), axis=2)
-    none = np.zeros((COUNT, 1, len(axes)))
-    series = {
-        "ground_motion": Series(STEPS, none),
-        "rig/state": Series(STEPS, states),
-        "reference_force": Series(STEPS, command),
-        "valve_command": Series(STEPS, none.copy()),
-    }
-    return Record(Experiment({"rig": {"rate": 1 / DT, "axes": list(axes)}}), series)
+    test = Experiment({"rig": {"rate": 1 / DT, "axes": list(axes)}})
+    return record_of(test, np.zeros((COUNT, len(axes))), states, command)
 
 
 def test_a_known_delay_and_gain_are_told():

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from experiments_at_hand import load
+from records_at_hand import record_of
 from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_plant_sim.whole_structure import reference_response, whole_structure
@@ -11,7 +12,6 @@ from seft_ros.analysis.equivalent_motion import (
     assumed_structure,
     motion_difference,
 )
-from seft_ros.bags.record import Record, Series
 from seft_ros.ground_motion.response_spectrum import response_spectrum
 from seft_ros.monitor.intake import Intake
 
@@ -98,15 +98,11 @@ def test_the_motion_that_is_tested_is_told_as_the_report_tells_it(intake):
     rows = [getattr(exact, name) for name in ("displacement", "velocity", "acceleration", "force")]
     values = np.stack(rows, axis=1)
     values[:, 3] *= 1.2
-    steps = np.arange(400)
-    none = Series(steps, np.zeros((400, 1, 1)))
-    series = {"ground_motion": Series(steps, MOTION[:, np.newaxis])}
-    series |= {"rig/state": Series(steps, values), "reference_force": none, "valve_command": none}
-    wanted = motion_difference(Record(EXPERIMENT, series))
+    wanted = motion_difference(record_of(EXPERIMENT, MOTION, values))
     intake.motion(motion(0, MOTION))
     encode = codec(RIG_STATE).encode
     for start in range(0, 400, 57):
-        part = [(encode(step, values[step]), 0) for step in steps[start : start + 57]]
+        part = [(encode(k, values[k]), 0) for k in range(start, min(start + 57, 400))]
         intake.samples([part], [])
     assert intake.own_motion["asked"]  # told once a second, so from its first samples alone
     found = intake._live_motion.summary()
@@ -144,19 +140,12 @@ def test_step_zero_begins_a_test_and_its_own_motion(intake):
     np.testing.assert_allclose(found, exact, atol=1e-5 * np.abs(exact).max())
 
 
-def test_nothing_is_left_of_the_last_test_before_the_next_one_s_first_sample(intake):
-    intake.samples([states(range(100))], [])
-    intake.clear()
-    assert (intake.number, intake.history.head, len(intake.history.recent().values)) == (2, 0, 0)
-    intake.samples([states(range(20))], [])
-    assert (intake.number, intake.history.head) == (2, 20)
-
-
 def test_old_steps_of_somebody_else_are_left_out_unless_a_test_is_expected(intake):
     intake.samples([states(range(100))], [])
     intake.samples([states(range(10, 20))], [])
     assert (intake.number, intake.history.head) == (1, 100)
     intake.clear()
+    assert (intake.number, intake.history.head, len(intake.history.recent().values)) == (2, 0, 0)
     intake.samples([states(range(3, 20))], [])
     assert (intake.number, intake.history.head) == (2, 20)
 

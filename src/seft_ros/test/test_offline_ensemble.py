@@ -1,4 +1,7 @@
-"""The compiled loop gives the bits of the plain one, alone and in an ensemble."""
+"""The compiled loop gives the bits of the plain one, alone and in an ensemble.
+
+Of all laws of specimens, which both call, and of what is drawn: test_local_drawn.py.
+"""
 
 from collections import Counter
 
@@ -67,33 +70,8 @@ CASES = {  # few combinations of blocks: a loop is compiled for each
     ),
     "delay": (*TWO, "rig:actuator.kind:=delay", "rig:actuator.delay:=0.0103", RATIO(0.5)),
     "ideal": (*TWO, "rig:actuator.kind:=ideal", RATIO(0.5), METHOD("restoring")),
-    "degrading": (
-        "rig:specimen.kind:=bouc_wen",
-        YIELDS,
-        "rig:specimen.bouc_wen.exponent:=1.7",
-        "rig:specimen.bouc_wen.beta:=0.7",
-        "rig:specimen.bouc_wen.gamma:=0.3",
-        "rig:specimen.bouc_wen.amplitude_loss:=0.01",
-        "rig:specimen.bouc_wen.strength_loss:=0.02",
-        "rig:specimen.bouc_wen.stiffness_loss:=0.03",
-    ),
     "pinching": ("rig:specimen.kind:=pinching", YIELDS),
-    "flag": ("rig:specimen.kind:=flag", YIELDS),
-    "friction": ("rig:specimen.kind:=friction", "rig:specimen.friction.force:=50.0"),
-    "gap": (
-        *("rig:specimen.kind:=gap", "rig:specimen.gap.width:=0.003"),
-        "rig:specimen.gap.stiffness:=8e5",
-    ),
-    "duffing": ("rig:specimen.kind:=duffing", "rig:specimen.duffing.cubic:=4e9"),
     "model": (METHOD("model"), DELAY, RATIO(1.0), WEAK),
-    "target, two axes, yielding, sloshing water": (
-        *TWO,
-        *TARGET,
-        *WATER,
-        "rig:specimen.kind:=bouc_wen",
-        "rig:specimen.springs:=[1.0, 0.0, 0.0, 1.0, 1.0, -1.0]",
-        YIELDS,
-    ),
     "derived and filtered": (
         "rig:sensors.velocity:=derived", "rig:sensors.force_filter:=200.0",
         "rig:sensors.force_bias:=5.0",
@@ -115,8 +93,18 @@ CASES = {  # few combinations of blocks: a loop is compiled for each
     "interlock": ("force_controller:limits.force:=700.0",),
     "valve at its limit": ("force_controller:voltage_limit:=0.05",),
 }  # fmt: skip
-MORE = {"faults of two axes": (*TWO, *TARGET, FAULTS.replace('"force noise', '"y/force noise'))}
-"""A loop of its own, which takes as long to compile as ten of the others to run."""
+MORE = {
+    "faults of two axes": (*TWO, *TARGET, FAULTS.replace('"force noise', '"y/force noise')),
+    "target, two axes, yielding, sloshing water": (
+        *TWO,
+        *TARGET,
+        *WATER,
+        "rig:specimen.kind:=bouc_wen",
+        "rig:specimen.springs:=[1.0, 0.0, 0.0, 1.0, 1.0, -1.0]",
+        YIELDS,
+    ),
+}
+"""Loops of their own, each of which takes longer to compile than all of the others to run."""
 
 
 def load(*words):

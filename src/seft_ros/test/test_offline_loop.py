@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from experiments_at_hand import load, simulated
+from seft_plant_sim.compiled import kind_of
 from seft_plant_sim.rig_step import PERSISTENT
 from seft_plant_sim.sensors import BLOCK
-from seft_ros.protection.protection_step import RampDown
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
 
@@ -106,22 +106,6 @@ def force_of(record):
     return record.series["reference_force"].values[:, 0, 0]
 
 
-def test_a_force_beyond_its_limit_is_ramped_from_the_last_below():
-    free = force_of(ended())
-    first = int(np.argmax(np.abs(free) > 500.0))
-    record = ended("reference_force:limits.force:=500.0")
-    assert record.trip.step == first
-    assert record.trip.time_s == pytest.approx(first * 0.002)
-    assert record.trip.reason == (
-        f"reference force {free[first]:.5g} N on axis x is beyond the limit of 500 N"
-    )
-    ramp = RampDown(250)
-    ramp.begin()
-    expected = [free[first - 1] * ramp.next() for _ in range(250)]
-    np.testing.assert_array_equal(force_of(record)[:first], free[:first])
-    np.testing.assert_array_equal(force_of(record)[first:], expected)
-
-
 def test_a_rig_that_trips_within_the_ramp_ends_it_at_once_and_both_causes_are_told():
     """The supervisor's limit stands in for both: the rig's force comes after its reference."""
     free = force_of(ended())
@@ -132,3 +116,15 @@ def test_a_rig_that_trips_within_the_ramp_ends_it_at_once_and_both_causes_are_to
     assert record.trip.step == last
     assert record.trip.reason.startswith("force ")
     assert "(while ramping down: reference force" in record.trip.reason
+
+
+@pytest.mark.parametrize("of", ["rig", "reference_force", "force_controller"])
+def test_tests_of_any_number_of_axes_beyond_one_have_the_same_machine_code(of):
+    three, six = (build_blocks(load(config=f"{n}_storey_frame")) for n in ("three", "six"))
+    assert getattr(three, of).kind == getattr(six, of).kind
+
+
+def test_the_checks_of_one_axis_have_the_machine_code_of_several():
+    one, three = (load(config=name) for name in ("demo", "three_storey_frame"))
+    one, three = (build_blocks(each).force_controller for each in (one, three))
+    assert kind_of((one.parameters, one.state)) == kind_of((three.parameters, three.state))

@@ -1,14 +1,7 @@
 import pytest
 from seft_msgs_py.wire.messages import Status
 from seft_msgs_py.wire.topics import NODES, TOPICS, rigs_of, topics_of, with_rigs
-from seft_ros.test_run.peers import (
-    LastStatus,
-    Rehearsed,
-    judge_peers,
-    silence,
-    silent,
-    with_zeros,
-)
+from seft_ros.test_run.peers import LastStatus, Rehearsed, judge_peers, silence, silent, with_zeros
 from seft_ros.test_run.peers import missing as missing_after
 
 PEERS = tuple(node for node in NODES if node != "supervisor")

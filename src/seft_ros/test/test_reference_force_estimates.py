@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from quiet_shell import Shell
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.wire.messages import EstimatesCodec, Status, encode_status
+from seft_msgs_py.wire.messages import Status, encode_status
 from seft_msgs_py.wire.topics import (
     ESTIMATES,
     EXPERIMENT_STATE,
@@ -130,24 +130,6 @@ def feed(shell, record):
         shell.handlers[GROUND_MOTION.name](motion.encode_points(first, chunk), 0)
     for step, sample in enumerate(record.series[JUDGED.name].values):
         shell.handlers[JUDGED.name](state.encode(step, sample), 0)
-
-
-def test_the_node_publishes_the_estimates_of_the_offline_loop_after_the_force(watched):
-    record = simulated(watched)
-    shell = start_node(watched)
-    feed(shell, record)
-    codec = EstimatesCodec(watched.axes, watched.timebase)
-    force_codec = TrajectoryCodec(REFERENCE_FORCE, watched.axes, watched.timebase)
-    told = [codec.decode(raw) for topic, raw in shell.sent if topic is ESTIMATES]
-    assert [step for step, _ in told] == record.estimates.steps.tolist()
-    values = np.array([list(estimates.values()) for _, estimates in told])
-    np.testing.assert_array_equal(values, record.estimates.values)
-    for index, (topic, raw) in enumerate(shell.sent):
-        if topic is ESTIMATES:
-            before, force = shell.sent[index - 1]
-            assert before is REFERENCE_FORCE
-            assert force_codec.decode(force)[0] == codec.decode(raw)[0]
-    assert shell.refusals == []
 
 
 def test_a_state_that_is_faster_than_its_ground_motion_is_answered_when_that_has_come(watched):

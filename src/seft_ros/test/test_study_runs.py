@@ -153,11 +153,11 @@ def test_all_methods_and_mass_ratios_meet_the_same_tests():
 
 
 def test_results_do_not_depend_on_the_number_of_workers():
-    plan = planned(ratios=[0.5, 1.5])
+    plan = planned(methods=["none"])
     reported = []
     runs = run_study(plan, lambda what, done: reported.append((what, done)), workers=2)
     assert runs == run_study(plan)
-    assert [done for _, done in reported] == list(range(1, 13))
+    assert [done for _, done in reported] == [1, 2, 3]
     assert {what for what, _ in reported} == {str(test) for test in plan.tests()}
 
 

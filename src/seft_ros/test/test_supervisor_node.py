@@ -60,18 +60,3 @@ def test_what_a_silent_node_has_done_meanwhile_is_added_when_its_link_is_back(te
         test.tell(tripped_status("rig", "stopped", 120))
         test.tell(tripped_status("reference_force", "something that follows", 120))
     assert test.state.values["detail"] == f"{detail}; force_controller: {cut}"
-
-
-def test_the_first_cause_is_kept_where_others_follow(test):
-    test.wait(1.0)
-    test.tell(tripped_status("rig", "force beyond the limit", 7))
-    test.tell(tripped_status("force_controller", "no rig/state", 9))
-    test.wait(3.0)
-    assert test.state.values["detail"] == "force beyond the limit"
-    assert test.state.values["step"] == "7"
-
-
-def test_a_recorder_or_ground_motion_that_is_faulty_brings_the_test_down_softly(test):
-    test.wait(1.0)
-    test.tell(tripped_status("recorder", "a fault of the program", 0))
-    assert test.state.message == State.RAMPING_DOWN

@@ -219,6 +219,17 @@ def test_what_is_told_wrongly_hardly_matters(what):
     assert error(TOLD_WRONG[what]) < 1.0
 
 
+@pytest.mark.parametrize(
+    ("mass_ratio", "peak", "most"),
+    [(0.5, 450.0, 1.15), (3.0, 250.0, 0.7), (10.0, 120.0, 0.8)],
+)
+def test_a_wrong_model_costs_no_accuracy_at_any_mass_ratio(mass_ratio, peak, most):
+    """The largest forces that the valve serves there, N; of the first, 0.6 % is sensor noise."""
+    words = (f"mass_ratio:={mass_ratio}", "model.stiffness:=1.69e5", "model.damping:=1600.0")
+    words = [f"reference_force:{word}" for word in words]
+    assert error(f"ground_motion:peak_force:={peak}", *words) < most
+
+
 @pytest.mark.parametrize("rate", [250, 1000])
 def test_other_rates(rate):
     assert error(f"rate:={float(rate)}") < 1.0

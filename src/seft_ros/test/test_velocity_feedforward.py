@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from bare_rig import section_of
 from scipy.integrate import solve_ivp
-from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 from seft_ros.force_controller.force_controller_parameters import FORCE_CONTROLLER_TABLE
@@ -82,8 +82,8 @@ def feedforward(told=1.0, limit=10.0, horizon=25, **valve):
     given = {"voltage_limit": limit, "horizon": horizon * DT}
     given |= {f"actuator.{name}": value for name, value in actuator.items()}
     given |= {f"noise.{name}": value for name, value in noise.items()}
-    section = resolve({"force_controller": FORCE_CONTROLLER_TABLE}, {"force_controller": given})
-    return VelocityFeedforward(section["force_controller"], ("x",), Timebase.from_rate(1 / DT))
+    section = section_of(FORCE_CONTROLLER_TABLE, **given)
+    return VelocityFeedforward(section, ("x",), Timebase.from_rate(1 / DT))
 
 
 def drive_piston(arrays, steps=3000, gain=0.04, offset=0.0):

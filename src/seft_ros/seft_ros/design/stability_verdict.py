@@ -94,7 +94,7 @@ GAIN_RESERVE = 1.2
 """Factor on the drive, either way: a valve's flow gain falls by a sixth if the load takes 30 % of
 the supply pressure, and rises as much with a leakage or temperature that was not identified."""
 DELAY_RESERVE_STEPS = 1.0
-"""Added delay in samples: in pace `realtime` a missed command holds the last one for a sample."""
+"""Added delay in samples: in pace `realtime` an answer may come a sample late."""
 STIFFNESS_RESERVE = 1.1
 """Factor on the specimen's stiffness, either way: the accuracy of a quick identification. A
 method that adapts to it must be stable at any stiffness that is tried."""

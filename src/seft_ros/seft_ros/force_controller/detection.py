@@ -67,7 +67,7 @@ def detectors_of(
         mass, ratio = (1.0 + ratio) * mass, 0.0
     valves = valve_models(actuator, dt)
     noise, ranges = (
-        per_channel(section, axes, form, "force_controller")[:, own]
+        np.ascontiguousarray(per_channel(section, axes, form, "force_controller")[:, own])
         for form in ("noise.{}", "detectors.{}_range")
     )
     return detector_arrays(

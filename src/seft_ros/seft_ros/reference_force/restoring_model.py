@@ -43,8 +43,8 @@ from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
-from seft_msgs_py.arrays import Floats
-from seft_plant_sim.compiled import compiled, copy, multiply_sized
+from seft_msgs_py.arrays import Floats, Ints
+from seft_plant_sim.compiled import compiled, copy, multiply_sized, places
 
 THRESHOLDS = 12
 """Number of stop operators of a spring; each has twice the threshold of the one before: from the
@@ -83,9 +83,8 @@ class ModelParameters(NamedTuple):
 
     Attributes
     ----------
-    springs : tuple of int
-        0 to n - 1. The length of a tuple is known at compilation, so that its loops need no
-        counting, which would take most of the time of a step of one axis.
+    springs : tuple of int or ndarray
+        0 to n - 1, see `places`.
     thresholds : ndarray
         y, shape (n, m), m.
     start : ndarray
@@ -112,7 +111,7 @@ class ModelParameters(NamedTuple):
         Largest growth of the evidence for the assumed model while it is not accepted, per step.
     """
 
-    springs: tuple[int, ...]
+    springs: tuple[int, ...] | Ints
     thresholds: Floats
     start: Floats
     prior: Floats
@@ -192,7 +191,7 @@ def model_arrays(
     dt : float
         Sampling period, s.
     """
-    n = len(mass)
+    n, observed = len(mass), np.ascontiguousarray(observed)
     thresholds = SMALLEST_SLIDER * observed[:, :1] * 2.0 ** np.arange(THRESHOLDS)
     white = noise**2
     assumed = white + np.hstack([stiffness, damping]) ** 2 @ observed.T.ravel() ** 2
@@ -211,13 +210,13 @@ def model_arrays(
         return padded(p * offset, k * stiff, c * damps, w * force) ** 2
 
     parameters = ModelParameters(
-        springs=tuple(range(n)),
+        springs=places(n),
         thresholds=thresholds,
         start=padded(np.zeros((n, 1)), stiffness, damping, np.zeros_like(thresholds)),
         prior=variance(1.0, UNCERTAIN_STIFFNESS, UNCERTAIN_DAMPING, 1.0),
         drift=variance(0.0, DRIFT, DRIFT, DRIFT) * dt,
         change=variance(1.0, CHANGING_STIFFNESS, CHANGING_DAMPING, CHANGING_SLIDER),
-        noise=np.transpose([white, assumed]),
+        noise=np.column_stack([white, assumed]),
         observed=observed**2,
         alike=alike,
         least=STANDS_OUT * observed,

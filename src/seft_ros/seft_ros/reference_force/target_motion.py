@@ -16,7 +16,7 @@ import math
 import numpy as np
 from scipy.linalg import eigh
 from seft_msgs_py.arrays import Floats
-from seft_plant_sim.compiled import entry_point
+from seft_plant_sim.compiled import entry_point, places
 from seft_plant_sim.computed_model import ComputedModel, ModelError
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_plant_sim.lti import first_order_hold
@@ -369,8 +369,8 @@ def target_arrays(known: MethodInputs) -> tuple[TargetParameters, TargetState, M
     correction[:, : 2 * size] = change.T
     squares = np.linalg.eigvals(inverse @ stiffness).real
     parameters = TargetParameters(
-        axes=tuple(range(n)),
-        dofs=tuple(range(size)),
+        axes=places(n),
+        dofs=places(size),
         dt=dt,
         substeps=substeps,
         gains=gains,

@@ -13,7 +13,7 @@ between samples (ETD2RK, Cox & Matthews 2002, Eq. 22).
 from typing import NamedTuple
 
 import numpy as np
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Floats, Ints
 from seft_plant_sim.compiled import compiled, copy, is_finite, multiply_sized
 
 from seft_ros.reference_force.observers import observe
@@ -38,8 +38,8 @@ class TargetParameters(NamedTuple):
 
     Attributes
     ----------
-    axes, dofs : tuple of int
-        0 to n - 1, and 0 to N - 1: their lengths are known at compilation.
+    axes, dofs : tuple of int or ndarray
+        0 to n - 1, and 0 to N - 1, see `places`.
     dt : float
         Sampling period, s.
     substeps : int
@@ -68,8 +68,8 @@ class TargetParameters(NamedTuple):
         Of the restoring force.
     """
 
-    axes: tuple[int, ...]
-    dofs: tuple[int, ...]
+    axes: tuple[int, ...] | Ints
+    dofs: tuple[int, ...] | Ints
     dt: float
     substeps: int
     gains: Floats
