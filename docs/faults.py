@@ -1,60 +1,178 @@
-"""Table of safety.md: faults of the hardware in tests of other specimens; run in the project.
+"""Table of safety.md: faults of the hardware, and a perfect detector; run in the project.
 
     .venv/bin/python docs/faults.py kobe.txt:cm/s2:0.005:0
 
-Each motion is FILE, or FILE:UNIT:DT:COLUMN (yours to bring; kobe.txt is Kobe 1995, JMA N-S), beside
-the synthetic one.
+The limits fit each test, as seft preflight proposes them. Each fault begins while the specimen is
+quiet, moves fast, and is at its peak. A perfect detector trips in the sample at which the fault
+begins. The motion is FILE, or FILE:UNIT:DT:COLUMN (yours to bring; kobe.txt is Kobe 1995, JMA N-S).
 """
 
 import sys
-from collections import Counter
+from collections import Counter, defaultdict
+from dataclasses import replace
+
+import numpy as np
 
 sys.path.append("src/seft_ros/test")
 
-from rig_faults import FAULTS
+from experiments_at_hand import load
+from rig_faults import CHANNELS, FAULTS, lines_of
+from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.offline import simulate_test
 from sound_tests import motion_words
 from test_detectors import (
     BILINEAR,
-    GAP,
-    HARD,
-    HARMLESS,
     IN_TIME,
-    LATE,
+    KIND,
+    LARGEST,
+    NOISE,
     PLAN,
     SPECIMEN,
-    sound,
-    with_fault,
+    verdict,
 )
 
-FRICTION = ("rig:specimen.kind:=friction", f"{SPECIMEN}friction.force:=60.0")
-TESTS = {"linear": (), "bilinear": BILINEAR, "gap": GAP, "friction": FRICTION}
-TIMES = 2.0, 3.5, 5.0
+FRICTION = (f"{KIND}friction", f"{SPECIMEN}friction.force:=60.0")
+STIFF = (
+    *(f"{SPECIMEN}stiffness:=2.0e6", "reference_force:model.stiffness:=2.0e6"),
+    *(f"{SPECIMEN}damping:=1000.0", "reference_force:model.damping:=1000.0"),
+    *("rig:actuator.oil_column_frequency:=0.0", "rig:actuator.oil_stiffness:=1.664e+7"),
+    "ground_motion:peak_force:=2000.0",
+)
+SLOW = {
+    "load cell late by 4, 6, 10 ms": [(f"force late {late}",) for late in (0.004, 0.006, 0.01)],
+    "load cell low-passed, 5, 10 Hz": [(f"force lowpass {hertz}",) for hertz in (5, 10)],
+    "load cell scaled by 0.7": [("force scale 0.7",)],
+    "load cell frozen with noise": [("force freeze", "force noise 3")],
+    "accelerometer late by 4, 10 ms": [(f"acceleration late {late}",) for late in (0.004, 0.01)],
+    "accelerometer frozen, without and with noise": [
+        ("acceleration freeze",),
+        ("acceleration freeze", "acceleration noise 0.05"),
+    ],
+    "accelerometer low-passed, 5, 10 Hz": [(f"acceleration lowpass {hertz}",) for hertz in (5, 10)],
+    "velocity or displacement late by 6 ms": [
+        (f"{channel} late 0.006",) for channel in ("velocity", "displacement")
+    ],
+    "valve's null drifts by 0.5 V/s, either way": [("valve null 0.5",), ("valve null -0.5",)],
+    "valve's hysteresis 1 V": [("valve hysteresis 1",)],
+    "valve jams for 30 ms": [("valve stick",)],
+    "specimen breaks, 5 % left": [("specimen break 0.05",)],
+    "specimen slips by 1 mm": [("specimen slip 0.001",)],
+}
+BROKEN, FARTHEST = 0.2, 2.0
+"""Time in which a test with a broken specimen must end, s, and its largest displacement over that
+of the sound test."""
+GROUPS = {  # of the other faults, by the beginning of their names
+    **{f"{channel}: dead, frozen, flipped, ...": channel for channel in CHANNELS},
+    "valve: stuck, closed, reversed, ...": "valve",
+    "supply: lost, at a tenth": "supply",
+    "converter, cable, all sensors": ("converter", "cable", "axes"),
+}
 
 
-def main() -> None:
-    """Print the table."""
-    motions = {"synthetic": ()} | {
-        word.partition(":")[0]: motion_words(word) for word in sys.argv[1:]
+def tests(motion):
+    """Give the tests: words, configuration, and the axis that fails."""
+    other = ("rate:=250.0", "ground_motion:synthetic.seed:=4", "rig:seed:=5")
+    return {
+        "linear": (PLAN, "jhu", ""),
+        "bilinear": ((*PLAN, *BILINEAR), "jhu", ""),
+        "friction": ((*PLAN, *FRICTION), "jhu", ""),
+        "stiff": ((*PLAN, *STIFF), "jhu", ""),
+        "three storeys": (("ground_motion:synthetic.seed:=2",), "three_storey_frame", "floor_3/"),
+        "linear, 1000 Hz": ((*PLAN, "rate:=1000.0", "ground_motion:synthetic.seed:=3"), "jhu", ""),
+        "bilinear, 250 Hz": ((*PLAN, *BILINEAR, *other), "jhu", ""),
+        "friction, other motion": ((*PLAN, *FRICTION, *motion), "jhu", ""),
     }
-    tests = [(motion, time) for motion in motions for time in TIMES]
-    heads = "".join(f" {motion}, {time:g} s |" for motion, time in tests)
-    print(f"| of {len(FAULTS)} faults: in time + harmless |{heads}\n|---|{'---|' * len(tests)}")
-    found = {verdict: Counter() for verdict in (LATE, HARD, HARMLESS)}
-    for specimen, words in TESTS.items():
-        cells = []
-        for motion, time in tests:
-            given = (*PLAN, *words, *motions[motion])
-            at = round(time / sound(given)[0].timebase.dt)
-            verdicts = {fault: with_fault(fault, given, at)[1] for fault in FAULTS}
-            count = Counter(verdicts.values())
-            cells.append(f" {count[IN_TIME]} + {count[HARMLESS]} |")
-            for verdict, faults in found.items():
-                faults.update(fault for fault, own in verdicts.items() if own == verdict)
-        print(f"| {specimen} |{''.join(cells)}", flush=True)
-    words = "late or not seen", "force above 1.5 peaks", "nothing changes"
-    for what, faults in zip(words, found.values(), strict=True):
-        names = ", ".join(f"{fault} {count}" for fault, count in faults.most_common())
-        print(f"\n{what}, in so many of {len(TESTS) * len(tests)} tests: {names}")
+
+
+class PerfectDetector:
+    """Stands in for an `Interlock` that trips in the sample at which a fault begins."""
+
+    def __init__(self, interlock, at):
+        self._interlock, self._at = interlock, at
+
+    def __getattr__(self, name):
+        return getattr(self._interlock, name)
+
+    def judge(self, index, raw):
+        """Judge a sample; trip in time, as at a fault, so that the valve closes."""
+        judged = self._interlock.judge(index, raw)
+        if index >= self._at:
+            self._interlock.trip(index, "perfect")
+        return judged
+
+
+def fitting(words, config):
+    """Give the words of the limits that fit a test, and its sound record."""
+    experiment = load(*words, config=config)
+    record = simulate_test(experiment, build_blocks(experiment), compiles=True)
+    assert record.trip is None, record.trip
+    peaks = np.abs(record.series["rig/state"].values).max(axis=(0, 2))
+    names = "displacement", "velocity", "acceleration", "force"
+    limits = [
+        f"supervisor:limits.{name}:={factor * peak:.6g}"
+        for name, factor, peak in zip(names, (1.5, 2.0, 2.0, 1.5), peaks, strict=True)
+    ]
+    return (*words, *limits), record
+
+
+def moments(record):
+    """Give the steps at which the specimen is quiet, moves fast, and is at its peak."""
+    moved = record.series["rig/state"].values[:, 0, -1]
+    size = np.abs(moved)
+    peak, rate = int(size.argmax()), round(1 / record.experiment.timebase.dt)
+    wide = np.convolve(moved**2, np.ones(rate // 2) / (rate // 2), "same") ** 0.5
+    quiet = rate + int(np.argmax(wide[rate:] > 0.2 * wide.max()))
+    fast = int(np.argmax(wide > 0.6 * wide.max()))
+    return quiet, fast, peak
+
+
+def faults_of(test, right):
+    """Give the faults: by name, each as the parameter ``rig: faults`` without its time."""
+    dt, largest = right.experiment.timebase.dt, np.abs(right.series["rig/state"].values)
+    for name, all_of in SLOW.items():
+        ends = f" for {round(0.03 / dt)}" if "30 ms" in name else ""
+        yield from ((name, [(kind, ends) for kind in kinds]) for kinds in all_of)
+    if test in ("linear", "friction"):
+        for name, beginning in GROUPS.items():
+            for fault in (one for one in FAULTS if one.startswith(beginning)):
+                lines = lines_of(fault, 0.0, NOISE, largest.max(axis=(0, 2)))
+                yield name, [(line.removesuffix(" at 0.0"), "") for line in lines]
+
+
+def try_fault(experiment, known, right, at, name):
+    """Say what came of a fault, and whether a perfect detector would have been in time."""
+    blocks = build_blocks(experiment, known)
+    record = simulate_test(experiment, blocks, compiles=True)
+    blocks = build_blocks(experiment, known)
+    perfect = replace(blocks, force_controller=PerfectDetector(blocks.force_controller, at))
+    best, sound = simulate_test(experiment, perfect).simulated, right.simulated
+    if name.startswith("specimen breaks"):
+        farthest = FARTHEST * sound.displacement_peak
+        ended = record.trip and (record.trip.step - at) * experiment.timebase.dt <= BROKEN + 1e-9
+        in_time = ended and record.simulated.displacement_peak <= farthest
+        return IN_TIME if in_time else "", best.displacement_peak <= farthest
+    return verdict(record, sound.force_peak, right), best.force_peak <= LARGEST * sound.force_peak
+
+
+def main():
+    """Print the table."""
+    motion = motion_words(sys.argv[1]) if len(sys.argv) > 1 else ()
+    found, possible = defaultdict(Counter), Counter()
+    for test, (words, config, axis) in tests(motion).items():
+        given, right = fitting(words, config)
+        experiment, known = load(*given, config=config), {}
+        for at in moments(right):
+            time = at * experiment.timebase.dt
+            for name, kinds in faults_of(test, right):
+                lines = [f"{axis}{kind} at {time!r}{ends}" for kind, ends in kinds]
+                faulty = experiment.changed({"rig": {"faults": lines}})
+                outcome, best = try_fault(faulty, known, right, at, name)
+                found[name][outcome] += 1
+                possible[name] += best
+                print(test, f"{time:g} s", lines, outcome, best, file=sys.stderr, flush=True)
+    print("| fault | tests | in time | perfect detector |\n|---|---|---|---|")
+    for name, outcomes in found.items():
+        print(f"| {name} | {outcomes.total()} | {outcomes[IN_TIME]} | {possible[name]} |")
 
 
 if __name__ == "__main__":

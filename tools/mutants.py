@@ -55,7 +55,10 @@ TESTS = {
     f"{PROTECTION}protected_force.py": FORCE_TESTS,
     **{
         f"{PROTECTION}{name}.py": DETECTOR_TESTS
-        for name in ("detectors", "channel_relations", "specimen_force", "valve_following")
+        for name in (
+            *("detectors", "detector_list", "channel_relations", "relation_following"),
+            *("specimen_force", "valve_following"),
+        )
     },
     f"{PROTECTION}detector_step.py": (*DETECTOR_TESTS, *CONTROL_TESTS),
     f"{PROTECTION}instability.py": (*FORCE_TESTS, *WATCH_TESTS),

@@ -3,8 +3,9 @@
 import numpy as np
 from scipy.signal import lfilter
 from seft_ros.protection.channel_relations import take_command
+from seft_ros.protection.detector_list import DETECTORS
 from seft_ros.protection.detector_step import begin_detectors, judge_sample, look_at_tracking
-from seft_ros.protection.detectors import DETECTORS, VALID, detector_arrays, first_of
+from seft_ros.protection.detectors import VALID, detector_arrays, first_of
 
 DT, N = 0.002, 2
 NOISE = np.array([[1e-5, 2e-5], [2e-3, 1e-3], [0.1, 0.2], [5.0, 3.0]])
@@ -24,7 +25,7 @@ def detectors(warn_only=(), **changes):
         **{"velocity_is_derived": False, "actuator": ACTUATOR, "past": PAST, "mass": MASS},
         **{"has_valve": True},
         **{"stiffness": STIFFNESS, "computed_mass": COMPUTED, "warn_only": warn_only},
-        **{"longest_hold": 0.0, "dt": DT, **changes},
+        **{"largest_drive": 10.0, "longest_miss": 0.0, "dt": DT, **changes},
     }
     p, state = detector_arrays(**known)
     begin_detectors(state)
@@ -90,7 +91,6 @@ def of_what(detector, axis):
         "displacement_velocity": {0: 5e-5 * count},
         "velocity_acceleration": {1: 5e-3 * count},
         "oil_balance": {4: 8.0 * one},  # of a valve that is stuck
-        "oil_noise": {4: 8.0 * one},
         "force_noise": {3: 50.0 * to_and_fro},
         "force_jump": {  # a specimen breaks
             0: 15.0 * (DT * count) ** 2,

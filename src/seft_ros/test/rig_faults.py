@@ -59,37 +59,42 @@ def lines_of(fault, time, noise, largest):
     return found
 
 
-HELD, MISSED = "commands held for 18 ms", "commands missed at random"
+LATE, MISSED = "nine commands missed in a row", "commands missed at random"
 """What a slow host does to a sound rig, at 500 Hz."""
 
 
 class SlowHost:
-    """Stands in for a `Rig` that gets its commands late, from step 400 on.
+    """Stands in for a `Rig` that misses commands, of which nobody tells, from step 400 on.
 
     Parameters
     ----------
     rig : Rig
         The rig.
     how : str
-        `HELD` or `MISSED`.
+        `LATE` or `MISSED`.
+    interlock : Interlock
+        Gives the stop along which the rig continues.
     """
 
-    def __init__(self, rig, how):
-        self._rig, self._how = rig, how
-        self._draw, self._missed, self._sent = np.random.default_rng(7), 0, []
+    def __init__(self, rig, how, interlock):
+        self._rig, self._how, self._interlock = rig, how, interlock
+        self._draw, self._missed = np.random.default_rng(7), 0
 
     def __getattr__(self, name):
         return getattr(self._rig, name)
 
     def step(self, command):
-        """Give the rig the newest command that it has by now."""
-        age = self._rig.step_index - 400
-        self._sent.append(np.array(command))
-        if age < 0:
-            self._missed = 0
-        elif self._how == HELD:
-            self._missed = age % 10 if age % 300 < 10 else 0
+        """Give the rig a command, or none."""
+        index, age = self._rig.step_index, self._rig.step_index - 400
+        if self._how == LATE:
+            misses = age >= 0 and age % 300 < 9
         else:
-            misses = self._draw.random() < 0.2 and self._missed < 9
-            self._missed = self._missed + 1 if misses else 0
-        return self._rig.step(self._sent[-1 - self._missed])
+            misses = age >= 0 and self._draw.random() < 0.2 and self._missed < 9
+        if not misses:
+            self._last, self._missed = np.array(command), 0
+            self._plan = np.array(self._interlock.stop(index))
+            return self._rig.step(command)
+        self._missed += 1
+        return self._rig.step(
+            self._rig.continued(self._last, self._missed, self._plan, self._missed)
+        )

@@ -8,7 +8,8 @@ from seft_ros.force_controller.detection import detectors_of
 from seft_ros.force_controller.force_control import ForceController
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.interlock_step import DETECTED
-from seft_ros.protection.detectors import DETECTORS, LIMITED_AT, SUSPECT, detector_arrays
+from seft_ros.protection.detector_list import DETECTORS
+from seft_ros.protection.detectors import LIMITED_AT, SUSPECT, detector_arrays
 from seft_ros.protection.protection_step import extrapolated
 from warning_detectors import warning_detectors
 
@@ -176,7 +177,7 @@ def watched(controller, axes=AXES, warn_only=(), of_position=1e-6):
     noise = np.repeat([[of_position], [1e-3], [1e-3], [1.0]], n, axis=1)
     nothing, none = np.zeros((n, n)), np.zeros((4, n))
     unknown = np.zeros((n, 4)), np.zeros((2, n, 2)), True, nothing, nothing, nothing
-    detectors = detector_arrays(noise, np.ones(4), none, False, *unknown, warn_only, 0.0, DT)
+    detectors = detector_arrays(noise, np.ones(4), none, False, *unknown, warn_only, 10.0, 0.0, DT)
     return Interlock(controller, axes, 1000.0, 0.02, 5 * DT, NO_LIMITS, detectors)
 
 
@@ -367,7 +368,7 @@ def test_detectors_know_what_their_section_says_of_their_axes():
         "noise.force:=[3.0, 4.0]",
         "detectors.force_range:=[0.0, 9000.0]",
         "watchdog.state_timeout:=0.02",
-        "detectors.warn_only:=oil_noise, tracking",
+        "detectors.warn_only:=oil_balance, tracking",
     )
     p, _ = detectors_of(section, axes, DT, (0, 1))
     expected = [[0.04, 1.685e7, 50.0, 24500.0], [0.0, 1.685e7, 50.0, 24500.0]]
@@ -381,8 +382,9 @@ def test_detectors_know_what_their_section_says_of_their_axes():
     np.testing.assert_array_equal(p.stiffness, np.diag([211e3, 160e3]))
     np.testing.assert_array_equal(p.computed_mass, p.mass)
     quiet = [one.name for one, acts in zip(DETECTORS, p.acts, strict=True) if not acts]
-    assert quiet == ["oil_noise", "tracking"]
-    assert p.persistence[2] == 13
+    assert quiet == ["oil_balance", "tracking"]
+    assert p.persistence[2] == 3
+    assert p.lost == pytest.approx(6.451e-4, rel=1e-3)  # of a stop that lasts for 0.1 s
     np.testing.assert_allclose(p.past[0].sum(axis=1), 1.0, atol=0.01)  # what is sent, flows
     alone, state = detectors_of(section, axes, DT, (1,))
     assert (alone.mass.item(), alone.stiffness.item(), alone.noise[3, 0]) == (45.0, 160e3, 4.0)

@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from detector_samples import ACTUATOR, NO_TARGET, NOISE, detect, detectors
+from detector_samples import ACTUATOR, DT, NO_TARGET, NOISE, detect, detectors
 from seft_ros.protection.channel_relations import find_flow
+from seft_ros.protection.detector_list import DETECTORS
 from seft_ros.protection.detector_step import begin_detectors
-from seft_ros.protection.detectors import DETECTORS, FROZEN, TRACKING
+from seft_ros.protection.detectors import FROZEN, TRACKING
 
 N = NOISE.shape[1]
 
@@ -17,7 +18,15 @@ def test_a_test_begins_without_what_was_seen_in_the_one_before():
     for values in (*state[:-1], *state.judge):
         values[:] = 7
     begin_detectors(state)
-    emptied = ("sent", "errors", "sums", "flows", "rise", "largest", "work", "response", "bends")
+    emptied = (
+        "sent",
+        "sums",
+        "rise",
+        "largest",
+        "work",
+        "response",
+        "bends",
+    )
     for name in (*emptied, "repeats", "counts", "shares"):
         assert not getattr(state, name).any(), name
     for name in (
@@ -74,7 +83,7 @@ def test_tracking_is_compared_with_the_largest_recent_motion_of_its_axis():
         found.append(detect(p, state, step, points, measured))
         of_both = np.maximum(np.abs(target), at)
         largest = np.maximum(of_both, p.memory * largest)
-        bias = p.bias[0] / (1.0 - p.fade)
+        bias = p.most[0, 2] * DT / (1.0 - p.fade)
         share = np.abs(target - at) / (p.sums[0] + bias + p.off_target * largest)
         np.testing.assert_allclose(state.shares[TRACKING], share, rtol=1e-12)
     assert found[-2:] == [-1, TRACKING * N + 1]

@@ -37,10 +37,12 @@ def motion(seed=1, size=1.0):
     return right + size * NOISE * rng.normal(size=right.shape), right, flow
 
 
-def judged_of(samples, flow, steps=None, mass=MASS, oil=OIL):
+def judged_of(samples, flow, steps=None, mass=MASS, oil=OIL, largest=np.inf):
     """Judge samples: the judged ones, and which values were replaced."""
     known = np.zeros((N, N)) if mass is None else mass
-    p, state = judge_arrays(NOISE, oil, known, STIFFNESS, np.full((4, N), np.inf), 0.0, SIGMAS, DT)
+    ranges = np.full((4, N), np.inf)
+    ranges[A] = largest
+    p, state = judge_arrays(NOISE, oil, known, STIFFNESS, ranges, 0.0, SIGMAS, DT)
     begin_judge(state)
     judged, verdicts = np.empty_like(samples), []
     for k, step in enumerate(range(len(samples)) if steps is None else steps):
@@ -140,6 +142,25 @@ def test_a_stop_is_accepted_at_once_or_one_sample_later(part, sign):
     for axis in range(N):
         assert not replaced[:, [X, V, F], axis].any()
         assert set(np.flatnonzero(replaced[:, A, axis])) <= {AT, AT + 10, AT + 11}
+
+
+def test_an_acceleration_at_the_end_of_its_range_says_nothing_of_the_velocity():
+    samples, _, flow = motion()
+    end = 0.4 * np.abs(samples[:, A]).max()
+    samples[:, A] = np.clip(samples[:, A], -end, end)
+    assert judged_of(samples, flow)[1][:, V].any()
+    assert not judged_of(samples, flow, largest=end)[1][:, V].any()
+
+
+@pytest.mark.parametrize("hertz", [60.0, 90.0])
+def test_an_oil_column_that_rings_between_few_samples_is_no_wrong_velocity(hertz):
+    samples, _, flow = motion(size=0.0)
+    w = 2.0 * math.pi * 2.0 * hertz  # of 250 Hz
+    phase = w * DT * np.arange(LENGTH)[:, np.newaxis] * np.ones(N)
+    ringing = 40.0 * np.stack([-np.sin(phase) / w**2, -np.cos(phase) / w, np.sin(phase)], axis=1)
+    samples[:, :F] += ringing
+    samples[:, F] += ringing[:, A] @ MASS + ringing[:, V] @ DAMPING + ringing[:, X] @ STIFFNESS
+    assert not judged_of(samples, flow)[1][:, V].any()
 
 
 def test_after_a_lost_sample_nothing_is_compared():

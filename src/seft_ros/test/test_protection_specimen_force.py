@@ -20,7 +20,7 @@ from detector_samples import (
     shares_of,
 )
 from seft_ros.protection import detectors as rows
-from seft_ros.protection.specimen_force import look_at_restoring_force
+from seft_ros.protection.specimen_force import look_at_restoring_force, look_at_strength
 
 SLOW, FAST = 0.1, 1e-3
 """Fastest recent motion, m in a sample, against which 2 mm are little and much."""
@@ -59,14 +59,14 @@ def test_how_far_the_force_of_a_specimen_may_jump(way, r, fastest, turned, count
     state.last[0], measured = [0.25, -0.5], np.zeros((4, N))
     measured[0] = state.last[0] + way
     state.restoring[:, 1] = r
-    state.largest[3, 1], state.largest[7, 1] = fastest, 300.0
+    state.judge.moves[0, 1], state.largest[4, 1] = fastest, 300.0
     state.step[rows.TURN_AT], state.counts[rows.JUMP, 1] = 50 - turned, counted
     largest = 300.0 if counted else max(abs(r[0]), p.memory * 300.0)
     jump = r[2] - r[0] + counted * r[1]
     assert look_at_restoring_force(p, state, 50, measured, 1) == -1
     expected = abs(jump) / (part * largest + p.rough[1] + stiff)
     assert state.shares[rows.JUMP, 1] == pytest.approx(expected, rel=1e-9)
-    assert state.largest[7, 1] == largest
+    assert state.largest[4, 1] == largest
     assert not state.shares[:, 0].any()
 
 
@@ -89,7 +89,7 @@ def test_a_force_that_jumps_back_and_forth_is_counted_as_noise():
         (1, 2),
         (1, 2),
     ]:
-        state.step[rows.TURN_AT], state.largest[7, 1] = 50 - turned, 0.0
+        state.step[rows.TURN_AT], state.largest[4, 1] = 50 - turned, 0.0
         limit = p.rough[1] + curved + (400.0 if turned < 4 else 0.0)
         bend = math.copysign(1.0, excess) * limit * (1.0 + (1e-6 if excess else -1e-6))
         state.restoring[:, 1] = 200.0, 70.0, 270.0 + bend
@@ -143,3 +143,30 @@ def test_the_last_turn_and_the_last_change_of_the_specimens_force_are_remembered
         turns.append(state.step[rows.TURN_AT] == k)
         np.testing.assert_allclose(state.restoring[1], r[k] - r[max(k - 1, 0)], atol=1e-9)
     assert turns == [False, False, True, False, True]
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_specimen_carries_less_where_it_is_deformed_farther(sign):
+    p, state = detectors()
+    way = sign * np.linalg.eigh(STIFFNESS)[1][0]
+    steps = (  # displacement, part of the force that is left, and whether it is compared
+        (0.01 * way, 1.0, True),
+        (-0.02 * way, 0.6, True),  # the other direction has a memory of its own
+        (-0.03 * way, 0.5, True),
+        (0.02 * way, 0.6, True),
+        (0.01 * way, 0.0, False),  # where it was before, it may have a gap
+        *[(0.03 * way, 0.1, True)] * 3,
+    )
+    ends = []
+    for x, left, is_compared in steps:
+        measured = np.zeros((4, N))
+        measured[0] = x
+        state.restoring[2], state.shares[:] = left * STIFFNESS @ x, 0.0
+        carried = state.carried[int(x @ way < 0.0), 1]
+        ends.append(look_at_strength(p, state, measured))
+        energy = x @ STIFFNESS @ x
+        expected = carried * math.sqrt(energy)
+        lost = (expected - left * energy) / (0.5 * expected + math.sqrt(x**2 @ p.rough**2))
+        share = max(lost, 0.0) if is_compared else 0.0
+        assert state.shares[rows.WEAKENS].tolist() == pytest.approx([share, 0.0])
+    assert ends == [-1] * 7 + [rows.WEAKENS * N]

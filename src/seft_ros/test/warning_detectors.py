@@ -1,7 +1,8 @@
 """Detectors for tests of something else."""
 
 import numpy as np
-from seft_ros.protection.detectors import DETECTORS, detector_arrays
+from seft_ros.protection.detector_list import DETECTORS
+from seft_ros.protection.detectors import detector_arrays
 
 
 def warning_detectors(axes, dt=0.002, has_valve=True):
@@ -13,5 +14,5 @@ def warning_detectors(axes, dt=0.002, has_valve=True):
     return detector_arrays(
         *(none, limits, none, False, actuator, past, has_valve),
         *[nothing] * 3,
-        *(names, 0.0, dt),
+        *(names, 10.0, 0.0, dt),
     )

@@ -24,7 +24,7 @@ from seft_ros.force_controller.force_controller_parameters import (
 from seft_ros.force_controller.methods import force_control
 from seft_ros.ground_motion.resampling import check_size
 from seft_ros.ground_motion.synthetic_motion import excitation, shortest_duration
-from seft_ros.protection.detectors import MODEL_BASED, NOISE_BASED
+from seft_ros.protection.detector_list import MODEL_BASED, NOISE_BASED
 from seft_ros.reference_force.force_command import FORCE_DRIVEN
 from seft_ros.reference_force.reference_force_block import ReferenceForce
 

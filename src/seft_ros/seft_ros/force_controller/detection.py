@@ -12,10 +12,9 @@ from seft_plant_sim.rig_parameters import LIMIT_NAMES
 from seft_plant_sim.sensors import per_channel
 
 from seft_ros.force_controller.valve_model import ASSUMED_ACTUATOR, read_actuators, valve_models
+from seft_ros.protection.detector_list import ALL, DETECTORS
 from seft_ros.protection.detector_step import begin_detectors, detect_all
 from seft_ros.protection.detectors import (
-    ALL,
-    DETECTORS,
     DetectorParameters,
     DetectorState,
     detector_arrays,
@@ -83,6 +82,7 @@ def detectors_of(
         np.ascontiguousarray(stiffness),
         np.ascontiguousarray(ratio * mass),
         warn_only,
+        section["voltage_limit"],
         section["watchdog.state_timeout"],
         dt,
     )

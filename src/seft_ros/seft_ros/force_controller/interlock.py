@@ -38,14 +38,9 @@ from seft_ros.force_controller.interlock_step import (
     take_sample,
 )
 from seft_ros.force_controller.methods import force_control
+from seft_ros.protection.detector_list import DETECTORS, describe
 from seft_ros.protection.detector_step import begin_detectors
-from seft_ros.protection.detectors import (
-    DETECTORS,
-    VALID,
-    DetectorParameters,
-    DetectorState,
-    describe,
-)
+from seft_ros.protection.detectors import VALID, DetectorParameters, DetectorState
 
 
 class Interlock:

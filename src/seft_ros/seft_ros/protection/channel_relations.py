@@ -5,14 +5,14 @@ valve's flow w::
 
     change of x = integral of v                                                            (1)
     change of v = integral of a                                                            (2)
-    integral of w = integral of (v + lambda f / k_oil) + change of f / k_oil               (3)
+    integral of w = change of (x + f / k_oil) + integral of lambda f / k_oil               (3)
 
-Each side is summed with a memory of `MEMORY`, so that slow faults show, too. The mean of their
-recent differences, which is the bias of a sensor, is subtracted.
+Each side is summed with a memory of 50 ms, the last ones of 0.2 s, so that slow faults show, too.
+Gain, delay and bias of the right side (in (3) those of the valve) are followed, see
+`relation_following`.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
@@ -20,16 +20,13 @@ from seft_plant_sim.compiled import compiled
 
 from seft_ros.protection.detectors import (
     ACCELERATION,
-    CHANGE,
+    DIFFERS,
     DISPLACEMENT,
     DISPLACEMENT_VELOCITY,
-    FOLLOWED_VALVES,
     FORCE_CHANNEL,
     LIMITED_AT,
     OIL,
-    OIL_NOISE,
     SAMPLE,
-    SIGMAS,
     VELOCITY,
     VELOCITY_ACCELERATION,
     DetectorParameters,
@@ -38,10 +35,25 @@ from seft_ros.protection.detectors import (
     look,
     sees,
 )
-from seft_ros.protection.valve_following import follow_valve, under_load
+from seft_ros.protection.relation_following import (
+    BIAS_OF,
+    CHANGE,
+    INTEGRAL,
+    PER_DELAY,
+    PERIODS,
+    SCATTER,
+    SIGMAS,
+    STANDS_OUT,
+    WEIGHT,
+    expected,
+    follow,
+    remember,
+    uncertain,
+)
+from seft_ros.protection.valve_following import under_load
 
-MISSED = 2.0
-"""Commands in a row that the rig may miss without a sample beyond its threshold."""
+Sides = tuple[float, float, float]
+"""Change of one side in a period, integral of the other, and its change per delay."""
 
 
 @compiled
@@ -73,64 +85,18 @@ def find_flow(p: DetectorParameters, state: DetectorState, lost: int) -> None:
         state.later[0, i], state.later[1, i] = state.later[1, i], p.actuator[i, 0] * later
 
 
-class Sides(NamedTuple):
-    """The sides of a relation over one period, and what may make them differ."""
-
-    one: float
-    other: float
-    least: float
-    """Least and largest value of the first side if the rig holds a command."""
-    largest: float
-    in_sums: float
-    """Difference that the times of the samples cause in the sums."""
-    part: float
-    """Relative error of the first side in a single step."""
-    resolution: float
-    """Of the first side."""
-    missed: float
-    """Difference that missed commands cause."""
-
-
 @compiled
-def hold(flows: Floats, newest: float) -> tuple[float, float]:
-    """Store a flow; give the least and the largest of those that the rig may hold."""
-    least = largest = newest
-    for j in range(len(flows) - 1, 0, -1):
-        flows[j] = flows[j - 1]
-        least, largest = min(least, flows[j]), max(largest, flows[j])
-    flows[0] = newest
-    return least, largest
-
-
-@compiled
-def look_at_sides(
-    p: DetectorParameters,
-    state: DetectorState,
-    row: int,
-    i: int,
-    sides: tuple[float, float, float, float],
-    threshold: float,
-    missed: float,
-) -> bool:
-    """Compare the sides of a relation.
-
-    Parameters
-    ----------
-    p, state, row, i
-        See `look`.
-    sides : tuple of float
-        One side, the other, and the least and the largest value of the first if the rig holds a
-        command.
-    threshold : float
-        Difference above which no held command explains it.
-    missed : float
-        Further difference that missed commands may cause.
-    """
-    one, other, least, largest = sides
-    beyond = max(other - largest, least - other)
-    if beyond > threshold:
-        return look(p, state, row, i, beyond, threshold, p.samples[row])
-    return look(p, state, row, i, abs(one - other), threshold + missed)
+def begin_relations(p: DetectorParameters, state: DetectorState) -> None:
+    """Begin a test with what is assumed."""
+    state.estimated[:] = 0.0
+    state.covariance[:] = 0.0
+    for relation in range(3):
+        for i in range(state.scatter.shape[2]):
+            state.scatter[relation, SCATTER, i] = (p.left[relation] / SIGMAS) ** 2
+            state.scatter[relation, WEIGHT, i] = 1.0
+            for row in range(3):
+                variance = p.deviation[relation, row, i] ** 2
+                state.covariance[relation, i, row, row] = variance
 
 
 @compiled
@@ -141,18 +107,77 @@ def resolution_of(state: DetectorState, row: int, i: int) -> float:
 
 
 @compiled
-def displacement_sides(
-    p: DetectorParameters, state: DetectorState, measured: Floats, i: int
-) -> Sides:
-    """Relation (1)."""
-    last = state.last
-    one, other = measured[0, i] - last[0, i], 0.5 * p.dt * (measured[1, i] + last[1, i])
-    late = p.late * abs(measured[1, i] - last[1, i])  # of a derived velocity
-    return Sides(one, other, one, one, late, 0.0, resolution_of(state, 0, i), 0.0)
+def compare(
+    p: DetectorParameters,
+    state: DetectorState,
+    relation: int,
+    n: int,
+    i: int,
+    sides: Sides,
+    rough: float,
+) -> int:
+    """Compare the sums of the sides of a relation.
+
+    Parameters
+    ----------
+    p, state
+        The state is updated.
+    relation, n, i : int
+        Place of the relation, number of axes and place of the axis.
+    sides : Sides
+        Of the last period.
+    rough : float
+        Difference of the sums by what came between the samples, by the converter, and by missed
+        commands.
+    """
+    sums, found, scatter = state.sums[relation], state.estimated[relation], state.scatter[relation]
+    covariance, row = state.covariance[relation, i], DIFFERS + relation
+    fade = p.oil_fade if relation == OIL else p.fade
+    change, integral, per_delay = sides
+    now = (change, integral, per_delay, p.dt)
+    for place in range(4):
+        sums[place, i] = fade * sums[place, i] + now[place]
+    off = sums[CHANGE, i] - expected(
+        found, i, sums[INTEGRAL, i], sums[PER_DELAY, i], sums[PERIODS, i]
+    )
+    whole = max(abs(sums[CHANGE, i]), abs(sums[INTEGRAL, i]), p.memory * state.largest[relation, i])
+    state.largest[relation, i] = whole
+    noise, by_estimates = p.sums[relation, i], uncertain(covariance, sums, i)
+    left = max(scatter[SCATTER, i], 0.0) * whole * whole
+    known = math.sqrt(noise * noise + SIGMAS * SIGMAS * (by_estimates + left))
+    bias = SIGMAS * math.sqrt(max(covariance[BIAS_OF, BIAS_OF], 0.0))
+    bias = min(bias, p.deviation[relation, BIAS_OF, i]) * sums[PERIODS, i]
+    most = noise + bias + p.tolerance[relation] * whole
+    threshold = min(known, most) + rough
+    is_fault = look(p, state, row, i, abs(off), threshold)
+    if state.counts[row, i] == 0:
+        persistent = p.correlated[relation] * ((rough / SIGMAS) ** 2 + left)
+        white = 1.0 if relation == OIL else p.correlated[relation]  # the noise of a displacement is
+        doubt = white * (noise / SIGMAS) ** 2 + persistent
+        moves = whole > STANDS_OUT / SIGMAS * (noise + rough)
+        limits, drift = p.most[relation], p.drift[relation]
+        follow(found, covariance, sums, limits, drift, i, off, doubt, moves)
+        remember(scatter, i, off, known / SIGMAS, whole, noise / SIGMAS, p.dt)
+    return row * n + i if is_fault else -1
 
 
 @compiled
-def velocity_sides(p: DetectorParameters, state: DetectorState, measured: Floats, i: int) -> Sides:
+def displacement_velocity(
+    p: DetectorParameters, state: DetectorState, measured: Floats, i: int
+) -> int:
+    """Relation (1); the acceleration tells how the velocity bends between the samples."""
+    last, change = state.last, measured[1, i] - state.last[1, i]
+    bend = p.dt / 6.0 * (measured[2, i] - last[2, i])
+    moved = 0.5 * p.dt * (measured[1, i] + last[1, i] - bend)
+    rough = p.late * abs(change) + resolution_of(state, DISPLACEMENT, i)
+    sides = (measured[0, i] - last[0, i], moved, -change)
+    return compare(p, state, DISPLACEMENT_VELOCITY, measured.shape[1], i, sides, rough)
+
+
+@compiled
+def velocity_acceleration(
+    p: DetectorParameters, state: DetectorState, measured: Floats, i: int
+) -> int:
     """Relation (2); a force may jump at any time between two samples.
 
     A held force jumps at each, and the motion between them may hide that in the acceleration.
@@ -160,80 +185,51 @@ def velocity_sides(p: DetectorParameters, state: DetectorState, measured: Floats
     last, rise, jump = state.last, measured[2, i] - state.last[2, i], 0.0
     for k in range(measured.shape[1]):
         jump += p.by_force[i, k] * (measured[3, k] - last[3, k])
-    one, other = measured[1, i] - last[1, i], 0.5 * p.dt * (measured[2, i] + last[2, i])
-    state.rise[0, i] = p.fade * state.rise[0, i] + rise
-    state.rise[1, i] = p.fade * state.rise[1, i] + jump
-    rises = max(abs(rise), abs(jump), abs(state.rise[0, i]), abs(state.rise[1, i]))
-    late = (0.5 * p.dt + p.late) * rises
-    return Sides(one, other, one, one, late, 0.0, resolution_of(state, 1, i), 0.0)
+    bend = abs(rise - state.rise[0, i])
+    state.rise[0, i] = rise
+    state.rise[1, i] = max(bend, p.fade * state.rise[1, i])
+    state.rise[2, i] = p.fade * state.rise[2, i] + jump
+    rises = max(state.rise[1, i], abs(jump), abs(state.rise[2, i]))
+    rough = (0.5 * p.dt + p.late) * rises + resolution_of(state, VELOCITY, i)
+    gained = 0.5 * p.dt * (measured[2, i] + last[2, i])
+    sides = (measured[1, i] - last[1, i], gained, -rise)
+    return compare(p, state, VELOCITY_ACCELERATION, measured.shape[1], i, sides, rough)
 
 
 @compiled
-def oil_sides(p: DetectorParameters, state: DetectorState, measured: Floats, i: int) -> Sides:
-    """Relation (3), with the valve as it was found so far."""
-    dt, last, errors, covariance = p.dt, state.last, state.errors[i], state.covariance[i]
-    oil, leakage = p.actuator[i, 1], p.actuator[i, 2]
-    flow = 0.5 * (state.flow[0, i] + state.flow[1, i])
-    later = 0.5 * (state.later[0, i] + state.later[1, i])
-    moved = 0.5 * dt * (measured[1, i] + last[1, i])
-    leaked = 0.5 * dt * leakage * (measured[3, i] + last[3, i])
-    other = moved + (measured[3, i] - last[3, i] + leaked) / oil
-    one = dt * (flow + errors[0] * flow + errors[1] * later)
-    least, largest = hold(state.flows[i], one)
-    if state.counts[OIL_NOISE, i] == 0 and state.counts[CHANGE + OIL, i] == 0:
-        follow_valve(errors, covariance, flow, later, other / dt, p.doubt[i])
-    part = min(p.tolerance[OIL], FOLLOWED_VALVES + SIGMAS * math.sqrt(covariance[0]))
-    change = abs(state.flow[1, i] - state.flow[0, i])
-    state.largest[8, i] = max(change, p.fade * state.largest[8, i])
-    missed = MISSED * dt * state.largest[8, i]
-    resolution = resolution_of(state, FORCE_CHANNEL, i) / oil
-    return Sides(one, other, least, largest, 0.0, part, resolution, missed)
+def oil_balance(p: DetectorParameters, state: DetectorState, measured: Floats, i: int) -> int:
+    """Relation (3); a rig that misses commands slows down, and nobody tells."""
+    last, oil = state.last, p.actuator[i, 1]
+    flow = 0.5 * p.dt * (state.flow[0, i] + state.flow[1, i])
+    later = 0.5 * p.dt * (state.later[0, i] + state.later[1, i])
+    leaked = 0.5 * p.dt * p.actuator[i, 2] * (measured[3, i] + last[3, i])
+    change = measured[0, i] - last[0, i] + (measured[3, i] - last[3, i] + leaked) / oil
+    rough = resolution_of(state, FORCE_CHANNEL, i) / oil + resolution_of(state, DISPLACEMENT, i)
+    slowed = max(p.lost * abs(measured[1, i]), p.oil_fade * state.largest[5, i])
+    state.largest[5, i] = slowed
+    rough += slowed
+    return compare(p, state, OIL, measured.shape[1], i, (change, flow, later), rough)
 
 
 @compiled
-def compare_channels(
-    p: DetectorParameters, state: DetectorState, relation: int, n: int, i: int, sides: Sides
-) -> int:
-    """Compare the sums of the sides of a relation, less their bias; of (3) also single steps."""
-    recent, bias, found = state.largest, state.bias[relation], -1
-    one, other, is_oil = sides.one, sides.other + bias[0, i], relation == OIL
-    if state.counts[CHANGE + relation, i] == 0 and not (is_oil and state.counts[OIL_NOISE, i]):
-        constant = bias[0, i] + (1.0 - p.memory) * (one - other)
-        bias[0, i] = min(max(constant, -p.bias[relation, i]), p.bias[relation, i])
-        bias[1, i] *= p.memory
-    now, sums = (one, other, sides.least, sides.largest), state.sums[relation]
-    for row in range(4):
-        sums[row, i] = p.fade * sums[row, i] + now[row]
-    summed = (sums[0, i], sums[1, i], sums[2, i], sums[3, i])
-    whole = max(abs(sums[0, i]), abs(sums[1, i]), p.memory * recent[relation, i])
-    single = max(abs(one), abs(other), p.fade * recent[3 + relation, i])
-    recent[relation, i], recent[3 + relation, i] = whole, single
-    unknown = p.bias[relation, i] * bias[1, i] / (1.0 - p.fade)
-    known, missed = sides.resolution, sides.missed
-    threshold = p.sums[relation, i] + unknown + p.tolerance[relation] * whole + known
-    threshold += sides.in_sums
-    if look_at_sides(p, state, CHANGE + relation, i, summed, threshold, missed):
-        found = (CHANGE + relation) * n + i
-    threshold = p.steps[i] + sides.part * single + known
-    if is_oil and look_at_sides(p, state, OIL_NOISE, i, now, threshold, missed) and found < 0:
-        found = OIL_NOISE * n + i
-    return found
+def was_replaced(state: DetectorState, step: int, row: int, i: int) -> bool:
+    """Say whether the judge replaced a channel at this sample or the last one."""
+    steps = state.judge.wrong[row, i]
+    return step - steps[(state.judge.counts[row, i] - 1) % len(steps)] <= 1
 
 
 @compiled
 def relations(
     p: DetectorParameters, state: DetectorState, step: int, measured: Floats, i: int
 ) -> int:
-    """Relations (1) to (3) of an axis."""
-    n, found = measured.shape[1], -1
-    sees_velocity = sees(state, step, VELOCITY)
-    if sees_velocity and sees(state, step, DISPLACEMENT):
-        sides = displacement_sides(p, state, measured, i)
-        found = compare_channels(p, state, DISPLACEMENT_VELOCITY, n, i, sides)
-    if sees_velocity and sees(state, step, ACCELERATION):
-        sides = velocity_sides(p, state, measured, i)
-        found = first_of(found, compare_channels(p, state, VELOCITY_ACCELERATION, n, i, sides))
-    if sees_velocity and sees(state, step, FORCE_CHANNEL):
-        sides = oil_sides(p, state, measured, i)
-        found = first_of(found, compare_channels(p, state, OIL, n, i, sides))
+    """Relations (1) to (3) of an axis; (1) would not forget a velocity that is only expected."""
+    found, sees_displacement = -1, sees(state, step, DISPLACEMENT)
+    if not sees(state, step, VELOCITY):
+        return found
+    if sees_displacement and not was_replaced(state, step, VELOCITY, i):
+        found = displacement_velocity(p, state, measured, i)
+    if sees(state, step, ACCELERATION):
+        found = first_of(found, velocity_acceleration(p, state, measured, i))
+    if sees_displacement and sees(state, step, FORCE_CHANNEL):
+        found = first_of(found, oil_balance(p, state, measured, i))
     return found

@@ -11,7 +11,12 @@ import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 from seft_plant_sim.compiled import compiled
 
-from seft_ros.protection.channel_relations import find_flow, relations, take_command
+from seft_ros.protection.channel_relations import (
+    begin_relations,
+    find_flow,
+    relations,
+    take_command,
+)
 from seft_ros.protection.detectors import (
     ACCELERATION,
     AT_RANGE,
@@ -20,6 +25,7 @@ from seft_ros.protection.detectors import (
     FROZEN,
     JUMP,
     LIMITED_AT,
+    OIL,
     SAMPLE,
     SECOND_ORDER_WORK,
     SUSPECT,
@@ -34,12 +40,13 @@ from seft_ros.protection.detectors import (
     sees,
 )
 from seft_ros.protection.judge import NEVER, begin_judge, judge
+from seft_ros.protection.relation_following import BIAS_OF, expected
 from seft_ros.protection.specimen_force import (
     look_at_response,
     look_at_restoring_force,
+    look_at_strength,
     look_at_work,
 )
-from seft_ros.protection.valve_following import begin_following
 
 OF_SENSORS = (0, 1, SECOND_ORDER_WORK, JUMP)
 """Detectors that make a sample suspect."""
@@ -53,14 +60,12 @@ after which a sample is suspect: a chance of 1e-6."""
 def begin_detectors(state: DetectorState) -> None:
     """Begin a test."""
     state.sent[:] = 0.0
-    begin_following(state.errors, state.covariance)
     state.sums[:] = 0.0
-    state.flows[:] = 0.0
     state.rise[:] = 0.0
-    state.bias[:, 0] = 0.0
-    state.bias[:, 1] = 1.0
     state.largest[:] = 0.0
     state.work[:] = 0.0
+    state.farthest[:] = 0.0
+    state.carried[:] = 0.0
     state.response[:] = 0.0
     state.bends[:] = 0.0
     state.repeats[:] = 0
@@ -97,12 +102,14 @@ def judge_sample(
             if abs(raw[row, i]) >= p.range[row, i]:
                 state.step[AT_RANGE + row] = step
     is_first = lost > 0
+    if state.step[SAMPLE] == NEVER:
+        begin_relations(p, state)
     state.step[SAMPLE] = step
     find_flow(p, state, lost)
     for i in range(n):
         flow = 0.5 * (state.flow[0, i] + state.flow[1, i])
         later = 0.5 * (state.later[0, i] + state.later[1, i])
-        state.mean[i] = flow + state.errors[i, 0] * flow + state.errors[i, 1] * later
+        state.mean[i] = expected(state.estimated[OIL], i, flow, later, 1.0)
     judge(p.judge, state.judge, step, raw, state.mean, judged)
     last, restoring = state.last, state.restoring
     for i in range(n):
@@ -114,6 +121,7 @@ def judge_sample(
         knows_force = sees(state, step, ACCELERATION) and sees(state, step, FORCE_CHANNEL)
         if knows_force:
             found = first_of(found, look_at_work(p, state, judged))
+            found = first_of(found, look_at_strength(p, state, judged))
         for i in range(n):
             found = first_of(found, relations(p, state, step, judged, i))
             found = first_of(found, look_for_frozen(p, state, step, i))
@@ -138,9 +146,9 @@ def look_at_tracking(
 ) -> int:
     """Whether the specimen is away from the target, although the valve is not at its limit."""
     away = abs(points[0, 0, i] - measured[0, i])
-    largest = max(abs(points[0, 0, i]), abs(measured[0, i]), p.memory * state.largest[6, i])
-    state.largest[6, i] = largest
-    bias = p.bias[DISPLACEMENT_VELOCITY, i] / (1.0 - p.fade)
+    largest = max(abs(points[0, 0, i]), abs(measured[0, i]), p.memory * state.largest[3, i])
+    state.largest[3, i] = largest
+    bias = p.most[DISPLACEMENT_VELOCITY, BIAS_OF, i] * p.dt / (1.0 - p.fade)
     threshold = p.sums[DISPLACEMENT_VELOCITY, i] + bias + p.off_target * largest
     if step - state.step[LIMITED_AT] <= p.limited:
         threshold = np.inf  # the interlock counts these

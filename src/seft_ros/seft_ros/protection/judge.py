@@ -362,6 +362,7 @@ def judge_motion(p: JudgeParameters, state: JudgeState, judged: Floats, i: int) 
     """Judge velocity and displacement by (1) and (2); the acceleration may be wrong or jump."""
     last, dt = state.judged[0], p.dt
     x1, v1, a1 = last[X, i], last[V, i], last[A, i]
+    bend = judged[A, i] - 2.0 * a1 + state.judged[1, A, i]
     jump = abs(state.off[2, i])
     a = state.off[1, i] if jump > 0.0 else judged[A, i]
     expected = v1 + 0.5 * dt * (a + a1)
@@ -370,8 +371,11 @@ def judge_motion(p: JudgeParameters, state: JudgeState, judged: Floats, i: int) 
         in_noise(p, state, 1, i, V)
         + CALIBRATION * state.moves[1, i]
         + (0.5 * dt + p.late) * abs(a - a1)
+        + 0.125 * dt * abs(bend)  # the acceleration turns between the samples
         + dt * jump
     )
+    if max(abs(judged[A, i]), abs(a1)) >= p.range[A, i]:
+        allowed = np.inf  # it may be any larger one
     # if the displacement knows better, the acceleration misses what came between the samples
     by_expected = abs(judged[X, i] - x1 - 0.5 * dt * (expected + v1))
     by_measured = abs(judged[X, i] - x1 - 0.5 * dt * (judged[V, i] + v1))

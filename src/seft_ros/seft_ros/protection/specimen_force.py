@@ -5,7 +5,8 @@ the increment of r does not oppose that of the deformation (Hill's second-order 
 
     sum dr . dx >= 0                                                                       (4)
 
-Nor does it jump further than friction and gaps make it.
+Where the specimen is deformed as far as never before in a direction, it still carries a part of the
+force that it had there. Nor does its force jump further than friction and gaps make it.
 """
 
 import math
@@ -20,13 +21,15 @@ from seft_ros.protection.detectors import (
     ROUGH,
     SECOND_ORDER_WORK,
     TURN_AT,
+    WEAKENS,
     DetectorParameters,
     DetectorState,
     look,
 )
 
 OPPOSED = 0.5
-"""Part of the assumed stiffness by which a specimen may soften: fracture, buckling."""
+"""Part of the assumed stiffness, or of the largest force, by which a specimen may soften: fracture,
+buckling."""
 
 _SLIP, BREAK, _STIFFEST = 0.35, 0.25, 6.0
 """Largest change of a specimen's force in a step: parts of its largest force, with and against the
@@ -57,12 +60,12 @@ def look_at_restoring_force(
         rise, fall = rise + max(spring, 0.0), fall + max(-spring, 0.0)
         curvature += p.stiffness[i, k] * p.dt * p.dt * (measured[2, k] + last[2, k])
     change, moved = r[2, i] - r[0, i], abs(measured[0, i] - last[0, i])
-    moves = p.judge.noise[0, i] + MOVES * state.largest[3, i]
+    moves = p.judge.noise[0, i] + MOVES * state.judge.moves[0, i]
     slips = moved < moves or step - state.step[TURN_AT] <= TURNED
-    largest = state.largest[7, i]
+    largest = state.largest[4, i]
     if state.counts[JUMP, i] == 0:  # a suspect sample is no measure
         largest = max(abs(r[0, i]), p.memory * largest)
-        state.largest[7, i] = largest
+        state.largest[4, i] = largest
     # noise alternates, an impact rings
     bend, limit = change - r[1, i], p.rough[i] + abs(curvature) + (TURN * largest if slips else 0.0)
     bend = bend if abs(bend) > limit else 0.0
@@ -116,3 +119,35 @@ def look_at_work(p: DetectorParameters, state: DetectorState, measured: Floats) 
     return (
         SECOND_ORDER_WORK * n if look(p, state, SECOND_ORDER_WORK, 0, -work[0], threshold) else -1
     )
+
+
+@compiled
+def look_at_strength(p: DetectorParameters, state: DetectorState, measured: Floats) -> int:
+    """Whether the specimen has lost its force where it is deformed as far as never before.
+
+    The deformation is measured by sqrt(x K x), the force by r x over that: of a specimen that is
+    linear they are equal, in any mode. Both directions have a memory of their own.
+    """
+    n, x, farthest = measured.shape[1], measured[0], state.farthest
+    energy = work = along = noise = 0.0
+    for i in range(n):
+        spring = 0.0
+        for k in range(n):
+            spring += p.stiffness[i, k] * x[k]
+        energy += x[i] * spring
+        along += farthest[0, i] * spring
+        work += x[i] * state.restoring[2, i]
+        noise += (x[i] * p.rough[i]) ** 2
+    side, row = 0 if along >= 0.0 else 1, WEAKENS
+    if energy <= state.carried[side, 0]:
+        look(p, state, row, 0, 0.0, 1.0)
+        return -1
+    root = math.sqrt(energy)
+    carried = max(state.carried[side, 1], 0.0) * root
+    if look(p, state, row, 0, carried - work, OPPOSED * carried + math.sqrt(noise)):
+        return row * n
+    if state.counts[row, 0] == 0:
+        state.carried[side, 0], state.carried[side, 1] = energy, work / root
+        for i in range(n):
+            farthest[side, i] = x[i]
+    return -1

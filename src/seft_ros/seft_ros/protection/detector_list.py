@@ -1,0 +1,105 @@
+"""The detectors: their names, what they say when they find a fault, and how long they wait."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from seft_msgs_py.arrays import Floats
+from seft_plant_sim.sensors import CHANNELS
+
+from seft_ros.protection.judge import LASTS
+
+LONG_LASTS = 0.02
+"""Time for which some detectors must be beyond their thresholds, s: longer than the effects of a
+specimen that slips or hits a stop, or of a valve at its limit. For the others it is `LASTS`."""
+
+WARNING = 0.8
+"""Part of its threshold at which a detector warns: noise alone reaches 0.75 in a test."""
+
+
+@dataclass(frozen=True)
+class Detector:
+    """One of the detectors.
+
+    Attributes
+    ----------
+    name : str
+        Name in parameters and reports.
+    text : str
+        Its finding in a sentence, with the measured value and the threshold.
+    unit : str
+        Of both.
+    lasts : float
+        Persistence, s; three samples at least, because an event between two samples shows in both;
+        0: two samples.
+    """
+
+    name: str
+    text: str
+    unit: str
+    lasts: float = LASTS
+
+
+_SUMS = "disagree on axis {axis}: they differ by {seen} over the last"
+_OIL = "measured displacement and force, and the valve's flow by its commands,"
+_SAME = "measured {} on axis {{axis}} has repeated one value for {{seen}}"
+_WRONG = "measured {} on axis {{axis}} contradicts the other channels: {{seen}} within 50 ms"
+DETECTORS = (
+    Detector("displacement_velocity", f"measured displacement and velocity {_SUMS} 50 ms", "m"),
+    Detector("velocity_acceleration", f"measured velocity and acceleration {_SUMS} 50 ms", "m/s"),
+    Detector("oil_balance", f"{_OIL} {_SUMS} 0.2 s", "m"),
+    Detector(
+        "second_order_work",
+        "the measured force falls as the specimen is deformed further: work of {seen} against it",
+        "N m",
+    ),
+    Detector(
+        "strength",
+        "the specimen carries less where it is deformed farther: work of {seen} is lost",
+        "N m",
+    ),
+    Detector(
+        "force_noise",
+        "measured force and acceleration disagree on axis {axis} from sample to sample, as with "
+        "noise: the specimen's force alternated in {seen} recently",
+        "samples",
+        0.0,
+    ),
+    Detector(
+        "force_jump",
+        "the specimen's force by measured force and acceleration on axis {axis} jumps by {seen}",
+        "N",
+        0.0,
+    ),
+    Detector(
+        "force_response",
+        "measured force on axis {axis} does not answer the motion: sum of squares {seen}",
+        "N^2",
+        LONG_LASTS,
+    ),
+    Detector(
+        "tracking",
+        "measured displacement on axis {axis} is {seen} away from its target",
+        "m",
+        LONG_LASTS,
+    ),
+    *(Detector(f"{name}_frozen", _SAME.format(name), "samples", 0.0) for name in CHANNELS),
+    *(Detector(f"{name}_wrong", _WRONG.format(name), "samples", 0.0) for name in CHANNELS),
+)
+"""In the order of the rows of a detector's arrays."""
+
+MODEL_BASED = (
+    *("oil_balance", "second_order_work", "strength"),
+    *("force_noise", "force_jump", "force_response"),
+)
+"""Detectors that need actuators or specimen: they only warn while these are being identified."""
+NOISE_BASED = tuple(f"{name}_frozen" for name in CHANNELS)
+"""Detectors that need the noise of the channels: a value with noise does not repeat."""
+ALL = "all"
+
+
+def describe(place: int, found: Floats, axes: Sequence[str]) -> str:
+    """Describe a detector's finding in a sentence, from the results of `detect`."""
+    row, axis = divmod(place, len(axes))
+    one = DETECTORS[row]
+    seen, threshold = (f"{value:.3g} {one.unit}" for value in found.tolist())
+    return f"{one.text.format(axis=axes[axis], seen=seen)} ({threshold} allowed): {one.name}"
