@@ -60,6 +60,10 @@ TESTS = {
             *("specimen_force", "valve_following"),
         )
     },
+    **{
+        f"{PROTECTION}{name}.py": (f"{ROS}test/test_protection_judge.py", *DETECTOR_TESTS)
+        for name in ("judge", "judge_step")
+    },
     f"{PROTECTION}detector_step.py": (*DETECTOR_TESTS, *CONTROL_TESTS),
     f"{PROTECTION}instability.py": (*FORCE_TESTS, *WATCH_TESTS),
     f"{DRIVER}safe_stop.py": DRIVER_TESTS,

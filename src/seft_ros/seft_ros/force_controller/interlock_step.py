@@ -17,6 +17,7 @@ from seft_ros.protection.detectors import (
     DetectorState,
     first_of,
 )
+from seft_ros.protection.judge_step import ask
 from seft_ros.protection.protection_step import as_sample, extrapolate
 
 TRIP, STEP, SATURATED, DETECTED, ANSWERED, MISSED = range(6)
@@ -143,7 +144,10 @@ def precheck(
     if state.flags[TRIP] == NO_TRIP:
         fits, found = True, state.flags[DETECTED]
         for i in range(n):
-            fits &= abs(points[0, last, i]) <= parameters.largest
+            force = points[0, last, i]
+            fits &= abs(force) <= parameters.largest
+            if fits and not parameters.detectors.has_valve:
+                ask(state.detectors.judge, i, force)
         for i in range(n):
             if fits and state.plan.shape[1] > 1:  # a controller of forces reads them alone
                 detectors = parameters.detectors

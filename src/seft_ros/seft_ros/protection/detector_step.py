@@ -39,7 +39,7 @@ from seft_ros.protection.detectors import (
     look,
     sees,
 )
-from seft_ros.protection.judge import NEVER, begin_judge, judge
+from seft_ros.protection.judge_step import NEVER, begin_judge, judge
 from seft_ros.protection.relation_following import BIAS_OF, expected
 from seft_ros.protection.specimen_force import (
     look_at_response,
