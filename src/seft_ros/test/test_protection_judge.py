@@ -7,7 +7,7 @@ import pytest
 from detector_samples import ALL, DT, MASS, NO_TARGET, NOISE, STIFFNESS, N, detect, detectors
 from seft_ros.protection import detectors as rows
 from seft_ros.protection.judge import judge_arrays
-from seft_ros.protection.judge_step import begin_judge, judge
+from seft_ros.protection.judge_step import ask, begin_judge, judge
 
 X, V, A, F = range(4)
 DAMPING = np.array([[200.0, -20.0], [-20.0, 150.0]])
@@ -38,8 +38,8 @@ def motion(seed=1, size=1.0):
     return right + size * NOISE * rng.normal(size=right.shape), right, flow
 
 
-def judged_of(samples, flow, steps=None, mass=MASS, oil=OIL, largest=np.inf):
-    """Judge samples: the judged ones, and which values were replaced."""
+def judged_of(samples, flow, steps=None, mass=MASS, oil=OIL, largest=np.inf, asked=None):
+    """Judge samples: the judged ones, and which values were replaced; ``asked`` are the forces."""
     known = np.zeros((N, N)) if mass is None else mass
     ranges = np.full((4, N), np.inf)
     ranges[A] = largest
@@ -49,6 +49,8 @@ def judged_of(samples, flow, steps=None, mass=MASS, oil=OIL, largest=np.inf):
     for k, step in enumerate(range(len(samples)) if steps is None else steps):
         judge(p, state, step, samples[k], flow[k], judged[k])
         verdicts.append(state.verdict.copy())
+        for i in range(N if asked is not None else 0):
+            ask(state, i, asked[k, i])
     return judged, np.array(verdicts), p
 
 
@@ -143,6 +145,22 @@ def test_a_stop_is_accepted_at_once_or_one_sample_later(part, sign):
     for axis in range(N):
         assert not replaced[:, [X, V, F], axis].any()
         assert set(np.flatnonzero(replaced[:, A, axis])) <= {AT, AT + 10, AT + 11}
+
+
+def test_a_force_that_turns_as_was_asked_is_not_wrong_though_the_specimen_sticks():
+    samples, asked = np.zeros((LENGTH, 4, N)), np.zeros((LENGTH, N))
+    for first, change in ((100, 200.0), (104, -500.0), (108, 700.0)):
+        asked[first:, 1] += change
+    samples[5:, F] = asked[:-5]  # the delay of the rig
+    flow = np.zeros((LENGTH, N))
+    judged, replaced, _ = judged_of(samples, flow, oil=0.0 * OIL, asked=asked)
+    assert not replaced.any()
+    np.testing.assert_array_equal(judged, samples)
+    _, replaced, _ = judged_of(samples, flow, oil=0.0 * OIL)
+    assert replaced[[105, 109], F, 1].all()
+    samples[200, F, 1] += 3000.0
+    _, replaced, _ = judged_of(samples, flow, oil=0.0 * OIL, asked=asked)
+    assert np.argwhere(replaced).tolist() == [[200, F, 1]]
 
 
 def test_an_acceleration_at_the_end_of_its_range_says_nothing_of_the_velocity():

@@ -64,7 +64,7 @@ class JudgeState(NamedTuple):
     usual : ndarray
         Largest recent differences of (3) and (4) that were accepted, shape (2, n), N.
     asked : ndarray
-        The last reference force, shape (n,), N.
+        The last two reference forces, the newest first, shape (2, n), N.
     moves : ndarray
         Largest recent dt |v| and dt |a|, and the largest recent |r|; shape (3, n).
     doubt : ndarray
@@ -155,7 +155,7 @@ def judge_arrays(
         judged=np.zeros((2, 4, n)),
         restoring=np.zeros((2, n)),
         usual=np.zeros((2, n)),
-        asked=np.zeros(n),
+        asked=np.zeros((2, n)),
         moves=np.zeros((3, n)),
         doubt=np.zeros(n),
         jump=np.zeros(n),

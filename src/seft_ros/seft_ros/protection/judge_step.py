@@ -142,10 +142,10 @@ def accept(p: JudgeParameters, state: JudgeState, relation: int, i: int, off: fl
 
 @compiled
 def ask(state: JudgeState, i: int, force: float) -> None:
-    """Know what is asked of a rig that obeys forces: its force may change as much in a sample."""
-    change = abs(force - state.asked[i])
-    state.usual[0, i] = max(state.usual[0, i], change)
-    state.asked[i] = force
+    """Know what is asked of a rig that obeys forces: its force will differ as much from (3)."""
+    last, before = state.asked[0, i], state.asked[1, i]
+    state.usual[0, i] = max(state.usual[0, i], abs(force - 2.0 * last + before))
+    state.asked[0, i], state.asked[1, i] = force, last
 
 
 @compiled
