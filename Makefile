@@ -98,10 +98,11 @@ endif
 		echo "seft: see why with: $(BIN)/pip install -r requirements.txt" >&2; false; })
 	$(call step,installing the packages in place, \
 		$(PIP) install --no-deps --no-build-isolation $(PACKAGES:%=-e %))
-	$(call step,compiling the steps of a test (half a minute, once), \
+	$(call step,compiling the steps of tests of one axis and of several (a minute or two, once), \
 		$(BIN)/python -m compileall -q $(PACKAGES); \
-		$(BIN)/seft simulate config/demo.yaml >/dev/null 2>&1; \
-		$(BIN)/seft simulate config/jhu.yaml >/dev/null 2>&1 || true)
+		for config in demo jhu three_storey_frame; do \
+			$(BIN)/seft simulate config/$$config.yaml >/dev/null 2>&1; \
+		done || true)
 	@pwd -P > $(READY)
 	@echo "seft: .venv is ready"
 
