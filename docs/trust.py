@@ -28,9 +28,9 @@ from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.calibration_effect import led
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.analysis.report_numbers import report_numbers
-from seft_ros.design.calibrated import Calibrated, Shaken, all_known, moved_by
-from seft_ros.design.rig_tests import shake_test, write_forces
-from seft_ros.design.shake import (
+from seft_ros.identification.calibrated import Calibrated, Shaken, all_known, moved_by
+from seft_ros.identification.rig_tests import shake_test, write_forces
+from seft_ros.identification.shake import (
     PILOT_SECONDS,
     gains_after,
     plan_shake,
@@ -40,8 +40,8 @@ from seft_ros.design.shake import (
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
 from sound_tests import motion_words
-from test_design_shake import identified
 from test_detectors import KIND, PLAN, SPECIMEN, load
+from test_identification_shake import identified
 
 MASS = 52.7
 STOREYS = "rig:specimen.springs:=[1.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0, -1.0, 1.0]"

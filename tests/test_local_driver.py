@@ -16,11 +16,11 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_ros.bags.record import Record, Series
 from seft_ros.cli.rig_commands import TEMPLATES
-from seft_ros.design.calibrated import Calibrated, Shaken, all_known
-from seft_ros.design.rig_tests import shake_test, write_forces
-from seft_ros.design.shake import plan_shake, shake_drive, with_actuators
+from seft_ros.identification.calibrated import Calibrated, Shaken, all_known
+from seft_ros.identification.rig_tests import shake_test, write_forces
+from seft_ros.identification.shake import plan_shake, shake_drive, with_actuators
 from seft_ros.nodes.kinds import NODE_KINDS
-from test_design_shake import identified
+from test_identification_shake import identified
 
 TOPICS = (GROUND_MOTION, RIG_STATE, REFERENCE_FORCE, VALVE_COMMAND)
 TEMPLATE = TEMPLATES / "rig_driver"

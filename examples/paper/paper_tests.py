@@ -24,10 +24,10 @@ from seft_plant_sim.rig_parameters import LIMIT_NAMES
 from seft_ros.analysis.metrics import Agreement, agreement
 from seft_ros.analysis.summary import COMPARED, reference_of
 from seft_ros.bags.record import Record
-from seft_ros.design import rig_tests
 from seft_ros.design.force_tracking import BAND_HZ
-from seft_ros.design.identified import Identified, identify_from_records
 from seft_ros.design.plan import Plan
+from seft_ros.identification import rig_tests
+from seft_ros.identification.identified import Identified, identify_from_records
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
-from seft_ros.design.rig_tests import Motions
 from seft_ros.ground_motion.ground_motion_block import GROUND_MOTION_TABLE, GroundMotion
 from seft_ros.ground_motion.synthetic_motion import (
     envelope,
@@ -16,6 +15,7 @@ from seft_ros.ground_motion.synthetic_motion import (
     stationary_motion,
     synthetic_motion,
 )
+from seft_ros.identification.rig_tests import Motions
 
 FILTERS = {
     "ground_frequency": 2.5,

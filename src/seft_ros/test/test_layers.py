@@ -9,8 +9,8 @@ LAYERS = (  # the way up from wire to commands
     *("arrays", "printing", "errors", "files", "wire", "config", "node", "virtual"),
     "seft_plant_sim",
     *("drawing", "ground_motion", "reference_force", "protection", "force_controller"),
-    *("bags", "design", "test_run", "nodes"),
-    *("analysis", "replay", "study", "monitor", "conformance", "paper", "cli"),
+    *("bags", "design", "identification", "test_run", "nodes"),
+    *("analysis", "replay", "study", "monitor", "conformance", "cli"),
 )
 
 

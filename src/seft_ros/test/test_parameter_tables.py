@@ -7,7 +7,7 @@ import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override, split_ros_arguments
 from seft_msgs_py.wire.topics import NODES
 from seft_plant_sim.rig_parameters import RIG_TABLE as RIG
-from seft_ros.design.rig_tests import Levels, open_loop
+from seft_ros.identification.rig_tests import Levels, open_loop
 from seft_ros.test_run.parameter_tables import TABLES
 
 CONFIG = Path(__file__).parents[3] / "config"

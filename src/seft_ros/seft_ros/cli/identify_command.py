@@ -17,10 +17,10 @@ from seft_ros.cli.shared import option
 from seft_ros.drawing.table import Texts
 
 if TYPE_CHECKING:
-    from seft_ros.design.calibrated import Shaken
-    from seft_ros.design.identified import Identified
-    from seft_ros.design.rig_tests import Levels, Motions
-    from seft_ros.design.shake import Shake
+    from seft_ros.identification.calibrated import Shaken
+    from seft_ros.identification.identified import Identified
+    from seft_ros.identification.rig_tests import Levels, Motions
+    from seft_ros.identification.shake import Shake
 
 PILOT, OPEN_LOOP, CLOSED_LOOP = "pilot", "open_loop", "closed_loop"
 SHAKE_PILOT, SHAKE = "shake_pilot", "shake"
@@ -84,8 +84,8 @@ def identify(
 
         seft identify config/lab.yaml --external rig --duration 300
     """
-    from seft_ros.design import rig_tests
-    from seft_ros.design.shake import plan_shake
+    from seft_ros.identification import rig_tests
+    from seft_ros.identification.shake import plan_shake
 
     if set(external or ()) - {"rig"}:
         raise InputError(
@@ -131,7 +131,7 @@ class _Tests:
     def run(self, name: str, test: Experiment, steps: int) -> bool:
         """Run a test; say whether it drove a valve, to its end."""
         from seft_ros.analysis.judgement import BAD_MISSED
-        from seft_ros.design.rig_tests import has_valve
+        from seft_ros.identification.rig_tests import has_valve
 
         bag, label = self.folder / name, f"{name}: "
         if self.over_dds or self.external:
@@ -172,7 +172,7 @@ class _Identification:
 
     def drive_valves(self, by_pilot: bool) -> None:
         """Run the tests without force feedback, and the shake."""
-        from seft_ros.design import rig_tests
+        from seft_ros.identification import rig_tests
 
         tests, motions, known = self._tests, self._motions, self._plan is None
         self._valve = rig_tests.has_valve(tests.experiment)
@@ -193,9 +193,9 @@ class _Identification:
 
     def _shake(self, plan: "Shake") -> None:
         """Shake the specimen, if the actuators were found; a pilot finds the commands."""
-        from seft_ros.design import shake
-        from seft_ros.design.calibrated import Shaken, moved_by, rough_calibration
-        from seft_ros.design.identified import identify_from_records
+        from seft_ros.identification import shake
+        from seft_ros.identification.calibrated import Shaken, moved_by, rough_calibration
+        from seft_ros.identification.identified import identify_from_records
 
         tests, dt = self._tests, self._tests.experiment.timebase.dt
         opened, band = tests.records[OPEN_LOOP], self._motions.band
@@ -217,7 +217,7 @@ class _Identification:
         self._shaken = Shaken.of_record(plan, record, sines, found, known)
 
     def _run_shake(self, name: str, commands: np.ndarray) -> bool:
-        from seft_ros.design import rig_tests
+        from seft_ros.identification import rig_tests
 
         tests = self._tests
         path = rig_tests.write_forces(tests.folder / f"{name}.csv", tests.experiment, commands)
@@ -226,7 +226,7 @@ class _Identification:
 
     def close_loop(self) -> None:
         """Run the test with force feedback, where there is one, on channels as found."""
-        from seft_ros.design import rig_tests
+        from seft_ros.identification import rig_tests
 
         tests, shaken = self._tests, self._shaken
         experiment = tests.experiment
@@ -263,7 +263,7 @@ class _Identification:
         texts: Texts = []
         unusable: list[str] = []
         if opened is not None or CLOSED_LOOP in whole:
-            from seft_ros.design import identified
+            from seft_ros.identification import identified
 
             found = identified.identify_from_records(
                 opened, whole.get(CLOSED_LOOP), self._motions.band
@@ -289,9 +289,9 @@ class _Identification:
         self, found: "Identified", config: str, specimen: bool, files: dict[str, Path]
     ) -> tuple[Texts, dict[str, Any]]:
         """Write parameters and figure; give texts and numbers."""
-        from seft_ros.design import calibrated, identified
-        from seft_ros.design.identified_figure import identified_figure
         from seft_ros.drawing.style import save_figure
+        from seft_ros.identification import calibrated, identified
+        from seft_ros.identification.identified_figure import identified_figure
         from seft_ros.reference_force.force_command import FORCE_DRIVEN
 
         summary = identified.summarise_identified(found)

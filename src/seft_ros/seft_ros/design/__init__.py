@@ -1,1 +1,1 @@
-"""Design of a test: identification of the rig, preflight."""
+"""Design of a test: its plant, stability and margins, and whether its numbers are plausible."""

@@ -13,13 +13,18 @@ from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.specimen import Specimen
 
 from seft_ros.bags.record import Record
-from seft_ros.design.actuator_fit import ActuatorFit, fit_actuator
 from seft_ros.design.force_tracking import Tracking, tracking_measures
 from seft_ros.design.plant import Plant, polynomial_of, small_signal
-from seft_ros.design.response_fits import SpecimenFit, TrackingFit, fit_specimen, fit_tracking
-from seft_ros.design.rig_tests import MeasuredTest, Measurement
 from seft_ros.drawing.style import Number, json_safe, look_up, rows_of
 from seft_ros.drawing.table import TextTable
+from seft_ros.identification.actuator_fit import ActuatorFit, fit_actuator
+from seft_ros.identification.response_fits import (
+    SpecimenFit,
+    TrackingFit,
+    fit_specimen,
+    fit_tracking,
+)
+from seft_ros.identification.rig_tests import MeasuredTest, Measurement
 
 _COHERENT = 0.8  # up to there the closed loop is fitted
 _FLOOR = 0.01  # of a response: required accuracy of a model

@@ -23,11 +23,12 @@ from seft_plant_sim.rig_parameters import LIMIT_NAMES
 from seft_plant_sim.sensors import CHANNELS, tilt_of
 
 from seft_ros.bags.record import Record, every_step
-from seft_ros.design.identified import Identified
 from seft_ros.design.plausibility import SAME_MASS
-from seft_ros.design.rig_tests import frequency_response, motion_spectra
-from seft_ros.design.shake import OF_RATE, Shake, Sine, sound_relations
-from seft_ros.design.shake_estimates import (
+from seft_ros.drawing.table import TextTable
+from seft_ros.identification.identified import Identified
+from seft_ros.identification.rig_tests import frequency_response, motion_spectra
+from seft_ros.identification.shake import OF_RATE, Shake, Sine, sound_relations
+from seft_ros.identification.shake_estimates import (
     SIGMAS,
     Harmonics,
     ShakeFit,
@@ -35,7 +36,6 @@ from seft_ros.design.shake_estimates import (
     harmonics,
     significant,
 )
-from seft_ros.drawing.table import TextTable
 
 FORCE = CHANNELS.index("force")
 _FEWEST_PERIODS, _SEGMENT = 3.0, 4.0  # of a spectrum: of the lowest frequency, and s

@@ -9,8 +9,8 @@ import pytest
 from experiments_at_hand import load
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.sensors import CHANNELS
-from seft_ros.design.actuator_fit import fit_actuator
 from seft_ros.ground_motion.synthetic_motion import excitation
+from seft_ros.identification.actuator_fit import fit_actuator
 
 DURATION, TAIL = 40.0, 1.0
 BAND = (0.3, 200.0)

@@ -6,7 +6,8 @@ import scipy.signal
 from experiments_at_hand import JHU, load, simulated
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_ros.design.rig_tests import (
+from seft_ros.ground_motion.synthetic_motion import excitation
+from seft_ros.identification.rig_tests import (
     Levels,
     Motions,
     check_levels,
@@ -17,7 +18,6 @@ from seft_ros.design.rig_tests import (
     pilot_voltage,
     voltage_after,
 )
-from seft_ros.ground_motion.synthetic_motion import excitation
 from seft_ros.test_run.parameter_tables import TABLES
 
 LEVELS = Levels(voltage=0.1, force=200.0)

@@ -10,7 +10,7 @@ from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.specimen import Specimen
 
 from seft_ros.design.plant import Root, roots_of
-from seft_ros.design.rig_tests import Response
+from seft_ros.identification.rig_tests import Response
 
 _FLOOR = 0.003  # of each term: accuracy of a calibrated sensor
 

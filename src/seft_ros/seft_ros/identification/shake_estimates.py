@@ -15,7 +15,7 @@ Off the diagonal s is the tilt of an accelerometer. With these known, the force 
 
 K' and H' are a change in the time t of the shake: some specimens degrade. K + iH is the stiffness
 at the shake's amplitude of a specimen that does not depend on rate; where friction bends the motion
-it is made so (`seft_ros.design.shake_hysteresis`). Load cell and displacement sensor are the
+it is made so (`identification.shake_hysteresis`). Load cell and displacement sensor are the
 reference, unless velocity and acceleration agree against the displacement: two sensors that are
 wrong by the same factor are less likely than one. Of scales that all are wrong by the same factor,
 and of a lag that all have in common, a shake says nothing.
@@ -32,8 +32,8 @@ from numpy.typing import NDArray
 from seft_msgs_py.arrays import Complexes, Floats
 
 from seft_ros.design.plant import FOLDED
-from seft_ros.design.shake import Sine
-from seft_ros.design.shake_hysteresis import uneven_force
+from seft_ros.identification.shake import Sine
+from seft_ros.identification.shake_hysteresis import uneven_force
 
 _OVERTONES = 9  # of a sine, which friction makes, and which are no noise
 _ROUNDS = 4  # of linearisation in the lag; it converges quadratically

@@ -9,12 +9,12 @@ import pytest
 from experiments_at_hand import load, simulated
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.sensors import CHANNELS
-from seft_ros.design.actuator_fit import ActuatorFit
-from seft_ros.design.calibrated import Calibrated, Shaken, all_known, shake_notes
-from seft_ros.design.identified import Identified, ValveResponse, fitted_plant
-from seft_ros.design.response_fits import SpecimenFit
-from seft_ros.design.rig_tests import shake_test, write_forces
-from seft_ros.design.shake import Shake, plan_shake, shake_drive, with_actuators
+from seft_ros.identification.actuator_fit import ActuatorFit
+from seft_ros.identification.calibrated import Calibrated, Shaken, all_known, shake_notes
+from seft_ros.identification.identified import Identified, ValveResponse, fitted_plant
+from seft_ros.identification.response_fits import SpecimenFit
+from seft_ros.identification.rig_tests import shake_test, write_forces
+from seft_ros.identification.shake import Shake, plan_shake, shake_drive, with_actuators
 from seft_ros.reference_force.reference_force_block import method_inputs
 
 POSITION, VELOCITY, ACCELERATION, FORCE = range(4)

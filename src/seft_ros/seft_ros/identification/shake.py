@@ -3,7 +3,7 @@
 At one amplitude the restoring force of a specimen that does not depend on rate has the same
 complex stiffness at all frequencies, whatever its law is. What changes with the frequency is the
 inertia. So the shake tells the mass, and the channels against each other
-(`seft_ros.design.shake_estimates`).
+(`seft_ros.identification.shake_estimates`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,8 +18,8 @@ from seft_plant_sim import lti
 from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_ROWS
 from seft_plant_sim.sensors import CHANNELS
 
-from seft_ros.design.identified import Identified, fitted_plant
 from seft_ros.design.plant import Plant, held_relations
+from seft_ros.identification.identified import Identified, fitted_plant
 
 SINES = 6
 """On each axis: twice as many equations as the five unknowns of an axis leave some to judge by."""
