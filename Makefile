@@ -101,8 +101,8 @@ endif
 	$(call step,compiling the steps of tests of one axis and of several (a minute or two, once), \
 		$(BIN)/python -m compileall -q $(PACKAGES); \
 		for config in demo jhu three_storey_frame; do \
-			$(BIN)/seft simulate config/$$config.yaml >/dev/null 2>&1; \
-		done || true)
+			$(BIN)/seft simulate config/$$config.yaml >/dev/null 2>&1 & \
+		done; wait)
 	@pwd -P > $(READY)
 	@echo "seft: .venv is ready"
 
