@@ -21,9 +21,8 @@ from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.continuous_model import ContinuousModel, Sensed
-from seft_plant_sim.sensors import CHANNELS, per_channel, tilt_of
+from seft_plant_sim.sensors import ACCELERATION, CHANNELS, VELOCITY, per_channel, tilt_of
 
-ACCELERATION = CHANNELS.index("acceleration")
 AT_ONCE = -1
 """Value of `Calibration.whole` of a channel that does not wait."""
 SHORTEST_WAIT = 1e-6
@@ -193,14 +192,13 @@ def calibration_of(
             "give 1 if it is not known"
         )
     if velocity_is_derived:
-        of_velocity = CHANNELS.index("velocity")
         for what, nothing in NOTHING_KNOWN.items():
-            if (known[what][of_velocity] != nothing).any():
+            if (known[what][VELOCITY] != nothing).any():
                 raise InputError(
                     f"rig: calibration.velocity_{what} is given, but sensors.velocity is derived: "
                     "it follows the displacement's calibration; leave it out"
                 )
-        lag[of_velocity] = lag[0]
+        lag[VELOCITY] = lag[0]
     n = len(own)
     wait = (lag.max() - lag) / dt
     wait[wait < SHORTEST_WAIT] = 0.0

@@ -15,9 +15,7 @@ from seft_msgs_py.arrays import Floats, Ints
 from seft_plant_sim.compiled import compiled, multiply
 from seft_plant_sim.continuous_model import ContinuousModel, Motion, Sensed
 from seft_plant_sim.lti import split_dead_time
-from seft_plant_sim.sensors import CHANNELS, per_channel, tilt_of
-
-VELOCITY, ACCELERATION = CHANNELS.index("velocity"), CHANNELS.index("acceleration")
+from seft_plant_sim.sensors import ACCELERATION, VELOCITY, per_channel, tilt_of
 
 
 class Sensing(NamedTuple):

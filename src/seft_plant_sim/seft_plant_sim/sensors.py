@@ -13,6 +13,8 @@ from seft_plant_sim.compiled import compiled
 BLOCK = 4096
 """Number of steps for which noise is drawn at once."""
 CHANNELS = ("position", "velocity", "acceleration", "force")
+POSITION, VELOCITY, ACCELERATION, FORCE = range(len(CHANNELS))
+"""Their rows in a sample."""
 
 
 def per_channel(
@@ -186,7 +188,7 @@ class Sensors:
         derived = sensors["velocity"] == "derived"
         if derived:  # there is no velocity sensor
             for rows in (noise, bias, ranges):
-                rows[CHANNELS.index("velocity")] = 0.0
+                rows[VELOCITY] = 0.0
         resolution = np.zeros_like(ranges)
         if sensors["adc_bits"]:
             resolution = 2.0 * ranges / 2.0 ** sensors["adc_bits"]

@@ -28,7 +28,7 @@ def detectors(warn_only=(), **changes):
         **{"largest_drive": 10.0, "longest_miss": 0.0, "dt": DT, **changes},
     }
     p, state = detector_arrays(**known)
-    begin_detectors(state)
+    begin_detectors(p, state)
     return p, state
 
 

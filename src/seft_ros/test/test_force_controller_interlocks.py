@@ -64,7 +64,7 @@ def test_shares_of_a_test_are_the_largest_of_all_its_rigs():
     found, expected = [], []
     for own in ([0], [1]):
         p, state = detectors_of(section, axes, experiment.timebase.dt, own)
-        begin_detectors(state)
+        begin_detectors(p, state)
         series = (np.ascontiguousarray(each[..., own]) for each in (points, states, commands))
         detect_all(p, state, steps, *series, 0.5, np.empty((4, 1)))
         expected.append(state.shares[:, 0])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from experiments_at_hand import load, simulated
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.sensors import CHANNELS
+from seft_plant_sim.sensors import ACCELERATION, CHANNELS, FORCE, POSITION, VELOCITY
 from seft_ros.identification.actuator_fit import ActuatorFit
 from seft_ros.identification.calibrated import Calibrated, Shaken, all_known, shake_notes
 from seft_ros.identification.identified import Identified, ValveResponse, fitted_plant
@@ -17,7 +17,6 @@ from seft_ros.identification.rig_tests import shake_test, write_forces
 from seft_ros.identification.shake import Shake, plan_shake, shake_drive, with_actuators
 from seft_ros.reference_force.reference_force_block import method_inputs
 
-POSITION, VELOCITY, ACCELERATION, FORCE = range(4)
 FLAG = (  # another mass, stiffness and law than any configuration has
     *("rig:specimen.mass:=73.0", "rig:specimen.stiffness:=1.4e5", "rig:specimen.damping:=300.0"),
     *("rig:specimen.kind:=flag", "rig:specimen.yield_displacement:=0.0001"),

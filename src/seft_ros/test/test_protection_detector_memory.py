@@ -14,16 +14,18 @@ N = NOISE.shape[1]
 
 
 def test_a_test_begins_without_what_was_seen_in_the_one_before():
-    _, state = detectors()
+    p, state = detectors()
     for values in (*state[:-1], *state.judge):
         values[:] = 7
-    begin_detectors(state)
+    begin_detectors(p, state)
     emptied = (
         "sent",
         "sums",
         "rise",
         "largest",
         "work",
+        "farthest",
+        "carried",
         "response",
         "bends",
     )
@@ -33,7 +35,9 @@ def test_a_test_begins_without_what_was_seen_in_the_one_before():
         "judged",
         "restoring",
         "usual",
+        "asked",
         "moves",
+        "doubt",
         "jump",
         "off",
         "verdict",
@@ -41,6 +45,8 @@ def test_a_test_begins_without_what_was_seen_in_the_one_before():
         "raw",
     ):
         assert not getattr(state.judge, name).any(), name
+    assert not state.estimated.any()
+    np.testing.assert_array_equal(state.covariance, detectors()[1].covariance)
     assert np.isinf(state.judge.resolution).all()
     for steps in (state.step, state.judge.wrong):
         assert (steps < -(10**9)).all()

@@ -32,7 +32,7 @@ def test_a_new_test_knows_nothing_of_the_one_before():
     points = np.ascontiguousarray(samples[:1, :3])
     first = shares_of(p, state, samples, commands, points=points)
     shares_of(p, state, samples[:40, :, ::-1], commands)
-    begin_detectors(state)
+    begin_detectors(p, state)
     assert not state.shares.any()
     again = shares_of(p, state, samples, commands, points=points)
     np.testing.assert_array_equal(again, first)
@@ -103,7 +103,7 @@ def test_where_a_sample_was_lost_nothing_is_compared(missing):
     p, state = detectors()
     samples, commands = noise_of_a_rig(40)
     whole = shares_of(p, state, samples, commands)
-    begin_detectors(state)
+    begin_detectors(p, state)
     lost = shares_of(p, state, samples, commands, [*range(20), *range(20 + missing, 40 + missing)])
     np.testing.assert_array_equal(lost[:20], whole[:20])
     assert not lost[20].any()
@@ -226,7 +226,7 @@ def test_a_whole_test_gives_the_shares_of_its_samples():
         detect(p, state, step, points[k : k + 1], samples[k])
         take_command(p, state, commands[k], bool(np.any(np.abs(commands[k]) >= 0.5)))
     expected = [values.copy() for values in (*state[:-1], *state.judge)]
-    begin_detectors(state)
+    begin_detectors(p, state)
     detect_all(p, state, steps, points, samples, commands, 0.5, np.empty((4, N)))
     for values, again in zip(expected, (*state[:-1], *state.judge), strict=True):
         np.testing.assert_array_equal(values, again)

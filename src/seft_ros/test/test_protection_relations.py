@@ -162,7 +162,7 @@ def test_a_valve_that_closes_or_jams_is_found(axis):
         end = next(k for k, each in enumerate(found) if each >= 0)
         ends.append(end)
         assert found[end] == rows.OIL * N + axis
-        begin_detectors(state)
+        begin_detectors(p, state)
     assert ends == [67, 68]
 
 
@@ -303,7 +303,7 @@ def test_where_a_sample_was_lost_the_command_was_held():
         detect(p, state, step, NO_TARGET, samples[min(step, 19)])
         take_command(p, state, held[step], False)
     sent, flow = state.sent.copy(), None
-    begin_detectors(state)
+    begin_detectors(p, state)
     for step in range(20):
         detect(p, state, step, NO_TARGET, samples[step])
         take_command(p, state, commands[step], False)

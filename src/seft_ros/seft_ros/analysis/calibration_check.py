@@ -14,7 +14,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import as_matrix, per_axis
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.calibration import known_channels
-from seft_plant_sim.sensors import CHANNELS
+from seft_plant_sim.sensors import VELOCITY
 from seft_plant_sim.specimen import deformations
 from seft_plant_sim.whole_structure import WholeStructure
 
@@ -287,13 +287,11 @@ def expected_relations(experiment: Experiment, frequency: float) -> Complexes | 
     nodes = ("reference_force", "force_controller")
     if any(node not in experiment.sections for node in nodes):
         return None
-    told, section = (
-        Experiment({n: experiment[n] for n in nodes}),
-        experiment.sections.get("rig", {}),
-    )
+    told = Experiment({node: experiment[node] for node in nodes})
+    section = experiment.sections.get("rig", {})
     lag = known_channels(section, experiment.axes)["lag"]
     if section.get("sensors.velocity") == "derived":
-        lag[CHANNELS.index("velocity")] = lag[0]
+        lag[VELOCITY] = lag[0]
     try:
         plant = choose_rig(told).plant
         held = held_relations(plant, np.array([frequency]), experiment.timebase.dt, lag)

@@ -112,7 +112,7 @@ def detector_shares(
     for rig in experiment.rigs:
         parameters, state = detectors_of(section, axes, dt, rig.places)
         own = list(rig.places)
-        begin_detectors(state)
+        begin_detectors(parameters, state)
         detect_all(
             parameters,
             state,

@@ -111,7 +111,7 @@ class Interlock:
         )
         both, drive = (self.parameters, self.state), self.state.drive
         points, sample = np.zeros((1, 1, n)), self.state.sample
-        self._begin_detectors = entry_point(begin_detectors, self.state.detectors)
+        self._begin_detectors = entry_point(begin_detectors, *detectors)
         self._take = entry_point(take_sample, *both, 0, sample, sample)
         self._begin = entry_point(precheck, *both, 0, points, sample, drive)
         self._end = entry_point(postcheck, *both, 0, False, drive)
@@ -178,7 +178,7 @@ class Interlock:
         self.controller.reset()
         self.state.flags[:], self.state.drive[:], self.state.plan[:] = 0, 0.0, 0.0
         self.state.flags[DETECTED], self.state.flags[MISSED] = VALID, -1
-        self._begin_detectors(self.state.detectors)
+        self._begin_detectors(self.parameters.detectors, self.state.detectors)
         self._outside, self._stopping = "", np.zeros((0, len(self._axes)))
         self._reserve = -1, self._stopping
 

@@ -12,7 +12,6 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import Section, mass_matrix
 from seft_msgs_py.wire.topics import JUDGED, RIG_STATE, VALVE_COMMAND
 from seft_plant_sim.calibration import (
-    ACCELERATION,
     NOTHING_KNOWN,
     TILT,
     calibrate_all,
@@ -20,7 +19,7 @@ from seft_plant_sim.calibration import (
     known_channels,
 )
 from seft_plant_sim.rig_parameters import LIMIT_NAMES
-from seft_plant_sim.sensors import CHANNELS, tilt_of
+from seft_plant_sim.sensors import ACCELERATION, CHANNELS, FORCE, VELOCITY, tilt_of
 
 from seft_ros.bags.record import Record, every_step
 from seft_ros.design.plausibility import SAME_MASS
@@ -37,7 +36,6 @@ from seft_ros.identification.shake_estimates import (
     significant,
 )
 
-FORCE = CHANNELS.index("force")
 _FEWEST_PERIODS, _SEGMENT = 3.0, 4.0  # of a spectrum: of the lowest frequency, and s
 LEAST_LAG = 2e-5
 """A lag below costs less than 0.4 % of the displacement, s (rig.md): channels that wait for it
@@ -77,12 +75,9 @@ class Calibrated:
         scale = 1.0 + significant(fit.scale - 1.0, fit.scale_error)
         zero = significant(fit.zero, fit.zero_error)
         if derived:
-            of_velocity = CHANNELS.index("velocity")
-            scale[of_velocity], lag[of_velocity], zero[of_velocity] = 1.0, lag[0], 0.0
-        off, one = (
-            significant(fit.tilt - np.eye(len(fit.tilt)), fit.tilt_error),
-            scale[ACCELERATION],
-        )
+            scale[VELOCITY], lag[VELOCITY], zero[VELOCITY] = 1.0, lag[0], 0.0
+        off = significant(fit.tilt - np.eye(len(fit.tilt)), fit.tilt_error)
+        one = scale[ACCELERATION]
         tilt = np.eye(len(off)) + np.where(_of_one_rig(experiment), off, 0.0)
         shown = zero.copy()
         shown[ACCELERATION] = known["tilt"] @ zero[ACCELERATION]

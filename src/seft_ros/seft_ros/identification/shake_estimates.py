@@ -18,9 +18,8 @@ at the shake's amplitude of a specimen that does not depend on rate; where frict
 it is made so (`identification.shake_hysteresis`). Load cell and displacement sensor are the
 reference, unless velocity and acceleration agree against the displacement: two sensors that are
 wrong by the same factor are less likely than one. Of scales that all are wrong by the same factor,
-and of a lag that all have in common, a shake says nothing.
-Standard errors are those of the sensors'
-noise or of what the equations leave, if that is more.
+and of a lag that all have in common, a shake says nothing. Standard errors are those of the
+sensors' noise or of what the equations leave, if that is more.
 """
 
 from collections.abc import Sequence

@@ -17,17 +17,14 @@ import math
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_plant_sim.compiled import compiled
+from seft_plant_sim.sensors import ACCELERATION, FORCE, POSITION, VELOCITY
 
 from seft_ros.protection.detectors import (
-    ACCELERATION,
     DIFFERS,
-    DISPLACEMENT,
     DISPLACEMENT_VELOCITY,
-    FORCE_CHANNEL,
     LIMITED_AT,
     OIL,
     SAMPLE,
-    VELOCITY,
     VELOCITY_ACCELERATION,
     DetectorParameters,
     DetectorState,
@@ -169,7 +166,7 @@ def displacement_velocity(
     last, change = state.last, measured[1, i] - state.last[1, i]
     bend = p.dt / 6.0 * (measured[2, i] - last[2, i])
     moved = 0.5 * p.dt * (measured[1, i] + last[1, i] - bend)
-    rough = p.late * abs(change) + resolution_of(state, DISPLACEMENT, i)
+    rough = p.late * abs(change) + resolution_of(state, POSITION, i)
     sides = (measured[0, i] - last[0, i], moved, -change)
     return compare(p, state, DISPLACEMENT_VELOCITY, measured.shape[1], i, sides, rough)
 
@@ -204,7 +201,7 @@ def oil_balance(p: DetectorParameters, state: DetectorState, measured: Floats, i
     later = 0.5 * p.dt * (state.later[0, i] + state.later[1, i])
     leaked = 0.5 * p.dt * p.actuator[i, 2] * (measured[3, i] + last[3, i])
     change = measured[0, i] - last[0, i] + (measured[3, i] - last[3, i] + leaked) / oil
-    rough = resolution_of(state, FORCE_CHANNEL, i) / oil + resolution_of(state, DISPLACEMENT, i)
+    rough = resolution_of(state, FORCE, i) / oil + resolution_of(state, POSITION, i)
     slowed = max(p.lost * abs(measured[1, i]), p.oil_fade * state.largest[5, i])
     state.largest[5, i] = slowed
     rough += slowed
@@ -223,13 +220,13 @@ def relations(
     p: DetectorParameters, state: DetectorState, step: int, measured: Floats, i: int
 ) -> int:
     """Relations (1) to (3) of an axis; (1) would not forget a velocity that is only expected."""
-    found, sees_displacement = -1, sees(state, step, DISPLACEMENT)
+    found, sees_displacement = -1, sees(state, step, POSITION)
     if not sees(state, step, VELOCITY):
         return found
     if sees_displacement and not was_replaced(state, step, VELOCITY, i):
         found = displacement_velocity(p, state, measured, i)
     if sees(state, step, ACCELERATION):
         found = first_of(found, velocity_acceleration(p, state, measured, i))
-    if sees_displacement and sees(state, step, FORCE_CHANNEL):
+    if sees_displacement and sees(state, step, FORCE):
         found = first_of(found, oil_balance(p, state, measured, i))
     return found

@@ -10,6 +10,7 @@ import math
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 from seft_plant_sim.compiled import compiled
+from seft_plant_sim.sensors import ACCELERATION, FORCE
 
 from seft_ros.protection.channel_relations import (
     begin_relations,
@@ -18,10 +19,8 @@ from seft_ros.protection.channel_relations import (
     take_command,
 )
 from seft_ros.protection.detectors import (
-    ACCELERATION,
     AT_RANGE,
     DISPLACEMENT_VELOCITY,
-    FORCE_CHANNEL,
     FROZEN,
     JUMP,
     LIMITED_AT,
@@ -57,8 +56,9 @@ after which a sample is suspect: a chance of 1e-6."""
 
 
 @compiled
-def begin_detectors(state: DetectorState) -> None:
+def begin_detectors(p: DetectorParameters, state: DetectorState) -> None:
     """Begin a test."""
+    begin_relations(p, state)
     state.sent[:] = 0.0
     state.sums[:] = 0.0
     state.rise[:] = 0.0
@@ -102,8 +102,6 @@ def judge_sample(
             if abs(raw[row, i]) >= p.range[row, i]:
                 state.step[AT_RANGE + row] = step
     is_first = lost > 0
-    if state.step[SAMPLE] == NEVER:
-        begin_relations(p, state)
     state.step[SAMPLE] = step
     find_flow(p, state, lost)
     for i in range(n):
@@ -118,7 +116,7 @@ def judge_sample(
         for i in range(n):
             if judged[1, i] * last[1, i] <= 0.0:
                 state.step[TURN_AT] = step
-        knows_force = sees(state, step, ACCELERATION) and sees(state, step, FORCE_CHANNEL)
+        knows_force = sees(state, step, ACCELERATION) and sees(state, step, FORCE)
         if knows_force:
             found = first_of(found, look_at_work(p, state, judged))
             found = first_of(found, look_at_strength(p, state, judged))

@@ -374,8 +374,6 @@ def detector_arrays(
     return parameters, state
 
 
-DISPLACEMENT, VELOCITY, ACCELERATION, FORCE_CHANNEL = range(4)
-"""Rows of the channels."""
 SAMPLE, TURN_AT, LIMITED_AT, AT_RANGE = range(4)
 """Places of `DetectorState.step`."""
 DISPLACEMENT_VELOCITY, VELOCITY_ACCELERATION, OIL = range(3)
