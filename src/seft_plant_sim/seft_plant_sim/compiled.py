@@ -163,13 +163,13 @@ def code_folder(folder: Path) -> Path:
     return home / "seft" / texts.hexdigest()[:16]
 
 
-def places(count: int) -> tuple[int, ...] | Ints:
-    """Give 0 to count - 1, so that a step that counts them has machine code of its own for one.
+def places(*counts: int) -> list[tuple[int, ...] | Ints]:
+    """Give 0 to count - 1 for each count; where all are 1, a step has machine code of its own.
 
     The length of a tuple is known when a step is compiled, and a loop over one place is none, which
     saves most of the time of a test of one axis. All others share one machine code.
     """
-    return (0,) if count == 1 else np.arange(count)
+    return [(0,) if max(counts) == 1 else np.arange(count) for count in counts]
 
 
 @compiled

@@ -31,7 +31,7 @@ def test_a_new_test_knows_nothing_of_the_one_before():
     samples[20:40:2, 0, 1] = samples[21:41:2, 0, 1]
     points = np.ascontiguousarray(samples[:1, :3])
     first = shares_of(p, state, samples, commands, points=points)
-    shares_of(p, state, samples[:40, :, ::-1], commands)
+    shares_of(p, state, np.ascontiguousarray(samples[:40, :, ::-1]), commands)
     begin_detectors(p, state)
     assert not state.shares.any()
     again = shares_of(p, state, samples, commands, points=points)

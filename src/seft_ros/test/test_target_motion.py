@@ -137,6 +137,7 @@ def followed(restoring, x, v, stiffness=K, damping=800.0, noise=4.0, seed=1):
     """
     dt = 0.002
     parameters, state = model_arrays(
+        (0,),
         np.array([[52.7]]),
         np.array([[damping]]),
         np.array([[stiffness]]),

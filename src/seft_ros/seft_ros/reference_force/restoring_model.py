@@ -44,7 +44,7 @@ from typing import NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
-from seft_plant_sim.compiled import compiled, copy, multiply_sized, places
+from seft_plant_sim.compiled import compiled, copy, multiply_sized
 
 THRESHOLDS = 12
 """Number of stop operators of a spring; each has twice the threshold of the one before: from the
@@ -164,6 +164,7 @@ class RestoringState(NamedTuple):
 
 
 def model_arrays(
+    springs: tuple[int, ...] | Ints,
     mass: Floats,
     damping: Floats,
     stiffness: Floats,
@@ -177,6 +178,8 @@ def model_arrays(
 
     Parameters
     ----------
+    springs : tuple or ndarray
+        0 to n - 1, see `places`.
     mass, damping, stiffness : ndarray
         Shape (n, n), kg, N s/m and N/m.
     noise : ndarray
@@ -210,7 +213,7 @@ def model_arrays(
         return padded(p * offset, k * stiff, c * damps, w * force) ** 2
 
     parameters = ModelParameters(
-        springs=places(n),
+        springs=springs,
         thresholds=thresholds,
         start=padded(np.zeros((n, 1)), stiffness, damping, np.zeros_like(thresholds)),
         prior=variance(1.0, UNCERTAIN_STIFFNESS, UNCERTAIN_DAMPING, 1.0),

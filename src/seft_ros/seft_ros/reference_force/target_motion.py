@@ -354,7 +354,8 @@ def target_arrays(known: MethodInputs) -> tuple[TargetParameters, TargetState, M
     by_spring = np.ascontiguousarray(inverse[:, :n] @ deformation.T)
     own = of_springs(known.mass), of_springs(known.damping), of_springs(known.stiffness)
     frequency = np.sqrt(np.abs(np.diag(deformation @ by_spring[:n]) * np.diag(own[2])))
-    model, model_state = model_arrays(*own, np.sqrt(white), deformed, alike, frequency, dt)
+    axes, dofs = places(n, size)
+    model, model_state = model_arrays(axes, *own, np.sqrt(white), deformed, alike, frequency, dt)
     # the future motion, see `predict`
     hold = np.ascontiguousarray(np.hstack([free, start]))
     deforming = deformation @ (hold[:n] - np.eye(n, 3 * size))
@@ -369,8 +370,8 @@ def target_arrays(known: MethodInputs) -> tuple[TargetParameters, TargetState, M
     correction[:, : 2 * size] = change.T
     squares = np.linalg.eigvals(inverse @ stiffness).real
     parameters = TargetParameters(
-        axes=places(n),
-        dofs=places(size),
+        axes=axes,
+        dofs=dofs,
         dt=dt,
         substeps=substeps,
         gains=gains,
