@@ -15,7 +15,7 @@ def test_a_test_after_a_rehearsal_has_the_bits_of_the_offline_loop(local_graph, 
     assert abs(states[:, 0]).max() < 1e-4  # m: it does not obey
     assert graph.samples(rehearsed(VALVE_COMMAND))[0] == steps
     assert_same(graph, offline(graph))
-    assert graph.values["detail"] == "2501 steps done"
+    assert graph.values["detail"] == "1851 steps done"
     assert graph.status("rig")["missed"] == "0"
 
 
