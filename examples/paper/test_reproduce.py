@@ -71,6 +71,8 @@ def test_under_the_synthetic_motion_66_of_70_claims_agree(capsys, tmp_path):
     assert table.split("| claim |")[0] == PAGE.read_text().split("| claim |")[0]
 
 
+@pytest.mark.thorough
+@pytest.mark.offline
 @pytest.mark.skipif(not KOBE.is_file(), reason="the paper's record is not beside the project")
 def test_under_the_papers_motion_65_of_70_claims_agree(capsys, tmp_path):
     words = ("--file", str(KOBE), "--unit", "cm/s2", "--dt", "0.005", "--column", "0")
