@@ -74,7 +74,7 @@ def test_a_force_that_jumps_back_and_forth_is_counted_as_noise():
     p, state = detectors(ALL)
     measured, now = np.zeros((4, N)), np.array([3000.0, -3000.0])
     measured[2], state.last[2] = now, [4000.0, 5000.0]
-    curved = abs(DT**2 * STIFFNESS[1] @ (now + state.last[2]))
+    curved = abs(6.0 * DT**2 * STIFFNESS[1] @ (now + state.last[2]) / 2.0)
     measured[0, 1] = 1.0  # it moves
     count, before = 0.0, 0.0
     for excess, turned in [
@@ -90,7 +90,7 @@ def test_a_force_that_jumps_back_and_forth_is_counted_as_noise():
         (1, 2),
     ]:
         state.step[rows.TURN_AT], state.largest[4, 1] = 50 - turned, 0.0
-        limit = p.rough[1] + curved + (400.0 if turned < 4 else 0.0)
+        limit = p.rough[1] + curved + (800.0 if turned < 4 else 0.0)
         bend = math.copysign(1.0, excess) * limit * (1.0 + (1e-6 if excess else -1e-6))
         state.restoring[:, 1] = 200.0, 70.0, 270.0 + bend
         state.counts[rows.JUMP, 1] = 0
