@@ -50,7 +50,7 @@ def judged_of(samples, flow, steps=None, mass=MASS, oil=OIL, largest=np.inf, ask
         judge(p, state, step, samples[k], flow[k], judged[k])
         verdicts.append(state.verdict.copy())
         for i in range(N if asked is not None else 0):
-            ask(state, i, asked[k, i])
+            ask(p, state, i, asked[k, i])
     return judged, np.array(verdicts), p
 
 
@@ -159,8 +159,23 @@ def test_a_force_that_turns_as_was_asked_is_not_wrong_though_the_specimen_sticks
     _, replaced, _ = judged_of(samples, flow, oil=0.0 * OIL)
     assert replaced[[105, 109], F, 1].all()
     samples[200, F, 1] += 3000.0
-    _, replaced, _ = judged_of(samples, flow, oil=0.0 * OIL, asked=asked)
+    _, replaced, p = judged_of(samples, flow, oil=0.0 * OIL, asked=asked)
     assert np.argwhere(replaced).tolist() == [[200, F, 1]]
+    for part in (0.99, 1.01):  # what was asked until step 101, and noise
+        samples[103, F, 1] = part * (200.0 * p.recent + 2.0 / 3.0 * p.noise[2, 1])
+        _, replaced, _ = judged_of(samples[:104], flow, oil=0.0 * OIL, asked=asked)
+        assert replaced.any() == (part > 1.0)
+
+
+def test_no_force_is_judged_by_an_acceleration_at_the_end_of_its_range():
+    samples, _, flow = motion()
+    end = 0.9 * np.abs(samples[:, A]).max()
+    last = int(np.flatnonzero((np.abs(samples[:, A]) >= end).any(axis=1))[-1])
+    for after in range(4):
+        wrong = samples[: last + after + 1].copy()
+        wrong[-1, F] += 300.0
+        assert judged_of(wrong, flow)[1][-1, F].all()
+        assert judged_of(wrong, flow, largest=end)[1][-1, F].all() == (after > 2)
 
 
 def test_an_acceleration_at_the_end_of_its_range_says_nothing_of_the_velocity():

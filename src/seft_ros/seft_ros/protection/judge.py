@@ -61,10 +61,13 @@ class JudgeState(NamedTuple):
         The last two judged samples, the newest first, shape (2, 4, n).
     restoring : ndarray
         r at these, shape (2, n), N.
+    known : ndarray
+        Whether r is measured in this sample, and in these two; shape (3,).
     usual : ndarray
         Largest recent differences of (3) and (4) that were accepted, shape (2, n), N.
     asked : ndarray
-        The last two reference forces, the newest first, shape (2, n), N.
+        The last two reference forces, the newest first, and their largest recent second
+        difference; shape (3, n), N.
     moves : ndarray
         Largest recent dt |v| and dt |a|, and the largest recent |r|; shape (3, n).
     doubt : ndarray
@@ -90,6 +93,7 @@ class JudgeState(NamedTuple):
 
     judged: Floats
     restoring: Floats
+    known: Ints
     usual: Floats
     asked: Floats
     moves: Floats
@@ -154,8 +158,9 @@ def judge_arrays(
     state = JudgeState(
         judged=np.zeros((2, 4, n)),
         restoring=np.zeros((2, n)),
+        known=np.zeros(3, dtype=np.int64),
         usual=np.zeros((2, n)),
-        asked=np.zeros((2, n)),
+        asked=np.zeros((3, n)),
         moves=np.zeros((3, n)),
         doubt=np.zeros(n),
         jump=np.zeros(n),

@@ -63,6 +63,7 @@ def begin_judge(state: JudgeState) -> None:
     state.resolution[:] = np.inf
     state.judged[:] = 0.0
     state.restoring[:] = 0.0
+    state.known[:] = 1
     state.raw[:] = 0.0
     state.taken[:] = -2
 
@@ -100,6 +101,7 @@ def judge(
             if not abs(raw[row, i]) < NO_NUMBER:
                 state.verdict[row, i] = 1
                 judged[row, i] = state.judged[0, row, i]
+    state.known[0] = knows_restoring_force(p, judged)
     if state.taken[1] > 0:
         for i in range(n):
             expect_missing(p, state, flow, judged, i)
@@ -141,11 +143,21 @@ def accept(p: JudgeParameters, state: JudgeState, relation: int, i: int, off: fl
 
 
 @compiled
-def ask(state: JudgeState, i: int, force: float) -> None:
+def ask(p: JudgeParameters, state: JudgeState, i: int, force: float) -> None:
     """Know what is asked of a rig that obeys forces: its force will differ as much from (3)."""
     last, before = state.asked[0, i], state.asked[1, i]
-    state.usual[0, i] = max(state.usual[0, i], abs(force - 2.0 * last + before))
+    turns = abs(force - 2.0 * last + before)
+    state.asked[2, i] = max(turns, p.recent * state.asked[2, i])
     state.asked[0, i], state.asked[1, i] = force, last
+
+
+@compiled
+def knows_restoring_force(p: JudgeParameters, judged: Floats) -> bool:
+    """Say whether r is measured: no acceleration is at the end of its range."""
+    knows = True
+    for i in range(judged.shape[1]):
+        knows &= abs(judged[A, i]) < p.range[A, i]
+    return knows
 
 
 @compiled
@@ -177,6 +189,10 @@ def expect_missing(
 def compare_accelerations(p: JudgeParameters, state: JudgeState, judged: Floats) -> None:
     """Find the difference of (4), the expected accelerations, and what is beyond their gates."""
     n, off, r, a = judged.shape[1], state.off, state.restoring, state.judged
+    if not (state.known[1] and state.known[2]):
+        for i in range(n):
+            off[0, i], off[1, i], off[2, i] = 0.0, judged[A, i], 0.0
+        return
     knows = p.inverse[0, 0] != 0.0
     for i in range(n):
         off[0, i] = 0.0
@@ -255,10 +271,11 @@ def judge_force(
     off, dt = judged[F, i] - expected, p.dt
     kink = 0.125 * dt * dt * abs(judged[A, i] - state.judged[0, A, i])
     usual = max(FLOW * abs(dt * flow[i]) * p.oil[i, 0], USUAL * state.usual[0, i])
-    allowed = max(BOTH * in_noise(p, state, 2, i, F), usual) + p.oil[i, 0] * kink
+    allowed = max(BOTH * in_noise(p, state, 2, i, F) + state.asked[2, i], usual)
+    allowed += p.oil[i, 0] * kink
     allowed += state.doubt[i]  # what the last sample may be wrong by if it was replaced
     is_wrong = abs(off) > allowed and abs(r) > BOTH * in_noise(p, state, 3, i, F)
-    is_wrong = is_wrong and off * r > 0.5 * max(off * off, r * r)
+    is_wrong = is_wrong and state.known[0] and off * r > 0.5 * max(off * off, r * r)
     if is_wrong:
         state.verdict[F, i] = 1
         by_specimen = judged[F, i] - r  # unless it jumps in the same sample
@@ -304,6 +321,7 @@ def judge_acceleration(p: JudgeParameters, state: JudgeState, judged: Floats, i:
 def keep(p: JudgeParameters, state: JudgeState, judged: Floats) -> None:
     """Keep a judged sample for the next one."""
     n = judged.shape[1]
+    state.known[2], state.known[1] = state.known[1], knows_restoring_force(p, judged)
     for i in range(n):
         for row in range(4):
             state.judged[1, row, i] = state.judged[0, row, i]
