@@ -61,8 +61,6 @@ class JudgeState(NamedTuple):
         The last two judged samples, the newest first, shape (2, 4, n).
     restoring : ndarray
         r at these, shape (2, n), N.
-    known : ndarray
-        Whether r is measured in this sample, and in these two; shape (3,).
     usual : ndarray
         Largest recent differences of (3) and (4) that were accepted, shape (2, n), N.
     asked : ndarray
@@ -88,12 +86,12 @@ class JudgeState(NamedTuple):
     raw, moved : ndarray
         The last sample as measured, and the magnitude of its change; shape (4, n).
     taken : ndarray
-        Step of the last sample, and number of samples in a row; shape (2,).
+        Step of the last sample, number of samples in a row, and step of the last sample in which an
+        acceleration was at the end of its range; shape (3,).
     """
 
     judged: Floats
     restoring: Floats
-    known: Ints
     usual: Floats
     asked: Floats
     moves: Floats
@@ -158,7 +156,6 @@ def judge_arrays(
     state = JudgeState(
         judged=np.zeros((2, 4, n)),
         restoring=np.zeros((2, n)),
-        known=np.zeros(3, dtype=np.int64),
         usual=np.zeros((2, n)),
         asked=np.zeros((3, n)),
         moves=np.zeros((3, n)),
@@ -171,6 +168,6 @@ def judge_arrays(
         resolution=np.zeros((4, n)),
         raw=np.zeros((4, n)),
         moved=np.zeros((4, n)),
-        taken=np.zeros(2, dtype=np.int64),
+        taken=np.zeros(3, dtype=np.int64),
     )
     return parameters, state

@@ -63,7 +63,6 @@ def begin_judge(state: JudgeState) -> None:
     state.resolution[:] = np.inf
     state.judged[:] = 0.0
     state.restoring[:] = 0.0
-    state.known[:] = 1
     state.raw[:] = 0.0
     state.taken[:] = -2
 
@@ -101,7 +100,8 @@ def judge(
             if not abs(raw[row, i]) < NO_NUMBER:
                 state.verdict[row, i] = 1
                 judged[row, i] = state.judged[0, row, i]
-    state.known[0] = knows_restoring_force(p, judged)
+            elif row == A and abs(raw[row, i]) >= p.range[row, i]:
+                state.taken[2] = step
     if state.taken[1] > 0:
         for i in range(n):
             expect_missing(p, state, flow, judged, i)
@@ -152,15 +152,6 @@ def ask(p: JudgeParameters, state: JudgeState, i: int, force: float) -> None:
 
 
 @compiled
-def knows_restoring_force(p: JudgeParameters, judged: Floats) -> bool:
-    """Say whether r is measured: no acceleration is at the end of its range."""
-    knows = True
-    for i in range(judged.shape[1]):
-        knows &= abs(judged[A, i]) < p.range[A, i]
-    return knows
-
-
-@compiled
 def expected_force(
     p: JudgeParameters, state: JudgeState, flow: Floats, judged: Floats, i: int
 ) -> float:
@@ -189,10 +180,6 @@ def expect_missing(
 def compare_accelerations(p: JudgeParameters, state: JudgeState, judged: Floats) -> None:
     """Find the difference of (4), the expected accelerations, and what is beyond their gates."""
     n, off, r, a = judged.shape[1], state.off, state.restoring, state.judged
-    if not (state.known[1] and state.known[2]):
-        for i in range(n):
-            off[0, i], off[1, i], off[2, i] = 0.0, judged[A, i], 0.0
-        return
     knows = p.inverse[0, 0] != 0.0
     for i in range(n):
         off[0, i] = 0.0
@@ -267,6 +254,7 @@ def judge_force(
     if state.verdict[F, i]:
         judged[F, i] = expected_force(p, state, flow, judged, i)
         return True
+    knows_specimen = state.taken[0] - state.taken[2] > 2  # (4) needs the accelerations of three
     expected, r = expected_force(p, state, flow, judged, i), state.off[0, i]
     off, dt = judged[F, i] - expected, p.dt
     kink = 0.125 * dt * dt * abs(judged[A, i] - state.judged[0, A, i])
@@ -275,7 +263,7 @@ def judge_force(
     allowed += p.oil[i, 0] * kink
     allowed += state.doubt[i]  # what the last sample may be wrong by if it was replaced
     is_wrong = abs(off) > allowed and abs(r) > BOTH * in_noise(p, state, 3, i, F)
-    is_wrong = is_wrong and state.known[0] and off * r > 0.5 * max(off * off, r * r)
+    is_wrong = is_wrong and knows_specimen and off * r > 0.5 * max(off * off, r * r)
     if is_wrong:
         state.verdict[F, i] = 1
         by_specimen = judged[F, i] - r  # unless it jumps in the same sample
@@ -321,7 +309,6 @@ def judge_acceleration(p: JudgeParameters, state: JudgeState, judged: Floats, i:
 def keep(p: JudgeParameters, state: JudgeState, judged: Floats) -> None:
     """Keep a judged sample for the next one."""
     n = judged.shape[1]
-    state.known[2], state.known[1] = state.known[1], knows_restoring_force(p, judged)
     for i in range(n):
         for row in range(4):
             state.judged[1, row, i] = state.judged[0, row, i]
