@@ -38,13 +38,19 @@ def motion(seed=1, size=1.0):
     return right + size * NOISE * rng.normal(size=right.shape), right, flow
 
 
+def fresh_judge(noise=NOISE, oil=OIL, mass=MASS, largest=np.inf):
+    """A judge that has begun; ``largest`` is the acceleration's range."""
+    ranges = np.full((4, N), np.inf)
+    ranges[A] = largest
+    p, state = judge_arrays(noise, oil, mass, STIFFNESS, ranges, 0.0, SIGMAS, DT)
+    begin_judge(state)
+    return p, state
+
+
 def judged_of(samples, flow, steps=None, mass=MASS, oil=OIL, largest=np.inf, asked=None):
     """Judge samples: the judged ones, and which values were replaced; ``asked`` are the forces."""
     known = np.zeros((N, N)) if mass is None else mass
-    ranges = np.full((4, N), np.inf)
-    ranges[A] = largest
-    p, state = judge_arrays(NOISE, oil, known, STIFFNESS, ranges, 0.0, SIGMAS, DT)
-    begin_judge(state)
+    p, state = fresh_judge(oil=oil, mass=known, largest=largest)
     judged, verdicts = np.empty_like(samples), []
     for k, step in enumerate(range(len(samples)) if steps is None else steps):
         judge(p, state, step, samples[k], flow[k], judged[k])
@@ -69,6 +75,35 @@ def test_a_sound_record_is_as_measured(mass, oil, size):
         judged, replaced, _ = judged_of(samples, flow, mass=mass, oil=oil)
         assert not replaced.any()
         np.testing.assert_array_equal(judged, samples)
+
+
+@pytest.mark.parametrize("known", [1.0, 0.0])
+def test_noise_is_six_times_what_it_makes_of_each_relation(known):
+    rms, oil = np.array([[1e-5], [2e-4], [0.1], [5.0]]) * np.array([1.0, 2.0]), known * OIL
+    p, _ = fresh_judge(rms, oil)
+    samples = rms * np.random.default_rng(1).normal(size=(20000, 4, N))
+    x, v, a, f = np.moveaxis(samples, 1, 0)
+    moved, gained = DT * 0.5 * (v[1:] + v[:-1]), DT * 0.5 * (a[1:] + a[:-1])
+    force = np.diff(f, axis=0) + oil[:, 0] * moved if known else np.diff(f, n=2, axis=0)
+    off = np.diff(x, axis=0) - moved, np.diff(v, axis=0) - gained, force
+    found = [each.std(axis=0) for each in (*off, np.diff(f - a @ MASS, n=2, axis=0))]
+    np.testing.assert_allclose(p.noise, SIGMAS * np.array(found), rtol=0.02)
+
+
+def test_what_is_recent_fades():
+    p, state = fresh_judge(oil=0.0 * OIL)
+    recent = state.moves, state.usual, state.asked, state.jump
+    for each in recent:
+        each[:] = 1.0
+    for step in range(26):  # 50 ms
+        judge(p, state, step, np.zeros((4, N)), np.zeros(N), np.zeros((4, N)))
+        for i in range(N if step else 0):
+            ask(p, state, i, 1.0)
+    times = [0.05, 0.05, 0.3, 0.3, 0.3, np.inf, np.inf, 0.3, 3.0]
+    found = np.vstack(recent)
+    lasts = np.exp(-0.05 / np.array(times))
+    lasts[:3] *= [p.brief, p.brief, p.recent]  # of the first sample, too
+    np.testing.assert_allclose(found, lasts[:, np.newaxis] * np.ones(N), rtol=1e-9)
 
 
 LARGEST = np.abs(motion()[1]).max(axis=0)
@@ -126,6 +161,40 @@ def test_three_wrong_values_within_50_ms_end_the_test(row, axis):
         told = (rows.WRONG + row) * N + axis
         assert (found[-1] == told) == ends
         assert (len(found) == AT + 2 * apart + 1) == ends
+
+
+@pytest.mark.parametrize("part", [0.99, 1.01])
+@pytest.mark.parametrize("row", [V, F])
+def test_what_turns_at_any_time_between_two_samples_is_allowed(row, part):
+    """The specimen's force, as seen by the velocity, or the velocity, as seen by the oil."""
+    p, state = fresh_judge()
+    raw, flow = np.zeros((4, N)), np.zeros(N)
+    for step in (0, 1):
+        judge(p, state, step, raw, flow, np.zeros((4, N)))
+    state.moves[2] = 1e5
+    if row == V:
+        raw[F, 1], turned = 1000.0, abs(np.linalg.solve(MASS, [0.0, 1000.0])[1])
+        raw[V, 1] = part * (p.noise[1, 1] + 0.5 * DT * turned)
+        flow[1] = 0.5 * raw[V, 1] + 1000.0 / (DT * OIL[1, 0])
+    else:
+        raw[A, 1] = -2.0
+        raw[F, 1] = part * (2.0 / 3.0 * p.noise[2, 1] + OIL[1, 0] * 0.125 * DT**2 * 2.0)
+    judge(p, state, 2, raw, flow, np.zeros((4, N)))
+    assert state.verdict[row, 1] == (part > 1.0)
+    assert state.verdict.sum() == state.verdict[row, 1]
+
+
+@pytest.mark.parametrize(("wrong_at", "left"), [([], 0), ([0], 1), ([1], 0)])
+def test_a_jump_that_lasts_takes_back_the_last_sample_if_it_was_counted(wrong_at, left):
+    p, state = fresh_judge()
+    raw = np.zeros((4, N))
+    for step in (0, 1):
+        judge(p, state, step, raw, raw[V], np.zeros((4, N)))
+    state.off[3, 1], state.counts[A, 1] = 50.0, len(wrong_at)
+    state.wrong[A, 1, : len(wrong_at)] = wrong_at
+    raw[A, 1], raw[V, 1] = 50.0, 0.5 * DT * 50.0
+    judge(p, state, 2, raw, 0.5 * raw[V], np.zeros((4, N)))
+    assert state.counts[A, 1] == left == (state.wrong[A, 1] >= 0).sum()
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

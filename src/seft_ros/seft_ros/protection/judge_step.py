@@ -223,7 +223,7 @@ def judge_motion(p: JudgeParameters, state: JudgeState, judged: Floats, i: int) 
         + CALIBRATION * state.moves[1, i]
         + (0.5 * dt + p.late) * abs(a - a1)
         + 0.125 * dt * abs(bend)  # the acceleration turns between the samples
-        + dt * jump
+        + max(dt * jump, 0.5 * dt * abs(judged[A, i] - state.off[1, i]))  # r turns at any time
     )
     if max(abs(judged[A, i]), abs(a1)) >= p.range[A, i]:
         allowed = np.inf  # it may be any larger one
@@ -296,9 +296,10 @@ def judge_acceleration(p: JudgeParameters, state: JudgeState, judged: Floats, i:
         is_shown = shown > max(0.5 * noise, SHOWN * dt * abs(jump))
     if is_shown:
         state.jump[i] = max(abs(jump), state.jump[i])
-        if jump * before > 0.0:  # the sample before was not wrong
-            state.counts[A, i] -= 1
-            state.wrong[A, i, state.counts[A, i] % state.wrong.shape[2]] = NEVER
+        place = (state.counts[A, i] - 1) % state.wrong.shape[2]
+        if jump * before > 0.0 and state.wrong[A, i, place] == state.taken[0] - 1:
+            state.counts[A, i] -= 1  # the sample before was not wrong
+            state.wrong[A, i, place] = NEVER
     elif abs(jump) >= USUAL * state.jump[i]:
         state.verdict[A, i] = 1
         state.off[3, i] = jump
