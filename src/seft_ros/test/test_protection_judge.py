@@ -225,11 +225,8 @@ def test_a_force_that_turns_as_was_asked_is_not_wrong_though_the_specimen_sticks
     judged, replaced, _ = judged_of(samples, flow, oil=0.0 * OIL, asked=asked)
     assert not replaced.any()
     np.testing.assert_array_equal(judged, samples)
-    _, replaced, _ = judged_of(samples, flow, oil=0.0 * OIL)
+    _, replaced, p = judged_of(samples, flow, oil=0.0 * OIL)
     assert replaced[[105, 109], F, 1].all()
-    samples[200, F, 1] += 3000.0
-    _, replaced, p = judged_of(samples, flow, oil=0.0 * OIL, asked=asked)
-    assert np.argwhere(replaced).tolist() == [[200, F, 1]]
     for part in (0.99, 1.01):  # what was asked until step 101, and noise
         samples[103, F, 1] = part * (200.0 * p.recent + 2.0 / 3.0 * p.noise[2, 1])
         _, replaced, _ = judged_of(samples[:104], flow, oil=0.0 * OIL, asked=asked)
