@@ -79,7 +79,7 @@ def test_a_sound_record_is_as_measured(mass, oil, size):
 
 @pytest.mark.parametrize("known", [1.0, 0.0])
 def test_noise_is_six_times_what_it_makes_of_each_relation(known):
-    rms, oil = np.array([[1e-5], [2e-4], [0.1], [5.0]]) * np.array([1.0, 2.0]), known * OIL
+    rms, oil = np.array([[1e-6], [2e-3], [1.0], [40.0]]) * np.array([1.0, 2.0]), known * OIL
     p, _ = fresh_judge(rms, oil)
     samples = rms * np.random.default_rng(1).normal(size=(20000, 4, N))
     x, v, a, f = np.moveaxis(samples, 1, 0)
