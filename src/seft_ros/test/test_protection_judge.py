@@ -38,11 +38,11 @@ def motion(seed=1, size=1.0):
     return right + size * NOISE * rng.normal(size=right.shape), right, flow
 
 
-def fresh_judge(noise=NOISE, oil=OIL, mass=MASS, largest=np.inf):
-    """A judge that has begun; ``largest`` is the acceleration's range."""
+def fresh_judge(noise=NOISE, oil=OIL, mass=MASS, largest=np.inf, late=0.0):
+    """A judge that has begun; ``largest`` is the acceleration's range, ``late`` the velocity."""
     ranges = np.full((4, N), np.inf)
     ranges[A] = largest
-    p, state = judge_arrays(noise, oil, mass, STIFFNESS, ranges, 0.0, SIGMAS, DT)
+    p, state = judge_arrays(noise, oil, mass, STIFFNESS, ranges, late, SIGMAS, DT)
     begin_judge(state)
     return p, state
 
@@ -164,15 +164,18 @@ def test_three_wrong_values_within_50_ms_end_the_test(row, axis):
 
 
 @pytest.mark.parametrize("part", [0.99, 1.01])
-@pytest.mark.parametrize("row", [V, F])
+@pytest.mark.parametrize("row", [X, V, F])
 def test_what_turns_at_any_time_between_two_samples_is_allowed(row, part):
-    """The specimen's force, as seen by the velocity, or the velocity, as seen by the oil."""
-    p, state = fresh_judge()
+    """A late velocity, the specimen's force, or the velocity, as seen by the oil."""
+    p, state = fresh_judge(late=0.02 if row == X else 0.0)
     raw, flow = np.zeros((4, N)), np.zeros(N)
     for step in (0, 1):
         judge(p, state, step, raw, flow, np.zeros((4, N)))
     state.moves[2] = 1e5
-    if row == V:
+    if row == X:
+        raw[V, 1], flow[1] = 0.005, 0.0025
+        raw[X, 1] = DT * 0.0025 + part * (p.noise[0, 1] + 0.02 * 0.005)
+    elif row == V:
         raw[F, 1], turned = 1000.0, abs(np.linalg.solve(MASS, [0.0, 1000.0])[1])
         raw[V, 1] = part * (p.noise[1, 1] + 0.5 * DT * turned)
         flow[1] = 0.5 * raw[V, 1] + 1000.0 / (DT * OIL[1, 0])
