@@ -93,7 +93,7 @@ def test_noise_is_six_times_what_it_makes_of_each_relation(known):
 def test_what_is_recent_fades():
     p, state = fresh_judge(oil=0.0 * OIL)
     recent = state.moves, state.usual, state.asked, state.jump
-    for each in recent:
+    for each in (*recent, state.doubt):
         each[:] = 1.0
     for step in range(26):  # 50 ms
         judge(p, state, step, np.zeros((4, N)), np.zeros(N), np.zeros((4, N)))
@@ -104,6 +104,7 @@ def test_what_is_recent_fades():
     lasts = np.exp(-0.05 / np.array(times))
     lasts[:3] *= [p.brief, p.brief, p.recent]  # of the first sample, too
     np.testing.assert_allclose(found, lasts[:, np.newaxis] * np.ones(N), rtol=1e-9)
+    assert not state.doubt.any()
 
 
 LARGEST = np.abs(motion()[1]).max(axis=0)
@@ -245,6 +246,16 @@ def test_no_force_is_judged_by_an_acceleration_at_the_end_of_its_range():
         wrong[-1, F] += 300.0
         assert judged_of(wrong, flow)[1][-1, F].all()
         assert judged_of(wrong, flow, largest=end)[1][-1, F].all() == (after > 2)
+
+
+@pytest.mark.parametrize("part", [0.99, 1.01])
+def test_the_first_step_of_a_coarse_converter_is_not_wrong(part):
+    p, state = fresh_judge()
+    p.range[X], raw = 0.1, np.zeros((4, N))
+    for step in range(3):
+        raw[X, 1] = part * (p.noise[0, 1] + 2.0 * 0.1 / 128.0) if step == 2 else 0.0
+        judge(p, state, step, raw, raw[V], np.zeros((4, N)))
+    assert state.verdict.sum() == state.verdict[X, 1] == (part > 1.0)
 
 
 def test_an_acceleration_at_the_end_of_its_range_says_nothing_of_the_velocity():

@@ -41,6 +41,9 @@ FLOW = 0.02
 BOTH = 2.0 / 3.0
 """Part of the largest noise that is beyond noise if (3) and (4) fail by the same amount."""
 
+COARSEST = 1.0 / 128.0
+"""Step of a converter of 8 bits, over its range."""
+
 NEVER = -(2**40)
 NO_NUMBER = 1e9
 """A larger value is no value of a sensor, in any unit."""
@@ -133,7 +136,10 @@ def judge(
 def in_noise(p: JudgeParameters, state: JudgeState, relation: int, i: int, channel: int) -> float:
     """Difference of a relation by noise and by the resolution of its channel."""
     resolution = state.resolution[channel, i]
-    return p.noise[relation, i] + (2.0 * resolution if resolution < np.inf else 0.0)
+    if resolution == np.inf:  # it has not moved yet: by one step of its converter, if it does now
+        coarsest = p.range[channel, i] * COARSEST
+        resolution = min(state.moved[channel, i], coarsest) if coarsest < np.inf else 0.0
+    return p.noise[relation, i] + 2.0 * resolution
 
 
 @compiled
