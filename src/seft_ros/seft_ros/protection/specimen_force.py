@@ -58,8 +58,7 @@ def look_at_restoring_force(
     for k in range(n):
         spring = p.stiffness[i, k] * (measured[0, k] - last[0, k])
         rise, fall = rise + max(spring, 0.0), fall + max(-spring, 0.0)
-        bent = 0.5 * p.dt * p.dt * (measured[2, k] + last[2, k])
-        curvature += _STIFFEST * p.stiffness[i, k] * bent
+        curvature += p.stiffness[i, k] * p.dt * p.dt * (measured[2, k] + last[2, k])
     change, moved = r[2, i] - r[0, i], abs(measured[0, i] - last[0, i])
     moves = p.judge.noise[0, i] + MOVES * state.judge.moves[0, i]
     slips = moved < moves or step - state.step[TURN_AT] <= TURNED
@@ -68,7 +67,9 @@ def look_at_restoring_force(
         largest = max(abs(r[0, i]), p.memory * largest)
         state.largest[4, i] = largest
     # noise alternates, an impact rings; friction may reverse in both of two samples
-    limit = p.rough[i] + abs(curvature) + (2.0 * TURN * largest if slips else 0.0)
+    bent = 0.5 * p.dt * p.dt * abs(measured[2, i] + last[2, i])  # change / moved: its stiffness
+    limit = p.rough[i] + abs(curvature)
+    limit += 2.0 * TURN * largest if slips else abs(change) / moved * bent
     bend = change - r[1, i]
     bend = bend if abs(bend) > limit else 0.0
     alternates = 1.0 if bend * state.bends[0, i] < 0.0 else 0.0
