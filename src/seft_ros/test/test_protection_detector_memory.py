@@ -4,12 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from detector_samples import ACTUATOR, DT, NO_TARGET, NOISE, detect, detectors
+from detector_samples import ACTUATOR, DT, NO_TARGET, NOISE, N, detect, detectors
 from seft_ros.protection.channel_relations import find_flow
 from seft_ros.protection.detector_list import DETECTORS
 from seft_ros.protection.detectors import FROZEN, TRACKING
-
-N = NOISE.shape[1]
 
 
 @pytest.mark.parametrize(

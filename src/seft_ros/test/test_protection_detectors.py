@@ -149,14 +149,12 @@ def test_a_detector_that_only_warns_puts_nothing_under_suspicion():
 
 
 @pytest.mark.parametrize("row", range(4))
-def test_a_channel_that_is_coarse_or_at_the_end_of_its_range_is_not_frozen(row):
+def test_a_channel_at_the_end_of_its_range_is_not_frozen(row):
     ranges = np.zeros((4, N))
     ranges[row, 0] = 1e3
     p, state = detectors(ALL, ranges=ranges)
     samples, commands = noise_of_a_rig(60, size=0.3)
     samples[20:, row, 0] = 1e3
-    samples[:30, row, 1] = 2.7 * NOISE[row, 1] * (np.arange(30) % 2)  # 0.76: no small chance
-    samples[30:, row, 1] = 0.0
     assert not shares_of(p, state, samples, commands)[:, rows.FROZEN + row].any()
 
 

@@ -92,19 +92,13 @@ def test_noise_is_six_times_what_it_makes_of_each_relation(known):
 
 def test_what_is_recent_fades():
     p, state = fresh_judge(oil=0.0 * OIL)
-    recent = state.moves, state.usual, state.asked, state.jump
-    for each in (*recent, state.doubt):
-        each[:] = 1.0
-    for step in range(26):  # 50 ms
+    kept = state.moves, state.usual, state.jump, state.doubt
+    for step in range(26):
         judge(p, state, step, np.zeros((4, N)), np.zeros(N), np.zeros((4, N)))
-        for i in range(N if step else 0):
-            ask(p, state, i, 1.0)
-    times = [0.05, 0.05, 0.3, 0.3, 0.3, np.inf, np.inf, 0.3, 3.0]
-    found = np.vstack(recent)
-    lasts = np.exp(-0.05 / np.array(times))
-    lasts[:3] *= [p.brief, p.brief, p.recent]  # of the first sample, too
-    np.testing.assert_allclose(found, lasts[:, np.newaxis] * np.ones(N), rtol=1e-9)
-    assert not state.doubt.any()
+        for each in kept if step == 0 else ():
+            each[:] = 1.0
+    lasts = np.exp(-25.0 * DT / np.array([0.05, 0.05, 0.3, 0.3, 0.3, 3.0, 1e-9]))
+    np.testing.assert_allclose(np.vstack(kept), np.transpose([lasts] * N), rtol=1e-9)
 
 
 LARGEST = np.abs(motion()[1]).max(axis=0)
@@ -113,8 +107,6 @@ WRONG = {
     "by minus three peaks": lambda value, peak: value - 3.0 * peak,
     "nan": lambda value, peak: math.nan,
     "inf": lambda value, peak: math.inf,
-    "minus inf": lambda value, peak: -math.inf,
-    "1e300": lambda value, peak: 1e300,
     "zero": lambda value, peak: 0.0,
     "flipped": lambda value, peak: -value,
 }
@@ -184,8 +176,7 @@ def test_what_turns_at_any_time_between_two_samples_is_allowed(row, part):
         raw[A, 1] = -2.0
         raw[F, 1] = part * (2.0 / 3.0 * p.noise[2, 1] + OIL[1, 0] * 0.125 * DT**2 * 2.0)
     judge(p, state, 2, raw, flow, np.zeros((4, N)))
-    assert state.verdict[row, 1] == (part > 1.0)
-    assert state.verdict.sum() == state.verdict[row, 1]
+    assert state.verdict.sum() == state.verdict[row, 1] == (part > 1.0)
 
 
 @pytest.mark.parametrize(("wrong_at", "left"), [([], 0), ([0], 1), ([1], 0)])
