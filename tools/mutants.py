@@ -82,7 +82,7 @@ WORDS = (
     "-qx",
     "--hypothesis-seed=0",
     "--assert=plain",
-    "-Wignore::RuntimeWarning",  # of values that are no numbers: machine code does not tell of them
+    "-Wignore::RuntimeWarning",  # compiled arithmetic does not warn
     *(f"-pno:{each}" for each in ("cacheprovider", "pytest_cov", "xdist")),
 )
 ACTS = (ast.AugAssign, ast.Expr, ast.Raise, ast.Return, ast.Continue, ast.Break)

@@ -22,6 +22,11 @@ PLAN = (
 KIND, SPECIMEN = "rig:specimen.kind:=", "rig:specimen."
 BILINEAR = (f"{KIND}bilinear", f"{SPECIMEN}yield_displacement:=0.003")
 GAP = (f"{KIND}gap", f"{SPECIMEN}gap.width:=0.003", f"{SPECIMEN}gap.stiffness:=2.11e5")
+OBEYS = (
+    *("rig:actuator.kind:=delay", "rig:actuator.delay:=0.01"),
+    "reference_force:compensation.delay:=0.013",
+)
+STICKS = f"{KIND}friction", f"{SPECIMEN}friction.force:=300.0"
 NOISE = np.array([5e-6, 1e-3, 0.05, 3.0])
 SOON, LARGEST, UNCHANGED = 0.05, 1.5, 0.01
 IN_TIME, HARMLESS, TOO_LATE, HARD = "in time", "harmless", "late", "hard"
@@ -214,8 +219,9 @@ def test_a_rig_that_misses_commands_has_no_fault(how):
     assert record.trip is None
 
 
-def test_shares_of_a_record_are_those_of_the_test():
-    experiment = load(*PLAN)
+@pytest.mark.parametrize("words", [PLAN, (*PLAN, *OBEYS, *STICKS)])
+def test_shares_of_a_record_are_those_of_the_test(words):
+    experiment = load(*words)
     blocks = build_blocks(experiment)
     record = simulate_test(experiment, blocks)
     shares = list(shares_of(record).values())

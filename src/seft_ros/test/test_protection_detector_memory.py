@@ -1,56 +1,13 @@
-"""What detectors keep from sample to sample, and from test to test."""
+"""What detectors keep from sample to sample."""
 
 import math
 
 import numpy as np
 import pytest
-from detector_samples import ACTUATOR, DT, NO_TARGET, NOISE, detect, detectors
+from detector_samples import ACTUATOR, DT, NO_TARGET, NOISE, N, detect, detectors
 from seft_ros.protection.channel_relations import find_flow
 from seft_ros.protection.detector_list import DETECTORS
-from seft_ros.protection.detector_step import begin_detectors
 from seft_ros.protection.detectors import FROZEN, TRACKING
-
-N = NOISE.shape[1]
-
-
-def test_a_test_begins_without_what_was_seen_in_the_one_before():
-    p, state = detectors()
-    for values in (*state[:-1], *state.judge):
-        values[:] = 7
-    begin_detectors(p, state)
-    emptied = (
-        "sent",
-        "sums",
-        "rise",
-        "largest",
-        "work",
-        "farthest",
-        "carried",
-        "response",
-        "bends",
-    )
-    for name in (*emptied, "repeats", "counts", "shares"):
-        assert not getattr(state, name).any(), name
-    for name in (
-        "judged",
-        "restoring",
-        "usual",
-        "asked",
-        "moves",
-        "doubt",
-        "jump",
-        "off",
-        "verdict",
-        "counts",
-        "raw",
-    ):
-        assert not getattr(state.judge, name).any(), name
-    assert not state.estimated.any()
-    np.testing.assert_array_equal(state.covariance, detectors()[1].covariance)
-    assert np.isinf(state.judge.resolution).all()
-    for steps in (state.step, state.judge.wrong):
-        assert (steps < -(10**9)).all()
-    assert (state.judge.taken == -2).all()
 
 
 @pytest.mark.parametrize(

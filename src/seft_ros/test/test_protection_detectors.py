@@ -21,21 +21,24 @@ from detector_samples import (
 from seft_ros.protection import detectors as rows
 from seft_ros.protection.channel_relations import take_command
 from seft_ros.protection.detector_list import DETECTORS, describe
-from seft_ros.protection.detector_step import begin_detectors, detect_all, look_at_tracking
+from seft_ros.protection.detector_step import begin_detectors, detect_all
 from seft_ros.protection.detectors import SUSPECT, VALID, look
 
 
 def test_a_new_test_knows_nothing_of_the_one_before():
-    p, state = detectors(ALL)
     samples, commands = noise_of_a_rig(60, size=40.0)
     samples[20:40:2, 0, 1] = samples[21:41:2, 0, 1]
-    points = np.ascontiguousarray(samples[:1, :3])
-    first = shares_of(p, state, samples, commands, points=points)
-    shares_of(p, state, np.ascontiguousarray(samples[:40, :, ::-1]), commands)
-    begin_detectors(p, state)
-    assert not state.shares.any()
-    again = shares_of(p, state, samples, commands, points=points)
-    np.testing.assert_array_equal(again, first)
+    points, found = np.ascontiguousarray(samples[:1, :3]), []
+    for _ in range(2):
+        p, state = detectors(ALL)
+        for values in (*state[:-1], *state.judge) if found else ():
+            values[:] = 7
+        state.found[:] = 0.0  # it is told only at a trip
+        begin_detectors(p, state)
+        seen = shares_of(p, state, samples, commands, points=points)
+        found.append((seen, *state[:-1], *state.judge))
+    for fresh, again in zip(*found, strict=True):
+        np.testing.assert_array_equal(again, fresh)
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -146,14 +149,12 @@ def test_a_detector_that_only_warns_puts_nothing_under_suspicion():
 
 
 @pytest.mark.parametrize("row", range(4))
-def test_a_channel_that_is_coarse_or_at_the_end_of_its_range_is_not_frozen(row):
+def test_a_channel_at_the_end_of_its_range_is_not_frozen(row):
     ranges = np.zeros((4, N))
     ranges[row, 0] = 1e3
     p, state = detectors(ALL, ranges=ranges)
     samples, commands = noise_of_a_rig(60, size=0.3)
     samples[20:, row, 0] = 1e3
-    samples[:30, row, 1] = 2.7 * NOISE[row, 1] * (np.arange(30) % 2)  # 0.76: no small chance
-    samples[30:, row, 1] = 0.0
     assert not shares_of(p, state, samples, commands)[:, rows.FROZEN + row].any()
 
 
@@ -201,19 +202,6 @@ def test_a_target_must_be_followed_but_not_while_the_valve_is_at_its_limit():
         if k >= 99:
             state.counts[rows.TRACKING] = 0
     assert found[:10] == [VALID] * 9 + [rows.TRACKING * N]
-
-
-def test_the_targets_largest_motion_is_remembered():
-    p, state = detectors(ALL)
-    points, measured = np.zeros((1, 3, N)), np.zeros((4, N))
-    for k, (target, there) in enumerate([(-0.25, -0.5), (0.0, -0.25), (0.0, 0.01)]):
-        points[0, 0, 1], measured[0, 1] = target, there
-        state.shares[:] = 0.0
-        look_at_tracking(p, state, k, points, measured, 1)
-        largest = 0.5 * p.memory**k
-        bias = p.most[0, 2, 1] * DT / (1.0 - p.fade)
-        expected = abs(target - there) / (p.sums[0, 1] + bias + 0.5 * largest)
-        assert state.shares[rows.TRACKING, 1] == pytest.approx(expected, rel=1e-9)
 
 
 def test_a_whole_test_gives_the_shares_of_its_samples():

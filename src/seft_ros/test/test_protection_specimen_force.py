@@ -75,7 +75,8 @@ def test_a_force_that_jumps_back_and_forth_is_counted_as_noise():
     measured, now = np.zeros((4, N)), np.array([3000.0, -3000.0])
     measured[2], state.last[2] = now, [4000.0, 5000.0]
     curved = abs(DT**2 * STIFFNESS[1] @ (now + state.last[2]))
-    measured[0, 1] = 1.0  # it moves
+    measured[0, 1] = 0.01  # it moves, and bends by a part of that
+    part = 0.5 * DT**2 * abs(now[1] + state.last[2, 1]) / 0.01
     count, before = 0.0, 0.0
     for excess, turned in [
         (1, 9),
@@ -90,7 +91,9 @@ def test_a_force_that_jumps_back_and_forth_is_counted_as_noise():
         (1, 2),
     ]:
         state.step[rows.TURN_AT], state.largest[4, 1] = 50 - turned, 0.0
-        limit = p.rough[1] + curved + (400.0 if turned < 4 else 0.0)
+        limit = p.rough[1] + curved + (800.0 if turned < 4 else 0.0)
+        if turned > 3:  # of the change, 70 N and the bend
+            limit = (limit + math.copysign(70.0 * part, excess)) / (1.0 - part)
         bend = math.copysign(1.0, excess) * limit * (1.0 + (1e-6 if excess else -1e-6))
         state.restoring[:, 1] = 200.0, 70.0, 270.0 + bend
         state.counts[rows.JUMP, 1] = 0

@@ -147,7 +147,7 @@ def precheck(
             force = points[0, last, i]
             fits &= abs(force) <= parameters.largest
             if fits and not parameters.detectors.has_valve:
-                ask(state.detectors.judge, i, force)
+                ask(parameters.detectors.judge, state.detectors.judge, i, force)
         for i in range(n):
             if fits and state.plan.shape[1] > 1:  # a controller of forces reads them alone
                 detectors = parameters.detectors

@@ -38,7 +38,7 @@ from seft_ros.protection.detectors import (
     look,
     sees,
 )
-from seft_ros.protection.judge_step import NEVER, begin_judge, judge
+from seft_ros.protection.judge_step import NEVER, ask, begin_judge, judge
 from seft_ros.protection.relation_following import BIAS_OF, expected
 from seft_ros.protection.specimen_force import (
     look_at_response,
@@ -221,6 +221,8 @@ def detect_all(
     for k in range(len(steps)):
         judge_sample(p, state, steps[k], states[k], judged)
         for i in range(commands.shape[1]):
+            if not p.has_valve:
+                ask(p.judge, state.judge, i, points[k, points.shape[1] - 1, i])
             if points.shape[1] > 1:
                 look_at_tracking(p, state, steps[k], points[k : k + 1], judged, i)
         limited = False

@@ -64,7 +64,8 @@ class JudgeState(NamedTuple):
     usual : ndarray
         Largest recent differences of (3) and (4) that were accepted, shape (2, n), N.
     asked : ndarray
-        The last two reference forces, the newest first, shape (2, n), N.
+        The last two reference forces, the newest first, and their largest recent second
+        difference; shape (3, n), N.
     moves : ndarray
         Largest recent dt |v| and dt |a|, and the largest recent |r|; shape (3, n).
     doubt : ndarray
@@ -85,7 +86,8 @@ class JudgeState(NamedTuple):
     raw, moved : ndarray
         The last sample as measured, and the magnitude of its change; shape (4, n).
     taken : ndarray
-        Step of the last sample, and number of samples in a row; shape (2,).
+        Step of the last sample, number of samples in a row, and step of the last sample in which an
+        acceleration was at the end of its range; shape (3,).
     """
 
     judged: Floats
@@ -155,7 +157,7 @@ def judge_arrays(
         judged=np.zeros((2, 4, n)),
         restoring=np.zeros((2, n)),
         usual=np.zeros((2, n)),
-        asked=np.zeros((2, n)),
+        asked=np.zeros((3, n)),
         moves=np.zeros((3, n)),
         doubt=np.zeros(n),
         jump=np.zeros(n),
@@ -166,6 +168,6 @@ def judge_arrays(
         resolution=np.zeros((4, n)),
         raw=np.zeros((4, n)),
         moved=np.zeros((4, n)),
-        taken=np.zeros(2, dtype=np.int64),
+        taken=np.zeros(3, dtype=np.int64),
     )
     return parameters, state

@@ -41,6 +41,9 @@ FLOW = 0.02
 BOTH = 2.0 / 3.0
 """Part of the largest noise that is beyond noise if (3) and (4) fail by the same amount."""
 
+COARSEST = 1.0 / 128.0
+"""Step of a converter of 8 bits, over its range."""
+
 NEVER = -(2**40)
 NO_NUMBER = 1e9
 """A larger value is no value of a sensor, in any unit."""
@@ -100,6 +103,8 @@ def judge(
             if not abs(raw[row, i]) < NO_NUMBER:
                 state.verdict[row, i] = 1
                 judged[row, i] = state.judged[0, row, i]
+            elif row == A and abs(raw[row, i]) >= p.range[row, i]:
+                state.taken[2] = step
     if state.taken[1] > 0:
         for i in range(n):
             expect_missing(p, state, flow, judged, i)
@@ -131,7 +136,10 @@ def judge(
 def in_noise(p: JudgeParameters, state: JudgeState, relation: int, i: int, channel: int) -> float:
     """Difference of a relation by noise and by the resolution of its channel."""
     resolution = state.resolution[channel, i]
-    return p.noise[relation, i] + (2.0 * resolution if resolution < np.inf else 0.0)
+    if resolution == np.inf:  # it has not moved yet: by one step of its converter, if it does now
+        coarsest = p.range[channel, i] * COARSEST
+        resolution = min(state.moved[channel, i], coarsest) if coarsest < np.inf else 0.0
+    return p.noise[relation, i] + 2.0 * resolution
 
 
 @compiled
@@ -141,10 +149,11 @@ def accept(p: JudgeParameters, state: JudgeState, relation: int, i: int, off: fl
 
 
 @compiled
-def ask(state: JudgeState, i: int, force: float) -> None:
+def ask(p: JudgeParameters, state: JudgeState, i: int, force: float) -> None:
     """Know what is asked of a rig that obeys forces: its force will differ as much from (3)."""
     last, before = state.asked[0, i], state.asked[1, i]
-    state.usual[0, i] = max(state.usual[0, i], abs(force - 2.0 * last + before))
+    turns = abs(force - 2.0 * last + before)
+    state.asked[2, i] = max(turns, p.recent * state.asked[2, i])
     state.asked[0, i], state.asked[1, i] = force, last
 
 
@@ -220,7 +229,7 @@ def judge_motion(p: JudgeParameters, state: JudgeState, judged: Floats, i: int) 
         + CALIBRATION * state.moves[1, i]
         + (0.5 * dt + p.late) * abs(a - a1)
         + 0.125 * dt * abs(bend)  # the acceleration turns between the samples
-        + dt * jump
+        + max(dt * jump, 0.5 * dt * abs(judged[A, i] - state.off[1, i]))  # r turns at any time
     )
     if max(abs(judged[A, i]), abs(a1)) >= p.range[A, i]:
         allowed = np.inf  # it may be any larger one
@@ -251,14 +260,16 @@ def judge_force(
     if state.verdict[F, i]:
         judged[F, i] = expected_force(p, state, flow, judged, i)
         return True
+    knows_specimen = state.taken[0] - state.taken[2] > 2  # (4) needs the accelerations of three
     expected, r = expected_force(p, state, flow, judged, i), state.off[0, i]
     off, dt = judged[F, i] - expected, p.dt
     kink = 0.125 * dt * dt * abs(judged[A, i] - state.judged[0, A, i])
     usual = max(FLOW * abs(dt * flow[i]) * p.oil[i, 0], USUAL * state.usual[0, i])
-    allowed = max(BOTH * in_noise(p, state, 2, i, F), usual) + p.oil[i, 0] * kink
+    allowed = max(BOTH * in_noise(p, state, 2, i, F) + state.asked[2, i], usual)
+    allowed += p.oil[i, 0] * kink
     allowed += state.doubt[i]  # what the last sample may be wrong by if it was replaced
     is_wrong = abs(off) > allowed and abs(r) > BOTH * in_noise(p, state, 3, i, F)
-    is_wrong = is_wrong and off * r > 0.5 * max(off * off, r * r)
+    is_wrong = is_wrong and knows_specimen and off * r > 0.5 * max(off * off, r * r)
     if is_wrong:
         state.verdict[F, i] = 1
         by_specimen = judged[F, i] - r  # unless it jumps in the same sample
@@ -291,9 +302,10 @@ def judge_acceleration(p: JudgeParameters, state: JudgeState, judged: Floats, i:
         is_shown = shown > max(0.5 * noise, SHOWN * dt * abs(jump))
     if is_shown:
         state.jump[i] = max(abs(jump), state.jump[i])
-        if jump * before > 0.0:  # the sample before was not wrong
-            state.counts[A, i] -= 1
-            state.wrong[A, i, state.counts[A, i] % state.wrong.shape[2]] = NEVER
+        place = (state.counts[A, i] - 1) % state.wrong.shape[2]
+        if jump * before > 0.0 and state.wrong[A, i, place] == state.taken[0] - 1:
+            state.counts[A, i] -= 1  # the sample before was not wrong
+            state.wrong[A, i, place] = NEVER
     elif abs(jump) >= USUAL * state.jump[i]:
         state.verdict[A, i] = 1
         state.off[3, i] = jump

@@ -66,8 +66,11 @@ def look_at_restoring_force(
     if state.counts[JUMP, i] == 0:  # a suspect sample is no measure
         largest = max(abs(r[0, i]), p.memory * largest)
         state.largest[4, i] = largest
-    # noise alternates, an impact rings
-    bend, limit = change - r[1, i], p.rough[i] + abs(curvature) + (TURN * largest if slips else 0.0)
+    # noise alternates, an impact rings; friction may reverse in both of two samples
+    bent = 0.5 * p.dt * p.dt * abs(measured[2, i] + last[2, i])  # change / moved: its stiffness
+    limit = p.rough[i] + abs(curvature)
+    limit += 2.0 * TURN * largest if slips else abs(change) / moved * bent
+    bend = change - r[1, i]
     bend = bend if abs(bend) > limit else 0.0
     alternates = 1.0 if bend * state.bends[0, i] < 0.0 else 0.0
     state.bends[0, i] = bend
