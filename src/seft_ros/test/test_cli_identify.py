@@ -232,7 +232,7 @@ def test_several_axes_have_their_numbers_each(identify, tmp_path):
         "rig:specimen.mass:=[52.7, 50.0]",
         "reference_force:model.mass:=[52.7, 50.0]",
     )
-    words = (*BRIEF, "--specimen", "--out", "out")
+    words = (*SHORT, "--amplitude", "0.2", "--specimen", "--out", "out")
     status, found, _ = identify(*words, overrides=overrides)
     assert status == 0
     assert [axis["axis"] for axis in found["axes"]] == ["north", "east"]
@@ -284,7 +284,8 @@ def test_a_shake_beyond_the_limits_is_refused_before_anything_moves(identify, tm
 def test_a_trip_of_the_shake_ends_it_with_one_line(identify, tmp_path):
     """One of the rig alone, which the plan does not know."""
     limit = "rig:limits.acceleration:=9.0"
-    status, found, line = identify(*BRIEF, "--specimen", "--out", "out", overrides=(limit,))
+    words = ("--duration", "14", "--amplitude", "0.1", "--specimen", "--out", "out")
+    status, found, line = identify(*words, overrides=(limit,))
     assert status == 1
     assert line.startswith("seft: shake pilot tripped at ")
     assert found["tripped"]["shake_pilot"].startswith("acceleration")
