@@ -92,7 +92,6 @@ def chunks(draw):
     return bytes(data), starts, definitions
 
 
-@settings(max_examples=300)
 @given(chunks())
 def test_messages_and_definitions_are_found_between_other_records(chunk):
     raw, starts, definitions = chunk
