@@ -16,6 +16,7 @@ from seft_ros.bags.record_bag import read_bag
 from seft_ros.cli import identify_command, shared
 from seft_ros.design.force_tracking import tracking_measures
 from seft_ros.design.plant import choose_plant
+from seft_ros.drawing import style
 from seft_ros.test_run.parameter_tables import TABLES
 
 LINEAR = ("rig:actuator.kind:=servo_hydraulic_linear",)
@@ -32,8 +33,9 @@ def identified(seft, *words, overrides=()):
 
 
 @pytest.fixture
-def identify(seft):
-    """Identify in an empty folder."""
+def identify(seft, monkeypatch):
+    """Identify in an empty folder; the figure is made, but not written."""
+    monkeypatch.setattr(style, "save_figure", lambda *_: None)
     return lambda *words, **options: identified(seft, *words, **options)
 
 
