@@ -166,15 +166,12 @@ def test_a_method_of_step_alone_is_simulated_by_preflight_and_before_a_run(told)
     assert "the test is unstable in simulation" in err
 
 
-@pytest.mark.parametrize(
-    ("method", "why"),
-    [
+def test_what_a_method_lacks_is_told_in_one_line(told):
+    for method, why in (
         ("shapeless", "the force of shapeless has the shape (2,), but must have (1,)"),
         ("stepless", "stepless has no step(ground_motion, state)"),
-    ],
-)
-def test_what_a_method_lacks_is_told_in_one_line(told, method, why):
-    status, _, err = told[method]
-    (line,) = err.strip().splitlines()
-    assert status == 2
-    assert why in line
+    ):
+        status, _, err = told[method]
+        (line,) = err.strip().splitlines()
+        assert status == 2
+        assert why in line
