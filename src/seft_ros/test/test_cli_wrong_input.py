@@ -103,21 +103,7 @@ def test_the_process_ends_with_status_2_and_without_a_traceback():
     assert done.stderr.count("\n") == 1
 
 
-def test_simulate_prints_one_json_object_and_nothing_else(seft, tmp_path):
-    status, out, _ = seft("simulate", JHU, *SHORT, "--json")
-    summary = json.loads(out)
-    assert status == 0
-    assert set(summary) >= KEYS
-    for quantity in ("displacement", "acceleration", "force"):
-        assert set(summary[quantity]) >= MEASURES
-    assert (summary["stable"], summary["trip"]) == (True, None)
-    assert summary["rate_hz"] == 500.0
-    assert summary["steps"] == 1501  # 4 s twice as fast, 1 s of tail
-    assert summary["duration_s"] == pytest.approx(3.002)
-    assert list(tmp_path.iterdir()) == []  # nothing is written without --out
-
-
-def test_a_test_that_trips_ends_with_status_1_and_says_so(seft):
+def test_a_test_that_trips_ends_with_status_1_and_says_so(seft, tmp_path):
     words = ("-p", "reference_force:mass_ratio:=1.5", "-p", "supervisor:limits.acceleration:=30")
     unwatched = ("-p", "reference_force:instability.ratio:=0.0")  # a limit is to trip it
     status, out, err = seft("simulate", JHU, *words, *unwatched, "--json")
@@ -129,12 +115,20 @@ def test_a_test_that_trips_ends_with_status_1_and_says_so(seft):
     assert "acceleration" in err.splitlines()[-1]
     assert "beyond the limit of 30" in err.splitlines()[-1]
     assert "unstable" not in err  # a limit is no instability
+    assert list(tmp_path.iterdir()) == []  # nothing is written without --out
 
 
 def test_out_names_the_folder_of_the_bag_which_reports_the_same(seft, tmp_path):
     status, out, _ = seft("simulate", JHU, *SHORT, "--out", "bag", "--json")
     assert status == 0
-    simulated = json.loads(out)
+    simulated = json.loads(out)  # one object and nothing else
+    assert set(simulated) >= KEYS
+    for quantity in ("displacement", "acceleration", "force"):
+        assert set(simulated[quantity]) >= MEASURES
+    assert (simulated["stable"], simulated["trip"]) == (True, None)
+    assert simulated["rate_hz"] == 500.0
+    assert simulated["steps"] == 1501  # 4 s twice as fast, 1 s of tail
+    assert simulated["duration_s"] == pytest.approx(3.002)
     assert (tmp_path / "bag" / "metadata.yaml").is_file()
     status, out, _ = seft("report", "bag", "--json")
     assert status == 0
