@@ -1,6 +1,9 @@
 """Method, controller and restoring force of somebody else's package take part like ours."""
 
+import json
 import os
+import subprocess
+import sys
 
 import pytest
 from graph_tools import JHU
@@ -103,50 +106,72 @@ SPRING = (
 )
 
 
-@pytest.fixture
-def package(tmp_path, monkeypatch):
-    """An installed package that registers all kinds."""
-    folder = tmp_path / "installed"
+COMMANDS = """
+import json, sys
+from pathlib import Path
+from commands_at_hand import run_seft
+commands = json.load(sys.stdin)
+json.dump({name: run_seft(Path(), *words) for name, words in commands.items()}, sys.stdout)
+"""
+
+
+def with_method(name, ratio):
+    method = ("-p", f"reference_force:compensation.method:={name}")
+    return (JHU, *SHORT[:2], *method, "-p", f"reference_force:mass_ratio:={ratio}")
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory):
+    """What `seft` tells with an installed package that registers all kinds, in one process."""
+    folder = tmp_path_factory.mktemp("installed")
     described = folder / "their_lab-1.0.dist-info"
-    described.mkdir(parents=True)
+    described.mkdir()
     (folder / "theirs.py").write_text(THEIRS)
     (described / "METADATA").write_text("Metadata-Version: 2.1\nName: their-lab\nVersion: 1.0\n")
     (described / "entry_points.txt").write_text(REGISTERED)
-    paths = [str(folder), *filter(None, [os.environ.get("PYTHONPATH")])]
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(paths))
+    commands = {
+        "ours": ("preflight", JHU, *SHORT, "--json"),
+        "theirs": ("preflight", JHU, *SHORT, *CONTROLLER, "--json"),
+        "simulated": ("simulate", JHU, *SHORT, *CONTROLLER, *SPRING, "--json"),
+        "bare": ("preflight", *with_method("bare", 0.4)),
+        "refused": ("run", *with_method("bare", 3.0), "--out", "refused"),
+        "shapeless": ("simulate", *with_method("shapeless", 0.1)),
+        "stepless": ("simulate", *with_method("stepless", 0.1)),
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", COMMANDS],
+        input=json.dumps(commands, default=str),
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), *filter(None, sys.path)])},
+        **{"cwd": folder, "text": True, "check": True, "stdout": subprocess.PIPE},
+    )
+    return json.loads(done.stdout)
 
 
-@pytest.mark.usefixtures("package")
-def test_what_is_registered_with_its_settings_is_simulated_and_known_to_preflight(seft_json):
+def test_what_is_registered_with_its_settings_is_simulated_and_known_to_preflight(told):
     """In nodes: test_local_drawn.py; what can't be made: seft_msgs_py's test_registered.py."""
-    ours = seft_json("preflight", JHU, *SHORT)
-    theirs = seft_json("preflight", JHU, *SHORT, *CONTROLLER)
+    ours, theirs, simulated = (
+        json.loads(told[name][1]) for name in ("ours", "theirs", "simulated")
+    )
     assert theirs["critical_mass_ratio"] < 0.5 * ours["critical_mass_ratio"]
-    assert seft_json("simulate", JHU, *SHORT, *CONTROLLER, *SPRING)["stable"] is True
+    assert simulated["stable"] is True
 
 
-@pytest.mark.usefixtures("package")
-def test_a_method_of_step_alone_is_simulated_by_preflight_and_before_a_run(seft):
-    def bare(ratio):
-        method = ("-p", "reference_force:compensation.method:=bare")
-        return (JHU, *SHORT[:2], *method, "-p", f"reference_force:mass_ratio:={ratio}")
-
-    stable = seft("preflight", *bare(0.4), status=0)
-    assert "bare has no linear(), so the margins of its stability are not known" in stable.stderr
-    assert "done: displacement error" in stable.stdout
-    refused = seft("run", *bare(3.0), "--out", "refused", status=2).stderr
-    assert "the test is unstable in simulation" in refused
+def test_a_method_of_step_alone_is_simulated_by_preflight_and_before_a_run(told):
+    status, out, err = told["bare"]
+    assert status == 0
+    assert "bare has no linear(), so the margins of its stability are not known" in err
+    assert "done: displacement error" in out
+    status, _, err = told["refused"]
+    assert status == 2
+    assert "the test is unstable in simulation" in err
 
 
-@pytest.mark.usefixtures("package")
-@pytest.mark.parametrize(
-    ("method", "why"),
-    [
+def test_what_a_method_lacks_is_told_in_one_line(told):
+    for method, why in (
         ("shapeless", "the force of shapeless has the shape (2,), but must have (1,)"),
         ("stepless", "stepless has no step(ground_motion, state)"),
-    ],
-)
-def test_what_a_method_lacks_is_told_in_one_line(seft, method, why):
-    words = ("-p", f"reference_force:compensation.method:={method}")
-    (line,) = seft("simulate", JHU, *words, status=2).stderr.strip().splitlines()
-    assert why in line
+    ):
+        status, _, err = told[method]
+        (line,) = err.strip().splitlines()
+        assert status == 2
+        assert why in line

@@ -24,7 +24,7 @@ def test_every_node_answers_a_stopped_test_bit_for_bit_ramp_and_all(
     graph = local_graph(*words, config=config, nodes=nodes, latency=5e-4)
     graph.until("ready")
     assert graph.call("start")[0]
-    graph.run(3.0)
+    graph.run(1.5)
     assert graph.call("stop")[0]
     graph.until(lambda: graph.status("recorder")["phase"] == "saved")
     result = seft_json("replay", "bag")

@@ -2,7 +2,7 @@ import struct
 from itertools import groupby
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from seft_msgs_py.errors import WireError
@@ -92,7 +92,6 @@ def assert_as_each(codec, raws):
     assert decode_all(codec, raws) == decode_each(codec, raws)
 
 
-@settings(max_examples=400)
 @given(batches())
 def test_a_batch_gives_what_its_messages_give_one_by_one(batch):
     assert_as_each(*batch)

@@ -148,10 +148,7 @@ BEARABLE = {
     "prints escapes": (r"print('\x1b]0;title\x07\x1b[2Jred\rover')", r"\\x1b]0;title\\x07"),
     "prints no text": (r"os.write(1, bytes(range(256)))", r"\\x00"),
     "takes signals": ("signal.signal(signal.SIGTERM, signal.SIG_IGN)", ""),
-    "forks a child that stays": (
-        "os.fork() or (os.setsid(), time.sleep(1e6))",
-        "",
-    ),
+    "forks a child that stays": ("os.fork() or (os.setsid(), time.sleep(1e6))", ""),
     "starts threads": ("threading.Thread(target=time.sleep, args=[1e6]).start()", ""),
     "registers its end": ("import atexit; atexit.register(time.sleep, 1e6)", ""),
 }

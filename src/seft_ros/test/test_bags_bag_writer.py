@@ -157,8 +157,8 @@ from seft_ros.bags import bag_writer
 from seft_ros.bags.bag_files import Bag
 bag_writer.FLUSH_PERIOD = {period}
 bag = bag_writer.BagWriter("bag")
-for k in range(9000):
-    bag.write(DESCRIPTION, encode_string(f"{{k:1000}}"), k)
+for k in range(900):
+    bag.write(DESCRIPTION, encode_string(f"{{k:10000}}"), k)
 print(bag.trouble)
 print(bag.save())
 with Bag("bag") as found:
@@ -170,7 +170,7 @@ with Bag("bag") as found:
 def test_what_a_full_disk_does_not_take_goes_into_the_room_that_was_reserved(tmp_path, period):
     script = LITTLE_ROOM.format(paths=[p for p in sys.path if p], period=period)
     told = run_on_a_disk("size=16m", tmp_path, "-c", script).splitlines()
-    assert told == ["bag: No space left on device", "bag", "9000 []"]
+    assert told == ["bag: No space left on device", "bag", "900 []"]
 
 
 def refuse(*_):

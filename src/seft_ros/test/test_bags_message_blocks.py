@@ -13,9 +13,7 @@ from seft_ros.bags.message_blocks import records_of
 
 TOPICS = ("/a", "/b", "/c")
 MESSAGES = st.lists(
-    st.tuples(st.sampled_from(TOPICS), st.integers(1, 12), st.booleans()),
-    min_size=1,
-    max_size=40,
+    st.tuples(st.sampled_from(TOPICS), st.integers(1, 12), st.booleans()), min_size=1, max_size=40
 )
 
 
@@ -92,7 +90,6 @@ def chunks(draw):
     return bytes(data), starts, definitions
 
 
-@settings(max_examples=300)
 @given(chunks())
 def test_messages_and_definitions_are_found_between_other_records(chunk):
     raw, starts, definitions = chunk

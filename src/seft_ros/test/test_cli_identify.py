@@ -16,12 +16,13 @@ from seft_ros.bags.record_bag import read_bag
 from seft_ros.cli import identify_command, shared
 from seft_ros.design.force_tracking import tracking_measures
 from seft_ros.design.plant import choose_plant
+from seft_ros.drawing import style
 from seft_ros.test_run.parameter_tables import TABLES
 
 LINEAR = ("rig:actuator.kind:=servo_hydraulic_linear",)
-SHORT = ("--duration", "40")
-BRIEF = ("--duration", "15", "--amplitude", "0.2")
-"""For what no number is held against; saves the pilot test, too."""
+SHORT = ("--duration", "20")
+BRIEF = ("--duration", "14", "--amplitude", "0.2")
+"""The shortest there is, without the pilot test."""
 
 
 def identified(seft, *words, overrides=()):
@@ -32,8 +33,9 @@ def identified(seft, *words, overrides=()):
 
 
 @pytest.fixture
-def identify(seft):
-    """Identify in an empty folder."""
+def identify(seft, monkeypatch):
+    """Identify in an empty folder; the figure is made, but not written."""
+    monkeypatch.setattr(style, "save_figure", lambda *_: None)
     return lambda *words, **options: identified(seft, *words, **options)
 
 
@@ -132,8 +134,7 @@ PLAN = {
 
 
 def test_a_rig_whose_channels_disagree_is_corrected_by_the_file(identify, seft):
-    words = ("--duration", "20", "--specimen", "--out", "out")
-    status, found, _ = identify(*words, overrides=SENSORS)
+    status, found, _ = identify(*BRIEF, "--specimen", "--out", "out", overrides=SENSORS)
     assert status == 0
     assert found["actuator"]["flow_gain_m_per_s_per_v"] == pytest.approx(0.0403, rel=0.01)
     lag = found["shake"]["axes"][0]["acceleration"]["lag"]
@@ -162,34 +163,8 @@ def test_a_host_that_misses_commands_is_told(monkeypatch, tmp_path, capsys):
     assert not capsys.readouterr().err
 
 
-def test_a_specimen_that_the_model_was_not_identified_with_needs_no_other(identify, seft):
-    """What the recommended method needs, and by default no word of the specimen."""
-    assert identify("--duration", "20", "--out", "out")[0] == 0
-    model = read_parameter_file("out/model.yaml")
-    assert not any(name.startswith("model.") for name in model["reference_force"])
-    overrides = {
-        "reference_force:compensation.method": "target_motion",
-        "force_controller:method": "velocity_feedforward",
-        "reference_force:mass_ratio": "1.0",
-        "ground_motion:peak_force": "500.0",
-        "ground_motion:synthetic.duration": "12.0",
-        "rig:specimen.kind": "bilinear",
-        "rig:specimen.yield_displacement": "0.003",
-        "rig:specimen.stiffness": "1.5e5",
-        "rig:actuator.oil_column_frequency": "0.0",
-        "rig:actuator.oil_stiffness": "1.664e7",
-        "reference_force:model.stiffness": "1.5e5",
-    }
-    words = [word for name, value in overrides.items() for word in ("-p", f"{name}:={value}")]
-    unknown = ("-p", "force_controller:actuator.flow_gain:=0.0")
-    assert seft("simulate", JHU, *words, *unknown, "--json")[0] == 2
-    status, text, _ = seft("simulate", JHU, "--params-file", "out/model.yaml", *words, "--json")
-    summary = json.loads(text)
-    assert (status, summary["stable"]) == (0, True)
-    assert summary["displacement"]["nrmse"] < 0.02
-
-
-def test_a_rig_whose_controller_needs_its_actuators_is_identified_without_knowing_them(identify):
+def test_a_rig_is_identified_unknown_and_the_model_holds_for_another_specimen(identify, seft):
+    """With a controller that needs the actuators, and no word of the specimen."""
     overrides = (
         "force_controller:method:=velocity_feedforward",
         "force_controller:actuator.flow_gain:=0.0",
@@ -199,7 +174,25 @@ def test_a_rig_whose_controller_needs_its_actuators_is_identified_without_knowin
     assert found["actuator"]["flow_gain_m_per_s_per_v"] == pytest.approx(0.0403, rel=0.01)
     assert found["delay_s"] is None
     assert found["tripped"] == {"open_loop": None, "closed_loop": None}
-    assert not any("tracking.num" in name for name in read_parameter_file("out/model.yaml"))
+    model = read_parameter_file("out/model.yaml")
+    assert not any("tracking.num" in name for name in model)
+    assert not any(name.startswith("model.") for name in model.get("reference_force", ()))
+    other = PLAN | {
+        "ground_motion:peak_force": "500.0",
+        "rig:specimen.kind": "bilinear",
+        "rig:specimen.yield_displacement": "0.003",
+        "rig:specimen.stiffness": "1.5e5",
+        "rig:actuator.oil_column_frequency": "0.0",
+        "rig:actuator.oil_stiffness": "1.664e7",
+        "reference_force:model.stiffness": "1.5e5",
+    }
+    words = [word for name, value in other.items() for word in ("-p", f"{name}:={value}")]
+    unknown = ("-p", "force_controller:actuator.flow_gain:=0.0")
+    assert seft("simulate", JHU, *words, *unknown, "--json")[0] == 2
+    status, text, _ = seft("simulate", JHU, "--params-file", "out/model.yaml", *words, "--json")
+    summary = json.loads(text)
+    assert (status, summary["stable"]) == (0, True)
+    assert summary["displacement"]["nrmse"] < 0.02
 
 
 def test_the_known_lag_of_the_sensors_is_no_part_of_what_is_written(identify):
@@ -220,7 +213,7 @@ def test_the_known_lag_of_the_sensors_is_no_part_of_what_is_written(identify):
 def test_a_rig_without_a_valve_has_the_closed_loop_only(identify, tmp_path):
     overrides, delay = ["rig:actuator.kind:=delay", "rig:actuator.delay:=0.0113"], 0.0173
     overrides += [f"rig:{g}.{c}_lag:=0.004" for g in ("sensors", "calibration") for c in CHANNELS]
-    status, found, _ = identify("--duration", "20", "--out", "out", overrides=overrides)
+    status, found, _ = identify(*BRIEF, "--out", "out", overrides=overrides)
     assert status == 0
     assert found["plant_zero_hz"] is found["plant_pole_hz"] is None
     assert found["coherence"]["open_loop"] is None
@@ -241,7 +234,7 @@ def test_several_axes_have_their_numbers_each(identify, tmp_path):
         "rig:specimen.mass:=[52.7, 50.0]",
         "reference_force:model.mass:=[52.7, 50.0]",
     )
-    words = ("--duration", "20", "--specimen", "--out", "out")
+    words = (*SHORT, "--amplitude", "0.2", "--specimen", "--out", "out")
     status, found, _ = identify(*words, overrides=overrides)
     assert status == 0
     assert [axis["axis"] for axis in found["axes"]] == ["north", "east"]
@@ -273,8 +266,7 @@ def test_a_trip_in_the_open_loop_ends_it_and_keeps_the_bag(identify, tmp_path):
 
 def test_of_a_loop_that_is_unstable_the_plant_is_identified_all_the_same(identify):
     overrides = (*LINEAR, "force_controller:numerator:=200.0")
-    words = ("--duration", "20", "--out", "out")
-    status, found, line = identify(*words, overrides=overrides)
+    status, found, line = identify(*BRIEF, "--out", "out", overrides=overrides)
     assert status == 1
     assert "closed loop" in line
     assert found["plant_zero_hz"] == pytest.approx(10.07, rel=0.01)
@@ -294,7 +286,7 @@ def test_a_shake_beyond_the_limits_is_refused_before_anything_moves(identify, tm
 def test_a_trip_of_the_shake_ends_it_with_one_line(identify, tmp_path):
     """One of the rig alone, which the plan does not know."""
     limit = "rig:limits.acceleration:=9.0"
-    words = ("--duration", "15", "--amplitude", "0.1", "--specimen", "--out", "out")
+    words = ("--duration", "14", "--amplitude", "0.1", "--specimen", "--out", "out")
     status, found, line = identify(*words, overrides=(limit,))
     assert status == 1
     assert line.startswith("seft: shake pilot tripped at ")
@@ -305,7 +297,7 @@ def test_a_trip_of_the_shake_ends_it_with_one_line(identify, tmp_path):
 
 
 def test_too_little_amplitude_is_told_with_band_and_remedy(identify, tmp_path):
-    status, found, line = identify("--amplitude", "3e-4", "--duration", "20", "--out", "out")
+    status, found, line = identify("--amplitude", "3e-4", "--duration", "14", "--out", "out")
     assert status == 1
     assert line.startswith("seft: open loop: coherence of the force on axis x is below 0.5")
     assert "Hz" in line

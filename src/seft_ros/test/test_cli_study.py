@@ -40,10 +40,7 @@ def test_every_method_there_is_takes_part_with_any_controller(seft, monkeypatch)
 
 @pytest.mark.parametrize(
     ("scheduler", "told"),
-    [
-        ("tcp://127.0.0.1:9", "no Dask scheduler answers there"),
-        ("cluster", "--scheduler cluster"),
-    ],
+    [("tcp://127.0.0.1:9", "no Dask scheduler answers there"), ("cluster", "--scheduler cluster")],
 )
 def test_a_scheduler_that_is_none_is_told(seft, scheduler, told):
     pytest.importorskip("distributed")

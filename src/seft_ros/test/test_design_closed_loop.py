@@ -30,10 +30,7 @@ RIG = {
     "actuator.flow_gain": 0.0403,
 }
 SERVO = {"rig": {"actuator.kind": "servo_hydraulic_linear"}}
-COUPLED = {
-    "specimen.mass": [52.7, 40.0],
-    "specimen.stiffness": [2.0e5, -3.0e4, -3.0e4, 2.4e5],
-}
+COUPLED = {"specimen.mass": [52.7, 40.0], "specimen.stiffness": [2.0e5, -3.0e4, -3.0e4, 2.4e5]}
 LINEAR = [name for name in OWN_METHODS if name != "target_motion"]  # test_design_frozen_methods.py
 LATE = {
     "rig": {

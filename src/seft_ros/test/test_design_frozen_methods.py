@@ -44,10 +44,7 @@ BASE = {
 }
 COUPLED = {
     "/**": {"axes": ["x", "y"]},
-    "rig": {
-        "specimen.mass": [52.7, 40.0],
-        "specimen.stiffness": [2.0e5, -3.0e4, -3.0e4, 2.4e5],
-    },
+    "rig": {"specimen.mass": [52.7, 40.0], "specimen.stiffness": [2.0e5, -3.0e4, -3.0e4, 2.4e5]},
     "reference_force": {
         "model.mass": [52.7, 40.0],
         "model.stiffness": [2.1e5, -2.0e4, -2.0e4, 2.4e5],

@@ -9,11 +9,7 @@ from seft_ros.design.stability_margins import find_margins
 
 RATIO = "reference_force:mass_ratio:=0.5"
 MODEL = ("reference_force:compensation.method:=model", "reference_force:compensation.delay:=0.013")
-PLANT = {
-    "plant.numerator": [7000.0],
-    "plant.denominator": [1.0, 0.5],
-    "plant.dead_time": 0.002,
-}
+PLANT = {"plant.numerator": [7000.0], "plant.denominator": [1.0, 0.5], "plant.dead_time": 0.002}
 CASES = {
     "model": (*MODEL, "rig:actuator.kind:=delay", "rig:actuator.delay:=0.01"),
     "servo": (),

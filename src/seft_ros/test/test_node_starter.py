@@ -57,10 +57,6 @@ def start(tmp_path):
     return start
 
 
-def alive(pid):
-    return Path(f"/proc/{pid}").exists()
-
-
 @pytest.mark.parametrize("status", [0, 3])
 def test_it_knows_how_a_node_ended(start, starter, status):
     node, _ = start(starter, str(status))
@@ -98,13 +94,11 @@ def test_a_node_has_its_session_its_command_line_and_the_addresses_of_others(sta
     assert log.read_text() == its_log.read_text()
 
 
-@pytest.mark.parametrize("stopped", [False, True])
-def test_what_a_run_leaves_behind_ends_with_it(start, stopped):
+def test_what_a_run_leaves_behind_ends_with_it_even_what_is_stopped(start):
     with NodeStarter() as starter:
-        node, _ = start(starter, "sleep")
-        if stopped:
-            os.kill(node.pid, signal.SIGSTOP)
-    assert not alive(node.pid)
+        nodes = [start(starter, "sleep", name)[0] for name in ("1", "2")]
+        os.kill(nodes[1].pid, signal.SIGSTOP)
+    assert not any(Path(f"/proc/{node.pid}").exists() for node in nodes)
 
 
 def test_nodes_end_with_their_starter(start, tmp_path):

@@ -15,23 +15,30 @@ SEVERAL_CORES = pytest.mark.skipif(
 )
 
 
+@pytest.fixture(scope="module")
+def starter(tmp_path_factory):
+    """Give one for all tests, which finds the module of nodes that only wait."""
+    folder = tmp_path_factory.mktemp("waiting")
+    (folder / "waiting.py").write_text("import signal\n\n\ndef main():\n    signal.pause()\n")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(folder), prepend=os.pathsep)
+        with NodeStarter() as found:
+            yield found
+
+
 @pytest.fixture
-def run(tmp_path, monkeypatch):
+def run(starter, tmp_path, monkeypatch):
     """Run nodes with a layout, which only wait: none ends before it is looked at."""
-    (tmp_path / "waiting.py").write_text("import signal\n\n\ndef main():\n    signal.pause()\n")
-    paths = [str(tmp_path), os.environ.get("PYTHONPATH", "")]
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
     monkeypatch.setattr(of_nodes, "MODULES", dict.fromkeys(NODES, "waiting"))
     monkeypatch.setattr(of_nodes, "COMPOSED", "waiting")
 
     @contextmanager
     def run_nodes(layout, lockstep=True):
-        with NodeStarter() as starter:
-            found = NodeProcesses(starter, NODES, [], tmp_path, layout, lockstep=lockstep)
-            try:
-                yield found
-            finally:
-                found.stop(0.0)
+        found = NodeProcesses(starter, NODES, [], tmp_path, layout, lockstep=lockstep)
+        try:
+            yield found
+        finally:
+            found.stop(0.0)
 
     return run_nodes
 

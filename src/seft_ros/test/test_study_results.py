@@ -173,8 +173,13 @@ def test_the_sentence_says_what_the_error_depends_on_if_that_is_more_than_chance
         assert ("depends most on rig:specimen.mass, which explains 100 %" in said) is is_told
 
 
-@pytest.mark.parametrize("factors", [{"b": np.array([0.9, 1.1])}, {}])
-@pytest.mark.parametrize("errors", [[0.1, 0.1, 0.2], [LOST] * 3, [0.0] * 3, [None] * 3])
+FACTORS = {"b": np.array([0.9, 1.1])}
+FEW = ([0.1, 0.1, 0.2], [LOST] * 3, [0.0] * 3, [None] * 3)
+
+
+@pytest.mark.parametrize(
+    ("errors", "factors"), [(FEW[0], {}), *((errors, FACTORS) for errors in FEW)]
+)
 def test_a_page_of_little_can_be_written(errors, factors, tmp_path):
     summary = summary_of({"a": errors}, factors=factors)
     for worst in summary["results"][0]["worst"]:

@@ -77,10 +77,7 @@ def broken(known):
 
 def test_test_0_gives_what_simulate_gives():
     runs = [one for one in run_study(planned()) if one.test.number == 0]
-    assert [one.test for one in runs] == [
-        StudyTest(0.5, "none", 0),
-        StudyTest(0.5, "restoring", 0),
-    ]
+    assert [one.test for one in runs] == [StudyTest(0.5, "none", 0), StudyTest(0.5, "restoring", 0)]
     for one in runs:
         words = (
             "reference_force:mass_ratio:=0.5",

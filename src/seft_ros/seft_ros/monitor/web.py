@@ -5,7 +5,7 @@ import json
 import math
 import secrets
 from collections.abc import Awaitable, Callable
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -222,12 +222,16 @@ def _figure(name: str, label: str, lines: tuple[str, ...]) -> figure:
     return panel
 
 
+@cache
+def _figures() -> str:
+    """All figures as JSON, made once."""
+    return json.dumps({name: json_item(_figure(name, *_LINES[name])) for name in _LINES})
+
+
 def application(
     tokens: Tokens, local_only: bool, port: int, pages: Pages, call: Call, lateness: Lateness
 ) -> Application:
     """Make the web application; see `Guarded` for local_only, `Watch.lateness` for lateness."""
-    # now: it takes a second, and a stop would have to wait
-    figures = json.dumps({name: json_item(_figure(name, *_LINES[name])) for name in _LINES})
     return Application(
         [
             (r"/", Page),
@@ -245,7 +249,7 @@ def application(
         cookie=f"seft_monitor_{port}",  # a host's cookies are shared by its ports
         pages=pages,
         call=call,
-        figures=figures,
+        figures=_figures(),  # now: it takes a second, and a stop would have to wait
         log_function=lambda _: None,
         websocket_ping_interval=20,
         websocket_max_message_size=4096,
