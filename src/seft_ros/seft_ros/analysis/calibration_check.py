@@ -287,9 +287,11 @@ def expected_relations(experiment: Experiment, frequency: float) -> Complexes | 
     nodes = ("reference_force", "force_controller")
     if any(node not in experiment.sections for node in nodes):
         return None
-    told = Experiment({node: experiment[node] for node in nodes})
-    section = experiment.sections.get("rig", {})
+    section, controller = experiment.sections.get("rig", {}), experiment["force_controller"]
     lag = known_channels(section, experiment.axes)["lag"]
+    # what the samples wait for after the channels are read turns nothing that is folded down
+    waits = {"sensor_lag": max(controller.get("sensor_lag", 0.0) - float(lag.max()), 0.0)}
+    told = Experiment({nodes[0]: experiment[nodes[0]], nodes[1]: controller | waits})
     if section.get("sensors.velocity") == "derived":
         lag[VELOCITY] = lag[0]
     try:
