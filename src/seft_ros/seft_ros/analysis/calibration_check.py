@@ -15,8 +15,6 @@ from seft_msgs_py.config.parameter_table import as_matrix, per_axis
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.calibration import known_channels
 from seft_plant_sim.sensors import VELOCITY
-from seft_plant_sim.specimen import deformations
-from seft_plant_sim.whole_structure import WholeStructure
 
 from seft_ros.analysis.calibration_effect import CalibrationEffect, calibration_structure
 from seft_ros.analysis.channel_estimates import (
@@ -37,7 +35,6 @@ MOST_LOST = 0.01
 """Share of samples that may be lost: they are interpolated, which is no measurement."""
 MOST_SAMPLES = 1 << 16
 """Of a longer test the part that moves most counts, so that it takes a second and little memory."""
-_COUPLED = 1e-6  # of the largest stiffness: less is rounding
 
 
 @dataclass(frozen=True)
@@ -163,9 +160,8 @@ def calibration_check(record: Record) -> CalibrationCheck | None:
     found: list[Deviation] = []
     unsure = None
     if frequency > 0:
-        effect = CalibrationEffect(experiment, structure, samples)
-        springs = _springs(structure, effect.whole)
-        own = inertia(samples, effect.mass, springs, dt, frequency)
+        effect = CalibrationEffect(structure, samples, dt)
+        own = inertia(samples, effect.mass, effect.springs, dt, frequency)
         own = _combined(own, IdentifiedMass.told(experiment, effect.mass))
         if own is not None:
             unsure = effect.of_mass(1.0 + SIGMAS * own.factor_error)
@@ -300,23 +296,6 @@ def expected_relations(experiment: Experiment, frequency: float) -> Complexes | 
     except (InputError, KeyError):
         return None
     return held[0]
-
-
-def _springs(assumed: Experiment, whole: WholeStructure) -> Floats:
-    """Deformations of the specimen's springs per displacement, shape (p, n).
-
-    Those of the model; without, springs between the axes that its stiffness couples, and to the
-    ground where the stiffness does not add up to 0: of a shear frame its storeys.
-    """
-    section, axes = assumed["reference_force"], assumed.axes
-    n = len(axes)
-    if np.any(section.get("model.springs", 0.0)):
-        return deformations(section["model.springs"], axes, "reference_force: model")
-    stiffness = whole.structure.stiffness[:n, :n] - whole.computed.stiffness[:n, :n]
-    least, one = _COUPLED * np.abs(stiffness).max(), np.eye(n)
-    grounded = [one[i] for i in range(n) if abs(stiffness[i].sum()) > least]
-    pairs = zip(*np.nonzero(np.abs(np.triu(stiffness, 1)) > least), strict=True)
-    return np.array([*grounded, *(one[j] - one[i] for i, j in pairs)])
 
 
 def _combined(own: Inertia | None, known: IdentifiedMass | None) -> Inertia | None:
