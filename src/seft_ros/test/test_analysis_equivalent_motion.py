@@ -15,6 +15,7 @@ from seft_ros.analysis.equivalent_motion import (
     motion_difference,
 )
 from seft_ros.analysis.metrics import delayed
+from seft_ros.analysis.specimen_law import SpecimenLaw, springs_of
 from seft_ros.analysis.summary import summarise
 from seft_ros.analysis.tracking import tracked_of, tracking_error_of, tracking_of
 from seft_ros.bags.record import Series
@@ -125,6 +126,16 @@ def test_the_law_of_the_test_says_what_another_motion_would_have_done():
         assert summary["displacement"]["nrmse"] == pytest.approx(size, rel=0.01)
         found = summary["equivalent_motion"]["specimen_response_nrmse"]
         assert found == pytest.approx(size, rel=0.08)
+
+
+def test_beyond_the_motion_of_the_test_the_law_pulls_back():
+    """Noise may make the last corners of the curve fall."""
+    test = experiment("three_storey_frame")
+    motion, told = ground(test), assumed_structure(test)
+    whole, states, dt = whole_structure(told), states_of(test, motion), test.timebase.dt
+    states[:, 3] += 1e3 * np.random.default_rng(1).normal(size=motion.shape)
+    law = SpecimenLaw(whole, EquivalentMotion(whole, dt).mass, states, springs_of(told, whole), dt)
+    assert law.difference(99.0 * motion) == pytest.approx(0.99, abs=0.05)
 
 
 def test_samples_that_are_lost_are_bridged():

@@ -28,7 +28,7 @@ STOPS, CURVE = 12, 40
 so close that a corner of the law is within a hundredth of it."""
 _COUPLED = 1e-6  # of the largest stiffness: less is rounding
 _ROWS = 1 << 14  # of samples that are fitted, of longer tests at equal distances
-_SMOOTH = 1e-2  # weight of a bend of the curve: where few samples are, it goes on straight
+_SMOOTH = 0.1  # weight of a bend of the curve, over a sample's force: few samples make no corner
 _RIDGE = 1e-3  # of all parameters, over a sample's force: stop operators may be alike
 
 
@@ -82,10 +82,14 @@ class SpecimenLaw:
         most = np.maximum(np.abs(self._e).max(axis=0), 1e-300)
         least = np.maximum(8 * noise_of(self._e), most / 500)
         self._thresholds = np.geomspace(least, 0.7 * most, STOPS).T
-        self._low, self._step = low, np.maximum(high - low, 1e-300) / (CURVE - 1)
+        self._step = np.maximum(high - low, 1e-300) / (CURVE - 1)
+        self._low = low - self._step  # of the first corner: a further one on either side, see below
         values = self._fitted(rates, (f - a @ mass.T) @ deformation.T)
         self._slopes = values[:, :STOPS] / self._thresholds
-        self._curve = np.ascontiguousarray(values[:, STOPS : STOPS + CURVE])
+        curve = values[:, STOPS : STOPS + CURVE]
+        # beyond the motion of the test it goes on with its mean slope, which pulls back
+        rise = np.maximum(curve[:, -1:] - curve[:, :1], 0.0) / (CURVE - 1)
+        self._curve = np.hstack([curve[:, :1] - rise, curve, curve[:, -1:] + rise])
         damping = np.maximum(values[:, -1], 0.0)
         self._damping = deformation.T * damping @ deformation
 
@@ -99,7 +103,7 @@ class SpecimenLaw:
         ):
             stops = np.zeros((len(e), STOPS))
             slide(np.ascontiguousarray(e), thresholds, stops)
-            place = (e[::every, np.newaxis] - low) / step - np.arange(CURVE)
+            place = (e[::every, np.newaxis] - low) / step - 1.0 - np.arange(CURVE)
             hats = np.maximum(0.0, 1.0 - np.abs(place))
             parts.append(np.hstack([stops[::every] / thresholds, hats, rate[::every, np.newaxis]]))
         regressors = np.hstack(parts)
