@@ -55,6 +55,7 @@ GOOD = {
         "scale": deviation("scale", "acceleration", 1.001, 1.0, 0.001),
         "lag": deviation("lag", "force", -1e-5, 0.0, 1e-5),
         "unsure": 0.02,
+        "unsure_lag": 0.07,
     },
 }
 
@@ -229,10 +230,11 @@ def test_what_is_not_known_of_mass_and_channels_is_no_reason_to_doubt(what):
     assert any("is not known from the test" in finding.text for finding in judgement.findings)
 
 
-def test_it_says_how_well_the_mass_is_known():
-    (mass,) = (finding for finding in judge_test(GOOD).findings if finding.name == "mass")
-    assert mass.text == "mass 52.8 +- 0.1 kg, told 52.7 kg"
-    assert "2 % of displacement" in mass.detail
+def test_it_says_how_well_mass_and_lag_are_known():
+    found = {finding.name: finding for finding in judge_test(GOOD).findings}
+    assert found["mass"].text == "mass 52.8 +- 0.1 kg, told 52.7 kg"
+    assert "2 % of displacement" in found["mass"].detail
+    assert "7 % of displacement" in found["lag"].detail
 
 
 def test_with_a_target_only_a_gross_error_of_the_ground_motion_counts():

@@ -114,8 +114,9 @@ class CalibrationCheck:
     ----------
     mass, scale, lag : Deviation or None
         The worst of each kind.
-    unsure : float or None
-        Displacement error that an error of the masses of `SIGMAS` standard errors would mean.
+    unsure, unsure_lag : float or None
+        Displacement error that errors of the masses, and of the forces' lags, of `SIGMAS` standard
+        errors would mean.
     axes : dict
         Axis -> ``mass``, ``force``, ``acceleration``, ``velocity``: JSON values of all estimates.
     """
@@ -124,6 +125,7 @@ class CalibrationCheck:
     scale: Deviation | None
     lag: Deviation | None
     unsure: float | None
+    unsure_lag: float | None
     axes: dict[str, Any]
 
     def numbers(self) -> dict[str, Any]:
@@ -158,13 +160,15 @@ def calibration_check(record: Record) -> CalibrationCheck | None:
     samples, dt = strongest(every_step(states, every)), experiment.timebase.dt
     frequency = motion_frequency(samples)
     found: list[Deviation] = []
-    unsure = None
+    unsure = unsure_lag = None
     if frequency > 0:
         effect = CalibrationEffect(structure, samples, dt)
         own = inertia(samples, effect.mass, effect.springs, dt, frequency)
         own = _combined(own, IdentifiedMass.told(experiment, effect.mass))
         if own is not None:
             unsure = effect.of_mass(1.0 + SIGMAS * own.factor_error)
+            if np.isfinite(own.lag_error).all():
+                unsure_lag = effect.of_force_lag(SIGMAS * own.lag_error)
             found += _masses(effect, own, experiment.axes)
         for channel, against, scale, lag in _relations(experiment, samples, frequency):
             found += _scales(effect, channel, against, scale, experiment.axes)
@@ -176,7 +180,7 @@ def calibration_check(record: Record) -> CalibrationCheck | None:
         for kind in ("mass", "scale", "lag")
     }
     numbers = {axis: _numbers(found, axis) for axis in experiment.axes}
-    return CalibrationCheck(**worst, unsure=unsure, axes=numbers)
+    return CalibrationCheck(**worst, unsure=unsure, unsure_lag=unsure_lag, axes=numbers)
 
 
 def strongest(samples: Floats) -> Floats:

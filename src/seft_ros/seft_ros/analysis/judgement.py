@@ -205,6 +205,9 @@ def calibration_findings(summary: dict[str, Any]) -> Iterator[TestFinding]:
             text += f": the displacement may be {_about(one['effect'])} wrong"
         elif kind == "mass":
             detail = f"an error not seen may mean up to {_about(found['unsure'])} of displacement"
+        elif kind == "lag" and found["unsure_lag"] is not None:
+            most = _about(found["unsure_lag"])
+            detail += f"; one of the force that is not seen may mean up to {most} of displacement"
         yield TestFinding(kind, _grade(one["effect"], GOOD_EFFECT, float("inf")), text, detail)
 
 
