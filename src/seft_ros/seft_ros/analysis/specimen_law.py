@@ -80,7 +80,7 @@ class SpecimenLaw:
         self._e, rates = np.ascontiguousarray(x @ deformation.T), v @ deformation.T
         low, high = self._e.min(axis=0), self._e.max(axis=0)
         most = np.maximum(np.abs(self._e).max(axis=0), 1e-300)
-        least = np.maximum(8 * noise_of(self._e), most / 500)
+        least = np.maximum(4 * noise_of(self._e), most / 500)  # noise moves none beyond it
         self._thresholds = np.geomspace(least, 0.7 * most, STOPS).T
         self._step = np.maximum(high - low, 1e-300) / (CURVE - 1)
         self._low = low - self._step  # of the first corner: a further one on either side, see below
