@@ -10,7 +10,7 @@ from experiments_at_hand import load, simulated
 from records_at_hand import as_measured, shown, without
 from seft_msgs_py.config.experiment import Experiment
 from seft_ros.analysis import calibration_check as checks
-from seft_ros.analysis.calibration_check import calibration_check
+from seft_ros.analysis.calibration_check import calibration_check, expected_relations
 from seft_ros.analysis.calibration_effect import led
 from seft_ros.analysis.judgement import calibration_findings
 from seft_ros.analysis.report_numbers import report_numbers
@@ -54,7 +54,10 @@ def test_a_sound_test_is_not_doubted(words):
     check = calibration_check(record)
     assert doubted(record) == set()
     assert check.mass.estimate == pytest.approx(52.7, abs=4 * check.mass.error)
-    assert None not in (check.scale, check.lag, check.unsure)
+    assert None not in (check.scale, check.lag)
+    error = check.axes["x"]["force"]["lag"]["error"]  # 0.4 ms mean 3 to 14 %
+    assert 0.0 < check.unsure < 0.1
+    assert 50 * error < check.unsure_lag < 1500 * error
 
 
 @pytest.mark.parametrize(
@@ -69,6 +72,16 @@ def test_a_sound_test_is_not_doubted(words):
 )
 def test_a_wrong_mass_scale_or_lag_puts_a_test_in_doubt(words, kinds):
     assert kinds <= doubted(as_of_hardware(record_of(*words)))
+
+
+def test_channels_that_wait_for_the_latest_are_read_when_they_are_read():
+    """At 250 Hz what is folded down is 0.8 % of the acceleration, and a plant's delay turns it."""
+    sound, aligned = (
+        expected_relations(load(*PLAN, "rate:=250.0", *words), 5.0)
+        for words in ((), ("rig:calibration.force_lag:=0.0004",))
+    )
+    assert abs(sound[1] - 1.0) > 5e-3
+    assert aligned == pytest.approx(sound, abs=1e-9)
 
 
 def test_text_and_json_say_what_is_wrong():

@@ -65,6 +65,15 @@ def test_lag_of_the_force_is_found():
     assert found.lag[0] == pytest.approx(8e-4, abs=3 * found.lag_error[0])
 
 
+def test_noise_of_the_velocity_is_taken_for_neither_mass_nor_lag():
+    y = samples()
+    y[:, 1, 0] += 0.015 * np.random.default_rng(5).standard_normal(len(y))
+    found = estimate(y)
+    assert found.factor[0] == pytest.approx(1.0, abs=2e-3)
+    assert found.lag[0] == pytest.approx(0.0, abs=2e-5)
+    assert found.lag_error[0] < 1e-5
+
+
 @pytest.mark.parametrize(("channel", "order"), [(1, 1), (2, 2)])
 def test_scale_and_lag_against_the_displacement_are_found(channel, order):
     lag, scale = [0.0] * 4, [1.0] * 4

@@ -42,9 +42,7 @@ GOOD = {
     "reference_specimen": "simulated",
     "equivalent_motion": {
         "response_nrmse": 0.01,
-        "worst_response_nrmse": 0.02,
-        "worst_frequency_hz": 9.0,
-        "structure": {"band_hz": [5.0, 10.0]},
+        "specimen_response_nrmse": 0.02,
     },
     "tracking_error": None,
     "vibration": {"ratio": 0.01, "axes": {"x": 0.01}},
@@ -57,6 +55,7 @@ GOOD = {
         "scale": deviation("scale", "acceleration", 1.001, 1.0, 0.001),
         "lag": deviation("lag", "force", -1e-5, 0.0, 1e-5),
         "unsure": 0.02,
+        "unsure_lag": 0.07,
     },
 }
 
@@ -157,9 +156,9 @@ OFF = {"rms": 1e-5, "peak": 1e-4, "nrmse": 0.2}
 @pytest.mark.parametrize(
     ("changes", "mark", "name"),
     [
-        ({"equivalent_motion__worst_response_nrmse": 0.06}, Mark.DOUBT, "equivalent_motion"),
-        ({"equivalent_motion__worst_response_nrmse": 0.16}, Mark.BAD, "equivalent_motion"),
-        ({"equivalent_motion__worst_response_nrmse": None}, Mark.DOUBT, "equivalent_motion"),
+        ({"equivalent_motion__specimen_response_nrmse": 0.06}, Mark.DOUBT, "equivalent_motion"),
+        ({"equivalent_motion__specimen_response_nrmse": 0.16}, Mark.BAD, "equivalent_motion"),
+        ({"equivalent_motion__specimen_response_nrmse": None}, Mark.DOUBT, "equivalent_motion"),
         ({"equivalent_motion": None}, Mark.DOUBT, "equivalent_motion"),
         ({"tracking_error": OFF}, Mark.BAD, "tracking_error"),
         ({"tracking_error": OFF | {"nrmse": 0.06}}, Mark.DOUBT, "tracking_error"),
@@ -175,7 +174,7 @@ def test_a_rig_that_is_not_simulated_is_judged_without_a_model(changes, mark, na
 
 
 def test_a_simulated_rig_is_judged_by_its_exact_response():
-    summary = changed(equivalent_motion__worst_response_nrmse=0.9, tracking_error=OFF)
+    summary = changed(equivalent_motion__specimen_response_nrmse=0.9, tracking_error=OFF)
     judgement = judge_test(summary)
     assert judgement.verdict is Mark.GOOD
     assert [f.name for f in judgement.findings[-2:]] == ["equivalent_motion", "tracking_error"]
@@ -231,10 +230,11 @@ def test_what_is_not_known_of_mass_and_channels_is_no_reason_to_doubt(what):
     assert any("is not known from the test" in finding.text for finding in judgement.findings)
 
 
-def test_it_says_how_well_the_mass_is_known():
-    (mass,) = (finding for finding in judge_test(GOOD).findings if finding.name == "mass")
-    assert mass.text == "mass 52.8 +- 0.1 kg, told 52.7 kg"
-    assert "2 % of displacement" in mass.detail
+def test_it_says_how_well_mass_and_lag_are_known():
+    found = {finding.name: finding for finding in judge_test(GOOD).findings}
+    assert found["mass"].text == "mass 52.8 +- 0.1 kg, told 52.7 kg"
+    assert "2 % of displacement" in found["mass"].detail
+    assert "7 % of displacement" in found["lag"].detail
 
 
 def test_with_a_target_only_a_gross_error_of_the_ground_motion_counts():
@@ -243,7 +243,7 @@ def test_with_a_target_only_a_gross_error_of_the_ground_motion_counts():
         hardware = changed(
             reference_specimen="model",
             tracking_error=on_target,
-            equivalent_motion__worst_response_nrmse=error,
+            equivalent_motion__specimen_response_nrmse=error,
         )
         assert judge_test(hardware).verdict is mark
 

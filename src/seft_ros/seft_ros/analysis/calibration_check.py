@@ -15,8 +15,6 @@ from seft_msgs_py.config.parameter_table import as_matrix, per_axis
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.calibration import known_channels
 from seft_plant_sim.sensors import VELOCITY
-from seft_plant_sim.specimen import deformations
-from seft_plant_sim.whole_structure import WholeStructure
 
 from seft_ros.analysis.calibration_effect import CalibrationEffect, calibration_structure
 from seft_ros.analysis.channel_estimates import (
@@ -37,7 +35,6 @@ MOST_LOST = 0.01
 """Share of samples that may be lost: they are interpolated, which is no measurement."""
 MOST_SAMPLES = 1 << 16
 """Of a longer test the part that moves most counts, so that it takes a second and little memory."""
-_COUPLED = 1e-6  # of the largest stiffness: less is rounding
 
 
 @dataclass(frozen=True)
@@ -117,8 +114,9 @@ class CalibrationCheck:
     ----------
     mass, scale, lag : Deviation or None
         The worst of each kind.
-    unsure : float or None
-        Displacement error that an error of the masses of `SIGMAS` standard errors would mean.
+    unsure, unsure_lag : float or None
+        Displacement error that errors of the masses, and of the forces' lags, of `SIGMAS` standard
+        errors would mean.
     axes : dict
         Axis -> ``mass``, ``force``, ``acceleration``, ``velocity``: JSON values of all estimates.
     """
@@ -127,6 +125,7 @@ class CalibrationCheck:
     scale: Deviation | None
     lag: Deviation | None
     unsure: float | None
+    unsure_lag: float | None
     axes: dict[str, Any]
 
     def numbers(self) -> dict[str, Any]:
@@ -161,14 +160,15 @@ def calibration_check(record: Record) -> CalibrationCheck | None:
     samples, dt = strongest(every_step(states, every)), experiment.timebase.dt
     frequency = motion_frequency(samples)
     found: list[Deviation] = []
-    unsure = None
+    unsure = unsure_lag = None
     if frequency > 0:
-        effect = CalibrationEffect(experiment, structure, samples)
-        springs = _springs(structure, effect.whole)
-        own = inertia(samples, effect.mass, springs, dt, frequency)
+        effect = CalibrationEffect(structure, samples, dt)
+        own = inertia(samples, effect.mass, effect.springs, dt, frequency)
         own = _combined(own, IdentifiedMass.told(experiment, effect.mass))
         if own is not None:
             unsure = effect.of_mass(1.0 + SIGMAS * own.factor_error)
+            if np.isfinite(own.lag_error).all():
+                unsure_lag = effect.of_force_lag(SIGMAS * own.lag_error)
             found += _masses(effect, own, experiment.axes)
         for channel, against, scale, lag in _relations(experiment, samples, frequency):
             found += _scales(effect, channel, against, scale, experiment.axes)
@@ -180,7 +180,7 @@ def calibration_check(record: Record) -> CalibrationCheck | None:
         for kind in ("mass", "scale", "lag")
     }
     numbers = {axis: _numbers(found, axis) for axis in experiment.axes}
-    return CalibrationCheck(**worst, unsure=unsure, axes=numbers)
+    return CalibrationCheck(**worst, unsure=unsure, unsure_lag=unsure_lag, axes=numbers)
 
 
 def strongest(samples: Floats) -> Floats:
@@ -287,9 +287,11 @@ def expected_relations(experiment: Experiment, frequency: float) -> Complexes | 
     nodes = ("reference_force", "force_controller")
     if any(node not in experiment.sections for node in nodes):
         return None
-    told = Experiment({node: experiment[node] for node in nodes})
-    section = experiment.sections.get("rig", {})
+    section, controller = experiment.sections.get("rig", {}), experiment["force_controller"]
     lag = known_channels(section, experiment.axes)["lag"]
+    # what the samples wait for after the channels are read turns nothing that is folded down
+    waits = {"sensor_lag": max(controller.get("sensor_lag", 0.0) - float(lag.max()), 0.0)}
+    told = Experiment({nodes[0]: experiment[nodes[0]], nodes[1]: controller | waits})
     if section.get("sensors.velocity") == "derived":
         lag[VELOCITY] = lag[0]
     try:
@@ -298,23 +300,6 @@ def expected_relations(experiment: Experiment, frequency: float) -> Complexes | 
     except (InputError, KeyError):
         return None
     return held[0]
-
-
-def _springs(assumed: Experiment, whole: WholeStructure) -> Floats:
-    """Deformations of the specimen's springs per displacement, shape (p, n).
-
-    Those of the model; without, springs between the axes that its stiffness couples, and to the
-    ground where the stiffness does not add up to 0: of a shear frame its storeys.
-    """
-    section, axes = assumed["reference_force"], assumed.axes
-    n = len(axes)
-    if np.any(section.get("model.springs", 0.0)):
-        return deformations(section["model.springs"], axes, "reference_force: model")
-    stiffness = whole.structure.stiffness[:n, :n] - whole.computed.stiffness[:n, :n]
-    least, one = _COUPLED * np.abs(stiffness).max(), np.eye(n)
-    grounded = [one[i] for i in range(n) if abs(stiffness[i].sum()) > least]
-    pairs = zip(*np.nonzero(np.abs(np.triu(stiffness, 1)) > least), strict=True)
-    return np.array([*grounded, *(one[j] - one[i] for i, j in pairs)])
 
 
 def _combined(own: Inertia | None, known: IdentifiedMass | None) -> Inertia | None:

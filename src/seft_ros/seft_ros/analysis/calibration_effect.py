@@ -19,26 +19,21 @@ from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import RIG_STATE
-from seft_plant_sim.whole_structure import reference_response, whole_structure
+from seft_plant_sim.whole_structure import whole_structure
 
-from seft_ros.analysis.equivalent_motion import (
-    EquivalentMotion,
-    assumed_structure,
-    damping_factor,
-    stiffness_factors,
-)
-from seft_ros.analysis.metrics import ratio
+from seft_ros.analysis.equivalent_motion import EquivalentMotion, assumed_structure
+from seft_ros.analysis.specimen_law import SpecimenLaw, springs_of
 
 _A, _F = (RIG_STATE.quantities.index(name) for name in ("accelerations", "effort"))
 
 
-def calibration_structure(experiment: Experiment, *factors: float) -> Experiment | None:
+def calibration_structure(experiment: Experiment) -> Experiment | None:
     """Give the assumed structure; with a computed model, the specimen alone."""
-    assumed = assumed_structure(experiment, *factors)
+    assumed = assumed_structure(experiment)
     if assumed is None and "reference_force" in experiment.sections:
         section = experiment["reference_force"] | {"method": "eft", "mass_ratio": 0.0}
         alone = Experiment({**experiment.sections, "reference_force": section})
-        return assumed_structure(alone, *factors)
+        return assumed_structure(alone)
     return assumed
 
 
@@ -47,43 +42,34 @@ class CalibrationEffect:
 
     Parameters
     ----------
-    experiment : Experiment
-        Of the test; `calibration_structure` gives its structure.
+    structure : Experiment
+        That of the test, see `calibration_structure`.
     samples : ndarray
         Displacement, velocity, acceleration and force as measured, shape (N, 4, n), every step.
+    dt : float
+        Sampling period, s.
 
     Attributes
     ----------
-    whole : WholeStructure
-        That of the structure.
+    springs : ndarray
+        Deformation of each of the specimen's springs per displacement, shape (p, n).
     mass : ndarray
         Of the specimen as it was told, shape (n, n), kg.
     """
 
-    def __init__(self, experiment: Experiment, structure: Experiment, samples: Floats) -> None:
-        self._samples, self._dt = samples, experiment.timebase.dt
-        self.whole = whole_structure(structure)
-        equivalent, n = EquivalentMotion(self.whole, self._dt), samples.shape[2]
+    def __init__(self, structure: Experiment, samples: Floats, dt: float) -> None:
+        self._samples, self._dt = samples, dt
+        self._whole = whole_structure(structure)
+        equivalent, n = EquivalentMotion(self._whole, dt), samples.shape[2]
         self.mass = equivalent.mass
-        self._total = self.whole.structure.mass[:n, :n]
+        self.springs = springs_of(structure, self._whole)
+        self._total = self._whole.structure.mass[:n, :n]
         self._motion = equivalent.advance(samples)
-        factors = stiffness_factors(self.whole, samples, self.mass)
-        damped = damping_factor(self.whole, samples, self.mass)
-        tried = (
-            calibration_structure(experiment, one, damped) for one in (factors[0], 1.0, factors[-1])
-        )
-        self._structures = [one for one in tried if one is not None]
-        self._sizes = [self._response(one, self._motion) for one in self._structures]
-
-    def _response(self, structure: Experiment, motion: Floats) -> float:
-        return float(np.sqrt(np.mean(reference_response(structure, motion).displacement ** 2)))
+        self._law = SpecimenLaw(self._whole, self.mass, samples, self.springs, dt)
 
     def _of(self, change: Floats) -> float:
         """Error for a change of the ground motion, shape (N, n), m/s^2."""
-        if not change.any():
-            return 0.0
-        each = zip(self._structures, self._sizes, strict=True)
-        return max(ratio(self._response(one, change), size) for one, size in each)
+        return self._law.difference(change) if change.any() else 0.0
 
     def of_mass(self, factor: Floats) -> float:
         """Error if the mass is so many times the one told, or the force too large; shape (n,)."""
@@ -102,7 +88,7 @@ class CalibrationEffect:
             return 0.0
         states = np.zeros_like(self._samples)
         states[:, _F] = change
-        return self._of(EquivalentMotion(self.whole, self._dt).advance(states))
+        return self._of(EquivalentMotion(self._whole, self._dt).advance(states))
 
     def of_scale(self, scale: Floats) -> float:
         """Error if the displacement is wrong by such a scale and tilt, shape (n, n)."""

@@ -1,48 +1,40 @@
 """The ground motion for which the measured test is exact, against the one asked for."""
 
-import math
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.arrays import Floats, Ints
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import GROUND_MOTION
 from seft_plant_sim.whole_structure import WholeStructure, reference_response, whole_structure
 
 from seft_ros.analysis.metrics import nrmse
+from seft_ros.analysis.specimen_law import SpecimenLaw, springs_of
 from seft_ros.bags.record import Record, every_step
 from seft_ros.ground_motion.response_spectrum import response_spectrum
 
 DAMPING = 0.05
 """Of the oscillators of a spectrum."""
 BAND_MARGIN = 2.0
-"""Structures are tried from the smallest secant stiffness over this to the largest times this."""
+"""Spectra must agree from the lowest natural frequency over this to the highest times this: a
+specimen that yields makes the structure softer, and one that closes gaps stiffer."""
 _PERIODS, _AROUND = 60, 4.0  # of a spectrum, and how far it goes beyond the structure's frequencies
-_FACTOR_STEP = 1.5  # at most, from a stiffness that is tried to the next
-_FACTORS = (0.1, 10.0)  # of secant stiffness: what is beyond is noise or a stop
-_SMALLEST = 0.1  # half cycle that counts, over the largest
 
 
-def assumed_structure(
-    experiment: Experiment, stiffness_factor: float = 1.0, damping_factor: float = 1.0
-) -> Experiment | None:
+def assumed_structure(experiment: Experiment, stiffness_factor: float = 1.0) -> Experiment | None:
     """Give the structure that the reference-force node assumes, the model and what is computed.
 
     Returns
     -------
     Experiment or None
-        One without a rig: its whole structure is linear, with the model's stiffness and damping
-        times the factors. None if the experiment does not describe one, or it has a computed model.
+        One without a rig: its whole structure is linear. None if the experiment does not describe
+        one, or it has a computed model.
     """
     section = experiment.sections.get("reference_force", {})
     try:
-        stiffness = np.multiply(section["model.stiffness"], stiffness_factor).tolist()
-        damping = np.multiply(section["model.damping"], damping_factor).tolist()
-        changed = {"model.stiffness": stiffness, "model.damping": damping}
-        assumed = Experiment({"reference_force": section | changed})
+        assumed = Experiment({"reference_force": section})
         computed = whole_structure(assumed).computed
         if computed.model is not None or computed.on_axes is not None:
             return None
@@ -130,14 +122,10 @@ class MotionDifference:
     response_nrmse : float
         RMS(y_eq - y) / RMS(y), with y and y_eq the displacements of that structure under both
         motions.
-    factors : ndarray
-        Stiffnesses of specimens that were tried, over that of the model, shape (S,).
-    tried_hz : ndarray
-        First natural frequency of the whole structure with each, shape (S,).
-    tried_nrmse : ndarray
-        As ``response_nrmse``, of each, shape (S,).
+    specimen_nrmse : float
+        The same of the whole structure with the specimen's own law, see `SpecimenLaw`.
     band_hz : tuple of float
-        First natural frequency of the softest of them, and last of the stiffest.
+        See `BAND_MARGIN`.
     frequency_hz : ndarray
         Of the spectra, shape (P,), increasing.
     asked, tested : ndarray
@@ -147,9 +135,7 @@ class MotionDifference:
     natural_hz: Floats
     damping: Floats
     response_nrmse: float
-    factors: Floats
-    tried_hz: Floats
-    tried_nrmse: Floats
+    specimen_nrmse: float
     band_hz: tuple[float, float]
     frequency_hz: Floats
     asked: Floats
@@ -157,7 +143,6 @@ class MotionDifference:
 
     def numbers(self) -> dict[str, Any]:
         """For JSON; docs/metrics.md explains each number."""
-        worst = int(np.argmax(np.nan_to_num(self.tried_nrmse, nan=-1.0)))
         low, high = self.band_hz
         inside = (self.frequency_hz >= low * (1 - 1e-9)) & (self.frequency_hz <= high * (1 + 1e-9))
         frequency = self.frequency_hz[inside]
@@ -167,14 +152,12 @@ class MotionDifference:
         place = np.unravel_index(np.argmax(size), size.shape) if (size >= 0).any() else None
         return {
             "response_nrmse": self.response_nrmse,
-            "worst_response_nrmse": float(self.tried_nrmse[worst]),
-            "worst_frequency_hz": float(self.tried_hz[worst]),
+            "specimen_response_nrmse": self.specimen_nrmse,
             "spectrum_deviation": None if place is None else float(deviation[place]),
             "spectrum_deviation_frequency_hz": place and float(frequency[place[0]]),
             "structure": {
                 "frequency_hz": self.natural_hz.tolist(),
                 "damping_ratio": self.damping.tolist(),
-                "stiffness_factors": [float(self.factors[0]), float(self.factors[-1])],
                 "band_hz": list(self.band_hz),
                 "spectrum_damping_ratio": DAMPING,
             },
@@ -184,9 +167,7 @@ class MotionDifference:
 def motion_difference(record: Record) -> MotionDifference | None:
     """Compare the ground motion of which a test is the exact one with the one asked for.
 
-    It needs no specimen model: the structures tried are linear, and their stiffness runs from half
-    the smallest to twice the largest secant stiffness that the specimen had in the test. They
-    dissipate what the specimen did.
+    It needs no specimen model: the specimen answers both by the law that it had in this test.
 
     Returns
     -------
@@ -209,21 +190,17 @@ def motion_difference(record: Record) -> MotionDifference | None:
     equivalent = EquivalentMotion(structure, dt)
     with np.errstate(over="ignore", invalid="ignore"):  # of a test that went unstable
         tested = equivalent.advance(measured)
-        factors = stiffness_factors(structure, measured, equivalent.mass)
-        damped = damping_factor(structure, measured, equivalent.mass)
-        each = (assumed_structure(record.experiment, factor, damped) for factor in factors)
-        tried = [one for one in each if one]
-        first, *errors = (_response_nrmse(one, asked, tested) for one in (assumed, *tried))
-        modes = [natural_frequencies(one) for one in tried]
-        band = (float(modes[0][0]), float(modes[-1][-1]))
+        first = _response_nrmse(assumed, asked, tested)
+        springs = springs_of(assumed, structure)
+        law = SpecimenLaw(structure, equivalent.mass, measured, springs, dt)
+        specimen = law.difference(asked - tested)
+        band = (float(natural[0]) / BAND_MARGIN, float(natural[-1]) * BAND_MARGIN)
         frequency = spectrum_frequencies(band, dt)
         spectra = [
             np.stack([response_spectrum(y, dt, 1 / frequency, DAMPING) for y in a.T], axis=1)
             for a in (asked, tested)
         ]
-    firsts = np.array([mode[0] for mode in modes])
-    tries = (factors, firsts, np.array(errors))
-    return MotionDifference(natural, damping, first, *tries, band, frequency, *spectra)
+    return MotionDifference(natural, damping, first, specimen, band, frequency, *spectra)
 
 
 def spectrum_frequencies(band_hz: tuple[float, float], dt: float) -> Floats:
@@ -243,103 +220,3 @@ def natural_frequencies(experiment: Experiment) -> Floats:
 def _response_nrmse(assumed: Experiment, asked: Floats, tested: Floats) -> float:
     y = reference_response(assumed, asked).displacement
     return nrmse(reference_response(assumed, tested).displacement, y)
-
-
-def stiffness_factors(whole: WholeStructure, states: Floats, mass: Floats) -> Floats:
-    """Stiffnesses to try, over the model's: half to twice the secant stiffnesses of the test."""
-    n = len(mass)
-    stiffness = (whole.structure.stiffness[:n, :n] - whole.computed.stiffness[:n, :n]).copy()
-    seen = secant_stiffness(states, mass, stiffness)
-    ends = [seen.min(), seen.max()] if len(seen) else [1.0, 1.0]
-    low, high = np.clip(ends, *_FACTORS) * [1 / BAND_MARGIN, BAND_MARGIN]
-    return np.geomspace(low, high, 1 + math.ceil(math.log(high / low) / math.log(_FACTOR_STEP)))
-
-
-def damping_factor(whole: WholeStructure, states: Floats, mass: Floats) -> float:
-    """Damping over the model's with which a linear specimen dissipates what this one did, >= 1.
-
-    It is the work of the restoring force r = f - M_e a over that of the model's damping; arguments
-    as for `secant_stiffness`. 1 where the model has no damping.
-    """
-    n = len(mass)
-    damping = whole.structure.damping[:n, :n] - whole.computed.damping[:n, :n]
-    _, v, a, f = np.moveaxis(states, 1, 0)
-    work = float(np.einsum("ki,ki->", f - a @ mass.T, v))
-    damped = float(np.einsum("ki,ij,kj->", v, damping, v))
-    return max(work / damped, 1.0) if damped > 0 else 1.0
-
-
-def secant_stiffness(states: Floats, mass: Floats, stiffness: Floats) -> Floats:
-    """Find the secant stiffnesses that a specimen had, over that of its model.
-
-    Between two turning points of an axis, with the restoring force r = f - M_e a, it is
-    dx^T dr / dx^T K dx. Half cycles count with at least a tenth of the largest's amplitude.
-
-    Parameters
-    ----------
-    states : ndarray
-        Displacement, velocity, acceleration and force as measured, shape (N, 4, n).
-    mass, stiffness : ndarray
-        M_e and K of the specimen's model, shape (n, n).
-    """
-    x, _, a, f = np.moveaxis(states, 1, 0)
-    pairs: list[tuple[int, int]] = []
-    for column in x.T:
-        least = _SMALLEST * (column.max() - column.min())
-        turning = np.concatenate([peaks(column, least), peaks(-column, least)])
-        pairs += pairwise(np.sort(turning))
-    if not pairs:
-        return np.empty(0)
-    begin, end = np.array(pairs).T
-    dx = x[end] - x[begin]
-    dr = (f[end] - f[begin]) - (a[end] - a[begin]) @ mass.T
-    elastic = np.einsum("ki,ij,kj->k", dx, stiffness, dx)
-    counts = elastic > _SMALLEST**2 * elastic.max()
-    secant = np.einsum("ki,ki->k", dx, dr)[counts] / elastic[counts]
-    return secant[secant > 0]
-
-
-def peaks(y: Floats, prominence: float) -> Ints:
-    """Find peaks that stand out from both sides by so much, as `scipy.signal.find_peaks` does.
-
-    (To import that takes longer than a test does.) Of a flat top it is the middle; ends are none.
-
-    Parameters
-    ----------
-    y : ndarray
-        Shape (N,).
-    prominence : float
-        Height over the higher of the lowest points before and after it that lie between it and a
-        point that is higher, or the end.
-
-    Returns
-    -------
-    ndarray
-        Indices, ascending.
-    """
-    slopes = np.sign(np.diff(y))
-    moves = np.flatnonzero(slopes)
-    tops = np.flatnonzero((slopes[moves[:-1]] > 0) & (slopes[moves[1:]] < 0))
-    at = (moves[tops] + 1 + moves[tops + 1]) // 2
-    if not len(at):
-        return at
-    valleys = np.minimum.reduceat(y, np.concatenate([[0], at]))  # before, between and after them
-    before, after = (
-        _lowest(y[at][way], valleys[way][:-1])[way] for way in (slice(None), slice(None, None, -1))
-    )
-    return at[y[at] - np.maximum(before, after) >= prominence]
-
-
-def _lowest(heights: Floats, valleys: Floats) -> Floats:
-    """Give the lowest point between each peak and the last one before it that is higher.
-
-    ``valleys`` are the lowest points before each peak and after the one before it.
-    """
-    higher: list[tuple[float, float]] = []  # heights and lowest points of peaks that may be
-    found = np.empty(len(heights))
-    for index, (height, low) in enumerate(zip(heights.tolist(), valleys.tolist(), strict=True)):
-        while higher and higher[-1][0] <= height:
-            low = min(low, higher.pop()[1])
-        higher.append((height, low))
-        found[index] = low
-    return found

@@ -1,0 +1,201 @@
+"""How the specimen of a test would have answered another ground motion, by the law of its record.
+
+The restoring force that was measured is fitted by stop operators (`slide`), a curve and a damper
+of each spring's deformation e = D x. What they do not describe stays as it was measured, so that
+for the test's own motion the structure does what it did. For a motion that is different by g its
+displacement differs by d::
+
+    M d'' + C d' + K d + D^T (s(e + D d) - s(e)) = -M g
+
+with the mass M of the whole structure, C and K of its computed part and the dampers, and s of stop
+operators and curve. Unlike a linear structure it yields, slips and closes gaps where the specimen
+did, and a small difference grows where that of the specimen would.
+"""
+
+import numpy as np
+from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.experiment import Experiment
+from seft_plant_sim.compiled import compiled
+from seft_plant_sim.specimen import deformations
+from seft_plant_sim.whole_structure import WholeStructure
+
+from seft_ros.analysis.channel_estimates import noise_of
+from seft_ros.analysis.metrics import ratio
+from seft_ros.reference_force.restoring_model import slide, stopped
+
+STOPS, CURVE = 12, 40
+"""Stop operators and corners of the curve of a spring: from noise to most of its deformation, and
+so close that a corner of the law is within a hundredth of it."""
+_COUPLED = 1e-6  # of the largest stiffness: less is rounding
+_ROWS = 1 << 14  # of samples that are fitted, of longer tests at equal distances
+_SMOOTH = 0.1  # weight of a bend of the curve, over a sample's force: few samples make no corner
+_RIDGE = 1e-3  # of all parameters, over a sample's force: stop operators may be alike
+
+
+def springs_of(assumed: Experiment, whole: WholeStructure) -> Floats:
+    """Deformations of the specimen's springs per displacement, shape (p, n).
+
+    Those of the model; without, springs between the axes that its stiffness couples, and to the
+    ground where the stiffness does not add up to 0: of a shear frame its storeys.
+    """
+    section, axes = assumed["reference_force"], assumed.axes
+    n = len(axes)
+    if np.any(section.get("model.springs", 0.0)):
+        return deformations(section["model.springs"], axes, "reference_force: model")
+    stiffness = whole.structure.stiffness[:n, :n] - whole.computed.stiffness[:n, :n]
+    least, one = _COUPLED * np.abs(stiffness).max(), np.eye(n)
+    grounded = [one[i] for i in range(n) if abs(stiffness[i].sum()) > least]
+    pairs = zip(*np.nonzero(np.abs(np.triu(stiffness, 1)) > least), strict=True)
+    return np.array([*grounded, *(one[j] - one[i] for i, j in pairs)])
+
+
+class SpecimenLaw:
+    """Restoring law of a specimen, from the samples of a test.
+
+    Parameters
+    ----------
+    whole : WholeStructure
+        Its structure, of whose specimen the mass alone counts.
+    mass : ndarray
+        Of the specimen, shape (n, n), kg.
+    samples : ndarray
+        Displacement, velocity, acceleration and force as measured, shape (N, 4, n), every step.
+    deformation : ndarray
+        Of each spring per displacement of each axis, shape (p, n).
+    dt : float
+        Sampling period, s.
+    """
+
+    def __init__(
+        self,
+        whole: WholeStructure,
+        mass: Floats,
+        samples: Floats,
+        deformation: Floats,
+        dt: float,
+    ) -> None:
+        x, v, a, f = np.moveaxis(samples, 1, 0)
+        self._whole, self._dt, self._x = whole, dt, x
+        self._springs = np.ascontiguousarray(deformation)
+        self._e, rates = np.ascontiguousarray(x @ deformation.T), v @ deformation.T
+        low, high = self._e.min(axis=0), self._e.max(axis=0)
+        most = np.maximum(np.abs(self._e).max(axis=0), 1e-300)
+        least = np.maximum(4 * noise_of(self._e), most / 500)  # noise moves none beyond it
+        self._thresholds = np.geomspace(least, 0.7 * most, STOPS).T
+        self._step = np.maximum(high - low, 1e-300) / (CURVE - 1)
+        self._low = low - self._step  # of the first corner: a further one on either side, see below
+        values = self._fitted(rates, (f - a @ mass.T) @ deformation.T)
+        self._slopes = values[:, :STOPS] / self._thresholds
+        curve = values[:, STOPS : STOPS + CURVE]
+        # beyond the motion of the test it goes on with its mean slope, which pulls back
+        rise = np.maximum(curve[:, -1:] - curve[:, :1], 0.0) / (CURVE - 1)
+        self._curve = np.hstack([curve[:, :1] - rise, curve, curve[:, -1:] + rise])
+        damping = np.maximum(values[:, -1], 0.0)
+        self._damping = deformation.T * damping @ deformation
+
+    def _fitted(self, rates: Floats, force: Floats) -> Floats:
+        """Fit stop operators, curve and damper to the springs' forces times D, shape (N, p)."""
+        every, p, columns = 1 + len(rates) // _ROWS, len(self._springs), STOPS + CURVE + 1
+        size = np.maximum(np.sqrt(np.mean(rates**2, axis=0)), 1e-300)
+        parts = []
+        for e, rate, thresholds, low, step in zip(
+            self._e.T, (rates / size).T, self._thresholds, self._low, self._step, strict=True
+        ):
+            stops = np.zeros((len(e), STOPS))
+            slide(np.ascontiguousarray(e), thresholds, stops)
+            place = (e[::every, np.newaxis] - low) / step - 1.0 - np.arange(CURVE)
+            hats = np.maximum(0.0, 1.0 - np.abs(place))
+            parts.append(np.hstack([stops[::every] / thresholds, hats, rate[::every, np.newaxis]]))
+        regressors = np.hstack(parts)
+        rows, bends = len(regressors), np.zeros((CURVE - 2, columns))
+        bends[:, STOPS : STOPS + CURVE] = np.diff(np.eye(CURVE), 2, axis=0)
+        prior = rows * (_SMOOTH**2 * bends.T @ bends + _RIDGE**2 * np.eye(columns))
+        coupled = np.kron(self._springs @ self._springs.T, np.ones((columns, columns)))
+        normal = coupled * (regressors.T @ regressors) + np.kron(np.eye(p), prior)
+        each = zip(parts, force[::every].T, strict=True)
+        right = np.concatenate([one.T @ own for one, own in each])
+        values = np.linalg.solve(normal, right).reshape(p, columns)
+        values[:, -1] /= size
+        return values
+
+    def difference(self, change: Floats) -> float:
+        """RMS of the displacement's difference, over that of the answer to the other motion.
+
+        ``change`` is that of the ground motion, shape (N, n), m/s^2.
+        """
+        structure, computed, dt = self._whole.structure, self._whole.computed, self._dt
+        inside = [(0, structure.axes - change.shape[1])] * 2
+        mass, damping = structure.mass, computed.damping + np.pad(self._damping, inside)
+        stiff = 0.25 * dt**2 * computed.stiffness
+        inverse = np.linalg.inv(mass + 0.5 * dt * damping + stiff)
+        keeps = inverse @ (mass - 0.5 * dt * damping + stiff)
+        push = -dt * self._whole.motion(change) @ (inverse @ mass).T
+        moved = np.zeros((len(change), structure.axes))
+        p = len(self._springs)
+        _differ(
+            self._e,
+            np.pad(self._springs, [(0, 0), inside[0]]),
+            (self._thresholds, self._slopes, self._curve, self._low, self._step),
+            (keeps, dt * inverse @ computed.stiffness, dt * inverse),
+            push,
+            dt,
+            moved,
+            (np.zeros((2, p, STOPS)), np.zeros((2, p)), np.zeros((2, structure.axes))),
+        )
+        moved = moved[:, : change.shape[1]]
+        moved_rms, whole_rms = (float(np.sqrt(np.mean(y**2))) for y in (moved, self._x + moved))
+        return ratio(moved_rms, whole_rms)
+
+
+@compiled
+def _curve_at(curve: Floats, place: float) -> float:
+    """Force of a curve at a place over its corners; it goes on straight beyond the ends."""
+    j = int(min(max(place, 0.0), len(curve) - 2.0))
+    force: float = curve[j] + (place - j) * (curve[j + 1] - curve[j])
+    return force
+
+
+@compiled
+def _differ(
+    e: Floats,
+    springs: Floats,
+    law: tuple[Floats, Floats, Floats, Floats, Floats],
+    linear: tuple[Floats, Floats, Floats],
+    push: Floats,
+    dt: float,
+    moved: Floats,
+    work: tuple[Floats, Floats, Floats],
+) -> None:
+    """Integrate the difference; springs by central differences, the rest by average acceleration.
+
+    ``work`` are stop operators of both motions, last deformations and velocities.
+    """
+    thresholds, slopes, curve, low, step = law
+    keeps, pulls, inverse = linear
+    z, last, velocity = work
+    n, (p, m) = len(keeps), thresholds.shape
+    for j in range(p):
+        last[0, j] = last[1, j] = e[0, j]
+    for k in range(len(e) - 1):
+        for i in range(n):
+            velocity[1, i] = push[k, i]
+            for h in range(n):
+                velocity[1, i] += keeps[i, h] * velocity[0, h] - pulls[i, h] * moved[k, h]
+        for j in range(p):
+            both, force = e[k, j], 0.0
+            for h in range(n):
+                both += springs[j, h] * moved[k, h]
+            for i in range(m):
+                y = thresholds[j, i]
+                z[0, j, i] = stopped(z[0, j, i] + e[k, j] - last[0, j], y)
+                z[1, j, i] = stopped(z[1, j, i] + both - last[1, j], y)
+                force += slopes[j, i] * (z[1, j, i] - z[0, j, i])
+            last[0, j], last[1, j] = e[k, j], both
+            force += _curve_at(curve[j], (both - low[j]) / step[j])
+            force -= _curve_at(curve[j], (e[k, j] - low[j]) / step[j])
+            for i in range(n):
+                for h in range(n):
+                    velocity[1, i] -= inverse[i, h] * springs[j, h] * force
+        for i in range(n):
+            velocity[0, i] = velocity[1, i]
+            moved[k + 1, i] = moved[k, i] + dt * velocity[0, i]
