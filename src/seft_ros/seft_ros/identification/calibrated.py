@@ -263,7 +263,8 @@ def rough_calibration(record: Record, band: tuple[float, float]) -> Calibrated:
     every = np.arange(len(samples))
     driven = every_step(command, every)[:, 0]
     signals = np.concatenate([driven, samples.reshape(len(samples), -1)], axis=1)
-    segment = max(_FEWEST_PERIODS / band[0], _SEGMENT)
+    # averages of more segments than inputs, or nothing of the noise would be seen
+    segment = min(max(_FEWEST_PERIODS / band[0], _SEGMENT), len(samples) * dt / (n + 2))
     spectra = motion_spectra(signals, 1.0 / dt, segment)
     used = max(band[0], _FEWEST_PERIODS / segment), min(band[1], OF_RATE / dt)
     response = frequency_response(spectra, slice(0, n), slice(n, 5 * n), used)
