@@ -1,6 +1,6 @@
 """Sound tests of safety.md, drawn at random: no detector may end one; run in the project.
 
-    .venv/bin/python docs/sound_tests.py 700 kobe.txt:cm/s2:0.005:0 nishi_akashi.AT2
+    .venv/bin/python docs/sound_tests.py 900 kobe.txt:cm/s2:0.005:0 nishi_akashi.AT2
 
 Each motion is FILE, or FILE:UNIT:DT:COLUMN (yours to bring); half of the tests take the synthetic
 one.
