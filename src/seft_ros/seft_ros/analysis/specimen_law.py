@@ -1,8 +1,9 @@
 """How the specimen of a test would have answered another ground motion, by the law of its record.
 
-The restoring force that was measured is fitted by stop operators (`slide`), a curve and a damper
-of each spring's deformation e = D x. What they do not describe stays as it was measured, so that
-for the test's own motion the structure does what it did. For a motion that is different by g its
+The restoring force that was measured is fitted by stop operators (`slide`), a rising curve and a
+damper of each spring's deformation e = D x. None of them gives energy: a law that did would let
+every small difference grow. What they do not describe stays as it was measured, so that for the
+test's own motion the structure does what it did. For a motion that is different by g its
 displacement differs by d::
 
     M d'' + C d' + K d + D^T (s(e + D d) - s(e)) = -M g
@@ -13,6 +14,7 @@ did, and a small difference grows where that of the specimen would.
 """
 
 import numpy as np
+from scipy.optimize import lsq_linear
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.compiled import compiled
@@ -88,10 +90,9 @@ class SpecimenLaw:
         self._slopes = values[:, :STOPS] / self._thresholds
         curve = values[:, STOPS : STOPS + CURVE]
         # beyond the motion of the test it goes on with its mean slope, which pulls back
-        rise = np.maximum(curve[:, -1:] - curve[:, :1], 0.0) / (CURVE - 1)
+        rise = (curve[:, -1:] - curve[:, :1]) / (CURVE - 1)
         self._curve = np.hstack([curve[:, :1] - rise, curve, curve[:, -1:] + rise])
-        damping = np.maximum(values[:, -1], 0.0)
-        self._damping = deformation.T * damping @ deformation
+        self._damping = deformation.T * values[:, -1] @ deformation
 
     def _fitted(self, rates: Floats, force: Floats) -> Floats:
         """Fit stop operators, curve and damper to the springs' forces times D, shape (N, p)."""
@@ -112,9 +113,17 @@ class SpecimenLaw:
         prior = rows * (_SMOOTH**2 * bends.T @ bends + _RIDGE**2 * np.eye(columns))
         coupled = np.kron(self._springs @ self._springs.T, np.ones((columns, columns)))
         normal = coupled * (regressors.T @ regressors) + np.kron(np.eye(p), prior)
+        rises = np.eye(columns)  # of a curve, from corner to corner
+        rises[STOPS:-1, STOPS:-1] = np.tri(CURVE)
+        sums = np.kron(np.eye(p), rises)
         each = zip(parts, force[::every].T, strict=True)
         right = np.concatenate([one.T @ own for one, own in each])
-        values = np.linalg.solve(normal, right).reshape(p, columns)
+        lower = np.linalg.cholesky(sums.T @ normal @ sums)
+        least = np.zeros((p, columns))
+        least[:, STOPS] = -np.inf  # the force at the curve's first corner
+        target = np.linalg.solve(lower, sums.T @ right)
+        found = lsq_linear(lower.T, target, (least.ravel(), np.inf), method="bvls").x
+        values = (sums @ found).reshape(p, columns)
         values[:, -1] /= size
         return values
 
