@@ -255,17 +255,21 @@ def _serve(connection: Connection, worker: ModelWorker) -> None:
         connection.send_bytes(marshal.dumps(reply))
 
 
-def _die_with_parent() -> None:
+def _die_with(parent: int) -> None:
+    """Have this process ended with its parent, also where that has ended already."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:
+        os._exit(1)
 
 
 def main() -> None:
     """Serve the process that has started this one; its words are two descriptors, and a name."""
-    parent = os.getppid()
-    _die_with_parent()
-    os.register_at_fork(after_in_child=_die_with_parent)
-    if os.getppid() != parent:
-        os._exit(1)
+    forking = [os.getppid()]
+    _die_with(forking[0])
+    os.register_at_fork(
+        before=lambda: forking.__setitem__(0, os.getpid()),
+        after_in_child=lambda: _die_with(forking[0]),
+    )
     connection = Connection(int(sys.argv[1]))
     # tells where the model crashes, or hangs when the other side ends it
     faulthandler.enable(int(sys.argv[2]), all_threads=False)

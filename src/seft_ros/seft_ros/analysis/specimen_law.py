@@ -30,6 +30,7 @@ STOPS, CURVE = 12, 40
 so close that a corner of the law is within a hundredth of it."""
 _COUPLED = 1e-6  # of the largest stiffness: less is rounding
 _ROWS = 1 << 14  # of samples that are fitted, of longer tests at equal distances
+_BLOCK = 1 << 10  # of them at a time
 _SMOOTH = 0.1  # weight of a bend of the curve, over a sample's force: few samples make no corner
 _RIDGE = 1e-3  # of all parameters, over a sample's force: stop operators may be alike
 
@@ -98,30 +99,36 @@ class SpecimenLaw:
         """Fit stop operators, curve and damper to the springs' forces times D, shape (N, p)."""
         every, p, columns = 1 + len(rates) // _ROWS, len(self._springs), STOPS + CURVE + 1
         size = np.maximum(np.sqrt(np.mean(rates**2, axis=0)), 1e-300)
-        parts = []
-        for e, rate, thresholds, low, step in zip(
-            self._e.T, (rates / size).T, self._thresholds, self._low, self._step, strict=True
-        ):
-            stops = np.zeros((len(e), STOPS))
-            slide(np.ascontiguousarray(e), thresholds, stops)
-            place = (e[::every, np.newaxis] - low) / step - 1.0 - np.arange(CURVE)
-            hats = np.maximum(0.0, 1.0 - np.abs(place))
-            parts.append(np.hstack([stops[::every] / thresholds, hats, rate[::every, np.newaxis]]))
-        regressors = np.hstack(parts)
-        rows, bends = len(regressors), np.zeros((CURVE - 2, columns))
+        normal, right = np.zeros((p * columns, p * columns)), np.zeros((p, columns))
+        z, block = np.zeros((p, STOPS)), every * _BLOCK
+        for first in range(0, len(rates), block):  # not all at once: that takes much memory
+            begin = min(first, 1)  # stop operators need the sample before
+            before, here = slice(first - begin, first + block), slice(first, first + block, every)
+            parts = []
+            for j, e in enumerate(self._e[before].T):
+                stops = np.zeros((len(e), STOPS))
+                stops[0] = z[j]
+                slide(np.ascontiguousarray(e), self._thresholds[j], stops)
+                z[j] = stops[-1]
+                place = (self._e[here, j, np.newaxis] - self._low[j]) / self._step[j] - 1.0
+                hats = np.maximum(0.0, 1.0 - np.abs(place - np.arange(CURVE)))
+                rate = rates[here, j, np.newaxis] / size[j]
+                parts.append(np.hstack([stops[begin::every] / self._thresholds[j], hats, rate]))
+                right[j] += parts[j].T @ force[here, j]
+            regressors = np.hstack(parts)
+            normal += regressors.T @ regressors
+        bends, rows = np.zeros((CURVE - 2, columns)), len(rates[::every])
         bends[:, STOPS : STOPS + CURVE] = np.diff(np.eye(CURVE), 2, axis=0)
         prior = rows * (_SMOOTH**2 * bends.T @ bends + _RIDGE**2 * np.eye(columns))
-        coupled = np.kron(self._springs @ self._springs.T, np.ones((columns, columns)))
-        normal = coupled * (regressors.T @ regressors) + np.kron(np.eye(p), prior)
+        normal *= np.kron(self._springs @ self._springs.T, np.ones((columns, columns)))
+        normal += np.kron(np.eye(p), prior)
         rises = np.eye(columns)  # of a curve, from corner to corner
         rises[STOPS:-1, STOPS:-1] = np.tri(CURVE)
         sums = np.kron(np.eye(p), rises)
-        each = zip(parts, force[::every].T, strict=True)
-        right = np.concatenate([one.T @ own for one, own in each])
         lower = np.linalg.cholesky(sums.T @ normal @ sums)
         least = np.zeros((p, columns))
         least[:, STOPS] = -np.inf  # the force at the curve's first corner
-        target = np.linalg.solve(lower, sums.T @ right)
+        target = np.linalg.solve(lower, sums.T @ right.ravel())
         found = lsq_linear(lower.T, target, (least.ravel(), np.inf), method="bvls").x
         values = (sums @ found).reshape(p, columns)
         values[:, -1] /= size

@@ -269,9 +269,9 @@ def stopped(z: float, y: float) -> float:
 
 @compiled
 def slide(e: Floats, thresholds: Floats, stops: Floats) -> None:
-    """Let stop operators follow a deformation from rest, (N,); the result is (N, m)."""
+    """Let stop operators follow a deformation, (N,), from the first row of the result, (N, m)."""
     for i in range(len(thresholds)):
-        z = 0.0
+        z = stops[0, i]
         for k in range(1, len(e)):
             z = stopped(z + e[k] - e[k - 1], thresholds[i])
             stops[k, i] = z
