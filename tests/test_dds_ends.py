@@ -194,6 +194,7 @@ def test_a_run_whose_terminal_is_closed_comes_down_softly(run, tmp_path):
     keyboard, terminal = pty.openpty()
 
     def take_terminal():
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)  # also below nohup
         fcntl.ioctl(terminal, termios.TIOCSCTTY, 0)
 
     options = {"stderr": terminal, "start_new_session": True, "preexec_fn": take_terminal}

@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 from collections import defaultdict
+from functools import partial
 from types import SimpleNamespace
 
 import pytest
@@ -24,6 +25,7 @@ OVERRIDES = (
     "ground_motion:synthetic.duration:=400.0",
 )
 ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+HEARS_HANGUP = partial(signal.signal, signal.SIGHUP, signal.SIG_DFL)  # also below nohup
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +48,13 @@ def nodes(domain, tmp_path_factory):
         for node, log in logs.items():
             with log.open("w") as out:
                 command = [sys.executable, "-m", MODULES[node], *words]
-                processes[node] = subprocess.Popen(command, cwd=folder, stdout=out, stderr=out)
+                processes[node] = subprocess.Popen(
+                    command,
+                    cwd=folder,
+                    stdout=out,
+                    stderr=out,
+                    preexec_fn=HEARS_HANGUP,
+                )
         yield SimpleNamespace(folder=folder, logs=logs)
         said = {node: len(log.read_text()) for node, log in logs.items()}
         for number, process in enumerate(processes.values()):
