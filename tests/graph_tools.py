@@ -42,6 +42,11 @@ def wait_for(condition: Callable[[], object], what: str) -> object:
     return found
 
 
+def hear_hang_ups() -> None:
+    """Be ended by a hang-up, also below nohup: for a child, before it becomes another program."""
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
 def children(pid: int) -> dict[str, int]:
     """Node processes that a `seft run` has had started: node, with its rig's name -> pid."""
     found: dict[str, int] = {}

@@ -11,7 +11,7 @@ from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
 
 LONG = "ground_motion:synthetic.duration:=400.0"
-SIX = "ground_motion:synthetic.duration:=3.4"  # s, a test of 3 s
+THREE_SECONDS = "ground_motion:synthetic.duration:=3.4"  # s, a test of 3 s
 SHORT = ("ground_motion:synthetic.duration:=3.0", "ground_motion:tail:=0.2")
 LOCKSTEP = "rig:pace:=lockstep"
 UNREHEARSED = "supervisor:rehearsal.duration:=0.0"

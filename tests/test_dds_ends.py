@@ -19,6 +19,7 @@ from graph_tools import (
     STALLS_ALLOWED,
     THOROUGH,
     children,
+    hear_hang_ups,
     kill,
     shared_memory,
     wait_for,
@@ -194,7 +195,7 @@ def test_a_run_whose_terminal_is_closed_comes_down_softly(run, tmp_path):
     keyboard, terminal = pty.openpty()
 
     def take_terminal():
-        signal.signal(signal.SIGHUP, signal.SIG_DFL)  # also below nohup
+        hear_hang_ups()
         fcntl.ioctl(terminal, termios.TIOCSCTTY, 0)
 
     options = {"stderr": terminal, "start_new_session": True, "preexec_fn": take_terminal}

@@ -4,11 +4,10 @@ import signal
 import subprocess
 import sys
 from collections import defaultdict
-from functools import partial
 from types import SimpleNamespace
 
 import pytest
-from graph_tools import JHU, PATIENCE, STALLS_ALLOWED, wait_for
+from graph_tools import JHU, PATIENCE, STALLS_ALLOWED, hear_hang_ups, wait_for
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.node import Node
@@ -25,7 +24,6 @@ OVERRIDES = (
     "ground_motion:synthetic.duration:=400.0",
 )
 ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-HEARS_HANGUP = partial(signal.signal, signal.SIGHUP, signal.SIG_DFL)  # also below nohup
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +51,7 @@ def nodes(domain, tmp_path_factory):
                     cwd=folder,
                     stdout=out,
                     stderr=out,
-                    preexec_fn=HEARS_HANGUP,
+                    preexec_fn=hear_hang_ups,
                 )
         yield SimpleNamespace(folder=folder, logs=logs)
         said = {node: len(log.read_text()) for node, log in logs.items()}

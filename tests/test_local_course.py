@@ -6,7 +6,7 @@ from local_tools import (
     LOCKSTEP,
     NODES,
     SHORT,
-    SIX,
+    THREE_SECONDS,
     UNREHEARSED,
     assert_same,
     at_rest,
@@ -23,7 +23,7 @@ from seft_ros.protection.protection_step import RampDown
 def test_twice_the_same_messages_at_the_same_times(local_graph):
     digests = set()
     for _ in range(2):
-        graph = local_graph(SIX)
+        graph = local_graph(THREE_SECONDS)
         perform(graph)
         digests.add(digest(graph))
     assert len(digests) == 1
@@ -98,7 +98,7 @@ def test_live_parameters_may_be_set_and_others_not(local_graph):
 
 
 def test_nodes_that_find_each_other_late_wait_until_all_are_connected(local_graph):
-    graph = local_graph(SIX, UNREHEARSED, discovery=3.0)
+    graph = local_graph(THREE_SECONDS, UNREHEARSED, discovery=3.0)
     graph.run(2.9)
     accepted, answer = graph.call("start")
     assert not accepted
@@ -109,6 +109,6 @@ def test_nodes_that_find_each_other_late_wait_until_all_are_connected(local_grap
 
 def test_nodes_in_one_process_give_the_bits_of_the_offline_loop(local_graph):
     loop = ("rig", "reference_force", "force_controller")
-    graph = local_graph(SIX, nodes=("ground_motion", loop, "supervisor"))
+    graph = local_graph(THREE_SECONDS, nodes=("ground_motion", loop, "supervisor"))
     perform(graph)
     assert_same(graph, offline(graph))

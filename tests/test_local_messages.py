@@ -9,8 +9,8 @@ from local_tools import (
     LOCKSTEP,
     LONG,
     SHORT,
-    SIX,
     TARGET_MOTION,
+    THREE_SECONDS,
     UNREHEARSED,
     assert_same,
     at_rest,
@@ -32,7 +32,7 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 @pytest.mark.parametrize("topic", [VALVE_COMMAND, REFERENCE_FORCE, RIG_STATE, JUDGED])
 def test_one_lost_message_is_one_missed_command(local_graph, topic):
-    graph = local_graph(SIX, UNREHEARSED)
+    graph = local_graph(THREE_SECONDS, UNREHEARSED)
     graph.drop(topic, {500})
     perform(graph)
     told = graph.status("rig")
@@ -41,7 +41,7 @@ def test_one_lost_message_is_one_missed_command(local_graph, topic):
 
 
 def test_a_rig_that_misses_commands_continues_along_its_stop_in_reserve(local_graph):
-    graph = local_graph(SIX, UNREHEARSED, *TARGET_MOTION)
+    graph = local_graph(THREE_SECONDS, UNREHEARSED, *TARGET_MOTION)
     graph.drop(VALVE_COMMAND, range(800, 809))  # the last that the watchdog allows, in fast motion
     perform(graph)
     displacement = graph.samples(RIG_STATE)[1][:, 0, 0]
@@ -51,7 +51,7 @@ def test_a_rig_that_misses_commands_continues_along_its_stop_in_reserve(local_gr
 
 
 def test_the_detectors_know_what_a_rig_applies_while_answers_queue(local_graph):
-    graph = local_graph(SIX, UNREHEARSED, *TARGET_MOTION)
+    graph = local_graph(THREE_SECONDS, UNREHEARSED, *TARGET_MOTION)
     for step in (700, 800, 900, 1000):
         for place in range(12):
             graph.delay(TARGET, 0.014 - 0.001 * place, {step + place})
@@ -61,7 +61,7 @@ def test_the_detectors_know_what_a_rig_applies_while_answers_queue(local_graph):
 
 
 def test_a_late_command_is_missed_and_a_very_late_one_trips(local_graph):
-    graph = local_graph(SIX, UNREHEARSED)
+    graph = local_graph(THREE_SECONDS, UNREHEARSED)
     graph.delay(VALVE_COMMAND, 0.003, {500})
     perform(graph)
     assert (graph.status("rig")["missed"], graph.status("rig")["missed_steps"]) == ("1", "500")
@@ -75,7 +75,7 @@ def test_a_late_command_is_missed_and_a_very_late_one_trips(local_graph):
 
 
 def test_a_command_just_in_time_is_not_missed(local_graph):
-    graph = local_graph(SIX, UNREHEARSED)
+    graph = local_graph(THREE_SECONDS, UNREHEARSED)
     graph.delay(VALVE_COMMAND, 0.0016)
     perform(graph)
     assert graph.status("rig")["missed"] == "0"
@@ -105,7 +105,7 @@ def test_bad_messages_change_no_bit_of_a_test(local_graph, pace, as_stranger):
 
 
 def test_a_stranger_s_valve_commands_are_named_and_not_obeyed(running):
-    graph = running(SIX)
+    graph = running(THREE_SECONDS)
     graph.join(VALVE_COMMAND)
     codec = TrajectoryCodec(VALVE_COMMAND, graph.experiment.axes, graph.experiment.timebase)
     for _ in range(1000):
@@ -140,7 +140,7 @@ def test_two_publishers_of_a_topic_end_the_test_before_anything_moves(local_grap
 
 
 def test_true_messages_come_through_a_flood(local_graph):
-    graph = local_graph(SIX, UNREHEARSED, LOCKSTEP)
+    graph = local_graph(THREE_SECONDS, UNREHEARSED, LOCKSTEP)
     graph.until("ready")
     graph.call("start")
     graph.run(0.1)

@@ -4,7 +4,17 @@ import shutil
 
 import numpy as np
 import pytest
-from local_tools import LOCKSTEP, LONG, NODES, SHORT, SIX, UNREHEARSED, at_rest, offline, perform
+from local_tools import (
+    LOCKSTEP,
+    LONG,
+    NODES,
+    SHORT,
+    THREE_SECONDS,
+    UNREHEARSED,
+    at_rest,
+    offline,
+    perform,
+)
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE
 from seft_plant_sim.rig_watch import MAX_UNRECORDED_STEPS
 from seft_ros.bags.record_bag import read_bag
@@ -33,7 +43,7 @@ def assert_equal(found, expected):
 
 
 def test_a_bag_holds_the_samples_of_the_offline_loop_and_the_rehearsal(recorded):
-    graph = recorded(SIX)
+    graph = recorded(THREE_SECONDS)
     perform(graph)
     found = saved(graph)
     assert (found.complete, found.missed, found.trip) == (True, 0, None)

@@ -2,13 +2,13 @@
 
 import pytest
 from graph_tools import DEMO, JHU
-from local_tools import LOCKSTEP, SIX, UNREHEARSED, assert_same, offline, perform
+from local_tools import LOCKSTEP, THREE_SECONDS, UNREHEARSED, assert_same, offline, perform
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND, rehearsed
 
 
 @pytest.mark.parametrize("config", [JHU, DEMO])
 def test_a_test_after_a_rehearsal_has_the_bits_of_the_offline_loop(local_graph, config):
-    graph = local_graph(SIX, config=config)
+    graph = local_graph(THREE_SECONDS, config=config)
     perform(graph)
     steps, states = graph.samples(rehearsed(RIG_STATE))
     assert steps == list(range(1000))
@@ -21,7 +21,7 @@ def test_a_test_after_a_rehearsal_has_the_bits_of_the_offline_loop(local_graph, 
 
 @pytest.mark.parametrize("words", [(LOCKSTEP,), (UNREHEARSED,)])
 def test_no_rehearsal_is_made_in_lockstep_or_where_none_is_wanted(local_graph, words):
-    graph = local_graph(SIX, *words)
+    graph = local_graph(THREE_SECONDS, *words)
     graph.until("ready")
     assert graph.samples(rehearsed(RIG_STATE))[0] == []
 
@@ -38,7 +38,7 @@ def test_no_rehearsal_is_made_in_lockstep_or_where_none_is_wanted(local_graph, w
 def test_a_loop_that_answers_late_is_refused_and_a_rate_that_fits_is_proposed(
     local_graph, topic, late, trip
 ):
-    graph = local_graph(SIX)
+    graph = local_graph(THREE_SECONDS)
     graph.delay(rehearsed(topic), late)
     graph.until(lambda: "does not fit" in graph.values.get("detail", ""))
     detail = graph.values["detail"]
@@ -48,13 +48,13 @@ def test_a_loop_that_answers_late_is_refused_and_a_rate_that_fits_is_proposed(
 
 
 def test_a_loop_that_does_not_answer_is_refused(local_graph):
-    graph = local_graph(SIX)
+    graph = local_graph(THREE_SECONDS)
     graph.drop(rehearsed(VALVE_COMMAND), range(1000))
     graph.until(lambda: "no answer came" in graph.values.get("detail", ""))
 
 
 def test_a_rehearsal_ends_with_its_node(local_graph):
-    graph = local_graph(SIX)
+    graph = local_graph(THREE_SECONDS)
     graph.until(lambda: len(graph.samples(rehearsed(RIG_STATE))[0]) > 100)
     graph.terminate("rig")
     graph.until(lambda: graph.endings == {"rig": 0}, within=0.5)
@@ -62,14 +62,14 @@ def test_a_rehearsal_ends_with_its_node(local_graph):
 
 @pytest.mark.parametrize("topic", [VALVE_COMMAND, REFERENCE_FORCE])
 def test_a_loop_that_answers_in_time_is_accepted(local_graph, topic):
-    graph = local_graph(SIX)
+    graph = local_graph(THREE_SECONDS)
     graph.delay(rehearsed(topic), 0.001)
     graph.until("ready")
     assert graph.samples(rehearsed(VALVE_COMMAND))[0] == list(range(1000))
 
 
 def test_a_loop_that_did_not_keep_its_rate_is_rehearsed_again_when_reset(local_graph):
-    graph = local_graph(SIX)
+    graph = local_graph(THREE_SECONDS)
     graph.delay(rehearsed(REFERENCE_FORCE), 0.0022)
     graph.until(lambda: "does not fit" in graph.values.get("detail", ""))
     graph.graph.rules.clear()

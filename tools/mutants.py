@@ -31,6 +31,7 @@ DETECTOR_TESTS = tuple(
 CONTROL_TESTS = (
     f"{ROS}test/test_force_controller_interlock.py",
     f"{ROS}test/test_force_controller_interlocks.py",
+    f"{ROS}test/test_force_controller_stop.py",
     "-knot offline_loop",
 )
 FORCE_TESTS = tuple(

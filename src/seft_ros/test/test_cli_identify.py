@@ -234,7 +234,7 @@ def test_several_axes_have_their_numbers_each(identify, tmp_path):
         "rig:specimen.mass:=[52.7, 50.0]",
         "reference_force:model.mass:=[52.7, 50.0]",
     )
-    words = (*SHORT, "--duration", "14", "--amplitude", "0.2", "--specimen", "--out", "out")
+    words = (*BRIEF, "--specimen", "--out", "out")
     status, found, _ = identify(*words, overrides=overrides)
     assert status == 0
     assert [axis["axis"] for axis in found["axes"]] == ["north", "east"]

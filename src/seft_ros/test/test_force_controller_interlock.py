@@ -3,33 +3,31 @@ import math
 import numpy as np
 import pytest
 from experiments_at_hand import load
+from interlocks_at_hand import (
+    AXES,
+    DT,
+    NO_LIMITS,
+    Scripted,
+    left,
+    sample_of,
+    stepped,
+    target_of,
+    watched,
+)
 from seft_msgs_py.errors import InputError
 from seft_ros.force_controller.detection import detectors_of
 from seft_ros.force_controller.force_control import ForceController
 from seft_ros.force_controller.interlock import Interlock
-from seft_ros.force_controller.interlock_step import DETECTED
 from seft_ros.protection.detector_list import DETECTORS
-from seft_ros.protection.detectors import LIMITED_AT, SUSPECT, detector_arrays
+from seft_ros.protection.detectors import LIMITED_AT
 from seft_ros.protection.protection_step import extrapolated
 from warning_detectors import warning_detectors
-
-AXES = ("east", "north")
-DT = 0.002
-NO_LIMITS = (np.inf,) * 4
 
 
 def interlock(gain=1.0, longest_saturation=0.5, **detectors):
     controller = ForceController([([gain], [1.0])] * len(AXES), 10.0, DT)
     watched = warning_detectors(2, **detectors)
     return Interlock(controller, AXES, 1000.0, longest_saturation, 0.0, NO_LIMITS, watched)
-
-
-def stepped(guarded, index, points, raw, is_suspect=False):
-    """Judge a sample, and step; the detectors find it suspect."""
-    judged = guarded.judge(index, raw)
-    if is_suspect and not guarded.reason:
-        guarded.state.flags[DETECTED] = SUSPECT
-    return guarded.step(index, points, judged)
 
 
 def state(east=0.0, north=0.0):
@@ -154,117 +152,6 @@ def test_the_first_reason_counts():
     guarded.trip(3, "first")
     guarded.trip(4, "second")
     assert (guarded.reason, guarded.step_index) == ("first", 3)
-
-
-class Scripted:
-    """A controller that notes what it is to answer, and answers step, 2 step, ... on its axes."""
-
-    def __init__(self, points=4, rows=3):
-        self.shape, self.limited, self.seen, self.drive = (points, rows), False, [], None
-
-    def reset(self):
-        self.seen.clear()
-
-    def step(self, plan, sample):
-        self.seen.append((plan.copy(), sample.copy()))
-        n = sample.shape[1]
-        return len(self.seen) * np.arange(1.0, 1 + n) if self.drive is None else self.drive
-
-
-def watched(controller, axes=AXES, warn_only=(), of_position=1e-6):
-    """An interlock that closes the valve in five steps, with detectors that know the sensors."""
-    n = len(axes)
-    noise = np.repeat([[of_position], [1e-3], [1e-3], [1.0]], n, axis=1)
-    nothing, none = np.zeros((n, n)), np.zeros((4, n))
-    unknown = np.zeros((n, 4)), np.zeros((2, n, 2)), True, nothing, nothing, nothing
-    detectors = detector_arrays(noise, np.ones(4), none, False, *unknown, warn_only, 10.0, 0.0, DT)
-    return Interlock(controller, axes, 1000.0, 0.02, 5 * DT, NO_LIMITS, detectors)
-
-
-def left(taken):
-    return 0.5 * (1.0 + math.cos(math.pi * taken / 5)) if taken < 5 else 0.0
-
-
-SPEED = np.array([0.05, -0.03])
-
-
-def sample_of(step, off=0.0, axis=1):
-    """A sample of motion at a constant speed, with its displacement off by something."""
-    found = np.array([SPEED * DT * step, SPEED, [0.0, 0.0], [20.0, 30.0]])
-    found[0, axis] += off
-    return found
-
-
-def target_of(step, count=4):
-    """Points of a target that does this and then speeds up, and whose force grows."""
-    ahead = np.arange(count)[:, np.newaxis]
-    motion = SPEED * DT * (step + ahead), SPEED * (1.0 + ahead), 20.0 + 3.0 * ahead + [step, 0.0]
-    return np.stack(motion, axis=1)
-
-
-class Planned(Scripted):
-    """One that can stop along its plan, in three steps."""
-
-    def stop(self, plan):
-        return np.arange(3.0, 0.0, -1.0)[:, np.newaxis] * plan[0, 1]
-
-
-def ways(speed=(1.0, 1.0)):
-    """The stops of a controller without a plan and of one with it, after its fourth answer."""
-    last, own = np.array([4.0, 8.0]), np.arange(3.0, 0.0, -1.0)[:, np.newaxis] * speed
-    closing = np.array([left(taken) for taken in range(1, 7)])
-    return np.outer(closing, last), np.vstack([last, own, np.outer(closing, own[-1])])
-
-
-def answered(controller):
-    """An interlock that has answered the steps 0 to 3."""
-    guarded = watched(controller)
-    for step in range(4):
-        stepped(guarded, step, target_of(step), sample_of(step))
-    return guarded
-
-
-@pytest.mark.parametrize("kind", [Scripted, Planned])
-def test_after_a_trip_it_goes_along_the_stop_and_its_end_lasts(kind):
-    guarded, wanted = answered(kind()), ways(SPEED)[kind is Planned]
-    np.testing.assert_allclose(guarded.stop(3), wanted, atol=1e-15)  # in reserve
-    guarded.trip(5, "stopped")
-    guarded.trip(6, "too late to be the reason")
-    assert (guarded.reason, guarded.step_index) == ("stopped", 5)
-    last = np.array([4.0, 8.0])  # a trip from outside: plan and sensors may be wrong
-    for age in range(8):
-        command = guarded.step(5 + age, target_of(5 + age), sample_of(5 + age))
-        np.testing.assert_allclose(command, left(age + 1) * last, atol=1e-15)
-    guarded.reset()
-    assert not guarded.stop(0).any()
-
-
-@pytest.mark.parametrize("kind", [Scripted, Planned])
-def test_while_sensors_and_valve_are_sound_a_trip_follows_the_plan(kind):
-    guarded, wanted = answered(kind()), ways(SPEED)[kind is Planned]
-    for age in range(len(wanted) + 3):
-        points = target_of(4 + age)
-        points[0, 2] = math.nan if age == 0 else points[0, 2]
-        command = guarded.step(4 + age, points, sample_of(4 + age))
-        np.testing.assert_allclose(command, wanted[min(age, len(wanted) - 1)], atol=1e-15)
-    np.testing.assert_array_equal(guarded.stop(6), guarded.stop(4)[2:])
-    assert guarded.stop(99).shape == (1, 2)
-
-
-def test_it_knows_what_a_rig_without_an_answer_applies():
-    """That is `seft_plant_sim.rig.continued`, along the stop that the rig has in reserve."""
-    guarded, sent = answered(Planned()), []
-    guarded._miss = lambda parameters, state, step, command: sent.append(command.copy())
-    guarded.missed(4)  # nothing is in reserve: it holds the last command
-    guarded.stop(3)
-    stepped(guarded, 4, target_of(4), sample_of(4))
-    guarded.missed(6)
-    last, along = np.array([5.0, 10.0]), ways(SPEED)[1]
-    wanted = along[3] + left(2) * (last - along[1])
-    np.testing.assert_allclose(sent, [[4.0, 8.0], wanted], atol=1e-15)
-    guarded.trip(7, "stopped")
-    guarded.missed(8)
-    np.testing.assert_array_equal(sent[2], last)
 
 
 def test_a_suspect_sample_is_replaced_by_what_was_planned_before_it():

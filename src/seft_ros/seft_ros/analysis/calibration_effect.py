@@ -1,9 +1,8 @@
 """What a wrong mass, scale or lag would have done to a test: displacement errors.
 
 If the mass or a channel was not as the test was told, the test was the exact one for another ground
-motion (`seft_ros.analysis.equivalent_motion`). The effect of a deviation is the response of linear
-structures to that change of the motion, with the model's stiffness, and with the smallest and the
-largest one that the specimen may have had. They dissipate as much as the specimen did.
+motion (`seft_ros.analysis.equivalent_motion`). The effect of a deviation is what that change of the
+motion would have changed, by the law that the specimen had (`seft_ros.analysis.specimen_law`).
 
 Which of two channels is wrong can't be told from their disagreement, so the worse case counts:
 

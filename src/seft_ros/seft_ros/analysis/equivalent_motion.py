@@ -23,7 +23,7 @@ specimen that yields makes the structure softer, and one that closes gaps stiffe
 _PERIODS, _AROUND = 60, 4.0  # of a spectrum, and how far it goes beyond the structure's frequencies
 
 
-def assumed_structure(experiment: Experiment, stiffness_factor: float = 1.0) -> Experiment | None:
+def assumed_structure(experiment: Experiment) -> Experiment | None:
     """Give the structure that the reference-force node assumes, the model and what is computed.
 
     Returns

@@ -14,7 +14,6 @@ did, and a small difference grows where that of the specimen would.
 """
 
 import numpy as np
-from scipy.optimize import lsq_linear
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.compiled import compiled
@@ -97,8 +96,26 @@ class SpecimenLaw:
 
     def _fitted(self, rates: Floats, force: Floats) -> Floats:
         """Fit stop operators, curve and damper to the springs' forces times D, shape (N, p)."""
-        every, p, columns = 1 + len(rates) // _ROWS, len(self._springs), STOPS + CURVE + 1
+        from scipy.optimize import lsq_linear  # takes longer to import than all else of a report
+
+        p, columns = len(self._springs), STOPS + CURVE + 1
         size = np.maximum(np.sqrt(np.mean(rates**2, axis=0)), 1e-300)
+        normal, right = self._equations(rates, size, force)
+        rises = np.eye(columns)  # of a curve, from corner to corner
+        rises[STOPS:-1, STOPS:-1] = np.tri(CURVE)
+        sums = np.kron(np.eye(p), rises)
+        lower = np.linalg.cholesky(sums.T @ normal @ sums)
+        least = np.zeros((p, columns))
+        least[:, STOPS] = -np.inf  # the force at the curve's first corner
+        target = np.linalg.solve(lower, sums.T @ right.ravel())
+        found = lsq_linear(lower.T, target, (least.ravel(), np.inf), method="bvls").x
+        values = (sums @ found).reshape(p, columns)
+        values[:, -1] /= size
+        return values
+
+    def _equations(self, rates: Floats, size: Floats, force: Floats) -> tuple[Floats, Floats]:
+        """Sum up the normal equations of the fit, with rates over their size, and its prior."""
+        every, p, columns = 1 + len(rates) // _ROWS, len(self._springs), STOPS + CURVE + 1
         normal, right = np.zeros((p * columns, p * columns)), np.zeros((p, columns))
         z, block = np.zeros((p, STOPS)), every * _BLOCK
         for first in range(0, len(rates), block):  # not all at once: that takes much memory
@@ -122,17 +139,7 @@ class SpecimenLaw:
         prior = rows * (_SMOOTH**2 * bends.T @ bends + _RIDGE**2 * np.eye(columns))
         normal *= np.kron(self._springs @ self._springs.T, np.ones((columns, columns)))
         normal += np.kron(np.eye(p), prior)
-        rises = np.eye(columns)  # of a curve, from corner to corner
-        rises[STOPS:-1, STOPS:-1] = np.tri(CURVE)
-        sums = np.kron(np.eye(p), rises)
-        lower = np.linalg.cholesky(sums.T @ normal @ sums)
-        least = np.zeros((p, columns))
-        least[:, STOPS] = -np.inf  # the force at the curve's first corner
-        target = np.linalg.solve(lower, sums.T @ right.ravel())
-        found = lsq_linear(lower.T, target, (least.ravel(), np.inf), method="bvls").x
-        values = (sums @ found).reshape(p, columns)
-        values[:, -1] /= size
-        return values
+        return normal, right
 
     def difference(self, change: Floats) -> float:
         """RMS of the displacement's difference, over that of the answer to the other motion.

@@ -140,12 +140,11 @@ def look_at_strength(p: DetectorParameters, state: DetectorState, measured: Floa
         energy += x[i] * spring
         along += farthest[0, i] * spring
         work += x[i] * state.restoring[2, i]
+        noise += (x[i] * p.rough[i]) ** 2
     side, row = 0 if along >= 0.0 else 1, WEAKENS
     if energy <= state.carried[side, 0]:
         look(p, state, row, 0, 0.0, 1.0)
         return -1
-    for i in range(n):
-        noise += (x[i] * p.rough[i]) ** 2
     root = math.sqrt(energy)
     carried = max(state.carried[side, 1], 0.0) * root
     if look(p, state, row, 0, carried - work, OPPOSED * carried + math.sqrt(noise)):

@@ -1,0 +1,72 @@
+"""The stop of an interlock: after a trip, and in reserve for a rig without an answer."""
+
+import math
+
+import numpy as np
+import pytest
+from interlocks_at_hand import SPEED, Scripted, left, sample_of, stepped, target_of, watched
+
+
+class Planned(Scripted):
+    """One that can stop along its plan, in three steps."""
+
+    def stop(self, plan):
+        return np.arange(3.0, 0.0, -1.0)[:, np.newaxis] * plan[0, 1]
+
+
+def ways():
+    """The stops of a controller without a plan and of one with it, after its fourth answer."""
+    last, own = np.array([4.0, 8.0]), np.arange(3.0, 0.0, -1.0)[:, np.newaxis] * SPEED
+    closing = np.array([left(taken) for taken in range(1, 7)])
+    return np.outer(closing, last), np.vstack([last, own, np.outer(closing, own[-1])])
+
+
+def answered(controller):
+    """An interlock that has answered the steps 0 to 3."""
+    guarded = watched(controller)
+    for step in range(4):
+        stepped(guarded, step, target_of(step), sample_of(step))
+    return guarded
+
+
+@pytest.mark.parametrize("kind", [Scripted, Planned])
+def test_after_a_trip_it_goes_along_the_stop_and_its_end_lasts(kind):
+    guarded, wanted = answered(kind()), ways()[kind is Planned]
+    np.testing.assert_allclose(guarded.stop(3), wanted, atol=1e-15)  # in reserve
+    guarded.trip(5, "stopped")
+    guarded.trip(6, "too late to be the reason")
+    assert (guarded.reason, guarded.step_index) == ("stopped", 5)
+    last = np.array([4.0, 8.0])  # a trip from outside: plan and sensors may be wrong
+    for age in range(8):
+        command = guarded.step(5 + age, target_of(5 + age), sample_of(5 + age))
+        np.testing.assert_allclose(command, left(age + 1) * last, atol=1e-15)
+    guarded.reset()
+    assert not guarded.stop(0).any()
+
+
+@pytest.mark.parametrize("kind", [Scripted, Planned])
+def test_while_sensors_and_valve_are_sound_a_trip_follows_the_plan(kind):
+    guarded, wanted = answered(kind()), ways()[kind is Planned]
+    for age in range(len(wanted) + 3):
+        points = target_of(4 + age)
+        points[0, 2] = math.nan if age == 0 else points[0, 2]
+        command = guarded.step(4 + age, points, sample_of(4 + age))
+        np.testing.assert_allclose(command, wanted[min(age, len(wanted) - 1)], atol=1e-15)
+    np.testing.assert_array_equal(guarded.stop(6), guarded.stop(4)[2:])
+    assert guarded.stop(99).shape == (1, 2)
+
+
+def test_it_knows_what_a_rig_without_an_answer_applies():
+    """That is `seft_plant_sim.rig.continued`, along the stop that the rig has in reserve."""
+    guarded, sent = answered(Planned()), []
+    guarded._miss = lambda parameters, state, step, command: sent.append(command.copy())
+    guarded.missed(4)  # nothing is in reserve: it holds the last command
+    guarded.stop(3)
+    stepped(guarded, 4, target_of(4), sample_of(4))
+    guarded.missed(6)
+    last, along = np.array([5.0, 10.0]), ways()[1]
+    wanted = along[3] + left(2) * (last - along[1])
+    np.testing.assert_allclose(sent, [[4.0, 8.0], wanted], atol=1e-15)
+    guarded.trip(7, "stopped")
+    guarded.missed(8)
+    np.testing.assert_array_equal(sent[2], last)
