@@ -125,7 +125,7 @@ def drawn(seed):
     ]
     if rng.random() < 0.3:
         words += TWO_AXES
-    words += [f"rig:sensors.force_bias:={rng.choice([0.0, 20.0])}"]
+    words += [f"rig:sensors.force_bias:={rng.choice([0.0, 8.0])}"]  # less than is refused at rest
     if rng.random() < 0.7:
         words.append(f"rig:faults:=[{faults}]")
     if f"{RIG}kind:=delay" in words:
