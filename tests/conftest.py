@@ -18,7 +18,7 @@ from seft_ros.nodes.kinds import NODE_KINDS
 from seft_ros.test_run.observer import Observer
 from seft_ros.test_run.processes import MODULES
 
-_OFFLINE = ("simulate", "compare", "preflight", "recover", "report")
+_OFFLINE = ("simulate", "compare", "preflight", "recover", "replay", "report")
 """Commands that run in this process: to start one takes longer than most of what they do."""
 _PATH = os.environ.get("PYTHONPATH")  # a test that changes it wants others' packages to be found
 

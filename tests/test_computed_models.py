@@ -41,11 +41,6 @@ def example(name, *settings):
     return config, "-p", f"reference_force:computed.settings:={words}"
 
 
-def test_a_test_with_a_model_is_near_the_whole_structure(seft_json, model):
-    summary = seft_json("simulate", DEMO, *SHORT, *model("Bilinear"))
-    assert summary["displacement"]["nrmse"] < 0.01
-
-
 @pytest.fixture
 def refused(capsys, monkeypatch):
     """Give the line with which `seft run` refuses a test before it starts anything."""

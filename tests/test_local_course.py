@@ -23,7 +23,7 @@ from seft_ros.protection.protection_step import RampDown
 def test_twice_the_same_messages_at_the_same_times(local_graph):
     digests = set()
     for _ in range(2):
-        graph = local_graph(THREE_SECONDS)
+        graph = local_graph(*SHORT)
         perform(graph)
         digests.add(digest(graph))
     assert len(digests) == 1

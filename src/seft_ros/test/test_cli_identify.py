@@ -226,6 +226,8 @@ def test_a_rig_without_a_valve_has_the_closed_loop_only(identify, tmp_path):
     assert section["compensation.delay"] == pytest.approx(found["delay_s"] - 0.004)
 
 
+@pytest.mark.thorough
+@pytest.mark.offline
 def test_several_axes_have_their_numbers_each(identify, tmp_path):
     overrides = (
         *LINEAR,
