@@ -276,10 +276,8 @@ def test_of_a_loop_that_is_unstable_the_plant_is_identified_all_the_same(identif
 
 
 def test_a_shake_beyond_the_limits_is_refused_before_anything_moves(identify, tmp_path):
-    words = ("--specimen", "--travel", "0.05", "--out", "out")
-    status, found, line = identify(*words)
-    assert (status, found) == (2, None)
-    assert "limits.displacement" in line
+    status, found, line = identify("--specimen", "--travel", "0.05", "--out", "out")
+    assert (status, found, "limits.displacement" in line) == (2, None, True)
     assert not (tmp_path / "out").exists()
     status, _, line = identify("--travel", "1e-4", "--out", "out")
     assert (status, line) == (2, "seft: --travel is that of the shake: give --specimen, too")
