@@ -83,6 +83,19 @@ def test_a_command_just_in_time_is_not_missed(local_graph):
     assert_same(graph, offline(graph))
 
 
+@pytest.mark.parametrize("lost", [JUDGED, TARGET])
+def test_what_is_lost_on_a_link_costs_little(local_graph, lost):
+    """Four of forty states, or targets; what is lost of either is bridged."""
+    words = (*TARGET_MOTION, "reference_force:loop_delay:=7")
+    graph = local_graph(THREE_SECONDS, UNREHEARSED, *words)
+    graph.drop(lost, {step for step in range(2000) if step % 40 > 35})
+    perform(graph)
+    displacement = graph.samples(RIG_STATE)[1][:, 0, 0]
+    meant = offline(graph).series[RIG_STATE.name].values[:, 0, 0]
+    assert abs(displacement - meant).max() < 0.01 * abs(meant).max()  # not bridged: 0.6
+    assert graph.status("rig")["missed"] == "0"
+
+
 @pytest.mark.parametrize(
     ("pace", "seconds", "as_stranger"), [("realtime", 6.0, True), ("lockstep", 20.0, False)]
 )
