@@ -16,7 +16,6 @@ from seft_msgs_py.virtual import LocalGraph
 from seft_ros.cli.rig_commands import TEMPLATES
 from seft_ros.nodes.kinds import NODE_KINDS
 from seft_ros.test_run.observer import Observer
-from seft_ros.test_run.processes import MODULES
 
 _OFFLINE = ("simulate", "compare", "preflight", "recover", "replay", "report")
 """Commands that run in this process: to start one takes longer than most of what they do."""
@@ -141,17 +140,3 @@ def spawn(domain, tmp_path) -> Iterator[Callable[..., subprocess.Popen]]:
 def start(spawn) -> Callable[..., subprocess.Popen]:
     """Start modules of Python, as `spawn` does."""
     return lambda *words, **options: spawn(sys.executable, "-m", *words, **options)
-
-
-@pytest.fixture
-def start_node(start):
-    """Start one node with parameters, as `ros2 run` would."""
-    unrehearsed = "supervisor:rehearsal.duration:=0.0"  # a busy machine must not refuse a test
-
-    def launch(node, *overrides, config=JHU) -> subprocess.Popen:
-        words = [MODULES[node], "--ros-args", "--params-file", config]
-        for override in (unrehearsed, *overrides):
-            words += ["-p", override]
-        return start(*words)
-
-    return launch

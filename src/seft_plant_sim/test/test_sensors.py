@@ -78,13 +78,6 @@ def test_noise_is_white_and_differs_between_axes_and_quantities():
             assert abs(np.mean(column[lag:] * column[:-lag])) < limit
 
 
-def test_noise_is_added_to_the_true_state_and_leaves_it_alone():
-    state = STATE.copy()
-    measured = sensors().measure(3, state)
-    np.testing.assert_array_equal(measured, STATE + noise([3])[0])
-    np.testing.assert_array_equal(state, STATE)
-
-
 def test_noise_of_an_axis_does_not_depend_on_how_many_there_are():
     steps = [0, 1, 4095, 4096, 9000]
     three = noise(steps, np.ones((4, 3)))
