@@ -20,7 +20,7 @@ from seft_ros.drawing import style
 from seft_ros.test_run.parameter_tables import TABLES
 
 LINEAR = ("rig:actuator.kind:=servo_hydraulic_linear",)
-SHORT = ("--duration", "20")
+SHORT = ("--duration", "14")
 BRIEF = ("--duration", "14", "--amplitude", "0.2")
 """The shortest there is, without the pilot test."""
 
