@@ -33,7 +33,7 @@ def test_a_rig_whose_model_is_not_a_number_trips(running, monkeypatch):
     monkeypatch.undo()
 
 
-@pytest.mark.parametrize("end", ["estop", "force_controller", "supervisor"])
+@pytest.mark.parametrize("end", ["estop", "force_controller"])
 def test_a_rig_follows_the_plan_to_rest_also_when_its_sender_is_dead(local_graph, end):
     graph = local_graph(LONG, *TARGET_MOTION, LOCKSTEP, UNREHEARSED)
     graph.until("ready")

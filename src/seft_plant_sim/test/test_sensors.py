@@ -97,12 +97,6 @@ def test_parameters_are_one_number_or_one_for_each_axis():
             from_parameters(**{name: [1.0, 2.0, 3.0]})
 
 
-def test_bias_is_added_per_axis():
-    one = from_parameters(position_bias=[1e-3, -2e-3], force_bias=5.0)
-    bias = np.array([[1e-3, -2e-3], [0.0, 0.0], [0.0, 0.0], [5.0, 5.0]])
-    np.testing.assert_array_equal(one.measure(0, STATE), STATE + bias)
-
-
 def test_a_range_ends_either_way_and_is_reported_where_it_does():
     one = from_parameters(acceleration_range=[4.5, 10.0], force_range=100.0)
     np.testing.assert_array_equal(one.measure(0, STATE)[2], [4.0, 5.0])

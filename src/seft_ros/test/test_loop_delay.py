@@ -6,11 +6,9 @@ from seft_msgs_py.errors import InputError
 from seft_ros.analysis.summary import summarise
 from seft_ros.test_run.compiled_loop import build_blocks
 
-D = 7
-
 
 def experiment_of(*overrides, config="demo"):
-    given = [f"reference_force:loop_delay:={D}", "ground_motion:synthetic.duration:=8.0"]
+    given = ["reference_force:loop_delay:=7", "ground_motion:synthetic.duration:=8.0"]
     return load(*given, *overrides, config=config)
 
 

@@ -43,13 +43,6 @@ def test_lost_samples_of_either_topic_are_bridged():
     assert found == pytest.approx(whole, rel=5e-3)
 
 
-def test_of_several_axes_each_has_its_own():
-    record = make_record(axes=("x", "y"))
-    record.series["rig/state"].values[:, 3, 1] *= 0.5
-    found = tracking_of(record)
-    assert (found["x"]["nrmse"], found["y"]["nrmse"]) == pytest.approx((0.0, 0.5))
-
-
 @pytest.mark.parametrize("topic", ["reference_force", "rig/state"])
 def test_without_samples_everything_is_null(topic):
     found = summarise(without(make_record(), topic, STEPS))["tracking"]["x"]

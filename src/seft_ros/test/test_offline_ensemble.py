@@ -64,7 +64,6 @@ CASES = {  # few combinations of blocks: a loop is compiled for each
     "link": (RATIO(0.1), "reference_force:loop_delay:=4"),
     "delay": ("rig:actuator.kind:=delay", "rig:actuator.delay:=0.0103", RATIO(0.5)),
     "ideal": ("rig:actuator.kind:=ideal", RATIO(0.5), METHOD("restoring")),
-    "pinching": ("rig:specimen.kind:=pinching", YIELDS),
     "model": (METHOD("model"), DELAY, RATIO(1.0), WEAK),
     "derived and filtered": (
         "rig:sensors.velocity:=derived", "rig:sensors.force_filter:=200.0",
