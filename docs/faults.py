@@ -38,7 +38,7 @@ STIFF = (
     *("rig:actuator.oil_column_frequency:=0.0", "rig:actuator.oil_stiffness:=1.664e+7"),
     "ground_motion:peak_force:=2000.0",
 )
-SLOW = {
+SLOW: dict[str, list[tuple[str, ...]]] = {
     "load cell late by 4, 6, 10 ms": [(f"force late {late}",) for late in (0.004, 0.006, 0.01)],
     "load cell low-passed, 5, 10 Hz": [(f"force lowpass {hertz}",) for hertz in (5, 10)],
     "load cell scaled by 0.7": [("force scale 0.7",)],

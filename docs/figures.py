@@ -65,7 +65,7 @@ def critical_by_delay(name: str) -> Floats:
     found = []
     for delay in DELAYS:
         rig = [("rig", "actuator.kind", "delay"), ("rig", "actuator.delay", float(delay))]
-        critical = critical_mass_ratio(Plan(planned(*rig, *method(name)), "rig"))
+        critical = critical_mass_ratio(Plan(planned(*rig, *method(name))))
         found.append(critical.value if critical else np.inf)
     return np.array(found)
 
@@ -110,7 +110,7 @@ def growth() -> Figure:
     figure, (left, right) = panels(2, (7.2, 2.8))
     left.axhline(0.0, color=REFERENCE, lw=3)
     for name, colour in COLOURS.items():
-        plans = [Plan(planned(*method(name), mass_ratio(float(a))), "rig") for a in MASS_RATIOS]
+        plans = [Plan(planned(*method(name), mass_ratio(float(a)))) for a in MASS_RATIOS]
         rates = np.array([plan.growth_rate() for plan in plans])
         modes = [predicted_modes(plan) for plan in plans]
         damping = 100 * np.array([m[0].damping if m else np.nan for m in modes])

@@ -4,6 +4,7 @@ The other side is `seft_plant_sim.model_process`. All that a model can do wrong 
 exception of any kind becomes one line of text, and a wrong value is refused.
 """
 
+import contextlib
 import ctypes
 import faulthandler
 import marshal
@@ -241,18 +242,16 @@ def _serve(connection: Connection, worker: ModelWorker) -> None:
     was done, and its result or why not. marshal writes them in a tenth of the time of pickle.
     """
     process = os.getpid()
-    while True:
-        try:
+    with contextlib.suppress(EOFError, ConnectionError):  # the other side is done, or has ended
+        while True:
             what, *arguments = marshal.loads(connection.recv_bytes())
-        except (EOFError, ConnectionError):
-            return
-        try:
-            reply = True, getattr(worker, what)(*arguments)
-        except BaseException as error:
-            reply = False, worker.failure(what, error)
-        if os.getpid() != process:  # the model has forked, and this is the other one
-            os._exit(0)
-        connection.send_bytes(marshal.dumps(reply))
+            try:
+                reply = True, getattr(worker, what)(*arguments)
+            except BaseException as error:
+                reply = False, worker.failure(what, error)
+            if os.getpid() != process:  # the model has forked, and this is the other one
+                os._exit(0)
+            connection.send_bytes(marshal.dumps(reply))
 
 
 def _die_with(parent: int) -> None:

@@ -200,15 +200,17 @@ def test_a_model_that_has_ended_starts_again_for_the_next_test(model):
     model_in_test.close()
 
 
-def test_a_test_that_ends_while_a_model_computes_leaves_no_answer_to_the_next(model):
-    model_in_test = ComputedModel(model("if t > 1.0: return [77.0]"))
+def test_a_test_that_ends_while_a_model_computes_leaves_no_answer_to_the_next(model, capfd):
+    model_in_test = ComputedModel(model("if t > 1.0: return time.sleep(0.02) or [77.0]"))
     model_in_test.start(0.002)
     for step in range(4):
         model_in_test.step(0.002 * step, ZERO, ZERO, ZERO)
     model_in_test.ask(2.0, ZERO, ZERO, ZERO)
     assert (model_in_test.start(0.002).force == 0.0).all()
     assert (model_in_test.step(0.0, ZERO, ZERO, ZERO).force == 0.0).all()
+    model_in_test.ask(2.0, ZERO, ZERO, ZERO)
     model_in_test.close()
+    assert capfd.readouterr().err == ""  # that nobody takes the answer is no fault of the model
 
 
 def test_a_model_that_nobody_uses_ends(model):
