@@ -111,7 +111,7 @@ def test_a_test_that_trips_ends_with_status_1_and_says_so(seft, tmp_path):
 
 
 def test_out_names_the_folder_of_the_bag_which_reports_the_same(seft, tmp_path):
-    status, out, _ = seft("simulate", JHU, *SHORT, "--out", "bag", "--json")
+    status, out, _ = seft("simulate", JHU, *SHORT, "--out", "bag", "--no-figure", "--json")
     assert status == 0
     simulated = json.loads(out)  # one object and nothing else
     assert set(simulated) >= KEYS
