@@ -13,11 +13,11 @@ from graph_tools import JHU, PATIENCE
 from local_tools import NODES, UNREHEARSED
 from ros_domain import reserved_domain
 from seft_msgs_py.virtual import LocalGraph
+from seft_ros.cli.rig_commands import TEMPLATES
 from seft_ros.nodes.kinds import NODE_KINDS
 from seft_ros.test_run.observer import Observer
-from seft_ros.test_run.processes import MODULES
 
-_OFFLINE = ("simulate", "compare", "preflight", "recover", "report")
+_OFFLINE = ("simulate", "compare", "preflight", "recover", "replay", "report")
 """Commands that run in this process: to start one takes longer than most of what they do."""
 _PATH = os.environ.get("PYTHONPATH")  # a test that changes it wants others' packages to be found
 
@@ -39,6 +39,16 @@ def local_graph():
             return made.enter_context(graph)
 
         yield make
+
+
+@pytest.fixture
+def template(monkeypatch):
+    """Folder of the template of a driver, whose modules are found."""
+    folder = TEMPLATES / "rig_driver"
+    monkeypatch.syspath_prepend(str(folder))
+    yield folder
+    for name in [name for name in sys.modules if name.startswith("rig_driver")]:
+        del sys.modules[name]
 
 
 @pytest.fixture
@@ -130,17 +140,3 @@ def spawn(domain, tmp_path) -> Iterator[Callable[..., subprocess.Popen]]:
 def start(spawn) -> Callable[..., subprocess.Popen]:
     """Start modules of Python, as `spawn` does."""
     return lambda *words, **options: spawn(sys.executable, "-m", *words, **options)
-
-
-@pytest.fixture
-def start_node(start):
-    """Start one node with parameters, as `ros2 run` would."""
-    unrehearsed = "supervisor:rehearsal.duration:=0.0"  # a busy machine must not refuse a test
-
-    def launch(node, *overrides, config=JHU) -> subprocess.Popen:
-        words = [MODULES[node], "--ros-args", "--params-file", config]
-        for override in (unrehearsed, *overrides):
-            words += ["-p", override]
-        return start(*words)
-
-    return launch

@@ -13,6 +13,7 @@ from seft_ros.test_run.processes import COMPOSED, MODULES
 ROOT = Path(__file__).parent.parent
 JHU = ROOT / "config" / "jhu.yaml"
 DEMO = ROOT / "config" / "demo.yaml"
+BRIDGE = ROOT / "config" / "two_pier_bridge.yaml"
 THOROUGH = pytest.mark.thorough
 """Takes its time for what another test looks at in short; only `make thorough` runs these."""
 PATIENCE = 400.0  # s; far beyond what anything here takes, also where eight others run

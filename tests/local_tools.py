@@ -1,7 +1,5 @@
 """What the tests of whole graphs in virtual time share."""
 
-import hashlib
-
 import numpy as np
 from seft_msgs_py.virtual import LocalGraph
 from seft_msgs_py.wire.messages import EstimatesCodec
@@ -35,12 +33,6 @@ def at_rest(graph: LocalGraph) -> bool:
     count = len(graph.samples(RIG_STATE)[0])
     graph.run(0.5)
     return len(graph.samples(RIG_STATE)[0]) == count and graph.status("rig")["phase"] == "tripped"
-
-
-def digest(graph: LocalGraph) -> str:
-    """Of all messages, with sender, topic and time."""
-    words = (f"{at} {node} {topic} ".encode() + raw for at, node, topic, raw in graph.graph.sent)
-    return hashlib.sha256(b"".join(words)).hexdigest()
 
 
 def offline(graph: LocalGraph):

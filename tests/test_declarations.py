@@ -3,6 +3,7 @@
 import ast
 import re
 import sys
+from functools import cache
 from importlib.metadata import requires
 from pathlib import Path
 from xml.etree import ElementTree
@@ -41,6 +42,7 @@ ROS = {  # what ROS 2 brings: no name for pip
 }
 
 
+@cache
 def imports(folder: Path) -> set[str]:
     """Modules that the files of a folder import, without Python's and the tests' own."""
     found, own = set(), {file.stem for file in ROOT.glob("src/*/test/*.py")}

@@ -1,105 +1,12 @@
-"""Whatever goes wrong in the template of a driver, its hardware goes to the safe position."""
+"""How the template of a driver brings its valves to their safe position, and its rig to rest."""
 
-import sys
 import time
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import quiet_shell
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.wire.messages import Status
-from seft_msgs_py.wire.topics import RigAxes
-from seft_ros.cli.rig_commands import TEMPLATES
 
-TEMPLATE = TEMPLATES / "rig_driver"
-
-
-class Hardware:
-    """Converters that can fail."""
-
-    def __init__(self):
-        self.calls, self.fails, self.takes = [], False, 0.0
-
-    def read_sample(self):
-        if self.fails:
-            time.sleep(self.takes)
-            raise OSError("the converter does not answer")
-        return np.zeros((4, 1))
-
-    def write_command(self, volts):
-        self.calls.append("write")
-
-    def to_safe_position(self):
-        self.calls.append("safe")
-
-    def close(self):
-        self.calls.append("close")
-
-
-class Shell(quiet_shell.Shell):
-    """A node's shell without a network: tells of a fault as the process does, at the next turn."""
-
-    def __init__(self, experiment, turns):
-        super().__init__(experiment, "rig")
-        self.rig, self.stopping = RigAxes.whole(experiment.axes), False
-        self.reports, self._turns = [], turns
-
-    def report(self, status):
-        self.reports.append(status)
-
-    def attempt(self, what, call):
-        try:
-            call()
-        except OSError as error:
-            self.faults.append(f"a fault of the program in {what}: {error}")
-
-    def spin_once(self, timeout):
-        while self.faults:
-            self.node.fault(self.faults.pop())
-        time.sleep(timeout)
-        self._turns -= 1
-        self.stopping = self._turns <= 0
-
-
-@pytest.fixture
-def driver(monkeypatch):
-    monkeypatch.syspath_prepend(str(TEMPLATE))
-    from rig_driver.driver_node import DriverNode
-    from rig_driver.parameters import TABLE
-
-    patient = [("rig", f"watchdog.{who}_timeout", 60.0) for who in ("command", "supervisor")]
-    file = TEMPLATE / "config" / "rig.yaml"
-    shell = Shell(Experiment.load([TABLE], [file], patient), turns=20)
-    hardware = Hardware()
-    shell.node = DriverNode(shell, hardware)
-    yield SimpleNamespace(shell=shell, hardware=hardware, node=shell.node)
-    for name in [name for name in sys.modules if name.startswith("rig_driver")]:
-        del sys.modules[name]
-
-
-@pytest.mark.parametrize("takes", [0.0, 1.2])
-@pytest.mark.parametrize("phase", ["idle", "running"])
-def test_a_fault_brings_the_hardware_to_its_safe_position_and_the_driver_lives_on(
-    driver, phase, takes
-):
-    node, hardware = driver.node, driver.hardware
-    hardware.takes = takes * node._timebase.dt  # beyond a period: no wait before the next sample
-    if phase == "running":
-        node._supervision.wanted = Status("experiment", 0, "running", values={"steps": "1000000"})
-        node._begin(np.zeros((4, 1)))
-        hardware.calls.clear()
-    hardware.fails = True
-    node.run()
-    assert set(hardware.calls) <= {"safe", "write", "close"}
-    # one before the first fault, and one that begins to close the valve
-    assert hardware.calls.count("write") == 2 * (phase == "running")
-    assert "safe" in hardware.calls[-4:-2]
-    assert hardware.calls[-2:] == ["safe", "close"]
-    if phase == "running":
-        trip = driver.shell.reports[-1].values
-        assert trip["phase"] == "tripped"
-        assert "the converter does not answer" in trip["reason"]
+pytestmark = pytest.mark.usefixtures("template")
 
 
 class Pump:
@@ -134,9 +41,7 @@ def follow(stop, *displacements):
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_the_pressure_goes_once_at_the_first_sample_too_far_from_where_the_valve_had_closed(
-    driver, sign
-):
+def test_the_pressure_goes_once_at_the_first_sample_too_far_from_where_the_valve_had_closed(sign):
     pump = Pump()
     stop = two_axes(pump)
     follow(stop, *range(100))
@@ -156,7 +61,7 @@ def test_the_pressure_goes_once_at_the_first_sample_too_far_from_where_the_valve
     assert len(pump.written) == 8
 
 
-def test_the_pressure_goes_also_where_the_valve_was_closed_at_once(driver):
+def test_the_pressure_goes_also_where_the_valve_was_closed_at_once():
     pump = Pump()
     stop = two_axes(pump)
     stop.begin(np.array([5.0, -3.0]))
@@ -177,7 +82,7 @@ def test_the_pressure_goes_also_where_the_valve_was_closed_at_once(driver):
     assert pump.dumped == 2
 
 
-def test_each_valve_goes_from_its_command_to_its_safe_value(driver, monkeypatch):
+def test_each_valve_goes_from_its_command_to_its_safe_value(monkeypatch):
     pump, command, waits = Pump(), np.array([4.5, -4.25]), []
     monkeypatch.setattr(time, "sleep", waits.append)
     stop = two_axes(pump)
@@ -196,7 +101,7 @@ def test_each_valve_goes_from_its_command_to_its_safe_value(driver, monkeypatch)
     assert pump.written[4:] == ["safe"]
 
 
-def test_a_rig_whose_pressure_nobody_can_take_away_is_followed_without(driver):
+def test_a_rig_whose_pressure_nobody_can_take_away_is_followed_without():
     hardware = SimpleNamespace(write_command=lambda volts: None, to_safe_position=lambda: None)
     stop = two_axes(hardware)
     stop.begin(np.zeros(2))
@@ -204,7 +109,7 @@ def test_a_rig_whose_pressure_nobody_can_take_away_is_followed_without(driver):
     assert not stop.has_dumped
 
 
-def test_a_rig_rests_once_its_mean_velocity_of_50_ms_is_small_on_each_axis(driver):
+def test_a_rig_rests_once_its_mean_velocity_of_50_ms_is_small_on_each_axis():
     from rig_driver.rest import Rest
 
     def reached(*velocities, force=0.0):

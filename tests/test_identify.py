@@ -5,6 +5,7 @@ import signal
 
 import pytest
 from graph_tools import JHU, PATIENCE, STALLS_ALLOWED
+from seft_ros.test_run.processes import MODULES
 
 SHORT = ("--duration", "6", "--band", "1", "100", "--amplitude", "0.2")
 
@@ -15,10 +16,11 @@ def numbers(printed):
 
 @pytest.mark.thorough
 def test_two_tests_in_a_row_on_an_external_rig_give_the_numbers_of_the_offline_loop(
-    seft, seft_json, start_node, tmp_path
+    seft, seft_json, start, tmp_path
 ):
     """Its parameters are its own: what the experiment says of a rig does not count."""
-    rig = start_node("rig", "rig:pace:=lockstep", *STALLS_ALLOWED[1::2])
+    patient = ("-p", "rig:pace:=lockstep", *STALLS_ALLOWED)
+    rig = start(MODULES["rig"], "--ros-args", "--params-file", JHU, *patient)
     words = ("identify", JHU, *SHORT, *STALLS_ALLOWED)
     elsewhere = ("-p", "rig:specimen.mass:=20.0", "-p", "rig:pace:=realtime")
     external = seft_json(*words, *elsewhere, "--external", "rig", "--out", "external")

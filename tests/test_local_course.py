@@ -10,7 +10,6 @@ from local_tools import (
     UNREHEARSED,
     assert_same,
     at_rest,
-    digest,
     offline,
     perform,
 )
@@ -21,12 +20,11 @@ from seft_ros.protection.protection_step import RampDown
 
 
 def test_twice_the_same_messages_at_the_same_times(local_graph):
-    digests = set()
-    for _ in range(2):
-        graph = local_graph(THREE_SECONDS)
-        perform(graph)
-        digests.add(digest(graph))
-    assert len(digests) == 1
+    one, other = (local_graph(*SHORT) for _ in range(2))
+    perform(one)
+    perform(other)
+    assert len(one.graph.sent) > 3000
+    assert one.graph.sent == other.graph.sent
 
 
 @pytest.mark.parametrize(

@@ -153,9 +153,14 @@ def check_nodes(local_graph, words):
         record = offline(graph)
         assert (record.trip is None) == (graph.state == "done")
         assert_same(graph, record, steps=len(record.series["rig/state"].steps))
+        told = graph.until(lambda: graph.status("rig").get("simulated"))
+        assert json.loads(told) == vars(record.simulated)
         if graph.state == "done":
             assert graph.status("rig")["missed"] == "0"
-            assert json.loads(graph.status("rig")["simulated"]) == vars(record.simulated)
+        else:
+            assert graph.values["step"] == str(record.trip.step)
+            detail = graph.values["detail"].removeprefix("force_controller: ")
+            assert record.trip.reason.startswith(detail)  # which also tells of a ramp before
 
 
 def check_loops(seed):

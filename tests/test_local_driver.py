@@ -1,11 +1,9 @@
 """A laboratory's driver beside the nodes of a test, in virtual time: the template's."""
 
-import sys
-
 import numpy as np
 import pytest
 import yaml
-from local_tools import at_rest, perform
+from local_tools import UNREHEARSED, at_rest, perform
 from seft_msgs_py.wire.messages import decode_description
 from seft_msgs_py.wire.topics import (
     DESCRIPTION,
@@ -15,7 +13,6 @@ from seft_msgs_py.wire.topics import (
     VALVE_COMMAND,
 )
 from seft_ros.bags.record import Record, Series
-from seft_ros.cli.rig_commands import TEMPLATES
 from seft_ros.identification.calibrated import Calibrated, Shaken, all_known
 from seft_ros.identification.rig_tests import shake_test, write_forces
 from seft_ros.identification.shake import plan_shake, shake_drive, with_actuators
@@ -23,30 +20,26 @@ from seft_ros.nodes.kinds import NODE_KINDS
 from test_identification_shake import identified
 
 TOPICS = (GROUND_MOTION, RIG_STATE, REFERENCE_FORCE, VALVE_COMMAND)
-TEMPLATE = TEMPLATES / "rig_driver"
 SMALL = ("ground_motion:synthetic.duration:=6.0", "ground_motion:peak_force:=20.0")
 
 
 @pytest.fixture
-def driver(local_graph, monkeypatch):
+def driver(local_graph, template):
     """Make the nodes of a test with the template's driver as its rig."""
-    monkeypatch.syspath_prepend(str(TEMPLATE))
     from rig_driver.driver_node import KIND
 
     def make(*overrides, files=()):
-        kinds, own = {**NODE_KINDS, "rig": KIND}, {"rig": [TEMPLATE / "config/rig.yaml", *files]}
+        kinds, own = {**NODE_KINDS, "rig": KIND}, {"rig": [template / "config/rig.yaml", *files]}
         return local_graph(*SMALL, *overrides, kinds=kinds, own_files=own)
 
-    yield make
-    for name in [name for name in sys.modules if name.startswith("rig_driver")]:
-        del sys.modules[name]
+    return make
 
 
-def test_a_driver_rehearses_and_performs_a_test(driver):
-    graph = driver()
-    perform(graph)
-    assert graph.values["detail"] == "2501 steps done"
-    assert (graph.status("rig")["missed"], graph.status("rig")["overruns"]) == ("0", "0")
+def left_by(graph, own):
+    """RMS of what the corrected channels leave of the equation of motion, N."""
+    x, v, a, f = graph.samples(RIG_STATE)[1][:, :, 0].T
+    restoring = own["specimen.damping"] * v + own["specimen.stiffness"] * x
+    return (f - own["specimen.mass"] * a - restoring).std()
 
 
 def test_a_driver_aligns_a_late_channel_and_the_loop_counts_its_lag(driver, monkeypatch):
@@ -57,12 +50,9 @@ def test_a_driver_aligns_a_late_channel_and_the_loop_counts_its_lag(driver, monk
     words = ("rig:calibration.force_lag:=0.003", "rig:calibration.acceleration_lag:=0.0007")
     graph = driver("ground_motion:peak_force:=400.0", *words)
     perform(graph)
-    x, v, a, f = graph.samples(RIG_STATE)[1][:, :, 0].T
-    own = stand_in._RIG
-    r = own["specimen.damping"] * v + own["specimen.stiffness"] * x
-    left = f - own["specimen.mass"] * a - r
-    assert left.std() < 6.0  # N, of which the noise is 4
-    assert 0.003 * own["specimen.stiffness"] * v.std() > 12.0  # what 3 ms change of the spring's
+    own, velocity = stand_in._RIG, graph.samples(RIG_STATE)[1][:, 1]
+    assert left_by(graph, own) < 6.0  # N, of which the noise is 4
+    assert 0.003 * own["specimen.stiffness"] * velocity.std() > 12.0  # what 3 ms change of that
 
 
 def shaken(driver, folder):
@@ -105,10 +95,7 @@ def test_a_driver_started_again_with_what_a_shake_has_found_is_corrected(
     graph = driver(*words, "ground_motion:peak_force:=400.0", files=[model])
     perform(graph)
     assert facts(graph)["sensor_lag"] == max(written["calibration.acceleration_lag"])
-    x, v, a, f = graph.samples(RIG_STATE)[1][:, :, 0].T
-    own = stand_in._RIG
-    r = own["specimen.damping"] * v + own["specimen.stiffness"] * x
-    assert (f - own["specimen.mass"] * a - r).std() < 6.0  # N, of which the noise is 4
+    assert left_by(graph, stand_in._RIG) < 6.0  # N, of which the noise is 4
 
 
 def facts(graph):
@@ -117,16 +104,17 @@ def facts(graph):
     return [facts for node, facts in map(decode_description, told) if node == "rig"][-1]
 
 
-def test_a_driver_zeroes_its_sensors_in_the_rehearsal(driver, monkeypatch):
+def test_a_driver_rehearses_zeroes_its_sensors_and_performs_a_test(driver, monkeypatch):
     from rig_driver import stand_in
 
     monkeypatch.setitem(stand_in._RIG, "sensors.force_bias", 22.2)
     graph = driver()
     perform(graph)
+    assert graph.values["detail"] == "2501 steps done"
+    assert (graph.status("rig")["missed"], graph.status("rig")["overruns"]) == ("0", "0")
     force = graph.samples(RIG_STATE)[1][:100, 3]
     assert abs(force.mean()) < 1.5  # N, of which the noise is 0.3
-    sent = [each.raw for each in graph.graph.sent if each.topic == DESCRIPTION.name]
-    told = [facts for node, facts in map(decode_description, sent) if node == "rig"][-1]["zeroed"]
+    told = facts(graph)["zeroed"]
     assert told["samples"] == 500
     assert abs(told["subtracted"]["force"][0] - 22.2) < 1.0
     assert told["subtracted"]["position"] == [0.0]
@@ -151,3 +139,35 @@ def test_a_driver_that_is_terminated_ends_the_test(driver):
     count = len(graph.samples(RIG_STATE)[0])
     graph.run(1.0)
     assert len(graph.samples(RIG_STATE)[0]) == count
+
+
+@pytest.mark.parametrize("takes", [0.0, 1.2])
+@pytest.mark.parametrize("phase", ["idle", "running"])
+def test_a_fault_brings_the_hardware_to_its_safe_position_and_the_driver_lives_on(
+    driver, monkeypatch, phase, takes
+):
+    from rig_driver.stand_in import StandIn
+
+    graph, calls = driver(UNREHEARSED), []
+
+    def broken(_):
+        graph.graph.clock.sleep(takes * graph.experiment.timebase.dt)
+        raise OSError("the converter does not answer")
+
+    graph.until("ready")
+    if phase == "running":
+        graph.call("start")
+        graph.run(0.5)
+    for name in ("write_command", "to_safe_position", "close"):
+        monkeypatch.setattr(StandIn, name, lambda *_, name=name: calls.append(name))
+    monkeypatch.setattr(StandIn, "read_sample", broken)
+    graph.run(0.5)
+    # one before the first fault, and one that begins to close the valve
+    assert calls.count("write_command") == 2 * (phase == "running")
+    assert calls[-1] == "to_safe_position"
+    assert int(graph.status("rig")["faults"]) > 10
+    graph.terminate("rig")
+    assert calls[-2:] == ["to_safe_position", "close"]
+    if phase == "running":
+        graph.until("tripped")
+        assert "the converter does not answer" in graph.values["detail"]

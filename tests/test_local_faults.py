@@ -2,7 +2,9 @@
 
 import pytest
 from local_tools import LOCKSTEP, LONG, NO_COMMAND_WATCH, UNREHEARSED, at_rest, perform
-from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE
+from seft_msgs_py.wire.messages import encode_diagnostics
+from seft_msgs_py.wire.outcome import tripped_status
+from seft_msgs_py.wire.topics import DIAGNOSTICS, REFERENCE_FORCE, RIG_STATE
 
 SLOW = 5e-4  # s, latency with which a test in lockstep takes fewer steps
 
@@ -156,3 +158,18 @@ def test_a_missing_peer_in_lockstep_ends_the_test_with_its_name(local_graph):
     assert graph.values["detail"].startswith("no valve_command for step 0 within 1 s")
     assert "is force_controller running?" in graph.values["detail"]
     assert len(graph.samples(RIG_STATE)[0]) == 1
+
+
+def test_what_a_silent_node_has_done_meanwhile_is_added_when_its_link_is_back(running):
+    graph = running(LONG, LOCKSTEP, latency=SLOW)
+    graph.freeze("force_controller")
+    graph.until("tripped")
+    detail = graph.values["detail"]
+    assert detail.startswith("node force_controller has been silent since")
+    cut = "no reference_force for 50 steps; is the link to the reference_force node cut?"
+    for _ in range(3):  # it says so again and again
+        for node, reason in (("force_controller", cut), ("reference_force", "what follows")):
+            lost = encode_diagnostics(0, [tripped_status(node, reason, 100)])
+            graph.inject(DIAGNOSTICS, lost, node)
+        graph.run(0.2)
+    assert graph.values["detail"] == f"{detail}; force_controller: {cut}"

@@ -83,9 +83,25 @@ def test_a_command_just_in_time_is_not_missed(local_graph):
     assert_same(graph, offline(graph))
 
 
-@pytest.mark.parametrize(("pace", "as_stranger"), [("realtime", True), ("lockstep", False)])
-def test_bad_messages_change_no_bit_of_a_test(local_graph, pace, as_stranger):
-    graph = local_graph("ground_motion:synthetic.duration:=20.0", UNREHEARSED, f"rig:pace:={pace}")
+@pytest.mark.parametrize("lost", [JUDGED, TARGET])
+def test_what_is_lost_on_a_link_costs_little(local_graph, lost):
+    """Four of forty states, or targets; what is lost of either is bridged."""
+    words = (*TARGET_MOTION, "reference_force:loop_delay:=7")
+    graph = local_graph(THREE_SECONDS, UNREHEARSED, *words)
+    graph.drop(lost, {step for step in range(2000) if step % 40 > 35})
+    perform(graph)
+    displacement = graph.samples(RIG_STATE)[1][:, 0, 0]
+    meant = offline(graph).series[RIG_STATE.name].values[:, 0, 0]
+    assert abs(displacement - meant).max() < 0.01 * abs(meant).max()  # not bridged: 0.6
+    assert graph.status("rig")["missed"] == "0"
+
+
+@pytest.mark.parametrize(
+    ("pace", "seconds", "as_stranger"), [("realtime", 6.0, True), ("lockstep", 20.0, False)]
+)
+def test_bad_messages_change_no_bit_of_a_test(local_graph, pace, seconds, as_stranger):
+    motion = f"ground_motion:synthetic.duration:={seconds}"
+    graph = local_graph(motion, UNREHEARSED, f"rig:pace:={pace}")
     graph.until("ready")
     graph.call("start")
     graph.run(0.1)
@@ -96,6 +112,7 @@ def test_bad_messages_change_no_bit_of_a_test(local_graph, pace, as_stranger):
                 graph.inject(topic, raw, "stranger" if as_stranger else topic.publisher)
                 injected.add(raw)
                 graph.run(0.003)
+    assert graph.state == "running"
     graph.until("done")
     for node in ("rig", "force_controller", "reference_force"):
         assert int(graph.status(node)["refused"]) > 5

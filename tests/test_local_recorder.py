@@ -17,6 +17,7 @@ from local_tools import (
 )
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE
 from seft_plant_sim.rig_watch import MAX_UNRECORDED_STEPS
+from seft_ros.analysis.summary import summarise
 from seft_ros.bags.record_bag import read_bag
 
 RECORDED = (*NODES, "recorder")
@@ -51,6 +52,7 @@ def test_a_bag_holds_the_samples_of_the_offline_loop_and_the_rehearsal(recorded)
     rehearsal = found.facts["rig"]["rehearsal"]
     assert (rehearsal["rate_hz"], rehearsal["steps"]) == (500.0, 750)
     assert 2e-4 < rehearsal["round_trip_s"]["p50"] < 2e-3
+    assert summarise(found)["timing"]["rehearsal"] == rehearsal
 
 
 def test_tests_that_follow_one_another_at_once_have_a_whole_bag_each(recorded):

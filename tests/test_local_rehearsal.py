@@ -2,7 +2,7 @@
 
 import pytest
 from graph_tools import DEMO, JHU
-from local_tools import LOCKSTEP, THREE_SECONDS, UNREHEARSED, assert_same, offline, perform
+from local_tools import THREE_SECONDS, assert_same, offline, perform
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND, rehearsed
 
 
@@ -17,13 +17,6 @@ def test_a_test_after_a_rehearsal_has_the_bits_of_the_offline_loop(local_graph, 
     assert_same(graph, offline(graph))
     assert graph.values["detail"] == "1851 steps done"
     assert graph.status("rig")["missed"] == "0"
-
-
-@pytest.mark.parametrize("words", [(LOCKSTEP,), (UNREHEARSED,)])
-def test_no_rehearsal_is_made_in_lockstep_or_where_none_is_wanted(local_graph, words):
-    graph = local_graph(THREE_SECONDS, *words)
-    graph.until("ready")
-    assert graph.samples(rehearsed(RIG_STATE))[0] == []
 
 
 @pytest.mark.parametrize(

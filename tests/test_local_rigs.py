@@ -4,11 +4,10 @@ import json
 
 import numpy as np
 import pytest
-from graph_tools import ROOT
+from graph_tools import BRIDGE
 from local_tools import LONG, RIGS_NODES, offline, perform
 from seft_msgs_py.wire.topics import RIG_STATE, rigs_of
 
-BRIDGE = ROOT / "config" / "two_pier_bridge.yaml"
 SHORT = ("ground_motion:synthetic.duration:=6.0", "ground_motion:tail:=0.5")
 
 
@@ -28,16 +27,13 @@ def test_two_rigs_give_the_bits_of_the_offline_loop(local_graph, pace, loop_dela
         assert graph.status(rig.node("rig"))["missed"] == "0"
 
 
-def test_the_death_of_one_rig_ends_the_test_for_both(local_graph):
+def test_the_death_of_one_rig_ends_the_test_for_both(running):
     patient = (
         "reference_force:watchdog.rig_timeout:=1.0",
         "supervisor:watchdog.peer_timeout:=15.0",
         "supervisor:watchdog.command_timeout:=60.0",
     )
-    graph = local_graph(LONG, *patient, config=BRIDGE, nodes=RIGS_NODES)
-    graph.until("ready")
-    graph.call("start")
-    graph.run(1.5)
+    graph = running(LONG, *patient, config=BRIDGE, nodes=RIGS_NODES)
     graph.kill("west/rig")
     graph.until("tripped", within=10.0)
     assert "no rig/state of west for 1 s" in graph.values["detail"]

@@ -10,10 +10,7 @@ from local_tools import (
     NODES,
     TARGET_MOTION,
     UNREHEARSED,
-    assert_same,
     at_rest,
-    offline,
-    perform,
 )
 from seft_msgs_py.wire.messages import encode_diagnostics
 from seft_msgs_py.wire.outcome import FINISHED, Outcome, rig_status
@@ -36,28 +33,7 @@ def test_a_rig_whose_model_is_not_a_number_trips(running, monkeypatch):
     monkeypatch.undo()
 
 
-@pytest.mark.parametrize(
-    ("words", "reason"),
-    [
-        (("reference_force:limits.force:=500.0",), "is beyond the limit of 500 N"),
-        (("supervisor:limits.acceleration:=6.0",), "acceleration"),
-        ((*TARGET_MOTION, "force_controller:limits.displacement:=0.002"), "displacement"),
-        ((*TARGET_MOTION, "reference_force:limits.force:=150.0"), "reference force"),
-    ],
-)
-def test_a_limit_ends_a_test_at_the_same_sample_as_offline(local_graph, words, reason):
-    """By a ramp, at once, and by a target that comes to rest."""
-    graph = local_graph("ground_motion:synthetic.duration:=5.0", *words, LOCKSTEP, UNREHEARSED)
-    perform(graph, "tripped")
-    record = offline(graph)
-    assert reason in graph.values["detail"]
-    assert graph.values["detail"].removeprefix("force_controller: ") == record.trip.reason
-    assert graph.values["step"] == str(record.trip.step)
-    assert_same(graph, record, steps=len(record.series["rig/state"].steps))
-    assert json.loads(graph.status("rig")["simulated"]) == vars(record.simulated)
-
-
-@pytest.mark.parametrize("end", ["estop", "force_controller", "supervisor"])
+@pytest.mark.parametrize("end", ["estop", "force_controller"])
 def test_a_rig_follows_the_plan_to_rest_also_when_its_sender_is_dead(local_graph, end):
     graph = local_graph(LONG, *TARGET_MOTION, LOCKSTEP, UNREHEARSED)
     graph.until("ready")

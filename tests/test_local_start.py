@@ -1,11 +1,9 @@
 """How nodes start, in virtual time: their help, their defaults, what they refuse."""
 
 import pytest
-from graph_tools import ROOT
+from graph_tools import BRIDGE
 from local_tools import UNREHEARSED
 from seft_ros.nodes.kinds import NODE_KINDS
-
-BRIDGE = ROOT / "config" / "two_pier_bridge.yaml"
 
 
 @pytest.mark.parametrize("node", NODE_KINDS)

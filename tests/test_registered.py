@@ -30,23 +30,6 @@ class Bare:
         return -inertia * min(self._steps / 500, 1.0)
 
 
-class Stepless:
-    """Knows the test, and does nothing."""
-
-    def __init__(self, knowledge):
-        self.knowledge = knowledge
-
-
-class Shapeless:
-    """One value more than there are axes."""
-
-    def __init__(self, knowledge):
-        self._axes = knowledge.axes
-
-    def step(self, ground_motion, state):
-        return [0.0] * (self._axes + 1)
-
-
 class Damped:
     """Force error through a low pass, and the piston's velocity, which the flow must make up."""
 
@@ -88,8 +71,6 @@ class Pinching(HystereticSpring):
 REGISTERED = """\
 [seft.compensation]
 bare = theirs:Bare
-shapeless = theirs:Shapeless
-stepless = theirs:Stepless
 [seft.force_control]
 damped = theirs:Damped
 [seft.restoring_force]
@@ -135,8 +116,6 @@ def told(tmp_path_factory):
         "simulated": ("simulate", JHU, *SHORT, *CONTROLLER, *SPRING, "--json"),
         "bare": ("preflight", *with_method("bare", 0.4)),
         "refused": ("run", *with_method("bare", 3.0), "--out", "refused"),
-        "shapeless": ("simulate", *with_method("shapeless", 0.1)),
-        "stepless": ("simulate", *with_method("stepless", 0.1)),
     }
     done = subprocess.run(
         [sys.executable, "-c", COMMANDS],
@@ -164,14 +143,3 @@ def test_a_method_of_step_alone_is_simulated_by_preflight_and_before_a_run(told)
     status, _, err = told["refused"]
     assert status == 2
     assert "the test is unstable in simulation" in err
-
-
-def test_what_a_method_lacks_is_told_in_one_line(told):
-    for method, why in (
-        ("shapeless", "the force of shapeless has the shape (2,), but must have (1,)"),
-        ("stepless", "stepless has no step(ground_motion, state)"),
-    ):
-        status, _, err = told[method]
-        (line,) = err.strip().splitlines()
-        assert status == 2
-        assert why in line

@@ -39,11 +39,8 @@ FORCE_TESTS = tuple(
     for name in ("protected_force", "plausibility", "ramp_down")
 )
 DRIVER = f"{ROS}seft_ros/cli/templates/rig_driver/rig_driver/"
-DRIVER_TESTS = ("tests/test_driver_faults.py", "-knot hardware")
-WATCH_TESTS = (
-    f"{ROS}test/test_protection_instability.py",
-    "-knot strong_motion_is_no_fault",
-)
+DRIVER_TESTS = ("tests/test_driver_faults.py",)
+WATCH_TESTS = (f"{ROS}test/test_protection_instability.py",)
 TESTS = {
     f"{PLANT}seft_plant_sim/limits.py": (f"{PLANT}test/test_limits.py",),
     f"{PLANT}seft_plant_sim/rig_watch.py": (f"{PLANT}test/test_rig_watch.py",),

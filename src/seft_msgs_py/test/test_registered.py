@@ -67,8 +67,3 @@ def test_one_is_made_of_what_is_known_and_its_settings(group, settings, gain):
 def test_what_can_not_be_made_gets_one_clear_error(group, name, settings, words):
     with pytest.raises(InputError, match=words):
         group.make(name, settings, "node: method", "known")
-
-
-def test_the_row_of_the_settings_is_a_text_that_may_be_left_out(group):
-    row = group.settings_row("settings", "a thing")
-    assert (row.name, row.kind, row.default) == ("settings", "string", "")

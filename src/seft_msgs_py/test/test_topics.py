@@ -13,9 +13,7 @@ from seft_msgs_py.wire.topics import (
     CLOCK_TOPIC,
     LOOP_TOPICS,
     QUANTITIES,
-    RIG_STATE,
     START,
-    TOPICS,
     RigAxes,
     Timebase,
     rehearsed,
@@ -53,16 +51,6 @@ def test_axes_are_sorted_by_the_rigs_they_name():
 def test_what_is_no_rig_is_refused(axes, words):
     with pytest.raises(InputError, match=words):
         Experiment({"rig": {"rate": 500.0, "axes": axes}})
-
-
-def test_a_test_of_one_rig_has_the_topics_and_nodes_as_they_stand():
-    rigs = rigs_of(["x"])
-    assert topics_of(rigs) == TOPICS
-    assert [(t.publisher, t.subscribers) for t in topics_of(rigs)] == [
-        (t.publisher, t.subscribers) for t in TOPICS
-    ]
-    assert RIG_STATE.of(rigs[0]) is RIG_STATE
-    assert with_rigs(["supervisor", "rig"], rigs) == ["supervisor", "rig"]
 
 
 def test_each_rig_has_nodes_and_topics_of_its_own():

@@ -8,6 +8,19 @@ from seft_msgs_py.config.parameter_table import group
 from seft_plant_sim.springs import make_springs
 
 K, Y, A = 2.11e5, 0.004, 0.1
+SMOOTH = {"bouc_wen.exponent": 1.7, "bouc_wen.beta": 0.7, "bouc_wen.gamma": 0.3}
+LAWS = {
+    "bilinear": {"kind": "bilinear"},
+    "Bouc-Wen": {"kind": "bouc_wen"},
+    "degrading": {"kind": "bouc_wen", "bouc_wen.strength_loss": 0.05} | SMOOTH,
+    "pinching": {"kind": "pinching", "bouc_wen.strength_loss": 0.02} | SMOOTH,
+    "flag": {"kind": "flag", "flag.dissipation": 0.7},
+    "friction": {"kind": "friction", "friction.force": 150.0},
+    "gap": {"kind": "gap", "gap.width": 0.002, "gap.stiffness": 8e5},
+    "hardening": {"kind": "duffing", "duffing.cubic": 4e9},
+    "softening": {"kind": "duffing", "duffing.cubic": -1.2e9},
+}
+"""Parameters of specimens that yield, or are not linear, after their laws."""
 
 
 def spring(kind, **values):

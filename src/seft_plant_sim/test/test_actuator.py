@@ -90,7 +90,6 @@ def test_each_axis_may_have_its_own_actuator():
             "oil_column_frequency is 10.0, but must be above the specimen's own frequency",
         ),
         ({"piston_area": [1.0, 2.0]}, r"rig: actuator\.piston_area: 2 values for 1 axes"),
-        ({"stroke": [1.0, 2.0]}, r"rig: actuator\.stroke: 2 values for 1 axes"),
     ],
 )
 def test_values_that_contradict_each_other_are_refused(values, told):

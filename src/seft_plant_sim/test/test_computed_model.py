@@ -106,11 +106,6 @@ def test_a_model_acts_on_the_internal_degree_of_freedom_that_it_names(file):
         ("Spring", "axes=2", "has 2 axes, but the test has 1: x"),
         (
             "Spring",
-            "axes=null",
-            "axes of .*Spring are None, but must be their number, or different ones of x",
-        ),
-        (
-            "Spring",
             """'axes=["roof"]'""",
             "axes of .*Spring are .'roof'., but must be their number, or different ones of x",
         ),

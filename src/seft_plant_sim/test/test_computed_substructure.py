@@ -71,14 +71,6 @@ def test_influences_stand_together_for_each_internal_degree_of_freedom():
         ({"computed__internal": 1, "computed__mass": [1.0, 1.0, 1.0]}, r"3 values.*internal 1"),
         ({"computed__mass": 1.0, "computed__stiffness": [1.0, 2.0]}, "stiffness: 2 values"),
         (
-            {
-                "computed__internal": 1,
-                "computed__mass": 1.0,
-                "computed__stiffness": [1.0, 2.0, 3.0, 1.0],
-            },
-            "not symmetric",
-        ),
-        (
             {"computed__internal": 2, "computed__mass": 1.0, "computed__influence": [1.0]},
             "influence: 1 values for 2 internal degrees of freedom and 1 axes; give 2",
         ),

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+import springs_at_hand
 from bare_rig import BareRig, rig_section
 from seft_msgs_py.config.parameter_table import group
 from seft_plant_sim.rig import continuous_model
@@ -13,17 +14,7 @@ DT = 0.002
 M, C, K = 52.7, 800.0, 2.11e5
 ONE = Specimen(np.array([[M]]), np.array([[C]]), np.array([[K]]))
 COUNT = 2000
-LAWS = {
-    "linear": {},
-    "bilinear": {"kind": "bilinear"},
-    "Bouc-Wen": {"kind": "bouc_wen", "bouc_wen.exponent": 1.5},
-    "degrading": {"kind": "bouc_wen", "bouc_wen.strength_loss": 0.02},
-    "pinching": {"kind": "pinching"},
-    "flag": {"kind": "flag", "flag.dissipation": 0.8},
-    "friction": {"kind": "friction", "friction.force": 100.0},
-    "gap": {"kind": "gap", "gap.width": 0.001, "gap.stiffness": 4e5},
-    "cubic": {"kind": "duffing", "duffing.cubic": 1e10},
-}
+LAWS = {"linear": {}} | springs_at_hand.LAWS
 
 
 def shaken_rig(commands, law, kind="servo_hydraulic", specimen=None, **actuator):

@@ -11,21 +11,10 @@ from seft_plant_sim.whole_structure import (
     reference_response,
     response,
 )
+from springs_at_hand import LAWS
 
 DT = 0.002
 ONE = {"mass": 52.7, "damping": 500.0, "stiffness": 2.11e5}
-SMOOTH = {"bouc_wen.exponent": 1.7, "bouc_wen.beta": 0.7, "bouc_wen.gamma": 0.3}
-LAWS = {
-    "bilinear": {"kind": "bilinear"},
-    "Bouc-Wen": {"kind": "bouc_wen"},
-    "degrading": {"kind": "bouc_wen", "bouc_wen.strength_loss": 0.05} | SMOOTH,
-    "pinching": {"kind": "pinching", "bouc_wen.strength_loss": 0.02} | SMOOTH,
-    "flag": {"kind": "flag", "flag.dissipation": 0.7},
-    "friction": {"kind": "friction", "friction.force": 150.0},
-    "gap": {"kind": "gap", "gap.width": 0.002, "gap.stiffness": 8e5},
-    "hardening": {"kind": "duffing", "duffing.cubic": 4e9},
-    "softening": {"kind": "duffing", "duffing.cubic": -1.2e9},
-}
 laws = pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
 specimens = pytest.mark.parametrize("specimen", [ONE, FRAME], ids=["1 axis", "2 axes"])
 

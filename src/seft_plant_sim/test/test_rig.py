@@ -221,9 +221,3 @@ def test_a_stuck_valve_does_not_close():
     stuck = moving_rig(("rig", "faults", "valve stick at 0.39"))
     stuck.stop()
     assert abs(stuck.sample[1, 0]) > 0.02
-
-
-def test_a_derived_velocity_follows_a_faulty_displacement():
-    derived = ("rig", "sensors.velocity", "derived")
-    faulty = moving_rig(derived, ("rig", "faults", "displacement set 0.05 at 0.4 for 1"))
-    assert faulty.state.measured[1, 0] > 3.0

@@ -66,10 +66,6 @@ def test_springs_may_be_more_than_axes():
             r"specimen\.yield_displacement: 3 values for 2 springs; give 1 or 2",
         ),
         (
-            {"yield_displacement": 0.01, "hardening_ratio": [0.1] * 3},
-            r"specimen\.hardening_ratio: 3 values for 2 springs",
-        ),
-        (
             {"yield_displacement": 0.01, "springs": [1.0, 0.0, 1.0]},
             r"specimen\.springs: 3 values for 2 axes \[x, y\]; give 2 for each spring",
         ),
@@ -107,7 +103,6 @@ def test_what_makes_no_hysteretic_specimen_is_refused_by_name(values, told):
         ("friction", r"specimen\.friction\.force is 0.0, but a friction specimen has friction"),
         ("gap", r"specimen\.gap\.stiffness is 0.0, but a gap specimen has a second spring: give"),
         ("flag", r"specimen\.yield_displacement is 0.0, but a flag specimen yields: give the"),
-        ("pinching", r"specimen\.yield_displacement is 0.0, but a pinching specimen yields"),
     ],
 )
 def test_what_a_kind_needs_is_asked_for(kind, told):

@@ -140,17 +140,6 @@ def test_what_has_changed_after_a_separate_test_is_seen():
     assert check.lag.effect > 0.02
 
 
-def test_three_axes_find_a_wrong_floor():
-    frame = load(
-        *("reference_force:model.mass:=[52.7, 52.7, 60.0]", "ground_motion:synthetic.seed:=5"),
-        config="three_storey_frame",
-    )
-    record = as_of_hardware(simulated(frame))
-    assert "mass" in doubted(record)
-    axes = calibration_check(record).axes
-    assert axes["floor_3"]["force"]["mass"]["estimate"] == pytest.approx(52.7, rel=0.03)
-
-
 @pytest.mark.parametrize("kind", ["ideal", "delay"])
 def test_of_an_idealised_actuator_the_mass_is_known_and_no_relation(kind):
     words = "ground_motion:peak_force:=450.0", "rate:=1000.0", f"rig:actuator.kind:={kind}"

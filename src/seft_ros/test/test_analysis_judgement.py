@@ -1,7 +1,6 @@
 """The verdict of a report: its worst finding, and each threshold from both sides."""
 
 import copy
-import dataclasses
 
 import pytest
 from seft_ros.analysis.judgement import judge_test
@@ -87,21 +86,6 @@ def test_a_test_without_fault_can_be_trusted():
         ({"complete": False}, Mark.BAD, "ending"),
         ({"complete": False, "first_step": None}, Mark.BAD, "ending"),
         ({"first_step": 120, "displacement__nrmse": 9.0}, Mark.BAD, "beginning"),
-        (
-            {"calibration__mass": deviation("mass", "force", 55.2, 52.7, 0.3, 0.04)},
-            Mark.DOUBT,
-            "mass",
-        ),
-        (
-            {"calibration__scale": deviation("scale", "velocity", 1.03, 1.0, 0.001, 0.03)},
-            Mark.DOUBT,
-            "scale",
-        ),
-        (
-            {"calibration__lag": deviation("lag", "acceleration", 1e-3, 0.0, 1e-5, 0.03)},
-            Mark.DOUBT,
-            "lag",
-        ),
         ({"displacement__nrmse": 0.06}, Mark.DOUBT, "displacement_error"),
         ({"displacement__nrmse": 0.16}, Mark.BAD, "displacement_error"),
         ({"displacement__nrmse": None}, Mark.DOUBT, "displacement_error"),
@@ -189,13 +173,6 @@ def test_what_is_not_known_is_left_out():
     assert "lost" not in findings
 
 
-def test_programs_find_the_same_as_people():
-    numbers = dataclasses.asdict(judge_test(changed(missed=3)))
-    assert numbers["verdict"] == "doubt"
-    assert numbers["findings"][0]["name"] == "missed"
-    assert "3 of 1000" in numbers["findings"][0]["text"]
-
-
 @pytest.mark.parametrize(
     ("numbers", "text"),
     [
@@ -221,6 +198,7 @@ def test_programs_find_the_same_as_people():
 def test_a_wrong_mass_scale_or_lag_is_said_in_one_line(numbers, text):
     judgement = judge_test(changed(**{f"calibration__{numbers['kind']}": numbers}))
     assert judgement.text == f"This test can be trusted with reservations: {text}."
+    assert (judgement.verdict, judgement.findings[0].name) == (Mark.DOUBT, numbers["kind"])
 
 
 @pytest.mark.parametrize("what", [{"calibration": None}, {"calibration__lag": None}])

@@ -72,20 +72,6 @@ def test_gain_and_delay_of_a_test_are_told():
         )
 
 
-def test_times_and_counts_are_told():
-    summary = summarise(make_record(missed=3))
-    assert summary["steps"] == COUNT
-    assert summary["rate_hz"] == 500.0
-    assert summary["duration_s"] == pytest.approx(4.0)
-    assert summary["wall_s"] == 2.0
-    assert summary["realtime_factor"] == pytest.approx(2.0)
-    assert summary["missed"] == 3
-    assert summary["stable"] is True
-    assert summary["complete"] is True
-    assert summary["trip"] is None
-    assert summary["lost"] == {topic.name: 0 for topic in LOOP_TOPICS}
-
-
 def test_a_summary_is_json():
     record = make_record(("x", "y"), wall_s=None, missed=None, trip=Trip("limit", 9, 0.018))
     record.series["rig/state"].values[5, 0, 0] = math.nan

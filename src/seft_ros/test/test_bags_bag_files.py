@@ -110,26 +110,6 @@ def test_every_whole_chunk_is_found_wherever_the_file_ends(tmp_path, whole):
                 Bag(path)
 
 
-@pytest.mark.parametrize("end", [1, 8, 37, 600, 2000])
-def test_a_bag_that_was_cut_off_is_whole_again(tmp_path, whole, end):
-    data, ends = whole
-    path = cut_bag(tmp_path / "bag", data[:-end])
-    before = readable(path)
-    recovery = recover_bag(path)
-    expected = ALL[: sum(at <= len(data) - end for at in ends)]
-    assert before == contents(path) == expected
-    assert not recovery.intact
-    assert recovery.messages == len(expected)
-    assert any("cut off" in one or "its end" in one for one in recovery.damage)
-    assert recovery.original == path.with_name("bag.cut")
-    assert (recovery.original / "bag.mcap").read_bytes() == data[:-end]
-    assert {entry.name for entry in path.iterdir()} == {"bag.mcap", "metadata.yaml"}
-    assert not path.with_name("bag.recovering").exists()
-    assert recover_bag(path).intact
-    with Bag(path) as bag:
-        assert (bag.damage, bag.recovered) == ([], recovery.damage)
-
-
 def test_a_recovered_bag_keeps_types_and_quality_of_service(tmp_path, whole):
     data, _ = whole
     write_bag(tmp_path / "original")
@@ -182,16 +162,6 @@ def test_what_is_no_bag_is_an_input_error(tmp_path):
     for name in ("text.mcap", "text.db3"):
         with pytest.raises(InputError, match=f"{name}: nothing of the bag can be read"):
             Bag(tmp_path / name)
-
-
-def test_a_sqlite3_bag_without_metadata_becomes_a_whole_mcap_bag(tmp_path):
-    path = stock_bag(tmp_path / "bag", storage="sqlite3")
-    (path / "metadata.yaml").unlink()
-    recovery = recover_bag(path)
-    assert recovery.messages == 13
-    assert contents(path) == ALL
-    assert (tmp_path / "bag.cut" / "bag.db3").exists()
-    assert (path / "bag.mcap").exists()
 
 
 def test_what_sqlite3_had_not_committed_is_taken_back_and_the_file_kept(tmp_path):

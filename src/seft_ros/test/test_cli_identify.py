@@ -20,7 +20,7 @@ from seft_ros.drawing import style
 from seft_ros.test_run.parameter_tables import TABLES
 
 LINEAR = ("rig:actuator.kind:=servo_hydraulic_linear",)
-SHORT = ("--duration", "20")
+SHORT = ("--duration", "14")
 BRIEF = ("--duration", "14", "--amplitude", "0.2")
 """The shortest there is, without the pilot test."""
 
@@ -226,6 +226,8 @@ def test_a_rig_without_a_valve_has_the_closed_loop_only(identify, tmp_path):
     assert section["compensation.delay"] == pytest.approx(found["delay_s"] - 0.004)
 
 
+@pytest.mark.thorough
+@pytest.mark.offline
 def test_several_axes_have_their_numbers_each(identify, tmp_path):
     overrides = (
         *LINEAR,
@@ -274,10 +276,8 @@ def test_of_a_loop_that_is_unstable_the_plant_is_identified_all_the_same(identif
 
 
 def test_a_shake_beyond_the_limits_is_refused_before_anything_moves(identify, tmp_path):
-    words = ("--specimen", "--travel", "0.05", "--out", "out")
-    status, found, line = identify(*words)
-    assert (status, found) == (2, None)
-    assert "limits.displacement" in line
+    status, found, line = identify("--specimen", "--travel", "0.05", "--out", "out")
+    assert (status, found, "limits.displacement" in line) == (2, None, True)
     assert not (tmp_path / "out").exists()
     status, _, line = identify("--travel", "1e-4", "--out", "out")
     assert (status, line) == (2, "seft: --travel is that of the shake: give --specimen, too")

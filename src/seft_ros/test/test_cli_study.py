@@ -1,11 +1,8 @@
-import json
 import os
 import sys
 
 import pytest
-from experiments_at_hand import CONFIG, JHU
-from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
-from seft_ros.test_run import offline
+from experiments_at_hand import JHU
 
 SHORT = ("-p", "ground_motion:synthetic.duration:=4", "-p", "ground_motion:tail:=0.5")
 
@@ -24,18 +21,6 @@ def test_the_page_the_table_and_the_files_of_the_worst_tests(seft, tmp_path):
         assert part in page
     assert len(files) == 4 * 5
     assert list(tmp_path.glob("*.jsonl")) == []
-
-
-def test_every_method_there_is_takes_part_with_any_controller(seft, monkeypatch):
-    """The demo's controller follows a target alone; a loop for each method need not be compiled."""
-    monkeypatch.setattr(offline, "why_not_compiled", lambda _: "told to")
-    words = ("--method", "all", "--tests", "2", "--workers", "1", "--json")
-    status, out, _ = seft("study", CONFIG / "demo.yaml", *SHORT, *words)
-    assert status == 0
-    found = json.loads(out)
-    took_part = {result["method"] for result in found["results"]}
-    assert took_part | {row["method"] for row in found["not_possible"]} == set(COMPENSATION_METHODS)
-    assert {"none", "restoring", "target_motion"} <= took_part  # they need nothing identified
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ Each is the linear filter that it says it is: test_compensation_substructure.py.
 """
 
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 from seft_msgs_py.errors import InputError
+from seft_ros.reference_force.compensator import RegisteredCompensator
 
 LINEAR = ("none", "model", "restoring")
 DELAYS = st.floats(0.0021, 0.0399)
@@ -39,6 +41,16 @@ def test_without_computed_mass_the_known_ground_motion_is_all(delay, step):
 def test_a_method_without_its_delay_says_where_to_get_it():
     with pytest.raises(InputError, match=r"model needs compensation.delay, .* seft identify"):
         compensator("model", compensation__delay=0.0)
+
+
+def test_what_a_method_of_another_package_lacks_is_told():
+    one_more = SimpleNamespace(step=lambda motion, state: [0.0] * 2)
+    for own, why in (
+        (SimpleNamespace(), r"theirs has no step\(ground_motion, state\)"),
+        (one_more, r"the force of theirs has the shape \(2,\), but must have \(1,\)"),
+    ):
+        with pytest.raises(InputError, match=why):
+            RegisteredCompensator("theirs", lambda own=own: own, axes=1)
 
 
 def whole_structure(mass, damping, stiffness, start, motion, delay):

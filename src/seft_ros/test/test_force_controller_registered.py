@@ -48,12 +48,8 @@ def test_its_drive_is_cut_off_at_the_limit_and_it_is_told():
 
 
 def test_one_that_does_not_want_to_know_of_limits_is_limited_all_the_same():
-    assert RegisteredControl(Gain, "theirs", KNOWN).step(
-        np.full((1, 1, 2), -1e4), ZERO
-    ).tolist() == [
-        -10.0,
-        -10.0,
-    ]
+    control = RegisteredControl(Gain, "theirs", KNOWN)
+    assert control.step(np.full((1, 1, 2), -1e4), ZERO).tolist() == [-10.0, -10.0]
 
 
 def test_a_drive_of_the_wrong_shape_is_refused_before_a_test():

@@ -31,13 +31,11 @@ def write(folder: Path, content: str | bytes) -> Path:
     ("content", "place", "what"),
     [
         ("1 2\n3 nan\n", "", ""),  # column 1 is not chosen
-        ("1\n2\nnan\n4\n", "line 3", "nan, not a finite number"),
         ("1\n\n2\n% note\n-inf\n4\n", "line 5", "-inf, not a finite number"),
         ("1 2\n3 4\n5\n", "line 3", "1 columns, but 2 before; if it is one motion in rows"),
         ("1,2\n3,4\n5,", "line 3", "the record is cut off there: fetch it again"),
         ("1,2\n3,\n5,6\n", "line 2", "1 columns, but 2 before"),
         ("1,2\n,3\n5,6\n", "line 2", "a field is empty"),
-        ("1 2\n3 4\n5 6 7\n8 9\n", "line 3", "3 columns, but 2 before"),
         ("% c\n1 2\n3 abc\n5 6\n", "line 3", '"abc" is no number'),
         ("1 2\n3 1_0\n", "line 2", '"1_0" is no number'),
         ("1\n2\nEnd\n3\n", "line 3", '"End" is no number'),
@@ -45,7 +43,6 @@ def write(folder: Path, content: str | bytes) -> Path:
         ("0,005\n0,010\n", "line 1", "decimal points, not commas"),
         ("t;a\n0;0,5\n1;0,6\n", "line 2", "decimal points, not commas"),
         ('"' + "x," * 70000 + "\n", "", "no line of numbers"),
-        ("only text\nand more\n", "", "no line of numbers"),
         ("1\n", "", "one sample"),
         ("", "", "empty"),
         (b"1 2\n3 \xff4\n", "line 2", '"\xff4" is no number'),
@@ -56,12 +53,9 @@ def write(folder: Path, content: str | bytes) -> Path:
         (AT2 + "NPTS= 3, DT= .01 SEC\n 1. 2.\n abc\n", "line 6", '"abc" is no number'),
         (AT2 + "NPTS= 3, DT= .01 SEC\n 1. NaN\n 2.\n", "line 5", "nan, not a finite number"),
         (AT2 + "NPTS= 2, DT= 0 SEC\n 1. 2.\n", "line 4", "both must be positive"),
-        (AT2 + "NPTS= 0, DT= .01 SEC\n", "line 4", "both must be positive"),
         (AT2 + "NPTS= 2\nDT= .02 SEC\n 1. 2.\n", "line 5", "says 0.02 s"),
         (AT2 + "NPTS= 2, DT= 5 MSEC\n 1. 2.\n", "line 4", "period of 5 s"),
         ("0 1 .1 2\n.2 3 .3 4\n.4 5 .5 6\n", "", "each row holds 2 pairs of time and value"),
-        ("VELOCITY TIME SERIES\nNPTS= 2, DT= .01 SEC\n 1. 2.\n", "line 1", "holds a velocity"),
-        ("RECORD\nIN UNITS OF CM/S\nNPTS= 2, DT= .01 SEC\n 1. 2.\n", "line 2", "CM/S is no accel"),
     ],
 )  # fmt: skip
 def test_a_fault_in_a_file_is_told_with_its_line(tmp_path, content, place, what):

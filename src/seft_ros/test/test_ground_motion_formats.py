@@ -132,12 +132,6 @@ def test_what_follows_the_last_of_the_values_of_peer_is_no_value(read, mark):
         read(text.replace(mark, "  1.0\n" + mark))
 
 
-def test_values_that_lack_above_the_end_mark_of_peer_are_missed(read):
-    text = "ACCELERATION IN UNITS OF G\nNPTS= 24, DT= .02000 SEC\n" + fixed(WAVE, 12, 3, 8)
-    with pytest.raises(InputError, match="24 values, but 23 values follow: the file is truncated"):
-        read(text + "*** End Data ***\n")
-
-
 KNET = "\n".join([
     "Origin Time       2020/01/01 00:00:00", "Lat.              0.0", "Long.             0.0",
     "Depth. (km)       10", "Mag.              5.0", "Station Code      XXX001",

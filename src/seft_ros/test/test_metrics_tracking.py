@@ -1,5 +1,3 @@
-import math
-
 import numpy as np
 import pytest
 from records_at_hand import record_of, without
@@ -37,30 +35,12 @@ def test_a_known_delay_and_gain_are_told():
     assert found["peak_error"] == pytest.approx(0.05)
 
 
-def test_hand_values():
-    record = make_record()
-    record.series["reference_force"].values[:, 0, 0] = 0.0
-    record.series["rig/state"].values[:, 3, 0] = 0.0
-    record.series["reference_force"].values[:4, 0, 0] = 0.0, 3.0, -4.0, 0.0
-    record.series["rig/state"].values[:4, 3, 0] = 0.0, 4.0, -4.0, -2.0
-    found = tracking_of(record)["x"]
-    assert found["nrmse"] == pytest.approx(math.sqrt(5 / 25))
-    assert found["peak_error"] == pytest.approx(2 / 4)
-
-
 def test_lost_samples_of_either_topic_are_bridged():
     whole = tracking_of(make_record(1.05, 0.0037))["x"]
     record = without(make_record(1.05, 0.0037), "reference_force", [0, 700, 1500, 1501, COUNT - 1])
     record = without(record, "rig/state", [1400, 1501, 1600])
     found = tracking_of(record)["x"]
     assert found == pytest.approx(whole, rel=5e-3)
-
-
-def test_of_several_axes_each_has_its_own():
-    record = make_record(axes=("x", "y"))
-    record.series["rig/state"].values[:, 3, 1] *= 0.5
-    found = tracking_of(record)
-    assert (found["x"]["nrmse"], found["y"]["nrmse"]) == pytest.approx((0.0, 0.5))
 
 
 @pytest.mark.parametrize("topic", ["reference_force", "rig/state"])

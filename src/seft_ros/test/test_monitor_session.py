@@ -1,23 +1,18 @@
 """What the nodes say of a test, as it is shown."""
 
 import json
+from types import SimpleNamespace
 
 import pytest
 from seft_msgs_py.wire.messages import ERROR, OK, Status
 from seft_ros.monitor.session import EVENTS, SILENCE_PERIOD, Session
 
 
-class Clock:
-    def __init__(self):
-        self.now = 0.0
-
-    def time(self):
-        return self.now
-
-
 @pytest.fixture
 def clock():
-    return Clock()
+    found = SimpleNamespace(now=0.0)
+    found.time = lambda: found.now
+    return found
 
 
 @pytest.fixture

@@ -152,7 +152,6 @@ def test_an_answer_that_was_lost_by_the_recorder_is_given_all_the_same(
     [
         (["--node", "recorder"], "--node recorder: must be one of reference_force"),
         (["--node", "rig", "-p", "rate:=100.0"], "the recorded samples have their own rate"),
-        (["--node", "rig", "-p", "rig:sed:=3"], "there is no parameter sed; did you mean seed"),
         (["--node", "rig", "-p", "supervisor:peers:=[rig]"], "the replay is to rig alone"),
     ],
 )

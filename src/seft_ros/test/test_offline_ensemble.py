@@ -49,7 +49,6 @@ FAULTS = (
     '"supply scale 0.8 at 1", "specimen slip 1e-5 at 1", "specimen break 0.98 at 1.2", '
     '"specimen collide 1e3 at 0.9"]'
 )
-LINEAR = (*TWO, "rig:actuator.kind:=servo_hydraulic_linear")
 CASES = {  # few combinations of blocks: a loop is compiled for each
     "nonlinear": (),
     "target": TARGET,
@@ -63,14 +62,8 @@ CASES = {  # few combinations of blocks: a loop is compiled for each
         "ground_motion:peak_force:=500.0",
     ),
     "link": (RATIO(0.1), "reference_force:loop_delay:=4"),
-    "linear, mixed": (
-        *LINEAR, RATIO(0.3), "force_controller:per_axis:=true",
-        "force_controller:numerator:=[37.0, 30.0]", "force_controller:gain:=[1.0, 0.05, 0.0, 1.1]",
-        "force_controller:denominator:=[1.0, 17.14, 4002.0, 1.0, 16.0, 3600.0]",
-    ),
-    "delay": (*TWO, "rig:actuator.kind:=delay", "rig:actuator.delay:=0.0103", RATIO(0.5)),
-    "ideal": (*TWO, "rig:actuator.kind:=ideal", RATIO(0.5), METHOD("restoring")),
-    "pinching": ("rig:specimen.kind:=pinching", YIELDS),
+    "delay": ("rig:actuator.kind:=delay", "rig:actuator.delay:=0.0103", RATIO(0.5)),
+    "ideal": ("rig:actuator.kind:=ideal", RATIO(0.5), METHOD("restoring")),
     "model": (METHOD("model"), DELAY, RATIO(1.0), WEAK),
     "derived and filtered": (
         "rig:sensors.velocity:=derived", "rig:sensors.force_filter:=200.0",
@@ -94,6 +87,15 @@ CASES = {  # few combinations of blocks: a loop is compiled for each
     "valve at its limit": ("force_controller:voltage_limit:=0.05",),
 }  # fmt: skip
 MORE = {
+    "two axes, linear, mixed": (
+        *TWO,
+        "rig:actuator.kind:=servo_hydraulic_linear",
+        RATIO(0.3),
+        "force_controller:per_axis:=true",
+        "force_controller:numerator:=[37.0, 30.0]",
+        "force_controller:gain:=[1.0, 0.05, 0.0, 1.1]",
+        "force_controller:denominator:=[1.0, 17.14, 4002.0, 1.0, 16.0, 3600.0]",
+    ),
     "faults of two axes": (*TWO, *TARGET, FAULTS.replace('"force noise', '"y/force noise')),
     "target, two axes, yielding, sloshing water": (
         *TWO,

@@ -4,21 +4,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from experiments_at_hand import load, simulated
+from experiments_at_hand import JHU, load, simulated
 from hypothesis import given
 from hypothesis import strategies as st
-from quiet_shell import Shell
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.wire.messages import Status, encode_status
+from seft_msgs_py.virtual import LocalGraph
 from seft_msgs_py.wire.topics import (
     ESTIMATES,
-    EXPERIMENT_STATE,
     GROUND_MOTION,
     JUDGED,
     REFERENCE_FORCE,
     Timebase,
 )
-from seft_msgs_py.wire.trajectory import TrajectoryCodec
+from seft_ros.nodes.kinds import NODE_KINDS
 from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS, none
 from seft_ros.reference_force.reference_force_block import EstimateSampler, ReferenceForce
 
@@ -111,58 +109,42 @@ def test_estimates_may_not_change_their_names(watched, monkeypatch):
         simulated(watched)
 
 
-def start_node(experiment):
-    """Make a reference-force node; it must have tried itself out in silence."""
-    shell = Shell(experiment, "reference_force")
-    pytest.importorskip("seft_ros.nodes.reference_force_node").ReferenceForceNode(shell)
-    assert shell.sent == []
-    return shell
+@pytest.fixture
+def graph(watched):
+    """The nodes of a test with this method, in virtual time."""
+    words = ("rig:pace:=lockstep", "supervisor:rehearsal.duration:=0.0")
+    with LocalGraph(NODE_KINDS, [JHU], *WORDS, *words) as made:
+        yield made
 
 
-def feed(shell, record):
-    """Hand a record's ground motion and states to the node."""
-    axes, timebase = record.experiment.axes, record.experiment.timebase
-    motion = TrajectoryCodec(GROUND_MOTION, axes, timebase)
-    state = TrajectoryCodec(JUDGED, axes, timebase)
-    samples = record.series[GROUND_MOTION.name].values
-    for first in range(0, len(samples), 100):
-        chunk = samples[first : first + 100]
-        shell.handlers[GROUND_MOTION.name](motion.encode_points(first, chunk), 0)
-    for step, sample in enumerate(record.series[JUDGED.name].values):
-        shell.handlers[JUDGED.name](state.encode(step, sample), 0)
+def test_a_state_that_is_faster_than_its_ground_motion_is_answered_when_that_has_come(graph):
+    graph.delay(GROUND_MOTION, 3.0)
+    graph.until("ready")
+    graph.call("start")
+    graph.run(1.0)
+    assert (graph.state, len(graph.samples(REFERENCE_FORCE)[0])) == ("running", 0)
+    graph.until(lambda: graph.samples(REFERENCE_FORCE)[0])
+    motion = next(each.raw for each in graph.graph.sent if each.topic == GROUND_MOTION.name)
+    graph.graph.rules.clear()
+    graph.inject(GROUND_MOTION, motion, "ground_motion")
+    graph.until("done")
+    assert any("in the middle of a test" in line.text for line in graph.graph.lines)
 
 
-def test_a_state_that_is_faster_than_its_ground_motion_is_answered_when_that_has_come(watched):
-    axes, timebase = watched.axes, watched.timebase
-    shell = start_node(watched)
-    running = Status("experiment", 0, "running", values={"steps": "900"})
-    shell.handlers[EXPERIMENT_STATE.name](encode_status(running), 0)
-    state = TrajectoryCodec(JUDGED, axes, timebase).encode(0, np.zeros((4, 2)))
-    shell.handlers[JUDGED.name](state, 0)
-    assert shell.sent == []
-    motion = TrajectoryCodec(GROUND_MOTION, axes, timebase).encode_points(0, np.ones((100, 2)))
-    shell.handlers[GROUND_MOTION.name](motion, 0)
-    assert REFERENCE_FORCE in [topic for topic, _ in shell.sent]
-    with pytest.raises(WireError, match="in the middle of a test"):
-        shell.handlers[GROUND_MOTION.name](motion, 0)
-
-
-def test_an_estimate_that_is_not_finite_is_refused_and_the_test_goes_on(watched, monkeypatch):
-    record = simulated(watched)
+def test_an_estimate_that_is_not_finite_is_refused_and_the_test_goes_on(graph, monkeypatch):
     real = Watcher.estimates
 
     def later_nan(self):
         found = real(self)
         return found if found["largest"][1] < 5.0 else {**found, "least": np.full(2, np.nan)}
 
+    record = simulated(graph.experiment)
     monkeypatch.setattr(Watcher, "estimates", later_nan)
-    shell = start_node(watched)
-    feed(shell, record)
-    sent = [topic for topic, _ in shell.sent]
-    assert sent.count(REFERENCE_FORCE) == len(record.series[JUDGED.name].steps)
-    assert 0 < sent.count(ESTIMATES) < len(record.estimates.steps)
-    assert len(shell.refusals) == len(record.estimates.steps) - sent.count(ESTIMATES)
-    assert set(shell.refusals) == {
-        "reference_force/estimates: least of reference_force: north is nan, but must be a finite "
-        "number"
-    }
+    graph.until("ready")
+    graph.call("start")
+    graph.until("done")
+    sent = [each.topic for each in graph.graph.sent].count(ESTIMATES.name)
+    assert 0 < sent < len(record.estimates.steps)
+    told = "least of reference_force: north is nan, but must be a finite number"
+    assert any(told in line.text for line in graph.graph.lines)
+    assert graph.status("reference_force")["refused"] == str(len(record.estimates.steps) - sent)

@@ -134,14 +134,6 @@ def test_a_stop_is_an_end_not_a_trip(end):
     assert (machine.detail, machine.step) == ("stopped by the operator", None)
 
 
-def test_a_soft_trip_keeps_its_reason_and_step_through_the_ramp():
-    machine = machine_in(State.RAMPING_DOWN)
-    machine.at_rest()
-    assert (machine.state, machine.detail, machine.step) == (
-        *(State.TRIPPED, "node recorder is silent", 5),
-    )
-
-
 def test_a_second_soft_cause_is_added_once_and_does_not_begin_the_ramp_anew():
     machine = machine_in(State.RAMPING_DOWN)
     for _ in range(3):

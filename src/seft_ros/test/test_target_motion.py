@@ -194,7 +194,6 @@ LAWS: dict[str, tuple[tuple[str, ...], float]] = {
     "pinching": (("kind:=pinching", "yield_displacement:=0.003"), 1.4),
     "friction 20 N": (("kind:=friction", "friction.force:=20.0"), 1.5),
     "friction 60 N": (("kind:=friction", "friction.force:=60.0"), 3.0),
-    "friction 120 N": (("kind:=friction", "friction.force:=120.0"), 4.0),
     "friction 190 N": (("kind:=friction", "friction.force:=190.0"), 8.0),
 }
 
