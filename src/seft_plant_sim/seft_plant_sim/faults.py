@@ -333,7 +333,7 @@ def wear(faults: Faults, step: int, dynamics: Dynamics, motion: Motion) -> None:
 
 
 @_apart
-def show(faults: Faults, step: int, noise: Floats, memory: Floats, measured: Floats) -> None:
+def show_fault(faults: Faults, step: int, noise: Floats, memory: Floats, measured: Floats) -> None:
     """Let the faults of the sensors of a sample act, in their order.
 
     Noise, RMS 1, has shape (4 + number of noises, n); the sample of shape (4, n) is changed.

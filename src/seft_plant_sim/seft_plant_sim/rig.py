@@ -258,9 +258,9 @@ class Rig:
         self._command[:] = command
         return self._sample(self.step_index + 1)
 
-    def continued(self, last: Floats, age: int, plan: Floats, taken: int) -> Floats:
-        """Give the command of a step without one, see `continued`."""
-        return continued(last, age, plan, taken, self._safe.closing if self._safe else 0)
+    def extrapolated_command(self, last: Floats, age: int, plan: Floats, taken: int) -> Floats:
+        """Give the command of a step without one, see the function `extrapolated_command`."""
+        return extrapolated_command(last, age, plan, taken, self._safe.closing if self._safe else 0)
 
     def stop(self, plan: Floats | None = None, planned: Floats | None = None) -> Stopped:
         """Move the valve to its safe position and simulate the rig until it is at rest.
@@ -335,7 +335,9 @@ class Rig:
         return measured
 
 
-def continued(last: Floats, age: int, plan: Floats, taken: int, closing: float) -> Floats:
+def extrapolated_command(
+    last: Floats, age: int, plan: Floats, taken: int, closing: float
+) -> Floats:
     """Give the command of a step without one: it continues along a stop.
 
     Parameters

@@ -246,7 +246,7 @@ class RigNode(NodeBody):
         if last >= step:
             return command
         if self._drive is self._valve and self._valve.stops_since is None:
-            command = self._rig.continued(command, *self._reserve.newest, step - last)
+            command = self._rig.extrapolated_command(command, *self._reserve.newest, step - last)
         if len(self._applied) < LISTED_STEPS:
             self._applied.append(command)
         return command

@@ -10,7 +10,7 @@ from seft_plant_sim.actuator import STROKE_COLUMN as STROKE_COLUMN
 from seft_plant_sim.calibration import Calibration, CalibrationState, calibrate
 from seft_plant_sim.compiled import compiled, multiply
 from seft_plant_sim.continuous_model import Dynamics, Motion, integrate, make_sound
-from seft_plant_sim.faults import Faults, obey, show, wear
+from seft_plant_sim.faults import Faults, obey, show_fault, wear
 from seft_plant_sim.limits import exceeds, is_exceeded
 from seft_plant_sim.sensor_dynamics import Sensing, read_sensors
 from seft_plant_sim.sensors import CHANNELS, Channels, derive_velocity, measure_channels
@@ -158,7 +158,7 @@ def rig_step(
             shown[i] = state.read[(step - parameters.sensing.whole[i]) % places, i]
     found = measure_channels(parameters.channels, shown, noise, measured)
     if len(parameters.faults.numbers):
-        show(parameters.faults, step, noise, state.faulty, measured)
+        show_fault(parameters.faults, step, noise, state.faulty, measured)
     if len(parameters.calibration.zero):
         calibrate(parameters.calibration, state.calibration, step, measured, measured)
     derive_velocity(parameters.channels, step, state.measured, measured)

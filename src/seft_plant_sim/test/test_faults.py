@@ -5,7 +5,7 @@ import pytest
 from bare_rig import rig_section
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
-from seft_plant_sim.faults import Fault, check_times, faults_of, obey, read_faults, show
+from seft_plant_sim.faults import Fault, check_times, faults_of, obey, read_faults, show_fault
 
 DT = 0.002
 TIMEBASE = Timebase.from_rate(500.0)
@@ -34,7 +34,7 @@ def shown(line, signal, row=3, **values):
     noise, found = np.ones((5, 1)), []
     for step, sound in enumerate(signal):
         measured = np.full((4, 1), sound)
-        show(faults, step, noise, memory, measured)
+        show_fault(faults, step, noise, memory, measured)
         others = np.delete(measured, row, axis=0)
         np.testing.assert_array_equal(others, sound)
         found.append(measured[row, 0])
@@ -202,6 +202,6 @@ def test_faults_act_in_their_order_and_on_their_axis():
         "y/force add 1 at 0", "force scale 2 at 0", "x/force flip at 0", axes=("x", "y")
     )
     measured = np.full((4, 2), 3.0)
-    show(faults, 0, np.zeros((4, 2)), memory, measured)
+    show_fault(faults, 0, np.zeros((4, 2)), memory, measured)
     assert measured[3].tolist() == [-6.0, 8.0]
     assert (measured[:3] == 3.0).all()

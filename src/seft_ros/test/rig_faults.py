@@ -96,5 +96,5 @@ class SlowHost:
             return self._rig.step(command)
         self._missed += 1
         return self._rig.step(
-            self._rig.continued(self._last, self._missed, self._plan, self._missed)
+            self._rig.extrapolated_command(self._last, self._missed, self._plan, self._missed)
         )

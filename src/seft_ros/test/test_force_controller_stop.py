@@ -57,7 +57,7 @@ def test_while_sensors_and_valve_are_sound_a_trip_follows_the_plan(kind):
 
 
 def test_it_knows_what_a_rig_without_an_answer_applies():
-    """That is `seft_plant_sim.rig.continued`, along the stop that the rig has in reserve."""
+    """The stop that it has in reserve, see `seft_plant_sim.rig.extrapolated_command`."""
     guarded, sent = answered(Planned()), []
     guarded._miss = lambda parameters, state, step, command: sent.append(command.copy())
     guarded.missed(4)  # nothing is in reserve: it holds the last command

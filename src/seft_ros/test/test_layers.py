@@ -45,3 +45,26 @@ def test_two_modules_of_messages_know_ros():
     files = (SOURCE / "seft_msgs_py" / "seft_msgs_py").rglob("*.py")
     found = {file.name for file in files if any(name.startswith(ROS) for name, _ in imports(file))}
     assert found == {"dds.py", "rclpy_interface.py"}
+
+
+def defined(file):
+    """Names that a module defines at its top level."""
+    for node in ast.parse(file.read_text()).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            yield node.name
+        elif isinstance(node, ast.Assign | ast.AnnAssign | ast.TypeAlias):
+            targets = getattr(node, "targets", None) or [getattr(node, "target", node)]
+            for each in (one for target in targets for one in ast.walk(target)):
+                if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store):
+                    yield each.id
+
+
+def test_a_public_name_means_one_thing():
+    """Only the `main` of a program is in several modules."""
+    places = {}
+    for file in SOURCE.glob("*/seft_*/**/*.py"):
+        for name in () if "templates" in file.parts else defined(file):
+            if not name.startswith("_"):
+                places.setdefault(name, set()).add(file.name)
+    several = {name: files for name, files in places.items() if len(files) > 1}
+    assert set(several) == {"main"}, several

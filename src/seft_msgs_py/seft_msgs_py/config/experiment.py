@@ -27,7 +27,7 @@ PARAMETER_OPTIONS = ("--params-file", "-p", "--param")
 LARGEST_FILE = 1_000_000
 """Bytes; a test of many axes has some thousand, and a million take a minute to parse."""
 
-MOST_AXES = 100
+MAX_AXES = 100
 """The rig's model has some ten states for each, and takes minutes to prepare beyond that."""
 
 Override = tuple[str, str, Value]  # node, parameter, value
@@ -78,9 +78,9 @@ class Experiment:
         common = next(iter(self.sections.values()))
         self.timebase = Timebase.from_rate(common["rate"])
         self.axes = tuple(common["axes"])
-        if len(self.axes) > MOST_AXES:
+        if len(self.axes) > MAX_AXES:
             raise InputError(
-                f"{EVERY_NODE}: there are {len(self.axes)} axes, but a test has at most {MOST_AXES}"
+                f"{EVERY_NODE}: there are {len(self.axes)} axes, but a test has at most {MAX_AXES}"
             )
         if len(set(self.axes)) != len(self.axes) or not all(self.axes):
             raise InputError(f"{EVERY_NODE}: axes are {list(self.axes)}, but names must differ")

@@ -18,8 +18,8 @@ from seft_plant_sim.sensors import VELOCITY
 
 from seft_ros.analysis.calibration_effect import CalibrationEffect, calibration_structure
 from seft_ros.analysis.channel_estimates import (
-    LEAST_ERROR,
-    SIGMAS,
+    ESTIMATE_SIGMAS,
+    MIN_ERROR,
     Inertia,
     Relation,
     inertia,
@@ -31,9 +31,9 @@ from seft_ros.design.plan import choose_rig
 from seft_ros.design.plant import FOLDED, held_relations
 from seft_ros.reference_force.force_command import FORCE_DRIVEN
 
-MOST_LOST = 0.01
+MAX_LOST = 0.01
 """Share of samples that may be lost: they are interpolated, which is no measurement."""
-MOST_SAMPLES = 1 << 16
+MAX_SAMPLES = 1 << 16
 """Of a longer test the part that moves most counts, so that it takes a second and little memory."""
 
 
@@ -68,7 +68,7 @@ class IdentifiedMass:
         names = ("mass_error", "force_lag_error")
         error, late = (per_axis(section[f"identified.{n}"], axes, f"{where}{n}") for n in names)
         own = np.diag(mass)
-        error = np.maximum(np.where(error > 0, error / own, np.inf), LEAST_ERROR)
+        error = np.maximum(np.where(error > 0, error / own, np.inf), MIN_ERROR)
         return cls(found / own, error, np.zeros(len(axes)), np.where(late > 0, late, np.inf))
 
 
@@ -80,7 +80,7 @@ class Deviation:
     ----------
     effect : float
         Displacement error (RMS over RMS) that it means, with those of the other axes; 0 if all are
-        within `SIGMAS` standard errors.
+        within `ESTIMATE_SIGMAS` standard errors.
     kind : str
         ``mass``, ``scale`` or ``lag``.
     channel, axis : str
@@ -115,8 +115,8 @@ class CalibrationCheck:
     mass, scale, lag : Deviation or None
         The worst of each kind.
     unsure, unsure_lag : float or None
-        Displacement error that errors of the masses, and of the forces' lags, of `SIGMAS` standard
-        errors would mean.
+        Displacement error that errors of the masses, and of the forces' lags, of
+        `ESTIMATE_SIGMAS` standard errors would mean.
     axes : dict
         Axis -> ``mass``, ``force``, ``acceleration``, ``velocity``: JSON values of all estimates.
     """
@@ -154,7 +154,7 @@ def calibration_check(record: Record) -> CalibrationCheck | None:
     if structure is None or len(states.steps) < 2:
         return None
     every = np.arange(states.steps[0], states.steps[-1] + 1)
-    whole = len(states.steps) >= (1.0 - MOST_LOST) * len(every)
+    whole = len(states.steps) >= (1.0 - MAX_LOST) * len(every)
     if not whole or not np.isfinite(states.values).all():
         return None
     samples, dt = strongest(every_step(states, every)), experiment.timebase.dt
@@ -166,9 +166,9 @@ def calibration_check(record: Record) -> CalibrationCheck | None:
         own = inertia(samples, effect.mass, effect.springs, dt, frequency)
         own = _combined(own, IdentifiedMass.told(experiment, effect.mass))
         if own is not None:
-            unsure = effect.of_mass(1.0 + SIGMAS * own.factor_error)
+            unsure = effect.of_mass(1.0 + ESTIMATE_SIGMAS * own.factor_error)
             if np.isfinite(own.lag_error).all():
-                unsure_lag = effect.of_force_lag(SIGMAS * own.lag_error)
+                unsure_lag = effect.of_force_lag(ESTIMATE_SIGMAS * own.lag_error)
             found += _masses(effect, own, experiment.axes)
         for channel, against, scale, lag in _relations(experiment, samples, frequency):
             found += _scales(effect, channel, against, scale, experiment.axes)
@@ -184,12 +184,12 @@ def calibration_check(record: Record) -> CalibrationCheck | None:
 
 
 def strongest(samples: Floats) -> Floats:
-    """Cut the part of `MOST_SAMPLES` with the largest accelerations out of longer ones."""
-    if len(samples) <= MOST_SAMPLES:
+    """Cut the part of `MAX_SAMPLES` with the largest accelerations out of longer ones."""
+    if len(samples) <= MAX_SAMPLES:
         return samples
     energy = np.cumsum(np.pad((samples[:, 2] ** 2).sum(axis=1), (1, 0)))
-    begin = int(np.argmax(energy[MOST_SAMPLES:] - energy[:-MOST_SAMPLES]))
-    return samples[begin : begin + MOST_SAMPLES]
+    begin = int(np.argmax(energy[MAX_SAMPLES:] - energy[:-MAX_SAMPLES]))
+    return samples[begin : begin + MAX_SAMPLES]
 
 
 def _numbers(found: list[Deviation], axis: str) -> dict[str, Any]:
@@ -205,7 +205,7 @@ def _numbers(found: list[Deviation], axis: str) -> dict[str, Any]:
 
 def _sure(value: Floats, error: Floats) -> Floats:
     """Give the deviations that are beyond chance, and 0 for the others."""
-    return np.where(np.abs(value) > SIGMAS * error, value, 0.0)
+    return np.where(np.abs(value) > ESTIMATE_SIGMAS * error, value, 0.0)
 
 
 def _masses(effect: CalibrationEffect, own: Inertia, axes: tuple[str, ...]) -> Iterator[Deviation]:
@@ -316,7 +316,7 @@ def _combined(own: Inertia | None, known: IdentifiedMass | None) -> Inertia | No
     def mean(
         one: Floats, one_error: Floats, two: Floats, two_error: Floats
     ) -> tuple[Floats, Floats]:
-        alike = np.abs(one - two) <= SIGMAS * np.hypot(one_error, two_error)
+        alike = np.abs(one - two) <= ESTIMATE_SIGMAS * np.hypot(one_error, two_error)
         p, q = one_error**-2, two_error**-2
         both, error = (p * one + q * two) / (p + q), (p + q) ** -0.5
         return np.where(alike, both, one), np.where(alike, error, one_error)

@@ -31,7 +31,7 @@ from seft_msgs_py.arrays import Floats
 
 from seft_ros.reference_force.restoring_model import STANDS_OUT, slide
 
-SIGMAS = 4.0
+ESTIMATE_SIGMAS = 4.0
 """Standard errors beyond which a deviation counts. Of 340 estimates on sound tests the worst were
 3.7 away: no law is described exactly, and the tails are longer than a normal distribution's."""
 KINEMATIC_BAND = (0.3, 3.0)
@@ -47,19 +47,19 @@ a cycle, and a short window has little but noise beside it. The median of the th
 their scatter is part of the standard error."""
 FEWEST_WINDOWS = 20
 """Windows without which a length does not count; no mass is given of one length alone."""
-MOST_WINDOWS = 1500
+MAX_WINDOWS = 1500
 """Of a long test, those that move most: the error is below a part in a thousand then."""
 WEIGHT_POWER = 1.5
 """Power of 1/variance that is a window's weight: more than the 1 of equal laws with other noise,
 because a large residual means a law that is not described, which is a bias and not a noise."""
-SLIDERS, CURVE = 12, 12
+SLIDERS, CURVE_SPLINES = 12, 12
 """Stop operators and B-splines of the law of a spring: one for each factor 1.6 of deformation."""
 MEMORY = 12
 """Windows, half of each overlapping the next, over which residuals may be correlated."""
 WIDEN = 1.5
 """Factor on the standard error of Eq. (2), because no law is described exactly: with it nine kinds
 of specimen are within two standard errors in 93 of 100 tests (docs/metrics.md)."""
-LEAST_ERROR = 1.5e-3
+MIN_ERROR = 1.5e-3
 """Least standard error of a mass, relative: the samples' timing and the converter's steps."""
 _ALIKE = 1e6  # condition number of deformations that do not determine the displacements
 _ROUNDS = 5  # of weighting; then weights change by less than a percent
@@ -76,7 +76,7 @@ class Relation:
     ----------
     scale, scale_error : ndarray
         s and its standard error, shape (n, n); the unit matrix for equal channels. A tilt within
-        `SIGMAS` standard errors is 0, of a velocity always.
+        `ESTIMATE_SIGMAS` standard errors is 0, of a velocity always.
     lag, lag_error : ndarray
         tau of each axis, positive where the channel is behind the displacement, and its standard
         error, shape (n,), s.
@@ -216,7 +216,7 @@ def relation(
             more = np.hypot(more, cut @ (len(regressors) * noise**2 * tilted))
             beside = unsure[i] * np.linalg.norm(motion[:, i])
             more = np.hypot(more, np.sqrt(cut.diagonal()) * beside)
-            if (np.abs(tilted) > SIGMAS * more)[:n][every != i].any():
+            if (np.abs(tilted) > ESTIMATE_SIGMAS * more)[:n][every != i].any():
                 used, b, error = every, tilted, more
         scale[i, used], scale_error[i, used] = b[:-1], error[:-1]
         lag[i], lag_error[i] = -b[-1] / scale[i, i], error[-1] / abs(scale[i, i])
@@ -315,7 +315,7 @@ def inertia(
         return None
     return Inertia(
         factor,
-        np.maximum(error[0], LEAST_ERROR * factor),
+        np.maximum(error[0], MIN_ERROR * factor),
         -value[1] / factor,
         error[1] / factor,
     )
@@ -325,17 +325,17 @@ def law_regressors(e: Floats, noise: float) -> Floats:
     """Regressors of the force of a spring of any law: stop operators and a curve.
 
     ``e`` is its deformation, shape (N,), and ``noise`` its RMS noise; the result has shape
-    (N, SLIDERS + CURVE - 2).
+    (N, SLIDERS + CURVE_SPLINES - 2).
     """
     low, high, most = e.min(), e.max(), np.abs(e).max()
     if not high > low:
-        return np.zeros((len(e), SLIDERS + CURVE - 2))
+        return np.zeros((len(e), SLIDERS + CURVE_SPLINES - 2))
     thresholds = np.geomspace(max(8 * noise, most / 500), 0.7 * most, SLIDERS)
     stops = np.zeros((len(e), SLIDERS))
     slide(np.ascontiguousarray(e), thresholds, stops)
     # uniform cubic B-splines, but the first and the last
-    place = (e - low) / (high - low) * (CURVE - 3)
-    t = np.abs(place[:, np.newaxis] - np.arange(CURVE - 2))
+    place = (e - low) / (high - low) * (CURVE_SPLINES - 3)
+    t = np.abs(place[:, np.newaxis] - np.arange(CURVE_SPLINES - 2))
     near, far = 2 / 3 - t**2 + t**3 / 2, (2.0 - t) ** 3 / 6
     return np.hstack([stops, np.where(t < 1, near, np.where(t < 2, far, 0.0))])
 
@@ -353,8 +353,8 @@ def moving_windows(travel: Floats, size: int, least: Floats) -> npt.NDArray[np.i
     moved = travel[take].std(axis=1)
     ratio = (moved / np.maximum(least, 1e-3 * moved.max())).max(axis=1)
     chosen = np.flatnonzero(ratio > 1.0)
-    if len(chosen) > MOST_WINDOWS:
-        chosen = np.sort(chosen[np.argsort(ratio[chosen])[-MOST_WINDOWS:]])
+    if len(chosen) > MAX_WINDOWS:
+        chosen = np.sort(chosen[np.argsort(ratio[chosen])[-MAX_WINDOWS:]])
     return take[chosen]
 
 

@@ -24,7 +24,7 @@ from seft_ros.analysis.channel_estimates import noise_of
 from seft_ros.analysis.metrics import ratio
 from seft_ros.reference_force.restoring_model import slide, stopped
 
-STOPS, CURVE = 12, 40
+STOP_OPERATORS, CORNERS = 12, 40
 """Stop operators and corners of the curve of a spring: from noise to most of its deformation, and
 so close that a corner of the law is within a hundredth of it."""
 _COUPLED = 1e-6  # of the largest stiffness: less is rounding
@@ -83,14 +83,14 @@ class SpecimenLaw:
         low, high = self._e.min(axis=0), self._e.max(axis=0)
         most = np.maximum(np.abs(self._e).max(axis=0), 1e-300)
         least = np.maximum(4 * noise_of(self._e), most / 500)  # noise moves none beyond it
-        self._thresholds = np.geomspace(least, 0.7 * most, STOPS).T
-        self._step = np.maximum(high - low, 1e-300) / (CURVE - 1)
+        self._thresholds = np.geomspace(least, 0.7 * most, STOP_OPERATORS).T
+        self._step = np.maximum(high - low, 1e-300) / (CORNERS - 1)
         self._low = low - self._step  # of the first corner: a further one on either side, see below
         values = self._fitted(rates, (f - a @ mass.T) @ deformation.T)
-        self._slopes = values[:, :STOPS] / self._thresholds
-        curve = values[:, STOPS : STOPS + CURVE]
+        self._slopes = values[:, :STOP_OPERATORS] / self._thresholds
+        curve = values[:, STOP_OPERATORS : STOP_OPERATORS + CORNERS]
         # beyond the motion of the test it goes on with its mean slope, which pulls back
-        rise = (curve[:, -1:] - curve[:, :1]) / (CURVE - 1)
+        rise = (curve[:, -1:] - curve[:, :1]) / (CORNERS - 1)
         self._curve = np.hstack([curve[:, :1] - rise, curve, curve[:, -1:] + rise])
         self._damping = deformation.T * values[:, -1] @ deformation
 
@@ -98,15 +98,15 @@ class SpecimenLaw:
         """Fit stop operators, curve and damper to the springs' forces times D, shape (N, p)."""
         from scipy.optimize import lsq_linear  # takes longer to import than all else of a report
 
-        p, columns = len(self._springs), STOPS + CURVE + 1
+        p, columns = len(self._springs), STOP_OPERATORS + CORNERS + 1
         size = np.maximum(np.sqrt(np.mean(rates**2, axis=0)), 1e-300)
         normal, right = self._equations(rates, size, force)
         rises = np.eye(columns)  # of a curve, from corner to corner
-        rises[STOPS:-1, STOPS:-1] = np.tri(CURVE)
+        rises[STOP_OPERATORS:-1, STOP_OPERATORS:-1] = np.tri(CORNERS)
         sums = np.kron(np.eye(p), rises)
         lower = np.linalg.cholesky(sums.T @ normal @ sums)
         least = np.zeros((p, columns))
-        least[:, STOPS] = -np.inf  # the force at the curve's first corner
+        least[:, STOP_OPERATORS] = -np.inf  # the force at the curve's first corner
         target = np.linalg.solve(lower, sums.T @ right.ravel())
         found = lsq_linear(lower.T, target, (least.ravel(), np.inf), method="bvls").x
         values = (sums @ found).reshape(p, columns)
@@ -115,27 +115,28 @@ class SpecimenLaw:
 
     def _equations(self, rates: Floats, size: Floats, force: Floats) -> tuple[Floats, Floats]:
         """Sum up the normal equations of the fit, with rates over their size, and its prior."""
-        every, p, columns = 1 + len(rates) // _ROWS, len(self._springs), STOPS + CURVE + 1
+        every, p = 1 + len(rates) // _ROWS, len(self._springs)
+        columns = STOP_OPERATORS + CORNERS + 1
         normal, right = np.zeros((p * columns, p * columns)), np.zeros((p, columns))
-        z, block = np.zeros((p, STOPS)), every * _BLOCK
+        z, block = np.zeros((p, STOP_OPERATORS)), every * _BLOCK
         for first in range(0, len(rates), block):  # not all at once: that takes much memory
             begin = min(first, 1)  # stop operators need the sample before
             before, here = slice(first - begin, first + block), slice(first, first + block, every)
             parts = []
             for j, e in enumerate(self._e[before].T):
-                stops = np.zeros((len(e), STOPS))
+                stops = np.zeros((len(e), STOP_OPERATORS))
                 stops[0] = z[j]
                 slide(np.ascontiguousarray(e), self._thresholds[j], stops)
                 z[j] = stops[-1]
                 place = (self._e[here, j, np.newaxis] - self._low[j]) / self._step[j] - 1.0
-                hats = np.maximum(0.0, 1.0 - np.abs(place - np.arange(CURVE)))
+                hats = np.maximum(0.0, 1.0 - np.abs(place - np.arange(CORNERS)))
                 rate = rates[here, j, np.newaxis] / size[j]
                 parts.append(np.hstack([stops[begin::every] / self._thresholds[j], hats, rate]))
                 right[j] += parts[j].T @ force[here, j]
             regressors = np.hstack(parts)
             normal += regressors.T @ regressors
-        bends, rows = np.zeros((CURVE - 2, columns)), len(rates[::every])
-        bends[:, STOPS : STOPS + CURVE] = np.diff(np.eye(CURVE), 2, axis=0)
+        bends, rows = np.zeros((CORNERS - 2, columns)), len(rates[::every])
+        bends[:, STOP_OPERATORS : STOP_OPERATORS + CORNERS] = np.diff(np.eye(CORNERS), 2, axis=0)
         prior = rows * (_SMOOTH**2 * bends.T @ bends + _RIDGE**2 * np.eye(columns))
         normal *= np.kron(self._springs @ self._springs.T, np.ones((columns, columns)))
         normal += np.kron(np.eye(p), prior)
@@ -163,7 +164,7 @@ class SpecimenLaw:
             push,
             dt,
             moved,
-            (np.zeros((2, p, STOPS)), np.zeros((2, p)), np.zeros((2, structure.axes))),
+            (np.zeros((2, p, STOP_OPERATORS)), np.zeros((2, p)), np.zeros((2, structure.axes))),
         )
         moved = moved[:, : change.shape[1]]
         moved_rms, whole_rms = (float(np.sqrt(np.mean(y**2))) for y in (moved, self._x + moved))

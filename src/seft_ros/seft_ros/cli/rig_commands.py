@@ -181,7 +181,7 @@ def _ask(amplitude: float | None, travel: float) -> None:
 
 
 TEMPLATES = Path(__file__).parent / "templates"
-NAME = "rig_driver"  # of the template's package
+TEMPLATE_PACKAGE = "rig_driver"  # of the template's package
 
 
 def new(
@@ -223,11 +223,11 @@ def new(
 
 def _copy_template(name: str, folder: Path) -> None:
     """Copy the template's files under a package's name."""
-    template = TEMPLATES / NAME
+    template = TEMPLATES / TEMPLATE_PACKAGE
     for file in sorted(template.rglob("*")):
         parts = file.relative_to(template).parts
         if file.is_dir() or any(part.startswith((".", "__pycache__")) for part in parts):
             continue
-        place = folder.joinpath(*(part.replace(NAME, name) for part in parts))
+        place = folder.joinpath(*(part.replace(TEMPLATE_PACKAGE, name) for part in parts))
         place.parent.mkdir(parents=True, exist_ok=True)
-        place.write_text(file.read_text().replace(NAME, name))
+        place.write_text(file.read_text().replace(TEMPLATE_PACKAGE, name))

@@ -13,8 +13,8 @@ from seft_plant_sim.specimen import Specimen
 
 from seft_ros.conformance.driver import CHECK_KINDS, Finding, Samples, Trial, found, not_run
 
-REST, BELL, PAUSE, PULSE = 0.4, 2.0, 0.3, 0.05  # s
-DOUBLETS, APART = 5, 0.25  # s from one to the next
+REST, BELL, PAUSE, PULSE_TIME = 0.4, 2.0, 0.3, 0.05  # s
+DOUBLETS, DOUBLETS_APART = 5, 0.25  # s from one to the next
 FREQUENCIES = (3.0, 6.0)  # Hz
 _SETTLING = 0.1  # s at the start that do not count
 _TOLERANCE = 0.2
@@ -64,7 +64,7 @@ class MotionDrive:
 
     def __init__(self, dt: float, amplitude: float) -> None:
         self.dt, self.amplitude = dt, amplitude
-        first, apart = self.step_at(REST + BELL + PAUSE), self.step_at(APART)
+        first, apart = self.step_at(REST + BELL + PAUSE), self.step_at(DOUBLETS_APART)
         self.rest = slice(self.step_at(_SETTLING), self.step_at(REST))
         self.bell = slice(self.step_at(REST), self.step_at(REST + BELL + PAUSE / 2))
         self.doublets = [first + number * apart for number in range(DOUBLETS)]
@@ -73,7 +73,7 @@ class MotionDrive:
         time = steps * dt - REST
         waves = np.mean([np.sin(2 * np.pi * f * time) for f in FREQUENCIES], axis=0)
         under_bell = waves * np.sin(np.pi * time / BELL) ** 2
-        pulse = (steps - first) % apart // max(1, self.step_at(PULSE))
+        pulse = (steps - first) % apart // max(1, self.step_at(PULSE_TIME))
         moving = [(time >= 0) & (time < BELL), (steps >= first) & (pulse == 0)]
         moving.append((steps >= first) & (pulse == 1))
         self.commands: Floats = amplitude * np.select(moving, [under_bell, 1.0, -1.0])
@@ -208,7 +208,7 @@ def check_answer_delay(samples: Samples, drive: MotionDrive, sensor_lag: float) 
     delays = []
     for start in drive.doublets:
         before = force[start - drive.step_at(0.03) : start + 1].mean(axis=0)
-        after = force[start : start + drive.step_at(APART)]
+        after = force[start : start + drive.step_at(DOUBLETS_APART)]
         change: Floats = (np.abs(after - before) / noise).max(axis=1)
         delays += np.flatnonzero(change > ONSET_NOISE)[:1].tolist()
     if not delays:
@@ -227,7 +227,7 @@ MOVED = 8.0  # times the noise
 PART = 0.3  # of the effect of the same command when it is obeyed
 REACTION_TIMEOUT_S = 0.5  # s beyond a watchdog's time, for this host and the message
 RESTING = 3.0  # s within which a rig is at rest after a trip
-STOP_TIME, STOP_FORCE = "stop time (s)", "stop peak force (N)"
+STOP_TIME_NAME, STOP_FORCE_NAME = "stop time (s)", "stop peak force (N)"
 """Names in the status of a trip, when the rig is at rest."""
 BACK = 3e-4  # m that it may have moved after it was stopped
 
@@ -371,7 +371,7 @@ def check_safe_position(trial: Trial, next_one: Samples) -> Finding:
     if values is None:
         text = f"the rig does not report rest within {RESTING:g} s: "
         return found(name, False, text + trial.statuses[-1][1].message)
-    took = float(values[STOP_TIME])
+    took = float(values[STOP_TIME_NAME])
     if len(last.times) < 10 or len(next_one.times) < 10:
         return found(name, False, "too few states to see where it came to rest")
     start = last.values[:10, 0].mean(axis=0)
@@ -379,8 +379,8 @@ def check_safe_position(trial: Trial, next_one: Samples) -> Finding:
     noise = last.values[:10, 0].std(axis=0)
     further = float((np.abs(again - start) - np.abs(stopped - start) - MOVED * noise).max())
     text = f"at rest after {took:.3g} s"
-    if STOP_FORCE in values:
-        text += f", peak force {values[STOP_FORCE]} N"
+    if STOP_FORCE_NAME in values:
+        text += f", peak force {values[STOP_FORCE_NAME]} N"
     if further > BACK:
         text = f"{text} as reported, but {1e3 * further:.2f} mm farther away in the next test"
         return found(name, False, text, further_m=further)
@@ -390,4 +390,4 @@ def check_safe_position(trial: Trial, next_one: Samples) -> Finding:
 def rested(trial: Trial) -> dict[str, str] | None:
     """Give the values of the status in which a rig that tripped reports rest."""
     trips = [s.values for _, s in trial.statuses if s.values.get("phase") == TRIPPED]
-    return next((values for values in trips if STOP_TIME in values), None)
+    return next((values for values in trips if STOP_TIME_NAME in values), None)

@@ -12,12 +12,12 @@ from seft_msgs_py.arrays import Complexes, Floats
 from seft_plant_sim.computed_model import SMALL_DISPLACEMENT
 from seft_plant_sim.whole_structure import ModelledStructure, WholeStructure
 
-PERIODS = 6.0
+SEEN_PERIODS = 6.0
 """Of the slowest mode with the model's tangents at rest, in which the vibration is seen: a model of
 slower modes shows at least one period of those."""
-SAMPLES = 40
+SAMPLES_PER_PERIOD = 40
 """Of the fastest mode of the axes, in one of its periods: every so many steps one is used."""
-PULSE = 4
+PULSE_SAMPLES = 4
 """Samples of the ground motion that begins the vibration."""
 ROWS, LONGEST = 30, 600
 """Samples in a column of the Hankel matrix, at least, and values, at most."""
@@ -40,15 +40,17 @@ def modes_with_model(whole: WholeStructure, dt: float) -> Complexes:
     assert model is not None
     squares = eigh(structure.stiffness, structure.mass, eigvals_only=True)
     slowest, fastest = np.sqrt(squares[squares > 0.0][[0, -1]])
-    every = max(1, int(2.0 * np.pi / (fastest * SAMPLES * dt)))
-    count = PULSE + every * max(int(PERIODS * 2.0 * np.pi / (slowest * every * dt)), 4 * ROWS)
+    every = max(1, int(2.0 * np.pi / (fastest * SAMPLES_PER_PERIOD * dt)))
+    seen = int(SEEN_PERIODS * 2.0 * np.pi / (slowest * every * dt))
+    count = PULSE_SAMPLES + every * max(seen, 4 * ROWS)
     ground = np.zeros((count, structure.axes))
     # the axes differ, so that each mode moves
-    ground[:PULSE] = np.linspace(1.0, 1.7, structure.axes)
-    ground *= SMALL_DISPLACEMENT * slowest / (PULSE * dt)  # the displacement of such an impulse
+    ground[:PULSE_SAMPLES] = np.linspace(1.0, 1.7, structure.axes)
+    impulse = slowest / (PULSE_SAMPLES * dt)  # of a displacement of 1
+    ground *= SMALL_DISPLACEMENT * impulse
     with closing(ModelledStructure(structure, dt, 1, model)) as modelled:
         moved = modelled.advance(ground)[0]
-    return _poles(moved[PULSE::every], every * dt)
+    return _poles(moved[PULSE_SAMPLES::every], every * dt)
 
 
 def _poles(free: Floats, dt: float) -> Complexes:

@@ -150,7 +150,7 @@ def model_time(experiment: Experiment, planned: GroundMotion | None) -> ModelTim
     )
 
 
-SAME_MASS = 0.01
+WEIGHING_ERROR = 0.01
 """Error of the assumed mass that weighing has."""
 FAR = 4.0
 """Limit over the expected peak from which on it protects little."""
@@ -341,7 +341,7 @@ def mismatches(experiment: Experiment, peaks: dict[str, float]) -> Iterator[str]
     if rig is not None:
         assumed, own = experiment["reference_force"]["model.mass"], rig["specimen.mass"]
         masses = [mass_matrix(value, experiment.axes, "mass") for value in (assumed, own)]
-        if np.abs(masses[0] - masses[1]).max() > SAME_MASS * np.abs(masses[1]).max():
+        if np.abs(masses[0] - masses[1]).max() > WEIGHING_ERROR * np.abs(masses[1]).max():
             yield (
                 f"reference_force: model.mass is {assumed} kg, but rig: specimen.mass {own} kg; "
                 "give the mass of the specimen to both"

@@ -11,7 +11,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import entry_point, kind_of
 from seft_plant_sim.limits import beyond_limit, event_ring
-from seft_plant_sim.rig import continued, left_open
+from seft_plant_sim.rig import extrapolated_command, left_open
 from seft_plant_sim.rig_parameters import LIMIT_NAMES
 
 from seft_ros.force_controller.detection import detectors_of
@@ -27,9 +27,9 @@ from seft_ros.force_controller.interlock_step import (
     NO_TRIP,
     OUTSIDE,
     SATURATION,
-    SOUND,
     STEP,
     TRIP,
+    VALID_CAUSES,
     InterlockParameters,
     InterlockState,
     miss_command,
@@ -219,13 +219,13 @@ class Interlock:
     def missed(self, index: int) -> None:
         """Learn that the rig sampled again before it had the answer to a step.
 
-        Then it has continued along the stop in reserve (`seft_plant_sim.rig.continued`).
+        Then it has continued along the stop in reserve (`seft_plant_sim.rig.extrapolated_command`).
         """
         begun, plan = self._reserve
         command, answered = self.state.drive, int(self.state.flags[ANSWERED])
         if not self.reason and begun >= 0:
             closing = self.parameters.closing
-            command = continued(command, index - begun, plan, index - answered, closing)
+            command = extrapolated_command(command, index - begun, plan, index - answered, closing)
         self._miss(self.parameters, self.state, index, command)
 
     def stop(self, index: int) -> Floats:
@@ -237,7 +237,7 @@ class Interlock:
         the stop that would begin at the last answered step.
         """
         state, first = self.state, self.step_index
-        stopping, is_sound = self._stopping, state.flags[TRIP] in SOUND
+        stopping, is_sound = self._stopping, state.flags[TRIP] in VALID_CAUSES
         if first < 0 or not len(stopping):
             last, stopping = state.drive, np.zeros((0, len(state.drive)))
             if is_sound and self.parameters.has_stop:

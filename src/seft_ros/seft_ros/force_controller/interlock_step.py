@@ -26,7 +26,7 @@ found a fault, the last step that the controller answered, and the last one whos
 missed."""
 NO_TRIP, IMPLAUSIBLE, IMPLAUSIBLE_COMMAND, SATURATION, FAULT, LIMIT, OUTSIDE = range(7)
 """Reasons of a trip; the last one is a reason from outside."""
-SOUND = NO_TRIP, IMPLAUSIBLE, LIMIT
+VALID_CAUSES = NO_TRIP, IMPLAUSIBLE, LIMIT
 """With these, sensors, valves and controller are sound, so that a stop can follow the plan."""
 
 
@@ -233,7 +233,7 @@ def miss_command(
 def begin_stop(parameters: InterlockParameters, state: InterlockState, command: Floats) -> None:
     """Give the command of the step of a trip; without a trip, hold the last one."""
     why, left = state.flags[TRIP], 1.0
-    if why != NO_TRIP and not (parameters.has_stop and why in SOUND):
+    if why != NO_TRIP and not (parameters.has_stop and why in VALID_CAUSES):
         left = left_open(1, parameters.closing)
     for i in range(len(command)):
         command[i] = left * state.drive[i]

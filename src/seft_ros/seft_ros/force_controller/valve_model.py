@@ -13,13 +13,13 @@ from seft_plant_sim.lti import MIN_SAMPLES, noncausal_inverse
 
 INVERTED_TO = 0.85
 """Highest inverted frequency over the valve's own: higher ones need too much drive."""
-SPAN = 4.0
+INVERSE_SPAN = 4.0
 """Length of the inverse over the mean delay from command to flow: longer weights are negligible."""
 ASSUMED_ACTUATOR = ("flow_gain", "oil_stiffness", "leakage", "force_capacity")
 """Columns of `FeedforwardParameters.actuator`."""
 _VALVE = ("valve_frequency", "valve_damping", "dead_time")
 DERIVATIVE_STEP = 1e-4  # s, by which the response is differentiated
-SETTLED = 1e-3
+NEGLIGIBLE_FLOW = 1e-3
 """Part of a command's flow that may be neglected: it is below the noise."""
 
 
@@ -49,7 +49,7 @@ class ValveModel:
         self.delay = self._late + dt / 2 + 2 * damping / self._w
         self._highest = min(INVERTED_TO * frequency, 1 / (MIN_SAMPLES * dt))
         decay = min(damping, 1 / damping) * self._w  # of the slower part
-        self.memory = math.ceil((self._late + dt - math.log(SETTLED) / decay) / dt)
+        self.memory = math.ceil((self._late + dt - math.log(NEGLIGIBLE_FLOW) / decay) / dt)
 
     def flow(self, time: npt.NDArray[np.floating]) -> Floats:
         """Flow per command, without unit, at times after the sample that the command answers, s."""
@@ -89,7 +89,7 @@ class ValveModel:
 
     def taps(self) -> int:
         """Sufficient length of the inverse."""
-        return max(4, math.ceil(SPAN * self.delay / self._dt))
+        return max(4, math.ceil(INVERSE_SPAN * self.delay / self._dt))
 
     def in_flight(self) -> Floats:
         """Part of the flow of past commands that is still to come, the newest first; (memory,).

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 _BLOCK = 256
 
-PERIODS = np.geomspace(0.02, 5.0, 150)
+SPECTRUM_PERIODS = np.geomspace(0.02, 5.0, 150)
 """Natural periods of the spectrum in s."""
 
 _DAMPING = 0.05
@@ -54,10 +54,10 @@ def response_spectrum(
 
 
 def spectrum_table(samples: Floats, dt: float) -> Floats:
-    """Compute the 5 % spectra of a motion, shape (N, n): `PERIODS`, then a column for each axis."""
-    running = RunningSpectrum(PERIODS, dt, _DAMPING)
+    """Compute the 5 % spectra of a motion, shape (N, n): the periods, then each axis's."""
+    running = RunningSpectrum(SPECTRUM_PERIODS, dt, _DAMPING)
     running.advance(samples)
-    return np.column_stack([PERIODS, running.spectrum])
+    return np.column_stack([SPECTRUM_PERIODS, running.spectrum])
 
 
 class RunningSpectrum:
@@ -198,10 +198,10 @@ def motion_figure(
         panel.set(xlim=(0, times[-1] or dt), ylim=(-limit, limit), ylabel="ground acc. (m/s²)")
         tidy(panel)
         panel.label_outer() if index < n - 1 else panel.set_xlabel("time (s)")
-        spectrum = response_spectrum(values, dt, PERIODS, _DAMPING)
-        spectra.semilogx(PERIODS, spectrum, color=f"C{index}", label=name)
+        spectrum = response_spectrum(values, dt, SPECTRUM_PERIODS, _DAMPING)
+        spectra.semilogx(SPECTRUM_PERIODS, spectrum, color=f"C{index}", label=name)
     spectra.set(
-        xlim=(PERIODS[0], PERIODS[-1]),
+        xlim=(SPECTRUM_PERIODS[0], SPECTRUM_PERIODS[-1]),
         xlabel="natural period (s)",
         ylabel="pseudo-acceleration (m/s²)",
         title=f"response spectrum, {_DAMPING:.0%} damping",

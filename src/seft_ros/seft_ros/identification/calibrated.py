@@ -28,7 +28,7 @@ from seft_ros.identification.identified import Identified
 from seft_ros.identification.rig_tests import frequency_response, motion_spectra
 from seft_ros.identification.shake import OF_RATE, Shake, Sine, sound_relations
 from seft_ros.identification.shake_estimates import (
-    SIGMAS,
+    SHAKE_SIGMAS,
     Harmonics,
     ShakeFit,
     fit_shake,
@@ -37,7 +37,7 @@ from seft_ros.identification.shake_estimates import (
 )
 
 _FEWEST_PERIODS, _SEGMENT = 3.0, 4.0  # of a spectrum: of the lowest frequency, and s
-LEAST_LAG = 2e-5
+MIN_LAG = 2e-5
 """A lag below costs less than 0.4 % of the displacement, s (rig.md): channels that wait for it
 would spread a wrong sample over the next ones."""
 
@@ -50,7 +50,7 @@ class Calibrated:
     ----------
     found : dict
         Scale, lag and zero of the channels as published in the shake, shape (4, n), and the tilt
-        of the accelerometers of each rig, (n, n): of what is within `SIGMAS` standard errors,
+        of the accelerometers of each rig, (n, n): of what is within `SHAKE_SIGMAS` standard errors,
         nothing is known.
     whole : dict
         With what was known before: `parameters` of the rig.
@@ -71,7 +71,7 @@ class Calibrated:
         """Combine a shake with the calibration of its own experiment."""
         section = experiment.sections.get("rig", {})
         known, derived = all_known(experiment), section.get("sensors.velocity") == "derived"
-        lag = significant(fit.lag, np.maximum(fit.lag_error, LEAST_LAG / SIGMAS))
+        lag = significant(fit.lag, np.maximum(fit.lag_error, MIN_LAG / SHAKE_SIGMAS))
         scale = 1.0 + significant(fit.scale - 1.0, fit.scale_error)
         zero = significant(fit.zero, fit.zero_error)
         if derived:
@@ -338,13 +338,13 @@ def shake_notes(shaken: Shaken, axes: Sequence[str]) -> list[str]:
     ]
     masses = (each.diagonal() for each in (shaken.told, fit.mass, fit.mass_error))
     for axis, told, mass, error in zip(axes, *masses, strict=True):
-        if abs(mass - told) > max(SIGMAS * error, SAME_MASS * mass):
+        if abs(mass - told) > max(SHAKE_SIGMAS * error, SAME_MASS * mass):
             found.append(
                 f"axis {axis}: mass {mass:.4g} kg, configured {told:.4g} kg: if that was weighed, "
                 f"the load cell shows {mass / told:.1%} of the force; then tell rig: "
                 "calibration.force_scale, and shake again"
             )
-    off = np.abs(fit.tilt - np.eye(len(axes))) > SIGMAS * fit.tilt_error
+    off = np.abs(fit.tilt - np.eye(len(axes))) > SHAKE_SIGMAS * fit.tilt_error
     for i, j in zip(*np.nonzero(off & ~np.eye(len(axes), dtype=bool)), strict=True):
         found.append(
             f"axis {axes[i]}: the accelerometer shows {fit.tilt[i, j]:.2g} of the acceleration of "

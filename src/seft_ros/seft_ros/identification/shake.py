@@ -23,7 +23,7 @@ from seft_ros.identification.identified import Identified, fitted_plant
 
 SINES = 6
 """On each axis: twice as many equations as the five unknowns of an axis leave some to judge by."""
-SPAN = 5.6
+FREQUENCY_SPAN = 5.6
 """Highest over lowest frequency: the inertia, which tells the mass, differs 30 times."""
 ORDER = (1, 5, 3, 2, 0, 4)
 """Of the frequencies, lowest 0: neither w nor w^2 is correlated with time or its square (0.03), so
@@ -37,7 +37,7 @@ FEWEST_CYCLES = 8
 ACCURACY = 4e-4
 """Standard error of a scale, which determines the displacement by the noise. A scale that is wrong
 by 1 % costs up to 3.3 % of the displacement (docs/rig.md), so this costs 0.1 %."""
-LARGEST_SHARE = 0.5
+PEAK_SHARE = 0.5
 """Of a limit or a sensor's range that a peak may reach."""
 OF_RATE = 0.097
 """Highest frequency over the rate: what held commands fold down to it is small (see
@@ -50,7 +50,7 @@ LOWEST_TOP = 0.02
 """Least highest frequency over the rate; the shake is refused below."""
 RISE = 0.08
 """Part of a sine's time in which it rises, and in which it falls."""
-SETTLED = 0.16
+SETTLED_SHARE = 0.16
 """Part of a sine's time after which it is evaluated, and before the end of which: what the rise
 has excited has decayed."""
 _QUANTISED = 12.0**-0.5  # RMS of the error of a converter, over its step
@@ -65,7 +65,7 @@ class Shake:
     travel : float
         Amplitude of the displacement of each sine, m.
     top : float
-        Highest frequency, Hz; the lowest is `SPAN` times less.
+        Highest frequency, Hz; the lowest is `FREQUENCY_SPAN` times less.
     peaks : dict
         Largest expected ``displacement`` (m), ``velocity`` (m/s), ``acceleration`` (m/s^2) and
         ``force`` (N) of any axis, with the model that the test was told.
@@ -78,7 +78,7 @@ class Shake:
     @property
     def frequencies(self) -> Floats:
         """Frequencies, lowest first, shape (`SINES`,), Hz."""
-        return np.linspace(self.top / SPAN, self.top, SINES)
+        return np.linspace(self.top / FREQUENCY_SPAN, self.top, SINES)
 
     def text(self) -> str:
         """Say what will be reached, in one line."""
@@ -190,7 +190,7 @@ def _over(shake: Shake, allowed: Mapping[str, tuple[float, str]]) -> str:
     w = 2 * np.pi * shake.top
     for name, (limit, where) in allowed.items():
         peak = shake.peaks.get(name, w * shake.peaks.get(name.removesuffix("_rate"), 0.0))
-        if peak > LARGEST_SHARE * limit:
+        if peak > PEAK_SHARE * limit:
             return (
                 f"{peak:.3g} with {1e3 * shake.travel:.3g} mm at {shake.top:.3g} Hz, more than "
                 f"half of {where}, {limit:g}"
@@ -223,9 +223,9 @@ def with_actuators(shake: Shake, found: Identified, experiment: Experiment) -> S
     oil = [column.hz for valve in found.valves if (column := valve.plant.oil_column())]
     top = min(shake.top, OF_ACTUATOR * min(valves + oil))
     limit = experiment["force_controller"]["voltage_limit"]
-    frequencies = np.geomspace(top / SPAN, top, 33)
+    frequencies = np.geomspace(top / FREQUENCY_SPAN, top, 33)
     voltage = shake.travel / _moved(found, frequencies).min(axis=1)
-    within = np.maximum.accumulate(voltage) <= LARGEST_SHARE * limit
+    within = np.maximum.accumulate(voltage) <= PEAK_SHARE * limit
     if not within[0]:
         raise InputError(
             f"the shake would need {voltage[0]:.3g} V with {1e3 * shake.travel:.3g} mm at "
@@ -293,7 +293,7 @@ def shake_drive(
             command = np.zeros((steps, n))
             command[:, axis] = gain * window * np.cos(2 * np.pi * frequency * dt * at)
             parts.append(command)
-            begin = int(SETTLED * steps)
+            begin = int(SETTLED_SHARE * steps)
             cycles = int((steps - 2 * begin) * frequency * dt)
             end = begin + round(cycles / (frequency * dt))
             sines.append(Sine(axis, frequency, first + begin, first + end))

@@ -36,13 +36,13 @@ from seft_ros.identification.shake_hysteresis import uneven_force
 
 _OVERTONES = 9  # of a sine, which friction makes, and which are no noise
 _ROUNDS = 4  # of linearisation in the lag; it converges quadratically
-SIGMAS = 4.0
+SHAKE_SIGMAS = 4.0
 """Standard errors within which a deviation is none: curvature, tilt."""
 
 
 def significant(value: Floats, error: Floats) -> Floats:
-    """Give the values that are beyond `SIGMAS` standard errors, and 0 for the others."""
-    return np.where(np.abs(value) > SIGMAS * error, value, 0.0)
+    """Give the values that are beyond `SHAKE_SIGMAS` standard errors, and 0 for the others."""
+    return np.where(np.abs(value) > SHAKE_SIGMAS * error, value, 0.0)
 
 
 @dataclass(frozen=True)
@@ -240,8 +240,8 @@ def _displacement_scale(scale: Floats, error: Floats) -> tuple[Floats, Floats]:
     It is 1, without an error, unless velocity and acceleration both differ, by the same factor.
     """
     (v, a), (of_v, of_a) = scale[1:3], error[1:3]
-    differ = (np.abs(v - 1.0) > SIGMAS * of_v) & (np.abs(a - 1.0) > SIGMAS * of_a)
-    alike = differ & (np.abs(v - a) <= SIGMAS * np.hypot(of_v, of_a))
+    differ = (np.abs(v - 1.0) > SHAKE_SIGMAS * of_v) & (np.abs(a - 1.0) > SHAKE_SIGMAS * of_a)
+    alike = differ & (np.abs(v - a) <= SHAKE_SIGMAS * np.hypot(of_v, of_a))
     p, q = of_v**-2.0, of_a**-2.0
     found = (p + q) / (p * v + q * a)
     return np.where(alike, found, 1.0), np.where(alike, found**2 / np.sqrt(p + q), 0.0)
@@ -256,7 +256,7 @@ def _relation(of: Harmonics, order: int, i: int, sound: Complexes) -> tuple[Fit,
     others = np.arange(n) != i
     used = np.arange(n)
     fit, shape = _shaped(y, motion, noise, of.w)
-    if n > 1 and not (np.abs(fit.value[:n]) > SIGMAS * fit.error[:n])[others].any():
+    if n > 1 and not (np.abs(fit.value[:n]) > SHAKE_SIGMAS * fit.error[:n])[others].any():
         used = np.array([i])
         fit, shape = _shaped(y, motion[:, used], noise, of.w)
     value, error = np.zeros(n + 1), np.zeros(n + 1)
@@ -275,7 +275,7 @@ def _shaped(y: Complexes, columns: Complexes, noise: Floats, w: Floats) -> tuple
         (_aligned(y, columns, noise, _stacked(late, w**p, bent)) for p in (4, 2)),
         key=lambda tried: tried[0].left,
     )
-    if not (np.abs(fit.value[-2:]) > SIGMAS * fit.error[-2:]).any():
+    if not (np.abs(fit.value[-2:]) > SHAKE_SIGMAS * fit.error[-2:]).any():
         fit, shape = _aligned(y, columns, noise, _stacked(late))
     count = columns.shape[1] + 1
     return Fit(fit.value[:count], fit.error[:count], fit.left), shape

@@ -26,7 +26,7 @@ BEHIND = 4_000_000
 """Bytes that may wait for a slow page; after that it is skipped, and later receives all frames."""
 
 HEIGHT = 230  # pixels
-LEFT = 64  # pixels for the numbers: all figures begin at the same place, which does not change
+LEFT_MARGIN = 64  # pixels for the numbers: all figures begin at the same place
 _LINES = {
     "displacement": ("displacement / mm", ("reference", "measured")),
     "displacement_error": ("displacement error / mm", ("error",)),
@@ -42,7 +42,7 @@ WIDTHS = {"natural": 1.0, "reference": 3.0, "answer": 1.0, "period": 1.0, "media
 STEPPED = ("largest", "median", "missed")
 """Signals that are sent once a second, for the last second."""
 
-STOPS = ("stop", "estop")
+STOP_BUTTONS = ("stop", "estop")
 Call = Callable[[str], Awaitable[tuple[bool, str]]]
 Lateness = Callable[[int, float], str]
 
@@ -91,7 +91,7 @@ class Service(Guarded):
         """Call the supervisor; answer with its answer."""
         if self.right != CONTROL:
             raise HTTPError(403, reason="this token may watch, but not control")
-        why = "" if name in STOPS else self._lateness()
+        why = "" if name in STOP_BUTTONS else self._lateness()
         done, text = (False, why) if why else await self.settings["call"](name)
         self.finish({"done": done, "text": text})
 
@@ -211,7 +211,7 @@ def _figure(name: str, label: str, lines: tuple[str, ...]) -> figure:
     if name == "timing":
         panel.yaxis.formatter = NumeralTickFormatter(format="0.[000]")
     panel.background_fill_alpha = panel.border_fill_alpha = 0.0  # the page's own, dark or light
-    panel.min_border_left = LEFT
+    panel.min_border_left = LEFT_MARGIN
     for axis in panel.axis:
         axis.ticker.desired_num_ticks = 5  # each number costs time whenever it is drawn
     for line in lines:

@@ -36,11 +36,11 @@ from seft_ros.protection.relation_following import (
     BIAS_OF,
     CHANGE,
     INTEGRAL,
+    MOTION_TO_NOISE,
+    NOISE_SIGMAS,
     PER_DELAY,
     PERIODS,
     SCATTER,
-    SIGMAS,
-    STANDS_OUT,
     WEIGHT,
     expected,
     follow,
@@ -89,7 +89,7 @@ def begin_relations(p: DetectorParameters, state: DetectorState) -> None:
     state.covariance[:] = 0.0
     for relation in range(3):
         for i in range(state.scatter.shape[2]):
-            state.scatter[relation, SCATTER, i] = (p.left[relation] / SIGMAS) ** 2
+            state.scatter[relation, SCATTER, i] = (p.left[relation] / NOISE_SIGMAS) ** 2
             state.scatter[relation, WEIGHT, i] = 1.0
             for row in range(3):
                 variance = p.deviation[relation, row, i] ** 2
@@ -104,7 +104,7 @@ def resolution_of(state: DetectorState, row: int, i: int) -> float:
 
 
 @compiled
-def compare(
+def compare_channels(
     p: DetectorParameters,
     state: DetectorState,
     relation: int,
@@ -141,20 +141,20 @@ def compare(
     state.largest[relation, i] = whole
     noise, by_estimates = p.sums[relation, i], uncertain(covariance, sums, i)
     left = max(scatter[SCATTER, i], 0.0) * whole * whole
-    known = math.sqrt(noise * noise + SIGMAS * SIGMAS * (by_estimates + left))
-    bias = SIGMAS * math.sqrt(max(covariance[BIAS_OF, BIAS_OF], 0.0))
+    known = math.sqrt(noise * noise + NOISE_SIGMAS * NOISE_SIGMAS * (by_estimates + left))
+    bias = NOISE_SIGMAS * math.sqrt(max(covariance[BIAS_OF, BIAS_OF], 0.0))
     bias = min(bias, p.deviation[relation, BIAS_OF, i]) * sums[PERIODS, i]
     most = noise + bias + p.tolerance[relation] * whole
     threshold = min(known, most) + rough
     is_fault = look(p, state, row, i, abs(off), threshold)
     if state.counts[row, i] == 0:
-        persistent = p.correlated[relation] * ((rough / SIGMAS) ** 2 + left)
+        persistent = p.correlated[relation] * ((rough / NOISE_SIGMAS) ** 2 + left)
         white = 1.0 if relation == OIL else p.correlated[relation]  # the noise of a displacement is
-        doubt = white * (noise / SIGMAS) ** 2 + persistent
-        moves = whole > STANDS_OUT / SIGMAS * (noise + rough)
+        doubt = white * (noise / NOISE_SIGMAS) ** 2 + persistent
+        moves = whole > MOTION_TO_NOISE / NOISE_SIGMAS * (noise + rough)
         limits, drift = p.most[relation], p.drift[relation]
         follow(found, covariance, sums, limits, drift, i, off, doubt, moves)
-        remember(scatter, i, off, known / SIGMAS, whole, noise / SIGMAS, p.dt)
+        remember(scatter, i, off, known / NOISE_SIGMAS, whole, noise / NOISE_SIGMAS, p.dt)
     return row * n + i if is_fault else -1
 
 
@@ -168,7 +168,7 @@ def displacement_velocity(
     moved = 0.5 * p.dt * (measured[1, i] + last[1, i] - bend)
     rough = p.late * abs(change) + resolution_of(state, POSITION, i)
     sides = (measured[0, i] - last[0, i], moved, -change)
-    return compare(p, state, DISPLACEMENT_VELOCITY, measured.shape[1], i, sides, rough)
+    return compare_channels(p, state, DISPLACEMENT_VELOCITY, measured.shape[1], i, sides, rough)
 
 
 @compiled
@@ -190,7 +190,7 @@ def velocity_acceleration(
     rough = (0.5 * p.dt + p.late) * rises + resolution_of(state, VELOCITY, i)
     gained = 0.5 * p.dt * (measured[2, i] + last[2, i])
     sides = (measured[1, i] - last[1, i], gained, -rise)
-    return compare(p, state, VELOCITY_ACCELERATION, measured.shape[1], i, sides, rough)
+    return compare_channels(p, state, VELOCITY_ACCELERATION, measured.shape[1], i, sides, rough)
 
 
 @compiled
@@ -205,7 +205,7 @@ def oil_balance(p: DetectorParameters, state: DetectorState, measured: Floats, i
     slowed = max(p.lost * abs(measured[1, i]), p.oil_fade * state.largest[5, i])
     state.largest[5, i] = slowed
     rough += slowed
-    return compare(p, state, OIL, measured.shape[1], i, (change, flow, later), rough)
+    return compare_channels(p, state, OIL, measured.shape[1], i, (change, flow, later), rough)
 
 
 @compiled

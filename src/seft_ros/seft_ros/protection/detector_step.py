@@ -38,7 +38,7 @@ from seft_ros.protection.detectors import (
     look,
     sees,
 )
-from seft_ros.protection.judge_step import NEVER, ask, begin_judge, judge
+from seft_ros.protection.judge_step import LONG_AGO, ask, begin_judge, judge
 from seft_ros.protection.relation_following import BIAS_OF, expected
 from seft_ros.protection.specimen_force import (
     look_at_response,
@@ -71,7 +71,7 @@ def begin_detectors(p: DetectorParameters, state: DetectorState) -> None:
     state.repeats[:] = 0
     state.counts[:] = 0
     state.shares[:] = 0.0
-    state.step[:] = NEVER
+    state.step[:] = LONG_AGO
     begin_judge(state.judge)
 
 

@@ -11,7 +11,7 @@ from seft_plant_sim.compiled import compiled
 from seft_ros.protection.detector_list import DETECTORS
 from seft_ros.protection.judge import JudgeParameters, JudgeState, judge_arrays
 from seft_ros.protection.protection_step import STOP_TIME
-from seft_ros.protection.relation_following import DRIFT, SIGMAS
+from seft_ros.protection.relation_following import ESTIMATE_DRIFT, NOISE_SIGMAS
 from seft_ros.protection.valve_following import (
     LARGEST_DELAY_ERROR,
     LARGEST_GAIN_ERROR,
@@ -27,16 +27,16 @@ SHORT, FEWEST = 0.015, 7.0
 samples: with fewer, some friction looks like noise."""
 BIAS = 2.0
 """Largest constant error of a sensor that is no fault, over its RMS noise."""
-LARGEST = 0.3
+MOTION_MEMORY = 0.3
 """Time constant of the memory of the largest motion, and of the mean that gives a bias, s: a
 quarter of a cycle at 1 Hz."""
 TOLERANCES = (0.1, 0.1, 0.35)
 """Largest difference of relations (1) to (3) over the motion: calibration and channels 2 ms apart
 at 7 Hz; a flow gain with an error of 0.3, which the controller corrects."""
-LEFT = (0.02, 0.02, 0.1)
+UNDESCRIBED = (0.02, 0.02, 0.1)
 """Part of these that gain, delay and bias do not describe, at the beginning: a sensor's linearity,
 a valve's, and the piston's friction."""
-APART = 2e-3
+CHANNELS_APART = 2e-3
 """Largest time by which two channels are apart, s."""
 NULL = 0.03
 """Standard deviation of a valve's null, over its full flow (servo-valves of a test's accuracy)."""
@@ -82,8 +82,8 @@ class DetectorParameters(NamedTuple):
     limited : int
         Samples after one at the valve's limit in which the target need not be followed.
     sums : ndarray
-        Noise of the sums of the differences of relations (1) to (3), shape (3, n): `SIGMAS` times
-        RMS; infinite where not watched.
+        Noise of the sums of the differences of relations (1) to (3), shape (3, n):
+        `NOISE_SIGMAS` times RMS; infinite where not watched.
     deviation, most, drift : ndarray
         Of the estimated gain, delay (s) and bias of each relation: standard deviation at the
         beginning, largest value, growth of the variance in a step; shape (3, 3, n).
@@ -289,13 +289,13 @@ def detector_arrays(
     null = np.where(known, NULL * actuator[:, 0] * largest_drive, 0.0)
     most = np.array(
         [
-            [TOLERANCES[0] * one, (APART + late) * one, BIAS * v],
-            [TOLERANCES[1] * one, (APART + late) * one, BIAS * a],
-            [LARGEST_GAIN_ERROR * one, LARGEST_DELAY_ERROR * one, SIGMAS * null],
+            [TOLERANCES[0] * one, (CHANNELS_APART + late) * one, BIAS * v],
+            [TOLERANCES[1] * one, (CHANNELS_APART + late) * one, BIAS * a],
+            [LARGEST_GAIN_ERROR * one, LARGEST_DELAY_ERROR * one, NOISE_SIGMAS * null],
         ]
     )
     deviation = most.copy()
-    deviation[:2, :2] /= SIGMAS
+    deviation[:2, :2] /= NOISE_SIGMAS
     deviation[2] = UNCERTAIN_GAIN * one, UNCERTAIN_DELAY * one, null
     unknown = 0.0 if mass.any() and stiffness.any() else math.inf
     by_force = np.zeros_like(mass) if has_valve or not mass.any() else np.linalg.inv(mass)
@@ -308,7 +308,7 @@ def detector_arrays(
         stiffness,
         np.where(ranges > 0.0, ranges, np.inf),
         late,
-        SIGMAS,
+        NOISE_SIGMAS,
         dt,
     )
     lasts[WRONG:] = 1  # they count by themselves
@@ -318,7 +318,7 @@ def detector_arrays(
         fade=fade,
         oil_fade=oil_fade,
         short=short,
-        memory=math.exp(-dt / LARGEST),
+        memory=math.exp(-dt / MOTION_MEMORY),
         actuator=actuator,
         past=past,
         has_valve=has_valve,
@@ -331,16 +331,16 @@ def detector_arrays(
         range=judging.range,
         lost=lost_time(longest_miss),
         limited=math.ceil(LIMITED / dt),
-        sums=SIGMAS * np.vstack([sums, of_oil]),
+        sums=NOISE_SIGMAS * np.vstack([sums, of_oil]),
         deviation=deviation,
         most=most,
-        drift=(DRIFT * deviation) ** 2 * dt,
+        drift=(ESTIMATE_DRIFT * deviation) ** 2 * dt,
         correlated=np.maximum(1.0, np.array([_MEMORY, _MEMORY, _OIL_MEMORY]) / dt),
         late=judging.late,
         rough=judging.noise[3] + unknown,
         unknown=unknown,
         tolerance=np.array(TOLERANCES),
-        left=np.array(LEFT),
+        left=np.array(UNDESCRIBED),
         off_target=OFF_TARGET,
         persistence=lasts,
         acts=np.array(acts, dtype=np.int64),

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 
-RECENT, BRIEF, EVENTS = 0.3, 0.05, 3.0
+RECENT_MEMORY, BRIEF_MEMORY, EVENT_MEMORY = 0.3, 0.05, 3.0
 """Time constants, s, of the memory of the largest force and difference, of the largest change in a
 sample, and of the jumps of a specimen: a quarter of a cycle at 1 Hz, ..., three cycles at 1 Hz."""
 LASTS, WINDOW = 0.006, 0.05
@@ -21,7 +21,7 @@ class JudgeParameters(NamedTuple):
     dt : float
         Sampling period, s.
     recent, brief, events : float
-        Factors per step, see `RECENT`.
+        Factors per step, see `RECENT_MEMORY`.
     late : float
         Time by which a derived velocity is late, s; 0: it is measured.
     noise : ndarray
@@ -141,9 +141,9 @@ def judge_arrays(
     ]
     parameters = JudgeParameters(
         dt=dt,
-        recent=math.exp(-dt / RECENT),
-        brief=math.exp(-dt / BRIEF),
-        events=math.exp(-dt / EVENTS),
+        recent=math.exp(-dt / RECENT_MEMORY),
+        brief=math.exp(-dt / BRIEF_MEMORY),
+        events=math.exp(-dt / EVENT_MEMORY),
         late=late,
         noise=sigmas * np.array(by_noise),
         oil=np.ascontiguousarray(oil),

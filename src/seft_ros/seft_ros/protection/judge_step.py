@@ -33,7 +33,7 @@ USUAL = 1.5
 SHOWN = 0.2
 """Part of a jump of the acceleration that the velocity must show at once: it shows the part of the
 period after the jump."""
-CALIBRATION = 0.1
+CALIBRATION_ERROR = 0.1
 """Part of the recent change in a sample by which (1) and (2) may fail: calibration, and channels
 2 ms apart at 7 Hz."""
 FLOW = 0.02
@@ -44,7 +44,7 @@ BOTH = 2.0 / 3.0
 COARSEST = 1.0 / 128.0
 """Step of a converter of 8 bits, over its range."""
 
-NEVER = -(2**40)
+LONG_AGO = -(2**40)
 NO_NUMBER = 1e9
 """A larger value is no value of a sensor, in any unit."""
 X, V, A, F = range(4)
@@ -60,7 +60,7 @@ def begin_judge(state: JudgeState) -> None:
     state.doubt[:] = 0.0
     state.jump[:] = 0.0
     state.off[:] = 0.0
-    state.wrong[:] = NEVER
+    state.wrong[:] = LONG_AGO
     state.counts[:] = 0
     state.verdict[:] = 0
     state.resolution[:] = np.inf
@@ -226,7 +226,7 @@ def judge_motion(p: JudgeParameters, state: JudgeState, judged: Floats, i: int) 
     off = judged[V, i] - expected
     allowed = (
         in_noise(p, state, 1, i, V)
-        + CALIBRATION * state.moves[1, i]
+        + CALIBRATION_ERROR * state.moves[1, i]
         + (0.5 * dt + p.late) * abs(a - a1)
         + 0.125 * dt * abs(bend)  # the acceleration turns between the samples
         + max(dt * jump, 0.5 * dt * abs(judged[A, i] - state.off[1, i]))  # r turns at any time
@@ -237,7 +237,7 @@ def judge_motion(p: JudgeParameters, state: JudgeState, judged: Floats, i: int) 
     by_expected = abs(judged[X, i] - x1 - 0.5 * dt * (expected + v1))
     by_measured = abs(judged[X, i] - x1 - 0.5 * dt * (judged[V, i] + v1))
     noise = in_noise(p, state, 0, i, X)
-    knows = by_measured <= noise + CALIBRATION * state.moves[0, i] and by_expected > noise
+    knows = by_measured <= noise + CALIBRATION_ERROR * state.moves[0, i] and by_expected > noise
     is_wrong = abs(off) > allowed and not (knows and by_measured < by_expected)
     if is_wrong or state.verdict[V, i]:
         state.verdict[V, i] = 1
@@ -245,7 +245,9 @@ def judge_motion(p: JudgeParameters, state: JudgeState, judged: Floats, i: int) 
     v = judged[V, i]
     expected = x1 + 0.5 * dt * (v + v1)
     off = judged[X, i] - expected
-    allowed = in_noise(p, state, 0, i, X) + CALIBRATION * state.moves[0, i] + p.late * abs(v - v1)
+    allowed = (
+        in_noise(p, state, 0, i, X) + CALIBRATION_ERROR * state.moves[0, i] + p.late * abs(v - v1)
+    )
     allowed += 0.125 * dt * dt * abs(a - a1) + 0.5 * dt * dt * jump
     if abs(off) > allowed or state.verdict[X, i]:
         state.verdict[X, i] = 1
@@ -305,7 +307,7 @@ def judge_acceleration(p: JudgeParameters, state: JudgeState, judged: Floats, i:
         place = (state.counts[A, i] - 1) % state.wrong.shape[2]
         if jump * before > 0.0 and state.wrong[A, i, place] == state.taken[0] - 1:
             state.counts[A, i] -= 1  # the sample before was not wrong
-            state.wrong[A, i, place] = NEVER
+            state.wrong[A, i, place] = LONG_AGO
     elif abs(jump) >= USUAL * state.jump[i]:
         state.verdict[A, i] = 1
         state.off[3, i] = jump

@@ -36,7 +36,7 @@ class ProtectedForce:
 
     Without a fault or a ramp it gives exactly the force of the block. In the ramp the force
     continues to follow the test, scaled down; a target is slowed down to rest instead. An
-    implausible force is never given: the last plausible one replaces it, `continued` and scaled
+    implausible force is never given: the last plausible one replaces it, extrapolated and scaled
     down.
 
     In a loop with a delay of d steps, the force that is computed from the state of step k is for

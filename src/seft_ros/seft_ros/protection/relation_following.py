@@ -21,17 +21,17 @@ CHANGE, INTEGRAL, PER_DELAY, PERIODS = range(4)
 SCATTER, WEIGHT = range(2)
 """Places of the mean square of what is left over that of the motion, and of its weight."""
 
-SIGMAS = 6.0
+NOISE_SIGMAS = 6.0
 """Threshold over the RMS of the noise alone."""
-ONE_SAMPLE = 0.05
+CORRELATION_TIME = 0.05
 """Correlation time of the effects that a relation leaves out, s: within it, samples count as
 one."""
 REMEMBERED = 60.0
 """Largest weight of the mean square of what is left: that of 3 s."""
-STANDS_OUT = 20.0
+MOTION_TO_NOISE = 20.0
 """Least motion over its noise for the estimate of gain and delay, and that which counts by half for
 what is left."""
-DRIFT = 0.003
+ESTIMATE_DRIFT = 0.003
 """Undetected slow change of an estimate in a second, over its deviation at the beginning."""
 
 
@@ -129,10 +129,10 @@ def remember(
     dt : float
         Sampling period, s.
     """
-    size = whole * whole + (STANDS_OUT * noise) ** 2
+    size = whole * whole + (MOTION_TO_NOISE * noise) ** 2
     if not 0.0 < size < math.inf:
         return
-    counts = whole * whole / size * dt / ONE_SAMPLE
+    counts = whole * whole / size * dt / CORRELATION_TIME
     weight = min(scatter[WEIGHT, i] + counts, REMEMBERED)
     scatter[WEIGHT, i] = weight
     beyond_noise = (min(off * off, 4.0 * usual * usual) - noise * noise) / size

@@ -12,7 +12,7 @@ valve's delay, s (a step at 500 Hz)."""
 LARGEST_GAIN_ERROR, LARGEST_DELAY_ERROR = 0.3, 5e-3
 """Bounds of the estimates."""
 
-ONE_SAMPLE = 0.1
+OIL_CORRELATION_TIME = 0.1
 """Correlation time of the effects that the balance leaves out, s: within it, samples count as
 one."""
 
@@ -31,7 +31,7 @@ def under_load(direction: float, force: float, capacity: float) -> float:
 def doubt(velocity: Floats, force: Floats, oil_stiffness: Floats, dt: float) -> Floats:
     """Variance of the measured flow, (m/s)^2, from the RMS noise of velocity and force."""
     seen = velocity**2 + 2.0 * (force / (oil_stiffness * dt)) ** 2
-    return seen * max(1.0, ONE_SAMPLE / dt)
+    return seen * max(1.0, OIL_CORRELATION_TIME / dt)
 
 
 @compiled

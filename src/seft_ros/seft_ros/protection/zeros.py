@@ -7,7 +7,7 @@ import numpy as np
 from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_UNITS
 from seft_plant_sim.sensors import CHANNELS
 
-LARGEST = 0.1
+MAX_ZERO = 0.1
 """Of a channel's limit, for its zero. The limits count from the zero, so it moves them by as much;
 limits that fit a test are 1.5 times its peaks and more, and bear that."""
 SHOWN_BY_SENSOR = 1e-3
@@ -41,7 +41,7 @@ def judge_zeros(zeroed: Mapping[str, Any] | None, limits: Mapping[str, float]) -
     except (KeyError, TypeError, ValueError):
         return JudgedZeros("the rig reports zeros that can't be read; see docs/hardware.md")
     for channel, name, unit in zip(CHANNELS, LIMIT_NAMES, LIMIT_UNITS, strict=False):
-        if not subtracted[channel] <= LARGEST * limits[name]:
+        if not subtracted[channel] <= MAX_ZERO * limits[name]:
             return JudgedZeros(
                 f"{name} is {subtracted[channel]:.3g} {unit} at rest, more than a tenth of its "
                 f"limit of {limits[name]:g} {unit}; unload the rig, zero the sensor's amplifier, "

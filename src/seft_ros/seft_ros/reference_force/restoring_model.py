@@ -72,7 +72,7 @@ an oscillating force crosses the assumed line now and then."""
 STANDS_OUT = 20.0
 """Least motion over its noise for the identification of stiffness and damping: regression on a
 noisy motion underestimates them, by the square of the noise over the motion (0.25 %)."""
-DRIFT = 0.003
+MODEL_DRIFT = 0.003
 """Undetected slow change in a second, relative to the prior or the assumed value."""
 MIN_DAMPING = 0.02
 """Least damping ratio of a spring, also if none is assumed."""
@@ -217,7 +217,7 @@ def model_arrays(
         thresholds=thresholds,
         start=padded(np.zeros((n, 1)), stiffness, damping, np.zeros_like(thresholds)),
         prior=variance(1.0, UNCERTAIN_STIFFNESS, UNCERTAIN_DAMPING, 1.0),
-        drift=variance(0.0, DRIFT, DRIFT, DRIFT) * dt,
+        drift=variance(0.0, MODEL_DRIFT, MODEL_DRIFT, MODEL_DRIFT) * dt,
         change=variance(1.0, CHANGING_STIFFNESS, CHANGING_DAMPING, CHANGING_SLIDER),
         noise=np.column_stack([white, assumed]),
         observed=observed**2,

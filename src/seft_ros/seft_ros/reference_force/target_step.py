@@ -29,7 +29,7 @@ from seft_ros.reference_force.restoring_model import (
 
 ESTIMATE_NAMES = ("stiffness", "damping", "friction")
 """Rows of `target_estimates`."""
-POSITION, SPEED, FORCE_ROW = range(3)
+POSITION_ROW, SPEED_ROW, FORCE_ROW = range(3)
 """Rows of a point: displacement (m), velocity (m/s) and actuator force (N) of the target."""
 
 

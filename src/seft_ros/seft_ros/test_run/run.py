@@ -33,7 +33,7 @@ READY_TIMEOUT, SAVE_TIMEOUT = 60.0, 20.0  # s
 SLACK = 1.0  # s beyond the supervisor's own patience
 STANDING_STILL = 60.0  # s; a ramp that has not ended by then never will
 
-AT_ONCE = 2  # signals that are remembered: for a soft stop, and to abort
+SIGNALS_TO_ABORT = 2  # signals that are remembered: for a soft stop, and to abort
 
 _Progress = Callable[[str, int], None]
 """Called with the present stage and the steps done; may raise KeyboardInterrupt."""
@@ -64,7 +64,7 @@ class Interruption:
 
     def _remember(self, *_: object) -> None:
         self._seen += 1
-        if self._seen > AT_ONCE:
+        if self._seen > SIGNALS_TO_ABORT:
             raise KeyboardInterrupt
 
 

@@ -17,7 +17,7 @@ import sys
 import time
 from typing import Any
 
-LATE = 0.5  # of the loop's period; a deadline met later than that is a stall
+STALL_SHARE = 0.5  # of the loop's period; a deadline met later than that is a stall
 BEATS = 4  # a period: so a stall of three quarters of a period can't fall between two of them
 SHORTEST_BEAT = 0.00025  # s: a shorter one would be a load of its own
 _PROBE_TIMEOUT_S = 2.0  # s
@@ -59,7 +59,7 @@ class StallWatch:
         wanted = {
             "cores": cores,
             "period": max(period / BEATS, SHORTEST_BEAT),
-            "late_s": LATE * period,
+            "late_s": STALL_SHARE * period,
             "priority": priority and priority + 1,
         }
         self._write(json.dumps(wanted))
