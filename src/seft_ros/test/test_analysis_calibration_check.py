@@ -184,7 +184,7 @@ def test_a_rig_at_rest_says_nothing():
 
 
 def test_of_a_long_test_the_part_that_moves_most_counts(monkeypatch):
-    monkeypatch.setattr(checks, "MOST_SAMPLES", 100)
+    monkeypatch.setattr(checks, "MAX_SAMPLES", 100)
     samples = np.zeros((1000, 4, 1))
     samples[400:500, 2] = 1.0
     assert checks.strongest(samples)[:, 2].min() == 1.0

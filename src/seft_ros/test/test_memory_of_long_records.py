@@ -49,7 +49,7 @@ def test_reading_takes_the_memory_of_the_samples(bag):
 
 def test_a_summary_takes_few_arrays_of_the_records_length(bag, monkeypatch):
     # estimates are of a part of bounded length, however long the record is
-    monkeypatch.setattr(calibration_check, "MOST_SAMPLES", 500)
+    monkeypatch.setattr(calibration_check, "MAX_SAMPLES", 500)
     record = read_bag(bag)
     reference = reference_of(record)
     summarise(record, reference)  # imports
