@@ -85,6 +85,17 @@ def test_scale_and_lag_against_the_displacement_are_found(channel, order):
     assert found.lag[0] == pytest.approx(7e-4, abs=2e-5)
 
 
+def test_the_standard_error_of_few_cycles_is_that_of_their_noise():
+    rng, t = np.random.default_rng(7), DT * np.arange(4000) - 4.0
+    envelope, w = np.exp(-((t / 0.25) ** 2)), 2 * np.pi * 3.0
+    x = (1e-3 * envelope * np.sin(w * t))[:, np.newaxis]
+    v = 1e-3 * envelope * (w * np.cos(w * t) - 2 * t / 0.25**2 * np.sin(w * t))
+    noisy = [(v + 1e-3 * rng.standard_normal(4000))[:, np.newaxis] for _ in range(60)]
+    found = [relation(y, x, 1, DT, 3.0) for y in noisy]
+    spread = np.std([each.scale[0, 0] for each in found])
+    assert np.mean([each.scale_error[0, 0] for each in found]) == pytest.approx(spread, rel=0.2)
+
+
 def test_tilt_is_the_part_of_another_axis():
     y = np.concatenate([samples(seed=1), samples(seed=2)], axis=2)
     y[:, 2, 0] += 0.05 * y[:, 2, 1]

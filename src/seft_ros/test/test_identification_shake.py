@@ -97,6 +97,13 @@ def test_friction_spoils_neither_mass_nor_zero():
     assert fit.zero[FORCE, 0] == pytest.approx(5.0, abs=1.0)
 
 
+def test_a_shake_under_which_friction_holds_the_specimen_says_so():
+    storeys = "rig:specimen.springs:=[1.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0, -1.0, 1.0]"
+    held = (storeys, "rig:specimen.kind:=friction", "rig:specimen.friction.force:=300.0")
+    with pytest.raises(InputError, match=r"sticks under sines of .* mm: .* larger --travel"):
+        shaken(*held, config="three_storey_frame")
+
+
 def test_what_is_late_is_told_whatever_is_the_latest():
     fit = shaken("rig:sensors.position_lag:=0.002")
     lags = [fit.sections()["rig"][f"calibration.{channel}_lag"][0] for channel in CHANNELS]

@@ -27,6 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+from scipy.signal import oaconvolve
 from seft_msgs_py.arrays import Floats
 
 from seft_ros.reference_force.restoring_model import STANDS_OUT, slide
@@ -195,7 +196,7 @@ def relation(
         return None
     (seen,) = derivatives(y, (0,), band, dt, half)
     motion, change = derivatives(x, (order, order + 1), band, dt, half)
-    response = _impulse_response(band, dt, order, k)
+    passes, response = (_impulse_response(band, dt, each, k) for each in (0, order))
     if (np.sqrt(np.mean(motion**2, axis=0)) < STANDS_OUT * noise_of(x) * _size(response)).any():
         return None
     noise = np.append(noise_of(x) * _size(response), 0.0)
@@ -206,11 +207,11 @@ def relation(
         # floors move alike: without a tilt its own motion alone gives an axis' scale far better
         own = np.column_stack([motion[:, i], change[:, i]])
         used = np.array([i])
-        b, error = _regressed(seen[:, i], own, 2 * k)
+        b, error = _regressed(seen[:, i], own, 2 * k, passes)
         error = np.hypot(error, unsure[i] * np.array([1.0, 1.0 / (2 * np.pi * frequency)]))
         if n > 1 and order == 2:
             every, regressors = np.arange(n), np.column_stack([motion, change[:, i]])
-            tilted, more = _regressed(seen[:, i], regressors, 2 * k)
+            tilted, more = _regressed(seen[:, i], regressors, 2 * k, passes)
             # noise of floors that move alike, and what else is in their motion, look like a tilt
             cut = np.linalg.inv(regressors.T @ regressors)
             more = np.hypot(more, cut @ (len(regressors) * noise**2 * tilted))
@@ -223,12 +224,20 @@ def relation(
     return Relation(scale, scale_error, lag, lag_error)
 
 
-def _regressed(y: Floats, regressors: Floats, lags: int) -> tuple[Floats, Floats]:
-    """Regress a signal, shape (N,); give the coefficients and their standard errors, (k,)."""
+def _regressed(y: Floats, regressors: Floats, lags: int, of: Floats) -> tuple[Floats, Floats]:
+    """Regress a signal, shape (N,); give the coefficients and their standard errors, (k,).
+
+    What is left is at least white noise, seen through the filter with the impulse response ``of``:
+    where few cycles move most, the fit follows their noise, and correlated scores are too small.
+    """
     cut = np.linalg.inv(regressors.T @ regressors)
     b = cut @ (regressors.T @ y)
-    scores = regressors * (y - regressors @ b)[:, np.newaxis]
-    return b, np.sqrt(np.diag(cut @ summed_covariance(scores, lags) @ cut))
+    left = y - regressors @ b
+    scores = regressors * left[:, np.newaxis]
+    passed = oaconvolve(regressors, of[:, np.newaxis], axes=0) / _size(of)
+    white = cut @ (np.mean(left**2) * passed.T @ passed) @ cut
+    correlated = cut @ summed_covariance(scores, lags) @ cut
+    return b, np.sqrt(np.maximum(correlated.diagonal(), white.diagonal()))
 
 
 def _size(response: Floats) -> float:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import Section, mass_matrix
+from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import JUDGED, RIG_STATE, VALVE_COMMAND
 from seft_plant_sim.calibration import (
     NOTHING_KNOWN,
@@ -190,6 +191,11 @@ class Shaken:
         """Evaluate the record of a shake.
 
         ``found`` was identified from a record that ``known`` has corrected.
+
+        Raises
+        ------
+        InputError
+            If the mass does not stand out from its standard errors: friction holds the specimen.
         """
         samples = _samples(record)
         dt = record.experiment.timebase.dt
@@ -198,6 +204,12 @@ class Shaken:
         dead_time = np.mean([valve.actuator.dead_time for valve in found.valves]) - late.max()
         sound = sound_relations(found, sines, dt, max(float(dead_time), 0.0), late)
         fit = fit_shake(of, sound)
+        least, error = np.linalg.eigvalsh(fit.mass)[0], np.linalg.norm(fit.mass_error)
+        if least <= SHAKE_SIGMAS * error:
+            raise InputError(
+                f"shake: the specimen sticks under sines of {1e3 * shake.travel:.3g} mm: its least "
+                f"mass is {least:.3g} ± {error:.2g} kg; give a larger --travel, so that it slips"
+            )
         largest = np.abs(samples).max(axis=(0, 2)).tolist()
         experiment = record.experiment
         calibrated, section = Calibrated.of_shake(fit, experiment), experiment["reference_force"]
