@@ -38,7 +38,7 @@ DECODERS = {
     "clock": (decode_clock, encode_clock(10**9)),
     "description": (decode_description, encode_string(DESCRIBED)),
     "estimates": (ESTIMATES.decode, ESTIMATES.encode(3, {"delay": np.array([0.1, 0.2])})),
-    "trajectory": (parse_trajectory, CODECS[1].encode(3, np.ones((4, 2)))),
+    "trajectory": (parse_trajectory, CODECS[1].encode(3, np.ones((5, 2)))),
     **{
         codec.topic.name: (codec.decode, codec.encode(3, np.ones((len(codec.topic.quantities), 2))))
         for codec in CODECS

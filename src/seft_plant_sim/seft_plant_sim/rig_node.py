@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.node.node_kind import NodeKind
@@ -18,7 +19,6 @@ from seft_msgs_py.wire import topics
 from seft_msgs_py.wire.messages import Status, encode_clock, restamp
 from seft_msgs_py.wire.outcome import (
     FINISHED,
-    LISTED_STEPS,
     REHEARSED,
     REHEARSES,
     SENSOR_LAG,
@@ -63,6 +63,8 @@ class RigNode(NodeBody):
             self._sound = Rig.from_parameters({**self._section, "faults": ""}, *rig[1:])
         state = topics.RIG_STATE.of(shell.rig)
         self._state_codec = TrajectoryCodec(state, shell.rig.axes, self._timebase)
+        # a sample, and what is applied from it on
+        self._told = np.zeros((5, len(shell.rig.axes)))
         self._publish_state = shell.publisher(state)
         # with several rigs, one is the test's clock, and all start together
         self._publish_time: Callable[[bytes], None] | None = None
@@ -107,7 +109,8 @@ class RigNode(NodeBody):
         self._rehearsed = False
         sample = self._sound.reset()
         for step in range(WARM_UP_STEPS):
-            self._state_codec.decode(self._state_codec.encode(step, sample))
+            self._told[:4] = sample
+            self._state_codec.decode(self._state_codec.encode(step, self._told))
             sample = self._sound.step(self._drive.value)
 
     def run(self) -> None:
@@ -179,7 +182,6 @@ class RigNode(NodeBody):
             command.reset()
         self._stop_begun = None
         self._missed: list[int] = []
-        self._applied: list[Floats] = []  # at each of them
         self._samples = None
         self._recorder_lag.reset()
         self._round_trip.reset()
@@ -190,6 +192,7 @@ class RigNode(NodeBody):
         state = self._rig.reset()
         self._report("running")
         reason = self._shell.several_senders() or self._start_together(wanted)
+        self._told[4] = 0.0
         if reason:
             self._publish(0, state)
         else:
@@ -233,7 +236,8 @@ class RigNode(NodeBody):
                 return None
             if self._samples is None:
                 self._report_if_due()
-            state = rig.step(self._next_command(step))
+            self._told[4] = self._next_command(step)
+            state = rig.step(self._told[4])
         return rig.violation
 
     def _next_command(self, step: int) -> Floats:
@@ -247,8 +251,6 @@ class RigNode(NodeBody):
             return command
         if self._drive is self._valve and self._valve.stops_since is None:
             command = self._rig.extrapolated_command(command, *self._reserve.newest, step - last)
-        if len(self._applied) < LISTED_STEPS:
-            self._applied.append(command)
         return command
 
     def _plan(self) -> tuple[Floats | None, ...]:
@@ -297,7 +299,6 @@ class RigNode(NodeBody):
             self._samples.overruns if self._samples else 0,
             self._rig.saturation,
             self._round_trip.numbers(),
-            [] if stopped is None else [command.tolist() for command in self._applied],
             stopped and self._rig.simulated(self._stop_begun),
         )
         status = rig_status(outcome)
@@ -368,8 +369,9 @@ class RigNode(NodeBody):
     def _publish(self, step: int, state: Floats) -> bool:
         """Publish a sample; False if it is not finite, because messages must be finite."""
         self._valve.current = self._drive.current = self._reserve.current = step
+        self._told[:4] = state
         try:
-            raw = self._state_codec.encode(step, state)
+            raw = self._state_codec.encode(step, self._told)
         except WireError:
             return False
         self._round_trip.published(step, self._clock.monotonic())

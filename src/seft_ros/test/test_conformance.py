@@ -50,7 +50,8 @@ def moved(experiment, drive, later=0):
     states = [rig.reset()]
     states += [rig.step(np.array([value])).copy() for value in commands[: drive.steps - 1]]
     steps = np.arange(drive.steps)
-    return Samples(steps, np.array(states), steps * DT)
+    drives = np.concatenate([[0.0], drive.commands[:-1]])[:, np.newaxis]
+    return Samples(steps, np.array(states), drives, steps * DT)
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +62,7 @@ def samples(experiment, drive):
 def scaled(samples, row, factor):
     values = samples.values.copy()
     values[:, row] *= factor
-    return Samples(samples.steps, values, samples.times)
+    return samples._replace(values=values)
 
 
 def units_of(samples, drive, specimen):
@@ -103,7 +104,7 @@ def test_a_wrong_unit_or_sign_is_found_and_named(
 def test_a_channel_of_another_time_is_no_derivative(samples, drive, specimen):
     values = samples.values.copy()
     values[:, 2] = np.roll(values[:, 2], 10, axis=0)
-    late = Samples(samples.steps, values, samples.times)
+    late = samples._replace(values=values)
     finding = units_of(late, drive, specimen)["acceleration of velocity"]
     assert (finding.verdict, "not of one time" in finding.remedy) == ("failed", True)
 
@@ -114,7 +115,7 @@ def test_without_a_specimen_that_is_known_the_force_is_not_judged(samples, drive
 
 def test_a_valve_that_is_reversed_is_found(samples, drive):
     assert motion_checks.check_moves(samples, drive).verdict == "passed"
-    reversed_valve = Samples(samples.steps, -samples.values, samples.times)
+    reversed_valve = samples._replace(values=-samples.values)
     finding = motion_checks.check_moves(reversed_valve, drive)
     assert (finding.verdict, "reverse the valve's sign" in finding.remedy) == ("failed", True)
 
@@ -138,12 +139,17 @@ def test_a_rig_that_drifts_is_not_at_rest(samples, drive):
     assert motion_checks.check_rest(samples, drive).verdict == "passed"
     values = samples.values.copy()
     values[:, 0] += 1e-3 * samples.times[:, np.newaxis]
-    drifting = Samples(samples.steps, values, samples.times)
+    drifting = samples._replace(values=values)
     assert motion_checks.check_rest(drifting, drive).verdict == "failed"
 
 
 def at(times):
-    return Samples(np.arange(len(times)), np.zeros((len(times), 4, 1)), np.asarray(times))
+    return Samples(
+        np.arange(len(times)),
+        np.zeros((len(times), 4, 1)),
+        np.zeros((len(times), 1)),
+        np.asarray(times),
+    )
 
 
 def timing(times, stalls=()):

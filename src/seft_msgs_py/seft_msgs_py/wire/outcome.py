@@ -136,9 +136,6 @@ class Outcome:
         Saturated parts.
     round_trips : dict
         From a sample to its command, s, by the keys of `ROUND_TRIPS`; empty if not measured.
-    missed_commands : list of list of float
-        What was applied at each of `missed_steps` instead, by axis; empty if the rig does not
-        report it, and with several rigs.
     simulated : Simulated or None
         Largest true motion of a simulated rig; None if the rig is none.
     """
@@ -152,7 +149,6 @@ class Outcome:
     overruns: int = 0
     saturation: Saturation = field(default_factory=dict)
     round_trips: dict[str, float] = field(default_factory=dict)
-    missed_commands: list[list[float]] = field(default_factory=list)
     simulated: Simulated | None = None
 
     @classmethod
@@ -206,8 +202,6 @@ def rig_status(outcome: Outcome) -> Status:
     }
     if outcome.simulated is not None:
         values["simulated"] = json.dumps(asdict(outcome.simulated))
-    if outcome.missed_commands:
-        values["missed_commands"] = json.dumps(outcome.missed_commands[:LISTED_STEPS])
     for key, seconds in outcome.round_trips.items():
         values[ROUND_TRIPS[key]] = f"{seconds * 1e3:.3f}"
     if outcome.wall_s is not None:
@@ -250,7 +244,6 @@ def read_outcome(status: Status, timebase: Timebase) -> Outcome | None:
             missed=int(values["missed"]),
             overruns=int(values.get("overruns", "0")),  # optional for a driver
             missed_steps=_steps(values["missed_steps"]),
-            missed_commands=_commands(values.get("missed_commands", "[]")),
             wall_s=float(values["wall_s"]) if "wall_s" in values else None,
             trip=trip,
             saturation={
@@ -276,10 +269,6 @@ def _listed(steps: Sequence[int]) -> str:
 
 def _steps(text: str) -> list[int]:
     return [int(step) for step in text.split(",")] if text else []
-
-
-def _commands(text: str) -> list[list[float]]:
-    return [[_finite(value) for value in command] for command in json.loads(text)]
 
 
 def _simulated(text: str) -> Simulated:

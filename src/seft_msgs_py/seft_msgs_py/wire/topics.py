@@ -98,6 +98,8 @@ NODES = ("ground_motion", "reference_force", "force_controller", "rig", "supervi
 
 QUANTITIES = ("positions", "velocities", "accelerations", "effort")
 """Arrays of a JointTrajectoryPoint, in the order of the wire."""
+DRIVE = "drive"
+"""What a rig applies from its sample on: the effort of a second point, a period later."""
 RIG_NODES = ("force_controller", "rig")
 """Nodes of which each rig has its own; the others serve all rigs."""
 
@@ -280,8 +282,8 @@ RIG_STATE = LoopTopic(
     "rig/state",
     publisher="rig",
     subscribers=("force_controller",),
-    quantities=QUANTITIES,
-    units=("m", "m/s", "m/s^2", "N"),
+    quantities=(*QUANTITIES, DRIVE),
+    units=("m", "m/s", "m/s^2", "N", "V or N"),  # as the rig is driven
     finite=False,  # a sensor may fail
 )
 JUDGED = replace(
@@ -289,6 +291,8 @@ JUDGED = replace(
     name="rig/judged",
     publisher="force_controller",
     subscribers=("reference_force",),
+    quantities=QUANTITIES,
+    units=RIG_STATE.units[:4],
     finite=True,
 )
 """The sample of rig/state for the loop: a value that differs from it was wrong, and is replaced."""

@@ -20,6 +20,7 @@ from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.messages import decode_message, nanoseconds
 from seft_msgs_py.wire.topics import (
+    DRIVE,
     JOINT_TRAJECTORY,
     NANOSECONDS_PER_SECOND,
     QUANTITIES,
@@ -88,18 +89,20 @@ class Layout(NamedTuple):
             put(struct.pack("<I", len(data)))
             put(data, align=1)
 
+        drive = (("effort",),) if DRIVE in carried else ()
+        fields = (*[carried] * count, *drive)
         put(bytes(STAMP.size), fixed=False)
         put_string("")
         put(struct.pack("<I", len(axes)))
         for axis in axes:
             put_string(axis)
-        points_at = put(struct.pack("<I", count))
+        points_at = put(struct.pack("<I", len(fields)))
         values, form, end = [], "<4xiI", 12
-        for point in range(count):
+        for point, held in enumerate(fields):
             for quantity in QUANTITIES:
-                put(struct.pack("<I", len(axes) if quantity in carried else 0))
-                at = [put(bytes(8), align=8, fixed=False) for _ in axes if quantity in carried]
-                if quantity not in topic.quantities:
+                put(struct.pack("<I", len(axes) if quantity in held else 0))
+                at = [put(bytes(8), align=8, fixed=False) for _ in axes if quantity in held]
+                if not at or quantity not in topic.quantities:
                     continue
                 values += at
                 if count == 1:
@@ -185,6 +188,8 @@ class TrajectoryCodec:
         count = len(values) if isinstance(values, np.ndarray) and values.ndim else 1
         if count == 0:
             raise WireError(f"{self.topic.name}: a message needs at least one point")
+        if DRIVE in self.topic.quantities:
+            count = 1
         return self._encode(self._layout(count), step, values)
 
     def decode(self, raw: bytes) -> tuple[int, Floats]:
@@ -255,14 +260,16 @@ class TrajectoryCodec:
             return single
         if first and self.topic.name == TARGET.name:
             return self._layout(count, TARGET.quantities)
-        return single if count == 1 else self._layout(count)
+        return single if count == 1 or DRIVE in self.topic.quantities else self._layout(count)
 
     def _check_finite(self, numbers: Sequence[float], values: Floats) -> None:
         """Check values of shape (p, q, n), faster if they are also given as numbers."""
-        if not self.topic.finite or (numbers and math.hypot(*numbers) < math.inf):
+        if numbers and math.hypot(*numbers) < math.inf:
             return
-        if not np.isfinite(values).all():
-            point, row, column = np.argwhere(~np.isfinite(values))[0]
+        first = 0 if self.topic.finite else len(QUANTITIES)  # a drive is no measurement
+        if not np.isfinite(values[:, first:]).all():
+            point, row, column = np.argwhere(~np.isfinite(values[:, first:]))[0]
+            row += first
             raise WireError(
                 f"{self.topic.name}: {self.topic.quantities[row]} of axis {self.axes[column]} is "
                 f"{values[point, row, column]}"
@@ -277,7 +284,15 @@ class TrajectoryCodec:
             )
         if not message.points:
             raise WireError(f"{name}: the message holds no point")
-        values = np.empty((len(message.points), len(self.topic.quantities), len(self.axes)))
+        count, quantities = len(message.points), self.topic.quantities
+        if tells_drive := DRIVE in quantities:
+            if count != 2:
+                raise WireError(
+                    f"{name}: points {count}, not 2: the sample, and the effort that the rig "
+                    "applies from then on"
+                )
+            count = 1
+        values = np.empty((count, len(quantities), len(self.axes)))
         for index, point in enumerate(message.points):
             after = nanoseconds(point.time_from_start)
             if after != index * self.timebase.period_ns:
@@ -285,14 +300,15 @@ class TrajectoryCodec:
                     f"{name}: point {index} is {after} ns after the stamp, "
                     f"not {index} periods of {self.timebase.period_ns} ns"
                 )
-            for row, quantity in enumerate(self.topic.quantities):
+            told = tells_drive and index == 1
+            for row, quantity in enumerate(("effort",) if told else quantities[:4]):
                 given = getattr(point, quantity)
                 if len(given) != len(self.axes):
                     raise WireError(
                         f"{name}: {len(given)} {quantity} for {len(self.axes)} axes "
                         f"{list(self.axes)}"
                     )
-                values[index, row] = given
+                values[(0, 4) if told else (index, row)] = given
         self._check_finite([], values)
         return self.timebase.step(message.stamp_ns), values
 
@@ -375,6 +391,6 @@ def _of_layout(codec: TrajectoryCodec, rows: _Bytes, layout: Layout) -> tuple[In
     differing = rows[:, :size] & known
     differing ^= np.frombuffer(layout.template, np.uint8) & known
     fits = (rest == 0) & (steps >= 0) & ~differing.any(axis=1)
-    if codec.topic.finite:
-        fits &= np.isfinite(values).all(axis=1)
+    first = 0 if codec.topic.finite else len(QUANTITIES) * len(codec.axes)  # as decode does
+    fits &= np.isfinite(values[:, first:]).all(axis=1)
     return steps, values, fits

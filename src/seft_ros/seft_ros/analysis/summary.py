@@ -14,7 +14,6 @@ from seft_msgs_py.wire.topics import (
     LOOP_TOPICS,
     REFERENCE_FORCE,
     RIG_STATE,
-    VALVE_COMMAND,
 )
 from seft_plant_sim.calibration import zeros_of_all
 from seft_plant_sim.computed_model import ModelError
@@ -309,17 +308,13 @@ def shares_of(record: Record) -> dict[str, float] | None:
     sample was answered.
     """
     section = record.experiment.sections.get("force_controller", {})
-    states, forces, sent = (
-        record.series[topic.name] for topic in (RIG_STATE, REFERENCE_FORCE, VALVE_COMMAND)
-    )
+    states, forces = (record.series[topic.name] for topic in (RIG_STATE, REFERENCE_FORCE))
     steps, at_states, at_forces = common_steps(states.steps, forces.steps)
-    if "sensor_lag" not in section or not len(steps) or not len(sent.steps):
+    if "sensor_lag" not in section or not len(steps):
         return None
-    newest = np.searchsorted(sent.steps, steps, side="right") - 1
-    commands = np.where(newest[:, np.newaxis] < 0, 0.0, sent.values[newest, 0])
     measured, forces_there = states.values[at_states], forces.values[at_forces]
     with np.errstate(over="ignore", invalid="ignore"):
-        return detector_shares(record.experiment, steps, forces_there, measured, commands)
+        return detector_shares(record.experiment, steps, forces_there, measured)
 
 
 def _has_judged(record: Record) -> bool:
@@ -330,7 +325,7 @@ def _has_judged(record: Record) -> bool:
 def replaced_in(record: Record) -> dict[str, int]:
     """Count the values that were wrong and replaced, by channel."""
     measured, judged = record.series[RIG_STATE.name].values, record.states.values
-    count = np.count_nonzero(measured != judged, axis=(0, 2))
+    count = np.count_nonzero(measured[:, :4] != judged, axis=(0, 2))
     return dict(zip(LIMIT_NAMES, count.tolist(), strict=True))
 
 

@@ -281,8 +281,6 @@ class Record:
         recorder was cut off before the rig reported it).
     missed_steps : list of int
         The first of these steps (the rig lists a bounded number).
-    missed_commands : list of list of float
-        What was applied at each of them instead, by axis; empty if unknown.
     overruns : int or None
         Sampling overruns: the rig's own clock was late by more than half a period, and went on
         from there; None if unknown.
@@ -318,7 +316,6 @@ class Record:
     trip: Trip | None = None
     missed: int | None = 0
     missed_steps: list[int] = field(default_factory=list)
-    missed_commands: list[list[float]] = field(default_factory=list)
     overruns: int | None = 0
     saturation: Saturation = field(default_factory=dict)
     simulated: Simulated | None = None
@@ -341,6 +338,7 @@ class Record:
     def states(self) -> Series:
         """The judged samples, as the loop used them; as measured where none was recorded."""
         measured = self.series[RIG_STATE.name]
+        measured = replace(measured, values=measured.values[:, :4])
         judged = self.series.get(JUDGED.name, measured)
         if np.array_equal(measured.steps, judged.steps):
             return replace(measured, values=judged.values)

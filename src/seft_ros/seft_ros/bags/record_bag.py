@@ -361,7 +361,6 @@ def write_record(
                 record.overruns or 0,
                 record.saturation,
                 record.round_trips,
-                record.missed_commands,
                 record.simulated,
             )
             status = rig_status(outcome)

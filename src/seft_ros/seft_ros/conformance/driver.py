@@ -157,13 +157,14 @@ RigAnswer = Callable[[int], list[bytes]]
 
 
 class Samples(NamedTuple):
-    """N states that could be read: their steps, samples of shape (N, 4, n), and times, s.
+    """N states that could be read: steps, samples (N, 4, n), what is applied (N, n), times, s.
 
     The times are those of sending, so that delays of this host are not counted as the rig's.
     """
 
     steps: npt.NDArray[np.int64]
     values: Floats
+    drives: Floats
     times: Floats
 
 
@@ -171,12 +172,12 @@ class Samples(NamedTuple):
 class Trial:
     """Messages of the rig in one test, as received, each with its time, monotonic, s.
 
-    ``read`` has step, sample and time of sending of the states that could be read; ``marks`` has
-    the times of what was done to the rig; ``fault`` says why the test was aborted.
+    ``read`` has step, sample, drive and time of sending of the states that could be read;
+    ``marks`` has the times of what was done to the rig; ``fault`` why the test was aborted.
     """
 
     states: list[tuple[float, bytes]] = field(default_factory=list)
-    read: list[tuple[int, Floats, float]] = field(default_factory=list)
+    read: list[tuple[int, Floats, Floats, float]] = field(default_factory=list)
     statuses: list[tuple[float, Status]] = field(default_factory=list)
     clocks: list[tuple[float, int]] = field(default_factory=list)
     marks: dict[str, float] = field(default_factory=dict)
@@ -199,7 +200,9 @@ class Trial:
     def samples(self) -> Samples:
         """States that could be read."""
         if not self.read:
-            return Samples(np.empty(0, np.int64), np.empty((0, 4, 1)), np.empty(0))
+            return Samples(
+                np.empty(0, np.int64), np.empty((0, 4, 1)), np.empty((0, 1)), np.empty(0)
+            )
         return Samples(*(np.array(column) for column in zip(*self.read, strict=True)))
 
 
@@ -383,12 +386,12 @@ class RigExerciser(SimulatedPeer):
         trial = self.trial
         trial.states.append((at, raw))
         step, values = self._samples.decode(raw)  # what can't be read can't be answered
-        trial.read.append((step, values[0], sent))
+        trial.read.append((step, values[0, :4], values[0, 4], sent))
         if self._answer is None:
             return
         for message in self._answer(step):
             self.send(self.commands.topic, message)
-        trial.fault = trial.fault or self._guard.fault(values[0])
+        trial.fault = trial.fault or self._guard.fault(values[0, :4])
 
     def _on_clock(self, raw: bytes, at: float, sent: float) -> None:
         self.trial.clocks.append((at, decode_clock(raw)))

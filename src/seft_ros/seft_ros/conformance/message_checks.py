@@ -59,7 +59,7 @@ def check_signs_of_life(trial: Trial) -> Finding:
 
 
 def check_form(trial: Trial, axes: Sequence[str]) -> Finding:
-    """Check that all states have the axes, one point, all quantities, and finite values."""
+    """Check that all states have the axes, all quantities and what is applied, all finite."""
     name = "form of rig/state"
     if not trial.states:
         text = "no rig/state in a running test"
@@ -77,10 +77,10 @@ def check_form(trial: Trial, axes: Sequence[str]) -> Finding:
 def _fault(message: Trajectory, axes: Sequence[str]) -> str:
     if message.axes != tuple(axes):
         return f"axes are {list(message.axes)}, not {list(axes)}"
-    if len(message.points) != 1:
-        return f"{len(message.points)} points, not 1"
-    for quantity in QUANTITIES:
-        values = getattr(message.points[0], quantity)
+    if len(message.points) != 2:
+        return f"points {len(message.points)}, not 2: the sample, and what is applied from then on"
+    for point, quantity in (*((0, quantity) for quantity in QUANTITIES), (1, "effort")):
+        values = getattr(message.points[point], quantity)
         if len(values) != len(axes):
             return f"{len(values)} {quantity} for {len(axes)} axes"
         if not np.isfinite(values).all():

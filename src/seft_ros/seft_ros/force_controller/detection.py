@@ -83,13 +83,12 @@ def detectors_of(
         np.ascontiguousarray(ratio * mass),
         warn_only,
         section["voltage_limit"],
-        section["watchdog.state_timeout"],
         dt,
     )
 
 
 def detector_shares(
-    experiment: Experiment, steps: Ints, points: Floats, states: Floats, commands: Floats
+    experiment: Experiment, steps: Ints, points: Floats, states: Floats
 ) -> dict[str, float]:
     """Give the largest value of each detector in a test, over its threshold.
 
@@ -99,8 +98,8 @@ def detector_shares(
         Of the test.
     steps : ndarray
         Of the N answered samples, shape (N,).
-    points, states, commands : ndarray
-        Reference force, state and valve command at these, shapes (N, q, n), (N, 4, n) and (N, n).
+    points, states : ndarray
+        Reference force, and sample and drive of the rig at these; shapes (N, q, n) and (N, 5, n).
 
     Returns
     -------
@@ -119,8 +118,6 @@ def detector_shares(
             steps,
             np.ascontiguousarray(points[..., own]),
             np.ascontiguousarray(states[..., own]),
-            np.ascontiguousarray(commands[..., own]),
-            section["voltage_limit"],
             np.empty_like(parameters.noise),
         )
         shares = np.maximum(shares, state.shares.max(axis=1))

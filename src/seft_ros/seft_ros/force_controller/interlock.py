@@ -11,19 +11,17 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import entry_point, kind_of
 from seft_plant_sim.limits import beyond_limit, event_ring
-from seft_plant_sim.rig import extrapolated_command, left_open
+from seft_plant_sim.rig import left_open
 from seft_plant_sim.rig_parameters import LIMIT_NAMES
 
 from seft_ros.force_controller.detection import detectors_of
 from seft_ros.force_controller.force_control import ForceControl
 from seft_ros.force_controller.interlock_step import (
-    ANSWERED,
     DETECTED,
     FAULT,
     IMPLAUSIBLE,
     IMPLAUSIBLE_COMMAND,
     LIMIT,
-    MISSED,
     NO_TRIP,
     OUTSIDE,
     SATURATION,
@@ -32,7 +30,6 @@ from seft_ros.force_controller.interlock_step import (
     VALID_CAUSES,
     InterlockParameters,
     InterlockState,
-    miss_command,
     postcheck,
     precheck,
     take_sample,
@@ -99,7 +96,7 @@ class Interlock:
             detectors[0],
         )
         self.state = InterlockState(
-            flags=np.zeros(6, dtype=np.int64),
+            flags=np.zeros(4, dtype=np.int64),
             saturated=saturated,
             force=np.zeros(n),
             measured=np.zeros((4, n)),
@@ -112,10 +109,9 @@ class Interlock:
         both, drive = (self.parameters, self.state), self.state.drive
         points, sample = np.zeros((1, 1, n)), self.state.sample
         self._begin_detectors = entry_point(begin_detectors, *detectors)
-        self._take = entry_point(take_sample, *both, 0, sample, sample)
+        self._take = entry_point(take_sample, *both, 0, np.zeros((5, n)), sample)
         self._begin = entry_point(precheck, *both, 0, points, sample, drive)
         self._end = entry_point(postcheck, *both, 0, False, drive)
-        self._miss = entry_point(miss_command, *both, 0, drive)
         self.reset()
 
     @classmethod
@@ -177,13 +173,12 @@ class Interlock:
         """Begin a new test; also after a trip."""
         self.controller.reset()
         self.state.flags[:], self.state.drive[:], self.state.plan[:] = 0, 0.0, 0.0
-        self.state.flags[DETECTED], self.state.flags[MISSED] = VALID, -1
+        self.state.flags[DETECTED] = VALID
         self._begin_detectors(self.parameters.detectors, self.state.detectors)
         self._outside, self._stopping = "", np.zeros((0, len(self._axes)))
-        self._reserve = -1, self._stopping
 
     def judge(self, index: int, raw: Floats) -> Floats:
-        """Judge the sample of a step, shape (4, n), see `judge_sample`."""
+        """Judge the sample of a step, shape (5, n), see `judge_sample`; give it, shape (4, n)."""
         judged = np.empty_like(self.state.sample)
         raw = np.ascontiguousarray(raw, np.float64)
         self._take(self.parameters, self.state, index, raw, judged)
@@ -216,18 +211,6 @@ class Interlock:
             command[:] = self.stop(index)[0]
         return command
 
-    def missed(self, index: int) -> None:
-        """Learn that the rig sampled again before it had the answer to a step.
-
-        Then it has continued along the stop in reserve (`seft_plant_sim.rig.extrapolated_command`).
-        """
-        begun, plan = self._reserve
-        command, answered = self.state.drive, int(self.state.flags[ANSWERED])
-        if not self.reason and begun >= 0:
-            closing = self.parameters.closing
-            command = extrapolated_command(command, index - begun, plan, index - answered, closing)
-        self._miss(self.parameters, self.state, index, command)
-
     def stop(self, index: int) -> Floats:
         """Give the commands of a stop, from a step on; shape (m, n), V.
 
@@ -246,7 +229,6 @@ class Interlock:
                 last = stopping[-1]
             stopping = np.vstack([stopping, np.outer(self._closing, last)])
         if first < 0:
-            self._reserve = index, stopping
             return stopping
         self._stopping = stopping
         return stopping[min(index - first, len(stopping) - 1) :]
@@ -322,7 +304,7 @@ class Interlocks:
 
     def judge(self, index: int, raw: Floats) -> Floats:
         """Judge the sample of a step, see `Interlock.judge`."""
-        judged = np.empty_like(raw)
+        judged = np.empty((4, raw.shape[1]))
         for places, interlock in self._rigs:
             judged[:, places] = interlock.judge(index, raw[:, places])
         return judged

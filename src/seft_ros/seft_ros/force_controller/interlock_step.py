@@ -8,7 +8,6 @@ from seft_plant_sim.compiled import compiled, copy
 from seft_plant_sim.limits import is_exceeded
 from seft_plant_sim.rig import left_open
 
-from seft_ros.protection.channel_relations import take_command
 from seft_ros.protection.detector_step import judge_sample, look_at_tracking
 from seft_ros.protection.detectors import (
     SUSPECT,
@@ -17,13 +16,11 @@ from seft_ros.protection.detectors import (
     DetectorState,
     first_of,
 )
-from seft_ros.protection.judge_step import ask
 from seft_ros.protection.protection_step import as_sample, extrapolate
 
-TRIP, STEP, SATURATED, DETECTED, ANSWERED, MISSED = range(6)
-"""Places of the flags: reason and step of the trip, number of limited drives, the detector that has
-found a fault, the last step that the controller answered, and the last one whose command the rig
-missed."""
+TRIP, STEP, SATURATED, DETECTED = range(4)
+"""Places of the flags: reason and step of the trip, number of limited drives, and the detector that
+has found a fault."""
 NO_TRIP, IMPLAUSIBLE, IMPLAUSIBLE_COMMAND, SATURATION, FAULT, LIMIT, OUTSIDE = range(7)
 """Reasons of a trip; the last one is a reason from outside."""
 VALID_CAUSES = NO_TRIP, IMPLAUSIBLE, LIMIT
@@ -63,7 +60,7 @@ class InterlockState(NamedTuple):
     Attributes
     ----------
     flags : ndarray
-        See `TRIP`, shape (6,).
+        See `TRIP`, shape (4,).
     saturated : ndarray
         The last steps at which the drive was limited, see `is_exceeded`.
     force, measured, odd : ndarray
@@ -146,8 +143,6 @@ def precheck(
         for i in range(n):
             force = points[0, last, i]
             fits &= abs(force) <= parameters.largest
-            if fits and not parameters.detectors.has_valve:
-                ask(parameters.detectors.judge, state.detectors.judge, i, force)
         for i in range(n):
             if fits and state.plan.shape[1] > 1:  # a controller of forces reads them alone
                 detectors = parameters.detectors
@@ -155,19 +150,15 @@ def precheck(
                 found = first_of(found, away)
         if fits and found == VALID:
             take_plan(state, points, judged)
-            state.flags[ANSWERED] = step
             return True
         if fits and found == SUSPECT and last and state.plan.shape[1] > 1:
             follow_plan(state, parameters.detectors.dt)
-            state.flags[ANSWERED] = step
             return True
         if not fits or found >= 0:
             trip(state, FAULT if fits else IMPLAUSIBLE, step)
             state.flags[DETECTED] = found
             copy(n, points[0, last], state.force)
     begin_stop(parameters, state, command)
-    if step > state.flags[MISSED]:
-        take_command(parameters.detectors, state.detectors, command, False)
     return False
 
 
@@ -216,17 +207,6 @@ def postcheck(
     else:
         copy(len(command), command, state.odd)
         begin_stop(parameters, state, command)
-    if step > state.flags[MISSED]:
-        take_command(parameters.detectors, state.detectors, command, limited)
-
-
-@compiled
-def miss_command(
-    parameters: InterlockParameters, state: InterlockState, step: int, command: Floats
-) -> None:
-    """Let the detectors know what the rig applied where the answer to a step comes too late."""
-    take_command(parameters.detectors, state.detectors, command, False)
-    state.flags[MISSED] = step
 
 
 @compiled

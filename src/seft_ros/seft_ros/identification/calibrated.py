@@ -114,7 +114,9 @@ class Calibrated:
         if len(known.scale):
             calibrate_all(known, state, values)
         every = np.arange(len(values))
-        whole = replace(record.states, steps=every, values=values, received_ns=None)
+        measured = record.series[RIG_STATE.name]
+        values = np.concatenate([values, every_step(measured, every)[:, 4:]], axis=1)
+        whole = replace(measured, steps=every, values=values, received_ns=None)
         return replace(record, series={**record.series, RIG_STATE.name: whole})
 
 

@@ -281,7 +281,7 @@ class Intake:
         for name, row in COMPARED.items():
             self.history.write(steps, self.signals.measured[name], values[:, row])
         slots = steps % len(self._steps)
-        self._steps[slots], self._recent[slots], self._sent[slots] = steps, values, sent
+        self._steps[slots], self._recent[slots], self._sent[slots] = steps, values[:, :4], sent
 
     def _take_forces(self, steps: Ints, forces: Floats, sent: Ints) -> None:
         near = steps < self.history.head  # the states of those ahead have not arrived

@@ -109,7 +109,7 @@ class ForceControllerNode(NodeBody):
 
     def _warm_up(self) -> None:
         axes = len(self._shell.rig.axes)
-        points, state = np.zeros((1, 1, axes)), np.zeros((4, axes))
+        points, state = np.zeros((1, 1, axes)), np.zeros((5, axes))
         for step in range(WARM_UP_STEPS):
             judged = self._controller.judge(step, state)
             self._judged_codec.decode(self._judged_codec.encode(step, judged))
@@ -159,8 +159,6 @@ class ForceControllerNode(NodeBody):
             raise WireError(f"{RIG_STATE.name} of step {step} a second time")
         if self._states and step < max(self._states):
             raise WireError(f"{RIG_STATE.name} of step {step} after that of {max(self._states)}")
-        if step - 1 in self._states:
-            self._controller.missed(step - 1)
         was_tripped = bool(self._controller.reason)
         judged = self._controller.judge(step, state)
         self._publish_judged(self._judged_codec.encode(step, judged))

@@ -54,26 +54,18 @@ Sides = tuple[float, float, float]
 
 
 @compiled
-def take_command(
-    p: DetectorParameters, state: DetectorState, command: Floats, limited: bool
-) -> None:
-    """Store the command that answers the last sample, (n,), V, and whether it is limited."""
-    if limited and p.has_valve:
-        state.step[LIMITED_AT] = state.step[SAMPLE]
-    for i in range(len(command)):
-        for j in range(state.sent.shape[1] - 1, 0, -1):
-            state.sent[i, j] = state.sent[i, j - 1]
-        load = under_load(command[i], state.last[3, i], p.actuator[i, 3])
-        state.sent[i, 0] = command[i] * load
+def find_flow(p: DetectorParameters, state: DetectorState, lost: int, drive: Floats) -> None:
+    """Find the present flow of each valve from the commands that the rig has applied.
 
-
-@compiled
-def find_flow(p: DetectorParameters, state: DetectorState, lost: int) -> None:
-    """Find the present flow of each valve; if samples were lost, the last command was held."""
-    for i in range(len(state.flow[0])):
-        for _ in range(min(lost, state.sent.shape[1])):
+    Before the present one, of shape (n,), it has held the last if samples were lost.
+    """
+    for i in range(len(drive)):
+        if abs(drive[i]) >= p.limit:
+            state.step[LIMITED_AT] = state.step[SAMPLE]
+        for _ in range(min(lost, state.sent.shape[1]) + 1):
             for j in range(state.sent.shape[1] - 1, 0, -1):
                 state.sent[i, j] = state.sent[i, j - 1]
+        state.sent[i, 0] = drive[i] * under_load(drive[i], state.last[3, i], p.actuator[i, 3])
         flow = later = 0.0
         for j in range(state.sent.shape[1]):
             flow += p.past[0, i, j] * state.sent[i, j]
@@ -124,8 +116,7 @@ def compare_channels(
     sides : Sides
         Of the last period.
     rough : float
-        Difference of the sums by what came between the samples, by the converter, and by missed
-        commands.
+        Difference of the sums by what came between the samples, and by the converter.
     """
     sums, found, scatter = state.sums[relation], state.estimated[relation], state.scatter[relation]
     covariance, row = state.covariance[relation, i], DIFFERS + relation
@@ -195,16 +186,13 @@ def velocity_acceleration(
 
 @compiled
 def oil_balance(p: DetectorParameters, state: DetectorState, measured: Floats, i: int) -> int:
-    """Relation (3); a rig that misses commands slows down, and nobody tells."""
+    """Relation (3)."""
     last, oil = state.last, p.actuator[i, 1]
     flow = 0.5 * p.dt * (state.flow[0, i] + state.flow[1, i])
     later = 0.5 * p.dt * (state.later[0, i] + state.later[1, i])
     leaked = 0.5 * p.dt * p.actuator[i, 2] * (measured[3, i] + last[3, i])
     change = measured[0, i] - last[0, i] + (measured[3, i] - last[3, i] + leaked) / oil
     rough = resolution_of(state, FORCE, i) / oil + resolution_of(state, POSITION, i)
-    slowed = max(p.lost * abs(measured[1, i]), p.oil_fade * state.largest[5, i])
-    state.largest[5, i] = slowed
-    rough += slowed
     return compare_channels(p, state, OIL, measured.shape[1], i, (change, flow, later), rough)
 
 

@@ -16,7 +16,6 @@ from seft_ros.protection.channel_relations import (
     begin_relations,
     find_flow,
     relations,
-    take_command,
 )
 from seft_ros.protection.detectors import (
     AT_RANGE,
@@ -91,7 +90,8 @@ def judge_sample(
         Of the sample. Nothing is compared if the sample before is missing; a channel is not used if
         it is at the end of its sensor's range.
     raw : ndarray
-        Displacement, velocity, acceleration and force, shape (4, n).
+        Displacement, velocity, acceleration, force, and what the rig applies from this sample on
+        (V, or N if it obeys forces); shape (5, n).
     judged : ndarray
         The sample for the loop, finite, see `judge`; shape (4, n). The result.
     """
@@ -103,8 +103,11 @@ def judge_sample(
                 state.step[AT_RANGE + row] = step
     is_first = lost > 0
     state.step[SAMPLE] = step
-    find_flow(p, state, lost)
+    if p.has_valve:
+        find_flow(p, state, lost, raw[4])
     for i in range(n):
+        if not p.has_valve:
+            ask(p.judge, state.judge, i, raw[4, i])
         flow = 0.5 * (state.flow[0, i] + state.flow[1, i])
         later = 0.5 * (state.later[0, i] + state.later[1, i])
         state.mean[i] = expected(state.estimated[OIL], i, flow, later, 1.0)
@@ -199,8 +202,6 @@ def detect_all(
     steps: Ints,
     points: Floats,
     states: Floats,
-    commands: Floats,
-    limit: float,
     judged: Floats,
 ) -> None:
     """Check the samples of a whole test.
@@ -211,21 +212,13 @@ def detect_all(
         The state, after its begin; it is updated.
     steps : ndarray
         Of the N samples, shape (N,).
-    points, states, commands : ndarray
-        Reference force, state and valve command at these, shapes (N, q, n), (N, 4, n) and (N, n).
-    limit : float
-        Largest command, V.
+    points, states : ndarray
+        Reference force, and sample and drive of the rig at these; shapes (N, q, n) and (N, 5, n).
     judged : ndarray
         Shape (4, n), a work array.
     """
     for k in range(len(steps)):
         judge_sample(p, state, steps[k], states[k], judged)
-        for i in range(commands.shape[1]):
-            if not p.has_valve:
-                ask(p.judge, state.judge, i, points[k, points.shape[1] - 1, i])
+        for i in range(states.shape[2]):
             if points.shape[1] > 1:
                 look_at_tracking(p, state, steps[k], points[k : k + 1], judged, i)
-        limited = False
-        for i in range(commands.shape[1]):
-            limited |= abs(commands[k, i]) >= limit
-        take_command(p, state, commands[k], limited)

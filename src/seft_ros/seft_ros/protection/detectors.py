@@ -10,7 +10,6 @@ from seft_plant_sim.compiled import compiled
 
 from seft_ros.protection.detector_list import DETECTORS
 from seft_ros.protection.judge import JudgeParameters, JudgeState, judge_arrays
-from seft_ros.protection.protection_step import STOP_TIME
 from seft_ros.protection.relation_following import ESTIMATE_DRIFT, NOISE_SIGMAS
 from seft_ros.protection.valve_following import (
     LARGEST_DELAY_ERROR,
@@ -77,8 +76,8 @@ class DetectorParameters(NamedTuple):
         RMS noise of the sensors, shape (4, n): assumed, and configured (0: not configured).
     range : ndarray
         Largest value that each sensor can measure, shape (4, n); infinite if it is not known.
-    lost : float
-        Time of motion that a rig loses while it misses commands, s; see `lost_time`.
+    limit : float
+        Largest command of a valve, V.
     limited : int
         Samples after one at the valve's limit in which the target need not be followed.
     sums : ndarray
@@ -125,7 +124,7 @@ class DetectorParameters(NamedTuple):
     noise: Floats
     dither: Floats
     range: Floats
-    lost: float
+    limit: float
     limited: int
     sums: Floats
     deviation: Floats
@@ -166,8 +165,7 @@ class DetectorState(NamedTuple):
         Last change of the acceleration, largest recent change of that, and the sum of the jumps by
         a held force, m/s^2, shape (3, n).
     largest : ndarray
-        Largest recent values: of these sums, of the target's motion, of r, and of the way that the
-        rig loses while it misses commands, m; shape (6, n).
+        Largest recent values: of these sums, of the target's motion, and of r; shape (5, n).
     restoring : ndarray
         r at the last sample, its last change, and the present r; shape (3, n), N.
     work : ndarray
@@ -223,12 +221,6 @@ class DetectorState(NamedTuple):
     judge: JudgeState
 
 
-def lost_time(missing: float) -> float:
-    """Time of motion that a rig loses in some time along a stop, half a cosine of the velocity."""
-    phase = math.pi * min(missing / STOP_TIME, 1.0)
-    return missing / 2.0 - STOP_TIME / (2.0 * math.pi) * math.sin(phase)
-
-
 def detector_arrays(
     noise: Floats,
     limits: Floats,
@@ -242,7 +234,6 @@ def detector_arrays(
     computed_mass: Floats,
     warn_only: Sequence[str],
     largest_drive: float,
-    longest_miss: float,
     dt: float,
 ) -> tuple[DetectorParameters, DetectorState]:
     """Put the detectors of n axes into arrays.
@@ -267,8 +258,6 @@ def detector_arrays(
         Names of the detectors that do not end a test.
     largest_drive : float
         Of a valve, V.
-    longest_miss : float
-        Longest time in which a rig may miss commands, s: no fault.
     dt : float
         Sampling period, s.
     """
@@ -329,7 +318,7 @@ def detector_arrays(
         noise=np.array([x, v, a, f]),
         dither=noise,
         range=judging.range,
-        lost=lost_time(longest_miss),
+        limit=largest_drive,
         limited=math.ceil(LIMITED / dt),
         sums=NOISE_SIGMAS * np.vstack([sums, of_oil]),
         deviation=deviation,
@@ -356,7 +345,7 @@ def detector_arrays(
         sent=np.zeros_like(past[0]),
         sums=np.zeros((3, 4, n)),
         rise=np.zeros((3, n)),
-        largest=np.zeros((6, n)),
+        largest=np.zeros((5, n)),
         restoring=np.zeros((3, n)),
         work=np.zeros(3),
         farthest=np.zeros((2, n)),

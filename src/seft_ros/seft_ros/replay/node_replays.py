@@ -7,9 +7,7 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import (
-    REFERENCE_FORCE,
     RIG_STATE,
-    TARGET,
     VALVE_COMMAND,
     LoopTopic,
 )
@@ -156,71 +154,30 @@ class ForceControllerReplay(Replay):
 
 
 class RigReplay(Replay):
-    """What force_controller, or reference_force, sent to the rig.
-
-    Where it missed a command, it is given what it applied instead.
-    """
+    """What the rig applied, as it has told with each sample."""
 
     node = "rig"
     answer: LoopTopic = RIG_STATE
 
     def __init__(self, recorded: Recorded) -> None:
         super().__init__(recorded)
-        record, section = recorded.record, self.experiment["rig"]
-        self.expected = recorded.series(RIG_STATE)
-        rig = Rig.from_parameters(section, self.experiment.axes, self.experiment.timebase)
-        self._drive = VALVE_COMMAND
-        if rig.drive != VALVE_COMMAND.name:
-            self._drive = REFERENCE_FORCE
-            sent = reference_force_topic(self.experiment.sections.get("reference_force", {}))
-            if section["loop_delay"] and sent == TARGET:
-                raise InputError(
-                    "the rig was driven by the future motion of a target over a link (loop_delay): "
-                    "which message was the newest is not in a bag; replay reference_force"
-                )
-        listed = record.missed_steps
-        if record.missed is None:
-            self.notes.append("the bag does not say which commands the rig missed")
-        elif record.missed and not 0 < len(listed) == len(record.missed_commands):
-            raise InputError(
-                f"the rig missed {record.missed} commands, but the bag does not say which, and "
-                "what it applied instead"
-            )
-        elif record.missed > len(listed):
-            self.expected = self.expected.until(listed[-1] + 1)
+        states = recorded.series(RIG_STATE)
+        whole = int((states.steps == np.arange(len(states.steps))).sum())
+        self.expected = states.until(whole - 1)
+        if whole < len(states.steps):
             self.notes.append(
-                f"replayed until step {listed[-1] + 1}: the bag lists only the first "
-                f"{len(listed)} of the {record.missed} steps that the rig missed"
+                f"replayed until step {whole - 1}: rig/state of the next is not in the bag"
             )
-        self._applied = self._commands(recorded, int(self.expected.steps[-1]))
-
-    def _commands(self, recorded: Recorded, steps: int) -> list[Floats]:
-        """Give what was applied after each sample but the last, shape (n,), in the drive's unit."""
-        record = recorded.record
-        known = {step: values[-1] for step, values in recorded.series(self._drive).samples()}
-        told = map(np.array, record.missed_commands)
-        known.update(zip(record.missed_steps, told, strict=False))
-        applied = [np.zeros(len(self.experiment.axes))]
-        for step in range(steps):
-            if record.missed is None and step not in known:
-                applied.append(applied[-1])
-            elif step not in known:
-                raise InputError(
-                    f"the bag lacks {self._drive.name} of step {step}, which the rig did "
-                    "not miss: what it applied is not known"
-                )
-            else:
-                applied.append(known[step])
-        return applied[1:]
 
     def computed(self, section: dict[str, Any]) -> tuple[Series, Estimates | None]:
         """Compute the states of the simulated rig."""
         rig = Rig.from_parameters(dict(section), self.experiment.axes, self.experiment.timebase)
-        states = [np.array(rig.reset())]
-        for applied in self._applied:
+        drives = self.expected.values[:, 4]
+        states = [np.vstack([rig.reset(), drives[0]])]
+        for drive in drives[1:]:
             if rig.violation is not None:
                 break
-            states.append(np.array(rig.step(applied)))
+            states.append(np.vstack([rig.step(drive), drive]))
         return Series(np.arange(len(states), dtype=np.int64), np.array(states)), None
 
 

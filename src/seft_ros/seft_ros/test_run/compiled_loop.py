@@ -269,7 +269,7 @@ class LoopSamples(NamedTuple):
     Attributes
     ----------
     states, judged, forces, commands : ndarray
-        Shapes (N, 4, n), (N, 4, n), (N, q, n) and (N, n).
+        Shapes (N, 5, n), (N, 4, n), (N, q, n) and (N, n); states with the drive of the rig.
     found, true_forces : ndarray
         Results of `rig_step`, and largest true force of any axis (N), shape (N,).
     estimates : ndarray
@@ -412,7 +412,9 @@ def _run_steps(
     assert len(drive) == n
     for step in range(first, last):
         measured, command = states[step], commands[step]
-        found[step] = rig_step(rig, rig_state, step, drive, noise[step - first], measured)
+        for i in range(n):
+            measured[4, i] = drive[i]
+        found[step] = rig_step(rig, rig_state, step, drive, noise[step - first], measured[:4])
         true_forces[step] = rig_state.peaks[FORCE_NOW]
         judged = judged_states[step]
         take_sample(interlock, interlock_state, step, measured, judged)

@@ -142,7 +142,8 @@ class DriverNode(NodeBody):
     def _tick(self) -> None:
         """Take one sample, and do with it what the phase asks for."""
         if self._phase == "running" and self._goes_on():
-            self._hardware.write_command(self._command.value)
+            self._drive = self._command.value
+            self._hardware.write_command(self._drive)
         sample = self._read()
         if self._phase == "running":
             self._publish(self._step + 1, sample)
@@ -205,6 +206,7 @@ class DriverNode(NodeBody):
         self._missed: list[int] = []
         self._comes_to_rest = False
         self._command.reset()
+        self._drive = self._command.value
         self._limits.reset()
         self._started = self._clock.monotonic()
         self._clock_at = -CLOCK_PERIOD
@@ -219,7 +221,7 @@ class DriverNode(NodeBody):
         self._step = self._command.current = step
         violation = self._limits.violation(sample)
         try:
-            self._publish_state(self._states.encode(step, sample))
+            self._publish_state(self._states.encode(step, np.vstack([sample, self._drive])))
         except WireError as error:
             violation = violation or str(error)
         now = self._clock.monotonic()
