@@ -245,15 +245,16 @@ class Rig:
         return self._safe.command
 
     def reset(self) -> Floats:
-        """Bring the rig to rest and take the sample of step 0, shape (4, n)."""
-        self.saturation = {}
+        """Bring the rig to rest and take the sample of step 0, see `step`."""
+        self.saturation, self._command[:] = {}, 0.0
         del self._forces[:]
         return self._sample(0)
 
     def step(self, command: Floats) -> Floats:
-        """Apply a command, shape (n,), V or N, see `drive`; take the next sample, shape (4, n).
+        """Apply a command, shape (n,), V or N, see `drive`; take the next sample, shape (5, n).
 
-        The sample contains displacement (m), velocity (m/s), acceleration (m/s^2), force (N).
+        The sample contains displacement (m), velocity (m/s), acceleration (m/s^2), force (N), and
+        the command.
         """
         self._command[:] = command
         return self._sample(self.step_index + 1)
@@ -322,9 +323,9 @@ class Rig:
 
     def _sample(self, step: int) -> Floats:
         self.step_index = step
-        measured = np.empty_like(self.state.measured)
+        sample = np.vstack([self.state.measured, self._command])
         noise = self.sensors.noise_of(step)
-        found = self._step(self.parameters, self.state, step, self._command, noise, measured)
+        found = self._step(self.parameters, self.state, step, self._command, noise, sample[:4])
         self._forces.append(self.state.peaks[FORCE_NOW])
         self.violation = None
         if found:
@@ -332,7 +333,7 @@ class Rig:
             for name, bit in ENDS.items():
                 if found & bit:
                     count_saturated(self.saturation, name, 1, step)
-        return measured
+        return sample
 
 
 def extrapolated_command(
@@ -427,7 +428,7 @@ class Rigs:
         return all_saturated(rig.saturation for _, rig in self._rigs)
 
     def reset(self) -> Floats:
-        """Bring the rigs to rest and take the sample of step 0, shape (4, n)."""
+        """Bring the rigs to rest and take the sample of step 0, see `Rig.step`."""
         return self._gather(rig.reset() for _, rig in self._rigs)
 
     def step(self, command: Floats) -> Floats:
@@ -444,7 +445,7 @@ class Rigs:
         return Simulated.of_all(rig.simulated(first) for _, rig in self._rigs)
 
     def _gather(self, states: Iterable[Floats]) -> Floats:
-        whole = np.empty((4, self._axes))
+        whole = np.empty((5, self._axes))
         for (places, _), state in zip(self._rigs, states, strict=True):
             whole[:, places] = state
         return whole

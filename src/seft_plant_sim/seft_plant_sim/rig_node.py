@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.node.node_kind import NodeKind
@@ -63,8 +62,6 @@ class RigNode(NodeBody):
             self._sound = Rig.from_parameters({**self._section, "faults": ""}, *rig[1:])
         state = topics.RIG_STATE.of(shell.rig)
         self._state_codec = TrajectoryCodec(state, shell.rig.axes, self._timebase)
-        # a sample, and what is applied from it on
-        self._told = np.zeros((5, len(shell.rig.axes)))
         self._publish_state = shell.publisher(state)
         # with several rigs, one is the test's clock, and all start together
         self._publish_time: Callable[[bytes], None] | None = None
@@ -109,8 +106,7 @@ class RigNode(NodeBody):
         self._rehearsed = False
         sample = self._sound.reset()
         for step in range(WARM_UP_STEPS):
-            self._told[:4] = sample
-            self._state_codec.decode(self._state_codec.encode(step, self._told))
+            self._state_codec.decode(self._state_codec.encode(step, sample))
             sample = self._sound.step(self._drive.value)
 
     def run(self) -> None:
@@ -192,7 +188,6 @@ class RigNode(NodeBody):
         state = self._rig.reset()
         self._report("running")
         reason = self._shell.several_senders() or self._start_together(wanted)
-        self._told[4] = 0.0
         if reason:
             self._publish(0, state)
         else:
@@ -236,8 +231,7 @@ class RigNode(NodeBody):
                 return None
             if self._samples is None:
                 self._report_if_due()
-            self._told[4] = self._next_command(step)
-            state = rig.step(self._told[4])
+            state = rig.step(self._next_command(step))
         return rig.violation
 
     def _next_command(self, step: int) -> Floats:
@@ -369,9 +363,8 @@ class RigNode(NodeBody):
     def _publish(self, step: int, state: Floats) -> bool:
         """Publish a sample; False if it is not finite, because messages must be finite."""
         self._valve.current = self._drive.current = self._reserve.current = step
-        self._told[:4] = state
         try:
-            raw = self._state_codec.encode(step, self._told)
+            raw = self._state_codec.encode(step, state)
         except WireError:
             return False
         self._round_trip.published(step, self._clock.monotonic())

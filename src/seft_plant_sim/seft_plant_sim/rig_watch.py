@@ -362,7 +362,8 @@ class Rehearsal:
         seconds : float
             Duration, s.
         sample : callable
-            Gives the state of a step, shape (4, n), of a rig with its valve at the safe value.
+            Gives the state of a step and what is applied, shape (5, n), of a rig with its valve at
+            the safe value.
         stop : callable
             Says whether to end early.
 
@@ -378,13 +379,12 @@ class Rehearsal:
         steps = max(round(seconds / period), 8)
         first, longest = round(ALONE * steps), FIRST_ANSWER  # other nodes prepare at step 0
         command.reset()
-        at_rest = np.zeros(len(shell.rig.axes))
         self._times, missed, clock = self._alone, 0, SampleClock(period, 0.0, makes_up=False)
         for times in (self._alone, self._round_trip):
             times.reset()
         for step in range(steps):
             command.current = step
-            raw = self._codec.encode(step, np.vstack([sample(step), at_rest]))
+            raw = self._codec.encode(step, sample(step))
             now = shell.clock.monotonic()
             if step == first:
                 self._times = self._round_trip

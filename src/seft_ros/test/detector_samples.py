@@ -2,7 +2,6 @@
 
 import numpy as np
 from scipy.signal import lfilter
-from seft_ros.protection.channel_relations import take_command
 from seft_ros.protection.detector_list import DETECTORS
 from seft_ros.protection.detector_step import begin_detectors, judge_sample, look_at_tracking
 from seft_ros.protection.detectors import VALID, detector_arrays, first_of
@@ -25,7 +24,7 @@ def detectors(warn_only=(), **changes):
         **{"velocity_is_derived": False, "actuator": ACTUATOR, "past": PAST, "mass": MASS},
         **{"has_valve": True},
         **{"stiffness": STIFFNESS, "computed_mass": COMPUTED, "warn_only": warn_only},
-        **{"largest_drive": 10.0, "longest_miss": 0.0, "dt": DT, **changes},
+        **{"largest_drive": 10.0, "dt": DT, **changes},
     }
     p, state = detector_arrays(**known)
     begin_detectors(p, state)
@@ -41,10 +40,10 @@ def noise_of_a_rig(samples, seed=3, size=1.0):
 NO_TARGET = np.zeros((1, 1, N))
 
 
-def detect(p, state, step, points, raw):
+def detect(p, state, step, points, raw, drive=(0.0, 0.0)):
     """Judge a sample, and hold it against its target, as the interlock does."""
     judged = np.empty((4, N))
-    found = judge_sample(p, state, step, raw, judged)
+    found = judge_sample(p, state, step, np.vstack([raw, drive]), judged)
     for i in range(N):
         if points.shape[1] > 1:
             found = first_of(found, look_at_tracking(p, state, step, points, judged, i))
@@ -56,8 +55,8 @@ def shares_of(p, state, samples, commands, steps=None, points=NO_TARGET):
     found = []
     for place, step in enumerate(range(len(samples)) if steps is None else steps):
         state.shares[:] = 0.0
-        assert detect(p, state, step, points, samples[place]) == VALID
-        take_command(p, state, commands[place], False)
+        drive = commands[place - 1] if place else np.zeros(N)
+        assert detect(p, state, step, points, samples[place], drive) == VALID
         found.append(state.shares.copy())
     return np.array(found)
 

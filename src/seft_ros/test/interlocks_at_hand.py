@@ -14,7 +14,7 @@ NO_LIMITS = (np.inf,) * 4
 
 def stepped(guarded, index, points, raw, is_suspect=False):
     """Judge a sample, and step; the detectors find it suspect."""
-    judged = guarded.judge(index, raw)
+    judged = guarded.judge(index, np.vstack([raw, np.zeros(raw.shape[1])]))
     if is_suspect and not guarded.reason:
         guarded.state.flags[DETECTED] = SUSPECT
     return guarded.step(index, points, judged)
@@ -41,7 +41,7 @@ def watched(controller, axes=AXES, warn_only=(), of_position=1e-6):
     noise = np.repeat([[of_position], [1e-3], [1e-3], [1.0]], n, axis=1)
     nothing, none = np.zeros((n, n)), np.zeros((4, n))
     unknown = np.zeros((n, 4)), np.zeros((2, n, 2)), True, nothing, nothing, nothing
-    detectors = detector_arrays(noise, np.ones(4), none, False, *unknown, warn_only, 10.0, 0.0, DT)
+    detectors = detector_arrays(noise, np.ones(4), none, False, *unknown, warn_only, 10.0, DT)
     return Interlock(controller, axes, 1000.0, 0.02, 5 * DT, NO_LIMITS, detectors)
 
 

@@ -48,7 +48,7 @@ def assert_same(a, b):
         values = [record.estimates.values.view(np.uint64) for record in (a, b)]
         assert np.array_equal(*values)
     assert a.experiment.sections == b.experiment.sections
-    told = ("missed", "missed_steps", "missed_commands", "simulated")
+    told = ("missed", "missed_steps", "simulated")
     for name in ("trip", *told, "wall_s", "complete"):
         assert getattr(a, name) == getattr(b, name)
     assert a.saturation == b.saturation

@@ -54,19 +54,3 @@ def test_while_sensors_and_valve_are_sound_a_trip_follows_the_plan(kind):
         np.testing.assert_allclose(command, wanted[min(age, len(wanted) - 1)], atol=1e-15)
     np.testing.assert_array_equal(guarded.stop(6), guarded.stop(4)[2:])
     assert guarded.stop(99).shape == (1, 2)
-
-
-def test_it_knows_what_a_rig_without_an_answer_applies():
-    """The stop that it has in reserve, see `seft_plant_sim.rig.extrapolated_command`."""
-    guarded, sent = answered(Planned()), []
-    guarded._miss = lambda parameters, state, step, command: sent.append(command.copy())
-    guarded.missed(4)  # nothing is in reserve: it holds the last command
-    guarded.stop(3)
-    stepped(guarded, 4, target_of(4), sample_of(4))
-    guarded.missed(6)
-    last, along = np.array([5.0, 10.0]), ways()[1]
-    wanted = along[3] + left(2) * (last - along[1])
-    np.testing.assert_allclose(sent, [[4.0, 8.0], wanted], atol=1e-15)
-    guarded.trip(7, "stopped")
-    guarded.missed(8)
-    np.testing.assert_array_equal(sent[2], last)

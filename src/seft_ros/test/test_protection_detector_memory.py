@@ -13,10 +13,10 @@ from seft_ros.protection.detectors import FROZEN, TRACKING
 @pytest.mark.parametrize(
     ("lost", "held"),
     [
-        (0, [1.0, 2.0, 3.0, 4.0]),
-        (1, [1.0, 1.0, 2.0, 3.0]),
-        (2, [1.0, 1.0, 1.0, 2.0]),
-        (9, [1.0, 1.0, 1.0, 1.0]),
+        (0, [5.0, 1.0, 2.0, 3.0]),
+        (1, [5.0, 1.0, 1.0, 2.0]),
+        (2, [5.0, 1.0, 1.0, 1.0]),
+        (9, [5.0, 1.0, 1.0, 1.0]),
     ],
 )
 def test_of_lost_samples_the_last_command_was_held(lost, held):
@@ -26,7 +26,7 @@ def test_of_lost_samples_the_last_command_was_held(lost, held):
     state.sent[:] = [[1.0, 2.0, 3.0, 4.0], [10.0, 20.0, 30.0, 40.0]]
     before = rng.normal(size=(2, N))
     state.flow[1], state.later[1] = before
-    find_flow(p, state, lost)
+    find_flow(p, state, lost, np.array([5.0, 50.0]))
     sent = np.outer([1.0, 10.0], held)
     np.testing.assert_array_equal(state.sent, sent)
     found = ACTUATOR[:, 0] * (past * sent).sum(axis=2)

@@ -19,7 +19,6 @@ from detector_samples import (
     shares_of,
 )
 from seft_ros.protection import detectors as rows
-from seft_ros.protection.channel_relations import take_command
 from seft_ros.protection.detector_list import DETECTORS, describe
 from seft_ros.protection.detector_step import begin_detectors, detect_all
 from seft_ros.protection.detectors import SUSPECT, VALID, look
@@ -48,8 +47,7 @@ def test_what_a_detector_finds_is_told_by_row_and_axis(name, axis):
     samples, commands = of_what(name, axis)
     found = []
     for k in range(100):
-        found.append(detect(p, state, k, NO_TARGET, samples[k]))
-        take_command(p, state, commands[k], False)
+        found.append(detect(p, state, k, NO_TARGET, samples[k], commands[max(k - 1, 0)]))
     first = next(k for k, each in enumerate(found) if each >= 0)
     assert found[first] == ALL.index(name) * N + axis
     assert set(found[:60]) == {VALID}
@@ -183,8 +181,8 @@ def test_a_channel_that_repeats_a_value_is_frozen_once_that_is_no_chance(row, ax
 
 
 def test_a_target_must_be_followed_but_not_while_the_valve_is_at_its_limit():
-    p, state = detectors()
-    samples, commands = noise_of_a_rig(200, size=0.0)
+    p, state = detectors(largest_drive=1e-6)
+    samples, _ = noise_of_a_rig(200, size=0.0)
     samples[:, 0] = 1e-9 * np.arange(200)[:, np.newaxis] % 3e-9
     points = np.zeros((1, 3, N))
     points[0, 0] = 0.25, 0.0
@@ -192,30 +190,30 @@ def test_a_target_must_be_followed_but_not_while_the_valve_is_at_its_limit():
     found = []
     for k in range(200):
         state.shares[:] = 0.0
-        found.append(detect(p, state, k, points, samples[k]))
+        drive = 0.0, 1e-6 if k == 101 else 0.9e-6
+        found.append(detect(p, state, k, points, samples[k], drive))
         assert not state.judge.counts.any()
         share = state.shares[rows.TRACKING, 0]
-        limited = 100 <= k - 1 <= 100 + 49
+        limited = 101 <= k <= 101 + 50
         expected = 0.0 if limited else (0.25 - samples[k, 0, 0]) / threshold
         assert share == pytest.approx(expected, rel=1e-9)
-        take_command(p, state, commands[k] * 0.0, k == 100)
         if k >= 99:
             state.counts[rows.TRACKING] = 0
     assert found[:10] == [VALID] * 9 + [rows.TRACKING * N]
 
 
 def test_a_whole_test_gives_the_shares_of_its_samples():
-    p, state = detectors()
-    samples, commands = noise_of_a_rig(50)
-    commands[7, 1] = -0.5
+    p, state = detectors(largest_drive=0.5)
+    samples, drives = noise_of_a_rig(50)
+    drives[7, 1] = -0.5
     expected, steps = [], np.array([*range(30), *range(33, 53)])
     points = 0.1 * np.random.default_rng(5).normal(size=(50, 3, N))
     for k, step in enumerate(steps):
-        detect(p, state, step, points[k : k + 1], samples[k])
-        take_command(p, state, commands[k], bool(np.any(np.abs(commands[k]) >= 0.5)))
+        detect(p, state, step, points[k : k + 1], samples[k], drives[k])
     expected = [values.copy() for values in (*state[:-1], *state.judge)]
     begin_detectors(p, state)
-    detect_all(p, state, steps, points, samples, commands, 0.5, np.empty((4, N)))
+    states = np.concatenate([samples, drives[:, np.newaxis]], axis=1)
+    detect_all(p, state, steps, points, states, np.empty((4, N)))
     for values, again in zip(expected, (*state[:-1], *state.judge), strict=True):
         np.testing.assert_array_equal(values, again)
     assert state.step[rows.LIMITED_AT] == 7

@@ -173,11 +173,11 @@ class RigReplay(Replay):
         """Compute the states of the simulated rig."""
         rig = Rig.from_parameters(dict(section), self.experiment.axes, self.experiment.timebase)
         drives = self.expected.values[:, 4]
-        states = [np.vstack([rig.reset(), drives[0]])]
+        states = [rig.reset()]
         for drive in drives[1:]:
             if rig.violation is not None:
                 break
-            states.append(np.vstack([rig.step(drive), drive]))
+            states.append(rig.step(drive))
         return Series(np.arange(len(states), dtype=np.int64), np.array(states)), None
 
 

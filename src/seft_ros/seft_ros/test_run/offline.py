@@ -153,14 +153,16 @@ def run_plain(blocks: Blocks, samples: LoopSamples, loop_delay: int, period: int
     in_flight = deque([np.zeros((1 + loop_delay, 1, axes))] * loop_delay)
     valve_driven, names = rig.drive == VALVE_COMMAND.name, tuple(reference_force.estimates())
     yield 0
-    state, drive = rig.reset(), np.zeros(axes)
+    state = rig.reset()
     with np.errstate(over="ignore", invalid="ignore"):  # the limits see what is not finite
         for step in range(total):
-            told = samples.states[step]
-            told[:4], told[4] = state, drive
-            judged = interlock.judge(step, told)
+            judged = interlock.judge(step, state)
             points = force_step(known[step : step + window], judged)
-            samples.judged[step], samples.forces[step] = judged, points[0]
+            samples.states[step], samples.judged[step], samples.forces[step] = (
+                state,
+                judged,
+                points[0],
+            )
             if loop_delay:
                 in_flight.append(points)
                 points = in_flight.popleft()[loop_delay:]
@@ -175,8 +177,7 @@ def run_plain(blocks: Blocks, samples: LoopSamples, loop_delay: int, period: int
             if (step + 1) % BLOCK == 0:
                 yield step + 1
             if step + 1 < total:
-                drive = command if valve_driven else points[0, -1].copy()
-                state = rig.step(drive)
+                state = rig.step(command if valve_driven else points[0, -1])
     yield total
 
 

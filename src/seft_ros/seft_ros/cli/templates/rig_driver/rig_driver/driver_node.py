@@ -188,7 +188,7 @@ class DriverNode(NodeBody):
             resting.append(found.copy())
             self._align(found)
             self._stop.follow(found[0])
-            return found
+            return np.vstack([found, np.zeros(len(self._axes))])
 
         def stopped() -> bool:
             return self._shell.stopping or not self._supervision.rehearsal

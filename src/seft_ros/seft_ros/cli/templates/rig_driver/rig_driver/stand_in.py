@@ -53,7 +53,7 @@ class StandIn:
 
     def read_sample(self) -> Floats:
         """Read all channels, V, shape (4, n)."""
-        volts: Floats = self._rig.step(self._volts) / VOLTS
+        volts: Floats = self._rig.step(self._volts)[:4] / VOLTS
         return volts
 
     def write_command(self, volts: Floats) -> None:
