@@ -106,7 +106,7 @@ def fitting(words, config):
     experiment = load(*words, config=config)
     record = simulate_test(experiment, build_blocks(experiment), compiles=True)
     assert record.trip is None, record.trip
-    peaks = np.abs(record.series["rig/state"].values).max(axis=(0, 2))
+    peaks = np.abs(record.states.values).max(axis=(0, 2))
     names = "displacement", "velocity", "acceleration", "force"
     limits = [
         f"supervisor:limits.{name}:={factor * peak:.6g}"
@@ -128,7 +128,7 @@ def moments(record):
 
 def faults_of(test, right):
     """Give the faults: by name, each as the parameter ``rig: faults`` without its time."""
-    dt, largest = right.experiment.timebase.dt, np.abs(right.series["rig/state"].values)
+    dt, largest = right.experiment.timebase.dt, np.abs(right.states.values)
     for name, all_of in SLOW.items():
         ends = f" for {round(0.03 / dt)}" if "30 ms" in name else ""
         yield from ((name, [(kind, ends) for kind in kinds]) for kinds in all_of)

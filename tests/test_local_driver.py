@@ -37,7 +37,7 @@ def driver(local_graph, template):
 
 def left_by(graph, own):
     """RMS of what the corrected channels leave of the equation of motion, N."""
-    x, v, a, f = graph.samples(RIG_STATE)[1][:, :, 0].T
+    x, v, a, f, _ = graph.samples(RIG_STATE)[1][:, :, 0].T
     restoring = own["specimen.damping"] * v + own["specimen.stiffness"] * x
     return (f - own["specimen.mass"] * a - restoring).std()
 

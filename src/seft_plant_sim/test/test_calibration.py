@@ -193,7 +193,7 @@ def test_a_rig_publishes_corrected_samples():
         for values in ({}, given)
     )
     one, other = (
-        np.array([rig.reset(), *(rig.step(np.ones(1)) for _ in range(100))])
+        np.array([rig.reset(), *(rig.step(np.ones(1)) for _ in range(100))])[:, :4]
         for rig in (own, known_errors)
     )
     np.testing.assert_allclose(other[2:], one[:-2], rtol=1e-9, atol=1e-9)

@@ -27,7 +27,7 @@ def shaken_rig(commands, law, kind="servo_hydraulic", specimen=None, **actuator)
     section = rig_section(**values, **{f"actuator.{name}": own for name, own in actuator.items()})
     axes = ("x", "y")[: commands.shape[1]]
     plant = BareRig(continuous_model(section, axes), DT)
-    samples = np.array([plant.reset(), *(plant.step(command) for command in commands)])
+    samples = np.array([plant.reset(), *(plant.step(command) for command in commands)])[:, :4]
     return Specimen.from_parameters(group(section, "specimen"), axes, "rig: specimen"), samples
 
 

@@ -70,7 +70,8 @@ def test_a_lag_of_whole_samples_is_a_shift_of_bits():
     commands = np.random.default_rng(1).normal(size=(200, 1))
     own, late = (BareRig(one, DT) for one in (model, behind(model, lag=3 * DT)))
     own, late = (
-        np.array([rig.reset(), *(rig.step(command) for command in commands)]) for rig in (own, late)
+        np.array([rig.reset(), *(rig.step(command) for command in commands)])[:, :4]
+        for rig in (own, late)
     )
     np.testing.assert_array_equal(late[3:], own[:-3])
     assert not late[:3].any()

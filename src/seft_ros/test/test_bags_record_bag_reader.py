@@ -41,8 +41,8 @@ START = 1_767_258_000_000_000_000
 
 
 def states(step):
-    """Sample (4, 2) that tells its step and its place."""
-    return step + np.arange(8.0).reshape(4, 2) / 10
+    """Sample (5, 2) that tells its step and its place."""
+    return step + np.arange(10.0).reshape(5, 2) / 10
 
 
 def description(nodes=NODES, environment=ENVIRONMENT):
@@ -62,7 +62,7 @@ def motion(first_step, count):
 def loop(steps):
     for step in steps:
         yield RIG_STATE, CODECS["rig/state"].encode(step, states(step))
-        yield JUDGED, CODECS["rig/judged"].encode(step, states(step))
+        yield JUDGED, CODECS["rig/judged"].encode(step, states(step)[:4])
         yield REFERENCE_FORCE, CODECS["reference_force"].encode(step, np.full(2, float(step)))
         yield VALVE_COMMAND, CODECS["valve_command"].encode(step, np.full(2, -float(step)))
 

@@ -51,7 +51,7 @@ def moved(experiment, drive, later=0):
     states += [rig.step(np.array([value])).copy() for value in commands[: drive.steps - 1]]
     steps = np.arange(drive.steps)
     drives = np.concatenate([[0.0], drive.commands[:-1]])[:, np.newaxis]
-    return Samples(steps, np.array(states), drives, steps * DT)
+    return Samples(steps, np.array(states)[:, :4], drives, steps * DT)
 
 
 @pytest.fixture(scope="module")
@@ -189,7 +189,7 @@ def test_what_this_host_was_late_with_is_not_the_rigs():
 
 def states(experiment, count=20, offset_ns=0):
     codec = TrajectoryCodec(RIG_STATE, experiment.axes, experiment.timebase)
-    raws = [codec.encode(step, np.full((4, 1), 0.5)) for step in range(count)]
+    raws = [codec.encode(step, np.full((5, 1), 0.5)) for step in range(count)]
     if offset_ns:
         raws = [
             raw[:8]

@@ -26,7 +26,7 @@ def codec(topic):
 
 
 def states(steps):
-    values = np.zeros((4, 1))
+    values = np.zeros((5, 1))
     found = []
     for step in steps:
         values[:, 0] = step, 0.0, 2 * step, 3 * step
@@ -174,7 +174,7 @@ def test_a_structure_that_is_not_described_has_a_note():
 
 def test_each_axis_has_its_own_columns():
     intake = Intake(("x", "y"), TIMEBASE)
-    values = np.arange(8.0).reshape(4, 2)
+    values = np.arange(10.0).reshape(5, 2)
     raw = TrajectoryCodec(RIG_STATE, ("x", "y"), TIMEBASE).encode(0, values)
     intake.samples([[(raw, 0)]], [])
     intake.samples([[]], [])

@@ -50,7 +50,7 @@ def test_a_page_that_is_open_is_told_that_another_test_begins():
     described = {"node": "rig", "parameters": EXPERIMENT.sections["rig"]}
     graph.send(DESCRIPTION, encode_string(json.dumps(described)))
     for step in range(30):
-        graph.send(RIG_STATE, codec.encode(step, np.zeros((4, 1))))
+        graph.send(RIG_STATE, codec.encode(step, np.zeros((5, 1))))
     watch.poll()
     numbers = []
     for state in ("done", "done", "idle", "ready", "running"):
@@ -66,7 +66,7 @@ def test_samples_wait_for_the_description_that_they_are_read_with():
     watch = Watch(graph)
     codec = TrajectoryCodec(RIG_STATE, EXPERIMENT.axes, EXPERIMENT.timebase)
     for step in range(30):
-        graph.send(RIG_STATE, codec.encode(step, np.zeros((4, 1))))
+        graph.send(RIG_STATE, codec.encode(step, np.zeros((5, 1))))
         if step < 20:
             watch.poll()
     assert watch.intake is None

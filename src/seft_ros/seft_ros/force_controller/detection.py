@@ -76,7 +76,7 @@ def detectors_of(
         ranges,
         section["noise.velocity_source"] == "derived",
         np.transpose([actuator[name] for name in ASSUMED_ACTUATOR]),
-        np.array([[valve.past() for valve in valves], [valve.later() for valve in valves]]),
+        np.array([valve.last_period() for valve in valves]),
         section["detectors.actuator_kind"] not in FORCE_DRIVEN,
         np.ascontiguousarray(mass),
         np.ascontiguousarray(stiffness),

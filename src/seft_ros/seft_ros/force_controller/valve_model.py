@@ -106,6 +106,11 @@ class ValveModel:
         """Change of `past` per delay, 1/s."""
         return (self.past(DERIVATIVE_STEP) - self.past()) / DERIVATIVE_STEP
 
+    def last_period(self) -> Floats:
+        """Mean flow of past commands in the last period, and its change per delay; (2, memory)."""
+        times = self._dt * np.arange(self.memory + 1)
+        return np.diff([self.volume(times), -self.flow(times)]) / self._dt
+
 
 def read_actuators(
     section: Mapping[str, Any], axes: tuple[str, ...], places: Sequence[int]

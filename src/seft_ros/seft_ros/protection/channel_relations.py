@@ -55,9 +55,9 @@ Sides = tuple[float, float, float]
 
 @compiled
 def find_flow(p: DetectorParameters, state: DetectorState, lost: int, drive: Floats) -> None:
-    """Find the present flow of each valve from the commands that the rig has applied.
+    """Find the mean flow of each valve without load since the last sample.
 
-    Before the present one, of shape (n,), it has held the last if samples were lost.
+    Before the present drive, of shape (n,), the rig has held the last if samples were lost.
     """
     for i in range(len(drive)):
         if abs(drive[i]) >= p.limit:
@@ -65,13 +65,12 @@ def find_flow(p: DetectorParameters, state: DetectorState, lost: int, drive: Flo
         for _ in range(min(lost, state.sent.shape[1]) + 1):
             for j in range(state.sent.shape[1] - 1, 0, -1):
                 state.sent[i, j] = state.sent[i, j - 1]
-        state.sent[i, 0] = drive[i] * under_load(drive[i], state.last[3, i], p.actuator[i, 3])
+        state.sent[i, 0] = drive[i]
         flow = later = 0.0
         for j in range(state.sent.shape[1]):
-            flow += p.past[0, i, j] * state.sent[i, j]
-            later += p.past[1, i, j] * state.sent[i, j]
-        state.flow[0, i], state.flow[1, i] = state.flow[1, i], p.actuator[i, 0] * flow
-        state.later[0, i], state.later[1, i] = state.later[1, i], p.actuator[i, 0] * later
+            flow += p.past[i, 0, j] * state.sent[i, j]
+            later += p.past[i, 1, j] * state.sent[i, j]
+        state.flow[0, i], state.flow[1, i] = p.actuator[i, 0] * flow, p.actuator[i, 0] * later
 
 
 @compiled
@@ -188,9 +187,10 @@ def velocity_acceleration(
 def oil_balance(p: DetectorParameters, state: DetectorState, measured: Floats, i: int) -> int:
     """Relation (3)."""
     last, oil = state.last, p.actuator[i, 1]
-    flow = 0.5 * p.dt * (state.flow[0, i] + state.flow[1, i])
-    later = 0.5 * p.dt * (state.later[0, i] + state.later[1, i])
-    leaked = 0.5 * p.dt * p.actuator[i, 2] * (measured[3, i] + last[3, i])
+    force = 0.5 * (measured[3, i] + last[3, i])
+    load = p.dt * under_load(state.flow[0, i], force, p.actuator[i, 3])
+    flow, later = load * state.flow[0, i], load * state.flow[1, i]
+    leaked = p.dt * p.actuator[i, 2] * force
     change = measured[0, i] - last[0, i] + (measured[3, i] - last[3, i] + leaked) / oil
     rough = resolution_of(state, FORCE, i) / oil + resolution_of(state, POSITION, i)
     return compare_channels(p, state, OIL, measured.shape[1], i, (change, flow, later), rough)

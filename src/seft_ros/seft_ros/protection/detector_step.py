@@ -45,6 +45,7 @@ from seft_ros.protection.specimen_force import (
     look_at_strength,
     look_at_work,
 )
+from seft_ros.protection.valve_following import under_load
 
 OF_SENSORS = (0, 1, SECOND_ORDER_WORK, JUMP)
 """Detectors that make a sample suspect."""
@@ -108,9 +109,9 @@ def judge_sample(
     for i in range(n):
         if not p.has_valve:
             ask(p.judge, state.judge, i, raw[4, i])
-        flow = 0.5 * (state.flow[0, i] + state.flow[1, i])
-        later = 0.5 * (state.later[0, i] + state.later[1, i])
-        state.mean[i] = expected(state.estimated[OIL], i, flow, later, 1.0)
+        flow = state.flow[0, i]
+        load = under_load(flow, state.last[3, i], p.actuator[i, 3])
+        state.mean[i] = expected(state.estimated[OIL], i, load * flow, load * state.flow[1, i], 1.0)
     judge(p.judge, state.judge, step, raw, state.mean, judged)
     last, restoring = state.last, state.restoring
     for i in range(n):

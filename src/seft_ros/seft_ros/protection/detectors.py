@@ -61,8 +61,8 @@ class DetectorParameters(NamedTuple):
     actuator : ndarray
         Flow gain, oil stiffness, leakage and force capacity, see `FeedforwardParameters`; (n, 4).
     past : ndarray
-        Part of past commands in the present flow, the newest first, and its change per delay (1/s);
-        shape (2, n, m).
+        Part of past commands in the mean flow of the last period, the newest first, and its change
+        per delay (1/s); shape (n, 2, m).
     has_valve : bool
         Whether valves drive the rig; else it obeys the reference force, which it holds.
     mass, stiffness : ndarray
@@ -149,16 +149,16 @@ class DetectorState(NamedTuple):
     ----------
     last : ndarray
         The last sample, shape (4, n).
-    flow, later : ndarray
-        Flow of the valve from the commands at the last sample and at this one, m/s, and its change
-        per delay, m/s^2; shapes (2, n).
+    flow : ndarray
+        Mean flow of the valve without load since the last sample, m/s, and its change per delay,
+        m/s^2; shape (2, n).
     estimated, covariance : ndarray
         Estimated gain, delay and bias of relations (1) to (3), see `relation_following`; shapes
         (3, 3, n) and (3, n, 3, 3).
     scatter : ndarray
         See `remember`, shape (3, 2, n).
     sent : ndarray
-        Past commands as they act under load, the newest first, shape (n, m), V.
+        Past commands, the newest first, shape (n, m), V.
     sums : ndarray
         Of relations (1) to (3), see `relation_following`; shape (3, 4, n).
     rise : ndarray
@@ -181,7 +181,7 @@ class DetectorState(NamedTuple):
     repeats : ndarray
         Number of repetitions of the last value of a channel, shape (4, n).
     mean : ndarray
-        Mean flow of the valves since the last sample, shape (n,), m/s.
+        That flow under the last load, as the estimates expect it, shape (n,), m/s.
     counts : ndarray
         Samples for which each detector has been beyond its threshold, shape (D, n).
     shares : ndarray
@@ -198,7 +198,6 @@ class DetectorState(NamedTuple):
 
     last: Floats
     flow: Floats
-    later: Floats
     estimated: Floats
     covariance: Floats
     scatter: Floats
@@ -338,11 +337,10 @@ def detector_arrays(
     state = DetectorState(
         last=np.zeros((4, n)),
         flow=np.zeros((2, n)),
-        later=np.zeros((2, n)),
         estimated=np.zeros((3, 3, n)),
         covariance=np.zeros((3, n, 3, 3)),
         scatter=np.zeros((3, 2, n)),
-        sent=np.zeros_like(past[0]),
+        sent=np.zeros_like(past[:, 0]),
         sums=np.zeros((3, 4, n)),
         rise=np.zeros((3, n)),
         largest=np.zeros((5, n)),
