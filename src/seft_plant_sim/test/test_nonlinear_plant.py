@@ -20,7 +20,7 @@ def plant(axes=("x",), **values):
 
 def run(one, commands):
     """Samples, shape (N + 1, 4, n), and what was named as saturated."""
-    samples = np.array([one.reset(), *(one.step(command) for command in commands)])
+    samples = np.array([one.reset(), *(one.step(command) for command in commands)])[:, :4]
     return samples, set(one.saturation)
 
 

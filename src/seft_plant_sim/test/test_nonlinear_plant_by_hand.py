@@ -46,7 +46,7 @@ def sampled(specimen, actuator, commands, cutoff=0.0):
     values |= {f"sensors.{channel}_filter": cutoff for channel in CHANNELS}
     section = rig_section(**values)
     plant = BareRig(continuous_model(section, ("x", "y")[: commands.shape[1]]), DT)
-    return np.array([plant.reset(), *(plant.step(command) for command in commands)])
+    return np.array([plant.reset(), *(plant.step(command) for command in commands)])[:, :4]
 
 
 def valve_flow(w, p, h):

@@ -40,7 +40,7 @@ def watched(controller, axes=AXES, warn_only=(), of_position=1e-6):
     n = len(axes)
     noise = np.repeat([[of_position], [1e-3], [1e-3], [1.0]], n, axis=1)
     nothing, none = np.zeros((n, n)), np.zeros((4, n))
-    unknown = np.zeros((n, 4)), np.zeros((2, n, 2)), True, nothing, nothing, nothing
+    unknown = np.zeros((n, 4)), np.zeros((n, 2, 2)), True, nothing, nothing, nothing
     detectors = detector_arrays(noise, np.ones(4), none, False, *unknown, warn_only, 10.0, DT)
     return Interlock(controller, axes, 1000.0, 0.02, 5 * DT, NO_LIMITS, detectors)
 

@@ -74,7 +74,7 @@ def test_motion(test, size, steps=2000, held=None, noise=True):
     for k in range(steps):
         found.append(state[:4].copy())
         state = rig.step(
-            control.step(target.step(ground[k : k + 1 + target.preview], state), state)
+            control.step(target.step(ground[k : k + 1 + target.preview], state[:4]), state[:4])
         )
         if not np.abs(state).max() < 1e9:
             found += [np.full_like(found[0], np.inf)] * (steps - 1 - k)

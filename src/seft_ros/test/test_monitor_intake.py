@@ -29,7 +29,7 @@ def states(steps):
     values = np.zeros((5, 1))
     found = []
     for step in steps:
-        values[:, 0] = step, 0.0, 2 * step, 3 * step
+        values[:, 0] = step, 0.0, 2 * step, 3 * step, 0.0
         found.append((codec(RIG_STATE).encode(step, values), 2 * MS * step))
     return found
 
@@ -102,7 +102,10 @@ def test_the_motion_that_is_tested_is_told_as_the_report_tells_it(intake):
     intake.motion(motion(0, MOTION))
     encode = codec(RIG_STATE).encode
     for start in range(0, 400, 57):
-        part = [(encode(k, values[k]), 0) for k in range(start, min(start + 57, 400))]
+        part = [
+            (encode(k, np.pad(values[k], ((0, 1), (0, 0)))), 0)
+            for k in range(start, min(start + 57, 400))
+        ]
         intake.samples([part], [])
     assert intake.own_motion["asked"]  # told once a second, so from its first samples alone
     found = intake._live_motion.summary()
