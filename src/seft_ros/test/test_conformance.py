@@ -135,6 +135,13 @@ def test_commands_that_are_applied_late_are_found(experiment, drive, later, lag,
     assert finding.verdict == expected
 
 
+def test_a_rig_that_tells_another_drive_than_was_sent_is_found(samples, drive):
+    assert motion_checks.check_answer_delay(samples, drive, 0.0).verdict == "passed"
+    early = samples._replace(drives=np.roll(samples.drives, -1, axis=0))
+    finding = motion_checks.check_answer_delay(early, drive, 0.0)
+    assert (finding.verdict, "tells another drive" in finding.result) == ("failed", True)
+
+
 def test_a_rig_that_drifts_is_not_at_rest(samples, drive):
     assert motion_checks.check_rest(samples, drive).verdict == "passed"
     values = samples.values.copy()
