@@ -181,6 +181,7 @@ class Interlock:
         """Judge the sample of a step, shape (5, n), see `judge_sample`; give it, shape (4, n)."""
         judged = np.empty_like(self.state.sample)
         raw = np.ascontiguousarray(raw, np.float64)
+        assert raw.shape == (5, len(self._axes))  # compiled steps check no bounds
         self._take(self.parameters, self.state, index, raw, judged)
         return judged
 
