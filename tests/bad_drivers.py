@@ -10,6 +10,7 @@ from rig_driver.driver_node import DriverNode, stand_in
 from rig_driver.parameters import TABLE
 from seft_msgs_py.node.node_kind import NodeKind
 from seft_msgs_py.node.node_shell import NodeShell
+from seft_plant_sim.command import MessagesAhead
 
 TIMEOUT = "watchdog.command_timeout"
 
@@ -54,7 +55,7 @@ class Careless(DriverNode):
         def take(raw):
             _, values = command.codec.decode(raw)
             command.step = command.current
-            command._messages.add(command.current, values[:, 0])
+            command._messages = MessagesAhead(0, values[:, 0])
 
         command.take = take
 
