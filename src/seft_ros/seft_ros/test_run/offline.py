@@ -103,7 +103,7 @@ def simulate_test(
         if progress is not None:
             progress(steps)
     wall = time.perf_counter() - start
-    violation = blocks.rig.violation or blocks.force_controller.reason
+    violation = blocks.force_controller.reason or blocks.rig.violation  # the one that tells first
     trip = _trip_of(
         violation,
         force.cause,
