@@ -323,7 +323,8 @@ class Rig:
 
     def _sample(self, step: int) -> Floats:
         self.step_index = step
-        sample = np.vstack([self.state.measured, self._command])
+        sample = np.empty((5, len(self._command)))
+        sample[4] = self._command
         noise = self.sensors.noise_of(step)
         found = self._step(self.parameters, self.state, step, self._command, noise, sample[:4])
         self._forces.append(self.state.peaks[FORCE_NOW])
