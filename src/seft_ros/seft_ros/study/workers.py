@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -70,7 +70,8 @@ def parallel_map(workers: int, scheduler: str = "") -> Iterator[Map]:
     except BaseException:
         for worker in set(multiprocessing.active_children()) - others:
             # not terminated: one that dies while it sends a result leaves the pool waiting for it
-            if worker.pid is not None and worker.is_alive():
+            assert worker.pid is not None  # it was started
+            with suppress(ProcessLookupError):  # a pool that broke ends its workers itself
                 os.kill(worker.pid, _STOP)
         raise
     finally:
