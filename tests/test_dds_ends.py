@@ -24,6 +24,7 @@ from graph_tools import (
     shared_memory,
     wait_for,
 )
+from seft_ros.bags.bag_writer import CHUNK
 from seft_ros.bags.record_bag import read_bag
 from seft_ros.test_run.run import Interruption
 
@@ -62,9 +63,9 @@ class Run:
         wait_for(all_there, "the nodes")
 
     def wait_for_data(self):
-        """Wait until it has been recording for a while."""
+        """Wait until a chunk of the bag is whole, also if the next one is being written."""
         size = lambda: sum(file.stat().st_size for file in self._bag.glob("*.mcap"))  # noqa: E731
-        wait_for(lambda: size() > 60_000 or self.process.poll() is not None, "some data in the bag")
+        wait_for(lambda: size() > 2 * CHUNK or self.process.poll() is not None, "some data in the bag")
         self.wait_for_nodes()
 
     def wait_for_ramp(self):
