@@ -268,6 +268,15 @@ class LoopTopic(Topic):
     units: tuple[str, ...] = ()
     finite: bool = True
 
+    def points(self, count: int) -> tuple[tuple[str, ...], ...]:
+        """Give the arrays of each point of a message of ``count`` samples.
+
+        Their values, one after another, are those of ``quantities``, sample by sample.
+        """
+        if self.quantities[-1] == DRIVE:  # the effort of a second point
+            return self.quantities[:-1], ("effort",)
+        return (self.quantities,) * count
+
 
 GROUND_MOTION = LoopTopic(
     "ground_motion",

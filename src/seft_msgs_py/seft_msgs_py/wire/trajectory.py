@@ -72,9 +72,9 @@ class Layout(NamedTuple):
         count: int,
         carried: tuple[str, ...],
     ) -> "Layout":
-        """Lay out a message of ``count`` points, a period apart.
+        """Lay out a message of ``count`` samples, a period apart.
 
-        Its points have the quantities ``carried``: those of the topic, and perhaps others.
+        Its points may have more arrays than those of the topic: ``carried``.
         """
         message, known = bytearray(ENCAPSULATION), bytearray(b"\xff" * len(ENCAPSULATION))
 
@@ -89,20 +89,20 @@ class Layout(NamedTuple):
             put(struct.pack("<I", len(data)))
             put(data, align=1)
 
-        drive = (("effort",),) if DRIVE in carried else ()
-        fields = (*[carried] * count, *drive)
+        points, values = topic.points(count), []
         put(bytes(STAMP.size), fixed=False)
         put_string("")
         put(struct.pack("<I", len(axes)))
         for axis in axes:
             put_string(axis)
-        points_at = put(struct.pack("<I", len(fields)))
-        values, form, end = [], "<4xiI", 12
-        for point, held in enumerate(fields):
+        points_at = put(struct.pack("<I", len(points)))
+        form, end = "<4xiI", 12
+        for point, arrays in enumerate(points):
             for quantity in QUANTITIES:
-                put(struct.pack("<I", len(axes) if quantity in held else 0))
-                at = [put(bytes(8), align=8, fixed=False) for _ in axes if quantity in held]
-                if not at or quantity not in topic.quantities:
+                held = axes if quantity in arrays or quantity in carried else ()
+                put(struct.pack("<I", len(held)))
+                at = [put(bytes(8), align=8, fixed=False) for _ in held]
+                if quantity not in arrays:
                     continue
                 values += at
                 if count == 1:
@@ -110,6 +110,8 @@ class Layout(NamedTuple):
                     end = at[-1] + 8
             put(STAMP.pack(*divmod(point * timebase.period_ns, NANOSECONDS_PER_SECOND)))
         mask, q, n = int.from_bytes(known, "little"), len(topic.quantities), len(axes)
+        words = (np.array(values).reshape(-1, q, n) - 4) // 8
+        count = len(words)
         single = ((q, n),) if count == 1 else ()
         flat = ((count, n), (n,)) if count == q == 1 else ((count, n),) if q == 1 else ()
         return cls(
@@ -117,7 +119,7 @@ class Layout(NamedTuple):
             known=bytes(known),
             mask=mask,
             fixed=int.from_bytes(message, "little") & mask,
-            values=(np.array(values).reshape(count, q, n) - 4) // 8,
+            values=words,
             shapes=((count, q, n), *single, *flat),
             numbers=struct.Struct(f"{form}{len(message) - end}x"),
             points_at=points_at,
@@ -169,6 +171,7 @@ class TrajectoryCodec:
         self.timebase = timebase
         self._layouts: dict[tuple[int, tuple[str, ...]], Layout] = {}
         self._single = self._layout(1)
+        self._points_of_one = len(topic.points(1))
 
     def encode(self, step: int, values: Floats) -> bytes:
         """Make the message of a sample, of shape (q, n), or (n,) where q is 1.
@@ -188,8 +191,6 @@ class TrajectoryCodec:
         count = len(values) if isinstance(values, np.ndarray) and values.ndim else 1
         if count == 0:
             raise WireError(f"{self.topic.name}: a message needs at least one point")
-        if DRIVE in self.topic.quantities:
-            count = 1
         return self._encode(self._layout(count), step, values)
 
     def decode(self, raw: bytes) -> tuple[int, Floats]:
@@ -237,7 +238,6 @@ class TrajectoryCodec:
         return bytes(message)
 
     def _layout(self, count: int, carried: tuple[str, ...] = ()) -> Layout:
-        carried = carried or self.topic.quantities
         layout = self._layouts.get((count, carried))
         if layout is None:
             if len(self._layouts) > 64:
@@ -260,7 +260,7 @@ class TrajectoryCodec:
             return single
         if first and self.topic.name == TARGET.name:
             return self._layout(count, TARGET.quantities)
-        return single if count == 1 or DRIVE in self.topic.quantities else self._layout(count)
+        return single if count == self._points_of_one else self._layout(count)
 
     def _check_finite(self, numbers: Sequence[float], values: Floats) -> None:
         """Check values of shape (p, q, n), faster if they are also given as numbers."""
@@ -284,31 +284,29 @@ class TrajectoryCodec:
             )
         if not message.points:
             raise WireError(f"{name}: the message holds no point")
-        count, quantities = len(message.points), self.topic.quantities
-        if tells_drive := DRIVE in quantities:
-            if count != 2:
-                raise WireError(
-                    f"{name}: points {count}, not 2: the sample, and the effort that the rig "
-                    "applies from then on"
-                )
-            count = 1
-        values = np.empty((count, len(quantities), len(self.axes)))
-        for index, point in enumerate(message.points):
+        points = self.topic.points(len(message.points))
+        if len(points) != len(message.points):
+            raise WireError(
+                f"{name}: points {len(message.points)}, not {len(points)}: the sample, and the "
+                "effort that the rig applies from then on"
+            )
+        numbers: list[float] = []
+        for index, (point, arrays) in enumerate(zip(message.points, points, strict=True)):
             after = nanoseconds(point.time_from_start)
             if after != index * self.timebase.period_ns:
                 raise WireError(
                     f"{name}: point {index} is {after} ns after the stamp, "
                     f"not {index} periods of {self.timebase.period_ns} ns"
                 )
-            told = tells_drive and index == 1
-            for row, quantity in enumerate(("effort",) if told else quantities[:4]):
+            for quantity in arrays:
                 given = getattr(point, quantity)
                 if len(given) != len(self.axes):
                     raise WireError(
                         f"{name}: {len(given)} {quantity} for {len(self.axes)} axes "
                         f"{list(self.axes)}"
                     )
-                values[(0, 4) if told else (index, row)] = given
+                numbers.extend(given)
+        values = np.array(numbers).reshape(-1, len(self.topic.quantities), len(self.axes))
         self._check_finite([], values)
         return self.timebase.step(message.stamp_ns), values
 
