@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Buffer, Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import TextIO
 
 
@@ -62,6 +63,7 @@ def unbroken(program: str, main: Callable[[], int]) -> int:
     int
         The program's exit status; 1 if it would be 0, but stdout is full.
     """
+    _open_closed()
     before, outputs = (sys.stdout, sys.stderr), (_Output(1), _Output(2))
     if any(not _is_file(stream, number) for number, stream in enumerate(before, start=1)):
         return main()  # something else takes what is printed
@@ -81,6 +83,15 @@ def unbroken(program: str, main: Callable[[], int]) -> int:
         for stream in (sys.stdout, sys.stderr):
             stream.flush()
         sys.stdout, sys.stderr = before
+
+
+def _open_closed() -> None:
+    """Open what is closed of the three standard streams: the next file would take its place."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            stream = Path(os.devnull).open(mode)  # noqa: SIM115
+            os.set_inheritable(stream.fileno(), True)
+            setattr(sys, name, stream)
 
 
 def _is_file(stream: TextIO | None, number: int) -> bool:

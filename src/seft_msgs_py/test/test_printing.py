@@ -45,3 +45,25 @@ def test_a_reader_that_leaves_is_no_fault_and_a_full_stderr_neither():
     assert child.stdout.readline() == b"a line\n"
     child.stdout.close()
     assert child.wait() == 0
+
+
+OWN_FILE = """
+import os, sys
+from seft_msgs_py.printing import unbroken
+
+def main():
+    with open("own", "w"):
+        sys.stdout.write("a line")
+        sys.stderr.write("a line")
+        os.write(2, b"what a library says")
+    return 0
+
+sys.exit(unbroken("own", main))
+"""
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_what_is_printed_to_a_closed_stream_comes_into_no_file(tmp_path, closed):
+    words = ["sh", "-c", f'exec "$0" "$@" {closed}', sys.executable, "-c", OWN_FILE]
+    assert subprocess.run(words, cwd=tmp_path, capture_output=True).returncode == 0
+    assert (tmp_path / "own").read_text() == ""

@@ -20,7 +20,6 @@ from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.messages import decode_message, nanoseconds
 from seft_msgs_py.wire.topics import (
-    DRIVE,
     JOINT_TRAJECTORY,
     NANOSECONDS_PER_SECOND,
     QUANTITIES,
