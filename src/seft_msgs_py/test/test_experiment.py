@@ -121,6 +121,7 @@ def test_dotted_and_nested_names_are_the_same(load):
         (in_rig("seed: !!python/name:os.system x"), "line 3 could not determine a constructor"),
         (in_rig("seed: *other"), "undefined alias"),
         ("rig: {ros__parameters: &a {b: *a}}", "nested too deep"),
+        ("[" * 5000 + "]" * 5000, "nested too deep"),
         (in_rig("seed: &a [*a]"), "must be a whole number"),
         ("a: " + "[" * 1500, ""),
         ("rig: {ros__parameters: {}}", "rig: specimen.mass must be given (mass of it, kg)"),

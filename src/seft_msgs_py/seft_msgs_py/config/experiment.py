@@ -332,6 +332,8 @@ def _parse_yaml(text: str, where: str) -> Any:
         mark = error.problem_mark
         line = f" line {mark.line + 1}" if mark is not None else ""
         raise InputError(f"{where}:{line} {error.problem or error.context}") from None
+    except RecursionError:
+        raise InputError(f"{where}: is nested too deep") from None
     except Exception as error:  # ruamel raises many kinds at invalid input
         raise InputError(f"{where}: {(str(error).splitlines() or ['no YAML'])[0]}") from None
 
