@@ -65,7 +65,9 @@ class Run:
     def wait_for_data(self):
         """Wait until a chunk of the bag is whole, also if the next one is being written."""
         size = lambda: sum(file.stat().st_size for file in self._bag.glob("*.mcap"))  # noqa: E731
-        wait_for(lambda: size() > 2 * CHUNK or self.process.poll() is not None, "some data in the bag")
+        wait_for(
+            lambda: size() > 2 * CHUNK or self.process.poll() is not None, "some data in the bag"
+        )
         self.wait_for_nodes()
 
     def wait_for_ramp(self):

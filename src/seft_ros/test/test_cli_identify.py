@@ -141,6 +141,7 @@ def test_a_rig_whose_channels_disagree_is_corrected_by_the_file(identify, seft):
     assert lag["value"] == pytest.approx(0.002, abs=4 * lag["error"])
     written = read_parameter_file("out/model.yaml")
     assert written["force_controller"]["actuator.dead_time"] == [pytest.approx(0.001, abs=1e-4)]
+    assert written["reference_force"]["model.damping"] == [pytest.approx(800.3, rel=0.03)]
     overrides = [f"{name}:={value}" for name, value in PLAN.items()] + list(SENSORS)
     words = [word for text in overrides for word in ("-p", text)]
     assert seft("simulate", JHU, *words, "--json")[0] == 1  # it trips

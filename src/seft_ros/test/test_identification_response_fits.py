@@ -12,10 +12,10 @@ DAMPING = np.array([[800.0, -60.0], [-60.0, 500.0]])
 STIFFNESS = np.array([[2.1e5, -2.0e4], [-2.0e4, 1.5e5]])
 
 
-def measured(axes, noise, seed=1, force=1000.0):
+def measured(axes, noise, seed=1, force=1000.0, filtered=lambda s: 1.0):
     """Response of (x, a, f) to the excitation; noise: RMS of displacement, acceleration, force.
 
-    The motion is periodic, and so exact; the sensors are not.
+    The motion is periodic, and so exact; the sensors are not, and acceleration may be filtered.
     """
     mass, damping, stiffness = (part[:axes, :axes] for part in (MASS, DAMPING, STIFFNESS))
     rng = np.random.default_rng(seed)
@@ -25,7 +25,7 @@ def measured(axes, noise, seed=1, force=1000.0):
     white = force * rng.standard_normal((COUNT, axes))
     drive = np.fft.rfft(white, axis=0) * band
     motion = np.linalg.solve(s**2 * mass + s * damping + stiffness, drive[..., np.newaxis])[..., 0]
-    signals = [drive, motion, s[..., 0] ** 2 * motion, drive]
+    signals = [drive, motion, filtered(s[..., 0]) * s[..., 0] ** 2 * motion, drive]
     signals = [np.fft.irfft(signal, COUNT, axis=0) for signal in signals]
     for signal, rms in zip(signals[1:], noise, strict=True):
         signal += rms * rng.standard_normal(signal.shape)
@@ -53,6 +53,19 @@ def test_noise_of_the_sensors_does_not_bias_it():
         values = np.array([getattr(fit, name)[0, 0] for fit in fits]) / known[0, 0]
         assert values.std() > 1e-4
         assert abs(values.mean() - 1) < 3 * values.std() / np.sqrt(len(values)) + 0.005
+
+
+def low_pass(s, hz=200.0):
+    """Butterworth's of second order, without its lag at low frequency."""
+    w = s / (2 * np.pi * hz)
+    return np.exp(np.sqrt(2.0) * w) / (1.0 + np.sqrt(2.0) * w + w * w)
+
+
+@pytest.mark.parametrize("filtered", [low_pass, lambda s: np.exp(-5e-4 * s)], ids=["filter", "lag"])
+def test_what_delays_the_acceleration_is_no_damping(filtered):
+    fit = fit_specimen([measured(2, (0.0, 0.0, 0.0), filtered=filtered)])
+    np.testing.assert_allclose(fit.damping, DAMPING, atol=0.03 * DAMPING.max())
+    np.testing.assert_allclose(fit.mass, MASS, atol=0.01 * MASS.max())
 
 
 def test_damping_is_never_negative():

@@ -266,7 +266,10 @@ class ActuatorFit:
                 "that the oil is on and that displacement, acceleration and force have SI units"
             )
         pair = "displacement against command" if self.flow_gain <= 0 else "force against motion"
-        return f"the sign of {pair} is wrong; check the polarity of the sensors and the valve"
+        return (
+            f"the sign of {pair} is wrong; check the polarity of the sensors and the valve, and "
+            "that no channel has a filter of its own"
+        )
 
 
 def fit_actuator(

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy.fft
 from numpy.typing import NDArray
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
@@ -105,19 +106,33 @@ class Calibrated:
         return _parameters(self.whole, self.derived)
 
     def corrected(self, record: Record) -> Record:
-        """Take what was found out of a record of the same rig, as the rig would have."""
+        """Take what was found out of a record of the same rig, from rest to rest.
+
+        The channels wait for the latest one, as in the rig, but at each frequency for that time.
+        """
         axes, dt = record.experiment.axes, record.experiment.timebase.dt
         lag = self.found["lag"]
-        section = _parameters(self.found | {"lag": lag - lag.min()}, False)
+        section = _parameters(self.found | {"lag": np.zeros_like(lag)}, False)
         known, state = calibration_of(section, axes, range(len(axes)), dt)
         record, values = as_measured(record), _samples(record).copy()
         if len(known.scale):
             calibrate_all(known, state, values)
+        values = _delayed(values, (lag.max() - lag) / dt)
         every = np.arange(len(values))
         measured = record.series[RIG_STATE.name]
         values = np.concatenate([values, every_step(measured, every)[:, 4:]], axis=1)
         whole = replace(measured, steps=every, values=values, received_ns=None)
         return replace(record, series={**record.series, RIG_STATE.name: whole})
+
+
+def _delayed(signals: Floats, by: Floats) -> Floats:
+    """Delay signals from rest to rest, shape (N, 4, n), by so many samples, shape (4, n)."""
+    between = np.linspace(0.0, 1.0, len(signals))[:, np.newaxis, np.newaxis]
+    rest = signals[0] + between * (signals[-1] - signals[0])
+    size = scipy.fft.next_fast_len(len(signals) + math.ceil(by.max()), real=True)
+    phase = 2.0 * np.pi * scipy.fft.rfftfreq(size)[:, np.newaxis, np.newaxis] * by
+    spectrum = scipy.fft.rfft(signals - rest, size, axis=0) * np.exp(-1j * phase)
+    return rest + scipy.fft.irfft(spectrum, size, axis=0)[: len(signals)]
 
 
 def as_measured(record: Record) -> Record:
@@ -306,18 +321,12 @@ def _samples(record: Record) -> Floats:
     return every_step(states, np.arange(states.steps[-1] + 1))
 
 
-_ROWS = (  # label, channel, what, unit, scale
-    ("velocity: scale", "velocity", "scale", "", 1.0),
-    ("  lag", "velocity", "lag", "ms", 1e3),
-    ("  zero", "velocity", "zero", "mm/s", 1e3),
-    ("acceleration: scale", "acceleration", "scale", "", 1.0),
-    ("  lag", "acceleration", "lag", "ms", 1e3),
-    ("  zero", "acceleration", "zero", "m/s²", 1.0),
-    ("force: lag", "force", "lag", "ms", 1e3),
-    ("  zero", "force", "zero", "N", 1.0),
-    ("displacement: scale", "position", "scale", "", 1.0),
-    ("  zero", "position", "zero", "mm", 1e3),
-)
+_UNITS = {  # channel: name, unit and scale of its zero
+    "velocity": ("velocity", "mm/s", 1e3),
+    "acceleration": ("acceleration", "m/s²", 1.0),
+    "force": ("force", "N", 1.0),
+    "position": ("displacement", "mm", 1e3),
+}
 
 
 def shake_table(shaken: Shaken, axes: Sequence[str]) -> TextTable:
@@ -330,12 +339,14 @@ def shake_table(shaken: Shaken, axes: Sequence[str]) -> TextTable:
         return f"{scale * number['value']:.{digits}f} ± {error:.{digits}f} {unit}".rstrip()
 
     rows: list[list[str] | None] = [["mass", *(cell(one["mass"], "kg", 1.0) for one in found)]]
-    for label, channel, what, unit, scale in _ROWS:
+    for channel, (name, *of_zero) in _UNITS.items():
         if channel == "velocity" and shaken.calibrated.derived:
             continue
-        if not any(one[channel][what]["error"] for one in found):  # the reference
-            continue
-        rows.append([label, *(cell(one[channel][what], unit, scale) for one in found)])
+        label = f"{name}: "
+        for what, form in (("scale", ("", 1.0)), ("lag", ("ms", 1e3)), ("zero", of_zero)):
+            if any(one[channel][what]["error"] for one in found):  # it is not the reference
+                rows.append([label + what, *(cell(one[channel][what], *form) for one in found)])
+                label = "  "
     return TextTable(["shake", *axes], rows)
 
 

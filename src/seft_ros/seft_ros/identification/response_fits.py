@@ -1,7 +1,7 @@
 """Models fitted to measured responses: the specimen, and the closed force loop."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -13,6 +13,7 @@ from seft_ros.design.plant import Root, roots_of
 from seft_ros.identification.rig_tests import Response
 
 _FLOOR = 0.003  # of each term: accuracy of a calibrated sensor
+_ORDER = 3  # of a filter that a lag has been taken from: what it leaves begins with s^3
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,10 @@ def fit_specimen(measured: Sequence[Response]) -> SpecimenFit:
     sec. 9.11). The mass follows from the acceleration, damping and stiffness from the
     displacement, each where it is strong.
 
+    What filters and lags leave between the acceleration of an axis and the force, a factor
+    exp(g_1 s + g_2 s^2 + g_3 s^3), is fitted too: far above the specimen's frequency the least
+    lag would count as damping.
+
     Parameters
     ----------
     measured : sequence of Response
@@ -70,23 +75,35 @@ def fit_specimen(measured: Sequence[Response]) -> SpecimenFit:
         return upper + np.triu(upper, 1).swapaxes(1, 2)
 
     def residuals(p: Floats) -> Floats:
-        return _real(
-            np.concatenate([_weighed(part, *matrices(p * scale)).ravel() for part in measured])
-        )
+        specimen, g = matrices(p[: len(scale)] * scale), p[len(scale) :].reshape(n, _ORDER)
+        errors = [_weighed(_seen_alike(part, g / units), *specimen).ravel() for part in measured]
+        return np.concatenate([_real(np.concatenate(errors)), g.ravel()])
 
     start = _rough(measured[-1])[:, row, column]
     size = np.abs(start).max(axis=1, keepdims=True)
     scale = np.repeat(np.where(size > 0, size, 1.0), start.shape[1], axis=1).ravel()
-    found = least_squares(residuals, start.ravel() / scale, loss="soft_l1", f_scale=3.0)
-    mass, damping, stiffness = matrices(found.x * scale)
+    highest = 2 * np.pi * max(float(part.frequencies_hz[-1]) for part in measured)
+    units = highest ** np.arange(1.0, _ORDER + 1.0)
+    guess = np.concatenate([start.ravel() / scale, np.zeros(n * _ORDER)])
+    found = least_squares(residuals, guess, loss="soft_l1", f_scale=3.0).x
+    mass, damping, stiffness = matrices(found[: len(scale)] * scale)
+    g = found[len(scale) :].reshape(n, _ORDER) / units
     values, vectors = np.linalg.eigh(damping)
     damping = (vectors * np.maximum(values, 0.0)) @ vectors.T  # no specimen feeds energy in
     damping = (damping + damping.T) / 2
     unexplained = [
         np.linalg.norm(_error(part, mass, damping, stiffness)) / np.linalg.norm(_parts(part)[2])
-        for part in measured
+        for part in (_seen_alike(part, g) for part in measured)
     ]
     return SpecimenFit(mass, damping, stiffness, float(np.mean(unexplained)))
+
+
+def _seen_alike(measured: Response, g: Floats) -> Response:
+    """Give the accelerations as if the force's sensor had shown them; g has shape (n, 3)."""
+    powers = (2j * np.pi * measured.frequencies_hz)[:, np.newaxis] ** np.arange(1, _ORDER + 1)
+    response, n = measured.response.copy(), len(g)
+    response[:, n : 2 * n] *= np.exp(powers @ g.T)[:, :, np.newaxis]
+    return replace(measured, response=response)
 
 
 def _parts(measured: Response) -> list[Complexes]:
