@@ -197,7 +197,7 @@ def identify_rig(experiment: Experiment, duration: float) -> Identified:
     """
     band = EXCITED_HZ[0], min(0.45 * experiment.timebase.rate, EXCITED_HZ[1])
     voltage = rig_tests.pilot_voltage(experiment)
-    force = rig_tests.default_force(experiment)
+    force = rig_tests.default_force(experiment, band)
     motions = rig_tests.Motions(experiment, force, band, SEED)
     with TemporaryDirectory() as folder:
         short = motions.write(Path(folder) / "pilot.csv", rig_tests.PILOT_DURATION)

@@ -64,13 +64,14 @@ def test_in_the_open_loop_the_record_drives_the_valves_whatever_the_experiment_w
         (Levels(3.0, 200.0), "--amplitude is 3 V RMS.*voltage_limit, 10 V"),
         (Levels(0.0, 200.0), "--amplitude is 0 V"),
         (Levels(0.1, 5000.0), "--force is 5000 N RMS.*22200 N"),
+        (Levels(0.1, 40e3), "in a band up to 20 Hz changes faster .* give 9.19e[+]03 N at most"),
         (Levels(0.1, -1.0), "--force is -1 N"),
         (Levels(float("nan"), 1.0), "--amplitude is nan"),
     ],
 )
 def test_levels_beyond_the_limits_are_refused(levels, told):
     with pytest.raises(InputError, match=told):
-        check_levels(load(), levels)
+        check_levels(load(), levels, (0.3, 20.0))
 
 
 def test_after_a_pilot_the_rig_uses_a_fifth_of_its_limits(record):

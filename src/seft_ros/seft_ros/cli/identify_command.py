@@ -63,9 +63,9 @@ def identify(
     correct the open loop's test.
 
     Closed loop: the excitation is the reference force, where the force controller follows one. Its
-    RMS is 5 m/s^2 times the mass, a 20th of the force limit at most, unless --force gives
-    another. The result describes the force loop with this specimen, which the other
-    methods need. Rigs without a valve (actuator.kind ideal or delay) have this test only.
+    RMS is 5 m/s^2 times the mass, at most a 20th of the force limit and within limits.force_rate,
+    unless --force gives another. The result describes the force loop with this specimen, which the
+    other methods need. Rigs without a valve (actuator.kind ideal or delay) have this test only.
 
     The folder then holds the excitation, the bags, a figure, and model.yaml: parameters of
     reference_force and force_controller for --params-file. With --specimen they include mass,
@@ -94,13 +94,13 @@ def identify(
     if travel is not None and not specimen:
         raise InputError("--travel is that of the shake: give --specimen, too")
     experiment = shared.load_experiment(config, param, params_file, external)
-    levels = rig_tests.Levels(
-        rig_tests.pilot_voltage(experiment) if amplitude is None else amplitude,
-        rig_tests.default_force(experiment) if force is None else force,
-    )
-    rig_tests.check_levels(experiment, levels)
     if all(map(math.isnan, band)):
         band = (0.3, min(0.45 * experiment.timebase.rate, 200.0))
+    levels = rig_tests.Levels(
+        rig_tests.pilot_voltage(experiment) if amplitude is None else amplitude,
+        rig_tests.default_force(experiment, band) if force is None else force,
+    )
+    rig_tests.check_levels(experiment, levels, band)
     folder = out or Path(datetime.now().strftime("identify_%Y-%m-%d_%H-%M-%S"))
     motions = rig_tests.Motions(experiment, levels.force, band, seed)
     motions.check(duration)

@@ -65,6 +65,7 @@ class OilBalance:
         drive = np.add.reduceat(np.abs(self._drive) ** 2, self._blocks)
         self._size_of_drive = np.sqrt(np.maximum(drive * self._counts, 1e-30))
         f = np.add.reduceat(self._hz[self._used], self._blocks) / self._counts
+        self._frequency = f
         half = np.maximum(_WIDTH * f, _LEAST_WIDTH)
         self._around = np.searchsorted(f, f - half), np.searchsorted(f, f + half, "right")
         self.rise, self.between = np.diff(forces) / dt, (forces[:-1] + forces[1:]) / 2
@@ -131,7 +132,8 @@ class OilBalance:
         The parameters p are, here and below, the logarithms of the valve's frequency (Hz) and
         damping ratio, its dead time in ms, the largest force over the force capacity, the
         logarithm of the velocity (m/s) over which friction builds up, and the lag in ms of a
-        Butterworth filter of second order that all sensors have: 1 / (1 + s lag + (s lag)^2 / 2).
+        Butterworth filter of second order that all sensors have: 1 / (1 + s lag + (s lag)^2 / 2),
+        and the lag in ms of the force behind the motion.
         """
         valve = ValveModel(math.exp(p[0]), math.exp(p[1]), p[2] / 1e3, self._dt)
         pulse = np.diff(valve.volume(self._times)) / self._dt
@@ -169,7 +171,8 @@ class OilBalance:
             Residual over its expected error, real parts, then imaginary parts.
         """
         flow, slip = self._of(self.flow(p)), self._of(self.slip(p))
-        terms = np.column_stack([flow, -self._of_force, -slip, self._of_motion])
+        force = self._of_force * np.exp(2j * np.pi * self._frequency * p[6] / 1e3)[:, np.newaxis]
+        terms = np.column_stack([flow, -force, -slip, self._of_motion])
         terms = terms / deviation[:, np.newaxis]
         split = np.concatenate([terms.real, terms.imag])
         columns, target = split[:, :4], split[:, 4]
@@ -192,9 +195,10 @@ _TOLERANCE = 0.01  # of the flow at a frequency: accuracy of the model itself
 _LEAST_LOAD = 0.15  # of the force capacity: below, friction can be taken for it
 _UNSURE = 0.1  # relative standard deviation; of the dead time in ms
 _DOUBTED = ("flow_gain", "oil_stiffness", "valve_frequency", "valve_damping", "dead_time")
-_LOWEST = np.array([math.log(3.0), math.log(0.1), 0.0, 0.0, math.log(2e-4), 0.0])
-_HIGHEST = np.array([math.log(1000.0), math.log(3.0), 50.0, 0.9, math.log(0.1), 20.0])
-_SCALE = np.array([0.1, 0.1, 0.1, 0.01, 0.3, 0.1])
+_LOWEST = np.array([math.log(3.0), math.log(0.1), 0.0, 0.0, math.log(2e-4), 0.0, -20.0])
+_HIGHEST = np.array([math.log(1000.0), math.log(3.0), 50.0, 0.9, math.log(0.1), 20.0, 20.0])
+_SCALE = np.array([0.1, 0.1, 0.1, 0.01, 0.3, 0.1, 0.1])
+_FORCE_LAGS = (-8.0, -6.0, -4.0, -2.0, 0.0, 2.0, 4.0, 6.0, 8.0)  # ms: starts
 _FILTER_LAG = 1.0  # ms, of a filter of 225 Hz: first guess
 _FILTERED = 0.5  # part of what no filter leaves: a filter that leaves more is none
 
@@ -329,7 +333,7 @@ def _fitted(oil: OilBalance, p: Floats, filtered: bool) -> tuple[Floats, Floats,
 
     Give them, the expected errors, and the Jacobian of what is left over these.
     """
-    free, deviation = slice(None if filtered else 5), oil.rough
+    free, deviation = slice(6 if filtered else 5), oil.rough
 
     def errors(q: Floats, weights: Floats) -> Floats:
         return oil.solve(np.append(q, p[len(q) :]), weights)[2]
@@ -350,32 +354,57 @@ def _fitted(oil: OilBalance, p: Floats, filtered: bool) -> tuple[Floats, Floats,
     return p, deviation, found.jac
 
 
-def _roughly(oil: OilBalance) -> Floats:
-    """Parameters of a first fit, from several starts.
+def force_lag(
+    commands: Floats,
+    positions: Floats,
+    accelerations: Floats,
+    forces: Floats,
+    dt: float,
+    band: tuple[float, float],
+) -> float:
+    """Lag of the force behind the motion, s, by the oil's balance; for a start.
+
+    Parameters as of `OilBalance`; those of the motion agree. Friction of the specimen has no part
+    in the balance.
+    """
+    oil = OilBalance(commands, positions, accelerations, forces, dt, band)
+    return float(_roughly(oil, _FORCE_LAGS)[6]) / 1e3
+
+
+def _roughly(oil: OilBalance, force_lags: tuple[float, ...] = (0.0,)) -> Floats:
+    """Parameters of a first fit, from several starts; of one lag of the force, that is known.
 
     The resonances of valve and oil column are similar: if one is taken for the other, the fit
     explains the piston's motion, but not the force. So the best fit is the one that explains the
     flow at the most frequencies.
     """
+    free = [0, 1, 2, 6] if len(force_lags) > 1 else [0, 1, 2]
 
-    def whole(valve: Floats) -> Floats:
-        return np.append(valve, [0.0, _OVER, 0.0])
+    def whole(found: Floats) -> Floats:
+        p = np.array([0.0, 0.0, 0.0, 0.0, _OVER, 0.0, force_lags[0]])
+        p[free] = found
+        return p
 
-    def errors(valve: Floats) -> Floats:
-        return oil.solve(whole(valve), oil.rough)[2]
+    def errors(found: Floats) -> Floats:
+        return oil.solve(whole(found), oil.rough)[2]
 
     def unexplained(p: Floats) -> float:
         """Share of the flow, mean over frequencies."""
         power, flow = oil.left(p, oil.rough)
         return float(np.minimum(power / np.maximum(flow, 1e-30), 1.0).mean())
 
-    found = []
+    best = []
     for hz in _VALVES:
-        starts = [np.array([math.log(hz), _DAMPING, late]) for late in _DEAD_TIMES]
-        start = min(starts, key=lambda valve: float(np.sum(errors(valve) ** 2)))
-        bounds = _LOWEST[:3], _HIGHEST[:3]
-        fit = least_squares(errors, start, bounds=bounds, x_scale=_SCALE[:3], max_nfev=_MOST_STEPS)
-        found.append(whole(fit.x))
-    best = min(found, key=unexplained)
-    best[3] = _LOAD
-    return best
+        starts = [
+            np.array([math.log(hz), _DAMPING, dead_time, late])[: len(free)]
+            for dead_time in _DEAD_TIMES
+            for late in force_lags
+        ]
+        start = min(starts, key=lambda found: float(np.sum(errors(found) ** 2)))
+        bounds = _LOWEST[free], _HIGHEST[free]
+        scale = _SCALE[free]
+        fit = least_squares(errors, start, bounds=bounds, x_scale=scale, max_nfev=_MOST_STEPS)
+        best.append(whole(fit.x))
+    found = min(best, key=unexplained)
+    found[3] = _LOAD
+    return found

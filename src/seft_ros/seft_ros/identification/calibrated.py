@@ -26,8 +26,9 @@ from seft_plant_sim.sensors import ACCELERATION, CHANNELS, FORCE, VELOCITY, tilt
 from seft_ros.bags.record import Record, every_step
 from seft_ros.design.plausibility import SAME_MASS
 from seft_ros.drawing.table import TextTable
+from seft_ros.identification.actuator_fit import force_lag
 from seft_ros.identification.identified import Identified
-from seft_ros.identification.rig_tests import frequency_response, motion_spectra
+from seft_ros.identification.rig_tests import MeasuredTest, frequency_response, motion_spectra
 from seft_ros.identification.shake import OF_RATE, Shake, Sine, sound_relations
 from seft_ros.identification.shake_estimates import (
     SHAKE_SIGMAS,
@@ -285,7 +286,7 @@ def rough_calibration(record: Record, band: tuple[float, float]) -> Calibrated:
     """Estimate the channels from a test by random commands, well enough for the actuators' fit.
 
     The cross spectra with the commands take the place of a shake's sines, up to `OF_RATE` times the
-    rate and within the band of the excitation, Hz.
+    rate and within the band of the excitation, Hz. The force's lag follows from the oil's balance.
     """
     n, dt = len(record.experiment.axes), record.experiment.timebase.dt
     samples, command = _samples(record), record.series[VALVE_COMMAND.name]
@@ -305,7 +306,10 @@ def rough_calibration(record: Record, band: tuple[float, float]) -> Calibrated:
     nothing = np.zeros_like(noise)
     of = Harmonics(w, amplitude[:, np.newaxis], noise, nothing, nothing[:, 0, 0])
     fit = fit_shake(of, np.ones((len(w), 2), complex))
-    fit.lag[FORCE] = 0.0  # a random motion of a specimen with friction does not tell it
+    # the random motion of a specimen with friction does not tell that of the force
+    fit.lag[FORCE], fit.lag_error[FORCE] = 0.0, 0.0
+    test = MeasuredTest(Calibrated.of_shake(fit, record.experiment).corrected(record), band)
+    fit.lag[FORCE] = [force_lag(*test.of_actuator(i), dt, band) for i in range(n)]
     return Calibrated.of_shake(fit, record.experiment)
 
 

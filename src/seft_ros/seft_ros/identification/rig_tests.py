@@ -1,5 +1,6 @@
 """The tests of an identification: levels, experiments, and the spectra of what was measured."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -262,10 +263,17 @@ class Levels:
     force: float
 
 
-def default_force(experiment: Experiment) -> float:
+def default_force(experiment: Experiment, band: tuple[float, float]) -> float:
     """RMS of the reference force that moves the specimen well, far inside its limits, N."""
     limit = experiment["supervisor"]["limits.force"]
-    return float(min(_ACCELERATION * np.diag(_mass(experiment)).min(), _FORCE_SHARE * limit))
+    wanted = _ACCELERATION * np.diag(_mass(experiment)).min()
+    return float(min(wanted, _FORCE_SHARE * limit, _largest_force(experiment, band)))
+
+
+def _largest_force(experiment: Experiment, band: tuple[float, float]) -> float:
+    """RMS of a force with a flat spectrum up to the band's end whose peaks change in time, N."""
+    rms_of_rate = 2.0 * math.pi * max(band[1], 1e-3) / math.sqrt(3.0)  # over that of the force
+    return float(experiment["reference_force"]["limits.force_rate"] / (_PEAKS * rms_of_rate))
 
 
 def pilot_voltage(experiment: Experiment) -> float:
@@ -285,8 +293,14 @@ def voltage_after(pilot: Record, voltage: float) -> float:
     return float(min(voltage * _TARGET / max(largest), most))
 
 
-def check_levels(experiment: Experiment, levels: Levels) -> None:
+def check_levels(experiment: Experiment, levels: Levels, band: tuple[float, float]) -> None:
     """Refuse levels whose peaks exceed the limits of the experiment, by an InputError."""
+    if levels.force > (largest := _largest_force(experiment, band)):
+        raise InputError(
+            f"--force is {levels.force:g} N RMS, which in a band up to {band[1]:g} Hz changes "
+            f"faster than reference_force limits.force_rate; give {largest:.3g} N at most, or a "
+            "lower --band"
+        )
     for option, level, unit, node, name in (
         ("--amplitude", levels.voltage, "V", "force_controller", "voltage_limit"),
         ("--force", levels.force, "N", "supervisor", "limits.force"),
