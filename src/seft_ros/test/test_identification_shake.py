@@ -1,5 +1,6 @@
 """A shake: what it will reach, and what it says of mass and channels of the simulated rig."""
 
+import math
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,7 +15,8 @@ from seft_ros.identification.calibrated import Calibrated, Shaken, all_known, sh
 from seft_ros.identification.identified import Identified, ValveResponse, fitted_plant
 from seft_ros.identification.response_fits import SpecimenFit
 from seft_ros.identification.rig_tests import shake_test, write_forces
-from seft_ros.identification.shake import Shake, plan_shake, shake_drive, with_actuators
+from seft_ros.identification.shake import Shake, Sine, plan_shake, shake_drive, with_actuators
+from seft_ros.identification.shake_estimates import harmonics
 from seft_ros.reference_force.reference_force_block import method_inputs
 
 FLAG = (  # another mass, stiffness and law than any configuration has
@@ -181,3 +183,17 @@ def test_a_shake_beyond_the_valve_is_refused():
     with pytest.raises(InputError, match=r"voltage_limit, 10 V; give a smaller --travel"):
         plan = Shake(0.01, 50.0, {})
         with_actuators(plan, identified(experiment), experiment)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+def test_what_a_converter_makes_of_an_amplitude_is_in_its_error(noise):
+    sine, dt, step = Sine(0, 12.34567, 0, 20_000), 1e-3, 3.7e-5
+    wave = np.cos(2 * np.pi * sine.frequency * dt * np.arange(sine.end))
+    rng, off, told = np.random.default_rng(1), [], []
+    for amplitude in np.linspace(9.5, 10.5, 21) * step:
+        shown = amplitude * wave + noise * step * rng.standard_normal(len(wave))
+        samples = np.repeat(step * np.round(shown / step), 4).reshape(-1, 4, 1)
+        of = harmonics(samples, [sine], dt)
+        off.append(abs(of.amplitude[0, 0, 0]) / amplitude - 1.0)
+        told.append(math.hypot(of.rounding[0, 0], of.noise[0, 0, 0] / amplitude))
+    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(np.mean(told), rel=0.4)

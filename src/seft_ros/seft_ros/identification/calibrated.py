@@ -304,7 +304,7 @@ def rough_calibration(record: Record, band: tuple[float, float]) -> Calibrated:
     noise = np.moveaxis(deviation, 3, 0).reshape(-1, 4, n)
     w = np.tile(2 * np.pi * response.frequencies_hz, n)
     nothing = np.zeros_like(noise)
-    of = Harmonics(w, amplitude[:, np.newaxis], noise, nothing, nothing[:, 0, 0])
+    of = Harmonics(w, amplitude[:, np.newaxis], noise, nothing, nothing[:, 0, 0], nothing[0])
     fit = fit_shake(of, np.ones((len(w), 2), complex))
     # the random motion of a specimen with friction does not tell that of the force
     fit.lag[FORCE], fit.lag_error[FORCE] = 0.0, 0.0

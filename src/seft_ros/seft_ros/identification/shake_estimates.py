@@ -19,9 +19,16 @@ it is made so (`identification.shake_hysteresis`). Load cell and displacement se
 reference, unless velocity and acceleration agree against the displacement: two sensors that are
 wrong by the same factor are less likely than one. Of scales that all are wrong by the same factor,
 and of a lag that all have in common, a shake says nothing. Standard errors are those of the
-sensors' noise or of what the equations leave, if that is more.
+sensors' noise or of what the equations leave, if that is more. To those of scales and masses comes
+what the steps q of the converters make of an amplitude A, alike in all sines, with noise sigma::
+
+    2 q J_1(2 pi A / q) / pi exp(-2 (pi sigma / q)^2)                                      (3)
+
+Over all A it has an RMS of q sqrt(2 q / A) / pi^2 times the exponential
+(Widrow & Kollar, Quantization Noise, 2008, ch. 5).
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -62,6 +69,8 @@ class Harmonics:
         Mean over whole cycles, shape (m, 4, n).
     time : ndarray
         Of each sine, -1 to 1 over those of an axis, shape (m,); 0: of all at once.
+    rounding : ndarray
+        RMS of Eq. (3) over the amplitude, shape (4, n).
     """
 
     w: Floats
@@ -69,6 +78,7 @@ class Harmonics:
     noise: Floats
     mean: Floats
     time: Floats
+    rounding: Floats
 
     @property
     def amplitude(self) -> Complexes:
@@ -78,7 +88,9 @@ class Harmonics:
 
 def harmonics(samples: Floats, sines: Sequence[Sine], dt: float) -> Harmonics:
     """Evaluate a shake; ``samples`` are as measured, shape (N, 4, n)."""
-    overtones, noise, mean = [], [], []
+    overtones, noise, mean, rounding = [], [], [], []
+    steps = np.abs(np.diff(samples.reshape(len(samples), -1), axis=0))
+    steps = np.where(steps > 0.0, steps, np.inf).min(axis=0)
     for sine in sines:
         part = samples[sine.first : sine.end]
         flat = part.reshape(len(part), -1)
@@ -98,6 +110,7 @@ def harmonics(samples: Floats, sines: Sequence[Sine], dt: float) -> Harmonics:
         overtones.append(waves)
         noise.append(np.sqrt(2.0 * variance / len(t)))
         mean.append(found[-2])
+        rounding.append(_rounding(np.abs(waves[0]), steps, variance))
     shape = (len(sines), *samples.shape[1:])
     middle = np.array([(sine.first + sine.end) / 2 for sine in sines])
     for axis in {sine.axis for sine in sines}:
@@ -110,7 +123,15 @@ def harmonics(samples: Floats, sines: Sequence[Sine], dt: float) -> Harmonics:
         np.reshape(noise, shape),
         np.reshape(mean, shape),
         middle,
+        np.reshape(np.min(rounding, axis=0), shape[1:]),
     )
+
+
+def _rounding(amplitude: Floats, step: Floats, variance: Floats) -> Floats:
+    """RMS of Eq. (3) over the amplitude; the variance is that of noise and converter together."""
+    steps = np.where(np.isfinite(step), np.maximum(amplitude / step, 0.1), np.inf)
+    noise = np.maximum(variance / step**2 - 1.0 / 12.0, 0.0)
+    return math.sqrt(2.0) * np.exp(-2.0 * np.pi**2 * noise) / (np.pi**2 * steps**1.5)
 
 
 @dataclass(frozen=True)
@@ -199,7 +220,8 @@ def fit_shake(of: Harmonics, sound: Complexes) -> ShakeFit:
     for order, i in ((order, i) for order in (1, 2) for i in range(n)):
         own, aligning = _relation(of, order, i, sound[:, order - 1])
         scale[order, i] = own.value[i]
-        scale_error[order, i] = np.hypot(own.error[i], folded[order - 1])
+        rounding = math.hypot(of.rounding[0, i], of.rounding[order, i])
+        scale_error[order, i] = math.hypot(own.error[i], folded[order - 1], rounding)
         lag[order, i], lag_error[order, i] = own.value[n], own.error[n]
         if order == 2:
             tilt[i], tilt_error[i] = own.value[:n] / own.value[i], own.error[:n] / own.value[i]
@@ -216,7 +238,8 @@ def fit_shake(of: Harmonics, sound: Complexes) -> ShakeFit:
         even = force - _uneven(of, i, lag[2, i], own.value[-1])
         own, k = _inertia(of, even, acceleration, adopted, i)
         mass[i], stiffness[i] = own.value[:n], k
-        mass_error[i] = np.hypot(own.error[:n], folded[1] * np.abs(own.value[:n]))
+        common = math.hypot(folded[1], *of.rounding[[0, 2, 3], i])
+        mass_error[i] = np.hypot(own.error[:n], common * np.abs(own.value[:n]))
         lag[3, i], lag_error[3, i] = own.value[-1], own.error[-1]
     zero, zero_error = of.mean.mean(axis=0), of.mean.std(axis=0, ddof=1) / np.sqrt(m)
     return ShakeFit(
