@@ -4,7 +4,7 @@ import os
 import signal
 import time
 from collections.abc import Iterator
-from contextlib import closing, nullcontext
+from contextlib import closing, nullcontext, suppress
 from dataclasses import replace
 
 from seft_msgs_py.config.experiment import Experiment
@@ -269,11 +269,12 @@ class Suite:
             why = "the driver does not report its process, or is on another host: stop it by hand"
             return not_run("stands still", why)
         trial = driver.run(self._long, driver.command, BRIEF, ())
-        try:
+        with suppress(ProcessLookupError):  # it has ended, which is noticed below
             os.kill(pid, signal.SIGSTOP)
-            driver.listen_for(self._timeout("command") + STILL)
-        finally:
-            os.kill(pid, signal.SIGCONT)
+            try:
+                driver.listen_for(self._timeout("command") + STILL)
+            finally:
+                os.kill(pid, signal.SIGCONT)
         driver.mark("goes on")
         driver.wait(lambda: trial.phase == TRIPPED, REACTION_TIMEOUT_S)
         driver.end(State.TRIPPED)
