@@ -10,7 +10,7 @@ from experiments_at_hand import load
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.sensors import CHANNELS
 from seft_ros.ground_motion.synthetic_motion import excitation
-from seft_ros.identification.actuator_fit import fit_actuator, force_lag
+from seft_ros.identification.actuator_fit import OilBalance, fit_actuator, force_lag
 
 TAIL = 1.0
 BAND = (0.3, 200.0)
@@ -120,7 +120,8 @@ def test_the_lag_of_the_force_is_found_whatever_the_specimen_does(name, lag):
         f"rig:sensors.{channel}_lag:={max(-lag, 0.0)}" for channel in ("position", "acceleration")
     ]
     *signals, dt, band = driven(*RIGS[name][0], *late, f"rig:sensors.force_lag:={max(lag, 0.0)}")
-    assert force_lag(*(each[:, 0] for each in signals), dt, band) == pytest.approx(lag, abs=2e-4)
+    oil = OilBalance(*(each[:, 0] for each in signals), dt, band)
+    assert force_lag(oil) == pytest.approx(lag, abs=2e-4)
 
 
 def test_a_force_capacity_is_told_where_the_load_shows_it():

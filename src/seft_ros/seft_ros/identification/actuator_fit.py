@@ -354,20 +354,11 @@ def _fitted(oil: OilBalance, p: Floats, filtered: bool) -> tuple[Floats, Floats,
     return p, deviation, found.jac
 
 
-def force_lag(
-    commands: Floats,
-    positions: Floats,
-    accelerations: Floats,
-    forces: Floats,
-    dt: float,
-    band: tuple[float, float],
-) -> float:
-    """Lag of the force behind the motion, s, by the oil's balance; for a start.
+def force_lag(oil: OilBalance) -> float:
+    """Lag of the force behind displacement and acceleration, which agree, s; for a start.
 
-    Parameters as of `OilBalance`; those of the motion agree. Friction of the specimen has no part
-    in the balance.
+    Friction of the specimen has no part in the balance.
     """
-    oil = OilBalance(commands, positions, accelerations, forces, dt, band)
     return float(_roughly(oil, _FORCE_LAGS)[6]) / 1e3
 
 

@@ -26,7 +26,7 @@ from seft_plant_sim.sensors import ACCELERATION, CHANNELS, FORCE, VELOCITY, tilt
 from seft_ros.bags.record import Record, every_step
 from seft_ros.design.plausibility import SAME_MASS
 from seft_ros.drawing.table import TextTable
-from seft_ros.identification.actuator_fit import force_lag
+from seft_ros.identification.actuator_fit import OilBalance, force_lag
 from seft_ros.identification.identified import Identified
 from seft_ros.identification.rig_tests import MeasuredTest, frequency_response, motion_spectra
 from seft_ros.identification.shake import OF_RATE, Shake, Sine, sound_relations
@@ -309,7 +309,8 @@ def rough_calibration(record: Record, band: tuple[float, float]) -> Calibrated:
     # the random motion of a specimen with friction does not tell that of the force
     fit.lag[FORCE], fit.lag_error[FORCE] = 0.0, 0.0
     test = MeasuredTest(Calibrated.of_shake(fit, record.experiment).corrected(record), band)
-    fit.lag[FORCE] = [force_lag(*test.of_actuator(i), dt, band) for i in range(n)]
+    balances = (OilBalance(*test.of_actuator(i), dt, band) for i in range(n))
+    fit.lag[FORCE] = list(map(force_lag, balances))
     return Calibrated.of_shake(fit, record.experiment)
 
 
