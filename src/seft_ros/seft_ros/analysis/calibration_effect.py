@@ -14,7 +14,6 @@ Which of two channels is wrong can't be told from their disagreement, so the wor
 """
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import RIG_STATE
@@ -22,6 +21,7 @@ from seft_plant_sim.whole_structure import whole_structure
 
 from seft_ros.analysis.equivalent_motion import EquivalentMotion, assumed_structure
 from seft_ros.analysis.specimen_law import SpecimenLaw, springs_of
+from seft_ros.identification.time_shift import moved_ahead
 
 _A, _F = (RIG_STATE.quantities.index(name) for name in ("accelerations", "effort"))
 
@@ -101,10 +101,4 @@ class CalibrationEffect:
 
 def led(y: Floats, lead: Floats, dt: float) -> Floats:
     """Give y(t + lead) - y(t) of signals of shape (N, n), leads of shape (n,) in s."""
-    if not lead.any():
-        return np.zeros_like(y)
-    room = int(np.ceil(np.abs(lead).max() / dt)) + 64  # so that the ends do not meet
-    size = next_fast_len(len(y) + room, real=True)
-    w = 2j * np.pi * rfftfreq(size, dt)
-    moved = irfft(rfft(y, size, axis=0) * np.exp(np.outer(w, lead)), size, axis=0)
-    return moved[: len(y)] - y
+    return moved_ahead(y, lead, dt) - y if lead.any() else np.zeros_like(y)

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
@@ -38,6 +37,7 @@ from seft_ros.identification.shake_estimates import (
     harmonics,
     significant,
 )
+from seft_ros.identification.time_shift import moved_ahead
 
 _FEWEST_PERIODS, _SEGMENT = 3.0, 4.0  # of a spectrum: of the lowest frequency, and s
 MIN_LAG = 2e-5
@@ -118,22 +118,14 @@ class Calibrated:
         record, values = as_measured(record), _samples(record).copy()
         if len(known.scale):
             calibrate_all(known, state, values)
-        values = _delayed(values, (lag.max() - lag) / dt)
+        rest = np.linspace(values[0], values[-1], len(values))
+        flat, lead = (values - rest).reshape(len(values), -1), (lag - lag.max()).ravel()
+        values = rest + moved_ahead(flat, lead, dt).reshape(rest.shape)
         every = np.arange(len(values))
         measured = record.series[RIG_STATE.name]
         values = np.concatenate([values, every_step(measured, every)[:, 4:]], axis=1)
         whole = replace(measured, steps=every, values=values, received_ns=None)
         return replace(record, series={**record.series, RIG_STATE.name: whole})
-
-
-def _delayed(signals: Floats, by: Floats) -> Floats:
-    """Delay signals from rest to rest, shape (N, 4, n), by so many samples, shape (4, n)."""
-    between = np.linspace(0.0, 1.0, len(signals))[:, np.newaxis, np.newaxis]
-    rest = signals[0] + between * (signals[-1] - signals[0])
-    size = scipy.fft.next_fast_len(len(signals) + math.ceil(by.max()), real=True)
-    phase = 2.0 * np.pi * scipy.fft.rfftfreq(size)[:, np.newaxis, np.newaxis] * by
-    spectrum = scipy.fft.rfft(signals - rest, size, axis=0) * np.exp(-1j * phase)
-    return rest + scipy.fft.irfft(spectrum, size, axis=0)[: len(signals)]
 
 
 def as_measured(record: Record) -> Record:
