@@ -16,6 +16,7 @@ from seft_ros.cli.rig_commands import TEMPLATES
 OURS = ("seft_msgs_py", "seft_plant_sim", "seft_ros")
 NAMES = {  # module: name for pip, rosdep key
     "bokeh": ("bokeh", "python3-bokeh-pip"),
+    "greenlet": ("greenlet", None),
     "hypothesis": ("hypothesis", "python3-hypothesis"),
     "jinja2": ("jinja2", "python3-jinja2"),
     "llvmlite": ("numba", "python3-numba"),  # which brings it, in the version that it needs

@@ -20,7 +20,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
     ],
-    install_requires=["numpy>=1.26", "rosbags>=0.11", "ruamel.yaml>=0.17.21"],
+    install_requires=["greenlet>=3.0.3", "numpy>=1.26", "rosbags>=0.11", "ruamel.yaml>=0.17.21"],
     extras_require={"test": ["hypothesis>=6.98", "pytest>=7.4"]},
     zip_safe=False,
 )

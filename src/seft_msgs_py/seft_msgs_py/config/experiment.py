@@ -4,6 +4,7 @@ ROS ignores parameters it does not know, and files for nodes it does not know. H
 errors that name the nearest known one.
 """
 
+import functools
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from io import StringIO
@@ -325,6 +326,7 @@ def _flatten(tree: Mapping[Any, Any], path: str, node: str, prefix: str = "") ->
     return flat
 
 
+@functools.lru_cache(256)  # nodes of one process read the same files
 def _parse_yaml(text: str, where: str) -> Any:
     try:
         return YAML(typ="safe", pure=True).load(text)

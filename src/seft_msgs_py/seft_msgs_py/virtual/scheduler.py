@@ -1,6 +1,7 @@
-"""Virtual time: threads of which exactly one runs, and a clock that jumps to the next event.
+"""Virtual time: coroutines of which exactly one runs, and a clock that jumps to the next event.
 
-A task is a thread. Whatever blocks calls `Scheduler.block`, which gives the turn to the task with
+A task is a greenlet: a coroutine that may be left from within any call, so that the code of a node
+needs no ``await``. Whatever blocks calls `Scheduler.block`, which gives the turn to the task with
 the earliest wake-up; equal ones take turns in the order in which they began to wait or were woken.
 Computing takes no time, unless somebody says so by `VirtualClock.sleep`.
 """
@@ -8,8 +9,9 @@ Computing takes no time, unless somebody says so by `VirtualClock.sleep`.
 import heapq
 import itertools
 import math
-import threading
 from collections.abc import Callable
+
+from greenlet import getcurrent, greenlet
 
 NEVER = 2**62  # ns
 MAX_TURNS = 200_000  # without any progress of time: somebody polls for ever
@@ -21,29 +23,28 @@ def ns(seconds: float) -> int:
 
 
 class Unwound(BaseException):
-    """Ends the thread of a task where it waits."""
+    """Ends a task where it waits."""
 
 
 class Task:
-    """A thread that runs only when it has the turn.
+    """What runs only when it has the turn.
 
     Attributes
     ----------
     name : str
-        Of the thread.
+        Of the nodes that it runs.
     frozen_until : int
         Time before which it gets no turn, ns.
     error : BaseException or None
         What ended it.
     """
 
-    def __init__(self, name: str, order: int) -> None:
+    def __init__(self, name: str, order: int, routine: greenlet) -> None:
         self.name, self.order = name, order
         self.ready_at = self.frozen_until = 0
         self.is_wakeable = self.is_ending = False
         self.error: BaseException | None = None
-        self.baton = threading.Lock()
-        self.baton.acquire()
+        self.routine = routine
 
     def wakes_at(self) -> int:
         """Time of its next turn, ns."""
@@ -51,7 +52,7 @@ class Task:
 
 
 class Scheduler:
-    """Gives turns. The thread that makes it is the first task.
+    """Gives turns. What makes it is the first task.
 
     Attributes
     ----------
@@ -65,17 +66,13 @@ class Scheduler:
         self.now = 0
         self._turns_at_once, self._count = 0, itertools.count()
         self._events: list[tuple[int, int, Callable[[], None]]] = []
-        self.current = self._first = Task("driver", next(self._count))
+        self.current = self._first = Task("driver", next(self._count), getcurrent())
         self._tasks = [self.current]
 
     def start(self, name: str, run: Callable[[], None]) -> Task:
         """Start a task; it gets its first turn when the caller blocks."""
-        task = Task(name, next(self._count))
-        task.ready_at = self.now
-        self._tasks.append(task)
 
-        def body() -> None:
-            task.baton.acquire()
+        def body(_: object = None) -> None:  # a greenlet that ends passes its result on
             try:
                 if not task.is_ending:
                     run()
@@ -84,9 +81,11 @@ class Scheduler:
             except BaseException as error:
                 task.error = error
             self._tasks.remove(task)
-            self._give_turn()
+            task.routine.parent = self._next().routine  # where a greenlet goes that ends
 
-        threading.Thread(target=body, name=name, daemon=True).start()
+        task = Task(name, next(self._count), greenlet(body))
+        task.ready_at = self.now
+        self._tasks.append(task)
         return task
 
     def is_alive(self, task: Task) -> bool:
@@ -94,15 +93,15 @@ class Scheduler:
         return task in self._tasks
 
     def at(self, time_ns: int, act: Callable[[], None]) -> None:
-        """Do something at a time, in whoever's thread."""
+        """Do something at a time, in whoever's turn."""
         heapq.heappush(self._events, (time_ns, next(self._count), act))
 
     def block(self, until_ns: int, wakeable: bool = False) -> None:
         """Let others run until a time, or until this task is woken."""
         task = self.current
         task.ready_at, task.order, task.is_wakeable = until_ns, next(self._count), wakeable
-        if self._give_turn() is not task:
-            task.baton.acquire()
+        if (following := self._next()) is not task:
+            following.routine.switch()
         if task.is_ending:
             raise Unwound
 
@@ -115,7 +114,8 @@ class Scheduler:
         """End a task where it waits: `Unwound` is raised there."""
         task.is_ending, task.ready_at, task.frozen_until = True, self.now, 0
 
-    def _give_turn(self) -> Task:
+    def _next(self) -> Task:
+        """Let time go on to the next turn; give the task that has it."""
         before = self.now
         while True:
             task = min(self._tasks, key=lambda each: (each.wakes_at(), each.order))
@@ -130,9 +130,7 @@ class Scheduler:
         if self._turns_at_once > MAX_TURNS:
             task, self._turns_at_once = self._first, 0
             task.error = RuntimeError(f"{self.current.name} polls for ever at {self.now} ns")
-        mine, self.current = self.current, task
-        if task is not mine:
-            task.baton.release()
+        self.current = task
         return task
 
 
