@@ -12,6 +12,6 @@ prepare_middleware()
 _number, _ = reserve_domain()  # until this process ends, apart from tests that run beside it
 os.environ["ROS_DOMAIN_ID"] = str(_number)
 # A busy machine is no fault of a test, and a change is tried on the examples of the one before.
-settings.register_profile("seft", deadline=None, derandomize=True)
-settings.register_profile("drawn", deadline=None)  # anew in each run: `make thorough-offline`
+settings.register_profile("seft", deadline=None, derandomize=True, max_examples=50)
+settings.register_profile("drawn", deadline=None)  # anew and more of them: `make thorough-offline`
 settings.load_profile("seft")

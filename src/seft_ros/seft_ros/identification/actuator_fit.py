@@ -1,6 +1,7 @@
 """Fit of an actuator model to one test, with any specimen, on the balance of its oil."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,6 +61,7 @@ class OilBalance:
         self._used = (self._hz >= band[0]) & (self._hz <= band[1])
         self._commands = self._spectrum(commands[:-1])
         self._drive = self._commands[self._used].conj()
+        self._last: dict[str, tuple[bytes, Complexes]] = {}
         self._blocks = np.arange(0, len(self._drive), _AVERAGED)
         self._counts = np.diff(self._blocks, append=len(self._drive))
         drive = np.add.reduceat(np.abs(self._drive) ** 2, self._blocks)
@@ -92,6 +94,13 @@ class OilBalance:
         spectrum = self._spectrum(signal)[self._used]
         products = np.add.reduceat(spectrum * self._drive, self._blocks)
         return products / self._size_of_drive
+
+    def _of_last(self, signal: Callable[[Floats], Floats], p: Floats, used: slice) -> Complexes:
+        """Part of a signal of parameters, of which it uses some; again if these are the last."""
+        name, key = signal.__name__, p[used].tobytes()
+        if self._last.get(name, (b"",))[0] != key:
+            self._last[name] = key, self._of(signal(p))
+        return self._last[name][1]
 
     def within(self, signal: Floats) -> Floats:
         """Take the part of a signal that lies within the band."""
@@ -155,7 +164,7 @@ class OilBalance:
         """Power of the residual of `solve`, and of the commands' flow; shape (F,), smoothed."""
         solution, _, errors = self.solve(p, deviation)
         power = (errors.reshape(2, -1) ** 2).sum(axis=0) * deviation**2
-        flow = np.abs(solution[0] * self._of(self.flow(p))) ** 2
+        flow = np.abs(solution[0] * self._of_last(self.flow, p, slice(6))) ** 2
         return self.smooth(power), self.smooth(flow)
 
     def solve(self, p: Floats, deviation: Floats) -> tuple[Floats, Floats, Floats]:
@@ -170,7 +179,8 @@ class OilBalance:
         errors : ndarray
             Residual over its expected error, real parts, then imaginary parts.
         """
-        flow, slip = self._of(self.flow(p)), self._of(self.slip(p))
+        flow = self._of_last(self.flow, p, slice(6))
+        slip = self._of_last(self.slip, p, slice(4, 5))
         force = self._of_force * np.exp(2j * np.pi * self._frequency * p[6] / 1e3)[:, np.newaxis]
         terms = np.column_stack([flow, -force, -slip, self._of_motion])
         terms = terms / deviation[:, np.newaxis]
