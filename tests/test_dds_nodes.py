@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+import threading
 from collections import defaultdict
 from types import SimpleNamespace
 
@@ -16,6 +17,7 @@ from seft_msgs_py.node.rclpy_interface import message_class, qos_profile
 from seft_msgs_py.wire.messages import Status, encode_status
 from seft_msgs_py.wire.topics import DIAGNOSTICS, EXPERIMENT_STATE, VALVE_COMMAND
 from seft_ros.bags.record_bag import read_bag
+from seft_ros.nodes.supervisor_node import STOOD_STILL
 from seft_ros.test_run.processes import MODULES
 
 OVERRIDES = (
@@ -53,7 +55,7 @@ def nodes(domain, tmp_path_factory):
                     stderr=out,
                     preexec_fn=hear_hang_ups,
                 )
-        yield SimpleNamespace(folder=folder, logs=logs)
+        yield SimpleNamespace(folder=folder, logs=logs, processes=processes)
         said = {node: len(log.read_text()) for node, log in logs.items()}
         for number, process in enumerate(processes.values()):
             process.send_signal(ENDINGS[number % len(ENDINGS)])
@@ -77,6 +79,7 @@ class Graph:
 
     def __init__(self, nodes, observer):
         self.observer, self.folder, self.logs = observer, nodes.folder, nodes.logs
+        self.processes = nodes.processes
         self.told = defaultdict(dict)
         observer._node.create_subscription(
             message_class(DIAGNOSTICS), DIAGNOSTICS.name, self._listen, qos_profile(DIAGNOSTICS)
@@ -124,7 +127,6 @@ def hostile(observer):
 
 
 def test_commands_operate_nodes_that_were_started_by_hand(graph, seft, seft_json):
-    assert seft("status", status=0).stdout.startswith("ready: ")
     assert seft("start", status=0).stdout == "the test is running\n"
     assert seft_json("status")["state"] == "running"
     assert seft("stop", status=0).stdout.startswith("the test is ramping down")
@@ -140,6 +142,18 @@ def test_commands_operate_nodes_that_were_started_by_hand(graph, seft, seft_json
     places = [log.find(text) for text in (*wanted, "tripped: aborted by the operator")]
     assert -1 not in places and places == sorted(places), log
     assert all("[INFO]" in each.read_text() for each in graph.logs.values())
+
+
+def test_who_waits_for_a_supervisor_that_stands_still_starts_a_test(graph):
+    """Others' requests have expired, see test_local_faults.py."""
+    supervisor = graph.processes["supervisor"]
+    supervisor.send_signal(signal.SIGSTOP)
+    going_on = threading.Timer(1.5 * STOOD_STILL, supervisor.send_signal, [signal.SIGCONT])
+    going_on.start()
+    graph.begin()
+    going_on.join()
+    assert graph.observer.call("estop")[0]
+    graph.until("tripped", "the end")
 
 
 def test_parameters_of_a_node_are_read_and_set_while_a_test_runs(graph):

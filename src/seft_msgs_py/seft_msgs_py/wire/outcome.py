@@ -27,6 +27,8 @@ SENSOR_LAG = "sensor_lag"
 """Key of the rig's facts: lag of the state that it publishes, s."""
 ZEROED = "zeroed"
 """Key of the rig's facts: what it has measured at rest and subtracts."""
+STALLED = "the supervisor has stalled; try again"
+"""Why it refuses a request that may have waited for long: who waits still asks again."""
 LISTED_STEPS = 100
 """Largest number of missed steps that a status lists; all are counted."""
 ROUND_TRIPS = {

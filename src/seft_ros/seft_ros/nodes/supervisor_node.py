@@ -24,7 +24,16 @@ from seft_msgs_py.wire.messages import (
     decode_diagnostics,
     encode_status,
 )
-from seft_msgs_py.wire.outcome import FINISHED, MOVING, REHEARSED, RIG, STOPPED, TRIPPED, State
+from seft_msgs_py.wire.outcome import (
+    FINISHED,
+    MOVING,
+    REHEARSED,
+    RIG,
+    STALLED,
+    STOPPED,
+    TRIPPED,
+    State,
+)
 from seft_msgs_py.wire.topics import (
     CLOCK_TOPIC,
     DESCRIPTION,
@@ -231,7 +240,7 @@ class SupervisorNode(NodeBody):
             now = self._clock.monotonic()
             stalled = now - self._looked_at > STOOD_STILL or now - self._woke_at < STOOD_STILL
             if stalled and name in ("start", "reset"):
-                return ServiceAnswer(False, f"can't {name}: the supervisor has stalled; try again")
+                return ServiceAnswer(False, f"can't {name}: {STALLED}")
             found = request()
             self._publish_if_due()
         return found

@@ -28,13 +28,14 @@ from seft_msgs_py.node.rclpy_interface import (
     take_timed,
 )
 from seft_msgs_py.wire.messages import Status, decode_diagnostics, decode_status, encode_status
-from seft_msgs_py.wire.outcome import RIG
+from seft_msgs_py.wire.outcome import RIG, STALLED
 from seft_msgs_py.wire.topics import CLOCK_TOPIC, DIAGNOSTICS, EXPERIMENT_STATE, NODES, Topic, bare
 from std_srvs.srv import Trigger
 
 SERVICE_TIMEOUT = 10.0  # s
 DISCOVERY = 0.5  # s; nodes that take longer are found by the second check, before the start
 ANNOUNCEMENT = 3.2  # s; participants announce themselves every 3 s
+_ASKED_AGAIN = 0.1  # s between requests that are refused
 
 
 class Observer:
@@ -98,6 +99,8 @@ class Observer:
     def call(self, service: str, patience: float = SERVICE_TIMEOUT) -> tuple[bool, str]:
         """Call a service of the supervisor; return whether it was accepted, and its answer.
 
+        A supervisor that has stalled refuses what may have waited: it is asked again.
+
         Raises
         ------
         ExperimentError
@@ -107,13 +110,17 @@ class Observer:
         try:
             if not client.wait_for_service(patience):
                 raise ExperimentError(f"service {service} is not there; is supervisor running?")
-            future = client.call_async(Trigger.Request())
-            self._executor.spin_until_future_complete(future, patience)
-            self._receive()
-            response = future.result()
-            if response is None:
-                raise ExperimentError(f"supervisor did not answer {service}")
-            return response.success, response.message
+            deadline = time.monotonic() + patience
+            while True:
+                future = client.call_async(Trigger.Request())
+                self._executor.spin_until_future_complete(future, patience)
+                self._receive()
+                response = future.result()
+                if response is None:
+                    raise ExperimentError(f"supervisor did not answer {service}")
+                if not response.message.endswith(STALLED) or time.monotonic() > deadline:
+                    return response.success, response.message
+                self.spin(_ASKED_AGAIN)
         finally:
             self._node.destroy_client(client)
 
