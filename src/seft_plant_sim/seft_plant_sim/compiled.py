@@ -122,14 +122,26 @@ def entry_point(function: Any, *arguments: Any, kind: Hashable = None) -> Callab
     return _entry_points[key]
 
 
+def is_at_hand(function: Any, *arguments: Any, kind: Hashable = None) -> bool:
+    """Say whether the code of `entry_point` was asked for before, so that it need not be made."""
+    known = (function, kind or kind_of(arguments)) in _entry_points
+    return known or _lock_of(function, tuple(map(numba.typeof, arguments))).exists()
+
+
+def _lock_of(function: Any, signature: Any) -> Path:
+    """File that a process locks while it makes machine code; it stays."""
+    name = hashlib.sha256(f"{function.py_func.__qualname__} {signature}".encode()).hexdigest()
+    folder = code_folder(Path(function.py_func.__code__.co_filename).parent)
+    return folder / f"{name[:16]}.lock"
+
+
 @contextmanager
 def _one_at_a_time(function: Any, signature: Any) -> Iterator[None]:
     """Make processes that need the same machine code wait for the first, and read what it made."""
-    folder = code_folder(Path(function.py_func.__code__.co_filename).parent)
-    name = hashlib.sha256(f"{function.py_func.__qualname__} {signature}".encode()).hexdigest()
+    path = _lock_of(function, signature)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        lock = (folder / f"{name[:16]}.lock").open("wb")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        lock = path.open("wb")
     except OSError:  # where nothing can be written, each process compiles for itself
         yield
         return

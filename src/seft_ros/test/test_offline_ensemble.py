@@ -8,6 +8,7 @@ from collections import Counter
 import experiments_at_hand
 import numpy as np
 import pytest
+from seft_plant_sim import compiled as machine_code
 from seft_ros.force_controller.force_control import ControlInputs
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.methods import RegisteredControl
@@ -144,7 +145,7 @@ def test_a_test_is_that_of_the_plain_loop(name, monkeypatch):
     alike(BlockCache().run(experiment), plain(monkeypatch, experiment))
 
 
-def test_the_loop_is_compiled_where_that_pays(monkeypatch):
+def test_the_loop_is_compiled_where_that_pays(monkeypatch, tmp_path):
     def run(words, **options):
         simulate_test(experiment := load(*words), build_blocks(experiment), **options)
         return len(compiled)
@@ -155,11 +156,21 @@ def test_the_loop_is_compiled_where_that_pays(monkeypatch):
         offline, "run_compiled", lambda *words: compiled.append(1) or original(*words)
     )
     monkeypatch.setattr(offline, "_run_so_far", Counter())
+    at_hand = offline.is_compiled
+    monkeypatch.setattr(offline, "is_compiled", lambda *_: False)
     steps = len(build_blocks(load()).ground_motion.samples)
     monkeypatch.setattr(offline, "PLAIN_STEPS", 2 * steps)
     assert [run(CASES["force"]) for _ in range(3)] == [0, 0, 1]
     assert run(CASES["target"]) == 1  # of another kind
     assert run(CASES["target"], compiles=True) == 2
+    monkeypatch.setattr(offline, "PLAIN_STEPS", 99 * steps)
+    monkeypatch.setattr(offline, "is_compiled", at_hand)
+    assert run(CASES["target"]) == 3
+    monkeypatch.setattr(machine_code, "_entry_points", {})
+    assert run(CASES["target"]) == 4  # it is on the disk
+    monkeypatch.setattr(machine_code, "_entry_points", {})
+    monkeypatch.setattr(machine_code, "code_folder", lambda _: tmp_path)
+    assert run(CASES["target"]) == 4
 
 
 def test_the_cases_end_in_every_way():

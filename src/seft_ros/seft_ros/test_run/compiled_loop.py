@@ -3,7 +3,7 @@
 It releases the interpreter's lock, so that threads run tests in parallel.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -14,7 +14,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import VALVE_COMMAND
-from seft_plant_sim.compiled import OPTIONS, compiled, entry_point, kind_of
+from seft_plant_sim.compiled import OPTIONS, compiled, entry_point, is_at_hand, kind_of
 from seft_plant_sim.faults import check_times
 from seft_plant_sim.rig import Rig, Rigs
 from seft_plant_sim.rig_step import (
@@ -322,22 +322,10 @@ class LoopBlocks(NamedTuple):
     period: int
 
 
-def run_compiled(
+def _arguments(
     blocks: Blocks, samples: LoopSamples, loop_delay: int, period: int
-) -> Iterator[int]:
-    """Run a test of blocks that have been reset; give the steps done: 0 first, all at the end.
-
-    Parameters
-    ----------
-    blocks : Blocks
-        For which there is no `why_not_compiled`.
-    samples : LoopSamples
-        The result.
-    loop_delay : int
-        Steps from a state to the first use of the force that is computed from it.
-    period : int
-        Steps from one sample of the estimates to the next.
-    """
+) -> tuple[Hashable, tuple[Any, ...]]:
+    """Give the arguments of the compiled steps, and what their types depend on; see there."""
     rig, protected, interlock = blocks.rig, blocks.reference_force, blocks.force_controller
     assert isinstance(rig, Rig) and isinstance(interlock, Interlock)
     method: Any = protected.reference_force.compensator
@@ -361,11 +349,37 @@ def run_compiled(
         period,
     )
     known = blocks.ground_motion.known.copy()  # of the type for which the steps are compiled
-    total = len(samples.commands)
     kind = rig.kind, protected.kind, interlock.kind, kind_of((loop.axes, samples, known))
-    arguments = loop, samples, known, samples.states, 0, 0
+    return kind, (loop, samples, known, samples.states, 0, 0)
+
+
+def is_compiled(blocks: Blocks, samples: LoopSamples, loop_delay: int, period: int) -> bool:
+    """Say whether this machine has compiled the loop before; parameters as of `run_compiled`."""
+    kind, arguments = _arguments(blocks, samples, loop_delay, period)
+    return is_at_hand(run_steps, *arguments, kind=kind)
+
+
+def run_compiled(
+    blocks: Blocks, samples: LoopSamples, loop_delay: int, period: int
+) -> Iterator[int]:
+    """Run a test of blocks that have been reset; give the steps done: 0 first, all at the end.
+
+    Parameters
+    ----------
+    blocks : Blocks
+        For which there is no `why_not_compiled`.
+    samples : LoopSamples
+        The result.
+    loop_delay : int
+        Steps from a state to the first use of the force that is computed from it.
+    period : int
+        Steps from one sample of the estimates to the next.
+    """
+    kind, arguments = _arguments(blocks, samples, loop_delay, period)
     steps: Callable[..., int] = entry_point(run_steps, *arguments, kind=kind)
     yield 0  # it is compiled
+    (loop, _, known, *_), total, rig = arguments, len(samples.commands), blocks.rig
+    assert isinstance(rig, Rig)
     for first in range(0, total, BLOCK):
         last = min(first + BLOCK, total)
         noise = rig.sensors.noise_block(first // BLOCK, last - first)

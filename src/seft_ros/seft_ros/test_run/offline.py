@@ -1,8 +1,8 @@
 """The experiment in one process, without ROS: the same blocks, called in turn.
 
-If all of them are compiled, so is the loop over the steps where that pays: of an ensemble, and of
-many steps. Tests of an ensemble with equal ground motion, reference force or force controller share
-these.
+If all of them are compiled, so is the loop over the steps where that pays: of an ensemble, of many
+steps, and where its code is on the disk. Tests of an ensemble with equal ground motion, reference
+force or force controller share these.
 """
 
 import threading
@@ -41,6 +41,7 @@ from seft_ros.test_run.compiled_loop import (
     Blocks,
     LoopSamples,
     build_blocks,
+    is_compiled,
     run_compiled,
     why_not_compiled,
 )
@@ -74,7 +75,8 @@ def simulate_test(
         Of the record; default that of this process.
     compiles : bool
         Whether the loop is compiled at once, if it can be; default only when this process has more
-        than `PLAIN_STEPS` of its kind to run. The steps are compiled in any case.
+        than `PLAIN_STEPS` of its kind to run, or its code is on the disk. The steps are compiled in
+        any case.
 
     Returns
     -------
@@ -95,9 +97,9 @@ def simulate_test(
         np.empty(total),
         np.empty((-(-total // period), len(estimated), axes)),
     )
-    run = run_compiled if _is_compiled(blocks, total, compiles) else run_plain
     environment = environment or describe_environment("simulate")
-    loop = run(blocks, samples, experiment["reference_force"]["loop_delay"], period)
+    parts = blocks, samples, experiment["reference_force"]["loop_delay"], period
+    loop = (run_compiled if _compiles(*parts, compiles) else run_plain)(*parts)
     steps, start = next(loop), time.perf_counter()
     for steps in loop:
         if progress is not None:
@@ -132,16 +134,22 @@ def simulate_test(
     )
 
 
-def _is_compiled(blocks: Blocks, steps: int, at_once: bool) -> bool:
-    """Say whether so many steps more are run in the compiled loop."""
+def _compiles(
+    blocks: Blocks, samples: LoopSamples, loop_delay: int, period: int, at_once: bool
+) -> bool:
+    """Say whether a test is run in the compiled loop."""
     if why_not_compiled(blocks):
         return False
     rig, interlock = blocks.rig, blocks.force_controller
     assert isinstance(rig, Rig) and isinstance(interlock, Interlock)
-    axes = blocks.ground_motion.samples.shape[1]
+    total, axes = samples.commands.shape
     kind = rig.kind, blocks.reference_force.kind, interlock.kind, axes
-    _run_so_far[kind] += steps
-    return at_once or _run_so_far[kind] > PLAIN_STEPS
+    _run_so_far[kind] += total
+    return (
+        at_once
+        or _run_so_far[kind] > PLAIN_STEPS
+        or is_compiled(blocks, samples, loop_delay, period)
+    )
 
 
 def run_plain(blocks: Blocks, samples: LoopSamples, loop_delay: int, period: int) -> Iterator[int]:
