@@ -44,7 +44,7 @@ setup: $(READY) ## make .venv with the pinned libraries, the three packages and 
 demo: $(READY) ## the test of config/demo.yaml over ROS 2, on the simulated rig
 	$(BIN)/seft run config/demo.yaml
 
-test: $(READY) ## lint, format, types, docs and tests: 7 minutes on two cores
+test: $(READY) ## lint, format, types, docs and tests: 6 minutes on two cores
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	@$(MAKE) --no-print-directory -j 2 types docs
@@ -101,7 +101,8 @@ endif
 	$(call step,compiling the steps of tests of one axis and of several (a minute or two, once), \
 		$(BIN)/python -m compileall -q $(PACKAGES); \
 		for config in demo jhu three_storey_frame; do \
-			$(BIN)/seft simulate config/$$config.yaml >/dev/null 2>&1 & \
+			($(BIN)/seft simulate config/$$config.yaml; \
+				$(BIN)/python tools/compile_loop.py config/$$config.yaml) >/dev/null 2>&1 & \
 		done; wait)
 	@pwd -P > $(READY)
 	@echo "seft: .venv is ready"

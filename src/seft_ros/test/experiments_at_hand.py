@@ -30,4 +30,4 @@ def of_parts(base, *parts, more=(), config=None):
 
 def simulated(experiment):
     """Record of a test by the offline loop."""
-    return simulate_test(experiment, build_blocks(experiment), compiles=True)
+    return simulate_test(experiment, build_blocks(experiment))
