@@ -1,5 +1,6 @@
 """Nodes that stand still, die, or are missing, in virtual time."""
 
+import numpy as np
 import pytest
 from local_tools import LOCKSTEP, LONG, NO_COMMAND_WATCH, UNREHEARSED, at_rest, perform
 from seft_msgs_py.wire.messages import encode_diagnostics
@@ -24,6 +25,16 @@ def test_a_rig_that_stands_still_tells_so_where_nobody_else_is_watching(running)
     graph.until("tripped")
     assert graph.values["detail"].startswith("the rig stood still for 0.298 s")
     assert at_rest(graph)
+
+
+def test_a_rig_that_stood_still_for_some_periods_counts_that_and_does_not_hurry(running):
+    graph = running(LONG)
+    graph.freeze("rig", 0.011)
+    graph.until(lambda: graph.status("rig")["overruns"] == "1", within=1.0)
+    sent = [each.at_ns for each in graph.graph.sent if each.topic == RIG_STATE.name]
+    *periods, longest = sorted(np.diff(sent[-400:]))
+    assert longest > 0.01e9
+    np.testing.assert_allclose(periods, 0.002e9, rtol=1e-6)
 
 
 @pytest.mark.parametrize(("how", "pace"), [("kill", "realtime"), ("freeze", "lockstep")])

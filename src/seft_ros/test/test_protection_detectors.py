@@ -72,7 +72,7 @@ def test_a_detector_acts_once_it_is_beyond_its_threshold_for_its_persistence():
     seen = [1.0, 1.5, 1.25, 1.0, 0.5, 1.5, 1.5, 1.5, 1.75]
     found = [look(p, state, row, 1, 2.0 * each, 2.0) for each in seen]
     assert found == [False] * 7 + [True, True]
-    assert state.found.tolist() == [3.5, 2.0]
+    assert state.found[:, row, 1].tolist() == [3.5, 2.0]
     assert not look(p, state, row, 0, 9.0, 0.0)  # a threshold of nothing is none
     assert state.shares[row].tolist() == [0.0, 1.75]
     assert state.counts[row].tolist() == [0, 4]
@@ -243,12 +243,16 @@ def test_what_is_not_known_of_the_hardware_is_not_watched():
     np.testing.assert_allclose(derived.noise[1], math.sqrt(2.0) * NOISE[0] / DT)
 
 
-def test_a_detector_says_what_it_saw_and_where():
-    found = np.array([0.01234, 0.005])
-    assert describe(rows.DIFFERS * N + 1, found, ("east", "north")) == (
+def test_of_detectors_that_act_at_once_each_says_what_it_saw_and_where():
+    p, state = detectors()
+    for _ in range(3):
+        look(p, state, rows.DIFFERS, 1, 0.01234, 0.005)
+        look(p, state, rows.FROZEN + 3, 0, 21.0, 12.5)
+    assert describe(rows.DIFFERS * N + 1, state.found, ("east", "north")) == (
         "measured displacement and velocity disagree on axis north: they differ by 0.0123 m over "
         "the last 50 ms (0.005 m allowed): displacement_velocity"
     )
-    assert describe((rows.FROZEN + 3) * N, found, ("east", "north")).startswith(
-        "measured force on axis east has repeated one value for 0.0123 samples"
+    assert describe((rows.FROZEN + 3) * N, state.found, ("east", "north")) == (
+        "measured force on axis east has repeated one value for 21 samples "
+        "(12.5 samples allowed): force_frozen"
     )

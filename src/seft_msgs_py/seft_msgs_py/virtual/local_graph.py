@@ -159,7 +159,9 @@ class LocalGraph:
                 return found
             if self.scheduler.now >= end:
                 what = condition if isinstance(condition, str) else "the condition"
-                raise TimeoutError(f"{what} not within {within:g} s: {self.state}, {self.values}")
+                ended = f"; nodes that have ended: {self.endings}" if self.endings else ""
+                now = f"{self.state}, {self.values}{ended}"
+                raise TimeoutError(f"{what} not within {within:g} s: {now}")
             self.run(_LOOK)
 
     def call(self, service: str) -> tuple[bool, str]:

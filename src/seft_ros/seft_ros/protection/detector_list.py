@@ -98,8 +98,8 @@ ALL = "all"
 
 
 def describe(place: int, found: Floats, axes: Sequence[str]) -> str:
-    """Describe a detector's finding in a sentence, from the results of `detect`."""
+    """Describe a detector's finding in a sentence: its place, and `DetectorState.found`."""
     row, axis = divmod(place, len(axes))
     one = DETECTORS[row]
-    seen, threshold = (f"{value:.3g} {one.unit}" for value in found.tolist())
+    seen, threshold = (f"{value:.3g} {one.unit}" for value in found[:, row, axis].tolist())
     return f"{one.text.format(axis=axes[axis], seen=seen)} ({threshold} allowed): {one.name}"

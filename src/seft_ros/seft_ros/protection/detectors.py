@@ -187,7 +187,7 @@ class DetectorState(NamedTuple):
     shares : ndarray
         Largest part of its threshold that each has reached, shape (D, n).
     found : ndarray
-        Value of a detector when it tripped, and its threshold; shape (2,).
+        Value of each detector when it last acted, and its threshold; shape (2, D, n).
     step : ndarray
         Steps of the last sample, the last turn of the motion, the last command at the valve's
         limit and the last sample at the end of each channel's range, shape (7,); a large negative
@@ -354,7 +354,7 @@ def detector_arrays(
         mean=np.zeros(n),
         counts=np.zeros((len(DETECTORS), n), dtype=np.int64),
         shares=np.zeros((len(DETECTORS), n)),
-        found=np.zeros(2),
+        found=np.zeros((2, len(DETECTORS), n)),
         step=np.zeros(7, dtype=np.int64),
         judge=judged,
     )
@@ -386,7 +386,7 @@ def look(
     count = state.counts[row, i]
     state.counts[row, i] = count = count + 1 if share > 1.0 else max(count - 1, 0)
     if count >= p.persistence[row] and p.acts[row]:
-        state.found[0], state.found[1] = seen, threshold
+        state.found[0, row, i], state.found[1, row, i] = seen, threshold
         return True
     return False
 
