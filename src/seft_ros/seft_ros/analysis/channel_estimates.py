@@ -400,38 +400,43 @@ def _fit(own: list[Floats], seen: Floats, *laws: Floats, share: Floats) -> tuple
         Of each axis' forces in the equation of each spring, shape (n, n).
     """
     force, inertial, rate, instrument, of_rate = own
-    (windows, size, n), q = force.shape, laws[0].shape[2]
+    (windows, size, n), rates = force.shape, slice(-seen.shape[2], None)
     equations = []
     for spring, law in zip(share, laws, strict=True):
         size_of = np.sqrt((law**2).mean(axis=(0, 1))) + 1e-300
         law = law / size_of
         regressors = np.concatenate([inertial * spring, rate * spring, law], axis=2)
         z = np.concatenate([instrument * spring, of_rate * spring, law], axis=2)
-        z[..., -seen.shape[2] :] = seen / size_of[-seen.shape[2] :]
+        z[..., rates] = seen / size_of[rates]
         target = force @ spring
         equations.append((target, regressors, z, np.full(windows, 1.0 / np.mean(target**2))))
-    columns = 2 * n + n * q
+    found, axes, its = np.zeros(2 * n), slice(2 * n), slice(2 * n, None)
     try:
         for _ in range(_ROUNDS):
-            normal, right = np.zeros((columns, columns)), np.zeros(columns)
-            for j, (target, regressors, z, weights) in enumerate(equations):
-                at = np.r_[: 2 * n, 2 * n + j * q : 2 * n + (j + 1) * q]
-                weighted = (z * weights[:, np.newaxis, np.newaxis]).reshape(-1, 2 * n + q)
-                normal[np.ix_(at, at)] += weighted.T @ regressors.reshape(-1, 2 * n + q)
-                right[at] += weighted.T @ target.ravel()
-                places = at[2 * n :]
-                normal[places, places] += _RIDGE * size * weights.sum()
-            b = np.linalg.solve(normal, right)
-            scores = np.zeros((windows, columns))
-            for j, (target, regressors, z, weights) in enumerate(equations):
-                at = np.r_[: 2 * n, 2 * n + j * q : 2 * n + (j + 1) * q]
-                left = target - regressors @ b[at]
+            normal, right, solved = np.zeros((2 * n, 2 * n)), np.zeros(2 * n), []
+            for target, regressors, z, weights in equations:
+                weighted = (z * weights[:, np.newaxis, np.newaxis]).reshape(-1, z.shape[2])
+                sums = weighted.T @ regressors.reshape(weighted.shape)
+                answer = weighted.T @ target.ravel()
+                of_law = sums[its, its]
+                of_law[np.diag_indices(len(of_law))] += _RIDGE * size * weights.sum()
+                # each law is in one equation only: it is eliminated there
+                law_of = np.linalg.solve(of_law, np.column_stack([answer[its], sums[its, axes]]))
+                onto = np.linalg.solve(of_law.T, sums[axes, its].T)
+                normal += sums[axes, axes] - onto.T @ sums[its, axes]
+                right += answer[axes] - onto.T @ answer[its]
+                solved.append((law_of[:, 0], law_of[:, 1:], onto))
+            found, scores = np.linalg.solve(normal, right), np.zeros((windows, 2 * n))
+            for (target, regressors, z, weights), (alone, per, onto) in zip(
+                equations, solved, strict=True
+            ):
+                left = target - regressors @ np.concatenate([found, alone - per @ found])
                 moments = (z.transpose(0, 2, 1) @ left[:, :, np.newaxis])[:, :, 0]
-                scores[:, at] += weights[:, np.newaxis] * moments
+                scores += weights[:, np.newaxis] * (moments[:, axes] - moments[:, its] @ onto)
                 variance = (left**2).mean(axis=1)
                 least = max(float(np.quantile(variance, 0.1)), 1e-300)
                 weights[:] = (np.maximum(variance, least) / least) ** -WEIGHT_POWER / least
-        cut = np.linalg.inv(normal)[: 2 * n]
+        scores = np.linalg.solve(normal, scores.T).T
     except np.linalg.LinAlgError:
         return np.full(2 * n, np.nan), np.full(2 * n, np.nan)
-    return b[: 2 * n], np.sqrt(np.diag(cut @ summed_covariance(scores, MEMORY) @ cut.T))
+    return found, np.sqrt(np.diag(summed_covariance(scores, MEMORY)))

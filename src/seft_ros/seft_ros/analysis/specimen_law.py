@@ -96,7 +96,7 @@ class SpecimenLaw:
 
     def _fitted(self, rates: Floats, force: Floats) -> Floats:
         """Fit stop operators, curve and damper to the springs' forces times D, shape (N, p)."""
-        from scipy.optimize import lsq_linear  # takes longer to import than all else of a report
+        from scipy.optimize import nnls  # takes longer to import than all else of a report
 
         p, columns = len(self._springs), STOP_OPERATORS + CORNERS + 1
         size = np.maximum(np.sqrt(np.mean(rates**2, axis=0)), 1e-300)
@@ -105,10 +105,13 @@ class SpecimenLaw:
         rises[STOP_OPERATORS:-1, STOP_OPERATORS:-1] = np.tri(CORNERS)
         sums = np.kron(np.eye(p), rises)
         lower = np.linalg.cholesky(sums.T @ normal @ sums)
-        least = np.zeros((p, columns))
-        least[:, STOP_OPERATORS] = -np.inf  # the force at the curve's first corner
         target = np.linalg.solve(lower, sums.T @ right.ravel())
-        found = lsq_linear(lower.T, target, (least.ravel(), np.inf), method="bvls").x
+        # the force at a curve's first corner may be negative: a difference of two that are not
+        first = np.arange(p) * columns + STOP_OPERATORS
+        signed = np.hstack([lower.T, -lower.T[:, first]])
+        both, _ = nnls(signed, target, maxiter=30 * p * columns)
+        found = both[: p * columns]
+        found[first] -= both[p * columns :]
         values = (sums @ found).reshape(p, columns)
         values[:, -1] /= size
         return values
