@@ -41,6 +41,19 @@ def as_measured(record, states):
     return {**record.series, "rig/state": states, "rig/judged": judged}
 
 
+def assert_same_samples(found, wanted):
+    """Two records have the same topics, steps and bits."""
+    assert found.series.keys() == wanted.series.keys()
+    for name, series in wanted.series.items():
+        np.testing.assert_array_equal(found.series[name].steps, series.steps)
+        np.testing.assert_array_equal(*(r.series[name].values.view("u8") for r in (found, wanted)))
+    assert (found.estimates is None) == (wanted.estimates is None)
+    if wanted.estimates is not None:
+        assert found.estimates.names == wanted.estimates.names
+        np.testing.assert_array_equal(found.estimates.steps, wanted.estimates.steps)
+        np.testing.assert_array_equal(*(r.estimates.values.view("u8") for r in (found, wanted)))
+
+
 def without(record, topic, steps):
     """Record in which samples are lost on a topic; of rig/state, none is judged then."""
     series = record.series[topic]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from bags_at_hand import write_stock_bag
 from experiments_at_hand import load
+from records_at_hand import without
 from rosbags.rosbag2 import Reader
 from seft_msgs_py.wire.messages import Status, encode_status
 from seft_msgs_py.wire.topics import EXPERIMENT_STATE, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
@@ -89,13 +90,6 @@ def test_commands_that_a_rig_says_it_applied_are_replayed(experiment, blocks, he
     np.testing.assert_array_equal(states.values, record.series[RIG_STATE.name].values)
 
 
-def lacking(record, topic, step):
-    series = record.series[topic.name]
-    kept = series.steps != step
-    fewer = Series(series.steps[kept], series.values[kept])
-    return replace(record, series={**record.series, topic.name: fewer})
-
-
 @pytest.mark.parametrize(
     ("node", "topic", "told"),
     [
@@ -107,29 +101,28 @@ def lacking(record, topic, step):
 def test_what_was_told_and_is_not_in_the_bag_is_named(
     seft, record, blocks, tmp_path, node, topic, told
 ):
-    bag = write(tmp_path / "bag", lacking(record, topic, 40), blocks)
+    bag = write(tmp_path / "bag", without(record, topic.name, [40]), blocks)
     status, _, errors = seft("replay", bag, "--node", node)
     line = errors.strip().splitlines()[-1]
     assert status == 2
     assert told in line
 
 
-def test_a_rig_is_replayed_until_a_sample_is_not_in_the_bag(seft, record, blocks, tmp_path):
-    bag = write(tmp_path / "bag", lacking(record, RIG_STATE, 40), blocks)
-    status, out, _ = seft("replay", bag, "--node", "rig", "--json")
-    result = json.loads(out)
-    assert (status, result["steps"]) == (0, 40)
-    assert result["notes"] == ["replayed until step 39: rig/state of the next is not in the bag"]
-
-
-def test_an_answer_that_was_lost_by_the_recorder_is_given_all_the_same(
-    seft, record, blocks, tmp_path
+@pytest.mark.parametrize(
+    ("node", "topic", "steps", "note"),
+    [
+        ("rig", RIG_STATE, 40, "replayed until step 39: rig/state of the next is not in the bag"),
+        ("reference_force", REFERENCE_FORCE, None, "the bag lacks the recorded answer: step 40"),
+    ],
+)
+def test_a_rig_is_replayed_until_a_sample_is_lost_and_an_answer_that_was_lost_is_given(
+    seft, record, blocks, tmp_path, node, topic, steps, note
 ):
-    bag = write(tmp_path / "bag", lacking(record, REFERENCE_FORCE, 40), blocks)
-    status, out, _ = seft("replay", bag, "--node", "reference_force", "--json")
+    bag = write(tmp_path / "bag", without(record, topic.name, [40]), blocks)
+    status, out, _ = seft("replay", bag, "--node", node, "--json")
     result = json.loads(out)
-    assert (status, result["steps"]) == (0, blocks.ground_motion.steps - 1)
-    assert result["notes"] == ["the bag lacks the recorded answer: step 40"]
+    assert (status, result["notes"]) == (0, [note])
+    assert result["steps"] == (steps or blocks.ground_motion.steps - 1)
 
 
 @pytest.mark.parametrize(
