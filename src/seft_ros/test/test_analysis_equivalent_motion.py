@@ -30,13 +30,11 @@ FRICTION = {  # 45 times as stiff until it slips, at some 100 N
 }
 
 
-def experiment(config="jhu", mass_ratio=1.0, **changes):
-    loaded = load(config=config).sections
-    loaded["reference_force"]["mass_ratio"] = mass_ratio
-    for name, value in changes.items():
-        node, _, parameter = name.partition("__")
-        loaded[node][parameter.replace("__", ".")] = value
-    return Experiment(loaded)
+def experiment(config="jhu", *words):
+    return load("reference_force:mass_ratio:=1.0", *words, config=config)
+
+
+METHOD = "reference_force:compensation.method:={}".format
 
 
 def ground(test, seed=1):
@@ -176,7 +174,7 @@ def test_a_motion_of_zeros_has_no_difference_but_no_error_either():
 
 @pytest.mark.parametrize("config", CONFIGS)
 def test_a_method_that_sends_ahead_is_held_against_what_it_meant(config):
-    test = experiment(config, reference_force__compensation__method="model")
+    test = experiment(config, METHOD("model"))
     motion = ground(test)
     states = states_of(test, motion)
     force = states[:, 3]
@@ -186,14 +184,14 @@ def test_a_method_that_sends_ahead_is_held_against_what_it_meant(config):
     found = tracking_of(record)
     for axis in test.axes:
         assert found[axis]["nrmse"] < 2e-4
-    sent = experiment(config, reference_force__compensation__method="none")
+    sent = experiment(config, METHOD("none"))
     record = dataclasses.replace(record, experiment=sent)
     assert not tracked_of(record).derived
     assert tracking_of(record)[test.axes[0]]["delay_s"] == pytest.approx(14e-3, abs=5e-4)
 
 
 def test_a_reference_force_with_a_target_tells_both_motion_and_force():
-    test = experiment(reference_force__compensation__method="none")
+    test = experiment("jhu", METHOD("none"))
     states = states_of(test, ground(test))
     targets = np.stack([0.9 * states[:, 0], states[:, 1], states[:, 3]], axis=1)
     record = record_of(test, ground(test), states, targets)
