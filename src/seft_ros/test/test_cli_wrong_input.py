@@ -141,14 +141,12 @@ def test_motion_prints_one_json_object_and_draws_where_asked(seft, record, tmp_p
     assert (tmp_path / "spectrum.csv").read_text().startswith("period (s),motion pseudo-acc")
 
 
-def test_simulate_report_and_motion_tell_the_same_of_a_ground_motion(seft, record, tmp_path):
+def test_simulate_report_and_motion_tell_the_same_of_a_ground_motion(seft, record):
     text = "".join(f"{0.01 * k:.2f},{100 * np.sin(np.pi * k / 10):.6f}\n" for k in range(101))
     words = record("own.csv", text, unit="cm/s2", peak_force=105.4, time_scale=0.5, tail=0.5)
     status, out, _ = seft("simulate", JHU, *words, "--out", "bag", "--no-figure", "--json")
     assert status == 0
     simulated = json.loads(out)["ground_motion"]
-    assert (simulated["source"], simulated["unit"], simulated["dt_s"]) == ("own.csv", "cm/s2", 0.01)
-    assert simulated["channels"][0]["dt_from"] == "column 0"
     assert (simulated["scale_factor"], simulated["duration_s"]) == pytest.approx((2.0, 0.5))
     assert json.loads(seft("report", "bag", "--json")[1])["ground_motion"] == simulated
     shown = json.loads(seft("motion", "--config", JHU, *words, "--json")[1])
