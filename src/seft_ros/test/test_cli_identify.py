@@ -100,7 +100,6 @@ def test_the_folder_holds_what_repeats_and_uses_it(linear, seft):
     assert shake["mass"] == pytest.approx(52.7, abs=4 * shake["mass_error"])
     assert section["identified.mass_error"] == [pytest.approx(0.04, abs=0.03)]
     assert section["identified.force_lag_error"] == [shake["axes"][0]["force"]["lag"]["error"]]
-    assert shake["largest"]["displacement"] < 1.2 * shake["travel"]
     assert model["reference_force"]["model.stiffness"] == [pytest.approx(2.11e5, rel=0.005)]
     assert model["reference_force"]["compensation.delay"] == found["delay_s"]
     assert len(model["force_controller"]["actuator.flow_gain"]) == 1
