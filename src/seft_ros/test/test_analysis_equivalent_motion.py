@@ -69,9 +69,7 @@ def test_an_exact_test_is_of_the_ground_motion_that_was_asked_for(config):
 
 @pytest.mark.parametrize("law", [FRICTION, {"specimen.kind": "bouc_wen"}])
 def test_of_the_specimen_nothing_but_the_mass_counts(law):
-    sections = experiment().sections
-    law = {"specimen.yield_displacement": 0.002, **law}
-    test = Experiment(sections | {"rig": sections["rig"] | law})
+    test = experiment().changed({"rig": {"specimen.yield_displacement": 0.002, **law}})
     motion = ground(test)
     found = equivalent_of(test, states_of(test, motion))
     np.testing.assert_allclose(found, motion, atol=1e-9 * np.abs(motion).max())
@@ -115,10 +113,9 @@ def test_a_larger_motion_differs_as_much_everywhere():
 
 def test_the_law_of_the_test_says_what_another_motion_would_have_done():
     """Friction slips and a gap closes, which a linear structure does not: it differs by 0.03."""
-    sections = experiment().sections
     gap = {"specimen.kind": "gap", "specimen.gap.width": 0.001, "specimen.gap.stiffness": 4e5}
     for law, size in ((FRICTION, 0.0405), (gap, 0.0340)):
-        test = Experiment(sections | {"rig": sections["rig"] | law})
+        test = experiment().changed({"rig": law})
         motion = ground(test)
         summary = summarise(record_of(test, motion, states_of(test, 1.03 * motion)))
         assert summary["displacement"]["nrmse"] == pytest.approx(size, rel=0.01)

@@ -5,17 +5,11 @@ import sys
 
 import numpy as np
 import pytest
+from records_at_hand import fixed
 
 COUNT = 23
 WAVE = np.round(100 * np.sin(0.4 * np.arange(COUNT)), 1)
 OTHER = WAVE + 1000
-
-
-def fixed(values, width, decimals, in_a_row):
-    """Write values with a fixed width, run together if they are long."""
-    cells = [f"{value:{width}.{decimals}f}" for value in values]
-    rows = [cells[at : at + in_a_row] for at in range(0, len(cells), in_a_row)]
-    return "".join("".join(row) + "\n" for row in rows)
 
 
 def check(record, values, unit, size, dt, layout):

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from records_at_hand import fixed
 from seft_ros.ground_motion.record_file import read_record
 
 G = 9.80665
@@ -110,13 +111,12 @@ REALS[33], REALS[61] = 0.02, 5.0  # s of the instrument, ms of these values
 
 def cosmos(quantity="acceleration", values=(1.0, -2.5, 3.25), count=3, unit="cm/sec2(04)"):
     """Make a channel of a COSMOS file."""
-    rows = [REALS[at : at + 6] for at in range(0, 100, 6)]
     return "\n".join([
         f"Corrected {quantity}    (Format v01.20 with 1 text lines)",
         "  10 Integer-header values follow on  1 lines, Format= (10I8)",
         "".join(f"{k:8d}" for k in range(10)),
         " 100 Real-header values follow on  17 lines, Format= (6F13.6)",
-        *("".join(f"{value:13.6f}" for value in row) for row in rows),
+        fixed(REALS, 13, 6, 6).removesuffix("\n"),
         '   1 Comment line(s) follow, each starting with a "|":',
         "| Sensor: an accelerometer",
         f"  {count} {quantity} pts, approx   1 secs, units={unit},Format=(8F10.5)",

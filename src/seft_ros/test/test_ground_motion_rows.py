@@ -4,14 +4,14 @@ from functools import partial
 
 import numpy as np
 import pytest
+from records_at_hand import fixed
 
 MOTION = np.round(np.exp(-np.arange(118) / 40) * np.sin(0.3 * np.arange(118)), 5)
 
 
 def in_rows(values, width=5):
     """Write values in rows."""
-    rows = [values[at : at + width] for at in range(0, len(values), width)]
-    return "\n".join("".join(f"{value:10.5f}" for value in row) for row in rows) + "\n"
+    return fixed(values, 10, 5, width)
 
 
 @pytest.fixture
