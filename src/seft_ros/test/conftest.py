@@ -4,6 +4,7 @@ from functools import partial
 
 import pytest
 from commands_at_hand import run_seft
+from seft_msgs_py.errors import InputError
 
 
 @pytest.fixture
@@ -24,3 +25,16 @@ def read(tmp_path):
         return read_record(path, list(columns), unit, dt, **words)
 
     return read
+
+
+@pytest.fixture
+def refuses(read, tmp_path):
+    """Read what must be refused in words that match, and with the file's name; gives the words."""
+
+    def refuses(told, content, *options, name="record.txt", **words):
+        with pytest.raises(InputError, match=told) as caught:
+            read(content, *options, name=name, **words)
+        assert str(tmp_path / name) in str(caught.value)
+        return str(caught.value)
+
+    return refuses

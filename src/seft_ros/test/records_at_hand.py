@@ -1,4 +1,4 @@
-"""Records, also with samples lost, texts as a terminal shows them, and disks with little room."""
+"""Records, also with samples lost, texts as files and terminals show them, small disks."""
 
 import dataclasses
 import io
@@ -11,6 +11,13 @@ from rich.console import Console
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.bags.record import Record, Series
+
+
+def fixed(values, width, decimals, in_a_row):
+    """Text of values with a fixed width, which run together if they are long."""
+    cells = [f"{value:{width}.{decimals}f}" for value in values]
+    rows = [cells[at : at + in_a_row] for at in range(0, len(cells), in_a_row)]
+    return "".join("".join(row) + "\n" for row in rows)
 
 
 def noise_record(count, axes=("x", "y"), rate=500.0, **facts):
@@ -39,6 +46,19 @@ def as_measured(record, states):
     """Series of a record with other states, all of which are judged to be right."""
     judged = dataclasses.replace(states, values=states.values[:, :4])
     return {**record.series, "rig/state": states, "rig/judged": judged}
+
+
+def assert_same_samples(found, wanted):
+    """Two records have the same topics, steps and bits."""
+    assert found.series.keys() == wanted.series.keys()
+    for name, series in wanted.series.items():
+        np.testing.assert_array_equal(found.series[name].steps, series.steps)
+        np.testing.assert_array_equal(*(r.series[name].values.view("u8") for r in (found, wanted)))
+    assert (found.estimates is None) == (wanted.estimates is None)
+    if wanted.estimates is not None:
+        assert found.estimates.names == wanted.estimates.names
+        np.testing.assert_array_equal(found.estimates.steps, wanted.estimates.steps)
+        np.testing.assert_array_equal(*(r.estimates.values.view("u8") for r in (found, wanted)))
 
 
 def without(record, topic, steps):

@@ -5,9 +5,9 @@ import math
 import matplotlib as mpl
 import numpy as np
 import pytest
+from experiments_at_hand import load
 from matplotlib.image import imread
 from records_at_hand import record_of, shown, without
-from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import Trip
 from seft_msgs_py.wire.topics import LOOP_TOPICS
@@ -21,29 +21,12 @@ from seft_ros.drawing.style import save_figure
 
 COUNT = 2000
 DT = 0.002
-SPECIMEN = {"mass": 52.7, "damping": 903.5, "stiffness": 2.11e5}
 MEASURES = ["nrmse", "nrmse_aligned", "peak", "reference_peak", "delay_s"]
 THREE = ("displacement", "acceleration", "force")
 
 
 def experiment(axes):
-    common = {"rate": 500.0, "axes": list(axes)}
-    return Experiment(
-        {
-            "reference_force": {
-                **common,
-                "method": "seft",
-                "mass_ratio": 0.5,
-                "compensation.method": "none",
-                **{f"model.{name}": value for name, value in SPECIMEN.items()},
-            },
-            "rig": {
-                **common,
-                "specimen.kind": "linear",
-                **{f"specimen.{name}": value for name, value in SPECIMEN.items()},
-            },
-        }
-    )
+    return load(("/**", "axes", list(axes)), "reference_force:mass_ratio:=0.5")
 
 
 def make_record(axes=("x",), gain=1.0, delay=0.0, **changes):

@@ -354,22 +354,21 @@ def test_a_file_is_refused_before_it_takes_more_memory_than_it_has(tmp_path, kin
             use(tmp_path / name)
 
 
+NO_FILES = {
+    "empty": lambda file: file.touch(),
+    "fifo": os.mkfifo,
+    "folder": lambda file: file.mkdir(),
+    "dangling": lambda file: file.symlink_to("nowhere"),
+    "endless": lambda file: file.symlink_to("/dev/zero"),
+}
+
+
 @pytest.mark.parametrize("storage", ["mcap", "db3"])
-@pytest.mark.parametrize("kind", ["empty", "fifo", "folder", "dangling", "endless"])
+@pytest.mark.parametrize("kind", list(NO_FILES))
 def test_what_is_no_file_of_a_bag_is_told_in_one_line(tmp_path, storage, kind):
     file = tmp_path / "bag" / f"bag.{storage}"
     file.parent.mkdir()
-    match kind:
-        case "empty":
-            file.touch()
-        case "fifo":
-            os.mkfifo(file)
-        case "folder":
-            file.mkdir()
-        case "dangling":
-            file.symlink_to("nowhere")
-        case "endless":
-            file.symlink_to("/dev/zero")
+    NO_FILES[kind](file)
     for use, path in itertools.product((Bag, recover_bag), (file.parent, file)):
         with pytest.raises(InputError):
             use(path)

@@ -7,6 +7,7 @@ import shutil
 import numpy as np
 import pytest
 from experiments_at_hand import load
+from records_at_hand import assert_same_samples
 from seft_msgs_py.errors import InputError
 from seft_ros.bags.bag_files import recover_bag
 from seft_ros.bags.record_bag import read_bag, write_record
@@ -113,9 +114,7 @@ def test_what_is_read_is_right_and_recover_agrees(whole, tmp_path, kind):
         assert not path.with_name("bag.recovering").exists()
         whole_again = read_bag(path)
         assert whole_again.damage == record.damage
-        for name, series in record.series.items():
-            np.testing.assert_array_equal(series.steps, whole_again.series[name].steps)
-            np.testing.assert_array_equal(series.values, whole_again.series[name].values)
+        assert_same_samples(whole_again, record)
 
 
 def test_the_report_of_a_damaged_bag_names_what_is_missing(whole, seft, tmp_path):

@@ -64,16 +64,9 @@ def test_plant_loop_and_closed_loop_agree_with_the_analytic_model(linear):
     plant, measures = analytic(*LINEAR)
     zero, pole = plant.antiresonance(), plant.oil_column()
     assert found["notes"][0].startswith("actuator.* describes the actuators and holds for any")
-    rig = load(*LINEAR)["rig"]
-    actuator = found["actuator"]
-    assert actuator["verdict"] == "good"
-    assert actuator["flow_gain_m_per_s_per_v"] == pytest.approx(rig["actuator.flow_gain"], rel=0.01)
-    assert actuator["leakage_per_s"] == pytest.approx(rig["actuator.leakage"], abs=10.0)
-    assert actuator["valve_frequency_hz"] == pytest.approx(
-        rig["actuator.valve_frequency"], rel=0.02
-    )
-    assert actuator["valve_damping"] == pytest.approx(0.6, rel=0.03)
-    assert actuator["dead_time_s"] == pytest.approx(0.001, abs=5e-5)
+    assert found["actuator"]["verdict"] == "good"
+    # of its seven numbers, see test_identification_actuator_fit.py
+    assert found["actuator"]["flow_gain_m_per_s_per_v"] == pytest.approx(0.0403, rel=0.01)
     assert found["plant_zero_hz"] == pytest.approx(zero.hz, rel=0.01)
     assert found["plant_zero_damping"] == pytest.approx(zero.damping, rel=0.05)
     assert found["plant_pole_hz"] == pytest.approx(pole.hz, rel=0.005)
@@ -107,7 +100,6 @@ def test_the_folder_holds_what_repeats_and_uses_it(linear, seft):
     assert shake["mass"] == pytest.approx(52.7, abs=4 * shake["mass_error"])
     assert section["identified.mass_error"] == [pytest.approx(0.04, abs=0.03)]
     assert section["identified.force_lag_error"] == [shake["axes"][0]["force"]["lag"]["error"]]
-    assert shake["largest"]["displacement"] < 1.2 * shake["travel"]
     assert model["reference_force"]["model.stiffness"] == [pytest.approx(2.11e5, rel=0.005)]
     assert model["reference_force"]["compensation.delay"] == found["delay_s"]
     assert len(model["force_controller"]["actuator.flow_gain"]) == 1
@@ -253,18 +245,28 @@ def test_several_axes_have_their_numbers_each(identify, tmp_path):
     assert len(model["force_controller"]["actuator.oil_stiffness"]) == 2
 
 
-def test_a_trip_in_the_open_loop_ends_it_and_keeps_the_bag(identify, tmp_path):
-    limit = "supervisor:limits.acceleration:=5.0"
-    words = ("--amplitude", "0.3", *SHORT, "--out", "out")
-    status, found, line = identify(*words, overrides=(limit,))
+@pytest.mark.parametrize(
+    ("test", "words", "limit"),
+    [
+        ("open_loop", ("--amplitude", "0.3"), "supervisor:limits.acceleration:=5.0"),
+        # of the rig alone, which the plan of the shake does not know
+        ("shake_pilot", ("--amplitude", "0.1", "--specimen"), "rig:limits.acceleration:=9.0"),
+    ],
+)
+def test_a_trip_ends_it_with_one_line_and_keeps_what_is_known(
+    identify, tmp_path, test, words, limit
+):
+    status, found, line = identify(*words, *SHORT, "--out", "out", overrides=(limit,))
     assert status == 1
-    assert line.startswith("seft: open loop tripped at ")
+    assert line.startswith(f"seft: {test.replace('_', ' ')} tripped at ")
     assert "acceleration" in line
-    assert found["tripped"]["open_loop"].startswith("acceleration")
+    assert found["tripped"][test].startswith("acceleration")
     assert found["tripped"]["closed_loop"] is None
-    assert "plant_zero_hz" not in found
-    assert read_bag(tmp_path / "out" / "open_loop").trip is not None
+    assert read_bag(tmp_path / "out" / test).trip is not None
     assert not (tmp_path / "out" / "closed_loop").exists()
+    model = tmp_path / "out" / "model.yaml"
+    known = model.exists() and "flow_gain" in model.read_text()
+    assert known is ("plant_zero_hz" in found) is (test == "shake_pilot")
 
 
 def test_of_a_loop_that_is_unstable_the_plant_is_identified_all_the_same(identify):
@@ -274,27 +276,6 @@ def test_of_a_loop_that_is_unstable_the_plant_is_identified_all_the_same(identif
     assert "closed loop" in line
     assert found["plant_zero_hz"] == pytest.approx(10.07, rel=0.01)
     assert found["delay_s"] is None
-
-
-def test_a_shake_beyond_the_limits_is_refused_before_anything_moves(identify, tmp_path):
-    status, found, line = identify("--specimen", "--travel", "0.05", "--out", "out")
-    assert (status, found, "limits.displacement" in line) == (2, None, True)
-    assert not (tmp_path / "out").exists()
-    status, _, line = identify("--travel", "1e-4", "--out", "out")
-    assert (status, line) == (2, "seft: --travel is that of the shake: give --specimen, too")
-
-
-def test_a_trip_of_the_shake_ends_it_with_one_line(identify, tmp_path):
-    """One of the rig alone, which the plan does not know."""
-    limit = "rig:limits.acceleration:=9.0"
-    words = ("--duration", "14", "--amplitude", "0.1", "--specimen", "--out", "out")
-    status, found, line = identify(*words, overrides=(limit,))
-    assert status == 1
-    assert line.startswith("seft: shake pilot tripped at ")
-    assert found["tripped"]["shake_pilot"].startswith("acceleration")
-    assert found["tripped"]["closed_loop"] is None
-    assert not (tmp_path / "out" / "closed_loop").exists()
-    assert "flow_gain" in (tmp_path / "out" / "model.yaml").read_text()
 
 
 def test_too_little_amplitude_is_told_with_band_and_remedy(identify, tmp_path):

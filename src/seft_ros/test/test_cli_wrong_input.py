@@ -11,8 +11,6 @@ import pytest
 from experiments_at_hand import JHU
 from seft_ros.cli.main import APP
 
-KEYS = {"steps", "rate_hz", "duration_s", "wall_s", "realtime_factor", "stable", "trip"}
-MEASURES = {"nrmse", "nrmse_aligned", "peak", "reference_peak", "delay_s"}
 SHORT = ("-p", "ground_motion:synthetic.duration:=4", "-p", "ground_motion:tail:=1")
 
 
@@ -62,6 +60,8 @@ def record(tmp_path):
         (["preflight", JHU, "--external", "rig"], "seft identify"),
         (["identify", JHU, "--duration", "5"], "needs 13.3333 s"),
         (["identify", JHU, "--external", "force_controller"], "--external"),
+        (["identify", JHU, "--travel", "1e-4"], "that of the shake: give --specimen, too"),
+        (["identify", JHU, "--specimen", "--travel", "0.05"], "limits.displacement"),
         (["link", "--out", "x.yaml"], "--out needs CONFIG"),
         (["link", "--duration", "0"], "must be positive"),
         (["run", JHU, "-p", "reference_force:loop_delay:=-1"], "--external force_controller"),
@@ -85,12 +85,8 @@ def test_a_wrong_command_line_is_refused_before_anything_is_written(refused, tmp
 
 
 def test_the_process_ends_with_status_2_and_without_a_traceback():
-    done = subprocess.run(
-        [sys.executable, "-m", "seft_ros.cli.main", "simulate", "none.yaml"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    command = [sys.executable, "-m", "seft_ros.cli.main", "simulate", "none.yaml"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.count("\n") == 1
 
@@ -114,29 +110,20 @@ def test_out_names_the_folder_of_the_bag_which_reports_the_same(seft, tmp_path):
     status, out, _ = seft("simulate", JHU, *SHORT, "--out", "bag", "--no-figure", "--json")
     assert status == 0
     simulated = json.loads(out)  # one object and nothing else
-    assert set(simulated) >= KEYS
-    for quantity in ("displacement", "acceleration", "force"):
-        assert set(simulated[quantity]) >= MEASURES
     assert (simulated["stable"], simulated["trip"]) == (True, None)
     assert simulated["rate_hz"] == 500.0
     assert simulated["steps"] == 1501  # 4 s twice as fast, 1 s of tail
     assert simulated["duration_s"] == pytest.approx(3.002)
-    assert (tmp_path / "bag" / "metadata.yaml").is_file()
     status, out, _ = seft("report", "bag", "--json")
     assert status == 0
     reported = json.loads(out)
-    for key in KEYS | {"displacement", "acceleration", "force", "simulated"}:
+    same = ("steps", "rate_hz", "duration_s", "wall_s", "realtime_factor", "stable", "trip")
+    for key in (*same, "displacement", "acceleration", "force", "simulated"):
         assert reported[key] == simulated[key]
-    assert set(reported["simulated"]) == {"displacement_peak", "force_peak", "stop_force_peak"}
     assert 0.0 < reported["simulated"]["displacement_peak"] < 0.02
     assert seft("report", "bag", "--csv", "histories")[0] == 0
     lines = (tmp_path / "histories.csv").read_text().splitlines()
-    assert lines[0].startswith("time (s),ground acceleration (m/s^2),displacement (m),")
     assert len(lines) == 1 + reported["steps"]
-    (tmp_path / "histories.csv").unlink()
-    status, out, err = seft("simulate", JHU, *SHORT, "--out", "bag")
-    assert (status, out) == (2, "")
-    assert "bag: exists already" in err
 
 
 def test_motion_prints_one_json_object_and_draws_where_asked(seft, record, tmp_path):
@@ -154,14 +141,12 @@ def test_motion_prints_one_json_object_and_draws_where_asked(seft, record, tmp_p
     assert (tmp_path / "spectrum.csv").read_text().startswith("period (s),motion pseudo-acc")
 
 
-def test_simulate_report_and_motion_tell_the_same_of_a_ground_motion(seft, record, tmp_path):
+def test_simulate_report_and_motion_tell_the_same_of_a_ground_motion(seft, record):
     text = "".join(f"{0.01 * k:.2f},{100 * np.sin(np.pi * k / 10):.6f}\n" for k in range(101))
     words = record("own.csv", text, unit="cm/s2", peak_force=105.4, time_scale=0.5, tail=0.5)
     status, out, _ = seft("simulate", JHU, *words, "--out", "bag", "--no-figure", "--json")
     assert status == 0
     simulated = json.loads(out)["ground_motion"]
-    assert (simulated["source"], simulated["unit"], simulated["dt_s"]) == ("own.csv", "cm/s2", 0.01)
-    assert simulated["channels"][0]["dt_from"] == "column 0"
     assert (simulated["scale_factor"], simulated["duration_s"]) == pytest.approx((2.0, 0.5))
     assert json.loads(seft("report", "bag", "--json")[1])["ground_motion"] == simulated
     shown = json.loads(seft("motion", "--config", JHU, *words, "--json")[1])

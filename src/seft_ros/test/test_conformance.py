@@ -28,24 +28,14 @@ DT = 1 / RATE
 G = 9.80665
 
 
-@pytest.fixture(scope="module")
-def experiment():
-    return load("rig:actuator.kind:=servo_hydraulic_linear")
+EXPERIMENT = load("rig:actuator.kind:=servo_hydraulic_linear")
+SPECIMEN = whole_structure.tested_specimen(EXPERIMENT)
+DRIVE = MotionDrive(DT, 0.2)
 
 
-@pytest.fixture(scope="module")
-def specimen(experiment):
-    return whole_structure.tested_specimen(experiment)
-
-
-@pytest.fixture(scope="module")
-def drive():
-    return MotionDrive(DT, 0.2)
-
-
-def moved(experiment, drive, later=0):
+def moved(drive=DRIVE, later=0):
     """Samples of the rig under the drive; commands are applied so many steps late."""
-    rig = Rig.from_parameters(experiment["rig"], experiment.axes, experiment.timebase)
+    rig = Rig.from_parameters(EXPERIMENT["rig"], EXPERIMENT.axes, EXPERIMENT.timebase)
     commands = np.concatenate([np.zeros(later), drive.commands])
     states = [rig.reset()]
     states += [rig.step(np.array([value])).copy() for value in commands[: drive.steps - 1]]
@@ -55,8 +45,8 @@ def moved(experiment, drive, later=0):
 
 
 @pytest.fixture(scope="module")
-def samples(experiment, drive):
-    return moved(experiment, drive)
+def samples():
+    return moved()
 
 
 def scaled(samples, row, factor):
@@ -65,13 +55,13 @@ def scaled(samples, row, factor):
     return samples._replace(values=values)
 
 
-def units_of(samples, drive, specimen):
-    findings = motion_checks.check_units(samples, drive, specimen)
+def units_of(samples, specimen=SPECIMEN):
+    findings = motion_checks.check_units(samples, DRIVE, specimen)
     return {finding.check: finding for finding in findings}
 
 
-def test_channels_that_fit_one_another_pass(samples, drive, specimen):
-    findings = units_of(samples, drive, specimen)
+def test_channels_that_fit_one_another_pass(samples):
+    findings = units_of(samples)
     assert {finding.verdict for finding in findings.values()} == {"passed"}
     assert findings["velocity of displacement"].measured["ratio"] == pytest.approx(1, abs=0.1)
 
@@ -92,37 +82,35 @@ def test_channels_that_fit_one_another_pass(samples, drive, specimen):
         (3, 1.5, "force of specimen", "", "times too large"),
     ],
 )
-def test_a_wrong_unit_or_sign_is_found_and_named(
-    samples, drive, specimen, row, factor, check, culprit, why
-):
-    finding = units_of(scaled(samples, row, factor), drive, specimen)[check]
+def test_a_wrong_unit_or_sign_is_found_and_named(samples, row, factor, check, culprit, why):
+    finding = units_of(scaled(samples, row, factor))[check]
     assert finding.verdict == "failed"
     assert finding.remedy.startswith(culprit)
     assert why in finding.remedy
 
 
-def test_a_channel_of_another_time_is_no_derivative(samples, drive, specimen):
+def test_a_channel_of_another_time_is_no_derivative(samples):
     values = samples.values.copy()
     values[:, 2] = np.roll(values[:, 2], 10, axis=0)
     late = samples._replace(values=values)
-    finding = units_of(late, drive, specimen)["acceleration of velocity"]
+    finding = units_of(late)["acceleration of velocity"]
     assert (finding.verdict, "not of one time" in finding.remedy) == ("failed", True)
 
 
-def test_without_a_specimen_that_is_known_the_force_is_not_judged(samples, drive):
-    assert units_of(samples, drive, None)["force of specimen"].verdict == "not run"
+def test_without_a_specimen_that_is_known_the_force_is_not_judged(samples):
+    assert units_of(samples, None)["force of specimen"].verdict == "not run"
 
 
-def test_a_valve_that_is_reversed_is_found(samples, drive):
-    assert motion_checks.check_moves(samples, drive).verdict == "passed"
+def test_a_valve_that_is_reversed_is_found(samples):
+    assert motion_checks.check_moves(samples, DRIVE).verdict == "passed"
     reversed_valve = samples._replace(values=-samples.values)
-    finding = motion_checks.check_moves(reversed_valve, drive)
+    finding = motion_checks.check_moves(reversed_valve, DRIVE)
     assert (finding.verdict, "reverse the valve's sign" in finding.remedy) == ("failed", True)
 
 
-def test_a_rig_without_pressure_does_not_move(samples, drive, experiment):
-    still = moved(experiment, MotionDrive(DT, 1e-9))
-    finding = motion_checks.check_moves(still, drive)
+def test_a_rig_without_pressure_does_not_move():
+    still = moved(MotionDrive(DT, 1e-9))
+    finding = motion_checks.check_moves(still, DRIVE)
     assert (finding.verdict, "is the pressure on?" in finding.remedy) == ("failed", True)
 
 
@@ -130,24 +118,24 @@ def test_a_rig_without_pressure_does_not_move(samples, drive, experiment):
     ("later", "lag", "expected"),
     [(0, 0.0, "passed"), (6, 0.0, "failed"), (6, 0.012, "passed"), (12, 0.012, "failed")],
 )
-def test_commands_that_are_applied_late_are_found(experiment, drive, later, lag, expected):
-    finding = motion_checks.check_answer_delay(moved(experiment, drive, later), drive, lag)
+def test_commands_that_are_applied_late_are_found(later, lag, expected):
+    finding = motion_checks.check_answer_delay(moved(later=later), DRIVE, lag)
     assert finding.verdict == expected
 
 
-def test_a_rig_that_tells_another_drive_than_was_sent_is_found(samples, drive):
-    assert motion_checks.check_answer_delay(samples, drive, 0.0).verdict == "passed"
+def test_a_rig_that_tells_another_drive_than_was_sent_is_found(samples):
+    assert motion_checks.check_answer_delay(samples, DRIVE, 0.0).verdict == "passed"
     early = samples._replace(drives=np.roll(samples.drives, -1, axis=0))
-    finding = motion_checks.check_answer_delay(early, drive, 0.0)
+    finding = motion_checks.check_answer_delay(early, DRIVE, 0.0)
     assert (finding.verdict, "tells another drive" in finding.result) == ("failed", True)
 
 
-def test_a_rig_that_drifts_is_not_at_rest(samples, drive):
-    assert motion_checks.check_rest(samples, drive).verdict == "passed"
+def test_a_rig_that_drifts_is_not_at_rest(samples):
+    assert motion_checks.check_rest(samples, DRIVE).verdict == "passed"
     values = samples.values.copy()
     values[:, 0] += 1e-3 * samples.times[:, np.newaxis]
     drifting = samples._replace(values=values)
-    assert motion_checks.check_rest(drifting, drive).verdict == "failed"
+    assert motion_checks.check_rest(drifting, DRIVE).verdict == "failed"
 
 
 def at(times):
@@ -194,8 +182,8 @@ def test_what_this_host_was_late_with_is_not_the_rigs():
     assert timing(late, everywhere)["late states"] == "failed"
 
 
-def states(experiment, count=20, offset_ns=0):
-    codec = TrajectoryCodec(RIG_STATE, experiment.axes, experiment.timebase)
+def states(count=20, offset_ns=0):
+    codec = TrajectoryCodec(RIG_STATE, EXPERIMENT.axes, EXPERIMENT.timebase)
     raws = [codec.encode(step, np.full((5, 1), 0.5)) for step in range(count)]
     if offset_ns:
         raws = [
@@ -207,20 +195,20 @@ def states(experiment, count=20, offset_ns=0):
     return Trial(states=[(0.01 * k, raw) for k, raw in enumerate(raws)])
 
 
-def test_stamps_are_whole_periods_from_zero(experiment):
-    period_ns = experiment.timebase.period_ns
-    assert message_checks.check_stamps(states(experiment), period_ns).verdict == "passed"
-    off = message_checks.check_stamps(states(experiment, offset_ns=1000), period_ns)
+def test_stamps_are_whole_periods_from_zero():
+    period_ns = EXPERIMENT.timebase.period_ns
+    assert message_checks.check_stamps(states(), period_ns).verdict == "passed"
+    off = message_checks.check_stamps(states(offset_ns=1000), period_ns)
     assert (off.verdict, off.measured["off_ns"]) == ("failed", 1000.0)
-    trial = states(experiment)
+    trial = states()
     del trial.states[7]
     gap = message_checks.check_stamps(trial, period_ns)
     assert "message 7 is stamped" in gap.result
 
 
-def test_axes_and_values_are_looked_at(experiment):
-    good = states(experiment)
-    assert message_checks.check_form(good, experiment.axes).verdict == "passed"
+def test_axes_and_values_are_looked_at():
+    good = states()
+    assert message_checks.check_form(good, EXPERIMENT.axes).verdict == "passed"
     other = message_checks.check_form(good, ("north",))
     assert "axes are ['x'], not ['north']" in other.result
     (_, raw) = good.states[3]
@@ -228,17 +216,17 @@ def test_axes_and_values_are_looked_at(experiment):
     assert "message 3: positions are [nan]" in message_checks.check_form(good, ("x",)).result
 
 
-def test_a_description_of_another_rate_or_pace_is_refused(experiment):
+def test_a_description_of_another_rate_or_pace_is_refused():
     told = {"rate": RATE, "axes": ["x"]}
     check = message_checks.check_description
-    assert check({"parameters": told}, experiment).verdict == "passed"
-    assert check(None, experiment).verdict == "failed"
-    assert "rate is 100" in check({"parameters": told | {"rate": 100.0}}, experiment).result
-    assert "lockstep" in check({"parameters": told | {"pace": "lockstep"}}, experiment).result
+    assert check({"parameters": told}, EXPERIMENT).verdict == "passed"
+    assert check(None, EXPERIMENT).verdict == "failed"
+    assert "rate is 100" in check({"parameters": told | {"rate": 100.0}}, EXPERIMENT).result
+    assert "lockstep" in check({"parameters": told | {"pace": "lockstep"}}, EXPERIMENT).result
 
 
-def test_every_bad_command_is_refused_by_the_simulated_rig(experiment):
-    codec = TrajectoryCodec(VALVE_COMMAND, experiment.axes, experiment.timebase)
+def test_every_bad_command_is_refused_by_the_simulated_rig():
+    codec = TrajectoryCodec(VALVE_COMMAND, EXPERIMENT.axes, EXPERIMENT.timebase)
     bad, command = BadCommands(codec, 0.2), Command(codec, 10.0)
     refused = dict.fromkeys(CHECK_KINDS, 0)
     for step in range(bad.steps):
@@ -269,8 +257,8 @@ def test_a_trip_is_in_time_or_not(at, phase, expected):
     assert finding.verdict == expected
 
 
-def test_the_guard_believes_two_sensors_or_a_limit(experiment):
-    guard = Guard(experiment, travel=2e-3, force=500.0)
+def test_the_guard_believes_two_sensors_or_a_limit():
+    guard = Guard(EXPERIMENT, travel=2e-3, force=500.0)
     rest, moving = np.zeros((4, 1)), np.zeros((4, 1))
 
     def look(displacement, force):

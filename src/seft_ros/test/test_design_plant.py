@@ -3,36 +3,20 @@
 import numpy as np
 import pytest
 from bare_rig import BareRig
+from experiments_at_hand import load
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig import continuous_model
 from seft_ros.design.plant import Root, choose_plant, lightly_damped, polynomial_of, roots_of
-from seft_ros.test_run.parameter_tables import TABLES
 
-MASS, DAMPING, STIFFNESS = 52.7, 800.0, 2.11e5
-RIG = {
-    "specimen.kind": "linear",
-    "specimen.mass": MASS,
-    "specimen.damping": DAMPING,
-    "specimen.stiffness": STIFFNESS,
-    "actuator.kind": "servo_hydraulic",
-    "actuator.oil_stiffness": 1.664e7,
-    "actuator.leakage": 50.0,
-    "actuator.flow_gain": 0.04,
-    "actuator.valve_frequency": 70.0,
-    "actuator.valve_damping": 0.6,
-    "actuator.dead_time": 0.001,
-}
+MASS, STIFFNESS = 52.7, 2.11e5
 
 
 def experiment(rate=500.0, axes=("x",), controller=None, **changed):
-    rig = RIG | {name.replace("__", "."): value for name, value in changed.items()}
-    given = [("rig", name, value) for name, value in rig.items()]
+    given = [("rig", name.replace("__", "."), value) for name, value in changed.items()]
     given += [("force_controller", f"plant.{k}", v) for k, v in (controller or {}).items()]
-    given += [("/**", "rate", rate), ("/**", "axes", list(axes))]
-    return Experiment.load(TABLES, overrides=given)
+    return load(*given, ("/**", "rate", rate), ("/**", "axes", list(axes)), config="demo")
 
 
 def rig_forces(test, commands):

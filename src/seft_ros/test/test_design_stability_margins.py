@@ -16,13 +16,9 @@ from seft_ros.design.stability_verdict import check_stability
 from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS, model
 from seft_ros.reference_force.reference_force_parameters import OWN_METHODS
 
-M, C, K = 52.7, 800.3, 2.11e5
+M, K = 52.7, 2.11e5
 # of target_motion, see test_design_frozen_methods.py
 OF_FORCES = [name for name in OWN_METHODS if name != "target_motion"]
-BASE = {
-    "/**": {"rate": 500.0, "axes": ["x"]},
-    "rig": {"specimen.mass": M, "specimen.damping": C, "specimen.stiffness": K},
-}
 DELAY = {
     "rig": {"actuator.kind": "delay", "actuator.delay": 0.010},
     "reference_force": {
@@ -32,12 +28,7 @@ DELAY = {
     },
 }
 SERVO = {
-    "rig": {
-        "actuator.kind": "servo_hydraulic_linear",
-        "actuator.oil_column_frequency": 90.0,
-        "actuator.leakage": 50.0,
-        "actuator.flow_gain": 0.0403,
-    },
+    "rig": {"actuator.kind": "servo_hydraulic_linear"},
     "reference_force": {
         "compensation.delay": 0.0139,
         "tracking.numerator": [1.0],
@@ -48,7 +39,7 @@ SERVO = {
 RIGS = {"delay": DELAY, "servo": SERVO}
 
 
-experiment = partial(of_parts, BASE)
+experiment = partial(of_parts, {}, config="jhu")
 
 
 def reference(**values):

@@ -156,7 +156,6 @@ def test_without_a_file_the_motion_is_synthetic_and_the_same_on_every_axis():
         ({"peak_force": 10.0}, "mass (for peak_force) is 0.0, but mass must be positive"),
         ({"peak_force": 10.0, "mass": 1.0, "influence": 0.0}, "motion of zeros can't be scaled"),
         ({"column": [0, 1, 0]}, "column: 3 values for 2 axes"),
-        ({"column": 2}, "2 columns, 0 to 1"),
         ({"influence": 1e308}, "accelerations are not finite"),
         ({"tail": 1e9}, "5e+07 steps"),
         ({"time_scale": 1e-300}, "less than a step"),

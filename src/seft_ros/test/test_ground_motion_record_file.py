@@ -4,19 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from seft_msgs_py.errors import InputError
+from records_at_hand import fixed
 from seft_ros.ground_motion.record_file import read_record
 
 G = 9.80665
 HEADER = "PEER NGA STRONG MOTION DATABASE RECORD\nSOMEWHERE 01/02/03, STATION, 090\n"
 UNITS_OF_G = "ACCELERATION TIME HISTORY IN UNITS OF G\n"
 SEVEN = "  .1E+00  -.2E+00   .3E+00  -.4E+00   .5E+00\n -.6E+00   .7E+00\n"
-
-
-def write(folder: Path, text: str, name: str = "motion.txt") -> Path:
-    path = folder / name
-    path.write_bytes(text.encode())
-    return path
 
 
 @pytest.mark.parametrize(
@@ -33,39 +27,38 @@ def write(folder: Path, text: str, name: str = "motion.txt") -> Path:
     ],
 )
 @pytest.mark.parametrize("name", ["a.AT2", "a.txt"])
-def test_at2_reads_in_both_header_dialects_and_with_its_short_last_line(tmp_path, line, name):
-    record = read_record(write(tmp_path, HEADER + UNITS_OF_G + line + "\n" + SEVEN, name), [0], "g")
+def test_at2_reads_in_both_header_dialects_and_with_its_short_last_line(read, line, name):
+    record = read(HEADER + UNITS_OF_G + line + "\n" + SEVEN, unit="g", name=name)
     assert record.dt == 0.01
     expected = np.array([[0.1, -0.2, 0.3, -0.4, 0.5, -0.6, 0.7]]).T * G
     np.testing.assert_allclose(record.accelerations, expected, rtol=1e-15)
 
 
-def test_at2_reads_without_a_line_end_after_the_last_value_and_with_windows_line_ends(tmp_path):
+def test_at2_reads_without_a_line_end_after_the_last_value_and_with_windows_line_ends(read):
     text = (HEADER + UNITS_OF_G + "NPTS= 7, DT= .01 SEC\n" + SEVEN).rstrip().replace("\n", "\r\n")
-    record = read_record(write(tmp_path, text, "a.at2"), [0, 0], "g")
+    record = read(text, [0, 0], "g", name="a.at2")
     assert record.accelerations.shape == (7, 2)
     np.testing.assert_allclose(record.accelerations[-1], 0.7 * G)
 
 
-def test_fortran_numbers_that_run_together_are_taken_apart(tmp_path):
+def test_fortran_numbers_that_run_together_are_taken_apart(read):
     body = "-.123E-02-.456E-03+.5E+00\n 1.5D+00-2.5D-01 3.-4.\n"
-    path = write(tmp_path, HEADER + UNITS_OF_G + "NPTS= 7, DT= .01 SEC\n" + body)
-    values = read_record(path, [0], "g").accelerations[:, 0] / G
+    record = read(HEADER + UNITS_OF_G + "NPTS= 7, DT= .01 SEC\n" + body, unit="g")
+    values = record.accelerations[:, 0] / G
     np.testing.assert_allclose(values, [-1.23e-3, -4.56e-4, 0.5, 1.5, -0.25, 3.0, -4.0], rtol=1e-14)
 
 
-def test_columns_are_chosen_in_the_order_asked_for(tmp_path):
-    path = write(tmp_path, "1 2 3\n4 5 6\n")
-    record = read_record(path, [2, 0], "m/s2", 0.02)
+def test_columns_are_chosen_in_the_order_asked_for(read):
+    record = read("1 2 3\n4 5 6\n", [2, 0], "m/s2", 0.02, name="own.txt")
     np.testing.assert_array_equal(record.accelerations, [[3, 1], [6, 4]])
     assert record.dt == 0.02
-    assert record.source == path.name
+    assert record.source == "own.txt"
 
 
 @pytest.mark.parametrize("mark", ["%", "#", "//", "!", ";"])
-def test_comment_lines_and_blank_lines_may_stand_anywhere(tmp_path, mark):
+def test_comment_lines_and_blank_lines_may_stand_anywhere(read, mark):
     text = f"{mark} 1 2\n  {mark} more\n\n1\t2\n{mark} between\n\n3\t4\n{mark} end\n\n"
-    record = read_record(write(tmp_path, text), [1], "m/s2", 0.01)
+    record = read(text, [1], "m/s2", 0.01)
     np.testing.assert_array_equal(record.accelerations, [[2], [4]])
 
 
@@ -83,8 +76,8 @@ def test_comment_lines_and_blank_lines_may_stand_anywhere(tmp_path, mark):
         "1 2\n3 4\n\x1a",
     ],
 )
-def test_headers_separators_and_line_ends_are_told_by_the_content(tmp_path, text):
-    record = read_record(write(tmp_path, text, "a.csv"), [0, 1], "m/s2", 0.01)
+def test_headers_separators_and_line_ends_are_told_by_the_content(read, text):
+    record = read(text, [0, 1], "m/s2", 0.01, name="a.csv")
     np.testing.assert_array_equal(record.accelerations, [[1, 2], [3, 4]])
 
 
@@ -100,18 +93,16 @@ def test_headers_separators_and_line_ends_are_told_by_the_content(tmp_path, text
     ],
 )
 def test_a_column_whose_name_says_time_gives_the_sampling_period(
-    tmp_path, header, separator, factor
+    read, refuses, header, separator, factor
 ):
     rows = [f"{0.005 * k * factor:.6g}{separator}{0.1 * k}" for k in range(4)]
-    path = write(tmp_path, "\n".join([header, *rows]))
-    record = read_record(path, [1], "g")
+    text = "\n".join([header, *rows])
+    record = read(text, [1], "g")
     assert record.dt == 0.005
-    assert read_record(path, [1], "g", 0.005).dt == 0.005
+    assert read(text, [1], "g", 0.005).dt == 0.005
     np.testing.assert_allclose(record.accelerations[:, 0], [0, 0.1 * G, 0.2 * G, 0.3 * G])
-    with pytest.raises(InputError, match=r"dt is 0\.00502 s, but .* says 0\.005 s"):
-        read_record(path, [1], "g", 0.00502)
-    with pytest.raises(InputError, match=r"column is 0, but .* is the time \(line 1\)"):
-        read_record(path, [0], "g")
+    refuses(r"dt is 0\.00502 s, but .* says 0\.005 s", text, [1], "g", 0.00502)
+    refuses(r"column is 0, but .* is the time \(line 1\)", text, [0], "g")
 
 
 REALS = [-999.0] * 100
@@ -120,13 +111,12 @@ REALS[33], REALS[61] = 0.02, 5.0  # s of the instrument, ms of these values
 
 def cosmos(quantity="acceleration", values=(1.0, -2.5, 3.25), count=3, unit="cm/sec2(04)"):
     """Make a channel of a COSMOS file."""
-    rows = [REALS[at : at + 6] for at in range(0, 100, 6)]
     return "\n".join([
         f"Corrected {quantity}    (Format v01.20 with 1 text lines)",
         "  10 Integer-header values follow on  1 lines, Format= (10I8)",
         "".join(f"{k:8d}" for k in range(10)),
         " 100 Real-header values follow on  17 lines, Format= (6F13.6)",
-        *("".join(f"{value:13.6f}" for value in row) for row in rows),
+        fixed(REALS, 13, 6, 6).removesuffix("\n"),
         '   1 Comment line(s) follow, each starting with a "|":',
         "| Sensor: an accelerometer",
         f"  {count} {quantity} pts, approx   1 secs, units={unit},Format=(8F10.5)",
@@ -135,10 +125,10 @@ def cosmos(quantity="acceleration", values=(1.0, -2.5, 3.25), count=3, unit="cm/
     ]) + "\n"  # fmt: skip
 
 
-def test_cosmos_reads_with_each_channel_of_acceleration_as_a_column(tmp_path):
+def test_cosmos_reads_with_each_channel_of_acceleration_as_a_column(read):
     second = cosmos(values=(123.45678, -999.12345, 1e3))  # these run together
     text = cosmos() + cosmos("velocity") + second + cosmos("displacement", unit="cm(06)")
-    record = read_record(write(tmp_path, text, "CE47380.V2c"), [0, 1])
+    record = read(text, [0, 1], name="CE47380.V2c")
     assert (record.dt, record.unit) == (0.005, "cm/s2")
     expected = [[0.01, 1.2345678], [-0.025, -9.9912345], [0.0325, 10.0]]
     np.testing.assert_allclose(record.accelerations, expected, rtol=1e-6)
@@ -152,9 +142,8 @@ def test_cosmos_reads_with_each_channel_of_acceleration_as_a_column(tmp_path):
         (cosmos(unit="counts (50)"), "counts is no acceleration unit"),
     ],
 )
-def test_a_cosmos_file_that_holds_no_record_is_refused(tmp_path, text, told):
-    with pytest.raises(InputError, match=told):
-        read_record(write(tmp_path, text, "a.V2"), [0])
+def test_a_cosmos_file_that_holds_no_record_is_refused(refuses, text, told):
+    refuses(told, text, [0], name="a.V2")
 
 
 def smc(count=3, rate=200.0):
@@ -172,8 +161,8 @@ def smc(count=3, rate=200.0):
     ]) + "\n"  # fmt: skip
 
 
-def test_smc_reads_in_cm_per_second_squared_at_the_rate_of_its_header(tmp_path):
-    record = read_record(write(tmp_path, smc(), "0111a.smc"), [-1])
+def test_smc_reads_in_cm_per_second_squared_at_the_rate_of_its_header(read):
+    record = read(smc(), name="0111a.smc")
     assert (record.dt, record.unit) == (0.005, "cm/s2")
     np.testing.assert_allclose(record.accelerations[:, 0], [0.015057, -0.022223, -0.19234])
 
@@ -186,16 +175,14 @@ def test_smc_reads_in_cm_per_second_squared_at_the_rate_of_its_header(tmp_path):
         (smc()[:300], "gives no count of values and no rate"),
     ],
 )
-def test_an_smc_file_that_is_not_whole_is_refused(tmp_path, text, told):
-    with pytest.raises(InputError, match=told):
-        read_record(write(tmp_path, text), [0])
+def test_an_smc_file_that_is_not_whole_is_refused(refuses, text, told):
+    refuses(told, text, [0])
 
 
-def test_a_given_dt_may_be_finer_than_the_rounded_one_of_the_file(tmp_path):
-    path = write(tmp_path, "NPTS= 2, DT= .0039 SEC\n 1.0 2.0\n")
-    assert read_record(path, [0], "g", 0.003903).dt == 0.003903
-    with pytest.raises(InputError, match=r"dt is 0\.00390625 s"):
-        read_record(path, [0], "g", 0.00390625)
+def test_a_given_dt_may_be_finer_than_the_rounded_one_of_the_file(read, refuses):
+    text = "NPTS= 2, DT= .0039 SEC\n 1.0 2.0\n"
+    assert read(text, [0], "g", 0.003903).dt == 0.003903
+    refuses(r"dt is 0\.00390625 s", text, [0], "g", 0.00390625)
 
 
 DATA = Path(__file__).parents[3].parent / "shared" / "data"

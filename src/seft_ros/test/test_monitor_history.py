@@ -52,15 +52,6 @@ def test_an_envelope_bridges_what_is_missing():
     assert np.nanmax(envelope.high) == 2.0
 
 
-def test_an_hour_at_a_kilohertz_takes_no_more_memory_than_a_minute():
-    envelope = Envelope(1)
-    envelope.add(0, column([1.0]))
-    envelope.add(3_600_000, column([5.0]))
-    assert envelope.count <= 4096
-    assert envelope.size == 1024
-    assert envelope.high[-1, 0] == 5.0
-
-
 def test_signals_of_a_step_are_written_in_any_order_until_it_is_released():
     history = History(2, length=16)
     history.begin(0)

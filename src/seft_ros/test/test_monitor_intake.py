@@ -52,6 +52,8 @@ def intake():
 
 
 def recent(intake, part):
+    """What is shown of a signal once all that came has been taken in."""
+    intake.samples([[]], [])
     return intake.history.recent().values[:, part][:, 0]
 
 
@@ -69,14 +71,12 @@ def test_measured_and_reference_force_of_a_step_stand_together(intake):
 
 def test_of_previews_the_step_s_own_force_counts(intake):
     intake.samples([states(range(9))], forces(range(9), ahead=5))
-    intake.samples([[]], [])
     reference = recent(intake, intake.signals.reference["force"])
     np.testing.assert_allclose(reference, 4 * np.arange(9))
 
 
 def test_an_answer_before_its_question_is_two_clocks_and_not_shown(intake):
     intake.samples([states(range(9))], forces(range(9), late=-MS))
-    intake.samples([[]], [])
     assert np.isnan(recent(intake, intake.signals.answer)).all()
 
 
@@ -84,7 +84,6 @@ def test_the_exact_response_comes_with_the_motion(intake):
     intake.motion(motion(0, MOTION[:150]) + motion(150, MOTION[150:]))
     for start in range(0, 400, 40):
         intake.samples([states(range(start, start + 40))], [])
-    intake.samples([[]], [])
     wanted = reference_response(EXPERIMENT, MOTION)
     for name in ("displacement", "acceleration"):
         found = recent(intake, intake.signals.reference[name])
@@ -122,7 +121,6 @@ def test_who_comes_in_the_middle_shows_the_rest(intake):
     intake.motion(motion(0, np.resize(MOTION, (6000, 1))))  # latched; comes a little later
     intake.samples([states(range(5100, 5200))], [])  # some of the way to catch up
     intake.samples([states(range(5200, 5300))], [])
-    intake.samples([[]], [])
     found = recent(intake, intake.signals.reference["displacement"])
     assert np.isnan(found[:190]).all()
     assert np.isfinite(found[200:]).all()
@@ -135,7 +133,6 @@ def test_step_zero_begins_a_test_and_its_own_motion(intake):
     intake.samples([states(range(100, 200))], [])
     assert intake.number == 1
     intake.samples([states(range(60))], [])
-    intake.samples([[]], [])
     assert intake.number == 2
     assert intake.history.head == 60
     exact = 2 * reference_response(EXPERIMENT, MOTION).displacement[:60, 0]
@@ -193,6 +190,5 @@ def test_of_a_specimen_that_yields_the_response_is_said_to_be_near():
     intake.describe(load(*kind).sections)
     intake.motion(motion(0, MOTION))
     intake.samples([states(range(100))], [])
-    intake.samples([[]], [])
     assert "yields" in intake.reference_note
     assert np.isfinite(recent(intake, intake.signals.reference["displacement"])).all()

@@ -10,6 +10,8 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.monitor.server import Watch
 
 EXPERIMENT = load()
+CODEC = TrajectoryCodec(RIG_STATE, EXPERIMENT.axes, EXPERIMENT.timebase)
+DESCRIBED = json.dumps({"node": "rig", "parameters": EXPERIMENT.sections["rig"]})
 
 
 class Graph:
@@ -46,11 +48,9 @@ def test_each_look_tells_the_time_and_what_was_asked_for_too_long_ago_is_refused
 def test_a_page_that_is_open_is_told_that_another_test_begins():
     graph = Graph()
     watch = Watch(graph)
-    codec = TrajectoryCodec(RIG_STATE, EXPERIMENT.axes, EXPERIMENT.timebase)
-    described = {"node": "rig", "parameters": EXPERIMENT.sections["rig"]}
-    graph.send(DESCRIPTION, encode_string(json.dumps(described)))
+    graph.send(DESCRIPTION, encode_string(DESCRIBED))
     for step in range(30):
-        graph.send(RIG_STATE, codec.encode(step, np.zeros((5, 1))))
+        graph.send(RIG_STATE, CODEC.encode(step, np.zeros((5, 1))))
     watch.poll()
     numbers = []
     for state in ("done", "done", "idle", "ready", "running"):
@@ -64,14 +64,12 @@ def test_a_page_that_is_open_is_told_that_another_test_begins():
 def test_samples_wait_for_the_description_that_they_are_read_with():
     graph = Graph()
     watch = Watch(graph)
-    codec = TrajectoryCodec(RIG_STATE, EXPERIMENT.axes, EXPERIMENT.timebase)
     for step in range(30):
-        graph.send(RIG_STATE, codec.encode(step, np.zeros((5, 1))))
+        graph.send(RIG_STATE, CODEC.encode(step, np.zeros((5, 1))))
         if step < 20:
             watch.poll()
     assert watch.intake is None
-    described = {"node": "rig", "parameters": EXPERIMENT.sections["rig"]}
-    graph.send(DESCRIPTION, encode_string(json.dumps(described)))
+    graph.send(DESCRIPTION, encode_string(DESCRIBED))
     watch.poll()
     assert watch.intake.number == 1
     assert (watch.intake.history.recent().first, watch.intake.history.head) == (0, 30)

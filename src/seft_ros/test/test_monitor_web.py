@@ -61,9 +61,14 @@ def serving(scenario, rights=None, local_only=True, everything=lambda: ["all"]):
     asyncio.run(run())
 
 
-def post(path, origin=None, **options):
-    headers = {"Origin": origin} if origin else {}
+def post(path, origin=None, headers=None, **options):
+    headers = ({"Origin": origin} if origin else {}) | (headers or {})
     return {"path": path, "method": "POST", "body": "", "headers": headers, **options}
+
+
+def cookie_of(answer):
+    """Header with which a browser that got this answer asks from then on."""
+    return {"Cookie": answer.headers["Set-Cookie"].split(";")[0]}
 
 
 def test_the_page_comes_with_all_it_needs_and_may_load_nothing_else():
@@ -107,13 +112,8 @@ def test_a_page_for_this_host_has_no_other_name(host):
 
 def test_only_the_page_itself_presses_buttons():
     async def scenario(ask, _, calls):
-        for origin in (
-            None,
-            "null",
-            "http://evil.example",
-            "http://127.0.0.1",
-            "http://localhost:1",
-        ):
+        others = ("null", "http://evil.example", "http://127.0.0.1", "http://localhost:1")
+        for origin in (None, *others):
             assert (await ask(**post("/service/stop", origin))).code == 403
         assert (await ask("/service/stop")).code == 405
         assert not calls
@@ -154,12 +154,10 @@ def test_a_token_in_the_address_becomes_a_cookie():
         assert (answer.code, answer.headers["Location"]) == (302, "/")
         cookie = answer.headers["Set-Cookie"]
         assert "HttpOnly" in cookie and "SameSite=Strict" in cookie
-        known = {"Cookie": cookie.split(";")[0]}
+        known = cookie_of(answer)
         assert (await ask("/", headers=known)).code == 200
         assert (await ask("/", headers={"Authorization": "Bearer secret"})).code == 200
-        asked = post("/service/stop", ask.own)
-        asked["headers"] |= known
-        assert (await ask(**asked)).code == 200
+        assert (await ask(**post("/service/stop", ask.own, known))).code == 200
         assert calls == ["stop"]
 
     serving(scenario, {"secret": CONTROL}, local_only=False)
@@ -168,14 +166,14 @@ def test_a_token_in_the_address_becomes_a_cookie():
 def test_a_wrong_token_is_told_and_the_next_has_to_wait_but_not_who_has_a_cookie():
     async def scenario(ask, *_):
         assert b"wrong" not in (await ask("/")).body
-        cookie = (await ask("/?token=secret")).headers["Set-Cookie"].split(";")[0]
+        known = cookie_of(await ask("/?token=secret"))
         wrong = await ask("/?token=guess")
         assert (wrong.code, b"this token is wrong." in wrong.body) == (401, True)
         early = await ask("/?token=secret")
         assert (early.code, early.headers["Retry-After"]) == (429, "1")
         assert b"wait 1 s" in early.body and b"<form" in early.body
-        assert (await ask("/", headers={"Cookie": cookie})).code == 200
-        assert (await ask("/?token=secret", headers={"Cookie": cookie})).code == 302
+        assert (await ask("/", headers=known)).code == 200
+        assert (await ask("/?token=secret", headers=known)).code == 302
         ask.now += 1.0
         assert (await ask("/?token=secret")).code == 302
 
@@ -218,9 +216,7 @@ def test_who_sends_halves_of_requests_keeps_nobody_out():
             halves[-1][1].write(b"POST /service/estop HTTP/1.1\r\nHost: ")
         for reader, _ in halves[:MOST]:
             assert await reader.read() == b""  # the oldest are closed
-        asked = post("/service/estop", ask.own)
-        asked["headers"] |= headers
-        assert (await ask(**asked)).code == 200
+        assert (await ask(**post("/service/estop", headers=headers))).code == 200
         assert calls == ["estop"]
         assert len(pages) == 1
         page.close()
@@ -246,8 +242,7 @@ def test_a_large_body_is_not_waited_for():
 
 def test_the_cookie_is_not_the_token():
     async def scenario(ask, *_):
-        cookie = (await ask("/?token=secret")).headers["Set-Cookie"].split(";")[0]
-        name = cookie.split("=")[0]
+        name = cookie_of(await ask("/?token=secret"))["Cookie"].split("=")[0]
         assert (await ask("/", headers={"Cookie": f"{name}=secret"})).code == 401
 
     serving(scenario, {"secret": CONTROL}, local_only=False)
@@ -255,14 +250,11 @@ def test_the_cookie_is_not_the_token():
 
 def test_a_token_to_watch_shows_all_and_presses_nothing():
     async def scenario(ask, pages, calls):
-        answer = await ask("/?token=look")
-        known = {"Cookie": answer.headers["Set-Cookie"].split(";")[0]}
+        known = cookie_of(await ask("/?token=look"))
         assert (await ask("/", headers=known)).code == 200
         assert (await ask("/figures.json", headers=known)).code == 200
         for service in ("start", "stop", "estop", "reset"):
-            asked = post(f"/service/{service}", ask.own)
-            asked["headers"] |= known
-            answer = await ask(**asked)
+            answer = await ask(**post(f"/service/{service}", ask.own, known))
             assert answer.code == 403
             assert b"may watch, but not control" in answer.body
         assert not calls

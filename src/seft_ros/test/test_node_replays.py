@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from bags_at_hand import write_stock_bag
 from experiments_at_hand import load
+from records_at_hand import without
 from rosbags.rosbag2 import Reader
 from seft_msgs_py.wire.messages import Status, encode_status
 from seft_msgs_py.wire.topics import EXPERIMENT_STATE, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
@@ -18,29 +19,34 @@ from seft_ros.replay.recorded_test import Recorded, read_recorded
 from seft_ros.test_run.compiled_loop import LoopSamples, build_blocks
 from seft_ros.test_run.offline import loop_series, simulate_test
 
-
-@pytest.fixture
-def experiment():
-    words = ("ground_motion:synthetic.duration:=1.0", "ground_motion:tail:=0.1")
-    return load(*words, "rig:actuator.kind:=servo_hydraulic_linear")
-
-
-@pytest.fixture
-def blocks(experiment):
-    return build_blocks(experiment)
+EXPERIMENT = load(
+    *("ground_motion:synthetic.duration:=1.0", "ground_motion:tail:=0.1"),
+    "rig:actuator.kind:=servo_hydraulic_linear",
+)
 
 
 @pytest.fixture
-def record(experiment, blocks):
-    return simulate_test(experiment, blocks)
+def blocks():
+    return build_blocks(EXPERIMENT)
 
 
-def write(path, record, blocks):
-    write_record(record, path, ground_motion=blocks.ground_motion.chunks)
-    return path
+@pytest.fixture
+def record(blocks):
+    return simulate_test(EXPERIMENT, blocks)
 
 
-def held_test(experiment, blocks, held):
+@pytest.fixture
+def bag_of(tmp_path, blocks):
+    """Write a record as a bag; gives its path."""
+
+    def bag_of(record, name="bag"):
+        write_record(record, tmp_path / name, ground_motion=blocks.ground_motion.chunks)
+        return tmp_path / name
+
+    return bag_of
+
+
+def held_test(blocks, held):
     """A test in which the command of step ``held[k]`` was applied after step k."""
     rig = blocks.rig
     steps = blocks.ground_motion.steps
@@ -54,13 +60,12 @@ def held_test(experiment, blocks, held):
     states = np.array(states)
     course = LoopSamples(states, states[:, :4], forces, commands, unused, unused, unused)
     series = loop_series(motion, course, steps)
-    return Record(experiment, series, missed=len(held), missed_steps=sorted(held))
+    return Record(EXPERIMENT, series, missed=len(held), missed_steps=sorted(held))
 
 
-def test_a_changed_parameter_is_told_by_step_field_and_values(seft, record, blocks, tmp_path):
-    bag = write(tmp_path / "bag", record, blocks)
+def test_a_changed_parameter_is_told_by_step_field_and_values(seft, record, bag_of):
     words = ("--node", "force_controller", "-p", "force_controller:numerator:=[38.0]")
-    status, out, _ = seft("replay", bag, *words, "--json")
+    status, out, _ = seft("replay", bag_of(record), *words, "--json")
     result = json.loads(out)
     first = result["first_difference"]
     commands = record.series[VALVE_COMMAND.name].values[:, 0, 0]
@@ -81,19 +86,12 @@ def test_a_changed_parameter_is_told_by_step_field_and_values(seft, record, bloc
         {30: 29, 31: 30, 32: 31, 60: 59, 61: 59, 62: 61},
     ],
 )
-def test_commands_that_a_rig_says_it_applied_are_replayed(experiment, blocks, held):
-    record = held_test(experiment, blocks, held)
+def test_commands_that_a_rig_says_it_applied_are_replayed(blocks, held):
+    record = held_test(blocks, held)
     replay = RigReplay(Recorded(record, [], {}))
-    states, _ = replay.computed(experiment["rig"])
+    states, _ = replay.computed(EXPERIMENT["rig"])
     assert replay.notes == []
     np.testing.assert_array_equal(states.values, record.series[RIG_STATE.name].values)
-
-
-def lacking(record, topic, step):
-    series = record.series[topic.name]
-    kept = series.steps != step
-    fewer = Series(series.steps[kept], series.values[kept])
-    return replace(record, series={**record.series, topic.name: fewer})
 
 
 @pytest.mark.parametrize(
@@ -104,32 +102,29 @@ def lacking(record, topic, step):
         ("force_controller", REFERENCE_FORCE, "lacks reference_force of step 40"),
     ],
 )
-def test_what_was_told_and_is_not_in_the_bag_is_named(
-    seft, record, blocks, tmp_path, node, topic, told
-):
-    bag = write(tmp_path / "bag", lacking(record, topic, 40), blocks)
+def test_what_was_told_and_is_not_in_the_bag_is_named(seft, record, bag_of, node, topic, told):
+    bag = bag_of(without(record, topic.name, [40]))
     status, _, errors = seft("replay", bag, "--node", node)
     line = errors.strip().splitlines()[-1]
     assert status == 2
     assert told in line
 
 
-def test_a_rig_is_replayed_until_a_sample_is_not_in_the_bag(seft, record, blocks, tmp_path):
-    bag = write(tmp_path / "bag", lacking(record, RIG_STATE, 40), blocks)
-    status, out, _ = seft("replay", bag, "--node", "rig", "--json")
-    result = json.loads(out)
-    assert (status, result["steps"]) == (0, 40)
-    assert result["notes"] == ["replayed until step 39: rig/state of the next is not in the bag"]
-
-
-def test_an_answer_that_was_lost_by_the_recorder_is_given_all_the_same(
-    seft, record, blocks, tmp_path
+@pytest.mark.parametrize(
+    ("node", "topic", "steps", "note"),
+    [
+        ("rig", RIG_STATE, 40, "replayed until step 39: rig/state of the next is not in the bag"),
+        ("reference_force", REFERENCE_FORCE, None, "the bag lacks the recorded answer: step 40"),
+    ],
+)
+def test_a_rig_is_replayed_until_a_sample_is_lost_and_an_answer_that_was_lost_is_given(
+    seft, record, blocks, bag_of, node, topic, steps, note
 ):
-    bag = write(tmp_path / "bag", lacking(record, REFERENCE_FORCE, 40), blocks)
-    status, out, _ = seft("replay", bag, "--node", "reference_force", "--json")
+    bag = bag_of(without(record, topic.name, [40]))
+    status, out, _ = seft("replay", bag, "--node", node, "--json")
     result = json.loads(out)
-    assert (status, result["steps"]) == (0, blocks.ground_motion.steps - 1)
-    assert result["notes"] == ["the bag lacks the recorded answer: step 40"]
+    assert (status, result["notes"]) == (0, [note])
+    assert result["steps"] == (steps or blocks.ground_motion.steps - 1)
 
 
 @pytest.mark.parametrize(
@@ -140,24 +135,21 @@ def test_an_answer_that_was_lost_by_the_recorder_is_given_all_the_same(
         (["--node", "rig", "-p", "supervisor:peers:=[rig]"], "the replay is to rig alone"),
     ],
 )
-def test_wrong_words_are_refused_in_one_line(seft, record, blocks, tmp_path, words, told):
-    bag = write(tmp_path / "bag", record, blocks)
-    status, _, errors = seft("replay", bag, *words)
+def test_wrong_words_are_refused_in_one_line(seft, record, bag_of, words, told):
+    status, _, errors = seft("replay", bag_of(record), *words)
     assert status == 2
     assert told in errors.strip().splitlines()[-1]
 
 
 def test_a_bag_that_begins_in_the_middle_or_has_two_tests_is_refused(
-    seft, record, blocks, tmp_path
+    seft, record, bag_of, tmp_path
 ):
     states = record.series[RIG_STATE.name]
     late = Series(states.steps[5:], states.values[5:])
     middle = replace(record, series={**record.series, RIG_STATE.name: late})
-    bag = write(tmp_path / "middle", middle, blocks)
-    status, _, errors = seft("replay", bag)
+    status, _, errors = seft("replay", bag_of(middle, "middle"))
     assert (status, "the bag begins at step 5" in errors) == (2, True)
-    write(tmp_path / "one", record, blocks)
-    with Reader(tmp_path / "one") as reader, BagWriter(tmp_path / "two") as writer:
+    with Reader(bag_of(record, "one")) as reader, BagWriter(tmp_path / "two") as writer:
         for state in ("running", "done", "idle", "running"):
             raw = encode_status(Status("experiment", 0, state))
             writer.write(EXPERIMENT_STATE, raw, reader.start_time)
@@ -175,7 +167,7 @@ def stock_recording(*bags):
     write_stock_bag(bags[-1], sorted(messages, key=lambda message: message[2]), "sqlite3")
 
 
-def test_motion_beyond_the_end_of_the_test_is_read_for_previews(record, blocks, tmp_path):
-    recorded = read_recorded(write(tmp_path / "bag", record, blocks))
+def test_motion_beyond_the_end_of_the_test_is_read_for_previews(record, blocks, bag_of):
+    recorded = read_recorded(bag_of(record))
     last = max(first + len(values) for first, values in recorded.chunks)
     assert last > blocks.ground_motion.steps

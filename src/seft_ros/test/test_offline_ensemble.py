@@ -6,8 +6,8 @@ Of all laws of specimens, which both call, and of what is drawn: test_local_draw
 from collections import Counter
 
 import experiments_at_hand
-import numpy as np
 import pytest
+from records_at_hand import assert_same_samples
 from seft_plant_sim import compiled as machine_code
 from seft_ros.force_controller.force_control import ControlInputs
 from seft_ros.force_controller.interlock import Interlock
@@ -118,15 +118,7 @@ def alike(found, wanted):
     assert found.trip == wanted.trip
     assert found.saturation == wanted.saturation
     assert found.simulated == wanted.simulated
-    assert found.series.keys() == wanted.series.keys()
-    for name, series in wanted.series.items():
-        assert np.array_equal(found.series[name].steps, series.steps)
-        assert np.array_equal(found.series[name].values, series.values, equal_nan=True), name
-    assert (found.estimates is None) == (wanted.estimates is None)
-    if wanted.estimates is not None:
-        assert found.estimates.names == wanted.estimates.names
-        assert np.array_equal(found.estimates.steps, wanted.estimates.steps)
-        assert np.array_equal(found.estimates.values, wanted.estimates.values)
+    assert_same_samples(found, wanted)
 
 
 def plain(monkeypatch, experiment):

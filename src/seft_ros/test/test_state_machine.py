@@ -72,11 +72,6 @@ def send(machine, event):
     return getattr(machine, name)(*arguments)
 
 
-def test_a_test_begins_idle():
-    machine = StateMachine()
-    assert (machine.state, machine.detail, machine.step) == (State.IDLE, "starting", None)
-
-
 @pytest.mark.parametrize(("state", "event"), list(itertools.product(State, EVENTS)))
 def test_every_event_in_every_state(state, event):
     machine = machine_in(state)

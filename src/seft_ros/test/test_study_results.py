@@ -1,14 +1,13 @@
 """What is made of the outcomes of tests, which are made up here."""
 
 import math
-from io import StringIO
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rich.console import Console
+from records_at_hand import shown
 from scipy.stats import spearmanr
 from seft_ros.study.drawn_tests import DrawnTests
 from seft_ros.study.study_page import headline, study_notes, study_texts, write_study
@@ -140,9 +139,8 @@ def test_the_terminal_shows_each_method_and_names_what_is_missing():
     errors = {"linear_acceleration": [0.3, 0.1234, 0.5], "none": [LOST, 0.2, LOST]}
     missing = {"not_possible": {"lacking": "no delay"}, "obstacles": {"none": "several rigs"}}
     summary = summary_of(errors, **missing)
-    console = Console(width=100, file=StringIO())
-    console.print(study_texts(summary, "title")[1])
-    text = " ".join(console.file.getvalue().replace("│", " ").split())
+    table = shown([study_texts(summary, "title")[1]], width=100)
+    text = " ".join(table.replace("│", " ").split())
     assert "linear_acceleration 1 30.0 % 12.3 % 50.0 % 50.0 % 50.0 % 0 %" in text
     assert "none 1 unstable 20.0 % unstable unstable unstable 50.0 %" in text
     assert study_notes(summary) == [

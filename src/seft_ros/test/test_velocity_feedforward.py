@@ -4,11 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from bare_rig import section_of
+from experiments_at_hand import load
 from scipy.integrate import solve_ivp
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.topics import Timebase
-from seft_ros.force_controller.force_controller_parameters import FORCE_CONTROLLER_TABLE
 from seft_ros.force_controller.valve_model import ValveModel
 from seft_ros.force_controller.velocity_feedforward import (
     FEEDBACK,
@@ -75,15 +73,10 @@ def controller(*args, **valve):
 
 
 def feedforward(told=1.0, limit=10.0, horizon=25, **valve):
-    actuator = {"flow_gain": 0.04 * told, "oil_stiffness": 1.66e7, "leakage": 50.0}
-    actuator |= {"force_capacity": 24500.0, "valve_frequency": 70.0, "valve_damping": 0.6}
-    actuator |= {"dead_time": 0.001} | valve
-    noise = {"position": 5e-6, "velocity": 1e-3, "acceleration": 0.05, "force": 3.0}
-    given = {"voltage_limit": limit, "horizon": horizon * DT}
-    given |= {f"actuator.{name}": value for name, value in actuator.items()}
-    given |= {f"noise.{name}": value for name, value in noise.items()}
-    section = section_of(FORCE_CONTROLLER_TABLE, **given)
-    return VelocityFeedforward(section, ("x",), Timebase.from_rate(1 / DT))
+    given = {"voltage_limit": limit, "horizon": horizon * DT, "actuator.flow_gain": 0.04 * told}
+    given |= {f"actuator.{name}": value for name, value in valve.items()}
+    test = load(*(("force_controller", *item) for item in given.items()), config="demo")
+    return VelocityFeedforward(test["force_controller"], test.axes, test.timebase)
 
 
 def drive_piston(arrays, steps=3000, gain=0.04, offset=0.0):
