@@ -271,10 +271,3 @@ def test_a_rig_zeroes_its_sensors_at_rest_but_not_what_goes_wrong_later(told):
     assert abs(mean - 5.0) < 4 * 3.0 / np.sqrt(500.0)
     np.testing.assert_allclose(found[:, :F], sound[:, :F], rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(found[:, F] - sound[:, F], 5.0 - mean, rtol=0.0, atol=1e-9)
-
-
-def test_without_errors_a_rig_subtracts_nothing():
-    noise = dict.fromkeys(("sensors__position_noise", "sensors__force_noise"), 1e-3)
-    quiet = [rig_section(**noise, calibration__zeroing=seconds) for seconds in (0.0, 1.0)]
-    one, other = (Rig.from_parameters(s, ("x",), Timebase.from_rate(500.0)).reset() for s in quiet)
-    np.testing.assert_array_equal(one, other)
