@@ -90,11 +90,6 @@ def test_numbers_are_numbers_however_they_are_written(load, text):
     assert isinstance(experiment["rig"]["specimen.mass"], float)
 
 
-def test_dotted_and_nested_names_are_the_same(load):
-    nested, dotted = in_rig("specimen: {mass: 4}"), in_rig("specimen.mass: 4")
-    assert load(nested).sections == load(dotted).sections
-
-
 @pytest.mark.parametrize(
     ("text", "told"),
     [
