@@ -33,7 +33,13 @@ def batches(draw):
         shape = (points, len(sender.topic.quantities), len(axes))
         values = draw(arrays(np.float64, shape, elements=FINITE))
         raw = sender.encode_points(draw(st.integers(0, 10**9)), values)
-        raws.append(damaged(draw(st.data()), raw) if draw(st.integers(0, 2)) == 0 else raw)
+        match draw(st.sampled_from(["good", "good", "good", "damaged", "nan"])):
+            case "damaged":
+                raw = damaged(draw(st.data()), raw)
+            case "nan":
+                at = draw(st.sampled_from(range(4, len(raw) - 7, 8)))
+                raw = raw[:at] + np.float64(np.nan).tobytes() + raw[at + 8 :]
+        raws.append(raw)
     return codec, raws
 
 
