@@ -173,11 +173,6 @@ def test_an_unknown_parameter_that_is_like_none_gets_no_hint():
     assert nearest("x", []) == ""
 
 
-def test_checking_fills_in_nothing():
-    assert TABLE.check({"seed": 3}) == {"seed": 3}
-    assert TABLE.check({}) == {}
-
-
 def test_rate_and_axes_are_of_every_node():
     assert list(TABLE.rows)[:2] == ["rate", "axes"]
     assert TABLE.check({"rate": 500, "axes": ["x"]}) == {"rate": 500.0, "axes": ["x"]}

@@ -55,15 +55,6 @@ def test_a_filter_has_the_gain_and_phase_of_a_butterworth_low_pass(hz):
     assert filtered.drive == model.drive
 
 
-def test_the_specimen_does_not_feel_its_sensors():
-    model = delayed_force(PAIR, 0.0)
-    filtered = behind(model, 1.1, [[1.0, 0.1], [0.0, 1.0]], 0.001, CUTOFF)
-    size = len(model.a)
-    np.testing.assert_array_equal(filtered.a[:size, :size], model.a)
-    assert not filtered.a[:size, size:].any()
-    np.testing.assert_array_equal(filtered.c[:, :size], model.c)
-
-
 def test_a_lag_of_whole_samples_is_a_shift_of_bits():
     section = rig_section(specimen__kind="friction", specimen__friction__force=60.0)
     model = continuous_model(section, ("x",))
