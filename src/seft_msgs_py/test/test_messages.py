@@ -142,12 +142,6 @@ def test_only_bytes_are_decoded(decode, raw):
         decode(raw)
 
 
-def test_a_sign_of_life_is_read_once():
-    raw = encode_status(Status("experiment", 0, "running", values={"steps": "7"}))
-    assert decode_status(raw) is decode_status(bytes(bytearray(raw)))
-    assert decode_status(bytearray(raw)) == decode_status(raw)
-
-
 AXES = ("north", "east")
 TIMEBASE = Timebase.from_rate(500.0)
 CODEC = EstimatesCodec(AXES, TIMEBASE)
