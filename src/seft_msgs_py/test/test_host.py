@@ -62,19 +62,16 @@ print(len(side_threads()), sum(name.startswith("dds.") for name in names))
 """
 
 
-def threads(wish):
-    """Priority and cores of each thread of a process that has applied a wish."""
-    names = (*OF_THE_LOOP, *ASIDE)
-    words = [sys.executable, "-c", THREADS, json.dumps({**WISH, **wish}), *names]
+def told_by(program, wish, *words):
+    """What a process of its own tells that has applied a wish."""
+    words = [sys.executable, "-c", program, json.dumps({**WISH, **wish}), *words]
     done = subprocess.run(words, capture_output=True, text=True, check=True)
     return json.loads(done.stdout)
 
 
 def ask(wish, how="as we are"):
-    """Apply realtime_parameters in a process of its own."""
-    words = [sys.executable, "-c", PROGRAM, json.dumps({**WISH, **wish}), how]
-    done = subprocess.run(words, capture_output=True, text=True, check=True)
-    return json.loads(done.stdout)
+    """What is denied and granted."""
+    return told_by(PROGRAM, wish, how)
 
 
 def test_without_wishes_nothing_changes():
@@ -132,7 +129,8 @@ def test_threads_of_the_middleware_that_no_message_passes_leave_the_core_and_giv
     priority, aside
 ):
     cores = sorted(os.sched_getaffinity(0))
-    found = threads({"cpu_core": cores[0], "thread_priority": priority})
+    wish = {"cpu_core": cores[0], "thread_priority": priority}
+    found = told_by(THREADS, wish, *OF_THE_LOOP, *ASIDE)
     for name, where in found.items():
         assert where == ([aside, cores] if name in ASIDE else [priority, cores[:1]])
 

@@ -232,13 +232,6 @@ def test_a_default_of_a_pattern_is_the_largest_value_of_all_that_match(given_val
         resolve({"a": tables["a"]}, {"b": {"late_x": 1.0, "late_y": "much"}}, ["a"])
 
 
-def test_a_value_comes_from_a_node_without_a_table_and_is_checked():
-    tables = chained("elsewhere:x")
-    assert resolve(tables, {"elsewhere": {"x": 4}})["a"]["x"] == 4.0
-    with pytest.raises(InputError, match='a: x is "text", but must be a number'):
-        resolve(tables, {"elsewhere": {"x": "text"}})
-
-
 def test_a_parameter_that_must_be_given_is_named_with_its_meaning():
     for tables in (chained(""), chained("elsewhere:x"), chained("b:x", "")):
         with pytest.raises(InputError, match=r"a: x must be given \(an x, kg\)"):

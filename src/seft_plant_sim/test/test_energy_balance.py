@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 import springs_at_hand
-from bare_rig import BareRig, rig_section
+from bare_rig import BareRig, driven, rig_section
 from seft_msgs_py.config.parameter_table import group
 from seft_plant_sim.rig import continuous_model
 from seft_plant_sim.specimen import Specimen, energy_balance
@@ -27,8 +27,8 @@ def shaken_rig(commands, law, kind="servo_hydraulic", specimen=None, **actuator)
     section = rig_section(**values, **{f"actuator.{name}": own for name, own in actuator.items()})
     axes = ("x", "y")[: commands.shape[1]]
     plant = BareRig(continuous_model(section, axes), DT)
-    samples = np.array([plant.reset(), *(plant.step(command) for command in commands)])[:, :4]
-    return Specimen.from_parameters(group(section, "specimen"), axes, "rig: specimen"), samples
+    specimen = Specimen.from_parameters(group(section, "specimen"), axes, "rig: specimen")
+    return specimen, driven(plant, commands)[:, :4]
 
 
 def drive_of(kind, axes=1):

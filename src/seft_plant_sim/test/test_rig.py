@@ -2,7 +2,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bare_rig import rig_section
+from bare_rig import driven, make_rig, rig_section
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.outcome import Simulated
 from seft_msgs_py.wire.topics import Timebase
@@ -10,11 +10,6 @@ from seft_plant_sim.rig import Rig, left_open
 from seft_plant_sim.rig_parameters import RIG_TABLE
 
 TIMEBASE = Timebase.from_rate(500.0)
-
-
-def rig(axes=("x",), **values):
-    """Rig of these parameters; a double underscore stands for a dot."""
-    return Rig.from_parameters(rig_section(**values), axes, TIMEBASE)
 
 
 @pytest.mark.parametrize(
@@ -26,15 +21,14 @@ def rig(axes=("x",), **values):
     ],
 )
 def test_each_kind_obeys_its_drive_after_its_delay(kind, drive, force_at):
-    one = rig(actuator__kind=kind, actuator__delay=0.01, actuator__dead_time=0.003)
+    one = make_rig(actuator__kind=kind, actuator__delay=0.01, actuator__dead_time=0.003)
     assert one.drive == drive
-    one.reset()
-    moved = [one.step(np.ones(1))[3, 0] for _ in range(10)]
-    assert np.flatnonzero(moved)[0] + 1 == force_at
+    force = driven(one, np.ones(10))[:, 3, 0]
+    assert np.flatnonzero(force)[0] == force_at
 
 
 def test_a_violation_is_that_of_the_last_sample_as_measured():
-    one = rig(actuator__kind="ideal", limits__force=100.0)
+    one = make_rig(actuator__kind="ideal", limits__force=100.0)
     one.reset()
     for force in (101.0, 102.0):  # wrong samples, which are judged, do not last
         one.step(np.full(1, force))
@@ -46,7 +40,7 @@ def test_a_violation_is_that_of_the_last_sample_as_measured():
     one.step(np.full(1, -101.0))
     one.reset()
     assert one.violation is None
-    loud = rig(sensors__force_noise=1000.0, limits__force=1.0)
+    loud = make_rig(sensors__force_noise=1000.0, limits__force=1.0)
     loud.reset()
     for _ in range(2):
         loud.step(np.zeros(1))
@@ -55,10 +49,8 @@ def test_a_violation_is_that_of_the_last_sample_as_measured():
 
 def test_what_is_at_the_end_of_its_range_is_counted_until_a_reset():
     ranges = {"sensors__force_range": 100.0, "sensors__acceleration_range": 1.0}
-    one = rig(("x", "y"), actuator__kind="ideal", **ranges)
-    one.reset()
-    for force in (50.0, 101.0, -200.0, 10.0, 300.0):
-        one.step(np.full(2, force))  # 50 N on 52.7 kg are 0.95 m/s^2
+    one = make_rig(("x", "y"), actuator__kind="ideal", **ranges)
+    driven(one, np.outer([50.0, 101.0, -200.0, 10.0, 300.0], np.ones(2)))  # 50 N: 0.95 m/s^2
     counted = {"samples": 3, "first_step": 2}  # however many axes are at the end
     before = one.saturation
     assert before == {"force_range": counted, "acceleration_range": counted}
@@ -69,7 +61,7 @@ def test_what_is_at_the_end_of_its_range_is_counted_until_a_reset():
 
 def test_a_test_that_is_blind_for_long_ends_with_the_reason():
     ranges = {"sensors__force_range": 10.0, "sensors__acceleration_range": 0.1}
-    one = rig(actuator__kind="ideal", limits__saturated_time=0.01, **ranges)
+    one = make_rig(actuator__kind="ideal", limits__saturated_time=0.01, **ranges)
     one.reset()
     told = []
     for _ in range(6):
@@ -88,12 +80,12 @@ def test_a_test_that_is_blind_for_long_ends_with_the_reason():
 JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"  # wherever it runs, as by colcon test
 
 
-def moving_rig(*overrides, axes=("x",)):
+def moving_rig(*overrides, axes=("x",), steps=200):
     given = [("/**", "axes", list(axes)), *overrides]
     experiment = Experiment.load([RIG_TABLE], [JHU], given, nodes=["rig"])
     rig = Rig.from_parameters(experiment["rig"], experiment.axes, experiment.timebase)
     rig.reset()
-    for step in range(200):
+    for step in range(steps):
         rig.step(np.full(len(axes), 5.0 * np.sin(2 * np.pi * 5.0 * 0.002 * step)))
     return rig
 
@@ -142,10 +134,7 @@ def test_the_safe_position_is_that_of_the_parameters():
 
 
 def test_a_rig_at_rest_is_settled_at_once():
-    experiment = Experiment.load([RIG_TABLE], [JHU], [], nodes=["rig"])
-    rig = Rig.from_parameters(experiment["rig"], experiment.axes, experiment.timebase)
-    rig.reset()
-    assert rig.stop().steps == 10
+    assert moving_rig(steps=0).stop().steps == 10
 
 
 def test_the_largest_true_motion_is_known_without_noise_and_filters():

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from bare_rig import FRAME, BareRig, rig_section
+from bare_rig import FRAME, BareRig, driven, make_rig, rig_section
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.topics import Timebase, rigs_of
+from seft_msgs_py.wire.topics import rigs_of
 from seft_plant_sim.continuous_model import delayed_force
 from seft_plant_sim.rig import Rig, continuous_model
 from seft_plant_sim.rig_parameters import RIG_TABLE
@@ -59,11 +59,8 @@ def test_a_lag_of_whole_samples_is_a_shift_of_bits():
     section = rig_section(specimen__kind="friction", specimen__friction__force=60.0)
     model = continuous_model(section, ("x",))
     commands = np.random.default_rng(1).normal(size=(200, 1))
-    own, late = (BareRig(one, DT) for one in (model, behind(model, lag=3 * DT)))
-    own, late = (
-        np.array([rig.reset(), *(rig.step(command) for command in commands)])[:, :4]
-        for rig in (own, late)
-    )
+    rigs = (BareRig(one, DT) for one in (model, behind(model, lag=3 * DT)))
+    own, late = (driven(rig, commands)[:, :4] for rig in rigs)
     np.testing.assert_array_equal(late[3:], own[:-3])
     assert not late[:3].any()
 
@@ -82,12 +79,10 @@ def test_a_lag_between_samples_is_the_motion_at_that_time(kind, tenths):
     model = continuous_model(section, ("x",))
     commands = np.random.default_rng(2).normal(size=(300, 1))
     late, fine = BareRig(behind(model, lag=tenths * DT / 10), DT), BareRig(model, DT / 10)
-    late.reset()
-    fine.reset()
-    found = np.array([late.step(command)[:4] for command in commands])
+    found = driven(late, commands)[1:, :4]
     # a command acts from the next sample on: here 9 fine samples later
     drives = np.vstack([np.zeros((9, 1)), np.repeat(commands, 10, axis=0)])
-    often = np.array([fine.step(command)[:4] for command in drives])
+    often = driven(fine, drives)[1:, :4]
     at = 10 * np.arange(1, 301) - tenths - 1
     known = at >= 0
     scale = np.abs(often).max(axis=0)
@@ -107,9 +102,7 @@ def test_scale_and_tilt_act_before_noise_bias_and_converter():
         given,
         {**given, **dict.fromkeys(words, 1.0), "sensors.force_bias": 0.0, "sensors.tilt": 0.0},
     ):
-        rig = Rig.from_parameters(rig_section(**values), ("x", "y"), Timebase.from_rate(500.0))
-        rig.reset()
-        both.append(np.array([rig.step(np.array([1.0, 0.5])) for _ in range(100)]))
+        both.append(driven(make_rig(("x", "y"), **values), np.tile([1.0, 0.5], (100, 1))))
     shown, true = both
     np.testing.assert_allclose(shown[:, F], 1.03 * true[:, F] + 5.0, rtol=1e-12)
     np.testing.assert_allclose(shown[:, [X, V]], true[:, [X, V]], rtol=1e-12, atol=1e-15)
@@ -119,9 +112,7 @@ def test_scale_and_tilt_act_before_noise_bias_and_converter():
 
 def test_a_derived_velocity_inherits_the_displacements_lag():
     def velocities(**values):
-        section = rig_section(sensors__velocity="derived", **values)
-        rig = Rig.from_parameters(section, ("x",), Timebase.from_rate(500.0))
-        return np.array([rig.reset(), *(rig.step(np.ones(1)) for _ in range(50))])[:, V]
+        return driven(make_rig(sensors__velocity="derived", **values), np.ones(50))[:, V]
 
     own, late = velocities(), velocities(sensors__position_lag=0.004, sensors__velocity_lag=0.5)
     np.testing.assert_array_equal(late[2:], own[:-2])
