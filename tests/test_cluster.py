@@ -6,15 +6,14 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 from threading import Thread
 
 import pytest
 from commands_at_hand import run_seft
+from graph_tools import JHU
 
 pytest.importorskip("distributed")
 pytestmark = [pytest.mark.thorough, pytest.mark.cluster]
-JHU = str(Path(__file__).parents[1] / "config" / "jhu.yaml")
 SHORT = ("-p", "ground_motion:synthetic.duration:=4", "-p", "ground_motion:tail:=0.5")
 
 

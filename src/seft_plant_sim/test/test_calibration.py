@@ -149,13 +149,6 @@ def test_what_is_no_number_or_at_the_end_of_the_range_comes_out_as_it_is_and_lea
         np.testing.assert_allclose(found[340:], sound[340:], atol=1e-9)
 
 
-def test_without_knowledge_nothing_is_done():
-    calibration, state = known(**{f"{name}_lag": 0.003 for name in CHANNELS})  # all alike
-    assert not len(calibration.zero)
-    assert not len(state.measured)
-    assert nothing_known(1)[0].zero.shape == (0, 1)
-
-
 def test_errors_name_the_parameter():
     with pytest.raises(InputError, match=r"rig: calibration.force_scale is 0"):
         known(force_scale=0.0)

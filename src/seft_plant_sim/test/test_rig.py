@@ -84,9 +84,8 @@ def moving_rig(*overrides, axes=("x",), steps=200):
     given = [("/**", "axes", list(axes)), *overrides]
     experiment = Experiment.load([RIG_TABLE], [JHU], given, nodes=["rig"])
     rig = Rig.from_parameters(experiment["rig"], experiment.axes, experiment.timebase)
-    rig.reset()
-    for step in range(steps):
-        rig.step(np.full(len(axes), 5.0 * np.sin(2 * np.pi * 5.0 * 0.002 * step)))
+    swing = 5.0 * np.sin(2 * np.pi * 5.0 * 0.002 * np.arange(steps))
+    driven(rig, np.outer(swing, np.ones(len(axes))))
     return rig
 
 

@@ -77,10 +77,7 @@ def test_each_has_the_bits_of_its_node(more):
 def test_a_limit_that_one_breaks_is_the_violation_of_all():
     test = plan("rig:limits.displacement:=1.0e-4")
     together = Rigs(test)
-    together.reset()
-    assert together.violation is None
-    for _ in range(200):
-        together.step(np.array([0.0, 2.0, 0.0]))
+    driven(together, np.tile([0.0, 2.0, 0.0], (200, 1)))
     assert "axis east/x" in together.violation
 
 

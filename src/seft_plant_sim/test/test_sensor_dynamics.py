@@ -97,13 +97,9 @@ def test_scale_and_tilt_act_before_noise_bias_and_converter():
         "sensors.force_bias": 5.0,
     }
     given = {f"specimen.{name}": value for name, value in FRAME.items()} | words
-    both = []
-    for values in (
-        given,
-        {**given, **dict.fromkeys(words, 1.0), "sensors.force_bias": 0.0, "sensors.tilt": 0.0},
-    ):
-        both.append(driven(make_rig(("x", "y"), **values), np.tile([1.0, 0.5], (100, 1))))
-    shown, true = both
+    sound = dict.fromkeys(words, 1.0) | {"sensors.force_bias": 0.0, "sensors.tilt": 0.0}
+    rigs = (make_rig(("x", "y"), **values) for values in (given, given | sound))
+    shown, true = (driven(rig, np.tile([1.0, 0.5], (100, 1))) for rig in rigs)
     np.testing.assert_allclose(shown[:, F], 1.03 * true[:, F] + 5.0, rtol=1e-12)
     np.testing.assert_allclose(shown[:, [X, V]], true[:, [X, V]], rtol=1e-12, atol=1e-15)
     tilted = true[:, A] @ np.array([[1.0, 0.02], [-0.03, 1.0]]).T * [1.0, 2.0]
