@@ -5,6 +5,7 @@ import pytest
 from bare_rig import driven, make_rig, rig_section
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.calibration import (
+    AT_ONCE,
     as_published,
     calibrate,
     calibration_of,
@@ -103,6 +104,16 @@ def test_aligned_channels_have_one_phase(lags):
         apart = np.angle(amplitudes / expected) / (2 * np.pi * hz * DT)  # samples
         assert np.abs(apart).max() < 0.01
         assert np.angle(expected / latest) == pytest.approx(np.zeros(4), abs=0.02)
+
+
+def test_the_rest_of_a_wait_is_between_half_a_sample_and_three_halves():
+    for wait in np.linspace(0.5, 6.0, 56):
+        calibration, _ = known(force_lag=wait * DT)
+        rest = (1 - calibration.factor[X, 0]) / (1 + calibration.factor[X, 0])
+        assert calibration.whole[X, 0] + rest == pytest.approx(wait)
+        assert 0.5 - 1e-9 <= rest < 1.5 + 1e-9
+        assert abs(calibration.factor[X, 0]) <= 1.0 / 3.0 + 1e-9
+        assert calibration.whole[F, 0] == AT_ONCE
 
 
 def test_what_waits_keeps_the_steps_of_its_converter_and_repeats_what_repeats():
