@@ -1,7 +1,6 @@
 """What the tests of whole graphs share."""
 
 import contextlib
-import os
 import signal
 import time
 from collections.abc import Callable
@@ -69,11 +68,6 @@ def children(pid: int) -> dict[str, int]:
             if module in words or (COMPOSED in words and node in words):
                 found["".join([*below, node])] = int(entry.name)
     return found
-
-
-def kill(pid: int) -> None:
-    """End a process as the power would."""
-    os.kill(pid, signal.SIGKILL)
 
 
 def shared_memory(pid: int) -> list[str]:

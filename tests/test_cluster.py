@@ -6,15 +6,14 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 from threading import Thread
 
 import pytest
-from seft_ros.cli.main import main
+from commands_at_hand import run_seft
+from graph_tools import JHU
 
 pytest.importorskip("distributed")
 pytestmark = [pytest.mark.thorough, pytest.mark.cluster]
-JHU = str(Path(__file__).parents[1] / "config" / "jhu.yaml")
 SHORT = ("-p", "ground_motion:synthetic.duration:=4", "-p", "ground_motion:tail:=0.5")
 
 
@@ -52,27 +51,23 @@ def cluster(tmp_path):
             program.wait()
 
 
-def numbers(monkeypatch, capsys, folder, *words):
-    folder.mkdir(exist_ok=True)
-    monkeypatch.chdir(folder)
-    monkeypatch.setattr(sys, "argv", ["seft", "study", JHU, *SHORT, *words, "--json"])
-    status = main()
-    out, err = capsys.readouterr()
+def numbers(folder, *words):
+    folder.mkdir()
+    status, out, err = run_seft(folder, "study", JHU, *SHORT, *words, "--json")
     assert status == 0, err
     return json.loads(out)
 
 
 def test_a_cluster_gives_the_numbers_of_this_machine_and_a_killed_worker_loses_nothing(
-    cluster, monkeypatch, capsys, tmp_path
+    cluster, tmp_path
 ):
     address, workers = cluster
     record = tmp_path / "elsewhere.csv"  # the workers get what it holds, not its path
     record.write_text("".join(f"{(-1) ** (k // 25) * k / 800}\n" for k in range(800)))
     words = ("--tests", "300", "--motion", str(record), "-p", "ground_motion:dt:=0.005")
     words = (*words, "-p", "ground_motion:unit:=m/s2")
-    alone = numbers(monkeypatch, capsys, tmp_path / "alone", *words, "--workers", "1")
+    alone = numbers(tmp_path / "alone", *words, "--workers", "1")
     folder = tmp_path / "cluster"
-    folder.mkdir()
 
     def kill_one():
         for _ in range(20_000):
@@ -83,19 +78,17 @@ def test_a_cluster_gives_the_numbers_of_this_machine_and_a_killed_worker_loses_n
 
     killer = Thread(target=kill_one, daemon=True)
     killer.start()
-    spread = numbers(monkeypatch, capsys, folder, *words, "--scheduler", address)
+    spread = numbers(folder, *words, "--scheduler", address)
     killer.join()
     assert workers[0].wait(timeout=5) == -signal.SIGKILL
     assert spread == alone
     assert list(folder.glob("*.jsonl")) == []
 
 
-def test_a_worker_with_other_software_is_refused(cluster, monkeypatch, capsys, tmp_path):
+def test_a_worker_with_other_software_is_refused(cluster, monkeypatch, tmp_path):
     address, _ = cluster
     monkeypatch.setattr("seft_ros.study.workers.software", lambda: "another text")
-    monkeypatch.chdir(tmp_path)
-    words = ["seft", "study", JHU, *SHORT, "--tests", "2"]
-    monkeypatch.setattr(sys, "argv", [*words, "--scheduler", address])
-    assert main() == 2
-    told = capsys.readouterr().err
+    words = ("study", JHU, *SHORT, "--tests", "2", "--scheduler", address)
+    status, _, told = run_seft(tmp_path, *words)
+    assert status == 2
     assert "has other software" in told and "than this machine (another text)" in told

@@ -75,8 +75,7 @@ def test_installed_nodes_run_a_test(workspace, run, observer, tmp_path):
     assert (share / "launch" / "experiment.launch.py").is_file()
     ros = ["--ros-args", "--params-file", share / "config" / "jhu.yaml"]
     ros += [word for override in SHORT for word in ("-p", override)]
-    nodes = [run(found[node], *ros) for node in NODES if node not in ("rig", "force_controller")]
-    nodes.append(run(found["loop"], "--nodes", "rig", "force_controller", *ros))
+    nodes = [run(found[node], *ros) for node in NODES]
     wait_for(lambda: (observer.spin(0.05), observer.state == "ready")[1], "ready")
     assert observer.call("start")[0]
     wait_for(lambda: (observer.spin(0.05), observer.recorder_phase == "saved")[1], "saved")
@@ -88,17 +87,10 @@ def test_installed_nodes_run_a_test(workspace, run, observer, tmp_path):
     assert read_bag(tmp_path / "bags" / "bag").complete
 
 
-@pytest.mark.parametrize("name", ["rig", "force_controller", "seft"])
-def test_installed_executables_that_the_loop_stands_in_for_start(workspace, run, observer, name):
-    path = executables(workspace)[name]
-    if name == "seft":
-        out, errors = run(path, "simulate", "--help").communicate(timeout=PATIENCE)
-        assert "--out" in out
-        assert errors == ""
-        return
-    share = workspace / "install" / "seft_ros" / "share" / "seft_ros"
-    process = run(path, "--ros-args", "--params-file", share / "config" / "jhu.yaml")
-    wait_for(lambda: (observer.spin(0.05), observer.present() == [name])[1], "the node")
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=PATIENCE)
-    assert (process.returncode, problems(errors)) == (0, [])
+@pytest.mark.parametrize("words", [("loop", "--help"), ("seft", "simulate", "--help")])
+def test_installed_executables_beside_the_nodes_explain_themselves(workspace, run, words):
+    name, *options = words
+    process = run(executables(workspace)[name], *options)
+    out, errors = process.communicate(timeout=PATIENCE)
+    assert (process.returncode, errors) == (0, "")
+    assert "--" in out

@@ -6,13 +6,13 @@ import sys
 
 import numpy as np
 import pytest
+from commands_at_hand import run_seft
 from experiments_at_hand import load
 from graph_tools import DEMO, ROOT
 from local_tools import UNREHEARSED, assert_same, offline, perform
 from models_at_hand import MODELS
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.analysis.summary import summarise
-from seft_ros.cli.main import main
 from seft_ros.design import preflight_tables
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_verdict import predicted_modes
@@ -41,13 +41,13 @@ def example(name, *settings):
 
 
 @pytest.fixture
-def refused(capsys, monkeypatch):
+def refused(tmp_path):
     """Give the line with which `seft run` refuses a test before it starts anything."""
 
     def run(*words):
-        monkeypatch.setattr(sys, "argv", ["seft", "run", *map(str, words)])
-        assert main() == 2
-        return capsys.readouterr().err.strip().splitlines()[-1]
+        status, _, errors = run_seft(tmp_path, "run", *words)
+        assert status == 2
+        return errors.strip().splitlines()[-1]
 
     return run
 

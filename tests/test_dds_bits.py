@@ -4,7 +4,6 @@ All kinds of loops are compared in virtual time: test_local_drawn.py.
 """
 
 import numpy as np
-import pytest
 from graph_tools import BRIDGE, JHU, MISSES_ALLOWED, STALLS_ALLOWED, THOROUGH
 from local_tools import RIGS_NODES, TARGET_MOTION, TWO_AXES
 from seft_ros.bags.record_bag import read_bag
@@ -67,11 +66,10 @@ def test_realtime_in_one_process_differs_only_from_the_first_missed_command_on(
 
 
 @THOROUGH
-@pytest.mark.parametrize("arrangement", [("--composed",), ()], ids=["composed", "apart"])
-def test_two_rigs_give_the_bits_of_the_offline_loop(compiled, seft_json, arrangement):
+def test_two_rigs_give_the_bits_of_the_offline_loop(compiled, seft_json):
     words = (*SHORT, "-p", "reference_force:loop_delay:=5")
     compiled(BRIDGE, *words, nodes=RIGS_NODES)
     words = (BRIDGE, *words)
     seft_json("simulate", *words, "--out", "simulated")
-    seft_json("run", *words, *LOCKSTEP, *arrangement, "--out", "lockstep")
+    seft_json("run", *words, *LOCKSTEP, "--out", "lockstep")
     assert seft_json("compare", "simulated", "lockstep")["identical"] is True

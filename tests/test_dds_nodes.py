@@ -14,8 +14,7 @@ from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.node import Node
 from ros_domain import reserved_domain
 from seft_msgs_py.node.rclpy_interface import message_class, qos_profile
-from seft_msgs_py.wire.messages import Status, encode_status
-from seft_msgs_py.wire.topics import DIAGNOSTICS, EXPERIMENT_STATE, VALVE_COMMAND
+from seft_msgs_py.wire.topics import DIAGNOSTICS, VALVE_COMMAND
 from seft_ros.bags.record_bag import read_bag
 from seft_ros.nodes.supervisor_node import STOOD_STILL
 from seft_ros.test_run.processes import MODULES
@@ -167,53 +166,30 @@ def test_parameters_of_a_node_are_read_and_set_while_a_test_runs(graph):
         graph.until(asked.done, f"an answer of {node}")
         return asked.result()
 
-    def set_text(node, name, text):
-        value = ParameterValue(type=4, string_value=text)
-        fields = {"parameters": [Parameter(name=name, value=value)]}
-        (result,) = answer(node, SetParameters, "set_parameters", fields).results
-        return result.successful, result.reason
-
     for node in MODULES:
         found = answer(node, GetParameters, "get_parameters", {"names": ["rate"]})
         assert found.values[0].double_value == 500.0
-        successful, reason = set_text(node, "use_sim_time", "x")
-        assert not successful and reason
-    assert "read-only" in set_text("rig", "pace", "realtime")[1]
-    assert set_text("recorder", "name", "named") == (True, "")
-    assert 'on_loss is "zip", but must be one of' in set_text("recorder", "on_loss", "zip")[1]
+    for node, name, text in (("rig", "pace", "realtime"), ("recorder", "on_loss", "stop")):
+        value = ParameterValue(type=4, string_value=text)
+        fields = {"parameters": [Parameter(name=name, value=value)]}
+        (result,) = answer(node, SetParameters, "set_parameters", fields).results
+        assert result.successful == (node == "recorder")
     assert graph.observer.state == "running", graph.observer.values
     assert graph.observer.call("estop")[0]
     graph.until("tripped", "the end")
-    assert set_text("recorder", "name", "") == (True, "")
 
 
 def test_what_a_stranger_sends_is_not_obeyed_and_told_with_its_name(graph, hostile):
-    """That it changes no bit, and what is not valid: test_local_messages.py."""
+    """That it changes no bit, what else it may send, and what is logged: test_local_messages.py."""
     observer = graph.observer
     graph.begin()
-    commands, states = (
-        hostile.create_publisher(message_class(topic), topic.name, qos_profile(topic, depth=64))
-        for topic in (VALVE_COMMAND, EXPERIMENT_STATE)
-    )
-    heard = ((commands, 2), (states, 6))
-    graph.until(lambda: all(p.get_subscription_count() >= n for p, n in heard), "listeners")
+    quality = qos_profile(VALVE_COMMAND, depth=64)
+    commands = hostile.create_publisher(message_class(VALVE_COMMAND), VALVE_COMMAND.name, quality)
+    graph.until(lambda: commands.get_subscription_count() >= 2, "listeners")
     for _ in range(3000):  # more than the test's own has sent
         commands.publish(b"\0" * 8)
-    for state in ("idle", "done", "tripped"):
-        states.publish(encode_status(Status("experiment", 0, state, values={})))
-
-    def is_named():
-        """Whether each node tells of the stranger what it has refused of it."""
-        told_by = lambda node, text: text in graph.told[node].get("unexpected_publishers", "")  # noqa: E731
-        return told_by("rig", "/hostile on valve_command: ") and all(
-            told_by(node, "/hostile on experiment/state: 3")
-            for node in MODULES
-            if node != "supervisor"
-        )
-
-    graph.until(is_named, "the stranger's name")
+    told = lambda: graph.told["rig"].get("unexpected_publishers", "")  # noqa: E731
+    graph.until(lambda: "/hostile on valve_command: " in told(), "the stranger's name")
     assert observer.state == "running", observer.values
     assert observer.call("estop")[0]
     graph.until("tripped", "the end")
-    told = "/hostile publishes valve_command, too: this test ignores its messages"
-    assert graph.logs["rig"].read_text().count(told) == 1

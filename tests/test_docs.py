@@ -44,14 +44,6 @@ def test_every_compensation_method_is_in_both_tables_of_methods():
         assert len(re.findall(rf"^\| `{name}`", COMPENSATION.read_text(), re.MULTILINE)) >= 2
 
 
-def test_the_demo_uses_the_recommended_method_and_the_papers_experiment_none():
-    chosen = {
-        name: load(config=name)["reference_force"]["compensation.method"]
-        for name in ("demo", "jhu")
-    }
-    assert chosen == {"demo": "target_motion", "jhu": "none"}
-
-
 @pytest.mark.parametrize(
     ("column", "overrides"),
     [(1, []), (2, ["rig:actuator.kind:=delay", "rig:actuator.delay:=0.01"])],

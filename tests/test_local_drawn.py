@@ -6,11 +6,20 @@ import numpy as np
 import pytest
 from experiments_at_hand import load
 from graph_tools import JHU
-from local_tools import SHORT, TARGET_MOTION, TWO_AXES, UNREHEARSED, assert_same, offline
+from local_tools import (
+    SHORT,
+    TARGET_MOTION,
+    TWO_AXES,
+    UNREHEARSED,
+    assert_holds,
+    assert_same,
+    offline,
+)
 from seft_ros.test_run import offline as offline_loop
 from seft_ros.test_run.compiled_loop import build_blocks, why_not_compiled
 from seft_ros.test_run.offline import simulate_test
 
+MANY = (pytest.mark.thorough, pytest.mark.offline)
 SPECIMEN, RIG = "rig:specimen.", "rig:actuator."
 SPECIMENS = (
     ("kind:=linear",),
@@ -139,13 +148,6 @@ def drawn(seed):
     return words
 
 
-def assert_equal(a, b):
-    assert a.trip == b.trip
-    for topic, series in a.series.items():
-        np.testing.assert_array_equal(series.steps, b.series[topic].steps)
-        np.testing.assert_array_equal(series.values, b.series[topic].values)
-
-
 def check_nodes(local_graph, words):
     with local_graph(*words, UNREHEARSED, config=JHU) as graph:
         graph.until("ready")
@@ -164,7 +166,9 @@ def check_nodes(local_graph, words):
             assert record.trip.reason.startswith(detail)  # which also tells of a ramp before
 
 
-@pytest.mark.parametrize("seed", range(1, 25))
+@pytest.mark.parametrize(
+    "seed", [*range(1, 25), *(pytest.param(seed, marks=MANY) for seed in range(25, 150))]
+)
 def test_nodes_give_the_bits_of_the_offline_loop(local_graph, seed):
     check_nodes(local_graph, drawn(seed))
 
@@ -176,16 +180,7 @@ def test_so_they_do_of_what_is_not_drawn(local_graph, what, pace):
     check_nodes(local_graph, (*SHORT, ratio, *BESIDE[what], f"rig:pace:={pace}"))
 
 
-@pytest.mark.thorough
-@pytest.mark.offline
-@pytest.mark.parametrize("seed", range(25, 150))
-def test_nodes_give_the_bits_of_the_offline_loop_in_many_tests(local_graph, seed):
-    check_nodes(local_graph, drawn(seed))
-
-
-@pytest.mark.thorough
-@pytest.mark.offline
-@pytest.mark.parametrize("seed", range(1, 150))
+@pytest.mark.parametrize("seed", [pytest.param(seed, marks=MANY) for seed in range(1, 150)])
 def test_the_compiled_loop_gives_the_bits_of_the_plain_one(seed, monkeypatch):
     experiment = load(*drawn(seed))
     blocks, others = (build_blocks(experiment) for _ in range(2))
@@ -193,4 +188,6 @@ def test_the_compiled_loop_gives_the_bits_of_the_plain_one(seed, monkeypatch):
         return
     compiled = simulate_test(experiment, blocks, compiles=True)
     monkeypatch.setattr(offline_loop, "_compiles", lambda *_: False)
-    assert_equal(simulate_test(experiment, others), compiled)
+    plain = simulate_test(experiment, others)
+    assert plain.trip == compiled.trip
+    assert_holds(compiled, plain)

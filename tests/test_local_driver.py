@@ -42,19 +42,6 @@ def left_by(graph, own):
     return (f - own["specimen.mass"] * a - restoring).std()
 
 
-def test_a_driver_aligns_a_late_channel_and_the_loop_counts_its_lag(driver, monkeypatch):
-    from rig_driver import stand_in
-
-    for name, value in (("force_lag", 0.003), ("acceleration_lag", 0.0007)):
-        monkeypatch.setitem(stand_in._RIG, f"sensors.{name}", value)
-    words = ("rig:calibration.force_lag:=0.003", "rig:calibration.acceleration_lag:=0.0007")
-    graph = driver("ground_motion:peak_force:=400.0", *words)
-    perform(graph)
-    own, velocity = stand_in._RIG, graph.samples(RIG_STATE)[1][:, 1]
-    assert left_by(graph, own) < 6.0  # N, of which the noise is 4
-    assert 0.003 * own["specimen.stiffness"] * velocity.std() > 12.0  # what 3 ms change of that
-
-
 def shaken(driver, folder):
     """Shake the driver's rig for a short time, and evaluate that."""
     experiment = driver().experiment

@@ -85,22 +85,6 @@ def test_the_death_of_the_reference_force_is_a_hard_trip_by_default(running):
     assert at_rest(graph)
 
 
-def test_the_force_controller_trips_by_itself_when_the_rig_dies(running):
-    graph = running(
-        LONG,
-        "force_controller:watchdog.state_timeout:=3.0",
-        *(
-            f"{w}:=60.0"
-            for w in ("supervisor:watchdog.command_timeout", "supervisor:watchdog.peer_timeout")
-        ),
-    )
-    graph.kill("rig")
-    graph.until(lambda: graph.status("force_controller")["phase"] == "tripped", within=3.2)
-    assert graph.status("force_controller")["reason"].startswith(
-        "no rig/state for 3 s (the last is of step "
-    )
-
-
 def test_a_start_that_waited_while_the_supervisor_stood_still_is_refused(local_graph):
     graph = local_graph(UNREHEARSED, nodes=("supervisor", "ground_motion", "rig"))
     graph.until("ready")

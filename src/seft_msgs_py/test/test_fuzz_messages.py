@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from damaged_messages import damaged
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.errors import WireError
@@ -48,17 +49,7 @@ DECODERS = {
 LOOP_DECODERS = [codec.decode for codec in CODECS]
 assert CODECS[0].topic is GROUND_MOTION
 
-LENGTHS = st.sampled_from([b"\xff" * 4, b"\xff\xff\xff\x7f", b"\x00" * 4, b"\x01\x00\x00\x00"])
 few = settings(max_examples=60, suppress_health_check=list(HealthCheck))
-
-
-def damaged(data, good):
-    """Bytes of a good message, cut, longer, or with some of them or a length changed."""
-    raw = bytearray(good)
-    for at in data.draw(st.lists(st.integers(0, len(raw) - 1), max_size=6), "changed"):
-        raw[at : at + 4] = data.draw(st.binary(min_size=1, max_size=4) | LENGTHS, "bytes")
-    end = data.draw(st.integers(0, len(raw)) | st.just(len(raw)), "end")
-    return bytes(raw[:end]) + data.draw(st.binary(max_size=40), "more")
 
 
 @few

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from seft_msgs_py.node import host
 from seft_msgs_py.node.clock import LONGEST_GAP, AwakeClock
 
+BY_ROOT = pytest.mark.skipif(os.geteuid() != 0, reason="rights are root's, also to give them up")
 WISH = {"cpu_core": -1, "keep_awake": False, "lock_memory": False, "thread_priority": 0}
 PROGRAM = """
 import ctypes, json, os, resource, sys
@@ -61,19 +62,16 @@ print(len(side_threads()), sum(name.startswith("dds.") for name in names))
 """
 
 
-def threads(wish):
-    """Priority and cores of each thread of a process that has applied a wish."""
-    names = (*OF_THE_LOOP, *ASIDE)
-    words = [sys.executable, "-c", THREADS, json.dumps({**WISH, **wish}), *names]
+def told_by(program, wish, *words):
+    """What a process of its own tells that has applied a wish."""
+    words = [sys.executable, "-c", program, json.dumps({**WISH, **wish}), *words]
     done = subprocess.run(words, capture_output=True, text=True, check=True)
     return json.loads(done.stdout)
 
 
 def ask(wish, how="as we are"):
-    """Apply realtime_parameters in a process of its own."""
-    words = [sys.executable, "-c", PROGRAM, json.dumps({**WISH, **wish}), how]
-    done = subprocess.run(words, capture_output=True, text=True, check=True)
-    return json.loads(done.stdout)
+    """What is denied and granted."""
+    return told_by(PROGRAM, wish, how)
 
 
 def test_without_wishes_nothing_changes():
@@ -83,6 +81,7 @@ def test_without_wishes_nothing_changes():
     assert told["granted"]["locked_kb"] == 0
     assert told["granted"]["cores"] == sorted(os.sched_getaffinity(0))
     assert told["granted"]["keeps_awake"] is False
+    assert told["granted"]["boot"] == host.boot()  # the same for all processes of a machine
 
 
 def test_a_core_is_kept_to_and_one_that_is_not_there_is_told():
@@ -93,7 +92,7 @@ def test_a_core_is_kept_to_and_one_that_is_not_there_is_told():
     assert told["granted"]["cores"] == sorted(os.sched_getaffinity(0))
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="rights can only be given up by root")
+@BY_ROOT
 def test_what_is_denied_is_told_with_its_remedy_and_the_process_goes_on():
     told = ask({"thread_priority": 40, "lock_memory": True, "keep_awake": True}, "deny")
     awake, memory, priority = told["denied"]
@@ -114,7 +113,7 @@ def test_cores_are_kept_awake():
     assert told["granted"]["keeps_awake"] is True
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="rights are root's")
+@BY_ROOT
 def test_what_is_granted_is_told():
     told = ask({"thread_priority": 40, "lock_memory": True})
     assert told["denied"] == []
@@ -122,17 +121,18 @@ def test_what_is_granted_is_told():
     assert told["granted"]["locked_kb"] > 0
 
 
-def test_threads_of_the_middleware_that_no_message_passes_stay_off_the_core():
+@pytest.mark.parametrize(
+    ("priority", "aside"),
+    [(0, 0), *(pytest.param(*both, marks=BY_ROOT) for both in ((40, 39), (1, 1)))],
+)
+def test_threads_of_the_middleware_that_no_message_passes_leave_the_core_and_give_way(
+    priority, aside
+):
     cores = sorted(os.sched_getaffinity(0))
-    found = {name: where for name, (_, where) in threads({"cpu_core": cores[0]}).items()}
-    assert found == dict.fromkeys(OF_THE_LOOP, cores[:1]) | dict.fromkeys(ASIDE, cores)
-
-
-@pytest.mark.skipif(os.geteuid() != 0, reason="rights are root's")
-@pytest.mark.parametrize(("priority", "aside"), [(40, 39), (1, 1)])
-def test_threads_of_the_middleware_that_no_message_passes_give_way(priority, aside):
-    found = {name: own for name, (own, _) in threads({"thread_priority": priority}).items()}
-    assert found == dict.fromkeys(OF_THE_LOOP, priority) | dict.fromkeys(ASIDE, aside)
+    wish = {"cpu_core": cores[0], "thread_priority": priority}
+    found = told_by(THREADS, wish, *OF_THE_LOOP, *ASIDE)
+    for name, where in found.items():
+        assert where == ([aside, cores] if name in ASIDE else [priority, cores[:1]])
 
 
 def test_the_middleware_names_its_threads_as_is_read_here():
@@ -188,10 +188,6 @@ def test_threads_are_woken_on_time():
     done = subprocess.run([sys.executable, "-c", program], stdout=subprocess.PIPE, check=True)
     before, own, of_a_thread = map(int, done.stdout.split())
     assert before > own == of_a_thread == 1
-
-
-def test_all_processes_of_a_machine_tell_the_same_boot():
-    assert ask({})["granted"]["boot"] == host.boot()
 
 
 def test_a_long_sleep_counts_for_one_look():

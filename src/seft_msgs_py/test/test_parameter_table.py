@@ -173,11 +173,6 @@ def test_an_unknown_parameter_that_is_like_none_gets_no_hint():
     assert nearest("x", []) == ""
 
 
-def test_checking_fills_in_nothing():
-    assert TABLE.check({"seed": 3}) == {"seed": 3}
-    assert TABLE.check({}) == {}
-
-
 def test_rate_and_axes_are_of_every_node():
     assert list(TABLE.rows)[:2] == ["rate", "axes"]
     assert TABLE.check({"rate": 500, "axes": ["x"]}) == {"rate": 500.0, "axes": ["x"]}
@@ -235,13 +230,6 @@ def test_a_default_of_a_pattern_is_the_largest_value_of_all_that_match(given_val
     assert known["a"]["late"] == (expected if given_values else 5.0)
     with pytest.raises(InputError, match='a: late is "much", but must be a number'):
         resolve({"a": tables["a"]}, {"b": {"late_x": 1.0, "late_y": "much"}}, ["a"])
-
-
-def test_a_value_comes_from_a_node_without_a_table_and_is_checked():
-    tables = chained("elsewhere:x")
-    assert resolve(tables, {"elsewhere": {"x": 4}})["a"]["x"] == 4.0
-    with pytest.raises(InputError, match='a: x is "text", but must be a number'):
-        resolve(tables, {"elsewhere": {"x": "text"}})
 
 
 def test_a_parameter_that_must_be_given_is_named_with_its_meaning():

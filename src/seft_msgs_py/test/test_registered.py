@@ -27,12 +27,6 @@ def group(tmp_path, monkeypatch):
     return Registered("seft.test", ("ours",))
 
 
-def test_names_of_others_follow_ours_and_cannot_replace_them(group):
-    assert group.names == ("ours", "good", "lost")
-    assert "good" in group
-    assert "ours" not in group
-
-
 def test_a_parameter_takes_names_of_others_and_tells_them_apart_from_ours(group):
     row = group.row("method", "ours", "")
     assert row.check("good", "node") == "good"

@@ -11,24 +11,14 @@ from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.outcome import Outcome, Trip, all_saturated
 from seft_msgs_py.wire.topics import (
     CLOCK_TOPIC,
-    LOOP_TOPICS,
-    QUANTITIES,
     START,
     RigAxes,
     Timebase,
-    rehearsed,
     rigs_of,
     topics_of,
     until_start,
     with_rigs,
 )
-
-
-def test_quantities_stand_in_the_order_of_the_message():
-    points = pytest.importorskip("trajectory_msgs.msg").JointTrajectoryPoint
-    fields = list(points.get_fields_and_field_types())
-    assert fields == [*QUANTITIES, "time_from_start"]
-
 
 AXES = ("west/x", "east/x", "west/y")
 WEST, EAST = RigAxes("west", ("west/x", "west/y"), (0, 2)), RigAxes("east", ("east/x",), (1,))
@@ -66,13 +56,6 @@ def test_each_rig_has_nodes_and_topics_of_its_own():
     assert topics["experiment/state"].subscribers == ("ground_motion", "west/rig", "east/rig")
     assert topics[CLOCK_TOPIC.name].publisher == "west/rig"
     assert with_rigs(["rig", "recorder"], (WEST, EAST)) == ["west/rig", "east/rig", "recorder"]
-
-
-def test_a_rehearsal_has_topics_that_no_bag_holds_and_no_test_has():
-    for topic in LOOP_TOPICS:
-        own = rehearsed(topic)
-        assert (own.name, own.recorded) == (f"rehearsal/{topic.name}", False)
-        assert own != topic and own.quantities == topic.quantities
 
 
 def test_rigs_start_together_if_their_clocks_agree():

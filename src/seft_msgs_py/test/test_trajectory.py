@@ -210,12 +210,8 @@ def test_samples_of_another_rate_are_refused(theirs, step):
     receiver = TrajectoryCodec(REFERENCE_FORCE, ("x",), TIMEBASE)
     with pytest.raises(WireError, match="another rate"):
         receiver.decode(sender.encode(step, np.zeros(1)))
-
-
-def test_future_points_of_another_rate_are_refused():
-    sender = TrajectoryCodec(GROUND_MOTION, ("x",), Timebase.from_rate(250.0))
-    receiver = TrajectoryCodec(GROUND_MOTION, ("x",), TIMEBASE)
-    with pytest.raises(WireError, match="point 1 is 4000000 ns after the stamp"):
+    later = sender.timebase.period_ns
+    with pytest.raises(WireError, match=f"point 1 is {later} ns after the stamp"):
         receiver.decode(sender.encode_points(0, np.zeros((2, 1))))
 
 

@@ -2,6 +2,7 @@ import struct
 from itertools import groupby
 
 import numpy as np
+from damaged_messages import damaged
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -12,26 +13,6 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec, decode_batch
 TIMEBASE = Timebase.from_rate(500.0)
 NAMES = ("x", "größe", "an axis of a longer name", "y3")
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
-
-
-@st.composite
-def corrupted(draw, raw):
-    """A message whose bytes were changed, cut or added to."""
-    raw = bytearray(raw)
-    at = draw(st.integers(0, len(raw) - 1))
-    match draw(st.sampled_from(["byte", "cut", "end", "nan", "header"])):
-        case "byte":
-            raw[at] = draw(st.integers(0, 255))
-        case "cut":
-            del raw[at:]
-        case "end":
-            raw += draw(st.binary(max_size=12))
-        case "nan":
-            words = range(4, len(raw) - 7, 8)
-            struct.pack_into("<d", raw, draw(st.sampled_from(words)), np.nan)
-        case "header":
-            raw[at % 4] ^= draw(st.integers(0, 3))
-    return bytes(raw)
 
 
 @st.composite
@@ -52,7 +33,13 @@ def batches(draw):
         shape = (points, len(sender.topic.quantities), len(axes))
         values = draw(arrays(np.float64, shape, elements=FINITE))
         raw = sender.encode_points(draw(st.integers(0, 10**9)), values)
-        raws.append(draw(corrupted(raw)) if draw(st.integers(0, 2)) == 0 else raw)
+        match draw(st.sampled_from(["good", "good", "good", "damaged", "nan"])):
+            case "damaged":
+                raw = damaged(draw(st.data()), raw)
+            case "nan":
+                at = draw(st.sampled_from(range(4, len(raw) - 7, 8)))
+                raw = raw[:at] + np.float64(np.nan).tobytes() + raw[at + 8 :]
+        raws.append(raw)
     return codec, raws
 
 

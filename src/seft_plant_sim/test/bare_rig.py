@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from seft_msgs_py.config.parameter_table import resolve
+from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.continuous_model import ContinuousModel
 from seft_plant_sim.limits import Limits
 from seft_plant_sim.rig import Rig
@@ -31,6 +32,16 @@ def rig_section(group="", /, **values):
     unzeroed = {"calibration.zeroing": 0.0}  # its sensors show what they do
     given = {"specimen.mass": 52.7, "specimen.stiffness": 2.11e5} | unzeroed | named
     return section_of(RIG_TABLE, **given)
+
+
+def make_rig(axes=("x",), **values):
+    """Rig of these parameters at 500 Hz; a double underscore stands for a dot."""
+    return Rig.from_parameters(rig_section(**values), axes, Timebase.from_rate(500.0))
+
+
+def driven(rig, commands):
+    """Samples of a rig that gets these commands, shape (N,) or (N, n), from the one at rest on."""
+    return np.array([rig.reset(), *(rig.step(np.atleast_1d(command)) for command in commands)])
 
 
 class BareRig(Rig):

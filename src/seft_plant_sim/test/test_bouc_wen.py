@@ -57,18 +57,8 @@ def baber_wen(path, n, beta, gamma, losses):
 def test_degradation_is_that_of_baber_and_wen(n, losses):
     path = through(0, 2, -3, 4, -4, 1, points=40)
     names = ("amplitude_loss", "strength_loss", "stiffness_loss")
-    one = bouc_wen(n, beta=0.6, gamma=0.4, **dict(zip(names, losses, strict=True)))
-    expected = baber_wen(path, n, 0.6, 0.4, losses)
+    one = bouc_wen(n, beta=0.9, gamma=0.3, **dict(zip(names, losses, strict=True)))
+    expected = baber_wen(path, n, 0.9, 0.3, losses)
     np.testing.assert_allclose(hysteretic(one, path), expected, atol=3e-5 * Y)
-    as_new = hysteretic(bouc_wen(n, beta=0.6, gamma=0.4), path)
+    as_new = hysteretic(bouc_wen(n, beta=0.9, gamma=0.3), path)
     assert np.abs(as_new - expected).max() > 0.05 * Y  # it does degrade
-
-
-@pytest.mark.parametrize(
-    ("beta", "gamma", "n"), [(0.5, 0.5, 1.0), (0.9, 0.3, 2.0), (0.2, 0.3, 1.5)]
-)
-def test_the_limit_of_bouc_wen_is_that_of_its_shape(beta, gamma, n):
-    """z_y / (beta + gamma)^(1/n): reached by loading on."""
-    one = bouc_wen(n, beta=beta, gamma=gamma)
-    limit = Y * (beta + gamma) ** (-1 / n)
-    assert hysteretic(one, through(0, 60, points=9000))[-1] == pytest.approx(limit, rel=1e-6)

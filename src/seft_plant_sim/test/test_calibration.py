@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from bare_rig import rig_section
+from bare_rig import driven, make_rig, rig_section
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.calibration import (
     AT_ONCE,
     as_published,
@@ -15,7 +14,7 @@ from seft_plant_sim.calibration import (
     zeroed_at_rest,
 )
 from seft_plant_sim.continuous_model import Sensed
-from seft_plant_sim.rig import Rig, continuous_model
+from seft_plant_sim.rig import continuous_model
 from seft_plant_sim.sensors import CHANNELS
 
 DT = 0.002
@@ -161,13 +160,6 @@ def test_what_is_no_number_or_at_the_end_of_the_range_comes_out_as_it_is_and_lea
         np.testing.assert_allclose(found[340:], sound[340:], atol=1e-9)
 
 
-def test_without_knowledge_nothing_is_done():
-    calibration, state = known(**{f"{name}_lag": 0.003 for name in CHANNELS})  # all alike
-    assert not len(calibration.zero)
-    assert not len(state.measured)
-    assert nothing_known(1)[0].zero.shape == (0, 1)
-
-
 def test_errors_name_the_parameter():
     with pytest.raises(InputError, match=r"rig: calibration.force_scale is 0"):
         known(force_scale=0.0)
@@ -188,26 +180,14 @@ def test_a_rig_publishes_corrected_samples():
         f"{group}.{name}": v for group in ("sensors", "calibration") for name, v in errors.items()
     }
     given |= {"sensors.force_bias": 12.0, "calibration.force_zero": 12.0}
-    own, known_errors = (
-        Rig.from_parameters(rig_section(**values), ("x",), Timebase.from_rate(500.0))
-        for values in ({}, given)
-    )
-    one, other = (
-        np.array([rig.reset(), *(rig.step(np.ones(1)) for _ in range(100))])[:, :4]
-        for rig in (own, known_errors)
-    )
+    one, other = (driven(make_rig(**values), np.ones(100))[:, :4] for values in ({}, given))
     np.testing.assert_allclose(other[2:], one[:-2], rtol=1e-9, atol=1e-9)
 
 
 def test_a_derived_velocity_is_that_of_the_calibrated_displacement():
-    section = rig_section(
-        sensors__velocity="derived", sensors__position_scale=1.5, calibration__position_scale=1.5
-    )
-    own = rig_section(sensors__velocity="derived")
-    rigs = [Rig.from_parameters(s, ("x",), Timebase.from_rate(500.0)) for s in (section, own)]
-    one, other = (
-        np.array([rig.reset(), *(rig.step(np.ones(1)) for _ in range(60))]) for rig in rigs
-    )
+    scaled = {f"{group}__position_scale": 1.5 for group in ("sensors", "calibration")}
+    rigs = (make_rig(sensors__velocity="derived", **values) for values in (scaled, {}))
+    one, other = (driven(rig, np.ones(60)) for rig in rigs)
     np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
 
 
@@ -260,9 +240,8 @@ def test_a_rig_zeroes_its_sensors_at_rest_but_not_what_goes_wrong_later(told):
     fault = {"faults": ["force add 7.0 at 0.0"]}
 
     def samples(**values):
-        section = rig_section(**{"sensors__force_noise": 3.0, **told, **fault, **values})
-        rig = Rig.from_parameters(section, ("x",), Timebase.from_rate(500.0))
-        return rig.zeroed, np.array([rig.reset(), *(rig.step(np.ones(1)) for _ in range(50))])
+        rig = make_rig(**{"sensors__force_noise": 3.0, **told, **fault, **values})
+        return rig.zeroed, driven(rig, np.ones(50))
 
     none, sound = samples()
     zeroed, found = samples(**errors, calibration__zeroing=1.0)
@@ -271,10 +250,3 @@ def test_a_rig_zeroes_its_sensors_at_rest_but_not_what_goes_wrong_later(told):
     assert abs(mean - 5.0) < 4 * 3.0 / np.sqrt(500.0)
     np.testing.assert_allclose(found[:, :F], sound[:, :F], rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(found[:, F] - sound[:, F], 5.0 - mean, rtol=0.0, atol=1e-9)
-
-
-def test_without_errors_a_rig_subtracts_nothing():
-    noise = dict.fromkeys(("sensors__position_noise", "sensors__force_noise"), 1e-3)
-    quiet = [rig_section(**noise, calibration__zeroing=seconds) for seconds in (0.0, 1.0)]
-    one, other = (Rig.from_parameters(s, ("x",), Timebase.from_rate(500.0)).reset() for s in quiet)
-    np.testing.assert_array_equal(one, other)

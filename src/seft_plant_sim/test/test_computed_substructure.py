@@ -33,12 +33,6 @@ def experiment_of(values, axes, rate=500.0):
     return Experiment({"reference_force": section})
 
 
-def test_without_a_mass_of_its_own_it_is_that_of_the_model():
-    found = computed_of(mass_ratio=1.5, model__mass=52.7)
-    assert found.is_lumped
-    assert found.mass.tolist() == [[1.5 * 52.7]]
-
-
 def test_the_mass_ratio_is_a_factor_on_all_of_it():
     found = computed_of(
         mass_ratio=0.5,
@@ -51,16 +45,6 @@ def test_the_mass_ratio_is_a_factor_on_all_of_it():
     assert found.mass.tolist() == [[0.0, 0.0], [0.0, 4.0]]
     assert found.stiffness.tolist() == [[1e4, -1e4], [-1e4, 1e4]]
     assert found.influence.tolist() == [[1.0]]  # the ground motion of the first axis
-
-
-def test_influences_stand_together_for_each_internal_degree_of_freedom():
-    found = computed_of(
-        ("x", "y"),
-        computed__internal=2,
-        computed__mass=1.0,
-        computed__influence=[1.0, 0.0, 0.5, 0.25],
-    )
-    assert found.influence.tolist() == [[1.0, 0.0], [0.5, 0.25]]
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 import springs_at_hand
-from bare_rig import BareRig, rig_section
+from bare_rig import BareRig, driven, rig_section
 from seft_msgs_py.config.parameter_table import group
 from seft_plant_sim.rig import continuous_model
 from seft_plant_sim.specimen import Specimen, energy_balance
@@ -27,8 +27,8 @@ def shaken_rig(commands, law, kind="servo_hydraulic", specimen=None, **actuator)
     section = rig_section(**values, **{f"actuator.{name}": own for name, own in actuator.items()})
     axes = ("x", "y")[: commands.shape[1]]
     plant = BareRig(continuous_model(section, axes), DT)
-    samples = np.array([plant.reset(), *(plant.step(command) for command in commands)])[:, :4]
-    return Specimen.from_parameters(group(section, "specimen"), axes, "rig: specimen"), samples
+    specimen = Specimen.from_parameters(group(section, "specimen"), axes, "rig: specimen")
+    return specimen, driven(plant, commands)[:, :4]
 
 
 def drive_of(kind, axes=1):
@@ -84,7 +84,6 @@ def steady(hz, count=COUNT):
 
 @pytest.mark.parametrize("hz", [1.0, 10.0, 25.0, 60.0])
 def test_a_cycle_of_the_steady_state_puts_in_pi_c_w_times_the_amplitude_squared(hz):
-    """And the trapezoidal rule would put in (w dt)^2 / 6 less."""
     w, samples = steady(hz)
     balance = balance_of(ONE, samples)
     seconds = int(DT * COUNT) - 1
@@ -95,9 +94,6 @@ def test_a_cycle_of_the_steady_state_puts_in_pi_c_w_times_the_amplitude_squared(
     start = balance.input[0] - balance.kinetic[0] - balance.strain[0]
     left = balance.input - balance.kinetic - balance.strain - balance.damped - start
     assert np.abs(left).max() < 1e-2 * 0.5 * M * (0.005 * w) ** 2
-    f, x = samples[first : last + 1, 3, 0], samples[first : last + 1, 0, 0]
-    trapezoidal = np.sum((f[1:] + f[:-1]) / 2 * np.diff(x))
-    assert trapezoidal / cycles == pytest.approx(np.sinc(hz * DT * 2), abs=1e-6)
 
 
 def test_a_wrong_specimen_does_not_close():

@@ -4,13 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from bare_rig import FRAME, rig_section
-from seft_msgs_py.wire.topics import RigAxes, Timebase
+from bare_rig import FRAME, driven, make_rig
+from seft_msgs_py.wire.topics import RigAxes
 from seft_plant_sim.faults import failing_specimen, read_faults
-from seft_plant_sim.rig import Rig
 from seft_plant_sim.specimen import Specimen
 
-TIMEBASE = Timebase.from_rate(500.0)
 MASS, K = 52.7, 2.11e5
 IDEAL = {"actuator__kind": "ideal", "specimen__mass": MASS, "specimen__stiffness": K}
 DAMPED = IDEAL | {"specimen__damping": 2.0 * math.sqrt(K * MASS)}
@@ -19,18 +17,7 @@ LIMITS = {"limits__force": 1e9, "limits__displacement": 1.0, "limits__velocity":
 
 
 def rig(*faults, axes=("x",), **values):
-    section = rig_section(**LIMITS, **values, faults=list(faults) or "")
-    return Rig.from_parameters(section, axes, TIMEBASE)
-
-
-def driven(one, commands):
-    """True samples of a rig that gets these commands, shape (N, 4, n)."""
-    one.reset()
-    found = [one.sample]
-    for command in commands:
-        one.step(np.atleast_1d(command))
-        found.append(one.sample)
-    return np.array(found)
+    return make_rig(axes, **LIMITS, **values, faults=list(faults) or "")
 
 
 @pytest.mark.parametrize("values", [DAMPED, YIELDING])

@@ -19,13 +19,6 @@ def test_a_transfer_function_and_its_companion_form_have_one_response():
     np.testing.assert_allclose(found[:, 0, 0], given.response(HZ), rtol=1e-12)
 
 
-def test_dead_time_turns_the_phase_alone():
-    given = TransferFunction(tuple(NUMERATOR), tuple(DENOMINATOR))
-    late = TransferFunction(given.numerator, given.denominator, 0.003)
-    turned = given.response(HZ) * np.exp(-2j * np.pi * HZ * 0.003)
-    np.testing.assert_allclose(late.response(HZ), turned, rtol=1e-12)
-
-
 @pytest.mark.parametrize("delay", [0.0, 0.001, 0.002, 0.0035, 0.01, 0.0123])
 def test_whole_samples_and_the_rest_add_up_to_the_dead_time(delay):
     whole, rest = split_dead_time(delay, 0.002)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from bare_rig import BareRig, rig_section
+from bare_rig import BareRig, driven, rig_section
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig import continuous_model
 
@@ -20,8 +20,7 @@ def plant(axes=("x",), **values):
 
 def run(one, commands):
     """Samples, shape (N + 1, 4, n), and what was named as saturated."""
-    samples = np.array([one.reset(), *(one.step(command) for command in commands)])[:, :4]
-    return samples, set(one.saturation)
+    return driven(one, commands)[:, :4], set(one.saturation)
 
 
 def difference(amplitude, **values):

@@ -10,7 +10,7 @@ import itertools
 
 import numpy as np
 import pytest
-from bare_rig import FRAME, BareRig, rig_section
+from bare_rig import FRAME, BareRig, driven, rig_section
 from scipy.integrate import solve_ivp
 from seft_plant_sim.actuator import STOP_DAMPING, STOP_STIFFNESS
 from seft_plant_sim.rig import continuous_model
@@ -46,7 +46,7 @@ def sampled(specimen, actuator, commands, cutoff=0.0):
     values |= {f"sensors.{channel}_filter": cutoff for channel in CHANNELS}
     section = rig_section(**values)
     plant = BareRig(continuous_model(section, ("x", "y")[: commands.shape[1]]), DT)
-    return np.array([plant.reset(), *(plant.step(command) for command in commands)])[:, :4]
+    return driven(plant, commands)[:, :4]
 
 
 def valve_flow(w, p, h):

@@ -5,7 +5,7 @@ Against an ODE solver: test_nonlinear_plant_by_hand.py; a small drive sees the l
 
 import numpy as np
 import pytest
-from bare_rig import BareRig
+from bare_rig import BareRig, driven
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.continuous_model import delayed_force
 from seft_plant_sim.specimen import Specimen
@@ -18,8 +18,7 @@ def test_a_delay_of_whole_samples_is_whole_at_any_rate(rate):
     dt = 1 / rate
     for steps in (1, 3, 29, 300):
         plant = BareRig(delayed_force(PAPER, steps * dt), dt)
-        plant.reset()
-        force = [plant.step(np.full(1, command))[3, 0] for command in np.arange(1.0, 400.0)]
+        force = driven(plant, np.arange(1.0, 400.0))[1:, 3, 0]
         assert np.flatnonzero(force)[0] == steps
 
 

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bare_rig import rig_section
+from bare_rig import driven, make_rig, rig_section
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.outcome import Simulated
 from seft_msgs_py.wire.topics import Timebase
@@ -10,12 +10,6 @@ from seft_plant_sim.rig import Rig, left_open
 from seft_plant_sim.rig_parameters import RIG_TABLE
 
 TIMEBASE = Timebase.from_rate(500.0)
-ZERO = np.zeros(1)
-
-
-def rig(axes=("x",), **values):
-    """Rig of these parameters; a double underscore stands for a dot."""
-    return Rig.from_parameters(rig_section(**values), axes, TIMEBASE)
 
 
 @pytest.mark.parametrize(
@@ -27,33 +21,14 @@ def rig(axes=("x",), **values):
     ],
 )
 def test_each_kind_obeys_its_drive_after_its_delay(kind, drive, force_at):
-    one = rig(actuator__kind=kind, actuator__delay=0.01, actuator__dead_time=0.003)
+    one = make_rig(actuator__kind=kind, actuator__delay=0.01, actuator__dead_time=0.003)
     assert one.drive == drive
-    one.reset()
-    moved = [one.step(np.ones(1))[3, 0] for _ in range(10)]
-    assert np.flatnonzero(moved)[0] + 1 == force_at
-
-
-def test_steps_are_counted_from_the_sample_at_rest():
-    one = rig()
-    assert not one.reset().any()
-    assert one.step_index == 0
-    one.step(ZERO)
-    assert one.step_index == 1
-
-
-def test_noise_is_measured_but_moves_nothing():
-    quiet, noisy = rig(), rig(sensors__force_noise=3.0, seed=1)
-    quiet.reset()
-    noisy.reset()
-    commands = np.random.default_rng(2).normal(size=(200, 1)) * 0.1
-    one, other = (np.array([r.step(c) for c in commands]) for r in (quiet, noisy))
-    np.testing.assert_array_equal(one[:, :3], other[:, :3])
-    assert np.std(other[:, 3] - one[:, 3]) == pytest.approx(3.0, rel=0.2)
+    force = driven(one, np.ones(10))[:, 3, 0]
+    assert np.flatnonzero(force)[0] == force_at
 
 
 def test_a_violation_is_that_of_the_last_sample_as_measured():
-    one = rig(actuator__kind="ideal", limits__force=100.0)
+    one = make_rig(actuator__kind="ideal", limits__force=100.0)
     one.reset()
     for force in (101.0, 102.0):  # wrong samples, which are judged, do not last
         one.step(np.full(1, force))
@@ -65,45 +40,28 @@ def test_a_violation_is_that_of_the_last_sample_as_measured():
     one.step(np.full(1, -101.0))
     one.reset()
     assert one.violation is None
-    loud = rig(sensors__force_noise=1000.0, limits__force=1.0)
+    loud = make_rig(sensors__force_noise=1000.0, limits__force=1.0)
     loud.reset()
     for _ in range(2):
         loud.step(np.zeros(1))
     assert loud.violation is not None  # the test must see what the sensor sees
 
 
-def counts(one):
-    """Samples and first step of each part."""
-    found = one.saturation.items()
-    return {name: c["samples"] for name, c in found}, {name: c["first_step"] for name, c in found}
-
-
-def test_what_is_at_the_end_of_its_range_is_counted_from_its_first_step():
-    one = rig(actuator__kind="ideal", sensors__force_range=100.0, sensors__acceleration_range=1.0)
-    one.reset()
-    for force in (50.0, 101.0, -200.0, 10.0, 300.0):
-        one.step(np.full(1, force))
-    samples, first = counts(one)
-    assert samples["force_range"] == 3
-    assert first["force_range"] == 2
-    assert samples["acceleration_range"] == 3  # 50 N on 52.7 kg are 0.95 m/s^2
-    assert first["acceleration_range"] == 2
-    assert set(samples) == set(first) == {"force_range", "acceleration_range"}
-
-
-def test_reset_forgets_what_was_at_the_end_and_leaves_the_last_report_alone():
-    one = rig(("x", "y"), actuator__kind="ideal", sensors__force_range=10.0)
-    one.reset()
-    one.step(np.full(2, 99.0))  # a sample counts once however many axes are at the end
+def test_what_is_at_the_end_of_its_range_is_counted_until_a_reset():
+    ranges = {"sensors__force_range": 100.0, "sensors__acceleration_range": 1.0}
+    one = make_rig(("x", "y"), actuator__kind="ideal", **ranges)
+    driven(one, np.outer([50.0, 101.0, -200.0, 10.0, 300.0], np.ones(2)))  # 50 N: 0.95 m/s^2
+    counted = {"samples": 3, "first_step": 2}  # however many axes are at the end
     before = one.saturation
+    assert before == {"force_range": counted, "acceleration_range": counted}
     one.reset()
-    assert counts(one) == ({}, {})
-    assert before == {"force_range": {"samples": 1, "first_step": 1}}
+    assert one.saturation == {}
+    assert before["force_range"] == counted
 
 
 def test_a_test_that_is_blind_for_long_ends_with_the_reason():
     ranges = {"sensors__force_range": 10.0, "sensors__acceleration_range": 0.1}
-    one = rig(actuator__kind="ideal", limits__saturated_time=0.01, **ranges)
+    one = make_rig(actuator__kind="ideal", limits__saturated_time=0.01, **ranges)
     one.reset()
     told = []
     for _ in range(6):
@@ -122,13 +80,12 @@ def test_a_test_that_is_blind_for_long_ends_with_the_reason():
 JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"  # wherever it runs, as by colcon test
 
 
-def moving_rig(*overrides, axes=("x",)):
+def moving_rig(*overrides, axes=("x",), steps=200):
     given = [("/**", "axes", list(axes)), *overrides]
     experiment = Experiment.load([RIG_TABLE], [JHU], given, nodes=["rig"])
     rig = Rig.from_parameters(experiment["rig"], experiment.axes, experiment.timebase)
-    rig.reset()
-    for step in range(200):
-        rig.step(np.full(len(axes), 5.0 * np.sin(2 * np.pi * 5.0 * 0.002 * step)))
+    swing = 5.0 * np.sin(2 * np.pi * 5.0 * 0.002 * np.arange(steps))
+    driven(rig, np.outer(swing, np.ones(len(axes))))
     return rig
 
 
@@ -176,10 +133,7 @@ def test_the_safe_position_is_that_of_the_parameters():
 
 
 def test_a_rig_at_rest_is_settled_at_once():
-    experiment = Experiment.load([RIG_TABLE], [JHU], [], nodes=["rig"])
-    rig = Rig.from_parameters(experiment["rig"], experiment.axes, experiment.timebase)
-    rig.reset()
-    assert rig.stop().steps == 10
+    assert moving_rig(steps=0).stop().steps == 10
 
 
 def test_the_largest_true_motion_is_known_without_noise_and_filters():

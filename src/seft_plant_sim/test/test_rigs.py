@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from bare_rig import driven
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig import Rig, Rigs
@@ -25,14 +26,11 @@ def plan(*more):
     return Experiment.load([RIG_TABLE], [], [parse_override(text) for text in (*PLAN, *more)])
 
 
-def made(test, rig=None):
+COMMANDS = np.random.default_rng(0).normal(scale=0.3, size=(200, 3))
+
+
+def of_plan(test, rig=None):
     return Rig.from_parameters(test["rig"], test.axes, test.timebase, rig)
-
-
-def driven(rig, axes, steps=200):
-    rng = np.random.default_rng(0)
-    commands = rng.normal(scale=0.3, size=(steps, axes))
-    return np.array([rig.reset(), *(rig.step(command) for command in commands)]), commands
 
 
 SPRINGS = [1.0, 0.0, 0.0, 1.0, 0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
@@ -60,8 +58,7 @@ FAULTS = (
 def test_rigs_together_do_what_one_with_all_axes_does(more):
     test = plan(*more)
     together = Rigs(test)
-    found, _ = driven(together, 3)
-    whole, _ = driven(made(test), 3)
+    found, whole = driven(together, COMMANDS), driven(of_plan(test), COMMANDS)
     scale = np.abs(whole).max(axis=0)
     np.testing.assert_allclose(found / scale, whole / scale, rtol=0, atol=1e-10)
     assert together.drive == "valve_command"
@@ -70,22 +67,17 @@ def test_rigs_together_do_what_one_with_all_axes_does(more):
 @pytest.mark.parametrize("more", [(), FAULTS])
 def test_each_has_the_bits_of_its_node(more):
     test = plan(*more)
-    together = Rigs(test)
-    found, commands = driven(together, 3)
+    found = driven(Rigs(test), COMMANDS)
     for rig in test.rigs:
         places = list(rig.places)
-        alone = made(test, rig)
-        states = [alone.reset(), *(alone.step(command[places]) for command in commands)]
+        states = driven(of_plan(test, rig), COMMANDS[:, places])
         np.testing.assert_array_equal(found[:, :, places], states)
 
 
 def test_a_limit_that_one_breaks_is_the_violation_of_all():
     test = plan("rig:limits.displacement:=1.0e-4")
     together = Rigs(test)
-    together.reset()
-    assert together.violation is None
-    for _ in range(200):
-        together.step(np.array([0.0, 2.0, 0.0]))
+    driven(together, np.tile([0.0, 2.0, 0.0], (200, 1)))
     assert "axis east/x" in together.violation
 
 
@@ -94,7 +86,7 @@ def test_what_two_rigs_share_can_only_be_computed(name):
     matrix = [50.0, 1.0, 0.0, 1.0, 40.0, 0.0, 0.0, 0.0, 60.0]
     test = plan(f"rig:specimen.{name}:={matrix}")
     with pytest.raises(InputError, match=f"{name} couples axes of west with those of another"):
-        made(test, test.rigs[0])
+        of_plan(test, test.rigs[0])
 
 
 def test_no_spring_connects_rigs():
@@ -106,4 +98,4 @@ def test_no_spring_connects_rigs():
         "rig:specimen.stiffness:=[2.0e5, 2.0e5, 1.0e5]",
     )
     with pytest.raises(InputError, match="a spring connects west with another rig"):
-        made(test, test.rigs[0])
+        of_plan(test, test.rigs[0])

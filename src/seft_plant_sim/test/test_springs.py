@@ -40,16 +40,6 @@ EXACT = ("bilinear", "flag", "friction", *CONSERVATIVE)
 springs = pytest.mark.parametrize("name", SPRINGS)
 
 
-def loop(made, reach, points=7 * 600 + 1):
-    """Energy that a cycle of this reach dissipates, J, after the first quarter."""
-    first = made.follow(through(0, reach, points=points))[2][-1]
-    path = through(0, reach, -reach, reach, points=points)
-    force, _, dissipated = made.follow(path)
-    closed = work(force, path)[-1] - work(force, path)[points - 1]
-    assert dissipated[-1] - first == pytest.approx(closed, rel=2e-3, abs=1e-6 * K * Y**2)
-    return dissipated[-1] - first
-
-
 def test_bilinear_branches_are_those_of_kinematic_hardening():
     """Loading K to yield, then a K; unloading is elastic over twice the yield displacement."""
     path = through(0, 3, -3, 3)
@@ -65,20 +55,6 @@ def test_bilinear_branches_are_those_of_kinematic_hardening():
     np.testing.assert_allclose(force[-1], top, rtol=1e-12)  # the loop is closed
 
 
-@pytest.mark.parametrize("ductility", [1.0, 1.5, 3.0, 10.0])
-@pytest.mark.parametrize("hardening", [0.0, 0.05, 0.5])
-def test_a_bilinear_cycle_dissipates_4_times_force_and_plastic_deformation(ductility, hardening):
-    """4 (1 - a) F_y (u - u_y), e.g. Chopra, Dynamics of Structures, 4th ed., sec. 7.4."""
-    cycle = loop(spring("bilinear", hardening_ratio=hardening), ductility)
-    expected = 4 * (1 - hardening) * K * Y * (ductility - 1) * Y
-    assert cycle == pytest.approx(expected, rel=1e-9, abs=1e-9)
-
-
-@pytest.mark.parametrize("reach", [0.5, 3.0])
-def test_a_friction_cycle_dissipates_4_times_force_and_slip(reach):
-    assert loop(SPRINGS["friction"], reach) == pytest.approx(4 * FRICTION * (reach * Y - U))
-
-
 def test_friction_sticks_until_it_slides_and_turns_at_once():
     path = np.array([0.0, 0.5 * U, U, 3 * U, 2 * U, 1.0 * U, -5 * U])
     force = SPRINGS["friction"].follow(path)[0] - K * path
@@ -86,11 +62,8 @@ def test_friction_sticks_until_it_slides_and_turns_at_once():
 
 
 @pytest.mark.parametrize("height", [0.0, 0.3, 1.0])
-def test_a_flag_comes_back_to_the_origin_and_dissipates_its_height(height):
-    """Each half cycle: beta F_y (u - u_y) of the hysteretic part (Christopoulos et al. 2002)."""
+def test_a_flag_comes_back_to_the_origin_whatever_its_height(height):
     flag = spring("flag", flag__dissipation=height)
-    cycle = loop(flag, 3.0)
-    assert cycle == pytest.approx(2 * height * (1 - A) * K * Y * 2 * Y, abs=1e-9)
     force = flag.follow(through(0, 3, 0, -5, 0, 0.4 * (1 - height), 0))[0]
     assert force[[3999, 7998, 15996, -1]] == pytest.approx(
         [K * Y + 2 * A * K * Y, 0.0, 0.0, 0.0], abs=1e-9 * K * Y
