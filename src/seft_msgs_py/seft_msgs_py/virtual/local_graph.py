@@ -159,8 +159,7 @@ class LocalGraph:
                 return found
             if self.scheduler.now >= end:
                 what = condition if isinstance(condition, str) else "the condition"
-                ended = f"; nodes that have ended: {self.endings}" if self.endings else ""
-                now = f"{self.state}, {self.values}{ended}"
+                now = f"{self.state}, {self.values}, ended: {self.endings}"
                 raise TimeoutError(f"{what} not within {within:g} s: {now}")
             self.run(_LOOK)
 

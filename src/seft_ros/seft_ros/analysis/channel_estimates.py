@@ -425,12 +425,11 @@ def _fit(own: list[Floats], seen: Floats, *laws: Floats, share: Floats) -> tuple
                 onto = np.linalg.solve(of_law.T, sums[axes, its].T)
                 normal += sums[axes, axes] - onto.T @ sums[its, axes]
                 right += answer[axes] - onto.T @ answer[its]
-                solved.append((law_of[:, 0], law_of[:, 1:], onto))
+                solved.append((law_of, onto))
             found, scores = np.linalg.solve(normal, right), np.zeros((windows, 2 * n))
-            for (target, regressors, z, weights), (alone, per, onto) in zip(
-                equations, solved, strict=True
-            ):
-                left = target - regressors @ np.concatenate([found, alone - per @ found])
+            for equation, (law_of, onto) in zip(equations, solved, strict=True):
+                target, regressors, z, weights = equation
+                left = target - regressors @ np.append(found, law_of @ np.append(1.0, -found))
                 moments = (z.transpose(0, 2, 1) @ left[:, :, np.newaxis])[:, :, 0]
                 scores += weights[:, np.newaxis] * (moments[:, axes] - moments[:, its] @ onto)
                 variance = (left**2).mean(axis=1)
