@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from experiments_at_hand import load, simulated
+from experiments_at_hand import CONFIG, load, simulated
 from records_at_hand import as_measured, shown, without
 from seft_msgs_py.config.experiment import Experiment
 from seft_ros.analysis import calibration_check as checks
@@ -151,7 +151,8 @@ def test_of_an_idealised_actuator_the_mass_is_known_and_no_relation(kind):
         ("jhu", "reference_force:method:=eft"),
     ],
 )
-def test_a_computed_model_and_an_eft_test_are_checked_too(config, word):
+def test_a_computed_model_and_an_eft_test_are_checked_too(config, word, monkeypatch):
+    monkeypatch.chdir(CONFIG.parent)  # its script is given from there
     if config == "computed_damper":
         pytest.importorskip("openseespy", reason="OpenSeesPy is not installed")
     check = calibration_check(simulated(load(word, config=config)))

@@ -190,7 +190,8 @@ def motion_difference(record: Record) -> MotionDifference | None:
     equivalent = EquivalentMotion(structure, dt)
     with np.errstate(over="ignore", invalid="ignore"):  # of a test that went unstable
         tested = equivalent.advance(measured)
-        first = _response_nrmse(assumed, asked, tested)
+        of_tested, of_asked = (reference_response(assumed, y) for y in (tested, asked))
+        first = nrmse(of_tested.displacement, of_asked.displacement)
         springs = springs_of(assumed, structure)
         law = SpecimenLaw(structure, equivalent.mass, measured, springs, dt)
         specimen = law.difference(asked - tested)
@@ -215,8 +216,3 @@ def spectrum_frequencies(band_hz: tuple[float, float], dt: float) -> Floats:
 def natural_frequencies(experiment: Experiment) -> Floats:
     """Natural frequencies of an experiment's whole structure, elastic, shape (d,), Hz."""
     return whole_structure(experiment).structure.modes()[0]
-
-
-def _response_nrmse(assumed: Experiment, asked: Floats, tested: Floats) -> float:
-    y = reference_response(assumed, asked).displacement
-    return nrmse(reference_response(assumed, tested).displacement, y)
