@@ -147,9 +147,7 @@ class Uncompiled:
     def pytest_collection(self):
         """Begin, once the settings of all tests are known."""
         from hypothesis import Phase, settings
-        from seft_plant_sim import compiled
 
-        compiled.entry_point = lambda function, *_, **__: function
         phases, seft = [Phase.explicit, Phase.generate], settings.get_profile("seft")
         settings.register_profile("mutants", seft, phases=phases, database=None)
         settings.load_profile("mutants")

@@ -113,6 +113,8 @@ def entry_point(function: Any, *arguments: Any, kind: Hashable = None) -> Callab
     caller must give arguments of the same types, and contiguous arrays. A known ``kind`` of the
     arguments that may differ, see `kind_of`, saves finding it.
     """
+    if numba.config.DISABLE_JIT:
+        return function
     key = function, kind or kind_of(arguments)
     if key not in _entry_points:  # numba's check takes as long as thousands of steps
         signature = tuple(numba.typeof(argument) for argument in arguments)
@@ -124,6 +126,8 @@ def entry_point(function: Any, *arguments: Any, kind: Hashable = None) -> Callab
 
 def is_at_hand(function: Any, *arguments: Any, kind: Hashable = None) -> bool:
     """Say whether the code of `entry_point` was asked for before, so that it need not be made."""
+    if numba.config.DISABLE_JIT:
+        return False
     known = (function, kind or kind_of(arguments)) in _entry_points
     return known or _lock_of(function, tuple(map(numba.typeof, arguments))).exists()
 

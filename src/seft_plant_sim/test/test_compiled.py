@@ -6,7 +6,7 @@ import sys
 
 import pytest
 from seft_plant_sim import compiled as module
-from seft_plant_sim.compiled import compiled, tell_of_compilation
+from seft_plant_sim.compiled import compiled, entry_point, is_at_hand, tell_of_compilation
 
 
 def double(x):
@@ -30,6 +30,12 @@ def test_the_first_compilation_of_a_process_is_told_and_none_of_what_is_on_the_d
     tell_of_compilation(lambda: told.append("once more"))
     assert compiled(double)(4.0) == 8.0
     assert told == ["compiling"]
+
+
+def test_with_numba_switched_off_the_steps_stay_what_they_are(monkeypatch):
+    monkeypatch.setattr(module.numba.config, "DISABLE_JIT", 1)
+    assert entry_point(double, 4.0) is compiled(double) is double
+    assert not is_at_hand(double, 4.0)
 
 
 COMPILES_A_FUNCTION = """
