@@ -44,7 +44,7 @@ setup: $(READY) ## make .venv with the pinned libraries, the three packages and 
 demo: $(READY) ## the test of config/demo.yaml over ROS 2, on the simulated rig
 	$(BIN)/seft run config/demo.yaml
 
-test: $(READY) ## lint, format, types, docs and tests: 7 minutes on two cores
+test: $(READY) ## lint, format, types, docs and tests: 4 to 7 minutes on two cores
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	@$(MAKE) --no-print-directory -j 2 types docs
