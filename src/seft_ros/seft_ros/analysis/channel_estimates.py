@@ -410,7 +410,7 @@ def _fit(own: list[Floats], seen: Floats, *laws: Floats, share: Floats) -> tuple
         z[..., rates] = seen / size_of[rates]
         target = force @ spring
         equations.append((target, regressors, z, np.full(windows, 1.0 / np.mean(target**2))))
-    found, axes, its = np.zeros(2 * n), slice(2 * n), slice(2 * n, None)
+    axes, its = slice(2 * n), slice(2 * n, None)  # columns of every equation, and of its own law
     try:
         for _ in range(_ROUNDS):
             normal, right, solved = np.zeros((2 * n, 2 * n)), np.zeros(2 * n), []
@@ -420,7 +420,7 @@ def _fit(own: list[Floats], seen: Floats, *laws: Floats, share: Floats) -> tuple
                 answer = weighted.T @ target.ravel()
                 of_law = sums[its, its]
                 of_law[np.diag_indices(len(of_law))] += _RIDGE * size * weights.sum()
-                # each law is in one equation only: it is eliminated there
+                # eliminate the law, which no other equation has
                 law_of = np.linalg.solve(of_law, np.column_stack([answer[its], sums[its, axes]]))
                 onto = np.linalg.solve(of_law.T, sums[axes, its].T)
                 normal += sums[axes, axes] - onto.T @ sums[its, axes]
