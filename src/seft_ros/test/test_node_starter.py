@@ -50,8 +50,10 @@ def start(tmp_path):
     def start(starter, what, name="log"):
         log = tmp_path / name
         node = starter.start(["sleeper", what, str(log)], log)
-        while node.poll() is None and "asleep" not in (log.read_text() if log.exists() else ""):
+        told = ""
+        while node.poll() is None and not ("asleep" in told and told.endswith("\n")):
             time.sleep(0.01)
+            told = log.read_text() if log.exists() else ""  # which it may have begun to write
         return node, log
 
     return start
