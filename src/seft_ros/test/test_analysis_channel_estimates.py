@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 from seft_ros.analysis.channel_estimates import (
-    inertia,
-    law_regressors,
     motion_frequency,
     noise_of,
     relation,
     summed_covariance,
 )
+from seft_ros.analysis.mass_estimate import inertia, law_regressors
 
 DT, MASS = 0.002, 40.0
 NOISE = np.array([3e-6, 5e-4, 0.03, 2.0])  # m, m/s, m/s^2, N

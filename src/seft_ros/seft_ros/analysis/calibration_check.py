@@ -1,7 +1,8 @@
 """Mass, scales and lags of a test from its own samples, against what the test was told.
 
-The estimates are those of `seft_ros.analysis.channel_estimates`; what a deviation means for the
-test is in `seft_ros.analysis.calibration_effect`.
+The estimates are those of `seft_ros.analysis.channel_estimates` and
+`seft_ros.analysis.mass_estimate`; what a deviation means for the test is in
+`seft_ros.analysis.calibration_effect`.
 """
 
 from collections.abc import Iterator
@@ -19,13 +20,11 @@ from seft_plant_sim.sensors import VELOCITY
 from seft_ros.analysis.calibration_effect import CalibrationEffect, calibration_structure
 from seft_ros.analysis.channel_estimates import (
     ESTIMATE_SIGMAS,
-    MIN_ERROR,
-    Inertia,
     Relation,
-    inertia,
     motion_frequency,
     relation,
 )
+from seft_ros.analysis.mass_estimate import MIN_ERROR, Inertia, inertia
 from seft_ros.bags.record import Record, every_step
 from seft_ros.design.plan import choose_rig
 from seft_ros.design.plant import FOLDED, held_relations

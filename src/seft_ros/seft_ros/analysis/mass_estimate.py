@@ -1,0 +1,256 @@
+"""What a test's own samples say of the specimen's mass, whatever its law is.
+
+The mass is in the measured force::
+
+    f_i = m_i (M a)_i - m_i tau_i (M a)_i' + r_i                                           (1)
+
+with the mass matrix M that the test was told, a factor m_i on it and the lag tau_i of the force
+behind the acceleration. The restoring force r of any specimen is, in a short window, a constant and
+a line in x; what that leaves is taken by stop operators, a curve and dampers of the springs'
+deformations (the hysteresis of Prandtl and Ishlinskii, see
+`seft_ros.reference_force.restoring_model`). Noise of the acceleration would make the estimate too
+small; the derivative of the velocity, which has other noise, serves as an instrument (Reiersol
+1945). So do the velocities for the dampers' rates, which are derived from the displacement: noise
+of one channel in both would be taken for mass, 3 % on three storeys. Windows in which the specimen
+is not described so well weigh less. Standard errors are those of correlated residuals (Newey & West
+1987).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from seft_msgs_py.arrays import Floats
+
+from seft_ros.analysis.channel_estimates import (
+    OF_SAMPLING,
+    derivatives,
+    noise_of,
+    summed_covariance,
+)
+from seft_ros.reference_force.restoring_model import STANDS_OUT, slide
+
+INERTIA_BAND = 8.0
+"""Highest frequency of Eq. (1) over that of the motion: there a stiffness is 2 % of the inertia."""
+WINDOWS = (0.7, 1.4, 2.8)
+"""Lengths of the windows of Eq. (1), over the period of the motion: a line in x describes a part of
+a cycle, and a short window has little but noise beside it. The median of the three counts, and
+their scatter is part of the standard error."""
+FEWEST_WINDOWS = 20
+"""Windows without which a length does not count; no mass is given of one length alone."""
+MAX_WINDOWS = 1500
+"""Of a long test, those that move most: the error is below a part in a thousand then."""
+WEIGHT_POWER = 1.5
+"""Power of 1/variance that is a window's weight: more than the 1 of equal laws with other noise,
+because a large residual means a law that is not described, which is a bias and not a noise."""
+SLIDERS, CURVE_SPLINES = 12, 12
+"""Stop operators and B-splines of the law of a spring: one for each factor 1.6 of deformation."""
+MEMORY = 12
+"""Windows, half of each overlapping the next, over which residuals may be correlated."""
+WIDEN = 1.5
+"""Factor on the standard error of Eq. (1), because no law is described exactly: with it nine kinds
+of specimen are within two standard errors in 93 of 100 tests (docs/metrics.md)."""
+MIN_ERROR = 1.5e-3
+"""Least standard error of a mass, relative: the samples' timing and the converter's steps."""
+_ALIKE = 1e6  # condition number of deformations that do not determine the displacements
+_ROUNDS = 5  # of weighting; then weights change by less than a percent
+_RIDGE = 1e-6  # of the law's regressors, which may be alike
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """What acceleration and force say of the mass, Eq. (1); arrays of shape (n,).
+
+    Attributes
+    ----------
+    factor, factor_error : ndarray
+        m, the mass over the one told, and its standard error. A force that is m times too large
+        looks the same.
+    lag, lag_error : ndarray
+        tau of the force behind the acceleration, and its standard error, s.
+    """
+
+    factor: Floats
+    factor_error: Floats
+    lag: Floats
+    lag_error: Floats
+
+
+def inertia(
+    states: Floats, mass: Floats, deformation: Floats, dt: float, frequency: float
+) -> Inertia | None:
+    """Estimate the mass from a test's own samples, Eq. (1).
+
+    Parameters
+    ----------
+    states : ndarray
+        Displacement, velocity, acceleration and force as measured, shape (N, 4, n).
+    mass : ndarray
+        M, shape (n, n), kg.
+    deformation : ndarray
+        Of each spring per displacement of each axis, shape (p, n).
+    frequency : float
+        Of the motion, Hz.
+
+    Returns
+    -------
+    Inertia or None
+        None if too few windows move by more than the noise, or the regressors are alike.
+    """
+    x, v, a, f = np.moveaxis(states, 1, 0)
+    top = min(INERTIA_BAND * frequency, OF_SAMPLING / dt)
+    half = 3.5 / top
+    if len(x) < 6 * half / dt:
+        return None
+    every = max(1, int(0.4 / (top * dt)))  # no higher frequency is left
+    band, noise = (0.0, top), noise_of(x)
+    by_spring = x @ deformation.T
+    laws = [law_regressors(e, s) for e, s in zip(by_spring.T, noise_of(by_spring), strict=True)]
+    n = x.shape[1]
+    share = np.eye(n)
+    if len(deformation) == n and np.linalg.cond(deformation) < _ALIKE:
+        share = np.linalg.inv(deformation).T  # the equation of a spring, of its own law alone
+    else:
+        laws = [np.hstack(laws)] * n
+
+    def filtered(y: Floats, *orders: int) -> list[Floats]:
+        return [one[::every] for one in derivatives(y, orders, band, dt, half)]
+
+    own = [*filtered(f, 0), *filtered(a @ mass.T, 0, 1), *filtered(v @ mass.T, 1, 2)]
+    (travel,) = filtered(x, 0)
+    (rates,), (seen,) = filtered(by_spring, 1), filtered(v @ deformation.T, 0)
+    laws = [np.hstack([*filtered(law, 0), rates]) for law in laws]
+    found = []
+    for length in WINDOWS:
+        size = max(n + 3, round(length / (frequency * dt * every)))
+        take = moving_windows(travel, size, STANDS_OUT * noise)
+        if len(take) < FEWEST_WINDOWS:
+            continue
+        projected = without_line([*own, seen, *laws], travel, take)
+        found.append(_fit(projected[: len(own)], *projected[len(own) :], share=share))
+    if len(found) < 2:
+        return None
+    each = np.array(found).reshape(-1, 2, 2, n)  # length, (value, error), (m, -m tau), axis
+    value = np.median(each[:, 0], axis=0)
+    scatter = each[:, 0].var(axis=0, ddof=1)
+    error = WIDEN * np.sqrt(np.median(each[:, 1], axis=0) ** 2 + scatter)
+    factor = value[0]
+    if not np.isfinite(each).all() or (factor <= 0).any():
+        return None
+    return Inertia(
+        factor,
+        np.maximum(error[0], MIN_ERROR * factor),
+        -value[1] / factor,
+        error[1] / factor,
+    )
+
+
+def law_regressors(e: Floats, noise: float) -> Floats:
+    """Regressors of the force of a spring of any law: stop operators and a curve.
+
+    ``e`` is its deformation, shape (N,), and ``noise`` its RMS noise; the result has shape
+    (N, SLIDERS + CURVE_SPLINES - 2).
+    """
+    low, high, most = e.min(), e.max(), np.abs(e).max()
+    if not high > low:
+        return np.zeros((len(e), SLIDERS + CURVE_SPLINES - 2))
+    thresholds = np.geomspace(max(8 * noise, most / 500), 0.7 * most, SLIDERS)
+    stops = np.zeros((len(e), SLIDERS))
+    slide(np.ascontiguousarray(e), thresholds, stops)
+    # uniform cubic B-splines, but the first and the last
+    place = (e - low) / (high - low) * (CURVE_SPLINES - 3)
+    t = np.abs(place[:, np.newaxis] - np.arange(CURVE_SPLINES - 2))
+    near, far = 2 / 3 - t**2 + t**3 / 2, (2.0 - t) ** 3 / 6
+    return np.hstack([stops, np.where(t < 1, near, np.where(t < 2, far, 0.0))])
+
+
+def moving_windows(travel: Floats, size: int, least: Floats) -> npt.NDArray[np.intp]:
+    """Choose windows in which some axis moves by more than the least RMS.
+
+    ``travel`` has shape (N, n), ``least`` (n,); the result are indices, shape (w, size). Each
+    window overlaps the next by half.
+    """
+    starts = np.arange(0, len(travel) - size + 1, max(1, size // 2))
+    take = starts[:, np.newaxis] + np.arange(size)
+    if not len(starts):
+        return take
+    moved = travel[take].std(axis=1)
+    ratio = (moved / np.maximum(least, 1e-3 * moved.max())).max(axis=1)
+    chosen = np.flatnonzero(ratio > 1.0)
+    if len(chosen) > MAX_WINDOWS:
+        chosen = np.sort(chosen[np.argsort(ratio[chosen])[-MAX_WINDOWS:]])
+    return take[chosen]
+
+
+def without_line(signals: list[Floats], travel: Floats, take: npt.NDArray[np.intp]) -> list[Floats]:
+    """Take a constant and a line in the displacements out of signals, of each window its own.
+
+    Signals and displacements have shape (N, c) and (N, n), windows (w, size); the results
+    (w, size, c).
+    """
+    moved = travel[take]
+    moved = moved - moved.mean(axis=1, keepdims=True)
+    one = np.ones((*take.shape, 1))
+    basis = np.concatenate([one, moved], axis=2)
+    basis /= np.sqrt((basis**2).sum(axis=1, keepdims=True)) + 1e-300
+    q, _ = np.linalg.qr(basis)
+    across = q.transpose(0, 2, 1)
+    return [(y := signal[take]) - q @ (across @ y) for signal in signals]
+
+
+def _fit(own: list[Floats], seen: Floats, *laws: Floats, share: Floats) -> tuple[Floats, Floats]:
+    """Fit Eq. (1) of all springs together; give (m, -m tau) and standard errors, shape (2n,).
+
+    Parameters
+    ----------
+    own : list of ndarray
+        Force, inertial force and its rate of each axis, and the instruments of these two; shape
+        (w, size, n), in windows.
+    seen : ndarray
+        Rates of the deformations as the velocity shows them, shape (w, size, p).
+    *laws : ndarray
+        Regressors of the force of each spring, shape (w, size, q); the last are the rates as the
+        displacement shows them, and ``seen`` are their instruments.
+    share : ndarray
+        Of each axis' forces in the equation of each spring, shape (n, n).
+    """
+    force, inertial, rate, instrument, of_rate = own
+    (windows, size, n), rates = force.shape, slice(-seen.shape[2], None)
+    equations = []
+    for spring, law in zip(share, laws, strict=True):
+        size_of = np.sqrt((law**2).mean(axis=(0, 1))) + 1e-300
+        law = law / size_of
+        regressors = np.concatenate([inertial * spring, rate * spring, law], axis=2)
+        z = np.concatenate([instrument * spring, of_rate * spring, law], axis=2)
+        z[..., rates] = seen / size_of[rates]
+        target = force @ spring
+        equations.append((target, regressors, z, np.full(windows, 1.0 / np.mean(target**2))))
+    axes, its = slice(2 * n), slice(2 * n, None)  # columns of every equation, and of its own law
+    try:
+        for _ in range(_ROUNDS):
+            normal, right, solved = np.zeros((2 * n, 2 * n)), np.zeros(2 * n), []
+            for target, regressors, z, weights in equations:
+                weighted = (z * weights[:, np.newaxis, np.newaxis]).reshape(-1, z.shape[2])
+                sums = weighted.T @ regressors.reshape(weighted.shape)
+                answer = weighted.T @ target.ravel()
+                of_law = sums[its, its]
+                of_law[np.diag_indices(len(of_law))] += _RIDGE * size * weights.sum()
+                # eliminate the law, which no other equation has
+                law_of = np.linalg.solve(of_law, np.column_stack([answer[its], sums[its, axes]]))
+                onto = np.linalg.solve(of_law.T, sums[axes, its].T)
+                normal += sums[axes, axes] - onto.T @ sums[its, axes]
+                right += answer[axes] - onto.T @ answer[its]
+                solved.append((law_of, onto))
+            found, scores = np.linalg.solve(normal, right), np.zeros((windows, 2 * n))
+            for equation, (law_of, onto) in zip(equations, solved, strict=True):
+                target, regressors, z, weights = equation
+                left = target - regressors @ np.append(found, law_of @ np.append(1.0, -found))
+                moments = (z.transpose(0, 2, 1) @ left[:, :, np.newaxis])[:, :, 0]
+                scores += weights[:, np.newaxis] * (moments[:, axes] - moments[:, its] @ onto)
+                variance = (left**2).mean(axis=1)
+                least = max(float(np.quantile(variance, 0.1)), 1e-300)
+                weights[:] = (np.maximum(variance, least) / least) ** -WEIGHT_POWER / least
+        scores = np.linalg.solve(normal, scores.T).T
+    except np.linalg.LinAlgError:
+        return np.full(2 * n, np.nan), np.full(2 * n, np.nan)
+    return found, np.sqrt(np.diag(summed_covariance(scores, MEMORY)))
