@@ -58,13 +58,6 @@ def assert_same(graph: LocalGraph, record, steps: int | None = None) -> None:
         np.testing.assert_array_equal(found, known.values[: len(until)])
 
 
-def assert_holds(found, expected) -> None:
-    """Check that a record has the samples of another, and maybe more topics."""
-    for topic, series in expected.series.items():
-        np.testing.assert_array_equal(found.series[topic].steps, series.steps)
-        np.testing.assert_array_equal(found.series[topic].values, series.values)
-
-
 def perform(graph: LocalGraph, end: str = "done") -> None:
     """Run a test to its end."""
     graph.until("ready")
