@@ -175,9 +175,13 @@ def bilinear(
 
 
 def noncausal_inverse(
-    response: Callable[[Complexes], Complexes], highest: float, taps: int, dt: float
+    response: Callable[[Complexes], Complexes],
+    highest: float,
+    taps: int,
+    dt: float,
+    past: int = 0,
 ) -> Floats:
-    """Weights h of future samples, so that sum_j h_j y[k + j], through the response, gives y[k].
+    """Weights h of samples, so that sum_j h_j y[k + j - past], through the response, gives y[k].
 
     By least squares over frequency, regularised. A delay has no causal inverse, but y is known
     ahead.
@@ -192,11 +196,15 @@ def noncausal_inverse(
         Number of weights.
     dt : float
         Sampling period, s.
+    past : int
+        Number of weights of past samples; the others are those of this and future samples.
     """
     f = np.linspace(0.0, 0.5 / dt, 400)
     s = (2j * math.pi * f).astype(np.complex128)
     weight = np.where(f <= highest, 1.0, OUTSIDE_WEIGHT)
-    a = (weight * response(s))[:, np.newaxis] * np.exp(np.outer(s, np.arange(taps) * dt))
+    a = (weight * response(s))[:, np.newaxis] * np.exp(
+        np.outer(s, np.arange(-past, taps - past) * dt)
+    )
     size = math.sqrt(GAIN_WEIGHT * len(f))
     a = np.vstack([a.real, a.imag, size * np.eye(taps)])
     wanted = np.concatenate([weight, np.zeros(len(f) + taps)])

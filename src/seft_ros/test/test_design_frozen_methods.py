@@ -149,7 +149,7 @@ def test_the_sure_ones_are_those_of_a_controller_that_takes_the_valves_for_the_w
     late = {"rig": {"actuator.dead_time": 0.001 + added}}
     strong = stronger(part * margins.robust_gain.highest.value)
     for change in (late, strong):
-        worst = (-LARGEST_GAIN_ERROR, -0.005)
+        worst = (-LARGEST_GAIN_ERROR, -0.005, 0.0)
         assert grows(experiment(change), USUAL, held=worst, noise=False) is unstable
 
 
@@ -177,7 +177,7 @@ def test_the_verdict_and_its_numbers():
     assert "follows the specimen" in found.promise
     numbers = summarise_preflight(plan, found)
     assert (numbers["basis"], numbers["critical_mass_ratio"]) == ("exact", None)
-    assert 0.03 < numbers["critical_delay_s"] < 0.033
+    assert 0.022 < numbers["critical_delay_s"] < 0.025
     assert 0.019 < numbers["sure_delay_s"] == margins.sure_dead_time.value < 0.021
     assert numbers["gain"]["highest"] == pytest.approx(4.09, abs=0.01)
     assert numbers["robust_gain"]["highest"] == pytest.approx(2.86, abs=0.01)

@@ -238,37 +238,38 @@ def test_a_derived_velocity_may_be_late(late, sign):
     np.testing.assert_allclose(p.most[:2, 1], apart)
 
 
-def test_the_gain_and_delay_of_a_valve_are_those_of_least_squares():
+def test_the_errors_of_a_valve_and_its_oil_are_those_of_least_squares():
     rng = np.random.default_rng(1)
-    flow, later, white = rng.normal(size=(3, 40))
-    later *= 50.0
-    seen = 1.07 * flow + 1e-3 * later + 0.1 * white
-    errors, c = np.ones((1, 2)), np.ones((1, 3))
+    by, white = rng.normal(size=(40, 3)) * [1.0, 50.0, 0.3], rng.normal(size=40)
+    moved = by[:, 0] + by[:, 2] + by @ [0.07, 1e-3, -0.1] + 0.1 * white
+    errors, c, work = np.ones((1, 3)), np.ones((1, 3, 3)), np.empty(3)
     begin_following(errors, c)
-    for k in range(40):
-        follow_valve(errors[0], c[0], flow[k], later[k], seen[k], 0.01)
-    by = np.stack([flow, later], axis=1)
-    information = by.T @ by / 0.01 + np.diag([0.15**-2, 2e-3**-2])
-    expected = np.linalg.solve(information, by.T @ (seen - flow) / 0.01)
+    for signals in np.column_stack([by, moved]):
+        follow_valve(errors[0], c[0], signals, 0.01, work)
+    information = by.T @ by / 0.01 + np.diag([0.15**-2, 2e-3**-2, 0.2**-2])
+    expected = np.linalg.solve(information, by.T @ (moved - by[:, 0] - by[:, 2]) / 0.01)
     np.testing.assert_allclose(errors[0], expected, rtol=1e-9)
-    left = np.linalg.inv(information)
-    np.testing.assert_allclose(c[0], [left[0, 0], left[1, 1], left[0, 1]], rtol=1e-9)
+    np.testing.assert_allclose(c[0], np.linalg.inv(information), rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_what_is_followed_of_a_valve_has_bounds(sign):
-    errors, c = np.zeros((1, 2)), np.zeros((1, 3))
+    errors, c, work = np.zeros((1, 3)), np.zeros((1, 3, 3)), np.empty(3)
     begin_following(errors, c)
     for _ in range(100):
-        follow_valve(errors[0], c[0], 1.0, 0.0, 1.0 + 9.0 * sign, 1e-3)
-        follow_valve(errors[0], c[0], 0.0, 1.0, 9.0 * sign, 1e-9)
-    np.testing.assert_array_equal(errors[0], [0.3 * sign, 5e-3 * sign])
+        for one in range(3):
+            signals = np.zeros(4)
+            signals[one] = 1.0
+            signals[3] = 9.0 * sign + (one != 1)
+            follow_valve(errors[0], c[0], signals, 1e-9, work)
+    np.testing.assert_array_equal(errors[0], [0.3 * sign, 5e-3 * sign, 0.5 * sign])
 
 
-def test_the_doubt_of_a_flow_is_the_noise_of_velocity_and_of_the_change_of_force():
-    found = doubt(np.array([3.0]), np.array([8.0]), np.array([2.0]), 0.5)
-    np.testing.assert_allclose(found, 9.0 + 2.0 * 8.0**2)  # a sample is longer than 0.1 s
-    np.testing.assert_allclose(doubt(np.ones(1), np.zeros(1), np.ones(1), 0.002), 50.0)
+def test_the_doubt_of_a_flow_is_the_noise_of_velocity_and_of_the_smoothed_change_of_force():
+    found = doubt(np.array([[3.0], [8.0]]), np.array([2.0]), np.array([0.25]), 0.5)
+    np.testing.assert_allclose(found, 9.0 + 16.0**2)  # a sample is longer than 0.1 s
+    of_velocity = doubt(np.array([[1.0], [0.0]]), np.ones(1), np.ones(1), 0.002)
+    np.testing.assert_allclose(of_velocity, 50.0)
 
 
 def test_a_valve_under_load():

@@ -11,7 +11,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from seft_msgs_py.arrays import Complexes, Floats
 
-from seft_ros.force_controller import velocity_feedforward
+from seft_ros.force_controller.feedforward_step import begin_feedforward, feedforward_step
 from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
 from seft_ros.protection.valve_following import LARGEST_DELAY_ERROR, LARGEST_GAIN_ERROR
@@ -164,15 +164,15 @@ def frozen_feedforward(control: VelocityFeedforward) -> list[tuple[Floats, Linea
     parameters = parameters._replace(limit=np.inf, actuator=actuator)
     n = len(actuator)
     y, command = np.zeros((4, n)), np.zeros(n)
-    points = np.zeros((1 + parameters.inverse.shape[1], 3, n))
+    points = np.zeros((2 + state.coming.shape[1], 3, n))
 
     def begin(errors: tuple[float, float]) -> None:
-        velocity_feedforward.begin_feedforward(parameters, state)
-        state.errors[:] = errors
+        begin_feedforward(state)
+        state.errors[:, : len(errors)] = errors  # an error of the oil changes the plan alone
         state.covariance[:] = 0.0
         state.steps[0] = 1.0
 
-    step = partial(velocity_feedforward.feedforward_step, parameters, state, points, y, command)
+    step = partial(feedforward_step, parameters, state, points, y, command)
     states, found = [state.measured, state.sent, state.flows], []
     for errors in _ERRORS:
         outputs, next_states = _system(partial(begin, errors), step, states, [points, y], command)

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import mass_matrix, symmetric_matrix
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig_parameters import LIMIT_NAMES
 from seft_plant_sim.sensors import per_channel
 
-from seft_ros.force_controller.valve_model import ASSUMED_ACTUATOR, read_actuators, valve_models
+from seft_ros.force_controller.known_rig import ASSUMED_ACTUATOR, read_actuators, read_specimen
+from seft_ros.force_controller.valve_model import valve_models
 from seft_ros.protection.detector_list import ALL, DETECTORS
 from seft_ros.protection.detector_step import begin_detectors, detect_all
 from seft_ros.protection.detectors import (
@@ -57,14 +57,7 @@ def detectors_of(
     is_known = actuator["valve_frequency"] > 0.0
     actuator["flow_gain"] = np.where(is_known, actuator["flow_gain"], 0.0)
     actuator["valve_frequency"] = np.where(is_known, actuator["valve_frequency"], 1.0 / dt)
-    name, ratio = "detectors.specimen_stiffness", section["detectors.mass_ratio"]
-    stiffness = symmetric_matrix(section[name], axes, _WHERE + name)[np.ix_(own, own)]
-    mass = np.zeros_like(stiffness)
-    if np.any(section["detectors.specimen_mass"]):
-        name = "detectors.specimen_mass"
-        mass = mass_matrix(section[name], axes, _WHERE + name)[np.ix_(own, own)]
-    if section["detectors.test"] == "eft":  # the specimen carries all of the mass
-        mass, ratio = (1.0 + ratio) * mass, 0.0
+    mass, stiffness, ratio = read_specimen(section, axes, places)
     valves = valve_models(actuator, dt)
     noise, ranges = (
         np.ascontiguousarray(per_channel(section, axes, form, "force_controller")[:, own])
@@ -78,9 +71,9 @@ def detectors_of(
         np.transpose([actuator[name] for name in ASSUMED_ACTUATOR]),
         np.array([valve.last_period() for valve in valves]),
         section["detectors.actuator_kind"] not in FORCE_DRIVEN,
-        np.ascontiguousarray(mass),
-        np.ascontiguousarray(stiffness),
-        np.ascontiguousarray(ratio * mass),
+        mass,
+        stiffness,
+        ratio * mass,
         warn_only,
         section["voltage_limit"],
         dt,

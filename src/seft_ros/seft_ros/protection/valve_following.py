@@ -1,16 +1,30 @@
-"""The flow of a valve by its commands, and how far the assumed valve differs, step by step."""
+"""How far an assumed valve and its oil differ from those of the rig, estimated step by step.
+
+Over a period, a piston moves by the flow of its valve less what the oil takes (Merritt 1967)::
+
+    change of x = (1 + e_gain) flow + e_delay (change of flow per delay)
+                  - (1 + e_oil) (change of f + integral of lambda f) / k_oil
+
+Recursive least squares find the three errors e. All signals pass the same low pass before, over the
+delay of the valve: oil that rings moves the piston little, and tells nothing about the valve.
+"""
 
 import math
 
+import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_plant_sim.compiled import compiled
 
-UNCERTAIN_GAIN, UNCERTAIN_DELAY = 0.15, 2e-3
-"""Standard deviation of the assumed flow gain, relative (supply pressure, temperature), and of the
-valve's delay, s (a step at 500 Hz)."""
+UNCERTAIN_GAIN, UNCERTAIN_DELAY, UNCERTAIN_OIL = 0.15, 2e-3, 0.2
+"""Standard deviation of the assumed flow gain, relative (supply pressure, temperature), of the
+valve's delay, s (a step at 500 Hz), and of the oil's compliance, relative (air in it)."""
 
-LARGEST_GAIN_ERROR, LARGEST_DELAY_ERROR = 0.3, 5e-3
+LARGEST_GAIN_ERROR, LARGEST_DELAY_ERROR, LARGEST_OIL_ERROR = 0.3, 5e-3, 0.5
 """Bounds of the estimates."""
+ERRORS = 3
+"""Number of errors of a valve: of gain, delay and oil."""
+_BOUNDS = (LARGEST_GAIN_ERROR, LARGEST_DELAY_ERROR, LARGEST_OIL_ERROR)
+_VARIANCES = (UNCERTAIN_GAIN**2, UNCERTAIN_DELAY**2, UNCERTAIN_OIL**2)
 
 OIL_CORRELATION_TIME = 0.1
 """Correlation time of the effects that the balance leaves out, s: within it, samples count as
@@ -28,48 +42,60 @@ def under_load(direction: float, force: float, capacity: float) -> float:
     return math.sqrt(max(left, MIN_PRESSURE))
 
 
-def doubt(velocity: Floats, force: Floats, oil_stiffness: Floats, dt: float) -> Floats:
-    """Variance of the measured flow, (m/s)^2, from the RMS noise of velocity and force."""
-    seen = velocity**2 + 2.0 * (force / (oil_stiffness * dt)) ** 2
-    return seen * max(1.0, OIL_CORRELATION_TIME / dt)
+def doubt(noise: Floats, oil_stiffness: Floats, delay: Floats, dt: float) -> Floats:
+    """Variance of the balance of each axis after its low pass, shape (n,), (m/s)^2.
+
+    Parameters
+    ----------
+    noise : ndarray
+        RMS noise of velocity (m/s) and force (N), shape (2, n).
+    oil_stiffness, delay : ndarray
+        N/m and s, shape (n,).
+    dt : float
+        Sampling period, s.
+    """
+    seen = noise[0] ** 2 + (noise[1] / (oil_stiffness * delay)) ** 2
+    return np.asarray(seen * max(1.0, OIL_CORRELATION_TIME / dt))
 
 
 @compiled
 def begin_following(errors: Floats, covariance: Floats) -> None:
-    """Begin a test with the assumed valves; shapes (n, 2) and (n, 3)."""
+    """Begin a test with the assumed valves; shapes (n, 3) and (n, 3, 3)."""
     errors[:] = 0.0
+    covariance[:] = 0.0
     for i in range(len(covariance)):
-        covariance[i, 0] = UNCERTAIN_GAIN**2
-        covariance[i, 1] = UNCERTAIN_DELAY**2
-        covariance[i, 2] = 0.0
+        for j in range(ERRORS):
+            covariance[i, j, j] = _VARIANCES[j]
 
 
 @compiled
 def follow_valve(
-    errors: Floats, c: Floats, flow: float, later: float, seen: float, doubt: float
+    errors: Floats, covariance: Floats, signals: Floats, doubt: float, work: Floats
 ) -> None:
     """Update the estimates of one valve with a sample.
 
     Parameters
     ----------
-    errors : ndarray
-        Relative error of the flow gain and error of the delay in s, shape (2,); updated.
-    c : ndarray
-        Their variances, then their covariance, shape (3,); updated.
-    flow, later : float
-        Flow of the assumed valve, m/s, and its change per delay, m/s^2.
-    seen : float
-        Measured flow: v + (f' + lambda f) / k_oil, m/s.
+    errors, covariance : ndarray
+        Of gain (relative), delay (s) and oil (relative), shapes (3,) and (3, 3); updated.
+    signals : ndarray
+        After the low pass: flow of the assumed valve, its change per delay, less what the assumed
+        oil takes, and what moved the piston; shape (4,), m/s and m/s^2.
     doubt : float
-        Its variance, (m/s)^2.
+        Variance of their balance, (m/s)^2.
+    work : ndarray
+        Shape (3,).
     """
-    by_flow, by_later = c[0] * flow + c[2] * later, c[2] * flow + c[1] * later
-    variance = doubt + flow * by_flow + later * by_later
-    innovation = seen - flow - errors[0] * flow - errors[1] * later
-    found = errors[0] + by_flow / variance * innovation
-    errors[0] = min(max(found, -LARGEST_GAIN_ERROR), LARGEST_GAIN_ERROR)
-    found = errors[1] + by_later / variance * innovation
-    errors[1] = min(max(found, -LARGEST_DELAY_ERROR), LARGEST_DELAY_ERROR)
-    c[0] -= by_flow * by_flow / variance
-    c[1] -= by_later * by_later / variance
-    c[2] -= by_flow * by_later / variance
+    variance = doubt
+    missed = signals[ERRORS] - signals[0] - signals[2]
+    for j in range(ERRORS):
+        missed -= errors[j] * signals[j]
+        work[j] = 0.0
+        for k in range(ERRORS):
+            work[j] += covariance[j, k] * signals[k]
+        variance += signals[j] * work[j]
+    for j in range(ERRORS):
+        found = errors[j] + work[j] * missed / variance
+        errors[j] = min(max(found, -_BOUNDS[j]), _BOUNDS[j])
+        for k in range(ERRORS):
+            covariance[j, k] -= work[j] * work[k] / variance

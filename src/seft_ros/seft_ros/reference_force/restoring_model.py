@@ -253,6 +253,7 @@ def begin_model(parameters: ModelParameters, state: RestoringState) -> None:
     state.stops[:] = 0.0
     state.sums[:] = 0.0
     state.last[:] = 0.0
+    state.sums[:, 4] = MAX_EVIDENCE
     for j in range(n):
         for i in range(q):
             start = parameters.start[j, i]

@@ -27,6 +27,7 @@ from seft_plant_sim.rig_step import (
 )
 from seft_plant_sim.sensors import BLOCK
 
+from seft_ros.force_controller.feedforward_step import FeedforwardParameters, feedforward_step
 from seft_ros.force_controller.force_control import (
     ForceController,
     TransferParameters,
@@ -46,11 +47,7 @@ from seft_ros.force_controller.interlock_step import (
     precheck,
     take_sample,
 )
-from seft_ros.force_controller.velocity_feedforward import (
-    FeedforwardParameters,
-    VelocityFeedforward,
-    feedforward_step,
-)
+from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
 from seft_ros.protection.protected_force import ProtectedForce
 from seft_ros.protection.protection_step import (

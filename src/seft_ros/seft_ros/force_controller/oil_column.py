@@ -1,0 +1,142 @@
+"""Feedback through oil columns, valves and dead times: the regulator of their identified model.
+
+With the deviations x and v of the specimen from its plan, c = f / k_oil of the oil's compression
+and w of the valves' flow, which follows the commands u (as flows) through valve and dead time::
+
+    M v' = k_oil c - K x,    c' = w - v - lambda c                                          (5)
+
+The commands minimise the sum of x^2 + (u / g)^2 over all future samples (the linear-quadratic
+regulator: Kalman 1960; Anderson & Moore, Optimal Control, 1990). In stiff oil, x' = w, such a loop
+crosses over at g. In soft oil a flow moves the specimen less, the faster it changes. With
+
+    g = (1 + (K + M W^2) / k_oil) W                                                         (6)
+
+the loop crosses over near W, whatever the oil column is.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.linalg import eigh, solve_discrete_are
+from seft_msgs_py.arrays import Floats
+from seft_plant_sim.lti import first_order_hold, split_dead_time
+
+from seft_ros.force_controller.valve_model import ValveModel
+from seft_ros.protection.valve_following import UNCERTAIN_DELAY
+
+CROSSOVER = math.pi / 4
+"""Of the loop, times the delay of the valve that it may have: half the value at which a loop of a
+delay alone, without a model of it, would oscillate."""
+STIFF = 10.0
+"""Frequency of an oil column over that of the valve, beyond which it counts as stiff. So does one
+with a mass that is not known, which is 0: what is fed back is then the volume x + c."""
+
+ELASTIC = 0.5
+"""Part of the specimen's stiffness that the regulator counts on: halfway between a specimen that is
+elastic and one that yields."""
+
+
+def crossover(valves: Sequence[ValveModel]) -> Floats:
+    """Crossover frequency of the loop of each valve, W of Eq. (6), shape (n,), rad/s."""
+    return CROSSOVER / (np.array([valve.delay for valve in valves]) + UNCERTAIN_DELAY)
+
+
+def regulator(
+    valves: Sequence[ValveModel],
+    oil: Floats,
+    mass: Floats,
+    stiffness: Floats,
+    memory: int,
+    dt: float,
+) -> tuple[Floats, Floats]:
+    """Gains that bring n axes back to their plan, see Eq. (5).
+
+    Parameters
+    ----------
+    valves : sequence of ValveModel
+        Of the axes.
+    oil : ndarray
+        Stiffness (N/m) and leakage (1/s) of each axis, shape (n, 2).
+    mass, stiffness : ndarray
+        Of the specimen, shape (n, n), kg and N/m.
+    memory : int
+        Number of past commands that are used.
+    dt : float
+        Sampling period, s.
+
+    Returns
+    -------
+    gains : ndarray
+        Flow per deviation of displacement (m), velocity (m/s) and compression (m), shape (n, 3, n).
+    sent : ndarray
+        Flow per deviation of past commands, the newest first, shape (n, n, memory).
+    """
+    n, stiffness = len(valves), ELASTIC * stiffness
+    mass = _without_fast_modes(mass, stiffness + np.diag(oil[:, 0]), valves)
+    free, push = _sampled(valves, oil, mass, stiffness, dt)
+    cost, least = (
+        np.zeros_like(free),
+        np.linalg.inv(_flow_at(crossover(valves), oil, mass, stiffness)),
+    )
+    cost[:n, :n] = np.eye(n)
+    effort = least.T @ least
+    p = solve_discrete_are(free, push, cost, effort)
+    gain = np.linalg.solve(effort + push.T @ p @ push, push.T @ p @ free)
+    # of the flow and the commands under way, which past commands have made
+    state, own, sent = push[3 * n :], free[3 * n :, 3 * n :], np.empty((n, n, memory))
+    for j in range(memory):
+        sent[:, :, j] = gain[:, 3 * n :] @ state
+        state = own @ state
+    return (gain[:, : 3 * n] * np.repeat([1.0, dt, 1.0], n)).reshape(n, 3, n), sent
+
+
+def _flow_at(w: Floats, oil: Floats, mass: Floats, stiffness: Floats) -> Floats:
+    """Flow per displacement at a frequency of each axis, g of Eq. (6), shape (n, n), 1/s."""
+    return (np.eye(len(w)) + (stiffness + mass * w**2) / oil[:, :1]) * w
+
+
+def _without_fast_modes(mass: Floats, stiffness: Floats, valves: Sequence[ValveModel]) -> Floats:
+    """Masses with which no mode of the specimen on its oil is faster than `STIFF` says."""
+    fastest = STIFF * max(valve.natural for valve in valves)
+    squares, shapes = eigh(mass, stiffness)  # 1/w^2: 0 of a mass that is 0
+    back = np.linalg.inv(shapes)
+    return back.T @ (np.maximum(squares, fastest**-2.0)[:, np.newaxis] * back)
+
+
+def _sampled(
+    valves: Sequence[ValveModel], oil: Floats, mass: Floats, stiffness: Floats, dt: float
+) -> tuple[Floats, Floats]:
+    """Matrices from the states and the commands of a sample to the states of the next.
+
+    The states are x, v dt, c, w and w' dt of all axes, all lengths per period, then the commands
+    under way of each axis, the newest first.
+    """
+    n, one = len(valves), np.eye(len(valves))
+    natural, damping = (
+        np.array([getattr(v, name) for v in valves]) for name in ("natural", "damping")
+    )
+    x, v, c, flow, rate = (slice(k * n, k * n + n) for k in range(5))
+    a, b = np.zeros((5 * n, 5 * n)), np.zeros((5 * n, n))
+    a[x, v] = a[flow, rate] = a[c, flow] = one
+    a[v, x], a[v, c] = -np.linalg.solve(mass, stiffness), np.linalg.solve(mass, np.diag(oil[:, 0]))
+    a[c, v], a[c, c] = -one, -np.diag(oil[:, 1])
+    a[rate, flow], a[rate, rate] = -np.diag(natural**2), -np.diag(2.0 * damping * natural)
+    b[rate] = np.diag(natural**2)
+    unit = np.repeat(dt ** np.array([0.0, 1.0, 0.0, 0.0, 1.0]), n)
+    a, b = a * unit[:, np.newaxis] / unit, b * unit[:, np.newaxis]
+    delays = [split_dead_time(valve.late, dt) for valve in valves]
+    lines = np.cumsum([5 * n, *(whole + 1 for whole, _ in delays)])
+    free, push = np.zeros((lines[-1], lines[-1])), np.zeros((lines[-1], n))
+    for i, (whole, rest) in enumerate(delays):
+        early, forced_early, _ = first_order_hold(a, b[:, i : i + 1], rest)
+        after, forced_late, _ = first_order_hold(a, b[:, i : i + 1], dt - rest)
+        free[: 5 * n, : 5 * n] = after @ early
+        line = int(lines[i])
+        # the commands that act in a period are so many periods old; 0 is the one to come
+        for old, part in ((whole, forced_late), (whole + 1, after @ forced_early)):
+            acts = free[: 5 * n, line + old - 1] if old else push[: 5 * n, i]
+            acts += part[:, 0]
+        push[line, i] = 1.0
+        free[line + 1 : line + whole + 1, line : line + whole] = np.eye(whole)
+    return free, push

@@ -1,0 +1,115 @@
+"""The regulator of oil columns: its model of the rig, its gains, and the loop that it makes."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from seft_ros.force_controller.oil_column import crossover, regulator
+from seft_ros.force_controller.valve_model import ValveModel
+
+OIL = 1.664e7
+LEAKAGE = 50.0
+
+
+def valve(dt, frequency=70.0, damping=0.6, dead_time=0.001):
+    return ValveModel(frequency, damping, dead_time, dt)
+
+
+def gains_of(valves, mass, stiffness, dt, oil=OIL):
+    n = len(valves)
+    known = np.column_stack([np.full(n, oil), np.full(n, LEAKAGE)])
+    memory = max(one.memory for one in valves)
+    return regulator(valves, known, np.array(mass), np.array(stiffness), memory, dt)
+
+
+def deviations(valves, mass, stiffness, dt, seconds, start):
+    """Deviations of x that the regulator brings back, by an ODE solver, shape (N, n)."""
+    n, mass, stiffness = len(valves), np.array(mass), np.array(stiffness)
+    gains, sent = gains_of(valves, mass, stiffness, dt)
+    memory, inverse = sent.shape[2], np.linalg.inv(mass)
+    state = np.concatenate([start, np.zeros(4 * n)])
+    commands, found = np.zeros((n, memory)), []
+    natural, damping, late = (
+        np.array([getattr(one, name) for one in valves]) for name in ("natural", "damping", "late")
+    )
+
+    def slope(t, s, acting):
+        x, v, c, w, rate = s.reshape(5, n)
+        return np.concatenate(
+            [
+                v,
+                inverse @ (OIL * c - stiffness @ x),
+                w - v - LEAKAGE * c,
+                rate,
+                natural**2 * (acting - w) - 2 * damping * natural * rate,
+            ]
+        )
+
+    for _ in range(round(seconds / dt)):
+        x, v, c, _, _ = state.reshape(5, n)
+        found.append(x)
+        command = -np.einsum("irj,rj->i", gains, np.array([x, v, c]))
+        command -= np.einsum("ikj,kj->i", sent, commands)
+        commands = np.column_stack([command, commands[:, :-1]])
+        # a command acts from ``late`` after its sample on: between two samples it changes once
+        whole = (late / dt + 1e-9).astype(int)
+        rest = late - whole * dt
+        edges = np.unique([0.0, *rest.tolist(), dt])
+        for begin, end in zip(edges[:-1], edges[1:], strict=True):
+            old = whole + (begin < rest - 1e-12)
+            acting = commands[range(n), old]
+            state = solve_ivp(slope, (begin, end), state, args=(acting,), rtol=1e-8, atol=1e-14).y[
+                :, -1
+            ]
+    return np.array(found)
+
+
+@pytest.mark.parametrize("rate", [250.0, 1000.0, 4000.0])
+@pytest.mark.parametrize("mass", [0.0, 1.0])
+def test_in_stiff_oil_the_volume_is_fed_back_at_the_crossover_frequency(rate, mass):
+    one = valve(1 / rate)
+    gains, _ = gains_of([one], [[mass]], [[0.0]], 1 / rate)
+    x, v, c = gains[0, :, 0]
+    assert x == pytest.approx(crossover([one])[0], rel=0.15)
+    assert c == pytest.approx(x, rel=0.1)
+    assert abs(v) * crossover([one])[0] < 0.01 * x
+
+
+@pytest.mark.parametrize("rate", [250.0, 1000.0, 4000.0])
+@pytest.mark.parametrize("mass", [20.0, 200.0, 3000.0, 20000.0])
+def test_a_deviation_dies_out_within_four_periods_of_the_crossover(rate, mass):
+    """Whatever the oil column, here of 145 to 5 Hz, and without ringing."""
+    one, k = valve(1 / rate), mass * (2 * math.pi * 3) ** 2
+    seconds = 8 * math.pi / crossover([one])[0]
+    found = deviations([one], [[mass]], [[k]], 1 / rate, seconds, np.array([1e-3]))[:, 0]
+    left = np.abs(found[3 * len(found) // 4 :]).max()
+    assert left < 0.05e-3
+    assert np.abs(found).max() < 1.01e-3
+
+
+def test_coupled_axes_come_back_in_their_own_coordinates():
+    """Two alike actuators on a body: coordinates that are turned have gains that are turned."""
+    dt = 0.001
+    mass, stiffness = np.diag([300.0, 5000.0]), np.diag([1e5, 4e6])
+    turn = np.array([[0.8, -0.6], [0.6, 0.8]])
+    own, sent = gains_of([valve(dt), valve(dt)], mass, stiffness, dt)
+    turned, also = gains_of(
+        [valve(dt), valve(dt)], turn @ mass @ turn.T, turn @ stiffness @ turn.T, dt
+    )
+    assert np.abs(own[0, :, 1]).max() < 1e-6 * np.abs(own[0]).max()  # here axes are not coupled
+    for row in range(3):
+        size = np.abs(own[:, row]).max()
+        np.testing.assert_allclose(turned[:, row], turn @ own[:, row] @ turn.T, atol=1e-5 * size)
+    np.testing.assert_allclose(
+        also, np.einsum("ij,jkm,lk->ilm", turn, sent, turn), atol=1e-5 * np.abs(sent).max()
+    )
+
+
+def test_coupled_axes_with_unlike_valves_come_back():
+    dt = 0.001
+    valves = [valve(dt), valve(dt, 40.0, 0.9, 0.0034)]
+    mass, stiffness = [[900.0, 300.0], [300.0, 700.0]], [[3e6, -1e6], [-1e6, 2e6]]
+    found = deviations(valves, mass, stiffness, dt, 0.4, np.array([1e-3, -5e-4]))
+    assert np.abs(found[-100:]).max() < 0.03e-3
+    assert np.abs(found).max() < 1.2e-3
