@@ -1,7 +1,7 @@
 """What a preflight found: tables, JSON values, expected peaks, limits, a computed model's time."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,6 @@ from seft_ros.design.stability_verdict import Preflight
 from seft_ros.drawing.style import Mark, Number
 from seft_ros.drawing.table import Cell, Texts, TextTable
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
-from seft_ros.reference_force.force_command import FORCE_DRIVEN
 from seft_ros.reference_force.reference_force_parameters import LONGEST_MODEL_STEP
 
 SHARE = 0.6
@@ -190,7 +189,9 @@ def preflight_texts(plan: Plan, found: Preflight, title: str) -> Texts:
     return [*texts, "modes of the whole structure", TextTable(headings, modes or none)]
 
 
-def limits_table(experiment: Experiment, peaks: dict[str, float]) -> TextTable:
+def limits_table(
+    experiment: Experiment, peaks: Mapping[str, float], proposed: Mapping[str, float]
+) -> TextTable:
     """Tabulate expected peaks, the limits of the test, and limits that fit."""
     limits = group(experiment["supervisor"], "limits")
     marks = {True: Mark.BAD, False: Mark.NONE}
@@ -202,7 +203,7 @@ def limits_table(experiment: Experiment, peaks: dict[str, float]) -> TextTable:
             Cell(f"{limits[name]:g}", marks[peaks[name] > limits[name]]),
             f"{limit:g}",
         ]
-        for (name, limit), unit in zip(proposed_limits(peaks).items(), LIMIT_UNITS, strict=False)
+        for (name, limit), unit in zip(proposed.items(), LIMIT_UNITS, strict=False)
     ]
     return TextTable(("limit of", "unit", "expected peak", "limit", "proposed limit"), rows)
 
@@ -307,53 +308,53 @@ def expected_peaks(by_axis: Mapping[str, Floats]) -> dict[str, float]:
     return {name: float(peaks.max()) for name, peaks in by_axis.items()}
 
 
-def proposed_limits(peaks: dict[str, float]) -> dict[str, float]:
-    """Limits that fit expected peaks, rounded up to two digits."""
+def proposed_limits(
+    peaks: Mapping[str, float], highest: Mapping[str, float] | None = None
+) -> dict[str, float]:
+    """Limits that fit expected peaks, rounded up to two digits, or down where `highest_limits`."""
     limits = {}
     for name, peak in peaks.items():
-        unit = 10.0 ** (np.floor(np.log10(FACTORS[name] * peak)) - 1) if peak > 0.0 else 1.0
-        limits[name] = float(f"{np.ceil(FACTORS[name] * peak / unit - 1e-9) * unit:.6g}")
+        limit, most = FACTORS[name] * peak, (highest or {}).get(name, np.inf)
+        up = _two_digits(limit, np.ceil) if limit > 0.0 else 0.0
+        limits[name] = up if up <= most else _two_digits(most, np.floor)
     return limits
 
 
-def limit_warning(experiment: Experiment, peaks: dict[str, float]) -> str:
-    """Name the limits that the expected peaks exceed or stay far below; empty if there are none."""
-    limits, low, far = group(experiment["supervisor"], "limits"), [], []
-    for (name, peak), unit in zip(peaks.items(), LIMIT_UNITS, strict=False):
-        limit = limits[name]
-        text = f"{name} {limit:g} {unit} (expected: {peak:.3g})"
-        if peak > limit:
-            low.append(text)
-        elif limit > FAR * peak > 0:
-            far.append(text)
-    kinds = (
-        (low, "limits are below the expected peaks, and may end the test"),
-        (far, f"limits are more than {FAR:g} times the expected peaks"),
+def _two_digits(value: float, towards: Callable[[float], float]) -> float:
+    unit = 10.0 ** (np.floor(np.log10(value)) - 1)
+    nearly = -1e-9 if towards is np.ceil else 1e-9  # what is round stays as it is
+    return float(f"{towards(value / unit + nearly) * unit:.6g}")
+
+
+def far_limits(experiment: Experiment, peaks: Mapping[str, float]) -> str:
+    """Name the limits that the expected peaks stay far below; empty if there are none."""
+    limits = group(experiment["supervisor"], "limits")
+    far = [
+        f"{name} {limits[name]:g} {unit} (expected: {peak:.3g})"
+        for (name, peak), unit in zip(peaks.items(), LIMIT_UNITS, strict=False)
+        if limits[name] > FAR * peak > 0
+    ]
+    if not far:
+        return ""
+    return (
+        f"limits are more than {FAR:g} times the expected peaks: {', '.join(far)}; seft preflight "
+        "CONFIG --write limits.yaml proposes others"
     )
-    parts = [f"{what}: {', '.join(which)}" for which, what in kinds if which]
-    parts += ["seft preflight CONFIG --write limits.yaml proposes others"] if parts else []
-    return "; ".join(parts)
 
 
-def mismatches(experiment: Experiment, peaks: dict[str, float]) -> Iterator[str]:
-    """Say where a plan does not fit its rig: the mass that it assumes, the flow of its valves."""
-    rig, controller = experiment.sections.get("rig"), experiment.sections["force_controller"]
-    if rig is not None:
-        assumed, own = experiment["reference_force"]["model.mass"], rig["specimen.mass"]
-        masses = [mass_matrix(value, experiment.axes, "mass") for value in (assumed, own)]
-        if np.abs(masses[0] - masses[1]).max() > WEIGHING_ERROR * np.abs(masses[1]).max():
-            yield (
-                f"reference_force: model.mass is {assumed} kg, but rig: specimen.mass {own} kg; "
-                "give the mass of the specimen to both"
-            )
-    flow = np.min(controller["actuator.flow_gain"]) * np.min(controller["voltage_limit"])
-    if rig is not None and rig["actuator.kind"] in FORCE_DRIVEN:
-        return
-    if peaks and 0.0 < flow < peaks["velocity"]:
-        yield (
-            f"a velocity of {peaks['velocity']:.3g} m/s is expected, but the valve, fully open, "
-            f"passes {flow:.3g} m/s; lower ground_motion: peak_force"
-        )
+def mass_mismatch(experiment: Experiment) -> str:
+    """Say where the plan assumes another mass than its rig has; empty if it does not."""
+    rig = experiment.sections.get("rig")
+    if rig is None:
+        return ""
+    assumed, own = experiment["reference_force"]["model.mass"], rig["specimen.mass"]
+    masses = [mass_matrix(value, experiment.axes, "mass") for value in (assumed, own)]
+    if np.abs(masses[0] - masses[1]).max() <= WEIGHING_ERROR * np.abs(masses[1]).max():
+        return ""
+    return (
+        f"reference_force: model.mass is {assumed} kg, but rig: specimen.mass {own} kg; "
+        "give the mass of the specimen to both"
+    )
 
 
 def write_limits(file: Path, limits: dict[str, float]) -> None:
@@ -369,6 +370,6 @@ def write_limits(file: Path, limits: dict[str, float]) -> None:
     section: Section = {f"limits.{name}": value for name, value in limits.items()}
     comments = [
         "by seft preflight: 1.5 times the expected peaks of displacement and force, 2 times",
-        "those of velocity and acceleration",
+        "those of velocity and acceleration, as far as stroke and force capacity allow",
     ]
     write_parameter_file(file, {"supervisor": section}, comments, replace=True)
