@@ -119,7 +119,7 @@ def preflight(
             f"longest, of {1e3 * timed.budget_s:.2g} ms",
             "the margins above take its tangent at rest",
         ]
-    texts = preflight_tables.preflight_texts(plan, found, f"preflight of {config}")
+    texts = preflight_tables.preflight_texts(found, f"preflight of {config}")
     limits_table = preflight_tables.limits_table(experiment, peaks, limits)
     shared.show(summary, json, [*texts, limits_table, *lines], "figure")
     for warning in warnings:

@@ -1,7 +1,7 @@
 """What a preflight found: tables, JSON values, expected peaks, limits, a computed model's time."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -14,9 +14,10 @@ from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig_parameters import LIMIT_UNITS
 from seft_plant_sim.whole_structure import model_times, whole_structure
 
+from seft_ros.design.margin_ends import HEADINGS, end_texts, meanings
 from seft_ros.design.plan import Plan
 from seft_ros.design.plausibility import FACTORS
-from seft_ros.design.stability_margins import HIGHEST_MASS_RATIO, Critical, Range, added_delays
+from seft_ros.design.stability_margins import Range
 from seft_ros.design.stability_verdict import Preflight
 from seft_ros.drawing.style import Mark, Number
 from seft_ros.drawing.table import Cell, Texts, TextTable
@@ -169,16 +170,21 @@ _MODE = (  # of the exact mode, of that in the test, and their difference
 )
 
 
-def preflight_texts(plan: Plan, found: Preflight, title: str) -> Texts:
+def preflight_texts(found: Preflight, title: str) -> Texts:
     """Show a preflight: verdict and margins, and the modes in the test if it is stable."""
-    headings = ("", "planned", "critical", "oscillates at")
-    texts: Texts = [
-        Cell(f"{title}: {found.verdict}", _MARKS[found.verdict]),
-        TextTable(headings, [*_margin_rows(plan, found)]),
+    mark = _MARKS[found.verdict]
+    rows = [
+        [Cell(text, mark if end.decides else Mark.NONE) for text in texts]
+        for end, texts in zip(found.ends, end_texts(found.ends), strict=True)
+    ]
+    shown: Texts = [
+        Cell(f"{title}: {found.verdict}", mark),
+        TextTable(HEADINGS, rows),
+        *meanings(found.ends),
         found.promise,
     ]
     if found.verdict == "unstable":
-        return texts
+        return shown
     modes = [
         [row[0].label, *(number.text(mode) for number in row)]
         for mode in map(asdict, found.modes)
@@ -186,7 +192,7 @@ def preflight_texts(plan: Plan, found: Preflight, title: str) -> Texts:
     ]
     none = [["no oscillating mode", "", "", ""]]
     headings = ("mode", "exact", "in the test", "error")
-    return [*texts, "modes of the whole structure", TextTable(headings, modes or none)]
+    return [*shown, "modes of the whole structure", TextTable(headings, modes or none)]
 
 
 def limits_table(
@@ -206,45 +212,6 @@ def limits_table(
         for (name, limit), unit in zip(proposed.items(), LIMIT_UNITS, strict=False)
     ]
     return TextTable(("limit of", "unit", "expected peak", "limit", "proposed limit"), rows)
-
-
-def _margin_rows(plan: Plan, found: Preflight) -> Iterator[list[str]]:
-    """Rows of each margin: of the lower and the upper end, as far as they were searched."""
-    margins, alpha, dead_time = found.margins, plan.mass_ratio, plan.dead_time
-    longest = float(added_delays(plan)[-1] + dead_time)
-    sure, followed = "with any assumed valve", "the same, once identified"
-    rows = [
-        ("mass ratio", Range(alpha, None, margins.mass_ratio, (alpha, HIGHEST_MASS_RATIO)), ""),
-        ("actuator's dead time", _longest(dead_time, margins.dead_time, longest), " ms"),
-        (sure, _longest(dead_time, margins.sure_dead_time, longest), " ms"),
-        ("actuator's gain", margins.gain, ""),
-        (sure, margins.robust_gain, ""),
-        ("local stiffness / assumed", margins.stiffness, ""),
-        (followed, margins.followed, ""),
-        ("error in the assumed delay", margins.delay_error, " ms"),
-    ]
-    left_out = {sure: not plan.follows_valves, followed: not plan.follows}
-    for label, margin, unit in rows:
-        if left_out.get(label):
-            continue
-        if margin is None:
-            yield [label, "", "" if found.verdict == "unstable" else "not used", ""]
-            continue
-        scale = 1e3 if unit else 1.0
-        names = [label, f"{scale * margin.planned:.3g}{unit}"]
-        ends = ((margin.lowest, "<"), (margin.highest, ">"))
-        for (end, sign), beyond in zip(ends, margin.searched, strict=True):
-            if beyond == margin.planned and end is None:
-                continue
-            critical = [f"{sign} {scale * beyond:.3g}{unit}", ""]
-            if end is not None:
-                critical = [f"{scale * end.value:.4g}{unit}", f"{end.hz:.3g} Hz"]
-            yield [*names, *critical]
-            names = ["", ""]
-
-
-def _longest(planned: float, critical: Critical | None, searched: float) -> Range:
-    return Range(planned, None, critical, (planned, searched))
 
 
 def summarise_preflight(plan: Plan, found: Preflight) -> dict[str, Any]:
