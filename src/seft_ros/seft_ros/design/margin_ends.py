@@ -44,7 +44,11 @@ COLUMNS_MEAN = (
     "needed: what a stable verdict asks for."
 )
 HEADINGS = ("", "planned", "critical", "needed", "oscillates at")
-MASS_RATIO, DEAD_TIME, STIFFNESS = "mass ratio", "actuator's dead time", "local stiffness / assumed"
+MASS_RATIO, DEAD_TIME, LOCAL_STIFFNESS = (
+    "mass ratio",
+    "actuator's dead time",
+    "local stiffness / assumed",
+)
 
 
 @dataclass(frozen=True)
@@ -170,9 +174,9 @@ def margin_ends(plan: Plan, margins: Margins) -> Iterator[MarginEnd]:
     if any_valve:
         yield from _ends(gain, ANY_VALVE, "", margins.robust_gain, of_gain)
     of_stiffness = own / STIFFNESS_RESERVE, own * STIFFNESS_RESERVE
-    yield from _ends(STIFFNESS, "", "", margins.stiffness, of_stiffness)
+    yield from _ends(LOCAL_STIFFNESS, "", "", margins.stiffness, of_stiffness)
     if plan.follows:
-        yield from _ends(STIFFNESS, "once identified", "", margins.followed, (0.0, np.inf))
+        yield from _ends(LOCAL_STIFFNESS, "once identified", "", margins.followed, (0.0, np.inf))
     yield from _ends("error in the assumed delay", "", "ms", margins.delay_error, (-error, error))
 
 

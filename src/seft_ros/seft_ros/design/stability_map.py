@@ -16,8 +16,8 @@ from seft_ros.design.margin_ends import (
     DEAD_TIME,
     DECIDES,
     HEADINGS,
+    LOCAL_STIFFNESS,
     MASS_RATIO,
-    STIFFNESS,
     MarginEnd,
     end_texts,
     meanings,
@@ -37,7 +37,7 @@ _COLOURS = (
 )  # fmt: skip
 _PANELS = (
     (DEAD_TIME, "against dead time, unknown to the method", "actuator's dead time / ms", 1e3),
-    (STIFFNESS, "against local stiffness, unknown to the method", STIFFNESS, 1.0),
+    (LOCAL_STIFFNESS, "against local stiffness, unknown to the method", LOCAL_STIFFNESS, 1.0),
 )
 _PLAN = {"stable": "#2e7d32", "marginal": "#e08a00", "unstable": "#b00020"}
 
