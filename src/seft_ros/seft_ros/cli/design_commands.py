@@ -27,7 +27,7 @@ def preflight(
     false damping that the test will show; and sweeps the specimen's local stiffness from 0 to 3
     times the assumed one. Exact where the loop is linear; the table says what that excludes.
     --figure draws where the test would be stable: mass ratio against dead time, and against the
-    specimen's local stiffness.
+    specimen's local stiffness; and writes the margins below, with a mark where they decide.
 
     If a method or controller of your own has no linear(), the planned test is simulated instead.
 
