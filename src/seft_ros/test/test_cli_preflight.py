@@ -4,9 +4,11 @@ import json
 
 import pytest
 from experiments_at_hand import JHU
+from seft_msgs_py.config.experiment import read_parameter_file
 from seft_msgs_py.errors import ExperimentError
 from seft_ros.design import stability_map
 
+DEMO = JHU.with_name("demo.yaml")
 WITHIN = ("-p", "ground_motion:peak_force:=500.0")  # of the sensors, at any mass ratio here
 DELAY = ("-p", "rig:actuator.kind:=delay", "-p", "rig:actuator.delay:=0.01", *WITHIN)
 RATIO = "reference_force:mass_ratio:="
@@ -69,21 +71,42 @@ def test_for_people_there_is_a_table_and_every_reason_in_a_line(seft):
     assert status == 0
     for words in ("marginal", "mass ratio", "dead time", "damping ratio", "Exact eigenvalues"):
         assert words in out
-    assert err.startswith("seft: marginal: the critical mass ratio 0.933 is less than")
+    assert err.startswith("seft: marginal: mass ratio: unstable at 0.9331, needed > 1.08")
     assert all(line.startswith("seft: marginal: ") for line in err.splitlines())
 
 
-def test_a_mass_and_a_motion_that_do_not_fit_the_rig_are_told(seft, told):
+def test_a_mass_that_does_not_fit_the_rig_is_told(seft, told):
     heavy, weak = "rig:specimen.mass:=80", ("-p", "ground_motion:peak_force:=300.0")
     _, found = told(JHU, "-p", heavy, *weak)
     (warning,) = found["warnings"]
     assert "model.mass is 52.7 kg, but rig: specimen.mass 80.0 kg" in warning
     assert f"warning: {warning}" in seft("preflight", JHU, "-p", heavy, *weak)[2]
-    strong = ("-p", "ground_motion:peak_force:=5000.0")
-    _, found = told(JHU, "-p", heavy, "-p", "reference_force:model.mass:=80", *strong)
-    (warning,) = found["warnings"]
-    assert "valve, fully open" in warning
-    assert told(JHU, *DELAY, *strong)[1]["warnings"] == []  # no valve
+
+
+def test_a_peak_beyond_a_limit_or_the_rig_is_told_and_refused_by_run(seft, told, flown, tmp_path):
+    beyond = (
+        *("-p", "supervisor:limits.displacement:=0.005"),
+        *("-p", "rig:actuator.stroke:=0.006", "-p", "rig:actuator.flow_gain:=0.03"),
+    )
+    status, found = told(DEMO, *beyond, "--write", "limits.yaml")
+    assert (status, found["verdict"], found["unfit"]) == (0, "stable", [])
+    quantities = [warning.split(" on axis x is ")[0] for warning in found["warnings"]]
+    assert quantities == ["expected displacement"] * 2 + ["expected flow of the valve"]
+    assert found["proposed_limits"]["displacement"] < 0.006
+    assert read_parameter_file(tmp_path / "limits.yaml")["supervisor"] == {
+        f"limits.{name}": limit for name, limit in found["proposed_limits"].items()
+    }
+    err = seft("preflight", DEMO, *beyond)[2]
+    assert err.splitlines() == [f"warning: {warning}" for warning in found["warnings"]]
+    status, out, err = seft("run", DEMO, *beyond)
+    assert (status, out, err.count("\n"), flown) == (2, "", 1, [])
+    assert all(warning.split(";")[0] in err for warning in found["warnings"])
+    assert err.endswith(
+        "; lower ground_motion: peak_force, or run it all the same with --accept-unstable\n"
+    )
+    status, _, err = seft("run", DEMO, *beyond, "--accept-unstable")
+    assert (status, len(flown)) == (1, 1)
+    assert err.splitlines()[0].endswith("; lower ground_motion: peak_force; accepted")
 
 
 def test_a_specimen_in_other_units_is_refused(seft, flown):

@@ -5,7 +5,9 @@ from functools import partial
 import numpy as np
 import pytest
 from experiments_at_hand import of_parts
+from seft_ros.design.margin_ends import end_texts, meanings
 from seft_ros.design.plan import Plan
+from seft_ros.design.stability_map import StabilityMap, preflight_figure
 from seft_ros.design.stability_margins import (
     HIGHEST_MASS_RATIO,
     critical_mass_ratio,
@@ -122,20 +124,48 @@ def test_the_verdict_follows_the_reserve_of_the_mass_ratio(ratio, verdict):
     assert found.verdict == verdict
     assert bool(found.reasons) == (verdict != "stable")
     if verdict == "marginal":
-        assert "critical mass ratio 0.933" in found.reasons[0]
+        assert found.reasons[0].startswith("mass ratio: unstable at 0.933")
 
 
 def test_thin_margins_of_delay_gain_and_stiffness_are_named():
     thin = check_stability(Plan(experiment(SERVO, reference(mass_ratio=1.05))))
     assert thin.verdict == "marginal"
     text = " / ".join(thin.reasons)
-    assert "dead time" in text and "gain of the actuator's path" in text
+    assert "actuator's dead time: " in text and "actuator's gain: " in text
     told = reference(compensation__method="model", mass_ratio=0.5, model__stiffness=2.7 * K)
     wrong = check_stability(Plan(experiment(DELAY, told)))
     own = wrong.margins.stiffness
     assert own.planned == pytest.approx(1 / 2.7)
     assert own.planned / 1.1 < own.lowest.value < own.planned
     assert any("local stiffness" in reason for reason in wrong.reasons)
+
+
+def test_the_rows_that_decide_are_those_below_their_reserve():
+    """Of a valve of more than twice the gain that the controller assumes."""
+    plan = Plan(of_parts({}, {"rig": {"actuator.flow_gain": 0.1}}, config="demo"))
+    found = check_stability(plan)
+    deciding = [end for end in found.ends if end.decides]
+    assert [end.reason for end in deciding] == found.reasons
+    assert [(end.name, end.more) for end in deciding] == [
+        ("actuator's dead time", "with any assumed valve"),
+        ("actuator's gain", "with any assumed valve"),
+    ]
+    assert [end.critical for end in deciding] == [
+        found.margins.sure_dead_time,
+        found.margins.robust_gain.highest,
+    ]
+    rows = end_texts(found.ends)
+    marked = [row for row in rows if row[2].startswith("! ")]
+    assert [row[0] for row in marked] == ["the same, with any assumed valve"] * 2
+    said = " ".join(meanings(found.ends))
+    assert "a gain up to 30 %" in said and "a delay up to 5 ms" in said and "!: " in said
+    growth = np.array([[-1.0, -1.0], [1.0, 1.0]])
+    area = StabilityMap(np.array([0.0, 3.0]), np.array([0.0, 0.02]), growth, (1.5, 0.001))
+    drawn = preflight_figure(plan, found, [area])
+    shown = [text.get_text() for axes in drawn.axes for text in axes.texts]
+    assert all(cell in shown for row in marked for cell in row)
+    assert any(text.startswith("with any assumed valve: ") for text in shown)
+    assert "! critical, with any assumed valve" in shown
 
 
 def test_what_adapts_is_promised_as_it_starts_only(monkeypatch):

@@ -27,12 +27,13 @@ def preflight(
     false damping that the test will show; and sweeps the specimen's local stiffness from 0 to 3
     times the assumed one. Exact where the loop is linear; the table says what that excludes.
     --figure draws where the test would be stable: mass ratio against dead time, and against the
-    specimen's local stiffness.
+    specimen's local stiffness; and writes the margins below, with a mark where they decide.
 
     If a method or controller of your own has no linear(), the planned test is simulated instead.
 
     The exact response of the planned test gives the peaks to expect, and limits that fit them.
-    It warns where the assumed mass, or the flow of the valves, does not fit. A specimen whose
+    It warns where a peak is beyond a limit, the stroke, the force capacity or the flow of the valve
+    under load, which seft run refuses, and where the assumed mass does not fit. A specimen whose
     stiffness or mass seems to be in another unit is refused.
 
     A computed model enters the loop with its tangent at rest. Its steps are timed along the
@@ -51,7 +52,13 @@ def preflight(
 
         seft preflight config/jhu.yaml --params-file identified/model.yaml
     """
-    from seft_ros.design import plausibility, preflight_tables, stability_map, stability_verdict
+    from seft_ros.design import (
+        capacity,
+        plausibility,
+        preflight_tables,
+        stability_map,
+        stability_verdict,
+    )
     from seft_ros.design.plan import Plan
     from seft_ros.drawing.style import check_figure, save_figure
     from seft_ros.reference_force.compensator import NotLinearError
@@ -60,12 +67,17 @@ def preflight(
     experiment = shared.load_experiment(config, param, params_file, external)
     motion = preflight_tables.planned_motion(experiment)
     with shared.passing_progress():
-        by_axis = plausibility.peaks_by_axis(experiment, motion)
-        peaks = preflight_tables.expected_peaks(by_axis)
+        response = plausibility.expected_response(experiment, motion)
+        by_axis = plausibility.peaks_of(response)
         wrong = plausibility.wrong_number(experiment, motion, by_axis)
     if wrong:
         raise InputError(wrong)
-    unfit = [*filter(None, [plausibility.range_refusal(experiment, by_axis)])]
+    unfit = [*filter(None, [capacity.range_refusal(experiment, by_axis)])]
+    beyond = capacity.excesses(experiment, response)
+    warnings = [capacity.excess_text([excess]) for excess in beyond]
+    peaks = preflight_tables.expected_peaks(by_axis)
+    highest = capacity.highest_limits(experiment, by_axis)
+    limits = preflight_tables.proposed_limits(peaks, highest)
     try:
         plan = Plan(experiment)
         with shared.passing_progress() as progress:
@@ -74,21 +86,23 @@ def preflight(
         if figure is not None:
             raise InputError(f"{error}; --figure can't draw them") from None
         if write is not None:
-            preflight_tables.write_limits(write, preflight_tables.proposed_limits(peaks))
+            preflight_tables.write_limits(write, limits)
         stable = shared.is_stable_in_simulation(experiment, error, as_json=json)
+        for warning in warnings:
+            shared.warn(warning)
         for reason in unfit:
             shared.complain(reason)
         return 0 if stable and not unfit else 1
     with shared.passing_progress() as progress:
         summary = preflight_tables.summarise_preflight(plan, found)
-        limits = preflight_tables.proposed_limits(peaks)
         summary |= {"expected_peaks": peaks, "proposed_limits": limits}
         timed = preflight_tables.model_time(experiment, motion)
         if timed is not None:
             summary["model"] = asdict(timed)
             unfit += [timed.refusal()] if timed.refusal() else []
         summary["unfit"] = unfit
-        warnings = list(preflight_tables.mismatches(experiment, peaks))
+        if mass := preflight_tables.mass_mismatch(experiment):
+            warnings.append(mass)
         summary["warnings"] = warnings
         if write is not None:
             preflight_tables.write_limits(write, limits)
@@ -105,8 +119,8 @@ def preflight(
             f"longest, of {1e3 * timed.budget_s:.2g} ms",
             "the margins above take its tangent at rest",
         ]
-    texts = preflight_tables.preflight_texts(plan, found, f"preflight of {config}")
-    limits_table = preflight_tables.limits_table(experiment, peaks)
+    texts = preflight_tables.preflight_texts(found, f"preflight of {config}")
+    limits_table = preflight_tables.limits_table(experiment, peaks, limits)
     shared.show(summary, json, [*texts, limits_table, *lines], "figure")
     for warning in warnings:
         shared.warn(warning)

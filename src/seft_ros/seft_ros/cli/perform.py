@@ -18,6 +18,7 @@ from seft_ros.cli.shared import option
 from seft_ros.test_run.parameter_tables import TABLES
 
 if TYPE_CHECKING:
+    from seft_ros.ground_motion.ground_motion_block import GroundMotion
     from seft_ros.test_run.compiled_loop import Blocks
     from seft_ros.test_run.observer import Observer
 
@@ -152,8 +153,9 @@ def run(
 
     The test must be stable by the closed loop's eigenvalues, which seft preflight shows in detail;
     an unstable plan is refused. So is one that uses less than 2 % or more than 90 % of a sensor's
-    range, and, always, one whose stiffness or mass seems to be in another unit, or whose mass is
-    not the identified one.
+    range, or whose expected peaks are beyond a limit, the stroke, the force capacity or the flow of
+    the valve, and, always, one whose stiffness or mass seems to be in another unit, or whose mass
+    is not the identified one.
 
     Starts ground_motion, reference_force, force_controller, rig, recorder and supervisor,
     waits until all have found each other, runs the test, and ends them. The bag is in the
@@ -177,7 +179,7 @@ def run(
 
         seft run config/jhu.yaml --params-file plan.yaml --accept-unstable
     """
-    from seft_ros.design import plausibility, preflight_tables
+    from seft_ros.design import preflight_tables
     from seft_ros.test_run.processes import ProcessLayout
     from seft_ros.test_run.run import bag_path
 
@@ -191,17 +193,7 @@ def run(
     model = None if in_lockstep else preflight_tables.model_time(experiment, motion)
     if model is not None and (too_slow := model.refusal()):
         raise InputError(too_slow)
-    by_axis = plausibility.peaks_by_axis(experiment, motion)
-    if wrong := plausibility.wrong_number(experiment, motion, by_axis):
-        raise InputError(wrong)
-    _check_stable(experiment, blocks, accept_unstable)
-    if unfit := plausibility.range_refusal(experiment, by_axis):
-        if not accept_unstable:
-            raise InputError(f"{unfit}, or run it all the same with --accept-unstable")
-        shared.complain(f"{unfit}; accepted")
-    peaks = preflight_tables.expected_peaks(by_axis)
-    if warning := preflight_tables.limit_warning(experiment, peaks):
-        shared.warn(warning)
+    _check_plan(experiment, blocks, motion, accept_unstable)
     layout = ProcessLayout(pin=pin, composed=composed, priority=priority)
     steps = motion.steps if motion else 0
     record, bag = shared.dds_test(experiment, bag, steps, external or (), layout=layout)
@@ -274,6 +266,31 @@ def _with_measured_delay(experiment: Experiment) -> Experiment:
         whose = f" to {rig.name}" if rig.name else ""
         shared.complain(f"the link{whose} needs a delay of the loop of {delays[-1]} steps")
     return with_loop_delay(experiment, max(delays))
+
+
+def _check_plan(
+    experiment: Experiment,
+    blocks: "Blocks | None",
+    motion: "GroundMotion | None",
+    accept_unstable: bool,
+) -> None:
+    """Raise `InputError` for a plan that is refused and not accepted; warn of limits far away."""
+    from seft_ros.design import capacity, plausibility, preflight_tables
+
+    response = plausibility.expected_response(experiment, motion)
+    by_axis = plausibility.peaks_of(response)
+    if wrong := plausibility.wrong_number(experiment, motion, by_axis):
+        raise InputError(wrong)
+    _check_stable(experiment, blocks, accept_unstable)
+    reasons = [capacity.range_refusal(experiment, by_axis)]
+    reasons.append(capacity.excess_text(capacity.excesses(experiment, response)))
+    if unfit := "; ".join(filter(None, reasons)):
+        if not accept_unstable:
+            raise InputError(f"{unfit}, or run it all the same with --accept-unstable")
+        shared.complain(f"{unfit}; accepted")
+    peaks = preflight_tables.expected_peaks(by_axis)
+    if warning := preflight_tables.far_limits(experiment, peaks):
+        shared.warn(warning)
 
 
 def _check_stable(experiment: Experiment, blocks: "Blocks | None", accept_unstable: bool) -> None:

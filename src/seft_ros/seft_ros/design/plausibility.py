@@ -1,4 +1,4 @@
-"""Whether a plan fits its limits and sensors: units that were mixed up, ranges that do not fit."""
+"""Whether the numbers of a plan can be right: units that were mixed up, another mass than found."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -8,10 +8,9 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import Section, as_matrix, group, per_axis
-from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_UNITS
-from seft_plant_sim.sensors import CHANNELS
+from seft_plant_sim.rig_parameters import LIMIT_NAMES
 from seft_plant_sim.specimen import Specimen
-from seft_plant_sim.whole_structure import reference_response, tested_specimen
+from seft_plant_sim.whole_structure import ReferenceResponse, reference_response, tested_specimen
 
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
 
@@ -55,8 +54,10 @@ _MIXED_UP = (
 """In this order: who gives a mass in t gives a stiffness in kN/m, if the other fits, too."""
 
 
-def peaks_by_axis(experiment: Experiment, planned: GroundMotion | None) -> dict[str, Floats]:
-    """Largest value of each quantity on each axis in the reference response of a test.
+def expected_response(
+    experiment: Experiment, planned: GroundMotion | None
+) -> ReferenceResponse | None:
+    """Find the reference response of a test.
 
     Parameters
     ----------
@@ -67,9 +68,8 @@ def peaks_by_axis(experiment: Experiment, planned: GroundMotion | None) -> dict[
 
     Returns
     -------
-    dict
-        Displacement (m), velocity (m/s), acceleration (m/s^2) and force (N), shape (n,). Empty if
-        the ground motion or another node runs elsewhere.
+    ReferenceResponse or None
+        None if the ground motion or another node runs elsewhere.
 
     Raises
     ------
@@ -77,46 +77,24 @@ def peaks_by_axis(experiment: Experiment, planned: GroundMotion | None) -> dict[
         If the structure makes no sense.
     """
     if planned is None or not {"reference_force", "supervisor"} <= set(experiment.sections):
-        return {}
-    exact = reference_response(experiment, planned.samples)
-    return {name: np.abs(getattr(exact, name)).max(axis=0) for name in LIMIT_NAMES}
+        return None
+    return reference_response(experiment, planned.samples)
 
 
-def range_refusal(experiment: Experiment, peaks: Mapping[str, Floats]) -> str:
-    """Say which sensors have a range that does not fit the expected peaks; empty if all do.
+def peaks_of(response: ReferenceResponse | None) -> dict[str, Floats]:
+    """Largest value of each quantity on each axis in the reference response of a test.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        The ranges are those that its force controller knows; 0: not known.
-    peaks : mapping
-        Of `peaks_by_axis`. Of a range that is too large the axis that uses most of it counts: a
-        motion need not drive all axes.
+    Displacement (m), velocity (m/s), acceleration (m/s^2) and force (N), shape (n,); empty if the
+    response is not known.
     """
-    section = experiment.sections.get("force_controller")
-    if section is None or not peaks:
-        return ""
-    found = []
-    for channel, name, unit in zip(CHANNELS, LIMIT_NAMES, LIMIT_UNITS, strict=False):
-        parameter = f"detectors.{channel}_range"
-        ranges = per_axis(section[parameter], experiment.axes, f"force_controller: {parameter}")
-        if not ranges.all():
-            continue
-        share = peaks[name] / ranges
-        axis = int(share.argmax())
-        if not SMALLEST_SHARE <= share[axis] <= LARGEST_SHARE:
-            found.append(
-                f"{name} {peaks[name][axis]:.3g} of {ranges[axis]:g} {unit} "
-                f"({100 * share[axis]:.3g} %)"
-            )
-    if not found:
-        return ""
-    return (
-        f"expected peaks use less than {100 * SMALLEST_SHARE:g} % or more than "
-        f"{100 * LARGEST_SHARE:g} % of a sensor's range: {', '.join(found)}; change ground_motion: "
-        "peak_force, or choose other sensors or ranges of their amplifiers (rig: sensors.*_range; "
-        "of an external rig force_controller: detectors.*_range)"
-    )
+    if response is None:
+        return {}
+    return {name: np.abs(getattr(response, name)).max(axis=0) for name in LIMIT_NAMES}
+
+
+def peaks_by_axis(experiment: Experiment, planned: GroundMotion | None) -> dict[str, Floats]:
+    """Find the `peaks_of` the `expected_response`."""
+    return peaks_of(expected_response(experiment, planned))
 
 
 def mass_refusal(experiment: Experiment) -> str:

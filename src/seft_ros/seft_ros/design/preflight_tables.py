@@ -1,7 +1,7 @@
 """What a preflight found: tables, JSON values, expected peaks, limits, a computed model's time."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -14,14 +14,14 @@ from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig_parameters import LIMIT_UNITS
 from seft_plant_sim.whole_structure import model_times, whole_structure
 
+from seft_ros.design.margin_ends import HEADINGS, end_texts, meanings
 from seft_ros.design.plan import Plan
 from seft_ros.design.plausibility import FACTORS
-from seft_ros.design.stability_margins import HIGHEST_MASS_RATIO, Critical, Range, added_delays
+from seft_ros.design.stability_margins import Range
 from seft_ros.design.stability_verdict import Preflight
 from seft_ros.drawing.style import Mark, Number
 from seft_ros.drawing.table import Cell, Texts, TextTable
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
-from seft_ros.reference_force.force_command import FORCE_DRIVEN
 from seft_ros.reference_force.reference_force_parameters import LONGEST_MODEL_STEP
 
 SHARE = 0.6
@@ -170,16 +170,21 @@ _MODE = (  # of the exact mode, of that in the test, and their difference
 )
 
 
-def preflight_texts(plan: Plan, found: Preflight, title: str) -> Texts:
+def preflight_texts(found: Preflight, title: str) -> Texts:
     """Show a preflight: verdict and margins, and the modes in the test if it is stable."""
-    headings = ("", "planned", "critical", "oscillates at")
-    texts: Texts = [
-        Cell(f"{title}: {found.verdict}", _MARKS[found.verdict]),
-        TextTable(headings, [*_margin_rows(plan, found)]),
+    mark = _MARKS[found.verdict]
+    rows = [
+        [Cell(text, mark if end.decides else Mark.NONE) for text in texts]
+        for end, texts in zip(found.ends, end_texts(found.ends), strict=True)
+    ]
+    shown: Texts = [
+        Cell(f"{title}: {found.verdict}", mark),
+        TextTable(HEADINGS, rows),
+        *meanings(found.ends),
         found.promise,
     ]
     if found.verdict == "unstable":
-        return texts
+        return shown
     modes = [
         [row[0].label, *(number.text(mode) for number in row)]
         for mode in map(asdict, found.modes)
@@ -187,10 +192,12 @@ def preflight_texts(plan: Plan, found: Preflight, title: str) -> Texts:
     ]
     none = [["no oscillating mode", "", "", ""]]
     headings = ("mode", "exact", "in the test", "error")
-    return [*texts, "modes of the whole structure", TextTable(headings, modes or none)]
+    return [*shown, "modes of the whole structure", TextTable(headings, modes or none)]
 
 
-def limits_table(experiment: Experiment, peaks: dict[str, float]) -> TextTable:
+def limits_table(
+    experiment: Experiment, peaks: Mapping[str, float], proposed: Mapping[str, float]
+) -> TextTable:
     """Tabulate expected peaks, the limits of the test, and limits that fit."""
     limits = group(experiment["supervisor"], "limits")
     marks = {True: Mark.BAD, False: Mark.NONE}
@@ -202,48 +209,9 @@ def limits_table(experiment: Experiment, peaks: dict[str, float]) -> TextTable:
             Cell(f"{limits[name]:g}", marks[peaks[name] > limits[name]]),
             f"{limit:g}",
         ]
-        for (name, limit), unit in zip(proposed_limits(peaks).items(), LIMIT_UNITS, strict=False)
+        for (name, limit), unit in zip(proposed.items(), LIMIT_UNITS, strict=False)
     ]
     return TextTable(("limit of", "unit", "expected peak", "limit", "proposed limit"), rows)
-
-
-def _margin_rows(plan: Plan, found: Preflight) -> Iterator[list[str]]:
-    """Rows of each margin: of the lower and the upper end, as far as they were searched."""
-    margins, alpha, dead_time = found.margins, plan.mass_ratio, plan.dead_time
-    longest = float(added_delays(plan)[-1] + dead_time)
-    sure, followed = "with any assumed valve", "the same, once identified"
-    rows = [
-        ("mass ratio", Range(alpha, None, margins.mass_ratio, (alpha, HIGHEST_MASS_RATIO)), ""),
-        ("actuator's dead time", _longest(dead_time, margins.dead_time, longest), " ms"),
-        (sure, _longest(dead_time, margins.sure_dead_time, longest), " ms"),
-        ("actuator's gain", margins.gain, ""),
-        (sure, margins.robust_gain, ""),
-        ("local stiffness / assumed", margins.stiffness, ""),
-        (followed, margins.followed, ""),
-        ("error in the assumed delay", margins.delay_error, " ms"),
-    ]
-    left_out = {sure: not plan.follows_valves, followed: not plan.follows}
-    for label, margin, unit in rows:
-        if left_out.get(label):
-            continue
-        if margin is None:
-            yield [label, "", "" if found.verdict == "unstable" else "not used", ""]
-            continue
-        scale = 1e3 if unit else 1.0
-        names = [label, f"{scale * margin.planned:.3g}{unit}"]
-        ends = ((margin.lowest, "<"), (margin.highest, ">"))
-        for (end, sign), beyond in zip(ends, margin.searched, strict=True):
-            if beyond == margin.planned and end is None:
-                continue
-            critical = [f"{sign} {scale * beyond:.3g}{unit}", ""]
-            if end is not None:
-                critical = [f"{scale * end.value:.4g}{unit}", f"{end.hz:.3g} Hz"]
-            yield [*names, *critical]
-            names = ["", ""]
-
-
-def _longest(planned: float, critical: Critical | None, searched: float) -> Range:
-    return Range(planned, None, critical, (planned, searched))
 
 
 def summarise_preflight(plan: Plan, found: Preflight) -> dict[str, Any]:
@@ -307,53 +275,53 @@ def expected_peaks(by_axis: Mapping[str, Floats]) -> dict[str, float]:
     return {name: float(peaks.max()) for name, peaks in by_axis.items()}
 
 
-def proposed_limits(peaks: dict[str, float]) -> dict[str, float]:
-    """Limits that fit expected peaks, rounded up to two digits."""
+def proposed_limits(
+    peaks: Mapping[str, float], highest: Mapping[str, float] | None = None
+) -> dict[str, float]:
+    """Limits that fit expected peaks, rounded up to two digits, or down where `highest_limits`."""
     limits = {}
     for name, peak in peaks.items():
-        unit = 10.0 ** (np.floor(np.log10(FACTORS[name] * peak)) - 1) if peak > 0.0 else 1.0
-        limits[name] = float(f"{np.ceil(FACTORS[name] * peak / unit - 1e-9) * unit:.6g}")
+        limit, most = FACTORS[name] * peak, (highest or {}).get(name, np.inf)
+        up = _two_digits(limit, np.ceil) if limit > 0.0 else 0.0
+        limits[name] = up if up <= most else _two_digits(most, np.floor)
     return limits
 
 
-def limit_warning(experiment: Experiment, peaks: dict[str, float]) -> str:
-    """Name the limits that the expected peaks exceed or stay far below; empty if there are none."""
-    limits, low, far = group(experiment["supervisor"], "limits"), [], []
-    for (name, peak), unit in zip(peaks.items(), LIMIT_UNITS, strict=False):
-        limit = limits[name]
-        text = f"{name} {limit:g} {unit} (expected: {peak:.3g})"
-        if peak > limit:
-            low.append(text)
-        elif limit > FAR * peak > 0:
-            far.append(text)
-    kinds = (
-        (low, "limits are below the expected peaks, and may end the test"),
-        (far, f"limits are more than {FAR:g} times the expected peaks"),
+def _two_digits(value: float, towards: Callable[[float], float]) -> float:
+    unit = 10.0 ** (np.floor(np.log10(value)) - 1)
+    nearly = -1e-9 if towards is np.ceil else 1e-9  # what is round stays as it is
+    return float(f"{towards(value / unit + nearly) * unit:.6g}")
+
+
+def far_limits(experiment: Experiment, peaks: Mapping[str, float]) -> str:
+    """Name the limits that the expected peaks stay far below; empty if there are none."""
+    limits = group(experiment["supervisor"], "limits")
+    far = [
+        f"{name} {limits[name]:g} {unit} (expected: {peak:.3g})"
+        for (name, peak), unit in zip(peaks.items(), LIMIT_UNITS, strict=False)
+        if limits[name] > FAR * peak > 0
+    ]
+    if not far:
+        return ""
+    return (
+        f"limits are more than {FAR:g} times the expected peaks: {', '.join(far)}; seft preflight "
+        "CONFIG --write limits.yaml proposes others"
     )
-    parts = [f"{what}: {', '.join(which)}" for which, what in kinds if which]
-    parts += ["seft preflight CONFIG --write limits.yaml proposes others"] if parts else []
-    return "; ".join(parts)
 
 
-def mismatches(experiment: Experiment, peaks: dict[str, float]) -> Iterator[str]:
-    """Say where a plan does not fit its rig: the mass that it assumes, the flow of its valves."""
-    rig, controller = experiment.sections.get("rig"), experiment.sections["force_controller"]
-    if rig is not None:
-        assumed, own = experiment["reference_force"]["model.mass"], rig["specimen.mass"]
-        masses = [mass_matrix(value, experiment.axes, "mass") for value in (assumed, own)]
-        if np.abs(masses[0] - masses[1]).max() > WEIGHING_ERROR * np.abs(masses[1]).max():
-            yield (
-                f"reference_force: model.mass is {assumed} kg, but rig: specimen.mass {own} kg; "
-                "give the mass of the specimen to both"
-            )
-    flow = np.min(controller["actuator.flow_gain"]) * np.min(controller["voltage_limit"])
-    if rig is not None and rig["actuator.kind"] in FORCE_DRIVEN:
-        return
-    if peaks and 0.0 < flow < peaks["velocity"]:
-        yield (
-            f"a velocity of {peaks['velocity']:.3g} m/s is expected, but the valve, fully open, "
-            f"passes {flow:.3g} m/s; lower ground_motion: peak_force"
-        )
+def mass_mismatch(experiment: Experiment) -> str:
+    """Say where the plan assumes another mass than its rig has; empty if it does not."""
+    rig = experiment.sections.get("rig")
+    if rig is None:
+        return ""
+    assumed, own = experiment["reference_force"]["model.mass"], rig["specimen.mass"]
+    masses = [mass_matrix(value, experiment.axes, "mass") for value in (assumed, own)]
+    if np.abs(masses[0] - masses[1]).max() <= WEIGHING_ERROR * np.abs(masses[1]).max():
+        return ""
+    return (
+        f"reference_force: model.mass is {assumed} kg, but rig: specimen.mass {own} kg; "
+        "give the mass of the specimen to both"
+    )
 
 
 def write_limits(file: Path, limits: dict[str, float]) -> None:
@@ -369,6 +337,6 @@ def write_limits(file: Path, limits: dict[str, float]) -> None:
     section: Section = {f"limits.{name}": value for name, value in limits.items()}
     comments = [
         "by seft preflight: 1.5 times the expected peaks of displacement and force, 2 times",
-        "those of velocity and acceleration",
+        "those of velocity and acceleration, as far as stroke and force capacity allow",
     ]
     write_parameter_file(file, {"supervisor": section}, comments, replace=True)

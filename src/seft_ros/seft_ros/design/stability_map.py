@@ -1,6 +1,8 @@
 """Maps of stability over mass ratio and dead time, and mass ratio and stiffness."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from textwrap import wrap
 from timeit import timeit
 
 import numpy as np
@@ -10,7 +12,17 @@ from matplotlib.figure import Figure
 from seft_msgs_py.arrays import Floats
 
 from seft_ros.design import stability_margins
-from seft_ros.design.plan import Plan
+from seft_ros.design.margin_ends import (
+    DEAD_TIME,
+    DECIDES,
+    HEADINGS,
+    LOCAL_STIFFNESS,
+    MASS_RATIO,
+    MarginEnd,
+    end_texts,
+    meanings,
+)
+from seft_ros.design.plan import NEUTRAL, Plan
 from seft_ros.design.stability_verdict import Preflight
 from seft_ros.drawing.style import TEXT, new_figure
 
@@ -24,8 +36,8 @@ _COLOURS = (
     "#fbe6de", "#f6cbbb", "#efac96", "#e58a70", "#d6684f",
 )  # fmt: skip
 _PANELS = (
-    ("against dead time, unknown to the method", "dead time of the actuator's path / ms", 1e3),
-    ("against local stiffness, unknown to the method", "local stiffness / assumed stiffness", 1.0),
+    (DEAD_TIME, "against dead time, unknown to the method", "actuator's dead time / ms", 1e3),
+    (LOCAL_STIFFNESS, "against local stiffness, unknown to the method", LOCAL_STIFFNESS, 1.0),
 )
 _PLAN = {"stable": "#2e7d32", "marginal": "#e08a00", "unstable": "#b00020"}
 
@@ -89,19 +101,37 @@ def stability_maps(
     return maps
 
 
+_NARROWEST = 9.0
+"""Width of a figure with room for the margins, inches."""
+_LINE = 0.21
+"""Height of a line of text, inches."""
+_LETTERS = 12
+"""Of a line of text, per inch."""
+_COLUMNS = (0.0, 0.38, 0.54, 0.7, 0.87)
+"""Where the columns of `HEADINGS` end, the first one where it begins."""
+
+
 def preflight_figure(plan: Plan, found: Preflight, maps: list[StabilityMap]) -> Figure:
-    """Draw the maps of a plan, one panel each."""
-    figure = new_figure(6.0 * len(maps), 5.6)
-    panels = figure.subplots(1, len(maps), squeeze=False)[0]
-    for axes, area, (title, label, scale) in zip(panels, maps, _PANELS, strict=False):
+    """Draw the maps of a plan, one panel each, and below the margins that make the verdict."""
+    width = max(6.0 * len(maps), _NARROWEST)
+    notes = [line for text in meanings(found.ends) for line in wrap(text, round(_LETTERS * width))]
+    below = _LINE * (len(found.ends) + len(notes) + 2.5)
+    figure = new_figure(width, 5.6 + below)
+    grid = figure.add_gridspec(2, len(maps), height_ratios=(5.6, below))
+    panels = [figure.add_subplot(grid[0, place]) for place in range(len(maps))]
+    for axes, area, panel in zip(panels, maps, _PANELS, strict=False):
+        name, title, label, scale = panel
         filled = _draw(axes, area, scale, found.verdict)
+        ends = (end for end in found.ends if end.name in (name, MASS_RATIO))
+        _mark(axes, area, scale, ends, _PLAN[found.verdict])
         axes.set_title(title, loc="left", fontsize=11, color=TEXT)
         axes.set_ylabel(label, color=TEXT)
-    bar = figure.colorbar(filled, ax=panels.tolist(), pad=0.01, aspect=32, spacing="uniform")
+    bar = figure.colorbar(filled, ax=panels, pad=0.01, aspect=32, spacing="uniform")
     bar.set_ticks(np.arcsinh(_LEVELS).tolist(), labels=[f"{level:g}" for level in _LEVELS])
     bar.set_label("growth rate / (1/s): stable below 0, unstable above", color=TEXT)
     bar.ax.tick_params(colors=TEXT, labelsize=9, length=0)
     bar.outline.set_visible(False)
+    _write(figure.add_subplot(grid[1, :]), found, notes)
     critical = found.margins.mass_ratio
     end = f"critical mass ratio {critical.value:.3g}" if critical else "no critical mass ratio"
     method = f"{plan.section['compensation.method']} at mass ratio {plan.mass_ratio:g}"
@@ -110,10 +140,55 @@ def preflight_figure(plan: Plan, found: Preflight, maps: list[StabilityMap]) -> 
     return figure
 
 
+def _mark(
+    axes: Axes, area: StabilityMap, scale: float, ends: Iterable[MarginEnd], colour: str
+) -> None:
+    """Mark the ends that decide the verdict, and those of which the map shows nothing."""
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    for end in ends:
+        if end.critical is None or not (end.decides or end.more):
+            continue
+        x, y = area.planned[0], scale * end.critical.value
+        if end.name == MASS_RATIO:
+            x, y = end.critical.value, scale * area.planned[1]
+        if not (left <= x <= right and low <= y <= high):
+            continue
+        shown = colour if end.decides else TEXT
+        text = f"{DECIDES} critical" if end.decides else "critical"
+        text = f"{text}, {end.more}" if end.more else text
+        axes.plot(x, y, "D", ms=7, mfc=shown, mec="white", clip_on=False, zorder=6)
+        to_left = 0.45 * right <= x <= area.planned[0]  # where there is room
+        axes.annotate(
+            text,
+            (x, y),
+            (-9 if to_left else 9, -4),
+            textcoords="offset points",
+            ha="right" if to_left else "left",
+            fontsize=9,
+            color=shown,
+        )
+
+
+def _write(axes: Axes, found: Preflight, notes: Sequence[str]) -> None:
+    """Write the ends of the margins under their headings, and what they mean."""
+    rows = [list(HEADINGS), *end_texts(found.ends)]
+    decide = [False, *(end.decides for end in found.ends)]
+    axes.set_axis_off()
+    axes.set(xlim=(0.0, 1.0), ylim=(len(rows) + len(notes) + 1.0, -0.5))
+    for line, (row, decides) in enumerate(zip(rows, decide, strict=True)):
+        colour, weight = (_PLAN[found.verdict], "bold") if decides else (TEXT, "normal")
+        for column, (x, text) in enumerate(zip(_COLUMNS, row, strict=True)):
+            side = "right" if column else "left"
+            axes.text(x, line, text, ha=side, va="center", fontsize=9, color=colour, weight=weight)
+    axes.axhline(0.5, color=TEXT, lw=0.8)
+    for line, text in enumerate(notes, len(rows)):
+        axes.text(0.0, line + 0.4, text, va="center", fontsize=9, color=TEXT, in_layout=False)
+
+
 def _draw(axes: Axes, area: StabilityMap, scale: float, verdict: str) -> QuadContourSet:
     x, y = area.mass_ratios, scale * area.others
     # interpolated on a scale on which it is nearly straight across the critical line
-    bent, levels = np.arcsinh(area.growth), np.arcsinh(_LEVELS)
+    bent, levels = np.arcsinh(area.growth - NEUTRAL), np.arcsinh(_LEVELS)
     filled = axes.contourf(x, y, bent, levels=levels, colors=_COLOURS, extend="both")
     if bent.min() < 0 < bent.max():
         axes.contour(x, y, bent, levels=[0.0], colors=TEXT, linewidths=1.8)

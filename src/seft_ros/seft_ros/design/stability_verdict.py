@@ -1,6 +1,5 @@
 """Verdict on a planned test: its margins, and the modes of the structure in the test."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -9,6 +8,7 @@ from scipy.linalg import eigh
 from scipy.optimize import linear_sum_assignment
 from seft_plant_sim.whole_structure import WholeStructure
 
+from seft_ros.design.margin_ends import MarginEnd, margin_ends
 from seft_ros.design.model_modes import modes_with_model
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import Margins, Progress, find_margins
@@ -87,20 +87,6 @@ def predicted_modes(plan: Plan) -> list[Mode]:
 
 _Verdict = Literal["stable", "marginal", "unstable"]
 
-MASS_RATIO_RESERVE = 1.2
-"""Critical over planned mass ratio: load cells, accelerometers and the mass itself are known to
-some percent each, and oscillations so near the end of stability take long to decay."""
-GAIN_RESERVE = 1.2
-"""Factor on the drive, either way: a valve's flow gain falls by a sixth if the load takes 30 % of
-the supply pressure, and rises as much with a leakage or temperature that was not identified."""
-DELAY_RESERVE_STEPS = 1.0
-"""Added delay in samples: in pace `realtime` an answer may come a sample late."""
-STIFFNESS_RESERVE = 1.1
-"""Factor on the specimen's stiffness, either way: the accuracy of a quick identification. A
-method that adapts to it must be stable at any stiffness that is tried."""
-ASSUMED_DELAY_RESERVE_STEPS = 0.5
-"""Error in the assumed delay in samples, either way: half a sample is the delay of the hold."""
-
 LINEAR = "Exact eigenvalues of the sampled closed loop."
 SMALL_SIGNAL = (
     "The rig is not linear: exact eigenvalues of its limit for small motions. They do not include "
@@ -134,6 +120,8 @@ class Preflight:
         Validity of the result.
     margins : Margins
         How far it is from instability.
+    ends : list of MarginEnd
+        The same, beside what a stable verdict needs.
     modes : list of Mode
         Of the whole structure in the test, lowest first; none if it is unstable: what grows has no
         damping in the test.
@@ -143,19 +131,21 @@ class Preflight:
     reasons: list[str]
     promise: str
     margins: Margins
+    ends: list[MarginEnd]
     modes: list[Mode]
 
 
 def check_stability(plan: Plan, progress: Progress | None = None) -> Preflight:
     """Find stability, margins and predicted errors of a plan; ``progress``: see `find_margins`."""
     margins = find_margins(plan, progress)
-    unstable = not plan.is_stable()
-    reasons = [instability(plan)] if unstable else list(_thin(plan, margins))
+    ends, unstable = list(margin_ends(plan, margins)), not plan.is_stable()
+    reasons = [instability(plan)] if unstable else [end.reason for end in ends if end.decides]
     return Preflight(
         verdict="unstable" if unstable else "marginal" if reasons else "stable",
         reasons=reasons,
         promise=_promise(plan),
         margins=margins,
+        ends=ends,
         modes=[] if unstable else predicted_modes(plan),
     )
 
@@ -172,33 +162,3 @@ def _promise(plan: Plan) -> str:
     if plan.follows:
         return f"{promise} {FOLLOWS}"
     return f"{promise} {ADAPTIVE}" if plan.compensator().estimates() else promise
-
-
-def _thin(plan: Plan, margins: Margins) -> Iterator[str]:
-    """Name the margins that are below their reserve."""
-    critical, alpha = margins.mass_ratio, plan.mass_ratio
-    if critical and alpha and critical.value < MASS_RATIO_RESERVE * alpha:
-        yield (
-            f"the critical mass ratio {critical.value:.3g} is less than {MASS_RATIO_RESERVE:g} "
-            f"times the planned {alpha:g}"
-        )
-    dead_time = margins.sure_dead_time or margins.dead_time
-    if dead_time and dead_time.value - plan.dead_time < DELAY_RESERVE_STEPS * plan.dt:
-        yield (
-            f"{1e3 * (dead_time.value - plan.dead_time):.3g} ms of further dead time make it "
-            f"unstable, less than {DELAY_RESERVE_STEPS:g} sample"
-        )
-    for name, found, reserve in (
-        ("gain of the actuator's path", margins.robust_gain or margins.gain, GAIN_RESERVE),
-        ("local stiffness", margins.stiffness, STIFFNESS_RESERVE),
-        ("local stiffness, once identified,", margins.followed, np.inf),
-    ):
-        for factor in [end.value / found.planned for end in found.ends()] if found else ():
-            if 1 / reserve < factor < reserve:
-                yield f"{factor:.3g} times the {name} makes it unstable"
-    for end in margins.delay_error.ends() if margins.delay_error else ():
-        if abs(end.value) < ASSUMED_DELAY_RESERVE_STEPS * plan.dt:
-            yield (
-                f"an error of {1e3 * end.value:+.2g} ms in the assumed delay makes it unstable, "
-                f"less than {ASSUMED_DELAY_RESERVE_STEPS:g} sample"
-            )
