@@ -1,5 +1,6 @@
 """The regulator of oil columns: its model of the rig, its gains, and the loop that it makes."""
 
+import itertools
 import math
 
 import numpy as np
@@ -56,7 +57,7 @@ def deviations(valves, mass, stiffness, dt, seconds, start):
         whole = (late / dt + 1e-9).astype(int)
         rest = late - whole * dt
         edges = np.unique([0.0, *rest.tolist(), dt])
-        for begin, end in zip(edges[:-1], edges[1:], strict=True):
+        for begin, end in itertools.pairwise(edges):
             old = whole + (begin < rest - 1e-12)
             acting = commands[range(n), old]
             state = solve_ivp(slope, (begin, end), state, args=(acting,), rtol=1e-8, atol=1e-14).y[

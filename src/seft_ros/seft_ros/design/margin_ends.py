@@ -89,7 +89,7 @@ class MarginEnd:
         if self.critical is None or self.needed is None:
             return False
         value = self.critical.value
-        return value < self.needed if self.is_upper else value > self.needed
+        return value <= self.needed if self.is_upper else value > self.needed
 
     @property
     def reason(self) -> str:
@@ -146,7 +146,8 @@ def meanings(ends: Sequence[MarginEnd]) -> list[str]:
 def margin_ends(plan: Plan, margins: Margins) -> Iterator[MarginEnd]:
     """Give the ends of all margins as far as they were searched, and what is not used.
 
-    Where the controller adapts to the valves, the ends with any assumed valve count.
+    Each is needed with a reserve, all else as planned; with the worst valve that a controller may
+    assume, the plan itself must be stable.
     """
     alpha, dead_time, dt = plan.mass_ratio, plan.dead_time, plan.dt
     own = margins.stiffness.planned if margins.stiffness else 1.0
@@ -155,7 +156,7 @@ def margin_ends(plan: Plan, margins: Margins) -> Iterator[MarginEnd]:
     def up_to(planned: float, end: Critical | None, searched: float) -> Range:
         return Range(planned, None, end, (planned, searched))
 
-    none, of_alpha = (None, None), (None, MASS_RATIO_RESERVE * alpha or None)
+    of_alpha = None, MASS_RATIO_RESERVE * alpha or None
     of_time = None, dead_time + DELAY_RESERVE_STEPS * dt
     of_gain = 1 / GAIN_RESERVE, GAIN_RESERVE
     gain = "actuator's gain"
@@ -165,14 +166,14 @@ def margin_ends(plan: Plan, margins: Margins) -> Iterator[MarginEnd]:
     )
     yield from _ends(MASS_RATIO, "", "", mass_ratio, of_alpha)
     any_valve = margins.robust_gain is not None
-    yield from _ends(DEAD_TIME, "", "ms", late, none if any_valve else of_time)
+    yield from _ends(DEAD_TIME, "", "ms", late, of_time)
     if margins.gain is None:  # of an unstable plan the others were not searched
         return
     if any_valve:
-        yield from _ends(DEAD_TIME, ANY_VALVE, "ms", sure, of_time)
-    yield from _ends(gain, "", "", margins.gain, none if any_valve else of_gain)
+        yield from _ends(DEAD_TIME, ANY_VALVE, "ms", sure, (None, dead_time))
+    yield from _ends(gain, "", "", margins.gain, of_gain)
     if any_valve:
-        yield from _ends(gain, ANY_VALVE, "", margins.robust_gain, of_gain)
+        yield from _ends(gain, ANY_VALVE, "", margins.robust_gain, (None, None))
     of_stiffness = own / STIFFNESS_RESERVE, own * STIFFNESS_RESERVE
     yield from _ends(LOCAL_STIFFNESS, "", "", margins.stiffness, of_stiffness)
     if plan.follows:
