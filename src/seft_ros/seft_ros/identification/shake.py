@@ -15,6 +15,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import group, mass_matrix, per_axis, symmetric_matrix
 from seft_msgs_py.errors import InputError
 from seft_plant_sim import lti
+from seft_plant_sim.limits import largest_force_rate
 from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_ROWS
 from seft_plant_sim.sensors import CHANNELS
 
@@ -175,6 +176,7 @@ def _peaks(travel: float, top: float, mass: Floats, stiffness: Floats) -> dict[s
 def _allowed(experiment: Experiment) -> dict[str, tuple[float, str]]:
     """Largest peak of each quantity and rate of change, and the parameter that says so."""
     limits = group(experiment["supervisor"], "limits")
+    limits["force_rate"] = largest_force_rate(limits)
     allowed = {name: (float(limits[name]), f"supervisor: limits.{name}") for name in LIMIT_ROWS}
     rig = experiment.sections.get("rig", {})
     for name, channel in zip(LIMIT_NAMES, CHANNELS, strict=True):
