@@ -9,14 +9,13 @@ from seft_msgs_py.arrays import Floats, Ints
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_ROWS, LIMIT_UNITS
 
-
 RATE_SPAN = 0.002
 """Time over which a change counts, s, or a sampling period that is longer: a period of the paper's
 rig, in which a broken cable shows. Over one period the noise would count as noise times rate."""
 
 
 def span_steps(dt: float) -> int:
-    """Number of sampling periods in `RATE_SPAN`, at least one."""
+    """Count the sampling periods in `RATE_SPAN`, at least one."""
     return max(1, round(RATE_SPAN / dt))
 
 

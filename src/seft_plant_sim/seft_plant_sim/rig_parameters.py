@@ -14,9 +14,9 @@ It receives elastic stiffness in N/m, yield displacement in m, and hardening rat
 settings.
 """
 
-# Rates are over 2 ms (`seft_plant_sim.limits.RATE_SPAN`). Successful tests of config/jhu.yaml and
-# config/demo.yaml reach 0.48, 26, 3e3 and 1.4e5; with valve and accelerometer driven into saturation
-# 0.48, 51, 1.5e4 and 6.5e5. An accelerometer's full range of 4 g at the oil column's 90 Hz is 2.2e4.
+# Rates are over 2 ms, `limits.RATE_SPAN`. Successful tests of config/jhu.yaml and config/demo.yaml
+# reach 0.48, 26, 3e3 and 1.4e5; with valve and accelerometer driven into saturation 0.48, 51, 1.5e4
+# and 6.5e5. An accelerometer's full range of 4 g at the oil column's 90 Hz is 2.2e4.
 _OF_THE_PAPER = {
     "displacement": (0.076, "m"),
     "velocity": (0.5, "m/s"),
