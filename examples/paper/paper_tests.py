@@ -197,16 +197,16 @@ def identify_rig(experiment: Experiment, duration: float) -> Identified:
     """
     band = EXCITED_HZ[0], min(0.45 * experiment.timebase.rate, EXCITED_HZ[1])
     voltage = rig_tests.pilot_voltage(experiment)
-    force = rig_tests.default_force(experiment, band)
-    motions = rig_tests.Motions(experiment, force, band, SEED)
+    motions = rig_tests.Motions(experiment, band, SEED)
+    largest = motions.largest_levels(duration)
+    force = rig_tests.default_force(experiment, largest)
     with TemporaryDirectory() as folder:
         short = motions.write(Path(folder) / "pilot.csv", rig_tests.PILOT_DURATION)
         motion = motions.write(Path(folder) / "excitation.csv", duration)
-        levels = rig_tests.Levels(voltage, force)
-        pilot = _identifying(rig_tests.open_loop(experiment, short, levels))
-        levels = rig_tests.Levels(rig_tests.voltage_after(pilot, voltage), force)
-        opened = _identifying(rig_tests.open_loop(experiment, motion, levels))
-        closed = _identifying(rig_tests.closed_loop_test(experiment, motion))
+        pilot = _identifying(rig_tests.open_loop(experiment, short, voltage))
+        voltage = rig_tests.voltage_after(pilot, voltage, largest)
+        opened = _identifying(rig_tests.open_loop(experiment, motion, voltage))
+        closed = _identifying(rig_tests.closed_loop_test(experiment, motion, force))
     found = identify_from_records(opened, closed, band)
     if found.unusable:
         raise ExperimentError(f"identification: {found.unusable[0]}")

@@ -9,27 +9,60 @@ from seft_msgs_py.arrays import Floats, Ints
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_ROWS, LIMIT_UNITS
 
+RATE_SPAN = 0.002
+"""Time over which a change counts, s, or a sampling period that is longer: a period of the paper's
+rig, in which a broken cable shows. Over one period the noise would count as noise times rate."""
+
+
+def span_steps(dt: float) -> int:
+    """Count the sampling periods in `RATE_SPAN`, at least one."""
+    return max(1, round(RATE_SPAN / dt))
+
+
+def largest_force_rate(limits: Mapping[str, Any]) -> float:
+    """``limits.force_rate`` of the parameters ``limits.*``, N/s.
+
+    0 there stands for the whole ``limits.force`` within `RATE_SPAN`: a fault of any rig.
+    """
+    return float(limits["force_rate"] or limits["force"] / RATE_SPAN)
+
 
 @compiled
-def exceeds(limits: Floats, step: int, last: Floats, measured: Floats, largest: Floats) -> int:
+def exceeds(
+    limits: Floats, step: int, recent: Floats, measured: Floats, change: Floats, largest: Floats
+) -> int:
     """Say whether a sample (1), its change (2) or both (3) break a limit; NaN breaks each.
 
-    ``last`` is the sample before ``measured``, both of shape (4, n); it is not used at step 0. The
-    largest magnitudes so far, shape (8,), are updated; ``limits`` are `Limits.values`.
+    Parameters
+    ----------
+    limits : ndarray
+        `Limits.values`.
+    step : int
+        Of the sample; there is no change at step 0.
+    recent : ndarray
+        Ring buffer of the samples of the last k steps, shape (k, 4, n); updated.
+    measured, change : ndarray
+        The sample, and its change in k steps, which is written; in the first k steps that since
+        step 0. Shape (4, n).
+    largest : ndarray
+        The largest magnitudes so far, shape (8,); updated.
     """
-    broken = 0
+    broken, place = 0, step % len(recent)
+    oldest = place if step >= len(recent) else 0
     for row in range(4):
         for i in range(measured.shape[1]):
-            size = abs(measured[row, i])
-            change = abs(measured[row, i] - last[row, i]) if step else 0.0
+            value = measured[row, i]
+            change[row, i] = value - recent[oldest, row, i] if step else 0.0
+            recent[place, row, i] = value
+            size, moved = abs(value), abs(change[row, i])
             if not size <= limits[row]:
                 broken |= 1
-            if not change <= limits[4 + row]:
+            if not moved <= limits[4 + row]:
                 broken |= 2
             if size > largest[row]:
                 largest[row] = size
-            if change > largest[4 + row]:
-                largest[4 + row] = change
+            if moved > largest[4 + row]:
+                largest[4 + row] = moved
     return broken
 
 
@@ -40,7 +73,7 @@ def beyond_limit(row: int, value: float, axis: str, limit: float) -> str:
 
 
 class Limits:
-    """Largest magnitudes of a sample, and of its change since the sample before.
+    """Largest magnitudes of a sample, and of its change within `RATE_SPAN`.
 
     Made from the parameters ``limits.*`` (limits of rates are optional), the names of the n axes,
     and the sampling period in s.
@@ -48,39 +81,46 @@ class Limits:
     Attributes
     ----------
     values : ndarray
-        Shape (8,): of the state, and of its change in a step.
+        Shape (8,): of the state, and of its change in k steps.
     largest : ndarray
         Shape (8,): the largest magnitudes since the reset, updated by `exceeds`.
+    recent, change : ndarray
+        Arguments of `exceeds`, shapes (k, 4, n) and (4, n).
     """
 
     def __init__(self, limits: Mapping[str, Any], axes: Sequence[str], dt: float) -> None:
         self._axes = tuple(axes)
-        self._dt = dt
+        steps = span_steps(dt)
+        self._span = steps * dt
+        rates = {name: limits.get(f"{name}_rate", np.inf) for name in LIMIT_NAMES}
+        if "force_rate" in limits:
+            rates["force"] = largest_force_rate(limits)
         values = [limits[name] for name in LIMIT_NAMES]
-        values += [limits.get(f"{name}_rate", np.inf) * dt for name in LIMIT_NAMES]
+        values += [rates[name] * self._span for name in LIMIT_NAMES]
         self.values = np.array(values, dtype=np.float64)
         self.largest = np.zeros(8)
-        self._last: Floats | None = None
+        self.recent = np.zeros((steps, 4, len(self._axes)))
+        self.change = np.zeros((4, len(self._axes)))
+        self._step = 0
 
     def reset(self) -> None:
         """Begin a new test."""
         self.largest[:] = 0.0
-        self._last = None
+        self._step = 0
 
     def violation(self, measured: Floats) -> str | None:
         """Check the next sample, shape (4, n); one line if it breaks a limit."""
         measured = np.array(measured, dtype=np.float64)
-        last = measured if self._last is None else self._last
-        self._last = measured
-        if not exceeds(self.values, 1, last, measured, self.largest):
-            return None
-        return self.describe(measured, measured - last)
+        step, self._step = self._step, self._step + 1
+        if exceeds(self.values, step, self.recent, measured, self.change, self.largest):
+            return self.describe(measured)
+        return None
 
-    def describe(self, measured: Floats, change: Floats) -> str:
-        """Say in one line which limit a sample or its change breaks; both have shape (4, n)."""
-        found = np.vstack([measured, change])
+    def describe(self, measured: Floats) -> str:
+        """Say in one line which limit a sample, shape (4, n), or its `change` breaks."""
+        found = np.vstack([measured, self.change])
         row, column = np.argwhere(~(np.abs(found) <= self.values[:, np.newaxis]))[0]
-        per = self._dt if row >= len(LIMIT_NAMES) else 1.0
+        per = self._span if row >= len(LIMIT_NAMES) else 1.0
         limit = self.values[row] / per
         return beyond_limit(int(row), found[row, column] / per, self._axes[column], limit)
 

@@ -153,7 +153,8 @@ class Rig:
             np.zeros((whole + 2, n)),
             np.zeros(4, dtype=np.int64),
             np.zeros((4, n)),
-            np.zeros((4, n)),
+            limits.recent,
+            limits.change,
             limits.largest,
             blind,
             np.zeros((len(faults[0].numbers), faults[1])),
@@ -312,7 +313,7 @@ class Rig:
         if found & RIG_LIMIT:
             for spring in self._model.springs:
                 spring.check()
-            return self.limits.describe(self.state.measured, self.state.change)
+            return self.limits.describe(self.state.measured)
         if found & BLIND:
             blind = sorted(name for row, name in enumerate(CHANNELS) if found & 1 << row)
             return (

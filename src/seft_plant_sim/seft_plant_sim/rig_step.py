@@ -17,8 +17,8 @@ from seft_plant_sim.sensors import CHANNELS, Channels, derive_velocity, measure_
 
 _STROKE, FORCE_CAPACITY, _VALVE = 16, 32, 64
 PERSISTENT = 3
-"""Samples in a row beyond a limit that end the test, of changes one more: fewer are wrong samples,
-which the force controller judges."""
+"""Samples in a row beyond a limit that end the test, of changes so many more as a jump shows in:
+fewer are wrong samples, which the force controller judges."""
 RIG_LIMIT, BLIND = 128, 256
 """Bits of a step's result: 1 to 8 for saturated sensors, then other saturated parts, then the
 reasons to end the test: a limit, or sensors that are saturated for too long."""
@@ -89,10 +89,10 @@ class RigState(NamedTuple):
     counts : ndarray
         Place of the oldest drive, number of blind samples, and of samples in a row beyond a limit,
         and beyond that of a change; shape (4,).
-    measured, change : ndarray
-        The sample as it is published, and its change since the last one, shape (4, n).
-    largest : ndarray
-        Largest magnitudes of both so far, shape (8,).
+    measured : ndarray
+        The sample as it is published, shape (4, n).
+    recent, change, largest : ndarray
+        See `exceeds`.
     blind : ndarray
         Ring buffer of the last steps at which a sensor was at its range.
     faulty : ndarray
@@ -111,6 +111,7 @@ class RigState(NamedTuple):
     line: Floats
     counts: Ints
     measured: Floats
+    recent: Floats
     change: Floats
     largest: Floats
     blind: Ints
@@ -163,10 +164,10 @@ def rig_step(
         calibrate(parameters.calibration, state.calibration, step, measured, measured)
     derive_velocity(parameters.channels, step, state.measured, measured)
     blind = found > 0
-    beyond = exceeds(parameters.limits, step, state.measured, measured, state.largest)
+    beyond = exceeds(parameters.limits, step, state.recent, measured, state.change, state.largest)
     state.counts[2] = state.counts[2] + 1 if beyond & 1 else 0
     state.counts[3] = state.counts[3] + 1 if beyond & 2 else 0
-    if state.counts[2] >= PERSISTENT or state.counts[3] > PERSISTENT:
+    if state.counts[2] >= PERSISTENT or state.counts[3] >= PERSISTENT + len(state.recent):
         found |= RIG_LIMIT
     elif blind:
         if is_exceeded(state.blind, state.counts[1], step, parameters.window):
@@ -175,7 +176,6 @@ def rig_step(
     n = len(command)
     for row in range(4):
         for i in range(n):
-            state.change[row, i] = measured[row, i] - state.measured[row, i] if step else 0.0
             state.measured[row, i] = measured[row, i]
     z, pistons = state.motion.work, parameters.dynamics.pistons
     for i in range(len(pistons)):

@@ -6,7 +6,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.config.parameter_table import Table
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.limits import Limits, event_ring, exceeds, is_exceeded
+from seft_plant_sim.limits import (
+    RATE_SPAN,
+    Limits,
+    event_ring,
+    exceeds,
+    is_exceeded,
+    largest_force_rate,
+    span_steps,
+)
 from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_ROWS, limit_rows
 
 PAPER = {"displacement": 0.076, "velocity": 0.5, "acceleration": 98.1, "force": 22200.0}
@@ -25,28 +33,31 @@ DT = 0.002
 class Judge(Limits):
     """Limits as a driver looks at them, sample by sample; a simulated rig must find the same."""
 
-    def __init__(self, *arguments):
-        super().__init__(*arguments)
-        self.step, self.seen = 0, np.zeros(8)
+    def __init__(self, limits, axes, dt):
+        super().__init__(limits, axes, dt)
+        self.before, self.steps, self.seen = [], span_steps(dt), np.zeros(8)
+        self.ring = np.full((self.steps, 4, len(axes)), np.nan)
 
     def violation(self, measured):
-        last = self.before if self.step else np.zeros_like(measured)
-        broken = exceeds(self.values, self.step, last, measured, self.seen)
+        step, own = len(self.before), np.empty_like(measured)
+        broken = exceeds(self.values, step, self.ring, measured, own, self.seen)
+        self.before.append(np.array(measured))
         with np.errstate(invalid="ignore", over="ignore"):
             told = super().violation(measured)
-        change = np.abs(measured - last) if self.step else np.zeros_like(measured)
+            change = measured - self.before[max(0, step - self.steps)]
+        change = np.abs(change) if step else np.zeros_like(measured)
+        np.testing.assert_array_equal(np.abs(own), change)
         sizes = (np.abs(measured), change)
         parts = (self.values[:4, None], self.values[4:, None])
         beyond = [not (size <= part).all() for size, part in zip(sizes, parts, strict=True)]
         assert broken == beyond[0] + 2 * beyond[1]
         assert (broken > 0) == (told is not None)
         np.testing.assert_array_equal(self.largest, self.seen)
-        self.step, self.before = self.step + 1, measured
         return told
 
     def reset(self):
         super().reset()
-        self.step, self.seen[:] = 0, 0.0
+        self.before, self.seen[:] = [], 0.0
 
 
 def state_with(row, column, value):
@@ -109,6 +120,41 @@ def test_each_quantity_has_a_largest_change_from_sample_to_sample(row, sign):
     assert limits.violation(state_with(row, 1, -1e8)) is None
 
 
+@pytest.mark.parametrize(("rate", "steps"), [(250, 1), (500, 1), (1000, 2), (4000, 8)])
+def test_a_change_counts_over_2_ms_or_a_longer_period(rate, steps):
+    assert span_steps(1.0 / rate) == steps
+    limits = Judge(dict.fromkeys(LIMIT_NAMES, 1e9) | RATES, AXES, 1.0 / rate)
+    fastest = RATES["force_rate"] / rate
+    for k in range(3 * steps):
+        assert limits.violation(state_with(3, 1, 0.999 * fastest * k)) is None
+    top = 0.999 * fastest * (3 * steps - 1)
+    beyond = state_with(3, 1, top + 1.01 * steps * fastest)
+    told = [limits.violation(beyond) is not None for _ in range(steps + 1)]
+    assert told == [True] * steps + [False]  # until the jump is older
+
+
+@pytest.mark.parametrize("rate", [500, 4000])
+def test_noise_uses_the_same_share_of_a_rate_s_limit_at_every_rate(rate):
+    limits, force = Limits(PAPER | RATES, ("x",), 1.0 / rate), np.zeros((4, 1))
+    rng = np.random.default_rng(1)
+    for noise in 80.0 * rng.standard_normal(20_000):  # N, of the load cell of a heavy specimen
+        force[3] = noise
+        assert limits.violation(force) is None
+    assert limits.margins()["force_rate"] == pytest.approx(0.91, abs=0.015)
+
+
+def test_a_force_rate_of_0_is_the_whole_force_within_2_ms():
+    assert largest_force_rate({"force": 22200.0, "force_rate": 0.0}) == 22200.0 / RATE_SPAN
+    assert largest_force_rate({"force": 22200.0, "force_rate": 3e6}) == 3e6
+    limits = Judge(PAPER | {"force_rate": 0.0}, AXES, DT)
+    limits.violation(state_with(3, 1, -0.4 * PAPER["force"]))
+    assert limits.violation(state_with(3, 1, 0.5 * PAPER["force"])) is None
+    assert limits.margins()["force_rate"] == pytest.approx(0.1)
+    assert limits.violation(state_with(3, 1, -0.6 * PAPER["force"])) == (
+        "force rate -1.221e+07 N/s on axis north is beyond the limit of 1.11e+07 N/s"
+    )
+
+
 @pytest.mark.parametrize("row", range(4))
 def test_the_least_excess_of_a_change_is_a_violation(row):
     limits = Judge(dict.fromkeys(LIMIT_NAMES, 1e9) | RATES, AXES, DT)
@@ -146,7 +192,8 @@ def test_limits_of_another_node_stand_in():
     names = [*LIMIT_ROWS, "saturated_time"]
     assert [row.default_from for row in rows] == [f"supervisor:limits.{name}" for name in names]
     assert [row.default_from for row in limit_rows()] == [""] * 9
-    assert [row.default for row in rows] == [*PAPER.values(), *RATES.values(), 0.05]
+    rates = RATES | {"force_rate": 0.0}
+    assert [row.default for row in rows] == [*PAPER.values(), *rates.values(), 0.05]
     assert [row.unit for row in rows] == [*UNITS, *RATE_UNITS, "s"]
 
 

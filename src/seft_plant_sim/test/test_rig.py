@@ -175,3 +175,25 @@ def test_a_stuck_valve_does_not_close():
     stuck = moving_rig(("rig", "faults", "valve stick at 0.39"))
     stuck.stop()
     assert abs(stuck.sample[1, 0]) > 0.02
+
+
+@pytest.mark.parametrize("rate", [500.0, 1000.0, 4000.0])
+def test_a_rig_trips_by_a_rate_of_change_that_lasts_but_not_by_a_jump(rate):
+    """What jumps is judged by the force controller, at every rate."""
+
+    def trips(fault):
+        limits = {"limits__force": 1e9, "limits__force_rate": 2e6}
+        section = rig_section(faults=f"force {fault} at 0.05 for {0.01 * rate:.0f}", **limits)
+        rig = Rig.from_parameters(section, ("x",), Timebase.from_rate(rate))
+        rig.reset()
+        for _ in range(round(0.1 * rate)):
+            rig.step(np.zeros(1))
+            if rig.violation:
+                return rig.violation
+        return ""
+
+    assert trips("add 5000") == ""
+    assert trips("drift 1.9e6") == ""
+    assert trips("drift 2.1e6").startswith("force rate 2.1e+06 N/s on axis x is beyond")
+    if rate > 500.0:  # there 10 ms are five samples
+        assert trips("noise 2e4").startswith("force rate ")

@@ -91,7 +91,9 @@ def test_the_folder_holds_what_repeats_and_uses_it(linear, seft):
     voltage = record.series["valve_command"].values.std()
     assert voltage == pytest.approx(found["excitation_rms"]["voltage"], rel=0.05)
     forces = np.loadtxt(out / "excitation.csv", ndmin=2) * -52.7
-    assert forces.std() == pytest.approx(found["excitation_rms"]["force"], rel=1e-6)
+    assert forces.std() == pytest.approx(1.0, rel=1e-6)
+    reference = read_bag(out / "closed_loop").series["reference_force"].values
+    assert reference.std() == pytest.approx(found["excitation_rms"]["force"], rel=0.05)
 
     model = read_parameter_file(out / "model.yaml")
     assert set(model) == {"reference_force", "force_controller", "rig"}

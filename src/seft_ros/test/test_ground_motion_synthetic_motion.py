@@ -131,10 +131,10 @@ def test_what_makes_no_excitation_is_refused(words, told):
 def test_ground_motion_reads_the_record_bit_for_bit(tmp_path, rate):
     section = {"rate": rate, "axes": ["x", "y"], "model.mass": 1.0}
     experiment, band, seed = Experiment({"reference_force": section}), (2.0, 60.0), 1
-    Motions(experiment, 3.7, band, seed).write(tmp_path / "record.csv", 5000 / rate)
+    Motions(experiment, band, seed).write(tmp_path / "record.csv", 5000 / rate)
     samples = -3.7 * excitation(5000, 2, 1 / rate, band, seed)
     section = {row.name: row.default for row in GROUND_MOTION_TABLE.rows.values()}
     section |= {"file": str(tmp_path / "record.csv"), "column": [0, 1], "unit": "m/s2"}
-    section |= {"dt": 1 / rate, "tail": 0.0}
+    section |= {"dt": 1 / rate, "tail": 0.0, "influence": 3.7}
     motion = GroundMotion.from_parameters(section, ("x", "y"), Timebase.from_rate(rate))
     np.testing.assert_array_equal(motion.samples, samples)

@@ -1,16 +1,22 @@
 """The tests of an identification as experiments, run offline."""
 
+import re
+
 import numpy as np
 import pytest
 import scipy.signal
 from experiments_at_hand import JHU, load, simulated
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
+from seft_plant_sim.limits import Limits
 from seft_ros.ground_motion.synthetic_motion import excitation
 from seft_ros.identification.rig_tests import (
+    LargestLevels,
     Levels,
     Motions,
-    check_levels,
+    closed_loop_test,
+    default_force,
     frequency_response,
     has_valve,
     motion_spectra,
@@ -18,9 +24,10 @@ from seft_ros.identification.rig_tests import (
     pilot_voltage,
     voltage_after,
 )
+from seft_ros.protection.protection_step import PlausibleForce, is_plausible
 from seft_ros.test_run.parameter_tables import TABLES
 
-LEVELS = Levels(voltage=0.1, force=200.0)
+VOLTAGE = 0.1
 
 
 @pytest.fixture
@@ -29,7 +36,7 @@ def record(tmp_path):
 
     def make(of):
         band, seed = (1.0, 100.0), 1
-        motions = Motions(of, LEVELS.force, band, seed)
+        motions = Motions(of, band, seed)
         unit = excitation(5000, len(of.axes), of.timebase.dt, band, seed)
         return motions.write(tmp_path / "record.csv", 10.0), unit
 
@@ -51,52 +58,105 @@ def test_in_the_open_loop_the_record_drives_the_valves_whatever_the_experiment_w
         "ground_motion:influence:=2.0",
     )
     path, unit = record(of)
-    done = simulated(open_loop(of, path, LEVELS))
+    done = simulated(open_loop(of, path, VOLTAGE))
     commands = done.series["valve_command"].values[:, 0]
-    np.testing.assert_allclose(commands[: len(unit)], LEVELS.voltage * unit, atol=1e-9)
+    np.testing.assert_allclose(commands[: len(unit)], VOLTAGE * unit, atol=1e-9)
     np.testing.assert_allclose(commands[len(unit) :], 0.0, atol=1e-9)
     assert np.abs(done.series["rig/state"].values[:, 3]).max() > 100.0
+
+
+def unit_of(of, band=(0.3, 200.0), duration=20.0):
+    return excitation(round(duration * of.timebase.rate), 1, of.timebase.dt, band, 1)
 
 
 @pytest.mark.parametrize(
     ("levels", "told"),
     [
-        (Levels(3.0, 200.0), "--amplitude is 3 V RMS.*voltage_limit, 10 V"),
-        (Levels(0.0, 200.0), "--amplitude is 0 V"),
-        (Levels(0.1, 5000.0), "--force is 5000 N RMS.*22200 N"),
-        (Levels(0.1, 40e3), "in a band up to 20 Hz changes faster .* give 9.19e[+]03 N at most"),
+        (Levels(3.0, 200.0), "--amplitude is 3 V RMS.* and 2.16 V at most: .*voltage_limit"),
+        (Levels(0.0, 200.0), "--amplitude is 0 V RMS, but must be above 0"),
+        (Levels(0.1, 5000.0), "--force is 5000 N RMS.* and 4080 N at most: .*limits.force_rate$"),
         (Levels(0.1, -1.0), "--force is -1 N"),
         (Levels(float("nan"), 1.0), "--amplitude is nan"),
     ],
 )
-def test_levels_beyond_the_limits_are_refused(levels, told):
+def test_levels_beyond_the_limits_are_refused_with_the_largest_ones(levels, told):
+    of = load("force_controller:voltage_limit:=9.0")
+    largest = LargestLevels.of(of, unit_of(of))
     with pytest.raises(InputError, match=told):
-        check_levels(load(), levels, (0.3, 20.0))
+        largest.check(levels)
+
+
+@pytest.mark.parametrize("rate", [500, 2000])
+@pytest.mark.parametrize("node", ["supervisor", "reference_force"])
+def test_the_largest_force_reaches_a_limit_and_its_error_names_one_that_does_not(rate, node):
+    of = load(f"rate:={rate}.0", f"{node}:limits.force_rate:=1e6")
+    unit = unit_of(of)
+    largest = LargestLevels.of(of, unit)
+    plausible = PlausibleForce(1e9, 1e6, ("x",), of.timebase.dt)
+
+    def refused(force):
+        plausible.reset()
+        return not all(is_plausible(plausible.limits, plausible.recent, force * u) for u in unit)
+
+    assert largest.force[1] == f"{node}: limits.force_rate"
+    assert [refused(factor * largest.force[0]) for factor in (0.9999, 1.0001)] == [False, True]
+    with pytest.raises(InputError) as told:
+        largest.check(Levels(0.1, 1e5))
+    named = float(re.search(r"and (\S+) N at most", str(told.value))[1])
+    largest.check(Levels(0.1, named))
+    assert 0.98 * largest.force[0] < named
+    assert default_force(of, largest) <= 0.5 * largest.force[0]
+
+
+def after_pilot(of, record):
+    """Voltage after a pilot, and the largest one."""
+    path, unit = record(of)
+    low, largest = pilot_voltage(of), LargestLevels.of(of, unit)
+    return voltage_after(simulated(open_loop(of, path, low)), low, largest), largest.voltage[0]
+
+
+def shares_of(of, path, voltage):
+    """Shares of the limits of the state and of its changes in an open loop."""
+    states = simulated(open_loop(of, path, voltage)).series["rig/state"].values[:, :4]
+    limits = Limits(group(of["supervisor"], "limits"), of.axes, of.timebase.dt)
+    assert not any(limits.violation(state) for state in states)
+    return 1.0 - np.array(list(limits.margins().values())).reshape(2, 4)
 
 
 def test_after_a_pilot_the_rig_uses_a_fifth_of_its_limits(record):
     of = load("rig:actuator.kind:=servo_hydraulic_linear")
-    path, _ = record(of)
-    low = Levels(pilot_voltage(of), LEVELS.force)
-    pilot = simulated(open_loop(of, path, low))
-    voltage = voltage_after(pilot, low.voltage)
-    assert voltage > 2 * low.voltage
-    states = (
-        simulated(open_loop(of, path, Levels(voltage, LEVELS.force))).series["rig/state"].values
+    voltage, _ = after_pilot(of, record)
+    assert voltage > 2 * pilot_voltage(of)
+    shares = shares_of(of, record(of)[0], voltage)
+    assert shares[0].max() == pytest.approx(0.22, rel=0.05)
+
+
+def test_after_a_pilot_no_change_uses_more_than_half_of_its_limit(record):
+    of = load(
+        *("rig:actuator.kind:=servo_hydraulic_linear", "supervisor:limits.velocity_rate:=40.0"),
+        "rate:=1000.0",
     )
-    limits = of["supervisor"]
-    shares = [
-        np.abs(states[:, row]).max() / limits[f"limits.{name}"]
-        for row, name in enumerate(("displacement", "velocity", "acceleration", "force"))
-    ]
-    assert max(shares) == pytest.approx(0.22, rel=0.05)
+    shares = shares_of(of, record(of)[0], after_pilot(of, record)[0])
+    assert shares[1].max() == pytest.approx(0.5, rel=0.1)
+    assert shares[0].max() < 0.22
 
 
-def test_a_rig_that_hardly_moves_gets_a_tenth_of_the_voltage_limit_and_no_more(record):
+def test_a_rig_that_hardly_moves_gets_peaks_of_half_the_voltage_limit_and_no_more(record):
     of = load("rig:actuator.flow_gain:=1.0e-5", "rig:actuator.friction:=0.0")
-    path, _ = record(of)
-    low = Levels(pilot_voltage(of), LEVELS.force)
-    assert voltage_after(simulated(open_loop(of, path, low)), low.voltage) == pytest.approx(1.0)
+    voltage, largest = after_pilot(of, record)
+    assert voltage == 0.5 * largest
+
+
+def test_the_open_loop_is_limited_by_no_reference_force(record):
+    of = load("reference_force:limits.force_rate:=1e5", "reference_force:limits.force:=50.0")
+    assert simulated(open_loop(of, record(of)[0], VOLTAGE)).trip is None
+
+
+def test_the_closed_loop_follows_the_excitation_times_a_force(record):
+    of = load()
+    path, unit = record(of)
+    force = simulated(closed_loop_test(of, path, 150.0)).series["reference_force"].values[:, 0]
+    np.testing.assert_allclose(force[: len(unit)], 150.0 * unit, atol=1e-6)
 
 
 @pytest.mark.parametrize(

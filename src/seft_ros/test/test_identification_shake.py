@@ -164,6 +164,14 @@ def test_limits_lower_the_highest_frequency():
     assert bound.top < free.top
 
 
+def test_a_stiff_heavy_specimen_is_shaken_at_the_same_frequencies_at_every_rate():
+    """Whatever the limits leave of the rate: 20 Hz of a 4000 Hz loop, too."""
+    heavy = ("reference_force:model.mass:=800.0", "supervisor:limits.force:=2000.0")
+    plans = [plan_shake(load(*heavy, f"rate:={rate}.0"), 1e-4) for rate in (500, 4000)]
+    assert plans[0].top == pytest.approx(plans[1].top, rel=0.06)
+    assert 10.0 < plans[1].top < 80.0
+
+
 @pytest.mark.parametrize(
     ("words", "travel", "told"),
     [

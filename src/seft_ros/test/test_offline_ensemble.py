@@ -77,6 +77,11 @@ CASES = {  # few combinations of blocks: a loop is compiled for each
     # ends
     "displacement": ("rig:limits.displacement:=0.003",),
     "rate": ("rig:limits.acceleration_rate:=900.0",),
+    "rates at 1000 Hz": (
+        "/**:rate:=1000.0",
+        "rig:limits.acceleration_rate:=900.0",
+        "reference_force:limits.force_rate:=1e5",
+    ),
     "blind": (  # the judge would end it before
         "rig:sensors.acceleration_range:=5.0",
         "force_controller:detectors.warn_only:=all",

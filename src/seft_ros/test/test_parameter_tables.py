@@ -7,7 +7,7 @@ import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override, split_ros_arguments
 from seft_msgs_py.wire.topics import NODES
 from seft_plant_sim.rig_parameters import RIG_TABLE as RIG
-from seft_ros.identification.rig_tests import Levels, open_loop
+from seft_ros.identification.rig_tests import open_loop
 from seft_ros.test_run.parameter_tables import TABLES
 
 CONFIG = Path(__file__).parents[3] / "config"
@@ -86,7 +86,7 @@ def test_each_node_reads_from_its_command_line_what_the_experiment_has(path, of_
     overrides = [parse_override("supervisor:limits.force:=20000.0")]
     experiment = Experiment.load(TABLES, [path], overrides)
     experiment = Experiment(experiment.sections) if of_code else experiment
-    experiment = open_loop(experiment, Path("no_record.csv"), Levels(0.1, 50.0))
+    experiment = open_loop(experiment, Path("no_record.csv"), 0.1)
     experiment = experiment.changed({"recorder": {"name": "on"}, "rig": {"keep_awake": True}})
     words = ["--ros-args", *experiment.arguments()]
     assert (str(path) in words) is not of_code

@@ -10,13 +10,13 @@ from seft_ros.protection.protection_step import PlausibleForce, is_plausible, no
 DT = 0.002
 
 
-def forces(largest=1000.0, fastest=1e5, axes=("north", "east")):
-    return PlausibleForce(largest, fastest, axes, DT)
+def forces(largest=1000.0, fastest=1e5, axes=("north", "east"), dt=DT):
+    return PlausibleForce(largest, fastest, axes, dt)
 
 
 def fault(limits, force):
     """What is wrong with the force of a step; None if nothing is."""
-    return None if is_plausible(limits.limits, limits.last, force) else limits.describe(force)
+    return None if is_plausible(limits.limits, limits.recent, force) else limits.describe(force)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -59,6 +59,15 @@ def test_the_least_excess_is_a_fault_and_what_is_at_its_limit_is_not_named(sign)
         limits.describe(np.zeros(2))
 
 
+def test_at_a_high_rate_the_change_within_2_ms_counts():
+    limits = forces(dt=0.0005)  # 200 N within 4 steps
+    for force in (0.0, 195.0, 195.0, 0.0, 190.0, 390.0):
+        assert fault(limits, np.array([0.0, force])) is None
+    assert fault(limits, np.array([0.0, 397.0])) == (
+        "reference force changes by 1.01e+05 N/s on axis east, beyond the limit of 100000 N/s"
+    )
+
+
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_a_force_that_is_not_finite_is_named(value):
     assert fault(forces(), np.array([0.0, value])) == f"reference force is {value} N on axis east"
@@ -68,9 +77,9 @@ def test_a_fault_leaves_the_last_plausible_force():
     limits = forces()
     fault(limits, np.array([100.0, -100.0]))
     fault(limits, np.array([math.nan, -100.0]))
-    assert limits.last.tolist() == [100.0, -100.0]
+    assert limits.recent.tolist() == [[100.0, -100.0]]
     limits.reset()
-    assert limits.last.tolist() == [0.0, 0.0]
+    assert limits.recent.tolist() == [[0.0, 0.0]]
 
 
 @given(st.lists(st.floats(-1000.0, 1000.0), min_size=1, max_size=50))

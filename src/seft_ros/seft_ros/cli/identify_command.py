@@ -63,9 +63,10 @@ def identify(
     correct the open loop's test.
 
     Closed loop: the excitation is the reference force, where the force controller follows one. Its
-    RMS is 5 m/s^2 times the mass, at most a 20th of the force limit and within limits.force_rate,
-    unless --force gives another. The result describes the force loop with this specimen, which the
-    other methods need. Rigs without a valve (actuator.kind ideal or delay) have this test only.
+    RMS is 5 m/s^2 times the mass, at most a 20th of the force limit, and peaks and changes are
+    within half of the limits, unless --force gives another. The result describes the force loop
+    with this specimen, which the other methods need. Rigs without a valve (actuator.kind ideal or
+    delay) have this test only.
 
     The folder then holds the excitation, the bags, a figure, and model.yaml: parameters of
     reference_force and force_controller for --params-file. With --specimen they include mass,
@@ -96,14 +97,15 @@ def identify(
     experiment = shared.load_experiment(config, param, params_file, external)
     if all(map(math.isnan, band)):
         band = (0.3, min(0.45 * experiment.timebase.rate, 200.0))
+    motions = rig_tests.Motions(experiment, band, seed)
+    motions.check(duration)
+    largest = motions.largest_levels(duration)
     levels = rig_tests.Levels(
         rig_tests.pilot_voltage(experiment) if amplitude is None else amplitude,
-        rig_tests.default_force(experiment, band) if force is None else force,
+        rig_tests.default_force(experiment, largest) if force is None else force,
     )
-    rig_tests.check_levels(experiment, levels, band)
+    largest.check(levels)
     folder = out or Path(datetime.now().strftime("identify_%Y-%m-%d_%H-%M-%S"))
-    motions = rig_tests.Motions(experiment, levels.force, band, seed)
-    motions.check(duration)
     plan = None
     if specimen and rig_tests.has_valve(experiment):
         plan = plan_shake(experiment, travel)
@@ -177,16 +179,17 @@ class _Identification:
         tests, motions, known = self._tests, self._motions, self._plan is None
         self._valve = rig_tests.has_valve(tests.experiment)
         if self._valve and by_pilot:
-            seconds = min(self._duration, max(rig_tests.PILOT_DURATION, motions.shortest))
+            seconds = motions.of_pilot(self._duration)
             short = motions.write(tests.folder / f"{PILOT}.csv", seconds)
-            test = rig_tests.open_loop(tests.experiment, short, self._levels, known)
+            test = rig_tests.open_loop(tests.experiment, short, self._levels.voltage, known)
             self._valve = tests.run(PILOT, test, motions.steps(seconds))
             if self._valve:
                 pilot = tests.records[PILOT]
-                voltage = rig_tests.voltage_after(pilot, self._levels.voltage)
+                most = motions.largest_levels(self._duration)
+                voltage = rig_tests.voltage_after(pilot, self._levels.voltage, most)
                 self._levels = replace(self._levels, voltage=voltage)
         if self._valve:
-            test = rig_tests.open_loop(tests.experiment, self._record, self._levels, known)
+            test = rig_tests.open_loop(tests.experiment, self._record, self._levels.voltage, known)
             self._valve = tests.run(OPEN_LOOP, test, motions.steps(self._duration))
         if self._valve and self._plan is not None:
             self._shake(self._plan)
@@ -243,7 +246,8 @@ class _Identification:
             known = {**shaken.lags(), "rig": shaken.calibrated.parameters()}
             experiment = rig_tests.changed(experiment, known)
         steps = self._motions.steps(self._duration)
-        tests.run(CLOSED_LOOP, rig_tests.closed_loop_test(experiment, self._record), steps)
+        test = rig_tests.closed_loop_test(experiment, self._record, self._levels.force)
+        tests.run(CLOSED_LOOP, test, steps)
 
     def show(self, config: str, specimen: bool, as_json: bool) -> int:
         """Evaluate the tests, write and print; give the exit status."""

@@ -12,6 +12,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import Section, group, mass_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, VALVE_COMMAND
+from seft_plant_sim.limits import Limits, largest_force_rate, span_steps
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import LIMIT_NAMES
 from seft_plant_sim.sensors import CHANNELS
@@ -247,12 +248,13 @@ TAIL = 1.0
 PILOT_DURATION = 15.0
 """Duration of the test that finds the amplitude of the open loop, s."""
 
+PEAK_SHARE = 0.5
+"""Of a limit or a sensor's range that a peak may reach by plan."""
+
 _PILOT_SHARE = 0.005  # of the voltage limit, RMS
-_LARGEST_SHARE = 0.1
 _TARGET = 0.22  # of the limit that is used most: its largest share in the open loop
 _ACCELERATION = 5.0  # m/s^2 RMS of a free mass under the default force
 _FORCE_SHARE = 0.05  # of the force limit, at most
-_PEAKS = 4.5  # largest value of Gaussian noise over its RMS, in a minute at 500 Hz
 
 
 @dataclass(frozen=True)
@@ -263,17 +265,50 @@ class Levels:
     force: float
 
 
-def default_force(experiment: Experiment, band: tuple[float, float]) -> float:
+@dataclass(frozen=True)
+class LargestLevels:
+    """Largest RMS that an excitation may have, each with the parameter that says so."""
+
+    voltage: tuple[float, str]
+    force: tuple[float, str]
+
+    @classmethod
+    def of(cls, experiment: Experiment, unit: Floats) -> "LargestLevels":
+        """Levels at which the peaks and changes of an excitation reach a limit.
+
+        Of one of unit RMS, shape (N, n), see `excitation`.
+        """
+        dt, where = experiment.timebase.dt, "force_controller: voltage_limit"
+        steps, peak = span_steps(dt), float(np.abs(unit).max())
+        at_rest = np.zeros((steps, unit.shape[1]))
+        fastest = float(np.abs(unit - np.concatenate([at_rest, unit[:-steps]])).max()) / steps / dt
+        forces = []
+        for node in ("supervisor", "reference_force"):
+            limits = group(experiment[node], "limits")
+            forces.append((limits["force"] / peak, f"{node}: limits.force"))
+            forces.append((largest_force_rate(limits) / fastest, f"{node}: limits.force_rate"))
+        return cls((experiment["force_controller"]["voltage_limit"] / peak, where), min(forces))
+
+    def check(self, levels: Levels) -> None:
+        """Refuse levels that are not above 0, or beyond these, by an InputError."""
+        for option, level, unit, (largest, where) in (
+            ("--amplitude", levels.voltage, "V", self.voltage),
+            ("--force", levels.force, "N", self.force),
+        ):
+            if not 0 < level <= largest:
+                digit = 10.0 ** (math.floor(math.log10(largest)) - 2)
+                raise InputError(
+                    f"{option} is {level:g} {unit} RMS, but must be above 0, and "
+                    f"{digit * math.floor(largest / digit):g} {unit} at most: beyond, this "
+                    f"excitation exceeds {where}"
+                )
+
+
+def default_force(experiment: Experiment, largest: LargestLevels) -> float:
     """RMS of the reference force that moves the specimen well, far inside its limits, N."""
     limit = experiment["supervisor"]["limits.force"]
     wanted = _ACCELERATION * np.diag(_mass(experiment)).min()
-    return float(min(wanted, _FORCE_SHARE * limit, _largest_force(experiment, band)))
-
-
-def _largest_force(experiment: Experiment, band: tuple[float, float]) -> float:
-    """RMS of a force with a flat spectrum up to the band's end whose peaks change in time, N."""
-    rms_of_rate = 2.0 * math.pi * max(band[1], 1e-3) / math.sqrt(3.0)  # over that of the force
-    return float(experiment["reference_force"]["limits.force_rate"] / (_PEAKS * rms_of_rate))
+    return float(min(wanted, _FORCE_SHARE * limit, PEAK_SHARE * largest.force[0]))
 
 
 def pilot_voltage(experiment: Experiment) -> float:
@@ -281,36 +316,20 @@ def pilot_voltage(experiment: Experiment) -> float:
     return float(_PILOT_SHARE * experiment["force_controller"]["voltage_limit"])
 
 
-def voltage_after(pilot: Record, voltage: float) -> float:
+def voltage_after(pilot: Record, voltage: float, largest: LargestLevels) -> float:
     """RMS of the valve command that moves a rig well, far inside its limits, V.
 
     After a pilot test, open loop with an RMS of ``voltage`` V.
     """
-    states = pilot.states.values
-    limits = group(pilot.experiment["supervisor"], "limits")
-    largest = np.abs(states).max(axis=(0, 2)) / [limits[name] for name in LIMIT_NAMES]
-    most = _LARGEST_SHARE * pilot.experiment["force_controller"]["voltage_limit"]
-    return float(min(voltage * _TARGET / max(largest), most))
-
-
-def check_levels(experiment: Experiment, levels: Levels, band: tuple[float, float]) -> None:
-    """Refuse levels whose peaks exceed the limits of the experiment, by an InputError."""
-    if levels.force > (largest := _largest_force(experiment, band)):
-        raise InputError(
-            f"--force is {levels.force:g} N RMS, which in a band up to {band[1]:g} Hz changes "
-            f"faster than reference_force limits.force_rate; give {largest:.3g} N at most, or a "
-            "lower --band"
-        )
-    for option, level, unit, node, name in (
-        ("--amplitude", levels.voltage, "V", "force_controller", "voltage_limit"),
-        ("--force", levels.force, "N", "supervisor", "limits.force"),
-    ):
-        limit = experiment[node][name]
-        if not 0 < _PEAKS * level <= limit:
-            raise InputError(
-                f"{option} is {level:g} {unit} RMS, but must be above 0, and its peaks, "
-                f"{_PEAKS:g} times as large, within {node} {name}, {limit:g} {unit}"
-            )
+    states, experiment = pilot.states.values, pilot.experiment
+    dt, axes = experiment.timebase.dt, experiment.axes
+    limits = Limits(group(experiment["supervisor"], "limits"), axes, dt)
+    changes = states[len(limits.recent) :] - states[: -len(limits.recent)]
+    shares = [np.abs(part).max(axis=(0, 2)) for part in (states, changes)] / limits.values.reshape(
+        2, -1
+    )
+    factor = min(_TARGET / shares[0].max(), PEAK_SHARE / shares[1].max())
+    return float(min(voltage * factor, PEAK_SHARE * largest.voltage[0]))
 
 
 def _mass(experiment: Experiment) -> Floats:
@@ -324,36 +343,33 @@ def has_valve(experiment: Experiment) -> bool:
 
 
 def open_loop(
-    experiment: Experiment, record: Path, levels: Levels, known_channels: bool = True
+    experiment: Experiment, record: Path, voltage: float, known_channels: bool = True
 ) -> Experiment:
     """Test that drives the valves by a record of ground motion, without force feedback.
 
-    The motion's reference force has an RMS of ``levels.force``, the commands get
-    ``levels.voltage``. Where channels are not known, as before a shake, nothing compares them: to
-    judge and detectors they are as noisy as their limits are large. No command depends on what is
-    measured, and the limits hold.
+    A reference force of 1 N, which nothing applies, is a command of ``voltage`` V. What that
+    excites is no instability. Where channels are not known, as before a shake, nothing compares
+    them: to judge and detectors they are as noisy as their limits are large. No command depends on
+    what is measured, and the limits hold.
     """
-    controller = one_controller([levels.voltage / levels.force], [1.0]) | {"feedback": False}
+    controller = one_controller([voltage], [1.0]) | {"feedback": False}
     if not known_channels:
         limits = group(experiment["supervisor"], "limits")
         noise = zip(CHANNELS, (limits[name] for name in LIMIT_NAMES), strict=True)
         controller |= {f"noise.{channel}": largest for channel, largest in noise}
         controller["detectors.warn_only"] = ",".join([*MODEL_BASED, *NOISE_BASED])
-    return _with(experiment, record, controller)
-
-
-def shake_test(experiment: Experiment, record: Path) -> Experiment:
-    """Test that drives the valves by a record whose forces in N are the commands in V.
-
-    What it excites is no instability: nothing is fed back.
-    """
-    test = open_loop(experiment, record, Levels(1.0, 1.0), known_channels=False)
+    test = _with(experiment, record, controller)
     return changed(test, {"reference_force": {"instability.ratio": 0.0}})
 
 
-def closed_loop_test(experiment: Experiment, record: Path) -> Experiment:
-    """Test that follows the record's reference force by the experiment's own controller."""
-    return _with(experiment, record, {"feedback": True})
+def shake_test(experiment: Experiment, record: Path) -> Experiment:
+    """Test that drives the valves by a record whose forces in N are the commands in V."""
+    return open_loop(experiment, record, 1.0, known_channels=False)
+
+
+def closed_loop_test(experiment: Experiment, record: Path, force: float) -> Experiment:
+    """Test that follows the reference force of a record, times ``force``, by its own controller."""
+    return _with(experiment, record, {"feedback": True}, force)
 
 
 def has_force_loop(experiment: Experiment) -> bool:
@@ -367,8 +383,10 @@ def changed(experiment: Experiment, changes: Mapping[str, Section]) -> Experimen
     return experiment.changed({n: own for n, own in changes.items() if n in experiment.sections})
 
 
-def _with(experiment: Experiment, record: Path, controller: Section) -> Experiment:
-    """Copy an experiment as one of conventional EFT under a ground motion."""
+def _with(
+    experiment: Experiment, record: Path, controller: Section, force: float = 1.0
+) -> Experiment:
+    """Copy an experiment as one of conventional EFT under a ground motion, times ``force``."""
     own = experiment["force_controller"]
     # by default these follow what changes here
     kept = {name: own[name] for name in ("detectors.test", "detectors.mass_ratio") if name in own}
@@ -382,7 +400,7 @@ def _with(experiment: Experiment, record: Path, controller: Section) -> Experime
             "dt": experiment.timebase.dt,
             "peak_force": 0.0,
             "time_scale": 1.0,
-            "influence": [1.0],
+            "influence": [force],
             "tail": TAIL,
         },
         "reference_force": {"method": "eft", "mass_ratio": 0.0, "compensation.method": "none"},
@@ -418,21 +436,21 @@ class Motions:
     ----------
     experiment : Experiment
         What is identified.
-    force : float
-        RMS of the reference force, N.
     band, seed : tuple of float, int
         As `excitation` takes them.
     """
 
     experiment: Experiment
-    force: float
     band: tuple[float, float]
     seed: int
 
-    @property
-    def shortest(self) -> float:
-        """Shortest duration for the band, s."""
-        return shortest_duration(self.band)
+    def of_pilot(self, duration: float) -> float:
+        """Duration of the pilot of a test, s."""
+        return min(duration, max(PILOT_DURATION, shortest_duration(self.band)))
+
+    def largest_levels(self, duration: float) -> LargestLevels:
+        """Largest levels of a test."""
+        return LargestLevels.of(self.experiment, self._unit(duration))
 
     def check(self, duration: float) -> None:
         """Refuse by an InputError tests that can't be made, before anything is written or moves."""
@@ -446,8 +464,8 @@ class Motions:
             Rig.from_parameters(sections["rig"], *made)
 
     def write(self, path: Path, duration: float) -> Path:
-        """Write the motion of a test, whose forces are the excitation; see `write_forces`."""
-        return write_forces(path, self.experiment, self.force * self._unit(duration))
+        """Write the motion of a test, whose forces are the excitation, 1 N RMS."""
+        return write_forces(path, self.experiment, self._unit(duration))
 
     def steps(self, duration: float) -> int:
         """Count the steps of a test with such a motion."""

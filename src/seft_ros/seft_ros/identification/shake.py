@@ -6,6 +6,7 @@ inertia. So the shake tells the mass, and the channels against each other
 (`seft_ros.identification.shake_estimates`).
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -15,11 +16,13 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import group, mass_matrix, per_axis, symmetric_matrix
 from seft_msgs_py.errors import InputError
 from seft_plant_sim import lti
+from seft_plant_sim.limits import largest_force_rate
 from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_ROWS
 from seft_plant_sim.sensors import CHANNELS
 
 from seft_ros.design.plant import Plant, held_relations
 from seft_ros.identification.identified import Identified, fitted_plant
+from seft_ros.identification.rig_tests import PEAK_SHARE
 
 SINES = 6
 """On each axis: twice as many equations as the five unknowns of an axis leave some to judge by."""
@@ -37,8 +40,6 @@ FEWEST_CYCLES = 8
 ACCURACY = 4e-4
 """Standard error of a scale, which determines the displacement by the noise. A scale that is wrong
 by 1 % costs up to 3.3 % of the displacement (docs/rig.md), so this costs 0.1 %."""
-PEAK_SHARE = 0.5
-"""Of a limit or a sensor's range that a peak may reach."""
 OF_RATE = 0.097
 """Highest frequency over the rate: what held commands fold down to it is small (see
 `sound_relations`). With 1/10 the 9th and the 11th overtone, which friction makes, would fold down
@@ -46,8 +47,8 @@ to the sine itself: at 250 Hz the mass was 2 % wrong with 50 N of friction."""
 OF_ACTUATOR = 0.6
 """Highest frequency over that of the valve and of the oil column: there the piston still follows
 without a resonance."""
-LOWEST_TOP = 0.02
-"""Least highest frequency over the rate; the shake is refused below."""
+LOWEST_TOP = 2.0
+"""Least highest frequency, Hz; the shake is refused below: an axis takes a minute there."""
 RISE = 0.08
 """Part of a sine's time in which it rises, and in which it falls."""
 SETTLED_SHARE = 0.16
@@ -125,7 +126,8 @@ def plan_shake(experiment: Experiment, travel: float | None = None) -> Shake:
         raise InputError(f"--travel is {travel:g} m, but must be positive")
     allowed = _allowed(experiment)
     tried = []
-    for top in np.geomspace(OF_RATE, LOWEST_TOP, 33) * rate:
+    steps = math.ceil(math.log(OF_RATE * rate / LOWEST_TOP) / math.log(1.05))
+    for top in np.geomspace(OF_RATE * rate, LOWEST_TOP, steps + 1):
         needed = _needed(noise, mass, stiffness, top, rate) if travel is None else travel
         shake = Shake(needed, float(top), _peaks(needed, top, mass, stiffness))
         over = _over(shake, allowed)
@@ -175,6 +177,7 @@ def _peaks(travel: float, top: float, mass: Floats, stiffness: Floats) -> dict[s
 def _allowed(experiment: Experiment) -> dict[str, tuple[float, str]]:
     """Largest peak of each quantity and rate of change, and the parameter that says so."""
     limits = group(experiment["supervisor"], "limits")
+    limits["force_rate"] = largest_force_rate(limits)
     allowed = {name: (float(limits[name]), f"supervisor: limits.{name}") for name in LIMIT_ROWS}
     rig = experiment.sections.get("rig", {})
     for name, channel in zip(LIMIT_NAMES, CHANNELS, strict=True):

@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.compiled import entry_point, kind_of
+from seft_plant_sim.limits import largest_force_rate
 
 from seft_ros.protection.instability import InstabilityWatch
 from seft_ros.protection.protection_step import (
@@ -78,7 +80,7 @@ class ProtectedForce:
         self.estimates = reference_force.estimates
         self.reference_force = reference_force
         self._plausible, self._watch, self._ramp = plausible, watch, ramp
-        self._axes, provides_target = len(plausible.last), reference_force.provides_target
+        self._axes, provides_target = len(plausible.axes), reference_force.provides_target
         self._settled: deque[Floats] | None = None  # of the last steps
         if loop_delay and not provides_target:
             self._settled = deque(maxlen=1 + loop_delay)
@@ -89,7 +91,7 @@ class ProtectedForce:
         self.state = ProtectionState(
             flags=np.zeros(3, dtype=np.int64),
             ramp=ramp.state,
-            last=plausible.last,
+            recent=plausible.recent,
             point=np.zeros_like(self._points[:1]),
             progress=np.zeros(1),
             implausible_force=np.zeros(self._axes),
@@ -100,7 +102,7 @@ class ProtectedForce:
         self._begin = entry_point(begin_protection, self.state)
         self._begin_step = entry_point(begin_step, *both, True)
         measured = self.state.implausible_state
-        arguments = self.state.last, measured, True, 1.0, self._points
+        arguments = self.state.implausible_force, measured, True, 1.0, self._points
         self._protect = entry_point(protect, *both, *arguments)
         self.reset()
 
@@ -115,11 +117,10 @@ class ProtectedForce:
         InputError
             See `ReferenceForce.from_parameters`.
         """
+        fastest = largest_force_rate(group(section, "limits"))
         return cls(
             ReferenceForce.from_parameters(section, axes, timebase),
-            PlausibleForce(
-                section["limits.force"], section["limits.force_rate"], axes, timebase.dt
-            ),
+            PlausibleForce(section["limits.force"], fastest, axes, timebase.dt),
             InstabilityWatch.from_parameters(section, axes, timebase),
             RampDown.lasting(section["ramp_down_time"], timebase.dt, section["loop_delay"]),
             section["loop_delay"],

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 from seft_plant_sim.compiled import compiled, entry_point, is_finite
+from seft_plant_sim.limits import span_steps
 
 from seft_ros.protection.instability import WatchParameters, WatchState, watch_step
 
@@ -198,23 +199,26 @@ _QUANTITIES = ("displacement", "velocity", "acceleration", "force")
 
 
 @compiled
-def is_plausible(limits: Floats, last: Floats, force: Floats) -> bool:
+def is_plausible(limits: Floats, recent: Floats, force: Floats) -> bool:
     """Say whether a force is finite, not too large, and not changing too fast.
 
     Parameters
     ----------
     limits : ndarray
-        Largest magnitude, and largest change in a step, N, shape (2,).
-    last : ndarray
-        The last plausible force, shape (n,), N; updated.
+        Largest magnitude, and largest change in k steps, N, shape (2,).
+    recent : ndarray
+        The last k plausible forces, the oldest first, shape (k, n), N; updated.
     force : ndarray
         Shape (n,), N.
     """
-    for i in range(len(last)):
-        if not (abs(force[i]) <= limits[0] and abs(force[i] - last[i]) <= limits[1]):
+    last, n = len(recent) - 1, len(force)
+    for i in range(n):
+        if not (abs(force[i]) <= limits[0] and abs(force[i] - recent[0, i]) <= limits[1]):
             return False
-    for i in range(len(last)):
-        last[i] = force[i]
+    for i in range(n):
+        for k in range(last):
+            recent[k, i] = recent[k + 1, i]
+        recent[last, i] = force[i]
     return True
 
 
@@ -226,7 +230,7 @@ class PlausibleForce:
     largest : float
         Largest magnitude on any axis, N.
     fastest : float
-        Fastest change on any axis, N/s.
+        Fastest change on any axis within `seft_plant_sim.limits.RATE_SPAN`, N/s.
     axes : sequence of str
         Names of the n axes.
     dt : float
@@ -234,25 +238,27 @@ class PlausibleForce:
 
     Attributes
     ----------
-    limits, last : ndarray
-        Arguments of `is_plausible`; the last plausible force is zero before the first step.
+    limits, recent : ndarray
+        Arguments of `is_plausible`; the plausible forces are zero before the first step.
     axes, dt
         As given.
     """
 
     def __init__(self, largest: float, fastest: float, axes: Sequence[str], dt: float) -> None:
         self._fastest, self.dt, self.axes = fastest, dt, tuple(axes)
-        self.limits = np.array([largest, fastest * dt * (1 + 1e-12)])
-        self.last = np.zeros(len(self.axes))
+        steps = span_steps(dt)
+        self._span = steps * dt
+        self.limits = np.array([largest, fastest * self._span * (1 + 1e-12)])
+        self.recent = np.zeros((steps, len(self.axes)))
 
     def reset(self) -> None:
         """Begin a new test: no force was applied before it."""
-        self.last[:] = 0.0
+        self.recent[:] = 0.0
 
     def describe(self, force: Floats) -> str:
-        """Say what is wrong with a force that is not plausible, shape (n,), after the last one."""
-        largest = self.limits[0]
-        for axis, value, last in zip(self.axes, force.tolist(), self.last.tolist(), strict=True):
+        """Say what is wrong with a force that is not plausible, shape (n,), after the last ones."""
+        largest, oldest = self.limits[0], self.recent[0].tolist()
+        for axis, value, last in zip(self.axes, force.tolist(), oldest, strict=True):
             if not math.isfinite(value):
                 return f"reference force is {value} N on axis {axis}"
             if abs(value) > largest:
@@ -262,7 +268,7 @@ class PlausibleForce:
                 )
             if abs(value - last) > self.limits[1]:
                 return (
-                    f"reference force changes by {(value - last) / self.dt:.5g} N/s on axis "
+                    f"reference force changes by {(value - last) / self._span:.5g} N/s on axis "
                     f"{axis}, beyond the limit of {self._fastest:g} N/s"
                 )
         raise ValueError("nothing is wrong with the force")
@@ -317,8 +323,8 @@ class ProtectionState(NamedTuple):
         See `HOLDING`, shape (3,).
     ramp : ndarray
         `RampDown.state`, shape (2,).
-    last : ndarray
-        The last plausible force, shape (n,), N.
+    recent : ndarray
+        `PlausibleForce.recent`, shape (k, n), N.
     point : ndarray
         The last plausible point, shape (1, q, n).
     progress : ndarray
@@ -331,7 +337,7 @@ class ProtectionState(NamedTuple):
 
     flags: Ints
     ramp: Ints
-    last: Floats
+    recent: Floats
     point: Floats
     progress: Floats
     implausible_force: Floats
@@ -341,7 +347,7 @@ class ProtectionState(NamedTuple):
 
 @compiled
 def begin_protection(state: ProtectionState) -> None:
-    """Begin a test; the ramp, the watch and the last plausible force are begun separately."""
+    """Begin a test; the ramp, the watch and the plausible forces are begun separately."""
     state.flags[:] = 0
     state.point[:] = 0.0
     state.progress[:] = 1.0
@@ -391,7 +397,7 @@ def protect(
     """
     p, flags, factor = parameters, state.flags, progress
     last, n, cause = points.shape[1] - 1, points.shape[2], NOTHING
-    if not flags[HOLDING] and not is_plausible(p.limits, state.last, points[0, last]):
+    if not flags[HOLDING] and not is_plausible(p.limits, state.recent, points[0, last]):
         flags[HOLDING], cause = 1, IMPLAUSIBLE_FORCE
     if flags[CAUSE] == NOTHING:
         if cause == NOTHING and is_known:

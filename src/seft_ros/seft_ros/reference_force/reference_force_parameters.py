@@ -107,9 +107,9 @@ _COMPENSATION = parameter_rows(
         compensation.sensor_lag
     limits.force | float | supervisor:limits.force or 22200.0 | N | > 0 |
         largest reference force on any axis; beyond it the test is ramped down
-    limits.force_rate                  | float  | 3.0e6 | N/s   | > 0       |
-        fastest change of the reference force on any axis from step to step, likewise; far
-        above the changes in a test near its limits, so that it finds faults only
+    limits.force_rate                  | float  | 0.0   | N/s   | 0 ..      |
+        fastest change of the reference force on any axis within 2 ms, or one step if that is
+        longer, likewise; 0: limits.force within 2 ms, so that it finds faults only
     instability.ratio                  | float  | 5.0   |       | 0 ..      |
         ratio of the vibration to that of the structure under the measured restoring force, above
         which the test is ramped down, before a limit is reached; 0: never
