@@ -228,6 +228,14 @@ def copy(count: int, source: Floats, result: Floats) -> None:
 
 
 @compiled
+def put_first(line: Floats, value: float) -> None:
+    """Put a value before all others of a line, whose last one is lost."""
+    for j in range(len(line) - 1, 0, -1):
+        line[j] = line[j - 1]
+    line[0] = value
+
+
+@compiled
 def is_finite(values: Floats, first: int) -> bool:
     """Say whether all values of an array of two dimensions are finite, from its first row on."""
     for row in range(first, values.shape[0]):

@@ -7,7 +7,7 @@ import pytest
 from experiments_at_hand import load
 from scipy.integrate import solve_ivp
 from seft_msgs_py.errors import InputError
-from seft_ros.force_controller.feedforward_step import DELAY, GAIN, feedforward_step
+from seft_ros.force_controller.feedforward_step import DELAY_ERROR, GAIN_ERROR, feedforward_step
 from seft_ros.force_controller.oil_column import crossover
 from seft_ros.force_controller.valve_model import ValveModel
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
@@ -130,7 +130,7 @@ def test_error_dies_out_at_the_rate_of_the_feedback():
 def test_flow_gain_is_followed(told):
     arrays = controller(told)
     wanted, seen = drive_piston(arrays)
-    assert told * (1 + arrays[1].errors[0, GAIN]) == pytest.approx(1.0, abs=0.02)
+    assert told * (1 + arrays[1].errors[0, GAIN_ERROR]) == pytest.approx(1.0, abs=0.02)
     assert np.sqrt(np.mean((seen - wanted)[2000:] ** 2) / np.mean(wanted**2)) < 0.01
 
 
@@ -138,7 +138,7 @@ def test_flow_gain_is_followed(told):
 def test_delay_is_followed(dead_time):
     arrays = controller(dead_time=dead_time)
     drive_piston(arrays)
-    assert dead_time + arrays[1].errors[0, DELAY] == pytest.approx(0.001, abs=2e-4)
+    assert dead_time + arrays[1].errors[0, DELAY_ERROR] == pytest.approx(0.001, abs=2e-4)
 
 
 def test_drive_stays_within_the_limit_and_says_so():

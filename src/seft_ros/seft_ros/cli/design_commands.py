@@ -62,6 +62,7 @@ def preflight(
     from seft_ros.design.plan import Plan
     from seft_ros.drawing.style import check_figure, save_figure
     from seft_ros.reference_force.compensator import NotLinearError
+    from seft_ros.study.unforeseen import yielding_error
 
     path = check_figure(figure) if figure is not None else None
     experiment = shared.load_experiment(config, param, params_file, external)
@@ -103,6 +104,12 @@ def preflight(
         summary["unfit"] = unfit
         if mass := preflight_tables.mass_mismatch(experiment):
             warnings.append(mass)
+        if fast := stability_verdict.folded(plan):
+            warnings.append(fast)
+        yielding = yielding_error(experiment, response)
+        summary["yielding_error"] = yielding and asdict(yielding)
+        if yielding is not None and (slow := yielding.warning()):
+            warnings.append(slow)
         summary["warnings"] = warnings
         if write is not None:
             preflight_tables.write_limits(write, limits)
@@ -119,6 +126,8 @@ def preflight(
             f"longest, of {1e3 * timed.budget_s:.2g} ms",
             "the margins above take its tangent at rest",
         ]
+    if yielding is not None and not yielding.warning():
+        lines.append(str(yielding))
     texts = preflight_tables.preflight_texts(found, f"preflight of {config}")
     limits_table = preflight_tables.limits_table(experiment, peaks, limits)
     shared.show(summary, json, [*texts, limits_table, *lines], "figure")

@@ -11,6 +11,7 @@ from seft_plant_sim.whole_structure import WholeStructure
 from seft_ros.design.margin_ends import MarginEnd, margin_ends
 from seft_ros.design.model_modes import modes_with_model
 from seft_ros.design.plan import Plan
+from seft_ros.design.plant import lightly_damped, roots_of
 from seft_ros.design.stability_margins import Margins, Progress, find_margins
 
 NEAR = 2.0
@@ -153,6 +154,23 @@ def check_stability(plan: Plan, progress: Progress | None = None) -> Preflight:
 def instability(plan: Plan) -> str:
     """Say in a few words how the oscillation of an unstable plan grows."""
     return f"oscillates at {plan.hz():.3g} Hz, growing e-fold in {1 / plan.growth_rate():.2g} s"
+
+
+def folded(plan: Plan) -> str:
+    """Say which light oscillation of the rig is above half the rate; empty if none is.
+
+    What is sampled then shows it at another frequency, and velocities that are integrated from
+    accelerations are wrong.
+    """
+    nyquist = 0.5 / plan.dt
+    fast = [r.hz for r in lightly_damped(roots_of(np.linalg.eigvals(plan.rig.plant.a)))]
+    fast = [hz for hz in fast if hz > nyquist]
+    if not fast:
+        return ""
+    return (
+        f"the oil column oscillates at {max(fast):.3g} Hz, above half the rate, and folds down: "
+        f"take a rate of {2.0 * max(fast):.2g} Hz or more"
+    )
 
 
 def _promise(plan: Plan) -> str:

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from seft_msgs_py.arrays import Floats
-from seft_plant_sim.compiled import compiled
+from seft_plant_sim.compiled import compiled, put_first
 
 from seft_ros.protection.protection_step import as_sample, slow_down
 from seft_ros.protection.valve_following import begin_following, follow_valve, under_load
@@ -87,7 +87,7 @@ class FeedforwardState(NamedTuple):
     steps: Floats
 
 
-GAIN, DELAY, OIL = range(3)
+GAIN_ERROR, DELAY_ERROR, OIL_ERROR = range(3)
 """Columns of ``errors``."""
 
 
@@ -139,24 +139,16 @@ def feedforward_step(
         drive = 0.0
         for k in range(n):
             drive += _flow_by(p, state, points, measured[3, k], i, k)
-        drive /= p.actuator[i, 0] * (1.0 + state.errors[i, GAIN])
+        drive /= p.actuator[i, 0] * (1.0 + state.errors[i, GAIN_ERROR])
         if abs(drive) >= p.limit:
             limited = True
             drive = p.limit if drive > 0.0 else -p.limit
         command[i] = drive
     for i in range(n):
-        push(state.sent[i], command[i])
-        push(state.flows[i], state.coming[i, 0])
+        put_first(state.sent[i], command[i])
+        put_first(state.flows[i], state.coming[i, 0])
     state.steps[0] += 1.0
     return limited
-
-
-@compiled
-def push(line: Floats, value: float) -> None:
-    """Put a value before all others of a line, whose last one is lost."""
-    for j in range(len(line) - 1, 0, -1):
-        line[j] = line[j - 1]
-    line[0] = value
 
 
 @compiled
@@ -164,14 +156,14 @@ def _plan(p: FeedforwardParameters, state: FeedforwardState, i: int, points: Flo
     """Find the flow of a valve for a planned motion, as an opening without load: Eq. (4)."""
     flow, coming, taps = state.flow, state.coming[i], state.coming.shape[1]
     leakage, capacity = p.actuator[i, 2], p.actuator[i, 3]
-    compliance = (1.0 + state.errors[i, OIL]) / p.actuator[i, 1]
+    compliance = (1.0 + state.errors[i, OIL_ERROR]) / p.actuator[i, 1]
     for j in range(taps + 1):
         moved = points[j + 1, 0, i] - points[j, 0, i]
         rise = points[j + 1, 2, i] - points[j, 2, i]
         mean = 0.5 * (points[j + 1, 2, i] + points[j, 2, i])
         needed = (moved + compliance * (rise + p.dt * leakage * mean)) / p.dt
         flow[j] = needed / under_load(needed, mean, capacity)
-    late = state.errors[i, DELAY]
+    late = state.errors[i, DELAY_ERROR]
     for j in range(taps):
         before = max(j - 1, 0)
         coming[j] = flow[j] + late * (flow[j + 1] - flow[before]) / ((j + 1 - before) * p.dt)
@@ -190,7 +182,7 @@ def _flow_by(
         flow += planned[known + j] * state.coming[k, j]
     for j in range(known):
         flow += planned[known - 1 - j] * state.flows[k, j]
-    sent, gain = 0.0, p.actuator[k, 0] * (1.0 + state.errors[k, GAIN])
+    sent, gain = 0.0, p.actuator[k, 0] * (1.0 + state.errors[k, GAIN_ERROR])
     for j in range(state.sent.shape[1]):
         sent += p.sent[i, k, j] * state.sent[k, j]
     return flow - gain * sent

@@ -36,7 +36,7 @@ from seft_ros.force_controller.known_rig import ASSUMED_ACTUATOR, read_actuators
 from seft_ros.force_controller.oil_column import regulator
 from seft_ros.force_controller.valve_model import valve_models
 from seft_ros.protection.protection_step import stop_steps
-from seft_ros.protection.valve_following import ERRORS, doubt
+from seft_ros.protection.valve_following import VALVE_ERRORS, doubt
 from seft_ros.reference_force.compensator import NotLinearError
 from seft_ros.reference_force.observers import observer_gains, sensor_noise
 from seft_ros.reference_force.reference_force_parameters import HORIZON_PER_LAG, horizon_steps
@@ -119,10 +119,10 @@ class VelocityFeedforward:
             flows=np.zeros((n, memory + past)),
             flow=np.zeros(needed + 1),
             coming=np.zeros((n, needed)),
-            signals=np.zeros((n, ERRORS + 1)),
-            work=np.zeros(ERRORS),
-            errors=np.zeros((n, ERRORS)),
-            covariance=np.zeros((n, ERRORS, ERRORS)),
+            signals=np.zeros((n, VALVE_ERRORS + 1)),
+            work=np.zeros(VALVE_ERRORS),
+            errors=np.zeros((n, VALVE_ERRORS)),
+            covariance=np.zeros((n, VALVE_ERRORS, VALVE_ERRORS)),
             steps=np.zeros(1),
         )
         self.shape = 1 + horizon, 3

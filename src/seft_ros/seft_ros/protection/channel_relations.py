@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
-from seft_plant_sim.compiled import compiled
+from seft_plant_sim.compiled import compiled, put_first
 from seft_plant_sim.sensors import ACCELERATION, FORCE, POSITION, VELOCITY
 
 from seft_ros.protection.detectors import (
@@ -62,10 +62,9 @@ def find_flow(p: DetectorParameters, state: DetectorState, lost: int, drive: Flo
     for i in range(len(drive)):
         if abs(drive[i]) >= p.limit:
             state.step[LIMITED_AT] = state.step[SAMPLE]
-        for _ in range(min(lost, state.sent.shape[1]) + 1):
-            for j in range(state.sent.shape[1] - 1, 0, -1):
-                state.sent[i, j] = state.sent[i, j - 1]
-        state.sent[i, 0] = drive[i]
+        for _ in range(min(lost, state.sent.shape[1])):
+            put_first(state.sent[i], state.sent[i, 0])
+        put_first(state.sent[i], drive[i])
         flow = later = 0.0
         for j in range(state.sent.shape[1]):
             flow += p.past[i, 0, j] * state.sent[i, j]

@@ -21,7 +21,7 @@ valve's delay, s (a step at 500 Hz), and of the oil's compliance, relative (air 
 
 LARGEST_GAIN_ERROR, LARGEST_DELAY_ERROR, LARGEST_OIL_ERROR = 0.3, 5e-3, 0.5
 """Bounds of the estimates."""
-ERRORS = 3
+VALVE_ERRORS = 3
 """Number of errors of a valve: of gain, delay and oil."""
 _BOUNDS = (LARGEST_GAIN_ERROR, LARGEST_DELAY_ERROR, LARGEST_OIL_ERROR)
 _VARIANCES = (UNCERTAIN_GAIN**2, UNCERTAIN_DELAY**2, UNCERTAIN_OIL**2)
@@ -64,7 +64,7 @@ def begin_following(errors: Floats, covariance: Floats) -> None:
     errors[:] = 0.0
     covariance[:] = 0.0
     for i in range(len(covariance)):
-        for j in range(ERRORS):
+        for j in range(VALVE_ERRORS):
             covariance[i, j, j] = _VARIANCES[j]
 
 
@@ -87,15 +87,15 @@ def follow_valve(
         Shape (3,).
     """
     variance = doubt
-    missed = signals[ERRORS] - signals[0] - signals[2]
-    for j in range(ERRORS):
+    missed = signals[VALVE_ERRORS] - signals[0] - signals[2]
+    for j in range(VALVE_ERRORS):
         missed -= errors[j] * signals[j]
         work[j] = 0.0
-        for k in range(ERRORS):
+        for k in range(VALVE_ERRORS):
             work[j] += covariance[j, k] * signals[k]
         variance += signals[j] * work[j]
-    for j in range(ERRORS):
+    for j in range(VALVE_ERRORS):
         found = errors[j] + work[j] * missed / variance
         errors[j] = min(max(found, -_BOUNDS[j]), _BOUNDS[j])
-        for k in range(ERRORS):
+        for k in range(VALVE_ERRORS):
             covariance[j, k] -= work[j] * work[k] / variance

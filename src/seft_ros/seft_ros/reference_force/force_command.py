@@ -5,7 +5,7 @@ which is known ahead. The remaining error is fed back at the time when a new for
 specimen is predicted up to that time by its model, under the forces on their way, and drawn to the
 target like a mass on a critically damped spring::
 
-    f_r = sum_j h_j f*[k + j] + M_e (w^2 (x* - x) + 2 w (v* - v)) / T(0)                    (6)
+    f_r = sum_j h_j f*[k + j] + M_e (w^2 (x* - x) + 2 w (v* - v)) / T(0)                    (7)
 
 The feedback is as fast as the delay allows: w is its inverse.
 """
@@ -127,7 +127,7 @@ def command_step(
     running: TargetState,
     points: Floats,
 ) -> None:
-    """Replace the target's force of this step by Eq. (6).
+    """Replace the target's force of this step by Eq. (7).
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def command_step(
         move_by_force(target, running, p.by_force, state.sent[age], span, y, stops)
     for age in range(p.steps, 0, -1):
         copy(n, state.sent[age - 1], state.sent[age])
-    # Eq. (6)
+    # Eq. (7)
     here, there = p.steps, p.steps + 1
     for i in range(n):
         force = 0.0

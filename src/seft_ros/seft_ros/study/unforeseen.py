@@ -1,0 +1,125 @@
+"""What a test would make of a specimen that yields, which nobody has told.
+
+Stability says nothing about that: an unforeseen change of the restoring force is answered one delay
+of the valve later, and in soft oil the flow must first compress the oil.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import InputError
+from seft_plant_sim.sensors import CHANNELS
+from seft_plant_sim.specimen import deformations
+from seft_plant_sim.whole_structure import ReferenceResponse, reference_response
+
+from seft_ros.analysis.metrics import nrmse
+from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
+from seft_ros.protection.detector_list import ALL
+from seft_ros.reference_force.force_command import FORCE_DRIVEN
+from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.offline import simulate_test
+
+AT, HARDENING = 1.0 / 3.0, 0.1
+"""Deformation at which it yields, over the largest of the planned test, and stiffness that is left:
+it yields often and far."""
+LARGEST_ERROR = 0.015
+"""Displacement error up to which the valve can follow."""
+_BEYOND = 100.0  # of all limits: a specimen that yields moves farther than planned
+
+
+@dataclass(frozen=True)
+class YieldingError:
+    """Displacement error (NRMSE) of a planned test on a specimen that yields; infinite if it trips.
+
+    Attributes
+    ----------
+    whole, of_valve : float
+        With the noise of the sensors, and without: what is left is that of the valve.
+    """
+
+    whole: float
+    of_valve: float
+
+    def warning(self) -> str:
+        """Say why it is too large, and how to mend it; empty if it is not."""
+        if self.whole <= LARGEST_ERROR:
+            return ""
+        cause = "quieter sensors or a larger motion do"
+        if self.of_valve > LARGEST_ERROR:
+            cause = (
+                "the valve can't follow that fast; a higher rate, a faster valve or a stiffer oil "
+                "column do"
+            )
+        return f"{self}; {cause} better"
+
+    def __str__(self) -> str:
+        """Say it in one line."""
+        return (
+            "if the specimen yields at a third of its largest deformation, unforeseen, the "
+            f"displacement error is {_percent(self.whole)} ({_percent(self.of_valve)} without "
+            "noise)"
+        )
+
+
+def _percent(error: float) -> str:
+    return f"{100 * error:.2g} %" if np.isfinite(error) else "that of a test that trips"
+
+
+def yielding_error(
+    experiment: Experiment, response: ReferenceResponse | None
+) -> YieldingError | None:
+    """Simulate the planned test on a specimen that yields, all else as planned and assumed.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Of the test.
+    response : ReferenceResponse or None
+        See `expected_response`.
+
+    Returns
+    -------
+    YieldingError or None
+        None if the rig is not simulated here, no valve follows a target, a model is computed, or
+        the specimen's stiffness is not that of its springs.
+    """
+    rig, method = experiment.sections.get("rig"), experiment["force_controller"]["method"]
+    if rig is None or response is None or method != VELOCITY_FEEDFORWARD:
+        return None
+    if rig["actuator.kind"] in FORCE_DRIVEN or experiment["reference_force"]["computed.model"]:
+        return None
+    springs = deformations(rig["specimen.springs"], experiment.axes, "rig: specimen")
+    moved = np.abs(response.displacement @ springs.T).max(axis=0)
+    if not moved.all():
+        return None
+    changes = {
+        node: {
+            name: _BEYOND * value
+            for name, value in section.items()
+            if name.startswith("limits.") and not name.endswith("_time")
+        }
+        for node, section in experiment.sections.items()
+    }
+    changes["rig"] |= {
+        "specimen.kind": "bilinear",
+        "specimen.yield_displacement": (AT * moved).tolist(),
+        "specimen.hardening_ratio": HARDENING,
+        "faults": "",
+    }
+    changes["force_controller"]["detectors.warn_only"] = ALL  # channels without noise seem frozen
+    quiet = {"rig": {f"sensors.{name}_noise": 0.0 for name in CHANNELS}}
+    try:
+        yields = experiment.changed(changes)
+        return YieldingError(_error(yields), _error(yields.changed(quiet)))
+    except InputError:  # the stiffness is not the sum of such springs
+        return None
+
+
+def _error(experiment: Experiment) -> float:
+    blocks = build_blocks(experiment)
+    record = simulate_test(experiment, blocks)
+    if record.trip is not None:
+        return float("inf")
+    exact = reference_response(experiment, blocks.ground_motion.samples)
+    return float(nrmse(record.series["rig/state"].values[:, 0], exact.displacement))
