@@ -106,13 +106,12 @@ def test_aligned_channels_have_one_phase(lags):
         assert np.angle(expected / latest) == pytest.approx(np.zeros(4), abs=0.02)
 
 
-def test_the_rest_of_a_wait_is_between_half_a_sample_and_three_halves():
-    for wait in np.linspace(0.5, 6.0, 56):
+def test_the_rest_of_a_wait_is_where_its_delay_is_flattest():
+    for wait in np.linspace(0.2, 6.0, 59):
         calibration, _ = known(force_lag=wait * DT)
         rest = (1 - calibration.factor[X, 0]) / (1 + calibration.factor[X, 0])
         assert calibration.whole[X, 0] + rest == pytest.approx(wait)
-        assert 0.5 - 1e-9 <= rest < 1.5 + 1e-9
-        assert abs(calibration.factor[X, 0]) <= 1.0 / 3.0 + 1e-9
+        assert 0.2 - 1e-9 <= rest < 1.2 + 1e-9
         assert calibration.whole[F, 0] == AT_ONCE
 
 
@@ -155,8 +154,8 @@ def test_what_is_no_number_or_at_the_end_of_the_range_comes_out_as_it_is_and_lea
         found = corrected(
             wrong, force_lag=0.0047, acceleration_scale=1.01, ranges=np.full((4, 1), 9.0)
         )
-        np.testing.assert_equal(found[301, A, 0], value)  # after the whole sample of its wait
-        assert np.isfinite(np.delete(found, 301, axis=0)).all()
+        np.testing.assert_equal(found[302, A, 0], value)  # after the whole samples of its wait
+        assert np.isfinite(np.delete(found, 302, axis=0)).all()
         np.testing.assert_allclose(found[340:], sound[340:], atol=1e-9)
 
 

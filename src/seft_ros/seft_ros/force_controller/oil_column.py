@@ -75,12 +75,9 @@ def regulator(
     n, stiffness = len(valves), ELASTIC * stiffness
     mass = _without_fast_modes(mass, stiffness + np.diag(oil[:, 0]), valves)
     free, push = _sampled(valves, oil, mass, stiffness, dt)
-    cost, least = (
-        np.zeros_like(free),
-        np.linalg.inv(_flow_at(crossover(valves), oil, mass, stiffness)),
-    )
+    least = np.linalg.inv(_flow_at(crossover(valves), oil, mass, stiffness))
+    cost, effort = np.zeros_like(free), least.T @ least
     cost[:n, :n] = np.eye(n)
-    effort = least.T @ least
     p = solve_discrete_are(free, push, cost, effort)
     gain = np.linalg.solve(effort + push.T @ p @ push, push.T @ p @ free)
     # of the flow and the commands under way, which past commands have made
