@@ -41,6 +41,10 @@ from seft_ros.reference_force.compensator import NotLinearError
 from seft_ros.reference_force.observers import observer_gains, sensor_noise
 from seft_ros.reference_force.reference_force_parameters import HORIZON_PER_LAG, horizon_steps
 
+BETWEEN = 1.0
+"""Of the observer, see `observer_gains`. The feedback is slower than what accelerations leave out
+between the samples, and displacement noise that it passes on rings the oil."""
+
 
 class VelocityFeedforward:
     """Force controller of n axes that opens the valves for the future motion.
@@ -103,7 +107,7 @@ class VelocityFeedforward:
         self.parameters = FeedforwardParameters(
             dt=dt,
             limit=section["voltage_limit"],
-            gains=observer_gains(noise, dt)[0],
+            gains=observer_gains(noise, dt, BETWEEN)[0],
             actuator=np.ascontiguousarray(actuator),
             feedback=feedback,
             sent=sent,

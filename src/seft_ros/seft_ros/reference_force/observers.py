@@ -43,7 +43,9 @@ def sensor_noise(section: Mapping[str, Any], axes: Sequence[str], group: str, wh
     return noise
 
 
-def observer_gains(noise: Floats, dt: float) -> tuple[Floats, Floats]:
+def observer_gains(
+    noise: Floats, dt: float, between: float = BETWEEN_SAMPLES
+) -> tuple[Floats, Floats]:
     """Gains of a steady Kalman filter of displacement and velocity, driven by the acceleration.
 
     Parameters
@@ -53,6 +55,8 @@ def observer_gains(noise: Floats, dt: float) -> tuple[Floats, Floats]:
         shape (3 or more, n), positive.
     dt : float
         Sampling period, s.
+    between : float
+        See `BETWEEN_SAMPLES`; less makes slower and smoother estimates.
 
     Returns
     -------
@@ -68,7 +72,7 @@ def observer_gains(noise: Floats, dt: float) -> tuple[Floats, Floats]:
         x, v, a = noise[:3, axis]
         scale = np.diag([x, x / dt])  # solve the equation in units of the noise
         inverse = np.linalg.inv(scale)
-        driven = inverse @ np.outer(push, push) @ inverse * (BETWEEN_SAMPLES * a) ** 2
+        driven = inverse @ np.outer(push, push) @ inverse * (between * a) ** 2
         sensors = inverse @ np.diag([x * x, v * v]) @ inverse
         predicted = solve_discrete_are(
             (inverse @ free @ scale).T, np.eye(2), driven + 1e-12 * np.eye(2), sensors
