@@ -93,8 +93,9 @@ def test_where_the_valve_cannot_follow_preflight_says_so():
 
 
 def test_a_yielding_that_noise_spoils_is_told_from_one_that_the_valve_spoils():
-    assert "quieter sensors" in YieldingError(0.02, 0.001).warning()
-    assert "that of a test that trips" in YieldingError(math.inf, math.inf).warning()
+    assert YieldingError(0.02, 0.001).warning() == ""
+    assert "is 2 % (0.1 % without noise)" in str(YieldingError(0.02, 0.001))
+    assert "is that of a test that trips" in YieldingError(math.inf, math.inf).warning()
 
 
 def test_no_yielding_is_simulated_where_none_can_be():

@@ -24,7 +24,7 @@ AT, HARDENING = 1.0 / 3.0, 0.1
 """Deformation at which it yields, over the largest of the planned test, and stiffness that is left:
 it yields often and far."""
 LARGEST_ERROR = 0.015
-"""Displacement error up to which the valve can follow."""
+"""Displacement error without noise up to which the valve can follow."""
 _BEYOND = 100.0  # of all limits: a specimen that yields moves farther than planned
 
 
@@ -42,16 +42,13 @@ class YieldingError:
     of_valve: float
 
     def warning(self) -> str:
-        """Say why it is too large, and how to mend it; empty if it is not."""
-        if self.whole <= LARGEST_ERROR:
+        """Say that the valve can't follow, and how to mend it; empty if it can."""
+        if self.of_valve <= LARGEST_ERROR:
             return ""
-        cause = "quieter sensors or a larger motion do"
-        if self.of_valve > LARGEST_ERROR:
-            cause = (
-                "the valve can't follow that fast; a higher rate, a faster valve or a stiffer oil "
-                "column do"
-            )
-        return f"{self}; {cause} better"
+        return (
+            f"{self}: the valve can't follow that fast; take a higher rate, a faster valve or a "
+            "stiffer oil column"
+        )
 
     def __str__(self) -> str:
         """Say it in one line."""
