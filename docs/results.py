@@ -77,6 +77,11 @@ TESTS: dict[str, list[Row]] = {
         (*PLAN, *ONE, *specimen(kind, "yield_displacement:=0.003"), f"rig:seed:={seed}")
         for kind in ("bouc_wen", "bilinear", "flag")
         for seed in (1, 2, 3)
+    ]
+    + [
+        (*PLAN, *ONE, *specimen("friction", f"friction.force:={force}"), f"rig:seed:={seed}")
+        for force in (60.0, 190.0)
+        for seed in (1, 2, 3)
     ],
     "several axes": [
         *((f"config:{name}",) for name in EXAMPLES),

@@ -4,7 +4,10 @@ import pytest
 from graph_tools import ROOT
 
 CONFIG = ROOT / "config"
-EXAMPLES = ("water_tower", "three_storey_frame", "six_storey_frame", "two_pier_bridge")
+EXAMPLES = (
+    *("water_tower", "three_storey_frame", "six_storey_frame", "two_pier_bridge"),
+    "heavy_specimen",
+)
 
 
 def test_each_example_beside_the_paper_s_rig_is_looked_at():
