@@ -24,7 +24,7 @@ KEYS = {
     *("local_stiffness", "local_stiffness_followed", "assumed_delay_error_s"),
     *("false_damping_ratio", "frequency_error", "modes", "spectral_radius", "growth_rate"),
     *("dominant_hz", "states", "expected_peaks", "proposed_limits", "warnings"),
-    "unfit",
+    *("unfit", "yielding_error"),
 }
 
 

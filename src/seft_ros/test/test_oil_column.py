@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from seft_msgs_py.errors import InputError
 from seft_ros.force_controller.oil_column import crossover, regulator
 from seft_ros.force_controller.valve_model import ValveModel
 
@@ -114,3 +115,17 @@ def test_coupled_axes_with_unlike_valves_come_back():
     found = deviations(valves, mass, stiffness, dt, 0.4, np.array([1e-3, -5e-4]))
     assert np.abs(found[-100:]).max() < 0.03e-3
     assert np.abs(found).max() < 1.2e-3
+
+
+def test_dead_times_of_many_samples_do_not_spoil_the_regulator():
+    """With the states of two lines of dead time, a Schur form is not reordered well."""
+    dt = 0.00025
+    valves = [valve(dt, 40.0, 0.9, 0.002), valve(dt, 110.0, 0.6, 0.002)]
+    mass, stiffness = [[1000.0, 800.0], [800.0, 1000.0]], [[9e4, 0.0], [0.0, 9e4]]
+    found = deviations(valves, mass, stiffness, dt, 0.3, np.array([1e-3, -5e-4]))
+    assert np.abs(found[-100:]).max() < 0.03e-3
+
+
+def test_a_regulator_that_does_not_exist_is_refused():
+    with pytest.raises(InputError, match="no regulator brings this specimen back"):
+        gains_of([valve(0.001)], [[100.0]], [[-3.0 * OIL]], 0.001)

@@ -106,8 +106,8 @@ def preflight(
             warnings.append(mass)
         if fast := stability_verdict.folded(plan):
             warnings.append(fast)
-        yielding = yielding_error(experiment, response)
-        summary["yielding_error"] = yielding and asdict(yielding)
+        yielding = None if beyond else yielding_error(experiment, response)
+        summary["yielding_error"] = yielding and yielding.numbers()
         if yielding is not None and (slow := yielding.warning()):
             warnings.append(slow)
         summary["warnings"] = warnings

@@ -117,7 +117,7 @@ class MarginEnd:
             return ""
         if self.needed in (0.0, np.inf):
             return "no end"
-        return f"{'>' if self.is_upper else '<'} {self._text(self.needed, '.3g')}"
+        return f"{'>' if self.is_upper else '<'} {self._text(self.needed, '.4g')}"
 
     def _text(self, value: float, form: str) -> str:
         return f"{(1e3 if self.unit else 1.0) * value:{form}} {self.unit}".rstrip()

@@ -156,20 +156,21 @@ def instability(plan: Plan) -> str:
     return f"oscillates at {plan.hz():.3g} Hz, growing e-fold in {1 / plan.growth_rate():.2g} s"
 
 
-def folded(plan: Plan) -> str:
-    """Say which light oscillation of the rig is above half the rate; empty if none is.
+FEWEST_SAMPLES = 2.5
+"""In a period of an oscillation, with which accelerations still tell the velocity: at 2.4 the error
+begins to grow, and below 2 the samples show another frequency."""
 
-    What is sampled then shows it at another frequency, and velocities that are integrated from
-    accelerations are wrong.
-    """
-    nyquist = 0.5 / plan.dt
+
+def folded(plan: Plan) -> str:
+    """Say which light oscillation of the rig is too fast for the rate; empty if none is."""
+    fastest = 1.0 / (FEWEST_SAMPLES * plan.dt)
     fast = [r.hz for r in lightly_damped(roots_of(np.linalg.eigvals(plan.rig.plant.a)))]
-    fast = [hz for hz in fast if hz > nyquist]
+    fast = [hz for hz in fast if hz > fastest]
     if not fast:
         return ""
     return (
-        f"the oil column oscillates at {max(fast):.3g} Hz, above half the rate, and folds down: "
-        f"take a rate of {2.0 * max(fast):.2g} Hz or more"
+        f"the oil column oscillates at {max(fast):.3g} Hz, with less than {FEWEST_SAMPLES:g} "
+        f"samples in a period: take a rate of {FEWEST_SAMPLES * max(fast):.3g} Hz or more"
     )
 
 

@@ -29,6 +29,9 @@ from seft_ros.protection.valve_following import UNCERTAIN_DELAY
 CROSSOVER = math.pi / 4
 """Of the loop, times the delay of the valve that it may have: half the value at which a loop of a
 delay alone, without a model of it, would oscillate."""
+UNKNOWN_PHASE = math.pi / 18
+"""Of the loop at its crossover, at most, by a valve whose delay is as wrong as it may be: ten
+degrees. Of a fast valve, what is not known is most of the delay."""
 STIFF = 10.0
 """Frequency of an oil column over that of the valve, beyond which it counts as stiff. So does one
 with a mass that is not known, which is 0: what is fed back is then the volume x + c."""
@@ -37,12 +40,18 @@ ELASTIC = 0.5
 """Part of the specimen's stiffness that the regulator counts on: halfway between a specimen that is
 elastic and one that yields."""
 
+_NONE = (
+    "force_controller: no regulator brings this specimen back to its plan; check actuator.* and "
+    "detectors.specimen_*"
+)
 _DOUBLINGS, _CONVERGED = 60, 1e-14  # of the samples that are looked ahead: 9 to 14 are usual
 
 
 def crossover(valves: Sequence[ValveModel]) -> Floats:
     """Crossover frequency of the loop of each valve, W of Eq. (6), shape (n,), rad/s."""
-    return CROSSOVER / (np.array([valve.delay for valve in valves]) + UNCERTAIN_DELAY)
+    delay = np.array([valve.delay for valve in valves])
+    fastest = UNKNOWN_PHASE / UNCERTAIN_DELAY
+    return np.minimum(CROSSOVER / (delay + UNCERTAIN_DELAY), fastest)
 
 
 def regulator(
@@ -74,8 +83,15 @@ def regulator(
         Flow per deviation of displacement (m), velocity (m/s) and compression (m), shape (n, 3, n).
     sent : ndarray
         Flow per deviation of past commands, the newest first, shape (n, n, memory).
+
+    Raises
+    ------
+    InputError
+        If there are none.
     """
     n, stiffness = len(valves), ELASTIC * stiffness
+    if np.linalg.eigvalsh(stiffness + np.diag(oil[:, 0])).min() <= 0.0:
+        raise InputError(_NONE)  # the specimen pushes harder than the oil holds
     mass = _without_fast_modes(mass, stiffness + np.diag(oil[:, 0]), valves)
     free, push = _sampled(valves, oil, mass, stiffness, dt)
     least = np.linalg.inv(_flow_at(crossover(valves), oil, mass, stiffness))
@@ -105,10 +121,7 @@ def _cost_to_go(a: Floats, b: Floats, q: Floats, r: Floats) -> Floats:
         g, h, a = _symmetric(g + a @ by_g @ a.T), _symmetric(h + more), a @ next_a
         if np.abs(more).max() <= _CONVERGED * np.abs(h).max():
             return h
-    raise InputError(
-        "force_controller: no regulator of this actuator and specimen converges; check actuator.* "
-        "and detectors.specimen_*"
-    )
+    raise InputError(_NONE)
 
 
 def _symmetric(matrix: Floats) -> Floats:
