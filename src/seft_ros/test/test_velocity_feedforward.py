@@ -176,7 +176,7 @@ def test_a_stop_stays_on_the_path_of_its_plan_and_ends_in_rest():
     steps = stop_steps(points, DT)
     assert steps * DT == pytest.approx(0.1)
     slowed = np.empty((steps + 10, 3, 1))
-    slow_down(np.ascontiguousarray(plan[:, :, np.newaxis]), steps, slowed)
+    slow_down(np.ascontiguousarray(plan[:, :, np.newaxis]), steps, DT, slowed)
     x, v, f = slowed[:, :, 0].T
     np.testing.assert_allclose(f, 100.0 * np.sqrt(1 - x**2), atol=0.5)
     np.testing.assert_allclose(v[: steps // 2 + 1 : steps // 2], [w, 0.5 * w * f[steps // 2] / 100])

@@ -231,7 +231,7 @@ def feedforward_stop(
     commands : ndarray
         From the step after that of the plan on, shape (N, n), V. The result.
     """
-    slow_down(plan, len(commands), slowed)
+    slow_down(plan, len(commands), parameters.dt, slowed)
     for j in range(len(commands)):
         points = slowed[j + 1 :]
         as_sample(points, parameters.dt, sample)

@@ -65,7 +65,7 @@ def stop_steps(points: int, dt: float) -> int:
 
 
 @compiled
-def slow_down(plan: Floats, steps: int, slowed: Floats) -> None:
+def slow_down(plan: Floats, steps: int, dt: float, slowed: Floats) -> None:
     """Slow a target down to rest, on its path and without a sample.
 
     The plan has the target's motion x*(t), v*(t) and force f*(t). With the progress w(t) = (1 +
@@ -78,6 +78,8 @@ def slow_down(plan: Floats, steps: int, slowed: Floats) -> None:
         Displacement, velocity and force of the target at a step and the coming ones, (p, 3, n).
     steps : int
         Until rest, see `stop_steps`.
+    dt : float
+        Sampling period, s.
     slowed : ndarray
         The slowed target at the same step and the coming ones, shape (m, 3, n). The result.
     """
@@ -91,6 +93,10 @@ def slow_down(plan: Floats, steps: int, slowed: Floats) -> None:
             for i in range(slowed.shape[2]):
                 now, then = plan[before, row, i], plan[before + 1, row, i]
                 slowed[j, row, i] = factor * (now + (theta - before) * (then - now))
+        part = theta - before  # the velocity is linear between the points
+        for i in range(slowed.shape[2]):
+            rise = plan[before + 1, 1, i] - plan[before, 1, i]
+            slowed[j, 0, i] -= 0.5 * part * (1.0 - part) * dt * rise
 
 
 @compiled
