@@ -191,7 +191,7 @@ def _flow_by(
 @compiled
 def _follow(p: FeedforwardParameters, state: FeedforwardState, i: int, force: float) -> None:
     """Estimate the errors of a valve and its oil from the last period, see `valve_following`."""
-    gain, oil, leakage, capacity = p.actuator[i]
+    gain, oil, leakage = p.actuator[i, 0], p.actuator[i, 1], p.actuator[i, 2]
     signals, last, x = state.signals[i], state.last[i], state.measured[0, i]
     if state.steps[0] >= state.sent.shape[1]:  # all commands under way are known
         flow = later = 0.0
@@ -199,7 +199,7 @@ def _follow(p: FeedforwardParameters, state: FeedforwardState, i: int, force: fl
             flow += p.past[i, 0, j] * state.sent[i, j]
             later += p.past[i, 1, j] * state.sent[i, j]
         mean, smoothing = 0.5 * (force + last[1]), p.smoothing[i]
-        passed = gain * under_load(flow, mean, capacity)
+        passed = gain * under_load(flow, mean, p.actuator[i, 3])
         squeezed = ((force - last[1]) / p.dt + leakage * mean) / oil
         signals[0] += smoothing * (passed * flow - signals[0])
         signals[1] += smoothing * (passed * later - signals[1])
