@@ -17,13 +17,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from seft_msgs_py.config.facts import CHANNELS
 
 sys.path.append("src/seft_ros/test")
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig import Rig
-from seft_plant_sim.sensors import CHANNELS
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.calibration_effect import led
 from seft_ros.analysis.metrics import nrmse

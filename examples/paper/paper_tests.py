@@ -17,10 +17,10 @@ from rich.console import Console
 from rich.progress import track
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import ExperimentError
 from seft_msgs_py.wire.outcome import Trip
 from seft_msgs_py.wire.topics import GROUND_MOTION, RIG_STATE
-from seft_plant_sim.rig_parameters import LIMIT_NAMES
 from seft_ros.analysis.metrics import Agreement, agreement
 from seft_ros.analysis.summary import COMPARED, reference_of
 from seft_ros.bags.record import Record
@@ -80,7 +80,7 @@ def delayed(delay: float, bandwidth_hz: float = 0.0) -> Changes:
     for name in ("displacement", "velocity", "acceleration", "force"):  # nothing breaks
         rig |= {f"limits.{name}": 1e6, f"limits.{name}_rate": 1e12}
     force = {"limits.force": 1e6, "limits.force_rate": 1e12}
-    control = {f"limits.{name}": 1e6 for name in LIMIT_NAMES}
+    control = {f"limits.{name}": 1e6 for name in CHANNELS}
     return {"rig": rig, "reference_force": force, "force_controller": control}
 
 

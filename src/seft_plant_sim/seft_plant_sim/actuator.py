@@ -11,13 +11,11 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.parameter_table import per_axis
-from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.compiled import compiled
-from seft_plant_sim.specimen import Specimen
 
 _AS_GIVEN = (
-    *("valve_frequency", "valve_damping", "stroke"),
+    *("valve_frequency", "valve_damping", "dead_time", "stroke"),
     *("friction", "friction_velocity", "viscous_friction"),
 )
 
@@ -46,8 +44,8 @@ class Hydraulics:
         Viscous friction of the piston, N s/m.
     stroke : ndarray
         Largest displacement in both directions, m.
-    dead_time : float
-        Dead time of the valve in s.
+    dead_time : ndarray
+        Dead time of the valve, s.
     """
 
     oil_stiffness: Floats
@@ -61,60 +59,41 @@ class Hydraulics:
     friction_velocity: Floats
     viscous_friction: Floats
     stroke: Floats
-    dead_time: float
+    dead_time: Floats
 
     @classmethod
-    def from_parameters(
-        cls, group: dict[str, Any], specimen: Specimen, axes: Sequence[str]
-    ) -> "Hydraulics":
-        """Make it from the parameters ``actuator.*``.
+    def from_parameters(cls, group: dict[str, Any], axes: Sequence[str]) -> "Hydraulics":
+        """Make it from the parameters ``simulated.actuator.*``.
 
-        ``oil_stiffness`` (or ``oil_column_frequency``), ``flow_gain``, ``leakage`` and
-        ``force_capacity`` are used if they are given; otherwise they follow from the data sheets.
+        ``oil_stiffness``, ``flow_gain``, ``leakage`` and ``force_capacity`` are used if they are
+        not 0; otherwise they follow from the data sheets.
 
         Raises
         ------
         InputError
-            If sizes do not fit the axes, or values contradict each other.
+            If sizes do not fit the axes.
         """
-        where = "rig: actuator"
         v = {
-            name: per_axis(value, axes, f"{where}.{name}")
+            name: per_axis(value, axes, f"rig: simulated.actuator.{name}")
             for name, value in group.items()
-            if name not in ("kind", "delay", "dead_time")
         }
         area, supply = v["piston_area"], v["supply_pressure"]
         # m^3/Pa: volume flow that raises the load pressure
         compliance = v["oil_volume"] / (4.0 * v["bulk_modulus"])
         no_load = np.sqrt(supply / v["rated_pressure_drop"])  # rated flow is at that drop
         rated_gain = v["rated_flow"] * no_load / (area * v["rated_voltage"])
-        frequency = v["oil_column_frequency"]
-        if (v["oil_stiffness"] > 0).any() and (frequency > 0).any():
-            raise InputError(
-                f"{where}: oil_stiffness and oil_column_frequency are both given; give one"
-            )
-        mass, stiffness = np.diag(specimen.mass), np.diag(specimen.stiffness)
-        of_frequency = mass * (2 * np.pi * frequency) ** 2 - stiffness
-        if ((frequency > 0) & (of_frequency <= 0)).any():
-            raise InputError(
-                f"{where}.oil_column_frequency is {group['oil_column_frequency']}, but must be "
-                "above the specimen's own frequency, because oil and specimen act in parallel"
-            )
-        oil_stiffness = np.where(frequency > 0, of_frequency, v["oil_stiffness"])
         return cls(
-            oil_stiffness=_given_or(oil_stiffness, area**2 / compliance),
+            oil_stiffness=_given_or(v["oil_stiffness"], area**2 / compliance),
             leakage=_given_or(v["leakage"], v["leakage_coefficient"] / compliance),
             flow_gain=_given_or(v["flow_gain"], rated_gain),
             opening_limit=v["rated_voltage"],
             force_capacity=_given_or(v["force_capacity"], supply * area),
-            dead_time=float(group["dead_time"]),
             **{name: v[name] for name in _AS_GIVEN},
         )
 
     def part(self, places: Sequence[int]) -> "Hydraulics":
         """Take the actuators at some places among the axes."""
-        values = {k: v[list(places)] for k, v in vars(self).items() if k != "dead_time"}
-        return replace(self, **values)
+        return replace(self, **{k: v[list(places)] for k, v in vars(self).items()})
 
 
 def _given_or(given: Floats, from_data_sheet: Floats) -> Floats:

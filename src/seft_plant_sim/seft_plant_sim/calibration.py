@@ -1,6 +1,6 @@
 """What is known of the measured channels, taken out of a sample before it is published.
 
-A channel with known scale s, zero z and lag measures y; its value is (y - z) / s. The accelerations
+A channel with known scale s, bias b and lag measures y; its value is (y - b) / s. The accelerations
 are T^-1 times those of the accelerometers, which show T a where they are tilted. All channels are
 aligned to the latest one: the others wait, in whole samples and by a first-order all-pass of Thiran
 (1971), which is maximally flat: its gain is 1, its delay d at low frequency::
@@ -18,11 +18,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
+from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.continuous_model import ContinuousModel, Sensed
-from seft_plant_sim.sensors import ACCELERATION, CHANNELS, VELOCITY, per_channel, tilt_of
+from seft_plant_sim.sensors import ACCELERATION, VELOCITY, per_channel, tilt_of
 
 AT_ONCE = -1
 """Value of `Calibration.whole` of a channel that does not wait."""
@@ -37,7 +38,7 @@ class Calibration(NamedTuple):
 
     Attributes
     ----------
-    zero, scale : ndarray
+    bias, scale : ndarray
         Measured value at a true one of 0, in the channel's unit; measured over true.
     range : ndarray
         Largest magnitude that a sensor can measure, which remains as it is measured: what is
@@ -52,7 +53,7 @@ class Calibration(NamedTuple):
         T^-1, shape (n, n), or (0, 0) for accelerometers that are not tilted.
     """
 
-    zero: Floats
+    bias: Floats
     scale: Floats
     range: Floats
     resolution: Floats
@@ -104,16 +105,16 @@ def calibrate(
     c, last, places = calibration, state.aligned, len(state.measured)
     for row in range(4):
         for i in range(measured.shape[1]):
-            zero, scale, whole = c.zero[row, i], c.scale[row, i], c.whole[row, i]
+            bias, scale, whole = c.bias[row, i], c.scale[row, i], c.whole[row, i]
             for place in range(places if step == 0 else 1):
                 state.measured[(step + place) % places, row, i] = measured[row, i]
             if step == 0:
-                first = (measured[row, i] - zero) / scale
+                first = (measured[row, i] - bias) / scale
                 last[row, i] = first if np.isfinite(first) else 0.0
             shown = state.measured[(step - max(whole, 0)) % places, row, i]
-            value = (shown - zero) / scale
+            value = (shown - bias) / scale
             if whole >= 0 and np.isfinite(value):
-                before = (state.measured[(step - whole - 1) % places, row, i] - zero) / scale
+                before = (state.measured[(step - whole - 1) % places, row, i] - bias) / scale
                 if not np.isfinite(before):
                     before = last[row, i]
                 value = c.factor[row, i] * (value - last[row, i]) + before
@@ -144,16 +145,13 @@ def calibrate_all(calibration: Calibration, state: CalibrationState, samples: Fl
 
 TILT = "calibration.tilt"
 _ALIKE = 1e6  # condition number of a tilt that can not be inverted
-NOTHING_KNOWN = {"zero": 0.0, "scale": 1.0, "lag": 0.0}
+NOTHING_KNOWN = {"bias": 0.0, "scale": 1.0, "lag": 0.0}
 """What ``calibration.*`` says of a channel of which nothing is known."""
 
 
 def known_channels(section: Mapping[str, Any], axes: Sequence[str]) -> dict[str, Floats]:
-    """Give what a rig's section says, by the keys of `NOTHING_KNOWN`, shape (4, n) each."""
-    return {
-        what: per_channel(section, axes, f"calibration.{{}}_{what}", "rig", nothing)
-        for what, nothing in NOTHING_KNOWN.items()
-    }
+    """Give ``calibration.*`` of a section, by the keys of `NOTHING_KNOWN`, shape (4, n) each."""
+    return {what: per_channel(section, axes, f"calibration.{{}}_{what}") for what in NOTHING_KNOWN}
 
 
 def calibration_of(
@@ -165,7 +163,7 @@ def calibration_of(
     resolution: Floats | None = None,
     velocity_is_derived: bool = False,
 ) -> tuple[Calibration, CalibrationState]:
-    """Put ``calibration.*`` of a rig's section, which is for all axes, into arrays.
+    """Put ``calibration.*`` of a section, which is for all axes, into arrays.
 
     Parameters
     ----------
@@ -187,40 +185,40 @@ def calibration_of(
         derived, or a tilt mixes axes of different rigs or can not be inverted.
     """
     own, known = list(places), known_channels(section, axes)
-    zero, scale, lag = known["zero"], known["scale"], known["lag"]
+    bias, scale, lag = known["bias"], known["scale"], known["lag"]
     if not scale.all():
         row = int(np.argmin(np.abs(scale).min(axis=1)))
         raise InputError(
-            f"rig: calibration.{CHANNELS[row]}_scale is 0, but it is measured over true value; "
+            f"/**: calibration.{CHANNELS[row]}_scale is 0, but it is measured over true value; "
             "give 1 if it is not known"
         )
     if velocity_is_derived:
         for what, nothing in NOTHING_KNOWN.items():
             if (known[what][VELOCITY] != nothing).any():
                 raise InputError(
-                    f"rig: calibration.velocity_{what} is given, but sensors.velocity is derived: "
+                    f"/**: calibration.velocity_{what} is given, but sensors.velocity is derived: "
                     "it follows the displacement's calibration; leave it out"
                 )
         lag[VELOCITY] = lag[0]
     n = len(own)
     wait = (lag.max() - lag) / dt
     wait[wait < SHORTEST_WAIT] = 0.0
-    wait, zero, scale = (np.ascontiguousarray(one[:, own]) for one in (wait, zero, scale))
+    wait, bias, scale = (np.ascontiguousarray(one[:, own]) for one in (wait, bias, scale))
     tilt = tilt_of(section, axes, own, TILT)
     if np.linalg.cond(tilt) > _ALIKE:
         raise InputError(
-            f"rig: {TILT} {tilt.tolist()} says that accelerometers show the same; give a row for "
+            f"/**: {TILT} {tilt.tolist()} says that accelerometers show the same; give a row for "
             "each, about 1 in its own place"
         )
     is_straight = (tilt == np.eye(n)).all()
-    if not zero.any() and (scale == 1.0).all() and not wait.any() and is_straight:
+    if not bias.any() and (scale == 1.0).all() and not wait.any() and is_straight:
         return nothing_known(n)
     whole = np.floor(np.maximum(wait - LEAST_REST, 0.0)).astype(np.int64)
     rest = wait - whole
     rest[abs(rest - 1.0) < SHORTEST_WAIT] = 1.0  # whole samples: nothing is filtered
     whole[wait == 0.0] = AT_ONCE
     calibration = Calibration(
-        zero,
+        bias,
         scale,
         np.full((4, n), np.inf) if ranges is None else ranges,
         np.zeros((4, n)) if resolution is None else resolution,
@@ -234,13 +232,13 @@ def calibration_of(
 
 
 SIGNIFICANT = 4.0
-"""Standard errors up to which a mean at rest is noise, which a zero would add to the samples."""
+"""Standard errors up to which a mean at rest is noise, which a bias would add to the samples."""
 
 
 def zeroed_at_rest(
     section: Mapping[str, Any], axes: Sequence[str], places: Sequence[int], samples: Floats
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Take zeros that nobody has told from samples at rest.
+    """Take biases that nobody knows from samples at rest.
 
     Parameters
     ----------
@@ -252,21 +250,21 @@ def zeroed_at_rest(
     Returns
     -------
     section : dict
-        With ``calibration.*_zero`` as measured, where they are not told.
+        With ``calibration.*_bias`` as measured, where they are not known.
     facts : dict
-        ``samples`` N; ``subtracted``: these zeros; ``left``: what a channel shows beside a told
-        zero; both by channel, a list over the rig's axes, in the channel's unit. What is no more
+        ``samples`` N; ``subtracted``: these zeros; ``left``: what a channel shows beside a known
+        bias; both by channel, a list over the rig's axes, in the channel's unit. What is no more
         than noise is 0. JSON values.
     """
-    own, zero = list(places), known_channels(section, axes)["zero"]
-    told = zero[:, own]
-    shown = samples.mean(axis=0) - told
+    own, bias = list(places), known_channels(section, axes)["bias"]
+    known = bias[:, own]
+    shown = samples.mean(axis=0) - known
     error = samples.std(axis=0) / np.sqrt(len(samples))
     shown[~(np.abs(shown) > SIGNIFICANT * error)] = 0.0
-    subtracted = np.where(told == 0.0, shown, 0.0)
+    subtracted = np.where(known == 0.0, shown, 0.0)
     left = shown - subtracted
-    zero[:, own] += subtracted
-    changed = {f"calibration.{name}_zero": zero[row].tolist() for row, name in enumerate(CHANNELS)}
+    bias[:, own] += subtracted
+    changed = {f"calibration.{name}_bias": bias[row].tolist() for row, name in enumerate(CHANNELS)}
     by_channel = {
         "subtracted": dict(zip(CHANNELS, subtracted.tolist(), strict=True)),
         "left": dict(zip(CHANNELS, left.tolist(), strict=True)),
@@ -302,7 +300,7 @@ def nothing_known(n: int) -> tuple[Calibration, CalibrationState]:
 
 
 def as_published(model: ContinuousModel, calibration: Calibration, dt: float) -> ContinuousModel:
-    """Put a calibration behind a model with its sensors, for what is linear: zeros do not count.
+    """Put a calibration behind a model with its sensors, for what is linear: biases do not count.
 
     What waits is late by its wait at all frequencies.
     """
@@ -317,8 +315,3 @@ def as_published(model: ContinuousModel, calibration: Calibration, dt: float) ->
         by[rows, rows] = calibration.straight @ by[rows, rows]
     late = shown.late + wait.ravel()
     return replace(model, sensed=Sensed(by @ shown.c, by @ shown.d, by @ shown.outputs, late))
-
-
-def common_lag(section: Mapping[str, Any]) -> float:
-    """Lag of the aligned channels of a rig's section: that of the latest one, s."""
-    return max(float(np.max(section[f"calibration.{channel}_lag"])) for channel in CHANNELS)

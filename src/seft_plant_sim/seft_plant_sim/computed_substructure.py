@@ -53,7 +53,7 @@ class ComputedSubstructure:
         """Make it from a section of reference_force: ``computed.*`` times ``mass_ratio``.
 
         The mass ratio does not change the model. Without ``computed.mass`` the mass is that of
-        the specimen's model.
+        the specimen.
 
         Raises
         ------
@@ -62,8 +62,7 @@ class ComputedSubstructure:
             model can't be used.
         """
         where, n = "reference_force: computed", len(axes)
-        # not in records of older versions
-        given = {name: section.get(f"computed.{name}", 0.0) for name in _NAMES}
+        given = {name: section[f"computed.{name}"] for name in _NAMES}
         ratio, q = section["mass_ratio"], int(given["internal"])
         names = (*axes, *(f"internal {index + 1}" for index in range(q)))
         if np.any(given["mass"]):
@@ -74,7 +73,7 @@ class ComputedSubstructure:
                 "axes and of the internal degrees of freedom"
             )
         else:
-            mass = mass_matrix(section["model.mass"], axes, "reference_force: model.mass")
+            mass = mass_matrix(section["specimen.mass"], axes, "/**: specimen.mass")
         if q and np.linalg.eigvalsh(mass[n:, n:])[0] <= 0.0:
             raise InputError(
                 f"{where}.mass is {given['mass']}, but the mass of the internal "
@@ -86,7 +85,7 @@ class ComputedSubstructure:
         )
         on_axes, influence = _influence(given["influence"], n, q, f"{where}.influence")
         whole = cls(ratio * mass, ratio * damping, ratio * stiffness, influence, on_axes)
-        name = section.get("computed.model", "")
+        name = section["computed.model"]
         if not name:
             return whole
         settings, every = section["computed.settings"], section["computed.every"]

@@ -55,8 +55,8 @@ class ContinuousModel:
     ----------
     a, b, c, d : ndarray
         Shapes (s, s), (s, n), (4n, s), (4n, n).
-    delay : float
-        Dead time of the drive in s.
+    delay : ndarray
+        Dead time of each drive, shape (n,), s.
     drive : str
         ``valve_command`` (V) or ``reference_force`` (N).
     inputs, outputs : ndarray
@@ -79,7 +79,7 @@ class ContinuousModel:
     b: Floats
     c: Floats
     d: Floats
-    delay: float
+    delay: Floats
     drive: Drive
     inputs: Floats
     outputs: Floats
@@ -91,12 +91,13 @@ class ContinuousModel:
 
     @classmethod
     def linear(
-        cls, a: Floats, b: Floats, c: Floats, d: Floats, delay: float, drive: Drive
+        cls, a: Floats, b: Floats, c: Floats, d: Floats, delay: Floats | float, drive: Drive
     ) -> "ContinuousModel":
         """Make a model without residuals."""
         n = b.shape[1]
         residuals = np.zeros((len(a), 0)), np.zeros((len(c), 0)), np.zeros((0, PISTON)), ()
-        return cls(a, b, c, d, delay, drive, *residuals, np.zeros((0, n)), np.full(n, np.inf))
+        delays = np.broadcast_to(np.asarray(delay, dtype=np.float64), n)
+        return cls(a, b, c, d, delays, drive, *residuals, np.zeros((0, n)), np.full(n, np.inf))
 
     @property
     def is_linear(self) -> bool:

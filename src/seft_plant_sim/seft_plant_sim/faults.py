@@ -224,7 +224,8 @@ def faults_of(
     """
     dt, places = timebase.dt, {axis: place for place, axis in enumerate(own.axes)}
     draws = [fault for fault in faults if fault.kind == "noise"]
-    half = 2 ** (section["sensors.adc_bits"] - 1) if section["sensors.adc_bits"] else 0
+    bits = section["simulated.sensors.adc_bits"]
+    half = 2 ** (bits - 1) if bits else 0
     numbers, values, width = [], [], 2
     for fault in faults:
         _check_part(fault, section)
@@ -256,7 +257,7 @@ def faults_of(
 
 def _check_part(fault: Fault, section: dict[str, Any]) -> None:
     """Raise `InputError` if a rig has no such part."""
-    actuator, bits = section["actuator.kind"], section["sensors.adc_bits"]
+    actuator, bits = section["actuator.kind"], section["simulated.sensors.adc_bits"]
     if fault.what == "velocity" and section["sensors.velocity"] == "derived":
         raise fault.error(
             "the velocity is derived from the displacement (sensors.velocity): there is no sensor "
@@ -264,10 +265,13 @@ def _check_part(fault: Fault, section: dict[str, Any]) -> None:
         )
     if fault.kind == "bit" and not bits:
         raise fault.error(
-            "there is no converter; give rig: sensors.adc_bits, and sensors.*_range of each channel"
+            "there is no converter; give rig: simulated.sensors.adc_bits, and /**: sensors.*_range of "
+            "each channel"
         )
     if fault.kind == "bit" and fault.value >= bits:
-        raise fault.error(f"the converter has the bits 0 to {bits - 1} (sensors.adc_bits)")
+        raise fault.error(
+            f"the converter has the bits 0 to {bits - 1} (simulated.sensors.adc_bits)"
+        )
     if fault.what == "supply" and actuator != "servo_hydraulic":
         raise fault.error(
             f"actuator.kind {actuator} has no supply pressure; make that servo_hydraulic"

@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
+from seft_msgs_py.config.facts import CHANNELS
 
 from seft_plant_sim.compiled import compiled
-from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_ROWS, LIMIT_UNITS
+from seft_plant_sim.rig_parameters import LIMIT_ROWS, LIMIT_UNITS
 
 RATE_SPAN = 0.002
 """Time over which a change counts, s, or a sampling period that is longer: a period of the paper's
@@ -92,11 +93,11 @@ class Limits:
         self._axes = tuple(axes)
         steps = span_steps(dt)
         self._span = steps * dt
-        rates = {name: limits.get(f"{name}_rate", np.inf) for name in LIMIT_NAMES}
+        rates = {name: limits.get(f"{name}_rate", np.inf) for name in CHANNELS}
         if "force_rate" in limits:
             rates["force"] = largest_force_rate(limits)
-        values = [limits[name] for name in LIMIT_NAMES]
-        values += [rates[name] * self._span for name in LIMIT_NAMES]
+        values = [limits[name] for name in CHANNELS]
+        values += [rates[name] * self._span for name in CHANNELS]
         self.values = np.array(values, dtype=np.float64)
         self.largest = np.zeros(8)
         self.recent = np.zeros((steps, 4, len(self._axes)))
@@ -120,7 +121,7 @@ class Limits:
         """Say in one line which limit a sample, shape (4, n), or its `change` breaks."""
         found = np.vstack([measured, self.change])
         row, column = np.argwhere(~(np.abs(found) <= self.values[:, np.newaxis]))[0]
-        per = self._span if row >= len(LIMIT_NAMES) else 1.0
+        per = self._span if row >= len(CHANNELS) else 1.0
         limit = self.values[row] / per
         return beyond_limit(int(row), found[row, column] / per, self._axes[column], limit)
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.config.parameter_table import group, per_axis
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import Saturation, Simulated, all_saturated, count_saturated
@@ -54,7 +55,7 @@ from seft_plant_sim.rig_step import (
 )
 from seft_plant_sim.rig_step import left_open as left_open
 from seft_plant_sim.sensor_dynamics import sensing_of, with_sensors
-from seft_plant_sim.sensors import CHANNELS, Sensors
+from seft_plant_sim.sensors import Sensors
 from seft_plant_sim.specimen import Specimen
 from seft_plant_sim.springs import ONE_SIDED, SPRING_KIND
 
@@ -124,19 +125,21 @@ class Rig:
         self.drive: Drive = model.drive
         self.sensors = sensors
         self.limits = limits
-        whole, part = split_dead_time(model.delay, dt)
-        if whole > LONGEST_DELAY_STEPS:
-            raise InputError(f"actuator: a delay of {model.delay:g} s is {whole} samples long")
+        split = [split_dead_time(delay, dt) for delay in model.delay.tolist()]
+        wholes, parts = np.array([whole for whole, _ in split]), [part for _, part in split]
+        if (longest := int(wholes.max())) > LONGEST_DELAY_STEPS:
+            delay = model.delay.max()
+            raise InputError(f"actuator: a delay of {delay:g} s is {longest} samples long")
         n = model.b.shape[1]
-        lengths, change, sensing = sensing_of(model, part, dt)
+        lengths, change, sensing = sensing_of(model, parts, dt)
         dynamics, periods = dynamics_of(model, lengths), int(sensing.whole.max(initial=-1)) + 1
         blind, window = event_ring(saturated_time, dt)
         known, known_state = calibration or nothing_known(n)
         self.parameters = RigParameters(
             dynamics,
             np.ascontiguousarray(model.drive_limit),
+            longest - wholes,
             change,
-            part > 0,
             sensing,
             sensors.channels,
             limits.values,
@@ -150,7 +153,7 @@ class Rig:
             np.zeros((periods, len(sensing.whole))),
             np.zeros(len(sensing.whole)),
             np.zeros(n),
-            np.zeros((whole + 2, n)),
+            np.zeros((longest + 2, n)),
             np.zeros(4, dtype=np.int64),
             np.zeros((4, n)),
             limits.recent,
@@ -196,14 +199,13 @@ class Rig:
         dt, safe = timebase.dt, group(section, "safe")
         command = per_axis(safe["valve_command"], axes, "rig: safe.valve_command")
         closing, longest = (round(safe[name] / dt) for name in ("close_time", "settle_time"))
-        faults = read_faults(section.get("faults", ""), axes)  # bags of older versions have none
+        faults = read_faults(section["faults"], axes)
         noises = sum(fault.kind == "noise" for fault in faults)
         sensors = Sensors.from_parameters(section, axes, dt, own.places, noises)
         model = continuous_model(section, axes, own, faults=faults)
         stops = sum(law.law[SPRING_KIND] == ONE_SIDED for law in model.springs)
         known, zeroed = section, None
-        # bags of older versions have none
-        if resting := round(section.get("calibration.zeroing", 0.0) / dt):
+        if resting := round(section["calibration.zeroing"] / dt):
             known, zeroed = zeroed_at_rest(section, axes, own.places, sensors.at_rest(resting))
         made = cls(
             model,
@@ -380,16 +382,16 @@ def continuous_model(
     ``faults`` are those that the specimen may have.
     """
     own = rig or RigAxes.whole(axes)
-    whole = Specimen.from_parameters(group(section, "specimen"), axes, "rig: specimen")
-    specimen = whole.part(own, "rig: specimen")
+    where = "rig: simulated.specimen"
+    whole = Specimen.from_parameters(group(section, "simulated.specimen"), axes, where)
+    specimen = whole.part(own, where)
     specimen = replace(specimen, stiffness=stiffness * specimen.stiffness)
     specimen = failing_specimen(faults, own, specimen)
-    actuator = group(section, "actuator")
-    kind = actuator["kind"]
+    actuator, kind = group(section, "simulated.actuator"), section["actuator.kind"]
     if kind in ("ideal", "delay"):
         model = delayed_force(specimen, actuator["delay"] if kind == "delay" else 0.0)
     else:
-        everywhere = Hydraulics.from_parameters(actuator, whole, axes)
+        everywhere = Hydraulics.from_parameters(actuator, axes)
         hydraulics = everywhere.part(own.places)
         model = servo_hydraulic(specimen, hydraulics, linear=kind == "servo_hydraulic_linear")
     return with_sensors(model, section, axes, own.places)

@@ -20,7 +20,6 @@ from seft_msgs_py.wire.outcome import (
     FINISHED,
     REHEARSED,
     REHEARSES,
-    SENSOR_LAG,
     TRIPPED,
     ZEROED,
     Outcome,
@@ -31,7 +30,6 @@ from seft_msgs_py.wire.outcome import (
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_plant_sim import rig_watch
-from seft_plant_sim.calibration import common_lag
 from seft_plant_sim.command import Command
 from seft_plant_sim.rig import Rig, Stopped
 from seft_plant_sim.rig_parameters import RIG_TABLE
@@ -79,7 +77,6 @@ class RigNode(NodeBody):
         reserve = topics.STOP_COMMAND.of(shell.rig)
         self._reserve = self._command(reserve, shell.rig.axes, "limits.command")
         self.facts: dict[str, Any] = {"drive": self._drive.codec.topic.name}
-        self.facts[SENSOR_LAG] = common_lag(self._section)
         if self._rig.zeroed is not None:
             self.facts[ZEROED] = self._rig.zeroed
         self._rehearsal: rig_watch.Rehearsal | None = None

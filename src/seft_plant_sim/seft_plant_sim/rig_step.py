@@ -4,6 +4,7 @@ import math
 from typing import NamedTuple
 
 from seft_msgs_py.arrays import Floats, Ints
+from seft_msgs_py.config.facts import CHANNELS
 
 from seft_plant_sim.actuator import OPENING, PER_CAPACITY
 from seft_plant_sim.actuator import STROKE_COLUMN as STROKE_COLUMN
@@ -13,7 +14,7 @@ from seft_plant_sim.continuous_model import Dynamics, Motion, integrate, make_so
 from seft_plant_sim.faults import Faults, obey, show_fault, wear
 from seft_plant_sim.limits import exceeds, is_exceeded
 from seft_plant_sim.sensor_dynamics import Sensing, read_sensors
-from seft_plant_sim.sensors import CHANNELS, Channels, derive_velocity, measure_channels
+from seft_plant_sim.sensors import Channels, derive_velocity, measure_channels
 
 _STROKE, FORCE_CAPACITY, _VALVE = 16, 32, 64
 PERSISTENT = 3
@@ -40,10 +41,10 @@ class RigParameters(NamedTuple):
         Of actuator and specimen, over the stretches of a sampling period.
     drive_limit : ndarray
         Drive at which the actuators saturate, shape (n,).
-    change : int
-        The last stretch before the delayed drive changes.
-    changes_between : bool
-        Whether it changes between the samples.
+    newer : ndarray
+        Samples by which the drive that acts is newer than the oldest one in the line, shape (n,).
+    change : ndarray
+        The last stretch before the delayed drive changes, shape (n,); -1: it changes at the sample.
     sensing : Sensing
         What the sensors show.
     channels : Channels
@@ -60,8 +61,8 @@ class RigParameters(NamedTuple):
 
     dynamics: Dynamics
     drive_limit: Floats
-    change: int
-    changes_between: bool
+    newer: Ints
+    change: Ints
     sensing: Sensing
     channels: Channels
     limits: Floats
@@ -160,7 +161,7 @@ def rig_step(
     found = measure_channels(parameters.channels, shown, noise, measured)
     if len(parameters.faults.numbers):
         show_fault(parameters.faults, step, noise, state.faulty, measured)
-    if len(parameters.calibration.zero):
+    if len(parameters.calibration.bias):
         calibrate(parameters.calibration, state.calibration, step, measured, measured)
     derive_velocity(parameters.channels, step, state.measured, measured)
     blind = found > 0
@@ -198,19 +199,19 @@ def move(parameters: RigParameters, state: RigState, step: int, command: Floats)
     dynamics, motion, line = parameters.dynamics, state.motion, state.line
     n, places, oldest = len(command), len(line), state.counts[0]
     drive = len(motion.state)
-    after = (oldest + 1) % places
+    newer, change = parameters.newer, parameters.change
     if len(parameters.faults.numbers):
         wear(parameters.faults, step, dynamics, motion)
-    last, senses, change = len(dynamics.steps) - 1, len(state.read), parameters.change
+    last, senses = len(dynamics.steps) - 1, len(state.read)
     for stretch in range(last + 1):
-        place = after if stretch > change else oldest
         for i in range(n):
-            motion.work[drive + i] = line[place, i]
+            place = oldest + newer[i] + (1 if stretch > change[i] else 0)
+            motion.work[drive + i] = line[place % places, i]
         integrate(dynamics, stretch, motion)
         if senses and stretch < last:
-            place = after if stretch >= change else oldest
             for i in range(n):
-                motion.work[drive + i] = line[place, i]
+                place = oldest + newer[i] + (1 if stretch >= change[i] else 0)
+                motion.work[drive + i] = line[place % places, i]
             read = state.read[(step + 1) % senses]
             read_sensors(parameters.sensing, motion, stretch, state.shown, read)
     for i in range(n):
@@ -219,14 +220,14 @@ def move(parameters: RigParameters, state: RigState, step: int, command: Floats)
         if len(parameters.faults.numbers):
             obeyed = obey(parameters.faults, step, state.faulty, i, state.asked[i])
             line[oldest, i] = _bounded(obeyed, parameters.drive_limit[i])
-    now = after if parameters.changes_between else (oldest + 2) % places
     for i in range(n):
-        motion.work[drive + i] = line[now, i]
+        place = oldest + newer[i] + (2 if change[i] < 0 else 1)
+        motion.work[drive + i] = line[place % places, i]
     multiply(dynamics.output, motion.work, state.true)
     if senses:
         read = state.read[(step + 1) % senses]
         read_sensors(parameters.sensing, motion, last, state.shown, read)
-    state.counts[0] = after
+    state.counts[0] = (oldest + 1) % places
     _note_peaks(n, state.true, state.peaks)
 
 

@@ -47,43 +47,48 @@ def read_sensors(
             shown[i] = room[i]
 
 
-def sensing_of(model: ContinuousModel, part: float, dt: float) -> tuple[list[float], int, Sensing]:
-    """Divide a sampling period where the drive changes and where sensors are read.
+def sensing_of(
+    model: ContinuousModel, parts: Sequence[float], dt: float
+) -> tuple[list[float], Ints, Sensing]:
+    """Divide a sampling period where drives change and where sensors are read.
 
     Parameters
     ----------
     model : ContinuousModel
         With its sensors.
-    part : float
-        Time at which the drive changes, s; 0: at the sample.
+    parts : sequence of float
+        Time at which the drive of each axis changes, s; 0: at the sample.
     dt : float
         Sampling period, s.
 
     Returns
     -------
     lengths : list of float
-        Of the stretches, s; without lags those before and after the drive's change.
-    change : int
-        The last stretch before the drive's change.
+        Of the stretches, s; without lags those between the drives' changes.
+    change : ndarray
+        The last stretch before the change of each drive, shape (n,); -1: it changes at the sample.
     sensing : Sensing
         When and how the sensors are read.
     """
+    split = [split_dead_time(lag, dt) for lag in model.shown.late.tolist()]
+    ends = [dt]
+    for time in (*(part for part in parts if part), *(dt - rest for _, rest in split)):
+        if min(abs(end - time) for end in ends) > 1e-9 * dt:
+            ends.append(time)
+    ends.sort()
+
+    def stretch(time: float) -> int:
+        return int(np.argmin([abs(end - time) for end in ends]))
+
+    lengths = [end - begin for begin, end in zip([0.0, *ends[:-1]], ends, strict=True)]
+    change = np.array([stretch(part) if part else -1 for part in parts])
     if model.sensed is None:
         nothing = np.zeros(0, np.int64)
-        return [part, dt - part], 0, Sensing(np.zeros((0, 0)), nothing, nothing)
-    c, d, outputs = model.sensed.c, model.sensed.d, model.sensed.outputs
-    split = [split_dead_time(lag, dt) for lag in model.sensed.late.tolist()]
-    ends = [part, dt]
-    for _, rest in split:
-        if min(abs(end - (dt - rest)) for end in ends) > 1e-9 * dt:
-            ends.append(dt - rest)
-    ends.sort()
-    lengths = [end - begin for begin, end in zip([0.0, *ends[:-1]], ends, strict=True)]
-    at = [int(np.argmin([abs(end - (dt - rest)) for end in ends])) for _, rest in split]
-    whole = [number for number, _ in split]
-    output = np.ascontiguousarray(np.hstack([c, d, outputs]).T)
-    sensing = Sensing(output, np.array(at, np.int64), np.array(whole, np.int64))
-    return lengths, ends.index(part), sensing
+        return lengths, change, Sensing(np.zeros((0, 0)), nothing, nothing)
+    output = np.hstack([model.sensed.c, model.sensed.d, model.sensed.outputs]).T
+    at = np.array([stretch(dt - rest) for _, rest in split])
+    whole = np.array([number for number, _ in split])
+    return lengths, change, Sensing(np.ascontiguousarray(output), at, whole)
 
 
 def with_sensors(
@@ -99,12 +104,12 @@ def with_sensors(
     own = list(places)
 
     scale, lag, cutoff = (
-        per_channel(section, axes, f"sensors.{{}}_{what}", "rig", nothing)[:, own]
-        for what, nothing in (("scale", 1.0), ("lag", 0.0), ("filter", 0.0))
+        per_channel(section, axes, f"simulated.sensors.{{}}_{what}")[:, own]
+        for what in ("scale", "lag", "filter")
     )
     if section["sensors.velocity"] == "derived":  # there is no velocity sensor
         scale[VELOCITY], lag[VELOCITY], cutoff[VELOCITY] = 1.0, 0.0, 0.0
-    mix = tilt_of(section, axes, own, "sensors.tilt")
+    mix = tilt_of(section, axes, own, "simulated.sensors.tilt")
     if (
         (scale == 1.0).all()
         and not lag.any()

@@ -5,37 +5,31 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
-from seft_msgs_py.config.parameter_table import as_matrix, group, per_axis
+from seft_msgs_py.config.facts import CHANNELS, place_of
+from seft_msgs_py.config.parameter_table import as_matrix, per_axis
 from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.compiled import compiled
 
 BLOCK = 4096
 """Number of steps for which noise is drawn at once."""
-CHANNELS = ("position", "velocity", "acceleration", "force")
-POSITION, VELOCITY, ACCELERATION, FORCE = range(len(CHANNELS))
-"""Their rows in a sample."""
+DISPLACEMENT, VELOCITY, ACCELERATION, FORCE = range(len(CHANNELS))
+"""Rows of `CHANNELS` in a sample."""
 
 
 def per_channel(
     section: Mapping[str, Any],
     axes: Sequence[str],
     form: str,
-    node: str,
-    default: float | None = None,
 ) -> Floats:
     """Give the values of a parameter of each channel, shape (4, n).
 
     Parameters
     ----------
     section, axes
-        The node's section, and the names of the n axes.
+        The section of the rig or of a node that knows it, and the names of the n axes.
     form : str
         Of the names, ``{}`` for the channel.
-    node : str
-        Of the section, for errors.
-    default : float, optional
-        Where a bag of an older version has no such parameter.
 
     Raises
     ------
@@ -43,9 +37,9 @@ def per_channel(
         If sizes do not fit the axes.
     """
     names = [form.format(channel) for channel in CHANNELS]
-    given = [section[name] if default is None else section.get(name, default) for name in names]
-    rows = zip(names, given, strict=True)
-    return np.array([per_axis(value, axes, f"{node}: {name}") for name, value in rows])
+    where = [f"{place_of(name, 'rig')}: {name}" for name in names]
+    rows = zip(names, where, strict=True)
+    return np.array([per_axis(section[name], axes, at) for name, at in rows])
 
 
 def tilt_of(
@@ -60,21 +54,20 @@ def tilt_of(
     places : sequence of int
         Of the n axes of this rig.
     name : str
-        Of the parameter; without it, as in a bag of an older version, or if it is 0, each
-        accelerometer shows its own axis alone.
+        Of the parameter; if it is 0, each accelerometer shows its own axis alone.
 
     Raises
     ------
     InputError
         If the size does not fit the axes, or it mixes axes of different rigs.
     """
-    own = list(places)
-    if not np.any(given := section.get(name, 0.0)):
+    own, where = list(places), f"{place_of(name, 'rig')}: {name}"
+    if not np.any(section[name]):
         return np.eye(len(own))
-    tilt = as_matrix(given, axes, f"rig: {name}")
+    tilt = as_matrix(section[name], axes, where)
     if np.delete(tilt[own], own, axis=1).any():
         raise InputError(
-            f"rig: {name} {tilt.tolist()} mixes axes of different rigs, which have "
+            f"{where} {tilt.tolist()} mixes axes of different rigs, which have "
             "their own accelerometers"
         )
     return np.ascontiguousarray(tilt[np.ix_(own, own)])
@@ -179,30 +172,32 @@ class Sensors:
         InputError
             If sizes do not fit the axes, or a converter has bits but no range.
         """
-        where, sensors = "rig: sensors", group(section, "sensors")
-
-        noise, bias, ranges = (
-            per_channel(section, axes, f"sensors.{{}}_{what}", "rig")
-            for what in ("noise", "bias", "range")
+        noise, bias = (
+            per_channel(section, axes, f"simulated.sensors.{{}}_{what}")
+            for what in ("noise", "bias")
         )
-        derived = sensors["velocity"] == "derived"
+        ranges = per_channel(section, axes, "sensors.{}_range")
+        derived, bits = (
+            section["sensors.velocity"] == "derived",
+            section["simulated.sensors.adc_bits"],
+        )
         if derived:  # there is no velocity sensor
             for rows in (noise, bias, ranges):
                 rows[VELOCITY] = 0.0
         resolution = np.zeros_like(ranges)
-        if sensors["adc_bits"]:
-            resolution = 2.0 * ranges / 2.0 ** sensors["adc_bits"]
+        if bits:
+            resolution = 2.0 * ranges / 2.0**bits
             for channel, row in zip(CHANNELS, ranges, strict=True):
                 if not row.all() and not (derived and channel == "velocity"):
                     raise InputError(
-                        f"{where}.adc_bits is {sensors['adc_bits']}, but {channel}_range is 0: "
-                        f"a converter needs a range; give {where}.{channel}_range"
+                        f"rig: simulated.sensors.adc_bits is {bits}, but {channel}_range is 0: a "
+                        f"converter needs a range; give /**: sensors.{channel}_range"
                     )
             resolution[resolution == 0] = 1.0  # of the derived velocity: not used
         ranges[ranges == 0] = np.inf
         own = np.array([noise, bias, ranges, resolution])[:, :, list(places)]
         noise, bias, ranges, resolution = np.ascontiguousarray(own)
-        cutoff = float(sensors["velocity_cutoff"]) if derived else 0.0
+        cutoff = float(section["sensors.velocity_cutoff"]) if derived else 0.0
         channels = Channels(noise, bias, ranges, resolution, cutoff, dt)
         return cls(channels, section["seed"], places, faulty)
 

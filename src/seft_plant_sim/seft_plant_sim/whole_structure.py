@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import as_matrix, group
+from seft_msgs_py.config.parameter_table import group
 
 from seft_plant_sim.compiled import compiled, multiply
 from seft_plant_sim.computed_model import ComputedModel, ModelSource
@@ -298,9 +298,7 @@ class WholeStructure:
     ) -> "WholeStructure":
         """Make that of a test from the section of reference_force, see `reference_response`."""
         if section["method"] == "eft":
-            model_mass = as_matrix(section["model.mass"], axes, "reference_force: model.mass")
-            carried = replace(specimen, mass=(1.0 + section["mass_ratio"]) * model_mass)
-            return cls(carried, ComputedSubstructure.lumped(np.zeros_like(model_mass)))
+            return cls(specimen, ComputedSubstructure.lumped(np.zeros_like(specimen.mass)))
         computed = ComputedSubstructure.from_parameters(section, axes)
         inside = [(0, computed.internal)] * 2
         structure = replace(
@@ -335,12 +333,17 @@ def whole_structure(experiment: Experiment) -> WholeStructure:
 
 
 def tested_specimen(experiment: Experiment) -> Specimen:
-    """Specimen of an experiment: the simulated one, else the reference-force node's model."""
-    if "specimen.mass" in experiment.sections.get("rig", {}):
-        source, where = group(experiment["rig"], "specimen"), "rig: specimen"
+    """Specimen of an experiment: the simulated one, else the known one."""
+    if is_simulated(experiment):
+        source, where = group(experiment["rig"], "simulated.specimen"), "rig: simulated.specimen"
     else:
-        source, where = group(experiment["reference_force"], "model"), "reference_force: model"
+        source, where = group(experiment["reference_force"], "specimen"), "/**: specimen"
     return Specimen.from_parameters(source, experiment.axes, where)
+
+
+def is_simulated(experiment: Experiment) -> bool:
+    """Whether an experiment has a simulated rig."""
+    return "simulated.specimen.mass" in experiment.sections.get("rig", {})
 
 
 _STEPS = 16

@@ -3,12 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
+from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.config.parameter_table import resolve
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.continuous_model import ContinuousModel
 from seft_plant_sim.limits import Limits
 from seft_plant_sim.rig import Rig
-from seft_plant_sim.rig_parameters import LIMIT_NAMES, RIG_TABLE
+from seft_plant_sim.rig_parameters import RIG_TABLE
 from seft_plant_sim.sensors import Channels, Sensors
 
 FRAME = {
@@ -58,5 +59,5 @@ class BareRig(Rig):
         n = model.b.shape[1]
         nothing, no_end = np.zeros((4, n)), np.full((4, n), np.inf)
         sensors = Sensors(Channels(nothing, nothing, no_end, nothing), 0)
-        limits = Limits(dict.fromkeys(LIMIT_NAMES, np.inf), [str(i) for i in range(n)], dt)
+        limits = Limits(dict.fromkeys(CHANNELS, np.inf), [str(i) for i in range(n)], dt)
         super().__init__(model, sensors, limits, 1e9, dt)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from bare_rig import driven, make_rig, rig_section
+from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.calibration import (
     AT_ONCE,
@@ -15,7 +16,6 @@ from seft_plant_sim.calibration import (
 )
 from seft_plant_sim.continuous_model import Sensed
 from seft_plant_sim.rig import continuous_model
-from seft_plant_sim.sensors import CHANNELS
 
 DT = 0.002
 X, V, A, F = range(4)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.config.parameter_table import Table
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.limits import (
@@ -15,7 +16,7 @@ from seft_plant_sim.limits import (
     largest_force_rate,
     span_steps,
 )
-from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_ROWS, limit_rows
+from seft_plant_sim.rig_parameters import LIMIT_ROWS, limit_rows
 
 PAPER = {"displacement": 0.076, "velocity": 0.5, "acceleration": 98.1, "force": 22200.0}
 RATES = {
@@ -70,11 +71,11 @@ def state_with(row, column, value):
 @pytest.mark.parametrize("column", range(2))
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_each_quantity_on_each_axis_has_its_limit(row, column, sign):
-    limits, limit = Judge(PAPER, AXES, DT), PAPER[LIMIT_NAMES[row]]
+    limits, limit = Judge(PAPER, AXES, DT), PAPER[CHANNELS[row]]
     assert limits.violation(state_with(row, column, sign * limit)) is None
     beyond = sign * math.nextafter(limit, math.inf)
     assert limits.violation(state_with(row, column, beyond)) == (
-        f"{LIMIT_NAMES[row]} {beyond:.5g} {UNITS[row]} on axis {AXES[column]} "
+        f"{CHANNELS[row]} {beyond:.5g} {UNITS[row]} on axis {AXES[column]} "
         f"is beyond the limit of {limit:g} {UNITS[row]}"
     )
 
@@ -87,7 +88,7 @@ def test_the_first_that_is_broken_is_told():
 @settings(suppress_health_check=[HealthCheck.too_slow])  # of a busy machine
 @given(st.data(), st.integers(1, 4))
 def test_there_is_a_violation_if_and_only_if_a_value_is_beyond_its_limit(data, axes):
-    limits = [data.draw(st.floats(1e-9, 1e9)) for _ in LIMIT_NAMES]
+    limits = [data.draw(st.floats(1e-9, 1e9)) for _ in CHANNELS]
     rows = []
     for limit in limits:
         near = [limit, math.nextafter(limit, 0), math.nextafter(limit, math.inf), 0.0, -0.0]
@@ -97,7 +98,7 @@ def test_there_is_a_violation_if_and_only_if_a_value_is_beyond_its_limit(data, a
         rows.append(data.draw(st.lists(signed, min_size=axes, max_size=axes)))
     within = all(abs(v) <= limit for row, limit in zip(rows, limits, strict=True) for v in row)
     names = [f"axis {index}" for index in range(axes)]
-    judge = Judge(dict(zip(LIMIT_NAMES, limits, strict=True)), names, DT)
+    judge = Judge(dict(zip(CHANNELS, limits, strict=True)), names, DT)
     verdict = judge.violation(np.array(rows))
     assert (verdict is None) == within
 
@@ -105,13 +106,13 @@ def test_there_is_a_violation_if_and_only_if_a_value_is_beyond_its_limit(data, a
 @pytest.mark.parametrize("row", range(4))
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_each_quantity_has_a_largest_change_from_sample_to_sample(row, sign):
-    far = dict.fromkeys(LIMIT_NAMES, 1e9)
-    limits, rate = Judge(far | RATES, AXES, DT), RATES[f"{LIMIT_NAMES[row]}_rate"]
+    far = dict.fromkeys(CHANNELS, 1e9)
+    limits, rate = Judge(far | RATES, AXES, DT), RATES[f"{CHANNELS[row]}_rate"]
     assert limits.violation(state_with(row, 1, 1e8)) is None  # of a first sample there is none
     assert limits.violation(state_with(row, 1, 1e8 + 0.999 * sign * rate * DT)) is None
     beyond = state_with(row, 1, 1e8 + 2.1 * sign * rate * DT)
     told = limits.violation(beyond)
-    assert told.startswith(f"{LIMIT_NAMES[row]} rate {sign * 1.101 * rate:.5g}")
+    assert told.startswith(f"{CHANNELS[row]} rate {sign * 1.101 * rate:.5g}")
     assert told.endswith(
         f"{RATE_UNITS[row]} on axis north is beyond the limit of {rate:g} {RATE_UNITS[row]}"
     )
@@ -123,7 +124,7 @@ def test_each_quantity_has_a_largest_change_from_sample_to_sample(row, sign):
 @pytest.mark.parametrize(("rate", "steps"), [(250, 1), (500, 1), (1000, 2), (4000, 8)])
 def test_a_change_counts_over_2_ms_or_a_longer_period(rate, steps):
     assert span_steps(1.0 / rate) == steps
-    limits = Judge(dict.fromkeys(LIMIT_NAMES, 1e9) | RATES, AXES, 1.0 / rate)
+    limits = Judge(dict.fromkeys(CHANNELS, 1e9) | RATES, AXES, 1.0 / rate)
     fastest = RATES["force_rate"] / rate
     for k in range(3 * steps):
         assert limits.violation(state_with(3, 1, 0.999 * fastest * k)) is None
@@ -157,13 +158,13 @@ def test_a_force_rate_of_0_is_the_whole_force_within_2_ms():
 
 @pytest.mark.parametrize("row", range(4))
 def test_the_least_excess_of_a_change_is_a_violation(row):
-    limits = Judge(dict.fromkeys(LIMIT_NAMES, 1e9) | RATES, AXES, DT)
+    limits = Judge(dict.fromkeys(CHANNELS, 1e9) | RATES, AXES, DT)
     most = limits.values[4 + row]
     for value, told in ((most, False), (math.nextafter(most, math.inf), True)):
         limits.reset()
         assert limits.violation(state_with(row, 1, 0.0)) is None
         assert (limits.violation(state_with(row, 1, value)) is not None) == told
-        assert limits.margins()[f"{LIMIT_NAMES[row]}_rate"] == 1.0 - value / most
+        assert limits.margins()[f"{CHANNELS[row]}_rate"] == 1.0 - value / most
         assert sum(margin < 1.0 for margin in limits.margins().values()) == 2
 
 

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from bare_rig import FRAME, BareRig, driven, rig_section
 from scipy.integrate import solve_ivp
+from seft_msgs_py.config.facts import CHANNELS
 from seft_plant_sim.actuator import STOP_DAMPING, STOP_STIFFNESS
 from seft_plant_sim.rig import continuous_model
-from seft_plant_sim.sensors import CHANNELS
 
 DT = 0.002
 COUNT = 150

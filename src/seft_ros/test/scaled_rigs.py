@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 from experiments_at_hand import load
-from seft_plant_sim.sensors import CHANNELS
+from seft_msgs_py.config.facts import CHANNELS
 from seft_ros.design.plausibility import expected_response
 from seft_ros.design.preflight_tables import planned_motion
 

@@ -10,8 +10,8 @@ import pytest
 from commands_at_hand import run_seft
 from experiments_at_hand import JHU, load
 from seft_msgs_py.config.experiment import Experiment, read_parameter_file
+from seft_msgs_py.config.facts import CHANNELS
 from seft_plant_sim.lti import bilinear, polynomial_ratio
-from seft_plant_sim.sensors import CHANNELS
 from seft_ros.bags.record_bag import read_bag
 from seft_ros.cli import identify_command, shared
 from seft_ros.design.force_tracking import tracking_measures

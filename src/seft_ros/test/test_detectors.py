@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from experiments_at_hand import load, simulated
 from rig_faults import CHANNELS, FAULTS, LATE, MISSED, SlowHost, lines_of
+from seft_msgs_py.config.facts import CHANNELS as SENSORS
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig import Rig
-from seft_plant_sim.sensors import CHANNELS as SENSORS
 from seft_ros.analysis.summary import shares_of
 from seft_ros.protection.detector_list import WARNING
 from seft_ros.test_run.compiled_loop import build_blocks

@@ -8,8 +8,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 from experiments_at_hand import load, simulated
+from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.sensors import ACCELERATION, CHANNELS, FORCE, POSITION, VELOCITY
+from seft_plant_sim.sensors import ACCELERATION, DISPLACEMENT, FORCE, VELOCITY
 from seft_ros.identification.actuator_fit import ActuatorFit
 from seft_ros.identification.calibrated import Calibrated, Shaken, all_known, shake_notes
 from seft_ros.identification.identified import Identified, ValveResponse, fitted_plant
@@ -95,7 +96,7 @@ def test_friction_spoils_neither_mass_nor_zero():
     fit = shaken(*FRICTION, "rig:sensors.force_bias:=5.0", "rig:sensors.position_bias:=2e-4").fit
     assert_known(fit.mass[0, 0], fit.mass_error[0, 0], 52.7, 0.12)
     assert fit.mass[0, 0] == pytest.approx(52.7, rel=4e-3)
-    assert fit.zero[POSITION, 0] == pytest.approx(2e-4, abs=1e-5)
+    assert fit.zero[DISPLACEMENT, 0] == pytest.approx(2e-4, abs=1e-5)
     assert fit.zero[FORCE, 0] == pytest.approx(5.0, abs=1.0)
 
 
@@ -139,7 +140,7 @@ def test_several_axes_give_the_matrix_and_a_tilt():
 def test_velocity_and_acceleration_against_the_displacement_are_right():
     found = shaken(*FLAG, "rig:sensors.position_scale:=0.96")
     fit = found.fit
-    assert_known(fit.scale[POSITION, 0], fit.scale_error[POSITION, 0], 0.96, 2e-3)
+    assert_known(fit.scale[DISPLACEMENT, 0], fit.scale_error[DISPLACEMENT, 0], 0.96, 2e-3)
     assert_known(fit.mass[0, 0], fit.mass_error[0, 0], 73.0, 0.1)
     section = found.sections()["rig"]
     assert section["calibration.velocity_scale"] == section["calibration.acceleration_scale"] == [1]

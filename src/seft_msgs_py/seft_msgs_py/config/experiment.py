@@ -7,6 +7,7 @@ errors that name the nearest known one.
 import functools
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -15,12 +16,13 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError
 from ruamel.yaml.scalarstring import DoubleQuotedScalarString
 
-from seft_msgs_py.config.parameter_table import COMMON, Section, Table, Value, nearest, resolve
+from seft_msgs_py.config.facts import EVERY_NODE, FACTS, fact_of, place_of
+from seft_msgs_py.config.parameter_table import Parameter, Section, Table, Value, nearest
+from seft_msgs_py.config.renamed import renamed
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.files import check_regular, read_text_of
 from seft_msgs_py.wire.topics import NODES, Timebase, rigs_of
 
-EVERY_NODE = "/**"
 PARAMETERS_KEY = "ros__parameters"
 PARAMETER_OPTIONS = ("--params-file", "-p", "--param")
 """Options of a node's command line for parameters."""
@@ -44,10 +46,8 @@ class Experiment:
     ----------
     sections : mapping
         The values by node.
-    files : sequence of path, optional
-        Parameter files from which they come.
-    overrides : sequence of (node, parameter, value), optional
-        What replaces values of the files; default all values.
+    source : Source, optional
+        What they were made of; default the values themselves.
 
     Attributes
     ----------
@@ -62,18 +62,17 @@ class Experiment:
     def __init__(
         self,
         sections: Mapping[str, Section],
-        files: Sequence[str | Path] = (),
-        overrides: Sequence[Override] | None = None,
+        source: "Source | None" = None,
     ) -> None:
         self.sections = {node: dict(section) for node, section in sections.items()}
-        self._files, self._overrides = tuple(files), overrides
-        for name in (row.name for row in COMMON):
-            values = {node: section[name] for node, section in self.sections.items()}
-            (first, value), *others = values.items()
-            for node, other in others:
-                if other != value:
+        self._source = source
+        for name in FACTS:
+            values = {node: own[name] for node, own in self.sections.items() if name in own}
+            for node, value in values.items():
+                first = next(iter(values))
+                if value != values[first]:
                     raise InputError(
-                        f"{node}: {name} is {other}, but {first} has {value}; "
+                        f"{node}: {name} is {value}, but {first} has {values[first]}; "
                         f"set it once, under {EVERY_NODE}"
                     )
         common = next(iter(self.sections.values()))
@@ -105,14 +104,14 @@ class Experiment:
         Parameters
         ----------
         tables : iterable of Table
-            Tables of the experiment's nodes. Sections of other known nodes are only read for
-            values that are defaults of these tables.
+            Tables of the experiment's nodes.
         files : sequence of path
             Later files win.
         overrides : sequence of (node, parameter, value)
             Win over files; node ``/**`` means every node.
         nodes : iterable of str, optional
-            Nodes whose sections are checked and complete; default all that have a table.
+            Nodes whose sections are checked and complete; default all that have a table. Of the
+            others only the `SETTINGS` are read.
 
         Raises
         ------
@@ -121,66 +120,144 @@ class Experiment:
         """
         by_node = {table.node: table for table in tables}
         wanted = tuple(by_node if nodes is None else nodes)
-        given: dict[str, Section] = {}
+        source = Source(by_node, wanted, tuple(files), tuple(overrides))
         for file in files:
             sections = read_parameter_file(file)
             for node in sorted(sections, key=lambda node: node != EVERY_NODE):  # as rclpy does
-                _merge(given, node, sections[node], by_node, wanted, str(file))
-        for node, name, value in overrides:
-            _merge(given, node, {name: value}, by_node, wanted, "-p")
-        resolved = resolve(by_node, given, wanted)
-        if not all(Path(file).is_file() for file in files):  # a pipe can't be read again
-            return cls(resolved)
-        return cls(resolved, files, overrides)
+                source.add(node, sections[node], f"{file}: {node}")
+        for place, name, value in overrides:
+            source.add(place, {name: value}, f"-p: {place}")
+        return cls(source.resolve(), source)
 
     def __getitem__(self, node: str) -> Section:
         return self.sections[node]
 
     def changed(self, changes: Mapping[str, Section]) -> "Experiment":
-        """Copy it with other values: node -> parameter -> value; all of them have sections here."""
-        sections = {node: {**own, **changes.get(node, {})} for node, own in self.sections.items()}
-        if self._overrides is None:
-            return Experiment(sections)
-        new = ((node, name, v) for node, own in changes.items() for name, v in own.items())
-        return Experiment(sections, self._files, (*self._overrides, *new))
+        """Copy it with other values: place in a file -> parameter name -> value."""
+        if self._source is not None:
+            source = self._source.changed(changes)
+            return Experiment(source.resolve(), source)
+        sections = {node: dict(section) for node, section in self.sections.items()}
+        for place, own in changes.items():
+            for node, name in ((node, name) for node in sections for name in own):
+                if node == place or (name in sections[node] and place_of(name, node) == place):
+                    sections[node][name] = own[name]
+        return Experiment(sections)
 
     def arguments(self) -> list[str]:
         """Words of a node's command line that give it these parameters; see `split_ros_arguments`.
 
         They name the files as they were given, so that the node reads what the user wrote.
         """
-        overrides = self._overrides
-        if overrides is None:
-            sections = self.sections.items()
-            overrides = [(node, name, v) for node, own in sections for name, v in own.items()]
-        words = [word for file in self._files for word in ("--params-file", str(file))]
-        for node, name, value in overrides:
-            words += ["-p", f"{node}:{name}:={value_text(value)}"]
+        source = self._source
+        if source is not None and all(Path(file).is_file() for file in source.files):
+            files, overrides = source.files, source.overrides  # a pipe can't be read again
+        else:
+            files, whole = (), dict[tuple[str, str], Value]()
+            for node, own in self.sections.items():
+                whole |= {(place_of(name, node), name): value for name, value in own.items()}
+            overrides = [(place, name, value) for (place, name), value in whole.items()]
+        words = [word for file in files for word in ("--params-file", str(file))]
+        for place, name, value in overrides:
+            words += ["-p", f"{place}:{name}:={value_text(value)}"]
         return words
 
 
-def _merge(
-    given: dict[str, Section],
-    node: str,
-    section: Section,
-    tables: dict[str, Table],
-    wanted: Sequence[str],
-    where: str,
-) -> None:
-    """Add a section to the given values; those of other nodes than the wanted ones check theirs."""
-    at = f"{where}: {node}"
-    if node != EVERY_NODE:
-        checked = tables[node].check(section, at) if node in wanted else section
-        given.setdefault(node, {}).update(checked)
-        return
-    # ROS permits a wildcard parameter of one node only; it goes to the nodes that know it
-    for name, value in section.items():
-        owners = [table for table in tables.values() if name in table.rows]
+_OF_ROS = ("use_sim_time", "qos_overrides", "start_type_description_service")
+"""Parameters, or groups of them, that rclpy gives each node."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """What an experiment is made of.
+
+    Attributes
+    ----------
+    tables : dict of str to Table
+        By node.
+    nodes : tuple of str
+        Nodes whose sections are checked and complete.
+    files : sequence of path
+        Parameter files.
+    overrides : sequence of (place, parameter, value)
+        What replaces values of the files.
+    given : dict of str to dict
+        The values of both, by their place in a file.
+    """
+
+    tables: dict[str, Table]
+    nodes: tuple[str, ...]
+    files: Sequence[str | Path] = ()
+    overrides: Sequence[Override] = ()
+    given: dict[str, Section] = field(default_factory=dict)
+
+    def changed(self, changes: Mapping[str, Section]) -> "Source":
+        """Copy it with other values: place in a file -> parameter name -> value."""
+        new = [
+            (place, name, value) for place, own in changes.items() for name, value in own.items()
+        ]
+        given = {place: dict(own) for place, own in self.given.items()}
+        source = replace(self, overrides=[*self.overrides, *new], given=given)
+        for place, own in changes.items():
+            source.add(place, own, place)
+        return source
+
+    def add(self, place: str, section: Section, where: str) -> None:
+        """Take the values of a section, which stand at ``where``; those of wanted nodes checked."""
+        for name, value in section.items():
+            if name.split(".")[0] in _OF_ROS:
+                if name == "use_sim_time" and value is True:
+                    raise InputError(
+                        f"{where}: use_sim_time is true, but nodes of seft follow the samples of "
+                        "the rig, not /clock; leave it out"
+                    )
+            elif place == EVERY_NODE:
+                self._add_everywhere(name, value, where)
+            elif place not in self.nodes:
+                self.given.setdefault(place, {})[name] = value
+            elif (right := place_of(name, place)) != place:
+                truth = f"simulated.{name}"
+                known = truth in self.tables[place].rows
+                more = f"; what the simulated rig truly has is rig: {truth}" if known else ""
+                raise InputError(f"{where}: {name} is set once, under {right}{more}")
+            else:
+                checked = self.tables[place].check({name: value}, where)
+                self.given.setdefault(place, {}).update(checked)
+
+    def _add_everywhere(self, name: str, value: Value, where: str) -> None:
+        """Take a fact, or what ROS permits: a parameter for all nodes that know it."""
+        if name in FACTS:
+            self.given.setdefault(EVERY_NODE, {})[name] = FACTS[name].check(value, where)
+            return
+        tables = self.tables.values()
+        owners = [t for t in tables if name in t.rows and place_of(name, t.node) == t.node]
         if not owners:
-            known = {row for table in tables.values() for row in table.rows}
-            raise InputError(f"{at}: there is no parameter {name}{nearest(name, known)}")
+            new = next((new for node in NODES if (new := renamed(node, name))), "")
+            known = {row for table in tables for row in table.rows}
+            hint = f"; it is now {new}" if new else nearest(name, known)
+            raise InputError(f"{where}: there is no parameter {name}{hint}")
         for owner in owners:
-            given.setdefault(owner.node, {})[name] = owner.rows[name].check(value, at)
+            self.given.setdefault(owner.node, {})[name] = owner.rows[name].check(value, where)
+
+    def resolve(self) -> dict[str, Section]:
+        """Complete the sections of the wanted nodes; InputError if a required value is missing."""
+        return {
+            node: {name: self._value(node, row) for name, row in self.tables[node].rows.items()}
+            for node in self.nodes
+        }
+
+    def _value(self, node: str, row: Parameter) -> Value:
+        place, name = place_of(row.name, node), row.name
+        value = self.given.get(place, {}).get(name)
+        if value is None and (fact := fact_of(name)):
+            value = self.given.get(EVERY_NODE, {}).get(fact)
+            if value is None and row.default is None:
+                place, name = EVERY_NODE, fact
+        value = row.default if value is None else value
+        if value is None:
+            meaning = f"{row.description}, {row.unit}" if row.unit else row.description
+            raise InputError(f"{place}: {name} must be given ({meaning})")
+        return row.check(value, place)
 
 
 def read_parameter_file(path: str | Path) -> dict[str, Section]:
@@ -219,7 +296,10 @@ def read_parameter_file(path: str | Path) -> dict[str, Section]:
         parameters = {} if content[PARAMETERS_KEY] is None else content[PARAMETERS_KEY]
         if not isinstance(parameters, dict):
             raise InputError(f"{path}: {key} {PARAMETERS_KEY} must hold names and values")
-        sections[node] = {**sections.get(node, {}), **_flatten(parameters, str(path), node)}
+        for name, value in _flatten(parameters, str(path), node).items():
+            if name in sections.setdefault(node, {}):
+                raise InputError(f"{path}: {node} {name} is given twice")
+            sections[node][name] = value
     return sections
 
 
@@ -317,12 +397,13 @@ def _flatten(tree: Mapping[Any, Any], path: str, node: str, prefix: str = "") ->
         raise InputError(f"{path}: {node} {prefix[:50]}... is nested too deep")
     for key, value in tree.items():
         name = f"{prefix}{key}"
-        if isinstance(value, Mapping):
-            flat.update(_flatten(value, path, node, name + "."))
-        elif value is None:
+        if value is None:
             raise InputError(f"{path}: {node} {name} has no value")
-        else:
-            flat[name] = value
+        inside = isinstance(value, Mapping)
+        own = _flatten(value, path, node, name + ".") if inside else {name: value}
+        if twice := [one for one in own if one in flat]:
+            raise InputError(f"{path}: {node} {twice[0]} is given twice")
+        flat |= own
     return flat
 
 

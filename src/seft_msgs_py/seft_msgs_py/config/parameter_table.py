@@ -1,7 +1,7 @@
 """Parameter tables: one row a parameter, with type, unit, default, bounds, text; their arrays.
 
 A node declares its ROS parameters from its table, the `seft` command checks experiments
-with it, and docs/parameters.md is printed from it.
+with it, and `seft parameters` prints it.
 """
 
 import ast
@@ -10,12 +10,12 @@ import sys
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from fnmatch import fnmatch
 from typing import Any, Literal
 
 import numpy as np
 
 from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.renamed import renamed
 from seft_msgs_py.errors import InputError
 
 
@@ -105,7 +105,7 @@ class Parameter:
     default : value or None
         None: the parameter must be given.
     description : str
-        Its meaning, for ``ros2 param describe`` and docs/parameters.md.
+        Its meaning, for ``ros2 param describe`` and ``seft parameters``.
     unit : str
         SI unit; empty if it has none.
     minimum, maximum : float or None
@@ -118,9 +118,6 @@ class Parameter:
         Texts that other installed packages add to ``choices``; None: no package can.
     file_name : bool
         The text must be a valid name of a file or folder, without a path; it may be empty.
-    default_from : str
-        ``node:parameter`` of the same experiment whose value is the default; of parameters whose
-        names match a pattern such as ``node:*_lag``, the largest value.
     live : bool
         The parameter may be set while the node runs, and takes effect at its next use.
     """
@@ -136,7 +133,6 @@ class Parameter:
     choices: tuple[str, ...] = ()
     registered: tuple[str, ...] | None = None
     file_name: bool = False
-    default_from: str = ""
     live: bool = False
 
     @property
@@ -222,8 +218,7 @@ def _shown(value: Value) -> str:
 def parameter_rows(text: str, group: str = "") -> tuple[Parameter, ...]:
     """Read rows of a parameter table: name | kind | default | unit | allowed | description.
 
-    An indented line continues the row above. The default is empty if the parameter must be
-    given, and may be ``NODE:PARAMETER or DEFAULT``, see `Parameter.default_from`.
+    An indented line continues the row above. The default is empty if the parameter must be given.
     Allowed is empty, ``> 0``, ``> 0 .. MAXIMUM``, ``MINIMUM ..``, ``MINIMUM .. MAXIMUM``,
     ``a file's name``, or a list of texts, ``""`` for the empty one. Names are put into a group:
     with ``specimen``, ``mass`` becomes ``specimen.mass``.
@@ -242,13 +237,10 @@ def _row(
     prefix: str, name: str, kind: Any, default: str, unit: str, allowed: str, description: str
 ) -> Parameter:
     value: Value = default
-    default_from = ""
-    if ":" in default:
-        default_from, _, value = default.partition(" or ")
     if kind != "string":
         words = {"": None, "true": True, "false": False}
         value = words[value] if value in words else ast.literal_eval(value)
-    row = Parameter(prefix + name, kind, value, description, unit, default_from=default_from)
+    row = Parameter(prefix + name, kind, value, description, unit)
     if allowed.startswith("> 0"):
         row, allowed = replace(row, positive=True), allowed.removeprefix("> 0")
     if allowed == "a file's name":
@@ -260,20 +252,12 @@ def _row(
     return replace(row, minimum=minimum, maximum=maximum)
 
 
-COMMON = parameter_rows("""
-    rate | float   | 500.0 | Hz | > 0 | sampling rate of the loop
-    axes | strings | ["x"] |    |     |
-        names of the axes (actuators), in order; RIG/AXIS if they belong to several rigs
-""")
-"""Parameters of every node; in a file they are under ``/**``."""
-
-
 class Table:
-    """The parameters of one node; those of `COMMON` are added in front."""
+    """The parameters of one node: the facts that it uses, and its own settings."""
 
     def __init__(self, node: str, rows: Iterable[Parameter]) -> None:
         self.node = node
-        self.rows: dict[str, Parameter] = {row.name: row for row in (*COMMON, *rows)}
+        self.rows: dict[str, Parameter] = {row.name: row for row in rows}
 
     def check(self, given: Mapping[str, Value], where: str = "") -> Section:
         """Check the values that are given; defaults are not filled in.
@@ -288,7 +272,8 @@ class Table:
         for name, value in given.items():
             row = self.rows.get(name)
             if row is None:
-                hint = nearest(name, self.rows)
+                new = renamed(self.node, name)
+                hint = f"; it is now {new}" if new else nearest(name, self.rows)
                 raise InputError(f"{where}: there is no parameter {name}{hint}")
             checked[name] = row.check(value, where)
         return checked
@@ -307,50 +292,3 @@ def group(section: Mapping[str, Value], prefix: str) -> Section:
     """Parameters of one group, without the prefix: ``specimen.mass`` -> ``mass``."""
     dotted = prefix + "."
     return {k.removeprefix(dotted): v for k, v in section.items() if k.startswith(dotted)}
-
-
-def _largest(values: Sequence[Value]) -> Value:
-    """Give the largest number of values and lists of them; None without one, else what is none."""
-    flat = [one for v in values for one in (v if isinstance(v, list | tuple) else [v])]
-    other = [one for one in flat if isinstance(one, bool) or not isinstance(one, int | float)]
-    return other[0] if other else max(flat, default=None)
-
-
-def resolve(
-    tables: Mapping[str, Table],
-    given: Mapping[str, Mapping[str, Value]],
-    nodes: Iterable[str] | None = None,
-) -> dict[str, Section]:
-    """Fill in values that are not given, from other parameters of the experiment or defaults.
-
-    Given values are checked, and may belong to nodes without a table. By default the sections of
-    all nodes with a table are completed.
-
-    Raises
-    ------
-    InputError
-        If a required parameter is not given.
-    """
-
-    def value_of(node: str, name: str) -> Value:
-        if "*" in name:
-            known = {*given.get(node, {}), *(tables[node].rows if node in tables else ())}
-            return _largest([value_of(node, one) for one in sorted(known) if fnmatch(one, name)])
-        if name in given.get(node, {}):
-            return given[node][name]
-        row = tables[node].rows.get(name) if node in tables else None
-        if row is None:
-            return None
-        value = value_of(*row.default_from.split(":")) if row.default_from else None
-        return row.default if value is None else value
-
-    resolved: dict[str, Section] = {}
-    for node in tables if nodes is None else nodes:
-        resolved[node] = {}
-        for name, row in tables[node].rows.items():
-            value = value_of(node, name)
-            if value is None:
-                meaning = f"{row.description}, {row.unit}" if row.unit else row.description
-                raise InputError(f"{node}: {name} must be given ({meaning})")
-            resolved[node][name] = row.check(value, node)
-    return resolved

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import as_matrix, per_axis
+from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN
+from seft_msgs_py.config.parameter_table import per_axis
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.calibration import known_channels
 from seft_plant_sim.sensors import VELOCITY
@@ -28,7 +29,6 @@ from seft_ros.analysis.mass_estimate import MIN_ERROR, Inertia, inertia
 from seft_ros.bags.record import Record, every_step
 from seft_ros.design.plan import choose_rig
 from seft_ros.design.plant import FOLDED, held_relations
-from seft_ros.reference_force.force_command import FORCE_DRIVEN
 
 MAX_LOST = 0.01
 """Share of samples that may be lost: they are interpolated, which is no measurement."""
@@ -54,21 +54,19 @@ class IdentifiedMass:
     lag_error: Floats
 
     @classmethod
-    def told(cls, experiment: Experiment, mass: Floats) -> "IdentifiedMass | None":
-        """Read what the test was told of a shake (``identified.*``); None: nothing.
+    def known(cls, experiment: Experiment, mass: Floats) -> "IdentifiedMass | None":
+        """Read the standard errors that a shake has found; None: there are none.
 
         ``mass`` is the mass matrix that the test used, (n, n), kg.
         """
         section, axes = experiment["reference_force"], experiment.axes
-        if not np.any(section.get("identified.mass_error", 0.0)):  # older bags have none
+        names = ("specimen.mass_error", "calibration.force_lag_error")
+        error, late = (per_axis(section[name], axes, f"/**: {name}") for name in names)
+        if not error.any():
             return None
-        where = "reference_force: identified."
-        found = np.diag(as_matrix(section["identified.mass"], axes, f"{where}mass"))
-        names = ("mass_error", "force_lag_error")
-        error, late = (per_axis(section[f"identified.{n}"], axes, f"{where}{n}") for n in names)
-        own = np.diag(mass)
-        error = np.maximum(np.where(error > 0, error / own, np.inf), MIN_ERROR)
-        return cls(found / own, error, np.zeros(len(axes)), np.where(late > 0, late, np.inf))
+        error = np.maximum(np.where(error > 0, error / np.diag(mass), np.inf), MIN_ERROR)
+        none = np.zeros(len(axes))
+        return cls(none + 1.0, error, none, np.where(late > 0, late, np.inf))
 
 
 @dataclass(frozen=True)
@@ -139,7 +137,7 @@ def calibration_check(record: Record) -> CalibrationCheck | None:
     ----------
     record : Record
         Of the test, without its ramp-down. A mass that was identified before the test
-        (`IdentifiedMass.told`) is combined with the test's own estimate, by their standard errors,
+        (`IdentifiedMass.known`) is combined with the test's own estimate, by their standard errors,
         unless they contradict each other.
 
     Returns
@@ -163,7 +161,7 @@ def calibration_check(record: Record) -> CalibrationCheck | None:
     if frequency > 0:
         effect = CalibrationEffect(structure, samples, dt)
         own = inertia(samples, effect.mass, effect.springs, dt, frequency)
-        own = _combined(own, IdentifiedMass.told(experiment, effect.mass))
+        own = _combined(own, IdentifiedMass.known(experiment, effect.mass))
         if own is not None:
             unsure = effect.of_mass(1.0 + ESTIMATE_SIGMAS * own.factor_error)
             if np.isfinite(own.lag_error).all():
@@ -249,14 +247,14 @@ def _relations(
     force jumps from sample to sample, and where no actuator is told. A velocity that is derived
     from the displacement is no channel.
     """
-    rig, expected = experiment.sections.get("rig", {}), expected_relations(experiment, frequency)
-    if expected is None or rig.get("actuator.kind") in FORCE_DRIVEN:
+    expected = expected_relations(experiment, frequency)
+    if expected is None or experiment["reference_force"]["actuator.kind"] in FORCE_DRIVEN:
         return
     x, v, a, _ = np.moveaxis(samples, 1, 0)
     dt, w = experiment.timebase.dt, 2 * np.pi * frequency
-    channels = [("velocity", v)] * (rig.get("sensors.velocity") != "derived") + [
-        ("acceleration", a)
-    ]
+    channels = [("velocity", v)] * (
+        experiment["reference_force"]["sensors.velocity"] != "derived"
+    ) + [("acceleration", a)]
     for channel, y in channels:
         order = 1 if channel == "velocity" else 2
         own = expected[order - 1]
@@ -286,15 +284,15 @@ def expected_relations(experiment: Experiment, frequency: float) -> Complexes | 
     nodes = ("reference_force", "force_controller")
     if any(node not in experiment.sections for node in nodes):
         return None
-    section, controller = experiment.sections.get("rig", {}), experiment["force_controller"]
+    section = experiment["reference_force"]
     lag = known_channels(section, experiment.axes)["lag"]
     # what the samples wait for after the channels are read turns nothing that is folded down
-    waits = {"sensor_lag": max(controller.get("sensor_lag", 0.0) - float(lag.max()), 0.0)}
-    told = Experiment({nodes[0]: experiment[nodes[0]], nodes[1]: controller | waits})
-    if section.get("sensors.velocity") == "derived":
+    at_once = {f"calibration.{channel}_lag": 0.0 for channel in CHANNELS}
+    known = Experiment({node: experiment[node] | at_once for node in nodes})
+    if section["sensors.velocity"] == "derived":
         lag[VELOCITY] = lag[0]
     try:
-        plant = choose_rig(told).plant
+        plant = choose_rig(known).plant
         held = held_relations(plant, np.array([frequency]), experiment.timebase.dt, lag)
     except (InputError, KeyError):
         return None

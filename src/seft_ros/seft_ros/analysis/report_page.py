@@ -103,10 +103,12 @@ def _test_rows(report: Report) -> list[tuple[str, str]]:
     ]
     if rig is None:
         return [*rows, ("rig", "hardware, or one whose parameters are not recorded")]
-    kind, specimen = _of(rig, "actuator.kind"), _of(rig, "specimen.kind")
+    kind, specimen = _of(rig, "actuator.kind"), _of(rig, "simulated.specimen.kind")
     rows.append(("rig", f"simulated; actuator {kind}, specimen {specimen}"))
     units = {"mass": "kg", "damping": "N s/m", "stiffness": "N/m"}
-    return rows + [(name, f"{_of(rig, f'specimen.{name}')} {units[name]}") for name in units]
+    return rows + [
+        (name, f"{_of(rig, f'simulated.specimen.{name}')} {units[name]}") for name in units
+    ]
 
 
 def _software_rows(environment: dict[str, Any]) -> list[tuple[str, str]]:

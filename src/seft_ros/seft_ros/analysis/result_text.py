@@ -3,9 +3,9 @@
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.wire.topics import LOOP_TOPICS, TARGET
-from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_UNITS
-from seft_plant_sim.sensors import CHANNELS
+from seft_plant_sim.rig_parameters import LIMIT_UNITS
 
 from seft_ros.analysis.judgement import (
     calibration_findings,
@@ -162,7 +162,7 @@ def _zero_rows(zeroed: dict[str, Any] | None) -> list[tuple[str, str]]:
         return []
     shown = [
         f"{name} {', '.join(f'{value:.3g}' for value in zeroed['subtracted'][channel])} {unit}"
-        for channel, name, unit in zip(CHANNELS, LIMIT_NAMES, LIMIT_UNITS, strict=False)
+        for channel, name, unit in zip(CHANNELS, CHANNELS, LIMIT_UNITS, strict=False)
         if any(zeroed["subtracted"][channel])
     ]
     text = "; ".join([*([", ".join(shown)] if shown else []), *filter(None, [zeroed["warning"]])])

@@ -37,13 +37,13 @@ _RIDGE = 1e-3  # of all parameters, over a sample's force: stop operators may be
 def springs_of(assumed: Experiment, whole: WholeStructure) -> Floats:
     """Deformations of the specimen's springs per displacement, shape (p, n).
 
-    Those of the model; without, springs between the axes that its stiffness couples, and to the
+    Those that are known; without, springs between the axes that its stiffness couples, and to the
     ground where the stiffness does not add up to 0: of a shear frame its storeys.
     """
     section, axes = assumed["reference_force"], assumed.axes
     n = len(axes)
-    if np.any(section.get("model.springs", 0.0)):
-        return deformations(section["model.springs"], axes, "reference_force: model")
+    if np.any(section["specimen.springs"]):
+        return deformations(section["specimen.springs"], axes, "/**: specimen")
     stiffness = whole.structure.stiffness[:n, :n] - whole.computed.stiffness[:n, :n]
     least, one = _COUPLED * np.abs(stiffness).max(), np.eye(n)
     grounded = [one[i] for i in range(n) if abs(stiffness[i].sum()) > least]

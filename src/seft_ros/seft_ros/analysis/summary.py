@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import RIG, ZEROED
@@ -18,10 +19,13 @@ from seft_msgs_py.wire.topics import (
 from seft_plant_sim.calibration import zeros_of_all
 from seft_plant_sim.computed_model import ModelError
 from seft_plant_sim.lti import split_dead_time
-from seft_plant_sim.rig_parameters import LIMIT_NAMES
-from seft_plant_sim.sensors import CHANNELS
 from seft_plant_sim.specimen import EnergyBalance, energy_balance
-from seft_plant_sim.whole_structure import ReferenceResponse, reference_response, tested_specimen
+from seft_plant_sim.whole_structure import (
+    ReferenceResponse,
+    is_simulated,
+    reference_response,
+    tested_specimen,
+)
 
 from seft_ros.analysis.calibration_check import calibration_check
 from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
@@ -94,7 +98,7 @@ def summarise(
     }
     difference = difference or motion_difference(judged)
     check = calibration_check(judged)
-    simulated = "specimen.mass" in record.experiment.sections.get("rig", {})
+    simulated = is_simulated(record.experiment)
     found = {
         **_outcome(record),
         "judged_steps": _steps(judged),
@@ -149,7 +153,7 @@ def zeroed_in(record: Record) -> dict[str, Any] | None:
         return None
     sections = experiment.sections
     limits = group(sections.get("rig", sections.get("supervisor", {})), "limits")
-    known = set(LIMIT_NAMES) <= set(limits)
+    known = set(CHANNELS) <= set(limits)
     return whole | {"warning": judge_zeros(whole, limits).warning if known else ""}
 
 
@@ -237,10 +241,11 @@ def _held(experiment: Experiment) -> float | None:
     """Part of a period after which an idealised actuator's force changes; None: it has none."""
     rig = experiment.sections.get("rig", {})
     kind, dt = rig.get("actuator.kind"), experiment.timebase.dt
-    changed = any(np.any(rig.get(f"sensors.{c}_{w}")) for c in CHANNELS for w in ("lag", "filter"))
-    if kind not in ("ideal", "delay") or changed:
+    names = [f"simulated.sensors.{c}_{what}" for c in CHANNELS for what in ("lag", "filter")]
+    if kind not in FORCE_DRIVEN or any(np.any(rig.get(name)) for name in names):
         return None
-    _, part = split_dead_time(rig["actuator.delay"] if kind == "delay" else 0.0, dt)
+    delay = rig["simulated.actuator.delay"] if kind == "delay" else 0.0
+    _, part = split_dead_time(delay, dt)
     return part / dt if part else 1.0
 
 
@@ -304,13 +309,12 @@ def _estimates(
 def shares_of(record: Record) -> dict[str, float] | None:
     """Say how near each detector of faults came to its threshold, see `detector_shares`.
 
-    None where it is not known: the configuration is of an older version or not recorded, or no
-    sample was answered.
+    None where it is not known: the configuration is not recorded, or no sample was answered.
     """
     section = record.experiment.sections.get("force_controller", {})
     states, forces = (record.series[topic.name] for topic in (RIG_STATE, REFERENCE_FORCE))
     steps, at_states, at_forces = common_steps(states.steps, forces.steps)
-    if "sensor_lag" not in section or not len(steps):
+    if "specimen.mass" not in section or not len(steps):
         return None
     measured, forces_there = states.values[at_states], forces.values[at_forces]
     with np.errstate(over="ignore", invalid="ignore"):
@@ -326,7 +330,7 @@ def replaced_in(record: Record) -> dict[str, int]:
     """Count the values that were wrong and replaced, by channel."""
     measured, judged = record.series[RIG_STATE.name].values, record.states.values
     count = np.count_nonzero(measured[:, :4] != judged, axis=(0, 2))
-    return dict(zip(LIMIT_NAMES, count.tolist(), strict=True))
+    return dict(zip(CHANNELS, count.tolist(), strict=True))
 
 
 def strong_part(record: Record) -> tuple[float, float]:

@@ -70,7 +70,7 @@ def preflight(
     with shared.passing_progress():
         response = plausibility.expected_response(experiment, motion)
         by_axis = plausibility.peaks_of(response)
-        wrong = plausibility.wrong_number(experiment, motion, by_axis)
+        wrong = plausibility.unit_refusal(experiment, motion, by_axis)
     if wrong:
         raise InputError(wrong)
     unfit = [*filter(None, [capacity.range_refusal(experiment, by_axis)])]

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any, Optional
 
 import numpy as np
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.facts import EVERY_NODE, FORCE_DRIVEN
 from seft_msgs_py.errors import InputError
+from seft_plant_sim.rig_parameters import common_lag, truth
 
 from seft_ros.bags.record import Record
 from seft_ros.cli import shared
@@ -238,13 +240,14 @@ class _Identification:
             return
         if shaken is not None and tests.external and shaken.calibrated.changes:
             self._notes.append(
-                "no closed-loop test: the driver has to apply rig: calibration.* of model.yaml "
+                "no closed-loop test: the driver has to apply calibration.* of model.yaml "
                 "first; give it that file, start it again, and repeat with --params-file model.yaml"
             )
             return
         if shaken is not None and not tests.external:
-            known = {**shaken.lags(), "rig": shaken.calibrated.parameters()}
-            experiment = rig_tests.changed(experiment, known)
+            experiment = experiment.changed(
+                {EVERY_NODE: shaken.calibrated.parameters(), "rig": truth(experiment["rig"])}
+            )
         steps = self._motions.steps(self._duration)
         test = rig_tests.closed_loop_test(experiment, self._record, self._levels.force)
         tests.run(CLOSED_LOOP, test, steps)
@@ -296,20 +299,21 @@ class _Identification:
         from seft_ros.drawing.style import save_figure
         from seft_ros.identification import calibrated, identified
         from seft_ros.identification.identified_figure import identified_figure
-        from seft_ros.reference_force.force_command import FORCE_DRIVEN
 
         summary = identified.summarise_identified(found)
         summary["notes"] += self._notes
         texts: Texts = [f"{config} as identified", identified.identified_table(summary)]
         loop, shaken = self._tests.experiment["reference_force"], self._shaken
-        lag, more = loop["compensation.sensor_lag"], None
+        dt = self._tests.experiment.timebase.dt
+        lag, more = common_lag(loop), {}
         if shaken is not None:
-            lag, more = shaken.calibrated.common_lag, shaken.sections()
+            lag, more = shaken.calibrated.common_lag, shaken.facts()
             summary["shake"] = shaken.numbers(found.axes)
             summary["notes"] += calibrated.shake_notes(shaken, found.axes)
             texts.append(calibrated.shake_table(shaken, found.axes))
         texts += summary["notes"]
-        obeys_force = loop["compensation.actuator_kind"] in FORCE_DRIVEN
-        identified.write_model(found, files["model"], config, specimen, lag, obeys_force, more)
+        obeys_force = loop["actuator.kind"] in FORCE_DRIVEN
+        known = identified.facts_of(found, specimen, dt, lag, obeys_force) | more
+        identified.write_model(found, files["model"], config, known)
         save_figure(identified_figure(found, f"seft identify {config}"), files["figure"])
         return texts, summary

@@ -253,8 +253,8 @@ def _with_measured_delay(experiment: Experiment) -> Experiment:
         return experiment
     if "force_controller" in experiment.sections:
         raise InputError(
-            "reference_force: loop_delay is to be measured, but there is no link: force_controller "
-            "is to run here; give a number of steps, or --external force_controller"
+            "/**: loop_delay is to be measured, but there is no link: force_controller is to run "
+            "here; give a number of steps, or --external force_controller"
         )
     from seft_ros.test_run.link import measure_link, message_size, with_loop_delay
 
@@ -279,7 +279,7 @@ def _check_plan(
 
     response = plausibility.expected_response(experiment, motion)
     by_axis = plausibility.peaks_of(response)
-    if wrong := plausibility.wrong_number(experiment, motion, by_axis):
+    if wrong := plausibility.unit_refusal(experiment, motion, by_axis):
         raise InputError(wrong)
     _check_stable(experiment, blocks, accept_unstable)
     reasons = [capacity.range_refusal(experiment, by_axis)]

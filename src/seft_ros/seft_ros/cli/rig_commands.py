@@ -9,6 +9,7 @@ from typing import Any, Optional
 import typer
 from rich.console import Console
 from seft_msgs_py.config.experiment import Experiment, write_parameter_file
+from seft_msgs_py.config.facts import EVERY_NODE
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes
 
@@ -77,7 +78,7 @@ def link(
         "reasons": reasons,
     }
     if out is not None:
-        steps = {"reference_force": {"loop_delay": trips.loop_delay}}
+        steps = {EVERY_NODE: {"loop_delay": trips.loop_delay}}
         comment = "by seft link: steps at the rate of the experiment"
         write_parameter_file(out, steps, [comment], replace=True)
         summary["file"] = str(out)

@@ -3,11 +3,13 @@
 import re
 import secrets
 import webbrowser
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Optional
 
 import typer
-from seft_msgs_py.config.parameter_table import COMMON, Parameter, Section, nearest
+from seft_msgs_py.config.facts import EVERY_NODE, FACTS, fact_of, place_of
+from seft_msgs_py.config.parameter_table import Parameter, Section, nearest
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 
@@ -200,41 +202,55 @@ def motion(
 
 
 def parameters(
-    node: Optional[str] = typer.Argument(None, metavar="NODE", help="One node; default all."),
+    node: Optional[str] = typer.Argument(
+        None, metavar="[NODE]", help="A node, or /** for the facts; default all."
+    ),
+    word: Optional[str] = typer.Argument(
+        None, metavar="[WORD]", help="Only what has this in its name or meaning."
+    ),
 ) -> int:
-    """Print every parameter with type, default, unit, bounds and meaning, as Markdown.
+    """Print parameters with type, default, unit, bounds and meaning, as Markdown.
+
+    What is known of rig and specimen stands once in a file, under /**: the facts.
 
     Examples:
 
         seft parameters rig
 
-        seft parameters > docs/parameters.md
+        seft parameters noise
+
+        seft parameters rig simulated.sensors
     """
-    names = [table.node for table in TABLES]
-    if node is not None and node not in names:
-        raise InputError(f"there is no node {node}{nearest(node, names)}")
-    print(parameters_text([node] if node else names))
+    places = [EVERY_NODE, *(table.node for table in TABLES)]
+    if node is not None and node not in places:
+        if word is not None:
+            raise InputError(f"there is no node {node}{nearest(node, places)}")
+        node, word = None, node
+    found = parameters_text(places if node is None else [node], word or "")
+    if not found:
+        where = "no parameter" if node is None else f"no parameter of {node}"
+        raise InputError(f"{where} has {word} in its name or meaning; seft parameters lists all")
+    print(found)
     return 0
 
 
-def parameters_text(nodes: list[str]) -> str:
-    """Markdown tables of some nodes' parameters."""
-    common = [row.name for row in COMMON]
-    parts = [
-        "# Parameters\n\nMade by `seft parameters`. A default in *italics* is the value of another "
-        "parameter of the same experiment; a **required** parameter has no default. "
-        "A node reads its parameters when it starts. Only those marked *live* can be changed "
-        "later, by `ros2 param set`.",
-        "## every node, under `/**`\n\n" + _table(COMMON),
-    ]
+def parameters_text(places: Sequence[str], word: str = "") -> str:
+    """Tabulate in Markdown what a file has under some nodes, or `EVERY_NODE`.
+
+    Of all that there is what has a word in its name or meaning; empty if nothing has.
+    """
+    rows = {place: dict[str, Parameter]() for place in (EVERY_NODE, *(t.node for t in TABLES))}
     for table in TABLES:
-        if table.node in nodes:
-            own = tuple(row for name, row in table.rows.items() if name not in common)
-            parts.append(f"## {table.node}\n\n{_table(own)}")
+        for name, row in table.rows.items():
+            if word.lower() in f"{name} {row.description}".lower():
+                rows[place_of(name, table.node)].setdefault(name, row)
+    order = list(FACTS)
+    rows[EVERY_NODE] = dict(sorted(rows[EVERY_NODE].items(), key=lambda one: order.index(one[0])))
+    parts = [f"## `{place}`\n\n{_table(rows[place].values())}" for place in places if rows[place]]
     return "\n\n".join(parts)
 
 
-def _table(rows: tuple[Parameter, ...]) -> str:
+def _table(rows: Iterable[Parameter]) -> str:
     lines = ["| parameter | type | default | unit | meaning |", "|---|---|---|---|---|"]
     for row in rows:
         meaning = row.description.replace("|", "\\|") + (" (*live*)" if row.live else "")
@@ -255,8 +271,6 @@ def _type(row: Parameter) -> str:
 
 
 def _default(row: Parameter) -> str:
-    own = "**required**" if row.default is None else f"`{row.default!r}`".replace("'", '"')
-    if not row.default_from:
-        return own
-    largest = "largest of " if "*" in row.default_from else ""
-    return f"{largest}*{row.default_from.replace('*', chr(92) + '*')}*, else {own}"
+    if row.default is not None:
+        return f"`{row.default!r}`".replace("'", '"')
+    return f"`/**: {fact}`" if (fact := fact_of(row.name)) else "**required**"

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from rich.text import Text
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.printing import escaped
 from seft_msgs_py.wire.messages import Status, decode_clock, decode_description
@@ -18,7 +19,6 @@ from seft_msgs_py.wire.outcome import FINISHED, TRIPPED, State
 from seft_msgs_py.wire.topics import CLOCK_TOPIC, DESCRIPTION, RIG_STATE, LoopTopic
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_plant_sim.limits import Limits
-from seft_plant_sim.rig_parameters import LIMIT_NAMES
 
 from seft_ros.test_run.observer import SimulatedPeer
 from seft_ros.test_run.processes import NodeProcesses
@@ -226,7 +226,7 @@ class Guard:
     def __init__(self, experiment: Experiment, travel: float, force: float) -> None:
         supervisor, axes = experiment["supervisor"], experiment.axes
         self._dt, self._travel, self._force = experiment.timebase.dt, travel, force
-        limits = {name: supervisor[f"limits.{name}"] for name in LIMIT_NAMES}
+        limits = {name: supervisor[f"limits.{name}"] for name in CHANNELS}
         self._limits = Limits(limits, axes, self._dt)
         self._limits.violation(np.zeros((4, len(axes))))  # the first call takes longest
         self.reset()

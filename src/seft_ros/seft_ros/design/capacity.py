@@ -6,14 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN
 from seft_msgs_py.config.parameter_table import group, per_axis
 from seft_plant_sim.actuator import Hydraulics
-from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_UNITS
-from seft_plant_sim.sensors import CHANNELS
-from seft_plant_sim.whole_structure import ReferenceResponse, tested_specimen
+from seft_plant_sim.rig_parameters import LIMIT_UNITS
+from seft_plant_sim.whole_structure import ReferenceResponse, is_simulated
 
 from seft_ros.design.plausibility import LARGEST_SHARE, SMALLEST_SHARE, peaks_of
-from seft_ros.reference_force.force_command import FORCE_DRIVEN
 
 
 def range_refusal(experiment: Experiment, peaks: Mapping[str, Floats]) -> str:
@@ -22,18 +21,18 @@ def range_refusal(experiment: Experiment, peaks: Mapping[str, Floats]) -> str:
     Parameters
     ----------
     experiment : Experiment
-        The ranges are those that its force controller knows; 0: not known.
+        With the facts ``sensors.*_range``; 0: not known.
     peaks : mapping
         Of `peaks_by_axis`. Of a range that is too large the axis that uses most of it counts: a
         motion need not drive all axes.
     """
-    section = experiment.sections.get("force_controller")
+    section = experiment.sections.get("reference_force")
     if section is None or not peaks:
         return ""
     found = []
-    for channel, name, unit in zip(CHANNELS, LIMIT_NAMES, LIMIT_UNITS, strict=False):
-        parameter = f"detectors.{channel}_range"
-        ranges = per_axis(section[parameter], experiment.axes, f"force_controller: {parameter}")
+    for name, unit in zip(CHANNELS, LIMIT_UNITS, strict=False):
+        parameter = f"sensors.{name}_range"
+        ranges = per_axis(section[parameter], experiment.axes, f"/**: {parameter}")
         if not ranges.all():
             continue
         share = peaks[name] / ranges
@@ -48,8 +47,7 @@ def range_refusal(experiment: Experiment, peaks: Mapping[str, Floats]) -> str:
     return (
         f"expected peaks use less than {100 * SMALLEST_SHARE:g} % or more than "
         f"{100 * LARGEST_SHARE:g} % of a sensor's range: {', '.join(found)}; change ground_motion: "
-        "peak_force, or choose other sensors or ranges of their amplifiers (rig: sensors.*_range; "
-        "of an external rig force_controller: detectors.*_range)"
+        "peak_force, or choose other sensors or ranges of their amplifiers (/**: sensors.*_range)"
     )
 
 
@@ -78,29 +76,27 @@ class Actuators:
 
     @classmethod
     def of_test(cls, experiment: Experiment) -> "Actuators | None":
-        """Take those of the simulated rig, else those that the force controller knows.
+        """Take those of the simulated rig, else those that are known.
 
         None: actuators that obey forces have no valve, stroke or capacity. An InputError says if
         parameters contradict each other.
         """
-        axes, rig = experiment.axes, experiment.sections.get("rig")
-        controller = experiment.sections.get("force_controller", {})
-        kind = rig["actuator.kind"] if rig else controller.get("detectors.actuator_kind")
-        if kind is None or kind in FORCE_DRIVEN:
+        axes, controller = experiment.axes, experiment.sections.get("force_controller")
+        if controller is None or controller["actuator.kind"] in FORCE_DRIVEN:
             return None
         unknown = np.full(len(axes), np.inf)
-        command = np.minimum(unknown, controller.get("voltage_limit", np.inf))
-        if rig is None:
+        command = np.minimum(unknown, controller["limits.command"])
+        if not is_simulated(experiment):
             known = {
-                name: per_axis(controller[f"actuator.{name}"], axes, f"force_controller: {name}")
+                name: per_axis(controller[f"actuator.{name}"], axes, f"/**: actuator.{name}")
                 for name in ("force_capacity", "flow_gain", "oil_stiffness", "leakage")
             }
             leakage = known.pop("leakage")
             given = {name: np.where(value > 0, value, np.inf) for name, value in known.items()}
             return cls(unknown, command=command, leakage=leakage, **given)
-        h = Hydraulics.from_parameters(group(rig, "actuator"), tested_specimen(experiment), axes)
+        h = Hydraulics.from_parameters(group(experiment["rig"], "simulated.actuator"), axes)
         flow = h.flow_gain, h.oil_stiffness, h.leakage
-        if kind == "servo_hydraulic_linear":
+        if controller["actuator.kind"] == "servo_hydraulic_linear":
             return cls(unknown, unknown, command, *flow)
         return cls(h.stroke, h.force_capacity, np.minimum(command, h.opening_limit), *flow)
 
@@ -134,7 +130,7 @@ def excesses(experiment: Experiment, response: ReferenceResponse | None) -> list
     Parameters
     ----------
     experiment : Experiment
-        The limits are those of its supervisor.
+        With its limits.
     response : ReferenceResponse or None
         See `expected_response`.
     """
@@ -143,8 +139,8 @@ def excesses(experiment: Experiment, response: ReferenceResponse | None) -> list
     peaks, limits = peaks_of(response), group(experiment["supervisor"], "limits")
     highest, one = highest_limits(experiment, peaks), np.ones(len(experiment.axes))
     compared = [
-        (name, peaks[name], limits[name] * one, unit, f"supervisor: limits.{name}")
-        for name, unit in zip(LIMIT_NAMES, LIMIT_UNITS, strict=False)
+        (name, peaks[name], limits[name] * one, unit, f"/**: limits.{name}")
+        for name, unit in zip(CHANNELS, LIMIT_UNITS, strict=False)
     ]
     has = Actuators.of_test(experiment)
     if has is not None:
@@ -164,7 +160,7 @@ def excesses(experiment: Experiment, response: ReferenceResponse | None) -> list
                 f"expected {name} on axis {experiment.axes[axis]} is {peak[axis]:.4g} {unit}, "
                 f"{100 * share[axis]:.4g} % of {what} ({most[axis]:.5g} {unit})"
             )
-            is_limit = place < len(LIMIT_NAMES)
+            is_limit = place < len(CHANNELS)
             found.append(Excess(text, is_limit and bool(peak.max() < highest.get(name, np.inf))))
     return found
 

@@ -16,13 +16,12 @@ from seft_plant_sim.specimen import Specimen
 from seft_plant_sim.whole_structure import tested_specimen
 
 from seft_ros.design.closed_loop import SampledLoop, closed_loop, frozen_feedforward, frozen_target
-from seft_ros.design.plant import Plant, choose_plant, simulated_rig, small_signal
+from seft_ros.design.plant import Plant, rig_model
 from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.methods import force_control
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
-from seft_ros.reference_force.compensator import Compensator
-from seft_ros.reference_force.force_command import FORCE_DRIVEN
+from seft_ros.reference_force.compensator import OF_THE_LOOP, Compensator
 from seft_ros.reference_force.linear_filter import LinearFilter
 from seft_ros.reference_force.reference_force_block import compensator, method_inputs
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
@@ -50,9 +49,6 @@ class LoopRig:
         velocity is measured.
     small_signal : bool
         Whether the rig is not linear and this is its limit for small motions.
-    swept : bool
-        Whether the stiffness of the specimen can be changed; not if the plant was identified as a
-        whole.
     """
 
     plant: Plant
@@ -60,7 +56,6 @@ class LoopRig:
     specimen: Specimen
     velocity_cutoff: float | None = None
     small_signal: bool = False
-    swept: bool = True
 
     def sampled(self, dt: float, dead_time: float, gain: float) -> tuple[Floats, Floats, Floats]:
         """Matrices a, b, c from the drive that answers sample k to (x, v, a, f) of sample k.
@@ -75,40 +70,25 @@ class LoopRig:
         # v = g x + s, s' = p s + g (p - 1) x, as `seft_plant_sim.sensors.Differentiator` runs it
         n, half = b.shape[1], np.pi * self.velocity_cutoff * dt
         g, p = 2 * half / dt / (1 + half), (1 - half) / (1 + half)
-        position, one = c[:n], np.eye(n)
-        a = np.block([[a, np.zeros((len(a), n))], [g * (p - 1) * position, p * one]])
+        displacement, one = c[:n], np.eye(n)
+        a = np.block([[a, np.zeros((len(a), n))], [g * (p - 1) * displacement, p * one]])
         b = np.vstack([b, np.zeros((n, n))])
         c = np.hstack([c, np.zeros((4 * n, n))])
-        c[n : 2 * n] = np.hstack([g * position, one])
+        c[n : 2 * n] = np.hstack([g * displacement, one])
         return a, b, c
 
 
 def choose_rig(experiment: Experiment, stiffness: float = 1.0) -> LoopRig:
     """Rig of an experiment, with a factor on the stiffness of the specimen.
 
-    The identified one, where the rig is not simulated here, or has a valve and its plant is given:
-    `force_controller: plant.*` for the force, and the specimen for the motion that follows from it.
-    With `velocity_feedforward` the simulated one or, where there is none, `force_controller:
-    actuator.*` and the specimen. An InputError says if there is no model of it.
+    The simulated one or, where there is none, that of the facts: actuators and specimen. An
+    InputError says if they are not known.
     """
-    section, specimen = experiment.sections.get("rig"), tested_specimen(experiment)
-    controller = experiment["force_controller"]
-    by_motion = controller.get("method") == VELOCITY_FEEDFORWARD
-    identified = not by_motion and np.any(controller["plant.numerator"])
-    if section is not None and not (identified and section["actuator.kind"] not in FORCE_DRIVEN):
-        model = simulated_rig(experiment, stiffness)
-        plant = Plant.of_model("rig", model, motion=True)
-        derived = section["sensors.velocity"] == "derived"
-        cutoff = section["sensors.velocity_cutoff"] if derived else None
-        return LoopRig(plant, model.drive, specimen, cutoff, small_signal=not model.is_linear)
-    if by_motion:
-        actuator = VelocityFeedforward.actuator(controller, experiment.axes)
-        dead_time = {"dead_time": float(actuator["dead_time"].max())}
-        swept = replace(specimen, stiffness=stiffness * specimen.stiffness)
-        model = small_signal(swept, **{**actuator, **dead_time})
-        return LoopRig(Plant.of_model("identified", model, motion=True), model.drive, specimen)
-    plant = choose_plant(experiment).with_specimen(specimen)
-    return LoopRig(plant, "valve_command", specimen, swept=False)
+    source, model = rig_model(experiment, stiffness)
+    derived = experiment["reference_force"]["sensors.velocity"] == "derived"
+    cutoff = experiment["reference_force"]["sensors.velocity_cutoff"] if derived else None
+    plant, specimen = Plant.of_model(source, model, motion=True), tested_specimen(experiment)
+    return LoopRig(plant, model.drive, specimen, cutoff, small_signal=not model.is_linear)
 
 
 class Plan:
@@ -157,12 +137,17 @@ class Plan:
         section = dict(self.section)
         if mass_ratio is not None:
             section["mass_ratio"] = mass_ratio
-        scaled = stiffness * np.atleast_1d(section["model.stiffness"])
-        section["model.stiffness"] = scaled.tolist()
-        if section["compensation.delay"] > 0:
-            section["compensation.delay"] = max(section["compensation.delay"] + delay_error, 0.0)
+        scaled = stiffness * np.atleast_1d(section["specimen.stiffness"])
+        section["specimen.stiffness"] = scaled.tolist()
         known = method_inputs(section, self.axes, self.experiment.timebase)
+        known = replace(known, late=known.late + delay_error)
         return compensator(section["compensation.method"], known)
+
+    @property
+    def assumed_delay(self) -> float:
+        """Delay from reference force to measured force that a method may compensate, s."""
+        known = method_inputs(self.section, self.axes, self.experiment.timebase)
+        return float(self.section["actuator.delay"]) + OF_THE_LOOP * self.dt + known.late
 
     def compensation(self, measured: bool = False, **changes: Any) -> LinearFilter:
         """Give the method as a linear filter; changes as of `compensator`.

@@ -7,16 +7,21 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import block_diag, eigvals
+from scipy.linalg import eigvals
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.facts import FORCE_DRIVEN
 from seft_msgs_py.errors import InputError
 from seft_plant_sim import lti
 from seft_plant_sim.actuator import Hydraulics
 from seft_plant_sim.calibration import as_published, calibration_of
-from seft_plant_sim.continuous_model import ContinuousModel, servo_hydraulic
+from seft_plant_sim.continuous_model import ContinuousModel, delayed_force, servo_hydraulic
 from seft_plant_sim.rig import continuous_model
+from seft_plant_sim.rig_parameters import common_lag
 from seft_plant_sim.specimen import Specimen
+from seft_plant_sim.whole_structure import is_simulated, tested_specimen
+
+from seft_ros.force_controller.known_rig import known_actuators
 
 LIGHTLY_DAMPED = 0.5
 """Damping ratio up to which a pair counts as lightly damped: it shows in the magnitude."""
@@ -112,12 +117,16 @@ class Plant:
     def of_model(
         cls, source: Literal["rig", "identified"], model: ContinuousModel, motion: bool = False
     ) -> "Plant":
-        """Make it of actuators and specimen, to the forces or, with motion, to (x, v, a, f)."""
+        """Make it of actuators and specimen, to the forces or, with motion, to (x, v, a, f).
+
+        The dead time is that of the slowest actuator.
+        """
         outputs = slice(0 if motion else 3 * model.b.shape[1], None)
         shown = model.shown
         c, d, lags = shown.c[outputs], shown.d[outputs], shown.late[outputs]
         late = lags if lags.any() else None
-        return cls(source, model.a, model.b, c, d, model.delay, late).without_idle_states()
+        delay = float(model.delay.max())
+        return cls(source, model.a, model.b, c, d, delay, late).without_idle_states()
 
     def axis(self, index: int) -> "Plant":
         """Plant of one axis alone, the valves of the others closed."""
@@ -135,19 +144,6 @@ class Plant:
             reached, shown = reached | links @ reached, shown | shown @ links
         kept = np.flatnonzero(reached & shown)
         return replace(self, a=self.a[np.ix_(kept, kept)], b=self.b[kept], c=self.c[:, kept])
-
-    def with_specimen(self, specimen: Specimen) -> "Plant":
-        """Plant to (x, v, a, f), with the motion of the specimen that follows from the force."""
-        n, size = specimen.axes, len(self.a)
-        moving, by_force = specimen.state_matrices()
-        a = np.block([[self.a, np.zeros((size, 2 * n))], [by_force @ self.c, moving]])
-        b = np.vstack([self.b, by_force @ self.d])
-        c = np.zeros((4 * n, size + 2 * n))
-        c[: 2 * n, size:] = np.eye(2 * n)
-        c[2 * n : 3 * n] = a[size + n :]
-        c[3 * n :, :size] = self.c
-        d = np.vstack([np.zeros((2 * n, n)), b[size + n :], self.d])
-        return replace(self, a=a, b=b, c=c, d=d)
 
     def response(self, frequencies_hz: Floats) -> Complexes:
         """Frequency response H_fu(jw) of the first axis, shape (N,), N/V."""
@@ -302,45 +298,37 @@ def held_relations(plant: Plant, frequencies_hz: Floats, dt: float, lag: Floats)
 
 
 def choose_plant(experiment: Experiment) -> Plant:
-    """Plant of an experiment, from valves to forces.
+    """Plant of an experiment, from valves to forces: that of its `rig_model`.
 
-    The identified one, `force_controller: plant.*`, on every axis, if it is given; else the
-    small-signal linear model of the simulated rig.
-
-    Raises
-    ------
-    InputError
-        If there is none, no valve drives the rig, or the identified plant is improper or has no
-        denominator.
+    An InputError says if it is not known, or no valve drives the rig.
     """
-    section = experiment["force_controller"]
-    given = np.atleast_1d(section.get("plant.numerator", 0.0)).astype(np.float64)
-    numerator = np.trim_zeros(given, "f")
-    if not numerator.size and "rig" not in experiment.sections:
+    source, model = rig_model(experiment)
+    if model.drive != "valve_command":
+        kind = experiment["reference_force"]["actuator.kind"]
         raise InputError(
-            "force_controller: plant.numerator is not given, and the rig is not simulated here; "
-            "let seft identify write one"
+            f"/**: actuator.kind is {kind}, which has no valve to shape a loop for; set it to "
+            "servo_hydraulic"
         )
-    if not numerator.size:
-        model = simulated_rig(experiment)
-        if model.drive != "valve_command":
-            raise InputError(
-                f"rig: actuator.kind is {experiment['rig']['actuator.kind']}, which has no valve "
-                "to shape a loop for; set it to servo_hydraulic, or give an identified plant"
-            )
-        return Plant.of_model("rig", model)
-    denominator = np.trim_zeros(np.atleast_1d(section["plant.denominator"]).astype(float), "f")
-    if not denominator.size:
-        raise InputError("force_controller: plant.denominator is zero")
-    if numerator.size > denominator.size:
-        raise InputError(
-            f"force_controller: the plant is improper: plant.numerator of degree "
-            f"{numerator.size - 1} over plant.denominator of degree {denominator.size - 1}"
-        )
-    one_axis = lti.companion_form(numerator, denominator)
-    a, b, c, d = (block_diag(*[part] * len(experiment.axes)) for part in one_axis)
-    delay = float(section["plant.dead_time"]) + section["sensor_lag"]
-    return Plant("identified", a, b, c, d, delay)
+    return Plant.of_model(source, model)
+
+
+def rig_model(
+    experiment: Experiment, stiffness: float = 1.0
+) -> tuple[Literal["rig", "identified"], ContinuousModel]:
+    """Model of an experiment's rig: the simulated one or, where there is none, that of the facts.
+
+    ``stiffness`` is a factor on that of the specimen. An InputError says if sizes do not fit the
+    axes, or the actuators are not known.
+    """
+    if is_simulated(experiment):
+        return "rig", simulated_rig(experiment, stiffness)
+    section, axes = experiment["force_controller"], experiment.axes
+    specimen = tested_specimen(experiment)
+    specimen = replace(specimen, stiffness=stiffness * specimen.stiffness)
+    if section["actuator.kind"] in FORCE_DRIVEN:
+        delay = section["actuator.delay"] if section["actuator.kind"] == "delay" else 0.0
+        return "identified", delayed_force(specimen, delay + common_lag(section))
+    return "identified", small_signal(specimen, **known_actuators(section, axes, range(len(axes))))
 
 
 def simulated_rig(experiment: Experiment, stiffness: float = 1.0) -> ContinuousModel:

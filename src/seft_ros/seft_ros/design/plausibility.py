@@ -1,4 +1,4 @@
-"""Whether the numbers of a plan can be right: units that were mixed up, another mass than found."""
+"""Whether the numbers of a planned test can be right: units that were mixed up."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -7,10 +7,15 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import Section, as_matrix, group, per_axis
-from seft_plant_sim.rig_parameters import LIMIT_NAMES
+from seft_msgs_py.config.facts import CHANNELS, EVERY_NODE
+from seft_msgs_py.config.parameter_table import Section, group
 from seft_plant_sim.specimen import Specimen
-from seft_plant_sim.whole_structure import ReferenceResponse, reference_response, tested_specimen
+from seft_plant_sim.whole_structure import (
+    ReferenceResponse,
+    is_simulated,
+    reference_response,
+    tested_specimen,
+)
 
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
 
@@ -25,9 +30,6 @@ PER_PERIOD = 5.0
 """Samples in a period of the specimen, below which its motion can't be seen."""
 CONTROLLED = 10.0
 """Samples in a period with which it can be controlled."""
-SAME_MASS, ERRORS = 0.02, 3.0
-"""Of the identified mass, which costs 1 to 2 % of the displacement; and standard errors: what an
-assumed mass may differ by."""
 USUAL_DAMPING = 0.2
 """Damping ratio that a structure has at most."""
 
@@ -62,7 +64,7 @@ def expected_response(
     Parameters
     ----------
     experiment : Experiment
-        The specimen is that of its rig, if it is simulated, else the model's.
+        The specimen is that of its rig, if it is simulated, else the known one.
     planned : GroundMotion or None
         Its motion.
 
@@ -89,34 +91,12 @@ def peaks_of(response: ReferenceResponse | None) -> dict[str, Floats]:
     """
     if response is None:
         return {}
-    return {name: np.abs(getattr(response, name)).max(axis=0) for name in LIMIT_NAMES}
+    return {name: np.abs(getattr(response, name)).max(axis=0) for name in CHANNELS}
 
 
 def peaks_by_axis(experiment: Experiment, planned: GroundMotion | None) -> dict[str, Floats]:
     """Find the `peaks_of` the `expected_response`."""
     return peaks_of(expected_response(experiment, planned))
-
-
-def mass_refusal(experiment: Experiment) -> str:
-    """Say where the assumed mass differs from the one that a shake has found; empty if nowhere.
-
-    It may differ by `SAME_MASS`, or by `ERRORS` standard errors.
-    """
-    section = experiment.sections.get("reference_force", {})
-    if not np.any(section.get("identified.mass_error", 0.0)):
-        return ""
-    axes, where = experiment.axes, "reference_force: identified."
-    error = per_axis(section["identified.mass_error"], axes, f"{where}mass_error")
-    found = as_matrix(section["identified.mass"], axes, f"{where}mass").diagonal()
-    assumed = as_matrix(section["model.mass"], axes, "reference_force: model.mass").diagonal()
-    for axis, own, mass, sigma in zip(axes, assumed, found, error, strict=True):
-        if sigma > 0.0 and abs(own - mass) > max(ERRORS * sigma, SAME_MASS * mass):
-            return (
-                f"reference_force: model.mass is {own:.4g} kg on axis {axis}, but seft identify "
-                f"has found {mass:.4g} +- {sigma:.2g} kg; take that, or identify this specimen "
-                "(seft identify --specimen)"
-            )
-    return ""
 
 
 @dataclass(frozen=True)
@@ -134,13 +114,6 @@ class _Fit:
     too_soft: bool = False
 
 
-def wrong_number(
-    experiment: Experiment, planned: GroundMotion | None, peaks: Mapping[str, Floats]
-) -> str:
-    """Say which number of the specimen can't be right; empty if none, see the two refusals."""
-    return unit_refusal(experiment, planned, peaks) or mass_refusal(experiment)
-
-
 def unit_refusal(
     experiment: Experiment, planned: GroundMotion | None, peaks: Mapping[str, Floats]
 ) -> str:
@@ -153,7 +126,7 @@ def unit_refusal(
     Parameters
     ----------
     experiment : Experiment
-        Of the rig, if it is simulated, and of the model.
+        Of the rig, if it is simulated, and as it is known.
     planned : GroundMotion or None
         Its motion.
     peaks : mapping
@@ -161,31 +134,31 @@ def unit_refusal(
     """
     if planned is None or not peaks:
         return ""
-    for node, prefix, seen in _specimens(experiment):
+    for place, prefix, seen in _specimens(experiment):
         of_seen = peaks if seen is experiment else peaks_by_axis(seen, planned)
-        if refusal := _mixed_up(seen, node, prefix, planned, of_seen):
+        if refusal := _mixed_up(seen, place, prefix, planned, of_seen):
             return refusal
     return ""
 
 
 def _specimens(experiment: Experiment) -> Iterator[tuple[str, str, Experiment]]:
-    """Give the node, the group of parameters, and the experiment in which that specimen counts."""
-    sections = experiment.sections
-    names = ("mass", "damping", "stiffness")
-    assumed = group(experiment["reference_force"], "model")
-    own = group(sections.get("rig", {}), "specimen")
-    if own:
-        yield "rig", "specimen", experiment
-    if not own:
-        yield "reference_force", "model", experiment
-    elif any(own[name] != assumed[name] for name in names):
-        others = {node: section for node, section in sections.items() if node != "rig"}
-        yield "reference_force", "model", Experiment(others)
+    """Give place and group of a specimen's parameters, and the experiment in which it counts."""
+    known = group(experiment["reference_force"], "specimen")
+    if not is_simulated(experiment):
+        yield EVERY_NODE, "specimen", experiment
+        return
+    true = group(experiment["rig"], "simulated.specimen")
+    if all(true[name] == known[name] for name in ("mass", "damping", "stiffness")):
+        yield EVERY_NODE, "specimen", experiment
+        return
+    yield "rig", "simulated.specimen", experiment
+    others = {node: own for node, own in experiment.sections.items() if node != "rig"}
+    yield EVERY_NODE, "specimen", Experiment(others)
 
 
 def _mixed_up(
     experiment: Experiment,
-    node: str,
+    place: str,
     prefix: str,
     planned: GroundMotion,
     peaks: Mapping[str, Floats],
@@ -193,13 +166,13 @@ def _mixed_up(
     now = _fit(experiment, planned, peaks)
     if not now.misfit:
         return ""
-    given = group(experiment[node], prefix)
+    given = _given(experiment, place, prefix)
     rate, dt = experiment.timebase.rate, experiment.timebase.dt
     slow, fast = 1.0 / (planned.steps * dt), rate / CONTROLLED
     for units in _MIXED_UP:
         if not (now.too_light if units.mass > 1.0 else now.too_soft):
             continue
-        changed = _scaled(experiment, node, prefix, units)
+        changed = _scaled(experiment, place, prefix, units)
         hz, damping = _first_mode(tested_specimen(changed))
         if not slow < hz < fast or damping > USUAL_DAMPING:
             continue
@@ -216,7 +189,7 @@ def _mixed_up(
             if unit
         ]
         return (
-            f"{node}: {prefix}: stiffness {_largest(given['stiffness']):.6g} N/m and mass "
+            f"{place}: {prefix}: stiffness {_largest(given['stiffness']):.6g} N/m and mass "
             f"{_largest(given['mass']):.6g} kg give a natural frequency of {now.hz:.3g} Hz, "
             f"{now.misfit}; {' and '.join(fitting)} would give {hz:.3g} Hz and fit"
         )
@@ -254,24 +227,26 @@ def _first_mode(specimen: Specimen) -> tuple[float, float]:
     return (float(hz[0]), float(damping[0])) if len(hz) == specimen.axes else (0.0, 0.0)
 
 
-def _scaled(experiment: Experiment, node: str, prefix: str, units: _Units) -> Experiment:
-    """Give the experiment with the specimen in other units, and with what follows its mass."""
+def _given(experiment: Experiment, place: str, prefix: str) -> Section:
+    return group(experiment["reference_force" if place == EVERY_NODE else place], prefix)
+
+
+def _scaled(experiment: Experiment, place: str, prefix: str, units: _Units) -> Experiment:
+    """Give the experiment with the specimen in other units."""
 
     def times(value: Any, factor: float) -> Any:
         return (np.asarray(value) * factor).tolist()
 
-    values = group(experiment[node], prefix)
+    values = _given(experiment, place, prefix)
     factors = (
         ("stiffness", units.stiffness),
         ("damping", units.damping),
         ("mass", units.mass),
     )
-    changes: dict[str, Section] = {
-        node: {f"{prefix}.{name}": times(values[name], factor) for name, factor in factors}
-    }
-    for other, name in (("reference_force", "model.mass"), ("ground_motion", "mass")):
-        if experiment[other][name] == values["mass"]:
-            changes.setdefault(other, {})[name] = times(values["mass"], units.mass)
+    scaled = {name: times(values[name], factor) for name, factor in factors}
+    changes = {place: {f"{prefix}.{name}": value for name, value in scaled.items()}}
+    if place == EVERY_NODE and is_simulated(experiment):
+        changes["rig"] = {f"simulated.{prefix}.{name}": value for name, value in scaled.items()}
     return experiment.changed(changes)
 
 

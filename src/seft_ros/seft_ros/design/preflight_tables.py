@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment, write_parameter_file
+from seft_msgs_py.config.facts import EVERY_NODE
 from seft_msgs_py.config.parameter_table import Section, group, mass_matrix
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig_parameters import LIMIT_UNITS
-from seft_plant_sim.whole_structure import model_times, whole_structure
+from seft_plant_sim.whole_structure import is_simulated, model_times, whole_structure
 
 from seft_ros.design.margin_ends import HEADINGS, end_texts, meanings
 from seft_ros.design.plan import Plan
@@ -93,13 +94,7 @@ class ModelTime:
 
 
 def planned_motion(experiment: Experiment) -> GroundMotion | None:
-    """Make the ground motion of an experiment; None if it comes from elsewhere.
-
-    The masses are checked first: that of the ground motion is by default the specimen's.
-    """
-    for node, name in (("rig", "specimen.mass"), ("reference_force", "model.mass")):
-        if name in (values := experiment.sections.get(node, {})):
-            mass_matrix(values[name], experiment.axes, f"{node}: {name}")
+    """Make the ground motion of an experiment; None if it comes from elsewhere."""
     section = experiment.sections.get("ground_motion")
     if section is None:
         return None
@@ -122,7 +117,7 @@ def model_time(experiment: Experiment, planned: GroundMotion | None) -> ModelTim
         return None
     motion = planned.samples[: _STEPS * model.every : model.every]
     share = SHARE * dt * model.every
-    watchdog = experiment.sections.get("supervisor", {}).get("watchdog.command_timeout", np.inf)
+    watchdog = experiment.sections.get("rig", {}).get("watchdog.command_timeout", np.inf)
     allowed = min(float(watchdog), LONGEST_MODEL_STEP)
     times = np.full(len(motion), np.inf)
     for _ in range(LOOKS):
@@ -311,16 +306,16 @@ def far_limits(experiment: Experiment, peaks: Mapping[str, float]) -> str:
 
 def mass_mismatch(experiment: Experiment) -> str:
     """Say where the plan assumes another mass than its rig has; empty if it does not."""
-    rig = experiment.sections.get("rig")
-    if rig is None:
+    if not is_simulated(experiment):
         return ""
-    assumed, own = experiment["reference_force"]["model.mass"], rig["specimen.mass"]
+    assumed = experiment["reference_force"]["specimen.mass"]
+    own = experiment["rig"]["simulated.specimen.mass"]
     masses = [mass_matrix(value, experiment.axes, "mass") for value in (assumed, own)]
     if np.abs(masses[0] - masses[1]).max() <= WEIGHING_ERROR * np.abs(masses[1]).max():
         return ""
     return (
-        f"reference_force: model.mass is {assumed} kg, but rig: specimen.mass {own} kg; "
-        "give the mass of the specimen to both"
+        f"/**: specimen.mass is {assumed} kg, but rig: simulated.specimen.mass {own} kg: the test "
+        "shows what a wrong mass does"
     )
 
 
@@ -339,4 +334,4 @@ def write_limits(file: Path, limits: dict[str, float]) -> None:
         "by seft preflight: 1.5 times the expected peaks of displacement and force, 2 times",
         "those of velocity and acceleration, as far as stroke and force capacity allow",
     ]
-    write_parameter_file(file, {"supervisor": section}, comments, replace=True)
+    write_parameter_file(file, {EVERY_NODE: section}, comments, replace=True)

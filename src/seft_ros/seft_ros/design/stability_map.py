@@ -78,7 +78,7 @@ def stability_maps(
     longest = max(2 * plan.dead_time, 10 * plan.dt, 1.5 * end)
     longest = min(longest, plan.dead_time + float(stability_margins.added_delays(plan)[-1]))
     swept = {"dead_time": (longest, 1.0, plan.dead_time)}
-    own = stability_margins.local_stiffness(plan) if plan.rig.swept else None
+    own = stability_margins.local_stiffness(plan)
     if own is not None:
         swept["stiffness"] = (max(stability_margins.STIFFEST, 1.2 * own), own, own)
     plan.growth_rate(dead_time=longest)  # fills the caches

@@ -115,7 +115,7 @@ def find_margins(plan: Plan, progress: Progress | None = None) -> Margins:
         if plan.follows_valves:
             searches["sure_dead_time"] = partial(_sure_dead_time, plan)
             searches["robust_gain"] = partial(gain, any_valve=True)
-        own = local_stiffness(plan) if plan.rig.swept else None
+        own = local_stiffness(plan)
         if own is not None:
             up, down = np.linspace(own, max(STIFFEST, own), 17), np.linspace(own, 0.0, 17)
             stiffness = partial(_range, plan, "stiffness", own, up, down, own)
@@ -174,7 +174,7 @@ def local_stiffness(plan: Plan) -> float | None:
     None if one of them is 0.
     """
     model = symmetric_matrix(
-        plan.section["model.stiffness"], plan.axes, "reference_force: model.stiffness"
+        plan.section["specimen.stiffness"], plan.axes, "/**: specimen.stiffness"
     )
     own, assumed = float(np.trace(plan.rig.specimen.stiffness)), float(np.trace(model))
     return own / assumed if own and assumed else None
@@ -228,7 +228,7 @@ def _delay_error(plan: Plan) -> Range | None:
     tried = [matrix(error) for error in (0.1 * plan.dt, -0.1 * plan.dt)]
     if all(found is None or np.array_equal(found, planned) for found in tried):
         return None
-    less = np.linspace(0.0, -plan.section["compensation.delay"], 17)[:-1]
+    less = np.linspace(0.0, -plan.assumed_delay, 17)[:-1]
     up, down = (
         np.array(list(takewhile(lambda error: matrix(error) is not None, part.tolist())))
         for part in (added_delays(plan), less)

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.rig_parameters import LIMIT_NAMES
 from seft_plant_sim.sensors import per_channel
 
 from seft_ros.force_controller.known_rig import ASSUMED_ACTUATOR, read_actuators, read_specimen
@@ -19,9 +19,6 @@ from seft_ros.protection.detectors import (
     DetectorState,
     detector_arrays,
 )
-from seft_ros.reference_force.force_command import FORCE_DRIVEN
-
-_WHERE = "force_controller: "
 
 
 def detectors_of(
@@ -51,7 +48,8 @@ def detectors_of(
     for name in warn_only:
         if name not in names:
             raise InputError(
-                f"{_WHERE}detectors.warn_only: no detector {name!r}; there are {', '.join(names)}"
+                f"force_controller: detectors.warn_only: no detector {name!r}; there are "
+                f"{', '.join(names)}"
             )
     actuator = read_actuators(section, axes, places)
     is_known = actuator["valve_frequency"] > 0.0
@@ -60,22 +58,22 @@ def detectors_of(
     mass, stiffness, ratio = read_specimen(section, axes, places)
     valves = valve_models(actuator, dt)
     noise, ranges = (
-        np.ascontiguousarray(per_channel(section, axes, form, "force_controller")[:, own])
-        for form in ("noise.{}", "detectors.{}_range")
+        np.ascontiguousarray(per_channel(section, axes, f"sensors.{{}}_{what}")[:, own])
+        for what in ("noise", "range")
     )
     return detector_arrays(
         noise,
-        np.array([section[f"limits.{name}"] for name in LIMIT_NAMES]),
+        np.array([section[f"limits.{name}"] for name in CHANNELS]),
         ranges,
-        section["noise.velocity_source"] == "derived",
+        section["sensors.velocity"] == "derived",
         np.transpose([actuator[name] for name in ASSUMED_ACTUATOR]),
         np.array([valve.last_period() for valve in valves]),
-        section["detectors.actuator_kind"] not in FORCE_DRIVEN,
+        section["actuator.kind"] not in FORCE_DRIVEN,
         mass,
         stiffness,
         ratio * mass,
         warn_only,
-        section["voltage_limit"],
+        section["limits.command"],
         dt,
     )
 

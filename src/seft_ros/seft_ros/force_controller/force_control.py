@@ -303,7 +303,7 @@ class ForceController:
     ) -> "ForceController":
         """Make it from its section of an experiment, see `force_control`."""
         own = (rig or RigAxes.whole(axes)).places
-        gain = as_matrix(section.get("gain", 1.0), axes, "force_controller: gain")
+        gain = as_matrix(section["gain"], axes, "force_controller: gain")
         if np.delete(gain[list(own)], own, axis=1).any():
             raise InputError(
                 f"force_controller: gain {gain.tolist()} mixes axes of different rigs, whose force "
@@ -313,7 +313,7 @@ class ForceController:
             _polynomials(section, name, axes) for name in ("numerator", "denominator")
         )
         controllers = [(numerators[place], denominators[place]) for place in own]
-        limits = section["voltage_limit"], timebase.dt, section["feedback"]
+        limits = section["limits.command"], timebase.dt, section["feedback"]
         return cls(controllers, *limits, gain[np.ix_(own, own)])
 
     def reset(self) -> None:
@@ -339,7 +339,7 @@ class ForceController:
 def _polynomials(section: Section, name: str, axes: Sequence[str]) -> list[list[float]]:
     """Give the polynomial of each axis, numerator or denominator."""
     coefficients: list[float] = np.atleast_1d(section[name]).tolist()
-    if not section.get("per_axis"):
+    if not section["per_axis"]:
         return [coefficients] * len(axes)
     each, rest = divmod(len(coefficients), len(axes))
     if rest:

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import entry_point, kind_of
 from seft_plant_sim.limits import beyond_limit, event_ring
 from seft_plant_sim.rig import left_open
-from seft_plant_sim.rig_parameters import LIMIT_NAMES
 
 from seft_ros.force_controller.detection import detectors_of
 from seft_ros.force_controller.force_control import ForceControl
@@ -140,10 +140,10 @@ class Interlock:
             If the assumed actuator or specimen does not fit the axes.
         """
         own = rig or RigAxes.whole(axes)
-        names = ("limits.force", "watchdog.saturation_time", "watchdog.close_time")
+        names = ("limits.force", "watchdog.saturation_time", "safe.close_time")
         detectors = detectors_of(section, axes, timebase.dt, own.places)
         force, saturation, closing = (section[name] for name in names)
-        limits = [section[f"limits.{name}"] for name in LIMIT_NAMES]
+        limits = [section[f"limits.{name}"] for name in CHANNELS]
         return cls(controller, own.axes, force, saturation, closing, limits, detectors)
 
     @cached_property

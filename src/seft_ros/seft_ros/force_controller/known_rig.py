@@ -1,4 +1,4 @@
-"""What a force controller knows of actuators and specimen, from its section of an experiment."""
+"""What a force controller knows of actuators and specimen: facts in its section."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.parameter_table import mass_matrix, per_axis, symmetric_matrix
+from seft_msgs_py.errors import InputError
+from seft_plant_sim.rig_parameters import common_lag
 
 ASSUMED_ACTUATOR = ("flow_gain", "oil_stiffness", "leakage", "force_capacity")
 """Columns of an array of actuators."""
 _VALVE = ("valve_frequency", "valve_damping", "dead_time")
-_WHERE = "force_controller: "
 
 
 def read_actuators(
@@ -26,10 +27,26 @@ def read_actuators(
     """
     own = list(places)
     known = {
-        name: per_axis(section[f"actuator.{name}"], axes, f"{_WHERE}actuator.{name}")[own]
+        name: per_axis(section[f"actuator.{name}"], axes, f"/**: actuator.{name}")[own]
         for name in (*ASSUMED_ACTUATOR, *_VALVE)
     }
-    known["dead_time"] = known["dead_time"] + section["sensor_lag"]
+    known["dead_time"] = known["dead_time"] + common_lag(section)
+    return known
+
+
+def known_actuators(
+    section: Mapping[str, Any], axes: tuple[str, ...], places: Sequence[int]
+) -> dict[str, Floats]:
+    """Give what `read_actuators` reads; an InputError says if the actuators are not known."""
+    known = read_actuators(section, axes, places)
+    for name in ("flow_gain", "oil_stiffness", "valve_frequency", "valve_damping"):
+        if not known[name].all():
+            raise InputError(
+                f"/**: actuator.{name} is not known: find it with seft identify CONFIG, and give "
+                "its model.yaml with --params-file"
+            )
+    capacity = known["force_capacity"]
+    known["force_capacity"] = np.where(capacity > 0.0, capacity, np.inf)
     return known
 
 
@@ -38,16 +55,15 @@ def read_specimen(
 ) -> tuple[Floats, Floats, float]:
     """Read mass (kg) and stiffness (N/m) on the rig, for the axes at some places, each (n, n).
 
-    And the mass ratio of what is computed. In a test by conventional EFT the specimen carries all
-    of the mass. What is not known is 0.
+    And the mass ratio of what is computed.
     """
     own = np.ix_(list(places), list(places))
-    name, ratio = "detectors.specimen_stiffness", float(section["detectors.mass_ratio"])
-    stiffness = symmetric_matrix(section[name], axes, _WHERE + name)[own]
-    mass = np.zeros_like(stiffness)
-    if np.any(section["detectors.specimen_mass"]):
-        name = "detectors.specimen_mass"
-        mass = mass_matrix(section[name], axes, _WHERE + name)[own]
-    if section["detectors.test"] == "eft":
-        mass, ratio = (1.0 + ratio) * mass, 0.0
-    return np.ascontiguousarray(mass), np.ascontiguousarray(stiffness), ratio
+    mass = mass_matrix(section["specimen.mass"], axes, "/**: specimen.mass")[own]
+    stiffness = symmetric_matrix(section["specimen.stiffness"], axes, "/**: specimen.stiffness")[
+        own
+    ]
+    return (
+        np.ascontiguousarray(mass),
+        np.ascontiguousarray(stiffness),
+        float(section["mass_ratio"]),
+    )

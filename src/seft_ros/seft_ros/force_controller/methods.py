@@ -90,12 +90,12 @@ def force_control(
         If it can't be made, or mixes axes of several rigs.
     """
     own = rig or RigAxes.whole(axes)
-    name = section.get("method", TRANSFER_FUNCTION)  # not in an older record
+    name = section["method"]
     if name == TRANSFER_FUNCTION:
         return ForceController.from_parameters(section, axes, timebase, own)
     if name == VELOCITY_FEEDFORWARD:
         return VelocityFeedforward(section, axes, timebase, own)
-    inputs = ControlInputs(len(own.axes), timebase.dt, section["voltage_limit"])
+    inputs = ControlInputs(len(own.axes), timebase.dt, section["limits.command"])
     make = partial(
         REGISTERED_CONTROLLERS.make, name, section["settings"], "force_controller: method", inputs
     )

@@ -83,7 +83,7 @@ class NewestPreview:
                 f"own delay is {loop_delay * timebase.dt:g} s (loop_delay); make it longer"
             )
         self._axes, self._loop_delay, self._dt = axes, max(loop_delay, 0), timebase.dt
-        self._ramp = RampDown.lasting(section["watchdog.ramp_down_time"], timebase.dt)
+        self._ramp = RampDown.lasting(section["ramp_down_time"], timebase.dt)
         self.reset()
 
     def reset(self, in_lockstep: bool = False) -> None:

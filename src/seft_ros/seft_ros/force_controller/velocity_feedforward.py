@@ -22,6 +22,7 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import entry_point
+from seft_plant_sim.rig_parameters import common_lag
 
 from seft_ros.force_controller.feedforward_step import (
     FeedforwardParameters,
@@ -32,7 +33,7 @@ from seft_ros.force_controller.feedforward_step import (
 )
 from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
-from seft_ros.force_controller.known_rig import ASSUMED_ACTUATOR, read_actuators, read_specimen
+from seft_ros.force_controller.known_rig import ASSUMED_ACTUATOR, known_actuators, read_specimen
 from seft_ros.force_controller.oil_column import regulator
 from seft_ros.force_controller.valve_model import valve_models
 from seft_ros.protection.protection_step import stop_steps
@@ -81,18 +82,17 @@ class VelocityFeedforward:
         rig: RigAxes | None = None,
     ) -> None:
         own, dt = list((rig or RigAxes.whole(axes)).places), timebase.dt
-        known = self.actuator(section, axes, rig)
+        known = known_actuators(section, axes, own)
         actuator = np.transpose([known[name] for name in ASSUMED_ACTUATOR])
-        noise = sensor_noise(section, axes, "noise", "force_controller")[:, own]
-        more = HORIZON_PER_LAG * section["sensor_lag"]
-        horizon = horizon_steps(section["horizon"], section["sensor_lag"], dt)
+        noise = sensor_noise(section, axes)[:, own]
+        horizon = horizon_steps(section, dt)
         valves = valve_models(known, dt)
         n, needed = len(valves), max(valve.taps() for valve in valves)
         if horizon < needed + 1:
+            needs = (needed + 1) * dt - HORIZON_PER_LAG * common_lag(section)
             raise InputError(
-                f"force_controller: the valves need {(needed + 1) * dt - more:g} s of the future "
-                f"motion, but reference_force: compensation.horizon is {section['horizon']:g} s; "
-                "make it longer"
+                f"reference_force: compensation.horizon is {section['compensation.horizon']:g} s, "
+                f"but the valves need {needs:g} s of the future motion; make it longer"
             )
         memory, past = valves[0].memory, max(valve.past() for valve in valves)
         inverse = np.array([valve.inverse(needed, past) for valve in valves])
@@ -106,7 +106,7 @@ class VelocityFeedforward:
         delay = np.array([valve.delay for valve in valves])
         self.parameters = FeedforwardParameters(
             dt=dt,
-            limit=section["voltage_limit"],
+            limit=section["limits.command"],
             gains=observer_gains(noise, dt, BETWEEN)[0],
             actuator=np.ascontiguousarray(actuator),
             feedback=feedback,
@@ -141,29 +141,6 @@ class VelocityFeedforward:
         self._stop = entry_point(feedforward_stop, *both, self._points, *self._room)
         self._begin = entry_point(begin_feedforward, self.state)
         self.reset()
-
-    @staticmethod
-    def actuator(
-        section: dict[str, Any], axes: tuple[str, ...], rig: RigAxes | None = None
-    ) -> dict[str, Floats]:
-        """Give each actuator's parameters from a section, by name; shape (n,) each.
-
-        Raises
-        ------
-        InputError
-            If the actuators are not known.
-        """
-        known = read_actuators(section, axes, (rig or RigAxes.whole(axes)).places)
-        for name in ("flow_gain", "oil_stiffness", "valve_frequency", "valve_damping"):
-            if not known[name].all():
-                raise InputError(
-                    f"force_controller: actuator.{name} is not known, which velocity_feedforward "
-                    "needs: find it with seft identify CONFIG, and give its model.yaml with "
-                    "--params-file"
-                )
-        capacity = known["force_capacity"]
-        known["force_capacity"] = np.where(capacity > 0.0, capacity, np.inf)
-        return known
 
     def reset(self) -> None:
         """Begin a new test."""

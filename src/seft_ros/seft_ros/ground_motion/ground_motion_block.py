@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.facts import facts
 from seft_msgs_py.config.parameter_table import (
     Section,
     Table,
@@ -57,10 +58,8 @@ _ROWS = """
         correction of the record: offset takes off its mean; baseline also filters by a high-pass,
         and takes off the parabola with which velocity and displacement end at zero
     peak_force | float  | 0.0 | N     | 0 ..        |
-        scale the motion so that this is the largest |mass * acceleration|; 0: as recorded
-    mass       | floats | reference_force:model.mass or 0.0 | kg | |
-        mass to which peak_force refers: one for every axis, one per axis, or a matrix row
-        by row
+        scale the motion so that this is the largest |m a_g|, with the specimen's mass m; 0: as
+        recorded
     time_scale | float  | 1.0 |       | > 0         |
         factor on the motion's duration: 0.5 is twice as fast
     influence  | floats | 1.0 |       |             |
@@ -91,6 +90,7 @@ _SYNTHETIC_ROWS = """
 GROUND_MOTION_TABLE = Table(
     "ground_motion",
     (
+        *facts("specimen.mass"),
         *parameter_rows(_ROWS),
         *parameter_rows(_FILTER_ROWS, group="filter"),
         *parameter_rows(_SYNTHETIC_ROWS, group="synthetic"),
@@ -210,7 +210,7 @@ def _peak_scale(section: Section, axes: Sequence[str], samples: Floats) -> float
     peak = section["peak_force"]
     if not peak:
         return 1.0
-    mass = mass_matrix(section["mass"], axes, "ground_motion: mass (for peak_force)")
+    mass = mass_matrix(section["specimen.mass"], axes, "/**: specimen.mass")
     largest = float(np.abs(samples @ mass.T).max())
     if not largest > 0:
         raise InputError(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.config.parameter_table import Section, mass_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import JUDGED, RIG_STATE, VALVE_COMMAND
@@ -19,11 +20,9 @@ from seft_plant_sim.calibration import (
     calibration_of,
     known_channels,
 )
-from seft_plant_sim.rig_parameters import LIMIT_NAMES
-from seft_plant_sim.sensors import ACCELERATION, CHANNELS, FORCE, VELOCITY, tilt_of
+from seft_plant_sim.sensors import ACCELERATION, FORCE, VELOCITY, tilt_of
 
 from seft_ros.bags.record import Record, every_step
-from seft_ros.design.plausibility import SAME_MASS
 from seft_ros.drawing.table import TextTable
 from seft_ros.identification.actuator_fit import OilBalance, force_lag
 from seft_ros.identification.identified import Identified
@@ -52,7 +51,7 @@ class Calibrated:
     Attributes
     ----------
     found : dict
-        Scale, lag and zero of the channels as published in the shake, shape (4, n), and the tilt
+        Scale, lag and bias of the channels as published in the shake, shape (4, n), and the tilt
         of the accelerometers of each rig, (n, n): of what is within `SHAKE_SIGMAS` standard errors,
         nothing is known.
     whole : dict
@@ -72,28 +71,28 @@ class Calibrated:
     @classmethod
     def of_shake(cls, fit: ShakeFit, experiment: Experiment) -> "Calibrated":
         """Combine a shake with the calibration of its own experiment."""
-        section = experiment.sections.get("rig", {})
-        known, derived = all_known(experiment), section.get("sensors.velocity") == "derived"
+        section = experiment["reference_force"]
+        known, derived = all_known(experiment), section["sensors.velocity"] == "derived"
         lag = significant(fit.lag, np.maximum(fit.lag_error, MIN_LAG / SHAKE_SIGMAS))
         scale = 1.0 + significant(fit.scale - 1.0, fit.scale_error)
-        zero = significant(fit.zero, fit.zero_error)
+        bias = significant(fit.bias, fit.bias_error)
         if derived:
-            scale[VELOCITY], lag[VELOCITY], zero[VELOCITY] = 1.0, lag[0], 0.0
+            scale[VELOCITY], lag[VELOCITY], bias[VELOCITY] = 1.0, lag[0], 0.0
         off = significant(fit.tilt - np.eye(len(fit.tilt)), fit.tilt_error)
         one = scale[ACCELERATION]
         tilt = np.eye(len(off)) + np.where(_of_one_rig(experiment), off, 0.0)
-        shown = zero.copy()
-        shown[ACCELERATION] = known["tilt"] @ zero[ACCELERATION]
+        shown = bias.copy()
+        shown[ACCELERATION] = known["tilt"] @ bias[ACCELERATION]
         whole = {
             "scale": known["scale"] * scale,
-            "zero": known["zero"] + known["scale"] * shown,
+            "bias": known["bias"] + known["scale"] * shown,
             "lag": known["lag"] + lag,
             "tilt": known["tilt"] * one / one[:, np.newaxis] @ tilt,
         }
         earliest = max(0.0, -float(whole["lag"].min()))
         whole["lag"] = whole["lag"] + earliest
         common = float(known["lag"].max() + lag.max()) + earliest
-        found = {"scale": scale, "lag": lag, "zero": zero, "tilt": tilt}
+        found = {"scale": scale, "lag": lag, "bias": bias, "tilt": tilt}
         return cls(found, whole, common, derived)
 
     @property
@@ -103,7 +102,7 @@ class Calibrated:
         return known or _is_tilted(self.found["tilt"])
 
     def parameters(self) -> Section:
-        """Values of ``rig: calibration.*``, complete."""
+        """Values of ``calibration.*``, complete."""
         return _parameters(self.whole, self.derived)
 
     def corrected(self, record: Record) -> Record:
@@ -179,15 +178,15 @@ class Shaken:
         Of the channels as published.
     calibrated : Calibrated
         The calibration that follows.
-    told : ndarray
-        Mass matrix that the shake was told, shape (n, n), kg.
+    known : ndarray
+        Mass matrix that was known before, shape (n, n), kg.
     """
 
     shake: Shake
     largest: dict[str, float]
     fit: ShakeFit
     calibrated: Calibrated
-    told: Floats
+    known: Floats
 
     @classmethod
     def of_record(
@@ -223,26 +222,16 @@ class Shaken:
         largest = np.abs(samples).max(axis=(0, 2)).tolist()
         experiment = record.experiment
         calibrated, section = Calibrated.of_shake(fit, experiment), experiment["reference_force"]
-        told = mass_matrix(section["model.mass"], experiment.axes, "reference_force: model.mass")
-        return cls(shake, dict(zip(LIMIT_NAMES, largest, strict=True)), fit, calibrated, told)
+        mass = mass_matrix(section["specimen.mass"], experiment.axes, "/**: specimen.mass")
+        return cls(shake, dict(zip(CHANNELS, largest, strict=True)), fit, calibrated, mass)
 
-    def sections(self) -> dict[str, Section]:
-        """Parameters by node: the calibration, and the mass with its standard errors."""
-        fit, mass = self.fit, self.fit.mass.ravel().tolist()
-        reference = {
-            "model.mass": mass,
-            "identified.mass": mass,
-            "identified.mass_error": fit.mass_error.diagonal().tolist(),
-            "identified.force_lag_error": fit.lag_error[FORCE].tolist(),
-        }
-        return {"reference_force": reference, "rig": self.calibrated.parameters()}
-
-    def lags(self) -> dict[str, Section]:
-        """Give parameters of the loop that follow from the calibration's lags."""
-        lag = float(self.calibrated.whole["lag"].max())
-        return {
-            "reference_force": {"compensation.sensor_lag": lag},
-            "force_controller": {"sensor_lag": lag},
+    def facts(self) -> Section:
+        """Give the calibration, and the mass, with standard errors."""
+        fit = self.fit
+        return self.calibrated.parameters() | {
+            "specimen.mass": fit.mass.ravel().tolist(),
+            "specimen.mass_error": fit.mass_error.diagonal().tolist(),
+            "calibration.force_lag_error": fit.lag_error[FORCE].tolist(),
         }
 
     def numbers(self, axes: Sequence[str]) -> dict[str, Any]:
@@ -318,11 +307,13 @@ def _samples(record: Record) -> Floats:
     return every_step(states, np.arange(states.steps[-1] + 1))
 
 
-_UNITS = {  # channel: name, unit and scale of its zero
-    "velocity": ("velocity", "mm/s", 1e3),
-    "acceleration": ("acceleration", "m/s²", 1.0),
-    "force": ("force", "N", 1.0),
-    "position": ("displacement", "mm", 1e3),
+SAME_MASS = 0.02
+"""Of the mass, which costs 1 to 2 % of the displacement: what it may differ by."""
+_UNITS = {  # channel: unit and factor of its bias
+    "velocity": ("mm/s", 1e3),
+    "acceleration": ("m/s²", 1.0),
+    "force": ("N", 1.0),
+    "displacement": ("mm", 1e3),
 }
 
 
@@ -336,11 +327,11 @@ def shake_table(shaken: Shaken, axes: Sequence[str]) -> TextTable:
         return f"{scale * number['value']:.{digits}f} ± {error:.{digits}f} {unit}".rstrip()
 
     rows: list[list[str] | None] = [["mass", *(cell(one["mass"], "kg", 1.0) for one in found)]]
-    for channel, (name, *of_zero) in _UNITS.items():
+    for channel, of_bias in _UNITS.items():
         if channel == "velocity" and shaken.calibrated.derived:
             continue
-        label = f"{name}: "
-        for what, form in (("scale", ("", 1.0)), ("lag", ("ms", 1e3)), ("zero", of_zero)):
+        label = f"{channel}: "
+        for what, form in (("scale", ("", 1.0)), ("lag", ("ms", 1e3)), ("bias", of_bias)):
             if any(one[channel][what]["error"] for one in found):  # it is not the reference
                 rows.append([label + what, *(cell(one[channel][what], *form) for one in found)])
                 label = "  "
@@ -358,13 +349,13 @@ def shake_notes(shaken: Shaken, axes: Sequence[str]) -> list[str]:
         "them (displacement's if velocity and acceleration agree against it), lags against the "
         "earliest channel"
     ]
-    masses = (each.diagonal() for each in (shaken.told, fit.mass, fit.mass_error))
-    for axis, told, mass, error in zip(axes, *masses, strict=True):
-        if abs(mass - told) > max(SHAKE_SIGMAS * error, SAME_MASS * mass):
+    masses = (each.diagonal() for each in (shaken.known, fit.mass, fit.mass_error))
+    for axis, known, mass, error in zip(axes, *masses, strict=True):
+        if abs(mass - known) > max(SHAKE_SIGMAS * error, SAME_MASS * mass):
             found.append(
-                f"axis {axis}: mass {mass:.4g} kg, configured {told:.4g} kg: if that was weighed, "
-                f"the load cell shows {mass / told:.1%} of the force; then tell rig: "
-                "calibration.force_scale, and shake again"
+                f"axis {axis}: mass {mass:.4g} kg, configured {known:.4g} kg: if that was weighed, "
+                f"the load cell shows {mass / known:.1%} of the force; then give /**: "
+                "calibration.force_scale, and repeat"
             )
     off = np.abs(fit.tilt - np.eye(len(axes))) > SHAKE_SIGMAS * fit.tilt_error
     for i, j in zip(*np.nonzero(off & ~np.eye(len(axes), dtype=bool)), strict=True):

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 from seft_msgs_py.config.experiment import write_parameter_file
+from seft_msgs_py.config.facts import EVERY_NODE
 from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import ExperimentError
-from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.specimen import Specimen
 
 from seft_ros.bags.record import Record
 from seft_ros.design.force_tracking import Tracking, tracking_measures
-from seft_ros.design.plant import Plant, polynomial_of, small_signal
+from seft_ros.design.plant import Plant, small_signal
 from seft_ros.drawing.style import Number, json_safe, look_up, rows_of
 from seft_ros.drawing.table import TextTable
 from seft_ros.identification.actuator_fit import ActuatorFit, fit_actuator
@@ -25,6 +25,7 @@ from seft_ros.identification.response_fits import (
     fit_tracking,
 )
 from seft_ros.identification.rig_tests import MeasuredTest, Measurement
+from seft_ros.reference_force.compensator import OF_THE_LOOP
 
 _COHERENT = 0.8  # up to there the closed loop is fitted
 _FLOOR = 0.01  # of a response: required accuracy of a model
@@ -209,73 +210,54 @@ _MATRICES = ("mass", "damping", "stiffness")
 _LONGEST_DELAY = 1.0  # s, as in the parameter table
 
 
-def write_model(
-    identified: Identified,
-    path: Path,
-    source: str,
-    specimen: bool,
-    sensor_lag: float,
-    obeys_force: bool,
-    shaken: Mapping[str, Section] | None = None,
-) -> None:
-    """Write parameters of `reference_force` and `force_controller`, by node, to a new file.
+def facts_of(
+    identified: Identified, specimen: bool, dt: float, sensor_lag: float, obeys_force: bool
+) -> Section:
+    """Give what was identified, with a period of ``dt`` s, as facts.
 
-    To be read after the experiment's own. The actuators are those of all axes; a force capacity
-    that was not identified on every axis is left out, so that the configured one counts. Closed
-    loop and plant, which have one set of parameters, are those of the first axis, with the specimen
-    of the tests. The specimen's matrices are included if ``specimen`` is true; ``source`` goes into
-    a comment. Dead times have the ``sensor_lag`` (s) of the tests in them, and the closed loop of a
-    rig that obeys forces, too; it is not written, because the loop adds it. What a shake
-    has found, by node, is included. An InputError says if the file can't be written.
+    The actuators are those of all axes; a force capacity that was not identified on every axis is
+    left out, so that the configured one counts. The closed loop, which has one set of parameters,
+    is that of the first axis. The specimen's matrices are included if ``specimen`` is true. Dead
+    times have the ``sensor_lag`` (s) of the tests in them, and the closed loop of a rig that obeys
+    forces, too; it is taken off, because the loop adds it.
     """
-    comments = [f"Identified by seft identify from {source}", f"Axes: {identified.axes}"]
-    closed_lag = sensor_lag if obeys_force else 0.0
-    reference: dict[str, Any] = {}
-    controller: dict[str, Any] = {}
+    closed_lag, found = sensor_lag if obeys_force else 0.0, dict[str, Any]()
     if specimen:
         for name in _MATRICES:
-            reference[f"model.{name}"] = getattr(identified.specimen, name).ravel().tolist()
+            found[f"specimen.{name}"] = getattr(identified.specimen, name).ravel().tolist()
     if identified.closed_loops:
         closed = identified.closed_loops[0]
         if closed.tracking.delay_s is not None:
-            delay = min(max(closed.tracking.delay_s - closed_lag, 0.0), _LONGEST_DELAY)
-            reference["compensation.delay"] = float(delay)
-        reference |= _response("tracking", closed.fit.model, closed_lag)
+            delay = closed.tracking.delay_s - OF_THE_LOOP * dt - closed_lag
+            found["actuator.delay"] = float(min(max(delay, 0.0), _LONGEST_DELAY))
+        model = closed.fit.model
+        found["actuator.response.numerator"] = list(model.numerator)
+        found["actuator.response.denominator"] = list(model.denominator)
+        dead_time = max(float(model.dead_time) - closed_lag, 0.0)
+        found["actuator.response.dead_time"] = dead_time
     if identified.valves:
         for name in _ACTUATOR:
             values = [float(getattr(valve.actuator, name)) for valve in identified.valves]
             if name == "dead_time":
                 values = [max(value - sensor_lag, 0.0) for value in values]
             if name != "force_capacity" or all(values):
-                controller[f"actuator.{name}"] = values
-        controller |= _response("plant", _transfer_function(identified.valves[0]), sensor_lag)
-        comments += [
-            "actuator: of the actuators, for any specimen",
-            f"plant and tracking: with this specimen, of axis {identified.axes[0]}",
-        ]
-    sections = {"reference_force": reference, "force_controller": controller}
-    for node, own in (shaken or {}).items():
-        sections[node] = sections.get(node, {}) | own
-    known = {node: section for node, section in sections.items() if section}
-    write_parameter_file(path, known, comments)
+                found[f"actuator.{name}"] = values
+    return found
 
 
-def _transfer_function(valve: ValveResponse) -> TransferFunction:
-    """Plant of one axis, of its poles and zeros."""
-    actuator, plant = valve.actuator, valve.plant
-    # f' = k_oil q w and w'' = w_v^2 u at the highest frequencies
-    gain = actuator.oil_stiffness * actuator.flow_gain * (2 * np.pi * actuator.valve_frequency) ** 2
-    poles, zeros = plant.roots
-    numerator, denominator = gain * polynomial_of(zeros), polynomial_of(poles)
-    return TransferFunction(tuple(numerator.tolist()), tuple(denominator.tolist()), plant.delay)
+def write_model(identified: Identified, path: Path, source: str, known: Section) -> None:
+    """Write facts to a new file, to be read after the experiment's own, by every command and node.
 
-
-def _response(prefix: str, model: TransferFunction, sensor_lag: float) -> dict[str, Any]:
-    return {
-        f"{prefix}.numerator": list(model.numerator),
-        f"{prefix}.denominator": list(model.denominator),
-        f"{prefix}.dead_time": max(float(model.dead_time) - sensor_lag, 0.0),
-    }
+    ``source`` goes into a comment. An InputError says if the file can't be written.
+    """
+    comments = [f"Identified by seft identify from {source}", f"Axes: {identified.axes}"]
+    if identified.valves:
+        comments.append("actuator: of the actuators, for any specimen")
+    if identified.closed_loops:
+        comments.append(
+            f"actuator.delay and .response: with this specimen, of axis {identified.axes[0]}"
+        )
+    write_parameter_file(path, {EVERY_NODE: known}, comments)
 
 
 def _number(label: str, key: str, unit: str, at: str = "", scale: float = 1.0) -> Number:
@@ -369,8 +351,8 @@ def notes(identified: Identified) -> list[str]:
     found = [*identified.unusable, *identified.faults]
     if identified.valves:
         found.append(
-            "actuator.* describes the actuators and holds for any specimen (plant.* and tracking.* "
-            "hold for this specimen)"
+            "actuator.* describes the actuators and holds for any specimen (actuator.delay and "
+            "actuator.response.* hold for this specimen)"
         )
     else:
         found.append("no good test of a valve, so actuators are not known")
@@ -384,7 +366,9 @@ def notes(identified: Identified) -> list[str]:
                 "force capacity, which stays as configured (0: no effect); raise --amplitude for it"
             )
     if not identified.closed_loops:
-        found.append("no good closed-loop test: tracking.*, which other methods need, is not known")
+        found.append(
+            "no good closed-loop test: actuator.response.*, which other methods need, is not known"
+        )
     return found
 
 

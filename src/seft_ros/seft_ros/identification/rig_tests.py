@@ -9,13 +9,13 @@ import numpy as np
 import scipy.signal
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.facts import CHANNELS, EVERY_NODE, FORCE_DRIVEN
 from seft_msgs_py.config.parameter_table import Section, group, mass_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, VALVE_COMMAND
 from seft_plant_sim.limits import Limits, largest_force_rate, span_steps
 from seft_plant_sim.rig import Rig
-from seft_plant_sim.rig_parameters import LIMIT_NAMES
-from seft_plant_sim.sensors import CHANNELS
+from seft_plant_sim.rig_parameters import truth
 
 from seft_ros.bags.record import Record, Series
 from seft_ros.design.force_tracking import BAND_HZ
@@ -27,7 +27,6 @@ from seft_ros.force_controller.methods import force_control
 from seft_ros.ground_motion.resampling import check_size
 from seft_ros.ground_motion.synthetic_motion import excitation, shortest_duration
 from seft_ros.protection.detector_list import MODEL_BASED, NOISE_BASED
-from seft_ros.reference_force.force_command import FORCE_DRIVEN
 from seft_ros.reference_force.reference_force_block import ReferenceForce
 
 _HANN_OVERLAP_GAIN = 0.947  # independent averages for each half-overlapped Hann segment
@@ -195,7 +194,7 @@ class MeasuredTest:
 
     def at_limit(self) -> int:
         """Count the steps in which a valve command is at the controller's limit."""
-        limit = self.record.experiment["force_controller"]["voltage_limit"]
+        limit = self.record.experiment["force_controller"]["limits.command"]
         commands = np.abs(self.record.series[VALVE_COMMAND.name].values)
         return int((commands >= limit).any(axis=(1, 2)).sum())
 
@@ -278,16 +277,15 @@ class LargestLevels:
 
         Of one of unit RMS, shape (N, n), see `excitation`.
         """
-        dt, where = experiment.timebase.dt, "force_controller: voltage_limit"
+        dt, limits = experiment.timebase.dt, group(experiment["supervisor"], "limits")
         steps, peak = span_steps(dt), float(np.abs(unit).max())
         at_rest = np.zeros((steps, unit.shape[1]))
         fastest = float(np.abs(unit - np.concatenate([at_rest, unit[:-steps]])).max()) / steps / dt
-        forces = []
-        for node in ("supervisor", "reference_force"):
-            limits = group(experiment[node], "limits")
-            forces.append((limits["force"] / peak, f"{node}: limits.force"))
-            forces.append((largest_force_rate(limits) / fastest, f"{node}: limits.force_rate"))
-        return cls((experiment["force_controller"]["voltage_limit"] / peak, where), min(forces))
+        forces = (
+            (limits["force"] / peak, "/**: limits.force"),
+            (largest_force_rate(limits) / fastest, "/**: limits.force_rate"),
+        )
+        return cls((limits["command"] / peak, "/**: limits.command"), min(forces))
 
     def check(self, levels: Levels) -> None:
         """Refuse levels that are not above 0, or beyond these, by an InputError."""
@@ -313,7 +311,7 @@ def default_force(experiment: Experiment, largest: LargestLevels) -> float:
 
 def pilot_voltage(experiment: Experiment) -> float:
     """RMS of the valve command in the pilot test of an unknown rig, V."""
-    return float(_PILOT_SHARE * experiment["force_controller"]["voltage_limit"])
+    return float(_PILOT_SHARE * experiment["supervisor"]["limits.command"])
 
 
 def voltage_after(pilot: Record, voltage: float, largest: LargestLevels) -> float:
@@ -333,13 +331,13 @@ def voltage_after(pilot: Record, voltage: float, largest: LargestLevels) -> floa
 
 
 def _mass(experiment: Experiment) -> Floats:
-    mass = experiment["reference_force"]["model.mass"]
-    return mass_matrix(mass, experiment.axes, "reference_force: model.mass")
+    mass = experiment["reference_force"]["specimen.mass"]
+    return mass_matrix(mass, experiment.axes, "/**: specimen.mass")
 
 
 def has_valve(experiment: Experiment) -> bool:
-    """Whether a valve drives the rig; also true if the rig is not simulated here."""
-    return experiment.sections.get("rig", {}).get("actuator.kind") not in FORCE_DRIVEN
+    """Whether a valve drives the rig."""
+    return experiment["reference_force"]["actuator.kind"] not in FORCE_DRIVEN
 
 
 def open_loop(
@@ -353,13 +351,13 @@ def open_loop(
     what is measured, and the limits hold.
     """
     controller = one_controller([voltage], [1.0]) | {"feedback": False}
+    changes: dict[str, Section] = {"reference_force": {"instability.ratio": 0.0}}
     if not known_channels:
         limits = group(experiment["supervisor"], "limits")
-        noise = zip(CHANNELS, (limits[name] for name in LIMIT_NAMES), strict=True)
-        controller |= {f"noise.{channel}": largest for channel, largest in noise}
+        changes[EVERY_NODE] = {f"sensors.{name}_noise": limits[name] for name in CHANNELS}
+        changes["rig"] = truth(experiment.sections.get("rig", {}))
         controller["detectors.warn_only"] = ",".join([*MODEL_BASED, *NOISE_BASED])
-    test = _with(experiment, record, controller)
-    return changed(test, {"reference_force": {"instability.ratio": 0.0}})
+    return changed(_with(experiment, record, controller), changes)
 
 
 def shake_test(experiment: Experiment, record: Path) -> Experiment:
@@ -374,22 +372,19 @@ def closed_loop_test(experiment: Experiment, record: Path, force: float) -> Expe
 
 def has_force_loop(experiment: Experiment) -> bool:
     """Whether the force controller follows a reference force, without a target's motion."""
-    method = experiment["force_controller"].get("method")  # not in an older record
-    return method != VELOCITY_FEEDFORWARD
+    return bool(experiment["force_controller"]["method"] != VELOCITY_FEEDFORWARD)
 
 
 def changed(experiment: Experiment, changes: Mapping[str, Section]) -> Experiment:
-    """Copy an experiment with other values: node -> parameter -> value."""
-    return experiment.changed({n: own for n, own in changes.items() if n in experiment.sections})
+    """Copy an experiment with other values of its nodes: place in a file -> parameter -> value."""
+    places = (EVERY_NODE, *experiment.sections)
+    return experiment.changed({place: changes[place] for place in places if place in changes})
 
 
 def _with(
     experiment: Experiment, record: Path, controller: Section, force: float = 1.0
 ) -> Experiment:
     """Copy an experiment as one of conventional EFT under a ground motion, times ``force``."""
-    own = experiment["force_controller"]
-    # by default these follow what changes here
-    kept = {name: own[name] for name in ("detectors.test", "detectors.mass_ratio") if name in own}
     changes: dict[str, Section] = {
         "ground_motion": {
             "file": str(record.resolve()),
@@ -404,10 +399,10 @@ def _with(
             "tail": TAIL,
         },
         "reference_force": {"method": "eft", "mass_ratio": 0.0, "compensation.method": "none"},
-        # a zero that these tests find is beside the told one
-        "supervisor": {"rehearsal.zeroing": 0.0},
-        "rig": {"calibration.zeroing": 0.0},
-        "force_controller": {"detectors.warn_only": ",".join(MODEL_BASED)} | kept | controller,
+        EVERY_NODE: {
+            "calibration.zeroing": 0.0
+        },  # a bias that these tests find is beside the known
+        "force_controller": {"detectors.warn_only": ",".join(MODEL_BASED)} | controller,
     }
     return changed(experiment, changes)
 

@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.facts import CHANNELS, FACTS
 from seft_msgs_py.config.parameter_table import group, mass_matrix, per_axis, symmetric_matrix
 from seft_msgs_py.errors import InputError
 from seft_plant_sim import lti
 from seft_plant_sim.limits import largest_force_rate
-from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_ROWS
-from seft_plant_sim.sensors import CHANNELS
+from seft_plant_sim.rig_parameters import LIMIT_ROWS
 
 from seft_ros.design.plant import Plant, held_relations
 from seft_ros.identification.identified import Identified, fitted_plant
@@ -94,7 +94,7 @@ class Shake:
 def plan_shake(experiment: Experiment, travel: float | None = None) -> Shake:
     """Plan a shake before anything moves.
 
-    The displacement follows from the noise of the sensors (``compensation.noise.*``, and the steps
+    The displacement follows from the noise of the sensors (``sensors.*_noise``, and the steps
     of the simulated rig's converter): the sines of an axis together tell scale and mass with a
     standard error of `ACCURACY`. The highest frequency is `OF_RATE` times the rate, or less, so
     that peaks reach half of the limits and of the sensors' ranges at most.
@@ -102,7 +102,7 @@ def plan_shake(experiment: Experiment, travel: float | None = None) -> Shake:
     Parameters
     ----------
     experiment : Experiment
-        Its mass and stiffness (``model.*``) tell the forces to expect.
+        Its ``specimen.*`` say which forces to expect.
     travel : float, optional
         Displacement, m, in place of the one that follows from the noise.
 
@@ -113,14 +113,14 @@ def plan_shake(experiment: Experiment, travel: float | None = None) -> Shake:
     """
     rate, axes = experiment.timebase.rate, experiment.axes
     section = experiment["reference_force"]
-    mass = mass_matrix(section["model.mass"], axes, "reference_force: model.mass")
-    where = "reference_force: model.stiffness"
-    stiffness = symmetric_matrix(section["model.stiffness"], axes, where)
+    mass = mass_matrix(section["specimen.mass"], axes, "/**: specimen.mass")
+    where = "/**: specimen.stiffness"
+    stiffness = symmetric_matrix(section["specimen.stiffness"], axes, where)
     noise = _noise(experiment)
-    if travel is None and not noise["position"].any():
+    if travel is None and not noise["displacement"].any():
         raise InputError(
-            "reference_force: compensation.noise.position is 0, but the displacement of the shake "
-            "follows from it; enter the sensor's noise, or give --travel"
+            "/**: sensors.displacement_noise is 0, but the displacement of the shake follows "
+            "from it; enter the sensor's noise, or give --travel"
         )
     if travel is not None and not 0 < travel < float("inf"):
         raise InputError(f"--travel is {travel:g} m, but must be positive")
@@ -143,11 +143,11 @@ def _noise(experiment: Experiment) -> dict[str, Floats]:
     section, rig = experiment["reference_force"], experiment.sections.get("rig", {})
     found = {}
     for name in CHANNELS:
-        own = section[f"compensation.noise.{name}"]
-        told = per_axis(own, experiment.axes, f"reference_force: compensation.noise.{name}")
-        bits = rig.get("sensors.adc_bits", 0)
-        step = 2.0 * np.max(rig[f"sensors.{name}_range"]) / 2**bits if bits else 0.0
-        found[name] = np.hypot(told, _QUANTISED * step)
+        known = section[f"sensors.{name}_noise"]
+        noise = per_axis(known, experiment.axes, f"/**: sensors.{name}_noise")
+        bits = rig.get("simulated.sensors.adc_bits", 0)
+        step = 2.0 * np.max(section[f"sensors.{name}_range"]) / 2**bits if bits else 0.0
+        found[name] = np.hypot(noise, _QUANTISED * step)
     return found
 
 
@@ -159,7 +159,7 @@ def _needed(
     inertia = np.diag(mass) * w * w
     per_sample = np.maximum.reduce(
         [
-            noise["position"] * np.maximum(1.0, np.abs(np.diag(stiffness)) / inertia),
+            noise["displacement"] * np.maximum(1.0, np.abs(np.diag(stiffness)) / inertia),
             noise["acceleration"] / w**2,
             noise["force"] / inertia,
         ]
@@ -171,20 +171,19 @@ def _peaks(travel: float, top: float, mass: Floats, stiffness: Floats) -> dict[s
     """Largest magnitudes at the highest frequency; the force is an upper bound."""
     w = 2 * np.pi * top
     force = float((np.abs(stiffness) + w * w * np.abs(mass)).max()) * travel
-    return dict(zip(LIMIT_NAMES, (travel, w * travel, w * w * travel, force), strict=True))
+    return dict(zip(CHANNELS, (travel, w * travel, w * w * travel, force), strict=True))
 
 
 def _allowed(experiment: Experiment) -> dict[str, tuple[float, str]]:
     """Largest peak of each quantity and rate of change, and the parameter that says so."""
     limits = group(experiment["supervisor"], "limits")
     limits["force_rate"] = largest_force_rate(limits)
-    allowed = {name: (float(limits[name]), f"supervisor: limits.{name}") for name in LIMIT_ROWS}
-    rig = experiment.sections.get("rig", {})
-    for name, channel in zip(LIMIT_NAMES, CHANNELS, strict=True):
-        parameter = f"sensors.{channel}_range"
-        if parameter in rig:
-            own = float(np.min(rig[parameter]))
-            allowed[name] = min(allowed[name], (own, f"rig: {parameter}"))
+    allowed = {name: (float(limits[name]), f"/**: limits.{name}") for name in LIMIT_ROWS}
+    for name in CHANNELS:
+        ranges = np.ravel(experiment["reference_force"][f"sensors.{name}_range"])
+        if ranges.any():
+            smallest = float(ranges[ranges > 0.0].min())
+            allowed[name] = min(allowed[name], (smallest, f"/**: sensors.{name}_range"))
     return allowed
 
 
@@ -194,9 +193,10 @@ def _over(shake: Shake, allowed: Mapping[str, tuple[float, str]]) -> str:
     for name, (limit, where) in allowed.items():
         peak = shake.peaks.get(name, w * shake.peaks.get(name.removesuffix("_rate"), 0.0))
         if peak > PEAK_SHARE * limit:
+            unit = FACTS[f"limits.{name}"].unit
             return (
-                f"{peak:.3g} with {1e3 * shake.travel:.3g} mm at {shake.top:.3g} Hz, more than "
-                f"half of {where}, {limit:g}"
+                f"{peak:.3g} {unit} with {1e3 * shake.travel:.3g} mm at {shake.top:.3g} Hz, more "
+                f"than half of {where}, {limit:g} {unit}"
             )
     return ""
 
@@ -225,15 +225,15 @@ def with_actuators(shake: Shake, found: Identified, experiment: Experiment) -> S
     valves = [valve.actuator.valve_frequency for valve in found.valves]
     oil = [column.hz for valve in found.valves if (column := valve.plant.oil_column())]
     top = min(shake.top, OF_ACTUATOR * min(valves + oil))
-    limit = experiment["force_controller"]["voltage_limit"]
+    limit = experiment["force_controller"]["limits.command"]
     frequencies = np.geomspace(top / FREQUENCY_SPAN, top, 33)
     voltage = shake.travel / _moved(found, frequencies).min(axis=1)
     within = np.maximum.accumulate(voltage) <= PEAK_SHARE * limit
     if not within[0]:
         raise InputError(
             f"the shake would need {voltage[0]:.3g} V with {1e3 * shake.travel:.3g} mm at "
-            f"{frequencies[0]:.3g} Hz, more than half of force_controller: voltage_limit, "
-            f"{limit:g} V; give a smaller --travel"
+            f"{frequencies[0]:.3g} Hz, more than half of /**: limits.command, {limit:g} V; "
+            f" give a smaller --travel"
         )
     return replace(shake, top=float(frequencies[within][-1]))
 

@@ -1,4 +1,4 @@
-"""What a shake says of mass, scale, lag and zero of the channels, with standard errors.
+"""What a shake says of mass, scale, lag and bias of the channels, with standard errors.
 
 Each sine gives the complex amplitude of each channel, over whole cycles. Velocity and acceleration
 of an axis are derivatives of the displacement X, with scale s, lag tau and, where a channel has
@@ -181,7 +181,7 @@ class ShakeFit:
     lag, lag_error : ndarray
         Behind the displacement, shape (4, n), s. That of the force is behind the aligned
         acceleration.
-    zero, zero_error : ndarray
+    bias, bias_error : ndarray
         Mean over whole cycles, shape (4, n), SI units.
     tilt, tilt_error : ndarray
         What the accelerometers show of the acceleration of each axis, shape (n, n).
@@ -194,14 +194,14 @@ class ShakeFit:
     scale_error: Floats
     lag: Floats
     lag_error: Floats
-    zero: Floats
-    zero_error: Floats
+    bias: Floats
+    bias_error: Floats
     tilt: Floats
     tilt_error: Floats
 
 
 def fit_shake(of: Harmonics, sound: Complexes) -> ShakeFit:
-    """Estimate mass, scales, lags and zeros.
+    """Estimate mass, scales, lags and biases.
 
     Parameters
     ----------
@@ -241,7 +241,7 @@ def fit_shake(of: Harmonics, sound: Complexes) -> ShakeFit:
         common = math.hypot(folded[1], *of.rounding[[0, 2, 3], i])
         mass_error[i] = np.hypot(own.error[:n], common * np.abs(own.value[:n]))
         lag[3, i], lag_error[3, i] = own.value[-1], own.error[-1]
-    zero, zero_error = of.mean.mean(axis=0), of.mean.std(axis=0, ddof=1) / np.sqrt(m)
+    bias, bias_error = of.mean.mean(axis=0), of.mean.std(axis=0, ddof=1) / np.sqrt(m)
     return ShakeFit(
         (mass + mass.T) / 2,
         np.hypot(mass_error, mass_error.T) / 2 * np.sqrt(1.0 + np.eye(n)),
@@ -250,8 +250,8 @@ def fit_shake(of: Harmonics, sound: Complexes) -> ShakeFit:
         scale_error,
         lag,
         lag_error,
-        zero,
-        zero_error,
+        bias,
+        bias_error,
         tilt,
         tilt_error,
     )

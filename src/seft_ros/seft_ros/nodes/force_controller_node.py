@@ -75,7 +75,7 @@ class ForceControllerNode(NodeBody):
         self._reported_at = 0.0
         self._moving = False  # by the supervisor's state
         self._order = SampleOrder(timebase)
-        self._timeout: float = section["watchdog.state_timeout"]
+        self._timeout: float = section["watchdog.command_timeout"]
         self._awake = AwakeClock(self._clock.monotonic, longest_gap=self._timeout / 4)
         self._heard_at = math.inf  # time of the last state, s; no more are expected
         self._refused_before = 0  # messages, until the last state arrived

@@ -252,7 +252,7 @@ class SupervisorNode(NodeBody):
         values = {"detail": machine.detail}
         if self._rehearsed.asked and machine.state is State.IDLE:
             values[REHEARSE] = f"{self._rehearsed.asked:g}"
-            values[ZEROING] = f"{self._section['rehearsal.zeroing']:g}"
+            values[ZEROING] = f"{self._section['calibration.zeroing']:g}"
         if machine.step is not None:
             time_s = self._shell.experiment.timebase.stamp_ns(machine.step) / 1e9
             values |= {"step": str(machine.step), "time_s": f"{time_s:.9g}"}

@@ -17,7 +17,7 @@ import math
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_plant_sim.compiled import compiled, put_first
-from seft_plant_sim.sensors import ACCELERATION, FORCE, POSITION, VELOCITY
+from seft_plant_sim.sensors import ACCELERATION, DISPLACEMENT, FORCE, VELOCITY
 
 from seft_ros.protection.detectors import (
     DIFFERS,
@@ -155,7 +155,7 @@ def displacement_velocity(
     last, change = state.last, measured[1, i] - state.last[1, i]
     bend = p.dt / 6.0 * (measured[2, i] - last[2, i])
     moved = 0.5 * p.dt * (measured[1, i] + last[1, i] - bend)
-    rough = p.late * abs(change) + resolution_of(state, POSITION, i)
+    rough = p.late * abs(change) + resolution_of(state, DISPLACEMENT, i)
     sides = (measured[0, i] - last[0, i], moved, -change)
     return compare_channels(p, state, DISPLACEMENT_VELOCITY, measured.shape[1], i, sides, rough)
 
@@ -191,7 +191,7 @@ def oil_balance(p: DetectorParameters, state: DetectorState, measured: Floats, i
     flow, later = load * state.flow[0, i], load * state.flow[1, i]
     leaked = p.dt * p.actuator[i, 2] * force
     change = measured[0, i] - last[0, i] + (measured[3, i] - last[3, i] + leaked) / oil
-    rough = resolution_of(state, FORCE, i) / oil + resolution_of(state, POSITION, i)
+    rough = resolution_of(state, FORCE, i) / oil + resolution_of(state, DISPLACEMENT, i)
     return compare_channels(p, state, OIL, measured.shape[1], i, (change, flow, later), rough)
 
 
@@ -207,7 +207,7 @@ def relations(
     p: DetectorParameters, state: DetectorState, step: int, measured: Floats, i: int
 ) -> int:
     """Relations (1) to (3) of an axis; (1) would not forget a velocity that is only expected."""
-    found, sees_displacement = -1, sees(state, step, POSITION)
+    found, sees_displacement = -1, sees(state, step, DISPLACEMENT)
     if not sees(state, step, VELOCITY):
         return found
     if sees_displacement and not was_replaced(state, step, VELOCITY, i):

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from seft_msgs_py.arrays import Floats
-from seft_plant_sim.sensors import CHANNELS
+from seft_msgs_py.config.facts import CHANNELS
 
 from seft_ros.protection.judge import LASTS
 

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from seft_plant_sim.rig_parameters import LIMIT_NAMES, LIMIT_UNITS
-from seft_plant_sim.sensors import CHANNELS
+from seft_msgs_py.config.facts import CHANNELS
+from seft_plant_sim.rig_parameters import LIMIT_UNITS
 
 MAX_ZERO = 0.1
 """Of a channel's limit, for its zero. The limits count from the zero, so it moves them by as much;
@@ -39,19 +39,19 @@ def judge_zeros(zeroed: Mapping[str, Any] | None, limits: Mapping[str, float]) -
             for what in ("subtracted", "left")
         )
     except (KeyError, TypeError, ValueError):
-        return JudgedZeros("the rig reports zeros that can't be read; see docs/hardware.md")
-    for channel, name, unit in zip(CHANNELS, LIMIT_NAMES, LIMIT_UNITS, strict=False):
-        if not subtracted[channel] <= MAX_ZERO * limits[name]:
+        return JudgedZeros("the rig reports biases that can't be read; see docs/hardware.md")
+    for name, unit in zip(CHANNELS, LIMIT_UNITS, strict=False):
+        if not subtracted[name] <= MAX_ZERO * limits[name]:
             return JudgedZeros(
-                f"{name} is {subtracted[channel]:.3g} {unit} at rest, more than a tenth of its "
+                f"{name} is {subtracted[name]:.3g} {unit} at rest, more than a tenth of its "
                 f"limit of {limits[name]:g} {unit}; unload the rig, zero the sensor's amplifier, "
-                f"or tell its zero (rig: calibration.{channel}_zero)"
+                f"or give its bias (/**: calibration.{name}_bias)"
             )
     may_hold = SHOWN_BY_SENSOR * limits["force"]
     if left["force"] > may_hold:
         return JudgedZeros(
-            warning=f"the force at rest is {left['force']:.3g} N beside its told zero: friction or "
-            "a static load holds it, or the zero has changed since (seft identify --specimen)"
+            warning=f"the force at rest is {left['force']:.3g} N beside its known bias: friction "
+            "or a static load holds it, or the bias has changed since (seft identify --specimen)"
         )
     if subtracted["force"] > may_hold:
         return JudgedZeros(

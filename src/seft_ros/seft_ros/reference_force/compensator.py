@@ -6,10 +6,14 @@ from typing import Any, Protocol, TypeGuard, runtime_checkable
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.facts import FORCE_DRIVEN
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 
 from seft_ros.reference_force.linear_filter import LinearFilter
+
+OF_THE_LOOP = 1.5
+"""Sampling periods from a force to its first effect at a sample, and half of a held one."""
 
 
 @dataclass(frozen=True)
@@ -28,8 +32,9 @@ class MethodInputs:
     dt : float
         Sampling period, s.
     options : mapping
-        Parameters ``compensation.*`` and ``tracking.*`` of the reference force, by name; their
-        delays and dead times include the loop's delay.
+        Section of the reference force in the experiment.
+    late : float
+        Delay of a link, and of the sensors where nothing feeds the force back, s.
     loop_delay : int
         Steps from a state to the first use of the force that is computed from it.
     springs : ndarray or None
@@ -42,6 +47,7 @@ class MethodInputs:
     stiffness: Floats
     dt: float
     options: Mapping[str, Any]
+    late: float = 0.0
     loop_delay: int = 0
     springs: Floats | None = None
 
@@ -67,15 +73,17 @@ class MethodInputs:
 
     @property
     def delay(self) -> float:
-        """Delay to compensate, s; InputError if none is given."""
-        delay = float(self.options["compensation.delay"])
-        if delay <= 0:
+        """Delay to compensate, that of the loop included, s; InputError if it is not known."""
+        own = float(self.options["actuator.delay"])
+        whole = own + OF_THE_LOOP * self.dt + self.late
+        if min(own, whole) <= 0 and self.options["actuator.kind"] not in FORCE_DRIVEN:
             raise InputError(
-                f"reference_force: compensation.method {self.options['compensation.method']} "
-                "needs compensation.delay, the delay from reference force to measured force; "
-                "seft identify finds it and writes it into model.yaml, to be read by --params-file"
+                f"/**: actuator.delay is 0, but reference_force: compensation.method "
+                f"{self.options['compensation.method']} needs the delay from reference force to "
+                "measured force; seft identify finds it and writes it into model.yaml, to be read "
+                "by --params-file"
             )
-        return delay
+        return whole
 
 
 @runtime_checkable

@@ -23,9 +23,6 @@ from seft_ros.reference_force.compensator import MethodInputs
 from seft_ros.reference_force.restoring_model import THRESHOLDS
 from seft_ros.reference_force.target_step import TargetParameters, TargetState, move_by_force
 
-FORCE_DRIVEN = ("ideal", "delay")
-"""Kinds of actuators that are driven by the reference force."""
-
 
 class CommandParameters(NamedTuple):
     """Parameters of a force command.
@@ -75,22 +72,16 @@ def command_arrays(known: MethodInputs, horizon: int) -> tuple[CommandParameters
     Raises
     ------
     InputError
-        If T is not known, or the horizon is too short for it.
+        If the horizon is too short for T.
     """
     numerator, denominator = (
-        np.atleast_1d(np.asarray(known.options[f"tracking.{name}"], dtype=np.float64))
+        np.atleast_1d(np.asarray(known.options[f"actuator.response.{name}"], dtype=np.float64))
         for name in ("numerator", "denominator")
     )
-    dt, late = known.dt, float(known.options["tracking.dead_time"])
+    dt, late = known.dt, float(known.options["actuator.response.dead_time"]) + known.late
     if not numerator.any():  # a pure delay, with the half step of the hold
         numerator = denominator = np.ones(1)
-        late = known.options["compensation.delay"] - dt / 2
-        if late < dt / 2:
-            raise InputError(
-                "reference_force: target_motion needs the response of a rig that obeys "
-                "forces: find it with seft identify CONFIG, or give compensation.delay (the "
-                "actuator's delay and 1.5 steps)"
-            )
+        late = known.delay - dt / 2
     static = numerator[-1] / denominator[-1]
     slopes = [part[-2] / part[-1] if len(part) > 1 else 0.0 for part in (numerator, denominator)]
     delay = late + slopes[1] - slopes[0]

@@ -19,26 +19,24 @@ UNKNOWN_VELOCITY = 100.0
 """Noise of a derived velocity, m/s: so large that it is not used."""
 
 
-def sensor_noise(section: Mapping[str, Any], axes: Sequence[str], group: str, where: str) -> Floats:
+def sensor_noise(section: Mapping[str, Any], axes: Sequence[str]) -> Floats:
     """RMS noise of each sensor, at least `MIN_NOISE`.
 
     Parameters
     ----------
     section : mapping
-        With parameters ``{group}.position`` and so on.
+        With the facts ``sensors.*``.
     axes : sequence of str
         Names of the n axes.
-    group, where : str
-        Of the parameters, for errors.
 
     Returns
     -------
     ndarray
         Shape (4, n), m, m/s, m/s^2, N.
     """
-    given = per_channel(section, tuple(axes), f"{group}.{{}}", where)
-    noise = np.maximum(given, MIN_NOISE[:, np.newaxis])
-    if section[f"{group}.velocity_source"] == "derived":
+    known = per_channel(section, axes, "sensors.{}_noise")
+    noise = np.maximum(known, MIN_NOISE[:, np.newaxis])
+    if section["sensors.velocity"] == "derived":
         noise[1] = UNKNOWN_VELOCITY
     return noise
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.facts import FORCE_DRIVEN
 from seft_msgs_py.config.parameter_table import (
-    as_matrix,
     mass_matrix,
     per_axis,
     symmetric_matrix,
@@ -15,6 +15,7 @@ from seft_msgs_py.config.parameter_table import (
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.topics import NANOSECONDS_PER_SECOND, RigAxes, Timebase
 from seft_plant_sim.computed_substructure import ComputedSubstructure
+from seft_plant_sim.rig_parameters import common_lag
 from seft_plant_sim.specimen import deformations
 
 from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
@@ -24,7 +25,6 @@ from seft_ros.reference_force.compensator import (
     has_computed_model,
     provides_target,
 )
-from seft_ros.reference_force.force_command import FORCE_DRIVEN
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 from seft_ros.reference_force.substructure import with_substructure
 
@@ -264,16 +264,6 @@ def compensator(method: str, known: MethodInputs) -> Compensator:
     return made if provides_target(made) else with_substructure(made, known)
 
 
-def _check_identified(section: dict[str, Any], axes: tuple[str, ...]) -> None:
-    """Refuse sizes that do not fit, and a standard error without its mass, by an InputError."""
-    where = "reference_force: identified"
-    found = as_matrix(section.get("identified.mass", 0.0), axes, f"{where}.mass")
-    for name in ("mass_error", "force_lag_error"):  # bags of older versions have none
-        error = per_axis(section.get(f"identified.{name}", 0.0), axes, f"{where}.{name}")
-        if name == "mass_error" and (error > 0).any() and not (np.diag(found) > 0).all():
-            raise InputError(f"{where}.mass_error is given, but identified.mass is not positive")
-
-
 def method_inputs(
     section: dict[str, Any], axes: tuple[str, ...], timebase: Timebase
 ) -> MethodInputs:
@@ -285,46 +275,41 @@ def method_inputs(
         If the model's sizes do not fit the axes, its mass is not positive, or the loop's delay
         is not known.
     """
-    where, n = "reference_force: model", len(axes)
-    mass = mass_matrix(section["model.mass"], axes, f"{where}.mass")
+    where, n = "/**: specimen", len(axes)
+    mass = mass_matrix(section["specimen.mass"], axes, f"{where}.mass")
     damping, stiffness = (
-        symmetric_matrix(section[f"model.{name}"], axes, f"{where}.{name}")
+        symmetric_matrix(section[f"specimen.{name}"], axes, f"{where}.{name}")
         for name in ("damping", "stiffness")
     )
-    _check_identified(section, axes)
-    if section["method"] == "eft":  # the specimen carries all of the mass (Eq. 2.2)
-        if section["computed.model"]:
+    for name in ("specimen.mass_error", "calibration.force_lag_error"):
+        per_axis(section[name], axes, f"/**: {name}")
+    if section["method"] == "eft":  # the specimen has all of the mass (Eq. 2.2)
+        if computing := [name for name in ("mass_ratio", "computed.model") if section[name]]:
             raise InputError(
-                "reference_force: computed.model is given, but with method eft nothing is "
-                "computed; make that seft"
+                f"reference_force: {computing[0]} is {section[computing[0]]}, but with method eft "
+                "nothing is computed; make that seft, or leave it out"
             )
-        mass = mass + section["mass_ratio"] * mass
         computed = ComputedSubstructure.lumped(np.zeros_like(mass))
     else:
         computed = ComputedSubstructure.from_parameters(section, axes).without_inertial_coupling()
     total = mass + computed.mass[:n, :n]
     if np.linalg.eigvalsh(total)[0] <= 0.0:
         raise InputError(
-            "reference_force: computed.mass and model.mass add up to a mass on the axes that is "
+            "reference_force: computed.mass and specimen.mass add up to a mass on the axes that is "
             f"not positive (definite): {total.tolist()}"
         )
     loop_delay: int = section["loop_delay"]
     if loop_delay < 0:
         raise InputError(
-            "reference_force: loop_delay is -1, and only seft run measures it; measure it "
-            "with seft link, and give it with -p reference_force:loop_delay:=STEPS"
+            "/**: loop_delay is -1, and only seft run measures it; measure it with seft link, and "
+            "give it with -p loop_delay:=STEPS"
         )
-    prefixes = ("compensation.", "tracking.")
-    options = {name: value for name, value in section.items() if name.startswith(prefixes)}
-    late = loop_delay * timebase.dt  # delays that are given are those of the force loop alone
-    if options.get("compensation.actuator_kind") in FORCE_DRIVEN:  # nothing feeds the force back
-        late += options.get("compensation.sensor_lag", 0.0)
-    for name in ("compensation.delay", "tracking.dead_time"):
-        if options[name] > 0:
-            options[name] += late
-    springs = deformations(section.get("model.springs", 0.0), axes, where)
+    late = loop_delay * timebase.dt
+    if section["actuator.kind"] in FORCE_DRIVEN:  # nothing feeds the force back
+        late += common_lag(section)
+    springs = deformations(section["specimen.springs"], axes, where)
     return MethodInputs(
-        mass, computed, damping, stiffness, timebase.dt, options, loop_delay, springs
+        mass, computed, damping, stiffness, timebase.dt, section, late, loop_delay, springs
     )
 
 

@@ -16,6 +16,7 @@ import math
 import numpy as np
 from scipy.linalg import eigh
 from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.facts import FORCE_DRIVEN
 from seft_plant_sim.compiled import entry_point, places
 from seft_plant_sim.computed_model import ComputedModel, ModelError
 from seft_plant_sim.computed_substructure import ComputedSubstructure
@@ -23,7 +24,7 @@ from seft_plant_sim.lti import first_order_hold
 from seft_plant_sim.model_worker import ModelState
 
 from seft_ros.reference_force.compensator import MethodInputs, NotLinearError
-from seft_ros.reference_force.force_command import FORCE_DRIVEN, command_arrays, command_step
+from seft_ros.reference_force.force_command import command_arrays, command_step
 from seft_ros.reference_force.linear_filter import LinearFilter
 from seft_ros.reference_force.observers import observer_gains, sensor_noise
 from seft_ros.reference_force.reference_force_parameters import (
@@ -230,9 +231,7 @@ class TargetMotion:
     """
 
     def __init__(self, known: MethodInputs) -> None:
-        lag = known.options["compensation.sensor_lag"]
-        horizon = horizon_steps(known.options["compensation.horizon"], lag, known.dt)
-        self.preview, n = known.loop_delay + horizon, known.axes
+        self.preview, n = known.loop_delay + horizon_steps(known.options, known.dt), known.axes
         self.parameters, self.state, self.model = target_arrays(known)
         self._ground, self._measured = np.zeros((1 + self.preview, n)), np.zeros((4, n))
         self._points = np.zeros((1 + self.preview, 3, n))
@@ -241,7 +240,7 @@ class TargetMotion:
         self._step = entry_point(target_step, *both, *arguments)
         self._begin = entry_point(begin_target, *both)
         self._estimate = entry_point(target_estimates, *both, self._ground)
-        obeys_force = known.options["compensation.actuator_kind"] in FORCE_DRIVEN
+        obeys_force = known.options["actuator.kind"] in FORCE_DRIVEN
         self.command = command_arrays(known, self.preview) if obeys_force else None
         if self.command is not None:
             self._command_step = entry_point(command_step, *self.command, *both, self._points)
@@ -324,7 +323,7 @@ def target_arrays(known: MethodInputs) -> tuple[TargetParameters, TargetState, M
     n, computed, dt = known.axes, known.computed, known.dt
     size = n + computed.internal
     names = tuple(f"axis {index + 1}" for index in range(n))
-    noise = sensor_noise(known.options, names, "compensation.noise", "reference_force")
+    noise = sensor_noise(known.options, names)
     gains, left = observer_gains(noise, dt)
 
     deformation = spring_deformations(known)

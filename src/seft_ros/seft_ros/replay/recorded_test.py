@@ -10,8 +10,9 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.arrays import Floats, Ints
-from seft_msgs_py.config.experiment import EVERY_NODE, Experiment, Override
-from seft_msgs_py.config.parameter_table import COMMON, Section
+from seft_msgs_py.config.experiment import Experiment, Override
+from seft_msgs_py.config.facts import EVERY_NODE, place_of
+from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.messages import decode_diagnostics, decode_status
 from seft_msgs_py.wire.outcome import State
@@ -194,13 +195,11 @@ def section_of(replay: Replay, overrides: Sequence[Override]) -> Section:
         If a parameter is none of the node's, or one on which the samples depend.
     """
     section = replay.experiment[replay.node]
-    common = {row.name for row in COMMON}
-    given = [(replay.node, name, value) for name, value in section.items() if name not in common]
-    given += [(EVERY_NODE, name, section[name]) for name in sorted(common)]
+    given = [(place_of(name, replay.node), name, value) for name, value in section.items()]
     for node, name, _ in overrides:
-        if name in common:
+        if name in ("rate", "axes"):
             raise InputError(f"-p {name}: the recorded samples have their own {name}")
-        if node not in (replay.node, EVERY_NODE):
+        if node not in (replay.node, EVERY_NODE, place_of(name, replay.node)):
             raise InputError(f"-p {node}:{name}: the replay is to {replay.node} alone")
     return Experiment.load(TABLES, [], [*given, *overrides], nodes=[replay.node])[replay.node]
 

@@ -18,34 +18,33 @@ from seft_ros.ground_motion.ground_motion_block import GroundMotion
 from seft_ros.ground_motion.record_file import files_of
 
 DRAWN_QUANTITIES = {
-    "rig:specimen.mass": 0.2,  # it is weighed
-    "rig:specimen.damping": 5.0,
-    "rig:specimen.stiffness": 1.0,
-    "rig:specimen.yield_displacement": 1.0,
-    "rig:actuator.delay": 1.0,
-    "rig:actuator.oil_stiffness": 1.0,
-    "rig:actuator.oil_column_frequency": 0.5,  # the root of a stiffness
-    "rig:actuator.bulk_modulus": 1.0,
-    "rig:actuator.flow_gain": 1.0,
-    "rig:actuator.rated_flow": 1.0,
-    "rig:actuator.leakage": 3.0,
-    "rig:actuator.leakage_coefficient": 3.0,
-    "rig:actuator.valve_frequency": 1.0,
-    "rig:actuator.valve_damping": 1.0,
-    "rig:actuator.dead_time": 1.0,
-    "rig:actuator.friction": 3.0,
-    "rig:specimen.friction.force": 1.0,
-    "rig:specimen.gap.width": 1.0,
-    "rig:specimen.gap.stiffness": 1.0,
-    "rig:specimen.duffing.cubic": 1.0,
-    "rig:sensors.position_scale": 0.1,  # it is calibrated
-    "rig:sensors.velocity_scale": 0.1,
-    "rig:sensors.acceleration_scale": 0.1,
-    "rig:sensors.force_scale": 0.1,
-    "rig:sensors.position_filter": 0.1,
-    "rig:sensors.velocity_filter": 0.1,
-    "rig:sensors.acceleration_filter": 0.1,
-    "rig:sensors.force_filter": 0.1,
+    "rig:simulated.specimen.mass": 0.2,  # it is weighed
+    "rig:simulated.specimen.damping": 5.0,
+    "rig:simulated.specimen.stiffness": 1.0,
+    "rig:simulated.specimen.yield_displacement": 1.0,
+    "rig:simulated.actuator.delay": 1.0,
+    "rig:simulated.actuator.oil_stiffness": 1.0,
+    "rig:simulated.actuator.bulk_modulus": 1.0,
+    "rig:simulated.actuator.flow_gain": 1.0,
+    "rig:simulated.actuator.rated_flow": 1.0,
+    "rig:simulated.actuator.leakage": 3.0,
+    "rig:simulated.actuator.leakage_coefficient": 3.0,
+    "rig:simulated.actuator.valve_frequency": 1.0,
+    "rig:simulated.actuator.valve_damping": 1.0,
+    "rig:simulated.actuator.dead_time": 1.0,
+    "rig:simulated.actuator.friction": 3.0,
+    "rig:simulated.specimen.friction.force": 1.0,
+    "rig:simulated.specimen.gap.width": 1.0,
+    "rig:simulated.specimen.gap.stiffness": 1.0,
+    "rig:simulated.specimen.duffing.cubic": 1.0,
+    "rig:simulated.sensors.displacement_scale": 0.1,  # it is calibrated
+    "rig:simulated.sensors.velocity_scale": 0.1,
+    "rig:simulated.sensors.acceleration_scale": 0.1,
+    "rig:simulated.sensors.force_scale": 0.1,
+    "rig:simulated.sensors.displacement_filter": 0.1,
+    "rig:simulated.sensors.velocity_filter": 0.1,
+    "rig:simulated.sensors.acceleration_filter": 0.1,
+    "rig:simulated.sensors.force_filter": 0.1,
     "ground_motion:peak_force": 1.0,
     "ground_motion:influence": 1.0,  # in place of peak_force where the motion is as recorded
     "ground_motion:synthetic.ground_frequency": 3.0,
@@ -55,17 +54,17 @@ DRAWN_QUANTITIES = {
 
 DRAWN_OFFSETS = {
     # s: of two filters alike, of 60 Hz, whose corners differ by a tenth of the spread
-    "rig:sensors.position_lag": 5e-4,
-    "rig:sensors.velocity_lag": 5e-4,
-    "rig:sensors.acceleration_lag": 5e-4,
-    "rig:sensors.force_lag": 5e-4,
-    "rig:sensors.tilt": 0.1,  # rad: between the axes of a rig
+    "rig:simulated.sensors.displacement_lag": 5e-4,
+    "rig:simulated.sensors.velocity_lag": 5e-4,
+    "rig:simulated.sensors.acceleration_lag": 5e-4,
+    "rig:simulated.sensors.force_lag": 5e-4,
+    "rig:simulated.sensors.tilt": 0.1,  # rad: between the axes of a rig
 }
 """Largest addition to parameters that are zero where nothing is wrong, in units of the spread."""
 
 
-_TILT = "rig:sensors.tilt"
-_OF_AN_AXIS = "actuator.", "sensors."
+_TILT = "rig:simulated.sensors.tilt"
+_OF_AN_AXIS = "simulated.actuator.", "simulated.sensors."
 
 
 @dataclass(frozen=True)

@@ -72,9 +72,8 @@ class StudyPlan:
         own = self.experiment
         if test.method != own["reference_force"]["compensation.method"]:
             own = with_method(own, test.method)
-        force = own["reference_force"] | {"mass_ratio": test.mass_ratio}
-        drawn = self.drawn.sections[test.number]
-        return Experiment(own.sections | {"reference_force": force} | drawn)
+        own = own.changed({"reference_force": {"mass_ratio": test.mass_ratio}})
+        return Experiment(own.sections | self.drawn.sections[test.number])
 
     def records(self) -> dict[str, bytes]:
         """Read the files of the ground motions."""

@@ -1,4 +1,4 @@
-"""What a test would make of a specimen that yields, which nobody has told.
+"""What a test would make of a specimen that yields, which nobody knows.
 
 Stability says nothing about that: an unforeseen change of the restoring force is answered one delay
 of the valve later, and in soft oil the flow must first compress the oil.
@@ -8,15 +8,16 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.facts import CHANNELS, EVERY_NODE, FORCE_DRIVEN
+from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.sensors import CHANNELS
+from seft_plant_sim.rig_parameters import LIMIT_ROWS
 from seft_plant_sim.specimen import deformations
-from seft_plant_sim.whole_structure import ReferenceResponse, reference_response
+from seft_plant_sim.whole_structure import ReferenceResponse, is_simulated, reference_response
 
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
 from seft_ros.protection.detector_list import ALL
-from seft_ros.reference_force.force_command import FORCE_DRIVEN
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
 
@@ -85,31 +86,30 @@ def yielding_error(
         None if the rig is not simulated here, no valve follows a target, a model is computed, or
         the specimen's stiffness is not that of its springs.
     """
-    rig, method = experiment.sections.get("rig"), experiment["force_controller"]["method"]
-    if rig is None or response is None or method != VELOCITY_FEEDFORWARD:
+    if not is_simulated(experiment) or response is None:
         return None
-    if rig["actuator.kind"] in FORCE_DRIVEN or experiment["reference_force"]["computed.model"]:
+    rig, method = experiment["rig"], experiment["force_controller"]["method"]
+    if method != VELOCITY_FEEDFORWARD or rig["actuator.kind"] in FORCE_DRIVEN:
         return None
-    springs = deformations(rig["specimen.springs"], experiment.axes, "rig: specimen")
+    if experiment["reference_force"]["computed.model"]:
+        return None
+    where = "rig: simulated.specimen"
+    springs = deformations(rig["simulated.specimen.springs"], experiment.axes, where)
     moved = np.abs(response.displacement @ springs.T).max(axis=0)
     if not moved.all():
         return None
-    changes = {
-        node: {
-            name: _BEYOND * value
-            for name, value in section.items()
-            if name.startswith("limits.") and not name.endswith("_time")
-        }
-        for node, section in experiment.sections.items()
+    far = {f"limits.{name}": _BEYOND * rig[f"limits.{name}"] for name in LIMIT_ROWS}
+    changes: dict[str, Section] = {
+        EVERY_NODE: far,
+        "rig": {
+            "simulated.specimen.kind": "bilinear",
+            "simulated.specimen.yield_displacement": (AT * moved).tolist(),
+            "simulated.specimen.hardening_ratio": HARDENING,
+            "faults": "",
+        },
+        "force_controller": {"detectors.warn_only": ALL},  # channels without noise seem frozen
     }
-    changes["rig"] |= {
-        "specimen.kind": "bilinear",
-        "specimen.yield_displacement": (AT * moved).tolist(),
-        "specimen.hardening_ratio": HARDENING,
-        "faults": "",
-    }
-    changes["force_controller"]["detectors.warn_only"] = ALL  # channels without noise seem frozen
-    quiet = {"rig": {f"sensors.{name}_noise": 0.0 for name in CHANNELS}}
+    quiet = {"rig": {f"simulated.sensors.{name}_noise": 0.0 for name in CHANNELS}}
     try:
         yields = experiment.changed(changes)
         return YieldingError(_error(yields), _error(yields.changed(quiet)))

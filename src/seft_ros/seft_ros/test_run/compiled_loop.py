@@ -11,6 +11,7 @@ import numpy as np
 from numba.extending import overload
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.facts import FORCE_DRIVEN
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import VALVE_COMMAND
@@ -59,7 +60,6 @@ from seft_ros.protection.protection_step import (
     protect,
 )
 from seft_ros.protection.zeros import judge_zeros
-from seft_ros.reference_force.force_command import FORCE_DRIVEN
 from seft_ros.reference_force.linear_filter import (
     LinearCompensator,
     LinearParameters,
@@ -184,7 +184,7 @@ def with_method(experiment: Experiment, method: str) -> Experiment:
     """
     control = experiment["force_controller"]
     used = control["method"]
-    if method == TARGET_MOTION and experiment["rig"]["actuator.kind"] not in FORCE_DRIVEN:
+    if method == TARGET_MOTION and control["actuator.kind"] not in FORCE_DRIVEN:
         used = VELOCITY_FEEDFORWARD
     elif used == VELOCITY_FEEDFORWARD:
         used = TRANSFER_FUNCTION

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.facts import EVERY_NODE
 from seft_msgs_py.errors import ExperimentError, InputError, WireError
 from seft_msgs_py.node.rclpy_interface import (
     RclWaitSet,
@@ -148,8 +149,7 @@ class Allowed:
 
 def with_loop_delay(experiment: Experiment, steps: int) -> Experiment:
     """Give the same experiment with another delay of the loop, in steps."""
-    delayed = [node for node, section in experiment.sections.items() if "loop_delay" in section]
-    return experiment.changed({node: {"loop_delay": steps} for node in delayed})
+    return experiment.changed({EVERY_NODE: {"loop_delay": steps}})
 
 
 def message_size(experiment: Experiment) -> int:
@@ -157,8 +157,7 @@ def message_size(experiment: Experiment) -> int:
     section, axes = experiment["reference_force"], experiment.axes
     topic, points = reference_force_topic(section), 11
     if topic == TARGET:
-        spans = section["compensation.horizon"], section["compensation.sensor_lag"]
-        points += horizon_steps(*spans, experiment.timebase.dt)
+        points += horizon_steps(section, experiment.timebase.dt)
     codec = TrajectoryCodec(topic, axes, experiment.timebase)
     return len(codec.encode_points(0, np.zeros((points, len(topic.quantities), len(axes)))))
 

@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
+from seft_msgs_py.config.facts import facts
 from seft_msgs_py.config.parameter_table import Parameter, Table, parameter_rows
 from seft_msgs_py.wire.topics import NODES
 from seft_plant_sim.rig_parameters import RIG_TABLE as RIG
-from seft_plant_sim.rig_parameters import limit_rows
 
 from seft_ros.force_controller.force_controller_parameters import (
     FORCE_CONTROLLER_TABLE as FORCE_CONTROLLER,
@@ -18,9 +18,6 @@ from seft_ros.test_run.peers import REHEARSAL_PARAMETERS as REHEARSAL
 
 _WATCHDOG = parameter_rows(
     """
-    watchdog.command_timeout | float | 0.02 | s | > 0        |
-        in realtime: longest time of the rig without a new command, and of the force
-        controller without a new state
     watchdog.peer_timeout    | float | 1.0  | s | > 0 0.5 .. |
         longest silence of a node before the test trips; a node sends a sign of life 5 times
         a second
@@ -32,7 +29,7 @@ _WATCHDOG = parameter_rows(
 SUPERVISOR_TABLE = Table(
     "supervisor",
     [
-        *limit_rows(),
+        *facts("limits.", "calibration.zeroing"),
         *_WATCHDOG,
         *REHEARSAL,
         Parameter(
@@ -55,6 +52,6 @@ _LIVE = parameter_rows(
         ramped down, or continues; the recorder keeps all messages, and saves them at the end
     """
 )
-RECORDER_TABLE = Table("recorder", [replace(row, live=True) for row in _LIVE])
+RECORDER_TABLE = Table("recorder", [*facts(), *(replace(row, live=True) for row in _LIVE)])
 
 TABLES = (GROUND_MOTION, REFERENCE_FORCE, FORCE_CONTROLLER, RIG, SUPERVISOR_TABLE, RECORDER_TABLE)

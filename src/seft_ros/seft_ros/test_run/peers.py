@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from seft_msgs_py.config.facts import CHANNELS, FACTS, SETTINGS
 from seft_msgs_py.config.parameter_table import group, parameter_rows
 from seft_msgs_py.wire.messages import Status
 from seft_msgs_py.wire.outcome import (
@@ -11,21 +12,16 @@ from seft_msgs_py.wire.outcome import (
     REHEARSED,
     REHEARSES,
     RIG,
-    SENSOR_LAG,
     TRIPPED,
     ZEROED,
 )
-from seft_msgs_py.wire.topics import RigAxes, bare, topics_of, with_rigs
-from seft_plant_sim.rig_parameters import LIMIT_NAMES
+from seft_msgs_py.wire.topics import RigAxes, topics_of, with_rigs
 
 REHEARSAL_PARAMETERS = parameter_rows(
     """
     rehearsal.duration | float | 2.0 | s | 0 .. 60 |
         duration of the rehearsal before a test in realtime, with the valve at its safe value and
         the ground at rest; 0: none. A loop that does not keep its rate is refused
-    rehearsal.zeroing  | float | 1.0 | s | 0 .. 60 |
-        time at its end in which a rig measures the zeros of its sensors that nobody has told; 0:
-        none. A zero of more than a tenth of the channel's limit is refused
     """
 )
 UNFIT = "a rehearsal without fault: "
@@ -92,7 +88,7 @@ def with_zeros(found: Rehearsed, rigs: Iterable[Mapping[str, Any]]) -> Rehearsed
         return found
     for described in rigs:
         limits = group(described.get("parameters", {}), "limits")
-        if not set(LIMIT_NAMES) <= set(limits):
+        if not set(CHANNELS) <= set(limits):
             continue
         zeros = judge_zeros(described.get(ZEROED), limits)
         texts = [text for text in (found.warning, zeros.warning) if text]
@@ -111,8 +107,6 @@ WAITS = "waits"
 """Key of the recorder's values: why it can't record a test now; empty if it can."""
 CONFLICT = "one "
 """Start of the text if nodes were started with contradictory parameters."""
-SAME_LAG = 1e-6
-"""s: rounding."""
 _IN_A_TEST = ("running", FINISHED, TRIPPED)  # phases of the rig
 
 
@@ -211,28 +205,16 @@ def _conflict(
 ) -> str:
     """Name parameters of nodes that contradict each other; empty if none do."""
 
-    def parameter(node: str, name: str, default: Any = None) -> Any:
-        return descriptions[node]["parameters"].get(name, default)
+    def parameter(node: str, name: str) -> Any:
+        return descriptions[node]["parameters"].get(name)
 
-    for name, nodes in (("rate", peers), ("axes", peers), ("pace", rig_nodes)):
-        for node in nodes[1:]:
-            value, other = parameter(nodes[0], name), parameter(node, name)
-            if other != value:
-                return f"{CONFLICT}{name}: {nodes[0]} has {value}, {node} has {other}"
-    if "reference_force" not in peers:
-        return ""
-    sent = parameter("reference_force", "loop_delay", 0)
-    for node in peers:
-        taken = parameter(node, "loop_delay", 0)
-        # a delay below zero is the one that the other side has measured
-        if bare(node) == "force_controller" and sent != taken and not (taken < 0 < sent):
-            return f"{CONFLICT}loop_delay: reference_force has {sent}, {node} has {taken}"
-    lag = parameter("reference_force", "compensation.sensor_lag", 0.0)
-    for node in rig_nodes:
-        told = descriptions[node].get(SENSOR_LAG, lag)
-        if abs(told - lag) > SAME_LAG:
-            return (
-                f"{CONFLICT}lag of the measured state: {node} has {told:g} s, reference_force has "
-                f"{lag:g} s; give both the same rig: calibration.*_lag"
-            )
+    shared = [(name, peers) for name in (*FACTS, *SETTINGS)] + [("pace", rig_nodes)]
+    for name, nodes in shared:
+        known = {node: parameter(node, name) for node in nodes}
+        known = {node: value for node, value in known.items() if value is not None}
+        for node, value in known.items():
+            first = next(iter(known))
+            measured = name == "loop_delay" and -1 in (value, known[first])  # by one of them
+            if value != known[first] and not measured:
+                return f"{CONFLICT}{name}: {first} has {known[first]}, {node} has {value}"
     return ""

@@ -1,0 +1,164 @@
+"""The facts of a test: what is known of its rig and specimen, once for all nodes.
+
+In a file they stand under ``/**``; each node declares those that it uses, under the same names.
+What the simulated rig truly is stands under ``rig: simulated.*``, and is the fact where it is not
+given.
+"""
+
+from seft_msgs_py.config.parameter_table import Parameter, parameter_rows
+
+EVERY_NODE = "/**"
+CHANNELS = ("displacement", "velocity", "acceleration", "force")
+"""What a rig measures on each axis, in this order."""
+FORCE_DRIVEN = ("ideal", "delay")
+"""Kinds of actuators that obey a force; the others obey their valves."""
+
+_LOOP = """
+    rate | float   | 500.0 | Hz | > 0 | sampling rate of the loop
+    axes | strings | ["x"] |    |     |
+        names of the axes (actuators), in order; RIG/AXIS if they belong to several rigs
+    loop_delay | int | 0 | | -1 .. 100 |
+        steps from a state to the first use of the force that is computed from it, over a link
+        between reference_force and the rig (docs/hosts.md); 0: no link, each state is answered when
+        its reference force has arrived; -1: seft run measures it before the test
+"""
+
+_SPECIMEN = """
+    mass       | floats |     | kg    |  | mass: one number, a diagonal, or a matrix
+    damping    | floats | 0.0 | N s/m |  | viscous damping, likewise
+    stiffness  | floats |     | N/m   |  |
+        initial elastic stiffness, likewise; without friction, and with open gaps
+    springs    | floats | 0.0 |       |  |
+        springs that may yield: deformation of each per displacement of each axis, spring by spring;
+        0: one between each axis and the ground
+    mass_error | floats | 0.0 | kg    | 0 .. |
+        standard error of the mass on each axis, as seft identify --specimen finds it; 0: not known
+"""
+
+_ACTUATOR = """
+    kind | string | servo_hydraulic |  | ideal, delay, servo_hydraulic, servo_hydraulic_linear |
+        ideal and delay (Eq. 5.2) obey the reference force; servo_hydraulic obeys its valve,
+        servo_hydraulic_linear is its small-signal limit
+    flow_gain       | floats | 0.0 | m/s/V | 0 .. | piston velocity for one volt; 0: not known
+    oil_stiffness   | floats | 0.0 | N/m   | 0 .. | stiffness of the oil column; 0: not known
+    leakage         | floats | 0.0 | 1/s   | 0 .. | rate at which the force decays by leakage
+    force_capacity  | floats | 0.0 | N     | 0 .. |
+        force at supply pressure; 0: not known, so that the load does not change the flow
+    valve_frequency | floats | 0.0 | Hz    | 0 .. | natural frequency of the valve; 0: not known
+    valve_damping   | floats | 0.7 |       | 0 .. | damping ratio of the valve
+    dead_time       | floats | 0.0 | s     | 0 .. 1 |
+        dead time of the valve, without the loop's own step
+    delay           | float  | 0.0 | s     | 0 .. 10 |
+        delay from reference force to measured force, without the loop's 1.5 sampling periods: of
+        kind delay, or of a force loop
+    response.numerator   | floats | [0.0] |   |        |
+        numerator of the response from reference force to measured force of the same step, in s,
+        highest power first, as seft identify finds it; 0: a pure delay
+    response.denominator | floats | [1.0] |   |        | its denominator, likewise
+    response.dead_time   | float  | 0.0   | s | 0 .. 1 |
+        its dead time, with the loop's step and without the lag of the sensors
+"""
+
+_SENSORS = """
+    displacement_noise | floats | 0.0 | m     | 0 .. | RMS noise of the displacement; 0: not known
+    velocity_noise     | floats | 0.0 | m/s   | 0 .. | RMS noise of the velocity, likewise
+    acceleration_noise | floats | 0.0 | m/s^2 | 0 .. | RMS noise of the acceleration, likewise
+    force_noise        | floats | 0.0 | N     | 0 .. | RMS noise of the force, likewise
+    displacement_range | floats | 0.0 | m     | 0 .. |
+        displacement in both directions at which the sensor saturates; 0: not known, or never
+    velocity_range     | floats | 0.0 | m/s   | 0 .. | of the velocity, likewise
+    acceleration_range | floats | 0.0 | m/s^2 | 0 .. | of the acceleration, likewise
+    force_range        | floats | 0.0 | N     | 0 .. | of the force, likewise
+    velocity | string | measured | | measured, derived |
+        measured, or derived from the displacement by a filtered derivative
+    velocity_cutoff    | float  | 100.0 | Hz  | > 0  | cut-off of that derivative
+"""
+
+_CALIBRATION = """
+    displacement_scale | floats | 1.0 |       |        | displacement: measured over true change
+    velocity_scale     | floats | 1.0 |       |        | of the velocity, likewise
+    acceleration_scale | floats | 1.0 |       |        | of the acceleration, likewise
+    force_scale        | floats | 1.0 |       |        | of the force, likewise
+    displacement_bias  | floats | 0.0 | m     |        | measured displacement at a true one of 0
+    velocity_bias      | floats | 0.0 | m/s   |        | measured velocity at a true one of 0
+    acceleration_bias  | floats | 0.0 | m/s^2 |        | measured acceleration at a true one of 0
+    force_bias         | floats | 0.0 | N     |        | measured force at a true one of 0
+    displacement_lag   | floats | 0.0 | s     | 0 .. 1 |
+        time by which the measured displacement is late. All channels are aligned to the latest
+        one, whose lag the loop counts
+    velocity_lag       | floats | 0.0 | s     | 0 .. 1 | of the velocity, likewise
+    acceleration_lag   | floats | 0.0 | s     | 0 .. 1 | of the acceleration, likewise
+    force_lag          | floats | 0.0 | s     | 0 .. 1 | of the force, likewise
+    force_lag_error    | floats | 0.0 | s     | 0 ..   |
+        standard error of the force's lag behind the acceleration; 0: not known
+    tilt               | floats | 0.0 |       |        |
+        accelerations that the accelerometers show per acceleration of each axis, a matrix row by
+        row; 0: each shows its own axis alone
+    zeroing            | float  | 1.0 | s     | 0 .. 60 |
+        time at rest before a test in which the rig measures the biases that are 0 here; 0: none. A
+        bias of more than a tenth of the channel's limit is refused
+"""
+
+# Rates are over 2 ms, `limits.RATE_SPAN`. Successful tests of config/jhu.yaml and config/demo.yaml
+# reach 0.48, 26, 3e3 and 1.4e5; with valve and accelerometer driven into saturation 0.48, 51, 1.5e4
+# and 6.5e5. An accelerometer's full range of 4 g at the oil column's 90 Hz is 2.2e4.
+_LIMITS = """
+    displacement      | float | 0.076   | m     | > 0  | largest displacement on any axis
+    velocity          | float | 0.5     | m/s   | > 0  | largest velocity, likewise
+    acceleration      | float | 98.1    | m/s^2 | > 0  | largest acceleration, likewise
+    force             | float | 22200.0 | N     | > 0  |
+        largest force on any axis, measured or reference force; beyond a limit the test trips
+    displacement_rate | float | 3.0     | m/s   | > 0  |
+        largest change of the measured displacement within 2 ms, or one sample if that is longer,
+        per second; beyond it, as when a sensor or its cable breaks, the test trips
+    velocity_rate     | float | 300.0   | m/s^2 | > 0  | of the velocity, likewise
+    acceleration_rate | float | 3e4     | m/s^3 | > 0  | of the acceleration, likewise
+    force_rate        | float | 0.0     | N/s   | 0 .. |
+        of the force, measured or reference force, likewise; 0: limits.force within 2 ms
+    saturated_time    | float | 0.05    | s     | 0 .. |
+        longest time within one second that sensors may be saturated, before the test trips
+    command           | float | 10.0    | V     | > 0  |
+        largest valve command, in both directions. The rig refuses a larger one
+"""
+
+_GROUPS = {
+    "": _LOOP,
+    "specimen": _SPECIMEN,
+    "actuator": _ACTUATOR,
+    "sensors": _SENSORS,
+    "calibration": _CALIBRATION,
+    "limits": _LIMITS,
+}
+FACTS: dict[str, Parameter] = {
+    row.name: row for name, text in _GROUPS.items() for row in parameter_rows(text, name)
+}
+"""All facts, by name. Defaults of ``limits.*`` are those of the paper's rig."""
+
+SETTINGS = {
+    "mass_ratio": "reference_force",
+    "ramp_down_time": "reference_force",
+    "compensation.horizon": "reference_force",
+    "safe.close_time": "rig",
+    "watchdog.command_timeout": "rig",
+}
+"""Settings of a node that others use, too: name -> the node under which a file has them."""
+
+
+def facts(*names: str) -> list[Parameter]:
+    """Give rate, axes, and some facts for a node's table; ``specimen.`` is all of that group."""
+    groups = tuple(name for name in names if name.endswith("."))
+    chosen = {"rate", "axes", *names}
+    return [row for name, row in FACTS.items() if name in chosen or name.startswith(groups)]
+
+
+def place_of(name: str, node: str) -> str:
+    """Say where a file has a node's parameter: under `EVERY_NODE`, this node, or another one."""
+    return EVERY_NODE if name in FACTS else SETTINGS.get(name, node)
+
+
+def fact_of(name: str) -> str:
+    """Give the fact that is the default of a parameter ``simulated.*``; empty if there is none."""
+    known = name.removeprefix("simulated.")
+    of_channel = known.replace("sensors.", "calibration.")
+    found = [fact for fact in (known, of_channel) if fact in FACTS and fact != name]
+    return found[0] if found else ""
