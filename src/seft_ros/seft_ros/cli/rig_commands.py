@@ -127,9 +127,8 @@ def conform(
     stays there. Each check has one line: passed or failed, the measured number, and
     how to fix a failure. An early failure ends the checks before the rig moves further.
 
-    CONFIG has rate, axes, limits, and the specimen's mass, damping and stiffness
-    (reference_force: model.*); the rig's own parameters are taken from its description. Of an
-    idealised actuator, --amplitude is a force, by default 50 N.
+    CONFIG has rate, axes, limits, and what is known of the specimen; the rig's own parameters are
+    taken from its description. Of an idealised actuator, --amplitude is a force, by default 50 N.
 
     Exit status 0: it conforms; 1: it does not.
 

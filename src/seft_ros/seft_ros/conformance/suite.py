@@ -10,8 +10,9 @@ from dataclasses import replace
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.node.host import boot, started
-from seft_msgs_py.wire.outcome import FINISHED, SENSOR_LAG, TRIPPED, State
+from seft_msgs_py.wire.outcome import FINISHED, TRIPPED, State
 from seft_msgs_py.wire.topics import LOOP_TOPICS, VALVE_COMMAND
+from seft_plant_sim.rig_parameters import RIG_TABLE, common_lag
 from seft_plant_sim.whole_structure import tested_specimen
 
 from seft_ros.conformance import message_checks, motion_checks
@@ -155,7 +156,7 @@ class Suite:
         if len(samples.steps) >= drive.steps:
             yield motion_checks.check_moves(samples, drive)
             yield from motion_checks.check_units(samples, drive, specimen)
-            lag = float(driver.description.get(SENSOR_LAG, 0.0))
+            lag = common_lag(experiment["reference_force"])
             yield motion_checks.check_answer_delay(samples, drive, lag)
         elif len(samples.steps) > drive.bell.start + drive.step_at(_ABORTED):
             finding = motion_checks.check_units(samples, drive, specimen)[0]  # may be the cause
@@ -301,7 +302,7 @@ class Suite:
     def _timeout(self, silent: str) -> float:
         """Time within which the rig must trip without commands or supervisor, s."""
         name = f"watchdog.{silent}_timeout"
-        return self._parameter(name) or float(self._experiment["supervisor"].get(name, 1.0))
+        return self._parameter(name) or float(RIG_TABLE.rows[name].default)
 
     def _parameter(self, name: str) -> float | None:
         """Find a parameter in the rig's description; None where it is no number."""

@@ -20,7 +20,6 @@ from seft_msgs_py.wire.outcome import (
     FINISHED,
     REHEARSED,
     REHEARSES,
-    SENSOR_LAG,
     TRIPPED,
     ZEROED,
     Outcome,
@@ -35,17 +34,17 @@ from seft_msgs_py.wire.topics import (
     until_start,
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
-from seft_plant_sim.calibration import calibrate, calibration_of, common_lag, zeroed_at_rest
+from seft_plant_sim.calibration import calibrate, calibration_of, zeroed_at_rest
 from seft_plant_sim.command import Command
 from seft_plant_sim.limits import Limits
 from seft_plant_sim.rig_watch import CommandWatch, Rehearsal, Supervision
 
-from rig_driver.calibration import Calibration
 from rig_driver.hardware import Hardware
 from rig_driver.parameters import TABLE
 from rig_driver.rest import Rest
 from rig_driver.safe_stop import SafeStop
 from rig_driver.stand_in import StandIn
+from rig_driver.volts import Volts
 
 GOES_ON = 0.05
 """Part of the largest displacement that a piston may move after its valve was closed."""
@@ -70,7 +69,7 @@ class DriverNode(NodeBody):
         self._hardware = hardware
         self._section, self._timebase = experiment["rig"], experiment.timebase
         section, dt = self._section, self._timebase.dt
-        self._calibration = Calibration(group(section, "calibration"), axes)
+        self._volts = Volts(group(section, "volts"), axes)
         self._axes = axes
         self._know(section)
         self._limits = Limits(group(section, "limits"), axes, dt)
@@ -85,7 +84,7 @@ class DriverNode(NodeBody):
         self._command = Command(commands, limit)
         self._watch = CommandWatch(topic, dt, section["watchdog.command_timeout"])
         self._supervision = Supervision(section["watchdog.supervisor_timeout"], self._clock)
-        self.facts: dict[str, Any] = {"drive": topic.name, SENSOR_LAG: common_lag(section)}
+        self.facts: dict[str, Any] = {"drive": topic.name}
         self._rehearsal: Rehearsal | None = None
         self._rehearsed = False
         if not rig.name:
@@ -155,27 +154,27 @@ class DriverNode(NodeBody):
 
     def _read(self) -> Floats:
         """Read a sample, (4, n), in SI units and with its channels aligned to the latest one."""
-        sample = self._calibration.to_si(self._hardware.read_sample())
+        sample = self._volts.to_si(self._hardware.read_sample())
         self._align(sample)
         return sample
 
     def _know(self, section: dict[str, Any]) -> None:
         """Begin to align and correct samples by what a section knows of the channels."""
-        axes, dt, step = self._axes, self._timebase.dt, self._calibration.resolution
+        axes, dt, step = self._axes, self._timebase.dt, self._volts.resolution
         self._alignment = calibration_of(section, axes, range(len(axes)), dt, resolution=step)
         self._read_so_far = 0
 
     def _zero(self, resting: list[Floats]) -> dict[str, Any] | None:
-        """Take zeros from samples at rest, if there are any; give what the description tells."""
-        section, told, places = self._section, None, range(len(self._axes))
+        """Take biases from samples at rest, if there are any; give what the description says."""
+        section, found, places = self._section, None, range(len(self._axes))
         if resting:
-            section, told = zeroed_at_rest(section, self._axes, places, np.array(resting))
+            section, found = zeroed_at_rest(section, self._axes, places, np.array(resting))
         self._know(section)
-        return told
+        return found
 
     def _align(self, sample: Floats) -> None:
         known, state = self._alignment
-        if len(known.zero):
+        if len(known.bias):
             calibrate(known, state, self._read_so_far, sample, sample)
             self._read_so_far += 1
 
@@ -184,7 +183,7 @@ class DriverNode(NodeBody):
         resting: list[Floats] = []
 
         def sample(_: int) -> Floats:
-            found = self._calibration.to_si(self._hardware.read_sample())
+            found = self._volts.to_si(self._hardware.read_sample())
             resting.append(found.copy())
             self._align(found)
             self._stop.follow(found[0])

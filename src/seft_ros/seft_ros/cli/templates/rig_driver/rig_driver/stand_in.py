@@ -18,10 +18,10 @@ _RIG = {
     "specimen.damping": 800.3,  # N s/m
     "specimen.stiffness": 2.11e5,  # N/m
     "actuator.kind": "servo_hydraulic_linear",
-    "actuator.oil_column_frequency": 90.0,  # Hz
+    "actuator.oil_stiffness": 1.664e7,  # N/m
     "actuator.leakage": 50.0,  # 1/s
     "actuator.flow_gain": 0.0403,  # m/s/V
-    "sensors.position_noise": 5e-6,  # m
+    "sensors.displacement_noise": 5e-6,  # m
     "sensors.velocity_noise": 1e-3,  # m/s
     "sensors.acceleration_noise": 0.05,  # m/s^2
     "sensors.force_noise": 3.0,  # N
@@ -44,7 +44,7 @@ class StandIn:
 
     def __init__(self, rate: float, axes: tuple[str, ...], safe: Floats) -> None:
         given = [("/**", "rate", rate), ("/**", "axes", list(axes))]
-        given += [("rig", name, value) for name, value in _RIG.items()]
+        given += [("/**", name, value) for name, value in _RIG.items()]
         experiment = Experiment.load([SIMULATED], [], given)
         self._rig = Rig.from_parameters(experiment["rig"], experiment.axes, experiment.timebase)
         self._rig.reset()
