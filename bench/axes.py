@@ -26,7 +26,7 @@ KINDS = ("servo_hydraulic_linear", "servo_hydraulic")
 def load(axes: int, kind: str) -> Experiment:
     overrides = [
         ("/**", "axes", [f"x{axis}" for axis in range(axes)]),
-        ("rig", "actuator.kind", kind),
+        ("/**", "actuator.kind", kind),
         ("reference_force", "mass_ratio", 0.5),
         ("ground_motion", "synthetic.duration", 2.0),
         ("ground_motion", "tail", 0.5),

@@ -25,7 +25,7 @@ WANTED = {1: 50e-6, 3: 100e-6}  # s, by the number of axes
 WHOLE_WANTED = {1: 20e-6, 3: 100e-6}  # s, of reference force and force controller
 COMMON = [
     ("reference_force", "mass_ratio", 1.0),
-    ("reference_force", "compensation.delay", 0.0139),
+    ("/**", "actuator.delay", 0.0139),
 ]
 
 
@@ -47,7 +47,10 @@ def measured_test(axes: int, specimen: str) -> tuple[np.ndarray, np.ndarray]:
     From its beginning to behind its strongest part: whoever learns must have seen it come.
     """
     overrides = [("reference_force", "mass_ratio", 1.0), ("ground_motion", "peak_force", 500.0)]
-    overrides += [("rig", "specimen.kind", specimen), ("rig", "specimen.yield_displacement", 4e-3)]
+    overrides += [
+        ("rig", "simulated.specimen.kind", specimen),
+        ("rig", "simulated.specimen.yield_displacement", 4e-3),
+    ]
     experiment = Experiment.load(TABLES, [CONFIG], overrides)
     motion = build_blocks(experiment).ground_motion
     exact = reference_response(experiment, motion.samples)

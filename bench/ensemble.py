@@ -31,8 +31,11 @@ ROUNDS = 5
 TESTS = 96
 PIECE = 4  # tests on one thread at a time: short enough to be left alone by others
 COMMON = [("reference_force", "mass_ratio", 0.5)]
-LINEAR = [("rig", "actuator.kind", "servo_hydraulic_linear")]
-YIELDS = [("rig", "specimen.kind", "bouc_wen"), ("rig", "specimen.yield_displacement", 0.003)]
+LINEAR = [("/**", "actuator.kind", "servo_hydraulic_linear")]
+YIELDS = [
+    ("rig", "simulated.specimen.kind", "bouc_wen"),
+    ("rig", "simulated.specimen.yield_displacement", 0.003),
+]
 CASES = {  # configuration, overrides, steps/s wanted over those of the bare loop and of OpenSees
     "linear servo-hydraulic rig": ("jhu.yaml", [*COMMON, *LINEAR], (2.0, 12.0)),
     "nonlinear servo-hydraulic rig": ("jhu.yaml", COMMON, (1.5, 0.0)),

@@ -25,7 +25,7 @@ from seft_ros.test_run.parameter_tables import TABLES
 CONFIG = Path(__file__).parent.parent / "config" / "demo.yaml"
 MINUTE = [
     ("/**", "rate", 1000.0),
-    ("rig", "actuator.kind", "servo_hydraulic_linear"),
+    ("/**", "actuator.kind", "servo_hydraulic_linear"),
     ("ground_motion", "time_scale", 1.0),
     ("ground_motion", "tail", 0.0),
     ("ground_motion", "synthetic.duration", 60.0),

@@ -117,11 +117,11 @@ def run(seconds: float, pid: int | None) -> tuple[float, float]:
         ("ground_motion", "synthetic.duration", 2 * (seconds - 2.0)),
         ("rig", "pace", "realtime"),
         # a busy machine must not end what is to be measured
-        ("supervisor", "watchdog.command_timeout", 5.0),
+        ("rig", "watchdog.command_timeout", 5.0),
         ("supervisor", "watchdog.peer_timeout", 60.0),
         ("rig", "watchdog.supervisor_timeout", 60.0),
         ("reference_force", "instability.ratio", 0.0),
-        ("rig", "actuator.kind", "ideal"),
+        ("/**", "actuator.kind", "ideal"),
         ("reference_force", "method", "eft"),
         ("reference_force", "compensation.method", "none"),
     )

@@ -23,7 +23,7 @@ COMMON = [
     ("reference_force", "mass_ratio", 0.5),
     ("ground_motion", "synthetic.duration", 120.0),
 ]
-LINEAR = [("rig", "actuator.kind", "servo_hydraulic_linear")]
+LINEAR = [("/**", "actuator.kind", "servo_hydraulic_linear")]
 CASES = {  # configuration, overrides -> steps/s wanted
     "linear rig": ("jhu.yaml", LINEAR, 1_000_000),
     "nonlinear rig": ("jhu.yaml", [], 700_000),

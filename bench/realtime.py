@@ -45,7 +45,7 @@ def run(case: Case, seconds: float) -> bool:
         ("rig", "pace", "realtime"),
         ("/**", "rate", case.rate),
         # a busy machine must not end what is to be measured
-        ("supervisor", "watchdog.command_timeout", 5.0),
+        ("rig", "watchdog.command_timeout", 5.0),
         ("reference_force", "instability.ratio", 0.0),
     )
     with recorded_run(*overrides, layout=case.layout) as (record, statuses):

@@ -20,17 +20,17 @@ ROUNDS = 20
 WANTED = {"linear": 5e6, "nonlinear": 2.5e6}  # steps/s in a compiled loop
 WANTED_CALL = 4e-6  # s from Python, of the nonlinear rig
 
-YIELDS = ("rig", "specimen.yield_displacement", 0.002)
+YIELDS = ("rig", "simulated.specimen.yield_displacement", 0.002)
 FILTERED = [
-    *(("rig", f"sensors.{c}_filter", 200.0) for c in ("position", "acceleration", "force")),
-    ("rig", "sensors.velocity", "derived"),
+    *(("rig", f"sensors.{c}_filter", 200.0) for c in ("displacement", "acceleration", "force")),
+    ("/**", "sensors.velocity", "derived"),
 ]
 CASES = {
-    "linear": [("rig", "actuator.kind", "servo_hydraulic_linear")],
+    "linear": [("/**", "actuator.kind", "servo_hydraulic_linear")],
     "nonlinear": [],
-    "nonlinear, bilinear": [("rig", "specimen.kind", "bilinear"), YIELDS],
-    "nonlinear, Bouc-Wen": [("rig", "specimen.kind", "bouc_wen"), YIELDS],
-    "nonlinear, pinching": [("rig", "specimen.kind", "pinching"), YIELDS],
+    "nonlinear, bilinear": [("rig", "simulated.specimen.kind", "bilinear"), YIELDS],
+    "nonlinear, Bouc-Wen": [("rig", "simulated.specimen.kind", "bouc_wen"), YIELDS],
+    "nonlinear, pinching": [("rig", "simulated.specimen.kind", "pinching"), YIELDS],
     "nonlinear, filtered": FILTERED,
     "nonlinear, 3 axes": [("/**", "axes", ["x", "y", "z"])],
     "nonlinear, 10 axes": [("/**", "axes", [f"x{i}" for i in range(10)])],

@@ -33,9 +33,12 @@ from test_detectors import (
 
 FRICTION = (f"{KIND}friction", f"{SPECIMEN}friction.force:=60.0")
 STIFF = (
-    *(f"{SPECIMEN}stiffness:=2.0e6", "reference_force:model.stiffness:=2.0e6"),
-    *(f"{SPECIMEN}damping:=1000.0", "reference_force:model.damping:=1000.0"),
-    *("rig:actuator.oil_column_frequency:=0.0", "rig:actuator.oil_stiffness:=1.664e+7"),
+    *(f"{SPECIMEN}stiffness:=2.0e6", "/**:specimen.stiffness:=2.0e6"),
+    *(f"{SPECIMEN}damping:=1000.0", "/**:specimen.damping:=1000.0"),
+    *(
+        "/**:actuator.oil_stiffness_FIXME_OF_FREQUENCY:=0.0",
+        "rig:simulated.actuator.oil_stiffness:=1.664e+7",
+    ),
     "ground_motion:peak_force:=2000.0",
 )
 SLOW: dict[str, list[tuple[str, ...]]] = {

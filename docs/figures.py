@@ -64,7 +64,7 @@ def critical_by_delay(name: str) -> Floats:
     """Critical mass ratios of a rig that is a pure delay; infinite where none was found."""
     found = []
     for delay in DELAYS:
-        rig = [("rig", "actuator.kind", "delay"), ("rig", "actuator.delay", float(delay))]
+        rig = [("/**", "actuator.kind", "delay"), ("rig", "simulated.actuator.delay", float(delay))]
         critical = critical_mass_ratio(Plan(planned(*rig, *method(name))))
         found.append(critical.value if critical else np.inf)
     return np.array(found)
@@ -144,7 +144,10 @@ def interaction() -> Figure:
     f = np.geomspace(*BAND_HZ, 2000)
     loops = {
         "the specimen of Eq. 3.1": (force_loop(f), FIRST_COLOUR),
-        "20 % less stiff": (force_loop(f, ("rig", "specimen.stiffness", 0.8 * 2.11e5)), OTHERS[2]),
+        "20 % less stiff": (
+            force_loop(f, ("rig", "simulated.specimen.stiffness", 0.8 * 2.11e5)),
+            OTHERS[2],
+        ),
     }
     for label, ((plant, response, tracking), colour) in loops.items():
         left.plot(f, decibels(response), color=colour, label=label)

@@ -18,11 +18,11 @@ from seft_ros.test_run.parameter_tables import TABLES
 
 SPECIMEN, ACTUATOR, ASSUMED = "rig:specimen.", "rig:actuator.", "force_controller:actuator."
 MODEL, METHOD = "reference_force:model.", "reference_force:compensation.method"
-UNZEROED = "rig:calibration.zeroing:=0.0"
+UNZEROED = "/**:calibration.zeroing:=0.0"
 WATCH = "reference_force:instability.ratio:=100.0"  # each test goes on to its end
 YIELD = f"{SPECIMEN}yield_displacement:="
 STOREYS = f"{SPECIMEN}springs:=[1.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0, -1.0, 1.0]"
-LINK = "reference_force:loop_delay:=5"
+LINK = "/**:loop_delay:=5"
 EXAMPLES = "three_storey_frame", "six_storey_frame", "two_pier_bridge", "water_tower", "demo"
 Row = tuple[str, ...]
 """Overrides; one that begins with ``config:`` names the file."""
@@ -46,7 +46,7 @@ def valve(name: str, value: float) -> Row:
 ONE = loaded(1.0, 500.0)
 PLAN = (f"{METHOD}:=target_motion", "force_controller:method:=velocity_feedforward")
 DELAY = (
-    *(f"{METHOD}:=target_motion", "reference_force:compensation.delay:=0.013", WATCH),
+    *(f"{METHOD}:=target_motion", "/**:actuator.delay:=0.013", WATCH),
     *(f"{ACTUATOR}kind:=delay", f"{ACTUATOR}delay:=0.01"),
 )
 TESTS: dict[str, list[Row]] = {
@@ -126,10 +126,10 @@ TESTS: dict[str, list[Row]] = {
     ],
     "limits": [
         *((*PLAN, *loaded(1.0, newtons)) for newtons in (700.0, 1000.0)),
-        (*PLAN, *ONE, "rig:sensors.position_noise:=0.0"),
+        (*PLAN, *ONE, "/**:sensors.displacement_noise:=0.0"),
         *(
             (*PLAN, *ONE, UNZEROED, f"rig:sensors.{name}_bias:={value}")
-            for name, value in (("force", 5.0), ("position", 1e-4), ("acceleration", 0.1))
+            for name, value in (("force", 5.0), ("displacement", 1e-4), ("acceleration", 0.1))
         ),
     ],
 }

@@ -30,8 +30,8 @@ LOOPS = (
     (f"{COMPENSATION}method:=model", *OBEYS),
 )
 YIELD, HARDENING = f"{SPECIMEN}yield_displacement:=", f"{SPECIMEN}hardening_ratio:="
-GAIN, DEAD_TIME = "rig:actuator.flow_gain:=", "rig:actuator.dead_time:="
-VALVE, ADC = "rig:actuator.valve_frequency:=", "rig:sensors.adc_bits:=12"
+GAIN, DEAD_TIME = "rig:simulated.actuator.flow_gain:=", "rig:simulated.actuator.dead_time:="
+VALVE, ADC = "rig:simulated.actuator.valve_frequency:=", "rig:simulated.sensors.adc_bits:=12"
 
 
 def specimen(draw):
@@ -57,23 +57,23 @@ def specimen(draw):
 
 def difference(draw, rng):
     """Give the words of what differs from what is assumed; or `LATE`, or `MISSED`."""
-    sensors = dict(zip(("position", "velocity", "acceleration", "force"), NOISE, strict=True))
+    sensors = dict(zip(("displacement", "velocity", "acceleration", "force"), NOISE, strict=True))
     hertz = draw(80, 200)
     sign = dict(zip(sensors, rng.choice([-2.0, 2.0], 4), strict=True))
     return (
         (),
         (f"{GAIN}{0.0403 * draw(0.75, 1.25)}",),
         (f"{DEAD_TIME}{draw(1e-4, 4e-3)}",),
-        (f"rig:actuator.oil_column_frequency:={90 * draw(0.8, 1.25)}",),
+        (f"/**:actuator.oil_stiffness_FIXME_OF_FREQUENCY:={90 * draw(0.8, 1.25)}",),
         (f"{VALVE}{70 * draw(0.7, 1.4)}",),
-        (f"rig:actuator.friction:={draw(20, 100)}",),
-        (f"rig:actuator.leakage:={50 * draw(0.5, 2)}",),
-        (f"rig:actuator.force_capacity:={24500 * draw(0.5, 1.5)}",),
+        (f"rig:simulated.actuator.friction:={draw(20, 100)}",),
+        (f"rig:simulated.actuator.leakage:={50 * draw(0.5, 2)}",),
+        (f"rig:simulated.actuator.force_capacity:={24500 * draw(0.5, 1.5)}",),
         (f"{GAIN}{0.0403 * draw(0.8, 1.2)}", f"{DEAD_TIME}{draw(1e-4, 3e-3)}", ADC),
-        (f"reference_force:model.stiffness:={2.11e5 * draw(0.6, 1.5)}",),
+        (f"/**:specimen.stiffness:={2.11e5 * draw(0.6, 1.5)}",),
         (ADC,),
         tuple(f"rig:sensors.{name}_filter:={hertz}" for name in sensors),
-        ("rig:sensors.velocity:=derived",),
+        ("/**:sensors.velocity:=derived",),
         tuple(f"rig:sensors.{name}_noise:=0.0" for name in sensors),
         tuple(f"rig:sensors.{name}_noise:={5 * noise}" for name, noise in sensors.items()),
         tuple(f"rig:sensors.{name}_bias:={sign[name] * noise}" for name, noise in sensors.items()),

@@ -44,7 +44,7 @@ from test_detectors import KIND, PLAN, SPECIMEN, load
 from test_identification_shake import identified
 
 MASS = 52.7
-STOREYS = "rig:specimen.springs:=[1.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0, -1.0, 1.0]"
+STOREYS = "rig:simulated.specimen.springs:=[1.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0, -1.0, 1.0]"
 FRAME = "three_storey_frame"
 SPOILED, WORSE = 0.05, 1.5
 """A test is spoiled if its displacement is off by more than this, and more than without error."""
@@ -110,7 +110,7 @@ class Errors:
         if self.n > 1 and self.rng.random() < 0.5:
             masses = [MASS] * self.n
             masses[self.rng.integers(self.n)] = wrong
-        return (f"reference_force:model.mass:={masses if self.n > 1 else masses[0]}",)
+        return (f"/**:specimen.mass:={masses if self.n > 1 else masses[0]}",)
 
     def scale(self):
         """Draw a channel's scale."""
@@ -132,7 +132,7 @@ class Errors:
         """Draw accelerometers that see parts of other axes."""
         mixed = (1 - np.eye(self.n)) * self.rng.uniform(-1, 1, (self.n, self.n))
         tilt = np.eye(self.n) + mixed * self.draw(0.01, 0.15)
-        return (f"rig:sensors.tilt:={tilt.ravel().round(4).tolist()}",)
+        return (f"rig:simulated.sensors.tilt:={tilt.ravel().round(4).tolist()}",)
 
 
 def drawn_test(seed, axes, motions):

@@ -19,7 +19,7 @@ from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import BlockCache
 from test_detectors import BILINEAR, GAP, PLAN, SPECIMEN, load
 
-FRICTION = ("rig:specimen.kind:=friction", f"{SPECIMEN}friction.force:=60.0")
+FRICTION = ("rig:simulated.specimen.kind:=friction", f"{SPECIMEN}friction.force:=60.0")
 TESTS = {"linear": (), "bilinear": BILINEAR, "gap": GAP, "friction": FRICTION}
 RANGES = dict(zip(CHANNELS, (0.1, 1.0, 39.24, 22200.0), strict=True))
 ROWS = "in a row", "most of the sound peak: force", "target", "error more by", "ended"

@@ -17,7 +17,7 @@ THOROUGH = pytest.mark.thorough
 """Takes its time for what another test looks at in short; only `make thorough` runs these."""
 PATIENCE = 400.0  # s; far beyond what anything here takes, also where eight others run
 STALLS_ALLOWED = (
-    *("-p", "supervisor:watchdog.command_timeout:=60.0"),
+    *("-p", "rig:watchdog.command_timeout:=60.0"),
     *("-p", "supervisor:watchdog.peer_timeout:=60.0"),
     *("-p", "force_controller:watchdog.reference_timeout:=60.0"),
     *("-p", "rig:watchdog.supervisor_timeout:=60.0"),

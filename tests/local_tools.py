@@ -13,7 +13,7 @@ THREE_SECONDS = "ground_motion:synthetic.duration:=3.4"  # s, a test of 3 s
 SHORT = ("ground_motion:synthetic.duration:=3.0", "ground_motion:tail:=0.2")
 LOCKSTEP = "rig:pace:=lockstep"
 UNREHEARSED = "supervisor:rehearsal.duration:=0.0"
-NO_COMMAND_WATCH = "supervisor:watchdog.command_timeout:=60.0"
+NO_COMMAND_WATCH = "rig:watchdog.command_timeout:=60.0"
 TARGET_MOTION = (
     "reference_force:compensation.method:=target_motion",
     "force_controller:method:=velocity_feedforward",

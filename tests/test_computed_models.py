@@ -22,7 +22,10 @@ from seft_ros.test_run.offline import simulate_test
 
 THOROUGH = (pytest.mark.thorough, pytest.mark.offline)
 SHORT = ("-p", "ground_motion:synthetic.duration:=5.0", "-p", "ground_motion:tail:=0.5")
-BILINEAR = ("rig:specimen.kind:=bilinear", "rig:specimen.yield_displacement:=0.004")
+BILINEAR = (
+    "rig:simulated.specimen.kind:=bilinear",
+    "rig:simulated.specimen.yield_displacement:=0.004",
+)
 
 
 @pytest.fixture
@@ -110,9 +113,9 @@ def test_a_model_that_is_too_slow_is_refused_with_the_rate_that_fits(
     times[151] = 0.21
     told = refused(*words)
     assert "takes 0.21 s for the step at 0.302 s, at which the test would trip" in told
-    assert "a watchdog allows 0.05 s (supervisor: watchdog.command_timeout, at most 0.05)" in told
+    assert "a watchdog allows 0.05 s (rig: watchdog.command_timeout, at most 0.05)" in told
     times[151] = 0.04
-    watchdog = ("-p", "supervisor:watchdog.command_timeout:=0.03")
+    watchdog = ("-p", "rig:watchdog.command_timeout:=0.03")
     assert "a watchdog allows 0.03 s" in refused(*words, *watchdog)
 
 

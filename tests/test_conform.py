@@ -16,7 +16,7 @@ THOROUGH = pytest.mark.thorough
 TEMPLATE = TEMPLATES / "rig_driver"
 PATIENT = (
     *("-p", "rate:=250.0"),
-    *("-p", "supervisor:watchdog.command_timeout:=1.0"),
+    *("-p", "rig:watchdog.command_timeout:=1.0"),
 )
 """What a machine that does much else holds, as a rule."""
 LONE = ("-p", "rig:watchdog.supervisor_timeout:=2.0")

@@ -16,15 +16,15 @@ LOOP_DELAY = 9
 DELAYED = {"delay": 0.005, "jitter": 0.001}
 PLAN = (
     *("-p", "reference_force:mass_ratio:=1.0"),
-    *("-p", f"reference_force:loop_delay:={LOOP_DELAY}"),
+    *("-p", f"/**:loop_delay:={LOOP_DELAY}"),
 )
 QUANTITIES = ("displacement", "velocity", "acceleration", "force")
 NO_LIMITS = (
     *(f"supervisor:limits.{name}:=1e9" for name in QUANTITIES),
     *(f"supervisor:limits.{name}_rate:=1e12" for name in QUANTITIES),
-    "supervisor:limits.saturated_time:=1e3",
+    "/**:limits.saturated_time:=1e3",
     "force_controller:watchdog.saturation_time:=1e3",
-    "reference_force:limits.force_rate:=1e12",
+    "/**:limits.force_rate:=1e12",
 )
 PATIENT = (  # whatever a machine that stands still makes of a test, it goes on to its end
     *STALLS_ALLOWED,
@@ -36,7 +36,7 @@ SILENCE = (  # what a machine that stands still may take, without it being a cut
     *("-p", "force_controller:watchdog.reference_timeout:=1.0"),
     *("-p", "rig:watchdog.supervisor_timeout:=5.0"),
     *("-p", "supervisor:watchdog.peer_timeout:=10.0"),
-    *("-p", "supervisor:watchdog.command_timeout:=5.0"),
+    *("-p", "rig:watchdog.command_timeout:=5.0"),
     *MISSES_ALLOWED,
 )
 ELSEWHERE = ("--external", "rig", "--external", "force_controller")
@@ -139,7 +139,7 @@ def test_a_cut_link_ends_the_test_and_both_hosts_say_why(two_hosts, rig_host):
 
 def test_the_link_is_measured_and_a_test_takes_the_delay_that_it_needs(two_hosts, rig_host):
     two_hosts.link(**DELAYED)
-    _, controller = rig_host(*PATIENT, "-p", "reference_force:loop_delay:=-1")
+    _, controller = rig_host(*PATIENT, "-p", "/**:loop_delay:=-1")
     link = two_hosts.start(
         *("a", "seft_ros.cli.main", "link", DEMO, *PLAN[:2], "--duration", "4"),
         *("--out", "link.yaml", "--json"),
@@ -157,7 +157,7 @@ def test_the_link_is_measured_and_a_test_takes_the_delay_that_it_needs(two_hosts
     run = seft_run(
         two_hosts,
         *PATIENT,
-        *("-p", "reference_force:loop_delay:=-1", "--out", "hosts", "--json"),
+        *("-p", "/**:loop_delay:=-1", "--out", "hosts", "--json"),
         *("-p", "ground_motion:synthetic.duration:=6.0"),
     )
     out, told = run.communicate(timeout=PATIENCE)

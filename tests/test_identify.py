@@ -17,7 +17,7 @@ def test_both_tests_on_an_external_rig_give_the_numbers_of_the_offline_loop(seft
     patient = ("-p", "rig:pace:=lockstep", *STALLS_ALLOWED)
     start(MODULES["rig"], "--ros-args", "--params-file", JHU, *patient)
     words = ("identify", JHU, *SHORT, *STALLS_ALLOWED)
-    elsewhere = ("-p", "rig:specimen.mass:=20.0", "-p", "rig:pace:=realtime")
+    elsewhere = ("-p", "rig:simulated.specimen.mass:=20.0", "-p", "rig:pace:=realtime")
     external = seft_json(*words, *elsewhere, "--external", "rig", "--out", "external")
     assert numbers(external) == numbers(seft_json(*words, "--out", "offline"))
     for name in ("open_loop", "closed_loop"):

@@ -26,9 +26,9 @@ SPECIMENS = (
 METHODS = (
     TARGET_MOTION,
     TARGET_MOTION,
-    (*TARGET_MOTION, "reference_force:loop_delay:=3"),
+    (*TARGET_MOTION, "/**:loop_delay:=3"),
     ("reference_force:compensation.method:=restoring",),
-    ("reference_force:compensation.method:=model", "reference_force:compensation.delay:=0.0139"),
+    ("reference_force:compensation.method:=model", "/**:actuator.delay:=0.0139"),
     ("reference_force:method:=eft",),
 )
 ACTUATORS = (
@@ -38,24 +38,30 @@ ACTUATORS = (
 )
 DIFFERENCES = (
     (),
-    ("rig:sensors.adc_bits:=12",),
-    ("rig:sensors.velocity:=derived",),
-    ("rig:sensors.force_filter:=150.0", "rig:sensors.acceleration_lag:=0.0007"),
-    ("rig:sensors.position_lag:={short}", "rig:calibration.position_lag:={short}"),
+    ("rig:simulated.sensors.adc_bits:=12",),
+    ("/**:sensors.velocity:=derived",),
+    ("rig:simulated.sensors.force_filter:=150.0", "rig:simulated.sensors.acceleration_lag:=0.0007"),
     (
-        *("rig:sensors.force_scale:=1.03", "rig:calibration.force_scale:=1.03"),
-        *("rig:sensors.acceleration_lag:={short}", "rig:calibration.acceleration_lag:={short}"),
+        "rig:simulated.sensors.displacement_lag:={short}",
+        "/**:calibration.displacement_lag:={short}",
+    ),
+    (
+        *("rig:simulated.sensors.force_scale:=1.03", "/**:calibration.force_scale:=1.03"),
+        *(
+            "rig:simulated.sensors.acceleration_lag:={short}",
+            "/**:calibration.acceleration_lag:={short}",
+        ),
     ),
     tuple(
         f"rig:{word}"
-        for channel in ("position", "velocity", "acceleration", "force")
+        for channel in ("displacement", "velocity", "acceleration", "force")
         for word in (f"sensors.{channel}_filter:=90.0", f"calibration.{channel}_lag:=0.0025")
     ),
-    ("supervisor:limits.force:={force}",),
-    ("rig:limits.acceleration:=8.0",),
-    ("reference_force:limits.force:={force}",),
-    ("force_controller:limits.force:={force}",),
-    ("force_controller:voltage_limit:=0.4",),
+    ("/**:limits.force:={force}",),
+    ("/**:limits.acceleration:=8.0",),
+    ("/**:limits.force:={force}",),
+    ("/**:limits.force:={force}",),
+    ("/**:limits.command:=0.4",),
 )
 WRONG = (
     "displacement set 0.03 at {at} for 1",
@@ -74,25 +80,25 @@ DELAYED = f"{RIG}kind:=delay"
 BESIDE = {
     "method of another package": (
         "reference_force:compensation.method:=polynomial",
-        "reference_force:compensation.delay:=0.0139",
+        "/**:actuator.delay:=0.0139",
     ),
     "eft of an ideal actuator": (f"{RIG}kind:=ideal", "reference_force:method:=eft"),
     "coupled axes": (
         *TWO_AXES,
-        "rig:specimen.stiffness:=[2.0e5, -1.0e4, -1.0e4, 2.2e5]",
-        "rig:specimen.mass:=[52.7, 55.0]",
+        "rig:simulated.specimen.stiffness:=[2.0e5, -1.0e4, -1.0e4, 2.2e5]",
+        "rig:simulated.specimen.mass:=[52.7, 55.0]",
         *(f"rig:{name}.tilt:=[1.0, 0.03, -0.04, 1.0]" for name in ("sensors", "calibration")),
         'rig:faults:=["north/acceleration set nan at 0.7 for 1"]',
     ),
     "forces late over a link": (
-        *(DELAYED, f"{RIG}delay:=0.0113", "reference_force:loop_delay:=5"),
+        *(DELAYED, f"{RIG}delay:=0.0113", "/**:loop_delay:=5"),
         "reference_force:compensation.method:=model",
-        "reference_force:compensation.delay:=0.0143",
+        "/**:actuator.delay:=0.0143",
     ),
     "a target late over a link": (
-        *(*TARGET_MOTION, DELAYED, f"{RIG}delay:=0.005", "reference_force:loop_delay:=2"),
+        *(*TARGET_MOTION, DELAYED, f"{RIG}delay:=0.005", "/**:loop_delay:=2"),
         "force_controller:method:=transfer_function",
-        "reference_force:compensation.delay:=0.008",
+        "/**:actuator.delay:=0.008",
     ),
 }
 """What is not drawn, each at a mass ratio of 0.2."""
@@ -128,15 +134,17 @@ def drawn(seed):
     ]
     if rng.random() < 0.3:
         words += TWO_AXES
-    words += [f"rig:sensors.force_bias:={rng.choice([0.0, 8.0])}"]  # less than is refused at rest
+    words += [
+        f"rig:simulated.sensors.force_bias:={rng.choice([0.0, 8.0])}"
+    ]  # less than is refused at rest
     if rng.random() < 0.7:
         words.append(f"rig:faults:=[{faults}]")
     if f"{RIG}kind:=delay" in words:
-        words += ["reference_force:compensation.delay:=0.02", "reference_force:loop_delay:=0"]
+        words += ["/**:actuator.delay:=0.02", "/**:loop_delay:=0"]
         words += ["force_controller:method:=transfer_function"]
     if not any("flow_gain" in word for word in words):
         words = [word for word in words if "supply" not in word]
-    if "rig:sensors.velocity:=derived" in words:  # there is no such sensor
+    if "/**:sensors.velocity:=derived" in words:  # there is no such sensor
         words = [word for word in words if '"velocity' not in word]
     return words
 

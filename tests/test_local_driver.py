@@ -68,7 +68,7 @@ def test_a_driver_started_again_with_what_a_shake_has_found_is_corrected(
 ):
     from rig_driver import stand_in
 
-    wrong = {"acceleration_lag": 0.0013, "position_lag": 0.0006, "acceleration_scale": 0.97}
+    wrong = {"acceleration_lag": 0.0013, "displacement_lag": 0.0006, "acceleration_scale": 0.97}
     for name, value in wrong.items():
         monkeypatch.setitem(stand_in._RIG, f"sensors.{name}", value)
     first = shaken(driver, tmp_path)
@@ -104,7 +104,7 @@ def test_a_driver_rehearses_zeroes_its_sensors_and_performs_a_test(driver, monke
     told = facts(graph)["zeroed"]
     assert told["samples"] == 500
     assert abs(told["subtracted"]["force"][0] - 22.2) < 1.0
-    assert told["subtracted"]["position"] == [0.0]
+    assert told["subtracted"]["displacement"] == [0.0]
 
 
 def test_a_driver_without_commands_trips_and_closes_its_valve(driver):

@@ -13,7 +13,7 @@ SHORT = ("ground_motion:synthetic.duration:=6.0", "ground_motion:tail:=0.5")
 
 @pytest.mark.parametrize(("pace", "loop_delay"), [("realtime", 5), ("lockstep", 0)])
 def test_two_rigs_give_the_bits_of_the_offline_loop(local_graph, pace, loop_delay):
-    words = (*SHORT, f"rig:pace:={pace}", f"reference_force:loop_delay:={loop_delay}")
+    words = (*SHORT, f"rig:pace:={pace}", f"/**:loop_delay:={loop_delay}")
     graph = local_graph(*words, config=BRIDGE, nodes=RIGS_NODES)
     perform(graph)
     record = offline(graph)
@@ -31,7 +31,7 @@ def test_the_death_of_one_rig_ends_the_test_for_both(running):
     patient = (
         "reference_force:watchdog.rig_timeout:=1.0",
         "supervisor:watchdog.peer_timeout:=15.0",
-        "supervisor:watchdog.command_timeout:=60.0",
+        "rig:watchdog.command_timeout:=60.0",
     )
     graph = running(LONG, *patient, config=BRIDGE, nodes=RIGS_NODES)
     graph.kill("west/rig")

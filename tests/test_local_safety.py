@@ -29,7 +29,7 @@ def test_a_rig_whose_model_is_not_a_number_trips(running, monkeypatch):
 
     monkeypatch.setattr(Rig, "step", broken)
     graph.until("tripped", within=0.1)
-    assert graph.values["detail"].endswith(": position_wrong")
+    assert graph.values["detail"].endswith(": displacement_wrong")
     monkeypatch.undo()
 
 

@@ -68,9 +68,9 @@ def yielding(record, springs):
     """Overrides of springs that yield at 0.6 of their largest deformation in a linear test."""
     deformation = record.series["rig/state"].values[:, 0] @ springs.T
     return (
-        "rig:specimen.kind:=bouc_wen",
-        f"rig:specimen.springs:={springs.ravel().tolist()}",
-        f"rig:specimen.yield_displacement:={0.6 * np.abs(deformation).max():.5f}",
+        "rig:simulated.specimen.kind:=bouc_wen",
+        f"rig:simulated.specimen.springs:={springs.ravel().tolist()}",
+        f"rig:simulated.specimen.yield_displacement:={0.6 * np.abs(deformation).max():.5f}",
     )
 
 

@@ -72,7 +72,7 @@ def delayed(delay: float, bandwidth_hz: float = 0.0) -> Changes:
     """
     lag = math.sqrt(2) / (2 * math.pi * bandwidth_hz) if bandwidth_hz else 0.0
     rig: dict[str, Any] = {"actuator.kind": "delay", "actuator.delay": max(delay - lag, 0.0)}
-    for name in ("position", "velocity", "acceleration", "force"):
+    for name in ("displacement", "velocity", "acceleration", "force"):
         rig |= {f"sensors.{name}_{what}": 0.0 for what in ("noise", "bias", "range")}
         # all of it is linear: a low-pass on every measured signal is one on the actuator's force
         rig[f"sensors.{name}_filter"] = bandwidth_hz

@@ -65,7 +65,7 @@ def delay_range(inputs: MethodInputs, settings: Settings) -> tuple[float, float]
         )
     if not bounds[0] <= inputs.delay <= bounds[1]:
         raise InputError(
-            f"reference_force: compensation.delay is {inputs.delay:g} s, where the estimate "
+            f"/**: actuator.delay is {inputs.delay:g} s, where the estimate "
             f"starts, but delay_range in compensation.settings is {bounds}; widen it"
         )
     return bounds[0], bounds[1]

@@ -8,9 +8,9 @@ from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
 
 DELAYED = (
-    "rig:actuator.kind:=delay",
-    "rig:actuator.delay:=0.01",
-    "reference_force:compensation.delay:=0.013",  # and a step of latency, and half a step held
+    "/**:actuator.kind:=delay",
+    "rig:simulated.actuator.delay:=0.01",
+    "/**:actuator.delay:=0.013",  # and a step of latency, and half a step held
 )
 
 

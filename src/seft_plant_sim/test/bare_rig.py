@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-from seft_msgs_py.config.facts import CHANNELS
-from seft_msgs_py.config.parameter_table import resolve
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.facts import CHANNELS, place_of
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.continuous_model import ContinuousModel
 from seft_plant_sim.limits import Limits
@@ -24,15 +24,20 @@ FRAME = {
 def section_of(table, **values):
     """Section of a table's defaults with changes; a double underscore stands for a dot."""
     named = {name.replace("__", "."): value for name, value in values.items()}
-    return resolve({table.node: table}, {table.node: table.check(named)})[table.node]
+    given = [(place_of(name, table.node), name, value) for name, value in named.items()]
+    return Experiment.load([table], [], given)[table.node]
 
 
 def rig_section(group="", /, **values):
-    """Section of the table's defaults with changes in a group; a double underscore is a dot."""
+    """Section of the table's defaults with changes in a group; a double underscore is a dot.
+
+    What is neither a fact nor a setting is what the simulated rig truly is.
+    """
     named = {group + name.replace("__", "."): value for name, value in values.items()}
+    true = {name if name in RIG_TABLE.rows else f"simulated.{name}": v for name, v in named.items()}
     unzeroed = {"calibration.zeroing": 0.0}  # its sensors show what they do
-    given = {"specimen.mass": 52.7, "specimen.stiffness": 2.11e5} | unzeroed | named
-    return section_of(RIG_TABLE, **given)
+    paper = {"simulated.specimen.mass": 52.7, "simulated.specimen.stiffness": 2.11e5}
+    return section_of(RIG_TABLE, **(paper | unzeroed | true))
 
 
 def make_rig(axes=("x",), **values):

@@ -130,7 +130,7 @@ def test_what_waits_keeps_the_steps_of_its_converter_and_repeats_what_repeats():
 
 
 def test_the_latest_channel_of_all_axes_counts_and_is_told():
-    values = {"calibration.force_lag": [0.001, 0.003], "calibration.position_lag": 0.002}
+    values = {"calibration.force_lag": [0.001, 0.003], "calibration.displacement_lag": 0.002}
     section = rig_section(**values)
     assert common_lag(section) == 0.003
     one, _ = calibration_of(section, ("east/x", "west/x"), [0], DT)
@@ -140,7 +140,7 @@ def test_the_latest_channel_of_all_axes_counts_and_is_told():
 
 
 def test_a_constant_comes_out_as_it_is_from_the_first_sample_on():
-    found = corrected(np.full((20, 4, 1), 3.0), force_lag=0.0027, position_scale=1.5)
+    found = corrected(np.full((20, 4, 1), 3.0), force_lag=0.0027, displacement_scale=1.5)
     np.testing.assert_allclose(found[:, X, 0], 2.0, rtol=1e-12)
     np.testing.assert_allclose(found[:, V:, 0], 3.0, rtol=1e-12)
 
@@ -164,8 +164,10 @@ def test_errors_name_the_parameter():
         known(force_scale=0.0)
     with pytest.raises(InputError, match=r"velocity_lag is given, but sensors.velocity is derived"):
         known(velocity_lag=0.001, derived=True)
-    with pytest.raises(InputError, match=r"rig: calibration.position_zero: 3 values for 2 axes"):
-        known(axes=("x", "y"), position_zero=[0.0, 1.0, 2.0])
+    with pytest.raises(
+        InputError, match=r"rig: calibration.displacement_bias: 3 values for 2 axes"
+    ):
+        known(axes=("x", "y"), displacement_bias=[0.0, 1.0, 2.0])
     with pytest.raises(InputError, match=r"calibration.tilt \[\[1.0, 1.0\].*show the same"):
         known(axes=("x", "y"), tilt=[1.0, 1.0, 1.0, 1.0])
     with pytest.raises(InputError, match=r"calibration.tilt .* mixes axes of different rigs"):
@@ -174,17 +176,17 @@ def test_errors_name_the_parameter():
 
 def test_a_rig_publishes_corrected_samples():
     """Its errors are known, so that it publishes those of a sound one, all of them late."""
-    errors = {"force_scale": 1.03, "acceleration_scale": 0.98, "position_lag": 0.004}
+    errors = {"force_scale": 1.03, "acceleration_scale": 0.98, "displacement_lag": 0.004}
     given = {
         f"{group}.{name}": v for group in ("sensors", "calibration") for name, v in errors.items()
     }
-    given |= {"sensors.force_bias": 12.0, "calibration.force_zero": 12.0}
+    given |= {"sensors.force_bias": 12.0, "calibration.force_bias": 12.0}
     one, other = (driven(make_rig(**values), np.ones(100))[:, :4] for values in ({}, given))
     np.testing.assert_allclose(other[2:], one[:-2], rtol=1e-9, atol=1e-9)
 
 
 def test_a_derived_velocity_is_that_of_the_calibrated_displacement():
-    scaled = {f"{group}__position_scale": 1.5 for group in ("sensors", "calibration")}
+    scaled = {f"{group}__displacement_scale": 1.5 for group in ("sensors", "calibration")}
     rigs = (make_rig(sensors__velocity="derived", **values) for values in (scaled, {}))
     one, other = (driven(rig, np.ones(60)) for rig in rigs)
     np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
@@ -218,24 +220,24 @@ def test_zeros_are_the_means_at_rest_that_are_more_than_noise():
     section, told = zeroed_at_rest({}, ("x", "y", "z"), (0, 2), noise + bias)
     assert told["samples"] == 500
     assert told["subtracted"]["force"] == pytest.approx([5.0, 0.0])
-    assert told["subtracted"]["position"] == pytest.approx([0.0, 0.19])
-    assert section["calibration.force_zero"] == pytest.approx([5.0, 0.0, 0.0])
-    assert section["calibration.position_zero"] == pytest.approx([0.0, 0.0, 0.19])
+    assert told["subtracted"]["displacement"] == pytest.approx([0.0, 0.19])
+    assert section["calibration.force_bias"] == pytest.approx([5.0, 0.0, 0.0])
+    assert section["calibration.displacement_bias"] == pytest.approx([0.0, 0.0, 0.19])
     assert not any(map(any, told["left"].values()))
 
 
 def test_a_zero_that_is_told_stays_and_what_is_left_is_told():
-    given = {"calibration.force_zero": [12.0]}
+    given = {"calibration.force_bias": [12.0]}
     samples = np.full((100, 4, 1), 33.0)
     section, told = zeroed_at_rest(given, ("x",), (0,), samples)
-    assert section["calibration.force_zero"] == [12.0]
+    assert section["calibration.force_bias"] == [12.0]
     assert (told["subtracted"]["force"], told["left"]["force"]) == ([0.0], [21.0])
 
 
 @pytest.mark.parametrize("told", [{}, {"sensors__velocity": "derived"}])
 def test_a_rig_zeroes_its_sensors_at_rest_but_not_what_goes_wrong_later(told):
-    bias = {"sensors__position_bias": 3e-4, "sensors__acceleration_bias": 0.1}
-    errors = {**bias, "sensors__position_range": 0.1, "sensors__force_bias": 5.0}
+    bias = {"sensors__displacement_bias": 3e-4, "sensors__acceleration_bias": 0.1}
+    errors = {**bias, "sensors__displacement_range": 0.1, "sensors__force_bias": 5.0}
     fault = {"faults": ["force add 7.0 at 0.0"]}
 
     def samples(**values):

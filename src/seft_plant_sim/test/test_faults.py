@@ -11,7 +11,7 @@ DT = 0.002
 TIMEBASE = Timebase.from_rate(500.0)
 CONVERTER = {
     "sensors__adc_bits": 12,
-    "sensors__position_range": 0.1,
+    "sensors__displacement_range": 0.1,
     "sensors__velocity_range": 1.0,
     "sensors__acceleration_range": 40.0,
     "sensors__force_range": 2048.0,

@@ -15,7 +15,7 @@ PLAN = (
     "rig:specimen.stiffness:=[2.0e5, 0.0, -3.0e4, 0.0, 1.5e5, 0.0, -3.0e4, 0.0, 1.8e5]",
     "rig:actuator.flow_gain:=[0.04, 0.03, 0.05]",
     "rig:actuator.friction:=10.0",
-    "rig:sensors.position_noise:=[1.0e-5, 2.0e-5, 3.0e-5]",
+    "rig:sensors.displacement_noise:=[1.0e-5, 2.0e-5, 3.0e-5]",
     "rig:sensors.force_noise:=3.0",
     "rig:safe.valve_command:=[0.1, 0.2, 0.3]",
     "rig:seed:=3",
@@ -41,10 +41,10 @@ YIELDING = (
 )
 FILTERED = (
     "rig:sensors.velocity:=derived",
-    "rig:sensors.position_filter:=100.0",
+    "rig:sensors.displacement_filter:=100.0",
     "rig:sensors.force_lag:=[0.0, 0.003, 0.0005]",
     "rig:calibration.force_lag:=[0.0, 0.003, 0.0005]",
-    "rig:calibration.acceleration_zero:=[0.1, 0.0, 0.2]",
+    "rig:calibration.acceleration_bias:=[0.1, 0.0, 0.2]",
 )
 
 

@@ -110,7 +110,7 @@ def test_a_derived_velocity_inherits_the_displacements_lag():
     def velocities(**values):
         return driven(make_rig(sensors__velocity="derived", **values), np.ones(50))[:, V]
 
-    own, late = velocities(), velocities(sensors__position_lag=0.004, sensors__velocity_lag=0.5)
+    own, late = velocities(), velocities(sensors__displacement_lag=0.004, sensors__velocity_lag=0.5)
     np.testing.assert_array_equal(late[2:], own[:-2])
 
 

@@ -87,13 +87,13 @@ def test_noise_of_an_axis_does_not_depend_on_how_many_there_are():
 
 
 def test_parameters_are_one_number_or_one_for_each_axis():
-    names = ("position_noise", "velocity_noise", "acceleration_noise", "force_noise")
+    names = ("displacement_noise", "velocity_noise", "acceleration_noise", "force_noise")
     values = dict(zip(names, [[5e-6, 1e-5], [0.01, 0.02], [0.05, 0.1], [3.0, 0.0]], strict=True))
     measured = from_parameters(**values).measure(4, STATE)
     np.testing.assert_array_equal(measured, STATE + noise([4])[0])
     same = from_parameters(**dict.fromkeys(names, 2.0))
     np.testing.assert_array_equal(same.measure(4, 0 * STATE), noise([4], np.full((4, 2), 2.0))[0])
-    for name in ("force_noise", "position_bias", "acceleration_range"):
+    for name in ("force_noise", "displacement_bias", "acceleration_range"):
         with pytest.raises(InputError, match=rf"rig: sensors\.{name}: 3 values for 2 axes"):
             from_parameters(**{name: [1.0, 2.0, 3.0]})
 
@@ -118,14 +118,14 @@ def test_a_sensor_is_reported_if_and_only_if_it_is_at_its_range(values):
     one = sensors(np.zeros((4, 2)), range=1.0)
     measured = one.measure(0, state)
     np.testing.assert_array_equal(measured, np.clip(state, -1.0, 1.0))
-    names = ("position", "velocity", "acceleration", "force")
+    names = ("displacement", "velocity", "acceleration", "force")
     beyond = (np.abs(state) >= 1.0).any(axis=1)
     assert set(one.saturated) == {f"{n}_range" for n, b in zip(names, beyond, strict=True) if b}
 
 
 @given(st.integers(1, 24), st.floats(-0.999, 0.999))
 def test_a_converter_gives_the_nearest_multiple_of_its_resolution(bits, part):
-    ranges = {"position": 0.1, "velocity": 1.0, "acceleration": 40.0, "force": 22200.0}
+    ranges = {"displacement": 0.1, "velocity": 1.0, "acceleration": 40.0, "force": 22200.0}
     one = from_parameters(
         adc_bits=bits, axes=("x",), **{f"{name}_range": value for name, value in ranges.items()}
     )
@@ -146,16 +146,16 @@ def test_a_converter_sees_noise_and_bias_and_ends_at_the_range():
 
 
 def test_a_converter_needs_a_range():
-    ranges = {"position_range": 0.1, "velocity_range": 1.0, "force_range": 2e4}
+    ranges = {"displacement_range": 0.1, "velocity_range": 1.0, "force_range": 2e4}
     with pytest.raises(InputError, match=r"adc_bits is 16, but acceleration_range is 0: .* needs"):
         from_parameters(adc_bits=16, **ranges)
-    with pytest.raises(InputError, match=r"position_range is 0"):
-        from_parameters(adc_bits=16, position_range=[0.1, 0.0])
+    with pytest.raises(InputError, match=r"displacement_range is 0"):
+        from_parameters(adc_bits=16, displacement_range=[0.1, 0.0])
 
 
 def test_a_velocity_that_is_derived_has_no_sensor():
     """Neither its noise nor its bias nor its range mean anything then."""
-    ranges = {"position_range": 0.1, "acceleration_range": 40.0, "force_range": 2e4}
+    ranges = {"displacement_range": 0.1, "acceleration_range": 40.0, "force_range": 2e4}
     one = from_parameters(velocity="derived", adc_bits=16, **ranges)
     assert one.measure(0, np.zeros((4, 2))).tolist() == np.zeros((4, 2)).tolist()
     noisy = {"velocity_noise": 5.0, "velocity_bias": 3.0, "velocity_range": 1e-9}

@@ -66,8 +66,8 @@ def test_a_sound_test_is_not_doubted(words):
         (WRONG_MASS, {"mass"}),
         ((*FRICTION, "rig:sensors.force_scale:=1.08"), {"mass"}),
         (("rig:sensors.acceleration_lag:=0.0002",), {"lag"}),
-        (("rig:sensors.position_lag:=0.0008",), {"lag"}),
-        (("rig:sensors.position_scale:=1.03",), {"scale"}),
+        (("rig:sensors.displacement_lag:=0.0008",), {"lag"}),
+        (("rig:sensors.displacement_scale:=1.03",), {"scale"}),
     ],
 )
 def test_a_wrong_mass_scale_or_lag_puts_a_test_in_doubt(words, kinds):

@@ -242,7 +242,7 @@ def test_what_can_not_be_compared_is_drawn_still(tmp_path):
 
 @pytest.mark.parametrize("axes", [("x", "y"), ("west/x", "east/x")])
 def test_what_the_rigs_have_zeroed_is_told(axes):
-    names = ("position", "velocity", "acceleration", "force")
+    names = ("displacement", "velocity", "acceleration", "force")
 
     def zeroed(*force):
         rows = {name: [0.0] * len(force) for name in names}

@@ -156,7 +156,7 @@ def peaks_of(experiment):
 
 def _ranges(experiment):
     section, names = experiment["force_controller"], peaks_of(experiment)
-    channels = ("position", "velocity", "acceleration", "force")
+    channels = ("displacement", "velocity", "acceleration", "force")
     return {
         name: section[f"detectors.{channel}_range"]
         for name, channel in zip(names, channels, strict=True)

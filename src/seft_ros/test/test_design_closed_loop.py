@@ -33,9 +33,9 @@ COUPLED = {"specimen.mass": [52.7, 40.0], "specimen.stiffness": [2.0e5, -3.0e4, 
 LINEAR = [name for name in OWN_METHODS if name != "target_motion"]  # test_design_frozen_methods.py
 LATE = {
     "rig": {
-        **{"sensors.acceleration_lag": 7e-4, "sensors.position_lag": 0.0047},
+        **{"sensors.acceleration_lag": 7e-4, "sensors.displacement_lag": 0.0047},
         **{"sensors.force_lag": 0.004, "sensors.force_filter": 150.0, "sensors.force_scale": 0.9},
-        **{f"calibration.{name}_lag": 0.004 for name in ("position", "acceleration")},
+        **{f"calibration.{name}_lag": 0.004 for name in ("displacement", "acceleration")},
         "calibration.force_scale": 0.95,
     }
 }

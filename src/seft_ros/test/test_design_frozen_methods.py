@@ -21,7 +21,9 @@ from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
 
 K = 2.11e5
-QUIET = {f"sensors.{name}_noise": 0.0 for name in ("position", "velocity", "acceleration", "force")}
+QUIET = {
+    f"sensors.{name}_noise": 0.0 for name in ("displacement", "velocity", "acceleration", "force")
+}
 BASE = {
     "rig": {f"limits.{name}": 1e12 for name in LIMIT_ROWS}
     | {"actuator.kind": "servo_hydraulic_linear"},

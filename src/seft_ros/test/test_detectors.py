@@ -122,7 +122,7 @@ def test_faults_of_the_hardware_end_a_test_soon(specimen, at):
         (*(f"rig:{name}.force_lag:=0.003" for name in ("sensors", "calibration")),),
         ("rig:sensors.velocity:=derived",),
         *(((f"{SPECIMEN}kind:=linear", f"rate:={rate}")) for rate in (250.0, 2000.0)),
-        tuple(f"rig:sensors.{name}_noise:=0.0" for name in ("position", "velocity", "force")),
+        tuple(f"rig:sensors.{name}_noise:=0.0" for name in ("displacement", "velocity", "force")),
     ],
 )
 def test_no_sound_test_ends_by_a_detector(specimen):
@@ -132,7 +132,7 @@ def test_no_sound_test_ends_by_a_detector(specimen):
 
 
 QUIET = (
-    *(f"rig:sensors.{name}_noise:=0.0" for name in ("position", "velocity", "acceleration")),
+    *(f"rig:sensors.{name}_noise:=0.0" for name in ("displacement", "velocity", "acceleration")),
     *("rig:sensors.force_noise:=0.0", "rig:sensors.adc_bits:=0"),
 )
 
@@ -185,7 +185,7 @@ def test_once_tripped_the_valve_closes_in_its_time():
     largest = np.abs(sound(PLAN)[3].series["valve_command"].values).max()
     assert np.abs(commands - planned)[:-1].max() < 0.05 * largest  # the motion goes on as planned
     assert commands[-1] == pytest.approx(0.97553 * commands[-2], rel=1e-5)
-    assert "position_wrong" in record.trip.reason
+    assert "displacement_wrong" in record.trip.reason
 
 
 def test_a_detector_may_warn_alone():

@@ -226,12 +226,12 @@ def test_a_fault_closes_the_valve_from_the_last_sound_command_and_its_cause_stay
 
 def test_detectors_that_only_warn_put_no_sample_under_suspicion():
     controller = Scripted(1, 3)
-    guarded = watched(controller, warn_only=["displacement_velocity", "position_wrong"])
+    guarded = watched(controller, warn_only=["displacement_velocity", "displacement_wrong"])
     for index in range(9):
         stepped(guarded, index, target_of(index, 1), sample_of(index, 2e-3 * (index >= 5)))
     assert (guarded.reason, len(controller.seen)) == ("", 9)
     name, share = guarded.nearest
-    assert name == "position_wrong"
+    assert name == "displacement_wrong"
     assert share > 1.0
 
 

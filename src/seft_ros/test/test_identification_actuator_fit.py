@@ -117,7 +117,8 @@ def test_a_filter_of_all_sensors_is_dead_time_and_no_lack_of_pressure(cutoff):
 @pytest.mark.parametrize("name", ["the paper's", "slips"])
 def test_the_lag_of_the_force_is_found_whatever_the_specimen_does(name, lag):
     late = [
-        f"rig:sensors.{channel}_lag:={max(-lag, 0.0)}" for channel in ("position", "acceleration")
+        f"rig:sensors.{channel}_lag:={max(-lag, 0.0)}"
+        for channel in ("displacement", "acceleration")
     ]
     *signals, dt, band = driven(*RIGS[name][0], *late, f"rig:sensors.force_lag:={max(lag, 0.0)}")
     oil = OilBalance(*(each[:, 0] for each in signals), dt, band)

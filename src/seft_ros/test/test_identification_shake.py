@@ -83,7 +83,7 @@ def test_mass_scale_lag_and_zero_are_recovered():
     assert_known(fit.zero[FORCE, 0], fit.zero_error[FORCE, 0], 4.0, 0.5)
     section = found.sections()["rig"]
     assert section["calibration.acceleration_lag"] == [pytest.approx(0.0013, abs=4e-5)]
-    assert section["calibration.position_scale"] == [1.0]
+    assert section["calibration.displacement_scale"] == [1.0]
     assert section["calibration.force_scale"] == [1.0]
 
     told = [f"rig:{name}:={value}" for name, value in section.items()]
@@ -93,7 +93,9 @@ def test_mass_scale_lag_and_zero_are_recovered():
 
 
 def test_friction_spoils_neither_mass_nor_zero():
-    fit = shaken(*FRICTION, "rig:sensors.force_bias:=5.0", "rig:sensors.position_bias:=2e-4").fit
+    fit = shaken(
+        *FRICTION, "rig:sensors.force_bias:=5.0", "rig:sensors.displacement_bias:=2e-4"
+    ).fit
     assert_known(fit.mass[0, 0], fit.mass_error[0, 0], 52.7, 0.12)
     assert fit.mass[0, 0] == pytest.approx(52.7, rel=4e-3)
     assert fit.zero[DISPLACEMENT, 0] == pytest.approx(2e-4, abs=1e-5)
@@ -108,7 +110,7 @@ def test_a_shake_under_which_friction_holds_the_specimen_says_so():
 
 
 def test_what_is_late_is_told_whatever_is_the_latest():
-    fit = shaken("rig:sensors.position_lag:=0.002")
+    fit = shaken("rig:sensors.displacement_lag:=0.002")
     lags = [fit.sections()["rig"][f"calibration.{channel}_lag"][0] for channel in CHANNELS]
     assert lags == pytest.approx([0.002, 0.0, 0.0, 0.0], abs=2e-5)
 
@@ -138,18 +140,18 @@ def test_several_axes_give_the_matrix_and_a_tilt():
 
 
 def test_velocity_and_acceleration_against_the_displacement_are_right():
-    found = shaken(*FLAG, "rig:sensors.position_scale:=0.96")
+    found = shaken(*FLAG, "rig:sensors.displacement_scale:=0.96")
     fit = found.fit
     assert_known(fit.scale[DISPLACEMENT, 0], fit.scale_error[DISPLACEMENT, 0], 0.96, 2e-3)
     assert_known(fit.mass[0, 0], fit.mass_error[0, 0], 73.0, 0.1)
     section = found.sections()["rig"]
     assert section["calibration.velocity_scale"] == section["calibration.acceleration_scale"] == [1]
-    assert section["calibration.position_scale"] == [pytest.approx(0.96, abs=2e-3)]
+    assert section["calibration.displacement_scale"] == [pytest.approx(0.96, abs=2e-3)]
 
 
 def test_the_displacement_follows_from_the_noise_and_the_peaks_are_told():
     plan = plan_shake(load())
-    noisy = plan_shake(load("rig:sensors.position_noise:=2e-5"))
+    noisy = plan_shake(load("rig:sensors.displacement_noise:=2e-5"))
     assert noisy.travel == pytest.approx(4 * plan.travel, rel=0.05)
     told = plan_shake(load(), travel=1e-4)
     assert (told.travel, told.peaks["displacement"]) == (1e-4, 1e-4)
@@ -179,7 +181,11 @@ def test_a_stiff_heavy_specimen_is_shaken_at_the_same_frequencies_at_every_rate(
         ((), 0.06, "would reach 0.06 with 60 mm.*half of supervisor: limits.displacement, 0.076"),
         ((), -1e-4, "--travel is -0.0001 m"),
         (("supervisor:limits.force:=20.0",), None, "half of supervisor: limits.force.*--travel"),
-        (("rig:sensors.position_noise:=0.0", "rig:sensors.adc_bits:=0"), None, "noise.position"),
+        (
+            ("rig:sensors.displacement_noise:=0.0", "rig:sensors.adc_bits:=0"),
+            None,
+            "noise.position",
+        ),
     ],
 )
 def test_a_shake_beyond_the_limits_is_refused_before_anything_moves(words, travel, told):

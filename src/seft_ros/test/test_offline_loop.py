@@ -13,7 +13,7 @@ PERFECT = (
     "rig:sensors.adc_bits:=0",
     *(
         f"rig:sensors.{name}_{row}:=0"
-        for name in ("position", "velocity", "acceleration", "force")
+        for name in ("displacement", "velocity", "acceleration", "force")
         for row in ("noise", "bias", "range")
     ),
 )

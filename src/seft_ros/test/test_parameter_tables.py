@@ -71,7 +71,11 @@ def test_a_default_that_comes_from_other_parameters_comes_from_a_last_one(node, 
 
 
 def test_the_loop_counts_the_lag_of_the_latest_channel():
-    words = (*SPECIMEN, "rig:calibration.force_lag:=0.002", "rig:calibration.position_lag:=[0.003]")
+    words = (
+        *SPECIMEN,
+        "rig:calibration.force_lag:=0.002",
+        "rig:calibration.displacement_lag:=[0.003]",
+    )
     experiment = load(*words)
     assert experiment["reference_force"]["compensation.sensor_lag"] == 0.003
     assert experiment["force_controller"]["sensor_lag"] == 0.003

@@ -85,9 +85,9 @@ def test_persistences_in_samples():
     lasts = dict(zip((one.name for one in DETECTORS), p.persistence.tolist(), strict=True))
     assert lasts.pop("force_response") == lasts.pop("tracking") == 10
     assert [lasts.pop(name) for name in ("force_noise", "force_jump")] == [2, 2]
-    assert [lasts.pop(f"{each}_frozen") for each in ("position", "velocity")] == [2, 2]
+    assert [lasts.pop(f"{each}_frozen") for each in ("displacement", "velocity")] == [2, 2]
     assert [lasts.pop(f"{each}_frozen") for each in ("acceleration", "force")] == [2, 2]
-    assert [lasts.pop(f"{each}_wrong") for each in ("position", "velocity")] == [1, 1]
+    assert [lasts.pop(f"{each}_wrong") for each in ("displacement", "velocity")] == [1, 1]
     assert [lasts.pop(f"{each}_wrong") for each in ("acceleration", "force")] == [1, 1]
     assert set(lasts.values()) == {3}
     rare, _ = detectors(dt=0.004)

@@ -21,7 +21,7 @@ TWO = ("/**:axes:=[x, y]", "rig:specimen.stiffness:=[2.11e5, -3.0e4, -3.0e4, 1.8
 EXPERIMENT = load()
 
 
-CHANNELS = ("position", "velocity", "acceleration", "force")
+CHANNELS = ("displacement", "velocity", "acceleration", "force")
 
 
 def rig_of(number, seed=1, spread=0.2, experiment=EXPERIMENT):

@@ -73,7 +73,7 @@ def identify(
     The folder then holds the excitation, the bags, a figure, and model.yaml: parameters of
     reference_force and force_controller for --params-file. With --specimen they include mass,
     damping and stiffness of the specimen, as reference_force's model.*, the standard error of the
-    mass, and rig: calibration.*.
+    mass, and /**: calibration.*.
 
     Examples:
 

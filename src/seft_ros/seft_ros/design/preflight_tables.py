@@ -80,7 +80,7 @@ class ModelTime:
             return (
                 f"reference_force: computed.model takes {self.longest_s:.3g} s for the step at "
                 f"{self.longest_at_s:.6g} s, at which the test would trip: a watchdog allows "
-                f"{self.longest_allowed_s:g} s (supervisor: watchdog.command_timeout, at most "
+                f"{self.longest_allowed_s:g} s (rig: watchdog.command_timeout, at most "
                 f"{LONGEST_MODEL_STEP:g}); make this step of the model faster"
             )
         every, rate = self.fitting_every, self.fitting_rate_hz
@@ -314,7 +314,7 @@ def mass_mismatch(experiment: Experiment) -> str:
     if np.abs(masses[0] - masses[1]).max() <= WEIGHING_ERROR * np.abs(masses[1]).max():
         return ""
     return (
-        f"/**: specimen.mass is {assumed} kg, but rig: simulated.specimen.mass {own} kg: the test "
+        f"/**: specimen.mass is {assumed} kg, but /**: specimen.mass {own} kg: the test "
         "shows what a wrong mass does"
     )
 
