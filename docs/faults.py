@@ -1,4 +1,6 @@
-"""Table of safety.md: faults of the hardware, and a perfect detector; run in the project.
+"""Table of protection_results.md: faults of the hardware, and a perfect detector.
+
+Run it in the project:
 
     .venv/bin/python docs/faults.py kobe.txt:cm/s2:0.005:0
 

@@ -1,4 +1,6 @@
-"""Sound tests of safety.md, drawn at random: no detector may end one; run in the project.
+"""Fault-free tests of protection_results.md, drawn at random: no detector may end one.
+
+Run it in the project:
 
     .venv/bin/python docs/sound_tests.py 900 kobe.txt:cm/s2:0.005:0 nishi_akashi.AT2
 

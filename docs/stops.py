@@ -1,4 +1,6 @@
-"""Table of safety.md: the largest force while a test is stopped; run in the project.
+"""Table of protection_results.md: the largest force while a test is stopped.
+
+Run it in the project:
 
     .venv/bin/python docs/stops.py 40
 

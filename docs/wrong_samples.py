@@ -1,4 +1,6 @@
-"""Table of safety.md: wrong samples of one channel, drawn at random; run in the project.
+"""Table of protection_results.md: wrong samples of one channel, drawn at random.
+
+Run it in the project:
 
     .venv/bin/python docs/wrong_samples.py 12
 
@@ -22,7 +24,7 @@ from test_detectors import BILINEAR, GAP, PLAN, SPECIMEN, load
 FRICTION = ("rig:simulated.specimen.kind:=friction", f"{SPECIMEN}friction.force:=60.0")
 TESTS = {"linear": (), "bilinear": BILINEAR, "gap": GAP, "friction": FRICTION}
 RANGES = dict(zip(CHANNELS, (0.1, 1.0, 39.24, 22200.0), strict=True))
-ROWS = "in a row", "most of the sound peak: force", "target", "error more by", "ended"
+ROWS = "in a row", "largest over the fault-free peak: force", "target", "error more by", "ended"
 
 
 def run(shop, words):
