@@ -1,8 +1,13 @@
 """The pages as HTML, by `make docs`: every link between them and into the code is checked."""
 
+from pathlib import Path
+
 from docutils.nodes import SkipNode, math, math_block
 from docutils.utils.math import MathError
 from docutils.utils.math.latex2mathml import tex2mathml
+from seft_msgs_py.config.facts import EVERY_NODE
+from seft_ros.cli.show_commands import parameters_text
+from seft_ros.test_run.parameter_tables import TABLES
 from sphinx.application import Sphinx
 from sphinx.util.logging import getLogger
 from sphinx.writers.html5 import HTML5Translator
@@ -47,6 +52,14 @@ def write_mathml(translator: HTML5Translator, node: math | math_block) -> None:
     raise SkipNode
 
 
+def write_parameters(app: Sphinx) -> None:
+    """Write the page of all parameters."""
+    text = parameters_text([EVERY_NODE, *(table.node for table in TABLES)])
+    page = Path(app.srcdir) / "docs" / "parameters.md"
+    page.write_text(f"# All parameters\n\nMade by `seft parameters`.\n\n{text}\n", "utf-8")
+
+
 def setup(app: Sphinx) -> None:
-    """Make MathML known to Sphinx."""
+    """Make MathML known to Sphinx, and pages that are not written by hand."""
+    app.connect("builder-inited", write_parameters)
     app.add_html_math_renderer("mathml", (write_mathml, None), (write_mathml, None))

@@ -7,9 +7,10 @@ from xml.etree import ElementTree
 import pytest
 from experiments_at_hand import load
 from graph_tools import ROOT
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.facts import place_of
 from seft_msgs_py.wire.topics import LOOP_TOPICS, TOPICS
 from seft_ros.cli.main import APP
-from seft_ros.cli.show_commands import parameters_text
 from seft_ros.conformance.driver import CHECKS
 from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import critical_mass_ratio
@@ -21,9 +22,21 @@ FIRST_CELLS = re.compile(r"^\| (.+?) \|", re.MULTILINE)
 OF_ROS = {"Could not find metadata in bag directory", "Trying to set a read-only parameter"}
 
 
-def test_the_parameter_tables_are_those_of_the_code():
-    text = (ROOT / "docs" / "parameters.md").read_text()
-    assert text.rstrip("\n") == parameters_text([table.node for table in TABLES])
+def test_the_page_of_the_file_names_parameters_that_exist():
+    text = (ROOT / "docs" / "experiment_file.md").read_text()
+    place, rows = "", re.findall(r"^\| (?:`([^`]*)` )?\| `([\w.]+)`", text, re.MULTILINE)
+    assert len(rows) == 25
+    for named, name in rows:
+        place = named or place
+        assert any(name in t.rows and place_of(name, t.node) == place for t in TABLES), name
+
+
+def test_the_files_of_that_page_are_read(tmp_path):
+    text = (ROOT / "docs" / "experiment_file.md").read_text()
+    for index, block in enumerate(re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)):
+        file = tmp_path / f"{index}.yaml"
+        file.write_text(block)
+        Experiment.load(TABLES, [file])
 
 
 def test_the_pages_of_nodes_and_commands_name_every_topic_node_and_command():
@@ -46,7 +59,7 @@ def test_every_compensation_method_is_in_both_tables_of_methods():
 
 @pytest.mark.parametrize(
     ("column", "overrides"),
-    [(1, []), (2, ["/**:actuator.kind:=delay", "rig:simulated.actuator.delay:=0.01"])],
+    [(1, []), (2, ["actuator.kind:=delay", "actuator.delay:=0.01"])],
 )
 @pytest.mark.parametrize("method", ["none", "restoring"])  # they need nothing identified
 def test_where_a_method_ends_is_what_preflight_says(method, column, overrides):
