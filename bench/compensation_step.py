@@ -25,7 +25,7 @@ WANTED = {1: 50e-6, 3: 100e-6}  # s, by the number of axes
 WHOLE_WANTED = {1: 20e-6, 3: 100e-6}  # s, of reference force and force controller
 COMMON = [
     ("reference_force", "mass_ratio", 1.0),
-    ("/**", "actuator.delay", 0.0139),
+    ("/**", "actuator.delay", 0.0109),
 ]
 
 

@@ -22,7 +22,10 @@ WANTED_CALL = 4e-6  # s from Python, of the nonlinear rig
 
 YIELDS = ("rig", "simulated.specimen.yield_displacement", 0.002)
 FILTERED = [
-    *(("rig", f"sensors.{c}_filter", 200.0) for c in ("displacement", "acceleration", "force")),
+    *(
+        ("rig", f"simulated.sensors.{c}_filter", 200.0)
+        for c in ("displacement", "acceleration", "force")
+    ),
     ("/**", "sensors.velocity", "derived"),
 ]
 CASES = {

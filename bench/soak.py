@@ -23,10 +23,7 @@ WARM_UP = 0.2  # of the time
 MAX_GROWTH = 2.0  # MB after warm-up; the allocator's own steps are about one
 INDEX = 8.0  # MB/h: the recorder keeps some 400 bytes of its bag's index for each flush, 4 a second
 SPARE = 1.2  # the motion must not end before the time
-PATIENT = (
-    *(("supervisor", "peer"), ("supervisor", "command"), ("rig", "supervisor")),
-    ("force_controller", "state"),
-)
+PATIENT = ("supervisor", "peer"), ("rig", "command"), ("rig", "supervisor")
 STOPPED = "stopped by the operator"
 MEGABYTE = 1024  # kB
 

@@ -5,9 +5,7 @@ from pathlib import Path
 from docutils.nodes import SkipNode, math, math_block
 from docutils.utils.math import MathError
 from docutils.utils.math.latex2mathml import tex2mathml
-from seft_msgs_py.config.facts import EVERY_NODE
 from seft_ros.cli.show_commands import parameters_text
-from seft_ros.test_run.parameter_tables import TABLES
 from sphinx.application import Sphinx
 from sphinx.util.logging import getLogger
 from sphinx.writers.html5 import HTML5Translator
@@ -54,7 +52,7 @@ def write_mathml(translator: HTML5Translator, node: math | math_block) -> None:
 
 def write_parameters(app: Sphinx) -> None:
     """Write the page of all parameters."""
-    text = parameters_text([EVERY_NODE, *(table.node for table in TABLES)])
+    text = parameters_text()
     page = Path(app.srcdir) / "docs" / "parameters.md"
     page.write_text(f"# All parameters\n\nMade by `seft parameters`.\n\n{text}\n", "utf-8")
 

@@ -18,7 +18,8 @@ import numpy as np
 sys.path.append("src/seft_ros/test")
 
 from experiments_at_hand import load
-from rig_faults import CHANNELS, FAULTS, lines_of
+from rig_faults import FAULTS, lines_of
+from seft_msgs_py.config.facts import CHANNELS
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
 from sound_tests import motion_words
@@ -35,12 +36,7 @@ from test_detectors import (
 
 FRICTION = (f"{KIND}friction", f"{SPECIMEN}friction.force:=60.0")
 STIFF = (
-    *(f"{SPECIMEN}stiffness:=2.0e6", "/**:specimen.stiffness:=2.0e6"),
-    *(f"{SPECIMEN}damping:=1000.0", "/**:specimen.damping:=1000.0"),
-    *(
-        "/**:actuator.oil_stiffness_FIXME_OF_FREQUENCY:=0.0",
-        "rig:simulated.actuator.oil_stiffness:=1.664e+7",
-    ),
+    *("specimen.stiffness:=2.0e6", "specimen.damping:=1000.0"),
     "ground_motion:peak_force:=2000.0",
 )
 SLOW: dict[str, list[tuple[str, ...]]] = {
@@ -112,10 +108,9 @@ def fitting(words, config):
     record = simulate_test(experiment, build_blocks(experiment), compiles=True)
     assert record.trip is None, record.trip
     peaks = np.abs(record.states.values).max(axis=(0, 2))
-    names = "displacement", "velocity", "acceleration", "force"
     limits = [
-        f"supervisor:limits.{name}:={factor * peak:.6g}"
-        for name, factor, peak in zip(names, (1.5, 2.0, 2.0, 1.5), peaks, strict=True)
+        f"limits.{name}:={factor * peak:.6g}"
+        for name, factor, peak in zip(CHANNELS, (1.5, 2.0, 2.0, 1.5), peaks, strict=True)
     ]
     return (*words, *limits), record
 

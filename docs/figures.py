@@ -64,7 +64,7 @@ def critical_by_delay(name: str) -> Floats:
     """Critical mass ratios of a rig that is a pure delay; infinite where none was found."""
     found = []
     for delay in DELAYS:
-        rig = [("/**", "actuator.kind", "delay"), ("rig", "simulated.actuator.delay", float(delay))]
+        rig = [("/**", "actuator.kind", "delay"), ("/**", "actuator.delay", float(delay))]
         critical = critical_mass_ratio(Plan(planned(*rig, *method(name))))
         found.append(critical.value if critical else np.inf)
     return np.array(found)
@@ -72,8 +72,8 @@ def critical_by_delay(name: str) -> Floats:
 
 def neutral_end(experiment: Experiment) -> tuple[Floats, Floats]:
     """Delay T in s and mass ratio at which the neutral delay equation has a root on the axis."""
-    rig = experiment["rig"]
-    mass, damping, stiffness = (rig[f"specimen.{n}"] for n in ("mass", "damping", "stiffness"))
+    known = experiment["reference_force"]
+    mass, damping, stiffness = (known[f"specimen.{n}"] for n in ("mass", "damping", "stiffness"))
     natural = np.sqrt(stiffness / mass)
     ratio = damping / (2.0 * mass * natural)
     v = np.linspace(1e-3, 0.999, 400)  # natural over critical frequency

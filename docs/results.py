@@ -16,13 +16,12 @@ from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
-SPECIMEN, ACTUATOR, ASSUMED = "rig:specimen.", "rig:actuator.", "force_controller:actuator."
-MODEL, METHOD = "reference_force:model.", "reference_force:compensation.method"
-UNZEROED = "/**:calibration.zeroing:=0.0"
+SPECIMEN, METHOD = "rig:simulated.specimen.", "reference_force:compensation.method"
+UNZEROED = "calibration.zeroing:=0.0"
 WATCH = "reference_force:instability.ratio:=100.0"  # each test goes on to its end
 YIELD = f"{SPECIMEN}yield_displacement:="
-STOREYS = f"{SPECIMEN}springs:=[1.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0, -1.0, 1.0]"
-LINK = "/**:loop_delay:=5"
+STOREYS = "specimen.springs:=[1.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0, -1.0, 1.0]"
+LINK = "loop_delay:=5"
 EXAMPLES = "three_storey_frame", "six_storey_frame", "two_pier_bridge", "water_tower", "demo"
 Row = tuple[str, ...]
 """Overrides; one that begins with ``config:`` names the file."""
@@ -38,16 +37,16 @@ def specimen(kind: str, *settings: str) -> Row:
     return (WATCH, f"{SPECIMEN}kind:={kind}", *(SPECIMEN + setting for setting in settings))
 
 
-def valve(name: str, value: float) -> Row:
-    """Choose the valve, known to the controller."""
-    return f"{ACTUATOR}{name}:={value}", f"{ASSUMED}{name}:={value}"
+def wrong(name: str, known: float, true: float) -> Row:
+    """Choose what is known wrong, and what it truly is."""
+    return f"{name}:={known:.6g}", f"rig:simulated.{name}:={true:.6g}"
 
 
 ONE = loaded(1.0, 500.0)
 PLAN = (f"{METHOD}:=target_motion", "force_controller:method:=velocity_feedforward")
 DELAY = (
-    *(f"{METHOD}:=target_motion", "/**:actuator.delay:=0.013", WATCH),
-    *(f"{ACTUATOR}kind:=delay", f"{ACTUATOR}delay:=0.01"),
+    *(f"{METHOD}:=target_motion", WATCH),
+    *("actuator.kind:=delay", "actuator.delay:=0.01"),
 )
 TESTS: dict[str, list[Row]] = {
     "mass ratios": [
@@ -92,19 +91,19 @@ TESTS: dict[str, list[Row]] = {
         ),
     ],
     "wrong assumptions": [
-        (*PLAN, *ONE, override)
-        for override in (
-            *(f"{MODEL}stiffness:={factor * 2.11e5:.6g}" for factor in (0.7, 1.4)),
-            f"{ASSUMED}flow_gain:={0.8 * 0.0403:.6g}",
-            f"{ASSUMED}dead_time:=0.003",
-            f"{ASSUMED}valve_frequency:={1.2 * 70.0:.6g}",
+        (*PLAN, *ONE, *wrong(*values))
+        for values in (
+            *(("specimen.stiffness", factor * 2.11e5, 2.11e5) for factor in (0.7, 1.4)),
+            ("actuator.flow_gain", 0.8 * 0.0403, 0.0403),
+            ("actuator.dead_time", 0.003, 0.001),
+            ("actuator.valve_frequency", 1.2 * 70.0, 70.0),
         )
     ],
     "other rigs": [
         *((*PLAN, *ONE, f"rate:={rate}") for rate in (250.0, 2000.0)),
-        (*PLAN, *ONE, *valve("valve_frequency", 30.0)),
-        (*PLAN, *ONE, *valve("dead_time", 0.006)),
-        (*PLAN, *ONE, *valve("dead_time", 0.01), "reference_force:compensation.horizon:=0.08"),
+        (*PLAN, *ONE, "actuator.valve_frequency:=30.0"),
+        (*PLAN, *ONE, "actuator.dead_time:=0.006"),
+        (*PLAN, *ONE, "actuator.dead_time:=0.01", "reference_force:compensation.horizon:=0.08"),
     ],
     "behind a link of 10 ms": [
         (*PLAN, *ONE, LINK, *specimen(*words))
@@ -126,9 +125,9 @@ TESTS: dict[str, list[Row]] = {
     ],
     "limits": [
         *((*PLAN, *loaded(1.0, newtons)) for newtons in (700.0, 1000.0)),
-        (*PLAN, *ONE, "/**:sensors.displacement_noise:=0.0"),
+        (*PLAN, *ONE, "sensors.displacement_noise:=0.0"),
         *(
-            (*PLAN, *ONE, UNZEROED, f"rig:sensors.{name}_bias:={value}")
+            (*PLAN, *ONE, UNZEROED, f"rig:simulated.sensors.{name}_bias:={value}")
             for name, value in (("force", 5.0), ("displacement", 1e-4), ("acceleration", 0.1))
         ),
     ],

@@ -16,6 +16,7 @@ import numpy as np
 sys.path.append("src/seft_ros/test")
 
 from rig_faults import LATE, MISSED, SlowHost
+from seft_msgs_py.config.facts import CHANNELS
 from seft_ros.protection.detector_list import DETECTORS
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
@@ -26,13 +27,14 @@ COMPENSATION = "reference_force:compensation."
 LOOPS = (
     *(PLAN, PLAN, PLAN),
     (f"{COMPENSATION}method:=none",),
-    (f"{COMPENSATION}method:=model", f"{COMPENSATION}delay:=0.02"),
+    (f"{COMPENSATION}method:=model", "actuator.delay:=0.017"),
     (f"{COMPENSATION}method:=restoring",),
     (f"{COMPENSATION}method:=target_motion", *OBEYS),
     (f"{COMPENSATION}method:=model", *OBEYS),
 )
 YIELD, HARDENING = f"{SPECIMEN}yield_displacement:=", f"{SPECIMEN}hardening_ratio:="
 GAIN, DEAD_TIME = "rig:simulated.actuator.flow_gain:=", "rig:simulated.actuator.dead_time:="
+MASS, STIFFNESS, OIL = 52.7, 2.11e5, "rig:simulated.actuator.oil_stiffness:="
 VALVE, ADC = "rig:simulated.actuator.valve_frequency:=", "rig:simulated.sensors.adc_bits:=12"
 
 
@@ -59,26 +61,29 @@ def specimen(draw):
 
 def difference(draw, rng):
     """Give the words of what differs from what is assumed; or `LATE`, or `MISSED`."""
-    sensors = dict(zip(("displacement", "velocity", "acceleration", "force"), NOISE, strict=True))
+    sensors = dict(zip(CHANNELS, NOISE, strict=True))
     hertz = draw(80, 200)
     sign = dict(zip(sensors, rng.choice([-2.0, 2.0], 4), strict=True))
     return (
         (),
         (f"{GAIN}{0.0403 * draw(0.75, 1.25)}",),
         (f"{DEAD_TIME}{draw(1e-4, 4e-3)}",),
-        (f"/**:actuator.oil_stiffness_FIXME_OF_FREQUENCY:={90 * draw(0.8, 1.25)}",),
+        (f"{OIL}{MASS * (2 * np.pi * 90 * draw(0.8, 1.25)) ** 2 - STIFFNESS:.6g}",),
         (f"{VALVE}{70 * draw(0.7, 1.4)}",),
         (f"rig:simulated.actuator.friction:={draw(20, 100)}",),
         (f"rig:simulated.actuator.leakage:={50 * draw(0.5, 2)}",),
         (f"rig:simulated.actuator.force_capacity:={24500 * draw(0.5, 1.5)}",),
         (f"{GAIN}{0.0403 * draw(0.8, 1.2)}", f"{DEAD_TIME}{draw(1e-4, 3e-3)}", ADC),
-        (f"/**:specimen.stiffness:={2.11e5 * draw(0.6, 1.5)}",),
+        (f"specimen.stiffness:={STIFFNESS * draw(0.6, 1.5)}", f"{SPECIMEN}stiffness:={STIFFNESS}"),
         (ADC,),
-        tuple(f"rig:sensors.{name}_filter:={hertz}" for name in sensors),
-        ("/**:sensors.velocity:=derived",),
-        tuple(f"rig:sensors.{name}_noise:=0.0" for name in sensors),
-        tuple(f"rig:sensors.{name}_noise:={5 * noise}" for name, noise in sensors.items()),
-        tuple(f"rig:sensors.{name}_bias:={sign[name] * noise}" for name, noise in sensors.items()),
+        tuple(f"rig:simulated.sensors.{name}_filter:={hertz}" for name in sensors),
+        ("sensors.velocity:=derived",),
+        tuple(f"sensors.{name}_noise:=0.0" for name in sensors),
+        tuple(f"sensors.{name}_noise:={5 * noise}" for name, noise in sensors.items()),
+        tuple(
+            f"rig:simulated.sensors.{name}_bias:={sign[name] * noise}"
+            for name, noise in sensors.items()
+        ),
         MISSED,
         LATE,
     )

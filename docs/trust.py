@@ -17,13 +17,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from seft_msgs_py.config.facts import CHANNELS
 
 sys.path.append("src/seft_ros/test")
 
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig import Rig
+from seft_plant_sim.rig_parameters import truth
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.calibration_effect import led
 from seft_ros.analysis.metrics import nrmse
@@ -39,13 +40,12 @@ from seft_ros.identification.shake import (
 )
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
-from sound_tests import motion_words
+from sound_tests import MASS, motion_words
 from test_detectors import KIND, PLAN, SPECIMEN, load
 from test_identification_shake import identified
 
-MASS = 52.7
-STOREYS = "rig:simulated.specimen.springs:=[1.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0, -1.0, 1.0]"
-FRAME = "three_storey_frame"
+STOREYS = "specimen.springs:=[1.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0, -1.0, 1.0]"
+SENSORS, FRAME = "rig:simulated.sensors.", "three_storey_frame"
 SPOILED, WORSE = 0.05, 1.5
 """A test is spoiled if its displacement is off by more than this, and more than without error."""
 SHIFTS = np.linspace(-8e-3, 8e-3, 33)
@@ -110,29 +110,30 @@ class Errors:
         if self.n > 1 and self.rng.random() < 0.5:
             masses = [MASS] * self.n
             masses[self.rng.integers(self.n)] = wrong
-        return (f"/**:specimen.mass:={masses if self.n > 1 else masses[0]}",)
+        told = masses if self.n > 1 else masses[0]
+        return f"specimen.mass:={told}", f"{SPECIMEN}mass:={MASS}"
 
     def scale(self):
         """Draw a channel's scale."""
         name = self.rng.choice(CHANNELS)
         value = round(float(1 + self.sign() * self.draw(0.005, 0.08)), 5)
-        return (f"rig:sensors.{name}_scale:={self.of_axis(value, 1.0)}",)
+        return (f"{SENSORS}{name}_scale:={self.of_axis(value, 1.0)}",)
 
     def lag(self):
         """Draw a channel's lag."""
         name = self.rng.choice(CHANNELS)
-        return (f"rig:sensors.{name}_lag:={self.of_axis(self.draw(1e-4, 3e-3), 0.0)}",)
+        return (f"{SENSORS}{name}_lag:={self.of_axis(self.draw(1e-4, 3e-3), 0.0)}",)
 
     def filter(self):
         """Draw a channel's filter."""
         name = self.rng.choice(CHANNELS)
-        return (f"rig:sensors.{name}_filter:={self.of_axis(self.draw(60, 400), 0.0)}",)
+        return (f"{SENSORS}{name}_filter:={self.of_axis(self.draw(60, 400), 0.0)}",)
 
     def tilt(self):
         """Draw accelerometers that see parts of other axes."""
         mixed = (1 - np.eye(self.n)) * self.rng.uniform(-1, 1, (self.n, self.n))
         tilt = np.eye(self.n) + mixed * self.draw(0.01, 0.15)
-        return (f"rig:simulated.sensors.tilt:={tilt.ravel().round(4).tolist()}",)
+        return (f"{SENSORS}tilt:={tilt.ravel().round(4).tolist()}",)
 
 
 def drawn_test(seed, axes, motions):
@@ -196,8 +197,8 @@ def shaken(words, axes):
     for _ in range(2):  # the second time with the lags that it has found
         shake = Shaken.of_record(plan, record, sines, found, known)
         known = shake.calibrated
-    sections = shake.sections().items()
-    return tuple((node, *item) for node, section in sections for item in section.items())
+    words = ("/**", shake.facts()), ("rig", truth(experiment["rig"]))  # which stays as it was
+    return tuple((place, *item) for place, section in words for item in section.items())
 
 
 def run(words, axes):

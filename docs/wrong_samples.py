@@ -15,13 +15,13 @@ import numpy as np
 
 sys.path.append("src/seft_ros/test")
 
-from rig_faults import CHANNELS
+from seft_msgs_py.config.facts import CHANNELS
 from seft_ros.analysis.summary import summarise_briefly
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import BlockCache
-from test_detectors import BILINEAR, GAP, PLAN, SPECIMEN, load
+from test_detectors import BILINEAR, GAP, KIND, PLAN, SPECIMEN, load
 
-FRICTION = ("rig:simulated.specimen.kind:=friction", f"{SPECIMEN}friction.force:=60.0")
+FRICTION = (f"{KIND}friction", f"{SPECIMEN}friction.force:=60.0")
 TESTS = {"linear": (), "bilinear": BILINEAR, "gap": GAP, "friction": FRICTION}
 RANGES = dict(zip(CHANNELS, (0.1, 1.0, 39.24, 22200.0), strict=True))
 ROWS = "in a row", "largest over the fault-free peak: force", "target", "error more by", "ended"

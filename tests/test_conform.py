@@ -23,17 +23,14 @@ LONE = ("-p", "rig:watchdog.supervisor_timeout:=2.0")
 
 
 @pytest.fixture
-def start_driver(start, domain, tmp_path):
+def start_driver(start, domain):
     """Start a driver, good or bad, of the template's, and wait until it is there."""
 
     def launch(module):
-        text = (TEMPLATE / "config" / "rig.yaml").read_text().replace("500.0  ", "250.0  ", 1)
-        text = text.replace("command_timeout: 0.02", "command_timeout: 1.0")
-        config = tmp_path / "rig.yaml"
-        config.write_text(text.replace("supervisor_timeout: 1.0", "supervisor_timeout: 2.0"))
         paths = (ROOT / "tests", TEMPLATE, os.environ.get("PYTHONPATH", ""))
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, paths))}
-        process = start(module, "--ros-args", "--params-file", config, env=environment)
+        words = ("--ros-args", "--params-file", TEMPLATE / "config" / "rig.yaml", *PATIENT, *LONE)
+        process = start(module, *words, env=environment)
         wait_for(lambda: process.poll() is not None or is_running(domain, "/rig"), "the driver")
         assert process.poll() is None, process.communicate()
         return process

@@ -6,14 +6,14 @@ All kinds of loops are compared in virtual time: test_local_drawn.py.
 import numpy as np
 from graph_tools import BRIDGE, JHU, MISSES_ALLOWED, STALLS_ALLOWED, THOROUGH
 from local_tools import RIGS_NODES, TARGET_MOTION, TWO_AXES
+from seft_msgs_py.config.facts import CHANNELS
 from seft_ros.bags.record_bag import read_bag
 
 SHORT = ("-p", "ground_motion:synthetic.duration:=5.0", "-p", "ground_motion:tail:=0.5")
 LOCKSTEP = ("-p", "rig:pace:=lockstep", "-p", "rig:lockstep_timeout:=60.0", *STALLS_ALLOWED)
-CHANNELS = ("displacement", "velocity", "acceleration", "force")
 GENTLE = (  # with sensors of unlimited range: it uses next to nothing of theirs
     *("-p", "ground_motion:peak_force:=20.0", "-p", "rig:simulated.sensors.adc_bits:=0"),
-    *(word for name in CHANNELS for word in ("-p", f"rig:sensors.{name}_range:=0.0")),
+    *(word for name in CHANNELS for word in ("-p", f"sensors.{name}_range:=0.0")),
 )
 """Lets a rig stay far from its limits though it holds old commands for long."""
 
@@ -67,7 +67,7 @@ def test_realtime_in_one_process_differs_only_from_the_first_missed_command_on(
 
 @THOROUGH
 def test_two_rigs_give_the_bits_of_the_offline_loop(compiled, seft_json):
-    words = (*SHORT, "-p", "/**:loop_delay:=5")
+    words = (*SHORT, "-p", "loop_delay:=5")
     compiled(BRIDGE, *words, nodes=RIGS_NODES)
     words = (BRIDGE, *words)
     seft_json("simulate", *words, "--out", "simulated")

@@ -6,6 +6,7 @@ import time
 
 import pytest
 from graph_tools import DEMO, MISSES_ALLOWED, PATIENCE, STALLS_ALLOWED, children, wait_for
+from seft_msgs_py.config.facts import CHANNELS
 from two_hosts import promptly, two_hosts
 
 __all__ = ["two_hosts"]
@@ -16,15 +17,13 @@ LOOP_DELAY = 9
 DELAYED = {"delay": 0.005, "jitter": 0.001}
 PLAN = (
     *("-p", "reference_force:mass_ratio:=1.0"),
-    *("-p", f"/**:loop_delay:={LOOP_DELAY}"),
+    *("-p", f"loop_delay:={LOOP_DELAY}"),
 )
-QUANTITIES = ("displacement", "velocity", "acceleration", "force")
 NO_LIMITS = (
-    *(f"supervisor:limits.{name}:=1e9" for name in QUANTITIES),
-    *(f"supervisor:limits.{name}_rate:=1e12" for name in QUANTITIES),
-    "/**:limits.saturated_time:=1e3",
+    *(f"limits.{name}:=1e9" for name in CHANNELS),
+    *(f"limits.{name}_rate:=1e12" for name in CHANNELS),
+    "limits.saturated_time:=1e3",
     "force_controller:watchdog.saturation_time:=1e3",
-    "/**:limits.force_rate:=1e12",
 )
 PATIENT = (  # whatever a machine that stands still makes of a test, it goes on to its end
     *STALLS_ALLOWED,
@@ -139,7 +138,7 @@ def test_a_cut_link_ends_the_test_and_both_hosts_say_why(two_hosts, rig_host):
 
 def test_the_link_is_measured_and_a_test_takes_the_delay_that_it_needs(two_hosts, rig_host):
     two_hosts.link(**DELAYED)
-    _, controller = rig_host(*PATIENT, "-p", "/**:loop_delay:=-1")
+    _, controller = rig_host(*PATIENT, "-p", "loop_delay:=-1")
     link = two_hosts.start(
         *("a", "seft_ros.cli.main", "link", DEMO, *PLAN[:2], "--duration", "4"),
         *("--out", "link.yaml", "--json"),
@@ -157,7 +156,7 @@ def test_the_link_is_measured_and_a_test_takes_the_delay_that_it_needs(two_hosts
     run = seft_run(
         two_hosts,
         *PATIENT,
-        *("-p", "/**:loop_delay:=-1", "--out", "hosts", "--json"),
+        *("-p", "loop_delay:=-1", "--out", "hosts", "--json"),
         *("-p", "ground_motion:synthetic.duration:=6.0"),
     )
     out, told = run.communicate(timeout=PATIENCE)

@@ -45,8 +45,8 @@ def run(motion, method, mass_ratio, peak_force, ratio, *words, loop_delay=0):
         *(*words_of(motion), f"ground_motion:peak_force:={peak_force}"),
         f"reference_force:mass_ratio:={mass_ratio}",
         f"reference_force:instability.ratio:={ratio}",
-        f"/**:loop_delay:={loop_delay}",
-        *(f"rig:{word}" for word in words),
+        f"loop_delay:={loop_delay}",
+        *(f"rig:simulated.{word}" for word in words),
         "force_controller:detectors.warn_only:=all",
     )
     found = simulated(with_method(load(*given), method))

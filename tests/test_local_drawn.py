@@ -8,12 +8,14 @@ from experiments_at_hand import load
 from graph_tools import JHU
 from local_tools import SHORT, TARGET_MOTION, TWO_AXES, UNREHEARSED, assert_same, offline
 from records_at_hand import assert_same_samples
+from seft_msgs_py.config.facts import CHANNELS
 from seft_ros.test_run import offline as offline_loop
 from seft_ros.test_run.compiled_loop import build_blocks, why_not_compiled
 from seft_ros.test_run.offline import simulate_test
 
 MANY = (pytest.mark.thorough, pytest.mark.offline)
-SPECIMEN, RIG = "rig:specimen.", "rig:actuator."
+SPECIMEN, RIG = "rig:simulated.specimen.", "rig:simulated.actuator."
+DELAYED = "actuator.kind:=delay"
 SPECIMENS = (
     ("kind:=linear",),
     ("kind:=bilinear", "yield_displacement:={small}"),
@@ -23,45 +25,41 @@ SPECIMENS = (
     ("kind:=gap", "gap.width:={small}", "gap.stiffness:=2.11e5"),
     ("kind:=duffing", "duffing.cubic:=2e9"),
 )
+EFT = ("reference_force:method:=eft", "reference_force:mass_ratio:=0.0")
 METHODS = (
     TARGET_MOTION,
     TARGET_MOTION,
-    (*TARGET_MOTION, "/**:loop_delay:=3"),
+    (*TARGET_MOTION, "loop_delay:=3"),
     ("reference_force:compensation.method:=restoring",),
-    ("reference_force:compensation.method:=model", "/**:actuator.delay:=0.0139"),
-    ("reference_force:method:=eft",),
+    ("reference_force:compensation.method:=model", "actuator.delay:=0.0109"),
+    EFT,
 )
 ACTUATORS = (
     *((f"{RIG}flow_gain:={{gain}}", f"{RIG}dead_time:={{late}}"),) * 3,
-    (f"{RIG}kind:=servo_hydraulic_linear",),
-    (f"{RIG}kind:=delay", f"{RIG}delay:={{lag}}"),
+    ("actuator.kind:=servo_hydraulic_linear",),
+    (DELAYED, f"{RIG}delay:={{lag}}"),
 )
 DIFFERENCES = (
     (),
     ("rig:simulated.sensors.adc_bits:=12",),
-    ("/**:sensors.velocity:=derived",),
+    ("sensors.velocity:=derived",),
     ("rig:simulated.sensors.force_filter:=150.0", "rig:simulated.sensors.acceleration_lag:=0.0007"),
-    (
-        "rig:simulated.sensors.displacement_lag:={short}",
-        "/**:calibration.displacement_lag:={short}",
-    ),
-    (
-        *("rig:simulated.sensors.force_scale:=1.03", "/**:calibration.force_scale:=1.03"),
-        *(
-            "rig:simulated.sensors.acceleration_lag:={short}",
-            "/**:calibration.acceleration_lag:={short}",
-        ),
-    ),
+    ("calibration.displacement_lag:={short}",),
+    ("calibration.force_scale:=1.03", "calibration.acceleration_lag:={short}"),
     tuple(
-        f"rig:{word}"
-        for channel in ("displacement", "velocity", "acceleration", "force")
-        for word in (f"sensors.{channel}_filter:=90.0", f"calibration.{channel}_lag:=0.0025")
+        word
+        for channel in CHANNELS
+        for word in (
+            f"calibration.{channel}_lag:=0.0025",
+            f"rig:simulated.sensors.{channel}_lag:=0.0",
+            f"rig:simulated.sensors.{channel}_filter:=90.0",
+        )
     ),
-    ("/**:limits.force:={force}",),
-    ("/**:limits.acceleration:=8.0",),
-    ("/**:limits.force:={force}",),
-    ("/**:limits.force:={force}",),
-    ("/**:limits.command:=0.4",),
+    ("calibration.force_scale:=0.98", "rig:simulated.sensors.force_scale:=1.0"),
+    ("specimen.stiffness:=1.8e5", f"{SPECIMEN}stiffness:=2.11e5"),
+    ("limits.force:={force}",),
+    ("limits.acceleration:=8.0",),
+    ("limits.command:=0.4",),
 )
 WRONG = (
     "displacement set 0.03 at {at} for 1",
@@ -76,29 +74,27 @@ WRONG = (
     "specimen slip 1e-4 at {at}",
 )
 
-DELAYED = f"{RIG}kind:=delay"
 BESIDE = {
     "method of another package": (
         "reference_force:compensation.method:=polynomial",
-        "/**:actuator.delay:=0.0139",
+        "actuator.delay:=0.0109",
     ),
-    "eft of an ideal actuator": (f"{RIG}kind:=ideal", "reference_force:method:=eft"),
+    "eft of an ideal actuator": ("actuator.kind:=ideal", *EFT),
     "coupled axes": (
         *TWO_AXES,
-        "rig:simulated.specimen.stiffness:=[2.0e5, -1.0e4, -1.0e4, 2.2e5]",
-        "rig:simulated.specimen.mass:=[52.7, 55.0]",
-        *(f"rig:{name}.tilt:=[1.0, 0.03, -0.04, 1.0]" for name in ("sensors", "calibration")),
+        f"{SPECIMEN}stiffness:=[2.0e5, -1.0e4, -1.0e4, 2.2e5]",
+        f"{SPECIMEN}mass:=[52.7, 55.0]",
+        "actuator.dead_time:=[0.001, 0.0023]",
+        "calibration.tilt:=[1.0, 0.03, -0.04, 1.0]",
         'rig:faults:=["north/acceleration set nan at 0.7 for 1"]',
     ),
     "forces late over a link": (
-        *(DELAYED, f"{RIG}delay:=0.0113", "/**:loop_delay:=5"),
+        *(DELAYED, "actuator.delay:=0.0113", "loop_delay:=5"),
         "reference_force:compensation.method:=model",
-        "/**:actuator.delay:=0.0143",
     ),
     "a target late over a link": (
-        *(*TARGET_MOTION, DELAYED, f"{RIG}delay:=0.005", "/**:loop_delay:=2"),
+        *(*TARGET_MOTION, DELAYED, "actuator.delay:=0.005", "loop_delay:=2"),
         "force_controller:method:=transfer_function",
-        "/**:actuator.delay:=0.008",
     ),
 }
 """What is not drawn, each at a mass ratio of 0.2."""
@@ -134,17 +130,18 @@ def drawn(seed):
     ]
     if rng.random() < 0.3:
         words += TWO_AXES
-    words += [
-        f"rig:simulated.sensors.force_bias:={rng.choice([0.0, 8.0])}"
-    ]  # less than is refused at rest
+    bias = rng.choice([0.0, 8.0])  # less than is refused at rest
+    words.append(f"rig:simulated.sensors.force_bias:={bias}")
     if rng.random() < 0.7:
         words.append(f"rig:faults:=[{faults}]")
-    if f"{RIG}kind:=delay" in words:
-        words += ["/**:actuator.delay:=0.02", "/**:loop_delay:=0"]
+    if EFT[0] in words:
+        words.append(EFT[1])
+    if DELAYED in words:
+        words += ["actuator.delay:=0.017", "loop_delay:=0"]
         words += ["force_controller:method:=transfer_function"]
     if not any("flow_gain" in word for word in words):
         words = [word for word in words if "supply" not in word]
-    if "/**:sensors.velocity:=derived" in words:  # there is no such sensor
+    if "sensors.velocity:=derived" in words:  # there is no such sensor
         words = [word for word in words if '"velocity' not in word]
     return words
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-import yaml
 from local_tools import UNREHEARSED, at_rest, perform
+from seft_msgs_py.config.facts import place_of
 from seft_msgs_py.wire.messages import decode_description
 from seft_msgs_py.wire.topics import (
     DESCRIPTION,
@@ -28,8 +28,8 @@ def driver(local_graph, template):
     """Make the nodes of a test with the template's driver as its rig."""
     from rig_driver.driver_node import KIND
 
-    def make(*overrides, files=()):
-        kinds, own = {**NODE_KINDS, "rig": KIND}, {"rig": [template / "config/rig.yaml", *files]}
+    def make(*overrides):
+        kinds, own = {**NODE_KINDS, "rig": KIND}, {"rig": [template / "config/rig.yaml"]}
         return local_graph(*SMALL, *overrides, kinds=kinds, own_files=own)
 
     return make
@@ -50,7 +50,7 @@ def shaken(driver, folder):
     commands, sines = shake_drive(plan, found, experiment.timebase.dt, seconds=6.0)
     test = shake_test(experiment, write_forces(folder / "shake.csv", experiment, commands))
     words = [
-        f"{node}:{name}:={value}"
+        f"{place_of(name, node)}:{name}:={value}"
         for node in ("ground_motion", "reference_force", "force_controller", "supervisor")
         for name, value in test[node].items()
         if value != experiment[node][name]
@@ -70,38 +70,30 @@ def test_a_driver_started_again_with_what_a_shake_has_found_is_corrected(
 
     wrong = {"acceleration_lag": 0.0013, "displacement_lag": 0.0006, "acceleration_scale": 0.97}
     for name, value in wrong.items():
-        monkeypatch.setitem(stand_in._RIG, f"sensors.{name}", value)
+        monkeypatch.setitem(stand_in._RIG, f"simulated.sensors.{name}", value)
     first = shaken(driver, tmp_path)
-    written = first.sections()["rig"]
-    assert {name: written[f"calibration.{name}"][0] for name in wrong} == pytest.approx(
+    found = first.facts()
+    assert {name: found[f"calibration.{name}"][0] for name in wrong} == pytest.approx(
         wrong, abs=5e-5, rel=6e-3
     )
-    model = tmp_path / "model.yaml"
-    model.write_text(yaml.safe_dump({"rig": {"ros__parameters": written}}))
-    words = [f"{n}:{name}:={v}" for n, own in first.lags().items() for name, v in own.items()]
-    graph = driver(*words, "ground_motion:peak_force:=400.0", files=[model])
+    words = (f"{name}:={value}" for name, value in found.items())
+    graph = driver(*words, "ground_motion:peak_force:=400.0")
     perform(graph)
-    assert facts(graph)["sensor_lag"] == max(written["calibration.acceleration_lag"])
     assert left_by(graph, stand_in._RIG) < 6.0  # N, of which the noise is 4
-
-
-def facts(graph):
-    """What the rig's last description tells."""
-    told = [sent.raw for sent in graph.graph.sent if sent.topic == DESCRIPTION.name]
-    return [facts for node, facts in map(decode_description, told) if node == "rig"][-1]
 
 
 def test_a_driver_rehearses_zeroes_its_sensors_and_performs_a_test(driver, monkeypatch):
     from rig_driver import stand_in
 
-    monkeypatch.setitem(stand_in._RIG, "sensors.force_bias", 22.2)
+    monkeypatch.setitem(stand_in._RIG, "simulated.sensors.force_bias", 22.2)
     graph = driver()
     perform(graph)
     assert graph.values["detail"] == "2501 steps done"
     assert (graph.status("rig")["missed"], graph.status("rig")["overruns"]) == ("0", "0")
     force = graph.samples(RIG_STATE)[1][:100, 3]
     assert abs(force.mean()) < 1.5  # N, of which the noise is 0.3
-    told = facts(graph)["zeroed"]
+    raw = [sent.raw for sent in graph.graph.sent if sent.topic == DESCRIPTION.name]
+    told = [facts for node, facts in map(decode_description, raw) if node == "rig"][-1]["zeroed"]
     assert told["samples"] == 500
     assert abs(told["subtracted"]["force"][0] - 22.2) < 1.0
     assert told["subtracted"]["displacement"] == [0.0]

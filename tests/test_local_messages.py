@@ -86,7 +86,7 @@ def test_a_command_just_in_time_is_not_missed(local_graph):
 @pytest.mark.parametrize("lost", [JUDGED, TARGET])
 def test_what_is_lost_on_a_link_costs_little(local_graph, lost):
     """Four of forty states, or targets; what is lost of either is bridged."""
-    words = (*TARGET_MOTION, "/**:loop_delay:=7")
+    words = (*TARGET_MOTION, "loop_delay:=7")
     graph = local_graph(THREE_SECONDS, UNREHEARSED, *words)
     graph.drop(lost, {step for step in range(2000) if step % 40 > 35})
     perform(graph)

@@ -13,7 +13,7 @@ SHORT = ("ground_motion:synthetic.duration:=6.0", "ground_motion:tail:=0.5")
 
 @pytest.mark.parametrize(("pace", "loop_delay"), [("realtime", 5), ("lockstep", 0)])
 def test_two_rigs_give_the_bits_of_the_offline_loop(local_graph, pace, loop_delay):
-    words = (*SHORT, f"rig:pace:={pace}", f"/**:loop_delay:={loop_delay}")
+    words = (*SHORT, f"rig:pace:={pace}", f"loop_delay:={loop_delay}")
     graph = local_graph(*words, config=BRIDGE, nodes=RIGS_NODES)
     perform(graph)
     record = offline(graph)

@@ -24,9 +24,10 @@ def test_a_node_tells_a_wrong_parameter_in_one_line(local_graph, capsys, node):
     assert f"{node}: -p: {node}: there is no parameter noise" in line
 
 
-def test_nodes_with_defaults_for_all_need_no_file(local_graph):
+def test_nodes_that_are_told_of_a_specimen_need_no_file(local_graph):
     nodes = ("recorder", "supervisor", "force_controller", "ground_motion")
-    graph = local_graph(nodes=nodes, own_files={node: [] for node in nodes})
+    specimen = ("specimen.mass:=52.7", "specimen.stiffness:=2.11e5")
+    graph = local_graph(*specimen, nodes=nodes, own_files={node: [] for node in nodes})
     graph.until(lambda: all(graph.status(node) for node in nodes if node != "supervisor"))
     assert graph.endings == {}
 

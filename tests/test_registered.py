@@ -64,12 +64,8 @@ pinching = theirs:Pinching
 SHORT = ("-p", "ground_motion:synthetic.duration:=3.0", "-p", "reference_force:mass_ratio:=0.1")
 THEIR_WORDS = (
     *("-p", "force_controller:method:=damped", "-p", "force_controller:settings:=gain=0.004"),
-    *(
-        "-p",
-        "rig:simulated.specimen.kind:=pinching",
-        "-p",
-        "rig:simulated.specimen.yield_displacement:=0.004",
-    ),
+    *("-p", "rig:simulated.specimen.kind:=pinching"),
+    *("-p", "rig:simulated.specimen.yield_displacement:=0.004"),
     *("-p", "rig:simulated.specimen.settings:=rounding=3.0"),
 )
 COMMANDS = """

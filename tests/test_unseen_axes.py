@@ -55,10 +55,9 @@ def drawn(n, seed):
 def overrides(specimen, values):
     """Overrides of a specimen that is known, and of what else there is."""
     n = len(specimen["mass"])
-    for name, value in specimen.items():
-        values |= {f"{node}.{name}": value for node in ("rig:specimen", "reference_force:model")}
-    oil = specimen["mass"] / 52.7 * KNOWN["rig"]["actuator.oil_stiffness"]
-    values |= {f"{node}:actuator.oil_stiffness": oil for node in ("rig", "force_controller")}
+    values |= {f"specimen.{name}": value for name, value in specimen.items()}
+    oil = specimen["mass"] / 52.7 * KNOWN["force_controller"]["actuator.oil_stiffness"]
+    values["actuator.oil_stiffness"] = oil
     lists = {name: np.ravel(value).tolist() for name, value in values.items()}
     names = "[" + ", ".join(f"axis_{index}" for index in range(n)) + "]"
     return f"axes:={names}", *(f"{name}:={value}" for name, value in lists.items())
@@ -69,7 +68,7 @@ def yielding(record, springs):
     deformation = record.series["rig/state"].values[:, 0] @ springs.T
     return (
         "rig:simulated.specimen.kind:=bouc_wen",
-        f"rig:simulated.specimen.springs:={springs.ravel().tolist()}",
+        f"specimen.springs:={springs.ravel().tolist()}",
         f"rig:simulated.specimen.yield_displacement:={0.6 * np.abs(deformation).max():.5f}",
     )
 
@@ -94,7 +93,8 @@ def test_a_rig_of_springs_that_yield_is_within_5_percent_of_the_whole_structure(
     """
     words = *SHORT, *drawn(n, seed), STRONG
     record, _ = simulated(*words)
-    factor = np.linalg.cholesky(np.reshape(record.experiment["rig"]["specimen.stiffness"], (n, n)))
+    stiffness = record.experiment["reference_force"]["specimen.stiffness"]
+    factor = np.linalg.cholesky(np.reshape(stiffness, (n, n)))
     yields = yielding(record, (factor / np.diag(factor)).T)
     _, summary = simulated(*words, *yields)
     assert summary["trip"] is None

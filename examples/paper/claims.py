@@ -166,9 +166,9 @@ def of_the_rig(found: Findings) -> list[Claim]:
              "N/m"),
         near(at, "natural frequency, identified", 10.1, found.natural_hz, 0.1, "Hz"),
         near(at, "capacity of the actuator, configured", 24.5,
-             1e-3 * rig("actuator.force_capacity"), 0.05, "kN"),
-        near(at, "total stroke of the actuator, configured", 152, 2e3 * rig("actuator.stroke"),
-             0.5, "mm"),
+             1e-3 * rig("simulated.actuator.force_capacity"), 0.05, "kN"),
+        near(at, "total stroke of the actuator, configured", 152,
+             2e3 * rig("simulated.actuator.stroke"), 0.5, "mm"),
         near(at, "range of the load cell, configured", 22.2, 1e-3 * rig("sensors.force_range"),
              0.05, "kN"),
         near(at, "range of the accelerometer, configured", 4,
@@ -250,7 +250,7 @@ def of_the_tests(found: Findings) -> list[Claim]:
     """
     rig = {ratio: found.tests["rig", ratio] for ratio in (0.0, 0.5, 1.0, 1.5)}
     one, eft, plain = rig[1.0], found.tests["eft", 0.0].measured, rig[0.0].measured
-    mass = float(np.ravel(found.experiment["reference_force"]["model.mass"])[0])
+    mass = float(np.ravel(found.experiment["reference_force"]["specimen.mass"])[0])
     unlike = [float(np.abs(plain[name] - y).max() / np.abs(y).max()) for name, y in eft.items()]
     panels = [dict(zip(RESPONSES, row, strict=True)) for row in ("adg", "beh", "cfi")]
     fit, above = "error after the best-fit delay", f"above {BAND_HZ:g} Hz"

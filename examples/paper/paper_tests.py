@@ -28,6 +28,7 @@ from seft_ros.design.force_tracking import BAND_HZ
 from seft_ros.design.plan import Plan
 from seft_ros.identification import rig_tests
 from seft_ros.identification.identified import Identified, identify_from_records
+from seft_ros.reference_force.compensator import OF_THE_LOOP
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
@@ -71,23 +72,23 @@ def delayed(delay: float, bandwidth_hz: float = 0.0) -> Changes:
     part of the delay, in s); without, it is the pure delay of Eq. 5.2.
     """
     lag = math.sqrt(2) / (2 * math.pi * bandwidth_hz) if bandwidth_hz else 0.0
-    rig: dict[str, Any] = {"actuator.kind": "delay", "actuator.delay": max(delay - lag, 0.0)}
-    for name in ("displacement", "velocity", "acceleration", "force"):
-        rig |= {f"sensors.{name}_{what}": 0.0 for what in ("noise", "bias", "range")}
+    known: dict[str, Any] = {"actuator.kind": "delay"}
+    true: dict[str, Any] = {"actuator.delay": max(delay - lag, 0.0), "sensors.adc_bits": 0}
+    for name in CHANNELS:
+        known |= {f"sensors.{name}_{what}": 0.0 for what in ("noise", "range")}
+        known |= {f"limits.{name}": 1e6, f"limits.{name}_rate": 1e12}  # nothing breaks
         # all of it is linear: a low-pass on every measured signal is one on the actuator's force
-        rig[f"sensors.{name}_filter"] = bandwidth_hz
-    rig["sensors.adc_bits"] = 0
-    for name in ("displacement", "velocity", "acceleration", "force"):  # nothing breaks
-        rig |= {f"limits.{name}": 1e6, f"limits.{name}_rate": 1e12}
-    force = {"limits.force": 1e6, "limits.force_rate": 1e12}
-    control = {f"limits.{name}": 1e6 for name in CHANNELS}
-    return {"rig": rig, "reference_force": force, "force_controller": control}
+        true[f"sensors.{name}_filter"] = bandwidth_hz
+    return {"/**": known, "rig": {f"simulated.{name}": value for name, value in true.items()}}
 
 
 def compensated(mass_ratio: float, delay: float) -> Changes:
-    """Simulate the pure delay with the paper's compensation for a delay in s (section 6)."""
-    method = {"compensation.method": "model", "compensation.delay": delay}
-    return {"reference_force": {**uncompensated(mass_ratio)["reference_force"], **method}}
+    """Simulate the pure delay with the paper's compensation (section 6).
+
+    It is for a delay of the actuator in s, and for that of the loop.
+    """
+    method = {"compensation.method": "model", **uncompensated(mass_ratio)["reference_force"]}
+    return {"/**": {"actuator.delay": delay}, "reference_force": method}
 
 
 def recommended(mass_ratio: float, peak_force: float) -> Changes:
@@ -102,15 +103,15 @@ def recommended(mass_ratio: float, peak_force: float) -> Changes:
 def plan_tests(motion: Changes) -> dict[Key, Experiment]:
     """Plan all tests that need nothing of the identification."""
     rig = planned(motion)
-    full, whole = rig["ground_motion"]["peak_force"], whole_delay(rig)
+    full, of_the_loop = rig["ground_motion"]["peak_force"], OF_THE_LOOP * rig.timebase.dt
     tests = {("rig", ratio): planned(motion, uncompensated(ratio)) for ratio in (0.0, *BEYOND)}
     conventional = {"reference_force": {"method": "eft"}}  # of the specimen alone (Eq. 2.3)
     tests["eft", 0.0] = planned(motion, uncompensated(0.0), conventional)
     for ratio in COMPUTED:
         pure = motion, delayed(TAU)
         tests["delay", ratio] = planned(*pure, uncompensated(ratio))
-        tests["model", ratio] = planned(*pure, compensated(ratio, whole))
-        tests["model_tau", ratio] = planned(*pure, compensated(ratio, TAU))
+        tests["model", ratio] = planned(*pure, compensated(ratio, TAU))
+        tests["model_tau", ratio] = planned(*pure, compensated(ratio, TAU - of_the_loop))
     for ratio in BEYOND:
         tests["target", ratio] = planned(motion, recommended(ratio, BEYOND_SHARE * full))
     return tests
@@ -118,7 +119,7 @@ def plan_tests(motion: Changes) -> dict[Key, Experiment]:
 
 def whole_delay(experiment: Experiment) -> float:
     """Whole delay of the simulated loop: tau, the sampling period of Eq. 5.4, half a one held."""
-    return TAU + 1.5 * experiment.timebase.dt
+    return TAU + OF_THE_LOOP * experiment.timebase.dt
 
 
 @dataclass(frozen=True)
@@ -179,7 +180,7 @@ def run_test(experiment: Experiment) -> Outcome:
     reference = reference_of(record)
     assert reference is not None
     states, motion = (record.series[of.name].values for of in (RIG_STATE, GROUND_MOTION))
-    mass = float(np.ravel(experiment["reference_force"]["model.mass"])[0])
+    mass = float(np.ravel(experiment["reference_force"]["specimen.mass"])[0])
     return Outcome(
         experiment.timebase.dt,
         {name: states[:, row, 0] for name, row in COMPARED.items()},

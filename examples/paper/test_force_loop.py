@@ -70,7 +70,7 @@ RIG = {  # crossover of 12 Hz under the paper's Eq. 3.1
 
 def plant(**changed):
     rig = RIG | {name.replace("__", "."): value for name, value in changed.items()}
-    given = [("rig", name, value) for name, value in rig.items()]
+    given = [("/**", name, value) for name, value in rig.items()]
     test = Experiment.load(TABLES, overrides=given)
     return choose_plant(test)
 

@@ -31,8 +31,8 @@ def delay_method(
 ) -> Callable[..., Compensator]:
     """Make a method from its filter, which ``design`` makes for delays up to some whole steps.
 
-    The method takes the settings by name. It runs at ``compensation.delay``, or at the delay that
-    is estimated on line; it raises `InputError` if no delay is given, or a setting is invalid.
+    The method takes the settings by name. It runs at `MethodInputs.delay`, or at the delay that
+    is estimated on line; it raises `InputError` if no delay is known, or a setting is invalid.
     """
 
     def method(inputs: MethodInputs, **given: Any) -> Compensator:

@@ -161,6 +161,6 @@ def _smith_model(inputs: MethodInputs) -> tuple[Floats, Floats, Floats]:
     if np.abs(np.linalg.eigvals(free)).max() > _AT_REST:
         raise InputError(
             "reference_force: compensation.method smith needs a model that comes to rest by "
-            "itself; give model.damping and model.stiffness above zero on every axis"
+            "itself; give specimen.damping and specimen.stiffness above zero on every axis"
         )
     return free, held - slope, slope

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.config.parameter_table import nearest, parameter_rows
 from seft_msgs_py.errors import InputError
-from seft_ros.reference_force.compensator import MethodInputs
+from seft_ros.reference_force.compensator import OF_THE_LOOP, MethodInputs
 
 WHERE = "reference_force: compensation.settings"
 SETTINGS = parameter_rows(
@@ -14,10 +14,10 @@ SETTINGS = parameter_rows(
     order          | int    | 1             |     | 1 .. 3   |
         order of the polynomial of `polynomial`
     estimate_delay | bool   | false         |     |          |
-        estimate the delay of each axis while the test runs, starting at compensation.delay; `ats`
+        estimate the delay of each axis while the test runs, starting at actuator.delay; `ats`
         adapts by itself
-    delay_range    | floats | [0.002, 0.04] | s   | 0 .. 0.1 |
-        shortest and longest delay that the estimate may have, without the loop's delay
+    delay_range    | floats | [0.0, 0.04]   | s   | 0 .. 0.1 |
+        shortest and longest delay that the estimate may have, as actuator.delay without the loop's
     delay_rate     | float  | 0.01          |     | 0 ..     |
         largest change of an estimated delay, s per s
     excitation     | float  | 20.0          | N   | > 0      |
@@ -56,16 +56,16 @@ def delay_range(inputs: MethodInputs, settings: Settings) -> tuple[float, float]
     InputError
         If they make no range, or the given delay is outside.
     """
-    late = inputs.loop_delay * inputs.dt
-    bounds = (np.atleast_1d(settings["delay_range"]) + late).tolist()
-    if len(bounds) != 2 or not 0 < bounds[0] < bounds[1]:
+    bounds, start = np.atleast_1d(settings["delay_range"]), inputs.options["actuator.delay"]
+    if len(bounds) != 2 or not bounds[0] < bounds[1]:
         raise InputError(
-            f"{WHERE}: delay_range is {bounds}, but must be two delays in s above zero, the "
-            "shorter first"
+            f"{WHERE}: delay_range is {bounds.tolist()}, but must be two delays in s, the shorter "
+            "first"
         )
-    if not bounds[0] <= inputs.delay <= bounds[1]:
+    if not bounds[0] <= start <= bounds[1]:
         raise InputError(
-            f"/**: actuator.delay is {inputs.delay:g} s, where the estimate "
-            f"starts, but delay_range in compensation.settings is {bounds}; widen it"
+            f"{WHERE}: delay_range is {bounds.tolist()}, but the estimate starts at {start:g} s "
+            "(/**: actuator.delay); widen it"
         )
-    return bounds[0], bounds[1]
+    shortest, longest = (bounds + OF_THE_LOOP * inputs.dt + inputs.late).tolist()
+    return shortest, longest

@@ -9,8 +9,7 @@ from seft_ros.test_run.offline import simulate_test
 
 DELAYED = (
     "/**:actuator.kind:=delay",
-    "rig:simulated.actuator.delay:=0.01",
-    "/**:actuator.delay:=0.013",  # and a step of latency, and half a step held
+    "/**:actuator.delay:=0.01",
 )
 
 

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import (
-    EVERY_NODE,
     Experiment,
     parameter_text,
     parse_override,
@@ -17,28 +16,38 @@ from seft_msgs_py.config.experiment import (
     split_ros_arguments,
     write_parameter_file,
 )
+from seft_msgs_py.config.facts import EVERY_NODE, facts, place_of
 from seft_msgs_py.config.parameter_table import Parameter, Table
 from seft_msgs_py.errors import InputError
 
 RIG = Table(
     "rig",
     [
+        *facts("specimen.mass", "limits.force"),
         Parameter("seed", "int", 0, "a seed", minimum=0),
-        Parameter("specimen.mass", "floats", None, "mass of it", "kg", positive=True),
-        Parameter("limits.force", "float", 9.0, "", default_from="supervisor:limits.force"),
+        Parameter("safe.close_time", "float", 0.02, "a time", "s"),
+        Parameter("simulated.specimen.mass", "floats", None, "true mass", "kg"),
+        Parameter("simulated.specimen.damping", "floats", 3.0, "true damping"),
     ],
 )
 FORCE = Table(
     "reference_force",
     [
+        *facts("specimen.mass"),
         Parameter("mass_ratio", "float", 0.0, "alpha", minimum=0.0),
-        Parameter("model.mass", "floats", None, "m", "kg", default_from="rig:specimen.mass"),
+        Parameter("safe.close_time", "float", 0.02, "a time", "s"),
         Parameter("method", "string", "seft", "", choices=("eft", "seft")),
         Parameter("seed", "int", 0, "another seed"),
     ],
 )
 TABLES = (RIG, FORCE)
-RIG_HAS_MASS = "rig: {ros__parameters: {specimen: {mass: 52.7}}}\n"
+
+
+def everywhere(text):
+    return f"/**: {{ros__parameters: {{{text}}}}}\n"
+
+
+HAS_MASS = everywhere("specimen.mass: 52.7")
 
 
 @pytest.fixture
@@ -67,7 +76,8 @@ def in_rig(*lines):
 def test_a_file_of_the_usual_form_is_read(load):
     experiment = load(
         "/**:\n  ros__parameters:\n    rate: 1000\n    axes: [east, north]\n"
-        + in_rig("seed: 3", "specimen:", "  mass: [1, 2.5]")
+        "    specimen:\n      mass: [1, 2.5]\n"
+        + in_rig("seed: 3", "safe:", "  close_time: 1")
         + "/reference_force:\n  ros__parameters: {mass_ratio: 1}\n"
     )
     assert experiment.timebase.period_ns == 1_000_000
@@ -77,7 +87,10 @@ def test_a_file_of_the_usual_form_is_read(load):
         "axes": ["east", "north"],
         "seed": 3,
         "specimen.mass": [1.0, 2.5],
-        "limits.force": 9.0,
+        "limits.force": 22200.0,
+        "safe.close_time": 1.0,
+        "simulated.specimen.mass": [1.0, 2.5],
+        "simulated.specimen.damping": 3.0,
     }
     assert experiment["reference_force"]["mass_ratio"] == 1.0
     assert isinstance(experiment["reference_force"]["mass_ratio"], float)
@@ -85,7 +98,7 @@ def test_a_file_of_the_usual_form_is_read(load):
 
 @pytest.mark.parametrize("text", ["2.11e5", "2.11E+5", "211000", "+211000.0", "2.11e+05"])
 def test_numbers_are_numbers_however_they_are_written(load, text):
-    experiment = load(in_rig(f"specimen.mass: {text}"))
+    experiment = load(everywhere(f"specimen.mass: {text}"))
     assert experiment["rig"]["specimen.mass"] == 211000.0
     assert isinstance(experiment["rig"]["specimen.mass"], float)
 
@@ -94,18 +107,19 @@ def test_numbers_are_numbers_however_they_are_written(load, text):
     ("text", "told"),
     [
         (in_rig("specimen.mas: 1"), "rig: there is no parameter specimen.mas; did you mean specim"),
-        (RIG_HAS_MASS + "/**: {ros__parameters: {sede: 1}}", "no parameter sede; did you mean see"),
+        (everywhere("sede: 1"), "/**: there is no parameter sede; did you mean seed?"),
+        (everywhere("specimen.mas: 1"), "no parameter specimen.mas; did you mean specimen.mass?"),
         ("rigg: {ros__parameters: {}}", "there is no node rigg; did you mean rig?"),
         (in_rig("seed: x"), 'rig: seed is "x", but must be a whole number'),
         (in_rig("seed:"), "rig seed has no value"),
-        (in_rig("specimen.mass: 2024-01-01"), "must be a number"),
-        (in_rig("specimen: 3"), "there is no parameter specimen"),
-        (RIG_HAS_MASS + "/**: {ros__parameters: {rate: 333}}", "usable rates are 320 and 400 Hz"),
-        (RIG_HAS_MASS + "/**: {ros__parameters: {axes: [x, x]}}", "names must differ"),
-        (RIG_HAS_MASS + f"/**: {{ros__parameters: {{axes: {[*'ab' * 500]}}}}}", "at most 100"),
-        (RIG_HAS_MASS + '/**: {ros__parameters: {axes: [""]}}', "names must differ"),
-        (RIG_HAS_MASS + '/**: {ros__parameters: {axes: ["a\\nb"]}}', "must be printable"),
-        (RIG_HAS_MASS + '/**: {ros__parameters: {axes: ["\\ud800"]}}', ""),
+        (everywhere("specimen.mass: 2024-01-01"), "must be a number"),
+        (everywhere("specimen: 3"), "there is no parameter specimen"),
+        (everywhere("specimen.mass: 1, rate: 333"), "usable rates are 320 and 400 Hz"),
+        (everywhere("specimen.mass: 1, axes: [x, x]"), "names must differ"),
+        (everywhere(f"specimen.mass: 1, axes: {[*'ab' * 500]}"), "at most 100"),
+        (everywhere('specimen.mass: 1, axes: [""]'), "names must differ"),
+        (everywhere('specimen.mass: 1, axes: ["a\\nb"]'), "must be printable"),
+        (everywhere('specimen.mass: 1, axes: ["\\ud800"]'), ""),
         ("", "holds no node names"),
         ("[rig]", "holds no node names"),
         ("rig: {seed: 1}", "under rig there must be ros__parameters, and only that"),
@@ -119,7 +133,7 @@ def test_numbers_are_numbers_however_they_are_written(load, text):
         ("[" * 600 + "]" * 600, "nested too deep"),
         (in_rig("seed: &a [*a]"), "must be a whole number"),
         ("a: " + "[" * 600, "nested too deep"),
-        ("rig: {ros__parameters: {}}", "rig: specimen.mass must be given (mass of it, kg)"),
+        ("rig: {ros__parameters: {}}", "/**: specimen.mass must be given (mass: one number, a dia"),
     ],
 )
 def test_what_makes_no_experiment_is_refused_in_one_line(load, tmp_path, text, told):
@@ -129,7 +143,7 @@ def test_what_makes_no_experiment_is_refused_in_one_line(load, tmp_path, text, t
 
 @pytest.mark.parametrize("text", [in_rig("sede: 1"), in_rig("seed: x"), "rigg: {}", "rig: ["])
 def test_the_file_at_fault_is_named(load, tmp_path, text):
-    assert refusal(load, RIG_HAS_MASS, text).startswith(f"{tmp_path / '1.yaml'}:")
+    assert refusal(load, HAS_MASS, text).startswith(f"{tmp_path / '1.yaml'}:")
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path):
@@ -145,10 +159,6 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path):
         assert str(caught.value).startswith(f"{path}:")
 
 
-def wildcard(text):
-    return f"/**: {{ros__parameters: {{{text}}}}}\n"
-
-
 def test_a_file_that_is_too_large_is_refused_without_a_look_into_it(tmp_path, monkeypatch):
     monkeypatch.setattr("seft_msgs_py.config.experiment._parse_yaml", None)
     path = tmp_path / "large.yaml"
@@ -157,47 +167,132 @@ def test_a_file_that_is_too_large_is_refused_without_a_look_into_it(tmp_path, mo
         read_parameter_file(path)
 
 
-@pytest.mark.parametrize("wildcard_first", [True, False])
-def test_within_a_file_the_node_itself_wins_over_every_node(load, wildcard_first):
-    parts = [wildcard("seed: 4"), in_rig("seed: 5", "specimen.mass: 1")]
-    experiment = load("".join(parts if wildcard_first else parts[::-1]))
+@pytest.mark.parametrize("everywhere_first", [True, False])
+def test_within_a_file_the_node_itself_wins_over_every_node(load, everywhere_first):
+    parts = [everywhere("seed: 4, specimen.mass: 1"), in_rig("seed: 5")]
+    experiment = load("".join(parts if everywhere_first else parts[::-1]))
     assert (experiment["rig"]["seed"], experiment["reference_force"]["seed"]) == (5, 4)
 
 
 def test_later_files_win_and_overrides_win_over_files(load):
-    first, second = in_rig("seed: 1", "specimen.mass: 1"), in_rig("seed: 2")
+    first, second = HAS_MASS + in_rig("seed: 1"), in_rig("seed: 2")
     assert load(first, second)["rig"]["seed"] == 2
     assert load(second, first)["rig"]["seed"] == 1
     overridden = load(first, second, overrides=["rig:seed:=3"])
     assert overridden["rig"]["seed"] == 3
-    assert overridden["rig"]["specimen.mass"] == 1.0
+    assert overridden["rig"]["specimen.mass"] == 52.7
     assert load(first, overrides=["rig:seed:=3", "rig:seed:=4"])["rig"]["seed"] == 4
     assert load(first, overrides=["seed:=6"])["rig"]["seed"] == 6
 
 
 def test_an_override_without_its_value_is_refused(load):
-    told = refusal(load, RIG_HAS_MASS, overrides=["reference_force:mass_ratio:="])
+    told = refusal(load, HAS_MASS, overrides=["reference_force:mass_ratio:="])
     assert "mass_ratio is empty, but must be a number" in told
 
 
-def test_a_node_takes_values_from_nodes_it_has_no_table_of(load):
-    text = RIG_HAS_MASS + "supervisor: {ros__parameters: {limits: {force: 7}, foreign: 1}}\n"
-    assert load(text, tables=[RIG])["rig"]["limits.force"] == 7.0
-    assert load(text, tables=[FORCE])["reference_force"]["model.mass"] == 52.7
+@pytest.mark.parametrize(
+    ("node", "given_values", "told"),
+    [
+        ("rig", "rate: 500", "under /**"),
+        ("reference_force", "axes: [y]", "under /**"),
+        ("reference_force", "specimen.mass: 1", "under /**"),
+        (
+            "rig",
+            "specimen.mass: 1",
+            "under /**; what the simulated rig truly has is rig: simulated.specimen.mass",
+        ),
+        ("reference_force", "safe.close_time: 1", "under rig"),
+    ],
+)
+def test_what_several_nodes_use_is_set_once(load, node, given_values, told):
+    name, value = given_values.split(": ")
+    told = f": {node}: {name} is set once, {told}"
+    text = f"{node}: {{ros__parameters: {{{given_values}}}}}"
+    assert refusal(load, HAS_MASS, text).endswith(f"1.yaml{told}")
+    assert refusal(load, HAS_MASS, overrides=[f"{node}:{name}:={value}"]) == f"-p{told}"
 
 
-@pytest.mark.parametrize("name", ["rate: 1000", "axes: [y]"])
-def test_nodes_that_differ_in_rate_or_axes_are_refused(load, name):
-    text = RIG_HAS_MASS + f"reference_force: {{ros__parameters: {{{name}}}}}\n"
-    assert "set it once, under /**" in refusal(load, text)
+@pytest.mark.parametrize("place", ["rig", "/**"])
+def test_a_node_uses_a_setting_of_another_one(load, place):
+    experiment = load(HAS_MASS, overrides=[f"{place}:safe.close_time:=0.5"])
+    assert [experiment[table.node]["safe.close_time"] for table in TABLES] == [0.5, 0.5]
+    with pytest.raises(InputError, match="is set once, under rig"):
+        experiment.changed({"reference_force": {"safe.close_time": 1.0}})
+    changed = experiment.changed({"rig": {"safe.close_time": 1.0}})
+    assert [changed[table.node]["safe.close_time"] for table in TABLES] == [1.0, 1.0]
 
 
-@pytest.mark.parametrize("node", ["rig", "reference_force"])
-def test_a_rate_under_a_node_is_not_lost_to_that_under_every_node(load, node):
-    own = f"{node}: {{ros__parameters: {{rate: 1000}}}}\n"
-    text = wildcard("rate: 500, specimen: {mass: 1}") + own
-    assert "1000.0" in refusal(load, text)
-    assert load(text, tables=[RIG])["rig"]["rate"] == (1000.0 if node == "rig" else 500.0)
+def truth_of(experiment):
+    return [experiment["rig"][f"simulated.specimen.{name}"] for name in ("mass", "damping")]
+
+
+def test_the_truth_is_what_is_known_where_it_is_not_given(load):
+    known = load(everywhere("specimen: {mass: 5, damping: 6}"))
+    assert truth_of(known) == [5.0, 6.0]
+    assert truth_of(load(HAS_MASS)) == [52.7, 3.0]  # the default of a fact is no truth
+    other = load(HAS_MASS + in_rig("simulated.specimen.mass: 50"), overrides=["specimen.mass:=9"])
+    assert truth_of(other)[0] == 50.0
+    assert other["reference_force"]["specimen.mass"] == 9.0
+
+
+def test_a_changed_fact_is_known_to_all_and_true_if_the_truth_is_not_given(load):
+    for pinned, expected in (({}, 9.0), ({"simulated.specimen.mass": 50.0}, 50.0)):
+        experiment = load(HAS_MASS).changed({"rig": pinned})
+        changed = experiment.changed({"/**": {"specimen.mass": 9}})
+        assert [changed[table.node]["specimen.mass"] for table in TABLES] == [9.0, 9.0]
+        assert truth_of(changed)[0] == expected
+        assert experiment["rig"]["specimen.mass"] == 52.7
+        bare = Experiment(experiment.sections).changed({"/**": {"specimen.mass": 9.0}})
+        assert bare["reference_force"]["specimen.mass"] == bare["rig"]["specimen.mass"] == 9.0
+        assert truth_of(bare) == truth_of(experiment)
+    with pytest.raises(InputError, match=r'specimen.mass is "x", but must be a number'):
+        experiment.changed({"/**": {"specimen.mass": "x"}})
+
+
+def test_sections_that_differ_in_a_fact_are_refused(load):
+    sections = load(HAS_MASS).sections
+    sections["rig"]["specimen.mass"] = 5.0
+    with pytest.raises(InputError, match=r"specimen.mass is 52.7, but rig has 5.0; set it once"):
+        Experiment(sections)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        in_rig("safe.close_time: 1", "safe: {close_time: 2}"),
+        in_rig("safe: {close_time: 1}", "safe.close_time: 2"),
+        in_rig("safe.close_time: 1") + in_rig("safe: {close_time: 2}").replace("rig", "/rig"),
+    ],
+)
+def test_a_name_that_is_given_twice_in_a_file_is_refused(load, tmp_path, text):
+    assert refusal(load, HAS_MASS + text) == (
+        f"{tmp_path / '0.yaml'}: rig safe.close_time is given twice"
+    )
+
+
+def test_a_node_may_have_sections_with_and_without_a_slash(load):
+    text = HAS_MASS + in_rig("seed: 2") + in_rig("safe.close_time: 1").replace("rig", "/rig")
+    assert [load(text)["rig"][name] for name in ("seed", "safe.close_time")] == [2, 1.0]
+
+
+@pytest.mark.parametrize("place", ["/**", "rig"])
+def test_what_ros_gives_each_node_is_left_to_it_but_for_its_clock(load, place):
+    of_ros = (
+        "use_sim_time: false",
+        "start_type_description_service: false",
+        "qos_overrides./rig/state.publisher.depth: 9",
+    )
+    text = f"{place}: {{ros__parameters: {{specimen.mass: 1, {', '.join(of_ros)}}}}}"
+    text = text if place == "/**" else HAS_MASS + text.replace("specimen.mass: 1, ", "")
+    assert load(text)["rig"].keys() == RIG.rows.keys()
+    told = refusal(load, text.replace("use_sim_time: false", "use_sim_time: true"))
+    assert f"{place}: use_sim_time is true, but nodes of seft follow the samples of the" in told
+
+
+def test_an_old_name_is_refused_with_the_new_one(load):
+    for text in (in_rig("calibration.force_zero: 1"), everywhere("calibration.force_zero: 1")):
+        told = "there is no parameter calibration.force_zero; it is now /**: calibration.force_bias"
+        assert refusal(load, text).endswith(told)
 
 
 NAMES = st.lists(
@@ -213,48 +308,52 @@ NUMBERS = st.floats(1e-300, 1e300)
 @given(NAMES, NUMBERS, st.lists(NUMBERS, min_size=1, max_size=4), st.integers(0, 2**63 - 1))
 def test_what_is_written_is_read_back_with_values_and_types(load, axes, ratio, mass, seed):
     given_values = {
-        "rig": {"axes": axes, "specimen.mass": mass, "seed": seed},
-        "reference_force": {"axes": axes, "mass_ratio": ratio},
+        "/**": {"axes": axes, "specimen.mass": mass},
+        "rig": {"seed": seed, "simulated.specimen.mass": 1.5},
+        "reference_force": {"mass_ratio": ratio},
     }
-    sections = {
-        node: {row.name: row.default for row in table.rows.values()} | given_values[node]
-        for node, table in (("rig", RIG), ("reference_force", FORCE))
-    }
-    sections["reference_force"]["model.mass"] = mass
-    experiment = Experiment(sections)
-    _, overrides, _ = split_ros_arguments(["--ros-args", *experiment.arguments()])
-    for again in (load(parameter_text(sections)), Experiment.load([RIG, FORCE], (), overrides)):
+    experiment = load(parameter_text(given_values))
+    assert experiment["rig"]["specimen.mass"] == experiment["reference_force"]["specimen.mass"]
+    for known in (experiment, Experiment(experiment.sections)):
+        files, overrides, _ = split_ros_arguments(["--ros-args", *known.arguments()])
+        again = Experiment.load(TABLES, files, overrides)
         assert again.sections == experiment.sections
         assert repr(again.sections) == repr(experiment.sections)
 
 
 def test_an_experiment_hands_on_the_files_and_overrides_that_it_was_read_from(tmp_path):
     file = tmp_path / "rig.yaml"
-    file.write_text(parameter_text({"rig": {"axes": ["x"], "specimen.mass": 2.0}}))
+    file.write_text(parameter_text({"/**": {"axes": ["x"], "specimen.mass": 2.0}}))
     given = [parse_override("rig:seed:=7")]
-    experiment = Experiment.load([RIG], [file], given).changed({"rig": {"seed": 8}})
+    changes = {"rig": {"seed": 8}, "/**": {"specimen.mass": 3.0}}
+    experiment = Experiment.load(TABLES, [file], given).changed(changes)
     words = ["--params-file", str(file), "-p", "rig:seed:=7", "-p", "rig:seed:=8"]
-    assert experiment.arguments() == words
+    assert experiment.arguments() == [*words, "-p", "/**:specimen.mass:=3.0"]
     assert experiment["rig"]["seed"] == 8
+    files, overrides, _ = split_ros_arguments(["--ros-args", *experiment.arguments()])
+    assert Experiment.load(TABLES, files, overrides).sections == experiment.sections
 
 
 def test_what_was_read_from_a_pipe_is_handed_on_by_value(tmp_path):
-    text = parameter_text({"rig": {"axes": ["x"], "specimen.mass": 2.0}})
+    text = parameter_text({"/**": {"axes": ["x"], "specimen.mass": 2.0}})
     os.mkfifo(pipe := tmp_path / "pipe")
     writer = threading.Thread(target=pipe.write_text, args=[text])
     writer.start()
     experiment = Experiment.load([RIG], [pipe])
     writer.join()
     assert "--params-file" not in experiment.arguments()
-    assert "rig:specimen.mass:=2.0" in experiment.arguments()
+    assert "/**:specimen.mass:=2.0" in experiment.arguments()
 
 
 def test_a_node_checks_its_own_section_and_leaves_the_others_to_their_nodes(tmp_path):
     file = tmp_path / "both.yaml"
-    file.write_text(parameter_text({"rig": {"of_a_lab": 1.0}, "reference_force": {"axes": ["x"]}}))
-    Experiment.load([RIG, FORCE], [file], [parse_override("rig:specimen.mass:=2.0")], [FORCE.node])
+    file.write_text(HAS_MASS + in_rig("of_a_lab: 1.0", "safe.close_time: 7"))
+    for tables in (TABLES, [FORCE]):
+        experiment = Experiment.load(tables, [file], nodes=[FORCE.node])
+        assert list(experiment.sections) == ["reference_force"]
+        assert experiment["reference_force"]["safe.close_time"] == 7.0  # which it uses, too
     with pytest.raises(InputError, match="no parameter of_a_lab"):
-        Experiment.load([RIG, FORCE], [file], nodes=[RIG.node])
+        Experiment.load(TABLES, [file], nodes=[RIG.node])
 
 
 ASK_RCL = """
@@ -292,17 +391,18 @@ def test_a_file_is_written_anew_only_where_that_is_asked_for(tmp_path):
 def test_what_is_written_is_read_by_ros_itself(load, tmp_path):
     pytest.importorskip("rclpy")
     experiment = load(
-        wildcard('axes: [x, "y", "on", "12"]') + in_rig("specimen.mass: [5.0e-6, 1.0e+22, 3, 4]")
+        everywhere('axes: [x, "y", "on", "12"], specimen.mass: [5.0e-6, 1.0e+22, 3, 4], seed: 2')
     )
     path = tmp_path / "written.yaml"
-    path.write_text(parameter_text(experiment.sections))
+    path.write_text(parameter_text(experiment.by_place()))
     done = subprocess.run(
         [sys.executable, "-c", ASK_RCL, str(path)], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
     read = json.loads(done.stdout)
     for node, section in experiment.sections.items():
-        assert {name: read[node][name] for name in section} == section
+        own = {name for name in section if place_of(name, node) in (EVERY_NODE, node)}
+        assert {name: read[node][name] for name in own} == {name: section[name] for name in own}
     assert isinstance(read["rig"]["rate"], float)
 
 

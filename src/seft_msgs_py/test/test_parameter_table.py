@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from seft_msgs_py.config.facts import facts
 from seft_msgs_py.config.parameter_table import (
     Parameter,
     Table,
@@ -12,7 +13,6 @@ from seft_msgs_py.config.parameter_table import (
     mass_matrix,
     nearest,
     per_axis,
-    resolve,
     symmetric_matrix,
 )
 from seft_msgs_py.errors import InputError
@@ -140,6 +140,7 @@ def test_any_value_is_converted_for_good_or_refused_in_an_input_error(kind, valu
 TABLE = Table(
     "rig",
     [
+        *facts(),
         Parameter("seed", "int", 0, "a seed"),
         Parameter("specimen.mass", "floats", None, "mass of it", "kg"),
         Parameter("specimen.damping", "floats", 0.0, "damping of it"),
@@ -173,69 +174,9 @@ def test_an_unknown_parameter_that_is_like_none_gets_no_hint():
     assert nearest("x", []) == ""
 
 
-def test_rate_and_axes_are_of_every_node():
-    assert list(TABLE.rows)[:2] == ["rate", "axes"]
-    assert TABLE.check({"rate": 500, "axes": ["x"]}) == {"rate": 500.0, "axes": ["x"]}
-    assert resolve({"rig": Table("rig", [])}, {}) == {"rig": {"rate": 500.0, "axes": ["x"]}}
-
-
 def test_a_group_is_the_parameters_under_one_name():
     section = {"specimen.mass": 1.0, "specimen.a.b": 2, "specimens.mass": 3, "specimen": 4}
     assert group(section, "specimen") == {"mass": 1.0, "a.b": 2}
-
-
-def chained(*sources, default=None):
-    """Tables a, b, c, ...: x of each takes the next one's where it is not given."""
-    rows = [Parameter("x", "float", default, "an x", "kg", default_from=s) for s in sources]
-    return {node: Table(node, [row]) for node, row in zip("abcd", rows, strict=False)}
-
-
-@pytest.mark.parametrize(
-    ("given_values", "expected"),
-    [
-        ({}, [9.0, 9.0, 9.0]),
-        ({"c": 3.0}, [3.0, 3.0, 3.0]),
-        ({"b": 2.0}, [2.0, 2.0, 9.0]),
-        ({"a": 1.0}, [1.0, 9.0, 9.0]),
-        ({"b": 2.0, "c": 3.0}, [2.0, 2.0, 3.0]),
-        ({"a": 1.0, "b": 2.0, "c": 3.0}, [1.0, 2.0, 3.0]),
-    ],
-)
-def test_what_is_not_given_comes_down_the_chain(given_values, expected):
-    tables = chained("b:x", "c:x", "", default=9.0)
-    sections = resolve(tables, {node: {"x": value} for node, value in given_values.items()})
-    assert [sections[node]["x"] for node in "abc"] == expected
-
-
-@pytest.mark.parametrize(
-    ("given_values", "expected"),
-    [
-        ({}, 0.25),
-        ({"late_x": 1.0}, 1.0),
-        ({"late_x": [1.0, 3.0], "late_y": 2}, 3.0),
-        ({"late_x": 0.1, "late_y": 0.1}, 0.1),
-    ],
-)
-def test_a_default_of_a_pattern_is_the_largest_value_of_all_that_match(given_values, expected):
-    rows = [
-        Parameter(f"late_{name}", "floats", value, "") for name, value in (("x", 0), ("y", 0.25))
-    ]
-    rows.append(Parameter("most", "float", 9.0, ""))
-    tables = {
-        "a": Table("a", [Parameter("late", "float", 5.0, "", default_from="b:late_*")]),
-        "b": Table("b", rows),
-    }
-    assert resolve(tables, {"b": given_values})["a"]["late"] == expected
-    known = resolve({"a": tables["a"]}, {"b": given_values}, ["a"])  # b runs elsewhere
-    assert known["a"]["late"] == (expected if given_values else 5.0)
-    with pytest.raises(InputError, match='a: late is "much", but must be a number'):
-        resolve({"a": tables["a"]}, {"b": {"late_x": 1.0, "late_y": "much"}}, ["a"])
-
-
-def test_a_parameter_that_must_be_given_is_named_with_its_meaning():
-    for tables in (chained(""), chained("elsewhere:x"), chained("b:x", "")):
-        with pytest.raises(InputError, match=r"a: x must be given \(an x, kg\)"):
-            resolve(tables, {})
 
 
 @pytest.mark.parametrize("name", ["", "run", "größe 2", "2026-11-24_15.30", "x" * 200])

@@ -265,8 +265,8 @@ def _check_part(fault: Fault, section: dict[str, Any]) -> None:
         )
     if fault.kind == "bit" and not bits:
         raise fault.error(
-            "there is no converter; give rig: simulated.sensors.adc_bits, and /**: sensors.*_range of "
-            "each channel"
+            "there is no converter; give rig: simulated.sensors.adc_bits, and /**: sensors.*_range "
+            "of each channel"
         )
     if fault.kind == "bit" and fault.value >= bits:
         raise fault.error(

@@ -1,6 +1,7 @@
 """Parameter table of the rig: what the simulated one truly is, and how a rig runs and rests."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -49,13 +50,6 @@ _SPECIMEN = (
     RESTORING_FORCES.settings_row("simulated.specimen.settings", "a restoring force"),
     *parameter_rows(
         """
-        mass                    | floats |      | kg    |            | true mass; default the fact
-        damping                 | floats | 0.0  | N s/m |            | viscous damping, likewise
-        stiffness               | floats |      | N/m   |            |
-            initial elastic stiffness, likewise
-        springs                 | floats | 0.0  |       |            |
-            nonlinear springs: deformation of each per displacement of each axis, spring by spring,
-            likewise
         yield_displacement      | floats | 0.0  | m     | 0 ..       |
             deformation at which a spring yields, for all or per spring
         hardening_ratio         | floats | 0.05 |       | 0 .. 0.999 |
@@ -99,15 +93,6 @@ _SPECIMEN = (
 
 _ACTUATOR = parameter_rows(
     """
-    delay                | float  | 0.0       | s        | 0 .. 10 | true one of kind delay
-    oil_stiffness        | floats | 0.0       | N/m      | 0 ..    |
-        stiffness of the oil column; default the fact; 0: 4 beta A^2 / V
-    flow_gain            | floats | 0.0       | m/s/V    | 0 ..    |
-        piston velocity for one volt, likewise; 0: from the rated flow
-    leakage              | floats | 0.0       | 1/s      | 0 ..    |
-        leakage rate, likewise; 0: 4 beta C / V
-    force_capacity       | floats | 0.0       | N        | 0 ..    |
-        force without flow, likewise; 0: supply_pressure * piston_area
     piston_area          | floats | 1.1836e-3 | m^2      | > 0     | net area of the piston, A
     supply_pressure      | floats | 20.7e6    | Pa       | > 0     | supply pressure
     rated_flow           | floats | 2.754e-4  | m^3/s    | > 0     |
@@ -121,10 +106,6 @@ _ACTUATOR = parameter_rows(
         oil under compression, both chambers, V
     leakage_coefficient  | floats | 4.2e-12   | m^3/s/Pa | 0 ..    |
         leakage flow per load pressure, C
-    valve_frequency      | floats | 70.0      | Hz       | > 0     |
-        natural frequency of the valve; default the fact
-    valve_damping        | floats | 0.6       |          | > 0     | damping ratio, likewise
-    dead_time            | floats | 0.001     | s        | 0 .. 1  | dead time, likewise
     friction             | floats | 0.0       | N        | 0 ..    | Coulomb friction of the piston
     friction_velocity    | floats | 0.005     | m/s      | > 0     |
         velocity over which Coulomb friction builds up
@@ -134,43 +115,48 @@ _ACTUATOR = parameter_rows(
     """,
     "simulated.actuator",
 )
-"""The facts are used if they are known, otherwise the data sheets; their defaults are those of the
-paper's rig (docs/rig.md)."""
+"""Data sheets, of which follow: k_oil = 4 beta A^2 / V, flow gain, leakage = 4 beta C / V, force
+capacity, where the true ones are 0 (docs/rig.md)."""
 
 _SENSORS = parameter_rows(
     """
-    displacement_noise  | floats | 0.0 | m     | 0 ..   | true RMS noise; default the fact
-    velocity_noise      | floats | 0.0 | m/s   | 0 ..   | of the velocity, likewise
-    acceleration_noise  | floats | 0.0 | m/s^2 | 0 ..   | of the acceleration, likewise
-    force_noise         | floats | 0.0 | N     | 0 ..   | of the force, likewise
-    displacement_scale  | floats | 1.0 |       |        |
-        measured over true displacement; default what is known, calibration.displacement_scale
-    velocity_scale      | floats | 1.0 |       |        | of the velocity, likewise
-    acceleration_scale  | floats | 1.0 |       |        | of the acceleration, likewise
-    force_scale         | floats | 1.0 |       |        | of the force, likewise
-    displacement_bias   | floats | 0.0 | m     |        |
-        measured displacement at a true one of 0, likewise
-    velocity_bias       | floats | 0.0 | m/s   |        | of the velocity, likewise
-    acceleration_bias   | floats | 0.0 | m/s^2 |        | of the acceleration, likewise
-    force_bias          | floats | 0.0 | N     |        | of the force, likewise
-    displacement_lag    | floats | 0.0 | s     | 0 .. 1 |
-        time by which the measured displacement is late, in whole samples or not, likewise
-    velocity_lag        | floats | 0.0 | s     | 0 .. 1 | of the velocity, likewise
-    acceleration_lag    | floats | 0.0 | s     | 0 .. 1 | of the acceleration, likewise
-    force_lag           | floats | 0.0 | s     | 0 .. 1 | of the force, likewise
-    displacement_filter | floats | 0.0 | Hz    | 0 ..   |
+    displacement_filter | floats | 0.0 | Hz | 0 ..   |
         cut-off of the displacement's filter (Butterworth, second order); 0: none
-    velocity_filter     | floats | 0.0 | Hz    | 0 ..   | of the velocity's filter, likewise
-    acceleration_filter | floats | 0.0 | Hz    | 0 ..   | of the acceleration's filter, likewise
-    force_filter        | floats | 0.0 | Hz    | 0 ..   | of the force's filter, likewise
-    tilt                | floats | 0.0 |       |        |
-        accelerations that the accelerometers show per acceleration of each axis, a matrix row by
-        row; 0: each shows its own axis alone; default calibration.tilt
-    adc_bits            | int    | 0   |       | 0 .. 32 |
+    velocity_filter     | floats | 0.0 | Hz | 0 ..   | of the velocity's filter, likewise
+    acceleration_filter | floats | 0.0 | Hz | 0 ..   | of the acceleration's filter, likewise
+    force_filter        | floats | 0.0 | Hz | 0 ..   | of the force's filter, likewise
+    adc_bits            | int    | 0   |    | 0 .. 32 |
         bits of the analog-digital converter over each range; 0: exact
     """,
     "simulated.sensors",
 )
+
+_UNKNOWN = {
+    "actuator.valve_frequency": 70.0,
+    "actuator.valve_damping": 0.6,
+    "actuator.dead_time": 0.001,
+}
+"""Of the paper's rig, where the fact is not known."""
+_NO_TRUTH = ("specimen.mass_error", "calibration.force_lag_error", "calibration.zeroing")
+
+
+def _true(fact: Parameter) -> Parameter:
+    """Give the row of what a simulated rig truly has in place of a fact."""
+    return replace(
+        fact,
+        name=f"simulated.{fact.name.replace('calibration.', 'sensors.')}",
+        default=_UNKNOWN.get(fact.name, fact.default),
+        description=f"what /**: {fact.name} truly is; default the same",
+        positive=fact.name.startswith("actuator.valve"),
+    )
+
+
+_TRUE = [
+    _true(fact)
+    for name, fact in FACTS.items()
+    if name.startswith(("specimen.", "actuator.", "calibration.")) or name.endswith("_noise")
+    if name not in _NO_TRUTH and not name.startswith(("actuator.kind", "actuator.response"))
+]
 
 SAFETY = parameter_rows(
     """
@@ -200,6 +186,7 @@ RIG_TABLE = Table(
         *facts("loop_delay", "actuator.kind", "sensors.", "calibration.", "limits."),
         *_PACE,
         _FAULTS,
+        *_TRUE,
         *_SPECIMEN,
         *_ACTUATOR,
         *_SENSORS,

@@ -206,12 +206,12 @@ def move(parameters: RigParameters, state: RigState, step: int, command: Floats)
     for stretch in range(last + 1):
         for i in range(n):
             place = oldest + newer[i] + (1 if stretch > change[i] else 0)
-            motion.work[drive + i] = line[place % places, i]
+            motion.work[drive + i] = line[place if place < places else place - places, i]
         integrate(dynamics, stretch, motion)
         if senses and stretch < last:
             for i in range(n):
                 place = oldest + newer[i] + (1 if stretch >= change[i] else 0)
-                motion.work[drive + i] = line[place % places, i]
+                motion.work[drive + i] = line[place if place < places else place - places, i]
             read = state.read[(step + 1) % senses]
             read_sensors(parameters.sensing, motion, stretch, state.shown, read)
     for i in range(n):
@@ -222,12 +222,12 @@ def move(parameters: RigParameters, state: RigState, step: int, command: Floats)
             line[oldest, i] = _bounded(obeyed, parameters.drive_limit[i])
     for i in range(n):
         place = oldest + newer[i] + (2 if change[i] < 0 else 1)
-        motion.work[drive + i] = line[place % places, i]
+        motion.work[drive + i] = line[place if place < places else place - places, i]
     multiply(dynamics.output, motion.work, state.true)
     if senses:
         read = state.read[(step + 1) % senses]
         read_sensors(parameters.sensing, motion, last, state.shown, read)
-    state.counts[0] = (oldest + 1) % places
+    state.counts[0] = oldest + 1 if oldest + 1 < places else 0
     _note_peaks(n, state.true, state.peaks)
 
 

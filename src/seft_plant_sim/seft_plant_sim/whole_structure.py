@@ -239,9 +239,8 @@ def reference_response(experiment: Experiment, ground_motion: Floats) -> Referen
     """Exact response of the whole structure of an experiment (paper Eq. 2.1).
 
     M x'' + C x' + r(x) = -M a_g from rest. In a SEFT test it is the specimen and the computed
-    substructure; in an EFT test M is (1 + mass_ratio) times the model's mass, all of it on the
-    specimen (Eq. 2.2). The specimen is that of the simulated rig; without one it is the model of
-    the node reference_force.
+    substructure; in an EFT test it is the specimen alone (Eq. 2.2). The specimen is that of the
+    simulated rig; without one it is the known one.
 
     Parameters
     ----------

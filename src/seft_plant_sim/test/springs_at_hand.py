@@ -27,7 +27,7 @@ def spring(kind, **values):
     """Spring of the table's defaults with changes; a double underscore stands for a dot."""
     values = {"yield_displacement": Y, "hardening_ratio": A} | values
     section = rig_section("specimen.", **values)
-    (made,) = make_springs(kind, group(section, "specimen"), [K], "rig: specimen")
+    (made,) = make_springs(kind, group(section, "simulated.specimen"), [K], "specimen")
     return made
 
 

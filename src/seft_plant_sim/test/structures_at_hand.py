@@ -2,6 +2,16 @@
 
 import numpy as np
 
+NOTHING_COMPUTED = {
+    **dict.fromkeys((f"computed.{name}" for name in ("mass", "damping", "stiffness")), 0.0),
+    "computed.internal": 0,
+    "computed.influence": 0.0,
+    "computed.model": "",
+    "computed.settings": "",
+    "computed.every": 1,
+}
+"""Parameters of reference_force without a computed substructure but the specimen's mass."""
+
 
 def positive(rng, size, scale):
     """Symmetric positive definite matrix."""
@@ -13,9 +23,9 @@ def structure(rng, axes, internal):
     """Parameters of a specimen and of a computed substructure, coupled in everything."""
     size = axes + internal
     values = {
-        "model.mass": positive(rng, axes, 50.0),
-        "model.damping": positive(rng, axes, 400.0),
-        "model.stiffness": positive(rng, axes, 2e5),
+        "specimen.mass": positive(rng, axes, 50.0),
+        "specimen.damping": positive(rng, axes, 400.0),
+        "specimen.stiffness": positive(rng, axes, 2e5),
         "computed.mass": positive(rng, size, 40.0),
         "computed.damping": positive(rng, size, 200.0),
         "computed.stiffness": positive(rng, size, 1e5),

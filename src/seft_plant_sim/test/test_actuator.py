@@ -9,8 +9,6 @@ from seft_plant_sim.actuator import Hydraulics
 from seft_plant_sim.continuous_model import servo_hydraulic
 from seft_plant_sim.specimen import Specimen
 
-SPECIMEN = Specimen(np.array([[52.7]]), np.array([[903.5]]), np.array([[2.11e5]]))
-PAIR = Specimen(np.diag([52.7, 80.0]), np.zeros((2, 2)), np.diag([2.11e5, 3e5]))
 SHEET = {
     "piston_area": 1e-3,  # m^2
     "supply_pressure": 21e6,  # Pa
@@ -23,9 +21,9 @@ SHEET = {
 }
 
 
-def hydraulics(specimen=SPECIMEN, axes=("x",), **values):
+def hydraulics(axes=("x",), **values):
     section = rig_section("actuator.", **SHEET | values)
-    return Hydraulics.from_parameters(group(section, "actuator"), specimen, axes)
+    return Hydraulics.from_parameters(group(section, "simulated.actuator"), axes)
 
 
 def test_data_sheets_give_the_identified_values():
@@ -47,12 +45,11 @@ def test_an_identified_value_counts_before_the_data_sheet_and_changes_no_other(n
         assert getattr(given, other) == getattr(sheet, other)
 
 
-def test_an_oil_column_frequency_is_the_pole_of_actuator_and_specimen():
-    """Of mass, oil and specimen's spring together: the paper's 90 Hz, exactly if undamped."""
-    made = hydraulics(oil_column_frequency=90.0)
-    assert made.oil_stiffness.item() == pytest.approx(52.7 * (2 * np.pi * 90) ** 2 - 2.11e5)
-    undamped = Specimen(SPECIMEN.mass, np.zeros((1, 1)), SPECIMEN.stiffness)
-    closed = hydraulics(oil_column_frequency=90.0, leakage_coefficient=0.0)
+def test_the_oil_column_resonates_with_actuator_and_specimen():
+    """Mass on oil and specimen's spring together: the paper's 90 Hz, exactly if undamped."""
+    undamped = Specimen(np.array([[52.7]]), np.zeros((1, 1)), np.array([[2.11e5]]))
+    oil = 52.7 * (2 * np.pi * 90) ** 2 - 2.11e5
+    closed = hydraulics(oil_stiffness=oil, leakage_coefficient=0.0)
     poles = np.linalg.eigvals(servo_hydraulic(undamped, closed, linear=True).a)
     (hz,) = {round(p.imag / (2 * np.pi), 6) for p in poles if p.imag > 2 * np.pi * 80}
     assert hz == pytest.approx(90.0, abs=1e-5)
@@ -60,38 +57,22 @@ def test_an_oil_column_frequency_is_the_pole_of_actuator_and_specimen():
 
 def test_each_axis_may_have_its_own_actuator():
     made = hydraulics(
-        PAIR,
         ("x", "y"),
         piston_area=[1e-3, 2e-3],
         leakage=[0.0, 25.0],
         friction=[10.0, 20.0],
         stroke=0.1,
+        dead_time=[0.001, 0.003],
     )
     np.testing.assert_allclose(made.oil_stiffness, [2e7, 8e7])
     np.testing.assert_allclose(made.force_capacity, [21e3, 42e3])
     np.testing.assert_allclose(made.leakage, [60.0, 25.0])  # 0: that axis by its data sheet
     np.testing.assert_allclose(made.friction, [10.0, 20.0])
     np.testing.assert_allclose(made.stroke, [0.1, 0.1])
-    by_frequency = hydraulics(PAIR, ("x", "y"), oil_column_frequency=[90.0, 0.0])
-    np.testing.assert_allclose(
-        by_frequency.oil_stiffness, [52.7 * (2 * np.pi * 90) ** 2 - 2.11e5, 2e7]
-    )
+    assert made.part([1]).dead_time.tolist() == [0.003]
 
 
-@pytest.mark.parametrize(
-    ("values", "told"),
-    [
-        (
-            {"oil_stiffness": 1e7, "oil_column_frequency": 90.0},
-            "rig: actuator: oil_stiffness and oil_column_frequency are both given; give one",
-        ),
-        (
-            {"oil_column_frequency": 10.0},
-            "oil_column_frequency is 10.0, but must be above the specimen's own frequency",
-        ),
-        ({"piston_area": [1.0, 2.0]}, r"rig: actuator\.piston_area: 2 values for 1 axes"),
-    ],
-)
-def test_values_that_contradict_each_other_are_refused(values, told):
+def test_a_number_of_values_that_does_not_fit_the_axes_is_refused():
+    told = r"rig: simulated\.actuator\.piston_area: 2 values for 1 axes"
     with pytest.raises(InputError, match=told):
-        hydraulics(**values)
+        hydraulics(piston_area=[1.0, 2.0])

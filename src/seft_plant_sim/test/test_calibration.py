@@ -10,12 +10,12 @@ from seft_plant_sim.calibration import (
     as_published,
     calibrate,
     calibration_of,
-    common_lag,
     nothing_known,
     zeroed_at_rest,
 )
 from seft_plant_sim.continuous_model import Sensed
 from seft_plant_sim.rig import continuous_model
+from seft_plant_sim.rig_parameters import common_lag
 
 DT = 0.002
 X, V, A, F = range(4)
@@ -71,14 +71,14 @@ def sines(hz, lags=(0.0,) * 4, steps=1000):
     return np.sin(2 * np.pi * hz * time)[:, :, np.newaxis]
 
 
-def test_it_undoes_scale_and_zero_exactly():
+def test_it_undoes_scale_and_bias_exactly():
     rng = np.random.default_rng(1)
     true = rng.normal(size=(50, 4, 2))
     scale = np.array([[1.02, 1.0], [0.5, 0.5], [2.0, 2.0], [0.97, 1.01]])
-    zero = np.array([[1e-4, -2e-4], [0.25, 0.25], [0.0, 0.5], [20.0, -5.0]])
+    bias = np.array([[1e-4, -2e-4], [0.25, 0.25], [0.0, 0.5], [20.0, -5.0]])
     values = {f"{name}_scale": row.tolist() for name, row in zip(CHANNELS, scale, strict=True)}
-    values |= {f"{name}_zero": row.tolist() for name, row in zip(CHANNELS, zero, strict=True)}
-    found = corrected(scale * true + zero, **values)
+    values |= {f"{name}_bias": row.tolist() for name, row in zip(CHANNELS, bias, strict=True)}
+    found = corrected(scale * true + bias, **values)
     np.testing.assert_allclose(found, true, rtol=1e-13, atol=1e-13)
 
 
@@ -160,13 +160,11 @@ def test_what_is_no_number_or_at_the_end_of_the_range_comes_out_as_it_is_and_lea
 
 
 def test_errors_name_the_parameter():
-    with pytest.raises(InputError, match=r"rig: calibration.force_scale is 0"):
+    with pytest.raises(InputError, match=r"^/\*\*: calibration.force_scale is 0"):
         known(force_scale=0.0)
     with pytest.raises(InputError, match=r"velocity_lag is given, but sensors.velocity is derived"):
         known(velocity_lag=0.001, derived=True)
-    with pytest.raises(
-        InputError, match=r"rig: calibration.displacement_bias: 3 values for 2 axes"
-    ):
+    with pytest.raises(InputError, match=r"^/\*\*: calibration.displacement_bias: 3 values for 2"):
         known(axes=("x", "y"), displacement_bias=[0.0, 1.0, 2.0])
     with pytest.raises(InputError, match=r"calibration.tilt \[\[1.0, 1.0\].*show the same"):
         known(axes=("x", "y"), tilt=[1.0, 1.0, 1.0, 1.0])
@@ -177,16 +175,13 @@ def test_errors_name_the_parameter():
 def test_a_rig_publishes_corrected_samples():
     """Its errors are known, so that it publishes those of a sound one, all of them late."""
     errors = {"force_scale": 1.03, "acceleration_scale": 0.98, "displacement_lag": 0.004}
-    given = {
-        f"{group}.{name}": v for group in ("sensors", "calibration") for name, v in errors.items()
-    }
-    given |= {"sensors.force_bias": 12.0, "calibration.force_bias": 12.0}
-    one, other = (driven(make_rig(**values), np.ones(100))[:, :4] for values in ({}, given))
+    known = {f"calibration__{name}": v for name, v in (errors | {"force_bias": 12.0}).items()}
+    one, other = (driven(make_rig(**values), np.ones(100))[:, :4] for values in ({}, known))
     np.testing.assert_allclose(other[2:], one[:-2], rtol=1e-9, atol=1e-9)
 
 
 def test_a_derived_velocity_is_that_of_the_calibrated_displacement():
-    scaled = {f"{group}__displacement_scale": 1.5 for group in ("sensors", "calibration")}
+    scaled = {"calibration__displacement_scale": 1.5}
     rigs = (make_rig(sensors__velocity="derived", **values) for values in (scaled, {}))
     one, other = (driven(rig, np.ones(60)) for rig in rigs)
     np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
@@ -217,7 +212,7 @@ def test_zeros_are_the_means_at_rest_that_are_more_than_noise():
     noise -= noise.mean(axis=0)
     bias = np.zeros((4, 2))
     bias[F], bias[X, 1] = (5.0, 0.17), 0.19  # 0.18 is four standard errors
-    section, told = zeroed_at_rest({}, ("x", "y", "z"), (0, 2), noise + bias)
+    section, told = zeroed_at_rest(rig_section(), ("x", "y", "z"), (0, 2), noise + bias)
     assert told["samples"] == 500
     assert told["subtracted"]["force"] == pytest.approx([5.0, 0.0])
     assert told["subtracted"]["displacement"] == pytest.approx([0.0, 0.19])
@@ -227,7 +222,7 @@ def test_zeros_are_the_means_at_rest_that_are_more_than_noise():
 
 
 def test_a_zero_that_is_told_stays_and_what_is_left_is_told():
-    given = {"calibration.force_bias": [12.0]}
+    given = rig_section(calibration__force_bias=[12.0])
     samples = np.full((100, 4, 1), 33.0)
     section, told = zeroed_at_rest(given, ("x",), (0,), samples)
     assert section["calibration.force_bias"] == [12.0]

@@ -8,6 +8,7 @@ from seft_msgs_py.errors import InputError
 from seft_plant_sim.computed_model import ComputedModel
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_plant_sim.whole_structure import reference_response
+from structures_at_hand import NOTHING_COMPUTED
 
 M, C, K = 50.0, 600.0, 2.0e5
 
@@ -21,12 +22,12 @@ def file(tmp_path):
 
 def section(file, name, settings="", **more):
     return {
+        **NOTHING_COMPUTED,
         "method": "seft",
         "mass_ratio": 1.0,
-        "model.mass": M,
+        "specimen.mass": M,
         "computed.model": f"{file}:{name}",
         "computed.settings": settings,
-        "computed.every": 1,
         **{name.replace("__", "."): value for name, value in more.items()},
     }
 
@@ -35,7 +36,7 @@ def experiment(file, name, settings="", **more):
     axes, specimen = ["x"], {"mass": M, "damping": C, "stiffness": K}
     common = {"rate": 500.0, "axes": axes}
     force = section(file, name, settings, **more)
-    force |= {f"model.{name}": value for name, value in specimen.items()}
+    force |= {f"specimen.{name}": value for name, value in specimen.items()}
     return Experiment({"reference_force": common | force})
 
 

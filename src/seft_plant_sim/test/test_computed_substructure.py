@@ -9,17 +9,9 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.computed_substructure import ComputedSubstructure
 from seft_plant_sim.whole_structure import RunningResponse, reference_response
-from structures_at_hand import as_lists, structure
+from structures_at_hand import NOTHING_COMPUTED, as_lists, structure
 
-NOTHING = {
-    "mass_ratio": 1.0,
-    "model.mass": 50.0,
-    "computed.mass": 0.0,
-    "computed.damping": 0.0,
-    "computed.stiffness": 0.0,
-    "computed.internal": 0,
-    "computed.influence": 0.0,
-}
+NOTHING = NOTHING_COMPUTED | {"mass_ratio": 1.0, "specimen.mass": 50.0}
 
 
 def computed_of(axes=("x",), **given_values):
@@ -28,7 +20,7 @@ def computed_of(axes=("x",), **given_values):
 
 
 def experiment_of(values, axes, rate=500.0):
-    section = {"computed.influence": 0.0, "method": "seft", "rate": rate}
+    section = NOTHING_COMPUTED | {"method": "seft", "rate": rate}
     section |= {"axes": [f"axis {i}" for i in range(axes)], **as_lists(values)}
     return Experiment({"reference_force": section})
 
@@ -78,7 +70,7 @@ def test_the_response_is_that_of_the_assembled_structure(seed, axes, internal):
 
     mass, damping, stiffness = (values[f"computed.{n}"] for n in ("mass", "damping", "stiffness"))
     mass, damping, stiffness = (
-        part + np.pad(values[f"model.{n}"], [(0, internal)] * 2)
+        part + np.pad(values[f"specimen.{n}"], [(0, internal)] * 2)
         for n, part in (("mass", mass), ("damping", damping), ("stiffness", stiffness))
     )
     inside = values["computed.influence"] if internal else np.zeros((0, axes))
@@ -93,10 +85,10 @@ def test_the_response_is_that_of_the_assembled_structure(seed, axes, internal):
     scale, solved = np.abs(solved).max(), solved.reshape(steps, axes)
     np.testing.assert_allclose(found.displacement, solved, rtol=0, atol=1e-9 * scale)
 
-    own = values["model.damping"] @ found.velocity.T + values["model.stiffness"] @ (
+    own = values["specimen.damping"] @ found.velocity.T + values["specimen.stiffness"] @ (
         found.displacement.T
     )
-    expected = values["model.mass"] @ found.acceleration.T + own  # what moves the specimen so
+    expected = values["specimen.mass"] @ found.acceleration.T + own  # what moves the specimen so
     np.testing.assert_allclose(found.force, expected.T, rtol=0, atol=1e-9 * np.abs(expected).max())
     running = RunningResponse(test)
     pieces = [running.advance(piece) for piece in np.array_split(ground, 3)]

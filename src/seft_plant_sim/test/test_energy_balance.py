@@ -27,7 +27,7 @@ def shaken_rig(commands, law, kind="servo_hydraulic", specimen=None, **actuator)
     section = rig_section(**values, **{f"actuator.{name}": own for name, own in actuator.items()})
     axes = ("x", "y")[: commands.shape[1]]
     plant = BareRig(continuous_model(section, axes), DT)
-    specimen = Specimen.from_parameters(group(section, "specimen"), axes, "rig: specimen")
+    specimen = Specimen.from_parameters(group(section, "simulated.specimen"), axes, "specimen")
     return specimen, driven(plant, commands)[:, :4]
 
 

@@ -22,7 +22,7 @@ def arrays(*lines, axes=("x",), own=None, **values):
     """Faults for the compiled functions, and their memory."""
     own = own or RigAxes.whole(axes)
     section = rig_section(**values)
-    bits = section["sensors.adc_bits"]
+    bits = section["simulated.sensors.adc_bits"]
     resolution = np.full((4, len(own.axes)), 2.0 * 2048.0 / 2.0**bits if bits else 0.0)
     found, width = faults_of(read_faults(lines, axes), own, TIMEBASE, resolution, 0, section)
     return found, np.zeros((len(found.numbers), width))
@@ -104,7 +104,7 @@ def test_a_fault_begins_in_the_test():
 @pytest.mark.parametrize(
     ("line", "values", "error"),
     [
-        ("force bit 3 at 1", {}, r"there is no converter; give rig: sensors\.adc_bits"),
+        ("force bit 3 at 1", {}, r"there is no converter; give rig: simulated\.sensors\.adc_bits"),
         ("force bit 12 at 1", CONVERTER, r"the converter has the bits 0 to 11"),
         ("supply scale 0.5 at 1", {"actuator__kind": "delay"}, "delay has no supply pressure"),
         ("velocity flip at 1", {"sensors__velocity": "derived"}, "there is no sensor of it"),

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from seft_msgs_py.config.facts import CHANNELS
-from seft_msgs_py.config.parameter_table import Table
+from seft_msgs_py.config.facts import CHANNELS, FACTS
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.limits import (
     RATE_SPAN,
@@ -16,7 +15,7 @@ from seft_plant_sim.limits import (
     largest_force_rate,
     span_steps,
 )
-from seft_plant_sim.rig_parameters import LIMIT_ROWS, limit_rows
+from seft_plant_sim.rig_parameters import LIMIT_ROWS
 
 PAPER = {"displacement": 0.076, "velocity": 0.5, "acceleration": 98.1, "force": 22200.0}
 RATES = {
@@ -188,19 +187,13 @@ def test_margins_are_the_smallest_since_the_reset():
     assert set(limits.margins().values()) == {1.0}
 
 
-def test_limits_of_another_node_stand_in():
-    rows = limit_rows("supervisor")
-    names = [*LIMIT_ROWS, "saturated_time"]
-    assert [row.default_from for row in rows] == [f"supervisor:limits.{name}" for name in names]
-    assert [row.default_from for row in limit_rows()] == [""] * 9
+def test_limits_are_those_of_the_paper_unless_they_are_given():
+    rows = [FACTS[f"limits.{name}"] for name in LIMIT_ROWS]
     rates = RATES | {"force_rate": 0.0}
-    assert [row.default for row in rows] == [*PAPER.values(), *rates.values(), 0.05]
-    assert [row.unit for row in rows] == [*UNITS, *RATE_UNITS, "s"]
-
-
-def test_a_limit_must_be_positive():
+    assert [row.default for row in rows] == [*PAPER.values(), *rates.values()]
+    assert [row.unit for row in rows] == [*UNITS, *RATE_UNITS]
     with pytest.raises(InputError, match=r"limits\.force is 0, but must be greater than zero"):
-        Table("supervisor", limit_rows()).check({"limits.force": 0})
+        FACTS["limits.force"].check(0, "/**")
 
 
 def blind_until(limit, steps):

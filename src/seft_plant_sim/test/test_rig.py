@@ -139,7 +139,7 @@ def test_a_rig_at_rest_is_settled_at_once():
 def test_the_largest_true_motion_is_known_without_noise_and_filters():
     quiet = moving_rig()
     filtered = moving_rig(
-        ("rig", "sensors.force_filter", 20.0), ("rig", "sensors.force_noise", 99.0)
+        ("rig", "simulated.sensors.force_filter", 20.0), ("/**", "sensors.force_noise", 99.0)
     )
     assert filtered.state.shown[3] != pytest.approx(quiet.sample[3, 0], rel=0.02)
     found, same = quiet.simulated(), filtered.simulated()
@@ -163,12 +163,6 @@ def test_a_rig_of_a_faulty_sensor_moves_as_before_and_shows_the_fault():
     assert faulty.state.measured[3, 0] == -5589.0
     assert faulty.violation is None
     assert faulty.state.change[3, 0] < -5000.0
-
-
-def test_a_rig_of_a_bag_from_before_there_were_faults_has_none():
-    section = rig_section()
-    del section["faults"]
-    assert not len(Rig.from_parameters(section, ("x",), TIMEBASE).parameters.faults.numbers)
 
 
 def test_a_stuck_valve_does_not_close():

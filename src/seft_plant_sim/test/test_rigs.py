@@ -10,13 +10,13 @@ from seft_plant_sim.rig_parameters import RIG_TABLE
 
 PLAN = (
     "/**:axes:=[west/x, east/x, west/y]",
-    "rig:specimen.mass:=[50.0, 40.0, 60.0]",
-    "rig:specimen.damping:=[800.0, 700.0, 900.0]",
-    "rig:specimen.stiffness:=[2.0e5, 0.0, -3.0e4, 0.0, 1.5e5, 0.0, -3.0e4, 0.0, 1.8e5]",
-    "rig:actuator.flow_gain:=[0.04, 0.03, 0.05]",
-    "rig:actuator.friction:=10.0",
-    "rig:sensors.displacement_noise:=[1.0e-5, 2.0e-5, 3.0e-5]",
-    "rig:sensors.force_noise:=3.0",
+    "/**:specimen.mass:=[50.0, 40.0, 60.0]",
+    "/**:specimen.damping:=[800.0, 700.0, 900.0]",
+    "/**:specimen.stiffness:=[2.0e5, 0.0, -3.0e4, 0.0, 1.5e5, 0.0, -3.0e4, 0.0, 1.8e5]",
+    "/**:actuator.flow_gain:=[0.04, 0.03, 0.05]",
+    "rig:simulated.actuator.friction:=10.0",
+    "/**:sensors.displacement_noise:=[1.0e-5, 2.0e-5, 3.0e-5]",
+    "/**:sensors.force_noise:=3.0",
     "rig:safe.valve_command:=[0.1, 0.2, 0.3]",
     "rig:seed:=3",
 )
@@ -35,16 +35,16 @@ def of_plan(test, rig=None):
 
 SPRINGS = [1.0, 0.0, 0.0, 1.0, 0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
 YIELDING = (
-    "rig:specimen.kind:=bouc_wen",
-    "rig:specimen.yield_displacement:=1.0e-3",
-    f"rig:specimen.springs:={SPRINGS}",
+    "rig:simulated.specimen.kind:=bouc_wen",
+    "rig:simulated.specimen.yield_displacement:=1.0e-3",
+    f"/**:specimen.springs:={SPRINGS}",
 )
 FILTERED = (
-    "rig:sensors.velocity:=derived",
-    "rig:sensors.displacement_filter:=100.0",
-    "rig:sensors.force_lag:=[0.0, 0.003, 0.0005]",
-    "rig:calibration.force_lag:=[0.0, 0.003, 0.0005]",
-    "rig:calibration.acceleration_bias:=[0.1, 0.0, 0.2]",
+    "/**:sensors.velocity:=derived",
+    "rig:simulated.sensors.displacement_filter:=100.0",
+    "/**:calibration.force_lag:=[0.0, 0.003, 0.0005]",
+    "/**:calibration.acceleration_bias:=[0.1, 0.0, 0.2]",
+    "rig:simulated.sensors.acceleration_bias:=0.0",
 )
 
 
@@ -75,7 +75,7 @@ def test_each_has_the_bits_of_its_node(more):
 
 
 def test_a_limit_that_one_breaks_is_the_violation_of_all():
-    test = plan("rig:limits.displacement:=1.0e-4")
+    test = plan("/**:limits.displacement:=1.0e-4")
     together = Rigs(test)
     driven(together, np.tile([0.0, 2.0, 0.0], (200, 1)))
     assert "axis east/x" in together.violation
@@ -84,7 +84,7 @@ def test_a_limit_that_one_breaks_is_the_violation_of_all():
 @pytest.mark.parametrize("name", ["mass", "damping", "stiffness"])
 def test_what_two_rigs_share_can_only_be_computed(name):
     matrix = [50.0, 1.0, 0.0, 1.0, 40.0, 0.0, 0.0, 0.0, 60.0]
-    test = plan(f"rig:specimen.{name}:={matrix}")
+    test = plan(f"/**:specimen.{name}:={matrix}")
     with pytest.raises(InputError, match=f"{name} couples axes of west with those of another"):
         of_plan(test, test.rigs[0])
 
@@ -92,10 +92,10 @@ def test_what_two_rigs_share_can_only_be_computed(name):
 def test_no_spring_connects_rigs():
     springs = [1.0, -1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0]  # two whose stiffness adds up to none
     test = plan(
-        "rig:specimen.kind:=bilinear",
-        "rig:specimen.yield_displacement:=0.01",
-        f"rig:specimen.springs:={springs}",
-        "rig:specimen.stiffness:=[2.0e5, 2.0e5, 1.0e5]",
+        "rig:simulated.specimen.kind:=bilinear",
+        "rig:simulated.specimen.yield_displacement:=0.01",
+        f"/**:specimen.springs:={springs}",
+        "/**:specimen.stiffness:=[2.0e5, 2.0e5, 1.0e5]",
     )
     with pytest.raises(InputError, match="a spring connects west with another rig"):
         of_plan(test, test.rigs[0])

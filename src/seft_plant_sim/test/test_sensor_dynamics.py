@@ -51,7 +51,7 @@ def test_a_filter_has_the_gain_and_phase_of_a_butterworth_low_pass(hz):
     scale = np.abs(expected).max()
     np.testing.assert_allclose(transfer(filtered, hz), expected, rtol=1e-7, atol=1e-12 * scale)
     assert abs(butterworth(hz)) == pytest.approx((1 + (hz / CUTOFF) ** 4) ** -0.5)
-    assert filtered.delay == 0.003
+    assert filtered.delay.tolist() == [0.003, 0.003]
     assert filtered.drive == model.drive
 
 
@@ -116,9 +116,9 @@ def test_a_derived_velocity_inherits_the_displacements_lag():
 
 def test_a_tilt_between_rigs_is_refused():
     axes = ("east/x", "west/x")
-    words = [("/**", "axes", list(axes)), ("rig", "sensors.tilt", [1.0, 0.02, 0.0, 1.0])]
+    words = [("/**", "axes", list(axes)), ("rig", "simulated.sensors.tilt", [1.0, 0.02, 0.0, 1.0])]
     words += [
-        ("rig", f"specimen.{name}", value) for name, value in (("mass", 50.0), ("stiffness", 2e5))
+        ("/**", f"specimen.{name}", value) for name, value in (("mass", 50.0), ("stiffness", 2e5))
     ]
     experiment = Experiment.load([RIG_TABLE], [], words, nodes=["rig"])
     with pytest.raises(InputError, match=r"sensors.tilt \[\[1.0, 0.02\], .* different rigs"):

@@ -14,7 +14,7 @@ STOREYS = np.array([[1.0, 0.0, 0.0], [-1.0, 1.0, 0.0], [0.0, -1.0, 1.0]])  # of 
 def specimen(axes=("x",), **values):
     """Specimen of the table's defaults with changes; a double underscore stands for a dot."""
     section = rig_section("specimen.", **values)
-    return Specimen.from_parameters(group(section, "specimen"), axes, "rig: specimen")
+    return Specimen.from_parameters(group(section, "simulated.specimen"), axes, "specimen")
 
 
 def test_each_axis_has_a_spring_to_the_ground_unless_springs_are_given():

@@ -14,16 +14,16 @@ M, C, K, DT, DELAY = 52.7, 800.3, 2.11e5, 0.002, 0.0133
 
 def force_section(**values):
     """Section of the table's defaults with changes; a double underscore stands for a dot."""
-    given = {"model.mass": M, "model.stiffness": K} | values
+    given = {"specimen.mass": M, "specimen.stiffness": K} | values
     return section_of(REFERENCE_FORCE_TABLE, **given)
 
 
-def compensator(method, axes=("x",), rate=500, told=(), **values):
-    """Compensator of these parameters, and of what its settings are told."""
+def compensator(method, axes=("x",), rate=500, told=(), delay=DELAY, **values):
+    """Compensator of these parameters, what its settings are told, and a delay, with the loop's."""
     own = " ".join(
         f"{name}={json.dumps(v, separators=(',', ':'))}" for name, v in dict(told).items()
     )
-    paper = {"model__damping": C, "compensation__delay": DELAY, "mass_ratio": 1.0}
+    paper = {"specimen__damping": C, "actuator__delay": delay - 1.5 / rate, "mass_ratio": 1.0}
     method_words = {"compensation__method": method, "compensation__settings": own}
     section = force_section(**paper | method_words | values)
     return COMPENSATION_METHODS[method](method_inputs(section, axes, Timebase.from_rate(rate)))
@@ -59,10 +59,11 @@ def assert_axes_are_apart(method, **common):
     masses, stiffness = [52.7, 20.0, 300.0], [2.11e5, 9e4, 3e6]
     motion, states = noise(3, 900)
     states[:, 3] = np.roll(-motion[:900] * masses, 5, axis=0)
-    values = {"model__mass": masses, "model__stiffness": stiffness, "mass_ratio": 0.4, **common}
+    both = {"specimen__mass": masses, "specimen__stiffness": stiffness}
+    values = {**both, "mass_ratio": 0.4, **common}
     together = run(compensator(method, ("x", "y", "z"), **values), motion, states)
     for axis in range(3):
-        own = values | {"model__mass": masses[axis], "model__stiffness": stiffness[axis]}
+        own = values | {name: value[axis] for name, value in both.items()}
         one = slice(axis, axis + 1)
         alone = run(compensator(method, **own), motion[:, one], states[:, :, one])
         scale = np.abs(alone).max()
@@ -72,6 +73,6 @@ def assert_axes_are_apart(method, **common):
 def assert_known_motion_is_all(method, delay, step):
     """Without a computed mass the force is that of the ground motion at the end of the delay."""
     motion, states = noise(1, 10)
-    force = run(compensator(method, compensation__delay=delay, mass_ratio=0.0), motion, states)
+    force = run(compensator(method, delay=delay, mass_ratio=0.0), motion, states)
     ahead = np.interp(step * DT + delay, DT * np.arange(len(motion)), motion[:, 0])
     assert np.isclose(force[step, 0], -M * ahead, rtol=1e-9, atol=1e-12)

@@ -1,8 +1,8 @@
 """Faults that are tried on the simulated rig, and a host that holds or misses commands."""
 
 import numpy as np
+from seft_msgs_py.config.facts import CHANNELS
 
-CHANNELS = ("displacement", "velocity", "acceleration", "force")
 SENSOR_FAULTS = {  # with the channel's RMS noise and its largest value in the sound test
     "dead": ("set 0",),
     "dead but for noise": ("set 0", "noise {noise!r}"),

@@ -45,9 +45,9 @@ def scaled(mass, oil_hz, rate, hz, mass_ratio, leakage, zeta):
     damping = 2 * zeta * math.sqrt(stiffness * mass)
     words = [
         f"rate:={float(rate)}",
-        f"rig:specimen.mass:={float(mass)}",
-        f"rig:specimen.stiffness:={stiffness}",
-        f"rig:specimen.damping:={damping}",
+        f"specimen.mass:={float(mass)}",
+        f"specimen.stiffness:={stiffness}",
+        f"specimen.damping:={damping}",
         f"reference_force:mass_ratio:={float(mass_ratio)}",
     ]
     dt, unit = response_of((*words, f"ground_motion:peak_force:={float(mass)}"))
@@ -90,9 +90,10 @@ def scaled_rig(
         "dead_time": DEAD_TIME + max(dead_time_error, 0.0),
     }
     values = {
-        "rig:actuator": true | {"friction": 10.0 / 24500.0 * capacity, "stroke": 5.0 * peaks[0]},
-        "force_controller:actuator": told,
-        "rig:sensors": {
+        "rig:simulated.actuator": true
+        | {"friction": 10.0 / 24500.0 * capacity, "stroke": 5.0 * peaks[0]},
+        "actuator": told,
+        "sensors": {
             **{f"{name}_range": 5.0 * peak for name, peak in zip(CHANNELS, peaks, strict=True)},
             **{
                 f"{name}_noise": noise * least * peak / of_demo
@@ -101,16 +102,16 @@ def scaled_rig(
                 )
             },
         },
-        "supervisor:limits": {
+        "limits": {
             "displacement": 4.0 * peaks[0],
             "velocity": 4.0 * peaks[1],
             "acceleration": 4.5 * peaks[2],
             "force": 2.5 * peaks[3],
         },
     }
-    more = [f"rig:seed:={seed}", f"rig:specimen.kind:={kind}"]
+    more = [f"rig:seed:={seed}", f"rig:simulated.specimen.kind:={kind}"]
     if kind != "linear":
-        more.append(f"rig:specimen.yield_displacement:={YIELDS * peaks[0]}")
+        more.append(f"rig:simulated.specimen.yield_displacement:={YIELDS * peaks[0]}")
     return [
         *words,
         *more,

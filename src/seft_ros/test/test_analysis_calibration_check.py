@@ -24,8 +24,8 @@ PLAN = (
     *("force_controller:method:=velocity_feedforward", "ground_motion:peak_force:=450.0"),
     *("ground_motion:synthetic.seed:=11", "ground_motion:synthetic.duration:=12.0"),
 )
-FRICTION = ("rig:specimen.kind:=friction", "rig:specimen.friction.force:=35.0")
-WRONG_MASS = ("reference_force:model.mass:=57.0",)
+FRICTION = ("rig:simulated.specimen.kind:=friction", "rig:simulated.specimen.friction.force:=35.0")
+WRONG_MASS = ("specimen.mass:=57.0", "rig:simulated.specimen.mass:=52.7")
 
 
 @cache
@@ -64,10 +64,10 @@ def test_a_sound_test_is_not_doubted(words):
     ("words", "kinds"),
     [
         (WRONG_MASS, {"mass"}),
-        ((*FRICTION, "rig:sensors.force_scale:=1.08"), {"mass"}),
-        (("rig:sensors.acceleration_lag:=0.0002",), {"lag"}),
-        (("rig:sensors.displacement_lag:=0.0008",), {"lag"}),
-        (("rig:sensors.displacement_scale:=1.03",), {"scale"}),
+        ((*FRICTION, "rig:simulated.sensors.force_scale:=1.08"), {"mass"}),
+        (("rig:simulated.sensors.acceleration_lag:=0.0002",), {"lag"}),
+        (("rig:simulated.sensors.displacement_lag:=0.0008",), {"lag"}),
+        (("rig:simulated.sensors.displacement_scale:=1.03",), {"scale"}),
     ],
 )
 def test_a_wrong_mass_scale_or_lag_puts_a_test_in_doubt(words, kinds):
@@ -78,7 +78,7 @@ def test_channels_that_wait_for_the_latest_are_read_when_they_are_read():
     """At 250 Hz what is folded down is 0.8 % of the acceleration, and a plant's delay turns it."""
     sound, aligned = (
         expected_relations(load(*PLAN, "rate:=250.0", *words), 5.0)
-        for words in ((), ("rig:calibration.force_lag:=0.0004",))
+        for words in ((), ("calibration.force_lag:=0.0004",))
     )
     assert abs(sound[1] - 1.0) > 5e-3
     assert aligned == pytest.approx(sound, abs=1e-9)
@@ -103,11 +103,12 @@ def test_a_reference_of_the_simulated_specimen_is_not_called_the_models():
 def test_what_a_separate_test_found_is_combined_by_the_errors():
     record = record_of(*FRICTION)
     own = calibration_check(record).mass
-    told = {"mass": own.estimate + 2 * own.error, "mass_error": 0.1, "force_lag_error": 1e-6}
-    words = [f"reference_force:identified.{name}:={value}" for name, value in told.items()]
-    both = calibration_check(record_of(*FRICTION, *words)).mass
-    weights = np.array([own.error, told["mass_error"]]) ** -2.0
-    estimates = own.estimate, told["mass"]
+    mass, lag_error = own.estimate + 2 * own.error, {"calibration.force_lag_error": 1e-6}
+    told = {"specimen.mass": mass, "specimen.mass_error": 0.1, **lag_error}
+    known = replace(record, experiment=record.experiment.changed({"/**": told}))
+    both = calibration_check(known).mass
+    weights = np.array([own.error, 0.1]) ** -2.0
+    estimates = own.estimate, mass
     assert both.estimate == pytest.approx(np.average(estimates, weights=weights), rel=1e-4)
     assert both.error == pytest.approx(weights.sum() ** -0.5, rel=1e-3)
 
@@ -115,19 +116,16 @@ def test_what_a_separate_test_found_is_combined_by_the_errors():
         return replace(of, series={name: s.until(60) for name, s in of.series.items()})
 
     assert calibration_check(short(record)).mass is None
-    alone = calibration_check(short(record_of(*FRICTION, *words))).mass
-    assert alone.estimate == pytest.approx(told["mass"])
+    alone = calibration_check(short(known)).mass
+    assert alone.estimate == pytest.approx(mass)
     assert alone.error == pytest.approx(0.1)
 
 
 def test_what_has_changed_after_a_separate_test_is_seen():
-    words = (
-        "identified.mass:=52.7",
-        "identified.mass_error:=0.05",
-        "identified.force_lag_error:=1e-6",
-    )
-    words = [*(f"reference_force:{word}" for word in words), "rig:sensors.force_scale:=1.08"]
-    check = calibration_check(record_of(*words, "rig:sensors.force_lag:=0.0004"))
+    errors = "specimen.mass_error:=0.05", "calibration.force_lag_error:=1e-6"
+    changes = "force_scale:=1.08", "force_lag:=0.0004"
+    words = [*errors, *(f"rig:simulated.sensors.{change}" for change in changes)]
+    check = calibration_check(record_of(*words))
     assert check.mass.estimate == pytest.approx(1.08 * 52.7, rel=0.01)
     lag = check.axes["x"]["force"]["lag"]
     assert lag["estimate"] == pytest.approx(0.0004, abs=4 * lag["error"])
@@ -137,7 +135,7 @@ def test_what_has_changed_after_a_separate_test_is_seen():
 
 @pytest.mark.parametrize("kind", ["ideal", "delay"])
 def test_of_an_idealised_actuator_the_mass_is_known_and_no_relation(kind):
-    words = "ground_motion:peak_force:=450.0", "rate:=1000.0", f"rig:actuator.kind:={kind}"
+    words = "ground_motion:peak_force:=450.0", "rate:=1000.0", f"actuator.kind:={kind}"
     record = simulated(load(*words))
     check = calibration_check(record)
     assert check.scale is None

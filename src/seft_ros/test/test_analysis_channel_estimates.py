@@ -102,6 +102,12 @@ def test_tilt_is_the_part_of_another_axis():
     assert found.scale == pytest.approx(np.array([[1.0, 0.05], [0.0, 1.0]]), abs=2e-3)
 
 
+def test_axes_that_move_exactly_alike_show_no_tilt():
+    y = np.repeat(samples(), 2, axis=2)
+    found = relation(y[:, 2], y[:, 0], 2, DT, motion_frequency(y))
+    assert found.scale == pytest.approx(np.eye(2), abs=2e-3)
+
+
 def test_masses_of_a_frame_are_found_by_the_equations_of_its_storeys():
     one, two = samples(seed=4), samples(seed=5)  # deformations of the storeys
     deformation = np.array([[1.0, 0.0], [-1.0, 1.0]])

@@ -11,7 +11,10 @@ from seft_ros.analysis.summary import balance_of, energy_numbers, summarise
 from seft_ros.bags.record import Series
 
 SHORT = ("ground_motion:synthetic.duration:=8.0", "ground_motion:tail:=1.0")
-YIELDING = ("rig:specimen.kind:=bilinear", "rig:specimen.yield_displacement:=0.002")
+YIELDING = (
+    "rig:simulated.specimen.kind:=bilinear",
+    "rig:simulated.specimen.yield_displacement:=0.002",
+)
 KEYS = ["input_j", "kinetic_j", "strain_j", "damped_j", "hysteretic_j", "closure"]
 
 
@@ -28,8 +31,8 @@ def run(*words):
     [
         ((), 0.01),
         (YIELDING, 0.01),
-        (("rig:actuator.kind:=delay", "rig:actuator.delay:=0.0033", *YIELDING), 0.01),
-        (("rig:sensors.velocity:=derived",), 0.02),
+        (("actuator.kind:=delay", "actuator.delay:=0.0033", *YIELDING), 0.01),
+        (("sensors.velocity:=derived",), 0.02),
     ],
 )
 def test_the_energy_of_a_simulated_test_closes_with_the_noise_of_its_sensors(words, most):

@@ -23,10 +23,10 @@ from seft_ros.bags.record import Series
 COUNT = 1500
 CONFIGS = ("jhu", "three_storey_frame", "water_tower", "two_pier_bridge")
 FRICTION = {  # 45 times as stiff until it slips, at some 100 N
-    "specimen.kind": "bilinear",
-    "specimen.stiffness": 45 * 2.11e5,
-    "specimen.hardening_ratio": 1 / 45,
-    "specimen.yield_displacement": 1.1e-5,
+    "simulated.specimen.kind": "bilinear",
+    "simulated.specimen.stiffness": 45 * 2.11e5,
+    "simulated.specimen.hardening_ratio": 1 / 45,
+    "simulated.specimen.yield_displacement": 1.1e-5,
 }
 
 
@@ -67,9 +67,9 @@ def test_an_exact_test_is_of_the_ground_motion_that_was_asked_for(config):
     np.testing.assert_allclose(found, motion, atol=1e-4 * np.abs(motion).max())
 
 
-@pytest.mark.parametrize("law", [FRICTION, {"specimen.kind": "bouc_wen"}])
+@pytest.mark.parametrize("law", [FRICTION, {"simulated.specimen.kind": "bouc_wen"}])
 def test_of_the_specimen_nothing_but_the_mass_counts(law):
-    test = experiment().changed({"rig": {"specimen.yield_displacement": 0.002, **law}})
+    test = experiment().changed({"rig": {"simulated.specimen.yield_displacement": 0.002, **law}})
     motion = ground(test)
     found = equivalent_of(test, states_of(test, motion))
     np.testing.assert_allclose(found, motion, atol=1e-9 * np.abs(motion).max())
@@ -113,7 +113,11 @@ def test_a_larger_motion_differs_as_much_everywhere():
 
 def test_the_law_of_the_test_says_what_another_motion_would_have_done():
     """Friction slips and a gap closes, which a linear structure does not: it differs by 0.03."""
-    gap = {"specimen.kind": "gap", "specimen.gap.width": 0.001, "specimen.gap.stiffness": 4e5}
+    gap = {
+        "simulated.specimen.kind": "gap",
+        "simulated.specimen.gap.width": 0.001,
+        "simulated.specimen.gap.stiffness": 4e5,
+    }
     for law, size in ((FRICTION, 0.0405), (gap, 0.0340)):
         test = experiment().changed({"rig": law})
         motion = ground(test)

@@ -133,7 +133,7 @@ def test_without_the_whole_ground_motion_there_is_no_reference():
 
 def test_a_description_that_lacks_a_parameter_is_an_input_error():
     record = make_record()
-    del record.experiment.sections["rig"]["specimen.stiffness"]
+    del record.experiment.sections["rig"]["simulated.specimen.stiffness"]
     with pytest.raises(InputError, match="lacks stiffness"):
         reference_of(record)
 

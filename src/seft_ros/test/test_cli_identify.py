@@ -9,20 +9,21 @@ import numpy as np
 import pytest
 from commands_at_hand import run_seft
 from experiments_at_hand import JHU, load
-from seft_msgs_py.config.experiment import Experiment, read_parameter_file
+from seft_msgs_py.config.experiment import read_parameter_file, value_text
 from seft_msgs_py.config.facts import CHANNELS
 from seft_plant_sim.lti import bilinear, polynomial_ratio
+from seft_plant_sim.rig_parameters import truth
 from seft_ros.bags.record_bag import read_bag
 from seft_ros.cli import identify_command, shared
 from seft_ros.design.force_tracking import tracking_measures
 from seft_ros.design.plant import choose_plant
 from seft_ros.drawing import style
-from seft_ros.test_run.parameter_tables import TABLES
 
-LINEAR = ("rig:actuator.kind:=servo_hydraulic_linear",)
+LINEAR = ("actuator.kind:=servo_hydraulic_linear",)
 SHORT = ("--duration", "14")
 BRIEF = ("--duration", "14", "--amplitude", "0.2")
 """The shortest there is, without the pilot test."""
+LOOP = 0.003  # s: 1.5 sampling periods
 
 
 def identified(seft, *words, overrides=()):
@@ -96,18 +97,18 @@ def test_the_folder_holds_what_repeats_and_uses_it(linear, seft):
     assert reference.std() == pytest.approx(found["excitation_rms"]["force"], rel=0.05)
 
     model = read_parameter_file(out / "model.yaml")
-    assert set(model) == {"reference_force", "force_controller", "rig"}
-    shake, section = found["shake"], model["reference_force"]
-    assert section["model.mass"] == section["identified.mass"] == [shake["mass"]]
+    assert set(model) == {"/**"}
+    shake, section = found["shake"], model["/**"]
+    assert section["specimen.mass"] == [shake["mass"]]
     assert shake["mass"] == pytest.approx(52.7, abs=4 * shake["mass_error"])
-    assert section["identified.mass_error"] == [pytest.approx(0.04, abs=0.03)]
-    assert section["identified.force_lag_error"] == [shake["axes"][0]["force"]["lag"]["error"]]
-    assert model["reference_force"]["model.stiffness"] == [pytest.approx(2.11e5, rel=0.005)]
-    assert model["reference_force"]["compensation.delay"] == found["delay_s"]
-    assert len(model["force_controller"]["actuator.flow_gain"]) == 1
-    assert not re.search("[&*]", (out / "model.yaml").read_text())  # ROS 2 reads no aliases
-    experiment = Experiment.load(TABLES, [JHU, out / "model.yaml"])
-    assert experiment["force_controller"]["plant.dead_time"] == pytest.approx(0.001, abs=5e-5)
+    assert section["specimen.mass_error"] == [pytest.approx(0.04, abs=0.03)]
+    assert section["calibration.force_lag_error"] == [shake["axes"][0]["force"]["lag"]["error"]]
+    assert section["specimen.stiffness"] == [pytest.approx(2.11e5, rel=0.005)]
+    assert section["actuator.delay"] == pytest.approx(found["delay_s"] - LOOP)
+    assert len(section["actuator.flow_gain"]) == 1
+    assert not re.search(r"[&*]\w", (out / "model.yaml").read_text())  # ROS 2 reads no aliases
+    dead_times = load(files=[out / "model.yaml"])["force_controller"]["actuator.dead_time"]
+    assert dead_times == [pytest.approx(0.001, abs=5e-5)]
 
     with_model = ("--params-file", out / "model.yaml", "--json")
     status, text, _ = seft("simulate", JHU, *with_model, "-p", "ground_motion:tail:=0.5")
@@ -115,16 +116,24 @@ def test_the_folder_holds_what_repeats_and_uses_it(linear, seft):
 
 
 SENSORS = (
-    *("rig:sensors.acceleration_lag:=0.002", "rig:sensors.velocity_scale:=1.03"),
-    *("rig:sensors.force_bias:=5.0", "rig:sensors.acceleration_bias:=0.1"),
+    "rig:simulated.sensors.acceleration_lag:=0.002",
+    "rig:simulated.sensors.velocity_scale:=1.03",
+    "rig:simulated.sensors.force_bias:=5.0",
+    "rig:simulated.sensors.acceleration_bias:=0.1",
 )
-PLAN = {
-    "reference_force:compensation.method": "target_motion",
-    "force_controller:method": "velocity_feedforward",
-    "reference_force:mass_ratio": "1.0",
-    "ground_motion:peak_force": "400.0",
-    "ground_motion:synthetic.duration": "12.0",
-}
+PLAN = (
+    "reference_force:compensation.method:=target_motion",
+    "force_controller:method:=velocity_feedforward",
+    "reference_force:mass_ratio:=1.0",
+    "ground_motion:synthetic.duration:=12.0",
+)
+
+
+def with_truth(*overrides):
+    """Words of overrides, and of what the rig truly is with them, whatever a later file says."""
+    true = truth(load(*overrides)["rig"])
+    pinned = [f"rig:{name}:={value_text(value)}" for name, value in true.items()]
+    return [word for text in (*overrides, *pinned) for word in ("-p", text)]
 
 
 def test_a_rig_whose_channels_disagree_is_corrected_by_the_file(identify, seft):
@@ -134,10 +143,9 @@ def test_a_rig_whose_channels_disagree_is_corrected_by_the_file(identify, seft):
     lag = found["shake"]["axes"][0]["acceleration"]["lag"]
     assert lag["value"] == pytest.approx(0.002, abs=4 * lag["error"])
     written = read_parameter_file("out/model.yaml")
-    assert written["force_controller"]["actuator.dead_time"] == [pytest.approx(0.001, abs=1e-4)]
-    assert written["reference_force"]["model.damping"] == [pytest.approx(800.3, rel=0.03)]
-    overrides = [f"{name}:={value}" for name, value in PLAN.items()] + list(SENSORS)
-    words = [word for text in overrides for word in ("-p", text)]
+    assert written["/**"]["actuator.dead_time"] == [pytest.approx(0.001, abs=1e-4)]
+    assert written["/**"]["specimen.damping"] == [pytest.approx(800.3, rel=0.03)]
+    words = with_truth(*PLAN, "ground_motion:peak_force:=400.0", *SENSORS)
     assert seft("simulate", JHU, *words, "--json")[0] == 1  # it trips
     status, text, _ = seft("simulate", JHU, "--params-file", "out/model.yaml", *words, "--json")
     summary = json.loads(text)
@@ -160,9 +168,10 @@ def test_a_host_that_misses_commands_is_told(monkeypatch, tmp_path, capsys):
 
 def test_a_rig_is_identified_unknown_and_the_model_holds_for_another_specimen(identify, seft):
     """With a controller that needs the actuators, and no word of the specimen."""
+    unknown = "actuator.flow_gain:=0.0"
     overrides = (
         "force_controller:method:=velocity_feedforward",
-        "force_controller:actuator.flow_gain:=0.0",
+        *(unknown, "rig:simulated.actuator.flow_gain:=0.0403"),
     )
     status, found, _ = identify(*BRIEF, "--out", "out", overrides=overrides)
     assert status == 0
@@ -170,20 +179,13 @@ def test_a_rig_is_identified_unknown_and_the_model_holds_for_another_specimen(id
     assert found["delay_s"] is None
     assert found["tripped"] == {"open_loop": None, "closed_loop": None}
     model = read_parameter_file("out/model.yaml")
-    assert not any("tracking.num" in name for name in model)
-    assert not any(name.startswith("model.") for name in model.get("reference_force", ()))
-    other = PLAN | {
-        "ground_motion:peak_force": "500.0",
-        "rig:specimen.kind": "bilinear",
-        "rig:specimen.yield_displacement": "0.003",
-        "rig:specimen.stiffness": "1.5e5",
-        "rig:actuator.oil_column_frequency": "0.0",
-        "rig:actuator.oil_stiffness": "1.664e7",
-        "reference_force:model.stiffness": "1.5e5",
-    }
-    words = [word for name, value in other.items() for word in ("-p", f"{name}:={value}")]
-    unknown = ("-p", "force_controller:actuator.flow_gain:=0.0")
-    assert seft("simulate", JHU, *words, *unknown, "--json")[0] == 2
+    assert not any(name.startswith(("actuator.response.", "specimen.")) for name in model["/**"])
+    words = with_truth(
+        *(*PLAN, "ground_motion:peak_force:=500.0", "specimen.stiffness:=1.5e5"),
+        "rig:simulated.specimen.kind:=bilinear",
+        "rig:simulated.specimen.yield_displacement:=0.003",
+    )
+    assert seft("simulate", JHU, *words, "-p", unknown, "--json")[0] == 2
     status, text, _ = seft("simulate", JHU, "--params-file", "out/model.yaml", *words, "--json")
     summary = json.loads(text)
     assert (status, summary["stable"]) == (0, True)
@@ -192,22 +194,22 @@ def test_a_rig_is_identified_unknown_and_the_model_holds_for_another_specimen(id
 
 def test_the_known_lag_of_the_sensors_is_no_part_of_what_is_written(identify):
     """The loop adds it."""
-    lag, groups = 0.003, ("sensors", "calibration")
-    overrides = [f"rig:{g}.{c}_lag:={lag}" for g in groups for c in CHANNELS]
+    lag = 0.003
+    overrides = [f"calibration.{channel}_lag:={lag}" for channel in CHANNELS]
     status, found, _ = identify(*BRIEF, "--out", "out", overrides=overrides)
     assert status == 0
     assert found["actuator"]["dead_time_s"] == pytest.approx(0.001 + lag, abs=3e-4)
-    written = read_parameter_file("out/model.yaml")
-    dead_times = written["force_controller"]["actuator.dead_time"]
-    assert dead_times == pytest.approx([found["actuator"]["dead_time_s"] - lag])
+    written = read_parameter_file("out/model.yaml")["/**"]
+    dead_time = found["actuator"]["dead_time_s"] - lag
+    assert written["actuator.dead_time"] == pytest.approx([dead_time])
     # the delay of a force loop with feedback hardly depends on it
-    assert written["reference_force"]["compensation.delay"] == found["delay_s"]
+    assert written["actuator.delay"] == pytest.approx(found["delay_s"] - LOOP)
     assert found["delay_s"] == pytest.approx(0.0139, abs=2e-3)
 
 
 def test_a_rig_without_a_valve_has_the_closed_loop_only(identify, tmp_path):
-    overrides, delay = ["rig:actuator.kind:=delay", "rig:actuator.delay:=0.0113"], 0.0173
-    overrides += [f"rig:{g}.{c}_lag:=0.004" for g in ("sensors", "calibration") for c in CHANNELS]
+    overrides, delay = ["actuator.kind:=delay", "actuator.delay:=0.0113"], 0.0173
+    overrides += [f"calibration.{channel}_lag:=0.004" for channel in CHANNELS]
     status, found, _ = identify(*BRIEF, "--out", "out", overrides=overrides)
     assert status == 0
     assert found["plant_zero_hz"] is found["plant_pole_hz"] is None
@@ -216,9 +218,9 @@ def test_a_rig_without_a_valve_has_the_closed_loop_only(identify, tmp_path):
     assert delay - 1e-4 < found["delay_s"] < delay + 1.1e-3
     assert found["specimen"]["mass"] == pytest.approx(52.7, rel=0.01)
     assert any("valve" in note for note in found["notes"])
-    section = read_parameter_file(tmp_path / "out" / "model.yaml")["reference_force"]
-    assert section["tracking.dead_time"] > 0.0
-    assert section["compensation.delay"] == pytest.approx(found["delay_s"] - 0.004)
+    section = read_parameter_file(tmp_path / "out" / "model.yaml")["/**"]
+    assert section["actuator.response.dead_time"] > 0.0
+    assert section["actuator.delay"] == pytest.approx(found["delay_s"] - 0.004 - LOOP)
 
 
 @pytest.mark.thorough
@@ -227,9 +229,8 @@ def test_several_axes_have_their_numbers_each(identify, tmp_path):
     overrides = (
         *LINEAR,
         "axes:=[north, east]",
-        "rig:specimen.stiffness:=[2.1e5, -3.0e4, -3.0e4, 2.0e5]",
-        "rig:specimen.mass:=[52.7, 50.0]",
-        "reference_force:model.mass:=[52.7, 50.0]",
+        "rig:simulated.specimen.stiffness:=[2.1e5, -3.0e4, -3.0e4, 2.0e5]",
+        "specimen.mass:=[52.7, 50.0]",
     )
     words = (*BRIEF, "--specimen", "--out", "out")
     status, found, _ = identify(*words, overrides=overrides)
@@ -239,26 +240,30 @@ def test_several_axes_have_their_numbers_each(identify, tmp_path):
     np.testing.assert_allclose(found["specimen"]["mass"], np.diag([52.7, 50.0]), atol=0.5)
     known = [[2.1e5, -3.0e4], [-3.0e4, 2.0e5]]
     np.testing.assert_allclose(found["specimen"]["stiffness"], known, atol=2e3)
-    for axis in found["axes"]:
+    for axis, pole_hz in zip(found["axes"], (90.0, 92.4), strict=True):  # of the masses
         assert axis["plant_zero_hz"] == pytest.approx(10.05, abs=0.15)
-        assert axis["plant_pole_hz"] == pytest.approx(90.0, rel=0.01)
-    model = read_parameter_file(tmp_path / "out" / "model.yaml")
-    assert len(model["reference_force"]["model.stiffness"]) == 4
-    assert len(model["force_controller"]["actuator.oil_stiffness"]) == 2
+        assert axis["plant_pole_hz"] == pytest.approx(pole_hz, rel=0.01)
+    model = read_parameter_file(tmp_path / "out" / "model.yaml")["/**"]
+    assert len(model["specimen.stiffness"]) == 4
+    assert len(model["actuator.oil_stiffness"]) == 2
 
 
 @pytest.mark.parametrize(
-    ("test", "words", "limit"),
+    ("test", "words", "overrides"),
     [
-        ("open_loop", ("--amplitude", "0.3"), "supervisor:limits.acceleration:=5.0"),
-        # of the rig alone, which the plan of the shake does not know
-        ("shake_pilot", ("--amplitude", "0.1", "--specimen"), "rig:limits.acceleration:=9.0"),
+        ("open_loop", ("--amplitude", "0.3"), ["limits.acceleration:=5.0"]),
+        # of an accelerometer that shows more than the plan of the shake knows
+        (
+            "shake_pilot",
+            ("--amplitude", "0.06", "--specimen"),
+            ["limits.acceleration:=35.0", "rig:simulated.sensors.acceleration_scale:=3.0"],
+        ),
     ],
 )
 def test_a_trip_ends_it_with_one_line_and_keeps_what_is_known(
-    identify, tmp_path, test, words, limit
+    identify, tmp_path, test, words, overrides
 ):
-    status, found, line = identify(*words, *SHORT, "--out", "out", overrides=(limit,))
+    status, found, line = identify(*words, *SHORT, "--out", "out", overrides=overrides)
     assert status == 1
     assert line.startswith(f"seft: {test.replace('_', ' ')} tripped at ")
     assert "acceleration" in line
@@ -288,4 +293,5 @@ def test_too_little_amplitude_is_told_with_band_and_remedy(identify, tmp_path):
     assert line.endswith("raise --amplitude or --duration")
     assert found["plant_zero_hz"] is None
     assert found["delay_s"] is not None
-    assert not read_parameter_file(tmp_path / "out" / "model.yaml").get("force_controller")
+    written = read_parameter_file(tmp_path / "out" / "model.yaml")["/**"]
+    assert "actuator.delay" in written and "actuator.flow_gain" not in written

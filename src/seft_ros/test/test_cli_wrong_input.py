@@ -12,6 +12,7 @@ from experiments_at_hand import JHU
 from seft_ros.cli.main import APP
 
 SHORT = ("-p", "ground_motion:synthetic.duration:=4", "-p", "ground_motion:tail:=1")
+TRUE = "rig:simulated."
 
 
 @pytest.fixture
@@ -57,14 +58,14 @@ def record(tmp_path):
         (["compare", "none", "other"], "none"),
         (["compare", "one", "one", "--figure", "none/figure.png"], "no folder none"),
         (["compare", "one", "one", "--figure", "figure.xyz"], "figures end in"),
-        (["preflight", JHU, "--external", "rig"], "seft identify"),
+        (["preflight", JHU, "--external", "rig", "-p", "actuator.flow_gain:=0"], "seft identify"),
         (["identify", JHU, "--duration", "5"], "needs 13.3333 s"),
         (["identify", JHU, "--external", "force_controller"], "--external"),
         (["identify", JHU, "--travel", "1e-4"], "that of the shake: give --specimen, too"),
         (["identify", JHU, "--specimen", "--travel", "0.05"], "limits.displacement"),
         (["link", "--out", "x.yaml"], "--out needs CONFIG"),
         (["link", "--duration", "0"], "must be positive"),
-        (["run", JHU, "-p", "reference_force:loop_delay:=-1"], "--external force_controller"),
+        (["run", JHU, "-p", "loop_delay:=-1"], "--external force_controller"),
         (["new", "driver", "../rig"], "use lower-case letters"),
         (["new", "driver", "json"], "another package has this name"),
         (["new", "bridge", "my_rig"], "can't make a new bridge; seft new driver NAME makes a"),
@@ -74,8 +75,9 @@ def record(tmp_path):
         (["replay", "bag", "-p", "rig:seed:=3"], "-p needs one --node, whose parameters it"),
         (["motion"], "name a record, or an experiment by --config"),
         (["motion", "none.AT2", "-p", "rate:=100"], "name it by --config"),
-        (["parameters", "rigg"], "did you mean rig?"),
-        (["simulate", JHU, "-p", "rig:sensors.force_bias:=3000"], "rig: force is 3e+03 N at rest"),
+        (["parameters", "rigg", "seed"], "did you mean rig?"),
+        (["simulate", JHU, "-p", "rig:limits.force:=9"], "limits.force is set once, under /**"),
+        (["simulate", JHU, "-p", f"{TRUE}sensors.force_bias:=3000"], "rig: force is 3e+03 N at"),
         (["run", JHU, *SHORT, "-p", "rig:faults:=force set 3 at 90"], "ends at 3 s, before"),
     ],
 )
@@ -92,7 +94,7 @@ def test_the_process_ends_with_status_2_and_without_a_traceback():
 
 
 def test_a_test_that_trips_ends_with_status_1_and_says_so(seft, tmp_path):
-    words = ("-p", "reference_force:mass_ratio:=1.5", "-p", "supervisor:limits.acceleration:=30")
+    words = ("-p", "reference_force:mass_ratio:=1.5", "-p", "limits.acceleration:=30")
     unwatched = ("-p", "reference_force:instability.ratio:=0.0")  # a limit is to trip it
     status, out, err = seft("simulate", JHU, *words, *unwatched, "--json")
     summary = json.loads(out)

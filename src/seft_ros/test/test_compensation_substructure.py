@@ -77,7 +77,7 @@ def test_what_stands_for_the_ground_motion_is_known_ahead(seed, axes, internal):
 @pytest.mark.parametrize("method", [name for name in OWN_METHODS if name != TARGET_MOTION])
 @pytest.mark.parametrize("internal", [0, 2])
 def test_a_method_is_the_linear_filter_that_it_says_it_is(method, internal):
-    section = section_of(3, 2, internal, 500.0, compensation__delay=0.0133)
+    section = section_of(3, 2, internal, 500.0, actuator__delay=0.0103)
     known = known_of(section)
     one = compensator(method, known)
     again = _BehindMotion(
@@ -98,7 +98,7 @@ def test_a_method_is_the_linear_filter_that_it_says_it_is(method, internal):
 
 
 def test_masses_on_the_axes_alone_have_the_bits_of_a_mass_ratio():
-    plain = {"model.stiffness": 2e5, "mass_ratio": 1.0}
+    plain = {"specimen.stiffness": 2e5, "mass_ratio": 1.0}
     forces = []
     for more in ({}, {"computed.mass": 52.7}, {"computed.mass": 52.7, "computed.damping": 0.0}):
         one = compensator("restoring", known_of(force_section(**plain, **more)))
@@ -109,6 +109,6 @@ def test_masses_on_the_axes_alone_have_the_bits_of_a_mass_ratio():
 
 
 def test_a_mass_that_is_taken_away_must_leave_one():
-    section = force_section(model__mass=50.0, mass_ratio=1.0, computed__mass=-60.0)
+    section = force_section(specimen__mass=50.0, mass_ratio=1.0, computed__mass=-60.0)
     with pytest.raises(InputError, match="add up to a mass on the axes that is not positive"):
         known_of(section)

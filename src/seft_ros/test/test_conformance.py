@@ -28,7 +28,7 @@ DT = 1 / RATE
 G = 9.80665
 
 
-EXPERIMENT = load("rig:actuator.kind:=servo_hydraulic_linear")
+EXPERIMENT = load("actuator.kind:=servo_hydraulic_linear")
 SPECIMEN = whole_structure.tested_specimen(EXPERIMENT)
 DRIVE = MotionDrive(DT, 0.2)
 

@@ -6,6 +6,8 @@ import experiments_at_hand
 import numpy as np
 import pytest
 from experiments_at_hand import simulated
+from seft_msgs_py.config.facts import CHANNELS
+from seft_msgs_py.config.parameter_table import group
 from seft_plant_sim.whole_structure import ReferenceResponse
 from seft_ros.design.capacity import (
     Actuators,
@@ -22,7 +24,8 @@ AS_RECORDED = "ground_motion:peak_force:=0.0"
 CONFIGS = (
     *("demo", "jhu", "three_storey_frame", "six_storey_frame", "two_pier_bridge", "water_tower"),
 )
-STROKE = "rig:actuator.stroke:={}"
+STROKE = "rig:simulated.actuator.stroke:={}"
+CAPACITY = "rig:simulated.actuator.force_capacity:={}"
 
 
 def told(*overrides, config="demo", nodes=None):
@@ -40,42 +43,37 @@ def test_the_configurations_are_within_what_their_rigs_can_do(config):
 @pytest.mark.parametrize(
     ("override", "text"),
     [
-        ("supervisor:limits.displacement:=0.005", "0.0105 m, 210 % of supervisor: limits.displ"),
+        ("limits.displacement:=0.005", "0.0105 m, 210 % of /**: limits.displacement"),
         (STROKE.format(0.005), "0.0105 m, 210 % of the actuator's stroke (0.005 m)"),
-        ("supervisor:limits.force:=1000.0", "1533 N, 153.3 % of supervisor: limits.force (1000 N)"),
-        ("rig:actuator.force_capacity:=1500.0", "102.2 % of the actuator's force capacity (1500 N"),
-        ("rig:actuator.flow_gain:=0.03", "% of that of the fully open valve (0.3 m/s)"),
-        ("force_controller:voltage_limit:=8.0", "% of that of the fully open valve (0.3224 m/s)"),
+        ("limits.force:=1000.0", "1533 N, 153.3 % of /**: limits.force (1000 N)"),
+        (CAPACITY.format(1500.0), "102.2 % of the actuator's force capacity (1500 N"),
+        ("rig:simulated.actuator.flow_gain:=0.03", "% of that of the fully open valve (0.3 m/s)"),
+        ("limits.command:=8.0", "% of that of the fully open valve (0.3224 m/s)"),
     ],
 )
 def test_what_a_peak_is_beyond_is_told(override, text):
     first, *others = told(override)
     assert text in first and "lower ground_motion: peak_force" in first
-    assert ("raise the limit" in first) == ("supervisor" in first)
+    assert ("raise the limit" in first) == ("limits." in first)
     assert all("flow of the valve" in other for other in others)  # little pressure is left
 
 
 def test_actuators_that_obey_forces_have_no_valve_and_no_stroke():
-    kind = "rig:actuator.kind:={}"
-    beyond = "rig:actuator.flow_gain:=0.001", STROKE.format(0.001)
+    kind = "actuator.kind:={}"
+    beyond = "rig:simulated.actuator.flow_gain:=0.001", STROKE.format(0.001)
     assert len(told(*beyond, config="jhu")) == 2
     assert told(*beyond, kind.format("delay"), config="jhu") == []
     (flow,) = told(*beyond, kind.format("servo_hydraulic_linear"), config="jhu")
     assert "flow of the valve" in flow
 
 
-def test_a_rig_elsewhere_is_known_by_its_force_controller():
+def test_a_rig_elsewhere_is_what_is_known_of_it():
     here = ["ground_motion", "reference_force", "force_controller", "supervisor"]
-    model = [
-        f"reference_force:model.{name}:={value}"
-        for name, value in (("mass", 52.7), ("damping", 800.3), ("stiffness", 2.11e5))
-    ]
-    assert told(*model, nodes=here) == []
-    weak = "force_controller:actuator.force_capacity:=1500.0"
-    force, flow = told(*model, weak, nodes=here)
+    assert told(nodes=here) == []
+    force, flow = told("actuator.force_capacity:=1500.0", nodes=here)
     assert "force capacity (1500 N)" in force and "fully open valve (0.403 m/s)" in flow
-    unknown = (f"force_controller:actuator.{n}:=0.0" for n in ("force_capacity", "flow_gain"))
-    assert told(*model, *unknown, nodes=here) == []
+    unknown = (f"actuator.{n}:=0.0" for n in ("force_capacity", "flow_gain"))
+    assert told(*unknown, nodes=here) == []
 
 
 def test_the_flow_counts_oil_leakage_and_load():
@@ -98,14 +96,15 @@ def test_the_flow_counts_oil_leakage_and_load():
 
 
 def test_no_proposed_limit_is_beyond_stroke_or_force_capacity():
-    for overrides in ((), (STROKE.format(0.014),), ("rig:actuator.force_capacity:=1700.0",)):
+    for overrides in ((), (STROKE.format(0.014),), (CAPACITY.format(1700.0),)):
         test = load(*overrides)
+        actuator = group(test["rig"], "simulated.actuator")
         peaks = peaks_by_axis(test, planned_motion(test))
         highest = highest_limits(test, peaks)
         limits = proposed_limits(expected_peaks(peaks), highest)
         stop = 0.5 * 0.02 * peaks["velocity"][0]
-        assert highest["displacement"] == pytest.approx(test["rig"]["actuator.stroke"] - stop)
-        assert highest["force"] == test["rig"]["actuator.force_capacity"]
+        assert highest["displacement"] == pytest.approx(actuator["stroke"] - stop)
+        assert highest["force"] == actuator["force_capacity"]
         assert limits["displacement"] == (0.01 if "stroke" in str(overrides) else 0.016)
         assert limits["force"] == (1700.0 if "capacity" in str(overrides) else 2300.0)
 
@@ -115,21 +114,21 @@ def test_a_piston_that_trips_at_its_proposed_limit_stops_before_the_end_of_its_s
     test = load(STROKE.format(0.008))
     highest = highest_limits(test, peaks_by_axis(test, planned_motion(test)))
     limit = proposed_limits({"displacement": 0.0105}, highest)["displacement"]
-    record = simulated(load(f"supervisor:limits.displacement:={limit}"))
+    record = simulated(load(f"limits.displacement:={limit}"))
     assert "displacement" in record.trip.reason
     assert limit < record.simulated.displacement_peak < 0.008
 
 
 def test_a_limit_that_no_higher_one_can_replace_is_not_to_be_raised():
     """Between the highest limit and the stroke."""
-    below = "supervisor:limits.displacement:=0.01"
+    below = "limits.displacement:=0.01"
     assert "raise the limit" in told(below)[0]
     (text,) = told(below, STROKE.format(0.011))
     assert text.endswith("; lower ground_motion: peak_force")
 
 
 def test_several_are_told_in_one_line_with_one_remedy():
-    test = load("supervisor:limits.displacement:=0.005", "supervisor:limits.force:=1000.0")
+    test = load("limits.displacement:=0.005", "limits.force:=1000.0")
     found = excesses(test, expected_response(test, planned_motion(test)))
     text = excess_text(found)
     assert (text.count("expected"), text.count("lower"), text.count("raise")) == (2, 1, 1)
@@ -138,26 +137,18 @@ def test_several_are_told_in_one_line_with_one_remedy():
 
 def test_the_axis_that_uses_most_of_a_range_counts():
     """An axis that the ground does not drive is none that uses too little."""
-    idle = load("ground_motion:mass:=52.7", "axes:=[x,y]", AS_RECORDED, config="jhu")
-    peaks = {name: np.array([0.1, 0.0]) * top for name, top in _ranges(idle).items()}
+    idle = load("axes:=[x,y]", AS_RECORDED, config="jhu")
+    ranges = {name: idle["rig"][f"sensors.{name}_range"] for name in CHANNELS}
+    peaks = {name: np.array([0.1, 0.0]) * top for name, top in ranges.items()}
     assert range_refusal(idle, peaks) == ""
     peaks["force"][1] = 21000.0
     assert "force 2.1e+04 of 22200 N (94.6 %)" in range_refusal(idle, peaks)
 
 
 def test_a_range_that_is_not_known_is_not_judged():
-    unknown = load("force_controller:detectors.force_range:=0.0")
+    unknown = load("sensors.force_range:=0.0")
     assert range_refusal(unknown, {**peaks_of(unknown), "force": np.array([1.0])}) == ""
 
 
 def peaks_of(experiment):
     return peaks_by_axis(experiment, planned_motion(experiment))
-
-
-def _ranges(experiment):
-    section, names = experiment["force_controller"], peaks_of(experiment)
-    channels = ("displacement", "velocity", "acceleration", "force")
-    return {
-        name: section[f"detectors.{channel}_range"]
-        for name, channel in zip(names, channels, strict=True)
-    }

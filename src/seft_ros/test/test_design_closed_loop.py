@@ -7,10 +7,9 @@ import pytest
 from experiments_at_hand import of_parts
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.signal import ss2tf
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.rig import Rig, continuous_model
+from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import LIMIT_ROWS
 from seft_ros.design.closed_loop import SampledLoop
 from seft_ros.design.plan import Plan
@@ -20,38 +19,44 @@ from seft_ros.reference_force.reference_force_block import ReferenceForce
 from seft_ros.reference_force.reference_force_parameters import OWN_METHODS
 
 M, C, K = 52.7, 800.3, 2.11e5
-RIG = {
+FACTS = {
     "specimen.mass": M,
     "specimen.damping": C,
     "specimen.stiffness": K,
-    "actuator.oil_column_frequency": 90.0,
+    "actuator.oil_stiffness": M * (2.0 * np.pi * 90.0) ** 2 - K,
     "actuator.leakage": 50.0,
     "actuator.flow_gain": 0.0403,
+    "actuator.valve_frequency": 70.0,
+    "actuator.valve_damping": 0.6,
+    "actuator.dead_time": 0.001,
+    "actuator.delay": 0.009,
+    "actuator.response.numerator": [1.0],
+    "actuator.response.dead_time": 0.012,
 }
-SERVO = {"rig": {"actuator.kind": "servo_hydraulic_linear"}}
+SERVO = {"/**": {"actuator.kind": "servo_hydraulic_linear"}}
 COUPLED = {"specimen.mass": [52.7, 40.0], "specimen.stiffness": [2.0e5, -3.0e4, -3.0e4, 2.4e5]}
 LINEAR = [name for name in OWN_METHODS if name != "target_motion"]  # test_design_frozen_methods.py
 LATE = {
     "rig": {
-        **{"sensors.acceleration_lag": 7e-4, "sensors.displacement_lag": 0.0047},
-        **{"sensors.force_lag": 0.004, "sensors.force_filter": 150.0, "sensors.force_scale": 0.9},
+        "simulated.sensors.acceleration_lag": 7e-4,
+        "simulated.sensors.displacement_lag": 0.0047,
+        "simulated.sensors.force_lag": 0.004,
+        "simulated.sensors.force_filter": 150.0,
+        "simulated.sensors.force_scale": 0.9,
+    },
+    "/**": {
         **{f"calibration.{name}_lag": 0.004 for name in ("displacement", "acceleration")},
         "calibration.force_scale": 0.95,
-    }
-}
-"""Channels that wait do so for whole samples, for which preflight's delay is exact."""
-BASE = {
-    "rig": RIG | {f"limits.{name}": 1e9 for name in LIMIT_ROWS},
-    "reference_force": {
-        "compensation.delay": 0.012,
-        "tracking.numerator": [1.0],
-        "tracking.dead_time": 0.012,
     },
 }
+"""Channels that wait do so for whole samples, for which preflight's delay is exact."""
+BASE = {"/**": FACTS | {f"limits.{name}": 1e9 for name in LIMIT_ROWS}}
+DERIVED = {"/**": {"sensors.velocity": "derived"}}
 
 
 def delayed(delay):
-    return {"rig": {"actuator.kind": "delay", "actuator.delay": delay}}
+    """Rig with a delay that is not the known one."""
+    return {"/**": {"actuator.kind": "delay"}, "rig": {"simulated.actuator.delay": delay}}
 
 
 def experiment(*parts, rate=500.0, axes=("x",), **reference):
@@ -61,13 +66,18 @@ def experiment(*parts, rate=500.0, axes=("x",), **reference):
     return of_parts(BASE, *parts, {"reference_force": named}, more=more)
 
 
+def elsewhere(test):
+    """Experiment without the section of its rig."""
+    return Experiment({node: own for node, own in test.sections.items() if node != "rig"})
+
+
 def blocks_displacements(test, motion, steps):
     """What the blocks do: displacements, shape (steps, n), under the motion and after it."""
     axes, timebase = test.axes, test.timebase
     rig = Rig.from_parameters(test["rig"], axes, timebase)
     reference = ReferenceForce.from_parameters(test["reference_force"], axes, timebase)
     control = ForceController.from_parameters(
-        test["force_controller"] | {"voltage_limit": 1e12}, axes, timebase
+        test["force_controller"] | {"limits.command": 1e12}, axes, timebase
     )
     ground = np.vstack([motion, np.zeros((steps + reference.preview + 1, len(axes)))])
     state, found = rig.reset(), []
@@ -111,19 +121,18 @@ def test_powers_of_the_matrix_are_what_the_blocks_do(method, rig):
 @pytest.mark.parametrize(
     ("parts", "axes"),
     [
-        ([{"rig": COUPLED, "reference_force": {"loop_delay": 3}}, SERVO], "xy"),
-        ([{"rig": {"actuator.kind": "ideal"}}], "x"),
-        ([{"rig": COUPLED}, delayed(0.0034)], "xy"),
-        ([{"rig": COUPLED}, SERVO], "xy"),
-        ([SERVO, {"reference_force": {"method": "eft"}}], "x"),
+        ([{"/**": COUPLED | {"loop_delay": 3}}, SERVO], "xy"),
+        ([{"/**": {"actuator.kind": "ideal"}}], "x"),
+        ([{"/**": COUPLED}, delayed(0.0034)], "xy"),
+        ([{"/**": COUPLED}, SERVO], "xy"),
         ([SERVO, {"force_controller": {"feedback": False}}], "x"),
         ([SERVO, {"force_controller": {"numerator": [1e-4], "denominator": [1.0]}}], "x"),
         ([SERVO, LATE], "x"),
-        ([SERVO, {"rig": COUPLED | {"actuator.dead_time": 0.0007}}, LATE], "xy"),
-        ([delayed(0.0033), LATE, {"rig": {"sensors.velocity": "derived"}}], "x"),
-        ([SERVO, {"rig": {"actuator.viscous_friction": 300.0}}], "x"),
-        ([delayed(0.01), {"rig": {"sensors.velocity": "derived"}}], "x"),
-        ([SERVO, {"rig": COUPLED | {"sensors.velocity": "derived"}}], "xy"),
+        ([SERVO, {"/**": COUPLED | {"actuator.dead_time": 0.0007}}, LATE], "xy"),
+        ([delayed(0.0033), LATE, DERIVED], "x"),
+        ([SERVO, {"rig": {"simulated.actuator.viscous_friction": 300.0}}], "x"),
+        ([delayed(0.01), DERIVED], "x"),
+        ([SERVO, {"/**": COUPLED}, DERIVED], "xy"),
     ],
 )
 def test_so_they_are_of_other_rigs_and_sensors(parts, axes):
@@ -131,12 +140,15 @@ def test_so_they_are_of_other_rigs_and_sensors(parts, axes):
     assert_same(test)
 
 
+def test_so_they_are_of_an_eft_test():
+    assert_same(experiment(SERVO, method="eft", compensation__method="model"))
+
+
 def test_a_rig_that_is_not_linear_is_taken_at_its_small_signal_limit():
     linear = Plan(experiment(SERVO, mass_ratio=0.5))
-    yielding = {"specimen.kind": "bouc_wen", "specimen.yield_displacement": 0.005}
-    whole = Plan(
-        experiment({"rig": {"actuator.kind": "servo_hydraulic"} | yielding}, mass_ratio=0.5)
-    )
+    kinds = {"specimen.kind": "bouc_wen", "specimen.yield_displacement": 0.005}
+    yielding = {"rig": {f"simulated.{name}": value for name, value in kinds.items()}}
+    whole = Plan(experiment(yielding, mass_ratio=0.5))
     assert whole.rig.small_signal and not linear.rig.small_signal
     for ratio in (0.1, 1.0, 3.0):
         assert whole.loops(mass_ratio=ratio)[0].dominant() == pytest.approx(
@@ -145,20 +157,9 @@ def test_a_rig_that_is_not_linear_is_taken_at_its_small_signal_limit():
 
 
 @pytest.mark.parametrize("method", ["none", "model"])
-def test_a_plant_identified_exactly_gives_the_rigs_own_loop(method):
-    """The motion then follows from the specimen."""
-    model = continuous_model(experiment(SERVO)["rig"], ("x",))
-    numerator, denominator = ss2tf(model.a, model.b, model.c[3:], model.d[3:])
-    plant = {
-        "plant.numerator": numerator[0, -3:].tolist(),
-        "plant.denominator": denominator.tolist(),
-        "plant.dead_time": model.delay,
-    }
-    test = experiment(
-        SERVO, {"force_controller": plant}, mass_ratio=1.0, compensation__method=method
-    )
+def test_a_rig_elsewhere_of_which_the_truth_is_known_has_its_own_loop(method):
     own = experiment(SERVO, mass_ratio=1.0, compensation__method=method)
-    rig, identified = Plan(own), Plan(test)
+    rig, identified = Plan(own), Plan(elsewhere(own))
     assert (rig.rig.plant.source, identified.rig.plant.source) == ("rig", "identified")
     found, exact = (plan.loops()[0] for plan in (identified, rig))
     motion = np.ones((5, 1))
@@ -188,8 +189,9 @@ def test_a_small_delay_adds_the_known_false_damping(alpha):
     the sampled acceleration holds the force's newest step, -alpha m a, in full already.
     """
     delay, rate, damping = 0.0002, 10000.0, 20.0
-    rig = {"rig": delayed(delay)["rig"] | {"specimen.damping": damping}}
-    (mode,) = predicted_modes(Plan(experiment(rig, rate=rate, mass_ratio=alpha)))
+    damped = {"/**": {"specimen.damping": damping}}
+    test = experiment(delayed(delay), damped, rate=rate, mass_ratio=alpha)
+    (mode,) = predicted_modes(Plan(test))
     natural = np.sqrt(K / M)
     assert mode.exact_hz == pytest.approx(natural / np.sqrt(1 + alpha) / (2 * np.pi), rel=1e-9)
     exact = damping / (2 * np.sqrt(K * M * (1 + alpha)))
@@ -202,7 +204,7 @@ def test_a_small_delay_adds_the_known_false_damping(alpha):
 
 def test_modes_of_several_axes_are_those_of_the_whole_structure():
     """Without a computed mass and with a perfect actuator the test is the structure itself."""
-    ideal = {"rig": COUPLED | {"actuator.kind": "ideal"}}
+    ideal = {"/**": COUPLED | {"actuator.kind": "ideal"}}
     modes = predicted_modes(Plan(experiment(ideal, rate=5000.0, axes=("x", "y"))))
     k = np.reshape(COUPLED["specimen.stiffness"], (2, 2))
     squares = np.sort(np.linalg.eigvals(np.diag([1 / 52.7, 1 / 40.0]) @ k).real)
@@ -216,10 +218,9 @@ def test_modes_of_several_axes_are_those_of_the_whole_structure():
 
 
 def test_a_rig_that_nobody_knows_has_no_plan():
-    whole = experiment()
-    unknown = Experiment({node: part for node, part in whole.sections.items() if node != "rig"})
     with pytest.raises(InputError, match="seft identify"):
-        Plan(unknown)
-    elsewhere = {node: s for node, s in whole.sections.items() if node != "reference_force"}
+        Plan(elsewhere(experiment({"/**": {"actuator.flow_gain": 0.0}})))
+    sections = experiment().sections
+    del sections["reference_force"]
     with pytest.raises(InputError, match="runs elsewhere"):
-        Plan(Experiment(elsewhere))
+        Plan(Experiment(sections))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from experiments_at_hand import of_parts
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.facts import CHANNELS
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import LIMIT_ROWS
 from seft_ros.design.closed_loop import frozen_target
@@ -21,24 +22,21 @@ from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
 
 K = 2.11e5
-QUIET = {
-    f"sensors.{name}_noise": 0.0 for name in ("displacement", "velocity", "acceleration", "force")
+QUIET = {f"simulated.sensors.{name}_noise": 0.0 for name in CHANNELS} | {
+    "simulated.sensors.adc_bits": 0
 }
 BASE = {
-    "rig": {f"limits.{name}": 1e12 for name in LIMIT_ROWS}
-    | {"actuator.kind": "servo_hydraulic_linear"},
-    "force_controller": {
-        "voltage_limit": 1e9,
-        "detectors.warn_only": "all",  # valves that are not as told
-    },
+    "/**": {f"limits.{name}": 1e12 for name in LIMIT_ROWS}
+    | {"limits.command": 1e9, "actuator.kind": "servo_hydraulic_linear"},
+    "force_controller": {"detectors.warn_only": "all"},  # valves that are not as known
 }
 COUPLED = {
-    "/**": {"axes": ["x", "y"]},
-    "rig": {"specimen.mass": [52.7, 40.0], "specimen.stiffness": [2.0e5, -3.0e4, -3.0e4, 2.4e5]},
-    "reference_force": {
-        "model.mass": [52.7, 40.0],
-        "model.stiffness": [2.1e5, -2.0e4, -2.0e4, 2.4e5],
+    "/**": {
+        "axes": ["x", "y"],
+        "specimen.mass": [52.7, 40.0],
+        "specimen.stiffness": [2.1e5, -2.0e4, -2.0e4, 2.4e5],
     },
+    "rig": {"simulated.specimen.stiffness": [2.0e5, -3.0e4, -3.0e4, 2.4e5]},
 }
 SMALL, USUAL = 1e-6, 1.0
 """RMS ground acceleration, m/s^2: nothing stands out of the noise that sensors are believed to
@@ -50,7 +48,7 @@ experiment = partial(of_parts, BASE, config="demo")
 
 def test_motion(test, size, steps=2000, held=None, noise=True):
     """Ground motion, and samples of shape (steps, 4, n); ``held``: what valves are taken for."""
-    rig = test["rig"] | ({} if noise else QUIET | {"sensors.adc_bits": 0})
+    rig = test["rig"] | ({} if noise else QUIET)
     rig = Rig.from_parameters(rig, test.axes, test.timebase)
     target = TargetMotion(method_inputs(test["reference_force"], test.axes, test.timebase))
     control = VelocityFeedforward(test["force_controller"], test.axes, test.timebase)
@@ -88,11 +86,12 @@ def planned():
 
 
 def slower(part):
-    return {"rig": {"actuator.dead_time": 0.001 + part * (planned()[1].dead_time.value - 0.001)}}
+    added = part * (planned()[1].dead_time.value - 0.001)
+    return {"rig": {"simulated.actuator.dead_time": 0.001 + added}}
 
 
 def stronger(factor):
-    return {"rig": {"actuator.flow_gain": 0.0403 * factor}}
+    return {"rig": {"simulated.actuator.flow_gain": 0.0403 * factor}}
 
 
 @pytest.mark.parametrize("parts", [(), (COUPLED,)], ids=["one axis", "two axes"])
@@ -148,7 +147,7 @@ def test_the_sure_ones_are_those_of_a_controller_that_takes_the_valves_for_the_w
 ):
     margins = planned()[1]
     added = part * (margins.sure_dead_time.value - 0.001)
-    late = {"rig": {"actuator.dead_time": 0.001 + added}}
+    late = {"rig": {"simulated.actuator.dead_time": 0.001 + added}}
     strong = stronger(part * margins.robust_gain.highest.value)
     for change in (late, strong):
         worst = (-LARGEST_GAIN_ERROR, -0.005, 0.0)
@@ -160,7 +159,7 @@ def test_so_it_is_with_any_local_stiffness_from_0_to_3_times_the_told_one(factor
     margins = planned()[1]
     assert margins.stiffness.ends() == margins.followed.ends() == []
     assert margins.stiffness.searched == (0.0, 3.0)
-    local = {"rig": {"specimen.stiffness": factor * K}}
+    local = {"rig": {"simulated.specimen.stiffness": factor * K}}
     for size in (SMALL, USUAL):
         assert not grows(experiment(local), size, steps=4000, noise=False)
 
@@ -186,7 +185,7 @@ def test_the_verdict_and_its_numbers():
     assert abs(numbers["false_damping_ratio"]) < 1e-4
 
 
-def test_a_rig_that_is_not_simulated_is_what_the_controller_is_told_of_it():
+def test_a_rig_that_is_not_simulated_is_what_is_known_of_it():
     test = experiment()
     told = Experiment({node: part for node, part in test.sections.items() if node != "rig"})
     for changes in ({}, {"stiffness": 0.5}, {"dead_time": 0.01, "any_valve": True}):
@@ -197,8 +196,8 @@ def test_a_rig_that_is_not_simulated_is_what_the_controller_is_told_of_it():
 
 @pytest.mark.parametrize("delay", [0, 4])
 def test_with_a_delay_of_the_loop_the_matrix_is_what_the_offline_loop_does(delay):
-    quiet = {"rig": QUIET | {"sensors.adc_bits": 0}, "ground_motion": {"peak_force": 1e-4}}
-    late = {node: {"loop_delay": delay} for node in ("reference_force", "force_controller")}
+    quiet = {"rig": QUIET, "ground_motion": {"peak_force": 1e-4}}
+    late = {"/**": {"loop_delay": delay}}
     test = experiment(quiet, late)
     plan, blocks = Plan(test), build_blocks(test)
     loop = plan.loops()[0]

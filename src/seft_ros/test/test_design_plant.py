@@ -6,17 +6,23 @@ from bare_rig import BareRig
 from experiments_at_hand import load
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.facts import FACTS
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig import continuous_model
-from seft_ros.design.plant import Root, choose_plant, lightly_damped, polynomial_of, roots_of
+from seft_ros.design.plant import Plant, Root, choose_plant, lightly_damped, polynomial_of, roots_of
 
 MASS, STIFFNESS = 52.7, 2.11e5
 
 
-def experiment(rate=500.0, axes=("x",), controller=None, **changed):
-    given = [("rig", name.replace("__", "."), value) for name, value in changed.items()]
-    given += [("force_controller", f"plant.{k}", v) for k, v in (controller or {}).items()]
-    return load(*given, ("/**", "rate", rate), ("/**", "axes", list(axes)), config="demo")
+def experiment(axes=("x",), **changed):
+    """Demo with other facts, or another truth where there is none; a double underscore is a dot."""
+    named = {name.replace("__", "."): value for name, value in changed.items()}
+    given = [
+        ("/**", name, value) if name in FACTS else ("rig", f"simulated.{name}", value)
+        for name, value in named.items()
+    ]
+    return load(*given, ("/**", "axes", list(axes)), config="demo")
 
 
 def rig_forces(test, commands):
@@ -27,19 +33,6 @@ def rig_forces(test, commands):
         forces.append(state[3].copy())
         state = rig.step(commands[k])
     return np.array(forces)
-
-
-def identified(numerator, denominator, dead_time=0.0):
-    return {"numerator": numerator, "denominator": denominator, "dead_time": dead_time}
-
-
-def test_an_identified_plant_may_answer_at_once():
-    numerator, denominator = [2.0, 30.0, 4e4], [4.0, 100.0, 9e4]
-    plant = choose_plant(experiment(controller=identified(numerator, denominator)))
-    f = np.array([1.0, 20.0, 200.0])
-    s = 2j * np.pi * f
-    exact = np.polyval(numerator, s) / np.polyval(denominator, s)
-    assert plant.response(f) == pytest.approx(exact)
 
 
 @settings(max_examples=15, derandomize=True)
@@ -77,13 +70,27 @@ def test_the_sampled_response_is_the_rigs_own_pulse_response(dead_time, cutoff):
 
 
 def test_a_plant_that_answers_at_once_is_sampled_with_the_step_of_latency_alone():
-    test = experiment(controller=identified([5.0], [1.0]))
     f = np.array([10.0, 100.0])
-    plant = choose_plant(test)
     z = np.exp(2j * np.pi * f * 0.002)
-    assert plant.sampled_response(f, 0.002) == pytest.approx(5.0 / z)
-    half = choose_plant(experiment(controller=identified([5.0], [1.0], 0.001)))
-    assert half.sampled_response(f, 0.002) == pytest.approx(5.0 / z**2)
+    nothing = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0))
+    for dead_time, steps in ((0.0, 1), (0.001, 2)):
+        plant = Plant("identified", *nothing, np.array([[5.0]]), dead_time)
+        assert plant.sampled_response(f, 0.002) == pytest.approx(5.0 / z**steps)
+
+
+def test_a_rig_elsewhere_is_what_is_known_of_it():
+    """Not what the simulated one truly is."""
+    test = experiment(actuator__dead_time=0.004)
+    pinned = test.changed({"rig": {"simulated.actuator.dead_time": 0.001}})
+    known = Experiment({node: own for node, own in pinned.sections.items() if node != "rig"})
+    found = [choose_plant(each) for each in (pinned, known)]
+    assert [plant.source for plant in found] == ["rig", "identified"]
+    assert [plant.delay for plant in found] == [0.001, 0.004]
+
+
+def test_the_dead_time_of_several_axes_is_that_of_the_slowest():
+    test = experiment(axes=("x", "y"), actuator__dead_time=[0.001, 0.004])
+    assert choose_plant(test).delay == 0.004
 
 
 def test_coupled_axes_see_each_other_through_closed_valves():
@@ -100,8 +107,6 @@ def test_coupled_axes_see_each_other_through_closed_valves():
     [
         ({"actuator__kind": "ideal"}, "actuator.kind is ideal"),
         ({"actuator__kind": "delay"}, "no valve"),
-        ({"controller": identified([1.0, 2.0], [1.0])}, "improper"),
-        ({"controller": identified([1.0], [0.0])}, "plant.denominator is zero"),
     ],
 )
 def test_what_gives_no_plant_is_told(changed, told):
@@ -109,13 +114,8 @@ def test_what_gives_no_plant_is_told(changed, told):
         choose_plant(experiment(**changed))
 
 
-def test_a_rig_without_a_valve_can_be_shaped_by_its_identified_plant():
-    test = experiment(controller=identified([100.0], [1.0, 1.0]), actuator__kind="ideal")
-    assert choose_plant(test).response(np.array([0.0])) == pytest.approx(100.0)
-
-
 def test_a_dead_time_of_many_samples_is_refused():
-    plant = choose_plant(experiment(controller=identified([1.0], [1.0, 1.0], 1.0)))
+    plant = choose_plant(experiment(actuator__dead_time=1.0))
     with pytest.raises(InputError, match="1000 samples"):
         plant.sampled(0.001)
 

@@ -28,7 +28,7 @@ def peaks_of(experiment):
 def test_a_test_stays_within_limits_that_fit_it(tmp_path):
     limits = proposed_limits(peaks_of(load()))
     write_limits(tmp_path / "limits.yaml", limits)
-    written = read_parameter_file(tmp_path / "limits.yaml")["supervisor"]
+    written = read_parameter_file(tmp_path / "limits.yaml")["/**"]
     assert written == {f"limits.{name}": limit for name, limit in limits.items()}
     experiment = load(files=[tmp_path / "limits.yaml"])
     blocks = build_blocks(experiment)
@@ -48,7 +48,7 @@ def test_peaks_grow_with_the_motion():
 
 
 def test_limits_far_beyond_are_told():
-    experiment = load("supervisor:limits.force:=22200.0")
+    experiment = load("limits.force:=22200.0")
     peaks = peaks_of(experiment)
     assert peaks["force"] == pytest.approx(1533.0, rel=0.01)
     told = far_limits(experiment, peaks)

@@ -8,12 +8,12 @@ from seft_ros.design.plan import Plan
 from seft_ros.design.stability_margins import find_margins
 
 RATIO = "reference_force:mass_ratio:=0.5"
-MODEL = ("reference_force:compensation.method:=model", "reference_force:compensation.delay:=0.013")
-PLANT = {"plant.numerator": [7000.0], "plant.denominator": [1.0, 0.5], "plant.dead_time": 0.002}
+MODEL = "reference_force:compensation.method:=model"
+STIFFNESS = "rig:simulated.specimen.stiffness:=[2.11e5, -3.0e4, -3.0e4, 1.8e5]"
 CASES = {
-    "model": (*MODEL, "rig:actuator.kind:=delay", "rig:actuator.delay:=0.01"),
+    "model": (MODEL, "actuator.kind:=delay", "actuator.delay:=0.01"),
     "servo": (),
-    "two axes": ("/**:axes:=[x, y]", "rig:specimen.stiffness:=[2.11e5, -3.0e4, -3.0e4, 1.8e5]"),
+    "two axes": ("axes:=[x, y]", STIFFNESS),
 }
 
 
@@ -38,19 +38,9 @@ def test_a_map_holds_what_the_plan_says_at_its_places(monkeypatch, name):
     assert np.any(maps[0].growth > 0) and np.any(maps[0].growth < 0)
 
 
-def test_a_plant_that_is_identified_as_a_whole_has_no_map_of_the_stiffness(monkeypatch):
-    monkeypatch.setattr(stability_map, "_FINEST", 11)
-    plan = Plan(
-        load(RATIO, *(f"force_controller:{name}:={value}" for name, value in PLANT.items()))
-    )
-    margins = find_margins(plan)
-    assert margins.stiffness is None
-    assert len(stability_map.stability_maps(plan, margins)) == 1
-
-
 def test_without_stiffness_there_is_no_map_of_it(monkeypatch):
     monkeypatch.setattr(stability_map, "_FINEST", 3)
-    plan = Plan(load(RATIO, "rig:specimen.stiffness:=0.0", config="demo"))
+    plan = Plan(load(RATIO, "specimen.stiffness:=0.0", config="demo"))
     margins = find_margins(plan)
     assert margins.stiffness is margins.followed is None
     assert margins.dead_time is not None

@@ -18,24 +18,24 @@ from seft_ros.design.stability_verdict import check_stability
 from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS, model
 from seft_ros.reference_force.reference_force_parameters import OWN_METHODS
 
-M, K = 52.7, 2.11e5
+K = 2.11e5
 # of target_motion, see test_design_frozen_methods.py
 OF_FORCES = [name for name in OWN_METHODS if name != "target_motion"]
 DELAY = {
-    "rig": {"actuator.kind": "delay", "actuator.delay": 0.010},
-    "reference_force": {
-        "compensation.delay": 0.013,
-        "tracking.numerator": [1.0],
-        "tracking.dead_time": 0.012,
+    "/**": {
+        "actuator.kind": "delay",
+        "actuator.delay": 0.010,
+        "actuator.response.numerator": [1.0],
+        "actuator.response.dead_time": 0.012,
     },
 }
 SERVO = {
-    "rig": {"actuator.kind": "servo_hydraulic_linear"},
-    "reference_force": {
-        "compensation.delay": 0.0139,
-        "tracking.numerator": [1.0],
-        "tracking.denominator": [0.003, 1.0],
-        "tracking.dead_time": 0.010,
+    "/**": {
+        "actuator.kind": "servo_hydraulic_linear",
+        "actuator.delay": 0.0109,
+        "actuator.response.numerator": [1.0],
+        "actuator.response.denominator": [0.003, 1.0],
+        "actuator.response.dead_time": 0.010,
     },
 }
 RIGS = {"delay": DELAY, "servo": SERVO}
@@ -49,15 +49,9 @@ def reference(**values):
     return {"reference_force": named}
 
 
-def softer(rig, factor):
-    """Specimen of another stiffness, which is not told; the oil keeps its own."""
-    told = {"reference_force": {"model.stiffness": K}}
-    if rig == "delay":
-        return told | {"rig": {"specimen.stiffness": factor * K}}
-    oil = M * (2 * np.pi * 90.0) ** 2 - K
-    frequency = np.sqrt((oil + factor * K) / M) / (2 * np.pi)
-    changed = {"specimen.stiffness": factor * K, "actuator.oil_column_frequency": frequency}
-    return told | {"rig": changed}
+def true(name, value):
+    """What the rig truly is, whatever is known."""
+    return {"rig": {f"simulated.{name}": value}}
 
 
 def grows(*parts):
@@ -84,15 +78,15 @@ def test_a_plan_that_has_the_critical_delay_gain_stiffness_or_told_delay_is_neut
     plan = Plan(experiment(*chosen))
     margins = find_margins(plan)
     kind = "actuator.delay" if rig == "delay" else "actuator.dead_time"
-    parts = [{"rig": {kind: margins.dead_time.value}}]
+    parts = [true(kind, margins.dead_time.value)]
     if rig == "servo":
-        parts.append({"rig": {"actuator.flow_gain": 0.0403 * margins.gain.highest.value}})
-    parts += [softer(rig, end.value) for end in margins.stiffness.ends()]
+        parts.append(true("actuator.flow_gain", 0.0403 * margins.gain.highest.value))
+    parts += [true("specimen.stiffness", end.value * K) for end in margins.stiffness.ends()]
     assert margins.followed is None
     assert (margins.delay_error is None) is (method == "none")
     if method == "model":
-        told = plan.section["compensation.delay"] + margins.delay_error.highest.value
-        parts.append(reference(compensation__delay=told))
+        told = plan.section["actuator.delay"] + margins.delay_error.highest.value
+        parts.append({"/**": {"actuator.delay": told}} | true("actuator.delay", 0.010))
     assert plan.growth_rate() < -4.0
     left = [Plan(experiment(*chosen, part)).growth_rate() for part in parts]
     assert np.abs(left).max() < 0.04  # at whole samples it jumps
@@ -103,7 +97,7 @@ def test_an_unstable_plan_tells_the_delay_at_which_it_would_be_stable():
     assert (ideal_end.gain, ideal_end.stiffness, ideal_end.delay_error) == (None, None, None)
     assert 0 < ideal_end.dead_time.value < 0.010
     for factor, unstable in ((0.9, False), (1.1, True)):
-        delay = {"rig": {"actuator.delay": factor * ideal_end.dead_time.value}}
+        delay = true("actuator.delay", factor * ideal_end.dead_time.value)
         assert grows(DELAY, delay, reference(mass_ratio=0.96)) is unstable
     never = find_margins(Plan(experiment(DELAY, reference(mass_ratio=1.1))))
     assert never.dead_time.value == 0.0
@@ -132,8 +126,9 @@ def test_thin_margins_of_delay_gain_and_stiffness_are_named():
     assert thin.verdict == "marginal"
     text = " / ".join(thin.reasons)
     assert "actuator's dead time: " in text and "actuator's gain: " in text
-    told = reference(compensation__method="model", mass_ratio=0.5, model__stiffness=2.7 * K)
-    wrong = check_stability(Plan(experiment(DELAY, told)))
+    told = reference(compensation__method="model", mass_ratio=0.5)
+    stiff = {"/**": {"specimen.stiffness": 2.7 * K}} | true("specimen.stiffness", K)
+    wrong = check_stability(Plan(experiment(DELAY, told, stiff)))
     own = wrong.margins.stiffness
     assert own.planned == pytest.approx(1 / 2.7)
     assert own.planned / 1.1 < own.lowest.value < own.planned
@@ -142,7 +137,7 @@ def test_thin_margins_of_delay_gain_and_stiffness_are_named():
 
 def test_the_rows_that_decide_are_those_below_their_reserve():
     """Of a valve of more than three times the gain that the controller assumes."""
-    plan = Plan(of_parts({}, {"rig": {"actuator.flow_gain": 0.14}}, config="demo"))
+    plan = Plan(of_parts({}, true("actuator.flow_gain", 0.14), config="demo"))
     found = check_stability(plan)
     deciding = [end for end in found.ends if end.decides]
     assert [end.reason for end in deciding] == found.reasons
@@ -191,7 +186,7 @@ def test_what_adapts_is_promised_as_it_starts_only(monkeypatch):
 
 
 def test_what_is_not_linear_is_told():
-    servo = experiment(SERVO, {"rig": {"actuator.kind": "servo_hydraulic"}})
+    servo = experiment(SERVO, {"/**": {"actuator.kind": "servo_hydraulic"}})
     assert "small motions" in check_stability(Plan(servo)).promise
 
 

@@ -117,7 +117,8 @@ MIXED = np.array([[1.0, -0.3, 0.0], [0.2, 1.5, 0.1], [0.0, 0.0, 0.7]])
 
 def made(axes, **values):
     names = tuple(f"axis {index}" for index in range(axes))
-    section = section_of(FORCE_CONTROLLER_TABLE, **values)
+    specimen = {"specimen.mass": 50.0, "specimen.stiffness": 2e5}
+    section = section_of(FORCE_CONTROLLER_TABLE, **specimen, **values)
     return force_control(section, names, Timebase.from_rate(500.0))
 
 

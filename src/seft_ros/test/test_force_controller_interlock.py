@@ -211,7 +211,8 @@ def test_a_fault_closes_the_valve_from_the_last_sound_command_and_its_cause_stay
     assert len(controller.seen) == (7 if rows > 1 else 6)
     assert guarded.step_index == 7
     told = (
-        f"measured position on axis {AXES[axis]} contradicts the other channels: 3 samples within"
+        f"measured displacement on axis {AXES[axis]} contradicts the other channels: 3 samples "
+        "within"
     )
     assert guarded.reason.startswith(told)
     reason = guarded.reason
@@ -285,13 +286,13 @@ def test_a_controller_gets_as_many_points_as_it_asks_for(axes):
 
 def section_of(*words):
     """The force controller's section of a test with two rigs, its axes, and the test."""
-    given = [f"force_controller:{word}" for word in words]
-    experiment = load(*given, config="two_pier_bridge")
+    experiment = load(*words, config="two_pier_bridge")
     return experiment["force_controller"], experiment.axes, experiment
 
 
 def test_an_interlock_is_made_of_its_section():
-    words = ("limits.force:=900.0", "watchdog.close_time:=0.03", "watchdog.saturation_time:=0.1")
+    words = ("/**:limits.force:=900.0", "rig:safe.close_time:=0.03")
+    words += ("force_controller:watchdog.saturation_time:=0.1",)
     section, axes, experiment = section_of(*words)
     controller = Scripted(1, 1)
     of_all = (controller, section, axes, experiment.timebase)
@@ -308,12 +309,12 @@ def test_an_interlock_is_made_of_its_section():
 
 def test_detectors_know_what_their_section_says_of_their_axes():
     section, axes, _ = section_of(
-        "actuator.flow_gain:=[0.04, 0.05]",
-        "actuator.valve_frequency:=[70.0, 0.0]",
-        "noise.force:=[3.0, 4.0]",
-        "detectors.force_range:=[0.0, 9000.0]",
-        "watchdog.state_timeout:=0.02",
-        "detectors.warn_only:=oil_balance, tracking",
+        "/**:actuator.flow_gain:=[0.04, 0.05]",
+        "/**:actuator.valve_frequency:=[70.0, 0.0]",
+        "rig:simulated.actuator.valve_frequency:=70.0",
+        "/**:sensors.force_noise:=[3.0, 4.0]",
+        "/**:sensors.force_range:=[0.0, 9000.0]",
+        "force_controller:detectors.warn_only:=oil_balance, tracking",
     )
     p, _ = detectors_of(section, axes, DT, (0, 1))
     expected = [[0.04, 1.685e7, 50.0, 24500.0], [0.0, 1.685e7, 50.0, 24500.0]]
@@ -340,22 +341,20 @@ def test_what_a_test_is_like_changes_what_its_detectors_know():
         section, axes, _ = section_of(*words)
         return detectors_of(section, axes, DT, (0, 1))[0]
 
-    of_eft = of("detectors.test:=eft", "detectors.mass_ratio:=1.5")
-    np.testing.assert_allclose(of_eft.mass, np.diag([131.75, 112.5]))  # it carries all the mass
-    assert not of_eft.computed_mass.any()
-    half = of("detectors.mass_ratio:=0.5")
+    assert not of("reference_force:mass_ratio:=0.0").computed_mass.any()
+    half = of("reference_force:mass_ratio:=0.5")
     np.testing.assert_array_equal(half.computed_mass, 0.5 * half.mass)
-    unknown = of("detectors.specimen_mass:=0.0")
-    assert not unknown.mass.any()
+    unknown = of("/**:specimen.stiffness:=0.0")
+    assert not unknown.stiffness.any()
     assert np.isinf(unknown.rough).all()
-    ideal = of("detectors.actuator_kind:=ideal")
+    ideal = of("/**:actuator.kind:=ideal")
     assert np.isinf(ideal.sums[2]).all()
     np.testing.assert_allclose(ideal.by_force, np.linalg.inv(ideal.mass))
     assert not of().by_force.any()
-    assert np.isfinite(of("actuator.valve_frequency:=0.5").sums[2]).all()
-    assert not of("detectors.warn_only:=all").acts.any()
+    assert np.isfinite(of("/**:actuator.valve_frequency:=0.5").sums[2]).all()
+    assert not of("force_controller:detectors.warn_only:=all").acts.any()
     assert of().acts.all()
-    derived = of("noise.velocity_source:=derived")
+    derived = of("/**:sensors.velocity:=derived")
     np.testing.assert_allclose(derived.noise[1], math.sqrt(2.0) * 5e-6 / DT)
     with pytest.raises(InputError, match=r"detectors\.warn_only: no detector 'speed'; there are "):
-        of("detectors.warn_only:=speed")
+        of("force_controller:detectors.warn_only:=speed")

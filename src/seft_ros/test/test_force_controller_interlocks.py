@@ -35,7 +35,7 @@ def test_each_rig_has_an_interlock_that_sees_its_own_axes():
 
 
 def test_the_first_rig_that_trips_gives_the_reason_and_a_reset_is_for_all():
-    both = interlock_of(of_rigs("force_controller:watchdog.close_time:=0.0"))
+    both = interlock_of(of_rigs("rig:safe.close_time:=0.0"))
     points, rest = np.zeros((26, 3, 2)), np.zeros((5, 2))
     points[0, 2] = 0.0, 1e6
     assert np.array_equal(stepped(both, 0, points, rest), [0.0, 0.0])
@@ -56,7 +56,7 @@ def test_one_rig_needs_one_interlock():
 
 
 def test_shares_of_a_test_are_the_largest_of_all_its_rigs():
-    experiment = of_rigs("force_controller:voltage_limit:=0.5")
+    experiment = of_rigs("/**:limits.command:=0.5")
     section, axes = experiment["force_controller"], experiment.axes
     rng = np.random.default_rng(4)
     noise = np.array([5e-6, 1e-3, 0.05, 3.0, 1.0])[:, np.newaxis] * [1.0, 2.0]

@@ -16,7 +16,7 @@ def preview(patience=20, in_lockstep=False):
     section = {
         "loop_delay": D,
         "watchdog.reference_timeout": patience * DT,
-        "watchdog.ramp_down_time": 5 * DT,
+        "ramp_down_time": 5 * DT,
     }
     newest = NewestPreview(section, 1, Timebase.from_rate(1 / DT))
     newest.reset(in_lockstep)
@@ -138,7 +138,7 @@ def test_a_message_that_is_repeated_or_out_of_order_is_refused():
 
 
 def test_a_watchdog_shorter_than_the_loops_own_delay_is_refused():
-    experiment = load("force_controller:loop_delay:=60")
+    experiment = load("/**:loop_delay:=60")
     section = experiment["force_controller"]
     words = "reference_timeout is 0.1 s, but the loop's own delay is 0.12 s"
     with pytest.raises(InputError, match=words):

@@ -16,7 +16,7 @@ from seft_ros.ground_motion.ground_motion_block import GROUND_MOTION_TABLE, Grou
 
 def build(axes=("x",), rate=200.0, **values):
     """Ground motion of these parameters; a double underscore stands for a dot."""
-    section = section_of(GROUND_MOTION_TABLE, **values)
+    section = section_of(GROUND_MOTION_TABLE, **{"specimen__mass": 1.0, **values})
     return GroundMotion.from_parameters(section, axes, Timebase.from_rate(rate))
 
 
@@ -36,7 +36,7 @@ def test_the_tail_is_zeros_after_the_record(tent):
 
 
 def test_peak_force_scales_the_largest_mass_times_acceleration(tent):
-    motion = build(rate=100.0, peak_force=1000.0, mass=50.0, **tent)
+    motion = build(rate=100.0, peak_force=1000.0, specimen__mass=50.0, **tent)
     np.testing.assert_allclose(motion.samples[:, 0], [0, 10, 0, -20, 0])
 
 
@@ -50,7 +50,7 @@ def test_peak_force_scales_the_largest_mass_times_acceleration(tent):
     ],
 )
 def test_the_mass_is_a_number_or_a_list_or_a_matrix(tent, mass, largest):
-    values = {**tent, "column": [0, 1], "peak_force": 2 * largest, "mass": mass}
+    values = {**tent, "column": [0, 1], "peak_force": 2 * largest, "specimen__mass": mass}
     motion = build(("x", "y"), 100.0, **values)
     np.testing.assert_allclose(motion.samples, [[0, 0], [4, 8], [0, 0], [-8, -16], [0, 0]])
 
@@ -153,8 +153,8 @@ def test_without_a_file_the_motion_is_synthetic_and_the_same_on_every_axis():
 @pytest.mark.parametrize(
     ("values", "what"),
     [
-        ({"peak_force": 10.0}, "mass (for peak_force) is 0.0, but mass must be positive"),
-        ({"peak_force": 10.0, "mass": 1.0, "influence": 0.0}, "motion of zeros can't be scaled"),
+        ({"peak_force": 10.0, "specimen__mass": 0.0}, "specimen.mass is 0.0, but mass must be"),
+        ({"peak_force": 10.0, "influence": 0.0}, "motion of zeros can't be scaled"),
         ({"column": [0, 1, 0]}, "column: 3 values for 2 axes"),
         ({"influence": 1e308}, "accelerations are not finite"),
         ({"tail": 1e9}, "5e+07 steps"),

@@ -129,7 +129,7 @@ def test_what_makes_no_excitation_is_refused(words, told):
 
 @pytest.mark.parametrize("rate", [200.0, 500.0, 2000.0])
 def test_ground_motion_reads_the_record_bit_for_bit(tmp_path, rate):
-    section = {"rate": rate, "axes": ["x", "y"], "model.mass": 1.0}
+    section = {"rate": rate, "axes": ["x", "y"], "specimen.mass": 1.0}
     experiment, band, seed = Experiment({"reference_force": section}), (2.0, 60.0), 1
     Motions(experiment, band, seed).write(tmp_path / "record.csv", 5000 / rate)
     samples = -3.7 * excitation(5000, 2, 1 / rate, band, seed)

@@ -62,8 +62,8 @@ def assert_found(fit, **other):
     assert 20.0 < fit.leakage < 100.0
 
 
-SPECIMEN = "rig:specimen."
-ACTUATOR = "rig:actuator."
+SPECIMEN = "rig:simulated.specimen."
+ACTUATOR = "rig:simulated.actuator."
 RIGS = {
     "the paper's": ((), {}),
     "yields much": ((SPECIMEN + "kind:=bilinear", SPECIMEN + "yield_displacement:=0.0001"), {}),
@@ -71,11 +71,11 @@ RIGS = {
     "no friction": ((ACTUATOR + "friction:=0.0",), {}),
     "sharp friction": ((ACTUATOR + "friction:=30.0", ACTUATOR + "friction_velocity:=0.001"), {}),
     "slow valve": ((ACTUATOR + "valve_frequency:=30.0",), {"valve_frequency": 30.0}),
-    "soft oil": ((ACTUATOR + "oil_column_frequency:=30.0",), {"oil_stiffness": 1.6615e6}),
+    "soft oil": ((ACTUATOR + "oil_stiffness:=1.6615e6",), {"oil_stiffness": 1.6615e6}),
     "half the flow": ((ACTUATOR + "flow_gain:=0.02015",), {"flow_gain": 0.02015}),
     "late": ((ACTUATOR + "dead_time:=0.01",), {"dead_time": 0.01}),
     "2 kHz": (("rate:=2000.0",), {}),
-    "velocity derived": (("rig:sensors.velocity:=derived",), {}),
+    "velocity derived": (("/**:sensors.velocity:=derived",), {}),
 }
 DRIVES = {
     "slow valve": {"volts": 0.5},
@@ -93,8 +93,8 @@ def test_the_actuator_is_found_with_any_specimen_and_all_noise(name):
 def test_of_several_axes_each_has_its_own():
     axis, gains = 2, [0.0403, 0.03, 0.05]
     fit = fitted(
-        f"rig:actuator.flow_gain:={gains}",
-        "rig:actuator.valve_frequency:=[70.0, 50.0, 90.0]",
+        f"{ACTUATOR}flow_gain:={gains}",
+        f"{ACTUATOR}valve_frequency:=[70.0, 50.0, 90.0]",
         of="three_storey_frame",
         axis=axis,
     )
@@ -103,7 +103,7 @@ def test_of_several_axes_each_has_its_own():
 
 @pytest.mark.parametrize("cutoff", [40.0, 60.0, 120.0])
 def test_a_filter_of_all_sensors_is_dead_time_and_no_lack_of_pressure(cutoff):
-    fit = fitted(*(f"rig:sensors.{channel}_filter:={cutoff}" for channel in CHANNELS))
+    fit = fitted(*(f"rig:simulated.sensors.{channel}_filter:={cutoff}" for channel in CHANNELS))
     late = math.sqrt(2.0) / (2 * math.pi * cutoff)
     assert fit.force_capacity == 0.0
     assert fit.flow_gain == pytest.approx(KNOWN["flow_gain"], rel=0.01)
@@ -116,18 +116,18 @@ def test_a_filter_of_all_sensors_is_dead_time_and_no_lack_of_pressure(cutoff):
 @pytest.mark.parametrize("lag", [-0.004, 0.0, 0.003, 0.006])
 @pytest.mark.parametrize("name", ["the paper's", "slips"])
 def test_the_lag_of_the_force_is_found_whatever_the_specimen_does(name, lag):
-    late = [
-        f"rig:sensors.{channel}_lag:={max(-lag, 0.0)}"
-        for channel in ("displacement", "acceleration")
-    ]
-    *signals, dt, band = driven(*RIGS[name][0], *late, f"rig:sensors.force_lag:={max(lag, 0.0)}")
+    lags = dict.fromkeys(("displacement", "acceleration"), max(-lag, 0.0)) | {
+        "force": max(lag, 0.0)
+    }
+    late = [f"rig:simulated.sensors.{channel}_lag:={each}" for channel, each in lags.items()]
+    *signals, dt, band = driven(*RIGS[name][0], *late)
     oil = OilBalance(*(each[:, 0] for each in signals), dt, band)
     assert force_lag(oil) == pytest.approx(lag, abs=2e-4)
 
 
 def test_a_force_capacity_is_told_where_the_load_shows_it():
     assert fitted().force_capacity == 0.0
-    small = fitted("rig:actuator.force_capacity:=4000.0")
+    small = fitted(ACTUATOR + "force_capacity:=4000.0")
     assert small.force_capacity == pytest.approx(4000.0, rel=0.2)
     assert_found(small)
 

@@ -5,8 +5,7 @@ import re
 import numpy as np
 import pytest
 import scipy.signal
-from experiments_at_hand import JHU, load, simulated
-from seft_msgs_py.config.experiment import Experiment
+from experiments_at_hand import load, simulated
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.limits import Limits
@@ -25,7 +24,6 @@ from seft_ros.identification.rig_tests import (
     voltage_after,
 )
 from seft_ros.protection.protection_step import PlausibleForce, is_plausible
-from seft_ros.test_run.parameter_tables import TABLES
 
 VOLTAGE = 0.1
 
@@ -43,7 +41,7 @@ def record(tmp_path):
     return make
 
 
-TWO_AXES = ("axes:=[x, y]", "reference_force:model.mass:=[52.7, 3.0, 3.0, 40.0]")
+TWO_AXES = ("axes:=[x, y]", "/**:specimen.mass:=[52.7, 3.0, 3.0, 40.0]")
 
 
 @pytest.mark.parametrize("overrides", [(), TWO_AXES])
@@ -72,7 +70,7 @@ def unit_of(of, band=(0.3, 200.0), duration=20.0):
 @pytest.mark.parametrize(
     ("levels", "told"),
     [
-        (Levels(3.0, 200.0), "--amplitude is 3 V RMS.* and 2.16 V at most: .*voltage_limit"),
+        (Levels(3.0, 200.0), "--amplitude is 3 V RMS.* and 2.16 V at most: .*limits.command"),
         (Levels(0.0, 200.0), "--amplitude is 0 V RMS, but must be above 0"),
         (Levels(0.1, 5000.0), "--force is 5000 N RMS.* and 4080 N at most: .*limits.force_rate$"),
         (Levels(0.1, -1.0), "--force is -1 N"),
@@ -80,16 +78,15 @@ def unit_of(of, band=(0.3, 200.0), duration=20.0):
     ],
 )
 def test_levels_beyond_the_limits_are_refused_with_the_largest_ones(levels, told):
-    of = load("force_controller:voltage_limit:=9.0")
+    of = load("/**:limits.command:=9.0")
     largest = LargestLevels.of(of, unit_of(of))
     with pytest.raises(InputError, match=told):
         largest.check(levels)
 
 
 @pytest.mark.parametrize("rate", [500, 2000])
-@pytest.mark.parametrize("node", ["supervisor", "reference_force"])
-def test_the_largest_force_reaches_a_limit_and_its_error_names_one_that_does_not(rate, node):
-    of = load(f"rate:={rate}.0", f"{node}:limits.force_rate:=1e6")
+def test_the_largest_force_reaches_a_limit_and_its_error_names_one_that_does_not(rate):
+    of = load(f"rate:={rate}.0", "/**:limits.force_rate:=1e6")
     unit = unit_of(of)
     largest = LargestLevels.of(of, unit)
     plausible = PlausibleForce(1e9, 1e6, ("x",), of.timebase.dt)
@@ -98,7 +95,7 @@ def test_the_largest_force_reaches_a_limit_and_its_error_names_one_that_does_not
         plausible.reset()
         return not all(is_plausible(plausible.limits, plausible.recent, force * u) for u in unit)
 
-    assert largest.force[1] == f"{node}: limits.force_rate"
+    assert largest.force[1] == "/**: limits.force_rate"
     assert [refused(factor * largest.force[0]) for factor in (0.9999, 1.0001)] == [False, True]
     with pytest.raises(InputError) as told:
         largest.check(Levels(0.1, 1e5))
@@ -124,7 +121,7 @@ def shares_of(of, path, voltage):
 
 
 def test_after_a_pilot_the_rig_uses_a_fifth_of_its_limits(record):
-    of = load("rig:actuator.kind:=servo_hydraulic_linear")
+    of = load("/**:actuator.kind:=servo_hydraulic_linear")
     voltage, _ = after_pilot(of, record)
     assert voltage > 2 * pilot_voltage(of)
     shares = shares_of(of, record(of)[0], voltage)
@@ -133,7 +130,7 @@ def test_after_a_pilot_the_rig_uses_a_fifth_of_its_limits(record):
 
 def test_after_a_pilot_no_change_uses_more_than_half_of_its_limit(record):
     of = load(
-        *("rig:actuator.kind:=servo_hydraulic_linear", "supervisor:limits.velocity_rate:=40.0"),
+        *("/**:actuator.kind:=servo_hydraulic_linear", "/**:limits.velocity_rate:=40.0"),
         "rate:=1000.0",
     )
     shares = shares_of(of, record(of)[0], after_pilot(of, record)[0])
@@ -142,14 +139,9 @@ def test_after_a_pilot_no_change_uses_more_than_half_of_its_limit(record):
 
 
 def test_a_rig_that_hardly_moves_gets_peaks_of_half_the_voltage_limit_and_no_more(record):
-    of = load("rig:actuator.flow_gain:=1.0e-5", "rig:actuator.friction:=0.0")
+    of = load("rig:simulated.actuator.flow_gain:=1.0e-5", "rig:simulated.actuator.friction:=0.0")
     voltage, largest = after_pilot(of, record)
     assert voltage == 0.5 * largest
-
-
-def test_the_open_loop_is_limited_by_no_reference_force(record):
-    of = load("reference_force:limits.force_rate:=1e5", "reference_force:limits.force:=50.0")
-    assert simulated(open_loop(of, record(of)[0], VOLTAGE)).trip is None
 
 
 def test_the_closed_loop_follows_the_excitation_times_a_force(record):
@@ -163,12 +155,7 @@ def test_the_closed_loop_follows_the_excitation_times_a_force(record):
     ("kind", "valve"), [("ideal", False), ("delay", False), ("servo_hydraulic", True)]
 )
 def test_idealised_actuators_have_no_valve(kind, valve):
-    assert has_valve(load(f"rig:actuator.kind:={kind}")) is valve
-
-
-def test_of_a_rig_that_is_not_described_a_valve_is_expected():
-    tables = [table for table in TABLES if table.node != "rig"]
-    assert has_valve(Experiment.load(tables, [JHU])) is True
+    assert has_valve(load(f"/**:actuator.kind:={kind}")) is valve
 
 
 RATE = 500.0

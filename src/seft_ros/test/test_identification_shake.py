@@ -8,8 +8,10 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 from experiments_at_hand import load, simulated
+from seft_msgs_py.config.experiment import value_text
 from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import InputError
+from seft_plant_sim.rig_parameters import truth
 from seft_plant_sim.sensors import ACCELERATION, DISPLACEMENT, FORCE, VELOCITY
 from seft_ros.identification.actuator_fit import ActuatorFit
 from seft_ros.identification.calibrated import Calibrated, Shaken, all_known, shake_notes
@@ -20,12 +22,21 @@ from seft_ros.identification.shake import Shake, Sine, plan_shake, shake_drive, 
 from seft_ros.identification.shake_estimates import harmonics
 from seft_ros.reference_force.reference_force_block import method_inputs
 
-FLAG = (  # another mass, stiffness and law than any configuration has
-    *("rig:specimen.mass:=73.0", "rig:specimen.stiffness:=1.4e5", "rig:specimen.damping:=300.0"),
-    *("rig:specimen.kind:=flag", "rig:specimen.yield_displacement:=0.0001"),
-    *("reference_force:model.mass:=60.0", "reference_force:model.stiffness:=2.0e5"),
+SPECIMEN = "rig:simulated.specimen."
+FLAG = (  # another mass, stiffness, oil column and law than any configuration has
+    *(f"{SPECIMEN}mass:=73.0", f"{SPECIMEN}stiffness:=1.4e5", f"{SPECIMEN}damping:=300.0"),
+    *(f"{SPECIMEN}kind:=flag", f"{SPECIMEN}yield_displacement:=0.0001"),
+    "rig:simulated.actuator.oil_stiffness:=2.32e7",
+    *("/**:specimen.mass:=60.0", "/**:specimen.stiffness:=2.0e5"),
 )
-FRICTION = ("rig:specimen.kind:=friction", "rig:specimen.friction.force:=60.0")
+FRICTION = (f"{SPECIMEN}kind:=friction", f"{SPECIMEN}friction.force:=60.0")
+SENSORS = "rig:simulated.sensors."
+
+
+def true(config="jhu"):
+    """Words that say what the rig of a configuration truly is, whatever is known of it."""
+    values = truth(load(config=config)["rig"])
+    return [f"rig:{name}:={value_text(value)}" for name, value in values.items()]
 
 
 def identified(experiment):
@@ -66,11 +77,11 @@ def assert_known(value, error, true, most):
     assert error < most
 
 
-def test_mass_scale_lag_and_zero_are_recovered():
+def test_mass_scale_lag_and_bias_are_recovered():
     words = (
-        *("rig:sensors.acceleration_lag:=0.0013", "rig:sensors.velocity_lag:=0.0004"),
-        *("rig:sensors.acceleration_scale:=0.98", "rig:sensors.velocity_scale:=1.02"),
-        *("rig:sensors.force_bias:=4.0", "rig:sensors.acceleration_bias:=0.08"),
+        *(f"{SENSORS}acceleration_lag:=0.0013", f"{SENSORS}velocity_lag:=0.0004"),
+        *(f"{SENSORS}acceleration_scale:=0.98", f"{SENSORS}velocity_scale:=1.02"),
+        *(f"{SENSORS}force_bias:=4.0", f"{SENSORS}acceleration_bias:=0.08"),
     )
     found = shaken(*FLAG, *words)
     fit = found.fit
@@ -79,50 +90,50 @@ def test_mass_scale_lag_and_zero_are_recovered():
         assert_known(fit.scale[row, 0], fit.scale_error[row, 0], scale, 2e-3)
         assert_known(fit.lag[row, 0], fit.lag_error[row, 0], lag, 1e-5)
     assert_known(fit.lag[FORCE, 0], fit.lag_error[FORCE, 0], 0.0, 1e-5)
-    assert_known(fit.zero[ACCELERATION, 0], fit.zero_error[ACCELERATION, 0], 0.08, 2e-3)
-    assert_known(fit.zero[FORCE, 0], fit.zero_error[FORCE, 0], 4.0, 0.5)
-    section = found.sections()["rig"]
+    assert_known(fit.bias[ACCELERATION, 0], fit.bias_error[ACCELERATION, 0], 0.08, 2e-3)
+    assert_known(fit.bias[FORCE, 0], fit.bias_error[FORCE, 0], 4.0, 0.5)
+    assert found.facts()["specimen.mass"] == [fit.mass[0, 0]]
+    assert found.facts()["specimen.mass_error"] == [fit.mass_error[0, 0]]
+    section = found.calibrated.parameters()
     assert section["calibration.acceleration_lag"] == [pytest.approx(0.0013, abs=4e-5)]
     assert section["calibration.displacement_scale"] == [1.0]
     assert section["calibration.force_scale"] == [1.0]
 
-    told = [f"rig:{name}:={value}" for name, value in section.items()]
-    again = shaken(*FLAG, *words, *told)
+    told = [f"/**:{name}:={value}" for name, value in section.items()]
+    again = shaken(*true(), *FLAG, *words, *told)
     assert not again.calibrated.changes  # and what it knows is kept
-    assert again.sections()["rig"] == section
+    assert again.calibrated.parameters() == section
 
 
-def test_friction_spoils_neither_mass_nor_zero():
-    fit = shaken(
-        *FRICTION, "rig:sensors.force_bias:=5.0", "rig:sensors.displacement_bias:=2e-4"
-    ).fit
+def test_friction_spoils_neither_mass_nor_bias():
+    fit = shaken(*FRICTION, f"{SENSORS}force_bias:=5.0", f"{SENSORS}displacement_bias:=2e-4").fit
     assert_known(fit.mass[0, 0], fit.mass_error[0, 0], 52.7, 0.12)
     assert fit.mass[0, 0] == pytest.approx(52.7, rel=4e-3)
-    assert fit.zero[DISPLACEMENT, 0] == pytest.approx(2e-4, abs=1e-5)
-    assert fit.zero[FORCE, 0] == pytest.approx(5.0, abs=1.0)
+    assert fit.bias[DISPLACEMENT, 0] == pytest.approx(2e-4, abs=1e-5)
+    assert fit.bias[FORCE, 0] == pytest.approx(5.0, abs=1.0)
 
 
 def test_a_shake_under_which_friction_holds_the_specimen_says_so():
-    storeys = "rig:specimen.springs:=[1.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0, -1.0, 1.0]"
-    held = (storeys, "rig:specimen.kind:=friction", "rig:specimen.friction.force:=300.0")
+    storeys = SPECIMEN + "springs:=[1.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0, -1.0, 1.0]"
+    held = (storeys, SPECIMEN + "kind:=friction", SPECIMEN + "friction.force:=300.0")
     with pytest.raises(InputError, match=r"sticks under sines of .* mm: .* larger --travel"):
         shaken(*held, config="three_storey_frame")
 
 
 def test_what_is_late_is_told_whatever_is_the_latest():
-    fit = shaken("rig:sensors.displacement_lag:=0.002")
-    lags = [fit.sections()["rig"][f"calibration.{channel}_lag"][0] for channel in CHANNELS]
+    fit = shaken(f"{SENSORS}displacement_lag:=0.002")
+    lags = [fit.calibrated.parameters()[f"calibration.{channel}_lag"][0] for channel in CHANNELS]
     assert lags == pytest.approx([0.002, 0.0, 0.0, 0.0], abs=2e-5)
 
 
 def test_a_derived_velocity_has_no_calibration():
-    section = shaken("rig:sensors.velocity:=derived").sections()["rig"]
+    section = shaken("/**:sensors.velocity:=derived").calibrated.parameters()
     assert not any("velocity" in name for name in section)
-    load("rig:sensors.velocity:=derived", *(("rig", *item) for item in section.items()))
+    load("/**:sensors.velocity:=derived", *(("/**", *item) for item in section.items()))
 
 
 def test_several_axes_give_the_matrix_and_a_tilt():
-    tilt = "rig:sensors.tilt:=[1.0, 0.0, 0.0, 0.03, 1.0, 0.0, 0.0, 0.0, 1.0]"
+    tilt = SENSORS + "tilt:=[1.0, 0.0, 0.0, 0.03, 1.0, 0.0, 0.0, 0.0, 1.0]"
     found = shaken(tilt, config="three_storey_frame")
     fit = found.fit
     np.testing.assert_allclose(fit.mass, 52.7 * np.eye(3), atol=0.3)
@@ -131,27 +142,27 @@ def test_several_axes_give_the_matrix_and_a_tilt():
     assert [note for note in notes if "axis b" in note and "of a:" in note and "tilt corr" in note]
     assert sum("tilted" in note for note in notes) == 1
 
-    section = found.sections()["rig"]
+    section = found.calibrated.parameters()
     assert section["calibration.tilt"] == pytest.approx([1, 0, 0, 0.03, 1, 0, 0, 0, 1], abs=2e-3)
-    told = [f"rig:{name}:={value}" for name, value in section.items()]
-    again = shaken(tilt, *told, config="three_storey_frame")
+    told = [f"/**:{name}:={value}" for name, value in section.items()]
+    again = shaken(*true("three_storey_frame"), tilt, *told, config="three_storey_frame")
     assert not again.calibrated.changes
-    assert again.sections()["rig"] == section
+    assert again.calibrated.parameters() == section
 
 
 def test_velocity_and_acceleration_against_the_displacement_are_right():
-    found = shaken(*FLAG, "rig:sensors.displacement_scale:=0.96")
+    found = shaken(*FLAG, f"{SENSORS}displacement_scale:=0.96")
     fit = found.fit
     assert_known(fit.scale[DISPLACEMENT, 0], fit.scale_error[DISPLACEMENT, 0], 0.96, 2e-3)
     assert_known(fit.mass[0, 0], fit.mass_error[0, 0], 73.0, 0.1)
-    section = found.sections()["rig"]
+    section = found.calibrated.parameters()
     assert section["calibration.velocity_scale"] == section["calibration.acceleration_scale"] == [1]
     assert section["calibration.displacement_scale"] == [pytest.approx(0.96, abs=2e-3)]
 
 
 def test_the_displacement_follows_from_the_noise_and_the_peaks_are_told():
     plan = plan_shake(load())
-    noisy = plan_shake(load("rig:sensors.displacement_noise:=2e-5"))
+    noisy = plan_shake(load("/**:sensors.displacement_noise:=2e-5"))
     assert noisy.travel == pytest.approx(4 * plan.travel, rel=0.05)
     told = plan_shake(load(), travel=1e-4)
     assert (told.travel, told.peaks["displacement"]) == (1e-4, 1e-4)
@@ -162,14 +173,14 @@ def test_the_displacement_follows_from_the_noise_and_the_peaks_are_told():
 
 
 def test_limits_lower_the_highest_frequency():
-    free, bound = plan_shake(load()), plan_shake(load("supervisor:limits.acceleration:=10.0"))
+    free, bound = plan_shake(load()), plan_shake(load("/**:limits.acceleration:=10.0"))
     assert bound.peaks["acceleration"] <= 5.0 < free.peaks["acceleration"]
     assert bound.top < free.top
 
 
 def test_a_stiff_heavy_specimen_is_shaken_at_the_same_frequencies_at_every_rate():
     """Whatever the limits leave of the rate: 20 Hz of a 4000 Hz loop, too."""
-    heavy = ("reference_force:model.mass:=800.0", "supervisor:limits.force:=2000.0")
+    heavy = ("/**:specimen.mass:=800.0", "/**:limits.force:=2000.0")
     plans = [plan_shake(load(*heavy, f"rate:={rate}.0"), 1e-4) for rate in (500, 4000)]
     assert plans[0].top == pytest.approx(plans[1].top, rel=0.06)
     assert 10.0 < plans[1].top < 80.0
@@ -178,13 +189,13 @@ def test_a_stiff_heavy_specimen_is_shaken_at_the_same_frequencies_at_every_rate(
 @pytest.mark.parametrize(
     ("words", "travel", "told"),
     [
-        ((), 0.06, "would reach 0.06 with 60 mm.*half of supervisor: limits.displacement, 0.076"),
+        ((), 0.06, r"would reach 0.06 m with 60 mm.*half of /\*\*: limits.displacement, 0.076"),
         ((), -1e-4, "--travel is -0.0001 m"),
-        (("supervisor:limits.force:=20.0",), None, "half of supervisor: limits.force.*--travel"),
+        (("/**:limits.force:=20.0",), None, r"half of /\*\*: limits.force.*--travel"),
         (
-            ("rig:sensors.displacement_noise:=0.0", "rig:sensors.adc_bits:=0"),
+            ("/**:sensors.displacement_noise:=0.0", f"{SENSORS}adc_bits:=0"),
             None,
-            "noise.position",
+            r"/\*\*: sensors.displacement_noise is 0",
         ),
     ],
 )
@@ -195,7 +206,7 @@ def test_a_shake_beyond_the_limits_is_refused_before_anything_moves(words, trave
 
 def test_a_shake_beyond_the_valve_is_refused():
     experiment = load()
-    with pytest.raises(InputError, match=r"voltage_limit, 10 V; give a smaller --travel"):
+    with pytest.raises(InputError, match=r"limits.command, 10 V; give a smaller --travel"):
         plan = Shake(0.01, 50.0, {})
         with_actuators(plan, identified(experiment), experiment)
 

@@ -82,7 +82,7 @@ def test_a_record_over_a_link_counts_what_was_predicted():
         LinkRecord.from_json('{"ages": 3}')
     nothing = Series(np.empty(0, np.int64), np.empty((0, 1, 1)))
     series = {topic.name: nothing for topic in LOOP_TOPICS}
-    record = Record(load("reference_force:loop_delay:=7"), series, link=told)
+    record = Record(load("/**:loop_delay:=7"), series, link=told)
     assert link_numbers(record) == {
         "loop_delay": 7,
         "age": {"p50": 5, "p99": 9, "largest": 9},

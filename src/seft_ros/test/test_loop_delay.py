@@ -8,7 +8,7 @@ from seft_ros.test_run.compiled_loop import build_blocks
 
 
 def experiment_of(*overrides, config="demo"):
-    given = ["reference_force:loop_delay:=7", "ground_motion:synthetic.duration:=8.0"]
+    given = ["/**:loop_delay:=7", "ground_motion:synthetic.duration:=8.0"]
     return load(*given, *overrides, config=config)
 
 
@@ -17,7 +17,7 @@ def test_a_delay_of_the_loop_costs_a_target_no_accuracy(alpha):
     errors = []
     for loop_delay in (0, 5, 30):
         experiment = experiment_of(
-            f"reference_force:loop_delay:={loop_delay}", f"reference_force:mass_ratio:={alpha}"
+            f"/**:loop_delay:={loop_delay}", f"reference_force:mass_ratio:={alpha}"
         )
         record = simulated(experiment)
         assert record.trip is None
@@ -28,12 +28,12 @@ def test_a_delay_of_the_loop_costs_a_target_no_accuracy(alpha):
 
 def test_the_delay_may_be_unknown_to_who_only_measures_it():
     with pytest.raises(InputError, match=r"seft link.*loop_delay:=STEPS"):
-        build_blocks(experiment_of("reference_force:loop_delay:=-1"))
+        build_blocks(experiment_of("/**:loop_delay:=-1"))
 
 
 def test_the_ground_motion_must_be_known_as_far_ahead_as_the_target_is_told():
     with pytest.raises(InputError, match="make the lead longer"):
-        build_blocks(experiment_of("reference_force:loop_delay:=50", "ground_motion:lead:=0.1"))
+        build_blocks(experiment_of("/**:loop_delay:=50", "ground_motion:lead:=0.1"))
 
 
 def test_a_controller_that_follows_a_target_needs_one():

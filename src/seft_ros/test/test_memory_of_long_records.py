@@ -5,6 +5,7 @@ import tracemalloc
 from collections import Counter
 
 import pytest
+from compensators import force_section
 from records_at_hand import noise_record
 from seft_msgs_py.config.experiment import Experiment
 from seft_ros.analysis import calibration_check
@@ -19,9 +20,8 @@ BATCHES = 10e6  # bytes that reading takes whatever the length
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
-    node = {"rate": 1000.0, "axes": ["x"], "method": "seft", "mass_ratio": 0.5}
-    model = {"model.mass": 50.0, "model.damping": 800.0, "model.stiffness": 2e5}
-    experiment = Experiment({"reference_force": node | model})
+    section = force_section(rate=1000.0, specimen__damping=800.0, mass_ratio=0.5)
+    experiment = Experiment({"reference_force": section})
     path = tmp_path_factory.mktemp("bags") / "long"
     record = noise_record(STEPS, ["x"])
     write_record(dataclasses.replace(record, experiment=experiment), path)

@@ -185,7 +185,10 @@ def test_each_axis_has_its_own_columns():
 
 
 def test_of_a_specimen_that_yields_the_response_is_said_to_be_near():
-    kind = ("rig:specimen.kind:=bilinear", "rig:specimen.yield_displacement:=0.004")
+    kind = (
+        "rig:simulated.specimen.kind:=bilinear",
+        "rig:simulated.specimen.yield_displacement:=0.004",
+    )
     intake = Intake(AXES, TIMEBASE)
     intake.describe(load(*kind).sections)
     intake.motion(motion(0, MOTION))

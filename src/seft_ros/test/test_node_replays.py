@@ -21,7 +21,7 @@ from seft_ros.test_run.offline import loop_series, simulate_test
 
 EXPERIMENT = load(
     *("ground_motion:synthetic.duration:=1.0", "ground_motion:tail:=0.1"),
-    "rig:actuator.kind:=servo_hydraulic_linear",
+    "/**:actuator.kind:=servo_hydraulic_linear",
 )
 
 

@@ -4,25 +4,21 @@ import numpy as np
 import pytest
 from experiments_at_hand import load, simulated
 from seft_plant_sim.compiled import kind_of
-from seft_plant_sim.rig_step import PERSISTENT
 from seft_plant_sim.sensors import BLOCK
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
 
 PERFECT = (
-    "rig:sensors.adc_bits:=0",
+    "rig:simulated.sensors.adc_bits:=0",
     *(
-        f"rig:sensors.{name}_{row}:=0"
+        f"/**:sensors.{name}_{row}:=0"
         for name in ("displacement", "velocity", "acceleration", "force")
-        for row in ("noise", "bias", "range")
+        for row in ("noise", "range")
     ),
 )
 """Sensors that measure the truth."""
-QUIET = (
-    *PERFECT,
-    *(f"{node}.damping:=903.5" for node in ("rig:specimen", "reference_force:model")),
-)
-DELAY = ("rig:actuator.kind:=delay", "rig:actuator.delay:=0.01")
+QUIET = (*PERFECT, "/**:specimen.damping:=903.5")
+DELAY = ("/**:actuator.kind:=delay", "/**:actuator.delay:=0.01")
 
 
 UNWATCHED = "reference_force:instability.ratio:=0.0"
@@ -55,10 +51,9 @@ def test_a_delay_of_10_ms_is_stable_below_a_mass_ratio_of_one_and_not_at_one():
 @pytest.mark.parametrize(
     "words",
     [
-        (with_ratio(1.6), "supervisor:limits.acceleration:=30"),
-        (with_ratio(0.5), "supervisor:limits.displacement:=0.003"),
-        (with_ratio(0.0), "rig:limits.force:=500"),
-        (with_ratio(0.0), "rig:limits.velocity:=0.1"),
+        (with_ratio(1.6), "/**:limits.acceleration:=30"),
+        (with_ratio(0.5), "/**:limits.displacement:=0.003"),
+        (with_ratio(0.0), "/**:limits.velocity:=0.1"),
     ],
 )
 def test_a_test_ends_with_the_sample_that_breaks_a_limit(words):
@@ -66,9 +61,7 @@ def test_a_test_ends_with_the_sample_that_breaks_a_limit(words):
     names = ("displacement", "velocity", "acceleration", "force")
     limits = np.array([record.experiment["rig"][f"limits.{name}"] for name in names])
     beyond = (np.abs(states[:, :, 0]) > limits).any(axis=1)
-    # the rig's own limits stand behind those of the judged samples
-    last = 1 if words[1].startswith("supervisor") else PERSISTENT
-    assert np.flatnonzero(beyond).tolist() == list(range(len(states) - last, len(states)))
+    assert np.flatnonzero(beyond).tolist() == [len(states) - 1]
     assert record.trip.step == len(states) - 1
     assert record.trip.time_s == pytest.approx(record.trip.step * 0.002)
     assert record.trip.reason.split()[0] in words[1]
@@ -76,10 +69,10 @@ def test_a_test_ends_with_the_sample_that_breaks_a_limit(words):
         np.testing.assert_array_equal(series.steps, np.arange(len(states)))
 
 
-def test_a_limit_of_the_rig_broken_from_rest_on_ends_the_test_at_once():
-    record, states = run(*PERFECT, "rig:sensors.force_noise:=1000", "rig:limits.force:=0.001")
-    assert len(states) == PERSISTENT
-    assert record.trip.step == PERSISTENT - 1
+def test_a_limit_that_is_broken_from_rest_on_ends_the_test_at_once():
+    record, states = run(*PERFECT, "/**:sensors.force_noise:=1000", "/**:limits.force:=0.001")
+    assert len(states) == 1
+    assert record.trip.step == 0
 
 
 def test_the_same_experiment_gives_the_same_bits_and_another_seed_others():
@@ -110,7 +103,7 @@ def test_a_rig_that_trips_within_the_ramp_ends_it_at_once_and_both_causes_are_to
     """The supervisor's limit stands in for both: the rig's force comes after its reference."""
     free = force_of(ended())
     first = int(np.argmax(np.abs(free) > 500.0))
-    record = ended("supervisor:limits.force:=500.0")
+    record = ended("/**:limits.force:=500.0")
     last = int(record.series["rig/state"].steps[-1])
     assert first < last < first + 249
     assert record.trip.step == last

@@ -81,17 +81,25 @@ def test_a_node_without_a_description_is_named(node):
     assert missing(PEERS, statuses, descriptions, NOW) == f"the parameters of {node}"
 
 
+def facts(name, known, other, node="rig"):
+    return {"reference_force": {name: known}, node: {} if other is None else {name: other}}
+
+
 def delays(sent, taken):
-    return {"reference_force": {"loop_delay": sent}, "force_controller": {"loop_delay": taken}}
+    return facts("loop_delay", sent, taken, "force_controller")
 
 
 FITTING = [(0, 0), (7, 7), (7, -1)]  # -1: it is the other's
 UNLIKE = [(7, 0), (0, 7), (0, -1)]
+PACES = {"west/rig": {"pace": "realtime"}, "east/rig": {"pace": "lockstep"}}
 PARAMETERS = [
     (ONE_RIG, {"rig": {"rate": 1000.0}}, "one rate: ground_motion has 500.0, rig has 1000.0"),
     (ONE_RIG, {"rig": {"axes": ["y"]}}, "one axes: ground_motion has ['x'], rig has ['y']"),
-    (TWO_RIGS, {"east/rig": {"pace": "lockstep"}}, "one pace: west/rig has None, east/rig has"),
-    (TWO_RIGS, {"east/force_controller": {"loop_delay": 3}}, "one loop_delay: reference_force"),
+    (TWO_RIGS, PACES, "one pace: west/rig has realtime, east/rig has lockstep"),
+    (TWO_RIGS, facts("loop_delay", 0, 3, "east/force_controller"), "one loop_delay: reference_fo"),
+    (ONE_RIG, facts("calibration.force_lag", 0.0, 0.003), "one calibration.force_lag: "),
+    (ONE_RIG, facts("specimen.mass", [50.0], None), ""),  # a rig that does not tell it
+    (ONE_RIG, facts("mass_ratio", 1.0, 0.5, "force_controller"), "one mass_ratio: reference_force"),
     *((ONE_RIG, delays(*both), "") for both in FITTING),
     *((ONE_RIG, delays(*both), "one loop_delay: reference_force has") for both in UNLIKE),
 ]
@@ -188,18 +196,6 @@ def test_the_silent_are_named_with_the_time_of_their_last_sign_of_life():
     assert silence("rig", statuses) == "node rig has been silent since 12.34 s"
 
 
-def test_a_rig_and_the_loop_must_agree_on_the_lag_of_its_state():
-    statuses, descriptions = graph()
-    assert missing(PEERS, statuses, descriptions, NOW) == ""  # a rig that does not tell it
-    descriptions["rig"] = {**descriptions["rig"], "sensor_lag": 0.003}
-    told = "one lag of the measured state: rig has 0.003 s, reference_force has 0 s; give both"
-    assert missing(PEERS, statuses, descriptions, NOW).startswith(told)
-    loop = descriptions["reference_force"]
-    parameters = {**loop["parameters"], "compensation.sensor_lag": 0.003}
-    descriptions["reference_force"] = {**loop, "parameters": parameters}
-    assert missing(PEERS, statuses, descriptions, NOW) == ""
-
-
 ABLE = {"rehearses": True}
 
 
@@ -233,7 +229,7 @@ def zeroed(left=0.0, **subtracted):
 
 def test_a_zero_of_more_than_a_tenth_of_a_limit_is_refused():
     assert with_zeros(Rehearsed(), [zeroed(force=4.0), {}]) == Rehearsed()
-    told = with_zeros(Rehearsed(), [zeroed(), zeroed(position=-0.004)]).refusal
+    told = with_zeros(Rehearsed(), [zeroed(), zeroed(displacement=-0.004)]).refusal
     assert told.startswith(
         "displacement is 0.004 m at rest, more than a tenth of its limit of 0.03"
     )
@@ -246,7 +242,7 @@ def test_a_force_at_rest_that_may_be_real_is_warned_of():
     assert found.warning.startswith("slow; a force of 21 N at rest was zeroed: if friction or a")
     assert not found.refusal
     held = with_zeros(Rehearsed(), [zeroed(left=-21.0)]).warning
-    assert held.startswith("the force at rest is 21 N beside its told zero: friction or")
+    assert held.startswith("the force at rest is 21 N beside its known bias: friction or")
 
 
 def test_nobody_is_asked_where_there_is_no_rehearsal():

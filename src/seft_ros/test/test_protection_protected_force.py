@@ -147,8 +147,8 @@ def test_a_reset_is_one_of_all_parts():
 
 
 def test_it_is_made_of_its_section():
-    words = ("limits.force:=900.0", "limits.force_rate:=1.0e4", "ramp_down_time:=0.1")
-    experiment = load(*(f"reference_force:{word}" for word in words))
+    limits = ("/**:limits.force:=900.0", "/**:limits.force_rate:=1.0e4")
+    experiment = load(*limits, "reference_force:ramp_down_time:=0.1")
     section, axes, timebase = experiment["reference_force"], experiment.axes, experiment.timebase
     for delay in (0, 3):
         section["loop_delay"] = delay

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
-from compensators import force_section
-from seft_msgs_py.errors import WireError
+from compensators import M, force_section
+from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.topics import Timebase, rigs_of
 from seft_ros.reference_force.reference_force_block import ReferenceForce, StateGathering
 
@@ -27,20 +27,25 @@ def step(reference_force, ground_motion, acceleration):
     ],
 )
 def test_one_axis_by_hand(alpha, ground, measured, eft, seft):
-    """Eq. 2.3: -(1 + alpha) m a_g; Eq. 2.5: the same less alpha m a."""
-    for method, expected in (("eft", eft), ("seft", seft)):
-        force = step(block(method=method, mass_ratio=alpha), [ground], [measured])
-        np.testing.assert_allclose(force, [expected], rtol=1e-12)
+    """Eq. 2.3: -(1 + alpha) m a_g, all of it on the rig; Eq. 2.5: the same less alpha m a."""
+    whole = block(method="eft", specimen__mass=(1.0 + alpha) * M)
+    for one, expected in ((whole, eft), (block(mass_ratio=alpha), seft)):
+        np.testing.assert_allclose(step(one, [ground], [measured]), [expected], rtol=1e-12)
 
 
 def test_coupled_axes_by_hand():
     """M = [[4, 1], [1, 3]], alpha = 0.5: f = -1.5 M a_g - 0.5 M a."""
-    mass = [4.0, 1.0, 1.0, 3.0]
-    values = {"model__mass": mass, "model__stiffness": [1.0, 2.0], "mass_ratio": 0.5}
-    eft = step(block(("x", "y"), method="eft", **values), [2.0, -2.0], [10.0, 20.0])
-    seft = step(block(("x", "y"), **values), [2.0, -2.0], [10.0, 20.0])
+    mass, values = np.array([4.0, 1.0, 1.0, 3.0]), {"specimen__stiffness": [1.0, 2.0]}
+    whole = block(("x", "y"), method="eft", specimen__mass=(1.5 * mass).tolist(), **values)
+    part = block(("x", "y"), specimen__mass=mass.tolist(), mass_ratio=0.5, **values)
+    eft, seft = (step(one, [2.0, -2.0], [10.0, 20.0]) for one in (whole, part))
     np.testing.assert_allclose(eft, [-9.0, 6.0])
     np.testing.assert_allclose(seft, [-9.0 - 30.0, 6.0 - 35.0])
+
+
+def test_in_conventional_eft_nothing_is_computed():
+    with pytest.raises(InputError, match=r"mass_ratio is 0.5, but with method eft nothing is comp"):
+        block(method="eft", mass_ratio=0.5)
 
 
 RIGS = rigs_of(["west/x", "east/x", "west/y"])

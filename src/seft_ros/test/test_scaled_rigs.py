@@ -49,9 +49,8 @@ def test_a_fast_valve_that_is_later_than_known_costs_little(mass, oil_hz, rate):
     """What is not known of the delay is most of it."""
     wrong = {"gain_error": -0.1, "oil_error": -0.2, "leakage": 30.0}
     words = scaled_rig(mass, oil_hz, rate, 2.0, **wrong)
-    for node, dead_time in (("rig", 0.0025), ("force_controller", 0.0005)):
-        words += [f"{node}:actuator.valve_frequency:=130.0"]
-        words += [f"{node}:actuator.dead_time:={dead_time}"]
+    words += ["/**:actuator.valve_frequency:=130.0", "/**:actuator.dead_time:=0.0005"]
+    words += ["rig:simulated.actuator.dead_time:=0.0025"]
     assert error(load(*words, config="demo")) < 0.012
 
 
@@ -88,7 +87,7 @@ def test_the_error_of_an_unforeseen_yielding_is_that_of_its_test():
     found = foretold(planned)
     own = error(
         scaled_test(800.0, 23.0, 1000.0, 4.0, kind="bilinear").changed(
-            {"rig": {"specimen.hardening_ratio": 0.1}}
+            {"rig": {"simulated.specimen.hardening_ratio": 0.1}}
         )
     )
     # the limits differ, and with them nothing that a test without a trip shows
@@ -113,7 +112,7 @@ def test_no_yielding_is_simulated_where_none_can_be():
     planned = load(config="demo")
     response = expected_response(planned, planned_motion(planned))
     assert yielding_error(planned, None) is None
-    obeys = planned.changed({"rig": {"actuator.kind": "ideal"}})
+    obeys = planned.changed({"/**": {"actuator.kind": "ideal"}})
     assert yielding_error(obeys, response) is None
     frame = load(config="three_storey_frame")  # its storeys are not given as springs
     assert foretold(frame) is None

@@ -3,6 +3,7 @@ import pytest
 from experiments_at_hand import load
 from hypothesis import given
 from hypothesis import strategies as st
+from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig_parameters import RIG_TABLE
 from seft_ros.study.drawn_tests import (
@@ -15,13 +16,8 @@ from seft_ros.study.drawn_tests import (
 )
 from seft_ros.test_run.parameter_tables import TABLES
 
-TWO = ("/**:axes:=[x, y]", "rig:specimen.stiffness:=[2.11e5, -3.0e4, -3.0e4, 1.8e5]")
-
-
+TWO = ("/**:axes:=[x, y]", "/**:specimen.stiffness:=[2.11e5, -3.0e4, -3.0e4, 1.8e5]")
 EXPERIMENT = load()
-
-
-CHANNELS = ("displacement", "velocity", "acceleration", "force")
 
 
 def rig_of(number, seed=1, spread=0.2, experiment=EXPERIMENT):
@@ -58,7 +54,7 @@ def test_parameters_stay_within_their_spread_and_the_others_as_they_are(number, 
     for name, value in nominal.items():
         if name == "seed":
             continue
-        if name.startswith("sensors.") and name.endswith("_lag"):
+        if name.startswith("simulated.sensors.") and name.endswith("_lag"):
             assert 0.0 <= own[name] <= DRAWN_OFFSETS[f"rig:{name}"] * spread
             continue
         uncertainty = DRAWN_QUANTITIES.get(f"rig:{name}")
@@ -82,30 +78,37 @@ def test_actuators_differ_from_axis_to_axis_and_the_specimen_stays_symmetric():
     drawn = draw_tests(experiment, 4)
     two = drawn.factors
     assert not np.array_equal(
-        two["rig:actuator.flow_gain, axis x"], two["rig:actuator.flow_gain, axis y"]
+        two["rig:simulated.actuator.flow_gain, axis x"],
+        two["rig:simulated.actuator.flow_gain, axis y"],
     )
     assert drawn.offsets.keys() == {
-        *(f"rig:sensors.{channel}_lag, axis {axis}" for channel in CHANNELS for axis in "xy"),
-        "rig:sensors.tilt, axis x by y",
-        "rig:sensors.tilt, axis y by x",
+        *(
+            f"rig:simulated.sensors.{channel}_lag, axis {axis}"
+            for channel in CHANNELS
+            for axis in "xy"
+        ),
+        "rig:simulated.sensors.tilt, axis x by y",
+        "rig:simulated.sensors.tilt, axis y by x",
     }
     for number, sections in enumerate(drawn.sections[1:]):
-        x, x_by_y, y_by_x, y = sections["rig"]["sensors.tilt"]
+        x, x_by_y, y_by_x, y = sections["rig"]["simulated.sensors.tilt"]
         assert x == y == 1.0
-        assert x_by_y == drawn.offsets["rig:sensors.tilt, axis x by y"][number]
+        assert x_by_y == drawn.offsets["rig:simulated.sensors.tilt, axis x by y"][number]
         assert 0.0 < abs(y_by_x) <= 0.01
-        stiffness = np.divide(
-            sections["rig"]["specimen.stiffness"], experiment["rig"]["specimen.stiffness"]
-        )
-        assert stiffness == pytest.approx(np.full(4, two["rig:specimen.stiffness"][number]))
+        name = "simulated.specimen.stiffness"
+        stiffness = np.divide(sections["rig"][name], experiment["rig"][name])
+        assert stiffness == pytest.approx(np.full(4, two[f"rig:{name}"][number]))
 
 
 def test_quantities_are_those_on_which_the_test_depends():
     factors = draw_tests(EXPERIMENT, 4).factors
-    assert {"rig:specimen.mass", "rig:actuator.flow_gain", "ground_motion:peak_force"} <= set(
-        factors
-    )
-    for name in ("rig:actuator.bulk_modulus", "rig:actuator.rated_flow", "rig:specimen.gap.width"):
+    rig = {"rig:simulated.specimen.mass", "rig:simulated.actuator.flow_gain"}
+    assert rig | {"ground_motion:peak_force"} <= factors.keys()
+    for name in (
+        "rig:simulated.actuator.bulk_modulus",
+        "rig:simulated.actuator.rated_flow",
+        "rig:simulated.specimen.gap.width",
+    ):
         assert name not in factors  # replaced by what is identified, or zero
     assert "ground_motion:influence" not in factors
     for name, values in factors.items():
@@ -142,9 +145,8 @@ def test_a_motion_that_is_not_there_is_reported_before_anything_is_run():
 
 
 def test_a_rig_that_can_not_be_is_refused_by_its_number():
-    experiment = load("rig:actuator.oil_column_frequency:=10.1")
-    section = experiment["rig"] | {"specimen.stiffness": 4e5}
-    with pytest.raises(InputError, match=r"^drawn test 5: .*oil_column.*smaller spread"):
-        check_rig(section, experiment.axes, experiment.timebase, 5)
-    with pytest.raises(InputError, match=r"^rig: actuator"):
-        check_rig(section, experiment.axes, experiment.timebase, 0)
+    section = EXPERIMENT["rig"] | {"simulated.actuator.dead_time": 1.1}
+    with pytest.raises(InputError, match=r"^drawn test 5: .*dead_time.*smaller spread"):
+        check_rig(section, EXPERIMENT.axes, EXPERIMENT.timebase, 5)
+    with pytest.raises(InputError, match=r"^rig: simulated.actuator"):
+        check_rig(section, EXPERIMENT.axes, EXPERIMENT.timebase, 0)

@@ -165,10 +165,10 @@ def test_the_sentence_has_the_largest_error_that_most_tests_do_not_exceed():
 
 def test_the_sentence_says_what_the_error_depends_on_if_that_is_more_than_chance():
     for errors, is_told in ((np.arange(21), True), (np.arange(21) % 2, False)):
-        factors = {"rig:specimen.mass": np.linspace(0.9, 1.1, 21)}
+        factors = {"rig:simulated.specimen.mass": np.linspace(0.9, 1.1, 21)}
         summary = summary_of({"a": [0.0, *(errors / 1000).tolist()]}, factors=factors)
         said = headline(summary["results"][0], summary)
-        assert ("depends most on rig:specimen.mass, which explains 100 %" in said) is is_told
+        assert ("most on rig:simulated.specimen.mass, which explains 100 %" in said) is is_told
 
 
 FACTORS = {"b": np.array([0.9, 1.1])}

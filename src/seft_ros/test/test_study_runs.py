@@ -1,14 +1,17 @@
 """A study's tests are those of `seft simulate`, whoever calculates them."""
 
 import math
+from dataclasses import replace
 
+import experiments_at_hand
 import pytest
-from experiments_at_hand import JHU, simulated
-from seft_msgs_py.config.experiment import Experiment, parse_override
+from experiments_at_hand import simulated
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_ros.analysis.summary import summarise
 from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
 from seft_ros.reference_force.linear_filter import LinearCompensator
+from seft_ros.reference_force.reference_force_parameters import REFERENCE_FORCE_TABLE
 from seft_ros.study import study_runs
 from seft_ros.study.drawn_tests import draw_tests
 from seft_ros.study.study_plan import StudyTest, plan_study
@@ -19,8 +22,20 @@ from seft_ros.test_run.parameter_tables import TABLES
 SHORT = ("ground_motion:synthetic.duration:=4", "ground_motion:tail:=0.5")
 
 
-def load(*words, file=JHU):
-    return Experiment.load(TABLES, [file], [parse_override(word) for word in (*SHORT, *words)])
+def load(*words):
+    return experiments_at_hand.load(*SHORT, *words)
+
+
+@pytest.fixture
+def add_method(monkeypatch):
+    """Have one more compensation method of some name."""
+
+    def add(name, make):
+        rows, row = REFERENCE_FORCE_TABLE.rows, REFERENCE_FORCE_TABLE.rows["compensation.method"]
+        monkeypatch.setitem(rows, row.name, replace(row, choices=(*row.choices, name)))
+        monkeypatch.setitem(COMPENSATION_METHODS, name, make)
+
+    return add
 
 
 def planned(*words, methods=("none", "restoring"), ratios=(0.5,), tests=2, **draws):
@@ -50,18 +65,12 @@ def broken(known):
     return compensator
 
 
-@pytest.mark.parametrize("given", [True, False])
-def test_the_file_of_a_worst_test_repeats_it(given, tmp_path, monkeypatch):
-    file, record = JHU, tmp_path / "motion.csv"
-    if not given:  # the model follows from the rig, and must not follow the drawn one
-        text = JHU.read_text()
-        start, end = text.index("    model:"), text.index("    compensation:")
-        file = tmp_path / "bare.yaml"
-        file.write_text(text[:start] + text[end:])
+def test_the_file_of_a_worst_test_repeats_it(tmp_path, monkeypatch):
+    record = tmp_path / "motion.csv"
     record.write_text("".join(f"{(-1) ** (k // 20)}\n" for k in range(400)))
     monkeypatch.chdir(tmp_path)
     words = ("file:=motion.csv", "dt:=0.005", "unit:=m/s2")
-    experiment = load(*(f"ground_motion:{word}" for word in words), file=file)
+    experiment = load(*(f"ground_motion:{word}" for word in words))
     plan = plan_study(experiment, draw_tests(experiment, 8, spread=0.3), ["restoring"], [0.5])
     runs = run_study(plan)
     summary = summarise_study(plan, runs)
@@ -82,8 +91,8 @@ def test_the_file_of_a_worst_test_repeats_it(given, tmp_path, monkeypatch):
         worst_folder(tmp_path / "file.html")
 
 
-def test_a_method_that_is_not_compiled_is_simulated_uncompiled_and_named_so(monkeypatch):
-    monkeypatch.setitem(COMPENSATION_METHODS, "adapting", adapting)
+def test_a_method_that_is_not_compiled_is_simulated_uncompiled_and_named_so(add_method):
+    add_method("adapting", adapting)
     reported = []
     runs = run_study(
         planned(methods=["none", "adapting"]), progress=lambda what, _: reported.append(what)
@@ -97,9 +106,10 @@ def test_a_method_that_is_not_compiled_is_simulated_uncompiled_and_named_so(monk
 
 
 def test_all_methods_and_mass_ratios_meet_the_same_tests():
-    plan = planned("reference_force:compensation.delay:=0.0139", methods=["all"], ratios=[0.5, 1.0])
+    delay = "/**:actuator.delay:=0.0109"
+    plan = planned(delay, methods=["all"], ratios=[0.5, 1.0])
     assert plan.methods == tuple(COMPENSATION_METHODS)
-    alone = planned(methods=["none"], ratios=[3.0])
+    alone = planned(delay, methods=["none"], ratios=[3.0])
     assert plan.drawn.sections == alone.drawn.sections
     base = plan.experiment
     for test in plan.tests():
@@ -109,7 +119,10 @@ def test_all_methods_and_mass_ratios_meet_the_same_tests():
         ]
         follows = test.method == "target_motion"
         control = "velocity_feedforward" if follows else "transfer_function"
-        assert own["force_controller"] == base["force_controller"] | {"method": control}
+        assert own["force_controller"] == base["force_controller"] | {
+            "method": control,
+            "mass_ratio": test.mass_ratio,
+        }
         changed = {"mass_ratio": test.mass_ratio, "compensation.method": test.method}
         assert own["reference_force"] == base["reference_force"] | changed
 
@@ -185,8 +198,8 @@ def test_finished_tests_that_can_not_be_kept_are_reported(tmp_path):
         keeping(planned(), tmp_path / "none")
 
 
-def test_a_method_that_can_not_be_set_up_is_left_out_and_the_others_go_on(monkeypatch):
-    monkeypatch.setitem(COMPENSATION_METHODS, "impossible", impossible)
+def test_a_method_that_can_not_be_set_up_is_left_out_and_the_others_go_on(add_method):
+    add_method("impossible", impossible)
     plan = planned(methods=["impossible", "none"])
     assert plan.not_possible == {(0.5, "impossible"): "there is no model"}
     assert plan.tests() == [StudyTest(0.5, "none", number) for number in range(3)]
@@ -199,8 +212,8 @@ def test_an_experiment_that_makes_no_test_is_refused_before_any_method_is_blamed
         planned("force_controller:denominator:=0", methods=["all"])
 
 
-def test_a_method_that_breaks_is_reported_with_its_test(monkeypatch):
-    monkeypatch.setitem(COMPENSATION_METHODS, "broken", broken)
+def test_a_method_that_breaks_is_reported_with_its_test(add_method):
+    add_method("broken", broken)
     with pytest.raises(ExperimentError) as caught:
         run_study(planned(methods=["none", "broken"]))
     assert (

@@ -77,10 +77,11 @@ def controller(*args, **valve):
 
 
 def feedforward(told=1.0, limit=10.0, horizon=25, mass=52.7, **valve):
-    given = {"voltage_limit": limit, "horizon": horizon * DT, "actuator.flow_gain": 0.04 * told}
-    given["detectors.specimen_mass"] = mass
+    given = {"limits.command": limit, "specimen.mass": mass, "actuator.flow_gain": 0.04 * told}
     given |= {f"actuator.{name}": value for name, value in valve.items()}
-    test = load(*(("force_controller", *item) for item in given.items()), config="demo")
+    words = [("/**", *item) for item in given.items()]
+    words.append(("reference_force", "compensation.horizon", horizon * DT))
+    test = load(*words, config="demo")
     return VelocityFeedforward(test["force_controller"], test.axes, test.timebase)
 
 
@@ -116,7 +117,7 @@ def test_piston_follows_the_target():
 
 def test_error_dies_out_at_the_rate_of_the_feedback():
     """As the oil of this piston is stiff."""
-    arrays = controller(mass=0.0)
+    arrays = controller(mass=1e-6)
     rate = arrays[0].feedback[0, 0, 0]
     assert rate == pytest.approx(crossover([ValveModel(70.0, 0.6, 0.001, DT)])[0], rel=0.1)
     wanted, seen = drive_piston(arrays, steps=200, offset=1e-3)
@@ -165,7 +166,7 @@ def test_a_loaded_valve_opens_further():
 
 
 def test_horizon_that_is_too_short_is_refused():
-    with pytest.raises(InputError, match=r"horizon is 0\.02 s; make it longer"):
+    with pytest.raises(InputError, match=r"horizon is 0\.02 s, .* make it longer"):
         controller(horizon=10)
 
 

@@ -16,8 +16,16 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError
 from ruamel.yaml.scalarstring import DoubleQuotedScalarString
 
-from seft_msgs_py.config.facts import EVERY_NODE, FACTS, fact_of, place_of
-from seft_msgs_py.config.parameter_table import Parameter, Section, Table, Value, nearest
+from seft_msgs_py.config.facts import BY_AXIS, EVERY_NODE, FACTS, MATRICES, fact_of, place_of
+from seft_msgs_py.config.parameter_table import (
+    Parameter,
+    Section,
+    Table,
+    Value,
+    as_matrix,
+    nearest,
+    per_axis,
+)
 from seft_msgs_py.config.renamed import renamed
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.files import check_regular, read_text_of
@@ -90,6 +98,10 @@ class Experiment:
             self.rigs = rigs_of(self.axes)
         except InputError as error:
             raise InputError(f"{EVERY_NODE}: {error}") from None
+        known = {name: own[name] for own in self.sections.values() for name in FACTS if name in own}
+        for name in known.keys() & {*BY_AXIS, *MATRICES}:
+            fit = as_matrix if name in MATRICES else per_axis
+            fit(known[name], self.axes, f"{EVERY_NODE}: {name}")
 
     @classmethod
     def load(
@@ -121,11 +133,11 @@ class Experiment:
         by_node = {table.node: table for table in tables}
         wanted = tuple(by_node if nodes is None else nodes)
         source = Source(by_node, wanted, tuple(files), tuple(overrides))
-        for file in files:
+        for file in source.files:
             sections = read_parameter_file(file)
             for node in sorted(sections, key=lambda node: node != EVERY_NODE):  # as rclpy does
                 source.add(node, sections[node], f"{file}: {node}")
-        for place, name, value in overrides:
+        for place, name, value in source.overrides:
             source.add(place, {name: value}, f"-p: {place}")
         return cls(source.resolve(), source)
 
@@ -144,6 +156,14 @@ class Experiment:
                     sections[node][name] = own[name]
         return Experiment(sections)
 
+    def by_place(self) -> dict[str, Section]:
+        """Give all values by their places in a file."""
+        whole = dict[str, Section]()
+        for node, own in self.sections.items():
+            for name, value in own.items():
+                whole.setdefault(place_of(name, node), {})[name] = value
+        return whole
+
     def arguments(self) -> list[str]:
         """Words of a node's command line that give it these parameters; see `split_ros_arguments`.
 
@@ -153,10 +173,8 @@ class Experiment:
         if source is not None and all(Path(file).is_file() for file in source.files):
             files, overrides = source.files, source.overrides  # a pipe can't be read again
         else:
-            files, whole = (), dict[tuple[str, str], Value]()
-            for node, own in self.sections.items():
-                whole |= {(place_of(name, node), name): value for name, value in own.items()}
-            overrides = [(place, name, value) for (place, name), value in whole.items()]
+            files, whole = (), self.by_place()
+            overrides = [(place, *item) for place, own in whole.items() for item in own.items()]
         words = [word for file in files for word in ("--params-file", str(file))]
         for place, name, value in overrides:
             words += ["-p", f"{place}:{name}:={value_text(value)}"]
@@ -251,6 +269,8 @@ class Source:
         value = self.given.get(place, {}).get(name)
         if value is None and (fact := fact_of(name)):
             value = self.given.get(EVERY_NODE, {}).get(fact)
+            if row.positive and value == 0.0:  # not known
+                value = None
             if value is None and row.default is None:
                 place, name = EVERY_NODE, fact
         value = row.default if value is None else value

@@ -59,42 +59,30 @@ _ACTUATOR = """
         its dead time, with the loop's step and without the lag of the sensors
 """
 
+_OF_A_CHANNEL = """
+    sensors.{name}_noise     | floats | 0.0 | {unit} | 0 .. | RMS noise of the {name}; 0: not known
+    sensors.{name}_range     | floats | 0.0 | {unit} | 0 .. |
+        {name} in both directions at which the sensor saturates; 0: not known, or never
+    calibration.{name}_scale | floats | 1.0 |        |        | measured over true {name}
+    calibration.{name}_bias  | floats | 0.0 | {unit} |        | measured {name} at a true one of 0
+    calibration.{name}_lag   | floats | 0.0 | s      | 0 .. 1 |
+        time by which the measured {name} is late; the channels are aligned to the latest one, whose
+        lag the loop counts
+"""
+
 _SENSORS = """
-    displacement_noise | floats | 0.0 | m     | 0 .. | RMS noise of the displacement; 0: not known
-    velocity_noise     | floats | 0.0 | m/s   | 0 .. | RMS noise of the velocity, likewise
-    acceleration_noise | floats | 0.0 | m/s^2 | 0 .. | RMS noise of the acceleration, likewise
-    force_noise        | floats | 0.0 | N     | 0 .. | RMS noise of the force, likewise
-    displacement_range | floats | 0.0 | m     | 0 .. |
-        displacement in both directions at which the sensor saturates; 0: not known, or never
-    velocity_range     | floats | 0.0 | m/s   | 0 .. | of the velocity, likewise
-    acceleration_range | floats | 0.0 | m/s^2 | 0 .. | of the acceleration, likewise
-    force_range        | floats | 0.0 | N     | 0 .. | of the force, likewise
     velocity | string | measured | | measured, derived |
         measured, or derived from the displacement by a filtered derivative
-    velocity_cutoff    | float  | 100.0 | Hz  | > 0  | cut-off of that derivative
+    velocity_cutoff | float | 100.0 | Hz | > 0 | cut-off of that derivative
 """
 
 _CALIBRATION = """
-    displacement_scale | floats | 1.0 |       |        | displacement: measured over true change
-    velocity_scale     | floats | 1.0 |       |        | of the velocity, likewise
-    acceleration_scale | floats | 1.0 |       |        | of the acceleration, likewise
-    force_scale        | floats | 1.0 |       |        | of the force, likewise
-    displacement_bias  | floats | 0.0 | m     |        | measured displacement at a true one of 0
-    velocity_bias      | floats | 0.0 | m/s   |        | measured velocity at a true one of 0
-    acceleration_bias  | floats | 0.0 | m/s^2 |        | measured acceleration at a true one of 0
-    force_bias         | floats | 0.0 | N     |        | measured force at a true one of 0
-    displacement_lag   | floats | 0.0 | s     | 0 .. 1 |
-        time by which the measured displacement is late. All channels are aligned to the latest
-        one, whose lag the loop counts
-    velocity_lag       | floats | 0.0 | s     | 0 .. 1 | of the velocity, likewise
-    acceleration_lag   | floats | 0.0 | s     | 0 .. 1 | of the acceleration, likewise
-    force_lag          | floats | 0.0 | s     | 0 .. 1 | of the force, likewise
-    force_lag_error    | floats | 0.0 | s     | 0 ..   |
+    force_lag_error | floats | 0.0 | s | 0 ..    |
         standard error of the force's lag behind the acceleration; 0: not known
-    tilt               | floats | 0.0 |       |        |
+    tilt            | floats | 0.0 |   |         |
         accelerations that the accelerometers show per acceleration of each axis, a matrix row by
         row; 0: each shows its own axis alone
-    zeroing            | float  | 1.0 | s     | 0 .. 60 |
+    zeroing         | float  | 1.0 | s | 0 .. 60 |
         time at rest before a test in which the rig measures the biases that are 0 here; 0: none. A
         bias of more than a tenth of the channel's limit is refused
 """
@@ -129,10 +117,23 @@ _GROUPS = {
     "calibration": _CALIBRATION,
     "limits": _LIMITS,
 }
-FACTS: dict[str, Parameter] = {
-    row.name: row for name, text in _GROUPS.items() for row in parameter_rows(text, name)
-}
+_UNITS = ("m", "m/s", "m/s^2", "N")
+_BY_CHANNEL = (
+    parameter_rows(_OF_A_CHANNEL.format(name=name, unit=unit))
+    for name, unit in zip(CHANNELS, _UNITS, strict=True)
+)
+_BY_GROUP = (parameter_rows(text, name) for name, text in _GROUPS.items())
+FACTS: dict[str, Parameter] = {row.name: row for rows in (*_BY_GROUP, *_BY_CHANNEL) for row in rows}
 """All facts, by name. Defaults of ``limits.*`` are those of the paper's rig."""
+
+MATRICES = ("specimen.mass", "specimen.damping", "specimen.stiffness", "calibration.tilt")
+BY_AXIS = [
+    name
+    for name, row in FACTS.items()
+    if row.kind == "floats" and name not in (*MATRICES, "specimen.springs")
+    if not name.startswith("actuator.response.")
+]
+"""Facts that have one value for all axes, or one for each."""
 
 SETTINGS = {
     "mass_ratio": "reference_force",

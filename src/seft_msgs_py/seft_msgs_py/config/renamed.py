@@ -4,6 +4,7 @@ import re
 
 _RENAMED = r"""
 ground_motion: mass -> /**: specimen.mass
+reference_force: identified\.force_lag_error -> /**: calibration.force_lag_error
 reference_force: (model|identified)\.(\w+) -> /**: specimen.\2
 reference_force: compensation\.delay ->
     /**: actuator.delay, which is without the loop's 1.5 sampling periods
@@ -26,7 +27,14 @@ force_controller: watchdog\.close_time -> rig: safe.close_time
 force_controller: plant\.(\w+) -> /**: actuator.* and specimen.*, of which it follows
 rig: sensors\.position_(noise|range) -> /**: sensors.displacement_\1
 rig: sensors\.position_(\w+) -> rig: simulated.sensors.displacement_\1
-rig: (specimen|actuator|sensors)\.(.+) -> rig: simulated.\1.\2
+rig: actuator\.oil_column_frequency -> /**: actuator.oil_stiffness, which is M (2 pi f)^2 - K
+rig: specimen\.(kind|settings|yield_displacement|hardening_ratio) -> rig: simulated.specimen.\1
+rig: specimen\.((bouc_wen|pinching|flag|friction|gap|duffing)\.\w+) -> rig: simulated.specimen.\1
+rig: actuator\.(piston_area|supply_pressure|rated_\w+|bulk_modulus|oil_volume|stroke) ->
+    rig: simulated.actuator.\1
+rig: actuator\.(leakage_coefficient|friction|friction_velocity|viscous_friction) ->
+    rig: simulated.actuator.\1
+rig: sensors\.(\w+_(scale|lag|bias|filter)|tilt|adc_bits) -> rig: simulated.sensors.\1
 rig: calibration\.position_zero -> /**: calibration.displacement_bias
 rig: calibration\.(\w+)_zero -> /**: calibration.\1_bias
 rig: calibration\.position_(\w+) -> /**: calibration.displacement_\1

@@ -37,39 +37,6 @@ MAX_SAMPLES = 1 << 16
 
 
 @dataclass(frozen=True)
-class IdentifiedMass:
-    """Mass and lag of the force as a separate test of the specimen found them.
-
-    Attributes
-    ----------
-    factor, factor_error : ndarray
-        Mass over the one told, and its standard error, shape (n,).
-    lag, lag_error : ndarray
-        Of the force behind the acceleration, and its standard error, shape (n,), s.
-    """
-
-    factor: Floats
-    factor_error: Floats
-    lag: Floats
-    lag_error: Floats
-
-    @classmethod
-    def known(cls, experiment: Experiment, mass: Floats) -> "IdentifiedMass | None":
-        """Read the standard errors that a shake has found; None: there are none.
-
-        ``mass`` is the mass matrix that the test used, (n, n), kg.
-        """
-        section, axes = experiment["reference_force"], experiment.axes
-        names = ("specimen.mass_error", "calibration.force_lag_error")
-        error, late = (per_axis(section[name], axes, f"/**: {name}") for name in names)
-        if not error.any():
-            return None
-        error = np.maximum(np.where(error > 0, error / np.diag(mass), np.inf), MIN_ERROR)
-        none = np.zeros(len(axes))
-        return cls(none + 1.0, error, none, np.where(late > 0, late, np.inf))
-
-
-@dataclass(frozen=True)
 class Deviation:
     """An estimate against what it should be; of a channel and an axis.
 
@@ -161,7 +128,7 @@ def calibration_check(record: Record) -> CalibrationCheck | None:
     if frequency > 0:
         effect = CalibrationEffect(structure, samples, dt)
         own = inertia(samples, effect.mass, effect.springs, dt, frequency)
-        own = _combined(own, IdentifiedMass.known(experiment, effect.mass))
+        own = _combined(own, _known_inertia(experiment, effect.mass))
         if own is not None:
             unsure = effect.of_mass(1.0 + ESTIMATE_SIGMAS * own.factor_error)
             if np.isfinite(own.lag_error).all():
@@ -299,16 +266,29 @@ def expected_relations(experiment: Experiment, frequency: float) -> Complexes | 
     return held[0]
 
 
-def _combined(own: Inertia | None, known: IdentifiedMass | None) -> Inertia | None:
+def _known_inertia(experiment: Experiment, mass: Floats) -> Inertia | None:
+    """Give the known mass and lag with the errors that `seft identify` has found; None: with none.
+
+    ``mass`` is the mass matrix that the test used, (n, n), kg.
+    """
+    section, axes = experiment["reference_force"], experiment.axes
+    names = ("specimen.mass_error", "calibration.force_lag_error")
+    error, late = (per_axis(section[name], axes, f"/**: {name}") for name in names)
+    if not error.any():
+        return None
+    error = np.maximum(np.where(error > 0, error / np.diag(mass), np.inf), MIN_ERROR)
+    none = np.zeros(len(axes))
+    return Inertia(none + 1.0, error, none, np.where(late > 0, late, np.inf))
+
+
+def _combined(own: Inertia | None, known: Inertia | None) -> Inertia | None:
     """Combine two estimates by their standard errors.
 
     Where they contradict each other something has changed after the mass was identified: then the
     test's own estimate stands alone.
     """
-    if known is None:
-        return own
-    if own is None:
-        return Inertia(known.factor, known.factor_error, known.lag, known.lag_error)
+    if own is None or known is None:
+        return own or known
 
     def mean(
         one: Floats, one_error: Floats, two: Floats, two_error: Floats

@@ -27,6 +27,8 @@ KINEMATIC_BAND = (0.3, 3.0)
 acceleration is lost in the bias and the noise of the displacement, above in those of x''."""
 OF_SAMPLING = 0.22
 """The highest frequency of any band over the sampling rate: filters need some room below half."""
+_APART = 1e6
+"""Condition of the motion up to which its axes can be told apart: rounding alone gives 1e12."""
 _SIXTH = 924.0  # sum of the squares of the binomials: a sixth difference's noise over a sample's
 _NORMAL = 0.6745  # median of |z| of a normal variable
 
@@ -140,10 +142,11 @@ def relation(
     (seen,) = derivatives(y, (0,), band, dt, half)
     motion, change = derivatives(x, (order, order + 1), band, dt, half)
     passes, response = (_impulse_response(band, dt, each, k) for each in (0, order))
-    if (np.sqrt(np.mean(motion**2, axis=0)) < STANDS_OUT * noise_of(x) * _size(response)).any():
+    if (np.sqrt(np.mean(motion**2, axis=0)) <= STANDS_OUT * noise_of(x) * _size(response)).any():
         return None
     noise = np.append(noise_of(x) * _size(response), 0.0)
     unsure = np.broadcast_to(unsure, n)
+    apart = np.linalg.cond(motion / np.linalg.norm(motion, axis=0)) < _APART
     scale, scale_error = np.zeros((2, n, n))
     lag, lag_error = np.empty((2, n))
     for i in range(n):
@@ -152,7 +155,7 @@ def relation(
         used = np.array([i])
         b, error = _regressed(seen[:, i], own, 2 * k, passes)
         error = np.hypot(error, unsure[i] * np.array([1.0, 1.0 / (2 * np.pi * frequency)]))
-        if n > 1 and order == 2:
+        if n > 1 and order == 2 and apart:
             every, regressors = np.arange(n), np.column_stack([motion, change[:, i]])
             tilted, more = _regressed(seen[:, i], regressors, 2 * k, passes)
             # noise of floors that move alike, and what else is in their motion, look like a tilt

@@ -70,10 +70,9 @@ def identify(
     with this specimen, which the other methods need. Rigs without a valve (actuator.kind ideal or
     delay) have this test only.
 
-    The folder then holds the excitation, the bags, a figure, and model.yaml: parameters of
-    reference_force and force_controller for --params-file. With --specimen they include mass,
-    damping and stiffness of the specimen, as reference_force's model.*, the standard error of the
-    mass, and /**: calibration.*.
+    The folder then holds the excitation, the bags, a figure, and model.yaml: what was found, as
+    facts under /**, for --params-file of every command and node. With --specimen they include
+    mass, damping and stiffness of the specimen, the mass's standard error, and calibration.*.
 
     Examples:
 

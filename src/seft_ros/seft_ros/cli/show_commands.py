@@ -3,7 +3,7 @@
 import re
 import secrets
 import webbrowser
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Optional
 
@@ -202,16 +202,15 @@ def motion(
 
 
 def parameters(
-    node: Optional[str] = typer.Argument(
-        None, metavar="[NODE]", help="A node, or /** for the facts; default all."
-    ),
+    node: Optional[str] = typer.Argument(None, metavar="[NODE]", help="A node; default all."),
     word: Optional[str] = typer.Argument(
         None, metavar="[WORD]", help="Only what has this in its name or meaning."
     ),
 ) -> int:
     """Print parameters with type, default, unit, bounds and meaning, as Markdown.
 
-    What is known of rig and specimen stands once in a file, under /**: the facts.
+    What is known of rig and specimen stands once in a file, under /**: the facts. Of a node they
+    are those that it uses.
 
     Examples:
 
@@ -221,12 +220,12 @@ def parameters(
 
         seft parameters rig simulated.sensors
     """
-    places = [EVERY_NODE, *(table.node for table in TABLES)]
-    if node is not None and node not in places:
+    names = [table.node for table in TABLES]
+    if node is not None and node not in names:
         if word is not None:
-            raise InputError(f"there is no node {node}{nearest(node, places)}")
+            raise InputError(f"there is no node {node}{nearest(node, names)}")
         node, word = None, node
-    found = parameters_text(places if node is None else [node], word or "")
+    found = parameters_text(node or "", word or "")
     if not found:
         where = "no parameter" if node is None else f"no parameter of {node}"
         raise InputError(f"{where} has {word} in its name or meaning; seft parameters lists all")
@@ -234,19 +233,21 @@ def parameters(
     return 0
 
 
-def parameters_text(places: Sequence[str], word: str = "") -> str:
-    """Tabulate in Markdown what a file has under some nodes, or `EVERY_NODE`.
+def parameters_text(node: str = "", word: str = "") -> str:
+    """Tabulate parameters in Markdown, by their place in a file.
 
-    Of all that there is what has a word in its name or meaning; empty if nothing has.
+    Of one node, and of these what has a word in its name or meaning; default all. Empty if nothing
+    has.
     """
     rows = {place: dict[str, Parameter]() for place in (EVERY_NODE, *(t.node for t in TABLES))}
     for table in TABLES:
         for name, row in table.rows.items():
-            if word.lower() in f"{name} {row.description}".lower():
+            text = f"{name} {row.description}".lower()
+            if node in ("", table.node) and word.lower() in text:
                 rows[place_of(name, table.node)].setdefault(name, row)
     order = list(FACTS)
     rows[EVERY_NODE] = dict(sorted(rows[EVERY_NODE].items(), key=lambda one: order.index(one[0])))
-    parts = [f"## `{place}`\n\n{_table(rows[place].values())}" for place in places if rows[place]]
+    parts = [f"## `{place}`\n\n{_table(own.values())}" for place, own in rows.items() if own]
     return "\n\n".join(parts)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment, write_parameter_file
 from seft_msgs_py.config.facts import EVERY_NODE
-from seft_msgs_py.config.parameter_table import Section, group, mass_matrix
+from seft_msgs_py.config.parameter_table import Section, group, mass_matrix, symmetric_matrix
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig_parameters import LIMIT_UNITS
 from seft_plant_sim.whole_structure import is_simulated, model_times, whole_structure
@@ -93,8 +93,21 @@ class ModelTime:
         )
 
 
+_OF_SPECIMEN = {
+    "specimen.mass": mass_matrix,
+    "specimen.damping": symmetric_matrix,
+    "specimen.stiffness": symmetric_matrix,
+}
+
+
 def planned_motion(experiment: Experiment) -> GroundMotion | None:
-    """Make the ground motion of an experiment; None if it comes from elsewhere."""
+    """Make the ground motion of an experiment; None if it comes from elsewhere.
+
+    What is known of the specimen is checked first: the simulated one is the same by default.
+    """
+    for name, check in _OF_SPECIMEN.items():
+        if name in (known := experiment.sections.get("reference_force", {})):
+            check(known[name], experiment.axes, f"{EVERY_NODE}: {name}")
     section = experiment.sections.get("ground_motion")
     if section is None:
         return None
@@ -314,7 +327,7 @@ def mass_mismatch(experiment: Experiment) -> str:
     if np.abs(masses[0] - masses[1]).max() <= WEIGHING_ERROR * np.abs(masses[1]).max():
         return ""
     return (
-        f"/**: specimen.mass is {assumed} kg, but /**: specimen.mass {own} kg: the test "
+        f"/**: specimen.mass is {assumed} kg, but rig: simulated.specimen.mass {own} kg: the test "
         "shows what a wrong mass does"
     )
 

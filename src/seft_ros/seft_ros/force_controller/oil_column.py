@@ -41,8 +41,8 @@ ELASTIC = 0.5
 elastic and one that yields."""
 
 _NONE = (
-    "force_controller: no regulator brings this specimen back to its plan; check actuator.* and "
-    "detectors.specimen_*"
+    "force_controller: no regulator brings this specimen back to its plan; check /**: actuator.* "
+    "and specimen.*"
 )
 _DOUBLINGS, _CONVERGED = 60, 1e-14  # of the samples that are looked ahead: 9 to 14 are usual
 

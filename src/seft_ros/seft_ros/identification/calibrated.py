@@ -135,7 +135,7 @@ def as_measured(record: Record) -> Record:
 
 def all_known(experiment: Experiment) -> dict[str, Floats]:
     """Give what an experiment tells of the channels, as `Calibrated.whole` is."""
-    section, axes = experiment.sections.get("rig", {}), experiment.axes
+    section, axes = experiment["reference_force"], experiment.axes
     return known_channels(section, axes) | {"tilt": tilt_of(section, axes, range(len(axes)), TILT)}
 
 
@@ -158,8 +158,7 @@ def _parameters(known: Mapping[str, Floats], derived: bool) -> dict[str, Any]:
         for what in NOTHING_KNOWN
         if not (derived and channel == "velocity")
     }
-    if len(known["tilt"]) > 1:
-        parameters[TILT] = known["tilt"].ravel().tolist() if _is_tilted(known["tilt"]) else [0.0]
+    parameters[TILT] = known["tilt"].ravel().tolist() if _is_tilted(known["tilt"]) else [0.0]
     return parameters
 
 

@@ -1,7 +1,6 @@
 """The tests of an identification: levels, experiments, and the spectra of what was measured."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -357,7 +356,7 @@ def open_loop(
         changes[EVERY_NODE] = {f"sensors.{name}_noise": limits[name] for name in CHANNELS}
         changes["rig"] = truth(experiment.sections.get("rig", {}))
         controller["detectors.warn_only"] = ",".join([*MODEL_BASED, *NOISE_BASED])
-    return changed(_with(experiment, record, controller), changes)
+    return _with(experiment, record, controller).changed(changes)
 
 
 def shake_test(experiment: Experiment, record: Path) -> Experiment:
@@ -373,12 +372,6 @@ def closed_loop_test(experiment: Experiment, record: Path, force: float) -> Expe
 def has_force_loop(experiment: Experiment) -> bool:
     """Whether the force controller follows a reference force, without a target's motion."""
     return bool(experiment["force_controller"]["method"] != VELOCITY_FEEDFORWARD)
-
-
-def changed(experiment: Experiment, changes: Mapping[str, Section]) -> Experiment:
-    """Copy an experiment with other values of its nodes: place in a file -> parameter -> value."""
-    places = (EVERY_NODE, *experiment.sections)
-    return experiment.changed({place: changes[place] for place in places if place in changes})
 
 
 def _with(
@@ -404,7 +397,7 @@ def _with(
         },  # a bias that these tests find is beside the known
         "force_controller": {"detectors.warn_only": ",".join(MODEL_BASED)} | controller,
     }
-    return changed(experiment, changes)
+    return experiment.changed(changes)
 
 
 def write_forces(path: Path, experiment: Experiment, forces: Floats) -> Path:

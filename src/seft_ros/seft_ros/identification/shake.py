@@ -233,7 +233,7 @@ def with_actuators(shake: Shake, found: Identified, experiment: Experiment) -> S
         raise InputError(
             f"the shake would need {voltage[0]:.3g} V with {1e3 * shake.travel:.3g} mm at "
             f"{frequencies[0]:.3g} Hz, more than half of /**: limits.command, {limit:g} V; "
-            f" give a smaller --travel"
+            "give a smaller --travel"
         )
     return replace(shake, top=float(frequencies[within][-1]))
 

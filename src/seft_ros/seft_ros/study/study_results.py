@@ -220,7 +220,7 @@ def write_worst_tests(plan: StudyPlan, summary: dict[str, Any], folder: Path) ->
             test = StudyTest(result["mass_ratio"], result["method"], worst["test"])
             method = re.sub(r"[^\w.-]", "_", test.method)
             path = folder / f"{method}_{test.mass_ratio:g}_{test.number}.yaml"
-            sections = dict(plan.experiment_of(test).sections)
+            sections = plan.experiment_of(test).by_place()
             motion = sections["ground_motion"]
             sections["ground_motion"] = motion | {
                 name: [str(Path(file).resolve()) for file in files]

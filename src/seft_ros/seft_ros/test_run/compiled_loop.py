@@ -112,12 +112,12 @@ def build_blocks(experiment: Experiment, known: dict[str, Any] | None = None) ->
 
     motion, force = experiment["ground_motion"], experiment["reference_force"]
     blocks = Blocks(
-        rig=_rigs(experiment),  # first: a wrong mass of the specimen is named as that
-        reference_force=shared(
+        reference_force=shared(  # first: a wrong fact of the specimen is named as that
             "reference_force", ProtectedForce.from_parameters, force, axes, timebase
         ),
         ground_motion=shared("ground_motion", GroundMotion.from_parameters, motion, axes, timebase),
         force_controller=shared("force_controller", interlock_of, experiment),
+        rig=_rigs(experiment),
     )
     duration = (blocks.ground_motion.steps - 1) * timebase.dt
     check_times(experiment["rig"]["faults"], axes, duration)

@@ -214,7 +214,8 @@ def _conflict(
         known = {node: value for node, value in known.items() if value is not None}
         for node, value in known.items():
             first = next(iter(known))
-            measured = name == "loop_delay" and -1 in (value, known[first])  # by one of them
-            if value != known[first] and not measured:
+            if name == "loop_delay" and min(value, known[first]) < 0 < max(value, known[first]):
+                continue  # one of them has measured it
+            if value != known[first]:
                 return f"{CONFLICT}{name}: {first} has {known[first]}, {node} has {value}"
     return ""

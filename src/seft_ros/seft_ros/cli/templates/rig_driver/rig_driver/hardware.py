@@ -22,7 +22,7 @@ class Hardware(Protocol):
         -------
         ndarray
             Displacement, velocity, acceleration and force of each axis in V, shape (4, n), as
-            the amplifiers give them: `Calibration` makes SI units of them.
+            the amplifiers give them: `Volts` makes SI units of them.
         """
 
     def write_command(self, volts: Floats) -> None:

@@ -12,17 +12,17 @@ Floats = npt.NDArray[np.float64]
 
 PARAMETERS = parameter_rows(
     """
-    displacement_factor     | floats |     | m/V       |  |
+    displacement_factor | floats |     | m/V       |  |
         displacement per volt, positive where the actuator extends; the factor is negative where
         the sensor stands the other way round
     velocity_factor     | floats |     | (m/s)/V   |  | velocity per volt, likewise
     acceleration_factor | floats |     | (m/s^2)/V |  | the specimen's acceleration, likewise
     force_factor        | floats |     | N/V       |  |
         force of the actuator on the specimen per volt, positive where it pushes that way
-    displacement_bias     | floats | 0.0 | V         |  | volts at a true value of 0
-    velocity_bias     | floats | 0.0 | V         |  | likewise
-    acceleration_bias | floats | 0.0 | V         |  | likewise
-    force_bias        | floats | 0.0 | V         |  | likewise, without load
+    displacement_bias   | floats | 0.0 | V         |  | volts at a true value of 0
+    velocity_bias       | floats | 0.0 | V         |  | likewise
+    acceleration_bias   | floats | 0.0 | V         |  | likewise
+    force_bias          | floats | 0.0 | V         |  | likewise, without load
     resolution          | float  | 0.0 | V         | 0 .. |
         step of the converter; 0: finer than the noise
     """,
