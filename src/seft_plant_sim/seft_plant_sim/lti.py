@@ -64,28 +64,6 @@ def state_space_response(
     return np.asarray(c @ states + d, dtype=np.complex128)
 
 
-def companion_form(numerator: Floats, denominator: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Make the controllable canonical form a, b, c, d of a proper transfer function.
-
-    s is scaled by the fastest pole; without scaling the entries spread over many decades.
-
-    Parameters
-    ----------
-    numerator, denominator : ndarray
-        In s, highest power first, without leading zeros.
-    """
-    order = denominator.size - 1
-    scale = float(np.abs(np.roots(denominator)).max(initial=0.0)) or 1.0
-    powers = scale ** np.arange(order, -1.0, -1.0)
-    den = denominator * powers
-    num = np.concatenate([np.zeros(order + 1 - numerator.size), numerator]) * powers / den[0]
-    den = den / den[0]
-    a = np.eye(order, k=-1)
-    a[:1] = -den[1:]
-    c = num[1:] - num[0] * den[1:]
-    return scale * a, scale * np.eye(order, 1), c[np.newaxis], num[:1, np.newaxis]
-
-
 def first_order_hold(a: Floats, b: Floats, dt: float) -> tuple[Floats, Floats, Floats]:
     """Sample s' = a s + b u with u linear in between (Van Loan 1978).
 

@@ -71,14 +71,6 @@ def test_for_people_there_is_a_table_and_every_reason_in_a_line(seft):
     assert all(line.startswith("seft: marginal: ") for line in err.splitlines())
 
 
-def test_a_mass_that_does_not_fit_the_rig_is_told(seft, told):
-    heavy, weak = "rig:simulated.specimen.mass:=80", ("-p", "ground_motion:peak_force:=300.0")
-    _, found = told(JHU, "-p", heavy, *weak)
-    (warning,) = found["warnings"]
-    assert "specimen.mass is 52.7 kg, but rig: simulated.specimen.mass 80.0 kg" in warning
-    assert f"warning: {warning}" in seft("preflight", JHU, "-p", heavy, *weak)[2]
-
-
 def test_a_peak_beyond_a_limit_or_the_rig_is_told_and_refused_by_run(seft, told, flown, tmp_path):
     beyond = (
         *("-p", "limits.displacement:=0.005"),

@@ -6,12 +6,10 @@ import json
 import pytest
 from seft_msgs_py.errors import InputError
 from seft_ros.monitor.access import (
-    CONTROL,
     FIRST_WAIT,
     LONGEST_WAIT,
     MAX_ADDRESSES,
-    WATCH,
-    Tokens,
+    Token,
     TooEarlyError,
     is_loopback,
     page_address,
@@ -23,7 +21,7 @@ from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
 
 
-def serving(scenario, rights=None, local_only=True, everything=lambda: ["all"]):
+def serving(scenario, token="", local_only=True, everything=lambda: ["all"]):
     """Serve, and do what ``scenario(ask, pages, calls)`` does."""
     calls = []
 
@@ -35,9 +33,9 @@ def serving(scenario, rights=None, local_only=True, everything=lambda: ["all"]):
         socket = listen("127.0.0.1", 0)
         port = socket.getsockname()[1]
         pages = Pages(everything)
-        tokens = Tokens(rights or {}, lambda: ask.now)
+        known = Token(token, lambda: ask.now)
         late = lambda state, at_ms: "" if (state, at_ms) == (3, 500.0) else "late"  # noqa: E731
-        server = PageServer(application(tokens, local_only, port, pages, call, late))
+        server = PageServer(application(known, local_only, port, pages, call, late))
         server.add_socket(socket)
         client = AsyncHTTPClient()
 
@@ -145,7 +143,7 @@ def test_without_the_token_there_is_nothing():
         assert not calls
         assert b"<form" in (await ask("/")).body
 
-    serving(scenario, {"a secret": CONTROL}, local_only=False)
+    serving(scenario, "a secret", local_only=False)
 
 
 def test_a_token_in_the_address_becomes_a_cookie():
@@ -160,7 +158,7 @@ def test_a_token_in_the_address_becomes_a_cookie():
         assert (await ask(**post("/service/stop", ask.own, known))).code == 200
         assert calls == ["stop"]
 
-    serving(scenario, {"secret": CONTROL}, local_only=False)
+    serving(scenario, "secret", local_only=False)
 
 
 def test_a_wrong_token_is_told_and_the_next_has_to_wait_but_not_who_has_a_cookie():
@@ -177,30 +175,30 @@ def test_a_wrong_token_is_told_and_the_next_has_to_wait_but_not_who_has_a_cookie
         ask.now += 1.0
         assert (await ask("/?token=secret")).code == 302
 
-    serving(scenario, {"secret": CONTROL}, local_only=False)
+    serving(scenario, "secret", local_only=False)
 
 
 def test_who_guesses_waits_longer_each_time_and_holds_up_nobody_else():
     now = 0.0
-    tokens = Tokens({"secret": CONTROL, "look": WATCH}, lambda: now)
+    token = Token("secret", lambda: now)
     waits = []
     for _ in range(10):
-        assert tokens.right_of("guess", "10.0.0.1") is None
+        assert not token.is_right("guess", "10.0.0.1")
         with pytest.raises(TooEarlyError) as caught:
-            tokens.right_of("secret", "10.0.0.1")
+            token.is_right("secret", "10.0.0.1")
         waits.append(caught.value.wait)
-        assert tokens.right_of("look", "10.0.0.2") == WATCH
+        assert token.is_right("secret", "10.0.0.2")
         now += waits[-1]
     assert waits[:3] == [FIRST_WAIT, 2 * FIRST_WAIT, 4 * FIRST_WAIT]
     assert waits[-1] == LONGEST_WAIT
-    assert tokens.right_of("secret", "10.0.0.1") == CONTROL
-    assert tokens.right_of("guess", "10.0.0.1") is None  # all is forgiven
+    assert token.is_right("secret", "10.0.0.1")
+    assert not token.is_right("guess", "10.0.0.1")  # all is forgiven
     with pytest.raises(TooEarlyError) as caught:
-        tokens.right_of("guess", "10.0.0.1")
+        token.is_right("guess", "10.0.0.1")
     assert caught.value.wait == FIRST_WAIT
     for number in range(2 * MAX_ADDRESSES):
-        tokens.right_of("guess", f"of many {number}")
-    assert len(tokens._failures) == MAX_ADDRESSES
+        token.is_right("guess", f"of many {number}")
+    assert len(token._failures) == MAX_ADDRESSES
 
 
 def test_who_sends_halves_of_requests_keeps_nobody_out():
@@ -225,7 +223,7 @@ def test_who_sends_halves_of_requests_keeps_nobody_out():
         while await page.read_message() is not None:
             pass  # until it is closed
 
-    serving(scenario, {"secret": CONTROL}, local_only=False)
+    serving(scenario, "secret", local_only=False)
 
 
 def test_a_large_body_is_not_waited_for():
@@ -245,27 +243,7 @@ def test_the_cookie_is_not_the_token():
         name = cookie_of(await ask("/?token=secret"))["Cookie"].split("=")[0]
         assert (await ask("/", headers={"Cookie": f"{name}=secret"})).code == 401
 
-    serving(scenario, {"secret": CONTROL}, local_only=False)
-
-
-def test_a_token_to_watch_shows_all_and_presses_nothing():
-    async def scenario(ask, pages, calls):
-        known = cookie_of(await ask("/?token=look"))
-        assert (await ask("/", headers=known)).code == 200
-        assert (await ask("/figures.json", headers=known)).code == 200
-        for service in ("start", "stop", "estop", "reset"):
-            answer = await ask(**post(f"/service/{service}", ask.own, known))
-            assert answer.code == 403
-            assert b"may watch, but not control" in answer.body
-        assert not calls
-        headers = {"Origin": ask.own, **known}
-        page = await websocket_connect(ask.request("/live", kind="ws", headers=headers))
-        assert json.loads(await page.read_message())["controls"] is False
-        page.close()
-        while len(pages):
-            await asyncio.sleep(0.01)
-
-    serving(scenario, {"secret": CONTROL, "look": WATCH}, local_only=False)
+    serving(scenario, "secret", local_only=False)
 
 
 @pytest.mark.parametrize("service", ["start", "reset"])
@@ -302,7 +280,6 @@ def test_a_page_is_told_all_and_then_what_is_new():
     async def scenario(ask, pages, _):
         request = ask.request("/live", kind="ws", headers={"Origin": ask.own})
         page = await websocket_connect(request)
-        assert json.loads(await page.read_message()) == {"kind": "rights", "controls": True}
         assert await page.read_message() == "all"
         pages.send(["new", b"\x01\x02"])
         assert await page.read_message() == "new"

@@ -102,8 +102,6 @@ def preflight(
             summary["model"] = asdict(timed)
             unfit += [timed.refusal()] if timed.refusal() else []
         summary["unfit"] = unfit
-        if mass := preflight_tables.mass_mismatch(experiment):
-            warnings.append(mass)
         if fast := stability_verdict.folded(plan):
             warnings.append(fast)
         yielding = None if beyond else yielding_error(experiment, response)

@@ -20,8 +20,7 @@ from seft_ros.test_run.parameter_tables import TABLES
 def monitor(
     host: str = option("127.0.0.1", "Address to serve at; most need a token.", "ADDRESS"),
     port: int = option(8765, "Port; 0: any that is free.", "N", min=0, max=65535),
-    token: str = option("", "Token for all.", "TEXT", envvar="SEFT_MONITOR_TOKEN"),
-    watch_token: str = option("", "To watch only.", "TEXT", envvar="SEFT_MONITOR_WATCH_TOKEN"),
+    token: str = option("", "Token that a browser needs.", "TEXT", envvar="SEFT_MONITOR_TOKEN"),
     namespace: str = option("", "Namespace of the test's topics.", "NAME"),
     open_page: bool = option(False, "Open the page in a browser.", "--open"),
 ) -> int:
@@ -34,14 +33,11 @@ def monitor(
     Buttons call the supervisor: Start, Stop and Reset ask for confirmation, Abort test acts at
     once. A button in a browser is no emergency stop; that must be a circuit in hardware.
 
-    It listens at 127.0.0.1 unless --host names another address: one that is not this host's own
-    needs a token, and shows the test to anyone who has it. Ctrl-C ends it, not the test. A browser
-    that --open starts keeps off the loop's core, too.
-
-    --token is the token that a browser must send; it is generated if one is needed and none is
-    given. --watch-token is for watching only, without buttons; control then needs a token even on
-    this host. The variables SEFT_MONITOR_TOKEN and SEFT_MONITOR_WATCH_TOKEN keep them out of the
-    list of processes.
+    It listens at 127.0.0.1; another host sees it by an SSH tunnel (docs/monitor.md). --host names
+    another address: one that is not this host's own needs a token, and shows the test, with its
+    buttons, to anyone who has it. It is generated if none is given; the variable
+    SEFT_MONITOR_TOKEN keeps it out of the list of processes. Ctrl-C ends the monitor, not the
+    test. A browser that --open starts keeps off the loop's core, too.
 
     Examples:
 
@@ -53,17 +49,14 @@ def monitor(
 
         seft monitor --host 0.0.0.0 --token "$(openssl rand -hex 16)"
     """
-    from seft_ros.monitor.access import CONTROL, WATCH, Tokens, is_loopback, page_address
+    from seft_ros.monitor.access import Token, is_loopback, page_address
     from seft_ros.monitor.server import keep_off_the_loop, listen, serve_monitor
 
-    for name, text in (("--token", token), ("--watch-token", watch_token)):
-        if not re.fullmatch("[!-~]*", text):
-            raise InputError(f"{name}: use printable ASCII characters without blanks")
-    if token and token == watch_token:
-        raise InputError("--watch-token: must differ from --token")
+    if not re.fullmatch("[!-~]*", token):
+        raise InputError("--token: use printable ASCII characters without blanks")
     if not re.fullmatch(r"(/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*)?", namespace, re.ASCII):
         raise InputError(f"--namespace {namespace}: is not a valid ROS namespace, such as /lab2")
-    if not token and (watch_token or not is_loopback(host)):
+    if not token and not is_loopback(host):
         token = secrets.token_urlsafe(24)
     keep_off_the_loop()
     listening = listen(host, port)
@@ -72,13 +65,10 @@ def monitor(
 
     def ready() -> None:
         print(f"seft monitor: {address}", flush=True)
-        if watch_token:
-            print(f"to watch only: {page}?token={watch_token}", flush=True)
         if open_page:
             webbrowser.open(address)
 
-    rights = {text: right for text, right in ((token, CONTROL), (watch_token, WATCH)) if text}
-    serve_monitor(listening, host, Tokens(rights), namespace, ready)
+    serve_monitor(listening, host, Token(token), namespace, ready)
     return 0
 
 

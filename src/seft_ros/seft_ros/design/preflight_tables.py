@@ -13,7 +13,7 @@ from seft_msgs_py.config.facts import EVERY_NODE
 from seft_msgs_py.config.parameter_table import Section, group, mass_matrix, symmetric_matrix
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig_parameters import LIMIT_UNITS
-from seft_plant_sim.whole_structure import is_simulated, model_times, whole_structure
+from seft_plant_sim.whole_structure import model_times, whole_structure
 
 from seft_ros.design.margin_ends import HEADINGS, end_texts, meanings
 from seft_ros.design.plan import Plan
@@ -158,8 +158,6 @@ def model_time(experiment: Experiment, planned: GroundMotion | None) -> ModelTim
     )
 
 
-WEIGHING_ERROR = 0.01
-"""Error of the assumed mass that weighing has."""
 FAR = 4.0
 """Limit over the expected peak from which on it protects little."""
 
@@ -314,21 +312,6 @@ def far_limits(experiment: Experiment, peaks: Mapping[str, float]) -> str:
     return (
         f"limits are more than {FAR:g} times the expected peaks: {', '.join(far)}; seft preflight "
         "CONFIG --write limits.yaml proposes others"
-    )
-
-
-def mass_mismatch(experiment: Experiment) -> str:
-    """Say where the plan assumes another mass than its rig has; empty if it does not."""
-    if not is_simulated(experiment):
-        return ""
-    assumed = experiment["reference_force"]["specimen.mass"]
-    own = experiment["rig"]["simulated.specimen.mass"]
-    masses = [mass_matrix(value, experiment.axes, "mass") for value in (assumed, own)]
-    if np.abs(masses[0] - masses[1]).max() <= WEIGHING_ERROR * np.abs(masses[1]).max():
-        return ""
-    return (
-        f"/**: specimen.mass is {assumed} kg, but rig: simulated.specimen.mass {own} kg: the test "
-        "shows what a wrong mass does"
     )
 
 

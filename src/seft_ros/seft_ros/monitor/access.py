@@ -1,7 +1,7 @@
 """Access control: who may see the page and press its buttons.
 
 Any page in a browser can send requests here. So each request must name this host, and come from
-this page. Other hosts also need a token: one that controls, or one that only watches.
+this page. Other hosts also need the token.
 """
 
 import hmac
@@ -9,7 +9,7 @@ import ipaddress
 import math
 import re
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,6 @@ ASSETS = Path(__file__).with_name("assets")
 FIRST_WAIT, LONGEST_WAIT = 0.5, 30.0
 """s, wait of an address after its first wrong token; each further one doubles it."""
 MAX_ADDRESSES = 1000
-CONTROL, WATCH = "control", "watch"
-"""Rights of a page: to see all and press buttons; to see all."""
 
 _AUTHORITY = re.compile(r"(\[[0-9A-Fa-f:.%]+\]|[A-Za-z0-9._-]+)(:\d{1,5})?")
 _HEADERS = {
@@ -60,25 +58,23 @@ class TooEarlyError(HTTPError):
         self.wait = wait
 
 
-class Tokens:
-    """Checks tokens, and delays guessing.
+class Token:
+    """Checks the token, and delays guessing.
 
     Parameters
     ----------
-    rights : mapping of str to str
-        Token -> its right, `CONTROL` or `WATCH`; empty: no token is needed.
+    text : str
+        The token; empty: none is needed.
     monotonic : callable, optional
         Time, s.
     """
 
-    def __init__(
-        self, rights: Mapping[str, str], monotonic: Callable[[], float] = time.monotonic
-    ) -> None:
-        self.rights, self._monotonic = rights, monotonic
+    def __init__(self, text: str, monotonic: Callable[[], float] = time.monotonic) -> None:
+        self.text, self._monotonic = text, monotonic
         self._failures: dict[str, tuple[int, float]] = {}  # address -> number, blocked until
 
-    def right_of(self, given: str, address: str) -> str | None:
-        """Look up the right of a token; None if it is wrong.
+    def is_right(self, offered: str, address: str) -> bool:
+        """Whether an address offers the token.
 
         Raises
         ------
@@ -90,33 +86,25 @@ class Tokens:
         if now < until:
             raise TooEarlyError(until - now)
         self._failures.pop(address, None)  # the newest is last
-        for token, right in self.rights.items():
-            if hmac.compare_digest(given.encode(), token.encode()):
-                return right
+        if hmac.compare_digest(offered.encode(), self.text.encode()):
+            return True
         wait = min(FIRST_WAIT * 2.0 ** min(number, 30), LONGEST_WAIT)
         self._failures[address] = (number + 1, now + wait)
         if len(self._failures) > MAX_ADDRESSES:
             del self._failures[next(iter(self._failures))]
-        return None
+        return False
 
 
 class Guarded(RequestHandler):
     """Checks of every request, and headers of every answer.
 
-    The application's settings have ``tokens``, a `Tokens`; ``local_only``, whether the page is
+    The application's settings have ``token``, a `Token`; ``local_only``, whether the page is
     served on this host alone; and ``cookie``, the name of the cookie. With ``local_only`` the only
     name is localhost; another name points here by DNS rebinding. ``server`` is its `PageServer`.
 
-    A token is exchanged for a signed cookie with its right. Cookies are checked without delay, also
-    while somebody else guesses tokens from the same address.
-
-    Attributes
-    ----------
-    right : str
-        Of the request: `CONTROL` or `WATCH`.
+    The token is exchanged for a signed cookie. Cookies are checked without delay, also while
+    somebody else guesses tokens from the same address.
     """
-
-    right = ""
 
     def set_default_headers(self) -> None:
         """Allow the page its own files only; forbid frames and caches."""
@@ -138,28 +126,27 @@ class Guarded(RequestHandler):
         acts = self.request.method != "GET" or "Upgrade" in self.request.headers
         if acts and not self.is_own_page(self.request.headers.get("Origin", "")):
             raise HTTPError(403, reason="a request of another page")
-        self.right = self._right()
+        self._admit()
         stream = getattr(self.request.connection, "stream", None)
         self.settings["server"].admit(stream, is_page="Upgrade" in self.request.headers)
 
-    def _right(self) -> str:
-        """Look up the right of the request; refuse it without a valid cookie or token."""
-        tokens: Tokens = self.settings["tokens"]
-        if not tokens.rights:
-            return CONTROL
+    def _admit(self) -> None:
+        """Refuse the request without a valid cookie or the token."""
+        token: Token = self.settings["token"]
+        if not token.text:
+            return
         bearer = self.request.headers.get("Authorization", "").removeprefix("Bearer ")
         offered = self.get_query_argument("token", "") or bearer
-        known = (self.get_signed_cookie(self.settings["cookie"]) or b"").decode()
-        right: str | None = known
+        is_known = bool(self.get_signed_cookie(self.settings["cookie"]))
+        is_right = is_known
         if offered:
             try:
-                right = tokens.right_of(offered, self.request.remote_ip or "")
+                is_right = token.is_right(offered, self.request.remote_ip or "")
             except TooEarlyError:
-                if not known:
+                if not is_known:
                     raise  # else somebody guesses at the address of an operator
-        if not right:
+        if not is_right:
             raise HTTPError(401, reason="this token is wrong" if offered else "a token is needed")
-        return right
 
     def write_error(self, status_code: int, **details: Any) -> None:
         """Say in plain text what is wrong; without a token, offer to enter one."""

@@ -25,7 +25,7 @@ from seft_msgs_py.wire.topics import (
     Topic,
 )
 
-from seft_ros.monitor.access import Tokens, is_loopback
+from seft_ros.monitor.access import Token, is_loopback
 from seft_ros.monitor.connections import PageServer
 from seft_ros.monitor.history import RECENT_FRAME, Frame, envelope_frame, samples_frame
 from seft_ros.monitor.intake import Intake
@@ -211,7 +211,7 @@ def keep_off_the_loop() -> None:
 
 
 def serve_monitor(
-    listening: socket.socket, host: str, tokens: Tokens, namespace: str, ready: Callable[[], None]
+    listening: socket.socket, host: str, token: Token, namespace: str, ready: Callable[[], None]
 ) -> None:
     """Serve the page until SIGINT or SIGTERM.
 
@@ -219,8 +219,8 @@ def serve_monitor(
     ----------
     listening : socket
         From `listen` for ``host``.
-    tokens : Tokens
-        Tokens of the pages.
+    token : Token
+        Of the pages.
     namespace : str
         Of the test's topics.
     ready : callable
@@ -234,7 +234,7 @@ def serve_monitor(
         watch = Watch(graph)
         pages = Pages(watch.everything)
         port = listening.getsockname()[1]
-        web = application(tokens, is_loopback(host), port, pages, graph.call, watch.lateness)
+        web = application(token, is_loopback(host), port, pages, graph.call, watch.lateness)
 
         async def run() -> None:
             stopping = asyncio.Event()

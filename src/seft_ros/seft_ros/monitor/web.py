@@ -17,7 +17,7 @@ from tornado.web import Application, HTTPError, StaticFileHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from seft_ros.drawing.page import plot
-from seft_ros.monitor.access import ASSETS, CONTROL, Guarded, Missing, Tokens
+from seft_ros.monitor.access import ASSETS, Guarded, Missing, Token
 from seft_ros.monitor.history import Frame
 
 _LIBRARY = Path(bokeh.__file__).parent / "server" / "static" / "js"
@@ -52,10 +52,10 @@ class Page(Guarded):
 
     def get(self) -> None:
         """Answer with the page."""
-        if self.get_query_argument("token", "") and self.settings["tokens"].rights:
+        if self.get_query_argument("token", "") and self.settings["token"].text:
             options: dict[str, Any] = {"httponly": True, "samesite": "Strict"}
             name = self.settings["cookie"]
-            self.set_signed_cookie(name, self.right, expires_days=None, **options)
+            self.set_signed_cookie(name, "known", expires_days=None, **options)
             self.redirect("/")
             return
         self.set_header("Content-Type", "text/html; charset=utf-8")
@@ -89,8 +89,6 @@ class Service(Guarded):
 
     async def post(self, name: str) -> None:
         """Call the supervisor; answer with its answer."""
-        if self.right != CONTROL:
-            raise HTTPError(403, reason="this token may watch, but not control")
         why = "" if name in STOP_BUTTONS else self._lateness()
         done, text = (False, why) if why else await self.settings["call"](name)
         self.finish({"done": done, "text": text})
@@ -121,7 +119,6 @@ class Live(Guarded, WebSocketHandler):
     def open(self, *_: str, **__: str) -> None:
         """Begin to send."""
         self.set_nodelay(True)
-        self.send(json.dumps({"kind": "rights", "controls": self.right == CONTROL}))
         if not self.settings["pages"].add(self):
             self.close(1013, "too many pages")
 
@@ -229,7 +226,7 @@ def _figures() -> str:
 
 
 def application(
-    tokens: Tokens, local_only: bool, port: int, pages: Pages, call: Call, lateness: Lateness
+    token: Token, local_only: bool, port: int, pages: Pages, call: Call, lateness: Lateness
 ) -> Application:
     """Make the web application; see `Guarded` for local_only, `Watch.lateness` for lateness."""
     return Application(
@@ -242,7 +239,7 @@ def application(
             (r"/library/(bokeh\.min\.js)", File, {"path": str(_LIBRARY)}),
         ],
         default_handler_class=Missing,
-        tokens=tokens,
+        token=token,
         cookie_secret=secrets.token_hex(),
         lateness=lateness,
         local_only=local_only,

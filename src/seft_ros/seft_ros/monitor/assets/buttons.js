@@ -25,7 +25,6 @@ export class Buttons {
     this.now = now;
     this.asked = null;
     this.status = {};
-    this.controls = true;
     element("estop").addEventListener("click", () => this.call("estop"));
     for (const service of Object.keys(QUESTIONS))
       element(service).addEventListener("click", () => this.ask(service));
@@ -34,15 +33,8 @@ export class Buttons {
     document.addEventListener("keydown", (event) => {
       if (event.key !== "Escape" || event.repeat) return;
       if (this.asked) this.answer(false);
-      else if (this.controls && MOVING.includes(this.status.state)) this.call("estop");
+      else if (MOVING.includes(this.status.state)) this.call("estop");
     });
-  }
-
-  /** Show the buttons only with control access. */
-  allow(controls) {
-    this.controls = controls;
-    element("buttons").hidden = !controls;
-    element("watching").hidden = controls;
   }
 
   /** Enable the buttons that the supervisor would obey; stop also if the state is unknown. */

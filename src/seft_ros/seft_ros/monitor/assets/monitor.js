@@ -45,10 +45,6 @@ function tell({ kind, ...content }) {
     if (document.body.dataset.stale === "true") judge();
     return;
   }
-  if (kind === "rights") {
-    buttons.allow(content.controls);
-    return;
-  }
   if (kind === "test") {
     known.test = content;
     if (content.signals && history?.test !== content.test) begin(content.test, columnsOf(content));
