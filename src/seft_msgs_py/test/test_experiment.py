@@ -305,10 +305,10 @@ NUMBERS = st.floats(1e-300, 1e300)
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(NAMES, NUMBERS, st.lists(NUMBERS, min_size=1, max_size=4), st.integers(0, 2**63 - 1))
+@given(NAMES, NUMBERS, st.lists(NUMBERS, min_size=3, max_size=3), st.integers(0, 2**63 - 1))
 def test_what_is_written_is_read_back_with_values_and_types(load, axes, ratio, mass, seed):
     given_values = {
-        "/**": {"axes": axes, "specimen.mass": mass},
+        "/**": {"axes": axes, "specimen.mass": mass[: len(axes)]},
         "rig": {"seed": seed, "simulated.specimen.mass": 1.5},
         "reference_force": {"mass_ratio": ratio},
     }

@@ -180,10 +180,12 @@ SAFETY = parameter_rows(
 SETTINGS_OF_THE_RIG = [row for row in SAFETY if row.name in SETTINGS]
 """Those that the force controller uses, too."""
 
+_RANGES = [f"sensors.{channel}_range" for channel in CHANNELS]
+_OF_SENSORS = ("sensors.velocity", "sensors.velocity_cutoff", *_RANGES)
 RIG_TABLE = Table(
     "rig",
     [
-        *facts("loop_delay", "actuator.kind", "sensors.", "calibration.", "limits."),
+        *facts("loop_delay", "actuator.kind", "calibration.", "limits.", *_OF_SENSORS),
         *_PACE,
         _FAULTS,
         *_TRUE,

@@ -5,7 +5,9 @@ What the simulated rig truly is stands under ``rig: simulated.*``, and is the fa
 given.
 """
 
-from seft_msgs_py.config.parameter_table import Parameter, parameter_rows
+import numpy as np
+
+from seft_msgs_py.config.parameter_table import Parameter, Value, parameter_rows
 
 EVERY_NODE = "/**"
 CHANNELS = ("displacement", "velocity", "acceleration", "force")
@@ -143,6 +145,14 @@ SETTINGS = {
     "watchdog.command_timeout": "rig",
 }
 """Settings of a node that others use, too: name -> the node under which a file has them."""
+
+
+def alike(one: Value, other: Value) -> bool:
+    """Whether two values of a fact mean the same: a number is also one for each axis."""
+    if one == other or isinstance(one, str) or isinstance(other, str):
+        return bool(one == other)
+    a, b = np.ravel(one), np.ravel(other)
+    return 1 in (a.size, b.size) and bool(np.all(a == b))
 
 
 def facts(*names: str) -> list[Parameter]:
