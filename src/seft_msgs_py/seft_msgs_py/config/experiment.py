@@ -16,7 +16,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError
 from ruamel.yaml.scalarstring import DoubleQuotedScalarString
 
-from seft_msgs_py.config.facts import BY_AXIS, EVERY_NODE, FACTS, MATRICES, alike, fact_of, place_of
+from seft_msgs_py.config.facts import BY_AXIS, EVERY_NODE, FACTS, MATRICES, agree, fact_of, place_of
 from seft_msgs_py.config.parameter_table import (
     Parameter,
     Section,
@@ -78,7 +78,7 @@ class Experiment:
             values = {node: own[name] for node, own in self.sections.items() if name in own}
             for node, value in values.items():
                 first = next(iter(values))
-                if not alike(value, values[first]):
+                if not agree(name, value, values[first]):
                     raise InputError(
                         f"{node}: {name} is {value}, but {first} has {values[first]}; "
                         f"set it once, under {EVERY_NODE}"

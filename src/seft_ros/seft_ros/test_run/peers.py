@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from seft_msgs_py.config.facts import CHANNELS, FACTS, SETTINGS, alike
+from seft_msgs_py.config.facts import CHANNELS, FACTS, SETTINGS, agree
 from seft_msgs_py.config.parameter_table import group, parameter_rows
 from seft_msgs_py.wire.messages import Status
 from seft_msgs_py.wire.outcome import (
@@ -108,11 +108,6 @@ WAITS = "waits"
 CONFLICT = "one "
 """Start of the text if nodes were started with contradictory parameters."""
 _OF_THE_TEST = [name for name, node in SETTINGS.items() if node == "reference_force"]
-_AGREED = [
-    *(name for name in FACTS if not name.startswith(("limits.", "calibration.zeroing"))),
-    *_OF_THE_TEST,
-]
-"""What all nodes must have alike. Each keeps its own limits; the supervisor asks for zeroing."""
 _IN_A_TEST = ("running", FINISHED, TRIPPED)  # phases of the rig
 
 
@@ -214,13 +209,11 @@ def _conflict(
     def parameter(node: str, name: str) -> Any:
         return descriptions[node]["parameters"].get(name)
 
-    for name, nodes in (*((name, peers) for name in _AGREED), ("pace", rig_nodes)):
+    for name, nodes in (*((name, peers) for name in (*FACTS, *_OF_THE_TEST)), ("pace", rig_nodes)):
         known = {node: parameter(node, name) for node in nodes}
         known = {node: value for node, value in known.items() if value is not None}
         for node, value in known.items():
             first = next(iter(known))
-            if name == "loop_delay" and min(value, known[first]) < 0 < max(value, known[first]):
-                continue  # one of them has measured it
-            if not alike(value, known[first]):
+            if not agree(name, value, known[first]):
                 return f"{CONFLICT}{name}: {first} has {known[first]}, {node} has {value}"
     return ""
