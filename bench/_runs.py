@@ -11,8 +11,8 @@ from rosbags.highlevel import AnyReader
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.node.process import prepare_on_this_host
 from seft_msgs_py.wire.messages import Status, decode_diagnostics
-from seft_ros.bags.record import Record
-from seft_ros.bags.record_bag import read_bag
+from seft_ros.bags.recording import Recording
+from seft_ros.bags.recording_bag import read_bag
 from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.test_run.processes import ProcessLayout
 from seft_ros.test_run.run import run_experiment
@@ -29,8 +29,8 @@ def use_own_domain() -> None:
 @contextmanager
 def recorded_run(
     *overrides: tuple[str, str, Any], layout: ProcessLayout | None = None
-) -> Iterator[tuple[Record, dict[str, Status]]]:
-    """Run jhu.yaml over DDS; give the record and the last status of each node."""
+) -> Iterator[tuple[Recording, dict[str, Status]]]:
+    """Run jhu.yaml over DDS; give the recording and the last status of each node."""
     experiment = Experiment.load(TABLES, [CONFIG], overrides)
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / "bag"

@@ -19,7 +19,7 @@ from seft_ros.test_run.parameter_tables import TABLES
 CONFIG = Path(__file__).parent.parent / "config" / "jhu.yaml"
 AXES = (1, 2, 5, 10, 50)
 ROUNDS, MESSAGES = 9, 1000
-JUDGED, WANTED = 10, 3.0  # axes, and how many times as long as one a step may take
+ASSESSED, WANTED = 10, 3.0  # axes, and how many times as long as one a step may take
 KINDS = ("servo_hydraulic_linear", "servo_hydraulic")
 
 
@@ -50,9 +50,9 @@ def main() -> int:
     times: dict[tuple[str, int], list[float]] = {}
     for _ in range(ROUNDS):  # interleaved: the machine's speed drifts
         for (kind, axes), experiment in experiments.items():
-            record = simulate_test(experiment, blocks[kind, axes], compiles=True)
-            steps = len(record.series[RIG_STATE.name].steps)
-            times.setdefault((kind, axes), []).append((record.wall_s or np.nan) / steps)
+            recording = simulate_test(experiment, blocks[kind, axes], compiles=True)
+            steps = len(recording.series[RIG_STATE.name].steps)
+            times.setdefault((kind, axes), []).append((recording.wall_s or np.nan) / steps)
             if kind == KINDS[0]:
                 times.setdefault(("codec", axes), []).append(coding_time(experiment))
     met = True
@@ -61,8 +61,8 @@ def main() -> int:
         least = [min(times[kind, axes]) for axes in AXES]
         cells = [f"{1e6 * t:9.1f} us {t / least[0]:5.2f}" for t in least]
         print(f"{kind:24s}" + "".join(f"{cell:>18s}" for cell in cells))
-        met &= least[AXES.index(JUDGED)] <= WANTED * least[0]
-    print(f"wanted: {JUDGED} axes at most {WANTED:g} times one axis")
+        met &= least[AXES.index(ASSESSED)] <= WANTED * least[0]
+    print(f"wanted: {ASSESSED} axes at most {WANTED:g} times one axis")
     return 0 if met else 1
 
 

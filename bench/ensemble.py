@@ -92,8 +92,8 @@ def main() -> int:
         ]
     motion = BlockCache().blocks(experiment).ground_motion.samples[:, 0].tolist()
 
-    def reduced(_: int, record) -> tuple[int, float]:
-        values = record.series[RIG_STATE.name].values
+    def reduced(_: int, recording) -> tuple[int, float]:
+        values = recording.series[RIG_STATE.name].values
         return len(values), float(np.abs(values[:, 0]).max())
 
     for experiments in ensembles.values():

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 from seft_msgs_py.config.experiment import Experiment
-from seft_ros.bags.record import Estimates, Record, Series
-from seft_ros.bags.record_bag import write_record
+from seft_ros.bags.recording import Estimates, Recording, Series
+from seft_ros.bags.recording_bag import write_recording
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
@@ -35,8 +35,8 @@ WANTED_TIMES_REAL_TIME = 50  # for each bag that is read
 WANTED_BYTES = 1e9
 
 
-def long_record(minutes: int) -> Record:
-    """Make the record of a test that repeats itself every minute."""
+def long_recording(minutes: int) -> Recording:
+    """Make the recording of a test that repeats itself every minute."""
     experiment = Experiment.load(TABLES, [CONFIG], MINUTE)
     minute = simulate_test(experiment, build_blocks(experiment))
     series = {}
@@ -74,11 +74,11 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         bag = str(Path(options.keep or folder) / f"{minutes}_minutes")
         if not Path(bag).exists():
-            record = long_record(minutes)
-            ground = record.series["ground_motion"].values[:, 0]
+            recording = long_recording(minutes)
+            ground = recording.series["ground_motion"].values[:, 0]
             motion = [(at, ground[at : at + 100]) for at in range(0, len(ground), 100)]
-            write_record(record, bag, motion)
-            del record, ground, motion
+            write_recording(recording, bag, motion)
+            del recording, ground, motion
         print(f"{minutes} minutes at 1 kHz; wanted: {WANTED_TIMES_REAL_TIME} times real time for")
         print(f"each bag that is read, and at most {WANTED_BYTES / 1e6:.0f} MB")
         for words in (("report", bag, "--json"), ("compare", bag, bag, "--json")):

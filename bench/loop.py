@@ -53,8 +53,8 @@ def main() -> int:
         speeds["offline"].append(len(simulated.series["rig/state"].steps) / simulated.wall_s)
         os.sched_setaffinity(0, cores)
         for name, layout in layouts.items():
-            with recorded_run(*overrides, layout=layout) as (record, statuses):
-                speeds[name].append(len(record.series["rig/state"].steps) / record.wall_s)
+            with recorded_run(*overrides, layout=layout) as (recording, statuses):
+                speeds[name].append(len(recording.series["rig/state"].steps) / recording.wall_s)
                 trip = float(statuses["rig"].values["round trip median (ms)"]) * 1e-3
                 laps[f"loop, {name}"].append(trip)
     ring = statistics.median(laps["ring of raw DDS messages"])
@@ -67,8 +67,8 @@ def main() -> int:
     met = True
     for name, found in speeds.items():
         wanted = WANTED.get(name)
-        told = f"   wanted: {wanted:,}, or as many laps of this ring" if wanted else ""
-        print(f"  {name:26s} " + " ".join(f"{speed:6,.0f}" for speed in found) + told)
+        goal = f"   wanted: {wanted:,}, or as many laps of this ring" if wanted else ""
+        print(f"  {name:26s} " + " ".join(f"{speed:6,.0f}" for speed in found) + goal)
         if wanted:
             met &= max(found) >= wanted * min(1.0, SWIFT_LAP / ring)
     floor = statistics.median(laps["the same, loop's readers"])

@@ -128,9 +128,9 @@ def run(seconds: float, pid: int | None) -> tuple[float, float]:
     share = Share(pid) if pid else None
     if share:
         share.start()
-    with recorded_run(*overrides) as (record, _):
-        states = record.series["rig/state"]
-        missed, stalls = record.missed or 0, stalls_of(record)
+    with recorded_run(*overrides) as (recording, _):
+        states = recording.series["rig/state"]
+        missed, stalls = recording.missed or 0, stalls_of(recording)
         received = states.received_ns
     assert received is not None
     used = share.between(int(received[0]), int(received[-1])) if share else 0.0

@@ -1,7 +1,7 @@
 """Steps per second of the offline loop (`seft simulate`), beside two floors.
 
 A bare loop of plain floats, and scipy's `dlsim` over the same linear closed loop: its matrix from
-preflight, the whole record in one call, without noise, limits, interlock or record.
+preflight, the whole record in one call, without noise, limits, interlock or recording.
 """
 
 import sys
@@ -12,7 +12,7 @@ import numpy as np
 from _plain_loop import steps_per_second as plain_steps_per_second
 from scipy.signal import dlsim
 from seft_msgs_py.config.experiment import Experiment
-from seft_ros.design.plan import Plan
+from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
@@ -33,7 +33,7 @@ CASES = {  # configuration, overrides -> steps/s wanted
 
 def scipy_steps_per_second(experiment: Experiment, motion: list[float]) -> float:
     """Run the linear closed loop of an experiment through scipy."""
-    loop, dt = Plan(experiment).loops()[0], experiment.timebase.dt
+    loop, dt = PlannedTest(experiment).loops()[0], experiment.timebase.dt
     direct = np.zeros((1, loop.ground.shape[1]))
     system = loop.matrix, loop.ground, loop.displacement, direct, dt
     start = time.perf_counter()
@@ -51,8 +51,8 @@ def main() -> int:
     floor, by_scipy = [], []
     for _ in range(ROUNDS):  # interleaved: the machine's speed drifts
         for kind in CASES:
-            record = simulate_test(experiments[kind], blocks[kind], compiles=True)
-            ours[kind].append(len(motion) / (record.wall_s or float("nan")))
+            recording = simulate_test(experiments[kind], blocks[kind], compiles=True)
+            ours[kind].append(len(motion) / (recording.wall_s or float("nan")))
         floor.append(plain_steps_per_second(motion))
         by_scipy.append(scipy_steps_per_second(experiments["linear rig"], motion))
     bare = max(floor)  # of all rounds the least disturbed one, as timeit does

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from seft_msgs_py.config.experiment import Experiment
-from seft_ros.design.plan import Plan
+from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.stability_map import stability_maps
 from seft_ros.design.stability_margins import find_margins
 from seft_ros.test_run.parameter_tables import TABLES
@@ -29,13 +29,13 @@ CASES = {
 def main() -> int:
     met = True
     for name, (config, overrides) in CASES.items():
-        plan = Plan(Experiment.load(TABLES, [FOLDER / config], overrides))
-        margins = find_margins(plan)
-        loops = plan.loops()
+        test = PlannedTest(Experiment.load(TABLES, [FOLDER / config], overrides))
+        margins = find_margins(test)
+        loops = test.loops()
         taken = bare = np.inf
         for _ in range(ROUNDS):  # interleaved: the machine's speed drifts
             start = time.perf_counter()
-            maps = stability_maps(plan, margins)
+            maps = stability_maps(test, margins)
             taken = min(taken, time.perf_counter() - start)
             places = sum(area.growth.size for area in maps)
             start = time.perf_counter()

@@ -15,7 +15,7 @@ from seft_ros.test_run.processes import ProcessLayout
 PRIORITY = 50
 MISSED = 0.005  # wanted: at most this share, without real-time priority
 MEMORY = 150  # MB, of a process with one node
-TOLD = 2.0  # most that a rehearsal's median round trip may be off, as a factor
+FACTOR = 2.0  # most that a rehearsal's median round trip may be off, as a factor
 
 
 @dataclass(frozen=True)
@@ -48,21 +48,21 @@ def run(case: Case, seconds: float) -> bool:
         ("rig", "watchdog.command_timeout", 5.0),
         ("reference_force", "instability.ratio", 0.0),
     )
-    with recorded_run(*overrides, layout=case.layout) as (record, statuses):
-        steps = len(record.series["rig/state"].steps)
-        missed, stalls, timing = record.missed or 0, stalls_of(record), timing_of(record)
+    with recorded_run(*overrides, layout=case.layout) as (recording, statuses):
+        steps = len(recording.series["rig/state"].steps)
+        missed, stalls, timing = recording.missed or 0, stalls_of(recording), timing_of(recording)
     at_the_rig = timing.numbers["round_trip_at_the_rig_s"]
     shown = ", ".join(f"{key} {1e6 * trip:.0f}" for key, trip in at_the_rig.items())
     print(f"{case}: {missed} of {steps:,} commands missed, {missed / steps:.3%}")
-    print(f"    round trip, µs: {shown}; the rig's clock held up {record.overruns} times")
+    print(f"    round trip, µs: {shown}; the rig's clock held up {recording.overruns} times")
     rehearsal = timing.numbers["rehearsal"]
-    told = rehearsal["round_trip_s"]
-    ratios = {key: told[key] / at_the_rig[key] for key in ("p50", "p99")}
+    rehearsed = rehearsal["round_trip_s"]
+    ratios = {key: rehearsed[key] / at_the_rig[key] for key in ("p50", "p99")}
     print(
         f"    rehearsal: {rehearsal['missed']} of {rehearsal['steps']} missed; round trip, times "
         f"the test's: p50 {ratios['p50']:.2f}, p99 {ratios['p99']:.2f}"
     )
-    met = 1 / TOLD <= ratios["p50"] <= TOLD
+    met = 1 / FACTOR <= ratios["p50"] <= FACTOR
     if stalls is not None:
         listed, blamed = stalls["missed_listed"], stalls["missed_in_a_stall"]
         print(
@@ -90,7 +90,7 @@ def main() -> int:
         met &= run(case, seconds)
     print(
         f"wanted: no miss beyond the machine's stalls with priority, {MISSED:.1%} without; "
-        f"memory below {MEMORY} MB; a rehearsal's median within a factor of {TOLD:g}"
+        f"memory below {MEMORY} MB; a rehearsal's median within a factor of {FACTOR:g}"
     )
     return 0 if met else 1
 

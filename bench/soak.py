@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from _runs import CONFIG, use_own_domain
 from seft_msgs_py.config.experiment import Experiment
-from seft_ros.bags.record_bag import read_bag
+from seft_ros.bags.recording_bag import read_bag
 from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.test_run.processes import MODULES
 from seft_ros.test_run.run import run_experiment
@@ -47,7 +47,7 @@ class Samples:
         self._pids: dict[str, int] = {}
 
     def take(self, what: str, done: int) -> None:
-        """Be told of a run's progress."""
+        """Hear of a run's progress."""
         if what != "running" or not done:
             return
         now = time.monotonic()
@@ -106,8 +106,8 @@ def main() -> int:
             fault, bag = run_experiment(experiment, bag, samples.take)
         except KeyboardInterrupt:
             fault = ""
-        record = read_bag(bag)
-    states, trip = len(record.series["rig/state"].steps), record.trip
+        recording = read_bag(bag)
+    states, trip = len(recording.series["rig/state"].steps), recording.trip
     print(f"{samples.steps:,} steps in {minutes:g} min, {states:,} states in the bag")
     broken = fault or ("" if trip and trip.reason == STOPPED else f"it ended early: {trip}")
     if broken or states < samples.steps:

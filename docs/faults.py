@@ -18,11 +18,11 @@ import numpy as np
 sys.path.append("src/seft_ros/test")
 
 from experiments_at_hand import load
+from fault_free_tests import motion_words
 from rig_faults import FAULTS, lines_of
 from seft_msgs_py.config.facts import CHANNELS
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
-from sound_tests import motion_words
 from test_detectors import (
     BILINEAR,
     IN_TIME,
@@ -61,7 +61,7 @@ SLOW: dict[str, list[tuple[str, ...]]] = {
 }
 BROKEN, FARTHEST = 0.2, 2.0
 """Time in which a test with a broken specimen must end, s, and its largest displacement over that
-of the sound test."""
+of the fault-free test."""
 GROUPS = {  # of the other faults, by the beginning of their names
     **{f"{channel}: dead, frozen, flipped, ...": channel for channel in CHANNELS},
     "valve: stuck, closed, reversed, ...": "valve",
@@ -103,23 +103,23 @@ class PerfectDetector:
 
 
 def fitting(words, config):
-    """Give the words of the limits that fit a test, and its sound record."""
+    """Give the words of the limits that fit a test, and its fault-free recording."""
     experiment = load(*words, config=config)
-    record = simulate_test(experiment, build_blocks(experiment), compiles=True)
-    assert record.trip is None, record.trip
-    peaks = np.abs(record.states.values).max(axis=(0, 2))
+    recording = simulate_test(experiment, build_blocks(experiment), compiles=True)
+    assert recording.trip is None, recording.trip
+    peaks = np.abs(recording.states.values).max(axis=(0, 2))
     limits = [
         f"limits.{name}:={factor * peak:.6g}"
         for name, factor, peak in zip(CHANNELS, (1.5, 2.0, 2.0, 1.5), peaks, strict=True)
     ]
-    return (*words, *limits), record
+    return (*words, *limits), recording
 
 
-def moments(record):
+def moments(recording):
     """Give the steps at which the specimen is quiet, moves fast, and is at its peak."""
-    moved = record.series["rig/state"].values[:, 0, -1]
+    moved = recording.series["rig/state"].values[:, 0, -1]
     size = np.abs(moved)
-    peak, rate = int(size.argmax()), round(1 / record.experiment.timebase.dt)
+    peak, rate = int(size.argmax()), round(1 / recording.experiment.timebase.dt)
     wide = np.convolve(moved**2, np.ones(rate // 2) / (rate // 2), "same") ** 0.5
     quiet = rate + int(np.argmax(wide[rate:] > 0.2 * wide.max()))
     fast = int(np.argmax(wide > 0.6 * wide.max()))
@@ -142,16 +142,20 @@ def faults_of(test, right):
 def try_fault(experiment, known, right, at, name):
     """Say what came of a fault, and whether a perfect detector would have been in time."""
     blocks = build_blocks(experiment, known)
-    record = simulate_test(experiment, blocks, compiles=True)
+    recording = simulate_test(experiment, blocks, compiles=True)
     blocks = build_blocks(experiment, known)
     perfect = replace(blocks, force_controller=PerfectDetector(blocks.force_controller, at))
-    best, sound = simulate_test(experiment, perfect).simulated, right.simulated
+    best, fault_free = simulate_test(experiment, perfect).simulated, right.simulated
     if name.startswith("specimen breaks"):
-        farthest = FARTHEST * sound.displacement_peak
-        ended = record.trip and (record.trip.step - at) * experiment.timebase.dt <= BROKEN + 1e-9
-        in_time = ended and record.simulated.displacement_peak <= farthest
+        farthest = FARTHEST * fault_free.displacement_peak
+        ended = (
+            recording.trip and (recording.trip.step - at) * experiment.timebase.dt <= BROKEN + 1e-9
+        )
+        in_time = ended and recording.simulated.displacement_peak <= farthest
         return IN_TIME if in_time else "", best.displacement_peak <= farthest
-    return verdict(record, sound.force_peak, right), best.force_peak <= LARGEST * sound.force_peak
+    return verdict(
+        recording, fault_free.force_peak, right
+    ), best.force_peak <= LARGEST * fault_free.force_peak
 
 
 def main():

@@ -18,7 +18,7 @@ from seft_msgs_py.config.parameter_table import Value
 from seft_plant_sim.lti import bilinear, polynomial_ratio
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.metrics import nrmse
-from seft_ros.design.plan import Plan
+from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.plant import Plant, choose_plant
 from seft_ros.design.stability_margins import HIGHEST_MASS_RATIO, critical_mass_ratio
 from seft_ros.design.stability_verdict import predicted_modes
@@ -65,7 +65,7 @@ def critical_by_delay(name: str) -> Floats:
     found = []
     for delay in DELAYS:
         rig = [("/**", "actuator.kind", "delay"), ("/**", "actuator.delay", float(delay))]
-        critical = critical_mass_ratio(Plan(planned(*rig, *method(name))))
+        critical = critical_mass_ratio(PlannedTest(planned(*rig, *method(name))))
         found.append(critical.value if critical else np.inf)
     return np.array(found)
 
@@ -110,7 +110,7 @@ def growth() -> Figure:
     figure, (left, right) = panels(2, (7.2, 2.8))
     left.axhline(0.0, color=REFERENCE, lw=3)
     for name, colour in COLOURS.items():
-        plans = [Plan(planned(*method(name), mass_ratio(float(a)))) for a in MASS_RATIOS]
+        plans = [PlannedTest(planned(*method(name), mass_ratio(float(a)))) for a in MASS_RATIOS]
         rates = np.array([plan.growth_rate() for plan in plans])
         modes = [predicted_modes(plan) for plan in plans]
         damping = 100 * np.array([m[0].damping if m else np.nan for m in modes])
@@ -175,9 +175,9 @@ def histories() -> Figure:
     for name in ("none", TARGET_MOTION):
         load = ("ground_motion", "peak_force", 500.0)
         experiment = planned(*method(name), mass_ratio(1.0), load)
-        record = simulate_test(experiment, build_blocks(experiment))
-        states = record.series["rig/state"].values
-        motion = record.series["ground_motion"].values[:, 0]
+        recording = simulate_test(experiment, build_blocks(experiment))
+        states = recording.series["rig/state"].values
+        motion = recording.series["ground_motion"].values[:, 0]
         exact = reference_response(experiment, motion).displacement[:, 0]
         t = np.arange(len(states)) * experiment.timebase.dt
         shown = (t >= WINDOW_S[0]) & (t <= WINDOW_S[1])

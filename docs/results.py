@@ -151,11 +151,11 @@ def tested(row: Row, motion: Row) -> str:
     overrides = [parse_override(word) for word in (*plan, *motion)]
     experiment = Experiment.load(TABLES, [config], overrides)
     blocks = build_blocks(experiment)
-    record = simulate_test(experiment, blocks)
-    if record.trip:
-        return f"trips at {record.trip.time_s:.1f} s"
+    recording = simulate_test(experiment, blocks)
+    if recording.trip:
+        return f"trips at {recording.trip.time_s:.1f} s"
     exact = reference_response(experiment, blocks.ground_motion.samples).displacement
-    return percent(nrmse(record.series["rig/state"].values[:, 0], exact))
+    return percent(nrmse(recording.series["rig/state"].values[:, 0], exact))
 
 
 def percent(ratio: float) -> str:

@@ -27,7 +27,7 @@ WRONG: list[dict] = [
     dict(zip(ERRORS, signs, strict=True))
     for signs in itertools.product((-0.1, 0.1), (-0.002, 0.002), (-0.2, 0.2))
 ]
-"""What the controller is told of the actuator: relative errors, of the dead time in s."""
+"""What the controller knows of the actuator: relative errors, of the dead time in s."""
 YIELDS = {"kind": "bilinear"}
 COLUMNS: dict[str, list[dict]] = {
     "linear": [{"hz": hz, "seed": seed} for hz in (2.0, 8.0) for seed in (1, 2)],

@@ -54,8 +54,8 @@ def main():
     print("|---|---|---|---|---|")
     for name, (config, *words) in TESTS.items():
         experiment = Experiment.load(TABLES, [config], list(map(parse_override, words)))
-        record = simulate_test(experiment, build_blocks(experiment))
-        speed = np.abs(record.series["rig/judged"].values[:, 1]).max(axis=1)
+        recording = simulate_test(experiment, build_blocks(experiment))
+        speed = np.abs(recording.series["rig/judged"].values[:, 1]).max(axis=1)
         fastest = [
             step
             for step in np.argsort(-speed).tolist()
@@ -67,7 +67,7 @@ def main():
         }
         for which, moments in chosen.items():
             found = np.array(list(stops(experiment, set(moments))))
-            worst = found.max(axis=0) / record.simulated.force_peak
+            worst = found.max(axis=0) / recording.simulated.force_peak
             print(f"| {name} | {which} | {worst[0]:.2f} | {worst[1]:.2f} | {worst[2]:.2f} |")
 
 

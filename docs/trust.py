@@ -3,10 +3,10 @@
     .venv/bin/python docs/trust.py --shake 400 1 kobe.txt:cm/s2:0.005:0 nishi_akashi.AT2 ...
 
 Draws so many tests of one axis or three, each with and without a wrong mass, scale, lag, filter
-or tilt, and judges them as those of a real rig: without the simulated specimen. With --shake each
-rig is shaken first, and tests get what that has found: once the error comes after the shake, and
-once it is there already. Each motion is FILE, or FILE:UNIT:DT:COLUMN (yours to bring), beside the
-synthetic one.
+or tilt, and assesses them as those of a real rig: without the simulated specimen. With --shake each
+rig has a multisine test first, and tests get what that has found: once the error comes after the
+multisine test, and once it is there already. Each motion is FILE, or FILE:UNIT:DT:COLUMN (yours to
+bring), beside the synthetic one.
 """
 
 import argparse
@@ -20,6 +20,7 @@ import numpy as np
 
 sys.path.append("src/seft_ros/test")
 
+from fault_free_tests import MASS, motion_words
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import InputError
@@ -29,20 +30,19 @@ from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.calibration_effect import led
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.analysis.report_numbers import report_numbers
-from seft_ros.identification.calibrated import Calibrated, Shaken, all_known, moved_by
-from seft_ros.identification.rig_tests import shake_test, write_forces
-from seft_ros.identification.shake import (
+from seft_ros.identification.calibrated import Calibrated, MultisineResult, all_known, moved_by
+from seft_ros.identification.multisine import (
     PILOT_SECONDS,
     gains_after,
-    plan_shake,
-    shake_drive,
+    multisine_drive,
+    plan_multisine,
     with_actuators,
 )
+from seft_ros.identification.rig_tests import multisine_test, write_forces
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
-from sound_tests import MASS, motion_words
 from test_detectors import KIND, PLAN, SPECIMEN, load
-from test_identification_shake import identified
+from test_identification_multisine import identified
 
 STOREYS = "specimen.springs:=[1.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0, -1.0, 1.0]"
 SENSORS, FRAME = "rig:simulated.sensors.", "three_storey_frame"
@@ -50,7 +50,11 @@ SPOILED, WORSE = 0.05, 1.5
 """A test is spoiled if its displacement is off by more than this, and more than without error."""
 SHIFTS = np.linspace(-8e-3, 8e-3, 33)
 """Of the whole test, s: such a shift is no error."""
-ALONE, BEFORE, AFTER = "with error", "error before the shake", "error after the shake"
+ALONE, BEFORE, AFTER = (
+    "with error",
+    "error before the multisine test",
+    "error after the multisine test",
+)
 
 
 def specimen(draw):
@@ -78,7 +82,7 @@ def specimen(draw):
 
 
 class Errors:
-    """Draws what is wrong with the mass that a test of n axes is told, or with its channels."""
+    """Draws what is wrong with the mass that a test of n axes knows, or with its channels."""
 
     def __init__(self, rng, draw, n):
         self.rng, self.draw, self.n = rng, draw, n
@@ -96,22 +100,22 @@ class Errors:
         """Draw 1 or -1."""
         return self.rng.choice([-1.0, 1.0])
 
-    def of_axis(self, value, rest):
+    def of_axis(self, value, others):
         """Give a value to all axes, or to one of several."""
         one = self.rng.integers(self.n)
         if self.n > 1 and self.rng.random() < 0.6:
-            return str([value if i == one else rest for i in range(self.n)])
+            return str([value if i == one else others for i in range(self.n)])
         return str(value)
 
     def mass(self):
-        """Draw a mass that is told wrong."""
+        """Draw a mass that is known wrongly."""
         wrong = MASS * float(np.exp(self.sign() * self.draw(0.01, 0.25)))
         masses = [wrong] * self.n
         if self.n > 1 and self.rng.random() < 0.5:
             masses = [MASS] * self.n
             masses[self.rng.integers(self.n)] = wrong
-        told = masses if self.n > 1 else masses[0]
-        return f"specimen.mass:={told}", f"{SPECIMEN}mass:={MASS}"
+        shown = masses if self.n > 1 else masses[0]
+        return f"specimen.mass:={shown}", f"{SPECIMEN}mass:={MASS}"
 
     def scale(self):
         """Draw a channel's scale."""
@@ -170,45 +174,45 @@ def loaded(words, axes):
 
 
 def simulated(experiment):
-    """Run a test; give its blocks and its record."""
+    """Run a test; give its blocks and its recording."""
     blocks = build_blocks(experiment)
     return blocks, simulate_test(experiment, blocks, compiles=True)
 
 
-def shaken(words, axes):
-    """Shake the rig of a test, whose actuators are as told; give the words that follow."""
+def multisine_of(words, axes):
+    """Run the multisine test on a rig, whose actuators are known; give the words that follow."""
     experiment = loaded(words, axes)
     dt, found = experiment.timebase.dt, identified(experiment)
 
     def moved(commands):
         with TemporaryDirectory() as folder:
-            path = write_forces(Path(folder) / "shake.csv", experiment, commands)
-            record = simulated(shake_test(experiment, path))[1]
-        if record.trip is not None:
-            raise InputError(f"the shake tripped: {record.trip.reason}")
-        return record
+            path = write_forces(Path(folder) / "multisine.csv", experiment, commands)
+            recording = simulated(multisine_test(experiment, path))[1]
+        if recording.trip is not None:
+            raise InputError(f"the multisine test tripped: {recording.trip.reason}")
+        return recording
 
-    plan = with_actuators(plan_shake(experiment), found, experiment)
-    commands, sines = shake_drive(plan, found, dt, seconds=PILOT_SECONDS)
+    plan = with_actuators(plan_multisine(experiment), found, experiment)
+    commands, sines = multisine_drive(plan, found, dt, seconds=PILOT_SECONDS)
     gains = gains_after(plan, moved_by(moved(commands), sines))
-    commands, sines = shake_drive(plan, found, dt, gains=gains)
-    record, nothing = moved(commands), all_known(experiment)
+    commands, sines = multisine_drive(plan, found, dt, gains=gains)
+    recording, nothing = moved(commands), all_known(experiment)
     known = Calibrated(nothing, nothing, 0.0, False)
     for _ in range(2):  # the second time with the lags that it has found
-        shake = Shaken.of_record(plan, record, sines, found, known)
-        known = shake.calibrated
-    words = ("/**", shake.facts()), ("rig", truth(experiment["rig"]))  # which stays as it was
+        multisine = MultisineResult.of_recording(plan, recording, sines, found, known)
+        known = multisine.calibrated
+    words = ("/**", multisine.facts()), ("rig", truth(experiment["rig"]))  # which stays as it was
     return tuple((place, *item) for place, section in words for item in section.items())
 
 
 def run(words, axes):
-    """Run a test; give its record, and the error of the true displacement (None: it tripped)."""
+    """Run a test; give its recording, and the error of the true displacement (None: it tripped)."""
     experiment = loaded(words, axes)
-    blocks, record = simulated(experiment)
-    if record.trip is not None:
-        return record, None
+    blocks, recording = simulated(experiment)
+    if recording.trip is not None:
+        return recording, None
     rig = Rig.from_parameters(experiment["rig"], experiment.axes, experiment.timebase)
-    commands = record.series[rig.drive].values[:, -1]
+    commands = recording.series[rig.drive].values[:, -1]
     rig.reset()
     true = np.zeros(commands.shape)
     for k, command in enumerate(commands[:-1]):
@@ -217,40 +221,40 @@ def run(words, axes):
     exact = reference_response(experiment, blocks.ground_motion.samples).displacement[: len(true)]
     dt = experiment.timebase.dt
     shifted = (true + led(true, np.full(axes, shift), dt) for shift in SHIFTS)
-    return record, min(nrmse(one, exact) for one in shifted)
+    return recording, min(nrmse(one, exact) for one in shifted)
 
 
-def verdict_of(record):
-    """Judge a test as one of a real rig, of which no more is known than what it was told."""
-    sections = dict(record.experiment.sections)
-    told = ("rate", "axes", "calibration.")
-    sections["rig"] = {name: own for name, own in sections["rig"].items() if name.startswith(told)}
-    return report_numbers(replace(record, experiment=Experiment(sections))).judgement
+def verdict_of(recording):
+    """Assess a test as one of a real rig, of which no more is known than the test knows."""
+    sections = dict(recording.experiment.sections)
+    known = ("rate", "axes", "calibration.")
+    sections["rig"] = {name: own for name, own in sections["rig"].items() if name.startswith(known)}
+    return report_numbers(replace(recording, experiment=Experiment(sections))).assessment
 
 
 class Table:
-    """Verdicts on sound and spoiled tests, counted; prints the wrong ones."""
+    """Verdicts on fault-free and spoiled tests, counted; prints the wrong ones."""
 
     def __init__(self):
         self.counts = Counter()
 
-    def add(self, name, test, right, told):
-        """Count a test, its record and error; ``right`` is that of the test without the error.
+    def add(self, name, test, right, shown):
+        """Count a test, its recording and error; ``right`` is that of the test without the error.
 
         A slight error that is still there may be doubted, or not: it is neither.
         """
-        record, wrong = test
+        recording, wrong = test
         if wrong is None:
             self.counts[name, "tripped", ""] += 1
             return
         spoiled = wrong > max(SPOILED, WORSE * right)
-        if not spoiled and (wrong > SPOILED or record.saturation or name in (ALONE, AFTER)):
+        if not spoiled and (wrong > SPOILED or recording.saturation or name in (ALONE, AFTER)):
             self.counts[name, "neither", ""] += 1
             return
-        row, judgement = "spoiled" if spoiled else "sound", verdict_of(record)
-        self.counts[name, row, str(judgement.verdict)] += 1
-        if (judgement.verdict == "good") == spoiled:
-            print(f"{name}, {row}: {judgement.text} {wrong:.3f} {right:.3f} {told}", flush=True)
+        row, assessment = "spoiled" if spoiled else "fault-free", verdict_of(recording)
+        self.counts[name, row, str(assessment.verdict)] += 1
+        if (assessment.verdict == "good") == spoiled:
+            print(f"{name}, {row}: {assessment.text} {wrong:.3f} {right:.3f} {shown}", flush=True)
 
     def show(self):
         """Print the table."""
@@ -270,21 +274,21 @@ def main():
     axes, motions, table = given.axes, [(), (), *given.motions], Table()
     for seed in range(given.first, given.first + given.count):
         words, error = drawn_test(seed, axes, motions)
-        told = f"{seed}: {words} {error}"
+        shown = f"{seed}: {words} {error}"
         try:
-            found = shaken(words, axes) if given.shake else ()
-            sound = run((*words, *found), axes)
-            if sound[1] is None:
+            found = multisine_of(words, axes) if given.multisine else ()
+            fault_free = run((*words, *found), axes)
+            if fault_free[1] is None:
                 continue
-            table.add("without error", sound, sound[1], told)
+            table.add("without error", fault_free, fault_free[1], shown)
             after = run((*words, *found, *error), axes)
-            table.add(AFTER if found else ALONE, after, sound[1], told)
+            table.add(AFTER if found else ALONE, after, fault_free[1], shown)
             if found:
-                known = shaken((*words, *error), axes)
-                table.add(BEFORE, run((*words, *error, *known), axes), sound[1], told)
+                known = multisine_of((*words, *error), axes)
+                table.add(BEFORE, run((*words, *error, *known), axes), fault_free[1], shown)
         except InputError as refusal:
             table.counts["refused", "", ""] += 1
-            print(f"refused: {refusal} {told}", flush=True)
+            print(f"refused: {refusal} {shown}", flush=True)
     table.show()
 
 

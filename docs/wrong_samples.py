@@ -30,11 +30,11 @@ ROWS = "in a row", "largest over the fault-free peak: force", "target", "error m
 def run(shop, words):
     """Run a test: true peak force, peak of the target, error, and whether it tripped."""
     experiment = load(*PLAN, *words)
-    record = shop.run(experiment)
-    found = summarise_briefly(record, shop.reference(experiment))
-    target = np.abs(record.series["reference_force"].values).max(axis=(0, 2))
-    error = np.nan if record.trip else found["displacement"]["nrmse"]
-    return record.simulated.force_peak, target, error, record.trip
+    recording = shop.run(experiment)
+    found = summarise_briefly(recording, shop.reference(experiment))
+    target = np.abs(recording.series["reference_force"].values).max(axis=(0, 2))
+    error = np.nan if recording.trip else found["displacement"]["nrmse"]
+    return recording.simulated.force_peak, target, error, recording.trip
 
 
 def fault(rng, channel, count, steps):
@@ -67,8 +67,8 @@ def main():
                     worst[key] = np.maximum(worst[key], found)
                     ended[key] += tripped is not None
                     if max(found[:2]) > 1.1 or found[2] > 1e-3 or (tripped and count < 3):
-                        told = [f"{value:.4g}" for value in found], tripped and tripped.reason
-                        print(name, given, *told, file=sys.stderr)
+                        line = [f"{value:.4g}" for value in found], tripped and tripped.reason
+                        print(name, given, *line, file=sys.stderr)
     print(f"| wrong | {' | '.join(ROWS)} |\n|---|{'---|' * len(ROWS)}")
     for (channel, count), (force, target, error) in worst.items():
         part = f"{ended[channel, count]} of {draws * len(TESTS)}"

@@ -40,21 +40,21 @@ def offline(graph: LocalGraph):
     return simulate_test(graph.experiment, build_blocks(graph.experiment))
 
 
-def assert_same(graph: LocalGraph, record, steps: int | None = None) -> None:
-    """Check that the samples of a test are those of a record; or of so many first steps."""
+def assert_same(graph: LocalGraph, recording, steps: int | None = None) -> None:
+    """Check that the samples of a test are those of a recording; or of so many first steps."""
     force = reference_force_topic(graph.experiment["reference_force"])
     for topic in (RIG_STATE, JUDGED, force, VALVE_COMMAND):
-        there, (found, values) = record.series[topic.name], graph.samples(topic)
+        there, (found, values) = recording.series[topic.name], graph.samples(topic)
         count = max(len(found), len(there.steps)) if steps is None else steps
         assert found[:count] == there.steps[:count].tolist(), topic.name
         expected = there.values[:count].reshape(values[:count].shape)
         np.testing.assert_array_equal(values[:count], expected)
-    if (known := record.estimates) is not None:
+    if (known := recording.estimates) is not None:
         codec = EstimatesCodec(graph.experiment.axes, graph.experiment.timebase)
         sent = (codec.decode(each.raw) for each in graph.graph.sent if each.topic == ESTIMATES.name)
-        told = dict(sent)
+        by_step = dict(sent)
         until = [step for step in known.steps.tolist() if steps is None or step < steps]
-        found = [list(told[step].values()) for step in until]
+        found = [list(by_step[step].values()) for step in until]
         np.testing.assert_array_equal(found, known.values[: len(until)])
 
 

@@ -89,6 +89,6 @@ def test_a_worker_with_other_software_is_refused(cluster, monkeypatch, tmp_path)
     address, _ = cluster
     monkeypatch.setattr("seft_ros.study.workers.software", lambda: "another text")
     words = ("study", JHU, *SHORT, "--tests", "2", "--scheduler", address)
-    status, _, told = run_seft(tmp_path, *words)
+    status, _, errors = run_seft(tmp_path, *words)
     assert status == 2
-    assert "has other software" in told and "than this machine (another text)" in told
+    assert "has other software" in errors and "than this machine (another text)" in errors

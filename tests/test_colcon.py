@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from graph_tools import PATIENCE, ROOT, wait_for
 from seft_msgs_py.wire.topics import NODES
-from seft_ros.bags.record_bag import read_bag
+from seft_ros.bags.recording_bag import read_bag
 
 pytestmark = [pytest.mark.thorough, pytest.mark.colcon]
 SHORT = ("ground_motion:synthetic.duration:=3.0", "rig:pace:=lockstep", "recorder:name:=bag")

@@ -14,7 +14,7 @@ from models_at_hand import MODELS
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.analysis.summary import summarise
 from seft_ros.design import preflight_tables
-from seft_ros.design.plan import Plan
+from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.stability_verdict import predicted_modes
 from seft_ros.protection.protected_force import ProtectedForce
 from seft_ros.test_run.compiled_loop import build_blocks
@@ -63,20 +63,23 @@ def bare(words):
 def test_a_model_gives_the_bits_of_the_offline_loop_in_its_node_near_the_whole(local_graph, model):
     graph = local_graph(*bare([*SHORT, *model("Damper")]), UNREHEARSED, config=DEMO)
     perform(graph)
-    record = offline(graph)
-    assert_same(graph, record)
-    assert summarise(record)["displacement"]["nrmse"] < 0.01
+    recording = offline(graph)
+    assert_same(graph, recording)
+    assert summarise(recording)["displacement"]["nrmse"] < 0.01
 
 
 def test_a_model_that_fails_brings_the_test_down_softly_and_says_where(seft, refused, model):
     """Of all ways in which a model fails, see test_model_process.py."""
-    words, told = (DEMO, *SHORT, *model("Breaking")), "models.py:Breaking line 89, step: it broke"
+    words, message = (
+        (DEMO, *SHORT, *model("Breaking")),
+        "models.py:Breaking line 89, step: it broke",
+    )
     offline = seft("simulate", *words, "--json", status=1)
     found = json.loads(offline.stdout)
-    assert told in found["trip"]["reason"]
+    assert message in found["trip"]["reason"]
     assert found["steps"] > 750 + 250  # it ramped down
-    assert told in offline.stderr.strip().splitlines()[-1]
-    assert told in refused(*words)
+    assert message in offline.stderr.strip().splitlines()[-1]
+    assert message in refused(*words)
 
 
 def test_a_model_takes_every_second_sample(seft_json, model):
@@ -111,9 +114,9 @@ def test_a_model_that_is_too_slow_is_refused_with_the_rate_that_fits(
     assert (found["fitting_rate_hz"], found["fitting_every"]) == (125, 4)
     times[:] = [1e-4] * 1501  # but one, at which the test would trip
     times[151] = 0.21
-    told = refused(*words)
-    assert "takes 0.21 s for the step at 0.302 s, at which the test would trip" in told
-    assert "a watchdog allows 0.05 s (rig: watchdog.command_timeout, at most 0.05)" in told
+    message = refused(*words)
+    assert "takes 0.21 s for the step at 0.302 s, at which the test would trip" in message
+    assert "a watchdog allows 0.05 s (rig: watchdog.command_timeout, at most 0.05)" in message
     times[151] = 0.04
     watchdog = ("-p", "rig:watchdog.command_timeout:=0.03")
     assert "a watchdog allows 0.03 s" in refused(*words, *watchdog)
@@ -130,7 +133,7 @@ def test_only_a_target_takes_a_model(seft, model):
 
 
 def test_a_plan_has_all_modes_of_a_model_with_a_mass_of_its_own(model):
-    found = predicted_modes(Plan(load(*bare(model("Damper")), config="demo")))
+    found = predicted_modes(PlannedTest(load(*bare(model("Damper")), config="demo")))
     c, k = (
         np.array([[own + part, -part], [-part, part]])
         for own, part in ((800.3, 80.0), (2.11e5, 11000.0))
@@ -237,12 +240,12 @@ def test_an_example_is_near_the_solution_of_opensees_itself(
     overrides += BILINEAR if kind == "bilinear" else ()
     experiment = load(*overrides, config=config.stem)
     blocks = build_blocks(experiment)
-    record = simulate_test(experiment, blocks)
-    assert record.trip is None
+    recording = simulate_test(experiment, blocks)
+    assert recording.trip is None
     motion, dt = blocks.ground_motion.samples[:, 0].tolist(), experiment.timebase.dt
     path = ROOT / "config" / "models" / f"{name}.py"
     exact = np.array(own_solution(path, kind, foundation, motion, dt, tmp_path))
-    error = nrmse(record.series["rig/state"].values[:, 0, 0], exact)
+    error = nrmse(recording.series["rig/state"].values[:, 0, 0], exact)
     assert error < (0.015 if kind == "linear" else 0.03)
 
 
@@ -278,12 +281,12 @@ def test_a_script_needs_no_more_than_the_interface_s_lines(seft, seft_json, tmp_
     summary = seft_json("simulate", DEMO, *SHORT, *words)
     assert summary["displacement"]["nrmse"] < 0.01
 
-    def told(text):
+    def message(text):
         (tmp_path / "cantilever.py").write_text(text)
         (line,) = seft("simulate", DEMO, *words, status=2).stderr.strip().splitlines()
         return line
 
     massive = PORTAL.replace("fix(1", "mass(1, 5.0, 5.0, 0.0)\nfix(1").format(interface=lines)
-    assert "node 1 has a mass of 5 kg in direction 1" in told(massive)
-    assert "cantilever.py line 5: " in told("\n\n\n\nwrong = 1 / 0\n")
-    assert "the script has no line interface(...)" in told("import openseespy.opensees\n")
+    assert "node 1 has a mass of 5 kg in direction 1" in message(massive)
+    assert "cantilever.py line 5: " in message("\n\n\n\nwrong = 1 / 0\n")
+    assert "the script has no line interface(...)" in message("import openseespy.opensees\n")

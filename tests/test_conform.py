@@ -10,7 +10,7 @@ from seft_msgs_py.node.process import is_running
 from seft_msgs_py.wire.messages import Status
 from seft_ros.cli.rig_commands import TEMPLATES
 from seft_ros.conformance.driver import Trial
-from seft_ros.conformance.motion_checks import STOP_TIME_NAME, check_safe_position
+from seft_ros.conformance.motion_checks import STOP_TIME_NAME, check_safe_command
 
 THOROUGH = pytest.mark.thorough
 TEMPLATE = TEMPLATES / "rig_driver"
@@ -83,12 +83,12 @@ def test_a_bad_driver_fails_what_it_is_bad_at(seft, start_driver):
     assert all(remedies.values())
 
 
-def test_a_rig_that_goes_on_after_a_trip_is_in_no_safe_position():
+def test_a_rig_that_goes_on_after_a_trip_is_in_no_safe_command():
     rests = Status("rig", 2, "", values={"phase": "tripped", STOP_TIME_NAME: "0.1"})
     samples = [(step, np.zeros((4, 1)), np.zeros(1), 0.004 * step) for step in range(20)]
     trial = Trial(statuses=[(0.1, rests)], read=samples)
     farther = trial.samples._replace(values=np.full((20, 4, 1), 0.01))
-    verdicts = [check_safe_position(trial, then).verdict for then in (trial.samples, farther)]
+    verdicts = [check_safe_command(trial, then).verdict for then in (trial.samples, farther)]
     assert verdicts == ["passed", "failed"]
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from graph_tools import BRIDGE, JHU, MISSES_ALLOWED, STALLS_ALLOWED, THOROUGH
 from local_tools import RIGS_NODES, TARGET_MOTION, TWO_AXES
 from seft_msgs_py.config.facts import CHANNELS
-from seft_ros.bags.record_bag import read_bag
+from seft_ros.bags.recording_bag import read_bag
 
 SHORT = ("-p", "ground_motion:synthetic.duration:=5.0", "-p", "ground_motion:tail:=0.5")
 LOCKSTEP = ("-p", "rig:pace:=lockstep", "-p", "rig:lockstep_timeout:=60.0", *STALLS_ALLOWED)
@@ -50,18 +50,18 @@ def test_realtime_in_one_process_differs_only_from_the_first_missed_command_on(
     realtime = seft_json("run", *words, "--out", "realtime")
     compared = seft_json("compare", "simulated", "realtime", status=None)
     assert realtime["steps"] == 1501
-    record = read_bag(tmp_path / "realtime")
-    assert realtime["missed"] == compared["missed"]["b"] == len(record.missed_steps)
+    recording = read_bag(tmp_path / "realtime")
+    assert realtime["missed"] == compared["missed"]["b"] == len(recording.missed_steps)
     if realtime["missed"] == 0:
         assert compared["identical"] is True
     elif compared["first_difference"] is not None:
-        assert compared["first_difference"]["step"] > record.missed_steps[0]
+        assert compared["first_difference"]["step"] > recording.missed_steps[0]
     replayed = seft_json("replay", "realtime", "--node", "rig")
     assert replayed["identical"] is True  # with the commands that the rig says it applied
     logs = {path.name for path in (tmp_path / "realtime" / "logs").glob("r*.log")}
     assert logs == {"recorder.log", "rig_reference_force_force_controller.log"}
     for node in ("rig", "reference_force", "force_controller"):
-        asked = record.experiment[node]
+        asked = recording.experiment[node]
         assert (asked["thread_priority"], asked["lock_memory"]) == (10, True)
 
 

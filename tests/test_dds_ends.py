@@ -24,7 +24,7 @@ from graph_tools import (
     wait_for,
 )
 from seft_ros.bags.bag_writer import CHUNK
-from seft_ros.bags.record_bag import read_bag
+from seft_ros.bags.recording_bag import read_bag
 from seft_ros.test_run.run import Interruption
 
 LONG = ("-p", "ground_motion:synthetic.duration:=1000.0")
@@ -106,18 +106,18 @@ def is_alive(pid):
 
 def recorded(folder):
     """Read the bag of a test that broke under way; its states are all there."""
-    record = read_bag(folder / "bag")
-    steps = record.series["rig/state"].steps
+    recording = read_bag(folder / "bag")
+    steps = recording.series["rig/state"].steps
     assert len(steps) > 10
     assert (steps == range(len(steps))).all()
-    return record
+    return recording
 
 
 def assert_came_down_softly(folder):
-    record = recorded(folder)
-    assert record.complete
-    assert record.trip.reason == "stopped by the operator"
-    assert record.series["reference_force"].values[-1, 0, 0] == 0.0
+    recording = recorded(folder)
+    assert recording.complete
+    assert recording.trip.reason == "stopped by the operator"
+    assert recording.series["reference_force"].values[-1, 0, 0] == 0.0
 
 
 def test_an_interrupted_run_comes_down_softly(run, tmp_path):

@@ -15,7 +15,7 @@ from rclpy.node import Node
 from ros_domain import reserved_domain
 from seft_msgs_py.node.rclpy_interface import message_class, qos_profile
 from seft_msgs_py.wire.topics import DIAGNOSTICS, VALVE_COMMAND
-from seft_ros.bags.record_bag import read_bag
+from seft_ros.bags.recording_bag import read_bag
 from seft_ros.nodes.supervisor_node import STOOD_STILL
 from seft_ros.test_run.processes import MODULES
 
@@ -72,21 +72,21 @@ class Graph:
 
     Attributes
     ----------
-    told : dict of str to dict
+    reported : dict of str to dict
         Node -> the values of its last status.
     """
 
     def __init__(self, nodes, observer):
         self.observer, self.folder, self.logs = observer, nodes.folder, nodes.logs
         self.processes = nodes.processes
-        self.told = defaultdict(dict)
+        self.reported = defaultdict(dict)
         observer._node.create_subscription(
             message_class(DIAGNOSTICS), DIAGNOSTICS.name, self._listen, qos_profile(DIAGNOSTICS)
         )
 
     def _listen(self, message):
         for status in message.status:
-            self.told[status.name] = {item.key: item.value for item in status.values}
+            self.reported[status.name] = {item.key: item.value for item in status.values}
 
     def until(self, condition, what):
         """Handle messages until a condition holds, or the test is in a state."""
@@ -100,7 +100,7 @@ class Graph:
         assert self.observer.call("start") == (True, "the test is running")
         self.until(lambda: self.observer.time_ns > 3e8, "a part of the test")
 
-    def record(self):
+    def recording(self):
         """Read the bag of the test that has just ended."""
         self.until(lambda: self.observer.recorder_phase == "saved", "the bag")
         return read_bag(self.folder / self.observer.recorder_bag)
@@ -130,9 +130,9 @@ def test_commands_operate_nodes_that_were_started_by_hand(graph, seft, seft_json
     assert seft_json("status")["state"] == "running"
     assert seft("stop", status=0).stdout.startswith("the test is ramping down")
     graph.until("done", "the soft end")
-    record = graph.record()
-    assert record.trip.reason == "stopped by the operator"
-    assert record.series["reference_force"].values[-1, 0, 0] == 0.0
+    recording = graph.recording()
+    assert recording.trip.reason == "stopped by the operator"
+    assert recording.series["reference_force"].values[-1, 0, 0] == 0.0
     assert seft("reset", status=0).stdout == "idle\n"
     assert seft("stop", "--at-once", status=0).stdout.startswith("aborted by the operator")
     assert seft("status", status=1).stdout == "tripped: aborted by the operator\n"
@@ -179,7 +179,7 @@ def test_parameters_of_a_node_are_read_and_set_while_a_test_runs(graph):
     graph.until("tripped", "the end")
 
 
-def test_what_a_stranger_sends_is_not_obeyed_and_told_with_its_name(graph, hostile):
+def test_what_a_stranger_sends_is_not_obeyed_and_reported_with_its_name(graph, hostile):
     """That it changes no bit, what else it may send, and what is logged: test_local_messages.py."""
     observer = graph.observer
     graph.begin()
@@ -188,8 +188,8 @@ def test_what_a_stranger_sends_is_not_obeyed_and_told_with_its_name(graph, hosti
     graph.until(lambda: commands.get_subscription_count() >= 2, "listeners")
     for _ in range(3000):  # more than the test's own has sent
         commands.publish(b"\0" * 8)
-    told = lambda: graph.told["rig"].get("unexpected_publishers", "")  # noqa: E731
-    graph.until(lambda: "/hostile on valve_command: " in told(), "the stranger's name")
+    strangers = lambda: graph.reported["rig"].get("unexpected_publishers", "")  # noqa: E731
+    graph.until(lambda: "/hostile on valve_command: " in strangers(), "the stranger's name")
     assert observer.state == "running", observer.values
     assert observer.call("estop")[0]
     graph.until("tripped", "the end")

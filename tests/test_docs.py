@@ -12,7 +12,7 @@ from seft_msgs_py.config.facts import place_of
 from seft_msgs_py.wire.topics import LOOP_TOPICS, TOPICS
 from seft_ros.cli.main import APP
 from seft_ros.conformance.driver import CHECKS
-from seft_ros.design.plan import Plan
+from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.stability_margins import critical_mass_ratio
 from seft_ros.reference_force.reference_force_parameters import OWN_METHODS
 from seft_ros.test_run.parameter_tables import TABLES
@@ -65,13 +65,13 @@ def test_every_compensation_method_is_in_both_tables_of_methods():
 def test_where_a_method_ends_is_what_preflight_says(method, column, overrides):
     section = COMPENSATION.read_text().split("### Where each ends")[1]
     row = next(line for line in section.splitlines() if line.startswith(f"| `{method}` |"))
-    told = row.split("|")[1 + column].strip()
+    cell = row.split("|")[1 + column].strip()
     method_word = f"reference_force:compensation.method:={method}"
-    critical = critical_mass_ratio(Plan(load(*overrides, method_word)))
+    critical = critical_mass_ratio(PlannedTest(load(*overrides, method_word)))
     if critical is None:
-        assert told == "> 50"
+        assert cell == "> 50"
     else:
-        assert float(told) == pytest.approx(critical.value, rel=0.005)
+        assert float(cell) == pytest.approx(critical.value, rel=0.005)
 
 
 def test_layouts_for_outside_tools_plot_fields_of_our_topics():

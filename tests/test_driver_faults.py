@@ -1,4 +1,4 @@
-"""How the template of a driver brings its valves to their safe position, and its rig to rest."""
+"""How the template of a driver brings its valves to their safe command, and its rig to rest."""
 
 import time
 from types import SimpleNamespace
@@ -18,7 +18,7 @@ class Pump:
     def write_command(self, volts):
         self.written.append(volts.tolist())
 
-    def to_safe_position(self):
+    def to_safe_command(self):
         self.written.append("safe")
 
     def dump_pressure(self):
@@ -102,7 +102,7 @@ def test_each_valve_goes_from_its_command_to_its_safe_value(monkeypatch):
 
 
 def test_a_rig_whose_pressure_nobody_can_take_away_is_followed_without():
-    hardware = SimpleNamespace(write_command=lambda volts: None, to_safe_position=lambda: None)
+    hardware = SimpleNamespace(write_command=lambda volts: None, to_safe_command=lambda: None)
     stop = two_axes(hardware)
     stop.begin(np.zeros(2))
     follow(stop, *range(100))

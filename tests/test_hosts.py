@@ -74,8 +74,8 @@ def run_over(two_hosts, rig_host, **link):
     two_hosts.link(**link)
     rig_host(*PATIENT)
     run = seft_run(two_hosts, *PATIENT, "--out", "hosts", "--json")
-    out, told = run.communicate(timeout=PATIENCE)
-    assert run.returncode == 0, told
+    out, errors = run.communicate(timeout=PATIENCE)
+    assert run.returncode == 0, errors
     over = json.loads(out)
     assert over["trip"] is None
     assert over["steps"] == 7001
@@ -126,9 +126,9 @@ def test_a_cut_link_ends_the_test_and_both_hosts_say_why(two_hosts, rig_host):
     bag = two_hosts.folder / "hosts" / "hosts.mcap"
     wait_for(lambda: bag.exists() and bag.stat().st_size > 300_000, "the test to be under way")
     two_hosts.link(cut=True)
-    _, told = run.communicate(timeout=PATIENCE)
+    _, errors = run.communicate(timeout=PATIENCE)
     assert run.returncode == 1
-    assert "has been silent since" in told.splitlines()[-1]
+    assert "has been silent since" in errors.splitlines()[-1]
     for process, why in zip(
         on_b, ("supervisor has been silent", "(the last is of step"), strict=True
     ):
@@ -144,8 +144,8 @@ def test_the_link_is_measured_and_a_test_takes_the_delay_that_it_needs(two_hosts
         *("--out", "link.yaml", "--json"),
         prompt=True,
     )
-    out, told = link.communicate(timeout=PATIENCE)
-    assert link.returncode == 0, told
+    out, errors = link.communicate(timeout=PATIENCE)
+    assert link.returncode == 0, errors
     found = json.loads(out)
     assert 0.008 < found["round_trip_s"]["p50"] < found["round_trip_s"]["p99"]
     assert found["loop_delay"] >= 6
@@ -159,10 +159,10 @@ def test_the_link_is_measured_and_a_test_takes_the_delay_that_it_needs(two_hosts
         *("-p", "loop_delay:=-1", "--out", "hosts", "--json"),
         *("-p", "ground_motion:synthetic.duration:=6.0"),
     )
-    out, told = run.communicate(timeout=PATIENCE)
-    assert run.returncode == 0, told
+    out, errors = run.communicate(timeout=PATIENCE)
+    assert run.returncode == 0, errors
     over = json.loads(out)
-    assert f"a delay of the loop of {over['link']['loop_delay']} steps" in told
+    assert f"a delay of the loop of {over['link']['loop_delay']} steps" in errors
     assert over["link"]["loop_delay"] >= 6
     assert controller.poll() is None
 
@@ -172,8 +172,8 @@ def test_a_link_is_measured_against_an_echo_too(two_hosts):
     echo = two_hosts.start("b", "seft_ros.cli.main", "link", "--echo", prompt=True)
     words = ("a", "seft_ros.cli.main", "link", "--duration", "4", "--json")
     link = two_hosts.start(*words, prompt=True)
-    out, told = link.communicate(timeout=PATIENCE)
-    assert link.returncode == 0, told
+    out, errors = link.communicate(timeout=PATIENCE)
+    assert link.returncode == 0, errors
     found = json.loads(out)
     assert found["verdict"] == "marginal"
     assert 0.03 < found["lost"] / found["sent"] < 0.2
@@ -181,6 +181,6 @@ def test_a_link_is_measured_against_an_echo_too(two_hosts):
     assert echo.poll() is None
     two_hosts.link(cut=True)
     link = two_hosts.start(*words)
-    out, told = link.communicate(timeout=PATIENCE)
+    out, errors = link.communicate(timeout=PATIENCE)
     assert link.returncode == 2
-    assert "nobody echoes" in told
+    assert "nobody echoes" in errors

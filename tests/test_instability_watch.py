@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from experiments_at_hand import load, simulated
 from real_records import words_of
-from seft_ros.design.plan import Plan
+from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.stability_margins import instability_band
 from seft_ros.test_run.compiled_loop import with_method
 
@@ -55,7 +55,7 @@ def run(motion, method, mass_ratio, peak_force, ratio, *words, loop_delay=0):
 
 
 @pytest.mark.parametrize(("motion", "mass_ratio", "specimen"), VALID)
-def test_no_sound_test_trips_whatever_the_specimen_is(motion, mass_ratio, specimen):
+def test_no_fault_free_test_trips_whatever_the_specimen_is(motion, mass_ratio, specimen):
     words = f"specimen.kind:={specimen.split(',')[0]}", *SPECIMENS[specimen]
     found, _ = run(motion, "target_motion", mass_ratio, PEAKS[mass_ratio], LOWER, *words)
     assert found.trip is None
@@ -64,7 +64,7 @@ def test_no_sound_test_trips_whatever_the_specimen_is(motion, mass_ratio, specim
 @pytest.mark.parametrize("specimen", ["bilinear", "bouc_wen", "duffing"])
 @pytest.mark.parametrize("motion", IN_SHORT)
 def test_a_link_of_10_ms_to_a_specimen_that_yields_trips_nothing(motion, specimen):
-    """The target is told late, each corner knocks the oil, and it rings for some cycles."""
+    """The target is known late, each corner knocks the oil, and it rings for some cycles."""
     words = f"specimen.kind:={specimen}", *SPECIMENS[specimen]
     found, _ = run(motion, "target_motion", 1.0, 330.0, 5.0, *words, loop_delay=5)
     assert found.trip is None
@@ -76,7 +76,7 @@ def test_an_unstable_test_shakes_as_foreseen_and_trips_long_before_a_limit(motio
     """Of the paper's: mass ratio 1.5, without compensation."""
     limit, _ = run(motion, "none", 1.5, peak_force, 0.0)
     assert limit.trip.reason.startswith("acceleration")
-    low, high = instability_band(Plan(limit.experiment))  # where preflight sees it start
+    low, high = instability_band(PlannedTest(limit.experiment))  # where preflight sees it start
     last = limit.series["rig/state"].values[-150:, 2, 0]
     spectrum = np.abs(np.fft.rfft(last * np.hanning(len(last))))
     assert low < np.fft.rfftfreq(len(last), 0.002)[spectrum.argmax()] < high

@@ -7,7 +7,7 @@ import pytest
 from experiments_at_hand import load
 from graph_tools import JHU
 from local_tools import SHORT, TARGET_MOTION, TWO_AXES, UNREHEARSED, assert_same, offline
-from records_at_hand import assert_same_samples
+from recordings_at_hand import assert_same_samples
 from seft_msgs_py.config.facts import CHANNELS
 from seft_ros.test_run import offline as offline_loop
 from seft_ros.test_run.compiled_loop import build_blocks, why_not_compiled
@@ -151,17 +151,17 @@ def check_nodes(local_graph, words):
         graph.until("ready")
         graph.call("start")
         graph.until(lambda: graph.state in ("done", "tripped"))
-        record = offline(graph)
-        assert (record.trip is None) == (graph.state == "done")
-        assert_same(graph, record, steps=len(record.series["rig/state"].steps))
-        told = graph.until(lambda: graph.status("rig").get("simulated"))
-        assert json.loads(told) == vars(record.simulated)
+        recording = offline(graph)
+        assert (recording.trip is None) == (graph.state == "done")
+        assert_same(graph, recording, steps=len(recording.series["rig/state"].steps))
+        reported = graph.until(lambda: graph.status("rig").get("simulated"))
+        assert json.loads(reported) == vars(recording.simulated)
         if graph.state == "done":
             assert graph.status("rig")["missed"] == "0"
         else:
-            assert graph.values["step"] == str(record.trip.step)
+            assert graph.values["step"] == str(recording.trip.step)
             detail = graph.values["detail"].removeprefix("force_controller: ")
-            assert record.trip.reason.startswith(detail)  # which also tells of a ramp before
+            assert recording.trip.reason.startswith(detail)  # which also tells of a ramp before
 
 
 @pytest.mark.parametrize(

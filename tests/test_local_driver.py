@@ -12,12 +12,12 @@ from seft_msgs_py.wire.topics import (
     RIG_STATE,
     VALVE_COMMAND,
 )
-from seft_ros.bags.record import Record, Series
-from seft_ros.identification.calibrated import Calibrated, Shaken, all_known
-from seft_ros.identification.rig_tests import shake_test, write_forces
-from seft_ros.identification.shake import plan_shake, shake_drive, with_actuators
+from seft_ros.bags.recording import Recording, Series
+from seft_ros.identification.calibrated import Calibrated, MultisineResult, all_known
+from seft_ros.identification.multisine import multisine_drive, plan_multisine, with_actuators
+from seft_ros.identification.rig_tests import multisine_test, write_forces
 from seft_ros.nodes.kinds import NODE_KINDS
-from test_identification_shake import identified
+from test_identification_multisine import identified
 
 TOPICS = (GROUND_MOTION, RIG_STATE, REFERENCE_FORCE, VALVE_COMMAND)
 SMALL = ("ground_motion:synthetic.duration:=6.0", "ground_motion:peak_force:=20.0")
@@ -42,13 +42,13 @@ def left_by(graph, own):
     return (f - own["specimen.mass"] * a - restoring).std()
 
 
-def shaken(driver, folder):
-    """Shake the driver's rig for a short time, and evaluate that."""
+def multisine_of(driver, folder):
+    """Run a short multisine test on the driver's rig, and evaluate it."""
     experiment = driver().experiment
     found = identified(experiment)
-    plan = with_actuators(plan_shake(experiment), found, experiment)
-    commands, sines = shake_drive(plan, found, experiment.timebase.dt, seconds=6.0)
-    test = shake_test(experiment, write_forces(folder / "shake.csv", experiment, commands))
+    plan = with_actuators(plan_multisine(experiment), found, experiment)
+    commands, sines = multisine_drive(plan, found, experiment.timebase.dt, seconds=6.0)
+    test = multisine_test(experiment, write_forces(folder / "multisine.csv", experiment, commands))
     words = [
         f"{place_of(name, node)}:{name}:={value}"
         for node in ("ground_motion", "reference_force", "force_controller", "supervisor")
@@ -58,12 +58,16 @@ def shaken(driver, folder):
     graph = driver(*words)
     perform(graph)
     sampled = [(topic.name, *graph.samples(topic)) for topic in TOPICS]
-    record = Record(test, {name: Series(np.array(at), values) for name, at, values in sampled})
+    recording = Recording(
+        test, {name: Series(np.array(at), values) for name, at, values in sampled}
+    )
     known = all_known(experiment)
-    return Shaken.of_record(plan, record, sines, found, Calibrated(known, known, 0.0, False))
+    return MultisineResult.of_recording(
+        plan, recording, sines, found, Calibrated(known, known, 0.0, False)
+    )
 
 
-def test_a_driver_started_again_with_what_a_shake_has_found_is_corrected(
+def test_a_driver_started_again_with_what_a_multisine_test_has_found_is_corrected(
     driver, monkeypatch, tmp_path
 ):
     from rig_driver import stand_in
@@ -71,7 +75,7 @@ def test_a_driver_started_again_with_what_a_shake_has_found_is_corrected(
     wrong = {"acceleration_lag": 0.0013, "displacement_lag": 0.0006, "acceleration_scale": 0.97}
     for name, value in wrong.items():
         monkeypatch.setitem(stand_in._RIG, f"simulated.sensors.{name}", value)
-    first = shaken(driver, tmp_path)
+    first = multisine_of(driver, tmp_path)
     found = first.facts()
     assert {name: found[f"calibration.{name}"][0] for name in wrong} == pytest.approx(
         wrong, abs=5e-5, rel=6e-3
@@ -93,10 +97,12 @@ def test_a_driver_rehearses_zeroes_its_sensors_and_performs_a_test(driver, monke
     force = graph.samples(RIG_STATE)[1][:100, 3]
     assert abs(force.mean()) < 1.5  # N, of which the noise is 0.3
     raw = [sent.raw for sent in graph.graph.sent if sent.topic == DESCRIPTION.name]
-    told = [facts for node, facts in map(decode_description, raw) if node == "rig"][-1]["zeroed"]
-    assert told["samples"] == 500
-    assert abs(told["subtracted"]["force"][0] - 22.2) < 1.0
-    assert told["subtracted"]["displacement"] == [0.0]
+    reported = [facts for node, facts in map(decode_description, raw) if node == "rig"][-1][
+        "zeroed"
+    ]
+    assert reported["samples"] == 500
+    assert abs(reported["subtracted"]["force"][0] - 22.2) < 1.0
+    assert reported["subtracted"]["displacement"] == [0.0]
 
 
 def test_a_driver_without_commands_trips_and_closes_its_valve(driver):
@@ -122,7 +128,7 @@ def test_a_driver_that_is_terminated_ends_the_test(driver):
 
 @pytest.mark.parametrize("takes", [0.0, 1.2])
 @pytest.mark.parametrize("phase", ["idle", "running"])
-def test_a_fault_brings_the_hardware_to_its_safe_position_and_the_driver_lives_on(
+def test_a_fault_brings_the_hardware_to_its_safe_command_and_the_driver_lives_on(
     driver, monkeypatch, phase, takes
 ):
     from rig_driver.stand_in import StandIn
@@ -137,16 +143,16 @@ def test_a_fault_brings_the_hardware_to_its_safe_position_and_the_driver_lives_o
     if phase == "running":
         graph.call("start")
         graph.run(0.5)
-    for name in ("write_command", "to_safe_position", "close"):
+    for name in ("write_command", "to_safe_command", "close"):
         monkeypatch.setattr(StandIn, name, lambda *_, name=name: calls.append(name))
     monkeypatch.setattr(StandIn, "read_sample", broken)
     graph.run(0.5)
     # one before the first fault, and one that begins to close the valve
     assert calls.count("write_command") == 2 * (phase == "running")
-    assert calls[-1] == "to_safe_position"
+    assert calls[-1] == "to_safe_command"
     assert int(graph.status("rig")["faults"]) > 10
     graph.terminate("rig")
-    assert calls[-2:] == ["to_safe_position", "close"]
+    assert calls[-2:] == ["to_safe_command", "close"]
     if phase == "running":
         graph.until("tripped")
         assert "the converter does not answer" in graph.values["detail"]

@@ -35,12 +35,12 @@ def test_one_lost_message_is_one_missed_command(local_graph, topic):
     graph = local_graph(THREE_SECONDS, UNREHEARSED)
     graph.drop(topic, {500})
     perform(graph)
-    told = graph.status("rig")
-    assert (told["missed"], told["missed_steps"]) == ("1", "500")
+    reported = graph.status("rig")
+    assert (reported["missed"], reported["missed_steps"]) == ("1", "500")
     assert_same(graph, offline(graph), steps=501 if topic == VALVE_COMMAND else 500)
 
 
-def test_a_rig_that_misses_commands_continues_along_its_stop_in_reserve(local_graph):
+def test_a_rig_that_misses_commands_continues_along_its_fallback_stop(local_graph):
     graph = local_graph(THREE_SECONDS, UNREHEARSED, *TARGET_MOTION)
     graph.drop(VALVE_COMMAND, range(800, 809))  # the last that the watchdog allows, in fast motion
     perform(graph)

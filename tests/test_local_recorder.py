@@ -18,7 +18,7 @@ from local_tools import (
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE
 from seft_plant_sim.rig_watch import MAX_UNRECORDED_STEPS
 from seft_ros.analysis.summary import summarise
-from seft_ros.bags.record_bag import read_bag
+from seft_ros.bags.recording_bag import read_bag
 
 RECORDED = (*NODES, "recorder")
 
@@ -37,7 +37,7 @@ def saved(graph):
 
 
 def assert_holds(found, expected) -> None:
-    """Check that a record has the samples of another, and maybe more topics."""
+    """Check that a recording has the samples of another, and maybe more topics."""
     for topic, series in expected.series.items():
         np.testing.assert_array_equal(found.series[topic].steps, series.steps)
         np.testing.assert_array_equal(found.series[topic].values, series.values)
@@ -67,13 +67,13 @@ def test_tests_that_follow_one_another_at_once_have_a_whole_bag_each(recorded):
             graph.until(end)
             graph.until(lambda: graph.call("reset")[0])
             graph.until(lambda: graph.status("recorder").get("bag", "") not in {"", *bags})
-            record = saved(graph)
-            assert record.complete
-            assert "rehearsal" not in record.facts["rig"]
-            assert (record.trip is None) == (end == "done")
+            recording = saved(graph)
+            assert recording.complete
+            assert "rehearsal" not in recording.facts["rig"]
+            assert (recording.trip is None) == (end == "done")
             if end == "done":
-                assert_holds(record, offline(graph))
-            bags[graph.status("recorder")["bag"]] = record
+                assert_holds(recording, offline(graph))
+            bags[graph.status("recorder")["bag"]] = recording
     assert len(bags) == 6
 
 
@@ -101,15 +101,15 @@ def test_a_bag_that_is_deleted_under_way_is_saved_all_the_same(running, tmp_path
         graph.run(3.0)
         assert graph.state == "running"
         graph.call("stop")
-    record = saved(graph)
-    assert record.complete
-    assert record.series["rig/state"].steps.tolist() == graph.samples(RIG_STATE)[0]
-    assert record.series["reference_force"].values[-1, 0, 0] == 0.0
+    recording = saved(graph)
+    assert recording.complete
+    assert recording.series["rig/state"].steps.tolist() == graph.samples(RIG_STATE)[0]
+    assert recording.series["reference_force"].values[-1, 0, 0] == 0.0
     if on_loss == "stop":
         lost = f"the recorder's bag is lost: {tmp_path / 'bag'}: the bag was deleted"
-        assert record.trip.reason == graph.values["detail"] == lost
+        assert recording.trip.reason == graph.values["detail"] == lost
     else:
-        assert record.trip.reason == "stopped by the operator"
+        assert recording.trip.reason == "stopped by the operator"
 
 
 def test_the_death_of_the_recorder_brings_the_test_down_softly(running, tmp_path):

@@ -24,7 +24,7 @@ def test_a_node_tells_a_wrong_parameter_in_one_line(local_graph, capsys, node):
     assert f"{node}: -p: {node}: there is no parameter noise" in line
 
 
-def test_nodes_that_are_told_of_a_specimen_need_no_file(local_graph):
+def test_nodes_that_are_reported_of_a_specimen_need_no_file(local_graph):
     nodes = ("recorder", "supervisor", "force_controller", "ground_motion")
     specimen = ("specimen.mass:=52.7", "specimen.stiffness:=2.11e5")
     graph = local_graph(*specimen, nodes=nodes, own_files={node: [] for node in nodes})
@@ -33,16 +33,16 @@ def test_nodes_that_are_told_of_a_specimen_need_no_file(local_graph):
 
 
 @pytest.mark.parametrize(
-    ("node", "told"),
+    ("node", "message"),
     [
         ("rig", "name its rig: --ros-args -r __ns:=/west or -r __ns:=/east"),
         ("lab/rig", "in namespace /lab, but the axes"),
         ("east/supervisor", "supervisor serves all rigs and can't be in /east"),
     ],
 )
-def test_a_node_must_say_which_rig_s_it_is(local_graph, capsys, node, told):
+def test_a_node_must_say_which_rig_s_it_is(local_graph, capsys, node, message):
     graph = local_graph(config=BRIDGE, nodes=())
     graph.start(node)
     graph.until(lambda: graph.endings)
     assert graph.endings == {node: 2}
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err

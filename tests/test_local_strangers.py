@@ -15,7 +15,7 @@ from seft_msgs_py.wire.messages import (
 )
 from seft_msgs_py.wire.outcome import tripped_status
 from seft_msgs_py.wire.topics import DESCRIPTION, DIAGNOSTICS, EXPERIMENT_STATE
-from seft_ros.bags.record_bag import read_bag
+from seft_ros.bags.recording_bag import read_bag
 
 LIE = encode_diagnostics(0, [tripped_status("reference_force", "a lie", 7)])
 FALSE = encode_string(json.dumps({"node": "reference_force", "parameters": {"rate": "x"}}))
@@ -31,14 +31,14 @@ def test_a_lie_neither_ends_a_test_nor_gets_into_its_bag(running, tmp_path, name
         dict.fromkeys((EXPERIMENT_STATE, DIAGNOSTICS, DESCRIPTION), 64),
         clock=graph.graph.clock,
     )
-    told = []
+    heard = []
 
     def watch():
         """What a monitor, and `seft run`, make of the test."""
-        told.extend(
+        heard.extend(
             each.raw for topic in (DIAGNOSTICS, DESCRIPTION) for each in monitor.take(topic)
         )
-        told.extend(states := [each.raw for each in monitor.take(EXPERIMENT_STATE)])
+        heard.extend(states := [each.raw for each in monitor.take(EXPERIMENT_STATE)])
         return decode_status(states[-1]).values["detail"]
 
     graph.run(0.5)
@@ -57,12 +57,12 @@ def test_a_lie_neither_ends_a_test_nor_gets_into_its_bag(running, tmp_path, name
         graph.inject(EXPERIMENT_STATE, FOREIGN)
         graph.run(0.3)
     assert watch() == "aborted by the operator"
-    assert not {LIE, FALSE, FOREIGN} & {*told}
-    assert len(told) > 50
+    assert not {LIE, FALSE, FOREIGN} & {*heard}
+    assert len(heard) > 50
     graph.until(lambda: graph.status("recorder")["phase"] == "saved")
-    record = read_bag(graph.status("recorder")["bag"])
-    assert record.trip.reason == "aborted by the operator"
-    assert not any("a lie" in event.text for event in record.events)
+    recording = read_bag(graph.status("recorder")["bag"])
+    assert recording.trip.reason == "aborted by the operator"
+    assert not any("a lie" in event.text for event in recording.events)
 
 
 def test_a_test_does_not_start_with_a_second_node_of_a_name(local_graph):

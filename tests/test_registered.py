@@ -83,7 +83,7 @@ def with_method(name, ratio):
 
 
 @pytest.fixture(scope="module")
-def told(tmp_path_factory):
+def results(tmp_path_factory):
     """What `seft` tells with an installed package that registers all kinds, in one process."""
     folder = tmp_path_factory.mktemp("installed")
     described = folder / "their_lab-1.0.dist-info"
@@ -105,16 +105,16 @@ def told(tmp_path_factory):
     return json.loads(done.stdout)
 
 
-def test_a_controller_and_a_spring_with_their_settings_are_simulated(told):
+def test_a_controller_and_a_spring_with_their_settings_are_simulated(results):
     """In nodes: test_local_drawn.py; what can't be made: seft_msgs_py's test_registered.py."""
-    assert json.loads(told["simulated"][1])["stable"] is True
+    assert json.loads(results["simulated"][1])["stable"] is True
 
 
-def test_a_method_of_step_alone_is_simulated_by_preflight_and_before_a_run(told):
-    status, out, err = told["bare"]
+def test_a_method_of_step_alone_is_simulated_by_preflight_and_before_a_run(results):
+    status, out, err = results["bare"]
     assert status == 0
     assert "bare has no linear(), so the margins of its stability are not known" in err
     assert "done: displacement error" in out
-    status, _, err = told["refused"]
+    status, _, err = results["refused"]
     assert status == 2
     assert "the test is unstable in simulation" in err

@@ -63,9 +63,9 @@ def overrides(specimen, values):
     return f"axes:={names}", *(f"{name}:={value}" for name, value in lists.items())
 
 
-def yielding(record, springs):
+def yielding(recording, springs):
     """Overrides of springs that yield at 0.6 of their largest deformation in a linear test."""
-    deformation = record.series["rig/state"].values[:, 0] @ springs.T
+    deformation = recording.series["rig/state"].values[:, 0] @ springs.T
     return (
         "rig:simulated.specimen.kind:=bouc_wen",
         f"specimen.springs:={springs.ravel().tolist()}",
@@ -74,8 +74,8 @@ def yielding(record, springs):
 
 
 def simulated(*words):
-    record = experiments_at_hand.simulated(load(*words, config=FRAME))
-    return record, summarise(record)
+    recording = experiments_at_hand.simulated(load(*words, config=FRAME))
+    return recording, summarise(recording)
 
 
 @pytest.mark.parametrize(("n", "seed"), axes_and_seeds(3, at_once=[(3, 0)]))
@@ -92,10 +92,10 @@ def test_a_rig_of_springs_that_yield_is_within_5_percent_of_the_whole_structure(
     With force enough to stand out of the sensors' noise, which drifts of what yields add up.
     """
     words = *SHORT, *drawn(n, seed), STRONG
-    record, _ = simulated(*words)
-    stiffness = record.experiment["reference_force"]["specimen.stiffness"]
+    recording, _ = simulated(*words)
+    stiffness = recording.experiment["reference_force"]["specimen.stiffness"]
     factor = np.linalg.cholesky(np.reshape(stiffness, (n, n)))
-    yields = yielding(record, (factor / np.diag(factor)).T)
+    yields = yielding(recording, (factor / np.diag(factor)).T)
     _, summary = simulated(*words, *yields)
     assert summary["trip"] is None
     assert summary["displacement"]["nrmse"] < 0.045

@@ -40,8 +40,8 @@ class Claim:
     note: str = ""
 
 
-def judge(found: Findings) -> list[Claim]:
-    """Judge every claim; none is left out for not agreeing."""
+def assess(found: Findings) -> list[Claim]:
+    """Assess every claim; none is left out for not agreeing."""
     parts = (of_the_rig, of_the_loop, of_the_tests, of_the_delay, of_the_compensation)
     return [claim for part in parts for claim in part(found)]
 
@@ -49,7 +49,7 @@ def judge(found: Findings) -> list[Claim]:
 def near(
     where: str, claim: str, paper: float, ours: Any, within: float, unit: str = "", note: str = ""
 ) -> Claim:
-    """Judge a number."""
+    """Assess a number."""
     known = ours is not None and math.isfinite(ours)
     text = f"{float(ours):.4g} {unit}".strip() if known else "not found"
     agrees = known and bool(abs(ours - paper) <= within * (1 + 1e-9))
@@ -61,7 +61,7 @@ def limited(
     where: str, claim: str, paper: str, ours: float, what: str, limit: float = 0.1,
     form: str = ".1%", noun: str = " error", unit: str = "", at_least: bool = False, note: str = "",
 ) -> Claim:  # fmt: skip
-    """Judge a measure by a limit."""
+    """Assess a measure by a limit."""
     known, side = math.isfinite(ours), "least" if at_least else "most"
     text = f"{ours:{form}}{unit}{noun}" if known else "not finite"
     agrees = known and bool(ours >= limit if at_least else ours <= limit)
@@ -70,7 +70,7 @@ def limited(
 
 
 def rising(where: str, claim: str, paper: str, ours: list[float], what: str, form: str) -> Claim:
-    """Judge a measure that rises."""
+    """Assess a measure that rises."""
     agrees = all(a < b for a, b in pairwise(ours))
     text = ", ".join(f"{value:{form}}" for value in ours)
     return Claim(where, claim, paper, text, agrees, f"{what} rises from each to the next")
@@ -152,7 +152,7 @@ def growth(found: Findings, kind: str, ratio: float, joint: str = "") -> tuple[f
 
 # fmt: off
 def of_the_rig(found: Findings) -> list[Claim]:
-    """Judge the claims on the rig."""
+    """Assess the claims on the rig."""
     specimen, at = found.identified.specimen, "Section 3.1"
 
     def rig(name: str) -> float:
@@ -177,7 +177,7 @@ def of_the_rig(found: Findings) -> list[Claim]:
 
 
 def of_the_loop(found: Findings) -> list[Claim]:
-    """Judge the claims on the force loop."""
+    """Assess the claims on the force loop."""
     loop, valve, closed = found.loop, found.identified.valves[0], found.identified.closed_loops[0]
     zero, pole, natural = loop.plant.antiresonance(), loop.plant.oil_column(), found.natural_hz
     f = valve.measured.frequencies_hz
@@ -243,7 +243,7 @@ def _polynomial(values: list[float]) -> str:
 
 
 def of_the_tests(found: Findings) -> list[Claim]:
-    """Judge the claims on the tests without compensation.
+    """Assess the claims on the tests without compensation.
 
     Responses agree up to 10 % (RMS over RMS): at alpha = 0, which "agrees well" in the paper,
     errors are 3 to 5 % here, and where the paper sees discrepancies 16 to 54 % (Kobe JMA N-S).
@@ -342,7 +342,7 @@ def of_the_tests(found: Findings) -> list[Claim]:
 
 
 def of_the_delay(found: Findings) -> list[Claim]:
-    """Judge the claims on the simulation with the delay."""
+    """Assess the claims on the simulation with the delay."""
     dt, own, tests = found.experiment.timebase.dt, found.own_delay, found.tests
     bandwidth = found.identified.closed_loops[0].tracking.bandwidth_hz
     band_note = "" if bandwidth is None else f"-3 dB at {bandwidth:.3g} Hz"
@@ -398,7 +398,7 @@ def of_the_delay(found: Findings) -> list[Claim]:
 
 
 def of_the_compensation(found: Findings) -> list[Claim]:
-    """Judge the claims on the compensation of the delay."""
+    """Assess the claims on the compensation of the delay."""
     model = {ratio: found.tests["model", ratio] for ratio in COMPUTED}
     whole, above = 1e3 * whole_delay(found.experiment), f"above {BAND_HZ:g} Hz"
     responses = product(("displacement", "acceleration"), COMPUTED)

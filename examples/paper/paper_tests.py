@@ -23,11 +23,11 @@ from seft_msgs_py.wire.outcome import Trip
 from seft_msgs_py.wire.topics import GROUND_MOTION, RIG_STATE
 from seft_ros.analysis.metrics import Agreement, agreement
 from seft_ros.analysis.summary import COMPARED, reference_of
-from seft_ros.bags.record import Record
+from seft_ros.bags.recording import Recording
 from seft_ros.design.force_tracking import BAND_HZ
-from seft_ros.design.plan import Plan
+from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.identification import rig_tests
-from seft_ros.identification.identified import Identified, identify_from_records
+from seft_ros.identification.identified import Identified, identify_from_recordings
 from seft_ros.reference_force.compensator import OF_THE_LOOP
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
@@ -176,17 +176,17 @@ class Outcome:
 
 def run_test(experiment: Experiment) -> Outcome:
     """Run a test offline."""
-    record = simulate_test(experiment, build_blocks(experiment))
-    reference = reference_of(record)
+    recording = simulate_test(experiment, build_blocks(experiment))
+    reference = reference_of(recording)
     assert reference is not None
-    states, motion = (record.series[of.name].values for of in (RIG_STATE, GROUND_MOTION))
+    states, motion = (recording.series[of.name].values for of in (RIG_STATE, GROUND_MOTION))
     mass = float(np.ravel(experiment["reference_force"]["specimen.mass"])[0])
     return Outcome(
         experiment.timebase.dt,
         {name: states[:, row, 0] for name, row in COMPARED.items()},
         {name: getattr(reference, name)[:, 0] for name in COMPARED},
-        record.trip,
-        tuple(sorted(record.saturation)),
+        recording.trip,
+        tuple(sorted(recording.saturation)),
         mass * float(np.abs(motion).max()),
     )
 
@@ -208,17 +208,17 @@ def identify_rig(experiment: Experiment, duration: float) -> Identified:
         voltage = rig_tests.voltage_after(pilot, voltage, largest)
         opened = _identifying(rig_tests.open_loop(experiment, motion, voltage))
         closed = _identifying(rig_tests.closed_loop_test(experiment, motion, force))
-    found = identify_from_records(opened, closed, band)
+    found = identify_from_recordings(opened, closed, band)
     if found.unusable:
         raise ExperimentError(f"identification: {found.unusable[0]}")
     return found
 
 
-def _identifying(experiment: Experiment) -> Record:
-    record = simulate_test(experiment, build_blocks(experiment))
-    if record.trip is not None:
-        raise ExperimentError(f"identification tripped: {record.trip.reason}")
-    return record
+def _identifying(experiment: Experiment) -> Recording:
+    recording = simulate_test(experiment, build_blocks(experiment))
+    if recording.trip is not None:
+        raise ExperimentError(f"identification tripped: {recording.trip.reason}")
+    return recording
 
 
 @dataclass(frozen=True)
@@ -246,7 +246,7 @@ class Findings:
     source: str
     identified: Identified
     tests: dict[Key, Outcome]
-    plans: dict[Key, Plan]
+    plans: dict[Key, PlannedTest]
 
     @cached_property
     def loop(self) -> ForceLoop:
@@ -294,6 +294,6 @@ def find(motion: Changes, duration: float = DURATION) -> Findings:
             for a, (kind, tau) in product(COMPUTED, delays.items())
         }
         outcomes += pool.map(run_test, within.values())
-    plans = {k: Plan(test) for k, test in tests.items() if k[0] in ("rig", "delay")}
+    plans = {k: PlannedTest(test) for k, test in tests.items() if k[0] in ("rig", "delay")}
     found = dict(zip([*tests, *within], outcomes, strict=True))
     return Findings(rig, source, identified, found, plans)

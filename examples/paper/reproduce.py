@@ -3,8 +3,8 @@
     .venv/bin/python examples/paper/reproduce.py
     .venv/bin/python examples/paper/reproduce.py --file kobe.txt --unit cm/s2 --dt 0.005 --column 0
 
-Identifies the simulated rig of config/jhu.yaml, runs the paper's tests and simulations, and judges
-every number and statement by a criterion that the page shows. Without --file the motion is
+Identifies the simulated rig of config/jhu.yaml, runs the paper's tests and simulations, and
+assesses every number and statement by a criterion that the page shows. Without --file the motion is
 synthetic; the paper's is Kobe 1995, JMA N-S.
 
 Exit status 0: the page was made. A claim that does not agree is a finding, not a failure. 1:
@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from bokeh.models import Range1d
 from bokeh.plotting import figure
-from claims import Claim, decibels, judge
+from claims import Claim, assess, decibels
 from force_loop import sampled
 from paper_tests import BEYOND, BEYOND_SHARE, COMPUTED, TAU, Findings, Outcome, find, whole_delay
 from rich.console import Console
@@ -343,7 +343,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         path = page.check_page(words.out)
         found = find(given_motion(words))
-        claims = judge(found)
+        claims = assess(found)
         write_page(found, claims, path)
         if words.table:
             write_table(claims, words.table)
@@ -353,13 +353,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("reproduce: interrupted; there is no page", file=sys.stderr)
         return 1
-    told = summarise(found, claims, path)
+    result = summarise(found, claims, path)
     if words.json:
-        print(json.dumps(told, indent=2, allow_nan=False))
+        print(json.dumps(result, indent=2, allow_nan=False))
         return 0
     verdicts = {True: Cell("yes", Mark.GOOD), False: Cell("no", Mark.BAD)}
     rows = [(_placed(c), c.paper, c.ours, verdicts[c.agrees]) for c in claims]
-    print(f"{Path(found.source).name}: {told['agree']} of {len(claims)} claims agree")
+    print(f"{Path(found.source).name}: {result['agree']} of {len(claims)} claims agree")
     Console().print(TextTable(HEADINGS, rows, numbers=False))
     print(f"page: {path}")
     return 0

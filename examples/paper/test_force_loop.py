@@ -109,7 +109,7 @@ def test_a_valve_the_other_way_round_turns_the_gain():
 
 
 @pytest.mark.parametrize(
-    ("crossover", "changed", "told"),
+    ("crossover", "changed", "message"),
     [
         (0.0, {}, "between 0 and"),
         (250.0, {}, "250 Hz"),
@@ -118,8 +118,8 @@ def test_a_valve_the_other_way_round_turns_the_gain():
         (3.0, {"actuator__dead_time": 0.1}, "choose a lower one"),
     ],
 )
-def test_what_makes_no_sense_is_told(crossover, changed, told):
-    with pytest.raises(InputError, match=told):
+def test_what_makes_no_sense_is_reported(crossover, changed, message):
+    with pytest.raises(InputError, match=message):
         propose_controller(plant(**changed), crossover, DT)
 
 
@@ -168,15 +168,15 @@ def test_an_unstable_loop_is_status_1_and_is_not_written(capsys, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         ([JHU, "-p", "force_controller:numerator:=0.0"], "numerator is zero"),
         ([JHU, "-p", "force_controller:numerator:=[1.0, 0.0, 0.0, 0.0]"], "improper"),
         ([JHU, "-p", "force_controller:gain:=[1.0, 2.0]"], "one transfer_function for all axes"),
     ],
 )
-def test_wrong_input_is_told_in_one_line(capsys, words, told):
+def test_wrong_input_is_reported_in_one_line(capsys, words, message):
     status, found, err = shaped(capsys, *words)
     assert (status, found) == (2, None)
     assert err.count("\n") == 1
-    assert told in err
+    assert message in err

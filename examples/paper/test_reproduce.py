@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import reproduce
-from claims import judge, limited, near, vibration
+from claims import assess, limited, near, vibration
 from paper_tests import Outcome
 from seft_msgs_py.wire.outcome import Trip
 
@@ -87,11 +87,11 @@ def changed(test, factor=1.0, shaking=0.0, trip=None):
 @pytest.mark.thorough
 @pytest.mark.offline
 def test_a_verdict_turns_with_its_result(findings):
-    def told(**parts):
+    def verdicts(**parts):
         known = {name: getattr(findings, name) | own for name, own in parts.items()}
-        return {claim.claim: claim.agrees for claim in judge(replace(findings, **known))}
+        return {claim.claim: claim.agrees for claim in assess(replace(findings, **known))}
 
-    before, agreement = told(), "agrees with the reference at alpha"
+    before, agreement = verdicts(), "agrees with the reference at alpha"
     for key, how, claim in (
         (("rig", 0.0), {"factor": 0.7}, f"displacement {agreement} = 0"),
         (("rig", 0.5), {"factor": 1.5}, "peak acceleration smaller than the reference at alpha = "),
@@ -104,11 +104,11 @@ def test_a_verdict_turns_with_its_result(findings):
             f"displacement with delay compensation {agreement} = 0.5",
         ),
     ):
-        after = told(tests={key: changed(findings.tests[key], **how)})
+        after = verdicts(tests={key: changed(findings.tests[key], **how)})
         turned = [each for each in before if before[each] and not after[each]]
         assert any(each.startswith(claim) for each in turned), turned
     loop = SimpleNamespace(growth_rate=lambda: -1.0, hz=lambda: 90.0)
-    after = told(plans={("rig", 1.5): loop})
+    after = verdicts(plans={("rig", 1.5): loop})
     assert after["eigenvalues of the loop at alpha = 1.5"] is False
     assert after["the vibration is induced by acceleration feedback"] is False
 
@@ -137,22 +137,22 @@ def test_the_documentation_gives_these_figures():
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["--file", "none.AT2"], "none.AT2"),
         (["--unit", "cm/s2"], "--unit: needs a record"),
         (["--out", "none/paper.html"], "no folder none"),
     ],
 )
-def test_wrong_input_is_told_in_one_line_before_the_work(
-    capsys, tmp_path, monkeypatch, words, told
+def test_wrong_input_is_reported_in_one_line_before_the_work(
+    capsys, tmp_path, monkeypatch, words, message
 ):
     monkeypatch.chdir(tmp_path)
     assert reproduce.main(words) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.count("\n") == 1
-    assert told in err
+    assert message in err
     assert list(tmp_path.iterdir()) == []
 
 

@@ -32,8 +32,8 @@ DELAYS = st.floats(0.0031, 0.0399)
 @pytest.mark.parametrize(("method", "estimate"), ADAPTIVE)
 def test_a_method_is_the_linear_filter_that_it_says_it_is(method, estimate):
     values = {"specimen__mass": [5.0, 1.0, 1.0, 4.0], "mass_ratio": 0.7}
-    told = {"order": 3, "estimate_delay": estimate}
-    one = compensator(method, ("x", "y"), told=told, **values)
+    settings = {"order": 3, "estimate_delay": estimate}
+    one = compensator(method, ("x", "y"), settings=settings, **values)
     # too short to adapt to
     assert_is_its_linear_filter(one, *noise(2, 40), rtol=1e-9, atol=1e-6)
 
@@ -43,8 +43,8 @@ def test_a_method_that_follows_the_delay_starts_as_at_a_given_delay(method):
     """Its gains stand on a grid of delays, 13.7 ms is between two of them."""
     motion, states = noise(1, 20)
     given_delay, followed = (
-        run(compensator(method, told=told, delay=0.0137), motion, states)
-        for told in ({}, {"estimate_delay": True})
+        run(compensator(method, settings=settings, delay=0.0137), motion, states)
+        for settings in ({}, {"estimate_delay": True})
     )
     scale = np.abs(given_delay).max()
     np.testing.assert_allclose(followed / scale, given_delay / scale, atol=2e-3)
@@ -52,7 +52,7 @@ def test_a_method_that_follows_the_delay_starts_as_at_a_given_delay(method):
 
 @pytest.mark.parametrize(("method", "estimate"), ADAPTIVE)
 def test_a_reset_makes_the_next_test_the_same_bit_by_bit(method, estimate):
-    one = compensator(method, told={"estimate_delay": estimate}, mass_ratio=0.5)
+    one = compensator(method, settings={"estimate_delay": estimate}, mass_ratio=0.5)
     motion, states = noise(1, 900)
     states[:, 3] = np.roll(run(one, motion, states), 9, axis=0)  # something to adapt to
     first, estimates = run(one, motion, states), one.estimates()
@@ -65,7 +65,7 @@ def test_a_reset_makes_the_next_test_the_same_bit_by_bit(method, estimate):
 
 @pytest.mark.parametrize(("method", "estimate"), ADAPTIVE)
 def test_axes_that_are_not_coupled_are_tests_of_their_own(method, estimate):
-    assert_axes_are_apart(method, told={"estimate_delay": estimate})
+    assert_axes_are_apart(method, settings={"estimate_delay": estimate})
 
 
 @pytest.mark.parametrize("method", PREDICTORS)
@@ -82,7 +82,7 @@ def test_a_method_without_its_delay_says_where_to_get_it(method):
 
 
 @pytest.mark.parametrize(
-    ("told", "why"),
+    ("settings", "why"),
     [
         ({"delay_range": [0.02, 0.03]}, r"delay_range is \[0.02, 0.03\], .* at 0.0103 s"),
         ({"delay_range": [0.02, 0.01]}, "must be two delays in s, the shorter first"),
@@ -93,21 +93,21 @@ def test_a_method_without_its_delay_says_where_to_get_it(method):
     ],
 )
 @pytest.mark.parametrize("method", ["smith", "ats"])
-def test_an_adaptation_that_makes_no_sense_is_refused(method, told, why):
+def test_an_adaptation_that_makes_no_sense_is_refused(method, settings, why):
     with pytest.raises(InputError, match=rf"^reference_force: compensation\..*{why}"):
-        compensator(method, told={"estimate_delay": True, **told})
+        compensator(method, settings={"estimate_delay": True, **settings})
 
 
 @pytest.mark.parametrize("order", [0, 4])
 def test_a_polynomial_is_of_first_to_third_order(order):
     with pytest.raises(InputError, match="order is"):
-        compensator("polynomial", told={"order": order})
+        compensator("polynomial", settings={"order": order})
 
 
 def test_bounds_of_the_delay_are_those_of_the_force_loop_as_the_delay_is():
     """A link's delay of 13 ms and the loop's own of 1.5 ms are added to both."""
-    told = {"estimate_delay": True, "delay_range": [0.01, 0.02]}
-    one = compensator("smith", told=told, rate=1000, loop_delay=13)
+    settings = {"estimate_delay": True, "delay_range": [0.01, 0.02]}
+    one = compensator("smith", settings=settings, rate=1000, loop_delay=13)
     assert one.estimates()["delay"] == pytest.approx([DELAY + 0.013])
     assert one.preview == 35
 
@@ -125,7 +125,7 @@ def test_a_polynomial_is_extrapolated_exactly(order, delay, coefficients):
     course = np.polynomial.Polynomial([*coefficients[: order + 1]], domain=[0, 0.1])
     states = np.zeros((70, 4, 1))
     states[:, 2, 0] = course(times)
-    one = compensator("polynomial", told={"order": order}, delay=delay)
+    one = compensator("polynomial", settings={"order": order}, delay=delay)
     force = run(one, np.zeros((120, 1)), states)
     assert force[-1, 0] == pytest.approx(-M * course(times[-1] + delay), abs=1e-6)
 

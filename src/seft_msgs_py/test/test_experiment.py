@@ -63,9 +63,9 @@ def load(tmp_path):
     return load_texts
 
 
-def refusal(load, *texts, **rest):
+def refusal(load, *texts, **others):
     with pytest.raises(InputError) as caught:
-        load(*texts, **rest)
+        load(*texts, **others)
     return str(caught.value)
 
 
@@ -104,7 +104,7 @@ def test_numbers_are_numbers_however_they_are_written(load, text):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "said"),
     [
         (in_rig("specimen.mas: 1"), "rig: there is no parameter specimen.mas; did you mean specim"),
         (everywhere("sede: 1"), "/**: there is no parameter sede; did you mean seed?"),
@@ -136,9 +136,9 @@ def test_numbers_are_numbers_however_they_are_written(load, text):
         ("rig: {ros__parameters: {}}", "/**: specimen.mass must be given (mass: one number, a dia"),
     ],
 )
-def test_what_makes_no_experiment_is_refused_in_one_line(load, tmp_path, text, told):
+def test_what_makes_no_experiment_is_refused_in_one_line(load, tmp_path, text, said):
     message = refusal(load, text)
-    assert told in message
+    assert said in message
 
 
 @pytest.mark.parametrize("text", [in_rig("sede: 1"), in_rig("seed: x"), "rigg: {}", "rig: ["])
@@ -149,12 +149,12 @@ def test_the_file_at_fault_is_named(load, tmp_path, text):
 def test_a_file_that_cannot_be_read_is_named(tmp_path):
     binary = tmp_path / "binary.yaml"
     binary.write_bytes(b"\xff\xfe\x00\x01")
-    for path, told in (
+    for path, said in (
         (tmp_path / "none.yaml", "No such file"),
         (tmp_path, "Is a directory"),
         (binary, "not a text file"),
     ):
-        with pytest.raises(InputError, match=told) as caught:
+        with pytest.raises(InputError, match=said) as caught:
             read_parameter_file(path)
         assert str(caught.value).startswith(f"{path}:")
 
@@ -186,12 +186,12 @@ def test_later_files_win_and_overrides_win_over_files(load):
 
 
 def test_an_override_without_its_value_is_refused(load):
-    told = refusal(load, HAS_MASS, overrides=["reference_force:mass_ratio:="])
-    assert "mass_ratio is empty, but must be a number" in told
+    said = refusal(load, HAS_MASS, overrides=["reference_force:mass_ratio:="])
+    assert "mass_ratio is empty, but must be a number" in said
 
 
 @pytest.mark.parametrize(
-    ("node", "given_values", "told"),
+    ("node", "given_values", "said"),
     [
         ("rig", "rate: 500", "under /**"),
         ("reference_force", "axes: [y]", "under /**"),
@@ -204,12 +204,12 @@ def test_an_override_without_its_value_is_refused(load):
         ("reference_force", "safe.close_time: 1", "under rig"),
     ],
 )
-def test_what_several_nodes_use_is_set_once(load, node, given_values, told):
+def test_what_several_nodes_use_is_set_once(load, node, given_values, said):
     name, value = given_values.split(": ")
-    told = f": {node}: {name} is set once, {told}"
+    said = f": {node}: {name} is set once, {said}"
     text = f"{node}: {{ros__parameters: {{{given_values}}}}}"
-    assert refusal(load, HAS_MASS, text).endswith(f"1.yaml{told}")
-    assert refusal(load, HAS_MASS, overrides=[f"{node}:{name}:={value}"]) == f"-p{told}"
+    assert refusal(load, HAS_MASS, text).endswith(f"1.yaml{said}")
+    assert refusal(load, HAS_MASS, overrides=[f"{node}:{name}:={value}"]) == f"-p{said}"
 
 
 @pytest.mark.parametrize("place", ["rig", "/**"])
@@ -285,14 +285,14 @@ def test_what_ros_gives_each_node_is_left_to_it_but_for_its_clock(load, place):
     text = f"{place}: {{ros__parameters: {{specimen.mass: 1, {', '.join(of_ros)}}}}}"
     text = text if place == "/**" else HAS_MASS + text.replace("specimen.mass: 1, ", "")
     assert load(text)["rig"].keys() == RIG.rows.keys()
-    told = refusal(load, text.replace("use_sim_time: false", "use_sim_time: true"))
-    assert f"{place}: use_sim_time is true, but nodes of seft follow the samples of the" in told
+    said = refusal(load, text.replace("use_sim_time: false", "use_sim_time: true"))
+    assert f"{place}: use_sim_time is true, but nodes of seft follow the samples of the" in said
 
 
 def test_an_old_name_is_refused_with_the_new_one(load):
     for text in (in_rig("calibration.force_zero: 1"), everywhere("calibration.force_zero: 1")):
-        told = "there is no parameter calibration.force_zero; it is now /**: calibration.force_bias"
-        assert refusal(load, text).endswith(told)
+        said = "there is no parameter calibration.force_zero; it is now /**: calibration.force_bias"
+        assert refusal(load, text).endswith(said)
 
 
 NAMES = st.lists(

@@ -1,4 +1,4 @@
-"""What is no regular file is told at once."""
+"""What is no regular file is reported at once."""
 
 import os
 
@@ -17,12 +17,12 @@ def pipe(tmp_path):
 
 def test_a_device_and_a_folder_are_not_read_and_a_pipe_is_not_waited_for(pipe, monkeypatch):
     monkeypatch.setattr(files, "PIPE_WITHIN", 0.05)
-    for path, told in (
+    for path, message in (
         ("/dev/zero", "is no regular file"),
         (pipe.parent, "Is a directory"),
         (pipe, "nobody has written to this pipe within 0.05 s"),
     ):
-        with pytest.raises(InputError, match=told):
+        with pytest.raises(InputError, match=message):
             read_parameter_file(path)
     with pytest.raises(OSError, match="is no regular file"):
         files.open_regular(pipe)

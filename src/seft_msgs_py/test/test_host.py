@@ -62,7 +62,7 @@ print(len(side_threads()), sum(name.startswith("dds.") for name in names))
 """
 
 
-def told_by(program, wish, *words):
+def answer_of(program, wish, *words):
     """What a process of its own tells that has applied a wish."""
     words = [sys.executable, "-c", program, json.dumps({**WISH, **wish}), *words]
     done = subprocess.run(words, capture_output=True, text=True, check=True)
@@ -71,54 +71,54 @@ def told_by(program, wish, *words):
 
 def ask(wish, how="as we are"):
     """What is denied and granted."""
-    return told_by(PROGRAM, wish, how)
+    return answer_of(PROGRAM, wish, how)
 
 
 def test_without_wishes_nothing_changes():
-    told = ask({})
-    assert told["denied"] == []
-    assert told["granted"]["priority"] == 0
-    assert told["granted"]["locked_kb"] == 0
-    assert told["granted"]["cores"] == sorted(os.sched_getaffinity(0))
-    assert told["granted"]["keeps_awake"] is False
-    assert told["granted"]["boot"] == host.boot()  # the same for all processes of a machine
+    answer = ask({})
+    assert answer["denied"] == []
+    assert answer["granted"]["priority"] == 0
+    assert answer["granted"]["locked_kb"] == 0
+    assert answer["granted"]["cores"] == sorted(os.sched_getaffinity(0))
+    assert answer["granted"]["keeps_awake"] is False
+    assert answer["granted"]["boot"] == host.boot()  # the same for all processes of a machine
 
 
-def test_a_core_is_kept_to_and_one_that_is_not_there_is_told():
+def test_a_core_is_kept_to_and_one_that_is_not_there_is_reported():
     core = max(os.sched_getaffinity(0))
     assert ask({"cpu_core": core})["granted"]["cores"] == [core]
-    told = ask({"cpu_core": 4095})
-    assert told["denied"][0].startswith("core 4095 is not available; choose cpu_core among ")
-    assert told["granted"]["cores"] == sorted(os.sched_getaffinity(0))
+    answer = ask({"cpu_core": 4095})
+    assert answer["denied"][0].startswith("core 4095 is not available; choose cpu_core among ")
+    assert answer["granted"]["cores"] == sorted(os.sched_getaffinity(0))
 
 
 @BY_ROOT
-def test_what_is_denied_is_told_with_its_remedy_and_the_process_goes_on():
-    told = ask({"thread_priority": 40, "lock_memory": True, "keep_awake": True}, "deny")
-    awake, memory, priority = told["denied"]
+def test_what_is_denied_is_reported_with_its_remedy_and_the_process_goes_on():
+    answer = ask({"thread_priority": 40, "lock_memory": True, "keep_awake": True}, "deny")
+    awake, memory, priority = answer["denied"]
     assert "to keep the cores awake is denied" in awake
     assert 'udev rule `KERNEL=="cpu_dma_latency"' in awake
     assert "locked memory is denied" in memory
     assert "memlock unlimited` in /etc/security/limits.conf" in memory
     assert "real-time priority 40 is denied" in priority
     assert "rtprio 98` in /etc/security/limits.conf" in priority
-    assert told["granted"]["priority"] == 0
-    assert told["granted"]["keeps_awake"] is False
+    assert answer["granted"]["priority"] == 0
+    assert answer["granted"]["keeps_awake"] is False
 
 
 @pytest.mark.skipif(not host.may_keep_awake(), reason="cores may not be kept awake here")
 def test_cores_are_kept_awake():
-    told = ask({"keep_awake": True})
-    assert told["denied"] == []
-    assert told["granted"]["keeps_awake"] is True
+    answer = ask({"keep_awake": True})
+    assert answer["denied"] == []
+    assert answer["granted"]["keeps_awake"] is True
 
 
 @BY_ROOT
-def test_what_is_granted_is_told():
-    told = ask({"thread_priority": 40, "lock_memory": True})
-    assert told["denied"] == []
-    assert told["granted"]["priority"] == 40
-    assert told["granted"]["locked_kb"] > 0
+def test_what_is_granted_is_reported():
+    answer = ask({"thread_priority": 40, "lock_memory": True})
+    assert answer["denied"] == []
+    assert answer["granted"]["priority"] == 40
+    assert answer["granted"]["locked_kb"] > 0
 
 
 @pytest.mark.parametrize(
@@ -130,7 +130,7 @@ def test_threads_of_the_middleware_that_no_message_passes_leave_the_core_and_giv
 ):
     cores = sorted(os.sched_getaffinity(0))
     wish = {"cpu_core": cores[0], "thread_priority": priority}
-    found = told_by(THREADS, wish, *OF_THE_LOOP, *ASIDE)
+    found = answer_of(THREADS, wish, *OF_THE_LOOP, *ASIDE)
     for name, where in found.items():
         assert where == ([aside, cores] if name in ASIDE else [priority, cores[:1]])
 
@@ -166,17 +166,17 @@ child.wait()
     reason="rights are root's, and not every kernel weighs sessions",
 )
 @pytest.mark.parametrize(
-    ("how", "session", "told"),
+    ("how", "session", "answer"),
     [
         ("", "own", ["True", "-20", "-20"]),
         ("", "shared", ["True", "-20"]),
         ("deny", "own", ["False", "0", "0"]),
     ],
 )
-def test_precedence_is_taken_where_it_is_allowed_and_for_a_session_of_its_own(how, session, told):
+def test_precedence_is_taken_where_it_is_allowed_and_for_a_session_of_its_own(how, session, answer):
     words = [sys.executable, "-c", PRECEDENCE, how, session]
     done = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=True)
-    assert done.stdout.split() == told
+    assert done.stdout.split() == answer
 
 
 def test_threads_are_woken_on_time():

@@ -172,8 +172,8 @@ def test_every_ros_tool_sees_a_status_per_axis_with_the_values_by_name():
     ]
     for axis, status in enumerate(message.status):
         assert status.level == b"\x00"
-        told = {item.key: float(item.value) for item in status.values}
-        assert told == {name: values[axis] for name, values in GOOD.items()}
+        expected = {item.key: float(item.value) for item in status.values}
+        assert expected == {name: values[axis] for name, values in GOOD.items()}
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])

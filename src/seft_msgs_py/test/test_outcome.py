@@ -1,4 +1,4 @@
-"""What was at the end of its range: counted, and told as text."""
+"""What was at the end of its range: counted, and reported as text."""
 
 import dataclasses
 import itertools
@@ -35,10 +35,10 @@ def test_what_the_rig_tells_of_the_end_is_read_back(steps, missed_steps, wall_s,
     phase = "tripped" if trip else "finished"
     missed = len(missed_steps)
     counts = {name: {"samples": 2, "first_step": 7} for name in saturated}
-    told = Outcome(phase, steps, missed, missed_steps, wall_s, trip, 0, counts)
+    sent = Outcome(phase, steps, missed, missed_steps, wall_s, trip, 0, counts)
     expected = trip and Trip(trip.reason, trip.step, trip.step * 2_000_000 / 1e9)
-    outcome = read_outcome(decode_status(encode_status(rig_status(told))), TIMEBASE)
-    assert outcome == dataclasses.replace(told, trip=expected)
+    outcome = read_outcome(decode_status(encode_status(rig_status(sent))), TIMEBASE)
+    assert outcome == dataclasses.replace(sent, trip=expected)
 
 
 def test_all_missed_steps_are_counted_and_the_first_are_listed():
@@ -97,7 +97,7 @@ def test_a_value_of_another_kind_is_refused(key, text):
         read_outcome(status, TIMEBASE)
 
 
-def test_round_trips_are_read_back_and_of_several_rigs_the_longest_are_told():
+def test_round_trips_are_read_back_and_of_several_rigs_the_longest_are_reported():
     trips = {"p50": 2e-4, "p99.9": 1.5e-3, "largest": 2e-3}
     status = rig_status(Outcome("finished", 9, 0, [], 1.0, round_trips=trips))
     outcome = read_outcome(decode_status(encode_status(status)), TIMEBASE)
@@ -133,7 +133,7 @@ def test_each_name_has_the_number_of_its_samples_and_the_first(steps):
         assert saturation[name] == {"samples": len(at), "first_step": at[0]}
 
 
-def test_the_largest_true_motion_of_a_simulated_rig_is_told_bit_for_bit():
+def test_the_largest_true_motion_of_a_simulated_rig_is_reported_bit_for_bit():
     peaks = Simulated(0.1 + 0.2, 1234.5, 1e-300)
     real, simulated = (Outcome("finished", 9, 0, [], 1.0, simulated=one) for one in (None, peaks))
     for one in (real, simulated):

@@ -105,7 +105,7 @@ def test_positive_excludes_zero(value):
         refused("floats", [1.0, value], "must be greater than zero", positive=True)
 
 
-def test_a_bound_is_told_with_its_unit():
+def test_a_bound_is_reported_with_its_unit():
     refused("float", -1, "must be at least 0 kg", minimum=0.0, unit="kg")
     refused("float", 11, "must be at most 10 s", maximum=10.0, unit="s")
 

@@ -15,7 +15,7 @@ from seft_msgs_py.printing import unbroken
 def main():
     for _ in range(50_000):
         print("a line")
-    print("told", file=sys.stderr)
+    print("a message", file=sys.stderr)
     return {status}
 
 sys.exit(unbroken("many", main))
@@ -30,11 +30,11 @@ def test_control_characters_are_escaped_and_lines_and_letters_stay():
 
 
 @pytest.mark.parametrize("status", [0, 2])
-def test_a_full_device_is_told_when_the_program_has_ended(status):
+def test_a_full_device_is_reported_when_the_program_has_ended(status):
     with Path("/dev/full").open("w") as full:
         words = [sys.executable, "-c", MANY.format(status=status)]
         done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, text=True)
-    assert done.stderr == "told\nmany: stdout can't be written (No space left on device)\n"
+    assert done.stderr == "a message\nmany: stdout can't be written (No space left on device)\n"
     assert done.returncode == (status or 1)
 
 

@@ -1,4 +1,4 @@
-"""A full /dev/shm is told in one line, where rclpy would be killed."""
+"""A full /dev/shm is reported in one line, where rclpy would be killed."""
 
 import errno
 import os
@@ -55,7 +55,7 @@ def is_full(monkeypatch):
     monkeypatch.setattr(os, "posix_fallocate", refuse)
 
 
-def test_a_full_folder_is_told(tmp_path, is_full):
+def test_a_full_folder_is_reported(tmp_path, is_full):
     with pytest.raises(InputError, match="is full, and no ROS process can start"):
         check_shared_memory(tmp_path)
     (tmp_path / "lttng-ust-wait-6").touch()  # it has no page yet
@@ -104,17 +104,17 @@ def test_the_name_of_a_killed_process_is_free():
 HELD = """
 import ctypes, sys
 from seft_msgs_py.node.process import exit_watchdog
-with exit_watchdog(0.2, {status}, {told!r}):
+with exit_watchdog(0.2, {status}, {message!r}):
     while True:
         ctypes.PyDLL(None).usleep(10_000_000)  # holds the interpreter, as a stuck library does
 """
 
 
-@pytest.mark.parametrize(("status", "told"), [(0, ""), (2, "it is stuck")])
-def test_a_process_that_is_stuck_in_a_library_ends_with_its_status(status, told):
-    code = HELD.format(status=status, told=told)
+@pytest.mark.parametrize(("status", "message"), [(0, ""), (2, "it is stuck")])
+def test_a_process_that_is_stuck_in_a_library_ends_with_its_status(status, message):
+    code = HELD.format(status=status, message=message)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert (done.returncode, done.stderr.strip()) == (status, told)
+    assert (done.returncode, done.stderr.strip()) == (status, message)
 
 
 def test_what_ends_in_time_leaves_no_alarm_behind():

@@ -167,7 +167,7 @@ def test_of_two_who_are_there_at_the_begin_both_are_named_and_none_is_chosen():
     assert senders.poll() == ""
 
 
-def test_who_is_known_and_not_connected_yet_is_told_apart_by_its_name():
+def test_who_is_known_and_not_connected_yet_is_distinguished_by_its_name():
     graph = Graph(**{"/rig": TRUE, "/other": FALSE})
     graph.connected = 1
     senders = senders_of(graph, RIG_STATE)

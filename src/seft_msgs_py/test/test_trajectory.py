@@ -238,7 +238,7 @@ def test_a_negative_stamp_is_refused():
         codec.decode(cdr(codec, -1, np.zeros((1, 1, 1))))
 
 
-def test_a_message_is_taken_apart_without_judging_it():
+def test_a_message_is_taken_apart_without_checking_it():
     codec = TrajectoryCodec(RIG_STATE, ("größe", "y"), TIMEBASE)
     values = np.arange(10.0).reshape(1, 5, 2)
     message = parse_trajectory(cdr(codec, 501, values, pad=b"\xff", frame_id="lab"))

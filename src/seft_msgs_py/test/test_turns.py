@@ -61,7 +61,7 @@ process.close()
         ("nohup", "SIGHUP", False),
     ],
 )
-def test_a_process_ends_when_it_is_told_to_or_its_terminal_is_closed(how, number, stops):
+def test_a_process_ends_when_it_is_asked_to_or_its_terminal_is_closed(how, number, stops):
     words = [sys.executable, "-c", ENDED, how, number]
     done = subprocess.run(words, stdout=subprocess.PIPE, check=True)
     assert done.stdout.decode() == str(stops)
@@ -75,7 +75,7 @@ from seft_msgs_py.node.turns import NodeProcess
 process = NodeProcess([], ["somebody"], DdsTransport)
 heard = []
 process.fault_listeners.append(heard.append)
-process.fault_listeners.append(lambda reason: heard.missing)  # who can't be told
+process.fault_listeners.append(lambda reason: heard.missing)  # who can't hear it
 def fails():
     raise KeyError("name")
 process.polls.append(fails)
@@ -87,20 +87,20 @@ process.spin_once(0.0)
 print(process.faults, len(heard))
 print(process.attempt("this", lambda: {}["x"]), process.attempt("this", lambda: 3))
 try:
-    process.attempt("this", lambda: (_ for _ in ()).throw(ExperimentError("told")))
+    process.attempt("this", lambda: (_ for _ in ()).throw(ExperimentError("a message")))
 except ExperimentError as error:
     print(error)
 process.close()
 """
 
 
-def test_a_fault_is_counted_and_told_and_the_process_goes_on():
+def test_a_fault_is_counted_and_reported_and_the_process_goes_on():
     done = subprocess.run([sys.executable, "-c", FAULTY], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == [
         "2 1 a fault of the program in a poll: KeyError: 'name'",
         "4 2",
         "None 3",
-        "told",
+        "a message",
     ]
     assert done.stderr.count("Traceback") == 1  # a second one is logged a second later

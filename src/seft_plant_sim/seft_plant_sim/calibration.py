@@ -7,8 +7,8 @@ aligned to the latest one: the others wait, in whole samples and by a first-orde
 
     H(q) = (c + q^-1) / (1 + c q^-1),  c = (1 - d) / (1 + d)                               (1)
 
-The rest d is between 0.2 and 1.2 samples, where its delay is flattest: at 0.18 times the rate it is
-then off by 0.05 samples at most. A shorter wait is all rest.
+The fraction d is between 0.2 and 1.2 samples, where its delay is flattest: at 0.18 times the rate
+it is then off by 0.05 samples at most. A shorter wait is all fraction.
 The result has the steps of the channel's converter, so that what repeats still does.
 """
 
@@ -27,8 +27,8 @@ from seft_plant_sim.sensors import ACCELERATION, VELOCITY, per_channel, tilt_of
 
 AT_ONCE = -1
 """Value of `Calibration.whole` of a channel that does not wait."""
-LEAST_REST = 0.2
-"""Samples: rests from here up to one more have the flattest delay."""
+LEAST_FRACTION = 0.2
+"""Samples: fractions from here up to one more have the flattest delay."""
 SHORTEST_WAIT = 1e-6
 """Of a sample: a shorter one is rounding."""
 
@@ -48,7 +48,7 @@ class Calibration(NamedTuple):
     whole : ndarray
         Whole samples of a channel's wait; `AT_ONCE`: it does not wait.
     factor : ndarray
-        c of Eq. (1) for the rest.
+        c of Eq. (1) for the fraction.
     straight : ndarray
         T^-1, shape (n, n), or (0, 0) for accelerometers that are not tilted.
     """
@@ -213,9 +213,9 @@ def calibration_of(
     is_straight = (tilt == np.eye(n)).all()
     if not bias.any() and (scale == 1.0).all() and not wait.any() and is_straight:
         return nothing_known(n)
-    whole = np.floor(np.maximum(wait - LEAST_REST, 0.0)).astype(np.int64)
-    rest = wait - whole
-    rest[abs(rest - 1.0) < SHORTEST_WAIT] = 1.0  # whole samples: nothing is filtered
+    whole = np.floor(np.maximum(wait - LEAST_FRACTION, 0.0)).astype(np.int64)
+    fraction = wait - whole
+    fraction[abs(fraction - 1.0) < SHORTEST_WAIT] = 1.0  # whole samples: nothing is filtered
     whole[wait == 0.0] = AT_ONCE
     calibration = Calibration(
         bias,
@@ -223,7 +223,7 @@ def calibration_of(
         np.full((4, n), np.inf) if ranges is None else ranges,
         np.zeros((4, n)) if resolution is None else resolution,
         whole,
-        (1.0 - rest) / (1.0 + rest),
+        (1.0 - fraction) / (1.0 + fraction),
         np.zeros((0, 0)) if is_straight else np.linalg.inv(tilt),
     )
     periods = 2 + max(int(whole.max()), 0)
@@ -252,7 +252,7 @@ def zeroed_at_rest(
     section : dict
         With ``calibration.*_bias`` as measured, where they are not known.
     facts : dict
-        ``samples`` N; ``subtracted``: these zeros; ``left``: what a channel shows beside a known
+        ``samples`` N; ``subtracted``: these biases; ``left``: what a channel shows beside a known
         bias; both by channel, a list over the rig's axes, in the channel's unit. What is no more
         than noise is 0. JSON values.
     """
@@ -272,7 +272,7 @@ def zeroed_at_rest(
     return {**section, **changed}, {"samples": len(samples), **by_channel}
 
 
-def zeros_of_all(
+def biases_of_all(
     axes: int, parts: Iterable[tuple[Sequence[int], Mapping[str, Any]]]
 ) -> dict[str, Any]:
     """Put what several rigs have measured at rest together, over all axes of a test.
@@ -307,8 +307,8 @@ def as_published(model: ContinuousModel, calibration: Calibration, dt: float) ->
     if not len(calibration.scale):
         return model
     shown = model.shown
-    rest = (1.0 - calibration.factor) / (1.0 + calibration.factor)
-    wait = np.where(calibration.whole == AT_ONCE, 0.0, calibration.whole + rest) * dt
+    fraction = (1.0 - calibration.factor) / (1.0 + calibration.factor)
+    wait = np.where(calibration.whole == AT_ONCE, 0.0, calibration.whole + fraction) * dt
     by, n = np.diag(1.0 / calibration.scale.ravel()), calibration.scale.shape[1]
     if len(calibration.straight):
         rows = slice(ACCELERATION * n, (ACCELERATION + 1) * n)

@@ -86,12 +86,12 @@ class _ByText(caching._CacheLocator):
 
 _PLACES = type("Places", (caching.CompileResultCacheImpl,), {"_locator_classes": [_ByText]})
 _CACHE = type("Cache", (caching.FunctionCache,), {"_impl_class": _PLACES})
-_told: list[Callable[[], None]] = []
+_listeners: list[Callable[[], None]] = []
 
 
 def tell_of_compilation(tell: Callable[[], None]) -> None:
     """Call a function once, when this process finds no machine code on the disk."""
-    _told[:] = [tell]
+    _listeners[:] = [tell]
 
 
 def _telling(load: Callable[..., Any]) -> Callable[..., Any]:
@@ -99,8 +99,8 @@ def _telling(load: Callable[..., Any]) -> Callable[..., Any]:
 
     def loaded(signature: Any, context: Any) -> Any:
         found = load(signature, context)
-        if found is None and _told:
-            _told.pop()()
+        if found is None and _listeners:
+            _listeners.pop()()
         return found
 
     return loaded

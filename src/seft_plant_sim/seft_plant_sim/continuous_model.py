@@ -299,12 +299,12 @@ def at_rest(dynamics: Dynamics) -> Motion:
     """Motion of a model that has not been driven."""
     p, (_, r, s) = len(dynamics.laws), dynamics.correct.shape
     work, (memory, trial) = np.zeros(len(dynamics.output)), np.zeros((2, p, springs.SPRING_MEMORY))
-    sound = np.ones(dynamics.deformation.shape[1]), np.ones(p), np.zeros(p)
-    return Motion(work, memory, *sound, np.zeros(s), np.zeros(r), trial)
+    fault_free = np.ones(dynamics.deformation.shape[1]), np.ones(p), np.zeros(p)
+    return Motion(work, memory, *fault_free, np.zeros(s), np.zeros(r), trial)
 
 
 @compiled
-def make_sound(motion: Motion) -> None:
+def make_fault_free(motion: Motion) -> None:
     """Undo what faults have made of supply and springs."""
     motion.supply[:] = 1.0
     motion.left[:] = 1.0

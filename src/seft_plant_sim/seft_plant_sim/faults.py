@@ -16,7 +16,7 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 
 from seft_plant_sim.compiled import compiled
-from seft_plant_sim.continuous_model import Dynamics, Motion, make_sound
+from seft_plant_sim.continuous_model import Dynamics, Motion, make_fault_free
 from seft_plant_sim.specimen import Specimen
 from seft_plant_sim.springs import ONE_SIDED, SPRING_KIND, Spring
 
@@ -313,7 +313,7 @@ def failing_specimen(faults: Sequence[Fault], own: RigAxes, specimen: Specimen) 
 def wear(faults: Faults, step: int, dynamics: Dynamics, motion: Motion) -> None:
     """Let the faults of supply and specimen act on a motion from the sample of a step on."""
     n = len(motion.supply)
-    make_sound(motion)
+    make_fault_free(motion)
     for j in range(len(faults.numbers)):
         kind, i, value = faults.numbers[j, _KIND], faults.numbers[j, _AXIS], faults.values[j, 0]
         first, last = faults.numbers[j, _FIRST], faults.numbers[j, _LAST]
@@ -359,30 +359,32 @@ def obey(faults: Faults, step: int, memory: Floats, i: int, drive: float) -> flo
 
 
 @_apart
-def _altered(faults: Faults, j: int, step: int, draw: float, memory: Floats, sound: float) -> float:
-    """Give a signal with fault j; the fault follows the sound signal from step 0 on."""
+def _altered(
+    faults: Faults, j: int, step: int, draw: float, memory: Floats, fault_free: float
+) -> float:
+    """Give a signal with fault j; the fault follows the fault-free signal from step 0 on."""
     kind, first = faults.numbers[j, _KIND], faults.numbers[j, _FIRST]
     value, more, own = faults.values[j, 0], faults.values[j, 1], memory[j]
-    found = sound
+    found = fault_free
     if kind == SET:
         found = value
     elif kind == ADD:
-        found = sound + value
+        found = fault_free + value
     elif kind == SCALE:
-        found = sound * value
+        found = fault_free * value
     elif kind == DRIFT:
-        found = sound + value * (step - first)
+        found = fault_free + value * (step - first)
     elif kind == NOISE:
-        found = sound + value * draw
+        found = fault_free + value * draw
     elif kind == FLIP:
-        found = -sound
+        found = -fault_free
     elif kind == HOLD:
         if step <= first:
-            own[0] = sound
+            own[0] = fault_free
         found = own[0]
     elif kind == LATE:
         places = len(own)
-        own[step % places] = sound
+        own[step % places] = fault_free
         whole = int(value)
         part, newer = value - whole, max(step - whole, 0)
         found = own[newer % places]
@@ -390,17 +392,17 @@ def _altered(faults: Faults, j: int, step: int, draw: float, memory: Floats, sou
             found += part * (own[max(newer - 1, 0) % places] - found)
     elif kind == LOW_PASS:
         if step <= first:
-            own[0] = own[1] = sound
-        own[1] = more * own[1] + value * (sound + own[0])
-        own[0] = found = sound
+            own[0] = own[1] = fault_free
+        own[1] = more * own[1] + value * (fault_free + own[0])
+        own[0] = found = fault_free
         found = own[1]
     elif kind == PLAY:
         if step < first:
-            own[0] = sound
-        own[0] = min(max(own[0], sound - 0.5 * value), sound + 0.5 * value)
+            own[0] = fault_free
+        own[0] = min(max(own[0], fault_free - 0.5 * value), fault_free + 0.5 * value)
         found = own[0]
-    elif kind == BIT and math.isfinite(sound):
+    elif kind == BIT and math.isfinite(fault_free):
         half = int(faults.values[j, 2])
-        code = min(max(int(np.rint(sound / more)), -half), half - 1)
+        code = min(max(int(np.rint(fault_free / more)), -half), half - 1)
         found = (((code + half) ^ (1 << int(value))) - half) * more
-    return found if first <= step < faults.numbers[j, _LAST] else sound
+    return found if first <= step < faults.numbers[j, _LAST] else fault_free

@@ -94,8 +94,8 @@ def split_dead_time(delay: float, dt: float) -> tuple[int, float]:
     first sample; if it is 0, at the sample itself.
     """
     whole = int(delay / dt + 1e-9)
-    rest = delay - whole * dt
-    return whole, rest if rest > 1e-9 * dt else 0.0
+    remainder = delay - whole * dt
+    return whole, remainder if remainder > 1e-9 * dt else 0.0
 
 
 def bilinear(

@@ -22,7 +22,7 @@ from typing import Any, NoReturn
 from seft_msgs_py.config.registered import printable
 from seft_msgs_py.errors import InputError
 
-from seft_plant_sim.model_worker import MODEL_PARAMETER, TOLD
+from seft_plant_sim.model_worker import MODEL_PARAMETER, PARTICIPLES
 
 START_TIME = 60.0
 """s, for a model to be made, or to start: it may import OpenSees and build its structure."""
@@ -166,7 +166,7 @@ class ModelProcess:
         what, line = self._in_flight, self._lines.get(self._in_flight)
         where = f"{MODEL_PARAMETER}: {self._name}{f' line {line}' if line else ''}"
         self.close()
-        raise ModelError(f"{where}, {TOLD.get(what, what)}: {why}{self._said()}")
+        raise ModelError(f"{where}, {PARTICIPLES.get(what, what)}: {why}{self._said()}")
 
     def _wait_for_end(self) -> bool:
         return bool(select.select([self._ended], [], [], ENDING_TIME)[0])
@@ -194,7 +194,7 @@ class _Output:
     """Shows on stderr what a model prints, line by line."""
 
     def __init__(self, name: str, file: int) -> None:
-        self._name, self.file, self._rest = name, file, b""
+        self._name, self.file, self._remainder = name, file, b""
         self._left = LONGEST_OUTPUT
         self.last = ""
         """The last line since this was set."""
@@ -204,12 +204,12 @@ class _Output:
         """Show what has come; return whether more can come."""
         with contextlib.suppress(BlockingIOError):
             while text := os.read(self.file, 65536):
-                text = self._rest + text
+                text = self._remainder + text
                 if self._left <= 0:  # only the last line is of use
                     text = text[-LONGEST_OUTPUT:]
-                *lines, self._rest = text.split(b"\n")
-                if len(self._rest) > LONGEST_OUTPUT:
-                    lines, self._rest = [*lines, self._rest], b""
+                *lines, self._remainder = text.split(b"\n")
+                if len(self._remainder) > LONGEST_OUTPUT:
+                    lines, self._remainder = [*lines, self._remainder], b""
                 self._print(lines if self._left > 0 else lines[-1:])
             return False
         return True
@@ -217,7 +217,7 @@ class _Output:
     def show_all(self) -> None:
         """Show what has come, to its end."""
         self.show()
-        self._print([self._rest])
+        self._print([self._remainder])
 
     def _print(self, lines: list[bytes]) -> None:
         for line in lines:
@@ -225,9 +225,9 @@ class _Output:
             self.last = shown or self.last
             if not shown or self._left <= 0:
                 continue
-            told = f"{self._name}: {shown}"
-            print(told, file=sys.stderr)
-            self._left -= len(told)
+            printed = f"{self._name}: {shown}"
+            print(printed, file=sys.stderr)
+            self._left -= len(printed)
             if self._left <= 0:
                 print(f"{self._name}: (it prints more)", file=sys.stderr)
 

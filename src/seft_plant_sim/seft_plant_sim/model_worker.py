@@ -26,7 +26,7 @@ MODEL_PARAMETER = "reference_force: computed.model"
 MODELS = Registered("seft.computed_model", ())
 """Models of other packages: name -> class, which may take settings."""
 _METHODS = {"start": "dt, axes", "step": "t, displacement, velocity, ground_acceleration"}
-TOLD = {"make": "made"}
+PARTICIPLES = {"make": "made"}
 """Words for methods that are not the model's own."""
 _PR_SET_PDEATHSIG = 1
 
@@ -156,7 +156,8 @@ class ModelWorker:
         if isinstance(error, InputError):  # its text is complete
             return str(error)
         line = line_in(error, self._file())
-        return f"{MODEL_PARAMETER}: {self._name}{line}, {TOLD.get(what, what)}: {reason_of(error)}"
+        did = PARTICIPLES.get(what, what)
+        return f"{MODEL_PARAMETER}: {self._name}{line}, {did}: {reason_of(error)}"
 
     def _state(self, force: Floats) -> tuple[Any, ...]:
         size = len(force)

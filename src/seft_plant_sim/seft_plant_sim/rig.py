@@ -18,10 +18,10 @@ from seft_plant_sim.actuator import Hydraulics
 from seft_plant_sim.calibration import (
     Calibration,
     CalibrationState,
+    biases_of_all,
     calibration_of,
     nothing_known,
     zeroed_at_rest,
-    zeros_of_all,
 )
 from seft_plant_sim.compiled import entry_point, kind_of
 from seft_plant_sim.continuous_model import (
@@ -64,7 +64,7 @@ LONGEST_DELAY_STEPS = 1_000_000
 
 
 class Safe(NamedTuple):
-    """The safe position, and how the rig gets there at the end of a test.
+    """The safe command, and how the rig gets there at the end of a test.
 
     Attributes
     ----------
@@ -267,7 +267,7 @@ class Rig:
         return extrapolated_command(last, age, plan, taken, self._safe.closing if self._safe else 0)
 
     def stop(self, plan: Floats | None = None, planned: Floats | None = None) -> Stopped:
-        """Move the valve to its safe position and simulate the rig until it is at rest.
+        """Move the valve to its safe command and simulate the rig until it is at rest.
 
         Before that it follows a plan, the commands of this step and the coming ones, shape (m, n),
         unless it ends the test by itself (`violation`). If the plan had another command for the
@@ -424,7 +424,7 @@ class Rigs:
         found = [(places, rig.zeroed) for places, rig in self._rigs if rig.zeroed is not None]
         if not found:
             return None
-        return {"samples": found[0][1]["samples"], **zeros_of_all(self._axes, found)}
+        return {"samples": found[0][1]["samples"], **biases_of_all(self._axes, found)}
 
     @property
     def saturation(self) -> Saturation:

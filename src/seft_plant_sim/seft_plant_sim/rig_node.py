@@ -55,9 +55,9 @@ class RigNode(NodeBody):
         self._timebase = experiment.timebase
         self._section = experiment["rig"]
         rig = self._section, experiment.axes, self._timebase, shell.rig
-        self._rig = self._sound = Rig.from_parameters(*rig)
+        self._rig = self._fault_free = Rig.from_parameters(*rig)
         if self._section["faults"]:  # they are of the test, not of what comes before it
-            self._sound = Rig.from_parameters({**self._section, "faults": ""}, *rig[1:])
+            self._fault_free = Rig.from_parameters({**self._section, "faults": ""}, *rig[1:])
         state = topics.RIG_STATE.of(shell.rig)
         self._state_codec = TrajectoryCodec(state, shell.rig.axes, self._timebase)
         self._publish_state = shell.publisher(state)
@@ -74,8 +74,8 @@ class RigNode(NodeBody):
             delay = max(self._section["loop_delay"], 0)
             axes = experiment.axes
             self._drive = self._command(topics.REFERENCE_FORCE, axes, "limits.force", delay)
-        reserve = topics.STOP_COMMAND.of(shell.rig)
-        self._reserve = self._command(reserve, shell.rig.axes, "limits.command")
+        fallback_stop = topics.STOP_COMMAND.of(shell.rig)
+        self._fallback_stop = self._command(fallback_stop, shell.rig.axes, "limits.command")
         self.facts: dict[str, Any] = {"drive": self._drive.codec.topic.name}
         if self._rig.zeroed is not None:
             self.facts[ZEROED] = self._rig.zeroed
@@ -101,10 +101,10 @@ class RigNode(NodeBody):
         self._reported_at = self._answered_at = 0.0
         self._refused_before = 0  # messages, until the newest command came
         self._rehearsed = False
-        sample = self._sound.reset()
+        sample = self._fault_free.reset()
         for step in range(WARM_UP_STEPS):
             self._state_codec.decode(self._state_codec.encode(step, sample))
-            sample = self._sound.step(self._drive.value)
+            sample = self._fault_free.step(self._drive.value)
 
     def run(self) -> None:
         """Run a test each time the supervisor starts one, until the process ends."""
@@ -127,7 +127,7 @@ class RigNode(NodeBody):
 
     def _rehearse(self, rehearsal: rig_watch.Rehearsal, seconds: float) -> None:
         """Run the loop with the valve at its safe value, and publish the result."""
-        rig, supervision = self._sound, self._supervision
+        rig, supervision = self._fault_free, self._supervision
 
         def sample(step: int) -> Floats:
             return rig.reset() if step == 0 else rig.step(rig.safe_command)
@@ -171,7 +171,7 @@ class RigNode(NodeBody):
         return command
 
     def _run_test(self, wanted: Status) -> None:
-        for command in (self._valve, self._drive, self._reserve):
+        for command in (self._valve, self._drive, self._fallback_stop):
             command.reset()
         self._stop_begun = None
         self._missed: list[int] = []
@@ -232,23 +232,25 @@ class RigNode(NodeBody):
         return rig.violation
 
     def _next_command(self, step: int) -> Floats:
-        """Give the command of a step; where it is missing, that of the stop in reserve.
+        """Give the command of a step; where it is missing, that of the fallback stop.
 
-        Without a stop in reserve, the last command is held. A stop begins with the motion of the
+        Without a fallback stop, the last command is held. A stop begins with the motion of the
         test, so that little is lost until the next command comes.
         """
         command, last = self._drive.value, self._drive.step
         if last >= step:
             return command
         if self._drive is self._valve and self._valve.stops_since is None:
-            command = self._rig.extrapolated_command(command, *self._reserve.newest, step - last)
+            command = self._rig.extrapolated_command(
+                command, *self._fallback_stop.newest, step - last
+            )
         return command
 
     def _plan(self) -> tuple[Floats | None, ...]:
         """Give the stop that the controller has sent, for a rig with valves, see `Rig.stop`."""
         if self._drive is not self._valve:
             return ()
-        return self._reserve.plan if self._valve.stops_since is None else self._valve.plan[:1]
+        return self._fallback_stop.plan if self._valve.stops_since is None else self._valve.plan[:1]
 
     def _start_together(self, wanted: Status) -> str | None:
         """Wait for the moment at which all rigs start; give the reason if they can't.
@@ -359,7 +361,7 @@ class RigNode(NodeBody):
 
     def _publish(self, step: int, state: Floats) -> bool:
         """Publish a sample; False if it is not finite, because messages must be finite."""
-        self._valve.current = self._drive.current = self._reserve.current = step
+        self._valve.current = self._drive.current = self._fallback_stop.current = step
         try:
             raw = self._state_codec.encode(step, state)
         except WireError:

@@ -10,7 +10,7 @@ from seft_plant_sim.actuator import OPENING, PER_CAPACITY
 from seft_plant_sim.actuator import STROKE_COLUMN as STROKE_COLUMN
 from seft_plant_sim.calibration import Calibration, CalibrationState, calibrate
 from seft_plant_sim.compiled import compiled, multiply
-from seft_plant_sim.continuous_model import Dynamics, Motion, integrate, make_sound
+from seft_plant_sim.continuous_model import Dynamics, Motion, integrate, make_fault_free
 from seft_plant_sim.faults import Faults, obey, show_fault, wear
 from seft_plant_sim.limits import exceeds, is_exceeded
 from seft_plant_sim.sensor_dynamics import Sensing, read_sensors
@@ -319,7 +319,7 @@ def rest(state: RigState) -> None:
     """Set the rig to rest, without drive."""
     state.motion.work[:] = 0.0
     state.motion.springs[:] = 0.0
-    make_sound(state.motion)
+    make_fault_free(state.motion)
     state.true[:] = 0.0
     state.read[:] = 0.0
     state.asked[:] = 0.0

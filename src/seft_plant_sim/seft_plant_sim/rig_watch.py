@@ -76,7 +76,7 @@ class CommandWatch:
         return f"no new {name} for {timeout:g} s {last}; is {self._topic.publisher} running?"
 
 
-OVERRUN = 0.5  # of a period: after it the rest of the period is too short for an answer
+OVERRUN = 0.5  # of a period: after it what remains of the period is too short for an answer
 _HURRY = 0.05  # of a period, by which steps are shorter while a rig makes up for lost time
 POLL = 0.002  # s, longest wait until it is asked again whether to stop
 
@@ -194,7 +194,7 @@ class Supervision:
     rehearsal : float
         Requested duration of a rehearsal, s; 0: none.
     zeroing : float
-        Time in it in which the rig measures its zeros, s; 0: none.
+        Time in it in which the rig measures its biases, s; 0: none.
     """
 
     def __init__(self, patience: float, clock: Clock) -> None:

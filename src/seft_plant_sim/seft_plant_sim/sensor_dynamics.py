@@ -72,7 +72,7 @@ def sensing_of(
     """
     split = [split_dead_time(lag, dt) for lag in model.shown.late.tolist()]
     ends = [dt]
-    for time in (*(part for part in parts if part), *(dt - rest for _, rest in split)):
+    for time in (*(part for part in parts if part), *(dt - remainder for _, remainder in split)):
         if min(abs(end - time) for end in ends) > 1e-9 * dt:
             ends.append(time)
     ends.sort()
@@ -86,7 +86,7 @@ def sensing_of(
         nothing = np.zeros(0, np.int64)
         return lengths, change, Sensing(np.zeros((0, 0)), nothing, nothing)
     output = np.hstack([model.sensed.c, model.sensed.d, model.sensed.outputs]).T
-    at = np.array([stretch(dt - rest) for _, rest in split])
+    at = np.array([stretch(dt - remainder) for _, remainder in split])
     whole = np.array([number for number, _ in split])
     return lengths, change, Sensing(np.ascontiguousarray(output), at, whole)
 

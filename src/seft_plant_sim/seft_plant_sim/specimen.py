@@ -202,7 +202,7 @@ class EnergyBalance:
 
     @property
     def error(self) -> Floats:
-        """The unbalanced rest, shape (N,), relative to the largest input; NaN if that is 0."""
+        """The unbalanced remainder, shape (N,), relative to the largest input; NaN if that is 0."""
         left = self.input - self.kinetic - self.strain - self.damped - self.hysteretic
         largest = np.abs(self.input).max()
         return left / largest if largest else np.full_like(left, np.nan)
@@ -242,7 +242,7 @@ def energy_balance(
     work, damped = np.empty((2, count - 1))
     per_sample = PATH_POINTS if specimen.springs else 1
     path = np.empty((per_sample * (count - 1) + 1, displacement.shape[1]))
-    for first in range(0, count - 1, _PIECE):  # splines need many times the memory of a record
+    for first in range(0, count - 1, _PIECE):  # splines need many times the memory of a recording
         last = min(first + _PIECE, count - 1)
         known = slice(max(0, first - _OVERLAP), last + 1 + _OVERLAP)
         within = slice(first, last)

@@ -46,7 +46,7 @@ class Maxwell(Spring):
         return 1e4 * (displacement - 0.1 * relaxed)
 
 
-class Told(Spring):
+class Stated(Spring):
     stiffness = 7.0
 
     @property

@@ -73,6 +73,6 @@ def test_each_axis_may_have_its_own_actuator():
 
 
 def test_a_number_of_values_that_does_not_fit_the_axes_is_refused():
-    told = r"rig: simulated\.actuator\.piston_area: 2 values for 1 axes"
-    with pytest.raises(InputError, match=told):
+    message = r"rig: simulated\.actuator\.piston_area: 2 values for 1 axes"
+    with pytest.raises(InputError, match=message):
         hydraulics(piston_area=[1.0, 2.0])

@@ -109,9 +109,9 @@ def test_aligned_channels_have_one_phase(lags):
 def test_the_rest_of_a_wait_is_where_its_delay_is_flattest():
     for wait in np.linspace(0.2, 6.0, 59):
         calibration, _ = known(force_lag=wait * DT)
-        rest = (1 - calibration.factor[X, 0]) / (1 + calibration.factor[X, 0])
-        assert calibration.whole[X, 0] + rest == pytest.approx(wait)
-        assert 0.2 - 1e-9 <= rest < 1.2 + 1e-9
+        fraction = (1 - calibration.factor[X, 0]) / (1 + calibration.factor[X, 0])
+        assert calibration.whole[X, 0] + fraction == pytest.approx(wait)
+        assert 0.2 - 1e-9 <= fraction < 1.2 + 1e-9
         assert calibration.whole[F, 0] == AT_ONCE
 
 
@@ -129,7 +129,7 @@ def test_what_waits_keeps_the_steps_of_its_converter_and_repeats_what_repeats():
         assert found[308] == pytest.approx(coarse[300, A, 0], abs=1e-12)
 
 
-def test_the_latest_channel_of_all_axes_counts_and_is_told():
+def test_the_latest_channel_of_all_axes_counts_and_is_reported():
     values = {"calibration.force_lag": [0.001, 0.003], "calibration.displacement_lag": 0.002}
     section = rig_section(**values)
     assert common_lag(section) == 0.003
@@ -147,7 +147,7 @@ def test_a_constant_comes_out_as_it_is_from_the_first_sample_on():
 
 def test_what_is_no_number_or_at_the_end_of_the_range_comes_out_as_it_is_and_leaves_no_trace():
     samples = sines(5.0)
-    sound = corrected(samples, force_lag=0.0047, acceleration_scale=1.01)
+    fault_free = corrected(samples, force_lag=0.0047, acceleration_scale=1.01)
     for value in (np.nan, np.inf, 9.0, -9.0):
         wrong = samples.copy()
         wrong[300, A] = value
@@ -156,7 +156,7 @@ def test_what_is_no_number_or_at_the_end_of_the_range_comes_out_as_it_is_and_lea
         )
         np.testing.assert_equal(found[302, A, 0], value)  # after the whole samples of its wait
         assert np.isfinite(np.delete(found, 302, axis=0)).all()
-        np.testing.assert_allclose(found[340:], sound[340:], atol=1e-9)
+        np.testing.assert_allclose(found[340:], fault_free[340:], atol=1e-9)
 
 
 def test_errors_name_the_parameter():
@@ -173,7 +173,7 @@ def test_errors_name_the_parameter():
 
 
 def test_a_rig_publishes_corrected_samples():
-    """Its errors are known, so that it publishes those of a sound one, all of them late."""
+    """Its errors are known, so that it publishes those of a fault-free one, all of them late."""
     errors = {"force_scale": 1.03, "acceleration_scale": 0.98, "displacement_lag": 0.004}
     known = {f"calibration__{name}": v for name, v in (errors | {"force_bias": 12.0}).items()}
     one, other = (driven(make_rig(**values), np.ones(100))[:, :4] for values in ({}, known))
@@ -201,48 +201,50 @@ def test_as_a_linear_model_what_waits_is_late():
 def test_as_a_linear_model_a_known_tilt_is_taken_out():
     axes = ("x", "y")
     section = {"sensors.tilt": TILT.ravel().tolist(), "axes": list(axes)}
-    sound, rig = (continuous_model(rig_section(**s), axes) for s in ({"axes": list(axes)}, section))
+    fault_free, rig = (
+        continuous_model(rig_section(**s), axes) for s in ({"axes": list(axes)}, section)
+    )
     calibration, _ = known(axes=axes, tilt=TILT.ravel().tolist())
     found = as_published(rig, calibration, DT).sensed
-    np.testing.assert_allclose(found.c, sound.c, atol=1e-9 * np.abs(sound.c).max())
+    np.testing.assert_allclose(found.c, fault_free.c, atol=1e-9 * np.abs(fault_free.c).max())
 
 
-def test_zeros_are_the_means_at_rest_that_are_more_than_noise():
+def test_biases_are_the_means_at_rest_that_are_more_than_noise():
     noise = np.random.default_rng(1).standard_normal((500, 4, 2))
     noise -= noise.mean(axis=0)
     bias = np.zeros((4, 2))
     bias[F], bias[X, 1] = (5.0, 0.17), 0.19  # 0.18 is four standard errors
-    section, told = zeroed_at_rest(rig_section(), ("x", "y", "z"), (0, 2), noise + bias)
-    assert told["samples"] == 500
-    assert told["subtracted"]["force"] == pytest.approx([5.0, 0.0])
-    assert told["subtracted"]["displacement"] == pytest.approx([0.0, 0.19])
+    section, facts = zeroed_at_rest(rig_section(), ("x", "y", "z"), (0, 2), noise + bias)
+    assert facts["samples"] == 500
+    assert facts["subtracted"]["force"] == pytest.approx([5.0, 0.0])
+    assert facts["subtracted"]["displacement"] == pytest.approx([0.0, 0.19])
     assert section["calibration.force_bias"] == pytest.approx([5.0, 0.0, 0.0])
     assert section["calibration.displacement_bias"] == pytest.approx([0.0, 0.0, 0.19])
-    assert not any(map(any, told["left"].values()))
+    assert not any(map(any, facts["left"].values()))
 
 
-def test_a_zero_that_is_told_stays_and_what_is_left_is_told():
+def test_a_bias_that_is_known_stays_and_what_is_left_is_reported():
     given = rig_section(calibration__force_bias=[12.0])
     samples = np.full((100, 4, 1), 33.0)
-    section, told = zeroed_at_rest(given, ("x",), (0,), samples)
+    section, facts = zeroed_at_rest(given, ("x",), (0,), samples)
     assert section["calibration.force_bias"] == [12.0]
-    assert (told["subtracted"]["force"], told["left"]["force"]) == ([0.0], [21.0])
+    assert (facts["subtracted"]["force"], facts["left"]["force"]) == ([0.0], [21.0])
 
 
-@pytest.mark.parametrize("told", [{}, {"sensors__velocity": "derived"}])
-def test_a_rig_zeroes_its_sensors_at_rest_but_not_what_goes_wrong_later(told):
+@pytest.mark.parametrize("options", [{}, {"sensors__velocity": "derived"}])
+def test_a_rig_zeroes_its_sensors_at_rest_but_not_what_goes_wrong_later(options):
     bias = {"sensors__displacement_bias": 3e-4, "sensors__acceleration_bias": 0.1}
     errors = {**bias, "sensors__displacement_range": 0.1, "sensors__force_bias": 5.0}
     fault = {"faults": ["force add 7.0 at 0.0"]}
 
     def samples(**values):
-        rig = make_rig(**{"sensors__force_noise": 3.0, **told, **fault, **values})
+        rig = make_rig(**{"sensors__force_noise": 3.0, **options, **fault, **values})
         return rig.zeroed, driven(rig, np.ones(50))
 
-    none, sound = samples()
+    none, fault_free = samples()
     zeroed, found = samples(**errors, calibration__zeroing=1.0)
     assert none is None
     mean = zeroed["subtracted"]["force"][0]
     assert abs(mean - 5.0) < 4 * 3.0 / np.sqrt(500.0)
-    np.testing.assert_allclose(found[:, :F], sound[:, :F], rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(found[:, F] - sound[:, F], 5.0 - mean, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(found[:, :F], fault_free[:, :F], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(found[:, F] - fault_free[:, F], 5.0 - mean, rtol=0.0, atol=1e-9)

@@ -90,7 +90,7 @@ def test_over_a_link_it_is_the_one_of_the_message_that_the_delay_tells():
     for step in range(4):
         command.current = step
         command.take(target(step))
-    np.testing.assert_array_equal(command.value, [-3.0, 3.0])  # told at step 1 for step 3
+    np.testing.assert_array_equal(command.value, [-3.0, 3.0])  # sent at step 1 for step 3
     assert (command.step, command.answered) == (5, 3)
     command.current = 9
     np.testing.assert_array_equal(command.value, [-5.0, 5.0])  # the last that is settled

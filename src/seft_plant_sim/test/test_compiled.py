@@ -1,4 +1,4 @@
-"""Machine code on the disk: who compiles is told so once, and others wait for it."""
+"""Machine code on the disk: who compiles hears so once, and others wait for it."""
 
 import os
 import subprocess
@@ -17,19 +17,19 @@ def triple(x):
     return 3.0 * x
 
 
-def test_the_first_compilation_of_a_process_is_told_and_none_of_what_is_on_the_disk(
+def test_the_first_compilation_of_a_process_is_reported_and_none_of_what_is_on_the_disk(
     monkeypatch, tmp_path
 ):
     if module.numba.config.DISABLE_JIT:
         pytest.skip("nothing is compiled")
     monkeypatch.setattr(module, "code_folder", lambda _: tmp_path)
-    told = []
-    tell_of_compilation(lambda: told.append("compiling"))
+    heard = []
+    tell_of_compilation(lambda: heard.append("compiling"))
     assert (compiled(double)(4.0), compiled(triple)(4.0)) == (8.0, 12.0)
-    assert told == ["compiling"]
-    tell_of_compilation(lambda: told.append("once more"))
+    assert heard == ["compiling"]
+    tell_of_compilation(lambda: heard.append("once more"))
     assert compiled(double)(4.0) == 8.0
-    assert told == ["compiling"]
+    assert heard == ["compiling"]
 
 
 def test_with_numba_switched_off_the_steps_stay_what_they_are(monkeypatch):
@@ -59,5 +59,5 @@ def test_of_processes_that_need_the_same_code_at_the_same_time_one_compiles(tmp_
     for process in begun:
         process.stdin.write("\n")
         process.stdin.flush()
-    told = [process.communicate()[0] for process in begun]
-    assert sorted(told) == ["", "", "compiled here\n"]
+    heard = [process.communicate()[0] for process in begun]
+    assert sorted(heard) == ["", "", "compiled here\n"]

@@ -1,4 +1,4 @@
-"""A computed model: what it must be, what it is told when it is not, and the whole structure."""
+"""A computed model: what it must be, the message when it is not, and the whole structure."""
 
 import numpy as np
 import pytest
@@ -63,9 +63,9 @@ def test_a_spring_that_is_a_model_acts_as_computed_stiffness_does(file):
     assert error(found.force, exact.force) < 1e-9
 
 
-def test_the_tangents_are_found_by_small_motions_or_told(file):
+def test_the_tangents_are_found_by_small_motions_or_reported(file):
     assert np.allclose(model_of(file, "Spring", "c=50").tangents, [[[1e5]], [[50.0]]])
-    assert np.allclose(model_of(file, "Told").tangents, [[[7.0]], [[3.0]]])
+    assert np.allclose(model_of(file, "Stated").tangents, [[[7.0]], [[3.0]]])
 
 
 @pytest.mark.parametrize(
@@ -73,7 +73,7 @@ def test_the_tangents_are_found_by_small_motions_or_told(file):
     [
         ("Spring", "k3=1e9", True),
         ("Bilinear", "", True),
-        ("Spring", "c=1.0", True),  # a linear damper is told apart
+        ("Spring", "c=1.0", True),  # a linear damper is distinguished
         ("Dashpot", "", False),
         ("Maxwell", "", False),
     ],
@@ -117,12 +117,12 @@ def test_a_model_acts_on_the_internal_degree_of_freedom_that_it_names(file):
         ("Spring", "mass=1.0", "its settings do not fit .*'mass'"),
     ],
 )
-def test_what_is_wrong_with_a_model_is_told_in_one_line(file, name, settings, why):
+def test_what_is_wrong_with_a_model_is_reported_in_one_line(file, name, settings, why):
     with pytest.raises(InputError, match=why):
         _ = model_of(file, name, settings).tangents
 
 
-def test_a_file_that_does_not_run_is_told_with_its_line(file):
+def test_a_file_that_does_not_run_is_reported_with_its_line(file):
     file.write_text("import os\n\nx = 1 / 0\n")
     with pytest.raises(InputError, match=r"models.py line 3: division by zero"):
         _ = model_of(file, "Spring").tangents

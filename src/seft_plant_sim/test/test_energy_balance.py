@@ -32,7 +32,7 @@ def shaken_rig(commands, law, kind="servo_hydraulic", specimen=None, **actuator)
 
 
 def drive_of(kind, axes=1):
-    """Sine or earthquake-like drive, shape (N, n), that ends before the record does."""
+    """Sine or earthquake-like drive, shape (N, n), that ends before the recording does."""
     time = DT * np.arange(COUNT)[:, np.newaxis] + np.zeros(axes)
     if kind == "sine":
         drive = np.sin(2 * np.pi * 8.0 * time + np.arange(axes))

@@ -32,11 +32,11 @@ def shown(line, signal, row=3, **values):
     """What a sensor shows of a signal, shape (N,)."""
     faults, memory = arrays(line, **values)
     noise, found = np.ones((5, 1)), []
-    for step, sound in enumerate(signal):
-        measured = np.full((4, 1), sound)
+    for step, fault_free in enumerate(signal):
+        measured = np.full((4, 1), fault_free)
         show_fault(faults, step, noise, memory, measured)
         others = np.delete(measured, row, axis=0)
-        np.testing.assert_array_equal(others, sound)
+        np.testing.assert_array_equal(others, fault_free)
         found.append(measured[row, 0])
     return found
 
@@ -44,7 +44,7 @@ def shown(line, signal, row=3, **values):
 def obeyed(line, signal, **values):
     """What a valve does of commands, shape (N,)."""
     faults, memory = arrays(line, **values)
-    return [obey(faults, step, memory, 0, sound) for step, sound in enumerate(signal)]
+    return [obey(faults, step, memory, 0, fault_free) for step, fault_free in enumerate(signal)]
 
 
 def test_a_line_has_axis_what_kind_value_time_and_steps():

@@ -48,16 +48,16 @@ def test_a_specimen_collides_where_it_is_in_the_direction_in_which_it_moves(side
     assert back[-1, 0, 0] == pytest.approx(-side * 2e-3, rel=1e-6)  # it holds one side alone
 
 
-def test_until_a_fault_the_motion_is_the_sound_one():
+def test_until_a_fault_the_motion_is_the_fault_free_one():
     force = 300.0 * np.sin(np.arange(300) / 7.0)
-    sound = driven(rig(**DAMPED), force)
+    fault_free = driven(rig(**DAMPED), force)
     for kind in ("break 0.1", "slip 1e-3", "collide 1e6"):
         found = driven(rig(f"specimen {kind} at 0.3", **DAMPED), force)
-        np.testing.assert_allclose(found[:151], sound[:151], rtol=1e-9, atol=1e-9)
-        assert np.abs(found - sound)[200:, 0].max() > 1e-4
+        np.testing.assert_allclose(found[:151], fault_free[:151], rtol=1e-9, atol=1e-9)
+        assert np.abs(found - fault_free)[200:, 0].max() > 1e-4
 
 
-def test_a_new_test_begins_with_a_sound_specimen():
+def test_a_new_test_begins_with_a_fault_free_specimen():
     one = rig("specimen break 0.1 at 0.1", "specimen slip 1e-3 at 0.1", "supply scale 0.1 at 0.1")
     commands = np.sin(np.arange(200) / 7.0)
     np.testing.assert_array_equal(driven(one, commands), driven(one, commands))
@@ -91,9 +91,9 @@ FREE = {"specimen__stiffness": 1.0, "actuator__stroke": 9.0}
 
 
 def test_a_lower_supply_takes_capacity_and_by_its_root_flow():
-    sound, low = (), ("supply scale 0.49 at 0",)
-    force = [driven(rig(*f, **STIFF), np.full(600, 1.0))[-1, 3, 0] for f in (sound, low)]
+    fault_free, low = (), ("supply scale 0.49 at 0",)
+    force = [driven(rig(*f, **STIFF), np.full(600, 1.0))[-1, 3, 0] for f in (fault_free, low)]
     assert force[0] == pytest.approx(20.7e6 * 1.1836e-3, rel=0.01)
     assert force[1] == pytest.approx(0.49 * force[0], rel=0.01)
-    speed = [driven(rig(*f, **FREE), np.full(200, 1.0))[-1, 1, 0] for f in (sound, low)]
+    speed = [driven(rig(*f, **FREE), np.full(200, 1.0))[-1, 1, 0] for f in (fault_free, low)]
     assert speed[1] == pytest.approx(0.7 * speed[0], rel=1e-3)

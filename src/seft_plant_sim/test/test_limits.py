@@ -30,7 +30,7 @@ AXES = ("east", "north")
 DT = 0.002
 
 
-class Judge(Limits):
+class CheckedLimits(Limits):
     """Limits as a driver looks at them, sample by sample; a simulated rig must find the same."""
 
     def __init__(self, limits, axes, dt):
@@ -43,7 +43,7 @@ class Judge(Limits):
         broken = exceeds(self.values, step, self.ring, measured, own, self.seen)
         self.before.append(np.array(measured))
         with np.errstate(invalid="ignore", over="ignore"):
-            told = super().violation(measured)
+            message = super().violation(measured)
             change = measured - self.before[max(0, step - self.steps)]
         change = np.abs(change) if step else np.zeros_like(measured)
         np.testing.assert_array_equal(np.abs(own), change)
@@ -51,9 +51,9 @@ class Judge(Limits):
         parts = (self.values[:4, None], self.values[4:, None])
         beyond = [not (size <= part).all() for size, part in zip(sizes, parts, strict=True)]
         assert broken == beyond[0] + 2 * beyond[1]
-        assert (broken > 0) == (told is not None)
+        assert (broken > 0) == (message is not None)
         np.testing.assert_array_equal(self.largest, self.seen)
-        return told
+        return message
 
     def reset(self):
         super().reset()
@@ -70,7 +70,7 @@ def state_with(row, column, value):
 @pytest.mark.parametrize("column", range(2))
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_each_quantity_on_each_axis_has_its_limit(row, column, sign):
-    limits, limit = Judge(PAPER, AXES, DT), PAPER[CHANNELS[row]]
+    limits, limit = CheckedLimits(PAPER, AXES, DT), PAPER[CHANNELS[row]]
     assert limits.violation(state_with(row, column, sign * limit)) is None
     beyond = sign * math.nextafter(limit, math.inf)
     assert limits.violation(state_with(row, column, beyond)) == (
@@ -79,9 +79,13 @@ def test_each_quantity_on_each_axis_has_its_limit(row, column, sign):
     )
 
 
-def test_the_first_that_is_broken_is_told():
+def test_the_first_that_is_broken_is_reported():
     state = np.full((4, 2), 1e9)
-    assert Judge(PAPER, AXES, DT).violation(state).startswith("displacement 1e+09 m on axis east")
+    assert (
+        CheckedLimits(PAPER, AXES, DT)
+        .violation(state)
+        .startswith("displacement 1e+09 m on axis east")
+    )
 
 
 @settings(suppress_health_check=[HealthCheck.too_slow])  # of a busy machine
@@ -97,8 +101,8 @@ def test_there_is_a_violation_if_and_only_if_a_value_is_beyond_its_limit(data, a
         rows.append(data.draw(st.lists(signed, min_size=axes, max_size=axes)))
     within = all(abs(v) <= limit for row, limit in zip(rows, limits, strict=True) for v in row)
     names = [f"axis {index}" for index in range(axes)]
-    judge = Judge(dict(zip(CHANNELS, limits, strict=True)), names, DT)
-    verdict = judge.violation(np.array(rows))
+    checked = CheckedLimits(dict(zip(CHANNELS, limits, strict=True)), names, DT)
+    verdict = checked.violation(np.array(rows))
     assert (verdict is None) == within
 
 
@@ -106,13 +110,13 @@ def test_there_is_a_violation_if_and_only_if_a_value_is_beyond_its_limit(data, a
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_each_quantity_has_a_largest_change_from_sample_to_sample(row, sign):
     far = dict.fromkeys(CHANNELS, 1e9)
-    limits, rate = Judge(far | RATES, AXES, DT), RATES[f"{CHANNELS[row]}_rate"]
+    limits, rate = CheckedLimits(far | RATES, AXES, DT), RATES[f"{CHANNELS[row]}_rate"]
     assert limits.violation(state_with(row, 1, 1e8)) is None  # of a first sample there is none
     assert limits.violation(state_with(row, 1, 1e8 + 0.999 * sign * rate * DT)) is None
     beyond = state_with(row, 1, 1e8 + 2.1 * sign * rate * DT)
-    told = limits.violation(beyond)
-    assert told.startswith(f"{CHANNELS[row]} rate {sign * 1.101 * rate:.5g}")
-    assert told.endswith(
+    message = limits.violation(beyond)
+    assert message.startswith(f"{CHANNELS[row]} rate {sign * 1.101 * rate:.5g}")
+    assert message.endswith(
         f"{RATE_UNITS[row]} on axis north is beyond the limit of {rate:g} {RATE_UNITS[row]}"
     )
     assert limits.violation(beyond) is None
@@ -123,14 +127,14 @@ def test_each_quantity_has_a_largest_change_from_sample_to_sample(row, sign):
 @pytest.mark.parametrize(("rate", "steps"), [(250, 1), (500, 1), (1000, 2), (4000, 8)])
 def test_a_change_counts_over_2_ms_or_a_longer_period(rate, steps):
     assert span_steps(1.0 / rate) == steps
-    limits = Judge(dict.fromkeys(CHANNELS, 1e9) | RATES, AXES, 1.0 / rate)
+    limits = CheckedLimits(dict.fromkeys(CHANNELS, 1e9) | RATES, AXES, 1.0 / rate)
     fastest = RATES["force_rate"] / rate
     for k in range(3 * steps):
         assert limits.violation(state_with(3, 1, 0.999 * fastest * k)) is None
     top = 0.999 * fastest * (3 * steps - 1)
     beyond = state_with(3, 1, top + 1.01 * steps * fastest)
-    told = [limits.violation(beyond) is not None for _ in range(steps + 1)]
-    assert told == [True] * steps + [False]  # until the jump is older
+    trips = [limits.violation(beyond) is not None for _ in range(steps + 1)]
+    assert trips == [True] * steps + [False]  # until the jump is older
 
 
 @pytest.mark.parametrize("rate", [500, 4000])
@@ -146,7 +150,7 @@ def test_noise_uses_the_same_share_of_a_rate_s_limit_at_every_rate(rate):
 def test_a_force_rate_of_0_is_the_whole_force_within_2_ms():
     assert largest_force_rate({"force": 22200.0, "force_rate": 0.0}) == 22200.0 / RATE_SPAN
     assert largest_force_rate({"force": 22200.0, "force_rate": 3e6}) == 3e6
-    limits = Judge(PAPER | {"force_rate": 0.0}, AXES, DT)
+    limits = CheckedLimits(PAPER | {"force_rate": 0.0}, AXES, DT)
     limits.violation(state_with(3, 1, -0.4 * PAPER["force"]))
     assert limits.violation(state_with(3, 1, 0.5 * PAPER["force"])) is None
     assert limits.margins()["force_rate"] == pytest.approx(0.1)
@@ -157,25 +161,25 @@ def test_a_force_rate_of_0_is_the_whole_force_within_2_ms():
 
 @pytest.mark.parametrize("row", range(4))
 def test_the_least_excess_of_a_change_is_a_violation(row):
-    limits = Judge(dict.fromkeys(CHANNELS, 1e9) | RATES, AXES, DT)
+    limits = CheckedLimits(dict.fromkeys(CHANNELS, 1e9) | RATES, AXES, DT)
     most = limits.values[4 + row]
-    for value, told in ((most, False), (math.nextafter(most, math.inf), True)):
+    for value, trips in ((most, False), (math.nextafter(most, math.inf), True)):
         limits.reset()
         assert limits.violation(state_with(row, 1, 0.0)) is None
-        assert (limits.violation(state_with(row, 1, value)) is not None) == told
+        assert (limits.violation(state_with(row, 1, value)) is not None) == trips
         assert limits.margins()[f"{CHANNELS[row]}_rate"] == 1.0 - value / most
         assert sum(margin < 1.0 for margin in limits.margins().values()) == 2
 
 
-def test_a_sample_that_is_no_number_is_told_and_so_is_the_return_from_it():
-    limits = Judge(PAPER | RATES, AXES, DT)
+def test_a_sample_that_is_no_number_is_reported_and_so_is_the_return_from_it():
+    limits = CheckedLimits(PAPER | RATES, AXES, DT)
     limits.violation(np.zeros((4, 2)))
     assert limits.violation(state_with(3, 0, math.nan)).startswith("force nan N on axis east")
     assert limits.violation(np.zeros((4, 2))).startswith("force rate nan N/s on axis east")
 
 
 def test_margins_are_the_smallest_since_the_reset():
-    limits = Judge(PAPER | RATES, AXES, DT)
+    limits = CheckedLimits(PAPER | RATES, AXES, DT)
     for force in (0.0, -0.2, 0.1):
         limits.violation(state_with(3, 1, force * PAPER["force"]))
     margins = limits.margins()
@@ -220,7 +224,7 @@ def test_only_the_last_second_counts_and_gaps_within_it_do_not_help():
     assert blind_until(0.05, [*range(25), 499]) == 499
 
 
-def test_what_is_at_its_limit_is_not_what_is_told():
-    limits, state = Judge(PAPER, AXES, DT), np.zeros((4, 2))
+def test_what_is_at_its_limit_is_not_what_is_reported():
+    limits, state = CheckedLimits(PAPER, AXES, DT), np.zeros((4, 2))
     state[0], state[3, 1] = PAPER["displacement"], -2 * PAPER["force"]
     assert limits.violation(state).startswith("force -44400 N on axis north")

@@ -81,6 +81,6 @@ def test_no_drive_gives_what_is_no_number(drive):
 
 
 def test_what_is_too_fast_to_be_followed_is_refused():
-    told = "friction, end stops or springs answer at .* raise actuator.friction_velocity"
-    with pytest.raises(InputError, match=told):
+    message = "friction, end stops or springs answer at .* raise actuator.friction_velocity"
+    with pytest.raises(InputError, match=message):
         plant(actuator__friction=500.0, actuator__friction_velocity=1e-6)

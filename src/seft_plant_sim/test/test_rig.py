@@ -63,12 +63,12 @@ def test_a_test_that_is_blind_for_long_ends_with_the_reason():
     ranges = {"sensors__force_range": 10.0, "sensors__acceleration_range": 0.1}
     one = make_rig(actuator__kind="ideal", limits__saturated_time=0.01, **ranges)
     one.reset()
-    told = []
+    violations = []
     for _ in range(6):
         one.step(np.full(1, 99.0))
-        told.append(one.violation)
-    assert told[:5] == [None] * 5
-    assert told[5] == (
+        violations.append(one.violation)
+    assert violations[:5] == [None] * 5
+    assert violations[5] == (
         "acceleration and force at the end of the sensor's range for more than 0.01 s within one "
         "second: their channels are unknown"
     )
@@ -125,7 +125,7 @@ def test_a_rig_without_a_settling_time_is_left_where_it_is():
     assert rig.stop().steps == 0
 
 
-def test_the_safe_position_is_that_of_the_parameters():
+def test_the_safe_command_is_that_of_the_parameters():
     closed, opened = moving_rig(), moving_rig(("rig", "safe.valve_command", 2.0))
     closed.stop()
     opened.stop()
@@ -157,9 +157,9 @@ def test_the_largest_true_motion_is_known_without_noise_and_filters():
 
 
 def test_a_rig_of_a_faulty_sensor_moves_as_before_and_shows_the_fault():
-    sound = moving_rig()
+    fault_free = moving_rig()
     faulty = moving_rig(("rig", "faults", ["force set -5589.0 at 0.4 for 1"]))
-    np.testing.assert_array_equal(sound.sample, faulty.sample)
+    np.testing.assert_array_equal(fault_free.sample, faulty.sample)
     assert faulty.state.measured[3, 0] == -5589.0
     assert faulty.violation is None
     assert faulty.state.change[3, 0] < -5000.0

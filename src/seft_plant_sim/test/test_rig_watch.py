@@ -98,7 +98,7 @@ def test_the_time_without_a_command_is_exact(before, last, periods):
         assert watch.fault(now, *last)[:19] == fault
 
 
-def test_who_failed_is_told_by_the_steps_without_a_command():
+def test_who_failed_is_reported_by_the_steps_without_a_command():
     watch = CommandWatch(VALVE_COMMAND, TICK, 8 * TICK)
     for step, words in ((8, "the rig stood still for"), (9, "no new valve_command for")):
         watch.begin(0.0)
@@ -174,7 +174,7 @@ def test_a_rig_waits_for_a_recorder_that_is_far_behind_but_not_for_a_silent_one(
 
 
 @pytest.fixture
-def told(clock):
+def listener(clock):
     """What a rig makes of the supervisor's states."""
 
     def tell(*states, **values):
@@ -188,74 +188,77 @@ def told(clock):
 
 
 @pytest.mark.parametrize("state", ["running", "ramping_down"])
-def test_a_rig_moves_in_no_test_for_which_it_was_not_ready(told, state):
-    supervision = told.supervision
+def test_a_rig_moves_in_no_test_for_which_it_was_not_ready(listener, state):
+    supervision = listener.supervision
     nothing = (None, "", "", False, 0.0)
     found = (supervision.wanted, supervision.state, supervision.fault)
     assert (*found, supervision.latched, supervision.rehearsal) == nothing
     assert supervision.reason_to_end() == STOPPED
     with pytest.raises(WireError, match="a test that began before this rig was ready"):
-        told.tell(state, steps=9)
-    assert not told.tell(state, steps=9)  # a sign of life
+        listener.tell(state, steps=9)
+    assert not listener.tell(state, steps=9)  # a sign of life
     assert supervision.reason_to_end() == STOPPED
-    assert not told.tell("idle", "ready", "idle")
+    assert not listener.tell("idle", "ready", "idle")
     with pytest.raises(WireError, match="began before this rig"):
-        told.tell(state, steps=9)
+        listener.tell(state, steps=9)
 
 
-def test_a_rig_moves_from_start_to_end_and_not_again(told):
-    assert not told.tell("idle", "ready")
-    assert told.tell("running", steps=9)
-    assert told.supervision.reason_to_end() is None
-    assert told.tell("ramping_down", "running", steps=9)
-    assert (told.supervision.state, told.supervision.wanted.number("steps")) == ("running", 9)
-    assert not told.tell("done")
-    assert told.supervision.reason_to_end() == STOPPED
+def test_a_rig_moves_from_start_to_end_and_not_again(listener):
+    assert not listener.tell("idle", "ready")
+    assert listener.tell("running", steps=9)
+    assert listener.supervision.reason_to_end() is None
+    assert listener.tell("ramping_down", "running", steps=9)
+    assert (listener.supervision.state, listener.supervision.wanted.number("steps")) == (
+        "running",
+        9,
+    )
+    assert not listener.tell("done")
+    assert listener.supervision.reason_to_end() == STOPPED
     with pytest.raises(WireError, match="began before this rig"):
-        told.tell("running", steps=9)
-    assert not told.supervision.is_moving
+        listener.tell("running", steps=9)
+    assert not listener.supervision.is_moving
 
 
-def test_a_test_says_how_many_steps_it_has(told):
-    told.tell("ready")
+def test_a_test_says_how_many_steps_it_has(listener):
+    listener.tell("ready")
     with pytest.raises(WireError, match="a test without its number of steps"):
-        told.tell("running")
-    assert not told.supervision.is_moving
+        listener.tell("running")
+    assert not listener.supervision.is_moving
 
 
-def test_after_a_trip_a_rig_moves_only_after_a_reset(told):
-    told.tell("ready")
-    told.tell("running", steps=9)
-    told.supervision.latched, told.supervision.fault = True, "an error"
-    assert told.supervision.reason_to_end() == "an error"
-    told.tell("tripped", "ready")
+def test_after_a_trip_a_rig_moves_only_after_a_reset(listener):
+    listener.tell("ready")
+    listener.tell("running", steps=9)
+    listener.supervision.latched, listener.supervision.fault = True, "an error"
+    assert listener.supervision.reason_to_end() == "an error"
+    listener.tell("tripped", "ready")
     with pytest.raises(WireError, match="a test after a trip and no reset"):
-        told.tell("running", steps=9)
-    assert (told.supervision.latched, told.supervision.fault) == (True, "an error")
-    told.tell("idle")
-    assert (told.supervision.latched, told.supervision.fault) == (False, "")
-    told.tell("ready")
-    assert told.tell("running", steps=9)
+        listener.tell("running", steps=9)
+    assert (listener.supervision.latched, listener.supervision.fault) == (True, "an error")
+    listener.tell("idle")
+    assert (listener.supervision.latched, listener.supervision.fault) == (False, "")
+    listener.tell("ready")
+    assert listener.tell("running", steps=9)
 
 
-def test_a_silent_supervisor_ends_a_test_after_its_time(told):
-    told.clock.now = 7.0
-    told.tell("ready")
-    told.tell("running", steps=9)
-    told.clock.now = 9.0
-    assert told.supervision.reason_to_end() is None
-    told.tell("running", steps=9)
-    told.clock.now = 11.0
-    assert told.supervision.reason_to_end() is None
-    told.clock.now = 11.25
-    assert told.supervision.reason_to_end() == "node supervisor has been silent for 2 s"
+def test_a_silent_supervisor_ends_a_test_after_its_time(listener):
+    listener.clock.now = 7.0
+    listener.tell("ready")
+    listener.tell("running", steps=9)
+    listener.clock.now = 9.0
+    assert listener.supervision.reason_to_end() is None
+    listener.tell("running", steps=9)
+    listener.clock.now = 11.0
+    assert listener.supervision.reason_to_end() is None
+    listener.clock.now = 11.25
+    assert listener.supervision.reason_to_end() == "node supervisor has been silent for 2 s"
 
 
-def test_a_rehearsal_is_asked_for_and_ended_by_signs_of_life(told):
-    told.tell("idle", **{REHEARSE: 3})
-    assert told.supervision.rehearsal == 3.0
-    told.tell("idle")
-    assert told.supervision.rehearsal == 0.0
+def test_a_rehearsal_is_asked_for_and_ended_by_signs_of_life(listener):
+    listener.tell("idle", **{REHEARSE: 3})
+    assert listener.supervision.rehearsal == 3.0
+    listener.tell("idle")
+    assert listener.supervision.rehearsal == 0.0
 
 
 NONE = float("nan")
@@ -290,30 +293,30 @@ def test_any_time_has_its_bin(time):
     assert numbers["p50"] <= numbers["largest"] == time
 
 
-def test_margins_age_and_round_trip_are_told_by_name():
+def test_margins_age_and_round_trip_are_reported_by_name():
     status = Status("rig", OK, "running", values={"phase": "running"})
-    told = with_health(status, {"force_rate": 0.5}, 1e3, 0.003)
-    assert told.level == OK
-    assert told.message == "running"
-    assert told.values["phase"] == "running"
-    assert told.values["margin force rate"] == "0.500"
-    assert 1e6 <= float(told.values["command age (ms)"]) < 1.1e6
-    assert told.values["round trip last (ms)"] == "3.000"
+    health = with_health(status, {"force_rate": 0.5}, 1e3, 0.003)
+    assert health.level == OK
+    assert health.message == "running"
+    assert health.values["phase"] == "running"
+    assert health.values["margin force rate"] == "0.500"
+    assert 1e6 <= float(health.values["command age (ms)"]) < 1.1e6
+    assert health.values["round trip last (ms)"] == "3.000"
 
 
 def test_what_was_not_is_left_out():
     assert of().numbers() == {}
-    told = with_health(Status("rig", OK, "running"), {}, math.nan, of().last)
-    assert told.values == {}
+    health = with_health(Status("rig", OK, "running"), {}, math.nan, of().last)
+    assert health.values == {}
 
 
 @pytest.mark.parametrize("left", [0.09, 0.0, -3.0, float("nan")])
 def test_a_narrow_margin_is_warned_of(left):
-    told = with_health(
+    health = with_health(
         Status("rig", OK, "running"), {"force": left, "velocity": 0.1}, math.nan, NONE
     )
-    assert told.level == WARN
-    assert told.message == "running; less than 10% left to the limit of force"
+    assert health.level == WARN
+    assert health.message == "running; less than 10% left to the limit of force"
     warned = with_health(Status("rig", WARN, "slow"), {"force": left}, math.nan, NONE)
     assert (warned.level, warned.message) == (WARN, "slow")
     tripped = with_health(Status("rig", ERROR, "tripped"), {"force": left}, math.nan, NONE)

@@ -97,8 +97,8 @@ def test_scale_and_tilt_act_before_noise_bias_and_converter():
         "sensors.force_bias": 5.0,
     }
     given = {f"specimen.{name}": value for name, value in FRAME.items()} | words
-    sound = dict.fromkeys(words, 1.0) | {"sensors.force_bias": 0.0, "sensors.tilt": 0.0}
-    rigs = (make_rig(("x", "y"), **values) for values in (given, given | sound))
+    fault_free = dict.fromkeys(words, 1.0) | {"sensors.force_bias": 0.0, "sensors.tilt": 0.0}
+    rigs = (make_rig(("x", "y"), **values) for values in (given, given | fault_free))
     shown, true = (driven(rig, np.tile([1.0, 0.5], (100, 1))) for rig in rigs)
     np.testing.assert_allclose(shown[:, F], 1.03 * true[:, F] + 5.0, rtol=1e-12)
     np.testing.assert_allclose(shown[:, [X, V]], true[:, [X, V]], rtol=1e-12, atol=1e-15)

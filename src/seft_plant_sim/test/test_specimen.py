@@ -57,7 +57,7 @@ def test_springs_may_be_more_than_axes():
 
 
 @pytest.mark.parametrize(
-    ("values", "told"),
+    ("values", "message"),
     [
         ({}, r"specimen\.yield_displacement is 0.0, but a bilinear specimen yields: give the dis"),
         ({"yield_displacement": [0.01, 0.0]}, r"yield_displacement is \[0.01, 0.0\], but"),
@@ -92,21 +92,21 @@ def test_springs_may_be_more_than_axes():
         ),
     ],
 )
-def test_what_makes_no_hysteretic_specimen_is_refused_by_name(values, told):
-    with pytest.raises(InputError, match=told):
+def test_what_makes_no_hysteretic_specimen_is_refused_by_name(values, message):
+    with pytest.raises(InputError, match=message):
         specimen(("x", "y"), kind="bilinear", **values)
 
 
 @pytest.mark.parametrize(
-    ("kind", "told"),
+    ("kind", "message"),
     [
         ("friction", r"specimen\.friction\.force is 0.0, but a friction specimen has friction"),
         ("gap", r"specimen\.gap\.stiffness is 0.0, but a gap specimen has a second spring: give"),
         ("flag", r"specimen\.yield_displacement is 0.0, but a flag specimen yields: give the"),
     ],
 )
-def test_what_a_kind_needs_is_asked_for(kind, told):
-    with pytest.raises(InputError, match=told):
+def test_what_a_kind_needs_is_asked_for(kind, message):
+    with pytest.raises(InputError, match=message):
         specimen(kind=kind)
 
 

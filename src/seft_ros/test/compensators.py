@@ -18,10 +18,11 @@ def force_section(**values):
     return section_of(REFERENCE_FORCE_TABLE, **given)
 
 
-def compensator(method, axes=("x",), rate=500, told=(), delay=DELAY, **values):
-    """Compensator of these parameters, what its settings are told, and a delay, with the loop's."""
+def compensator(method, axes=("x",), rate=500, settings=(), delay=DELAY, **values):
+    """Compensator of these parameters, what its settings are settings, and a delay, with the
+    loop's."""
     own = " ".join(
-        f"{name}={json.dumps(v, separators=(',', ':'))}" for name, v in dict(told).items()
+        f"{name}={json.dumps(v, separators=(',', ':'))}" for name, v in dict(settings).items()
     )
     paper = {"specimen__damping": C, "actuator__delay": delay - 1.5 / rate, "mass_ratio": 1.0}
     method_words = {"compensation__method": method, "compensation__settings": own}

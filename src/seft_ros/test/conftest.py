@@ -31,8 +31,8 @@ def read(tmp_path):
 def refuses(read, tmp_path):
     """Read what must be refused in words that match, and with the file's name; gives the words."""
 
-    def refuses(told, content, *options, name="record.txt", **words):
-        with pytest.raises(InputError, match=told) as caught:
+    def refuses(message, content, *options, name="record.txt", **words):
+        with pytest.raises(InputError, match=message) as caught:
             read(content, *options, name=name, **words)
         assert str(tmp_path / name) in str(caught.value)
         return str(caught.value)

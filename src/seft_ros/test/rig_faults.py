@@ -3,7 +3,7 @@
 import numpy as np
 from seft_msgs_py.config.facts import CHANNELS
 
-SENSOR_FAULTS = {  # with the channel's RMS noise and its largest value in the sound test
+SENSOR_FAULTS = {  # with the channel's RMS noise and its largest value in the fault-free test
     "dead": ("set 0",),
     "dead but for noise": ("set 0", "noise {noise!r}"),
     "frozen": ("freeze",),
@@ -60,7 +60,7 @@ def lines_of(fault, time, noise, largest):
 
 
 LATE, MISSED = "nine commands missed in a row", "commands missed at random"
-"""What a slow host does to a sound rig, at 500 Hz."""
+"""What a slow host does to a fault-free rig, at 500 Hz."""
 
 
 class SlowHost:

@@ -78,13 +78,13 @@ def scaled_rig(
 ):
     """Words of a test on a specimen of a mass (kg) and frequency (Hz), on an oil column (Hz).
 
-    The errors are those of what the controller is told: relative, of the dead time in s. The noise
+    The errors are those of what the controller knows: relative, of the dead time in s. The noise
     is so much of the demo's, relative to the peaks.
     """
     words, gain, oil, capacity, peaks = scaled(mass, oil_hz, rate, hz, mass_ratio, leakage, zeta)
     true = {"flow_gain": gain, "oil_stiffness": oil, "leakage": leakage, "force_capacity": capacity}
     true["dead_time"] = DEAD_TIME + max(-dead_time_error, 0.0)
-    told = true | {
+    known = true | {
         "flow_gain": gain * (1.0 + gain_error),
         "oil_stiffness": oil * (1.0 + oil_error),
         "dead_time": DEAD_TIME + max(dead_time_error, 0.0),
@@ -92,7 +92,7 @@ def scaled_rig(
     values = {
         "rig:simulated.actuator": true
         | {"friction": 10.0 / 24500.0 * capacity, "stroke": 5.0 * peaks[0]},
-        "actuator": told,
+        "actuator": known,
         "sensors": {
             **{f"{name}_range": 5.0 * peak for name, peak in zip(CHANNELS, peaks, strict=True)},
             **{

@@ -7,16 +7,16 @@ from functools import cache
 import numpy as np
 import pytest
 from experiments_at_hand import CONFIG, load, simulated
-from records_at_hand import as_measured, shown, without
+from recordings_at_hand import as_measured, shown, without
 from seft_msgs_py.config.experiment import Experiment
 from seft_ros.analysis import calibration_check as checks
+from seft_ros.analysis.assessment import calibration_findings
 from seft_ros.analysis.calibration_check import calibration_check, expected_relations
 from seft_ros.analysis.calibration_effect import led
-from seft_ros.analysis.judgement import calibration_findings
 from seft_ros.analysis.report_numbers import report_numbers
 from seft_ros.analysis.result_text import OF_THE_MODEL, summary_texts
 from seft_ros.analysis.summary import summarise
-from seft_ros.bags.record import Series
+from seft_ros.bags.recording import Series
 from seft_ros.drawing.style import Mark
 
 PLAN = (
@@ -29,30 +29,30 @@ WRONG_MASS = ("specimen.mass:=57.0", "rig:simulated.specimen.mass:=52.7")
 
 
 @cache
-def record_of(*words):
-    """Give the record of a test that ran to its end."""
-    record = simulated(load(*PLAN, *words))
-    assert record.trip is None
-    return record
+def recording_of(*words):
+    """Give the recording of a test that ran to its end."""
+    recording = simulated(load(*PLAN, *words))
+    assert recording.trip is None
+    return recording
 
 
-def as_of_hardware(record):
-    """Give the record of a real rig, of whose specimen no more is known than the model."""
-    sections = {node: own for node, own in record.experiment.sections.items() if node != "rig"}
-    return replace(record, experiment=Experiment(sections))
+def as_of_hardware(recording):
+    """Give the recording of a real rig, of whose specimen no more is known than the model."""
+    sections = {node: own for node, own in recording.experiment.sections.items() if node != "rig"}
+    return replace(recording, experiment=Experiment(sections))
 
 
-def doubted(record):
+def doubted(recording):
     """Findings on mass and channels that put a test in doubt."""
-    findings = calibration_findings(summarise(record))
+    findings = calibration_findings(summarise(recording))
     return {finding.name for finding in findings if finding.verdict is Mark.DOUBT}
 
 
 @pytest.mark.parametrize("words", [(), FRICTION, ("rate:=250.0",), ("rate:=1000.0",)])
-def test_a_sound_test_is_not_doubted(words):
-    record = as_of_hardware(record_of(*words))
-    check = calibration_check(record)
-    assert doubted(record) == set()
+def test_a_fault_free_test_is_not_doubted(words):
+    recording = as_of_hardware(recording_of(*words))
+    check = calibration_check(recording)
+    assert doubted(recording) == set()
     assert check.mass.estimate == pytest.approx(52.7, abs=4 * check.mass.error)
     assert None not in (check.scale, check.lag)
     error = check.axes["x"]["force"]["lag"]["error"]  # 0.4 ms mean 3 to 14 %
@@ -71,24 +71,24 @@ def test_a_sound_test_is_not_doubted(words):
     ],
 )
 def test_a_wrong_mass_scale_or_lag_puts_a_test_in_doubt(words, kinds):
-    assert kinds <= doubted(as_of_hardware(record_of(*words)))
+    assert kinds <= doubted(as_of_hardware(recording_of(*words)))
 
 
 def test_channels_that_wait_for_the_latest_are_read_when_they_are_read():
     """At 250 Hz what is folded down is 0.8 % of the acceleration, and a plant's delay turns it."""
-    sound, aligned = (
+    fault_free, aligned = (
         expected_relations(load(*PLAN, "rate:=250.0", *words), 5.0)
         for words in ((), ("calibration.force_lag:=0.0004",))
     )
-    assert abs(sound[1] - 1.0) > 5e-3
-    assert aligned == pytest.approx(sound, abs=1e-9)
+    assert abs(fault_free[1] - 1.0) > 5e-3
+    assert aligned == pytest.approx(fault_free, abs=1e-9)
 
 
 def test_text_and_json_say_what_is_wrong():
-    record = as_of_hardware(record_of(*WRONG_MASS))
-    found = json.loads(json.dumps(report_numbers(record).summary, allow_nan=False))
-    text = " ".join(shown(summary_texts(record, found)).split())
-    assert "kg, told 57 kg: the displacement may be" in text
+    recording = as_of_hardware(recording_of(*WRONG_MASS))
+    found = json.loads(json.dumps(report_numbers(recording).summary, allow_nan=False))
+    text = " ".join(shown(summary_texts(recording, found)).split())
+    assert "kg, known 57 kg: the displacement may be" in text
     assert " ".join(OF_THE_MODEL.split()) in text
     names = {finding["name"]: finding["verdict"] for finding in found["verdict"]["findings"]}
     assert names["mass"] == "doubt"
@@ -96,16 +96,16 @@ def test_text_and_json_say_what_is_wrong():
 
 
 def test_a_reference_of_the_simulated_specimen_is_not_called_the_models():
-    for record, is_told in ((record_of(), False), (as_of_hardware(record_of()), True)):
-        assert ("model's" in shown(summary_texts(record, summarise(record)))) is is_told
+    for recording, is_noted in ((recording_of(), False), (as_of_hardware(recording_of()), True)):
+        assert ("model's" in shown(summary_texts(recording, summarise(recording)))) is is_noted
 
 
 def test_what_a_separate_test_found_is_combined_by_the_errors():
-    record = record_of(*FRICTION)
-    own = calibration_check(record).mass
+    recording = recording_of(*FRICTION)
+    own = calibration_check(recording).mass
     mass, lag_error = own.estimate + 2 * own.error, {"calibration.force_lag_error": 1e-6}
-    told = {"specimen.mass": mass, "specimen.mass_error": 0.1, **lag_error}
-    known = replace(record, experiment=record.experiment.changed({"/**": told}))
+    known = {"specimen.mass": mass, "specimen.mass_error": 0.1, **lag_error}
+    known = replace(recording, experiment=recording.experiment.changed({"/**": known}))
     both = calibration_check(known).mass
     weights = np.array([own.error, 0.1]) ** -2.0
     estimates = own.estimate, mass
@@ -115,7 +115,7 @@ def test_what_a_separate_test_found_is_combined_by_the_errors():
     def short(of):
         return replace(of, series={name: s.until(60) for name, s in of.series.items()})
 
-    assert calibration_check(short(record)).mass is None
+    assert calibration_check(short(recording)).mass is None
     alone = calibration_check(short(known)).mass
     assert alone.estimate == pytest.approx(mass)
     assert alone.error == pytest.approx(0.1)
@@ -125,7 +125,7 @@ def test_what_has_changed_after_a_separate_test_is_seen():
     errors = "specimen.mass_error:=0.05", "calibration.force_lag_error:=1e-6"
     changes = "force_scale:=1.08", "force_lag:=0.0004"
     words = [*errors, *(f"rig:simulated.sensors.{change}" for change in changes)]
-    check = calibration_check(record_of(*words))
+    check = calibration_check(recording_of(*words))
     assert check.mass.estimate == pytest.approx(1.08 * 52.7, rel=0.01)
     lag = check.axes["x"]["force"]["lag"]
     assert lag["estimate"] == pytest.approx(0.0004, abs=4 * lag["error"])
@@ -136,8 +136,8 @@ def test_what_has_changed_after_a_separate_test_is_seen():
 @pytest.mark.parametrize("kind", ["ideal", "delay"])
 def test_of_an_idealised_actuator_the_mass_is_known_and_no_relation(kind):
     words = "ground_motion:peak_force:=450.0", "rate:=1000.0", f"actuator.kind:={kind}"
-    record = simulated(load(*words))
-    check = calibration_check(record)
+    recording = simulated(load(*words))
+    check = calibration_check(recording)
     assert check.scale is None
     assert check.mass.estimate == pytest.approx(52.7, abs=4 * check.mass.error)
 
@@ -159,21 +159,21 @@ def test_a_computed_model_and_an_eft_test_are_checked_too(config, word, monkeypa
 
 
 def test_too_many_lost_samples_or_one_that_is_no_number_make_nothing_known():
-    record = record_of()
-    assert calibration_check(without(record, "rig/state", range(100, 110))).mass is not None
-    assert calibration_check(without(record, "rig/state", range(100, 400))) is None
-    states = record.series["rig/state"]
+    recording = recording_of()
+    assert calibration_check(without(recording, "rig/state", range(100, 110))).mass is not None
+    assert calibration_check(without(recording, "rig/state", range(100, 400))) is None
+    states = recording.series["rig/state"]
     values = states.values.copy()
     values[50, 2] = np.nan
-    broken = replace(record, series=as_measured(record, Series(states.steps, values)))
+    broken = replace(recording, series=as_measured(recording, Series(states.steps, values)))
     assert calibration_check(broken) is None
 
 
 def test_a_rig_at_rest_says_nothing():
-    record = record_of()
-    states = record.series["rig/state"]
+    recording = recording_of()
+    states = recording.series["rig/state"]
     still = Series(states.steps, np.zeros_like(states.values))
-    check = calibration_check(replace(record, series=as_measured(record, still)))
+    check = calibration_check(replace(recording, series=as_measured(recording, still)))
     assert (check.mass, check.scale, check.lag) == (None, None, None)
 
 

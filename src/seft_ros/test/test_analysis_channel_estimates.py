@@ -44,17 +44,17 @@ def samples(
     return (exact + NOISE * rng.standard_normal(exact.shape))[:, :, np.newaxis]
 
 
-def estimate(y, told=MASS):
-    """Mass over the told one, of one axis."""
-    return inertia(y, np.array([[told]]), np.eye(1), DT, motion_frequency(y))
+def estimate(y, known=MASS):
+    """Mass over the known one, of one axis."""
+    return inertia(y, np.array([[known]]), np.eye(1), DT, motion_frequency(y))
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-@pytest.mark.parametrize("told", [40.0, 44.0])
-def test_mass_is_found_within_its_standard_error(seed, told):
-    found = estimate(samples(seed=seed), told)
+@pytest.mark.parametrize("known", [40.0, 44.0])
+def test_mass_is_found_within_its_standard_error(seed, known):
+    found = estimate(samples(seed=seed), known)
     assert found.factor_error[0] < 0.01
-    assert found.factor[0] == pytest.approx(MASS / told, abs=3 * found.factor_error[0])
+    assert found.factor[0] == pytest.approx(MASS / known, abs=3 * found.factor_error[0])
     assert found.lag[0] == pytest.approx(0.0, abs=3 * found.lag_error[0])
 
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from records_at_hand import noise_record, shown
+from recordings_at_hand import noise_recording, shown
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import LOOP_TOPICS
-from seft_ros.analysis.comparison import compare_records
+from seft_ros.analysis.comparison import compare_recordings
 from seft_ros.analysis.figures import comparison_figure
 from seft_ros.analysis.result_text import comparison_texts
-from seft_ros.bags.record import Estimates
+from seft_ros.bags.recording import Estimates
 
 AXES = ("x", "y")
 COUNT = 40
@@ -24,15 +24,15 @@ PLACES = [
 ]
 
 
-def make_record(count=COUNT, rate=500.0, axes=AXES, missed=0, start=0):
-    record = noise_record(COUNT, axes, rate, missed=missed)
+def make_recording(count=COUNT, rate=500.0, axes=AXES, missed=0, start=0):
+    recording = noise_recording(COUNT, axes, rate, missed=missed)
     kept = np.arange(start, count)
-    series = {name: whole.of_steps(kept) for name, whole in record.series.items()}
-    return dataclasses.replace(record, series=series)
+    series = {name: whole.of_steps(kept) for name, whole in recording.series.items()}
+    return dataclasses.replace(recording, series=series)
 
 
 def test_the_same_samples_are_identical():
-    result = compare_records(make_record(), make_record(missed=2))
+    result = compare_recordings(make_recording(), make_recording(missed=2))
     assert result["identical"] is True
     assert result["first_difference"] is None
     assert result["missed"] == {"a": 0, "b": 2}
@@ -47,10 +47,10 @@ def test_the_same_samples_are_identical():
 @given(place=st.sampled_from(PLACES), step=st.integers(0, COUNT - 1))
 def test_one_bit_anywhere_is_a_difference_and_is_named(place, step):
     topic, row, column = place
-    a, b = make_record(), make_record()
+    a, b = make_recording(), make_recording()
     value = float(b.series[topic.name].values[step, row, column])
     b.series[topic.name].values[step, row, column] = np.nextafter(value, np.inf)
-    result = compare_records(a, b)
+    result = compare_recordings(a, b)
     assert result["identical"] is False
     assert result["first_difference"] == {
         "topic": topic.name,
@@ -60,50 +60,50 @@ def test_one_bit_anywhere_is_a_difference_and_is_named(place, step):
         "a": value,
         "b": np.nextafter(value, np.inf),
     }
-    swapped = compare_records(b, a)["first_difference"]
+    swapped = compare_recordings(b, a)["first_difference"]
     assert (swapped["a"], swapped["b"]) == (np.nextafter(value, np.inf), value)
 
 
 @settings(max_examples=30)
 @given(st.lists(st.tuples(st.sampled_from(PLACES), st.integers(0, COUNT - 1)), min_size=1))
 def test_the_smallest_step_comes_first_then_the_order_of_the_topics(changes):
-    a, b = make_record(), make_record()
+    a, b = make_recording(), make_recording()
     for (topic, row, column), step in changes:
         b.series[topic.name].values[step, row, column] = 77.0
     step, place = min((step, PLACES.index(place)) for place, step in changes)
     topic, row, column = PLACES[place]
-    first = compare_records(a, b)["first_difference"]
+    first = compare_recordings(a, b)["first_difference"]
     found = (first["step"], first["topic"], first["field"], first["axis"])
     assert found == (step, topic.name, topic.quantities[row], AXES[column])
 
 
 def test_a_zero_of_the_other_sign_is_not_the_same_bits():
-    a, b = make_record(), make_record()
+    a, b = make_recording(), make_recording()
     a.series["valve_command"].values[3] = 0.0
     b.series["valve_command"].values[3] = -0.0
-    result = compare_records(a, b)
+    result = compare_recordings(a, b)
     assert result["identical"] is False
     assert result["first_difference"]["step"] == 3
     assert result["topics"]["valve_command"]["max_abs"] == 0.0
 
 
 def test_the_same_nan_is_the_same_and_the_result_is_json():
-    a, b = make_record(), make_record()
-    for record in (a, b):
-        record.series["rig/state"].values[5] = math.nan
-    assert compare_records(a, b)["identical"] is True
+    a, b = make_recording(), make_recording()
+    for recording in (a, b):
+        recording.series["rig/state"].values[5] = math.nan
+    assert compare_recordings(a, b)["identical"] is True
     b.series["rig/state"].values[5] = math.inf
-    result = json.loads(json.dumps(compare_records(a, b), allow_nan=False))
+    result = json.loads(json.dumps(compare_recordings(a, b), allow_nan=False))
     assert result["identical"] is False
     assert result["topics"]["rig/state"]["max_abs"] is None
 
 
-def test_errors_are_told_of_each_field_and_the_largest_of_the_topic():
-    a, b = make_record(), make_record()
+def test_errors_are_reported_of_each_field_and_the_largest_of_the_topic():
+    a, b = make_recording(), make_recording()
     values = a.series["rig/state"].values
     b.series["rig/state"].values[:, 0] *= 1.5
     b.series["rig/state"].values[7, 3, 1] += 10.0
-    row = compare_records(a, b)["topics"]["rig/state"]
+    row = compare_recordings(a, b)["topics"]["rig/state"]
     assert row["fields"]["positions"]["nrmse"] == pytest.approx(0.5)
     assert row["fields"]["velocities"] == {"max_abs": 0.0, "nrmse": 0.0}
     rms = np.sqrt(np.mean(values[:, 3] ** 2))
@@ -112,28 +112,28 @@ def test_errors_are_told_of_each_field_and_the_largest_of_the_topic():
     assert row["nrmse"] == pytest.approx(max(0.5, 10.0 / np.sqrt(80) / rms))
 
 
-def test_records_without_a_common_step_are_compared():
-    result = compare_records(make_record(0), make_record())
+def test_recordings_without_a_common_step_are_compared():
+    result = compare_recordings(make_recording(0), make_recording())
     assert result["first_difference"]["step"] == 0
     assert result["topics"]["rig/state"]["missing_a"] == 40
-    assert compare_records(make_record(0), make_record(0))["identical"] is True
+    assert compare_recordings(make_recording(0), make_recording(0))["identical"] is True
 
 
 @pytest.mark.parametrize(
-    ("other", "told"),
+    ("other", "message"),
     [
         ({"rate": 250.0}, "the rate is 500 Hz in the first and 250 Hz in the second"),
         ({"axes": ("x",)}, "the axes are x, y in the first and x in the second"),
         ({"axes": ("y", "x")}, "the axes are x, y in the first and y, x in the second"),
     ],
 )
-def test_rates_and_axes_must_be_the_same(other, told):
-    with pytest.raises(InputError, match=told):
-        compare_records(make_record(), make_record(**other))
+def test_rates_and_axes_must_be_the_same(other, message):
+    with pytest.raises(InputError, match=message):
+        compare_recordings(make_recording(), make_recording(**other))
 
 
-def test_the_common_part_of_different_lengths_is_compared_and_both_are_told():
-    result = compare_records(make_record(), make_record(20))
+def test_the_common_part_of_different_lengths_is_compared_and_both_are_reported():
+    result = compare_recordings(make_recording(), make_recording(20))
     assert result["length_s"] == {"a": 0.078, "b": 0.038}
     assert result["first_difference"]["b"] == "missing"
     assert result["first_value_difference"] is None
@@ -145,21 +145,21 @@ def test_the_common_part_of_different_lengths_is_compared_and_both_are_told():
     assert "…" not in text
 
 
-def test_the_first_value_that_differs_is_told_besides_a_sample_that_is_missing():
-    b = make_record(start=3)
+def test_the_first_value_that_differs_is_reported_besides_a_sample_that_is_missing():
+    b = make_recording(start=3)
     b.series["valve_command"].values[20, 0, 0] = 77.0
-    result = compare_records(make_record(), b)
+    result = compare_recordings(make_recording(), b)
     assert result["first_difference"]["step"] == 0
     assert result["first_value_difference"]["step"] == 23
     assert result["first_value_difference"]["topic"] == "valve_command"
 
 
 def test_both_tests_are_drawn_with_their_difference_its_first_mark_and_gaps():
-    a, b = make_record(), make_record()
+    a, b = make_recording(), make_recording()
     b.series["valve_command"].values[20] += 1.0
     kept = np.setdiff1d(np.arange(COUNT), range(30, 35))
     b.series.update({name: series.of_steps(kept) for name, series in b.series.items()})
-    figure = comparison_figure(a, b, compare_records(a, b), ["a: bag", "b: bag"])
+    figure = comparison_figure(a, b, compare_recordings(a, b), ["a: bag", "b: bag"])
     figure.canvas.draw()
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
     assert legend == ["a: bag", "b: bag", "first difference: valve_command, 0.04 s"]
@@ -177,16 +177,16 @@ NAME = "reference_force/estimates"
 
 
 def estimating(estimates=ESTIMATES):
-    return dataclasses.replace(make_record(), estimates=estimates)
+    return dataclasses.replace(make_recording(), estimates=estimates)
 
 
 def test_estimates_are_compared_like_samples():
-    same = compare_records(estimating(), estimating())
+    same = compare_recordings(estimating(), estimating())
     assert same["identical"] is True
     assert same["topics"][NAME]["samples_a"] == 2
     values = ESTIMATES.values.copy()
     values[1, 1, 0] += 3.0
-    result = compare_records(
+    result = compare_recordings(
         estimating(), estimating(dataclasses.replace(ESTIMATES, values=values))
     )
     assert result["first_difference"] == {
@@ -201,11 +201,11 @@ def test_estimates_are_compared_like_samples():
     assert result["topics"][NAME]["fields"]["delay"]["max_abs"] == 0.0
 
 
-def test_estimates_are_told_apart_by_name_and_not_by_place():
+def test_estimates_are_distinguished_by_name_and_not_by_place():
     turned = Estimates(ESTIMATES.steps, ESTIMATES.values[:, ::-1], ("gain", "delay"))
-    assert compare_records(estimating(), estimating(turned))["identical"] is True
+    assert compare_recordings(estimating(), estimating(turned))["identical"] is True
     fewer = Estimates(ESTIMATES.steps, ESTIMATES.values[:, :1], ("delay",))
-    first = compare_records(estimating(), estimating(fewer))["first_difference"]
+    first = compare_recordings(estimating(), estimating(fewer))["first_difference"]
     assert (first["field"], first["a"], first["b"]) == ("gain", 2.0, None)
 
 
@@ -213,13 +213,13 @@ def table(result):
     return shown(comparison_texts(result))
 
 
-def test_the_table_says_where_records_first_differ():
-    a, b = make_record(), make_record(missed=3)
+def test_the_table_says_where_recordings_first_differ():
+    a, b = make_recording(), make_recording(missed=3)
     assert "identical, bit for bit; steps that missed the command deadline: 3 in b" in table(
-        compare_records(a, b)
+        compare_recordings(a, b)
     )
     b.series["rig/state"].values[3, 3, 1] = 77.0
-    text = table(compare_records(a, b))
+    text = table(compare_recordings(a, b))
     assert "first difference at step 3, rig/state, effort of axis y" in text
     assert "77.0 in b" in text
-    assert "the sample is missing in b" in table(compare_records(a, make_record(5)))
+    assert "the sample is missing in b" in table(compare_recordings(a, make_recording(5)))

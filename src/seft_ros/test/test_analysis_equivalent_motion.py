@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 from experiments_at_hand import load
-from records_at_hand import record_of, without
+from recordings_at_hand import recording_of, without
 from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.whole_structure import reference_response, whole_structure
 from seft_ros.analysis.equivalent_motion import (
@@ -18,7 +18,7 @@ from seft_ros.analysis.metrics import delayed
 from seft_ros.analysis.specimen_law import SpecimenLaw, springs_of
 from seft_ros.analysis.summary import summarise
 from seft_ros.analysis.tracking import tracked_of, tracking_error_of, tracking_of
-from seft_ros.bags.record import Series
+from seft_ros.bags.recording import Series
 
 COUNT = 1500
 CONFIGS = ("jhu", "three_storey_frame", "water_tower", "two_pier_bridge")
@@ -54,8 +54,8 @@ def states_of(test, motion):
 
 
 def equivalent_of(test, states):
-    told = assumed_structure(test)
-    return EquivalentMotion(whole_structure(told), test.timebase.dt).advance(states)
+    assumed = assumed_structure(test)
+    return EquivalentMotion(whole_structure(assumed), test.timebase.dt).advance(states)
 
 
 @pytest.mark.parametrize("config", CONFIGS)
@@ -92,8 +92,8 @@ def test_the_difference_is_the_error_of_a_linear_test(config):
     test = experiment(config)
     motion = ground(test)
     wrong = motion + 0.2 * ground(test, seed=2)
-    record = record_of(test, motion, states_of(test, wrong))
-    summary = summarise(record)
+    recording = recording_of(test, motion, states_of(test, wrong))
+    summary = summarise(recording)
     true, found = summary["displacement"]["nrmse"], summary["equivalent_motion"]
     assert true > 0.05
     assert found["response_nrmse"] == pytest.approx(true, rel=1e-3)
@@ -103,7 +103,7 @@ def test_the_difference_is_the_error_of_a_linear_test(config):
 def test_a_larger_motion_differs_as_much_everywhere():
     test = experiment("three_storey_frame")
     motion = ground(test)
-    found = motion_difference(record_of(test, motion, states_of(test, 1.1 * motion)))
+    found = motion_difference(recording_of(test, motion, states_of(test, 1.1 * motion)))
     assert found.specimen_nrmse == pytest.approx(0.1, rel=0.02)
     np.testing.assert_allclose(found.tested, 1.1 * found.asked, rtol=1e-9)
     assert found.numbers()["spectrum_deviation"] == pytest.approx(0.1)
@@ -121,7 +121,7 @@ def test_the_law_of_the_test_says_what_another_motion_would_have_done():
     for law, size in ((FRICTION, 0.0405), (gap, 0.0340)):
         test = experiment().changed({"rig": law})
         motion = ground(test)
-        summary = summarise(record_of(test, motion, states_of(test, 1.03 * motion)))
+        summary = summarise(recording_of(test, motion, states_of(test, 1.03 * motion)))
         assert summary["displacement"]["nrmse"] == pytest.approx(size, rel=0.01)
         found = summary["equivalent_motion"]["specimen_response_nrmse"]
         assert found == pytest.approx(size, rel=0.08)
@@ -130,27 +130,29 @@ def test_the_law_of_the_test_says_what_another_motion_would_have_done():
 def test_beyond_the_motion_of_the_test_the_law_pulls_back():
     """Noise may make the last corners of the curve fall."""
     test = experiment("three_storey_frame")
-    motion, told = ground(test), assumed_structure(test)
-    whole, states, dt = whole_structure(told), states_of(test, motion), test.timebase.dt
+    motion, assumed = ground(test), assumed_structure(test)
+    whole, states, dt = whole_structure(assumed), states_of(test, motion), test.timebase.dt
     states[:, 3] += 1e3 * np.random.default_rng(1).normal(size=motion.shape)
-    law = SpecimenLaw(whole, EquivalentMotion(whole, dt).mass, states, springs_of(told, whole), dt)
+    law = SpecimenLaw(
+        whole, EquivalentMotion(whole, dt).mass, states, springs_of(assumed, whole), dt
+    )
     assert law.difference(99.0 * motion) == pytest.approx(0.99, abs=0.05)
 
 
 def test_samples_that_are_lost_are_bridged():
     test = experiment()
     motion = ground(test)
-    record = record_of(test, motion, states_of(test, motion))
-    record = without(record, "rig/state", [300, 301, 900])
-    assert motion_difference(record).response_nrmse < 0.01
+    recording = recording_of(test, motion, states_of(test, motion))
+    recording = without(recording, "rig/state", [300, 301, 900])
+    assert motion_difference(recording).response_nrmse < 0.01
 
 
 @pytest.mark.parametrize("what", ["no step 0", "no motion", "no structure", "not finite", "empty"])
 def test_what_can_not_be_known_is_null(what):
     test = experiment()
     motion = ground(test)
-    record = record_of(test, motion, states_of(test, motion))
-    series = dict(record.series)
+    recording = recording_of(test, motion, states_of(test, motion))
+    series = dict(recording.series)
     topic = "ground_motion" if what == "no motion" else "rig/state"
     cut = slice(COUNT, None) if what == "empty" else slice(1, None)
     if what in ("no step 0", "no motion", "empty"):
@@ -160,15 +162,15 @@ def test_what_can_not_be_known_is_null(what):
         series[topic].values[-1, 2] = np.inf
     else:
         test = Experiment({"rig": test["rig"]})
-    summary = summarise(dataclasses.replace(record, series=series, experiment=test))
+    summary = summarise(dataclasses.replace(recording, series=series, experiment=test))
     assert summary["equivalent_motion"] is None
     json.dumps(summary, allow_nan=False)
 
 
 def test_a_motion_of_zeros_has_no_difference_but_no_error_either():
     test = experiment()
-    record = record_of(test, np.zeros((COUNT, 1)), np.zeros((COUNT, 4, 1)))
-    found = summarise(record)["equivalent_motion"]
+    recording = recording_of(test, np.zeros((COUNT, 1)), np.zeros((COUNT, 4, 1)))
+    found = summarise(recording)["equivalent_motion"]
     assert found["response_nrmse"] is found["spectrum_deviation"] is None
     json.dumps(found, allow_nan=False)
 
@@ -180,23 +182,23 @@ def test_a_method_that_sends_ahead_is_held_against_what_it_meant(config):
     states = states_of(test, motion)
     force = states[:, 3]
     ahead = np.stack([delayed(y, -0.014, test.timebase.dt) for y in force.T], axis=1)
-    record = record_of(test, motion, states, ahead[:, np.newaxis])
-    assert tracked_of(record).derived
-    found = tracking_of(record)
+    recording = recording_of(test, motion, states, ahead[:, np.newaxis])
+    assert tracked_of(recording).derived
+    found = tracking_of(recording)
     for axis in test.axes:
         assert found[axis]["nrmse"] < 2e-4
     sent = experiment(config, METHOD("none"))
-    record = dataclasses.replace(record, experiment=sent)
-    assert not tracked_of(record).derived
-    assert tracking_of(record)[test.axes[0]]["delay_s"] == pytest.approx(14e-3, abs=5e-4)
+    recording = dataclasses.replace(recording, experiment=sent)
+    assert not tracked_of(recording).derived
+    assert tracking_of(recording)[test.axes[0]]["delay_s"] == pytest.approx(14e-3, abs=5e-4)
 
 
 def test_a_reference_force_with_a_target_tells_both_motion_and_force():
     test = experiment("jhu", METHOD("none"))
     states = states_of(test, ground(test))
     targets = np.stack([0.9 * states[:, 0], states[:, 1], states[:, 3]], axis=1)
-    record = record_of(test, ground(test), states, targets)
-    assert tracking_error_of(record)["nrmse"] == pytest.approx(0.1)
-    assert tracking_of(record)["x"]["nrmse"] == 0.0
-    assert summarise(record)["tracking_error"]["nrmse"] == pytest.approx(0.1)
-    assert tracking_error_of(record_of(test, ground(test), states)) is None
+    recording = recording_of(test, ground(test), states, targets)
+    assert tracking_error_of(recording)["nrmse"] == pytest.approx(0.1)
+    assert tracking_of(recording)["x"]["nrmse"] == 0.0
+    assert summarise(recording)["tracking_error"]["nrmse"] == pytest.approx(0.1)
+    assert tracking_error_of(recording_of(test, ground(test), states)) is None

@@ -5,29 +5,29 @@ import json
 import math
 
 import numpy as np
-from records_at_hand import noise_record, shown
+from recordings_at_hand import noise_recording, shown
 from seft_ros.analysis.figures import test_figure as draw
 from seft_ros.analysis.result_text import summary_texts
 from seft_ros.analysis.summary import summarise
-from seft_ros.bags.record import Estimates
+from seft_ros.bags.recording import Estimates
 
 DELAY = np.array([[0.010, 0.010], [0.0141, 0.009], [0.0136, 0.012]])
 STIFFNESS = np.array([[2.11e5, 3e5], [2.0e5, 3.1e5], [1.9e5, 3.2e5]])
 STEPS = np.array([0, 50, 100])
 
 
-def make_record(axes=("x",), names=("delay", "stiffness"), **changes):
+def make_recording(axes=("x",), names=("delay", "stiffness"), **changes):
     values = np.stack([DELAY, STIFFNESS], axis=1)[:, :, : len(axes)].copy()
-    record = noise_record(120, axes, estimates=Estimates(STEPS, values, names))
-    return dataclasses.replace(record, **changes)
+    recording = noise_recording(120, axes, estimates=Estimates(STEPS, values, names))
+    return dataclasses.replace(recording, **changes)
 
 
-def table(record):
-    return shown(summary_texts(record, summarise(record)))
+def table(recording):
+    return shown(summary_texts(recording, summarise(recording)))
 
 
 def test_a_summary_tells_how_each_estimate_went_per_axis_in_si_units():
-    estimates = summarise(make_record(("x", "y")))["estimates"]
+    estimates = summarise(make_recording(("x", "y")))["estimates"]
     assert list(estimates) == ["delay", "stiffness"]
     assert estimates["delay"] == {
         "x": {"first": 0.010, "last": 0.0136, "least": 0.010, "largest": 0.0141},
@@ -37,37 +37,39 @@ def test_a_summary_tells_how_each_estimate_went_per_axis_in_si_units():
 
 
 def test_a_summary_of_estimates_that_are_not_finite_is_json_and_can_be_shown():
-    record = make_record()
-    record.estimates.values[2, 0, 0] = math.nan
-    summary = json.loads(json.dumps(summarise(record), allow_nan=False))
+    recording = make_recording()
+    recording.estimates.values[2, 0, 0] = math.nan
+    summary = json.loads(json.dumps(summarise(recording), allow_nan=False))
     assert summary["estimates"]["delay"]["x"]["first"] == 0.010
     assert summary["estimates"]["delay"]["x"]["last"] is None
-    assert "delay as identified: 10 to - ms" in table(record)
+    assert "delay as identified: 10 to - ms" in table(recording)
 
 
 def test_the_table_tells_estimates_in_units_for_people():
-    text = table(make_record())
+    text = table(make_recording())
     assert "delay as identified: 10 to 13.6 ms (between 10 and 14.1)" in text
     assert "stiffness as identified: 211 to 190 kN/m (between 190 and 211)" in text
-    both = " ".join(table(make_record(("x", "y"))).split())
+    both = " ".join(table(make_recording(("x", "y"))).split())
     assert "delay as identified: x 10 to 13.6 ms (between 10 and 14.1), y 10 to 12 ms" in both
-    assert "gain as identified: 0.01 to 0.0136 (between" in table(make_record(names=("gain", "q")))
+    assert "gain as identified: 0.01 to 0.0136 (between" in table(
+        make_recording(names=("gain", "q"))
+    )
 
 
 def test_where_nothing_is_wrong_the_summary_names_neither_detectors_nor_estimates():
-    record = make_record()
-    wrong = summarise(record) | {"detectors": {"tracking": 0.4}}
+    recording = make_recording()
+    wrong = summarise(recording) | {"detectors": {"tracking": 0.4}}
     near = {"nrmse": 0.01, "nrmse_aligned": 0.01, "peak": 1.0, "reference_peak": 1.01}
     error = wrong["displacement"] | near
     right = wrong | {"reference_specimen": "simulated", "displacement": error, "missed": 0}
-    for summary, told in ((wrong, True), (right, False)):
-        text = shown(summary_texts(record, summary))
-        assert ("tracking reached 40.0 % of its threshold" in text) is told
-        assert ("stiffness as identified" in text) is told
+    for summary, is_noted in ((wrong, True), (right, False)):
+        text = shown(summary_texts(recording, summary))
+        assert ("tracking reached 40.0 % of its threshold" in text) is is_noted
+        assert ("stiffness as identified" in text) is is_noted
 
 
 def test_a_figure_has_a_panel_for_each_estimate_and_axis():
-    drawn = draw(make_record(("x", "y")), None)
+    drawn = draw(make_recording(("x", "y")), None)
     panels = np.array(drawn.axes).reshape(5, 2)
     assert [panel.get_ylabel() for panel in panels[3:, 0]] == ["delay\n/ ms", "stiffness\n/ kN/m"]
     (course,) = panels[4, 1].lines

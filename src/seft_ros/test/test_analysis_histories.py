@@ -9,7 +9,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.whole_structure import ReferenceResponse
 from seft_ros.analysis.report_numbers import histories
-from seft_ros.bags.record import Record, Series
+from seft_ros.bags.recording import Recording, Series
 from seft_ros.drawing.table import check_table, write_table
 from seft_ros.ground_motion.record_file import read_record
 
@@ -17,8 +17,8 @@ COUNT = 20
 STEPS = np.arange(COUNT)
 
 
-def make_record(axes=("x", "y")):
-    """Make a record whose values tell topic, quantity, axis and step."""
+def make_recording(axes=("x", "y")):
+    """Make a recording whose values tell topic, quantity, axis and step."""
 
     def series(number, quantities):
         q, n = np.arange(quantities)[:, np.newaxis], np.arange(len(axes))
@@ -28,7 +28,7 @@ def make_record(axes=("x", "y")):
     names = {"ground_motion": 1, "rig/state": 4, "reference_force": 3, "valve_command": 1}
     common = {"rate": 500.0, "axes": list(axes)}
     parts = {name: series(k, q) for k, (name, q) in enumerate(names.items(), start=1)}
-    return Record(Experiment({"rig": common, "reference_force": common}), parts)
+    return Recording(Experiment({"rig": common, "reference_force": common}), parts)
 
 
 def exact(count):
@@ -38,7 +38,7 @@ def exact(count):
 
 
 def test_each_column_has_its_quantity_axis_and_unit_in_its_name():
-    names, table = histories(make_record(), exact(COUNT))
+    names, table = histories(make_recording(), exact(COUNT))
     columns = dict(zip(names, table.T, strict=True))
     assert len(columns) == len(names) == 1 + 2 * 10
     np.testing.assert_allclose(columns["time (s)"], STEPS * 0.002)
@@ -59,7 +59,7 @@ def test_each_column_has_its_quantity_axis_and_unit_in_its_name():
 
 
 def test_one_axis_needs_no_name_and_without_a_reference_there_is_no_exact_response():
-    names, _ = histories(make_record(("x",)), None)
+    names, _ = histories(make_recording(("x",)), None)
     assert names == [
         "time (s)",
         "ground acceleration (m/s^2)",
@@ -69,11 +69,11 @@ def test_one_axis_needs_no_name_and_without_a_reference_there_is_no_exact_respon
 
 
 def test_a_lost_sample_leaves_an_empty_field_in_its_row(tmp_path):
-    record = make_record()
-    kept = record.series["valve_command"].of_steps(np.delete(STEPS, 7))
-    record = dataclasses.replace(record, series={**record.series, "valve_command": kept})
+    recording = make_recording()
+    kept = recording.series["valve_command"].of_steps(np.delete(STEPS, 7))
+    recording = dataclasses.replace(recording, series={**recording.series, "valve_command": kept})
     path = tmp_path / "histories.csv"
-    names, table = histories(record, exact(COUNT - 2))
+    names, table = histories(recording, exact(COUNT - 2))
     write_table(path, names, table)
     with path.open() as file:
         rows = list(csv.DictReader(file))
@@ -88,13 +88,13 @@ def test_the_ground_motion_of_a_table_is_read_as_a_record(tmp_path):
     path = tmp_path / "histories.csv"
     wave = np.sin(STEPS)
     series = {"ground_motion": Series(STEPS, wave[:, np.newaxis, np.newaxis])}
-    test = make_record(("x",))
+    test = make_recording(("x",))
     test = dataclasses.replace(test, series=test.series | series)
     write_table(path, *histories(test, None))
-    record = read_record(path, [-1])
-    assert record.channels[0]["column"] == 'column 1 "ground acceleration (m/s^2)"'
-    assert (record.unit, record.dt) == ("m/s2", 0.002)
-    np.testing.assert_array_equal(record.accelerations[:, 0], wave)
+    recording = read_record(path, [-1])
+    assert recording.channels[0]["column"] == 'column 1 "ground acceleration (m/s^2)"'
+    assert (recording.unit, recording.dt) == ("m/s2", 0.002)
+    np.testing.assert_array_equal(recording.accelerations[:, 0], wave)
 
 
 def test_a_table_that_can_not_be_written_is_refused(tmp_path):

@@ -35,7 +35,7 @@ def test_spectra_are_those_of_scipy(count):
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 7])
-def test_short_records_have_short_spectra(count):
+def test_short_recordings_have_short_spectra(count):
     found = spectrum_of(np.ones(count), DT)
     assert len(found.frequency_hz) == (count // 2 + 1 if count > 1 else 0)
     assert found.rms() == pytest.approx(0.0, abs=1e-12)

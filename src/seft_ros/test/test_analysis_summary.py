@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from experiments_at_hand import load
 from matplotlib.image import imread
-from records_at_hand import record_of, shown, without
+from recordings_at_hand import recording_of, shown, without
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import Trip
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis import figures, result_text
-from seft_ros.analysis.judgement import verdict_line
+from seft_ros.analysis.assessment import verdict_line
 from seft_ros.analysis.metrics import delayed
 from seft_ros.analysis.result_text import summary_texts
 from seft_ros.analysis.summary import reference_of, summarise
@@ -29,7 +29,7 @@ def experiment(axes):
     return load(("/**", "axes", list(axes)), "reference_force:mass_ratio:=0.5")
 
 
-def make_record(axes=("x",), gain=1.0, delay=0.0, **changes):
+def make_recording(axes=("x",), gain=1.0, delay=0.0, **changes):
     """A test that follows the exact response with a gain and a delay."""
     time = np.arange(COUNT) * DT
     packet = np.exp(-(((time - 1.0) / 0.3) ** 2)) * np.sin(2 * np.pi * 6.0 * time)
@@ -39,12 +39,12 @@ def make_record(axes=("x",), gain=1.0, delay=0.0, **changes):
         [getattr(exact, n) for n in ("displacement", "velocity", "acceleration", "force")], axis=1
     )
     states = gain * np.stack([delayed(states[:, row], delay, DT) for row in range(4)], axis=1)
-    record = record_of(experiment(axes), ground, states, missed=0, wall_s=2.0)
-    return dataclasses.replace(record, **changes)
+    recording = recording_of(experiment(axes), ground, states, missed=0, wall_s=2.0)
+    return dataclasses.replace(recording, **changes)
 
 
-def test_gain_and_delay_of_a_test_are_told():
-    summary = summarise(make_record(gain=1.04, delay=0.0137))
+def test_gain_and_delay_of_a_test_are_reported():
+    summary = summarise(make_recording(gain=1.04, delay=0.0137))
     for name in THREE:
         assert list(summary[name]) == MEASURES
         assert summary[name]["delay_s"] == pytest.approx(0.0137, abs=1e-6)
@@ -56,10 +56,10 @@ def test_gain_and_delay_of_a_test_are_told():
 
 
 def test_a_summary_is_json():
-    record = make_record(("x", "y"), wall_s=None, missed=None, trip=Trip("limit", 9, 0.018))
-    record.series["rig/state"].values[5, 0, 0] = math.nan
-    record.series["rig/state"].values[5, 3, 1] = math.inf
-    summary = json.loads(json.dumps(summarise(record), allow_nan=False))
+    recording = make_recording(("x", "y"), wall_s=None, missed=None, trip=Trip("limit", 9, 0.018))
+    recording.series["rig/state"].values[5, 0, 0] = math.nan
+    recording.series["rig/state"].values[5, 3, 1] = math.inf
+    summary = json.loads(json.dumps(summarise(recording), allow_nan=False))
     assert summary["realtime_factor"] is None
     assert summary["displacement"]["nrmse"] is None
     assert summary["displacement"]["peak"] is None
@@ -71,27 +71,27 @@ def test_a_summary_is_json():
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 @pytest.mark.parametrize("topic", [topic.name for topic in LOOP_TOPICS[1:]])
 def test_a_test_with_values_that_are_not_finite_is_not_stable(topic, value):
-    record = make_record()
-    record.series[topic].values[-1, 0, 0] = value
-    assert summarise(record)["stable"] is False
+    recording = make_recording()
+    recording.series[topic].values[-1, 0, 0] = value
+    assert summarise(recording)["stable"] is False
 
 
 def test_the_numbers_of_a_tripped_test_leave_out_its_ramp_down():
-    record = make_record(trip=Trip("force beyond limit", 999, 1.998), missed=0)
-    record.series["rig/state"].values[1000:] = 0.0  # the force came down
-    summary = summarise(record)
+    recording = make_recording(trip=Trip("force beyond limit", 999, 1.998), missed=0)
+    recording.series["rig/state"].values[1000:] = 0.0  # the force came down
+    summary = summarise(recording)
     assert (summary["steps"], summary["judged_steps"]) == (COUNT, 1000)
     for name in THREE:
         assert summary[name]["nrmse"] == 0.0
-    text = shown(summary_texts(record, summary), 100)
+    text = shown(summary_texts(recording, summary), 100)
     assert "numbers are of its first 1000 steps" in " ".join(text.split())
-    whole = summarise(make_record())
+    whole = summarise(make_recording())
     assert whole["judged_steps"] == whole["steps"]
 
 
 def test_lost_steps_are_counted_and_the_others_compared():
-    record = without(make_record(gain=1.05), "rig/state", [300, 301, 700])
-    summary = summarise(without(record, "valve_command", range(10)))
+    recording = without(make_recording(gain=1.05), "rig/state", [300, 301, 700])
+    summary = summarise(without(recording, "valve_command", range(10)))
     assert summary["steps"] == COUNT
     assert summary["lost"] == {
         "ground_motion": 0,
@@ -103,13 +103,13 @@ def test_lost_steps_are_counted_and_the_others_compared():
     assert summary["displacement"]["nrmse"] == pytest.approx(0.05)
 
 
-def test_what_was_at_the_end_of_its_range_is_told_by_name():
-    assert summarise(make_record())["saturated"] == {}
+def test_what_was_at_the_end_of_its_range_is_reported_by_name():
+    assert summarise(make_recording())["saturated"] == {}
     saturation = {
         "valve": {"samples": 12, "first_step": 40},
         "force_range": {"samples": 3, "first_step": 500},
     }
-    summary = summarise(make_record(saturation=saturation))
+    summary = summarise(make_recording(saturation=saturation))
     assert summary["saturated"] == {
         "force_range": {"samples": 3, "first_step": 500},
         "valve": {"samples": 12, "first_step": 40},
@@ -118,13 +118,13 @@ def test_what_was_at_the_end_of_its_range_is_told_by_name():
     words = "saturated: force range in 3 samples from 1.000 s, valve in 12 samples"
     assert words in verdict_line(summary)
     assert summary["stable"] is True
-    assert "saturated" not in verdict_line(summarise(make_record()))
+    assert "saturated" not in verdict_line(summarise(make_recording()))
 
 
 def test_without_the_whole_ground_motion_there_is_no_reference():
-    record = without(make_record(), "ground_motion", [40])
-    assert reference_of(record) is None
-    summary = summarise(record)
+    recording = without(make_recording(), "ground_motion", [40])
+    assert reference_of(recording) is None
+    summary = summarise(recording)
     assert summary["displacement"]["nrmse"] is None
     assert summary["displacement"]["reference_peak"] is None
     assert summary["displacement"]["peak"] > 0
@@ -132,17 +132,17 @@ def test_without_the_whole_ground_motion_there_is_no_reference():
 
 
 def test_a_description_that_lacks_a_parameter_is_an_input_error():
-    record = make_record()
-    del record.experiment.sections["rig"]["simulated.specimen.stiffness"]
+    recording = make_recording()
+    del recording.experiment.sections["rig"]["simulated.specimen.stiffness"]
     with pytest.raises(InputError, match="lacks stiffness"):
-        reference_of(record)
+        reference_of(recording)
 
 
-def test_an_empty_record_is_summarised():
-    record = make_record()
+def test_an_empty_recording_is_summarised():
+    recording = make_recording()
     for topic in LOOP_TOPICS:
-        record = without(record, topic.name, range(COUNT))
-    summary = summarise(record)
+        recording = without(recording, topic.name, range(COUNT))
+    summary = summarise(recording)
     assert summary["steps"] == 0
     assert summary["displacement"] == dict.fromkeys(MEASURES)
     assert summary["first_step"] is None
@@ -162,25 +162,25 @@ def test_an_empty_record_is_summarised():
     ],
 )
 def test_the_verdict_says_how_the_test_went(changes, words):
-    record = make_record(**changes)
-    summary = summarise(record)
+    recording = make_recording(**changes)
+    summary = summarise(recording)
     assert words in verdict_line(summary)
     assert "\n" not in verdict_line(summary)
-    text = shown(summary_texts(record, summary), 200)
+    text = shown(summary_texts(recording, summary), 200)
     assert words in " ".join(text.split())  # a caption is as wide as its table
 
 
 def test_the_verdict_names_samples_that_are_lost_and_values_that_are_not_finite():
-    record = without(make_record(), "reference_force", [1, 2])
-    assert "samples lost: 2 of reference_force" in verdict_line(summarise(record))
-    record.series["rig/state"].values[-1] = math.nan
-    assert "UNSTABLE" in verdict_line(summarise(record))
+    recording = without(make_recording(), "reference_force", [1, 2])
+    assert "samples lost: 2 of reference_force" in verdict_line(summarise(recording))
+    recording.series["rig/state"].values[-1] = math.nan
+    assert "UNSTABLE" in verdict_line(summarise(recording))
 
 
 def test_the_table_is_in_units_for_people():
-    record = make_record(("x", "y"), gain=1.1, delay=0.004)
-    summary = summarise(record)
-    text = shown(summary_texts(record, summary), 100)
+    recording = make_recording(("x", "y"), gain=1.1, delay=0.004)
+    summary = summarise(recording)
+    text = shown(summary_texts(recording, summary), 100)
     assert "SEFT, mass ratio 0.5, compensation none, 500 Hz" in text
     assert f"{summary['displacement']['peak'] * 1e3:.4g} mm" in text
     assert "4.00 ms" in text
@@ -191,8 +191,8 @@ def test_the_table_is_in_units_for_people():
 
 @pytest.mark.parametrize("axes", [("x",), ("x", "y", "z"), tuple("abcd")])
 def test_a_figure_has_a_column_for_each_axis_up_to_three(axes):
-    record = make_record(axes)
-    drawn = figures.test_figure(record, reference_of(record))
+    recording = make_recording(axes)
+    drawn = figures.test_figure(recording, reference_of(recording))
     assert len(drawn.axes) == 3 * min(len(axes), 3)
     labels = [text.get_text() for text in drawn.legends[0].get_texts()]
     assert labels == ["reference response", "test"]
@@ -203,24 +203,26 @@ def test_a_figure_has_a_column_for_each_axis_up_to_three(axes):
 
 
 def test_a_figure_holds_the_samples_in_units_for_people_against_time():
-    record = make_record(gain=1.1)
-    panel = figures.test_figure(record, reference_of(record)).axes[0]
+    recording = make_recording(gain=1.1)
+    panel = figures.test_figure(recording, reference_of(recording)).axes[0]
     exact, test = panel.lines
     assert panel.get_ylabel() == "displacement / mm"
-    assert np.array_equal(test.get_ydata(), record.series["rig/state"].values[:, 0, 0] * 1e3)
+    assert np.array_equal(test.get_ydata(), recording.series["rig/state"].values[:, 0, 0] * 1e3)
     assert test.get_xdata()[-1] == pytest.approx(3.998)
-    assert np.array_equal(exact.get_ydata(), reference_of(record).displacement[:, 0] * 1e3)
+    assert np.array_equal(exact.get_ydata(), reference_of(recording).displacement[:, 0] * 1e3)
     assert panel.get_title(loc="right") == "NRMSE 10.0 %"
     start, end = panel.get_xlim()  # of the strong part of the ground motion, a packet about 1 s
     assert start == 0.0
     assert 3.0 < end < 3.6
-    tripped = make_record(trip=Trip("limit", 1999, 3.998))
+    tripped = make_recording(trip=Trip("limit", 1999, 3.998))
     assert figures.test_figure(tripped, None).axes[0].get_xlim()[1] == pytest.approx(3.998)
 
 
 def test_figures_are_saved_as_png_whatever_a_reason_holds_or_refused(tmp_path):
     backend = mpl.get_backend()
-    drawn = figures.test_figure(make_record(trip=Trip("force of $5 on axis $x", 1999, 3.998)), None)
+    drawn = figures.test_figure(
+        make_recording(trip=Trip("force of $5 on axis $x", 1999, 3.998)), None
+    )
     save_figure(drawn, tmp_path / "figure")
     assert imread(tmp_path / "figure.png").shape[:2] == (1080, 1425)
     assert mpl.get_backend() == backend  # the user's pyplot
@@ -230,18 +232,18 @@ def test_figures_are_saved_as_png_whatever_a_reason_holds_or_refused(tmp_path):
 
 
 def test_what_can_not_be_compared_is_drawn_still(tmp_path):
-    record = make_record()
-    record.series["rig/state"].values[100:, 0] = math.nan
-    save_figure(figures.test_figure(record, reference_of(record)), tmp_path / "nan.png")
-    save_figure(figures.test_figure(record, None), tmp_path / "alone.png")
+    recording = make_recording()
+    recording.series["rig/state"].values[100:, 0] = math.nan
+    save_figure(figures.test_figure(recording, reference_of(recording)), tmp_path / "nan.png")
+    save_figure(figures.test_figure(recording, None), tmp_path / "alone.png")
     for topic in LOOP_TOPICS:
-        record = without(record, topic.name, range(COUNT))
-    save_figure(figures.test_figure(record, None), tmp_path / "empty.png")
+        recording = without(recording, topic.name, range(COUNT))
+    save_figure(figures.test_figure(recording, None), tmp_path / "empty.png")
     assert len(list(tmp_path.iterdir())) == 3
 
 
 @pytest.mark.parametrize("axes", [("x", "y"), ("west/x", "east/x")])
-def test_what_the_rigs_have_zeroed_is_told(axes):
+def test_what_the_rigs_have_zeroed_is_reported(axes):
     names = ("displacement", "velocity", "acceleration", "force")
 
     def zeroed(*force):
@@ -251,8 +253,8 @@ def test_what_the_rigs_have_zeroed_is_told(axes):
     nodes = {"rig": zeroed(5.0, 0.0)}
     if "/" in axes[0]:
         nodes = {"west/rig": zeroed(5.0), "east/rig": zeroed(0.0)}
-    told = summarise(make_record(axes, facts=nodes))
-    assert told["zeroed"]["subtracted"]["force"] == [5.0, 0.0]
-    assert ("zeroed at rest", "force 5, 0 N") in result_text.test_rows(told)
-    silent = summarise(make_record(axes, facts={"rig": {"zeroed": 3}}))
+    summary = summarise(make_recording(axes, facts=nodes))
+    assert summary["zeroed"]["subtracted"]["force"] == [5.0, 0.0]
+    assert ("zeroed at rest", "force 5, 0 N") in result_text.test_rows(summary)
+    silent = summarise(make_recording(axes, facts={"rig": {"zeroed": 3}}))
     assert silent["zeroed"] is None and "zeroed at rest" not in dict(result_text.test_rows(silent))

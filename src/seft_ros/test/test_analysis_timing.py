@@ -8,14 +8,14 @@ import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.node.host import FIRST_NICENESS
 from seft_ros.analysis.timing import stalls_of, timing_of
-from seft_ros.bags.record import Record, Series
+from seft_ros.bags.recording import Recording, Series
 from seft_ros.test_run import stall_watch
 from seft_ros.test_run.stall_watch import StallWatch
 
 DT_NS = 2_000_000
 
 
-def make_record(trip_ns, mode="run", pace="realtime", drop=()):
+def make_recording(trip_ns, mode="run", pace="realtime", drop=()):
     """States every period, and commands that answer them after a time."""
     count = len(trip_ns)
     steps = np.arange(count)
@@ -30,12 +30,12 @@ def make_record(trip_ns, mode="run", pace="realtime", drop=()):
         "reference_force": Series(steps, one, received_ns=sent + 1),
         "valve_command": commands,
     }
-    return Record(Experiment({"rig": rig}), series, environment={"mode": mode})
+    return Recording(Experiment({"rig": rig}), series, environment={"mode": mode})
 
 
 def test_round_trips_are_from_a_state_to_its_own_command():
     trips = np.array([300_000, 400_000, 2_500_000, 350_000])
-    timing = timing_of(make_record(trips))
+    timing = timing_of(make_recording(trips))
     assert timing.round_trip_s == pytest.approx(trips * 1e-9)
     numbers = timing.numbers["round_trip_s"]
     assert numbers["over_a_period"] == 1
@@ -44,44 +44,48 @@ def test_round_trips_are_from_a_state_to_its_own_command():
 
 
 def test_a_lost_command_has_no_round_trip():
-    timing = timing_of(make_record(np.full(20, 300_000), drop=[7, 8]))
+    timing = timing_of(make_recording(np.full(20, 300_000), drop=[7, 8]))
     assert len(timing.round_trip_s) == 18
 
 
 def test_the_offline_loop_has_no_timing():
-    assert timing_of(make_record(np.full(5, 1), mode="simulate")) is None
+    assert timing_of(make_recording(np.full(5, 1), mode="simulate")) is None
 
 
 def test_without_times_there_is_no_timing():
-    record = make_record(np.full(5, 1))
-    bare = {name: dataclasses.replace(s, received_ns=None) for name, s in record.series.items()}
-    assert timing_of(dataclasses.replace(record, series=bare)) is None
+    recording = make_recording(np.full(5, 1))
+    bare = {name: dataclasses.replace(s, received_ns=None) for name, s in recording.series.items()}
+    assert timing_of(dataclasses.replace(recording, series=bare)) is None
 
 
 def test_an_idealised_actuator_answers_to_the_reference_force():
-    record = make_record(np.full(5, 1))
+    recording = make_recording(np.full(5, 1))
     none = Series(np.empty(0, np.int64), np.empty((0, 1, 1)), received_ns=np.empty(0, np.int64))
-    timing = timing_of(dataclasses.replace(record, series=record.series | {"valve_command": none}))
+    timing = timing_of(
+        dataclasses.replace(recording, series=recording.series | {"valve_command": none})
+    )
     assert timing.round_trip_s == pytest.approx(1e-9)
 
 
 def test_lockstep_keeps_no_pace():
-    assert not timing_of(make_record(np.full(5, 1), pace="lockstep")).numbers["paced"]
+    assert not timing_of(make_recording(np.full(5, 1), pace="lockstep")).numbers["paced"]
 
 
 def test_a_missed_step_is_the_machines_where_a_bare_process_was_late_too():
-    record = make_record(np.full(20, 300_000), drop=[7, 8, 15])
+    recording = make_recording(np.full(20, 300_000), drop=[7, 8, 15])
     stall = [7 * DT_NS + 500_000, 8 * DT_NS + 100_000]
     seen = {"beats": 20, "count": 1, "late_s": 1e-3, "longest_s": 1.6e-3, "intervals_ns": [stall]}
     environment = {"mode": "run", "stalls": seen}
-    record = dataclasses.replace(record, missed=3, missed_steps=[7, 8, 15], environment=environment)
-    stalls = stalls_of(record)
+    recording = dataclasses.replace(
+        recording, missed=3, missed_steps=[7, 8, 15], environment=environment
+    )
+    stalls = stalls_of(recording)
     assert (stalls["missed_listed"], stalls["missed_in_a_stall"]) == (3, 2)
     assert stalls["count"] == 1
 
 
 def test_where_nobody_watched_the_machine_nothing_is_said_of_it():
-    assert stalls_of(make_record(np.full(5, 1))) is None
+    assert stalls_of(make_recording(np.full(5, 1))) is None
 
 
 @pytest.mark.parametrize("first", [False, True])

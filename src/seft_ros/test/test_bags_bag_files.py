@@ -365,7 +365,7 @@ NO_FILES = {
 
 @pytest.mark.parametrize("storage", ["mcap", "db3"])
 @pytest.mark.parametrize("kind", list(NO_FILES))
-def test_what_is_no_file_of_a_bag_is_told_in_one_line(tmp_path, storage, kind):
+def test_what_is_no_file_of_a_bag_is_reported_in_one_line(tmp_path, storage, kind):
     file = tmp_path / "bag" / f"bag.{storage}"
     file.parent.mkdir()
     NO_FILES[kind](file)

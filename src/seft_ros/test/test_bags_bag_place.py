@@ -1,7 +1,7 @@
 import os
 import resource
 
-from records_at_hand import run_on_a_disk
+from recordings_at_hand import run_on_a_disk
 from seft_ros.bags import bag_place
 from seft_ros.bags.bag_place import why_not_writable
 
@@ -24,13 +24,13 @@ def test_there_is_a_place_in_a_folder_that_is_there_or_can_be_made(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_place_that_is_taken_is_told(tmp_path):
+def test_a_place_that_is_taken_is_reported(tmp_path):
     (tmp_path / "dangling").symlink_to("nowhere")
     for place in (tmp_path, tmp_path / "dangling"):
         assert why_not_writable(place) == f"{place} exists already"
 
 
-def test_a_file_in_the_way_and_a_name_that_no_disk_takes_are_told(tmp_path):
+def test_a_file_in_the_way_and_a_name_that_no_disk_takes_are_reported(tmp_path):
     (tmp_path / "bags").write_text("")
     assert why_not_writable(tmp_path / "bags" / "bag") == (
         f"nothing can be written in {tmp_path / 'bags'} (Not a directory)"
@@ -38,22 +38,22 @@ def test_a_file_in_the_way_and_a_name_that_no_disk_takes_are_told(tmp_path):
     assert "File name too long" in why_not_writable(tmp_path / ("b" * 300))
 
 
-def test_a_folder_without_rights_is_told(tmp_path):
-    told = "nothing can be written in {} ({})"
+def test_a_folder_without_rights_is_reported(tmp_path):
+    message = "nothing can be written in {} ({})"
     there = asked_on("ro", tmp_path, "bags/bag")
-    assert there == told.format(tmp_path, "Read-only file system")
+    assert there == message.format(tmp_path, "Read-only file system")
     if os.getuid() == 0:
         return  # may write anywhere
     tmp_path.chmod(0o500)
-    assert why_not_writable(tmp_path / "bag") == told.format(tmp_path, "Permission denied")
+    assert why_not_writable(tmp_path / "bag") == message.format(tmp_path, "Permission denied")
 
 
-def test_a_disk_without_room_for_more_files_is_told(tmp_path):
+def test_a_disk_without_room_for_more_files_is_reported(tmp_path):
     there = asked_on("size=20m,nr_inodes=6", tmp_path, "bag")
     assert there == f"nothing can be written in {tmp_path} (No space left on device)"
 
 
-def test_a_limit_of_the_size_of_a_file_is_told(tmp_path, monkeypatch):
+def test_a_limit_of_the_size_of_a_file_is_reported(tmp_path, monkeypatch):
     limits = {resource.RLIMIT_FSIZE: (10**6, resource.RLIM_INFINITY)}
     monkeypatch.setattr(bag_place.resource, "getrlimit", limits.get)
     assert why_not_writable(tmp_path / "bag") == (
@@ -61,7 +61,7 @@ def test_a_limit_of_the_size_of_a_file_is_told(tmp_path, monkeypatch):
     )
 
 
-def test_a_disk_without_room_for_the_bag_is_told(tmp_path):
+def test_a_disk_without_room_for_the_bag_is_reported(tmp_path):
     assert asked_on("size=10m", tmp_path, "bag") == (
         f"{tmp_path} has room for 10 MB, and the bag needs 17 MB"
     )

@@ -7,7 +7,7 @@ import pytest
 import yaml
 from bags_at_hand import contents
 from mcap.reader import make_reader
-from records_at_hand import run_on_a_disk
+from recordings_at_hand import run_on_a_disk
 from rosbags.interfaces import QosDurability, QosHistory, QosReliability
 from rosbags.rosbag2 import Reader
 from seft_msgs_py.errors import ExperimentError, InputError
@@ -77,12 +77,12 @@ def test_the_mcap_package_reads_our_bags(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("place", "told"), [("bag", "exists already"), ("bag/file/bag", "no bag can be made there")]
+    ("place", "message"), [("bag", "exists already"), ("bag/file/bag", "no bag can be made there")]
 )
-def test_what_is_in_the_way_is_never_written_to(tmp_path, place, told):
+def test_what_is_in_the_way_is_never_written_to(tmp_path, place, message):
     (tmp_path / "bag").mkdir()
     (tmp_path / "bag" / "file").write_text("")
-    with pytest.raises(InputError, match=f"{told}.*--out"), BagWriter(tmp_path / place):
+    with pytest.raises(InputError, match=f"{message}.*--out"), BagWriter(tmp_path / place):
         pass
     assert [file.name for file in (tmp_path / "bag").iterdir()] == ["file"]
 
@@ -161,8 +161,8 @@ with Bag("bag") as found:
 @pytest.mark.parametrize("period", [0.0, 3600.0], ids=["seen in time", "seen too late"])
 def test_what_a_full_disk_does_not_take_goes_into_the_room_that_was_reserved(tmp_path, period):
     script = LITTLE_ROOM.format(paths=[p for p in sys.path if p], period=period)
-    told = run_on_a_disk("size=16m", tmp_path, "-c", script).splitlines()
-    assert told == ["bag: No space left on device", "bag", "900 []"]
+    message = run_on_a_disk("size=16m", tmp_path, "-c", script).splitlines()
+    assert message == ["bag: No space left on device", "bag", "900 []"]
 
 
 def refuse(*_):

@@ -7,10 +7,10 @@ import shutil
 import numpy as np
 import pytest
 from experiments_at_hand import load
-from records_at_hand import assert_same_samples
+from recordings_at_hand import assert_same_samples
 from seft_msgs_py.errors import InputError
 from seft_ros.bags.bag_files import recover_bag
-from seft_ros.bags.record_bag import read_bag, write_record
+from seft_ros.bags.recording_bag import read_bag, write_recording
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
 
@@ -19,11 +19,11 @@ WORDS = ("ground_motion:synthetic.duration:=2.0", "ground_motion:tail:=0.0")
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """A bag of a short test, in some ten chunks, and its record."""
+    """A bag of a short test, in some ten chunks, and its recording."""
     experiment = load(*WORDS)
     blocks = build_blocks(experiment)
     path = tmp_path_factory.mktemp("whole") / "bag"
-    write_record(simulate_test(experiment, blocks), path, blocks.ground_motion.chunks)
+    write_recording(simulate_test(experiment, blocks), path, blocks.ground_motion.chunks)
     return path, read_bag(path)
 
 
@@ -79,9 +79,9 @@ def damage(path, kind, seed):
     return raw != before
 
 
-def assert_part_of(record, original):
-    """Every sample of a record is the original's, bit for bit."""
-    for name, series in record.series.items():
+def assert_part_of(recording, original):
+    """Every sample of a recording is the original's, bit for bit."""
+    for name, series in recording.series.items():
         known = original.series[name]
         assert np.isin(series.steps, known.steps).all()
         np.testing.assert_array_equal(series.values, known.of_steps(series.steps).values)
@@ -95,14 +95,14 @@ def test_what_is_read_is_right_and_recover_agrees(whole, tmp_path, kind):
         shutil.copytree(source, path)
         changed = damage(path, kind, seed)
         try:
-            record = read_bag(path, damaged=True)
+            recording = read_bag(path, damaged=True)
         except InputError as error:
             assert "damaged" in str(error) or "nothing of the bag can be read" in str(error)
             with pytest.raises(InputError):
                 read_bag(path)
             continue
-        assert_part_of(record, original)
-        assert bool(record.damage) == changed
+        assert_part_of(recording, original)
+        assert bool(recording.damage) == changed
         before = (path / "bag.mcap").read_bytes()
         recovery = recover_bag(path)
         assert recovery.intact == (not changed)
@@ -113,8 +113,8 @@ def test_what_is_read_is_right_and_recover_agrees(whole, tmp_path, kind):
         assert {entry.name for entry in path.iterdir()} == {"bag.mcap", "metadata.yaml"}
         assert not path.with_name("bag.recovering").exists()
         whole_again = read_bag(path)
-        assert whole_again.damage == record.damage
-        assert_same_samples(whole_again, record)
+        assert whole_again.damage == recording.damage
+        assert_same_samples(whole_again, recording)
 
 
 def test_the_report_of_a_damaged_bag_names_what_is_missing(whole, seft, tmp_path):
@@ -141,6 +141,6 @@ def test_the_report_of_a_damaged_bag_names_what_is_missing(whole, seft, tmp_path
     again = json.loads(seft("report", "bag", "--json")[1])
     assert again["damage"] == summary["damage"]
     assert again["displacement"] == summary["displacement"]
-    status, _, told = seft("compare", "bag.cut", "bag", "--json")
+    status, _, errors = seft("compare", "bag.cut", "bag", "--json")
     assert status == 0
-    assert "bag.cut is damaged: bag.mcap: " in told
+    assert "bag.cut is damaged: bag.mcap: " in errors

@@ -45,7 +45,7 @@ def test_the_supervisor_adds_to_what_the_rig_said():
     assert trip_of_messages(rig("force"), ending, TIMEBASE).reason == ending.values["detail"]
 
 
-def test_a_record_that_ended_while_the_test_was_brought_down_keeps_the_cause():
+def test_a_recording_that_ended_while_the_test_was_brought_down_keeps_the_cause():
     ending = supervisor("tripped", "reference force is nan N on axis x", step="7")
     assert trip_of_messages(rig(), ending, TIMEBASE) == Trip(ending.values["detail"], 7, 0.014)
 

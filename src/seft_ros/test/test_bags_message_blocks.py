@@ -19,12 +19,12 @@ MESSAGES = st.lists(
 
 def write(path, messages, mode=CompressionMode.NONE, storage="mcap"):
     """A bag of (topic, log time, whether a chunk ends here); lengths differ now and then."""
-    told = [
+    messages = [
         (topic, STRING, time, encode_string("x" * (number // 5) + f"{number:2d}"))
         for number, (topic, time, _) in enumerate(messages)
     ]
     ends = [number for number, (*_, end) in enumerate(messages) if end]
-    return write_stock_bag(path, told, storage, mode, ends)
+    return write_stock_bag(path, messages, storage, mode, ends)
 
 
 def expected(path, topics):

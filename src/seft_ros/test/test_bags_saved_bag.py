@@ -59,15 +59,15 @@ def move_the_file(bag):
 @pytest.mark.parametrize(
     "lose", [delete, delete_all_bags, delete_the_file, put_another_there, move, move_the_file]
 )
-def test_a_bag_that_is_lost_is_told_and_whole_in_the_end(tmp_path, lose):
+def test_a_bag_that_is_lost_is_reported_and_whole_in_the_end(tmp_path, lose):
     bag = BagWriter(tmp_path / "bags" / "bag")
     for message in MESSAGES[:HALF]:
         bag.write(*message)
     bag.flush()
     assert bag.trouble == ""
-    told, saved = lose(tmp_path / "bags" / "bag")
+    expected, saved = lose(tmp_path / "bags" / "bag")
     bag.flush()
-    assert told in bag.trouble
+    assert expected in bag.trouble
     for message in MESSAGES[HALF:]:
         bag.write(*message)
     assert bag.save() == saved
@@ -75,7 +75,7 @@ def test_a_bag_that_is_lost_is_told_and_whole_in_the_end(tmp_path, lose):
 
 
 @pytest.mark.parametrize("size", [0, 9000])
-def test_a_bag_whose_file_is_cut_off_is_told_and_the_rest_is_read(tmp_path, size):
+def test_a_bag_whose_file_is_cut_off_is_reported_and_the_remainder_is_read(tmp_path, size):
     bag = BagWriter(tmp_path / "bag")
     for message in MESSAGES[:HALF]:
         bag.write(*message)
@@ -106,7 +106,7 @@ def test_where_no_bag_can_be_made_all_is_kept_until_there_is_a_place(tmp_path, m
     assert contents(bag.save()) == ALL
 
 
-def test_memory_that_is_used_up_is_told(tmp_path, monkeypatch):
+def test_memory_that_is_used_up_is_reported(tmp_path, monkeypatch):
     monkeypatch.setattr(bag_writer, "MAX_IN_MEMORY", 1000)
     (tmp_path / "bags").write_text("a file in the way")
     bag = BagWriter(tmp_path / "bags" / "bag")

@@ -4,18 +4,18 @@ import dataclasses
 import json
 
 import numpy as np
-from records_at_hand import noise_record
-from seft_ros.bags.record import Series
-from seft_ros.bags.record_bag import write_record
+from recordings_at_hand import noise_recording
+from seft_ros.bags.recording import Series
+from seft_ros.bags.recording_bag import write_recording
 
 
 def test_two_bags_are_drawn(seft, tmp_path):
-    record = noise_record(60)
-    write_record(record, tmp_path / "one")
-    values = record.series["rig/state"].values.copy()
+    recording = noise_recording(60)
+    write_recording(recording, tmp_path / "one")
+    values = recording.series["rig/state"].values.copy()
     values[41, 3, 1] = np.nextafter(values[41, 3, 1], np.inf)
-    altered = {**record.series, "rig/state": Series(np.arange(60), values)}
-    write_record(dataclasses.replace(record, series=altered), tmp_path / "two")
+    altered = {**recording.series, "rig/state": Series(np.arange(60), values)}
+    write_recording(dataclasses.replace(recording, series=altered), tmp_path / "two")
     status, out, err = seft("compare", "one", "two", "--figure", "tests.png", "--json")
     result = json.loads(out)
     assert (status, err, result["identical"]) == (1, "", False)

@@ -13,7 +13,7 @@ from seft_msgs_py.config.experiment import read_parameter_file, value_text
 from seft_msgs_py.config.facts import CHANNELS
 from seft_plant_sim.lti import bilinear, polynomial_ratio
 from seft_plant_sim.rig_parameters import truth
-from seft_ros.bags.record_bag import read_bag
+from seft_ros.bags.recording_bag import read_bag
 from seft_ros.cli import identify_command, shared
 from seft_ros.design.force_tracking import tracking_measures
 from seft_ros.design.plant import choose_plant
@@ -77,19 +77,19 @@ def test_plant_loop_and_closed_loop_agree_with_the_analytic_model(linear):
         measures.closed_loop_flat_to_hz, rel=0.03
     )
     assert found["bandwidth_hz"] == pytest.approx(measures.bandwidth_hz, rel=0.02)
-    tests = ("pilot", "open_loop", "shake_pilot", "shake", "closed_loop")
+    tests = ("pilot", "open_loop", "multisine_pilot", "multisine", "closed_loop")
     assert found["tripped"] == dict.fromkeys(tests)
     assert found["fit_error"] < 0.06
 
 
 def test_the_folder_holds_what_repeats_and_uses_it(linear, seft):
     out, found = linear
-    tests = {"pilot", "open_loop", "shake_pilot", "shake", "closed_loop"}
-    names = {f"{name}.csv" for name in ("excitation", "pilot", "shake_pilot", "shake")}
+    tests = {"pilot", "open_loop", "multisine_pilot", "multisine", "closed_loop"}
+    names = {f"{name}.csv" for name in ("excitation", "pilot", "multisine_pilot", "multisine")}
     assert {path.name for path in out.iterdir()} == names | tests | {"model.yaml", "figure.png"}
-    record = read_bag(out / "open_loop")
-    assert record.experiment["force_controller"]["feedback"] is False
-    voltage = record.series["valve_command"].values.std()
+    recording = read_bag(out / "open_loop")
+    assert recording.experiment["force_controller"]["feedback"] is False
+    voltage = recording.series["valve_command"].values.std()
     assert voltage == pytest.approx(found["excitation_rms"]["voltage"], rel=0.05)
     forces = np.loadtxt(out / "excitation.csv", ndmin=2) * -52.7
     assert forces.std() == pytest.approx(1.0, rel=1e-6)
@@ -98,11 +98,11 @@ def test_the_folder_holds_what_repeats_and_uses_it(linear, seft):
 
     model = read_parameter_file(out / "model.yaml")
     assert set(model) == {"/**"}
-    shake, section = found["shake"], model["/**"]
-    assert section["specimen.mass"] == [shake["mass"]]
-    assert shake["mass"] == pytest.approx(52.7, abs=4 * shake["mass_error"])
+    multisine, section = found["multisine"], model["/**"]
+    assert section["specimen.mass"] == [multisine["mass"]]
+    assert multisine["mass"] == pytest.approx(52.7, abs=4 * multisine["mass_error"])
     assert section["specimen.mass_error"] == [pytest.approx(0.04, abs=0.03)]
-    assert section["calibration.force_lag_error"] == [shake["axes"][0]["force"]["lag"]["error"]]
+    assert section["calibration.force_lag_error"] == [multisine["axes"][0]["force"]["lag"]["error"]]
     assert section["specimen.stiffness"] == [pytest.approx(2.11e5, rel=0.005)]
     assert section["actuator.delay"] == pytest.approx(found["delay_s"] - LOOP)
     assert len(section["actuator.flow_gain"]) == 1
@@ -140,7 +140,7 @@ def test_a_rig_whose_channels_disagree_is_corrected_by_the_file(identify, seft):
     status, found, _ = identify(*BRIEF, "--specimen", "--out", "out", overrides=SENSORS)
     assert status == 0
     assert found["actuator"]["flow_gain_m_per_s_per_v"] == pytest.approx(0.0403, rel=0.01)
-    lag = found["shake"]["axes"][0]["acceleration"]["lag"]
+    lag = found["multisine"]["axes"][0]["acceleration"]["lag"]
     assert lag["value"] == pytest.approx(0.002, abs=4 * lag["error"])
     written = read_parameter_file("out/model.yaml")
     assert written["/**"]["actuator.dead_time"] == [pytest.approx(0.001, abs=1e-4)]
@@ -152,16 +152,16 @@ def test_a_rig_whose_channels_disagree_is_corrected_by_the_file(identify, seft):
     assert (status, summary["stable"]) == (0, True)
     assert summary["displacement"]["nrmse_aligned"] < 0.01
     mass = summary["calibration"]["axes"]["x"]["force"]["mass"]
-    assert mass["error"] < 0.2  # with that of the shake
+    assert mass["error"] < 0.2  # with that of the multisine test
 
 
-def test_a_host_that_misses_commands_is_told(monkeypatch, tmp_path, capsys):
-    record = SimpleNamespace(trip=None, missed=51, experiment=load())
-    monkeypatch.setattr(shared, "dds_test", lambda *_, **__: (record, tmp_path))
+def test_a_host_that_misses_commands_is_reported(monkeypatch, tmp_path, capsys):
+    recording = SimpleNamespace(trip=None, missed=51, experiment=load())
+    monkeypatch.setattr(shared, "dds_test", lambda *_, **__: (recording, tmp_path))
     tests = identify_command._Tests(load(), tmp_path, False, ["rig"])
     assert tests.run("open_loop", load(), 1000)
     assert "open_loop: 51 of 1000 steps had no command in time" in capsys.readouterr().err
-    record.missed = 50
+    recording.missed = 50
     assert tests.run("open_loop", load(), 1000)
     assert not capsys.readouterr().err
 
@@ -252,9 +252,9 @@ def test_several_axes_have_their_numbers_each(identify, tmp_path):
     ("test", "words", "overrides"),
     [
         ("open_loop", ("--amplitude", "0.3"), ["limits.acceleration:=5.0"]),
-        # of an accelerometer that shows more than the plan of the shake knows
+        # of an accelerometer that shows more than the plan of the multisine test knows
         (
-            "shake_pilot",
+            "multisine_pilot",
             ("--amplitude", "0.06", "--specimen"),
             ["limits.acceleration:=35.0", "rig:simulated.sensors.acceleration_scale:=3.0"],
         ),
@@ -273,7 +273,7 @@ def test_a_trip_ends_it_with_one_line_and_keeps_what_is_known(
     assert not (tmp_path / "out" / "closed_loop").exists()
     model = tmp_path / "out" / "model.yaml"
     known = model.exists() and "flow_gain" in model.read_text()
-    assert known is ("plant_zero_hz" in found) is (test == "shake_pilot")
+    assert known is ("plant_zero_hz" in found) is (test == "multisine_pilot")
 
 
 def test_of_a_loop_that_is_unstable_the_plant_is_identified_all_the_same(identify):
@@ -285,7 +285,7 @@ def test_of_a_loop_that_is_unstable_the_plant_is_identified_all_the_same(identif
     assert found["delay_s"] is None
 
 
-def test_too_little_amplitude_is_told_with_band_and_remedy(identify, tmp_path):
+def test_too_little_amplitude_is_reported_with_band_and_remedy(identify, tmp_path):
     status, found, line = identify("--amplitude", "3e-4", "--duration", "14", "--out", "out")
     assert status == 1
     assert line.startswith("seft: open loop: coherence of the force on axis x is below 0.5")

@@ -25,7 +25,7 @@ KEYS = {
 
 
 @pytest.fixture
-def told(seft):
+def preflight(seft):
     """Status and numbers of a preflight."""
 
     def run(*words):
@@ -38,8 +38,8 @@ def told(seft):
 FAR = "warning: limits are "
 
 
-def test_ten_milliseconds_end_at_the_known_mass_ratio(told):
-    status, found = told(JHU, *DELAY, "-p", f"{RATIO}0.5")
+def test_ten_milliseconds_end_at_the_known_mass_ratio(preflight):
+    status, found = preflight(JHU, *DELAY, "-p", f"{RATIO}0.5")
     assert set(found) == KEYS
     assert (status, found["verdict"], found["basis"]) == (0, "stable", "exact")
     assert found["critical_mass_ratio"] == pytest.approx(0.94, abs=0.02)
@@ -55,8 +55,8 @@ def test_ten_milliseconds_end_at_the_known_mass_ratio(told):
 @pytest.mark.parametrize(
     ("ratio", "verdict", "expected"), [(0.9, "marginal", 0), (1.0, "unstable", 1)]
 )
-def test_the_exit_status_is_the_verdicts(told, ratio, verdict, expected):
-    status, found = told(JHU, *DELAY, "-p", f"{RATIO}{ratio}")
+def test_the_exit_status_is_the_verdicts(preflight, ratio, verdict, expected):
+    status, found = preflight(JHU, *DELAY, "-p", f"{RATIO}{ratio}")
     assert (status, found["verdict"]) == (expected, verdict)
     assert found["reasons"]
     assert (found["spectral_radius"] > 1) is (verdict == "unstable")
@@ -71,13 +71,15 @@ def test_for_people_there_is_a_table_and_every_reason_in_a_line(seft):
     assert all(line.startswith("seft: marginal: ") for line in err.splitlines())
 
 
-def test_a_peak_beyond_a_limit_or_the_rig_is_told_and_refused_by_run(seft, told, flown, tmp_path):
+def test_a_peak_beyond_a_limit_or_the_rig_is_reported_and_refused_by_run(
+    seft, preflight, flown, tmp_path
+):
     beyond = (
         *("-p", "limits.displacement:=0.005"),
         *("-p", "rig:simulated.actuator.stroke:=0.006"),
         *("-p", "rig:simulated.actuator.flow_gain:=0.03"),
     )
-    status, found = told(DEMO, *beyond, "--write", "limits.yaml")
+    status, found = preflight(DEMO, *beyond, "--write", "limits.yaml")
     assert (status, found["verdict"], found["unfit"]) == (0, "stable", [])
     quantities = [warning.split(" on axis x is ")[0] for warning in found["warnings"]]
     assert quantities == ["expected displacement"] * 2 + ["expected flow of the valve"]
@@ -107,9 +109,9 @@ def test_a_specimen_in_other_units_is_refused(seft, flown):
         assert "a stiffness of 177653 N/m (kN/m?) would give 9.24 Hz and fit" in err
 
 
-def test_a_test_that_uses_little_of_a_sensor_is_refused(seft, told, flown):
+def test_a_test_that_uses_little_of_a_sensor_is_refused(seft, preflight, flown):
     weak = ("-p", "ground_motion:peak_force:=100.0")
-    status, found = told(JHU, *weak)
+    status, found = preflight(JHU, *weak)
     (reason,) = found["unfit"]
     assert (status, found["verdict"]) == (1, "stable")
     assert "displacement 0.000698 of 0.1 m (0.698 %), force 100 of 22200 N (0.45 %)" in reason
@@ -148,7 +150,7 @@ def test_run_refuses_an_unstable_plan_before_anything_moves(seft, tmp_path, flow
     status, out, err = seft("run", JHU, "-p", f"{RATIO}2.0")
     assert (status, out, flown) == (2, "", [])
     assert err.count("\n") == 1
-    assert "unstable plan: oscillates at" in err
+    assert "unstable test: oscillates at" in err
     assert "critical mass ratio is 1.33" in err
     assert "--accept-unstable" in err
     assert list(tmp_path.iterdir()) == []
@@ -174,11 +176,11 @@ def test_run_says_where_no_preflight_can_be_done(seft, flown):
     assert second == "seft: started"
 
 
-def test_run_judges_an_external_rig_by_what_is_known_of_it(seft, flown):
+def test_run_assesses_an_external_rig_by_what_is_known_of_it(seft, flown):
     """All but an integrator, under a gain far too high."""
     status, _, err = seft(
         *("run", JHU, "--external", "rig"),
         *("-p", "force_controller:numerator:=1.0", "-p", "force_controller:denominator:=1.0"),
     )
     assert (status, flown) == (2, [])
-    assert "unstable plan" in err
+    assert "unstable test" in err

@@ -24,14 +24,14 @@ def test_the_page_the_table_and_the_files_of_the_worst_tests(seft, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("scheduler", "told"),
+    ("scheduler", "message"),
     [("tcp://127.0.0.1:9", "no Dask scheduler answers there"), ("cluster", "--scheduler cluster")],
 )
-def test_a_scheduler_that_is_none_is_told(seft, scheduler, told):
+def test_a_scheduler_that_is_none_is_reported(seft, scheduler, message):
     pytest.importorskip("distributed")
     status, out, err = seft("study", JHU, *SHORT, "--scheduler", scheduler)
     assert (status, out) == (2, "")
-    assert told in err.splitlines()[-1]
+    assert message in err.splitlines()[-1]
 
 
 def test_without_dask_a_scheduler_is_refused_with_the_way_to_install_it(seft, monkeypatch):

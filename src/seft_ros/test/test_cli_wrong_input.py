@@ -1,4 +1,5 @@
-"""Wrong input is told in one line on stderr, with exit status 2; results are the only stdout."""
+"""Wrong input is reported in one line on stderr, with exit status 2; results are the only
+stdout."""
 
 import json
 import os
@@ -43,7 +44,7 @@ def record(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["simulat", JHU], "simulat"),
         (["simulate"], "CONFIG"),
@@ -61,7 +62,7 @@ def record(tmp_path):
         (["preflight", JHU, "--external", "rig", "-p", "actuator.flow_gain:=0"], "seft identify"),
         (["identify", JHU, "--duration", "5"], "needs 13.3333 s"),
         (["identify", JHU, "--external", "force_controller"], "--external"),
-        (["identify", JHU, "--travel", "1e-4"], "that of the shake: give --specimen, too"),
+        (["identify", JHU, "--travel", "1e-4"], "that of the multisine test: give --specimen, too"),
         (["identify", JHU, "--specimen", "--travel", "0.05"], "limits.displacement"),
         (["link", "--out", "x.yaml"], "--out needs CONFIG"),
         (["link", "--duration", "0"], "must be positive"),
@@ -81,8 +82,10 @@ def record(tmp_path):
         (["run", JHU, *SHORT, "-p", "rig:faults:=force set 3 at 90"], "ends at 3 s, before"),
     ],
 )
-def test_a_wrong_command_line_is_refused_before_anything_is_written(refused, tmp_path, words, told):
-    assert told in refused(*words)
+def test_a_wrong_command_line_is_refused_before_anything_is_written(
+    refused, tmp_path, words, message
+):
+    assert message in refused(*words)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -153,7 +156,7 @@ def test_simulate_report_and_motion_tell_the_same_of_a_ground_motion(seft, recor
     assert json.loads(seft("report", "bag", "--json")[1])["ground_motion"] == simulated
     shown = json.loads(seft("motion", "--config", JHU, *words, "--json")[1])
     assert {name: shown[name] for name in simulated} == simulated
-    told = " ".join(seft("simulate", JHU, *words)[1].split())
+    message = " ".join(seft("simulate", JHU, *words)[1].split())
     for part in (
         "own.csv in cm/s2, dt 0.01 s",
         "read: columns, column 1, 101 samples; unit",
@@ -161,7 +164,7 @@ def test_simulate_report_and_motion_tell_the_same_of_a_ground_motion(seft, recor
         "scale 0.5",
         "PGA 2 m/s²",
     ):
-        assert part in told
+        assert part in message
 
 
 def test_the_version_is_a_result(seft):
@@ -194,16 +197,16 @@ def test_help_and_wrong_input_load_no_large_library():
 
 
 @pytest.mark.parametrize(
-    ("where", "told"),
+    ("where", "message"),
     [
         ("seft_ros.test_run.offline.simulate_test", "nothing was written"),
         ("seft_ros.drawing.style.save_figure", "bag is whole"),
     ],
 )
-def test_an_interruption_says_what_stands(seft, monkeypatch, where, told):
+def test_an_interruption_says_what_stands(seft, monkeypatch, where, message):
     def interrupt(*_):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(where, interrupt)
     status, out, err = seft("simulate", JHU, *SHORT, "--out", "bag")
-    assert (status, out, err.splitlines()[-1]) == (1, "", f"seft: interrupted; {told}")
+    assert (status, out, err.splitlines()[-1]) == (1, "", f"seft: interrupted; {message}")

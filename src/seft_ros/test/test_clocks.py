@@ -24,8 +24,8 @@ ALLOWED = {
     "seft_ros/test_run/observer.py": "when a message was sent, for conform and replay",
     "seft_ros/conformance/suite.py": "the same",
     "seft_ros/test_run/stall_watch.py": "when the host stood still, for the bag",
-    "seft_ros/bags/record.py": "when the test was",
-    "seft_ros/bags/record_bag.py": "times in the bag",
+    "seft_ros/bags/recording.py": "when the test was",
+    "seft_ros/bags/recording_bag.py": "times in the bag",
     "seft_ros/cli/identify_command.py": "the folder's name",
 }
 

@@ -43,7 +43,7 @@ def test_a_method_without_its_delay_says_where_to_get_it():
         compensator("model", actuator__delay=0.0)
 
 
-def test_what_a_method_of_another_package_lacks_is_told():
+def test_what_a_method_of_another_package_lacks_is_reported():
     one_more = SimpleNamespace(step=lambda motion, state: [0.0] * 2)
     for own, why in (
         (SimpleNamespace(), r"theirs has no step\(ground_motion, state\)"),

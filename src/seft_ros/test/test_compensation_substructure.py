@@ -70,8 +70,8 @@ def test_what_stands_for_the_ground_motion_is_known_ahead(seed, axes, internal):
     now = np.array([each[0] for each in found])
     scale = np.abs(now).max()
     for ahead in (1, 20, preview):
-        expected, told = now[ahead:], np.array([each[ahead] for each in found[:-ahead]])
-        assert np.abs(told - expected).max() < 1e-3 * scale
+        expected, foreseen = now[ahead:], np.array([each[ahead] for each in found[:-ahead]])
+        assert np.abs(foreseen - expected).max() < 1e-3 * scale
 
 
 @pytest.mark.parametrize("method", [name for name in OWN_METHODS if name != TARGET_MOTION])

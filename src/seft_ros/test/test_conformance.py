@@ -97,7 +97,7 @@ def test_a_channel_of_another_time_is_no_derivative(samples):
     assert (finding.verdict, "not of one time" in finding.remedy) == ("failed", True)
 
 
-def test_without_a_specimen_that_is_known_the_force_is_not_judged(samples):
+def test_without_a_specimen_that_is_known_the_force_is_not_assessed(samples):
     assert units_of(samples, None)["force of specimen"].verdict == "not run"
 
 
@@ -152,7 +152,7 @@ def timing(times, stalls=()):
     return {finding.check: finding.verdict for finding in found}
 
 
-def test_lateness_and_period_are_judged_by_half_a_period_and_a_hundredth():
+def test_lateness_and_period_are_assessed_by_half_a_period_and_a_hundredth():
     due = np.arange(1000) * DT
     jitter = np.random.default_rng(1).uniform(0, 0.2 * DT, 1000)
     assert timing(due + jitter) == {"period": "passed", "late states": "passed"}
@@ -217,12 +217,12 @@ def test_axes_and_values_are_looked_at():
 
 
 def test_a_description_of_another_rate_or_pace_is_refused():
-    told = {"rate": RATE, "axes": ["x"]}
+    said = {"rate": RATE, "axes": ["x"]}
     check = message_checks.check_description
-    assert check({"parameters": told}, EXPERIMENT).verdict == "passed"
+    assert check({"parameters": said}, EXPERIMENT).verdict == "passed"
     assert check(None, EXPERIMENT).verdict == "failed"
-    assert "rate is 100" in check({"parameters": told | {"rate": 100.0}}, EXPERIMENT).result
-    assert "lockstep" in check({"parameters": told | {"pace": "lockstep"}}, EXPERIMENT).result
+    assert "rate is 100" in check({"parameters": said | {"rate": 100.0}}, EXPERIMENT).result
+    assert "lockstep" in check({"parameters": said | {"pace": "lockstep"}}, EXPERIMENT).result
 
 
 def test_every_bad_command_is_refused_by_the_simulated_rig():

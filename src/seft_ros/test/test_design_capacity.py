@@ -1,4 +1,4 @@
-"""What a test needs of sensors, limits and actuators: it is told where they do not allow it."""
+"""What a test needs of sensors, limits and actuators: messages where they do not allow it."""
 
 from functools import partial
 
@@ -28,7 +28,7 @@ STROKE = "rig:simulated.actuator.stroke:={}"
 CAPACITY = "rig:simulated.actuator.force_capacity:={}"
 
 
-def told(*overrides, config="demo", nodes=None):
+def obstacles(*overrides, config="demo", nodes=None):
     """Say what of a test is beyond what is allowed."""
     experiment = load(*overrides, config=config, nodes=nodes)
     found = excesses(experiment, expected_response(experiment, planned_motion(experiment)))
@@ -37,7 +37,7 @@ def told(*overrides, config="demo", nodes=None):
 
 @pytest.mark.parametrize("config", CONFIGS)
 def test_the_configurations_are_within_what_their_rigs_can_do(config):
-    assert told(config=config) == []
+    assert obstacles(config=config) == []
 
 
 @pytest.mark.parametrize(
@@ -51,8 +51,8 @@ def test_the_configurations_are_within_what_their_rigs_can_do(config):
         ("limits.command:=8.0", "% of that of the fully open valve (0.3224 m/s)"),
     ],
 )
-def test_what_a_peak_is_beyond_is_told(override, text):
-    first, *others = told(override)
+def test_what_a_peak_is_beyond_is_reported(override, text):
+    first, *others = obstacles(override)
     assert text in first and "lower ground_motion: peak_force" in first
     assert ("raise the limit" in first) == ("limits." in first)
     assert all("flow of the valve" in other for other in others)  # little pressure is left
@@ -61,19 +61,19 @@ def test_what_a_peak_is_beyond_is_told(override, text):
 def test_actuators_that_obey_forces_have_no_valve_and_no_stroke():
     kind = "actuator.kind:={}"
     beyond = "rig:simulated.actuator.flow_gain:=0.001", STROKE.format(0.001)
-    assert len(told(*beyond, config="jhu")) == 2
-    assert told(*beyond, kind.format("delay"), config="jhu") == []
-    (flow,) = told(*beyond, kind.format("servo_hydraulic_linear"), config="jhu")
+    assert len(obstacles(*beyond, config="jhu")) == 2
+    assert obstacles(*beyond, kind.format("delay"), config="jhu") == []
+    (flow,) = obstacles(*beyond, kind.format("servo_hydraulic_linear"), config="jhu")
     assert "flow of the valve" in flow
 
 
 def test_a_rig_elsewhere_is_what_is_known_of_it():
     here = ["ground_motion", "reference_force", "force_controller", "supervisor"]
-    assert told(nodes=here) == []
-    force, flow = told("actuator.force_capacity:=1500.0", nodes=here)
+    assert obstacles(nodes=here) == []
+    force, flow = obstacles("actuator.force_capacity:=1500.0", nodes=here)
     assert "force capacity (1500 N)" in force and "fully open valve (0.403 m/s)" in flow
     unknown = (f"actuator.{n}:=0.0" for n in ("force_capacity", "flow_gain"))
-    assert told(*unknown, nodes=here) == []
+    assert obstacles(*unknown, nodes=here) == []
 
 
 def test_the_flow_counts_oil_leakage_and_load():
@@ -114,20 +114,20 @@ def test_a_piston_that_trips_at_its_proposed_limit_stops_before_the_end_of_its_s
     test = load(STROKE.format(0.008))
     highest = highest_limits(test, peaks_by_axis(test, planned_motion(test)))
     limit = proposed_limits({"displacement": 0.0105}, highest)["displacement"]
-    record = simulated(load(f"limits.displacement:={limit}"))
-    assert "displacement" in record.trip.reason
-    assert limit < record.simulated.displacement_peak < 0.008
+    recording = simulated(load(f"limits.displacement:={limit}"))
+    assert "displacement" in recording.trip.reason
+    assert limit < recording.simulated.displacement_peak < 0.008
 
 
 def test_a_limit_that_no_higher_one_can_replace_is_not_to_be_raised():
     """Between the highest limit and the stroke."""
     below = "limits.displacement:=0.01"
-    assert "raise the limit" in told(below)[0]
-    (text,) = told(below, STROKE.format(0.011))
+    assert "raise the limit" in obstacles(below)[0]
+    (text,) = obstacles(below, STROKE.format(0.011))
     assert text.endswith("; lower ground_motion: peak_force")
 
 
-def test_several_are_told_in_one_line_with_one_remedy():
+def test_several_are_reported_in_one_line_with_one_remedy():
     test = load("limits.displacement:=0.005", "limits.force:=1000.0")
     found = excesses(test, expected_response(test, planned_motion(test)))
     text = excess_text(found)
@@ -145,7 +145,7 @@ def test_the_axis_that_uses_most_of_a_range_counts():
     assert "force 2.1e+04 of 22200 N (94.6 %)" in range_refusal(idle, peaks)
 
 
-def test_a_range_that_is_not_known_is_not_judged():
+def test_a_range_that_is_not_known_is_not_checked():
     unknown = load("sensors.force_range:=0.0")
     assert range_refusal(unknown, {**peaks_of(unknown), "force": np.array([1.0])}) == ""
 

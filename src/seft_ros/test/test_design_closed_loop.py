@@ -12,7 +12,7 @@ from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import LIMIT_ROWS
 from seft_ros.design.closed_loop import SampledLoop
-from seft_ros.design.plan import Plan
+from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.stability_verdict import predicted_modes
 from seft_ros.force_controller.force_control import ForceController
 from seft_ros.reference_force.reference_force_block import ReferenceForce
@@ -106,7 +106,7 @@ def loop_displacements(loop, motion, steps):
 def assert_same(test, steps=120):
     motion = np.random.default_rng(1).standard_normal((20, len(test.axes)))
     blocks = blocks_displacements(test, motion, steps)
-    loop = loop_displacements(Plan(test).loops()[0], motion, steps)
+    loop = loop_displacements(PlannedTest(test).loops()[0], motion, steps)
     assert np.abs(blocks).max() > 0
     np.testing.assert_allclose(loop, blocks, rtol=1e-9, atol=1e-9 * np.abs(blocks).max())
 
@@ -145,10 +145,10 @@ def test_so_they_are_of_an_eft_test():
 
 
 def test_a_rig_that_is_not_linear_is_taken_at_its_small_signal_limit():
-    linear = Plan(experiment(SERVO, mass_ratio=0.5))
+    linear = PlannedTest(experiment(SERVO, mass_ratio=0.5))
     kinds = {"specimen.kind": "bouc_wen", "specimen.yield_displacement": 0.005}
     yielding = {"rig": {f"simulated.{name}": value for name, value in kinds.items()}}
-    whole = Plan(experiment(yielding, mass_ratio=0.5))
+    whole = PlannedTest(experiment(yielding, mass_ratio=0.5))
     assert whole.rig.small_signal and not linear.rig.small_signal
     for ratio in (0.1, 1.0, 3.0):
         assert whole.loops(mass_ratio=ratio)[0].dominant() == pytest.approx(
@@ -159,9 +159,9 @@ def test_a_rig_that_is_not_linear_is_taken_at_its_small_signal_limit():
 @pytest.mark.parametrize("method", ["none", "model"])
 def test_a_rig_elsewhere_of_which_the_truth_is_known_has_its_own_loop(method):
     own = experiment(SERVO, mass_ratio=1.0, compensation__method=method)
-    rig, identified = Plan(own), Plan(elsewhere(own))
+    rig, identified = PlannedTest(own), PlannedTest(elsewhere(own))
     assert (rig.rig.plant.source, identified.rig.plant.source) == ("rig", "identified")
-    found, exact = (plan.loops()[0] for plan in (identified, rig))
+    found, exact = (planned_test.loops()[0] for planned_test in (identified, rig))
     motion = np.ones((5, 1))
     expected = loop_displacements(exact, motion, 60)
     np.testing.assert_allclose(
@@ -191,7 +191,7 @@ def test_a_small_delay_adds_the_known_false_damping(alpha):
     delay, rate, damping = 0.0002, 10000.0, 20.0
     damped = {"/**": {"specimen.damping": damping}}
     test = experiment(delayed(delay), damped, rate=rate, mass_ratio=alpha)
-    (mode,) = predicted_modes(Plan(test))
+    (mode,) = predicted_modes(PlannedTest(test))
     natural = np.sqrt(K / M)
     assert mode.exact_hz == pytest.approx(natural / np.sqrt(1 + alpha) / (2 * np.pi), rel=1e-9)
     exact = damping / (2 * np.sqrt(K * M * (1 + alpha)))
@@ -205,7 +205,7 @@ def test_a_small_delay_adds_the_known_false_damping(alpha):
 def test_modes_of_several_axes_are_those_of_the_whole_structure():
     """Without a computed mass and with a perfect actuator the test is the structure itself."""
     ideal = {"/**": COUPLED | {"actuator.kind": "ideal"}}
-    modes = predicted_modes(Plan(experiment(ideal, rate=5000.0, axes=("x", "y"))))
+    modes = predicted_modes(PlannedTest(experiment(ideal, rate=5000.0, axes=("x", "y"))))
     k = np.reshape(COUPLED["specimen.stiffness"], (2, 2))
     squares = np.sort(np.linalg.eigvals(np.diag([1 / 52.7, 1 / 40.0]) @ k).real)
     assert [mode.exact_hz for mode in modes] == pytest.approx(
@@ -219,8 +219,8 @@ def test_modes_of_several_axes_are_those_of_the_whole_structure():
 
 def test_a_rig_that_nobody_knows_has_no_plan():
     with pytest.raises(InputError, match="seft identify"):
-        Plan(elsewhere(experiment({"/**": {"actuator.flow_gain": 0.0}})))
+        PlannedTest(elsewhere(experiment({"/**": {"actuator.flow_gain": 0.0}})))
     sections = experiment().sections
     del sections["reference_force"]
     with pytest.raises(InputError, match="runs elsewhere"):
-        Plan(Experiment(sections))
+        PlannedTest(Experiment(sections))

@@ -26,7 +26,7 @@ def test_bandwidth_of_a_first_order_lag_is_its_corner():
     assert found.closed_loop_flat_to_hz == pytest.approx(20 * np.sqrt(10**0.1 - 1), rel=1e-3)
 
 
-def test_a_dip_is_told_with_its_place():
+def test_a_dip_is_reported_with_its_place():
 
     def notch(hz):
         w = 2 * np.pi * hz

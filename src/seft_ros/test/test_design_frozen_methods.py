@@ -10,7 +10,7 @@ from seft_msgs_py.config.facts import CHANNELS
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import LIMIT_ROWS
 from seft_ros.design.closed_loop import frozen_target
-from seft_ros.design.plan import Plan
+from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.preflight_tables import summarise_preflight
 from seft_ros.design.stability_margins import HIGHEST_MASS_RATIO, find_margins
 from seft_ros.design.stability_verdict import check_stability
@@ -81,8 +81,8 @@ def grows(test, size, **options):
 
 @cache
 def planned():
-    plan = Plan(experiment())
-    return plan, find_margins(plan)
+    planned_test = PlannedTest(experiment())
+    return planned_test, find_margins(planned_test)
 
 
 def slower(part):
@@ -96,25 +96,25 @@ def stronger(factor):
 
 @pytest.mark.parametrize("parts", [(), (COUPLED,)], ids=["one axis", "two axes"])
 def test_the_frozen_steps_are_met_to_rounding(parts):
-    """Of a target with the force as told, on any measured motion."""
+    """Of a target with the force as known, on any measured motion."""
     test = experiment(*parts)
-    plan, n = Plan(test), len(test.axes)
-    method = plan.compensator()
-    told = frozen_target(method, measured=False)
+    planned_test, n = PlannedTest(test), len(test.axes)
+    method = planned_test.compensator()
+    known = frozen_target(method, measured=False)
     model = method.parameters.model
     zero = np.zeros_like(model.prior)
     model = model._replace(prior=zero, drift=zero, change=zero, surprise=np.inf)
     method.parameters = method.parameters._replace(model=model)
     method.reset()
-    s, random = np.zeros(len(told.a)), np.random.default_rng(3)
+    s, random = np.zeros(len(known.a)), np.random.default_rng(3)
     scale = np.array([1e-2, 1e-1, 1.0, 1e3])[:, np.newaxis]
     ground = random.standard_normal((60 + method.preview, n))
     for k in range(50):
         y = scale * random.standard_normal((4, n)) * (k > 0)
         coming = ground[k : k + 1 + method.preview] * (k > 0)
         points = method.step(coming, y)
-        expected = told.c @ s + told.d @ y.ravel() + told.e @ coming.ravel()
-        s = told.a @ s + told.b @ y.ravel() + told.h @ coming.ravel()
+        expected = known.c @ s + known.d @ y.ravel() + known.e @ coming.ravel()
+        s = known.a @ s + known.b @ y.ravel() + known.h @ coming.ravel()
         size = np.abs(points).max(axis=(0, 2))[:, np.newaxis]
         np.testing.assert_allclose(
             points / size.clip(1e-300),
@@ -124,14 +124,14 @@ def test_the_frozen_steps_are_met_to_rounding(parts):
 
 
 def test_a_measured_force_moves_the_target_by_what_the_stiffness_makes_of_it():
-    """r* = f + K x* = 0 at rest; one part in 10,000 is what is told."""
+    """r* = f + K x* = 0 at rest; one part in 10,000 is what is known."""
     target = frozen_target(planned()[0].compensator(), measured=True)
     still = np.linalg.solve(np.eye(len(target.a)) - target.a, target.b)
     by_force = (target.c @ still + target.d)[0, 3]
     assert by_force == pytest.approx(-1.0 / K, rel=2e-4)
-    told = frozen_target(planned()[0].compensator(), measured=False)
-    still = np.linalg.solve(np.eye(len(told.a)) - told.a, told.b)
-    assert np.abs((told.c @ still + told.d)[0]).max() < 1e-12
+    known = frozen_target(planned()[0].compensator(), measured=False)
+    still = np.linalg.solve(np.eye(len(known.a)) - known.a, known.b)
+    assert np.abs((known.c @ still + known.d)[0]).max() < 1e-12
 
 
 @pytest.mark.parametrize(("part", "unstable"), [(0.97, False), (1.03, True)])
@@ -155,7 +155,7 @@ def test_the_sure_ones_are_those_of_a_controller_that_takes_the_valves_for_the_w
 
 
 @pytest.mark.parametrize("factor", [0.001, 3.0])
-def test_so_it_is_with_any_local_stiffness_from_0_to_3_times_the_told_one(factor):
+def test_so_it_is_with_any_local_stiffness_from_0_to_3_times_the_known_one(factor):
     margins = planned()[1]
     assert margins.stiffness.ends() == margins.followed.ends() == []
     assert margins.stiffness.searched == (0.0, 3.0)
@@ -172,11 +172,11 @@ def test_so_it_is_at_any_mass_ratio():
 
 
 def test_the_verdict_and_its_numbers():
-    plan, margins = planned()
-    found = check_stability(plan)
+    planned_test, margins = planned()
+    found = check_stability(planned_test)
     assert found.verdict == "stable"
     assert "follows the specimen" in found.promise
-    numbers = summarise_preflight(plan, found)
+    numbers = summarise_preflight(planned_test, found)
     assert (numbers["basis"], numbers["critical_mass_ratio"]) == ("exact", None)
     assert 0.022 < numbers["critical_delay_s"] < 0.025
     assert 0.014 < numbers["sure_delay_s"] == margins.sure_dead_time.value < 0.016
@@ -187,11 +187,11 @@ def test_the_verdict_and_its_numbers():
 
 def test_a_rig_that_is_not_simulated_is_what_is_known_of_it():
     test = experiment()
-    told = Experiment({node: part for node, part in test.sections.items() if node != "rig"})
+    known = Experiment({node: part for node, part in test.sections.items() if node != "rig"})
     for changes in ({}, {"stiffness": 0.5}, {"dead_time": 0.01, "any_valve": True}):
-        exact = Plan(test).growth_rate(**changes)
-        assert Plan(told).growth_rate(**changes) == pytest.approx(exact, rel=1e-6)
-    assert Plan(told).rig.plant.source == "identified"
+        exact = PlannedTest(test).growth_rate(**changes)
+        assert PlannedTest(known).growth_rate(**changes) == pytest.approx(exact, rel=1e-6)
+    assert PlannedTest(known).rig.plant.source == "identified"
 
 
 @pytest.mark.parametrize("delay", [0, 4])
@@ -199,12 +199,12 @@ def test_with_a_delay_of_the_loop_the_matrix_is_what_the_offline_loop_does(delay
     quiet = {"rig": QUIET, "ground_motion": {"peak_force": 1e-4}}
     late = {"/**": {"loop_delay": delay}}
     test = experiment(quiet, late)
-    plan, blocks = Plan(test), build_blocks(test)
-    loop = plan.loops()[0]
+    planned_test, blocks = PlannedTest(test), build_blocks(test)
+    loop = planned_test.loops()[0]
     assert len(loop.matrix) < 80
-    record = simulate_test(test, blocks)
-    assert record.trip is None
-    found = record.series["rig/state"].values[:1500, 0]
+    recording = simulate_test(test, blocks)
+    assert recording.trip is None
+    found = recording.series["rig/state"].values[:1500, 0]
     ground = np.asarray(blocks.ground_motion.known)
     q, expected = np.zeros(len(loop.matrix)), []
     for k in range(1500):
@@ -215,7 +215,7 @@ def test_with_a_delay_of_the_loop_the_matrix_is_what_the_offline_loop_does(delay
 
 
 def test_a_transfer_function_takes_the_force_of_the_first_point():
-    plan = Plan(experiment({"force_controller": {"method": "transfer_function"}}))
-    filters = plan.compensation()
-    assert filters.d.shape[0] == 3 * (1 + plan.compensator().preview)
-    assert not plan.follows_valves and np.isfinite(plan.growth_rate())
+    planned_test = PlannedTest(experiment({"force_controller": {"method": "transfer_function"}}))
+    filters = planned_test.compensation()
+    assert filters.d.shape[0] == 3 * (1 + planned_test.compensator().preview)
+    assert not planned_test.follows_valves and np.isfinite(planned_test.growth_rate())

@@ -103,14 +103,14 @@ def test_coupled_axes_see_each_other_through_closed_valves():
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "message"),
     [
         ({"actuator__kind": "ideal"}, "actuator.kind is ideal"),
         ({"actuator__kind": "delay"}, "no valve"),
     ],
 )
-def test_what_gives_no_plant_is_told(changed, told):
-    with pytest.raises(InputError, match=told):
+def test_what_gives_no_plant_is_reported(changed, message):
+    with pytest.raises(InputError, match=message):
         choose_plant(experiment(**changed))
 
 

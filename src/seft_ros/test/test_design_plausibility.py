@@ -33,18 +33,18 @@ def test_the_configurations_pass(config):
 @pytest.mark.parametrize("config", ["demo", "jhu"])
 @pytest.mark.parametrize("more", [(), (AS_RECORDED,)])
 @pytest.mark.parametrize(
-    ("values", "told"),
+    ("values", "message"),
     [
         ({"stiffness": 177.653}, "a stiffness of 177653 N/m (kN/m?) would give 9.24 Hz"),
         ({"stiffness": 177653.0, "mass": 0.5}, "a mass of 500 kg (t?) would give 3 Hz"),
         ({"stiffness": 177.653, "mass": 500.0}, "a stiffness of 177653 N/m (kN/m?) would give 3 "),
     ],
 )
-def test_kilonewtons_and_tonnes_are_told(config, more, values, told):
-    assert told in refused(load(*specimen(**values), *more, config=config))[0]
+def test_kilonewtons_and_tonnes_are_reported(config, more, values, message):
+    assert message in refused(load(*specimen(**values), *more, config=config))[0]
 
 
-def test_both_in_other_units_are_told():
+def test_both_in_other_units_are_reported():
     values = specimen(stiffness=177.653, mass=0.5, damping=0.8)
     text = refused(load(*values, config="demo"))[0]
     assert "a stiffness of 177653 N/m (kN/m?) and a mass of 500 kg (t?)" in text
@@ -56,7 +56,7 @@ def test_a_damping_in_kilonewtons_goes_with_the_stiffness():
     assert "177653 N/m (kN/m?) would give 9.24 Hz" in text
 
 
-def test_a_specimen_in_other_units_than_it_truly_has_is_told_and_a_truth_in_others():
+def test_a_specimen_in_other_units_than_it_truly_has_is_reported_and_a_truth_in_others():
     known = load("specimen.mass:=0.5", "rig:simulated.specimen.mass:=52.7")
     assert refused(known)[0].startswith("/**: specimen:")
     true = load("rig:simulated.specimen.mass:=0.5")

@@ -47,13 +47,13 @@ def test_peaks_grow_with_the_motion():
     assert twice == pytest.approx({name: 2.0 * peak for name, peak in once.items()}, rel=1e-6)
 
 
-def test_limits_far_beyond_are_told():
+def test_limits_far_beyond_are_reported():
     experiment = load("limits.force:=22200.0")
     peaks = peaks_of(experiment)
     assert peaks["force"] == pytest.approx(1533.0, rel=0.01)
-    told = far_limits(experiment, peaks)
-    assert "force 22200 N (expected: 1.53e+03)" in told
-    assert "displacement" not in told
+    message = far_limits(experiment, peaks)
+    assert "force 22200 N (expected: 1.53e+03)" in message
+    assert "displacement" not in message
     assert far_limits(load(), peaks) == ""
 
 

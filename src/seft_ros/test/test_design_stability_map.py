@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from experiments_at_hand import load
 from seft_ros.design import stability_map
-from seft_ros.design.plan import Plan
+from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.stability_margins import find_margins
 
 RATIO = "reference_force:mass_ratio:=0.5"
@@ -20,9 +20,9 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 def test_a_map_holds_what_the_plan_says_at_its_places(monkeypatch, name):
     monkeypatch.setattr(stability_map, "_FINEST", 11)
-    plan, seen = Plan(load(RATIO, *CASES[name])), []
+    test, seen = PlannedTest(load(RATIO, *CASES[name])), []
     maps = stability_map.stability_maps(
-        plan, find_margins(plan), lambda what, done, total: seen.append((done, total))
+        test, find_margins(test), lambda what, done, total: seen.append((done, total))
     )
     size = len(maps[0].others)
     assert seen[-1] == (2 * size, 2 * size)
@@ -31,7 +31,7 @@ def test_a_map_holds_what_the_plan_says_at_its_places(monkeypatch, name):
         assert area.growth.shape == (len(area.others), len(area.mass_ratios)) == (size, size)
         for row, column in ((0, 0), (3, 9), (size - 1, size - 1)):
             changes = {change: area.others[row] / unit}
-            exact = plan.growth_rate(mass_ratio=area.mass_ratios[column], **changes)
+            exact = test.growth_rate(mass_ratio=area.mass_ratios[column], **changes)
             assert area.growth[row, column] == pytest.approx(exact, rel=1e-6)
         low, high = area.others[[0, -1]]
         assert low <= area.planned[1] <= high
@@ -40,8 +40,8 @@ def test_a_map_holds_what_the_plan_says_at_its_places(monkeypatch, name):
 
 def test_without_stiffness_there_is_no_map_of_it(monkeypatch):
     monkeypatch.setattr(stability_map, "_FINEST", 3)
-    plan = Plan(load(RATIO, "specimen.stiffness:=0.0", config="demo"))
-    margins = find_margins(plan)
+    test = PlannedTest(load(RATIO, "specimen.stiffness:=0.0", config="demo"))
+    margins = find_margins(test)
     assert margins.stiffness is margins.followed is None
     assert margins.dead_time is not None
-    assert len(stability_map.stability_maps(plan, margins)) == 1
+    assert len(stability_map.stability_maps(test, margins)) == 1

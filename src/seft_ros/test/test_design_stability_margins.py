@@ -1,4 +1,4 @@
-"""Margins: plans are stable just inside and grow just outside of them."""
+"""Margins: planned tests are stable just inside and grow just outside of them."""
 
 from functools import partial
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from experiments_at_hand import of_parts
 from seft_ros.design.margin_ends import end_texts, meanings
-from seft_ros.design.plan import Plan
+from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.stability_map import StabilityMap, preflight_figure
 from seft_ros.design.stability_margins import (
     HIGHEST_MASS_RATIO,
@@ -55,15 +55,16 @@ def true(name, value):
 
 
 def grows(*parts):
-    """Whether the free vibration of a plan grows: as it does, see test_design_closed_loop.py."""
-    return Plan(experiment(*parts)).growth_rate() > 0.0
+    """Whether the free vibration of a planned test grows: as it does, see
+    test_design_closed_loop.py."""
+    return PlannedTest(experiment(*parts)).growth_rate() > 0.0
 
 
 @pytest.mark.parametrize("rig", RIGS)
 @pytest.mark.parametrize("method", OF_FORCES)
 def test_a_plan_grows_from_the_critical_mass_ratio_on(method, rig):
     chosen = RIGS[rig], reference(compensation__method=method)
-    critical = critical_mass_ratio(Plan(experiment(*chosen)))
+    critical = critical_mass_ratio(PlannedTest(experiment(*chosen)))
     if critical is None:
         assert not grows(*chosen, reference(mass_ratio=HIGHEST_MASS_RATIO))
         return
@@ -73,10 +74,12 @@ def test_a_plan_grows_from_the_critical_mass_ratio_on(method, rig):
 
 @pytest.mark.parametrize("method", ["none", "model"])
 @pytest.mark.parametrize("rig", RIGS)
-def test_a_plan_that_has_the_critical_delay_gain_stiffness_or_told_delay_is_neutral(method, rig):
+def test_a_planned_test_that_has_the_critical_delay_gain_stiffness_or_known_delay_is_neutral(
+    method, rig
+):
     chosen = RIGS[rig], reference(compensation__method=method, mass_ratio=0.6)
-    plan = Plan(experiment(*chosen))
-    margins = find_margins(plan)
+    test = PlannedTest(experiment(*chosen))
+    margins = find_margins(test)
     kind = "actuator.delay" if rig == "delay" else "actuator.dead_time"
     parts = [true(kind, margins.dead_time.value)]
     if rig == "servo":
@@ -85,27 +88,27 @@ def test_a_plan_that_has_the_critical_delay_gain_stiffness_or_told_delay_is_neut
     assert margins.followed is None
     assert (margins.delay_error is None) is (method == "none")
     if method == "model":
-        told = plan.section["actuator.delay"] + margins.delay_error.highest.value
-        parts.append({"/**": {"actuator.delay": told}} | true("actuator.delay", 0.010))
-    assert plan.growth_rate() < -4.0
-    left = [Plan(experiment(*chosen, part)).growth_rate() for part in parts]
+        known = test.section["actuator.delay"] + margins.delay_error.highest.value
+        parts.append({"/**": {"actuator.delay": known}} | true("actuator.delay", 0.010))
+    assert test.growth_rate() < -4.0
+    left = [PlannedTest(experiment(*chosen, part)).growth_rate() for part in parts]
     assert np.abs(left).max() < 0.04  # at whole samples it jumps
 
 
-def test_an_unstable_plan_tells_the_delay_at_which_it_would_be_stable():
-    ideal_end = find_margins(Plan(experiment(DELAY, reference(mass_ratio=0.96))))
+def test_an_unstable_test_tells_the_delay_at_which_it_would_be_stable():
+    ideal_end = find_margins(PlannedTest(experiment(DELAY, reference(mass_ratio=0.96))))
     assert (ideal_end.gain, ideal_end.stiffness, ideal_end.delay_error) == (None, None, None)
     assert 0 < ideal_end.dead_time.value < 0.010
     for factor, unstable in ((0.9, False), (1.1, True)):
         delay = true("actuator.delay", factor * ideal_end.dead_time.value)
         assert grows(DELAY, delay, reference(mass_ratio=0.96)) is unstable
-    never = find_margins(Plan(experiment(DELAY, reference(mass_ratio=1.1))))
+    never = find_margins(PlannedTest(experiment(DELAY, reference(mass_ratio=1.1))))
     assert never.dead_time.value == 0.0
 
 
 def test_an_unstable_force_loop_has_a_critical_mass_ratio_of_zero():
     wild = {"force_controller": {"numerator": [200.0]}}
-    found = check_stability(Plan(experiment(SERVO, wild)))
+    found = check_stability(PlannedTest(experiment(SERVO, wild)))
     assert found.verdict == "unstable"
     assert found.margins.mass_ratio.value == 0.0
 
@@ -114,7 +117,7 @@ def test_an_unstable_force_loop_has_a_critical_mass_ratio_of_zero():
     ("ratio", "verdict"), [(0.0, "stable"), (0.7, "stable"), (0.85, "marginal"), (0.95, "unstable")]
 )
 def test_the_verdict_follows_the_reserve_of_the_mass_ratio(ratio, verdict):
-    found = check_stability(Plan(experiment(DELAY, reference(mass_ratio=ratio))))
+    found = check_stability(PlannedTest(experiment(DELAY, reference(mass_ratio=ratio))))
     assert found.verdict == verdict
     assert bool(found.reasons) == (verdict != "stable")
     if verdict == "marginal":
@@ -122,13 +125,13 @@ def test_the_verdict_follows_the_reserve_of_the_mass_ratio(ratio, verdict):
 
 
 def test_thin_margins_of_delay_gain_and_stiffness_are_named():
-    thin = check_stability(Plan(experiment(SERVO, reference(mass_ratio=1.05))))
+    thin = check_stability(PlannedTest(experiment(SERVO, reference(mass_ratio=1.05))))
     assert thin.verdict == "marginal"
     text = " / ".join(thin.reasons)
     assert "actuator's dead time: " in text and "actuator's gain: " in text
-    told = reference(compensation__method="model", mass_ratio=0.5)
+    known = reference(compensation__method="model", mass_ratio=0.5)
     stiff = {"/**": {"specimen.stiffness": 2.7 * K}} | true("specimen.stiffness", K)
-    wrong = check_stability(Plan(experiment(DELAY, told, stiff)))
+    wrong = check_stability(PlannedTest(experiment(DELAY, known, stiff)))
     own = wrong.margins.stiffness
     assert own.planned == pytest.approx(1 / 2.7)
     assert own.planned / 1.1 < own.lowest.value < own.planned
@@ -137,8 +140,8 @@ def test_thin_margins_of_delay_gain_and_stiffness_are_named():
 
 def test_the_rows_that_decide_are_those_below_their_reserve():
     """Of a valve of more than three times the gain that the controller assumes."""
-    plan = Plan(of_parts({}, true("actuator.flow_gain", 0.14), config="demo"))
-    found = check_stability(plan)
+    test = PlannedTest(of_parts({}, true("actuator.flow_gain", 0.14), config="demo"))
+    found = check_stability(test)
     deciding = [end for end in found.ends if end.decides]
     assert [end.reason for end in deciding] == found.reasons
     assert [(end.name, end.more) for end in deciding] == [
@@ -162,7 +165,7 @@ def test_the_rows_that_decide_are_those_below_their_reserve():
     assert "a gain up to 30 %" in said and "a delay up to 5 ms" in said and "!: " in said
     growth = np.array([[-1.0, -1.0], [1.0, 1.0]])
     area = StabilityMap(np.array([0.0, 3.0]), np.array([0.0, 0.02]), growth, (1.5, 0.001))
-    drawn = preflight_figure(plan, found, [area])
+    drawn = preflight_figure(test, found, [area])
     shown = [text.get_text() for axes in drawn.axes for text in axes.texts]
     assert all(cell in shown for row in marked for cell in row)
     assert any(text.startswith("with any assumed valve: ") for text in shown)
@@ -170,8 +173,8 @@ def test_the_rows_that_decide_are_those_below_their_reserve():
 
 
 def test_what_adapts_is_promised_as_it_starts_only(monkeypatch):
-    told = experiment(DELAY, reference(compensation__method="model", mass_ratio=0.5))
-    fixed = check_stability(Plan(told))
+    known = experiment(DELAY, reference(compensation__method="model", mass_ratio=0.5))
+    fixed = check_stability(PlannedTest(known))
     assert "adapts" not in fixed.promise
 
     def adaptive(known):
@@ -180,14 +183,14 @@ def test_what_adapts_is_promised_as_it_starts_only(monkeypatch):
         return made
 
     monkeypatch.setitem(COMPENSATION_METHODS, "model", adaptive)
-    moving = check_stability(Plan(told))
+    moving = check_stability(PlannedTest(known))
     assert "adapts" in moving.promise and "does not promise" in moving.promise
     assert moving.margins == fixed.margins
 
 
-def test_what_is_not_linear_is_told():
+def test_what_is_not_linear_is_reported():
     servo = experiment(SERVO, {"/**": {"actuator.kind": "servo_hydraulic"}})
-    assert "small motions" in check_stability(Plan(servo)).promise
+    assert "small motions" in check_stability(PlannedTest(servo)).promise
 
 
 @pytest.mark.parametrize("edge", [0.1234, 3.3, 7.7])

@@ -1,4 +1,5 @@
-"""Detectors of faults: each fault of the hardware ends a test soon, no sound test ends by them."""
+"""Detectors of faults: each fault of the hardware ends a test soon, no fault-free test ends by
+them."""
 
 from dataclasses import replace
 from functools import cache
@@ -41,22 +42,22 @@ MOST = 12  # faults of which a test at its fastest may be too late, or the oil h
 
 
 @cache
-def sound(words):
-    """A test without a fault, its blocks, the largest value of each channel, and its record."""
+def fault_free(words):
+    """A test without a fault, its blocks, the largest value of each channel, and its recording."""
     experiment, known = load(*words), {}
-    record = simulate_test(experiment, build_blocks(experiment, known))
-    assert record.trip is None
-    largest = np.abs(record.states.values).max(axis=(0, 2))
-    return experiment, known, largest, record
+    recording = simulate_test(experiment, build_blocks(experiment, known))
+    assert recording.trip is None
+    largest = np.abs(recording.states.values).max(axis=(0, 2))
+    return experiment, known, largest, recording
 
 
 def with_fault(fault, words, at):
-    """Run a test with a fault from a step on: its record, and what came of it, see `verdict`."""
-    experiment, known, largest, right = sound(words)
+    """Run a test with a fault from a step on: its recording, and what came of it, see `verdict`."""
+    experiment, known, largest, right = fault_free(words)
     lines = lines_of(fault, at * experiment.timebase.dt, NOISE, largest)
     faulty = experiment.changed({"rig": {"faults": lines}})
-    record = simulate_test(faulty, build_blocks(faulty, known))
-    return record, verdict(record, largest[3], right)
+    recording = simulate_test(faulty, build_blocks(faulty, known))
+    return recording, verdict(recording, largest[3], right)
 
 
 def of_sensor(line):
@@ -64,33 +65,33 @@ def of_sensor(line):
     return line.rpartition("/")[2].startswith(CHANNELS)
 
 
-def sound_sensors(record):
-    """Give what sound sensors would have measured in a test, shape (N, 4, n)."""
-    experiment = record.experiment
+def fault_free_sensors(recording):
+    """Give what fault-free sensors would have measured in a test, shape (N, 4, n)."""
+    experiment = recording.experiment
     faults = [line for line in experiment["rig"]["faults"] if not of_sensor(line)]
     section = experiment["rig"] | {"faults": faults or ""}
     rig = Rig.from_parameters(section, experiment.axes, experiment.timebase)
-    commands = record.series["valve_command"].values[:-1, 0]
+    commands = recording.series["valve_command"].values[:-1, 0]
     return np.array([rig.reset(), *(rig.step(command) for command in commands)])[:, :4]
 
 
-def verdict(record, largest_force, sound_record):
+def verdict(recording, largest_force, fault_free_recording):
     """Say whether a test with a fault ended in time and gently, or the fault did nothing to it."""
-    if record.simulated.force_peak > LARGEST * largest_force:
+    if recording.simulated.force_peak > LARGEST * largest_force:
         return HARD
-    sampled, noise = sound_sensors(record), NOISE[:, np.newaxis]
-    right = sound_record.series["rig/state"].values[: len(sampled), :4]
-    beyond = (np.abs(record.series["rig/state"].values[:, :4] - sampled) > 6.0 * noise).any(
+    sampled, noise = fault_free_sensors(recording), NOISE[:, np.newaxis]
+    right = fault_free_recording.series["rig/state"].values[: len(sampled), :4]
+    beyond = (np.abs(recording.series["rig/state"].values[:, :4] - sampled) > 6.0 * noise).any(
         axis=(1, 2)
     )
     if not beyond.any():  # not a fault of a sensor: it shows in the motion
         beyond = (np.abs(sampled - right) > 6.0 * noise).any(axis=(1, 2))
     felt = int(beyond.argmax()) if beyond.any() else None
-    if record.trip is None:
+    if recording.trip is None:
         off = sampled[:, 0] - right[:, 0]
         moves = np.sqrt(np.mean(off**2) / np.mean(right[:, 0] ** 2))
         return HARMLESS if felt is None or moves < UNCHANGED else TOO_LATE
-    late = 0 if felt is None else (len(sampled) - 1 - felt) * record.experiment.timebase.dt
+    late = 0 if felt is None else (len(sampled) - 1 - felt) * recording.experiment.timebase.dt
     return IN_TIME if late <= SOON + 1e-9 else TOO_LATE
 
 
@@ -123,7 +124,7 @@ def test_faults_of_the_hardware_end_a_test_soon(specimen, at):
         tuple(f"sensors.{name}_noise:=0.0" for name in ("displacement", "velocity", "force")),
     ],
 )
-def test_no_sound_test_ends_by_a_detector(specimen):
+def test_no_fault_free_test_ends_by_a_detector(specimen):
     for seed in (1, 3):  # 2 needs more flow than the valve has, and is faster than the limit
         experiment = load(*PLAN, *specimen, f"ground_motion:synthetic.seed:={seed}")
         assert simulated(experiment).trip is None
@@ -134,16 +135,16 @@ QUIET = (*(f"sensors.{name}_noise:=0.0" for name in CHANNELS), f"{TRUE}sensors.a
 
 @pytest.mark.parametrize("method", ["model", "target_motion"])
 @pytest.mark.parametrize(("ratio", "delay"), [(0.5, 0.01), (1.0, 0.01), (1.0, 0.0113)])
-def test_no_sound_test_on_a_rig_that_obeys_forces_comes_near_a_detector(method, ratio, delay):
+def test_no_fault_free_test_on_a_rig_that_obeys_forces_comes_near_a_detector(method, ratio, delay):
     """Without noise and converter: all that is left is the motion between the samples."""
     experiment = load(
         *("actuator.kind:=delay", f"actuator.delay:={delay}", *QUIET),
         *(f"limits.{name}:=1.0e+9" for name in ("velocity", "acceleration_rate")),
         *(f"reference_force:mass_ratio:={ratio}", f"reference_force:compensation.method:={method}"),
     )
-    record = simulated(experiment)
-    assert record.trip is None
-    shares = shares_of(record)
+    recording = simulated(experiment)
+    assert recording.trip is None
+    shares = shares_of(recording)
     assert max(shares.values()) < WARNING
     assert shares["oil_balance"] == 0.0
 
@@ -152,41 +153,43 @@ def test_no_sound_test_on_a_rig_that_obeys_forces_comes_near_a_detector(method, 
     "fault", [*(f"{channel} flipped" for channel in CHANNELS), "valve reversed"]
 )
 def test_wrong_polarity_ends_a_test_within_millimetres(fault):
-    record, _ = with_fault(fault, PLAN, 0)
-    assert record.trip is not None
+    recording, _ = with_fault(fault, PLAN, 0)
+    assert recording.trip is not None
     most = {"force flipped": 4e-3, "acceleration flipped": 1.3e-3}.get(fault, 1e-3)
-    assert record.simulated.displacement_peak < most
+    assert recording.simulated.displacement_peak < most
 
 
 @pytest.mark.parametrize("row", range(4))
 def test_a_spike_of_one_sample_is_passed_over(row):
-    _, known, largest, right = sound(PLAN)
+    _, known, largest, right = fault_free(PLAN)
     spike = f"{CHANNELS[row]} add {0.3 * largest[row]} at 2.468 for 1"
     experiment = load(*PLAN, f"rig:faults:={spike}")
-    record = simulate_test(experiment, build_blocks(experiment, known))
-    assert record.trip is None
-    commands, planned = (each.series["valve_command"].values[:, 0, 0] for each in (record, right))
+    recording = simulate_test(experiment, build_blocks(experiment, known))
+    assert recording.trip is None
+    commands, planned = (
+        each.series["valve_command"].values[:, 0, 0] for each in (recording, right)
+    )
     spiked = abs(commands[1234] - planned[1234])
     assert row > 1 or spiked < 0.05 * np.abs(planned).max()  # the motion goes on as planned
-    assert record.simulated.force_peak < 1.2 * largest[3]
+    assert recording.simulated.force_peak < 1.2 * largest[3]
 
 
 def test_once_tripped_the_valve_closes_in_its_time():
-    record = simulated(load(*PLAN, "rig:faults:=displacement add 0.005 at 3.0"))
-    commands = record.series["valve_command"].values[1500:, 0, 0]
-    planned = sound(PLAN)[3].series["valve_command"].values[1500:, 0, 0][: len(commands)]
-    largest = np.abs(sound(PLAN)[3].series["valve_command"].values).max()
+    recording = simulated(load(*PLAN, "rig:faults:=displacement add 0.005 at 3.0"))
+    commands = recording.series["valve_command"].values[1500:, 0, 0]
+    planned = fault_free(PLAN)[3].series["valve_command"].values[1500:, 0, 0][: len(commands)]
+    largest = np.abs(fault_free(PLAN)[3].series["valve_command"].values).max()
     assert np.abs(commands - planned)[:-1].max() < 0.05 * largest  # the motion goes on as planned
     assert commands[-1] == pytest.approx(0.97553 * commands[-2], rel=1e-5)
-    assert "displacement_wrong" in record.trip.reason
+    assert "displacement_wrong" in recording.trip.reason
 
 
 def test_a_detector_may_warn_alone():
     words = (*PLAN, "force_controller:detectors.warn_only:=tracking, displacement_velocity")
-    (drift,) = lines_of("displacement drifting", 3.0, NOISE, sound(PLAN)[2])
-    record = simulated(load(*words, f"rig:faults:={drift}"))
-    assert record.trip is None or "displacement_velocity" not in record.trip.reason
-    assert shares_of(record)["displacement_velocity"] > 1.0
+    (drift,) = lines_of("displacement drifting", 3.0, NOISE, fault_free(PLAN)[2])
+    recording = simulated(load(*words, f"rig:faults:={drift}"))
+    assert recording.trip is None or "displacement_velocity" not in recording.trip.reason
+    assert shares_of(recording)["displacement_velocity"] > 1.0
     with pytest.raises(InputError, match="no detector 'speed'; there are displacement_velocity"):
         build_blocks(load("force_controller:detectors.warn_only:=speed"))
 
@@ -207,17 +210,17 @@ def test_a_lost_state_is_no_fault():
 
 @pytest.mark.parametrize("how", [LATE, MISSED])
 def test_a_rig_that_misses_commands_has_no_fault(how):
-    experiment, known, _, _ = sound(PLAN)
+    experiment, known, _, _ = fault_free(PLAN)
     blocks = build_blocks(experiment, known)
     host = SlowHost(blocks.rig, how, blocks.force_controller)
-    record = simulate_test(experiment, replace(blocks, rig=host))
-    assert record.trip is None
+    recording = simulate_test(experiment, replace(blocks, rig=host))
+    assert recording.trip is None
 
 
 @pytest.mark.parametrize("words", [PLAN, (*PLAN, *OBEYS, *STICKS)])
-def test_shares_of_a_record_are_those_of_the_test(words):
+def test_shares_of_a_recording_are_those_of_the_test(words):
     experiment = load(*words)
     blocks = build_blocks(experiment)
-    record = simulate_test(experiment, blocks)
-    shares = list(shares_of(record).values())
+    recording = simulate_test(experiment, blocks)
+    shares = list(shares_of(recording).values())
     np.testing.assert_array_equal(shares, blocks.force_controller.state.detectors.shares[:, 0])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from records_at_hand import shown
+from recordings_at_hand import shown
 from seft_msgs_py.errors import InputError
 from seft_ros.drawing import page
 from seft_ros.drawing.page import (

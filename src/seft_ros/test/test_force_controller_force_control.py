@@ -61,7 +61,7 @@ def test_below_the_limit_it_is_the_linear_filter_of_scipy(name, axes):
 
 
 @pytest.mark.parametrize(
-    ("numerator", "denominator", "told"),
+    ("numerator", "denominator", "message"),
     [
         ([1.0, 0.0], [5.0], "improper: numerator of degree 1 over denominator of degree 0"),
         ([1.0, 0.0, 0.0], [0.0, 1.0, 1.0], "improper: numerator of degree 2 over .* degree 1"),
@@ -70,8 +70,8 @@ def test_below_the_limit_it_is_the_linear_filter_of_scipy(name, axes):
         ([1.0], [1.0, -2 / DT], "a pole at 1000 rad/s"),
     ],
 )
-def test_a_controller_that_cannot_be_sampled_is_refused(numerator, denominator, told):
-    with pytest.raises(InputError, match=f"force_controller: .*{told}"):
+def test_a_controller_that_cannot_be_sampled_is_refused(numerator, denominator, message):
+    with pytest.raises(InputError, match=f"force_controller: .*{message}"):
         controller(numerator, denominator)
 
 

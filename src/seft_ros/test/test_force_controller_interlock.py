@@ -193,7 +193,7 @@ def test_while_a_sample_is_suspect_a_controller_of_forces_holds_its_last_command
 
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("rows", [1, 3])
-def test_a_fault_closes_the_valve_from_the_last_sound_command_and_its_cause_stays(axis, rows):
+def test_a_fault_closes_the_valve_from_the_last_fault_free_command_and_its_cause_stays(axis, rows):
     controller = Scripted(1, rows)
     guarded = watched(controller)
 
@@ -210,11 +210,11 @@ def test_a_fault_closes_the_valve_from_the_last_sound_command_and_its_cause_stay
     # of the second wrong sample on, a controller of forces holds its last command
     assert len(controller.seen) == (7 if rows > 1 else 6)
     assert guarded.step_index == 7
-    told = (
+    message = (
         f"measured displacement on axis {AXES[axis]} contradicts the other channels: 3 samples "
         "within"
     )
-    assert guarded.reason.startswith(told)
+    assert guarded.reason.startswith(message)
     reason = guarded.reason
     assert not np.any(stepped(guarded, 15, force(0.0, math.nan), state(math.nan)))
     guarded.trip(16, "another")
@@ -250,11 +250,11 @@ def test_detectors_are_not_blinded_by_what_is_no_number():
 def test_a_drive_that_is_no_number_is_not_sent(bad):
     controller = Scripted(1, 1)
     guarded = watched(controller)
-    sound = stepped(guarded, 0, force(0.0, 0.0), state())
+    fault_free = stepped(guarded, 0, force(0.0, 0.0), state())
     controller.drive = np.array([3.0, bad])
     for index in range(1, 7):
         drive = stepped(guarded, index, force(0.0, 0.0), state())
-        np.testing.assert_allclose(drive, left(index) * sound, rtol=1e-14)
+        np.testing.assert_allclose(drive, left(index) * fault_free, rtol=1e-14)
     assert guarded.reason == f"valve command on axis north is {bad}"
     assert (guarded.step_index, len(controller.seen)) == (1, 2)
 

@@ -24,7 +24,7 @@ def preview(patience=20, in_lockstep=False):
 
 
 def message(step):
-    """Forces are 1, 2, ... from step D on, where the first is settled; told to step + D."""
+    """Forces are 1, 2, ... from step D on, where the first is settled; sent to step + D."""
     return step, np.maximum(step + np.arange(1.0 + D) + 1 - D, 0.0).reshape(-1, 1, 1)
 
 
@@ -43,18 +43,18 @@ def test_whatever_is_late_or_lost_within_the_delay_changes_nothing(arrives, late
 def test_before_the_first_message_the_force_is_zero():
     newest = preview()
     assert [newest.points(step)[0].item() for step in range(D)] == [0.0] * D
-    assert newest.record().held == 0
+    assert newest.report().held == 0
 
 
-def test_beyond_the_delay_a_force_stays_as_it_was_last_told():
+def test_beyond_the_delay_a_force_stays_as_it_was_last_sent():
     newest = preview()
     newest.take(*message(0))
     found = [newest.points(step)[0].item() for step in range(10)]
     assert found == [0, 0, 0, 0, 1, 1, 1, 1, 1, 1]
-    record = newest.record()
-    assert record.held == 5
-    assert record.older_than(D) == 5
-    assert record.ages == dict.fromkeys(range(10), 1)
+    report = newest.report()
+    assert report.held == 5
+    assert report.older_than(D) == 5
+    assert report.ages == dict.fromkeys(range(10), 1)
     assert not newest.is_lost
 
 
@@ -76,7 +76,7 @@ HORIZON, SPEED = 3, 0.2
 
 
 def target(step):
-    """A target at 0.2 m/s, told for D + HORIZON steps ahead; its force is the step's number."""
+    """A target at 0.2 m/s, sent for D + HORIZON steps ahead; its force is the step's number."""
     steps = step + np.arange(1.0 + D + HORIZON)
     rows = [SPEED * DT * steps, np.full(len(steps), SPEED), steps]
     return step, np.stack(rows, axis=1)[:, :, np.newaxis]
@@ -108,7 +108,7 @@ def test_a_target_whose_coming_motion_is_not_known_brakes_without_a_jump():
     assert 0.0 < v[-1] < 0.01 * SPEED
     np.testing.assert_allclose(np.gradient(x, DT)[1:-1], v[1:-1], rtol=0.05)
     assert way[-1][0, 2, 0] == D + HORIZON
-    assert newest.record().held == 80 - (1 + D + HORIZON)
+    assert newest.report().held == 80 - (1 + D + HORIZON)
 
 
 def test_a_target_that_is_lost_comes_down_to_where_it_began():
@@ -126,7 +126,7 @@ def test_in_lockstep_a_step_waits_until_its_force_is_settled():
     newest.take(*message(0))
     assert newest.points(D)[0].item() == 1.0
     assert newest.points(D + 1) is None
-    assert newest.record().ages == {1: 1, 2: 1, 3: 1, 4: 2}  # what waited counts once
+    assert newest.report().ages == {1: 1, 2: 1, 3: 1, 4: 2}  # what waited counts once
 
 
 def test_a_message_that_is_repeated_or_out_of_order_is_refused():

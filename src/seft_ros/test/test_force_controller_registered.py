@@ -14,7 +14,7 @@ class Gain:
     """Proportional to the force error."""
 
     def __init__(self):
-        self.told = []
+        self.obeyed = []
         self.resets = 0
 
     def reset(self):
@@ -26,7 +26,7 @@ class Gain:
 
 class Knowing(Gain):
     def limited(self, drive):
-        self.told.append(drive.tolist())
+        self.obeyed.append(drive.tolist())
 
     def linear(self):
         return LinearControl.of_error(
@@ -34,14 +34,14 @@ class Knowing(Gain):
         )
 
 
-def test_its_drive_is_cut_off_at_the_limit_and_it_is_told():
+def test_its_drive_is_cut_off_at_the_limit_and_it_is_reported():
     own = Knowing()
     control = RegisteredControl(lambda: own, "theirs", KNOWN)
     assert control.step(np.array([[[50.0, -20.0]]]), ZERO).tolist() == [5.0, -2.0]
     assert not control.limited
     assert control.step(np.array([[[500.0, -20.0]]]), ZERO).tolist() == [10.0, -2.0]
     assert control.limited
-    assert own.told == [[10.0, -2.0]]
+    assert own.obeyed == [[10.0, -2.0]]
     control.reset()
     assert not control.limited
     assert own.resets == 2  # once after it was tried
@@ -61,7 +61,7 @@ def test_a_drive_of_the_wrong_shape_is_refused_before_a_test():
         RegisteredControl(Wrong, "theirs", KNOWN)
 
 
-def test_linear_is_its_own_or_told_to_be_missing():
+def test_linear_is_its_own_or_reported_to_be_missing():
     found = RegisteredControl(Knowing, "theirs", KNOWN).linear()
     signals = np.arange(10.0)  # reference force, x, v, a, force
     np.testing.assert_allclose(found.d @ signals, 0.1 * (signals[:2] - signals[8:]))

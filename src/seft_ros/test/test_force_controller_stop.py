@@ -1,4 +1,4 @@
-"""The stop of an interlock: after a trip, and in reserve for a rig without an answer."""
+"""The stop of an interlock: after a trip, and the fallback stop of a rig without an answer."""
 
 import math
 
@@ -32,7 +32,7 @@ def answered(controller):
 @pytest.mark.parametrize("kind", [Scripted, Planned])
 def test_after_a_trip_it_goes_along_the_stop_and_its_end_lasts(kind):
     guarded, wanted = answered(kind()), ways()[kind is Planned]
-    np.testing.assert_allclose(guarded.stop(3), wanted, atol=1e-15)  # in reserve
+    np.testing.assert_allclose(guarded.stop(3), wanted, atol=1e-15)  # the fallback stop
     guarded.trip(5, "stopped")
     guarded.trip(6, "too late to be the reason")
     assert (guarded.reason, guarded.step_index) == ("stopped", 5)
@@ -45,7 +45,7 @@ def test_after_a_trip_it_goes_along_the_stop_and_its_end_lasts(kind):
 
 
 @pytest.mark.parametrize("kind", [Scripted, Planned])
-def test_while_sensors_and_valve_are_sound_a_trip_follows_the_plan(kind):
+def test_while_sensors_and_valve_are_fault_free_a_trip_follows_the_plan(kind):
     guarded, wanted = answered(kind()), ways()[kind is Planned]
     for age in range(len(wanted) + 3):
         points = target_of(4 + age)

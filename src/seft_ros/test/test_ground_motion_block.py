@@ -123,14 +123,14 @@ def test_a_chunk_is_a_quarter_of_the_lead(lead, rate, steps):
     assert len(build(rate=rate, lead=lead).chunks[0][1]) == steps
 
 
-def test_a_correction_is_of_the_record_and_told_before_and_after(tent):
+def test_a_correction_is_of_the_record_and_reported_before_and_after(tent):
     motion = build(rate=100.0, **tent, correct="offset")
     np.testing.assert_allclose(motion.samples[:, 0], [0.4, 2.4, 0.4, -3.6, 0.4])
     np.testing.assert_allclose(motion.uncorrected[:, 0], [0, 2, 0, -4, 0])
-    told = motion.facts["correction"]
-    assert told["method"] == "offset"
-    assert told["before"]["offset"] == [pytest.approx(-0.4)]
-    assert told["after"]["offset"] == [pytest.approx(0.0, abs=1e-15)]
+    facts = motion.facts["correction"]
+    assert facts["method"] == "offset"
+    assert facts["before"]["offset"] == [pytest.approx(-0.4)]
+    assert facts["after"]["offset"] == [pytest.approx(0.0, abs=1e-15)]
     motion = build(rate=100.0, **tent, correct="baseline", filter__corner=2.0, filter__order=3)
     assert motion.facts["correction"]["method"] == (
         "baseline, high-pass 2 Hz of order 3, both ways"

@@ -1,4 +1,4 @@
-"""Files that must not read: each fault is told in one line, with the place."""
+"""Files that must not read: each fault is reported in one line, with the place."""
 
 import contextlib
 import re
@@ -50,7 +50,7 @@ def read(read):
         ("0 1 .1 2\n.2 3 .3 4\n.4 5 .5 6\n", "", "each row holds 2 pairs of time and value"),
     ],
 )  # fmt: skip
-def test_a_fault_in_a_file_is_told_with_its_line(refuses, content, place, what):
+def test_a_fault_in_a_file_is_reported_with_its_line(refuses, content, place, what):
     assert place in refuses(re.escape(what), content)
 
 
@@ -58,13 +58,13 @@ def test_a_fault_in_a_column_that_is_not_chosen_does_not_matter(read):
     assert read("1 2\n3 nan\n").accelerations.shape == (2, 1)
 
 
-@pytest.mark.parametrize(("name", "told"), [("nowhere", "no such file"), ("", "Is a directory")])
-def test_a_missing_file_and_a_folder_are_told_apart(tmp_path, name, told):
-    with pytest.raises(InputError, match=f"{tmp_path / name}.*{told}"):
+@pytest.mark.parametrize(("name", "message"), [("nowhere", "no such file"), ("", "Is a directory")])
+def test_a_missing_file_and_a_folder_are_distinguished(tmp_path, name, message):
+    with pytest.raises(InputError, match=f"{tmp_path / name}.*{message}"):
         read_record(tmp_path / name, [0], "g", 0.01)
 
 
-def test_a_column_out_of_range_is_told_how_many_there_are(refuses):
+def test_a_column_out_of_range_is_reported_how_many_there_are(refuses):
     refuses(r"column is \[2\], but", "1 2\n3 4\n", columns=[2])
     refuses("2 columns, 0 to 1", "1 2\n3 4\n", columns=[0, 2])
     refuses("2 columns, 0 to 1", "1 2\n3 4\n", columns=[-2])
@@ -73,8 +73,8 @@ def test_a_column_out_of_range_is_told_how_many_there_are(refuses):
 
 def test_a_file_without_sampling_period_or_unit_asks_for_it(refuses):
     refuses("set ground_motion dt", "1\n2\n", dt=0.0)
-    told = r"largest is 2.5; set ground_motion unit \(--unit\) to g, m/s2, cm/s2"
-    refuses(told, "1\n-2.5\n", unit="")
+    message = r"largest is 2.5; set ground_motion unit \(--unit\) to g, m/s2, cm/s2"
+    refuses(message, "1\n-2.5\n", unit="")
 
 
 @pytest.mark.parametrize("times", ["0\n0.01\n0.01\n0.03", "0.03\n0.02\n0.01\n0", "0\n0\n0\n0"])
@@ -83,7 +83,7 @@ def test_times_that_do_not_rise_evenly_are_refused(refuses, times):
     refuses("resample the record evenly", text, columns=[1])
 
 
-def test_a_time_that_is_no_number_is_told_with_its_line(refuses):
+def test_a_time_that_is_no_number_is_reported_with_its_line(refuses):
     refuses("line 3", "time,a\n0,1\nnan,1\n0.02,1\n", columns=[1])
 
 

@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from records_at_hand import fixed
+from recordings_at_hand import fixed
 
 COUNT = 23
 WAVE = np.round(100 * np.sin(0.4 * np.arange(COUNT)), 1)
@@ -76,8 +76,8 @@ def geonet(values, component, others=True):
     head += ["Acceleration:  peak   2364.6 mm/s/s at  48.14 sec     rms    292.2 mm/s/s"]
     head += ["Velocity:      peak  -298.49 mm/s", "Displacement:  peak   99.407 mm"]
     head += ["    2016      11"] * 4 + ["   200.0    0.70"] * 6
-    rest = fixed(OTHER, 8, 1, 10) * 2 if others else ""
-    return "\n".join(head) + "\n" + fixed(values, 8, 2, 10) + rest
+    others_text = fixed(OTHER, 8, 1, 10) * 2 if others else ""
+    return "\n".join(head) + "\n" + fixed(values, 8, 2, 10) + others_text
 
 
 @pytest.mark.parametrize("others", [True, False])

@@ -38,7 +38,7 @@ def test_units_are_read_in_their_spellings(unit, spellings):
         *("cm/sec", "kine", "g/10", "0.1g", "m/s3", "m_s"),
     ],
 )
-def test_a_unit_in_which_no_acceleration_can_be_read_is_told_from_a_word(text):
+def test_a_unit_in_which_no_acceleration_can_be_read_is_distinguished_from_a_word(text):
     assert read_unit(text) is None
     assert is_other_unit(text)
     assert not is_other_unit("NS")
@@ -77,7 +77,7 @@ def test_a_header_states_unit_and_sampling_period(read, refuses, header, unit, d
 
 
 @pytest.mark.parametrize(
-    ("header", "told"),
+    ("header", "message"),
     [
         ("units: g\nacceleration in cm/s2\n", "line 2 states the unit cm/s2, but line 1 g"),
         ("dt=0.01\nSampling rate: 200 Hz\n", "line 2 states .* 0.005, but line 1 0.01"),
@@ -95,9 +95,9 @@ def test_a_header_states_unit_and_sampling_period(read, refuses, header, unit, d
         ("units: g\nSampling rate: 99,5 Hz\n", "line 2: write decimal points, not commas"),
     ],
 )
-def test_a_statement_that_can_not_be_used_is_refused_whatever_is_given(refuses, header, told):
+def test_a_statement_that_can_not_be_used_is_refused_whatever_is_given(refuses, header, message):
     for words in ({}, {"unit": "cm/s2", "dt": 0.01}):
-        refuses(told, header + ONE_COLUMN, **words)
+        refuses(message, header + ONE_COLUMN, **words)
 
 
 def test_the_unit_of_a_peak_is_not_that_of_the_record(refuses):
@@ -109,9 +109,9 @@ def test_the_unit_of_a_peak_is_not_that_of_the_record(refuses):
 def test_a_unit_that_is_given_is_never_hinted_at_another(read, unit):
     with pytest.raises(
         InputError, match="must be g, m/s2, cm/s2 or gal; convert the record"
-    ) as told:
+    ) as message:
         read(ONE_COLUMN, unit=unit, dt=0.01)
-    assert "did you mean" not in str(told.value)
+    assert "did you mean" not in str(message.value)
 
 
 def table(*names, separator=","):
@@ -141,7 +141,7 @@ def test_the_names_of_columns_choose_the_acceleration(read, names, column):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         (table("time", "vel (cm/s)"), 'column 1 "vel \\(cm/s\\)" .* is no acceleration'),
         (table("time", "acc (in/s2)"), "is no acceleration in a unit known here"),
@@ -158,9 +158,9 @@ def test_the_names_of_columns_choose_the_acceleration(read, names, column):
         ("dt=0.02\n" + table("time", "acc (gal)"), "line 1 states .* 0.02, but column 0"),
     ],
 )
-def test_named_columns_that_are_no_acceleration_are_refused(refuses, text, told):
+def test_named_columns_that_are_no_acceleration_are_refused(refuses, text, message):
     for words in ({}, {"unit": "cm/s2"}, {"columns": [1], "unit": "cm/s2"}):
-        refuses(told, text, **words)
+        refuses(message, text, **words)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from records_at_hand import fixed
+from recordings_at_hand import fixed
 from seft_ros.ground_motion.record_file import read_record
 
 G = 9.80665
@@ -76,7 +76,7 @@ def test_comment_lines_and_blank_lines_may_stand_anywhere(read, mark):
         "1 2\n3 4\n\x1a",
     ],
 )
-def test_headers_separators_and_line_ends_are_told_by_the_content(read, text):
+def test_headers_separators_and_line_ends_are_known_by_the_content(read, text):
     record = read(text, [0, 1], "m/s2", 0.01, name="a.csv")
     np.testing.assert_array_equal(record.accelerations, [[1, 2], [3, 4]])
 
@@ -135,15 +135,15 @@ def test_cosmos_reads_with_each_channel_of_acceleration_as_a_column(read):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         (cosmos(count=4), "says 4 values, but 3 values follow: the file is truncated"),
         (cosmos("velocity", unit="cm/sec(05)"), "holds a velocity"),
         (cosmos(unit="counts (50)"), "counts is no acceleration unit"),
     ],
 )
-def test_a_cosmos_file_that_holds_no_record_is_refused(refuses, text, told):
-    refuses(told, text, [0], name="a.V2")
+def test_a_cosmos_file_that_holds_no_record_is_refused(refuses, text, message):
+    refuses(message, text, [0], name="a.V2")
 
 
 def smc(count=3, rate=200.0):
@@ -168,15 +168,15 @@ def test_smc_reads_in_cm_per_second_squared_at_the_rate_of_its_header(read):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         (smc(count=4), "line 13 says 4 values, but 3 values follow"),
         (smc(rate=0.0), "gives no count of values and no rate"),
         (smc()[:300], "gives no count of values and no rate"),
     ],
 )
-def test_an_smc_file_that_is_not_whole_is_refused(refuses, text, told):
-    refuses(told, text, [0])
+def test_an_smc_file_that_is_not_whole_is_refused(refuses, text, message):
+    refuses(message, text, [0])
 
 
 def test_a_given_dt_may_be_finer_than_the_rounded_one_of_the_file(read, refuses):

@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from records_at_hand import fixed
+from recordings_at_hand import fixed
 
 MOTION = np.round(np.exp(-np.arange(118) / 40) * np.sin(0.3 * np.arange(118)), 5)
 

@@ -113,7 +113,7 @@ def test_a_seed_gives_the_same_bits_and_axes_are_independent():
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         ({"band": (0.0, 10.0)}, "--band"),
         ({"band": (10.0, 5.0)}, "--band is 10 to 5 Hz"),
@@ -121,9 +121,9 @@ def test_a_seed_gives_the_same_bits_and_axes_are_independent():
         ({"steps": 1000}, "needs 4 s"),
     ],
 )
-def test_what_makes_no_excitation_is_refused(words, told):
+def test_what_makes_no_excitation_is_refused(words, message):
     given = {"steps": STEPS, "axes": 1, "dt": DT, "band": BAND, "seed": 0}
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=message):
         excitation(**{**given, **words})
 
 

@@ -125,7 +125,7 @@ def test_the_lag_of_the_force_is_found_whatever_the_specimen_does(name, lag):
     assert force_lag(oil) == pytest.approx(lag, abs=2e-4)
 
 
-def test_a_force_capacity_is_told_where_the_load_shows_it():
+def test_a_force_capacity_is_reported_where_the_load_shows_it():
     assert fitted().force_capacity == 0.0
     small = fitted(ACTUATOR + "force_capacity:=4000.0")
     assert small.force_capacity == pytest.approx(4000.0, rel=0.2)
@@ -133,14 +133,14 @@ def test_a_force_capacity_is_told_where_the_load_shows_it():
 
 
 @pytest.mark.parametrize(
-    ("signs", "told"),
+    ("signs", "message"),
     [
         ((-1, 1, 1, 1), "sign of displacement against command"),
         ((1, 1, 1, -1), "sign of force against motion"),
         ((1, 0, 0, 0), "explain .* of the flow's variance"),
     ],
 )
-def test_data_that_tell_nothing_are_refused_with_the_reason(signs, told):
+def test_data_that_tell_nothing_are_refused_with_the_reason(signs, message):
     *signals, dt, band = driven()
     noise = np.random.default_rng(1).standard_normal((len(signals[0]), 4)) * [0, 5e-6, 0.05, 3.0]
     signed = [
@@ -149,4 +149,4 @@ def test_data_that_tell_nothing_are_refused_with_the_reason(signs, told):
     ]
     fit = fit_actuator(*signed, dt, band)
     assert fit.verdict == "not usable"
-    assert re.search(told, fit.fault())
+    assert re.search(message, fit.fault())

@@ -68,7 +68,7 @@ def unit_of(of, band=(0.3, 200.0), duration=20.0):
 
 
 @pytest.mark.parametrize(
-    ("levels", "told"),
+    ("levels", "message"),
     [
         (Levels(3.0, 200.0), "--amplitude is 3 V RMS.* and 2.16 V at most: .*limits.command"),
         (Levels(0.0, 200.0), "--amplitude is 0 V RMS, but must be above 0"),
@@ -77,10 +77,10 @@ def unit_of(of, band=(0.3, 200.0), duration=20.0):
         (Levels(float("nan"), 1.0), "--amplitude is nan"),
     ],
 )
-def test_levels_beyond_the_limits_are_refused_with_the_largest_ones(levels, told):
+def test_levels_beyond_the_limits_are_refused_with_the_largest_ones(levels, message):
     of = load("/**:limits.command:=9.0")
     largest = LargestLevels.of(of, unit_of(of))
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=message):
         largest.check(levels)
 
 
@@ -97,9 +97,9 @@ def test_the_largest_force_reaches_a_limit_and_its_error_names_one_that_does_not
 
     assert largest.force[1] == "/**: limits.force_rate"
     assert [refused(factor * largest.force[0]) for factor in (0.9999, 1.0001)] == [False, True]
-    with pytest.raises(InputError) as told:
+    with pytest.raises(InputError) as message:
         largest.check(Levels(0.1, 1e5))
-    named = float(re.search(r"and (\S+) N at most", str(told.value))[1])
+    named = float(re.search(r"and (\S+) N at most", str(message.value))[1])
     largest.check(Levels(0.1, named))
     assert 0.98 * largest.force[0] < named
     assert default_force(of, largest) <= 0.5 * largest.force[0]

@@ -1,15 +1,15 @@
 import numpy as np
 import pytest
 from experiments_at_hand import load
-from seft_msgs_py.wire.outcome import LinkRecord
+from seft_msgs_py.wire.outcome import LinkReport
 from seft_msgs_py.wire.topics import LOOP_TOPICS
 from seft_ros.analysis.timing import link_numbers
-from seft_ros.bags.record import Record, Series
+from seft_ros.bags.recording import Recording, Series
 from seft_ros.test_run.link import (
     Allowed,
     RoundTrips,
     allowed,
-    judge_link,
+    assess_link,
     message_size,
     with_loop_delay,
 )
@@ -61,7 +61,7 @@ def test_the_delay_of_the_loop_lowers_the_mass_ratio_that_preflight_allows():
     ],
 )
 def test_the_verdict_says_why(found, test, verdict, words):
-    said, reasons = judge_link(found, test)
+    said, reasons = assess_link(found, test)
     assert said == verdict
     assert bool(reasons) == bool(words)
     assert words in " ".join(reasons)
@@ -75,19 +75,19 @@ def test_messages_are_as_large_as_those_of_a_test():
     assert target > 2 * alone
 
 
-def test_a_record_over_a_link_counts_what_was_predicted():
-    told = LinkRecord({5: 90, 7: 8, 9: 2}, held=1)
-    assert LinkRecord.from_json(told.to_json()) == told
+def test_a_recording_over_a_link_counts_what_was_predicted():
+    report = LinkReport({5: 90, 7: 8, 9: 2}, held=1)
+    assert LinkReport.from_json(report.to_json()) == report
     with pytest.raises(ValueError, match="link"):
-        LinkRecord.from_json('{"ages": 3}')
+        LinkReport.from_json('{"ages": 3}')
     nothing = Series(np.empty(0, np.int64), np.empty((0, 1, 1)))
     series = {topic.name: nothing for topic in LOOP_TOPICS}
-    record = Record(load("/**:loop_delay:=7"), series, link=told)
-    assert link_numbers(record) == {
+    recording = Recording(load("/**:loop_delay:=7"), series, link=report)
+    assert link_numbers(recording) == {
         "loop_delay": 7,
         "age": {"p50": 5, "p99": 9, "largest": 9},
         "late": 2,
         "held": 1,
         "forces": 100,
     }
-    assert link_numbers(Record(load(), series, link=told)) is None
+    assert link_numbers(Recording(load(), series, link=report)) is None

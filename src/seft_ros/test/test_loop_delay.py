@@ -19,9 +19,9 @@ def test_a_delay_of_the_loop_costs_a_target_no_accuracy(alpha):
         experiment = experiment_of(
             f"/**:loop_delay:={loop_delay}", f"reference_force:mass_ratio:={alpha}"
         )
-        record = simulated(experiment)
-        assert record.trip is None
-        errors.append(summarise(record)["displacement"]["nrmse"])
+        recording = simulated(experiment)
+        assert recording.trip is None
+        errors.append(summarise(recording)["displacement"]["nrmse"])
     assert max(errors) < 0.008
     assert max(errors) < 1.1 * errors[0]
 
@@ -31,7 +31,7 @@ def test_the_delay_may_be_unknown_to_who_only_measures_it():
         build_blocks(experiment_of("/**:loop_delay:=-1"))
 
 
-def test_the_ground_motion_must_be_known_as_far_ahead_as_the_target_is_told():
+def test_the_ground_motion_must_be_known_as_far_ahead_as_the_target_is_known():
     with pytest.raises(InputError, match="make the lead longer"):
         build_blocks(experiment_of("/**:loop_delay:=50", "ground_motion:lead:=0.1"))
 

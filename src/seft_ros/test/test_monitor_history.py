@@ -145,8 +145,8 @@ def test_what_rigs_tell_is_shown_together():
         values = {"phase": "running", "steps": "100", "missed": str(missed)}
         values |= {"margin force": str(margin), "round trip median (ms)": str(margin)}
         session.on_diagnostics([Status(f"{rig}/rig", 0, "running", values=values)], 0.002)
-    told = session.summary()
-    assert told["missed"] == 7
-    assert told["margins"] == {"force": 0.25}
-    assert told["round_trip"] == {"median (ms)": 0.5}
-    assert [node["name"] for node in told["nodes"]] == ["east/rig", "west/rig"]
+    summary = session.summary()
+    assert summary["missed"] == 7
+    assert summary["margins"] == {"force": 0.25}
+    assert summary["round_trip"] == {"median (ms)": 0.5}
+    assert [node["name"] for node in summary["nodes"]] == ["east/rig", "west/rig"]

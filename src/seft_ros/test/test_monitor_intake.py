@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from experiments_at_hand import load
-from records_at_hand import record_of
+from recordings_at_hand import recording_of
 from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_plant_sim.whole_structure import reference_response, whole_structure
@@ -92,12 +92,12 @@ def test_the_exact_response_comes_with_the_motion(intake):
     assert intake.reference_note == ""
 
 
-def test_the_motion_that_is_tested_is_told_as_the_report_tells_it(intake):
+def test_the_motion_that_is_tested_is_shown_as_in_the_report(intake):
     exact = reference_response(EXPERIMENT, MOTION)
     rows = [getattr(exact, name) for name in ("displacement", "velocity", "acceleration", "force")]
     values = np.stack(rows, axis=1)
     values[:, 3] *= 1.2
-    wanted = motion_difference(record_of(EXPERIMENT, MOTION, values))
+    wanted = motion_difference(recording_of(EXPERIMENT, MOTION, values))
     intake.motion(motion(0, MOTION))
     encode = codec(RIG_STATE).encode
     for start in range(0, 400, 57):
@@ -106,16 +106,16 @@ def test_the_motion_that_is_tested_is_told_as_the_report_tells_it(intake):
             for k in range(start, min(start + 57, 400))
         ]
         intake.samples([part], [])
-    assert intake.own_motion["asked"]  # told once a second, so from its first samples alone
+    assert intake.own_motion["asked"]  # shown once a second, so from its first samples alone
     found = intake._live_motion.summary()
     assert found["response_nrmse"] == pytest.approx(wanted.response_nrmse, rel=1e-6)
-    told = assumed_structure(EXPERIMENT)
-    own = EquivalentMotion(whole_structure(told), TIMEBASE.dt).advance(values)[:, 0]
+    assumed = assumed_structure(EXPERIMENT)
+    own = EquivalentMotion(whole_structure(assumed), TIMEBASE.dt).advance(values)[:, 0]
     tested = response_spectrum(own, TIMEBASE.dt, 1 / np.array(found["frequency_hz"]))
     np.testing.assert_allclose(found["tested"][0], tested, rtol=1e-3)
 
 
-def test_who_comes_in_the_middle_shows_the_rest(intake):
+def test_who_comes_in_the_middle_shows_what_follows(intake):
     new = intake.samples([states(range(5000, 5100))], [])
     assert new[0].first == 5000
     intake.motion(motion(0, np.resize(MOTION, (6000, 1))))  # latched; comes a little later
@@ -157,7 +157,7 @@ def test_a_long_gap_is_passed_over(intake):
     assert intake.history.envelope.origin == 0
 
 
-def test_garbage_is_counted_and_does_not_hide_the_rest(intake):
+def test_garbage_is_counted_and_does_not_hide_the_others(intake):
     messages = states(range(4))
     messages[1:1] = [(b"", 0), (b"\0" * 3, 0), (b"\xff" * len(messages[0][0]), 0)]
     intake.samples([messages], [(b"x" * 40, 0)])

@@ -32,8 +32,8 @@ class Graph:
 def test_each_look_tells_the_time_and_what_was_asked_for_too_long_ago_is_refused():
     now, graph = 100.0, Graph()
     watch = Watch(graph, lambda: now)
-    told = watch.poll()
-    assert json.loads(told[-1]) == {"kind": "time", "at": 100_000}
+    summary = watch.poll()
+    assert json.loads(summary[-1]) == {"kind": "time", "at": 100_000}
     assert [json.loads(text)["kind"] for text in watch.poll()] == ["time"]
     graph.send(EXPERIMENT_STATE, encode_status(Status("experiment", 0, "ready", values={})))
     watch.poll()
@@ -45,7 +45,7 @@ def test_each_look_tells_the_time_and_what_was_asked_for_too_long_ago_is_refused
     assert "late" in watch.lateness(1, float("nan"))
 
 
-def test_a_page_that_is_open_is_told_that_another_test_begins():
+def test_a_page_that_is_open_hears_that_another_test_begins():
     graph = Graph()
     watch = Watch(graph)
     graph.send(DESCRIPTION, encode_string(DESCRIBED))

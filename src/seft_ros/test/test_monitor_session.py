@@ -32,10 +32,10 @@ def what(session):
     return [event["what"] for event in session.events]
 
 
-def test_before_anything_is_heard_nothing_is_told(session):
-    told = session.summary()
-    assert not told["heard"]
-    assert json.loads(json.dumps(told)) == told
+def test_before_anything_is_heard_nothing_is_reported(session):
+    summary = session.summary()
+    assert not summary["heard"]
+    assert json.loads(json.dumps(summary)) == summary
 
 
 def test_a_repeated_state_is_no_event_and_begins_no_test(session):
@@ -43,10 +43,10 @@ def test_a_repeated_state_is_no_event_and_begins_no_test(session):
         assert not session.on_state(state("running"))
     session.on_state(state("tripped", "force is beyond", ERROR, step="7", time_s="0.014"))
     assert what(session) == ["running", "tripped"]
-    told = session.summary()
-    assert (told["state"], told["step"], told["time_s"]) == ("tripped", 7, 0.014)
-    assert told["detail"] == "force is beyond"
-    assert told["ended"]
+    summary = session.summary()
+    assert (summary["state"], summary["step"], summary["time_s"]) == ("tripped", 7, 0.014)
+    assert summary["detail"] == "force is beyond"
+    assert summary["ended"]
 
 
 @pytest.mark.parametrize("last", ["done", "tripped", "running", "ramping_down"])
@@ -67,8 +67,8 @@ def test_what_a_rig_still_tells_of_the_last_test_is_not_the_next_one_s(session):
     assert session.on_state(state("idle"))
     session.begin()
     session.on_diagnostics([rig(500, missed="3", **{"margin force": "0.25"})], 0.002)
-    told = session.summary()
-    assert (told["missed"], told["margins"], session.round_trips) == (None, {}, [])
+    summary = session.summary()
+    assert (summary["missed"], summary["margins"], session.round_trips) == (None, {}, [])
 
 
 def test_states_are_numbered_and_what_waits_is_none(session):
@@ -145,10 +145,10 @@ def test_margins_round_trips_and_misses_are_the_rig_s(session):
         "overruns": "1",
     }
     session.on_diagnostics([rig(500, **values)], 0.002)
-    told = session.summary()
-    assert told["margins"] == {"force": 0.25}
-    assert told["round_trip"] == {"median (ms)": 0.5}
-    assert (told["missed"], told["overruns"]) == (3, 1)
+    summary = session.summary()
+    assert summary["margins"] == {"force": 0.25}
+    assert summary["round_trip"] == {"median (ms)": 0.5}
+    assert (summary["missed"], summary["overruns"]) == (3, 1)
     assert session.round_trips == [(1.0, 0.5, None, 3)]
 
 

@@ -1,4 +1,4 @@
-"""Who gets the page and may press its buttons, and what a page is told."""
+"""Who gets the page and may press its buttons, and what a page gets."""
 
 import asyncio
 import json
@@ -122,7 +122,7 @@ def test_only_the_page_itself_presses_buttons():
     serving(scenario)
 
 
-def test_only_the_page_itself_is_told():
+def test_only_the_page_itself_gets_all():
     async def scenario(ask, *_):
         for headers in ({}, {"Origin": "http://evil.example"}):
             with pytest.raises(HTTPClientError, match="403"):
@@ -161,7 +161,7 @@ def test_a_token_in_the_address_becomes_a_cookie():
     serving(scenario, "secret", local_only=False)
 
 
-def test_a_wrong_token_is_told_and_the_next_has_to_wait_but_not_who_has_a_cookie():
+def test_a_wrong_token_is_reported_and_the_next_has_to_wait_but_not_who_has_a_cookie():
     async def scenario(ask, *_):
         assert b"wrong" not in (await ask("/")).body
         known = cookie_of(await ask("/?token=secret"))
@@ -276,7 +276,7 @@ def test_a_stop_may_come_late(service):
     serving(scenario)
 
 
-def test_a_page_is_told_all_and_then_what_is_new():
+def test_a_page_gets_all_and_then_what_is_new():
     async def scenario(ask, pages, _):
         request = ask.request("/live", kind="ws", headers={"Origin": ask.own})
         page = await websocket_connect(request)
@@ -293,7 +293,7 @@ def test_a_page_is_told_all_and_then_what_is_new():
     serving(scenario)
 
 
-def test_a_page_that_does_not_keep_up_is_left_out_and_later_told_all_anew():
+def test_a_page_that_does_not_keep_up_is_left_out_and_later_gets_all_anew():
     class Slow:
         def __init__(self):
             self.sent, self.waiting = [], 0
@@ -311,7 +311,7 @@ def test_a_page_that_does_not_keep_up_is_left_out_and_later_told_all_anew():
     assert slow.sent == ["all", "all", "three"]
 
 
-def test_loopback_is_told_from_what_others_reach():
+def test_loopback_is_distinguished_from_what_others_reach():
     assert all(map(is_loopback, ("localhost", "127.0.0.1", "127.3.2.1", "::1")))
     assert not any(map(is_loopback, ("0.0.0.0", "::", "10.0.0.1", "lab", "127.0.0.1.evil", "")))
     assert page_address("0.0.0.0", 80) == "http://127.0.0.1:80/"

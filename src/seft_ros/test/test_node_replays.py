@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from bags_at_hand import write_stock_bag
 from experiments_at_hand import load
-from records_at_hand import without
+from recordings_at_hand import without
 from rosbags.rosbag2 import Reader
 from seft_msgs_py.wire.messages import Status, encode_status
 from seft_msgs_py.wire.topics import EXPERIMENT_STATE, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 from seft_ros.bags.bag_writer import BagWriter
-from seft_ros.bags.record import Record, Series
-from seft_ros.bags.record_bag import write_record
+from seft_ros.bags.recording import Recording, Series
+from seft_ros.bags.recording_bag import write_recording
 from seft_ros.replay.node_replays import RigReplay
 from seft_ros.replay.recorded_test import Recorded, read_recorded
 from seft_ros.test_run.compiled_loop import LoopSamples, build_blocks
@@ -31,16 +31,16 @@ def blocks():
 
 
 @pytest.fixture
-def record(blocks):
+def recording(blocks):
     return simulate_test(EXPERIMENT, blocks)
 
 
 @pytest.fixture
 def bag_of(tmp_path, blocks):
-    """Write a record as a bag; gives its path."""
+    """Write a recording as a bag; gives its path."""
 
-    def bag_of(record, name="bag"):
-        write_record(record, tmp_path / name, ground_motion=blocks.ground_motion.chunks)
+    def bag_of(recording, name="bag"):
+        write_recording(recording, tmp_path / name, ground_motion=blocks.ground_motion.chunks)
         return tmp_path / name
 
     return bag_of
@@ -60,15 +60,15 @@ def held_test(blocks, held):
     states = np.array(states)
     course = LoopSamples(states, states[:, :4], forces, commands, unused, unused, unused)
     series = loop_series(motion, course, steps)
-    return Record(EXPERIMENT, series, missed=len(held), missed_steps=sorted(held))
+    return Recording(EXPERIMENT, series, missed=len(held), missed_steps=sorted(held))
 
 
-def test_a_changed_parameter_is_told_by_step_field_and_values(seft, record, bag_of):
+def test_a_changed_parameter_is_reported_by_step_field_and_values(seft, recording, bag_of):
     words = ("--node", "force_controller", "-p", "force_controller:numerator:=[38.0]")
-    status, out, _ = seft("replay", bag_of(record), *words, "--json")
+    status, out, _ = seft("replay", bag_of(recording), *words, "--json")
     result = json.loads(out)
     first = result["first_difference"]
-    commands = record.series[VALVE_COMMAND.name].values[:, 0, 0]
+    commands = recording.series[VALVE_COMMAND.name].values[:, 0, 0]
     assert status == 1
     assert (first["topic"], first["field"], first["axis"]) == ("valve_command", "effort", "x")
     assert first["recorded"] == commands[first["step"]]
@@ -87,27 +87,29 @@ def test_a_changed_parameter_is_told_by_step_field_and_values(seft, record, bag_
     ],
 )
 def test_commands_that_a_rig_says_it_applied_are_replayed(blocks, held):
-    record = held_test(blocks, held)
-    replay = RigReplay(Recorded(record, [], {}))
+    recording = held_test(blocks, held)
+    replay = RigReplay(Recorded(recording, [], {}))
     states, _ = replay.computed(EXPERIMENT["rig"])
     assert replay.notes == []
-    np.testing.assert_array_equal(states.values, record.series[RIG_STATE.name].values)
+    np.testing.assert_array_equal(states.values, recording.series[RIG_STATE.name].values)
 
 
 @pytest.mark.parametrize(
-    ("node", "topic", "told"),
+    ("node", "topic", "expected"),
     [
         ("reference_force", RIG_STATE, "lacks rig/state of step 40, which reference_force has"),
         ("force_controller", RIG_STATE, "lacks rig/state of step 40, which force_controller has"),
         ("force_controller", REFERENCE_FORCE, "lacks reference_force of step 40"),
     ],
 )
-def test_what_was_told_and_is_not_in_the_bag_is_named(seft, record, bag_of, node, topic, told):
-    bag = bag_of(without(record, topic.name, [40]))
+def test_what_was_reported_and_is_not_in_the_bag_is_named(
+    seft, recording, bag_of, node, topic, expected
+):
+    bag = bag_of(without(recording, topic.name, [40]))
     status, _, errors = seft("replay", bag, "--node", node)
     line = errors.strip().splitlines()[-1]
     assert status == 2
-    assert told in line
+    assert expected in line
 
 
 @pytest.mark.parametrize(
@@ -118,9 +120,9 @@ def test_what_was_told_and_is_not_in_the_bag_is_named(seft, record, bag_of, node
     ],
 )
 def test_a_rig_is_replayed_until_a_sample_is_lost_and_an_answer_that_was_lost_is_given(
-    seft, record, blocks, bag_of, node, topic, steps, note
+    seft, recording, blocks, bag_of, node, topic, steps, note
 ):
-    bag = bag_of(without(record, topic.name, [40]))
+    bag = bag_of(without(recording, topic.name, [40]))
     status, out, _ = seft("replay", bag, "--node", node, "--json")
     result = json.loads(out)
     assert (status, result["notes"]) == (0, [note])
@@ -128,28 +130,28 @@ def test_a_rig_is_replayed_until_a_sample_is_lost_and_an_answer_that_was_lost_is
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "expected"),
     [
         (["--node", "recorder"], "--node recorder: must be one of reference_force"),
         (["--node", "rig", "-p", "rate:=100.0"], "the recorded samples have their own rate"),
         (["--node", "rig", "-p", "supervisor:peers:=[rig]"], "the replay is to rig alone"),
     ],
 )
-def test_wrong_words_are_refused_in_one_line(seft, record, bag_of, words, told):
-    status, _, errors = seft("replay", bag_of(record), *words)
+def test_wrong_words_are_refused_in_one_line(seft, recording, bag_of, words, expected):
+    status, _, errors = seft("replay", bag_of(recording), *words)
     assert status == 2
-    assert told in errors.strip().splitlines()[-1]
+    assert expected in errors.strip().splitlines()[-1]
 
 
 def test_a_bag_that_begins_in_the_middle_or_has_two_tests_is_refused(
-    seft, record, bag_of, tmp_path
+    seft, recording, bag_of, tmp_path
 ):
-    states = record.series[RIG_STATE.name]
+    states = recording.series[RIG_STATE.name]
     late = Series(states.steps[5:], states.values[5:])
-    middle = replace(record, series={**record.series, RIG_STATE.name: late})
+    middle = replace(recording, series={**recording.series, RIG_STATE.name: late})
     status, _, errors = seft("replay", bag_of(middle, "middle"))
     assert (status, "the bag begins at step 5" in errors) == (2, True)
-    with Reader(bag_of(record, "one")) as reader, BagWriter(tmp_path / "two") as writer:
+    with Reader(bag_of(recording, "one")) as reader, BagWriter(tmp_path / "two") as writer:
         for state in ("running", "done", "idle", "running"):
             raw = encode_status(Status("experiment", 0, state))
             writer.write(EXPERIMENT_STATE, raw, reader.start_time)
@@ -167,7 +169,7 @@ def stock_recording(*bags):
     write_stock_bag(bags[-1], sorted(messages, key=lambda message: message[2]), "sqlite3")
 
 
-def test_motion_beyond_the_end_of_the_test_is_read_for_previews(record, blocks, bag_of):
-    recorded = read_recorded(bag_of(record))
+def test_motion_beyond_the_end_of_the_test_is_read_for_previews(recording, blocks, bag_of):
+    recorded = read_recorded(bag_of(recording))
     last = max(first + len(values) for first, values in recorded.chunks)
     assert last > blocks.ground_motion.steps

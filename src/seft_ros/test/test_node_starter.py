@@ -45,15 +45,15 @@ def starter(sleeper):
 
 @pytest.fixture
 def start(tmp_path):
-    """Start a process that does as it is told, and wait until it has said so, or has ended."""
+    """Start a process that does as it is asked, and wait until it has said so, or has ended."""
 
     def start(starter, what, name="log"):
         log = tmp_path / name
         node = starter.start(["sleeper", what, str(log)], log)
-        told = ""
-        while node.poll() is None and not ("asleep" in told and told.endswith("\n")):
+        message = ""
+        while node.poll() is None and not ("asleep" in message and message.endswith("\n")):
             time.sleep(0.01)
-            told = log.read_text() if log.exists() else ""  # which it may have begun to write
+            message = log.read_text() if log.exists() else ""  # which it may have begun to write
         return node, log
 
     return start

@@ -7,7 +7,7 @@ from collections import Counter
 
 import experiments_at_hand
 import pytest
-from records_at_hand import assert_same_samples
+from recordings_at_hand import assert_same_samples
 from seft_plant_sim import compiled as machine_code
 from seft_ros.force_controller.force_control import ControlInputs
 from seft_ros.force_controller.interlock import Interlock
@@ -126,7 +126,7 @@ def alike(found, wanted):
 
 def plain(monkeypatch, experiment):
     with monkeypatch.context() as patch:
-        patch.setattr(offline, "why_not_compiled", lambda _: "told to")
+        patch.setattr(offline, "why_not_compiled", lambda _: "asked to")
         return experiments_at_hand.simulated(experiment)
 
 

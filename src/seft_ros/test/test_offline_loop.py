@@ -27,8 +27,8 @@ UNWATCHED = "reference_force:instability.ratio:=0.0"
 
 def run(*words):
     """Record of an experiment, and its samples of rig/state, shape (N, 4, n)."""
-    record = simulated(load(UNWATCHED, *words))
-    return record, record.series["rig/state"].values[:, :4]
+    recording = simulated(load(UNWATCHED, *words))
+    return recording, recording.series["rig/state"].values[:, :4]
 
 
 def with_ratio(alpha):
@@ -40,9 +40,9 @@ def test_a_delay_of_10_ms_is_stable_below_a_mass_ratio_of_one_and_not_at_one():
     critical = 1 - (2 * 10.07 * 0.013) ** 2
     words = (*QUIET, *DELAY, "ground_motion:tail:=20")
     for alpha in (0.9, critical - 0.01):
-        record, states = run(*words, with_ratio(alpha))
+        recording, states = run(*words, with_ratio(alpha))
         x = np.abs(states[:, 0, 0])
-        assert record.trip is None
+        assert recording.trip is None
         assert x[-1000:].max() < 1e-9 * x.max()
     for alpha in (critical + 0.01, 1.0):
         assert run(*words, with_ratio(alpha))[0].trip is not None
@@ -57,22 +57,22 @@ def test_a_delay_of_10_ms_is_stable_below_a_mass_ratio_of_one_and_not_at_one():
     ],
 )
 def test_a_test_ends_with_the_sample_that_breaks_a_limit(words):
-    record, states = run(*words)
+    recording, states = run(*words)
     names = ("displacement", "velocity", "acceleration", "force")
-    limits = np.array([record.experiment["rig"][f"limits.{name}"] for name in names])
+    limits = np.array([recording.experiment["rig"][f"limits.{name}"] for name in names])
     beyond = (np.abs(states[:, :, 0]) > limits).any(axis=1)
     assert np.flatnonzero(beyond).tolist() == [len(states) - 1]
-    assert record.trip.step == len(states) - 1
-    assert record.trip.time_s == pytest.approx(record.trip.step * 0.002)
-    assert record.trip.reason.split()[0] in words[1]
-    for series in record.series.values():
+    assert recording.trip.step == len(states) - 1
+    assert recording.trip.time_s == pytest.approx(recording.trip.step * 0.002)
+    assert recording.trip.reason.split()[0] in words[1]
+    for series in recording.series.values():
         np.testing.assert_array_equal(series.steps, np.arange(len(states)))
 
 
 def test_a_limit_that_is_broken_from_rest_on_ends_the_test_at_once():
-    record, states = run(*PERFECT, "/**:sensors.force_noise:=1000", "/**:limits.force:=0.001")
+    recording, states = run(*PERFECT, "/**:sensors.force_noise:=1000", "/**:limits.force:=0.001")
     assert len(states) == 1
-    assert record.trip.step == 0
+    assert recording.trip.step == 0
 
 
 def test_the_same_experiment_gives_the_same_bits_and_another_seed_others():
@@ -81,11 +81,11 @@ def test_the_same_experiment_gives_the_same_bits_and_another_seed_others():
     assert not np.array_equal(one, other)
 
 
-def test_progress_is_told_in_steps():
+def test_progress_is_reported_in_steps():
     experiment = load()
-    told = []
-    simulate_test(experiment, build_blocks(experiment), told.append)
-    assert told == [BLOCK, 2 * BLOCK, 8501]
+    steps = []
+    simulate_test(experiment, build_blocks(experiment), steps.append)
+    assert steps == [BLOCK, 2 * BLOCK, 8501]
 
 
 SHORT = ("ground_motion:synthetic.duration:=5.0", "ground_motion:tail:=0.5")
@@ -95,20 +95,20 @@ def ended(*words):
     return simulated(load(*SHORT, *words))
 
 
-def force_of(record):
-    return record.series["reference_force"].values[:, 0, 0]
+def force_of(recording):
+    return recording.series["reference_force"].values[:, 0, 0]
 
 
-def test_a_rig_that_trips_within_the_ramp_ends_it_at_once_and_both_causes_are_told():
+def test_a_rig_that_trips_within_the_ramp_ends_it_at_once_and_both_causes_are_reported():
     """The supervisor's limit stands in for both: the rig's force comes after its reference."""
     free = force_of(ended())
     first = int(np.argmax(np.abs(free) > 500.0))
-    record = ended("/**:limits.force:=500.0")
-    last = int(record.series["rig/state"].steps[-1])
+    recording = ended("/**:limits.force:=500.0")
+    last = int(recording.series["rig/state"].steps[-1])
     assert first < last < first + 249
-    assert record.trip.step == last
-    assert record.trip.reason.startswith("force ")
-    assert "(while ramping down: reference force" in record.trip.reason
+    assert recording.trip.step == last
+    assert recording.trip.reason.startswith("force ")
+    assert "(while ramping down: reference force" in recording.trip.reason
 
 
 @pytest.mark.parametrize("of", ["rig", "reference_force", "force_controller"])

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 from experiments_at_hand import load, simulated
-from records_at_hand import assert_same_samples
+from recordings_at_hand import assert_same_samples
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import rigs_of
-from seft_ros.bags.record import Series, of_all_rigs
-from seft_ros.bags.record_bag import read_bag, write_record
+from seft_ros.bags.recording import Series, of_all_rigs
+from seft_ros.bags.recording_bag import read_bag, write_recording
 from seft_ros.force_controller.methods import force_control
 
 SHORT = ("ground_motion:synthetic.duration:=1.0", "ground_motion:tail:=0.1")
@@ -23,10 +23,10 @@ def test_one_axis_of_a_rig_with_a_name_has_the_bits_of_the_one_without():
 
 
 def test_a_bag_gives_back_what_all_rigs_did(tmp_path):
-    record = simulated(plan(TWO))
-    write_record(record, tmp_path / "bag")
+    recording = simulated(plan(TWO))
+    write_recording(recording, tmp_path / "bag")
     found = read_bag(tmp_path / "bag")
-    assert_same_samples(found, record)
+    assert_same_samples(found, recording)
     assert found.complete
     assert (found.missed, found.overruns, found.trip) == (0, 0, None)
     assert found.experiment.rigs == rigs_of(["west/x", "east/x"])

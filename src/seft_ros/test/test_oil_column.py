@@ -56,10 +56,10 @@ def deviations(valves, mass, stiffness, dt, seconds, start):
         commands = np.column_stack([command, commands[:, :-1]])
         # a command acts from ``late`` after its sample on: between two samples it changes once
         whole = (late / dt + 1e-9).astype(int)
-        rest = late - whole * dt
-        edges = np.unique([0.0, *rest.tolist(), dt])
+        remainder = late - whole * dt
+        edges = np.unique([0.0, *remainder.tolist(), dt])
         for begin, end in itertools.pairwise(edges):
-            old = whole + (begin < rest - 1e-12)
+            old = whole + (begin < remainder - 1e-12)
             acting = commands[range(n), old]
             state = solve_ivp(slope, (begin, end), state, args=(acting,), rtol=1e-8, atol=1e-14).y[
                 :, -1

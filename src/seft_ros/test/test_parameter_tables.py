@@ -71,7 +71,7 @@ def test_what_is_truly_so_is_what_is_known_unless_it_is_given():
 
 
 @pytest.mark.parametrize(
-    ("word", "told"),
+    ("word", "loaded"),
     [
         (
             "rig:specimen.mass:=50",
@@ -84,8 +84,8 @@ def test_what_is_truly_so_is_what_is_known_unless_it_is_given():
         ("reference_force:model.mass:=50", "no parameter model.mass; it is now /**: specimen.mass"),
     ],
 )
-def test_a_fact_or_setting_elsewhere_is_told_its_place(word, told):
-    with pytest.raises(InputError, match=re.escape(told)):
+def test_a_fact_or_setting_elsewhere_is_reported_its_place(word, loaded):
+    with pytest.raises(InputError, match=re.escape(loaded)):
         load(*SPECIMEN, word)
 
 

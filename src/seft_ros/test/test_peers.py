@@ -1,7 +1,7 @@
 import pytest
 from seft_msgs_py.wire.messages import Status
 from seft_msgs_py.wire.topics import NODES, TOPICS, rigs_of, topics_of, with_rigs
-from seft_ros.test_run.peers import LastStatus, Rehearsed, judge_peers, silence, silent, with_zeros
+from seft_ros.test_run.peers import LastStatus, Rehearsed, check_peers, silence, silent, with_biases
 from seft_ros.test_run.peers import missing as missing_after
 
 PEERS = tuple(node for node in NODES if node != "supervisor")
@@ -52,9 +52,9 @@ def test_of_several_rigs_each_must_be_there_and_hear():
     assert lacks(driven) == "reference_force to reach east/rig on reference_force"
 
 
-def lost(publisher, topic, listener, **rest):
+def lost(publisher, topic, listener, **others):
     """What is missing where a listener does not hear a publisher on a topic."""
-    statuses, descriptions = graph(**rest)
+    statuses, descriptions = graph(**others)
     values = statuses[publisher].status.values
     values[f"matched {topic}"] = values[f"matched {topic}"].replace(listener, "")
     return missing(PEERS, statuses, descriptions, NOW)
@@ -105,11 +105,11 @@ PARAMETERS = [
 ]
 
 
-@pytest.mark.parametrize(("rigs", "told", "expected"), PARAMETERS)
-def test_nodes_that_were_started_differently_are_named_with_their_values(rigs, told, expected):
+@pytest.mark.parametrize(("rigs", "known", "expected"), PARAMETERS)
+def test_nodes_that_were_started_differently_are_named_with_their_values(rigs, known, expected):
     peers = with_rigs(PEERS, rigs)
     statuses, descriptions = graph(peers, rigs=rigs)
-    for node, values in told.items():
+    for node, values in known.items():
         parameters = {**descriptions[node]["parameters"], **values}
         descriptions[node] = {**descriptions[node], "parameters": parameters}
     found = missing(peers, statuses, descriptions, NOW, rigs)
@@ -208,9 +208,9 @@ def rig(missed=0, p99=0.0005, rate=1000.0, steps=1500):
     return loop(ABLE | {"rehearsal": {**found, "round_trip_alone_s": {"p99": p99} if p99 else {}}})
 
 
-def test_a_rig_that_can_is_asked_until_it_has_told():
-    assert judge_peers(2.0, loop()) == Rehearsed(asked=2.0)
-    assert judge_peers(2.0, rig()) == Rehearsed()
+def test_a_rig_that_can_is_asked_until_it_has_answered():
+    assert check_peers(2.0, loop()) == Rehearsed(asked=2.0)
+    assert check_peers(2.0, rig()) == Rehearsed()
 
 
 LIMITS = {"displacement": 0.03, "velocity": 0.5, "acceleration": 50.0, "force": 4500.0}
@@ -227,59 +227,61 @@ def zeroed(left=0.0, **subtracted):
     }
 
 
-def test_a_zero_of_more_than_a_tenth_of_a_limit_is_refused():
-    assert with_zeros(Rehearsed(), [zeroed(force=4.0), {}]) == Rehearsed()
-    told = with_zeros(Rehearsed(), [zeroed(), zeroed(displacement=-0.004)]).refusal
-    assert told.startswith(
+def test_a_bias_of_more_than_a_tenth_of_a_limit_is_refused():
+    assert with_biases(Rehearsed(), [zeroed(force=4.0), {}]) == Rehearsed()
+    message = with_biases(Rehearsed(), [zeroed(), zeroed(displacement=-0.004)]).refusal
+    assert message.startswith(
         "displacement is 0.004 m at rest, more than a tenth of its limit of 0.03"
     )
-    assert with_zeros(Rehearsed(asked=2.0), [zeroed(force=900.0)]) == Rehearsed(asked=2.0)
-    assert "can't be read" in with_zeros(Rehearsed(), [zeroed() | {"zeroed": 3}]).refusal
+    assert with_biases(Rehearsed(asked=2.0), [zeroed(force=900.0)]) == Rehearsed(asked=2.0)
+    assert "can't be read" in with_biases(Rehearsed(), [zeroed() | {"zeroed": 3}]).refusal
 
 
 def test_a_force_at_rest_that_may_be_real_is_warned_of():
-    found = with_zeros(Rehearsed(warning="slow"), [zeroed(force=21.0)])
+    found = with_biases(Rehearsed(warning="slow"), [zeroed(force=21.0)])
     assert found.warning.startswith("slow; a force of 21 N at rest was zeroed: if friction or a")
     assert not found.refusal
-    held = with_zeros(Rehearsed(), [zeroed(left=-21.0)]).warning
+    held = with_biases(Rehearsed(), [zeroed(left=-21.0)]).warning
     assert held.startswith("the force at rest is 21 N beside its known bias: friction or")
 
 
 def test_nobody_is_asked_where_there_is_no_rehearsal():
-    assert judge_peers(0.0, loop()) == Rehearsed()
+    assert check_peers(0.0, loop()) == Rehearsed()
     graphs = [{"west/rig": ABLE, "east/rig": ABLE, "reference_force": ABLE}]
     for node in ("rig", "reference_force", "force_controller"):
         unable, absent = loop() | {node: {"drive": "valve_command"}}, loop()
         del absent[node]
         graphs += unable, absent
-    assert [judge_peers(2.0, each) for each in graphs] == [Rehearsed()] * 7
+    assert [check_peers(2.0, each) for each in graphs] == [Rehearsed()] * 7
 
 
 def test_a_loop_that_does_not_keep_its_rate_is_refused_with_one_that_fits():
-    told = judge_peers(2.0, rig(missed=900, p99=0.0016)).refusal
-    assert told.startswith(
+    message = check_peers(2.0, rig(missed=900, p99=0.0016)).refusal
+    assert message.startswith(
         "1000 Hz does not fit here: round trip p99 1.6 ms, 900 of 1500 steps without a command in "
         "time; 500 Hz does; "
     )
-    assert "--composed" in told
+    assert "--composed" in message
 
 
 def test_where_no_rate_fits_none_is_proposed():
-    assert "Hz does;" not in judge_peers(2.0, rig(missed=1500, p99=0.5)).refusal
+    assert "Hz does;" not in check_peers(2.0, rig(missed=1500, p99=0.5)).refusal
 
 
 def test_a_loop_that_does_not_answer_is_refused():
-    assert "no answer came" in judge_peers(2.0, rig(missed=1500, p99=None)).refusal
+    assert "no answer came" in check_peers(2.0, rig(missed=1500, p99=None)).refusal
 
 
 @pytest.mark.parametrize("missed", [2, 100, 149])
 def test_a_few_missed_steps_are_warned_of(missed):
-    found = judge_peers(2.0, rig(missed=missed, p99=0.0009))
+    found = check_peers(2.0, rig(missed=missed, p99=0.0009))
     assert not found.refusal and not found.asked
     assert found.warning.startswith("1000 Hz is hard to keep here: round trip p99 0.9 ms")
     assert f"{missed} of 1500" in found.warning
 
 
-@pytest.mark.parametrize("told", [{}, 3, {"steps": "x"}, {"steps": 1, "missed": 0, "rate_hz": 1.0}])
-def test_a_rehearsal_that_makes_no_sense_is_refused(told):
-    assert "can't be read" in judge_peers(2.0, loop(ABLE | {"rehearsal": told})).refusal
+@pytest.mark.parametrize(
+    "answer", [{}, 3, {"steps": "x"}, {"steps": 1, "missed": 0, "rate_hz": 1.0}]
+)
+def test_a_rehearsal_that_makes_no_sense_is_refused(answer):
+    assert "can't be read" in check_peers(2.0, loop(ABLE | {"rehearsal": answer})).refusal

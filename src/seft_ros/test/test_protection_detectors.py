@@ -32,7 +32,7 @@ def test_a_new_test_knows_nothing_of_the_one_before():
         p, state = detectors(ALL)
         for values in (*state[:-1], *state.judge) if found else ():
             values[:] = 7
-        state.found[:] = 0.0  # it is told only at a trip
+        state.found[:] = 0.0  # it is reported only at a trip
         begin_detectors(p, state)
         seen = shares_of(p, state, samples, commands, points=points)
         found.append((seen, *state[:-1], *state.judge))
@@ -42,7 +42,7 @@ def test_a_new_test_knows_nothing_of_the_one_before():
 
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("name", ALL[:3] + ALL[5:8])
-def test_what_a_detector_finds_is_told_by_row_and_axis(name, axis):
+def test_what_a_detector_finds_is_reported_by_row_and_axis(name, axis):
     p, state = detectors([each for each in ALL if each != name])
     samples, commands = of_what(name, axis)
     found = []
@@ -55,7 +55,7 @@ def test_what_a_detector_finds_is_told_by_row_and_axis(name, axis):
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_of_several_that_find_something_the_first_is_told(axis):
+def test_of_several_that_find_something_the_first_is_reported(axis):
     p, state = detectors()
     samples, _ = noise_of_a_rig(12, size=0.3)
     samples[5:, 0, axis] += 0.02

@@ -213,11 +213,11 @@ def test_the_band_begins_above_the_specimen_s_frequency_and_at_most_at_a_quarter
 def test_a_band_beyond_what_is_sampled_is_refused_with_the_largest(dt):
     one = dataclasses.replace(ONE, dt=dt)
     watch(one, lowest=0.4499 / dt)
-    with pytest.raises(InputError) as told:
+    with pytest.raises(InputError) as message:
         watch(one, lowest=0.45 / dt)
     most, rate = {0.002: ("225", "500"), 0.01: ("45", "100")}[dt]
     assert f"{most} Hz is beyond what is sampled at {rate} Hz; take less than {most} Hz" in str(
-        told.value
+        message.value
     )
 
 

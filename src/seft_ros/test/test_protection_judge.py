@@ -69,7 +69,7 @@ def bounds(p):
 
 @pytest.mark.parametrize("size", [1.0, 0.3, 0.0])
 @pytest.mark.parametrize(("mass", "oil"), [(MASS, OIL), (None, OIL), (MASS, 0.0 * OIL)])
-def test_a_sound_record_is_as_measured(mass, oil, size):
+def test_a_fault_free_recording_is_as_measured(mass, oil, size):
     for seed in range(5):
         samples, _, flow = motion(seed, size)
         judged, replaced, _ = judged_of(samples, flow, mass=mass, oil=oil)
@@ -151,8 +151,8 @@ def test_three_wrong_values_within_50_ms_end_the_test(row, axis):
             if found[-1] >= 0:
                 break
         assert state.judge.counts[row, axis] == 3
-        told = (rows.WRONG + row) * N + axis
-        assert (found[-1] == told) == ends
+        code = (rows.WRONG + row) * N + axis
+        assert (found[-1] == code) == ends
         assert (len(found) == AT + 2 * apart + 1) == ends
 
 

@@ -47,14 +47,14 @@ def test_the_fastest_change_from_both_sides(sign):
 def test_the_least_excess_is_a_fault_and_what_is_at_its_limit_is_not_named(sign):
     limits = forces(fastest=1e9)
     assert fault(limits, np.array([sign * 1000.0, 0.0])) is None
-    told = fault(limits, np.array([sign * 1000.0, math.nextafter(1000.0, 2000.0)]))
-    assert told == "reference force 1000 N on axis east is beyond the limit of 1000 N"
+    message = fault(limits, np.array([sign * 1000.0, math.nextafter(1000.0, 2000.0)]))
+    assert message == "reference force 1000 N on axis east is beyond the limit of 1000 N"
     limits = forces()
     most = limits.limits[1]
     assert fault(limits, np.array([sign * most, 0.0])) is None
     limits.reset()
-    told = fault(limits, np.array([sign * most, math.nextafter(most, 2000.0)]))
-    assert told.endswith("on axis east, beyond the limit of 100000 N/s")
+    message = fault(limits, np.array([sign * most, math.nextafter(most, 2000.0)]))
+    assert message.endswith("on axis east, beyond the limit of 100000 N/s")
     with pytest.raises(ValueError, match="nothing is wrong"):
         limits.describe(np.zeros(2))
 

@@ -109,7 +109,7 @@ def test_a_fault_within_the_ramp_holds_the_last_force_and_is_the_cause_of_a_stop
 
 
 @pytest.mark.parametrize("row", range(4))
-def test_of_two_causes_in_a_step_the_force_is_told_and_without_motion_no_state_is(row):
+def test_of_two_causes_in_a_step_the_force_is_reported_and_without_motion_no_state_is(row):
     bad = STATE.copy()
     bad[row] = np.nan
     force = protected([np.nan, 100.0])
@@ -197,13 +197,13 @@ def test_the_cause_is_latched_until_the_next_test():
     assert run(force, 1) == [1.0]
 
 
-def test_over_a_link_the_forces_that_are_settled_are_told_again():
+def test_over_a_link_the_forces_that_are_settled_are_sent_again():
     force = protected([1.0, 2.0, 3.0, 4.0, 5.0, 6.0], ramp=2, loop_delay=2)
-    told = [force.step(MOTION, STATE).ravel().tolist() for _ in range(4)]
-    assert told == [[0, 0, 1], [0, 1, 2], [1, 2, 3], [2, 3, 4]]
+    forces = [force.step(MOTION, STATE).ravel().tolist() for _ in range(4)]
+    assert forces == [[0, 0, 1], [0, 1, 2], [1, 2, 3], [2, 3, 4]]
     force.ramp_down()
-    told = [force.step(MOTION, STATE).ravel().tolist() for _ in range(2)]
-    assert told == [[3, 4, pytest.approx(2.5)], [4, pytest.approx(2.5), 0]]
+    forces = [force.step(MOTION, STATE).ravel().tolist() for _ in range(2)]
+    assert forces == [[3, 4, pytest.approx(2.5)], [4, pytest.approx(2.5), 0]]
     assert not force.at_rest  # the forces before are still to be applied
     assert run_settled(force, 2) == [pytest.approx(2.5), 0.0]
     assert force.at_rest

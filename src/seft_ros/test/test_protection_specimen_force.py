@@ -27,7 +27,7 @@ SLOW, FAST = 0.1, 1e-3
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_work_against_the_specimen_is_told_of_all_axes_at_once(axis):
+def test_work_against_the_specimen_is_reported_of_all_axes_at_once(axis):
     p, state = detectors(["force_jump"])
     samples, _ = noise_of_a_rig(90, size=0.3)
     t = DT * np.maximum(np.arange(90) - 59, 0)

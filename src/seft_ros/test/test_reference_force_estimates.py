@@ -90,9 +90,9 @@ def test_where_the_due_step_was_lost_the_next_one_counts(steps):
 
 
 def test_the_offline_loop_keeps_what_the_method_knew_after_each_of_these_steps(watched):
-    record = simulated(watched)
-    states = record.series[JUDGED.name].values
-    estimates = record.estimates
+    recording = simulated(watched)
+    states = recording.series[JUDGED.name].values
+    estimates = recording.estimates
     assert estimates.names == ("least", "largest")
     assert estimates.steps.tolist() == list(range(0, len(states), 50))
     force = states[:, 3]
@@ -138,13 +138,13 @@ def test_an_estimate_that_is_not_finite_is_refused_and_the_test_goes_on(graph, m
         found = real(self)
         return found if found["largest"][1] < 5.0 else {**found, "least": np.full(2, np.nan)}
 
-    record = simulated(graph.experiment)
+    recording = simulated(graph.experiment)
     monkeypatch.setattr(Watcher, "estimates", later_nan)
     graph.until("ready")
     graph.call("start")
     graph.until("done")
     sent = [each.topic for each in graph.graph.sent].count(ESTIMATES.name)
-    assert 0 < sent < len(record.estimates.steps)
-    told = "least of reference_force: north is nan, but must be a finite number"
-    assert any(told in line.text for line in graph.graph.lines)
-    assert graph.status("reference_force")["refused"] == str(len(record.estimates.steps) - sent)
+    assert 0 < sent < len(recording.estimates.steps)
+    message = "least of reference_force: north is nan, but must be a finite number"
+    assert any(message in line.text for line in graph.graph.lines)
+    assert graph.status("reference_force")["refused"] == str(len(recording.estimates.steps) - sent)

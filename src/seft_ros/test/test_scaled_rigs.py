@@ -7,7 +7,7 @@ import pytest
 from experiments_at_hand import load
 from scaled_rigs import scaled_rig
 from seft_ros.analysis.summary import summarise_briefly
-from seft_ros.design.plan import Plan
+from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.plausibility import expected_response
 from seft_ros.design.preflight_tables import planned_motion
 from seft_ros.design.stability_verdict import check_stability, folded
@@ -40,8 +40,8 @@ def test_a_linear_specimen_of_any_mass_moves_as_it_should(mass, oil_hz, rate, hz
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_a_wrongly_known_actuator_costs_little(mass, oil_hz, rate, sign):
     for delay in (-0.002, 0.002):
-        told = {"gain_error": 0.1 * sign, "oil_error": 0.2 * sign, "dead_time_error": delay}
-        assert error(scaled_test(mass, oil_hz, rate, 4.0, **told)) < 0.012
+        errors = {"gain_error": 0.1 * sign, "oil_error": 0.2 * sign, "dead_time_error": delay}
+        assert error(scaled_test(mass, oil_hz, rate, 4.0, **errors)) < 0.012
 
 
 @pytest.mark.parametrize(("mass", "oil_hz", "rate"), [(1000, 30, 4000), (10000, 8, 1000)])
@@ -56,14 +56,14 @@ def test_a_fast_valve_that_is_later_than_known_costs_little(mass, oil_hz, rate):
 
 @pytest.mark.parametrize(("mass", "oil_hz", "rate"), RIGS)
 def test_preflight_calls_them_stable(mass, oil_hz, rate):
-    plan = Plan(scaled_test(mass, oil_hz, rate, 2.0))
-    found = check_stability(plan)
-    assert (found.verdict, found.reasons, folded(plan)) == ("stable", [], "")
+    test = PlannedTest(scaled_test(mass, oil_hz, rate, 2.0))
+    found = check_stability(test)
+    assert (found.verdict, found.reasons, folded(test)) == ("stable", [], "")
 
 
 def test_the_oil_is_followed():
-    told = {"oil_error": 0.2, "gain_error": -0.1, "dead_time_error": 0.001}
-    experiment = scaled_test(3000.0, 12.0, 1000.0, 4.0, **told)
+    errors = {"oil_error": 0.2, "gain_error": -0.1, "dead_time_error": 0.001}
+    experiment = scaled_test(3000.0, 12.0, 1000.0, 4.0, **errors)
     blocks = build_blocks(experiment)
     assert simulate_test(experiment, blocks).trip is None
     gain, delay, compliance = blocks.force_controller.controller.state.errors[0]
@@ -73,18 +73,18 @@ def test_the_oil_is_followed():
 
 
 def test_an_oil_column_that_is_too_fast_for_the_rate_is_warned_of():
-    said = folded(Plan(scaled_test(20.0, 200.0, 250.0, 2.0)))
+    said = folded(PlannedTest(scaled_test(20.0, 200.0, 250.0, 2.0)))
     assert said.startswith("the oil column oscillates at 200 Hz, with less than 2.5 samples")
     assert said.endswith("take a rate of 500 Hz or more")
 
 
-def foretold(experiment):
+def foreseen(experiment):
     return yielding_error(experiment, expected_response(experiment, planned_motion(experiment)))
 
 
 def test_the_error_of_an_unforeseen_yielding_is_that_of_its_test():
     planned = scaled_test(800.0, 23.0, 1000.0, 4.0)
-    found = foretold(planned)
+    found = foreseen(planned)
     own = error(
         scaled_test(800.0, 23.0, 1000.0, 4.0, kind="bilinear").changed(
             {"rig": {"simulated.specimen.hardening_ratio": 0.1}}
@@ -97,12 +97,12 @@ def test_the_error_of_an_unforeseen_yielding_is_that_of_its_test():
 
 
 def test_where_the_valve_cannot_follow_preflight_says_so():
-    found = foretold(scaled_test(20000.0, 6.0, 250.0, 8.0))
+    found = foreseen(scaled_test(20000.0, 6.0, 250.0, 8.0))
     assert found.of_valve > 2 * LARGEST_ERROR
     assert "the valve can't follow that fast" in found.warning()
 
 
-def test_a_yielding_that_noise_spoils_is_told_from_one_that_the_valve_spoils():
+def test_a_yielding_that_noise_spoils_is_distinguished_from_one_that_the_valve_spoils():
     assert YieldingError(0.02, 0.001).warning() == ""
     assert "is 2 % (0.1 % without noise)" in str(YieldingError(0.02, 0.001))
     assert "is that of a test that trips" in YieldingError(math.inf, math.inf).warning()
@@ -115,5 +115,5 @@ def test_no_yielding_is_simulated_where_none_can_be():
     obeys = planned.changed({"/**": {"actuator.kind": "ideal"}})
     assert yielding_error(obeys, response) is None
     frame = load(config="three_storey_frame")  # its storeys are not given as springs
-    assert foretold(frame) is None
-    assert np.isfinite(foretold(planned).whole)
+    assert foreseen(frame) is None
+    assert np.isfinite(foreseen(planned).whole)

@@ -186,7 +186,7 @@ def order(last=-1):
     return found
 
 
-def told(state, **values):
+def status(state, **values):
     return Status("experiment", 0, state, values=values)
 
 
@@ -210,27 +210,27 @@ def test_a_stamp_from_far_in_the_future_is_refused():
 
 def test_in_lockstep_steps_come_one_by_one():
     found = order(last=7)
-    found.follow(told("running", pace="lockstep"))
+    found.follow(status("running", pace="lockstep"))
     found.check("rig/state", 8)
     with pytest.raises(WireError, match="far in the future"):
         found.check("rig/state", 9)
-    found.follow(told("done"))
-    found.follow(told("running", pace="realtime"))
+    found.follow(status("done"))
+    found.follow(status("running", pace="realtime"))
     found.check("rig/state", 9)
 
 
 def test_a_test_begins_once_each_time_that_one_has_ended():
     found = order()
-    found.follow(told("running", steps="100"))
+    found.follow(status("running", steps="100"))
     assert found.steps == 100
     assert found.begins(0)
     found.last = 50
     assert not found.begins(0)
     assert found.last == 50
-    found.follow(told("ramping_down"))
+    found.follow(status("ramping_down"))
     assert not found.begins(0)
     assert found.steps == 100
-    found.follow(told("done", steps="100"))
+    found.follow(status("done", steps="100"))
     assert found.steps == 0
     assert not found.begins(1)
     assert found.begins(0)
@@ -239,10 +239,10 @@ def test_a_test_begins_once_each_time_that_one_has_ended():
 
 def test_a_sign_of_life_that_comes_late_does_not_begin_a_test_anew():
     found = order()
-    found.follow(told("ready"))
+    found.follow(status("ready"))
     assert found.begins(0)
-    found.follow(told("ready"))
-    found.follow(told("running", steps="100"))
+    found.follow(status("ready"))
+    found.follow(status("running", steps="100"))
     assert not found.begins(0)
 
 
@@ -258,5 +258,5 @@ def test_without_a_supervisor_each_first_sample_begins_a_test():
 @pytest.mark.parametrize("steps", ["", "x", "-3", "9" * 400, "1.0"])
 def test_a_number_of_steps_that_is_none_is_not_taken_in(steps):
     found = order()
-    found.follow(told("running", steps=steps))
+    found.follow(status("running", steps=steps))
     assert found.steps == 0

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from records_at_hand import shown
+from recordings_at_hand import shown
 from scipy.stats import spearmanr
 from seft_ros.study.drawn_tests import DrawnTests
+from seft_ros.study.study_design import StudyDesign, StudyTest
 from seft_ros.study.study_page import headline, study_notes, study_texts, write_study
-from seft_ros.study.study_plan import StudyPlan, StudyTest
 from seft_ros.study.study_results import causes_of, quantiles, summarise_study
 from seft_ros.study.study_runs import Run
 
@@ -20,7 +20,7 @@ LOST = math.inf
 
 
 def made_up(errors, factors=None, offsets=None, files=(), not_possible=None, obstacles=None):
-    """A plan and its runs with these errors by method, the configured one first."""
+    """A study's design and its runs with these errors by method, the configured one first."""
 
     def part(error):
         known = 7.0 if error == LOST else error
@@ -37,13 +37,13 @@ def made_up(errors, factors=None, offsets=None, files=(), not_possible=None, obs
     drawn = DrawnTests(tuple(sections), factors or {}, offsets or {}, 1, 0.1, ())
     lacking = {(1.0, name): reason for name, reason in (not_possible or {}).items()}
     methods = (*errors, *(not_possible or {}))
-    plan = StudyPlan(SimpleNamespace(), drawn, methods, (1.0,), lacking)
+    design = StudyDesign(SimpleNamespace(), drawn, methods, (1.0,), lacking)
     outcomes = [
         run(method, number, error)
         for method, own in errors.items()
         for number, error in enumerate(own)
     ]
-    return plan, outcomes
+    return design, outcomes
 
 
 def summary_of(errors, **more):
@@ -164,11 +164,11 @@ def test_the_sentence_has_the_largest_error_that_most_tests_do_not_exceed():
 
 
 def test_the_sentence_says_what_the_error_depends_on_if_that_is_more_than_chance():
-    for errors, is_told in ((np.arange(21), True), (np.arange(21) % 2, False)):
+    for errors, is_reported in ((np.arange(21), True), (np.arange(21) % 2, False)):
         factors = {"rig:simulated.specimen.mass": np.linspace(0.9, 1.1, 21)}
         summary = summary_of({"a": [0.0, *(errors / 1000).tolist()]}, factors=factors)
         said = headline(summary["results"][0], summary)
-        assert ("most on rig:simulated.specimen.mass, which explains 100 %" in said) is is_told
+        assert ("most on rig:simulated.specimen.mass, which explains 100 %" in said) is is_reported
 
 
 FACTORS = {"b": np.array([0.9, 1.1])}

@@ -14,7 +14,7 @@ from seft_ros.reference_force.linear_filter import LinearCompensator
 from seft_ros.reference_force.reference_force_parameters import REFERENCE_FORCE_TABLE
 from seft_ros.study import study_runs
 from seft_ros.study.drawn_tests import draw_tests
-from seft_ros.study.study_plan import StudyTest, plan_study
+from seft_ros.study.study_design import StudyTest, design_study
 from seft_ros.study.study_results import summarise_study, worst_folder, write_worst_tests
 from seft_ros.study.study_runs import FinishedTests, run_study
 from seft_ros.test_run.parameter_tables import TABLES
@@ -40,11 +40,11 @@ def add_method(monkeypatch):
 
 def planned(*words, methods=("none", "restoring"), ratios=(0.5,), tests=2, **draws):
     experiment = load(*words)
-    return plan_study(experiment, draw_tests(experiment, tests, **draws), methods, ratios)
+    return design_study(experiment, draw_tests(experiment, tests, **draws), methods, ratios)
 
 
-def keeping(plan, folder, progress=lambda *_: None):
-    return run_study(plan, progress, finished=FinishedTests(plan, folder))
+def keeping(design, folder, progress=lambda *_: None):
+    return run_study(design, progress, finished=FinishedTests(design, folder))
 
 
 class Adapting(LinearCompensator):
@@ -71,10 +71,10 @@ def test_the_file_of_a_worst_test_repeats_it(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = ("file:=motion.csv", "dt:=0.005", "unit:=m/s2")
     experiment = load(*(f"ground_motion:{word}" for word in words))
-    plan = plan_study(experiment, draw_tests(experiment, 8, spread=0.3), ["restoring"], [0.5])
-    runs = run_study(plan)
-    summary = summarise_study(plan, runs)
-    write_worst_tests(plan, summary, tmp_path / "study")
+    design = design_study(experiment, draw_tests(experiment, 8, spread=0.3), ["restoring"], [0.5])
+    runs = run_study(design)
+    summary = summarise_study(design, runs)
+    write_worst_tests(design, summary, tmp_path / "study")
     (result,) = summary["results"]
     errors = [one["nrmse"] if one["stable"] else math.inf for one in result["worst"]]
     assert len(errors) == 5 and errors == sorted(errors, reverse=True)
@@ -85,7 +85,7 @@ def test_the_file_of_a_worst_test_repeats_it(tmp_path, monkeypatch):
         assert {name: again[name] for name in kept} == kept
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="file: can't be made"):
-        write_worst_tests(plan, summary, tmp_path / "file")
+        write_worst_tests(design, summary, tmp_path / "file")
     assert worst_folder(tmp_path / "page.html") == tmp_path / "page"
     with pytest.raises(InputError, match="file: is no folder"):
         worst_folder(tmp_path / "file.html")
@@ -107,14 +107,14 @@ def test_a_method_that_is_not_compiled_is_simulated_uncompiled_and_named_so(add_
 
 def test_all_methods_and_mass_ratios_meet_the_same_tests():
     delay = "/**:actuator.delay:=0.0109"
-    plan = planned(delay, methods=["all"], ratios=[0.5, 1.0])
-    assert plan.methods == tuple(COMPENSATION_METHODS)
+    design = planned(delay, methods=["all"], ratios=[0.5, 1.0])
+    assert design.methods == tuple(COMPENSATION_METHODS)
     alone = planned(delay, methods=["none"], ratios=[3.0])
-    assert plan.drawn.sections == alone.drawn.sections
-    base = plan.experiment
-    for test in plan.tests():
-        own = plan.experiment_of(test)
-        assert {node: own[node] for node in ("rig", "ground_motion")} == plan.drawn.sections[
+    assert design.drawn.sections == alone.drawn.sections
+    base = design.experiment
+    for test in design.tests():
+        own = design.experiment_of(test)
+        assert {node: own[node] for node in ("rig", "ground_motion")} == design.drawn.sections[
             test.number
         ]
         follows = test.method == "target_motion"
@@ -128,12 +128,12 @@ def test_all_methods_and_mass_ratios_meet_the_same_tests():
 
 
 def test_results_do_not_depend_on_the_number_of_workers():
-    plan = planned(methods=["none"])
+    design = planned(methods=["none"])
     reported = []
-    runs = run_study(plan, lambda what, done: reported.append((what, done)), workers=2)
-    assert runs == run_study(plan)
+    runs = run_study(design, lambda what, done: reported.append((what, done)), workers=2)
+    assert runs == run_study(design)
     assert [done for _, done in reported] == [1, 2, 3]
-    assert {what for what, _ in reported} == {str(test) for test in plan.tests()}
+    assert {what for what, _ in reported} == {str(test) for test in design.tests()}
 
 
 class Stop:
@@ -200,9 +200,9 @@ def test_finished_tests_that_can_not_be_kept_are_reported(tmp_path):
 
 def test_a_method_that_can_not_be_set_up_is_left_out_and_the_others_go_on(add_method):
     add_method("impossible", impossible)
-    plan = planned(methods=["impossible", "none"])
-    assert plan.not_possible == {(0.5, "impossible"): "there is no model"}
-    assert plan.tests() == [StudyTest(0.5, "none", number) for number in range(3)]
+    design = planned(methods=["impossible", "none"])
+    assert design.not_possible == {(0.5, "impossible"): "there is no model"}
+    assert design.tests() == [StudyTest(0.5, "none", number) for number in range(3)]
     with pytest.raises(InputError, match=r"^there is no model$"):
         planned(methods=["impossible"])
 

@@ -40,7 +40,7 @@ def test_an_error_in_a_worker_comes_through_and_ends_them_all():
     assert multiprocessing.active_children() == []
 
 
-def test_a_worker_that_died_is_told():
+def test_a_worker_that_died_is_reported():
     with pytest.raises(ExperimentError, match="a worker died"), parallel_map(2) as map_:
         list(map_(os._exit, [3]))
     assert multiprocessing.active_children() == []

@@ -1,4 +1,4 @@
-"""The target against exact solutions, and what it makes of what is told wrongly."""
+"""The target against exact solutions, and what it makes of what is known wrongly."""
 
 import numpy as np
 import pytest
@@ -33,9 +33,9 @@ def experiment(*words, config="jhu"):
 def error(*words, config="jhu"):
     """Displacement NRMSE of a simulated test, %."""
     tested = experiment(*words, config=config)
-    record = simulated(tested)
-    assert record.trip is None
-    measured, motion = (record.series[name].values for name in ("rig/state", "ground_motion"))
+    recording = simulated(tested)
+    assert recording.trip is None
+    measured, motion = (recording.series[name].values for name in ("rig/state", "ground_motion"))
     exact = reference_response(tested, motion[:, 0])
     return 100 * nrmse(measured[:, 0], exact.displacement)
 
@@ -206,7 +206,7 @@ def test_test_is_right_whatever_the_specimen_does(law):
 
 
 TRUE = [("rig", *item) for item in truth(load()["rig"]).items()]
-TOLD_WRONG = {
+KNOWN_WRONGLY = {
     "stiffness": "/**:specimen.stiffness:=1.48e5",
     "damping": "/**:specimen.damping:=2400.0",
     "flow gain": "/**:actuator.flow_gain:=0.0363",
@@ -216,9 +216,9 @@ TOLD_WRONG = {
 }
 
 
-@pytest.mark.parametrize("what", TOLD_WRONG)
-def test_what_is_told_wrongly_hardly_matters(what):
-    assert error(*TRUE, TOLD_WRONG[what]) < 1.0
+@pytest.mark.parametrize("what", KNOWN_WRONGLY)
+def test_what_is_known_wrongly_hardly_matters(what):
+    assert error(*TRUE, KNOWN_WRONGLY[what]) < 1.0
 
 
 @pytest.mark.parametrize(

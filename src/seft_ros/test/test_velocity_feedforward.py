@@ -76,8 +76,12 @@ def controller(*args, **valve):
     return made.parameters, made.state
 
 
-def feedforward(told=1.0, limit=10.0, horizon=25, mass=52.7, **valve):
-    given = {"limits.command": limit, "specimen.mass": mass, "actuator.flow_gain": 0.04 * told}
+def feedforward(known_gain=1.0, limit=10.0, horizon=25, mass=52.7, **valve):
+    given = {
+        "limits.command": limit,
+        "specimen.mass": mass,
+        "actuator.flow_gain": 0.04 * known_gain,
+    }
     given |= {f"actuator.{name}": value for name, value in valve.items()}
     words = [("/**", *item) for item in given.items()]
     words.append(("reference_force", "compensation.horizon", horizon * DT))
@@ -127,11 +131,11 @@ def test_error_dies_out_at_the_rate_of_the_feedback():
     assert off[after] == pytest.approx(1e-3 * math.exp(-1), abs=2e-4)
 
 
-@pytest.mark.parametrize("told", [0.85, 1.15])
-def test_flow_gain_is_followed(told):
-    arrays = controller(told)
+@pytest.mark.parametrize("known_gain", [0.85, 1.15])
+def test_flow_gain_is_followed(known_gain):
+    arrays = controller(known_gain)
     wanted, seen = drive_piston(arrays)
-    assert told * (1 + arrays[1].errors[0, GAIN_ERROR]) == pytest.approx(1.0, abs=0.02)
+    assert known_gain * (1 + arrays[1].errors[0, GAIN_ERROR]) == pytest.approx(1.0, abs=0.02)
     assert np.sqrt(np.mean((seen - wanted)[2000:] ** 2) / np.mean(wanted**2)) < 0.01
 
 

@@ -74,7 +74,7 @@ def symmetric_matrix(value: float | Sequence[float], axes: Sequence[str], where:
     return matrix
 
 
-LONGEST_NAME = 200  # bytes; of the 255 that a file's name may have, the rest is for endings
+LONGEST_NAME = 200  # bytes; of the 255 that a file's name may have, the others are for endings
 Kind = Literal["float", "int", "bool", "string", "floats", "ints", "strings", "texts"]
 Value = Any
 Section = dict[str, Value]

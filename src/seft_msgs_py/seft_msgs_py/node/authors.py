@@ -67,7 +67,7 @@ class Authors:
         self._kept: dict[bytes, list[Message]] = {}  # of publishers without a known name
         self._polls: dict[bytes, int] = {}  # for which they have none
 
-    def judge(self, message: Message) -> bool | None:
+    def check(self, message: Message) -> bool | None:
         """Say whether a message counts; None: it is kept until its publisher's name is known.
 
         Raises
@@ -92,7 +92,7 @@ class Authors:
         return self._names.get(gid, UNNAMED)
 
     def poll(self) -> list[Message]:
-        """Give the kept messages whose publishers' names are known now, to be judged."""
+        """Give the kept messages whose publishers' names are known now, to be checked."""
         if not self._kept:
             return []
         found = self._endpoint.publishers(self._full_name)

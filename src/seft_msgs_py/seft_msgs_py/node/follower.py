@@ -61,7 +61,7 @@ class Follower:
     def _counts(self, topic: Topic, message: Message) -> bool:
         try:
             if topic != EXPERIMENT_STATE:
-                return bool(self._authors[topic].judge(message))
+                return bool(self._authors[topic].check(message))
             if self._senders.is_unexpected(topic.name, message.gid):
                 return False
             state = decode_status(message.raw).message

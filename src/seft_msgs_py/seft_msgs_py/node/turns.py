@@ -134,7 +134,7 @@ class NodeProcess:
         """Wait at most ``timeout`` seconds for messages, and handle them.
 
         From topics that end the waiting it takes one message, and the refused ones before it; the
-        next call takes the rest. Returns whether such a message was handled.
+        next call takes the remainder. Returns whether such a message was handled.
         """
         handled = bool(self.attempt("the turn", self._take_turn, timeout))
         for poll in self.polls:

@@ -187,7 +187,7 @@ class Wiring:
 
         def receive_own(raw: bytes, received_ns: int, gid: bytes) -> bool:
             try:
-                counts = authors.judge(Message(raw, received_ns, gid))
+                counts = authors.check(Message(raw, received_ns, gid))
             except WireError as error:
                 self.refuse(str(error))
                 return False

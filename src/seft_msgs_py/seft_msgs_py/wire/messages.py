@@ -226,8 +226,8 @@ def _time(stamp_ns: int) -> Any:
         raise WireError(
             f"stamp is {stamp_ns!r}, but must be an int of nanoseconds from 0 to {_LATEST_NS - 1}"
         )
-    seconds, rest = divmod(stamp_ns, NANOSECONDS_PER_SECOND)
-    return _make("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest)
+    seconds, remainder = divmod(stamp_ns, NANOSECONDS_PER_SECOND)
+    return _make("builtin_interfaces/msg/Time", sec=seconds, nanosec=remainder)
 
 
 class EstimatesCodec:

@@ -283,7 +283,7 @@ def _finite(text: str | float) -> float:
 
 
 @dataclass(frozen=True)
-class LinkRecord:
+class LinkReport:
     """Ages of the messages from which the forces of a test were taken.
 
     Attributes
@@ -298,9 +298,9 @@ class LinkRecord:
     held: int
 
     @classmethod
-    def of_all(cls, records: Iterable["LinkRecord"]) -> "LinkRecord":
-        """Add up the records of several rigs' force controllers."""
-        parts = list(records)
+    def of_all(cls, reports: Iterable["LinkReport"]) -> "LinkReport":
+        """Add up the reports of several rigs' force controllers."""
+        parts = list(reports)
         ages = sum((Counter(part.ages) for part in parts), Counter())
         return cls(dict(sorted(ages.items())), sum(part.held for part in parts))
 
@@ -315,7 +315,7 @@ class LinkRecord:
         )
 
     @classmethod
-    def from_json(cls, text: str) -> "LinkRecord":
+    def from_json(cls, text: str) -> "LinkReport":
         """Read a text of `to_json`.
 
         Raises

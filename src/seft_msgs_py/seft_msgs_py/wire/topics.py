@@ -71,8 +71,8 @@ class Timebase:
         WireError
             If the stamp is negative or lies between two steps.
         """
-        step, rest = divmod(stamp_ns, self.period_ns)
-        if rest or step < 0:
+        step, remainder = divmod(stamp_ns, self.period_ns)
+        if remainder or step < 0:
             raise WireError(
                 f"stamp {stamp_ns} ns is not on the {self.rate:g} Hz grid (period "
                 f"{self.period_ns} ns); does the sender run at another rate?"
@@ -333,7 +333,7 @@ REHEARSE = "rehearse"
 
 
 ZEROING = "zeroing"
-"""Key of the state's values: time at rest in it, in which the rig measures its zeros, s."""
+"""Key of the state's values: time at rest in it, in which the rig measures its biases, s."""
 
 
 def rehearsed(topic: LoopTopic) -> LoopTopic:

@@ -381,13 +381,13 @@ def _of_layout(codec: TrajectoryCodec, rows: _Bytes, layout: Layout) -> tuple[In
     seconds = rows[:, 4:8].copy().view("<i4")[:, 0].astype(np.int64)
     nanoseconds = rows[:, 8:12].copy().view("<u4")[:, 0]
     stamps = seconds * NANOSECONDS_PER_SECOND + nanoseconds
-    steps, rest = np.divmod(stamps, codec.timebase.period_ns)
+    steps, remainder = np.divmod(stamps, codec.timebase.period_ns)
     words = np.ndarray((count, (size - 4) // 8), "<f8", rows, 4, (length, 8))
     values = words[:, layout.values.ravel()]
     known = np.frombuffer(layout.known, np.uint8)
     differing = rows[:, :size] & known
     differing ^= np.frombuffer(layout.template, np.uint8) & known
-    fits = (rest == 0) & (steps >= 0) & ~differing.any(axis=1)
+    fits = (remainder == 0) & (steps >= 0) & ~differing.any(axis=1)
     first = 0 if codec.topic.finite else len(QUANTITIES) * len(codec.axes)  # as decode does
     fits &= np.isfinite(values[:, first:]).all(axis=1)
     return steps, values, fits

@@ -1,1 +1,1 @@
-"""What a record shows: agreement with the reference, judgement, tables, figures, report."""
+"""What a recording shows: agreement with the reference, assessment, tables, figures, report."""

@@ -1,4 +1,4 @@
-"""Mass, scales and lags of a test from its own samples, against what the test was told.
+"""Mass, scales and lags of a test from its own samples, against what the test knows.
 
 The estimates are those of `seft_ros.analysis.channel_estimates` and
 `seft_ros.analysis.mass_estimate`; what a deviation means for the test is in
@@ -26,8 +26,8 @@ from seft_ros.analysis.channel_estimates import (
     relation,
 )
 from seft_ros.analysis.mass_estimate import MIN_ERROR, Inertia, inertia
-from seft_ros.bags.record import Record, every_step
-from seft_ros.design.plan import choose_rig
+from seft_ros.bags.recording import Recording, every_step
+from seft_ros.design.planned_tests import choose_rig
 from seft_ros.design.plant import FOLDED, held_relations
 
 MAX_LOST = 0.01
@@ -97,12 +97,12 @@ class CalibrationCheck:
         return asdict(self)
 
 
-def calibration_check(record: Record) -> CalibrationCheck | None:
+def calibration_check(recording: Recording) -> CalibrationCheck | None:
     """Estimate mass, scales and lags of a test, and what they mean for it.
 
     Parameters
     ----------
-    record : Record
+    recording : Recording
         Of the test, without its ramp-down. A mass that was identified before the test
         (`IdentifiedMass.known`) is combined with the test's own estimate, by their standard errors,
         unless they contradict each other.
@@ -110,10 +110,10 @@ def calibration_check(record: Record) -> CalibrationCheck | None:
     Returns
     -------
     CalibrationCheck or None
-        None if the record does not describe the specimen, holds what is not finite, or lacks too
+        None if the recording does not describe the specimen, holds what is not finite, or lacks too
         many samples.
     """
-    states, experiment = record.states, record.experiment
+    states, experiment = recording.states, recording.experiment
     structure = calibration_structure(experiment)
     if structure is None or len(states.steps) < 2:
         return None
@@ -157,7 +157,7 @@ def strongest(samples: Floats) -> Floats:
 
 
 def _numbers(found: list[Deviation], axis: str) -> dict[str, Any]:
-    """All estimates of an axis, by channel and kind: estimate, told and standard error."""
+    """All estimates of an axis, by channel and kind: estimate, known value and standard error."""
     numbers: dict[str, Any] = {}
     for one in found:
         if one.axis == axis:
@@ -176,18 +176,18 @@ def _masses(effect: CalibrationEffect, own: Inertia, axes: tuple[str, ...]) -> I
     of_mass = effect.of_mass(1.0 + _sure(own.factor - 1.0, own.factor_error))
     of_lag = effect.of_force_lag(_sure(own.lag, own.lag_error))
     for i, axis in enumerate(axes):
-        told = float(effect.mass[i, i])
-        mass = (told * float(own.factor[i]), told, told * float(own.factor_error[i]))
+        known = float(effect.mass[i, i])
+        mass = (known * float(own.factor[i]), known, known * float(own.factor_error[i]))
         yield Deviation(of_mass, "mass", "force", axis, axis, *mass)
         lag = (float(own.lag[i]), 0.0, float(own.lag_error[i]))
         yield Deviation(of_lag, "lag", "force", axis, axis, *lag)
 
 
 def _scales(
-    effect: CalibrationEffect, channel: str, own: Relation, told: Floats, axes: tuple[str, ...]
+    effect: CalibrationEffect, channel: str, own: Relation, known: Floats, axes: tuple[str, ...]
 ) -> Iterator[Deviation]:
-    """Scales of a channel on all axes; ``told`` has shape (n,)."""
-    expected = np.diag(told)
+    """Scales of a channel on all axes; ``known`` has shape (n,)."""
+    expected = np.diag(known)
     off = _sure(own.scale - expected, own.scale_error)
     of_scale = effect.of_scale(np.eye(len(axes)) + off)
     for i, j in zip(*np.nonzero(own.scale_error), strict=True):
@@ -196,12 +196,12 @@ def _scales(
 
 
 def _lags(
-    effect: CalibrationEffect, channel: str, own: Relation, told: Floats, axes: tuple[str, ...]
+    effect: CalibrationEffect, channel: str, own: Relation, known: Floats, axes: tuple[str, ...]
 ) -> Iterator[Deviation]:
-    """Lags of a channel on all axes; ``told`` has shape (n,), s."""
-    of_lag = effect.of_lag(_sure(own.lag - told, own.lag_error))
+    """Lags of a channel on all axes; ``known`` has shape (n,), s."""
+    of_lag = effect.of_lag(_sure(own.lag - known, own.lag_error))
     for i, axis in enumerate(axes):
-        numbers = (float(each[i]) for each in (own.lag, told, own.lag_error))
+        numbers = (float(each[i]) for each in (own.lag, known, own.lag_error))
         yield Deviation(of_lag, "lag", channel, axis, axis, *numbers)
 
 
@@ -210,9 +210,9 @@ def _relations(
 ) -> Iterator[tuple[str, Relation, Floats, Floats]]:
     """Give each channel with its relation to the displacement, and the scale and lag expected.
 
-    There are none if the relations of sound channels are not known: of an idealised actuator, whose
-    force jumps from sample to sample, and where no actuator is told. A velocity that is derived
-    from the displacement is no channel.
+    There are none if the relations of fault-free channels are not known: of an idealised actuator,
+    whose force jumps from sample to sample, and where no actuator is known. A velocity that is
+    derived from the displacement is no channel.
     """
     expected = expected_relations(experiment, frequency)
     if expected is None or experiment["reference_force"]["actuator.kind"] in FORCE_DRIVEN:
@@ -231,9 +231,9 @@ def _relations(
 
 
 def expected_relations(experiment: Experiment, frequency: float) -> Complexes | None:
-    """Velocity and acceleration of sound channels over the derivatives of x.
+    """Velocity and acceleration of fault-free channels over the derivatives of x.
 
-    See `seft_ros.design.plant.held_relations`; it follows from the actuator that the test was told,
+    See `seft_ros.design.plant.held_relations`; it follows from the actuator that the test knows,
     on the specimen's model, and from what is known of the channels' lags.
 
     Parameters
@@ -246,7 +246,7 @@ def expected_relations(experiment: Experiment, frequency: float) -> Complexes | 
     Returns
     -------
     ndarray or None
-        Shape (2, n); None if no actuator is told.
+        Shape (2, n); None if no actuator is known.
     """
     nodes = ("reference_force", "force_controller")
     if any(node not in experiment.sections for node in nodes):

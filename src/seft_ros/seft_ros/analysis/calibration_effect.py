@@ -1,12 +1,12 @@
 """What a wrong mass, scale or lag would have done to a test: displacement errors.
 
-If the mass or a channel was not as the test was told, the test was the exact one for another ground
+If the mass or a channel was not as the test knows it, the test was the exact one for another ground
 motion (`seft_ros.analysis.equivalent_motion`). The effect of a deviation is what that change of the
 motion would have changed, by the law that the specimen had (`seft_ros.analysis.specimen_law`).
 
-Which of two channels is wrong can't be told from their disagreement, so the worse case counts:
+Which of two channels is wrong can't be seen from their disagreement, so the worse case counts:
 
-- mass: either the mass is m times the one told, or the force is m times too large;
+- mass: either the mass is m times the known one, or the force is m times too large;
 - scale and lag of acceleration and velocity against the displacement: the displacement is wrong,
   and the specimen moved otherwise than its target by the difference. The computed part would see
   less of a wrong acceleration; a wrong velocity misleads the valve as a wrong displacement does;
@@ -53,7 +53,7 @@ class CalibrationEffect:
     springs : ndarray
         Deformation of each of the specimen's springs per displacement, shape (p, n).
     mass : ndarray
-        Of the specimen as it was told, shape (n, n), kg.
+        Of the specimen as it is known, shape (n, n), kg.
     """
 
     def __init__(self, structure: Experiment, samples: Floats, dt: float) -> None:
@@ -71,7 +71,7 @@ class CalibrationEffect:
         return self._law.difference(change) if change.any() else 0.0
 
     def of_mass(self, factor: Floats) -> float:
-        """Error if the mass is so many times the one told, or the force too large; shape (n,)."""
+        """Error if the mass is so many times the known one, or the force too large; shape (n,)."""
         if (factor == 1.0).all():
             return 0.0
         true = self._total + (factor - 1.0)[:, np.newaxis] * self.mass

@@ -20,7 +20,8 @@ from seft_msgs_py.arrays import Floats
 from seft_ros.reference_force.restoring_model import STANDS_OUT
 
 ESTIMATE_SIGMAS = 4.0
-"""Standard errors beyond which a deviation counts. Of 340 estimates on sound tests the worst were
+"""Standard errors beyond which a deviation counts. Of 340 estimates on fault-free tests the worst
+were
 3.7 away: no law is described exactly, and the tails are longer than a normal distribution's."""
 KINEMATIC_BAND = (0.3, 3.0)
 """Band of Eq. (1), over the frequency of the motion: where most of the motion is. Below, the
@@ -125,8 +126,8 @@ def relation(
     frequency : float
         Of the motion, Hz, see `motion_frequency`.
     unsure : float or ndarray
-        Part of the motion of each axis, shape (n,), that a sound channel may show besides: it is
-        part of the standard errors.
+        Part of the motion of each axis, shape (n,), that a fault-free channel may show besides: it
+        is part of the standard errors.
 
     Returns
     -------

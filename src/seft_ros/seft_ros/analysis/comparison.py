@@ -1,4 +1,4 @@
-"""Whether records are the same test, bit for bit, and where they first differ."""
+"""Whether recordings are the same test, bit for bit, and where they first differ."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -16,13 +16,13 @@ from seft_msgs_py.wire.topics import (
 
 from seft_ros.analysis.metrics import common_steps, nrmse, peak
 from seft_ros.analysis.result_text import title_of
-from seft_ros.bags.record import Estimates, Record, Series
-from seft_ros.bags.record_bag import UNDECODABLE
+from seft_ros.bags.recording import Estimates, Recording, Series
+from seft_ros.bags.recording_bag import UNDECODABLE
 from seft_ros.drawing.style import json_safe
 
 
-def compare_records(a: Record, b: Record) -> dict[str, Any]:
-    """Compare two records of the same rate and axes, step by step.
+def compare_recordings(a: Recording, b: Recording) -> dict[str, Any]:
+    """Compare two recordings of the same rate and axes, step by step.
 
     Returns
     -------
@@ -31,7 +31,7 @@ def compare_records(a: Record, b: Record) -> dict[str, Any]:
         estimates, if either has any.
         ``first_difference``: None, or ``topic``, ``step``, ``field``, ``axis``, ``a``, ``b`` of
         the smallest step that differs, first in the order of `LOOP_TOPICS`, estimates last;
-        where a record lacks the step, field and axis are None and a, b are "present" or
+        where a recording lacks the step, field and axis are None and a, b are "present" or
         "missing".
         ``first_value_difference``: the same of the steps that both hold.
         ``missed``, ``length_s`` (time of the last sample): {a, b}.
@@ -78,31 +78,31 @@ def compare_records(a: Record, b: Record) -> dict[str, Any]:
     )
 
 
-def describe_bag(path: str, record: Record) -> dict[str, Any]:
+def describe_bag(path: str, recording: Recording) -> dict[str, Any]:
     """Describe a bag, as ``--json`` prints it; what is not known is None."""
     return {
         "bag": path,
-        "title": title_of(record),
-        "mode": record.environment.get("mode"),
-        "rate_hz": record.experiment.timebase.rate,
-        "axes": list(record.experiment.axes),
-        "length_s": length_s(record),
-        "complete": record.complete,
-        "damage": record.damage,
-        "undecodable": record.environment.get(UNDECODABLE, 0),
+        "title": title_of(recording),
+        "mode": recording.environment.get("mode"),
+        "rate_hz": recording.experiment.timebase.rate,
+        "axes": list(recording.experiment.axes),
+        "length_s": length_s(recording),
+        "complete": recording.complete,
+        "damage": recording.damage,
+        "undecodable": recording.environment.get(UNDECODABLE, 0),
     }
 
 
-def length_s(record: Record) -> float:
+def length_s(recording: Recording) -> float:
     """Experiment time of a test's last sample of the rig or, without, of any; s."""
-    states = record.states
-    every = [states] if len(states.steps) else list(record.series.values())
+    states = recording.states
+    every = [states] if len(states.steps) else list(recording.series.values())
     last = max((int(series.steps[-1]) for series in every if len(series.steps)), default=0)
-    return record.experiment.timebase.stamp_ns(last) / NANOSECONDS_PER_SECOND
+    return recording.experiment.timebase.stamp_ns(last) / NANOSECONDS_PER_SECOND
 
 
-def _pairs(a: Record, b: Record) -> Iterator[tuple[str, Sequence[str], Series, Series]]:
-    """Topic, its fields, and the samples in either record."""
+def _pairs(a: Recording, b: Recording) -> Iterator[tuple[str, Sequence[str], Series, Series]]:
+    """Topic, its fields, and the samples in either recording."""
     for topic in LOOP_TOPICS:
         one, other = a.series[topic.name], b.series[topic.name]
         quantities = topic.quantities
@@ -111,16 +111,16 @@ def _pairs(a: Record, b: Record) -> Iterator[tuple[str, Sequence[str], Series, S
             quantities = TARGET.quantities[-count:]
             one, other = (replace(s, values=s.values[:, -count:]) for s in (one, other))
         yield topic.name, quantities, one, other
-    found = [record.estimates for record in (a, b)]
+    found = [recording.estimates for recording in (a, b)]
     names = tuple(dict.fromkeys(name for some in found if some for name in some.names))
     if names:
         yield ESTIMATES.name, names, _estimates(a, names), _estimates(b, names)
 
 
-def _estimates(record: Record, names: Sequence[str]) -> Series:
+def _estimates(recording: Recording, names: Sequence[str]) -> Series:
     """Estimates by these names; NaN where there is none of a name."""
-    axes = len(record.experiment.axes)
-    found = record.estimates or Estimates(np.empty(0, np.int64), np.empty((0, 0, axes)), ())
+    axes = len(recording.experiment.axes)
+    found = recording.estimates or Estimates(np.empty(0, np.int64), np.empty((0, 0, axes)), ())
     values = np.full((len(found.steps), len(names), axes), np.nan)
     values[:, [names.index(name) for name in found.names]] = found.values
     return Series(found.steps, values)

@@ -12,7 +12,7 @@ from seft_plant_sim.whole_structure import WholeStructure, reference_response, w
 
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.analysis.specimen_law import SpecimenLaw, springs_of
-from seft_ros.bags.record import Record, every_step
+from seft_ros.bags.recording import Recording, every_step
 from seft_ros.ground_motion.response_spectrum import response_spectrum
 
 DAMPING = 0.05
@@ -164,7 +164,7 @@ class MotionDifference:
         }
 
 
-def motion_difference(record: Record) -> MotionDifference | None:
+def motion_difference(recording: Recording) -> MotionDifference | None:
     """Compare the ground motion of which a test is the exact one with the one asked for.
 
     It needs no specimen model: the specimen answers both by the law that it had in this test.
@@ -172,18 +172,18 @@ def motion_difference(record: Record) -> MotionDifference | None:
     Returns
     -------
     MotionDifference or None
-        None if the record does not begin with step 0, lacks ground motion, holds what is not
+        None if the recording does not begin with step 0, lacks ground motion, holds what is not
         finite, or does not describe a structure with stiffness.
     """
-    assumed = assumed_structure(record.experiment)
-    states, motion = record.states, record.series[GROUND_MOTION.name]
+    assumed = assumed_structure(recording.experiment)
+    states, motion = recording.states, recording.series[GROUND_MOTION.name]
     count = int(states.steps[-1]) + 1 if len(states.steps) else 0
     begun = count > 1 and states.steps[0] == 0
     whole = begun and np.array_equal(motion.steps[:count], np.arange(count))
     if assumed is None or not whole or not np.isfinite(states.values).all():
         return None
     measured, asked = every_step(states, np.arange(count)), motion.values[:count, 0, :]
-    structure, dt = whole_structure(assumed), record.experiment.timebase.dt
+    structure, dt = whole_structure(assumed), recording.experiment.timebase.dt
     natural, damping = structure.structure.modes()
     if not len(natural):
         return None

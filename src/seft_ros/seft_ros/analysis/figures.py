@@ -13,8 +13,8 @@ from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.metrics import common_steps, nrmse
 from seft_ros.analysis.result_text import title_of
-from seft_ros.analysis.summary import AFTER, COMPARED, judged_part, strong_part
-from seft_ros.bags.record import Record
+from seft_ros.analysis.summary import AFTER, COMPARED, assessed_part, strong_part
+from seft_ros.bags.recording import Recording
 from seft_ros.drawing import style
 from seft_ros.drawing.style import AnyFloats, axis_label, percent, thinned, tidy
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
@@ -24,16 +24,16 @@ _PER_INCH = 11  # characters of a title
 _MOST_BRIDGED = 5  # steps
 
 
-def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
+def test_figure(recording: Recording, reference: ReferenceResponse | None) -> Figure:
     """Draw displacement, force and acceleration of a test over time, against the reference.
 
     The time is that of the ground motion's `strong_part`.
     One column for each axis, of more than `_MAX_AXES` the first. Below are the parameters that
     the compensation identified on line, if any.
     """
-    axes, estimates = record.experiment.axes[:_MAX_AXES], record.estimates
-    states, dt = record.states, record.experiment.timebase.dt
-    judged = len(judged_part(record)[0].states.steps)
+    axes, estimates = recording.experiment.axes[:_MAX_AXES], recording.estimates
+    states, dt = recording.states, recording.experiment.timebase.dt
+    assessed = len(assessed_part(recording)[0].states.steps)
     names = estimates.names if estimates else ()
     estimated = [name for name in names if not name.startswith(OF_MODEL)]
     heights = [2.4] * len(style.RESPONSES) + [1.3] * len(estimated)  # inches
@@ -47,7 +47,7 @@ def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
                 exact = getattr(reference, name)[:, column]
                 at, look = thinned(exact), {"color": style.REFERENCE, "lw": 2.2}
                 panel.plot(at * dt, exact[at] * scale, label="reference response", **look)
-                error = nrmse(y[:judged], exact[states.steps[:judged]])
+                error = nrmse(y[:assessed], exact[states.steps[:assessed]])
                 text = f"NRMSE {percent(error)}" if np.isfinite(error) else "NRMSE undefined"
                 panel.set_title(text, loc="right", fontsize=9, color=style.TEXT)
             at, look = thinned(y), {"color": style.FIRST_COLOUR, "lw": 0.9}
@@ -63,36 +63,36 @@ def test_figure(record: Record, reference: ReferenceResponse | None) -> Figure:
         if name in estimated:  # their panels are low
             label = label.replace(" / ", "\n/ ")
         panel.set_ylabel(label, color=style.TEXT, parse_math=False)
-    _frame(panels.flat, None if record.trip is None else record.trip.time_s, "trip")
-    start, end = strong_part(record)
+    _frame(panels.flat, None if recording.trip is None else recording.trip.time_s, "trip")
+    start, end = strong_part(recording)
     panels[0, 0].set_xlim(start, end)  # all panels share their time
     for column, axis in enumerate(axes):
-        if len(record.experiment.axes) > 1:
+        if len(recording.experiment.axes) > 1:
             look = {"loc": "left", "fontsize": 11, "color": style.TEXT, "parse_math": False}
             panels[0, column].set_title(f"axis {axis}", **look)
         panels[-1, column].set_xlabel("time / s", color=style.TEXT)
-    title = title_of(record)
+    title = title_of(recording)
     if (duration := len(states.steps) * dt) > end - start + AFTER:
         title += f"\nstrong part, of {duration:.3g} s"
-    if record.trip is not None:
-        trip = f"tripped at {record.trip.time_s:.3f} s: {record.trip.reason}"
+    if recording.trip is not None:
+        trip = f"tripped at {recording.trip.time_s:.3f} s: {recording.trip.reason}"
         title = "\n".join([title, *wrap(trip, round(_PER_INCH * width))])
     style.finish(figure, panels[:1, 0], title)
     return figure
 
 
 def comparison_figure(
-    a: Record, b: Record, comparison: dict[str, Any], names: Sequence[str]
+    a: Recording, b: Recording, comparison: dict[str, Any], names: Sequence[str]
 ) -> Figure:
     """Draw displacement, force and acceleration of two tests on their first axis.
 
     Below each is the difference of the second from the first; a dashed line marks the first
     difference on any topic. ``comparison`` is what
-    `seft_ros.analysis.comparison.compare_records` gives.
+    `seft_ros.analysis.comparison.compare_recordings` gives.
     """
     figure, grid = _panels(9.5, [1.9, 1.1] * len(style.RESPONSES), margin=0.6)
     panels, dt = grid[:, 0], a.experiment.timebase.dt
-    one, other = (record.states for record in (a, b))
+    one, other = (recording.states for recording in (a, b))
     steps, in_a, in_b = common_steps(one.steps, other.steps)
     looks = ((one, names[0], style.REFERENCE, 2.4), (other, names[1], style.FIRST_COLOUR, 0.9))
     for name, overlay, below in zip(style.RESPONSES, panels[::2], panels[1::2], strict=True):

@@ -4,7 +4,7 @@ The mass is in the measured force::
 
     f_i = m_i (M a)_i - m_i tau_i (M a)_i' + r_i                                           (1)
 
-with the mass matrix M that the test was told, a factor m_i on it and the lag tau_i of the force
+with the known mass matrix M, a factor m_i on it and the lag tau_i of the force
 behind the acceleration. The restoring force r of any specimen is, in a short window, a constant and
 a line in x; what that leaves is taken by stop operators, a curve and dampers of the springs'
 deformations (the hysteresis of Prandtl and Ishlinskii, see
@@ -64,7 +64,7 @@ class Inertia:
     Attributes
     ----------
     factor, factor_error : ndarray
-        m, the mass over the one told, and its standard error. A force that is m times too large
+        m, the mass over the known one, and its standard error. A force that is m times too large
         looks the same.
     lag, lag_error : ndarray
         tau of the force behind the acceleration, and its standard error, s.

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from scipy.fft import irfft, next_fast_len, rfft
 from seft_msgs_py.arrays import Floats, Ints
 
-from seft_ros.bags.record import Series, every_step
+from seft_ros.bags.recording import Series, every_step
 
 Where = slice | npt.NDArray[np.intp]
 
@@ -31,7 +31,7 @@ def common_steps(one: Ints, other: Ints) -> tuple[Ints, Where, Where]:
 
 _ITERATIONS = 30
 _RESOLUTION = 1e-9  # of a sample
-_BLOCK = 1 << 16  # of a long record's elements that are worked on at a time
+_BLOCK = 1 << 16  # of a long recording's elements that are worked on at a time
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Agreement:
     Attributes
     ----------
     nrmse : float
-        RMS(y - y_ref) / RMS(y_ref) over the whole record, no shift.
+        RMS(y - y_ref) / RMS(y_ref) over the whole recording, no shift.
     nrmse_aligned : float
         The same after the best-fit pure delay is removed.
     peak, reference_peak : float
@@ -121,7 +121,7 @@ def best_fit_delay(y: Floats, reference: Floats, dt: float) -> float:
     """Pure delay tau (s) for which RMS(y(t) - y_ref(t - tau)) is smallest.
 
     It is the largest value of the cross-correlation of both signals, each zero outside its
-    record: found on the samples, up to half a record's length, then between them by Newton's
+    recording: found on the samples, up to half a record's length, then between them by Newton's
     method on the correlation's Fourier series, which is exact for band-limited signals. One
     delay for all axes. Zero where no delay makes the error smaller. Shapes (N, n) or (N,).
     """
@@ -142,7 +142,7 @@ def _best_fit(y: Floats, reference: Floats, dt: float) -> tuple[float, float]:
 
 
 def _cross_spectrum(y: Floats, reference: Floats, size: int) -> npt.NDArray[np.complex128]:
-    """Sum over the axes of Y conj(Y_ref); a record is long, so as much as can be is in place."""
+    """Sum over the axes of Y conj(Y_ref); a recording is long, so as much as can be is in place."""
     cross = rfft(_scaled(y), size, axis=0)
     other = rfft(_scaled(reference), size, axis=0)
     for block in _blocks(len(cross)):
@@ -164,7 +164,7 @@ def delayed(y: Floats, delay: float, dt: float) -> Floats:
     """Shift a signal of shape (N, n) or (N,) by a delay (s) as if it were band-limited.
 
     Before its start the signal is zero: a test begins at rest. Beyond its end it goes on
-    point-symmetrically and fades out, so that a record which ends in full swing does not ring.
+    point-symmetrically and fades out, so that a recording which ends in full swing does not ring.
     """
     count, shift = len(y), delay / dt
     if shift == int(shift) and 0 <= shift < count:  # no interpolation, and exact

@@ -13,18 +13,18 @@ from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, VALVE_COMMA
 from seft_plant_sim.specimen import EnergyBalance
 from seft_plant_sim.whole_structure import ReferenceResponse
 
+from seft_ros.analysis.assessment import Assessment, assess_test
 from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
-from seft_ros.analysis.judgement import Judgement, judge_test
 from seft_ros.analysis.summary import (
     COMPARED,
     ENERGIES,
+    assessed_part,
     balance_of,
-    judged_part,
     reference_of,
     summarise,
 )
-from seft_ros.bags.record import Record, Series, every_step
-from seft_ros.design.plan import Plan
+from seft_ros.bags.recording import Recording, Series, every_step
+from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.stability_margins import instability_band
 from seft_ros.drawing.style import json_safe, thinned
 
@@ -62,8 +62,8 @@ class Spectrum:
 def spectrum_of(y: Floats, dt: float) -> Spectrum:
     """Estimate a power spectral density from averaged segments (Welch 1967).
 
-    Hann windows that overlap by half, and no mean; a record shorter than a segment is one. What is
-    not finite makes a spectrum of NaN. (To import scipy.signal takes longer than all else of a
+    Hann windows that overlap by half, and no mean; a recording shorter than a segment is one. What
+    is not finite makes a spectrum of NaN. (To import scipy.signal takes longer than all else of a
     report.)
 
     Parameters
@@ -111,7 +111,7 @@ class Report:
 
     Attributes
     ----------
-    record : Record
+    recording : Recording
         The test.
     reference : ReferenceResponse or None
         Reference response, by step from 0.
@@ -124,7 +124,7 @@ class Report:
         Why there is no instability band; empty if there is.
     difference : MotionDifference or None
         The equivalent ground motion against the one asked for.
-    judgement : Judgement
+    assessment : Assessment
         Verdict.
     summary : dict
         All numbers, JSON values: what `summarise` gives and ``instability_band_hz`` (two numbers
@@ -133,28 +133,28 @@ class Report:
         in a test that does nothing about it, else null), ``events`` and ``verdict``.
     """
 
-    record: Record
+    recording: Recording
     reference: ReferenceResponse | None
     energies: dict[str, tuple[Ints, Floats]]
     spectra: dict[str, _Spectra]
     band_note: str
     difference: MotionDifference | None
-    judgement: Judgement
+    assessment: Assessment
     summary: dict[str, Any]
 
 
-def report_numbers(record: Record) -> Report:
+def report_numbers(recording: Recording) -> Report:
     """Analyse a test; an InputError is that of `reference_of`."""
-    reference = reference_of(record)
-    judged, exact = judged_part(record, reference)
-    balance, difference = balance_of(judged), motion_difference(judged)
-    summary = summarise(record, reference, balance, difference)
+    reference = reference_of(recording)
+    assessed, exact = assessed_part(recording, reference)
+    balance, difference = balance_of(assessed), motion_difference(assessed)
+    summary = summarise(recording, reference, balance, difference)
     energies = _thinned(balance)
-    del balance  # as long as the record, and drawn from a few points
-    spectra = {name: _spectra(judged, exact, name) for name in ("force", "acceleration")}
+    del balance  # as long as the recording, and drawn from a few points
+    spectra = {name: _spectra(assessed, exact, name) for name in ("force", "acceleration")}
     band = None
     try:
-        band = instability_band(Plan(record.experiment))
+        band = instability_band(PlannedTest(recording.experiment))
         note = "" if band else "none: the loop stays stable as far as was looked"
     except (InputError, KeyError) as error:
         note = f"not known: {error}"
@@ -163,14 +163,14 @@ def report_numbers(record: Record) -> Report:
         "instability_band_hz": band and list(band),
         "vibration": {
             "ratio": max((ratio for ratio in ratios if ratio is not None), default=None),
-            "axes": dict(zip(record.experiment.axes, ratios, strict=True)),
+            "axes": dict(zip(recording.experiment.axes, ratios, strict=True)),
         },
-        "uncompensated_delay_s": _uncompensated_delay(record, summary),
-        "events": [asdict(event) for event in record.events],
+        "uncompensated_delay_s": _uncompensated_delay(recording, summary),
+        "events": [asdict(event) for event in recording.events],
     }
-    judgement = judge_test(summary)
-    summary = json_safe(summary | {"verdict": asdict(judgement)})
-    return Report(record, reference, energies, spectra, note, difference, judgement, summary)
+    assessment = assess_test(summary)
+    summary = json_safe(summary | {"verdict": asdict(assessment)})
+    return Report(recording, reference, energies, spectra, note, difference, assessment, summary)
 
 
 def _thinned(balance: EnergyBalance | None) -> dict[str, tuple[Ints, Floats]]:
@@ -179,8 +179,8 @@ def _thinned(balance: EnergyBalance | None) -> dict[str, tuple[Ints, Floats]]:
     return {name: (at, energies[name][at]) for name, at in places.items()}
 
 
-def _spectra(record: Record, reference: ReferenceResponse | None, name: str) -> _Spectra:
-    states, dt = record.states, record.experiment.timebase.dt
+def _spectra(recording: Recording, reference: ReferenceResponse | None, name: str) -> _Spectra:
+    states, dt = recording.states, recording.experiment.timebase.dt
     every = np.arange(states.steps[-1] + 1) if len(states.steps) else states.steps
     measured = every_step(states, every)[:, COMPARED[name]]
     exact = None if reference is None else getattr(reference, name)
@@ -190,8 +190,8 @@ def _spectra(record: Record, reference: ReferenceResponse | None, name: str) -> 
     ]
 
 
-def _uncompensated_delay(record: Record, summary: dict[str, Any]) -> float | None:
-    section = record.experiment.sections.get("reference_force", {})
+def _uncompensated_delay(recording: Recording, summary: dict[str, Any]) -> float | None:
+    section = recording.experiment.sections.get("reference_force", {})
     fed_back = section.get("method") == "seft" and section.get("mass_ratio", 0.0) > 0
     if not fed_back or section.get("compensation.method") != "none":
         return None
@@ -203,12 +203,14 @@ _STATE = ("displacement (m)", "velocity (m/s)", "acceleration (m/s^2)", "force (
 _EXACT = {"displacement": "m", "acceleration": "m/s^2", "force": "N"}
 
 
-def histories(record: Record, reference: ReferenceResponse | None) -> tuple[list[str], Floats]:
+def histories(
+    recording: Recording, reference: ReferenceResponse | None
+) -> tuple[list[str], Floats]:
     """Give the histories of a test: a row for each step of the rig, a column for each quantity.
 
     Parameters
     ----------
-    record : Record
+    recording : Recording
         Of the test.
     reference : ReferenceResponse or None
         Its exact response, from step 0; None: unknown.
@@ -222,24 +224,24 @@ def histories(record: Record, reference: ReferenceResponse | None) -> tuple[list
     table : ndarray
         Shape (N, c); NaN where a sample was lost.
     """
-    axes, steps = record.experiment.axes, record.states.steps
-    columns = [("time (s)", steps * record.experiment.timebase.dt)]
+    axes, steps = recording.experiment.axes, recording.states.steps
+    columns = [("time (s)", steps * recording.experiment.timebase.dt)]
     for axis, name in enumerate(axes):
         prefix = f"{name} " if len(axes) > 1 else ""
-        columns += [(prefix + label, y) for label, y in _of_axis(record, reference, steps, axis)]
+        columns += [(prefix + label, y) for label, y in _of_axis(recording, reference, steps, axis)]
     names, values = zip(*columns, strict=True)
     return list(names), np.stack(values, axis=1)
 
 
 def _of_axis(
-    record: Record, reference: ReferenceResponse | None, steps: Ints, axis: int
+    recording: Recording, reference: ReferenceResponse | None, steps: Ints, axis: int
 ) -> Iterable[tuple[str, Floats]]:
     def of(topic: str, quantity: int) -> Floats:
-        return _at(record.series[topic], steps, quantity, axis)
+        return _at(recording.series[topic], steps, quantity, axis)
 
     yield "ground acceleration (m/s^2)", of(GROUND_MOTION.name, 0)
     for quantity, label in enumerate(_STATE):
-        yield label, _at(record.states, steps, quantity, axis)
+        yield label, _at(recording.states, steps, quantity, axis)
     yield "reference force (N)", of(REFERENCE_FORCE.name, -1)
     yield "valve command (V)", of(VALVE_COMMAND.name, 0)
     for name, unit in _EXACT.items() if reference is not None else ():

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from seft_ros.analysis import report_sections
-from seft_ros.analysis.judgement import ramp_note
+from seft_ros.analysis.assessment import ramp_note
 from seft_ros.analysis.report_numbers import Report
 from seft_ros.analysis.result_text import OF_THE_MODEL, agreement_table, test_rows, title_of
 from seft_ros.analysis.timing import timing_of
 from seft_ros.analysis.tracking import tracked_of
-from seft_ros.bags.record import Record
+from seft_ros.bags.recording import Recording
 from seft_ros.drawing import page, style
 from seft_ros.drawing.page import PageSection, Text
 from seft_ros.drawing.style import Mark, Number, percent, rows_of
@@ -23,7 +23,7 @@ _BINS = 80
 _MACHINE = ("python", "platform", "cpus")
 _MARKS = {"ok": Mark.NONE, "warn": Mark.DOUBT, "error": Mark.BAD, "stale": Mark.BAD}
 _OFFLINE = "The offline loop has no messages that could be late."
-_WITHOUT_TIMES = "The record does not say when its messages were received."
+_WITHOUT_TIMES = "The recording does not say when its messages were received."
 _OF_TRIPS = (
     "From a step's state to the command that answers it, as the recorder received them, which may "
     "have to wait for its core longer than the loop does; dashed: one period."
@@ -54,15 +54,15 @@ _REHEARSAL = (
 
 def write_report(report: Report, name: str, path: Path) -> None:
     """Write the page of a test of this name; an InputError says that it can't be written."""
-    page.write_page(path, f"Test {name}", title_of(report.record), list(_sections(report)))
+    page.write_page(path, f"Test {name}", title_of(report.recording), list(_sections(report)))
 
 
 def _sections(report: Report) -> Iterator[PageSection]:
-    judgement, record = report.judgement, report.record
-    axes, signals = record.experiment.axes, tracked_of(record)
-    cells = [Cell(finding.whole, finding.verdict) for finding in judgement.findings]
-    yield PageSection("Verdict", [page.VerdictBox(judgement.verdict, judgement.text, cells)])
-    tested = [_test_rows(report), _software_rows(record.environment)]
+    assessment, recording = report.assessment, report.recording
+    axes, signals = recording.experiment.axes, tracked_of(recording)
+    cells = [Cell(finding.whole, finding.verdict) for finding in assessment.findings]
+    yield PageSection("Verdict", [page.VerdictBox(assessment.verdict, assessment.text, cells)])
+    tested = [_test_rows(report), _software_rows(recording.environment)]
     yield PageSection("What was tested", [TextTable((), rows, numbers=False) for rows in tested])
     yield _agreement(report)
     yield PageSection("The equivalent ground motion", list(report_sections.ground_motion(report)))
@@ -75,11 +75,11 @@ def _sections(report: Report) -> Iterator[PageSection]:
         yield PageSection(f"Spectra{title}", list(report_sections.spectra(report, column)))
     yield PageSection("Energy", list(report_sections.energy(report)))
     yield PageSection("Timing", list(_timing(report)))
-    if blocks := list(report_sections.computed_model(record)):
+    if blocks := list(report_sections.computed_model(recording)):
         yield PageSection("Computed model", blocks)
-    yield PageSection("Estimates", list(_estimates(record)))
-    yield PageSection("Interlock and events", list(_events(record)))
-    yield PageSection("Parameters", _parameters(record))
+    yield PageSection("Estimates", list(_estimates(recording)))
+    yield PageSection("Interlock and events", list(_events(recording)))
+    yield PageSection("Parameters", _parameters(recording))
 
 
 def _agreement(report: Report) -> PageSection:
@@ -92,13 +92,13 @@ def _agreement(report: Report) -> PageSection:
 
 
 def _test_rows(report: Report) -> list[tuple[str, str]]:
-    record, summary = report.record, report.summary
-    sections = record.experiment.sections
+    recording, summary = report.recording, report.summary
+    sections = recording.experiment.sections
     force, rig = sections.get("reference_force", {}), sections.get("rig")
     rows = [
         ("method", f"{_of(force, 'method')}, mass ratio {_of(force, 'mass_ratio')}"),
         ("compensation", _of(force, "compensation.method")),
-        ("axes", ", ".join(record.experiment.axes)),
+        ("axes", ", ".join(recording.experiment.axes)),
         *test_rows(summary),
     ]
     if rig is None:
@@ -135,22 +135,22 @@ def _value(value: Any) -> str:
     return str(value) if value != "" else '""'
 
 
-def _parameters(record: Record) -> list[page.Block]:
+def _parameters(recording: Recording) -> list[page.Block]:
     """Every parameter of every node, as resolved."""
     tables = {
         node: [(name, _value(value)) for name, value in sorted(section.items())]
-        for node, section in sorted(record.experiment.sections.items())
+        for node, section in sorted(recording.experiment.sections.items())
     }
     return [TextTable((node, ""), rows, numbers=False) for node, rows in tables.items()]
 
 
 def _timing(report: Report) -> Iterator[page.Block]:
     """Missed deadlines, and round trips as a histogram."""
-    summary, record = report.summary, report.record
-    timing, rows = timing_of(record), _loss_rows(summary, record)
+    summary, recording = report.summary, report.recording
+    timing, rows = timing_of(recording), _loss_rows(summary, recording)
     if timing is None:
         yield TextTable((), rows)
-        offline = record.environment.get("mode") == "simulate"
+        offline = recording.environment.get("mode") == "simulate"
         yield Text(_OFFLINE if offline else _WITHOUT_TIMES)
         return
     numbers, trips = timing.numbers, timing.round_trip_s * 1e3
@@ -172,14 +172,14 @@ def _timing(report: Report) -> Iterator[page.Block]:
         yield Text("The rig was in lockstep: it waited for each command.")
 
 
-def _loss_rows(summary: dict[str, Any], record: Record) -> list[list[str]]:
+def _loss_rows(summary: dict[str, Any], recording: Recording) -> list[list[str]]:
     missed, steps, overruns = summary["missed"], summary["steps"], summary["overruns"]
     share = f" ({percent(missed / steps)})" if missed and steps else ""
     count = "unknown" if missed is None else f"{missed} of {steps}{share}"
     rows = [["steps that missed the command deadline", count]]
     if missed:
-        more = ["..."] if missed > len(record.missed_steps) else []
-        rows.append(["these steps", ", ".join([*map(str, record.missed_steps), *more])])
+        more = ["..."] if missed > len(recording.missed_steps) else []
+        rows.append(["these steps", ", ".join([*map(str, recording.missed_steps), *more])])
     rows.append(["sampling overruns of the rig", "unknown" if overruns is None else str(overruns)])
     if summary["link"]:
         rows += rows_of(_LINK, summary["link"])
@@ -197,13 +197,13 @@ def _loss_rows(summary: dict[str, Any], record: Record) -> list[list[str]]:
     return rows
 
 
-def _estimates(record: Record) -> Iterator[page.Block]:
+def _estimates(recording: Recording) -> Iterator[page.Block]:
     """Show what the compensation method identified, over time."""
-    estimates, axes = record.estimates, record.experiment.axes
+    estimates, axes = recording.estimates, recording.experiment.axes
     if estimates is None:
         yield Text("The compensation method identified nothing on line.")
         return
-    time = estimates.steps * record.experiment.timebase.dt
+    time = estimates.steps * recording.experiment.timebase.dt
     looks = list(zip(axes, style.OTHERS, strict=False)) if len(axes) > 1 else [("", style.SECOND)]
     for row, name in enumerate(estimates.names):
         if not name.startswith(OF_MODEL):
@@ -215,9 +215,9 @@ def _estimates(record: Record) -> Iterator[page.Block]:
             yield page.Plot(panel)
 
 
-def _events(record: Record) -> Iterator[page.Block]:
+def _events(recording: Recording) -> Iterator[page.Block]:
     """States of the test, warnings and trips, as reported by the nodes."""
-    trip, events = record.trip, record.events
+    trip, events = recording.trip, recording.events
     if trip is not None:
         text = f"tripped at step {trip.step}, {trip.time_s:.3f} s: {trip.reason}"
         yield TextTable((), [("interlock", Cell(text, Mark.BAD))], numbers=False)
@@ -228,4 +228,4 @@ def _events(record: Record) -> Iterator[page.Block]:
         ]
         yield TextTable(("received", "from", "what"), rows, numbers=False)
     if trip is None and not events:
-        yield Text("No trip, and the record holds no states or warnings of nodes.")
+        yield Text("No trip, and the recording holds no states or warnings of nodes.")

@@ -12,7 +12,7 @@ from seft_ros.analysis.equivalent_motion import BAND_MARGIN
 from seft_ros.analysis.report_numbers import Report
 from seft_ros.analysis.summary import COMPARED, strong_part
 from seft_ros.analysis.tracking import Tracked
-from seft_ros.bags.record import Record
+from seft_ros.bags.recording import Recording
 from seft_ros.drawing import page, style
 from seft_ros.drawing.page import Block, PageSection, Plot, Text, against, line, plot
 from seft_ros.drawing.style import Number, axis_label, percent, rows_of
@@ -61,7 +61,7 @@ _TARGET = (
 
 def ground_motion(report: Report) -> Iterator[Block]:
     """Numbers of a test's own ground motion, and its response spectrum for each axis."""
-    difference, axes = report.difference, report.record.experiment.axes
+    difference, axes = report.difference, report.recording.experiment.axes
     if difference is None:
         yield Text(_UNKNOWN)
         return
@@ -91,13 +91,13 @@ def ground_motion(report: Report) -> Iterator[Block]:
 
 def history_sections(report: Report, column: int, title: str) -> Iterator[PageSection]:
     """One section for each quantity of an axis: the whole test, and windows at peaks."""
-    record = report.record
-    states, dt = record.states, record.experiment.timebase.dt
+    recording = report.recording
+    states, dt = recording.states, recording.experiment.timebase.dt
     if not len(states.steps):
         return
     time = states.steps * dt
     shared = page.time_range([0.0, time[-1]])
-    shared.start, shared.end = strong_part(record)
+    shared.start, shared.end = strong_part(recording)
     for name in style.RESPONSES:
         _, scale = style.DISPLAY_UNITS[name]
         y, exact = states.values[:, COMPARED[name], column] * scale, None
@@ -112,8 +112,8 @@ def history_sections(report: Report, column: int, title: str) -> Iterator[PageSe
             ends = x_range.bounds or (x_range.start, x_range.end)
             known = None if exact is None else _within(ends, dt * np.arange(len(exact)), exact)
             against(panel, known, _within(ends, time, y))
-            if x_range is shared and record.trip is not None:
-                page.mark(panel, record.trip.time_s)
+            if x_range is shared and recording.trip is not None:
+                page.mark(panel, recording.trip.time_s)
             blocks.append(Plot(panel, caption, wide=x_range is shared))
         yield PageSection(f"{name.capitalize()}{title}", blocks)
 
@@ -142,7 +142,7 @@ def _places(
 
 def tracking(report: Report, signals: Tracked, column: int) -> Iterator[Block]:
     """Tracking of an axis: numbers, and time history."""
-    experiment = report.record.experiment
+    experiment = report.recording.experiment
     yield Text(_INTENDED[signals.derived])
     yield TextTable((), rows_of(_TRACKING, report.summary["tracking"][experiment.axes[column]]))
     if len(signals.steps) < 2:
@@ -156,9 +156,9 @@ def tracking(report: Report, signals: Tracked, column: int) -> Iterator[Block]:
 
 def hysteresis(report: Report, column: int) -> Iterator[Block]:
     """Restoring force over displacement of an axis, test and reference."""
-    states, exact = report.record.states, report.reference
+    states, exact = report.recording.states, report.reference
     try:
-        mass = tested_specimen(report.record.experiment).mass
+        mass = tested_specimen(report.recording.experiment).mass
     except (InputError, KeyError):
         yield Text("The specimen's mass is not known.")
         return
@@ -177,12 +177,12 @@ def hysteresis(report: Report, column: int) -> Iterator[Block]:
     yield Plot(panel, caption, wide=True)
 
 
-def computed_model(record: Record) -> Iterator[Block]:
+def computed_model(recording: Recording) -> Iterator[Block]:
     """Give what a computed model recorded: its hysteresis, and all that it tells over time."""
-    found, axes = record.estimates, record.experiment.axes
+    found, axes = recording.estimates, recording.experiment.axes
     if found is None:
         return
-    time = found.steps * record.experiment.timebase.dt
+    time = found.steps * recording.experiment.timebase.dt
     for name in (name for name in found.names if name.startswith(OF_MODEL)):
         values = found.values[:, found.names.index(name)]
         shared = bool((values == values[:, :1]).all())  # of no axis, or the only one
@@ -212,7 +212,7 @@ def spectra(report: Report, column: int) -> Iterator[Block]:
     for name, by_axis in report.spectra.items():
         test, exact = by_axis[column]
         if len(test.frequency_hz) < 2:
-            yield Text("The record is too short for spectra.")
+            yield Text("The recording is too short for spectra.")
             return
         unit, scale = style.DISPLAY_UNITS[name]
         panel = plot("frequency / Hz", f"{name} / ({unit}/√Hz)", log_x=True, log_y=True)
@@ -230,7 +230,7 @@ def energy(report: Report) -> Iterator[Block]:
     if not report.energies:
         yield Text("No energy balance: the specimen is unknown, or samples are missing.")
         return
-    panel, dt = plot("time / s", "energy / J"), report.record.experiment.timebase.dt
+    panel, dt = plot("time / s", "energy / J"), report.recording.experiment.timebase.dt
     for (name, (steps, part)), color in zip(report.energies.items(), style.OTHERS, strict=False):
         line(panel, steps * dt, part, name, color=color)
     closure = report.summary["energy"]["closure"]

@@ -1,4 +1,4 @@
-"""Summaries and comparisons of tests for people: tables, verdicts, where records differ."""
+"""Summaries and comparisons of tests for people: tables, verdicts, where recordings differ."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -7,13 +7,13 @@ from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.wire.topics import LOOP_TOPICS, TARGET
 from seft_plant_sim.rig_parameters import LIMIT_UNITS
 
-from seft_ros.analysis.judgement import (
+from seft_ros.analysis.assessment import (
     calibration_findings,
     ramp_note,
     response_findings,
     verdict_line,
 )
-from seft_ros.bags.record import Record
+from seft_ros.bags.recording import Recording
 from seft_ros.drawing.style import (
     DISPLAY_UNITS,
     RESPONSES,
@@ -36,7 +36,7 @@ FIELD_UNITS = {
 
 OF_THE_MODEL = (
     "The reference response is that of the assumed specimen (reference_force: model): these "
-    "errors include how the real one differs from it, and judge no test."
+    "errors include how the real one differs from it, and assess no test."
 )
 
 
@@ -62,25 +62,25 @@ def _agreement_rows(part: dict[str, Any], prefix: str = "") -> Iterator[list[str
         ]
 
 
-def summary_texts(record: Record, summary: dict[str, Any]) -> Texts:
+def summary_texts(recording: Recording, summary: dict[str, Any]) -> Texts:
     """Show a test on the terminal: what it was, how it agrees with the reference, its verdict."""
     mark = _mark(summary)
     facts = TextTable((), [*test_rows(summary), *_finding_rows(summary, mark)])
     table: Texts = [agreement_table(summary)]
     if summary["reference_specimen"] == "model":
         table.append(OF_THE_MODEL)
-    return [title_of(record), facts, *table, Cell(verdict_line(summary), mark)]
+    return [title_of(recording), facts, *table, Cell(verdict_line(summary), mark)]
 
 
-def title_of(record: Record) -> str:
+def title_of(recording: Recording) -> str:
     """Name method, mass ratio, compensation and rate of a test in one line."""
-    section = record.experiment.sections.get("reference_force", {})
+    section = recording.experiment.sections.get("reference_force", {})
     parts = [str(section.get("method", "test")).upper()]
     if "mass_ratio" in section:
         parts.append(f"mass ratio {section['mass_ratio']:g}")
     if "compensation.method" in section:
         parts.append(f"compensation {section['compensation.method']}")
-    parts.append(f"{record.experiment.timebase.rate:g} Hz")
+    parts.append(f"{recording.experiment.timebase.rate:g} Hz")
     return ", ".join(parts)
 
 
@@ -150,13 +150,13 @@ def test_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         duration += f", in {summary['wall_s']:.3g} s ({pace})"
     return [
         *(motion_rows(motion) if motion else [("ground motion", "unknown")]),
-        *_zero_rows(summary["zeroed"]),
+        *_bias_rows(summary["zeroed"]),
         ("rate and steps", f"{summary['rate_hz']:g} Hz, {summary['steps']} steps"),
         ("duration", duration),
     ]
 
 
-def _zero_rows(zeroed: dict[str, Any] | None) -> list[tuple[str, str]]:
+def _bias_rows(zeroed: dict[str, Any] | None) -> list[tuple[str, str]]:
     """Say what the rig subtracts of its channels since it measured them at rest, if anything."""
     if zeroed is None:
         return []
@@ -228,9 +228,9 @@ def legend(label: str, bag: dict[str, Any]) -> str:
 
 
 def comparison_texts(comparison: dict[str, Any]) -> Texts:
-    """Show how two records differ: by quantity, in samples, and where they first do.
+    """Show how two recordings differ: by quantity, in samples, and where they first do.
 
-    ``comparison`` is what `seft_ros.analysis.comparison.compare_records` gives.
+    ``comparison`` is what `seft_ros.analysis.comparison.compare_recordings` gives.
     """
     rows = []
     for topic, row in comparison["topics"].items():
@@ -238,17 +238,17 @@ def comparison_texts(comparison: dict[str, Any]) -> Texts:
             known = error if row["compared"] else {"max_abs": None, "nrmse": None}
             largest = number(known["max_abs"], 1.0, FIELD_UNITS.get((topic, field), ""), ".2g")
             rows.append([f"{topic} {field}", largest, small_percent(known["nrmse"])])
-    told, *more = _differences(comparison)
+    first, *more = _differences(comparison)
     return [
         TextTable(("difference", "largest", "NRMSE"), rows),
-        Cell(told, Mark.GOOD if comparison["identical"] else Mark.BAD),
+        Cell(first, Mark.GOOD if comparison["identical"] else Mark.BAD),
         *_sample_counts(comparison),
         *more,
     ]
 
 
 def _sample_counts(comparison: dict[str, Any]) -> Iterator[str]:
-    """Say of each topic on which samples are missing how many either record has."""
+    """Say of each topic on which samples are missing how many either recording has."""
     for topic, row in comparison["topics"].items():
         if row["missing_a"] or row["missing_b"]:
             yield (
@@ -258,7 +258,7 @@ def _sample_counts(comparison: dict[str, Any]) -> Iterator[str]:
 
 
 def _differences(comparison: dict[str, Any]) -> list[str]:
-    """Say how two records differ, the verdict first."""
+    """Say how two recordings differ, the verdict first."""
     first, value = comparison["first_difference"], comparison["first_value_difference"]
     counts, lengths = comparison["missed"], comparison["length_s"]
     missed = ", ".join(f"{counts[name]} in {name}" for name in "ab" if counts[name])

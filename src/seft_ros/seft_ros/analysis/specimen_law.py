@@ -1,4 +1,4 @@
-"""How the specimen of a test would have answered another ground motion, by the law of its record.
+"""How a specimen would have answered another ground motion, by the law of its recording.
 
 The restoring force that was measured is fitted by stop operators (`slide`), a rising curve and a
 damper of each spring's deformation e = D x. None of them gives energy: a law that did would let
@@ -193,7 +193,7 @@ def _differ(
     moved: Floats,
     work: tuple[Floats, Floats, Floats],
 ) -> None:
-    """Integrate the difference; springs by central differences, the rest by average acceleration.
+    """Integrate the difference; springs by central differences, the others by average acceleration.
 
     ``work`` are stop operators of both motions, last deformations and velocities.
     """

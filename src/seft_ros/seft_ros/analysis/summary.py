@@ -16,7 +16,7 @@ from seft_msgs_py.wire.topics import (
     REFERENCE_FORCE,
     RIG_STATE,
 )
-from seft_plant_sim.calibration import zeros_of_all
+from seft_plant_sim.calibration import biases_of_all
 from seft_plant_sim.computed_model import ModelError
 from seft_plant_sim.lti import split_dead_time
 from seft_plant_sim.specimen import EnergyBalance, energy_balance
@@ -32,12 +32,12 @@ from seft_ros.analysis.equivalent_motion import MotionDifference, motion_differe
 from seft_ros.analysis.metrics import Agreement, agreement, common_steps, peak
 from seft_ros.analysis.timing import link_numbers, timing_of
 from seft_ros.analysis.tracking import tracking_error_of, tracking_of
-from seft_ros.bags.record import Estimates, Record, every_step
+from seft_ros.bags.recording import Estimates, Recording, every_step
 from seft_ros.drawing.style import json_safe
 from seft_ros.force_controller.detection import detector_shares
 from seft_ros.ground_motion.ground_motion_block import MOTION
 from seft_ros.ground_motion.response_spectrum import significant_parts
-from seft_ros.protection.zeros import judge_zeros
+from seft_ros.protection.biases import check_biases
 
 COMPARED = {
     "displacement": RIG_STATE.quantities.index("positions"),
@@ -51,28 +51,28 @@ ENERGIES = ("input", "kinetic", "strain", "damped", "hysteretic")
 
 
 def summarise(
-    record: Record,
+    recording: Recording,
     reference: ReferenceResponse | None = None,
     balance: EnergyBalance | None = None,
     difference: MotionDifference | None = None,
 ) -> dict[str, Any]:
     """Summarise a test.
 
-    What `reference_of` gives of the record, and `balance_of` and `motion_difference` of its
-    `judged_part`, is computed if not given.
+    What `reference_of` gives of the recording, and `balance_of` and `motion_difference` of its
+    `assessed_part`, is computed if not given.
 
     Returns
     -------
     dict
         ``steps`` (from 0 to the last recorded), ``judged_steps`` (of which errors and energies are,
-        see `judged_part`), ``first_step`` (the first recorded), ``rate_hz``, ``duration_s``,
+        see `assessed_part`), ``first_step`` (the first recorded), ``rate_hz``, ``duration_s``,
         ``wall_s``, ``realtime_factor``, ``complete``, ``damage`` (what is wrong with its bag, and
         missing), ``checked`` (changed samples would have been noticed), ``stable`` (no trip, and
         all samples finite), ``trip`` (reason, step, time_s), ``missed`` (steps that missed the
         command deadline), ``overruns`` (of the rig's sampling), ``timing`` (see `timing_of`),
         ``simulated`` (largest true motion of a simulated rig, see `Simulated`),
         ``saturated`` (stroke, force_capacity, valve, a sensor's range -> samples and first_step),
-        ``link`` (see `link_numbers`), ``lost`` (samples missing from the record, by topic),
+        ``link`` (see `link_numbers`), ``lost`` (samples missing from the recording, by topic),
         ``ground_motion`` (see `seft_ros.ground_motion.ground_motion_block.motion_facts`),
         ``energy`` (see `energy_numbers`), ``estimates`` (identified on line by the compensation:
         name -> axis -> first, last, least and largest, SI units), ``equivalent_motion`` (see
@@ -80,119 +80,119 @@ def summarise(
         `CalibrationCheck.numbers`), ``tracking_error`` (see `tracking_error`), ``detectors`` (of
         faults, see `shares_of`), ``replaced`` (values of each channel that were wrong, and were
         replaced), ``reference_specimen`` (of the reference response: ``simulated``,
-        or the ``model``, by which no test can be judged), ``tracking`` (see `tracking_of`), and for
-        displacement (m), acceleration (m/s^2) and force (N) the fields of `Agreement`, over all
+        or the ``model``, by which no test can be assessed), ``tracking`` (see `tracking_of`), and
+        for displacement (m), acceleration (m/s^2) and force (N) the fields of `Agreement`, over all
         axes; ``axes`` has the same three for each axis.
         Null: unknown, undefined or not there.
     """
     if reference is None:
-        reference = reference_of(record)
-    steps, recorded = _steps(record), record.states.steps
-    judged, reference = judged_part(record, reference)
-    duration = steps * record.experiment.timebase.dt
-    timing = timing_of(record)
-    axes = record.experiment.axes
+        reference = reference_of(recording)
+    steps, recorded = _steps(recording), recording.states.steps
+    assessed, reference = assessed_part(recording, reference)
+    duration = steps * recording.experiment.timebase.dt
+    timing = timing_of(recording)
+    axes = recording.experiment.axes
     by_axis = {
-        axis: _responses(judged, reference, slice(column, column + 1))
+        axis: _responses(assessed, reference, slice(column, column + 1))
         for column, axis in enumerate(axes)
     }
-    difference = difference or motion_difference(judged)
-    check = calibration_check(judged)
-    simulated = is_simulated(record.experiment)
+    difference = difference or motion_difference(assessed)
+    check = calibration_check(assessed)
+    simulated = is_simulated(recording.experiment)
     found = {
-        **_outcome(record),
-        "judged_steps": _steps(judged),
+        **_outcome(recording),
+        "judged_steps": _steps(assessed),
         "first_step": int(recorded[0]) if len(recorded) else None,
-        "rate_hz": record.experiment.timebase.rate,
+        "rate_hz": recording.experiment.timebase.rate,
         "duration_s": duration,
-        "wall_s": record.wall_s,
-        "realtime_factor": duration / record.wall_s if record.wall_s else None,
-        "complete": record.complete,
-        "damage": record.damage,
-        "checked": record.checked,
-        "missed": record.missed,
-        "overruns": record.overruns,
+        "wall_s": recording.wall_s,
+        "realtime_factor": duration / recording.wall_s if recording.wall_s else None,
+        "complete": recording.complete,
+        "damage": recording.damage,
+        "checked": recording.checked,
+        "missed": recording.missed,
+        "overruns": recording.overruns,
         "timing": timing and timing.numbers,
-        "link": link_numbers(record),
+        "link": link_numbers(recording),
         "lost": {
-            topic.name: steps - int(np.searchsorted(record.series[topic.name].steps, steps))
+            topic.name: steps - int(np.searchsorted(recording.series[topic.name].steps, steps))
             for topic in LOOP_TOPICS
-            if topic is not JUDGED or _has_judged(record)
+            if topic is not JUDGED or _has_judged(recording)
         },
-        "ground_motion": record.facts.get(GROUND_MOTION.name, {}).get(MOTION),
-        "zeroed": zeroed_in(record),
-        "energy": energy_numbers(balance or balance_of(judged)),
-        "estimates": _estimates(judged.estimates, axes),
+        "ground_motion": recording.facts.get(GROUND_MOTION.name, {}).get(MOTION),
+        "zeroed": zeroed_in(recording),
+        "energy": energy_numbers(balance or balance_of(assessed)),
+        "estimates": _estimates(assessed.estimates, axes),
         "equivalent_motion": difference and difference.numbers(),
         "calibration": check and check.numbers(),
-        "tracking_error": tracking_error_of(judged),
-        "detectors": shares_of(judged),
-        "replaced": replaced_in(record),
+        "tracking_error": tracking_error_of(assessed),
+        "detectors": shares_of(assessed),
+        "replaced": replaced_in(recording),
         "reference_specimen": ("simulated" if simulated else "model") if reference else None,
-        "tracking": tracking_of(judged),
-        **(by_axis[axes[0]] if len(axes) == 1 else _responses(judged, reference, slice(None))),
+        "tracking": tracking_of(assessed),
+        **(by_axis[axes[0]] if len(axes) == 1 else _responses(assessed, reference, slice(None))),
         "axes": by_axis,
     }
     return json_safe(found)
 
 
-def zeroed_in(record: Record) -> dict[str, Any] | None:
+def zeroed_in(recording: Recording) -> dict[str, Any] | None:
     """Give what the rigs measured at rest: None if nothing, or nothing that can be read.
 
     ``subtracted`` and ``left`` as of `seft_plant_sim.calibration.zeroed_at_rest`, over the test's
-    axes; ``warning`` as of `judge_zeros`.
+    axes; ``warning`` as of `check_biases`.
     """
-    experiment, axes = record.experiment, len(record.experiment.axes)
+    experiment, axes = recording.experiment, len(recording.experiment.axes)
     nodes = [(rig.places, rig.node(RIG)) for rig in experiment.rigs]
-    if not any(node in record.facts for _, node in nodes):  # an offline test has one for all
+    if not any(node in recording.facts for _, node in nodes):  # an offline test has one for all
         nodes = [(tuple(range(axes)), RIG)]
     try:
-        parts = [(places, record.facts[node][ZEROED]) for places, node in nodes]
-        whole = zeros_of_all(axes, parts)
+        parts = [(places, recording.facts[node][ZEROED]) for places, node in nodes]
+        whole = biases_of_all(axes, parts)
     except (KeyError, TypeError, ValueError, IndexError):
         return None
     sections = experiment.sections
     limits = group(sections.get("rig", sections.get("supervisor", {})), "limits")
     known = set(CHANNELS) <= set(limits)
-    return whole | {"warning": judge_zeros(whole, limits).warning if known else ""}
+    return whole | {"warning": check_biases(whole, limits).warning if known else ""}
 
 
-def summarise_briefly(record: Record, reference: ReferenceResponse) -> dict[str, Any]:
+def summarise_briefly(recording: Recording, reference: ReferenceResponse) -> dict[str, Any]:
     """Of what `summarise` gives: steps, stable, trip, saturated, displacement, acceleration, force.
 
-    For many tests of which no more is wanted: the rest takes most of the time.
+    For many tests of which no more is wanted: the other numbers take most of the time.
     """
-    judged, known = judged_part(record, reference)
-    return json_safe({**_outcome(record), **_responses(judged, known, slice(None))})
+    assessed, known = assessed_part(recording, reference)
+    return json_safe({**_outcome(recording), **_responses(assessed, known, slice(None))})
 
 
-def judged_part(
-    record: Record, reference: ReferenceResponse | None = None
-) -> tuple[Record, ReferenceResponse | None]:
+def assessed_part(
+    recording: Recording, reference: ReferenceResponse | None = None
+) -> tuple[Recording, ReferenceResponse | None]:
     """Cut a tripped test, and its reference response, where the force began to come down.
 
     The ramp-down is no part of the planned test: no reference response holds for it.
     """
-    if record.trip is None or record.trip.step + 1 >= _steps(record):
-        return record, reference
-    last = record.trip.step
-    series = {name: one.until(last) for name, one in record.series.items()}
-    estimates = record.estimates and record.estimates.until(last)
+    if recording.trip is None or recording.trip.step + 1 >= _steps(recording):
+        return recording, reference
+    last = recording.trip.step
+    series = {name: one.until(last) for name, one in recording.series.items()}
+    estimates = recording.estimates and recording.estimates.until(last)
     if estimates is not None and not len(estimates.steps):
         estimates = None
     if reference is not None:
         parts = {part.name: getattr(reference, part.name)[: last + 1] for part in fields(reference)}
         reference = ReferenceResponse(**parts)
-    return replace(record, series=series, estimates=estimates), reference
+    return replace(recording, series=series, estimates=estimates), reference
 
 
-def reference_of(record: Record) -> ReferenceResponse | None:
-    """Exact response of the whole structure at every step from 0 to the record's last.
+def reference_of(recording: Recording) -> ReferenceResponse | None:
+    """Exact response of the whole structure at every step from 0 to the recording's last.
 
     Returns
     -------
     ReferenceResponse or None
-        Arrays of shape (N, n); None if the record holds no rig state, not the ground motion
+        Arrays of shape (N, n); None if the recording holds no rig state, not the ground motion
         of all N steps, or nothing of the reference-force node's parameters.
 
     Raises
@@ -200,14 +200,14 @@ def reference_of(record: Record) -> ReferenceResponse | None:
     InputError
         If parameters are missing that describe the structure, or make none.
     """
-    motion, count = record.series[GROUND_MOTION.name], _steps(record)
+    motion, count = recording.series[GROUND_MOTION.name], _steps(recording)
     whole = count > 0 and np.array_equal(motion.steps[:count], np.arange(count))
-    if not whole or "reference_force" not in record.experiment.sections:
+    if not whole or "reference_force" not in recording.experiment.sections:
         return None
     try:
-        return reference_response(record.experiment, motion.values[:count, 0, :])
+        return reference_response(recording.experiment, motion.values[:count, 0, :])
     except ModelError:
-        if record.trip is None:
+        if recording.trip is None:
             raise
         return None  # the test has failed of the same
     except KeyError as error:
@@ -217,22 +217,22 @@ def reference_of(record: Record) -> ReferenceResponse | None:
         ) from None
 
 
-def balance_of(record: Record) -> EnergyBalance | None:
+def balance_of(recording: Recording) -> EnergyBalance | None:
     """Energies of the specimen at each step, as measured, from step 0.
 
     None if the specimen is not known, or samples are missing or not finite.
     """
-    states = record.states
+    states = recording.states
     count = len(states.steps)
     whole = count > 1 and np.array_equal(states.steps, np.arange(count))
     if not whole or not np.isfinite(states.values).all():
         return None
     try:
-        specimen = tested_specimen(record.experiment)
+        specimen = tested_specimen(recording.experiment)
     except KeyError:
         return None
     displacement, velocity, _, force = np.moveaxis(states.values, 1, 0)
-    dt, held = record.experiment.timebase.dt, _held(record.experiment)
+    dt, held = recording.experiment.timebase.dt, _held(recording.experiment)
     with np.errstate(over="ignore", invalid="ignore"):  # of a test that went unstable
         return energy_balance(specimen, displacement, velocity, force, dt, held=held)
 
@@ -261,24 +261,24 @@ def energy_numbers(balance: EnergyBalance | None) -> dict[str, float] | None:
         return {**energies, "closure": float(np.abs(balance.error).max())}
 
 
-def _outcome(record: Record) -> dict[str, Any]:
+def _outcome(recording: Recording) -> dict[str, Any]:
     """How far a test came, and how it ended."""
-    trip = record.trip
-    finite = all(np.isfinite(series.values).all() for series in record.series.values())
+    trip = recording.trip
+    finite = all(np.isfinite(series.values).all() for series in recording.series.values())
     return {
-        "steps": _steps(record),
+        "steps": _steps(recording),
         "stable": trip is None and finite,
         "trip": trip and {"reason": trip.reason, "step": trip.step, "time_s": trip.time_s},
-        "saturated": dict(sorted(record.saturation.items())),
-        "simulated": record.simulated and asdict(record.simulated),
+        "saturated": dict(sorted(recording.saturation.items())),
+        "simulated": recording.simulated and asdict(recording.simulated),
     }
 
 
 def _responses(
-    record: Record, reference: ReferenceResponse | None, columns: slice
+    recording: Recording, reference: ReferenceResponse | None, columns: slice
 ) -> dict[str, dict[str, Any]]:
     """Measures of displacement, acceleration and force on some axes."""
-    states, dt = record.states, record.experiment.timebase.dt
+    states, dt = recording.states, recording.experiment.timebase.dt
     found = {}
     for name, row in COMPARED.items():
         y = states.values[:, row, columns]
@@ -306,51 +306,51 @@ def _estimates(
     }
 
 
-def shares_of(record: Record) -> dict[str, float] | None:
+def shares_of(recording: Recording) -> dict[str, float] | None:
     """Say how near each detector of faults came to its threshold, see `detector_shares`.
 
     None where it is not known: the configuration is not recorded, or no sample was answered.
     """
-    section = record.experiment.sections.get("force_controller", {})
-    states, forces = (record.series[topic.name] for topic in (RIG_STATE, REFERENCE_FORCE))
+    section = recording.experiment.sections.get("force_controller", {})
+    states, forces = (recording.series[topic.name] for topic in (RIG_STATE, REFERENCE_FORCE))
     steps, at_states, at_forces = common_steps(states.steps, forces.steps)
     if "specimen.mass" not in section or not len(steps):
         return None
     measured, forces_there = states.values[at_states], forces.values[at_forces]
     with np.errstate(over="ignore", invalid="ignore"):
-        return detector_shares(record.experiment, steps, forces_there, measured)
+        return detector_shares(recording.experiment, steps, forces_there, measured)
 
 
-def _has_judged(record: Record) -> bool:
+def _has_judged(recording: Recording) -> bool:
     """Say whether judged samples were recorded: others record none."""
-    return JUDGED.name in record.series and len(record.series[JUDGED.name].steps) > 0
+    return JUDGED.name in recording.series and len(recording.series[JUDGED.name].steps) > 0
 
 
-def replaced_in(record: Record) -> dict[str, int]:
+def replaced_in(recording: Recording) -> dict[str, int]:
     """Count the values that were wrong and replaced, by channel."""
-    measured, judged = record.series[RIG_STATE.name].values, record.states.values
+    measured, judged = recording.series[RIG_STATE.name].values, recording.states.values
     count = np.count_nonzero(measured[:, :4] != judged, axis=(0, 2))
     return dict(zip(CHANNELS, count.tolist(), strict=True))
 
 
-def strong_part(record: Record) -> tuple[float, float]:
+def strong_part(recording: Recording) -> tuple[float, float]:
     """Choose the times between which a test is drawn at first, s.
 
     From a second before 5 % of the ground motion's Arias intensity to two after 95 %, on any axis,
     and up to a trip at least. All of the test where the ground motion is not known.
     """
-    dt, motion = record.experiment.timebase.dt, record.series[GROUND_MOTION.name]
-    end = max(_steps(record) - 1, 1) * dt
+    dt, motion = recording.experiment.timebase.dt, recording.series[GROUND_MOTION.name]
+    end = max(_steps(recording) - 1, 1) * dt
     if len(motion.steps) < 2 or motion.steps[0] != 0 or not np.any(motion.values):
         return 0.0, end
     every = np.arange(motion.steps[-1] + 1)
     starts, ends = zip(*significant_parts(every_step(motion, every)[:, 0], dt), strict=True)
     last = max(ends) + AFTER
-    if record.trip is not None:
-        last = max(last, record.trip.time_s + AFTER)
+    if recording.trip is not None:
+        last = max(last, recording.trip.time_s + AFTER)
     return max(min(starts) - BEFORE, 0.0), min(last, end)
 
 
-def _steps(record: Record) -> int:
-    steps = record.states.steps
+def _steps(recording: Recording) -> int:
+    steps = recording.states.steps
     return int(steps[-1]) + 1 if len(steps) else 0

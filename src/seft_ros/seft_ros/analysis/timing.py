@@ -15,7 +15,7 @@ from seft_msgs_py.wire.outcome import REHEARSED, RIG
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 
 from seft_ros.analysis.metrics import common_steps
-from seft_ros.bags.record import Record
+from seft_ros.bags.recording import Recording
 
 _Floats = npt.NDArray[np.floating[Any]]
 
@@ -43,21 +43,21 @@ class Timing:
     numbers: dict[str, Any]
 
 
-def timing_of(record: Record) -> Timing | None:
+def timing_of(recording: Recording) -> Timing | None:
     """Find round trips; None if messages were not received one by one (offline loop)."""
-    if record.environment.get("mode") == "simulate":
+    if recording.environment.get("mode") == "simulate":
         return None
-    states, commands = (record.series[topic.name] for topic in (RIG_STATE, VALVE_COMMAND))
+    states, commands = (recording.series[topic.name] for topic in (RIG_STATE, VALVE_COMMAND))
     if not len(commands.steps):  # an idealised actuator obeys the reference force itself
-        commands = record.series[REFERENCE_FORCE.name]
+        commands = recording.series[REFERENCE_FORCE.name]
     if states.received_ns is None or commands.received_ns is None:
         return None
     _, at_state, at_command = common_steps(states.steps, commands.steps)
     trips = (commands.received_ns[at_command] - states.received_ns[at_state]) * 1e-9
-    dt = record.experiment.timebase.dt
+    dt = recording.experiment.timebase.dt
     percentiles = np.percentile(trips, _PERCENTILES).tolist() if len(trips) else []
     numbers = {
-        "paced": record.experiment.sections.get("rig", {}).get("pace") != "lockstep",
+        "paced": recording.experiment.sections.get("rig", {}).get("pace") != "lockstep",
         "period_s": dt,
         "round_trip_s": {
             **{f"p{p:g}": v for p, v in zip(_PERCENTILES, percentiles, strict=False)},
@@ -65,14 +65,14 @@ def timing_of(record: Record) -> Timing | None:
             "over_a_period": int((trips > dt).sum()),
             "steps": len(trips),
         },
-        "round_trip_at_the_rig_s": record.round_trips,
-        "rehearsal": record.facts.get(RIG, {}).get(REHEARSED),
-        "stalls": stalls_of(record),
+        "round_trip_at_the_rig_s": recording.round_trips,
+        "rehearsal": recording.facts.get(RIG, {}).get(REHEARSED),
+        "stalls": stalls_of(recording),
     }
     return Timing(trips, numbers)
 
 
-def stalls_of(record: Record) -> dict[str, Any] | None:
+def stalls_of(recording: Recording) -> dict[str, Any] | None:
     """Compare a test's missed steps with the scheduling stalls of its host.
 
     Returns
@@ -81,19 +81,19 @@ def stalls_of(record: Record) -> dict[str, Any] | None:
         From a bare process that slept on the loop's core during the test: ``beats`` (deadlines it
         slept to), ``count`` (those that it met late), ``late_s`` (what counts as late) and
         ``longest_s``; ``missed_listed`` (listed steps that missed the command deadline and are in
-        the record) and ``missed_in_a_stall`` (those in whose period it was late; a period begins
+        the recording) and ``missed_in_a_stall`` (those in whose period it was late; a period begins
         when the state was due, a period after the one before). None where no such process ran:
         the offline loop, lockstep, a rig on another host.
     """
-    seen = record.environment.get("stalls")
+    seen = recording.environment.get("stalls")
     if not isinstance(seen, dict):
         return None
-    states = record.states
+    states = recording.states
     intervals = np.array(seen["intervals_ns"], dtype=np.int64).reshape(-1, 2)
     listed = attributed = 0
     if states.received_ns is not None:
-        period_ns, received = record.experiment.timebase.period_ns, states.received_ns
-        steps = np.array(record.missed_steps, dtype=np.int64)
+        period_ns, received = recording.experiment.timebase.period_ns, states.received_ns
+        steps = np.array(recording.missed_steps, dtype=np.int64)
         steps = steps[np.isin(steps, states.steps)]
         at = np.searchsorted(states.steps, steps)
         end = received[at] + period_ns
@@ -102,11 +102,11 @@ def stalls_of(record: Record) -> dict[str, Any] | None:
         begin = np.minimum(begin, received[at])
         overlaps = (intervals[:, 0] < end[:, np.newaxis]) & (intervals[:, 1] > begin[:, np.newaxis])
         listed, attributed = len(steps), int(overlaps.any(axis=1).sum())
-    told = {name: seen[name] for name in ("beats", "count", "late_s", "longest_s")}
-    return told | {"missed_listed": listed, "missed_in_a_stall": attributed}
+    shown = {name: seen[name] for name in ("beats", "count", "late_s", "longest_s")}
+    return shown | {"missed_listed": listed, "missed_in_a_stall": attributed}
 
 
-def link_numbers(record: Record) -> dict[str, Any] | None:
+def link_numbers(recording: Recording) -> dict[str, Any] | None:
     """Summarise what the force controller counted on the link of a test on several hosts.
 
     ``loop_delay`` (steps), ``age`` of the messages in steps (p50, p99, largest), ``late`` (forces
@@ -114,7 +114,7 @@ def link_numbers(record: Record) -> dict[str, Any] | None:
     message reached: the one before was held), ``forces`` (all of them). None where no link is
     between reference force and force controller, or it counted nothing.
     """
-    link, section = record.link, record.experiment.sections.get("reference_force", {})
+    link, section = recording.link, recording.experiment.sections.get("reference_force", {})
     loop_delay = section.get("loop_delay", 0)
     if link is None or not loop_delay or not (total := sum(link.ages.values())):
         return None

@@ -13,7 +13,7 @@ from seft_plant_sim.whole_structure import whole_structure
 
 from seft_ros.analysis import metrics
 from seft_ros.analysis.equivalent_motion import EquivalentMotion, assumed_structure
-from seft_ros.bags.record import Record, every_step
+from seft_ros.bags.recording import Recording, every_step
 
 SENT_AS_MEANT = ("none", "restoring", "target_motion")
 """Compensation methods whose reference force is that of its own step; others send it ahead."""
@@ -44,7 +44,7 @@ class Tracked:
     derived: bool
 
 
-def tracked_of(record: Record) -> Tracked:
+def tracked_of(recording: Recording) -> Tracked:
     """Pair the intended with the measured force.
 
     The intended force is the reference force of the same step; where the compensation method
@@ -52,27 +52,27 @@ def tracked_of(record: Record) -> Tracked:
     algebraic loop solved"). With the test's own ground motion a_eq this is
     f* = f + M_e (a_eq - a_g), whatever is computed.
     """
-    commands, motion = (record.series[topic.name] for topic in (REFERENCE_FORCE, GROUND_MOTION))
-    states = record.states
+    commands, motion = (recording.series[topic.name] for topic in (REFERENCE_FORCE, GROUND_MOTION))
+    states = recording.states
     steps, _, _ = metrics.common_steps(commands.steps, states.steps)
     every = np.arange(steps[0], steps[-1] + 1) if len(steps) else steps
     counted = steps - every[:1]
     measured = every_step(states, every)
     force = measured[:, _FORCE]
-    section = record.experiment.sections.get("reference_force", {})
-    assumed = assumed_structure(record.experiment)
+    section = recording.experiment.sections.get("reference_force", {})
+    assumed = assumed_structure(recording.experiment)
     ahead = section.get("compensation.method", "none") not in SENT_AS_MEANT
     command = every_step(commands, every)[:, -1]  # effort, with a target's motion or not
     derived = bool(ahead and assumed and len(motion.steps) and len(every))
     if derived and assumed:
-        equivalent = EquivalentMotion(whole_structure(assumed), record.experiment.timebase.dt)
+        equivalent = EquivalentMotion(whole_structure(assumed), recording.experiment.timebase.dt)
         with np.errstate(over="ignore", invalid="ignore"):  # of a test that went unstable
             difference = equivalent.advance(measured) - every_step(motion, every)[:, 0]
             command = force + difference @ equivalent.mass.T
     return Tracked(every, counted, command, force, derived)
 
 
-def tracking_of(record: Record) -> dict[str, dict[str, float]]:
+def tracking_of(recording: Recording) -> dict[str, dict[str, float]]:
     """Measure the tracking of each axis.
 
     The intended force is that of `tracked_of`. Where it is the reference force of the same step,
@@ -86,10 +86,10 @@ def tracking_of(record: Record) -> dict[str, dict[str, float]]:
         Axis -> ``delay_s`` (best-fit pure delay, positive where the measured force m lags the
         intended one c), ``nrmse``, RMS(m - c) / RMS(c), and ``peak_error``, max|m - c| / max|c|.
     """
-    signals, dt = tracked_of(record), record.experiment.timebase.dt
+    signals, dt = tracked_of(recording), recording.experiment.timebase.dt
     found = {}
     with np.errstate(invalid="ignore", over="ignore"):  # of a test that went unstable
-        for column, axis in enumerate(record.experiment.axes):
+        for column, axis in enumerate(recording.experiment.axes):
             c, m = (y[:, column] for y in (signals.command, signals.force))
             error = (m - c)[signals.counted]
             found[axis] = {
@@ -100,7 +100,7 @@ def tracking_of(record: Record) -> dict[str, dict[str, float]]:
     return found
 
 
-def tracking_error_of(record: Record) -> dict[str, float] | None:
+def tracking_error_of(recording: Recording) -> dict[str, float] | None:
     """Compare the displacement of a test with its target; None: the reference force has none.
 
     Returns
@@ -109,7 +109,7 @@ def tracking_error_of(record: Record) -> dict[str, float] | None:
         ``rms`` and ``peak`` of x - x_target, m, over all axes, and ``nrmse``, that RMS over the
         RMS of x.
     """
-    targets, states = record.series[REFERENCE_FORCE.name], record.states
+    targets, states = recording.series[REFERENCE_FORCE.name], recording.states
     if targets.values.shape[1] < len(TARGET.quantities):
         return None
     _, at_targets, at_states = metrics.common_steps(targets.steps, states.steps)

@@ -1,1 +1,1 @@
-"""Bags: the record of a test, written, read and recovered."""
+"""Bags: the recording of a test, written, read and recovered."""

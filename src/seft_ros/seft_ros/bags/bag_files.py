@@ -1,4 +1,4 @@
-"""A bag on disk: what of it can be read, what is missing, and a whole bag made of the rest."""
+"""A bag on disk: what of it can be read, what is missing, and a whole bag made of it."""
 
 import os
 import re
@@ -135,15 +135,15 @@ class Bag:
                 self.sources.setdefault(name, source)
                 self.counts[name] += file.counts[number]
                 claimed[name] += (file.claimed or {}).get(number, 0)
-        told = metadata.counts
+        stated = metadata.counts
         if self._lacks_files or any(file.claimed is None for file in self._files):
-            claimed = Counter(told)
-        for name in {**self.counts, **claimed, **told}:
+            claimed = Counter(stated)
+        for name in {**self.counts, **claimed, **stated}:
             there, wanted = self.counts[name], claimed[name]
             if there < wanted:
                 self.damage.append(f"{name[0]}: {wanted - there} of {wanted} messages are missing")
-            elif told and told[name] != there:
-                self.damage.append(f"{METADATA} counts {told[name]} of {name[0]}, not {there}")
+            elif stated and stated[name] != there:
+                self.damage.append(f"{METADATA} counts {stated[name]} of {name[0]}, not {there}")
 
 
 @dataclass

@@ -187,7 +187,7 @@ class BagWriter:
                 raise ExperimentError(f"{why}; the bag lacks its end, and can be read as it is")
             self._done()
         if self._cut_off:
-            raise ExperimentError(f"{self._cut_off}; the rest of the bag can be read")
+            raise ExperimentError(f"{self._cut_off}; the remainder of the bag can be read")
 
     def save(self) -> Path:
         """Complete the bag, in another place if need be; give its folder.
@@ -346,7 +346,7 @@ def file_reason(error: Exception) -> str:
 
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
-    """Let a signal that ends this process wait: half a record would make the rest unreadable."""
+    """Let a signal that ends this process wait: after half a record no other can be read."""
     if threading.current_thread() is not threading.main_thread():
         yield  # signals are handled elsewhere
         return

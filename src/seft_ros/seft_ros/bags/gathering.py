@@ -20,7 +20,7 @@ from seft_msgs_py.wire.messages import (
     decode_diagnostics,
     decode_status,
 )
-from seft_msgs_py.wire.outcome import ENDED, STOPPED, LinkRecord, Outcome, State, Trip, read_outcome
+from seft_msgs_py.wire.outcome import ENDED, STOPPED, LinkReport, Outcome, State, Trip, read_outcome
 from seft_msgs_py.wire.topics import (
     GROUND_MOTION,
     NANOSECONDS_PER_SECOND,
@@ -33,7 +33,7 @@ from seft_msgs_py.wire.topics import (
 from seft_msgs_py.wire.trajectory import TrajectoryCodec, decode_batch
 
 from seft_ros.bags.message_blocks import MessageBlock
-from seft_ros.bags.record import Estimates, Event, Series, require_names, series_of
+from seft_ros.bags.recording import Estimates, Event, Series, require_names, series_of
 
 _MOST_EVENTS = 1000
 _LEVELS = {OK: "ok", WARN: "warn", ERROR: "error", STALE: "stale"}
@@ -154,7 +154,7 @@ class ReportGatherer:
     def __init__(self, timebase: Timebase) -> None:
         self.ending: Status | None = None
         self._outcomes: dict[str, Outcome] = {}  # of the rigs
-        self._links: dict[str, LinkRecord] = {}  # of the force controllers
+        self._links: dict[str, LinkReport] = {}  # of the force controllers
         self._last: dict[str, tuple[int, str]] = {}  # level and text, by node
         self._events: list[tuple[int, str, int, str]] = []
         self._timebase = timebase
@@ -168,7 +168,7 @@ class ReportGatherer:
             if (outcome := read_outcome(status, self._timebase)) is not None:
                 self._outcomes[status.name] = outcome
             if bare(status.name) == "force_controller" and "link" in status.values:
-                self._links[status.name] = LinkRecord.from_json(status.values["link"])
+                self._links[status.name] = LinkReport.from_json(status.values["link"])
 
     def take_state(self, raw: bytes, received_ns: int) -> None:
         """Take the next message of the supervisor."""
@@ -197,9 +197,9 @@ class ReportGatherer:
         found = list(self._outcomes.values())
         return Outcome.of_all(found) if len(found) >= rigs else None
 
-    def link(self) -> LinkRecord | None:
+    def link(self) -> LinkReport | None:
         """How messages arrived over links; None if no force controller reported it."""
-        return LinkRecord.of_all(self._links.values()) if self._links else None
+        return LinkReport.of_all(self._links.values()) if self._links else None
 
 
 def trip_of_messages(

@@ -28,7 +28,7 @@ def report(
     csv: Optional[Path] = option(None, "Write the time histories as csv.", "FILE"),
     json: Json = False,
 ) -> int:
-    """Judge a recorded test, and write a page about it.
+    """Assess a recorded test, and write a page about it.
 
     Writes one HTML page that needs no network: verdict, what was tested, displacement, force and
     acceleration against the exact response of the whole structure with windows at the peaks,
@@ -53,7 +53,7 @@ def report(
     from seft_ros.analysis.report_numbers import histories, report_numbers
     from seft_ros.analysis.report_page import write_report
     from seft_ros.analysis.result_text import agreement_table, test_rows, title_of
-    from seft_ros.bags.record_bag import read_bag
+    from seft_ros.bags.recording_bag import read_bag
     from seft_ros.drawing.page import check_page
     from seft_ros.drawing.table import Cell, Texts, TextTable, check_table, write_table
 
@@ -65,15 +65,15 @@ def report(
     stands(f"{page} is written")
     summary = findings.summary | {"bag": str(bag), "page": str(page)}
     if table is not None:
-        write_table(table, *histories(findings.record, findings.reference))
+        write_table(table, *histories(findings.recording, findings.reference))
         summary["csv"] = str(table)
-    judgement = findings.judgement
+    assessment = findings.assessment
     texts: Texts = [
-        title_of(findings.record),
+        title_of(findings.recording),
         TextTable((), test_rows(summary)),
         agreement_table(summary),
-        Cell(judgement.text, judgement.verdict),
-        *(Cell(f"  {finding.whole}", finding.verdict) for finding in judgement.findings),
+        Cell(assessment.text, assessment.verdict),
+        *(Cell(f"  {finding.whole}", finding.verdict) for finding in assessment.findings),
     ]
     show(summary, json, texts, "page", "csv")
     right = summary["stable"] and summary["complete"] and not summary["damage"]
@@ -105,8 +105,8 @@ def compare(
     """Compare two recorded tests, sample by sample, bit for bit.
 
     Samples are aligned by the step in their stamps, independent of duration and recorder; rate and
-    axes must be the same. If tests differ in length, the common part is compared, and the rest is
-    reported.
+    axes must be the same. If tests differ in length, the common part is compared, and the remainder
+    is reported.
 
     Bags are mcap or sqlite3, also those of ros2 bag record: compressed, split into files, with
     other topics.
@@ -131,16 +131,16 @@ def compare(
 
         seft compare bags/simulated bags/stock --json
     """
-    from seft_ros.analysis.comparison import compare_records, describe_bag
+    from seft_ros.analysis.comparison import compare_recordings, describe_bag
     from seft_ros.analysis.figures import comparison_figure
     from seft_ros.analysis.result_text import comparison_texts, legend
-    from seft_ros.bags.record_bag import read_bag
+    from seft_ros.bags.recording_bag import read_bag
     from seft_ros.drawing.style import check_figure, save_figure
 
     path = check_figure(figure) if figure is not None else None
     names = [str(bag), str(other)]
     a, b = (read_bag(name, damaged=True) for name in names)
-    result = compare_records(a, b)
+    result = compare_recordings(a, b)
     result["bags"] = [describe_bag(*one) for one in zip(names, (a, b), strict=True)]
     if path is not None:
         titles = [f"a: {bag.name}", f"b: {other.name}"]
@@ -148,8 +148,8 @@ def compare(
         result["figure"] = str(path)
     texts = [*map(legend, "ab", result["bags"]), *comparison_texts(result)]
     show(result, json, texts, "figure")
-    for name, record in zip(names, (a, b), strict=True):
-        for fault in record.damage:
+    for name, recording in zip(names, (a, b), strict=True):
+        for fault in recording.damage:
             complain(f"{name} is damaged: {fault}")
     return 0 if result["identical"] else 1
 

@@ -39,8 +39,8 @@ def preflight(
     A computed model enters the loop with its tangent at rest. Its steps are timed along the
     motion of the planned test.
 
-    Exit status 1: the plan is unstable, uses too little or too much of a sensor's range, or its
-    computed model is too slow.
+    Exit status 1: the planned test is unstable, uses too little or too much of a sensor's range, or
+    its computed model is too slow.
 
     Examples:
 
@@ -59,7 +59,7 @@ def preflight(
         stability_map,
         stability_verdict,
     )
-    from seft_ros.design.plan import Plan
+    from seft_ros.design.planned_tests import PlannedTest
     from seft_ros.drawing.style import check_figure, save_figure
     from seft_ros.reference_force.compensator import NotLinearError
     from seft_ros.study.unforeseen import yielding_error
@@ -80,9 +80,9 @@ def preflight(
     highest = capacity.highest_limits(experiment, by_axis)
     limits = preflight_tables.proposed_limits(peaks, highest)
     try:
-        plan = Plan(experiment)
+        test = PlannedTest(experiment)
         with shared.passing_progress() as progress:
-            found = stability_verdict.check_stability(plan, progress)
+            found = stability_verdict.check_stability(test, progress)
     except NotLinearError as error:
         if figure is not None:
             raise InputError(f"{error}; --figure can't draw them") from None
@@ -95,14 +95,14 @@ def preflight(
             shared.complain(reason)
         return 0 if stable and not unfit else 1
     with shared.passing_progress() as progress:
-        summary = preflight_tables.summarise_preflight(plan, found)
+        summary = preflight_tables.summarise_preflight(test, found)
         summary |= {"expected_peaks": peaks, "proposed_limits": limits}
         timed = preflight_tables.model_time(experiment, motion)
         if timed is not None:
             summary["model"] = asdict(timed)
             unfit += [timed.refusal()] if timed.refusal() else []
         summary["unfit"] = unfit
-        if fast := stability_verdict.folded(plan):
+        if fast := stability_verdict.folded(test):
             warnings.append(fast)
         yielding = None if beyond else yielding_error(experiment, response)
         summary["yielding_error"] = yielding and yielding.numbers()
@@ -113,8 +113,8 @@ def preflight(
             preflight_tables.write_limits(write, limits)
             shared.stands(f"{write} is written")
         if path is not None:
-            maps = stability_map.stability_maps(plan, found.margins, progress)
-            save_figure(stability_map.preflight_figure(plan, found, maps), path)
+            maps = stability_map.stability_maps(test, found.margins, progress)
+            save_figure(stability_map.preflight_figure(test, found, maps), path)
             summary["figure"] = str(path)
     lines = [""]
     if timed is not None:
@@ -199,7 +199,7 @@ def study(
     from seft_ros.drawing.page import check_page
     from seft_ros.study import study_page as page
     from seft_ros.study.drawn_tests import draw_tests
-    from seft_ros.study.study_plan import plan_study
+    from seft_ros.study.study_design import design_study
     from seft_ros.study.study_results import summarise_study, worst_folder, write_worst_tests
     from seft_ros.study.study_runs import FinishedTests, run_study
 
@@ -208,12 +208,12 @@ def study(
     experiment = shared.load_experiment(config, param, params_file)
     files = [os.path.realpath(file) for file in motion or ()]
     drawn = draw_tests(experiment, tests, seed=seed, spread=spread, motions=files)
-    plan = plan_study(experiment, drawn, method or (), mass_ratio or ())
-    finished = FinishedTests(plan, Path())
-    with shared.step_progress(len(plan.tests()), _LOST) as progress:
-        runs = run_study(plan, progress, workers=workers, scheduler=scheduler, finished=finished)
-    summary = summarise_study(plan, runs)
-    write_worst_tests(plan, summary, folder)
+    design = design_study(experiment, drawn, method or (), mass_ratio or ())
+    finished = FinishedTests(design, Path())
+    with shared.step_progress(len(design.tests()), _LOST) as progress:
+        runs = run_study(design, progress, workers=workers, scheduler=scheduler, finished=finished)
+    summary = summarise_study(design, runs)
+    write_worst_tests(design, summary, folder)
     title = f"{tests} tests, spread {100 * spread:g} %, seed {seed}"
     page.write_study(summary, f"Study of {config.name}", title, path)
     finished.remove()

@@ -1,4 +1,4 @@
-"""``seft identify``: actuators, force loop and, with a shake, mass and channels of a rig."""
+"""``seft identify``: actuators and force loop of a rig; by a multisine test mass and channels."""
 
 import math
 from collections.abc import Sequence
@@ -13,19 +13,19 @@ from seft_msgs_py.config.facts import EVERY_NODE, FORCE_DRIVEN
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig_parameters import common_lag, truth
 
-from seft_ros.bags.record import Record
+from seft_ros.bags.recording import Recording
 from seft_ros.cli import shared
 from seft_ros.cli.shared import option
 from seft_ros.drawing.table import Texts
 
 if TYPE_CHECKING:
-    from seft_ros.identification.calibrated import Shaken
+    from seft_ros.identification.calibrated import MultisineResult
     from seft_ros.identification.identified import Identified
+    from seft_ros.identification.multisine import Multisine
     from seft_ros.identification.rig_tests import Levels, Motions
-    from seft_ros.identification.shake import Shake
 
 PILOT, OPEN_LOOP, CLOSED_LOOP = "pilot", "open_loop", "closed_loop"
-SHAKE_PILOT, SHAKE = "shake_pilot", "shake"
+MULTISINE_PILOT, MULTISINE = "multisine_pilot", "multisine"
 _BY_RATE = (math.nan, math.nan)
 
 
@@ -43,9 +43,9 @@ def identify(
     amplitude: Optional[float] = option(None, "RMS of the valve drive, open loop.", "V"),
     force: Optional[float] = option(None, "RMS of the reference force, closed loop.", "N"),
     out: Optional[Path] = option(None, "New folder of the results; default by the time.", "DIR"),
-    specimen: bool = option(False, "Shake: mass and channels, too.", "--specimen"),
+    specimen: bool = option(False, "Multisine test: mass and channels, too.", "--specimen"),
     travel: Optional[float] = option(
-        None, "Displacement of the shake; default by the sensors' noise.", "M"
+        None, "Displacement of the multisine test; default by the sensors' noise.", "M"
     ),
     json: shared.Json = False,
 ) -> int:
@@ -59,10 +59,10 @@ def identify(
     limits; --amplitude gives it instead. The result describes the actuators, which
     velocity_feedforward needs. It holds for any specimen.
 
-    Shake, with --specimen: six sines of the same displacement, some 0.2 mm, on each axis for 20 s,
-    after a pilot of 4 s. What it will reach is told before anything moves, within half of all
-    limits. It finds the mass, and scale, lag and zero of each channel, with standard errors. They
-    correct the open loop's test.
+    Multisine test, with --specimen: six sines of the same displacement, some 0.2 mm, on each axis
+    for 20 s, after a pilot of 4 s. What it will reach is shown before anything moves, within half
+    of all limits. It finds the mass, and scale, lag and bias of each channel, with standard errors.
+    They correct the open loop's test.
 
     Closed loop: the excitation is the reference force, where the force controller follows one. Its
     RMS is 5 m/s^2 times the mass, at most a 20th of the force limit, and peaks and changes are
@@ -87,14 +87,14 @@ def identify(
         seft identify config/lab.yaml --external rig --duration 300
     """
     from seft_ros.identification import rig_tests
-    from seft_ros.identification.shake import plan_shake
+    from seft_ros.identification.multisine import plan_multisine
 
     if set(external or ()) - {"rig"}:
         raise InputError(
             "--external: only the rig may be external; the other nodes are set up here"
         )
     if travel is not None and not specimen:
-        raise InputError("--travel is that of the shake: give --specimen, too")
+        raise InputError("--travel is that of the multisine test: give --specimen, too")
     experiment = shared.load_experiment(config, param, params_file, external)
     if all(map(math.isnan, band)):
         band = (0.3, min(0.45 * experiment.timebase.rate, 200.0))
@@ -109,13 +109,13 @@ def identify(
     folder = out or Path(datetime.now().strftime("identify_%Y-%m-%d_%H-%M-%S"))
     plan = None
     if specimen and rig_tests.has_valve(experiment):
-        plan = plan_shake(experiment, travel)
+        plan = plan_multisine(experiment, travel)
         shared.complain(plan.text())
     shared.check_out(folder)
-    record = motions.write(folder / "excitation.csv", duration)
+    motion = motions.write(folder / "excitation.csv", duration)
     shared.stands(f"{folder} has the excitation")
     tests = _Tests(experiment, folder, over_dds, external or ())
-    run = _Identification(tests, motions, levels, plan, record, duration)
+    run = _Identification(tests, motions, levels, plan, motion, duration)
     run.drive_valves(by_pilot=amplitude is None)
     run.close_loop()
     return run.show(str(config), specimen, as_json=json)
@@ -123,36 +123,36 @@ def identify(
 
 @dataclass
 class _Tests:
-    """Runs the tests of an identification, and keeps their records."""
+    """Runs the tests of an identification, and keeps their recordings."""
 
     experiment: Experiment
     folder: Path
     over_dds: bool
     external: Sequence[str]
-    records: dict[str, Record] = field(default_factory=dict)
+    recordings: dict[str, Recording] = field(default_factory=dict)
 
     def run(self, name: str, test: Experiment, steps: int) -> bool:
         """Run a test; say whether it drove a valve, to its end."""
-        from seft_ros.analysis.judgement import BAD_MISSED
+        from seft_ros.analysis.assessment import BAD_MISSED
         from seft_ros.identification.rig_tests import has_valve
 
         bag, label = self.folder / name, f"{name}: "
         if self.over_dds or self.external:
-            record = shared.dds_test(test, bag, steps, self.external, label=label)[0]
+            recording = shared.dds_test(test, bag, steps, self.external, label=label)[0]
         else:
-            record = shared.offline_test(test, bag, label)
-        self.records[name] = record
-        if (record.missed or 0) > BAD_MISSED * steps:
+            recording = shared.offline_test(test, bag, label)
+        self.recordings[name] = recording
+        if (recording.missed or 0) > BAD_MISSED * steps:
             shared.complain(
-                f"{label}{record.missed} of {steps} steps had no command in time: the rig moved "
+                f"{label}{recording.missed} of {steps} steps had no command in time: the rig moved "
                 "otherwise than asked, and what it says is poor; take a lower rate, or a host that "
                 "keeps this one (docs/realtime.md)"
             )
-        return record.trip is None and has_valve(record.experiment)
+        return recording.trip is None and has_valve(recording.experiment)
 
     @property
     def tripped(self) -> bool:
-        return any(record.trip for record in self.records.values())
+        return any(recording.trip for recording in self.recordings.values())
 
 
 class _Identification:
@@ -163,18 +163,18 @@ class _Identification:
         tests: _Tests,
         motions: "Motions",
         levels: "Levels",
-        plan: "Shake | None",
-        record: Path,
+        plan: "Multisine | None",
+        motion: Path,
         duration: float,
     ) -> None:
         self._tests, self._motions, self._levels, self._plan = tests, motions, levels, plan
-        self._record, self._duration = record, duration
+        self._motion, self._duration = motion, duration
         self._valve = False
-        self._shaken: Shaken | None = None
+        self._multisine: MultisineResult | None = None
         self._notes: list[str] = []
 
     def drive_valves(self, by_pilot: bool) -> None:
-        """Run the tests without force feedback, and the shake."""
+        """Run the tests without force feedback, and the multisine test."""
         from seft_ros.identification import rig_tests
 
         tests, motions, known = self._tests, self._motions, self._plan is None
@@ -185,81 +185,83 @@ class _Identification:
             test = rig_tests.open_loop(tests.experiment, short, self._levels.voltage, known)
             self._valve = tests.run(PILOT, test, motions.steps(seconds))
             if self._valve:
-                pilot = tests.records[PILOT]
+                pilot = tests.recordings[PILOT]
                 most = motions.largest_levels(self._duration)
                 voltage = rig_tests.voltage_after(pilot, self._levels.voltage, most)
                 self._levels = replace(self._levels, voltage=voltage)
         if self._valve:
-            test = rig_tests.open_loop(tests.experiment, self._record, self._levels.voltage, known)
+            test = rig_tests.open_loop(tests.experiment, self._motion, self._levels.voltage, known)
             self._valve = tests.run(OPEN_LOOP, test, motions.steps(self._duration))
         if self._valve and self._plan is not None:
-            self._shake(self._plan)
+            self._run_multisine(self._plan)
 
-    def _shake(self, plan: "Shake") -> None:
-        """Shake the specimen, if the actuators were found; a pilot finds the commands."""
-        from seft_ros.identification import shake
-        from seft_ros.identification.calibrated import Shaken, moved_by, rough_calibration
-        from seft_ros.identification.identified import identify_from_records
+    def _run_multisine(self, plan: "Multisine") -> None:
+        """Run the multisine test, if the actuators were found; a pilot finds the commands."""
+        from seft_ros.identification import multisine
+        from seft_ros.identification.calibrated import MultisineResult, moved_by, rough_calibration
+        from seft_ros.identification.identified import identify_from_recordings
 
         tests, dt = self._tests, self._tests.experiment.timebase.dt
-        opened, band = tests.records[OPEN_LOOP], self._motions.band
+        opened, band = tests.recordings[OPEN_LOOP], self._motions.band
         known = rough_calibration(opened, band)
-        found = identify_from_records(known.corrected(opened), None, band)
+        found = identify_from_recordings(known.corrected(opened), None, band)
         if not found.valves:
             return
-        plan = shake.with_actuators(plan, found, tests.experiment)
-        pilot = shake.shake_drive(plan, found, dt, seconds=shake.PILOT_SECONDS)
-        if not self._run_shake(SHAKE_PILOT, pilot[0]):
+        plan = multisine.with_actuators(plan, found, tests.experiment)
+        pilot = multisine.multisine_drive(plan, found, dt, seconds=multisine.PILOT_SECONDS)
+        if not self._run_multisine_test(MULTISINE_PILOT, pilot[0]):
             return
-        moved = moved_by(tests.records[SHAKE_PILOT], pilot[1])
-        commands, sines = shake.shake_drive(plan, found, dt, gains=shake.gains_after(plan, moved))
-        if not self._run_shake(SHAKE, commands):
+        moved = moved_by(tests.recordings[MULTISINE_PILOT], pilot[1])
+        commands, sines = multisine.multisine_drive(
+            plan, found, dt, gains=multisine.gains_after(plan, moved)
+        )
+        if not self._run_multisine_test(MULTISINE, commands):
             return
-        record = tests.records[SHAKE]
-        known = Shaken.of_record(plan, record, sines, found, known).calibrated
-        found = identify_from_records(known.corrected(opened), None, band)
-        self._shaken = Shaken.of_record(plan, record, sines, found, known)
+        recording = tests.recordings[MULTISINE]
+        known = MultisineResult.of_recording(plan, recording, sines, found, known).calibrated
+        found = identify_from_recordings(known.corrected(opened), None, band)
+        self._multisine = MultisineResult.of_recording(plan, recording, sines, found, known)
 
-    def _run_shake(self, name: str, commands: np.ndarray) -> bool:
+    def _run_multisine_test(self, name: str, commands: np.ndarray) -> bool:
         from seft_ros.identification import rig_tests
 
         tests = self._tests
         path = rig_tests.write_forces(tests.folder / f"{name}.csv", tests.experiment, commands)
         steps = len(commands) + round(rig_tests.TAIL * tests.experiment.timebase.rate)
-        return tests.run(name, rig_tests.shake_test(tests.experiment, path), steps)
+        return tests.run(name, rig_tests.multisine_test(tests.experiment, path), steps)
 
     def close_loop(self) -> None:
         """Run the test with force feedback, where there is one, on channels as found."""
         from seft_ros.identification import rig_tests
 
-        tests, shaken = self._tests, self._shaken
+        tests, multisine = self._tests, self._multisine
         experiment = tests.experiment
         followed = rig_tests.has_force_loop(experiment) or not self._valve
         if not followed or tests.tripped:
             return
-        if shaken is not None and tests.external and shaken.calibrated.changes:
+        if multisine is not None and tests.external and multisine.calibrated.changes:
             self._notes.append(
                 "no closed-loop test: the driver has to apply calibration.* of model.yaml "
                 "first; give it that file, start it again, and repeat with --params-file model.yaml"
             )
             return
-        if shaken is not None and not tests.external:
+        if multisine is not None and not tests.external:
             experiment = experiment.changed(
-                {EVERY_NODE: shaken.calibrated.parameters(), "rig": truth(experiment["rig"])}
+                {EVERY_NODE: multisine.calibrated.parameters(), "rig": truth(experiment["rig"])}
             )
         steps = self._motions.steps(self._duration)
-        test = rig_tests.closed_loop_test(experiment, self._record, self._levels.force)
+        test = rig_tests.closed_loop_test(experiment, self._motion, self._levels.force)
         tests.run(CLOSED_LOOP, test, steps)
 
     def show(self, config: str, specimen: bool, as_json: bool) -> int:
         """Evaluate the tests, write and print; give the exit status."""
-        tests = self._tests.records
+        tests = self._tests.recordings
         whole = {name: test for name, test in tests.items() if test.trip is None}
         opened = whole.get(OPEN_LOOP) if self._valve else None
-        if opened is not None and self._shaken is not None:
-            opened = self._shaken.calibrated.corrected(opened)
+        if opened is not None and self._multisine is not None:
+            opened = self._multisine.calibrated.corrected(opened)
         folder = self._tests.folder
-        files = {"folder": folder, "excitation": self._record}
+        files = {"folder": folder, "excitation": self._motion}
         files |= {name: folder / name for name in tests}
         trips = {name: test.trip.reason if test.trip else None for name, test in tests.items()}
         summary: dict[str, Any] = {
@@ -271,7 +273,7 @@ class _Identification:
         if opened is not None or CLOSED_LOOP in whole:
             from seft_ros.identification import identified
 
-            found = identified.identify_from_records(
+            found = identified.identify_from_recordings(
                 opened, whole.get(CLOSED_LOOP), self._motions.band
             )
             unusable = found.unusable
@@ -302,14 +304,14 @@ class _Identification:
         summary = identified.summarise_identified(found)
         summary["notes"] += self._notes
         texts: Texts = [f"{config} as identified", identified.identified_table(summary)]
-        loop, shaken = self._tests.experiment["reference_force"], self._shaken
+        loop, multisine = self._tests.experiment["reference_force"], self._multisine
         dt = self._tests.experiment.timebase.dt
         lag, more = common_lag(loop), {}
-        if shaken is not None:
-            lag, more = shaken.calibrated.common_lag, shaken.facts()
-            summary["shake"] = shaken.numbers(found.axes)
-            summary["notes"] += calibrated.shake_notes(shaken, found.axes)
-            texts.append(calibrated.shake_table(shaken, found.axes))
+        if multisine is not None:
+            lag, more = multisine.calibrated.common_lag, multisine.facts()
+            summary["multisine"] = multisine.numbers(found.axes)
+            summary["notes"] += calibrated.multisine_notes(multisine, found.axes)
+            texts.append(calibrated.multisine_table(multisine, found.axes))
         texts += summary["notes"]
         obeys_force = loop["actuator.kind"] in FORCE_DRIVEN
         known = identified.facts_of(found, specimen, dt, lag, obeys_force) | more

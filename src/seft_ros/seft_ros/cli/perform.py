@@ -12,7 +12,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.printing import escaped
 
-from seft_ros.bags.record import Record
+from seft_ros.bags.recording import Recording
 from seft_ros.cli import shared
 from seft_ros.cli.shared import option
 from seft_ros.test_run.parameter_tables import TABLES
@@ -44,7 +44,7 @@ def start() -> int:
 
 
 def stop(
-    at_once: bool = option(False, "Trip instead: the rig goes to its safe position.", "--at-once"),
+    at_once: bool = option(False, "Trip instead: the rig goes to its safe command.", "--at-once"),
 ) -> int:
     """Ramp the reference force of the running test down, and end the test.
 
@@ -144,7 +144,7 @@ def run(
     composed: bool = option(False, "Run the loop's nodes in one process.", "--composed"),
     priority: int = option(0, "Real-time priority of the loop; 0: none.", "N", min=0, max=98),
     accept_unstable: bool = option(
-        False, "Run also an unstable or unfit plan.", "--accept-unstable"
+        False, "Run also an unstable or unfit test.", "--accept-unstable"
     ),
     figure: Figure = True,
     json: shared.Json = False,
@@ -152,7 +152,7 @@ def run(
     """Run an experiment as separate nodes over DDS, record it, and show how it went.
 
     The test must be stable by the closed loop's eigenvalues, which seft preflight shows in detail;
-    an unstable plan is refused. So is one that uses less than 2 % or more than 90 % of a sensor's
+    an unstable test is refused. So is one that uses less than 2 % or more than 90 % of a sensor's
     range, or whose expected peaks are beyond a limit, the stroke, the force capacity or the flow of
     the valve, and, always, one whose stiffness or mass seems to be in another unit, or whose mass
     is not the identified one.
@@ -196,10 +196,10 @@ def run(
     _check_plan(experiment, blocks, motion, accept_unstable)
     layout = ProcessLayout(pin=pin, composed=composed, priority=priority)
     steps = motion.steps if motion else 0
-    record, bag = shared.dds_test(experiment, bag, steps, external or (), layout=layout)
-    if shared.show_test(record, bag, as_json=json, figure=figure):
+    recording, bag = shared.dds_test(experiment, bag, steps, external or (), layout=layout)
+    if shared.show_test(recording, bag, as_json=json, figure=figure):
         return 0
-    shared.complain(_fault(record))
+    shared.complain(_fault(recording))
     return 1
 
 
@@ -229,17 +229,17 @@ def simulate(
     experiment = shared.load_experiment(config, param, params_file)
     if out is not None:
         shared.check_out(out)
-    record = shared.offline_test(experiment, out)
-    if shared.show_test(record, out, as_json=json, figure=figure):
+    recording = shared.offline_test(experiment, out)
+    if shared.show_test(recording, out, as_json=json, figure=figure):
         return 0
-    shared.complain(f"{_fault(record)}; see seft preflight")
+    shared.complain(f"{_fault(recording)}; see seft preflight")
     return 1
 
 
-def _fault(record: Record) -> str:
+def _fault(recording: Recording) -> str:
     """Say in a few words why a test is not stable: a limit that trips it is no instability."""
-    if record.trip is not None:
-        return f"the test tripped: {record.trip.reason}"
+    if recording.trip is not None:
+        return f"the test tripped: {recording.trip.reason}"
     return "unstable: values are not finite"
 
 
@@ -274,7 +274,7 @@ def _check_plan(
     motion: "GroundMotion | None",
     accept_unstable: bool,
 ) -> None:
-    """Raise `InputError` for a plan that is refused and not accepted; warn of limits far away."""
+    """Raise `InputError` for a test that is refused and not accepted; warn of limits far away."""
     from seft_ros.design import capacity, plausibility, preflight_tables
 
     response = plausibility.expected_response(experiment, motion)
@@ -294,15 +294,15 @@ def _check_plan(
 
 
 def _check_stable(experiment: Experiment, blocks: "Blocks | None", accept_unstable: bool) -> None:
-    """Raise `InputError` for an unstable plan that is not accepted; warn if it can't be judged."""
-    from seft_ros.design.plan import Plan
+    """Raise `InputError` for an unstable test that is not accepted; warn if it is not known."""
+    from seft_ros.design.planned_tests import PlannedTest
     from seft_ros.design.stability_margins import critical_mass_ratio
     from seft_ros.design.stability_verdict import instability
     from seft_ros.reference_force.compensator import NotLinearError
 
     try:
-        plan = Plan(experiment)
-        if plan.is_stable():
+        test = PlannedTest(experiment)
+        if test.is_stable():
             return
     except NotLinearError as error:
         stable = shared.is_stable_in_simulation(experiment, error, blocks=blocks)
@@ -315,11 +315,11 @@ def _check_stable(experiment: Experiment, blocks: "Blocks | None", accept_unstab
     except InputError as error:  # what the nodes themselves can't use has been refused before
         shared.complain(f"preflight could not be done: {error}")
         return
-    reason = f"unstable plan: {instability(plan)}"
+    reason = f"unstable test: {instability(test)}"
     if accept_unstable:
         shared.complain(f"{reason}; accepted")
         return
-    critical = critical_mass_ratio(plan)
+    critical = critical_mass_ratio(test)
     where = f"; the critical mass ratio is {critical.value:.3g}" if critical else ""
     raise InputError(
         f"{reason}{where}; see seft preflight, lower reference_force: mass_ratio, choose another "

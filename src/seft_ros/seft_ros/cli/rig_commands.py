@@ -53,7 +53,7 @@ def link(
     The test over the link then takes link.yaml as --params-file, and the nodes of the other side
     as --external (docs/hosts.md).
     """
-    from seft_ros.test_run.link import allowed, judge_link, link_texts, measure_link, message_size
+    from seft_ros.test_run.link import allowed, assess_link, link_texts, measure_link, message_size
 
     if echo:
         return _echo()
@@ -69,7 +69,7 @@ def link(
     with shared.step_progress(max(2, round(duration * rate))) as progress:
         trips = measure_link(rate, duration, size, progress, other_side)
     test = None if experiment is None else allowed(experiment, trips.loop_delay)
-    verdict, reasons = judge_link(trips, test)
+    verdict, reasons = assess_link(trips, test)
     summary: dict[str, Any] = {
         **trips.numbers_by_name(),
         "size_bytes": size,
@@ -190,7 +190,7 @@ def new(
 ) -> int:
     """Make a ROS 2 package for your own rig, in a new folder here.
 
-    It has the driver with its watchdogs and safe position, a simulated converter board in place of
+    It has the driver with its watchdogs and safe command, a simulated converter board in place of
     your hardware, a calibration file, and tests. It conforms as it is (seft conform), so that you
     change one thing at a time. docs/hardware.md shows the way from here to the first test.
 

@@ -18,7 +18,7 @@ from seft_msgs_py.printing import escaped
 from seft_msgs_py.wire.outcome import ZEROED
 from seft_msgs_py.wire.topics import GROUND_MOTION, NODES, with_rigs
 
-from seft_ros.bags.record import Record
+from seft_ros.bags.recording import Recording
 from seft_ros.drawing.table import Cell, TextTable
 from seft_ros.test_run.parameter_tables import TABLES
 
@@ -166,7 +166,7 @@ def check_out(out: Path) -> None:
 
 def offline_test(
     experiment: Experiment, bag: Path | None, label: str = "", blocks: "Blocks | None" = None
-) -> Record:
+) -> Recording:
     """Run a test in one process, with a progress bar, and write its bag, if one is given.
 
     Its blocks are made here, unless they are given. Raises `InputError` if parameters contradict
@@ -179,20 +179,20 @@ def offline_test(
     blocks = blocks or build_blocks(experiment)
     motion = blocks.ground_motion
     with step_progress(motion.steps) as progress:
-        record = simulate_test(
+        recording = simulate_test(
             experiment, blocks, lambda done: progress(f"{label}simulating", done)
         )
         facts = {GROUND_MOTION.name: {MOTION: motion.facts}}
         if blocks.rig.zeroed is not None:
             facts["rig"] = {ZEROED: blocks.rig.zeroed}
-        record = replace(record, facts=facts)
-        progress(f"{label}done", len(record.series["rig/state"].steps))
+        recording = replace(recording, facts=facts)
+        progress(f"{label}done", len(recording.series["rig/state"].steps))
         if bag is not None:
-            from seft_ros.bags.record_bag import write_record
+            from seft_ros.bags.recording_bag import write_recording
 
-            write_record(record, bag, motion.chunks)
+            write_recording(recording, bag, motion.chunks)
             stands(f"{bag} is whole")
-    return record
+    return recording
 
 
 def is_stable_in_simulation(
@@ -210,10 +210,10 @@ def is_stable_in_simulation(
         complain(f"{why}, and there is no simulated rig to test its stability")
         return True
     complain(f"{why}; the test is simulated instead")
-    if experiment["rig"]["faults"]:  # the plan is judged, on a sound rig
+    if experiment["rig"]["faults"]:  # the planned test is assessed, on a fault-free rig
         experiment, blocks = experiment.changed({"rig": {"faults": ""}}), None
-    record = offline_test(experiment, None, blocks=blocks)
-    return show_test(record, None, as_json=as_json, figure=False)
+    recording = offline_test(experiment, None, blocks=blocks)
+    return show_test(recording, None, as_json=as_json, figure=False)
 
 
 def dds_test(
@@ -224,10 +224,10 @@ def dds_test(
     *,
     layout: "ProcessLayout | None" = None,
     label: str = "",
-) -> tuple[Record, Path]:
+) -> tuple[Recording, Path]:
     """Run a test as separate nodes over DDS, with a progress bar, and read its bag.
 
-    Gives the record and the bag's folder, which is another if the first was lost. The label
+    Gives the recording and the bag's folder, which is another if the first was lost. The label
     precedes the messages about one of several tests.
 
     Raises
@@ -237,7 +237,7 @@ def dds_test(
     ExperimentError
         If the run broke; what was recorded is kept.
     """
-    from seft_ros.bags.record_bag import read_bag
+    from seft_ros.bags.recording_bag import read_bag
     from seft_ros.test_run.run import Interruption, run_experiment
 
     with step_progress(steps) as show_steps, Interruption() as interruption:
@@ -257,20 +257,20 @@ def dds_test(
     return read_bag(bag), bag
 
 
-def show_test(record: Record, bag: Path | None, *, as_json: bool, figure: bool) -> bool:
+def show_test(recording: Recording, bag: Path | None, *, as_json: bool, figure: bool) -> bool:
     """Show how a test went, draw its figure into its bag; return whether it was stable."""
     from seft_ros.analysis.result_text import summary_texts
     from seft_ros.analysis.summary import reference_of, summarise
 
-    reference = reference_of(record)
-    summary = summarise(record, reference)
+    reference = reference_of(recording)
+    summary = summarise(recording, reference)
     if bag is not None:
         summary["bag"] = str(bag)
         if figure:
             from seft_ros.analysis.figures import test_figure
             from seft_ros.drawing.style import save_figure
 
-            save_figure(test_figure(record, reference), bag / FIGURE)
+            save_figure(test_figure(recording, reference), bag / FIGURE)
             summary["figure"] = str(bag / FIGURE)
-    show(summary, as_json, summary_texts(record, summary), "bag", "figure")
+    show(summary, as_json, summary_texts(recording, summary), "bag", "figure")
     return bool(summary["stable"])

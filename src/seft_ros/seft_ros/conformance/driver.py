@@ -58,7 +58,7 @@ _OBEDIENCE = {
     **{f"command {kind}": _REFUSE for kind in CHECK_KINDS},
     "command beyond the limit": "refuse it: a command beyond the limit is a fault",
     "watchdog: valve_command silent": "",
-    "safe position": "bring the valve to its safe position in every trip, wait until the rig is at "
+    "safe command": "bring the valve to its safe command in every trip, wait until the rig is at "
     "rest, and report 'stop time (s)' and 'stop peak force (N)' in the status of the trip",
     "trip is latched": "keep a trip until experiment/state is idle",
     "watchdog: supervisor silent": "",
@@ -121,15 +121,15 @@ _MARKS = {
 def finding_line(finding: Finding) -> Text:
     """Describe a finding in one line; below, how to fix it."""
     mark, colour = _MARKS[finding.verdict]
-    told = escaped(f"  {finding.check}: {finding.result}")  # a driver's text
-    text = Text.assemble((mark, f"bold {colour}"), told)
+    line = escaped(f"  {finding.check}: {finding.result}")  # a driver's text
+    text = Text.assemble((mark, f"bold {colour}"), line)
     if finding.remedy:
         text.append(escaped(f"\n           -> {finding.remedy}"))
     return text
 
 
 def summarise_findings(findings: Sequence[Finding]) -> dict[str, Any]:
-    """Judge a rig by all findings; JSON values.
+    """Assess a rig by all findings; JSON values.
 
     Returns
     -------

@@ -174,8 +174,8 @@ def check_timing(samples: Samples, dt: float, stalls: Stalls) -> list[Finding]:
         "else in a period, and take a real-time priority (docs/realtime.md)"
     )
     numbers = {"p50_s": p50, "p95_s": typical, "p99_s": p99, "largest_s": largest}
-    judged = typical if left_out else max(typical, p99)
-    return [right_rate, found("late states", judged <= _LATEST * dt, text, remedy, **numbers)]
+    assessed = typical if left_out else max(typical, p99)
+    return [right_rate, found("late states", assessed <= _LATEST * dt, text, remedy, **numbers)]
 
 
 def _quiet_windows(windows: Floats, late: Floats, stalls: Stalls) -> tuple[npt.NDArray[Any], str]:

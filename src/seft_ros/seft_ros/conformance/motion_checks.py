@@ -125,22 +125,22 @@ def check_units(samples: Samples, drive: MotionDrive, specimen: Specimen | None)
     if not (_fits(speed) or _fits(rate)) and abs(speed * rate - 1) <= 2 * _TOLERANCE:
         whose = f"velocity: {_why(speed)}", f"velocity: {_why(_inverse(rate))}"
     findings = [
-        _judged("velocity of displacement", "velocity / d(displacement)/dt", speed, whose[0]),
-        _judged("acceleration of velocity", "acceleration / d(velocity)/dt", rate, whose[1]),
+        _assessed("velocity of displacement", "velocity / d(displacement)/dt", speed, whose[0]),
+        _assessed("acceleration of velocity", "acceleration / d(velocity)/dt", rate, whose[1]),
     ]
     name = "force of specimen"
     if specimen is None:
         return [*findings, not_run(name, "mass, damping and stiffness are not known")]
     expected = _correlate(x, dt) @ specimen.stiffness.T + _correlate(v, dt) @ specimen.damping.T
     force = _ratio(_correlate(f, dt), expected + _correlate(a, dt) @ specimen.mass.T)
-    why = "it can't be judged: other channels are wrong"
+    why = "it can't be assessed: other channels are wrong"
     if _fits(speed) and _fits(rate):
         why = f"{_why(force)}, or the specimen's values in the experiment are wrong"
-    return [*findings, _judged(name, "force / (m a + c v + k x)", force, why)]
+    return [*findings, _assessed(name, "force / (m a + c v + k x)", force, why)]
 
 
-def _judged(name: str, what: str, ratio: complex, why: str) -> Finding:
-    """Judge a ratio that should be 1; ``why`` says whose fault it may be if it is not."""
+def _assessed(name: str, what: str, ratio: complex, why: str) -> Finding:
+    """Assess a ratio that should be 1; ``why`` says whose fault it may be if it is not."""
     size, phase = abs(ratio), _phase(ratio)
     text = f"{what} is {size:.4g} at {phase:+.0f} degrees, 1 at 0 wanted"
     remedy = f"{why}; see the {_SENSOR}"
@@ -365,12 +365,12 @@ def check_stood_still(trial: Trial) -> Finding:
     return found(name, later <= 1 and bool(reason), text, states=later)
 
 
-def check_safe_position(trial: Trial, next_one: Samples) -> Finding:
+def check_safe_command(trial: Trial, next_one: Samples) -> Finding:
     """Check that the rig comes to rest after a trip in the middle of a motion.
 
     Its diagnostics must report when, and it must not have moved away until the next test.
     """
-    name, last = "safe position", trial.samples
+    name, last = "safe command", trial.samples
     if trial.status_of(TRIPPED) is None:
         return found(name, False, "the rig did not trip, and continues with the last command")
     values = rested(trial)

@@ -237,7 +237,7 @@ class Suite:
         longest = LEAD + 2 * (timeout + REACTION_TIMEOUT_S)
         again, alone = self._silence("supervisor", timeout, leave_alone, longest)
         driver.end(State.TRIPPED)
-        yield motion_checks.check_safe_position(tripped, again.samples)
+        yield motion_checks.check_safe_command(tripped, again.samples)
         text = f"{len(latched.states)} states in a test after a trip without a reset"
         rests = not latched.states and latched.status_of(TRIPPED) is not None
         yield found("trip is latched", rests, text)

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from seft_ros.design.plan import Plan
+from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.stability_margins import (
     HIGHEST_MASS_RATIO,
     Critical,
@@ -126,10 +126,10 @@ class MarginEnd:
 def end_texts(ends: Sequence[MarginEnd]) -> list[list[str]]:
     """Write ends under `HEADINGS`; the upper end of a margin repeats its name if it decides."""
     rows = [end.texts() for end in ends]
-    told = [False, *(before[:2] == row[:2] for before, row in pairwise(rows))]
+    repeated = [False, *(before[:2] == row[:2] for before, row in pairwise(rows))]
     return [
-        ["", "", *row[2:]] if is_told and not end.decides else row
-        for end, row, is_told in zip(ends, rows, told, strict=True)
+        ["", "", *row[2:]] if is_repeated and not end.decides else row
+        for end, row, is_repeated in zip(ends, rows, repeated, strict=True)
     ]
 
 
@@ -143,15 +143,15 @@ def meanings(ends: Sequence[MarginEnd]) -> list[str]:
     return [text for text, is_said in said.items() if is_said]
 
 
-def margin_ends(plan: Plan, margins: Margins) -> Iterator[MarginEnd]:
+def margin_ends(test: PlannedTest, margins: Margins) -> Iterator[MarginEnd]:
     """Give the ends of all margins as far as they were searched, and what is not used.
 
     Each is needed with a reserve, all else as planned; with the worst valve that a controller may
-    assume, the plan itself must be stable.
+    assume, the planned test itself must be stable.
     """
-    alpha, dead_time, dt = plan.mass_ratio, plan.dead_time, plan.dt
+    alpha, dead_time, dt = test.mass_ratio, test.dead_time, test.dt
     own = margins.stiffness.planned if margins.stiffness else 1.0
-    error, longest = ASSUMED_DELAY_RESERVE_STEPS * dt, dead_time + float(added_delays(plan)[-1])
+    error, longest = ASSUMED_DELAY_RESERVE_STEPS * dt, dead_time + float(added_delays(test)[-1])
 
     def up_to(planned: float, end: Critical | None, searched: float) -> Range:
         return Range(planned, None, end, (planned, searched))
@@ -167,7 +167,7 @@ def margin_ends(plan: Plan, margins: Margins) -> Iterator[MarginEnd]:
     yield from _ends(MASS_RATIO, "", "", mass_ratio, of_alpha)
     any_valve = margins.robust_gain is not None
     yield from _ends(DEAD_TIME, "", "ms", late, of_time)
-    if margins.gain is None:  # of an unstable plan the others were not searched
+    if margins.gain is None:  # of an unstable test the others were not searched
         return
     if any_valve:
         yield from _ends(DEAD_TIME, ANY_VALVE, "ms", sure, (None, dead_time))
@@ -176,7 +176,7 @@ def margin_ends(plan: Plan, margins: Margins) -> Iterator[MarginEnd]:
         yield from _ends(gain, ANY_VALVE, "", margins.robust_gain, (None, None))
     of_stiffness = own / STIFFNESS_RESERVE, own * STIFFNESS_RESERVE
     yield from _ends(LOCAL_STIFFNESS, "", "", margins.stiffness, of_stiffness)
-    if plan.follows:
+    if test.follows:
         yield from _ends(LOCAL_STIFFNESS, "once identified", "", margins.followed, (0.0, np.inf))
     yield from _ends("error in the assumed delay", "", "ms", margins.delay_error, (-error, error))
 

@@ -156,7 +156,7 @@ class Plant:
         """Sample the plant exactly: zero-order hold, dead time and the loop's step of latency.
 
         The drive u_k answers sample k and holds from step k+1 on; the dead time is m whole samples
-        and a rest, during which the drive before still acts.
+        and a remainder, during which the drive before still acts.
 
         Returns
         -------
@@ -170,14 +170,14 @@ class Plant:
         InputError
             If the dead time is many samples long.
         """
-        whole, rest = lti.split_dead_time(self.delay, dt)
+        whole, remainder = lti.split_dead_time(self.delay, dt)
         if whole > MAX_DELAY_STEPS:
             raise InputError(
                 f"the plant's dead time of {self.delay:g} s is {whole} samples long, but at most "
                 f"{MAX_DELAY_STEPS} are allowed"
             )
-        early, forced_early, _ = lti.first_order_hold(self.a, self.b, rest)
-        late, forced_late, _ = lti.first_order_hold(self.a, self.b, dt - rest)
+        early, forced_early, _ = lti.first_order_hold(self.a, self.b, remainder)
+        late, forced_late, _ = lti.first_order_hold(self.a, self.b, dt - remainder)
         size, n = self.b.shape
         line = (whole + 2) * n
         a = np.zeros((size + line, size + line))
@@ -187,14 +187,14 @@ class Plant:
         b = np.eye(size + line, n, k=-size)
         c = np.zeros((len(self.c), size + line))
         c[:, :size] = self.c
-        newest = size + (whole + (rest > 0)) * n
+        newest = size + (whole + (remainder > 0)) * n
         c[:, newest : newest + n] = self.d
-        return (a, b, c) if self.late is None else self._behind_lags(a, b, c, rest, dt)
+        return (a, b, c) if self.late is None else self._behind_lags(a, b, c, remainder, dt)
 
     def _behind_lags(
-        self, a: Floats, b: Floats, c: Floats, rest: float, dt: float
+        self, a: Floats, b: Floats, c: Floats, remainder: float, dt: float
     ) -> tuple[Floats, Floats, Floats]:
-        """Put the lags behind a sampled plant, whose drive changes ``rest`` s after a sample."""
+        """Put the lags behind a sampled plant; its drive changes ``remainder`` s after a sample."""
         assert self.late is not None
         (size, n), known = self.b.shape, len(a)
         rows, lines = [], []
@@ -203,7 +203,7 @@ class Plant:
             after = dt - part  # of the sample before: the time at which the sensor is read
             old, new = slice(known - n, known), slice(known - 2 * n, known - n)
             state, drive = np.eye(size, known), old
-            for begin, end, acts in ((0.0, rest, old), (rest, dt, new)):
+            for begin, end, acts in ((0.0, remainder, old), (remainder, dt, new)):
                 if part and begin <= after:
                     free, forced, _ = lti.first_order_hold(self.a, self.b, min(after, end) - begin)
                     state, drive = free @ state, acts
@@ -227,8 +227,8 @@ class Plant:
 
     def sampled_response(self, frequencies_hz: Floats, dt: float) -> Complexes:
         """Frequency response of the first axis as `sampled`, from u_k to f_k, shape (N,), N/V."""
-        whole, rest = lti.split_dead_time(self.delay, dt)
-        a, b, c = replace(self, delay=rest).sampled(dt)
+        whole, remainder = lti.split_dead_time(self.delay, dt)
+        a, b, c = replace(self, delay=remainder).sampled(dt)
         z = np.exp(2j * np.pi * frequencies_hz * dt)
         forces = lti.state_space_response(a, b, c, np.zeros_like(self.d), z)
         return forces[:, 0, 0] * z ** -float(whole)

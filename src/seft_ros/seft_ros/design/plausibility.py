@@ -119,9 +119,9 @@ def unit_refusal(
 ) -> str:
     """Say which unit of the specimen seems to be mixed up; empty if there is none.
 
-    A plan is refused where it can't be right and would be with stiffness in kN/m, or mass in t, in
-    place of the numbers as given: its specimen vibrates too fast for the rate, or has more than
-    critical damping, or expected peaks are far beyond the limits, or are next to nothing.
+    A planned test is refused where it can't be right and would be with stiffness in kN/m, or mass
+    in t, in place of the numbers as given: its specimen vibrates too fast for the rate, or has more
+    than critical damping, or expected peaks are far beyond the limits, or are next to nothing.
 
     Parameters
     ----------

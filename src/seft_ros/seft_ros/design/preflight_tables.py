@@ -16,7 +16,7 @@ from seft_plant_sim.rig_parameters import LIMIT_UNITS
 from seft_plant_sim.whole_structure import model_times, whole_structure
 
 from seft_ros.design.margin_ends import HEADINGS, end_texts, meanings
-from seft_ros.design.plan import Plan
+from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.plausibility import FACTORS
 from seft_ros.design.stability_margins import Range
 from seft_ros.design.stability_verdict import Preflight
@@ -26,10 +26,10 @@ from seft_ros.ground_motion.ground_motion_block import GroundMotion
 from seft_ros.reference_force.reference_force_parameters import LONGEST_MODEL_STEP
 
 SHARE = 0.6
-"""Of a period, for the model: the loop's nodes need the rest."""
+"""Of a period, for the model: the loop's nodes need the remainder."""
 LOOKS = 4
 """At a model that seems too slow. Of each step the shortest time counts: what takes long in all of
-them is the model, the rest is the host."""
+them is the model, the remainder is the host."""
 _FIRST = 2
 """Steps in which a model may still load what it needs; the node takes many before a test."""
 _STEPS = 5000
@@ -220,13 +220,13 @@ def limits_table(
     return TextTable(("limit of", "unit", "expected peak", "limit", "proposed limit"), rows)
 
 
-def summarise_preflight(plan: Plan, found: Preflight) -> dict[str, Any]:
+def summarise_preflight(test: PlannedTest, found: Preflight) -> dict[str, Any]:
     """Verdict, margins, predicted errors: ``seft preflight --json``; in Hz and s.
 
     ``critical_delay_s`` is the whole dead time of the actuator at which the planned test turns
     unstable: of an actuator of kind `delay` the delay itself, of a valve that of the valve.
     ``critical_added_delay_s`` is this less the planned one. None: no end was found within
-    ``searched``, or, of a whole range, the method does not use the quantity or the plan is
+    ``searched``, or, of a whole range, the method does not use the quantity or the planned test is
     unstable. ``local_stiffness`` is that of the specimen over the assumed one,
     ``local_stiffness_followed`` the same once the method has adapted to it. ``sure_delay_s`` and
     ``robust_gain`` hold for all errors that the controller may assume of the valves.
@@ -240,14 +240,14 @@ def summarise_preflight(plan: Plan, found: Preflight) -> dict[str, Any]:
         "reasons": found.reasons,
         "basis": "exact",
         "promise": found.promise,
-        "plant": plan.rig.plant.source,
-        "compensation": plan.section["compensation.method"],
-        "mass_ratio": plan.mass_ratio,
+        "plant": test.rig.plant.source,
+        "compensation": test.section["compensation.method"],
+        "mass_ratio": test.mass_ratio,
         "critical_mass_ratio": critical and critical.value,
         "crossing_hz": critical and critical.hz,
-        "dead_time_s": plan.dead_time,
+        "dead_time_s": test.dead_time,
         "critical_delay_s": dead_time and dead_time.value,
-        "critical_added_delay_s": dead_time and dead_time.value - plan.dead_time,
+        "critical_added_delay_s": dead_time and dead_time.value - test.dead_time,
         "delay_crossing_hz": dead_time and dead_time.hz,
         "gain": _range(margins.gain),
         "sure_delay_s": margins.sure_dead_time and margins.sure_dead_time.value,
@@ -258,10 +258,10 @@ def summarise_preflight(plan: Plan, found: Preflight) -> dict[str, Any]:
         "false_damping_ratio": first.get("false_damping"),
         "frequency_error": first.get("frequency_error"),
         "modes": modes,
-        "spectral_radius": abs(plan.worst()),
-        "growth_rate": plan.growth_rate(),
-        "dominant_hz": plan.hz(),
-        "states": sum(len(loop.matrix) for loop in plan.loops()),
+        "spectral_radius": abs(test.worst()),
+        "growth_rate": test.growth_rate(),
+        "dominant_hz": test.hz(),
+        "states": sum(len(loop.matrix) for loop in test.loops()),
     }
 
 

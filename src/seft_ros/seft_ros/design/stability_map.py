@@ -22,7 +22,7 @@ from seft_ros.design.margin_ends import (
     end_texts,
     meanings,
 )
-from seft_ros.design.plan import NEUTRAL, Plan
+from seft_ros.design.planned_tests import NEUTRAL, PlannedTest
 from seft_ros.design.stability_verdict import Preflight
 from seft_ros.drawing.style import TEXT, new_figure
 
@@ -63,11 +63,11 @@ class StabilityMap:
 
 
 def stability_maps(
-    plan: Plan,
+    test: PlannedTest,
     margins: stability_margins.Margins,
     progress: stability_margins.Progress | None = None,
 ) -> list[StabilityMap]:
-    """Map a plan's growth rate as far as its margins reach; progress is in rows.
+    """Map a planned test's growth rate as far as its margins reach; progress is in rows.
 
     Over the dead time of the actuator's path in s, and, unless the plant was identified as a
     whole or there is no stiffness, over the ratio of the specimen's local stiffness to the one that
@@ -75,16 +75,16 @@ def stability_maps(
     """
     ends = (margins.dead_time, margins.mass_ratio)
     end, critical = (part.value if part else 0.0 for part in ends)
-    longest = max(2 * plan.dead_time, 10 * plan.dt, 1.5 * end)
-    longest = min(longest, plan.dead_time + float(stability_margins.added_delays(plan)[-1]))
-    swept = {"dead_time": (longest, 1.0, plan.dead_time)}
-    own = stability_margins.local_stiffness(plan)
+    longest = max(2 * test.dead_time, 10 * test.dt, 1.5 * end)
+    longest = min(longest, test.dead_time + float(stability_margins.added_delays(test)[-1]))
+    swept = {"dead_time": (longest, 1.0, test.dead_time)}
+    own = stability_margins.local_stiffness(test)
     if own is not None:
         swept["stiffness"] = (max(stability_margins.STIFFEST, 1.2 * own), own, own)
-    plan.growth_rate(dead_time=longest)  # fills the caches
-    each = timeit(lambda: plan.growth_rate(dead_time=longest), number=1)
+    test.growth_rate(dead_time=longest)  # fills the caches
+    each = timeit(lambda: test.growth_rate(dead_time=longest), number=1)
     size = int(np.clip(np.sqrt(_MAP_TIME_S / len(swept) / each), _COARSEST, _FINEST))
-    shown = 2.0 * max(plan.mass_ratio, 0.5)
+    shown = 2.0 * max(test.mass_ratio, 0.5)
     highest = max(shown, 1.5 * critical) if critical < 4 * shown else shown
     mass_ratios = np.linspace(0.0, highest, size)
     maps: list[StabilityMap] = []
@@ -92,12 +92,12 @@ def stability_maps(
         others, growth = np.linspace(0.0, high, size), np.empty((size, size))
         for index, other in enumerate((others / unit).tolist()):
             growth[index] = [
-                plan.growth_rate(mass_ratio=ratio, **{name: other})
+                test.growth_rate(mass_ratio=ratio, **{name: other})
                 for ratio in mass_ratios.tolist()
             ]
             if progress is not None:
                 progress("map", size * len(maps) + index + 1, size * len(swept))
-        maps.append(StabilityMap(mass_ratios, others, growth, (plan.mass_ratio, planned)))
+        maps.append(StabilityMap(mass_ratios, others, growth, (test.mass_ratio, planned)))
     return maps
 
 
@@ -111,8 +111,8 @@ _COLUMNS = (0.0, 0.38, 0.54, 0.7, 0.87)
 """Where the columns of `HEADINGS` end, the first one where it begins."""
 
 
-def preflight_figure(plan: Plan, found: Preflight, maps: list[StabilityMap]) -> Figure:
-    """Draw the maps of a plan, one panel each, and below the margins that make the verdict."""
+def preflight_figure(test: PlannedTest, found: Preflight, maps: list[StabilityMap]) -> Figure:
+    """Draw the maps of a test, one panel each, and below the margins that make the verdict."""
     width = max(6.0 * len(maps), _NARROWEST)
     notes = [line for text in meanings(found.ends) for line in wrap(text, round(_LETTERS * width))]
     below = _LINE * (len(found.ends) + len(notes) + 2.5)
@@ -134,7 +134,7 @@ def preflight_figure(plan: Plan, found: Preflight, maps: list[StabilityMap]) -> 
     _write(figure.add_subplot(grid[1, :]), found, notes)
     critical = found.margins.mass_ratio
     end = f"critical mass ratio {critical.value:.3g}" if critical else "no critical mass ratio"
-    method = f"{plan.section['compensation.method']} at mass ratio {plan.mass_ratio:g}"
+    method = f"{test.section['compensation.method']} at mass ratio {test.mass_ratio:g}"
     title = f"preflight: {method} is {found.verdict}, {end}"
     figure.suptitle(title, fontsize=12, color=TEXT, x=0.01, ha="left")
     return figure

@@ -13,7 +13,7 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.parameter_table import symmetric_matrix
 from seft_msgs_py.errors import InputError
 
-from seft_ros.design.plan import NEUTRAL, Plan
+from seft_ros.design.planned_tests import NEUTRAL, PlannedTest
 from seft_ros.design.plant import MAX_DELAY_STEPS
 
 Progress = Callable[[str, int, int], None]
@@ -63,7 +63,7 @@ class Range:
 
 @dataclass(frozen=True)
 class Margins:
-    """Margins of a test, each with all else as planned; of an unstable plan only the first two.
+    """Margins of a test, each with all else as planned; of an unstable test only the first two.
 
     Attributes
     ----------
@@ -72,7 +72,8 @@ class Margins:
         method is made anew for each.
     dead_time : Critical or None
         Dead time of the rig's drive, s, at which it is unstable, while the method assumes the
-        planned one: larger than planned if the plan is stable, else smaller (0: unstable at any).
+        planned one: larger than planned if the planned test is stable, else smaller (0: unstable at
+        any).
     gain : Range or None
         Factor on the drive.
     sure_dead_time : Critical or None
@@ -99,30 +100,30 @@ class Margins:
     delay_error: Range | None = None
 
 
-def find_margins(plan: Plan, progress: Progress | None = None) -> Margins:
-    """Find the margins of a plan by bracketing and Brent's method on exact eigenvalues.
+def find_margins(test: PlannedTest, progress: Progress | None = None) -> Margins:
+    """Find the margins of a planned test by bracketing and Brent's method on exact eigenvalues.
 
     ``progress`` is called with what is searched, how many margins are known, and how many there
-    are. An InputError says if the method can't be made for the plan.
+    are. An InputError says if the method can't be made for the planned test.
     """
     searches: dict[str, Callable[[], Any]] = {
-        "mass_ratio": partial(critical_mass_ratio, plan),
-        "dead_time": partial(critical_dead_time, plan),
+        "mass_ratio": partial(critical_mass_ratio, test),
+        "dead_time": partial(critical_dead_time, test),
     }
-    if plan.is_stable():
-        gain = partial(_range, plan, "gain", 1.0, _FACTORS, 1.0 / _FACTORS)
+    if test.is_stable():
+        gain = partial(_range, test, "gain", 1.0, _FACTORS, 1.0 / _FACTORS)
         searches["gain"] = gain
-        if plan.follows_valves:
-            searches["sure_dead_time"] = partial(_sure_dead_time, plan)
+        if test.follows_valves:
+            searches["sure_dead_time"] = partial(_sure_dead_time, test)
             searches["robust_gain"] = partial(gain, any_valve=True)
-        own = local_stiffness(plan)
+        own = local_stiffness(test)
         if own is not None:
             up, down = np.linspace(own, max(STIFFEST, own), 17), np.linspace(own, 0.0, 17)
-            stiffness = partial(_range, plan, "stiffness", own, up, down, own)
+            stiffness = partial(_range, test, "stiffness", own, up, down, own)
             searches["stiffness"] = stiffness
-            if plan.follows:
+            if test.follows:
                 searches["followed"] = partial(stiffness, followed=True)
-        searches["delay_error"] = partial(_delay_error, plan)
+        searches["delay_error"] = partial(_delay_error, test)
     found: dict[str, Any] = {}
     for name, search in searches.items():
         found[name] = search()
@@ -131,61 +132,61 @@ def find_margins(plan: Plan, progress: Progress | None = None) -> Margins:
     return Margins(**found)
 
 
-def critical_mass_ratio(plan: Plan) -> Critical | None:
+def critical_mass_ratio(test: PlannedTest) -> Critical | None:
     """Find the smallest mass ratio above 0 at which the test is unstable, see `Margins`."""
     tried = np.geomspace(0.01, HIGHEST_MASS_RATIO, 36)
-    own = plan.mass_ratio * np.array([1.0, 1.1, 1.2])
+    own = test.mass_ratio * np.array([1.0, 1.1, 1.2])
     points = np.union1d(tried, own[(own > tried[0]) & (own < tried[-1])])
-    if not plan.is_stable(mass_ratio=points[0]):
-        return Critical(0.0, plan.hz(mass_ratio=points[0]))
-    return _end(plan, "mass_ratio", points)
+    if not test.is_stable(mass_ratio=points[0]):
+        return Critical(0.0, test.hz(mass_ratio=points[0]))
+    return _end(test, "mass_ratio", points)
 
 
-def critical_dead_time(plan: Plan) -> Critical | None:
+def critical_dead_time(test: PlannedTest) -> Critical | None:
     """Find the dead time at which the test turns unstable, or stable again, see `Margins`."""
-    if plan.is_stable():
-        return _end(plan, "dead_time", plan.dead_time + added_delays(plan))
-    less = np.linspace(plan.dead_time, 0.0, 1 + max(8, int(2 * plan.dead_time / plan.dt)))
-    return _end(plan, "dead_time", less) or Critical(0.0, plan.hz(dead_time=0.0))
+    if test.is_stable():
+        return _end(test, "dead_time", test.dead_time + added_delays(test))
+    less = np.linspace(test.dead_time, 0.0, 1 + max(8, int(2 * test.dead_time / test.dt)))
+    return _end(test, "dead_time", less) or Critical(0.0, test.hz(dead_time=0.0))
 
 
-def instability_band(plan: Plan) -> tuple[float, float] | None:
+def instability_band(test: PlannedTest) -> tuple[float, float] | None:
     """Find the band of the oscillations of a loop that loses its margins, Hz.
 
     It spans the frequencies at which the loop turns unstable with more gain and with more dead
-    time, and of an unstable plan that of its fastest growing oscillation, and half an octave on
+    time, and of an unstable test that of its fastest growing oscillation, and half an octave on
     either side, up to Nyquist's. None: no instability was found, or it does not oscillate.
     """
-    stable = plan.is_stable()
-    ends = [_end(plan, "gain", _FACTORS)] if stable else []
-    found = [end.hz for end in (*ends, critical_dead_time(plan)) if end is not None]
+    stable = test.is_stable()
+    ends = [_end(test, "gain", _FACTORS)] if stable else []
+    found = [end.hz for end in (*ends, critical_dead_time(test)) if end is not None]
     if not stable:
-        found.append(plan.hz())
+        found.append(test.hz())
     oscillating = [hz for hz in found if hz > 0]
     if not oscillating:
         return None
-    nyquist = 0.5 / plan.dt
+    nyquist = 0.5 / test.dt
     return min(oscillating) / HALF_WIDTH, min(max(oscillating) * HALF_WIDTH, nyquist)
 
 
-def local_stiffness(plan: Plan) -> float | None:
+def local_stiffness(test: PlannedTest) -> float | None:
     """Stiffness of the specimen over the assumed one, with several axes the ratio of the traces.
 
     None if one of them is 0.
     """
     model = symmetric_matrix(
-        plan.section["specimen.stiffness"], plan.axes, "/**: specimen.stiffness"
+        test.section["specimen.stiffness"], test.axes, "/**: specimen.stiffness"
     )
-    own, assumed = float(np.trace(plan.rig.specimen.stiffness)), float(np.trace(model))
+    own, assumed = float(np.trace(test.rig.specimen.stiffness)), float(np.trace(model))
     return own / assumed if own and assumed else None
 
 
-def added_delays(plan: Plan) -> Floats:
+def added_delays(test: PlannedTest) -> Floats:
     """Delays to be added to the planned ones, from 0 up, s."""
-    longest = min(_LONGEST_DELAY, MAX_DELAY_STEPS * plan.dt - plan.dead_time)
+    longest = min(_LONGEST_DELAY, MAX_DELAY_STEPS * test.dt - test.dead_time)
     if longest <= 0:
         return np.zeros(1)
-    return np.concatenate([[0.0], np.geomspace(min(plan.dt / 8, longest / 2), longest, 28)])
+    return np.concatenate([[0.0], np.geomspace(min(test.dt / 8, longest / 2), longest, 28)])
 
 
 def stability_change(growth: Callable[[float], float], points: Sequence[float]) -> float | None:
@@ -208,46 +209,54 @@ def stability_change(growth: Callable[[float], float], points: Sequence[float]) 
     return None
 
 
-def _sure_dead_time(plan: Plan) -> Critical | None:
-    if not plan.is_stable(any_valve=True):
-        return Critical(plan.dead_time, plan.hz(any_valve=True))
-    return _end(plan, "dead_time", plan.dead_time + added_delays(plan), any_valve=True)
+def _sure_dead_time(test: PlannedTest) -> Critical | None:
+    if not test.is_stable(any_valve=True):
+        return Critical(test.dead_time, test.hz(any_valve=True))
+    return _end(test, "dead_time", test.dead_time + added_delays(test), any_valve=True)
 
 
-def _delay_error(plan: Plan) -> Range | None:
+def _delay_error(test: PlannedTest) -> Range | None:
     """Range of the error in the assumed delay, as far as the method can be made; None: unused."""
 
     def matrix(error: float) -> Floats | None:
         """Matrix of the method with this error; None: it can't be made."""
         try:
-            return plan.compensation(delay_error=error).matrix()
+            return test.compensation(delay_error=error).matrix()
         except InputError:
             return None
 
-    planned = plan.compensation().matrix()
-    tried = [matrix(error) for error in (0.1 * plan.dt, -0.1 * plan.dt)]
+    planned = test.compensation().matrix()
+    tried = [matrix(error) for error in (0.1 * test.dt, -0.1 * test.dt)]
     if all(found is None or np.array_equal(found, planned) for found in tried):
         return None
-    less = np.linspace(0.0, -plan.assumed_delay, 17)[:-1]
+    less = np.linspace(0.0, -test.assumed_delay, 17)[:-1]
     up, down = (
         np.array(list(takewhile(lambda error: matrix(error) is not None, part.tolist())))
-        for part in (added_delays(plan), less)
+        for part in (added_delays(test), less)
     )
-    return _range(plan, "delay_error", 0.0, up, down)
+    return _range(test, "delay_error", 0.0, up, down)
 
 
 def _range(
-    plan: Plan, name: str, planned: float, up: Floats, down: Floats, unit: float = 1.0, **fixed: Any
+    test: PlannedTest,
+    name: str,
+    planned: float,
+    up: Floats,
+    down: Floats,
+    unit: float = 1.0,
+    **fixed: Any,
 ) -> Range:
-    low, high = (_end(plan, name, points, unit, **fixed) for points in (down, up))
+    low, high = (_end(test, name, points, unit, **fixed) for points in (down, up))
     return Range(planned, low, high, (float(down[-1]), float(up[-1])))
 
 
-def _end(plan: Plan, name: str, points: Floats, unit: float = 1.0, **fixed: Any) -> Critical | None:
+def _end(
+    test: PlannedTest, name: str, points: Floats, unit: float = 1.0, **fixed: Any
+) -> Critical | None:
     """First end of stability along some values; ``unit`` is the one at which ``name`` is 1."""
 
     def growth(value: float) -> float:
-        return plan.growth_rate(**{name: value / unit}, **fixed)
+        return test.growth_rate(**{name: value / unit}, **fixed)
 
     value = stability_change(growth, points.tolist())
-    return None if value is None else Critical(value, plan.hz(**{name: value / unit}, **fixed))
+    return None if value is None else Critical(value, test.hz(**{name: value / unit}, **fixed))

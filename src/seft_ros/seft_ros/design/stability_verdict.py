@@ -10,7 +10,7 @@ from seft_plant_sim.whole_structure import WholeStructure
 
 from seft_ros.design.margin_ends import MarginEnd, margin_ends
 from seft_ros.design.model_modes import modes_with_model
-from seft_ros.design.plan import Plan
+from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.plant import lightly_damped, roots_of
 from seft_ros.design.stability_margins import Margins, Progress, find_margins
 
@@ -51,7 +51,7 @@ class Mode:
         return cls(exact_hz, exact_damping, hz, damping, damping - exact_damping, hz / exact_hz - 1)
 
 
-def predicted_modes(plan: Plan) -> list[Mode]:
+def predicted_modes(planned_test: PlannedTest) -> list[Mode]:
     """Modes of the whole structure beside those of the loop, lowest first.
 
     A mode is matched with the eigenvalue of the loop, near it in frequency, through which the
@@ -61,21 +61,23 @@ def predicted_modes(plan: Plan) -> list[Mode]:
     force as measured. A computed model with masses of its own is a tangent in the loop, so that
     the structure's modes stand alone, see `modes_with_model`.
     """
-    tested = WholeStructure.of_test(plan.rig.specimen, plan.section, plan.axes)
+    tested = WholeStructure.of_test(
+        planned_test.rig.specimen, planned_test.section, planned_test.axes
+    )
     whole, model = tested.structure, tested.computed.model
     if model is not None and not model.probed.is_static:
-        found = modes_with_model(tested, model.every * plan.dt)
+        found = modes_with_model(tested, model.every * planned_test.dt)
         return [Mode.of_poles(complex(pole)) for pole in found]
-    n = len(plan.axes)
+    n = len(planned_test.axes)
     _, shapes = eigh(whole.stiffness, whole.mass)
     poles = np.linalg.eigvals(whole.state_matrices()[0])
     exact = sorted(poles[poles.imag > 0], key=abs)
     if len(exact) < whole.axes:  # then shapes can't be matched by order
         return []
-    z, residues = plan.loops()[-1].modes()
+    z, residues = planned_test.loops()[-1].modes()
     upper = (z.imag > 0) & (np.abs(z) > 0.1)
     z, residues = z[upper], residues[upper]
-    s = np.log(z) / plan.dt
+    s = np.log(z) / planned_test.dt
     distance = np.abs(np.log(np.abs(s) / np.abs(exact)[:, np.newaxis]))
     weights = shapes[:n].T @ whole.mass[:n, :n]  # as far as a test measures a shape
     moved = np.linalg.norm(np.einsum("mi,pij->mpj", weights, residues), axis=2)
@@ -136,24 +138,27 @@ class Preflight:
     modes: list[Mode]
 
 
-def check_stability(plan: Plan, progress: Progress | None = None) -> Preflight:
-    """Find stability, margins and predicted errors of a plan; ``progress``: see `find_margins`."""
-    margins = find_margins(plan, progress)
-    ends, unstable = list(margin_ends(plan, margins)), not plan.is_stable()
-    reasons = [instability(plan)] if unstable else [end.reason for end in ends if end.decides]
+def check_stability(planned_test: PlannedTest, progress: Progress | None = None) -> Preflight:
+    """Find stability, margins and predicted errors of a test; ``progress``: see `find_margins`."""
+    margins = find_margins(planned_test, progress)
+    ends, unstable = list(margin_ends(planned_test, margins)), not planned_test.is_stable()
+    reasons = (
+        [instability(planned_test)] if unstable else [end.reason for end in ends if end.decides]
+    )
     return Preflight(
         verdict="unstable" if unstable else "marginal" if reasons else "stable",
         reasons=reasons,
-        promise=_promise(plan),
+        promise=_promise(planned_test),
         margins=margins,
         ends=ends,
-        modes=[] if unstable else predicted_modes(plan),
+        modes=[] if unstable else predicted_modes(planned_test),
     )
 
 
-def instability(plan: Plan) -> str:
-    """Say in a few words how the oscillation of an unstable plan grows."""
-    return f"oscillates at {plan.hz():.3g} Hz, growing e-fold in {1 / plan.growth_rate():.2g} s"
+def instability(planned_test: PlannedTest) -> str:
+    """Say in a few words how the oscillation of an unstable test grows."""
+    time = 1 / planned_test.growth_rate()
+    return f"oscillates at {planned_test.hz():.3g} Hz, growing e-fold in {time:.2g} s"
 
 
 FEWEST_SAMPLES = 2.5
@@ -161,10 +166,10 @@ FEWEST_SAMPLES = 2.5
 begins to grow, and below 2 the samples show another frequency."""
 
 
-def folded(plan: Plan) -> str:
+def folded(planned_test: PlannedTest) -> str:
     """Say which light oscillation of the rig is too fast for the rate; empty if none is."""
-    fastest = 1.0 / (FEWEST_SAMPLES * plan.dt)
-    fast = [r.hz for r in lightly_damped(roots_of(np.linalg.eigvals(plan.rig.plant.a)))]
+    fastest = 1.0 / (FEWEST_SAMPLES * planned_test.dt)
+    fast = [r.hz for r in lightly_damped(roots_of(np.linalg.eigvals(planned_test.rig.plant.a)))]
     fast = [hz for hz in fast if hz > fastest]
     if not fast:
         return ""
@@ -174,10 +179,10 @@ def folded(plan: Plan) -> str:
     )
 
 
-def _promise(plan: Plan) -> str:
-    promise = SMALL_SIGNAL if plan.rig.small_signal else LINEAR
-    if plan.rig.plant.source == "identified":
+def _promise(planned_test: PlannedTest) -> str:
+    promise = SMALL_SIGNAL if planned_test.rig.small_signal else LINEAR
+    if planned_test.rig.plant.source == "identified":
         promise = IDENTIFIED
-    if plan.follows:
+    if planned_test.follows:
         return f"{promise} {FOLLOWS}"
-    return f"{promise} {ADAPTIVE}" if plan.compensator().estimates() else promise
+    return f"{promise} {ADAPTIVE}" if planned_test.compensator().estimates() else promise

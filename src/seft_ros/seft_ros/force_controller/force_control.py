@@ -341,8 +341,8 @@ def _polynomials(section: Section, name: str, axes: Sequence[str]) -> list[list[
     coefficients: list[float] = np.atleast_1d(section[name]).tolist()
     if not section["per_axis"]:
         return [coefficients] * len(axes)
-    each, rest = divmod(len(coefficients), len(axes))
-    if rest:
+    each, remainder = divmod(len(coefficients), len(axes))
+    if remainder:
         raise InputError(
             f"force_controller: per_axis, but {name} has {len(coefficients)} coefficients for "
             f"{len(axes)} axes {list(axes)}; give each axis as many"

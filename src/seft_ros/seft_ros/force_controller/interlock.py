@@ -221,10 +221,10 @@ class Interlock:
         the stop that would begin at the last answered step.
         """
         state, first = self.state, self.step_index
-        stopping, is_sound = self._stopping, state.flags[TRIP] in VALID_CAUSES
+        stopping, is_fault_free = self._stopping, state.flags[TRIP] in VALID_CAUSES
         if first < 0 or not len(stopping):
             last, stopping = state.drive, np.zeros((0, len(state.drive)))
-            if is_sound and self.parameters.has_stop:
+            if is_fault_free and self.parameters.has_stop:
                 controller: Any = self.controller
                 stopping = np.vstack([last, controller.stop(state.plan)])
                 last = stopping[-1]

@@ -24,7 +24,7 @@ has found a fault."""
 NO_TRIP, IMPLAUSIBLE, IMPLAUSIBLE_COMMAND, SATURATION, FAULT, LIMIT, OUTSIDE = range(7)
 """Reasons of a trip; the last one is a reason from outside."""
 VALID_CAUSES = NO_TRIP, IMPLAUSIBLE, LIMIT
-"""With these, sensors, valves and controller are sound, so that a stop can follow the plan."""
+"""With these, sensors, valves and controller are fault-free, so that a stop can follow the plan."""
 
 
 class InterlockParameters(NamedTuple):
@@ -67,7 +67,7 @@ class InterlockState(NamedTuple):
         Reference force, judged sample and drive of the step of the trip, shapes (n,), (4, n) and
         (n,).
     drive : ndarray
-        The last sound command, shape (n,), V.
+        The last fault-free command, shape (n,), V.
     plan : ndarray
         Points for the controller, shape (p, q, n).
     sample : ndarray
@@ -121,8 +121,9 @@ def precheck(
     """Say whether the controller answers a step; otherwise give its command.
 
     The controller answers `InterlockState.plan` and `InterlockState.sample`. While a sample is
-    suspect, these are the motion that the last sound target has predicted for this step; without a
-    target, the last sound command is held. At a trip the stop begins, see `Interlock.stop`.
+    suspect, these are the motion that the last fault-free target has predicted for this step;
+    without a target, the last fault-free command is held. At a trip the stop begins, see
+    `Interlock.stop`.
 
     Parameters
     ----------

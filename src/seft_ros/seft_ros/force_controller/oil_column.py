@@ -165,9 +165,9 @@ def _sampled(
     delays = [split_dead_time(valve.late, dt) for valve in valves]
     lines = np.cumsum([5 * n, *(whole + 1 for whole, _ in delays)])
     free, push = np.zeros((lines[-1], lines[-1])), np.zeros((lines[-1], n))
-    for i, (whole, rest) in enumerate(delays):
-        early, forced_early, _ = first_order_hold(a, b[:, i : i + 1], rest)
-        after, forced_late, _ = first_order_hold(a, b[:, i : i + 1], dt - rest)
+    for i, (whole, remainder) in enumerate(delays):
+        early, forced_early, _ = first_order_hold(a, b[:, i : i + 1], remainder)
+        after, forced_late, _ = first_order_hold(a, b[:, i : i + 1], dt - remainder)
         free[: 5 * n, : 5 * n] = after @ early
         line = int(lines[i])
         # the commands that act in a period are so many periods old; 0 is the one to come

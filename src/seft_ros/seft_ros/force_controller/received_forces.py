@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.wire.outcome import LinkRecord
+from seft_msgs_py.wire.outcome import LinkReport
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, Timebase
 from seft_plant_sim.command import MessagesAhead
 
@@ -107,9 +107,9 @@ class NewestPreview:
         """Whether the force has been ramped down because messages were missing."""
         return self._ramp.finished
 
-    def record(self) -> LinkRecord:
+    def report(self) -> LinkReport:
         """Give the ages of the messages of this test."""
-        return LinkRecord(dict(sorted(self._ages.items())), self._held)
+        return LinkReport(dict(sorted(self._ages.items())), self._held)
 
     def take(self, step: int, points: Floats) -> None:
         """Take a message: points of its step and the future ones, shape (p, q, n).

@@ -1,7 +1,7 @@
 """Correction of a record's baseline, and the numbers that show whether it needs one.
 
 An offset of 1 mm/s^2 makes 0.8 m of displacement in 40 s: what drifts in an instrument's record is
-mostly its zero. ``offset`` takes off the mean. ``baseline`` takes off the mean, filters by a
+mostly its bias. ``offset`` takes off the mean. ``baseline`` takes off the mean, filters by a
 Butterworth high-pass, and then takes off the parabola with which velocity and displacement end at
 zero, and the mean square of the velocity is least.
 """

@@ -1,4 +1,4 @@
-"""What a shake has found of the channels: as parameters of the rig, and taken out of a record."""
+"""What a multisine test has found of the channels: as parameters, and taken out of a recording."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -22,20 +22,20 @@ from seft_plant_sim.calibration import (
 )
 from seft_plant_sim.sensors import ACCELERATION, FORCE, VELOCITY, tilt_of
 
-from seft_ros.bags.record import Record, every_step
+from seft_ros.bags.recording import Recording, every_step
 from seft_ros.drawing.table import TextTable
 from seft_ros.identification.actuator_fit import OilBalance, force_lag
 from seft_ros.identification.identified import Identified
-from seft_ros.identification.rig_tests import MeasuredTest, frequency_response, motion_spectra
-from seft_ros.identification.shake import OF_RATE, Shake, Sine, sound_relations
-from seft_ros.identification.shake_estimates import (
-    SHAKE_SIGMAS,
+from seft_ros.identification.multisine import OF_RATE, Multisine, Sine, fault_free_relations
+from seft_ros.identification.multisine_estimates import (
+    MULTISINE_SIGMAS,
     Harmonics,
-    ShakeFit,
-    fit_shake,
+    MultisineFit,
+    fit_multisine,
     harmonics,
     significant,
 )
+from seft_ros.identification.rig_tests import MeasuredTest, frequency_response, motion_spectra
 from seft_ros.identification.time_shift import moved_ahead
 
 _FEWEST_PERIODS, _SEGMENT = 3.0, 4.0  # of a spectrum: of the lowest frequency, and s
@@ -46,19 +46,19 @@ would spread a wrong sample over the next ones."""
 
 @dataclass(frozen=True)
 class Calibrated:
-    """What a shake adds to what was known of the channels.
+    """What a multisine test adds to what was known of the channels.
 
     Attributes
     ----------
     found : dict
-        Scale, lag and bias of the channels as published in the shake, shape (4, n), and the tilt
-        of the accelerometers of each rig, (n, n): of what is within `SHAKE_SIGMAS` standard errors,
-        nothing is known.
+        Scale, lag and bias of the channels as published in the multisine test, shape (4, n), and
+        the tilt of the accelerometers of each rig, (n, n): of what is within `MULTISINE_SIGMAS`
+        standard errors, nothing is known.
     whole : dict
         With what was known before: `parameters` of the rig.
     common_lag : float
-        Part of the lag of a record that `corrected` gives which is not in ``whole``, s: it counts
-        as dead time of the actuator.
+        Part of the lag of a recording that `corrected` gives which is not in ``whole``, s: it
+        counts as dead time of the actuator.
     derived : bool
         Whether the velocity is derived from the displacement.
     """
@@ -69,11 +69,11 @@ class Calibrated:
     derived: bool
 
     @classmethod
-    def of_shake(cls, fit: ShakeFit, experiment: Experiment) -> "Calibrated":
-        """Combine a shake with the calibration of its own experiment."""
+    def of_multisine(cls, fit: MultisineFit, experiment: Experiment) -> "Calibrated":
+        """Combine a multisine test with the calibration of its own experiment."""
         section = experiment["reference_force"]
         known, derived = all_known(experiment), section["sensors.velocity"] == "derived"
-        lag = significant(fit.lag, np.maximum(fit.lag_error, MIN_LAG / SHAKE_SIGMAS))
+        lag = significant(fit.lag, np.maximum(fit.lag_error, MIN_LAG / MULTISINE_SIGMAS))
         scale = 1.0 + significant(fit.scale - 1.0, fit.scale_error)
         bias = significant(fit.bias, fit.bias_error)
         if derived:
@@ -105,32 +105,32 @@ class Calibrated:
         """Values of ``calibration.*``, complete."""
         return _parameters(self.whole, self.derived)
 
-    def corrected(self, record: Record) -> Record:
-        """Take what was found out of a record of the same rig, from rest to rest.
+    def corrected(self, recording: Recording) -> Recording:
+        """Take what was found out of a recording of the same rig, from rest to rest.
 
         The channels wait for the latest one, as in the rig, but at each frequency for that time.
         """
-        axes, dt = record.experiment.axes, record.experiment.timebase.dt
+        axes, dt = recording.experiment.axes, recording.experiment.timebase.dt
         lag = self.found["lag"]
         section = _parameters(self.found | {"lag": np.zeros_like(lag)}, False)
         known, state = calibration_of(section, axes, range(len(axes)), dt)
-        record, values = as_measured(record), _samples(record).copy()
+        recording, values = as_measured(recording), _samples(recording).copy()
         if len(known.scale):
             calibrate_all(known, state, values)
-        rest = np.linspace(values[0], values[-1], len(values))
-        flat, lead = (values - rest).reshape(len(values), -1), (lag - lag.max()).ravel()
-        values = rest + moved_ahead(flat, lead, dt).reshape(rest.shape)
+        line = np.linspace(values[0], values[-1], len(values))
+        flat, lead = (values - line).reshape(len(values), -1), (lag - lag.max()).ravel()
+        values = line + moved_ahead(flat, lead, dt).reshape(line.shape)
         every = np.arange(len(values))
-        measured = record.series[RIG_STATE.name]
+        measured = recording.series[RIG_STATE.name]
         values = np.concatenate([values, every_step(measured, every)[:, 4:]], axis=1)
         whole = replace(measured, steps=every, values=values, received_ns=None)
-        return replace(record, series={**record.series, RIG_STATE.name: whole})
+        return replace(recording, series={**recording.series, RIG_STATE.name: whole})
 
 
-def as_measured(record: Record) -> Record:
-    """Take the judged samples out of a record: the judge trusts the channels."""
-    series = {name: own for name, own in record.series.items() if name != JUDGED.name}
-    return replace(record, series=series)
+def as_measured(recording: Recording) -> Recording:
+    """Take the judged samples out of a recording: the judge trusts the channels."""
+    series = {name: own for name, own in recording.series.items() if name != JUDGED.name}
+    return replace(recording, series=series)
 
 
 def all_known(experiment: Experiment) -> dict[str, Floats]:
@@ -163,17 +163,17 @@ def _parameters(known: Mapping[str, Floats], derived: bool) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Shaken:
-    """A shake, and what it has found.
+class MultisineResult:
+    """A multisine test, and what it has found.
 
     Attributes
     ----------
-    shake : Shake
+    multisine : Multisine
         Its plan.
     largest : dict
         Largest measured magnitude of any axis: ``displacement``, ``velocity``, ``acceleration``,
         ``force``; SI units.
-    fit : ShakeFit
+    fit : MultisineFit
         Of the channels as published.
     calibrated : Calibrated
         The calibration that follows.
@@ -181,48 +181,52 @@ class Shaken:
         Mass matrix that was known before, shape (n, n), kg.
     """
 
-    shake: Shake
+    multisine: Multisine
     largest: dict[str, float]
-    fit: ShakeFit
+    fit: MultisineFit
     calibrated: Calibrated
     known: Floats
 
     @classmethod
-    def of_record(
+    def of_recording(
         cls,
-        shake: Shake,
-        record: Record,
+        multisine: Multisine,
+        recording: Recording,
         sines: Sequence[Sine],
         found: Identified,
         known: Calibrated,
-    ) -> "Shaken":
-        """Evaluate the record of a shake.
+    ) -> "MultisineResult":
+        """Evaluate the recording of a multisine test.
 
-        ``found`` was identified from a record that ``known`` has corrected.
+        ``found`` was identified from a recording that ``known`` has corrected.
 
         Raises
         ------
         InputError
             If the mass does not stand out from its standard errors: friction holds the specimen.
         """
-        samples = _samples(record)
-        dt = record.experiment.timebase.dt
+        samples = _samples(recording)
+        dt = recording.experiment.timebase.dt
         of = harmonics(samples, sines, dt)
         late = known.found["lag"] - known.found["lag"].min()
         dead_time = np.mean([valve.actuator.dead_time for valve in found.valves]) - late.max()
-        sound = sound_relations(found, sines, dt, max(float(dead_time), 0.0), late)
-        fit = fit_shake(of, sound)
+        fault_free = fault_free_relations(found, sines, dt, max(float(dead_time), 0.0), late)
+        fit = fit_multisine(of, fault_free)
         least, error = np.linalg.eigvalsh(fit.mass)[0], np.linalg.norm(fit.mass_error)
-        if least <= SHAKE_SIGMAS * error:
+        if least <= MULTISINE_SIGMAS * error:
             raise InputError(
-                f"shake: the specimen sticks under sines of {1e3 * shake.travel:.3g} mm: its least "
+                f"multisine: the specimen sticks under sines of "
+                f"{1e3 * multisine.travel:.3g} mm: its least "
                 f"mass is {least:.3g} ± {error:.2g} kg; give a larger --travel, so that it slips"
             )
         largest = np.abs(samples).max(axis=(0, 2)).tolist()
-        experiment = record.experiment
-        calibrated, section = Calibrated.of_shake(fit, experiment), experiment["reference_force"]
+        experiment = recording.experiment
+        calibrated, section = (
+            Calibrated.of_multisine(fit, experiment),
+            experiment["reference_force"],
+        )
         mass = mass_matrix(section["specimen.mass"], experiment.axes, "/**: specimen.mass")
-        return cls(shake, dict(zip(CHANNELS, largest, strict=True)), fit, calibrated, mass)
+        return cls(multisine, dict(zip(CHANNELS, largest, strict=True)), fit, calibrated, mass)
 
     def facts(self) -> Section:
         """Give the calibration, and the mass, with standard errors."""
@@ -234,7 +238,7 @@ class Shaken:
         }
 
     def numbers(self, axes: Sequence[str]) -> dict[str, Any]:
-        """Give ``shake`` of ``seft identify --json``: SI units, errors are standard errors."""
+        """Give ``multisine`` of ``seft identify --json``: SI units, errors are standard errors."""
         fit = self.fit
         by_axis = []
         for i, axis in enumerate(axes):
@@ -251,8 +255,8 @@ class Shaken:
             mass = {"value": float(fit.mass[i, i]), "error": float(fit.mass_error[i, i])}
             by_axis.append({"axis": axis, "mass": mass, **channels})
         return {
-            "travel": self.shake.travel,
-            "frequencies_hz": self.shake.frequencies.tolist(),
+            "travel": self.multisine.travel,
+            "frequencies_hz": self.multisine.frequencies.tolist(),
             "largest": self.largest,
             "mass": fit.mass.squeeze().tolist(),
             "mass_error": fit.mass_error.squeeze().tolist(),
@@ -262,14 +266,15 @@ class Shaken:
         }
 
 
-def rough_calibration(record: Record, band: tuple[float, float]) -> Calibrated:
+def rough_calibration(recording: Recording, band: tuple[float, float]) -> Calibrated:
     """Estimate the channels from a test by random commands, well enough for the actuators' fit.
 
-    The cross spectra with the commands take the place of a shake's sines, up to `OF_RATE` times the
-    rate and within the band of the excitation, Hz. The force's lag follows from the oil's balance.
+    The cross spectra with the commands take the place of the sines of the multisine test, up to
+    `OF_RATE` times the rate and within the band of the excitation, Hz. The force's lag follows from
+    the oil's balance.
     """
-    n, dt = len(record.experiment.axes), record.experiment.timebase.dt
-    samples, command = _samples(record), record.series[VALVE_COMMAND.name]
+    n, dt = len(recording.experiment.axes), recording.experiment.timebase.dt
+    samples, command = _samples(recording), recording.series[VALVE_COMMAND.name]
     every = np.arange(len(samples))
     driven = every_step(command, every)[:, 0]
     signals = np.concatenate([driven, samples.reshape(len(samples), -1)], axis=1)
@@ -285,24 +290,26 @@ def rough_calibration(record: Record, band: tuple[float, float]) -> Calibrated:
     w = np.tile(2 * np.pi * response.frequencies_hz, n)
     nothing = np.zeros_like(noise)
     of = Harmonics(w, amplitude[:, np.newaxis], noise, nothing, nothing[:, 0, 0], nothing[0])
-    fit = fit_shake(of, np.ones((len(w), 2), complex))
+    fit = fit_multisine(of, np.ones((len(w), 2), complex))
     # the random motion of a specimen with friction does not tell that of the force
     fit.lag[FORCE], fit.lag_error[FORCE] = 0.0, 0.0
-    test = MeasuredTest(Calibrated.of_shake(fit, record.experiment).corrected(record), band)
+    test = MeasuredTest(
+        Calibrated.of_multisine(fit, recording.experiment).corrected(recording), band
+    )
     balances = (OilBalance(*test.of_actuator(i), dt, band) for i in range(n))
     fit.lag[FORCE] = list(map(force_lag, balances))
-    return Calibrated.of_shake(fit, record.experiment)
+    return Calibrated.of_multisine(fit, recording.experiment)
 
 
-def moved_by(record: Record, sines: Sequence[Sine]) -> Floats:
-    """Amplitude of the displacement of each sine in the record of a shake, shape (m,), m."""
-    of = harmonics(_samples(record), sines, record.experiment.timebase.dt)
+def moved_by(recording: Recording, sines: Sequence[Sine]) -> Floats:
+    """Amplitude of the displacement of each sine in a multisine test's recording, shape (m,), m."""
+    of = harmonics(_samples(recording), sines, recording.experiment.timebase.dt)
     return np.array([abs(of.amplitude[k, 0, sine.axis]) for k, sine in enumerate(sines)])
 
 
-def _samples(record: Record) -> Floats:
+def _samples(recording: Recording) -> Floats:
     """Give the samples at every step as measured, shape (N, 4, n)."""
-    states = as_measured(record).states
+    states = as_measured(recording).states
     return every_step(states, np.arange(states.steps[-1] + 1))
 
 
@@ -316,9 +323,9 @@ _UNITS = {  # channel: unit and factor of its bias
 }
 
 
-def shake_table(shaken: Shaken, axes: Sequence[str]) -> TextTable:
-    """Tabulate what a shake has found, value and standard error, a column for each axis."""
-    found = shaken.numbers(axes)["axes"]
+def multisine_table(result: MultisineResult, axes: Sequence[str]) -> TextTable:
+    """Tabulate what a multisine test has found, with standard errors, a column for each axis."""
+    found = result.numbers(axes)["axes"]
 
     def cell(number: Mapping[str, float], unit: str, scale: float) -> str:
         error = scale * number["error"]
@@ -327,40 +334,40 @@ def shake_table(shaken: Shaken, axes: Sequence[str]) -> TextTable:
 
     rows: list[list[str] | None] = [["mass", *(cell(one["mass"], "kg", 1.0) for one in found)]]
     for channel, of_bias in _UNITS.items():
-        if channel == "velocity" and shaken.calibrated.derived:
+        if channel == "velocity" and result.calibrated.derived:
             continue
         label = f"{channel}: "
         for what, form in (("scale", ("", 1.0)), ("lag", ("ms", 1e3)), ("bias", of_bias)):
             if any(one[channel][what]["error"] for one in found):  # it is not the reference
                 rows.append([label + what, *(cell(one[channel][what], *form) for one in found)])
                 label = "  "
-    return TextTable(["shake", *axes], rows)
+    return TextTable(["multisine", *axes], rows)
 
 
 _NOT_CORRECTED = "; the axes have their own rigs, and neither can correct it: mount it straight"
 
 
-def shake_notes(shaken: Shaken, axes: Sequence[str]) -> list[str]:
-    """List what a reader must know about a shake, one line each."""
-    fit = shaken.fit
+def multisine_notes(result: MultisineResult, axes: Sequence[str]) -> list[str]:
+    """List what a reader must know about a multisine test, one line each."""
+    fit = result.fit
     found = [
-        "shake: load cell and displacement sensor are the reference: mass and scales are against "
-        "them (displacement's if velocity and acceleration agree against it), lags against the "
-        "earliest channel"
+        "multisine: load cell and displacement sensor are the reference: mass and scales are "
+        "against them (displacement's if velocity and acceleration agree against it), lags "
+        "against the earliest channel"
     ]
-    masses = (each.diagonal() for each in (shaken.known, fit.mass, fit.mass_error))
+    masses = (each.diagonal() for each in (result.known, fit.mass, fit.mass_error))
     for axis, known, mass, error in zip(axes, *masses, strict=True):
-        if abs(mass - known) > max(SHAKE_SIGMAS * error, SAME_MASS * mass):
+        if abs(mass - known) > max(MULTISINE_SIGMAS * error, SAME_MASS * mass):
             found.append(
                 f"axis {axis}: mass {mass:.4g} kg, configured {known:.4g} kg: if that was weighed, "
                 f"the load cell shows {mass / known:.1%} of the force; then give /**: "
                 "calibration.force_scale, and repeat"
             )
-    off = np.abs(fit.tilt - np.eye(len(axes))) > SHAKE_SIGMAS * fit.tilt_error
+    off = np.abs(fit.tilt - np.eye(len(axes))) > MULTISINE_SIGMAS * fit.tilt_error
     for i, j in zip(*np.nonzero(off & ~np.eye(len(axes), dtype=bool)), strict=True):
         found.append(
             f"axis {axes[i]}: the accelerometer shows {fit.tilt[i, j]:.2g} of the acceleration of "
             f"{axes[j]}: it is tilted"
-            + (f"; {TILT} corrects it" if shaken.calibrated.found["tilt"][i, j] else _NOT_CORRECTED)
+            + (f"; {TILT} corrects it" if result.calibrated.found["tilt"][i, j] else _NOT_CORRECTED)
         )
     return found

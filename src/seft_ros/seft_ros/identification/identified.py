@@ -12,7 +12,7 @@ from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import ExperimentError
 from seft_plant_sim.specimen import Specimen
 
-from seft_ros.bags.record import Record
+from seft_ros.bags.recording import Recording
 from seft_ros.design.force_tracking import Tracking, tracking_measures
 from seft_ros.design.plant import Plant, small_signal
 from seft_ros.drawing.style import Number, json_safe, look_up, rows_of
@@ -94,16 +94,16 @@ class Identified:
     faults: list[str]
 
 
-def identify_from_records(
-    open_loop: Record | None,
-    closed_loop: Record | None,
+def identify_from_recordings(
+    open_loop: Recording | None,
+    closed_loop: Recording | None,
     band: tuple[float, float],
 ) -> Identified:
-    """Identify a rig from the records of its tests.
+    """Identify a rig from the recordings of its tests.
 
     Parameters
     ----------
-    open_loop, closed_loop : Record or None
+    open_loop, closed_loop : Recording or None
         One may be missing.
     band : tuple of float
         Lowest and highest frequency of the excitation, Hz.
@@ -116,13 +116,13 @@ def identify_from_records(
     tests: dict[str, MeasuredTest] = {}
     unusable: list[str] = []
     faults: list[str] = []
-    for what, record, option in (
+    for what, recording, option in (
         (_OPEN_LOOP, open_loop, "--amplitude"),
         (_CLOSED_LOOP, closed_loop, "--force"),
     ):
-        if record is None:
+        if recording is None:
             continue
-        test = MeasuredTest(record, band)
+        test = MeasuredTest(recording, band)
         if test.at_limit():
             faults.append(
                 f"{what}: a valve command was at its limit in {test.at_limit()} of {test.steps} "

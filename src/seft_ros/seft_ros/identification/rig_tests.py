@@ -16,7 +16,7 @@ from seft_plant_sim.limits import Limits, largest_force_rate, span_steps
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import truth
 
-from seft_ros.bags.record import Record, Series
+from seft_ros.bags.recording import Recording, Series
 from seft_ros.design.force_tracking import BAND_HZ
 from seft_ros.force_controller.force_controller_parameters import (
     VELOCITY_FEEDFORWARD,
@@ -158,7 +158,7 @@ def frequency_response(
 _REFERENCE, _VALVE, _MOTION, _FORCE = (0, 1), (1, 2), (2, 5), (4, 5)
 # blocks of n signals, first and end: motion is displacement, acceleration and force
 _MOTION_TO = 0.2  # of the rate: a displacement is differentiated, and beyond is aliasing
-_SEGMENTS = 7.5  # to a record, before they overlap
+_SEGMENTS = 7.5  # to a recording, before they overlap
 _LEAST_PERIODS = 3.0  # of the lowest frequency in a segment
 _COHERENT = 0.5
 _LEAST_SHARE = 0.5  # of the frequencies that must be coherent
@@ -167,14 +167,14 @@ _LEAST_SHARE = 0.5  # of the frequencies that must be coherent
 class MeasuredTest:
     """Spectra of reference force, valve, displacement, acceleration and force in one test.
 
-    Of a record that ran to its end; the band is that of its excitation, in Hz.
+    Of a recording that ran to its end; the band is that of its excitation, in Hz.
     """
 
-    def __init__(self, record: Record, band: tuple[float, float]) -> None:
-        self.record = record
-        self.axes = record.experiment.axes
-        self.dt = record.experiment.timebase.dt
-        self.steps = int(record.states.steps[-1]) + 1
+    def __init__(self, recording: Recording, band: tuple[float, float]) -> None:
+        self.recording = recording
+        self.axes = recording.experiment.axes
+        self.dt = recording.experiment.timebase.dt
+        self.steps = int(recording.states.steps[-1]) + 1
         every = np.arange(self.steps)
 
         def columns(series: Series, row: int) -> Floats:
@@ -183,9 +183,9 @@ class MeasuredTest:
             return np.stack([np.interp(every, series.steps, value) for value in values], axis=1)
 
         self._signals = [
-            columns(record.series[REFERENCE_FORCE.name], 0),
-            columns(record.series[VALVE_COMMAND.name], 0),
-            *(columns(record.states, row) for row in (0, 2, 3)),
+            columns(recording.series[REFERENCE_FORCE.name], 0),
+            columns(recording.series[VALVE_COMMAND.name], 0),
+            *(columns(recording.states, row) for row in (0, 2, 3)),
         ]
         segment = self.steps * self.dt / _SEGMENTS
         self._spectra = motion_spectra(np.hstack(self._signals), 1.0 / self.dt, segment)
@@ -193,8 +193,8 @@ class MeasuredTest:
 
     def at_limit(self) -> int:
         """Count the steps in which a valve command is at the controller's limit."""
-        limit = self.record.experiment["force_controller"]["limits.command"]
-        commands = np.abs(self.record.series[VALVE_COMMAND.name].values)
+        limit = self.recording.experiment["force_controller"]["limits.command"]
+        commands = np.abs(self.recording.series[VALVE_COMMAND.name].values)
         return int((commands >= limit).any(axis=(1, 2)).sum())
 
     def incoherent(self) -> str:
@@ -313,7 +313,7 @@ def pilot_voltage(experiment: Experiment) -> float:
     return float(_PILOT_SHARE * experiment["supervisor"]["limits.command"])
 
 
-def voltage_after(pilot: Record, voltage: float, largest: LargestLevels) -> float:
+def voltage_after(pilot: Recording, voltage: float, largest: LargestLevels) -> float:
     """RMS of the valve command that moves a rig well, far inside its limits, V.
 
     After a pilot test, open loop with an RMS of ``voltage`` V.
@@ -340,14 +340,14 @@ def has_valve(experiment: Experiment) -> bool:
 
 
 def open_loop(
-    experiment: Experiment, record: Path, voltage: float, known_channels: bool = True
+    experiment: Experiment, motion: Path, voltage: float, known_channels: bool = True
 ) -> Experiment:
     """Test that drives the valves by a record of ground motion, without force feedback.
 
     A reference force of 1 N, which nothing applies, is a command of ``voltage`` V. What that
-    excites is no instability. Where channels are not known, as before a shake, nothing compares
-    them: to judge and detectors they are as noisy as their limits are large. No command depends on
-    what is measured, and the limits hold.
+    excites is no instability. Where channels are not known, as before a multisine test, nothing
+    compares them: to judge and detectors they are as noisy as their limits are large. No command
+    depends on what is measured, and the limits hold.
     """
     controller = one_controller([voltage], [1.0]) | {"feedback": False}
     changes: dict[str, Section] = {"reference_force": {"instability.ratio": 0.0}}
@@ -356,17 +356,17 @@ def open_loop(
         changes[EVERY_NODE] = {f"sensors.{name}_noise": limits[name] for name in CHANNELS}
         changes["rig"] = truth(experiment.sections.get("rig", {}))
         controller["detectors.warn_only"] = ",".join([*MODEL_BASED, *NOISE_BASED])
-    return _with(experiment, record, controller).changed(changes)
+    return _with(experiment, motion, controller).changed(changes)
 
 
-def shake_test(experiment: Experiment, record: Path) -> Experiment:
+def multisine_test(experiment: Experiment, motion: Path) -> Experiment:
     """Test that drives the valves by a record whose forces in N are the commands in V."""
-    return open_loop(experiment, record, 1.0, known_channels=False)
+    return open_loop(experiment, motion, 1.0, known_channels=False)
 
 
-def closed_loop_test(experiment: Experiment, record: Path, force: float) -> Experiment:
+def closed_loop_test(experiment: Experiment, motion: Path, force: float) -> Experiment:
     """Test that follows the reference force of a record, times ``force``, by its own controller."""
-    return _with(experiment, record, {"feedback": True}, force)
+    return _with(experiment, motion, {"feedback": True}, force)
 
 
 def has_force_loop(experiment: Experiment) -> bool:
@@ -375,12 +375,12 @@ def has_force_loop(experiment: Experiment) -> bool:
 
 
 def _with(
-    experiment: Experiment, record: Path, controller: Section, force: float = 1.0
+    experiment: Experiment, motion: Path, controller: Section, force: float = 1.0
 ) -> Experiment:
     """Copy an experiment as one of conventional EFT under a ground motion, times ``force``."""
     changes: dict[str, Section] = {
         "ground_motion": {
-            "file": str(record.resolve()),
+            "file": str(motion.resolve()),
             "column": list(range(len(experiment.axes))),
             "rows": False,
             "correct": "none",

@@ -157,7 +157,7 @@ class Guarded(RequestHandler):
         if status_code in (401, 429) and wants_page:
             page = (ASSETS / "token.html").read_text(encoding="utf-8")
             offered = self.get_query_argument("token", "")
-            self.finish(page.replace("<!--told-->", f"{self._reason}." if offered else ""))
+            self.finish(page.replace("<!--reason-->", f"{self._reason}." if offered else ""))
             return
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish(f"{status_code}: {self._reason}\n")

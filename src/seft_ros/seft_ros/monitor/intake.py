@@ -191,7 +191,7 @@ class Intake:
         self._reference = LiveReference()
         self.own_motion: dict[str, Any] = {}
         self._live_motion: LiveMotion | None = None
-        self._next_told = 0
+        self._next_shown = 0
         self.rigs = rigs_of(axes)
         self._states = [TrajectoryCodec(RIG_STATE, rig.axes, timebase) for rig in self.rigs]
         self._forces = TrajectoryCodec(REFERENCE_FORCE, axes, timebase)
@@ -304,7 +304,7 @@ class Intake:
 
     def _response(self) -> RunningResponse | None:
         """Make the models of the whole structure from the nodes' descriptions."""
-        self.own_motion, self._next_told, self._live_motion = {}, 0, None
+        self.own_motion, self._next_shown, self._live_motion = {}, 0, None
         if "reference_force" not in self._sections:
             reason = "reference_force has not described itself"
         else:
@@ -336,6 +336,6 @@ class Intake:
         known = self._steps[slots] == steps
         states = np.where(known[:, np.newaxis, np.newaxis], self._recent[slots], np.nan)
         self._live_motion.advance(motion, states)
-        if steps[-1] >= self._next_told:
-            self._next_told = int(steps[-1]) + round(1 / self.timebase.dt)
+        if steps[-1] >= self._next_shown:
+            self._next_shown = int(steps[-1]) + round(1 / self.timebase.dt)
             self.own_motion = self._live_motion.summary()

@@ -58,11 +58,11 @@ class Watch:
         self._graph, self._now = graph, now
         self.session = Session()
         self.intake: Intake | None = None
-        self._told: dict[str, str] = {}
+        self._sent: dict[str, str] = {}
         self._refused = 0
 
     def poll(self) -> list[Frame]:
-        """Take the messages that have arrived; give the news, for pages that have the rest."""
+        """Take the messages that have arrived; give the news, for pages that have the others."""
         self._receive_statuses()
         intake = self.intake
         if intake is None:
@@ -77,7 +77,7 @@ class Watch:
 
     def everything(self) -> list[Frame]:
         """Give all frames for a newly opened page."""
-        frames: list[Frame] = [*self._told.values(), self._time()]
+        frames: list[Frame] = [*self._sent.values(), self._time()]
         if self.intake is not None and self.intake.number:
             history, number = self.intake.history, self.intake.number
             frames.append(envelope_frame(number, history.envelope))
@@ -166,8 +166,8 @@ class Watch:
         news: list[Frame] = []
         for kind, content in messages.items():
             text = json.dumps({"kind": kind, **content}, separators=(",", ":"))
-            if self._told.get(kind) != text:
-                self._told[kind] = text
+            if self._sent.get(kind) != text:
+                self._sent[kind] = text
                 news.append(text)
         return [*news, self._time()]
 

@@ -38,7 +38,7 @@ from seft_ros.protection.detector_list import WARNING
 from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.test_run.state_machine import SampleOrder, check_magnitude
 
-_STOP_PERIOD = 0.01  # s of the test, between two stops in reserve: little of a stop
+_STOP_PERIOD = 0.01  # s of the test, between two fallback stops: little of a stop
 _REPORT_PERIOD = 1.0  # s between two reports of link and valves while a test runs
 
 
@@ -49,7 +49,7 @@ class ForceControllerNode(NodeBody):
     newest message has for its step.
 
     After a trip it answers every further state with the commands of a stop, from that step until
-    rest. Before, it sends in reserve the stop that would begin now. It sends nothing without a
+    rest. Before, it sends the fallback stop, which would begin now. It sends nothing without a
     state: if the rig's states are missing, 0 V for its last step would be stale.
     """
 
@@ -281,7 +281,7 @@ class ForceControllerNode(NodeBody):
             status = tripped_status("force_controller", reason, step)
         values = {"nearest detector": f"{name}: {share:.2f} of its threshold"}
         if self._previews is not None:
-            values["link"] = self._previews.record().to_json()
+            values["link"] = self._previews.report().to_json()
         for name, estimate in (self._estimates() if self._estimates else {}).items():
             for axis, value in zip(self._shell.rig.axes, estimate.tolist(), strict=True):
                 values[f"{name} {axis}"] = f"{value:.4g}"

@@ -55,11 +55,11 @@ from seft_ros.test_run.peers import (
     UNFIT,
     LastStatus,
     Rehearsed,
-    judge_peers,
+    check_peers,
     missing,
     silence,
     silent,
-    with_zeros,
+    with_biases,
 )
 from seft_ros.test_run.state_machine import PACE_KEY, ServiceAnswer, StateMachine
 
@@ -178,9 +178,9 @@ class SupervisorNode(NodeBody):
     def _rehearsal(self) -> str:
         """Rehearse the loop, and say what a test still needs; empty if nothing."""
         nodes = {name: self._descriptions.get(name, {}) for name in self._peers}
-        found = judge_peers(self._section["rehearsal.duration"], nodes)
+        found = check_peers(self._section["rehearsal.duration"], nodes)
         rigs = [nodes[name] for name in self._rig_nodes if name in nodes]
-        self._rehearsed = found = with_zeros(found, rigs)
+        self._rehearsed = found = with_biases(found, rigs)
         if found.warning and found.warning != self._warned:
             self._warned = found.warning
             self._shell.log("warning", found.warning)

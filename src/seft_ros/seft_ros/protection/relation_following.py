@@ -1,4 +1,4 @@
-"""A relation of two channels, and how far gain, delay and zero of one of them are off.
+"""A relation of two channels, and how far gain, delay and bias of one of them are off.
 
 Sums of both sides, which forget in a time T, are compared::
 

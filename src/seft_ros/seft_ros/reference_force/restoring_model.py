@@ -12,8 +12,8 @@ which describes friction, yielding and unloading. The model is linear in p, K, C
 filter estimates them.
 
 The model is only used near the sample: the offset p contains the part of the measured force that
-the rest of the model does not explain. The model serves for the step from the specimen's state to
-the target's, and for the prediction a few steps ahead.
+the other parts of the model does not explain. The model serves for the step from the specimen's
+state to the target's, and for the prediction a few steps ahead.
 
 While the innovations are noise, the filter averages. If their recent sum is so large that chance
 makes it once in `ONCE_IN` s, the specimen has changed: the covariance is increased by the prior's,
@@ -63,7 +63,7 @@ CHANGING_STIFFNESS, CHANGING_DAMPING, CHANGING_SLIDER = 1.0, 0.5, 1.5
 all stiffness."""
 SLIDER_TO_NOISE, OFFSET_TO_NOISE = 0.5, 7.0
 """Prior of a slider's force and of the offset, over the noise of the restoring force, chosen so
-that sliders appear when something slips, and the offset takes the rest."""
+that sliders appear when something slips, and the offset takes the remainder."""
 MAX_EVIDENCE = math.log(1e4)
 """Largest magnitude of the logarithm of the likelihoods' ratio: a few samples overturn it."""
 CONFIRMED_IN = 0.05

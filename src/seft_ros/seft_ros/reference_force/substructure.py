@@ -19,7 +19,7 @@ from seft_plant_sim.lti import first_order_hold
 from seft_ros.reference_force.compensator import Compensator, MethodInputs
 from seft_ros.reference_force.linear_filter import LinearCompensator, LinearFilter
 
-REST_CORNER = 30.0  # Hz up to which the model's restoring force is corrected by the measured one
+REMAINDER_CORNER = 30.0  # Hz up to which the model's restoring force follows the measured one
 
 
 def with_substructure(method: Compensator, inputs: MethodInputs) -> Compensator:
@@ -68,7 +68,7 @@ def substructure_motion(inputs: MethodInputs, preview: int) -> LinearFilter:
     n, computed, dt = inputs.axes, inputs.computed, inputs.dt
     inside, steps = 2 * computed.internal, 1 + preview
     # all signals are combinations of states, measured signals and ground motion
-    before, rest, x, v, a, f, *ground = np.split(
+    before, remainder, x, v, a, f, *ground = np.split(
         np.eye(inside + n + 4 * n + steps * n), inside + n * np.arange(0, 5 + steps)
     )
     system, by_ground = _internal(inputs)
@@ -80,11 +80,13 @@ def substructure_motion(inputs: MethodInputs, preview: int) -> LinearFilter:
     internal = before + change @ here
     going_on = free @ internal + (start - change) @ here
     residual = f - inputs.mass @ a - inputs.stiffness @ x - inputs.damping @ v
-    rest = rest + (1.0 - np.exp(-2 * np.pi * REST_CORNER * dt)) * (residual - rest)
+    remainder = remainder + (1.0 - np.exp(-2 * np.pi * REMAINDER_CORNER * dt)) * (
+        residual - remainder
+    )
 
     inverse = np.linalg.inv(inputs.total_mass)
     acceleration = inverse @ _force(inputs)
-    # the whole structure: (x, v) of the axes and (z, z'), by ground acceleration and rest
+    # the whole structure: (x, v) of the axes and (z, z'), by ground acceleration and remainder
     elastic = -inverse @ np.hstack([inputs.stiffness, inputs.damping])
     moved = np.pad(elastic, [(0, 0), (0, inside)]) - acceleration
     whole = np.vstack([np.eye(n, 2 * n + inside, k=n), moved, system])
@@ -96,13 +98,13 @@ def substructure_motion(inputs: MethodInputs, preview: int) -> LinearFilter:
     for now, later in pairwise(ground):
         motion = (
             free @ motion
-            + start @ np.vstack([now, rest])
-            + change @ np.vstack([later - now, np.zeros_like(rest)])
+            + start @ np.vstack([now, remainder])
+            + change @ np.vstack([later - now, np.zeros_like(remainder)])
         )
         found.append(later + acceleration @ motion)
     states, signals = inside + n, inside + 5 * n
     c, d, e = np.split(np.vstack(found), [states, signals], axis=1)
-    a, b, h = np.split(np.vstack([going_on, rest]), [states, signals], axis=1)
+    a, b, h = np.split(np.vstack([going_on, remainder]), [states, signals], axis=1)
     return LinearFilter(a, b, h, c, d, e)
 
 

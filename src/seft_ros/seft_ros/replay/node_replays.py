@@ -14,7 +14,7 @@ from seft_msgs_py.wire.topics import (
 from seft_plant_sim.rig import Rig
 
 from seft_ros.bags.gathering import EstimatesGatherer
-from seft_ros.bags.record import Estimates, Series, series_of
+from seft_ros.bags.recording import Estimates, Series, series_of
 from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.methods import force_control
@@ -58,10 +58,10 @@ class ReferenceForceReplay(Replay):
         answered = np.array(list(recorded.points), np.int64)
         if not section["loop_delay"]:  # each command follows a reference force, recorded or not
             unrecorded = np.setdiff1d(recorded.series(VALVE_COMMAND).steps, answered)
-            if recorded.record.trip is None:
+            if recorded.recording.trip is None:
                 self.note_steps("the bag lacks the recorded answer", unrecorded)
                 answered = np.union1d(answered, unrecorded)
-        states = recorded.record.states
+        states = recorded.recording.states
         self.note_unanswered(states.steps, answered)
         self._states = states.of_steps(answered)
         unmoved = answered[answered >= moved]
@@ -110,7 +110,7 @@ class ForceControllerReplay(Replay):
 
     def __init__(self, recorded: Recorded) -> None:
         super().__init__(recorded)
-        section, trip = self.experiment["force_controller"], recorded.record.trip
+        section, trip = self.experiment["force_controller"], recorded.recording.trip
         if section["loop_delay"]:
             raise InputError(
                 "force_controller answered over a link (loop_delay): which force was the newest "
@@ -154,7 +154,7 @@ class ForceControllerReplay(Replay):
 
 
 class RigReplay(Replay):
-    """What the rig applied, as it has told with each sample."""
+    """What the rig applied, as it has reported with each sample."""
 
     node = "rig"
     answer: LoopTopic = RIG_STATE
@@ -197,6 +197,6 @@ def replay_to(node: str, recorded: Recorded) -> Replay:
     if node not in REPLAYS:
         known = ", ".join(REPLAYS)
         raise InputError(f"--node {node}: must be one of {known}{nearest(node, REPLAYS)}")
-    if node not in recorded.record.experiment.sections:
+    if node not in recorded.recording.experiment.sections:
         raise InputError(f"the bag lacks the parameters of {node}")
     return REPLAYS[node](recorded)

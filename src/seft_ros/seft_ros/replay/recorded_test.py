@@ -27,10 +27,10 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-from seft_ros.analysis.comparison import compare_records
+from seft_ros.analysis.comparison import compare_recordings
 from seft_ros.analysis.result_text import FIELD_UNITS
-from seft_ros.bags.record import Estimates, Record, Series
-from seft_ros.bags.record_bag import read_bag, read_messages
+from seft_ros.bags.recording import Estimates, Recording, Series
+from seft_ros.bags.recording_bag import read_bag, read_messages
 from seft_ros.drawing.style import Mark, number, small_percent
 from seft_ros.drawing.table import Cell, Texts, TextTable
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
@@ -43,7 +43,7 @@ class Recorded:
 
     Attributes
     ----------
-    record : Record
+    recording : Recording
         Its samples and configuration.
     chunks : list of (int, ndarray)
         The messages of ground motion in their order: first step, and accelerations of shape
@@ -56,7 +56,7 @@ class Recorded:
         Whether the supervisor commanded a ramp, but reference_force did not report that step.
     """
 
-    record: Record
+    recording: Recording
     chunks: list[tuple[int, Floats]]
     points: dict[int, Floats]
     ramp_step: int | None = None
@@ -64,7 +64,7 @@ class Recorded:
 
     def series(self, topic: LoopTopic) -> Series:
         """Give the samples of a topic, by step."""
-        return self.record.series[topic.name]
+        return self.recording.series[topic.name]
 
 
 def read_recorded(path: str | Path) -> Recorded:
@@ -75,11 +75,11 @@ def read_recorded(path: str | Path) -> Recorded:
     InputError
         If the bag can't be read, lacks the test's beginning, or has several tests.
     """
-    record = read_bag(path)
-    experiment = record.experiment
+    recording = read_bag(path)
+    experiment = recording.experiment
     if len(experiment.rigs) > 1:
         raise InputError(f"{path}: a test of several rigs; only tests of one can be replayed")
-    states = record.series[RIG_STATE.name].steps
+    states = recording.series[RIG_STATE.name].steps
     if not len(states):
         raise InputError(f"{path}: the bag has no rig/state; record that topic, too")
     if states[0] != 0:
@@ -117,7 +117,7 @@ def read_recorded(path: str | Path) -> Recorded:
     if tests > 1:
         raise InputError(f"{path}: the bag holds {tests} tests; record one in a bag")
     points = {step: points[step] for step in sorted(points) if step <= states[-1]}
-    return Recorded(record, chunks, points, ramp_step, is_ramped and ramp_step is None)
+    return Recorded(recording, chunks, points, ramp_step, is_ramped and ramp_step is None)
 
 
 class Replay(ABC):
@@ -150,7 +150,7 @@ class Replay(ABC):
     expected: Series
 
     def __init__(self, recorded: Recorded) -> None:
-        self.experiment = recorded.record.experiment
+        self.experiment = recorded.recording.experiment
         self.notes: list[str] = []
 
     @abstractmethod
@@ -217,20 +217,20 @@ def replay_verdict(
         ``answered``, ``max_abs``, ``nrmse``, ``fields``, ``estimates`` (likewise; None where there
         are none), ``notes``.
     """
-    record, topic = recorded.record, replay.answer.name
+    recording, topic = recorded.recording, replay.answer.name
     # answers beyond the recorded steps have no counterpart
     given = answers.of_steps(replay.expected.steps)
-    theirs = record.estimates if replay.node == "reference_force" else None
+    theirs = recording.estimates if replay.node == "reference_force" else None
     if mine is not None and theirs is not None:
         mine = mine.until(int(theirs.steps[-1]))
     one, other = (
-        replace(record, series={**record.series, topic: series}, estimates=some)
+        replace(recording, series={**recording.series, topic: series}, estimates=some)
         for series, some in ((replay.expected, theirs), (given, mine))
     )
-    found = compare_records(one, other)
+    found = compare_recordings(one, other)
     first = found["first_difference"]
     if first is not None:
-        stamp_ns = record.experiment.timebase.stamp_ns(first["step"])
+        stamp_ns = recording.experiment.timebase.stamp_ns(first["step"])
         first["time_s"] = stamp_ns / 1e9
         first["recorded"], first["replayed"] = first.pop("a"), first.pop("b")
     of_estimates = found["topics"].get(ESTIMATES.name)

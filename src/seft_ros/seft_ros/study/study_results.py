@@ -17,7 +17,7 @@ from seft_ros.drawing.style import RESPONSES, json_safe
 from seft_ros.ground_motion.ground_motion_block import FILES
 from seft_ros.ground_motion.record_file import files_of, source_name
 from seft_ros.study.drawn_tests import DrawnTests
-from seft_ros.study.study_plan import StudyPlan, StudyTest
+from seft_ros.study.study_design import StudyDesign, StudyTest
 from seft_ros.study.study_runs import Run
 
 STUDY_QUANTILES = {"median": 0.5, "p90": 0.9, "p95": 0.95, "max": 1.0}
@@ -29,12 +29,12 @@ _WORST = 5  # tests that are listed
 _FURTHEST = 3  # quantities that are listed with one of them
 
 
-def summarise_study(plan: StudyPlan, runs: Sequence[Run]) -> dict[str, Any]:
+def summarise_study(design: StudyDesign, runs: Sequence[Run]) -> dict[str, Any]:
     """Summarise a study: ``seft study --json``.
 
     Parameters
     ----------
-    plan : StudyPlan
+    design : StudyDesign
         With N drawn tests.
     runs : sequence of Run
         Of all its tests.
@@ -50,11 +50,11 @@ def summarise_study(plan: StudyPlan, runs: Sequence[Run]) -> dict[str, Any]:
         A method is better if fewer of its tests tripped; of those with as many, if the error of
         the displacement is smaller in 95 % of the tests, at most, as a median.
     """
-    drawn, results = plan.drawn, []
-    for ratio in plan.mass_ratios:
-        possible = [name for name in plan.methods if (ratio, name) not in plan.not_possible]
+    drawn, results = design.drawn, []
+    for ratio in design.mass_ratios:
+        possible = [name for name in design.methods if (ratio, name) not in design.not_possible]
         own = [
-            result_of(plan, [run for run in runs if run.test[:2] == (ratio, name)])
+            result_of(design, [run for run in runs if run.test[:2] == (ratio, name)])
             for name in possible
         ]
         results += sorted(own, key=_rank)
@@ -66,7 +66,7 @@ def summarise_study(plan: StudyPlan, runs: Sequence[Run]) -> dict[str, Any]:
             "results": results,
             "not_possible": [
                 {"mass_ratio": ratio, "method": method, "reason": reason}
-                for (ratio, method), reason in plan.not_possible.items()
+                for (ratio, method), reason in design.not_possible.items()
             ],
             "chance": _Z95 / math.sqrt(len(drawn.sections) - 2),
             "drawn": [
@@ -83,7 +83,7 @@ def summarise_study(plan: StudyPlan, runs: Sequence[Run]) -> dict[str, Any]:
     return found
 
 
-def result_of(plan: StudyPlan, runs: Sequence[Run]) -> dict[str, Any]:
+def result_of(design: StudyDesign, runs: Sequence[Run]) -> dict[str, Any]:
     """Summarise the tests of one method at one mass ratio, the configured one first.
 
     Returns
@@ -100,7 +100,7 @@ def result_of(plan: StudyPlan, runs: Sequence[Run]) -> dict[str, Any]:
     """
     configured, drawn = runs[0], [run.summary for run in runs[1:]]
     errors, lost = errors_of(drawn), sum(not one["stable"] for one in drawn)
-    motions = np.array([_motion(sections) for sections in plan.drawn.sections[1:]])
+    motions = np.array([_motion(sections) for sections in design.drawn.sections[1:]])
     groups = {str(name): errors[motions == name] for name in np.unique(motions)}
     ranked = sorted(range(len(drawn)), key=lambda n: -np.nan_to_num(errors[n], nan=math.inf))
     return {
@@ -114,9 +114,9 @@ def result_of(plan: StudyPlan, runs: Sequence[Run]) -> dict[str, Any]:
             "share": lost / len(drawn),
             "interval_95": binomtest(lost, len(drawn)).proportion_ci(method="wilson"),
         },
-        "causes": causes_of(plan.drawn, errors),
+        "causes": causes_of(design.drawn, errors),
         "motions": {name: {"tests": len(own), **quantiles(own)} for name, own in groups.items()},
-        "worst": [_worst(plan, 1 + n, drawn[n]) for n in ranked[:_WORST]],
+        "worst": [_worst(design, 1 + n, drawn[n]) for n in ranked[:_WORST]],
         "runs": [{"test": number} | one for number, one in enumerate(drawn, 1)],
     }
 
@@ -125,10 +125,11 @@ def _motion(sections: Mapping[str, Section]) -> str:
     return source_name(sections["ground_motion"]["file"])
 
 
-def _worst(plan: StudyPlan, number: int, outcome: Mapping[str, Any]) -> dict[str, Any]:
-    drawn = plan.drawn.factors | plan.drawn.offsets
+def _worst(design: StudyDesign, number: int, outcome: Mapping[str, Any]) -> dict[str, Any]:
+    drawn = design.drawn.factors | design.drawn.offsets
     shares = {
-        name: own[number - 1] / (own.max() or 1.0) for name, own in plan.drawn.deviations().items()
+        name: own[number - 1] / (own.max() or 1.0)
+        for name, own in design.drawn.deviations().items()
     }
     names = sorted(shares, key=lambda name: -shares[name])[:_FURTHEST]
     furthest = {name: drawn[name][number - 1] for name in names}
@@ -200,7 +201,7 @@ def worst_folder(page: Path) -> Path:
     return folder
 
 
-def write_worst_tests(plan: StudyPlan, summary: dict[str, Any], folder: Path) -> None:
+def write_worst_tests(design: StudyDesign, summary: dict[str, Any], folder: Path) -> None:
     """Write the worst tests of each method and mass ratio as complete experiments.
 
     ``seft simulate FILE`` repeats one. The summary gets their paths, as ``file`` of each; files of
@@ -220,13 +221,15 @@ def write_worst_tests(plan: StudyPlan, summary: dict[str, Any], folder: Path) ->
             test = StudyTest(result["mass_ratio"], result["method"], worst["test"])
             method = re.sub(r"[^\w.-]", "_", test.method)
             path = folder / f"{method}_{test.mass_ratio:g}_{test.number}.yaml"
-            sections = plan.experiment_of(test).by_place()
+            sections = design.experiment_of(test).by_place()
             motion = sections["ground_motion"]
             sections["ground_motion"] = motion | {
                 name: [str(Path(file).resolve()) for file in files]
                 for name in FILES
-                if (files := files_of(motion[name], plan.experiment.axes))
+                if (files := files_of(motion[name], design.experiment.axes))
             }
-            about = f"{test} of seft study, seed {plan.drawn.seed}, spread {plan.drawn.spread:g}"
+            about = (
+                f"{test} of seft study, seed {design.drawn.seed}, spread {design.drawn.spread:g}"
+            )
             write_parameter_file(path, sections, [about], replace=True)
             worst["file"] = str(path)

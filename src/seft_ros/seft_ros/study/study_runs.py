@@ -16,10 +16,10 @@ from seft_msgs_py.errors import ExperimentError, InputError, SeftError
 from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.summary import summarise_briefly
-from seft_ros.bags.record import Record
+from seft_ros.bags.recording import Recording
 from seft_ros.ground_motion.ground_motion_block import FILES
 from seft_ros.ground_motion.record_file import files_of
-from seft_ros.study.study_plan import StudyPlan, StudyTest
+from seft_ros.study.study_design import StudyDesign, StudyTest
 from seft_ros.study.workers import parallel_map, software
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import BlockCache, simulate_test
@@ -34,8 +34,8 @@ class FinishedTests:
     More tests, methods or mass ratios have the same file.
     """
 
-    def __init__(self, plan: StudyPlan, folder: Path) -> None:
-        self._file = folder / f"study-{_digest(plan)}.jsonl"
+    def __init__(self, design: StudyDesign, folder: Path) -> None:
+        self._file = folder / f"study-{_digest(design)}.jsonl"
 
     def read(self) -> dict[StudyTest, TestOutcome]:
         """Read the tests, and cut off a line that was not written to its end."""
@@ -71,11 +71,11 @@ class FinishedTests:
             ) from None
 
 
-def _digest(plan: StudyPlan) -> str:
+def _digest(design: StudyDesign) -> str:
     """Digest what the result of a test depends on beside its mass ratio, method and number."""
-    drawn = plan.drawn
-    inputs = [software(), plan.experiment.sections, drawn.seed, drawn.spread, drawn.motions]
-    contents = [hashlib.sha256(content).hexdigest() for content in plan.records().values()]
+    drawn = design.drawn
+    inputs = [software(), design.experiment.sections, drawn.seed, drawn.spread, drawn.motions]
+    contents = [hashlib.sha256(content).hexdigest() for content in design.records().values()]
     text = json.dumps([*inputs, contents], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
@@ -103,7 +103,7 @@ class Run:
 
 
 def run_study(
-    plan: StudyPlan,
+    design: StudyDesign,
     progress: Callable[[str, int], None] = lambda *_: None,
     *,
     workers: int = 1,
@@ -117,8 +117,8 @@ def run_study(
 
     Parameters
     ----------
-    plan : StudyPlan
-        Whose `StudyPlan.tests` are run.
+    design : StudyDesign
+        Whose `StudyDesign.tests` are run.
     progress : callable, optional
         Called with what was run, and how many tests are done.
     workers, scheduler : int, str
@@ -131,14 +131,14 @@ def run_study(
     ExperimentError
         If a test could not be calculated; names it.
     """
-    tests = plan.tests()
+    tests = design.tests()
     known = finished.read() if finished else {}
     found = {test: known[test] for test in tests if test in known}
     if found:
         progress(f"{len(found)} tests were finished before", len(found))
     left = [test for test in tests if test not in found]
-    experiments = map(plan.experiment_of, left)
-    carried = plan.records() if scheduler else {}
+    experiments = map(design.experiment_of, left)
+    carried = design.records() if scheduler else {}
     with parallel_map(max(1, min(workers, len(left))), scheduler) as map_:
         for position, outcome in map_(_run, left, experiments, repeat(carried, len(left))):
             if finished:
@@ -161,21 +161,21 @@ def _run(test: StudyTest, experiment: Experiment, carried: Mapping[str, bytes]) 
             experiment = Experiment(experiment.sections | {"ground_motion": section})
         reference, why = _CACHE.reference(experiment), _CACHE.why_not_compiled(experiment)
         if why:  # what learns begins with blocks of its own
-            record = simulate_test(experiment, build_blocks(experiment))
+            recording = simulate_test(experiment, build_blocks(experiment))
         else:
-            record = _CACHE.run(experiment)
-        return _brief(record, reference), why
+            recording = _CACHE.run(experiment)
+        return _brief(recording, reference), why
     except SeftError as error:
         raise type(error)(f"{test}: {error}") from None
     except Exception as error:
         raise ExperimentError(f"{test}: {type(error).__name__}: {error}") from error
 
 
-def _brief(record: Record, reference: ReferenceResponse) -> dict[str, Any]:
+def _brief(recording: Recording, reference: ReferenceResponse) -> dict[str, Any]:
     """Summarise a test against the reference response, cut to the steps that it lasted."""
-    steps = len(record.states.steps)
+    steps = len(recording.states.steps)
     parts = {field.name: getattr(reference, field.name)[:steps] for field in fields(reference)}
-    return summarise_briefly(record, ReferenceResponse(**parts))
+    return summarise_briefly(recording, ReferenceResponse(**parts))
 
 
 @lru_cache(maxsize=64)

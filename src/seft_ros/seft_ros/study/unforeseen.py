@@ -119,8 +119,8 @@ def yielding_error(
 
 def _error(experiment: Experiment) -> float:
     blocks = build_blocks(experiment)
-    record = simulate_test(experiment, blocks)
-    if record.trip is not None:
+    recording = simulate_test(experiment, blocks)
+    if recording.trip is not None:
         return float("inf")
     exact = reference_response(experiment, blocks.ground_motion.samples)
-    return float(nrmse(record.series["rig/state"].values[:, 0], exact.displacement))
+    return float(nrmse(recording.series["rig/state"].values[:, 0], exact.displacement))

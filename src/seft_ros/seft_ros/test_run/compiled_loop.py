@@ -50,6 +50,7 @@ from seft_ros.force_controller.interlock_step import (
 )
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
+from seft_ros.protection.biases import check_biases
 from seft_ros.protection.protected_force import ProtectedForce
 from seft_ros.protection.protection_step import (
     HOLDING,
@@ -59,7 +60,6 @@ from seft_ros.protection.protection_step import (
     begin_step,
     protect,
 )
-from seft_ros.protection.zeros import judge_zeros
 from seft_ros.reference_force.linear_filter import (
     LinearCompensator,
     LinearParameters,
@@ -123,9 +123,9 @@ def build_blocks(experiment: Experiment, known: dict[str, Any] | None = None) ->
     check_times(experiment["rig"]["faults"], axes, duration)
     check_lead(experiment, blocks.ground_motion, blocks.reference_force)
     check_target(experiment, blocks)
-    zeros = judge_zeros(blocks.rig.zeroed, group(experiment["rig"], "limits"))
-    if zeros.refusal:
-        raise InputError(f"rig: {zeros.refusal}")
+    biases = check_biases(blocks.rig.zeroed, group(experiment["rig"], "limits"))
+    if biases.refusal:
+        raise InputError(f"rig: {biases.refusal}")
     return blocks
 
 

@@ -1,4 +1,4 @@
-"""Messages over a link and back at the rate of a test, and the judgement of link and test."""
+"""Messages over a link and back at the rate of a test, and the assessment of link and test."""
 
 import math
 import os
@@ -164,21 +164,21 @@ def message_size(experiment: Experiment) -> int:
 
 def allowed(experiment: Experiment, loop_delay: int) -> Allowed:
     """Run preflight for a test with a delay of the loop, in steps."""
-    from seft_ros.design.plan import Plan
+    from seft_ros.design.planned_tests import PlannedTest
     from seft_ros.design.stability_margins import critical_mass_ratio
 
     planned = float(experiment["reference_force"]["mass_ratio"])
     try:
-        plan = Plan(with_loop_delay(experiment, loop_delay))
-        growing = not plan.is_stable()
-        critical = critical_mass_ratio(plan)
+        planned_test = PlannedTest(with_loop_delay(experiment, loop_delay))
+        growing = not planned_test.is_stable()
+        critical = critical_mass_ratio(planned_test)
     except InputError as error:
         return Allowed(planned, None, growing=False, unknown=str(error))
     return Allowed(planned, critical.value if critical else None, growing)
 
 
-def judge_link(trips: RoundTrips, test: Allowed | None) -> tuple[_Verdict, list[str]]:
-    """Judge a link, and a test over it.
+def assess_link(trips: RoundTrips, test: Allowed | None) -> tuple[_Verdict, list[str]]:
+    """Assess a link, and a test over it.
 
     Returns
     -------

@@ -192,8 +192,8 @@ class Observer:
             status = decode_status(state.raw)
             self._received_at = self._awake.time()
             self.state, self.values = status.message, dict(status.values)
-        for told in self._test.take(DIAGNOSTICS):
-            for status in decode_diagnostics(told.raw)[1]:
+        for report in self._test.take(DIAGNOSTICS):
+            for status in decode_diagnostics(report.raw)[1]:
                 self._on_status(status)
 
     def _on_clock(self, message: Any) -> None:

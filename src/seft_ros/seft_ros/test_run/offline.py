@@ -28,9 +28,9 @@ from seft_plant_sim.rig import Rig
 from seft_plant_sim.sensors import BLOCK
 from seft_plant_sim.whole_structure import ReferenceResponse, reference_response
 
-from seft_ros.bags.record import (
+from seft_ros.bags.recording import (
     Estimates,
-    Record,
+    Recording,
     Series,
     describe_environment,
     require_names,
@@ -60,7 +60,7 @@ def simulate_test(
     environment: dict[str, Any] | None = None,
     *,
     compiles: bool = False,
-) -> Record:
+) -> Recording:
     """Run a test offline.
 
     Parameters
@@ -72,7 +72,7 @@ def simulate_test(
     progress : callable, optional
         Called at intervals with the number of steps done.
     environment : dict, optional
-        Of the record; default that of this process.
+        Of the recording; default that of this process.
     compiles : bool
         Whether the loop is compiled at once, if it can be; default only when this process has more
         than `PLAIN_STEPS` of its kind to run, or its code is on the disk. The steps are compiled in
@@ -122,7 +122,7 @@ def simulate_test(
     if estimated:
         sampled = np.arange(0, steps, period, dtype=np.int64)
         estimates = Estimates(sampled, samples.estimates[: len(sampled)], tuple(estimated))
-    return Record(
+    return Recording(
         experiment=experiment,
         series=loop_series(motion, samples, steps),
         estimates=estimates,
@@ -234,7 +234,7 @@ class BlockCache:
     def _environment(self) -> dict[str, Any]:
         return describe_environment("ensemble")
 
-    def run(self, experiment: Experiment) -> Record:
+    def run(self, experiment: Experiment) -> Recording:
         """Run a test, see `simulate_test`.
 
         Raises

@@ -48,8 +48,8 @@ class Rehearsed:
     asked: float = 0.0
 
 
-def judge_peers(duration: float, nodes: Mapping[str, Mapping[str, Any]]) -> Rehearsed:
-    """Judge the rehearsal of a loop.
+def check_peers(duration: float, nodes: Mapping[str, Mapping[str, Any]]) -> Rehearsed:
+    """Check the rehearsal of a loop.
 
     Parameters
     ----------
@@ -80,9 +80,9 @@ def judge_peers(duration: float, nodes: Mapping[str, Mapping[str, Any]]) -> Rehe
     return Rehearsed(f"{rate:g} Hz does not fit here: {trip}, {share}; {'; '.join(remedy)}")
 
 
-def with_zeros(found: Rehearsed, rigs: Iterable[Mapping[str, Any]]) -> Rehearsed:
-    """Add what the descriptions of rigs say of their zeros to the result of a rehearsal."""
-    from seft_ros.protection.zeros import judge_zeros  # numba, which the tables do not need
+def with_biases(found: Rehearsed, rigs: Iterable[Mapping[str, Any]]) -> Rehearsed:
+    """Add what the descriptions of rigs say of their biases to the result of a rehearsal."""
+    from seft_ros.protection.biases import check_biases  # numba, which the tables do not need
 
     if found.asked:
         return found
@@ -90,9 +90,9 @@ def with_zeros(found: Rehearsed, rigs: Iterable[Mapping[str, Any]]) -> Rehearsed
         limits = group(described.get("parameters", {}), "limits")
         if not set(CHANNELS) <= set(limits):
             continue
-        zeros = judge_zeros(described.get(ZEROED), limits)
-        texts = [text for text in (found.warning, zeros.warning) if text]
-        found = Rehearsed(found.refusal or zeros.refusal, "; ".join(texts))
+        biases = check_biases(described.get(ZEROED), limits)
+        texts = [text for text in (found.warning, biases.warning) if text]
+        found = Rehearsed(found.refusal or biases.refusal, "; ".join(texts))
     return found
 
 

@@ -73,7 +73,7 @@ def read_column_file(path: Path, lines: list[str], rows: bool) -> Columns:
             f"{path}: its columns are {', '.join(names)}{place}: a spectrum, no time history; give "
             "the record of the acceleration"
         )
-    values, told = _table(path, data), any(map(says_acceleration, names))
+    values, says_so = _table(path, data), any(map(says_acceleration, names))
     _check_pairs(path, values)
     return Columns(
         path,
@@ -85,7 +85,7 @@ def read_column_file(path: Path, lines: list[str], rows: bool) -> Columns:
         header.dt,
         header.unit,
         [fields for _, fields in data],
-        sure=separator is not None and (told or bool(names and header.unit)),
+        sure=separator is not None and (says_so or bool(names and header.unit)),
     )
 
 
@@ -128,18 +128,18 @@ def _numeric_header(path: Path, data: _Rows) -> tuple[Header, _Rows]:
     """
     first = [field for _, fields in data[:2] for field in fields]
     for lines, numbers in ((1, data[0][1]), (2, first)):
-        rest = data[lines:]
-        if len(numbers) > 2 or not numbers[0].isdigit() or len(rest) < 2:
+        others = data[lines:]
+        if len(numbers) > 2 or not numbers[0].isdigit() or len(others) < 2:
             continue
-        count, sizes = int(numbers[0]), (len(rest), sum(len(fields) for _, fields in rest))
+        count, sizes = int(numbers[0]), (len(others), sum(len(fields) for _, fields in others))
         period = to_float(numbers[1], path, data[0][0]) if len(numbers) == 2 else None
-        alone = period is None and len(rest[0][1]) == 1
+        alone = period is None and len(others[0][1]) == 1
         if count < _FEWEST_COUNTED or count not in sizes:
             continue
         if alone or (period is not None and 0 < period <= _LONGEST_PERIOD):
             place = f"line {data[0][0]}"
             dt = Statement(period, f"line {data[lines - 1][0]}") if period else None
-            return Header(None, dt, Statement(count, place)), rest
+            return Header(None, dt, Statement(count, place)), others
     return Header(), data
 
 

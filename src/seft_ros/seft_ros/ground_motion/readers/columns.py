@@ -98,9 +98,9 @@ class Columns:
             If the two differ, or the name says that it is no acceleration.
         """
         name = self.names[column] if self.names and self.quantities else ""
-        told = _told_units(name)
+        stated = _stated_units(name)
         unit = named_unit(name)
-        if _OTHER.search(name) or (unit is None and any(map(is_other_unit, told))):
+        if _OTHER.search(name) or (unit is None and any(map(is_other_unit, stated))):
             raise InputError(
                 f"{self.path}: {self.called(column)}{self.header} is no acceleration in a unit "
                 "known here; choose another --column, or convert it to g, m/s2 or cm/s2"
@@ -119,14 +119,14 @@ class Columns:
         free = [c for c in range(self.values.shape[1]) if not self.objection(c)]
         if len(free) > 1 and not (self.sure or self.time()):
             count = self.values.shape[1]
-            told = f" ({', '.join(self.names)})" if self.names else ""
+            names = f" ({', '.join(self.names)})" if self.names else ""
             raise InputError(
-                f"{self.path}: has {count} columns{told}, and no time: {count} motions, or one "
+                f"{self.path}: has {count} columns{names}, and no time: {count} motions, or one "
                 "motion in rows? set ground_motion column (--column, from 0), or rows (--rows)"
             )
         said = [c for c in free if self.names and says_acceleration(self.names[c])]
-        rest = [c for c in free if not self.names or not _OTHER.search(self.names[c])]
-        return next(iter((*said, *rest, *free, 0)))
+        others = [c for c in free if not self.names or not _OTHER.search(self.names[c])]
+        return next(iter((*said, *others, *free, 0)))
 
     def time(self) -> tuple[int, float] | None:
         """Index of the column of time, and its unit in s; None if there is none.
@@ -206,7 +206,7 @@ class Columns:
             )
 
 
-def _told_units(name: str) -> list[str]:
+def _stated_units(name: str) -> list[str]:
     """Give what may be units in a name: acc (g), acc_g, or the name itself, as under another."""
     own = [name] if "/" in name or name.lower() in ("g", "gal") else []
     return [text for find in (_IN_BRACKETS, _AFTER_WORD) for text in find.findall(name)] + own
@@ -214,20 +214,20 @@ def _told_units(name: str) -> list[str]:
 
 def named_unit(name: str) -> str | None:
     """Give the acceleration unit that the name of a column tells, a key of `UNITS`."""
-    return next(filter(None, map(read_unit, _told_units(name))), None)
+    return next(filter(None, map(read_unit, _stated_units(name))), None)
 
 
 def says_acceleration(name: str) -> bool:
     """Whether the name of a column says that it is an acceleration, or in its unit."""
-    told = named_unit(name) is not None or bool(_ACCELERATION.search(name))
-    return told and not _OTHER.search(name)
+    stated = named_unit(name) is not None or bool(_ACCELERATION.search(name))
+    return stated and not _OTHER.search(name)
 
 
 def tells_quantity(name: str) -> bool:
     """Whether the name of a column says which quantity it is, or its unit."""
-    told = _told_units(name)
+    stated = _stated_units(name)
     named = says_acceleration(name) or _OTHER.search(name) is not None
-    return named or any(read_unit(text) or is_other_unit(text) for text in told)
+    return named or any(read_unit(text) or is_other_unit(text) for text in stated)
 
 
 def rounded_period(times: npt.NDArray[np.float64], texts: Sequence[str], wanted: float) -> float:
@@ -288,7 +288,7 @@ def read_channel(
     said: int = 0,
     size: float = 1.0,
 ) -> Columns:
-    """Read evenly spaced values, each times ``size``, as a column; the rest as in `read_values`."""
+    """Read evenly spaced values, each times ``size``, as a column; see `read_values`."""
     values, places = read_values(path, lines, start, count, width, said)
     return Columns(path, size * np.array([values]).T, places, layout, own_dt=dt, own_unit=unit)
 

@@ -99,14 +99,14 @@ def _read(path: Path, data: bytes, kind: str, called: str) -> Any:
             stream.merge(method=-1)
         except Exception as error:  # ObsPy raises any kind
             raise InputError(
-                f"{path}: ObsPy can't read it as {called}: {_told(error)}; fetch it again"
+                f"{path}: ObsPy can't read it as {called}: {_reason(error)}; fetch it again"
             ) from None
     if not len(stream) or any(not len(trace) for trace in stream):
         raise InputError(f"{path}: holds no samples; fetch it again")
     return stream
 
 
-def _told(error: Exception) -> str:
+def _reason(error: Exception) -> str:
     """Give what ObsPy says, in one short line."""
     return (" ".join(str(error).split()) or type(error).__name__)[:200]
 
@@ -159,8 +159,8 @@ def _sensitivity(path: Path, trace: Any, response: str) -> float:
         unit, size = read_unit(found.input_units or ""), float(found.value)
     except Exception as error:  # ObsPy raises any kind
         raise InputError(
-            f"{path}: {response} gives no sensitivity of channel {trace.id}: {_told(error)}; give "
-            "the metadata of that station and time"
+            f"{path}: {response} gives no sensitivity of channel {trace.id}: {_reason(error)}; "
+            "give the metadata of that station and time"
         ) from None
     if unit != "m/s2" or not np.isfinite(size) or size == 0:
         raise InputError(
@@ -179,8 +179,8 @@ def _check_flat(path: Path, trace: Any, stated: Any, size: float, response: str)
         share = np.abs(stated.get_evalresp_response_for_frequencies(f, output="ACC") / size)
     except Exception as error:  # ObsPy raises any kind
         raise InputError(
-            f"{path}: {response} gives no response of channel {trace.id}: {_told(error)}; give the "
-            "metadata of that station and time"
+            f"{path}: {response} gives no response of channel {trace.id}: {_reason(error)}; "
+            "give the metadata of that station and time"
         ) from None
     worst = int(np.abs(share - 1).argmax())
     if not abs(share[worst] - 1) <= _FLAT:

@@ -291,21 +291,21 @@ def _is_same(first: object, second: object) -> bool:
 
 def _units(path: Path, number: int, line: str) -> Iterable[str]:
     stated = _UNIT.findall(line)
-    told = _ACCELERATION_IN.findall(line) + _UNIT_CELL.findall(line)
+    units = _ACCELERATION_IN.findall(line) + _UNIT_CELL.findall(line)
     for text in stated:
         if not read_unit(text) and not is_other_unit(text):
             raise InputError(
                 f'{path}: line {number}: states the unit "{text[:30]}", which is not known here; '
                 "convert the record to g, m/s2 or cm/s2, and name that unit there"
             )
-    for text in (*stated, *told):
+    for text in (*stated, *units):
         if read_unit(text) or is_other_unit(text):
             yield known_unit(path, number, text)
     for text in () if stated else _IN_UNIT.findall(line):
         of_motion = "accel" in line.lower() and _plain(text) not in _TIMES
         if read_unit(text) or (of_motion and is_other_unit(text)):
             yield known_unit(path, number, text)
-    if not (stated or told or _VALUE.search(line)):
+    if not (stated or units or _VALUE.search(line)):
         alone = "g" if line.strip(" \t%#/!;").lower() == "g" else ""
         for text in (alone, *_PER_SQUARED.findall(line), *_BARE.split(line)):
             unit = (text == alone or len(text) > 1) and read_unit(text)

@@ -24,13 +24,13 @@ function connect() {
   socket.onmessage = ({ data }) => (typeof data === "string" ? tell(JSON.parse(data)) : take(data));
   socket.onclose = () => {
     clock.heard = -Infinity;
-    judge();
+    showAge();
     setTimeout(connect, AGAIN);
   };
 }
 
 /** Without data for a second say so, show old data in grey, and disable the start. */
-function judge() {
+function showAge() {
   const silence = performance.now() - clock.heard, stale = silence > OLD;
   const { heard, silent, ended } = known.status ?? {}; // of a test that has ended nothing is old
   document.body.dataset.stale = stale || Boolean(heard && silent && !ended);
@@ -42,7 +42,7 @@ function judge() {
 function tell({ kind, ...content }) {
   if (kind === "time") {
     [clock.at, clock.heard] = [content.at, performance.now()];
-    if (document.body.dataset.stale === "true") judge();
+    if (document.body.dataset.stale === "true") showAge();
     return;
   }
   if (kind === "test") {
@@ -53,7 +53,7 @@ function tell({ kind, ...content }) {
     element("reference-note").textContent = content.reference_note ?? "";
   } else if (kind === "status") {
     known.status = content;
-    judge();
+    showAge();
     show.showMargins(content.margins);
     show.showNodes(content.nodes, content.refused);
   } else if (kind === "events") show.showEvents(content.events);
@@ -138,7 +138,7 @@ element("hold").addEventListener("click", () => {
 });
 for (const id of ["window", "axis"]) element(id).addEventListener("change", release);
 
-setInterval(judge, OLD / 4);
+setInterval(showAge, OLD / 4);
 connect(); // first: the buttons must work whatever becomes of the figures
 plots = await Plots.make(follow);
 renew();

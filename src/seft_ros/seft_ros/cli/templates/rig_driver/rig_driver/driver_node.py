@@ -104,8 +104,8 @@ class DriverNode(NodeBody):
         self._align(rest)
 
     def run(self) -> None:
-        """Sample until told to stop."""
-        self._hardware.to_safe_position()
+        """Sample until asked to stop."""
+        self._hardware.to_safe_command()
         self.report("idle")
         period = self._timebase.dt
         now = self._clock.monotonic
@@ -129,11 +129,11 @@ class DriverNode(NodeBody):
                 self._end("the rig node received a signal to end")
                 self._stop.finish()
         finally:
-            self._hardware.to_safe_position()
+            self._hardware.to_safe_command()
             self._hardware.close()
 
     def fault(self, reason: str) -> None:
-        """Bring the rig to its safe position, whatever it is in, and end a test that runs."""
+        """Bring the rig to its safe command, whatever it is in, and end a test that runs."""
         if self._phase == "running":
             self._end(reason)
         self._stop.at_once()
@@ -285,7 +285,7 @@ class DriverNode(NodeBody):
         if self._phase == "running":
             return
         if supervision.state == "idle" and self._phase != "idle":
-            self._phase, self._comes_to_rest = "idle", False  # how it ended has been told
+            self._phase, self._comes_to_rest = "idle", False  # how it ended has been reported
             supervision.latched = False
             self.report("idle")
         elif supervision.is_moving:

@@ -28,7 +28,7 @@ class Hardware(Protocol):
     def write_command(self, volts: Floats) -> None:
         """Put out the valve commands, V, shape (n,); positive extends the actuator."""
 
-    def to_safe_position(self) -> None:
+    def to_safe_command(self) -> None:
         """Bring the rig to rest without the loop, and keep it there until the next command.
 
         Called once in every trip, at every end of a test and when the node ends; also several

@@ -15,7 +15,7 @@ ANSWERS_IN = 0.05
 
 
 class SafeStop:
-    """Brings the valves from their last command to the safe position.
+    """Brings the valves from their last command to the safe command.
 
     Not at once: a valve that closes on a moving mass M makes the oil hammer with v sqrt(k M).
 
@@ -24,7 +24,7 @@ class SafeStop:
     hardware : Hardware
         The rig. If it has ``dump_pressure()``, that is called where a piston goes on.
     safe : ndarray
-        Valve command of the safe position, V, shape (n,).
+        Safe command of the valve, V, shape (n,).
     close_time : float
         Time in which the valves go there, s.
     farthest : float
@@ -63,8 +63,8 @@ class SafeStop:
         self._close()
 
     def at_once(self) -> None:
-        """Go to the safe position now: who should close the valve can't."""
-        self._hardware.to_safe_position()
+        """Go to the safe command now: who should close the valve can't."""
+        self._hardware.to_safe_command()
         self._taken, self._stands = self._steps, None
 
     def follow(self, displacement: Floats) -> None:
@@ -93,7 +93,7 @@ class SafeStop:
     def _close(self) -> None:
         self._taken += 1
         if self._taken >= self._steps:
-            self._hardware.to_safe_position()
+            self._hardware.to_safe_command()
             return
         left = left_open(self._taken, self._steps)
         self._hardware.write_command(self._safe + left * (self._command - self._safe))

@@ -39,7 +39,7 @@ class StandIn:
     axes : sequence of str
         Names of the n axes.
     safe : ndarray
-        Valve command of the safe position, V, shape (n,).
+        Safe command of the valve, V, shape (n,).
     """
 
     def __init__(self, rate: float, axes: tuple[str, ...], safe: Floats) -> None:
@@ -60,10 +60,10 @@ class StandIn:
         """Put out the valve commands, V, shape (n,)."""
         self._volts = np.array(volts)
 
-    def to_safe_position(self) -> None:
-        """Bring the valves to their safe position."""
+    def to_safe_command(self) -> None:
+        """Bring the valves to their safe command."""
         self._volts = self._safe
 
     def close(self) -> None:
-        """Leave the valves in their safe position."""
-        self.to_safe_position()
+        """Leave the valves at their safe command."""
+        self.to_safe_command()

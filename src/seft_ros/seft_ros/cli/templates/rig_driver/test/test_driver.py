@@ -27,12 +27,12 @@ def velocity(volts, board, steps):
     return samples[steps // 2 :, 1].mean(axis=0)
 
 
-def test_a_positive_command_extends_the_actuator_and_the_safe_position_stops_it():
+def test_a_positive_command_extends_the_actuator_and_the_safe_command_stops_it():
     volts, board = parts()
     board.write_command(np.full(len(volts.factors[0]), 0.5))
     moving = velocity(volts, board, 100)
     assert np.all(moving > 0.01)
-    board.to_safe_position()
+    board.to_safe_command()
     assert np.all(np.abs(velocity(volts, board, 400)) < moving / 5)  # the oil leaks
 
 

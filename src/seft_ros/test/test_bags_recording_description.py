@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from seft_msgs_py.errors import InputError
-from seft_ros.bags.record import (
+from seft_ros.bags.recording import (
     Description,
     describe_environment,
     git_state,
@@ -57,7 +57,7 @@ def test_environment_names_no_person_host_or_folder():
 
 
 @needs_git
-def test_git_revision_is_told_and_whether_python_files_differ(checkout):
+def test_git_revision_is_reported_and_whether_python_files_differ(checkout):
     head = subprocess.check_output(["git", "-C", checkout, "rev-parse", "HEAD"], text=True).strip()
     assert git_state(checkout / "code.py") == {"revision": head, "dirty": False}
     git_state.cache_clear()
@@ -126,7 +126,7 @@ def test_parameters_that_make_no_experiment_are_one_line_to_the_user(parameters)
         Description({"rig": parameters}).experiment()
 
 
-def test_a_name_of_an_earlier_version_is_told_with_the_present_one():
+def test_a_name_of_an_earlier_version_is_reported_with_the_present_one():
     parameters = NODE | {"sensors.force_scale": 1.0}
     with pytest.raises(InputError, match=r"force_scale, now rig: simulated.sensors.force_scale"):
         Description({"rig": parameters}).experiment()

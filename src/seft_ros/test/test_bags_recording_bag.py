@@ -6,15 +6,15 @@ from bags_at_hand import contents
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from records_at_hand import assert_same_samples, noise_record
+from recordings_at_hand import assert_same_samples, noise_recording
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.outcome import Simulated, Trip
 from seft_msgs_py.wire.topics import GROUND_MOTION, LOOP_TOPICS, Timebase
 from seft_msgs_py.wire.trajectory import TrajectoryCodec, parse_trajectory
 from seft_ros.bags.gathering import SeriesGatherer
 from seft_ros.bags.message_blocks import MessageBlock
-from seft_ros.bags.record import Estimates, Series
-from seft_ros.bags.record_bag import read_bag, write_record
+from seft_ros.bags.recording import Estimates, Series
+from seft_ros.bags.recording_bag import read_bag, write_recording
 
 AXES = ("x", "y")
 NODE = {"rate": 1000.0, "axes": list(AXES)}
@@ -25,9 +25,9 @@ ESTIMATES_NAME = "/reference_force/estimates"
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 
 
-def make_record(count=250, **changes):
-    record = noise_record(count, AXES, wall_s=0.123, environment=ENVIRONMENT)
-    return dataclasses.replace(record, experiment=EXPERIMENT, **changes)
+def make_recording(count=250, **changes):
+    recording = noise_recording(count, AXES, wall_s=0.123, environment=ENVIRONMENT)
+    return dataclasses.replace(recording, experiment=EXPERIMENT, **changes)
 
 
 def make_estimates(steps=range(0, 250, 100)):
@@ -39,8 +39,8 @@ def make_estimates(steps=range(0, 250, 100)):
 def assert_same(a, b):
     assert_same_samples(b, a)
     assert a.experiment.sections == b.experiment.sections
-    told = ("missed", "missed_steps", "simulated")
-    for name in ("trip", *told, "wall_s", "complete"):
+    names = ("missed", "missed_steps", "simulated")
+    for name in ("trip", *names, "wall_s", "complete"):
         assert getattr(a, name) == getattr(b, name)
     assert a.saturation == b.saturation
     assert b.environment == {**a.environment, "undecodable": 0}
@@ -54,22 +54,22 @@ def assert_same(a, b):
         {"complete": False, "missed": None, "wall_s": None},
     ],
 )
-def test_a_record_is_read_back_bit_for_bit_also_without_an_end(tmp_path, changes):
-    record = make_record(**changes)
-    write_record(record, tmp_path / "bag")
-    assert_same(record, read_bag(tmp_path / "bag"))
+def test_a_recording_is_read_back_bit_for_bit_also_without_an_end(tmp_path, changes):
+    recording = make_recording(**changes)
+    write_recording(recording, tmp_path / "bag")
+    assert_same(recording, read_bag(tmp_path / "bag"))
 
 
 def test_estimates_are_read_back_bit_for_bit(tmp_path):
-    record = make_record(estimates=make_estimates())
-    write_record(record, tmp_path / "bag")
-    assert_same(record, read_bag(tmp_path / "bag"))
+    recording = make_recording(estimates=make_estimates())
+    write_recording(recording, tmp_path / "bag")
+    assert_same(recording, read_bag(tmp_path / "bag"))
     found = [(t - START, n) for n, t, _ in contents(tmp_path / "bag") if t == START + 100_000_000]
     assert found[-2:] == [(100_000_000, "/valve_command"), (100_000_000, ESTIMATES_NAME)]
 
 
 def test_a_bag_of_a_test_without_estimates_lacks_the_topic(tmp_path):
-    write_record(make_record(), tmp_path / "bag")
+    write_recording(make_recording(), tmp_path / "bag")
     assert ESTIMATES_NAME not in {name for name, _, _ in contents(tmp_path / "bag")}
     assert read_bag(tmp_path / "bag").estimates is None
 
@@ -88,14 +88,14 @@ def test_gaps_any_finite_numbers_and_any_end_are_kept(tmp_path_factory, data, st
         shape = (len(ordered), len(topic.quantities), 2)
         values = data.draw(hnp.arrays(np.float64, shape, elements=FINITE))
         series[topic.name] = Series(ordered, values)
-    record = make_record(series=series, missed=missed, missed_steps=[0] * missed, trip=trip)
+    recording = make_recording(series=series, missed=missed, missed_steps=[0] * missed, trip=trip)
     path = tmp_path_factory.mktemp("bags") / "bag"
-    write_record(record, path)
-    assert_same(record, read_bag(path))
+    write_recording(recording, path)
+    assert_same(recording, read_bag(path))
 
 
 def test_messages_come_in_the_order_of_time_and_at_the_wall_clock_of_their_step(tmp_path):
-    write_record(make_record(), tmp_path / "bag")
+    write_recording(make_recording(), tmp_path / "bag")
     messages = contents(tmp_path / "bag")
     times = [time_ns for _, time_ns, _ in messages]
     assert times == sorted(times)
@@ -115,9 +115,9 @@ def test_messages_come_in_the_order_of_time_and_at_the_wall_clock_of_their_step(
 
 def test_ground_motion_is_sent_ahead_in_the_messages_that_were_given(tmp_path):
     values = np.random.default_rng(2).normal(size=(300, 2))
-    record = make_record(250)
+    recording = make_recording(250)
     chunks = [(0, values[:64]), (64, values[64:128]), (128, values[128:256]), (256, values[256:])]
-    write_record(record, tmp_path / "bag", ground_motion=chunks)
+    write_recording(recording, tmp_path / "bag", ground_motion=chunks)
     codec = TrajectoryCodec(LOOP_TOPICS[0], AXES, Timebase.from_rate(1000.0))
     sent = [
         (t, *codec.decode(raw)) for n, t, raw in contents(tmp_path / "bag") if n == "/ground_motion"
@@ -129,11 +129,11 @@ def test_ground_motion_is_sent_ahead_in_the_messages_that_were_given(tmp_path):
 
 
 def test_samples_that_no_message_can_carry_are_left_out_and_counted(tmp_path):
-    record = make_record(estimates=make_estimates())
-    record.series["rig/state"].values[200:, 0, 0] = np.inf
-    record.series["valve_command"].values[249] = np.nan
-    record.estimates.values[1, 0, 1] = np.nan
-    write_record(record, tmp_path / "bag")
+    recording = make_recording(estimates=make_estimates())
+    recording.series["rig/state"].values[200:, 0, 0] = np.inf
+    recording.series["valve_command"].values[249] = np.nan
+    recording.estimates.values[1, 0, 1] = np.nan
+    write_recording(recording, tmp_path / "bag")
     back = read_bag(tmp_path / "bag")
     assert back.environment["not_finite"] == 52
     assert back.estimates.steps.tolist() == [0, 200]

@@ -1,4 +1,4 @@
-"""Records, also with samples lost, texts as files and terminals show them, small disks."""
+"""Recordings, also with samples lost, texts as files and terminals show them, small disks."""
 
 import dataclasses
 import io
@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import LOOP_TOPICS
-from seft_ros.bags.record import Record, Series
+from seft_ros.bags.recording import Recording, Series
 
 
 def fixed(values, width, decimals, in_a_row):
@@ -20,15 +20,15 @@ def fixed(values, width, decimals, in_a_row):
     return "".join("".join(row) + "\n" for row in rows)
 
 
-def noise_record(count, axes=("x", "y"), rate=500.0, **facts):
+def noise_recording(count, axes=("x", "y"), rate=500.0, **facts):
     """Record of a test with noise on every topic."""
     rng, steps = np.random.default_rng(5), np.arange(count)
     shapes = {topic.name: (count, len(topic.quantities), len(axes)) for topic in LOOP_TOPICS}
     series = {name: Series(steps, rng.normal(size=shape)) for name, shape in shapes.items()}
-    return Record(Experiment({"rig": {"rate": rate, "axes": list(axes)}}), series, **facts)
+    return Recording(Experiment({"rig": {"rate": rate, "axes": list(axes)}}), series, **facts)
 
 
-def record_of(test, ground, states, forces=None, **facts):
+def recording_of(test, ground, states, forces=None, **facts):
     """Record of a test with this ground motion (N, n), states (N, 4, n) and reference forces."""
     steps = np.arange(len(states))
     none = np.zeros((len(states), 1, len(test.axes)))
@@ -39,17 +39,17 @@ def record_of(test, ground, states, forces=None, **facts):
         "reference_force": Series(steps, none if forces is None else forces),
         "valve_command": Series(steps, none.copy()),
     }
-    return Record(test, series, **facts)
+    return Recording(test, series, **facts)
 
 
-def as_measured(record, states):
-    """Series of a record with other states, all of which are judged to be right."""
+def as_measured(recording, states):
+    """Series of a recording with other states, all of which are judged to be right."""
     judged = dataclasses.replace(states, values=states.values[:, :4])
-    return {**record.series, "rig/state": states, "rig/judged": judged}
+    return {**recording.series, "rig/state": states, "rig/judged": judged}
 
 
 def assert_same_samples(found, wanted):
-    """Two records have the same topics, steps and bits."""
+    """Two recordings have the same topics, steps and bits."""
     assert found.series.keys() == wanted.series.keys()
     for name, series in wanted.series.items():
         np.testing.assert_array_equal(found.series[name].steps, series.steps)
@@ -61,14 +61,14 @@ def assert_same_samples(found, wanted):
         np.testing.assert_array_equal(*(r.estimates.values.view("u8") for r in (found, wanted)))
 
 
-def without(record, topic, steps):
-    """Record in which samples are lost on a topic; of rig/state, none is judged then."""
-    series = record.series[topic]
+def without(recording, topic, steps):
+    """Recording in which samples are lost on a topic; of rig/state, none is judged then."""
+    series = recording.series[topic]
     kept = ~np.isin(series.steps, list(steps))
     fewer = Series(series.steps[kept], series.values[kept])
     if topic == "rig/state":
-        return dataclasses.replace(record, series=as_measured(record, fewer))
-    return dataclasses.replace(record, series={**record.series, topic: fewer})
+        return dataclasses.replace(recording, series=as_measured(recording, fewer))
+    return dataclasses.replace(recording, series={**recording.series, topic: fewer})
 
 
 def shown(texts, width=200):

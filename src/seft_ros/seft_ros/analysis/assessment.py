@@ -51,7 +51,7 @@ class TestFinding:
 
 
 @dataclass(frozen=True)
-class Judgement:
+class Assessment:
     """Verdict on a test: that of its worst finding, in one line; and all, the worst first."""
 
     verdict: Mark
@@ -59,8 +59,8 @@ class Judgement:
     findings: list[TestFinding]
 
 
-def judge_test(summary: dict[str, Any]) -> Judgement:
-    """Judge a test by the summary that `seft_ros.analysis.report_numbers` gives."""
+def assess_test(summary: dict[str, Any]) -> Assessment:
+    """Assess a test by the summary that `seft_ros.analysis.report_numbers` gives."""
     order = (Mark.BAD, Mark.DOUBT, Mark.GOOD, Mark.NONE)
     found = (
         *_beginning(summary),
@@ -73,7 +73,7 @@ def judge_test(summary: dict[str, Any]) -> Judgement:
     worst = findings[0].verdict
     reasons = "; ".join(finding.text for finding in findings if finding.verdict is worst)
     text = _WORDS[worst] + ("" if worst is Mark.GOOD else f": {reasons}.")
-    return Judgement(worst, text, findings)
+    return Assessment(worst, text, findings)
 
 
 def verdict_line(summary: dict[str, Any]) -> str:
@@ -100,22 +100,22 @@ def own_response(summary: dict[str, Any]) -> float | None:
 
 def ramp_note(summary: dict[str, Any]) -> str:
     """Say where a test's numbers leave out its ramp-down; empty if there is none."""
-    judged, steps = summary["judged_steps"], summary["steps"]
-    note = f"numbers are of its first {judged} steps and leave out the ramp-down"
-    return "" if judged == steps else note
+    assessed, steps = summary["judged_steps"], summary["steps"]
+    note = f"numbers are of its first {assessed} steps and leave out the ramp-down"
+    return "" if assessed == steps else note
 
 
 def _early_ending(summary: dict[str, Any]) -> tuple[str, str] | None:
-    """Say how a test ended before its time, a headline and the rest; None: it did not."""
+    """Say how a test ended before its time, a headline and the details; None: it did not."""
     trip = summary["trip"]
     if trip is not None:
         return "tripped", f" at {trip['time_s']:.3f} s (step {trip['step']}): {trip['reason']}"
     if not summary["stable"]:
         return "unstable", ": samples are not finite"
     if summary["first_step"] is None:
-        return "nothing known", ": the record has no rig/state"
+        return "nothing known", ": the recording has no rig/state"
     if not summary["complete"]:
-        return "cut off", ": the record ends before the test did"
+        return "cut off", ": the recording ends before the test did"
     return None
 
 
@@ -128,8 +128,8 @@ def _beginning(summary: dict[str, Any]) -> Iterator[TestFinding]:
         yield TestFinding("checked", Mark.NONE, text)
     if summary["first_step"]:
         text = (
-            f"the record begins at step {summary['first_step']} of the test; errors are of what is "
-            "there, against the reference response from step 0 on"
+            f"the recording begins at step {summary['first_step']} of the test; errors are of what "
+            "is there, against the reference response from step 0 on"
         )
         yield TestFinding("beginning", Mark.BAD, text)
     ending = _early_ending(summary)
@@ -160,7 +160,7 @@ def response_findings(summary: dict[str, Any]) -> Iterator[TestFinding]:
     found, error = summary["equivalent_motion"], own_response(summary)
     target = summary["tracking_error"]
     if error is None:
-        text = "the equivalent ground motion is not known from the record"
+        text = "the equivalent ground motion is not known from the recording"
         yield TestFinding("equivalent_motion", Mark.NONE if simulated else Mark.DOUBT, text)
     else:
         text = (
@@ -189,13 +189,13 @@ _AGAINST = {"force": "acceleration", "acceleration": "displacement", "velocity":
 
 
 def calibration_findings(summary: dict[str, Any]) -> Iterator[TestFinding]:
-    """Find whether mass, scales and lags were as they were told, by the test's own samples."""
+    """Find whether mass, scales and lags were as known, by the test's own samples."""
     found: dict[str, Any] = summary["calibration"] or dict.fromkeys(("mass", "scale", "lag"))
     names = {"mass": "the specimen's mass", "scale": "the channels' scale", "lag": "their lag"}
-    for kind, told in names.items():
+    for kind, what in names.items():
         one = found[kind]
         if one is None:
-            text = f"{told} is not known from the test: too short, too quiet, or not described"
+            text = f"{what} is not known from the test: too short, too quiet, or not described"
             yield TestFinding(kind, Mark.NONE, text)
             continue
         of = "" if len(summary["axes"]) == 1 else f" of {one['axis']}"
@@ -217,7 +217,7 @@ def _about(value: float) -> str:
 
 
 def _of_mass(one: dict[str, Any], of: str) -> tuple[str, str]:
-    text = f"mass{of} {one['estimate']:.4g} +- {one['error']:.2g} kg, told {one['told']:.4g} kg"
+    text = f"mass{of} {one['estimate']:.4g} +- {one['error']:.2g} kg, known {one['told']:.4g} kg"
     return text, f"or the force is {percent(one['estimate'] / one['told'])} of the true one; "
 
 
@@ -294,7 +294,9 @@ def losses(summary: dict[str, Any]) -> Iterator[TestFinding]:
         yield TestFinding("link", Mark.GOOD, text)
     lost = [f"{count} of {topic}" for topic, count in summary["lost"].items() if count]
     if summary["first_step"] is not None:
-        text = f"samples lost: {', '.join(lost)}" if lost else "no sample is lost from the record"
+        text = (
+            f"samples lost: {', '.join(lost)}" if lost else "no sample is lost from the recording"
+        )
         yield TestFinding("lost", Mark.DOUBT if lost else Mark.GOOD, text)
     if summary["overruns"]:
         text = f"sampling overruns of the rig: {summary['overruns']}"

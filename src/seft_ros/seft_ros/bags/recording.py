@@ -1,4 +1,4 @@
-"""The record of a test: its samples by step, how it ended, and its description in a bag."""
+"""The recording of a test: its samples by step, how it ended, and its description in a bag."""
 
 import json
 import os
@@ -19,7 +19,7 @@ from seft_msgs_py.config.facts import FACTS
 from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.config.renamed import renamed
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.wire.outcome import LinkRecord, Saturation, Simulated, Trip
+from seft_msgs_py.wire.outcome import LinkReport, Saturation, Simulated, Trip
 from seft_msgs_py.wire.topics import JUDGED, LOOP_TOPICS, RIG_STATE, RigAxes, bare
 
 PACKAGES = ("numpy", "scipy", "rosbags", "rclpy", "seft_msgs_py", "seft_plant_sim", "seft_ros")
@@ -268,7 +268,7 @@ class Event:
 
 
 @dataclass(frozen=True)
-class Record:
+class Recording:
     """One test, from a bag or from the offline loop.
 
     Attributes
@@ -298,7 +298,7 @@ class Record:
     round_trips : dict
         From a sample to its command as the rig measured it, s, by the keys of `ROUND_TRIPS`;
         empty where it did not.
-    link : LinkRecord or None
+    link : LinkReport or None
         How reference forces arrived over a link, as the force controller reported; None without
         a report.
     events : list of Event
@@ -306,7 +306,7 @@ class Record:
     wall_s : float or None
         Wall-clock duration of the test; None if unknown.
     complete : bool
-        Whether the rig reported the end of the test in this record.
+        Whether the rig reported the end of the test in this recording.
     damage : list of str
         What is wrong with the bag, and what is therefore missing.
     checked : bool
@@ -327,7 +327,7 @@ class Record:
     saturation: Saturation = field(default_factory=dict)
     simulated: Simulated | None = None
     round_trips: dict[str, float] = field(default_factory=dict)
-    link: LinkRecord | None = None
+    link: LinkReport | None = None
     events: list[Event] = field(default_factory=list)
     wall_s: float | None = None
     complete: bool = True
@@ -339,7 +339,7 @@ class Record:
     def __post_init__(self) -> None:
         missing = {topic.name for topic in LOOP_TOPICS if topic is not JUDGED} - set(self.series)
         if missing:
-            raise ValueError(f"a record needs a series for each loop topic; missing {missing}")
+            raise ValueError(f"a recording needs a series for each loop topic; missing {missing}")
 
     @cached_property
     def states(self) -> Series:

@@ -1,9 +1,9 @@
-"""A shake of the specimen: sines of one displacement, one after the other; its plan and its drive.
+"""The multisine test: sines of one displacement, one after the other; plan and drive.
 
 At one amplitude the restoring force of a specimen that does not depend on rate has the same
 complex stiffness at all frequencies, whatever its law is. What changes with the frequency is the
-inertia. So the shake tells the mass, and the channels against each other
-(`seft_ros.identification.shake_estimates`).
+inertia. So the multisine test shows the mass, and the channels against each other
+(`seft_ros.identification.multisine_estimates`).
 """
 
 import math
@@ -25,16 +25,16 @@ from seft_ros.identification.identified import Identified, fitted_plant
 from seft_ros.identification.rig_tests import PEAK_SHARE
 
 SINES = 6
-"""On each axis: twice as many equations as the five unknowns of an axis leave some to judge by."""
+"""On each axis: twice as many equations as the five unknowns of an axis leave some to check by."""
 FREQUENCY_SPAN = 5.6
 """Highest over lowest frequency: the inertia, which tells the mass, differs 30 times."""
 ORDER = (1, 5, 3, 2, 0, 4)
 """Of the frequencies, lowest 0: neither w nor w^2 is correlated with time or its square (0.03), so
 that a specimen that degrades meanwhile is not taken for inertia."""
 SECONDS = 20.0
-"""Of the shake of an axis."""
+"""Of the multisine test of an axis."""
 PILOT_SECONDS = 4.0
-"""Of the short shake that finds the commands."""
+"""Of the short multisine test that finds the commands."""
 FEWEST_CYCLES = 8
 """Of each sine, where that takes longer."""
 ACCURACY = 4e-4
@@ -42,13 +42,14 @@ ACCURACY = 4e-4
 by 1 % costs up to 3.3 % of the displacement (docs/rig.md), so this costs 0.1 %."""
 OF_RATE = 0.097
 """Highest frequency over the rate: what held commands fold down to it is small (see
-`sound_relations`). With 1/10 the 9th and the 11th overtone, which friction makes, would fold down
-to the sine itself: at 250 Hz the mass was 2 % wrong with 50 N of friction."""
+`fault_free_relations`). With 1/10 the 9th and the 11th overtone, which friction makes, would fold
+down to the sine itself: at 250 Hz the mass was 2 % wrong with 50 N of friction."""
 OF_ACTUATOR = 0.6
 """Highest frequency over that of the valve and of the oil column: there the piston still follows
 without a resonance."""
 LOWEST_TOP = 2.0
-"""Least highest frequency, Hz; the shake is refused below: an axis takes a minute there."""
+"""Least highest frequency, Hz; the multisine test is refused below: an axis takes a minute
+there."""
 RISE = 0.08
 """Part of a sine's time in which it rises, and in which it falls."""
 SETTLED_SHARE = 0.16
@@ -58,8 +59,8 @@ _QUANTISED = 12.0**-0.5  # RMS of the error of a converter, over its step
 
 
 @dataclass(frozen=True)
-class Shake:
-    """Plan of a shake.
+class Multisine:
+    """Plan of a multisine test.
 
     Attributes
     ----------
@@ -69,7 +70,7 @@ class Shake:
         Highest frequency, Hz; the lowest is `FREQUENCY_SPAN` times less.
     peaks : dict
         Largest expected ``displacement`` (m), ``velocity`` (m/s), ``acceleration`` (m/s^2) and
-        ``force`` (N) of any axis, with the model that the test was told.
+        ``force`` (N) of any axis, with the model that the test knows.
     """
 
     travel: float
@@ -85,14 +86,14 @@ class Shake:
         """Say what will be reached, in one line."""
         peaks = self.peaks
         return (
-            f"shake: {SINES} sines of {1e3 * self.travel:.3g} mm on each axis, up to "
+            f"multisine: {SINES} sines of {1e3 * self.travel:.3g} mm on each axis, up to "
             f"{self.top:.3g} Hz; peaks up to {1e3 * peaks['velocity']:.3g} mm/s, "
             f"{peaks['acceleration']:.3g} m/s², {peaks['force']:.3g} N"
         )
 
 
-def plan_shake(experiment: Experiment, travel: float | None = None) -> Shake:
-    """Plan a shake before anything moves.
+def plan_multisine(experiment: Experiment, travel: float | None = None) -> Multisine:
+    """Plan a multisine test before anything moves.
 
     The displacement follows from the noise of the sensors (``sensors.*_noise``, and the steps
     of the simulated rig's converter): the sines of an axis together tell scale and mass with a
@@ -119,8 +120,8 @@ def plan_shake(experiment: Experiment, travel: float | None = None) -> Shake:
     noise = _noise(experiment)
     if travel is None and not noise["displacement"].any():
         raise InputError(
-            "/**: sensors.displacement_noise is 0, but the displacement of the shake follows "
-            "from it; enter the sensor's noise, or give --travel"
+            "/**: sensors.displacement_noise is 0, but the displacement of the multisine "
+            "test follows from it; enter the sensor's noise, or give --travel"
         )
     if travel is not None and not 0 < travel < float("inf"):
         raise InputError(f"--travel is {travel:g} m, but must be positive")
@@ -129,13 +130,13 @@ def plan_shake(experiment: Experiment, travel: float | None = None) -> Shake:
     steps = math.ceil(math.log(OF_RATE * rate / LOWEST_TOP) / math.log(1.05))
     for top in np.geomspace(OF_RATE * rate, LOWEST_TOP, steps + 1):
         needed = _needed(noise, mass, stiffness, top, rate) if travel is None else travel
-        shake = Shake(needed, float(top), _peaks(needed, top, mass, stiffness))
-        over = _over(shake, allowed)
+        multisine = Multisine(needed, float(top), _peaks(needed, top, mass, stiffness))
+        over = _over(multisine, allowed)
         if not over:
-            return shake
+            return multisine
         tried.append(over)
     how = "give a smaller --travel" if travel is not None else "raise it, or give --travel"
-    raise InputError(f"the shake would reach {tried[-1]}; {how}")
+    raise InputError(f"the multisine test would reach {tried[-1]}; {how}")
 
 
 def _noise(experiment: Experiment) -> dict[str, Floats]:
@@ -187,23 +188,23 @@ def _allowed(experiment: Experiment) -> dict[str, tuple[float, str]]:
     return allowed
 
 
-def _over(shake: Shake, allowed: Mapping[str, tuple[float, str]]) -> str:
+def _over(multisine: Multisine, allowed: Mapping[str, tuple[float, str]]) -> str:
     """Say which peak is too large, if any."""
-    w = 2 * np.pi * shake.top
+    w = 2 * np.pi * multisine.top
     for name, (limit, where) in allowed.items():
-        peak = shake.peaks.get(name, w * shake.peaks.get(name.removesuffix("_rate"), 0.0))
+        peak = multisine.peaks.get(name, w * multisine.peaks.get(name.removesuffix("_rate"), 0.0))
         if peak > PEAK_SHARE * limit:
             unit = FACTS[f"limits.{name}"].unit
             return (
-                f"{peak:.3g} {unit} with {1e3 * shake.travel:.3g} mm at {shake.top:.3g} Hz, more "
-                f"than half of {where}, {limit:g} {unit}"
+                f"{peak:.3g} {unit} with {1e3 * multisine.travel:.3g} mm at "
+                f"{multisine.top:.3g} Hz, more than half of {where}, {limit:g} {unit}"
             )
     return ""
 
 
 @dataclass(frozen=True)
 class Sine:
-    """One sine of a shake: axis, frequency in Hz, first and last step that are evaluated."""
+    """One sine of the test: axis, frequency in Hz, first and last step that are evaluated."""
 
     axis: int
     frequency: float
@@ -211,8 +212,8 @@ class Sine:
     end: int
 
 
-def with_actuators(shake: Shake, found: Identified, experiment: Experiment) -> Shake:
-    """Fit a shake to the actuators: its highest frequency is lowered where need be.
+def with_actuators(multisine: Multisine, found: Identified, experiment: Experiment) -> Multisine:
+    """Fit a multisine test to the actuators: its highest frequency is lowered where need be.
 
     To `OF_ACTUATOR` times that of valve and oil column, and so far that commands reach half of the
     voltage limit at most.
@@ -224,18 +225,18 @@ def with_actuators(shake: Shake, found: Identified, experiment: Experiment) -> S
     """
     valves = [valve.actuator.valve_frequency for valve in found.valves]
     oil = [column.hz for valve in found.valves if (column := valve.plant.oil_column())]
-    top = min(shake.top, OF_ACTUATOR * min(valves + oil))
+    top = min(multisine.top, OF_ACTUATOR * min(valves + oil))
     limit = experiment["force_controller"]["limits.command"]
     frequencies = np.geomspace(top / FREQUENCY_SPAN, top, 33)
-    voltage = shake.travel / _moved(found, frequencies).min(axis=1)
+    voltage = multisine.travel / _moved(found, frequencies).min(axis=1)
     within = np.maximum.accumulate(voltage) <= PEAK_SHARE * limit
     if not within[0]:
         raise InputError(
-            f"the shake would need {voltage[0]:.3g} V with {1e3 * shake.travel:.3g} mm at "
-            f"{frequencies[0]:.3g} Hz, more than half of /**: limits.command, {limit:g} V; "
+            f"the multisine test would need {voltage[0]:.3g} V with {1e3 * multisine.travel:.3g} "
+            f"mm at {frequencies[0]:.3g} Hz, more than half of /**: limits.command, {limit:g} V; "
             "give a smaller --travel"
         )
-    return replace(shake, top=float(frequencies[within][-1]))
+    return replace(multisine, top=float(frequencies[within][-1]))
 
 
 def _moved(found: Identified, frequencies: Floats) -> Floats:
@@ -251,18 +252,18 @@ def _plant(found: Identified) -> Plant:
     return fitted_plant(found.specimen, [valve.actuator for valve in found.valves], motion=True)
 
 
-def shake_drive(
-    shake: Shake,
+def multisine_drive(
+    multisine: Multisine,
     found: Identified,
     dt: float,
     seconds: float = SECONDS,
     gains: Floats | None = None,
 ) -> tuple[Floats, list[Sine]]:
-    """Valve commands of a shake.
+    """Valve commands of a multisine test.
 
     Parameters
     ----------
-    shake : Shake
+    multisine : Multisine
         Its plan, see `with_actuators`.
     found : Identified
         The rig, which tells the commands for the displacement.
@@ -284,10 +285,10 @@ def shake_drive(
     n, first = len(found.axes), 0
     parts: list[Floats] = []
     sines: list[Sine] = []
-    volts = shake.travel / _moved(found, shake.frequencies)
+    volts = multisine.travel / _moved(found, multisine.frequencies)
     for axis in range(n):
         for place in ORDER:
-            frequency = float(shake.frequencies[place])
+            frequency = float(multisine.frequencies[place])
             steps = round(max(seconds / SINES, FEWEST_CYCLES / frequency) / dt)
             at = np.arange(steps)
             rise = np.clip(np.minimum(at, steps - 1 - at) / (RISE * steps), 0.0, 1.0)
@@ -304,24 +305,24 @@ def shake_drive(
     return np.concatenate(parts), sines
 
 
-def gains_after(shake: Shake, moved: Floats) -> Floats:
-    """Factors on the sines of a shake after a pilot, in which they moved so much, (m,), m.
+def gains_after(multisine: Multisine, moved: Floats) -> Floats:
+    """Factors on the sines of a multisine test after a pilot, in which they moved so much, (m,), m.
 
     Between 1/2 and 2: where the pilot was held by friction, more may move it suddenly.
     """
-    factors: Floats = np.clip(shake.travel / np.maximum(moved, 1e-30), 0.5, 2.0)
+    factors: Floats = np.clip(multisine.travel / np.maximum(moved, 1e-30), 0.5, 2.0)
     return factors
 
 
-def sound_relations(
+def fault_free_relations(
     found: Identified, sines: Sequence[Sine], dt: float, dead_time: float, lag: Floats
 ) -> Complexes:
-    """Velocity and acceleration of a sound rig over the derivatives of x, see `held_relations`.
+    """Velocity and acceleration of a fault-free rig over x's derivatives, see `held_relations`.
 
     Parameters
     ----------
     found, sines, dt
-        The rig, the shake, and the sampling period, s.
+        The rig, the multisine test, and the sampling period, s.
     dead_time : float
         Of the valves alone, s.
     lag : ndarray

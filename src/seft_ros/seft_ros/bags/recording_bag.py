@@ -1,4 +1,4 @@
-"""The record of a test as a bag: read, and written in the form of a recorded one."""
+"""The recording of a test as a bag: read, and written in the form of a recorded one."""
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -46,9 +46,9 @@ from seft_ros.bags.gathering import (
     trip_of_messages,
 )
 from seft_ros.bags.message_blocks import MessageBlock
-from seft_ros.bags.record import (
+from seft_ros.bags.recording import (
     Description,
-    Record,
+    Recording,
     Series,
     of_all_rigs,
     read_description,
@@ -57,15 +57,15 @@ from seft_ros.bags.record import (
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 
 UNDECODABLE = "undecodable"
-"""Key of a record's environment: number of messages that can't be decoded and were left out."""
+"""Key of a recording's environment: number of messages that can't be decoded and were left out."""
 
 _LOOP = (RIG_STATE, REFERENCE_FORCE, VALVE_COMMAND, GROUND_MOTION)
 """Topics that give a test's namespace, the most reliable first."""
 _MOST_GAPS = 5
 
 
-def read_bag(path: str | Path, *, damaged: bool = False) -> Record:
-    """Read the record of a test from a bag (mcap or sqlite3), whoever recorded it.
+def read_bag(path: str | Path, *, damaged: bool = False) -> Recording:
+    """Read the recording of a test from a bag (mcap or sqlite3), whoever recorded it.
 
     Samples are ordered by step; of duplicates the first counts. Topics may be in a namespace.
     Messages that can't be decoded are left out and counted in ``environment["undecodable"]``;
@@ -76,7 +76,7 @@ def read_bag(path: str | Path, *, damaged: bool = False) -> Record:
     path : path
         A bag's folder, or a single mcap or sqlite3 file.
     damaged : bool
-        Whether a damaged bag is read, too; what is wrong with it is the record's ``damage``.
+        Whether a damaged bag is read, too; what is wrong with it is the recording's ``damage``.
 
     Raises
     ------
@@ -129,7 +129,7 @@ def read_bag(path: str | Path, *, damaged: bool = False) -> Record:
     if outcome is not None:
         others = ("phase", "steps", "trip")
         end = {name: value for name, value in vars(outcome).items() if name not in others}
-    return Record(
+    return Recording(
         experiment=experiment,
         series=series,
         estimates=estimates.series(),
@@ -283,29 +283,29 @@ NOT_FINITE = "not_finite"
 Chunk = tuple[int, Floats]  # first step, values (p, n)
 
 
-def write_record(
-    record: Record,
+def write_recording(
+    recording: Recording,
     path: str | Path,
     ground_motion: Iterable[Chunk] | None = None,
 ) -> None:
-    """Write a bag that `read_bag` reads as this record.
+    """Write a bag that `read_bag` reads as this recording.
 
     The messages are those of a test over DDS, in the order of time: the description, then
     each step's rig state, reference force, valve command and estimates, with ground motion one
     message ahead, and the end. The log time of step k is the wall-clock start plus k periods.
-    The future motion of a target is not in a record, and therefore not in the bag.
+    The future motion of a target is not in a recording, and therefore not in the bag.
     Samples that are not finite are left out, as no node sends them, and counted in the
     environment.
 
     Parameters
     ----------
-    record : Record
+    recording : Recording
         A test; series may have gaps.
     path : path
         Folder to be made.
     ground_motion : iterable of (first step, ndarray), optional
         Messages of ground motion, each of shape (p, n), m/s^2; they may go beyond the
-        record's end. Default: a message for each of the record's steps.
+        recording's end. Default: a message for each of the recording's steps.
 
     Raises
     ------
@@ -314,22 +314,22 @@ def write_record(
     ExperimentError
         If the disk is full.
     """
-    timebase, axes = record.experiment.timebase, record.experiment.axes
-    start_ns = _start_ns(record)
+    timebase, axes = recording.experiment.timebase, recording.experiment.axes
+    start_ns = _start_ns(recording)
     codecs = {
         topic.name: [
             (rig.places, TrajectoryCodec(topic.of(rig), rig.axes, timebase)) for rig in rigs
         ]
-        for topic, rigs in _loop_of(record.experiment)
+        for topic, rigs in _loop_of(recording.experiment)
     }
     ((_, motion_codec),) = codecs[GROUND_MOTION.name]
     estimates_codec = EstimatesCodec(axes, timebase)
     motion = [(first, np.ascontiguousarray(v)[:, np.newaxis]) for first, v in ground_motion or ()]
-    events, not_finite = _events(record, STEP_TOPICS[1:] if motion else STEP_TOPICS)
-    environment = {k: v for k, v in record.environment.items() if k != UNDECODABLE}
+    events, not_finite = _events(recording, STEP_TOPICS[1:] if motion else STEP_TOPICS)
+    environment = {k: v for k, v in recording.environment.items() if k != UNDECODABLE}
     if not_finite:
         environment[NOT_FINITE] = not_finite
-    described = write_description(record.experiment.sections, environment, record.facts)
+    described = write_description(recording.experiment.sections, environment, recording.facts)
     texts = [encode_string(text) for text in described]
     with BagWriter(path) as bag:
         for text in texts:
@@ -341,31 +341,33 @@ def write_record(
                 bag.write(GROUND_MOTION, motion_codec.encode_points(*motion[sent]), time_ns)
                 sent += 1
             topic = STEP_TOPICS[which]
-            if topic is ESTIMATES and record.estimates:
-                named = zip(record.estimates.names, record.estimates.values[index], strict=True)
+            if topic is ESTIMATES and recording.estimates:
+                named = zip(
+                    recording.estimates.names, recording.estimates.values[index], strict=True
+                )
                 bag.write(topic, estimates_codec.encode(step, dict(named)), time_ns)
                 continue
-            values = record.series[topic.name].values[index]
+            values = recording.series[topic.name].values[index]
             for places, codec in codecs[topic.name]:
                 raw = codec.encode(step, np.ascontiguousarray(values[:, places]))
                 bag.write(codec.topic, raw, time_ns)
-        if record.complete and record.missed is not None:
-            sampled = record.series[RIG_STATE.name].steps
+        if recording.complete and recording.missed is not None:
+            sampled = recording.series[RIG_STATE.name].steps
             outcome = Outcome(
-                TRIPPED if record.trip else FINISHED,
+                TRIPPED if recording.trip else FINISHED,
                 int(sampled[-1]) + 1 if len(sampled) else 0,
-                record.missed,
-                record.missed_steps,
-                record.wall_s,
-                record.trip,
-                record.overruns or 0,
-                record.saturation,
-                record.round_trips,
-                record.simulated,
+                recording.missed,
+                recording.missed_steps,
+                recording.wall_s,
+                recording.trip,
+                recording.overruns or 0,
+                recording.saturation,
+                recording.round_trips,
+                recording.simulated,
             )
             status = rig_status(outcome)
             # totals of all rigs are reported by the first
-            statuses = [replace(status, name=rig.node(RIG)) for rig in record.experiment.rigs]
+            statuses = [replace(status, name=rig.node(RIG)) for rig in recording.experiment.rigs]
             quiet = {"missed": "0", "missed_steps": "", "overruns": "0", "saturated": "{}"}
             statuses[1:] = [replace(s, values={**s.values, **quiet}) for s in statuses[1:]]
             bag.write(DIAGNOSTICS, encode_diagnostics(time_ns, statuses), time_ns)
@@ -373,7 +375,7 @@ def write_record(
             bag.write(DESCRIPTION, text, time_ns)
 
 
-def _events(record: Record, topics: Sequence[Topic]) -> tuple[npt.NDArray[np.int64], int]:
+def _events(recording: Recording, topics: Sequence[Topic]) -> tuple[npt.NDArray[np.int64], int]:
     """List the samples of some topics, in their order, and count those that are left out.
 
     Returns
@@ -385,7 +387,7 @@ def _events(record: Record, topics: Sequence[Topic]) -> tuple[npt.NDArray[np.int
     """
     parts, not_finite = [], 0
     for which, topic in enumerate(STEP_TOPICS):
-        series = record.estimates if topic is ESTIMATES else record.series[topic.name]
+        series = recording.estimates if topic is ESTIMATES else recording.series[topic.name]
         if topic not in topics or series is None:
             continue
         (kept,) = np.nonzero(np.isfinite(series.values).all(axis=(1, 2)))
@@ -395,10 +397,10 @@ def _events(record: Record, topics: Sequence[Topic]) -> tuple[npt.NDArray[np.int
     return events[np.lexsort((events[:, 1], events[:, 0]))], not_finite
 
 
-def _start_ns(record: Record) -> int:
+def _start_ns(recording: Recording) -> int:
     """Wall-clock start of the test; now, where it is not known."""
     try:
-        start = datetime.fromisoformat(record.environment["start"])
+        start = datetime.fromisoformat(recording.environment["start"])
     except (KeyError, TypeError, ValueError):
         return time.time_ns()
     return round(start.timestamp() * 1e6) * 1000

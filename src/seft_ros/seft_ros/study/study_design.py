@@ -34,7 +34,7 @@ class StudyTest(NamedTuple):
 
 
 @dataclass(frozen=True)
-class StudyPlan:
+class StudyDesign:
     """What is run.
 
     Attributes
@@ -84,13 +84,13 @@ class StudyPlan:
         return {file: Path(file).read_bytes() for file in sorted(files)}
 
 
-def plan_study(
+def design_study(
     experiment: Experiment,
     drawn: DrawnTests,
     methods: Sequence[str] = (),
     mass_ratios: Sequence[float] = (),
-) -> StudyPlan:
-    """Plan a study.
+) -> StudyDesign:
+    """Design a study.
 
     Parameters
     ----------
@@ -126,12 +126,12 @@ def plan_study(
     method_inputs(own, experiment.axes, experiment.timebase)
     force_control(experiment["force_controller"], experiment.axes, experiment.timebase)
     chosen, ratios = list(dict.fromkeys(chosen)), list(dict.fromkeys(ratios or [own["mass_ratio"]]))
-    plan = StudyPlan(experiment, drawn, tuple(chosen), tuple(ratios), {})
-    for ratio, method in product(plan.mass_ratios, plan.methods):
+    design = StudyDesign(experiment, drawn, tuple(chosen), tuple(ratios), {})
+    for ratio, method in product(design.mass_ratios, design.methods):
         try:
-            build_blocks(plan.experiment_of(StudyTest(ratio, method, 0)))
+            build_blocks(design.experiment_of(StudyTest(ratio, method, 0)))
         except InputError as error:  # all else is in order: the method lacks something
-            plan.not_possible[ratio, method] = str(error)
-    if not plan.tests():
-        raise InputError(next(iter(plan.not_possible.values())))
-    return plan
+            design.not_possible[ratio, method] = str(error)
+    if not design.tests():
+        raise InputError(next(iter(design.not_possible.values())))
+    return design

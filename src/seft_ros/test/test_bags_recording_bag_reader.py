@@ -29,7 +29,7 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.bags.bag_writer import BagWriter
-from seft_ros.bags.record_bag import read_bag
+from seft_ros.bags.recording_bag import read_bag
 
 AXES = ("x", "y")
 TIMEBASE = Timebase.from_rate(500.0)
@@ -91,7 +91,7 @@ def test_each_sample_has_the_time_its_message_was_received(tmp_path):
     assert series["ground_motion"].received_ns is None
 
 
-def told(name, level, message, **values):
+def status(name, level, message, **values):
     return DIAGNOSTICS, encode_diagnostics(0, [Status(name, level, message, values=values)])
 
 
@@ -105,23 +105,23 @@ def test_what_nodes_tell_is_an_event_once_until_they_tell_another(tmp_path):
         motion(0, 8),
         state[0],
         *loop([0]),
-        told("rig", 0, "running"),
-        told("rig", 0, "running"),
+        status("rig", 0, "running"),
+        status("rig", 0, "running"),
         state[1],
-        told("recorder", 1, "disk nearly full"),
+        status("recorder", 1, "disk nearly full"),
         state[2],
-        told("rig", 0, "running", late="1"),
-        told("rig", 2, "tripped"),
+        status("rig", 0, "running", late="1"),
+        status("rig", 2, "tripped"),
     ]
-    record = read_bag(write(tmp_path / "bag", messages))
-    assert [(e.source, e.level, e.text) for e in record.events] == [
+    recording = read_bag(write(tmp_path / "bag", messages))
+    assert [(e.source, e.level, e.text) for e in recording.events] == [
         ("experiment", "ok", "running"),
         ("rig", "ok", "running"),
         ("recorder", "warn", "disk nearly full"),
         ("experiment", "ok", "running: ramping"),
         ("rig", "error", "tripped"),
     ]
-    times = [e.time_s for e in record.events]
+    times = [e.time_s for e in recording.events]
     assert times == sorted(times)
     assert times[0] < 0 < times[1]  # the rig's first sample is time zero
 
@@ -136,17 +136,17 @@ def test_estimates_that_do_not_fit_the_test_are_left_out_and_counted(tmp_path):
         foreign.encode(150, {"delay": np.zeros(1)}),
         b"\x00\x01\x00\x00garbage",
     ]
-    record = read_bag(write(tmp_path / "bag", [*TEST, *((ESTIMATES, raw) for raw in messages)]))
-    assert record.estimates.names == ("delay",)
-    assert record.estimates.steps.tolist() == [0, 50]
-    assert record.estimates.values.tolist() == [[[0.01, 0.02]]] * 2
-    assert record.environment["undecodable"] == 3
+    recording = read_bag(write(tmp_path / "bag", [*TEST, *((ESTIMATES, raw) for raw in messages)]))
+    assert recording.estimates.names == ("delay",)
+    assert recording.estimates.steps.tolist() == [0, 50]
+    assert recording.estimates.values.tolist() == [[[0.01, 0.02]]] * 2
+    assert recording.environment["undecodable"] == 3
 
 
 def test_the_rigs_last_word_counts(tmp_path):
     trip = Trip("limit", 9, 0.018)
-    record = read_bag(write(tmp_path / "bag", [*TEST, ending("tripped", trip)]))
-    assert record.trip == trip
+    recording = read_bag(write(tmp_path / "bag", [*TEST, ending("tripped", trip)]))
+    assert recording.trip == trip
 
 
 def test_messages_that_cannot_be_understood_are_left_out_and_counted(tmp_path):
@@ -159,10 +159,10 @@ def test_messages_that_cannot_be_understood_are_left_out_and_counted(tmp_path):
         (DIAGNOSTICS, b"\x00\x01"),
         (VALVE_COMMAND, CODECS["valve_command"].encode(0, np.zeros(2))[:-5]),
     ]
-    record = read_bag(write(tmp_path / "bag", [*bad, *TEST]))
-    assert record.environment["undecodable"] == 6
-    assert record.series["rig/state"].steps.tolist() == list(range(10))
-    assert record.missed == 2
+    recording = read_bag(write(tmp_path / "bag", [*bad, *TEST]))
+    assert recording.environment["undecodable"] == 6
+    assert recording.series["rig/state"].steps.tolist() == list(range(10))
+    assert recording.missed == 2
 
 
 @pytest.mark.parametrize("bad", [[], [(DESCRIPTION, encode_string("{}"))], description({})])
@@ -185,34 +185,34 @@ def test_a_bag_without_metadata_says_how_to_get_it_back(tmp_path, storage):
     (path / "metadata.yaml").unlink()
     with pytest.raises(InputError, match=rf"metadata.yaml is missing.*seft recover {path}$"):
         read_bag(path)
-    record = read_bag(path, damaged=True)
-    assert record.damage == ["metadata.yaml is missing"]
-    assert record.series["rig/state"].steps.tolist() == list(range(10))
+    recording = read_bag(path, damaged=True)
+    assert recording.damage == ["metadata.yaml is missing"]
+    assert recording.series["rig/state"].steps.tolist() == list(range(10))
 
 
 def ros2_bag_record(path, messages, prefix="", storage="mcap"):
     """A bag as `ros2 bag record -a` makes it: all topics, of whatever type."""
-    told = [
+    messages = [
         ("/rosout", STRING, encode_string("log")),
         ("/clock", CLOCK, b"\x00\x01\x00\x00" + bytes(8)),
         (prefix + "/rig/state", STRING, encode_string("a foreign topic of that name")),
         *((f"{prefix}/{topic.name}", topic.type, raw) for topic, raw in messages),
     ]
-    stamped = [(name, kind, START + k, raw) for k, (name, kind, raw) in enumerate(told)]
+    stamped = [(name, kind, START + k, raw) for k, (name, kind, raw) in enumerate(messages)]
     return write_stock_bag(path, stamped, storage)
 
 
 @pytest.mark.parametrize("prefix", ["", "/lab/rig2"])
 def test_a_bag_of_another_recorder_is_read_also_in_a_namespace(tmp_path, prefix):
     """Of all storages and compressions, see test_bags_message_blocks.py."""
-    record = read_bag(ros2_bag_record(tmp_path / "bag", TEST, prefix, storage="sqlite3"))
-    assert record.series["rig/state"].steps.tolist() == list(range(10))
-    assert record.environment["undecodable"] == 0
+    recording = read_bag(ros2_bag_record(tmp_path / "bag", TEST, prefix, storage="sqlite3"))
+    assert recording.series["rig/state"].steps.tolist() == list(range(10))
+    assert recording.environment["undecodable"] == 0
 
 
 def test_tests_in_two_namespaces_are_an_input_error(tmp_path):
     raw = description()[0][1]
-    told = [(f"{name}/experiment/description", STRING, START, raw) for name in ("/a", "/b")]
-    write_stock_bag(tmp_path / "bag", told)
+    messages = [(f"{name}/experiment/description", STRING, START, raw) for name in ("/a", "/b")]
+    write_stock_bag(tmp_path / "bag", messages)
     with pytest.raises(InputError, match="several tests, in /a/, /b/"):
         read_bag(tmp_path / "bag")

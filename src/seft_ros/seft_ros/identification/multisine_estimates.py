@@ -1,4 +1,4 @@
-"""What a shake says of mass, scale, lag and bias of the channels, with standard errors.
+"""What a multisine test says of mass, scale, lag and bias of the channels, with standard errors.
 
 Each sine gives the complex amplitude of each channel, over whole cycles. Velocity and acceleration
 of an axis are derivatives of the displacement X, with scale s, lag tau and, where a channel has
@@ -13,14 +13,15 @@ Off the diagonal s is the tilt of an accelerometer. With these known, the force 
     F_i exp(i w tau_i) = sum_j M_ij A_j + (K_ij + i H_ij + i w C_ij) X_j + (K'_i + i H'_i) t X_i
                                                                                            (2)
 
-K' and H' are a change in the time t of the shake: some specimens degrade. K + iH is the stiffness
-at the shake's amplitude of a specimen that does not depend on rate; where friction bends the motion
-it is made so (`identification.shake_hysteresis`). Load cell and displacement sensor are the
-reference, unless velocity and acceleration agree against the displacement: two sensors that are
-wrong by the same factor are less likely than one. Of scales that all are wrong by the same factor,
-and of a lag that all have in common, a shake says nothing. Standard errors are those of the
-sensors' noise or of what the equations leave, if that is more. To those of scales and masses comes
-what the steps q of the converters make of an amplitude A, alike in all sines, with noise sigma::
+K' and H' are a change in the time t of the multisine test: some specimens degrade. K + iH is the
+stiffness at the multisine test's amplitude of a specimen that does not depend on rate; where
+friction bends the motion it is made so (`identification.multisine_hysteresis`). Load cell and
+displacement sensor are the reference, unless velocity and acceleration agree against the
+displacement: two sensors that are wrong by the same factor are less likely than one. Of scales that
+all are wrong by the same factor, and of a lag that all have in common, a multisine test says
+nothing. Standard errors are those of the sensors' noise or of what the equations leave, if that is
+more. To those of scales and masses comes what the steps q of the converters make of an amplitude A,
+alike in all sines, with noise sigma::
 
     2 q J_1(2 pi A / q) / pi exp(-2 (pi sigma / q)^2)                                      (3)
 
@@ -38,18 +39,18 @@ from numpy.typing import NDArray
 from seft_msgs_py.arrays import Complexes, Floats
 
 from seft_ros.design.plant import FOLDED
-from seft_ros.identification.shake import Sine
-from seft_ros.identification.shake_hysteresis import uneven_force
+from seft_ros.identification.multisine import Sine
+from seft_ros.identification.multisine_hysteresis import uneven_force
 
 _OVERTONES = 9  # of a sine, which friction makes, and which are no noise
 _ROUNDS = 4  # of linearisation in the lag; it converges quadratically
-SHAKE_SIGMAS = 4.0
+MULTISINE_SIGMAS = 4.0
 """Standard errors within which a deviation is none: curvature, tilt."""
 
 
 def significant(value: Floats, error: Floats) -> Floats:
-    """Give the values that are beyond `SHAKE_SIGMAS` standard errors, and 0 for the others."""
-    return np.where(np.abs(value) > SHAKE_SIGMAS * error, value, 0.0)
+    """Give the values that are beyond `MULTISINE_SIGMAS` standard errors, and 0 for the others."""
+    return np.where(np.abs(value) > MULTISINE_SIGMAS * error, value, 0.0)
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ class Harmonics:
 
 
 def harmonics(samples: Floats, sines: Sequence[Sine], dt: float) -> Harmonics:
-    """Evaluate a shake; ``samples`` are as measured, shape (N, 4, n)."""
+    """Evaluate a multisine test; ``samples`` are as measured, shape (N, 4, n)."""
     overtones, noise, mean, rounding = [], [], [], []
     steps = np.abs(np.diff(samples.reshape(len(samples), -1), axis=0))
     steps = np.where(steps > 0.0, steps, np.inf).min(axis=0)
@@ -165,8 +166,8 @@ def regressed(columns: Complexes, target: Complexes, noise: Floats) -> Fit:
 
 
 @dataclass(frozen=True)
-class ShakeFit:
-    """What a shake says; everything as published, after what was known of the channels.
+class MultisineFit:
+    """What a multisine test says; everything as published, after what was known of the channels.
 
     Attributes
     ----------
@@ -200,25 +201,25 @@ class ShakeFit:
     tilt_error: Floats
 
 
-def fit_shake(of: Harmonics, sound: Complexes) -> ShakeFit:
+def fit_multisine(of: Harmonics, fault_free: Complexes) -> MultisineFit:
     """Estimate mass, scales, lags and biases.
 
     Parameters
     ----------
     of : Harmonics
         Of at least five sines on each axis.
-    sound : ndarray
-        Velocity and acceleration that a sound rig shows, over the derivatives of the displacement,
-        shape (m, 2): a held command folds down.
+    fault-free : ndarray
+        Velocity and acceleration that a fault-free rig shows, over the derivatives of the
+        displacement, shape (m, 2): a held command folds down.
     """
     m, _, n = of.amplitude.shape
     scale, lag = np.ones((4, n)), np.zeros((4, n))
     scale_error, lag_error = np.zeros((4, n)), np.zeros((4, n))
     tilt, tilt_error = np.eye(n), np.zeros((n, n))
     acceleration = of.amplitude[:, 2].copy()
-    folded = FOLDED * np.abs(sound - 1.0).max(axis=0)
+    folded = FOLDED * np.abs(fault_free - 1.0).max(axis=0)
     for order, i in ((order, i) for order in (1, 2) for i in range(n)):
-        own, aligning = _relation(of, order, i, sound[:, order - 1])
+        own, aligning = _relation(of, order, i, fault_free[:, order - 1])
         scale[order, i] = own.value[i]
         rounding = math.hypot(of.rounding[0, i], of.rounding[order, i])
         scale_error[order, i] = math.hypot(own.error[i], folded[order - 1], rounding)
@@ -242,7 +243,7 @@ def fit_shake(of: Harmonics, sound: Complexes) -> ShakeFit:
         mass_error[i] = np.hypot(own.error[:n], common * np.abs(own.value[:n]))
         lag[3, i], lag_error[3, i] = own.value[-1], own.error[-1]
     bias, bias_error = of.mean.mean(axis=0), of.mean.std(axis=0, ddof=1) / np.sqrt(m)
-    return ShakeFit(
+    return MultisineFit(
         (mass + mass.T) / 2,
         np.hypot(mass_error, mass_error.T) / 2 * np.sqrt(1.0 + np.eye(n)),
         stiffness,
@@ -263,23 +264,25 @@ def _displacement_scale(scale: Floats, error: Floats) -> tuple[Floats, Floats]:
     It is 1, without an error, unless velocity and acceleration both differ, by the same factor.
     """
     (v, a), (of_v, of_a) = scale[1:3], error[1:3]
-    differ = (np.abs(v - 1.0) > SHAKE_SIGMAS * of_v) & (np.abs(a - 1.0) > SHAKE_SIGMAS * of_a)
-    alike = differ & (np.abs(v - a) <= SHAKE_SIGMAS * np.hypot(of_v, of_a))
+    differ = (np.abs(v - 1.0) > MULTISINE_SIGMAS * of_v) & (
+        np.abs(a - 1.0) > MULTISINE_SIGMAS * of_a
+    )
+    alike = differ & (np.abs(v - a) <= MULTISINE_SIGMAS * np.hypot(of_v, of_a))
     p, q = of_v**-2.0, of_a**-2.0
     found = (p + q) / (p * v + q * a)
     return np.where(alike, found, 1.0), np.where(alike, found**2 / np.sqrt(p + q), 0.0)
 
 
-def _relation(of: Harmonics, order: int, i: int, sound: Complexes) -> tuple[Fit, Complexes]:
+def _relation(of: Harmonics, order: int, i: int, fault_free: Complexes) -> tuple[Fit, Complexes]:
     """Fit Eq. (1) for axis i: scales to each axis, lag; and give the factor that aligns it."""
     n = of.amplitude.shape[2]
     by_x = (1j * of.w) ** order
-    y, motion = of.amplitude[:, order, i] / sound, by_x[:, np.newaxis] * of.amplitude[:, 0]
+    y, motion = of.amplitude[:, order, i] / fault_free, by_x[:, np.newaxis] * of.amplitude[:, 0]
     noise = np.hypot(of.noise[:, order, i], np.abs(by_x) * of.noise[:, 0, i])
     others = np.arange(n) != i
     used = np.arange(n)
     fit, shape = _shaped(y, motion, noise, of.w)
-    if n > 1 and not (np.abs(fit.value[:n]) > SHAKE_SIGMAS * fit.error[:n])[others].any():
+    if n > 1 and not (np.abs(fit.value[:n]) > MULTISINE_SIGMAS * fit.error[:n])[others].any():
         used = np.array([i])
         fit, shape = _shaped(y, motion[:, used], noise, of.w)
     value, error = np.zeros(n + 1), np.zeros(n + 1)
@@ -298,7 +301,7 @@ def _shaped(y: Complexes, columns: Complexes, noise: Floats, w: Floats) -> tuple
         (_aligned(y, columns, noise, _stacked(late, w**p, bent)) for p in (4, 2)),
         key=lambda tried: tried[0].left,
     )
-    if not (np.abs(fit.value[-2:]) > SHAKE_SIGMAS * fit.error[-2:]).any():
+    if not (np.abs(fit.value[-2:]) > MULTISINE_SIGMAS * fit.error[-2:]).any():
         fit, shape = _aligned(y, columns, noise, _stacked(late))
     count = columns.shape[1] + 1
     return Fit(fit.value[:count], fit.error[:count], fit.left), shape

@@ -3,11 +3,11 @@
 import copy
 
 import pytest
-from seft_ros.analysis.judgement import judge_test
+from seft_ros.analysis.assessment import assess_test
 from seft_ros.drawing.style import Mark
 
 
-def deviation(kind, channel, estimate, told, error, effect=0.0, part_of="x"):
+def deviation(kind, channel, estimate, known, error, effect=0.0, part_of="x"):
     """Give the numbers of a `seft_ros.analysis.calibration_check.Deviation`."""
     return {
         "effect": effect,
@@ -16,7 +16,7 @@ def deviation(kind, channel, estimate, told, error, effect=0.0, part_of="x"):
         "axis": "x",
         "part_of": part_of,
         "estimate": estimate,
-        "told": told,
+        "told": known,
         "error": error,
     }
 
@@ -71,10 +71,10 @@ def changed(**changes):
 
 
 def test_a_test_without_fault_can_be_trusted():
-    judgement = judge_test(GOOD)
-    assert judgement.verdict is Mark.GOOD
-    assert judgement.text == "This test can be trusted."
-    assert {f.verdict for f in judgement.findings if f.name != "equivalent_motion"} == {Mark.GOOD}
+    assessment = assess_test(GOOD)
+    assert assessment.verdict is Mark.GOOD
+    assert assessment.text == "This test can be trusted."
+    assert {f.verdict for f in assessment.findings if f.name != "equivalent_motion"} == {Mark.GOOD}
 
 
 @pytest.mark.parametrize(
@@ -106,18 +106,20 @@ def test_a_test_without_fault_can_be_trusted():
     ],
 )
 def test_each_fault_is_found_and_decides(changes, mark, name):
-    judgement = judge_test(changed(**changes))
-    worst = judgement.findings[0]
-    assert (judgement.verdict, worst.verdict, worst.name) == (mark, mark, name)
-    assert "trusted" in judgement.text
-    assert worst.text in judgement.text
+    assessment = assess_test(changed(**changes))
+    worst = assessment.findings[0]
+    assert (assessment.verdict, worst.verdict, worst.name) == (mark, mark, name)
+    assert "trusted" in assessment.text
+    assert worst.text in assessment.text
 
 
 def test_the_headline_has_the_whole_reason_of_a_trip_and_its_finding_what_the_numbers_leave_out():
     trip = {"reason": "force (load cell) 900 N (limit 800 N)", "step": 599, "time_s": 1.198}
-    judgement = judge_test(changed(trip=trip, judged_steps=600))
-    assert "tripped at 1.198 s (step 599): force (load cell) 900 N (limit 800 N)." in judgement.text
-    assert "first 600 steps and leave out the ramp-down" in judgement.findings[0].whole
+    assessment = assess_test(changed(trip=trip, judged_steps=600))
+    assert (
+        "tripped at 1.198 s (step 599): force (load cell) 900 N (limit 800 N)." in assessment.text
+    )
+    assert "first 600 steps and leave out the ramp-down" in assessment.findings[0].whole
 
 
 @pytest.mark.parametrize(
@@ -131,7 +133,7 @@ def test_the_headline_has_the_whole_reason_of_a_trip_and_its_finding_what_the_nu
     ],
 )
 def test_what_is_within_its_threshold_is_good(changes):
-    assert judge_test(changed(**changes)).verdict is Mark.GOOD
+    assert assess_test(changed(**changes)).verdict is Mark.GOOD
 
 
 OFF = {"rms": 1e-5, "peak": 1e-4, "nrmse": 0.2}
@@ -150,25 +152,27 @@ OFF = {"rms": 1e-5, "peak": 1e-4, "nrmse": 0.2}
     ],
 )
 @pytest.mark.parametrize("specimen", ["model", None])
-def test_a_rig_that_is_not_simulated_is_judged_without_a_model(changes, mark, name, specimen):
-    judgement = judge_test(changed(reference_specimen=specimen, displacement__nrmse=9.0, **changes))
-    worst = judgement.findings[0]
-    assert (judgement.verdict, worst.verdict, worst.name) == (mark, mark, name)
-    assert not {f.name for f in judgement.findings} & {"displacement_error", "displacement_peak"}
+def test_a_rig_that_is_not_simulated_is_assessed_without_a_model(changes, mark, name, specimen):
+    assessment = assess_test(
+        changed(reference_specimen=specimen, displacement__nrmse=9.0, **changes)
+    )
+    worst = assessment.findings[0]
+    assert (assessment.verdict, worst.verdict, worst.name) == (mark, mark, name)
+    assert not {f.name for f in assessment.findings} & {"displacement_error", "displacement_peak"}
 
 
-def test_a_simulated_rig_is_judged_by_its_exact_response():
+def test_a_simulated_rig_is_assessed_by_its_exact_response():
     summary = changed(equivalent_motion__specimen_response_nrmse=0.9, tracking_error=OFF)
-    judgement = judge_test(summary)
-    assert judgement.verdict is Mark.GOOD
-    assert [f.name for f in judgement.findings[-2:]] == ["equivalent_motion", "tracking_error"]
+    assessment = assess_test(summary)
+    assert assessment.verdict is Mark.GOOD
+    assert [f.name for f in assessment.findings[-2:]] == ["equivalent_motion", "tracking_error"]
 
 
 def test_what_is_not_known_is_left_out():
     summary = changed(energy=None, vibration__ratio=None)
-    names = {finding.name for finding in judge_test(summary).findings}
+    names = {finding.name for finding in assess_test(summary).findings}
     assert not names & {"energy_balance", "vibration", "delay"}
-    findings = {f.name: f.text for f in judge_test(changed(first_step=None)).findings}
+    findings = {f.name: f.text for f in assess_test(changed(first_step=None)).findings}
     assert "no rig/state" in findings["ending"]
     assert "lost" not in findings
 
@@ -178,7 +182,7 @@ def test_what_is_not_known_is_left_out():
     [
         (
             deviation("mass", "force", 55.2, 52.7, 0.3, 0.0412),
-            "mass 55.2 +- 0.3 kg, told 52.7 kg: the displacement may be 4.1 % wrong",
+            "mass 55.2 +- 0.3 kg, known 52.7 kg: the displacement may be 4.1 % wrong",
         ),
         (
             deviation("scale", "acceleration", 0.98, 1.0, 0.001, 0.03),
@@ -196,21 +200,21 @@ def test_what_is_not_known_is_left_out():
     ],
 )
 def test_a_wrong_mass_scale_or_lag_is_said_in_one_line(numbers, text):
-    judgement = judge_test(changed(**{f"calibration__{numbers['kind']}": numbers}))
-    assert judgement.text == f"This test can be trusted with reservations: {text}."
-    assert (judgement.verdict, judgement.findings[0].name) == (Mark.DOUBT, numbers["kind"])
+    assessment = assess_test(changed(**{f"calibration__{numbers['kind']}": numbers}))
+    assert assessment.text == f"This test can be trusted with reservations: {text}."
+    assert (assessment.verdict, assessment.findings[0].name) == (Mark.DOUBT, numbers["kind"])
 
 
 @pytest.mark.parametrize("what", [{"calibration": None}, {"calibration__lag": None}])
 def test_what_is_not_known_of_mass_and_channels_is_no_reason_to_doubt(what):
-    judgement = judge_test(changed(**what))
-    assert judgement.verdict is Mark.GOOD
-    assert any("is not known from the test" in finding.text for finding in judgement.findings)
+    assessment = assess_test(changed(**what))
+    assert assessment.verdict is Mark.GOOD
+    assert any("is not known from the test" in finding.text for finding in assessment.findings)
 
 
 def test_it_says_how_well_mass_and_lag_are_known():
-    found = {finding.name: finding for finding in judge_test(GOOD).findings}
-    assert found["mass"].text == "mass 52.8 +- 0.1 kg, told 52.7 kg"
+    found = {finding.name: finding for finding in assess_test(GOOD).findings}
+    assert found["mass"].text == "mass 52.8 +- 0.1 kg, known 52.7 kg"
     assert "2 % of displacement" in found["mass"].detail
     assert "7 % of displacement" in found["lag"].detail
 
@@ -223,17 +227,19 @@ def test_with_a_target_only_a_gross_error_of_the_ground_motion_counts():
             tracking_error=on_target,
             equivalent_motion__specimen_response_nrmse=error,
         )
-        assert judge_test(hardware).verdict is mark
+        assert assess_test(hardware).verdict is mark
 
 
-def test_vibration_beyond_that_of_an_assumed_specimen_judges_no_test_with_a_target():
-    assert judge_test(changed(vibration__ratio=0.4)).verdict is Mark.BAD
+def test_vibration_beyond_that_of_an_assumed_specimen_assesses_no_test_with_a_target():
+    assert assess_test(changed(vibration__ratio=0.4)).verdict is Mark.BAD
     without = changed(vibration__ratio=0.4, reference_specimen="model")
-    assert judge_test(without).verdict is Mark.BAD
+    assert assess_test(without).verdict is Mark.BAD
     on_target = without | {"tracking_error": {"rms": 1e-5, "peak": 1e-4, "nrmse": 0.01}}
-    assert judge_test(on_target).verdict is Mark.GOOD
+    assert assess_test(on_target).verdict is Mark.GOOD
 
 
-def test_the_energy_of_an_assumed_specimen_judges_no_test():
-    assert judge_test(changed(energy__closure=0.4)).verdict is Mark.DOUBT
-    assert judge_test(changed(energy__closure=0.4, reference_specimen="model")).verdict is Mark.GOOD
+def test_the_energy_of_an_assumed_specimen_assesses_no_test():
+    assert assess_test(changed(energy__closure=0.4)).verdict is Mark.DOUBT
+    assert (
+        assess_test(changed(energy__closure=0.4, reference_specimen="model")).verdict is Mark.GOOD
+    )

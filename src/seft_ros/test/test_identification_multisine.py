@@ -1,4 +1,5 @@
-"""A shake: what it will reach, and what it says of mass and channels of the simulated rig."""
+"""A multisine test: what it will reach, and what it says of mass and channels of the simulated
+rig."""
 
 import math
 from functools import cache
@@ -14,12 +15,23 @@ from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig_parameters import truth
 from seft_plant_sim.sensors import ACCELERATION, DISPLACEMENT, FORCE, VELOCITY
 from seft_ros.identification.actuator_fit import ActuatorFit
-from seft_ros.identification.calibrated import Calibrated, Shaken, all_known, shake_notes
+from seft_ros.identification.calibrated import (
+    Calibrated,
+    MultisineResult,
+    all_known,
+    multisine_notes,
+)
 from seft_ros.identification.identified import Identified, ValveResponse, fitted_plant
+from seft_ros.identification.multisine import (
+    Multisine,
+    Sine,
+    multisine_drive,
+    plan_multisine,
+    with_actuators,
+)
+from seft_ros.identification.multisine_estimates import harmonics
 from seft_ros.identification.response_fits import SpecimenFit
-from seft_ros.identification.rig_tests import shake_test, write_forces
-from seft_ros.identification.shake import Shake, Sine, plan_shake, shake_drive, with_actuators
-from seft_ros.identification.shake_estimates import harmonics
+from seft_ros.identification.rig_tests import multisine_test, write_forces
 from seft_ros.reference_force.reference_force_block import method_inputs
 
 SPECIMEN = "rig:simulated.specimen."
@@ -40,13 +52,13 @@ def true(config="jhu"):
 
 
 def identified(experiment):
-    """The rig with the actuators that its force controller was told, and the told specimen."""
+    """The rig with the actuators that its force controller knows, and the known specimen."""
     names = ("flow_gain", "oil_stiffness", "leakage", "force_capacity")
     names += ("valve_frequency", "valve_damping", "dead_time")
-    told = {name: experiment["force_controller"][f"actuator.{name}"] for name in names}
+    known_values = {name: experiment["force_controller"][f"actuator.{name}"] for name in names}
     none = np.zeros(0)
     more = {"drag": 0.0, "explained": 1.0, "unsure": (), "largest_force": 0.0, "dt": 0.002}
-    fit = ActuatorFit(**told, **more, measured=none, modelled=none)
+    fit = ActuatorFit(**known_values, **more, measured=none, modelled=none)
     assumed = method_inputs(experiment["reference_force"], experiment.axes, experiment.timebase)
     model = SpecimenFit(assumed.mass, assumed.damping, assumed.stiffness, 0.0)
     whole = fitted_plant(model, [fit] * len(experiment.axes))
@@ -57,18 +69,20 @@ def identified(experiment):
 
 
 @cache
-def shaken(*words, config="jhu"):
-    """Shake the rig of a configuration once, with the actuators as told."""
+def multisine_of(*words, config="jhu"):
+    """Run the multisine test of a configuration once, with known actuators."""
     experiment = load(*words, config=config)
     found = identified(experiment)
-    plan = with_actuators(plan_shake(experiment), found, experiment)
-    commands, sines = shake_drive(plan, found, experiment.timebase.dt)
+    plan = with_actuators(plan_multisine(experiment), found, experiment)
+    commands, sines = multisine_drive(plan, found, experiment.timebase.dt)
     with TemporaryDirectory() as folder:
-        path = write_forces(Path(folder) / "shake.csv", experiment, commands)
-        record = simulated(shake_test(experiment, path))
-    assert record.trip is None
+        path = write_forces(Path(folder) / "multisine.csv", experiment, commands)
+        recording = simulated(multisine_test(experiment, path))
+    assert recording.trip is None
     known = all_known(load(config=config))
-    return Shaken.of_record(plan, record, sines, found, Calibrated(known, known, 0.0, False))
+    return MultisineResult.of_recording(
+        plan, recording, sines, found, Calibrated(known, known, 0.0, False)
+    )
 
 
 def assert_known(value, error, true, most):
@@ -83,7 +97,7 @@ def test_mass_scale_lag_and_bias_are_recovered():
         *(f"{SENSORS}acceleration_scale:=0.98", f"{SENSORS}velocity_scale:=1.02"),
         *(f"{SENSORS}force_bias:=4.0", f"{SENSORS}acceleration_bias:=0.08"),
     )
-    found = shaken(*FLAG, *words)
+    found = multisine_of(*FLAG, *words)
     fit = found.fit
     assert_known(fit.mass[0, 0], fit.mass_error[0, 0], 73.0, 0.1)
     for row, scale, lag in ((VELOCITY, 1.02, 0.0004), (ACCELERATION, 0.98, 0.0013)):
@@ -99,59 +113,63 @@ def test_mass_scale_lag_and_bias_are_recovered():
     assert section["calibration.displacement_scale"] == [1.0]
     assert section["calibration.force_scale"] == [1.0]
 
-    told = [f"/**:{name}:={value}" for name, value in section.items()]
-    again = shaken(*true(), *FLAG, *words, *told)
+    known_values = [f"/**:{name}:={value}" for name, value in section.items()]
+    again = multisine_of(*true(), *FLAG, *words, *known_values)
     assert not again.calibrated.changes  # and what it knows is kept
     assert again.calibrated.parameters() == section
 
 
 def test_friction_spoils_neither_mass_nor_bias():
-    fit = shaken(*FRICTION, f"{SENSORS}force_bias:=5.0", f"{SENSORS}displacement_bias:=2e-4").fit
+    fit = multisine_of(
+        *FRICTION, f"{SENSORS}force_bias:=5.0", f"{SENSORS}displacement_bias:=2e-4"
+    ).fit
     assert_known(fit.mass[0, 0], fit.mass_error[0, 0], 52.7, 0.12)
     assert fit.mass[0, 0] == pytest.approx(52.7, rel=4e-3)
     assert fit.bias[DISPLACEMENT, 0] == pytest.approx(2e-4, abs=1e-5)
     assert fit.bias[FORCE, 0] == pytest.approx(5.0, abs=1.0)
 
 
-def test_a_shake_under_which_friction_holds_the_specimen_says_so():
+def test_a_multisine_test_under_which_friction_holds_the_specimen_says_so():
     storeys = SPECIMEN + "springs:=[1.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0, -1.0, 1.0]"
     held = (storeys, SPECIMEN + "kind:=friction", SPECIMEN + "friction.force:=300.0")
     with pytest.raises(InputError, match=r"sticks under sines of .* mm: .* larger --travel"):
-        shaken(*held, config="three_storey_frame")
+        multisine_of(*held, config="three_storey_frame")
 
 
-def test_what_is_late_is_told_whatever_is_the_latest():
-    fit = shaken(f"{SENSORS}displacement_lag:=0.002")
+def test_what_is_late_is_reported_whatever_is_the_latest():
+    fit = multisine_of(f"{SENSORS}displacement_lag:=0.002")
     lags = [fit.calibrated.parameters()[f"calibration.{channel}_lag"][0] for channel in CHANNELS]
     assert lags == pytest.approx([0.002, 0.0, 0.0, 0.0], abs=2e-5)
 
 
 def test_a_derived_velocity_has_no_calibration():
-    section = shaken("/**:sensors.velocity:=derived").calibrated.parameters()
+    section = multisine_of("/**:sensors.velocity:=derived").calibrated.parameters()
     assert not any("velocity" in name for name in section)
     load("/**:sensors.velocity:=derived", *(("/**", *item) for item in section.items()))
 
 
 def test_several_axes_give_the_matrix_and_a_tilt():
     tilt = SENSORS + "tilt:=[1.0, 0.0, 0.0, 0.03, 1.0, 0.0, 0.0, 0.0, 1.0]"
-    found = shaken(tilt, config="three_storey_frame")
+    found = multisine_of(tilt, config="three_storey_frame")
     fit = found.fit
     np.testing.assert_allclose(fit.mass, 52.7 * np.eye(3), atol=0.3)
     assert_known(fit.tilt[1, 0], fit.tilt_error[1, 0], 0.03, 2e-3)
-    notes = shake_notes(found, ("a", "b", "c"))
+    notes = multisine_notes(found, ("a", "b", "c"))
     assert [note for note in notes if "axis b" in note and "of a:" in note and "tilt corr" in note]
     assert sum("tilted" in note for note in notes) == 1
 
     section = found.calibrated.parameters()
     assert section["calibration.tilt"] == pytest.approx([1, 0, 0, 0.03, 1, 0, 0, 0, 1], abs=2e-3)
-    told = [f"/**:{name}:={value}" for name, value in section.items()]
-    again = shaken(*true("three_storey_frame"), tilt, *told, config="three_storey_frame")
+    known_values = [f"/**:{name}:={value}" for name, value in section.items()]
+    again = multisine_of(
+        *true("three_storey_frame"), tilt, *known_values, config="three_storey_frame"
+    )
     assert not again.calibrated.changes
     assert again.calibrated.parameters() == section
 
 
 def test_velocity_and_acceleration_against_the_displacement_are_right():
-    found = shaken(*FLAG, f"{SENSORS}displacement_scale:=0.96")
+    found = multisine_of(*FLAG, f"{SENSORS}displacement_scale:=0.96")
     fit = found.fit
     assert_known(fit.scale[DISPLACEMENT, 0], fit.scale_error[DISPLACEMENT, 0], 0.96, 2e-3)
     assert_known(fit.mass[0, 0], fit.mass_error[0, 0], 73.0, 0.1)
@@ -160,34 +178,34 @@ def test_velocity_and_acceleration_against_the_displacement_are_right():
     assert section["calibration.displacement_scale"] == [pytest.approx(0.96, abs=2e-3)]
 
 
-def test_the_displacement_follows_from_the_noise_and_the_peaks_are_told():
-    plan = plan_shake(load())
-    noisy = plan_shake(load("/**:sensors.displacement_noise:=2e-5"))
+def test_the_displacement_follows_from_the_noise_and_the_peaks_are_reported():
+    plan = plan_multisine(load())
+    noisy = plan_multisine(load("/**:sensors.displacement_noise:=2e-5"))
     assert noisy.travel == pytest.approx(4 * plan.travel, rel=0.05)
-    told = plan_shake(load(), travel=1e-4)
-    assert (told.travel, told.peaks["displacement"]) == (1e-4, 1e-4)
-    assert "sines of 0.1 mm on each axis, up to 48.5 Hz" in told.text()
-    largest, peaks = shaken(*FLAG).largest, shaken(*FLAG).shake.peaks
+    chosen = plan_multisine(load(), travel=1e-4)
+    assert (chosen.travel, chosen.peaks["displacement"]) == (1e-4, 1e-4)
+    assert "sines of 0.1 mm on each axis, up to 48.5 Hz" in chosen.text()
+    largest, peaks = multisine_of(*FLAG).largest, multisine_of(*FLAG).multisine.peaks
     for name, peak in peaks.items():
         assert largest[name] < 1.15 * peak, name  # with the noise
 
 
 def test_limits_lower_the_highest_frequency():
-    free, bound = plan_shake(load()), plan_shake(load("/**:limits.acceleration:=10.0"))
+    free, bound = plan_multisine(load()), plan_multisine(load("/**:limits.acceleration:=10.0"))
     assert bound.peaks["acceleration"] <= 5.0 < free.peaks["acceleration"]
     assert bound.top < free.top
 
 
-def test_a_stiff_heavy_specimen_is_shaken_at_the_same_frequencies_at_every_rate():
+def test_a_stiff_heavy_specimen_is_tested_at_the_same_frequencies_at_every_rate():
     """Whatever the limits leave of the rate: 20 Hz of a 4000 Hz loop, too."""
     heavy = ("/**:specimen.mass:=800.0", "/**:limits.force:=2000.0")
-    plans = [plan_shake(load(*heavy, f"rate:={rate}.0"), 1e-4) for rate in (500, 4000)]
+    plans = [plan_multisine(load(*heavy, f"rate:={rate}.0"), 1e-4) for rate in (500, 4000)]
     assert plans[0].top == pytest.approx(plans[1].top, rel=0.06)
     assert 10.0 < plans[1].top < 80.0
 
 
 @pytest.mark.parametrize(
-    ("words", "travel", "told"),
+    ("words", "travel", "message"),
     [
         ((), 0.06, r"would reach 0.06 m with 60 mm.*half of /\*\*: limits.displacement, 0.076"),
         ((), -1e-4, "--travel is -0.0001 m"),
@@ -199,15 +217,17 @@ def test_a_stiff_heavy_specimen_is_shaken_at_the_same_frequencies_at_every_rate(
         ),
     ],
 )
-def test_a_shake_beyond_the_limits_is_refused_before_anything_moves(words, travel, told):
-    with pytest.raises(InputError, match=told):
-        plan_shake(load(*words), travel)
+def test_a_multisine_test_beyond_the_limits_is_refused_before_anything_moves(
+    words, travel, message
+):
+    with pytest.raises(InputError, match=message):
+        plan_multisine(load(*words), travel)
 
 
-def test_a_shake_beyond_the_valve_is_refused():
+def test_a_multisine_test_beyond_the_valve_is_refused():
     experiment = load()
     with pytest.raises(InputError, match=r"limits.command, 10 V; give a smaller --travel"):
-        plan = Shake(0.01, 50.0, {})
+        plan = Multisine(0.01, 50.0, {})
         with_actuators(plan, identified(experiment), experiment)
 
 
@@ -215,11 +235,11 @@ def test_a_shake_beyond_the_valve_is_refused():
 def test_what_a_converter_makes_of_an_amplitude_is_in_its_error(noise):
     sine, dt, step = Sine(0, 12.34567, 0, 20_000), 1e-3, 3.7e-5
     wave = np.cos(2 * np.pi * sine.frequency * dt * np.arange(sine.end))
-    rng, off, told = np.random.default_rng(1), [], []
+    rng, off, foreseen = np.random.default_rng(1), [], []
     for amplitude in np.linspace(9.5, 10.5, 21) * step:
         shown = amplitude * wave + noise * step * rng.standard_normal(len(wave))
         samples = np.repeat(step * np.round(shown / step), 4).reshape(-1, 4, 1)
         of = harmonics(samples, [sine], dt)
         off.append(abs(of.amplitude[0, 0, 0]) / amplitude - 1.0)
-        told.append(math.hypot(of.rounding[0, 0], of.noise[0, 0, 0] / amplitude))
-    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(np.mean(told), rel=0.4)
+        foreseen.append(math.hypot(of.rounding[0, 0], of.noise[0, 0, 0] / amplitude))
+    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(np.mean(foreseen), rel=0.4)

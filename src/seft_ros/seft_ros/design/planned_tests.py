@@ -91,7 +91,7 @@ def choose_rig(experiment: Experiment, stiffness: float = 1.0) -> LoopRig:
     return LoopRig(plant, model.drive, specimen, cutoff, small_signal=not model.is_linear)
 
 
-class Plan:
+class PlannedTest:
     """The loop of an experiment, and the loop with other values; see `choose_rig`.
 
     Attributes

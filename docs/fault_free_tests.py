@@ -2,7 +2,7 @@
 
 Run it in the project:
 
-    .venv/bin/python docs/sound_tests.py 900 kobe.txt:cm/s2:0.005:0 nishi_akashi.AT2
+    .venv/bin/python docs/fault_free_tests.py 900 kobe.txt:cm/s2:0.005:0 nishi_akashi.AT2
 
 Each motion is FILE, or FILE:UNIT:DT:COLUMN (yours to bring); half of the tests take the synthetic
 one.
@@ -120,15 +120,17 @@ def one_test(seed, motions):
     if misses:
         blocks = replace(blocks, rig=SlowHost(blocks.rig, differs, blocks.force_controller))
         given = (*given, differs)
-    record = simulate_test(experiment, blocks)
-    return given, record.trip.reason if record.trip else ""
+    recording = simulate_test(experiment, blocks)
+    return given, recording.trip.reason if recording.trip else ""
 
 
 def motion_words(word):
     """Give the words of a motion, ``FILE`` or ``FILE:UNIT:DT:COLUMN``."""
-    file, *told = word.split(":")
-    names = ("file", "unit", "dt", "column")[: 1 + len(told)]
-    return tuple(f"ground_motion:{n}:={v}" for n, v in zip(names, (file, *told), strict=True))
+    file, *given_parts = word.split(":")
+    names = ("file", "unit", "dt", "column")[: 1 + len(given_parts)]
+    return tuple(
+        f"ground_motion:{n}:={v}" for n, v in zip(names, (file, *given_parts), strict=True)
+    )
 
 
 def main():
@@ -142,7 +144,7 @@ def main():
             print(f"{reason}\n    {' '.join(given)}", flush=True)
         elif reason:
             ended["otherwise"] += 1
-    print(f"of {count} sound tests, ended by a detector: {ended['by a detector']},", end=" ")
+    print(f"of {count} fault-free tests, ended by a detector: {ended['by a detector']},", end=" ")
     print(f"by a limit that is too narrow for them: {ended['otherwise']}")
 
 
