@@ -1,10 +1,10 @@
 """Confusion table of metrics.md: verdicts on drawn tests with and without an error of the channels.
 
-    .venv/bin/python docs/trust.py --shake 400 1 kobe.txt:cm/s2:0.005:0 nishi_akashi.AT2 ...
+    .venv/bin/python docs/trust.py --multisine 400 1 kobe.txt:cm/s2:0.005:0 nishi_akashi.AT2 ...
 
 Draws so many tests of one axis or three, each with and without a wrong mass, scale, lag, filter
-or tilt, and assesses them as those of a real rig: without the simulated specimen. With --shake each
-rig has a multisine test first, and tests get what that has found: once the error comes after the
+or tilt, and assesses them as those of a real rig: without the simulated specimen. With --multisine
+each rig has a multisine test first, and tests get what that has found: once the error comes after the
 multisine test, and once it is there already. Each motion is FILE, or FILE:UNIT:DT:COLUMN (yours to
 bring), beside the synthetic one.
 """
@@ -269,7 +269,7 @@ def main():
     parser.add_argument("axes", type=int, choices=(1, 3))
     parser.add_argument("motions", nargs="*", type=motion_words)
     parser.add_argument("--first", type=int, default=1, help="seed of the first test")
-    parser.add_argument("--shake", action="store_true")
+    parser.add_argument("--multisine", action="store_true")
     given = parser.parse_args()
     axes, motions, table = given.axes, [(), (), *given.motions], Table()
     for seed in range(given.first, given.first + given.count):

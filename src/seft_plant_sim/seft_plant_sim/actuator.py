@@ -1,4 +1,4 @@
-"""Parameters of a servo-hydraulic actuator, identified or from data sheets.
+"""Parameters of a servo-hydraulic actuator.
 
 Oil column, valve flow and leakage after Merritt (Hydraulic Control Systems, 1967, ch. 6).
 """
@@ -14,11 +14,6 @@ from seft_msgs_py.config.parameter_table import per_axis
 
 from seft_plant_sim.compiled import compiled
 
-_AS_GIVEN = (
-    *("valve_frequency", "valve_damping", "dead_time", "stroke"),
-    *("friction", "friction_velocity", "viscous_friction"),
-)
-
 
 @dataclass(frozen=True)
 class Hydraulics:
@@ -32,7 +27,7 @@ class Hydraulics:
         lambda, rate at which the force decays by leakage, 1/s.
     flow_gain : ndarray
         q, piston velocity for one volt without load, m/s/V.
-    opening_limit : ndarray
+    rated_voltage : ndarray
         Drive in V at which the valve is fully open.
     force_capacity : ndarray
         F_s, force at supply pressure, N.
@@ -51,7 +46,7 @@ class Hydraulics:
     oil_stiffness: Floats
     leakage: Floats
     flow_gain: Floats
-    opening_limit: Floats
+    rated_voltage: Floats
     force_capacity: Floats
     valve_frequency: Floats
     valve_damping: Floats
@@ -65,40 +60,22 @@ class Hydraulics:
     def from_parameters(cls, group: dict[str, Any], axes: Sequence[str]) -> "Hydraulics":
         """Make it from the parameters ``simulated.actuator.*``.
 
-        ``oil_stiffness``, ``flow_gain``, ``leakage`` and ``force_capacity`` are used if they are
-        not 0; otherwise they follow from the data sheets.
-
         Raises
         ------
         InputError
             If sizes do not fit the axes.
         """
-        v = {
-            name: per_axis(value, axes, f"rig: simulated.actuator.{name}")
-            for name, value in group.items()
+        values = {
+            name: per_axis(group[name], axes, f"rig: simulated.actuator.{name}") for name in _NAMES
         }
-        area, supply = v["piston_area"], v["supply_pressure"]
-        # m^3/Pa: volume flow that raises the load pressure
-        compliance = v["oil_volume"] / (4.0 * v["bulk_modulus"])
-        no_load = np.sqrt(supply / v["rated_pressure_drop"])  # rated flow is at that drop
-        rated_gain = v["rated_flow"] * no_load / (area * v["rated_voltage"])
-        return cls(
-            oil_stiffness=_given_or(v["oil_stiffness"], area**2 / compliance),
-            leakage=_given_or(v["leakage"], v["leakage_coefficient"] / compliance),
-            flow_gain=_given_or(v["flow_gain"], rated_gain),
-            opening_limit=v["rated_voltage"],
-            force_capacity=_given_or(v["force_capacity"], supply * area),
-            **{name: v[name] for name in _AS_GIVEN},
-        )
+        return cls(**values)
 
     def part(self, places: Sequence[int]) -> "Hydraulics":
         """Take the actuators at some places among the axes."""
         return replace(self, **{k: v[list(places)] for k, v in vars(self).items()})
 
 
-def _given_or(given: Floats, from_data_sheet: Floats) -> Floats:
-    return np.where(given > 0, given, from_data_sheet)
-
+_NAMES = tuple(Hydraulics.__dataclass_fields__)
 
 STOP_STIFFNESS = 2.0  # of the end stops, over the oil's
 STOP_DAMPING = 2.0  # s/m: a stop pushes that much harder per velocity (Hunt & Crossley 1975)
@@ -119,7 +96,7 @@ def piston_rows(hydraulics: Hydraulics, mass: Floats) -> Floats:
     stop = STOP_STIFFNESS * h.oil_stiffness
     slope = np.where(h.friction > 0, h.friction / h.friction_velocity, 0.0)
     fastest = np.maximum(np.sqrt(stop / mass), slope / mass)
-    ends = (h.opening_limit, 1.0 / h.force_capacity, h.stroke)
+    ends = (h.rated_voltage, 1.0 / h.force_capacity, h.stroke)
     return np.column_stack([*ends, h.friction, 1.0 / h.friction_velocity, stop, fastest])
 
 

@@ -193,7 +193,7 @@ def servo_hydraulic(
         outputs[2 * n : 3 * n, n:], outputs[3 * n :, n:] = -by_force, -one
         model = replace(
             model,
-            drive_limit=hydraulics.opening_limit,
+            drive_limit=hydraulics.rated_voltage,
             pistons=piston_rows(hydraulics, np.diag(specimen.mass)),
             inputs=inputs,
             outputs=outputs,

@@ -93,19 +93,7 @@ _SPECIMEN = (
 
 _ACTUATOR = parameter_rows(
     """
-    piston_area          | floats | 1.1836e-3 | m^2      | > 0     | net area of the piston, A
-    supply_pressure      | floats | 20.7e6    | Pa       | > 0     | supply pressure
-    rated_flow           | floats | 2.754e-4  | m^3/s    | > 0     |
-        flow of the open valve at rated_pressure_drop
-    rated_pressure_drop  | floats | 6.9e6     | Pa       | > 0     | pressure drop of rated_flow
-    rated_voltage        | floats | 10.0      | V        | > 0     |
-        drive at which the valve is fully open
-    bulk_modulus         | floats | 0.7e9     | Pa       | > 0     |
-        effective bulk modulus of oil, air and hoses, beta
-    oil_volume           | floats | 2.357e-4  | m^3      | > 0     |
-        oil under compression, both chambers, V
-    leakage_coefficient  | floats | 4.2e-12   | m^3/s/Pa | 0 ..    |
-        leakage flow per load pressure, C
+    rated_voltage     | floats | 10.0  | V     | > 0  | drive at which the valve is fully open
     friction             | floats | 0.0       | N        | 0 ..    | Coulomb friction of the piston
     friction_velocity    | floats | 0.005     | m/s      | > 0     |
         velocity over which Coulomb friction builds up
@@ -115,8 +103,6 @@ _ACTUATOR = parameter_rows(
     """,
     "simulated.actuator",
 )
-"""Data sheets, of which follow: k_oil = 4 beta A^2 / V, flow gain, leakage = 4 beta C / V, force
-capacity, where the true ones are 0 (docs/rig.md)."""
 
 _SENSORS = parameter_rows(
     """
@@ -131,23 +117,28 @@ _SENSORS = parameter_rows(
     "simulated.sensors",
 )
 
-_UNKNOWN = {
-    "actuator.valve_frequency": 70.0,
-    "actuator.valve_damping": 0.6,
-    "actuator.dead_time": 0.001,
+_OF_THE_PAPER = {
+    "flow_gain": 0.0403,
+    "oil_stiffness": 1.664e7,
+    "leakage": 50.0,
+    "force_capacity": 24500.0,
+    "valve_frequency": 70.0,
+    "valve_damping": 0.6,
+    "dead_time": 0.001,
 }
-"""Of the paper's rig, where the fact is not known."""
+"""Where nothing is known of the actuator; all but leakage and dead time are above 0."""
 _NO_TRUTH = ("specimen.mass_error", "calibration.force_lag_error", "calibration.zeroing")
 
 
 def _true(fact: Parameter) -> Parameter:
     """Give the row of what a simulated rig truly has in place of a fact."""
+    name = fact.name.removeprefix("actuator.")
     return replace(
         fact,
         name=f"simulated.{fact.name.replace('calibration.', 'sensors.')}",
-        default=_UNKNOWN.get(fact.name, fact.default),
+        default=_OF_THE_PAPER.get(name, fact.default),
         description=f"what /**: {fact.name} truly is; default the same",
-        positive=fact.name.startswith("actuator.valve"),
+        positive=name in _OF_THE_PAPER and name not in ("leakage", "dead_time"),
     )
 
 

@@ -40,15 +40,15 @@ def test_a_small_drive_sees_the_linear_rig():
 @pytest.mark.parametrize("leakage", [0.0, 20.0])
 def test_a_fully_open_valve_stalls_at_the_force_capacity(leakage):
     """Against a specimen that the stroke does not end before."""
-    values = {"specimen__stiffness": 2e6, "actuator__leakage_coefficient": 0.0}
-    samples, names = run(plant(actuator__leakage=leakage, **values), np.full((1500, 1), 10.0))
+    values = {"specimen__stiffness": 2e6, "actuator__leakage": leakage}
+    samples, names = run(plant(**values), np.full((1500, 1), 10.0))
     force = samples[:, 3, 0]
     assert np.abs(force).max() <= 1.01 * CAPACITY
     assert force[-1] > 0.99 * CAPACITY
     assert samples[-1, 0, 0] == pytest.approx(force[-1] / 2e6, rel=5e-3)
     assert "valve" in names
     assert "stroke" not in names
-    back, _ = run(plant(actuator__leakage=leakage, **values), np.full((1500, 1), -10.0))
+    back, _ = run(plant(**values), np.full((1500, 1), -10.0))
     np.testing.assert_array_equal(back, -samples)
 
 

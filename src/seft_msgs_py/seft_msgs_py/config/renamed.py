@@ -30,10 +30,12 @@ rig: sensors\.position_(\w+) -> rig: simulated.sensors.displacement_\1
 rig: actuator\.oil_column_frequency -> /**: actuator.oil_stiffness, which is M (2 pi f)^2 - K
 rig: specimen\.(kind|settings|yield_displacement|hardening_ratio) -> rig: simulated.specimen.\1
 rig: specimen\.((bouc_wen|pinching|flag|friction|gap|duffing)\.\w+) -> rig: simulated.specimen.\1
-rig: actuator\.(piston_area|supply_pressure|rated_\w+|bulk_modulus|oil_volume|stroke) ->
+rig: actuator\.(stroke|rated_voltage|friction|friction_velocity|viscous_friction) ->
     rig: simulated.actuator.\1
-rig: actuator\.(leakage_coefficient|friction|friction_velocity|viscous_friction) ->
-    rig: simulated.actuator.\1
+rig: actuator\.(piston_area|supply_pressure|rated_flow|rated_pressure_drop) ->
+    /**: actuator.*, which follow from the data sheet (docs/rig.md)
+rig: actuator\.(bulk_modulus|oil_volume|leakage_coefficient) ->
+    /**: actuator.*, which follow from the data sheet (docs/rig.md)
 rig: sensors\.(\w+_(scale|lag|bias|filter)|tilt|adc_bits) -> rig: simulated.sensors.\1
 rig: calibration\.position_zero -> /**: calibration.displacement_bias
 rig: calibration\.(\w+)_zero -> /**: calibration.\1_bias

@@ -98,7 +98,7 @@ class Actuators:
         flow = h.flow_gain, h.oil_stiffness, h.leakage
         if controller["actuator.kind"] == "servo_hydraulic_linear":
             return cls(unknown, unknown, command, *flow)
-        return cls(h.stroke, h.force_capacity, np.minimum(command, h.opening_limit), *flow)
+        return cls(h.stroke, h.force_capacity, np.minimum(command, h.rated_voltage), *flow)
 
     def flow(self, response: ReferenceResponse, dt: float) -> Floats:
         """Largest flow that a response needs of each valve, as it would be without load, m/s.

@@ -347,7 +347,7 @@ def small_signal(specimen: Specimen, **actuators: Any) -> ContinuousModel:
     """Linear model of servo-hydraulic actuators on a specimen, from some `Hydraulics` values."""
     one = np.ones(specimen.axes)
     ideal: dict[str, Any] = {
-        **dict.fromkeys(("opening_limit", "force_capacity", "stroke"), np.inf * one),
+        **dict.fromkeys(("rated_voltage", "force_capacity", "stroke"), np.inf * one),
         **dict.fromkeys(("friction", "viscous_friction"), 0.0 * one),
         "friction_velocity": one,
     }
