@@ -2,11 +2,11 @@
 
     .venv/bin/python docs/trust.py --multisine 400 1 kobe.txt:cm/s2:0.005:0 nishi_akashi.AT2 ...
 
-Draws so many tests of one axis or three, each with and without a wrong mass, scale, lag, filter
-or tilt, and assesses them as those of a real rig: without the simulated specimen. With --multisine
-each rig has a multisine test first, and tests get what that has found: once the error comes after the
-multisine test, and once it is there already. Each motion is FILE, or FILE:UNIT:DT:COLUMN (yours to
-bring), beside the synthetic one.
+Draws so many tests of one axis or three, each with and without a wrong mass, scale, lag, filter or
+tilt, and assesses them as those of a real rig: without the simulated specimen. With --multisine
+each rig has a multisine test first, and tests get what that has found: once the error comes after
+the multisine test, and once it is there already. Each motion is FILE, or FILE:UNIT:DT:COLUMN
+(yours to bring), beside the synthetic one.
 """
 
 import argparse

@@ -28,7 +28,7 @@ from seft_msgs_py.errors import InputError, SeftError
 from seft_plant_sim.lti import bilinear
 from seft_ros.design.closed_loop import closed_loop
 from seft_ros.design.force_tracking import Tracking, tracking_measures
-from seft_ros.design.plant import Plant, Root, choose_plant, lightly_damped, polynomial_of
+from seft_ros.design.plant import Plant, lightly_damped, rig_model
 from seft_ros.force_controller.force_control import ForceController
 from seft_ros.force_controller.force_controller_parameters import TRANSFER_FUNCTION, one_controller
 from seft_ros.reference_force.linear_filter import LinearFilter
@@ -206,10 +206,8 @@ def propose_controller(plant: Plant, crossover_hz: float, dt: float) -> Any:
     if zero is None or zero.hz >= 0.5 / dt:
         raise InputError("the plant has no lightly damped zeros below half the rate to cancel")
     # the bilinear transform brings it onto the zero
-    pole = Root(
-        float(np.tan(np.pi * zero.hz * dt) / (np.pi * dt)), max(zero.damping or 0.0, _MIN_DAMPING)
-    )
-    unscaled = control.tf([1.0], polynomial_of([pole]))
+    w = 2.0 * float(np.tan(np.pi * zero.hz * dt)) / dt
+    unscaled = control.tf([1.0], [1.0, 2.0 * max(zero.damping or 0.0, _MIN_DAMPING) * w, w * w])
     force = complex(plant.sampled_response(np.array([LOWEST_HZ]), dt)[0])
     # minus if the plant pulls when the command is to push
     sign = 1.0 if -45 <= -float(np.angle(force, deg=True)) <= 135 else -1.0
@@ -227,6 +225,14 @@ def propose_controller(plant: Plant, crossover_hz: float, dt: float) -> Any:
             f"{PHASE_MARGIN_DEG:g} deg and {GAIN_MARGIN_DB:g} dB; choose a lower one"
         )
     return controller
+
+
+def plant_of(experiment: Experiment) -> Plant:
+    """Give the plant of an experiment, from valves to forces; InputError if it has no valve."""
+    source, model = rig_model(experiment)
+    if model.drive != "valve_command":
+        raise InputError("/**: actuator.kind has no valve to shape a loop for; use servo_hydraulic")
+    return Plant.of_model(source, model)
 
 
 def summarise(loop: ForceLoop) -> dict[str, Any]:
@@ -259,7 +265,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         overrides = [parse_override(text) for text in words.param]
         experiment = Experiment.load(TABLES, [words.config, *words.params_file], overrides)
-        dt, plant = experiment.timebase.dt, choose_plant(experiment)
+        dt, plant = experiment.timebase.dt, plant_of(experiment)
         if words.crossover is None:
             controller = controller_of(experiment)
         else:

@@ -13,13 +13,13 @@ from force_loop import (
     coefficients,
     is_stable,
     loop_margins,
+    plant_of,
     propose_controller,
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_ros.design.plant import choose_plant
 from seft_ros.test_run.parameter_tables import TABLES
 
 JHU = str(Path(__file__).parents[2] / "config" / "jhu.yaml")
@@ -72,7 +72,7 @@ def plant(**changed):
     rig = RIG | {name.replace("__", "."): value for name, value in changed.items()}
     given = [("/**", name, value) for name, value in rig.items()]
     test = Experiment.load(TABLES, overrides=given)
-    return choose_plant(test)
+    return plant_of(test)
 
 
 def test_for_the_papers_rig_it_is_the_papers_controller():

@@ -42,6 +42,8 @@ force_controller: watchdog.close_time -> rig: safe.close_time
 force_controller: plant.numerator -> /**: actuator.*
 rig: sensors.position_range -> /**: sensors.displacement_range
 rig: actuator.oil_column_frequency -> /**: actuator.oil_stiffness
+rig: actuator.supply_pressure -> /**: actuator.*
+rig: actuator.oil_volume -> /**: actuator.*
 rig: calibration.position_zero -> /**: calibration.displacement_bias
 rig: calibration.force_zero -> /**: calibration.force_bias
 rig: calibration.position_lag -> /**: calibration.displacement_lag

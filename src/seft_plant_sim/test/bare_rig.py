@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.experiment import Source
 from seft_msgs_py.config.facts import CHANNELS, place_of
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.continuous_model import ContinuousModel
@@ -24,8 +24,10 @@ FRAME = {
 def section_of(table, **values):
     """Section of a table's defaults with changes; a double underscore stands for a dot."""
     named = {name.replace("__", "."): value for name, value in values.items()}
-    given = [(place_of(name, table.node), name, value) for name, value in named.items()]
-    return Experiment.load([table], [], given)[table.node]
+    source = Source({table.node: table}, (table.node,))
+    for name, value in named.items():
+        source.add(place_of(name, table.node), {name: value}, "here")
+    return source.resolve()[table.node]
 
 
 def rig_section(group="", /, **values):

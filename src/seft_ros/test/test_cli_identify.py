@@ -16,7 +16,7 @@ from seft_plant_sim.rig_parameters import truth
 from seft_ros.bags.recording_bag import read_bag
 from seft_ros.cli import identify_command, shared
 from seft_ros.design.force_tracking import tracking_measures
-from seft_ros.design.plant import choose_plant
+from seft_ros.design.plant import Plant, rig_model
 from seft_ros.drawing import style
 
 LINEAR = ("actuator.kind:=servo_hydraulic_linear",)
@@ -54,7 +54,7 @@ def analytic(*overrides):
     """Plant of the rig's linear model, and measures of its closed force loop, as it runs."""
     experiment = load(*overrides)
     own, dt = experiment["force_controller"], experiment.timebase.dt
-    plant, f = choose_plant(experiment), np.geomspace(0.1, 0.499 / dt, 3000)
+    plant, f = Plant.of_model(*rig_model(experiment)), np.geomspace(0.1, 0.499 / dt, 3000)
     sampled = bilinear(np.atleast_1d(own["numerator"]), own["denominator"], dt)
     loop = polynomial_ratio(*sampled, np.exp(2j * np.pi * f * dt)) * plant.sampled_response(f, dt)
     return plant, tracking_measures(f, loop / (1 + loop))

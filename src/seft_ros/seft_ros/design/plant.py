@@ -46,16 +46,6 @@ class Root:
     damping: float | None = None
 
 
-def polynomial_of(roots: Iterable[Root]) -> Floats:
-    """Monic polynomial in s with these roots, highest power first."""
-    product = np.ones(1)
-    for root in roots:
-        w = 2 * np.pi * root.hz
-        factor = [1.0, w] if root.damping is None else [1.0, 2 * root.damping * w, w * w]
-        product = np.convolve(product, factor)
-    return product
-
-
 def roots_of(values: npt.ArrayLike) -> list[Root]:
     """Poles or zeros given in rad/s, complex; lowest first."""
     values = np.asarray(values, dtype=np.complex128)
@@ -295,21 +285,6 @@ def held_relations(plant: Plant, frequencies_hz: Floats, dt: float, lag: Floats)
     x, v, acceleration, _ = np.moveaxis(own * np.exp(np.multiply.outer(s, lag)), 1, 0)
     s = s[:, np.newaxis]
     return np.stack([v / (s * x), acceleration / (s * s * x)], axis=1)
-
-
-def choose_plant(experiment: Experiment) -> Plant:
-    """Plant of an experiment, from valves to forces: that of its `rig_model`.
-
-    An InputError says if it is not known, or no valve drives the rig.
-    """
-    source, model = rig_model(experiment)
-    if model.drive != "valve_command":
-        kind = experiment["reference_force"]["actuator.kind"]
-        raise InputError(
-            f"/**: actuator.kind is {kind}, which has no valve to shape a loop for; set it to "
-            "servo_hydraulic"
-        )
-    return Plant.of_model(source, model)
 
 
 def rig_model(
