@@ -94,11 +94,11 @@ _SPECIMEN = (
 _ACTUATOR = parameter_rows(
     """
     rated_voltage     | floats | 10.0  | V     | > 0  | drive at which the valve is fully open
-    friction             | floats | 0.0       | N        | 0 ..    | Coulomb friction of the piston
-    friction_velocity    | floats | 0.005     | m/s      | > 0     |
+    friction          | floats | 0.0   | N     | 0 .. | Coulomb friction of the piston
+    friction_velocity | floats | 0.005 | m/s   | > 0  |
         velocity over which Coulomb friction builds up
-    viscous_friction     | floats | 0.0       | N s/m    | 0 ..    | viscous friction of the piston
-    stroke               | floats | 0.076     | m        | > 0     |
+    viscous_friction  | floats | 0.0   | N s/m | 0 .. | viscous friction of the piston
+    stroke            | floats | 0.076 | m     | > 0  |
         displacement in both directions at which the piston meets its stops
     """,
     "simulated.actuator",

@@ -5,8 +5,6 @@ What the simulated rig truly is stands under ``rig: simulated.*``, and is the fa
 given.
 """
 
-import numpy as np
-
 from seft_msgs_py.config.parameter_table import Parameter, Value, parameter_rows
 
 EVERY_NODE = "/**"
@@ -152,14 +150,15 @@ def agree(name: str, one: Value, other: Value) -> bool:
 
     Each keeps its own limits, the supervisor asks for zeroing, and one measures the loop's delay.
     """
-    if name.startswith(("limits.", "calibration.zeroing")):
+    if one == other or name.startswith(("limits.", "calibration.zeroing")):
         return True
-    if name == "loop_delay" and min(one, other) < 0 < max(one, other):
-        return True
-    if one == other or isinstance(one, str) or isinstance(other, str):
-        return bool(one == other)
-    a, b = np.ravel(one), np.ravel(other)
-    return 1 in (a.size, b.size) and bool(np.all(a == b))
+    lists = [value if isinstance(value, list) else [value] for value in (one, other)]
+    numbers = [item for each in lists for item in each if isinstance(item, int | float)]
+    if len(numbers) < sum(map(len, lists)):
+        return False
+    if name == "loop_delay":
+        return min(numbers) < 0 < max(numbers)
+    return 1 in map(len, lists) and len({*numbers}) == 1
 
 
 def facts(*names: str) -> list[Parameter]:
