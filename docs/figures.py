@@ -19,7 +19,7 @@ from seft_plant_sim.lti import bilinear, polynomial_ratio
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.design.planned_tests import PlannedTest
-from seft_ros.design.plant import Plant, choose_plant
+from seft_ros.design.plant import Plant, rig_model
 from seft_ros.design.stability_margins import HIGHEST_MASS_RATIO, critical_mass_ratio
 from seft_ros.design.stability_verdict import predicted_modes
 from seft_ros.drawing.style import FIRST_COLOUR, MARK, OTHERS, REFERENCE, TEXT, save_figure, tidy
@@ -131,7 +131,7 @@ def force_loop(f: Floats, *overrides: Override) -> tuple[Plant, Complexes, Compl
     """Close the paper's force loop, changed, as it runs: plant, its response, that of the loop."""
     experiment = planned(*overrides)
     dt, control = experiment.timebase.dt, experiment["force_controller"]
-    plant = choose_plant(experiment)
+    plant = Plant.of_model(*rig_model(experiment))
     sampled = bilinear(np.atleast_1d(control["numerator"]), control["denominator"], dt)
     response = plant.sampled_response(f, dt)
     loop = polynomial_ratio(*sampled, np.exp(2j * np.pi * f * dt)) * response

@@ -40,9 +40,9 @@ class LocalGraph:
         from my_rig.driver_node import KIND
         from seft_msgs_py.virtual import LocalGraph
         from seft_msgs_py.wire.topics import VALVE_COMMAND
-        from seft_ros.nodes.kinds import KINDS
+        from seft_ros.nodes.kinds import NODE_KINDS
 
-        kinds, own = {**KINDS, "rig": KIND}, {"rig": ["config/rig.yaml"]}
+        kinds, own = {**NODE_KINDS, "rig": KIND}, {"rig": ["config/rig.yaml"]}
         with LocalGraph(kinds, ["experiment.yaml"], own_files=own) as graph:
             graph.until("ready")
             graph.call("start")
