@@ -45,7 +45,7 @@ def test_what_is_known_is_true_unless_the_truth_is_given(fact, true):
 def test_of_a_fact_that_is_not_known_the_truth_is_that_of_the_paper_s_rig():
     few = [("/**", "specimen.mass", 52.7), ("/**", "specimen.stiffness", 2.11e5)]
     valve = "actuator.valve_frequency"
-    for more in ([], [("/**", valve, FACTS[valve].default)]):
+    for more in ([], [("/**", valve, FACTS[valve].default)], [("/**", valve, [0.0])]):
         section = Experiment.load([RIG_TABLE], [], few + more)["rig"]
         assert section[f"simulated.{valve}"] == 70.0
     with pytest.raises(InputError, match="must be greater than zero"):

@@ -139,6 +139,11 @@ def test_beyond_the_motion_of_the_test_the_law_pulls_back():
     assert law.difference(99.0 * motion) == pytest.approx(0.99, abs=0.05)
 
 
+def test_a_specimen_without_stiffness_has_springs_to_the_ground():
+    assumed = assumed_structure(load("specimen.stiffness:=0.0"))
+    np.testing.assert_array_equal(springs_of(assumed, whole_structure(assumed)), np.eye(1))
+
+
 def test_samples_that_are_lost_are_bridged():
     test = experiment()
     motion = ground(test)

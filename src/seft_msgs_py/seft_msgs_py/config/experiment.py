@@ -269,8 +269,8 @@ class Source:
         value = self.given.get(place, {}).get(name)
         if value is None and (fact := fact_of(name)):
             value = self.given.get(EVERY_NODE, {}).get(fact)
-            if row.positive and value == 0.0:  # not known
-                value = None
+            if row.positive and not any(value if isinstance(value, list) else [value]):
+                value = None  # not known
             if value is None and row.default is None:
                 place, name = EVERY_NODE, fact
         value = row.default if value is None else value

@@ -38,7 +38,8 @@ def springs_of(assumed: Experiment, whole: WholeStructure) -> Floats:
     """Deformations of the specimen's springs per displacement, shape (p, n).
 
     Those that are known; without, springs between the axes that its stiffness couples, and to the
-    ground where the stiffness does not add up to 0: of a shear frame its storeys.
+    ground where the stiffness does not add up to 0: of a shear frame its storeys. One without
+    stiffness has those to the ground.
     """
     section, axes = assumed["reference_force"], assumed.axes
     n = len(axes)
@@ -48,7 +49,7 @@ def springs_of(assumed: Experiment, whole: WholeStructure) -> Floats:
     least, one = _COUPLED * np.abs(stiffness).max(), np.eye(n)
     grounded = [one[i] for i in range(n) if abs(stiffness[i].sum()) > least]
     pairs = zip(*np.nonzero(np.abs(np.triu(stiffness, 1)) > least), strict=True)
-    return np.array([*grounded, *(one[j] - one[i] for i, j in pairs)])
+    return np.array([*grounded, *(one[j] - one[i] for i, j in pairs)] or one)
 
 
 class SpecimenLaw:
