@@ -35,7 +35,7 @@ FIELD_UNITS = {
 
 
 OF_THE_MODEL = (
-    "The reference response is that of the assumed specimen (reference_force: model): these "
+    "The reference response is that of the assumed specimen (/**: specimen): these "
     "errors include how the real one differs from it, and assess no test."
 )
 
