@@ -74,13 +74,13 @@ class Experiment:
     ) -> None:
         self.sections = {node: dict(section) for node, section in sections.items()}
         self._source = source
-        for name in FACTS:
-            values = {node: own[name] for node, own in self.sections.items() if name in own}
-            for node, value in values.items():
-                first = next(iter(values))
-                if not agree(name, value, values[first]):
+        known: dict[str, tuple[str, Value]] = {}
+        for node, own in self.sections.items():
+            for name in filter(FACTS.__contains__, own):
+                first, value = known.setdefault(name, (node, own[name]))
+                if not agree(name, own[name], value):
                     raise InputError(
-                        f"{node}: {name} is {value}, but {first} has {values[first]}; "
+                        f"{node}: {name} is {own[name]}, but {first} has {value}; "
                         f"set it once, under {EVERY_NODE}"
                     )
         common = next(iter(self.sections.values()))
@@ -98,10 +98,9 @@ class Experiment:
             self.rigs = rigs_of(self.axes)
         except InputError as error:
             raise InputError(f"{EVERY_NODE}: {error}") from None
-        known = {name: own[name] for own in self.sections.values() for name in FACTS if name in own}
-        for name in known.keys() & {*BY_AXIS, *MATRICES}:
+        for name in (one for one in (*BY_AXIS, *MATRICES) if one in known):
             fit = as_matrix if name in MATRICES else per_axis
-            fit(known[name], self.axes, f"{EVERY_NODE}: {name}")
+            fit(known[name][1], self.axes, f"{EVERY_NODE}: {name}")
 
     @classmethod
     def load(

@@ -161,9 +161,9 @@ def _bias_rows(zeroed: dict[str, Any] | None) -> list[tuple[str, str]]:
     if zeroed is None:
         return []
     shown = [
-        f"{name} {', '.join(f'{value:.3g}' for value in zeroed['subtracted'][channel])} {unit}"
-        for channel, name, unit in zip(CHANNELS, CHANNELS, LIMIT_UNITS, strict=False)
-        if any(zeroed["subtracted"][channel])
+        f"{name} {', '.join(f'{value:.3g}' for value in zeroed['subtracted'][name])} {unit}"
+        for name, unit in zip(CHANNELS, LIMIT_UNITS, strict=False)
+        if any(zeroed["subtracted"][name])
     ]
     text = "; ".join([*([", ".join(shown)] if shown else []), *filter(None, [zeroed["warning"]])])
     return [("zeroed at rest", text)] if text else []

@@ -21,7 +21,7 @@ from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.methods import force_control
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
-from seft_ros.reference_force.compensator import OF_THE_LOOP, Compensator
+from seft_ros.reference_force.compensator import Compensator
 from seft_ros.reference_force.linear_filter import LinearFilter
 from seft_ros.reference_force.reference_force_block import compensator, method_inputs
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
@@ -146,8 +146,7 @@ class PlannedTest:
     @property
     def assumed_delay(self) -> float:
         """Delay from reference force to measured force that a method may compensate, s."""
-        known = method_inputs(self.section, self.axes, self.experiment.timebase)
-        return float(self.section["actuator.delay"]) + OF_THE_LOOP * self.dt + known.late
+        return method_inputs(self.section, self.axes, self.experiment.timebase).assumed_delay
 
     def compensation(self, measured: bool = False, **changes: Any) -> LinearFilter:
         """Give the method as a linear filter; changes as of `compensator`.

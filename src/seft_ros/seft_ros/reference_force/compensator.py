@@ -72,10 +72,14 @@ class MethodInputs:
         return self.computed_mass @ np.linalg.inv(self.total_mass)
 
     @property
+    def assumed_delay(self) -> float:
+        """Delay from reference force to measured force, that of the loop included, s."""
+        return float(self.options["actuator.delay"]) + OF_THE_LOOP * self.dt + self.late
+
+    @property
     def delay(self) -> float:
         """Delay to compensate, that of the loop included, s; InputError if it is not known."""
-        own = float(self.options["actuator.delay"])
-        whole = own + OF_THE_LOOP * self.dt + self.late
+        own, whole = self.options["actuator.delay"], self.assumed_delay
         if min(own, whole) <= 0 and self.options["actuator.kind"] not in FORCE_DRIVEN:
             raise InputError(
                 f"/**: actuator.delay is 0, but reference_force: compensation.method "
