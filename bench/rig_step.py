@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.compiled import compiled, multiply
-from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import RIG_TABLE
-from seft_plant_sim.rig_step import rig_step
+from seft_plant_sim.simulated.rig import Rig
+from seft_plant_sim.simulated.rig_step import rig_step
 
 CONFIG = Path(__file__).parent.parent / "config" / "demo.yaml"
 STEPS = 4000

@@ -168,7 +168,7 @@ WHOLE = """
 import json, sys
 import numpy as np
 import openseespy.opensees as ops
-from seft_plant_sim import opensees
+from seft_plant_sim.computed import opensees
 
 script, kind, total, foundation, file = sys.argv[1:]
 total, foundation, (motion, dt) = float(total), float(foundation), json.load(open(file))
@@ -274,7 +274,7 @@ raise RuntimeError("this must not be reached")
 
 @pytest.mark.usefixtures("opensees")
 def test_a_script_needs_no_more_than_the_interface_s_lines(seft, seft_json, tmp_path):
-    lines = "from seft_plant_sim.opensees import interface\ninterface((1, 1))"
+    lines = "from seft_plant_sim.computed.opensees import interface\ninterface((1, 1))"
     (tmp_path / "cantilever.py").write_text(PORTAL.format(interface=lines))
     words = ("-p", "reference_force:computed.model:=opensees")
     words = (*words, "-p", "reference_force:computed.settings:=script=cantilever.py")

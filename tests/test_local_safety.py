@@ -15,7 +15,7 @@ from local_tools import (
 from seft_msgs_py.wire.messages import encode_diagnostics
 from seft_msgs_py.wire.outcome import FINISHED, Outcome, rig_status
 from seft_msgs_py.wire.topics import DIAGNOSTICS, RIG_STATE
-from seft_plant_sim.rig import Rig
+from seft_plant_sim.simulated.rig import Rig
 from seft_ros.test_run.compiled_loop import build_blocks
 
 

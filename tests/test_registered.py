@@ -12,7 +12,7 @@ THEIRS = '''
 from dataclasses import dataclass
 
 import numpy as np
-from seft_plant_sim.springs import HystereticSpring
+from seft_plant_sim.simulated.springs import HystereticSpring
 
 
 class Bare:

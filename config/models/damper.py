@@ -3,7 +3,7 @@
 import math
 
 import openseespy.opensees as ops
-from seft_plant_sim.opensees import interface
+from seft_plant_sim.computed.opensees import interface
 
 MASS = 8.0  # kg: 6 % of the structure's
 OMEGA = 2.0 * math.pi * 6.0  # rad/s

@@ -5,7 +5,7 @@ displacement as the interface.
 """
 
 import openseespy.opensees as ops
-from seft_plant_sim.opensees import interface
+from seft_plant_sim.computed.opensees import interface
 
 BAY, STOREY = 1.0, 0.5  # m
 FLOOR = 30.0  # kg on each floor

@@ -1,7 +1,7 @@
 """The soil that a foundation shears, for `opensees`: a p-y spring with gap and dashpot."""
 
 import openseespy.opensees as ops
-from seft_plant_sim.opensees import interface
+from seft_plant_sim.computed.opensees import interface
 
 ops.wipe()
 ops.model("basic", "-ndm", 1, "-ndf", 1)

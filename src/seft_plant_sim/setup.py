@@ -27,7 +27,7 @@ setup(
     },
     entry_points={
         "console_scripts": ["rig = seft_plant_sim.rig_node:main"],
-        "seft.computed_model": ["opensees = seft_plant_sim.opensees:OpenSees"],
+        "seft.computed_model": ["opensees = seft_plant_sim.computed.opensees:OpenSees"],
     },
     zip_safe=False,
 )

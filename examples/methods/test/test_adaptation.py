@@ -10,7 +10,7 @@ from seft_methods.delay_estimate import DelayEstimator, band_pass
 from seft_methods.settings import read_settings
 from seft_methods.time_series import Ats, parabola_weights
 from seft_msgs_py.wire.topics import Timebase
-from seft_plant_sim.computed_substructure import ComputedSubstructure
+from seft_plant_sim.computed.computed_substructure import ComputedSubstructure
 from seft_ros.reference_force.compensator import MethodInputs
 from seft_ros.reference_force.reference_force_block import method_inputs
 

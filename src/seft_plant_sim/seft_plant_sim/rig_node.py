@@ -31,8 +31,8 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_plant_sim import rig_watch
 from seft_plant_sim.command import Command
-from seft_plant_sim.rig import Rig, Stopped
 from seft_plant_sim.rig_parameters import RIG_TABLE
+from seft_plant_sim.simulated.rig import Rig, Stopped
 
 CLOCK_PERIOD = 0.1  # s of the test's time
 BREATH = 0.005  # s from the first answer in realtime to the time of step 0

@@ -16,9 +16,9 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import group
 
 from seft_plant_sim.compiled import compiled, multiply
-from seft_plant_sim.computed_model import ComputedModel, ModelSource
-from seft_plant_sim.computed_substructure import ComputedSubstructure
-from seft_plant_sim.continuous_model import (
+from seft_plant_sim.computed.computed_model import ComputedModel, ModelSource
+from seft_plant_sim.computed.computed_substructure import ComputedSubstructure
+from seft_plant_sim.simulated.continuous_model import (
     ContinuousModel,
     Dynamics,
     Motion,
@@ -27,7 +27,7 @@ from seft_plant_sim.continuous_model import (
     integrate,
     with_springs,
 )
-from seft_plant_sim.specimen import Specimen
+from seft_plant_sim.simulated.specimen import Specimen
 
 _TOLERANCE = 1e-5
 """Of displacement and velocity, relative to their peaks."""

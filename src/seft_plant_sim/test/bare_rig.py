@@ -6,11 +6,11 @@ import numpy as np
 from seft_msgs_py.config.experiment import Source
 from seft_msgs_py.config.facts import CHANNELS, place_of
 from seft_msgs_py.wire.topics import Timebase
-from seft_plant_sim.continuous_model import ContinuousModel
 from seft_plant_sim.limits import Limits
-from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import RIG_TABLE
-from seft_plant_sim.sensors import Channels, Sensors
+from seft_plant_sim.simulated.continuous_model import ContinuousModel
+from seft_plant_sim.simulated.rig import Rig
+from seft_plant_sim.simulated.sensors import Channels, Sensors
 
 FRAME = {
     "mass": [60.0, 45.0],

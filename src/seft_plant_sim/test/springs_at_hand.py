@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 from bare_rig import rig_section
 from seft_msgs_py.config.parameter_table import group
-from seft_plant_sim.springs import make_springs
+from seft_plant_sim.simulated.springs import make_springs
 
 K, Y, A = 2.11e5, 0.004, 0.1
 SMOOTH = {"bouc_wen.exponent": 1.7, "bouc_wen.beta": 0.7, "bouc_wen.gamma": 0.3}

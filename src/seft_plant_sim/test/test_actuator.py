@@ -5,9 +5,9 @@ import pytest
 from bare_rig import rig_section
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.actuator import Hydraulics
-from seft_plant_sim.continuous_model import servo_hydraulic
-from seft_plant_sim.specimen import Specimen
+from seft_plant_sim.simulated.actuator import Hydraulics
+from seft_plant_sim.simulated.continuous_model import servo_hydraulic
+from seft_plant_sim.simulated.specimen import Specimen
 
 
 def hydraulics(axes=("x",), **values):

@@ -13,9 +13,9 @@ from seft_plant_sim.calibration import (
     nothing_known,
     zeroed_at_rest,
 )
-from seft_plant_sim.continuous_model import Sensed
-from seft_plant_sim.rig import continuous_model
 from seft_plant_sim.rig_parameters import common_lag
+from seft_plant_sim.simulated.continuous_model import Sensed
+from seft_plant_sim.simulated.rig import continuous_model
 
 DT = 0.002
 X, V, A, F = range(4)

@@ -5,8 +5,8 @@ import pytest
 from models_at_hand import MODELS
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.computed_model import ComputedModel
-from seft_plant_sim.computed_substructure import ComputedSubstructure
+from seft_plant_sim.computed.computed_model import ComputedModel
+from seft_plant_sim.computed.computed_substructure import ComputedSubstructure
 from seft_plant_sim.whole_structure import reference_response
 from structures_at_hand import NOTHING_COMPUTED
 

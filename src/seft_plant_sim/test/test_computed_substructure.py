@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.signal import lsim
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.computed_substructure import ComputedSubstructure
+from seft_plant_sim.computed.computed_substructure import ComputedSubstructure
 from seft_plant_sim.whole_structure import RunningResponse, reference_response
 from structures_at_hand import NOTHING_COMPUTED, as_lists, structure
 

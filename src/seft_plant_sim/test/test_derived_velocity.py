@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from seft_plant_sim.sensors import Channels, derive_velocity, measure_channels
+from seft_plant_sim.simulated.sensors import Channels, derive_velocity, measure_channels
 
 DT = 0.002
 

@@ -7,8 +7,8 @@ import pytest
 import springs_at_hand
 from bare_rig import BareRig, driven, rig_section
 from seft_msgs_py.config.parameter_table import group
-from seft_plant_sim.rig import continuous_model
-from seft_plant_sim.specimen import Specimen, energy_balance
+from seft_plant_sim.simulated.rig import continuous_model
+from seft_plant_sim.simulated.specimen import Specimen, energy_balance
 
 DT = 0.002
 M, C, K = 52.7, 800.0, 2.11e5

@@ -5,7 +5,14 @@ import pytest
 from bare_rig import rig_section
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
-from seft_plant_sim.faults import Fault, check_times, faults_of, obey, read_faults, show_fault
+from seft_plant_sim.simulated.faults import (
+    Fault,
+    check_times,
+    faults_of,
+    obey,
+    read_faults,
+    show_fault,
+)
 
 DT = 0.002
 TIMEBASE = Timebase.from_rate(500.0)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from bare_rig import FRAME, driven, make_rig
 from seft_msgs_py.wire.topics import RigAxes
-from seft_plant_sim.faults import failing_specimen, read_faults
-from seft_plant_sim.specimen import Specimen
+from seft_plant_sim.simulated.faults import failing_specimen, read_faults
+from seft_plant_sim.simulated.specimen import Specimen
 
 MASS, K = 52.7, 2.11e5
 IDEAL = {"actuator__kind": "ideal", "specimen__mass": MASS, "specimen__stiffness": K}

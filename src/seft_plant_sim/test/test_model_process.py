@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from seft_plant_sim import model_process
-from seft_plant_sim.computed_model import ComputedModel, ModelError, ModelSource
+from seft_plant_sim.computed import model_process
+from seft_plant_sim.computed.computed_model import ComputedModel, ModelError, ModelSource
 
 MODEL = """
 import os, signal, sys, threading, time
@@ -223,7 +223,7 @@ def test_a_model_that_nobody_uses_ends(model):
 HANGING = """
 import sys
 import numpy as np
-from seft_plant_sim.computed_model import ComputedModel, ModelSource
+from seft_plant_sim.computed.computed_model import ComputedModel, ModelSource
 
 one, zero = np.eye(1), np.zeros(1)
 model = ComputedModel(ModelSource(sys.argv[1], "", ("x",), one, 1, one))

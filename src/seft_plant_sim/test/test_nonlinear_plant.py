@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from bare_rig import BareRig, driven, rig_section
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.rig import continuous_model
+from seft_plant_sim.simulated.rig import continuous_model
 
 DT = 0.002
 NOISE = np.random.default_rng(3).normal(size=(250, 1))

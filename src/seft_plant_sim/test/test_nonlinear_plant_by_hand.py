@@ -13,8 +13,8 @@ import pytest
 from bare_rig import FRAME, BareRig, driven, rig_section
 from scipy.integrate import solve_ivp
 from seft_msgs_py.config.facts import CHANNELS
-from seft_plant_sim.actuator import STOP_DAMPING, STOP_STIFFNESS
-from seft_plant_sim.rig import continuous_model
+from seft_plant_sim.simulated.actuator import STOP_DAMPING, STOP_STIFFNESS
+from seft_plant_sim.simulated.rig import continuous_model
 
 DT = 0.002
 COUNT = 150

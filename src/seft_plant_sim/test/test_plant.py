@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from bare_rig import BareRig, driven, make_rig
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.continuous_model import delayed_force
-from seft_plant_sim.specimen import Specimen
+from seft_plant_sim.simulated.continuous_model import delayed_force
+from seft_plant_sim.simulated.specimen import Specimen
 
 PAPER = Specimen(np.array([[52.7]]), np.array([[903.5]]), np.array([[2.11e5]]))
 

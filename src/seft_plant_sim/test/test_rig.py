@@ -6,8 +6,8 @@ from bare_rig import driven, make_rig, rig_section
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.outcome import Simulated
 from seft_msgs_py.wire.topics import Timebase
-from seft_plant_sim.rig import Rig, left_open
 from seft_plant_sim.rig_parameters import RIG_TABLE
+from seft_plant_sim.simulated.rig import Rig, left_open
 
 TIMEBASE = Timebase.from_rate(500.0)
 

@@ -6,11 +6,11 @@ from bare_rig import FRAME, BareRig, driven, make_rig, rig_section
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import rigs_of
-from seft_plant_sim.continuous_model import delayed_force
-from seft_plant_sim.rig import Rig, continuous_model
 from seft_plant_sim.rig_parameters import RIG_TABLE
-from seft_plant_sim.sensor_dynamics import sensed
-from seft_plant_sim.specimen import Specimen
+from seft_plant_sim.simulated.continuous_model import delayed_force
+from seft_plant_sim.simulated.rig import Rig, continuous_model
+from seft_plant_sim.simulated.sensor_dynamics import sensed
+from seft_plant_sim.simulated.specimen import Specimen
 
 PAIR = Specimen(
     np.array([[60.0, 5.0], [5.0, 45.0]]),

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.sensors import Channels, Sensors, derive_velocity, measure_channels
+from seft_plant_sim.simulated.sensors import Channels, Sensors, derive_velocity, measure_channels
 
 DT = 0.002
 RMS = np.array([[5e-6, 1e-5], [0.01, 0.02], [0.05, 0.1], [3.0, 0.0]])

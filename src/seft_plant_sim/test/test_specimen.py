@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.specimen import Specimen
-from seft_plant_sim.springs import HYSTERETIC, SPRING_BESIDE, Z_Y
+from seft_plant_sim.simulated.specimen import Specimen
+from seft_plant_sim.simulated.springs import HYSTERETIC, SPRING_BESIDE, Z_Y
 
 STOREYS = np.array([[1.0, 0.0, 0.0], [-1.0, 1.0, 0.0], [0.0, -1.0, 1.0]])  # of a shear frame
 

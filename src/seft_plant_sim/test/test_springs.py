@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from seft_plant_sim.springs import HystereticSpring, Spring
+from seft_plant_sim.simulated.springs import HystereticSpring, Spring
 from springs_at_hand import A, K, Y, spring, through, work
 
 U, FRICTION = 2e-5, 200.0

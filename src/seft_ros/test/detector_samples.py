@@ -2,9 +2,9 @@
 
 import numpy as np
 from scipy.signal import lfilter
-from seft_ros.protection.detector_list import DETECTORS
-from seft_ros.protection.detector_step import begin_detectors, judge_sample, look_at_tracking
-from seft_ros.protection.detectors import VALID, detector_arrays, first_of
+from seft_plant_sim.judge.detector_list import DETECTORS
+from seft_plant_sim.judge.detector_step import begin_detectors, judge_sample, look_at_tracking
+from seft_plant_sim.judge.detectors import VALID, detector_arrays, first_of
 
 DT, N = 0.002, 2
 NOISE = np.array([[1e-5, 2e-5], [2e-3, 1e-3], [0.1, 0.2], [5.0, 3.0]])

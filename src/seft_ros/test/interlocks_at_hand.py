@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
+from seft_plant_sim.judge.detectors import SUSPECT, detector_arrays
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.interlock_step import DETECTED
-from seft_ros.protection.detectors import SUSPECT, detector_arrays
 
 AXES = ("east", "north")
 DT = 0.002

@@ -58,7 +58,7 @@ for name, module in sys.modules.items():
 OWN_CLOCK = {
     "seft_msgs_py/node/clock.py": "the machine's clock",
     "seft_ros/bags/bag_writer.py": "when the file was flushed: time of the disk",
-    "seft_plant_sim/model_process.py": "the computed model's process lives by the machine's time",
+    "seft_plant_sim/computed/model_process.py": "its process lives by the machine's time",
     "seft_ros/test_run/stall_watch.py": "a process of its own, which watches the machine",
 }
 

@@ -9,7 +9,7 @@ from seft_msgs_py.wire.topics import RIG_STATE, VALVE_COMMAND
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_plant_sim import whole_structure
 from seft_plant_sim.command import Command
-from seft_plant_sim.rig import Rig
+from seft_plant_sim.simulated.rig import Rig
 from seft_ros.conformance import message_checks, motion_checks
 from seft_ros.conformance.driver import (
     CHECK_KINDS,

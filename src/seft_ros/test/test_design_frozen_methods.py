@@ -7,15 +7,15 @@ import pytest
 from experiments_at_hand import of_parts
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS
-from seft_plant_sim.rig import Rig
+from seft_plant_sim.judge.valve_following import LARGEST_GAIN_ERROR
 from seft_plant_sim.rig_parameters import LIMIT_ROWS
+from seft_plant_sim.simulated.rig import Rig
 from seft_ros.design.closed_loop import frozen_target
 from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.preflight_tables import summarise_preflight
 from seft_ros.design.stability_margins import HIGHEST_MASS_RATIO, find_margins
 from seft_ros.design.stability_verdict import check_stability
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
-from seft_ros.protection.valve_following import LARGEST_GAIN_ERROR
 from seft_ros.reference_force.reference_force_block import method_inputs
 from seft_ros.reference_force.target_motion import TargetMotion
 from seft_ros.test_run.compiled_loop import build_blocks

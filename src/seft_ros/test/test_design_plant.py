@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import FACTS
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.rig import continuous_model
+from seft_plant_sim.simulated.rig import continuous_model
 from seft_ros.design.plant import Plant, Root, lightly_damped, rig_model, roots_of
 
 MASS, STIFFNESS = 52.7, 2.11e5

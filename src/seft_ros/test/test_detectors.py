@@ -10,9 +10,9 @@ from experiments_at_hand import load, simulated
 from rig_faults import FAULTS, LATE, MISSED, SlowHost, lines_of
 from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.rig import Rig
+from seft_plant_sim.judge.detector_list import WARNING
+from seft_plant_sim.simulated.rig import Rig
 from seft_ros.analysis.summary import shares_of
-from seft_ros.protection.detector_list import WARNING
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
 

@@ -15,11 +15,11 @@ from interlocks_at_hand import (
     watched,
 )
 from seft_msgs_py.errors import InputError
-from seft_ros.force_controller.detection import detectors_of
+from seft_plant_sim.judge.detection import detectors_of
+from seft_plant_sim.judge.detector_list import DETECTORS
+from seft_plant_sim.judge.detectors import LIMITED_AT
 from seft_ros.force_controller.force_control import ForceController
 from seft_ros.force_controller.interlock import Interlock
-from seft_ros.protection.detector_list import DETECTORS
-from seft_ros.protection.detectors import LIMITED_AT
 from seft_ros.protection.protection_step import extrapolated
 from warning_detectors import warning_detectors
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 from experiments_at_hand import load
-from seft_ros.force_controller.detection import detector_shares, detectors_of
+from seft_plant_sim.judge.detection import detector_shares, detectors_of
+from seft_plant_sim.judge.detector_list import DETECTORS
+from seft_plant_sim.judge.detector_step import begin_detectors, detect_all
 from seft_ros.force_controller.interlock import Interlock, Interlocks, interlock_of
-from seft_ros.protection.detector_list import DETECTORS
-from seft_ros.protection.detector_step import begin_detectors, detect_all
 
 
 def of_rigs(*words):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from experiments_at_hand import load
 from seft_msgs_py.config.facts import CHANNELS
-from seft_plant_sim.rig import Rig
+from seft_plant_sim.simulated.rig import Rig
 from seft_ros.ground_motion.synthetic_motion import excitation
 from seft_ros.identification.actuator_fit import OilBalance, fit_actuator, force_lag
 

@@ -13,7 +13,7 @@ from seft_msgs_py.config.experiment import value_text
 from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig_parameters import truth
-from seft_plant_sim.sensors import ACCELERATION, DISPLACEMENT, FORCE, VELOCITY
+from seft_plant_sim.simulated.sensors import ACCELERATION, DISPLACEMENT, FORCE, VELOCITY
 from seft_ros.identification.actuator_fit import ActuatorFit
 from seft_ros.identification.calibrated import (
     Calibrated,

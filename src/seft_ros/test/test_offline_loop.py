@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from experiments_at_hand import load, simulated
 from seft_plant_sim.compiled import kind_of
-from seft_plant_sim.sensors import BLOCK
+from seft_plant_sim.simulated.sensors import BLOCK
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from seft_msgs_py.errors import InputError
+from seft_plant_sim.judge.valve_model import ValveModel
 from seft_ros.force_controller.oil_column import crossover, regulator
-from seft_ros.force_controller.valve_model import ValveModel
 
 OIL = 1.664e7
 LEAKAGE = 50.0

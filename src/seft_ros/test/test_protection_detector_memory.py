@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 from detector_samples import ACTUATOR, DT, NO_TARGET, NOISE, N, detect, detectors
-from seft_ros.protection.channel_relations import find_flow
-from seft_ros.protection.detector_list import DETECTORS
-from seft_ros.protection.detectors import FROZEN, TRACKING
+from seft_plant_sim.judge.channel_relations import find_flow
+from seft_plant_sim.judge.detector_list import DETECTORS
+from seft_plant_sim.judge.detectors import FROZEN, TRACKING
 
 
 @pytest.mark.parametrize(

@@ -18,10 +18,10 @@ from detector_samples import (
     of_what,
     shares_of,
 )
-from seft_ros.protection import detectors as rows
-from seft_ros.protection.detector_list import DETECTORS, describe
-from seft_ros.protection.detector_step import begin_detectors, detect_all
-from seft_ros.protection.detectors import SUSPECT, VALID, look
+from seft_plant_sim.judge import detectors as rows
+from seft_plant_sim.judge.detector_list import DETECTORS, describe
+from seft_plant_sim.judge.detector_step import begin_detectors, detect_all
+from seft_plant_sim.judge.detectors import SUSPECT, VALID, look
 
 
 def test_a_new_test_knows_nothing_of_the_one_before():

@@ -8,7 +8,7 @@ import pytest
 from experiments_at_hand import load
 from scipy.signal import butter, lfilter, sosfilt
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.computed_substructure import ComputedSubstructure
+from seft_plant_sim.computed.computed_substructure import ComputedSubstructure
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.protection.instability import (
     InstabilityWatch,

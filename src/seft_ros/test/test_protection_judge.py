@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 from detector_samples import ALL, DT, MASS, NO_TARGET, NOISE, STIFFNESS, N, detect, detectors
-from seft_ros.protection import detectors as rows
-from seft_ros.protection.judge import judge_arrays
-from seft_ros.protection.judge_step import ask, begin_judge, judge
+from seft_plant_sim.judge import detectors as rows
+from seft_plant_sim.judge.judge import judge_arrays
+from seft_plant_sim.judge.judge_step import ask, begin_judge, judge
 
 X, V, A, F = range(4)
 DAMPING = np.array([[200.0, -20.0], [-20.0, 150.0]])

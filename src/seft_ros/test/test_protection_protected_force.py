@@ -4,7 +4,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from experiments_at_hand import load
-from seft_plant_sim.computed_substructure import ComputedSubstructure
+from seft_plant_sim.computed.computed_substructure import ComputedSubstructure
 from seft_ros.protection.instability import InstabilityWatch
 from seft_ros.protection.protected_force import ProtectedForce
 from seft_ros.protection.protection_step import PlausibleForce, RampDown, extrapolated

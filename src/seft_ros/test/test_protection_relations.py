@@ -22,10 +22,10 @@ from detector_samples import (
     shares_of,
 )
 from scipy.signal import lfilter
-from seft_ros.protection import detectors as rows
-from seft_ros.protection.detector_step import begin_detectors
-from seft_ros.protection.relation_following import remember
-from seft_ros.protection.valve_following import begin_following, doubt, follow_valve, under_load
+from seft_plant_sim.judge import detectors as rows
+from seft_plant_sim.judge.detector_step import begin_detectors
+from seft_plant_sim.judge.relation_following import remember
+from seft_plant_sim.judge.valve_following import begin_following, doubt, follow_valve, under_load
 
 RESOLUTION = 1e-9
 """Less than any change of a channel in these tests, and not of no effect."""

@@ -19,8 +19,8 @@ from detector_samples import (
     noise_of_a_rig,
     shares_of,
 )
-from seft_ros.protection import detectors as rows
-from seft_ros.protection.specimen_force import look_at_restoring_force, look_at_strength
+from seft_plant_sim.judge import detectors as rows
+from seft_plant_sim.judge.specimen_force import look_at_restoring_force, look_at_strength
 
 SLOW, FAST = 0.1, 1e-3
 """Fastest recent motion, m in a sample, against which 2 mm are little and much."""

@@ -1,8 +1,8 @@
 """Detectors for tests of something else."""
 
 import numpy as np
-from seft_ros.protection.detector_list import DETECTORS
-from seft_ros.protection.detectors import detector_arrays
+from seft_plant_sim.judge.detector_list import DETECTORS
+from seft_plant_sim.judge.detectors import detector_arrays
 
 
 def warning_detectors(axes, dt=0.002, has_valve=True):

@@ -10,7 +10,7 @@ from scipy.fft import rfft
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, VALVE_COMMAND
-from seft_plant_sim.specimen import EnergyBalance
+from seft_plant_sim.simulated.specimen import EnergyBalance
 from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.assessment import Assessment, assess_test

@@ -17,7 +17,7 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.compiled import compiled
-from seft_plant_sim.specimen import deformations
+from seft_plant_sim.simulated.specimen import deformations
 from seft_plant_sim.whole_structure import WholeStructure
 
 from seft_ros.analysis.channel_estimates import noise_of

@@ -17,9 +17,11 @@ from seft_msgs_py.wire.topics import (
     RIG_STATE,
 )
 from seft_plant_sim.calibration import biases_of_all
-from seft_plant_sim.computed_model import ModelError
+from seft_plant_sim.computed.computed_model import ModelError
+from seft_plant_sim.judge.biases import check_biases
+from seft_plant_sim.judge.detection import detector_shares
 from seft_plant_sim.lti import split_dead_time
-from seft_plant_sim.specimen import EnergyBalance, energy_balance
+from seft_plant_sim.simulated.specimen import EnergyBalance, energy_balance
 from seft_plant_sim.whole_structure import (
     ReferenceResponse,
     is_simulated,
@@ -34,10 +36,8 @@ from seft_ros.analysis.timing import link_numbers, timing_of
 from seft_ros.analysis.tracking import tracking_error_of, tracking_of
 from seft_ros.bags.recording import Estimates, Recording, every_step
 from seft_ros.drawing.style import json_safe
-from seft_ros.force_controller.detection import detector_shares
 from seft_ros.ground_motion.ground_motion_block import MOTION
 from seft_ros.ground_motion.response_spectrum import significant_parts
-from seft_ros.protection.biases import check_biases
 
 COMPARED = {
     "displacement": RIG_STATE.quantities.index("positions"),

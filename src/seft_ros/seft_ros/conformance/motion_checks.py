@@ -9,7 +9,7 @@ import numpy.typing as npt
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.wire.outcome import TRIPPED
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
-from seft_plant_sim.specimen import Specimen
+from seft_plant_sim.simulated.specimen import Specimen
 
 from seft_ros.conformance.driver import CHECK_KINDS, Finding, Samples, Trial, found, not_run
 

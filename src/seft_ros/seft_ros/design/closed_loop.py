@@ -10,11 +10,11 @@ from scipy.linalg import eig
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from seft_msgs_py.arrays import Complexes, Floats
+from seft_plant_sim.judge.valve_following import LARGEST_DELAY_ERROR, LARGEST_GAIN_ERROR
 
 from seft_ros.force_controller.feedforward_step import begin_feedforward, feedforward_step
 from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
-from seft_ros.protection.valve_following import LARGEST_DELAY_ERROR, LARGEST_GAIN_ERROR
 from seft_ros.reference_force.linear_filter import LinearFilter
 from seft_ros.reference_force.target_motion import TargetMotion
 from seft_ros.reference_force.target_step import begin_target, target_step

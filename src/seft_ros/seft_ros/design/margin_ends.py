@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from seft_plant_sim.judge.valve_following import LARGEST_DELAY_ERROR, LARGEST_GAIN_ERROR
 
 from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.stability_margins import (
@@ -14,7 +15,6 @@ from seft_ros.design.stability_margins import (
     Range,
     added_delays,
 )
-from seft_ros.protection.valve_following import LARGEST_DELAY_ERROR, LARGEST_GAIN_ERROR
 
 MASS_RATIO_RESERVE = 1.2
 """Critical over planned mass ratio: load cells, accelerometers and the mass itself are known to

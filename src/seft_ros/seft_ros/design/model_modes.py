@@ -9,7 +9,7 @@ from contextlib import closing
 import numpy as np
 from scipy.linalg import eigh
 from seft_msgs_py.arrays import Complexes, Floats
-from seft_plant_sim.computed_model import SMALL_DISPLACEMENT
+from seft_plant_sim.computed.computed_model import SMALL_DISPLACEMENT
 from seft_plant_sim.whole_structure import ModelledStructure, WholeStructure
 
 SEEN_PERIODS = 6.0

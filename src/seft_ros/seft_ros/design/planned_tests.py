@@ -11,8 +11,8 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import VALVE_COMMAND
-from seft_plant_sim.continuous_model import Drive
-from seft_plant_sim.specimen import Specimen
+from seft_plant_sim.simulated.continuous_model import Drive
+from seft_plant_sim.simulated.specimen import Specimen
 from seft_plant_sim.whole_structure import tested_specimen
 
 from seft_ros.design.closed_loop import SampledLoop, closed_loop, frozen_feedforward, frozen_target
@@ -67,7 +67,7 @@ class LoopRig:
         a, b, c = plant.sampled(dt)
         if self.velocity_cutoff is None:
             return a, b, c
-        # v = g x + s, s' = p s + g (p - 1) x, as `seft_plant_sim.sensors.Differentiator` runs it
+        # v = g x + s, s' = p s + g (p - 1) x, as `Differentiator` runs it
         n, half = b.shape[1], np.pi * self.velocity_cutoff * dt
         g, p = 2 * half / dt / (1 + half), (1 - half) / (1 + half)
         displacement, one = c[:n], np.eye(n)

@@ -13,15 +13,18 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import FORCE_DRIVEN
 from seft_msgs_py.errors import InputError
 from seft_plant_sim import lti
-from seft_plant_sim.actuator import Hydraulics
 from seft_plant_sim.calibration import as_published, calibration_of
-from seft_plant_sim.continuous_model import ContinuousModel, delayed_force, servo_hydraulic
-from seft_plant_sim.rig import continuous_model
+from seft_plant_sim.judge.known_rig import known_actuators
 from seft_plant_sim.rig_parameters import common_lag
-from seft_plant_sim.specimen import Specimen
+from seft_plant_sim.simulated.actuator import Hydraulics
+from seft_plant_sim.simulated.continuous_model import (
+    ContinuousModel,
+    delayed_force,
+    servo_hydraulic,
+)
+from seft_plant_sim.simulated.rig import continuous_model
+from seft_plant_sim.simulated.specimen import Specimen
 from seft_plant_sim.whole_structure import is_simulated, tested_specimen
-
-from seft_ros.force_controller.known_rig import known_actuators
 
 LIGHTLY_DAMPED = 0.5
 """Damping ratio up to which a pair counts as lightly damped: it shows in the magnitude."""

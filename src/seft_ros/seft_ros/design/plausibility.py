@@ -9,7 +9,7 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS, EVERY_NODE
 from seft_msgs_py.config.parameter_table import Section, group
-from seft_plant_sim.specimen import Specimen
+from seft_plant_sim.simulated.specimen import Specimen
 from seft_plant_sim.whole_structure import (
     ReferenceResponse,
     is_simulated,

@@ -11,10 +11,13 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import entry_point, kind_of
+from seft_plant_sim.judge.detection import detectors_of
+from seft_plant_sim.judge.detector_list import DETECTORS, describe
+from seft_plant_sim.judge.detector_step import begin_detectors
+from seft_plant_sim.judge.detectors import VALID, DetectorParameters, DetectorState
 from seft_plant_sim.limits import beyond_limit, event_ring
-from seft_plant_sim.rig import left_open
+from seft_plant_sim.simulated.rig import left_open
 
-from seft_ros.force_controller.detection import detectors_of
 from seft_ros.force_controller.force_control import ForceControl
 from seft_ros.force_controller.interlock_step import (
     DETECTED,
@@ -35,9 +38,6 @@ from seft_ros.force_controller.interlock_step import (
     take_sample,
 )
 from seft_ros.force_controller.methods import force_control
-from seft_ros.protection.detector_list import DETECTORS, describe
-from seft_ros.protection.detector_step import begin_detectors
-from seft_ros.protection.detectors import VALID, DetectorParameters, DetectorState
 
 
 class Interlock:

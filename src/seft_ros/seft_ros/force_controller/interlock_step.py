@@ -5,17 +5,17 @@ from typing import NamedTuple
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 from seft_plant_sim.compiled import compiled, copy
-from seft_plant_sim.limits import is_exceeded
-from seft_plant_sim.rig import left_open
-
-from seft_ros.protection.detector_step import judge_sample, look_at_tracking
-from seft_ros.protection.detectors import (
+from seft_plant_sim.judge.detector_step import judge_sample, look_at_tracking
+from seft_plant_sim.judge.detectors import (
     SUSPECT,
     VALID,
     DetectorParameters,
     DetectorState,
     first_of,
 )
+from seft_plant_sim.limits import is_exceeded
+from seft_plant_sim.simulated.rig import left_open
+
 from seft_ros.protection.protection_step import as_sample, extrapolate
 
 TRIP, STEP, SATURATED, DETECTED = range(4)

@@ -21,10 +21,9 @@ import numpy as np
 from scipy.linalg import eigh
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import InputError
+from seft_plant_sim.judge.valve_following import UNCERTAIN_DELAY
+from seft_plant_sim.judge.valve_model import ValveModel
 from seft_plant_sim.lti import first_order_hold, split_dead_time
-
-from seft_ros.force_controller.valve_model import ValveModel
-from seft_ros.protection.valve_following import UNCERTAIN_DELAY
 
 CROSSOVER = math.pi / 4
 """Of the loop, times the delay of the valve that it may have: half the value at which a loop of a

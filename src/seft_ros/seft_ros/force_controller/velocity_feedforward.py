@@ -22,6 +22,9 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import entry_point
+from seft_plant_sim.judge.known_rig import ASSUMED_ACTUATOR, known_actuators, read_specimen
+from seft_plant_sim.judge.valve_following import VALVE_ERRORS, doubt
+from seft_plant_sim.judge.valve_model import valve_models
 from seft_plant_sim.rig_parameters import common_lag
 
 from seft_ros.force_controller.feedforward_step import (
@@ -33,11 +36,8 @@ from seft_ros.force_controller.feedforward_step import (
 )
 from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
-from seft_ros.force_controller.known_rig import ASSUMED_ACTUATOR, known_actuators, read_specimen
 from seft_ros.force_controller.oil_column import regulator
-from seft_ros.force_controller.valve_model import valve_models
 from seft_ros.protection.protection_step import stop_steps
-from seft_ros.protection.valve_following import VALVE_ERRORS, doubt
 from seft_ros.reference_force.compensator import NotLinearError
 from seft_ros.reference_force.observers import observer_gains, sensor_noise
 from seft_ros.reference_force.reference_force_parameters import HORIZON_PER_LAG, horizon_steps

@@ -8,8 +8,7 @@ import numpy as np
 import scipy.fft
 from scipy.optimize import least_squares, nnls
 from seft_msgs_py.arrays import Complexes, Floats
-
-from seft_ros.force_controller.valve_model import ValveModel
+from seft_plant_sim.judge.valve_model import ValveModel
 
 _MEMORY = 0.2
 """Time after which the flow of a command is complete, s."""

@@ -20,7 +20,7 @@ from seft_plant_sim.calibration import (
     calibration_of,
     known_channels,
 )
-from seft_plant_sim.sensors import ACCELERATION, FORCE, VELOCITY, tilt_of
+from seft_plant_sim.simulated.sensors import ACCELERATION, FORCE, VELOCITY, tilt_of
 
 from seft_ros.bags.recording import Recording, every_step
 from seft_ros.drawing.table import TextTable

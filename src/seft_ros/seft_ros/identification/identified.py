@@ -10,7 +10,7 @@ from seft_msgs_py.config.experiment import write_parameter_file
 from seft_msgs_py.config.facts import EVERY_NODE
 from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import ExperimentError
-from seft_plant_sim.specimen import Specimen
+from seft_plant_sim.simulated.specimen import Specimen
 
 from seft_ros.bags.recording import Recording
 from seft_ros.design.force_tracking import Tracking, tracking_measures

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_plant_sim.lti import TransferFunction
-from seft_plant_sim.specimen import Specimen
+from seft_plant_sim.simulated.specimen import Specimen
 
 from seft_ros.design.plant import Root, roots_of
 from seft_ros.identification.rig_tests import Response

@@ -12,9 +12,10 @@ from seft_msgs_py.config.facts import CHANNELS, EVERY_NODE, FORCE_DRIVEN
 from seft_msgs_py.config.parameter_table import Section, group, mass_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, VALVE_COMMAND
+from seft_plant_sim.judge.detector_list import MODEL_BASED, NOISE_BASED
 from seft_plant_sim.limits import Limits, largest_force_rate, span_steps
-from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import truth
+from seft_plant_sim.simulated.rig import Rig
 
 from seft_ros.bags.recording import Recording, Series
 from seft_ros.design.force_tracking import BAND_HZ
@@ -25,7 +26,6 @@ from seft_ros.force_controller.force_controller_parameters import (
 from seft_ros.force_controller.methods import force_control
 from seft_ros.ground_motion.resampling import check_size
 from seft_ros.ground_motion.synthetic_motion import excitation, shortest_duration
-from seft_ros.protection.detector_list import MODEL_BASED, NOISE_BASED
 from seft_ros.reference_force.reference_force_block import ReferenceForce
 
 _HANN_OVERLAP_GAIN = 0.947  # independent averages for each half-overlapped Hann segment

@@ -26,6 +26,7 @@ from seft_msgs_py.wire.topics import (
     rehearsed,
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
+from seft_plant_sim.judge.detector_list import WARNING
 
 from seft_ros.force_controller.force_controller_parameters import (
     FORCE_CONTROLLER_TABLE,
@@ -34,7 +35,6 @@ from seft_ros.force_controller.force_controller_parameters import (
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.methods import force_control
 from seft_ros.force_controller.received_forces import PENDING, MatchedForces, NewestPreview
-from seft_ros.protection.detector_list import WARNING
 from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.test_run.state_machine import SampleOrder, check_magnitude
 

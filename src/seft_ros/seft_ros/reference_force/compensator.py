@@ -8,7 +8,7 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.facts import FORCE_DRIVEN
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.computed_substructure import ComputedSubstructure
+from seft_plant_sim.computed.computed_substructure import ComputedSubstructure
 
 from seft_ros.reference_force.linear_filter import LinearFilter
 

@@ -14,9 +14,9 @@ from seft_msgs_py.config.parameter_table import (
 )
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.topics import NANOSECONDS_PER_SECOND, RigAxes, Timebase
-from seft_plant_sim.computed_substructure import ComputedSubstructure
+from seft_plant_sim.computed.computed_substructure import ComputedSubstructure
 from seft_plant_sim.rig_parameters import common_lag
-from seft_plant_sim.specimen import deformations
+from seft_plant_sim.simulated.specimen import deformations
 
 from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
 from seft_ros.reference_force.compensator import (

@@ -18,10 +18,10 @@ from scipy.linalg import eigh
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.facts import FORCE_DRIVEN
 from seft_plant_sim.compiled import entry_point, places
-from seft_plant_sim.computed_model import ComputedModel, ModelError
-from seft_plant_sim.computed_substructure import ComputedSubstructure
+from seft_plant_sim.computed.computed_model import ComputedModel, ModelError
+from seft_plant_sim.computed.computed_substructure import ComputedSubstructure
+from seft_plant_sim.computed.model_worker import ModelState
 from seft_plant_sim.lti import first_order_hold
-from seft_plant_sim.model_worker import ModelState
 
 from seft_ros.reference_force.compensator import MethodInputs, NotLinearError
 from seft_ros.reference_force.force_command import command_arrays, command_step

@@ -11,7 +11,7 @@ from seft_msgs_py.wire.topics import (
     VALVE_COMMAND,
     LoopTopic,
 )
-from seft_plant_sim.rig import Rig
+from seft_plant_sim.simulated.rig import Rig
 
 from seft_ros.bags.gathering import EstimatesGatherer
 from seft_ros.bags.recording import Estimates, Series, series_of

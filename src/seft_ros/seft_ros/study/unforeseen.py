@@ -11,13 +11,13 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS, EVERY_NODE, FORCE_DRIVEN
 from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import InputError
+from seft_plant_sim.judge.detector_list import ALL
 from seft_plant_sim.rig_parameters import LIMIT_ROWS
-from seft_plant_sim.specimen import deformations
+from seft_plant_sim.simulated.specimen import deformations
 from seft_plant_sim.whole_structure import ReferenceResponse, is_simulated, reference_response
 
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
-from seft_ros.protection.detector_list import ALL
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
 

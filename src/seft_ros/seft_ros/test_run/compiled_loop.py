@@ -16,9 +16,10 @@ from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_plant_sim.compiled import OPTIONS, compiled, entry_point, is_at_hand, kind_of
-from seft_plant_sim.faults import check_times
-from seft_plant_sim.rig import Rig, Rigs
-from seft_plant_sim.rig_step import (
+from seft_plant_sim.judge.biases import check_biases
+from seft_plant_sim.simulated.faults import check_times
+from seft_plant_sim.simulated.rig import Rig, Rigs
+from seft_plant_sim.simulated.rig_step import (
     BLIND,
     FORCE_NOW,
     RIG_LIMIT,
@@ -26,7 +27,7 @@ from seft_plant_sim.rig_step import (
     RigState,
     rig_step,
 )
-from seft_plant_sim.sensors import BLOCK
+from seft_plant_sim.simulated.sensors import BLOCK
 
 from seft_ros.force_controller.feedforward_step import FeedforwardParameters, feedforward_step
 from seft_ros.force_controller.force_control import (
@@ -50,7 +51,6 @@ from seft_ros.force_controller.interlock_step import (
 )
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
-from seft_ros.protection.biases import check_biases
 from seft_ros.protection.protected_force import ProtectedForce
 from seft_ros.protection.protection_step import (
     HOLDING,

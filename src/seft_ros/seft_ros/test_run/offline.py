@@ -24,8 +24,8 @@ from seft_msgs_py.wire.topics import (
     VALVE_COMMAND,
     Timebase,
 )
-from seft_plant_sim.rig import Rig
-from seft_plant_sim.sensors import BLOCK
+from seft_plant_sim.simulated.rig import Rig
+from seft_plant_sim.simulated.sensors import BLOCK
 from seft_plant_sim.whole_structure import ReferenceResponse, reference_response
 
 from seft_ros.bags.recording import (

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
-from seft_plant_sim.rig import left_open
+from seft_plant_sim.simulated.rig import left_open
 
 from rig_driver.hardware import Hardware
 

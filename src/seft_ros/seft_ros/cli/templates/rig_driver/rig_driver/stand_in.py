@@ -6,8 +6,8 @@ It goes on moving between tests, as a rig does: what its valve was left at, it f
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.config.experiment import Experiment
-from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import RIG_TABLE as SIMULATED
+from seft_plant_sim.simulated.rig import Rig
 
 Floats = npt.NDArray[np.float64]
 

@@ -21,9 +21,9 @@ like the first. More than a few in a short time end the test.
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
-from seft_plant_sim.compiled import compiled
 
-from seft_ros.protection.judge import JudgeParameters, JudgeState
+from seft_plant_sim.compiled import compiled
+from seft_plant_sim.judge.judge import JudgeParameters, JudgeState
 
 GATE = 0.15
 """Part of the largest recent force of the specimen by which r may jump without a confirmation: what

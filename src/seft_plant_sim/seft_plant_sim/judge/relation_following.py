@@ -12,6 +12,7 @@ motion is estimated, too. So no threshold is larger than what the test has shown
 import math
 
 from seft_msgs_py.arrays import Floats
+
 from seft_plant_sim.compiled import compiled
 
 GAIN, DELAY, BIAS_OF = range(3)

@@ -13,9 +13,9 @@ import math
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
-from seft_plant_sim.compiled import compiled
 
-from seft_ros.protection.detectors import (
+from seft_plant_sim.compiled import compiled
+from seft_plant_sim.judge.detectors import (
     JUMP,
     NO_RESPONSE,
     ROUGH,

@@ -9,7 +9,7 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.parameter_table import mass_matrix, symmetric_matrix
 from seft_msgs_py.errors import InputError
 
-from seft_plant_sim.computed_model import ModelSource
+from seft_plant_sim.computed.computed_model import ModelSource
 
 _NAMES = ("mass", "damping", "stiffness", "internal", "influence")
 

@@ -22,7 +22,7 @@ from typing import Any, NoReturn
 from seft_msgs_py.config.registered import printable
 from seft_msgs_py.errors import InputError
 
-from seft_plant_sim.model_worker import MODEL_PARAMETER, PARTICIPLES
+from seft_plant_sim.computed.model_worker import MODEL_PARAMETER, PARTICIPLES
 
 START_TIME = 60.0
 """s, for a model to be made, or to start: it may import OpenSees and build its structure."""
@@ -30,7 +30,7 @@ STEP_TIME = 5.0  # s, after which a step hangs
 ENDING_TIME = 2.0  # s, for a model to close itself
 LONGEST_OUTPUT = 20_000
 """Characters that are shown of what one process prints."""
-_MAIN = "from seft_plant_sim.model_worker import main; main()"
+_MAIN = "from seft_plant_sim.computed.model_worker import main; main()"
 _HEADER = 4  # bytes
 _FRAME = re.compile(r'File "([^"<]+)", line (\d+) in ')
 

@@ -13,6 +13,7 @@ import math
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
+
 from seft_plant_sim.compiled import compiled
 
 UNCERTAIN_GAIN, UNCERTAIN_DELAY, UNCERTAIN_OIL = 0.15, 2e-3, 0.2

@@ -9,15 +9,14 @@ import math
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
-from seft_plant_sim.compiled import compiled
-from seft_plant_sim.sensors import ACCELERATION, FORCE
 
-from seft_ros.protection.channel_relations import (
+from seft_plant_sim.compiled import compiled
+from seft_plant_sim.judge.channel_relations import (
     begin_relations,
     find_flow,
     relations,
 )
-from seft_ros.protection.detectors import (
+from seft_plant_sim.judge.detectors import (
     AT_RANGE,
     DISPLACEMENT_VELOCITY,
     FROZEN,
@@ -37,15 +36,16 @@ from seft_ros.protection.detectors import (
     look,
     sees,
 )
-from seft_ros.protection.judge_step import LONG_AGO, ask, begin_judge, judge
-from seft_ros.protection.relation_following import BIAS_OF, expected
-from seft_ros.protection.specimen_force import (
+from seft_plant_sim.judge.judge_step import LONG_AGO, ask, begin_judge, judge
+from seft_plant_sim.judge.relation_following import BIAS_OF, expected
+from seft_plant_sim.judge.specimen_force import (
     look_at_response,
     look_at_restoring_force,
     look_at_strength,
     look_at_work,
 )
-from seft_ros.protection.valve_following import under_load
+from seft_plant_sim.judge.valve_following import under_load
+from seft_plant_sim.simulated.sensors import ACCELERATION, FORCE
 
 OF_SENSORS = (0, 1, SECOND_ORDER_WORK, JUMP)
 """Detectors that make a sample suspect."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.facts import CHANNELS
 
-from seft_ros.protection.judge import LASTS
+from seft_plant_sim.judge.judge import LASTS
 
 LONG_LASTS = 0.02
 """Time for which some detectors must be beyond their thresholds, s: longer than the effects of a

@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
-from seft_plant_sim.compiled import compiled
 
-from seft_ros.protection.detector_list import DETECTORS
-from seft_ros.protection.judge import JudgeParameters, JudgeState, judge_arrays
-from seft_ros.protection.relation_following import ESTIMATE_DRIFT, NOISE_SIGMAS
-from seft_ros.protection.valve_following import (
+from seft_plant_sim.compiled import compiled
+from seft_plant_sim.judge.detector_list import DETECTORS
+from seft_plant_sim.judge.judge import JudgeParameters, JudgeState, judge_arrays
+from seft_plant_sim.judge.relation_following import ESTIMATE_DRIFT, NOISE_SIGMAS
+from seft_plant_sim.judge.valve_following import (
     LARGEST_DELAY_ERROR,
     LARGEST_GAIN_ERROR,
     UNCERTAIN_DELAY,

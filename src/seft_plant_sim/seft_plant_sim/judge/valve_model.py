@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.arrays import Complexes, Floats
+
 from seft_plant_sim.lti import MIN_SAMPLES, noncausal_inverse
 
 INVERTED_TO = 0.85

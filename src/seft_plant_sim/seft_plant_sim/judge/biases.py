@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from seft_msgs_py.config.facts import CHANNELS
+
 from seft_plant_sim.rig_parameters import LIMIT_UNITS
 
 MAX_BIAS = 0.1

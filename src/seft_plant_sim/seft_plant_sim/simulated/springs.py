@@ -440,6 +440,6 @@ def _registered(kind: str, section: dict[str, Any], where: str, *values: float) 
     if not isinstance(made, HystereticSpring):
         raise InputError(
             f"{where}.kind is {kind}, but it makes a {type(made).__name__}; it must be "
-            "a seft_plant_sim.springs.HystereticSpring"
+            "a seft_plant_sim.simulated.springs.HystereticSpring"
         )
     return made

@@ -14,12 +14,18 @@ import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.errors import InputError
 
-from seft_plant_sim import springs
-from seft_plant_sim.actuator import COLUMNS as PISTON
-from seft_plant_sim.actuator import FASTEST, Hydraulics, holding_force, lost_opening, piston_rows
 from seft_plant_sim.compiled import compiled, multiply
 from seft_plant_sim.lti import first_order_hold
-from seft_plant_sim.specimen import Specimen
+from seft_plant_sim.simulated import springs
+from seft_plant_sim.simulated.actuator import COLUMNS as PISTON
+from seft_plant_sim.simulated.actuator import (
+    FASTEST,
+    Hydraulics,
+    holding_force,
+    lost_opening,
+    piston_rows,
+)
+from seft_plant_sim.simulated.specimen import Specimen
 
 Drive = Literal["valve_command", "reference_force"]
 

@@ -16,10 +16,9 @@ import math
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
-from seft_plant_sim.compiled import compiled, put_first
-from seft_plant_sim.sensors import ACCELERATION, DISPLACEMENT, FORCE, VELOCITY
 
-from seft_ros.protection.detectors import (
+from seft_plant_sim.compiled import compiled, put_first
+from seft_plant_sim.judge.detectors import (
     DIFFERS,
     DISPLACEMENT_VELOCITY,
     LIMITED_AT,
@@ -32,7 +31,7 @@ from seft_ros.protection.detectors import (
     look,
     sees,
 )
-from seft_ros.protection.relation_following import (
+from seft_plant_sim.judge.relation_following import (
     BIAS_OF,
     CHANGE,
     INTEGRAL,
@@ -47,7 +46,8 @@ from seft_ros.protection.relation_following import (
     remember,
     uncertain,
 )
-from seft_ros.protection.valve_following import under_load
+from seft_plant_sim.judge.valve_following import under_load
+from seft_plant_sim.simulated.sensors import ACCELERATION, DISPLACEMENT, FORCE, VELOCITY
 
 Sides = tuple[float, float, float]
 """Change of one side in a period, integral of the other, and its change per delay."""

@@ -16,9 +16,9 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 
 from seft_plant_sim.compiled import compiled
-from seft_plant_sim.continuous_model import Dynamics, Motion, make_fault_free
-from seft_plant_sim.specimen import Specimen
-from seft_plant_sim.springs import ONE_SIDED, SPRING_KIND, Spring
+from seft_plant_sim.simulated.continuous_model import Dynamics, Motion, make_fault_free
+from seft_plant_sim.simulated.specimen import Specimen
+from seft_plant_sim.simulated.springs import ONE_SIDED, SPRING_KIND, Spring
 
 GRAMMAR = "[AXIS/]WHAT KIND [VALUE] at TIME [for STEPS]"
 CHANNEL_ROWS = ("displacement", "velocity", "acceleration", "force")

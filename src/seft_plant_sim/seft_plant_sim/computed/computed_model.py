@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from seft_msgs_py.arrays import Floats
 
-from seft_plant_sim.model_process import ModelError as ModelError
-from seft_plant_sim.model_process import ModelProcess
-from seft_plant_sim.model_worker import MODEL_PARAMETER, ModelState
+from seft_plant_sim.computed.model_process import ModelError as ModelError
+from seft_plant_sim.computed.model_process import ModelProcess
+from seft_plant_sim.computed.model_worker import MODEL_PARAMETER, ModelState
 
 SMALL_DISPLACEMENT, SMALL_VELOCITY = 1e-4, 1e-2
 """m and m/s, at which the tangent of a model is measured if the model does not give it."""

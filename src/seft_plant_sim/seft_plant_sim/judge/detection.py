@@ -8,17 +8,17 @@ from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.sensors import per_channel
 
-from seft_ros.force_controller.known_rig import ASSUMED_ACTUATOR, read_actuators, read_specimen
-from seft_ros.force_controller.valve_model import valve_models
-from seft_ros.protection.detector_list import ALL, DETECTORS
-from seft_ros.protection.detector_step import begin_detectors, detect_all
-from seft_ros.protection.detectors import (
+from seft_plant_sim.judge.detector_list import ALL, DETECTORS
+from seft_plant_sim.judge.detector_step import begin_detectors, detect_all
+from seft_plant_sim.judge.detectors import (
     DetectorParameters,
     DetectorState,
     detector_arrays,
 )
+from seft_plant_sim.judge.known_rig import ASSUMED_ACTUATOR, read_actuators, read_specimen
+from seft_plant_sim.judge.valve_model import valve_models
+from seft_plant_sim.simulated.sensors import per_channel
 
 
 def detectors_of(

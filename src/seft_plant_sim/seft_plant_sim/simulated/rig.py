@@ -14,7 +14,6 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import Saturation, Simulated, all_saturated, count_saturated
 from seft_msgs_py.wire.topics import VALVE_COMMAND, RigAxes, Timebase
 
-from seft_plant_sim.actuator import Hydraulics
 from seft_plant_sim.calibration import (
     Calibration,
     CalibrationState,
@@ -24,7 +23,10 @@ from seft_plant_sim.calibration import (
     zeroed_at_rest,
 )
 from seft_plant_sim.compiled import entry_point, kind_of
-from seft_plant_sim.continuous_model import (
+from seft_plant_sim.limits import Limits, event_ring
+from seft_plant_sim.lti import split_dead_time
+from seft_plant_sim.simulated.actuator import Hydraulics
+from seft_plant_sim.simulated.continuous_model import (
     ContinuousModel,
     Drive,
     at_rest,
@@ -32,7 +34,7 @@ from seft_plant_sim.continuous_model import (
     dynamics_of,
     servo_hydraulic,
 )
-from seft_plant_sim.faults import (
+from seft_plant_sim.simulated.faults import (
     NO_FAULTS,
     Fault,
     Faults,
@@ -40,9 +42,7 @@ from seft_plant_sim.faults import (
     faults_of,
     read_faults,
 )
-from seft_plant_sim.limits import Limits, event_ring
-from seft_plant_sim.lti import split_dead_time
-from seft_plant_sim.rig_step import (
+from seft_plant_sim.simulated.rig_step import (
     BLIND,
     ENDS,
     FORCE_NOW,
@@ -53,11 +53,11 @@ from seft_plant_sim.rig_step import (
     come_to_rest,
     rig_step,
 )
-from seft_plant_sim.rig_step import left_open as left_open
-from seft_plant_sim.sensor_dynamics import sensing_of, with_sensors
-from seft_plant_sim.sensors import Sensors
-from seft_plant_sim.specimen import Specimen
-from seft_plant_sim.springs import ONE_SIDED, SPRING_KIND
+from seft_plant_sim.simulated.rig_step import left_open as left_open
+from seft_plant_sim.simulated.sensor_dynamics import sensing_of, with_sensors
+from seft_plant_sim.simulated.sensors import Sensors
+from seft_plant_sim.simulated.specimen import Specimen
+from seft_plant_sim.simulated.springs import ONE_SIDED, SPRING_KIND
 
 LONGEST_DELAY_STEPS = 1_000_000
 """Largest dead time of a rig, in samples."""

@@ -6,15 +6,15 @@ from typing import NamedTuple
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.facts import CHANNELS
 
-from seft_plant_sim.actuator import OPENING, PER_CAPACITY
-from seft_plant_sim.actuator import STROKE_COLUMN as STROKE_COLUMN
 from seft_plant_sim.calibration import Calibration, CalibrationState, calibrate
 from seft_plant_sim.compiled import compiled, multiply
-from seft_plant_sim.continuous_model import Dynamics, Motion, integrate, make_fault_free
-from seft_plant_sim.faults import Faults, obey, show_fault, wear
 from seft_plant_sim.limits import exceeds, is_exceeded
-from seft_plant_sim.sensor_dynamics import Sensing, read_sensors
-from seft_plant_sim.sensors import Channels, derive_velocity, measure_channels
+from seft_plant_sim.simulated.actuator import OPENING, PER_CAPACITY
+from seft_plant_sim.simulated.actuator import STROKE_COLUMN as STROKE_COLUMN
+from seft_plant_sim.simulated.continuous_model import Dynamics, Motion, integrate, make_fault_free
+from seft_plant_sim.simulated.faults import Faults, obey, show_fault, wear
+from seft_plant_sim.simulated.sensor_dynamics import Sensing, read_sensors
+from seft_plant_sim.simulated.sensors import Channels, derive_velocity, measure_channels
 
 _STROKE, FORCE_CAPACITY, _VALVE = 16, 32, 64
 PERSISTENT = 3
@@ -273,7 +273,7 @@ def come_to_rest(
     offset, last : ndarray
         The last command, and how much more it is than planned, shapes (n,).
     safe, closing, longest
-        See `seft_plant_sim.rig.Safe`; the last counts from the end of the plan on.
+        See `seft_plant_sim.simulated.rig.Safe`; the last counts from the end of the plan on.
     command : ndarray
         Room, shape (n,).
 

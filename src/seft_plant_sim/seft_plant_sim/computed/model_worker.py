@@ -1,7 +1,7 @@
 """The process of a computed model: it makes the user's class, and calls it on request.
 
-The other side is `seft_plant_sim.model_process`. All that a model can do wrong ends here: an
-exception of any kind becomes one line of text, and a wrong value is refused.
+The other side is `seft_plant_sim.computed.model_process`. All that a model can do wrong ends here:
+an exception of any kind becomes one line of text, and a wrong value is refused.
 """
 
 import contextlib

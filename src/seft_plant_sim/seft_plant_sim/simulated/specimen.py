@@ -19,7 +19,7 @@ from seft_msgs_py.config.parameter_table import mass_matrix, symmetric_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes
 
-from seft_plant_sim.springs import Spring, make_springs
+from seft_plant_sim.simulated.springs import Spring, make_springs
 
 
 @dataclass(frozen=True)

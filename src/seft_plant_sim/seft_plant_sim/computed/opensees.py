@@ -42,8 +42,8 @@ def interface(
         Node and direction of each axis, or several that move together. A support there is released.
         The node must have no mass there: it belongs to ``reference_force: computed.mass``.
     names : sequence of str, optional
-        Names of these degrees of freedom, see `seft_plant_sim.model_worker.Model`; default:
-        those of the test, in order.
+        Names of these degrees of freedom, see `seft_plant_sim.computed.model_worker.Model`;
+        default: those of the test, in order.
     responses : mapping, optional
         Further responses to record: name -> function that gives a number.
     """
@@ -54,7 +54,7 @@ def interface(
 
 
 class OpenSees:
-    """The computed model ``opensees``, see `seft_plant_sim.model_worker.Model`.
+    """The computed model ``opensees``, see `seft_plant_sim.computed.model_worker.Model`.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ class OpenSees:
     def step(
         self, t: float, displacement: Floats, velocity: Floats, ground_acceleration: Floats
     ) -> Floats:
-        """Go to the time t; see `seft_plant_sim.model_worker.Model`."""
+        """Go to the time t; see `seft_plant_sim.computed.model_worker.Model`."""
         with self._script_errors():
             return self._step(t, np.array([displacement, velocity, ground_acceleration]))
 

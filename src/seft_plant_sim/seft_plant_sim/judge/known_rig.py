@@ -7,6 +7,7 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.parameter_table import mass_matrix, per_axis, symmetric_matrix
 from seft_msgs_py.errors import InputError
+
 from seft_plant_sim.rig_parameters import common_lag
 
 ASSUMED_ACTUATOR = ("flow_gain", "oil_stiffness", "leakage", "force_capacity")

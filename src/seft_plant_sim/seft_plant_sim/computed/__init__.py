@@ -1,0 +1,1 @@
+"""Models of a computed substructure, in processes of their own."""

@@ -1,0 +1,1 @@
+"""The judge of the samples, and the detectors of faults."""

@@ -1,0 +1,1 @@
+"""What simulates: actuator, specimen, sensors, faults."""
