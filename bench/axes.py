@@ -37,7 +37,9 @@ def load(axes: int, kind: str) -> Experiment:
 def coding_time(experiment: Experiment) -> float:
     """Seconds to encode and decode one rig/state."""
     codec = TrajectoryCodec(RIG_STATE, experiment.axes, experiment.timebase)
-    state = np.random.default_rng(1).normal(size=(1, 5, len(experiment.axes)))
+    state = np.random.default_rng(1).normal(
+        size=(1, len(RIG_STATE.quantities), len(experiment.axes))
+    )
     start = time.perf_counter()
     for step in range(MESSAGES):
         codec.decode(codec.encode(step, state))

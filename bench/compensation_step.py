@@ -72,10 +72,12 @@ def whole_step_times(axes: int, motion: np.ndarray, states: np.ndarray) -> np.nd
     blocks, times = build_blocks(experiment), np.empty(len(states))
     force, control = blocks.reference_force, blocks.force_controller
     force.reset(), control.reset()
-    for step, state in enumerate(states):
+    samples = np.concatenate([states, np.zeros_like(states[:, :2])], axis=1)  # none suspect
+    for step, sample in enumerate(samples):
         known = motion[step : step + 1 + force.preview]
         start = time.perf_counter()
-        control.step(step, force.step(known, state), state)
+        control.look(step, sample)
+        control.step(step, force.step(known, sample[:4]), sample)
         times[step] = time.perf_counter() - start
     return times[-STEPS:]
 

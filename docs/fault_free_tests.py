@@ -35,7 +35,7 @@ LOOPS = (
 YIELD, HARDENING = f"{SPECIMEN}yield_displacement:=", f"{SPECIMEN}hardening_ratio:="
 GAIN, DEAD_TIME = "rig:simulated.actuator.flow_gain:=", "rig:simulated.actuator.dead_time:="
 MASS, STIFFNESS, OIL = 52.7, 2.11e5, "rig:simulated.actuator.oil_stiffness:="
-VALVE, ADC = "rig:simulated.actuator.valve_frequency:=", "rig:simulated.sensors.adc_bits:=12"
+VALVE, ADC = "rig:simulated.actuator.valve_frequency:=", "/**:sensors.adc_bits:=12"
 
 
 def specimen(draw):

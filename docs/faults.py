@@ -86,20 +86,22 @@ def tests(motion):
 
 
 class PerfectDetector:
-    """Stands in for an `Interlock` that trips in the sample at which a fault begins."""
+    """Stands in for a `Rig` whose guard ends the test in the sample at which a fault begins."""
 
-    def __init__(self, interlock, at):
-        self._interlock, self._at = interlock, at
+    def __init__(self, rig, at):
+        self._rig, self._at = rig, at
 
     def __getattr__(self, name):
-        return getattr(self._interlock, name)
+        return getattr(self._rig, name)
 
-    def judge(self, index, raw):
-        """Judge a sample; trip in time, as at a fault, so that the valve closes."""
-        judged = self._interlock.judge(index, raw)
-        if index >= self._at:
-            self._interlock.trip(index, "perfect")
-        return judged
+    @property
+    def violation(self):
+        """Why the test must end: in time."""
+        return "perfect" if self._rig.step_index >= self._at else self._rig.violation
+
+    def stop(self, plan):
+        """Close the valve, as at a fault: the plan can't be trusted."""
+        return self._rig.stop(plan if self._rig.step_index < self._at else None)
 
 
 def fitting(words, config):
@@ -144,7 +146,7 @@ def try_fault(experiment, known, right, at, name):
     blocks = build_blocks(experiment, known)
     recording = simulate_test(experiment, blocks, compiles=True)
     blocks = build_blocks(experiment, known)
-    perfect = replace(blocks, force_controller=PerfectDetector(blocks.force_controller, at))
+    perfect = replace(blocks, rig=PerfectDetector(blocks.rig, at))
     best, fault_free = simulate_test(experiment, perfect).simulated, right.simulated
     if name.startswith("specimen breaks"):
         farthest = FARTHEST * fault_free.displacement_peak

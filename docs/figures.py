@@ -176,7 +176,7 @@ def histories() -> Figure:
         load = ("ground_motion", "peak_force", 500.0)
         experiment = planned(*method(name), mass_ratio(1.0), load)
         recording = simulate_test(experiment, build_blocks(experiment))
-        states = recording.series["rig/state"].values
+        states = recording.measured.values
         motion = recording.series["ground_motion"].values[:, 0]
         exact = reference_response(experiment, motion).displacement[:, 0]
         t = np.arange(len(states)) * experiment.timebase.dt

@@ -155,7 +155,7 @@ def tested(row: Row, motion: Row) -> str:
     if recording.trip:
         return f"trips at {recording.trip.time_s:.1f} s"
     exact = reference_response(experiment, blocks.ground_motion.samples).displacement
-    return percent(nrmse(recording.series["rig/state"].values[:, 0], exact))
+    return percent(nrmse(recording.measured.values[:, 0], exact))
 
 
 def percent(ratio: float) -> str:

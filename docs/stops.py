@@ -12,6 +12,7 @@ from copy import deepcopy
 
 import numpy as np
 from seft_msgs_py.config.experiment import Experiment, parse_override
+from seft_msgs_py.config.facts import CHANNELS
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
@@ -35,15 +36,15 @@ def stops(experiment, moments):
     rig, force, interlock = blocks.rig, blocks.reference_force, blocks.force_controller
     force.reset(), interlock.reset()
     known, window = blocks.ground_motion.known, 1 + force.preview
-    stiffness = interlock.parameters.detectors.stiffness
+    stiffness = rig.guard.parameters.detectors.stiffness
     state = rig.reset()
     for step in range(max(moments) + 1):
-        judged = interlock.judge(step, state)
-        command = interlock.step(step, force.step(known[step : step + window], judged), judged)
+        points = force.step(known[step : step + window], state[: len(CHANNELS)])
+        command = interlock.step(step, points, state)
         if step in moments:
             closed, stopped = deepcopy(rig), deepcopy(rig)
             peaks = closed.stop().peak_force, stopped.stop(interlock.stop(step)).peak_force
-            yield *peaks, np.abs(stiffness @ stopped.sample[0]).max()
+            yield *peaks, np.abs(stiffness @ stopped.simulation.sample[0]).max()
         state = rig.step(command)
 
 
@@ -55,7 +56,7 @@ def main():
     for name, (config, *words) in TESTS.items():
         experiment = Experiment.load(TABLES, [config], list(map(parse_override, words)))
         recording = simulate_test(experiment, build_blocks(experiment))
-        speed = np.abs(recording.series["rig/judged"].values[:, 1]).max(axis=1)
+        speed = np.abs(recording.states.values[:, 1]).max(axis=1)
         fastest = [
             step
             for step in np.argsort(-speed).tolist()

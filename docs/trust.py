@@ -24,8 +24,8 @@ from fault_free_tests import MASS, motion_words
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import InputError
+from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import truth
-from seft_plant_sim.simulated.rig import Rig
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.calibration_effect import led
 from seft_ros.analysis.metrics import nrmse
@@ -217,7 +217,7 @@ def run(words, axes):
     true = np.zeros(commands.shape)
     for k, command in enumerate(commands[:-1]):
         rig.step(command)
-        true[k + 1] = rig.sample[0]
+        true[k + 1] = rig.simulation.sample[0]
     exact = reference_response(experiment, blocks.ground_motion.samples).displacement[: len(true)]
     dt = experiment.timebase.dt
     shifted = (true + led(true, np.full(axes, shift), dt) for shift in SHIFTS)

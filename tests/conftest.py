@@ -13,7 +13,6 @@ from graph_tools import JHU, PATIENCE
 from local_tools import NODES, UNREHEARSED
 from ros_domain import reserved_domain
 from seft_msgs_py.virtual import LocalGraph
-from seft_ros.cli.rig_commands import TEMPLATES
 from seft_ros.nodes.kinds import NODE_KINDS
 from seft_ros.test_run.observer import Observer
 
@@ -39,16 +38,6 @@ def local_graph():
             return made.enter_context(graph)
 
         yield make
-
-
-@pytest.fixture
-def template(monkeypatch):
-    """Folder of the template of a driver, whose modules are found."""
-    folder = TEMPLATES / "rig_driver"
-    monkeypatch.syspath_prepend(str(folder))
-    yield folder
-    for name in [name for name in sys.modules if name.startswith("rig_driver")]:
-        del sys.modules[name]
 
 
 @pytest.fixture

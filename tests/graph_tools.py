@@ -19,6 +19,7 @@ PATIENCE = 400.0  # s; far beyond what anything here takes, also where eight oth
 STALLS_ALLOWED = (
     *("-p", "rig:watchdog.command_timeout:=60.0"),
     *("-p", "supervisor:watchdog.peer_timeout:=60.0"),
+    *("-p", "supervisor:watchdog.missed_share:=1.0"),
     *("-p", "force_controller:watchdog.reference_timeout:=60.0"),
     *("-p", "rig:watchdog.supervisor_timeout:=60.0"),
     *("-p", "supervisor:rehearsal.duration:=0.0"),
@@ -28,7 +29,7 @@ STALLS_ALLOWED = (
 
 MISSES_ALLOWED = (
     *("-p", "reference_force:instability.ratio:=0.0"),
-    *("-p", "force_controller:detectors.warn_only:=all"),
+    *("-p", "rig:detectors.warn_only:=all"),
 )
 """Lets it outlive what many missed commands make: vibration, and flow that nobody commanded."""
 

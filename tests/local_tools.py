@@ -3,7 +3,7 @@
 import numpy as np
 from seft_msgs_py.virtual import LocalGraph
 from seft_msgs_py.wire.messages import EstimatesCodec
-from seft_msgs_py.wire.topics import ESTIMATES, JUDGED, RIG_STATE, VALVE_COMMAND
+from seft_msgs_py.wire.topics import ESTIMATES, MEASURED, RIG_STATE, VALVE_COMMAND
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
@@ -43,7 +43,7 @@ def offline(graph: LocalGraph):
 def assert_same(graph: LocalGraph, recording, steps: int | None = None) -> None:
     """Check that the samples of a test are those of a recording; or of so many first steps."""
     force = reference_force_topic(graph.experiment["reference_force"])
-    for topic in (RIG_STATE, JUDGED, force, VALVE_COMMAND):
+    for topic in (RIG_STATE, MEASURED, force, VALVE_COMMAND):
         there, (found, values) = recording.series[topic.name], graph.samples(topic)
         count = max(len(found), len(there.steps)) if steps is None else steps
         assert found[:count] == there.steps[:count].tolist(), topic.name

@@ -12,7 +12,7 @@ from seft_ros.bags.recording_bag import read_bag
 SHORT = ("-p", "ground_motion:synthetic.duration:=5.0", "-p", "ground_motion:tail:=0.5")
 LOCKSTEP = ("-p", "rig:pace:=lockstep", "-p", "rig:lockstep_timeout:=60.0", *STALLS_ALLOWED)
 GENTLE = (  # with sensors of unlimited range: it uses next to nothing of theirs
-    *("-p", "ground_motion:peak_force:=20.0", "-p", "rig:simulated.sensors.adc_bits:=0"),
+    *("-p", "ground_motion:peak_force:=20.0", "-p", "/**:sensors.adc_bits:=0"),
     *(word for name in CHANNELS for word in ("-p", f"sensors.{name}_range:=0.0")),
 )
 """Lets a rig stay far from its limits though it holds old commands for long."""

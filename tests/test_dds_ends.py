@@ -5,6 +5,7 @@ test_local_recorder.py, test_bags_bag_writer.py.
 """
 
 import fcntl
+import json
 import os
 import pty
 import signal
@@ -75,6 +76,13 @@ class Run:
         files = lambda: (file.read_bytes() for file in self._bag.glob("*.mcap"))  # noqa: E731
         wait_for(lambda: STOPPED in b"".join(files()), "the ramp")
 
+    def shown(self):
+        """Wait for its end after a stop, which leaves nothing; give what it shows of the test."""
+        shown, errors = self.process.communicate(timeout=PATIENCE)
+        assert self.process.returncode == 0, errors
+        self.assert_nothing_is_left()
+        return shown
+
     def ending(self):
         """Wait for its end, which leaves nothing; give what it says on stderr, one line."""
         _, errors = self.process.communicate(timeout=PATIENCE)
@@ -116,15 +124,19 @@ def recorded(folder):
 def assert_came_down_softly(folder):
     recording = recorded(folder)
     assert recording.complete
-    assert recording.trip.reason == "stopped by the operator"
+    assert (recording.stopped, recording.trip) == (True, None)
     assert recording.series["reference_force"].values[-1, 0, 0] == 0.0
 
 
-def test_an_interrupted_run_comes_down_softly(run, tmp_path):
-    found = run()
+def test_an_interrupted_run_comes_down_softly_and_is_a_stop(run, seft_json, tmp_path):
+    found = run("--json")
     found.wait_for_data()
     found.process.send_signal(signal.SIGINT)
-    assert "interrupted" in found.ending()
+    shown = json.loads(found.shown())
+    reported = seft_json("report", "bag", status=0)
+    for summary in (shown, reported):
+        assert (summary["stopped"], summary["trip"], summary["stable"]) == (True, None, True)
+        assert summary["judged_steps"] < summary["steps"]
     assert_came_down_softly(tmp_path)
 
 
@@ -198,6 +210,6 @@ def test_a_run_whose_terminal_is_closed_comes_down_softly(run, tmp_path):
     os.close(terminal)
     found.wait_for_data()
     os.close(keyboard)
-    assert found.process.wait(PATIENCE) == 1
+    assert found.process.wait(PATIENCE) == 0
     found.assert_nothing_is_left()
     assert_came_down_softly(tmp_path)

@@ -11,7 +11,6 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import place_of
 from seft_msgs_py.wire.topics import LOOP_TOPICS, TOPICS
 from seft_ros.cli.main import APP
-from seft_ros.conformance.driver import CHECKS
 from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.stability_margins import critical_mass_ratio
 from seft_ros.reference_force.reference_force_parameters import OWN_METHODS
@@ -102,11 +101,3 @@ def test_the_page_on_troubleshooting_quotes_messages_of_the_code():
     parts = {part.strip() for quote in quotes for part in quote.split("...")} - OF_ROS
     assert len(parts) > 20
     assert {part for part in parts if part not in code} == set()
-
-
-def test_the_page_on_hardware_explains_each_check_of_a_driver():
-    page = (ROOT / "docs" / "hardware.md").read_text().split("## The conformance test")[1]
-    names = {name for cell in FIRST_CELLS.findall(page) for name in cell.split(", ")} - {"check"}
-    patterns = [re.compile(re.escape(name).replace(r"\.\.\.", ".+")) for name in names]
-    assert {n for n in CHECKS if not any(p.fullmatch(n) for p in patterns)} == set()
-    assert {p.pattern for p in patterns if not any(p.fullmatch(n) for n in CHECKS)} == set()

@@ -35,6 +35,7 @@ SILENCE = (  # what a machine that stands still may take, without it being a cut
     *("-p", "force_controller:watchdog.reference_timeout:=1.0"),
     *("-p", "rig:watchdog.supervisor_timeout:=5.0"),
     *("-p", "supervisor:watchdog.peer_timeout:=10.0"),
+    *("-p", "supervisor:watchdog.missed_share:=1.0"),
     *("-p", "rig:watchdog.command_timeout:=5.0"),
     *MISSES_ALLOWED,
 )

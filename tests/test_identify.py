@@ -18,8 +18,11 @@ def test_both_tests_on_an_external_rig_give_the_numbers_of_the_offline_loop(seft
     start(MODULES["rig"], "--ros-args", "--params-file", JHU, *patient)
     words = ("identify", JHU, *SHORT, *STALLS_ALLOWED)
     elsewhere = ("-p", "rig:simulated.specimen.mass:=20.0", "-p", "rig:pace:=realtime")
-    external = seft_json(*words, *elsewhere, "--external", "rig", "--out", "external")
+    words_of_external = (*words, *elsewhere, "--external", "rig", "--out", "external")
+    external = seft_json(*words_of_external)
     assert numbers(external) == numbers(seft_json(*words, "--out", "offline"))
     for name in ("open_loop", "closed_loop"):
         bags = (f"external/{name}", f"offline/{name}")
         assert seft_json("compare", *bags)["identical"] is True
+    again = seft_json(*words_of_external)
+    assert again == external | {"reused": ["open_loop", "closed_loop"]}

@@ -47,7 +47,7 @@ def run(motion, method, mass_ratio, peak_force, ratio, *words, loop_delay=0):
         f"reference_force:instability.ratio:={ratio}",
         f"loop_delay:={loop_delay}",
         *(f"rig:simulated.{word}" for word in words),
-        "force_controller:detectors.warn_only:=all",
+        "rig:detectors.warn_only:=all",
     )
     found = simulated(with_method(load(*given), method))
     until = None if found.trip is None else found.trip.step + 1

@@ -41,7 +41,7 @@ ACTUATORS = (
 )
 DIFFERENCES = (
     (),
-    ("rig:simulated.sensors.adc_bits:=12",),
+    ("/**:sensors.adc_bits:=12",),
     ("sensors.velocity:=derived",),
     ("rig:simulated.sensors.force_filter:=150.0", "rig:simulated.sensors.acceleration_lag:=0.0007"),
     ("calibration.displacement_lag:={short}",),
@@ -153,13 +153,13 @@ def check_nodes(local_graph, words):
         graph.until(lambda: graph.state in ("done", "tripped"))
         recording = offline(graph)
         assert (recording.trip is None) == (graph.state == "done")
-        assert_same(graph, recording, steps=len(recording.series["rig/state"].steps))
         reported = graph.until(lambda: graph.status("rig").get("simulated"))
+        assert_same(graph, recording, steps=len(recording.series["rig/state"].steps))
         assert json.loads(reported) == vars(recording.simulated)
         if graph.state == "done":
             assert graph.status("rig")["missed"] == "0"
         else:
-            assert graph.values["step"] == str(recording.trip.step)
+            assert graph.values["step"] == recording.trip.step
             detail = graph.values["detail"].removeprefix("force_controller: ")
             assert recording.trip.reason.startswith(detail)  # which also tells of a ramp before
 

@@ -1,11 +1,14 @@
 """Nodes that stand still, die, or are missing, in virtual time."""
 
+import re
+
 import numpy as np
 import pytest
-from local_tools import LOCKSTEP, LONG, NO_COMMAND_WATCH, UNREHEARSED, at_rest, perform
-from seft_msgs_py.wire.messages import encode_diagnostics
+from local_tools import LOCKSTEP, LONG, NO_COMMAND_WATCH, NODES, UNREHEARSED, at_rest, perform
+from seft_msgs_py.wire.messages import Status, encode_diagnostics
 from seft_msgs_py.wire.outcome import tripped_status
-from seft_msgs_py.wire.topics import DIAGNOSTICS, REFERENCE_FORCE, RIG_STATE
+from seft_msgs_py.wire.topics import DIAGNOSTICS, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
+from seft_ros.bags.recording_bag import read_bag
 
 SLOW = 5e-4  # s, latency with which a test in lockstep takes fewer steps
 
@@ -19,12 +22,90 @@ def test_a_rig_that_stands_still_for_a_moment_trips_and_is_at_rest(running):
     assert at_rest(graph)
 
 
+@pytest.mark.parametrize(
+    ("node", "seconds", "symptom"),
+    [
+        ("rig", 0.8, "force_controller: no rig/state for 0.02 s"),
+        ("rig", 2.5, "node rig has been silent since 0."),
+        ("force_controller", 0.3, "no new valve_command for 0.02 s"),
+        ("reference_force", 0.3, "no new valve_command for 0.02 s"),
+    ],
+)
+def test_who_stood_still_comes_first_in_the_reason_of_the_trip(
+    running, tmp_path, node, seconds, symptom
+):
+    graph = running(LONG, f"recorder:directory:={tmp_path}", nodes=(*NODES, "recorder"))
+    graph.freeze(node, seconds)
+    graph.until("tripped", within=0.1)  # which does not wait for the cause
+    step = graph.values["step"]
+    cause = f"the {node} stood still for "
+    graph.until(lambda: graph.values["detail"].startswith(cause), within=seconds)
+    told, first = graph.values["detail"].removeprefix(cause).split(" s; ", 1)
+    assert seconds - 0.06 <= float(told) <= seconds
+    assert first.startswith(symptom)
+    graph.until(lambda: graph.status("recorder")["phase"] == "saved")
+    trip = read_bag(graph.status("recorder")["bag"]).trip
+    known = graph.values["detail"] if seconds < 1.0 else first  # nobody waits for a silent node
+    assert (trip.reason, trip.step) == (known, step)
+    logged = [text for _, name, _, text in graph.graph.lines if name == "supervisor"]
+    assert any(text.startswith(f"tripped: {cause}") for text in logged)
+
+
+def test_of_nodes_that_stood_still_the_one_that_did_so_for_longest_comes_first(running):
+    graph = running(LONG)
+    graph.freeze("force_controller", 0.2)
+    graph.freeze("reference_force", 0.4)
+    graph.until("tripped", within=0.1)
+    graph.run(0.6)
+    stood = r"stood still for \S+ s"
+    said = f"the reference_force {stood}; the force_controller {stood}; no new valve_command"
+    assert re.match(said, graph.values["detail"])
+
+
+def test_a_pause_of_who_is_not_waited_for_is_no_cause(running, tmp_path):
+    graph = running(LONG, f"recorder:directory:={tmp_path}", nodes=(*NODES, "recorder"))
+    graph.freeze("recorder", 0.3)
+    graph.drop(VALVE_COMMAND, range(10**6), "rig")
+    graph.until("tripped", within=0.1)
+    graph.run(1.0)
+    assert graph.values["detail"].startswith("no new valve_command for 0.02 s")
+
+
+def test_a_trip_that_is_told_later_than_the_silence_that_followed_comes_first(running):
+    graph = running(LONG)
+    graph.kill("reference_force")
+    graph.until("tripped", within=0.1)
+    step, silence = int(graph.values["step"]), graph.values["detail"]
+    assert silence.startswith("no new valve_command for")
+    for later, reason in ((1, "what followed"), (-5, "computed.model took 0.1 s for a step")):
+        told = encode_diagnostics(0, [tripped_status("force_controller", reason, step + later)])
+        graph.inject(DIAGNOSTICS, told, "force_controller")
+    graph.run(0.01)
+    assert graph.values["detail"] == f"force_controller: {reason}; {silence}"
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        ({"phase": "tripped", "reason": "stopped", "step": "600"}, "stopped at step 600, and"),
+        ({"phase": "idle"}, "has left the test"),
+        ({"phase": "finished", "steps": "600"}, "finished after 600 of 101001 steps"),
+    ],
+)
+def test_a_rig_that_ends_a_test_by_itself_trips_it(running, values, reason):
+    graph = running(LONG)
+    ended = encode_diagnostics(0, [Status("rig", 0, "", values=values)])
+    graph.inject(DIAGNOSTICS, ended, "rig")
+    graph.until("tripped", within=0.05)
+    assert graph.values["detail"].startswith(f"node rig {reason}")
+
+
 def test_a_rig_that_stands_still_tells_so_where_nobody_else_is_watching(running):
     graph = running(LONG)
     graph.freeze("force_controller", 0.31)
     graph.freeze("rig", 0.3)
     graph.until("tripped", within=1.0)
-    assert graph.values["detail"].startswith("the rig stood still for 0.298 s")
+    assert graph.values["detail"].startswith("the rig stood still for 0.299 s")
     assert at_rest(graph)
 
 
@@ -86,7 +167,7 @@ def test_the_death_of_the_reference_force_is_a_hard_trip_by_default(running):
     graph.kill("reference_force")
     graph.until("tripped", within=0.1)
     assert "no new valve_command for 0.02 s" in graph.values["detail"]
-    graph.until(lambda: graph.values.get("silent") == "reference_force")
+    graph.until(lambda: graph.values.get("silent") == ("reference_force",))
     assert at_rest(graph)
 
 
@@ -169,7 +250,7 @@ def test_what_a_silent_node_has_done_meanwhile_is_added_when_its_link_is_back(ru
     cut = "no reference_force for 50 steps; is the link to the reference_force node cut?"
     for _ in range(3):  # it says so again and again
         for node, reason in (("force_controller", cut), ("reference_force", "what follows")):
-            lost = encode_diagnostics(0, [tripped_status(node, reason, 100)])
+            lost = encode_diagnostics(0, [tripped_status(node, reason, 100, 0.1)])
             graph.inject(DIAGNOSTICS, lost, node)
         graph.run(0.2)
     assert graph.values["detail"] == f"{detail}; force_controller: {cut}"

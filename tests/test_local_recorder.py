@@ -1,5 +1,6 @@
 """The recorder in virtual time: its bag holds the test."""
 
+import dataclasses
 import shutil
 
 import numpy as np
@@ -17,8 +18,10 @@ from local_tools import (
 )
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE
 from seft_plant_sim.rig_watch import MAX_UNRECORDED_STEPS
+from seft_ros.analysis.report_numbers import report_numbers
 from seft_ros.analysis.summary import summarise
 from seft_ros.bags.recording_bag import read_bag
+from seft_ros.drawing.style import Mark
 
 RECORDED = (*NODES, "recorder")
 
@@ -109,7 +112,40 @@ def test_a_bag_that_is_deleted_under_way_is_saved_all_the_same(running, tmp_path
         lost = f"the recorder's bag is lost: {tmp_path / 'bag'}: the bag was deleted"
         assert recording.trip.reason == graph.values["detail"] == lost
     else:
-        assert recording.trip.reason == "stopped by the operator"
+        assert (recording.stopped, recording.trip) == (True, None)
+
+
+def test_the_numbers_of_a_stopped_test_are_those_before_its_ramp(running, tmp_path):
+    graph = running(f"recorder:directory:={tmp_path}", nodes=RECORDED)
+    graph.run(4.0)
+    graph.call("stop")
+    graph.until("done")
+    recording = saved(graph)
+    found, last = summarise(recording), recording.last_step
+    assert (found["stopped"], found["trip"], found["stable"]) == (True, None, True)
+    assert found["judged_steps"] == last + 1 == int(graph.status("reference_force")["ramp_step"])
+    until_then = {name: each.until(last) for name, each in offline(graph).series.items()}
+    planned = summarise(dataclasses.replace(recording, stopped=False, series=until_then))
+    assert found["displacement"] == planned["displacement"]
+    said = f"stopped by the operator at {(last + 1) * 0.002:.3f} s"
+    findings = report_numbers(recording).assessment.findings
+    finding = next(each for each in findings if each.name == "ending")
+    assert (finding.verdict, finding.text) == (Mark.DOUBT, f"it was {said}")
+
+
+def test_a_fault_in_the_ramp_of_a_stop_is_a_trip_of_which_the_steps_before_the_ramp_count(
+    running, tmp_path
+):
+    graph = running(f"recorder:directory:={tmp_path}", nodes=RECORDED)
+    graph.run(2.0)
+    graph.call("stop")
+    graph.run(0.3)
+    graph.call("estop")
+    recording = saved(graph)
+    assert recording.trip.reason == graph.values["detail"]
+    assert recording.trip.reason.startswith("aborted by the operator (while ramping down: stopped")
+    assert not recording.stopped
+    assert recording.last_step < recording.trip.step - 100
 
 
 def test_the_death_of_the_recorder_brings_the_test_down_softly(running, tmp_path):

@@ -19,13 +19,19 @@ def test_a_test_after_a_rehearsal_has_the_bits_of_the_offline_loop(local_graph, 
     assert graph.status("rig")["missed"] == "0"
 
 
+def test_a_rehearsal_takes_as_long_as_is_asked_for(local_graph):
+    graph = local_graph(THREE_SECONDS, "supervisor:rehearsal.duration:=2.5")
+    perform(graph)
+    assert graph.samples(rehearsed(RIG_STATE))[0] == list(range(1250))
+
+
 @pytest.mark.parametrize(
     ("topic", "late", "trip"),
     [
-        (VALVE_COMMAND, 0.0022, "2.6"),
-        (REFERENCE_FORCE, 0.0022, "2.6"),  # the next state overtakes it
-        (REFERENCE_FORCE, 0.0061, "6.5"),
-        (RIG_STATE, 0.0022, "2.6"),
+        (VALVE_COMMAND, 0.0022, "2.4"),
+        (REFERENCE_FORCE, 0.0022, "2.4"),  # the next state overtakes it
+        (REFERENCE_FORCE, 0.0061, "6.4"),
+        (RIG_STATE, 0.0022, "2.4"),
     ],
 )
 def test_a_loop_that_answers_late_is_refused_and_a_rate_that_fits_is_proposed(

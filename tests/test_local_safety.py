@@ -1,9 +1,11 @@
 """Values and faults of the program that end a test, in virtual time."""
 
 import json
+import re
 
 import numpy as np
 import pytest
+from graph_tools import MISSES_ALLOWED
 from local_tools import (
     LOCKSTEP,
     LONG,
@@ -11,23 +13,24 @@ from local_tools import (
     TARGET_MOTION,
     UNREHEARSED,
     at_rest,
+    perform,
 )
 from seft_msgs_py.wire.messages import encode_diagnostics
 from seft_msgs_py.wire.outcome import FINISHED, Outcome, rig_status
-from seft_msgs_py.wire.topics import DIAGNOSTICS, RIG_STATE
-from seft_plant_sim.simulated.rig import Rig
+from seft_msgs_py.wire.topics import DIAGNOSTICS, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
+from seft_plant_sim.simulated.rig import SimulatedRig
 from seft_ros.test_run.compiled_loop import build_blocks
 
 
 def test_a_rig_whose_model_is_not_a_number_trips(running, monkeypatch):
     graph = running(LONG)
-    step = Rig.step
+    read = SimulatedRig.read
 
-    def broken(rig, command):
+    def broken(rig):
         rig.state.line[:] = np.nan
-        return step(rig, command)
+        return read(rig)
 
-    monkeypatch.setattr(Rig, "step", broken)
+    monkeypatch.setattr(SimulatedRig, "read", broken)
     graph.until("tripped", within=0.1)
     assert graph.values["detail"].endswith(": displacement_wrong")
     monkeypatch.undo()
@@ -50,8 +53,8 @@ def test_a_rig_follows_the_plan_to_rest_also_when_its_sender_is_dead(local_graph
     known, window, every = blocks.ground_motion.known, 1 + force.preview, 5
     state = rig.reset()
     for step in range(last + 1):
-        judged = interlock.judge(step, state)
-        command = interlock.step(step, force.step(known[step : step + window], judged), judged)
+        interlock.look(step, state)
+        command = interlock.step(step, force.step(known[step : step + window], state[:4]), state)
         if step % every == 0 and (end != "force_controller" or step < last):
             sent, plan = step, interlock.stop(step)
         state = rig.step(command) if step < last else state
@@ -81,11 +84,37 @@ def test_a_fault_of_the_program_ends_the_test_and_estop_still_answers(running, t
     graph.until("ready")
 
 
+@pytest.mark.parametrize(
+    ("every", "late", "most"), [(21, 1.0, 24), (19, 1.0, 27), (1, 0.0025, 500)]
+)
+def test_too_many_missed_commands_within_a_second_bring_the_test_down(running, every, late, most):
+    graph = running(LONG, *MISSES_ALLOWED[1::2])
+    first = graph.samples(RIG_STATE)[0][-1] + 1
+    graph.delay(VALVE_COMMAND, late, range(first, 10**6, every), "rig")
+    graph.run(3.0)
+    assert graph.status("rig")["most_missed"] == str(most)
+    if most <= 25:
+        assert graph.state == "running", graph.values
+        return
+    assert graph.state == "tripped"
+    assert graph.samples(REFERENCE_FORCE)[1][-1, 0, 0] == 0.0
+    said = r"node rig missed (\d+) of 500 commands within a second"
+    assert 25 < int(re.match(said, graph.values["detail"])[1]) <= most
+
+
+def test_missed_commands_of_a_short_test_count_until_its_last_step(local_graph):
+    graph = local_graph("ground_motion:synthetic.duration:=0.6", "ground_motion:tail:=0.1")
+    graph.drop(VALVE_COMMAND, range(100, 200, 3), "rig")
+    perform(graph, "tripped")
+    assert graph.status("rig")["phase"] == "finished"
+    assert "missed 34 of 500 commands within a second (6.8%" in graph.values["detail"]
+
+
 def test_a_rig_that_finishes_before_the_end_of_the_motion_trips_the_test(running):
     graph = running(LONG)
     finished = rig_status(Outcome(FINISHED, 499, 0, [], 1.0))
     graph.inject(DIAGNOSTICS, encode_diagnostics(0, [finished]), "rig")
     graph.until("tripped", within=0.1)
     assert graph.values["detail"] == "node rig finished after 499 of 101001 steps"
-    assert graph.values["step"] == "498"
+    assert graph.values["step"] == 498
     assert at_rest(graph)

@@ -6,20 +6,15 @@ import pytest
 from local_tools import LONG, NODES, UNREHEARSED
 from seft_msgs_py.node.follower import Follower
 from seft_msgs_py.virtual.memory import MemoryEndpoint
-from seft_msgs_py.wire.messages import (
-    Status,
-    decode_status,
-    encode_diagnostics,
-    encode_status,
-    encode_string,
-)
-from seft_msgs_py.wire.outcome import tripped_status
+from seft_msgs_py.wire.experiment_state import ExperimentState, decode_state, encode_state
+from seft_msgs_py.wire.messages import encode_diagnostics, encode_string
+from seft_msgs_py.wire.outcome import State, tripped_status
 from seft_msgs_py.wire.topics import DESCRIPTION, DIAGNOSTICS, EXPERIMENT_STATE
 from seft_ros.bags.recording_bag import read_bag
 
 LIE = encode_diagnostics(0, [tripped_status("reference_force", "a lie", 7)])
 FALSE = encode_string(json.dumps({"node": "reference_force", "parameters": {"rate": "x"}}))
-FOREIGN = encode_status(Status("experiment", 0, "tripped", values={"detail": "a lie", "step": "7"}))
+FOREIGN = encode_state(ExperimentState(State.TRIPPED, "a lie", step=7))
 
 
 @pytest.mark.parametrize("name", ["stranger", "reference_force"])
@@ -39,7 +34,7 @@ def test_a_lie_neither_ends_a_test_nor_gets_into_its_bag(running, tmp_path, name
             each.raw for topic in (DIAGNOSTICS, DESCRIPTION) for each in monitor.take(topic)
         )
         heard.extend(states := [each.raw for each in monitor.take(EXPERIMENT_STATE)])
-        return decode_status(states[-1]).values["detail"]
+        return decode_state(states[-1]).detail
 
     graph.run(0.5)
     assert watch() == "running"

@@ -114,7 +114,7 @@ def test_a_method_of_step_alone_is_simulated_by_preflight_and_before_a_run(resul
     status, out, err = results["bare"]
     assert status == 0
     assert "bare has no linear(), so the margins of its stability are not known" in err
-    assert "done: displacement error" in out
+    assert "displacement error" in out
     status, _, err = results["refused"]
     assert status == 2
     assert "the test is unstable in simulation" in err

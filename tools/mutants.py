@@ -24,8 +24,10 @@ HOME = Path(__file__).parents[1]
 KILLED = HOME / "build" / "mutants.txt"
 PLANT, ROS = "src/seft_plant_sim/", "src/seft_ros/"
 PROTECTION, CONTROL = f"{ROS}seft_ros/protection/", f"{ROS}seft_ros/force_controller/"
+JUDGE = f"{PLANT}seft_plant_sim/judge/"
+GUARD_TESTS = (f"{PLANT}test/test_judge_guard.py", f"{PLANT}test/test_rig.py")
 DETECTOR_TESTS = tuple(
-    f"{ROS}test/test_protection_{name}.py"
+    f"{PLANT}test/test_judge_{name}.py"
     for name in ("detectors", "relations", "specimen_force", "detector_memory")
 )
 CONTROL_TESTS = (
@@ -38,34 +40,34 @@ FORCE_TESTS = tuple(
     f"{ROS}test/test_protection_{name}.py"
     for name in ("protected_force", "plausibility", "ramp_down")
 )
-DRIVER = f"{ROS}seft_ros/cli/templates/rig_driver/rig_driver/"
-DRIVER_TESTS = ("tests/test_driver_faults.py",)
 WATCH_TESTS = (f"{ROS}test/test_protection_instability.py",)
 TESTS = {
     f"{PLANT}seft_plant_sim/limits.py": (f"{PLANT}test/test_limits.py",),
     f"{PLANT}seft_plant_sim/rig_watch.py": (f"{PLANT}test/test_rig_watch.py",),
     f"{PLANT}seft_plant_sim/command.py": (f"{PLANT}test/test_command.py",),
     "src/seft_msgs_py/seft_msgs_py/node/senders.py": ("src/seft_msgs_py/test/test_senders.py",),
-    f"{CONTROL}detection.py": CONTROL_TESTS,
     f"{CONTROL}interlock.py": CONTROL_TESTS,
     f"{CONTROL}interlock_step.py": CONTROL_TESTS,
+    f"{CONTROL}target_distance.py": (
+        f"{ROS}test/test_force_controller_target_distance.py",
+        *CONTROL_TESTS,
+    ),
     f"{PROTECTION}protection_step.py": (*FORCE_TESTS, *CONTROL_TESTS),
     f"{PROTECTION}protected_force.py": FORCE_TESTS,
     **{
-        f"{PROTECTION}{name}.py": DETECTOR_TESTS
+        f"{JUDGE}{name}.py": DETECTOR_TESTS
         for name in (
             *("detectors", "detector_list", "channel_relations", "relation_following"),
             *("specimen_force", "valve_following"),
         )
     },
     **{
-        f"{PROTECTION}{name}.py": (f"{ROS}test/test_protection_judge.py", *DETECTOR_TESTS)
+        f"{JUDGE}{name}.py": (f"{PLANT}test/test_judge.py", *DETECTOR_TESTS)
         for name in ("judge", "judge_step")
     },
-    f"{PROTECTION}detector_step.py": (*DETECTOR_TESTS, *CONTROL_TESTS),
+    f"{JUDGE}detector_step.py": (*DETECTOR_TESTS, *GUARD_TESTS),
+    **{f"{JUDGE}{name}.py": GUARD_TESTS for name in ("detection", "guard", "guard_step")},
     f"{PROTECTION}instability.py": (*FORCE_TESTS, *WATCH_TESTS),
-    f"{DRIVER}safe_stop.py": DRIVER_TESTS,
-    f"{DRIVER}rest.py": DRIVER_TESTS,
 }
 SWAPS = {
     **{ast.Lt: (ast.LtE, ast.Gt), ast.LtE: (ast.Lt, ast.Gt), ast.Gt: (ast.GtE, ast.Lt)},

@@ -20,7 +20,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import ExperimentError
 from seft_msgs_py.wire.outcome import Trip
-from seft_msgs_py.wire.topics import GROUND_MOTION, RIG_STATE
+from seft_msgs_py.wire.topics import GROUND_MOTION
 from seft_ros.analysis.metrics import Agreement, agreement
 from seft_ros.analysis.summary import COMPARED, reference_of
 from seft_ros.bags.recording import Recording
@@ -72,8 +72,8 @@ def delayed(delay: float, bandwidth_hz: float = 0.0) -> Changes:
     part of the delay, in s); without, it is the pure delay of Eq. 5.2.
     """
     lag = math.sqrt(2) / (2 * math.pi * bandwidth_hz) if bandwidth_hz else 0.0
-    known: dict[str, Any] = {"actuator.kind": "delay"}
-    true: dict[str, Any] = {"actuator.delay": max(delay - lag, 0.0), "sensors.adc_bits": 0}
+    known: dict[str, Any] = {"actuator.kind": "delay", "sensors.adc_bits": 0}
+    true: dict[str, Any] = {"actuator.delay": max(delay - lag, 0.0)}
     for name in CHANNELS:
         known |= {f"sensors.{name}_{what}": 0.0 for what in ("noise", "range")}
         known |= {f"limits.{name}": 1e6, f"limits.{name}_rate": 1e12}  # nothing breaks
@@ -179,7 +179,7 @@ def run_test(experiment: Experiment) -> Outcome:
     recording = simulate_test(experiment, build_blocks(experiment))
     reference = reference_of(recording)
     assert reference is not None
-    states, motion = (recording.series[of.name].values for of in (RIG_STATE, GROUND_MOTION))
+    states, motion = recording.measured.values, recording.series[GROUND_MOTION.name].values
     mass = float(np.ravel(experiment["reference_force"]["specimen.mass"])[0])
     return Outcome(
         experiment.timebase.dt,
@@ -197,9 +197,9 @@ def identify_rig(experiment: Experiment, duration: float) -> Identified:
     An ExperimentError says if a test trips, or shows nothing but noise.
     """
     band = EXCITED_HZ[0], min(0.45 * experiment.timebase.rate, EXCITED_HZ[1])
-    voltage = rig_tests.pilot_voltage(experiment)
     motions = rig_tests.Motions(experiment, band, SEED)
     largest = motions.largest_levels(duration)
+    voltage = rig_tests.pilot_voltage(experiment, largest)
     force = rig_tests.default_force(experiment, largest)
     with TemporaryDirectory() as folder:
         short = motions.write(Path(folder) / "pilot.csv", rig_tests.PILOT_DURATION)

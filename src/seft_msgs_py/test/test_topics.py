@@ -11,12 +11,10 @@ from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.outcome import Outcome, Trip, all_saturated
 from seft_msgs_py.wire.topics import (
     CLOCK_TOPIC,
-    START,
     RigAxes,
     Timebase,
     rigs_of,
     topics_of,
-    until_start,
     with_rigs,
 )
 
@@ -47,8 +45,9 @@ def test_each_rig_has_nodes_and_topics_of_its_own():
     topics = {topic.name: topic for topic in topics_of((WEST, EAST))}
     assert "rig/state" not in topics
     assert topics["west/rig/state"].publisher == "west/rig"
-    assert topics["east/rig/state"].subscribers == ("east/force_controller",)
-    assert topics["east/rig/judged"].subscribers == ("reference_force",)
+    assert topics["east/rig/state"].subscribers == ("reference_force", "east/force_controller")
+    assert topics["east/rig/measured"].publisher == "east/rig"
+    assert topics["east/rig/measured"].subscribers == ()
     assert topics["reference_force"].subscribers == (
         "west/force_controller",
         "east/force_controller",
@@ -56,14 +55,6 @@ def test_each_rig_has_nodes_and_topics_of_its_own():
     assert topics["experiment/state"].subscribers == ("ground_motion", "west/rig", "east/rig")
     assert topics[CLOCK_TOPIC.name].publisher == "west/rig"
     assert with_rigs(["rig", "recorder"], (WEST, EAST)) == ["west/rig", "east/rig", "recorder"]
-
-
-def test_rigs_start_together_if_their_clocks_agree():
-    now, soon = 7 * 10**18, 7 * 10**18 + 10**9
-    assert until_start({START: str(soon)}, now) == 1.0
-    assert until_start({}, now) == 0.0
-    with pytest.raises(InputError, match="set the clocks of all hosts by one"):
-        until_start({START: str(soon + 3600 * 10**9)}, now)
 
 
 def test_how_a_test_ended_is_put_together():

@@ -10,8 +10,10 @@ from seft_msgs_py.wire.messages import nanoseconds, typestore
 from seft_msgs_py.wire.topics import (
     DRIVE,
     GROUND_MOTION,
+    IS_SUSPECT,
     JOINT_TRAJECTORY,
     LOOP_TOPICS,
+    MEASURED,
     QUANTITIES,
     REFERENCE_FORCE,
     RIG_STATE,
@@ -45,9 +47,13 @@ def messages(draw, most_points=4):
 
 
 def fields_of(codec, values):
-    """The points on the wire: what a rig applies is a second one."""
+    """The points on the wire: whether it is suspect and what a rig applies are a second one."""
     points = [dict(zip(codec.topic.quantities, point, strict=True)) for point in values]
-    return points + [{"effort": point.pop(DRIVE)} for point in points if DRIVE in point]
+    return points + [
+        {"positions": point.pop(IS_SUSPECT), "effort": point.pop(DRIVE)}
+        for point in points
+        if DRIVE in point
+    ]
 
 
 def cdr(codec, step, values, pad=b"\x00", end=b"", frame_id="", options=b"\x00\x00"):
@@ -164,7 +170,7 @@ def test_points_on_three_axes_are_not_mistaken_for_three_axes():
 def test_nan_and_inf_are_refused_both_ways_by_axis_and_quantity(message, value, data):
     codec, step, values = message
     point, row, column = (data.draw(st.integers(0, size - 1)) for size in values.shape)
-    assume(codec.topic.finite or codec.topic.quantities[row] == DRIVE)
+    assume(codec.topic.finite)
     values[point, row, column] = value
     expected = f"{codec.topic.quantities[row]} of axis {codec.axes[column]} is {value}"
     for attempt in (
@@ -240,13 +246,14 @@ def test_a_negative_stamp_is_refused():
 
 def test_a_message_is_taken_apart_without_checking_it():
     codec = TrajectoryCodec(RIG_STATE, ("größe", "y"), TIMEBASE)
-    values = np.arange(10.0).reshape(1, 5, 2)
+    values = np.arange(12.0).reshape(1, 6, 2)
     message = parse_trajectory(cdr(codec, 501, values, pad=b"\xff", frame_id="lab"))
     assert message.stamp_ns == 1_002_000_000
     assert message.axes == ("größe", "y")
     assert [nanoseconds(point.time_from_start) for point in message.points] == [0, 2_000_000]
     assert message.points[0].accelerations.tolist() == [4.0, 5.0]
-    assert message.points[1].effort.tolist() == [8.0, 9.0]
+    assert message.points[1].positions.tolist() == [8.0, 9.0]
+    assert message.points[1].effort.tolist() == [10.0, 11.0]
 
 
 def test_every_truncation_is_refused():
@@ -259,9 +266,9 @@ def test_every_truncation_is_refused():
                 codec.decode(raw[:end])
 
 
-def test_a_state_of_a_failed_sensor_passes_both_ways():
-    codec = TrajectoryCodec(RIG_STATE, ("x", "y"), TIMEBASE)
-    state = np.arange(10.0).reshape(5, 2)
+def test_what_a_failed_sensor_shows_passes_both_ways():
+    codec = TrajectoryCodec(MEASURED, ("x", "y"), TIMEBASE)
+    state = np.arange(8.0).reshape(4, 2)
     state[0, 1], state[3, 0] = np.nan, -np.inf
     raw = codec.encode(3, state)
     for each in (raw, cdr(codec, 3, state[np.newaxis], frame_id="slow way")):

@@ -86,7 +86,7 @@ def test_a_batch_gives_what_its_messages_give_one_by_one(batch):
 
 def test_stamps_off_the_grid_and_before_the_start_are_refused():
     codec = TrajectoryCodec(RIG_STATE, ("x",), TIMEBASE)
-    raws = [bytearray(codec.encode(step, np.zeros((5, 1)))) for step in range(6)]
+    raws = [bytearray(codec.encode(step, np.zeros((6, 1)))) for step in range(6)]
     struct.pack_into("<iI", raws[1], 4, 0, 2_000_001)
     struct.pack_into("<iI", raws[2], 4, -1, 0)
     struct.pack_into("<iI", raws[3], 4, -1, 1_000_000_000)  # nanoseconds that make up for it
@@ -99,15 +99,15 @@ def test_stamps_off_the_grid_and_before_the_start_are_refused():
 def test_no_message_is_an_empty_batch():
     codec = TrajectoryCodec(RIG_STATE, ("x", "y"), TIMEBASE)
     empty = decode_batch(codec, np.empty((0, 100), np.uint8))
-    assert (len(empty.steps), empty.values.shape, empty.refused) == (0, (0, 5, 2), 0)
+    assert (len(empty.steps), empty.values.shape, empty.refused) == (0, (0, 6, 2), 0)
     assert_as_each(codec, [b"", b"", b"\x00\x01\x00\x00"])
 
 
 def test_most_messages_never_meet_the_codec(monkeypatch):
     codec = TrajectoryCodec(RIG_STATE, ("x",), TIMEBASE)
-    raws = [codec.encode(step, np.zeros((5, 1))) for step in range(50)]
+    raws = [codec.encode(step, np.zeros((6, 1))) for step in range(50)]
     raws[20] = raws[20][:-8] + b"\x00" * 7 + b"\x01"  # a point is not at its time
     single = []
-    monkeypatch.setattr(codec, "decode", lambda raw: single.append(raw) or (0, np.zeros((1, 5, 1))))
+    monkeypatch.setattr(codec, "decode", lambda raw: single.append(raw) or (0, np.zeros((1, 6, 1))))
     decode_all(codec, raws)
     assert single == [raws[20]]

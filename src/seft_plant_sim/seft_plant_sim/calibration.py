@@ -21,9 +21,9 @@ from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import InputError
 
+from seft_plant_sim.channels import ACCELERATION, VELOCITY, per_channel, tilt_of
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.simulated.continuous_model import ContinuousModel, Sensed
-from seft_plant_sim.simulated.sensors import ACCELERATION, VELOCITY, per_channel, tilt_of
 
 AT_ONCE = -1
 """Value of `Calibration.whole` of a channel that does not wait."""

@@ -1,4 +1,4 @@
-"""Node ``rig``: the simulated rig with the topics of a laboratory's hardware driver.
+"""Node ``rig``: it hosts the hardware of a test, simulated or a laboratory's, and guards it.
 
 It publishes rig/state and obeys valve_command (idealised actuators: reference_force). It is
 the sampling clock of the test; the supervisor's experiment/state starts and stops it.
@@ -7,21 +7,26 @@ the sampling clock of the test; the supervisor's experiment/state starts and sto
 import math
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
+import numpy as np
 from seft_msgs_py.arrays import Floats
-from seft_msgs_py.errors import InputError, WireError
+from seft_msgs_py.errors import InputError
 from seft_msgs_py.node.node_kind import NodeKind
 from seft_msgs_py.node.node_shell import WARM_UP_STEPS, NodeBody, NodeShell
 from seft_msgs_py.wire import topics
-from seft_msgs_py.wire.messages import Status, encode_clock, restamp
+from seft_msgs_py.wire.experiment_state import ExperimentState
+from seft_msgs_py.wire.messages import ERROR, Status, encode_clock, restamp
 from seft_msgs_py.wire.outcome import (
     FINISHED,
     REHEARSED,
     REHEARSES,
     TRIPPED,
     ZEROED,
+    MissedSteps,
     Outcome,
     State,
     Trip,
@@ -31,8 +36,10 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_plant_sim import rig_watch
 from seft_plant_sim.command import Command
-from seft_plant_sim.rig_parameters import RIG_TABLE
-from seft_plant_sim.simulated.rig import Rig, Stopped
+from seft_plant_sim.hardware.hosted import HardwareError, HostedHardware
+from seft_plant_sim.hardware.safe_stop import Stopped
+from seft_plant_sim.rig import Rig
+from seft_plant_sim.rig_parameters import RIG_TABLE, SIMULATED
 
 CLOCK_PERIOD = 0.1  # s of the test's time
 BREATH = 0.005  # s from the first answer in realtime to the time of step 0
@@ -41,7 +48,7 @@ _REPORT_PERIOD = 1.0  # s, of the diagnostics of a running test
 
 
 class RigNode(NodeBody):
-    """Steps a `Rig` at its pace and moves its samples between topics.
+    """Runs a `Rig` at its pace and moves its samples and commands between topics.
 
     Parameters
     ----------
@@ -55,19 +62,25 @@ class RigNode(NodeBody):
         self._timebase = experiment.timebase
         self._section = experiment["rig"]
         rig = self._section, experiment.axes, self._timebase, shell.rig
-        self._rig = self._fault_free = Rig.from_parameters(*rig)
-        if self._section["faults"]:  # they are of the test, not of what comes before it
+        self._is_realtime = self._section["pace"] == "realtime"
+        hosted = self._hosted()
+        self._rig = self._fault_free = Rig.from_parameters(*rig, hosted)
+        if self._section["faults"] and hosted is None:  # they are of the test alone
             self._fault_free = Rig.from_parameters({**self._section, "faults": ""}, *rig[1:])
-        state = topics.RIG_STATE.of(shell.rig)
+        self._samples_on = hosted is not None and self._is_realtime  # also between two tests
+        self._is_clock = hosted is not None and hosted.is_clock
+        state, measured = topics.RIG_STATE.of(shell.rig), topics.MEASURED.of(shell.rig)
         self._state_codec = TrajectoryCodec(state, shell.rig.axes, self._timebase)
+        self._measured_codec = TrajectoryCodec(measured, shell.rig.axes, self._timebase)
         self._publish_state = shell.publisher(state)
+        self._publish_measured = shell.publisher(measured)
         # with several rigs, one is the test's clock, and all start together
         self._publish_time: Callable[[bytes], None] | None = None
         if shell.rig.axes[0] == experiment.axes[0]:
             self._publish_time = shell.publisher(topics.CLOCK_TOPIC)
         self._time_message = bytearray(encode_clock(0))
         self._is_alone = len(experiment.rigs) == 1
-        self._round_trip = rig_watch.RoundTrip()
+        self._round_trip, self._compute = rig_watch.RoundTrip(), rig_watch.RoundTrip()
         valve = topics.VALVE_COMMAND.of(shell.rig)
         self._valve = self._drive = self._command(valve, shell.rig.axes, "limits.command")
         if self._rig.drive == topics.REFERENCE_FORCE.name:
@@ -80,8 +93,7 @@ class RigNode(NodeBody):
         if self._rig.zeroed is not None:
             self.facts[ZEROED] = self._rig.zeroed
         self._rehearsal: rig_watch.Rehearsal | None = None
-        is_realtime = self._section["pace"] == "realtime"
-        if self._is_alone and is_realtime and not self._section["loop_delay"]:
+        if self._is_alone and self._is_realtime and not self._section["loop_delay"]:
             topic, limit = self._drive.codec.topic, self._drive.limit
             self._rehearsal = rig_watch.Rehearsal(shell, self._timebase, topic, limit)
             self.facts[REHEARSES] = True
@@ -98,54 +110,138 @@ class RigNode(NodeBody):
             self._drive.codec.topic, self._timebase.dt, self._section["watchdog.command_timeout"]
         )
         self._clock_steps = max(1, round(CLOCK_PERIOD * self._timebase.rate))
+        self._measured: list[Floats] = []  # samples that have not been sent
         self._reported_at = self._answered_at = 0.0
         self._refused_before = 0  # messages, until the newest command came
         self._rehearsed = False
-        sample = self._fault_free.reset()
+        self._due = self._clock.monotonic()  # of the next sample between two tests
+        self._is_idle = True  # no test has been performed since the last reset
+        self._failure = ""  # of the hardware between two tests
+        self._ended: tuple[str, Trip | None] | None = None  # the test whose stop is under way
+        self._warm_up()
+
+    def _hosted(self) -> HostedHardware | None:
+        """Make the laboratory's hardware, if there is one."""
+        if self._section["hardware"] == SIMULATED:
+            return None
+        shell, period, now = self._shell, self._timebase.dt, self._clock.monotonic
+        axes = shell.experiment.axes
+        made = HostedHardware.from_parameters(self._section, axes, shell.rig, period, now)
+        if not (self._is_realtime or made.can_wait):
+            raise InputError(
+                f"rig: pace is lockstep, but hardware {self._section['hardware']} can't wait for "
+                "a command; make pace realtime"
+            )
+        return made
+
+    def _warm_up(self) -> None:
+        shape = len(topics.RIG_STATE.quantities), len(self._shell.rig.axes)
         for step in range(WARM_UP_STEPS):
+            sample, measured = np.zeros(shape), np.zeros((4, shape[1]))
+            self._rig.guard.take(step, measured, sample[0], sample)
             self._state_codec.decode(self._state_codec.encode(step, sample))
-            sample = self._fault_free.step(self._drive.value)
+            self._measured_codec.encode_points(step, np.array([measured] * topics.MEASURED_STEPS))
+        self._rig.begin()
 
     def run(self) -> None:
         """Run a test each time the supervisor starts one, until the process ends."""
-        supervision, ended = self._supervision, False
+        supervision = self._supervision
         self.report("idle")
-        while not self._shell.stopping:
+        try:
+            while not self._shell.stopping:
+                self._between_tests()
+                wanted = supervision.wanted
+                self._rehearsed &= supervision.rehearsal > 0  # a new request gets a new rehearsal
+                if wanted is not None and supervision.is_moving:
+                    self._is_idle = False
+                    self._run_test(wanted)
+                    if supervision.is_moving:
+                        supervision.wanted = None  # a test runs once
+                elif self._rehearsal is not None and supervision.rehearsal and not self._rehearsed:
+                    self._try(partial(self._rehearse, self._rehearsal, supervision.rehearsal))
+                elif not self._is_idle and wanted is not None and wanted.state == "idle":
+                    self._is_idle = True  # by now others know how the test ended
+                    self.report("idle")
+            while self._rig.is_closing:
+                self._clock.sleep(self._timebase.dt)
+                self._sample_at_rest()
+        finally:
+            self._try(self._rig.hardware.close)
+
+    def _between_tests(self) -> None:
+        """Handle messages; a laboratory's rig is sampled on, and comes to rest."""
+        if not (self._samples_on or self._rig.is_stopping):
             self._shell.spin_once()
-            wanted = supervision.wanted
-            self._rehearsed &= supervision.rehearsal > 0  # a new request gets a new rehearsal
-            if wanted is not None and supervision.is_moving:
-                self._run_test(wanted)
-                ended = True
-                if supervision.is_moving:
-                    supervision.wanted = None  # a test runs once
-            elif self._rehearsal is not None and supervision.rehearsal and not self._rehearsed:
-                self._rehearse(self._rehearsal, supervision.rehearsal)
-            elif ended and wanted is not None and wanted.message == "idle":
-                ended = False  # by now others know how the test ended
+            return
+        now, period = self._clock.monotonic, self._timebase.dt
+        while self._samples_on and (left := self._due - now()) > 0:
+            self._shell.spin_once(left)
+        self._shell.spin_once(0.0)
+        self._due = max(self._due + period, now())  # after a stall it goes on from here
+        self._sample_at_rest()
+
+    def _sample_at_rest(self) -> None:
+        """Take a sample between two tests, and continue a stop."""
+        if self._try(self._rig.read) is None:
+            return
+        if self._failure:  # it gives samples again
+            self._failure = ""
+            if self._is_idle:
                 self.report("idle")
+        if self._is_clock:
+            self._due = self._clock.monotonic() + (1 - rig_watch.EARLY) * self._timebase.dt
+        stopped = self._try(self._rig.come_to_rest)
+        if stopped is not None and self._ended is not None:
+            self._report(*self._ended, stopped)
+            self._ended = None
+
+    def _try(self, call: Callable[[], Any]) -> Any:
+        """Call the hardware between two tests; at a fault it goes to its safe command."""
+        try:
+            return call()
+        except HardwareError as error:
+            if self._failure != str(error):
+                self._failure = str(error)
+                self._shell.log("error", self._failure)
+                if self._is_idle:
+                    self.report("idle", level=ERROR, text=self._failure)
+            with suppress(HardwareError):
+                self._rig.hardware.safe()
+        return None
 
     def _rehearse(self, rehearsal: rig_watch.Rehearsal, seconds: float) -> None:
         """Run the loop with the valve at its safe value, and publish the result."""
         rig, supervision = self._fault_free, self._supervision
+        resting: list[Floats] = []
 
         def sample(step: int) -> Floats:
-            return rig.reset() if step == 0 else rig.step(rig.safe_command)
+            if step == 0:
+                rig.begin()
+            elif not self._samples_on:
+                rig.write(rig.safe_command)  # a laboratory's rig rests there
+            found = rig.read()
+            resting.append(rig.raw)
+            return found
 
         found = rehearsal.run(
             seconds, sample, lambda: self._shell.stopping or not supervision.rehearsal
         )
-        rig.reset()
         if supervision.rehearsal:  # it was not interrupted
             self._rehearsed = True
-            self._shell.add_facts({REHEARSED: found})
+            facts: dict[str, Any] = {REHEARSED: found}
+            last = round(supervision.zeroing / self._timebase.dt)
+            if self._samples_on and last:
+                rig.zero(np.array(resting[-last:]))
+                facts[ZEROED] = rig.zeroed
+            self._shell.add_facts(facts)
+        rig.begin()
 
     def _follow(self, raw: bytes, received_ns: int) -> None:
         """Follow the supervisor, and note where the force begins to ramp down."""
         self._supervision.receive(raw, received_ns)
         wanted = self._supervision.wanted
-        if wanted is not None and wanted.message == State.RAMPING_DOWN and self._stop_begun is None:
-            step = wanted.number("step")
+        if wanted is not None and wanted.state == State.RAMPING_DOWN and self._stop_begun is None:
+            step = wanted.step
             self._stop_begun = self._rig.step_index if step is None else step
 
     def fault(self, reason: str) -> None:
@@ -170,66 +266,86 @@ class RigNode(NodeBody):
         self._shell.subscribe(topic, receive, reliable=False)
         return command
 
-    def _run_test(self, wanted: Status) -> None:
+    def _run_test(self, wanted: ExperimentState) -> None:
         for command in (self._valve, self._drive, self._fallback_stop):
             command.reset()
         self._stop_begun = None
-        self._missed: list[int] = []
+        self._missed = MissedSteps(self._timebase.rate)
+        self._measured.clear()
         self._samples = None
         self._recorder_lag.reset()
         self._round_trip.reset()
+        self._compute.reset()
         self._answered_at = 0.0
         self._waited_in_vain = False
         self._refused_before = self._shell.refused
         self._started = self._clock.monotonic()
-        state = self._rig.reset()
+        self._rig.begin()
         self._report("running")
         reason = self._shell.several_senders() or self._start_together(wanted)
-        if reason:
-            self._publish(0, state)
-        else:
-            try:
-                reason = self._supervision.fault or self._run_steps(wanted, state)
-            except Exception as error:  # a fault of the program ends the test as a limit does
-                reason = self._shell.fault("a step", error)
-        step = self._rig.step_index
+        try:
+            if reason:
+                self._publish(0, self._rig.read(), self._started)
+            else:
+                reason = self._supervision.fault or self._run_steps(wanted.steps or 0)
+        except HardwareError as error:
+            reason = reason or str(error)
+        except Exception as error:  # a fault of the program ends the test as a limit does
+            reason = self._shell.fault("a step", error)
+        step = max(self._rig.step_index, 0)
+        self._send_measured(step)
         self._publish_clock(step)
-        stopped = self._rig.stop(*(self._plan() if reason is not None else ()))
-        if reason is None:
-            self._report(FINISHED, stopped=stopped)
-            return
-        self._supervision.latched = True
-        trip = Trip(reason, step, self._timebase.stamp_ns(step) / 1e9)
-        self._report(TRIPPED, trip, stopped)
+        trip, phase = None, FINISHED
+        if reason is not None:
+            self._supervision.latched, phase = True, TRIPPED
+            waited = 0.0 if self._rig.violation else self._watch.waited
+            trip = Trip(reason, step, self._timebase.stamp_ns(step) / 1e9, waited)
+        stopped = self._try(lambda: self._rig.stop(*(self._plan() if trip else ())))
+        self._report(phase, trip, stopped)
+        self._ended = (phase, trip) if stopped is None else None
+        self._due = self._clock.monotonic() + self._timebase.dt
 
-    def _run_steps(self, wanted: Status, state: Floats) -> str | None:
-        """Take the samples of a test at its pace; say why it ended early, if it did.
+    def _run_steps(self, steps: int) -> str | None:
+        """Take the samples of a test at its pace; say why it ended early, if it did."""
+        rig, wait = self._rig, self._wait_for_answers
+        if self._is_realtime:
+            self._begin_realtime()
+            wait = self._wait_for_deadline
+        for step in range(steps):
+            begun = self._clock.monotonic()
+            sample = rig.read()  # calibrated, aligned, judged
+            if self._is_clock and self._samples is not None:
+                begun = self._clock.monotonic()
+                self._samples.follow(step, begun)
+            self._publish(step, sample, begun)
+            if self._stops_before(step):
+                rig.violation = None  # the controller brings the rig to rest
+            is_last = step + 1 == steps
+            why = wait(step, is_last)  # in realtime not after a violation
+            if why is not None or rig.violation is not None:
+                return rig.violation or why
+            if not is_last:
+                rig.write(self._next_command(step))
+        return None
+
+    def _begin_realtime(self) -> None:
+        """Begin to sample by the clock.
 
         Several rigs in realtime begin together; one waits for another that is behind, because
         their steps are answered together. Over links they can't see each other: each makes up for
         lost time.
         """
-        rig, wait, last = self._rig, self._lockstep, (wanted.number("steps") or 0) - 1
         self._waits = not self._is_alone and not self._section["loop_delay"]
-        if self._section["pace"] == "realtime":
-            wait, makes_up = self._realtime, not self._is_alone and not self._waits
-            start = self._clock.monotonic() if self._is_alone else self._start
-            self._samples = rig_watch.SampleClock(self._timebase.dt, start, makes_up=makes_up)
-        while self._publish(step := rig.step_index, state):
-            why = wait(step, step == last)
-            begun = self._drive.stops_since
-            if begun is not None and self._stop_begun is None:
-                self._stop_begun = begun
-            if begun is not None and begun < step:
-                rig.violation = None  # the controller brings the rig to rest
-            if why is not None or rig.violation is not None:
-                return rig.violation or why
-            if step == last:
-                return None
-            if self._samples is None:
-                self._report_if_due()
-            state = rig.step(self._next_command(step))
-        return rig.violation
+        makes_up = not self._is_alone and not self._waits
+        start = self._clock.monotonic() if self._is_alone else self._start
+        self._samples = rig_watch.SampleClock(self._timebase.dt, start, makes_up=makes_up)
+
+    def _stops_before(self, step: int) -> bool:
+        """Say whether the controller has begun to bring the rig to rest before a step."""
+        begun = self._drive.stops_since
+        if begun is not None and self._stop_begun is None:
+            self._stop_begun = begun
+        return begun is not None and begun < step
 
     def _next_command(self, step: int) -> Floats:
         """Give the command of a step; where it is missing, that of the fallback stop.
@@ -252,7 +368,7 @@ class RigNode(NodeBody):
             return ()
         return self._fallback_stop.plan if self._valve.stops_since is None else self._valve.plan[:1]
 
-    def _start_together(self, wanted: Status) -> str | None:
+    def _start_together(self, wanted: ExperimentState) -> str | None:
         """Wait for the moment at which all rigs start; give the reason if they can't.
 
         After that each rig samples by its own clock, so the clocks must agree.
@@ -260,12 +376,15 @@ class RigNode(NodeBody):
         if self._is_alone or self._section["pace"] == "lockstep":
             return None
         try:
-            ahead = topics.until_start(wanted.values, self._clock.time_ns())
+            ahead = wanted.until_start(self._clock.time_ns())
         except InputError as error:
             return str(error)
         self._start = self._clock.monotonic() + ahead
         while (left := self._start - self._clock.monotonic()) > 0:
-            self._shell.spin_once(left)
+            if self._samples_on:
+                self._between_tests()
+            else:
+                self._shell.spin_once(left)
             if (why := self._reason_to_end()) is not None:
                 return why
         return None
@@ -273,9 +392,9 @@ class RigNode(NodeBody):
     def _report(self, phase: str, trip: Trip | None = None, stopped: Stopped | None = None) -> None:
         self._shell.report(self._status(phase, trip, stopped))
 
-    def _report_if_due(self) -> None:
-        """Report the test's progress if its commands have arrived and there is time for it."""
-        if self._clock.monotonic() - self._reported_at >= _REPORT_PERIOD:
+    def _report_if_due(self, later: float = 0.0) -> None:
+        """Report the test's progress, by default where there is time for it; times in s."""
+        if self._clock.monotonic() - self._reported_at >= _REPORT_PERIOD + later:
             self._shell.note(self._status("running"))
 
     def _status(
@@ -284,27 +403,39 @@ class RigNode(NodeBody):
         self._reported_at = self._clock.monotonic()
         outcome = Outcome(
             phase,
-            self._rig.step_index + 1,
-            len(self._missed),
-            self._missed,
+            max(self._rig.step_index, 0) + 1,
+            len(self._missed.steps),
+            self._missed.steps,
             self._reported_at - self._started,
             trip,
             self._samples.overruns if self._samples else 0,
             self._rig.saturation,
             self._round_trip.numbers(),
             stopped and self._rig.simulated(self._stop_begun),
+            self._missed.most,
         )
         status = rig_status(outcome)
-        values, message = dict(status.values), status.message
+        values, message, level = dict(status.values), status.message, status.level
+        name, share = self._rig.guard.nearest
+        values["nearest detector"] = f"{name}: {share:.2f} of its threshold"
+        for what, time in self._compute.numbers().items():
+            values[f"compute {what} (ms)"] = f"{time * 1e3:.3f}"
+        counts = self._rig.hardware.counts
+        values |= {f"datagrams {kind}": str(count) for kind, count in counts.items()}
         if stopped is not None:
             values["stop peak force (N)"] = f"{stopped.peak_force:.1f}"
             values["stop time (s)"] = f"{stopped.steps * self._timebase.dt:g}"
-        status = replace(status, values=values, message=phase if phase == "running" else message)
-        margins = self._rig.limits.margins()
+            if not stopped.is_at_rest:
+                dumped = ", the pressure was dumped" if stopped.has_dumped else ""
+                level, late = ERROR, stopped.steps * self._timebase.dt
+                message += f"; not at rest after {late:.3g} s{dumped}"
+        message = phase if phase == "running" else message
+        status = replace(status, values=values, level=level, message=message)
+        margins = self._rig.guard.limits.margins()
         age = self._clock.monotonic() - self._answered_at if self._answered_at else math.nan
         return rig_watch.with_health(status, margins, age, self._round_trip.last)
 
-    def _lockstep(self, step: int, is_last: bool) -> str | None:
+    def _wait_for_answers(self, step: int, is_last: bool) -> str | None:
         """Wait for the commands of a step, and for the recorder; give a reason to end the test."""
         del is_last
         shell, timeout = self._shell, self._section["lockstep_timeout"]
@@ -324,27 +455,38 @@ class RigNode(NodeBody):
                 unexpected = shell.name_unexpected_publishers(self._refused_before)
                 text = f"no {topic.name} for step {step} within {timeout:g} s in lockstep"
                 return f"{text}; is {topic.publisher} running?{unexpected}"
+        self._report_if_due()
         return None
 
-    def _realtime(self, step: int, is_last: bool) -> str | None:
+    def _wait_for_deadline(self, step: int, is_last: bool) -> str | None:
         """Wait for the deadline of the next step, and count a missing command.
 
-        Gives the reason if the test must end.
+        Gives the reason if the test must end; after a violation at once.
         """
         drive, clock = self._drive, self._samples
         assert clock is not None
+        if self._rig.violation is not None:
+            return None
         timeout = self._section["watchdog.command_timeout"]
         if step == 0 and self._is_alone:  # the other nodes prepare at the first sample
             clock.fall_back(self._wait_for_answer(0, timeout) + BREATH)
         if step == 0:
             self._watch.begin(self._clock.elapsed() + clock.deadline(0) - self._clock.monotonic())
-        rig_watch.wait_for_sample(self._shell, drive, step, clock, self._report_if_due)
+        if self._is_clock:  # the answer goes out at once
+            left, shell = clock.deadline(step + 1) - self._clock.monotonic(), self._shell
+            rig_watch.wait_for_command(
+                shell, drive, step, left, lambda: self._reason_to_end() is not None
+            )
+            self._report_if_due()
+        else:
+            rig_watch.wait_for_sample(self._shell, drive, step, clock, self._report_if_due)
         if self._waits and drive.step < step:
             clock.fall_back(self._wait_for_answer(step - 1, timeout) + FALL_BACK * clock.period)
-        if (why := self._reason_to_end()) is not None or is_last or self._rig.violation is not None:
+        if (why := self._reason_to_end()) is not None or is_last:
             return why
         if drive.step < step:
-            self._missed.append(step)
+            self._missed.add(step)
+            self._report_if_due(_REPORT_PERIOD / 2)  # though there is no spare time
         in_vain = self._waited_in_vain and drive.step < step
         fault = self._watch.fault(self._clock.elapsed(), step, drive.step, in_vain=in_vain)
         return (
@@ -359,18 +501,27 @@ class RigNode(NodeBody):
         self._waited_in_vain = self._drive.step < step
         return waited
 
-    def _publish(self, step: int, state: Floats) -> bool:
-        """Publish a sample; False if it is not finite, because messages must be finite."""
+    def _publish(self, step: int, sample: Floats, begun: float) -> None:
+        """Publish a sample whose reading began at a time in s; then it as measured."""
         self._valve.current = self._drive.current = self._fallback_stop.current = step
-        try:
-            raw = self._state_codec.encode(step, state)
-        except WireError:
-            return False
-        self._round_trip.published(step, self._clock.monotonic())
+        raw = self._state_codec.encode(step, sample)
+        now = self._clock.monotonic()
+        self._compute.add(now - begun)
+        self._round_trip.published(step, now)
         self._publish_state(raw)
+        self._measured.append(self._rig.measured)
+        if len(self._measured) == topics.MEASURED_STEPS:
+            self._send_measured(step)
         if step % self._clock_steps == 0:
             self._publish_clock(step)
-        return True
+
+    def _send_measured(self, last: int) -> None:
+        """Send the samples as measured that have not been sent, until a step."""
+        if self._measured:
+            first = last + 1 - len(self._measured)
+            raw = self._measured_codec.encode_points(first, np.array(self._measured))
+            self._publish_measured(raw)
+            self._measured.clear()
 
     def _publish_clock(self, step: int) -> None:
         if self._publish_time is not None:

@@ -5,10 +5,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS, FACTS, SETTINGS, facts
 from seft_msgs_py.config.parameter_table import Parameter, Section, Table, parameter_rows
 from seft_msgs_py.config.registered import Registered
 from seft_msgs_py.node import host
+
+from seft_plant_sim.hardware.udp import UDP_ROWS
 
 _OWN = ("linear", "bilinear", "bouc_wen", "pinching", "flag", "friction", "gap", "duffing")
 RESTORING_FORCES = Registered("seft.restoring_force", _OWN)
@@ -21,8 +24,14 @@ settings.
 LIMIT_ROWS = (*CHANNELS, *(f"{name}_rate" for name in CHANNELS))
 LIMIT_UNITS = tuple(FACTS[f"limits.{name}"].unit for name in LIMIT_ROWS)
 
+SIMULATED, UDP = "simulated", "udp"
+HARDWARE = Registered("seft.hardware", (SIMULATED, UDP))
+"""Hardware of other packages: name -> class of the parameters of the rig and its axes."""
 _PACE = parameter_rows(
     """
+    hardware | string | simulated | | |
+        what the rig node hosts (docs/hardware.md): simulated, udp, FILE.py:CLASS, MODULE:CLASS, or
+        a name that a package has registered
     pace | string | realtime |  | realtime, lockstep |
         realtime: absolute deadlines, a missing command is that of the fallback stop, or the last;
         lockstep: each step waits for its command
@@ -111,8 +120,6 @@ _SENSORS = parameter_rows(
     velocity_filter     | floats | 0.0 | Hz | 0 ..   | of the velocity's filter, likewise
     acceleration_filter | floats | 0.0 | Hz | 0 ..   | of the acceleration's filter, likewise
     force_filter        | floats | 0.0 | Hz | 0 ..   | of the force's filter, likewise
-    adc_bits            | int    | 0   |    | 0 .. 32 |
-        bits of the analog-digital converter over each range; 0: exact
     """,
     "simulated.sensors",
 )
@@ -145,8 +152,11 @@ def _true(fact: Parameter) -> Parameter:
 _TRUE = [
     _true(fact)
     for name, fact in FACTS.items()
-    if name.startswith(("specimen.", "actuator.", "calibration.")) or name.endswith("_noise")
-    if name not in _NO_TRUTH and not name.startswith(("actuator.kind", "actuator.response"))
+    if name.startswith(("specimen.", "actuator.", "calibration."))
+    or name.endswith(("_noise", "adc_bits"))
+    if name not in _NO_TRUTH
+    and not name.endswith("_per_volt")
+    and not name.startswith(("actuator.kind", "actuator.response"))
 ]
 
 SAFETY = parameter_rows(
@@ -159,25 +169,35 @@ SAFETY = parameter_rows(
         makes a force peak of v sqrt(k_oil M); shorter than a sixth of the specimen's period,
         because the specimen still moves
     safe.settle_time            | float  | 0.2  | s | 0 .. 60 |
-        longest time for which the simulated rig continues after that, until it is at rest; 0: not
-        at all
+        time after that in which the rig must come to rest; the simulated one goes on for so long
     watchdog.command_timeout    | float  | 0.02 | s | > 0     |
         in realtime: longest time of the rig without a new command, and of the force controller
         without a new rig/state, before it trips
     watchdog.supervisor_timeout | float  | 1.0  | s | > 0     |
         longest silence of the supervisor before the rig trips
+    detectors.warn_only         | string |      |   |         |
+        detectors (docs/safety.md) that warn but do not end a test: their names, separated by
+        commas, or all
     """
 )
+MASS_RATIO_ROWS = parameter_rows(
+    """
+    mass_ratio | float | 0.0 | | 0 .. |
+        computed mass over specimen mass, alpha, with seft; with computed.mass a factor on all that
+        is computed, 1 as given
+    """
+)
+"""Setting of the reference force that rig and force controller use, too."""
 SETTINGS_OF_THE_RIG = [row for row in SAFETY if row.name in SETTINGS]
 """Those that the force controller uses, too."""
 
-_RANGES = [f"sensors.{channel}_range" for channel in CHANNELS]
-_OF_SENSORS = ("sensors.velocity", "sensors.velocity_cutoff", *_RANGES)
 RIG_TABLE = Table(
     "rig",
     [
-        *facts("loop_delay", "actuator.kind", "calibration.", "limits.", *_OF_SENSORS),
+        *facts("loop_delay", "specimen.", "actuator.", "sensors.", "calibration.", "limits."),
+        *MASS_RATIO_ROWS,
         *_PACE,
+        *UDP_ROWS,
         _FAULTS,
         *_TRUE,
         *_SPECIMEN,
@@ -197,3 +217,10 @@ def truth(section: Section) -> Section:
 def common_lag(section: Mapping[str, Any]) -> float:
     """Lag of the aligned channels, of a section with ``calibration.*``: of the latest one, s."""
     return max(float(np.max(section[f"calibration.{channel}_lag"])) for channel in CHANNELS)
+
+
+def as_simulated(experiment: Experiment) -> Experiment:
+    """Replace the hardware of an experiment by a simulated rig, and nothing else."""
+    if experiment.sections.get("rig", {}).get("hardware", SIMULATED) == SIMULATED:
+        return experiment
+    return experiment.changed({"rig": {"hardware": SIMULATED}})

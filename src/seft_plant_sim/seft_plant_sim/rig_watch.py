@@ -11,9 +11,10 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.node.clock import AwakeClock, Clock
 from seft_msgs_py.node.node_shell import NodeShell
-from seft_msgs_py.wire.messages import WARN, Status, decode_diagnostics, decode_status
+from seft_msgs_py.wire.experiment_state import ExperimentState, decode_state
+from seft_msgs_py.wire.messages import WARN, Status, decode_diagnostics
 from seft_msgs_py.wire.outcome import MOVING, RECORDED, RECORDER_NODE_NAME, STOPPED
-from seft_msgs_py.wire.topics import REHEARSE, RIG_STATE, ZEROING, LoopTopic, Timebase, rehearsed
+from seft_msgs_py.wire.topics import RIG_STATE, LoopTopic, Timebase, rehearsed
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_plant_sim.command import Command
@@ -33,6 +34,11 @@ class CommandWatch:
         Of the samples, s.
     timeout : float
         Longest time without a new command, s; a period at least.
+
+    Attributes
+    ----------
+    waited : float
+        The timeout, if commands are missing and the rig has not stood still; else 0, s.
     """
 
     def __init__(self, topic: LoopTopic, period: float, timeout: float) -> None:
@@ -41,7 +47,7 @@ class CommandWatch:
 
     def begin(self, now: float) -> None:
         """Begin with the first sample of a test."""
-        self._answered, self._fresh_at = -1, now
+        self._answered, self._fresh_at, self.waited = -1, now, 0.0
 
     def fault(self, now: float, step: int, answered: int, *, in_vain: bool = False) -> str:
         """Say why the test must end here, before a command is applied; empty if it may continue.
@@ -72,10 +78,14 @@ class CommandWatch:
                 f"its host was stopped or overloaded ({timeout:g} s without a new {name} are "
                 "allowed)"
             )
+        self.waited = timeout
         last = f"(the last is of step {answered})"
         return f"no new {name} for {timeout:g} s {last}; is {self._topic.publisher} running?"
 
 
+EARLY = 0.1
+"""Of a period: so long before the next sample of a controller that is the clock, its command goes
+out."""
 OVERRUN = 0.5  # of a period: after it what remains of the period is too short for an answer
 _HURRY = 0.05  # of a period, by which steps are shorter while a rig makes up for lost time
 POLL = 0.002  # s, longest wait until it is asked again whether to stop
@@ -106,6 +116,10 @@ class SampleClock:
         if self._makes_up and self._start > self._on_time:
             self._start -= min(_HURRY * self.period, self._start - self._on_time)
 
+    def follow(self, step: int, now: float) -> None:
+        """Take a step's time from a controller that is the clock, and be early for the next."""
+        self._start = self._on_time = now - (step + EARLY) * self.period
+
     def fall_back(self, time: float) -> None:
         """Shift all later deadlines by a time in s."""
         self._start += time
@@ -117,8 +131,8 @@ def wait_for_command(
     """Wait at most ``longest`` s for the command of a step, or until ``stop``; give the time, s."""
     now = shell.clock.monotonic
     begun = now()
-    while command.step < step and now() - begun < longest and not stop():
-        shell.spin_once(POLL)
+    while command.step < step and (left := begun + longest - now()) > 0.0 and not stop():
+        shell.spin_once(min(POLL, left))
     return now() - begun
 
 
@@ -183,7 +197,7 @@ class Supervision:
 
     Attributes
     ----------
-    wanted : Status or None
+    wanted : ExperimentState or None
         State of the experiment that the rig follows; None while it stays at rest.
     state : str
         Last published state.
@@ -200,7 +214,7 @@ class Supervision:
     def __init__(self, patience: float, clock: Clock) -> None:
         self._patience, self._awake = patience, AwakeClock(clock.monotonic)
         self._received_at = self._awake.time()
-        self.wanted: Status | None = None
+        self.wanted: ExperimentState | None = None
         self.state = self.fault = ""
         self.latched = self._armed = False
         self.rehearsal = self.zeroing = 0.0
@@ -208,26 +222,25 @@ class Supervision:
     @property
     def is_moving(self) -> bool:
         """Whether the rig should move."""
-        return self.wanted is not None and self.wanted.message in MOVING
+        return self.wanted is not None and self.wanted.state in MOVING
 
     def receive(self, raw: bytes, _: int) -> None:
         """Follow the supervisor; a rig that starts in the middle of a test stays at rest."""
-        status = decode_status(raw)
+        test = decode_state(raw)
         self._received_at = self._awake.time()
-        self.rehearsal = status.number(REHEARSE) or 0.0
-        self.zeroing = status.number(ZEROING) or 0.0
-        if status.message == self.state:
+        self.rehearsal, self.zeroing = test.rehearse, test.zeroing
+        if test.state == self.state:
             return  # a sign of life
-        self.state = status.message
-        if status.message in MOVING and not (self._armed or self.is_moving):
+        self.state = test.state
+        if test.state in MOVING and not (self._armed or self.is_moving):
             why = "that began before this rig was ready"
             raise WireError("a test " + ("after a trip and no reset" if self.latched else why))
-        if status.message == "running" and not status.number("steps"):
+        if test.state == "running" and not test.steps:
             raise WireError("a test without its number of steps")
-        if status.message == "idle":
+        if test.state == "idle":
             self.latched, self.fault = False, ""
-        self._armed = status.message == "ready" and not self.latched
-        self.wanted = status
+        self._armed = test.state == "ready" and not self.latched
+        self.wanted = test
 
     def reason_to_end(self) -> str | None:
         """Give the reason why a test must end here, if there is one."""

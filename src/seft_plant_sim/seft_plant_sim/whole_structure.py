@@ -18,6 +18,7 @@ from seft_msgs_py.config.parameter_table import group
 from seft_plant_sim.compiled import compiled, multiply
 from seft_plant_sim.computed.computed_model import ComputedModel, ModelSource
 from seft_plant_sim.computed.computed_substructure import ComputedSubstructure
+from seft_plant_sim.rig_parameters import SIMULATED
 from seft_plant_sim.simulated.continuous_model import (
     ContinuousModel,
     Dynamics,
@@ -342,7 +343,8 @@ def tested_specimen(experiment: Experiment) -> Specimen:
 
 def is_simulated(experiment: Experiment) -> bool:
     """Whether an experiment has a simulated rig."""
-    return "simulated.specimen.mass" in experiment.sections.get("rig", {})
+    rig = experiment.sections.get("rig", {})
+    return "simulated.specimen.mass" in rig and rig.get("hardware", SIMULATED) == SIMULATED
 
 
 _STEPS = 16

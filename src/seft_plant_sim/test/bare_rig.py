@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 from seft_msgs_py.config.experiment import Source
-from seft_msgs_py.config.facts import CHANNELS, place_of
+from seft_msgs_py.config.facts import place_of
 from seft_msgs_py.wire.topics import Timebase
-from seft_plant_sim.limits import Limits
+from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import RIG_TABLE
 from seft_plant_sim.simulated.continuous_model import ContinuousModel
-from seft_plant_sim.simulated.rig import Rig
+from seft_plant_sim.simulated.rig import SimulatedRig
+from seft_plant_sim.simulated.rig_step import SATURATED_PARTS
 from seft_plant_sim.simulated.sensors import Channels, Sensors
 
 FRAME = {
@@ -38,7 +39,7 @@ def rig_section(group="", /, **values):
     named = {group + name.replace("__", "."): value for name, value in values.items()}
     true = {name if name in RIG_TABLE.rows else f"simulated.{name}": v for name, v in named.items()}
     unzeroed = {"calibration.zeroing": 0.0}  # its sensors show what they do
-    paper = {"simulated.specimen.mass": 52.7, "simulated.specimen.stiffness": 2.11e5}
+    paper = {"specimen.mass": 52.7, "specimen.stiffness": 2.11e5}
     return section_of(RIG_TABLE, **(paper | unzeroed | true))
 
 
@@ -48,11 +49,24 @@ def make_rig(axes=("x",), **values):
 
 
 def driven(rig, commands):
-    """Samples of a rig that gets these commands, shape (N,) or (N, n), from the one at rest on."""
-    return np.array([rig.reset(), *(rig.step(np.atleast_1d(command)) for command in commands)])
+    """Samples as measured, and drives, of a rig that gets these commands, shape (N, 5, n).
+
+    The first one is at rest. A command is a number, or has shape (n,).
+    """
+    found = []
+    for command in [None, *commands]:
+        if isinstance(rig, SimulatedRig):
+            rig.reset() if command is None else rig.write(np.atleast_1d(command))
+            measured = rig.read()
+        else:
+            rig.reset() if command is None else rig.step(np.atleast_1d(command))
+            measured = rig.measured
+        applied = np.zeros(measured.shape[1]) if command is None else np.atleast_1d(command)
+        found.append([*measured, applied])
+    return np.array(found)
 
 
-class BareRig(Rig):
+class BareRig(SimulatedRig):
     """Rig of a model, or of what is linear in it; its sensors have no noise, and nothing trips."""
 
     def __init__(self, model, dt, *, linear=False):
@@ -66,5 +80,14 @@ class BareRig(Rig):
         n = model.b.shape[1]
         nothing, no_end = np.zeros((4, n)), np.full((4, n), np.inf)
         sensors = Sensors(Channels(nothing, nothing, no_end, nothing), 0)
-        limits = Limits(dict.fromkeys(CHANNELS, np.inf), [str(i) for i in range(n)], dt)
-        super().__init__(model, sensors, limits, 1e9, dt)
+        super().__init__(model, sensors, dt)
+        self.saturation = set()
+
+    def reset(self):
+        super().reset()
+        self.saturation.clear()
+
+    def read(self):
+        sample = super().read()
+        self.saturation |= {name for name, bit in SATURATED_PARTS.items() if self.saturated & bit}
+        return sample

@@ -2,20 +2,23 @@
 
 import numpy as np
 import pytest
-from seft_plant_sim.simulated.sensors import Channels, derive_velocity, measure_channels
+from seft_plant_sim.channels import Derivation, derive_velocity
+from seft_plant_sim.simulated.sensors import Channels, measure_channels
 
 DT = 0.002
 
 
-def measured(states, **rows):
+def measured(states, cutoff=100.0, **rows):
     """Samples of one axis as measured, shape (N, 4, 1)."""
     nothing, no_end = np.zeros((4, 1)), np.full((4, 1), np.inf)
-    values = {"bias": nothing, "range": no_end, "resolution": nothing, "cutoff": 100.0, "dt": DT}
+    values = {"bias": nothing, "range": no_end, "resolution": nothing}
     channels = Channels(nothing, **(values | rows))
+    section = {"sensors.velocity": "derived", "sensors.velocity_cutoff": cutoff}
+    derivation = Derivation.from_parameters(section, DT)
     samples = np.zeros(states.shape)
     for step, state in enumerate(states):
         measure_channels(channels, state.ravel(), nothing, samples[step])
-        derive_velocity(channels, step, samples[max(step - 1, 0)], samples[step])
+        derive_velocity(derivation, step, samples[max(step - 1, 0)], samples[step])
     return samples
 
 

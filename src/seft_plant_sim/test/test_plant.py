@@ -23,12 +23,17 @@ def test_a_delay_of_whole_samples_is_whole_at_any_rate(rate):
 
 
 def test_a_sample_is_not_changed_by_later_steps_nor_by_the_command_array():
-    plant = BareRig(delayed_force(PAPER, 0.001), 0.002)
+    plant = BareRig(delayed_force(PAPER, 0.0), 0.002)
     command = np.ones(1)
-    sample = plant.step(command)
+    plant.read()
+    plant.write(command)
+    command[:] = 9.0
+    sample = plant.read()
     kept = sample.copy()
+    assert sample[3, 0] == 1.0
     for _ in range(5):
-        plant.step(np.full(1, 9.0))
+        plant.write(command)
+        plant.read()
     np.testing.assert_array_equal(sample, kept)
     with pytest.raises(InputError, match="a delay of 2001 s is 1000500 samples long"):
         BareRig(delayed_force(PAPER, 2001.0), 0.002)

@@ -6,8 +6,9 @@ from bare_rig import driven, make_rig, rig_section
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.outcome import Simulated
 from seft_msgs_py.wire.topics import Timebase
+from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import RIG_TABLE
-from seft_plant_sim.simulated.rig import Rig, left_open
+from seft_plant_sim.simulated.rig_step import left_open
 
 TIMEBASE = Timebase.from_rate(500.0)
 
@@ -45,6 +46,26 @@ def test_a_violation_is_that_of_the_last_sample_as_measured():
     for _ in range(2):
         loud.step(np.zeros(1))
     assert loud.violation is not None  # the test must see what the sensor sees
+
+
+@pytest.mark.parametrize(
+    ("only_warn", "why"),
+    [
+        ("", "measured force on axis x contradicts the other channels: 3 samples within 50 ms"),
+        ("all", "force 90000 N on axis x is beyond the limit of 10000 N"),
+    ],
+)
+def test_a_wrong_sample_beyond_a_limit_is_replaced_until_it_lasts(only_warn, why):
+    words = {"limits__force": 1e4, "limits__force_rate": 1e9, "detectors__warn_only": only_warn}
+    one = make_rig(faults="force set 9e4 at 0.02 for 3", sensors__force_noise=1.0, **words)
+    driven(one, np.zeros(9))
+    for _ in range(2):
+        judged = one.step(np.zeros(1))
+        assert abs(judged[3, 0]) < 20.0
+        assert one.measured[3, 0] == 9e4
+        assert one.violation is None
+    one.step(np.zeros(1))
+    assert one.violation.startswith(why)
 
 
 def test_what_is_at_the_end_of_its_range_is_counted_until_a_reset():
@@ -92,32 +113,34 @@ def moving_rig(*overrides, axes=("x",), steps=200):
 @pytest.mark.parametrize("axes", ["x", "xy"])
 def test_a_closed_valve_locks_the_piston_on_its_oil_column(axes):
     rig = moving_rig(axes=axes)
-    before = abs(rig.sample[1]).min()
+    before = abs(rig.simulation.sample[1]).min()
     assert before > 0.03
     stopped = rig.stop()
     assert stopped.steps <= 100
-    assert abs(rig.sample[1]).max() < 0.2 * before
-    assert stopped.peak_force > abs(rig.sample[3]).max()
+    assert abs(rig.simulation.sample[1]).max() < 0.2 * before
+    assert stopped.peak_force > abs(rig.simulation.sample[3]).max()
     assert rig.step_index == 199 + 1  # the samples of the test are what they were
 
 
 def test_a_stop_follows_the_plan_then_closes():
     planned, stepped = moving_rig(), moving_rig()
-    last, planned_last = stepped.state.asked.copy(), np.array([1.0])
+    last, planned_last = stepped.simulation.state.asked.copy(), np.array([1.0])
     plan = np.linspace(3.0, 0.5, 20)[:, np.newaxis]
     stopped = planned.stop(plan, planned_last)
     peak = 0.0
     for taken, command in enumerate(plan, 1):
         stepped.step(command + left_open(taken, 10) * (last - planned_last))
-        peak = max(peak, abs(stepped.sample[3, 0]))
+        peak = max(peak, abs(stepped.simulation.sample[3, 0]))
     assert stopped.peak_force == max(peak, stepped.stop().peak_force)
-    np.testing.assert_array_equal(planned.sample, stepped.sample)
+    np.testing.assert_array_equal(planned.simulation.sample, stepped.simulation.sample)
 
 
-def test_a_rig_that_ends_a_test_by_itself_closes_its_valve_whatever_is_planned():
-    tripped, closed = moving_rig(), moving_rig()
-    tripped.violation = "a limit"
-    assert tripped.stop(np.full((20, 1), 9.0)) == closed.stop()
+@pytest.mark.parametrize("fault", ["force set -9e4 at 0.396 for 3", "force set -9e4 at 0.4 for 1"])
+def test_a_rig_follows_the_plan_unless_it_ends_the_test_by_itself(fault):
+    tripped, planned, closed = moving_rig(("rig", "faults", fault)), moving_rig(), moving_rig()
+    plan, ends = np.full((20, 1), 9.0), "for 3" in fault
+    assert (tripped.violation is not None) == ends
+    assert tripped.stop(plan) == (closed.stop() if ends else planned.stop(plan))
 
 
 def test_a_rig_without_a_settling_time_is_left_where_it_is():
@@ -129,7 +152,7 @@ def test_the_safe_command_is_that_of_the_parameters():
     closed, opened = moving_rig(), moving_rig(("rig", "safe.valve_command", 2.0))
     closed.stop()
     opened.stop()
-    assert abs(opened.sample[3, 0]) > abs(closed.sample[3, 0]) + 100.0
+    assert abs(opened.simulation.sample[3, 0]) > abs(closed.simulation.sample[3, 0]) + 100.0
 
 
 def test_a_rig_at_rest_is_settled_at_once():
@@ -141,11 +164,12 @@ def test_the_largest_true_motion_is_known_without_noise_and_filters():
     filtered = moving_rig(
         ("rig", "simulated.sensors.force_filter", 20.0), ("/**", "sensors.force_noise", 99.0)
     )
-    assert filtered.state.shown[3] != pytest.approx(quiet.sample[3, 0], rel=0.02)
+    true_force = quiet.simulation.sample[3, 0]
+    assert filtered.simulation.state.shown[3] != pytest.approx(true_force, rel=0.02)
     found, same = quiet.simulated(), filtered.simulated()
     for peak in ("displacement_peak", "force_peak", "stop_force_peak"):
         assert getattr(same, peak) == pytest.approx(getattr(found, peak), rel=1e-6)
-    assert found.stop_force_peak == abs(quiet.sample[3, 0]) < found.force_peak
+    assert found.stop_force_peak == abs(true_force) < found.force_peak
     stopped = quiet.stop()
     after = quiet.simulated()
     assert after.stop_force_peak == max(stopped.peak_force, found.stop_force_peak)
@@ -159,21 +183,21 @@ def test_the_largest_true_motion_is_known_without_noise_and_filters():
 def test_a_rig_of_a_faulty_sensor_moves_as_before_and_shows_the_fault():
     fault_free = moving_rig()
     faulty = moving_rig(("rig", "faults", ["force set -5589.0 at 0.4 for 1"]))
-    np.testing.assert_array_equal(fault_free.sample, faulty.sample)
-    assert faulty.state.measured[3, 0] == -5589.0
+    np.testing.assert_array_equal(fault_free.simulation.sample, faulty.simulation.sample)
+    assert faulty.measured[3, 0] == -5589.0
     assert faulty.violation is None
-    assert faulty.state.change[3, 0] < -5000.0
+    assert faulty.guard.state.change[3, 0] < -5000.0
 
 
 def test_a_stuck_valve_does_not_close():
     stuck = moving_rig(("rig", "faults", "valve stick at 0.39"))
     stuck.stop()
-    assert abs(stuck.sample[1, 0]) > 0.02
+    assert abs(stuck.simulation.sample[1, 0]) > 0.02
 
 
 @pytest.mark.parametrize("rate", [500.0, 1000.0, 4000.0])
 def test_a_rig_trips_by_a_rate_of_change_that_lasts_but_not_by_a_jump(rate):
-    """What jumps is judged by the force controller, at every rate."""
+    """What jumps is judged, at every rate."""
 
     def trips(fault):
         limits = {"limits__force": 1e9, "limits__force_rate": 2e6}

@@ -11,9 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.node.clock import MACHINE
-from seft_msgs_py.wire.messages import ERROR, OK, WARN, Status, encode_diagnostics, encode_status
-from seft_msgs_py.wire.outcome import RECORDED, RECORDER_NODE_NAME, ROUND_TRIPS, STOPPED
-from seft_msgs_py.wire.topics import REHEARSE, VALVE_COMMAND
+from seft_msgs_py.wire.experiment_state import ExperimentState, encode_state
+from seft_msgs_py.wire.messages import ERROR, OK, WARN, Status, encode_diagnostics
+from seft_msgs_py.wire.outcome import RECORDED, RECORDER_NODE_NAME, ROUND_TRIPS, STOPPED, State
+from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_plant_sim import rig_watch
 from seft_plant_sim.rig_watch import (
     CommandWatch,
@@ -179,8 +180,7 @@ def listener(clock):
 
     def tell(*states, **values):
         for state in states:
-            texts = {key: str(value) for key, value in values.items()}
-            found.receive(encode_status(Status("supervisor", OK, state, values=texts)), 0)
+            found.receive(encode_state(ExperimentState(State(state), **values)), 0)
         return found.is_moving
 
     found = Supervision(2.0, MACHINE)
@@ -208,7 +208,7 @@ def test_a_rig_moves_from_start_to_end_and_not_again(listener):
     assert listener.tell("running", steps=9)
     assert listener.supervision.reason_to_end() is None
     assert listener.tell("ramping_down", "running", steps=9)
-    assert (listener.supervision.state, listener.supervision.wanted.number("steps")) == (
+    assert (listener.supervision.state, listener.supervision.wanted.steps) == (
         "running",
         9,
     )
@@ -255,10 +255,10 @@ def test_a_silent_supervisor_ends_a_test_after_its_time(listener):
 
 
 def test_a_rehearsal_is_asked_for_and_ended_by_signs_of_life(listener):
-    listener.tell("idle", **{REHEARSE: 3})
-    assert listener.supervision.rehearsal == 3.0
+    listener.tell("idle", rehearse=2.5, zeroing=0.5)
+    assert (listener.supervision.rehearsal, listener.supervision.zeroing) == (2.5, 0.5)
     listener.tell("idle")
-    assert listener.supervision.rehearsal == 0.0
+    assert (listener.supervision.rehearsal, listener.supervision.zeroing) == (0.0, 0.0)
 
 
 NONE = float("nan")

@@ -5,8 +5,8 @@ import pytest
 from bare_rig import driven
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.errors import InputError
+from seft_plant_sim.rig import Rig, Rigs
 from seft_plant_sim.rig_parameters import RIG_TABLE
-from seft_plant_sim.simulated.rig import Rig, Rigs
 
 PLAN = (
     "/**:axes:=[west/x, east/x, west/y]",

@@ -6,9 +6,10 @@ from bare_rig import FRAME, BareRig, driven, make_rig, rig_section
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import rigs_of
+from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import RIG_TABLE
 from seft_plant_sim.simulated.continuous_model import delayed_force
-from seft_plant_sim.simulated.rig import Rig, continuous_model
+from seft_plant_sim.simulated.rig import continuous_model
 from seft_plant_sim.simulated.sensor_dynamics import sensed
 from seft_plant_sim.simulated.specimen import Specimen
 

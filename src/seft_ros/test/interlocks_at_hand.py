@@ -3,21 +3,33 @@
 import math
 
 import numpy as np
-from seft_plant_sim.judge.detectors import SUSPECT, detector_arrays
 from seft_ros.force_controller.interlock import Interlock
-from seft_ros.force_controller.interlock_step import DETECTED
+from seft_ros.force_controller.target_distance import tracking_arrays
 
 AXES = ("east", "north")
 DT = 0.002
+LIMIT = 10.0  # of the valve, V
 NO_LIMITS = (np.inf,) * 4
 
 
-def stepped(guarded, index, points, raw, is_suspect=False):
-    """Judge a sample, and step; the detectors find it suspect."""
-    judged = guarded.judge(index, np.vstack([raw, np.zeros(raw.shape[1])]))
-    if is_suspect and not guarded.reason:
-        guarded.state.flags[DETECTED] = SUSPECT
-    return guarded.step(index, points, judged)
+def of_rig(sample, is_suspect=False, drive=0.0):
+    """A sample of rig/state, shape (6, n), of one of four rows."""
+    found = np.zeros((6, sample.shape[1]))
+    found[:4], found[4], found[5] = sample, is_suspect, drive
+    return found
+
+
+def stepped(guarded, index, points, sample, is_suspect=False, drive=0.0):
+    """Look at a sample of four rows, and step."""
+    measured = of_rig(sample, is_suspect, drive)
+    guarded.look(index, measured)
+    return guarded.step(index, points, measured)
+
+
+def tracking(noise=0.0, acts=True, axes=2, has_valve=True):
+    """The detector of the distance to the target, of sensors with this noise; shape (4,)."""
+    each = np.broadcast_to(np.reshape(noise, (-1, 1)), (4, axes))
+    return tracking_arrays(each, LIMIT if has_valve else math.inf, acts, DT)
 
 
 class Scripted:
@@ -35,14 +47,10 @@ class Scripted:
         return len(self.seen) * np.arange(1.0, 1 + n) if self.drive is None else self.drive
 
 
-def watched(controller, axes=AXES, warn_only=(), of_position=1e-6):
-    """An interlock that closes the valve in five steps, with detectors that know the sensors."""
-    n = len(axes)
-    noise = np.repeat([[of_position], [1e-3], [1e-3], [1.0]], n, axis=1)
-    nothing, none = np.zeros((n, n)), np.zeros((4, n))
-    unknown = np.zeros((n, 4)), np.zeros((n, 2, 2)), True, nothing, nothing, nothing
-    detectors = detector_arrays(noise, np.ones(4), none, False, *unknown, warn_only, 10.0, DT)
-    return Interlock(controller, axes, 1000.0, 0.02, 5 * DT, NO_LIMITS, detectors)
+def watched(controller, axes=AXES, limits=NO_LIMITS, **words):
+    """An interlock that closes the valve in five steps, and knows the sensors."""
+    watching = tracking((1e-6, 1e-3, 1e-3, 1.0), axes=len(axes), **words)
+    return Interlock(controller, axes, 1000.0, 0.02, 5 * DT, limits, True, watching, DT)
 
 
 def left(taken):

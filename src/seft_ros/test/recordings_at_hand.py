@@ -34,18 +34,23 @@ def recording_of(test, ground, states, forces=None, **facts):
     none = np.zeros((len(states), 1, len(test.axes)))
     series = {
         "ground_motion": Series(steps, ground[:, np.newaxis]),
-        "rig/state": Series(steps, states),
-        "rig/judged": Series(steps, states),  # the same array
+        "rig/state": Series(steps, of_rig(states)),
+        "rig/measured": Series(steps, states),
         "reference_force": Series(steps, none if forces is None else forces),
         "valve_command": Series(steps, none.copy()),
     }
     return Recording(test, series, **facts)
 
 
+def of_rig(states):
+    """Samples of rig/state, none of them suspect, of a rig that is not driven; (N, 6, n)."""
+    return np.concatenate([states, np.zeros_like(states[:, :2])], axis=1)
+
+
 def as_measured(recording, states):
     """Series of a recording with other states, all of which are judged to be right."""
-    judged = dataclasses.replace(states, values=states.values[:, :4])
-    return {**recording.series, "rig/state": states, "rig/judged": judged}
+    measured = dataclasses.replace(states, values=states.values[:, :4])
+    return {**recording.series, "rig/state": states, "rig/measured": measured}
 
 
 def assert_same_samples(found, wanted):
@@ -62,7 +67,7 @@ def assert_same_samples(found, wanted):
 
 
 def without(recording, topic, steps):
-    """Recording in which samples are lost on a topic; of rig/state, none is judged then."""
+    """Recording in which samples are lost on a topic; of rig/state, none is replaced then."""
     series = recording.series[topic]
     kept = ~np.isin(series.steps, list(steps))
     fewer = Series(series.steps[kept], series.values[kept])

@@ -28,6 +28,7 @@ GOOD = {
     "rate_hz": 500.0,
     "duration_s": 2.0,
     "trip": None,
+    "stopped": False,
     "stable": True,
     "complete": True,
     "damage": [],

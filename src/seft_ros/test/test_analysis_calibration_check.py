@@ -86,8 +86,9 @@ def test_channels_that_wait_for_the_latest_are_read_when_they_are_read():
 
 def test_text_and_json_say_what_is_wrong():
     recording = as_of_hardware(recording_of(*WRONG_MASS))
-    found = json.loads(json.dumps(report_numbers(recording).summary, allow_nan=False))
-    text = " ".join(shown(summary_texts(recording, found)).split())
+    report = report_numbers(recording)
+    found = json.loads(json.dumps(report.summary, allow_nan=False))
+    text = " ".join(shown(summary_texts(report)).split())
     assert "kg, known 57 kg: the displacement may be" in text
     assert " ".join(OF_THE_MODEL.split()) in text
     names = {finding["name"]: finding["verdict"] for finding in found["verdict"]["findings"]}
@@ -97,7 +98,7 @@ def test_text_and_json_say_what_is_wrong():
 
 def test_a_reference_of_the_simulated_specimen_is_not_called_the_models():
     for recording, is_noted in ((recording_of(), False), (as_of_hardware(recording_of()), True)):
-        assert ("model's" in shown(summary_texts(recording, summarise(recording)))) is is_noted
+        assert ("model's" in shown(summary_texts(report_numbers(recording)))) is is_noted
 
 
 def test_what_a_separate_test_found_is_combined_by_the_errors():

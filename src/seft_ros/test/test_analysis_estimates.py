@@ -7,9 +7,11 @@ import math
 import numpy as np
 from recordings_at_hand import noise_recording, shown
 from seft_ros.analysis.figures import test_figure as draw
+from seft_ros.analysis.report_numbers import report_numbers
 from seft_ros.analysis.result_text import summary_texts
 from seft_ros.analysis.summary import summarise
 from seft_ros.bags.recording import Estimates
+from seft_ros.drawing.style import Mark
 
 DELAY = np.array([[0.010, 0.010], [0.0141, 0.009], [0.0136, 0.012]])
 STIFFNESS = np.array([[2.11e5, 3e5], [2.0e5, 3.1e5], [1.9e5, 3.2e5]])
@@ -23,7 +25,7 @@ def make_recording(axes=("x",), names=("delay", "stiffness"), **changes):
 
 
 def table(recording):
-    return shown(summary_texts(recording, summarise(recording)))
+    return shown(summary_texts(report_numbers(recording)))
 
 
 def test_a_summary_tells_how_each_estimate_went_per_axis_in_si_units():
@@ -58,12 +60,12 @@ def test_the_table_tells_estimates_in_units_for_people():
 
 def test_where_nothing_is_wrong_the_summary_names_neither_detectors_nor_estimates():
     recording = make_recording()
-    wrong = summarise(recording) | {"detectors": {"tracking": 0.4}}
-    near = {"nrmse": 0.01, "nrmse_aligned": 0.01, "peak": 1.0, "reference_peak": 1.01}
-    error = wrong["displacement"] | near
-    right = wrong | {"reference_specimen": "simulated", "displacement": error, "missed": 0}
-    for summary, is_noted in ((wrong, True), (right, False)):
-        text = shown(summary_texts(recording, summary))
+    found = report_numbers(recording)
+    summary = found.summary | {"detectors": {"tracking": 0.4}}
+    for mark, is_noted in ((Mark.DOUBT, True), (Mark.GOOD, False)):
+        marked = dataclasses.replace(found.assessment, verdict=mark)
+        report = dataclasses.replace(found, summary=summary, assessment=marked)
+        text = shown(summary_texts(report))
         assert ("tracking reached 40.0 % of its threshold" in text) is is_noted
         assert ("stiffness as identified" in text) is is_noted
 

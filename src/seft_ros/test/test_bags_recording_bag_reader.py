@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from bags_at_hand import write_stock_bag
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.experiment_state import ExperimentState, encode_state
 from seft_msgs_py.wire.messages import (
     EstimatesCodec,
     Status,
     encode_diagnostics,
-    encode_status,
     encode_string,
 )
-from seft_msgs_py.wire.outcome import Outcome, Trip, rig_status
+from seft_msgs_py.wire.outcome import Outcome, State, Trip, rig_status
 from seft_msgs_py.wire.topics import (
     CLOCK,
     DESCRIPTION,
@@ -19,8 +19,8 @@ from seft_msgs_py.wire.topics import (
     ESTIMATES,
     EXPERIMENT_STATE,
     GROUND_MOTION,
-    JUDGED,
     LOOP_TOPICS,
+    MEASURED,
     REFERENCE_FORCE,
     RIG_STATE,
     STRING,
@@ -41,8 +41,8 @@ START = 1_767_258_000_000_000_000
 
 
 def states(step):
-    """Sample (5, 2) that tells its step and its place."""
-    return step + np.arange(10.0).reshape(5, 2) / 10
+    """Sample (6, 2) that tells its step and its place."""
+    return step + np.arange(12.0).reshape(6, 2) / 12
 
 
 def description(nodes=NODES, environment=ENVIRONMENT):
@@ -62,7 +62,7 @@ def motion(first_step, count):
 def loop(steps):
     for step in steps:
         yield RIG_STATE, CODECS["rig/state"].encode(step, states(step))
-        yield JUDGED, CODECS["rig/judged"].encode(step, states(step)[:4])
+        yield MEASURED, CODECS["rig/measured"].encode(step, states(step)[:4])
         yield REFERENCE_FORCE, CODECS["reference_force"].encode(step, np.full(2, float(step)))
         yield VALVE_COMMAND, CODECS["valve_command"].encode(step, np.full(2, -float(step)))
 
@@ -97,8 +97,8 @@ def status(name, level, message, **values):
 
 def test_what_nodes_tell_is_an_event_once_until_they_tell_another(tmp_path):
     state = [
-        (EXPERIMENT_STATE, encode_status(Status("experiment", 0, "running", values=values)))
-        for values in ({"detail": "running"}, {"detail": "running"}, {"detail": "ramping"})
+        (EXPERIMENT_STATE, encode_state(ExperimentState(State.RUNNING, detail)))
+        for detail in ("running", "running", "ramping")
     ]
     messages = [
         *description(),

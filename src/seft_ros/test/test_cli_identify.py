@@ -2,8 +2,10 @@
 
 import json
 import re
+import shutil
 from functools import partial
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from seft_ros.cli import identify_command, shared
 from seft_ros.design.force_tracking import tracking_measures
 from seft_ros.design.plant import Plant, rig_model
 from seft_ros.drawing import style
+from seft_ros.identification import rig_tests
 
 LINEAR = ("actuator.kind:=servo_hydraulic_linear",)
 SHORT = ("--duration", "14")
@@ -156,9 +159,11 @@ def test_a_rig_whose_channels_disagree_is_corrected_by_the_file(identify, seft):
 
 
 def test_a_host_that_misses_commands_is_reported(monkeypatch, tmp_path, capsys):
-    recording = SimpleNamespace(trip=None, missed=51, experiment=load())
-    monkeypatch.setattr(shared, "dds_test", lambda *_, **__: (recording, tmp_path))
-    tests = identify_command._Tests(load(), tmp_path, False, ["rig"])
+    states = SimpleNamespace(steps=[])
+    of = {"trip": None, "stopped": False, "missed": 51, "experiment": load(), "states": states}
+    recording = SimpleNamespace(**of)
+    monkeypatch.setattr(shared, "dds_test", lambda *_, **__: (recording, tmp_path / "bag"))
+    tests = identify_command._Tests(load(), tmp_path, False, ["rig"], np.zeros((1000, 1)))
     assert tests.run("open_loop", load(), 1000)
     assert "open_loop: 51 of 1000 steps had no command in time" in capsys.readouterr().err
     recording.missed = 50
@@ -274,6 +279,112 @@ def test_a_trip_ends_it_with_one_line_and_keeps_what_is_known(
     model = tmp_path / "out" / "model.yaml"
     known = model.exists() and "flow_gain" in model.read_text()
     assert known is ("plant_zero_hz" in found) is (test == "multisine_pilot")
+
+
+def test_of_an_open_loop_what_is_before_its_trip_or_its_pilot_counts(identify, monkeypatch):
+    late = ("--amplitude", "0.2", "--duration", "20", "--out", "late")
+    overrides = ["rig:faults:=displacement scale 100 at 16.0"]
+    status, found, _ = identify(*late, overrides=overrides)
+    assert (status, found["tripped"]["open_loop"][:12]) == (1, "measured dis")
+    assert found["notes"][-1] == "open loop: evaluated from what it measured before its trip"
+    assert found["actuator"]["flow_gain_m_per_s_per_v"] == pytest.approx(0.0403, rel=0.01)
+
+    monkeypatch.setattr(rig_tests, "voltage_after", lambda *_: 0.5)
+    status, found, _ = identify(*SHORT, "--out", "at_once", overrides=["limits.velocity:=0.04"])
+    assert (status, found["tripped"]["open_loop"][:8]) == (1, "velocity")
+    assert found["notes"][-1] == "open loop: evaluated from its pilot"
+    written = read_parameter_file("at_once/model.yaml")["/**"]
+    assert written["actuator.flow_gain"] == [pytest.approx(0.0403, rel=0.01)]
+
+
+def contents(folder):
+    """Files of a folder, and when each was written."""
+    return {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+
+
+@pytest.fixture
+def once_more(linear, identify, tmp_path):
+    """A copy of the linear rig's folder, and its command once more."""
+    folder = shutil.copytree(linear[0], tmp_path / "out")
+    words = (*SHORT, "--specimen", "--out", "out")
+    return folder, lambda *more, **own: identify(*words, *more, **({"overrides": LINEAR} | own))
+
+
+def test_an_interrupted_identification_continues_where_it_was(once_more, linear, monkeypatch):
+    (folder, again), (whole, known) = once_more, linear
+    for name in ("multisine", "closed_loop"):
+        shutil.rmtree(folder / name)
+    (folder / "model.yaml").unlink()
+    with monkeypatch.context() as patch:
+        patch.setattr(shared, "offline_test", Mock(side_effect=KeyboardInterrupt))
+        status, _, line = again()
+    assert (status, line) == (
+        1,
+        "seft: interrupted; the same command with --out out continues, out has the excitation, "
+        "out/pilot is whole, out/open_loop is whole, out/multisine_pilot is whole",
+    )
+    status, found, _ = again()
+    assert (status, found["reused"]) == (0, ["pilot", "open_loop", "multisine_pilot"])
+    assert found | {"files": 0, "reused": 0} == known | {"files": 0, "reused": 0}
+    assert (folder / "model.yaml").read_text() == (whole / "model.yaml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "overrides", "message"),
+    [
+        (("--seed", "2"), [], "out/excitation.csv: is of another rate, .* --seed"),
+        ((), ["axes:=[y]"], r"out/pilot: is of another test: /\*\*: axes was \['x'\], and is"),
+        ((), ["limits.velocity:=0.4"], "limits.velocity was 0.5, and is 0.4; name another folder"),
+        ((), ["rig:seed:=9"], "out/pilot: is of another test: rig: seed was 1, and is 9"),
+        (("--amplitude", "0.1"), [], "out/open_loop: is of another test: force_controller: "),
+        (("--travel", "1e-4"), [], "out/multisine_pilot: is of another .* had other commands"),
+        (("--out", "."), [], ".: exists already; name another folder"),
+    ],
+)
+def test_recordings_of_another_test_are_refused_and_stay(once_more, words, overrides, message):
+    folder, again = once_more
+    before = contents(folder)
+    status, found, line = again(*words, overrides=(*LINEAR, *overrides))
+    assert (status, found) == (2, None)
+    assert re.search(message, line)
+    assert contents(folder) == before
+
+
+def test_after_a_trip_the_same_command_goes_on_beside_what_it_left(identify, tmp_path):
+    words, overrides = (*BRIEF, "--out", "out"), ["limits.velocity:=0.05"]
+    status, found, line = identify(*words, overrides=overrides)
+    assert status == 1
+    assert line.endswith("its bag is in out/closed_loop; the same command with --out out continues")
+    moved = found["moved_m"]["x"]
+    status, found, _ = identify(*words, "--force", "40", overrides=overrides)
+    assert (status, found["reused"]) == (0, ["open_loop"])
+    assert found["files"]["closed_loop"] == "out/closed_loop_2"
+    assert read_bag("out/closed_loop").trip is not None
+    assert found["bandwidth_hz"] and "actuator.delay" in (tmp_path / "out/model.yaml").read_text()
+    assert found["moved_m"]["x"] == moved  # in all tests
+    after = read_bag("out/closed_loop_2").states.values
+    assert moved > np.abs(after[:, 0]).max()
+    status, _, line = identify(*words, "--force", "50", overrides=overrides)
+    assert status == 2
+    assert "out/closed_loop_2: is of another test: ground_motion: influence was [40.0]" in line
+
+
+def test_no_test_moves_the_specimen_farther_than_half_of_the_cap(identify):
+    """Also where flow gain and stiffness are not known."""
+    unknown = ("actuator.flow_gain:=0.0", "specimen.stiffness:=2.1e+6")
+    true = ("rig:simulated.actuator.flow_gain:=0.0403", "rig:simulated.specimen.stiffness:=2.11e+5")
+    cap, overrides = 3e-4, (*unknown, *true)
+    words = (*SHORT, "--specimen", "--max-displacement", str(cap), "--out", "out")
+    status, found, _ = identify(*words, overrides=overrides)
+    assert status == 0
+    tests = [read_bag(f"out/{name}") for name in found["tripped"]]
+    values = np.concatenate([test.states.values[:, :, 0] for test in tests])
+    assert found["moved_m"]["x"] == np.abs(values[:, 0]).max() < 0.55 * cap
+    assert found["largest_force_n"]["x"] == np.abs(values[:, 3]).max()
+    assert tests[0].experiment["rig"]["limits.displacement"] == cap
+    assert found["actuator"]["flow_gain_m_per_s_per_v"] == pytest.approx(0.0403, rel=0.02)
+    multisine = found["multisine"]
+    assert multisine["mass"] == pytest.approx(52.7, abs=4 * multisine["mass_error"])
 
 
 def test_of_a_loop_that_is_unstable_the_plant_is_identified_all_the_same(identify):

@@ -62,6 +62,7 @@ def record(tmp_path):
         (["preflight", JHU, "--external", "rig", "-p", "actuator.flow_gain:=0"], "seft identify"),
         (["identify", JHU, "--duration", "5"], "needs 13.3333 s"),
         (["identify", JHU, "--external", "force_controller"], "--external"),
+        (["identify", JHU, "--max-displacement", "0"], "--max-displacement is 0 m, but must"),
         (["identify", JHU, "--travel", "1e-4"], "that of the multisine test: give --specimen, too"),
         (["identify", JHU, "--specimen", "--travel", "0.05"], "limits.displacement"),
         (["link", "--out", "x.yaml"], "--out needs CONFIG"),

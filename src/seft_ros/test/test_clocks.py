@@ -21,8 +21,6 @@ ALLOWED = {
     "seft_msgs_py/node/clock.py": "the only one that nodes read",
     "seft_ros/nodes/recorder_node.py": "the name of the bag",
     "seft_ros/test_run/run.py": "the bag's name",
-    "seft_ros/test_run/observer.py": "when a message was sent, for conform and replay",
-    "seft_ros/conformance/suite.py": "the same",
     "seft_ros/test_run/stall_watch.py": "when the host stood still, for the bag",
     "seft_ros/bags/recording.py": "when the test was",
     "seft_ros/bags/recording_bag.py": "times in the bag",
@@ -59,6 +57,7 @@ OWN_CLOCK = {
     "seft_msgs_py/node/clock.py": "the machine's clock",
     "seft_ros/bags/bag_writer.py": "when the file was flushed: time of the disk",
     "seft_plant_sim/computed/model_process.py": "its process lives by the machine's time",
+    "seft_plant_sim/hardware/udp.py": "so does a laboratory's controller",
     "seft_ros/test_run/stall_watch.py": "a process of its own, which watches the machine",
 }
 

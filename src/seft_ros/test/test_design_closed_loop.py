@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
+from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import LIMIT_ROWS
-from seft_plant_sim.simulated.rig import Rig
 from seft_ros.design.closed_loop import SampledLoop
 from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.stability_verdict import predicted_modes

@@ -8,8 +8,8 @@ from experiments_at_hand import of_parts
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS
 from seft_plant_sim.judge.valve_following import LARGEST_GAIN_ERROR
+from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import LIMIT_ROWS
-from seft_plant_sim.simulated.rig import Rig
 from seft_ros.design.closed_loop import frozen_target
 from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.preflight_tables import summarise_preflight
@@ -28,7 +28,7 @@ QUIET = {f"simulated.sensors.{name}_noise": 0.0 for name in CHANNELS} | {
 BASE = {
     "/**": {f"limits.{name}": 1e12 for name in LIMIT_ROWS}
     | {"limits.command": 1e9, "actuator.kind": "servo_hydraulic_linear"},
-    "force_controller": {"detectors.warn_only": "all"},  # valves that are not as known
+    "rig": {"detectors.warn_only": "all"},  # valves that are not as known
 }
 COUPLED = {
     "/**": {

@@ -33,10 +33,11 @@ def experiment(axes=("x",), **changed):
 def rig_forces(test, commands):
     """Actuator forces of the simulated rig, (N, n), when command k answers sample k."""
     rig = BareRig(continuous_model(test["rig"], test.axes), test.timebase.dt, linear=True)
-    state, forces = rig.reset(), []
-    for k in range(len(commands)):
-        forces.append(state[3].copy())
-        state = rig.step(commands[k])
+    rig.reset()
+    forces = []
+    for command in commands:
+        forces.append(rig.read()[3])
+        rig.write(command)
     return np.array(forces)
 
 

@@ -33,7 +33,8 @@ def test_a_test_stays_within_limits_that_fit_it(tmp_path):
     experiment = load(files=[tmp_path / "limits.yaml"])
     blocks = build_blocks(experiment)
     assert simulate_test(experiment, blocks).trip is None
-    assert all(0.2 < blocks.rig.limits.largest[i] / limits[n] < 1 for i, n in enumerate(limits))
+    largest = blocks.rig.guard.limits.largest
+    assert all(0.2 < largest[i] / limits[n] < 1 for i, n in enumerate(limits))
     halved = {name: limit / 2 for name, limit in limits.items()}
     write_limits(tmp_path / "limits.yaml", halved)
     experiment = load(files=[tmp_path / "limits.yaml"])

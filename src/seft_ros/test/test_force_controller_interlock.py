@@ -6,28 +6,26 @@ from experiments_at_hand import load
 from interlocks_at_hand import (
     AXES,
     DT,
+    LIMIT,
     NO_LIMITS,
     Scripted,
     left,
     sample_of,
     stepped,
     target_of,
+    tracking,
     watched,
 )
-from seft_msgs_py.errors import InputError
-from seft_plant_sim.judge.detection import detectors_of
-from seft_plant_sim.judge.detector_list import DETECTORS
-from seft_plant_sim.judge.detectors import LIMITED_AT
+from seft_plant_sim.judge.judge_step import LONG_AGO
 from seft_ros.force_controller.force_control import ForceController
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.protection.protection_step import extrapolated
-from warning_detectors import warning_detectors
 
 
-def interlock(gain=1.0, longest_saturation=0.5, **detectors):
-    controller = ForceController([([gain], [1.0])] * len(AXES), 10.0, DT)
-    watched = warning_detectors(2, **detectors)
-    return Interlock(controller, AXES, 1000.0, longest_saturation, 0.0, NO_LIMITS, watched)
+def interlock(gain=1.0, longest_saturation=0.5, has_valve=True):
+    controller = ForceController([([gain], [1.0])] * len(AXES), LIMIT, DT)
+    ends = 1000.0, longest_saturation, 0.0, NO_LIMITS, has_valve
+    return Interlock(controller, AXES, *ends, tracking(has_valve=has_valve), DT)
 
 
 def state(east=0.0, north=0.0):
@@ -41,7 +39,7 @@ def force(east, north):
 
 
 def test_it_is_the_controller_itself_while_all_is_well():
-    guarded, bare = interlock(), ForceController([([1.0], [1.0])] * 2, 10.0, DT)
+    guarded, bare = interlock(), ForceController([([1.0], [1.0])] * 2, LIMIT, DT)
     rng = np.random.default_rng(1)
     for step in range(200):
         asked, measured = force(*rng.normal(0, 300, 2)), state(*rng.normal(0, 300, 2))
@@ -53,7 +51,7 @@ def test_it_is_the_controller_itself_while_all_is_well():
 
 
 def test_a_controller_of_forces_follows_the_force_of_a_target():
-    guarded, bare = interlock(), ForceController([([1.0], [1.0])] * 2, 10.0, DT)
+    guarded, bare = interlock(), ForceController([([1.0], [1.0])] * 2, LIMIT, DT)
     for step, asked in enumerate(np.random.default_rng(1).normal(0.0, 300.0, (50, 1, 1, 2))):
         target = np.concatenate([np.full((1, 2, 2), 1e-3), asked], axis=1)
         expected = bare.step(asked, state())
@@ -74,19 +72,6 @@ def test_what_is_no_number_never_gets_into_the_recursion(value):
     np.testing.assert_array_equal(stepped(guarded, 0, force(1.0, 1.0), state()), [1.0, 1.0])
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-@pytest.mark.parametrize("row", range(4))
-def test_a_measured_value_that_is_no_number_is_replaced_before_the_controller_answers(row, value):
-    controller = Scripted(1)
-    guarded = watched(controller)
-    for step in range(9):
-        raw = sample_of(step)
-        raw[row, 1] = value if step == 5 else raw[row, 1]
-        stepped(guarded, step, target_of(step, 1), raw)
-        np.testing.assert_allclose(controller.seen[-1][1], sample_of(step), atol=1e-9)
-    assert guarded.reason == ""
-
-
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("row", range(4))
 def test_a_judged_sample_beyond_a_limit_trips(row, axis):
@@ -95,8 +80,7 @@ def test_a_judged_sample_beyond_a_limit_trips(row, axis):
         ("displacement", "velocity", "acceleration", "force")[row],
     )
     limits, unit = (0.25, 0.5, 20.0, 5000.0), ("m", "m/s", "m/s^2", "N")[row]
-    watching = warning_detectors(2)
-    guarded = Interlock(controller, AXES, 1000.0, 0.5, 0.0, limits, watching)
+    guarded = Interlock(controller, AXES, 1000.0, 0.5, 0.0, limits, True, tracking(), DT)
     raw = np.zeros((4, 2))
     raw[row, axis] = limits[row]
     assert np.any(stepped(guarded, 0, force(0.0, 0.0), raw))
@@ -142,9 +126,9 @@ def test_a_valve_at_its_limit_for_too_long_within_a_second_trips():
 def test_a_rig_that_obeys_forces_has_no_valve_to_stay_at_its_limit():
     guarded = interlock(longest_saturation=0.1, has_valve=False)
     for step in range(600):
-        stepped(guarded, step, force(900.0, 0.0), state())
+        stepped(guarded, step, force(900.0, 0.0), state(), drive=900.0)
     assert guarded.reason == ""
-    assert guarded.state.detectors.step[LIMITED_AT] < 0  # tracking is watched on
+    assert guarded.state.tracking.limited_at == LONG_AGO  # tracking is watched on
 
 
 def test_the_first_reason_counts():
@@ -192,58 +176,52 @@ def test_while_a_sample_is_suspect_a_controller_of_forces_holds_its_last_command
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-@pytest.mark.parametrize("rows", [1, 3])
-def test_a_fault_closes_the_valve_from_the_last_fault_free_command_and_its_cause_stays(axis, rows):
-    controller = Scripted(1, rows)
+def test_a_trip_closes_the_valve_from_the_last_fault_free_command_and_its_cause_stays(axis):
+    controller = Scripted(1)
     guarded = watched(controller)
 
-    def step(index, off):
-        points = target_of(index, 1)[:, -rows:] if rows > 1 else force(*[5.0] * 2)
-        return stepped(guarded, index, points, sample_of(index, off, axis))
+    def step(index):
+        off = 5e-3 * (index >= 5)  # of at most 1.8 mm of motion
+        return stepped(guarded, index, target_of(index, 1), sample_of(index, off, axis))
 
-    for index in range(5):
-        step(index, 0.0)
-    drives = [step(index, 2e-3) for index in range(5, 15)]
-    last = drives[1]
-    for taken, drive in enumerate(drives[2:], 1):
-        np.testing.assert_allclose(drive, left(taken) * last, rtol=1e-14)
-    # of the second wrong sample on, a controller of forces holds its last command
-    assert len(controller.seen) == (7 if rows > 1 else 6)
-    assert guarded.step_index == 7
-    message = (
-        f"measured displacement on axis {AXES[axis]} contradicts the other channels: 3 samples "
-        "within"
-    )
-    assert guarded.reason.startswith(message)
+    assert [step(index)[0] for index in range(14)] == list(range(1, 15))  # it may last for 0.02 s
+    for taken in range(1, 11):
+        np.testing.assert_allclose(step(13 + taken), left(taken) * np.array([14.0, 28.0]))
+    assert (guarded.step_index, len(controller.seen)) == (14, 14)
+    text = f"measured displacement on axis {AXES[axis]} is 0.005 m away from its target (0.00"
+    assert guarded.reason.startswith(text)
+    assert guarded.reason.endswith(" m allowed): tracking")
     reason = guarded.reason
-    assert not np.any(stepped(guarded, 15, force(0.0, math.nan), state(math.nan)))
-    guarded.trip(16, "another")
-    assert (guarded.reason, guarded.step_index) == (reason, 7)
+    assert not np.any(stepped(guarded, 25, force(0.0, math.nan), state(math.nan)))
+    guarded.trip(26, "another")
+    assert (guarded.reason, guarded.step_index) == (reason, 14)
     guarded.reset()
-    assert (guarded.reason, guarded.step_index, guarded.nearest[1]) == ("", -1, 0.0)
+    assert (guarded.reason, guarded.step_index, guarded.off_target) == ("", -1, 0.0)
     assert controller.seen == []
     np.testing.assert_array_equal(stepped(guarded, 0, force(math.nan, 0.0), state()), [0.0, 0.0])
 
 
-def test_detectors_that_only_warn_put_no_sample_under_suspicion():
-    controller = Scripted(1, 3)
-    guarded = watched(controller, warn_only=["displacement_velocity", "displacement_wrong"])
-    for index in range(9):
-        stepped(guarded, index, target_of(index, 1), sample_of(index, 2e-3 * (index >= 5)))
-    assert (guarded.reason, len(controller.seen)) == ("", 9)
-    name, share = guarded.nearest
-    assert name == "displacement_wrong"
-    assert share > 1.0
+def off_target(controller, **words):
+    """An interlock after steps at rest, 5 mm away from its target."""
+    guarded, points = watched(controller, **words), np.zeros((1, 3, 2))
+    for step in range(50):
+        measured = sample_of(0)
+        measured[0] = 5e-3
+        stepped(guarded, step, points, measured)
+    return guarded
 
 
-def test_detectors_are_not_blinded_by_what_is_no_number():
-    controller = Scripted(1, 1)
-    guarded = watched(controller)
-    for index in range(50):
-        measured = sample_of(index, 2e-3 * (index >= 40))
-        measured[0, 1] = math.nan if index == 3 else measured[0, 1]
-        stepped(guarded, index, force(0.0, 0.0), measured)
-    assert guarded.step_index == 42
+def test_tracking_that_only_warns_does_not_trip():
+    controller = Scripted(1)
+    guarded = off_target(controller, acts=False)
+    assert (guarded.reason, len(controller.seen)) == ("", 50)
+    assert guarded.off_target > 1.0
+    assert off_target(controller).step_index == 9
+
+
+def test_a_controller_of_forces_has_no_target_to_be_away_from():
+    guarded = off_target(Scripted(1, 1))
+    assert (guarded.reason, guarded.off_target) == ("", 0.0)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
@@ -303,58 +281,5 @@ def test_an_interlock_is_made_of_its_section():
         assert len(made.state.saturated) == 51
         own = axes if rig is None else rig.axes
         n = len(own)
-        made.step(0, np.array([[[0.0] * (n - 1) + [-901.0]]]), np.zeros((4, n)))
+        made.step(0, np.array([[[0.0] * (n - 1) + [-901.0]]]), np.zeros((6, n)))
         assert f"-901 N on axis {own[-1]} is beyond the limit of 900 N" in made.reason
-
-
-def test_detectors_know_what_their_section_says_of_their_axes():
-    section, axes, _ = section_of(
-        "/**:actuator.flow_gain:=[0.04, 0.05]",
-        "/**:actuator.valve_frequency:=[70.0, 0.0]",
-        "rig:simulated.actuator.valve_frequency:=70.0",
-        "/**:sensors.force_noise:=[3.0, 4.0]",
-        "/**:sensors.force_range:=[0.0, 9000.0]",
-        "force_controller:detectors.warn_only:=oil_balance, tracking",
-    )
-    p, _ = detectors_of(section, axes, DT, (0, 1))
-    expected = [[0.04, 1.685e7, 50.0, 24500.0], [0.0, 1.685e7, 50.0, 24500.0]]
-    np.testing.assert_array_equal(p.actuator[:, :1], np.array(expected)[:, :1])
-    np.testing.assert_array_equal(p.actuator[0], expected[0])
-    assert np.isfinite(p.sums[2]).tolist() == [True, False]  # its valve is not known
-    np.testing.assert_array_equal(p.noise, [[5e-6] * 2, [1e-3] * 2, [0.05] * 2, [3.0, 4.0]])
-    np.testing.assert_array_equal(p.range[3], [np.inf, 9000.0])
-    np.testing.assert_array_equal(p.range[:3, 0], [0.1, 1.0, 39.24])
-    np.testing.assert_array_equal(p.mass, np.diag([52.7, 45.0]))
-    np.testing.assert_array_equal(p.stiffness, np.diag([211e3, 160e3]))
-    np.testing.assert_array_equal(p.computed_mass, p.mass)
-    quiet = [one.name for one, acts in zip(DETECTORS, p.acts, strict=True) if not acts]
-    assert quiet == ["oil_balance", "tracking"]
-    assert p.persistence[2] == 3
-    np.testing.assert_allclose(p.past[:, 0].sum(axis=1), 1.0, atol=0.01)  # what is sent, flows
-    alone, state = detectors_of(section, axes, DT, (1,))
-    assert (alone.mass.item(), alone.stiffness.item(), alone.noise[3, 0]) == (45.0, 160e3, 4.0)
-    assert (alone.range[3, 0], state.last.shape) == (9000.0, (4, 1))
-
-
-def test_what_a_test_is_like_changes_what_its_detectors_know():
-    def of(*words):
-        section, axes, _ = section_of(*words)
-        return detectors_of(section, axes, DT, (0, 1))[0]
-
-    assert not of("reference_force:mass_ratio:=0.0").computed_mass.any()
-    half = of("reference_force:mass_ratio:=0.5")
-    np.testing.assert_array_equal(half.computed_mass, 0.5 * half.mass)
-    unknown = of("/**:specimen.stiffness:=0.0")
-    assert not unknown.stiffness.any()
-    assert np.isinf(unknown.rough).all()
-    ideal = of("/**:actuator.kind:=ideal")
-    assert np.isinf(ideal.sums[2]).all()
-    np.testing.assert_allclose(ideal.by_force, np.linalg.inv(ideal.mass))
-    assert not of().by_force.any()
-    assert np.isfinite(of("/**:actuator.valve_frequency:=0.5").sums[2]).all()
-    assert not of("force_controller:detectors.warn_only:=all").acts.any()
-    assert of().acts.all()
-    derived = of("/**:sensors.velocity:=derived")
-    np.testing.assert_allclose(derived.noise[1], math.sqrt(2.0) * 5e-6 / DT)
-    with pytest.raises(InputError, match=r"detectors\.warn_only: no detector 'speed'; there are "):
-        of("force_controller:detectors.warn_only:=speed")

@@ -23,7 +23,7 @@ def ways():
 
 def answered(controller):
     """An interlock that has answered the steps 0 to 3."""
-    guarded = watched(controller)
+    guarded = watched(controller, limits=(1.0, 1.0, 1.0, 1e3))
     for step in range(4):
         stepped(guarded, step, target_of(step), sample_of(step))
     return guarded
@@ -38,19 +38,23 @@ def test_after_a_trip_it_goes_along_the_stop_and_its_end_lasts(kind):
     assert (guarded.reason, guarded.step_index) == ("stopped", 5)
     last = np.array([4.0, 8.0])  # a trip from outside: plan and sensors may be wrong
     for age in range(8):
-        command = guarded.step(5 + age, target_of(5 + age), sample_of(5 + age))
+        command = stepped(guarded, 5 + age, target_of(5 + age), sample_of(5 + age))
         np.testing.assert_allclose(command, left(age + 1) * last, atol=1e-15)
     guarded.reset()
     assert not guarded.stop(0).any()
 
 
+@pytest.mark.parametrize("beyond_limit", [False, True])
 @pytest.mark.parametrize("kind", [Scripted, Planned])
-def test_while_sensors_and_valve_are_fault_free_a_trip_follows_the_plan(kind):
+def test_while_sensors_and_valve_are_fault_free_a_trip_follows_the_plan(kind, beyond_limit):
     guarded, wanted = answered(kind()), ways()[kind is Planned]
     for age in range(len(wanted) + 3):
-        points = target_of(4 + age)
-        points[0, 2] = math.nan if age == 0 else points[0, 2]
-        command = guarded.step(4 + age, points, sample_of(4 + age))
+        points, sample = target_of(4 + age), sample_of(4 + age)
+        if age == 0:
+            wrong = sample[2] if beyond_limit else points[0, 2]
+            wrong[:] = -1.1 if beyond_limit else math.nan
+        command = stepped(guarded, 4 + age, points, sample)
         np.testing.assert_allclose(command, wanted[min(age, len(wanted) - 1)], atol=1e-15)
     np.testing.assert_array_equal(guarded.stop(6), guarded.stop(4)[2:])
     assert guarded.stop(99).shape == (1, 2)
+    assert ("acceleration -1.1 m/s^2 on axis east" in guarded.reason) == beyond_limit

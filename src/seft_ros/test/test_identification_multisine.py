@@ -12,8 +12,8 @@ from experiments_at_hand import load, simulated
 from seft_msgs_py.config.experiment import value_text
 from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import InputError
+from seft_plant_sim.channels import ACCELERATION, DISPLACEMENT, FORCE, VELOCITY
 from seft_plant_sim.rig_parameters import truth
-from seft_plant_sim.simulated.sensors import ACCELERATION, DISPLACEMENT, FORCE, VELOCITY
 from seft_ros.identification.actuator_fit import ActuatorFit
 from seft_ros.identification.calibrated import (
     Calibrated,
@@ -211,7 +211,7 @@ def test_a_stiff_heavy_specimen_is_tested_at_the_same_frequencies_at_every_rate(
         ((), -1e-4, "--travel is -0.0001 m"),
         (("/**:limits.force:=20.0",), None, r"half of /\*\*: limits.force.*--travel"),
         (
-            ("/**:sensors.displacement_noise:=0.0", f"{SENSORS}adc_bits:=0"),
+            ("/**:sensors.displacement_noise:=0.0", "/**:sensors.adc_bits:=0"),
             None,
             r"/\*\*: sensors.displacement_noise is 0",
         ),

@@ -9,6 +9,7 @@ from experiments_at_hand import load, simulated
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.limits import Limits
+from seft_plant_sim.simulated.specimen import Specimen
 from seft_ros.ground_motion.synthetic_motion import excitation
 from seft_ros.identification.rig_tests import (
     LargestLevels,
@@ -105,16 +106,34 @@ def test_the_largest_force_reaches_a_limit_and_its_error_names_one_that_does_not
     assert default_force(of, largest) <= 0.5 * largest.force[0]
 
 
+def test_under_a_cap_levels_are_those_at_which_the_known_rig_reaches_it(record):
+    of, cap = load("/**:actuator.kind:=servo_hydraulic_linear"), 1e-3
+    path, unit = record(of)
+    largest = LargestLevels.of(of, unit, cap)
+    assert largest.voltage[1] == largest.force[1] == "--max-displacement"
+    opened = simulated(open_loop(of, path, largest.voltage[0]))
+    closed = simulated(closed_loop_test(of, path, 0.5 * largest.force[0]))
+    for done, reached in ((opened, cap), (closed, 0.5 * cap)):
+        moved = np.abs(done.states.values[:, 0]).max()
+        assert 0.8 * reached < moved < 1.05 * reached
+    soft = Specimen(np.eye(1) * 52.7, np.eye(1) * 800.0, np.eye(1) * 2.1e4)
+    assert LargestLevels.of(of, unit, cap, soft).force[0] < 0.5 * largest.force[0]
+    assert pilot_voltage(of, largest) == pilot_voltage(of, LargestLevels.of(of, unit))
+    small = LargestLevels.of(of, unit, 1e-4)
+    assert pilot_voltage(of, small) == pytest.approx(0.22 * 0.1 * largest.voltage[0])
+
+
 def after_pilot(of, record):
     """Voltage after a pilot, and the largest one."""
     path, unit = record(of)
-    low, largest = pilot_voltage(of), LargestLevels.of(of, unit)
+    largest = LargestLevels.of(of, unit)
+    low = pilot_voltage(of, largest)
     return voltage_after(simulated(open_loop(of, path, low)), low, largest), largest.voltage[0]
 
 
 def shares_of(of, path, voltage):
     """Shares of the limits of the state and of its changes in an open loop."""
-    states = simulated(open_loop(of, path, voltage)).series["rig/state"].values[:, :4]
+    states = simulated(open_loop(of, path, voltage)).measured.values
     limits = Limits(group(of["supervisor"], "limits"), of.axes, of.timebase.dt)
     assert not any(limits.violation(state) for state in states)
     return 1.0 - np.array(list(limits.margins().values())).reshape(2, 4)
@@ -123,7 +142,7 @@ def shares_of(of, path, voltage):
 def test_after_a_pilot_the_rig_uses_a_fifth_of_its_limits(record):
     of = load("/**:actuator.kind:=servo_hydraulic_linear")
     voltage, _ = after_pilot(of, record)
-    assert voltage > 2 * pilot_voltage(of)
+    assert voltage > 2 * pilot_voltage(of, LargestLevels.of(of, record(of)[1]))
     shares = shares_of(of, record(of)[0], voltage)
     assert shares[0].max() == pytest.approx(0.22, rel=0.05)
 

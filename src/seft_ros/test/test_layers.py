@@ -10,7 +10,7 @@ LAYERS = (  # the way up from wire to commands
     "seft_plant_sim",
     *("drawing", "ground_motion", "reference_force", "protection", "force_controller"),
     *("bags", "design", "identification", "test_run", "nodes"),
-    *("analysis", "replay", "study", "monitor", "conformance", "cli"),
+    *("analysis", "replay", "study", "monitor", "check", "cli"),
 )
 
 

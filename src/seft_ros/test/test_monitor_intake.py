@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from experiments_at_hand import load
-from recordings_at_hand import recording_of
+from recordings_at_hand import of_rig, recording_of
 from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_plant_sim.whole_structure import reference_response, whole_structure
@@ -26,10 +26,10 @@ def codec(topic):
 
 
 def states(steps):
-    values = np.zeros((5, 1))
+    values = np.zeros((6, 1))
     found = []
     for step in steps:
-        values[:, 0] = step, 0.0, 2 * step, 3 * step, 0.0
+        values[:4, 0] = step, 0.0, 2 * step, 3 * step
         found.append((codec(RIG_STATE).encode(step, values), 2 * MS * step))
     return found
 
@@ -97,14 +97,11 @@ def test_the_motion_that_is_tested_is_shown_as_in_the_report(intake):
     rows = [getattr(exact, name) for name in ("displacement", "velocity", "acceleration", "force")]
     values = np.stack(rows, axis=1)
     values[:, 3] *= 1.2
-    wanted = motion_difference(recording_of(EXPERIMENT, MOTION, values))
+    wanted, samples = motion_difference(recording_of(EXPERIMENT, MOTION, values)), of_rig(values)
     intake.motion(motion(0, MOTION))
     encode = codec(RIG_STATE).encode
     for start in range(0, 400, 57):
-        part = [
-            (encode(k, np.pad(values[k], ((0, 1), (0, 0)))), 0)
-            for k in range(start, min(start + 57, 400))
-        ]
+        part = [(encode(k, samples[k]), 0) for k in range(start, min(start + 57, 400))]
         intake.samples([part], [])
     assert intake.own_motion["asked"]  # shown once a second, so from its first samples alone
     found = intake._live_motion.summary()
@@ -174,7 +171,7 @@ def test_a_structure_that_is_not_described_has_a_note():
 
 def test_each_axis_has_its_own_columns():
     intake = Intake(("x", "y"), TIMEBASE)
-    values = np.arange(10.0).reshape(5, 2)
+    values = np.arange(12.0).reshape(6, 2)
     raw = TrajectoryCodec(RIG_STATE, ("x", "y"), TIMEBASE).encode(0, values)
     intake.samples([[(raw, 0)]], [])
     intake.samples([[]], [])

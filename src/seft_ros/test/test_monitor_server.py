@@ -4,7 +4,9 @@ import json
 
 import numpy as np
 from experiments_at_hand import load
-from seft_msgs_py.wire.messages import Status, encode_status, encode_string
+from seft_msgs_py.wire.experiment_state import ExperimentState, encode_state
+from seft_msgs_py.wire.messages import encode_string
+from seft_msgs_py.wire.outcome import State
 from seft_msgs_py.wire.topics import DESCRIPTION, EXPERIMENT_STATE, RIG_STATE
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.monitor.server import Watch
@@ -35,7 +37,7 @@ def test_each_look_tells_the_time_and_what_was_asked_for_too_long_ago_is_refused
     summary = watch.poll()
     assert json.loads(summary[-1]) == {"kind": "time", "at": 100_000}
     assert [json.loads(text)["kind"] for text in watch.poll()] == ["time"]
-    graph.send(EXPERIMENT_STATE, encode_status(Status("experiment", 0, "ready", values={})))
+    graph.send(EXPERIMENT_STATE, encode_state(ExperimentState(State.READY)))
     watch.poll()
     assert watch.lateness(1, 100_000.0) == ""
     assert "the test is now ready" in watch.lateness(0, 100_000.0)
@@ -50,11 +52,11 @@ def test_a_page_that_is_open_hears_that_another_test_begins():
     watch = Watch(graph)
     graph.send(DESCRIPTION, encode_string(DESCRIBED))
     for step in range(30):
-        graph.send(RIG_STATE, CODEC.encode(step, np.zeros((5, 1))))
+        graph.send(RIG_STATE, CODEC.encode(step, np.zeros((6, 1))))
     watch.poll()
     numbers = []
     for state in ("done", "done", "idle", "ready", "running"):
-        graph.send(EXPERIMENT_STATE, encode_status(Status("experiment", 0, state, values={})))
+        graph.send(EXPERIMENT_STATE, encode_state(ExperimentState(State(state))))
         watch.poll()
         (test,) = (json.loads(t) for t in watch.everything() if t[:16] == '{"kind":"test","')
         numbers.append((test["test"], watch.intake.history.head))
@@ -65,7 +67,7 @@ def test_samples_wait_for_the_description_that_they_are_read_with():
     graph = Graph()
     watch = Watch(graph)
     for step in range(30):
-        graph.send(RIG_STATE, CODEC.encode(step, np.zeros((5, 1))))
+        graph.send(RIG_STATE, CODEC.encode(step, np.zeros((6, 1))))
         if step < 20:
             watch.poll()
     assert watch.intake is None

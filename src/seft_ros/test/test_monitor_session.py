@@ -4,7 +4,9 @@ import json
 from types import SimpleNamespace
 
 import pytest
-from seft_msgs_py.wire.messages import ERROR, OK, Status
+from seft_msgs_py.wire.experiment_state import ExperimentState
+from seft_msgs_py.wire.messages import OK, Status
+from seft_msgs_py.wire.outcome import State
 from seft_ros.monitor.session import EVENTS, SILENCE_PERIOD, Session
 
 
@@ -20,8 +22,8 @@ def session(clock):
     return Session(wall=lambda: 1e9 + clock.now, awake=clock)
 
 
-def state(name, detail="", level=OK, **values):
-    return Status("experiment", level, name, values={"detail": detail, **values})
+def state(name, detail="", **values):
+    return ExperimentState(State(name), detail, **values)
 
 
 def rig(steps, **values):
@@ -41,7 +43,7 @@ def test_before_anything_is_heard_nothing_is_reported(session):
 def test_a_repeated_state_is_no_event_and_begins_no_test(session):
     for _ in range(2):
         assert not session.on_state(state("running"))
-    session.on_state(state("tripped", "force is beyond", ERROR, step="7", time_s="0.014"))
+    session.on_state(state("tripped", "force is beyond", step=7, time_s=0.014))
     assert what(session) == ["running", "tripped"]
     summary = session.summary()
     assert (summary["state"], summary["step"], summary["time_s"]) == ("tripped", 7, 0.014)

@@ -9,7 +9,8 @@ from bags_at_hand import write_stock_bag
 from experiments_at_hand import load
 from recordings_at_hand import without
 from rosbags.rosbag2 import Reader
-from seft_msgs_py.wire.messages import Status, encode_status
+from seft_msgs_py.wire.experiment_state import ExperimentState, encode_state
+from seft_msgs_py.wire.outcome import State
 from seft_msgs_py.wire.topics import EXPERIMENT_STATE, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 from seft_ros.bags.bag_writer import BagWriter
 from seft_ros.bags.recording import Recording, Series
@@ -51,14 +52,15 @@ def held_test(blocks, held):
     rig = blocks.rig
     steps = blocks.ground_motion.steps
     commands = np.random.default_rng(5).normal(scale=0.05, size=(steps, 1))
-    states = [rig.reset()]
+    states, measured = [rig.reset()], [rig.measured]
     for step in range(steps - 1):
         at = held.get(step, step)
         states.append(rig.step(commands[at] if at >= 0 else np.zeros(1)))
+        measured.append(rig.measured)
     motion = blocks.ground_motion.samples
     forces, unused = np.zeros_like(commands)[:, None], np.empty(0)
-    states = np.array(states)
-    course = LoopSamples(states, states[:, :4], forces, commands, unused, unused, unused)
+    samples = np.array(states), np.array(measured)
+    course = LoopSamples(*samples, forces, commands, unused, unused, unused)
     series = loop_series(motion, course, steps)
     return Recording(EXPERIMENT, series, missed=len(held), missed_steps=sorted(held))
 
@@ -153,7 +155,7 @@ def test_a_bag_that_begins_in_the_middle_or_has_two_tests_is_refused(
     assert (status, "the bag begins at step 5" in errors) == (2, True)
     with Reader(bag_of(recording, "one")) as reader, BagWriter(tmp_path / "two") as writer:
         for state in ("running", "done", "idle", "running"):
-            raw = encode_status(Status("experiment", 0, state))
+            raw = encode_state(ExperimentState(State(state)))
             writer.write(EXPERIMENT_STATE, raw, reader.start_time)
     stock_recording(tmp_path / "one", tmp_path / "two", tmp_path / "both")
     status, _, errors = seft("replay", tmp_path / "both")

@@ -17,7 +17,7 @@ from seft_ros.test_run.compiled_loop import build_blocks, why_not_compiled
 from seft_ros.test_run.offline import BlockCache, simulate_test
 
 SHORT = ("ground_motion:synthetic.duration:=12", "ground_motion:tail:=0.5")
-FINE = ("rig:simulated.sensors.adc_bits:=0",)  # no converter, which would hide small differences
+FINE = ("/**:sensors.adc_bits:=0",)  # no converter, which would hide small differences
 
 RATIO = "reference_force:mass_ratio:={}".format
 METHOD = "reference_force:compensation.method:={}".format
@@ -57,7 +57,7 @@ CASES = {  # few combinations of blocks: a loop is compiled for each
     "target, suspect samples": (  # while they are, the controller follows the plan to its end
         *TARGET,
         "/**:rate:=250.0",
-        "rig:simulated.sensors.adc_bits:=12",
+        "/**:sensors.adc_bits:=12",
         "ground_motion:synthetic.duration:=30.0",
         "ground_motion:peak_force:=500.0",
     ),
@@ -83,7 +83,7 @@ CASES = {  # few combinations of blocks: a loop is compiled for each
     ),
     "blind": (  # the judge would end it before
         "/**:sensors.acceleration_range:=5.0",
-        "force_controller:detectors.warn_only:=all",
+        "rig:detectors.warn_only:=all",
     ),
     "unstable": (RATIO(2.0),),
     "force": ("/**:limits.force:=600.0",),

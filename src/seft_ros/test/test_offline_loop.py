@@ -9,7 +9,7 @@ from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
 
 PERFECT = (
-    "rig:simulated.sensors.adc_bits:=0",
+    "/**:sensors.adc_bits:=0",
     *(
         f"/**:sensors.{name}_{row}:=0"
         for name in ("displacement", "velocity", "acceleration", "force")

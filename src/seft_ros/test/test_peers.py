@@ -118,7 +118,7 @@ def test_nodes_that_were_started_differently_are_named_with_their_values(rigs, k
 
 LINKS = [
     ("ground_motion", "ground_motion", "reference_force"),
-    ("force_controller", "rig/judged", "reference_force"),
+    ("rig", "rig/state", "reference_force"),
     ("rig", "rig/state", "force_controller"),
     ("reference_force", "reference_force", "force_controller"),
     ("force_controller", "valve_command", "rig"),

@@ -12,7 +12,6 @@ from seft_msgs_py.virtual import LocalGraph
 from seft_msgs_py.wire.topics import (
     ESTIMATES,
     GROUND_MOTION,
-    JUDGED,
     REFERENCE_FORCE,
     Timebase,
 )
@@ -91,7 +90,7 @@ def test_where_the_due_step_was_lost_the_next_one_counts(steps):
 
 def test_the_offline_loop_keeps_what_the_method_knew_after_each_of_these_steps(watched):
     recording = simulated(watched)
-    states = recording.series[JUDGED.name].values
+    states = recording.states.values
     estimates = recording.estimates
     assert estimates.names == ("least", "largest")
     assert estimates.steps.tolist() == list(range(0, len(states), 50))

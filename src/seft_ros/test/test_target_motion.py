@@ -35,7 +35,7 @@ def error(*words, config="jhu"):
     tested = experiment(*words, config=config)
     recording = simulated(tested)
     assert recording.trip is None
-    measured, motion = (recording.series[name].values for name in ("rig/state", "ground_motion"))
+    measured, motion = recording.measured.values, recording.series["ground_motion"].values
     exact = reference_response(tested, motion[:, 0])
     return 100 * nrmse(measured[:, 0], exact.displacement)
 

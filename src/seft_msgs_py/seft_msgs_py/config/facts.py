@@ -63,6 +63,9 @@ _OF_A_CHANNEL = """
     sensors.{name}_noise     | floats | 0.0 | {unit} | 0 .. | RMS noise of the {name}; 0: not known
     sensors.{name}_range     | floats | 0.0 | {unit} | 0 .. |
         {name} in both directions at which the sensor saturates; 0: not known, or never
+    calibration.{name}_per_volt | floats | 1.0 | {unit}/V | |
+        {name} per volt, where the hardware reads volts; below 0 where the sensor stands the other
+        way round; 1: it reads {unit}
     calibration.{name}_scale | floats | 1.0 |        |        | measured over true {name}
     calibration.{name}_bias  | floats | 0.0 | {unit} |        | measured {name} at a true one of 0
     calibration.{name}_lag   | floats | 0.0 | s      | 0 .. 1 |
@@ -74,6 +77,8 @@ _SENSORS = """
     velocity | string | measured | | measured, derived |
         measured, or derived from the displacement by a filtered derivative
     velocity_cutoff | float | 100.0 | Hz | > 0 | cut-off of that derivative
+    adc_bits | int | 0 | | 0 .. 32 |
+        bits of the analog-digital converters over each range; 0: finer than the noise
 """
 
 _CALIBRATION = """
@@ -140,6 +145,7 @@ SETTINGS = {
     "ramp_down_time": "reference_force",
     "compensation.horizon": "reference_force",
     "safe.close_time": "rig",
+    "detectors.warn_only": "rig",
     "watchdog.command_timeout": "rig",
 }
 """Settings of a node that others use, too: name -> the node under which a file has them."""

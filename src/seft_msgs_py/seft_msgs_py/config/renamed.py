@@ -36,7 +36,7 @@ rig: actuator\.(piston_area|supply_pressure|rated_flow|rated_pressure_drop) ->
     /**: actuator.*, which follow from the data sheet (docs/rig.md)
 rig: actuator\.(bulk_modulus|oil_volume|leakage_coefficient) ->
     /**: actuator.*, which follow from the data sheet (docs/rig.md)
-rig: sensors\.(\w+_(scale|lag|bias|filter)|tilt|adc_bits) -> rig: simulated.sensors.\1
+rig: sensors\.(\w+_(scale|lag|bias|filter)|tilt) -> rig: simulated.sensors.\1
 rig: calibration\.position_zero -> /**: calibration.displacement_bias
 rig: calibration\.(\w+)_zero -> /**: calibration.\1_bias
 rig: calibration\.position_(\w+) -> /**: calibration.displacement_\1

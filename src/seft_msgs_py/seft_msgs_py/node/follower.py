@@ -7,7 +7,7 @@ from seft_msgs_py.node.authors import Authors, Message
 from seft_msgs_py.node.clock import MACHINE, Clock
 from seft_msgs_py.node.senders import Senders
 from seft_msgs_py.node.transport import Endpoint, Subscription
-from seft_msgs_py.wire.messages import decode_status
+from seft_msgs_py.wire.experiment_state import decode_state
 from seft_msgs_py.wire.outcome import MOVING
 from seft_msgs_py.wire.topics import EXPERIMENT_STATE, Topic
 
@@ -64,7 +64,7 @@ class Follower:
                 return bool(self._authors[topic].check(message))
             if self._senders.is_unexpected(topic.name, message.gid):
                 return False
-            state = decode_status(message.raw).message
+            state = decode_state(message.raw).state
         except WireError:
             return False
         self._senders.follow(state)

@@ -9,9 +9,11 @@ from seft_msgs_py.node.transport import Endpoint
 from seft_msgs_py.node.turns import NodeProcess
 from seft_msgs_py.node.wiring import Wiring
 from seft_msgs_py.wire.messages import Status, encode_diagnostics, encode_string, restamp
+from seft_msgs_py.wire.outcome import STOOD_STILL_KEY
 from seft_msgs_py.wire.topics import DESCRIPTION, DIAGNOSTICS
 
 STATUS_PERIOD = 0.2  # s between two heartbeats
+NOTED_PAUSE = 0.01  # s; a node that stood still for longer says so at once
 LOOP_PAUSE = 1.0  # s without a message of the loop: the node is idle
 
 
@@ -62,12 +64,12 @@ class Heartbeat:
         """
         now = self._clock.monotonic()
         sent_at, sent = self._status_sent
-        is_due = now - sent_at >= STATUS_PERIOD
+        is_due = now - sent_at >= STATUS_PERIOD or self._process.stood_still > NOTED_PAUSE
         if now - self._wiring.handled_at < LOOP_PAUSE:
             if is_due:
                 self._update(self._counted())
                 self._publish_status()
-        elif now - self._polled_at >= STATUS_PERIOD:
+        elif is_due or now - self._polled_at >= STATUS_PERIOD:
             self._polled_at = now
             self._update({**self._wiring.matched(), **self._own_values()})
             self._log_phase()
@@ -89,7 +91,9 @@ class Heartbeat:
     def _counted(self) -> dict[str, str]:
         refused, faults = self._wiring.refused, self._process.faults
         unexpected_publishers = self._wiring.unexpected_publishers()
+        stood_still = self._process.stood_still
         return {
+            STOOD_STILL_KEY: f"{stood_still:.3g}" if stood_still > NOTED_PAUSE else "0",
             "refused": str(refused),
             "faults": str(faults),
             "unexpected_publishers": unexpected_publishers,

@@ -24,7 +24,6 @@ import rclpy
 from rcl_interfaces import msg
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.context import Context
-from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
@@ -282,11 +281,6 @@ def take_all(subscription: Subscription, most: int) -> list[tuple[bytes, int]]:
     while len(found) < most and (taken := take_timed(subscription)) is not None:
         found.append(taken)
     return found
-
-
-def is_acknowledged(publisher: Publisher, timeout: float) -> bool:
-    """Wait at most ``timeout`` s until all readers have acknowledged all messages."""
-    return bool(publisher.wait_for_all_acked(Duration(seconds=timeout)))
 
 
 def sender(publisher: Publisher) -> Callable[[bytes], None]:

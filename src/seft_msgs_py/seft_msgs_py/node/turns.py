@@ -45,6 +45,9 @@ class NodeProcess:
         Called after each turn, when all due messages have been answered.
     chores : list of callable
         Called after some turns; nothing may wait for them.
+    stood_still : float
+        Longest time beyond its waits that the process was away between turns, since the last
+        chores, s: it, or its host, was stopped or overloaded, or its program takes long.
 
     Raises
     ------
@@ -68,7 +71,8 @@ class NodeProcess:
         self.polls: list[Callable[[], None]] = []
         self.chores: list[Callable[[], None]] = []
         self._wait_set: WaitSet | None = None
-        self._polled_outside_at = self._chores_at = 0.0
+        self._polled_outside_at = self._chores_at = self.stood_still = 0.0
+        self._turned_at = self.clock.elapsed()
 
     def stop(self, *_: object) -> None:
         """End soon."""
@@ -137,6 +141,8 @@ class NodeProcess:
         next call takes the remainder. Returns whether such a message was handled.
         """
         handled = bool(self.attempt("the turn", self._take_turn, timeout))
+        before, self._turned_at = self._turned_at, self.clock.elapsed()
+        self.stood_still = max(self.stood_still, self._turned_at - before - timeout)
         for poll in self.polls:
             self.attempt("a poll", poll)
         pause = CHORE_PERIOD if handled else IDLE_CHORE_PERIOD
@@ -144,6 +150,7 @@ class NodeProcess:
             self._chores_at = now
             for chore in self.chores:
                 self.attempt("a chore", chore)
+            self.stood_still = 0.0
         while self._new_faults:
             reason = self._new_faults.popleft()
             for listener in self.fault_listeners:

@@ -10,7 +10,7 @@ from seft_msgs_py.node.bus import Receive
 from seft_msgs_py.node.senders import Senders, connected_listeners
 from seft_msgs_py.node.transport import Endpoint, Publisher, Send
 from seft_msgs_py.node.turns import NodeProcess, ReadOne, drain
-from seft_msgs_py.wire.messages import decode_status
+from seft_msgs_py.wire.experiment_state import decode_state
 from seft_msgs_py.wire.outcome import MOVING
 from seft_msgs_py.wire.topics import (
     DESCRIPTION,
@@ -175,7 +175,7 @@ class Wiring:
                 self._process.fault(f"{self.name}, {name}", error)
                 return False
             if topic == EXPERIMENT_STATE:
-                self.follow(decode_status(raw).message)
+                self.follow(decode_state(raw).state)
             return True
 
         return receive

@@ -12,7 +12,8 @@ from seft_msgs_py.config.parameter_table import Table, Value
 from seft_msgs_py.node.node_kind import NodeKind, run_nodes
 from seft_msgs_py.virtual.memory import MemoryEndpoint, MemoryGraph, MemoryTransport, Rule
 from seft_msgs_py.virtual.scheduler import NEVER, Scheduler, Task, ns
-from seft_msgs_py.wire.messages import Status, decode_diagnostics, decode_status
+from seft_msgs_py.wire.experiment_state import decode_state
+from seft_msgs_py.wire.messages import decode_diagnostics
 from seft_msgs_py.wire.topics import (
     DIAGNOSTICS,
     EXPERIMENT_STATE,
@@ -27,7 +28,6 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 _LOOP = ("ground_motion", "reference_force", "force_controller", "rig", "supervisor")
 STRANGER = "stranger"
 _LOOK = 0.005  # s between two looks of `LocalGraph.until`
-_NOTHING = Status("", 0, "", values={})
 
 
 class LocalGraph:
@@ -35,15 +35,13 @@ class LocalGraph:
 
     They are the nodes that run as processes of ROS 2, with a virtual clock and a graph in memory:
     the same test gives the same messages at the same times, whatever the machine does meanwhile.
-    So a laboratory tries its own driver beside the nodes of `seft_ros`::
+    So a laboratory tries its own hardware beside the nodes of `seft_ros`::
 
-        from my_rig.driver_node import KIND
         from seft_msgs_py.virtual import LocalGraph
         from seft_msgs_py.wire.topics import VALVE_COMMAND
         from seft_ros.nodes.kinds import NODE_KINDS
 
-        kinds, own = {**NODE_KINDS, "rig": KIND}, {"rig": ["config/rig.yaml"]}
-        with LocalGraph(kinds, ["experiment.yaml"], own_files=own) as graph:
+        with LocalGraph(NODE_KINDS, ["laboratory.yaml"]) as graph:
             graph.until("ready")
             graph.call("start")
             graph.drop(VALVE_COMMAND, range(500, 2000))
@@ -247,12 +245,15 @@ class LocalGraph:
     @property
     def state(self) -> str:
         """State of the test as the supervisor published it last; empty before."""
-        return self._experiment_state().message
+        return str(self.values.get("state", ""))
 
     @property
-    def values(self) -> dict[str, str]:
-        """Values of that state."""
-        return dict(self._experiment_state().values)
+    def values(self) -> dict[str, Any]:
+        """Fields of that state, see `ExperimentState`; empty before."""
+        for sent in reversed(self.graph.sent):
+            if sent.topic == EXPERIMENT_STATE.name and sent.node != STRANGER:
+                return dict(vars(decode_state(sent.raw)))
+        return {}
 
     def status(self, node: str) -> dict[str, str]:
         """Values of the last status that a node published; empty before."""
@@ -267,18 +268,19 @@ class LocalGraph:
         Returns
         -------
         steps : list of int
-            Of the N messages.
+            Of the N samples: the first point of each message, or each point, see `LoopTopic`.
         values : ndarray
             The samples at these steps, shape (N, quantities, axes).
         """
         topic, axes = (topic.of(rig), rig.axes) if rig else (topic, self.experiment.axes)
         codec = TrajectoryCodec(topic, axes, self.experiment.timebase)
+        own = (one for one in self.graph.sent if one.topic == topic.name and one.node != STRANGER)
         found = [
-            codec.decode(sent.raw)
-            for sent in self.graph.sent
-            if sent.topic == topic.name and sent.node != STRANGER
+            (step + ahead, value)
+            for step, values in (codec.decode(sent.raw) for sent in own)
+            for ahead, value in enumerate(values if topic.every_point else values[:1])
         ]
-        return [step for step, _ in found], np.array([values[0] for _, values in found])
+        return [step for step, _ in found], np.array([value for _, value in found])
 
     def close(self) -> None:
         """End all nodes where they are."""
@@ -303,9 +305,3 @@ class LocalGraph:
     def _endpoint(self, node: str) -> MemoryEndpoint:
         endpoints = self._transports[node].endpoints
         return next(each for each in endpoints if each.path == node)
-
-    def _experiment_state(self) -> Status:
-        for sent in reversed(self.graph.sent):
-            if sent.topic == EXPERIMENT_STATE.name and sent.node != STRANGER:
-                return decode_status(sent.raw)
-        return _NOTHING

@@ -11,7 +11,7 @@ import struct
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cache, lru_cache
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -96,18 +96,8 @@ def encode_status(status: Status) -> bytes:
 
 
 def decode_status(raw: bytes) -> Status:
-    """Read a diagnostic_msgs/msg/DiagnosticStatus; of equal keys the last one is used.
-
-    Heartbeats repeat a message, which is decoded once: do not change the result.
-    """
-    return _known_status(raw) if isinstance(raw, bytes) else _read_status(raw)
-
-
-def _read_status(raw: bytes) -> Status:
+    """Read a diagnostic_msgs/msg/DiagnosticStatus; of equal keys the last one is used."""
     return _status(decode_message(DIAGNOSTIC_STATUS, raw))
-
-
-_known_status = lru_cache(maxsize=16)(_read_status)
 
 
 def encode_diagnostics(stamp_ns: int, statuses: Sequence[Status]) -> bytes:

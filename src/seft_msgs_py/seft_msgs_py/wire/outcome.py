@@ -19,6 +19,8 @@ FINISHED = "finished"
 TRIPPED = "tripped"
 STOPPED = "stopped"
 """Reason of a rig that obeyed the supervisor, which knows the cause."""
+BY_OPERATOR = "stopped by the operator"
+"""How a test ended that the operator stopped: it is done, and no trip."""
 REHEARSES = "rehearses"
 """Key of the facts of a node of the loop: whether it can rehearse."""
 REHEARSED = "rehearsal"
@@ -27,6 +29,10 @@ ZEROED = "zeroed"
 """Key of the rig's facts: what it has measured at rest and subtracts."""
 STALLED = "the supervisor has stalled; try again"
 """Why it refuses a request that may have waited for long: who waits still asks again."""
+WAITED_KEY = "waited"
+"""Key of a trip's values: how long a node waited in vain for others, s; 0: it knows the cause."""
+STOOD_STILL_KEY = "stood_still"
+"""Key of a node's values: how long its process neither waited nor worked just now, s; or 0."""
 LISTED_STEPS = 100
 """Largest number of missed steps that a status lists; all are counted."""
 ROUND_TRIPS = {
@@ -58,11 +64,16 @@ ENDED = (State.DONE, State.TRIPPED)
 
 @dataclass(frozen=True)
 class Trip:
-    """Reason for the end of a test, in one line, with its step and experiment time."""
+    """Reason for the end of a test, in one line, with its step and experiment time.
+
+    A reason that only says what did not come has the time ``waited`` for it, s: its cause is
+    elsewhere.
+    """
 
     reason: str
     step: int
     time_s: float
+    waited: float = 0.0
 
 
 Saturation = dict[str, dict[str, int]]
@@ -112,6 +123,35 @@ class Simulated:
         return cls(*map(max, zip(*peaks, strict=True)))
 
 
+class MissedSteps:
+    """Steps without a new command, in their order.
+
+    Parameters
+    ----------
+    rate : float
+        Of the steps, Hz.
+
+    Attributes
+    ----------
+    steps : list of int
+        All of them.
+    most : int
+        The most of them within a second of the test, whichever.
+    """
+
+    def __init__(self, rate: float) -> None:
+        self.steps: list[int] = []
+        self.most = self._first = 0  # the first one of the last second
+        self._second = round(rate)
+
+    def add(self, step: int) -> None:
+        """Count a step."""
+        self.steps.append(step)
+        while self.steps[self._first] <= step - self._second:
+            self._first += 1
+        self.most = max(self.most, len(self.steps) - self._first)
+
+
 @dataclass(frozen=True)
 class Outcome:
     """End of a test, as the rig reports it.
@@ -138,6 +178,8 @@ class Outcome:
         From a sample to its command, s, by the keys of `ROUND_TRIPS`; empty if not measured.
     simulated : Simulated or None
         Largest true motion of a simulated rig; None if the rig is none.
+    most_missed : int
+        Missed steps within a second, see `MissedSteps`.
     """
 
     phase: str
@@ -150,6 +192,7 @@ class Outcome:
     saturation: Saturation = field(default_factory=dict)
     round_trips: dict[str, float] = field(default_factory=dict)
     simulated: Simulated | None = None
+    most_missed: int = 0
 
     @classmethod
     def of_all(cls, outcomes: Sequence["Outcome"]) -> "Outcome":
@@ -180,6 +223,7 @@ class Outcome:
                 if (found := [o.round_trips[key] for o in outcomes if key in o.round_trips])
             },
             simulated=Simulated.of_all(simulated) if len(simulated) == len(outcomes) else None,
+            most_missed=max(outcome.most_missed for outcome in outcomes),
         )
 
 
@@ -196,6 +240,7 @@ def rig_status(outcome: Outcome) -> Status:
         "phase": phase,
         "steps": str(outcome.steps),
         "missed": str(outcome.missed),
+        "most_missed": str(outcome.most_missed),
         "overruns": str(outcome.overruns),
         "missed_steps": _listed(outcome.missed_steps),
         "saturated": json.dumps(dict(sorted(outcome.saturation.items()))),
@@ -209,16 +254,24 @@ def rig_status(outcome: Outcome) -> Status:
     message = f"{phase}: {outcome.steps} steps, {outcome.missed} missed"
     level = WARN if outcome.missed else OK
     if trip is not None:
-        values.update(reason=trip.reason, step=str(trip.step))
+        values.update(reason=trip.reason, step=str(trip.step), **{WAITED_KEY: f"{trip.waited:g}"})
         message = f"{phase} at step {trip.step} ({trip.time_s:g} s): {trip.reason}"
         level = ERROR
     return Status(name=RIG, level=level, message=message, values=values)
 
 
-def tripped_status(node: str, reason: str, step: int) -> Status:
-    """Status with which any node except the rig ends a test at once."""
-    values = {"phase": TRIPPED, "reason": reason, "step": str(step)}
+def tripped_status(node: str, reason: str, step: int, waited: float = 0.0) -> Status:
+    """Status with which any node except the rig ends a test at once; ``waited`` as of `Trip`."""
+    values = {"phase": TRIPPED, "reason": reason, "step": str(step), WAITED_KEY: f"{waited:g}"}
     return Status(node, ERROR, f"{TRIPPED} at step {step}: {reason}", values=values)
+
+
+def seconds(status: Status, key: str) -> float:
+    """Read a time of a status, s; 0 if it is not there, or none."""
+    try:
+        return _finite(status.values.get(key, "0"))
+    except ValueError:
+        return 0.0
 
 
 def read_outcome(status: Status, timebase: Timebase) -> Outcome | None:
@@ -256,6 +309,7 @@ def read_outcome(status: Status, timebase: Timebase) -> Outcome | None:
                 if name in values
             },
             simulated=_simulated(values["simulated"]) if "simulated" in values else None,
+            most_missed=int(values.get("most_missed", "0")),
         )
     except KeyError as error:
         raise WireError(f"status of the {phase} rig: {error.args[0]} is missing") from None

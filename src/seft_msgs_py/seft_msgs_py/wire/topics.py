@@ -8,7 +8,7 @@ that name below the test's. Axes without such a name belong to the only rig.
 """
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import Self
@@ -98,14 +98,11 @@ NODES = ("ground_motion", "reference_force", "force_controller", "rig", "supervi
 
 QUANTITIES = ("positions", "velocities", "accelerations", "effort")
 """Arrays of a JointTrajectoryPoint, in the order of the wire."""
-DRIVE = "drive"
-"""What a rig applies from its sample on: the effort of a second point, a period later."""
+IS_SUSPECT, DRIVE = "suspect", "drive"
+"""Whether a sample is suspect, 1 or 0, and what the rig applies from it on: the positions and the
+effort of a second point, a period later."""
 RIG_NODES = ("force_controller", "rig")
 """Nodes of which each rig has its own; the others serve all rigs."""
-
-START = "start_ns"
-"""Key of a running test's state: common start of several rigs, ns of the wall clock."""
-MAX_START_DELAY_S = 5.0  # s
 
 _NAMESPACE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
@@ -165,28 +162,6 @@ def rigs_of(axes: Sequence[str]) -> tuple[RigAxes, ...]:
         )
         for rig in rigs
     )
-
-
-def until_start(values: Mapping[str, str], now_ns: int) -> float:
-    """Time from now, ns of the wall clock, to the common start of several rigs, s.
-
-    It is negative if that moment has passed, and 0 if the test has one rig.
-
-    Raises
-    ------
-    InputError
-        If it is far away: the clocks of the hosts differ.
-    """
-    start = values.get(START, "")
-    if not start.isdecimal() or len(start) > 19:
-        return 0.0
-    ahead = (int(start) - now_ns) / 1e9
-    if abs(ahead) > MAX_START_DELAY_S:
-        raise InputError(
-            f"the common start of the rigs is {ahead:.3g} s from now by this host's clock: set "
-            "the clocks of all hosts by one (PTP, or NTP)"
-        )
-    return ahead
 
 
 def bare(node: str) -> str:
@@ -261,20 +236,23 @@ class LoopTopic(Topic):
     ----------
     finite : bool
         Whether a message with a value that is no number is refused.
+    every_point : bool
+        Whether each point of a message is a sample of its own step, and none a forecast.
     """
 
     type: str = JOINT_TRAJECTORY
     quantities: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
     finite: bool = True
+    every_point: bool = False
 
     def points(self, count: int) -> tuple[tuple[str, ...], ...]:
         """Give the arrays of each point of a message of ``count`` samples.
 
         Their values, one after another, are those of ``quantities``, sample by sample.
         """
-        if self.quantities[-1] == DRIVE:  # the effort of a second point
-            return self.quantities[:-1], ("effort",)
+        if self.quantities[-1] == DRIVE:
+            return self.quantities[:-2], ("positions", "effort")
         return (self.quantities,) * count
 
 
@@ -286,25 +264,28 @@ GROUND_MOTION = LoopTopic(
     depth=256,
     quantities=("accelerations",),
     units=("m/s^2",),
+    every_point=True,
 )
 RIG_STATE = LoopTopic(
     "rig/state",
     publisher="rig",
-    subscribers=("force_controller",),
-    quantities=(*QUANTITIES, DRIVE),
-    units=("m", "m/s", "m/s^2", "N", "V or N"),  # as the rig is driven
-    finite=False,  # a sensor may fail
+    subscribers=("reference_force", "force_controller"),
+    quantities=(*QUANTITIES, IS_SUSPECT, DRIVE),
+    units=("m", "m/s", "m/s^2", "N", "", "V or N"),  # as the rig is driven
 )
-JUDGED = replace(
+"""The judged sample: a value that differs from rig/measured was wrong, and is replaced."""
+MEASURED = replace(
     RIG_STATE,
-    name="rig/judged",
-    publisher="force_controller",
-    subscribers=("reference_force",),
+    name="rig/measured",
+    subscribers=(),
     quantities=QUANTITIES,
     units=RIG_STATE.units[:4],
-    finite=True,
+    finite=False,  # a sensor may fail
+    every_point=True,
 )
-"""The sample of rig/state for the loop: a value that differs from it was wrong, and is replaced."""
+"""Samples as measured, calibrated and aligned, for the recorder alone: `MEASURED_STEPS` in one
+message, or fewer at the end of a test."""
+MEASURED_STEPS = 16
 REFERENCE_FORCE = LoopTopic(
     "reference_force",
     publisher="reference_force",
@@ -326,14 +307,7 @@ VALVE_COMMAND = LoopTopic(
 """After a trip of its publisher a message has several points: the commands until rest."""
 STOP_COMMAND = replace(VALVE_COMMAND, name="stop_command", subscribers=(), depth=4, recorded=False)
 """The commands of a stop that would begin at its step; a rig that ends a test may follow them."""
-LOOP_TOPICS = (GROUND_MOTION, RIG_STATE, JUDGED, REFERENCE_FORCE, VALVE_COMMAND)
-
-REHEARSE = "rehearse"
-"""Key of the state's values: duration of a requested rehearsal of the loop, s."""
-
-
-ZEROING = "zeroing"
-"""Key of the state's values: time at rest in it, in which the rig measures its biases, s."""
+LOOP_TOPICS = (GROUND_MOTION, RIG_STATE, MEASURED, REFERENCE_FORCE, VALVE_COMMAND)
 
 
 def rehearsed(topic: LoopTopic) -> LoopTopic:
@@ -367,7 +341,7 @@ LINK_PONG = Topic("link/pong", STRING, depth=256, recorded=False)
 
 TOPICS = (*STEP_TOPICS, STOP_COMMAND, EXPERIMENT_STATE, DESCRIPTION, DIAGNOSTICS, CLOCK_TOPIC)
 
-RIG_TOPICS = (RIG_STATE, JUDGED, VALVE_COMMAND, STOP_COMMAND)
+RIG_TOPICS = (RIG_STATE, MEASURED, VALVE_COMMAND, STOP_COMMAND)
 """Topics of which each of several rigs has its own."""
 
 

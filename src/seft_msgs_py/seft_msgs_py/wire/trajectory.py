@@ -265,10 +265,8 @@ class TrajectoryCodec:
         """Check values of shape (p, q, n), faster if they are also given as numbers."""
         if numbers and math.hypot(*numbers) < math.inf:
             return
-        first = 0 if self.topic.finite else len(QUANTITIES)  # a drive is no measurement
-        if not np.isfinite(values[:, first:]).all():
-            point, row, column = np.argwhere(~np.isfinite(values[:, first:]))[0]
-            row += first
+        if self.topic.finite and not np.isfinite(values).all():
+            point, row, column = np.argwhere(~np.isfinite(values))[0]
             raise WireError(
                 f"{self.topic.name}: {self.topic.quantities[row]} of axis {self.axes[column]} is "
                 f"{values[point, row, column]}"
@@ -388,6 +386,6 @@ def _of_layout(codec: TrajectoryCodec, rows: _Bytes, layout: Layout) -> tuple[In
     differing = rows[:, :size] & known
     differing ^= np.frombuffer(layout.template, np.uint8) & known
     fits = (remainder == 0) & (steps >= 0) & ~differing.any(axis=1)
-    first = 0 if codec.topic.finite else len(QUANTITIES) * len(codec.axes)  # as decode does
-    fits &= np.isfinite(values[:, first:]).all(axis=1)
+    if codec.topic.finite:
+        fits &= np.isfinite(values).all(axis=1)
     return steps, values, fits

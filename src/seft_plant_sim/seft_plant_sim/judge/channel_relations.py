@@ -17,13 +17,12 @@ import math
 import numpy as np
 from seft_msgs_py.arrays import Floats
 
+from seft_plant_sim.channels import ACCELERATION, DISPLACEMENT, FORCE, VELOCITY
 from seft_plant_sim.compiled import compiled, put_first
 from seft_plant_sim.judge.detectors import (
     DIFFERS,
     DISPLACEMENT_VELOCITY,
-    LIMITED_AT,
     OIL,
-    SAMPLE,
     VELOCITY_ACCELERATION,
     DetectorParameters,
     DetectorState,
@@ -47,7 +46,6 @@ from seft_plant_sim.judge.relation_following import (
     uncertain,
 )
 from seft_plant_sim.judge.valve_following import under_load
-from seft_plant_sim.simulated.sensors import ACCELERATION, DISPLACEMENT, FORCE, VELOCITY
 
 Sides = tuple[float, float, float]
 """Change of one side in a period, integral of the other, and its change per delay."""
@@ -60,8 +58,6 @@ def find_flow(p: DetectorParameters, state: DetectorState, lost: int, drive: Flo
     Before the present drive, of shape (n,), the rig has held the last if samples were lost.
     """
     for i in range(len(drive)):
-        if abs(drive[i]) >= p.limit:
-            state.step[LIMITED_AT] = state.step[SAMPLE]
         for _ in range(min(lost, state.sent.shape[1])):
             put_first(state.sent[i], state.sent[i, 0])
         put_first(state.sent[i], drive[i])

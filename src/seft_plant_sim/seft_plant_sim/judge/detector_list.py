@@ -1,6 +1,5 @@
 """The detectors: their names, what they say when they find a fault, and how long they wait."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from seft_msgs_py.arrays import Floats
@@ -76,16 +75,17 @@ DETECTORS = (
         "N^2",
         LONG_LASTS,
     ),
-    Detector(
-        "tracking",
-        "measured displacement on axis {axis} is {seen} away from its target",
-        "m",
-        LONG_LASTS,
-    ),
     *(Detector(f"{name}_frozen", _SAME.format(name), "samples", 0.0) for name in CHANNELS),
     *(Detector(f"{name}_wrong", _WRONG.format(name), "samples", 0.0) for name in CHANNELS),
 )
-"""In the order of the rows of a detector's arrays."""
+"""Those of a rig, in the order of the rows of their arrays."""
+TRACKING = Detector(
+    "tracking",
+    "measured displacement on axis {axis} is {seen} away from its target",
+    "m",
+    LONG_LASTS,
+)
+"""That of a force controller, which knows the target."""
 
 MODEL_BASED = (
     *("oil_balance", "second_order_work", "strength"),
@@ -97,9 +97,8 @@ NOISE_BASED = tuple(f"{name}_frozen" for name in CHANNELS)
 ALL = "all"
 
 
-def describe(place: int, found: Floats, axes: Sequence[str]) -> str:
-    """Describe a detector's finding in a sentence: its place, and `DetectorState.found`."""
-    row, axis = divmod(place, len(axes))
-    one = DETECTORS[row]
-    seen, threshold = (f"{value:.3g} {one.unit}" for value in found[:, row, axis].tolist())
-    return f"{one.text.format(axis=axes[axis], seen=seen)} ({threshold} allowed): {one.name}"
+def describe(detector: Detector, found: Floats, axis: str) -> str:
+    """Describe a detector's finding in a sentence: its value and its threshold, shape (2,)."""
+    seen, threshold = (f"{value:.3g} {detector.unit}" for value in found.tolist())
+    text = detector.text.format(axis=axis, seen=seen)
+    return f"{text} ({threshold} allowed): {detector.name}"

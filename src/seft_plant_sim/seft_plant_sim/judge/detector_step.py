@@ -1,7 +1,7 @@
 """The detectors, step by step: `judge_sample` passes a judged sample to each of them.
 
 The measured channels must agree with each other (`channel_relations`), with what a specimen can do
-(`specimen_force`) and with the target. A deviation of a few samples is a spike, so each detector
+(`specimen_force`). A deviation of a few samples is a spike, so each detector
 has a persistence.
 """
 
@@ -10,6 +10,7 @@ import math
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 
+from seft_plant_sim.channels import ACCELERATION, FORCE
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.judge.channel_relations import (
     begin_relations,
@@ -18,15 +19,12 @@ from seft_plant_sim.judge.channel_relations import (
 )
 from seft_plant_sim.judge.detectors import (
     AT_RANGE,
-    DISPLACEMENT_VELOCITY,
     FROZEN,
     JUMP,
-    LIMITED_AT,
     OIL,
     SAMPLE,
     SECOND_ORDER_WORK,
     SUSPECT,
-    TRACKING,
     TURN_AT,
     VALID,
     WRONG,
@@ -37,7 +35,7 @@ from seft_plant_sim.judge.detectors import (
     sees,
 )
 from seft_plant_sim.judge.judge_step import LONG_AGO, ask, begin_judge, judge
-from seft_plant_sim.judge.relation_following import BIAS_OF, expected
+from seft_plant_sim.judge.relation_following import expected
 from seft_plant_sim.judge.specimen_force import (
     look_at_response,
     look_at_restoring_force,
@@ -45,7 +43,6 @@ from seft_plant_sim.judge.specimen_force import (
     look_at_work,
 )
 from seft_plant_sim.judge.valve_following import under_load
-from seft_plant_sim.simulated.sensors import ACCELERATION, FORCE
 
 OF_SENSORS = (0, 1, SECOND_ORDER_WORK, JUMP)
 """Detectors that make a sample suspect."""
@@ -77,7 +74,12 @@ def begin_detectors(p: DetectorParameters, state: DetectorState) -> None:
 
 @compiled
 def judge_sample(
-    p: DetectorParameters, state: DetectorState, step: int, raw: Floats, judged: Floats
+    p: DetectorParameters,
+    state: DetectorState,
+    step: int,
+    raw: Floats,
+    drive: Floats,
+    judged: Floats,
 ) -> int:
     """Judge a sample, and look for faults.
 
@@ -90,9 +92,9 @@ def judge_sample(
     step : int
         Of the sample. Nothing is compared if the sample before is missing; a channel is not used if
         it is at the end of its sensor's range.
-    raw : ndarray
-        Displacement, velocity, acceleration, force, and what the rig applies from this sample on
-        (V, or N if it obeys forces); shape (5, n).
+    raw, drive : ndarray
+        Displacement, velocity, acceleration and force, shape (4, n), and what the rig applies from
+        this sample on (V, or N if it obeys forces), shape (n,).
     judged : ndarray
         The sample for the loop, finite, see `judge`; shape (4, n). The result.
     """
@@ -105,10 +107,10 @@ def judge_sample(
     is_first = lost > 0
     state.step[SAMPLE] = step
     if p.has_valve:
-        find_flow(p, state, lost, raw[4])
+        find_flow(p, state, lost, drive)
     for i in range(n):
         if not p.has_valve:
-            ask(p.judge, state.judge, i, raw[4, i])
+            ask(p.judge, state.judge, i, drive[i])
         flow = state.flow[0, i]
         load = under_load(flow, state.last[3, i], p.actuator[i, 3])
         state.mean[i] = expected(state.estimated[OIL], i, load * flow, load * state.flow[1, i], 1.0)
@@ -140,22 +142,6 @@ def judge_sample(
             if state.counts[row, i] and p.acts[row]:
                 found = first_of(found, SUSPECT)
     return found
-
-
-@compiled
-def look_at_tracking(
-    p: DetectorParameters, state: DetectorState, step: int, points: Floats, measured: Floats, i: int
-) -> int:
-    """Whether the specimen is away from the target, although the valve is not at its limit."""
-    away = abs(points[0, 0, i] - measured[0, i])
-    largest = max(abs(points[0, 0, i]), abs(measured[0, i]), p.memory * state.largest[3, i])
-    state.largest[3, i] = largest
-    bias = p.most[DISPLACEMENT_VELOCITY, BIAS_OF, i] * p.dt / (1.0 - p.fade)
-    threshold = p.sums[DISPLACEMENT_VELOCITY, i] + bias + p.off_target * largest
-    if step - state.step[LIMITED_AT] <= p.limited:
-        threshold = np.inf  # the interlock counts these
-    is_off = look(p, state, TRACKING, i, away, threshold)
-    return TRACKING * measured.shape[1] + i if is_off else -1
 
 
 @compiled
@@ -201,25 +187,21 @@ def detect_all(
     p: DetectorParameters,
     state: DetectorState,
     steps: Ints,
-    points: Floats,
-    states: Floats,
+    measured: Floats,
+    drives: Floats,
     judged: Floats,
 ) -> None:
-    """Check the samples of a whole test.
+    """Look at the samples of a whole test.
 
     Parameters
     ----------
     p, state
         The state, after its begin; it is updated.
-    steps : ndarray
-        Of the N samples, shape (N,).
-    points, states : ndarray
-        Reference force, and sample and drive of the rig at these; shapes (N, q, n) and (N, 5, n).
+    steps, measured, drives : ndarray
+        Steps of the N samples, (N,); samples as measured, and the rig's drive; shapes (N, 4, n)
+        and (N, n).
     judged : ndarray
         Shape (4, n), a work array.
     """
     for k in range(len(steps)):
-        judge_sample(p, state, steps[k], states[k], judged)
-        for i in range(states.shape[2]):
-            if points.shape[1] > 1:
-                look_at_tracking(p, state, steps[k], points[k : k + 1], judged, i)
+        judge_sample(p, state, steps[k], measured[k], drives[k], judged)

@@ -8,7 +8,7 @@ import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 
 from seft_plant_sim.compiled import compiled
-from seft_plant_sim.judge.detector_list import DETECTORS
+from seft_plant_sim.judge.detector_list import DETECTORS, Detector
 from seft_plant_sim.judge.judge import JudgeParameters, JudgeState, judge_arrays
 from seft_plant_sim.judge.relation_following import ESTIMATE_DRIFT, NOISE_SIGMAS
 from seft_plant_sim.judge.valve_following import (
@@ -39,10 +39,6 @@ CHANNELS_APART = 2e-3
 """Largest time by which two channels are apart, s."""
 NULL = 0.03
 """Standard deviation of a valve's null, over its full flow (servo-valves of a test's accuracy)."""
-OFF_TARGET = 0.5
-"""Largest distance to the target over the target's motion."""
-LIMITED = 0.1
-"""Time after a command at the valve's limit in which the distance may be larger, s."""
 ASSUMED_NOISE = 1e-3
 """RMS noise of a sensor whose noise is not configured, over the limit of its channel."""
 
@@ -76,10 +72,6 @@ class DetectorParameters(NamedTuple):
         RMS noise of the sensors, shape (4, n): assumed, and configured (0: not configured).
     range : ndarray
         Largest value that each sensor can measure, shape (4, n); infinite if it is not known.
-    limit : float
-        Largest command of a valve, V.
-    limited : int
-        Samples after one at the valve's limit in which the target need not be followed.
     sums : ndarray
         Noise of the sums of the differences of relations (1) to (3), shape (3, n):
         `NOISE_SIGMAS` times RMS; infinite where not watched.
@@ -98,9 +90,6 @@ class DetectorParameters(NamedTuple):
         Part of the largest motion by which the sides of a relation may differ, shape (3,).
     left : ndarray
         Likewise, less what gain, delay and bias describe, at the beginning; shape (3,).
-    off_target : float
-        Largest distance of the specimen to the target, over the target's largest motion; infinite
-        without a target.
     persistence : ndarray
         Samples for which a detector must be beyond its threshold, shape (D,).
     acts : ndarray
@@ -124,8 +113,6 @@ class DetectorParameters(NamedTuple):
     noise: Floats
     dither: Floats
     range: Floats
-    limit: float
-    limited: int
     sums: Floats
     deviation: Floats
     most: Floats
@@ -136,7 +123,6 @@ class DetectorParameters(NamedTuple):
     unknown: float
     tolerance: Floats
     left: Floats
-    off_target: float
     persistence: Ints
     acts: Ints
     judge: JudgeParameters
@@ -165,7 +151,7 @@ class DetectorState(NamedTuple):
         Last change of the acceleration, largest recent change of that, and the sum of the jumps by
         a held force, m/s^2, shape (3, n).
     largest : ndarray
-        Largest recent values: of these sums, of the target's motion, and of r; shape (5, n).
+        Largest recent values: of these sums, and of r; shape (4, n).
     restoring : ndarray
         r at the last sample, its last change, and the present r; shape (3, n), N.
     work : ndarray
@@ -189,9 +175,8 @@ class DetectorState(NamedTuple):
     found : ndarray
         Value of each detector when it last acted, and its threshold; shape (2, D, n).
     step : ndarray
-        Steps of the last sample, the last turn of the motion, the last command at the valve's
-        limit and the last sample at the end of each channel's range, shape (7,); a large negative
-        number at the beginning.
+        Steps of the last sample, the last turn of the motion and the last sample at the end of
+        each channel's range, shape (6,); a large negative number at the beginning.
     judge : JudgeState
         Of the judge.
     """
@@ -218,6 +203,28 @@ class DetectorState(NamedTuple):
     found: Floats
     step: Ints
     judge: JudgeState
+
+
+def assumed_noise(noise: Floats, limits: Floats, velocity_is_derived: bool, dt: float) -> Floats:
+    """Give the RMS noise of the channels, shape (4, n), also where it is not known (0)."""
+    x, v, a, f = np.where(noise > 0.0, noise, ASSUMED_NOISE * limits[:, np.newaxis])
+    return np.array([x, math.sqrt(2.0) * x / dt if velocity_is_derived else v, a, f])
+
+
+def fade_of_sums(dt: float) -> float:
+    """Factor per step with which the sums of relations (1) and (2) fade."""
+    return math.exp(-dt / _MEMORY)
+
+
+def noise_of_sums(jump: Floats, rate: Floats, dt: float) -> Floats:
+    """RMS noise of the sum of a side's changes, of noise ``jump``, less the other's, ``rate``."""
+    fade = fade_of_sums(dt)
+    return np.asarray(np.sqrt(jump**2 * 2.0 / (1.0 + fade) + rate**2 / (2.0 * (1.0 - fade))))
+
+
+def persistence_of(detector: Detector, dt: float) -> int:
+    """Count the samples for which a detector must be beyond its threshold."""
+    return max(3 if detector.lasts else 2, math.ceil(detector.lasts / dt - 1e-9))
 
 
 def detector_arrays(
@@ -260,18 +267,15 @@ def detector_arrays(
     dt : float
         Sampling period, s.
     """
-    n, fade, oil_fade = noise.shape[1], math.exp(-dt / _MEMORY), math.exp(-dt / _OIL_MEMORY)
+    n, fade, oil_fade = noise.shape[1], fade_of_sums(dt), math.exp(-dt / _OIL_MEMORY)
     short = math.exp(-1.0 / max(SHORT / dt, FEWEST))
-    x, v, a, f = np.where(noise > 0.0, noise, ASSUMED_NOISE * limits[:, np.newaxis])
-    if velocity_is_derived:
-        v = math.sqrt(2.0) * x / dt
+    x, v, a, f = assumed_noise(noise, limits, velocity_is_derived, dt)
     known = has_valve & (actuator[:, 0] > 0.0) & (actuator[:, 1] > 0.0)
     actuator = actuator.copy()
     actuator[~known, 1] = 1.0
     actuator[actuator[:, 3] <= 0.0, 3] = np.inf
     oil, one = np.where(known, f / actuator[:, 1], np.inf), np.ones(n)
-    jumps, rates = np.array([x, v]), dt * np.array([v, a])
-    sums = np.sqrt(jumps**2 * 2.0 / (1.0 + fade) + rates**2 / (2.0 * (1.0 - fade)))
+    sums = np.array([noise_of_sums(x, dt * v, dt), noise_of_sums(v, dt * a, dt)])
     of_oil = np.hypot(x, oil) * math.sqrt(2.0 / (1.0 + oil_fade))
     late = UNCERTAIN_DELAY if velocity_is_derived else 0.0
     null = np.where(known, NULL * actuator[:, 0] * largest_drive, 0.0)
@@ -287,8 +291,7 @@ def detector_arrays(
     deviation[2] = UNCERTAIN_GAIN * one, UNCERTAIN_DELAY * one, null
     unknown = 0.0 if mass.any() and stiffness.any() else math.inf
     by_force = np.zeros_like(mass) if has_valve or not mass.any() else np.linalg.inv(mass)
-    spans = np.array([each.lasts for each in DETECTORS])
-    lasts = np.maximum(2 + (spans > 0.0), np.ceil(spans / dt - 1e-9).astype(np.int64))
+    lasts = np.array([persistence_of(each, dt) for each in DETECTORS])
     judging, judged = judge_arrays(
         np.array([x, v, a, f]),
         np.transpose([np.where(known, actuator[:, 1], 0.0), actuator[:, 2]]),
@@ -317,8 +320,6 @@ def detector_arrays(
         noise=np.array([x, v, a, f]),
         dither=noise,
         range=judging.range,
-        limit=largest_drive,
-        limited=math.ceil(LIMITED / dt),
         sums=NOISE_SIGMAS * np.vstack([sums, of_oil]),
         deviation=deviation,
         most=most,
@@ -329,7 +330,6 @@ def detector_arrays(
         unknown=unknown,
         tolerance=np.array(TOLERANCES),
         left=np.array(UNDESCRIBED),
-        off_target=OFF_TARGET,
         persistence=lasts,
         acts=np.array(acts, dtype=np.int64),
         judge=judging,
@@ -343,7 +343,7 @@ def detector_arrays(
         sent=np.zeros_like(past[:, 0]),
         sums=np.zeros((3, 4, n)),
         rise=np.zeros((3, n)),
-        largest=np.zeros((5, n)),
+        largest=np.zeros((4, n)),
         restoring=np.zeros((3, n)),
         work=np.zeros(3),
         farthest=np.zeros((2, n)),
@@ -355,18 +355,18 @@ def detector_arrays(
         counts=np.zeros((len(DETECTORS), n), dtype=np.int64),
         shares=np.zeros((len(DETECTORS), n)),
         found=np.zeros((2, len(DETECTORS), n)),
-        step=np.zeros(7, dtype=np.int64),
+        step=np.zeros(6, dtype=np.int64),
         judge=judged,
     )
     return parameters, state
 
 
-SAMPLE, TURN_AT, LIMITED_AT, AT_RANGE = range(4)
+SAMPLE, TURN_AT, AT_RANGE = range(3)
 """Places of `DetectorState.step`."""
 DISPLACEMENT_VELOCITY, VELOCITY_ACCELERATION, OIL = range(3)
 """Relations (1) to (3)."""
 DIFFERS, SECOND_ORDER_WORK, WEAKENS, ROUGH, JUMP = 0, *range(3, 7)
-NO_RESPONSE, TRACKING, FROZEN, WRONG = 7, 8, 9, 13
+NO_RESPONSE, FROZEN, WRONG = 7, 8, 12
 """Rows of the detectors: sums of three relations, ..., four frozen and four wrong channels."""
 
 

@@ -62,10 +62,10 @@ def look_at_restoring_force(
     change, moved = r[2, i] - r[0, i], abs(measured[0, i] - last[0, i])
     moves = p.judge.noise[0, i] + MOVES * state.judge.moves[0, i]
     slips = moved < moves or step - state.step[TURN_AT] <= TURNED
-    largest = state.largest[4, i]
+    largest = state.largest[3, i]
     if state.counts[JUMP, i] == 0:  # a suspect sample is no measure
         largest = max(abs(r[0, i]), p.memory * largest)
-        state.largest[4, i] = largest
+        state.largest[3, i] = largest
     # noise alternates, an impact rings; friction may reverse in both of two samples
     bent = 0.5 * p.dt * p.dt * abs(measured[2, i] + last[2, i])  # change / moved: its stiffness
     limit = p.rough[i] + abs(curvature)

@@ -1,31 +1,21 @@
-"""One sampling period of the rig, compiled: the same function in a node and in a loop."""
+"""One sampling period of the simulated rig, compiled."""
 
 import math
 from typing import NamedTuple
 
 from seft_msgs_py.arrays import Floats, Ints
-from seft_msgs_py.config.facts import CHANNELS
 
-from seft_plant_sim.calibration import Calibration, CalibrationState, calibrate
 from seft_plant_sim.compiled import compiled, multiply
-from seft_plant_sim.limits import exceeds, is_exceeded
 from seft_plant_sim.simulated.actuator import OPENING, PER_CAPACITY
 from seft_plant_sim.simulated.actuator import STROKE_COLUMN as STROKE_COLUMN
 from seft_plant_sim.simulated.continuous_model import Dynamics, Motion, integrate, make_fault_free
 from seft_plant_sim.simulated.faults import Faults, obey, show_fault, wear
 from seft_plant_sim.simulated.sensor_dynamics import Sensing, read_sensors
-from seft_plant_sim.simulated.sensors import Channels, derive_velocity, measure_channels
+from seft_plant_sim.simulated.sensors import Channels, measure_channels
 
 _STROKE, FORCE_CAPACITY, _VALVE = 16, 32, 64
-PERSISTENT = 3
-"""Samples in a row beyond a limit that end the test, of changes so many more as a jump shows in:
-fewer are wrong samples, which the force controller judges."""
-RIG_LIMIT, BLIND = 128, 256
-"""Bits of a step's result: 1 to 8 for saturated sensors, then other saturated parts, then the
-reasons to end the test: a limit, or sensors that are saturated for too long."""
-ENDS = {f"{name}_range": 1 << row for row, name in enumerate(CHANNELS)}
-ENDS |= {"stroke": _STROKE, "force_capacity": FORCE_CAPACITY, "valve": _VALVE}
-"""Bits of saturated parts, by name."""
+SATURATED_PARTS = {"stroke": _STROKE, "force_capacity": FORCE_CAPACITY, "valve": _VALVE}
+"""Bits of a step's result, by what is saturated; smaller ones are those of the guard."""
 LARGEST_TRAVEL, FORCE_NOW = range(2)
 """Places of `RigState.peaks`."""
 _AT_REST = 1e-4  # m/s
@@ -49,14 +39,8 @@ class RigParameters(NamedTuple):
         What the sensors show.
     channels : Channels
         Of the sensors.
-    limits : ndarray
-        `Limits.values`, shape (8,).
-    window : int
-        Steps of a second.
     faults : Faults
         Of the rig.
-    calibration : Calibration
-        What is known of the channels.
     """
 
     dynamics: Dynamics
@@ -65,10 +49,7 @@ class RigParameters(NamedTuple):
     change: Ints
     sensing: Sensing
     channels: Channels
-    limits: Floats
-    window: int
     faults: Faults
-    calibration: Calibration
 
 
 class RigState(NamedTuple):
@@ -87,21 +68,12 @@ class RigState(NamedTuple):
         Last command, within the limits of the drive, shape (n,).
     line : ndarray
         Ring buffer of the drives during the dead time, shape (whole periods + 2, n).
-    counts : ndarray
-        Place of the oldest drive, number of blind samples, and of samples in a row beyond a limit,
-        and beyond that of a change; shape (4,).
-    measured : ndarray
-        The sample as it is published, shape (4, n).
-    recent, change, largest : ndarray
-        See `exceeds`.
-    blind : ndarray
-        Ring buffer of the last steps at which a sensor was at its range.
+    oldest : ndarray
+        Place of the oldest drive in it, shape (1,).
     faulty : ndarray
         Memory of the faults.
     peaks : ndarray
         Largest true displacement so far (m), and true force now (N), of any axis, shape (2,).
-    calibration : CalibrationState
-        Of the channels.
     """
 
     motion: Motion
@@ -110,15 +82,9 @@ class RigState(NamedTuple):
     shown: Floats
     asked: Floats
     line: Floats
-    counts: Ints
-    measured: Floats
-    recent: Floats
-    change: Floats
-    largest: Floats
-    blind: Ints
+    oldest: Ints
     faulty: Floats
     peaks: Floats
-    calibration: CalibrationState
 
 
 @compiled
@@ -141,13 +107,13 @@ def rig_step(
     command : ndarray
         Drive of the actuators after the last sample, shape (n,), V or N.
     noise, measured : ndarray
-        Noise of the sensors at this step, shape (4, n), and that of faults below it; the calibrated
-        sample, which is written, shape (4, n).
+        Noise of the sensors at this step, shape (4, n), and that of faults below it; what the
+        sensors show, which is written, shape (4, n).
 
     Returns
     -------
     int
-        Bits `RIG_LIMIT` or `BLIND` if the test must end, and those of `ENDS`.
+        Bits of `SATURATED_PARTS`.
     """
     if step == 0:
         rest(state)
@@ -158,26 +124,10 @@ def rig_step(
         shown = state.shown
         for i in range(len(shown)):
             shown[i] = state.read[(step - parameters.sensing.whole[i]) % places, i]
-    found = measure_channels(parameters.channels, shown, noise, measured)
+    measure_channels(parameters.channels, shown, noise, measured)
     if len(parameters.faults.numbers):
         show_fault(parameters.faults, step, noise, state.faulty, measured)
-    if len(parameters.calibration.bias):
-        calibrate(parameters.calibration, state.calibration, step, measured, measured)
-    derive_velocity(parameters.channels, step, state.measured, measured)
-    blind = found > 0
-    beyond = exceeds(parameters.limits, step, state.recent, measured, state.change, state.largest)
-    state.counts[2] = state.counts[2] + 1 if beyond & 1 else 0
-    state.counts[3] = state.counts[3] + 1 if beyond & 2 else 0
-    if state.counts[2] >= PERSISTENT or state.counts[3] >= PERSISTENT + len(state.recent):
-        found |= RIG_LIMIT
-    elif blind:
-        if is_exceeded(state.blind, state.counts[1], step, parameters.window):
-            found |= BLIND
-        state.counts[1] += 1
-    n = len(command)
-    for row in range(4):
-        for i in range(n):
-            state.measured[row, i] = measured[row, i]
+    n, found = len(command), 0
     z, pistons = state.motion.work, parameters.dynamics.pistons
     for i in range(len(pistons)):
         if abs(z[i]) >= pistons[i, STROKE_COLUMN]:
@@ -197,7 +147,7 @@ def move(parameters: RigParameters, state: RigState, step: int, command: Floats)
     contains the response.
     """
     dynamics, motion, line = parameters.dynamics, state.motion, state.line
-    n, places, oldest = len(command), len(line), state.counts[0]
+    n, places, oldest = len(command), len(line), state.oldest[0]
     drive = len(motion.state)
     newer, change = parameters.newer, parameters.change
     if len(parameters.faults.numbers):
@@ -227,7 +177,7 @@ def move(parameters: RigParameters, state: RigState, step: int, command: Floats)
     if senses:
         read = state.read[(step + 1) % senses]
         read_sensors(parameters.sensing, motion, last, state.shown, read)
-    state.counts[0] = oldest + 1 if oldest + 1 < places else 0
+    state.oldest[0] = oldest + 1 if oldest + 1 < places else 0
     _note_peaks(n, state.true, state.peaks)
 
 
@@ -273,7 +223,7 @@ def come_to_rest(
     offset, last : ndarray
         The last command, and how much more it is than planned, shapes (n,).
     safe, closing, longest
-        See `seft_plant_sim.simulated.rig.Safe`; the last counts from the end of the plan on.
+        See `seft_plant_sim.hardware.safe_stop.Safe`; the last counts from the end of the plan on.
     command : ndarray
         Room, shape (n,).
 
@@ -285,14 +235,7 @@ def come_to_rest(
     n, planned = len(safe), len(plan)
     steps, resting, peak = 0, 0, 0.0
     while steps < planned + longest and resting < RESTS:
-        left = left_open(steps + 1, closing)
-        for i in range(n):
-            if steps < planned:
-                command[i] = plan[steps, i] + left * offset[i]
-            else:
-                end = plan[planned - 1, i] if planned else last[i]
-                left = left_open(steps - planned + 1, closing)
-                command[i] = safe[i] + left * (end - safe[i])
+        stop_command(steps, plan, offset, last, safe, closing, command)
         move(parameters, state, step + steps, command)
         peak = max(peak, state.peaks[FORCE_NOW])
         steps, fastest = steps + 1, 0.0
@@ -300,6 +243,36 @@ def come_to_rest(
             fastest = max(fastest, abs(state.true[n + i]))
         resting = resting + 1 if fastest < _AT_REST and steps > planned else 0
     return steps, peak
+
+
+@compiled
+def stop_command(
+    taken: int,
+    plan: Floats,
+    offset: Floats,
+    last: Floats,
+    safe: Floats,
+    closing: int,
+    command: Floats,
+) -> None:
+    """Give a command of a stop: along a plan, and then to the safe value.
+
+    Parameters
+    ----------
+    taken : int
+        Commands of the stop before it.
+    plan, offset, last, safe, closing
+        See `come_to_rest`.
+    command : ndarray
+        The result, shape (n,), V.
+    """
+    planned = len(plan)
+    for i in range(len(safe)):
+        if taken < planned:
+            command[i] = plan[taken, i] + left_open(taken + 1, closing) * offset[i]
+        else:
+            end = plan[planned - 1, i] if planned else last[i]
+            command[i] = safe[i] + left_open(taken - planned + 1, closing) * (end - safe[i])
 
 
 @compiled
@@ -324,7 +297,6 @@ def rest(state: RigState) -> None:
     state.read[:] = 0.0
     state.asked[:] = 0.0
     state.line[:] = 0.0
-    state.counts[:] = 0
-    state.largest[:] = 0.0
+    state.oldest[0] = 0
     state.faulty[:] = 0.0
     state.peaks[:] = 0.0

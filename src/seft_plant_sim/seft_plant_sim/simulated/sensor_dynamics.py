@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 
+from seft_plant_sim.channels import ACCELERATION, VELOCITY, per_channel, tilt_of
 from seft_plant_sim.compiled import compiled, multiply
 from seft_plant_sim.lti import split_dead_time
 from seft_plant_sim.simulated.continuous_model import ContinuousModel, Motion, Sensed
-from seft_plant_sim.simulated.sensors import ACCELERATION, VELOCITY, per_channel, tilt_of
 
 
 class Sensing(NamedTuple):

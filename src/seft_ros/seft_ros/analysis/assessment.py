@@ -4,6 +4,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from seft_msgs_py.wire.outcome import BY_OPERATOR
+
 from seft_ros.drawing.style import GOOD_ERROR, Mark, percent
 
 BAD_ERROR = 0.15
@@ -60,7 +62,10 @@ class Assessment:
 
 
 def assess_test(summary: dict[str, Any]) -> Assessment:
-    """Assess a test by the summary that `seft_ros.analysis.report_numbers` gives."""
+    """Assess a test by the summary that `seft_ros.analysis.report_numbers` gives.
+
+    No other place marks a test: terminal, page and JSON show what comes of this.
+    """
     order = (Mark.BAD, Mark.DOUBT, Mark.GOOD, Mark.NONE)
     found = (
         *_beginning(summary),
@@ -76,22 +81,6 @@ def assess_test(summary: dict[str, Any]) -> Assessment:
     return Assessment(worst, text, findings)
 
 
-def verdict_line(summary: dict[str, Any]) -> str:
-    """Say how a test went, in one line."""
-    error, aligned = (summary["displacement"][key] for key in ("nrmse", "nrmse_aligned"))
-    if (ending := _early_ending(summary)) is not None:
-        text = ending[0].upper() + ending[1]
-    elif error is not None and summary["reference_specimen"] == "simulated":
-        text = f"done: displacement error {percent(error)}, {percent(aligned)} without its delay"
-    elif (error := own_response(summary)) is not None:
-        text = f"done: response to the equivalent ground motion off by {percent(error)}"
-    else:
-        text = "done, without a reference to compare it with"
-    wrong = (f.text for f in calibration_findings(summary) if f.verdict is Mark.DOUBT)
-    bad = (f.whole for f in losses(summary) if f.verdict is not Mark.GOOD and summary[f.name])
-    return "; ".join((text, *wrong, *bad))
-
-
 def own_response(summary: dict[str, Any]) -> float | None:
     """Give the response error to the test's own ground motion; None if unknown."""
     found = summary["equivalent_motion"]
@@ -105,18 +94,23 @@ def ramp_note(summary: dict[str, Any]) -> str:
     return "" if assessed == steps else note
 
 
-def _early_ending(summary: dict[str, Any]) -> tuple[str, str] | None:
-    """Say how a test ended before its time, a headline and the details; None: it did not."""
+def _stop(summary: dict[str, Any]) -> str:
+    """Say when the operator stopped a test: its numbers are of the steps before."""
+    return f"{BY_OPERATOR} at {summary['judged_steps'] / summary['rate_hz']:.3f} s"
+
+
+def _early_ending(summary: dict[str, Any]) -> str:
+    """Say how a test ended before its time; empty: it did not."""
     trip = summary["trip"]
     if trip is not None:
-        return "tripped", f" at {trip['time_s']:.3f} s (step {trip['step']}): {trip['reason']}"
+        return f"tripped at {trip['time_s']:.3f} s (step {trip['step']}): {trip['reason']}"
     if not summary["stable"]:
-        return "unstable", ": samples are not finite"
+        return "unstable: samples are not finite"
     if summary["first_step"] is None:
-        return "nothing known", ": the recording has no rig/state"
+        return "nothing known: the recording has no rig/state"
     if not summary["complete"]:
-        return "cut off", ": the recording ends before the test did"
-    return None
+        return "cut off: the recording ends before the test did"
+    return ""
 
 
 def _beginning(summary: dict[str, Any]) -> Iterator[TestFinding]:
@@ -133,8 +127,10 @@ def _beginning(summary: dict[str, Any]) -> Iterator[TestFinding]:
         )
         yield TestFinding("beginning", Mark.BAD, text)
     ending = _early_ending(summary)
-    if ending is not None:
-        yield TestFinding("ending", Mark.BAD, "".join(ending), ramp_note(summary))
+    if ending:
+        yield TestFinding("ending", Mark.BAD, ending, ramp_note(summary))
+    elif summary["stopped"]:
+        yield TestFinding("ending", Mark.DOUBT, f"it was {_stop(summary)}", ramp_note(summary))
     else:
         text = f"it ran to its end, {summary['steps']} steps, {summary['duration_s']:g} s"
         yield TestFinding("ending", Mark.GOOD, text)

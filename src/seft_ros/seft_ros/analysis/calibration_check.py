@@ -16,7 +16,7 @@ from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN
 from seft_msgs_py.config.parameter_table import per_axis
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.calibration import known_channels
-from seft_plant_sim.simulated.sensors import VELOCITY
+from seft_plant_sim.channels import VELOCITY
 
 from seft_ros.analysis.calibration_effect import CalibrationEffect, calibration_structure
 from seft_ros.analysis.channel_estimates import (

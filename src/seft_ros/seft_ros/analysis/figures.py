@@ -9,6 +9,7 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from seft_msgs_py.arrays import Ints
+from seft_msgs_py.wire.outcome import BY_OPERATOR
 from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.metrics import common_steps, nrmse
@@ -63,7 +64,8 @@ def test_figure(recording: Recording, reference: ReferenceResponse | None) -> Fi
         if name in estimated:  # their panels are low
             label = label.replace(" / ", "\n/ ")
         panel.set_ylabel(label, color=style.TEXT, parse_math=False)
-    _frame(panels.flat, None if recording.trip is None else recording.trip.time_s, "trip")
+    last, mark = recording.last_step, "stop" if recording.stopped else "trip"
+    _frame(panels.flat, None if last is None else last * dt, mark)
     start, end = strong_part(recording)
     panels[0, 0].set_xlim(start, end)  # all panels share their time
     for column, axis in enumerate(axes):
@@ -77,6 +79,8 @@ def test_figure(recording: Recording, reference: ReferenceResponse | None) -> Fi
     if recording.trip is not None:
         trip = f"tripped at {recording.trip.time_s:.3f} s: {recording.trip.reason}"
         title = "\n".join([title, *wrap(trip, round(_PER_INCH * width))])
+    elif recording.stopped:
+        title += f"\n{BY_OPERATOR}"
     style.finish(figure, panels[:1, 0], title)
     return figure
 

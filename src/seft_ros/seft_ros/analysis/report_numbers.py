@@ -1,4 +1,4 @@
-"""All numbers of a report, as ``seft report --json`` prints them, and the arrays it draws."""
+"""All numbers of a test, as run, simulate and report print them as JSON, and arrays to draw."""
 
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass

@@ -112,8 +112,8 @@ def history_sections(report: Report, column: int, title: str) -> Iterator[PageSe
             ends = x_range.bounds or (x_range.start, x_range.end)
             known = None if exact is None else _within(ends, dt * np.arange(len(exact)), exact)
             against(panel, known, _within(ends, time, y))
-            if x_range is shared and recording.trip is not None:
-                page.mark(panel, recording.trip.time_s)
+            if x_range is shared and recording.last_step is not None:
+                page.mark(panel, recording.last_step * dt)
             blocks.append(Plot(panel, caption, wide=x_range is shared))
         yield PageSection(f"{name.capitalize()}{title}", blocks)
 

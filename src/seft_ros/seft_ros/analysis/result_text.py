@@ -7,12 +7,7 @@ from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.wire.topics import LOOP_TOPICS, TARGET
 from seft_plant_sim.rig_parameters import LIMIT_UNITS
 
-from seft_ros.analysis.assessment import (
-    calibration_findings,
-    ramp_note,
-    response_findings,
-    verdict_line,
-)
+from seft_ros.analysis.report_numbers import Report
 from seft_ros.bags.recording import Recording
 from seft_ros.drawing.style import (
     DISPLAY_UNITS,
@@ -62,14 +57,15 @@ def _agreement_rows(part: dict[str, Any], prefix: str = "") -> Iterator[list[str
         ]
 
 
-def summary_texts(recording: Recording, summary: dict[str, Any]) -> Texts:
+def summary_texts(report: Report) -> Texts:
     """Show a test on the terminal: what it was, how it agrees with the reference, its verdict."""
-    mark = _mark(summary)
-    facts = TextTable((), [*test_rows(summary), *_finding_rows(summary, mark)])
+    summary, found = report.summary, report.assessment
+    facts = TextTable((), [*test_rows(summary), *_cause_rows(summary, found.verdict)])
     table: Texts = [agreement_table(summary)]
     if summary["reference_specimen"] == "model":
         table.append(OF_THE_MODEL)
-    return [title_of(recording), facts, *table, Cell(verdict_line(summary), mark)]
+    findings = (Cell(f"  {finding.whole}", finding.verdict) for finding in found.findings)
+    return [title_of(report.recording), facts, *table, Cell(found.text, found.verdict), *findings]
 
 
 def title_of(recording: Recording) -> str:
@@ -169,30 +165,8 @@ def _bias_rows(zeroed: dict[str, Any] | None) -> list[tuple[str, str]]:
     return [("zeroed at rest", text)] if text else []
 
 
-def _mark(summary: dict[str, Any]) -> Mark:
-    """Bad: the test did not run to its end; in doubt: it did, and is wrong or missed deadlines."""
-    if summary["damage"] or not (summary["stable"] and summary["complete"]):
-        return Mark.BAD
-    found = (*response_findings(summary), *calibration_findings(summary))
-    right = all(finding.verdict in (Mark.GOOD, Mark.NONE) for finding in found)
-    return Mark.GOOD if right and not summary["missed"] else Mark.DOUBT
-
-
-def _finding_rows(summary: dict[str, Any], mark: Mark) -> Iterator[tuple[str, str]]:
-    """Say what shows without a model that it is right; where it is not, what may explain it."""
-    if left_out := ramp_note(summary):
-        yield "ramp-down", left_out
-    found, tracking = summary["equivalent_motion"], summary["tracking_error"]
-    if found is not None:
-        text = f"response differs by {percent(found['specimen_response_nrmse'])}"
-        yield "equivalent ground motion against the one asked for", text
-    if tracking is not None:
-        yield "displacement off its target", percent(tracking["nrmse"])
-    yield from (
-        (f"{finding.name} by the test's own samples", finding.text)
-        for finding in calibration_findings(summary)
-        if finding.verdict is Mark.DOUBT or finding.name == "mass"
-    )
+def _cause_rows(summary: dict[str, Any], mark: Mark) -> Iterator[tuple[str, str]]:
+    """Say what may explain why a test is not right, and what a model's parameters became."""
     if summary["detectors"] and mark is not Mark.GOOD:
         name, share = max(summary["detectors"].items(), key=lambda item: item[1])
         yield "detectors of faults", f"{name} reached {percent(share)} of its threshold"

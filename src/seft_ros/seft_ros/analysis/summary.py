@@ -1,4 +1,4 @@
-"""The numbers of a test as a dict of JSON values: the ``--json`` of run, simulate, report."""
+"""The numbers of a test as a dict of JSON values, but for those that only a verdict needs."""
 
 from dataclasses import asdict, fields, replace
 from typing import Any
@@ -11,15 +11,13 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import RIG, ZEROED
 from seft_msgs_py.wire.topics import (
     GROUND_MOTION,
-    JUDGED,
     LOOP_TOPICS,
-    REFERENCE_FORCE,
+    MEASURED,
     RIG_STATE,
 )
 from seft_plant_sim.calibration import biases_of_all
 from seft_plant_sim.computed.computed_model import ModelError
 from seft_plant_sim.judge.biases import check_biases
-from seft_plant_sim.judge.detection import detector_shares
 from seft_plant_sim.lti import split_dead_time
 from seft_plant_sim.simulated.specimen import EnergyBalance, energy_balance
 from seft_plant_sim.whole_structure import (
@@ -30,8 +28,9 @@ from seft_plant_sim.whole_structure import (
 )
 
 from seft_ros.analysis.calibration_check import calibration_check
+from seft_ros.analysis.detector_shares import detector_shares
 from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
-from seft_ros.analysis.metrics import Agreement, agreement, common_steps, peak
+from seft_ros.analysis.metrics import Agreement, agreement, peak
 from seft_ros.analysis.timing import link_numbers, timing_of
 from seft_ros.analysis.tracking import tracking_error_of, tracking_of
 from seft_ros.bags.recording import Estimates, Recording, every_step
@@ -68,8 +67,9 @@ def summarise(
         see `assessed_part`), ``first_step`` (the first recorded), ``rate_hz``, ``duration_s``,
         ``wall_s``, ``realtime_factor``, ``complete``, ``damage`` (what is wrong with its bag, and
         missing), ``checked`` (changed samples would have been noticed), ``stable`` (no trip, and
-        all samples finite), ``trip`` (reason, step, time_s), ``missed`` (steps that missed the
-        command deadline), ``overruns`` (of the rig's sampling), ``timing`` (see `timing_of`),
+        all samples finite), ``trip`` (reason, step, time_s), ``stopped`` (by the operator, which is
+        no trip), ``missed`` (steps that missed the command deadline), ``overruns`` (of the rig's
+        sampling), ``timing`` (see `timing_of`),
         ``simulated`` (largest true motion of a simulated rig, see `Simulated`),
         ``saturated`` (stroke, force_capacity, valve, a sensor's range -> samples and first_step),
         ``link`` (see `link_numbers`), ``lost`` (samples missing from the recording, by topic),
@@ -78,8 +78,8 @@ def summarise(
         name -> axis -> first, last, least and largest, SI units), ``equivalent_motion`` (see
         `MotionDifference.numbers`), ``calibration`` (of mass and channels, see
         `CalibrationCheck.numbers`), ``tracking_error`` (see `tracking_error`), ``detectors`` (of
-        faults, see `shares_of`), ``replaced`` (values of each channel that were wrong, and were
-        replaced), ``reference_specimen`` (of the reference response: ``simulated``,
+        faults, see `detector_shares`), ``replaced`` (values of each channel that were wrong, and
+        were replaced), ``reference_specimen`` (of the reference response: ``simulated``,
         or the ``model``, by which no test can be assessed), ``tracking`` (see `tracking_of`), and
         for displacement (m), acceleration (m/s^2) and force (N) the fields of `Agreement`, over all
         axes; ``axes`` has the same three for each axis.
@@ -117,7 +117,7 @@ def summarise(
         "lost": {
             topic.name: steps - int(np.searchsorted(recording.series[topic.name].steps, steps))
             for topic in LOOP_TOPICS
-            if topic is not JUDGED or _has_judged(recording)
+            if topic is not MEASURED or _has_measured(recording)
         },
         "ground_motion": recording.facts.get(GROUND_MOTION.name, {}).get(MOTION),
         "zeroed": zeroed_in(recording),
@@ -126,7 +126,7 @@ def summarise(
         "equivalent_motion": difference and difference.numbers(),
         "calibration": check and check.numbers(),
         "tracking_error": tracking_error_of(assessed),
-        "detectors": shares_of(assessed),
+        "detectors": detector_shares(assessed),
         "replaced": replaced_in(recording),
         "reference_specimen": ("simulated" if simulated else "model") if reference else None,
         "tracking": tracking_of(assessed),
@@ -158,7 +158,7 @@ def zeroed_in(recording: Recording) -> dict[str, Any] | None:
 
 
 def summarise_briefly(recording: Recording, reference: ReferenceResponse) -> dict[str, Any]:
-    """Of what `summarise` gives: steps, stable, trip, saturated, displacement, acceleration, force.
+    """Of what `summarise` gives: how a test ended, and displacement, acceleration and force.
 
     For many tests of which no more is wanted: the other numbers take most of the time.
     """
@@ -169,13 +169,13 @@ def summarise_briefly(recording: Recording, reference: ReferenceResponse) -> dic
 def assessed_part(
     recording: Recording, reference: ReferenceResponse | None = None
 ) -> tuple[Recording, ReferenceResponse | None]:
-    """Cut a tripped test, and its reference response, where the force began to come down.
+    """Cut a test that tripped or was stopped, and its reference response, where the ramp began.
 
     The ramp-down is no part of the planned test: no reference response holds for it.
     """
-    if recording.trip is None or recording.trip.step + 1 >= _steps(recording):
+    last = recording.last_step
+    if last is None or last + 1 >= _steps(recording):
         return recording, reference
-    last = recording.trip.step
     series = {name: one.until(last) for name, one in recording.series.items()}
     estimates = recording.estimates and recording.estimates.until(last)
     if estimates is not None and not len(estimates.steps):
@@ -269,6 +269,7 @@ def _outcome(recording: Recording) -> dict[str, Any]:
         "steps": _steps(recording),
         "stable": trip is None and finite,
         "trip": trip and {"reason": trip.reason, "step": trip.step, "time_s": trip.time_s},
+        "stopped": recording.stopped,
         "saturated": dict(sorted(recording.saturation.items())),
         "simulated": recording.simulated and asdict(recording.simulated),
     }
@@ -306,30 +307,14 @@ def _estimates(
     }
 
 
-def shares_of(recording: Recording) -> dict[str, float] | None:
-    """Say how near each detector of faults came to its threshold, see `detector_shares`.
-
-    None where it is not known: the configuration is not recorded, or no sample was answered.
-    """
-    section = recording.experiment.sections.get("force_controller", {})
-    states, forces = (recording.series[topic.name] for topic in (RIG_STATE, REFERENCE_FORCE))
-    steps, at_states, at_forces = common_steps(states.steps, forces.steps)
-    if "specimen.mass" not in section or not len(steps):
-        return None
-    measured, forces_there = states.values[at_states], forces.values[at_forces]
-    with np.errstate(over="ignore", invalid="ignore"):
-        return detector_shares(recording.experiment, steps, forces_there, measured)
-
-
-def _has_judged(recording: Recording) -> bool:
-    """Say whether judged samples were recorded: others record none."""
-    return JUDGED.name in recording.series and len(recording.series[JUDGED.name].steps) > 0
+def _has_measured(recording: Recording) -> bool:
+    """Say whether samples as measured were recorded: others record none."""
+    return MEASURED.name in recording.series and len(recording.series[MEASURED.name].steps) > 0
 
 
 def replaced_in(recording: Recording) -> dict[str, int]:
     """Count the values that were wrong and replaced, by channel."""
-    measured, judged = recording.series[RIG_STATE.name].values, recording.states.values
-    count = np.count_nonzero(measured[:, :4] != judged, axis=(0, 2))
+    count = np.count_nonzero(recording.measured.values != recording.states.values, axis=(0, 2))
     return dict(zip(CHANNELS, count.tolist(), strict=True))
 
 
@@ -337,7 +322,7 @@ def strong_part(recording: Recording) -> tuple[float, float]:
     """Choose the times between which a test is drawn at first, s.
 
     From a second before 5 % of the ground motion's Arias intensity to two after 95 %, on any axis,
-    and up to a trip at least. All of the test where the ground motion is not known.
+    and up to a trip or stop at least. All of the test where the ground motion is not known.
     """
     dt, motion = recording.experiment.timebase.dt, recording.series[GROUND_MOTION.name]
     end = max(_steps(recording) - 1, 1) * dt
@@ -346,8 +331,8 @@ def strong_part(recording: Recording) -> tuple[float, float]:
     every = np.arange(motion.steps[-1] + 1)
     starts, ends = zip(*significant_parts(every_step(motion, every)[:, 0], dt), strict=True)
     last = max(ends) + AFTER
-    if recording.trip is not None:
-        last = max(last, recording.trip.time_s + AFTER)
+    if recording.last_step is not None:
+        last = max(last, recording.last_step * dt + AFTER)
     return max(min(starts) - BEFORE, 0.0), min(last, end)
 
 

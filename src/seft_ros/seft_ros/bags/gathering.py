@@ -10,17 +10,25 @@ from math import inf
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.wire.experiment_state import EXPERIMENT, ExperimentState, decode_state
 from seft_msgs_py.wire.messages import (
     ERROR,
     OK,
     STALE,
     WARN,
     EstimatesCodec,
-    Status,
     decode_diagnostics,
-    decode_status,
 )
-from seft_msgs_py.wire.outcome import ENDED, STOPPED, LinkReport, Outcome, State, Trip, read_outcome
+from seft_msgs_py.wire.outcome import (
+    BY_OPERATOR,
+    ENDED,
+    STOPPED,
+    LinkReport,
+    Outcome,
+    State,
+    Trip,
+    read_outcome,
+)
 from seft_msgs_py.wire.topics import (
     GROUND_MOTION,
     NANOSECONDS_PER_SECOND,
@@ -47,7 +55,7 @@ def points_ahead(topic: LoopTopic, experiment: Experiment) -> float:
     """
     if topic == REFERENCE_FORCE:
         return max(experiment.sections.get("reference_force", {}).get("loop_delay", 0), 0)
-    return inf if topic == GROUND_MOTION else 0
+    return inf if topic.every_point else 0
 
 
 class SeriesGatherer:
@@ -147,12 +155,15 @@ class ReportGatherer:
 
     Attributes
     ----------
-    ending : Status or None
+    ending : ExperimentState or None
         The supervisor's last ``done`` or ``tripped``.
+    ramp_step : int or None
+        First step whose reference force the supervisor had ramped down; None if it had not.
     """
 
     def __init__(self, timebase: Timebase) -> None:
-        self.ending: Status | None = None
+        self.ending: ExperimentState | None = None
+        self.ramp_step: int | None = None
         self._outcomes: dict[str, Outcome] = {}  # of the rigs
         self._links: dict[str, LinkReport] = {}  # of the force controllers
         self._last: dict[str, tuple[int, str]] = {}  # level and text, by node
@@ -164,26 +175,29 @@ class ReportGatherer:
         """Take the next message of diagnostics."""
         _, statuses = self._decode(raw[:4] + bytes(8) + raw[12:])  # without the stamp
         for status in statuses:
-            self._log(received_ns, status, status.message)
+            self._log(received_ns, status.name, status.level, status.message)
             if (outcome := read_outcome(status, self._timebase)) is not None:
                 self._outcomes[status.name] = outcome
             if bare(status.name) == "force_controller" and "link" in status.values:
                 self._links[status.name] = LinkReport.from_json(status.values["link"])
+            if status.name == "reference_force" and "ramp_step" in status.values:
+                self.ramp_step = int(status.values["ramp_step"])
 
     def take_state(self, raw: bytes, received_ns: int) -> None:
         """Take the next message of the supervisor."""
-        status = decode_status(raw)
-        if status.message in ENDED:
-            self.ending = status
-        detail, text = status.values.get("detail", ""), status.message
-        self._log(received_ns, status, text if detail in ("", text) else f"{text}: {detail}")
+        test = decode_state(raw)
+        if test.state in ENDED:
+            self.ending = test
+        detail, text = test.detail, str(test.state)
+        text = text if detail in ("", text) else f"{text}: {detail}"
+        self._log(received_ns, EXPERIMENT, test.level, text)
 
-    def _log(self, received_ns: int, status: Status, text: str) -> None:
+    def _log(self, received_ns: int, source: str, level: int, text: str) -> None:
         """Log each report once until the node's next, differing one; not without bound."""
-        report = (status.level, text)
-        if self._last.get(status.name) != report and len(self._events) < _MOST_EVENTS:
-            self._events.append((received_ns, status.name, *report))
-        self._last[status.name] = report
+        report = (level, text)
+        if self._last.get(source) != report and len(self._events) < _MOST_EVENTS:
+            self._events.append((received_ns, source, *report))
+        self._last[source] = report
 
     def events(self, start_ns: int) -> list[Event]:
         """Give the log, with times after a moment of the wall clock."""
@@ -197,27 +211,33 @@ class ReportGatherer:
         found = list(self._outcomes.values())
         return Outcome.of_all(found) if len(found) >= rigs else None
 
+    def stopped(self) -> bool:
+        """Whether the operator stopped the test."""
+        end = self.ending
+        return end is not None and (end.state, end.detail) == (State.DONE, BY_OPERATOR)
+
     def link(self) -> LinkReport | None:
         """How messages arrived over links; None if no force controller reported it."""
         return LinkReport.of_all(self._links.values()) if self._links else None
 
 
 def trip_of_messages(
-    outcome: Outcome | None, ending: Status | None, timebase: Timebase
+    outcome: Outcome | None, ending: ExperimentState | None, timebase: Timebase
 ) -> Trip | None:
     """Give the cause of a trip: the rig knows its own limits, the supervisor all others.
 
     ``outcome`` is the end as the rig saw it, ``ending`` the supervisor's last ``done`` or
-    ``tripped``. None if the test ran to the end of its record, or the cause is not recorded.
+    ``tripped``. None if the test ran to the end of its record, the operator stopped it, or the
+    cause is not recorded.
     """
     trip = outcome.trip if outcome else None
     if ending is None:
         return trip
-    if ending.message != State.TRIPPED and (trip is None or trip.reason != STOPPED):
-        return trip
-    step = ending.number("step")
+    if ending.state != State.TRIPPED:
+        return None if trip is None or trip.reason == STOPPED else trip
+    step = ending.step
     if step is None and trip is not None:
         step = trip.step
     elif step is None:
         step = max(0, outcome.steps - 1) if outcome else 0
-    return Trip(ending.values.get("detail", ""), step, timebase.stamp_ns(step) / 1e9)
+    return Trip(ending.detail, step, timebase.stamp_ns(step) / 1e9)

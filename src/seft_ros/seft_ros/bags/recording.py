@@ -15,12 +15,12 @@ from typing import Any, Self
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.facts import FACTS
+from seft_msgs_py.config.facts import CHANNELS, FACTS
 from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.config.renamed import renamed
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.outcome import LinkReport, Saturation, Simulated, Trip
-from seft_msgs_py.wire.topics import JUDGED, LOOP_TOPICS, RIG_STATE, RigAxes, bare
+from seft_msgs_py.wire.topics import LOOP_TOPICS, MEASURED, RIG_STATE, RigAxes, bare
 
 PACKAGES = ("numpy", "scipy", "rosbags", "rclpy", "seft_msgs_py", "seft_plant_sim", "seft_ros")
 GIT_TIMEOUT = 5.0  # s
@@ -282,7 +282,11 @@ class Recording:
     estimates : Estimates or None
         None if the compensation method identified nothing.
     trip : Trip or None
-        None if the test ran to its end.
+        None if the test ran to its end, or the operator stopped it.
+    stopped : bool
+        Whether the operator stopped it.
+    ramp_step : int or None
+        First step whose reference force the supervisor had ramped down; None if it had not.
     missed : int or None
         Steps at which the rig had no new command; None if unknown (the
         recorder was cut off before the rig reported it).
@@ -321,6 +325,8 @@ class Recording:
     series: dict[str, Series]
     estimates: Estimates | None = None
     trip: Trip | None = None
+    stopped: bool = False
+    ramp_step: int | None = None
     missed: int | None = 0
     missed_steps: list[int] = field(default_factory=list)
     overruns: int | None = 0
@@ -337,22 +343,35 @@ class Recording:
     facts: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        missing = {topic.name for topic in LOOP_TOPICS if topic is not JUDGED} - set(self.series)
+        missing = {topic.name for topic in LOOP_TOPICS if topic is not MEASURED} - set(self.series)
         if missing:
             raise ValueError(f"a recording needs a series for each loop topic; missing {missing}")
 
+    @property
+    def last_step(self) -> int | None:
+        """Last step before a trip, or a stop, brought the force down; None if neither did."""
+        last = [] if self.trip is None else [self.trip.step]
+        if self.ramp_step is not None:
+            last.append(max(self.ramp_step - 1, 0))
+        return min(last, default=None)
+
     @cached_property
     def states(self) -> Series:
-        """The judged samples, as the loop used them; as measured where none was recorded."""
-        measured = self.series[RIG_STATE.name]
-        measured = replace(measured, values=measured.values[:, :4])
-        judged = self.series.get(JUDGED.name, measured)
-        if np.array_equal(measured.steps, judged.steps):
-            return replace(measured, values=judged.values)
-        _, at, known = np.intersect1d(measured.steps, judged.steps, True, return_indices=True)
-        values = measured.values.copy()
-        values[at] = judged.values[known]
-        return replace(measured, values=values)
+        """The judged samples, as the loop used them, shape (N, 4, n)."""
+        states = self.series[RIG_STATE.name]
+        return replace(states, values=states.values[:, : len(CHANNELS)])
+
+    @cached_property
+    def measured(self) -> Series:
+        """The samples as measured, shape (N, 4, n); the judged ones where none was recorded."""
+        judged = self.states
+        measured = self.series.get(MEASURED.name, judged)
+        if np.array_equal(judged.steps, measured.steps):
+            return replace(judged, values=measured.values)
+        _, at, known = np.intersect1d(judged.steps, measured.steps, True, return_indices=True)
+        values = judged.values.copy()
+        values[at] = measured.values[known]
+        return replace(judged, values=values)
 
 
 def of_all_rigs(parts: Sequence[Series], rigs: Sequence[RigAxes]) -> Series:

@@ -25,7 +25,7 @@ from seft_msgs_py.wire.topics import (
     ESTIMATES,
     EXPERIMENT_STATE,
     GROUND_MOTION,
-    JUDGED,
+    MEASURED,
     REFERENCE_FORCE,
     RIG_STATE,
     RIG_TOPICS,
@@ -113,6 +113,7 @@ def read_bag(path: str | Path, *, damaged: bool = False) -> Recording:
         for topic, rigs in parts
     }
     outcome = reports.outcome(len(experiment.rigs))
+    trip = trip_of_messages(outcome, reports.ending, experiment.timebase)
     if outcome is not None and outcome.steps > 0:  # the rig never sampled later stamps
         series = {name: one.until(outcome.steps - 1) for name, one in series.items()}
     states = series[RIG_STATE.name]
@@ -127,13 +128,15 @@ def read_bag(path: str | Path, *, damaged: bool = False) -> Recording:
             series[name] = replace(one, steps=steps)
     end: dict[str, Any] = {"missed": None, "overruns": None, "complete": False}
     if outcome is not None:
-        others = ("phase", "steps", "trip")
+        others = ("phase", "steps", "trip", "most_missed")
         end = {name: value for name, value in vars(outcome).items() if name not in others}
     return Recording(
         experiment=experiment,
         series=series,
         estimates=estimates.series(),
-        trip=trip_of_messages(outcome, reports.ending, experiment.timebase),
+        trip=trip,
+        stopped=trip is None and reports.stopped(),
+        ramp_step=reports.ramp_step,
         link=reports.link(),
         events=reports.events(start_ns),
         facts=description.facts,
@@ -185,7 +188,7 @@ def _loop_of(experiment: Experiment) -> list[tuple[LoopTopic, tuple[RigAxes, ...
     """List the topics of the loop, each with the rigs that have their own, or one for all."""
     forces = reference_force_topic(experiment.sections.get("reference_force", {}))
     whole = (RigAxes.whole(experiment.axes),)
-    topics = (GROUND_MOTION, RIG_STATE, JUDGED, forces, VALVE_COMMAND)
+    topics = (GROUND_MOTION, RIG_STATE, MEASURED, forces, VALVE_COMMAND)
     return [(topic, experiment.rigs if topic in RIG_TOPICS else whole) for topic in topics]
 
 
@@ -390,7 +393,8 @@ def _events(recording: Recording, topics: Sequence[Topic]) -> tuple[npt.NDArray[
         series = recording.estimates if topic is ESTIMATES else recording.series[topic.name]
         if topic not in topics or series is None:
             continue
-        (kept,) = np.nonzero(np.isfinite(series.values).all(axis=(1, 2)))
+        finite = np.isfinite(series.values).all(axis=(1, 2)) | (topic.name == MEASURED.name)
+        (kept,) = np.nonzero(finite)
         not_finite += len(series.steps) - len(kept)
         parts.append(np.stack([series.steps[kept], np.full_like(kept, which), kept], axis=1))
     events = np.concatenate(parts)

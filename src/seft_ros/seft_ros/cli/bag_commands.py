@@ -52,10 +52,10 @@ def report(
     """
     from seft_ros.analysis.report_numbers import histories, report_numbers
     from seft_ros.analysis.report_page import write_report
-    from seft_ros.analysis.result_text import agreement_table, test_rows, title_of
+    from seft_ros.analysis.result_text import summary_texts
     from seft_ros.bags.recording_bag import read_bag
     from seft_ros.drawing.page import check_page
-    from seft_ros.drawing.table import Cell, Texts, TextTable, check_table, write_table
+    from seft_ros.drawing.table import check_table, write_table
 
     beside = bag.with_suffix(".html") if bag.is_file() else bag / "report.html"
     page = beside if out is None else check_page(out)
@@ -67,15 +67,7 @@ def report(
     if table is not None:
         write_table(table, *histories(findings.recording, findings.reference))
         summary["csv"] = str(table)
-    assessment = findings.assessment
-    texts: Texts = [
-        title_of(findings.recording),
-        TextTable((), test_rows(summary)),
-        agreement_table(summary),
-        Cell(assessment.text, assessment.verdict),
-        *(Cell(f"  {finding.whole}", finding.verdict) for finding in assessment.findings),
-    ]
-    show(summary, json, texts, "page", "csv")
+    show(summary, json, summary_texts(findings), "page", "csv")
     right = summary["stable"] and summary["complete"] and not summary["damage"]
     return 0 if right else 1
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Optional
 
 from seft_msgs_py.errors import InputError
+from seft_plant_sim.rig_parameters import as_simulated
 
 from seft_ros.cli import shared
 from seft_ros.cli.shared import option
@@ -205,7 +206,7 @@ def study(
 
     path = check_page(out)
     folder = worst_folder(path)
-    experiment = shared.load_experiment(config, param, params_file)
+    experiment = as_simulated(shared.load_experiment(config, param, params_file))
     files = [os.path.realpath(file) for file in motion or ()]
     drawn = draw_tests(experiment, tests, seed=seed, spread=spread, motions=files)
     design = design_study(experiment, drawn, method or (), mass_ratio or ())

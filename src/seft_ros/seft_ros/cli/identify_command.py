@@ -2,16 +2,20 @@
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Optional
 
 import numpy as np
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import EVERY_NODE, FORCE_DRIVEN
-from seft_msgs_py.errors import InputError
-from seft_plant_sim.rig_parameters import common_lag, truth
+from seft_msgs_py.errors import ExperimentError, InputError
+from seft_msgs_py.wire.outcome import BY_OPERATOR
+from seft_plant_sim.rig_parameters import as_simulated, common_lag, truth
 
 from seft_ros.bags.recording import Recording
 from seft_ros.cli import shared
@@ -33,7 +37,12 @@ def identify(
     config: shared.Config,
     param: shared.Params = None,
     params_file: shared.Files = None,
-    over_dds: bool = option(False, "Run nodes over DDS, or one process.", "--over-dds/--offline"),
+    over_dds: Optional[bool] = option(
+        None,
+        "Run nodes over DDS, or simulate in one process; default by rig: hardware.",
+        "--over-dds/--offline",
+        show_default=False,
+    ),
     external: shared.External = None,
     seed: int = option(1, "Seed of the excitation, Gaussian noise.", min=0),
     band: tuple[float, float] = option(
@@ -42,10 +51,15 @@ def identify(
     duration: float = option(120.0, "Duration of each test in s.", "S"),
     amplitude: Optional[float] = option(None, "RMS of the valve drive, open loop.", "V"),
     force: Optional[float] = option(None, "RMS of the reference force, closed loop.", "N"),
-    out: Optional[Path] = option(None, "New folder of the results; default by the time.", "DIR"),
+    out: Optional[Path] = option(
+        None, "Folder of the results, new or to continue; default by the time.", "DIR"
+    ),
     specimen: bool = option(False, "Multisine test: mass and channels, too.", "--specimen"),
     travel: Optional[float] = option(
         None, "Displacement of the multisine test; default by the sensors' noise.", "M"
+    ),
+    max_displacement: float = option(
+        math.inf, "Largest displacement; default by the limits.", "M", show_default=False
     ),
     json: shared.Json = False,
 ) -> int:
@@ -70,6 +84,15 @@ def identify(
     with this specimen, which the other methods need. Rigs without a valve (actuator.kind ideal or
     delay) have this test only.
 
+    With --max-displacement every test is planned for half of it at most, by what is known of rig
+    and specimen, and by the pilots. It is the limit of the displacement, too, which ends a test
+    that goes farther. The result says how far all tests moved the specimen.
+
+    After a trip or an interruption the same command with the same --out continues: it uses the
+    tests again that ran to their end, which must be of the same configuration. A tripped test
+    stays, too, and model.yaml has what was found before. Smaller --force, --travel or --amplitude
+    may continue after the trip of the test that they are for.
+
     The folder then holds the excitation, the bags, a figure, and model.yaml: what was found, as
     facts under /**, for --params-file of every command and node. With --specimen they include
     mass, damping and stiffness of the specimen, the mass's standard error, and calibration.*.
@@ -80,13 +103,14 @@ def identify(
 
         seft simulate config/jhu.yaml --params-file identified/model.yaml
 
-        seft identify config/jhu.yaml --specimen --travel 1e-4
+        seft identify config/jhu.yaml --specimen --max-displacement 0.001
 
         seft identify config/jhu.yaml --over-dds -p rig:pace:=lockstep --json
 
         seft identify config/lab.yaml --external rig --duration 300
     """
     from seft_ros.identification import rig_tests
+    from seft_ros.identification.kept_tests import kept_excitation
     from seft_ros.identification.multisine import plan_multisine
 
     if set(external or ()) - {"rig"}:
@@ -96,52 +120,83 @@ def identify(
     if travel is not None and not specimen:
         raise InputError("--travel is that of the multisine test: give --specimen, too")
     experiment = shared.load_experiment(config, param, params_file, external)
+    if max_displacement != math.inf:
+        experiment, max_displacement = _capped(experiment, max_displacement)
     if all(map(math.isnan, band)):
         band = (0.3, min(0.45 * experiment.timebase.rate, 200.0))
-    motions = rig_tests.Motions(experiment, band, seed)
+    motions = rig_tests.Motions(experiment, band, seed, max_displacement)
     motions.check(duration)
     largest = motions.largest_levels(duration)
     levels = rig_tests.Levels(
-        rig_tests.pilot_voltage(experiment) if amplitude is None else amplitude,
+        rig_tests.pilot_voltage(experiment, largest) if amplitude is None else amplitude,
         rig_tests.default_force(experiment, largest) if force is None else force,
     )
     largest.check(levels)
     folder = out or Path(datetime.now().strftime("identify_%Y-%m-%d_%H-%M-%S"))
     plan = None
     if specimen and rig_tests.has_valve(experiment):
-        plan = plan_multisine(experiment, travel)
+        plan = plan_multisine(experiment, travel, max_displacement)
         shared.complain(plan.text())
-    shared.check_out(folder)
-    motion = motions.write(folder / "excitation.csv", duration)
-    shared.stands(f"{folder} has the excitation")
-    tests = _Tests(experiment, folder, over_dds, external or ())
+    motion = folder / "excitation.csv"
+    if not motion.exists():
+        shared.check_out(folder)
+    kept_excitation(motion, experiment, excitation := motions.unit(duration))
+    shared.stands(f"the same command with --out {folder} continues, {folder} has the excitation")
+    if over_dds is None:
+        over_dds = as_simulated(experiment) is not experiment
+    tests = _Tests(experiment, folder, over_dds, external or (), excitation)
     run = _Identification(tests, motions, levels, plan, motion, duration)
     run.drive_valves(by_pilot=amplitude is None)
-    run.close_loop()
+    run.close_loop(by_default=force is None)
     return run.show(str(config), specimen, as_json=json)
+
+
+def _capped(experiment: Experiment, cap: float) -> tuple[Experiment, float]:
+    """Lower the limit of the displacement to a cap, m; give the smaller of both, too."""
+    if not cap > 0:
+        raise InputError(f"--max-displacement is {cap:g} m, but must be positive")
+    cap = min(cap, experiment["supervisor"]["limits.displacement"])
+    return experiment.changed({EVERY_NODE: {"limits.displacement": cap}}), cap
 
 
 @dataclass
 class _Tests:
-    """Runs the tests of an identification, and keeps their recordings."""
+    """Runs the tests of an identification, and keeps their recordings.
+
+    The folder may hold recordings of before: one that is whole is used again. One that is not
+    stays, and its test is recorded beside it, as ``open_loop_2``.
+    """
 
     experiment: Experiment
     folder: Path
     over_dds: bool
     external: Sequence[str]
+    excitation: Floats
     recordings: dict[str, Recording] = field(default_factory=dict)
+    bags: dict[str, Path] = field(default_factory=dict)
+    reused: list[str] = field(default_factory=list)
 
-    def run(self, name: str, test: Experiment, steps: int) -> bool:
-        """Run a test; say whether it drove a valve, to its end."""
+    def __post_init__(self) -> None:
+        self._largest = np.zeros((4, len(self.experiment.axes)))
+
+    def run(self, name: str, test: Experiment, steps: int, forces: Floats | None = None) -> bool:
+        """Run a test, or use it again; say whether it drove a valve, to its end.
+
+        Its forces are those of the excitation, or are written first, shape (N, n), N.
+        """
         from seft_ros.analysis.assessment import BAD_MISSED
-        from seft_ros.identification.rig_tests import has_valve
+        from seft_ros.identification.rig_tests import has_valve, write_forces
 
-        bag, label = self.folder / name, f"{name}: "
-        if self.over_dds or self.external:
-            recording = shared.dds_test(test, bag, steps, self.external, label=label)[0]
-        else:
-            recording = shared.offline_test(test, bag, label)
-        self.recordings[name] = recording
+        label = f"{name}: "
+        bag, recording = self._kept(
+            name, test, steps, self.excitation if forces is None else forces
+        )
+        if recording is None:
+            if forces is not None:
+                write_forces(self.folder / f"{name}.csv", test, forces)
+            recording, bag = self._record(test, bag, steps, label)
+            self._look(recording)
+        self.recordings[name], self.bags[name] = recording, bag
         if (recording.missed or 0) > BAD_MISSED * steps:
             shared.complain(
                 f"{label}{recording.missed} of {steps} steps had no command in time: the rig moved "
@@ -149,6 +204,60 @@ class _Tests:
                 "keeps this one (docs/realtime.md)"
             )
         return recording.trip is None and has_valve(recording.experiment)
+
+    def _record(
+        self, test: Experiment, bag: Path, steps: int, label: str
+    ) -> tuple[Recording, Path]:
+        if not (self.over_dds or self.external):
+            return shared.offline_test(test, bag, label), bag
+        try:
+            recording, bag = shared.dds_test(test, bag, steps, self.external, label=label)
+        except ExperimentError as error:
+            raise ExperimentError(f"{error}; {', '.join(shared.STANDS)}") from None
+        if recording.stopped:
+            raise ExperimentError(f"{label}{BY_OPERATOR}; what was recorded is in {bag}")
+        return recording, bag
+
+    def _kept(
+        self, name: str, test: Experiment, steps: int, forces: Floats
+    ) -> tuple[Path, Recording | None]:
+        """Find the whole recording of a test; else None, and the place of the next one."""
+        from seft_ros.bags.recording_bag import read_bag
+        from seft_ros.identification.kept_tests import other_test, why_cut_off
+
+        for number in count(1):
+            bag = self.folder / (name if number == 1 else f"{name}_{number}")
+            if not bag.exists():
+                return bag, None
+            try:
+                recording = read_bag(bag)
+            except InputError as error:
+                shared.complain(f"{error}; it stays, and is not used")
+                continue
+            self._look(recording)
+            if why := why_cut_off(recording, steps):
+                shared.complain(f"{bag}: {why}; it stays, and is not used")
+                continue
+            if other := other_test(recording, test, forces):
+                raise InputError(
+                    f"{bag}: is of another test: {other}; name another folder with --out, or "
+                    "move this recording away"
+                )
+            shared.complain(f"{bag}: is used again")
+            shared.stands(f"{bag} is whole")
+            self.reused.append(name)
+            return bag, recording
+        raise AssertionError
+
+    def _look(self, recording: Recording) -> None:
+        """Note how far a test moved the specimen, with what force."""
+        if recording.experiment.axes == self.experiment.axes and len(recording.states.steps):
+            moved = np.abs(recording.states.values).max(axis=0)
+            self._largest = np.fmax(self._largest, moved)
+
+    def largest(self, row: int) -> dict[str, float]:
+        """Largest magnitude of a quantity in any test, by axis."""
+        return dict(zip(self.experiment.axes, self._largest[row].tolist(), strict=True))
 
     @property
     def tripped(self) -> bool:
@@ -181,9 +290,9 @@ class _Identification:
         self._valve = rig_tests.has_valve(tests.experiment)
         if self._valve and by_pilot:
             seconds = motions.of_pilot(self._duration)
-            short = motions.write(tests.folder / f"{PILOT}.csv", seconds)
+            short = tests.folder / f"{PILOT}.csv"
             test = rig_tests.open_loop(tests.experiment, short, self._levels.voltage, known)
-            self._valve = tests.run(PILOT, test, motions.steps(seconds))
+            self._valve = tests.run(PILOT, test, motions.steps(seconds), motions.unit(seconds))
             if self._valve:
                 pilot = tests.recordings[PILOT]
                 most = motions.largest_levels(self._duration)
@@ -226,11 +335,11 @@ class _Identification:
         from seft_ros.identification import rig_tests
 
         tests = self._tests
-        path = rig_tests.write_forces(tests.folder / f"{name}.csv", tests.experiment, commands)
+        test = rig_tests.multisine_test(tests.experiment, tests.folder / f"{name}.csv")
         steps = len(commands) + round(rig_tests.TAIL * tests.experiment.timebase.rate)
-        return tests.run(name, rig_tests.multisine_test(tests.experiment, path), steps)
+        return tests.run(name, test, steps, commands)
 
-    def close_loop(self) -> None:
+    def close_loop(self, by_default: bool) -> None:
         """Run the test with force feedback, where there is one, on channels as found."""
         from seft_ros.identification import rig_tests
 
@@ -249,44 +358,89 @@ class _Identification:
             experiment = experiment.changed(
                 {EVERY_NODE: multisine.calibrated.parameters(), "rig": truth(experiment["rig"])}
             )
+        if by_default and self._valve and self._motions.cap < math.inf:
+            self._levels = replace(self._levels, force=self._force_of_specimen())
         steps = self._motions.steps(self._duration)
         test = rig_tests.closed_loop_test(experiment, self._motion, self._levels.force)
         tests.run(CLOSED_LOOP, test, steps)
 
-    def show(self, config: str, specimen: bool, as_json: bool) -> int:
-        """Evaluate the tests, write and print; give the exit status."""
-        tests = self._tests.recordings
+    def _force_of_specimen(self) -> float:
+        """RMS of the closed loop for the specimen as the open loop shows it, N."""
+        from seft_plant_sim.simulated.specimen import Specimen
+
+        from seft_ros.identification import rig_tests
+        from seft_ros.identification.response_fits import fit_specimen
+
+        opened = self._corrected(self._tests.recordings[OPEN_LOOP])
+        test = rig_tests.MeasuredTest(opened, self._motions.band)
+        if test.incoherent():
+            return self._levels.force
+        found = fit_specimen([test.motion()])
+        specimen = Specimen(found.mass, found.damping, found.stiffness)
+        largest = self._motions.largest_levels(self._duration, specimen)
+        return rig_tests.default_force(self._tests.experiment, largest)
+
+    def _corrected(self, opened: Recording) -> Recording:
+        """Take what the multisine test found, if it was run, out of the open loop."""
+        return self._multisine.calibrated.corrected(opened) if self._multisine else opened
+
+    def _identified(self) -> "Identified | None":
+        """Evaluate the tests that ran to their end, or what a trip left of the open loop."""
+        from seft_ros.identification import identified, rig_tests
+
+        tests, band = self._tests.recordings, self._motions.band
         whole = {name: test for name, test in tests.items() if test.trip is None}
         opened = whole.get(OPEN_LOOP) if self._valve else None
-        if opened is not None and self._multisine is not None:
-            opened = self._multisine.calibrated.corrected(opened)
+        if opened is not None or CLOSED_LOOP in whole:
+            opened = opened and self._corrected(opened)
+            return identified.identify_from_recordings(opened, whole.get(CLOSED_LOOP), band)
+        tripped = OPEN_LOOP in tests and OPEN_LOOP not in whole
+        for name in (OPEN_LOOP, PILOT) if tripped else ():
+            test = tests.get(name)
+            part = test and rig_tests.before_trip(test, band)
+            if part is None:
+                continue
+            with suppress(ExperimentError):
+                found = identified.identify_from_recordings(part, None, band)
+                which = "its pilot" if part is test else "what it measured before its trip"
+                self._notes.append(f"open loop: evaluated from {which}")
+                return found
+        return None
+
+    def show(self, config: str, specimen: bool, as_json: bool) -> int:
+        """Evaluate the tests, write and print; give the exit status."""
+        tests, bags = self._tests.recordings, self._tests.bags
         folder = self._tests.folder
-        files = {"folder": folder, "excitation": self._motion}
-        files |= {name: folder / name for name in tests}
+        files = {"folder": folder, "excitation": self._motion, **bags}
         trips = {name: test.trip.reason if test.trip else None for name, test in tests.items()}
         summary: dict[str, Any] = {
             "tripped": {OPEN_LOOP: None, CLOSED_LOOP: None, **trips},
             "excitation_rms": asdict(self._levels),
+            "reused": self._tests.reused,
+            "moved_m": (moved := self._tests.largest(0)),
+            "largest_force_n": (forces := self._tests.largest(3)),
         }
         texts: Texts = []
         unusable: list[str] = []
-        if opened is not None or CLOSED_LOOP in whole:
-            from seft_ros.identification import identified
-
-            found = identified.identify_from_recordings(
-                opened, whole.get(CLOSED_LOOP), self._motions.band
-            )
+        if found := self._identified():
             unusable = found.unusable
             files |= {"model": folder / "model.yaml", "figure": folder / shared.FIGURE}
             texts, numbers = self._write(found, config, specimen, files)
             summary |= numbers
         summary["files"] = {what: str(path) for what, path in files.items()}
-        lines = [f"{what + ':':13}{path}" for what, path in files.items()]
+        each = [
+            f"{1e3 * moved[axis]:.3g} mm with {forces[axis]:.3g} N on axis {axis}" for axis in moved
+        ]
+        lines = [f"the tests moved the specimen by up to {', '.join(each)}"]
+        lines += [f"{what + ':':13}{path}" for what, path in files.items()]
         shared.show(summary, as_json, [*texts, *lines])
         for name, test in tests.items():
             if test.trip is not None:
                 at = f"{name.replace('_', ' ')} tripped at {test.trip.time_s:.3f} s"
-                shared.complain(f"{at}: {test.trip.reason}; its bag is in {folder / name}")
+                shared.complain(
+                    f"{at}: {test.trip.reason}; its bag is in {bags[name]}; the same command with "
+                    f"--out {folder} continues"
+                )
                 return 1
         if unusable:
             shared.complain(unusable[0])

@@ -15,7 +15,7 @@ from seft_ros.cli.bag_commands import compare, recover, replay, report
 from seft_ros.cli.design_commands import preflight, study
 from seft_ros.cli.identify_command import identify
 from seft_ros.cli.perform import reset, run, simulate, start, status, stop
-from seft_ros.cli.rig_commands import conform, link, new
+from seft_ros.cli.rig_commands import check, link, new
 from seft_ros.cli.shared import STANDS, complain, option
 from seft_ros.cli.show_commands import monitor, motion, parameters
 
@@ -33,7 +33,7 @@ COMMANDS = (
     *(run, simulate, start, stop, reset, status, monitor),
     *(report, compare, replay, recover),
     *(identify, preflight, study),
-    *(conform, new, link, motion, parameters),
+    *(check, new, link, motion, parameters),
 )
 for command in COMMANDS:
     APP.command()(command)

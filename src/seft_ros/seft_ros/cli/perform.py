@@ -11,6 +11,7 @@ import typer
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.printing import escaped
+from seft_plant_sim.rig_parameters import as_simulated
 
 from seft_ros.bags.recording import Recording
 from seft_ros.cli import shared
@@ -87,12 +88,12 @@ def status(json: shared.Json = False) -> int:
     from seft_msgs_py.wire.outcome import MOVING, State
 
     with _supervised() as observer:
-        state, detail = observer.state, observer.values.get("detail", "")
+        state, detail = observer.state, observer.reported.detail
         if state in MOVING:
             observer.spin(2 * _POLL_PERIOD)
         found = {"state": state, "detail": detail, "time_s": observer.time_ns / 1e9}
-        if "steps" in observer.values:
-            found["steps"] = int(observer.values["steps"])
+        if (steps := observer.reported.steps) is not None:
+            found["steps"] = steps
     name = state.replace("_", " ")
     text = name if detail == name else f"{name}: {detail}"
     shared.show(found, json, [f"{text} ({found['time_s']:.1f} s)" if state in MOVING else text])
@@ -226,7 +227,7 @@ def simulate(
         seft simulate config/demo.yaml -p ground_motion:file:=kobe.AT2
     """
     shared.announce_compilation()
-    experiment = shared.load_experiment(config, param, params_file)
+    experiment = as_simulated(shared.load_experiment(config, param, params_file))
     if out is not None:
         shared.check_out(out)
     recording = shared.offline_test(experiment, out)

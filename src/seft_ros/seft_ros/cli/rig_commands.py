@@ -1,4 +1,4 @@
-"""``seft link``, ``seft conform`` and ``seft new``: a link, a driver, a package to begin with."""
+"""``seft link``, ``seft check`` and ``seft new``: a link, hardware, a package to begin with."""
 
 import keyword
 import sys
@@ -11,6 +11,7 @@ from rich.console import Console
 from seft_msgs_py.config.experiment import Experiment, write_parameter_file
 from seft_msgs_py.config.facts import EVERY_NODE
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.printing import escaped
 from seft_msgs_py.wire.topics import RigAxes
 
 from seft_ros.cli import shared
@@ -108,65 +109,61 @@ def _echo() -> int:
     return 0
 
 
-def conform(
+def check(
     config: shared.Config,
     param: shared.Params = None,
     params_file: shared.Files = None,
-    start_rig: bool = option(False, "Start the simulated rig of CONFIG.", "--start-rig"),
-    amplitude: Optional[float] = option(None, "Largest valve command; default 0.2 V.", "V"),
+    rig: str = option("", "Rig to check, if the test has several.", "NAME"),
+    amplitude: Optional[float] = option(None, "Largest command; default 0.2 V, or 50 N.", "V"),
     travel: float = option(0.005, "Displacement from rest at which the rig is stopped, m.", "M"),
     force: float = option(2000.0, "Change of force at which the rig is stopped, N.", "N"),
     yes: bool = option(False, "Move the rig without asking: nobody is within its reach.", "--yes"),
     json: shared.Json = False,
 ) -> int:
-    """Check that a rig's driver keeps its contract (docs/hardware.md) before a test relies on it.
+    """Check by a small motion that the hardware of a rig fits CONFIG, before a test relies on it.
 
-    Acts as supervisor and force controller for a node rig that runs already, such as a lab's own
-    driver: checks its messages; moves it by a few tenths of a millimetre to compare units, signs
-    and stamps; then sends invalid commands, and none, to check that it trips, comes to rest and
-    stays there. Each check has one line: passed or failed, the measured number, and
-    how to fix a failure. An early failure ends the checks before the rig moves further.
+    Hosts what rig: hardware names as the rig node does, without ROS. Moves each axis by a few
+    tenths of a millimetre, first by an eighth of that, and finds what only motion can show: signs,
+    units and lags of the channels, dead time, whether safe() stops the piston, time of the calls.
+    Each check has one line: good, or wrong and the parameter to change. At the end, after Ctrl-C
+    and after every error it brings the rig to rest, and says that it is at rest, or that it is not.
 
-    CONFIG has rate, axes, limits, and what is known of the specimen; the rig's own parameters are
-    taken from its description. Of an idealised actuator, --amplitude is a force, by default 50 N.
-
-    Exit status 0: it conforms; 1: it does not.
+    Exit status 0: all is good; 1: something is wrong.
 
     Examples:
 
-        seft conform config/jhu.yaml --start-rig
+        seft check config/jhu.yaml
 
-        seft conform config/laboratory.yaml --amplitude 0.1
-
-        seft conform config/laboratory.yaml --yes --json
+        seft check laboratory.yaml -p hardware:=board.py:Board --amplitude 0.05
     """
-    from seft_ros.conformance.driver import finding_line, summarise_findings
-    from seft_ros.conformance.suite import check_conformance as look_at
+    from seft_msgs_py.node.clock import MACHINE
 
-    experiment = shared.load_experiment(config, param, params_file, None if start_rig else ["rig"])
-    if len(experiment.rigs) > 1:
-        raise InputError(
-            f"{config}: the axes are of several rigs, but conform checks one: give its axes "
-            'alone, without its name, as -p "/**:axes:=[x]", and parameters for these'
-        )
+    from seft_ros.check.motion_checks import RigCheck
+    from seft_ros.check.rig_mover import RigMover
+
+    experiment = shared.load_experiment(config, param, params_file)
+    of = _rig(rig, experiment) or experiment.rigs[0]
     for name, value in (("--amplitude", amplitude), ("--travel", travel), ("--force", force)):
         if value is not None and not 0 < value < float("inf"):
             raise InputError(f"{name} is {value:g}, but must be positive")
-    if not (start_rig or yes):
+    if not (experiment["rig"]["hardware"] == "simulated" or yes):
         _ask(amplitude, travel)
-    console, findings = Console(stderr=True, quiet=json), []
-    for finding in look_at(
-        experiment, start_rig=start_rig, amplitude=amplitude, travel=travel, force=force
-    ):
-        console.print(finding_line(finding), soft_wrap=True, highlight=False)
-        findings.append(finding)
-        if len(findings) == 1:
-            shared.stands("a rig that moves trips without its supervisor; see that it rests")
-    result = summarise_findings(findings)
-    words = "conforms" if result["conforms"] else "does not conform"
-    counts = "{passed} passed, {failed} failed, {not_run} not run".format_map(result)
-    shared.show({"config": str(config), **result}, json, [f"the rig {words}: {counts}"])
-    return 0 if result["conforms"] else 1
+    mover = RigMover(experiment, of, MACHINE, travel, force)
+    found = []
+    try:
+        for each in RigCheck(mover, experiment, of, amplitude).findings():
+            found.append(each)
+            if not json:
+                line = f"{'good ' if each.ok else 'WRONG'}  {each.name}: {each.text}"
+                print(escaped(line), file=sys.stderr, flush=True)  # a laboratory's text
+    finally:
+        rests = mover.close()
+        shared.stands(rests)
+        shared.complain(rests)
+    wrong, checks = sum(not each.ok for each in found), [each._asdict() for each in found]
+    summary = {"config": str(config), "good": not wrong, "rest": rests, "checks": checks}
+    shared.show(summary, json, [f"{len(found) - wrong} good, {wrong} wrong"])
+    return min(wrong, 1)
 
 
 def _ask(amplitude: float | None, travel: float) -> None:
@@ -185,14 +182,14 @@ TEMPLATE_PACKAGE = "rig_driver"  # of the template's package
 
 
 def new(
-    what: str = typer.Argument(..., help="The node rig for your hardware.", metavar="driver"),
+    what: str = typer.Argument(..., help="The hardware of your rig.", metavar="driver"),
     name: str = typer.Argument(..., help="Name of the package, and of the folder.", metavar="NAME"),
 ) -> int:
-    """Make a ROS 2 package for your own rig, in a new folder here.
+    """Make a package for your own rig, in a new folder here.
 
-    It has the driver with its watchdogs and safe command, a simulated converter board in place of
-    your hardware, a calibration file, and tests. It conforms as it is (seft conform), so that you
-    change one thing at a time. docs/hardware.md shows the way from here to the first test.
+    It has one class on a simulated converter board, which the node rig hosts, a parameter file, and
+    a test. It works as it is, so that you change one thing at a time. docs/hardware.md shows the
+    way from here to the first test.
 
     Example:
 
@@ -212,12 +209,11 @@ def new(
         raise InputError(f"{folder}: exists already; choose another name") from None
     except OSError as error:
         raise InputError(f"{folder}: {error.strerror}") from None
-    start = f"-m {name}.driver_node --ros-args --params-file {name}/config/rig.yaml"
-    print(f"made {folder}/; next:")
-    print(f"  start it:   PYTHONPATH={name} {sys.executable} {start}")
-    print("  check it:   seft conform CONFIG")
-    print(f"  its tests:  PYTHONPATH={name} {sys.executable} -m pytest {name}/test")
-    print(f"  your board: {name}/{name}/hardware.py, then stand_in() in driver_node.py")
+    print(f"made {folder}/; next, in that folder:")
+    print("  by simulation:  seft simulate laboratory.yaml")
+    print("  check it:       seft check laboratory.yaml")
+    print("  its test:       python -m pytest")
+    print(f"  your board:     {name}.py")
     return 0
 
 

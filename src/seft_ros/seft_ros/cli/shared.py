@@ -17,6 +17,7 @@ from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.printing import escaped
 from seft_msgs_py.wire.outcome import ZEROED
 from seft_msgs_py.wire.topics import GROUND_MOTION, NODES, with_rigs
+from seft_plant_sim.rig_parameters import as_simulated
 
 from seft_ros.bags.recording import Recording
 from seft_ros.drawing.table import Cell, TextTable
@@ -176,6 +177,7 @@ def offline_test(
     from seft_ros.test_run.compiled_loop import build_blocks
     from seft_ros.test_run.offline import simulate_test
 
+    experiment = as_simulated(experiment)
     blocks = blocks or build_blocks(experiment)
     motion = blocks.ground_motion
     with step_progress(motion.steps) as progress:
@@ -259,18 +261,18 @@ def dds_test(
 
 def show_test(recording: Recording, bag: Path | None, *, as_json: bool, figure: bool) -> bool:
     """Show how a test went, draw its figure into its bag; return whether it was stable."""
+    from seft_ros.analysis.report_numbers import report_numbers
     from seft_ros.analysis.result_text import summary_texts
-    from seft_ros.analysis.summary import reference_of, summarise
 
-    reference = reference_of(recording)
-    summary = summarise(recording, reference)
+    found = report_numbers(recording)
+    summary = found.summary
     if bag is not None:
         summary["bag"] = str(bag)
         if figure:
             from seft_ros.analysis.figures import test_figure
             from seft_ros.drawing.style import save_figure
 
-            save_figure(test_figure(recording, reference), bag / FIGURE)
+            save_figure(test_figure(recording, found.reference), bag / FIGURE)
             summary["figure"] = str(bag / FIGURE)
-    show(summary, as_json, summary_texts(recording, summary), "bag", "figure")
+    show(summary, as_json, summary_texts(found), "bag", "figure")
     return bool(summary["stable"])

@@ -30,9 +30,6 @@ _ROWS = parameter_rows(
     gain                       | floats | 1.0   |       |           |
         factor from the controllers' outputs to the valves: one number, a diagonal, or a
         matrix that decouples the axes
-    detectors.warn_only | string | | | |
-        detectors (docs/safety.md) that warn but do not end a test: their names, separated by
-        commas, or all
     feedback                   | bool   | true  |       |           |
         whether the measured force is fed back; if not, the reference force drives the valve
         through the controller (open loop, for identification)

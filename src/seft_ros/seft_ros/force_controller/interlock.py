@@ -1,31 +1,32 @@
 """Interlock of the force control: it keeps out implausible values, and trips at faults."""
 
 import math
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.facts import CHANNELS
+from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN
 from seft_msgs_py.wire.topics import RigAxes, Timebase
+from seft_plant_sim.channels import per_channel, velocity_is_derived
 from seft_plant_sim.compiled import entry_point, kind_of
-from seft_plant_sim.judge.detection import detectors_of
-from seft_plant_sim.judge.detector_list import DETECTORS, describe
-from seft_plant_sim.judge.detector_step import begin_detectors
-from seft_plant_sim.judge.detectors import VALID, DetectorParameters, DetectorState
+from seft_plant_sim.judge.detection import warning_detectors
+from seft_plant_sim.judge.detector_list import TRACKING, describe
+from seft_plant_sim.judge.detectors import assumed_noise
+from seft_plant_sim.judge.guard_step import DRIVE_ROW
 from seft_plant_sim.limits import beyond_limit, event_ring
-from seft_plant_sim.simulated.rig import left_open
+from seft_plant_sim.simulated.rig_step import left_open
 
 from seft_ros.force_controller.force_control import ForceControl
 from seft_ros.force_controller.interlock_step import (
-    DETECTED,
-    FAULT,
+    AXIS,
     IMPLAUSIBLE,
     IMPLAUSIBLE_COMMAND,
     LIMIT,
     NO_TRIP,
+    OFF_TARGET,
     OUTSIDE,
     SATURATION,
     STEP,
@@ -33,11 +34,32 @@ from seft_ros.force_controller.interlock_step import (
     VALID_CAUSES,
     InterlockParameters,
     InterlockState,
+    check_limits,
     postcheck,
     precheck,
-    take_sample,
 )
 from seft_ros.force_controller.methods import force_control
+from seft_ros.force_controller.target_distance import (
+    TrackingParameters,
+    TrackingState,
+    begin_tracking,
+    tracking_arrays,
+)
+
+
+def tracking_detector(
+    section: Mapping[str, Any], axes: Sequence[str], places: Sequence[int], dt: float
+) -> tuple[TrackingParameters, TrackingState]:
+    """Make the detector of the distance to the target, for the axes at some places.
+
+    The section is the force controller's, which is for all axes.
+    """
+    noise = per_channel(section, axes, "sensors.{}_noise")[:, list(places)]
+    limits = np.array([section[f"limits.{name}"] for name in CHANNELS])
+    noise = assumed_noise(noise, limits, velocity_is_derived(section), dt)
+    has_valve = section["actuator.kind"] not in FORCE_DRIVEN
+    limit = section["limits.command"] if has_valve else math.inf
+    return tracking_arrays(noise, limit, TRACKING.name not in warning_detectors(section), dt)
 
 
 class Interlock:
@@ -59,8 +81,12 @@ class Interlock:
         Time in which it closes the valve, s.
     limits : sequence of float
         Largest displacement, velocity, acceleration and force.
-    detectors : tuple of DetectorParameters and DetectorState
-        Of faults, see `detector_arrays`.
+    has_valve : bool
+        Whether its commands drive the rig.
+    tracking : tuple of TrackingParameters and TrackingState
+        Of the distance to the target, see `tracking_arrays`.
+    dt : float
+        Sampling period, s.
 
     Attributes
     ----------
@@ -78,11 +104,12 @@ class Interlock:
         longest_saturation: float,
         close_time: float,
         limits: Sequence[float],
-        detectors: tuple[DetectorParameters, DetectorState],
+        has_valve: bool,
+        tracking: tuple[TrackingParameters, TrackingState],
+        dt: float,
     ) -> None:
         self.controller = controller
         self._axes, n = tuple(axes), len(axes)
-        dt = detectors[0].dt
         closing = close_time / dt
         left = [left_open(taken, closing) for taken in range(1, math.ceil(closing) + 1)]
         self._closing = np.array([*left, 0.0])  # of the last drive, step by step
@@ -93,7 +120,9 @@ class Interlock:
             closing,
             hasattr(controller, "stop"),
             np.array(limits),
-            detectors[0],
+            has_valve,
+            dt,
+            tracking[0],
         )
         self.state = InterlockState(
             flags=np.zeros(4, dtype=np.int64),
@@ -104,12 +133,11 @@ class Interlock:
             drive=np.zeros(n),
             plan=np.zeros((*controller.shape, n)),
             sample=np.zeros((4, n)),
-            detectors=detectors[1],
+            tracking=tracking[1],
         )
         both, drive = (self.parameters, self.state), self.state.drive
-        points, sample = np.zeros((1, 1, n)), self.state.sample
-        self._begin_detectors = entry_point(begin_detectors, *detectors)
-        self._take = entry_point(take_sample, *both, 0, np.zeros((5, n)), sample)
+        points, sample = np.zeros((1, 1, n)), np.zeros((DRIVE_ROW + 1, n))
+        self._look = entry_point(check_limits, *both, 0, sample)
         self._begin = entry_point(precheck, *both, 0, points, sample, drive)
         self._end = entry_point(postcheck, *both, 0, False, drive)
         self.reset()
@@ -141,10 +169,12 @@ class Interlock:
         """
         own = rig or RigAxes.whole(axes)
         names = ("limits.force", "watchdog.saturation_time", "safe.close_time")
-        detectors = detectors_of(section, axes, timebase.dt, own.places)
+        has_valve = section["actuator.kind"] not in FORCE_DRIVEN
+        tracking = tracking_detector(section, axes, own.places, timebase.dt)
         force, saturation, closing = (section[name] for name in names)
         limits = [section[f"limits.{name}"] for name in CHANNELS]
-        return cls(controller, own.axes, force, saturation, closing, limits, detectors)
+        ends = force, saturation, closing, limits, has_valve
+        return cls(controller, own.axes, *ends, tracking, timebase.dt)
 
     @cached_property
     def kind(self) -> Hashable:
@@ -163,29 +193,22 @@ class Interlock:
         return int(self.state.flags[STEP]) if self.state.flags[TRIP] else -1
 
     @property
-    def nearest(self) -> tuple[str, float]:
-        """The detector nearest to its threshold in this test, and its value over the threshold."""
-        shares = self.state.detectors.shares.max(axis=1)
-        row = int(shares.argmax())
-        return DETECTORS[row].name, float(shares[row])
+    def off_target(self) -> float:
+        """Largest distance to the target in this test, over its threshold."""
+        return float(self.state.tracking.shares.max())
 
     def reset(self) -> None:
         """Begin a new test; also after a trip."""
         self.controller.reset()
         self.state.flags[:], self.state.drive[:], self.state.plan[:] = 0, 0.0, 0.0
-        self.state.flags[DETECTED] = VALID
-        self._begin_detectors(self.parameters.detectors, self.state.detectors)
+        begin_tracking(self.state.tracking)
         self._outside, self._stopping = "", np.zeros((0, len(self._axes)))
 
-    def judge(self, index: int, raw: Floats) -> Floats:
-        """Judge the sample of a step, shape (5, n), see `judge_sample`; give it, shape (4, n)."""
-        judged = np.empty_like(self.state.sample)
-        raw = np.ascontiguousarray(raw, np.float64)
-        assert raw.shape == (5, len(self._axes))  # compiled steps check no bounds
-        self._take(self.parameters, self.state, index, raw, judged)
-        return judged
+    def look(self, index: int, measured: Floats) -> None:
+        """Look at the sample of a step, shape (6, n), before its reference force has come."""
+        self._look(self.parameters, self.state, index, np.ascontiguousarray(measured, np.float64))
 
-    def step(self, index: int, points: Floats, judged: Floats) -> Floats:
+    def step(self, index: int, points: Floats, measured: Floats) -> Floats:
         """Compute the valve drive of one step.
 
         Parameters
@@ -194,17 +217,18 @@ class Interlock:
             The step.
         points : ndarray
             See `ForceControl.step`.
-        judged : ndarray
-            Its sample, see `judge`; shape (4, n).
+        measured : ndarray
+            Its sample of rig/state, shape (6, n).
 
         Returns
         -------
         ndarray
             Valve drive, shape (n,), V.
         """
-        points, judged = (np.ascontiguousarray(values, np.float64) for values in (points, judged))
+        points, measured = (np.ascontiguousarray(each, np.float64) for each in (points, measured))
+        assert measured.shape == (DRIVE_ROW + 1, len(self._axes))  # no bounds are checked below
         command = np.empty(len(self._axes))
-        if self._begin(self.parameters, self.state, index, points, judged, command):
+        if self._begin(self.parameters, self.state, index, points, measured, command):
             command[:] = self.controller.step(self.state.plan, self.state.sample)
             limited = self.controller.limited
             self._end(self.parameters, self.state, index, limited, command)
@@ -249,20 +273,17 @@ class Interlock:
         if code == IMPLAUSIBLE:
             return self.implausible(state.force)
         if code == LIMIT:
-            return self._beyond()
-        if code == FAULT:
-            detectors = state.detectors
-            return describe(int(state.flags[DETECTED]), detectors.found, self._axes)
+            limits, sample = self.parameters.limits, state.measured
+            row, column = np.argwhere(np.abs(sample) > limits[:, np.newaxis])[0].tolist()
+            return beyond_limit(row, sample[row, column], self._axes[column], limits[row])
+        if code == OFF_TARGET:
+            axis = int(state.flags[AXIS])
+            return describe(TRACKING, state.tracking.found[:, axis], self._axes[axis])
         assert code == SATURATION
         return (
             f"the valve command is at its limit for more than {self._longest:g} s within one "
             "second: the force is out of control"
         )
-
-    def _beyond(self) -> str:
-        limits, sample = self.parameters.limits, self.state.measured
-        row, column = np.argwhere(np.abs(sample) > limits[:, np.newaxis])[0].tolist()
-        return beyond_limit(row, sample[row, column], self._axes[column], limits[row])
 
     def implausible(self, reference_force: Floats) -> str:
         """Say what is wrong with a reference force, shape (n,); empty if nothing is."""
@@ -303,18 +324,16 @@ class Interlocks:
         for _, interlock in self._rigs:
             interlock.reset()
 
-    def judge(self, index: int, raw: Floats) -> Floats:
-        """Judge the sample of a step, see `Interlock.judge`."""
-        judged = np.empty((4, raw.shape[1]))
+    def look(self, index: int, measured: Floats) -> None:
+        """Look at the sample of a step, see `Interlock.look`."""
         for places, interlock in self._rigs:
-            judged[:, places] = interlock.judge(index, raw[:, places])
-        return judged
+            interlock.look(index, measured[:, places])
 
-    def step(self, index: int, points: Floats, judged: Floats) -> Floats:
+    def step(self, index: int, points: Floats, measured: Floats) -> Floats:
         """Compute the valve drives of one step, see `Interlock.step`."""
-        drive = np.empty(judged.shape[1])
+        drive = np.empty(measured.shape[1])
         for places, interlock in self._rigs:
-            drive[places] = interlock.step(index, points[:, :, places], judged[:, places])
+            drive[places] = interlock.step(index, points[:, :, places], measured[:, places])
         return drive
 
     def stop(self, index: int) -> list[Floats]:

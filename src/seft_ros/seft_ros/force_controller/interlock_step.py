@@ -1,30 +1,28 @@
-"""Steps of the interlock: what a sample, a reference force and a command may be."""
+"""Steps of the interlock: what a reference force and a command may be."""
 
 from typing import NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 from seft_plant_sim.compiled import compiled, copy
-from seft_plant_sim.judge.detector_step import judge_sample, look_at_tracking
-from seft_plant_sim.judge.detectors import (
-    SUSPECT,
-    VALID,
-    DetectorParameters,
-    DetectorState,
-    first_of,
-)
+from seft_plant_sim.judge.guard_step import SUSPECT_ROW
 from seft_plant_sim.limits import is_exceeded
-from seft_plant_sim.simulated.rig import left_open
+from seft_plant_sim.simulated.rig_step import left_open
 
+from seft_ros.force_controller.target_distance import (
+    TrackingParameters,
+    TrackingState,
+    off_target,
+)
 from seft_ros.protection.protection_step import as_sample, extrapolate
 
-TRIP, STEP, SATURATED, DETECTED = range(4)
-"""Places of the flags: reason and step of the trip, number of limited drives, and the detector that
-has found a fault."""
-NO_TRIP, IMPLAUSIBLE, IMPLAUSIBLE_COMMAND, SATURATION, FAULT, LIMIT, OUTSIDE = range(7)
+TRIP, STEP, SATURATED, AXIS = range(4)
+"""Places of the flags: reason and step of the trip, number of limited drives, and the axis that is
+away from its target."""
+NO_TRIP, IMPLAUSIBLE, IMPLAUSIBLE_COMMAND, SATURATION, OFF_TARGET, LIMIT, OUTSIDE = range(7)
 """Reasons of a trip; the last one is a reason from outside."""
 VALID_CAUSES = NO_TRIP, IMPLAUSIBLE, LIMIT
-"""With these, sensors, valves and controller are fault-free, so that a stop can follow the plan."""
+"""With these, valves and controller are fault-free, so that a stop can follow the plan."""
 
 
 class InterlockParameters(NamedTuple):
@@ -41,9 +39,13 @@ class InterlockParameters(NamedTuple):
     has_stop : bool
         Whether the controller can stop along its plan.
     limits : ndarray
-        Largest judged displacement, velocity, acceleration and force, shape (4,).
-    detectors : DetectorParameters
-        Of faults.
+        Largest displacement, velocity, acceleration and force of a sample, shape (4,).
+    has_valve : bool
+        Whether its commands drive the rig.
+    dt : float
+        Sampling period, s.
+    tracking : TrackingParameters
+        Of the distance to the target.
     """
 
     largest: float
@@ -51,7 +53,9 @@ class InterlockParameters(NamedTuple):
     closing: float
     has_stop: bool
     limits: Floats
-    detectors: DetectorParameters
+    has_valve: bool
+    dt: float
+    tracking: TrackingParameters
 
 
 class InterlockState(NamedTuple):
@@ -64,16 +68,15 @@ class InterlockState(NamedTuple):
     saturated : ndarray
         The last steps at which the drive was limited, see `is_exceeded`.
     force, measured, odd : ndarray
-        Reference force, judged sample and drive of the step of the trip, shapes (n,), (4, n) and
-        (n,).
+        Reference force, sample and drive of the step of the trip, shapes (n,), (4, n) and (n,).
     drive : ndarray
         The last fault-free command, shape (n,), V.
     plan : ndarray
         Points for the controller, shape (p, q, n).
     sample : ndarray
         Sample for the controller, shape (4, n).
-    detectors : DetectorState
-        Of faults.
+    tracking : TrackingState
+        Of the distance to the target.
     """
 
     flags: Ints
@@ -84,29 +87,20 @@ class InterlockState(NamedTuple):
     drive: Floats
     plan: Floats
     sample: Floats
-    detectors: DetectorState
+    tracking: TrackingState
 
 
 @compiled
-def take_sample(
-    parameters: InterlockParameters,
-    state: InterlockState,
-    step: int,
-    raw: Floats,
-    judged: Floats,
+def check_limits(
+    parameters: InterlockParameters, state: InterlockState, step: int, measured: Floats
 ) -> None:
-    """Judge a sample, see `judge_sample`; trip at a fault, or beyond a limit."""
-    found = judge_sample(parameters.detectors, state.detectors, step, raw, judged)
-    beyond = False
-    for row in range(4):
-        for i in range(judged.shape[1]):
-            beyond |= abs(judged[row, i]) > parameters.limits[row]
+    """Trip if a judged sample is beyond a limit: then the stop follows the plan."""
     if state.flags[TRIP] == NO_TRIP:
-        state.flags[DETECTED] = found
-        if beyond or found >= 0:
-            trip(state, LIMIT if beyond else FAULT, step)
-            for row in range(4):
-                copy(judged.shape[1], judged[row], state.measured[row])
+        for row in range(4):
+            for i in range(measured.shape[1]):
+                if abs(measured[row, i]) > parameters.limits[row]:
+                    trip(state, LIMIT, step)
+            copy(measured.shape[1], measured[row], state.measured[row])
 
 
 @compiled
@@ -115,7 +109,7 @@ def precheck(
     state: InterlockState,
     step: int,
     points: Floats,
-    judged: Floats,
+    measured: Floats,
     command: Floats,
 ) -> bool:
     """Say whether the controller answers a step; otherwise give its command.
@@ -133,32 +127,29 @@ def precheck(
         The step.
     points : ndarray
         Of the reference force, shape (p, q, n).
-    judged : ndarray
-        The step's judged sample, see `take_sample`; shape (4, n).
+    measured : ndarray
+        The step's sample of rig/state, shape (6, n).
     command : ndarray
         Shape (n,), V.
     """
     last, n = points.shape[1] - 1, points.shape[2]
     if state.flags[TRIP] == NO_TRIP:
-        fits, found = True, state.flags[DETECTED]
+        fits, has_target, away = True, state.plan.shape[1] > 1 and last > 0, -1
         for i in range(n):
-            force = points[0, last, i]
-            fits &= abs(force) <= parameters.largest
-        for i in range(n):
-            if fits and state.plan.shape[1] > 1:  # a controller of forces reads them alone
-                detectors = parameters.detectors
-                away = look_at_tracking(detectors, state.detectors, step, points, judged, i)
-                found = first_of(found, away)
-        if fits and found == VALID:
-            take_plan(state, points, judged)
-            return True
-        if fits and found == SUSPECT and last and state.plan.shape[1] > 1:
-            follow_plan(state, parameters.detectors.dt)
-            return True
-        if not fits or found >= 0:
-            trip(state, FAULT if fits else IMPLAUSIBLE, step)
-            state.flags[DETECTED] = found
+            fits &= abs(points[0, last, i]) <= parameters.largest
+        if fits and has_target:  # a controller of forces reads them alone
+            target = points[0, 0]
+            away = off_target(parameters.tracking, state.tracking, step, target, measured)
+        if not fits or away >= 0:
+            trip(state, OFF_TARGET if fits else IMPLAUSIBLE, step)
+            state.flags[AXIS] = away
             copy(n, points[0, last], state.force)
+        elif measured[SUSPECT_ROW, 0] == 0.0:
+            take_plan(state, points, measured)
+            return True
+        elif has_target:
+            follow_plan(state, parameters.dt)
+            return True
     begin_stop(parameters, state, command)
     return False
 
@@ -199,7 +190,7 @@ def postcheck(
     for i in range(len(command)):
         if not np.isfinite(command[i]):
             trip(state, IMPLAUSIBLE_COMMAND, step)
-    if limited and parameters.detectors.has_valve and state.flags[TRIP] == NO_TRIP:
+    if limited and parameters.has_valve and state.flags[TRIP] == NO_TRIP:
         if is_exceeded(state.saturated, state.flags[SATURATED], step, parameters.window):
             trip(state, SATURATION, step)
         state.flags[SATURATED] += 1

@@ -12,7 +12,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.config.parameter_table import Section, mass_matrix
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.topics import JUDGED, RIG_STATE, VALVE_COMMAND
+from seft_msgs_py.wire.topics import MEASURED, RIG_STATE, VALVE_COMMAND
 from seft_plant_sim.calibration import (
     NOTHING_KNOWN,
     TILT,
@@ -20,7 +20,7 @@ from seft_plant_sim.calibration import (
     calibration_of,
     known_channels,
 )
-from seft_plant_sim.simulated.sensors import ACCELERATION, FORCE, VELOCITY, tilt_of
+from seft_plant_sim.channels import ACCELERATION, FORCE, VELOCITY, tilt_of
 
 from seft_ros.bags.recording import Recording, every_step
 from seft_ros.drawing.table import TextTable
@@ -128,9 +128,11 @@ class Calibrated:
 
 
 def as_measured(recording: Recording) -> Recording:
-    """Take the judged samples out of a recording: the judge trusts the channels."""
-    series = {name: own for name, own in recording.series.items() if name != JUDGED.name}
-    return replace(recording, series=series)
+    """Put the samples as measured in place of the judged ones: the judge trusts the channels."""
+    states, measured = recording.series[RIG_STATE.name], recording.measured.values
+    values = np.concatenate([measured, states.values[:, measured.shape[1] :]], axis=1)
+    series = {name: own for name, own in recording.series.items() if name != MEASURED.name}
+    return replace(recording, series={**series, RIG_STATE.name: replace(states, values=values)})
 
 
 def all_known(experiment: Experiment) -> dict[str, Floats]:

@@ -246,7 +246,7 @@ def facts_of(
 
 
 def write_model(identified: Identified, path: Path, source: str, known: Section) -> None:
-    """Write facts to a new file, to be read after the experiment's own, by every command and node.
+    """Write facts to a file, to be read after the experiment's own, by every command and node.
 
     ``source`` goes into a comment. An InputError says if the file can't be written.
     """
@@ -257,7 +257,7 @@ def write_model(identified: Identified, path: Path, source: str, known: Section)
         comments.append(
             f"actuator.delay and .response: with this specimen, of axis {identified.axes[0]}"
         )
-    write_parameter_file(path, {EVERY_NODE: known}, comments)
+    write_parameter_file(path, {EVERY_NODE: known}, comments, replace=True)
 
 
 def _number(label: str, key: str, unit: str, at: str = "", scale: float = 1.0) -> Number:

@@ -92,7 +92,9 @@ class Multisine:
         )
 
 
-def plan_multisine(experiment: Experiment, travel: float | None = None) -> Multisine:
+def plan_multisine(
+    experiment: Experiment, travel: float | None = None, cap: float = math.inf
+) -> Multisine:
     """Plan a multisine test before anything moves.
 
     The displacement follows from the noise of the sensors (``sensors.*_noise``, and the steps
@@ -106,6 +108,9 @@ def plan_multisine(experiment: Experiment, travel: float | None = None) -> Multi
         Its ``specimen.*`` say which forces to expect.
     travel : float, optional
         Displacement, m, in place of the one that follows from the noise.
+    cap : float
+        That no axis shall exceed, m. The one that follows from the noise is a quarter of it at
+        most: the sines of the pilot may be twice as large as planned, see `gains_after`.
 
     Raises
     ------
@@ -129,7 +134,9 @@ def plan_multisine(experiment: Experiment, travel: float | None = None) -> Multi
     tried = []
     steps = math.ceil(math.log(OF_RATE * rate / LOWEST_TOP) / math.log(1.05))
     for top in np.geomspace(OF_RATE * rate, LOWEST_TOP, steps + 1):
-        needed = _needed(noise, mass, stiffness, top, rate) if travel is None else travel
+        needed = travel
+        if needed is None:
+            needed = min(_needed(noise, mass, stiffness, top, rate), PEAK_SHARE**2 * cap)
         multisine = Multisine(needed, float(top), _peaks(needed, top, mass, stiffness))
         over = _over(multisine, allowed)
         if not over:
@@ -141,12 +148,12 @@ def plan_multisine(experiment: Experiment, travel: float | None = None) -> Multi
 
 def _noise(experiment: Experiment) -> dict[str, Floats]:
     """RMS noise of each channel, with that of the converter, by axis."""
-    section, rig = experiment["reference_force"], experiment.sections.get("rig", {})
+    section = experiment["reference_force"]
     found = {}
     for name in CHANNELS:
         known = section[f"sensors.{name}_noise"]
         noise = per_axis(known, experiment.axes, f"/**: sensors.{name}_noise")
-        bits = rig.get("simulated.sensors.adc_bits", 0)
+        bits = section["sensors.adc_bits"]
         step = 2.0 * np.max(section[f"sensors.{name}_range"]) / 2**bits if bits else 0.0
         found[name] = np.hypot(noise, _QUANTISED * step)
     return found

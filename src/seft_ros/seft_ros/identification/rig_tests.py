@@ -1,7 +1,7 @@
 """The tests of an identification: levels, experiments, and the spectra of what was measured."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +14,10 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, VALVE_COMMAND
 from seft_plant_sim.judge.detector_list import MODEL_BASED, NOISE_BASED
 from seft_plant_sim.limits import Limits, largest_force_rate, span_steps
+from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import truth
-from seft_plant_sim.simulated.rig import Rig
+from seft_plant_sim.simulated.specimen import Specimen
+from seft_plant_sim.whole_structure import response
 
 from seft_ros.bags.recording import Recording, Series
 from seft_ros.design.force_tracking import BAND_HZ
@@ -240,6 +242,17 @@ class MeasuredTest:
         return command, position, acceleration, force
 
 
+def before_trip(recording: Recording, band: tuple[float, float]) -> Recording | None:
+    """Cut a recording before its trip; None if too little is left for the band, Hz."""
+    if recording.trip is None:
+        return recording
+    last = recording.trip.step - 1
+    if last * recording.experiment.timebase.dt < shortest_duration(band):
+        return None
+    series = {name: one.until(last) for name, one in recording.series.items()}
+    return replace(recording, series=series)
+
+
 TAIL = 1.0
 """Rest after the excitation, s."""
 
@@ -253,6 +266,7 @@ _PILOT_SHARE = 0.005  # of the voltage limit, RMS
 _TARGET = 0.22  # of the limit that is used most: its largest share in the open loop
 _ACCELERATION = 5.0  # m/s^2 RMS of a free mass under the default force
 _FORCE_SHARE = 0.05  # of the force limit, at most
+_CAP = "--max-displacement"
 
 
 @dataclass(frozen=True)
@@ -271,20 +285,31 @@ class LargestLevels:
     force: tuple[float, str]
 
     @classmethod
-    def of(cls, experiment: Experiment, unit: Floats) -> "LargestLevels":
+    def of(
+        cls,
+        experiment: Experiment,
+        unit: Floats,
+        cap: float = math.inf,
+        specimen: Specimen | None = None,
+    ) -> "LargestLevels":
         """Levels at which the peaks and changes of an excitation reach a limit.
 
-        Of one of unit RMS, shape (N, n), see `excitation`.
+        Of one of unit RMS, shape (N, n), see `excitation`; or at which, as far as is known, the
+        displacement reaches a cap, m. The specimen is by default the one that is configured.
         """
         dt, limits = experiment.timebase.dt, group(experiment["supervisor"], "limits")
         steps, peak = span_steps(dt), float(np.abs(unit).max())
         at_rest = np.zeros((steps, unit.shape[1]))
         fastest = float(np.abs(unit - np.concatenate([at_rest, unit[:-steps]])).max()) / steps / dt
-        forces = (
+        voltages = [(limits["command"] / peak, "/**: limits.command")]
+        forces = [
             (limits["force"] / peak, "/**: limits.force"),
             (largest_force_rate(limits) / fastest, "/**: limits.force_rate"),
-        )
-        return cls((limits["command"] / peak, "/**: limits.command"), min(forces))
+        ]
+        if cap < math.inf:
+            voltages.append((cap / _moved_by_valves(experiment, unit), _CAP))
+            forces.append((cap / _moved_by_forces(experiment, unit, specimen), _CAP))
+        return cls(min(voltages), min(forces))
 
     def check(self, levels: Levels) -> None:
         """Refuse levels that are not above 0, or beyond these, by an InputError."""
@@ -308,9 +333,30 @@ def default_force(experiment: Experiment, largest: LargestLevels) -> float:
     return float(min(wanted, _FORCE_SHARE * limit, PEAK_SHARE * largest.force[0]))
 
 
-def pilot_voltage(experiment: Experiment) -> float:
+def _moved_by_valves(experiment: Experiment, unit: Floats) -> float:
+    """Largest displacement under valve commands, m, of shape (N, n), V.
+
+    Where the flow gain is not known, the whole command is taken to give the limit of the velocity.
+    """
+    limits = group(experiment["supervisor"], "limits")
+    gain = np.ravel(experiment["force_controller"]["actuator.flow_gain"])
+    gain = np.where(gain > 0.0, gain, limits["velocity"] / limits["command"])
+    return float(np.abs(gain * experiment.timebase.dt * np.cumsum(unit, axis=0)).max())
+
+
+def _moved_by_forces(experiment: Experiment, unit: Floats, specimen: Specimen | None) -> float:
+    """Largest displacement of a specimen under forces, m, of shape (N, n), N."""
+    if specimen is None:
+        known = group(experiment["reference_force"], "specimen")
+        specimen = Specimen.from_parameters(known, experiment.axes, "/**: specimen")
+    ground = -np.linalg.solve(specimen.mass, unit.T).T
+    return float(np.abs(response(specimen, ground, experiment.timebase.dt)[0]).max())
+
+
+def pilot_voltage(experiment: Experiment, largest: LargestLevels) -> float:
     """RMS of the valve command in the pilot test of an unknown rig, V."""
-    return float(_PILOT_SHARE * experiment["supervisor"]["limits.command"])
+    limit = experiment["supervisor"]["limits.command"]
+    return float(min(_PILOT_SHARE * limit, _TARGET * largest.voltage[0]))
 
 
 def voltage_after(pilot: Recording, voltage: float, largest: LargestLevels) -> float:
@@ -355,7 +401,7 @@ def open_loop(
         limits = group(experiment["supervisor"], "limits")
         changes[EVERY_NODE] = {f"sensors.{name}_noise": limits[name] for name in CHANNELS}
         changes["rig"] = truth(experiment.sections.get("rig", {}))
-        controller["detectors.warn_only"] = ",".join([*MODEL_BASED, *NOISE_BASED])
+        changes["rig"]["detectors.warn_only"] = ",".join([*MODEL_BASED, *NOISE_BASED])
     return _with(experiment, motion, controller).changed(changes)
 
 
@@ -395,9 +441,16 @@ def _with(
         EVERY_NODE: {
             "calibration.zeroing": 0.0
         },  # a bias that these tests find is beside the known
-        "force_controller": {"detectors.warn_only": ",".join(MODEL_BASED)} | controller,
+        "rig": {"detectors.warn_only": ",".join(MODEL_BASED)},
+        "force_controller": controller,
     }
     return experiment.changed(changes)
+
+
+def ground_of(experiment: Experiment, forces: Floats) -> Floats:
+    """Ground accelerations a_g of reference forces -M a_g, shape (N, n) both, m/s^2 and N."""
+    accelerations: Floats = -np.linalg.solve(_mass(experiment), forces.T).T
+    return accelerations
 
 
 def write_forces(path: Path, experiment: Experiment, forces: Floats) -> Path:
@@ -406,7 +459,7 @@ def write_forces(path: Path, experiment: Experiment, forces: Floats) -> Path:
     It is a record that ground_motion reads exactly. The folder is made if need be. An InputError
     says if it can't be written.
     """
-    accelerations = -np.linalg.solve(_mass(experiment), forces.T).T
+    accelerations = ground_of(experiment, forces)
     names = [f"axis {index + 1} (m/s2)" for index in range(accelerations.shape[1])]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -426,23 +479,26 @@ class Motions:
         What is identified.
     band, seed : tuple of float, int
         As `excitation` takes them.
+    cap : float
+        Displacement that no test shall exceed, m; beside the limits.
     """
 
     experiment: Experiment
     band: tuple[float, float]
     seed: int
+    cap: float = math.inf
 
     def of_pilot(self, duration: float) -> float:
         """Duration of the pilot of a test, s."""
         return min(duration, max(PILOT_DURATION, shortest_duration(self.band)))
 
-    def largest_levels(self, duration: float) -> LargestLevels:
-        """Largest levels of a test."""
-        return LargestLevels.of(self.experiment, self._unit(duration))
+    def largest_levels(self, duration: float, specimen: Specimen | None = None) -> LargestLevels:
+        """Largest levels of a test, see `LargestLevels.of`."""
+        return LargestLevels.of(self.experiment, self.unit(duration), self.cap, specimen)
 
     def check(self, duration: float) -> None:
         """Refuse by an InputError tests that can't be made, before anything is written or moves."""
-        self._unit(duration)
+        self.unit(duration)
         sections = self.experiment.sections
         made = self.experiment.axes, self.experiment.timebase
         ReferenceForce.from_parameters(sections["reference_force"], *made)
@@ -453,13 +509,14 @@ class Motions:
 
     def write(self, path: Path, duration: float) -> Path:
         """Write the motion of a test, whose forces are the excitation, 1 N RMS."""
-        return write_forces(path, self.experiment, self._unit(duration))
+        return write_forces(path, self.experiment, self.unit(duration))
 
     def steps(self, duration: float) -> int:
         """Count the steps of a test with such a motion."""
         return round((duration + TAIL) * self.experiment.timebase.rate)
 
-    def _unit(self, duration: float) -> Floats:
+    def unit(self, duration: float) -> Floats:
+        """Excitation of unit RMS of a test, shape (N, n)."""
         time, axes = self.experiment.timebase, len(self.experiment.axes)
         check_size(duration, time.rate, "--duration")
         steps = round(duration * time.rate)

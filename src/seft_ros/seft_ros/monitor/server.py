@@ -13,7 +13,8 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.wire.messages import decode_description, decode_diagnostics, decode_status
+from seft_msgs_py.wire.experiment_state import decode_state
+from seft_msgs_py.wire.messages import decode_description, decode_diagnostics
 from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
@@ -106,8 +107,8 @@ class Watch:
         for node, description in self._decoded(DESCRIPTION, decode_description):
             session.on_description(node, description["parameters"])
             self._follow_description()
-        for status in self._decoded(EXPERIMENT_STATE, decode_status):
-            if session.on_state(status):
+        for test in self._decoded(EXPERIMENT_STATE, decode_state):
+            if session.on_state(test):
                 session.begin()
                 if self.intake is not None:
                     self.intake.clear()

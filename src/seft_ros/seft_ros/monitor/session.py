@@ -8,6 +8,7 @@ from itertools import chain
 from typing import Any
 
 from seft_msgs_py.node.clock import AwakeClock
+from seft_msgs_py.wire.experiment_state import ExperimentState
 from seft_msgs_py.wire.messages import Status
 from seft_msgs_py.wire.outcome import ENDED, RIG, State
 from seft_msgs_py.wire.topics import NODES, bare
@@ -50,8 +51,8 @@ class Session:
         self._now = self._awake.time()
         self.sections: dict[str, dict[str, Any]] = {}
         self.round_trips: list[tuple[float, float | None, float | None, float]] = []
-        self._experiment = Status("", 0, "", values={})  # no message yet
-        self._silent = False
+        self._experiment: ExperimentState | None = None  # no message yet
+        self._heard_at, self._silent = 0.0, False
         self.number = 0
         self._ended_at = 0.0
         self._nodes: dict[str, tuple[Status, float]] = {}
@@ -61,30 +62,30 @@ class Session:
     def poll(self) -> None:
         """Read the clock; a supervisor that has become silent is an event."""
         self._now = self._awake.time()
-        heard = self._nodes.get("")
-        silent = heard is not None and self._now - heard[1] > SILENCE_PERIOD
+        heard = self._experiment is not None
+        silent = heard and self._now - self._heard_at > SILENCE_PERIOD
         if silent and not self._silent:
-            if self._experiment.message in ENDED:
+            if self._state in ENDED:
                 self._note("left", "the nodes of the test have shut down", 4)
             else:
                 self._note("gone", "the supervisor is silent", 3)
         self._silent = silent
 
-    def on_state(self, status: Status) -> bool:
+    def on_state(self, test: ExperimentState) -> bool:
         """Process experiment/state; return whether a new test begins."""
-        before, self._experiment = self._experiment, status
-        self._nodes[""] = (status, self._now)
-        last, news = ((each.message, each.values.get("detail", "")) for each in (before, status))
-        if self._silent or last != news:
-            self._note(*news, status.level)
+        before, last = self._state, self._experiment
+        self._experiment, self._heard_at = test, self._now
+        is_new = last is None or (last.state, last.detail) != (test.state, test.detail)
+        if self._silent or is_new:
+            self._note(test.state, test.detail, test.level)
         self._silent = False
-        if status.message == before.message:
+        if test.state == before:
             return False
         self.number += 1
-        if status.message in ENDED:
+        if test.state in ENDED:
             self._ended_at = self._now
-        begins = status.message in (*NOT_BEGUN, State.RUNNING)
-        return begins and before.message in (*ENDED, State.RUNNING, State.RAMPING_DOWN)
+        begins = test.state in (*NOT_BEGUN, State.RUNNING)
+        return begins and before in (*ENDED, State.RUNNING, State.RAMPING_DOWN)
 
     def begin(self) -> None:
         """Forget the last test's round trips and margins."""
@@ -98,7 +99,7 @@ class Session:
                 continue
             self._nodes[status.name] = (status, self._now)
             is_rig = bare(status.name) == RIG and status.values.get("phase", "idle") != "idle"
-            if is_rig and self._experiment.message not in NOT_BEGUN:  # else it is the last test's
+            if is_rig and self._state not in NOT_BEGUN:  # else it is the last test's
                 self._follow_rig(status, dt)
 
     def on_description(self, node: str, parameters: dict[str, Any]) -> None:
@@ -109,27 +110,31 @@ class Session:
         """Give the values for the page, JSON values."""
         test, rig = self._experiment, self._of_all_rigs()
         return {
-            "heard": "" in self._nodes,
+            "heard": test is not None,
             "number": self.number,
             "name": self._name(),
             "silent": self._silent,
-            "state": test.message,
-            "detail": test.values.get("detail", ""),
-            "step": test.number("step"),
-            "time_s": _number(test.values.get("time_s")),
-            "steps": test.number("steps"),
-            "ended": test.message in ENDED,
+            "state": self._state,
+            "detail": test.detail if test else "",
+            "step": test and test.step,
+            "time_s": test and test.time_s,
+            "steps": test and test.steps,
+            "ended": self._state in ENDED,
             "missed": rig.get("missed"),
             "overruns": rig.get("overruns"),
             "margins": _of(rig, _MARGIN),
             "round_trip": _of(rig, ROUND_TRIP),
-            "nodes": [self._node(name) for name in sorted(self._nodes, key=_order) if name],
+            "nodes": [self._node(name) for name in sorted(self._nodes, key=_order)],
         }
+
+    @property
+    def _state(self) -> str:
+        return self._experiment.state if self._experiment else ""
 
     def _node(self, name: str) -> dict[str, Any]:
         status, at = self._nodes[name]
         silent = self._now - at > SILENCE_PERIOD
-        ended = self._experiment.message in ENDED and at > self._ended_at - ENDED_WITH_TEST
+        ended = self._state in ENDED and at > self._ended_at - ENDED_WITH_TEST
         return {
             "name": name,
             "level": (4 if ended else 3) if silent else status.level,
@@ -184,7 +189,7 @@ class Session:
 
 
 def _order(node: str) -> tuple[int, str]:
-    return (NODES.index(bare(node)) if node else 0, node)
+    return (NODES.index(bare(node)), node)
 
 
 def _of(numbers: dict[str, float], start: str) -> dict[str, float]:

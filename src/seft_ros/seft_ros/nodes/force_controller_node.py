@@ -1,4 +1,4 @@
-"""Node ``force_controller``: judges each state, and answers its force with the valve command."""
+"""Node ``force_controller``: answers each state and its reference force with the valve command."""
 
 import math
 import sys
@@ -11,11 +11,11 @@ from seft_msgs_py.errors import WireError
 from seft_msgs_py.node.clock import AwakeClock
 from seft_msgs_py.node.node_kind import NodeKind
 from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeBody, NodeShell
-from seft_msgs_py.wire.messages import OK, WARN, Status, decode_status
+from seft_msgs_py.wire.experiment_state import decode_state
+from seft_msgs_py.wire.messages import OK, WARN, Status
 from seft_msgs_py.wire.outcome import MOVING, REHEARSES, tripped_status
 from seft_msgs_py.wire.topics import (
     EXPERIMENT_STATE,
-    JUDGED,
     LINK_PING,
     LINK_PONG,
     REFERENCE_FORCE,
@@ -26,7 +26,7 @@ from seft_msgs_py.wire.topics import (
     rehearsed,
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
-from seft_plant_sim.judge.detector_list import WARNING
+from seft_plant_sim.judge.detector_list import TRACKING, WARNING
 
 from seft_ros.force_controller.force_controller_parameters import (
     FORCE_CONTROLLER_TABLE,
@@ -43,7 +43,7 @@ _REPORT_PERIOD = 1.0  # s between two reports of link and valves while a test ru
 
 
 class ForceControllerNode(NodeBody):
-    """Judges states, matches them with reference forces by step, and answers both.
+    """Matches states with reference forces by step, and answers both.
 
     If the reference force comes over a link, it answers each state at once with the force that the
     newest message has for its step.
@@ -57,6 +57,7 @@ class ForceControllerNode(NodeBody):
         super().__init__(shell)
         experiment = shell.experiment
         section, timebase = experiment["force_controller"], experiment.timebase
+        self._timebase = timebase
         rig, axes = shell.rig, shell.rig.axes
         self._controller = self._interlock()
         self._estimates = getattr(self._controller.controller, "estimates", None)
@@ -65,14 +66,12 @@ class ForceControllerNode(NodeBody):
         self._stop_codec = TrajectoryCodec(STOP_COMMAND.of(rig), axes, timebase)
         self._publish_stop = shell.publisher(self._stop_codec.topic)
         self._stop_steps = max(1, round(_STOP_PERIOD / timebase.dt))
-        self._judged_codec = TrajectoryCodec(JUDGED.of(rig), axes, timebase)
-        self._publish_judged = shell.publisher(self._judged_codec.topic)
         self._states: dict[int, Floats] = {}
         self._previews: NewestPreview | None = None
         if section["loop_delay"]:
             self._previews = NewestPreview(section, len(axes), timebase)
         self._forces = self._previews or MatchedForces()
-        self._reported_at = 0.0
+        self._reported_at = self._waited = 0.0
         self._moving = False  # by the supervisor's state
         self._order = SampleOrder(timebase)
         self._timeout: float = section["watchdog.command_timeout"]
@@ -94,10 +93,9 @@ class ForceControllerNode(NodeBody):
         if len(experiment.rigs) == 1 and self._previews is None:
             # a separate controller, so that a rehearsal does not influence a test
             self._rehearsing: Interlock | None = None
-            self._rehearsed: dict[int, Floats] = {}  # judged samples by step
+            self._rehearsed: dict[int, Floats] = {}  # samples by step
             self.facts = {REHEARSES: True}
             self._publish_rehearsed = shell.publisher(rehearsed(VALVE_COMMAND))
-            self._publish_rehearsed_judged = shell.publisher(rehearsed(JUDGED))
             shell.subscribe(rehearsed(RIG_STATE), self._on_rehearsed_state, reliable=False)
             shell.subscribe(rehearsed(topic), self._on_rehearsed_force, reliable=False)
         shell.subscribe(self._state_codec.topic, self._on_state, reliable=False)
@@ -109,11 +107,9 @@ class ForceControllerNode(NodeBody):
 
     def _warm_up(self) -> None:
         axes = len(self._shell.rig.axes)
-        points, state = np.zeros((1, 1, axes)), np.zeros((5, axes))
+        points, state = np.zeros((1, 1, axes)), np.zeros((len(RIG_STATE.quantities), axes))
         for step in range(WARM_UP_STEPS):
-            judged = self._controller.judge(step, state)
-            self._judged_codec.decode(self._judged_codec.encode(step, judged))
-            raw = self._command_codec.encode(step, self._controller.step(step, points, judged))
+            raw = self._command_codec.encode(step, self._controller.step(step, points, state))
             self._command_codec.decode(raw)
         self._controller.reset()
 
@@ -127,7 +123,8 @@ class ForceControllerNode(NodeBody):
             unexpected = self._shell.name_unexpected_publishers(self._refused_before)
             self._trip(
                 f"no rig/state for {self._timeout:g} s (the last is of step "
-                f"{self._order.last}); is rig running?{unexpected}"
+                f"{self._order.last}); is rig running?{unexpected}",
+                self._timeout,
             )
 
     def fault(self, reason: str) -> None:
@@ -139,14 +136,14 @@ class ForceControllerNode(NodeBody):
         return min(IDLE_WAIT, self._timeout / 8) if self._heard_at < math.inf else IDLE_WAIT
 
     def _on_experiment_state(self, raw: bytes, _: int) -> None:
-        status = decode_status(raw)
-        self._order.follow(status)
-        moving, self._moving = self._moving, status.message in MOVING
+        test = decode_state(raw)
+        self._order.follow(test)
+        moving, self._moving = self._moving, test.state in MOVING
         if not self._moving:
             self._heard_at = math.inf
             if moving:
                 self._report()  # the complete result
-        if status.message == "idle" and self._controller.reason:  # after a reset by the operator
+        if test.state == "idle" and self._controller.reason:  # after a reset by the operator
             self._controller.reset()
             self._report()
 
@@ -160,8 +157,7 @@ class ForceControllerNode(NodeBody):
         if self._states and step < max(self._states):
             raise WireError(f"{RIG_STATE.name} of step {step} after that of {max(self._states)}")
         was_tripped = bool(self._controller.reason)
-        judged = self._controller.judge(step, state)
-        self._publish_judged(self._judged_codec.encode(step, judged))
+        self._controller.look(step, state)
         if self._controller.reason and not was_tripped:
             self._report_trip()
         if step + 1 < self._order.steps and not self._order.in_lockstep:
@@ -170,9 +166,9 @@ class ForceControllerNode(NodeBody):
         else:
             self._heard_at = math.inf  # the test is over, not known to run, or in lockstep
         if self._controller.reason:  # after a trip no reference force is needed
-            self._answer(step, np.zeros((1, 1, state.shape[1])), judged)
+            self._answer(step, np.zeros((1, 1, state.shape[1])), state)
             return
-        self._states[step] = judged
+        self._states[step] = state
         self._answer_complete()
         if len(self._states) > PENDING:
             self._states.pop(min(self._states))
@@ -192,16 +188,15 @@ class ForceControllerNode(NodeBody):
         self._answer_complete()
 
     def _on_rehearsed_state(self, raw: bytes, _: int) -> None:
-        """Judge a state of a rehearsal. The rig does not obey, so detectors must not trip."""
+        """Take a state of a rehearsal. The rig does not obey, so that nothing must trip."""
         step, values = self._state_codec.decode(raw)
         if self._rehearsing is None:
             self._rehearsing = self._interlock()
         if step == 0 or self._rehearsing.reason:
             self._rehearsing.reset()
             self._rehearsed.clear()
-        judged = self._rehearsed[step] = self._rehearsing.judge(step, values[0])
+        self._rehearsed[step] = values[0]
         _drop(self._rehearsed, lambda other: other <= step - PENDING)
-        self._publish_rehearsed_judged(self._judged_codec.encode(step, judged))
 
     def _on_rehearsed_force(self, raw: bytes, _: int) -> None:
         """Answer a step of a rehearsal."""
@@ -220,7 +215,7 @@ class ForceControllerNode(NodeBody):
             return
         self._states.clear()
         self._forces.reset(self._order.in_lockstep)
-        was_tripped = bool(self._controller.reason)
+        was_tripped, self._waited = bool(self._controller.reason), 0.0
         self._controller.reset()
         conflict = self._shell.several_senders()
         if conflict:
@@ -255,13 +250,14 @@ class ForceControllerNode(NodeBody):
         if previews is not None and previews.is_lost and not self._controller.reason:
             self._trip(
                 f"no {REFERENCE_FORCE.name} for {step - previews.newest} steps (the last is of "
-                f"step {previews.newest}); is the link to the reference_force node cut?"
+                f"step {previews.newest}); is the link to the reference_force node cut?",
+                (step - previews.newest) * self._timebase.dt,
             )
         elif self._clock.monotonic() - self._reported_at >= _REPORT_PERIOD:
             self._report()  # after the answer there is time
 
-    def _trip(self, reason: str) -> None:
-        self._heard_at = math.inf
+    def _trip(self, reason: str, waited: float = 0.0) -> None:
+        self._heard_at, self._waited = math.inf, waited
         self._controller.trip(max(self._order.last, 0), reason)
         self._report_trip()
 
@@ -272,14 +268,14 @@ class ForceControllerNode(NodeBody):
     def _report(self) -> None:
         self._reported_at = self._clock.monotonic()
         reason, step = self._controller.reason, self._controller.step_index
-        name, share = self._controller.nearest
+        share = self._controller.off_target
         level, text = OK, "ready"
         if share >= WARNING:
-            level, text = WARN, f"detector {name} came to {share:.0%} of its threshold"
+            level, text = WARN, f"detector {TRACKING.name} came to {share:.0%} of its threshold"
         status = Status("force_controller", level, text, values={"phase": "ready"})
         if reason:
-            status = tripped_status("force_controller", reason, step)
-        values = {"nearest detector": f"{name}: {share:.2f} of its threshold"}
+            status = tripped_status("force_controller", reason, step, self._waited)
+        values = {f"detector {TRACKING.name}": f"{share:.2f} of its threshold"}
         if self._previews is not None:
             values["link"] = self._previews.report().to_json()
         for name, estimate in (self._estimates() if self._estimates else {}).items():

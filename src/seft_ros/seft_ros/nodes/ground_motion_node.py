@@ -4,7 +4,8 @@ import sys
 
 from seft_msgs_py.node.node_kind import NodeKind
 from seft_msgs_py.node.node_shell import NodeBody, NodeShell
-from seft_msgs_py.wire.messages import decode_clock, decode_status
+from seft_msgs_py.wire.experiment_state import decode_state
+from seft_msgs_py.wire.messages import decode_clock
 from seft_msgs_py.wire.outcome import ENDED, MOVING
 from seft_msgs_py.wire.topics import CLOCK_TOPIC, EXPERIMENT_STATE, GROUND_MOTION
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
@@ -59,7 +60,7 @@ class GroundMotionNode(NodeBody):
                 self._report("primed")
 
     def _on_experiment_state(self, raw: bytes, _: int) -> None:
-        phase = decode_status(raw).message
+        phase = decode_state(raw).state
         if self._phase not in ENDED and phase in ENDED:
             self._report("ended")
         elif self._phase in ENDED and phase not in ENDED:

@@ -17,13 +17,13 @@ from seft_msgs_py.node.host import FIRST_NICENESS, boot
 from seft_msgs_py.node.node_kind import NodeKind
 from seft_msgs_py.node.node_shell import NodeBody, NodeShell
 from seft_msgs_py.node.wiring import Handler
+from seft_msgs_py.wire.experiment_state import ExperimentState, decode_state
 from seft_msgs_py.wire.messages import (
     ERROR,
     OK,
     Status,
     decode_description,
     decode_diagnostics,
-    decode_status,
     encode_string,
 )
 from seft_msgs_py.wire.outcome import ENDED, MOVING, RECORDED, RIG, State
@@ -44,7 +44,7 @@ from seft_ros.bags.bag_place import why_not_writable
 from seft_ros.bags.bag_writer import BagWriter
 from seft_ros.bags.recording import describe_environment
 from seft_ros.test_run.parameter_tables import RECORDER_TABLE, TABLES
-from seft_ros.test_run.peers import ALL_ANSWERED, RECORDING, SILENT_KEY, WAITS
+from seft_ros.test_run.peers import ALL_ANSWERED, RECORDING, WAITS
 from seft_ros.test_run.stall_watch import StallWatch
 
 _SILENCE = 0.3  # s without a message of a step: the last one has arrived
@@ -148,7 +148,7 @@ class RecorderNode(NodeBody):
                 node, _ = decode_description(raw)
                 self._descriptions[node] = raw
             if topic == EXPERIMENT_STATE:
-                self._follow(decode_status(raw))
+                self._follow(decode_state(raw))
             if topic == GROUND_MOTION and self._is_of_the_next_test(raw):
                 self._keep(topic, raw, now)
             elif self._bag is not None:
@@ -176,9 +176,9 @@ class RecorderNode(NodeBody):
         self._next_began |= self._motion_codec.decode(motion)[0] == 0
         return self._next_began
 
-    def _follow(self, test: Status) -> None:
-        phase = test.message
-        self._steps = test.number("steps") or 0
+    def _follow(self, test: ExperimentState) -> None:
+        phase = test.state
+        self._steps = test.steps or 0
         if phase == State.READY and self._watch is None:
             self._watch = StallWatch()
         if phase in MOVING and self._phase not in MOVING:
@@ -186,13 +186,12 @@ class RecorderNode(NodeBody):
             self._open()
         elif phase in ENDED and self._bag is not None:
             # a trip is complete only when the silent nodes are known
-            self._is_trip_complete = phase != State.TRIPPED or SILENT_KEY in test.values
+            self._is_trip_complete = phase != State.TRIPPED or test.silent is not None
             if self._ended_at is not None:
                 return
             self._ended_at = self._clock.monotonic()
-            last = test.number("step")  # of the trip
             steps = self._steps if phase == State.DONE else 0
-            self._expected = steps if last is None else last + 1
+            self._expected = steps if test.step is None else test.step + 1
         self._phase = phase
 
     def _open(self) -> None:

@@ -1,4 +1,4 @@
-"""Node ``reference_force``: answers each rig/judged with the reference force of its step.
+"""Node ``reference_force``: answers each rig/state with the reference force of its step.
 
 It ramps the force down on request of the supervisor, or after a fault of the force. Phases: ready,
 ramping_down, at_rest, ended.
@@ -9,16 +9,18 @@ from functools import partial
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.node.node_kind import NodeKind
 from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeBody, NodeShell
-from seft_msgs_py.wire.messages import ERROR, OK, EstimatesCodec, decode_status
+from seft_msgs_py.wire.experiment_state import decode_state
+from seft_msgs_py.wire.messages import ERROR, OK, EstimatesCodec
 from seft_msgs_py.wire.outcome import ENDED, REHEARSES, State, tripped_status
 from seft_msgs_py.wire.topics import (
     ESTIMATES,
     EXPERIMENT_STATE,
     GROUND_MOTION,
-    JUDGED,
+    RIG_STATE,
     rehearsed,
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
@@ -56,7 +58,7 @@ class ReferenceForceNode(NodeBody):
         self._motion_codec = TrajectoryCodec(GROUND_MOTION, axes, timebase)
         self._force_codec = TrajectoryCodec(topic, axes, timebase)
         self._state_codecs = [
-            TrajectoryCodec(JUDGED.of(rig), rig.axes, timebase) for rig in experiment.rigs
+            TrajectoryCodec(RIG_STATE.of(rig), rig.axes, timebase) for rig in experiment.rigs
         ]
         self._gathering: StateGathering | None = None
         if len(experiment.rigs) > 1:
@@ -78,7 +80,7 @@ class ReferenceForceNode(NodeBody):
             self._rehearsing: ProtectedForce | None = None
             self.facts = {REHEARSES: True}
             self._publish_rehearsed = shell.publisher(rehearsed(topic))
-            shell.subscribe(rehearsed(JUDGED), self._on_rehearsed_state, reliable=False)
+            shell.subscribe(rehearsed(RIG_STATE), self._on_rehearsed_state, reliable=False)
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
         shell.subscribe(GROUND_MOTION, self._on_ground_motion)
         # behind a link, a late node bridges old states instead of answering them
@@ -95,7 +97,9 @@ class ReferenceForceNode(NodeBody):
         """Trip if the states of one of several rigs are missing."""
         running = self._order.steps and not self._order.in_lockstep
         if self._gathering is not None and running and not self._conflict:
-            self._trip_for(self._gathering.lost(self._clock.monotonic()), max(self._order.last, 0))
+            lost = self._gathering.lost(self._clock.monotonic())
+            waited = self._shell.experiment["reference_force"]["watchdog.rig_timeout"]
+            self._trip_for(lost, max(self._order.last, 0), waited)
 
     def fault(self, reason: str) -> None:
         """End the test: no more states are answered."""
@@ -113,11 +117,11 @@ class ReferenceForceNode(NodeBody):
 
     def _warm_up(self) -> None:
         axes = len(self._shell.experiment.axes)
-        motion, state = np.zeros((self._window, axes)), np.zeros((4, axes))
+        motion, state = np.zeros((self._window, axes)), np.zeros((len(RIG_STATE.quantities), axes))
         for step in range(WARM_UP_STEPS):
             for codec in self._state_codecs:
                 codec.decode(codec.encode(step, state[:, : len(codec.axes)]))
-            self._message(step, motion, state)
+            self._message(step, motion, state[:4])
             self._order.last = step
             if step >= self._sampler.due and (estimates := self._sampler.sample(step)):
                 self._estimates_codec.decode(self._estimates_codec.encode(step, estimates))
@@ -149,20 +153,21 @@ class ReferenceForceNode(NodeBody):
 
     def _on_rig_state(self, rig: int, raw: bytes, _: int) -> None:
         step, values = self._state_codecs[rig].decode(raw)
-        check_magnitude("rig/judged of step", step, values)
+        sample = values[0, : len(CHANNELS)]
+        check_magnitude("rig/state of step", step, sample)
         if step == 0:
             self._shell.catch_up(EXPERIMENT_STATE)  # earlier messages do not end this test
         if self._test in ENDED:
-            raise WireError(f"rig/judged of step {step}: the test is {self._test}")
+            raise WireError(f"rig/state of step {step}: the test is {self._test}")
         if self._order.begins(step):
             self._reset()
             self._trip_for(self._shell.several_senders(), step)
-        self._order.check(JUDGED.name, step)
+        self._order.check(RIG_STATE.name, step)
         if step in self._waiting:
-            raise WireError(f"rig/judged of step {step} a second time")
-        state: Floats | None = values[0]
+            raise WireError(f"rig/state of step {step} a second time")
+        state: Floats | None = sample
         if self._gathering is not None:
-            state = self._gathering.take(rig, step, values[0], self._clock.monotonic())
+            state = self._gathering.take(rig, step, sample, self._clock.monotonic())
         if state is not None and not self._conflict:
             self._answer(step, state)
 
@@ -174,18 +179,18 @@ class ReferenceForceNode(NodeBody):
         elif step == 0:
             self._rehearsing.reset()
         ground = np.zeros((self._window, values.shape[-1]))
-        points = self._rehearsing.step(ground, values[0])
+        points = self._rehearsing.step(ground, values[0, : len(CHANNELS)])
         self._publish_rehearsed(self._force_codec.encode_points(step, points))
 
     def _on_experiment_state(self, raw: bytes, _: int) -> None:
-        status = decode_status(raw)
-        if status.message == self._test:
+        test = decode_state(raw)
+        if test.state == self._test:
             return  # a heartbeat
-        if status.message == State.DONE:  # a link's rig does not wait for the last answers
+        if test.state == State.DONE:  # a link's rig does not wait for the last answers
             for codec in self._state_codecs:
                 self._shell.catch_up(codec.topic)
-        self._test = status.message
-        self._order.follow(status)
+        self._test = test.state
+        self._order.follow(test)
         self._follow_test()
 
     def _follow_test(self) -> None:
@@ -202,11 +207,11 @@ class ReferenceForceNode(NodeBody):
             self._block.reset()
             self._report("ready")
 
-    def _trip_for(self, reason: str, step: int) -> None:
+    def _trip_for(self, reason: str, step: int, waited: float = 0.0) -> None:
         """End the test for a reason, if there is one: no more states are answered."""
         self._conflict = reason
         if reason:
-            self._shell.report(tripped_status("reference_force", reason, step))
+            self._shell.report(tripped_status("reference_force", reason, step, waited))
 
     def _answer(self, step: int, state: Floats) -> None:
         """Answer a state, or keep it until its ground motion arrives."""

@@ -14,6 +14,7 @@ from seft_msgs_py.node.clock import AwakeClock
 from seft_msgs_py.node.node_kind import NodeKind
 from seft_msgs_py.node.node_shell import NodeBody, NodeShell
 from seft_msgs_py.node.transport import Level
+from seft_msgs_py.wire.experiment_state import ExperimentState, encode_state
 from seft_msgs_py.wire.messages import (
     ERROR,
     OK,
@@ -22,7 +23,6 @@ from seft_msgs_py.wire.messages import (
     decode_clock,
     decode_description,
     decode_diagnostics,
-    encode_status,
 )
 from seft_msgs_py.wire.outcome import (
     FINISHED,
@@ -30,9 +30,12 @@ from seft_msgs_py.wire.outcome import (
     REHEARSED,
     RIG,
     STALLED,
+    STOOD_STILL_KEY,
     STOPPED,
     TRIPPED,
+    WAITED_KEY,
     State,
+    seconds,
 )
 from seft_msgs_py.wire.topics import (
     CLOCK_TOPIC,
@@ -40,9 +43,6 @@ from seft_msgs_py.wire.topics import (
     DIAGNOSTICS,
     EXPERIMENT_STATE,
     NANOSECONDS_PER_SECOND,
-    REHEARSE,
-    START,
-    ZEROING,
     with_rigs,
 )
 
@@ -51,7 +51,6 @@ from seft_ros.test_run.peers import (
     AT_REST_KEY,
     RAMPING_DOWN,
     RUNS,
-    SILENT_KEY,
     UNFIT,
     LastStatus,
     Rehearsed,
@@ -61,17 +60,19 @@ from seft_ros.test_run.peers import (
     silent,
     with_biases,
 )
-from seft_ros.test_run.state_machine import PACE_KEY, ServiceAnswer, StateMachine
+from seft_ros.test_run.state_machine import LOCKSTEP, ServiceAnswer, StateMachine
 
 _HEARTBEAT = 0.2  # s between two publications of the state
 GRAPH_PERIOD = 0.2  # s between two polls of the graph
 STOOD_STILL = 1.0  # s without a poll; requests to start or reset expire after that time
 _MAX_AT_ONCE = 1000  # messages between two polls, in a flood
-_LEVELS = {State.RAMPING_DOWN: WARN, State.TRIPPED: ERROR}
 LOG_LEVELS: dict[int, Level] = {OK: "info", WARN: "warning", ERROR: "error"}
 SOFT_PEERS = ("ground_motion", "recorder")
 """Nodes without which the loop can still ramp the force down."""
 START_AHEAD_NS = 200_000_000  # in this time the start reaches all rigs
+MISSED_SHARE = "watchdog.missed_share"
+RUNNING = "running"  # phase of a rig
+STALL_TOLD = 0.1  # s within which a node that has stood still says so
 LOCKSTEP_TIMEOUT_FACTOR = 10.0  # times the margin of realtime
 FAULTY = ServiceAnswer(
     False, "a fault of the program; the supervisor's log has it, and a test is ended"
@@ -102,7 +103,8 @@ class SupervisorNode(NodeBody):
         self._state, self._since = State.IDLE, self._now  # at the last poll
         self._silent: list[str] | None = None  # nodes silent before a trip, once known
         self._lost: set[str] = set()  # nodes that have become silent in this test
-        self._published: Status | None = None
+        self._took_part: set[str] = set()  # rigs that have run in it
+        self._published: ExperimentState | None = None
         self._logged = self._warned = ""  # the last line of the log, and of a rehearsal
         self._rehearsed = Rehearsed()
         self._published_at = self._polled_graph_at = self._now - GRAPH_PERIOD
@@ -159,6 +161,7 @@ class SupervisorNode(NodeBody):
             self._shell.follow(machine.state)
             if self._state is State.RUNNING:
                 self._lost.clear()
+                self._took_part.clear()
                 self._test_s = 0.0
                 self._steps = self._ground_motion_steps()
                 self._start_ns = self._clock.time_ns() + START_AHEAD_NS
@@ -193,7 +196,7 @@ class SupervisorNode(NodeBody):
         gone = silent(self._peers, self._statuses, self._now, self._timeout)
         self._lost.update(gone)
         for node in sorted(gone, key=SOFT_PEERS.__contains__):
-            self._trip(node, silence(node, self._statuses), self._step())
+            self._trip(node, silence(node, self._statuses), self._step(), self._timeout)
         ramped_for = self._now - self._since if self._state is State.RAMPING_DOWN else 0.0
         if self._machine.state is State.RAMPING_DOWN and ramped_for > self._ramp_patience():
             self._machine.hard_trip(
@@ -201,27 +204,34 @@ class SupervisorNode(NodeBody):
                 self._step(),
             )
 
-    def _trip(self, node: str, reason: str, step: int | None) -> None:
+    def _trip(self, node: str, reason: str, step: int | None, waited: float = 0.0) -> None:
         """Trip because of a node: softly, if the loop can continue without it."""
         trip = self._machine.soft_trip if node in SOFT_PEERS else self._machine.hard_trip
-        trip(reason, step)
+        trip(reason, step, waited)
 
     def _ramp_patience(self) -> float:
         margin = self._section["watchdog.ramp_margin"]
-        if self._parameters(self._rig_nodes[0]).get(PACE_KEY) == "lockstep":
+        if self._parameters(self._rig_nodes[0]).get("pace") == LOCKSTEP:
             margin *= LOCKSTEP_TIMEOUT_FACTOR
         return float(self._parameters("reference_force").get("ramp_down_time", 0.0)) + margin
 
     def _find_the_silent(self) -> None:
-        """Find the nodes that were silent when the test tripped: they send nothing after that."""
+        """Find the nodes that were silent when the test tripped: they send nothing after that.
+
+        A rig that was heard has still to say how the test ended.
+        """
         known = [n for n in self._peers if n in self._statuses]
-        unheard = [n for n in known if self._statuses[n].at < self._since]
+        unheard = [
+            n for n in known if self._statuses[n].at < self._since or self._phase(n) == RUNNING
+        ]
         gone = silent(unheard, self._statuses, self._now, self._timeout)
         if unheard == gone:
             self._silent = gone
             self._lost.update(gone)
             for node in gone:
-                self._machine.note(silence(node, self._statuses))
+                said = silence(node, self._statuses)
+                if node in SOFT_PEERS or not self._machine.explain(said):
+                    self._machine.note(said)
 
     def _reset(self) -> ServiceAnswer:
         """Allow a new test to start; if a rehearsal prevents it, request another one."""
@@ -249,29 +259,26 @@ class SupervisorNode(NodeBody):
         """Publish the state when it has changed, and as a heartbeat."""
         self._follow_state()
         machine = self._machine
-        values = {"detail": machine.detail}
-        if self._rehearsed.asked and machine.state is State.IDLE:
-            values[REHEARSE] = f"{self._rehearsed.asked:g}"
-            values[ZEROING] = f"{self._section['calibration.zeroing']:g}"
-        if machine.step is not None:
-            time_s = self._shell.experiment.timebase.stamp_ns(machine.step) / 1e9
-            values |= {"step": str(machine.step), "time_s": f"{time_s:.9g}"}
-        if self._silent is not None:
-            values[SILENT_KEY] = " ".join(self._silent)
-        if "ground_motion" in self._statuses:
-            values["steps"] = str(self._ground_motion_steps())
-        rig = self._parameters(self._rig_nodes[0])
-        if PACE_KEY in rig:
-            values[PACE_KEY] = str(rig[PACE_KEY])
-        if len(self._rigs) > 1 and machine.state in MOVING:
-            values[START] = str(self._start_ns)
-        level = _LEVELS.get(machine.state, OK)
-        status = Status("experiment", level, str(machine.state), values=values)
-        if status == self._published and self._now - self._published_at < _HEARTBEAT:
+        step, timebase = machine.step, self._shell.experiment.timebase
+        asked = self._rehearsed.asked if machine.state is State.IDLE else 0.0
+        several = len(self._rigs) > 1 and machine.state in MOVING
+        test = ExperimentState(
+            machine.state,
+            machine.detail,
+            steps=self._ground_motion_steps() if "ground_motion" in self._statuses else None,
+            step=step,
+            time_s=None if step is None else timebase.stamp_ns(step) / 1e9,
+            pace=str(self._parameters(self._rig_nodes[0]).get("pace", "")),
+            silent=None if self._silent is None else tuple(self._silent),
+            start_ns=self._start_ns if several else None,
+            rehearse=asked,
+            zeroing=self._section["calibration.zeroing"] if asked else 0.0,
+        )
+        if test == self._published and self._now - self._published_at < _HEARTBEAT:
             return
-        self._published, self._published_at = status, self._now
-        self._publish(encode_status(status))
-        self._log(level)
+        self._published, self._published_at = test, self._now
+        self._publish(encode_state(test))
+        self._log(test.level)
 
     def _log(self, level: int) -> None:
         """Log the state if it is new."""
@@ -282,8 +289,10 @@ class SupervisorNode(NodeBody):
 
     def _on_diagnostics(self, raw: bytes, _: int) -> None:
         for status in decode_diagnostics(raw)[1]:
-            self._statuses[status.name] = LastStatus(status, self._awake.time(), self._test_s)
+            self._now = self._awake.time()
+            self._statuses[status.name] = LastStatus(status, self._now, self._test_s)
             with self._lock:
+                self._explain(status)
                 self._follow(status)
                 self._publish_if_due()
 
@@ -292,13 +301,24 @@ class SupervisorNode(NodeBody):
         phase, reason = status.values.get("phase"), status.values.get("reason")
         is_rig = status.name in self._rig_nodes
         if phase == TRIPPED:
-            reason = reason or status.message
+            reason, step = reason or status.message, status.number("step")
             cause = reason if is_rig else f"{status.name}: {reason}"
-            self._trip(status.name, cause, status.number("step"))
+            if reason == STOPPED and self._machine.state in MOVING:
+                cause = f"node {status.name} stopped at step {step}, and gives no reason"
+            waited = seconds(status, WAITED_KEY)
+            self._trip(status.name, cause, step, waited)
+            if reason != STOPPED and not waited and (step or 0) <= (self._machine.step or 0):
+                self._machine.explain(cause)
             if status.name in self._lost and reason != STOPPED:
                 self._machine.note(cause)  # its trip while the link was cut
-        elif is_rig and phase == FINISHED:
-            self._finish(status)
+        elif is_rig:
+            self._watch_missed(status)
+            if phase == FINISHED:
+                self._finish(status)
+            elif phase == RUNNING:
+                self._took_part.add(status.name)
+            elif phase == State.IDLE and status.name in self._took_part:
+                self._machine.hard_trip(f"node {status.name} has left the test", self._step())
         elif status.name == "recorder" and reason:
             self._machine.soft_trip(reason, self._step())
         elif status.name == "reference_force" and phase in (RAMPING_DOWN, AT_REST_KEY):
@@ -306,6 +326,34 @@ class SupervisorNode(NodeBody):
                 self._machine.soft_trip(reason, status.number("step"))
             if phase == AT_REST_KEY:
                 self._machine.at_rest()
+
+    def _explain(self, status: Status) -> None:
+        """Note that a node had stood still when others waited for it: that is why they tripped.
+
+        A trip is never delayed for that: who stands still can tell it only later. What the loop
+        does not wait for explains its own silence alone; a rig that has ended only comes to rest.
+        """
+        stood = seconds(status, STOOD_STILL_KEY)
+        name, machine = status.name, self._machine
+        if not stood or self._phase(name) in (TRIPPED, FINISHED):
+            return
+        waited_for = name not in SOFT_PEERS or f"node {name} has been silent" in machine.detail
+        if waited_for and self._now - stood <= self._since + STALL_TOLD:
+            machine.explain(f"the {name} stood still for {stood:.3g} s", stood)
+
+    def _watch_missed(self, rig: Status) -> None:
+        """Trip if a rig missed too large a share of a second's commands, by its count of steps.
+
+        Softly: most commands still come, and the rig bridges the others.
+        """
+        most, allowed = rig.number("most_missed") or 0, self._section[MISSED_SHARE]
+        second = round(self._shell.experiment.timebase.rate)
+        if most / second > allowed and MISSED_SHARE not in self._machine.detail:
+            self._machine.soft_trip(
+                f"node {rig.name} missed {most} of {second} commands within a second "
+                f"({most / second:.1%}; {MISSED_SHARE} allows {allowed:.1%})",
+                max((rig.number("steps") or 0) - 1, 0),
+            )
 
     def _finish(self, rig: Status) -> None:
         """Note that a rig has finished; trip if it has not taken all steps of the test."""

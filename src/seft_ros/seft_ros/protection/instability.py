@@ -36,7 +36,7 @@ IN_BAND = 0.3
 specimen yields or hits a stop, the control excites the oil column for some cycles: in fault-free
 tests not above 1.5 times the structure's acceleration for long; in an unstable loop it reaches 7
 times that acceleration."""
-EXPLAINED, MEASURED, EXPECTED, WHOLE = range(4)
+EXPLAINED, OBSERVED, EXPECTED, WHOLE = range(4)
 """Rows of the mean squares: of the structure's acceleration in the band, the measured one there,
 the largest recent one of the structure, and the structure's whole acceleration."""
 
@@ -116,12 +116,12 @@ def watch_step(
         explained, found = state.result[states + i], state.result[states + n + i]
         whole = state.result[states + 2 * n + i]
         squares[EXPLAINED, i] = old * squares[EXPLAINED, i] + new * explained * explained
-        squares[MEASURED, i] = old * squares[MEASURED, i] + new * found * found
+        squares[OBSERVED, i] = old * squares[OBSERVED, i] + new * found * found
         squares[WHOLE, i] = old * squares[WHOLE, i] + new * whole * whole
         expected = max(squares[EXPLAINED, i], squares[EXPECTED, i] * p.memory, p.least)
         expected = max(expected, IN_BAND * IN_BAND * squares[WHOLE, i])
         squares[EXPECTED, i] = expected
-        excess = max(excess, squares[MEASURED, i] / expected)
+        excess = max(excess, squares[OBSERVED, i] / expected)
     # strong vibration is accepted for a shorter time than weak vibration
     excess /= p.ratio * p.ratio
     state.above[0] = state.above[0] + min(excess, _HURRY) if excess > 1.0 else 0.0

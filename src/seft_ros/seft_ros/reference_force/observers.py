@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from scipy.linalg import solve_discrete_are
 from seft_msgs_py.arrays import Floats
+from seft_plant_sim.channels import per_channel
 from seft_plant_sim.compiled import compiled
-from seft_plant_sim.simulated.sensors import per_channel
 
 BETWEEN_SAMPLES = 3.0
 """Noise of the integrated acceleration over the sensor's: the acceleration changes between samples.

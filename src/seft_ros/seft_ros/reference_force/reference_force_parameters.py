@@ -12,7 +12,7 @@ from seft_msgs_py.config.parameter_table import Table, parameter_rows
 from seft_msgs_py.config.registered import Registered
 from seft_msgs_py.node import host
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, TARGET, LoopTopic
-from seft_plant_sim.rig_parameters import common_lag
+from seft_plant_sim.rig_parameters import MASS_RATIO_ROWS, common_lag
 
 TARGET_MOTION = "target_motion"
 OWN_METHODS = ("none", "model", "restoring", TARGET_MOTION)
@@ -28,9 +28,6 @@ _TEST = parameter_rows(
     method             | string | seft |       | eft, seft |
         seft: with computed mass, by acceleration feedback (Eq. 2.5); eft: without (Eq. 2.3), the
         specimen has all of the mass
-    mass_ratio         | float  | 0.0  |       | 0 ..      |
-        computed mass over specimen mass, alpha, with seft; with computed.mass a factor on all that
-        is computed, 1 as given
     computed.mass      | floats | 0.0  | kg    |           |
         mass of the computed substructure over the axes, then its internal degrees of
         freedom: one number, a diagonal, or a matrix; 0: specimen.mass
@@ -73,14 +70,16 @@ _COMPENSATION = parameter_rows(
         cosine
     """
 )
-SETTINGS_OF_THE_TEST = [row for row in (*_TEST, *_COMPENSATION) if row.name in SETTINGS]
+SETTINGS_OF_THE_TEST = [row for row in (*MASS_RATIO_ROWS, *_COMPENSATION) if row.name in SETTINGS]
 """Those that the force controller uses, too."""
 REFERENCE_FORCE_TABLE = Table(
     "reference_force",
     [
         *facts("loop_delay", "specimen.", "sensors.", "limits.force", "limits.force_rate"),
         *facts("actuator.kind", "actuator.delay", "actuator.response.", "calibration."),
-        *_TEST,
+        *_TEST[:1],
+        *MASS_RATIO_ROWS,
+        *_TEST[1:],
         REGISTERED_METHODS.row(
             "compensation.method", "none", "how the actuator's delay is compensated"
         ),

@@ -11,7 +11,8 @@ from seft_msgs_py.wire.topics import (
     VALVE_COMMAND,
     LoopTopic,
 )
-from seft_plant_sim.simulated.rig import Rig
+from seft_plant_sim.judge.guard_step import DRIVE_ROW
+from seft_plant_sim.rig import Rig
 
 from seft_ros.bags.gathering import EstimatesGatherer
 from seft_ros.bags.recording import Estimates, Series, series_of
@@ -24,7 +25,7 @@ from seft_ros.reference_force.reference_force_parameters import reference_force_
 from seft_ros.replay.recorded_test import Recorded, Replay
 
 BY_TIME = "force_controller: no "
-"""Start of the reason of a trip that a timeout caused, not a sample."""
+"""In the reason of a trip that a timeout caused, not a sample."""
 
 
 class ReferenceForceReplay(Replay):
@@ -117,7 +118,7 @@ class ForceControllerReplay(Replay):
                 "when a state came is not in a bag; replay reference_force or rig"
             )
         self.expected = recorded.series(VALVE_COMMAND)
-        if trip is not None and trip.reason.startswith(BY_TIME):
+        if trip is not None and BY_TIME in trip.reason:
             self.expected = self.expected.until(trip.step)
             self.notes.append(f"replayed until step {trip.step}, where a timeout tripped it")
         states, self._points = recorded.series(RIG_STATE), recorded.points
@@ -148,8 +149,9 @@ class ForceControllerReplay(Replay):
         for step in self.expected.steps.tolist():
             if step not in self._points and not interlock.reason:
                 break  # the node would wait for it
-            points, judged = self._points.get(step, none), interlock.judge(step, self._states[step])
-            commands[step] = interlock.step(step, points, judged).copy()
+            points = self._points.get(step, none)
+            interlock.look(step, self._states[step])
+            commands[step] = interlock.step(step, points, self._states[step]).copy()
         return series_of(commands, 1, len(axes)), None
 
 
@@ -172,7 +174,7 @@ class RigReplay(Replay):
     def computed(self, section: dict[str, Any]) -> tuple[Series, Estimates | None]:
         """Compute the states of the simulated rig."""
         rig = Rig.from_parameters(dict(section), self.experiment.axes, self.experiment.timebase)
-        drives = self.expected.values[:, 4]
+        drives = self.expected.values[:, DRIVE_ROW]
         states = [rig.reset()]
         for drive in drives[1:]:
             if rig.violation is not None:

@@ -14,7 +14,8 @@ from seft_msgs_py.config.experiment import Experiment, Override
 from seft_msgs_py.config.facts import EVERY_NODE, place_of
 from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.wire.messages import decode_diagnostics, decode_status
+from seft_msgs_py.wire.experiment_state import decode_state
+from seft_msgs_py.wire.messages import decode_diagnostics
 from seft_msgs_py.wire.outcome import State
 from seft_msgs_py.wire.topics import (
     DIAGNOSTICS,
@@ -106,7 +107,7 @@ def read_recorded(path: str | Path) -> Recorded:
             elif topic is REFERENCE_FORCE:
                 points.setdefault(*force_codec.decode(raw))
             elif topic is EXPERIMENT_STATE:
-                last, state = state, decode_status(raw).message
+                last, state = state, decode_state(raw).state
                 tests += state == State.RUNNING and state != last
                 is_ramped |= state == State.RAMPING_DOWN
             else:

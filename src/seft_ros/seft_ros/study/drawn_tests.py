@@ -12,7 +12,7 @@ from seft_msgs_py.config.parameter_table import Section, as_matrix, per_axis
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase, rigs_of
 from seft_plant_sim import rig_parameters
-from seft_plant_sim.simulated.rig import Rig
+from seft_plant_sim.rig import Rig
 
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
 from seft_ros.ground_motion.record_file import files_of
@@ -253,7 +253,7 @@ def _matters(
 ) -> bool:
     """Whether the simulated rig is another one with this value of a parameter."""
     one, other = (
-        pickle.dumps(Rig.from_parameters(section, axes, timebase).parameters)
+        pickle.dumps(Rig.from_parameters(section, axes, timebase).simulation.parameters)
         for section in (base, base | {name: value.tolist()})
     )
     return one != other

@@ -72,8 +72,8 @@ class StudyDesign:
         own = self.experiment
         if test.method != own["reference_force"]["compensation.method"]:
             own = with_method(own, test.method)
-        own = own.changed({"reference_force": {"mass_ratio": test.mass_ratio}})
-        return Experiment(own.sections | self.drawn.sections[test.number])
+        drawn = Experiment(own.sections | self.drawn.sections[test.number])
+        return drawn.changed({"reference_force": {"mass_ratio": test.mass_ratio}})  # rig knows it
 
     def records(self) -> dict[str, bytes]:
         """Read the files of the ground motions."""

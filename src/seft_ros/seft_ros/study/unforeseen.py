@@ -106,8 +106,8 @@ def yielding_error(
             "simulated.specimen.yield_displacement": (AT * moved).tolist(),
             "simulated.specimen.hardening_ratio": HARDENING,
             "faults": "",
+            "detectors.warn_only": ALL,  # channels without noise seem frozen
         },
-        "force_controller": {"detectors.warn_only": ALL},  # channels without noise seem frozen
     }
     quiet = {"rig": {f"simulated.sensors.{name}_noise": 0.0 for name in CHANNELS}}
     try:

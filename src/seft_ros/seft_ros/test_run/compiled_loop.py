@@ -17,12 +17,16 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_plant_sim.compiled import OPTIONS, compiled, entry_point, is_at_hand, kind_of
 from seft_plant_sim.judge.biases import check_biases
+from seft_plant_sim.judge.guard_step import (
+    ENDS_TEST,
+    GuardParameters,
+    GuardState,
+    guard_step,
+)
+from seft_plant_sim.rig import Rig, Rigs
 from seft_plant_sim.simulated.faults import check_times
-from seft_plant_sim.simulated.rig import Rig, Rigs
 from seft_plant_sim.simulated.rig_step import (
-    BLIND,
     FORCE_NOW,
-    RIG_LIMIT,
     RigParameters,
     RigState,
     rig_step,
@@ -45,9 +49,9 @@ from seft_ros.force_controller.interlock_step import (
     TRIP,
     InterlockParameters,
     InterlockState,
+    check_limits,
     postcheck,
     precheck,
-    take_sample,
 )
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
@@ -265,16 +269,16 @@ class LoopSamples(NamedTuple):
 
     Attributes
     ----------
-    states, judged, forces, commands : ndarray
-        Shapes (N, 5, n), (N, 4, n), (N, q, n) and (N, n); states with the drive of the rig.
+    states, measured, forces, commands : ndarray
+        Shapes (N, 6, n), (N, 4, n), (N, q, n) and (N, n), see `guard_step`.
     found, true_forces : ndarray
-        Results of `rig_step`, and largest true force of any axis (N), shape (N,).
+        Results of `rig_step` and `guard_step`, and largest true force of any axis (N), shape (N,).
     estimates : ndarray
         Estimates of the compensation method at the sampled steps, shape (M, k, n).
     """
 
     states: Floats
-    judged: Floats
+    measured: Floats
     forces: Floats
     commands: Floats
     found: Ints
@@ -289,7 +293,7 @@ class LoopBlocks(NamedTuple):
     ----------
     axes : tuple of int
         0 to n - 1: their number is known where the loop is compiled.
-    rig, protection, interlock : tuple
+    rig, guard, protection, interlock : tuple
         Parameters and state of each.
     force, control : tuple
         Parameters and state of compensation method and controller.
@@ -307,6 +311,7 @@ class LoopBlocks(NamedTuple):
 
     axes: tuple[int, ...]
     rig: tuple[RigParameters, RigState]
+    guard: tuple[GuardParameters, GuardState]
     protection: tuple[ProtectionParameters, ProtectionState]
     interlock: tuple[InterlockParameters, InterlockState]
     force: tuple[Any, Any]
@@ -333,7 +338,8 @@ def _arguments(
     n = samples.commands.shape[1]
     loop = LoopBlocks(
         tuple(range(n)),
-        (rig.parameters, rig.state),
+        (rig.simulation.parameters, rig.simulation.state),
+        (rig.guard.parameters, rig.guard.state),
         (protected.parameters, protected.state),
         (interlock.parameters, interlock.state),
         (method.parameters, method.state),
@@ -379,7 +385,7 @@ def run_compiled(
     assert isinstance(rig, Rig)
     for first in range(0, total, BLOCK):
         last = min(first + BLOCK, total)
-        noise = rig.sensors.noise_block(first // BLOCK, last - first)
+        noise = rig.simulation.sensors.noise_block(first // BLOCK, last - first)
         done = steps(loop, samples, known, noise, first, last)
         yield done
         if done < last or last == total:
@@ -407,28 +413,28 @@ def _run_steps(
     """
     # each tuple is taken apart once: within the loop this takes the compiler three times as long
     rig, rig_state = loop.rig
+    guard, guard_state = loop.guard
     protection, protection_state = loop.protection
     interlock, interlock_state = loop.interlock
     force, force_state = loop.force
     control, control_state = loop.control
     in_flight, drive, window = loop.in_flight, loop.drive, loop.window
     is_valve_driven, longest_ramp, period = loop.is_valve_driven, loop.longest_ramp, loop.period
-    states, judged_states, forces, commands, found, true_forces, estimates = samples
+    states, measured_states, forces, commands, found, true_forces, estimates = samples
     turns, _, quantities, _ = in_flight.shape
     is_target, n = quantities > 1, len(loop.axes)
     # what the compiler takes from these makes the loop nearly twice as fast
     assert states.shape[2] == n and commands.shape[1] == n
-    assert judged_states.shape[2] == n
+    assert measured_states.shape[2] == n
     assert known.shape[1] == n and noise.shape[2] == n and in_flight.shape[3] == n
     assert len(drive) == n
     for step in range(first, last):
-        measured, command = states[step], commands[step]
-        for i in range(n):
-            measured[4, i] = drive[i]
-        found[step] = rig_step(rig, rig_state, step, drive, noise[step - first], measured[:4])
+        state, measured, command = states[step], measured_states[step], commands[step]
+        saturated = rig_step(rig, rig_state, step, drive, noise[step - first], measured)
         true_forces[step] = rig_state.peaks[FORCE_NOW]
-        judged = judged_states[step]
-        take_sample(interlock, interlock_state, step, measured, judged)
+        found[step] = saturated | guard_step(guard, guard_state, step, measured, drive, state)
+        check_limits(interlock, interlock_state, step, state)
+        judged = state[:4]
         # reference force
         asked = in_flight[step % turns]
         progress = begin_step(protection, protection_state, True)
@@ -442,7 +448,7 @@ def _run_steps(
                 forces[step, row, i] = sent[0, row, i]
         applied = late[turns - 1 if is_target else 0 :]
         # force control
-        if precheck(interlock, interlock_state, step, applied, judged, command):
+        if precheck(interlock, interlock_state, step, applied, state, command):
             plan, sample = interlock_state.plan, interlock_state.sample
             limited = answer(control, control_state, plan, sample, command)
             postcheck(interlock, interlock_state, step, limited, command)
@@ -451,7 +457,7 @@ def _run_steps(
         for i in range(n):
             drive[i] = command[i] if is_valve_driven else applied[0, quantities - 1, i]
         has_ended = protection_state.ramp[TAKEN] >= longest_ramp
-        is_over = found[step] & (RIG_LIMIT | BLIND) or interlock_state.flags[TRIP] != NO_TRIP
+        is_over = found[step] & ENDS_TEST or interlock_state.flags[TRIP] != NO_TRIP
         if has_ended or is_over:
             return step + 1
     return last

@@ -1,34 +1,26 @@
 """Nodes of the `seft` command: one that observes a test, and one that plays other nodes."""
 
-import contextlib
 import os
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from contextlib import closing
 from typing import Any
 
-from seft_msgs_py.errors import ExperimentError, InputError, WireError
+from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.node.clock import AwakeClock
 from seft_msgs_py.node.dds import DdsEndpoint
 from seft_msgs_py.node.follower import Follower
 from seft_msgs_py.node.process import is_running, prepare_on_this_host
 from seft_msgs_py.node.rclpy_interface import (
-    Publisher,
-    RclWaitSet,
     SingleThreadedExecutor,
-    Subscription,
     command_node,
-    is_acknowledged,
     leave_graph,
     message_class,
     qos_profile,
-    raw_publisher,
-    raw_subscription,
-    sender,
-    take_timed,
 )
-from seft_msgs_py.wire.messages import Status, decode_diagnostics, decode_status, encode_status
-from seft_msgs_py.wire.outcome import RIG, STALLED
+from seft_msgs_py.wire.experiment_state import ExperimentState, decode_state
+from seft_msgs_py.wire.messages import Status, decode_diagnostics
+from seft_msgs_py.wire.outcome import RIG, STALLED, State
 from seft_msgs_py.wire.topics import CLOCK_TOPIC, DIAGNOSTICS, EXPERIMENT_STATE, NODES, Topic, bare
 from std_srvs.srv import Trigger
 
@@ -50,8 +42,8 @@ class Observer:
     ----------
     state : str
         The test's state; empty before the first message.
-    values : dict
-        Values of the state: ``detail``, ``steps``, ``step``.
+    reported : ExperimentState
+        What the supervisor last said of it.
     time_ns : int
         Experiment time, nanoseconds.
     recorder_phase : str
@@ -65,7 +57,7 @@ class Observer:
     def __init__(self, nodes: Sequence[str] = NODES) -> None:
         self._nodes = tuple(nodes)
         self.state = ""
-        self.values: dict[str, str] = {}
+        self.reported = ExperimentState(State.IDLE, "waiting for supervisor")
         self.time_ns = 0
         self.recorder_phase = ""
         self.recorder_bag = ""
@@ -189,9 +181,9 @@ class Observer:
     def _receive(self) -> None:
         """Take the states and statuses that have arrived."""
         for state in self._test.take(EXPERIMENT_STATE):
-            status = decode_status(state.raw)
+            self.reported = decode_state(state.raw)
             self._received_at = self._awake.time()
-            self.state, self.values = status.message, dict(status.values)
+            self.state = self.reported.state
         for report in self._test.take(DIAGNOSTICS):
             for status in decode_diagnostics(report.raw)[1]:
                 self._on_status(status)
@@ -222,131 +214,3 @@ def alone_on_the_graph(external: Collection[str] = ()) -> None:
     prepare_on_this_host()
     with closing(Observer()) as observer:
         observer.refuse_other_tests(external)
-
-
-_HEARTBEAT = 0.2  # s between two repeats of the test's state
-ACKNOWLEDGED_WITHIN = 2.0  # s for a reader to acknowledge the test's state
-_Receive = Callable[[bytes, float, float], None]
-"""Takes a message, and the times of its reception and sending, s, monotonic."""
-
-
-class SimulatedPeer:
-    """Publishes and receives messages as other nodes of a test would, such as the supervisor.
-
-    Parameters
-    ----------
-    name : str
-        Of the node.
-    sends : sequence of Topic
-        Topics it publishes besides experiment/state.
-    receives : mapping of Topic to callable
-        Topics it subscribes to, with the functions that take their messages.
-
-    Attributes
-    ----------
-    status : dict of str to Status
-        Node -> the last status of its diagnostics.
-    """
-
-    def __init__(
-        self, name: str, sends: Sequence[Topic], receives: Mapping[Topic, _Receive]
-    ) -> None:
-        self.status: dict[str, Status] = {}
-        self.node = command_node(name)
-        self._publishers: dict[Topic, Publisher] = {}
-        self._senders: dict[Topic, Callable[[bytes], None]] = {}
-        for topic in (EXPERIMENT_STATE, *sends):
-            self.publish_on(topic)
-        takers = {**receives, DIAGNOSTICS: self._on_diagnostics}
-        self._takers: dict[Subscription, _Receive] = {}
-        self._topics: dict[Topic, Subscription] = {}
-        for topic, take in takers.items():
-            subscription = raw_subscription(self.node, topic)
-            self._takers[subscription], self._topics[topic] = take, subscription
-        self._wait_set = RclWaitSet(self.node.context, list(self._takers))
-        self._state: bytes | None = None
-        self._said_at = 0.0
-
-    def publish_on(self, topic: Topic) -> None:
-        """Begin to publish a topic."""
-        publisher = raw_publisher(self.node, topic)
-        self._publishers[topic], self._senders[topic] = publisher, sender(publisher)
-
-    def send(self, topic: Topic, raw: bytes) -> None:
-        """Publish a message."""
-        self._senders[topic](raw)
-
-    def say(self, state: str, steps: int | None = None, **values: str) -> None:
-        """Publish the test's state as the supervisor would; return when all readers have it.
-
-        The state is a `State`; the test's steps and other values come with it.
-
-        Raises
-        ------
-        ExperimentError
-            If it is not acknowledged.
-        """
-        shown = {**values, **({} if steps is None else {"steps": str(steps)})}
-        self._state = encode_status(Status("experiment", 0, state, values=shown))
-        self._repeat()
-        if not is_acknowledged(self._publishers[EXPERIMENT_STATE], ACKNOWLEDGED_WITHIN):
-            raise ExperimentError(
-                f"the state {state} was not acknowledged within {ACKNOWLEDGED_WITHIN:g} s"
-            )
-
-    def be_silent(self) -> None:
-        """Stop repeating the state, as a supervisor that has died."""
-        self._state = None
-
-    def listen(self, timeout: float) -> bool:
-        """Wait at most ``timeout`` s for messages, handle them, and repeat the state if due."""
-        if self._state is not None and time.monotonic() - self._said_at >= _HEARTBEAT:
-            self._repeat()
-        ready = self._wait_set.wait(timeout)
-        now, offset = time.monotonic(), time.monotonic() - time.time()
-        for subscription in ready:
-            while (taken := take_timed(subscription)) is not None:
-                raw, sent_ns = taken
-                with contextlib.suppress(WireError):
-                    self._takers[subscription](raw, now, sent_ns / 1e9 + offset)
-        return bool(ready)
-
-    def listen_for(self, duration: float) -> None:
-        """Handle all messages for ``duration`` s."""
-        deadline = time.monotonic() + duration
-        while (left := deadline - time.monotonic()) > 0:
-            self.listen(min(left, _HEARTBEAT / 2))
-
-    def is_matched(self, node: str, sends: Iterable[Topic], receives: Iterable[Topic]) -> bool:
-        """Whether a node has received this one's state and is connected to these topics."""
-        reported = self.status[node].values if node in self.status else {}
-        for topic in (EXPERIMENT_STATE, *sends):
-            there = self.node.get_subscriptions_info_by_topic(topic.name)
-            found = self._publishers[topic].get_subscription_count()
-            hears_us = reported.get(f"senders {topic.name}") != "0"
-            if not (found and hears_us and node in {info.node_name for info in there}):
-                return False
-        for topic in receives:
-            there = self.node.get_publishers_info_by_topic(topic.name)
-            found, own = self._topics[topic].get_publisher_count(), self.node.get_name()
-            matched = reported.get(f"matched {topic.name}", own)  # a driver need not report it
-            if not (found and own in matched.split() and node in {i.node_name for i in there}):
-                return False
-        return True
-
-    def on_status(self, status: Status, at: float) -> None:
-        """Take a status; for subclasses."""
-
-    def close(self) -> None:
-        """Leave the graph."""
-        leave_graph(self.node)
-
-    def _repeat(self) -> None:
-        self._said_at = time.monotonic()
-        if self._state is not None:
-            self.send(EXPERIMENT_STATE, self._state)
-
-    def _on_diagnostics(self, raw: bytes, at: float, sent: float) -> None:
-        for status in decode_diagnostics(raw)[1]:
-            self.status[status.name] = status
-            self.on_status(status, at)

@@ -15,16 +15,17 @@ from typing import Any, cast
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.wire.outcome import Trip
 from seft_msgs_py.wire.topics import (
     GROUND_MOTION,
-    JUDGED,
+    MEASURED,
     REFERENCE_FORCE,
     RIG_STATE,
     VALVE_COMMAND,
     Timebase,
 )
-from seft_plant_sim.simulated.rig import Rig
+from seft_plant_sim.rig import Rig
 from seft_plant_sim.simulated.sensors import BLOCK
 from seft_plant_sim.whole_structure import ReferenceResponse, reference_response
 
@@ -89,8 +90,8 @@ def simulate_test(
     blocks.force_controller.reset()
     estimated, period = force.estimates(), sampling_period(experiment.timebase, force.is_modelled)
     samples = LoopSamples(
-        np.empty((total, 5, axes)),
-        np.empty((total, 4, axes)),
+        np.empty((total, len(RIG_STATE.quantities), axes)),
+        np.empty((total, len(MEASURED.quantities), axes)),
         np.empty((total, quantities, axes)),
         np.empty((total, axes)),
         np.empty(total, dtype=np.int64),
@@ -164,17 +165,14 @@ def run_plain(blocks: Blocks, samples: LoopSamples, loop_delay: int, period: int
     state = rig.reset()
     with np.errstate(over="ignore", invalid="ignore"):  # the limits see what is not finite
         for step in range(total):
-            judged = interlock.judge(step, state)
-            points = force_step(known[step : step + window], judged)
-            samples.states[step], samples.judged[step], samples.forces[step] = (
-                state,
-                judged,
-                points[0],
-            )
+            samples.states[step], samples.measured[step] = state, rig.measured
+            interlock.look(step, state)
+            points = force_step(known[step : step + window], state[: len(CHANNELS)])
+            samples.forces[step] = points[0]
             if loop_delay:
                 in_flight.append(points)
                 points = in_flight.popleft()[loop_delay:]
-            command = samples.commands[step] = valve_step(step, points, judged)
+            command = samples.commands[step] = valve_step(step, points, state)
             if step % period == 0 and samples.estimates.size:
                 estimates = reference_force.estimates()
                 require_names(step, estimates, names)
@@ -195,7 +193,7 @@ def loop_series(motion: Floats, samples: LoopSamples, steps: int) -> dict[str, S
     values = {
         GROUND_MOTION.name: motion[:steps, np.newaxis],
         RIG_STATE.name: samples.states[:steps],
-        JUDGED.name: samples.judged[:steps],
+        MEASURED.name: samples.measured[:steps],
         REFERENCE_FORCE.name: samples.forces[:steps],
         VALVE_COMMAND.name: samples.commands[:steps, np.newaxis],
     }

@@ -24,6 +24,9 @@ _WATCHDOG = parameter_rows(
     watchdog.ramp_margin     | float | 2.0  | s | > 0        |
         longest time that the reference force may take beyond its ramp_down_time before the
         test trips at once; ten times as long in lockstep, where steps may take any time
+    watchdog.missed_share    | float | 0.05 |   | 0 .. 1     |
+        largest share of the steps of a second, whichever, that may miss their command, before the
+        test is ramped down; 1: any
     """
 )
 SUPERVISOR_TABLE = Table(

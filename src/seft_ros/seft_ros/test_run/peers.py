@@ -99,8 +99,6 @@ def with_biases(found: Rehearsed, rigs: Iterable[Mapping[str, Any]]) -> Rehearse
 RAMPING_DOWN, AT_REST_KEY = "ramping_down", "at_rest"  # phases of the reference force
 ALL_ANSWERED = "ended"
 """Its phase when the test has ended and it has answered the last state."""
-SILENT_KEY = "silent"
-"""Key of a trip's values: the nodes that had fallen silent, once that is known; may be empty."""
 RECORDING = "recording"
 """Phase of the recorder as long as the bag of a test is open, also after that test's end."""
 WAITS = "waits"

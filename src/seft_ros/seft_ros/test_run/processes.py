@@ -344,13 +344,3 @@ def node_processes(
         if bag is not None and bag.is_dir():
             shutil.copytree(folder, bag / "logs", dirs_exist_ok=True)
         shutil.rmtree(folder, ignore_errors=True)
-
-
-@contextmanager
-def one_node(node: str, experiment: Experiment) -> Iterator[NodeProcesses]:
-    """Run one node, for a command that stands in for the others; see `node_processes`."""
-    with (
-        NodeStarter() as starter,
-        node_processes(starter, [node], experiment, ProcessLayout(), lockstep=False) as processes,
-    ):
-        yield processes

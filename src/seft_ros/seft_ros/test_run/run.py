@@ -11,14 +11,14 @@ from typing import NamedTuple, Self
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.node.process import as_before, on_ending, prepare_on_this_host
-from seft_msgs_py.wire.outcome import ENDED, State
+from seft_msgs_py.wire.outcome import BY_OPERATOR, ENDED, State
 from seft_msgs_py.wire.topics import EXPERIMENT_STATE, NODES, LoopTopic, bare, topics_of, with_rigs
 
 from seft_ros.bags.bag_place import why_not_writable
 from seft_ros.test_run.node_starter import NodeStarter
 from seft_ros.test_run.observer import Observer
 from seft_ros.test_run.parameter_tables import RECORDER_TABLE
-from seft_ros.test_run.peers import CONFLICT, RUNS, SILENT_KEY, UNFIT
+from seft_ros.test_run.peers import CONFLICT, RUNS, UNFIT
 from seft_ros.test_run.processes import (
     LOOP_NODES,
     MODULES,
@@ -26,7 +26,6 @@ from seft_ros.test_run.processes import (
     ProcessLayout,
     node_processes,
 )
-from seft_ros.test_run.state_machine import PACE_KEY
 
 _POLL_PERIOD = 0.05  # s
 READY_TIMEOUT, SAVE_TIMEOUT = 60.0, 20.0  # s
@@ -113,14 +112,14 @@ class RunMonitor:
             observer.spin(_POLL_PERIOD)  # a node was away for a moment: wait for it
 
     def _settle(self) -> None:
-        self._processes.settle(lockstep=self._observer.values.get(PACE_KEY) == "lockstep")
+        self._processes.settle(lockstep=self._observer.reported.pace == "lockstep")
         self._settled = True
 
     def _wait_until_ready(self, deadline: float) -> None:
         observer = self._observer
         while True:
             observer.spin(_POLL_PERIOD)
-            detail = observer.values.get("detail", "waiting for supervisor")
+            detail = observer.reported.detail
             self._progress(detail, 0)
             self._processes.raise_if_ended()
             for node in self._processes.stopped():
@@ -146,8 +145,8 @@ class RunMonitor:
         Returns
         -------
         str
-            What broke it, with the step; empty if it ended as planned, or by a trip that the bag
-            describes.
+            What broke it, with the step; empty if it ended as planned or by a stop, or by a trip
+            that the bag describes.
         """
         observer, deadline = self._observer, float("inf")
         while observer.state not in ENDED:
@@ -157,17 +156,20 @@ class RunMonitor:
                 if self._is_left_alone() or time.monotonic() > deadline:
                     return self._broken
         deadline = time.monotonic() + self._timeout  # the supervisor finds who fell silent
-        while observer.state == State.TRIPPED and SILENT_KEY not in observer.values:
+        while observer.state == State.TRIPPED and observer.reported.silent is None:
             if time.monotonic() > deadline:
                 break
             self._poll()
-        silent = {*observer.values.get(SILENT_KEY, "").split()} - {*self._processes.stopped()}
+        silent = {*(observer.reported.silent or ())} - {*self._processes.stopped()}
         while silent and not self._broken and time.monotonic() < deadline:
             self._poll()  # a silent node may be ending, and its log then has the cause
         return self._broken or self._ending()
 
-    def bring_down(self) -> None:
-        """Stop the test softly and wait for its end; asked again, stop it at once."""
+    def bring_down(self) -> bool:
+        """Stop the test softly and wait for its end; asked again, stop it at once.
+
+        Return whether it is done: the operator's stop is no fault.
+        """
         for service in ("stop", "estop"):
             with contextlib.suppress(KeyboardInterrupt, ExperimentError):
                 self._observer.call(service, self._timeout)
@@ -175,15 +177,16 @@ class RunMonitor:
                 while self._observer.state not in ENDED and time.monotonic() < deadline:
                     self._poll()
                     if self._is_left_alone():
-                        return
+                        return False
             if self._observer.state in ENDED:
-                return
+                break
+        return self._observer.state == State.DONE
 
     def wait_until_saved(self) -> None:
         """Wait for rigs and recorder; one that is stopped before that closes its bag."""
         deadline = time.monotonic() + SAVE_TIMEOUT
         while time.monotonic() < deadline:
-            gone = {*self._observer.values.get(SILENT_KEY, "").split(), *self._processes.ended()}
+            gone = {*(self._observer.reported.silent or ()), *self._processes.ended()}
             if self._observer.state not in ENDED or "recorder" in gone:
                 return
             if self._observer.recorder_phase == "saved" and not self._observer.running - gone:
@@ -207,15 +210,14 @@ class RunMonitor:
     def _ending(self) -> str:
         """Say how the test ended if the bag may lack it."""
         observer = self._observer
-        step, values = observer.time_ns // self._period_ns, observer.values
-        detail = values.get("detail", "")
+        step, test = observer.time_ns // self._period_ns, observer.reported
         if observer.state == State.DONE:
-            stopped, steps = "stopped" in detail, values.get("steps", "")
-            self._progress("done", int(steps) if steps and not stopped else step + 1)
-            return detail if stopped else ""
-        if not values.get(SILENT_KEY) and "step" in values:
+            stopped = test.detail == BY_OPERATOR
+            self._progress("done", test.steps if test.steps and not stopped else step + 1)
             return ""
-        return f"{detail} (at step {values.get('step', step)})"
+        if not test.silent and test.step is not None:
+            return ""
+        return f"{test.detail} (at step {step if test.step is None else test.step})"
 
 
 def bag_path(experiment: Experiment, out: Path | None) -> Path:
@@ -300,10 +302,12 @@ def run_experiment(
             try:
                 fault = monitor.to_the_end()
             except KeyboardInterrupt:
-                monitor.bring_down()
+                fault, done = "", monitor.bring_down()
                 monitor.wait_until_saved()  # a rig that is ended first gives that as the cause
-                raise
-            monitor.wait_until_saved()
+                if not done:
+                    raise
+            else:
+                monitor.wait_until_saved()
             saved = observer.recorder_bag
             if saved and Path(saved).resolve() != bag.resolve():  # its own folder was lost
                 bag = processes.bag = Path(saved)

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.wire.messages import Status
+from seft_msgs_py.wire.experiment_state import ExperimentState
+from seft_msgs_py.wire.outcome import BY_OPERATOR
 from seft_msgs_py.wire.outcome import ENDED as ENDED
 from seft_msgs_py.wire.outcome import MOVING as MOVING
 from seft_msgs_py.wire.outcome import State as State
@@ -17,8 +18,6 @@ from seft_msgs_py.wire.topics import Timebase
 
 _ABORTED = "aborted by the operator"
 """Reason of a trip by ``estop``: the emergency stop proper is a button in hardware."""
-PACE_KEY = "pace"
-"""Key of a state's values: the pace of the rig, as the rig reports it."""
 
 
 @dataclass(frozen=True)
@@ -48,12 +47,15 @@ class StateMachine:
         Why: what the test waits for, or how it ended.
     step : int or None
         Step of a trip.
+    waited : float
+        If a trip only says what did not come, the time waited for it, s; 0: its cause is known.
     """
 
     def __init__(self) -> None:
         self.state = State.IDLE
         self.detail = "starting"
         self.step: int | None = None
+        self.waited = self._stood = 0.0
         self._then = State.DONE  # what the ramp leads to
 
     @property
@@ -84,14 +86,14 @@ class StateMachine:
         else:
             self.at_rest()
 
-    def soft_trip(self, reason: str, step: int | None = None) -> None:
+    def soft_trip(self, reason: str, step: int | None = None, waited: float = 0.0) -> None:
         """Ramp a running test down because of a fault with which the loop still works.
 
         If it is ramping down already, the cause is added to the first one, and a stop becomes a
         trip.
         """
         if self.state is State.RUNNING:
-            self._go(State.RAMPING_DOWN, reason, step)
+            self._go(State.RAMPING_DOWN, reason, step, waited)
             self._then = State.TRIPPED
         elif self.state is State.RAMPING_DOWN and reason not in self.detail:
             self._add(reason, step)
@@ -102,17 +104,32 @@ class StateMachine:
         if self.state is State.RAMPING_DOWN:
             self.state = self._then
 
-    def hard_trip(self, reason: str, step: int | None = None) -> None:
+    def hard_trip(self, reason: str, step: int | None = None, waited: float = 0.0) -> None:
         """End a test at once because of a limit or a fault; a ramp's cause is kept with it."""
         if self.state is State.RUNNING:
-            self._go(State.TRIPPED, reason, step)
+            self._go(State.TRIPPED, reason, step, waited)
         elif self.state is State.RAMPING_DOWN:
-            self._go(State.TRIPPED, while_ramping_down(reason, self.detail), step)
+            self._go(State.TRIPPED, while_ramping_down(reason, self.detail), step, waited)
 
     def note(self, finding: str) -> None:
         """Add to a trip's cause what was found later."""
         if self.state is State.TRIPPED and finding not in self.detail:
             self._add(finding)
+
+    def explain(self, cause: str, stood: float = 0.0) -> bool:
+        """Put a cause before the silence for which a test tripped; return whether it is new.
+
+        The cause is a node that ``stood`` still for so many seconds; of several, which reports may
+        tell in any order, the one for the longest time. Else it is the first that is told. The
+        silence is longer than what made it by up to some periods, and the wait in which it began.
+        """
+        known = not self.waited or self.state not in (State.RAMPING_DOWN, State.TRIPPED)
+        least = max(self._stood, 0.5 * self.waited)
+        if known or cause in self.detail or (stood < least if stood else self._stood > 0.0):
+            return False
+        self._stood = stood or least
+        self.detail = f"{cause}; {self.detail}"
+        return True
 
     def stop(self) -> ServiceAnswer:
         """Ramp a running test down for the operator."""
@@ -120,7 +137,7 @@ class StateMachine:
             return ServiceAnswer(True, f"the test is ramping down already ({self.detail})")
         if self.state is not State.RUNNING:
             return self._refusal("stop")
-        self._go(State.RAMPING_DOWN, "stopped by the operator")
+        self._go(State.RAMPING_DOWN, BY_OPERATOR)
         self._then = State.DONE
         return ServiceAnswer(True, "the test is ramping down")
 
@@ -143,8 +160,9 @@ class StateMachine:
         self._go(State.IDLE, "reset")
         return ServiceAnswer(True, "idle")
 
-    def _go(self, state: State, detail: str, step: int | None = None) -> None:
+    def _go(self, state: State, detail: str, step: int | None = None, waited: float = 0.0) -> None:
         self.state, self.detail, self.step = state, detail, step
+        self.waited, self._stood = waited, 0.0
 
     def _add(self, finding: str, step: int | None = None) -> None:
         self.detail = f"{self.detail}; {finding}"
@@ -208,15 +226,14 @@ class SampleOrder:
         self.in_lockstep = False
         self.may_begin = True
 
-    def follow(self, experiment: Status) -> None:
+    def follow(self, experiment: ExperimentState) -> None:
         """Follow the state of the experiment; a repeated one is only a heartbeat."""
-        if experiment.message == self._state:
+        if experiment.state == self._state:
             return
-        self._state = experiment.message
-        if experiment.message in MOVING:
-            self.in_lockstep = experiment.values.get(PACE_KEY) == LOCKSTEP
-            steps = experiment.number("steps")
-            self.steps = self.steps if steps is None else steps
+        self._state = experiment.state
+        if experiment.state in MOVING:
+            self.in_lockstep = experiment.pace == LOCKSTEP
+            self.steps = self.steps if experiment.steps is None else experiment.steps
         else:
             self.steps = 0
             self.may_begin = True

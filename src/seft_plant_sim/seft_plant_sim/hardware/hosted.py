@@ -1,0 +1,263 @@
+"""A laboratory's hardware behind the rig node: each of its calls is checked."""
+
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+import numpy as np
+from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN
+from seft_msgs_py.config.registered import line_in, reason_of
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.topics import REFERENCE_FORCE, VALVE_COMMAND, RigAxes
+
+from seft_plant_sim.channels import VELOCITY, per_channel, velocity_is_derived
+from seft_plant_sim.hardware.safe_stop import Safe, SafeStop, Stopped
+from seft_plant_sim.hardware.udp import UdpHardware
+from seft_plant_sim.rig_parameters import HARDWARE, UDP
+
+
+class Hardware(Protocol):
+    """What a laboratory writes: a class, made as ``CLASS(parameters, axes)``.
+
+    ``parameters`` are those of the rig, by name; ``axes`` the names of its n axes. All calls come
+    from one thread, and must not take longer than a sampling period.
+
+    Two attributes are optional: ``can_wait``, whether ``read`` gives the sample after the last
+    ``write``, however late it is called (for lockstep; default False); ``is_clock``, whether
+    ``read`` waits for the next sample of a controller, which then is the clock (default False). So
+    is a method ``dump_pressure()``: called where a piston goes on after its valve was closed.
+    """
+
+    def read(self) -> Floats:
+        """Read all channels at one instant.
+
+        Returns
+        -------
+        ndarray
+            Displacement, velocity, acceleration and force of each axis, shape (4, n), in SI units,
+            or in volts (``calibration.*_per_volt``); NaN throughout for a velocity that is derived.
+        """
+
+    def write(self, drive: Floats) -> None:
+        """Put out the valve commands, V, shape (n,); positive extends the actuator."""
+
+    def safe(self) -> None:
+        """Bring the rig to rest, whatever it is in, and keep it there until the next `write`."""
+
+    def close(self) -> None:
+        """Give the devices back."""
+
+
+class HardwareError(Exception):
+    """Something that a laboratory's hardware did wrong, in one line with its file and line."""
+
+
+class HostedHardware:
+    """Checks each call of a `Hardware`, and gives its samples in SI units.
+
+    Parameters
+    ----------
+    device : Hardware
+        The laboratory's.
+    name : str
+        As ``rig: hardware`` has it.
+    drive : str
+        Topic that it obeys.
+    per_volt : ndarray
+        SI units per unit of the device's channels, shape (4, n).
+    velocity_is_derived : bool
+        Whether its velocity is not used.
+    period : float
+        Sampling period, s; no call may take longer.
+    now : callable
+        Monotonic time, s.
+
+    Attributes
+    ----------
+    drive : str
+        As given.
+    can_wait, is_clock : bool
+        See `Hardware`.
+    saturated : int
+        0: nobody knows what of a real rig is saturated beside its sensors.
+    """
+
+    saturated = 0
+
+    def __init__(
+        self,
+        device: Hardware,
+        name: str,
+        drive: str,
+        per_volt: Floats,
+        velocity_is_derived: bool,
+        period: float,
+        now: Callable[[], float],
+    ) -> None:
+        self.drive, self._device, self._name, self._now = drive, device, name, now
+        self.can_wait: bool = getattr(device, "can_wait", False)
+        self.is_clock: bool = getattr(device, "is_clock", False)
+        self._is_remote = isinstance(device, UdpHardware)
+        self._per_volt, self._derived, self._period = per_volt, velocity_is_derived, period
+        self._stop: SafeStop | None = None
+        try:
+            self._file = inspect.getsourcefile(type(device))
+        except TypeError:  # of a class of an extension module
+            self._file = None
+
+    @classmethod
+    def from_parameters(
+        cls,
+        section: Mapping[str, Any],
+        axes: tuple[str, ...],
+        rig: RigAxes,
+        period: float,
+        now: Callable[[], float],
+    ) -> "HostedHardware":
+        """Make what ``rig: hardware`` names, see the class.
+
+        Raises
+        ------
+        InputError
+            If it can't be made, or lacks a method.
+        """
+        name, where = section["hardware"], "rig: hardware"
+        safe = Safe.from_parameters(section, axes, rig.places, period).command.tolist()
+        known = {**section, "safe.valve_command": safe}
+        try:
+            if name == UDP:
+                device = UdpHardware(known, rig.axes)
+            else:
+                device = HARDWARE.make(name, "", where, known, rig.axes)
+        except InputError:
+            raise
+        except Exception as error:
+            raise InputError(f"{where}: {name} can't be made: {reason_of(error)}") from None
+        missing = [each for each in ("read", "write", "safe", "close") if not _has(device, each)]
+        if missing:
+            raise InputError(f"{where}: {name} has no method {', '.join(missing)}")
+        force_driven = section["actuator.kind"] in FORCE_DRIVEN
+        per_volt = per_channel(section, axes, "calibration.{}_per_volt")[:, list(rig.places)]
+        drive = (REFERENCE_FORCE if force_driven else VALVE_COMMAND).name
+        return cls(device, name, drive, per_volt, velocity_is_derived(section), period, now)
+
+    def read(self) -> Floats:
+        """Read a sample, shape (4, n), in SI units.
+
+        Raises
+        ------
+        HardwareError
+            If the device raises an exception, takes longer than a period, or gives no such sample.
+        """
+        waits = self.is_clock or self._is_remote  # for as long as it says itself
+        given = self._call("read", longest=np.inf if waits else 1.0)
+        try:
+            sample = np.array(given, np.float64)
+        except (TypeError, ValueError):
+            raise HardwareError(
+                f"{self._name}: read() gave no numbers, but {given!r:.80}"
+            ) from None
+        if sample.shape != self._per_volt.shape:
+            raise HardwareError(
+                f"{self._name}: read() gave an array of shape {sample.shape}, not "
+                f"{self._per_volt.shape} (displacement, velocity, acceleration, force; axes)"
+            )
+        sample *= self._per_volt
+        if self._derived:
+            sample[VELOCITY] = 0.0
+        if not (self._is_remote or np.isfinite(sample).all()):  # a lost sample is judged
+            row, axis = np.argwhere(~np.isfinite(sample))[0].tolist()
+            hint = "; if it has no such sensor, give /**: sensors.velocity: derived"
+            raise HardwareError(
+                f"{self._name}: read() gave {sample[row, axis]} for the {CHANNELS[row]} of axis "
+                f"{axis + 1}{hint if row == VELOCITY else ''}"
+            )
+        return sample
+
+    def write(self, drive: Floats) -> None:
+        """Put out a command, shape (n,), V or N, see `drive`."""
+        self._call("write", np.array(drive))
+
+    def safe(self) -> None:
+        """Bring the rig to its safe command now."""
+        self._stop = None
+        self._close_valve()
+
+    def close(self) -> None:
+        """Bring the rig to its safe command, and give the devices back."""
+        try:
+            self.safe()
+        finally:
+            self._call("close", longest=np.inf)
+
+    def at_rest(self, count: int) -> Floats:
+        """Give samples at rest, if the device can wait, shape (N, 4, n): so many, or none."""
+        samples = [self.read() for _ in range(count if self.can_wait else 0)]
+        return np.array(samples).reshape(-1, *self._per_volt.shape)
+
+    def reset(self) -> None:
+        """Begin a test, wherever the rig is."""
+        self._stop = None
+
+    def check(self) -> None:
+        """Nothing else can be wrong."""
+
+    def stop(self, plan: Floats, planned: Floats | None, last: Floats, safe: Safe) -> None:
+        """Begin to obey a plan, and then to close the valve, see `SafeStop`."""
+        dump = getattr(self._device, "dump_pressure", None)
+        self._stop = SafeStop(
+            self.write, self._close_valve, plan, planned, last, safe, dump and self._dump
+        )
+
+    def come_to_rest(self, measured: Floats) -> Stopped | None:
+        """Continue a stop with a sample, shape (4, n); give its end when it is at rest.
+
+        If it does not come to rest, that is said after ``Safe.longest`` steps.
+        """
+        stopped = None if self._stop is None else self._stop.next(measured)
+        if stopped is not None:
+            self._stop = None
+        return stopped
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Number of datagrams that were not obeyed, by kind, of a controller at the other end."""
+        return self._device.counts if isinstance(self._device, UdpHardware) else {}
+
+    @property
+    def is_stopping(self) -> bool:
+        """Whether a stop is under way."""
+        return self._stop is not None
+
+    @property
+    def is_closing(self) -> bool:
+        """Whether the valve of a stop is not closed yet."""
+        return self._stop is not None and not self._stop.is_closed
+
+    def _close_valve(self) -> None:
+        self._call("safe", longest=np.inf)
+
+    def _dump(self) -> None:
+        self._call("dump_pressure", longest=np.inf)
+
+    def _call(self, method: str, *arguments: Any, longest: float = 1.0) -> Any:
+        begun = self._now()
+        try:
+            result = getattr(self._device, method)(*arguments)
+        except Exception as error:
+            if self._is_remote:
+                raise HardwareError(reason_of(error)) from error
+            at = line_in(error, self._file)
+            raise HardwareError(f"{self._name}{at}: {method}(): {reason_of(error)}") from error
+        took = self._now() - begun
+        if took > longest * self._period:
+            raise HardwareError(
+                f"{self._name}: {method}() took {took * 1e3:.3g} ms, more than a sampling period "
+                f"of {self._period * 1e3:g} ms"
+            )
+        return result
+
+
+def _has(device: Any, method: str) -> bool:
+    return callable(getattr(device, method, None))

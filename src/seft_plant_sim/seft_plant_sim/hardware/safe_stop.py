@@ -1,0 +1,172 @@
+"""How a rig is stopped: along its plan if there is one, then its valve closes."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.facts import CHANNELS
+from seft_msgs_py.config.parameter_table import per_axis
+
+from seft_plant_sim.channels import VELOCITY, per_channel, velocity_is_derived
+from seft_plant_sim.judge.detectors import assumed_noise
+from seft_plant_sim.simulated.rig_step import stop_command
+
+_ANSWERS_IN = 0.05
+"""Time that valve and oil have after the valve was closed, s, before the piston must stand."""
+_GOES_ON = 0.05
+"""Part of the largest displacement that a piston may move after that."""
+_MEAN_OF = 0.05
+"""Time over which velocities are averaged, s."""
+_NOISE_SIGMAS = 4.0
+"""Standard errors up to which a mean velocity is noise."""
+
+
+class Safe(NamedTuple):
+    """The safe command, and how a rig gets there at the end of a test.
+
+    Attributes
+    ----------
+    command : ndarray
+        The safe valve command, shape (n,), V.
+    closing : int
+        Steps in which the valve goes there.
+    longest : int
+        Steps after that in which the rig must rest.
+    rest_velocity : float
+        A slower mean over `_MEAN_OF` is noise, and counts as rest, m/s.
+    farthest : float
+        Displacement beyond which a piston with a closed valve goes on, m.
+    dt : float
+        Sampling period, s.
+    """
+
+    command: Floats
+    closing: int
+    longest: int
+    rest_velocity: float
+    farthest: float
+    dt: float
+
+    @classmethod
+    def from_parameters(
+        cls, section: Mapping[str, Any], axes: Sequence[str], places: Sequence[int], dt: float
+    ) -> "Safe":
+        """Make it from the rig's section, for the axes at some places."""
+        command = per_axis(section["safe.valve_command"], axes, "rig: safe.valve_command")
+        noise = per_channel(section, axes, "sensors.{}_noise")[:, list(places)]
+        limits = np.array([section[f"limits.{name}"] for name in CHANNELS])
+        noise = assumed_noise(noise, limits, velocity_is_derived(section), dt)
+        averaged = math.sqrt(max(1.0, _MEAN_OF / dt))
+        return cls(
+            command[list(places)],
+            round(section["safe.close_time"] / dt),
+            round(section["safe.settle_time"] / dt),
+            _NOISE_SIGMAS * float(noise[VELOCITY].max()) / averaged,
+            _GOES_ON * section["limits.displacement"],
+            dt,
+        )
+
+
+class Stopped(NamedTuple):
+    """End of a stop.
+
+    Attributes
+    ----------
+    steps : int
+        Until the rig was at rest, or until it should have been.
+    peak_force : float
+        Largest force of any actuator, N.
+    is_at_rest : bool
+        Whether it rests.
+    has_dumped : bool
+        Whether the pressure was taken away, because a piston went on.
+    """
+
+    steps: int
+    peak_force: float
+    is_at_rest: bool = True
+    has_dumped: bool = False
+
+
+class SafeStop:
+    """Brings a rig to rest, period by period.
+
+    Not at once: a valve that closes at once on a moving mass M makes the oil hammer with
+    v sqrt(k M).
+
+    Parameters
+    ----------
+    write, close : callable
+        Obey a command, shape (n,), V, and the safe command.
+    plan, planned, last
+        See `stop_command`; ``planned`` is what the plan had in place of the last command, or None.
+    safe : Safe
+        Where it ends.
+    dump : callable or None
+        Takes the pressure away where a piston goes on after its valve was closed.
+    """
+
+    def __init__(
+        self,
+        write: Callable[[Floats], None],
+        close: Callable[[], None],
+        plan: Floats,
+        planned: Floats | None,
+        last: Floats,
+        safe: Safe,
+        dump: Callable[[], None] | None,
+    ) -> None:
+        self._write, self._close = write, close
+        self._plan, self._last, self._safe = plan, last.copy(), safe
+        self._offset, self._dump = last - (last if planned is None else planned), dump
+        self._closed_at = max(len(plan) + safe.closing - 1, 0)
+        self._window = max(1, round(_MEAN_OF / safe.dt))
+        self._taken, self._peak, self._has_dumped = 0, 0.0, False
+        self._speeds: list[Floats] = []
+        self._stands: Floats | None = None
+        self._command()
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether the valve has its safe command."""
+        return self._taken > self._closed_at
+
+    def next(self, measured: Floats) -> Stopped | None:
+        """Continue with the next sample, shape (4, n); give the end when there is one."""
+        self._peak = max(self._peak, float(np.abs(measured[3]).max()))
+        self._speeds = [*self._speeds[1 - self._window :], measured[1].copy()]
+        if not self.is_closed:
+            self._command()
+            return None
+        self._taken += 1
+        closed = self._taken - self._closed_at
+        self._look_at_piston(closed, measured[0])
+        rests = np.abs(np.mean(self._speeds, axis=0)).max() < self._safe.rest_velocity
+        if (rests and closed >= self._window) or closed > self._safe.longest:
+            return Stopped(self._taken, self._peak, bool(rests), self._has_dumped)
+        return None
+
+    def _look_at_piston(self, closed: int, displacement: Floats) -> None:
+        """Take the pressure away where a piston goes on with its valve closed."""
+        if closed * self._safe.dt <= _ANSWERS_IN or self._has_dumped:
+            return
+        if self._stands is None:
+            self._stands = displacement.copy()
+        if self._dump and np.abs(displacement - self._stands).max() > self._safe.farthest:
+            self._dump()
+            self._has_dumped = True
+
+    def _command(self) -> None:
+        """Give the next command; at the end, the safe one."""
+        if self._taken >= self._closed_at:
+            self._close()
+        else:
+            command = np.empty_like(self._last)
+            s = self._safe
+            stop_command(
+                self._taken, self._plan, self._offset, self._last, s.command, s.closing, command
+            )
+            self._write(command)
+        self._taken += 1

@@ -1,0 +1,306 @@
+"""A rig: its hardware, and the guard that each of its samples passes."""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from seft_msgs_py.arrays import Floats, Ints
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.wire.outcome import Saturation, Simulated, all_saturated, count_saturated
+from seft_msgs_py.wire.topics import VALVE_COMMAND, RigAxes, Timebase
+
+from seft_plant_sim.calibration import biases_of_all, zeroed_at_rest
+from seft_plant_sim.compiled import kind_of
+from seft_plant_sim.hardware.hosted import HostedHardware
+from seft_plant_sim.hardware.safe_stop import Safe, Stopped
+from seft_plant_sim.judge.guard import Guard
+from seft_plant_sim.judge.guard_step import DRIVE_ROW, RANGES
+from seft_plant_sim.simulated.rig import SimulatedRig
+from seft_plant_sim.simulated.rig_step import SATURATED_PARTS, left_open
+
+_SATURATED = RANGES | SATURATED_PARTS
+"""Bits of what is saturated at a sample, by name."""
+
+
+class Rig:
+    """Takes the samples of its hardware through its guard, and gives it commands.
+
+    Attributes
+    ----------
+    drive : str
+        Topic that drives the actuator: ``valve_command`` or ``reference_force``.
+    hardware, guard : SimulatedRig or HostedHardware, and Guard
+        As given.
+    step_index : int
+        Step of the last sample.
+    raw, measured : ndarray
+        The last sample as the hardware gave it, and calibrated and aligned, shape (4, n).
+    violation : str or None
+        Why the test must end with the last sample.
+    saturation : Saturation
+        Saturation since the reset: of stroke, force capacity, valve, and sensors.
+    zeroed : dict or None
+        What it measured at rest, see `zeroed_at_rest`; None: nothing.
+    """
+
+    def __init__(
+        self,
+        hardware: SimulatedRig | HostedHardware,
+        make_guard: Callable[[Floats], tuple[Guard, dict[str, Any] | None]],
+        safe: Safe,
+        resting: int,
+    ) -> None:
+        self.drive = hardware.drive
+        self.hardware, self._make_guard, self._safe = hardware, make_guard, safe
+        self._command = np.zeros_like(safe.command)
+        self.zero(hardware.at_rest(resting))
+
+    @classmethod
+    def from_parameters(
+        cls,
+        section: dict[str, Any],
+        axes: tuple[str, ...],
+        timebase: Timebase,
+        rig: RigAxes | None = None,
+        hardware: HostedHardware | None = None,
+    ) -> "Rig":
+        """Make the rig from its section of an experiment, which is for all axes.
+
+        Parameters
+        ----------
+        section, axes, timebase
+            Of the experiment.
+        rig : RigAxes, optional
+            With several rigs, one of them, which has some of the axes.
+        hardware : HostedHardware, optional
+            Its hardware; default simulated.
+
+        Raises
+        ------
+        InputError
+            If sizes do not fit the axes, or values do not make a rig.
+        """
+        own, dt = rig or RigAxes.whole(axes), timebase.dt
+        what = hardware or SimulatedRig.from_parameters(section, axes, timebase, own)
+
+        def make_guard(samples: Floats) -> tuple[Guard, dict[str, Any] | None]:
+            known, zeroed = section, None
+            if len(samples):
+                known, zeroed = zeroed_at_rest(section, axes, own.places, samples)
+            return Guard.from_parameters(known, axes, own, dt), zeroed
+
+        safe = Safe.from_parameters(section, axes, own.places, dt)
+        return cls(what, make_guard, safe, round(section["calibration.zeroing"] / dt))
+
+    @property
+    def kind(self) -> tuple[Any, ...]:
+        """`kind_of` parameters and states of a compiled loop."""
+        simulated, guard = self.simulation, self.guard
+        return kind_of((simulated.parameters, simulated.state, guard.parameters, guard.state))
+
+    @property
+    def simulation(self) -> SimulatedRig:
+        """Its hardware, which is simulated."""
+        assert isinstance(self.hardware, SimulatedRig)
+        return self.hardware
+
+    @property
+    def safe_command(self) -> Floats:
+        """Command at which the actuator rests, shape (n,)."""
+        rests = self.drive == VALVE_COMMAND.name
+        return self._safe.command if rests else np.zeros_like(self._safe.command)
+
+    def zero(self, samples: Floats) -> None:
+        """Take biases that nobody knows from samples at rest, shape (N, 4, n), as read."""
+        self.guard, self.zeroed = self._make_guard(samples)
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin a test with its next sample; a simulated rig is at rest."""
+        self.saturation: Saturation = {}
+        self.violation: str | None = None
+        self.step_index, self._command[:] = -1, 0.0
+        self.hardware.reset()
+        self.guard.reset()
+
+    def read(self) -> Floats:
+        """Take the next sample: read it, calibrate and align it, judge it, and look for faults.
+
+        Returns
+        -------
+        ndarray
+            Judged displacement (m), velocity (m/s), acceleration (m/s^2) and force (N), 1 where it
+            is suspect, and what the rig applies from then on, see `guard_step`; shape (6, n).
+        """
+        self.raw = self.hardware.read()
+        self.step_index += 1
+        self.measured, sample = self.raw.copy(), np.empty((DRIVE_ROW + 1, len(self._command)))
+        found = self.guard.take(self.step_index, self.measured, self._command, sample)
+        found |= self.hardware.saturated
+        self.violation = None
+        if found:
+            self.hardware.check()
+            self.violation = self.guard.violation(found)
+            for name, bit in _SATURATED.items():
+                if found & bit:
+                    count_saturated(self.saturation, name, 1, self.step_index)
+        return sample
+
+    def write(self, command: Floats) -> None:
+        """Apply a command from the last sample on, shape (n,), V or N, see `drive`."""
+        self._command[:] = command
+        self.hardware.write(self._command)
+
+    def reset(self) -> Floats:
+        """Begin a test and take the sample of step 0, see `read`."""
+        self.begin()
+        return self.read()
+
+    def step(self, command: Floats) -> Floats:
+        """Apply a command and take the next sample, see `write` and `read`."""
+        self.write(command)
+        return self.read()
+
+    def extrapolated_command(self, last: Floats, age: int, plan: Floats, taken: int) -> Floats:
+        """Give the command of a step without one, see the function `extrapolated_command`."""
+        return extrapolated_command(last, age, plan, taken, self._safe.closing)
+
+    def stop(self, plan: Floats | None = None, planned: Floats | None = None) -> Stopped | None:
+        """Move the valve to its safe command, and come to rest.
+
+        Before that it follows a plan, the commands of this step and the coming ones, shape (m, n),
+        unless it ends the test by itself (`violation`). If the plan had another command for the
+        last step, ``planned``, the difference goes in the time in which the valve closes.
+
+        A closed valve locks the piston: the oil column rings, friction and leakage damp it, and the
+        remaining force decays. A simulated rig is at rest afterwards; others continue with each
+        sample, see `come_to_rest`.
+        """
+        if plan is None or self.violation is not None:
+            plan = np.zeros((0, len(self._command)))
+        safe = self._safe._replace(command=self.safe_command)
+        return self.hardware.stop(plan, planned, self._command, safe)
+
+    @property
+    def is_stopping(self) -> bool:
+        """Whether a stop of a laboratory's rig is under way."""
+        return isinstance(self.hardware, HostedHardware) and self.hardware.is_stopping
+
+    @property
+    def is_closing(self) -> bool:
+        """Whether its valve is not closed yet."""
+        return isinstance(self.hardware, HostedHardware) and self.hardware.is_closing
+
+    def come_to_rest(self) -> Stopped | None:
+        """Continue a stop with the last sample; give its end, if it has come."""
+        if not isinstance(self.hardware, HostedHardware):
+            return None
+        return self.hardware.come_to_rest(self.measured)
+
+    def simulated(self, first: int | None = None) -> Simulated | None:
+        """Largest true motion of the test so far, see `SimulatedRig.simulated`; None: not known."""
+        if isinstance(self.hardware, HostedHardware):
+            return None
+        return self.hardware.simulated(first)
+
+    def take(self, found: Ints, forces: Floats) -> None:
+        """Continue after a compiled loop of N steps.
+
+        ``found`` are the results of `rig_step` and `guard_step` together, ``forces`` the largest
+        true force (N) at each step; both have shape (N,).
+        """
+        self.simulation.take(forces)
+        self.step_index = len(found) - 1
+        steps = {name: np.flatnonzero(found & bit).tolist() for name, bit in _SATURATED.items()}
+        self.saturation = {
+            name: {"samples": len(at), "first_step": at[0]} for name, at in steps.items() if at
+        }
+        self.violation = self.guard.violation(int(found[-1]))
+
+
+def extrapolated_command(
+    last: Floats, age: int, plan: Floats, taken: int, closing: float
+) -> Floats:
+    """Give the command of a step without one: it continues along a stop.
+
+    Parameters
+    ----------
+    last : ndarray
+        The last command, shape (n,), V.
+    age, plan : int, ndarray
+        The stop, shape (m, n), V, and its age in steps. One of one point holds the last command.
+    taken : int
+        Age of the last command, in steps.
+    closing : float
+        Steps in which the valve closes: then the difference between last command and stop is gone.
+    """
+    end, then = len(plan) - 1, age - taken
+    offset = last - plan[min(then, end)] if then >= 0 else np.zeros_like(last)
+    left = left_open(taken, closing) if end else 1.0
+    command: Floats = plan[min(age, end)] + left * offset
+    return command
+
+
+class Rigs:
+    """The rigs of an experiment, stepped together; the bits are those of their nodes."""
+
+    def __init__(self, experiment: Experiment) -> None:
+        section, axes, timebase = experiment["rig"], experiment.axes, experiment.timebase
+        self._axes = len(axes)
+        self._rigs = [
+            (list(of.places), Rig.from_parameters(section, axes, timebase, of))
+            for of in experiment.rigs
+        ]
+
+    @property
+    def drive(self) -> str:
+        """Topic that drives the actuators."""
+        return self._rigs[0][1].drive
+
+    @property
+    def violation(self) -> str | None:
+        """Why the test must end with the last sample, of the first rig that knows."""
+        return next((rig.violation for _, rig in self._rigs if rig.violation), None)
+
+    @property
+    def measured(self) -> Floats:
+        """The last sample as measured, see `Rig`, shape (4, n)."""
+        return self._gather(rig.measured for _, rig in self._rigs)
+
+    @property
+    def zeroed(self) -> dict[str, Any] | None:
+        """What they measured at rest, over all axes; None: nothing."""
+        found = [(places, rig.zeroed) for places, rig in self._rigs if rig.zeroed is not None]
+        if not found:
+            return None
+        return {"samples": found[0][1]["samples"], **biases_of_all(self._axes, found)}
+
+    @property
+    def saturation(self) -> Saturation:
+        """Saturation of any of them."""
+        return all_saturated(rig.saturation for _, rig in self._rigs)
+
+    def reset(self) -> Floats:
+        """Bring the rigs to rest and take the sample of step 0, see `Rig.step`."""
+        return self._gather([rig.reset() for _, rig in self._rigs])
+
+    def step(self, command: Floats) -> Floats:
+        """Apply a command and take the next sample, see `Rig.step`."""
+        return self._gather([rig.step(command[places]) for places, rig in self._rigs])
+
+    def stop(self, plans: Sequence[Floats] | None = None) -> None:
+        """Bring all of them to rest, see `Rig.stop`; ``plans`` are one for each."""
+        for place, (_, rig) in enumerate(self._rigs):
+            rig.stop(None if plans is None else plans[place])
+
+    def simulated(self, first: int | None = None) -> Simulated:
+        """Largest true motion of any of them, see `Rig.simulated`."""
+        found = (rig.simulated(first) for _, rig in self._rigs)
+        return Simulated.of_all(each for each in found if each is not None)
+
+    def _gather(self, parts: Iterable[Floats]) -> Floats:
+        parts = list(parts)
+        whole = np.empty((len(parts[0]), self._axes))
+        for (places, _), part in zip(self._rigs, parts, strict=True):
+            whole[:, places] = part
+        return whole

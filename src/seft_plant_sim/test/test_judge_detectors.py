@@ -1,0 +1,232 @@
+"""Detectors, sample by sample: what each sees, its threshold, and what comes of it."""
+
+import math
+
+import numpy as np
+import pytest
+from detector_samples import (
+    ACTUATOR,
+    ALL,
+    DT,
+    LIMITS,
+    NOISE,
+    N,
+    detect,
+    detectors,
+    noise_of_a_rig,
+    of_what,
+    shares_of,
+)
+from seft_plant_sim.judge import detectors as rows
+from seft_plant_sim.judge.detector_list import DETECTORS, describe
+from seft_plant_sim.judge.detector_step import begin_detectors, detect_all
+from seft_plant_sim.judge.detectors import SUSPECT, VALID, look
+
+
+def test_a_new_test_knows_nothing_of_the_one_before():
+    samples, commands = noise_of_a_rig(60, size=40.0)
+    samples[20:40:2, 0, 1] = samples[21:41:2, 0, 1]
+    found = []
+    for _ in range(2):
+        p, state = detectors(ALL)
+        for values in (*state[:-1], *state.judge) if found else ():
+            values[:] = 7
+        state.found[:] = 0.0  # it is reported only at a trip
+        begin_detectors(p, state)
+        seen = shares_of(p, state, samples, commands)
+        found.append((seen, *state[:-1], *state.judge))
+    for fresh, again in zip(*found, strict=True):
+        np.testing.assert_array_equal(again, fresh)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("name", ALL[:3] + ALL[5:8])
+def test_what_a_detector_finds_is_reported_by_row_and_axis(name, axis):
+    p, state = detectors([each for each in ALL if each != name])
+    samples, commands = of_what(name, axis)
+    found = []
+    for k in range(100):
+        found.append(detect(p, state, k, samples[k], commands[max(k - 1, 0)]))
+    first = next(k for k, each in enumerate(found) if each >= 0)
+    assert found[first] == ALL.index(name) * N + axis
+    assert set(found[:60]) == {VALID}
+    assert 60 < first <= 60 + 2 * p.persistence[ALL.index(name)] + 2
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_of_several_that_find_something_the_first_is_reported(axis):
+    p, state = detectors()
+    samples, _ = noise_of_a_rig(12, size=0.3)
+    samples[5:, 0, axis] += 0.02
+    samples[5:, 1, axis] += 5.0
+    found = [detect(p, state, k, samples[k]) for k in range(8)]
+    assert state.judge.counts[:, axis].tolist() == [3, 3, 0, 0]
+    assert found[5:] == [VALID, rows.SUSPECT, rows.WRONG * N + axis]
+
+
+def test_a_detector_acts_once_it_is_beyond_its_threshold_for_its_persistence():
+    p, state = detectors(["oil_balance"])
+    row, lasts = rows.DIFFERS, p.persistence[rows.DIFFERS]
+    assert lasts == 3
+    seen = [1.0, 1.5, 1.25, 1.0, 0.5, 1.5, 1.5, 1.5, 1.75]
+    found = [look(p, state, row, 1, 2.0 * each, 2.0) for each in seen]
+    assert found == [False] * 7 + [True, True]
+    assert state.found[:, row, 1].tolist() == [3.5, 2.0]
+    assert not look(p, state, row, 0, 9.0, 0.0)  # a threshold of nothing is none
+    assert state.shares[row].tolist() == [0.0, 1.75]
+    assert state.counts[row].tolist() == [0, 4]
+    assert not any(look(p, state, rows.OIL, 0, 9.0, 1.0) for _ in range(99))  # it warns
+    assert state.shares[rows.OIL, 0] == 9.0
+
+
+def test_persistences_in_samples():
+    p, _ = detectors(["oil_balance", "force_jump"])
+    lasts = dict(zip((one.name for one in DETECTORS), p.persistence.tolist(), strict=True))
+    assert lasts.pop("force_response") == 10
+    assert [lasts.pop(name) for name in ("force_noise", "force_jump")] == [2, 2]
+    assert [lasts.pop(f"{each}_frozen") for each in ("displacement", "velocity")] == [2, 2]
+    assert [lasts.pop(f"{each}_frozen") for each in ("acceleration", "force")] == [2, 2]
+    assert [lasts.pop(f"{each}_wrong") for each in ("displacement", "velocity")] == [1, 1]
+    assert [lasts.pop(f"{each}_wrong") for each in ("acceleration", "force")] == [1, 1]
+    assert set(lasts.values()) == {3}
+    rare, _ = detectors(dt=0.004)
+    lasts = dict(zip((one.name for one in DETECTORS), rare.persistence.tolist(), strict=True))
+    assert {lasts[name] for name in ALL[:4]} == {3}
+    assert (lasts["force_response"], lasts["force_jump"], lasts["force_frozen"]) == (5, 2, 2)
+    only_warn = [one.name for one, acts in zip(DETECTORS, p.acts, strict=True) if not acts]
+    assert only_warn == ["oil_balance", "force_jump"]
+    assert set(p.acts) == {0, 1}
+
+
+@pytest.mark.parametrize("missing", [1, 2])
+def test_where_a_sample_was_lost_nothing_is_compared(missing):
+    p, state = detectors()
+    samples, commands = noise_of_a_rig(40)
+    whole = shares_of(p, state, samples, commands)
+    begin_detectors(p, state)
+    lost = shares_of(p, state, samples, commands, [*range(20), *range(20 + missing, 40 + missing)])
+    np.testing.assert_array_equal(lost[:20], whole[:20])
+    assert not lost[20].any()
+    assert lost[21].any()
+
+
+@pytest.mark.parametrize("row", range(4))
+def test_a_channel_at_the_end_of_its_range_is_compared_with_nothing_until_it_is_back(row):
+    ranges = np.zeros((4, N))
+    ranges[row, 1] = 1e3
+    p, state = detectors([one.name for one in DETECTORS], ranges=ranges)
+    samples, commands = noise_of_a_rig(12)
+    samples[5, row, 1] = -1e3
+    seen = shares_of(p, state, samples, commands)
+    watched = {0: (0, 2), 1: (0, 1, 2), 2: (1,), 3: (2,)}[row]
+    blind = np.array([not seen[k, watched].any() for k in range(1, 12)])
+    assert blind.tolist() == [k in (5, 6) for k in range(1, 12)]
+    silent = [not seen[k, rows.NO_RESPONSE].any() for k in (5, 6)]
+    assert silent == [row > 1] * 2
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_drift_makes_a_sample_suspect_before_it_ends_the_test(sign):
+    p, state = detectors()
+    samples, _ = noise_of_a_rig(40, size=0.3)
+    samples[5:, 0, 1] += sign * 5e-5 * np.arange(35)
+    found = [detect(p, state, k, samples[k]) for k in range(40)]
+    first = found.index(rows.DIFFERS * N + 1)
+    assert found[: first - 2] == [VALID] * (first - 2)
+    assert found[first - 2 : first] == [SUSPECT] * 2
+    assert not state.judge.counts.any()
+
+
+def test_a_detector_that_only_warns_puts_nothing_under_suspicion():
+    p, state = detectors([one.name for one in DETECTORS])
+    samples, _ = noise_of_a_rig(20, size=0.3)
+    samples[5:, :, 1] += 100.0 * NOISE[:, 1]
+    assert {detect(p, state, k, samples[k]) for k in range(20)} == {VALID}
+    assert state.shares.max() > 1.0
+
+
+@pytest.mark.parametrize("row", range(4))
+def test_a_channel_at_the_end_of_its_range_is_not_frozen(row):
+    ranges = np.zeros((4, N))
+    ranges[row, 0] = 1e3
+    p, state = detectors(ALL, ranges=ranges)
+    samples, commands = noise_of_a_rig(60, size=0.3)
+    samples[20:, row, 0] = 1e3
+    assert not shares_of(p, state, samples, commands)[:, rows.FROZEN + row].any()
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("row", range(4))
+def test_a_channel_that_repeats_a_value_is_frozen_once_that_is_no_chance(row, axis):
+    p, state = detectors([each for each in ALL if not each.endswith("_frozen")])
+    samples, _ = noise_of_a_rig(60, size=0.3)
+    step = 0.2 * NOISE[row, axis]
+    samples[:, row, axis] = step * (np.arange(60) // 2 % 2)
+    samples[30:, row, axis] = step
+    most = math.log(1e-9) / math.log(0.2 / (2.0 * math.sqrt(math.pi)))
+    frozen = rows.FROZEN + row
+    for k in range(60):
+        state.shares[:] = 0.0
+        found = detect(p, state, k, samples[k])
+        same = k - 30 if k > 30 else k % 2
+        expected = same / most if k > 2 else 0.0
+        assert state.shares[frozen, axis] == pytest.approx(expected, rel=1e-9)
+        if found >= 0:
+            assert found == frozen * N + axis
+            assert k == 30 + math.floor(most) + 2
+            break
+        assert found == (SUSPECT if same > 2.0 * most / 3.0 else VALID)
+    assert found >= 0
+
+
+def test_a_whole_test_gives_the_shares_of_its_samples():
+    p, state = detectors()
+    samples, drives = noise_of_a_rig(50)
+    expected, steps = [], np.array([*range(30), *range(33, 53)])
+    for k, step in enumerate(steps):
+        detect(p, state, step, samples[k], drives[k])
+    expected = [values.copy() for values in (*state[:-1], *state.judge)]
+    begin_detectors(p, state)
+    detect_all(p, state, steps, samples, drives, np.empty((4, N)))
+    for values, again in zip(expected, (*state[:-1], *state.judge), strict=True):
+        np.testing.assert_array_equal(values, again)
+
+
+def test_a_valve_without_gain_or_oil_and_a_specimen_without_stiffness_are_not_known():
+    actuator = ACTUATOR.copy()
+    actuator[0, 0] = actuator[1, 1] = actuator[1, 3] = 0.0
+    p, _ = detectors(actuator=actuator, ranges=np.full((4, N), 0.5))
+    assert np.isinf(p.sums[rows.OIL]).all()
+    np.testing.assert_array_equal(p.actuator[:, 3], [2e4, np.inf])
+    np.testing.assert_array_equal(p.range, 0.5)
+    for unknown in ("mass", "stiffness"):
+        assert np.isinf(detectors(**{unknown: np.zeros((N, N))})[0].rough).all()
+
+
+def test_what_is_not_known_of_the_hardware_is_not_watched():
+    nothing, names = np.zeros((N, N)), [one.name for one in DETECTORS]
+    unknown = {"noise": np.zeros((4, N)), "mass": nothing, "stiffness": nothing}
+    p, state = detectors(actuator=np.zeros((N, 4)), computed_mass=nothing, **unknown)
+    np.testing.assert_allclose(p.noise, 1e-3 * LIMITS[:, np.newaxis] * np.ones(N))
+    samples, commands = noise_of_a_rig(50, size=0.1)
+    seen = shares_of(p, state, samples, commands).max(axis=(0, 2))
+    watched = {name for name, share in zip(names, seen, strict=True) if share > 0.0}
+    assert watched == set(names[:2])
+    derived, _ = detectors(velocity_is_derived=True)
+    np.testing.assert_allclose(derived.noise[1], math.sqrt(2.0) * NOISE[0] / DT)
+
+
+def test_of_detectors_that_act_at_once_each_says_what_it_saw_and_where():
+    p, state = detectors()
+    for _ in range(3):
+        look(p, state, rows.DIFFERS, 1, 0.01234, 0.005)
+        look(p, state, rows.FROZEN + 3, 0, 21.0, 12.5)
+    assert describe(DETECTORS[rows.DIFFERS], state.found[:, rows.DIFFERS, 1], "north") == (
+        "measured displacement and velocity disagree on axis north: they differ by 0.0123 m over "
+        "the last 50 ms (0.005 m allowed): displacement_velocity"
+    )
+    frozen = rows.FROZEN + 3
+    assert describe(DETECTORS[frozen], state.found[:, frozen, 0], "east") == (
+        "measured force on axis east has repeated one value for 21 samples "
+        "(12.5 samples allowed): force_frozen"
+    )

@@ -1,0 +1,1 @@
+"""Checks of a rig's hardware that only its motion can make."""

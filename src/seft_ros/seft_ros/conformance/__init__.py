@@ -1,1 +1,0 @@
-"""Checks that a rig's node keeps the contract that a test relies on."""

@@ -1,0 +1,85 @@
+"""`seft run`, `simulate` and `report` give a test one verdict: in words, page and JSON."""
+
+import html
+import json
+from dataclasses import replace
+from functools import cache
+
+import pytest
+from experiments_at_hand import JHU, load, simulated
+from recordings_at_hand import as_measured, without
+from seft_msgs_py.wire.outcome import Trip
+from seft_ros.bags.recording import Series
+from seft_ros.bags.recording_bag import read_bag, write_recording
+from seft_ros.cli.shared import show_test
+
+PLAN = (
+    *("reference_force:compensation.method:=target_motion", "reference_force:mass_ratio:=1.3"),
+    *("force_controller:method:=velocity_feedforward", "ground_motion:peak_force:=450.0"),
+    "ground_motion:synthetic.duration:=3.0",
+)
+WORDS = {
+    "good": "This test can be trusted.",
+    "doubt": "This test can be trusted with reservations: ",
+    "bad": "This test can not be trusted: ",
+}
+
+
+@cache
+def right():
+    return simulated(load(*PLAN))
+
+
+def biased(bias):
+    """Record in which the displacement is off, m."""
+    states = right().series["rig/state"]
+    values = states.values.copy()
+    values[:, 0] += bias
+    return replace(right(), series=as_measured(right(), Series(states.steps, values)))
+
+
+RECORDINGS = {
+    "right": (right, "good", ""),
+    "saturated": (
+        lambda: replace(right(), saturation={"valve": {"samples": 12, "first_step": 40}}),
+        "doubt",
+        "saturated: valve in 12 samples from 0.080 s",
+    ),
+    "missed": (lambda: replace(right(), missed=7), "doubt", "7 of 1751 steps missed"),
+    "often missed": (lambda: replace(right(), missed=700), "bad", "700 of 1751 steps missed"),
+    "overrun": (lambda: replace(right(), overruns=2), "doubt", "sampling overruns of the rig: 2"),
+    "lost": (
+        lambda: without(right(), "valve_command", [7, 8]),
+        "doubt",
+        "samples lost: 2 of valve_command",
+    ),
+    "tripped": (
+        lambda: replace(right(), trip=Trip("force [N] beyond limit", 1500, 3.0)),
+        "bad",
+        "tripped at 3.000 s (step 1500): force [N] beyond limit",
+    ),
+    "biased": (lambda: biased(1.2e-4), "doubt", "displacement error"),
+    "biased much": (lambda: biased(2e-2), "bad", "displacement error"),
+    "uncompensated": (lambda: simulated(load(PLAN[-1])), "bad", "displacement error"),
+}
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_terminal_page_and_json_give_one_verdict(seft, tmp_path, capsys, name):
+    make, word, reason = RECORDINGS[name]
+    write_recording(make(), tmp_path / "bag")
+    show_test(read_bag(tmp_path / "bag"), None, as_json=False, figure=False)
+    verdict = json.loads(seft("report", "bag", "--json")[1])["verdict"]
+    line, page = verdict["text"], html.unescape((tmp_path / "bag" / "report.html").read_text())
+    assert (verdict["verdict"], line.startswith(WORDS[word]), reason in line) == (word, True, True)
+    assert line in capsys.readouterr().out.splitlines()
+    assert f'<div class="verdict {word}">' in page
+    assert line in page
+
+
+def test_simulate_and_report_give_the_same_numbers(seft):
+    words = ("simulate", JHU, "-p", PLAN[-1], "--out", "bag", "--no-figure")
+    run, report = (json.loads(seft(*each, "--json")[1]) for each in (words, ("report", "bag")))
+    del report["page"], run["events"], report["events"]  # a bag has them
+    assert run["verdict"]["verdict"] == "bad"
+    assert {key for key in run if run[key] != report.get(key)} == set()
