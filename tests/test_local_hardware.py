@@ -5,7 +5,16 @@ import re
 import boards
 import numpy as np
 import pytest
-from local_tools import UNREHEARSED, assert_same, at_rest, offline, perform
+from graph_tools import BRIDGE
+from local_tools import (
+    RIGS_NODES,
+    THREE_SECONDS,
+    UNREHEARSED,
+    assert_same,
+    at_rest,
+    offline,
+    perform,
+)
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.messages import decode_description
@@ -102,12 +111,12 @@ def test_a_rig_that_is_terminated_closes_its_valve_in_time_and_gives_its_devices
 
 
 FAULTS = {
-    "Raises": r"boards:Raises line \d+: read\(\): the converter does not answer",
-    "Shrinks": r"boards:Shrinks: read\(\) gave an array of shape \(3, 1\), not \(4, 1\)",
-    "Loses": r"boards:Loses: read\(\) gave nan for the force of axis 1",
-    "Tells": r"boards:Tells: read\(\) gave no numbers, but 'no numbers'",
-    "Refuses": r"boards:Refuses line \d+: write\(\): refused",
-    "Slow": r"boards:Slow: read\(\) took 3 ms, more than a sampling period of 2 ms",
+    "Raises": r"boards:Raises line \d+: read\(\) the converter does not answer",
+    "Shrinks": r"boards:Shrinks line \d+: read\(\) gave an array of shape \(3, 1\), not \(4, 1\)",
+    "Loses": r"boards:Loses line \d+: read\(\) gave nan for the force of axis x",
+    "Tells": r"boards:Tells line \d+: read\(\) gave no numbers, but 'no numbers'",
+    "Refuses": r"boards:Refuses line \d+: write\(\) refused",
+    "Slow": r"boards:Slow line \d+: read\(\) took 3 ms, more than a period of 2 ms",
 }
 
 
@@ -127,6 +136,26 @@ def test_a_fault_in_a_test_has_its_line_and_the_valve_goes_to_its_safe_command(
     graph.terminate("rig")
     graph.run(0.1)
     assert calls()[-1] == "close"
+
+
+def test_one_of_two_rigs_hosts_hardware_and_the_other_is_simulated(local_graph, tmp_path):
+    boards.CALLS.clear()
+    text = BRIDGE.read_text()
+    file = tmp_path / "east.yaml"
+    file.write_text(
+        text.replace("    pace: realtime", "    pace: realtime\n    hardware: boards:Board")
+    )
+    graph = local_graph(
+        THREE_SECONDS,
+        config=BRIDGE,
+        nodes=RIGS_NODES,
+        own_files={"east/rig": [file]},
+    )
+    perform(graph)
+    reported = graph.until(lambda: graph.status("east/rig").get("stop time (s)"))
+    assert float(reported) > 0.0
+    assert graph.status("east/rig")["steps"] == graph.status("west/rig")["steps"]
+    assert "safe" in calls()
 
 
 def test_a_piston_that_goes_on_loses_its_pressure(hosting):

@@ -111,6 +111,7 @@ class RigNode(NodeBody):
         )
         self._clock_steps = max(1, round(CLOCK_PERIOD * self._timebase.rate))
         self._measured: list[Floats] = []  # samples that have not been sent
+        self._step = 0  # of the test's last sample; a laboratory's rig is sampled on
         self._reported_at = self._answered_at = 0.0
         self._refused_before = 0  # messages, until the newest command came
         self._rehearsed = False
@@ -272,7 +273,7 @@ class RigNode(NodeBody):
         self._stop_begun = None
         self._missed = MissedSteps(self._timebase.rate)
         self._measured.clear()
-        self._samples = None
+        self._samples, self._step = None, 0
         self._recorder_lag.reset()
         self._round_trip.reset()
         self._compute.reset()
@@ -292,7 +293,7 @@ class RigNode(NodeBody):
             reason = reason or str(error)
         except Exception as error:  # a fault of the program ends the test as a limit does
             reason = self._shell.fault("a step", error)
-        step = max(self._rig.step_index, 0)
+        step = self._step
         self._send_measured(step)
         self._publish_clock(step)
         trip, phase = None, FINISHED
@@ -403,7 +404,7 @@ class RigNode(NodeBody):
         self._reported_at = self._clock.monotonic()
         outcome = Outcome(
             phase,
-            max(self._rig.step_index, 0) + 1,
+            self._step + 1,
             len(self._missed.steps),
             self._missed.steps,
             self._reported_at - self._started,
@@ -503,6 +504,7 @@ class RigNode(NodeBody):
 
     def _publish(self, step: int, sample: Floats, begun: float) -> None:
         """Publish a sample whose reading began at a time in s; then it as measured."""
+        self._step = step
         self._valve.current = self._drive.current = self._fallback_stop.current = step
         raw = self._state_codec.encode(step, sample)
         now = self._clock.monotonic()

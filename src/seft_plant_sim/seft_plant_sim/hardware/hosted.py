@@ -2,6 +2,7 @@
 
 import inspect
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any, Protocol
 
 import numpy as np
@@ -68,6 +69,8 @@ class HostedHardware:
         SI units per unit of the device's channels, shape (4, n).
     velocity_is_derived : bool
         Whether its velocity is not used.
+    axes : tuple of str
+        Names of its n axes.
     period : float
         Sampling period, s; no call may take longer.
     now : callable
@@ -92,19 +95,20 @@ class HostedHardware:
         drive: str,
         per_volt: Floats,
         velocity_is_derived: bool,
+        axes: tuple[str, ...],
         period: float,
         now: Callable[[], float],
     ) -> None:
+        self._axes = axes
         self.drive, self._device, self._name, self._now = drive, device, name, now
         self.can_wait: bool = getattr(device, "can_wait", False)
         self.is_clock: bool = getattr(device, "is_clock", False)
         self._is_remote = isinstance(device, UdpHardware)
         self._per_volt, self._derived, self._period = per_volt, velocity_is_derived, period
         self._stop: SafeStop | None = None
-        try:
+        self._file = None
+        with suppress(TypeError):  # of a class of an extension module
             self._file = inspect.getsourcefile(type(device))
-        except TypeError:  # of a class of an extension module
-            self._file = None
 
     @classmethod
     def from_parameters(
@@ -140,7 +144,8 @@ class HostedHardware:
         force_driven = section["actuator.kind"] in FORCE_DRIVEN
         per_volt = per_channel(section, axes, "calibration.{}_per_volt")[:, list(rig.places)]
         drive = (REFERENCE_FORCE if force_driven else VALVE_COMMAND).name
-        return cls(device, name, drive, per_volt, velocity_is_derived(section), period, now)
+        derived = velocity_is_derived(section)
+        return cls(device, name, drive, per_volt, derived, rig.axes, period, now)
 
     def read(self) -> Floats:
         """Read a sample, shape (4, n), in SI units.
@@ -155,13 +160,12 @@ class HostedHardware:
         try:
             sample = np.array(given, np.float64)
         except (TypeError, ValueError):
-            raise HardwareError(
-                f"{self._name}: read() gave no numbers, but {given!r:.80}"
-            ) from None
+            raise self._wrong("read", f"gave no numbers, but {given!r:.80}") from None
         if sample.shape != self._per_volt.shape:
-            raise HardwareError(
-                f"{self._name}: read() gave an array of shape {sample.shape}, not "
-                f"{self._per_volt.shape} (displacement, velocity, acceleration, force; axes)"
+            raise self._wrong(
+                "read",
+                f"gave an array of shape {sample.shape}, not {self._per_volt.shape} (displacement, "
+                "velocity, acceleration, force; axes)",
             )
         sample *= self._per_volt
         if self._derived:
@@ -169,9 +173,10 @@ class HostedHardware:
         if not (self._is_remote or np.isfinite(sample).all()):  # a lost sample is judged
             row, axis = np.argwhere(~np.isfinite(sample))[0].tolist()
             hint = "; if it has no such sensor, give /**: sensors.velocity: derived"
-            raise HardwareError(
-                f"{self._name}: read() gave {sample[row, axis]} for the {CHANNELS[row]} of axis "
-                f"{axis + 1}{hint if row == VELOCITY else ''}"
+            raise self._wrong(
+                "read",
+                f"gave {sample[row, axis]} for the {CHANNELS[row]} of axis {self._axes[axis]}"
+                f"{hint if row == VELOCITY else ''}",
             )
         return sample
 
@@ -248,15 +253,22 @@ class HostedHardware:
         except Exception as error:
             if self._is_remote:
                 raise HardwareError(reason_of(error)) from error
-            at = line_in(error, self._file)
-            raise HardwareError(f"{self._name}{at}: {method}(): {reason_of(error)}") from error
+            raise self._wrong(method, reason_of(error), line_in(error, self._file)) from error
         took = self._now() - begun
         if took > longest * self._period:
-            raise HardwareError(
-                f"{self._name}: {method}() took {took * 1e3:.3g} ms, more than a sampling period "
-                f"of {self._period * 1e3:g} ms"
+            raise self._wrong(
+                method,
+                f"took {took * 1e3:.3g} ms, more than a period of {self._period * 1e3:g} ms",
             )
         return result
+
+    def _wrong(self, method: str, what: str, line: str = "") -> HardwareError:
+        """Make the error of a call, with the file and the line, by default the method's first."""
+        function = getattr(type(self._device), method, None)
+        code = getattr(function, "__code__", None)
+        if not line and code is not None:
+            line = f" line {code.co_firstlineno}"
+        return HardwareError(f"{self._name}{line}: {method}() {what}")
 
 
 def _has(device: Any, method: str) -> bool:
