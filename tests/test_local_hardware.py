@@ -132,6 +132,8 @@ def test_a_fault_in_a_test_has_its_line_and_the_valve_goes_to_its_safe_command(
     assert re.search(FAULTS[name], graph.values["detail"]), graph.values["detail"]
     graph.run(0.1)
     assert "safe" in calls()
+    if name != "Refuses":  # the valve closes in its time, also where nothing is read
+        assert calls()[-500:].count("write") >= 9
     assert graph.endings == {}
     graph.terminate("rig")
     graph.run(0.1)
@@ -185,6 +187,12 @@ def test_hardware_that_can_not_be_made_is_one_line(name, says):
             test["rig"], test.axes, RigAxes.whole(test.axes), 0.002, lambda: 0.0
         )
     assert str(error.value).startswith(says)
+
+
+def test_faults_are_those_of_a_simulated_rig(hosting, capfd):
+    graph = hosting("Board", "rig:faults:=force add 100 at 1")
+    graph.run(0.1)
+    assert "faults are those of a simulated rig; leave them out" in capfd.readouterr().err
 
 
 def test_hardware_that_can_not_wait_is_refused_in_lockstep(hosting, capfd):

@@ -125,6 +125,8 @@ class RigNode(NodeBody):
         """Make the laboratory's hardware, if there is one."""
         if self._section["hardware"] == SIMULATED:
             return None
+        if self._section["faults"]:
+            raise InputError("rig: faults are those of a simulated rig; leave them out")
         shell, period, now = self._shell, self._timebase.dt, self._clock.monotonic
         axes = shell.experiment.axes
         made = HostedHardware.from_parameters(self._section, axes, shell.rig, period, now)
@@ -147,6 +149,7 @@ class RigNode(NodeBody):
     def run(self) -> None:
         """Run a test each time the supervisor starts one, until the process ends."""
         supervision = self._supervision
+        self._try(self._rig.hardware.safe)
         self.report("idle")
         try:
             while not self._shell.stopping:
@@ -183,21 +186,24 @@ class RigNode(NodeBody):
 
     def _sample_at_rest(self) -> None:
         """Take a sample between two tests, and continue a stop."""
-        if self._try(self._rig.read) is None:
-            return
-        if self._failure:  # it gives samples again
+        is_closing = self._rig.is_closing  # which goes on without samples
+        is_read = self._try(self._rig.read, is_safe=is_closing) is not None
+        if is_read and self._failure:
             self._failure = ""
             if self._is_idle:
                 self.report("idle")
         if self._is_clock:
             self._due = self._clock.monotonic() + (1 - rig_watch.EARLY) * self._timebase.dt
-        stopped = self._try(self._rig.come_to_rest)
+        stopped = self._try(self._rig.come_to_rest) if is_read or is_closing else None
         if stopped is not None and self._ended is not None:
             self._report(*self._ended, stopped)
             self._ended = None
 
-    def _try(self, call: Callable[[], Any]) -> Any:
-        """Call the hardware between two tests; at a fault it goes to its safe command."""
+    def _try(self, call: Callable[[], Any], *, is_safe: bool = False) -> Any:
+        """Call the hardware between two tests; at a fault it goes to its safe command.
+
+        Unless it ``is_safe`` to do nothing. The result is None then.
+        """
         try:
             return call()
         except HardwareError as error:
@@ -207,7 +213,8 @@ class RigNode(NodeBody):
                 if self._is_idle:
                     self.report("idle", level=ERROR, text=self._failure)
             with suppress(HardwareError):
-                self._rig.hardware.safe()
+                if not is_safe:
+                    self._rig.hardware.safe()
         return None
 
     def _rehearse(self, rehearsal: rig_watch.Rehearsal, seconds: float) -> None:
