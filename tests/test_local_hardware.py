@@ -111,11 +111,11 @@ def test_a_rig_that_is_terminated_closes_its_valve_in_time_and_gives_its_devices
 
 
 FAULTS = {
-    "Raises": r"boards:Raises line \d+: read\(\) the converter does not answer",
+    "Raises": r"boards:Raises line \d+: read\(\): the converter does not answer",
     "Shrinks": r"boards:Shrinks line \d+: read\(\) gave an array of shape \(3, 1\), not \(4, 1\)",
     "Loses": r"boards:Loses line \d+: read\(\) gave nan for the force of axis x",
     "Tells": r"boards:Tells line \d+: read\(\) gave no numbers, but 'no numbers'",
-    "Refuses": r"boards:Refuses line \d+: write\(\) refused",
+    "Refuses": r"boards:Refuses line \d+: write\(\): refused",
     "Slow": r"boards:Slow line \d+: read\(\) took 3 ms, more than a period of 2 ms",
 }
 

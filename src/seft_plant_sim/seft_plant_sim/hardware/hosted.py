@@ -160,11 +160,11 @@ class HostedHardware:
         try:
             sample = np.array(given, np.float64)
         except (TypeError, ValueError):
-            raise self._wrong("read", f"gave no numbers, but {given!r:.80}") from None
+            raise self._wrong("read", f" gave no numbers, but {given!r:.80}") from None
         if sample.shape != self._per_volt.shape:
             raise self._wrong(
                 "read",
-                f"gave an array of shape {sample.shape}, not {self._per_volt.shape} (displacement, "
+                f" gave an array of shape {sample.shape}, not {self._per_volt.shape} (displacement, "
                 "velocity, acceleration, force; axes)",
             )
         sample *= self._per_volt
@@ -175,7 +175,7 @@ class HostedHardware:
             hint = "; if it has no such sensor, give /**: sensors.velocity: derived"
             raise self._wrong(
                 "read",
-                f"gave {sample[row, axis]} for the {CHANNELS[row]} of axis {self._axes[axis]}"
+                f" gave {sample[row, axis]} for the {CHANNELS[row]} of axis {self._axes[axis]}"
                 f"{hint if row == VELOCITY else ''}",
             )
         return sample
@@ -253,12 +253,12 @@ class HostedHardware:
         except Exception as error:
             if self._is_remote:
                 raise HardwareError(reason_of(error)) from error
-            raise self._wrong(method, reason_of(error), line_in(error, self._file)) from error
+            raise self._wrong(method, f": {reason_of(error)}", line_in(error, self._file)) from error
         took = self._now() - begun
         if took > longest * self._period:
             raise self._wrong(
                 method,
-                f"took {took * 1e3:.3g} ms, more than a period of {self._period * 1e3:g} ms",
+                f" took {took * 1e3:.3g} ms, more than a period of {self._period * 1e3:g} ms",
             )
         return result
 
@@ -268,7 +268,7 @@ class HostedHardware:
         code = getattr(function, "__code__", None)
         if not line and code is not None:
             line = f" line {code.co_firstlineno}"
-        return HardwareError(f"{self._name}{line}: {method}() {what}")
+        return HardwareError(f"{self._name}{line}: {method}(){what}")
 
 
 def _has(device: Any, method: str) -> bool:
