@@ -164,8 +164,8 @@ class HostedHardware:
         if sample.shape != self._per_volt.shape:
             raise self._wrong(
                 "read",
-                f" gave an array of shape {sample.shape}, not {self._per_volt.shape} (displacement, "
-                "velocity, acceleration, force; axes)",
+                f" gave an array of shape {sample.shape}, not {self._per_volt.shape} "
+                "(displacement, velocity, acceleration, force; axes)",
             )
         sample *= self._per_volt
         if self._derived:
@@ -253,7 +253,8 @@ class HostedHardware:
         except Exception as error:
             if self._is_remote:
                 raise HardwareError(reason_of(error)) from error
-            raise self._wrong(method, f": {reason_of(error)}", line_in(error, self._file)) from error
+            line = line_in(error, self._file)
+            raise self._wrong(method, f": {reason_of(error)}", line) from error
         took = self._now() - begun
         if took > longest * self._period:
             raise self._wrong(
