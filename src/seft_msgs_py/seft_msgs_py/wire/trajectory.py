@@ -284,8 +284,8 @@ class TrajectoryCodec:
         points = self.topic.points(len(message.points))
         if len(points) != len(message.points):
             raise WireError(
-                f"{name}: points {len(message.points)}, not {len(points)}: the sample, and the "
-                "effort that the rig applies from then on"
+                f"{name}: points {len(message.points)}, not {len(points)}: the sample, and whether "
+                "it is suspect with the effort that the rig applies from then on"
             )
         numbers: list[float] = []
         for index, (point, arrays) in enumerate(zip(message.points, points, strict=True)):

@@ -1,4 +1,4 @@
-"""What a force controller knows of actuators and specimen: facts in its section."""
+"""What rig and force controller know of actuators and specimen: facts in their sections."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
