@@ -310,6 +310,11 @@ def once_more(linear, identify, tmp_path):
     return folder, lambda *more, **own: identify(*words, *more, **({"overrides": LINEAR} | own))
 
 
+def rounded(found):
+    """Numbers of a result to nine digits: LAPACK's last ones differ between two calls."""
+    return json.loads(json.dumps(found), parse_float=lambda text: f"{float(text):.9g}")
+
+
 def test_an_interrupted_identification_continues_where_it_was(once_more, linear, monkeypatch):
     (folder, again), (whole, known) = once_more, linear
     for name in ("multisine", "closed_loop"):
@@ -325,7 +330,7 @@ def test_an_interrupted_identification_continues_where_it_was(once_more, linear,
     )
     status, found, _ = again()
     assert (status, found["reused"]) == (0, ["pilot", "open_loop", "multisine_pilot"])
-    assert found | {"files": 0, "reused": 0} == known | {"files": 0, "reused": 0}
+    assert rounded(found | {"files": 0, "reused": 0}) == rounded(known | {"files": 0, "reused": 0})
     assert (folder / "model.yaml").read_text() == (whole / "model.yaml").read_text()
 
 

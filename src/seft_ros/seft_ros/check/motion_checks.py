@@ -281,7 +281,7 @@ def fit_to(measured: Complexes, expected: Sequence[Complexes], dt: float) -> tup
         y = y0 * np.exp(1j * omega * lag)
         basis = np.array([e[within] for e in expected] + [-1j * omega * y for _ in lagged]).T
         a, b = (np.concatenate([part.real, part.imag]) for part in (basis, y))
-        solution = np.linalg.lstsq(a, b)[0]
+        solution = np.linalg.lstsq(a, b, rcond=None)[0]
         return solution, b - a @ solution, a
 
     tried = np.arange(-0.02, 0.1, 0.005).tolist()
