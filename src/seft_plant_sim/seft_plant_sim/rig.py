@@ -181,26 +181,12 @@ class Rig:
         safe = self._safe._replace(command=self.safe_command)
         return self.hardware.stop(plan, planned, self._command, safe)
 
-    @property
-    def is_stopping(self) -> bool:
-        """Whether a stop of a laboratory's rig is under way."""
-        return isinstance(self.hardware, HostedHardware) and self.hardware.is_stopping
-
-    @property
-    def is_closing(self) -> bool:
-        """Whether its valve is not closed yet."""
-        return isinstance(self.hardware, HostedHardware) and self.hardware.is_closing
-
     def come_to_rest(self) -> Stopped | None:
         """Continue a stop with the last sample; give its end, if it has come."""
-        if not isinstance(self.hardware, HostedHardware):
-            return None
         return self.hardware.come_to_rest(self.measured)
 
     def simulated(self, first: int | None = None) -> Simulated | None:
         """Largest true motion of the test so far, see `SimulatedRig.simulated`; None: not known."""
-        if isinstance(self.hardware, HostedHardware):
-            return None
         return self.hardware.simulated(first)
 
     def take(self, found: Ints, forces: Floats) -> None:

@@ -166,7 +166,7 @@ class RigNode(NodeBody):
                 elif not self._is_idle and wanted is not None and wanted.state == "idle":
                     self._is_idle = True  # by now others know how the test ended
                     self.report("idle")
-            while self._rig.is_closing:
+            while self._rig.hardware.is_closing:
                 self._clock.sleep(self._timebase.dt)
                 self._sample_at_rest()
         finally:
@@ -174,7 +174,7 @@ class RigNode(NodeBody):
 
     def _between_tests(self) -> None:
         """Handle messages; a laboratory's rig is sampled on, and comes to rest."""
-        if not (self._samples_on or self._rig.is_stopping):
+        if not (self._samples_on or self._rig.hardware.is_stopping):
             self._shell.spin_once()
             return
         now, period = self._clock.monotonic, self._timebase.dt
@@ -186,7 +186,7 @@ class RigNode(NodeBody):
 
     def _sample_at_rest(self) -> None:
         """Take a sample between two tests, and continue a stop."""
-        is_closing = self._rig.is_closing  # which goes on without samples
+        is_closing = self._rig.hardware.is_closing  # which goes on without samples
         is_read = self._try(self._rig.read, is_safe=is_closing) is not None
         if is_read and self._failure:
             self._failure = ""
@@ -301,7 +301,7 @@ class RigNode(NodeBody):
         except Exception as error:  # a fault of the program ends the test as a limit does
             reason = self._shell.fault("a step", error)
         step = self._step
-        self._send_measured(step)
+        self._send_measured()
         self._publish_clock(step)
         trip, phase = None, FINISHED
         if reason is not None:
@@ -520,14 +520,14 @@ class RigNode(NodeBody):
         self._publish_state(raw)
         self._measured.append(self._rig.measured)
         if len(self._measured) == topics.MEASURED_STEPS:
-            self._send_measured(step)
+            self._send_measured()
         if step % self._clock_steps == 0:
             self._publish_clock(step)
 
-    def _send_measured(self, last: int) -> None:
-        """Send the samples as measured that have not been sent, until a step."""
+    def _send_measured(self) -> None:
+        """Send the samples as measured that have not been sent."""
         if self._measured:
-            first = last + 1 - len(self._measured)
+            first = self._step + 1 - len(self._measured)
             raw = self._measured_codec.encode_points(first, np.array(self._measured))
             self._publish_measured(raw)
             self._measured.clear()

@@ -225,6 +225,9 @@ class HostedHardware:
             self._stop = None
         return stopped
 
+    def simulated(self, first: int | None = None) -> None:
+        """Nobody knows the true motion."""
+
     @property
     def counts(self) -> Mapping[str, int]:
         """Number of datagrams that were not obeyed, by kind, of a controller at the other end."""

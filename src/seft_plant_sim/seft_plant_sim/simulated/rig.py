@@ -61,8 +61,8 @@ class SimulatedRig:
         Arguments of `rig_step`, here and in a compiled loop.
     step_index : int
         Step of the last sample.
-    can_wait, is_clock : bool
-        See `seft_plant_sim.hardware.hosted.Hardware`.
+    can_wait, is_clock, is_stopping, is_closing : bool
+        See `seft_plant_sim.hardware.hosted`; a stop has ended when it returns.
     counts : dict
         See `seft_plant_sim.hardware.hosted.HostedHardware`; it has none.
     saturated : int
@@ -70,6 +70,7 @@ class SimulatedRig:
     """
 
     can_wait, is_clock = True, False
+    is_stopping = is_closing = False
 
     def __init__(
         self,
@@ -178,6 +179,9 @@ class SimulatedRig:
 
     def close(self) -> None:
         """There is nothing to give back."""
+
+    def come_to_rest(self, measured: Floats) -> None:
+        """Do nothing: it rests when `stop` has ended."""
 
     def simulated(self, first: int | None = None) -> Simulated:
         """Largest true motion of the test so far, of any axis.
