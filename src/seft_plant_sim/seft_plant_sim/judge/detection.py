@@ -37,7 +37,11 @@ def warning_detectors(section: Mapping[str, Any]) -> list[str]:
 
 
 def detectors_of(
-    section: dict[str, Any], axes: tuple[str, ...], dt: float, places: Sequence[int]
+    section: dict[str, Any],
+    axes: tuple[str, ...],
+    dt: float,
+    places: Sequence[int],
+    zeroed: Mapping[str, Any] | None = None,
 ) -> tuple[DetectorParameters, DetectorState]:
     """Put the detectors of some of the axes into arrays.
 
@@ -51,6 +55,8 @@ def detectors_of(
         Sampling period, s.
     places : sequence of int
         Of the watched axes.
+    zeroed : mapping, optional
+        What they measured at rest, see `seft_plant_sim.calibration.zeroed_at_rest`.
 
     Raises
     ------
@@ -82,4 +88,5 @@ def detectors_of(
         warn_only,
         section["limits.command"],
         dt,
+        zeroed,
     )

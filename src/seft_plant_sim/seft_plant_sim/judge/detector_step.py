@@ -69,7 +69,7 @@ def begin_detectors(p: DetectorParameters, state: DetectorState) -> None:
     state.counts[:] = 0
     state.shares[:] = 0.0
     state.step[:] = LONG_AGO
-    begin_judge(state.judge)
+    begin_judge(p.judge, state.judge)
 
 
 @compiled
@@ -117,7 +117,7 @@ def judge_sample(
     judge(p.judge, state.judge, step, raw, state.mean, judged)
     last, restoring = state.last, state.restoring
     for i in range(n):
-        restoring[2, i] = state.judge.restoring[0, i]
+        restoring[2, i] = state.judge.restoring[i]
     if not is_first:
         for i in range(n):
             if judged[1, i] * last[1, i] <= 0.0:

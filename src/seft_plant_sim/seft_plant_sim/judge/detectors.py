@@ -1,15 +1,18 @@
 """Detectors of faulty sensors, valves and supplies: their thresholds and their arrays."""
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 
+from seft_msgs_py.config.facts import CHANNELS
+
 from seft_plant_sim.compiled import compiled
+from seft_plant_sim.judge.biases import MAX_BIAS
 from seft_plant_sim.judge.detector_list import DETECTORS, Detector
-from seft_plant_sim.judge.judge import JudgeParameters, JudgeState, judge_arrays
+from seft_plant_sim.judge.judge import BIAS, JudgeParameters, JudgeState, judge_arrays
 from seft_plant_sim.judge.relation_following import ESTIMATE_DRIFT, NOISE_SIGMAS
 from seft_plant_sim.judge.valve_following import (
     LARGEST_DELAY_ERROR,
@@ -24,8 +27,6 @@ the displacement adds no noise, as velocity and acceleration do."""
 SHORT, FEWEST = 0.015, 7.0
 """Time constant of short sums (of the second-order work, of noise), s, and its least value in
 samples: with fewer, some friction looks like noise."""
-BIAS = 2.0
-"""Largest constant error of a sensor that is no fault, over its RMS noise."""
 MOTION_MEMORY = 0.3
 """Time constant of the memory of the largest motion, and of the mean that gives a bias, s: a
 quarter of a cycle at 1 Hz."""
@@ -82,6 +83,8 @@ class DetectorParameters(NamedTuple):
         So many samples of each relation count as one, shape (3,).
     late : float
         Time by which a derived velocity is late, s; 0: it is measured.
+    still : ndarray
+        Noise of a displacement less what a velocity expects, likewise, shape (n,), m.
     rough : ndarray
         Noise of the second difference of r, likewise, shape (n,), N.
     unknown : float
@@ -119,6 +122,7 @@ class DetectorParameters(NamedTuple):
     drift: Floats
     correlated: Floats
     late: float
+    still: Floats
     rough: Floats
     unknown: float
     tolerance: Floats
@@ -241,6 +245,7 @@ def detector_arrays(
     warn_only: Sequence[str],
     largest_drive: float,
     dt: float,
+    zeroed: Mapping[str, Any] | None = None,
 ) -> tuple[DetectorParameters, DetectorState]:
     """Put the detectors of n axes into arrays.
 
@@ -292,14 +297,18 @@ def detector_arrays(
     unknown = 0.0 if mass.any() and stiffness.any() else math.inf
     by_force = np.zeros_like(mass) if has_valve or not mass.any() else np.linalg.inv(mass)
     lasts = np.array([persistence_of(each, dt) for each in DETECTORS])
+    rest = np.array([np.zeros_like(noise), np.hypot([x, v, a, f], MAX_BIAS * limits[:, np.newaxis])])
+    if zeroed is not None:
+        rest[0] = [zeroed["left"][name] for name in CHANNELS]
+        rest[1] = math.sqrt(1.0 + BIAS * BIAS) * np.array([x, v, a, f])
     judging, judged = judge_arrays(
         np.array([x, v, a, f]),
+        rest,
         np.transpose([np.where(known, actuator[:, 1], 0.0), actuator[:, 2]]),
         mass,
         stiffness,
         np.where(ranges > 0.0, ranges, np.inf),
         late,
-        NOISE_SIGMAS,
         dt,
     )
     lasts[WRONG:] = 1  # they count by themselves
@@ -326,7 +335,8 @@ def detector_arrays(
         drift=(ESTIMATE_DRIFT * deviation) ** 2 * dt,
         correlated=np.maximum(1.0, np.array([_MEMORY, _MEMORY, _OIL_MEMORY]) / dt),
         late=judging.late,
-        rough=judging.noise[3] + unknown,
+        still=NOISE_SIGMAS * np.hypot(math.sqrt(2.0) * x, dt * v / math.sqrt(2.0)),
+        rough=NOISE_SIGMAS * np.sqrt(6.0 * (f**2 + mass**2 @ a**2)) + unknown,
         unknown=unknown,
         tolerance=np.array(TOLERANCES),
         left=np.array(UNDESCRIBED),

@@ -1,6 +1,6 @@
 """The guard of a rig: it calibrates, aligns and judges each sample, and ends a test at a fault."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -90,9 +90,16 @@ class Guard:
 
     @classmethod
     def from_parameters(
-        cls, section: dict[str, Any], axes: tuple[str, ...], rig: RigAxes, dt: float
+        cls,
+        section: dict[str, Any],
+        axes: tuple[str, ...],
+        rig: RigAxes,
+        dt: float,
+        zeroed: Mapping[str, Any] | None = None,
     ) -> "Guard":
         """Make it from the rig's section of an experiment, which is for all axes.
+
+        ``zeroed`` is what it measured at rest, see `seft_plant_sim.calibration.zeroed_at_rest`.
 
         Raises
         ------
@@ -107,7 +114,7 @@ class Guard:
             ranges,
             Limits(group(section, "limits"), rig.axes, dt),
             section["limits.saturated_time"],
-            detectors_of(section, axes, dt, rig.places),
+            detectors_of(section, axes, dt, rig.places, zeroed),
             rig.axes,
         )
 
