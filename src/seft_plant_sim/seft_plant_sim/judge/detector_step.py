@@ -110,7 +110,7 @@ def judge_sample(
         find_flow(p, state, lost, drive)
     for i in range(n):
         if not p.has_valve:
-            ask(p.judge, state.judge, i, drive[i])
+            ask(p.judge.axes[i], state.judge.axes[i], drive[i])
         flow = state.flow[0, i]
         load = under_load(flow, state.last[3, i], p.actuator[i, 3])
         state.mean[i] = expected(state.estimated[OIL], i, load * flow, load * state.flow[1, i], 1.0)

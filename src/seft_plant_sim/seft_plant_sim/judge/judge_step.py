@@ -35,10 +35,9 @@ from seft_plant_sim.judge.judge import (
     REVISED,
     SETS,
     UNKNOWN,
-    Branches,
-    Comparison,
     JudgeParameters,
     JudgeState,
+    Record,
 )
 
 RARE = math.log(1e-6)
@@ -83,51 +82,16 @@ HALF_LOG_TURN = 0.5 * math.log(2.0 * math.pi)
 def begin_judge(p: JudgeParameters, state: JudgeState) -> None:
     """Begin a test: the rig is at rest."""
     state.step[0] = -1
-    state.raw[:] = 0.0
     state.moved[:] = 0.0
     state.resolution[:] = np.inf
     state.restoring[:] = 0.0
     state.verdict[:] = 0
     state.wrong[:] = LONG_AGO
     state.counts[:] = 0
-    state.told[:] = 0
-    state.travel[:] = 0.0
-    state.gained[:] = 0.0
-    state.rise[:] = 0.0
-    state.turned[:] = 0.0
-    state.pressed[:] = 0.0
-    state.strained[:] = 0.0
-    state.scatter[:] = 0.0
-    state.asked[:] = 0.0
-    state.asked_jump[:] = 0.0
-    state.asked_turn[:] = 0.0
-    state.known[:] = 0.0
-    state.missed[:] = 0.0
-    state.motion[:] = 0.0
-    for i in range(state.raw.shape[1]):
+    for i in range(len(p.axes)):
+        state.axes[i] = p.rest[i]
         for row in range(4):
-            state.raw[row, i] = p.rest[0, row, i]
-            state.compared.seen[row] = p.rest[0, row, i]
-            state.compared.noise[row] = p.rest[1, row, i] ** 2
-        settle(p, state, i, 0)
-
-
-@compiled
-def settle(p: JudgeParameters, state: JudgeState, i: int, wrong: int) -> None:
-    """Begin with one branch, from the sample in `Comparison.seen`, with `Comparison.noise`."""
-    b, seen, noise = state.alive, state.compared.seen, state.compared.noise
-    state.count[i] = 1
-    b.weight[i, 0] = 0.0
-    b.settling[i, 0] = state.strained[i] ** 2
-    b.event[i, 0, :] = 0.0
-    b.wrong[i, 0, :] = 0
-    b.wrong[i, 0, 0] = wrong
-    mass = p.mass[i, i]
-    for age in range(2):
-        copy(4, seen, b.value[i, 0, age])
-        copy(4, noise, b.variance[i, 0, age])
-        b.restoring[i, 0, age] = seen[F] - mass * seen[A]
-        b.blur[i, 0, age] = noise[F] + mass * mass * noise[A]
+            state.raw[row, i] = p.rest[i].alive[0].value[0, row]
 
 
 @compiled
@@ -150,129 +114,129 @@ def judge(
     judged : ndarray
         The result, shape (4, n).
     """
-    n, is_next = raw.shape[1], step == state.step[0] + 1
+    n, is_next, c = raw.shape[1], step == state.step[0] + 1, state.room[0]
     state.step[0] = step
     for i in range(n):
-        forced = take(p, state, i, raw)
+        known, axis = p.axes[i], state.axes[i]
+        take(p, state, i, raw)
         if not is_next:
-            settle(p, state, i, forced & CHANNELS)
-        elif not (forced == 0 and is_plain(p, state, i, raw, flow[i])):
-            weigh(p, state, i, raw, flow[i], forced)
-        publish(p, state, step, i, judged)
+            begin_anew(known, axis, c)
+        elif not is_plain(known, axis, c, flow[i]):
+            weigh(known, axis, c, flow[i])
+        publish(state, step, i, judged)
     for i in range(n):
-        restoring = judged[F, i]
+        restoring, axis = judged[F, i], state.axes[i]
         for k in range(n):
             restoring -= p.mass[i, k] * judged[A, k]
         state.restoring[i] = restoring
-        if state.told[i, 0] == 0 and state.alive.event[i, 0, 0] == 0.0:
-            state.strained[i] = max(abs(restoring), p.recent * state.strained[i])
+        if axis.told[0] == 0 and axis.alive[0].event[0] == 0.0:
+            axis.strained = max(abs(restoring), p.axes[i].recent * axis.strained)
 
 
 @compiled
-def ask(p: JudgeParameters, state: JudgeState, i: int, force: float) -> None:
+def ask(known: Record, axis: Record, force: float) -> None:
     """Know what is asked of a rig that obeys forces, which it holds for a period."""
-    last, before = state.asked[0, i], state.asked[1, i]
-    state.asked_turn[i] = max(
-        abs(force - 2.0 * last + before), p.recent * state.asked_turn[i]
-    )
-    state.asked_jump[i] = max(abs(force - last), p.recent * state.asked_jump[i])
-    state.asked[0, i], state.asked[1, i] = force, last
+    last, before = axis.asked[0], axis.asked[1]
+    turn = abs(force - 2.0 * last + before)
+    axis.asked_turn = max(turn, known.recent * axis.asked_turn)
+    axis.asked_jump = max(abs(force - last), known.recent * axis.asked_jump)
+    axis.asked[0], axis.asked[1] = force, last
 
 
 @compiled
-def take(p: JudgeParameters, state: JudgeState, i: int, raw: Floats) -> int:
-    """Take the values of an axis and the variances of their noise.
-
-    Give the set of those that are no numbers, and that of those at the end of their ranges, as the
-    bits after it.
-    """
-    c, forced = state.compared, 0
+def take(p: JudgeParameters, state: JudgeState, i: int, raw: Floats) -> None:
+    """Take the values of an axis, the variances of their noise, and what is beside it."""
+    c, known = state.room[0], p.axes[i]
+    c.forced, c.beside = 0, 0.0
     for row in range(4):
         value = raw[row, i]
         moved = abs(value - state.raw[row, i])
         state.moved[row, i], state.raw[row, i] = moved, value
         c.seen[row] = value
         if not abs(value) < NO_NUMBER:
-            forced |= 1 << row
-            c.seen[row] = state.alive.value[i, 0, 0, row]
-        elif abs(value) >= p.range[row, i]:
-            forced |= 1 << row + 4
+            c.forced |= 1 << row
+            c.seen[row] = state.axes[i].alive[0].value[0, row]
+        elif abs(value) >= known.range[row]:
+            c.forced |= 1 << row + 4
         resolution = state.resolution[row, i]
         if resolution == np.inf:  # it has not moved yet: by a step of its converter, if it does now
-            coarsest = p.range[row, i] * COARSEST
+            coarsest = known.range[row] * COARSEST
             resolution = min(moved, coarsest) if coarsest < np.inf and moved < np.inf else 0.0
-        c.noise[row] = p.noise[row, i] ** 2 + resolution * resolution / 12.0
+        c.noise[row] = known.noise[row] + resolution * resolution / 12.0
         if 0.0 < moved < state.resolution[row, i] and state.step[0] > 0:
             state.resolution[row, i] = moved
-    return forced
-
-
-@compiled
-def beside(p: JudgeParameters, state: JudgeState, i: int, raw: Floats) -> float:
-    """Force on an axis by the acceleration of the others, to which the mass couples it, N."""
-    force = 0.0
-    for k in range(raw.shape[1]):
+    for k in range(raw.shape[1]):  # the acceleration of others, to which the mass couples it
         if k != i and p.mass[i, k] != 0.0:
-            is_known = abs(raw[A, k]) < min(NO_NUMBER, p.range[A, k])
-            force += p.mass[i, k] * (raw[A, k] if is_known else state.alive.value[k, 0, 0, A])
-    return force
+            is_known = abs(raw[A, k]) < min(NO_NUMBER, p.axes[k].range[A])
+            a = raw[A, k] if is_known else state.axes[k].alive[0].value[0, A]
+            c.beside += p.mass[i, k] * a
 
 
 @compiled
-def left_by_force(p: JudgeParameters, state: JudgeState, i: int, j: int) -> float:
+def begin_anew(known: Record, axis: Record, c: Record) -> None:
+    """Begin with one branch, of this sample."""
+    axis.count, b = 1, axis.alive[0]
+    b.weight, b.settling, b.event[:], b.wrong[:] = 0.0, axis.strained**2, 0.0, 0
+    b.wrong[0] = c.forced & CHANNELS
+    for age in range(2):
+        copy(4, c.seen, b.value[age])
+        copy(4, c.noise, b.variance[age])
+        b.restoring[age] = c.seen[F] - known.mass * c.seen[A] - c.beside
+        b.blur[age] = c.noise[F] + known.mass**2 * c.noise[A]
+
+
+@compiled
+def left_by_force(known: Record, axis: Record, b: Record) -> float:
     """Variance of what (4) leaves after a branch, N^2."""
-    b = state.alive
-    if p.mass[i, i] == 0.0:
+    if known.mass == 0.0:
         return UNKNOWN**2
-    curved = p.stiffness[i, i] * p.dt * p.dt * b.value[i, j, 0, A]
-    known = 4.0 * b.blur[i, j, 0] + b.blur[i, j, 1] + b.settling[i, j]
-    return known + state.scatter[1, i] + curved * curved
+    curved = known.stiffness * known.dt**2 * b.value[0, A]
+    return 4.0 * b.blur[0] + b.blur[1] + b.settling + axis.scatter[1] + curved * curved
 
 
-def _compare(
-    p: JudgeParameters, state: JudgeState, i: int, j: int, flow: float, other: float
-) -> None:
+def _compare(known: Record, axis: Record, c: Record, b: Record, flow: float) -> None:
     """Compare the sample with a branch: residuals, and their covariance (lower half)."""
-    c, b, h = state.compared, state.alive, p.dt
-    seen, noise, off, left, covariance = c.seen, c.noise, c.off, c.left, c.covariance
-    last, variance = b.value[i, j, 0], b.variance[i, j, 0]
-    now, before, oil = p.now[i], p.before[i], p.oil[i, 0]
+    h, left, held = known.dt, c.left, 0.0
     for row in range(4):
         value = 0.0
         for channel in range(4):
-            value += now[row, channel] * seen[channel] - before[row, channel] * last[channel]
-        off[row] = value
-    travel, gained, mass = state.travel[i], state.gained[i], p.mass[i, i]
-    held = 0.5 * h * state.asked_jump[i] / mass if mass > 0.0 else 0.0  # at any time in a period
-    bend = h / 12.0 * state.turned[i]
-    left[X] = part_of(state.missed, state.motion, 0, i) * travel * travel + (p.late * gained) ** 2 + (h / 6.0 * held) ** 2
-    left[V] = part_of(state.missed, state.motion, 1, i) * gained * gained + bend * bend + (p.late / h * gained) ** 2
-    left[V] += held * held
-    if oil > 0.0:
-        off[2] -= oil * h * flow
-        left[2] = part_of(state.missed, state.motion, 2, i) * state.pressed[i] ** 2
+            value += known.now[row, channel] * c.seen[channel]
+            value -= known.before[row, channel] * b.value[0, channel]
+        c.off[row] = value
+    if known.mass > 0.0:
+        held = 0.5 * h * axis.asked_jump / known.mass  # a held force jumps at any time in a period
+    late, bend = known.late * axis.gained, h / 12.0 * axis.turned
+    left[X] = part_of(axis, 0) * axis.travel**2 + late**2 + (h / 6.0 * held) ** 2
+    left[V] = part_of(axis, 1) * axis.gained**2 + (late / h) ** 2 + bend**2 + held**2
+    if known.oil > 0.0:
+        c.off[2] -= known.oil * h * flow
+        left[2] = part_of(axis, 2) * axis.pressed**2
     else:
-        off[2] += b.value[i, j, 1, F]
-        left[2] = b.variance[i, j, 1, F] + state.asked_turn[i] ** 2 + state.scatter[0, i]
-    off[3] += b.restoring[i, j, 1] - 2.0 * b.restoring[i, j, 0] - other
-    left[3] = left_by_force(p, state, i, j)
+        c.off[2] += b.value[1, F]
+        left[2] = b.variance[1, F] + axis.asked_turn**2 + axis.scatter[0]
+    c.off[3] += b.restoring[1] - 2.0 * b.restoring[0] - c.beside
+    left[3] = left_by_force(known, axis, b)
     for row in range(4):
         for column in range(row + 1):
             value = left[row] if row == column else 0.0
             for channel in range(4):
-                value += now[row, channel] * noise[channel] * now[column, channel]
-                value += before[row, channel] * variance[channel] * before[column, channel]
-            covariance[row, column] = value
+                value += known.now[row, channel] * c.noise[channel] * known.now[column, channel]
+                value += (
+                    known.before[row, channel]
+                    * b.variance[0, channel]
+                    * known.before[column, channel]
+                )
+            c.covariance[row, column] = value
 
 
 compare, compare_apart = compiled(_compare), compiled(_compare, inline=False)
 
 
 @compiled
-def part_of(missed: Floats, motion: Floats, relation: int, i: int) -> float:
+def part_of(axis: Record, relation: int) -> float:
     """Mean square of what (1) to (3) leave of the motion."""
-    size = motion[relation, i]
-    part = missed[relation, i] / size if size > 0.0 else ASSUMED[relation] ** 2
+    size = axis.motion[relation]
+    part = axis.missed[relation] / size if size > 0.0 else ASSUMED[relation] ** 2
     return max(part, LEAST_MISSED**2)
 
 
@@ -293,120 +257,99 @@ def misfit(s: Floats, e: Floats) -> float:
 
 
 @compiled
-def is_plain(p: JudgeParameters, state: JudgeState, i: int, raw: Floats, flow: float) -> bool:
+def is_plain(known: Record, axis: Record, c: Record, flow: float) -> bool:
     """Say whether the sample fits the only branch, and was added to it: so are nearly all."""
-    b, c = state.alive, state.compared
-    if state.count[i] > 1 or b.wrong[i, 0, 0] & CHANNELS:
+    b = axis.alive[0]
+    if c.forced or axis.count > 1 or b.wrong[0] & CHANNELS:
         return False
-    other = beside(p, state, i, raw)
-    compare(p, state, i, 0, flow, other)
+    compare(known, axis, c, b, flow)
     if not misfit(c.covariance, c.off) < PLAIN:
         return False
-    if b.wrong[i, 0, 0] == 0:
-        learn(p, state, i)
-    state.known[i] = max(abs(b.event[i, 0, 0]), p.events * state.known[i])
+    if b.wrong[0] == 0:
+        learn(known, axis, c)
+    axis.known = max(abs(b.event[0]), known.events * axis.known)
     for age in (2, 1):
-        b.event[i, 0, age] = b.event[i, 0, age - 1]
-    b.event[i, 0, 0] = 0.0
+        b.event[age] = b.event[age - 1]
     for age in range(REVISED, 0, -1):
-        b.wrong[i, 0, age] = b.wrong[i, 0, age - 1]
-    b.wrong[i, 0, 0] = 0
-    copy(4, b.value[i, 0, 0], b.value[i, 0, 1])
-    copy(4, c.seen, b.value[i, 0, 0])
-    copy(4, b.variance[i, 0, 0], b.variance[i, 0, 1])
-    copy(4, c.noise, b.variance[i, 0, 0])
-    b.settling[i, 0] *= 0.25
-    mass = p.mass[i, i]
-    b.restoring[i, 0, 1], b.blur[i, 0, 1] = b.restoring[i, 0, 0], b.blur[i, 0, 0]
-    b.restoring[i, 0, 0] = c.seen[F] - mass * c.seen[A] - other
-    b.blur[i, 0, 0] = c.noise[F] + mass * mass * c.noise[A]
-    note_motion(p, state, i, flow)
+        b.wrong[age] = b.wrong[age - 1]
+    b.event[0], b.wrong[0], b.settling = 0.0, 0, 0.25 * b.settling
+    for channel in range(4):
+        b.value[1, channel], b.value[0, channel] = b.value[0, channel], c.seen[channel]
+        b.variance[1, channel] = b.variance[0, channel]
+        b.variance[0, channel] = c.noise[channel]
+    b.restoring[1], b.blur[1] = b.restoring[0], b.blur[0]
+    b.restoring[0] = c.seen[F] - known.mass * c.seen[A] - c.beside
+    b.blur[0] = c.noise[F] + known.mass**2 * c.noise[A]
+    note_motion(known, axis, flow)
     return True
 
 
 @compiled
-def learn(p: JudgeParameters, state: JudgeState, i: int) -> None:
+def learn(known: Record, axis: Record, c: Record) -> None:
     """Learn what the relations leave from a sample that is plainly sound, like the last one."""
-    off, covariance = state.compared.off, state.compared.covariance
-    left = state.compared.left
-    for relation in range(3):
-        whole = covariance[relation, relation]
-        square = min(off[relation] * off[relation], CLIPPED * whole)
-        if relation == 2 and p.oil[i, 0] == 0.0:
-            drift(state.scatter, 0, i, 1.0 - p.recent, square - whole)
+    for relation in range(4):
+        whole = c.covariance[relation, relation]
+        beyond = min(c.off[relation] ** 2, CLIPPED * whole) - whole
+        if relation == 3 or (relation == 2 and known.oil == 0.0):
+            place = relation - 2
+            drift = axis.scatter[place] + (1.0 - known.recent) * beyond
+            axis.scatter[place] = max(drift, 0.0)
             continue
-        size = state.travel[i] if relation == 0 else state.gained[i]
-        size = state.pressed[i] if relation == 2 else size
-        size *= size
-        described = part_of(state.missed, state.motion, relation, i) * size
-        noise = whole - described
-        if state.motion[relation, i] == 0.0:
-            first = ASSUMED_FOR / p.dt * MOTION_TO_NOISE**2 * noise
-            state.motion[relation, i] = first
-            state.missed[relation, i] = ASSUMED[relation] ** 2 * first
-        state.motion[relation, i] = p.events * state.motion[relation, i] + size
-        state.missed[relation, i] = p.events * state.missed[relation, i] + square - noise
-    whole = covariance[3, 3]
-    beyond = min(off[3] * off[3], CLIPPED * whole) - whole
-    drift(state.scatter, 1, i, 1.0 - p.recent, beyond)
+        size = axis.travel if relation == 0 else axis.gained if relation == 1 else axis.pressed
+        size, part = size * size, part_of(axis, relation)
+        described = part * size
+        if axis.motion[relation] == 0.0:
+            first = ASSUMED_FOR / known.dt * MOTION_TO_NOISE**2 * (whole - described)
+            axis.motion[relation], axis.missed[relation] = first, part * first
+        axis.motion[relation] = known.events * axis.motion[relation] + size
+        missed = known.events * axis.missed[relation] + beyond + described
+        axis.missed[relation] = max(missed, 0.0)
 
 
-def _learn_apart(
-    p: JudgeParameters, state: JudgeState, i: int, j: int, flow: float, other: float
-) -> None:
+def _learn_apart(known: Record, axis: Record, c: Record, b: Record, flow: float) -> None:
     """Learn from a sample after a branch, see `learn`."""
-    compare(p, state, i, j, flow, other)
-    learn(p, state, i)
+    compare(known, axis, c, b, flow)
+    learn(known, axis, c)
 
 
 learn_apart = compiled(_learn_apart, inline=False)
 
 
 @compiled
-def drift(scatter: Floats, row: int, i: int, share: float, beyond: float) -> None:
-    """Let a variance follow what the square of a residual is beyond its variance."""
-    scatter[row, i] = max(scatter[row, i] + share * beyond, 0.0)
-
-
-@compiled
-def note_motion(p: JudgeParameters, state: JudgeState, i: int, flow: float) -> None:
+def note_motion(known: Record, axis: Record, flow: float) -> None:
     """Note how far the last sample moves."""
-    last, before = state.alive.value[i, 0]
-    bend, state.rise[i] = abs(last[A] - before[A] - state.rise[i]), last[A] - before[A]
-    state.travel[i] = max(p.dt * abs(last[V]), p.brief * state.travel[i])
-    state.gained[i] = max(p.dt * abs(last[A]), p.brief * state.gained[i])
-    state.turned[i] = max(bend, p.brief * state.turned[i])
-    pressed = p.oil[i, 0] * p.dt * max(abs(flow), abs(last[V]))
-    state.pressed[i] = max(pressed, p.recent * state.pressed[i])
+    b, dt = axis.alive[0], known.dt
+    rise = b.value[0, A] - b.value[1, A]
+    axis.turned = max(abs(rise - axis.rise), known.brief * axis.turned)
+    axis.travel = max(dt * abs(b.value[0, V]), known.brief * axis.travel)
+    axis.gained = max(dt * abs(b.value[0, A]), known.brief * axis.gained)
+    pressed = known.oil * dt * max(abs(flow), abs(b.value[0, V]))
+    axis.pressed, axis.rise = max(pressed, known.recent * axis.pressed), rise
 
 
-def _weigh(
-    p: JudgeParameters, state: JudgeState, i: int, raw: Floats, flow: float, forced: int
-) -> None:
+def _weigh(known: Record, axis: Record, c: Record, flow: float) -> None:
     """Weigh all hypotheses after all branches; the likeliest become the next branches."""
-    c, b = state.compared, state.alive
-    other, count = beside(p, state, i, raw), 0
-    for j in range(state.count[i]):
-        compare_apart(p, state, i, j, flow, other)
-        is_sound = forced == 0 and b.wrong[i, j, 0] & CHANNELS == 0
+    count, forced = 0, (c.forced | c.forced >> 4) & CHANNELS
+    for j in range(axis.count):
+        b = axis.alive[j]
+        compare_apart(known, axis, c, b, flow)
+        is_sound = forced == 0 and b.wrong[0] & CHANNELS == 0
         for turns in (False, True):
             if turns:
-                allow_turn(p, state, i)
-            chi2, log_det = whiten(c, p.now[i])
+                allow_turn(known, c)
+            chi2, log_det = whiten(c, known.now)
             is_sound = is_sound and chi2 < PLAIN
             for which in SETS:
-                if (forced | forced >> 4) & CHANNELS & ~which or is_turn(which) != turns:
-                    continue
-                if is_sound and which:
+                if forced & ~which or is_turn(which) != turns or (is_sound and which):
                     continue
                 gain, log_det_b, unknowns = solve(c, which, count)
-                c.candidate[count, 0], c.candidate[count, 1] = j, which
+                c.branch[count], c.which[count] = j, which
                 c.likelihood[count] = (
-                    b.weight[i, j]
+                    b.weight
                     - 0.5 * (chi2 - gain + log_det + log_det_b)
                     + HALF_LOG_TURN * unknowns
-                    + log_prior(b.wrong[i, j, 0], which, forced)
-                    + log_amplitudes(p, state, i, count, forced)
+                    + log_prior(b.wrong[0], which, forced)
+                    + log_amplitudes(known, axis, c, count)
                 )
                 count += 1
             if is_sound:
@@ -416,13 +359,15 @@ def _weigh(
         at = likeliest(c.likelihood, count)
         if not c.likelihood[at] > top + LEAST:
             break
-        if new == 0 and c.candidate[at, 1] == 0 and b.wrong[i, c.candidate[at, 0], 0] == 0:
-            learn_apart(p, state, i, c.candidate[at, 0], flow, other)
-        continue_branch(p, state, i, new, at, other, forced)
+        b, to = axis.alive[c.branch[at]], axis.made[new]
+        if new == 0 and (c.which[at] | b.wrong[0]) == 0:
+            learn_apart(known, axis, c, b, flow)
+        continue_branch(known, axis, c, b, to, at)
         c.likelihood[at] = -np.inf
-        if not (new and joins(state.made, i, new)):
+        if not (new and joins(axis.made, new)):
             new += 1
-    decide(p, state, i, new, flow)
+    decide(known, axis, new)
+    note_motion(known, axis, flow)
 
 
 weigh = compiled(_weigh, inline=False)
@@ -445,10 +390,10 @@ def is_turn(which: int) -> bool:
 
 
 @compiled
-def allow_turn(p: JudgeParameters, state: JudgeState, i: int) -> None:
+def allow_turn(known: Record, c: Record) -> None:
     """Add to the covariance that the jump of (4) comes at any time since the last sample."""
-    s, mass, h, oil = state.compared.covariance, p.mass[i, i], p.dt, p.oil[i, 0]
-    jump = abs(state.compared.off[3]) / mass if mass > 0.0 else 0.0
+    s, h, oil = c.covariance, known.dt, known.oil
+    jump = abs(c.off[3]) / known.mass if known.mass > 0.0 else 0.0
     kink = (h * h * jump) ** 2 / 720.0
     s[V, V] += (h * jump) ** 2 / 12.0
     s[X, X] += kink
@@ -473,7 +418,7 @@ def factorise(matrix: Floats, root: Floats, size: int) -> float:
 
 
 @compiled
-def whiten(c: Comparison, now: Floats) -> tuple[float, float]:
+def whiten(c: Record, now: Floats) -> tuple[float, float]:
     """Give chi^2 of the residuals and log det S; fill `whitened` and `gram`."""
     root, w = c.root, c.whitened
     log_det = factorise(c.covariance, root, 4)
@@ -496,7 +441,7 @@ def whiten(c: Comparison, now: Floats) -> tuple[float, float]:
 
 
 @compiled
-def solve(c: Comparison, which: int, at: int) -> tuple[float, float, int]:
+def solve(c: Record, which: int, at: int) -> tuple[float, float, int]:
     """Find the amplitudes of a set and their variances, of a candidate.
 
     Give by how much they lower chi^2, the log det of their information, and their number.
@@ -542,7 +487,7 @@ def members(which: int) -> int:
 @compiled
 def log_prior(before: int, which: int, forced: int) -> float:
     """Prior of a set after another; of those that are no numbers, or at their ends, none."""
-    fresh, value = which & ~before & ~(forced | forced >> 4) & CHANNELS, 0.0
+    fresh, value = which & ~before & ~forced & CHANNELS, 0.0
     if fresh:
         others = 1 if fresh == CHANNELS else members(fresh) - 1
         value = RARE + others * ANOTHER
@@ -558,7 +503,7 @@ def log_below(margin: float) -> float:
 
 
 @compiled
-def log_beyond(c: Comparison, row: int, end: float, at: int) -> float:
+def log_beyond(c: Record, row: int, end: float, at: int) -> float:
     """Logarithm of the chance that a value at its range's end is beyond it, by the others."""
     value = c.seen[row] - c.amplitude[at, row]
     outside = (value if c.seen[row] > 0.0 else -value) - end
@@ -566,153 +511,124 @@ def log_beyond(c: Comparison, row: int, end: float, at: int) -> float:
 
 
 @compiled
-def log_amplitudes(
-    p: JudgeParameters, state: JudgeState, i: int, at: int, forced: int
-) -> float:
+def log_amplitudes(known: Record, axis: Record, c: Record, at: int) -> float:
     """Prior of the amplitudes of a set: a wrong value may be any that the sensor can show."""
-    c, value = state.compared, 0.0
-    j, which = c.candidate[at]
+    which, value = c.which[at], 0.0
     for row in range(4):
-        if not which >> row & 1 or forced >> row & 1:
+        if not which >> row & 1 or c.forced >> row & 1:
             continue
-        if forced >> row + 4 & 1:
-            value += max(log_beyond(c, row, p.range[row, i], at), RARE + math.log(0.5))
+        if c.forced >> row + 4 & 1:
+            value += max(log_beyond(c, row, known.range[row], at), RARE + math.log(0.5))
         else:
-            value -= math.log(min(2.0 * p.range[row, i], NO_NUMBER))
+            value -= math.log(min(2.0 * known.range[row], NO_NUMBER))
     if which & EVENT:
-        jumps, recent = state.alive.event[i, j], 0.0
+        jumps, recent, size = axis.alive[c.branch[at]].event, 0.0, c.amplitude[at, 5]
         for age in range(3):
             recent = max(recent, abs(jumps[age]))
-        size, rate = c.amplitude[at, 5], math.exp(RARE)
-        if state.known[i] > 0.0:
-            rate += KNOWN * math.exp(-0.5 * (size / state.known[i]) ** 2)
+        rate = math.exp(RARE)
+        if axis.known > 0.0:
+            rate += KNOWN * math.exp(-0.5 * (size / axis.known) ** 2)
         if recent > 0.0:
             rate += GOES_ON * math.exp(-0.5 * (size / recent) ** 2)
-        value += math.log(rate) + log_size(size, c.covariance[3, 3], p.spread[i])
+        value += math.log(rate) + log_size(size, c.covariance[3, 3], known.orders)
     if which & OIL_EVENT:
-        value += RARE + log_size(c.amplitude[at, 4], c.covariance[2, 2], p.spread[i])
+        value += RARE + log_size(c.amplitude[at, 4], c.covariance[2, 2], known.orders)
     return value
 
 
 @compiled
-def log_size(size: float, variance: float, spread: float) -> float:
+def log_size(size: float, variance: float, orders: float) -> float:
     """Prior of the size of an event: of any order of magnitude."""
-    return -math.log(2.0 * (abs(size) + math.sqrt(variance))) - spread
+    return -math.log(2.0 * (abs(size) + math.sqrt(variance))) - orders
 
 
 @compiled
 def continue_branch(
-    p: JudgeParameters, state: JudgeState, i: int, new: int, at: int, other: float, forced: int
+    known: Record, axis: Record, c: Record, b: Record, to: Record, at: int
 ) -> None:
     """Continue a branch by a candidate, as a new one."""
-    c, b, made = state.compared, state.alive, state.made
-    j, which = c.candidate[at]
-    made.weight[i, new] = c.likelihood[at]
-    told = which
+    which = c.which[at]
+    to.weight, to.wrong[0], to.event[0] = c.likelihood[at], which, c.amplitude[at, 5]
     for row in range(4):
         value, variance = c.seen[row], c.noise[row]
         if which >> row & 1:
+            end, is_end = known.range[row], c.forced >> row + 4 & 1
             value -= c.amplitude[at, row]
             variance = max(c.spread[at, row], variance)
-            is_end = forced >> row + 4 & 1
-            if is_end and log_beyond(c, row, p.range[row, i], at) > RARE + math.log(0.5):
-                end = p.range[row, i]
+            if is_end and log_beyond(c, row, end, at) > RARE + math.log(0.5):
                 value = max(value, end) if c.seen[row] > 0.0 else min(value, -end)
-                told &= ~(1 << row)
-        made.value[i, new, 0, row], made.variance[i, new, 0, row] = value, variance
-    copy(4, b.value[i, j, 0], made.value[i, new, 1])
-    copy(4, b.variance[i, j, 0], made.variance[i, new, 1])
+                to.wrong[0] &= ~(1 << row)
+        to.value[0, row], to.value[1, row] = value, b.value[0, row]
+        to.variance[0, row], to.variance[1, row] = variance, b.variance[0, row]
     for age in range(REVISED):
-        made.wrong[i, new, 1 + age] = b.wrong[i, j, age]
-    made.wrong[i, new, 0] = told
-    made.event[i, new, 0] = c.amplitude[at, 5]
+        to.wrong[1 + age] = b.wrong[age]
     for age in range(2):
-        made.event[i, new, 1 + age] = b.event[i, j, age]
-    continue_force(p, state, i, new, j, which, other)
-
-
-@compiled
-def continue_force(
-    p: JudgeParameters, state: JudgeState, i: int, new: int, j: int, which: int, other: float
-) -> None:
-    """Continue the specimen's force of a branch: after an event it goes on to rise, or stays."""
-    b, made, mass = state.alive, state.made, p.mass[i, i]
-    value, variance = made.value[i, new, 0], made.variance[i, new, 0]
-    force = value[F] - mass * value[A] - other
-    blur = variance[F] + mass * mass * variance[A]
+        to.event[1 + age] = b.event[age]
+    force = to.value[0, F] - known.mass * to.value[0, A] - c.beside
+    blur = to.variance[0, F] + known.mass**2 * to.variance[0, A]
     if which & FORCES and not which & EVENT:
-        blur = min(blur, left_by_force(p, state, i, j))
-    before, before_blur = b.restoring[i, j, 0], b.blur[i, j, 0]
-    settling = 0.25 * b.settling[i, j]
-    if which & EVENT:
-        half = 0.5 * made.event[i, new, 0]
-        before = force - (before - b.restoring[i, j, 1]) - half
-        before_blur, settling = before_blur + b.blur[i, j, 1], half * half
-    made.restoring[i, new, 0], made.blur[i, new, 0] = force, blur
-    made.restoring[i, new, 1], made.blur[i, new, 1] = before, before_blur
-    made.settling[i, new] = settling
+        blur = min(blur, left_by_force(known, axis, b))
+    to.restoring[0], to.blur[0] = force, blur
+    to.restoring[1], to.blur[1], to.settling = b.restoring[0], b.blur[0], 0.25 * b.settling
+    if which & EVENT:  # a stop goes on to rise, friction stays: the mean of both
+        half = 0.5 * to.event[0]
+        to.restoring[1] = force - (b.restoring[0] - b.restoring[1]) - half
+        to.blur[1], to.settling = b.blur[0] + b.blur[1], half * half
 
 
 @compiled
-def joins(made: Branches, i: int, new: int) -> bool:
+def joins(made: Record, new: int) -> bool:
     """Say whether a new branch has come to the state of another, and was added to its weight."""
-    if (made.wrong[i, new, 0] | made.wrong[i, new, 1]) & CHANNELS:
+    b = made[new]
+    if (b.wrong[0] | b.wrong[1]) & CHANNELS:
         return False
-    last, before = made.restoring[i, new]
+    size = 1e-9 * (abs(b.restoring[0]) + abs(b.restoring[1]))
     for k in range(new):
-        size = 1e-9 * (abs(last) + abs(before))
-        is_near = abs(made.restoring[i, k, 0] - last) <= size
-        is_near &= abs(made.restoring[i, k, 1] - before) <= size
-        if is_near and not (made.wrong[i, k, 0] | made.wrong[i, k, 1]) & CHANNELS:
-            made.weight[i, k] += math.log1p(math.exp(made.weight[i, new] - made.weight[i, k]))
+        other = made[k]
+        is_near = abs(other.restoring[0] - b.restoring[0]) <= size
+        is_near &= abs(other.restoring[1] - b.restoring[1]) <= size
+        if is_near and not (other.wrong[0] | other.wrong[1]) & CHANNELS:
+            other.weight += math.log1p(math.exp(b.weight - other.weight))
             return True
     return False
 
 
 @compiled
-def decide(p: JudgeParameters, state: JudgeState, i: int, count: int, flow: float) -> None:
+def decide(known: Record, axis: Record, count: int) -> None:
     """Keep the branches that agree with the likeliest one on the oldest sample."""
-    b, made, best, kept = state.alive, state.made, 0, 0
+    best, kept = 0, 1
     for j in range(1, count):
-        if made.weight[i, j] > made.weight[i, best]:
+        if axis.made[j].weight > axis.made[best].weight:
             best = j
-    is_sure = made.event[i, best, 1] != 0.0
-    for turn in range(count):
-        j = best if turn == 0 else (turn - 1 if turn <= best else turn)
-        if (made.wrong[i, j, REVISED] ^ made.wrong[i, best, REVISED]) & CHANNELS:
+    first = axis.made[best]
+    is_sure = first.event[1] != 0.0
+    axis.alive[0] = axis.made[best]
+    for j in range(count):
+        b = axis.made[j]
+        if j == best or (b.wrong[REVISED] ^ first.wrong[REVISED]) & CHANNELS:
             continue
-        weight = made.weight[i, j] - made.weight[i, best]
-        is_sure &= made.event[i, j, 1] != 0.0 or weight < SURE
-        b.weight[i, kept], b.settling[i, kept] = weight, made.settling[i, j]
-        for age in range(2):
-            copy(4, made.value[i, j, age], b.value[i, kept, age])
-            copy(4, made.variance[i, j, age], b.variance[i, kept, age])
-            b.restoring[i, kept, age] = made.restoring[i, j, age]
-            b.blur[i, kept, age] = made.blur[i, j, age]
-        copy(3, made.event[i, j], b.event[i, kept])
-        for age in range(1 + REVISED):
-            b.wrong[i, kept, age] = made.wrong[i, j, age]
+        axis.alive[kept] = axis.made[j]
+        axis.alive[kept].weight = b.weight - first.weight
+        is_sure &= b.event[1] != 0.0 or b.weight - first.weight < SURE
         kept += 1
-    state.count[i] = kept
-    known = abs(b.event[i, 0, 1]) if is_sure else 0.0
-    state.known[i] = max(known, p.events * state.known[i])
-    note_motion(p, state, i, flow)
+    axis.count, axis.alive[0].weight = kept, 0.0
+    axis.known = max(abs(first.event[1]) if is_sure else 0.0, known.events * axis.known)
 
 
 @compiled
-def publish(p: JudgeParameters, state: JudgeState, step: int, i: int, judged: Floats) -> None:
+def publish(state: JudgeState, step: int, i: int, judged: Floats) -> None:
     """Give the likeliest values, and count those that were replaced, as is known by now."""
-    b = state.alive
+    axis, b = state.axes[i], state.axes[i].alive[0]
     for age in range(REVISED, 0, -1):
-        was, now = state.told[i, age - 1], b.wrong[i, 0, age] & CHANNELS
-        state.told[i, age] = now
-        for row in range(4):
-            if (was & ~now) >> row & 1:  # what is found wrong later was used: it is not counted
-                take_back(state.wrong[row, i], state.counts[row], i, step - age)
-    state.told[i, 0] = b.wrong[i, 0, 0] & CHANNELS
+        was, now = axis.told[age - 1], b.wrong[age] & CHANNELS
+        axis.told[age] = now
+        if was & ~now:
+            for row in range(4):  # what is found wrong later was used: it is not counted
+                if (was & ~now) >> row & 1:
+                    take_back(state.wrong[row, i], state.counts[row], i, step - age)
+    axis.told[0] = b.wrong[0] & CHANNELS
     for row in range(4):
-        judged[row, i] = b.value[i, 0, 0, row]
-        is_wrong = state.told[i, 0] >> row & 1
+        judged[row, i], is_wrong = b.value[0, row], axis.told[0] >> row & 1
         state.verdict[row, i] = is_wrong
         if is_wrong:
             steps = state.wrong[row, i]

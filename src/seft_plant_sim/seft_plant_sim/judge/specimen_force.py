@@ -60,7 +60,7 @@ def look_at_restoring_force(
         rise, fall = rise + max(spring, 0.0), fall + max(-spring, 0.0)
         curvature += p.stiffness[i, k] * p.dt * p.dt * (measured[2, k] + last[2, k])
     change, moved = r[2, i] - r[0, i], abs(measured[0, i] - last[0, i])
-    moves = p.still[i] + MOVES * state.judge.travel[i]
+    moves = p.still[i] + MOVES * state.judge.axes[i].travel
     slips = moved < moves or step - state.step[TURN_AT] <= TURNED
     largest = state.largest[3, i]
     if state.counts[JUMP, i] == 0:  # a suspect sample is no measure
