@@ -37,6 +37,8 @@ class Rig:
         The last sample as the hardware gave it, and calibrated and aligned, shape (4, n).
     violation : str or None
         Why the test must end with the last sample.
+    spares_target : bool
+        Whether that has left the target unspoiled, so that the stop can follow its plan.
     saturation : Saturation
         Saturation since the reset: of stroke, force capacity, valve, and sensors.
     zeroed : dict or None
@@ -119,6 +121,7 @@ class Rig:
         """Begin a test with its next sample; a simulated rig is at rest."""
         self.saturation: Saturation = {}
         self.violation: str | None = None
+        self.spares_target = False
         self.step_index, self._command[:] = -1, 0.0
         self.hardware.reset()
         self.guard.reset()
@@ -141,6 +144,7 @@ class Rig:
         if found:
             self.hardware.check()
             self.violation = self.guard.violation(found)
+            self.spares_target = self.guard.spares_target(found)
             for name, bit in _SATURATED.items():
                 if found & bit:
                     count_saturated(self.saturation, name, 1, self.step_index)
@@ -169,14 +173,14 @@ class Rig:
         """Move the valve to its safe command, and come to rest.
 
         Before that it follows a plan, the commands of this step and the coming ones, shape (m, n),
-        unless it ends the test by itself (`violation`). If the plan had another command for the
+        unless it ends the test by itself and the target may be spoiled (`violation`). If the plan had another command for the
         last step, ``planned``, the difference goes in the time in which the valve closes.
 
         A closed valve locks the piston: the oil column rings, friction and leakage damp it, and the
         remaining force decays. A simulated rig is at rest afterwards; others continue with each
         sample, see `come_to_rest`.
         """
-        if plan is None or self.violation is not None:
+        if plan is None or (self.violation is not None and not self.spares_target):
             plan = np.zeros((0, len(self._command)))
         safe = self._safe._replace(command=self.safe_command)
         return self.hardware.stop(plan, planned, self._command, safe)
@@ -202,6 +206,7 @@ class Rig:
             name: {"samples": len(at), "first_step": at[0]} for name, at in steps.items() if at
         }
         self.violation = self.guard.violation(int(found[-1]))
+        self.spares_target = self.guard.spares_target(int(found[-1]))
 
 
 def extrapolated_command(

@@ -297,7 +297,9 @@ def detector_arrays(
     unknown = 0.0 if mass.any() and stiffness.any() else math.inf
     by_force = np.zeros_like(mass) if has_valve or not mass.any() else np.linalg.inv(mass)
     lasts = np.array([persistence_of(each, dt) for each in DETECTORS])
-    rest = np.array([np.zeros_like(noise), np.hypot([x, v, a, f], MAX_BIAS * limits[:, np.newaxis])])
+    rest = np.array(
+        [np.zeros_like(noise), np.hypot([x, v, a, f], MAX_BIAS * limits[:, np.newaxis])]
+    )
     if zeroed is not None:
         rest[0] = [zeroed["left"][name] for name in CHANNELS]
         rest[1] = math.sqrt(1.0 + BIAS * BIAS) * np.array([x, v, a, f])

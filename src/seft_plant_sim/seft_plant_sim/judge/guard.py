@@ -14,7 +14,7 @@ from seft_plant_sim.channels import Derivation, converters, velocity_is_derived
 from seft_plant_sim.compiled import entry_point
 from seft_plant_sim.judge.detection import detectors_of
 from seft_plant_sim.judge.detector_list import DETECTORS, describe
-from seft_plant_sim.judge.detectors import DetectorParameters, DetectorState
+from seft_plant_sim.judge.detectors import WRONG, DetectorParameters, DetectorState
 from seft_plant_sim.judge.guard_step import (
     DETECTED,
     DRIVE_ROW,
@@ -133,6 +133,14 @@ class Guard:
         """Take a sample, see `guard_step`."""
         found: int = self._step(self.parameters, self.state, step, measured, drive, sample)
         return found
+
+    def spares_target(self, found: int) -> bool:
+        """Say whether what ends the test has not spoiled the target: all wrong values were replaced.
+
+        ``found`` is the result of its step.
+        """
+        row = int(self.state.counts[DETECTED]) // len(self._axes)
+        return found & ENDS_TEST == FAULT and row >= WRONG
 
     def violation(self, found: int) -> str | None:
         """Say why the test must end with the last sample; ``found`` is the result of its step."""

@@ -14,6 +14,9 @@ LASTS, WINDOW = 0.006, 0.05
 """Duration of wrong samples (three at least) within a time, s, that ends the test."""
 BIAS = 2.0
 """Largest constant error of a sensor that is no fault, over its RMS noise."""
+ASSUMED = np.array([0.1 / 3.0, 0.1 / 3.0, 0.1])
+"""Part of the motion that relations (1) to (3) leave, RMS, before the test has shown it: a
+calibration error of 10 % as three standard deviations; a valve whose flow is followed."""
 UNKNOWN = 1e9
 """Standard deviation of what nothing is known of, in any unit."""
 
@@ -60,8 +63,11 @@ AXIS = np.dtype(
         ("pressed", "f8"),  # ... change of the oil's force by flow or motion in a period, N
         ("strained", "f8"),  # ... |r|, N
         ("rise", "f8"),  # last change of a, m/s^2
+        ("part", "f8", (3,)),  # mean square of what (1) to (3) leave, over that of the motion
         ("missed", "f8", (3,)),  # recent squares of what (1) to (3) leave, less noise
         ("motion", "f8", (3,)),  # ... of the motion that they describe
+        ("usual", "f8", (4,)),  # variance of the channels if they are sound
+        ("covariance", "f8", (4, 4)),  # of the residuals by that
         ("scatter", "f8", (2,)),  # recent variance of (3), if the oil is not known, and of (4), N^2
         ("asked", "f8", (2,)),  # the last reference forces, N
         ("asked_jump", "f8"),  # their largest recent change, N
@@ -79,7 +85,9 @@ FACTS = np.dtype(
         ("late", "f8"),  # time by which a derived velocity is late, s; 0: it is measured
         ("noise", "f8", (4,)),  # variance of the channels
         ("range", "f8", (4,)),  # largest value of each sensor; infinite if it is not known
+        ("widths", "f8", (4,)),  # logarithm of the values that each sensor can show
         ("oil", "f8"),  # k_oil, N/m; 0: not known
+        ("leak", "f8"),  # lambda, 1/s
         ("mass", "f8"),  # its own of the specimen, kg; 0: not known
         ("stiffness", "f8"),  # likewise, N/m
         ("now", "f8", (4, 4)),  # L of the relations, see `judge_step`
@@ -196,8 +204,9 @@ def judge_arrays(
     axes, begun = (np.zeros(n, dtype).view(np.recarray) for dtype in (FACTS, AXIS))
     axes.dt, axes.late, axes.noise, axes.range = dt, late, noise.T**2, ranges.T
     axes.recent, axes.brief = math.exp(-dt / RECENT_MEMORY), math.exp(-dt / BRIEF_MEMORY)
-    axes.events, axes.oil = math.exp(-dt / EVENT_MEMORY), oil[:, 0]
+    axes.events, axes.oil, axes.leak = math.exp(-dt / EVENT_MEMORY), *oil.T
     axes.mass, axes.stiffness = np.diag(mass), np.diag(stiffness)
+    axes.widths = np.log(np.minimum(2.0 * ranges.T, UNKNOWN))
     axes.orders = np.log(1.0 + np.log(np.minimum(2.0 * ranges[3] / noise[3], UNKNOWN)))
     for one in range(n):
         k, m, leak = oil[one, 0], mass[one, one], oil[one, 1] * dt
@@ -209,7 +218,7 @@ def judge_arrays(
             *((1.0, half, bend, 0.0), (0.0, 1.0, half, 0.0)),
             *((0.0, -half * k, -bend * k, 1.0 - leak if k else 2.0), (0.0, 0.0, 0.0, 0.0)),
         )
-    begun.count, first = 1, begun.alive[:, 0]
+    begun.count, begun.part, first = 1, ASSUMED**2, begun.alive[:, 0]
     first["value"], first["variance"] = (rest[k].T[:, np.newaxis] ** (1 + k) for k in range(2))
     own = np.diag(mass)
     first["restoring"] = (rest[0, 3] - own * rest[0, 2])[:, np.newaxis]

@@ -54,12 +54,9 @@ SURE = math.log(1e-4)
 PLAIN = 12.0
 """chi^2 of the four relations below which no hypothesis but the sound one can reach 1e-4 of the
 weight: exp(PLAIN / 2) times `RARE`, with any amplitude."""
-LEAST = -20.0
-"""Logarithm of the least weight of a branch."""
+LEAST = RARE
+"""Logarithm of the least weight of a branch: what is less likely is no alternative."""
 
-ASSUMED = np.array([0.1 / 3.0, 0.1 / 3.0, 0.1])
-"""Part of the motion that (1) to (3) leave, RMS, before the test has shown it: a calibration error
-of 10 % as three standard deviations; a valve whose flow is followed."""
 LEAST_MISSED, ASSUMED_FOR, MOTION_TO_NOISE = 0.002, 0.05, 20.0
 """Least such part: a sensor's linearity; the assumed one counts like what a test shows within a
 time, s, in which the motion is so many times the noise."""
@@ -75,6 +72,8 @@ X, V, A, F = range(4)
 """Rows of a sample, and relations (1) to (4)."""
 CHANNELS, FORCES, OIL_EVENT, EVENT = 0b001111, 0b001100, 0b010000, 0b100000
 """Bits of a set: of its channels, of those of which r is made, and of events."""
+TINY = 1e-60
+"""Least variance, or information: four of them are still numbers."""
 HALF_LOG_TURN = 0.5 * math.log(2.0 * math.pi)
 
 
@@ -196,64 +195,72 @@ def left_by_force(known: Record, axis: Record, b: Record) -> float:
 
 def _compare(known: Record, axis: Record, c: Record, b: Record, flow: float) -> None:
     """Compare the sample with a branch: residuals, and their covariance (lower half)."""
-    h, left, held = known.dt, c.left, 0.0
-    for row in range(4):
-        value = 0.0
-        for channel in range(4):
-            value += known.now[row, channel] * c.seen[channel]
-            value -= known.before[row, channel] * b.value[0, channel]
-        c.off[row] = value
-    if known.mass > 0.0:
-        held = 0.5 * h * axis.asked_jump / known.mass  # a held force jumps at any time in a period
-    late, bend = known.late * axis.gained, h / 12.0 * axis.turned
-    left[X] = part_of(axis, 0) * axis.travel**2 + late**2 + (h / 6.0 * held) ** 2
-    left[V] = part_of(axis, 1) * axis.gained**2 + (late / h) ** 2 + bend**2 + held**2
+    dt, z, last, left, held = known.dt, c.seen, b.value[0], c.left, 0.0
+    half, bend = 0.5 * dt, dt * dt / 12.0
+    moved = half * (z[V] + last[V]) - bend * (z[A] - last[A])
+    c.off[0] = z[X] - last[X] - moved
+    c.off[1] = z[V] - last[V] - half * (z[A] + last[A])
+    c.off[3] = z[F] - known.mass * z[A] - c.beside - 2.0 * b.restoring[0] + b.restoring[1]
+    if known.mass > 0.0:  # a held force jumps at any time in a period
+        held = half * axis.asked_jump / known.mass
+    late, turned = known.late * axis.gained, dt / 12.0 * axis.turned
+    left[0] = axis.part[0] * axis.travel**2 + late**2 + (dt / 6.0 * held) ** 2
+    left[1] = axis.part[1] * axis.gained**2 + (late / dt) ** 2 + turned**2 + held**2
     if known.oil > 0.0:
-        c.off[2] -= known.oil * h * flow
-        left[2] = part_of(axis, 2) * axis.pressed**2
+        c.off[2] = z[F] - (1.0 - known.leak * dt) * last[F] + known.oil * (moved - dt * flow)
+        left[2] = axis.part[2] * axis.pressed**2
     else:
-        c.off[2] += b.value[1, F]
+        c.off[2] = z[F] - 2.0 * last[F] + b.value[1, F]
         left[2] = b.variance[1, F] + axis.asked_turn**2 + axis.scatter[0]
-    c.off[3] += b.restoring[1] - 2.0 * b.restoring[0] - c.beside
     left[3] = left_by_force(known, axis, b)
+    is_usual = is_sound = True
+    for channel in range(4):
+        is_usual &= axis.usual[channel] == c.noise[channel]
+        is_sound &= b.variance[0, channel] == c.noise[channel]
+    if not is_usual:
+        copy(4, c.noise, axis.usual)
+        blur_of(known, axis.usual, axis.usual, axis.covariance)
+    if not is_sound:
+        blur_of(known, c.noise, b.variance[0], c.covariance)
     for row in range(4):
         for column in range(row + 1):
-            value = left[row] if row == column else 0.0
-            for channel in range(4):
-                value += known.now[row, channel] * c.noise[channel] * known.now[column, channel]
-                value += (
-                    known.before[row, channel]
-                    * b.variance[0, channel]
-                    * known.before[column, channel]
-                )
-            c.covariance[row, column] = value
+            if is_sound:
+                c.covariance[row, column] = axis.covariance[row, column]
+        c.covariance[row, row] += left[row]
 
 
 compare, compare_apart = compiled(_compare), compiled(_compare, inline=False)
 
 
 @compiled
-def part_of(axis: Record, relation: int) -> float:
-    """Mean square of what (1) to (3) leave of the motion."""
-    size = axis.motion[relation]
-    part = axis.missed[relation] / size if size > 0.0 else ASSUMED[relation] ** 2
-    return max(part, LEAST_MISSED**2)
+def blur_of(known: Record, noise: Floats, before: Floats, covariance: Floats) -> None:
+    """Covariance of the residuals by that of the last two samples, L R L' + D P D'."""
+    for row in range(4):
+        for column in range(row + 1):
+            value = 0.0
+            for k in range(4):
+                value += known.now[row, k] * noise[k] * known.now[column, k]
+                value += known.before[row, k] * before[k] * known.before[column, k]
+            covariance[row, column] = value
 
 
 @compiled
 def misfit(s: Floats, e: Floats) -> float:
     """chi^2 of residuals e of a covariance S, shape (4, 4), of which the lower half is read."""
-    one, two, three = s[1, 0] / s[0, 0], s[2, 0] / s[0, 0], s[3, 0] / s[0, 0]
+    own = 1.0 / s[0, 0]
+    one, two, three = own * s[1, 0], own * s[2, 0], own * s[3, 0]
     s11, s21, s31 = s[1, 1] - one * s[1, 0], s[2, 1] - two * s[1, 0], s[3, 1] - three * s[1, 0]
     s22, s32 = s[2, 2] - two * s[2, 0], s[3, 2] - three * s[2, 0]
+    s33 = s[3, 3] - three * s[3, 0]
     e1, e2, e3 = e[1] - one * e[0], e[2] - two * e[0], e[3] - three * e[0]
-    two, three = s21 / s11, s31 / s11
-    s22, s32 = s22 - two * s21, s32 - three * s21
+    chi2, own = own * e[0] * e[0], 1.0 / s11
+    two, three = own * s21, own * s31
+    s22, s32, s33 = s22 - two * s21, s32 - three * s21, s33 - three * s31
     e2, e3 = e2 - two * e1, e3 - three * e1
-    last = s32 / s22
-    s33 = s[3, 3] - s[3, 0] * s[3, 0] / s[0, 0] - three * s31 - last * s32
-    e3 -= last * e2
-    return e[0] * e[0] / s[0, 0] + e1 * e1 / s11 + e2 * e2 / s22 + e3 * e3 / s33
+    chi2, own = chi2 + own * e1 * e1, 1.0 / s22
+    three = own * s32
+    e3 -= three * e2
+    return chi2 + own * e2 * e2 + e3 * e3 / (s33 - three * s32)
 
 
 @compiled
@@ -296,14 +303,16 @@ def learn(known: Record, axis: Record, c: Record) -> None:
             axis.scatter[place] = max(drift, 0.0)
             continue
         size = axis.travel if relation == 0 else axis.gained if relation == 1 else axis.pressed
-        size, part = size * size, part_of(axis, relation)
-        described = part * size
+        size = size * size
+        described = axis.part[relation] * size
         if axis.motion[relation] == 0.0:
             first = ASSUMED_FOR / known.dt * MOTION_TO_NOISE**2 * (whole - described)
-            axis.motion[relation], axis.missed[relation] = first, part * first
+            axis.motion[relation], axis.missed[relation] = first, axis.part[relation] * first
         axis.motion[relation] = known.events * axis.motion[relation] + size
         missed = known.events * axis.missed[relation] + beyond + described
         axis.missed[relation] = max(missed, 0.0)
+        part = axis.missed[relation] / axis.motion[relation]
+        axis.part[relation] = max(part, LEAST_MISSED**2)
 
 
 def _learn_apart(known: Record, axis: Record, c: Record, b: Record, flow: float) -> None:
@@ -333,14 +342,16 @@ def _weigh(known: Record, axis: Record, c: Record, flow: float) -> None:
     for j in range(axis.count):
         b = axis.alive[j]
         compare_apart(known, axis, c, b, flow)
-        is_sound = forced == 0 and b.wrong[0] & CHANNELS == 0
+        is_sound = forced == 0
         for turns in (False, True):
             if turns:
                 allow_turn(known, c)
             chi2, log_det = whiten(c, known.now)
             is_sound = is_sound and chi2 < PLAIN
             for which in SETS:
-                if forced & ~which or is_turn(which) != turns or (is_sound and which):
+                if forced & ~which or is_turn(which) != turns:
+                    continue
+                if is_sound and which not in (0, b.wrong[0] & CHANNELS):
                     continue
                 gain, log_det_b, unknowns = solve(c, which, count)
                 c.branch[count], c.which[count] = j, which
@@ -403,18 +414,19 @@ def allow_turn(known: Record, c: Record) -> None:
 @compiled
 def factorise(matrix: Floats, root: Floats, size: int) -> float:
     """Cholesky factor of a matrix, of which the lower half is read; give its log det."""
-    log_det = 0.0
+    det = 1.0
     for row in range(size):
-        for column in range(row + 1):
+        for column in range(row):
             value = matrix[row, column]
             for k in range(column):
                 value -= root[row, k] * root[column, k]
-            if row == column:
-                root[row, row] = math.sqrt(max(value, 1e-300))
-                log_det += 2.0 * math.log(root[row, row])
-            else:
-                root[row, column] = value / root[column, column]
-    return log_det
+            root[row, column] = value / root[column, column]
+        value = matrix[row, row]
+        for k in range(row):
+            value -= root[row, k] * root[row, k]
+        value = max(value, TINY)
+        root[row, row], det = math.sqrt(value), det * value
+    return math.log(det)
 
 
 @compiled
@@ -520,7 +532,7 @@ def log_amplitudes(known: Record, axis: Record, c: Record, at: int) -> float:
         if c.forced >> row + 4 & 1:
             value += max(log_beyond(c, row, known.range[row], at), RARE + math.log(0.5))
         else:
-            value -= math.log(min(2.0 * known.range[row], NO_NUMBER))
+            value -= known.widths[row]
     if which & EVENT:
         jumps, recent, size = axis.alive[c.branch[at]].event, 0.0, c.amplitude[at, 5]
         for age in range(3):
@@ -543,9 +555,7 @@ def log_size(size: float, variance: float, orders: float) -> float:
 
 
 @compiled
-def continue_branch(
-    known: Record, axis: Record, c: Record, b: Record, to: Record, at: int
-) -> None:
+def continue_branch(known: Record, axis: Record, c: Record, b: Record, to: Record, at: int) -> None:
     """Continue a branch by a candidate, as a new one."""
     which = c.which[at]
     to.weight, to.wrong[0], to.event[0] = c.likelihood[at], which, c.amplitude[at, 5]

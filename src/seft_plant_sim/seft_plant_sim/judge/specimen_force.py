@@ -83,6 +83,9 @@ def look_at_restoring_force(
     stiff = _STIFFEST * (rise if jump > 0.0 else fall)
     part = TURN if slips else (_SLIP if stiff > 0.0 else BREAK)
     threshold = part * largest + p.rough[i] + stiff
+    events = state.judge.axes[i].alive[0].event
+    if events[0] != 0.0 or events[1] != 0.0:  # the velocity follows it: friction or a stop
+        threshold = np.inf
     if look(p, state, JUMP, i, abs(jump), threshold) and found < 0:
         found = JUMP * n + i
     return found
