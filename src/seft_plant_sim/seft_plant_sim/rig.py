@@ -173,8 +173,9 @@ class Rig:
         """Move the valve to its safe command, and come to rest.
 
         Before that it follows a plan, the commands of this step and the coming ones, shape (m, n),
-        unless it ends the test by itself and the target may be spoiled (`violation`). If the plan had another command for the
-        last step, ``planned``, the difference goes in the time in which the valve closes.
+        unless it ends the test by itself (`violation`) and may have spoiled the target. If the plan
+        had another command for the last step, ``planned``, the difference goes in the time in which
+        the valve closes.
 
         A closed valve locks the piston: the oil column rings, friction and leakage damp it, and the
         remaining force decays. A simulated rig is at rest afterwards; others continue with each

@@ -12,6 +12,7 @@ from seft_plant_sim.judge.detector_list import ALL, DETECTORS, TRACKING
 from seft_plant_sim.judge.detectors import (
     DetectorParameters,
     DetectorState,
+    KnownRig,
     detector_arrays,
 )
 from seft_plant_sim.judge.known_rig import ASSUMED_ACTUATOR, read_actuators, read_specimen
@@ -74,19 +75,18 @@ def detectors_of(
         np.ascontiguousarray(per_channel(section, axes, f"sensors.{{}}_{what}")[:, own])
         for what in ("noise", "range")
     )
-    return detector_arrays(
-        noise,
-        np.array([section[f"limits.{name}"] for name in CHANNELS]),
-        ranges,
-        velocity_is_derived(section),
-        np.transpose([actuator[name] for name in ASSUMED_ACTUATOR]),
-        np.array([valve.last_period() for valve in valves]),
-        section["actuator.kind"] not in FORCE_DRIVEN,
-        mass,
-        stiffness,
-        ratio * mass,
-        warn_only,
-        section["limits.command"],
-        dt,
-        zeroed,
+    known = KnownRig(
+        noise=noise,
+        limits=np.array([section[f"limits.{name}"] for name in CHANNELS]),
+        ranges=ranges,
+        velocity_is_derived=velocity_is_derived(section),
+        actuator=np.transpose([actuator[name] for name in ASSUMED_ACTUATOR]),
+        past=np.array([valve.last_period() for valve in valves]),
+        has_valve=section["actuator.kind"] not in FORCE_DRIVEN,
+        mass=mass,
+        stiffness=stiffness,
+        computed_mass=ratio * mass,
+        largest_drive=section["limits.command"],
+        dt=dt,
     )
+    return detector_arrays(known, warn_only, zeroed)

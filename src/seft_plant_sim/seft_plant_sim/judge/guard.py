@@ -135,7 +135,7 @@ class Guard:
         return found
 
     def spares_target(self, found: int) -> bool:
-        """Say whether what ends the test has not spoiled the target: all wrong values were replaced.
+        """Say whether what ends the test left the target unspoiled: wrong values were replaced.
 
         ``found`` is the result of its step.
         """

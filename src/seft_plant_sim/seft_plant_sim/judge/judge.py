@@ -29,7 +29,7 @@ SETS = np.array(
     ],
     dtype=np.int64,
 )
-"""The hypotheses: sets of unknown amplitudes. Bits: x, v, a, f wrong, events of oil and specimen."""
+"""The hypotheses: sets of unknowns. Bits: x, v, a, f wrong, events of oil and specimen."""
 ALIVE = 6
 """Histories of an axis that are kept: the four channels, an event and the sound one."""
 REVISED = 3
