@@ -2,9 +2,10 @@
 
 import numpy as np
 from scipy.signal import lfilter
+from seft_msgs_py.config.facts import CHANNELS
 from seft_plant_sim.judge.detector_list import DETECTORS
 from seft_plant_sim.judge.detector_step import begin_detectors, judge_sample
-from seft_plant_sim.judge.detectors import VALID, detector_arrays
+from seft_plant_sim.judge.detectors import VALID, KnownRig, detector_arrays
 
 DT, N = 0.002, 2
 NOISE = np.array([[1e-5, 2e-5], [2e-3, 1e-3], [0.1, 0.2], [5.0, 3.0]])
@@ -17,16 +18,18 @@ STIFFNESS = np.array([[2e5, -3e4], [-3e4, 1e5]])
 COMPUTED = np.array([[90.0, 0.0], [0.0, 70.0]])
 
 
+ZEROED = {"left": {name: [0.0] * N for name in CHANNELS}}
+
+
 def detectors(warn_only=(), **changes):
     """Detectors that have begun, of two axes of which everything is known."""
     known = {
         **{"noise": NOISE, "limits": LIMITS, "ranges": np.zeros((4, N))},
-        **{"velocity_is_derived": False, "actuator": ACTUATOR, "past": PAST, "mass": MASS},
-        **{"has_valve": True},
-        **{"stiffness": STIFFNESS, "computed_mass": COMPUTED, "warn_only": warn_only},
+        **{"velocity_is_derived": False, "actuator": ACTUATOR, "past": PAST, "has_valve": True},
+        **{"mass": MASS, "stiffness": STIFFNESS, "computed_mass": COMPUTED},
         **{"largest_drive": 10.0, "dt": DT, **changes},
     }
-    p, state = detector_arrays(**known)
+    p, state = detector_arrays(KnownRig(**known), warn_only, ZEROED)
     begin_detectors(p, state)
     return p, state
 

@@ -30,7 +30,7 @@ def test_a_new_test_knows_nothing_of_the_one_before():
     for _ in range(2):
         p, state = detectors(ALL)
         for values in (*state[:-1], *state.judge) if found else ():
-            values[:] = 7
+            values.view(values.dtype if values.dtype.names is None else np.int64)[:] = 7
         state.found[:] = 0.0  # it is reported only at a trip
         begin_detectors(p, state)
         seen = shares_of(p, state, samples, commands)

@@ -58,7 +58,7 @@ def test_how_far_the_force_of_a_specimen_may_jump(way, r, fastest, turned, count
     state.last[0], measured = [0.25, -0.5], np.zeros((4, N))
     measured[0] = state.last[0] + way
     state.restoring[:, 1] = r
-    state.judge.moves[0, 1], state.largest[3, 1] = fastest, 300.0
+    state.judge.axes[1].travel, state.largest[3, 1] = fastest, 300.0
     state.step[rows.TURN_AT], state.counts[rows.JUMP, 1] = 50 - turned, counted
     largest = 300.0 if counted else max(abs(r[0]), p.memory * 300.0)
     jump = r[2] - r[0] + counted * r[1]

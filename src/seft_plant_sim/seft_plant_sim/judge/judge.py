@@ -17,6 +17,8 @@ BIAS = 2.0
 ASSUMED = np.array([0.1 / 3.0, 0.1 / 3.0, 0.1])
 """Part of the motion that relations (1) to (3) leave, RMS, before the test has shown it: a
 calibration error of 10 % as three standard deviations; a valve whose flow is followed."""
+ANY = 2.0 / math.sqrt(2.0 * math.pi)
+"""Standard deviation of a wrong value over its sensor's range: as dense as if all were as likely."""
 UNKNOWN = 1e9
 """Standard deviation of what nothing is known of, in any unit."""
 
@@ -85,7 +87,7 @@ FACTS = np.dtype(
         ("late", "f8"),  # time by which a derived velocity is late, s; 0: it is measured
         ("noise", "f8", (4,)),  # variance of the channels
         ("range", "f8", (4,)),  # largest value of each sensor; infinite if it is not known
-        ("widths", "f8", (4,)),  # logarithm of the values that each sensor can show
+        ("precision", "f8", (4,)),  # inverse variance of a wrong value, see `ANY`
         ("oil", "f8"),  # k_oil, N/m; 0: not known
         ("leak", "f8"),  # lambda, 1/s
         ("mass", "f8"),  # its own of the specimen, kg; 0: not known
@@ -206,7 +208,7 @@ def judge_arrays(
     axes.recent, axes.brief = math.exp(-dt / RECENT_MEMORY), math.exp(-dt / BRIEF_MEMORY)
     axes.events, axes.oil, axes.leak = math.exp(-dt / EVENT_MEMORY), *oil.T
     axes.mass, axes.stiffness = np.diag(mass), np.diag(stiffness)
-    axes.widths = np.log(np.minimum(2.0 * ranges.T, UNKNOWN))
+    axes.precision = (ANY * np.minimum(ranges.T, UNKNOWN)) ** -2.0
     axes.orders = np.log(1.0 + np.log(np.minimum(2.0 * ranges[3] / noise[3], UNKNOWN)))
     for one in range(n):
         k, m, leak = oil[one, 0], mass[one, one], oil[one, 1] * dt

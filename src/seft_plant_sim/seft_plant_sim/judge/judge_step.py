@@ -16,7 +16,8 @@ covariance S = Q + L R L' + D P D', with the variances R of the noise and P of t
 
 A hypothesis is a set of unknown amplitudes b: of wrong channels, which add L b to e, of an event of
 the specimen (it sticks, slips, yields, hits a stop), which adds to (4), and of the oil, to (3). Its
-weight is its prior times the likelihood of e, b integrated out by Laplace's method. Histories that
+weight is its prior times the likelihood of e, b integrated out: a wrong value is normal, as wide as
+all that its sensor can show; an event is of any order of magnitude (Laplace's method). Histories that
 remain likely live on in branches with states of their own, and the next samples decide: what was
 wrongly accepted is repaired, `REVISED` samples later at most.
 
@@ -46,8 +47,9 @@ ANOTHER = math.log(1e-2)
 """Part of the wrong samples in which one more channel is wrong, or all are (a common cause)."""
 LASTS_ON, ENDS = math.log(0.1), math.log(0.9)
 """Chance that a wrong channel is wrong in the next sample, and that it is not."""
-KNOWN, GOES_ON = 1e-4, 0.1
-"""Chance of an event like those of the last seconds, which later samples have confirmed, and of one
+NEW, KNOWN, GOES_ON = 1e-8, 1e-4, 0.1
+"""Chance of an event of a kind that the test has not shown: until the velocity shows it, a wrong
+acceleration looks the same, and is more frequent. Chance of one like those of the last seconds, which later samples have confirmed, and of one
 like that of the last three samples."""
 SURE = math.log(1e-4)
 """Weight of all others below which an event is confirmed."""
@@ -203,7 +205,8 @@ def _compare(known: Record, axis: Record, c: Record, b: Record, flow: float) -> 
     c.off[3] = z[F] - known.mass * z[A] - c.beside - 2.0 * b.restoring[0] + b.restoring[1]
     if known.mass > 0.0:  # a held force jumps at any time in a period
         held = half * axis.asked_jump / known.mass
-    late, turned = known.late * axis.gained, dt / 12.0 * axis.turned
+    bent = abs(z[A] - 2.0 * last[A] + b.value[1, A])
+    late, turned = known.late * axis.gained, dt / 12.0 * max(axis.turned, bent)
     left[0] = axis.part[0] * axis.travel**2 + late**2 + (dt / 6.0 * held) ** 2
     left[1] = axis.part[1] * axis.gained**2 + (late / dt) ** 2 + turned**2 + held**2
     if known.oil > 0.0:
@@ -346,19 +349,18 @@ def _weigh(known: Record, axis: Record, c: Record, flow: float) -> None:
         for turns in (False, True):
             if turns:
                 allow_turn(known, c)
-            chi2, log_det = whiten(c, known.now)
+            chi2, log_det = whiten(known, c)
             is_sound = is_sound and chi2 < PLAIN
             for which in SETS:
                 if forced & ~which or is_turn(which) != turns:
                     continue
                 if is_sound and which not in (0, b.wrong[0] & CHANNELS):
                     continue
-                gain, log_det_b, unknowns = solve(c, which, count)
+                gain, log_det_b = solve(c, which, count)
                 c.branch[count], c.which[count] = j, which
                 c.likelihood[count] = (
                     b.weight
                     - 0.5 * (chi2 - gain + log_det + log_det_b)
-                    + HALF_LOG_TURN * unknowns
                     + log_prior(b.wrong[0], which, forced)
                     + log_amplitudes(known, axis, c, count)
                 )
@@ -430,7 +432,7 @@ def factorise(matrix: Floats, root: Floats, size: int) -> float:
 
 
 @compiled
-def whiten(c: Record, now: Floats) -> tuple[float, float]:
+def whiten(known: Record, c: Record) -> tuple[float, float]:
     """Give chi^2 of the residuals and log det S; fill `whitened` and `gram`."""
     root, w = c.root, c.whitened
     log_det = factorise(c.covariance, root, 4)
@@ -438,7 +440,7 @@ def whiten(c: Record, now: Floats) -> tuple[float, float]:
         for column in range(7):
             value = c.off[row] if column == 6 else 0.0
             if column < 4:
-                value = now[row, column]
+                value = known.now[row, column]
             elif row == column - 2:  # events add to the last two relations
                 value = 1.0
             for k in range(row):
@@ -449,14 +451,16 @@ def whiten(c: Record, now: Floats) -> tuple[float, float]:
             c.gram[j, k] = 0.0
             for row in range(4):
                 c.gram[j, k] += w[row, j] * w[row, k]
+        if j < 6:
+            c.gram[j, j] += known.precision[min(j, F)]
     return c.gram[6, 6], log_det
 
 
 @compiled
-def solve(c: Record, which: int, at: int) -> tuple[float, float, int]:
+def solve(c: Record, which: int, at: int) -> tuple[float, float]:
     """Find the amplitudes of a set and their variances, of a candidate.
 
-    Give by how much they lower chi^2, the log det of their information, and their number.
+    Give by how much they lower chi^2, and the log det of their information.
     """
     count = 0
     chosen, factor, solution = c.chosen, c.factor, c.solution
@@ -487,7 +491,7 @@ def solve(c: Record, which: int, at: int) -> tuple[float, float, int]:
                 value -= factor[a, k] * solution[k]
             solution[a] = value / factor[a, a]
             c.spread[at, chosen[j]] += solution[a] * solution[a]
-    return gain, log_det, count
+    return gain, log_det
 
 
 @compiled
@@ -527,24 +531,29 @@ def log_amplitudes(known: Record, axis: Record, c: Record, at: int) -> float:
     """Prior of the amplitudes of a set: a wrong value may be any that the sensor can show."""
     which, value = c.which[at], 0.0
     for row in range(4):
-        if not which >> row & 1 or c.forced >> row & 1:
+        if not which >> row & 1:
             continue
         if c.forced >> row + 4 & 1:
-            value += max(log_beyond(c, row, known.range[row], at), RARE + math.log(0.5))
+            end = known.range[row]
+            value += HALF_LOG_TURN + max(log_beyond(c, row, end, at), RARE + math.log(0.5))
         else:
-            value -= known.widths[row]
+            value += 0.5 * math.log(known.precision[row])
     if which & EVENT:
         jumps, recent, size = axis.alive[c.branch[at]].event, 0.0, c.amplitude[at, 5]
         for age in range(3):
             recent = max(recent, abs(jumps[age]))
-        rate = math.exp(RARE)
+        rate = NEW
         if axis.known > 0.0:
             rate += KNOWN * math.exp(-0.5 * (size / axis.known) ** 2)
         if recent > 0.0:
             rate += GOES_ON * math.exp(-0.5 * (size / recent) ** 2)
-        value += math.log(rate) + log_size(size, c.covariance[3, 3], known.orders)
+        value += HALF_LOG_TURN + math.log(rate) + log_size(size, c.covariance[3, 3], known.orders)
     if which & OIL_EVENT:
-        value += RARE + log_size(c.amplitude[at, 4], c.covariance[2, 2], known.orders)
+        value += (
+            HALF_LOG_TURN
+            + math.log(NEW)
+            + log_size(c.amplitude[at, 4], c.covariance[2, 2], known.orders)
+        )
     return value
 
 
