@@ -136,10 +136,10 @@ def test_the_first_samples_are_judged_against_rest(row, step):
 
 def test_a_rig_of_which_the_rest_is_not_known_is_believed():
     samples, _, flow = motion()
-    samples[:, F, 1] += 300.0  # a static load
+    samples[:, F, 1] += 1500.0  # a static load
     unknown = np.array([0.0 * WIDE, 0.1 * WIDE])
-    judged, replaced, _ = judged_of(samples, flow, rest=unknown)
-    assert not replaced.any()
+    flow[:, 1] += OIL[1, 1] * 1500.0 / OIL[1, 0]
+    assert not judged_of(samples, flow, rest=unknown)[1].any()
     assert judged_of(samples, flow)[1][0, F, 1]
 
 
@@ -230,7 +230,8 @@ def test_a_value_at_its_end_is_beyond_it_if_the_others_say_so_and_else_wrong(sig
         wrong = clipped.copy()
         wrong[AT + after, F, 1] += 800.0
         judged, replaced, _ = judged_of(wrong, flow, ranges=ranges)
-        assert replaced[AT, A, 1] and replaced[AT + after, F, 1]
+        assert replaced[AT + after, F, 1]
+        assert replaced[AT, A, 1] == (sign > 0.0)  # it is there, but for a little
         assert (np.abs(judged - right)[AT : AT + 4, F, 1] < 2.0 * NEAR[F]).all()
 
 

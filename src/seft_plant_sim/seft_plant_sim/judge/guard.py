@@ -140,7 +140,7 @@ class Guard:
         ``found`` is the result of its step.
         """
         row = int(self.state.counts[DETECTED]) // len(self._axes)
-        return found & ENDS_TEST == FAULT and row >= WRONG
+        return found & FAULT != 0 and row >= WRONG
 
     def violation(self, found: int) -> str | None:
         """Say why the test must end with the last sample; ``found`` is the result of its step."""

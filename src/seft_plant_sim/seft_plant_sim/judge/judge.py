@@ -104,6 +104,7 @@ ROOM = np.dtype(
         ("seen", "f8", (4,)),  # the sample
         ("forced", "i8"),  # channels without a number, and those at their ends four bits higher
         ("beside", "f8"),  # force by the acceleration of other axes, N
+        ("doubt", "f8"),  # its variance, N^2
         ("off", "f8", (4,)),  # residuals e of the relations
         ("left", "f8", (4,)),  # their variance Q
         ("covariance", "f8", (4, 4)),  # S, of which the lower half is used
@@ -209,7 +210,7 @@ def judge_arrays(
     axes.events, axes.oil, axes.leak = math.exp(-dt / EVENT_MEMORY), *oil.T
     axes.mass, axes.stiffness = np.diag(mass), np.diag(stiffness)
     axes.precision = (ANY * np.minimum(ranges.T, UNKNOWN)) ** -2.0
-    axes.orders = np.log(1.0 + np.log(np.minimum(2.0 * ranges[3] / noise[3], UNKNOWN)))
+    axes.orders = np.log(1.0 + np.log(np.clip(2.0 * ranges[3] / noise[3], 1.0, UNKNOWN)))
     for one in range(n):
         k, m, leak = oil[one, 0], mass[one, one], oil[one, 1] * dt
         axes.now[one] = (

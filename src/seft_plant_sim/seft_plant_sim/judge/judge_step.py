@@ -148,7 +148,7 @@ def ask(known: Record, axis: Record, force: float) -> None:
 def take(p: JudgeParameters, state: JudgeState, i: int, raw: Floats) -> None:
     """Take the values of an axis, the variances of their noise, and what is beside it."""
     c, known = state.room[0], p.axes[i]
-    c.forced, c.beside = 0, 0.0
+    c.forced, c.beside, c.doubt = 0, 0.0, 0.0
     for row in range(4):
         value = raw[row, i]
         moved = abs(value - state.raw[row, i])
@@ -168,9 +168,12 @@ def take(p: JudgeParameters, state: JudgeState, i: int, raw: Floats) -> None:
             state.resolution[row, i] = moved
     for k in range(raw.shape[1]):  # the acceleration of others, to which the mass couples it
         if k != i and p.mass[i, k] != 0.0:
-            is_known = abs(raw[A, k]) < min(NO_NUMBER, p.axes[k].range[A])
-            a = raw[A, k] if is_known else state.axes[k].alive[0].value[0, A]
-            c.beside += p.mass[i, k] * a
+            last, a = state.axes[k].alive[0].value, raw[A, k]
+            expected, surprise = 2.0 * last[0, A] - last[1, A], state.axes[k].turned
+            if abs(a) < min(NO_NUMBER, p.axes[k].range[A]):
+                expected, surprise = a, abs(a - expected)  # it may be wrong by that
+            c.beside += p.mass[i, k] * expected
+            c.doubt += (p.mass[i, k] * surprise) ** 2
 
 
 @compiled
@@ -215,7 +218,7 @@ def _compare(known: Record, axis: Record, c: Record, b: Record, flow: float) -> 
     else:
         c.off[2] = z[F] - 2.0 * last[F] + b.value[1, F]
         left[2] = b.variance[1, F] + axis.asked_turn**2 + axis.scatter[0]
-    left[3] = left_by_force(known, axis, b)
+    left[3] = left_by_force(known, axis, b) + c.doubt
     is_usual = is_sound = True
     for channel in range(4):
         is_usual &= axis.usual[channel] == c.noise[channel]
