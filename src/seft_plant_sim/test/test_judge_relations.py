@@ -161,7 +161,7 @@ def test_a_valve_that_closes_or_jams_is_found(axis):
         state.sent[:], state.judge.resolution[:] = 4.0, RESOLUTION
         found = []
         for k in range(90):
-            found.append(detect(p, state, k, samples[k], commands[max(k - 1, 0)]))
+            found.append(detect(p, state, 1 + k, samples[k], commands[max(k - 1, 0)]))
         end = next(k for k, each in enumerate(found) if each >= 0)
         ends.append(end)
         assert found[end] == rows.OIL * N + axis
@@ -223,7 +223,7 @@ def test_a_derived_velocity_may_be_late(late, sign):
     samples, commands = np.zeros((2, 4, N)), np.zeros((2, N))
     samples[:, :3, 1] = sign * np.array([[0.0, 1.0, 10.0], [1.8e-3, 1.03, 12.0]])
     state.judge.resolution[:] = RESOLUTION
-    seen = shares_of(p, state, samples, commands)[1, :2, 1]
+    seen = shares_of(p, state, samples, commands, [1, 2])[1, :2, 1]
     assert not state.judge.counts.any()
     sides = (
         ([1.8e-3], [0.5 * DT * (2.03 - DT / 6.0 * 2.0)], [-0.03]),

@@ -6,7 +6,6 @@ from typing import Annotated, Any, NamedTuple, get_type_hints
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
-
 from seft_msgs_py.config.facts import CHANNELS
 
 from seft_plant_sim.compiled import compiled

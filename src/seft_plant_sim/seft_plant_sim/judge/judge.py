@@ -18,7 +18,7 @@ ASSUMED = np.array([0.1 / 3.0, 0.1 / 3.0, 0.1])
 """Part of the motion that relations (1) to (3) leave, RMS, before the test has shown it: a
 calibration error of 10 % as three standard deviations; a valve whose flow is followed."""
 ANY = 2.0 / math.sqrt(2.0 * math.pi)
-"""Standard deviation of a wrong value over its sensor's range: as dense as if all were as likely."""
+"""Standard deviation of a wrong value over its sensor's range: as dense as if all were alike."""
 UNKNOWN = 1e9
 """Standard deviation of what nothing is known of, in any unit."""
 

@@ -17,9 +17,9 @@ covariance S = Q + L R L' + D P D', with the variances R of the noise and P of t
 A hypothesis is a set of unknown amplitudes b: of wrong channels, which add L b to e, of an event of
 the specimen (it sticks, slips, yields, hits a stop), which adds to (4), and of the oil, to (3). Its
 weight is its prior times the likelihood of e, b integrated out: a wrong value is normal, as wide as
-all that its sensor can show; an event is of any order of magnitude (Laplace's method). Histories that
-remain likely live on in branches with states of their own, and the next samples decide: what was
-wrongly accepted is repaired, `REVISED` samples later at most.
+all that its sensor can show; an event is of any order of magnitude (Laplace's method). Histories
+that remain likely live on in branches with states of their own, and the next samples decide: what
+was wrongly accepted is repaired, `REVISED` samples later at most.
 
 A value at the end of its sensor's range is unknown, but beyond that: its hypothesis is weighted by
 the chance of this. Before step 0 the rig is at rest.
@@ -42,15 +42,15 @@ from seft_plant_sim.judge.judge import (
 )
 
 RARE = math.log(1e-6)
-"""Chance that a sample has a wrong channel, or that an event begins: of a false alarm."""
+"""Chance that a sample has a wrong channel: of a false alarm."""
 ANOTHER = math.log(1e-2)
 """Part of the wrong samples in which one more channel is wrong, or all are (a common cause)."""
 LASTS_ON, ENDS = math.log(0.1), math.log(0.9)
 """Chance that a wrong channel is wrong in the next sample, and that it is not."""
 NEW, KNOWN, GOES_ON = 1e-8, 1e-4, 0.1
 """Chance of an event of a kind that the test has not shown: until the velocity shows it, a wrong
-acceleration looks the same, and is more frequent. Chance of one like those of the last seconds, which later samples have confirmed, and of one
-like that of the last three samples."""
+acceleration looks the same, and is more frequent. Chance of one like those that later samples have
+confirmed in the last seconds, and of one like that of the last three samples."""
 SURE = math.log(1e-4)
 """Weight of all others below which an event is confirmed."""
 PLAIN = 12.0
