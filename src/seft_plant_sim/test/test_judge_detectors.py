@@ -47,7 +47,7 @@ def test_what_a_detector_finds_is_reported_by_row_and_axis(name, axis):
     samples, commands = of_what(name, axis)
     found = []
     for k in range(100):
-        found.append(detect(p, state, k, samples[k], commands[max(k - 1, 0)]))
+        found.append(detect(p, state, 1 + k, samples[k], commands[max(k - 1, 0)]))
     first = next(k for k, each in enumerate(found) if each >= 0)
     assert found[first] == ALL.index(name) * N + axis
     assert set(found[:60]) == {VALID}

@@ -56,6 +56,7 @@ after which a sample is suspect: a chance of 1e-6."""
 def begin_detectors(p: DetectorParameters, state: DetectorState) -> None:
     """Begin a test."""
     begin_relations(p, state)
+    state.last[:] = 0.0
     state.sent[:] = 0.0
     state.sums[:] = 0.0
     state.rise[:] = 0.0

@@ -84,7 +84,8 @@ def look_at_restoring_force(
     part = TURN if slips else (_SLIP if stiff > 0.0 else BREAK)
     threshold = part * largest + p.rough[i] + stiff
     events = state.judge.axes[i].alive[0].event
-    if events[0] != 0.0 or events[1] != 0.0:  # the velocity follows it: friction or a stop
+    is_event = events[0] != 0.0 or events[1] != 0.0  # the velocity follows it, says the judge
+    if is_event and (slips or stiff > 0.0):  # friction or a stop; what breaks yields to the motion
         threshold = np.inf
     if look(p, state, JUMP, i, abs(jump), threshold) and found < 0:
         found = JUMP * n + i
