@@ -106,7 +106,7 @@ def of_what(detector, axis):
             2: 15.0 * (1.0 - np.cos(shaken)),
         },
     }
-    if detector == "force_noise":  # of a motion that does not stick
+    if detector in ("force_noise", "force_jump"):  # of a motion that does not stick
         samples[:, 0] += 0.3 * DT * np.arange(100)[:, np.newaxis]
         samples[:, 1] += 0.3
     for row, off in what[detector].items():

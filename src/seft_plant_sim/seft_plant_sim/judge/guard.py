@@ -135,12 +135,14 @@ class Guard:
         return found
 
     def spares_target(self, found: int) -> bool:
-        """Say whether what ends the test left the target unspoiled: wrong values were replaced.
+        """Say whether what ends the test left the target unspoiled: no wrong value was used.
 
         ``found`` is the result of its step.
         """
         row = int(self.state.counts[DETECTED]) // len(self._axes)
-        return found & FAULT != 0 and row >= WRONG
+        judge, known = self.state.detectors.judge, self.parameters.detectors.judge
+        is_recent = judge.used[0] > judge.step[0] - known.window
+        return found & FAULT != 0 and row >= WRONG and not is_recent
 
     def violation(self, found: int) -> str | None:
         """Say why the test must end with the last sample; ``found`` is the result of its step."""

@@ -164,6 +164,8 @@ class JudgeState(NamedTuple):
         Steps of the last replaced values, ring buffers, shape (4, n, m).
     counts : ndarray
         Number of replaced values so far, shape (4, n).
+    used : ndarray
+        Step of the last value that was found wrong after its use, shape (1,).
     """
 
     step: Ints
@@ -176,6 +178,7 @@ class JudgeState(NamedTuple):
     verdict: Ints
     wrong: Ints
     counts: Ints
+    used: Ints
 
 
 def judge_arrays(
@@ -239,5 +242,6 @@ def judge_arrays(
         verdict=np.zeros((4, n), dtype=np.int64),
         wrong=np.zeros((4, n, replaced), dtype=np.int64),
         counts=np.zeros((4, n), dtype=np.int64),
+        used=np.zeros(1, dtype=np.int64),
     )
     return parameters, state

@@ -89,6 +89,7 @@ def begin_judge(p: JudgeParameters, state: JudgeState) -> None:
     state.verdict[:] = 0
     state.wrong[:] = LONG_AGO
     state.counts[:] = 0
+    state.used[0] = LONG_AGO
     for i in range(len(p.axes)):
         state.axes[i] = p.rest[i]
         for row in range(4):
@@ -644,8 +645,10 @@ def publish(state: JudgeState, step: int, i: int, judged: Floats) -> None:
     for age in range(REVISED, 0, -1):
         was, now = axis.told[age - 1], b.wrong[age] & CHANNELS
         axis.told[age] = now
+        if now & ~was:
+            state.used[0] = step - age
         if was & ~now:
-            for row in range(4):  # what is found wrong later was used: it is not counted
+            for row in range(4):
                 if (was & ~now) >> row & 1:
                     take_back(state.wrong[row, i], state.counts[row], i, step - age)
     axis.told[0] = b.wrong[0] & CHANNELS
