@@ -25,6 +25,7 @@ def detectors(warn_only=(), **changes):
     """Detectors that have begun, of two axes of which everything is known."""
     known = {
         **{"noise": NOISE, "limits": LIMITS, "ranges": np.zeros((4, N))},
+        **{"steps": np.zeros((4, N))},
         **{"velocity_is_derived": False, "actuator": ACTUATOR, "past": PAST, "has_valve": True},
         **{"mass": MASS, "stiffness": STIFFNESS, "computed_mass": COMPUTED},
         **{"largest_drive": 10.0, "dt": DT, **changes},

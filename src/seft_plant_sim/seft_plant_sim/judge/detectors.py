@@ -49,6 +49,7 @@ class KnownRig(NamedTuple):
     noise: Floats  # RMS of displacement, velocity, acceleration and force, (4, n); 0: not known
     limits: Floats  # their largest values, (4,)
     ranges: Floats  # largest values that the sensors can measure, (4, n); 0: not known
+    steps: Floats  # of their converters, (4, n); 0: not known
     velocity_is_derived: bool  # from the displacement
     actuator: Floats  # flow gain, oil stiffness, leakage, force capacity, (n, 4); 0: not known
     past: Floats  # see `DetectorParameters`
@@ -207,6 +208,7 @@ def detector_arrays(
         mass,
         known.stiffness,
         ranges,
+        np.where(known.steps > 0.0, known.steps, np.inf),
         late,
         dt,
     )

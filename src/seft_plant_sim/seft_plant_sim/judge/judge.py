@@ -86,6 +86,7 @@ FACTS = np.dtype(
         ("events", "f8"),
         ("late", "f8"),  # time by which a derived velocity is late, s; 0: it is measured
         ("noise", "f8", (4,)),  # variance of the channels
+        ("step", "f8", (4,)),  # of the converters; infinite if it is not known
         ("range", "f8", (4,)),  # largest value of each sensor; infinite if it is not known
         ("precision", "f8", (4,)),  # inverse variance of a wrong value, see `ANY`
         ("oil", "f8"),  # k_oil, N/m; 0: not known
@@ -188,6 +189,7 @@ def judge_arrays(
     mass: Floats,
     stiffness: Floats,
     ranges: Floats,
+    steps: Floats,
     late: float,
     dt: float,
 ) -> tuple[JudgeParameters, JudgeState]:
@@ -203,12 +205,13 @@ def judge_arrays(
         k_oil, N/m, and lambda, 1/s, shape (n, 2); k_oil 0: not known.
     mass, stiffness : ndarray
         Of the assumed specimen, shape (n, n), kg and N/m; 0: not known.
-    ranges, late, dt
-        See `FACTS`; the first of shape (4, n).
+    ranges, steps, late, dt
+        See `FACTS`; the first two of shape (4, n).
     """
     n, half, bend = noise.shape[1], 0.5 * dt, dt * dt / 12.0
     axes, begun = (np.zeros(n, dtype).view(np.recarray) for dtype in (FACTS, AXIS))
     axes.dt, axes.late, axes.noise, axes.range = dt, late, noise.T**2, ranges.T
+    axes.step = steps.T
     axes.recent, axes.brief = math.exp(-dt / RECENT_MEMORY), math.exp(-dt / BRIEF_MEMORY)
     axes.events, axes.oil, axes.leak = math.exp(-dt / EVENT_MEMORY), *oil.T
     axes.mass, axes.stiffness = np.diag(mass), np.diag(stiffness)

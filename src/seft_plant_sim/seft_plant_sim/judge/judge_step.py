@@ -84,7 +84,6 @@ def begin_judge(p: JudgeParameters, state: JudgeState) -> None:
     """Begin a test: the rig is at rest."""
     state.step[0] = -1
     state.moved[:] = 0.0
-    state.resolution[:] = np.inf
     state.restoring[:] = 0.0
     state.verdict[:] = 0
     state.wrong[:] = LONG_AGO
@@ -94,6 +93,7 @@ def begin_judge(p: JudgeParameters, state: JudgeState) -> None:
         state.axes[i] = p.rest[i]
         for row in range(4):
             state.raw[row, i] = p.rest[i].alive[0].value[0, row]
+            state.resolution[row, i] = p.axes[i].step[row]
 
 
 @compiled
