@@ -83,9 +83,10 @@ def look_at_restoring_force(
     stiff = _STIFFEST * (rise if jump > 0.0 else fall)
     part = TURN if slips else (_SLIP if stiff > 0.0 else BREAK)
     threshold = part * largest + p.rough[i] + stiff
-    events = state.judge.axes[i].alive[0].event
-    is_event = events[0] != 0.0 or events[1] != 0.0  # the velocity follows it, says the judge
-    if is_event and (slips or stiff > 0.0):  # friction or a stop; what breaks yields to the motion
+    judge = state.judge.axes[i]
+    is_event = judge.alive[0].event[0] != 0.0 or judge.alive[0].event[1] != 0.0
+    # the velocity follows: a stop, or friction like before; what breaks yields to the motion
+    if is_event and (stiff > 0.0 or (slips and 2.0 * judge.known > abs(jump))):
         threshold = np.inf
     if look(p, state, JUMP, i, abs(jump), threshold) and found < 0:
         found = JUMP * n + i
