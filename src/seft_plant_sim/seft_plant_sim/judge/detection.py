@@ -8,7 +8,7 @@ from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN
 from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.calibration import known_channels
-from seft_plant_sim.channels import converters, per_channel, velocity_is_derived
+from seft_plant_sim.channels import per_channel, velocity_is_derived
 from seft_plant_sim.judge.detector_list import ALL, DETECTORS, TRACKING
 from seft_plant_sim.judge.detectors import (
     DetectorParameters,
@@ -72,15 +72,18 @@ def detectors_of(
     actuator["valve_frequency"] = np.where(is_known, actuator["valve_frequency"], 1.0 / dt)
     mass, stiffness, ratio = read_specimen(section, axes, places)
     valves = valve_models(actuator, dt)
-    noise = np.ascontiguousarray(per_channel(section, axes, "sensors.{}_noise")[:, own])
-    ranges, steps = converters(section, axes, places, "sensors.adc_bits")
+    noise, ranges = (
+        np.ascontiguousarray(per_channel(section, axes, f"sensors.{{}}_{what}")[:, own])
+        for what in ("noise", "range")
+    )
+    bits = section["sensors.adc_bits"]
     channels = known_channels(section, axes)  # a range is of what a sensor shows
     bias, scale = (np.abs(channels[what][:, own]) for what in ("bias", "scale"))
     known = KnownRig(
         noise=noise,
         limits=np.array([section[f"limits.{name}"] for name in CHANNELS]),
         ranges=(ranges - bias) / scale,
-        steps=steps / scale,
+        steps=ranges * (2.0 ** (1 - bits) if bits else 0.0) / scale,
         velocity_is_derived=velocity_is_derived(section),
         actuator=np.transpose([actuator[name] for name in ASSUMED_ACTUATOR]),
         past=np.array([valve.last_period() for valve in valves]),

@@ -53,7 +53,7 @@ BRANCH = np.dtype(
     ]
 )
 """A history of an axis that is possible."""
-AXIS = np.dtype(
+AXIS_STATE = np.dtype(
     [
         ("alive", BRANCH, (ALIVE,)),  # after the last sample, the likeliest first
         ("made", BRANCH, (ALIVE,)),  # by the present sample
@@ -78,7 +78,7 @@ AXIS = np.dtype(
     ]
 )
 """State of an axis."""
-FACTS = np.dtype(
+AXIS_FACTS = np.dtype(
     [
         ("dt", "f8"),  # sampling period, s
         ("recent", "f8"),  # factors per step, see `RECENT_MEMORY`
@@ -99,7 +99,7 @@ FACTS = np.dtype(
     ]
 )
 """What is known of an axis."""
-ROOM = np.dtype(
+JUDGE_ROOM = np.dtype(
     [
         ("noise", "f8", (4,)),  # variance of the channels, with the converter's
         ("seen", "f8", (4,)),  # the sample
@@ -131,7 +131,7 @@ class JudgeParameters(NamedTuple):
     Attributes
     ----------
     axes, rest : recarray
-        `FACTS` of each axis, and its `AXIS` before step 0; shape (n,).
+        `AXIS_FACTS` of each axis, and its `AXIS_STATE` before step 0; shape (n,).
     mass : ndarray
         Of the assumed specimen, shape (n, n), kg; 0: not known.
     window : int
@@ -152,7 +152,7 @@ class JudgeState(NamedTuple):
     step : ndarray
         Of the last sample, shape (1,).
     axes, room : recarray
-        `AXIS` of each axis, shape (n,), and a `ROOM`, shape (1,).
+        `AXIS_STATE` of each axis, shape (n,), and a `JUDGE_ROOM`, shape (1,).
     raw, moved : ndarray
         The last sample as measured, and the magnitude of its change; shape (4, n).
     resolution : ndarray
@@ -206,10 +206,10 @@ def judge_arrays(
     mass, stiffness : ndarray
         Of the assumed specimen, shape (n, n), kg and N/m; 0: not known.
     ranges, steps, late, dt
-        See `FACTS`; the first two of shape (4, n).
+        See `AXIS_FACTS`; the first two of shape (4, n).
     """
     n, half, bend = noise.shape[1], 0.5 * dt, dt * dt / 12.0
-    axes, begun = (np.zeros(n, dtype).view(np.recarray) for dtype in (FACTS, AXIS))
+    axes, begun = (np.zeros(n, dtype).view(np.recarray) for dtype in (AXIS_FACTS, AXIS_STATE))
     axes.dt, axes.late, axes.noise, axes.range = dt, late, noise.T**2, ranges.T
     axes.step = steps.T
     axes.recent, axes.brief = math.exp(-dt / RECENT_MEMORY), math.exp(-dt / BRIEF_MEMORY)
@@ -237,7 +237,7 @@ def judge_arrays(
     state = JudgeState(
         step=np.zeros(1, dtype=np.int64),
         axes=begun.copy(),
-        room=np.zeros(1, ROOM).view(np.recarray),
+        room=np.zeros(1, JUDGE_ROOM).view(np.recarray),
         raw=np.zeros((4, n)),
         moved=np.zeros((4, n)),
         resolution=np.zeros((4, n)),

@@ -40,6 +40,7 @@ from seft_plant_sim.judge.judge import (
     JudgeState,
     Record,
 )
+from seft_plant_sim.judge.relation_following import MOTION_TO_NOISE
 
 RARE = math.log(1e-6)
 """Chance that a sample has a wrong channel: of a false alarm."""
@@ -47,10 +48,10 @@ ANOTHER = math.log(1e-2)
 """Part of the wrong samples in which one more channel is wrong, or all are (a common cause)."""
 LASTS_ON, ENDS = math.log(0.1), math.log(0.9)
 """Chance that a wrong channel is wrong in the next sample, and that it is not."""
-NEW, KNOWN, GOES_ON = 1e-8, 1e-4, 0.1
-"""Chance of an event of a kind that the test has not shown: until the velocity shows it, a wrong
-acceleration looks the same, and is more frequent. Chance of one like those that later samples have
-confirmed in the last seconds, and of one like that of the last three samples."""
+NEW, KNOWN, GOES_ON = 1e-6, 1e-4, 0.1
+"""Chance of an event of a kind that the test has not shown, as of a wrong channel: both look the
+same until the velocity shows it. Chance of one like those that later samples have confirmed in the last
+seconds, and of one like that of the last three samples."""
 SURE = math.log(1e-4)
 """Weight of all others below which an event is confirmed."""
 PLAIN = 12.0
@@ -59,9 +60,9 @@ weight: exp(PLAIN / 2) times `RARE`, with any amplitude."""
 LEAST = RARE
 """Logarithm of the least weight of a branch: what is less likely is no alternative."""
 
-LEAST_MISSED, ASSUMED_FOR, MOTION_TO_NOISE = 0.002, 0.05, 20.0
+LEAST_MISSED, ASSUMED_FOR = 0.002, 0.05
 """Least such part: a sensor's linearity; the assumed one counts like what a test shows within a
-time, s, in which the motion is so many times the noise."""
+time, s, in which the motion is `MOTION_TO_NOISE` times the noise."""
 CLIPPED = 4.0
 """Largest square of a residual that counts for what is left, over its variance."""
 
@@ -72,7 +73,7 @@ NO_NUMBER = 1e9
 """A larger value is no value of a sensor, in any unit."""
 X, V, A, F = range(4)
 """Rows of a sample, and relations (1) to (4)."""
-CHANNELS, FORCES, OIL_EVENT, EVENT = 0b001111, 0b001100, 0b010000, 0b100000
+ANY_CHANNEL, FORCES, OIL_EVENT, EVENT = 0b001111, 0b001100, 0b010000, 0b100000
 """Bits of a set: of its channels, of those of which r is made, and of events."""
 TINY = 1e-60
 """Least variance, or information: four of them are still numbers."""
@@ -182,7 +183,7 @@ def begin_anew(known: Record, axis: Record, c: Record) -> None:
     """Begin with one branch, of this sample."""
     axis.count, b = 1, axis.alive[0]
     b.weight, b.settling, b.event[:], b.wrong[:] = 0.0, axis.strained**2, 0.0, 0
-    b.wrong[0] = c.forced & CHANNELS
+    b.wrong[0] = c.forced & ANY_CHANNEL
     for age in range(2):
         copy(4, c.seen, b.value[age])
         copy(4, c.noise, b.variance[age])
@@ -236,7 +237,7 @@ def _compare(known: Record, axis: Record, c: Record, b: Record, flow: float) -> 
         c.covariance[row, row] += left[row]
 
 
-compare, compare_apart = compiled(_compare), compiled(_compare, inline=False)
+compare_sample, compare_apart = compiled(_compare), compiled(_compare, inline=False)
 
 
 @compiled
@@ -274,9 +275,9 @@ def misfit(s: Floats, e: Floats) -> float:
 def is_plain(known: Record, axis: Record, c: Record, flow: float) -> bool:
     """Say whether the sample fits the only branch, and was added to it: so are nearly all."""
     b = axis.alive[0]
-    if c.forced or axis.count > 1 or b.wrong[0] & CHANNELS:
+    if c.forced or axis.count > 1 or b.wrong[0] & ANY_CHANNEL:
         return False
-    compare(known, axis, c, b, flow)
+    compare_sample(known, axis, c, b, flow)
     if not misfit(c.covariance, c.off) < PLAIN:
         return False
     if b.wrong[0] == 0:
@@ -324,7 +325,7 @@ def learn(known: Record, axis: Record, c: Record) -> None:
 
 def _learn_apart(known: Record, axis: Record, c: Record, b: Record, flow: float) -> None:
     """Learn from a sample after a branch, see `learn`."""
-    compare(known, axis, c, b, flow)
+    compare_sample(known, axis, c, b, flow)
     learn(known, axis, c)
 
 
@@ -345,7 +346,7 @@ def note_motion(known: Record, axis: Record, flow: float) -> None:
 
 def _weigh(known: Record, axis: Record, c: Record, flow: float) -> None:
     """Weigh all hypotheses after all branches; the likeliest become the next branches."""
-    count, forced = 0, (c.forced | c.forced >> 4) & CHANNELS
+    count, forced = 0, (c.forced | c.forced >> 4) & ANY_CHANNEL
     for j in range(axis.count):
         b = axis.alive[j]
         compare_apart(known, axis, c, b, flow)
@@ -358,7 +359,7 @@ def _weigh(known: Record, axis: Record, c: Record, flow: float) -> None:
             for which in SETS:
                 if forced & ~which or is_turn(which) != turns:
                     continue
-                if is_sound and which not in (0, b.wrong[0] & CHANNELS):
+                if is_sound and which not in (0, b.wrong[0] & ANY_CHANNEL):
                     continue
                 gain, log_det_b = solve(c, which, count)
                 c.branch[count], c.which[count] = j, which
@@ -507,9 +508,9 @@ def members(which: int) -> int:
 @compiled
 def log_prior(before: int, which: int, forced: int) -> float:
     """Prior of a set after another; of those that are no numbers, or at their ends, none."""
-    fresh, value = which & ~before & ~forced & CHANNELS, 0.0
+    fresh, value = which & ~before & ~forced & ANY_CHANNEL, 0.0
     if fresh:
-        others = 1 if fresh == CHANNELS else members(fresh) - 1
+        others = 1 if fresh == ANY_CHANNEL else members(fresh) - 1
         value = RARE + others * ANOTHER
     return value + LASTS_ON * members(before & which) + ENDS * members(before & ~which)
 
@@ -603,14 +604,14 @@ def continue_branch(known: Record, axis: Record, c: Record, b: Record, to: Recor
 def joins(made: Record, new: int) -> bool:
     """Say whether a new branch has come to the state of another, and was added to its weight."""
     b = made[new]
-    if (b.wrong[0] | b.wrong[1]) & CHANNELS:
+    if (b.wrong[0] | b.wrong[1]) & ANY_CHANNEL:
         return False
     size = 1e-9 * (abs(b.restoring[0]) + abs(b.restoring[1]))
     for k in range(new):
         other = made[k]
         is_near = abs(other.restoring[0] - b.restoring[0]) <= size
         is_near &= abs(other.restoring[1] - b.restoring[1]) <= size
-        if is_near and not (other.wrong[0] | other.wrong[1]) & CHANNELS:
+        if is_near and not (other.wrong[0] | other.wrong[1]) & ANY_CHANNEL:
             other.weight += math.log1p(math.exp(b.weight - other.weight))
             return True
     return False
@@ -628,7 +629,7 @@ def decide(known: Record, axis: Record, count: int) -> None:
     axis.alive[0] = axis.made[best]
     for j in range(count):
         b = axis.made[j]
-        if j == best or (b.wrong[REVISED] ^ first.wrong[REVISED]) & CHANNELS:
+        if j == best or (b.wrong[REVISED] ^ first.wrong[REVISED]) & ANY_CHANNEL:
             continue
         axis.alive[kept] = axis.made[j]
         axis.alive[kept].weight = b.weight - first.weight
@@ -643,7 +644,7 @@ def publish(state: JudgeState, step: int, i: int, judged: Floats) -> None:
     """Give the likeliest values, and count those that were replaced, as is known by now."""
     axis, b = state.axes[i], state.axes[i].alive[0]
     for age in range(REVISED, 0, -1):
-        was, now = axis.told[age - 1], b.wrong[age] & CHANNELS
+        was, now = axis.told[age - 1], b.wrong[age] & ANY_CHANNEL
         axis.told[age] = now
         if now & ~was:
             state.used[0] = step - age
@@ -651,7 +652,7 @@ def publish(state: JudgeState, step: int, i: int, judged: Floats) -> None:
             for row in range(4):
                 if (was & ~now) >> row & 1:
                     take_back(state.wrong[row, i], state.counts[row], i, step - age)
-    axis.told[0] = b.wrong[0] & CHANNELS
+    axis.told[0] = b.wrong[0] & ANY_CHANNEL
     for row in range(4):
         judged[row, i], is_wrong = b.value[0, row], axis.told[0] >> row & 1
         state.verdict[row, i] = is_wrong
