@@ -108,8 +108,8 @@ def of_what(detector, axis):
         },
     }
     if detector in ("force_noise", "force_jump"):  # of a motion that does not stick
-        samples[:, 0] += 0.3 * DT * np.arange(100)[:, np.newaxis]
-        samples[:, 1] += 0.3
+        samples[:, 0, axis] += 0.3 * DT * np.arange(100)
+        samples[:, 1, axis] += 0.3
     for row, off in what[detector].items():
         if row < 4:
             samples[60:, row, axis] += off

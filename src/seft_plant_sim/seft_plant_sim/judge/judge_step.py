@@ -50,8 +50,8 @@ LASTS_ON, ENDS = math.log(0.1), math.log(0.9)
 """Chance that a wrong channel is wrong in the next sample, and that it is not."""
 NEW, KNOWN, GOES_ON = 1e-6, 1e-4, 0.1
 """Chance of an event of a kind that the test has not shown, as of a wrong channel: both look the
-same until the velocity shows it. Chance of one like those that later samples have confirmed in the last
-seconds, and of one like that of the last three samples."""
+same until the velocity shows it. Chance of one like those that later samples have confirmed in the
+last seconds, and of one like that of the last three samples."""
 SURE = math.log(1e-4)
 """Weight of all others below which an event is confirmed."""
 PLAIN = 12.0
