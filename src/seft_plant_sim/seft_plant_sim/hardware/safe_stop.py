@@ -74,8 +74,8 @@ class Stopped(NamedTuple):
 
     Attributes
     ----------
-    steps : int
-        Until the rig was at rest, or until it should have been.
+    time : float
+        Until the rig was at rest, or until it should have been, s.
     peak_force : float
         Largest force of any actuator, N.
     is_at_rest : bool
@@ -84,7 +84,7 @@ class Stopped(NamedTuple):
         Whether the pressure was taken away, because a piston went on.
     """
 
-    steps: int
+    time: float
     peak_force: float
     is_at_rest: bool = True
     has_dumped: bool = False
@@ -145,7 +145,8 @@ class SafeStop:
         self._look_at_piston(closed, measured[0])
         rests = np.abs(np.mean(self._speeds, axis=0)).max() < self._safe.rest_velocity
         if (rests and closed >= self._window) or closed > self._safe.longest:
-            return Stopped(self._taken, self._peak, bool(rests), self._has_dumped)
+            time = self._taken * self._safe.dt
+            return Stopped(time, self._peak, bool(rests), self._has_dumped)
         return None
 
     def _look_at_piston(self, closed: int, displacement: Floats) -> None:

@@ -170,9 +170,9 @@ class SimulatedRig:
         offset = last - (last if planned is None else planned)
         ends = offset, last, safe.command, safe.closing, safe.longest, room
         both = self.parameters, self.state
-        stopped = Stopped(*self._rest(*both, self.step_index, plan, *ends))
-        self._forces.append(stopped.peak_force)
-        return stopped
+        steps, peak_force = self._rest(*both, self.step_index, plan, *ends)
+        self._forces.append(peak_force)
+        return Stopped(steps * safe.dt, peak_force)
 
     def safe(self) -> None:
         """Nothing moves between two tests."""
