@@ -145,7 +145,7 @@ def test_a_rig_follows_the_plan_unless_it_ends_the_test_by_itself(fault):
 
 def test_a_rig_without_a_settling_time_is_left_where_it_is():
     rig = moving_rig(("rig", "safe.settle_time", 0.0))
-    assert rig.stop().steps == 0
+    assert rig.stop().time == 0.0
 
 
 def test_the_safe_command_is_that_of_the_parameters():
@@ -156,7 +156,7 @@ def test_the_safe_command_is_that_of_the_parameters():
 
 
 def test_a_rig_at_rest_is_settled_at_once():
-    assert moving_rig(steps=0).stop().steps == 10
+    assert moving_rig(steps=0).stop().time == pytest.approx(0.02)
 
 
 def test_the_largest_true_motion_is_known_without_noise_and_filters():
