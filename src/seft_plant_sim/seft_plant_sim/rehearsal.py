@@ -90,6 +90,8 @@ class Rehearsal:
             if step == first:
                 self._times = self._round_trip
                 clock.fall_back(now - clock.deadline(step))
+            if rig.hardware.is_clock:
+                clock.follow(step, now)
             self._times.published(step, now)
             self._publish(raw)
             if step < first:

@@ -129,8 +129,6 @@ class RigNode(NodeBody):
         """Make the laboratory's hardware, if there is one."""
         if self._section["hardware"] == SIMULATED:
             return None
-        if self._section["faults"]:
-            raise InputError("rig: faults are those of a simulated rig; leave them out")
         shell, period, now = self._shell, self._timebase.dt, self._clock.monotonic
         axes = shell.experiment.axes
         made = HostedHardware.from_parameters(self._section, axes, shell.rig, period, now)

@@ -124,9 +124,11 @@ class HostedHardware:
         Raises
         ------
         InputError
-            If it can't be made, or lacks a method.
+            If it can't be made, or lacks a method; if it is to have simulated faults.
         """
         name, where = section["hardware"], "rig: hardware"
+        if section["faults"]:
+            raise InputError("rig: faults are those of a simulated rig; leave them out")
         safe = Safe.from_parameters(section, axes, rig.places, period).command.tolist()
         known = {**section, "safe.valve_command": safe}
         try:
