@@ -3,14 +3,13 @@
 import os
 import time
 from collections.abc import Collection, Iterable, Sequence
-from contextlib import closing
 from typing import Any
 
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.node.clock import AwakeClock
 from seft_msgs_py.node.dds import DdsEndpoint
 from seft_msgs_py.node.follower import Follower
-from seft_msgs_py.node.process import is_running, prepare_on_this_host
+from seft_msgs_py.node.process import is_running
 from seft_msgs_py.node.rclpy_interface import (
     SingleThreadedExecutor,
     command_node,
@@ -201,16 +200,3 @@ class Observer:
 
 def _domain() -> str:
     return os.environ.get("ROS_DOMAIN_ID", "0")
-
-
-def alone_on_the_graph(external: Collection[str] = ()) -> None:
-    """Prepare this process for the graph, and check that no test is on it.
-
-    Raises
-    ------
-    InputError
-        If there is one.
-    """
-    prepare_on_this_host()
-    with closing(Observer()) as observer:
-        observer.refuse_other_tests(external)
