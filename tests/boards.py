@@ -1,5 +1,7 @@
 """Laboratories' hardware for tests: classes on a simulated converter board, good and bad."""
 
+import sys
+import textwrap
 import threading
 import time
 
@@ -110,6 +112,19 @@ class Refuses(Board):
         super().write(drive)
         if self.reads > AT:
             raise ValueError("refused")
+
+
+class Exits(Board):
+    """A library ends the program."""
+
+    def read(self):
+        return sys.exit("no licence") if self.reads > AT else super().read()
+
+
+class Inherits(Board):
+    """It never reads, by a method that another file has."""
+
+    read = textwrap.dedent
 
 
 class Slow(Board):
