@@ -86,6 +86,7 @@ class UdpHardware:
         self._sent = 0  # step of the newest command, if this host is the clock
         self._note = ""  # on the last datagram that was refused
         self._has_failed = False  # since the last `safe`
+        self._spoke = 0.0  # s, at which the newest command was sent
         self._socket, self._peer = _open(parameters["udp.address"], parameters["udp.port"])
         self._begin_anew()
 
@@ -151,6 +152,8 @@ class UdpHardware:
                 self._receive_all()
                 self._waiting.clear()  # a test goes on with the sample after its first command
                 self._send(self._newest)  # before mode 1, however long this host was silent
+            elif self._spoke + self._timeout < time.monotonic():
+                self.read()  # likewise
             self._heard = time.monotonic()
             self._opened = self._heard + 1.0 / self._rate
         self._mode, self._drive = _RUN, drive
@@ -189,7 +192,7 @@ class UdpHardware:
         last, mode = self._said or (step - 1, _CLOSED)
         if (self._mode == _RUN or mode == _CLOSED) and _ahead(step, last) <= 0:
             return  # this sample, or a newer one, has been answered
-        self._said = step, self._mode
+        self._said, self._spoke = (step, self._mode), time.monotonic()
         raw = _HEADER.pack(_COMMAND, _VERSION, len(self._axes), step, self._mode)
         raw += np.asarray(self._drive, dtype="<f8").tobytes()
         try:
