@@ -138,6 +138,15 @@ class Slow(Board):
         return super().read()
 
 
+class Stuck(Board):
+    """Its relay does not close the valve after a test."""
+
+    def safe(self):
+        super().safe()
+        if self.reads > AT:
+            raise OSError("the relay is stuck")
+
+
 class WithoutSafe:
     """It lacks a method."""
 

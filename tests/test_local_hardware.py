@@ -17,8 +17,8 @@ from local_tools import (
 )
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.messages import decode_description
-from seft_msgs_py.wire.topics import DESCRIPTION, RIG_STATE, VALVE_COMMAND, RigAxes
+from seft_msgs_py.wire.messages import decode_description, decode_diagnostics
+from seft_msgs_py.wire.topics import DESCRIPTION, DIAGNOSTICS, RIG_STATE, VALVE_COMMAND, RigAxes
 from seft_plant_sim.hardware.hosted import HostedHardware
 from seft_plant_sim.rig_parameters import RIG_TABLE, as_simulated
 
@@ -171,11 +171,21 @@ def test_a_piston_that_goes_on_loses_its_pressure(hosting):
     assert "dump_pressure" in calls()
 
 
+def test_a_rig_that_is_not_made_safe_is_said_not_to_be_at_rest(hosting):
+    graph = hosting("Stuck", "limits.displacement:=0.02", UNREHEARSED)
+    perform(graph)
+    graph.until(lambda: graph.status("rig").get("stop time (s)"))
+    assert any("safe(): the relay is stuck" in line.text for line in graph.graph.lines)
+    sent = [each.raw for each in graph.graph.sent if each.topic == DIAGNOSTICS.name]
+    told = [status.message for raw in sent for status in decode_diagnostics(raw)[1]]
+    assert any("not at rest after" in message for message in told), sorted({*told})
+
+
 @pytest.mark.parametrize(
     ("name", "says"),
     [
         ("boards:WithoutSafe", "rig: hardware: boards:WithoutSafe has no method safe"),
-        ("boards:Broken", "rig: hardware: boards:Broken line 155 can't be made: no board"),
+        ("boards:Broken", "rig: hardware: boards:Broken line 164 can't be made: no board"),
         ("boards:Nothing", "rig: hardware is boards:Nothing, but"),
         ("nothing.py:Board", "rig: hardware is nothing.py:Board, but there is no file nothing.py"),
         ("unknown", "rig: hardware is 'unknown', but must be FILE.py:CLASS"),

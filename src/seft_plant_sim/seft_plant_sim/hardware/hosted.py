@@ -190,9 +190,10 @@ class HostedHardware:
         self._call("write", np.array(drive))
 
     def safe(self) -> None:
-        """Bring the rig to its safe command now."""
-        self._stop = None
+        """Bring the rig to its safe command now; a stop goes on with that."""
         self._close_valve()
+        if self._stop is not None:
+            self._stop.is_closed = True
 
     def close(self) -> None:
         """Bring the rig to its safe command, and give the devices back."""

@@ -86,7 +86,7 @@ class UdpHardware:
         self._sent = 0  # step of the newest command, if this host is the clock
         self._note = ""  # on the last datagram that was refused
         self._has_failed = False  # since the last `safe`
-        self._spoke = 0.0  # s, at which the newest command was sent
+        self._spoke = time.monotonic()  # s, of the newest command
         self._socket, self._peer = _open(parameters["udp.address"], parameters["udp.port"])
         self._begin_anew()
 
