@@ -106,6 +106,11 @@ class SafeStop:
         Where it ends.
     dump : callable or None
         Takes the pressure away where a piston goes on after its valve was closed.
+
+    Attributes
+    ----------
+    is_closed : bool
+        Whether the valve has its safe command.
     """
 
     def __init__(
@@ -124,29 +129,25 @@ class SafeStop:
         self._closed_at = max(len(plan) + safe.closing - 1, 0)
         self._window = max(1, round(_MEAN_OF / safe.dt))
         self._taken, self._peak, self._has_dumped = 0, 0.0, False
+        self.is_closed = False
         self._speeds: list[Floats] = []
         self._stands: Floats | None = None
         self._command()
-
-    @property
-    def is_closed(self) -> bool:
-        """Whether the valve has its safe command."""
-        return self._taken > self._closed_at
 
     def next(self, measured: Floats) -> Stopped | None:
         """Continue with the next sample, shape (4, n); give the end when there is one."""
         self._peak = max(self._peak, float(np.abs(measured[3]).max()))
         self._speeds = [*self._speeds[1 - self._window :], measured[1].copy()]
-        if not self.is_closed:
-            self._command()
+        if not self.is_closed and self._taken <= self._closed_at + self._safe.longest:
+            self._command()  # a safe command that has failed, once more
             return None
         self._taken += 1
         closed = self._taken - self._closed_at
         self._look_at_piston(closed, measured[0])
         rests = np.abs(np.mean(self._speeds, axis=0)).max() < self._safe.rest_velocity
         if (rests and closed >= self._window) or closed > self._safe.longest:
-            time = self._taken * self._safe.dt
-            return Stopped(time, self._peak, bool(rests), self._has_dumped)
+            time, is_at_rest = self._taken * self._safe.dt, bool(rests) and self.is_closed
+            return Stopped(time, self._peak, is_at_rest, self._has_dumped)
         return None
 
     def _look_at_piston(self, closed: int, displacement: Floats) -> None:
@@ -161,13 +162,12 @@ class SafeStop:
 
     def _command(self) -> None:
         """Give the next command; at the end, the safe one."""
-        if self._taken >= self._closed_at:
+        taken, self._taken = self._taken, self._taken + 1  # also where the call fails
+        if taken >= self._closed_at:
             self._close()
+            self.is_closed = True
         else:
             command = np.empty_like(self._last)
             s = self._safe
-            stop_command(
-                self._taken, self._plan, self._offset, self._last, s.command, s.closing, command
-            )
+            stop_command(taken, self._plan, self._offset, self._last, s.command, s.closing, command)
             self._write(command)
-        self._taken += 1

@@ -63,6 +63,8 @@ class SimulatedRig:
         Step of the last sample.
     can_wait, is_clock, is_stopping, is_closing : bool
         See `seft_plant_sim.hardware.hosted`; a stop has ended when it returns.
+    missing : str
+        Empty: every sample comes.
     counts : dict
         See `seft_plant_sim.hardware.hosted.HostedHardware`; it has none.
     saturated : int
@@ -71,6 +73,7 @@ class SimulatedRig:
 
     can_wait, is_clock = True, False
     is_stopping = is_closing = False
+    missing = ""
 
     def __init__(
         self,
