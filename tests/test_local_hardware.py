@@ -117,7 +117,6 @@ FAULTS = {
     "Tells": r"boards:Tells line \d+: read\(\) gave no numbers, but 'no numbers'",
     "Refuses": r"boards:Refuses line \d+: write\(\): refused",
     "Exits": r"boards:Exits line \d+: read\(\): SystemExit\('no licence'\)",
-    "Inherits": r"boards:Inherits, textwrap.py line \d+: read\(\): ",
     "Slow": r"boards:Slow line \d+: read\(\) took 3 ms, more than a period of 2 ms",
 }
 
@@ -134,13 +133,20 @@ def test_a_fault_in_a_test_has_its_line_and_the_valve_goes_to_its_safe_command(
     assert re.search(FAULTS[name], graph.values["detail"]), graph.values["detail"]
     graph.run(0.1)
     assert "safe" in calls()
-    if name not in ("Refuses", "Inherits"):  # the valve closes in its time, without samples
+    if name != "Refuses":  # the valve closes in its time, without samples
         reads = [place for place, call in enumerate(calls()) if call == "read"]
         assert 9 <= calls()[reads[boards.AT] :].count("write") <= 12
     assert graph.endings == {}
     graph.terminate("rig")
     graph.run(0.1)
     assert calls()[-1] == "close"
+
+
+def test_a_test_waits_for_hardware_that_fails_and_says_why(hosting):
+    graph = hosting("Inherits", UNREHEARSED)
+    graph.until(lambda: "waiting for the rig" in graph.values.get("detail", ""))
+    why = r"waiting for the rig, as boards:Inherits, textwrap.py line \d+: read\(\): "
+    assert re.match(why, graph.values["detail"])
 
 
 def test_one_of_two_rigs_hosts_hardware_and_the_other_is_simulated(local_graph, tmp_path):

@@ -192,9 +192,10 @@ class Rig:
         safe = self._safe._replace(command=self.safe_command)
         return self.hardware.stop(plan, planned, self._command, safe)
 
-    def come_to_rest(self) -> Stopped | None:
-        """Continue a stop with the last sample; give its end, if it has come."""
-        return self.hardware.come_to_rest(self.measured)
+    def come_to_rest(self, *, is_read: bool = True) -> Stopped | None:
+        """Continue a stop with the last sample, or without one; give its end, if it has come."""
+        sample = self.measured if is_read else np.full_like(self.measured, np.nan)
+        return self.hardware.come_to_rest(sample)
 
     def simulated(self, first: int | None = None) -> Simulated | None:
         """Largest true motion of the test so far, see `SimulatedRig.simulated`; None: not known."""

@@ -22,6 +22,7 @@ from seft_msgs_py.wire.outcome import (
     FINISHED,
     REHEARSES,
     TRIPPED,
+    WAITS,
     ZEROED,
     MissedSteps,
     Outcome,
@@ -152,7 +153,7 @@ class RigNode(NodeBody):
         """Run a test each time the supervisor starts one, until the process ends."""
         supervision, rest, hardware = self._supervision, self._rest, self._rig.hardware
         rest.attempt(hardware.safe)
-        self.report("idle")
+        self._tell(rest.failure)
         try:
             while not self._shell.stopping:
                 rest.turn()
@@ -167,7 +168,7 @@ class RigNode(NodeBody):
                     rest.attempt(partial(self._rehearse, self._rehearsal))
                 elif not self._is_idle and wanted is not None and wanted.state == "idle":
                     self._is_idle = True  # by now others know how the test ended
-                    self.report("idle")
+                    self._tell(rest.failure)
             while hardware.is_closing:
                 self._clock.sleep(self._timebase.dt)
                 rest.sample()
@@ -177,7 +178,8 @@ class RigNode(NodeBody):
     def _tell(self, failure: str) -> None:
         """Report what is wrong with the hardware between two tests; empty: nothing."""
         if self._is_idle:
-            self.report("idle", level=ERROR if failure else OK, text=failure)
+            level, waits = (ERROR, {WAITS: failure}) if failure else (OK, None)
+            self.report("idle", waits, level, failure)
 
     def _end_stop(self, stopped: Stopped) -> None:
         """Report how a test ended whose stop went on after it."""
@@ -236,7 +238,7 @@ class RigNode(NodeBody):
         self._recorder_lag.reset()
         self._round_trip.reset()
         self._compute.reset()
-        self._answered_at = 0.0
+        self._answered_at = self._reading = 0.0
         self._waited_in_vain = False
         self._refused_before = self._shell.refused
         self._started = self._clock.monotonic()
@@ -275,8 +277,9 @@ class RigNode(NodeBody):
             begun = self._clock.monotonic()
             sample = rig.read()  # calibrated, aligned, judged
             if rig.hardware.is_clock and self._samples is not None:
-                begun = self._clock.monotonic()
-                self._samples.follow(step, begun)
+                now = self._clock.monotonic()
+                self._samples.follow(step, now)
+                begun, self._reading = now, now - begun
             self._publish(step, sample, begun)
             if self._stops_before(step):
                 rig.violation = None  # the controller brings the rig to rest
@@ -292,11 +295,12 @@ class RigNode(NodeBody):
         """Begin to sample by the clock.
 
         Several rigs in realtime begin together; one waits for another that is behind, because
-        their steps are answered together. Over links they can't see each other: each makes up for
-        lost time.
+        their steps are answered together, but a controller that is the clock can't. Over links
+        they can't see each other: each makes up for lost time.
         """
-        self._waits = not self._is_alone and not self._section["loop_delay"]
-        makes_up = not self._is_alone and not self._waits
+        linked = bool(self._section["loop_delay"])
+        self._waits = not (self._is_alone or linked or self._rig.hardware.is_clock)
+        makes_up = linked and not self._is_alone
         start = self._clock.monotonic() if self._is_alone else self._start
         self._samples = rig_watch.SampleClock(self._timebase.dt, start, makes_up=makes_up)
 
@@ -427,7 +431,9 @@ class RigNode(NodeBody):
             self._missed.add(step)
             self._report_if_due(_REPORT_PERIOD / 2)  # though there is no spare time
         in_vain = self._waited_in_vain and drive.step < step
-        fault = self._watch.fault(self._clock.elapsed(), step, drive.step, in_vain=in_vain)
+        fault = self._watch.fault(
+            self._clock.elapsed(), step, drive.step, in_vain=in_vain, reading=self._reading
+        )
         return (
             fault + self._shell.name_unexpected_publishers(self._refused_before) if fault else None
         )

@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 from seft_msgs_py.wire.messages import ERROR, WARN, Status
-from seft_msgs_py.wire.outcome import Outcome, rig_status
+from seft_msgs_py.wire.outcome import FINISHED, NOT_AT_REST, STOPPING, TRIPPED, Outcome, rig_status
 
 from seft_plant_sim.hardware.safe_stop import Stopped
 from seft_plant_sim.rig import Rig
@@ -50,13 +50,15 @@ def rig_report(
         values["command age (ms)"] = f"{age * 1e3:.2f}"
     if not math.isnan(round_trip.last):
         values["round trip last (ms)"] = f"{round_trip.last * 1e3:.3f}"
-    if stopped is not None:
+    if stopped is None and outcome.phase in (FINISHED, TRIPPED):
+        values[STOPPING] = "until its valve is closed and it rests"
+    elif stopped is not None:
         values["stop peak force (N)"] = f"{stopped.peak_force:.1f}"
         values["stop time (s)"] = f"{stopped.time:g}"
         if not stopped.is_at_rest:
             dumped = ", the pressure was dumped" if stopped.has_dumped else ""
-            level = ERROR
-            message += f"; not at rest after {stopped.time:.3g} s{dumped}"
+            level, values[NOT_AT_REST] = ERROR, f"{stopped.time:.3g} s{dumped}"
+            message += f"; not at rest after {values[NOT_AT_REST]}"
     narrow = [limit for limit, left in margins.items() if not left >= NARROW]
     if narrow and level < WARN:
         level = WARN

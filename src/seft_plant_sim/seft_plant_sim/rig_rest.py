@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 from seft_msgs_py.node.node_shell import IDLE_WAIT, NodeShell
@@ -10,6 +11,8 @@ from seft_plant_sim.hardware.hosted import HardwareError
 from seft_plant_sim.hardware.safe_stop import Stopped
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_watch import EARLY
+
+SOON = 1.0  # s, for which a failure of the hardware counts; and between two that are told
 
 
 class RigRest:
@@ -51,6 +54,7 @@ class RigRest:
         self._shell, self._rig, self._period = shell, rig, period
         self._is_sampled, self._tell, self._at_rest = is_sampled, tell, at_rest
         self.due, self.failure = shell.clock.monotonic(), ""
+        self._failed_at = self._told_at = 0.0
 
     def turn(self, longest: float = IDLE_WAIT) -> None:
         """Handle messages; take a sample that is due, or wait at most ``longest`` s."""
@@ -66,17 +70,16 @@ class RigRest:
 
     def sample(self) -> None:
         """Take a sample, and continue a stop."""
-        rig = self._rig
-        is_closing = rig.hardware.is_closing  # which goes on without samples
-        is_read = self.attempt(rig.read, is_safe=is_closing) is not None
-        if is_read and self.failure:
+        rig, hardware = self._rig, self._rig.hardware
+        is_read = self.attempt(rig.read, is_safe=hardware.is_closing) is not None
+        now = self._shell.clock.monotonic()
+        if is_read and self.failure and now - self._failed_at >= SOON:
             self.failure = ""
             self._tell("")
-        if rig.hardware.is_clock:
-            self.due = self._shell.clock.monotonic() + (1 - EARLY) * self._period
-        if not (is_read or is_closing):
-            return
-        if (stopped := self.attempt(rig.come_to_rest)) is not None:
+        if hardware.is_clock:  # a stop takes each sample at once
+            self.due = now + (not hardware.is_stopping) * (1 - EARLY) * self._period
+        stopped = self.attempt(partial(rig.come_to_rest, is_read=is_read))
+        if stopped is not None:
             self._at_rest(stopped)
 
     def attempt(self, call: Callable[[], Any], *, is_safe: bool = False) -> Any:
@@ -87,8 +90,9 @@ class RigRest:
         try:
             return call()
         except HardwareError as error:
-            if self.failure != str(error):
-                self.failure = str(error)
+            self._failed_at = now = self._shell.clock.monotonic()
+            if not self.failure or (self.failure != str(error) and now - self._told_at >= SOON):
+                self.failure, self._told_at = str(error), now
                 self._shell.log("error", self.failure)
                 self._tell(self.failure)
             with suppress(HardwareError):

@@ -45,7 +45,9 @@ class CommandWatch:
         """Begin with the first sample of a test."""
         self._answered, self._fresh_at, self.waited = -1, now, 0.0
 
-    def fault(self, now: float, step: int, answered: int, *, in_vain: bool = False) -> str:
+    def fault(
+        self, now: float, step: int, answered: int, *, in_vain: bool = False, reading: float = 0.0
+    ) -> str:
         """Say why the test must end here, before a command is applied; empty if it may continue.
 
         Parameters
@@ -58,6 +60,8 @@ class CommandWatch:
             Last step whose command is known; -1: none.
         in_vain : bool
             Whether the rig has delayed its next sample and waited for as long as it may.
+        reading : float
+            Time that the last sample's reading took, s.
         """
         period, timeout = self._period, self._timeout
         behind = step - answered
@@ -68,7 +72,9 @@ class CommandWatch:
         if without <= max(timeout, period) + period / 2 and not in_vain:
             return ""
         name = self._topic.name
-        if behind * period <= timeout and not in_vain:
+        if behind * period <= min(timeout, without / 2) and not in_vain:
+            if reading > without / 2:
+                return f"the rig's hardware gave no sample for {reading:.3g} s"
             return (
                 f"the rig stood still for {without:.3g} s, and its valve with it: its process or "
                 f"its host was stopped or overloaded ({timeout:g} s without a new {name} are "
@@ -79,9 +85,9 @@ class CommandWatch:
         return f"no new {name} for {timeout:g} s {last}; is {self._topic.publisher} running?"
 
 
-EARLY = 0.1
+EARLY = 0.25
 """Of a period: so long before the next sample of a controller that is the clock, its command goes
-out."""
+out where the answer has not come. This host's wake and the datagram take that time."""
 OVERRUN = 0.5  # of a period: after it what remains of the period is too short for an answer
 _HURRY = 0.05  # of a period, by which steps are shorter while a rig makes up for lost time
 POLL = 0.002  # s, longest wait until it is asked again whether to stop

@@ -228,9 +228,10 @@ class HostedHardware:
         self._stop = SafeStop(
             self.write, self._close_valve, plan, planned, last, safe, dump and self._dump
         )
+        self._stop.command()
 
     def come_to_rest(self, measured: Floats) -> Stopped | None:
-        """Continue a stop with a sample, shape (4, n); give its end when it is at rest.
+        """Continue a stop with a sample, shape (4, n), or NaN; give its end when it is at rest.
 
         If it does not come to rest, that is said after ``Safe.longest`` steps.
         """

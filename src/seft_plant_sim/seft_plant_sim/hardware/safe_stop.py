@@ -132,14 +132,13 @@ class SafeStop:
         self.is_closed = False
         self._speeds: list[Floats] = []
         self._stands: Floats | None = None
-        self._command()
 
     def next(self, measured: Floats) -> Stopped | None:
-        """Continue with the next sample, shape (4, n); give the end when there is one."""
+        """Continue with the next sample, shape (4, n), or NaN; give the end when there is one."""
         self._peak = max(self._peak, float(np.abs(measured[3]).max()))
         self._speeds = [*self._speeds[1 - self._window :], measured[1].copy()]
         if not self.is_closed and self._taken <= self._closed_at + self._safe.longest:
-            self._command()  # a safe command that has failed, once more
+            self.command()  # a safe command that has failed, once more
             return None
         self._taken += 1
         closed = self._taken - self._closed_at
@@ -154,13 +153,13 @@ class SafeStop:
         """Take the pressure away where a piston goes on with its valve closed."""
         if closed * self._safe.dt <= _ANSWERS_IN or self._has_dumped:
             return
-        if self._stands is None:
+        if self._stands is None or np.isnan(self._stands).any():
             self._stands = displacement.copy()
         if self._dump and np.abs(displacement - self._stands).max() > self._safe.farthest:
             self._dump()
             self._has_dumped = True
 
-    def _command(self) -> None:
+    def command(self) -> None:
         """Give the next command; at the end, the safe one."""
         taken, self._taken = self._taken, self._taken + 1  # also where the call fails
         if taken >= self._closed_at:

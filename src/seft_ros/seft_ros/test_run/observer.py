@@ -19,7 +19,7 @@ from seft_msgs_py.node.rclpy_interface import (
 )
 from seft_msgs_py.wire.experiment_state import ExperimentState, decode_state
 from seft_msgs_py.wire.messages import Status, decode_diagnostics
-from seft_msgs_py.wire.outcome import RIG, STALLED, State
+from seft_msgs_py.wire.outcome import NOT_AT_REST, RIG, STALLED, STOPPING, State
 from seft_msgs_py.wire.topics import CLOCK_TOPIC, DIAGNOSTICS, EXPERIMENT_STATE, NODES, Topic, bare
 from std_srvs.srv import Trigger
 
@@ -50,7 +50,9 @@ class Observer:
     recorder_bag : str
         Folder of the saved bag.
     running : set of str
-        Rigs that report that they run.
+        Rigs that report that they run, or that their stop goes on.
+    not_at_rest : dict of str to str
+        Rigs that did not come to rest after their stop, and its time.
     """
 
     def __init__(self, nodes: Sequence[str] = NODES) -> None:
@@ -61,6 +63,7 @@ class Observer:
         self.recorder_phase = ""
         self.recorder_bag = ""
         self.running: set[str] = set()
+        self.not_at_rest: dict[str, str] = {}
         self._awake = AwakeClock()
         self._received_at = self._awake.time()
         self._since = time.monotonic()
@@ -195,7 +198,10 @@ class Observer:
         if status.name == "recorder":
             self.recorder_phase, self.recorder_bag = phase, status.values.get("bag", "")
         elif bare(status.name) == RIG:
-            (self.running.add if phase == "running" else self.running.discard)(status.name)
+            moves = phase == "running" or STOPPING in status.values
+            (self.running.add if moves else self.running.discard)(status.name)
+            if text := status.values.get(NOT_AT_REST):
+                self.not_at_rest[status.name] = text
 
 
 def _domain() -> str:

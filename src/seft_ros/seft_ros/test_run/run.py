@@ -308,6 +308,9 @@ def run_experiment(
                     raise
             else:
                 monitor.wait_until_saved()
+            for rig, after in observer.not_at_rest.items():
+                text = f"the {rig} is NOT at rest {after} after its stop began"
+                fault = f"{text}; {fault}" if fault else text
             saved = observer.recorder_bag
             if saved and Path(saved).resolve() != bag.resolve():  # its own folder was lost
                 bag = processes.bag = Path(saved)
