@@ -18,6 +18,7 @@ from local_tools import (
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.messages import decode_description, decode_diagnostics
+from seft_msgs_py.wire.outcome import NOT_AT_REST, STOPPING
 from seft_msgs_py.wire.topics import DESCRIPTION, DIAGNOSTICS, RIG_STATE, VALVE_COMMAND, RigAxes
 from seft_plant_sim.hardware.hosted import HostedHardware
 from seft_plant_sim.rig_parameters import RIG_TABLE, as_simulated
@@ -183,8 +184,10 @@ def test_a_rig_that_is_not_made_safe_is_said_not_to_be_at_rest(hosting):
     graph.until(lambda: graph.status("rig").get("stop time (s)"))
     assert any("safe(): the relay is stuck" in line.text for line in graph.graph.lines)
     sent = [each.raw for each in graph.graph.sent if each.topic == DIAGNOSTICS.name]
-    told = [status.message for raw in sent for status in decode_diagnostics(raw)[1]]
-    assert any("not at rest after" in message for message in told), sorted({*told})
+    told = [status for raw in sent for status in decode_diagnostics(raw)[1]]
+    assert any("not at rest after" in status.message for status in told)
+    ends = [key for each in told for key in (STOPPING, NOT_AT_REST) if key in each.values]
+    assert (ends[0], ends[-1]) == (STOPPING, NOT_AT_REST)  # seft run waits, and then says so
 
 
 @pytest.mark.parametrize(
