@@ -149,8 +149,14 @@ def _read(text: str, axes: Sequence[str]) -> Fault:
     time, steps = _number(tail[0]), _number(tail[2]) if len(tail) == 3 else None
     if time is None or not 0.0 <= time < math.inf:
         raise error(f"TIME is {tail[0]}, but must be a time in s of the test, at least 0")
-    if len(tail) == 3 and not (steps is not None and steps.is_integer() and steps >= 1):
-        raise error(f"STEPS is {tail[2]}, but must be a whole number of samples, at least 1")
+    if time > LONGEST_TEST:
+        raise error(f"the test ends before {LONGEST_TEST:g} s: the fault never begins")
+    whole = steps is not None and 1 <= steps <= _END and steps.is_integer()
+    if len(tail) == 3 and not whole:
+        raise error(
+            f"STEPS is {tail[2]}, but must be a whole number of samples, at least 1 (leave it out "
+            "to go on to the end)"
+        )
     return Fault(text, axis, what, kind, value, time, None if steps is None else int(steps))
 
 
