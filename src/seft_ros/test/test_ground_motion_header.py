@@ -105,6 +105,30 @@ def test_the_unit_of_a_peak_is_not_that_of_the_record(refuses):
     refuses("does not say the unit", header + ONE_COLUMN)
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        *("PGA = {:.2f} gal", "# PGA_CM/S^2: -{:.4f}", "Peak ground acceleration (cm/s^2) {:.1f}"),
+        *("PEAK ACCELERATION = -{:.3f} CM/SEC/SEC AT 3.2 SEC", "Max. Acc. NS: {:.1f} gal"),
+        *("acceleration: peak {:.2f} cm/s/s at 1 s", "UNCOR ACCEL  MAX = {:.2e} GAL"),
+        *("Aceleración máxima: {:.1f} gal", "Amax={:.1f}gal, PGV=3 cm/s", "AccMax [gal], {:.1f}"),
+        "PEAK VALUES : ACCEL=-{:.3f} CM/SEC/SEC  VELOCITY=-33.450 CM/SEC",
+    ],
+)
+def test_a_peak_in_any_words_must_be_that_of_the_record(read, refuses, words):
+    text = "{}\nunits: gal, dt=0.01\n" + ONE_COLUMN
+    assert stated(read(text.format(words.format(0.9996)))) == ("cm/s2", 0.01)
+    for wrong in (9.8, 0.1):
+        refuses("line 1 states a peak of", text.format(words.format(wrong)))
+    for other in (
+        "trigger",
+        "range",
+        "horizontal",
+        "vector",
+    ):  # not the record's, or not this one's
+        read(text.format(f"{words.format(9.8)} {other}"))
+
+
 @pytest.mark.parametrize("unit", ["mm/s2", "in/s2", "%g", "furlong"])
 def test_a_unit_that_is_given_is_never_hinted_at_another(read, unit):
     with pytest.raises(

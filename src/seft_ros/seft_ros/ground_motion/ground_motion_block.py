@@ -274,6 +274,7 @@ def _recorded(section: Section, axes: Sequence[str], files: Sequence[str]) -> Re
     if len(files) > 1:
         wanted = [(file, [column]) for file, column in zip(files, columns, strict=True)]
     words = {"rows": section["rows"], "response": section["response"]}
+    words["corrected"] = section["correct"] != "none"
     found = [
         read_record(file, those, section["unit"], section["dt"], **words) for file, those in wanted
     ]

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from seft_msgs_py.errors import InputError
 
-from seft_ros.ground_motion.readers.record_text import NUMBER, to_float
+from seft_ros.ground_motion.readers.record_text import NUMBER, decimals, to_float
 
 STANDARD_GRAVITY = 9.80665
 """Standard acceleration of gravity in m/s^2, exact by definition (ISO 80000-3)."""
@@ -160,6 +160,19 @@ _COUNT_FIRST = re.compile(
     _FLAGS,
 )
 _SCALE = re.compile(rf"\b(?:scal(?:e|ing)[\s_]*factor|multipl(?:ier|y\s+by))\W*({_N})", _FLAGS)
+_PEAK = re.compile(
+    r"(?:\b(?:pga|amax|peak|max(?:imum)?|m[aá]xim[ao])|(?<=acc)max)(?![a-z])\.?\s*"
+    r"(?:(?:ground|(?:un)?corrected|values?)[\s:]+)*(?:acc\w*|acel\w*)?"
+    rf"[\s._:=(\[]*([a-z%][^\s:=,;()\[\]]*)?[\s:=,;)\]]*({_N})\s*([^\s,;()\d]\S*?)?(?=[\s,;()]|$)",
+    _FLAGS,
+)
+_OF_ACCELERATION = re.compile(r"acc|acel|pga|amax", _FLAGS)
+_OF_OTHERS = re.compile(  # a peak of the instrument, the site, or of several components
+    r"trigger|threshold|umbral|scale|range|limit|sensor|clip|satur|horiz|result|vector|mean|spectr",
+    _FLAGS,
+)
+_ROUGHLY = 0.1
+"""Of a peak: zeros, filters and rounding differ by no more, units and offsets by far more."""
 _OTHER_QUANTITY = re.compile(
     r"\bdata[_ ]?type\W+(velocity|displacement)\b"
     r"|\b(velocity|displacement)\s+(?:time|history|series|record)\b"
@@ -179,6 +192,33 @@ class Statement[T]:
 
     value: T
     place: str
+
+
+@dataclass(frozen=True)
+class Peak:
+    """Largest acceleration that a file states, m/s^2, with half its last digit, and where."""
+
+    size: float
+    half_digit: float
+    place: str
+
+    def is_of(self, largest: float) -> bool:
+        """Whether a motion with this largest acceleration may be meant."""
+        return abs(largest - self.size) <= _ROUGHLY * self.size + self.half_digit
+
+
+def stated_peaks(path: Path, lines: Sequence[str]) -> tuple[Peak, ...]:
+    """Find the peaks of accelerations that a text states with their unit."""
+    found = []
+    for number, line in enumerate(lines, start=1):
+        if not _OF_ACCELERATION.search(line) or _OF_OTHERS.search(line):
+            continue
+        for before, text, after in _PEAK.findall(line):
+            unit = read_unit(before) or read_unit(after)
+            if unit and (size := abs(to_float(text, path, number))) > 0:
+                half = 0.5 * 10.0 ** -decimals(text)
+                found.append(Peak(UNITS[unit] * size, UNITS[unit] * half, f"line {number}"))
+    return tuple(found)
 
 
 @dataclass(frozen=True)
