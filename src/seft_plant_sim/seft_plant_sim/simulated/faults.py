@@ -68,6 +68,7 @@ NEEDS = {
     "collide": (1e-6, math.inf, "the stiffness of a stop, above 0 N/m"),
 }
 """Kind -> least and largest value, and what that is."""
+MOST_LATE = 1_000_000  # samples that a late signal is kept
 _END = 2**62  # step of a fault that does not end
 _LATEST = 1e9  # s; at 1 MHz the step of a later one would not be below that
 
@@ -244,6 +245,8 @@ def faults_of(
             value *= dt
         elif code == LATE:
             value /= dt
+            if value > MOST_LATE:
+                raise fault.error(f"late needs at most {MOST_LATE} samples, {MOST_LATE * dt:g} s")
             width = max(width, math.ceil(value) + 2)
         elif code == LOW_PASS:  # 1 / (1 + s / w_c) by the bilinear transform
             over = math.pi * value * dt

@@ -184,6 +184,7 @@ class GroundMotion:
                 f"ground_motion: {record.source}: accelerations are not finite; check its "
                 "values, influence and peak_force"
             )
+        check_size(section["lead"], timebase.rate, f"lead {section['lead']:g} s")
         lead_steps = max(1, round(section["lead"] * timebase.rate))
         chunk_steps = max(1, round(lead_steps / _CHUNKS_PER_LEAD))
         facts = motion_facts(section, axes, record, samples, scale)
