@@ -14,6 +14,7 @@ from seft_msgs_py.errors import WireError
 from seft_msgs_py.node import host as this_host
 from seft_msgs_py.node.clock import MACHINE, Clock
 from seft_msgs_py.node.process import (
+    check_environment,
     check_shared_memory,
     exit_watchdog,
     on_ending,
@@ -24,7 +25,8 @@ from seft_msgs_py.node.transport import Answer, Host, Level
 from seft_msgs_py.printing import escaped
 from seft_msgs_py.wire.topics import Topic
 
-check_shared_memory()  # before rclpy is imported
+check_environment()  # before rclpy is imported
+check_shared_memory()
 
 import rclpy
 from rclpy.executors import (

@@ -194,7 +194,7 @@ class Observer:
             elif self.state in ENDED:
                 self.ended = self.reported
             elif before in MOVING:  # its end was not heard; what it was stands in the bag
-                self.ended = replace(self.reported, state=State.TRIPPED, detail="", silent=())
+                self.ended = replace(self.reported, state=State.DONE)
         for report in self._test.take(DIAGNOSTICS):
             for status in decode_diagnostics(report.raw)[1]:
                 self._on_status(status)

@@ -104,6 +104,7 @@ class RunMonitor:
         self._settle()
         while True:
             self._wait_until_ready(deadline)
+            observer.ended = None  # of a test before this one
             accepted, answer = observer.call("start")
             if accepted:
                 return
