@@ -41,6 +41,14 @@ def test_one_lost_message_is_one_missed_command(local_graph, topic):
     assert_same(graph, offline(graph), steps=501 if topic == VALVE_COMMAND else 500)
 
 
+def test_a_rig_whose_first_sample_is_not_of_step_0_trips_before_its_valve_moves(local_graph):
+    graph = local_graph(THREE_SECONDS, UNREHEARSED, *TARGET_MOTION)
+    graph.drop(RIG_STATE, {0})
+    perform(graph, "tripped")
+    assert "rig/state begins with step 1, not 0" in graph.values["detail"]
+    assert not any(values.any() for values in graph.samples(VALVE_COMMAND)[1])
+
+
 def test_a_rig_that_misses_commands_continues_along_its_fallback_stop(local_graph):
     graph = local_graph(THREE_SECONDS, UNREHEARSED, *TARGET_MOTION)
     graph.drop(VALVE_COMMAND, range(800, 809))  # the last that the watchdog allows, in fast motion
