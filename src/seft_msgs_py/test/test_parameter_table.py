@@ -17,7 +17,7 @@ from seft_msgs_py.config.parameter_table import (
 )
 from seft_msgs_py.errors import InputError
 
-FINITE = st.floats(allow_nan=False, allow_infinity=False)
+FINITE = st.just(0.0) | st.floats(1e-30, 1e30) | st.floats(-1e30, -1e-30)
 KINDS = ("float", "int", "bool", "string", "floats", "ints", "strings")
 
 

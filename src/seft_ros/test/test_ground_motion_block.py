@@ -157,6 +157,10 @@ def test_without_a_file_the_motion_is_synthetic_and_the_same_on_every_axis():
         ({"peak_force": 10.0, "influence": 0.0}, "motion of zeros can't be scaled"),
         ({"column": [0, 1, 0]}, "column: 3 values for 2 axes"),
         ({"tail": 1e9}, "5e+07 steps"),
+        (
+            {"rate": 1e6, "lead": 3600.0},
+            "3600 s at 1e+06 Hz are more than 5e+07 steps (lead 3600 s)",
+        ),
         ({"time_scale": 1e-20}, "less than a step"),
         ({"file": "", "synthetic.duration": 1e20}, "5e+07 steps"),
         ({"file": "", "synthetic.rise": 9.0}, "synthetic.plateau_end is 8 s"),

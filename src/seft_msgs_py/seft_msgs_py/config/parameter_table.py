@@ -169,14 +169,14 @@ class Parameter:
         unit = f" {self.unit}" if self.unit else ""
         if not fits:
             return f"must be {_WORDS[self.kind]}"
-        if kind == "float" and value and not 1 / _LARGEST <= abs(value) <= _LARGEST:
-            return f"must be 0, or {1 / _LARGEST:g} to {_LARGEST:g} in size"
         if self.positive and value <= 0:
             return "must be greater than zero"
         if self.minimum is not None and value < self.minimum:
             return f"must be at least {self.minimum:g}{unit}"
         if self.maximum is not None and value > self.maximum:
             return f"must be at most {self.maximum:g}{unit}"
+        if kind == "float" and value and not 1 / _LARGEST <= abs(value) <= _LARGEST:
+            return f"must be 0, or {1 / _LARGEST:g} to {_LARGEST:g} in size"
         if self.kind in ("string", "texts") and (rule := _refusal(value, self.file_name)):
             return rule
         if self.allowed and value not in self.allowed:

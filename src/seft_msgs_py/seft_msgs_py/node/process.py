@@ -70,9 +70,8 @@ def check_environment() -> None:
 def _has_library(middleware: str) -> bool:
     """Whether rcl finds a middleware."""
     folders = [*os.environ.get("LD_LIBRARY_PATH", "").split(":"), f"{sys.prefix}/lib"]
-    return middleware == "rmw_fastrtps_cpp" or any(
-        Path(folder, f"lib{middleware}.so").is_file() for folder in folders
-    )
+    found = (Path(folder, f"lib{middleware}.so").is_file() for folder in folders)
+    return middleware == "rmw_fastrtps_cpp" or (middleware.startswith("rmw_") and any(found))
 
 
 def prepare_middleware() -> None:
