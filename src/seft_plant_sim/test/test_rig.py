@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from bare_rig import driven, make_rig, rig_section
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.wire.outcome import Simulated
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.outcome import Simulated
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import RIG_TABLE
