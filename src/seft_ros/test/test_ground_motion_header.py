@@ -90,6 +90,9 @@ def test_a_header_states_unit_and_sampling_period(read, refuses, header, unit, d
         ("UNITS ARE SEC AND G/10\n", "SEC is no acceleration unit"),
         ("Unit: furlong\n", 'states the unit "furlong", which is not known'),
         ("DATA_TYPE: VELOCITY\n", "line 1: holds a velocity"),
+        ("COMP: NS  TYPE: VEL\n", "line 1: holds a velocity"),
+        ("Tipo de datos: desplazamiento\n", "line 1: holds a displacement"),
+        ("DATA_TYPE: ACCELERATION RESPONSE SPECTRUM\n", "line 1: holds a spectrum"),
         ("velocity (cm/s)\n", "line 1: holds a velocity"),
         ("Desplazamiento (cm) dt=0.01\n", "line 1: holds a displacement"),
         ("units: g\nSampling rate: 99,5 Hz\n", "line 2: write decimal points, not commas"),
@@ -237,3 +240,13 @@ def test_times_that_are_off_by_more_than_their_last_digit_are_uneven(refuses):
     assert "0.502," in text
     for dt in (0.0, 1 / 128):
         refuses(r"time goes from 0.\d+ to 0.\d+.*resample the record", text, dt=dt)
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["Scale factor: 0.001", "Conversion factor 0.001 gal/count", "Sensitivity 1000 counts/gal"],
+)
+def test_whole_numbers_with_a_factor_are_counts_whatever_the_unit(read, refuses, words):
+    header = f"{words}\nunits: gal, dt=0.01\n"
+    refuses("line 1: states the factor", header + "".join(f"{9000 * v:.0f}\n" for v in WAVE))
+    assert stated(read(header + ONE_COLUMN)) == ("cm/s2", 0.01)
