@@ -279,9 +279,9 @@ def check_factor(path: Path, lines: Sequence[tuple[int, str]]) -> None:
     for number, line in lines:
         if (scale := _SCALE.search(line)) and to_float(scale.group(1), path, number) != 1:
             raise InputError(
-                f"{path}: line {number}: states the factor {scale.group(1)}, but no line the unit of "
-                "the values, or they are whole numbers, as counts are; multiply them by it, if they "
-                "are not yet, and take off that line"
+                f"{path}: line {number}: states the factor {scale.group(1)}, but no line the unit "
+                "of the values, or they are whole numbers, as counts are; multiply them by it, if "
+                "they are not yet, and take off that line"
             )
 
 
