@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from bare_rig import driven, make_rig, rig_section
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import Simulated
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.rig import Rig
@@ -153,6 +154,14 @@ def test_the_safe_command_is_that_of_the_parameters():
     closed.stop()
     opened.stop()
     assert abs(opened.simulation.sample[3, 0]) > abs(closed.simulation.sample[3, 0]) + 100.0
+
+
+@pytest.mark.parametrize("command", [1e30, -10.1])
+def test_a_safe_command_beyond_the_limit_of_commands_is_refused(command):
+    with pytest.raises(
+        InputError, match=r"safe.valve_command is .*within /\*\*: limits.command, 10"
+    ):
+        moving_rig(("rig", "safe.valve_command", command), steps=0)
 
 
 def test_a_rig_at_rest_is_settled_at_once():

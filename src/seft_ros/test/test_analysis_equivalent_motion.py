@@ -67,6 +67,16 @@ def test_an_exact_test_is_of_the_ground_motion_that_was_asked_for(config):
     np.testing.assert_allclose(found, motion, atol=1e-4 * np.abs(motion).max())
 
 
+@pytest.mark.parametrize("count", [2, 3, 6, 7, 20])
+@pytest.mark.parametrize("config", CONFIGS)
+def test_a_test_of_a_few_samples_has_a_summary(config, count):
+    test = experiment(config)
+    states = states_of(test, ground(test))[:count].copy()
+    states[0, 0] = 0.0444  # of a sensor: the test trips at once
+    summary = summarise(recording_of(test, ground(test)[:count], states))
+    json.dumps(summary, allow_nan=False)
+
+
 @pytest.mark.parametrize("law", [FRICTION, {"simulated.specimen.kind": "bouc_wen"}])
 def test_of_the_specimen_nothing_but_the_mass_counts(law):
     test = experiment().changed({"rig": {"simulated.specimen.yield_displacement": 0.002, **law}})

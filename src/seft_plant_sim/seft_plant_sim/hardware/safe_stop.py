@@ -8,6 +8,7 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.config.parameter_table import per_axis
+from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.channels import VELOCITY, per_channel, velocity_is_derived
 from seft_plant_sim.judge.detectors import assumed_noise
@@ -53,8 +54,19 @@ class Safe(NamedTuple):
     def from_parameters(
         cls, section: Mapping[str, Any], axes: Sequence[str], places: Sequence[int], dt: float
     ) -> "Safe":
-        """Make it from the rig's section, for the axes at some places."""
+        """Make it from the rig's section, for the axes at some places.
+
+        Raises
+        ------
+        InputError
+            If the safe command is beyond the limit of commands.
+        """
         command = per_axis(section["safe.valve_command"], axes, "rig: safe.valve_command")
+        if np.abs(command).max() > (limit := section["limits.command"]):
+            raise InputError(
+                f"rig: safe.valve_command is {section['safe.valve_command']} V, but must be within "
+                f"/**: limits.command, {limit:g} V: give the valve's null"
+            )
         noise = per_channel(section, axes, "sensors.{}_noise")[:, list(places)]
         limits = np.array([section[f"limits.{name}"] for name in CHANNELS])
         noise = assumed_noise(noise, limits, velocity_is_derived(section), dt)
