@@ -233,7 +233,7 @@ def _together(summary: dict[str, Any]) -> Iterator[TestFinding]:
     if motion is None or not found or found["at_most"] is None:
         return
     most = math.hypot(motion, found["at_most"])
-    text = f"ground motion, mass and channels together may make it {_about(most)} wrong"
+    text = f"ground motion, mass and channels together may mean an error of {_about(most)}"
     detail = (
         f"{_about(motion)} and {_about(found['at_most'])}, which also counts how well the test "
         f"shows them, or seft identify --specimen; good: up to {percent(GOOD_ERROR)}"

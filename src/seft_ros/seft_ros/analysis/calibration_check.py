@@ -33,7 +33,7 @@ from seft_ros.design.plant import FOLDED, held_relations
 
 CHANCE = 0.05
 """That errors of mass and channels mean more than `CalibrationCheck.at_most`."""
-ALIKE = 2.0
+ALIKE = 3.0
 """Standard errors within which an earlier estimate counts. Beyond, something may have changed, and
 a better estimate of what was shall not hide that."""
 MAX_LOST = 0.01

@@ -9,12 +9,12 @@ The zero of the force is in the restoring force r = f - M a, beside the specimen
 
     r = law(x) + b g(t)                                                                    (2)
 
-The law is a sum of stop operators, a curve and a damper of the spring's deformation. Where it
-leaves little but noise, g is a step between the halves of the test, and the standard error that of
-correlated residuals (Newey & West 1987), wider by `WIDEN`. Any other law leaves slow residuals.
-They are fitted by cosines of k = 1 to `MODES` half periods in the time of the test. Those of a
-random walk, which has no drift, are independent with standard deviations that fall as 1/k; so
-g = (1 - cos(pi t / T)) / 2, and its standard error is k times the amplitude of the others (RMS).
+The law is a sum of stop operators, a curve and a damper of the spring's deformation, and g is
+(1 - cos(pi t / T)) / 2 in the time T of the test. Where the law leaves little but noise, g may also
+be a step between the halves, and the standard error is that of correlated residuals (Newey & West
+1987), wider by `WIDEN`. Any other law leaves slow residuals. They are fitted by cosines of k = 1 to
+`MODES` half periods. Those of a random walk, which has no drift, are independent with standard
+deviations that fall as 1/k: the standard error is k times the amplitude of the others (RMS).
 """
 
 import numpy as np
@@ -29,7 +29,7 @@ _ROWS = 1 << 13  # of samples that are fitted, at equal distances
 MODES = 10
 """Cosines of Eq. (2)."""
 _SLOW = 3  # of them, in which a drift may be
-_DESCRIBED = 2.0  # what the law leaves, over the noise
+_DESCRIBED = 1.2  # what the law leaves, over the noise
 _MEMORY = 8  # parts of a test over which residuals may be correlated
 _RIDGE, _SMOOTH = 1e-3, 1e-2  # of a law's parameters, and of its curve's bends, as in SpecimenLaw
 
@@ -65,13 +65,15 @@ def force_drift(
     modes = np.arange(1, MODES + 1)
     cosines = np.cos(np.pi * np.outer(np.arange(count)[here] / count, modes))
     found, _, left = _fitted(cosines, law, y)
+    slow = 0.5 - 0.5 * np.cos(np.pi * np.arange(count) / count)
     if np.sqrt(np.mean(left**2)) > _DESCRIBED * noise_of(force[:, np.newaxis])[0]:
         error = np.sqrt(np.mean((modes * found)[_SLOW:] ** 2))
-        shape = 0.5 - 0.5 * np.cos(np.pi * np.arange(count) / count)
-        return float(-2.0 * found[0]), float(2.0 * error), shape
-    step = (np.arange(count) >= middle).astype(float)
-    found, errors, _ = _fitted(step[here, np.newaxis], law, y)
-    return float(found[0]), float(WIDEN * errors[0]), step
+        return float(-2.0 * found[0]), float(2.0 * error), slow
+    fits = []
+    for shape in (slow, (np.arange(count) >= middle).astype(float)):
+        found, errors, _ = _fitted(shape[here, np.newaxis], law, y)
+        fits.append((float(found[0]), float(WIDEN * errors[0]), shape))
+    return max(fits, key=lambda fit: abs(fit[0]) / fit[1])
 
 
 def _law(e: Floats, rate: Floats, here: slice) -> Floats:
