@@ -10,7 +10,7 @@ from experiments_at_hand import CONFIG, load, simulated
 from recordings_at_hand import as_measured, shown, without
 from seft_msgs_py.config.experiment import Experiment
 from seft_ros.analysis import calibration_check as checks
-from seft_ros.analysis.assessment import calibration_findings
+from seft_ros.analysis.assessment import IN_LABORATORY, calibration_findings
 from seft_ros.analysis.calibration_check import calibration_check, expected_relations
 from seft_ros.analysis.calibration_effect import led
 from seft_ros.analysis.report_numbers import report_numbers
@@ -68,9 +68,12 @@ def test_a_fault_free_test_is_not_doubted(words):
         (("rig:simulated.sensors.acceleration_lag:=0.0002",), {"lag"}),
         (("rig:simulated.sensors.displacement_lag:=0.0008",), {"lag"}),
         (("rig:simulated.sensors.displacement_scale:=1.03",), {"scale"}),
+        (("rig:faults:=force scale 1.08 at 3.0",), {"mass"}),
+        (("rig:faults:=force drift -5.0 at 2.0",), {"drift"}),
+        ((*FRICTION, "rig:faults:=force drift 8.0 at 2.0"), {"drift"}),
     ],
 )
-def test_a_wrong_mass_scale_or_lag_puts_a_test_in_doubt(words, kinds):
+def test_a_wrong_mass_scale_lag_or_zero_puts_a_test_in_doubt(words, kinds):
     assert kinds <= doubted(as_of_hardware(recording_of(*words)))
 
 
@@ -94,6 +97,19 @@ def test_text_and_json_say_what_is_wrong():
     names = {finding["name"]: finding["verdict"] for finding in found["verdict"]["findings"]}
     assert names["mass"] == "doubt"
     assert {"scale", "lag"} <= set(names)
+
+
+@pytest.mark.parametrize("words", [(*PLAN, *WRONG_MASS), PLAN[-2:]])
+def test_a_laboratory_would_see_a_simulated_test_as_it_sees_that_of_a_real_rig(words):
+    recording = simulated(load(*words))
+    found, real = (report_numbers(one) for one in (recording, as_of_hardware(recording)))
+    assert found.laboratory.text == real.assessment.text.replace("This", IN_LABORATORY, 1)
+    used = (
+        [f for f in of.findings if f.verdict is not Mark.NONE]
+        for of in (found.laboratory, real.assessment)
+    )
+    assert next(used) == next(used)
+    assert real.summary["laboratory_verdict"] is None
 
 
 def test_a_reference_of_the_simulated_specimen_is_not_called_the_models():
