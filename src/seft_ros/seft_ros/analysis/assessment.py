@@ -345,9 +345,9 @@ def losses(summary: dict[str, Any]) -> Iterator[TestFinding]:
         for name, row in summary["saturated"].items()
     ]
     text = f"saturated: {', '.join(saturated)}" if saturated else "nothing was saturated"
-    error = _error_of_motion(summary)
-    followed = set(summary["saturated"]) <= set(_ACTUATORS) and error is not None
-    good = not saturated or (followed and error <= GOOD_ERROR)
+    of_samples = not set(summary["saturated"]) <= set(_ACTUATORS)
+    error = None if of_samples else _error_of_motion(summary)
+    good = not saturated or (error is not None and error <= GOOD_ERROR)
     detail = "and the specimen moved as it should all the same" if saturated and good else ""
     yield TestFinding("saturated", Mark.GOOD if good else Mark.DOUBT, text, detail)
 

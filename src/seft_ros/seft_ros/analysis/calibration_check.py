@@ -260,18 +260,19 @@ def _drifts(
         zero, error = acceleration_zero(x[half], a[half], dt)
         of_zero = effect.within(half).of_zero(np.zeros(n), _sure(zero, error))
         for i, axis in enumerate(axes):
-            numbers = (float(zero[i]), 0.0, float(error[i]))
-            yield Deviation(of_zero, "drift", "acceleration", axis, axis, *numbers, name)
+            off, chance = float(zero[i]), float(error[i])
+            yield Deviation(of_zero, "drift", "acceleration", axis, axis, off, 0.0, chance, name)
     if len(springs) != n or np.linalg.cond(springs) > ALIKE_SPRINGS:
         return
     forces = (f - a @ effect.mass.T) @ np.linalg.inv(springs)
-    of_springs = (x @ springs.T, v @ springs.T, forces)
-    middle = halves["second half"].start
-    fits = [force_drift(*one, middle) for one in zip(*(each.T for each in of_springs), strict=True)]
-    moved = np.stack([float(_sure(value, error)) * shape for value, error, shape in fits], axis=1)
-    of_zero = effect.of_zero(moved @ springs, np.zeros(n))
-    for axis, (value, error, _) in zip(axes, fits, strict=True):
-        yield Deviation(of_zero, "drift", "force", axis, axis, value, 0.0, error)
+    e, rates, middle = x @ springs.T, v @ springs.T, halves["second half"].start
+    fits = [force_drift(e[:, j], rates[:, j], forces[:, j], middle) for j in range(n)]
+    moved, errors = (np.array([fit[i] for fit in fits]) for i in (0, 1))
+    shapes = np.stack([fit[2] for fit in fits], axis=1)
+    of_zero = effect.of_zero(_sure(moved, errors) * shapes @ springs, np.zeros(n))
+    for i, axis in enumerate(axes):
+        off, chance = float(moved[i]), float(errors[i])
+        yield Deviation(of_zero, "drift", "force", axis, axis, off, 0.0, chance)
 
 
 def _masses(effect: CalibrationEffect, own: Inertia, axes: tuple[str, ...]) -> Iterator[Deviation]:
@@ -293,8 +294,8 @@ def _scales(
     off = _sure(own.scale - expected, own.scale_error)
     of_scale = effect.of_scale(np.eye(len(axes)) + off)
     for i, j in zip(*np.nonzero(own.scale_error), strict=True):
-        numbers = (float(each[i, j]) for each in (own.scale, expected, own.scale_error))
-        yield Deviation(of_scale, "scale", channel, axes[i], axes[j], *numbers)
+        scale, told, error = (float(each[i, j]) for each in (own.scale, expected, own.scale_error))
+        yield Deviation(of_scale, "scale", channel, axes[i], axes[j], scale, told, error)
 
 
 def _lags(
@@ -303,8 +304,8 @@ def _lags(
     """Lags of a channel on all axes; ``known`` has shape (n,), s."""
     of_lag = effect.of_lag(_sure(own.lag - known, own.lag_error))
     for i, axis in enumerate(axes):
-        numbers = (float(each[i]) for each in (own.lag, known, own.lag_error))
-        yield Deviation(of_lag, "lag", channel, axis, axis, *numbers)
+        late, told, error = (float(each[i]) for each in (own.lag, known, own.lag_error))
+        yield Deviation(of_lag, "lag", channel, axis, axis, late, told, error)
 
 
 def _relations(experiment: Experiment, samples: Floats, frequency: float) -> Iterator[_OfChannel]:

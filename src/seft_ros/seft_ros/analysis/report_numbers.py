@@ -166,11 +166,11 @@ def report_numbers(recording: Recording) -> Report:
     if is_simulated(recording.experiment):
         laboratory = assess_test(summary | _seen(assessed, summary), IN_LABORATORY)
     assessment = assess_test(summary, BY_TRUTH if laboratory else "This")
-    verdicts = {"verdict": assessment, "laboratory_verdict": laboratory}
-    verdicts = {name: found and asdict(found) for name, found in verdicts.items()}
+    both = {"verdict": assessment, "laboratory_verdict": laboratory}
+    verdicts = {name: found and asdict(found) for name, found in both.items()}
     summary = json_safe(summary | verdicts)
-    both = assessment, laboratory
-    return Report(recording, reference, energies, spectra, note, difference, *both, summary)
+    found = difference, assessment, laboratory
+    return Report(recording, reference, energies, spectra, note, *found, summary)
 
 
 def _in_band(experiment: Experiment, accelerations: _Spectra) -> tuple[dict[str, Any], str]:
