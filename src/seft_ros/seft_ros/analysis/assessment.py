@@ -37,6 +37,7 @@ _WORDS = {
 }
 _ACTUATORS = ("force_capacity", "stroke", "valve")
 """What may be saturated without a sample being wrong."""
+_CLIPPED = "acceleration_range"
 
 
 @dataclass(frozen=True)
@@ -345,9 +346,12 @@ def losses(summary: dict[str, Any]) -> Iterator[TestFinding]:
         for name, row in summary["saturated"].items()
     ]
     text = f"saturated: {', '.join(saturated)}" if saturated else "nothing was saturated"
-    of_samples = not set(summary["saturated"]) <= set(_ACTUATORS)
-    error = None if of_samples else _error_of_motion(summary)
-    good = not saturated or (error is not None and error <= GOOD_ERROR)
+    error, allowed = _error_of_motion(summary), set(_ACTUATORS)
+    clipped = (summary["calibration"] or {}).get("clipped")
+    if clipped is not None and clipped <= GOOD_EFFECT:
+        allowed.add(_CLIPPED)
+    no_sensor = set(summary["saturated"]) <= allowed
+    good = not saturated or (no_sensor and error is not None and error <= GOOD_ERROR)
     detail = "and the specimen moved as it should all the same" if saturated and good else ""
     yield TestFinding("saturated", Mark.GOOD if good else Mark.DOUBT, text, detail)
 

@@ -41,6 +41,7 @@ MAX_LOST = 0.01
 MAX_SAMPLES = 1 << 16
 """Of a longer test the part that moves most counts, so that it takes a second and little memory."""
 
+_AT_END = 0.01  # of the range, in which noise is
 _FEWEST = 8  # samples of a half; noise is found in sixth differences
 _OfChannel = tuple[str, Relation, Floats, Floats]
 """A channel, its relation to the displacement, and the scale and lag expected, (n,)."""
@@ -95,6 +96,8 @@ class CalibrationCheck:
     at_most : float or None
         Displacement error that mass, force, and acceleration, as estimated and together, exceed
         with the chance `CHANCE`.
+    clipped : float or None
+        Displacement error that accelerations beyond their sensor's range mean, by the velocity.
     unsure, unsure_lag : float or None
         Displacement error that errors of the masses, and of the forces' lags, of
         `ESTIMATE_SIGMAS` standard errors would mean.
@@ -107,6 +110,7 @@ class CalibrationCheck:
     lag: Deviation | None
     drift: Deviation | None
     at_most: float | None
+    clipped: float | None
     unsure: float | None
     unsure_lag: float | None
     axes: dict[str, Any]
@@ -144,7 +148,7 @@ def calibration_check(recording: Recording) -> CalibrationCheck | None:
     frequency = motion_frequency(samples)
     found: list[Deviation] = []
     in_parts: list[Deviation] = []
-    unsure = unsure_lag = at_most = None
+    unsure = unsure_lag = at_most = clipped = None
     if frequency > 0:
         effect = CalibrationEffect(structure, samples, dt)
         own = inertia(samples, effect.mass, effect.springs, dt, frequency)
@@ -155,6 +159,8 @@ def calibration_check(recording: Recording) -> CalibrationCheck | None:
             if np.isfinite(own.lag_error).all():
                 unsure_lag = effect.of_force_lag(ESTIMATE_SIGMAS * own.lag_error)
             at_most = _at_most(effect, own, relations)
+        if "acceleration_range" in recording.saturation:
+            clipped = effect.of_zero(np.zeros(len(experiment.axes)), -_beyond_range(samples, dt))
         found += _deviations(effect, own, relations, experiment.axes)
         halves = _halves(samples)
         for name, half in halves.items():
@@ -173,8 +179,23 @@ def calibration_check(recording: Recording) -> CalibrationCheck | None:
     }
     numbers = {axis: _numbers(found, axis) for axis in experiment.axes}
     return CalibrationCheck(
-        **worst, at_most=at_most, unsure=unsure, unsure_lag=unsure_lag, axes=numbers
+        **worst,
+        at_most=at_most,
+        clipped=clipped,
+        unsure=unsure,
+        unsure_lag=unsure_lag,
+        axes=numbers,
     )
+
+
+def _beyond_range(samples: Floats, dt: float) -> Floats:
+    """Give what accelerations at the range's end lack, by the change of the velocity, (N, n)."""
+    v, a = samples[:, 1], samples[:, 2]
+    lacking = np.zeros_like(a)
+    moved = (v[2:] - v[:-2]) / dt - 0.5 * (a[:-2] + a[2:]) - a[1:-1]
+    is_at_end = np.abs(a[1:-1]) >= (1.0 - _AT_END) * np.abs(a).max()
+    lacking[1:-1] = np.where(is_at_end & (moved * a[1:-1] > 0.0), moved, 0.0)
+    return lacking
 
 
 def _halves(samples: Floats) -> dict[str, slice]:
