@@ -11,8 +11,9 @@ from recordings_at_hand import as_measured, shown, without
 from seft_msgs_py.config.experiment import Experiment
 from seft_ros.analysis import calibration_check as checks
 from seft_ros.analysis.assessment import IN_LABORATORY, calibration_findings
-from seft_ros.analysis.calibration_check import calibration_check, expected_relations
+from seft_ros.analysis.calibration_check import calibration_check
 from seft_ros.analysis.calibration_effect import led
+from seft_ros.analysis.folding import expected_relations
 from seft_ros.analysis.report_numbers import report_numbers
 from seft_ros.analysis.result_text import OF_THE_MODEL, summary_texts
 from seft_ros.analysis.summary import summarise

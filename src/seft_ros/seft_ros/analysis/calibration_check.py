@@ -10,13 +10,10 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.arrays import Complexes, Floats
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN
+from seft_msgs_py.config.facts import FORCE_DRIVEN
 from seft_msgs_py.config.parameter_table import per_axis
-from seft_msgs_py.errors import InputError
-from seft_plant_sim.calibration import known_channels
-from seft_plant_sim.channels import VELOCITY
 
 from seft_ros.analysis.calibration_effect import CalibrationEffect, calibration_structure
 from seft_ros.analysis.channel_estimates import (
@@ -26,10 +23,10 @@ from seft_ros.analysis.channel_estimates import (
     relation,
 )
 from seft_ros.analysis.drift_estimate import acceleration_zero, force_drift
+from seft_ros.analysis.folding import expected_relations
 from seft_ros.analysis.mass_estimate import ALIKE_SPRINGS, MIN_ERROR, Inertia, inertia
 from seft_ros.bags.recording import Recording, every_step
-from seft_ros.design.planned_tests import choose_rig
-from seft_ros.design.plant import FOLDED, held_relations
+from seft_ros.design.plant import FOLDED
 
 CHANCE = 0.05
 """That errors of mass and channels mean more than `CalibrationCheck.at_most`."""
@@ -350,42 +347,6 @@ def _relations(experiment: Experiment, samples: Floats, frequency: float) -> Ite
         unsure = FOLDED * np.abs(own - 1.0)
         if (found := relation(y, x, order, dt, frequency, unsure)) is not None:
             yield channel, found, np.abs(own), -np.angle(own) / w
-
-
-def expected_relations(experiment: Experiment, frequency: float) -> Complexes | None:
-    """Velocity and acceleration of fault-free channels over the derivatives of x.
-
-    See `seft_ros.design.plant.held_relations`; it follows from the actuator that the test knows,
-    on the specimen's model, and from what is known of the channels' lags.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        Of the test.
-    frequency : float
-        Of the motion, Hz.
-
-    Returns
-    -------
-    ndarray or None
-        Shape (2, n); None if no actuator is known.
-    """
-    nodes = ("reference_force", "force_controller")
-    if any(node not in experiment.sections for node in nodes):
-        return None
-    section = experiment["reference_force"]
-    lag = known_channels(section, experiment.axes)["lag"]
-    # what the samples wait for after the channels are read turns nothing that is folded down
-    at_once = {f"calibration.{channel}_lag": 0.0 for channel in CHANNELS}
-    known = Experiment({node: experiment[node] | at_once for node in nodes})
-    if section["sensors.velocity"] == "derived":
-        lag[VELOCITY] = lag[0]
-    try:
-        plant = choose_rig(known).plant
-        held = held_relations(plant, np.array([frequency]), experiment.timebase.dt, lag)
-    except (InputError, KeyError):
-        return None
-    return held[0]
 
 
 def _known_inertia(experiment: Experiment, mass: Floats) -> Inertia | None:

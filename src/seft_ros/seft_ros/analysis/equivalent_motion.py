@@ -11,6 +11,7 @@ from seft_msgs_py.wire.topics import GROUND_MOTION, RIG_STATE
 from seft_plant_sim.whole_structure import WholeStructure, reference_response, whole_structure
 
 from seft_ros.analysis.channel_estimates import noise_of
+from seft_ros.analysis.folding import without_folding
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.analysis.specimen_law import SpecimenLaw, springs_of
 from seft_ros.bags.recording import Recording, every_step
@@ -195,7 +196,8 @@ def motion_difference(recording: Recording) -> MotionDifference | None:
         return None
     equivalent = EquivalentMotion(structure, dt)
     with np.errstate(over="ignore", invalid="ignore"):  # of a test that went unstable
-        tested = equivalent.advance(measured)
+        seen = without_folding(measured, equivalent.mass, recording.experiment)
+        tested = equivalent.advance(seen)
         of_tested, of_asked = (reference_response(assumed, y) for y in (tested, asked))
         first = nrmse(of_tested.displacement, of_asked.displacement)
         springs = springs_of(assumed, structure)
