@@ -10,9 +10,11 @@ from experiments_at_hand import CONFIG, load, simulated
 from recordings_at_hand import as_measured, shown, without
 from seft_msgs_py.config.experiment import Experiment
 from seft_ros.analysis import calibration_check as checks
+from seft_ros.analysis import equivalent_motion
 from seft_ros.analysis.assessment import IN_LABORATORY, calibration_findings
 from seft_ros.analysis.calibration_check import calibration_check
 from seft_ros.analysis.calibration_effect import led
+from seft_ros.analysis.equivalent_motion import motion_difference
 from seft_ros.analysis.folding import expected_relations
 from seft_ros.analysis.report_numbers import report_numbers
 from seft_ros.analysis.result_text import OF_THE_MODEL, summary_texts
@@ -209,3 +211,10 @@ def test_a_lead_is_that_of_a_sine():
     assert led(y[:, np.newaxis], np.array([3.3e-3]), 0.001)[:, 0] == pytest.approx(
         later - y, abs=5e-3
     )
+
+
+def test_what_is_folded_down_is_no_error_of_the_ground_motion(monkeypatch):
+    recording = recording_of("rate:=250.0")
+    without = motion_difference(recording).specimen_nrmse
+    monkeypatch.setattr(equivalent_motion, "without_folding", lambda samples, *_: samples)
+    assert without < 0.6 * motion_difference(recording).specimen_nrmse
