@@ -283,8 +283,8 @@ def _drifts(
     if len(springs) != n or np.linalg.cond(springs) > ALIKE_SPRINGS:
         return
     forces = (f - a @ effect.mass.T) @ np.linalg.inv(springs)
-    e, rates, middle = x @ springs.T, v @ springs.T, halves["second half"].start
-    fits = [force_drift(e[:, j], rates[:, j], forces[:, j], middle) for j in range(n)]
+    e, rates = x @ springs.T, v @ springs.T
+    fits = [force_drift(e[:, j], rates[:, j], forces[:, j]) for j in range(n)]
     moved, errors = (np.array([fit[i] for fit in fits]) for i in (0, 1))
     shapes = np.stack([fit[2] for fit in fits], axis=1)
     of_zero = effect.of_zero(_sure(moved, errors) * shapes @ springs, np.zeros(n))

@@ -9,12 +9,13 @@ The zero of the force is in the restoring force r = f - M a, beside the specimen
 
     r = law(x) + b g(t)                                                                    (2)
 
-The law is a sum of stop operators, a curve and a damper of the spring's deformation, and g is
-(1 - cos(pi t / T)) / 2 in the time T of the test. Where the law leaves little but noise, g may also
-be a step between the halves, and the standard error is that of correlated residuals (Newey & West
+The law is a sum of stop operators, a curve and a damper of the spring's deformation. Where it
+leaves little but noise, g is (1 - cos(pi t / T)) / 2 in the time T of the test, or a step at one of
+`STEPS` times: what explains most. The standard error is that of correlated residuals (Newey & West
 1987), wider by `WIDEN`. Any other law leaves slow residuals. They are fitted by cosines of k = 1 to
 `MODES` half periods. Those of a random walk, which has no drift, are independent with standard
-deviations that fall as 1/k: the standard error is k times the amplitude of the others (RMS).
+deviations that fall as 1/k: the standard error is k times the amplitude of the others (RMS), and g
+the first.
 """
 
 import numpy as np
@@ -26,6 +27,8 @@ from seft_ros.reference_force.restoring_model import slide
 
 _STOPS, _CORNERS = 48, 30  # so close that the corner of a bilinear law is within its noise
 _ROWS = 1 << 13  # of samples that are fitted, at equal distances
+STEPS = 16
+"""Parts of a test, between which a force may step."""
 MODES = 10
 """Cosines of Eq. (2)."""
 _SLOW = 3  # of them, in which a drift may be
@@ -48,32 +51,31 @@ def acceleration_zero(x: Floats, a: Floats, dt: float) -> tuple[Floats, Floats]:
     return zero, np.sqrt(noise) / whole
 
 
-def force_drift(
-    deformation: Floats, rate: Floats, force: Floats, middle: int
-) -> tuple[float, float, Floats]:
+def force_drift(deformation: Floats, rate: Floats, force: Floats) -> tuple[float, float, Floats]:
     """Fit the zero of a spring's force, Eq. (2); give b, N, its standard error, and g, (N,).
 
     Parameters
     ----------
     deformation, rate, force : ndarray
         Of the spring, shape (N,).
-    middle : int
-        First sample of the second half.
     """
     count, here = len(force), slice(None, None, 1 + len(force) // _ROWS)
     law, y = _law(deformation, rate, here), force[here]
+    slow = 0.5 - 0.5 * np.cos(np.pi * np.arange(count) / count)
+    steps = np.arange(count)[:, np.newaxis] >= count * np.arange(1, STEPS) / STEPS
+    shapes = np.column_stack([slow, steps])
+    q, _ = np.linalg.qr(law)
+    beside = shapes[here] - q @ (q.T @ shapes[here])
+    gained = np.abs(y @ beside) / np.maximum(np.linalg.norm(beside, axis=0), 1e-9)
+    shape = shapes[:, np.argmax(gained)]
+    values, errors, left = _fitted(shape[here, np.newaxis], law, y)
+    if np.sqrt(np.mean(left**2)) <= _DESCRIBED * noise_of(force[:, np.newaxis])[0]:
+        return float(values[0]), float(WIDEN * errors[0]), shape
     modes = np.arange(1, MODES + 1)
     cosines = np.cos(np.pi * np.outer(np.arange(count)[here] / count, modes))
-    found, _, left = _fitted(cosines, law, y)
-    slow = 0.5 - 0.5 * np.cos(np.pi * np.arange(count) / count)
-    if np.sqrt(np.mean(left**2)) > _DESCRIBED * noise_of(force[:, np.newaxis])[0]:
-        error = np.sqrt(np.mean((modes * found)[_SLOW:] ** 2))
-        return float(-2.0 * found[0]), float(2.0 * error), slow
-    fits = []
-    for shape in (slow, (np.arange(count) >= middle).astype(float)):
-        found, errors, _ = _fitted(shape[here, np.newaxis], law, y)
-        fits.append((float(found[0]), float(WIDEN * errors[0]), shape))
-    return max(fits, key=lambda fit: abs(fit[0]) / fit[1])
+    values, _, _ = _fitted(cosines, law, y)
+    error = np.sqrt(np.mean((modes * values)[_SLOW:] ** 2))
+    return float(-2.0 * values[0]), float(2.0 * error), slow
 
 
 def _law(e: Floats, rate: Floats, here: slice) -> Floats:
