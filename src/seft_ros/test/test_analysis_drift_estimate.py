@@ -31,7 +31,7 @@ def test_the_zero_of_the_acceleration_is_found_whatever_the_motion(bias):
 
 
 @pytest.mark.parametrize("kind", ["elastic", "bilinear"])
-@pytest.mark.parametrize(("moved", "slow"), [(0.0, None), (12.0, True), (12.0, False)])
+@pytest.mark.parametrize(("moved", "slow"), [(0.0, None), (25.0, True), (25.0, False)])
 def test_a_zero_of_the_force_that_moves_is_told_from_the_law(kind, moved, slow):
     x, v, _ = motion()
     yielding = np.zeros(COUNT)

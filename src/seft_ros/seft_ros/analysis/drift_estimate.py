@@ -12,23 +12,24 @@ The zero of the force is in the restoring force r = f - M a, beside the specimen
 The law is a sum of stop operators, a curve and a damper of the spring's deformation. Where it
 leaves little but noise, g is (1 - cos(pi t / T)) / 2 in the time T of the test, or a step at one of
 `STEPS` times: what explains most. The standard error is that of correlated residuals (Newey & West
-1987), wider by `WIDEN`. Any other law leaves slow residuals. They are fitted by cosines of k = 1 to
-`MODES` half periods. Those of a random walk, which has no drift, are independent with standard
-deviations that fall as 1/k: the standard error is k times the amplitude of the others (RMS), and g
-the first.
+1987), wider by `LARGEST_OF_STEPS`. Any other law leaves slow residuals. They are fitted by cosines
+of k = 1 to `MODES` half periods. Those of a random walk, which has no drift, are independent with
+standard deviations that fall as 1/k: the standard error is k times the amplitude of the faster ones
+(RMS).
 """
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
 
 from seft_ros.analysis.channel_estimates import noise_of, summed_covariance
-from seft_ros.analysis.mass_estimate import WIDEN
 from seft_ros.reference_force.restoring_model import slide
 
 _STOPS, _CORNERS = 48, 30  # so close that the corner of a bilinear law is within its noise
 _ROWS = 1 << 13  # of samples that are fitted, at equal distances
 STEPS = 16
 """Parts of a test, between which a force may step."""
+LARGEST_OF_STEPS = float(np.sqrt(2.0 * np.log(STEPS)))
+"""Standard errors that the largest of so many steps has by chance."""
 MODES = 10
 """Cosines of Eq. (2)."""
 _SLOW = 3  # of them, in which a drift may be
@@ -70,7 +71,7 @@ def force_drift(deformation: Floats, rate: Floats, force: Floats) -> tuple[float
     shape = shapes[:, np.argmax(gained)]
     values, errors, left = _fitted(shape[here, np.newaxis], law, y)
     if np.sqrt(np.mean(left**2)) <= _DESCRIBED * noise_of(force[:, np.newaxis])[0]:
-        return float(values[0]), float(WIDEN * errors[0]), shape
+        return float(values[0]), float(LARGEST_OF_STEPS * errors[0]), shape
     modes = np.arange(1, MODES + 1)
     cosines = np.cos(np.pi * np.outer(np.arange(count)[here] / count, modes))
     values, _, _ = _fitted(cosines, law, y)
