@@ -1,5 +1,7 @@
 """Laboratories' hardware for tests: classes on a simulated converter board, good and bad."""
 
+import sys
+import textwrap
 import threading
 import time
 
@@ -112,6 +114,19 @@ class Refuses(Board):
             raise ValueError("refused")
 
 
+class Exits(Board):
+    """A library ends the program."""
+
+    def read(self):
+        return sys.exit("no licence") if self.reads > AT else super().read()
+
+
+class Inherits(Board):
+    """It never reads, by a method that another file has."""
+
+    read = textwrap.dedent
+
+
 class Slow(Board):
     """A call takes longer than a period."""
 
@@ -121,6 +136,15 @@ class Slow(Board):
         if self.reads > AT:
             self.clock.sleep(0.003)
         return super().read()
+
+
+class Stuck(Board):
+    """Its relay does not close the valve after a test."""
+
+    def safe(self):
+        super().safe()
+        if self.reads > AT:
+            raise OSError("the relay is stuck")
 
 
 class WithoutSafe:

@@ -20,7 +20,6 @@ NAMES = {  # module: name for pip, rosdep key
     "hypothesis": ("hypothesis", "python3-hypothesis"),
     "jinja2": ("jinja2", "python3-jinja2"),
     "llvmlite": ("numba", "python3-numba"),  # which brings it, in the version that it needs
-    "lz4": ("lz4", None),
     "matplotlib": ("matplotlib", "python3-matplotlib"),
     "mcap": ("mcap", None),
     "numba": ("numba", "python3-numba"),

@@ -17,8 +17,9 @@ from local_tools import (
 )
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.messages import decode_description
-from seft_msgs_py.wire.topics import DESCRIPTION, RIG_STATE, VALVE_COMMAND, RigAxes
+from seft_msgs_py.wire.messages import decode_description, decode_diagnostics
+from seft_msgs_py.wire.outcome import NOT_AT_REST, STOPPING
+from seft_msgs_py.wire.topics import DESCRIPTION, DIAGNOSTICS, RIG_STATE, VALVE_COMMAND, RigAxes
 from seft_plant_sim.hardware.hosted import HostedHardware
 from seft_plant_sim.rig_parameters import RIG_TABLE, as_simulated
 
@@ -116,6 +117,7 @@ FAULTS = {
     "Loses": r"boards:Loses line \d+: read\(\) gave nan for the force of axis x",
     "Tells": r"boards:Tells line \d+: read\(\) gave no numbers, but 'no numbers'",
     "Refuses": r"boards:Refuses line \d+: write\(\): refused",
+    "Exits": r"boards:Exits line \d+: read\(\): SystemExit\('no licence'\)",
     "Slow": r"boards:Slow line \d+: read\(\) took 3 ms, more than a period of 2 ms",
 }
 
@@ -132,12 +134,20 @@ def test_a_fault_in_a_test_has_its_line_and_the_valve_goes_to_its_safe_command(
     assert re.search(FAULTS[name], graph.values["detail"]), graph.values["detail"]
     graph.run(0.1)
     assert "safe" in calls()
-    if name != "Refuses":  # the valve closes in its time, also where nothing is read
-        assert calls()[-500:].count("write") >= 9
+    if name != "Refuses":  # the valve closes in its time, without samples
+        reads = [place for place, call in enumerate(calls()) if call == "read"]
+        assert 9 <= calls()[reads[boards.AT] :].count("write") <= 12
     assert graph.endings == {}
     graph.terminate("rig")
     graph.run(0.1)
     assert calls()[-1] == "close"
+
+
+def test_a_test_waits_for_hardware_that_fails_and_says_why(hosting):
+    graph = hosting("Inherits", UNREHEARSED)
+    graph.until(lambda: "waiting for the rig" in graph.values.get("detail", ""))
+    why = r"waiting for the rig, as boards:Inherits, textwrap.py line \d+: read\(\): "
+    assert re.match(why, graph.values["detail"])
 
 
 def test_one_of_two_rigs_hosts_hardware_and_the_other_is_simulated(local_graph, tmp_path):
@@ -168,11 +178,23 @@ def test_a_piston_that_goes_on_loses_its_pressure(hosting):
     assert "dump_pressure" in calls()
 
 
+def test_a_rig_that_is_not_made_safe_is_said_not_to_be_at_rest(hosting):
+    graph = hosting("Stuck", "limits.displacement:=0.02", UNREHEARSED)
+    perform(graph)
+    graph.until(lambda: graph.status("rig").get("stop time (s)"))
+    assert any("safe(): the relay is stuck" in line.text for line in graph.graph.lines)
+    sent = [each.raw for each in graph.graph.sent if each.topic == DIAGNOSTICS.name]
+    told = [status for raw in sent for status in decode_diagnostics(raw)[1]]
+    assert any("not at rest after" in status.message for status in told)
+    ends = [key for each in told for key in (STOPPING, NOT_AT_REST) if key in each.values]
+    assert (ends[0], ends[-1]) == (STOPPING, NOT_AT_REST)  # seft run waits, and then says so
+
+
 @pytest.mark.parametrize(
     ("name", "says"),
     [
         ("boards:WithoutSafe", "rig: hardware: boards:WithoutSafe has no method safe"),
-        ("boards:Broken", "rig: hardware: boards:Broken can't be made: no board in slot 3"),
+        ("boards:Broken", "rig: hardware: boards:Broken line 164 can't be made: no board"),
         ("boards:Nothing", "rig: hardware is boards:Nothing, but"),
         ("nothing.py:Board", "rig: hardware is nothing.py:Board, but there is no file nothing.py"),
         ("unknown", "rig: hardware is 'unknown', but must be FILE.py:CLASS"),

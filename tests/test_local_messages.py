@@ -1,6 +1,7 @@
 """Messages that are late, lost, bad, or of somebody else, in virtual time."""
 
 import struct
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from local_tools import (
     offline,
     perform,
 )
+from seft_msgs_py.node.node_kind import NodeKind
 from seft_msgs_py.wire.experiment_state import ExperimentState, encode_state
 from seft_msgs_py.wire.outcome import State
 from seft_msgs_py.wire.topics import (
@@ -29,6 +31,9 @@ from seft_msgs_py.wire.topics import (
     VALVE_COMMAND,
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
+from seft_plant_sim.rig_node import RigNode
+from seft_plant_sim.rig_parameters import RIG_TABLE
+from seft_ros.nodes.kinds import NODE_KINDS
 
 
 @pytest.mark.parametrize("topic", [VALVE_COMMAND, REFERENCE_FORCE, RIG_STATE])
@@ -39,6 +44,26 @@ def test_one_lost_message_is_one_missed_command(local_graph, topic):
     reported = graph.status("rig")
     assert (reported["missed"], reported["missed_steps"]) == ("1", "500")
     assert_same(graph, offline(graph), steps=501 if topic == VALVE_COMMAND else 500)
+
+
+class Ahead(RigNode):
+    """A rig of one's own: it stamps each sample with the next step, and obeys what answers that."""
+
+    def _publish(self, step, sample, begun):
+        own = self._state_codec
+        self._state_codec = SimpleNamespace(encode=lambda k, values: own.encode(k + 1, values))
+        super()._publish(step, sample, begun)
+        self._state_codec = own
+        for command in (self._valve, self._drive, self._fallback_stop):
+            command.current = step + 1
+
+
+def test_a_rig_whose_first_sample_is_not_of_step_0_trips_before_its_valve_moves(local_graph):
+    kinds = NODE_KINDS | {"rig": NodeKind(RIG_TABLE, [RIG_TABLE], Ahead)}
+    graph = local_graph(THREE_SECONDS, UNREHEARSED, *TARGET_MOTION, kinds=kinds)
+    perform(graph, "tripped")
+    assert "rig/state begins with step 1, not 0" in graph.values["detail"]
+    assert not any(values.any() for values in graph.samples(VALVE_COMMAND)[1])
 
 
 def test_a_rig_that_misses_commands_continues_along_its_fallback_stop(local_graph):

@@ -212,7 +212,8 @@ def test_a_lost_sample_of_a_test_keeps_its_place(peer):
             found.append(hardware.read()[0, 0])
             hardware.write(np.ones(1))
         assert np.array_equal(found, [2, np.nan, np.nan, 5], equal_nan=True)
-        assert [peer.hear()[0] for _ in range(5)] == [1, 2, 3, 4, 5]
+        said = [peer.hear()[:2] for _ in range(5)]
+        assert said == [(1, CLOSED), (2, RUN), (3, RUN), (4, RUN), (5, RUN)]
 
 
 def test_safe_answers_the_newest_sample_and_is_said_at_rest(peer):
@@ -228,7 +229,7 @@ def test_safe_answers_the_newest_sample_and_is_said_at_rest(peer):
         for step in (4, 5, 6):
             peer.send(sample(step), port_of(hardware))
             assert hardware.read()[0, 0] == step
-        assert [peer.hear()[:2] for _ in range(2)] == [(4, CLOSED), (5, CLOSED)]
+            assert peer.hear()[:2] == (step, CLOSED)  # at once: the next sample may be near
 
 
 @pytest.mark.parametrize("clock", CLOCKS)
@@ -263,7 +264,16 @@ def test_a_controller_that_closes_by_itself_ends_the_test(peer, clock):
                 hardware.read()
         with pytest.raises(ConnectionError, match="has closed its valve by itself"):
             hardware.read()
+        hardware.write(np.ones(1))  # of the stop that follows
+        peer.send(sample(4 + hardware.can_wait), port_of(hardware))
+        hardware.read()
         assert peer.newest()[1] == CLOSED
+        hardware.safe()
+        hardware.write(np.ones(1))  # of another test
+        peer.send(sample(*((7, RUN) if clock == "host" else (5, CLOSED))), port_of(hardware))
+        hardware.read()
+        hardware.write(np.ones(1))
+        assert peer.newest()[1] == RUN
 
 
 def test_a_controller_that_does_not_open_its_valve_ends_the_test(peer):

@@ -50,7 +50,6 @@ setup(
     install_requires=[
         "bokeh>=3.10",
         "jinja2>=3.1",
-        "lz4>=4.4",
         "matplotlib>=3.6",
         "mcap>=1.6",
         "numba>=0.59",

@@ -1,6 +1,5 @@
 """Text for a terminal, and standard output that nobody takes."""
 
-import errno
 import io
 import os
 import sys
@@ -61,7 +60,7 @@ def unbroken(program: str, main: Callable[[], int]) -> int:
     Returns
     -------
     int
-        The program's exit status; 1 if it would be 0, but stdout is full.
+        The program's exit status; 1 if it would be 0, but stdout was not taken to its end.
     """
     _open_closed()
     before, outputs = (sys.stdout, sys.stderr), (_Output(1), _Output(2))
@@ -74,8 +73,7 @@ def unbroken(program: str, main: Callable[[], int]) -> int:
         except SystemExit as end:  # argparse
             status = end.code if isinstance(end.code, int) else 0
         sys.stdout.flush()
-        error = outputs[0].error
-        if error is not None and error.errno != errno.EPIPE:
+        if (error := outputs[0].error) is not None:
             print(f"{program}: stdout can't be written ({error.strerror})", file=sys.stderr)
             status = status or 1
         return status
@@ -86,8 +84,11 @@ def unbroken(program: str, main: Callable[[], int]) -> int:
 
 
 def _open_closed() -> None:
-    """Open what is closed of the three standard streams: the next file would take its place."""
-    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+    """Open what is closed of the three standard streams: the next file would take its place.
+
+    What is printed to a closed stdout fails.
+    """
+    for name, mode in (("stdin", "r"), ("stdout", "r"), ("stderr", "w")):
         if getattr(sys, name) is None:
             stream = Path(os.devnull).open(mode)  # noqa: SIM115
             os.set_inheritable(stream.fileno(), True)

@@ -16,6 +16,7 @@ from seft_msgs_py.node.process import (
     ONE_HOST,
     PROFILES,
     RANGE,
+    check_environment,
     check_shared_memory,
     is_running,
     prepare_middleware,
@@ -45,6 +46,36 @@ def test_what_the_environment_asks_for_is_what_fastdds_reads(monkeypatch, given,
     for _ in range(2):
         prepare_middleware()
         assert (environment.get(PROFILES), environment.get(RANGE)) == (profiles, reach)
+
+
+WRONG = {
+    "ROS_DOMAIN_ID": ["9999", "233", "-1", "abc", "7.0", "0x7"],
+    "RMW_IMPLEMENTATION": ["rmw_cyclonedds_cpp", "rmw_x", "fastrtps"],
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": ["OFF", "LOCAL", "subnet"],
+    "FASTRTPS_DEFAULT_PROFILES_FILE": ["nowhere.xml"],
+    "RCUTILS_COLORIZED_OUTPUT": ["yes"],
+}
+
+
+@pytest.mark.parametrize(("name", "values"), WRONG.items())
+def test_a_variable_with_which_ros_can_not_work_is_named_before_it_starts(name, values):
+    program = [sys.executable, "-c", "import seft_msgs_py.node.dds"]
+    environment = {key: text for key, text in os.environ.items() if key not in WRONG}
+    for text in values[:1]:
+        done = subprocess.run(program, env={**environment, name: text}, capture_output=True)
+        assert f"InputError: {name} is {text}, but must be" in done.stderr.decode()
+
+
+@pytest.mark.parametrize(("name", "values"), WRONG.items())
+def test_what_the_environment_says_is_checked(monkeypatch, name, values):
+    monkeypatch.setattr("os.environ", environment := {})
+    for text in values:
+        environment[name] = text
+        with pytest.raises(InputError, match=rf"{name} is {text}, but must be .*, or unset it"):
+            check_environment()
+    right = {"ROS_DOMAIN_ID": "232", RANGE: "SUBNET", PROFILES: str(NETWORK), name: ""}
+    environment.update({"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"} | right)
+    check_environment()
 
 
 @pytest.fixture

@@ -152,6 +152,10 @@ def bilinear(
     return b / a[0], a / a[0]
 
 
+MOST_TAPS = 4000
+"""The least squares of an inverse take 8 bytes times the square of it, some times over."""
+
+
 def noncausal_inverse(
     response: Callable[[Complexes], Complexes],
     highest: float,
@@ -176,7 +180,17 @@ def noncausal_inverse(
         Sampling period, s.
     past : int
         Number of weights of past samples; the others are those of this and future samples.
+
+    Raises
+    ------
+    InputError
+        If there are more than `MOST_TAPS`.
     """
+    if taps > MOST_TAPS:
+        raise InputError(
+            f"/**: rate is {1 / dt:g} Hz, at which the actuator's delay takes {taps} samples to "
+            f"invert, and {MOST_TAPS} at most are; lower the rate"
+        )
     f = np.linspace(0.0, 0.5 / dt, 400)
     s = (2j * math.pi * f).astype(np.complex128)
     weight = np.where(f <= highest, 1.0, OUTSIDE_WEIGHT)

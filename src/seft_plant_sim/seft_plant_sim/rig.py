@@ -11,7 +11,7 @@ from seft_msgs_py.wire.topics import VALVE_COMMAND, RigAxes, Timebase
 
 from seft_plant_sim.calibration import biases_of_all, zeroed_at_rest
 from seft_plant_sim.compiled import kind_of
-from seft_plant_sim.hardware.hosted import HostedHardware
+from seft_plant_sim.hardware.hosted import HardwareError, HostedHardware
 from seft_plant_sim.hardware.safe_stop import Safe, Stopped
 from seft_plant_sim.judge.guard import Guard
 from seft_plant_sim.judge.guard_step import DRIVE_ROW, RANGES
@@ -55,6 +55,7 @@ class Rig:
         self.drive = hardware.drive
         self.hardware, self._make_guard, self._safe = hardware, make_guard, safe
         self._command = np.zeros_like(safe.command)
+        self.measured = np.zeros((4, len(safe.command)))
         self.zero(hardware.at_rest(resting))
 
     @classmethod
@@ -135,7 +136,7 @@ class Rig:
             Judged displacement (m), velocity (m/s), acceleration (m/s^2) and force (N), 1 where it
             is suspect, and what the rig applies from then on, see `guard_step`; shape (6, n).
         """
-        self.raw = self.hardware.read()
+        self.raw = self._call(self.hardware.read)
         self.step_index += 1
         self.measured, sample = self.raw.copy(), np.empty((DRIVE_ROW + 1, len(self._command)))
         found = self.guard.take(self.step_index, self.measured, self._command, sample)
@@ -144,7 +145,10 @@ class Rig:
         if found:
             self.hardware.check()
             self.violation = self.guard.violation(found)
-            self.spares_target = self.guard.spares_target(found)
+            if self.violation is not None:
+                missing = self.hardware.missing
+                self.violation = missing or self.violation
+                self.spares_target = not missing and self.guard.spares_target(found)
             for name, bit in _SATURATED.items():
                 if found & bit:
                     count_saturated(self.saturation, name, 1, self.step_index)
@@ -153,7 +157,15 @@ class Rig:
     def write(self, command: Floats) -> None:
         """Apply a command from the last sample on, shape (n,), V or N, see `drive`."""
         self._command[:] = command
-        self.hardware.write(self._command)
+        self._call(self.hardware.write, self._command)
+
+    def _call(self, method: Callable[..., Any], *arguments: Any) -> Any:
+        """Call the hardware in a test, which must end with a fault of it."""
+        try:
+            return method(*arguments)
+        except HardwareError as error:
+            self.violation = str(error)
+            raise
 
     def reset(self) -> Floats:
         """Begin a test and take the sample of step 0, see `read`."""
@@ -186,9 +198,10 @@ class Rig:
         safe = self._safe._replace(command=self.safe_command)
         return self.hardware.stop(plan, planned, self._command, safe)
 
-    def come_to_rest(self) -> Stopped | None:
-        """Continue a stop with the last sample; give its end, if it has come."""
-        return self.hardware.come_to_rest(self.measured)
+    def come_to_rest(self, *, is_read: bool = True) -> Stopped | None:
+        """Continue a stop with the last sample, or without one; give its end, if it has come."""
+        sample = self.measured if is_read else np.full_like(self.measured, np.nan)
+        return self.hardware.come_to_rest(sample)
 
     def simulated(self, first: int | None = None) -> Simulated | None:
         """Largest true motion of the test so far, see `SimulatedRig.simulated`; None: not known."""

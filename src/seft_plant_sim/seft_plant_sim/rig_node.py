@@ -7,8 +7,6 @@ the sampling clock of the test; the supervisor's experiment/state starts and sto
 import math
 import sys
 from collections.abc import Callable
-from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -19,18 +17,17 @@ from seft_msgs_py.node.node_kind import NodeKind
 from seft_msgs_py.node.node_shell import WARM_UP_STEPS, NodeBody, NodeShell
 from seft_msgs_py.wire import topics
 from seft_msgs_py.wire.experiment_state import ExperimentState
-from seft_msgs_py.wire.messages import ERROR, Status, encode_clock, restamp
+from seft_msgs_py.wire.messages import ERROR, OK, Status, encode_clock, restamp
 from seft_msgs_py.wire.outcome import (
     FINISHED,
-    REHEARSED,
     REHEARSES,
     TRIPPED,
+    WAITS,
     ZEROED,
     MissedSteps,
     Outcome,
     State,
     Trip,
-    rig_status,
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
@@ -38,8 +35,11 @@ from seft_plant_sim import rig_watch
 from seft_plant_sim.command import Command
 from seft_plant_sim.hardware.hosted import HardwareError, HostedHardware
 from seft_plant_sim.hardware.safe_stop import Stopped
+from seft_plant_sim.rehearsal import Rehearsal
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import RIG_TABLE, SIMULATED
+from seft_plant_sim.rig_report import rig_report
+from seft_plant_sim.rig_rest import RigRest
 
 CLOCK_PERIOD = 0.1  # s of the test's time
 BREATH = 0.005  # s from the first answer in realtime to the time of step 0
@@ -67,8 +67,15 @@ class RigNode(NodeBody):
         self._rig = self._fault_free = Rig.from_parameters(*rig, hosted)
         if self._section["faults"] and hosted is None:  # they are of the test alone
             self._fault_free = Rig.from_parameters({**self._section, "faults": ""}, *rig[1:])
-        self._samples_on = hosted is not None and self._is_realtime  # also between two tests
-        self._is_clock = hosted is not None and hosted.is_clock
+        self._is_sampled = hosted is not None and self._is_realtime  # also between two tests
+        self._rest = RigRest(
+            shell,
+            self._rig,
+            self._timebase.dt,
+            is_sampled=self._is_sampled,
+            tell=self._tell,
+            at_rest=self._end_stop,
+        )
         state, measured = topics.RIG_STATE.of(shell.rig), topics.MEASURED.of(shell.rig)
         self._state_codec = TrajectoryCodec(state, shell.rig.axes, self._timebase)
         self._measured_codec = TrajectoryCodec(measured, shell.rig.axes, self._timebase)
@@ -92,10 +99,10 @@ class RigNode(NodeBody):
         self.facts: dict[str, Any] = {"drive": self._drive.codec.topic.name}
         if self._rig.zeroed is not None:
             self.facts[ZEROED] = self._rig.zeroed
-        self._rehearsal: rig_watch.Rehearsal | None = None
+        self._rehearsal: Rehearsal | None = None
         if self._is_alone and self._is_realtime and not self._section["loop_delay"]:
-            topic, limit = self._drive.codec.topic, self._drive.limit
-            self._rehearsal = rig_watch.Rehearsal(shell, self._timebase, topic, limit)
+            obeyed, fault_free = self._drive, self._fault_free
+            self._rehearsal = Rehearsal(shell, self._timebase, obeyed, fault_free, self._is_sampled)
             self.facts[REHEARSES] = True
         self._supervision = rig_watch.Supervision(
             self._section["watchdog.supervisor_timeout"], self._clock
@@ -115,9 +122,7 @@ class RigNode(NodeBody):
         self._reported_at = self._answered_at = 0.0
         self._refused_before = 0  # messages, until the newest command came
         self._rehearsed = False
-        self._due = self._clock.monotonic()  # of the next sample between two tests
         self._is_idle = True  # no test has been performed since the last reset
-        self._failure = ""  # of the hardware between two tests
         self._ended: tuple[str, Trip | None] | None = None  # the test whose stop is under way
         self._warm_up()
 
@@ -125,8 +130,6 @@ class RigNode(NodeBody):
         """Make the laboratory's hardware, if there is one."""
         if self._section["hardware"] == SIMULATED:
             return None
-        if self._section["faults"]:
-            raise InputError("rig: faults are those of a simulated rig; leave them out")
         shell, period, now = self._shell, self._timebase.dt, self._clock.monotonic
         axes = shell.experiment.axes
         made = HostedHardware.from_parameters(self._section, axes, shell.rig, period, now)
@@ -148,12 +151,12 @@ class RigNode(NodeBody):
 
     def run(self) -> None:
         """Run a test each time the supervisor starts one, until the process ends."""
-        supervision = self._supervision
-        self._try(self._rig.hardware.safe)
-        self.report("idle")
+        supervision, rest, hardware = self._supervision, self._rest, self._rig.hardware
+        rest.attempt(hardware.safe)
+        self._tell(rest.failure)
         try:
             while not self._shell.stopping:
-                self._between_tests()
+                rest.turn()
                 wanted = supervision.wanted
                 self._rehearsed &= supervision.rehearsal > 0  # a new request gets a new rehearsal
                 if wanted is not None and supervision.is_moving:
@@ -162,87 +165,38 @@ class RigNode(NodeBody):
                     if supervision.is_moving:
                         supervision.wanted = None  # a test runs once
                 elif self._rehearsal is not None and supervision.rehearsal and not self._rehearsed:
-                    self._try(partial(self._rehearse, self._rehearsal, supervision.rehearsal))
+                    rest.attempt(partial(self._rehearse, self._rehearsal))
                 elif not self._is_idle and wanted is not None and wanted.state == "idle":
                     self._is_idle = True  # by now others know how the test ended
-                    self.report("idle")
-            while self._rig.hardware.is_closing:
+                    self._tell(rest.failure)
+            while hardware.is_closing:
                 self._clock.sleep(self._timebase.dt)
-                self._sample_at_rest()
+                rest.sample()
         finally:
-            self._try(self._rig.hardware.close)
+            rest.attempt(hardware.close)
 
-    def _between_tests(self) -> None:
-        """Handle messages; a laboratory's rig is sampled on, and comes to rest."""
-        if not (self._samples_on or self._rig.hardware.is_stopping):
-            self._shell.spin_once()
-            return
-        now, period = self._clock.monotonic, self._timebase.dt
-        while self._samples_on and (left := self._due - now()) > 0:
-            self._shell.spin_once(left)
-        self._shell.spin_once(0.0)
-        self._due = max(self._due + period, now())  # after a stall it goes on from here
-        self._sample_at_rest()
+    def _tell(self, failure: str) -> None:
+        """Report what is wrong with the hardware between two tests; empty: nothing."""
+        if self._is_idle:
+            level, waits = (ERROR, {WAITS: failure}) if failure else (OK, None)
+            self.report("idle", waits, level, failure)
 
-    def _sample_at_rest(self) -> None:
-        """Take a sample between two tests, and continue a stop."""
-        is_closing = self._rig.hardware.is_closing  # which goes on without samples
-        is_read = self._try(self._rig.read, is_safe=is_closing) is not None
-        if is_read and self._failure:
-            self._failure = ""
-            if self._is_idle:
-                self.report("idle")
-        if self._is_clock:
-            self._due = self._clock.monotonic() + (1 - rig_watch.EARLY) * self._timebase.dt
-        stopped = self._try(self._rig.come_to_rest) if is_read or is_closing else None
-        if stopped is not None and self._ended is not None:
+    def _end_stop(self, stopped: Stopped) -> None:
+        """Report how a test ended whose stop went on after it."""
+        if self._ended is not None:
             self._report(*self._ended, stopped)
             self._ended = None
 
-    def _try(self, call: Callable[[], Any], *, is_safe: bool = False) -> Any:
-        """Call the hardware between two tests; at a fault it goes to its safe command.
-
-        Unless it ``is_safe`` to do nothing. The result is None then.
-        """
-        try:
-            return call()
-        except HardwareError as error:
-            if self._failure != str(error):
-                self._failure = str(error)
-                self._shell.log("error", self._failure)
-                if self._is_idle:
-                    self.report("idle", level=ERROR, text=self._failure)
-            with suppress(HardwareError):
-                if not is_safe:
-                    self._rig.hardware.safe()
-        return None
-
-    def _rehearse(self, rehearsal: rig_watch.Rehearsal, seconds: float) -> None:
+    def _rehearse(self, rehearsal: Rehearsal) -> None:
         """Run the loop with the valve at its safe value, and publish the result."""
-        rig, supervision = self._fault_free, self._supervision
-        resting: list[Floats] = []
-
-        def sample(step: int) -> Floats:
-            if step == 0:
-                rig.begin()
-            elif not self._samples_on:
-                rig.write(rig.safe_command)  # a laboratory's rig rests there
-            found = rig.read()
-            resting.append(rig.raw)
-            return found
-
-        found = rehearsal.run(
-            seconds, sample, lambda: self._shell.stopping or not supervision.rehearsal
+        wanted = self._supervision
+        zeroing = round(wanted.zeroing / self._timebase.dt)
+        facts = rehearsal.run(
+            wanted.rehearsal, zeroing, lambda: self._shell.stopping or not wanted.rehearsal
         )
-        if supervision.rehearsal:  # it was not interrupted
+        if facts:  # it was not interrupted
             self._rehearsed = True
-            facts: dict[str, Any] = {REHEARSED: found}
-            last = round(supervision.zeroing / self._timebase.dt)
-            if self._samples_on and last:
-                rig.zero(np.array(resting[-last:]))
-                facts[ZEROED] = rig.zeroed
             self._shell.add_facts(facts)
-        rig.begin()
 
     def _follow(self, raw: bytes, received_ns: int) -> None:
         """Follow the supervisor, and note where the force begins to ramp down."""
@@ -284,7 +238,7 @@ class RigNode(NodeBody):
         self._recorder_lag.reset()
         self._round_trip.reset()
         self._compute.reset()
-        self._answered_at = 0.0
+        self._answered_at = self._reading = 0.0
         self._waited_in_vain = False
         self._refused_before = self._shell.refused
         self._started = self._clock.monotonic()
@@ -308,10 +262,10 @@ class RigNode(NodeBody):
             self._supervision.latched, phase = True, TRIPPED
             waited = 0.0 if self._rig.violation else self._watch.waited
             trip = Trip(reason, step, self._timebase.stamp_ns(step) / 1e9, waited)
-        stopped = self._try(lambda: self._rig.stop(*(self._plan() if trip else ())))
+        stopped = self._rest.attempt(lambda: self._rig.stop(*(self._plan() if trip else ())))
         self._report(phase, trip, stopped)
         self._ended = (phase, trip) if stopped is None else None
-        self._due = self._clock.monotonic() + self._timebase.dt
+        self._rest.due = self._clock.monotonic() + self._timebase.dt
 
     def _run_steps(self, steps: int) -> str | None:
         """Take the samples of a test at its pace; say why it ended early, if it did."""
@@ -322,9 +276,10 @@ class RigNode(NodeBody):
         for step in range(steps):
             begun = self._clock.monotonic()
             sample = rig.read()  # calibrated, aligned, judged
-            if self._is_clock and self._samples is not None:
-                begun = self._clock.monotonic()
-                self._samples.follow(step, begun)
+            if rig.hardware.is_clock and self._samples is not None:
+                now = self._clock.monotonic()
+                self._samples.follow(step, now)
+                begun, self._reading = now, now - begun
             self._publish(step, sample, begun)
             if self._stops_before(step):
                 rig.violation = None  # the controller brings the rig to rest
@@ -340,11 +295,12 @@ class RigNode(NodeBody):
         """Begin to sample by the clock.
 
         Several rigs in realtime begin together; one waits for another that is behind, because
-        their steps are answered together. Over links they can't see each other: each makes up for
-        lost time.
+        their steps are answered together, but a controller that is the clock can't. Over links
+        they can't see each other: each makes up for lost time.
         """
-        self._waits = not self._is_alone and not self._section["loop_delay"]
-        makes_up = not self._is_alone and not self._waits
+        linked = bool(self._section["loop_delay"])
+        self._waits = not (self._is_alone or linked or self._rig.hardware.is_clock)
+        makes_up = linked and not self._is_alone
         start = self._clock.monotonic() if self._is_alone else self._start
         self._samples = rig_watch.SampleClock(self._timebase.dt, start, makes_up=makes_up)
 
@@ -389,10 +345,7 @@ class RigNode(NodeBody):
             return str(error)
         self._start = self._clock.monotonic() + ahead
         while (left := self._start - self._clock.monotonic()) > 0:
-            if self._samples_on:
-                self._between_tests()
-            else:
-                self._shell.spin_once(left)
+            self._rest.turn(left)
             if (why := self._reason_to_end()) is not None:
                 return why
         return None
@@ -400,21 +353,16 @@ class RigNode(NodeBody):
     def _report(self, phase: str, trip: Trip | None = None, stopped: Stopped | None = None) -> None:
         self._shell.report(self._status(phase, trip, stopped))
 
-    def _report_if_due(self, later: float = 0.0) -> None:
-        """Report the test's progress, by default where there is time for it; times in s."""
-        if self._clock.monotonic() - self._reported_at >= _REPORT_PERIOD + later:
-            self._shell.note(self._status("running"))
-
     def _status(
         self, phase: str, trip: Trip | None = None, stopped: Stopped | None = None
     ) -> Status:
-        self._reported_at = self._clock.monotonic()
+        now = self._reported_at = self._clock.monotonic()
         outcome = Outcome(
             phase,
             self._step + 1,
             len(self._missed.steps),
             self._missed.steps,
-            self._reported_at - self._started,
+            now - self._started,
             trip,
             self._samples.overruns if self._samples else 0,
             self._rig.saturation,
@@ -422,26 +370,13 @@ class RigNode(NodeBody):
             stopped and self._rig.simulated(self._stop_begun),
             self._missed.most,
         )
-        status = rig_status(outcome)
-        values, message, level = dict(status.values), status.message, status.level
-        name, share = self._rig.guard.nearest
-        values["nearest detector"] = f"{name}: {share:.2f} of its threshold"
-        for what, time in self._compute.numbers().items():
-            values[f"compute {what} (ms)"] = f"{time * 1e3:.3f}"
-        counts = self._rig.hardware.counts
-        values |= {f"datagrams {kind}": str(count) for kind, count in counts.items()}
-        if stopped is not None:
-            values["stop peak force (N)"] = f"{stopped.peak_force:.1f}"
-            values["stop time (s)"] = f"{stopped.steps * self._timebase.dt:g}"
-            if not stopped.is_at_rest:
-                dumped = ", the pressure was dumped" if stopped.has_dumped else ""
-                level, late = ERROR, stopped.steps * self._timebase.dt
-                message += f"; not at rest after {late:.3g} s{dumped}"
-        message = phase if phase == "running" else message
-        status = replace(status, values=values, level=level, message=message)
-        margins = self._rig.guard.limits.margins()
-        age = self._clock.monotonic() - self._answered_at if self._answered_at else math.nan
-        return rig_watch.with_health(status, margins, age, self._round_trip.last)
+        age = now - self._answered_at if self._answered_at else math.nan
+        return rig_report(outcome, self._rig, self._compute, self._round_trip, age, stopped)
+
+    def _report_if_due(self, later: float = 0.0) -> None:
+        """Report the test's progress, by default where there is time for it; times in s."""
+        if self._clock.monotonic() - self._reported_at >= _REPORT_PERIOD + later:
+            self._shell.note(self._status("running"))
 
     def _wait_for_answers(self, step: int, is_last: bool) -> str | None:
         """Wait for the commands of a step, and for the recorder; give a reason to end the test."""
@@ -480,7 +415,7 @@ class RigNode(NodeBody):
             clock.fall_back(self._wait_for_answer(0, timeout) + BREATH)
         if step == 0:
             self._watch.begin(self._clock.elapsed() + clock.deadline(0) - self._clock.monotonic())
-        if self._is_clock:  # the answer goes out at once
+        if self._rig.hardware.is_clock:  # the answer goes out at once
             left, shell = clock.deadline(step + 1) - self._clock.monotonic(), self._shell
             rig_watch.wait_for_command(
                 shell, drive, step, left, lambda: self._reason_to_end() is not None
@@ -496,7 +431,9 @@ class RigNode(NodeBody):
             self._missed.add(step)
             self._report_if_due(_REPORT_PERIOD / 2)  # though there is no spare time
         in_vain = self._waited_in_vain and drive.step < step
-        fault = self._watch.fault(self._clock.elapsed(), step, drive.step, in_vain=in_vain)
+        fault = self._watch.fault(
+            self._clock.elapsed(), step, drive.step, in_vain=in_vain, reading=self._reading
+        )
         return (
             fault + self._shell.name_unexpected_publishers(self._refused_before) if fault else None
         )

@@ -1,21 +1,17 @@
-"""Watches of a rig node: time, commands, recorder, supervisor, health; the rehearsal."""
+"""Watches of a rig node: time, commands, recorder, supervisor, round trips."""
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Mapping
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
-from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.node.clock import AwakeClock, Clock
 from seft_msgs_py.node.node_shell import NodeShell
 from seft_msgs_py.wire.experiment_state import ExperimentState, decode_state
-from seft_msgs_py.wire.messages import WARN, Status, decode_diagnostics
+from seft_msgs_py.wire.messages import decode_diagnostics
 from seft_msgs_py.wire.outcome import MOVING, RECORDED, RECORDER_NODE_NAME, STOPPED
-from seft_msgs_py.wire.topics import RIG_STATE, LoopTopic, Timebase, rehearsed
-from seft_msgs_py.wire.trajectory import TrajectoryCodec
+from seft_msgs_py.wire.topics import LoopTopic
 
 from seft_plant_sim.command import Command
 
@@ -49,7 +45,9 @@ class CommandWatch:
         """Begin with the first sample of a test."""
         self._answered, self._fresh_at, self.waited = -1, now, 0.0
 
-    def fault(self, now: float, step: int, answered: int, *, in_vain: bool = False) -> str:
+    def fault(
+        self, now: float, step: int, answered: int, *, in_vain: bool = False, reading: float = 0.0
+    ) -> str:
         """Say why the test must end here, before a command is applied; empty if it may continue.
 
         Parameters
@@ -62,6 +60,8 @@ class CommandWatch:
             Last step whose command is known; -1: none.
         in_vain : bool
             Whether the rig has delayed its next sample and waited for as long as it may.
+        reading : float
+            Time that the last sample's reading took, s.
         """
         period, timeout = self._period, self._timeout
         behind = step - answered
@@ -72,7 +72,9 @@ class CommandWatch:
         if without <= max(timeout, period) + period / 2 and not in_vain:
             return ""
         name = self._topic.name
-        if behind * period <= timeout and not in_vain:
+        if behind * period <= min(timeout, without / 2) and not in_vain:
+            if reading > without / 2:
+                return f"the rig's hardware gave no sample for {reading:.3g} s"
             return (
                 f"the rig stood still for {without:.3g} s, and its valve with it: its process or "
                 f"its host was stopped or overloaded ({timeout:g} s without a new {name} are "
@@ -83,9 +85,9 @@ class CommandWatch:
         return f"no new {name} for {timeout:g} s {last}; is {self._topic.publisher} running?"
 
 
-EARLY = 0.1
+EARLY = 0.25
 """Of a period: so long before the next sample of a controller that is the clock, its command goes
-out."""
+out where the answer has not come. This host's wake and the datagram take that time."""
 OVERRUN = 0.5  # of a period: after it what remains of the period is too short for an answer
 _HURRY = 0.05  # of a period, by which steps are shorter while a rig makes up for lost time
 POLL = 0.002  # s, longest wait until it is asked again whether to stop
@@ -253,30 +255,6 @@ class Supervision:
         return None
 
 
-NARROW = 0.1  # of a limit: a smaller margin gives a warning
-
-
-def with_health(
-    status: Status, margins: Mapping[str, float], age: float, last_trip: float
-) -> Status:
-    """Add the health of the test to a rig's status, under names for diagnostic tools.
-
-    The arguments are `Limits.margins`, the age of the newest command (s; nan: none), and the last
-    round trip from a state to its command (s; nan: none).
-    """
-    values = {f"margin {name.replace('_', ' ')}": f"{left:.3f}" for name, left in margins.items()}
-    narrow = [name.replace("_", " ") for name, left in margins.items() if not left >= NARROW]
-    if not math.isnan(age):
-        values["command age (ms)"] = f"{age * 1e3:.2f}"
-    if not math.isnan(last_trip):
-        values["round trip last (ms)"] = f"{last_trip * 1e3:.3f}"
-    message, level = status.message, status.level
-    if narrow and level < WARN:
-        level = WARN
-        message += f"; less than {NARROW:.0%} left to the limit of {', '.join(narrow)}"
-    return replace(status, level=level, message=message, values={**status.values, **values})
-
-
 SHORTEST = 1e-5  # s, lower edge of the first bin
 PER_DECADE = 20  # bins: the error of a median is at most 6 %
 DECADES = 7
@@ -330,98 +308,3 @@ class RoundTrip:
         bins = np.searchsorted(seen, [share * seen[-1] for share in _QUANTILES.values()])
         middles = np.minimum(SHORTEST * 10 ** ((bins + 0.5) / PER_DECADE), self._largest)
         return {**dict(zip(_QUANTILES, middles.tolist(), strict=True)), "largest": self._largest}
-
-
-ALONE = 0.25  # of the steps: each one after the answer to the one before, and the host adapts
-FIRST_ANSWER = 5.0  # s, longest wait: the nodes make blocks for the rehearsal
-LATER_ANSWER = 0.1  # s, longest wait: a message may be lost, which ends the steps alone
-
-
-class Rehearsal:
-    """The rig's part of a rehearsal, on separate topics, so that no node takes it for a test.
-
-    Parameters
-    ----------
-    shell : NodeShell
-        Of the rig.
-    timebase : Timebase
-        Sampling clock.
-    drive : LoopTopic
-        Of the commands that the rig obeys.
-    limit : float
-        Of the commands, in their unit.
-    """
-
-    def __init__(
-        self, shell: NodeShell, timebase: Timebase, drive: LoopTopic, limit: float
-    ) -> None:
-        self._shell, self._timebase = shell, timebase
-        self._codec = TrajectoryCodec(RIG_STATE, shell.rig.axes, timebase)
-        self._publish = shell.publisher(rehearsed(RIG_STATE))
-        self._command = Command(TrajectoryCodec(drive, shell.rig.axes, timebase), limit)
-        self._alone, self._round_trip = RoundTrip(), RoundTrip()
-        self._times = self._alone
-        shell.subscribe(rehearsed(drive), self._take, reliable=False)
-
-    def run(
-        self, seconds: float, sample: Callable[[int], Floats], stop: Callable[[], bool]
-    ) -> dict[str, Any]:
-        """Publish samples, the first ones when the loop has answered, the others at the rate.
-
-        So the first ones show how fast the loop can be: at a rate that is too high answers queue.
-
-        Parameters
-        ----------
-        seconds : float
-            Duration, s.
-        sample : callable
-            Gives the state of a step and what is applied, shape (5, n), of a rig with its valve at
-            the safe value.
-        stop : callable
-            Says whether to end early.
-
-        Returns
-        -------
-        dict
-            ``rate_hz``; the ``steps`` at the rate, ``missed`` (steps without a command at their
-            end), ``overruns`` of the rig itself, and ``round_trip_s``, see
-            `seft_msgs_py.wire.outcome.ROUND_TRIPS`; ``round_trip_alone_s`` of the others. JSON
-            values.
-        """
-        shell, command, period = self._shell, self._command, self._timebase.dt
-        steps = max(round(seconds / period), 8)
-        first, longest = round(ALONE * steps), FIRST_ANSWER  # other nodes prepare at step 0
-        command.reset()
-        self._times, missed, clock = self._alone, 0, SampleClock(period, 0.0, makes_up=False)
-        for times in (self._alone, self._round_trip):
-            times.reset()
-        for step in range(steps):
-            command.current = step
-            raw = self._codec.encode(step, sample(step))
-            now = shell.clock.monotonic()
-            if step == first:
-                self._times = self._round_trip
-                clock.fall_back(now - clock.deadline(step))
-            self._times.published(step, now)
-            self._publish(raw)
-            if step < first:
-                wait_for_command(shell, command, step, longest, stop)
-                first, longest = first if command.step == step else step + 1, LATER_ANSWER
-            else:
-                wait_for_sample(shell, command, step, clock, lambda: None)
-                missed += command.step < step
-            if stop():
-                break
-        return {
-            "rate_hz": self._timebase.rate,
-            "steps": max(step + 1 - first, 0),
-            "missed": missed,
-            "overruns": clock.overruns,
-            "round_trip_s": self._round_trip.numbers(),
-            "round_trip_alone_s": self._alone.numbers(),
-        }
-
-    def _take(self, raw: bytes, _: int) -> None:
-        now = self._shell.clock.monotonic()
-        self._command.take(raw)
-        self._times.answered(self._command, now)

@@ -94,6 +94,8 @@ def test_a_line_has_axis_what_kind_value_time_and_steps():
         ("force bit 1.5 at 2", "bit needs the number of a bit"),
         ("force set 3 at -2", "TIME is -2, but must be a time in s of the test"),
         ("force set 3 at 2 for 0", "STEPS is 0, but must be a whole number of samples, at least 1"),
+        ("force set 3 at 2 for 1e30", "STEPS is 1e30, but must be a whole number of samples"),
+        ("force set 3 at 1e300", "TIME is 1e300, but must be a time in s of the test, 0 to"),
     ],
 )
 def test_a_wrong_line_says_what_is_possible(line, error):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from bare_rig import driven, make_rig, rig_section
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import Simulated
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.rig import Rig
@@ -116,7 +117,7 @@ def test_a_closed_valve_locks_the_piston_on_its_oil_column(axes):
     before = abs(rig.simulation.sample[1]).min()
     assert before > 0.03
     stopped = rig.stop()
-    assert stopped.steps <= 100
+    assert stopped.time <= 0.2
     assert abs(rig.simulation.sample[1]).max() < 0.2 * before
     assert stopped.peak_force > abs(rig.simulation.sample[3]).max()
     assert rig.step_index == 199 + 1  # the samples of the test are what they were
@@ -154,7 +155,7 @@ def test_a_rig_follows_the_plan_unless_it_ends_the_test_by_what_may_have_been_us
 
 def test_a_rig_without_a_settling_time_is_left_where_it_is():
     rig = moving_rig(("rig", "safe.settle_time", 0.0))
-    assert rig.stop().steps == 0
+    assert rig.stop().time == 0.0
 
 
 def test_the_safe_command_is_that_of_the_parameters():
@@ -164,8 +165,16 @@ def test_the_safe_command_is_that_of_the_parameters():
     assert abs(opened.simulation.sample[3, 0]) > abs(closed.simulation.sample[3, 0]) + 100.0
 
 
+@pytest.mark.parametrize("command", [1e30, -10.1])
+def test_a_safe_command_beyond_the_limit_of_commands_is_refused(command):
+    with pytest.raises(
+        InputError, match=r"safe.valve_command is .*within /\*\*: limits.command, 10"
+    ):
+        moving_rig(("rig", "safe.valve_command", command), steps=0)
+
+
 def test_a_rig_at_rest_is_settled_at_once():
-    assert moving_rig(steps=0).stop().steps == 10
+    assert moving_rig(steps=0).stop().time == pytest.approx(0.02)
 
 
 def test_the_largest_true_motion_is_known_without_noise_and_filters():

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.node.clock import MACHINE
 from seft_msgs_py.wire.experiment_state import ExperimentState, encode_state
-from seft_msgs_py.wire.messages import ERROR, OK, WARN, Status, encode_diagnostics
+from seft_msgs_py.wire.messages import OK, Status, encode_diagnostics
 from seft_msgs_py.wire.outcome import RECORDED, RECORDER_NODE_NAME, ROUND_TRIPS, STOPPED, State
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_plant_sim import rig_watch
@@ -22,7 +22,6 @@ from seft_plant_sim.rig_watch import (
     RoundTrip,
     SampleClock,
     Supervision,
-    with_health,
 )
 
 PERIOD, TIMEOUT = 0.002, 0.02
@@ -291,33 +290,3 @@ def test_each_quantile_is_within_its_bin():
 def test_any_time_has_its_bin(time):
     numbers = of(time).numbers()
     assert numbers["p50"] <= numbers["largest"] == time
-
-
-def test_margins_age_and_round_trip_are_reported_by_name():
-    status = Status("rig", OK, "running", values={"phase": "running"})
-    health = with_health(status, {"force_rate": 0.5}, 1e3, 0.003)
-    assert health.level == OK
-    assert health.message == "running"
-    assert health.values["phase"] == "running"
-    assert health.values["margin force rate"] == "0.500"
-    assert 1e6 <= float(health.values["command age (ms)"]) < 1.1e6
-    assert health.values["round trip last (ms)"] == "3.000"
-
-
-def test_what_was_not_is_left_out():
-    assert of().numbers() == {}
-    health = with_health(Status("rig", OK, "running"), {}, math.nan, of().last)
-    assert health.values == {}
-
-
-@pytest.mark.parametrize("left", [0.09, 0.0, -3.0, float("nan")])
-def test_a_narrow_margin_is_warned_of(left):
-    health = with_health(
-        Status("rig", OK, "running"), {"force": left, "velocity": 0.1}, math.nan, NONE
-    )
-    assert health.level == WARN
-    assert health.message == "running; less than 10% left to the limit of force"
-    warned = with_health(Status("rig", WARN, "slow"), {"force": left}, math.nan, NONE)
-    assert (warned.level, warned.message) == (WARN, "slow")
-    tripped = with_health(Status("rig", ERROR, "tripped"), {"force": left}, math.nan, NONE)
-    assert (tripped.level, tripped.message) == (ERROR, "tripped")

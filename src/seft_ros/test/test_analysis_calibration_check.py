@@ -10,9 +10,12 @@ from experiments_at_hand import CONFIG, load, simulated
 from recordings_at_hand import as_measured, shown, without
 from seft_msgs_py.config.experiment import Experiment
 from seft_ros.analysis import calibration_check as checks
-from seft_ros.analysis.assessment import calibration_findings
-from seft_ros.analysis.calibration_check import calibration_check, expected_relations
+from seft_ros.analysis import equivalent_motion
+from seft_ros.analysis.assessment import IN_LABORATORY, calibration_findings
+from seft_ros.analysis.calibration_check import calibration_check
 from seft_ros.analysis.calibration_effect import led
+from seft_ros.analysis.equivalent_motion import motion_difference
+from seft_ros.analysis.folding import expected_relations
 from seft_ros.analysis.report_numbers import report_numbers
 from seft_ros.analysis.result_text import OF_THE_MODEL, summary_texts
 from seft_ros.analysis.summary import summarise
@@ -68,9 +71,12 @@ def test_a_fault_free_test_is_not_doubted(words):
         (("rig:simulated.sensors.acceleration_lag:=0.0002",), {"lag"}),
         (("rig:simulated.sensors.displacement_lag:=0.0008",), {"lag"}),
         (("rig:simulated.sensors.displacement_scale:=1.03",), {"scale"}),
+        (("rig:faults:=force scale 1.08 at 3.0",), {"mass"}),
+        (("rig:faults:=force drift -5.0 at 2.0",), {"drift"}),
+        ((*FRICTION, "rig:faults:=force drift 8.0 at 2.0"), {"drift"}),
     ],
 )
-def test_a_wrong_mass_scale_or_lag_puts_a_test_in_doubt(words, kinds):
+def test_a_wrong_mass_scale_lag_or_zero_puts_a_test_in_doubt(words, kinds):
     assert kinds <= doubted(as_of_hardware(recording_of(*words)))
 
 
@@ -94,6 +100,19 @@ def test_text_and_json_say_what_is_wrong():
     names = {finding["name"]: finding["verdict"] for finding in found["verdict"]["findings"]}
     assert names["mass"] == "doubt"
     assert {"scale", "lag"} <= set(names)
+
+
+@pytest.mark.parametrize("words", [(*PLAN, *WRONG_MASS), PLAN[-2:]])
+def test_a_laboratory_would_see_a_simulated_test_as_it_sees_that_of_a_real_rig(words):
+    recording = simulated(load(*words))
+    found, real = (report_numbers(one) for one in (recording, as_of_hardware(recording)))
+    assert found.laboratory.text == real.assessment.text.replace("This", IN_LABORATORY, 1)
+    used = (
+        [f for f in of.findings if f.verdict is not Mark.NONE]
+        for of in (found.laboratory, real.assessment)
+    )
+    assert next(used) == next(used)
+    assert real.summary["laboratory_verdict"] is None
 
 
 def test_a_reference_of_the_simulated_specimen_is_not_called_the_models():
@@ -192,3 +211,10 @@ def test_a_lead_is_that_of_a_sine():
     assert led(y[:, np.newaxis], np.array([3.3e-3]), 0.001)[:, 0] == pytest.approx(
         later - y, abs=5e-3
     )
+
+
+def test_what_is_folded_down_is_no_error_of_the_ground_motion(monkeypatch):
+    recording = recording_of("rate:=250.0")
+    without = motion_difference(recording).specimen_nrmse
+    monkeypatch.setattr(equivalent_motion, "without_folding", lambda samples, *_: samples)
+    assert without < 0.6 * motion_difference(recording).specimen_nrmse

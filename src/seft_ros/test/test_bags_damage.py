@@ -7,9 +7,10 @@ import shutil
 import numpy as np
 import pytest
 from experiments_at_hand import load
+from mcap.writer import CompressionType, Writer
 from recordings_at_hand import assert_same_samples
 from seft_msgs_py.errors import InputError
-from seft_ros.bags.bag_files import recover_bag
+from seft_ros.bags.bag_files import Bag, recover_bag
 from seft_ros.bags.recording_bag import read_bag, write_recording
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
@@ -115,6 +116,26 @@ def test_what_is_read_is_right_and_recover_agrees(whole, tmp_path, kind):
         whole_again = read_bag(path)
         assert whole_again.damage == recording.damage
         assert_same_samples(whole_again, recording)
+
+
+@pytest.mark.parametrize("chunks", [False, True])
+def test_a_test_that_another_program_has_written_anew_is_the_same(whole, tmp_path, chunks):
+    source, original = whole
+    file = tmp_path / "bag.mcap"
+    with Bag(source) as bag, file.open("wb") as stream:
+        writer = Writer(stream, use_chunking=chunks, compression=CompressionType.ZSTD)
+        writer.start("", "another")
+        channels = []
+        for each in bag.sources.values():
+            schema = writer.register_schema(each.type, each.encoding, each.definition.encode())
+            channels.append(writer.register_channel(each.topic, each.serialization, schema))
+        for block in bag.blocks({name: number for number, name in enumerate(bag.sources)}):
+            for number, time_ns, raw in block.messages():
+                writer.add_message(channels[number], time_ns, raw, time_ns)
+        writer.finish()
+    found = read_bag(file)
+    assert (found.damage, found.checked) == ([], False)
+    assert_same_samples(found, original)
 
 
 def test_the_report_of_a_damaged_bag_names_what_is_missing(whole, seft, tmp_path):

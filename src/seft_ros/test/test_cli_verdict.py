@@ -1,4 +1,4 @@
-"""`seft run`, `simulate` and `report` give a test one verdict: in words, page and JSON."""
+"""`seft run`, `simulate` and `report` give a test the same verdicts: in words, page and JSON."""
 
 import html
 import json
@@ -9,6 +9,7 @@ import pytest
 from experiments_at_hand import JHU, load, simulated
 from recordings_at_hand import as_measured, without
 from seft_msgs_py.wire.outcome import Trip
+from seft_ros.analysis.assessment import BY_TRUTH, IN_LABORATORY
 from seft_ros.bags.recording import Series
 from seft_ros.bags.recording_bag import read_bag, write_recording
 from seft_ros.cli.shared import show_test
@@ -19,9 +20,9 @@ PLAN = (
     "ground_motion:synthetic.duration:=3.0",
 )
 WORDS = {
-    "good": "This test can be trusted.",
-    "doubt": "This test can be trusted with reservations: ",
-    "bad": "This test can not be trusted: ",
+    "good": "test can be trusted.",
+    "doubt": "test can be trusted with reservations: ",
+    "bad": "test can not be trusted: ",
 }
 
 
@@ -41,9 +42,9 @@ def biased(bias):
 RECORDINGS = {
     "right": (right, "good", ""),
     "saturated": (
-        lambda: replace(right(), saturation={"valve": {"samples": 12, "first_step": 40}}),
+        lambda: replace(right(), saturation={"force_range": {"samples": 12, "first_step": 40}}),
         "doubt",
-        "saturated: valve in 12 samples from 0.080 s",
+        "saturated: force range in 12 samples from 0.080 s",
     ),
     "missed": (lambda: replace(right(), missed=7), "doubt", "7 of 1751 steps missed"),
     "often missed": (lambda: replace(right(), missed=700), "bad", "700 of 1751 steps missed"),
@@ -65,16 +66,19 @@ RECORDINGS = {
 
 
 @pytest.mark.parametrize("name", RECORDINGS)
-def test_terminal_page_and_json_give_one_verdict(seft, tmp_path, capsys, name):
+def test_terminal_page_and_json_give_the_same_verdicts(seft, tmp_path, capsys, name):
     make, word, reason = RECORDINGS[name]
     write_recording(make(), tmp_path / "bag")
     show_test(read_bag(tmp_path / "bag"), None, as_json=False, figure=False)
-    verdict = json.loads(seft("report", "bag", "--json")[1])["verdict"]
-    line, page = verdict["text"], html.unescape((tmp_path / "bag" / "report.html").read_text())
-    assert (verdict["verdict"], line.startswith(WORDS[word]), reason in line) == (word, True, True)
-    assert line in capsys.readouterr().out.splitlines()
-    assert f'<div class="verdict {word}">' in page
-    assert line in page
+    found, shown = json.loads(seft("report", "bag", "--json")[1]), capsys.readouterr().out
+    page = html.unescape((tmp_path / "bag" / "report.html").read_text())
+    for key, begin in (("verdict", BY_TRUTH), ("laboratory_verdict", IN_LABORATORY)):
+        mark, line = found[key]["verdict"], found[key]["text"]
+        assert line.startswith(f"{begin} {WORDS[mark]}")
+        assert line in shown.splitlines()
+        assert f'<div class="verdict {mark}">' in page
+        assert line in page
+    assert (found["verdict"]["verdict"], reason in found["verdict"]["text"]) == (word, True)
 
 
 def test_simulate_and_report_give_the_same_numbers(seft):

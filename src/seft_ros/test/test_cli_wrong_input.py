@@ -3,7 +3,9 @@ stdout."""
 
 import json
 import os
+import pkgutil
 import re
+import shutil
 import subprocess
 import sys
 
@@ -211,3 +213,20 @@ def test_an_interruption_says_what_stands(seft, monkeypatch, where, message):
     monkeypatch.setattr(where, interrupt)
     status, out, err = seft("simulate", JHU, *SHORT, "--out", "bag")
     assert (status, out, err.splitlines()[-1]) == (1, "", f"seft: interrupted; {message}")
+
+
+@pytest.mark.parametrize("when", ["seft_ros.bags.bag_writer.os.pwrite", "report_numbers"])
+def test_a_bag_that_is_deleted_under_its_command_is_reported(seft, monkeypatch, tmp_path, when):
+    where = when if "." in when else "seft_ros.analysis.report_numbers.report_numbers"
+    module, _, name = where.rpartition(".")
+    original = getattr(pkgutil.resolve_name(module), name)
+
+    def delete_before(*words):
+        shutil.rmtree(tmp_path / "bag", ignore_errors=True)
+        return original(*words)
+
+    monkeypatch.setattr(where, delete_before)
+    status, _, err = seft("simulate", JHU, *SHORT, "--out", "bag")
+    assert status == 1
+    assert re.search(r"seft: bag: the bag was deleted( when it was whole)?$", err.splitlines()[-1])
+    assert "Traceback" not in err

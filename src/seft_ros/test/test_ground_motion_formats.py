@@ -53,7 +53,7 @@ def test_csmip_of_volume_1_reads_in_g(read):
 def pairs(times):
     """Make a CSMIP channel of volume 1 with pairs of time and acceleration."""
     head = ["UNCORRECTED ACCELEROGRAM DATA", *["*"] * 9, "NO. OF POINTS =   23  RECORD LENGTH"]
-    head += ["UNITS OF UNCOR ACCEL ARE SEC AND G/10.     MAX  =  -.055 G", "RMS ACCEL  =  .006 G."]
+    head += ["UNITS OF UNCOR ACCEL ARE SEC AND G/10.     MAX  =  -.100 G", "RMS ACCEL  =  .006 G."]
     head += ["    1    1    1    3"] * 7 + ["      .039      .561"] * 7
     table = np.stack([times, WAVE / 100], axis=1)
     return "\n".join(head) + "\n" + fixed(np.ravel(table), 7, 3, 10)
@@ -73,7 +73,7 @@ def geonet(values, component, others=True):
     head += [f"Number of points{len(values):6d}    Duration 0.44 sec"]
     head += ["Instrument corrected data at 0.020 sec intervals", "Band-pass filter"]
     head += [f"Component {component}  Longitudinal"]
-    head += ["Acceleration:  peak   2364.6 mm/s/s at  48.14 sec     rms    292.2 mm/s/s"]
+    head += ["Acceleration:  peak   -100.0 mm/s/s at  48.14 sec     rms    292.2 mm/s/s"]
     head += ["Velocity:      peak  -298.49 mm/s", "Displacement:  peak   99.407 mm"]
     head += ["    2016      11"] * 4 + ["   200.0    0.70"] * 6
     others_text = fixed(OTHER, 8, 1, 10) * 2 if others else ""
@@ -101,7 +101,7 @@ def test_geonet_of_volume_1_reads_in_the_unit_of_its_raw_readings(read):
 ESM = (
     "EVENT_NAME: GREECE\nEVENT_DATE_YYYYMMDD: 20190728\nMAGNITUDE_W: \nVS30_M/S: \n"
     "SAMPLING_INTERVAL_S: 0.005000\nNDATA: 23\nDURATION_S: 0.11\nUNITS: cm/s^2\nFULL_SCALE_G: \n"
-    "PGA_CM/S^2: 0.300022\nLOW_CUT_FREQUENCY_HZ: 0.100\nDATA_TYPE: ACCELERATION\nUSER5: \n"
+    "PGA_CM/S^2: -99.99\nLOW_CUT_FREQUENCY_HZ: 0.100\nDATA_TYPE: ACCELERATION\nUSER5: \n"
 )
 
 
@@ -124,7 +124,7 @@ KNET = "\n".join([
     "Depth. (km)       10", "Mag.              5.0", "Station Code      XXX001",
     "Station Lat.      0.0000", "Station Long.     0.0000", "Station Height(m) 1",
     "Record Time       2020/01/01 00:00:15", "Sampling Freq(Hz) 200Hz", "Duration Time(s)  1",
-    "Dir.              E-W", "Scale Factor      2000(gal)/8388608", "Max. Acc. (gal)   5.400",
+    "Dir.              E-W", "Scale Factor      2000(gal)/8388608", "Max. Acc. (gal)   3.338",
     "Last Correction   2020/01/01 00:00:15", "Memo.             ",
 ]) + "\n"  # fmt: skip
 
@@ -138,12 +138,25 @@ def test_knet_reads_as_counts_times_the_scale_factor_in_gal(read, refuses):
     refuses(r"unit is g, but .* says cm/s2", text, unit="g")
     for other in (b"\n" + text.encode(), text.encode("utf-16"), text.replace("\n", "\r").encode()):
         check(read(other), counts * 2000 / 8388608, "cm/s2", 0.01, 0.005, "K-NET")
-    head = re.sub(r"(?<=[a-z)e.]) {2,}", ",", KNET)
+    head = re.sub(r"(?<=[a-z)e.]) {2,}", ",", KNET.replace("3.338", "100.0"))
     times = "".join(f"{0.005 * k:.3f},{v:.1f},0\n" for k, v in enumerate(WAVE))
     check(read(f"{head}Time(s),NS(gal),UD(gal)\n{times}"), WAVE, "cm/s2", 0.01, 0.005, "columns")
     refuses("states the factor 2000, but no line the unit", head + times, [1], unit="gal")
     short = text.replace("Time(s)  1", "Time(s)  3")
     refuses(r"says 3 s, but 23 values follow, .* truncated", short)
+
+
+def test_the_offset_of_a_digitiser_is_refused_and_taken_off_on_request(read, refuses):
+    pytest.importorskip("obspy")
+    counts = np.round(14000 * np.sin(np.pi / 20 * np.arange(40))) + 1e6
+    text = KNET + fixed(counts, 9, 0, 8)
+    refuses(r"line 15 states a peak of 0.03338 m/s2, as without an offset of .*--correct off", text)
+    record = read(text, corrected=True)
+    np.testing.assert_allclose(record.accelerations[:, 0], counts * 20 / 8388608)
+    silent = text.replace("3.338", "0.000")
+    refuses(r"never reaches zero, with a mean of 2.38\d m/s2: .*--correct offset", silent)
+    wrong = text.replace("3.338", "33.38")
+    refuses(r"states a peak of 0.3338 m/s2, of another --column", wrong, corrected=True)
 
 
 @pytest.mark.parametrize("content", [KNET + "1 2\n", b"000001D " + bytes(100)])

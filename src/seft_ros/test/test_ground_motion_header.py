@@ -90,6 +90,9 @@ def test_a_header_states_unit_and_sampling_period(read, refuses, header, unit, d
         ("UNITS ARE SEC AND G/10\n", "SEC is no acceleration unit"),
         ("Unit: furlong\n", 'states the unit "furlong", which is not known'),
         ("DATA_TYPE: VELOCITY\n", "line 1: holds a velocity"),
+        ("COMP: NS  TYPE: VEL\n", "line 1: holds a velocity"),
+        ("Tipo de datos: desplazamiento\n", "line 1: holds a displacement"),
+        ("DATA_TYPE: ACCELERATION RESPONSE SPECTRUM\n", "line 1: holds a spectrum"),
         ("velocity (cm/s)\n", "line 1: holds a velocity"),
         ("Desplazamiento (cm) dt=0.01\n", "line 1: holds a displacement"),
         ("units: g\nSampling rate: 99,5 Hz\n", "line 2: write decimal points, not commas"),
@@ -103,6 +106,30 @@ def test_a_statement_that_can_not_be_used_is_refused_whatever_is_given(refuses, 
 def test_the_unit_of_a_peak_is_not_that_of_the_record(refuses):
     header = "Max. Acc. (gal)   5.4\nPGA 12 cm/s2, trigger 4 gal\ndt=0.01\n"
     refuses("does not say the unit", header + ONE_COLUMN)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *("PGA = {:.2f} gal", "# PGA_CM/S^2: -{:.4f}", "Peak ground acceleration (cm/s^2) {:.1f}"),
+        *("PEAK ACCELERATION = -{:.3f} CM/SEC/SEC AT 3.2 SEC", "Max. Acc. NS: {:.1f} gal"),
+        *("acceleration: peak {:.2f} cm/s/s at 1 s", "UNCOR ACCEL  MAX = {:.2e} GAL"),
+        *("Aceleración máxima: {:.1f} gal", "Amax={:.1f}gal, PGV=3 cm/s", "AccMax [gal], {:.1f}"),
+        "PEAK VALUES : ACCEL=-{:.3f} CM/SEC/SEC  VELOCITY=-33.450 CM/SEC",
+    ],
+)
+def test_a_peak_in_any_words_must_be_that_of_the_record(read, refuses, words):
+    text = "{}\nunits: gal, dt=0.01\n" + ONE_COLUMN
+    assert stated(read(text.format(words.format(0.9996)))) == ("cm/s2", 0.01)
+    for wrong in (9.8, 0.1):
+        refuses("line 1 states a peak of", text.format(words.format(wrong)))
+    for other in (
+        "trigger",
+        "range",
+        "horizontal",
+        "vector",
+    ):  # not the record's, or not this one's
+        read(text.format(f"{words.format(9.8)} {other}"))
 
 
 @pytest.mark.parametrize("unit", ["mm/s2", "in/s2", "%g", "furlong"])
@@ -213,3 +240,13 @@ def test_times_that_are_off_by_more_than_their_last_digit_are_uneven(refuses):
     assert "0.502," in text
     for dt in (0.0, 1 / 128):
         refuses(r"time goes from 0.\d+ to 0.\d+.*resample the record", text, dt=dt)
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["Scale factor: 0.001", "Conversion factor 0.001 gal/count", "Sensitivity 1000 counts/gal"],
+)
+def test_whole_numbers_with_a_factor_are_counts_whatever_the_unit(read, refuses, words):
+    header = f"{words}\nunits: gal, dt=0.01\n"
+    refuses("line 1: states the factor", header + "".join(f"{9000 * v:.0f}\n" for v in WAVE))
+    assert stated(read(header + ONE_COLUMN)) == ("cm/s2", 0.01)

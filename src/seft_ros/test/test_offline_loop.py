@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from experiments_at_hand import load, simulated
+from seft_msgs_py.errors import InputError
 from seft_plant_sim.compiled import kind_of
 from seft_plant_sim.simulated.sensors import BLOCK
 from seft_ros.test_run.compiled_loop import build_blocks
@@ -121,3 +122,11 @@ def test_the_checks_of_one_axis_have_the_machine_code_of_several():
     one, three = (load(config=name) for name in ("demo", "three_storey_frame"))
     one, three = (build_blocks(each).force_controller for each in (one, three))
     assert kind_of((one.parameters, one.state)) == kind_of((three.parameters, three.state))
+
+
+def test_a_test_beyond_the_memory_of_the_machine_is_refused_before_it_is_taken(monkeypatch):
+    experiment = load()
+    blocks = build_blocks(experiment)
+    monkeypatch.setattr("os.sysconf", {"SC_PHYS_PAGES": 100, "SC_PAGE_SIZE": 4096}.get)
+    with pytest.raises(InputError, match=r"steps of 1 axes need some .* GB, and this machine has"):
+        simulate_test(experiment, blocks)

@@ -14,7 +14,7 @@ FORCE_DRIVEN = ("ideal", "delay")
 """Kinds of actuators that obey a force; the others obey their valves."""
 
 _LOOP = """
-    rate | float   | 500.0 | Hz | > 0 | sampling rate of the loop
+    rate | float   | 500.0 | Hz | > 0 .. 1e6 | sampling rate of the loop
     axes | strings | ["x"] |    |     |
         names of the axes (actuators), in order; RIG/AXIS if they belong to several rigs
     loop_delay | int | 0 | | -1 .. 100 |

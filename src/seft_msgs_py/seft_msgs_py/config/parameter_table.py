@@ -6,7 +6,6 @@ with it, and `seft parameters` prints it.
 
 import ast
 import difflib
-import sys
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -74,6 +73,8 @@ def symmetric_matrix(value: float | Sequence[float], axes: Sequence[str], where:
     return matrix
 
 
+_LARGEST = 1e30
+"""In SI units nothing of a rig is larger, or smaller than its inverse; squares do not overflow."""
 LONGEST_NAME = 200  # bytes; of the 255 that a file's name may have, the others are for endings
 Kind = Literal["float", "int", "bool", "string", "floats", "ints", "strings", "texts"]
 Value = Any
@@ -168,14 +169,14 @@ class Parameter:
         unit = f" {self.unit}" if self.unit else ""
         if not fits:
             return f"must be {_WORDS[self.kind]}"
-        if kind == "float" and not abs(value) <= sys.float_info.max:
-            return "must be finite"
         if self.positive and value <= 0:
             return "must be greater than zero"
         if self.minimum is not None and value < self.minimum:
             return f"must be at least {self.minimum:g}{unit}"
         if self.maximum is not None and value > self.maximum:
             return f"must be at most {self.maximum:g}{unit}"
+        if kind == "float" and value and not 1 / _LARGEST <= abs(value) <= _LARGEST:
+            return f"must be 0, or {1 / _LARGEST:g} to {_LARGEST:g} in size"
         if self.kind in ("string", "texts") and (rule := _refusal(value, self.file_name)):
             return rule
         if self.allowed and value not in self.allowed:

@@ -10,10 +10,11 @@ from typing import Any
 
 from seft_msgs_py.config.experiment import split_ros_arguments
 from seft_msgs_py.config.parameter_table import Section, Table
-from seft_msgs_py.errors import InputError, WireError
+from seft_msgs_py.errors import WireError
 from seft_msgs_py.node import host as this_host
 from seft_msgs_py.node.clock import MACHINE, Clock
 from seft_msgs_py.node.process import (
+    check_environment,
     check_shared_memory,
     exit_watchdog,
     on_ending,
@@ -24,7 +25,8 @@ from seft_msgs_py.node.transport import Answer, Host, Level
 from seft_msgs_py.printing import escaped
 from seft_msgs_py.wire.topics import Topic
 
-check_shared_memory()  # before rclpy is imported
+check_environment()  # before rclpy is imported
+check_shared_memory()
 
 import rclpy
 from rclpy.executors import (
@@ -152,12 +154,8 @@ class DdsTransport:
         prepare_middleware()
         on_ending(stop)
         _, _, arguments = split_ros_arguments(argv)  # parameters are read by `Experiment.load`
-        try:
+        with rclpy_interface.starting_ros():
             rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-        except Exception as error:  # rclpy has several kinds, most of them private
-            raise InputError(
-                f"ROS arguments not understood: {str(error).splitlines()[0]}"
-            ) from None
         self._executor = SingleThreadedExecutor()
         self._thread: threading.Thread | None = None
         self._held: list[Any] = []  # names on this host
@@ -166,7 +164,8 @@ class DdsTransport:
     def join(self, name: str, section: Section) -> DdsEndpoint:
         """Put a node with its parameters on the graph."""
         values = [RosParameter(name, value=value) for name, value in section.items()]
-        node = Node(name, parameter_overrides=values)
+        with rclpy_interface.starting_ros():
+            node = Node(name, parameter_overrides=values)
         self._executor.add_node(node)
         domain, full_name = node.context.get_domain_id(), node.get_fully_qualified_name()
         self._held.append(single_instance(domain, full_name))

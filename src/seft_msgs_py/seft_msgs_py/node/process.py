@@ -19,6 +19,7 @@ import errno
 import os
 import signal
 import socket
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -34,6 +35,43 @@ PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 FOLDER = Path("/dev/shm")
 TRACERS = "lttng-ust-wait-*"
+_HIGHEST_DOMAIN = 232  # beyond it UDP has no ports for a domain
+_RANGES = ("SUBNET", "LOCALHOST", "SYSTEM_DEFAULT")
+_FLAGS = (
+    *("RCUTILS_COLORIZED_OUTPUT", "RCUTILS_LOGGING_USE_STDOUT"),
+    *("RCUTILS_LOGGING_BUFFERED_STREAM", "ROS_LOCALHOST_ONLY"),
+)
+
+
+def check_environment() -> None:
+    """Check the variables with which ROS can't work: C++ ends the process, or nodes never meet.
+
+    Raises
+    ------
+    InputError
+        That names the variable.
+    """
+    rules: dict[str, tuple[Callable[[str], bool], str]] = {
+        "ROS_DOMAIN_ID": (
+            lambda text: text.isascii() and text.isdecimal() and int(text) <= _HIGHEST_DOMAIN,
+            f"a whole number, 0 to {_HIGHEST_DOMAIN}",
+        ),
+        "RMW_IMPLEMENTATION": (_has_library, "rmw_fastrtps_cpp, or another that is installed"),
+        RANGE: (_RANGES.__contains__, f"{', '.join(_RANGES)}: with OFF no node finds another"),
+        PROFILES: (os.path.isfile, "the name of a file"),
+        **dict.fromkeys(_FLAGS, (("0", "1").__contains__, "0 or 1")),
+    }
+    for name, (is_right, what) in rules.items():
+        text = os.environ.get(name, "")
+        if text and not is_right(text):
+            raise InputError(f"{name} is {text}, but must be {what}; set it so, or unset it")
+
+
+def _has_library(middleware: str) -> bool:
+    """Whether rcl finds a middleware."""
+    folders = [*os.environ.get("LD_LIBRARY_PATH", "").split(":"), f"{sys.prefix}/lib"]
+    found = (Path(folder, f"lib{middleware}.so").is_file() for folder in folders)
+    return middleware == "rmw_fastrtps_cpp" or (middleware.startswith("rmw_") and any(found))
 
 
 def prepare_middleware() -> None:

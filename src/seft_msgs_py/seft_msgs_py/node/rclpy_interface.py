@@ -7,18 +7,21 @@ it takes bytes from a wait set over some subscriptions.
 """
 
 import ctypes
-from collections.abc import Callable, Sequence
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 from typing import Any, Protocol
 
 from seft_msgs_py.config.parameter_table import Parameter, Section, Table
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.node.clock import MACHINE
-from seft_msgs_py.node.process import check_shared_memory, exit_watchdog
+from seft_msgs_py.node.process import check_environment, check_shared_memory, exit_watchdog
 from seft_msgs_py.node.transport import Take, check_live
 from seft_msgs_py.wire.topics import Topic
 
-check_shared_memory()  # before rclpy is imported
+check_environment()  # before rclpy is imported
+check_shared_memory()
 
 import rclpy
 from rcl_interfaces import msg
@@ -38,10 +41,25 @@ __all__ = ["Node", "Publisher", "SingleThreadedExecutor", "Subscription"]
 
 def command_node(name: str, namespace: str | None = None) -> Node:
     """Start rclpy and make the node of a command, which has no parameters."""
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    return Node(name, namespace=namespace, start_parameter_services=False)
+    with starting_ros():
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        return Node(name, namespace=namespace, start_parameter_services=False)
 
 
+@contextmanager
+def starting_ros() -> Iterator[None]:
+    """Say in one line why ROS does not start, and which variables may be the cause."""
+    try:
+        yield
+    except Exception as error:  # rclpy has several kinds, most of them private
+        named = ", ".join(sorted(name for name in os.environ if name.startswith(_OF_ROS)))
+        causes = f"its arguments, and {named}" if named else "its arguments"
+        raise InputError(
+            f"ROS does not start: {str(error).splitlines()[0]}; check {causes}"
+        ) from None
+
+
+_OF_ROS = ("ROS_", "RMW_", "RCUTILS_", "RCL_", "FASTRTPS_", "FASTDDS_")  # variables
 QUIET = 0.1  # s without a change
 _QUIET_GRAPH_TIMEOUT_S = 2.0  # s for the graph to be quiet
 _COMMAND_CLOSE_TIMEOUT_S = 10.0  # s

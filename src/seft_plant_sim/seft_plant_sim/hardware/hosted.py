@@ -1,15 +1,17 @@
 """A laboratory's hardware behind the rig node: each of its calls is checked."""
 
 import inspect
+import traceback
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN
 from seft_msgs_py.config.registered import line_in, reason_of
-from seft_msgs_py.errors import InputError
+from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, VALVE_COMMAND, RigAxes
 
 from seft_plant_sim.channels import VELOCITY, per_channel, velocity_is_derived
@@ -50,7 +52,7 @@ class Hardware(Protocol):
         """Give the devices back."""
 
 
-class HardwareError(Exception):
+class HardwareError(ExperimentError):
     """Something that a laboratory's hardware did wrong, in one line with its file and line."""
 
 
@@ -106,6 +108,7 @@ class HostedHardware:
         self._is_remote = isinstance(device, UdpHardware)
         self._per_volt, self._derived, self._period = per_volt, velocity_is_derived, period
         self._stop: SafeStop | None = None
+        self._is_missing = False  # the last sample
         self._file = None
         with suppress(TypeError):  # of a class of an extension module
             self._file = inspect.getsourcefile(type(device))
@@ -124,9 +127,11 @@ class HostedHardware:
         Raises
         ------
         InputError
-            If it can't be made, or lacks a method.
+            If it can't be made, or lacks a method; if it is to have simulated faults.
         """
         name, where = section["hardware"], "rig: hardware"
+        if section["faults"]:
+            raise InputError("rig: faults are those of a simulated rig; leave them out")
         safe = Safe.from_parameters(section, axes, rig.places, period).command.tolist()
         known = {**section, "safe.valve_command": safe}
         try:
@@ -136,8 +141,10 @@ class HostedHardware:
                 device = HARDWARE.make(name, "", where, known, rig.axes)
         except InputError:
             raise
-        except Exception as error:
-            raise InputError(f"{where}: {name} can't be made: {reason_of(error)}") from None
+        except (Exception, SystemExit) as error:
+            below = traceback.extract_tb(error.__traceback__)[2:]  # this function and `make`
+            line = line_in(error, below[0].filename) if below else ""
+            raise InputError(f"{where}: {name}{line} can't be made: {reason_of(error)}") from None
         missing = [each for each in ("read", "write", "safe", "close") if not _has(device, each)]
         if missing:
             raise InputError(f"{where}: {name} has no method {', '.join(missing)}")
@@ -155,8 +162,7 @@ class HostedHardware:
         HardwareError
             If the device raises an exception, takes longer than a period, or gives no such sample.
         """
-        waits = self.is_clock or self._is_remote  # for as long as it says itself
-        given = self._call("read", longest=np.inf if waits else 1.0)
+        given = self._call("read", longest=np.inf if self.is_clock else 1.0)
         try:
             sample = np.array(given, np.float64)
         except (TypeError, ValueError):
@@ -168,6 +174,7 @@ class HostedHardware:
                 "(displacement, velocity, acceleration, force; axes)",
             )
         sample *= self._per_volt
+        self._is_missing = bool(np.isnan(sample).all())
         if self._derived:
             sample[VELOCITY] = 0.0
         if not (self._is_remote or np.isfinite(sample).all()):  # a lost sample is judged
@@ -185,9 +192,10 @@ class HostedHardware:
         self._call("write", np.array(drive))
 
     def safe(self) -> None:
-        """Bring the rig to its safe command now."""
-        self._stop = None
+        """Bring the rig to its safe command now; a stop goes on with that."""
         self._close_valve()
+        if self._stop is not None:
+            self._stop.is_closed = True
 
     def close(self) -> None:
         """Bring the rig to its safe command, and give the devices back."""
@@ -208,15 +216,22 @@ class HostedHardware:
     def check(self) -> None:
         """Nothing else can be wrong."""
 
+    @property
+    def missing(self) -> str:
+        """Say that a controller's last sample did not come; empty if it did."""
+        remote = self._device if isinstance(self._device, UdpHardware) else None
+        return remote.missing() if remote and self._is_missing else ""
+
     def stop(self, plan: Floats, planned: Floats | None, last: Floats, safe: Safe) -> None:
         """Begin to obey a plan, and then to close the valve, see `SafeStop`."""
         dump = getattr(self._device, "dump_pressure", None)
         self._stop = SafeStop(
             self.write, self._close_valve, plan, planned, last, safe, dump and self._dump
         )
+        self._stop.command()
 
     def come_to_rest(self, measured: Floats) -> Stopped | None:
-        """Continue a stop with a sample, shape (4, n); give its end when it is at rest.
+        """Continue a stop with a sample, shape (4, n), or NaN; give its end when it is at rest.
 
         If it does not come to rest, that is said after ``Safe.longest`` steps.
         """
@@ -253,26 +268,27 @@ class HostedHardware:
         begun = self._now()
         try:
             result = getattr(self._device, method)(*arguments)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             if self._is_remote:
                 raise HardwareError(reason_of(error)) from error
-            line = line_in(error, self._file)
-            raise self._wrong(method, f": {reason_of(error)}", line) from error
+            raise self._wrong(method, f": {reason_of(error)}", error) from error
         took = self._now() - begun
-        if took > longest * self._period:
+        if took > longest * self._period and not self._is_remote:  # which has its own timeout
             raise self._wrong(
                 method,
                 f" took {took * 1e3:.3g} ms, more than a period of {self._period * 1e3:g} ms",
             )
         return result
 
-    def _wrong(self, method: str, what: str, line: str = "") -> HardwareError:
-        """Make the error of a call, with the file and the line, by default the method's first."""
-        function = getattr(type(self._device), method, None)
-        code = getattr(function, "__code__", None)
-        if not line and code is not None:
-            line = f" line {code.co_firstlineno}"
-        return HardwareError(f"{self._name}{line}: {method}(){what}")
+    def _wrong(self, method: str, what: str, error: BaseException | None = None) -> HardwareError:
+        """Make the error of a call, with the method's file and the line, by default its first."""
+        code = getattr(inspect.unwrap(getattr(self._device, method)), "__code__", None)
+        if code is None:  # of an extension module
+            return HardwareError(f"{self._name}: {method}(){what}")
+        line = line_in(error, code.co_filename) if error is not None else ""
+        line = line or f" line {code.co_firstlineno}"
+        inherited = f", {Path(code.co_filename).name}" if code.co_filename != self._file else ""
+        return HardwareError(f"{self._name}{inherited}{line}: {method}(){what}")
 
 
 def _has(device: Any, method: str) -> bool:

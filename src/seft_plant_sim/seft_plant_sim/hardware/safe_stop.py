@@ -8,6 +8,7 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.config.parameter_table import per_axis
+from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.channels import VELOCITY, per_channel, velocity_is_derived
 from seft_plant_sim.judge.detectors import assumed_noise
@@ -53,8 +54,19 @@ class Safe(NamedTuple):
     def from_parameters(
         cls, section: Mapping[str, Any], axes: Sequence[str], places: Sequence[int], dt: float
     ) -> "Safe":
-        """Make it from the rig's section, for the axes at some places."""
+        """Make it from the rig's section, for the axes at some places.
+
+        Raises
+        ------
+        InputError
+            If the safe command is beyond the limit of commands.
+        """
         command = per_axis(section["safe.valve_command"], axes, "rig: safe.valve_command")
+        if np.abs(command).max() > (limit := section["limits.command"]):
+            raise InputError(
+                f"rig: safe.valve_command is {section['safe.valve_command']} V, but must be within "
+                f"/**: limits.command, {limit:g} V: give the valve's null"
+            )
         noise = per_channel(section, axes, "sensors.{}_noise")[:, list(places)]
         limits = np.array([section[f"limits.{name}"] for name in CHANNELS])
         noise = assumed_noise(noise, limits, velocity_is_derived(section), dt)
@@ -74,8 +86,8 @@ class Stopped(NamedTuple):
 
     Attributes
     ----------
-    steps : int
-        Until the rig was at rest, or until it should have been.
+    time : float
+        Until the rig was at rest, or until it should have been, s.
     peak_force : float
         Largest force of any actuator, N.
     is_at_rest : bool
@@ -84,7 +96,7 @@ class Stopped(NamedTuple):
         Whether the pressure was taken away, because a piston went on.
     """
 
-    steps: int
+    time: float
     peak_force: float
     is_at_rest: bool = True
     has_dumped: bool = False
@@ -106,6 +118,11 @@ class SafeStop:
         Where it ends.
     dump : callable or None
         Takes the pressure away where a piston goes on after its valve was closed.
+
+    Attributes
+    ----------
+    is_closed : bool
+        Whether the valve has its safe command.
     """
 
     def __init__(
@@ -124,49 +141,44 @@ class SafeStop:
         self._closed_at = max(len(plan) + safe.closing - 1, 0)
         self._window = max(1, round(_MEAN_OF / safe.dt))
         self._taken, self._peak, self._has_dumped = 0, 0.0, False
+        self.is_closed = False
         self._speeds: list[Floats] = []
         self._stands: Floats | None = None
-        self._command()
-
-    @property
-    def is_closed(self) -> bool:
-        """Whether the valve has its safe command."""
-        return self._taken > self._closed_at
 
     def next(self, measured: Floats) -> Stopped | None:
-        """Continue with the next sample, shape (4, n); give the end when there is one."""
+        """Continue with the next sample, shape (4, n), or NaN; give the end when there is one."""
         self._peak = max(self._peak, float(np.abs(measured[3]).max()))
         self._speeds = [*self._speeds[1 - self._window :], measured[1].copy()]
-        if not self.is_closed:
-            self._command()
+        if not self.is_closed and self._taken <= self._closed_at + self._safe.longest:
+            self.command()  # a safe command that has failed, once more
             return None
         self._taken += 1
         closed = self._taken - self._closed_at
         self._look_at_piston(closed, measured[0])
         rests = np.abs(np.mean(self._speeds, axis=0)).max() < self._safe.rest_velocity
         if (rests and closed >= self._window) or closed > self._safe.longest:
-            return Stopped(self._taken, self._peak, bool(rests), self._has_dumped)
+            time, is_at_rest = self._taken * self._safe.dt, bool(rests) and self.is_closed
+            return Stopped(time, self._peak, is_at_rest, self._has_dumped)
         return None
 
     def _look_at_piston(self, closed: int, displacement: Floats) -> None:
         """Take the pressure away where a piston goes on with its valve closed."""
         if closed * self._safe.dt <= _ANSWERS_IN or self._has_dumped:
             return
-        if self._stands is None:
+        if self._stands is None or np.isnan(self._stands).any():
             self._stands = displacement.copy()
         if self._dump and np.abs(displacement - self._stands).max() > self._safe.farthest:
             self._dump()
             self._has_dumped = True
 
-    def _command(self) -> None:
+    def command(self) -> None:
         """Give the next command; at the end, the safe one."""
-        if self._taken >= self._closed_at:
+        taken, self._taken = self._taken, self._taken + 1  # also where the call fails
+        if taken >= self._closed_at:
             self._close()
+            self.is_closed = True
         else:
             command = np.empty_like(self._last)
             s = self._safe
-            stop_command(
-                self._taken, self._plan, self._offset, self._last, s.command, s.closing, command
-            )
+            stop_command(taken, self._plan, self._offset, self._last, s.command, s.closing, command)
             self._write(command)
-        self._taken += 1

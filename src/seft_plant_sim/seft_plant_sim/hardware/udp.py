@@ -49,8 +49,8 @@ class UdpHardware:
     """Controller of a rig of n axes.
 
     With the controller's clock, send the answer to a sample by `write` before the controller takes
-    its next one. While the valve is closed, `read` sends the safe command, so that the controller
-    hears this host at rest, too.
+    its next one. While the valve is closed, `read` sends the safe command, at once, so that the
+    controller hears this host at rest, too; the valve opens by the answer to a later sample.
 
     Parameters
     ----------
@@ -85,6 +85,8 @@ class UdpHardware:
         self._mode, self._drive = _CLOSED, self._safe
         self._sent = 0  # step of the newest command, if this host is the clock
         self._note = ""  # on the last datagram that was refused
+        self._has_failed = False  # since the last `safe`
+        self._spoke = time.monotonic()  # s, of the newest command
         self._socket, self._peer = _open(parameters["udp.address"], parameters["udp.port"])
         self._begin_anew()
 
@@ -110,8 +112,8 @@ class UdpHardware:
             If the controller is silent, has closed its valve by itself, or samples at another rate.
             The valve is then closed, as by `safe`.
         """
-        if self._is_due and self._mode == _CLOSED:
-            self._send(self._step)
+        if self.can_wait and self._is_due and self._mode == _CLOSED:
+            self._send(None)
         follows = self.is_clock and self._mode == _RUN
         end = self._heard + self._timeout if follows else time.monotonic() + self._wait
         while not self._waiting and (left := end - time.monotonic()) > 0:
@@ -129,22 +131,37 @@ class UdpHardware:
             return self._silence()
         self._unanswered = 0.0
         self._step, sample = self._waiting.popleft()
+        if self.is_clock and self._mode == _CLOSED:
+            self._send(self._step)
         return sample
 
+    def missing(self) -> str:
+        """Say that samples of the controller did not come, where a test ends without numbers."""
+        return self._described("samples of the controller are missing or late; is it running?")
+
     def write(self, drive: Floats) -> None:
-        """Send valve commands, V, shape (n,); the controller opens its valve."""
+        """Send valve commands, V, shape (n,); the controller opens its valve.
+
+        After a fault the valve remains closed until `safe`: nobody knows where it was meanwhile.
+        """
+        if self._has_failed:
+            return
         if self._mode == _CLOSED:
             self._is_open = False
             if self.is_clock:
                 self._receive_all()
                 self._waiting.clear()  # a test goes on with the sample after its first command
-            self._heard = self._opened = time.monotonic()
+                self._send(self._newest)  # before mode 1, however long this host was silent
+            elif self._spoke + self._timeout < time.monotonic():
+                self.read()  # likewise
+            self._heard = time.monotonic()
+            self._opened = self._heard + 1.0 / self._rate
         self._mode, self._drive = _RUN, drive
         self._send(self._step)
 
     def safe(self) -> None:
         """Tell the controller to close its valve."""
-        self._mode, self._drive = _CLOSED, self._safe
+        self._mode, self._drive, self._has_failed = _CLOSED, self._safe, False
         if self.is_clock:
             self._receive_all()  # it obeys the answer to its newest sample
         self._send(self._newest)
@@ -173,9 +190,9 @@ class UdpHardware:
         if step is None:
             return
         last, mode = self._said or (step - 1, _CLOSED)
-        if mode == self._mode and _ahead(step, last) <= 0:
-            return  # this sample, or a newer one, has been answered alike
-        self._said = step, self._mode
+        if (self._mode == _RUN or mode == _CLOSED) and _ahead(step, last) <= 0:
+            return  # this sample, or a newer one, has been answered
+        self._said, self._spoke = (step, self._mode), time.monotonic()
         raw = _HEADER.pack(_COMMAND, _VERSION, len(self._axes), step, self._mode)
         raw += np.asarray(self._drive, dtype="<f8").tobytes()
         try:
@@ -273,9 +290,13 @@ class UdpHardware:
         """Close the valve, and give the error to raise."""
         self.safe()
         self._begin_anew()
+        self._has_failed = True
+        return kind(self._described(text))
+
+    def _described(self, text: str) -> str:
         note = f"; the last that was refused: {self._note}" if self._note else ""
         counted = ", ".join(f"{count} {name}" for name, count in self.counts.items() if count)
-        return kind(f"rig: udp: {text}{note}" + (f"; so far {counted}" if counted else ""))
+        return f"rig: udp: {text}{note}" + (f"; so far {counted}" if counted else "")
 
 
 def _ahead(step: int, other: int) -> int:

@@ -68,7 +68,9 @@ NEEDS = {
     "collide": (1e-6, math.inf, "the stiffness of a stop, above 0 N/m"),
 }
 """Kind -> least and largest value, and what that is."""
+MOST_LATE = 1_000_000  # samples that a late signal is kept
 _END = 2**62  # step of a fault that does not end
+_LATEST = 1e9  # s; at 1 MHz the step of a later one would not be below that
 
 
 @dataclass(frozen=True)
@@ -147,10 +149,14 @@ def _read(text: str, axes: Sequence[str]) -> Fault:
     if kind == "bit" and not (value.is_integer() and 0 <= value < 32):
         raise error("bit needs the number of a bit, 0 the lowest")
     time, steps = _number(tail[0]), _number(tail[2]) if len(tail) == 3 else None
-    if time is None or not 0.0 <= time < math.inf:
-        raise error(f"TIME is {tail[0]}, but must be a time in s of the test, at least 0")
-    if len(tail) == 3 and not (steps is not None and steps.is_integer() and steps >= 1):
-        raise error(f"STEPS is {tail[2]}, but must be a whole number of samples, at least 1")
+    if time is None or not 0.0 <= time <= _LATEST:
+        raise error(f"TIME is {tail[0]}, but must be a time in s of the test, 0 to {_LATEST:g}")
+    whole = steps is not None and 1 <= steps <= _END and steps.is_integer()
+    if len(tail) == 3 and not whole:
+        raise error(
+            f"STEPS is {tail[2]}, but must be a whole number of samples, at least 1 (leave it out "
+            "to go on to the end)"
+        )
     return Fault(text, axis, what, kind, value, time, None if steps is None else int(steps))
 
 
@@ -239,6 +245,8 @@ def faults_of(
             value *= dt
         elif code == LATE:
             value /= dt
+            if value > MOST_LATE:
+                raise fault.error(f"late needs at most {MOST_LATE} samples, {MOST_LATE * dt:g} s")
             width = max(width, math.ceil(value) + 2)
         elif code == LOW_PASS:  # 1 / (1 + s / w_c) by the bilinear transform
             over = math.pi * value * dt

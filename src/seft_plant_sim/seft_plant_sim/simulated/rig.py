@@ -63,6 +63,8 @@ class SimulatedRig:
         Step of the last sample.
     can_wait, is_clock, is_stopping, is_closing : bool
         See `seft_plant_sim.hardware.hosted`; a stop has ended when it returns.
+    missing : str
+        Empty: every sample comes.
     counts : dict
         See `seft_plant_sim.hardware.hosted.HostedHardware`; it has none.
     saturated : int
@@ -71,6 +73,7 @@ class SimulatedRig:
 
     can_wait, is_clock = True, False
     is_stopping = is_closing = False
+    missing = ""
 
     def __init__(
         self,
@@ -170,9 +173,9 @@ class SimulatedRig:
         offset = last - (last if planned is None else planned)
         ends = offset, last, safe.command, safe.closing, safe.longest, room
         both = self.parameters, self.state
-        stopped = Stopped(*self._rest(*both, self.step_index, plan, *ends))
-        self._forces.append(stopped.peak_force)
-        return stopped
+        steps, peak_force = self._rest(*both, self.step_index, plan, *ends)
+        self._forces.append(peak_force)
+        return Stopped(steps * safe.dt, peak_force)
 
     def safe(self) -> None:
         """Nothing moves between two tests."""

@@ -6,17 +6,14 @@ The estimates are those of `seft_ros.analysis.channel_estimates` and
 """
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.arrays import Complexes, Floats
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN
+from seft_msgs_py.config.facts import FORCE_DRIVEN
 from seft_msgs_py.config.parameter_table import per_axis
-from seft_msgs_py.errors import InputError
-from seft_plant_sim.calibration import known_channels
-from seft_plant_sim.channels import VELOCITY
 
 from seft_ros.analysis.calibration_effect import CalibrationEffect, calibration_structure
 from seft_ros.analysis.channel_estimates import (
@@ -25,15 +22,26 @@ from seft_ros.analysis.channel_estimates import (
     motion_frequency,
     relation,
 )
-from seft_ros.analysis.mass_estimate import MIN_ERROR, Inertia, inertia
+from seft_ros.analysis.drift_estimate import acceleration_zero, force_drift
+from seft_ros.analysis.folding import expected_relations
+from seft_ros.analysis.mass_estimate import ALIKE_SPRINGS, MIN_ERROR, Inertia, inertia
 from seft_ros.bags.recording import Recording, every_step
-from seft_ros.design.planned_tests import choose_rig
-from seft_ros.design.plant import FOLDED, held_relations
+from seft_ros.design.plant import FOLDED
 
+CHANCE = 0.05
+"""That errors of mass and channels mean more than `CalibrationCheck.at_most`."""
+ALIKE = 3.0
+"""Standard errors within which an earlier estimate counts. Beyond, something may have changed, and
+a better estimate of what was shall not hide that."""
 MAX_LOST = 0.01
 """Share of samples that may be lost: they are interpolated, which is no measurement."""
 MAX_SAMPLES = 1 << 16
 """Of a longer test the part that moves most counts, so that it takes a second and little memory."""
+
+_AT_END = 0.01  # of the range, in which noise is
+_FEWEST = 8  # samples of a half; noise is found in sixth differences
+_OfChannel = tuple[str, Relation, Floats, Floats]
+"""A channel, its relation to the displacement, and the scale and lag expected, (n,)."""
 
 
 @dataclass(frozen=True)
@@ -46,13 +54,16 @@ class Deviation:
         Displacement error (RMS over RMS) that it means, with those of the other axes; 0 if all are
         within `ESTIMATE_SIGMAS` standard errors.
     kind : str
-        ``mass``, ``scale`` or ``lag``.
+        ``mass``, ``scale``, ``lag`` or ``drift``.
     channel, axis : str
         ``force`` (of a mass, too), ``acceleration`` or ``velocity``, and the axis.
     part_of : str
         Axis whose acceleration it is a part of; another one where an accelerometer is tilted.
     estimate, told, error : float
-        Estimate, what it should be, and its standard error: kg, s, or 1 for a scale.
+        Estimate, what it should be, and its standard error: kg, s, 1 for a scale, and N or m/s^2
+        for a drift; of a force it is that of a spring, and how far its zero moved until the end.
+    part : str
+        Of the test: ``first half`` or ``second half``; empty: all of it.
     """
 
     effect: float
@@ -63,6 +74,7 @@ class Deviation:
     estimate: float
     told: float
     error: float
+    part: str = ""
 
     @property
     def rank(self) -> tuple[float, float]:
@@ -76,8 +88,13 @@ class CalibrationCheck:
 
     Attributes
     ----------
-    mass, scale, lag : Deviation or None
-        The worst of each kind.
+    mass, scale, lag, drift : Deviation or None
+        The worst of each kind; in a half of the test only what is beyond chance.
+    at_most : float or None
+        Displacement error that mass, force, and acceleration, as estimated and together, exceed
+        with the chance `CHANCE`.
+    clipped : float or None
+        Displacement error that accelerations beyond their sensor's range mean, by the velocity.
     unsure, unsure_lag : float or None
         Displacement error that errors of the masses, and of the forces' lags, of
         `ESTIMATE_SIGMAS` standard errors would mean.
@@ -88,6 +105,9 @@ class CalibrationCheck:
     mass: Deviation | None
     scale: Deviation | None
     lag: Deviation | None
+    drift: Deviation | None
+    at_most: float | None
+    clipped: float | None
     unsure: float | None
     unsure_lag: float | None
     axes: dict[str, Any]
@@ -124,27 +144,62 @@ def calibration_check(recording: Recording) -> CalibrationCheck | None:
     samples, dt = strongest(every_step(states, every)), experiment.timebase.dt
     frequency = motion_frequency(samples)
     found: list[Deviation] = []
-    unsure = unsure_lag = None
+    in_parts: list[Deviation] = []
+    unsure = unsure_lag = at_most = clipped = None
     if frequency > 0:
         effect = CalibrationEffect(structure, samples, dt)
         own = inertia(samples, effect.mass, effect.springs, dt, frequency)
         own = _combined(own, _known_inertia(experiment, effect.mass))
+        relations = list(_relations(experiment, samples, frequency))
         if own is not None:
             unsure = effect.of_mass(1.0 + ESTIMATE_SIGMAS * own.factor_error)
             if np.isfinite(own.lag_error).all():
                 unsure_lag = effect.of_force_lag(ESTIMATE_SIGMAS * own.lag_error)
-            found += _masses(effect, own, experiment.axes)
-        for channel, against, scale, lag in _relations(experiment, samples, frequency):
-            found += _scales(effect, channel, against, scale, experiment.axes)
-            found += _lags(effect, channel, against, lag, experiment.axes)
+            at_most = _at_most(effect, own, relations)
+        if "acceleration_range" in recording.saturation:
+            clipped = effect.of_zero(np.zeros(len(experiment.axes)), -_beyond_range(samples, dt))
+        found += _deviations(effect, own, relations, experiment.axes)
+        halves = _halves(samples)
+        for name, half in halves.items():
+            own = inertia(samples[half], effect.mass, effect.springs, dt, frequency)
+            relations = list(_relations(experiment, samples[half], frequency))
+            for one in _deviations(effect.within(half), own, relations, experiment.axes):
+                in_parts += [replace(one, part=name)] if one.effect else []
+        in_parts += _drifts(effect, samples, dt, halves, experiment.axes)
     worst = {
         kind: max(
-            (one for one in found if one.kind == kind), key=lambda one: one.rank, default=None
+            (one for one in (*found, *in_parts) if one.kind == kind),
+            key=lambda one: one.rank,
+            default=None,
         )
-        for kind in ("mass", "scale", "lag")
+        for kind in ("mass", "scale", "lag", "drift")
     }
     numbers = {axis: _numbers(found, axis) for axis in experiment.axes}
-    return CalibrationCheck(**worst, unsure=unsure, unsure_lag=unsure_lag, axes=numbers)
+    return CalibrationCheck(
+        **worst,
+        at_most=at_most,
+        clipped=clipped,
+        unsure=unsure,
+        unsure_lag=unsure_lag,
+        axes=numbers,
+    )
+
+
+def _beyond_range(samples: Floats, dt: float) -> Floats:
+    """Give what accelerations at the range's end lack, by the change of the velocity, (N, n)."""
+    v, a = samples[:, 1], samples[:, 2]
+    lacking = np.zeros_like(a)
+    moved = (v[2:] - v[:-2]) / dt - 0.5 * (a[:-2] + a[2:]) - a[1:-1]
+    is_at_end = np.abs(a[1:-1]) >= (1.0 - _AT_END) * np.abs(a).max()
+    lacking[1:-1] = np.where(is_at_end & (moved * a[1:-1] > 0.0), moved, 0.0)
+    return lacking
+
+
+def _halves(samples: Floats) -> dict[str, slice]:
+    """Part a test where half of the accelerations' energy is over: its end is almost at rest."""
+    energy = np.cumsum((samples[:, 2] ** 2).sum(axis=1))
+    middle = int(np.searchsorted(energy, 0.5 * energy[-1]))
+    return {"first half": slice(0, middle), "second half": slice(middle, len(samples))}
 
 
 def strongest(samples: Floats) -> Floats:
@@ -172,6 +227,72 @@ def _sure(value: Floats, error: Floats) -> Floats:
     return np.where(np.abs(value) > ESTIMATE_SIGMAS * error, value, 0.0)
 
 
+def _deviations(
+    effect: CalibrationEffect,
+    own: Inertia | None,
+    relations: list[_OfChannel],
+    axes: tuple[str, ...],
+) -> Iterator[Deviation]:
+    if own is not None:
+        yield from _masses(effect, own, axes)
+    for channel, against, scale, lag in relations:
+        yield from _scales(effect, channel, against, scale, axes)
+        yield from _lags(effect, channel, against, lag, axes)
+
+
+def _at_most(effect: CalibrationEffect, own: Inertia, relations: list[_OfChannel]) -> float:
+    """Displacement error that the estimates' distribution exceeds with the chance `CHANCE`.
+
+    The effects of mass, scale and lag are at other times: their squares add up. What is not known
+    of the acceleration's scale is little but folding, which makes no test wrong, and a wrong
+    velocity misleads the valve alone: the motion shows what came of it.
+    """
+    off, lag_error = own.factor - 1.0, np.where(np.isfinite(own.lag_error), own.lag_error, 0.0)
+    effects = [
+        (effect.of_mass(1.0 + off), effect.of_mass(1.0 + own.factor_error)),
+        (effect.of_force_lag(own.lag), effect.of_force_lag(lag_error)),
+    ]
+    for channel, of, scale, lag in relations:
+        if channel == "acceleration":
+            one, late = np.eye(len(off)), of.lag - lag
+            effects.append((effect.of_scale(one + of.scale - np.diag(scale)), 0.0))
+            effects.append((effect.of_lag(late), 0.0))
+    mean, spread = np.array(effects).T
+    drawn = mean + spread * np.random.default_rng(0).standard_normal((1 << 12, len(mean)))
+    return float(np.quantile(np.sqrt((drawn**2).sum(axis=1)), 1.0 - CHANCE))
+
+
+def _drifts(
+    effect: CalibrationEffect,
+    samples: Floats,
+    dt: float,
+    halves: dict[str, slice],
+    axes: tuple[str, ...],
+) -> Iterator[Deviation]:
+    """Zeros of acceleration and force that move; of the force where each spring has its own."""
+    x, v, a, f = np.moveaxis(samples, 1, 0)
+    n, springs = len(axes), effect.springs
+    for name, half in halves.items():
+        if half.stop - half.start < _FEWEST:
+            return
+        zero, error = acceleration_zero(x[half], a[half], dt)
+        of_zero = effect.within(half).of_zero(np.zeros(n), _sure(zero, error))
+        for i, axis in enumerate(axes):
+            off, chance = float(zero[i]), float(error[i])
+            yield Deviation(of_zero, "drift", "acceleration", axis, axis, off, 0.0, chance, name)
+    if len(springs) != n or np.linalg.cond(springs) > ALIKE_SPRINGS:
+        return
+    forces = (f - a @ effect.mass.T) @ np.linalg.inv(springs)
+    e, rates = x @ springs.T, v @ springs.T
+    fits = [force_drift(e[:, j], rates[:, j], forces[:, j]) for j in range(n)]
+    moved, errors = (np.array([fit[i] for fit in fits]) for i in (0, 1))
+    shapes = np.stack([fit[2] for fit in fits], axis=1)
+    of_zero = effect.of_zero(_sure(moved, errors) * shapes @ springs, np.zeros(n))
+    for i, axis in enumerate(axes):
+        off, chance = float(moved[i]), float(errors[i])
+        yield Deviation(of_zero, "drift", "force", axis, axis, off, 0.0, chance)
+
+
 def _masses(effect: CalibrationEffect, own: Inertia, axes: tuple[str, ...]) -> Iterator[Deviation]:
     of_mass = effect.of_mass(1.0 + _sure(own.factor - 1.0, own.factor_error))
     of_lag = effect.of_force_lag(_sure(own.lag, own.lag_error))
@@ -191,8 +312,8 @@ def _scales(
     off = _sure(own.scale - expected, own.scale_error)
     of_scale = effect.of_scale(np.eye(len(axes)) + off)
     for i, j in zip(*np.nonzero(own.scale_error), strict=True):
-        numbers = (float(each[i, j]) for each in (own.scale, expected, own.scale_error))
-        yield Deviation(of_scale, "scale", channel, axes[i], axes[j], *numbers)
+        scale, told, error = (float(each[i, j]) for each in (own.scale, expected, own.scale_error))
+        yield Deviation(of_scale, "scale", channel, axes[i], axes[j], scale, told, error)
 
 
 def _lags(
@@ -201,13 +322,11 @@ def _lags(
     """Lags of a channel on all axes; ``known`` has shape (n,), s."""
     of_lag = effect.of_lag(_sure(own.lag - known, own.lag_error))
     for i, axis in enumerate(axes):
-        numbers = (float(each[i]) for each in (own.lag, known, own.lag_error))
-        yield Deviation(of_lag, "lag", channel, axis, axis, *numbers)
+        late, told, error = (float(each[i]) for each in (own.lag, known, own.lag_error))
+        yield Deviation(of_lag, "lag", channel, axis, axis, late, told, error)
 
 
-def _relations(
-    experiment: Experiment, samples: Floats, frequency: float
-) -> Iterator[tuple[str, Relation, Floats, Floats]]:
+def _relations(experiment: Experiment, samples: Floats, frequency: float) -> Iterator[_OfChannel]:
     """Give each channel with its relation to the displacement, and the scale and lag expected.
 
     There are none if the relations of fault-free channels are not known: of an idealised actuator,
@@ -228,42 +347,6 @@ def _relations(
         unsure = FOLDED * np.abs(own - 1.0)
         if (found := relation(y, x, order, dt, frequency, unsure)) is not None:
             yield channel, found, np.abs(own), -np.angle(own) / w
-
-
-def expected_relations(experiment: Experiment, frequency: float) -> Complexes | None:
-    """Velocity and acceleration of fault-free channels over the derivatives of x.
-
-    See `seft_ros.design.plant.held_relations`; it follows from the actuator that the test knows,
-    on the specimen's model, and from what is known of the channels' lags.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        Of the test.
-    frequency : float
-        Of the motion, Hz.
-
-    Returns
-    -------
-    ndarray or None
-        Shape (2, n); None if no actuator is known.
-    """
-    nodes = ("reference_force", "force_controller")
-    if any(node not in experiment.sections for node in nodes):
-        return None
-    section = experiment["reference_force"]
-    lag = known_channels(section, experiment.axes)["lag"]
-    # what the samples wait for after the channels are read turns nothing that is folded down
-    at_once = {f"calibration.{channel}_lag": 0.0 for channel in CHANNELS}
-    known = Experiment({node: experiment[node] | at_once for node in nodes})
-    if section["sensors.velocity"] == "derived":
-        lag[VELOCITY] = lag[0]
-    try:
-        plant = choose_rig(known).plant
-        held = held_relations(plant, np.array([frequency]), experiment.timebase.dt, lag)
-    except (InputError, KeyError):
-        return None
-    return held[0]
 
 
 def _known_inertia(experiment: Experiment, mass: Floats) -> Inertia | None:
@@ -293,7 +376,7 @@ def _combined(own: Inertia | None, known: Inertia | None) -> Inertia | None:
     def mean(
         one: Floats, one_error: Floats, two: Floats, two_error: Floats
     ) -> tuple[Floats, Floats]:
-        alike = np.abs(one - two) <= ESTIMATE_SIGMAS * np.hypot(one_error, two_error)
+        alike = np.abs(one - two) <= ALIKE * np.hypot(one_error, two_error)
         p, q = one_error**-2, two_error**-2
         both, error = (p * one + q * two) / (p + q), (p + q) ** -0.5
         return np.where(alike, both, one), np.where(alike, error, one_error)

@@ -13,6 +13,8 @@ Which of two channels is wrong can't be seen from their disagreement, so the wor
 - lag of the force behind the acceleration: the force is late.
 """
 
+from copy import copy
+
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
@@ -64,11 +66,22 @@ class CalibrationEffect:
         self.springs = springs_of(structure, self._whole)
         self._total = self._whole.structure.mass[:n, :n]
         self._motion = equivalent.advance(samples)
+        self._part = slice(None)
         self._law = SpecimenLaw(self._whole, self.mass, samples, self.springs, dt)
+
+    def within(self, part: slice) -> "CalibrationEffect":
+        """Give the same for deviations that are there in these samples alone."""
+        own = copy(self)
+        own._part = part
+        return own
 
     def _of(self, change: Floats) -> float:
         """Error for a change of the ground motion, shape (N, n), m/s^2."""
-        return self._law.difference(change) if change.any() else 0.0
+        if not change.any():
+            return 0.0
+        there = np.zeros_like(change)
+        there[self._part] = change[self._part]
+        return self._law.difference(there)
 
     def of_mass(self, factor: Floats) -> float:
         """Error if the mass is so many times the known one, or the force too large; shape (n,)."""
@@ -82,12 +95,16 @@ class CalibrationEffect:
         """Error if the force is late by so much, shape (n,), s."""
         return self._of_force(led(self._samples[:, _F], lag, self._dt))
 
-    def _of_force(self, change: Floats) -> float:
-        if not change.any():
+    def of_zero(self, force: Floats, acceleration: Floats) -> float:
+        """Error if the channels' zeros are off by so much, shape (N, n) or (n,), N and m/s^2."""
+        if not (np.any(force) or np.any(acceleration)):
             return 0.0
         states = np.zeros_like(self._samples)
-        states[:, _F] = change
+        states[:, _F], states[:, _A] = -force, -acceleration
         return self._of(EquivalentMotion(self._whole, self._dt).advance(states))
+
+    def _of_force(self, change: Floats) -> float:
+        return self.of_zero(-change, np.zeros(len(self.mass)))
 
     def of_scale(self, scale: Floats) -> float:
         """Error if the displacement is wrong by such a scale and tilt, shape (n, n)."""

@@ -63,8 +63,12 @@ def motion_frequency(states: Floats) -> float:
 
 
 def noise_of(y: Floats) -> Floats:
-    """RMS of the white noise of smooth signals, shape (N, n): of their sixth differences, (n,)."""
-    size: Floats = np.median(np.abs(np.diff(y, 6, axis=0)), axis=0) / (_NORMAL * math.sqrt(_SIXTH))
+    """RMS of the white noise of smooth signals, shape (N, n): of their sixth differences, (n,).
+
+    0 if they are too short to have any.
+    """
+    sixth = np.diff(y, 6, axis=0) if len(y) > 6 else np.zeros_like(y)
+    size: Floats = np.median(np.abs(sixth), axis=0) / (_NORMAL * math.sqrt(_SIXTH))
     return size
 
 

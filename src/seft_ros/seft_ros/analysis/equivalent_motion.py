@@ -7,9 +7,11 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.topics import GROUND_MOTION
+from seft_msgs_py.wire.topics import GROUND_MOTION, RIG_STATE
 from seft_plant_sim.whole_structure import WholeStructure, reference_response, whole_structure
 
+from seft_ros.analysis.channel_estimates import noise_of
+from seft_ros.analysis.folding import without_folding
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.analysis.specimen_law import SpecimenLaw, springs_of
 from seft_ros.bags.recording import Recording, every_step
@@ -20,6 +22,7 @@ DAMPING = 0.05
 BAND_MARGIN = 2.0
 """Spectra must agree from the lowest natural frequency over this to the highest times this: a
 specimen that yields makes the structure softer, and one that closes gaps stiffer."""
+_A, _F = (RIG_STATE.quantities.index(name) for name in ("accelerations", "effort"))
 _PERIODS, _AROUND = 60, 4.0  # of a spectrum, and how far it goes beyond the structure's frequencies
 
 
@@ -124,6 +127,8 @@ class MotionDifference:
         motions.
     specimen_nrmse : float
         The same of the whole structure with the specimen's own law, see `SpecimenLaw`.
+    noise_nrmse : float
+        What of that the noise of force and acceleration alone would make.
     band_hz : tuple of float
         See `BAND_MARGIN`.
     frequency_hz : ndarray
@@ -136,6 +141,7 @@ class MotionDifference:
     damping: Floats
     response_nrmse: float
     specimen_nrmse: float
+    noise_nrmse: float
     band_hz: tuple[float, float]
     frequency_hz: Floats
     asked: Floats
@@ -153,6 +159,7 @@ class MotionDifference:
         return {
             "response_nrmse": self.response_nrmse,
             "specimen_response_nrmse": self.specimen_nrmse,
+            "noise_nrmse": self.noise_nrmse,
             "spectrum_deviation": None if place is None else float(deviation[place]),
             "spectrum_deviation_frequency_hz": place and float(frequency[place[0]]),
             "structure": {
@@ -189,19 +196,37 @@ def motion_difference(recording: Recording) -> MotionDifference | None:
         return None
     equivalent = EquivalentMotion(structure, dt)
     with np.errstate(over="ignore", invalid="ignore"):  # of a test that went unstable
-        tested = equivalent.advance(measured)
+        seen = without_folding(measured, equivalent.mass, recording.experiment)
+        tested = equivalent.advance(seen)
         of_tested, of_asked = (reference_response(assumed, y) for y in (tested, asked))
         first = nrmse(of_tested.displacement, of_asked.displacement)
         springs = springs_of(assumed, structure)
         law = SpecimenLaw(structure, equivalent.mass, measured, springs, dt)
         specimen = law.difference(asked - tested)
+        noise = EquivalentMotion(structure, dt).advance(_noise(measured, equivalent.mass))
+        of_noise = law.difference(noise)
         band = (float(natural[0]) / BAND_MARGIN, float(natural[-1]) * BAND_MARGIN)
         frequency = spectrum_frequencies(band, dt)
         spectra = [
             np.stack([response_spectrum(y, dt, 1 / frequency, DAMPING) for y in a.T], axis=1)
             for a in (asked, tested)
         ]
-    return MotionDifference(natural, damping, first, specimen, band, frequency, *spectra)
+    return MotionDifference(natural, damping, first, specimen, of_noise, band, frequency, *spectra)
+
+
+def _noise(samples: Floats, mass: Floats) -> Floats:
+    """Draw noise like that of force and acceleration, shape (N, 4, n).
+
+    Its size is that of f - M a, in which a motion that no noise is, such as that of the oil column,
+    cancels.
+    """
+    a, f = samples[:, _A], samples[:, _F]
+    inertial = a @ mass.T
+    size = noise_of(f - inertial) / np.maximum(np.hypot(noise_of(f), noise_of(inertial)), 1e-300)
+    drawn = np.random.default_rng(0).standard_normal((2, *a.shape)) * np.minimum(size, 1.0)
+    noise = np.zeros_like(samples)
+    noise[:, _A], noise[:, _F] = drawn[0] * noise_of(a), drawn[1] * noise_of(f)
+    return noise
 
 
 def spectrum_frequencies(band_hz: tuple[float, float], dt: float) -> Floats:

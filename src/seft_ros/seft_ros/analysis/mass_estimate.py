@@ -43,8 +43,9 @@ MAX_WINDOWS = 1500
 WEIGHT_POWER = 1.5
 """Power of 1/variance that is a window's weight: more than the 1 of equal laws with other noise,
 because a large residual means a law that is not described, which is a bias and not a noise."""
-SLIDERS, CURVE_SPLINES = 12, 12
-"""Stop operators and B-splines of the law of a spring: one for each factor 1.6 of deformation."""
+SLIDERS, CURVE_SPLINES = 36, 24
+"""Stop operators and B-splines of the law of a spring: one for each factor 1.2 of deformation, so
+that a corner between two of them is no mass."""
 MEMORY = 12
 """Windows, half of each overlapping the next, over which residuals may be correlated."""
 WIDEN = 1.5
@@ -52,7 +53,8 @@ WIDEN = 1.5
 of specimen are within two standard errors in 93 of 100 tests (docs/metrics.md)."""
 MIN_ERROR = 1.5e-3
 """Least standard error of a mass, relative: the samples' timing and the converter's steps."""
-_ALIKE = 1e6  # condition number of deformations that do not determine the displacements
+ALIKE_SPRINGS = 1e6
+"""Condition number of deformations that do not determine the displacements."""
 _ROUNDS = 5  # of weighting; then weights change by less than a percent
 _RIDGE = 1e-6  # of the law's regressors, which may be alike
 
@@ -108,7 +110,7 @@ def inertia(
     laws = [law_regressors(e, s) for e, s in zip(by_spring.T, noise_of(by_spring), strict=True)]
     n = x.shape[1]
     share = np.eye(n)
-    if len(deformation) == n and np.linalg.cond(deformation) < _ALIKE:
+    if len(deformation) == n and np.linalg.cond(deformation) < ALIKE_SPRINGS:
         share = np.linalg.inv(deformation).T  # the equation of a spring, of its own law alone
     else:
         laws = [np.hstack(laws)] * n

@@ -1,19 +1,20 @@
 """All numbers of a test, as run, simulate and report print them as JSON, and arrays to draw."""
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.fft import rfft
 from seft_msgs_py.arrays import Floats, Ints
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, VALVE_COMMAND
 from seft_plant_sim.simulated.specimen import EnergyBalance
-from seft_plant_sim.whole_structure import ReferenceResponse
+from seft_plant_sim.whole_structure import ReferenceResponse, is_simulated
 
-from seft_ros.analysis.assessment import Assessment, assess_test
+from seft_ros.analysis.assessment import BY_TRUTH, IN_LABORATORY, Assessment, assess_test
 from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
 from seft_ros.analysis.summary import (
     COMPARED,
@@ -125,12 +126,15 @@ class Report:
     difference : MotionDifference or None
         The equivalent ground motion against the one asked for.
     assessment : Assessment
-        Verdict.
+        Verdict; on a simulated test, by the truth of the simulation.
+    laboratory : Assessment or None
+        Verdict on a simulated test as a laboratory would see it, which knows nothing of the truth.
     summary : dict
         All numbers, JSON values: what `summarise` gives and ``instability_band_hz`` (two numbers
         or null), ``vibration`` (``ratio``, the largest of all axes, and ``axes``: see
         `vibration`), ``uncompensated_delay_s`` (how far the force lags
-        in a test that does nothing about it, else null), ``events`` and ``verdict``.
+        in a test that does nothing about it, else null), ``events``, ``verdict`` and
+        ``laboratory_verdict`` (null of a real rig, of which it is the verdict).
     """
 
     recording: Recording
@@ -140,6 +144,7 @@ class Report:
     band_note: str
     difference: MotionDifference | None
     assessment: Assessment
+    laboratory: Assessment | None
     summary: dict[str, Any]
 
 
@@ -152,25 +157,50 @@ def report_numbers(recording: Recording) -> Report:
     energies = _thinned(balance)
     del balance  # as long as the recording, and drawn from a few points
     spectra = {name: _spectra(assessed, exact, name) for name in ("force", "acceleration")}
-    band = None
-    try:
-        band = instability_band(PlannedTest(recording.experiment))
-        note = "" if band else "none: the loop stays stable as far as was looked"
-    except (InputError, KeyError) as error:
-        note = f"not known: {error}"
-    ratios = json_safe([vibration(*pair, band) for pair in spectra["acceleration"]])
-    summary |= {
-        "instability_band_hz": band and list(band),
-        "vibration": {
-            "ratio": max((ratio for ratio in ratios if ratio is not None), default=None),
-            "axes": dict(zip(recording.experiment.axes, ratios, strict=True)),
-        },
+    in_band, note = _in_band(recording.experiment, spectra["acceleration"])
+    summary |= in_band | {
         "uncompensated_delay_s": _uncompensated_delay(recording, summary),
         "events": [asdict(event) for event in recording.events],
     }
-    assessment = assess_test(summary)
-    summary = json_safe(summary | {"verdict": asdict(assessment)})
-    return Report(recording, reference, energies, spectra, note, difference, assessment, summary)
+    laboratory = None
+    if is_simulated(recording.experiment):
+        laboratory = assess_test(summary | _seen(assessed, summary), IN_LABORATORY)
+    assessment = assess_test(summary, BY_TRUTH if laboratory else "This")
+    both = {"verdict": assessment, "laboratory_verdict": laboratory}
+    verdicts = {name: found and asdict(found) for name, found in both.items()}
+    summary = json_safe(summary | verdicts)
+    found = difference, assessment, laboratory
+    return Report(recording, reference, energies, spectra, note, *found, summary)
+
+
+def _in_band(experiment: Experiment, accelerations: _Spectra) -> tuple[dict[str, Any], str]:
+    """Give the instability band of a test and its vibration there, and why there is no band."""
+    band, note = None, "none: the loop stays stable as far as was looked"
+    try:
+        band = instability_band(PlannedTest(experiment))
+    except (InputError, KeyError) as error:
+        note = f"not known: {error}"
+    ratios = json_safe([vibration(*pair, band) for pair in accelerations])
+    of_axes = {
+        "ratio": max((ratio for ratio in ratios if ratio is not None), default=None),
+        "axes": dict(zip(experiment.axes, ratios, strict=True)),
+    }
+    return {"instability_band_hz": band and list(band), "vibration": of_axes}, (
+        "" if band else note
+    )
+
+
+def _seen(recording: Recording, summary: dict[str, Any]) -> dict[str, Any]:
+    """Give what a laboratory's summary of a simulated test has instead: of the assumed specimen."""
+    seen: dict[str, Any] = {"reference_specimen": "model"}
+    if summary["tracking_error"] is not None:
+        return seen  # vibration beyond the model's does not count
+    sections = dict(recording.experiment.sections)
+    known = ("rate", "axes", "calibration.")
+    sections["rig"] = {name: own for name, own in sections["rig"].items() if name.startswith(known)}
+    as_seen = replace(recording, experiment=Experiment(sections))
+    accelerations = _spectra(as_seen, reference_of(as_seen), "acceleration")
+    return seen | _in_band(as_seen.experiment, accelerations)[0]
 
 
 def _thinned(balance: EnergyBalance | None) -> dict[str, tuple[Ints, Floats]]:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from seft_ros.analysis import report_sections
-from seft_ros.analysis.assessment import ramp_note
+from seft_ros.analysis.assessment import Assessment, ramp_note
 from seft_ros.analysis.report_numbers import Report
 from seft_ros.analysis.result_text import OF_THE_MODEL, agreement_table, test_rows, title_of
 from seft_ros.analysis.timing import timing_of
@@ -60,8 +60,8 @@ def write_report(report: Report, name: str, path: Path) -> None:
 def _sections(report: Report) -> Iterator[PageSection]:
     assessment, recording = report.assessment, report.recording
     axes, signals = recording.experiment.axes, tracked_of(recording)
-    cells = [Cell(finding.whole, finding.verdict) for finding in assessment.findings]
-    yield PageSection("Verdict", [page.VerdictBox(assessment.verdict, assessment.text, cells)])
+    verdicts = [found for found in (assessment, report.laboratory) if found is not None]
+    yield PageSection("Verdict", [_box(found) for found in verdicts])
     tested = [_test_rows(report), _software_rows(recording.environment)]
     yield PageSection("What was tested", [TextTable((), rows, numbers=False) for rows in tested])
     yield _agreement(report)
@@ -80,6 +80,11 @@ def _sections(report: Report) -> Iterator[PageSection]:
     yield PageSection("Estimates", list(_estimates(recording)))
     yield PageSection("Interlock and events", list(_events(recording)))
     yield PageSection("Parameters", _parameters(recording))
+
+
+def _box(found: Assessment) -> page.VerdictBox:
+    cells = [Cell(finding.whole, finding.verdict) for finding in found.findings]
+    return page.VerdictBox(found.verdict, found.text, cells)
 
 
 def _agreement(report: Report) -> PageSection:

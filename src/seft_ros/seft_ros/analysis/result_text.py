@@ -65,7 +65,10 @@ def summary_texts(report: Report) -> Texts:
     if summary["reference_specimen"] == "model":
         table.append(OF_THE_MODEL)
     findings = (Cell(f"  {finding.whole}", finding.verdict) for finding in found.findings)
-    return [title_of(report.recording), facts, *table, Cell(found.text, found.verdict), *findings]
+    seen = report.laboratory
+    laboratory = [] if seen is None else [Cell(seen.text, seen.verdict)]
+    verdict = Cell(found.text, found.verdict)
+    return [title_of(report.recording), facts, *table, verdict, *findings, *laboratory]
 
 
 def title_of(recording: Recording) -> str:

@@ -17,9 +17,9 @@ from seft_msgs_py.errors import InputError, SeftError
 from seft_msgs_py.files import open_regular
 
 from seft_ros.bags.bag_writer import METADATA, BagWriter, file_reason
-from seft_ros.bags.mcap_file import BagSource, McapFile
+from seft_ros.bags.foreign_file import ForeignFile
+from seft_ros.bags.mcap_file import BagSource, McapFile, is_foreign
 from seft_ros.bags.message_blocks import DamageError, MessageBlock, inflated
-from seft_ros.bags.sqlite_file import SqliteFile
 
 SUFFIXES = (".mcap", ".db3")
 _MAX_METADATA = 1 << 24  # bytes
@@ -64,7 +64,7 @@ class Bag:
         self.checked = True
         self.damage: list[str] = []
         self.recovered: list[str] = []
-        self._files: list[McapFile | SqliteFile] = []
+        self._files: list[McapFile | ForeignFile] = []
         self._lacks_files = False
         self._stack = ExitStack()
         with ExitStack() as stack:
@@ -176,7 +176,7 @@ def _read_metadata(folder: Path) -> _Metadata:
     return found
 
 
-def _opened(file: Path, scratch: Path, stack: ExitStack) -> McapFile | SqliteFile:
+def _opened(file: Path, scratch: Path, stack: ExitStack) -> McapFile | ForeignFile:
     """Open a file of a bag; what is wrong with its packing is damage of the file."""
     stream, fault = stack.enter_context(open_regular(file)), ""
     if file.suffix == ".zstd":
@@ -184,9 +184,10 @@ def _opened(file: Path, scratch: Path, stack: ExitStack) -> McapFile | SqliteFil
         stream = stack.enter_context(file.open("x+b"))
         fault = _unpack(packed, stream)
         stream.flush()
-    found = McapFile(stream) if file.suffix == ".mcap" else SqliteFile(file, scratch)
+    is_ours = file.suffix == ".mcap" and not is_foreign(stream)
+    found = McapFile(stream) if is_ours else ForeignFile(file, scratch)
     found.damage[:0] = [fault] if fault else []
-    if isinstance(found, SqliteFile):
+    if isinstance(found, ForeignFile):
         stack.callback(found.close)
     return found
 

@@ -184,7 +184,9 @@ class BagWriter:
                 except OSError as error:
                     why = f"{self.path}: {file_reason(error)}"
             if why:
-                raise ExperimentError(f"{why}; the bag lacks its end, and can be read as it is")
+                is_left = self._file is not None and os.fstat(self._file.fileno()).st_nlink
+                left = "; the bag lacks its end, and can be read as it is" if is_left else ""
+                raise ExperimentError(f"{why}{left}")
             self._done()
         if self._cut_off:
             raise ExperimentError(f"{self._cut_off}; the remainder of the bag can be read")

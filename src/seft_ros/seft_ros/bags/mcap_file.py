@@ -1,8 +1,8 @@
-"""An mcap file that is read as far as it is right; what is not is left out and named.
+"""An mcap file of ours that is read as far as it is right; what is not is left out and named.
 
 The file is read from its beginning, without the index at its end. A chunk of messages counts as a
 whole: with its checksum, its sizes and its end, or not at all. Behind damage, reading continues at
-the next chunk.
+the next chunk. Files of other programs are read by `seft_ros.bags.foreign_file`.
 """
 
 import re
@@ -16,8 +16,6 @@ from io import BytesIO
 from typing import IO, NamedTuple
 
 import numpy as np
-import zstandard
-from lz4.frame import LZ4FrameDecompressor
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -26,7 +24,6 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from seft_msgs_py.wire.messages import typestore
 from seft_msgs_py.wire.topics import Topic
 
-from seft_ros.bags import message_blocks
 from seft_ros.bags.message_blocks import MAX_SIZE, DamageError, MessageBlock, records_of
 
 _QOS = """
@@ -82,18 +79,13 @@ ROSBAG = "rosbag2"
 BATCH = 1 << 20
 """Bytes of chunks that are given together: enough for arrays to pay, few for the cache."""
 
-_MAGIC = b"\x89MCAP0\r\n"
+MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")  # of a record: opcode, length
 _PRIVATE = 0x80  # the first of the opcodes that anybody may use
 _WINDOW = 1 << 16  # bytes that are searched at a time
-_RESUMED = re.compile(
-    rb"\x06.{36}(?:\0\0\0\0|\x04\0\0\0zstd|\x03\0\0\0lz4)|\x0f\x04\0{7}", re.DOTALL
-)
+_RESUMED = re.compile(rb"\x06.{36}\0\0\0\0|\x0f\x04\0{7}", re.DOTALL)
 """Where reading may continue: the head of a chunk, or the end of all messages."""
-_GARBAGE = (
-    *(McapError, struct.error, ValueError, OverflowError, MemoryError),
-    *(RuntimeError, zstandard.ZstdError),  # of lz4 and zstd
-)
+_GARBAGE = (McapError, struct.error, ValueError, OverflowError, MemoryError)
 """What parsers raise for garbage."""
 
 
@@ -102,7 +94,6 @@ class _Part(NamedTuple):
 
     start: int
     size: int
-    has_checksum: bool
     counts: Mapping[int, int]
 
 
@@ -125,12 +116,14 @@ class McapFile:
     damage : list of str
         What is wrong with it.
     checked : bool
-        Whether all messages have a checksum, so that damaged ones are noticed.
+        Whether all messages have a checksum, so that damaged ones are noticed: they have.
     recovered : list of str
         What is missing from a recovered bag.
     metadata : str
         Text of the bag's metadata.yaml, if the file is ours; else empty.
     """
+
+    checked = True
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file = file
@@ -144,13 +137,6 @@ class McapFile:
         self._ours = False
         self._parts: list[_Part] = []
         self._walk()
-        checked = [part for part in self._parts if part.has_checksum]
-        self.checked = len(checked) == len(self._parts)
-        if not self.checked and (checked or self._ours):
-            self._bad["a chunk of messages has lost its checksum"] = [
-                part.start for part in self._parts if not part.has_checksum
-            ]
-            self._parts = checked
         every = sum((Counter(part.counts) for part in self._parts), Counter[int]())
         self.counts = Counter({number: every[number] for number in self.sources})
         self.damage = [
@@ -169,8 +155,7 @@ class McapFile:
         for part in self._parts:
             if not part.counts.keys().isdisjoint(numbers):
                 chunk = Chunk.read(self._body(part.start, part.size))
-                found = message_blocks.unpacked(records_of(_unpacked(chunk))[0])
-                blocks.append(found.renumbered(table))
+                blocks.append(records_of(_checked(chunk))[0].renumbered(table))
             if sum(len(block.data) for block in blocks) >= BATCH:
                 yield MessageBlock.joined(blocks)
                 blocks = []
@@ -179,8 +164,8 @@ class McapFile:
 
     def _walk(self) -> None:
         """Go from record to record, and behind damage to the next chunk."""
-        at: int | None = len(_MAGIC)
-        is_lost = self._read(0, len(_MAGIC)) != _MAGIC
+        at: int | None = len(MAGIC)
+        is_lost = self._read(0, len(MAGIC)) != MAGIC
         if is_lost:
             self._note("it does not begin as an mcap file" if self._size else "it is empty", 0)
             at = self._next(0)
@@ -226,11 +211,9 @@ class McapFile:
                 summary = footer.summary_start or at
                 if self._check(at, footer.summary_crc, summary, end - 4):
                     self._define(self._read(summary, at - summary))
-                if self._read(end, self._size - end) != _MAGIC:
+                if self._read(end, self._size - end) != MAGIC:
                     raise DamageError("its end is not that of an mcap file")
                 return None
-            case Opcode.MESSAGE:
-                raise DamageError("messages outside of chunks are not read")
             case _ if not Opcode.HEADER <= opcode <= Opcode.DATA_END and opcode < _PRIVATE:
                 raise DamageError("a record is damaged")
         return end
@@ -248,13 +231,10 @@ class McapFile:
 
     def _add(self, chunk: Chunk, start: int, size: int) -> None:
         """Add a chunk of messages, if it is right."""
-        block = self._define(_unpacked(chunk))
-        plain = message_blocks.unpacked(block)
-        if len(plain.places) < len(block.places):
-            self._note("packed messages are damaged in a chunk", start)
-        numbers, counts = np.unique(plain.places["source"], return_counts=True)
+        block = self._define(_checked(chunk))
+        numbers, counts = np.unique(block.places["source"], return_counts=True)
         counted = dict(zip(numbers.tolist(), counts.tolist(), strict=True))
-        self._parts.append(_Part(start, size, bool(chunk.uncompressed_crc), counted))
+        self._parts.append(_Part(start, size, counted))
 
     def _define(self, raw: bytes) -> MessageBlock:
         """Take the types, channels and counts among some records; give the messages."""
@@ -299,17 +279,23 @@ class McapFile:
         return None
 
 
-def _unpacked(chunk: Chunk) -> bytes:
-    """Decompress a chunk, which takes no more memory than it declares, and check it."""
-    data, size = chunk.data, chunk.uncompressed_size
-    if size > MAX_SIZE:
-        raise DamageError("a record is damaged")
-    if chunk.compression == "lz4":
-        data = LZ4FrameDecompressor().decompress(data, max_length=size + 1)
-    elif chunk.compression == "zstd":
-        data = b"".join(message_blocks.inflated(data, size))
-    if len(data) != size:
+def _checked(chunk: Chunk) -> bytes:
+    """Give the records of a chunk, which is not compressed, and check it."""
+    if len(chunk.data) != chunk.uncompressed_size:
         raise DamageError("a chunk of messages has another size than it declares")
-    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+    if not chunk.uncompressed_crc:
+        raise DamageError("a chunk of messages has lost its checksum")
+    if zlib.crc32(chunk.data) != chunk.uncompressed_crc:
         raise DamageError("a chunk of messages fails its checksum")
-    return data
+    return chunk.data
+
+
+def is_foreign(file: IO[bytes]) -> bool:
+    """Whether the head of an mcap file says that another program wrote it."""
+    file.seek(0)
+    with suppress(*_GARBAGE):
+        if file.read(len(MAGIC)) == MAGIC:
+            opcode, size = _HEAD.unpack(file.read(_HEAD.size))
+            header = Header.read(ReadDataStream(BytesIO(file.read(min(size, _WINDOW)))))
+            return opcode == Opcode.HEADER and not header.library.startswith(MCAP_LIBRARY)
+    return False

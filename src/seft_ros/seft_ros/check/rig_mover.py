@@ -117,7 +117,7 @@ class RigMover:
             stopped = self.rig.come_to_rest()
         if stopped.is_at_rest:
             return "the rig is at rest"
-        speed, took = float(np.abs(self.rig.measured[1]).max()), stopped.steps * self.dt
+        speed, took = float(np.abs(self.rig.measured[1]).max()), stopped.time
         return f"the rig is NOT at rest: it shows {speed:.3g} m/s {took:.3g} s after the stop began"
 
     def _begin(self) -> None:

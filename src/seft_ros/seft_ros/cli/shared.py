@@ -265,8 +265,8 @@ def show_test(recording: Recording, bag: Path | None, *, as_json: bool, figure: 
     from seft_ros.analysis.result_text import summary_texts
 
     found = report_numbers(recording)
-    summary = found.summary
-    if bag is not None:
+    summary, is_there = found.summary, bag is not None and bag.is_dir()
+    if bag is not None and is_there:
         summary["bag"] = str(bag)
         if figure:
             from seft_ros.analysis.figures import test_figure
@@ -275,4 +275,6 @@ def show_test(recording: Recording, bag: Path | None, *, as_json: bool, figure: 
             save_figure(test_figure(recording, found.reference), bag / FIGURE)
             summary["figure"] = str(bag / FIGURE)
     show(summary, as_json, summary_texts(found), "bag", "figure")
+    if bag is not None and not is_there:
+        raise ExperimentError(f"{bag}: the bag was deleted when it was whole")
     return bool(summary["stable"])

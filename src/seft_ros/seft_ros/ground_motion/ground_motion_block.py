@@ -184,6 +184,7 @@ class GroundMotion:
                 f"ground_motion: {record.source}: accelerations are not finite; check its "
                 "values, influence and peak_force"
             )
+        check_size(section["lead"], timebase.rate, f"lead {section['lead']:g} s")
         lead_steps = max(1, round(section["lead"] * timebase.rate))
         chunk_steps = max(1, round(lead_steps / _CHUNKS_PER_LEAD))
         facts = motion_facts(section, axes, record, samples, scale)
@@ -274,6 +275,7 @@ def _recorded(section: Section, axes: Sequence[str], files: Sequence[str]) -> Re
     if len(files) > 1:
         wanted = [(file, [column]) for file, column in zip(files, columns, strict=True)]
     words = {"rows": section["rows"], "response": section["response"]}
+    words["corrected"] = section["correct"] != "none"
     found = [
         read_record(file, those, section["unit"], section["dt"], **words) for file, those in wanted
     ]

@@ -5,7 +5,7 @@ user says must not contradict the file.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,7 @@ from seft_ros.ground_motion.readers.statements import (
     Statement,
     is_same_period,
     read_unit,
+    stated_peaks,
 )
 
 TEXT_FORMATS = (
@@ -81,12 +82,11 @@ def read_file(path: Path, rows: bool = False, response: str = "") -> Columns:
         if matches(data):
             return read(path, data, response)
     lines = to_lines(path, data)
-    for is_format, read_format in TEXT_FORMATS:
-        if is_format(path, lines):
-            return read_format(path, lines)
-    if not rows:
+    found = next((read for is_format, read in TEXT_FORMATS if is_format(path, lines)), None)
+    if found is None and not rows:
         check_name(path)
-    return read_column_file(path, lines, rows)
+    columns = read_column_file(path, lines, rows) if found is None else found(path, lines)
+    return replace(columns, peaks=stated_peaks(path, lines))
 
 
 FIRST_MOTION = -1
@@ -131,6 +131,7 @@ def read_record(
     *,
     rows: bool = False,
     response: str = "",
+    corrected: bool = False,
 ) -> RecordedMotion:
     """Read a recorded ground motion.
 
@@ -154,12 +155,14 @@ def read_record(
         The numbers are one motion in rows.
     response : str
         File of the station's metadata, for counts in SAC and miniSEED files.
+    corrected : bool
+        The mean is taken off later: an offset does no harm.
 
     Raises
     ------
     InputError
         If the file can't be read as a record (names the line), or if column, unit, dt or rows
-        contradict the file.
+        contradict the file, or what is read the peak that it states; see `Columns.check_offset`.
     """
     path, given = Path(path), given_unit(unit)
     file = read_file(path, rows, response)
@@ -171,6 +174,8 @@ def read_record(
         sizes = np.array([UNITS[found.value] for found in units])
         count = file.count(columns[0])
         accelerations = np.ascontiguousarray(file.values[:count, columns]) * sizes
+        for column, motion in zip(columns, accelerations.T, strict=True):
+            file.check_offset(column, motion, corrected=corrected)
     channels = [
         {
             "file": path.name,

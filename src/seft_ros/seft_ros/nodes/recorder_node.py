@@ -26,7 +26,7 @@ from seft_msgs_py.wire.messages import (
     decode_diagnostics,
     encode_string,
 )
-from seft_msgs_py.wire.outcome import ENDED, MOVING, RECORDED, RIG, State
+from seft_msgs_py.wire.outcome import ENDED, MOVING, RECORDED, RIG, WAITS, State
 from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
@@ -44,7 +44,7 @@ from seft_ros.bags.bag_place import why_not_writable
 from seft_ros.bags.bag_writer import BagWriter
 from seft_ros.bags.recording import describe_environment
 from seft_ros.test_run.parameter_tables import RECORDER_TABLE, TABLES
-from seft_ros.test_run.peers import ALL_ANSWERED, RECORDING, WAITS
+from seft_ros.test_run.peers import ALL_ANSWERED, RECORDING
 from seft_ros.test_run.stall_watch import StallWatch
 
 _SILENCE = 0.3  # s without a message of a step: the last one has arrived

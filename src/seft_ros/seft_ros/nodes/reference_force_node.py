@@ -162,6 +162,8 @@ class ReferenceForceNode(NodeBody):
         if self._order.begins(step):
             self._reset()
             self._trip_for(self._shell.several_senders(), step)
+        elif false_start := self._order.false_start(RIG_STATE.name, step):
+            self._trip_for(self._conflict or false_start, step)
         self._order.check(RIG_STATE.name, step)
         if step in self._waiting:
             raise WireError(f"rig/state of step {step} a second time")

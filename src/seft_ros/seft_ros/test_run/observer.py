@@ -3,14 +3,14 @@
 import os
 import time
 from collections.abc import Collection, Iterable, Sequence
-from contextlib import closing
+from dataclasses import replace
 from typing import Any
 
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.node.clock import AwakeClock
 from seft_msgs_py.node.dds import DdsEndpoint
 from seft_msgs_py.node.follower import Follower
-from seft_msgs_py.node.process import is_running, prepare_on_this_host
+from seft_msgs_py.node.process import is_running
 from seft_msgs_py.node.rclpy_interface import (
     SingleThreadedExecutor,
     command_node,
@@ -20,7 +20,15 @@ from seft_msgs_py.node.rclpy_interface import (
 )
 from seft_msgs_py.wire.experiment_state import ExperimentState, decode_state
 from seft_msgs_py.wire.messages import Status, decode_diagnostics
-from seft_msgs_py.wire.outcome import RIG, STALLED, State
+from seft_msgs_py.wire.outcome import (
+    ENDED,
+    MOVING,
+    NOT_AT_REST,
+    RIG,
+    STALLED,
+    STOPPING,
+    State,
+)
 from seft_msgs_py.wire.topics import CLOCK_TOPIC, DIAGNOSTICS, EXPERIMENT_STATE, NODES, Topic, bare
 from std_srvs.srv import Trigger
 
@@ -28,6 +36,7 @@ SERVICE_TIMEOUT = 10.0  # s
 DISCOVERY = 0.5  # s; nodes that take longer are found by the second check, before the start
 ANNOUNCEMENT = 3.2  # s; participants announce themselves every 3 s
 _ASKED_AGAIN = 0.1  # s between requests that are refused
+_STATES = 16  # that may come between two polls: a test may be stopped and reset at once
 
 
 class Observer:
@@ -44,6 +53,8 @@ class Observer:
         The test's state; empty before the first message.
     reported : ExperimentState
         What the supervisor last said of it.
+    ended : ExperimentState or None
+        How the last test ended, also if it was reset since; None while one moves, or none has.
     time_ns : int
         Experiment time, nanoseconds.
     recorder_phase : str
@@ -51,22 +62,26 @@ class Observer:
     recorder_bag : str
         Folder of the saved bag.
     running : set of str
-        Rigs that report that they run.
+        Rigs that report that they run, or that their stop goes on.
+    not_at_rest : dict of str to str
+        Rigs that did not come to rest after their stop, and its time.
     """
 
     def __init__(self, nodes: Sequence[str] = NODES) -> None:
         self._nodes = tuple(nodes)
         self.state = ""
         self.reported = ExperimentState(State.IDLE, "waiting for supervisor")
+        self.ended: ExperimentState | None = None
         self.time_ns = 0
         self.recorder_phase = ""
         self.recorder_bag = ""
         self.running: set[str] = set()
+        self.not_at_rest: dict[str, str] = {}
         self._awake = AwakeClock()
         self._received_at = self._awake.time()
         self._since = time.monotonic()
         self._node = command_node("seft")
-        depths = {topic: topic.depth for topic in (EXPERIMENT_STATE, DIAGNOSTICS)}
+        depths = {EXPERIMENT_STATE: _STATES, DIAGNOSTICS: DIAGNOSTICS.depth}
         self._test = Follower(DdsEndpoint(self._node), depths, self._nodes)
         self._node.create_subscription(
             message_class(CLOCK_TOPIC), CLOCK_TOPIC.name, self._on_clock, qos_profile(CLOCK_TOPIC)
@@ -183,7 +198,13 @@ class Observer:
         for state in self._test.take(EXPERIMENT_STATE):
             self.reported = decode_state(state.raw)
             self._received_at = self._awake.time()
-            self.state = self.reported.state
+            before, self.state = self.state, self.reported.state
+            if self.state in MOVING:
+                self.ended = None
+            elif self.state in ENDED:
+                self.ended = self.reported
+            elif before in MOVING:  # its end was not heard; what it was stands in the bag
+                self.ended = replace(self.reported, state=State.DONE)
         for report in self._test.take(DIAGNOSTICS):
             for status in decode_diagnostics(report.raw)[1]:
                 self._on_status(status)
@@ -196,21 +217,11 @@ class Observer:
         if status.name == "recorder":
             self.recorder_phase, self.recorder_bag = phase, status.values.get("bag", "")
         elif bare(status.name) == RIG:
-            (self.running.add if phase == "running" else self.running.discard)(status.name)
+            moves = phase == "running" or STOPPING in status.values
+            (self.running.add if moves else self.running.discard)(status.name)
+            if text := status.values.get(NOT_AT_REST):
+                self.not_at_rest[status.name] = text
 
 
 def _domain() -> str:
     return os.environ.get("ROS_DOMAIN_ID", "0")
-
-
-def alone_on_the_graph(external: Collection[str] = ()) -> None:
-    """Prepare this process for the graph, and check that no test is on it.
-
-    Raises
-    ------
-    InputError
-        If there is one.
-    """
-    prepare_on_this_host()
-    with closing(Observer()) as observer:
-        observer.refuse_other_tests(external)

@@ -5,6 +5,7 @@ steps, and where its code is on the disk. Tests of an ensemble with equal ground
 force or force controller share these.
 """
 
+import os
 import threading
 import time
 from collections import Counter, deque
@@ -16,6 +17,7 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS
+from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import Trip
 from seft_msgs_py.wire.topics import (
     GROUND_MOTION,
@@ -50,8 +52,20 @@ from seft_ros.test_run.state_machine import while_ramping_down
 
 PLAIN_STEPS = 500_000
 """Steps that the plain loop runs in about the time of a compilation of the loop (10 s)."""
+_BYTES = 460
+"""Of a step of each axis in a test and its summary, measured."""
 _run_so_far: Counter[Hashable] = Counter()
 """Steps of this process, by the kind of loop."""
+
+
+def _check_memory(steps: int, axes: int) -> None:
+    """Refuse a test that this machine has no memory for, before it is taken."""
+    there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if (needed := _BYTES * steps * axes) > there:
+        raise InputError(
+            f"{steps} steps of {axes} axes need some {needed / 1e9:.1f} GB, and this machine has "
+            f"{there / 1e9:.1f} GB; check rate and duration"
+        )
 
 
 def simulate_test(
@@ -83,9 +97,15 @@ def simulate_test(
     -------
     Record
         Bit for bit that of nodes over DDS if no command is missed.
+
+    Raises
+    ------
+    InputError
+        If this machine has not the memory for it and its summary.
     """
     motion, force = blocks.ground_motion.samples, blocks.reference_force
     (total, axes), quantities = motion.shape, force.reference_force.shape[1]
+    _check_memory(total, axes)
     force.reset()
     blocks.force_controller.reset()
     estimated, period = force.estimates(), sampling_period(experiment.timebase, force.is_modelled)

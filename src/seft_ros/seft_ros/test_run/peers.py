@@ -13,6 +13,7 @@ from seft_msgs_py.wire.outcome import (
     REHEARSES,
     RIG,
     TRIPPED,
+    WAITS,
     ZEROED,
 )
 from seft_msgs_py.wire.topics import RigAxes, topics_of, with_rigs
@@ -101,8 +102,6 @@ ALL_ANSWERED = "ended"
 """Its phase when the test has ended and it has answered the last state."""
 RECORDING = "recording"
 """Phase of the recorder as long as the bag of a test is open, also after that test's end."""
-WAITS = "waits"
-"""Key of the recorder's values: why it can't record a test now; empty if it can."""
 CONFLICT = "one "
 """Start of the text if nodes were started with contradictory parameters."""
 _OF_THE_TEST = [name for name, node in SETTINGS.items() if node == "reference_force"]
@@ -179,11 +178,11 @@ def missing(
     phases = {node: statuses[node].phase for node in statuses}
     if phases.get("reference_force") in (RAMPING_DOWN, AT_REST_KEY, ALL_ANSWERED):
         return "the reference force to leave the last test"
-    if "recorder" in peers:
-        if phases["recorder"] == RECORDING:
-            return "the recorder to save the last test"
-        if why := statuses["recorder"].status.values.get(WAITS):
-            return f"the recorder, as {why}"
+    if "recorder" in peers and phases["recorder"] == RECORDING:
+        return "the recorder to save the last test"
+    for node in peers:
+        if why := statuses[node].status.values.get(WAITS):
+            return f"the {node}, as {why}"
     return "" if phases.get("ground_motion") == "primed" else "the first of the ground motion"
 
 

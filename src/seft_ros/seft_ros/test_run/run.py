@@ -11,7 +11,7 @@ from typing import NamedTuple, Self
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.node.process import as_before, on_ending, prepare_on_this_host
-from seft_msgs_py.wire.outcome import BY_OPERATOR, ENDED, State
+from seft_msgs_py.wire.outcome import BY_OPERATOR, State
 from seft_msgs_py.wire.topics import EXPERIMENT_STATE, NODES, LoopTopic, bare, topics_of, with_rigs
 
 from seft_ros.bags.bag_place import why_not_writable
@@ -104,6 +104,7 @@ class RunMonitor:
         self._settle()
         while True:
             self._wait_until_ready(deadline)
+            observer.ended = None  # of a test before this one
             accepted, answer = observer.call("start")
             if accepted:
                 return
@@ -149,18 +150,18 @@ class RunMonitor:
             that the bag describes.
         """
         observer, deadline = self._observer, float("inf")
-        while observer.state not in ENDED:
+        while observer.ended is None:
             self._poll()
             if self._broken:
                 deadline = min(deadline, time.monotonic() + STANDING_STILL)
                 if self._is_left_alone() or time.monotonic() > deadline:
                     return self._broken
         deadline = time.monotonic() + self._timeout  # the supervisor finds who fell silent
-        while observer.state == State.TRIPPED and observer.reported.silent is None:
+        while observer.state == State.TRIPPED and observer.ended.silent is None:
             if time.monotonic() > deadline:
                 break
             self._poll()
-        silent = {*(observer.reported.silent or ())} - {*self._processes.stopped()}
+        silent = {*(observer.ended.silent or ())} - {*self._processes.stopped()}
         while silent and not self._broken and time.monotonic() < deadline:
             self._poll()  # a silent node may be ending, and its log then has the cause
         return self._broken or self._ending()
@@ -174,20 +175,21 @@ class RunMonitor:
             with contextlib.suppress(KeyboardInterrupt, ExperimentError):
                 self._observer.call(service, self._timeout)
                 deadline = time.monotonic() + STANDING_STILL
-                while self._observer.state not in ENDED and time.monotonic() < deadline:
+                while self._observer.ended is None and time.monotonic() < deadline:
                     self._poll()
                     if self._is_left_alone():
                         return False
-            if self._observer.state in ENDED:
+            if self._observer.ended:
                 break
-        return self._observer.state == State.DONE
+        return self._observer.ended is not None and self._observer.ended.state == State.DONE
 
     def wait_until_saved(self) -> None:
         """Wait for rigs and recorder; one that is stopped before that closes its bag."""
         deadline = time.monotonic() + SAVE_TIMEOUT
         while time.monotonic() < deadline:
-            gone = {*(self._observer.reported.silent or ()), *self._processes.ended()}
-            if self._observer.state not in ENDED or "recorder" in gone:
+            ended = self._observer.ended
+            gone = {*((ended and ended.silent) or ()), *self._processes.ended()}
+            if ended is None or "recorder" in gone:
                 return
             if self._observer.recorder_phase == "saved" and not self._observer.running - gone:
                 return
@@ -210,8 +212,8 @@ class RunMonitor:
     def _ending(self) -> str:
         """Say how the test ended if the bag may lack it."""
         observer = self._observer
-        step, test = observer.time_ns // self._period_ns, observer.reported
-        if observer.state == State.DONE:
+        step, test = observer.time_ns // self._period_ns, observer.ended or observer.reported
+        if test.state == State.DONE:
             stopped = test.detail == BY_OPERATOR
             self._progress("done", test.steps if test.steps and not stopped else step + 1)
             return ""
@@ -308,6 +310,9 @@ def run_experiment(
                     raise
             else:
                 monitor.wait_until_saved()
+            for rig, after in observer.not_at_rest.items():
+                text = f"the {rig} is NOT at rest {after} after its stop began"
+                fault = f"{text}; {fault}" if fault else text
             saved = observer.recorder_bag
             if saved and Path(saved).resolve() != bag.resolve():  # its own folder was lost
                 bag = processes.bag = Path(saved)

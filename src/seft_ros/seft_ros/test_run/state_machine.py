@@ -246,6 +246,12 @@ class SampleOrder:
         self.last = -1
         return True
 
+    def false_start(self, name: str, step: int) -> str:
+        """Say that the first sample of a test is not that of step 0; empty if it is."""
+        if not step or not self.may_begin or self.last >= 0:
+            return ""
+        return f"{name} begins with step {step}, not 0: is that lost, or are the stamps wrong?"
+
     def check(self, name: str, step: int) -> None:
         """Check that a sample of this step may be answered.
 

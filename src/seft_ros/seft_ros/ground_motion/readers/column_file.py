@@ -35,6 +35,7 @@ IN_COLUMNS = "columns"
 IN_ROWS = "one motion in rows"
 
 _LONE_DECIMAL_COMMA = re.compile(r"[+-]?\d+,0\d+")  # 0,005 would read as two columns
+_WHOLE = re.compile(r"[+-]?\d+")
 _LIKE_A_NUMBER = re.compile(r"[+-]?\.?\d")
 _LONGEST_PERIOD = 0.1  # s
 _FEWEST_COUNTED = 10
@@ -64,7 +65,9 @@ def read_column_file(path: Path, lines: list[str], rows: bool) -> Columns:
     counted, data = _numeric_header(path, data)
     names, place, stated = _read_head(path, lines[:start], separator, data)
     header = _with(header=stated, counted=counted, path=path)
-    if header.unit is None and not any(map(named_unit, names)):
+    has_unit = header.unit is not None or any(map(named_unit, names))
+    last = {fields[-1] for _, fields in data}
+    if not has_unit or (len(last) > 1 and all(map(_WHOLE.fullmatch, last))):
         check_factor(path, list(enumerate(lines[:start], start=1)))
     if _is_in_rows(path, data, header, rows):
         return _one_motion(path, data, header)

@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 
-from seft_ros.ground_motion.readers.record_text import read_values
+from seft_ros.ground_motion.readers.record_text import decimals, read_values
 from seft_ros.ground_motion.readers.statements import (
+    Peak,
     Statement,
     agreed,
     is_other_unit,
@@ -65,6 +66,8 @@ class Columns:
         The names tell quantities; they are not those of channels.
     sure : bool
         Each column that is not the time is a motion: the first may be taken unasked.
+    peaks : tuple of Peak
+        That the header states, of whichever columns.
     """
 
     path: Path
@@ -79,6 +82,7 @@ class Columns:
     counts: tuple[int, ...] = ()
     quantities: bool = True
     sure: bool = True
+    peaks: tuple[Peak, ...] = ()
 
     def count(self, column: int) -> int:
         """Give the number of values of a column."""
@@ -195,6 +199,42 @@ class Columns:
         found = Statement(float(f"{period:.12g}"), self.called(column))  # not 0.00500...1
         return agreed(self.path, "sampling period, s,", found, self.own_dt)
 
+    def check_offset(self, column: int, a: npt.NDArray[np.float64], *, corrected: bool) -> None:
+        """Refuse an offset that would be the motion, and a peak that is not the stated one.
+
+        Parameters
+        ----------
+        column : int
+            Of the file.
+        a : ndarray
+            Its accelerations, shape (N,), m/s^2.
+        corrected : bool
+            Their mean is taken off later.
+
+        Raises
+        ------
+        InputError
+            If no sample reaches zero; if the header states peaks, and none is the column's.
+        """
+        mean, largest = float(a.mean()), float(np.abs(a).max())
+        moving, called = float(np.abs(a - mean).max()), self.called(column)
+        remedy = "take it off by ground_motion correct: offset (--correct offset)"
+        centred = next((peak for peak in self.peaks if peak.is_of(moving)), None)
+        agrees = not self.peaks or any(peak.is_of(largest) for peak in self.peaks)
+        if not (agrees or (corrected and centred)):
+            stated = centred or self.peaks[0]
+            mends = "of another --column or --unit? If not, correct that line"
+            mends = f"as without an offset of {mean:.4g}; {remedy}" if centred else mends
+            raise InputError(
+                f"{self.path}: the largest acceleration in {called} is {largest:.4g} m/s2, but "
+                f"{stated.place} states a peak of {stated.size:.4g} m/s2, {mends}"
+            )
+        if len(a) >= _FEWEST_TIMES and moving < abs(mean) and not corrected:
+            raise InputError(
+                f"{self.path}: {called} never reaches zero, with a mean of {mean:.4g} m/s2: it has "
+                f"an offset; {remedy}"
+            )
+
     def check_finite(self, column: int) -> None:
         """Refuse a column with a NaN or an infinity; names the line."""
         bad = np.flatnonzero(~np.isfinite(self.values[: self.count(column), column]))
@@ -249,7 +289,7 @@ def rounded_period(times: npt.NDArray[np.float64], texts: Sequence[str], wanted:
         otherwise, if they differ by 0.1 % at most, the one with the fewest digits. 0: none, or the
         last digit is more than half of the period.
     """
-    half = 0.5 * 10.0 ** -max(map(_decimals, texts)) * (1 + 1e-6)
+    half = 0.5 * 10.0 ** -max(map(decimals, texts)) * (1 + 1e-6)
     numbers = np.arange(len(times))
 
     def fits(period: float) -> bool:
@@ -268,12 +308,6 @@ def rounded_period(times: npt.NDArray[np.float64], texts: Sequence[str], wanted:
         return 0.0
     digits = (float(f"{0.5 * (low + high):.{places}g}") for places in range(1, 13))
     return next(filter(fits, digits), 0.0)
-
-
-def _decimals(text: str) -> int:
-    """Count the decimals of a number as it is written; with an exponent, as if without."""
-    mantissa, _, exponent = text.upper().replace("D", "E").partition("E")
-    return len(mantissa.partition(".")[2]) - int(exponent or 0)
 
 
 def read_channel(

@@ -107,6 +107,12 @@ def to_float(token: str, path: Path, line: int) -> float:
     raise InputError(f'{path}: line {line}: "{shown}" is no number; {remedy}')
 
 
+def decimals(text: str) -> int:
+    """Count the decimals of a number as it is written; with an exponent, as if without."""
+    mantissa, _, exponent = text.upper().replace("D", "E").partition("E")
+    return len(mantissa.partition(".")[2]) - int(exponent or 0)
+
+
 def pieces(line: str, width: int = 0) -> list[str]:
     """Cut a line of numbers: each has ``width`` characters, or blanks or signs separate them."""
     if width:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from seft_msgs_py.errors import InputError
 
-from seft_ros.ground_motion.readers.record_text import NUMBER, to_float
+from seft_ros.ground_motion.readers.record_text import NUMBER, decimals, to_float
 
 STANDARD_GRAVITY = 9.80665
 """Standard acceleration of gravity in m/s^2, exact by definition (ISO 80000-3)."""
@@ -159,13 +159,33 @@ _COUNT_FIRST = re.compile(
     r"(?!\s*(?:/|per|across|in\s+(?:a|each)|(?:a|each)\s+(?:row|line)))",
     _FLAGS,
 )
-_SCALE = re.compile(rf"\b(?:scal(?:e|ing)[\s_]*factor|multipl(?:ier|y\s+by))\W*({_N})", _FLAGS)
+_SCALE = re.compile(
+    r"\b(?:(?:scal(?:e|ing)|conversion)[\s_]*factor|multipl(?:ier|y\s+by)|sensitivity)\W*"
+    rf"(?:of|is)?\W*({_N})",
+    _FLAGS,
+)
+_PEAK = re.compile(
+    r"(?:\b(?:pga|amax|peak|max(?:imum)?|m[aá]xim[ao])|(?<=acc)max)(?![a-z])\.?\s*"
+    r"(?:(?:ground|(?:un)?corrected|values?)[\s:]+)*(?:acc\w*|acel\w*)?"
+    rf"[\s._:=(\[]*([a-z%][^\s:=,;()\[\]]*)?[\s:=,;)\]]*({_N})\s*([^\s,;()\d]\S*?)?(?=[\s,;()]|$)",
+    _FLAGS,
+)
+_OF_ACCELERATION = re.compile(r"acc|acel|pga|amax", _FLAGS)
+_OF_OTHERS = re.compile(  # a peak of the instrument, the site, or of several components
+    r"trigger|threshold|umbral|scale|range|limit|sensor|clip|satur|horiz|result|vector|mean|spectr"
+    r"|design|target|expected|hazard",
+    _FLAGS,
+)
+_ROUGHLY = 0.1
+"""Of a peak: zeros, filters and rounding differ by no more, units and offsets by far more."""
 _OTHER_QUANTITY = re.compile(
-    r"\bdata[_ ]?type\W+(velocity|displacement)\b"
+    r"\b(?:(?:data[_ ]?)?type|tipo(?:\s+de\s+datos?)?|quantity)\W+(?:[\w-]+\s+){0,2}?"
+    r"(vel\w*|disp\w*|despl\w*|spectr\w*|espectr\w*)\b"
     r"|\b(velocity|displacement)\s+(?:time|history|series|record)\b"
     r"|^\W*(?:(?:un)?corrected|ground|relative|filtered)\s+(velocity|displacement)\b",
     _FLAGS,
 )
+_QUANTITIES = {"v": "velocity", "d": "displacement", "s": "spectrum"}
 _OTHER_FIRST = re.compile(
     r"^\W*(?:(?:ground|relative)\s+|(?:data\W*)?type\W+|quantity\W+)?"
     r"(?:(vel|veloc\w*)|disp|displ|displacements?|desplazamientos?)\b(?!\W+de\s+muestreo)",
@@ -179,6 +199,33 @@ class Statement[T]:
 
     value: T
     place: str
+
+
+@dataclass(frozen=True)
+class Peak:
+    """Largest acceleration that a file states, m/s^2, with half its last digit, and where."""
+
+    size: float
+    half_digit: float
+    place: str
+
+    def is_of(self, largest: float) -> bool:
+        """Whether a motion with this largest acceleration may be meant."""
+        return abs(largest - self.size) <= _ROUGHLY * self.size + self.half_digit
+
+
+def stated_peaks(path: Path, lines: Sequence[str]) -> tuple[Peak, ...]:
+    """Find the peaks of accelerations that a text states with their unit."""
+    found = []
+    for number, line in enumerate(lines, start=1):
+        if not _OF_ACCELERATION.search(line) or _OF_OTHERS.search(line):
+            continue
+        for before, text, after in _PEAK.findall(line):
+            unit = read_unit(before) or read_unit(after)
+            if unit and (size := abs(to_float(text, path, number))) > 0:
+                half = 0.5 * 10.0 ** -decimals(text)
+                found.append(Peak(UNITS[unit] * size, UNITS[unit] * half, f"line {number}"))
+    return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -212,7 +259,8 @@ def read_header(path: Path, lines: Sequence[tuple[int, str]]) -> Header:
     of_acceleration = any("acc" in line.lower() for _, line in lines)
     for number, line in lines:
         if found := _OTHER_QUANTITY.search(line):
-            raise other_quantity(path, number, next(filter(None, found.groups())))
+            word = next(filter(None, found.groups())).lower()
+            raise other_quantity(path, number, _QUANTITIES[word.removeprefix("e")[0]])
         first = _OTHER_FIRST.match(line)
         if first and not (of_acceleration or _VALUE.search(line)):
             raise other_quantity(path, number, "velocity" if first.group(1) else "displacement")
@@ -227,12 +275,13 @@ def read_header(path: Path, lines: Sequence[tuple[int, str]]) -> Header:
 
 
 def check_factor(path: Path, lines: Sequence[tuple[int, str]]) -> None:
-    """Refuse values without a unit that are to be multiplied by a factor, as counts are."""
+    """Refuse counts, or values without a unit, that are to be multiplied by a factor."""
     for number, line in lines:
         if (scale := _SCALE.search(line)) and to_float(scale.group(1), path, number) != 1:
             raise InputError(
                 f"{path}: line {number}: states the factor {scale.group(1)}, but no line the unit "
-                "of the values; multiply them by it, if they are not yet, and take off that line"
+                "of the values, or they are whole numbers, as counts are; multiply them by it, if "
+                "they are not yet, and take off that line"
             )
 
 
