@@ -198,8 +198,8 @@ def test_a_valve_without_gain_or_oil_and_a_specimen_without_stiffness_are_not_kn
     actuator[0, 0] = actuator[1, 1] = actuator[1, 3] = 0.0
     p, _ = detectors(actuator=actuator, ranges=np.full((4, N), 0.5))
     assert np.isinf(p.sums[rows.OIL]).all()
-    np.testing.assert_array_equal(p.actuator[:, 3], [2e4, np.inf])
-    np.testing.assert_array_equal(p.range, 0.5)
+    np.testing.assert_array_equal(p.rig.actuator[:, 3], [2e4, np.inf])
+    np.testing.assert_array_equal(p.rig.ranges, 0.5)
     for unknown in ("mass", "stiffness"):
         assert np.isinf(detectors(**{unknown: np.zeros((N, N))})[0].rough).all()
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, NamedTuple, get_type_hints
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
@@ -11,7 +11,13 @@ from seft_msgs_py.config.facts import CHANNELS
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.judge.biases import MAX_BIAS
 from seft_plant_sim.judge.detector_list import DETECTORS, Detector
-from seft_plant_sim.judge.judge import BIAS, JudgeParameters, JudgeState, judge_arrays
+from seft_plant_sim.judge.judge import (
+    BIAS,
+    JudgeParameters,
+    JudgeState,
+    judge_arrays,
+    zeros_of,
+)
 from seft_plant_sim.judge.relation_following import ESTIMATE_DRIFT, NOISE_SIGMAS
 from seft_plant_sim.judge.valve_following import (
     LARGEST_DELAY_ERROR,
@@ -29,10 +35,10 @@ samples: with fewer, some friction looks like noise."""
 MOTION_MEMORY = 0.3
 """Time constant of the memory of the largest motion, and of the mean that gives a bias, s: a
 quarter of a cycle at 1 Hz."""
-TOLERANCES = (0.1, 0.1, 0.35)
+TOLERANCES = np.array([0.1, 0.1, 0.35])
 """Largest difference of relations (1) to (3) over the motion: calibration and channels 2 ms apart
 at 7 Hz; a flow gain with an error of 0.3, which the controller corrects."""
-UNDESCRIBED = (0.02, 0.02, 0.1)
+UNDESCRIBED = np.array([0.02, 0.02, 0.1])
 """Part of these that gain, delay and bias do not describe, at the beginning: a sensor's linearity,
 a valve's, and the piston's friction."""
 CHANNELS_APART = 2e-3
@@ -52,8 +58,9 @@ class KnownRig(NamedTuple):
     steps: Floats  # of their converters, (4, n); 0: not known
     velocity_is_derived: bool  # from the displacement
     actuator: Floats  # flow gain, oil stiffness, leakage, force capacity, (n, 4); 0: not known
-    past: Floats  # see `DetectorParameters`
-    has_valve: bool  # whether these valves drive the rig
+    past: Floats  # part of past commands, the newest first, in the mean flow of the last period,
+    # and its change per delay (1/s), (n, 2, m)
+    has_valve: bool  # else the rig obeys the reference force, which it holds
     mass: Floats  # of the specimen, (n, n), kg
     stiffness: Floats  # likewise, N/m
     computed_mass: Floats  # M_c on the axes, (n, n), kg
@@ -64,24 +71,13 @@ class KnownRig(NamedTuple):
 class DetectorParameters(NamedTuple):
     """Parameters of the detectors; D is their number."""
 
-    dt: float  # sampling period, s
+    rig: KnownRig  # a force capacity or a range that is not known is infinite
     fade: float  # factor per step with which sums fade
     oil_fade: float  # of the sums of relation (3)
     short: float  # of short sums
     memory: float  # of the largest motion
-    actuator: Floats  # flow gain, oil stiffness, leakage and force capacity, (n, 4)
-    past: (
-        Floats  # part of past commands, the newest first, in the mean flow of the last period, and
-    )
-    # its change per delay (1/s), (n, 2, m)
-    has_valve: bool  # else the rig obeys the reference force, which it holds
-    mass: Floats  # of the assumed specimen, (n, n), kg
-    stiffness: Floats  # likewise, N/m
     by_force: Floats  # jump of the acceleration by that of a held force, (n, n), 1/kg; 0: a valve
-    computed_mass: Floats  # M_c on the axes, (n, n), kg
     noise: Floats  # RMS, as assumed, (4, n)
-    dither: Floats  # RMS, as configured, (4, n); 0: not configured
-    range: Floats  # largest value that each sensor can measure, (4, n); infinite: not known
     sums: Floats  # noise of the differences of relations (1) to (3), `NOISE_SIGMAS` times RMS,
     # (3, n); infinite where not watched
     deviation: Floats  # of gain, delay (s) and bias of each relation at the beginning, (3, 3, n)
@@ -92,8 +88,6 @@ class DetectorParameters(NamedTuple):
     still: Floats  # noise of a change of x less what v expects, `NOISE_SIGMAS` times RMS, (n,), m
     rough: Floats  # likewise of the second difference of r, (n,), N
     unknown: float  # 0; infinite if the specimen is not known
-    tolerance: Floats  # part of the largest motion by which sides of a relation may differ, (3,)
-    left: Floats  # likewise, less what gain, delay and bias describe, at the beginning, (3,)
     persistence: Ints  # samples for which a detector must be beyond its threshold, (D,)
     acts: Ints  # whether it ends the test, (D,); 0: it only warns
     judge: JudgeParameters
@@ -129,16 +123,6 @@ class DetectorState(NamedTuple):
     judge: JudgeState
 
 
-def zeros_of[T](of: type[T], sizes: Mapping[str, int]) -> dict[str, Any]:
-    """Make the arrays of a NamedTuple by their types: shapes with these sizes; others are left."""
-    found: dict[str, Any] = {}
-    for name, hint in get_type_hints(of, include_extras=True).items():
-        if shape := getattr(hint, "__metadata__", ()):
-            dtype = np.int64 if hint.__origin__ is Ints else np.float64
-            found[name] = np.zeros([sizes.get(each, each) for each in shape], dtype)
-    return found
-
-
 def assumed_noise(noise: Floats, limits: Floats, velocity_is_derived: bool, dt: float) -> Floats:
     """Give the RMS noise of the channels, shape (4, n), also where it is not known (0)."""
     x, v, a, f = np.where(noise > 0.0, noise, ASSUMED_NOISE * limits[:, np.newaxis])
@@ -171,7 +155,6 @@ def detector_arrays(
     noise, limits, dt, mass = known.noise, known.limits, known.dt, known.mass
     has_valve, velocity_is_derived = known.has_valve, known.velocity_is_derived
     n, fade, oil_fade = noise.shape[1], fade_of_sums(dt), math.exp(-dt / _OIL_MEMORY)
-    short = math.exp(-1.0 / max(SHORT / dt, FEWEST))
     x, v, a, f = assumed_noise(noise, limits, velocity_is_derived, dt)
     actuator, ranges = known.actuator.copy(), np.where(known.ranges > 0.0, known.ranges, np.inf)
     is_known = has_valve & (actuator[:, 0] > 0.0) & (actuator[:, 1] > 0.0)
@@ -213,23 +196,14 @@ def detector_arrays(
         dt,
     )
     lasts[WRONG:] = 1  # they count by themselves
-    acts = [each.name not in warn_only for each in DETECTORS]
     parameters = DetectorParameters(
-        dt=dt,
+        rig=known._replace(actuator=actuator, ranges=ranges),
         fade=fade,
         oil_fade=oil_fade,
-        short=short,
+        short=math.exp(-1.0 / max(SHORT / dt, FEWEST)),
         memory=math.exp(-dt / MOTION_MEMORY),
-        actuator=actuator,
-        past=known.past,
-        has_valve=has_valve,
-        mass=mass,
-        stiffness=known.stiffness,
         by_force=by_force,
-        computed_mass=known.computed_mass,
         noise=np.array([x, v, a, f]),
-        dither=noise,
-        range=ranges,
         sums=NOISE_SIGMAS * np.vstack([sums, of_oil]),
         deviation=deviation,
         most=most,
@@ -239,10 +213,8 @@ def detector_arrays(
         still=NOISE_SIGMAS * np.hypot(math.sqrt(2.0) * x, dt * v / math.sqrt(2.0)),
         rough=NOISE_SIGMAS * np.sqrt(6.0 * (f**2 + mass**2 @ a**2)) + unknown,
         unknown=unknown,
-        tolerance=np.array(TOLERANCES),
-        left=np.array(UNDESCRIBED),
         persistence=lasts,
-        acts=np.array(acts, dtype=np.int64),
+        acts=np.array([each.name not in warn_only for each in DETECTORS], dtype=np.int64),
         judge=judging,
     )
     sizes = {"n": n, "m": known.past.shape[2], "D": len(DETECTORS)}

@@ -69,7 +69,7 @@ class Guard:
         axes: Sequence[str],
     ) -> None:
         self.limits, self._axes, self._saturated_time = limits, tuple(axes), saturated_time
-        n, dt = len(self._axes), detectors[0].dt
+        n, dt = len(self._axes), detectors[0].rig.dt
         blind, window = event_ring(saturated_time, dt)
         self.parameters = GuardParameters(
             calibration[0], derivation, ranges, limits.values, window, detectors[0]
@@ -85,7 +85,6 @@ class Guard:
             detectors=detectors[1],
         )
         both, sample = (self.parameters, self.state), np.zeros((DRIVE_ROW + 1, n))
-        self._begin = entry_point(begin_guard, *both)
         self._step = entry_point(guard_step, *both, 0, np.zeros((4, n)), sample[0], sample)
 
     @classmethod
@@ -127,7 +126,7 @@ class Guard:
 
     def reset(self) -> None:
         """Begin a new test."""
-        self._begin(self.parameters, self.state)
+        begin_guard(self.parameters, self.state)
 
     def take(self, step: int, measured: Floats, drive: Floats, sample: Floats) -> int:
         """Take a sample, see `guard_step`."""
@@ -140,8 +139,8 @@ class Guard:
         ``found`` is the result of its step.
         """
         row = int(self.state.counts[DETECTED]) // len(self._axes)
-        judge, known = self.state.detectors.judge, self.parameters.detectors.judge
-        is_recent = judge.used[0] > judge.step[0] - known.window
+        judge = self.state.detectors.judge
+        is_recent = judge.used[0] > judge.step[0] - len(judge.replaced)
         return found & FAULT != 0 and row >= WRONG and not is_recent
 
     def violation(self, found: int) -> str | None:

@@ -85,7 +85,6 @@ class GuardState(NamedTuple):
     detectors: DetectorState
 
 
-@compiled
 def begin_guard(parameters: GuardParameters, state: GuardState) -> None:
     """Begin a test."""
     state.counts[:] = 0

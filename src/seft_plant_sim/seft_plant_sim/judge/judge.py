@@ -1,7 +1,8 @@
 """Parameters and state of the judge, whose step is `judge`: records, one of each axis."""
 
 import math
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Annotated, Any, NamedTuple, get_type_hints
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
@@ -58,7 +59,6 @@ AXIS_STATE = np.dtype(
         ("alive", BRANCH, (ALIVE,)),  # after the last sample, the likeliest first
         ("made", BRANCH, (ALIVE,)),  # by the present sample
         ("count", "i8"),  # of those alive
-        ("told", "i8", (1 + REVISED,)),  # sets of channels that were replaced at the last samples
         ("travel", "f8"),  # largest recent dt |v|, m
         ("gained", "f8"),  # ... dt |a|, m/s
         ("turned", "f8"),  # ... second difference of a, m/s^2
@@ -68,8 +68,6 @@ AXIS_STATE = np.dtype(
         ("part", "f8", (3,)),  # mean square of what (1) to (3) leave, over that of the motion
         ("missed", "f8", (3,)),  # recent squares of what (1) to (3) leave, less noise
         ("motion", "f8", (3,)),  # ... of the motion that they describe
-        ("usual", "f8", (4,)),  # variance of the channels if they are sound
-        ("covariance", "f8", (4, 4)),  # of the residuals by that
         ("scatter", "f8", (2,)),  # recent variance of (3), if the oil is not known, and of (4), N^2
         ("asked", "f8", (2,)),  # the last reference forces, N
         ("asked_jump", "f8"),  # their largest recent change, N
@@ -134,52 +132,42 @@ class JudgeParameters(NamedTuple):
         `AXIS_FACTS` of each axis, and its `AXIS_STATE` before step 0; shape (n,).
     mass : ndarray
         Of the assumed specimen, shape (n, n), kg; 0: not known.
-    window : int
-        Steps in which so many wrong samples end the test as `JudgeState.wrong` has places.
+    most : int
+        Replaced values of a channel that end the test, see `JudgeState.counts`.
     """
 
     axes: Record
     rest: Record
     mass: Floats
-    window: int
+    most: int
 
 
 class JudgeState(NamedTuple):
-    """State of the judge.
+    """State of the judge, see `zeros_of`."""
 
-    Attributes
-    ----------
-    step : ndarray
-        Of the last sample, shape (1,).
-    axes, room : recarray
-        `AXIS_STATE` of each axis, shape (n,), and a `JUDGE_ROOM`, shape (1,).
-    raw, moved : ndarray
-        The last sample as measured, and the magnitude of its change; shape (4, n).
-    resolution : ndarray
-        Least change of a channel so far, shape (4, n); infinite at the beginning.
-    restoring : ndarray
-        r at the last judged sample, shape (n,), N.
-    verdict : ndarray
-        Whether each value of the last sample was replaced, shape (4, n).
-    wrong : ndarray
-        Steps of the last replaced values, ring buffers, shape (4, n, m).
-    counts : ndarray
-        Number of replaced values so far, shape (4, n).
-    used : ndarray
-        Step of the last value that was found wrong after its use, shape (1,).
-    """
+    step: Annotated[Ints, 1]  # of the last sample
+    taken: Annotated[Ints, 1]  # samples so far
+    axes: Annotated[Record, AXIS_STATE, "n"]
+    room: Annotated[Record, JUDGE_ROOM, 1]
+    raw: Annotated[Floats, 4, "n"]  # the last sample as measured
+    moved: Annotated[Floats, 4, "n"]  # magnitude of its change
+    resolution: Annotated[Floats, 4, "n"]  # least change of a channel so far; infinite: none
+    restoring: Annotated[Floats, "n"]  # r at the last judged sample, N
+    replaced: Annotated[Ints, "window", "n"]  # sets of channels at the last samples, a ring buffer
+    counts: Annotated[Ints, 4, "n"]  # of the replaced values in these
+    used: Annotated[Ints, 1]  # step of the last value that was found wrong after its use
 
-    step: Ints
-    axes: Record
-    room: Record
-    raw: Floats
-    moved: Floats
-    resolution: Floats
-    restoring: Floats
-    verdict: Ints
-    wrong: Ints
-    counts: Ints
-    used: Ints
+
+def zeros_of[T](of: type[T], sizes: Mapping[str, int]) -> dict[str, Any]:
+    """Make the arrays of a NamedTuple by their types: shapes with these sizes; others are left."""
+    found: dict[str, Any] = {}
+    for name, hint in get_type_hints(of, include_extras=True).items():
+        if shape := [sizes.get(each, each) for each in getattr(hint, "__metadata__", ())]:
+            if isinstance(shape[0], np.dtype):
+                found[name] = np.zeros(shape[1:], shape[0]).view(np.recarray)
+            else:
+                found[name] = np.zeros(shape, np.int64 if hint.__origin__ is Ints else np.float64)
+    return found
 
 
 def judge_arrays(
@@ -209,7 +197,8 @@ def judge_arrays(
         See `AXIS_FACTS`; the first two of shape (4, n).
     """
     n, half, bend = noise.shape[1], 0.5 * dt, dt * dt / 12.0
-    axes, begun = (np.zeros(n, dtype).view(np.recarray) for dtype in (AXIS_FACTS, AXIS_STATE))
+    state = JudgeState(**zeros_of(JudgeState, {"n": n, "window": round(WINDOW / dt)}))
+    axes, begun = np.zeros(n, AXIS_FACTS).view(np.recarray), state.axes.copy()
     axes.dt, axes.late, axes.noise, axes.range = dt, late, noise.T**2, ranges.T
     axes.step = steps.T
     axes.recent, axes.brief = math.exp(-dt / RECENT_MEMORY), math.exp(-dt / BRIEF_MEMORY)
@@ -232,19 +221,4 @@ def judge_arrays(
     own = np.diag(mass)
     first["restoring"] = (rest[0, 3] - own * rest[0, 2])[:, np.newaxis]
     first["blur"] = (rest[1, 3] ** 2 + own**2 * rest[1, 2] ** 2)[:, np.newaxis]
-    parameters = JudgeParameters(axes, begun, mass, round(WINDOW / dt))
-    replaced = max(3, math.ceil(LASTS / dt - 1e-9))
-    state = JudgeState(
-        step=np.zeros(1, dtype=np.int64),
-        axes=begun.copy(),
-        room=np.zeros(1, JUDGE_ROOM).view(np.recarray),
-        raw=np.zeros((4, n)),
-        moved=np.zeros((4, n)),
-        resolution=np.zeros((4, n)),
-        restoring=np.zeros(n),
-        verdict=np.zeros((4, n), dtype=np.int64),
-        wrong=np.zeros((4, n, replaced), dtype=np.int64),
-        counts=np.zeros((4, n), dtype=np.int64),
-        used=np.zeros(1, dtype=np.int64),
-    )
-    return parameters, state
+    return JudgeParameters(axes, begun, mass, max(3, math.ceil(LASTS / dt - 1e-9))), state

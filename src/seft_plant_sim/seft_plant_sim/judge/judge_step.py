@@ -28,7 +28,7 @@ the chance of this. Before step 0 the rig is at rest.
 import math
 
 import numpy as np
-from seft_msgs_py.arrays import Floats, Ints
+from seft_msgs_py.arrays import Floats
 
 from seft_plant_sim.compiled import compiled, copy
 from seft_plant_sim.judge.judge import (
@@ -80,21 +80,12 @@ TINY = 1e-60
 HALF_LOG_TURN = 0.5 * math.log(2.0 * math.pi)
 
 
-@compiled
 def begin_judge(p: JudgeParameters, state: JudgeState) -> None:
     """Begin a test: the rig is at rest."""
-    state.step[0] = -1
-    state.moved[:] = 0.0
-    state.restoring[:] = 0.0
-    state.verdict[:] = 0
-    state.wrong[:] = LONG_AGO
-    state.counts[:] = 0
-    state.used[0] = LONG_AGO
-    for i in range(len(p.axes)):
-        state.axes[i] = p.rest[i]
-        for row in range(4):
-            state.raw[row, i] = p.rest[i].alive[0].value[0, row]
-            state.resolution[row, i] = p.axes[i].step[row]
+    for each in state:
+        each[...] = 0
+    state.step[0], state.used[0], state.axes[:] = -1, LONG_AGO, p.rest
+    state.raw[:], state.resolution[:] = p.rest.alive["value"][:, 0, 0].T, p.axes.step.T
 
 
 @compiled
@@ -124,15 +115,18 @@ def judge(
         take(p, state, i, raw)
         if not is_next:
             begin_anew(known, axis, c)
-        elif not is_plain(known, axis, c, flow[i]):
-            weigh(known, axis, c, flow[i])
+        else:
+            count = 1 if is_plain(known, axis, c, flow[i]) else weigh(known, axis, c, flow[i])
+            decide(known, axis, count)
+            note_motion(known, axis, flow[i])
         publish(state, step, i, judged)
+    state.taken[0] += 1
     for i in range(n):
         restoring, axis = judged[F, i], state.axes[i]
         for k in range(n):
             restoring -= p.mass[i, k] * judged[A, k]
         state.restoring[i] = restoring
-        if axis.told[0] == 0 and axis.alive[0].event[0] == 0.0:
+        if axis.alive[0].wrong[0] & ANY_CHANNEL == 0 and axis.alive[0].event[0] == 0.0:
             axis.strained = max(abs(restoring), p.axes[i].recent * axis.strained)
 
 
@@ -182,7 +176,9 @@ def take(p: JudgeParameters, state: JudgeState, i: int, raw: Floats) -> None:
 def begin_anew(known: Record, axis: Record, c: Record) -> None:
     """Begin with one branch, of this sample."""
     axis.count, b = 1, axis.alive[0]
-    b.weight, b.settling, b.event[:], b.wrong[:] = 0.0, axis.strained**2, 0.0, 0
+    b.weight, b.settling, b.event[:] = 0.0, axis.strained**2, 0.0
+    for age in range(REVISED, 0, -1):
+        b.wrong[age] = b.wrong[age - 1]
     b.wrong[0] = c.forced & ANY_CHANNEL
     for age in range(2):
         copy(4, c.seen, b.value[age])
@@ -221,54 +217,17 @@ def _compare(known: Record, axis: Record, c: Record, b: Record, flow: float) -> 
         c.off[2] = z[F] - 2.0 * last[F] + b.value[1, F]
         left[2] = b.variance[1, F] + axis.asked_turn**2 + axis.scatter[0]
     left[3] = left_by_force(known, axis, b) + c.doubt
-    is_usual = is_sound = True
-    for channel in range(4):
-        is_usual &= axis.usual[channel] == c.noise[channel]
-        is_sound &= b.variance[0, channel] == c.noise[channel]
-    if not is_usual:
-        copy(4, c.noise, axis.usual)
-        blur_of(known, axis.usual, axis.usual, axis.covariance)
-    if not is_sound:
-        blur_of(known, c.noise, b.variance[0], c.covariance)
-    for row in range(4):
-        for column in range(row + 1):
-            if is_sound:
-                c.covariance[row, column] = axis.covariance[row, column]
-        c.covariance[row, row] += left[row]
-
-
-compare_sample, compare_apart = compiled(_compare), compiled(_compare, inline=False)
-
-
-@compiled
-def blur_of(known: Record, noise: Floats, before: Floats, covariance: Floats) -> None:
-    """Covariance of the residuals by that of the last two samples, L R L' + D P D'."""
     for row in range(4):
         for column in range(row + 1):
             value = 0.0
             for k in range(4):
-                value += known.now[row, k] * noise[k] * known.now[column, k]
-                value += known.before[row, k] * before[k] * known.before[column, k]
-            covariance[row, column] = value
+                value += known.now[row, k] * c.noise[k] * known.now[column, k]
+                value += known.before[row, k] * b.variance[0, k] * known.before[column, k]
+            c.covariance[row, column] = value
+        c.covariance[row, row] += left[row]
 
 
-@compiled
-def misfit(s: Floats, e: Floats) -> float:
-    """chi^2 of residuals e of a covariance S, shape (4, 4), of which the lower half is read."""
-    own = 1.0 / s[0, 0]
-    one, two, three = own * s[1, 0], own * s[2, 0], own * s[3, 0]
-    s11, s21, s31 = s[1, 1] - one * s[1, 0], s[2, 1] - two * s[1, 0], s[3, 1] - three * s[1, 0]
-    s22, s32 = s[2, 2] - two * s[2, 0], s[3, 2] - three * s[2, 0]
-    s33 = s[3, 3] - three * s[3, 0]
-    e1, e2, e3 = e[1] - one * e[0], e[2] - two * e[0], e[3] - three * e[0]
-    chi2, own = own * e[0] * e[0], 1.0 / s11
-    two, three = own * s21, own * s31
-    s22, s32, s33 = s22 - two * s21, s32 - three * s21, s33 - three * s31
-    e2, e3 = e2 - two * e1, e3 - three * e1
-    chi2, own = chi2 + own * e1 * e1, 1.0 / s22
-    three = own * s32
-    e3 -= three * e2
-    return chi2 + own * e2 * e2 + e3 * e3 / (s33 - three * s32)
+compare_sample, compare_apart = compiled(_compare), compiled(_compare, inline=False)
 
 
 @compiled
@@ -278,24 +237,13 @@ def is_plain(known: Record, axis: Record, c: Record, flow: float) -> bool:
     if c.forced or axis.count > 1 or b.wrong[0] & ANY_CHANNEL:
         return False
     compare_sample(known, axis, c, b, flow)
-    if not misfit(c.covariance, c.off) < PLAIN:
+    whiten(known, c, 6)
+    if not product(c, 6, 6) < PLAIN:
         return False
     if b.wrong[0] == 0:
         learn(known, axis, c)
-    axis.known = max(abs(b.event[0]), known.events * axis.known)
-    for age in (2, 1):
-        b.event[age] = b.event[age - 1]
-    for age in range(REVISED, 0, -1):
-        b.wrong[age] = b.wrong[age - 1]
-    b.event[0], b.wrong[0], b.settling = 0.0, 0, 0.25 * b.settling
-    for channel in range(4):
-        b.value[1, channel], b.value[0, channel] = b.value[0, channel], c.seen[channel]
-        b.variance[1, channel] = b.variance[0, channel]
-        b.variance[0, channel] = c.noise[channel]
-    b.restoring[1], b.blur[1] = b.restoring[0], b.blur[0]
-    b.restoring[0] = c.seen[F] - known.mass * c.seen[A] - c.beside
-    b.blur[0] = c.noise[F] + known.mass**2 * c.noise[A]
-    note_motion(known, axis, flow)
+    c.which[0] = 0
+    continue_branch(known, axis, c, b, axis.made[0], 0)
     return True
 
 
@@ -323,15 +271,6 @@ def learn(known: Record, axis: Record, c: Record) -> None:
         axis.part[relation] = max(part, LEAST_MISSED**2)
 
 
-def _learn_apart(known: Record, axis: Record, c: Record, b: Record, flow: float) -> None:
-    """Learn from a sample after a branch, see `learn`."""
-    compare_sample(known, axis, c, b, flow)
-    learn(known, axis, c)
-
-
-learn_apart = compiled(_learn_apart, inline=False)
-
-
 @compiled
 def note_motion(known: Record, axis: Record, flow: float) -> None:
     """Note how far the last sample moves."""
@@ -344,8 +283,8 @@ def note_motion(known: Record, axis: Record, flow: float) -> None:
     axis.pressed, axis.rise = max(pressed, known.recent * axis.pressed), rise
 
 
-def _weigh(known: Record, axis: Record, c: Record, flow: float) -> None:
-    """Weigh all hypotheses after all branches; the likeliest become the next branches."""
+def _weigh(known: Record, axis: Record, c: Record, flow: float) -> int:
+    """Weigh all hypotheses after all branches; count the likeliest, the next branches."""
     count, forced = 0, (c.forced | c.forced >> 4) & ANY_CHANNEL
     for j in range(axis.count):
         b = axis.alive[j]
@@ -354,7 +293,8 @@ def _weigh(known: Record, axis: Record, c: Record, flow: float) -> None:
         for turns in (False, True):
             if turns:
                 allow_turn(known, c)
-            chi2, log_det = whiten(known, c)
+            log_det = whiten(known, c, 0)
+            chi2 = multiply(known, c)
             is_sound = is_sound and chi2 < PLAIN
             for which in SETS:
                 if forced & ~which or is_turn(which) != turns:
@@ -379,13 +319,13 @@ def _weigh(known: Record, axis: Record, c: Record, flow: float) -> None:
             break
         b, to = axis.alive[c.branch[at]], axis.made[new]
         if new == 0 and (c.which[at] | b.wrong[0]) == 0:
-            learn_apart(known, axis, c, b, flow)
+            compare_apart(known, axis, c, b, flow)
+            learn(known, axis, c)
         continue_branch(known, axis, c, b, to, at)
         c.likelihood[at] = -np.inf
         if not (new and joins(axis.made, new)):
             new += 1
-    decide(known, axis, new)
-    note_motion(known, axis, flow)
+    return new
 
 
 weigh = compiled(_weigh, inline=False)
@@ -437,12 +377,12 @@ def factorise(matrix: Floats, root: Floats, size: int) -> float:
 
 
 @compiled
-def whiten(known: Record, c: Record) -> tuple[float, float]:
-    """Give chi^2 of the residuals and log det S; fill `whitened` and `gram`."""
+def whiten(known: Record, c: Record, first: int) -> float:
+    """Fill `whitened` from a column on, and give log det S."""
     root, w = c.root, c.whitened
     log_det = factorise(c.covariance, root, 4)
     for row in range(4):
-        for column in range(7):
+        for column in range(first, 7):
             value = c.off[row] if column == 6 else 0.0
             if column < 4:
                 value = known.now[row, column]
@@ -451,14 +391,25 @@ def whiten(known: Record, c: Record) -> tuple[float, float]:
             for k in range(row):
                 value -= root[row, k] * w[k, column]
             w[row, column] = value / root[row, row]
+    return log_det
+
+
+@compiled
+def product(c: Record, j: int, k: int) -> float:
+    """Product of two columns of `whitened`."""
+    w = c.whitened
+    return w[0, j] * w[0, k] + w[1, j] * w[1, k] + w[2, j] * w[2, k] + w[3, j] * w[3, k]
+
+
+@compiled
+def multiply(known: Record, c: Record) -> float:
+    """Fill `gram`, and give chi^2 of the residuals."""
     for j in range(7):
         for k in range(j + 1):
-            c.gram[j, k] = 0.0
-            for row in range(4):
-                c.gram[j, k] += w[row, j] * w[row, k]
+            c.gram[j, k] = product(c, j, k)
         if j < 6:
             c.gram[j, j] += known.precision[min(j, F)]
-    return c.gram[6, 6], log_det
+    return c.gram[6, 6]
 
 
 @compiled
@@ -470,7 +421,7 @@ def solve(c: Record, which: int, at: int) -> tuple[float, float]:
     count = 0
     chosen, factor, solution = c.chosen, c.factor, c.solution
     for j in range(6):
-        c.amplitude[at, j] = c.spread[at, j] = 0.0
+        c.spread[at, j] = 0.0
         if which >> j & 1:
             chosen[count] = j
             count += 1
@@ -572,7 +523,8 @@ def log_size(size: float, variance: float, orders: float) -> float:
 def continue_branch(known: Record, axis: Record, c: Record, b: Record, to: Record, at: int) -> None:
     """Continue a branch by a candidate, as a new one."""
     which = c.which[at]
-    to.weight, to.wrong[0], to.event[0] = c.likelihood[at], which, c.amplitude[at, 5]
+    to.weight, to.wrong[0] = c.likelihood[at], which
+    to.event[0] = c.amplitude[at, 5] if which & EVENT else 0.0
     for row in range(4):
         value, variance = c.seen[row], c.noise[row]
         if which >> row & 1:
@@ -642,34 +594,20 @@ def decide(known: Record, axis: Record, count: int) -> None:
 @compiled
 def publish(state: JudgeState, step: int, i: int, judged: Floats) -> None:
     """Give the likeliest values, and count those that were replaced, as is known by now."""
-    axis, b = state.axes[i], state.axes[i].alive[0]
-    for age in range(REVISED, 0, -1):
-        was, now = axis.told[age - 1], b.wrong[age] & ANY_CHANNEL
-        axis.told[age] = now
-        if now & ~was:
+    b, places = state.axes[i].alive[0], len(state.replaced)
+    for age in range(1 + REVISED):  # the present sample takes the place of the oldest one
+        place, now = (state.taken[0] - age) % places, b.wrong[age] & ANY_CHANNEL
+        was = state.replaced[place, i]
+        if age > 0 and now & ~was:
             state.used[0] = step - age
-        if was & ~now:
-            for row in range(4):
-                if (was & ~now) >> row & 1:
-                    take_back(state.wrong[row, i], state.counts[row], i, step - age)
-    axis.told[0] = b.wrong[0] & ANY_CHANNEL
+        for row in range(4):
+            state.counts[row, i] += (now >> row & 1) - (was >> row & 1)
+        state.replaced[place, i] = now
     for row in range(4):
-        judged[row, i], is_wrong = b.value[0, row], axis.told[0] >> row & 1
-        state.verdict[row, i] = is_wrong
-        if is_wrong:
-            steps = state.wrong[row, i]
-            steps[state.counts[row, i] % len(steps)] = step
-            state.counts[row, i] += 1
+        judged[row, i] = b.value[0, row]
 
 
 @compiled
-def take_back(steps: Ints, counts: Ints, i: int, step: int) -> None:
-    """Count a value that was replaced at a step no longer."""
-    last = counts[i] - 1
-    for back in range(min(last + 1, len(steps))):
-        if steps[(last - back) % len(steps)] == step:
-            for place in range(last - back, last):
-                steps[place % len(steps)] = steps[(place + 1) % len(steps)]
-            steps[last % len(steps)] = LONG_AGO
-            counts[i] = last
-            return
+def is_replaced(state: JudgeState, age: int, row: int, i: int) -> bool:
+    """Say whether a value of the last sample, or of one before, was replaced."""
+    return state.replaced[(state.taken[0] - 1 - age) % len(state.replaced), i] >> row & 1 != 0

@@ -56,9 +56,9 @@ def look_at_restoring_force(
     n, found, last, r = measured.shape[1], -1, state.last, state.restoring
     curvature = rise = fall = 0.0
     for k in range(n):
-        spring = p.stiffness[i, k] * (measured[0, k] - last[0, k])
+        spring = p.rig.stiffness[i, k] * (measured[0, k] - last[0, k])
         rise, fall = rise + max(spring, 0.0), fall + max(-spring, 0.0)
-        curvature += p.stiffness[i, k] * p.dt * p.dt * (measured[2, k] + last[2, k])
+        curvature += p.rig.stiffness[i, k] * p.rig.dt * p.rig.dt * (measured[2, k] + last[2, k])
     change, moved = r[2, i] - r[0, i], abs(measured[0, i] - last[0, i])
     moves = p.still[i] + MOVES * state.judge.axes[i].travel
     slips = moved < moves or step - state.step[TURN_AT] <= TURNED
@@ -67,7 +67,9 @@ def look_at_restoring_force(
         largest = max(abs(r[0, i]), p.memory * largest)
         state.largest[3, i] = largest
     # noise alternates, an impact rings; friction may reverse in both of two samples
-    bent = 0.5 * p.dt * p.dt * abs(measured[2, i] + last[2, i])  # change / moved: its stiffness
+    bent = (
+        0.5 * p.rig.dt * p.rig.dt * abs(measured[2, i] + last[2, i])
+    )  # change / moved: its stiffness
     limit = p.rough[i] + abs(curvature)
     limit += 2.0 * TURN * largest if slips else abs(change) / moved * bent
     bend = change - r[1, i]
@@ -99,8 +101,8 @@ def look_at_response(p: DetectorParameters, state: DetectorState, measured: Floa
     n, last, response = measured.shape[1], state.last, state.response
     inertia = hiss = 0.0
     for k in range(n):
-        inertia += p.computed_mass[i, k] * (measured[2, k] - last[2, k])
-        hiss += 2.0 * (p.computed_mass[i, k] * p.noise[2, k]) ** 2
+        inertia += p.rig.computed_mass[i, k] * (measured[2, k] - last[2, k])
+        hiss += 2.0 * (p.rig.computed_mass[i, k] * p.noise[2, k]) ** 2
     response[0, i] = p.short * response[0, i] + (measured[3, i] - last[3, i]) ** 2
     response[1, i] = p.short * response[1, i] + inertia * inertia
     white, samples = 2.0 * p.noise[3, i] ** 2, 1.0 / (1.0 - p.short)
@@ -119,8 +121,8 @@ def look_at_work(p: DetectorParameters, state: DetectorState, measured: Floats) 
         moved, change = measured[0, i] - last[0, i], r[2, i] - r[0, i]
         noise = p.noise[3, i] ** 2
         for k in range(n):
-            noise += (p.mass[i, k] * p.noise[2, k]) ** 2
-            work[1] += moved * p.stiffness[i, k] * (measured[0, k] - last[0, k])
+            noise += (p.rig.mass[i, k] * p.noise[2, k]) ** 2
+            work[1] += moved * p.rig.stiffness[i, k] * (measured[0, k] - last[0, k])
         work[0] += change * moved
         work[2] += 2.0 * (noise * moved * moved + (p.noise[0, i] * change) ** 2)
     threshold = OPPOSED * work[1] + 6.0 * math.sqrt(work[2]) + p.unknown
@@ -141,7 +143,7 @@ def look_at_strength(p: DetectorParameters, state: DetectorState, measured: Floa
     for i in range(n):
         spring = 0.0
         for k in range(n):
-            spring += p.stiffness[i, k] * x[k]
+            spring += p.rig.stiffness[i, k] * x[k]
         energy += x[i] * spring
         along += farthest[0, i] * spring
         work += x[i] * state.restoring[2, i]
