@@ -196,6 +196,21 @@ def left_by_force(known: Record, axis: Record, b: Record) -> float:
     return 4.0 * b.blur[0] + b.blur[1] + b.settling + axis.scatter[1] + curved * curved
 
 
+def _find_blur(known: Record, axis: Record) -> None:
+    """Covariance of the residuals by those of the last two samples, L R L' + D P D'."""
+    noise, before = axis.usual[0], axis.usual[1]
+    for row in range(4):
+        for column in range(row + 1):
+            value = 0.0
+            for k in range(4):
+                value += known.now[row, k] * noise[k] * known.now[column, k]
+                value += known.before[row, k] * before[k] * known.before[column, k]
+            axis.blur[row, column] = value
+
+
+find_blur = compiled(_find_blur, inline=False)
+
+
 def _compare(known: Record, axis: Record, c: Record, b: Record, flow: float) -> None:
     """Compare the sample with a branch: residuals, and their covariance (lower half)."""
     dt, z, last, left, held = known.dt, c.seen, b.value[0], c.left, 0.0
@@ -217,13 +232,17 @@ def _compare(known: Record, axis: Record, c: Record, b: Record, flow: float) -> 
         c.off[2] = z[F] - 2.0 * last[F] + b.value[1, F]
         left[2] = b.variance[1, F] + axis.asked_turn**2 + axis.scatter[0]
     left[3] = left_by_force(known, axis, b) + c.doubt
+    is_usual = True
+    for k in range(4):
+        is_usual &= axis.usual[0, k] == c.noise[k]
+        is_usual &= axis.usual[1, k] == b.variance[0, k]
+    if not is_usual:
+        copy(4, c.noise, axis.usual[0])
+        copy(4, b.variance[0], axis.usual[1])
+        find_blur(known, axis)
     for row in range(4):
         for column in range(row + 1):
-            value = 0.0
-            for k in range(4):
-                value += known.now[row, k] * c.noise[k] * known.now[column, k]
-                value += known.before[row, k] * b.variance[0, k] * known.before[column, k]
-            c.covariance[row, column] = value
+            c.covariance[row, column] = axis.blur[row, column]
         c.covariance[row, row] += left[row]
 
 
@@ -293,7 +312,7 @@ def _weigh(known: Record, axis: Record, c: Record, flow: float) -> int:
         for turns in (False, True):
             if turns:
                 allow_turn(known, c)
-            log_det = whiten(known, c, 0)
+            log_det = math.log(whiten(known, c, 0))
             chi2 = multiply(known, c)
             is_sound = is_sound and chi2 < PLAIN
             for which in SETS:
@@ -360,27 +379,27 @@ def allow_turn(known: Record, c: Record) -> None:
 
 @compiled
 def factorise(matrix: Floats, root: Floats, size: int) -> float:
-    """Cholesky factor of a matrix, of which the lower half is read; give its log det."""
+    """Cholesky factor of a matrix, of which the lower half is read, its diagonal inverted; det."""
     det = 1.0
     for row in range(size):
         for column in range(row):
             value = matrix[row, column]
             for k in range(column):
                 value -= root[row, k] * root[column, k]
-            root[row, column] = value / root[column, column]
+            root[row, column] = value * root[column, column]
         value = matrix[row, row]
         for k in range(row):
             value -= root[row, k] * root[row, k]
         value = max(value, TINY)
-        root[row, row], det = math.sqrt(value), det * value
-    return math.log(det)
+        root[row, row], det = 1.0 / math.sqrt(value), det * value
+    return det
 
 
 @compiled
 def whiten(known: Record, c: Record, first: int) -> float:
-    """Fill `whitened` from a column on, and give log det S."""
+    """Fill `whitened` from a column on, and give det S."""
     root, w = c.root, c.whitened
-    log_det = factorise(c.covariance, root, 4)
+    det = factorise(c.covariance, root, 4)
     for row in range(4):
         for column in range(first, 7):
             value = c.off[row] if column == 6 else 0.0
@@ -390,8 +409,8 @@ def whiten(known: Record, c: Record, first: int) -> float:
                 value = 1.0
             for k in range(row):
                 value -= root[row, k] * w[k, column]
-            w[row, column] = value / root[row, row]
-    return log_det
+            w[row, column] = value * root[row, row]
+    return det
 
 
 @compiled
@@ -428,26 +447,26 @@ def solve(c: Record, which: int, at: int) -> tuple[float, float]:
     for a in range(count):
         for k in range(a + 1):
             factor[a, k] = c.gram[chosen[a], chosen[k]]
-    log_det, gain = factorise(factor, factor, count), 0.0
+    det, gain = factorise(factor, factor, count), 0.0
     for a in range(count):
         value = c.gram[6, chosen[a]]
         for k in range(a):
             value -= factor[a, k] * solution[k]
-        solution[a] = value / factor[a, a]
+        solution[a] = value * factor[a, a]
         gain += solution[a] * solution[a]
     for a in range(count - 1, -1, -1):
         value = solution[a]
         for k in range(a + 1, count):
             value -= factor[k, a] * c.amplitude[at, chosen[k]]
-        c.amplitude[at, chosen[a]] = value / factor[a, a]
+        c.amplitude[at, chosen[a]] = value * factor[a, a]
     for j in range(count):  # the diagonal of the inverse: squares of the columns of the factor's
         for a in range(j, count):
             value = 1.0 if a == j else 0.0
             for k in range(j, a):
                 value -= factor[a, k] * solution[k]
-            solution[a] = value / factor[a, a]
+            solution[a] = value * factor[a, a]
             c.spread[at, chosen[j]] += solution[a] * solution[a]
-    return gain, log_det
+    return gain, math.log(det)
 
 
 @compiled
