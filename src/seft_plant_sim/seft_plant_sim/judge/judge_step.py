@@ -52,6 +52,8 @@ NEW, KNOWN, GOES_ON = 1e-6, 1e-4, 0.1
 """Chance of an event of a kind that the test has not shown, as of a wrong channel: both look the
 same until the velocity shows it. Chance of one like those that later samples have confirmed in the
 last seconds, and of one like that of the last three samples."""
+LIKE = 2.0
+"""Size of an event over that of confirmed ones up to which it is like them: twice a friction's."""
 SURE = math.log(1e-4)
 """Weight of all others below which an event is confirmed."""
 PLAIN = 12.0

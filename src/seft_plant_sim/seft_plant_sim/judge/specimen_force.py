@@ -26,6 +26,7 @@ from seft_plant_sim.judge.detectors import (
     DetectorState,
     look,
 )
+from seft_plant_sim.judge.judge_step import LIKE
 
 OPPOSED = 0.5
 """Part of the assumed stiffness, or of the largest force, by which a specimen may soften: fracture,
@@ -86,9 +87,9 @@ def look_at_restoring_force(
     part = TURN if slips else (_SLIP if stiff > 0.0 else BREAK)
     threshold = part * largest + p.rough[i] + stiff
     judge = state.judge.axes[i]
-    is_event = judge.alive[0].event[0] != 0.0 or judge.alive[0].event[1] != 0.0
-    # the velocity follows: a stop, or friction like before; what breaks yields to the motion
-    if is_event and (stiff > 0.0 or (slips and 2.0 * judge.known > abs(jump))):
+    is_event = judge.alive[0].event[1] != 0.0  # and no wrong value: the velocity has followed
+    # a stop, or friction like before; what breaks yields to the motion
+    if is_event and (stiff > 0.0 or (slips and LIKE * judge.known > abs(jump))):
         threshold = np.inf
     if look(p, state, JUMP, i, abs(jump), threshold) and found < 0:
         found = JUMP * n + i
