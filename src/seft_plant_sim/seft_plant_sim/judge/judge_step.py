@@ -315,7 +315,7 @@ def _weigh(known: Record, axis: Record, c: Record, flow: float) -> int:
             if turns:
                 allow_turn(known, c)
             log_det = math.log(whiten(known, c, 0))
-            chi2 = multiply(known, c)
+            chi2 = fill_gram(known, c)
             is_sound = is_sound and chi2 < PLAIN
             for which in SETS:
                 if forced & ~which or is_turn(which) != turns:
@@ -423,7 +423,7 @@ def product(c: Record, j: int, k: int) -> float:
 
 
 @compiled
-def multiply(known: Record, c: Record) -> float:
+def fill_gram(known: Record, c: Record) -> float:
     """Fill `gram`, and give chi^2 of the residuals."""
     for j in range(7):
         for k in range(j + 1):
