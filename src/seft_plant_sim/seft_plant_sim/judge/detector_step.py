@@ -11,7 +11,7 @@ import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 
 from seft_plant_sim.channels import ACCELERATION, FORCE
-from seft_plant_sim.compiled import compiled
+from seft_plant_sim.compiled import compiled, put_first
 from seft_plant_sim.judge.channel_relations import (
     begin_relations,
     find_flow,
@@ -106,7 +106,7 @@ def judge_sample(
     judge(p.judge, state.judge, step, raw, state.mean, judged)
     last, restoring = state.last, state.restoring
     for i in range(n):
-        restoring[2, i] = state.judge.restoring[i]
+        restoring[1, i] = state.judge.restoring[i]
     if not is_first:
         for i in range(n):
             if judged[1, i] * last[1, i] <= 0.0:
@@ -122,8 +122,10 @@ def judge_sample(
                 found = first_of(found, look_at_restoring_force(p, state, step, judged, i))
                 found = first_of(found, look_at_response(p, state, judged, i))
     for i in range(n):
-        restoring[1, i] = 0.0 if is_first else restoring[2, i] - restoring[0, i]
-        restoring[0, i] = restoring[2, i]
+        known = 0.0 if is_first else 1.0
+        put_first(state.changes[i, 0], known * (restoring[1, i] - restoring[0, i]))
+        put_first(state.changes[i, 1], known * (judged[0, i] - last[0, i]))
+        restoring[0, i] = restoring[1, i]
         for row in range(4):
             last[row, i] = judged[row, i]
         found = first_of(found, look_for_wrong(p, state, i))

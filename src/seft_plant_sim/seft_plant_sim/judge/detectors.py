@@ -107,7 +107,8 @@ class DetectorState(NamedTuple):
     rise: Annotated[Floats, 3, "n"]  # last change of a, largest recent change of that, and sum of
     # the jumps by a held force, m/s^2
     largest: Annotated[Floats, 4, "n"]  # recent values of these sums, and of r
-    restoring: Annotated[Floats, 3, "n"]  # r at the last sample, its last change, present r, N
+    restoring: Annotated[Floats, 2, "n"]  # r at the last sample, and now, N
+    changes: Annotated[Floats, "n", 2, 2]  # of r, N, and x, m, in the last two periods
     work: Annotated[Floats, 3]  # sums of dr dx, of dx K dx and of squares of its noise
     farthest: Annotated[Floats, 2, "n"]  # displacement in both directions, see `look_at_strength`
     carried: Annotated[Floats, 2, 2]  # x K x there, N m, and the force, sqrt(N m)

@@ -60,11 +60,12 @@ def look_at_restoring_force(
         spring = p.rig.stiffness[i, k] * (measured[0, k] - last[0, k])
         rise, fall = rise + max(spring, 0.0), fall + max(-spring, 0.0)
         curvature += p.rig.stiffness[i, k] * p.rig.dt * p.rig.dt * (measured[2, k] + last[2, k])
-    change, moved = r[2, i] - r[0, i], abs(measured[0, i] - last[0, i])
+    change, moved = r[1, i] - r[0, i], abs(measured[0, i] - last[0, i])
+    before, event = state.changes[i, 0], state.judge.axes[i].alive[0].event
     moves = p.still[i] + MOVES * state.judge.axes[i].travel
     slips = moved < moves or step - state.step[TURN_AT] <= TURNED
     largest = state.largest[3, i]
-    if state.counts[JUMP, i] == 0:  # a suspect sample is no measure
+    if event[1] == 0.0:
         largest = max(abs(r[0, i]), p.memory * largest)
         state.largest[3, i] = largest
     # noise alternates, an impact rings; friction may reverse in both of two samples
@@ -73,7 +74,7 @@ def look_at_restoring_force(
     )  # change / moved: its stiffness
     limit = p.rough[i] + abs(curvature)
     limit += 2.0 * TURN * largest if slips else abs(change) / moved * bent
-    bend = change - r[1, i]
+    bend = change - before[0]
     bend = bend if abs(bend) > limit else 0.0
     alternates = 1.0 if bend * state.bends[0, i] < 0.0 else 0.0
     state.bends[0, i] = bend
@@ -81,19 +82,29 @@ def look_at_restoring_force(
         state.bends[1, i] = p.short * state.bends[1, i] + alternates
     if look(p, state, ROUGH, i, state.bends[1, i], ALTERNATE / (1.0 - p.short)):
         found = ROUGH * n + i
-    # after a jump, r must stay there
-    jump = change + (r[1, i] if state.counts[JUMP, i] else 0.0)
+    # where its events have taken r
+    jump = (change if event[0] != 0.0 else 0.0) + (before[0] if event[1] != 0.0 else 0.0)
     stiff = _STIFFEST * (rise if jump > 0.0 else fall)
     part = TURN if slips else (_SLIP if stiff > 0.0 else BREAK)
     threshold = part * largest + p.rough[i] + stiff
-    judge = state.judge.axes[i]
-    is_event = judge.alive[0].event[1] != 0.0  # and no wrong value: the velocity has followed
-    # a stop, or friction like before; what breaks yields to the motion
-    if is_event and (stiff > 0.0 or (slips and LIKE * judge.known > abs(jump))):
+    is_stop = stiff > 0.0 and is_elastic(state.changes[i], change, moved, p.rough[i])
+    is_like = slips and LIKE * state.judge.axes[i].known > abs(jump)
+    if event[1] != 0.0 and (is_stop or is_like):
         threshold = np.inf
     if look(p, state, JUMP, i, abs(jump), threshold) and found < 0:
         found = JUMP * n + i
     return found
+
+
+@compiled
+def is_elastic(changes: Floats, change: float, moved: float, rough: float) -> bool:
+    """Say whether a stop explains the last change of r: one beside it is as stiff, or half of that.
+
+    A stop that is hit presses on, one that is left has pressed; what slips or breaks does so once.
+    """
+    jump, within = 0.5 * abs(changes[0, 0]), abs(changes[1, 0])
+    presses = (abs(change) + rough) * within >= jump * moved
+    return presses or (abs(changes[0, 1]) + rough) * within >= jump * abs(changes[1, 1])
 
 
 @compiled
@@ -119,7 +130,7 @@ def look_at_work(p: DetectorParameters, state: DetectorState, measured: Floats) 
     for row in range(3):
         work[row] *= p.short
     for i in range(n):
-        moved, change = measured[0, i] - last[0, i], r[2, i] - r[0, i]
+        moved, change = measured[0, i] - last[0, i], r[1, i] - r[0, i]
         noise = p.noise[3, i] ** 2
         for k in range(n):
             noise += (p.rig.mass[i, k] * p.noise[2, k]) ** 2
@@ -147,7 +158,7 @@ def look_at_strength(p: DetectorParameters, state: DetectorState, measured: Floa
             spring += p.rig.stiffness[i, k] * x[k]
         energy += x[i] * spring
         along += farthest[0, i] * spring
-        work += x[i] * state.restoring[2, i]
+        work += x[i] * state.restoring[1, i]
         noise += (x[i] * p.rough[i]) ** 2
     side, row = 0 if along >= 0.0 else 1, WEAKENS
     if energy <= state.carried[side, 0]:
