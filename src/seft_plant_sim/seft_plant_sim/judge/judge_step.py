@@ -47,7 +47,7 @@ RARE = math.log(1e-6)
 ANOTHER = math.log(1e-2)
 """Part of the wrong samples in which one more channel is wrong, or all are (a common cause)."""
 LASTS_ON, ENDS = math.log(0.1), math.log(0.9)
-"""Chance that a wrong channel is wrong in the next sample, and that it is not."""
+"""Chance that a channel that was wrong in the last samples is wrong in the next, or is not."""
 NEW, KNOWN, GOES_ON = 1e-6, 1e-4, 0.1
 """Chance of an event of a kind that the test has not shown, as of a wrong channel: both look the
 same until the velocity shows it. Chance of one like those that later samples have confirmed in the
@@ -309,8 +309,8 @@ def _weigh(known: Record, axis: Record, c: Record, flow: float) -> int:
     count, forced = 0, (c.forced | c.forced >> 4) & ANY_CHANNEL
     for j in range(axis.count):
         b = axis.alive[j]
+        before, is_sound = wrong_before(b), forced == 0
         compare_apart(known, axis, c, b, flow)
-        is_sound = forced == 0
         for turns in (False, True):
             if turns:
                 allow_turn(known, c)
@@ -320,14 +320,14 @@ def _weigh(known: Record, axis: Record, c: Record, flow: float) -> int:
             for which in SETS:
                 if forced & ~which or is_turn(which) != turns:
                     continue
-                if is_sound and which not in (0, b.wrong[0] & ANY_CHANNEL):
+                if is_sound and which & ~before:
                     continue
                 gain, log_det_b = solve(c, which, count)
                 c.branch[count], c.which[count] = j, which
                 c.likelihood[count] = (
                     b.weight
                     - 0.5 * (chi2 - gain + log_det + log_det_b)
-                    + log_prior(b.wrong[0], which, forced)
+                    + log_prior(before, which, c.forced)
                     + log_amplitudes(known, axis, c, count)
                 )
                 count += 1
@@ -478,9 +478,19 @@ def members(which: int) -> int:
 
 
 @compiled
+def wrong_before(b: Record) -> int:
+    """Give the channels that were wrong in the last samples of a branch."""
+    wrong = 0
+    for age in range(REVISED):
+        wrong |= b.wrong[age]
+    return wrong & ANY_CHANNEL
+
+
+@compiled
 def log_prior(before: int, which: int, forced: int) -> float:
-    """Prior of a set after another; of those that are no numbers, or at their ends, none."""
-    fresh, value = which & ~before & ~forced & ANY_CHANNEL, 0.0
+    """Prior of a set after others; of values that are no numbers, or at their ends, none."""
+    asked = ANY_CHANNEL & ~(forced | forced >> 4)
+    fresh, before, value = which & ~before & asked, before & asked, 0.0
     if fresh:
         others = 1 if fresh == ANY_CHANNEL else members(fresh) - 1
         value = RARE + others * ANOTHER
@@ -496,27 +506,34 @@ def log_below(margin: float) -> float:
 
 
 @compiled
-def log_beyond(c: Record, row: int, end: float, at: int) -> float:
-    """Logarithm of the chance that a value at its range's end is beyond it, by the others."""
-    value = c.seen[row] - c.amplitude[at, row]
-    outside = (value if c.seen[row] > 0.0 else -value) - end
-    return log_below(outside / math.sqrt(c.spread[at, row]))
+def weigh_end(known: Record, c: Record, b: Record, row: int, at: int) -> tuple[float, bool]:
+    """Weigh a value at its range's end: it is beyond that, by the others, or it is wrong.
+
+    Give the logarithm of the larger chance, and whether it is beyond.
+    """
+    value, before, which = c.seen[row] - c.amplitude[at, row], wrong_before(b), c.which[at]
+    outside = (value if c.seen[row] > 0.0 else -value) - known.range[row]
+    beyond = log_below(outside / math.sqrt(c.spread[at, row]))
+    wrong = ANOTHER if which & ~before & ANY_CHANNEL & ~(1 << row) else RARE
+    if before >> row & 1:
+        beyond, wrong = beyond + ENDS, LASTS_ON
+    wrong += math.log(0.5)
+    return max(beyond, wrong), beyond > wrong
 
 
 @compiled
 def log_amplitudes(known: Record, axis: Record, c: Record, at: int) -> float:
     """Prior of the amplitudes of a set: a wrong value may be any that the sensor can show."""
-    which, value = c.which[at], 0.0
+    which, b, value = c.which[at], axis.alive[c.branch[at]], 0.0
     for row in range(4):
         if not which >> row & 1:
             continue
         if c.forced >> row + 4 & 1:
-            end = known.range[row]
-            value += HALF_LOG_TURN + max(log_beyond(c, row, end, at), RARE + math.log(0.5))
+            value += HALF_LOG_TURN + weigh_end(known, c, b, row, at)[0]
         else:
             value += 0.5 * math.log(known.precision[row])
     if which & EVENT:
-        jumps, recent, size = axis.alive[c.branch[at]].event, 0.0, c.amplitude[at, 5]
+        jumps, recent, size = b.event, 0.0, c.amplitude[at, 5]
         for age in range(3):
             recent = max(recent, abs(jumps[age]))
         rate = NEW
@@ -552,7 +569,7 @@ def continue_branch(known: Record, axis: Record, c: Record, b: Record, to: Recor
             end, is_end = known.range[row], c.forced >> row + 4 & 1
             value -= c.amplitude[at, row]
             variance = max(c.spread[at, row], variance)
-            if is_end and log_beyond(c, row, end, at) > RARE + math.log(0.5):
+            if is_end and weigh_end(known, c, b, row, at)[1]:
                 value = max(value, end) if c.seen[row] > 0.0 else min(value, -end)
                 to.wrong[0] &= ~(1 << row)
         to.value[0, row], to.value[1, row] = value, b.value[0, row]
