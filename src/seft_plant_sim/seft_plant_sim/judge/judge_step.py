@@ -137,8 +137,8 @@ def ask(known: Record, axis: Record, force: float) -> None:
     """Know what is asked of a rig that obeys forces, which it holds for a period."""
     last, before = axis.asked[0], axis.asked[1]
     turn = abs(force - 2.0 * last + before)
-    axis.asked_turn = max(turn, known.recent * axis.asked_turn)
-    axis.asked_jump = max(abs(force - last), known.recent * axis.asked_jump)
+    axis.asked_turn = max(turn, known.brief * axis.asked_turn)
+    axis.asked_jump = max(abs(force - last), known.brief * axis.asked_jump)
     axis.asked[0], axis.asked[1] = force, last
 
 
