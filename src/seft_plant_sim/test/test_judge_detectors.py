@@ -83,8 +83,7 @@ def test_a_detector_acts_once_it_is_beyond_its_threshold_for_its_persistence():
 def test_persistences_in_samples():
     p, _ = detectors(["oil_balance", "force_jump"])
     lasts = dict(zip((one.name for one in DETECTORS), p.persistence.tolist(), strict=True))
-    assert lasts.pop("force_response") == 10
-    assert [lasts.pop(name) for name in ("force_noise", "force_jump")] == [2, 2]
+    assert lasts.pop("force_jump") == 2
     assert [lasts.pop(f"{each}_frozen") for each in ("displacement", "velocity")] == [2, 2]
     assert [lasts.pop(f"{each}_frozen") for each in ("acceleration", "force")] == [2, 2]
     assert [lasts.pop(f"{each}_wrong") for each in ("displacement", "velocity")] == [1, 1]
@@ -93,7 +92,7 @@ def test_persistences_in_samples():
     rare, _ = detectors(dt=0.004)
     lasts = dict(zip((one.name for one in DETECTORS), rare.persistence.tolist(), strict=True))
     assert {lasts[name] for name in ALL[:4]} == {3}
-    assert (lasts["force_response"], lasts["force_jump"], lasts["force_frozen"]) == (5, 2, 2)
+    assert (lasts["force_jump"], lasts["force_frozen"]) == (2, 2)
     only_warn = [one.name for one, acts in zip(DETECTORS, p.acts, strict=True) if not acts]
     assert only_warn == ["oil_balance", "force_jump"]
     assert set(p.acts) == {0, 1}

@@ -70,7 +70,7 @@ def detectors_of(
     is_known = actuator["valve_frequency"] > 0.0
     actuator["flow_gain"] = np.where(is_known, actuator["flow_gain"], 0.0)
     actuator["valve_frequency"] = np.where(is_known, actuator["valve_frequency"], 1.0 / dt)
-    mass, stiffness, ratio = read_specimen(section, axes, places)
+    mass, stiffness = read_specimen(section, axes, places)
     valves = valve_models(actuator, dt)
     noise, ranges = (
         np.ascontiguousarray(per_channel(section, axes, f"sensors.{{}}_{what}")[:, own])
@@ -90,7 +90,6 @@ def detectors_of(
         has_valve=section["actuator.kind"] not in FORCE_DRIVEN,
         mass=mass,
         stiffness=stiffness,
-        computed_mass=ratio * mass,
         largest_drive=section["limits.command"],
         dt=dt,
     )

@@ -37,7 +37,6 @@ from seft_plant_sim.judge.detectors import (
 from seft_plant_sim.judge.judge_step import LONG_AGO, ask, begin_judge, is_replaced, judge
 from seft_plant_sim.judge.relation_following import expected
 from seft_plant_sim.judge.specimen_force import (
-    look_at_response,
     look_at_restoring_force,
     look_at_strength,
     look_at_work,
@@ -120,7 +119,6 @@ def judge_sample(
             found = first_of(found, look_for_frozen(p, state, step, i))
             if knows_force:
                 found = first_of(found, look_at_restoring_force(p, state, step, judged, i))
-                found = first_of(found, look_at_response(p, state, judged, i))
     for i in range(n):
         known = 0.0 if is_first else 1.0
         put_first(state.changes[i, 0], known * (restoring[1, i] - restoring[0, i]))

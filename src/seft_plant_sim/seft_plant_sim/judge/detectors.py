@@ -30,8 +30,7 @@ _MEMORY, _OIL_MEMORY = 0.05, 0.2
 """Time constants of the sums of both sides of relations (1) and (2), and of (3), s: to longer sums
 the displacement adds no noise, as velocity and acceleration do."""
 SHORT, FEWEST = 0.015, 7.0
-"""Time constant of short sums (of the second-order work, of noise), s, and its least value in
-samples: with fewer, some friction looks like noise."""
+"""Time constant of the sums of the second-order work, s, and its least value in samples."""
 MOTION_MEMORY = 0.3
 """Time constant of the memory of the largest motion, and of the mean that gives a bias, s: a
 quarter of a cycle at 1 Hz."""
@@ -63,7 +62,6 @@ class KnownRig(NamedTuple):
     has_valve: bool  # else the rig obeys the reference force, which it holds
     mass: Floats  # of the specimen, (n, n), kg
     stiffness: Floats  # likewise, N/m
-    computed_mass: Floats  # M_c on the axes, (n, n), kg
     largest_drive: float  # of a valve, V
     dt: float  # sampling period, s
 
@@ -74,7 +72,7 @@ class DetectorParameters(NamedTuple):
     rig: KnownRig  # a force capacity or a range that is not known is infinite
     fade: float  # factor per step with which sums fade
     oil_fade: float  # of the sums of relation (3)
-    short: float  # of short sums
+    short: float  # of the second-order work
     memory: float  # of the largest motion
     by_force: Floats  # jump of the acceleration by that of a held force, (n, n), 1/kg; 0: a valve
     noise: Floats  # RMS, as assumed, (4, n)
@@ -112,9 +110,6 @@ class DetectorState(NamedTuple):
     work: Annotated[Floats, 3]  # sums of dr dx, of dx K dx and of squares of its noise
     farthest: Annotated[Floats, 2, "n"]  # displacement in both directions, see `look_at_strength`
     carried: Annotated[Floats, 2, 2]  # x K x there, N m, and the force, sqrt(N m)
-    response: Annotated[Floats, 2, "n"]  # squares of the changes of f and of M_c a, N^2
-    bends: Annotated[Floats, 2, "n"]  # second difference of r beyond its threshold, N, and recent
-    # frequency of its changes of sign
     repeats: Annotated[Ints, 4, "n"]  # of the last value of a channel
     mean: Annotated[Floats, "n"]  # that flow under the last load, as expected, m/s
     counts: Annotated[Ints, "D", "n"]  # samples for which each has been beyond its threshold
@@ -227,8 +222,7 @@ SAMPLE, TURN_AT, AT_RANGE = range(3)
 """Places of `DetectorState.step`."""
 DISPLACEMENT_VELOCITY, VELOCITY_ACCELERATION, OIL = range(3)
 """Relations (1) to (3)."""
-DIFFERS, SECOND_ORDER_WORK, WEAKENS, ROUGH, JUMP = 0, *range(3, 7)
-NO_RESPONSE, FROZEN, WRONG = 7, 8, 12
+DIFFERS, SECOND_ORDER_WORK, WEAKENS, JUMP, FROZEN, WRONG = 0, 3, 4, 5, 6, 10
 """Rows of the detectors: sums of three relations, ..., four frozen and four wrong channels."""
 
 
