@@ -99,7 +99,7 @@ def calibrate(
         Of the sample; samples follow one another.
     measured, sample : ndarray
         As measured, and the result; shape (4, n). They may be the same array. A value that is no
-        number, or is at the end of its sensor's range, comes out as it is, after the wait; for
+        number, or is at the end of its sensor's range, is corrected and waits, no more; for
         the other axes of a tilted accelerometer its last one stands.
     """
     c, last, places = calibration, state.aligned, len(state.measured)
@@ -123,7 +123,7 @@ def calibrate(
                     part = c.resolution[row, i] / scale
                     value = np.rint(value / part) * part
             is_known = abs(shown) < c.range[row, i] and np.isfinite(shown)
-            sample[row, i] = value if is_known else shown
+            sample[row, i] = value if is_known else (shown - bias) / scale
             if row == ACCELERATION:
                 state.tilted[1, i] = 1.0 if is_known else 0.0
                 if is_known or step == 0:

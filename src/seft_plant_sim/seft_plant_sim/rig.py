@@ -37,6 +37,8 @@ class Rig:
         The last sample as the hardware gave it, and calibrated and aligned, shape (4, n).
     violation : str or None
         Why the test must end with the last sample.
+    spares_target : bool
+        Whether that has left the target unspoiled, so that the stop can follow its plan.
     saturation : Saturation
         Saturation since the reset: of stroke, force capacity, valve, and sensors.
     zeroed : dict or None
@@ -88,7 +90,7 @@ class Rig:
             known, zeroed = section, None
             if len(samples):
                 known, zeroed = zeroed_at_rest(section, axes, own.places, samples)
-            return Guard.from_parameters(known, axes, own, dt), zeroed
+            return Guard.from_parameters(known, axes, own, dt, zeroed), zeroed
 
         safe = Safe.from_parameters(section, axes, own.places, dt)
         return cls(what, make_guard, safe, round(section["calibration.zeroing"] / dt))
@@ -120,6 +122,7 @@ class Rig:
         """Begin a test with its next sample; a simulated rig is at rest."""
         self.saturation: Saturation = {}
         self.violation: str | None = None
+        self.spares_target = False
         self.step_index, self._command[:] = -1, 0.0
         self.hardware.reset()
         self.guard.reset()
@@ -143,7 +146,9 @@ class Rig:
             self.hardware.check()
             self.violation = self.guard.violation(found)
             if self.violation is not None:
-                self.violation = self.hardware.missing or self.violation
+                missing = self.hardware.missing
+                self.violation = missing or self.violation
+                self.spares_target = not missing and self.guard.spares_target(found)
             for name, bit in _SATURATED.items():
                 if found & bit:
                     count_saturated(self.saturation, name, 1, self.step_index)
@@ -180,14 +185,15 @@ class Rig:
         """Move the valve to its safe command, and come to rest.
 
         Before that it follows a plan, the commands of this step and the coming ones, shape (m, n),
-        unless it ends the test by itself (`violation`). If the plan had another command for the
-        last step, ``planned``, the difference goes in the time in which the valve closes.
+        unless it ends the test by itself (`violation`) and may have spoiled the target. If the plan
+        had another command for the last step, ``planned``, the difference goes in the time in which
+        the valve closes.
 
         A closed valve locks the piston: the oil column rings, friction and leakage damp it, and the
         remaining force decays. A simulated rig is at rest afterwards; others continue with each
         sample, see `come_to_rest`.
         """
-        if plan is None or self.violation is not None:
+        if plan is None or (self.violation is not None and not self.spares_target):
             plan = np.zeros((0, len(self._command)))
         safe = self._safe._replace(command=self.safe_command)
         return self.hardware.stop(plan, planned, self._command, safe)
@@ -214,6 +220,7 @@ class Rig:
             name: {"samples": len(at), "first_step": at[0]} for name, at in steps.items() if at
         }
         self.violation = self.guard.violation(int(found[-1]))
+        self.spares_target = self.guard.spares_target(int(found[-1]))
 
 
 def extrapolated_command(

@@ -2,9 +2,10 @@
 
 import numpy as np
 from scipy.signal import lfilter
+from seft_msgs_py.config.facts import CHANNELS
 from seft_plant_sim.judge.detector_list import DETECTORS
 from seft_plant_sim.judge.detector_step import begin_detectors, judge_sample
-from seft_plant_sim.judge.detectors import VALID, detector_arrays
+from seft_plant_sim.judge.detectors import VALID, KnownRig, detector_arrays
 
 DT, N = 0.002, 2
 NOISE = np.array([[1e-5, 2e-5], [2e-3, 1e-3], [0.1, 0.2], [5.0, 3.0]])
@@ -14,21 +15,32 @@ ACTUATOR = np.array([[0.02, 1e7, 2.0, 2e4], [0.03, 2e7, 3.0, 3e4]])
 PAST = np.array([[[0.7, 0.2, 0.1], [-90.0, 80.0, 10.0]], [[0.5, 0.4, 0.1], [-70.0, 50.0, 20.0]]])
 MASS = np.array([[60.0, 5.0], [5.0, 40.0]])
 STIFFNESS = np.array([[2e5, -3e4], [-3e4, 1e5]])
-COMPUTED = np.array([[90.0, 0.0], [0.0, 70.0]])
+
+
+ZEROED = {"left": {name: [0.0] * N for name in CHANNELS}}
 
 
 def detectors(warn_only=(), **changes):
     """Detectors that have begun, of two axes of which everything is known."""
     known = {
         **{"noise": NOISE, "limits": LIMITS, "ranges": np.zeros((4, N))},
-        **{"velocity_is_derived": False, "actuator": ACTUATOR, "past": PAST, "mass": MASS},
-        **{"has_valve": True},
-        **{"stiffness": STIFFNESS, "computed_mass": COMPUTED, "warn_only": warn_only},
+        **{"steps": np.zeros((4, N))},
+        **{"velocity_is_derived": False, "actuator": ACTUATOR, "past": PAST, "has_valve": True},
+        **{"mass": MASS, "stiffness": STIFFNESS},
         **{"largest_drive": 10.0, "dt": DT, **changes},
     }
-    p, state = detector_arrays(**known)
+    p, state = detector_arrays(KnownRig(**known), warn_only, ZEROED)
     begin_detectors(p, state)
     return p, state
+
+
+def numbers_of(state):
+    """All that detectors and judge know, copied: bits of its records, but not the judge's room."""
+    own = [*state[:-1], *(each for each in state.judge if each is not state.judge.room)]
+    return [
+        np.frombuffer(each.tobytes(), each.dtype.str[-2:] if not each.dtype.names else "i8")
+        for each in own
+    ]
 
 
 def noise_of_a_rig(samples, seed=3, size=1.0):
@@ -75,28 +87,20 @@ def of_what(detector, axis):
     No single value is so wrong that it is replaced.
     """
     samples, commands = noise_of_a_rig(100, size=0.3)
-    one, count, to_and_fro = np.ones(40), np.arange(1.0, 41.0), (-1.0) ** np.arange(40)
-    rate = 2.0 * np.pi * 20.0
-    shaken = rate * DT * count
+    one, count = np.ones(40), np.arange(1.0, 41.0)
     what = {
         "displacement_velocity": {0: 5e-5 * count},
         "velocity_acceleration": {1: 5e-3 * count},
         "oil_balance": {4: 8.0 * one},  # of a valve that is stuck
-        "force_noise": {3: 50.0 * to_and_fro},
         "force_jump": {  # a specimen breaks
             0: 15.0 * (DT * count) ** 2,
             1: 30.0 * DT * (count - 0.5),
             2: 30.0 * one,
         },
-        "force_response": {  # while it is shaken
-            0: 15.0 / rate**2 * (0.5 * shaken**2 + np.cos(shaken) - 1.0),
-            1: 15.0 / rate * (shaken - np.sin(shaken)),
-            2: 15.0 * (1.0 - np.cos(shaken)),
-        },
     }
-    if detector == "force_noise":  # of a motion that does not stick
-        samples[:, 0] += 0.3 * DT * np.arange(100)[:, np.newaxis]
-        samples[:, 1] += 0.3
+    if detector == "force_jump":  # of a motion that does not stick
+        samples[:, 0, axis] += 0.3 * DT * np.arange(100)
+        samples[:, 1, axis] += 0.3
     for row, off in what[detector].items():
         if row < 4:
             samples[60:, row, axis] += off

@@ -108,7 +108,7 @@ def test_a_wrong_value_is_replaced_then_suspect_on_all_axes_then_ends_the_test(o
     np.testing.assert_array_equal(passed[10:, :4, 0], samples[10:, :, 0])
     acts = not only_warn
     suspect = np.zeros((13, 2))
-    suspect[11] = acts
+    suspect[11:] = acts
     np.testing.assert_array_equal(passed[:, SUSPECT_ROW], suspect)
     assert [one.violation(each) for each in found[:-1]] == [None] * 12
     assert one.violation(found[-1]) == (

@@ -36,7 +36,7 @@ def followed(p, relation, i, change, integral, per_delay, rough):
     fade, white = (p.oil_fade, 1.0) if is_oil else (p.fade, p.correlated[relation])
     noise, estimate = p.sums[relation, i] / 6.0, np.zeros(3)
     covariance = np.diag(p.deviation[relation, :, i] ** 2)
-    scatter, weight, whole, sums = (p.left[relation] / 6.0) ** 2, 1.0, 0.0, np.zeros(4)
+    scatter, weight, whole, sums = (rows.UNDESCRIBED[relation] / 6.0) ** 2, 1.0, 0.0, np.zeros(4)
     found = []
     for k in range(len(change)):
         sums = fade * sums + [change[k], integral[k], per_delay[k], DT]
@@ -46,7 +46,7 @@ def followed(p, relation, i, change, integral, per_delay, rough):
         left = max(scatter, 0.0) * whole**2
         known = np.sqrt(noise**2 + by @ covariance @ by + left)
         bias = min(p.deviation[relation, 2, i], 6.0 * np.sqrt(covariance[2, 2]))
-        most = 6.0 * noise + bias * sums[3] + p.tolerance[relation] * whole
+        most = 6.0 * noise + bias * sums[3] + rows.TOLERANCES[relation] * whole
         found.append((abs(off), min(6.0 * known, most) + rough[k]))
         covariance = covariance + np.diag(p.drift[relation, :, i])
         doubt = white * noise**2 + p.correlated[relation] * ((rough[k] / 6.0) ** 2 + left)
@@ -161,7 +161,7 @@ def test_a_valve_that_closes_or_jams_is_found(axis):
         state.sent[:], state.judge.resolution[:] = 4.0, RESOLUTION
         found = []
         for k in range(90):
-            found.append(detect(p, state, k, samples[k], commands[max(k - 1, 0)]))
+            found.append(detect(p, state, 1 + k, samples[k], commands[max(k - 1, 0)]))
         end = next(k for k, each in enumerate(found) if each >= 0)
         ends.append(end)
         assert found[end] == rows.OIL * N + axis
@@ -223,7 +223,7 @@ def test_a_derived_velocity_may_be_late(late, sign):
     samples, commands = np.zeros((2, 4, N)), np.zeros((2, N))
     samples[:, :3, 1] = sign * np.array([[0.0, 1.0, 10.0], [1.8e-3, 1.03, 12.0]])
     state.judge.resolution[:] = RESOLUTION
-    seen = shares_of(p, state, samples, commands)[1, :2, 1]
+    seen = shares_of(p, state, samples, commands, [1, 2])[1, :2, 1]
     assert not state.judge.counts.any()
     sides = (
         ([1.8e-3], [0.5 * DT * (2.03 - DT / 6.0 * 2.0)], [-0.03]),

@@ -1,4 +1,4 @@
-"""The specimen's force, sample by sample: its jumps, its noise, and its work."""
+"""The specimen's force, sample by sample: its jumps and its work."""
 
 import math
 
@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from detector_samples import (
     ALL,
-    COMPUTED,
     DT,
     MASS,
     NOISE,
@@ -19,7 +18,11 @@ from detector_samples import (
     shares_of,
 )
 from seft_plant_sim.judge import detectors as rows
-from seft_plant_sim.judge.specimen_force import look_at_restoring_force, look_at_strength
+from seft_plant_sim.judge.specimen_force import (
+    is_elastic,
+    look_at_restoring_force,
+    look_at_strength,
+)
 
 SLOW, FAST = 0.1, 1e-3
 """Fastest recent motion, m in a sample, against which 2 mm are little and much."""
@@ -36,74 +39,66 @@ def test_work_against_the_specimen_is_reported_of_all_axes_at_once(axis):
     p.acts[:] = np.arange(len(ALL)) == rows.SECOND_ORDER_WORK
     found = [detect(p, state, k, samples[k]) for k in range(90)]
     assert max(found) == rows.SECOND_ORDER_WORK * N
-    assert found.index(max(found)) == (63, 66)[axis]
+    assert found.index(max(found)) == 66
 
 
 @pytest.mark.parametrize(
-    ("way", "r", "fastest", "turned", "counted", "part", "stiff"),
-    [  # of the specimen: its way on both axes; r before, its last change, and now
-        ((1e-3, 2e-3), (100.0, 7.0, 400.0), FAST, 4, 0, 0.35, 6 * 200.0),  # rises with the motion
-        ((1e-3, 2e-3), (-100.0, 7.0, -400.0), FAST, 4, 0, 0.35, 6 * 30.0),  # falls with the other's
-        ((0.0, 2e-3), (-900.0, 7.0, -1200.0), 8e-3, 4, 0, 0.25, 0.0),
-        ((-1e-3, -2e-3), (-100.0, 7.0, -400.0), FAST, 4, 0, 0.35, 6 * 200.0),
-        ((0.0, 2e-3), (100.0, -7.0, -400.0), FAST, 4, 0, 0.25, 0.0),  # breaks
-        ((0.0, -2e-3), (100.0, -7.0, 400.0), FAST, 4, 0, 0.25, 0.0),
-        ((0.0, -2e-3), (-100.0, -7.0, 400.0), FAST, 3, 0, 2.0, 0.0),  # the motion has turned
-        ((1e-3, -2e-3), (900.0, -7.0, 400.0), SLOW, 9, 0, 2.0, 6 * 230.0),  # or sticks
-        ((0.0, 2e-3), (900.0, 70.0, 400.0), FAST, 9, 1, 0.25, 0.0),  # it has jumped before
+    ("way", "r", "fastest", "turned", "part", "stiff"),
+    [  # of the specimen: its way on both axes; r before, and now
+        ((1e-3, 2e-3), (100.0, 400.0), FAST, 4, 0.35, 6 * 200.0),  # rises with the motion
+        ((1e-3, 2e-3), (-100.0, -400.0), FAST, 4, 0.35, 6 * 30.0),  # falls with the other's
+        ((0.0, 2e-3), (-900.0, -1200.0), 8e-3, 4, 0.25, 0.0),
+        ((-1e-3, -2e-3), (-100.0, -400.0), FAST, 4, 0.35, 6 * 200.0),
+        ((0.0, 2e-3), (100.0, -400.0), FAST, 4, 0.25, 0.0),  # breaks
+        ((0.0, -2e-3), (100.0, 400.0), FAST, 4, 0.25, 0.0),
+        ((0.0, -2e-3), (-100.0, 400.0), FAST, 3, 2.0, 0.0),  # the motion has turned
+        ((1e-3, -2e-3), (900.0, 400.0), SLOW, 9, 2.0, 6 * 230.0),  # or sticks
     ],
 )
-def test_how_far_the_force_of_a_specimen_may_jump(way, r, fastest, turned, counted, part, stiff):
+@pytest.mark.parametrize("before", [0.0, 70.0])
+def test_how_far_the_force_of_a_specimen_may_jump(way, r, fastest, turned, part, stiff, before):
     p, state = detectors(ALL)
     state.last[0], measured = [0.25, -0.5], np.zeros((4, N))
     measured[0] = state.last[0] + way
-    state.restoring[:, 1] = r
-    state.judge.moves[0, 1], state.largest[3, 1] = fastest, 300.0
-    state.step[rows.TURN_AT], state.counts[rows.JUMP, 1] = 50 - turned, counted
-    largest = 300.0 if counted else max(abs(r[0]), p.memory * 300.0)
-    jump = r[2] - r[0] + counted * r[1]
+    state.restoring[:, 1], state.changes[1, :, 0] = r, (before, 1.0)
+    axis = state.judge.axes[1]
+    axis.travel, state.largest[3, 1], state.step[rows.TURN_AT] = fastest, 300.0, 50 - turned
     assert look_at_restoring_force(p, state, 50, measured, 1) == -1
-    expected = abs(jump) / (part * largest + p.rough[1] + stiff)
+    assert not state.shares.any()  # no event
+    axis.alive[0].event[:2] = 1.0, before
+    assert state.largest[3, 1] == max(abs(r[0]), p.memory * 300.0)
+    jump = r[1] - r[0] + before
+    axis.known = 0.49 * abs(jump)
+    assert look_at_restoring_force(p, state, 50, measured, 1) == -1
+    is_stop = before and stiff  # the change before it is as stiff: 70 N within 1 m
+    threshold = part * state.largest[3, 1] + p.rough[1] + stiff
+    expected = 0.0 if is_stop else abs(jump) / threshold
     assert state.shares[rows.JUMP, 1] == pytest.approx(expected, rel=1e-9)
-    assert state.largest[3, 1] == largest
     assert not state.shares[:, 0].any()
 
 
-def test_a_force_that_jumps_back_and_forth_is_counted_as_noise():
-    p, state = detectors(ALL)
-    measured, now = np.zeros((4, N)), np.array([3000.0, -3000.0])
-    measured[2], state.last[2] = now, [4000.0, 5000.0]
-    curved = abs(DT**2 * STIFFNESS[1] @ (now + state.last[2]))
-    measured[0, 1] = 0.01  # it moves, and bends by a part of that
-    part = 0.5 * DT**2 * abs(now[1] + state.last[2, 1]) / 0.01
-    count, before = 0.0, 0.0
-    for excess, turned in [
-        (1, 9),
-        (-1, 9),
-        (-1, 9),
-        (1, 9),
-        (0, 9),
-        (0, 2),
-        (1, 9),
-        (-1, 2),
-        (1, 2),
-        (1, 2),
-    ]:
-        state.step[rows.TURN_AT], state.largest[3, 1] = 50 - turned, 0.0
-        limit = p.rough[1] + curved + (800.0 if turned < 4 else 0.0)
-        if turned > 3:  # of the change, 70 N and the bend
-            limit = (limit + math.copysign(70.0 * part, excess)) / (1.0 - part)
-        bend = math.copysign(1.0, excess) * limit * (1.0 + (1e-6 if excess else -1e-6))
-        state.restoring[:, 1] = 200.0, 70.0, 270.0 + bend
-        state.counts[rows.JUMP, 1] = 0
+def test_a_confirmed_event_is_a_stop_or_like_those_before():
+    p, state = detectors()
+    measured, axis, shares = np.zeros((4, N)), state.judge.axes[1], []
+    measured[0, 1], axis.alive[0].event[1] = 1e-3, 1.0
+    state.changes[1] = [[9e9, 0.0], [1e-3, 1e-3]]
+    for known, turned, now in ((0.49, 3, 0.0), (0.51, 3, 0.0), (0.51, 4, 0.0), (0.0, 4, 4.6e9)):
+        state.step[rows.TURN_AT], axis.known, state.shares[:] = 50 - turned, known * 9e9, 0.0
+        state.restoring[1, 1] = now
         look_at_restoring_force(p, state, 50, measured, 1)
-        kept = bend if excess else 0.0
-        turns = kept * before < 0.0
-        count = p.short * count + turns if turns or turned > 3 else count
-        before = kept
-        np.testing.assert_allclose(state.bends[:, 1], [kept, count], rtol=1e-9, atol=1e-9)
-    share = state.shares[rows.ROUGH, 1] * 0.33 / (1.0 - p.short)
-    assert share == pytest.approx(count, rel=1e-9)
+        shares.append(state.shares[rows.JUMP, 1] > 1.0)
+    assert shares == [True, False, True, False]
+
+
+def test_a_stop_presses_on_or_has_pressed_and_what_slips_does_so_once():
+    slip, stop, left = np.array(
+        [[[800.0, before], [1e-3, 2e-3]] for before in (70.0, 70.0, 1700.0)]
+    )
+    assert not is_elastic(slip, 70.0, 1e-3, 10.0)
+    assert is_elastic(stop, 390.0, 1e-3, 10.0)
+    assert not is_elastic(stop, 390.0, 2e-3, 10.0)  # it should have pressed twice as much
+    assert is_elastic(left, 70.0, 1e-3, 10.0)
+    assert is_elastic(slip, 0.0, 1e-6, 10.0)  # it hardly moves: nobody knows
 
 
 def test_the_specimen_is_held_against_its_thresholds():
@@ -125,13 +120,6 @@ def test_the_specimen_is_held_against_its_thresholds():
     share = np.maximum(-done / (0.5 * elastic + 6.0 * np.sqrt(square)), 0.0)
     np.testing.assert_allclose(seen[1:, rows.SECOND_ORDER_WORK, 0], share, rtol=1e-9, atol=1e-15)
     assert not seen[:, rows.SECOND_ORDER_WORK, 1].any()
-    inertia = faded((change[:, 2] @ COMPUTED) ** 2, p.short)
-    recent_samples, white = 1.0 / (1.0 - p.short), 2.0 * NOISE[3] ** 2
-    hiss = 2.0 * COMPUTED**2 @ NOISE[2] ** 2
-    is_noise = faded(change[:, 3] ** 2, p.short) < 2.0 * recent_samples * white
-    share = np.where(is_noise, inertia / (25.0 * recent_samples * (white + hiss)), 0.0)
-    assert 0 < is_noise.sum() < is_noise.size
-    np.testing.assert_allclose(seen[1:, rows.NO_RESPONSE], share, rtol=1e-9)
 
 
 def test_the_last_turn_and_the_last_change_of_the_specimens_force_are_remembered():
@@ -143,7 +131,7 @@ def test_the_last_turn_and_the_last_change_of_the_specimens_force_are_remembered
     for k in range(5):
         detect(p, state, k, samples[k])
         turns.append(state.step[rows.TURN_AT] == k)
-        np.testing.assert_allclose(state.restoring[1], r[k] - r[max(k - 1, 0)], atol=1e-9)
+        np.testing.assert_allclose(state.changes[:, 0, 0], r[k] - r[max(k - 1, 0)], atol=1e-9)
     assert turns == [False, False, True, False, True]
 
 
@@ -163,7 +151,7 @@ def test_a_specimen_carries_less_where_it_is_deformed_farther(sign):
     for x, left, is_compared in steps:
         measured = np.zeros((4, N))
         measured[0] = x
-        state.restoring[2], state.shares[:] = left * STIFFNESS @ x, 0.0
+        state.restoring[1], state.shares[:] = left * STIFFNESS @ x, 0.0
         carried = state.carried[int(x @ way < 0.0), 1]
         ends.append(look_at_strength(p, state, measured))
         energy = x @ STIFFNESS @ x

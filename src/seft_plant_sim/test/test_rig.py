@@ -136,12 +136,21 @@ def test_a_stop_follows_the_plan_then_closes():
     np.testing.assert_array_equal(planned.simulation.sample, stepped.simulation.sample)
 
 
-@pytest.mark.parametrize("fault", ["force set -9e4 at 0.396 for 3", "force set -9e4 at 0.4 for 1"])
-def test_a_rig_follows_the_plan_unless_it_ends_the_test_by_itself(fault):
-    tripped, planned, closed = moving_rig(("rig", "faults", fault)), moving_rig(), moving_rig()
-    plan, ends = np.full((20, 1), 9.0), "for 3" in fault
+@pytest.mark.parametrize(
+    ("given", "ends", "follows"),
+    [
+        (("rig", "faults", "force set -9e4 at 0.396 for 3"), True, True),  # which nothing has used
+        (("rig", "faults", "force set -9e4 at 0.4 for 1"), False, True),
+        (("/**", "limits.velocity", 0.02), True, False),
+    ],
+)
+def test_a_rig_follows_the_plan_unless_it_ends_the_test_by_what_may_have_been_used(
+    given, ends, follows
+):
+    tripped, planned, closed = moving_rig(given), moving_rig(), moving_rig()
+    plan = np.full((20, 1), 9.0)
     assert (tripped.violation is not None) == ends
-    assert tripped.stop(plan) == (closed.stop() if ends else planned.stop(plan))
+    assert tripped.stop(plan) == (planned.stop(plan) if follows else closed.stop())
 
 
 def test_a_rig_without_a_settling_time_is_left_where_it_is():

@@ -23,6 +23,8 @@ from seft_plant_sim.judge.detectors import (
     DIFFERS,
     DISPLACEMENT_VELOCITY,
     OIL,
+    TOLERANCES,
+    UNDESCRIBED,
     VELOCITY_ACCELERATION,
     DetectorParameters,
     DetectorState,
@@ -30,6 +32,7 @@ from seft_plant_sim.judge.detectors import (
     look,
     sees,
 )
+from seft_plant_sim.judge.judge_step import is_replaced
 from seft_plant_sim.judge.relation_following import (
     BIAS_OF,
     CHANGE,
@@ -63,23 +66,20 @@ def find_flow(p: DetectorParameters, state: DetectorState, lost: int, drive: Flo
         put_first(state.sent[i], drive[i])
         flow = later = 0.0
         for j in range(state.sent.shape[1]):
-            flow += p.past[i, 0, j] * state.sent[i, j]
-            later += p.past[i, 1, j] * state.sent[i, j]
-        state.flow[0, i], state.flow[1, i] = p.actuator[i, 0] * flow, p.actuator[i, 0] * later
+            flow += p.rig.past[i, 0, j] * state.sent[i, j]
+            later += p.rig.past[i, 1, j] * state.sent[i, j]
+        state.flow[0, i], state.flow[1, i] = (
+            p.rig.actuator[i, 0] * flow,
+            p.rig.actuator[i, 0] * later,
+        )
 
 
-@compiled
 def begin_relations(p: DetectorParameters, state: DetectorState) -> None:
     """Begin a test with what is assumed."""
-    state.estimated[:] = 0.0
-    state.covariance[:] = 0.0
-    for relation in range(3):
-        for i in range(state.scatter.shape[2]):
-            state.scatter[relation, SCATTER, i] = (p.left[relation] / NOISE_SIGMAS) ** 2
-            state.scatter[relation, WEIGHT, i] = 1.0
-            for row in range(3):
-                variance = p.deviation[relation, row, i] ** 2
-                state.covariance[relation, i, row, row] = variance
+    state.scatter[:, SCATTER] = (UNDESCRIBED[:, np.newaxis] / NOISE_SIGMAS) ** 2
+    state.scatter[:, WEIGHT] = 1.0
+    for row in range(3):
+        state.covariance[:, :, row, row] = p.deviation[:, row] ** 2
 
 
 @compiled
@@ -116,7 +116,7 @@ def compare_channels(
     covariance, row = state.covariance[relation, i], DIFFERS + relation
     fade = p.oil_fade if relation == OIL else p.fade
     change, integral, per_delay = sides
-    now = (change, integral, per_delay, p.dt)
+    now = (change, integral, per_delay, p.rig.dt)
     for place in range(4):
         sums[place, i] = fade * sums[place, i] + now[place]
     off = sums[CHANGE, i] - expected(
@@ -129,7 +129,7 @@ def compare_channels(
     known = math.sqrt(noise * noise + NOISE_SIGMAS * NOISE_SIGMAS * (by_estimates + left))
     bias = NOISE_SIGMAS * math.sqrt(max(covariance[BIAS_OF, BIAS_OF], 0.0))
     bias = min(bias, p.deviation[relation, BIAS_OF, i]) * sums[PERIODS, i]
-    most = noise + bias + p.tolerance[relation] * whole
+    most = noise + bias + TOLERANCES[relation] * whole
     threshold = min(known, most) + rough
     is_fault = look(p, state, row, i, abs(off), threshold)
     if state.counts[row, i] == 0:
@@ -139,7 +139,7 @@ def compare_channels(
         moves = whole > MOTION_TO_NOISE / NOISE_SIGMAS * (noise + rough)
         limits, drift = p.most[relation], p.drift[relation]
         follow(found, covariance, sums, limits, drift, i, off, doubt, moves)
-        remember(scatter, i, off, known / NOISE_SIGMAS, whole, noise / NOISE_SIGMAS, p.dt)
+        remember(scatter, i, off, known / NOISE_SIGMAS, whole, noise / NOISE_SIGMAS, p.rig.dt)
     return row * n + i if is_fault else -1
 
 
@@ -149,8 +149,8 @@ def displacement_velocity(
 ) -> int:
     """Relation (1); the acceleration tells how the velocity bends between the samples."""
     last, change = state.last, measured[1, i] - state.last[1, i]
-    bend = p.dt / 6.0 * (measured[2, i] - last[2, i])
-    moved = 0.5 * p.dt * (measured[1, i] + last[1, i] - bend)
+    bend = p.rig.dt / 6.0 * (measured[2, i] - last[2, i])
+    moved = 0.5 * p.rig.dt * (measured[1, i] + last[1, i] - bend)
     rough = p.late * abs(change) + resolution_of(state, DISPLACEMENT, i)
     sides = (measured[0, i] - last[0, i], moved, -change)
     return compare_channels(p, state, DISPLACEMENT_VELOCITY, measured.shape[1], i, sides, rough)
@@ -172,8 +172,8 @@ def velocity_acceleration(
     state.rise[1, i] = max(bend, p.fade * state.rise[1, i])
     state.rise[2, i] = p.fade * state.rise[2, i] + jump
     rises = max(state.rise[1, i], abs(jump), abs(state.rise[2, i]))
-    rough = (0.5 * p.dt + p.late) * rises + resolution_of(state, VELOCITY, i)
-    gained = 0.5 * p.dt * (measured[2, i] + last[2, i])
+    rough = (0.5 * p.rig.dt + p.late) * rises + resolution_of(state, VELOCITY, i)
+    gained = 0.5 * p.rig.dt * (measured[2, i] + last[2, i])
     sides = (measured[1, i] - last[1, i], gained, -rise)
     return compare_channels(p, state, VELOCITY_ACCELERATION, measured.shape[1], i, sides, rough)
 
@@ -181,21 +181,14 @@ def velocity_acceleration(
 @compiled
 def oil_balance(p: DetectorParameters, state: DetectorState, measured: Floats, i: int) -> int:
     """Relation (3)."""
-    last, oil = state.last, p.actuator[i, 1]
+    last, oil = state.last, p.rig.actuator[i, 1]
     force = 0.5 * (measured[3, i] + last[3, i])
-    load = p.dt * under_load(state.flow[0, i], force, p.actuator[i, 3])
+    load = p.rig.dt * under_load(state.flow[0, i], force, p.rig.actuator[i, 3])
     flow, later = load * state.flow[0, i], load * state.flow[1, i]
-    leaked = p.dt * p.actuator[i, 2] * force
+    leaked = p.rig.dt * p.rig.actuator[i, 2] * force
     change = measured[0, i] - last[0, i] + (measured[3, i] - last[3, i] + leaked) / oil
     rough = resolution_of(state, FORCE, i) / oil + resolution_of(state, DISPLACEMENT, i)
     return compare_channels(p, state, OIL, measured.shape[1], i, (change, flow, later), rough)
-
-
-@compiled
-def was_replaced(state: DetectorState, step: int, row: int, i: int) -> bool:
-    """Say whether the judge replaced a channel at this sample or the last one."""
-    steps = state.judge.wrong[row, i]
-    return step - steps[(state.judge.counts[row, i] - 1) % len(steps)] <= 1
 
 
 @compiled
@@ -206,7 +199,8 @@ def relations(
     found, sees_displacement = -1, sees(state, step, DISPLACEMENT)
     if not sees(state, step, VELOCITY):
         return found
-    if sees_displacement and not was_replaced(state, step, VELOCITY, i):
+    was = is_replaced(state.judge, 0, VELOCITY, i) or is_replaced(state.judge, 1, VELOCITY, i)
+    if sees_displacement and not was:
         found = displacement_velocity(p, state, measured, i)
     if sees(state, step, ACCELERATION):
         found = first_of(found, velocity_acceleration(p, state, measured, i))

@@ -8,7 +8,7 @@ from seft_msgs_py.config.facts import CHANNELS
 from seft_plant_sim.judge.judge import LASTS
 
 LONG_LASTS = 0.02
-"""Time for which some detectors must be beyond their thresholds, s: longer than the effects of a
+"""Time for which the tracking error must be beyond its threshold, s: longer than the effects of a
 specimen that slips or hits a stop, or of a valve at its limit. For the others it is `LASTS`."""
 
 WARNING = 0.8
@@ -57,23 +57,10 @@ DETECTORS = (
         "N m",
     ),
     Detector(
-        "force_noise",
-        "measured force and acceleration disagree on axis {axis} from sample to sample, as with "
-        "noise: the specimen's force alternated in {seen} recently",
-        "samples",
-        0.0,
-    ),
-    Detector(
         "force_jump",
         "the specimen's force by measured force and acceleration on axis {axis} jumps by {seen}",
         "N",
         0.0,
-    ),
-    Detector(
-        "force_response",
-        "measured force on axis {axis} does not answer the motion: sum of squares {seen}",
-        "N^2",
-        LONG_LASTS,
     ),
     *(Detector(f"{name}_frozen", _SAME.format(name), "samples", 0.0) for name in CHANNELS),
     *(Detector(f"{name}_wrong", _WRONG.format(name), "samples", 0.0) for name in CHANNELS),
@@ -87,10 +74,7 @@ TRACKING = Detector(
 )
 """That of a force controller, which knows the target."""
 
-MODEL_BASED = (
-    *("oil_balance", "second_order_work", "strength"),
-    *("force_noise", "force_jump", "force_response"),
-)
+MODEL_BASED = ("oil_balance", "second_order_work", "strength", "force_jump")
 """Detectors that need actuators or specimen: they only warn while these are being identified."""
 NOISE_BASED = tuple(f"{name}_frozen" for name in CHANNELS)
 """Detectors that need the noise of the channels: a value with noise does not repeat."""

@@ -11,7 +11,7 @@ import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 
 from seft_plant_sim.channels import ACCELERATION, FORCE
-from seft_plant_sim.compiled import compiled
+from seft_plant_sim.compiled import compiled, put_first
 from seft_plant_sim.judge.channel_relations import (
     begin_relations,
     find_flow,
@@ -34,10 +34,9 @@ from seft_plant_sim.judge.detectors import (
     look,
     sees,
 )
-from seft_plant_sim.judge.judge_step import LONG_AGO, ask, begin_judge, judge
+from seft_plant_sim.judge.judge_step import LONG_AGO, ask, begin_judge, is_replaced, judge
 from seft_plant_sim.judge.relation_following import expected
 from seft_plant_sim.judge.specimen_force import (
-    look_at_response,
     look_at_restoring_force,
     look_at_strength,
     look_at_work,
@@ -52,24 +51,13 @@ SAME, SUSPECTED = 1e-9, 2.0 / 3.0
 after which a sample is suspect: a chance of 1e-6."""
 
 
-@compiled
 def begin_detectors(p: DetectorParameters, state: DetectorState) -> None:
     """Begin a test."""
-    begin_relations(p, state)
-    state.sent[:] = 0.0
-    state.sums[:] = 0.0
-    state.rise[:] = 0.0
-    state.largest[:] = 0.0
-    state.work[:] = 0.0
-    state.farthest[:] = 0.0
-    state.carried[:] = 0.0
-    state.response[:] = 0.0
-    state.bends[:] = 0.0
-    state.repeats[:] = 0
-    state.counts[:] = 0
-    state.shares[:] = 0.0
+    for each in state[:-1]:
+        each[...] = 0
     state.step[:] = LONG_AGO
-    begin_judge(state.judge)
+    begin_relations(p, state)
+    begin_judge(p.judge, state.judge)
 
 
 @compiled
@@ -102,22 +90,22 @@ def judge_sample(
     lost = step - state.step[SAMPLE] - 1
     for row in range(4):
         for i in range(n):
-            if abs(raw[row, i]) >= p.range[row, i]:
+            if abs(raw[row, i]) >= p.rig.ranges[row, i]:
                 state.step[AT_RANGE + row] = step
     is_first = lost > 0
     state.step[SAMPLE] = step
-    if p.has_valve:
+    if p.rig.has_valve:
         find_flow(p, state, lost, drive)
     for i in range(n):
-        if not p.has_valve:
-            ask(p.judge, state.judge, i, drive[i])
+        if not p.rig.has_valve:
+            ask(p.judge.axes[i], state.judge.axes[i], drive[i])
         flow = state.flow[0, i]
-        load = under_load(flow, state.last[3, i], p.actuator[i, 3])
+        load = under_load(flow, state.last[3, i], p.rig.actuator[i, 3])
         state.mean[i] = expected(state.estimated[OIL], i, load * flow, load * state.flow[1, i], 1.0)
     judge(p.judge, state.judge, step, raw, state.mean, judged)
     last, restoring = state.last, state.restoring
     for i in range(n):
-        restoring[2, i] = state.judge.restoring[0, i]
+        restoring[1, i] = state.judge.restoring[i]
     if not is_first:
         for i in range(n):
             if judged[1, i] * last[1, i] <= 0.0:
@@ -131,13 +119,14 @@ def judge_sample(
             found = first_of(found, look_for_frozen(p, state, step, i))
             if knows_force:
                 found = first_of(found, look_at_restoring_force(p, state, step, judged, i))
-                found = first_of(found, look_at_response(p, state, judged, i))
     for i in range(n):
-        restoring[1, i] = 0.0 if is_first else restoring[2, i] - restoring[0, i]
-        restoring[0, i] = restoring[2, i]
+        known = 0.0 if is_first else 1.0
+        put_first(state.changes[i, 0], known * (restoring[1, i] - restoring[0, i]))
+        put_first(state.changes[i, 1], known * (judged[0, i] - last[0, i]))
+        restoring[0, i] = restoring[1, i]
         for row in range(4):
             last[row, i] = judged[row, i]
-        found = first_of(found, look_for_wrong(p, state, step, i))
+        found = first_of(found, look_for_wrong(p, state, i))
         for row in OF_SENSORS:
             if state.counts[row, i] and p.acts[row]:
                 found = first_of(found, SUSPECT)
@@ -145,16 +134,14 @@ def judge_sample(
 
 
 @compiled
-def look_for_wrong(p: DetectorParameters, state: DetectorState, step: int, i: int) -> int:
+def look_for_wrong(p: DetectorParameters, state: DetectorState, i: int) -> int:
     """Whether a channel of an axis was replaced too often; the second such sample is suspect."""
     found = VALID
     for row in range(4):
-        steps, count = state.judge.wrong[row, i], 0
-        for place in range(len(steps)):
-            count += steps[place] > step - p.judge.window
-        if look(p, state, WRONG + row, i, float(count), len(steps) - 0.5) and found < 0:
+        count = state.judge.counts[row, i]
+        if look(p, state, WRONG + row, i, float(count), p.judge.most - 0.5) and found < 0:
             found = (WRONG + row) * state.last.shape[1] + i
-        if count > 1 and state.judge.verdict[row, i] and p.acts[WRONG + row]:
+        if count > 1 and is_replaced(state.judge, 0, row, i) and p.acts[WRONG + row]:
             found = first_of(found, SUSPECT)
     return found
 
@@ -173,7 +160,7 @@ def look_for_frozen(p: DetectorParameters, state: DetectorState, step: int, i: i
             state.repeats[row, i] += 1
             seen = float(state.repeats[row, i])
             # the chance of the same value twice is its step over 2 sqrt(pi) times the noise
-            chance = judge.resolution[row, i] / (2.0 * math.sqrt(math.pi) * p.dither[row, i])
+            chance = judge.resolution[row, i] / (2.0 * math.sqrt(math.pi) * p.rig.noise[row, i])
             threshold = math.log(SAME) / math.log(chance) if chance < 0.5 else np.inf
         if look(p, state, FROZEN + row, i, seen, threshold) and found < 0:
             found = (FROZEN + row) * n + i

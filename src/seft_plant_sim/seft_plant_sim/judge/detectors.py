@@ -1,15 +1,23 @@
 """Detectors of faulty sensors, valves and supplies: their thresholds and their arrays."""
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
+from seft_msgs_py.config.facts import CHANNELS
 
 from seft_plant_sim.compiled import compiled
+from seft_plant_sim.judge.biases import MAX_BIAS
 from seft_plant_sim.judge.detector_list import DETECTORS, Detector
-from seft_plant_sim.judge.judge import JudgeParameters, JudgeState, judge_arrays
+from seft_plant_sim.judge.judge import (
+    BIAS,
+    JudgeParameters,
+    JudgeState,
+    judge_arrays,
+    zeros_of,
+)
 from seft_plant_sim.judge.relation_following import ESTIMATE_DRIFT, NOISE_SIGMAS
 from seft_plant_sim.judge.valve_following import (
     LARGEST_DELAY_ERROR,
@@ -22,17 +30,14 @@ _MEMORY, _OIL_MEMORY = 0.05, 0.2
 """Time constants of the sums of both sides of relations (1) and (2), and of (3), s: to longer sums
 the displacement adds no noise, as velocity and acceleration do."""
 SHORT, FEWEST = 0.015, 7.0
-"""Time constant of short sums (of the second-order work, of noise), s, and its least value in
-samples: with fewer, some friction looks like noise."""
-BIAS = 2.0
-"""Largest constant error of a sensor that is no fault, over its RMS noise."""
+"""Time constant of the sums of the second-order work, s, and its least value in samples."""
 MOTION_MEMORY = 0.3
 """Time constant of the memory of the largest motion, and of the mean that gives a bias, s: a
 quarter of a cycle at 1 Hz."""
-TOLERANCES = (0.1, 0.1, 0.35)
+TOLERANCES = np.array([0.1, 0.1, 0.35])
 """Largest difference of relations (1) to (3) over the motion: calibration and channels 2 ms apart
 at 7 Hz; a flow gain with an error of 0.3, which the controller corrects."""
-UNDESCRIBED = (0.02, 0.02, 0.1)
+UNDESCRIBED = np.array([0.02, 0.02, 0.1])
 """Part of these that gain, delay and bias do not describe, at the beginning: a sensor's linearity,
 a valve's, and the piston's friction."""
 CHANNELS_APART = 2e-3
@@ -43,165 +48,74 @@ ASSUMED_NOISE = 1e-3
 """RMS noise of a sensor whose noise is not configured, over the limit of its channel."""
 
 
+class KnownRig(NamedTuple):
+    """What is known of a rig of n axes; arrays of shape (n,) if nothing else is said."""
+
+    noise: Floats  # RMS of displacement, velocity, acceleration and force, (4, n); 0: not known
+    limits: Floats  # their largest values, (4,)
+    ranges: Floats  # largest values that the sensors can measure, (4, n); 0: not known
+    steps: Floats  # of their converters, (4, n); 0: not known
+    velocity_is_derived: bool  # from the displacement
+    actuator: Floats  # flow gain, oil stiffness, leakage, force capacity, (n, 4); 0: not known
+    past: Floats  # part of past commands, the newest first, in the mean flow of the last period,
+    # and its change per delay (1/s), (n, 2, m)
+    has_valve: bool  # else the rig obeys the reference force, which it holds
+    mass: Floats  # of the specimen, (n, n), kg
+    stiffness: Floats  # likewise, N/m
+    largest_drive: float  # of a valve, V
+    dt: float  # sampling period, s
+
+
 class DetectorParameters(NamedTuple):
-    """Parameters of the detectors of n axes.
+    """Parameters of the detectors; D is their number."""
 
-    Attributes
-    ----------
-    dt : float
-        Sampling period, s.
-    fade, short, memory : float
-        Factors per step with which sums, short sums and the largest motion fade.
-    oil_fade : float
-        That of the sums of relation (3).
-    actuator : ndarray
-        Flow gain, oil stiffness, leakage and force capacity, see `FeedforwardParameters`; (n, 4).
-    past : ndarray
-        Part of past commands in the mean flow of the last period, the newest first, and its change
-        per delay (1/s); shape (n, 2, m).
-    has_valve : bool
-        Whether valves drive the rig; else it obeys the reference force, which it holds.
-    mass, stiffness : ndarray
-        Of the assumed specimen, shape (n, n), kg and N/m.
-    by_force : ndarray
-        Jump of the acceleration by that of a held force, shape (n, n), 1/kg; 0 with a valve, or if
-        the mass is not known.
-    computed_mass : ndarray
-        M_c on the axes, shape (n, n), kg.
-    noise, dither : ndarray
-        RMS noise of the sensors, shape (4, n): assumed, and configured (0: not configured).
-    range : ndarray
-        Largest value that each sensor can measure, shape (4, n); infinite if it is not known.
-    sums : ndarray
-        Noise of the sums of the differences of relations (1) to (3), shape (3, n):
-        `NOISE_SIGMAS` times RMS; infinite where not watched.
-    deviation, most, drift : ndarray
-        Of the estimated gain, delay (s) and bias of each relation: standard deviation at the
-        beginning, largest value, growth of the variance in a step; shape (3, 3, n).
-    correlated : ndarray
-        So many samples of each relation count as one, shape (3,).
-    late : float
-        Time by which a derived velocity is late, s; 0: it is measured.
-    rough : ndarray
-        Noise of the second difference of r, likewise, shape (n,), N.
-    unknown : float
-        0; infinite if the specimen is not known.
-    tolerance : ndarray
-        Part of the largest motion by which the sides of a relation may differ, shape (3,).
-    left : ndarray
-        Likewise, less what gain, delay and bias describe, at the beginning; shape (3,).
-    persistence : ndarray
-        Samples for which a detector must be beyond its threshold, shape (D,).
-    acts : ndarray
-        Whether a detector ends the test, shape (D,); 0: it only warns.
-    judge : JudgeParameters
-        Of the judge.
-    """
-
-    dt: float
-    fade: float
-    oil_fade: float
-    short: float
-    memory: float
-    actuator: Floats
-    past: Floats
-    has_valve: bool
-    mass: Floats
-    stiffness: Floats
-    by_force: Floats
-    computed_mass: Floats
-    noise: Floats
-    dither: Floats
-    range: Floats
-    sums: Floats
-    deviation: Floats
-    most: Floats
-    drift: Floats
-    correlated: Floats
-    late: float
-    rough: Floats
-    unknown: float
-    tolerance: Floats
-    left: Floats
-    persistence: Ints
-    acts: Ints
+    rig: KnownRig  # a force capacity or a range that is not known is infinite
+    fade: float  # factor per step with which sums fade
+    oil_fade: float  # of the sums of relation (3)
+    short: float  # of the second-order work
+    memory: float  # of the largest motion
+    by_force: Floats  # jump of the acceleration by that of a held force, (n, n), 1/kg; 0: a valve
+    noise: Floats  # RMS, as assumed, (4, n)
+    sums: Floats  # noise of the differences of relations (1) to (3), `NOISE_SIGMAS` times RMS,
+    # (3, n); infinite where not watched
+    deviation: Floats  # of gain, delay (s) and bias of each relation at the beginning, (3, 3, n)
+    most: Floats  # largest values of these
+    drift: Floats  # growth of their variances in a step
+    correlated: Floats  # so many samples of each relation count as one, (3,)
+    late: float  # time by which a derived velocity is late, s; 0: it is measured
+    still: Floats  # noise of a change of x less what v expects, `NOISE_SIGMAS` times RMS, (n,), m
+    rough: Floats  # likewise of the second difference of r, (n,), N
+    unknown: float  # 0; infinite if the specimen is not known
+    persistence: Ints  # samples for which a detector must be beyond its threshold, (D,)
+    acts: Ints  # whether it ends the test, (D,); 0: it only warns
     judge: JudgeParameters
 
 
 class DetectorState(NamedTuple):
-    """State of the detectors.
+    """State of the detectors: arrays of zeros, see `zeros_of`."""
 
-    Attributes
-    ----------
-    last : ndarray
-        The last sample, shape (4, n).
-    flow : ndarray
-        Mean flow of the valve without load since the last sample, m/s, and its change per delay,
-        m/s^2; shape (2, n).
-    estimated, covariance : ndarray
-        Estimated gain, delay and bias of relations (1) to (3), see `relation_following`; shapes
-        (3, 3, n) and (3, n, 3, 3).
-    scatter : ndarray
-        See `remember`, shape (3, 2, n).
-    sent : ndarray
-        Past commands, the newest first, shape (n, m), V.
-    sums : ndarray
-        Of relations (1) to (3), see `relation_following`; shape (3, 4, n).
-    rise : ndarray
-        Last change of the acceleration, largest recent change of that, and the sum of the jumps by
-        a held force, m/s^2, shape (3, n).
-    largest : ndarray
-        Largest recent values: of these sums, and of r; shape (4, n).
-    restoring : ndarray
-        r at the last sample, its last change, and the present r; shape (3, n), N.
-    work : ndarray
-        Sums of dr dx, of dx K dx and of squares of its noise, shape (3,).
-    farthest, carried : ndarray
-        In both directions, the farthest displacement, shape (2, n), x K x there in N m, and the
-        force in sqrt(N m), shape (2, 2), see `look_at_strength`.
-    response : ndarray
-        Sums of squares of the changes of f and of M_c a, shape (2, n), N^2.
-    bends : ndarray
-        Second difference of r while it is beyond its threshold, N, and the recent frequency of its
-        changes of sign; shape (2, n).
-    repeats : ndarray
-        Number of repetitions of the last value of a channel, shape (4, n).
-    mean : ndarray
-        That flow under the last load, as the estimates expect it, shape (n,), m/s.
-    counts : ndarray
-        Samples for which each detector has been beyond its threshold, shape (D, n).
-    shares : ndarray
-        Largest part of its threshold that each has reached, shape (D, n).
-    found : ndarray
-        Value of each detector when it last acted, and its threshold; shape (2, D, n).
-    step : ndarray
-        Steps of the last sample, the last turn of the motion and the last sample at the end of
-        each channel's range, shape (6,); a large negative number at the beginning.
-    judge : JudgeState
-        Of the judge.
-    """
-
-    last: Floats
-    flow: Floats
-    estimated: Floats
-    covariance: Floats
-    scatter: Floats
-    sent: Floats
-    sums: Floats
-    rise: Floats
-    largest: Floats
-    restoring: Floats
-    work: Floats
-    farthest: Floats
-    carried: Floats
-    response: Floats
-    bends: Floats
-    repeats: Ints
-    mean: Floats
-    counts: Ints
-    shares: Floats
-    found: Floats
-    step: Ints
+    last: Annotated[Floats, 4, "n"]  # the last sample
+    flow: Annotated[Floats, 2, "n"]  # mean of the valve without load since then, m/s, and its
+    # change per delay, m/s^2
+    estimated: Annotated[Floats, 3, 3, "n"]  # gain, delay, bias of (1) to (3)
+    covariance: Annotated[Floats, 3, "n", 3, 3]  # of these
+    scatter: Annotated[Floats, 3, 2, "n"]  # see `remember`
+    sent: Annotated[Floats, "n", "m"]  # past commands, the newest first, V
+    sums: Annotated[Floats, 3, 4, "n"]  # of (1) to (3), see `relation_following`
+    rise: Annotated[Floats, 3, "n"]  # last change of a, largest recent change of that, and sum of
+    # the jumps by a held force, m/s^2
+    largest: Annotated[Floats, 4, "n"]  # recent values of these sums, and of r
+    restoring: Annotated[Floats, 2, "n"]  # r at the last sample, and now, N
+    changes: Annotated[Floats, "n", 2, 2]  # of r, N, and x, m, in the last two periods
+    work: Annotated[Floats, 3]  # sums of dr dx, of dx K dx and of squares of its noise
+    farthest: Annotated[Floats, 2, "n"]  # displacement in both directions, see `look_at_strength`
+    carried: Annotated[Floats, 2, 2]  # x K x there, N m, and the force, sqrt(N m)
+    repeats: Annotated[Ints, 4, "n"]  # of the last value of a channel
+    mean: Annotated[Floats, "n"]  # that flow under the last load, as expected, m/s
+    counts: Annotated[Ints, "D", "n"]  # samples for which each has been beyond its threshold
+    shares: Annotated[Floats, "D", "n"]  # largest part of its threshold that each has reached
+    found: Annotated[Floats, 2, "D", "n"]  # value of each when it last acted, and its threshold
+    step: Annotated[Ints, 6]  # of the last sample, turn of the motion, and end of each range
     judge: JudgeState
 
 
@@ -228,57 +142,25 @@ def persistence_of(detector: Detector, dt: float) -> int:
 
 
 def detector_arrays(
-    noise: Floats,
-    limits: Floats,
-    ranges: Floats,
-    velocity_is_derived: bool,
-    actuator: Floats,
-    past: Floats,
-    has_valve: bool,
-    mass: Floats,
-    stiffness: Floats,
-    computed_mass: Floats,
-    warn_only: Sequence[str],
-    largest_drive: float,
-    dt: float,
+    known: KnownRig, warn_only: Sequence[str], zeroed: Mapping[str, Any] | None = None
 ) -> tuple[DetectorParameters, DetectorState]:
-    """Put the detectors of n axes into arrays.
+    """Put the detectors of a rig into arrays; some only warn.
 
-    Parameters
-    ----------
-    noise : ndarray
-        RMS noise of displacement, velocity, acceleration and force, shape (4, n); 0: not known.
-    limits : ndarray
-        Their largest values, shape (4,).
-    ranges : ndarray
-        Largest value that each sensor can measure, shape (4, n); 0: not known.
-    velocity_is_derived : bool
-        Whether the velocity is derived from the displacement.
-    actuator, past : ndarray
-        See `DetectorParameters`; a flow gain or an oil stiffness of 0 is not known.
-    has_valve : bool
-        Whether these valves drive the rig.
-    mass, stiffness, computed_mass : ndarray
-        Shape (n, n), kg, N/m and kg.
-    warn_only : sequence of str
-        Names of the detectors that do not end a test.
-    largest_drive : float
-        Of a valve, V.
-    dt : float
-        Sampling period, s.
+    ``zeroed`` is what the rig measured at rest, see `seft_plant_sim.calibration.zeroed_at_rest`.
     """
+    noise, limits, dt, mass = known.noise, known.limits, known.dt, known.mass
+    has_valve, velocity_is_derived = known.has_valve, known.velocity_is_derived
     n, fade, oil_fade = noise.shape[1], fade_of_sums(dt), math.exp(-dt / _OIL_MEMORY)
-    short = math.exp(-1.0 / max(SHORT / dt, FEWEST))
     x, v, a, f = assumed_noise(noise, limits, velocity_is_derived, dt)
-    known = has_valve & (actuator[:, 0] > 0.0) & (actuator[:, 1] > 0.0)
-    actuator = actuator.copy()
-    actuator[~known, 1] = 1.0
+    actuator, ranges = known.actuator.copy(), np.where(known.ranges > 0.0, known.ranges, np.inf)
+    is_known = has_valve & (actuator[:, 0] > 0.0) & (actuator[:, 1] > 0.0)
+    actuator[~is_known, 1] = 1.0
     actuator[actuator[:, 3] <= 0.0, 3] = np.inf
-    oil, one = np.where(known, f / actuator[:, 1], np.inf), np.ones(n)
+    oil, one = np.where(is_known, f / actuator[:, 1], np.inf), np.ones(n)
     sums = np.array([noise_of_sums(x, dt * v, dt), noise_of_sums(v, dt * a, dt)])
     of_oil = np.hypot(x, oil) * math.sqrt(2.0 / (1.0 + oil_fade))
     late = UNCERTAIN_DELAY if velocity_is_derived else 0.0
-    null = np.where(known, NULL * actuator[:, 0] * largest_drive, 0.0)
+    null = np.where(is_known, NULL * actuator[:, 0] * known.largest_drive, 0.0)
     most = np.array(
         [
             [TOLERANCES[0] * one, (CHANNELS_APART + late) * one, BIAS * v],
@@ -289,75 +171,50 @@ def detector_arrays(
     deviation = most.copy()
     deviation[:2, :2] /= NOISE_SIGMAS
     deviation[2] = UNCERTAIN_GAIN * one, UNCERTAIN_DELAY * one, null
-    unknown = 0.0 if mass.any() and stiffness.any() else math.inf
+    unknown = 0.0 if mass.any() and known.stiffness.any() else math.inf
     by_force = np.zeros_like(mass) if has_valve or not mass.any() else np.linalg.inv(mass)
     lasts = np.array([persistence_of(each, dt) for each in DETECTORS])
+    rest = np.array(
+        [np.zeros_like(noise), np.hypot([x, v, a, f], MAX_BIAS * limits[:, np.newaxis])]
+    )
+    if zeroed is not None:
+        rest[0] = [zeroed["left"][name] for name in CHANNELS]
+        rest[1] = math.sqrt(1.0 + BIAS * BIAS) * np.array([x, v, a, f])
     judging, judged = judge_arrays(
         np.array([x, v, a, f]),
-        np.transpose([np.where(known, actuator[:, 1], 0.0), actuator[:, 2]]),
+        rest,
+        np.transpose([np.where(is_known, actuator[:, 1], 0.0), actuator[:, 2]]),
         mass,
-        stiffness,
-        np.where(ranges > 0.0, ranges, np.inf),
+        known.stiffness,
+        ranges,
+        np.where(known.steps > 0.0, known.steps, np.inf),
         late,
-        NOISE_SIGMAS,
         dt,
     )
     lasts[WRONG:] = 1  # they count by themselves
-    acts = [each.name not in warn_only for each in DETECTORS]
     parameters = DetectorParameters(
-        dt=dt,
+        rig=known._replace(actuator=actuator, ranges=ranges),
         fade=fade,
         oil_fade=oil_fade,
-        short=short,
+        short=math.exp(-1.0 / max(SHORT / dt, FEWEST)),
         memory=math.exp(-dt / MOTION_MEMORY),
-        actuator=actuator,
-        past=past,
-        has_valve=has_valve,
-        mass=mass,
-        stiffness=stiffness,
         by_force=by_force,
-        computed_mass=computed_mass,
         noise=np.array([x, v, a, f]),
-        dither=noise,
-        range=judging.range,
         sums=NOISE_SIGMAS * np.vstack([sums, of_oil]),
         deviation=deviation,
         most=most,
         drift=(ESTIMATE_DRIFT * deviation) ** 2 * dt,
         correlated=np.maximum(1.0, np.array([_MEMORY, _MEMORY, _OIL_MEMORY]) / dt),
-        late=judging.late,
-        rough=judging.noise[3] + unknown,
+        late=late,
+        still=NOISE_SIGMAS * np.hypot(math.sqrt(2.0) * x, dt * v / math.sqrt(2.0)),
+        rough=NOISE_SIGMAS * np.sqrt(6.0 * (f**2 + mass**2 @ a**2)) + unknown,
         unknown=unknown,
-        tolerance=np.array(TOLERANCES),
-        left=np.array(UNDESCRIBED),
         persistence=lasts,
-        acts=np.array(acts, dtype=np.int64),
+        acts=np.array([each.name not in warn_only for each in DETECTORS], dtype=np.int64),
         judge=judging,
     )
-    state = DetectorState(
-        last=np.zeros((4, n)),
-        flow=np.zeros((2, n)),
-        estimated=np.zeros((3, 3, n)),
-        covariance=np.zeros((3, n, 3, 3)),
-        scatter=np.zeros((3, 2, n)),
-        sent=np.zeros_like(past[:, 0]),
-        sums=np.zeros((3, 4, n)),
-        rise=np.zeros((3, n)),
-        largest=np.zeros((4, n)),
-        restoring=np.zeros((3, n)),
-        work=np.zeros(3),
-        farthest=np.zeros((2, n)),
-        carried=np.zeros((2, 2)),
-        response=np.zeros((2, n)),
-        bends=np.zeros((2, n)),
-        repeats=np.zeros((4, n), dtype=np.int64),
-        mean=np.zeros(n),
-        counts=np.zeros((len(DETECTORS), n), dtype=np.int64),
-        shares=np.zeros((len(DETECTORS), n)),
-        found=np.zeros((2, len(DETECTORS), n)),
-        step=np.zeros(6, dtype=np.int64),
-        judge=judged,
-    )
+    sizes = {"n": n, "m": known.past.shape[2], "D": len(DETECTORS)}
+    state = DetectorState(**zeros_of(DetectorState, sizes), judge=judged)
     return parameters, state
 
 
@@ -365,8 +222,7 @@ SAMPLE, TURN_AT, AT_RANGE = range(3)
 """Places of `DetectorState.step`."""
 DISPLACEMENT_VELOCITY, VELOCITY_ACCELERATION, OIL = range(3)
 """Relations (1) to (3)."""
-DIFFERS, SECOND_ORDER_WORK, WEAKENS, ROUGH, JUMP = 0, *range(3, 7)
-NO_RESPONSE, FROZEN, WRONG = 7, 8, 12
+DIFFERS, SECOND_ORDER_WORK, WEAKENS, JUMP, FROZEN, WRONG = 0, 3, 4, 5, 6, 10
 """Rows of the detectors: sums of three relations, ..., four frozen and four wrong channels."""
 
 

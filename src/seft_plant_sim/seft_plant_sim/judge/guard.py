@@ -1,6 +1,6 @@
 """The guard of a rig: it calibrates, aligns and judges each sample, and ends a test at a fault."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from seft_plant_sim.channels import Derivation, converters, velocity_is_derived
 from seft_plant_sim.compiled import entry_point
 from seft_plant_sim.judge.detection import detectors_of
 from seft_plant_sim.judge.detector_list import DETECTORS, describe
-from seft_plant_sim.judge.detectors import DetectorParameters, DetectorState
+from seft_plant_sim.judge.detectors import WRONG, DetectorParameters, DetectorState
 from seft_plant_sim.judge.guard_step import (
     DETECTED,
     DRIVE_ROW,
@@ -69,7 +69,7 @@ class Guard:
         axes: Sequence[str],
     ) -> None:
         self.limits, self._axes, self._saturated_time = limits, tuple(axes), saturated_time
-        n, dt = len(self._axes), detectors[0].dt
+        n, dt = len(self._axes), detectors[0].rig.dt
         blind, window = event_ring(saturated_time, dt)
         self.parameters = GuardParameters(
             calibration[0], derivation, ranges, limits.values, window, detectors[0]
@@ -85,14 +85,20 @@ class Guard:
             detectors=detectors[1],
         )
         both, sample = (self.parameters, self.state), np.zeros((DRIVE_ROW + 1, n))
-        self._begin = entry_point(begin_guard, *both)
         self._step = entry_point(guard_step, *both, 0, np.zeros((4, n)), sample[0], sample)
 
     @classmethod
     def from_parameters(
-        cls, section: dict[str, Any], axes: tuple[str, ...], rig: RigAxes, dt: float
+        cls,
+        section: dict[str, Any],
+        axes: tuple[str, ...],
+        rig: RigAxes,
+        dt: float,
+        zeroed: Mapping[str, Any] | None = None,
     ) -> "Guard":
         """Make it from the rig's section of an experiment, which is for all axes.
+
+        ``zeroed`` is what it measured at rest, see `seft_plant_sim.calibration.zeroed_at_rest`.
 
         Raises
         ------
@@ -107,7 +113,7 @@ class Guard:
             ranges,
             Limits(group(section, "limits"), rig.axes, dt),
             section["limits.saturated_time"],
-            detectors_of(section, axes, dt, rig.places),
+            detectors_of(section, axes, dt, rig.places, zeroed),
             rig.axes,
         )
 
@@ -120,12 +126,22 @@ class Guard:
 
     def reset(self) -> None:
         """Begin a new test."""
-        self._begin(self.parameters, self.state)
+        begin_guard(self.parameters, self.state)
 
     def take(self, step: int, measured: Floats, drive: Floats, sample: Floats) -> int:
         """Take a sample, see `guard_step`."""
         found: int = self._step(self.parameters, self.state, step, measured, drive, sample)
         return found
+
+    def spares_target(self, found: int) -> bool:
+        """Say whether what ends the test left the target unspoiled: no wrong value was used.
+
+        ``found`` is the result of its step.
+        """
+        row = int(self.state.counts[DETECTED]) // len(self._axes)
+        judge = self.state.detectors.judge
+        is_recent = judge.used[0] > judge.step[0] - len(judge.replaced)
+        return found & FAULT != 0 and row >= WRONG and not is_recent
 
     def violation(self, found: int) -> str | None:
         """Say why the test must end with the last sample; ``found`` is the result of its step."""

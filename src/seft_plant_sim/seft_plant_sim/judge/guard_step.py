@@ -9,7 +9,7 @@ from seft_plant_sim.calibration import Calibration, CalibrationState, calibrate
 from seft_plant_sim.channels import Derivation, derive_velocity
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.judge.detector_step import begin_detectors, judge_sample
-from seft_plant_sim.judge.detectors import SUSPECT, DetectorParameters, DetectorState
+from seft_plant_sim.judge.detectors import VALID, DetectorParameters, DetectorState
 from seft_plant_sim.limits import exceeds, is_exceeded
 
 SUSPECT_ROW, DRIVE_ROW = 4, 5
@@ -85,7 +85,6 @@ class GuardState(NamedTuple):
     detectors: DetectorState
 
 
-@compiled
 def begin_guard(parameters: GuardParameters, state: GuardState) -> None:
     """Begin a test."""
     state.counts[:] = 0
@@ -145,7 +144,7 @@ def guard_step(
     if counts[DETECTED] >= 0:
         found |= FAULT
     for i in range(n):
-        sample[SUSPECT_ROW, i] = 1.0 if counts[DETECTED] == SUSPECT else 0.0
+        sample[SUSPECT_ROW, i] = 1.0 if counts[DETECTED] != VALID else 0.0
         sample[DRIVE_ROW, i] = drive[i]
         for row in range(4):
             state.measured[row, i] = measured[row, i]

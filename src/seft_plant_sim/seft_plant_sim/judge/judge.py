@@ -1,16 +1,128 @@
-"""Parameters and state of the judge, whose step is `judge`."""
+"""Parameters and state of the judge, whose step is `judge`: records, one of each axis."""
 
 import math
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Annotated, Any, NamedTuple, get_type_hints
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 
 RECENT_MEMORY, BRIEF_MEMORY, EVENT_MEMORY = 0.3, 0.05, 3.0
-"""Time constants, s, of the memory of the largest force and difference, of the largest change in a
-sample, and of the jumps of a specimen: a quarter of a cycle at 1 Hz, ..., three cycles at 1 Hz."""
+"""Time constants, s, of the memory of the largest force and motion of the oil, of the largest
+change in a sample, and of what the test has shown: a quarter of a cycle at 1 Hz, ..., three cycles
+at 1 Hz."""
 LASTS, WINDOW = 0.006, 0.05
 """Duration of wrong samples (three at least) within a time, s, that ends the test."""
+BIAS = 2.0
+"""Largest constant error of a sensor that is no fault, over its RMS noise."""
+ASSUMED = np.array([0.1 / 3.0, 0.1 / 3.0, 0.1])
+"""Part of the motion that relations (1) to (3) leave, RMS, before the test has shown it: a
+calibration error of 10 % as three standard deviations; a valve whose flow is followed."""
+ANY = 2.0 / math.sqrt(2.0 * math.pi)
+"""Standard deviation of a wrong value over its sensor's range: as dense as if all were alike."""
+UNKNOWN = 1e9
+"""Standard deviation of what nothing is known of, in any unit."""
+
+SETS = np.array(
+    [
+        *(0, 0b000001, 0b000010, 0b000100, 0b001000, 0b010000, 0b100000, 0b110000),
+        *(0b000011, 0b000101, 0b001001, 0b000110, 0b001010, 0b001100),
+        *(0b000111, 0b001011, 0b001101, 0b001110, 0b001111),
+        *(0b100001, 0b100010, 0b100100, 0b101000, 0b010001, 0b010010, 0b010100, 0b011000),
+    ],
+    dtype=np.int64,
+)
+"""The hypotheses: sets of unknowns. Bits: x, v, a, f wrong, events of oil and specimen."""
+ALIVE = 6
+"""Histories of an axis that are kept: the four channels, an event and the sound one."""
+REVISED = 3
+"""Samples after which a decision is final."""
+CANDIDATES = ALIVE * len(SETS)
+
+Record = Any
+"""A record of these types, or an array of them: numpy's types do not tell their fields."""
+BRANCH = np.dtype(
+    [
+        ("weight", "f8"),  # logarithm of its likelihood over that of the first
+        ("value", "f8", (2, 4)),  # the channels at the last sample and at the one before
+        ("variance", "f8", (2, 4)),  # of these
+        ("restoring", "f8", (2,)),  # r at these, N
+        ("blur", "f8", (2,)),  # variance of r, N^2
+        ("settling", "f8"),  # variance of r that an event has left, N^2
+        ("event", "f8", (3,)),  # jumps of r at the last samples, N
+        ("wrong", "i8", (1 + REVISED,)),  # sets at the last samples
+    ]
+)
+"""A history of an axis that is possible."""
+AXIS_STATE = np.dtype(
+    [
+        ("alive", BRANCH, (ALIVE,)),  # after the last sample, the likeliest first
+        ("made", BRANCH, (ALIVE,)),  # by the present sample
+        ("count", "i8"),  # of those alive
+        ("travel", "f8"),  # largest recent dt |v|, m
+        ("gained", "f8"),  # ... dt |a|, m/s
+        ("turned", "f8"),  # ... second difference of a, m/s^2
+        ("pressed", "f8"),  # ... change of the oil's force by flow or motion in a period, N
+        ("strained", "f8"),  # ... |r|, N
+        ("rise", "f8"),  # last change of a, m/s^2
+        ("part", "f8", (3,)),  # mean square of what (1) to (3) leave, over that of the motion
+        ("missed", "f8", (3,)),  # recent squares of what (1) to (3) leave, less noise
+        ("motion", "f8", (3,)),  # ... of the motion that they describe
+        ("usual", "f8", (2, 4)),  # variances of the channels of the last two samples
+        ("blur", "f8", (4, 4)),  # covariance of the residuals by these
+        ("scatter", "f8", (2,)),  # recent variance of (3), if the oil is not known, and of (4), N^2
+        ("asked", "f8", (2,)),  # the last reference forces, N
+        ("asked_jump", "f8"),  # their largest recent change, N
+        ("asked_turn", "f8"),  # ... second difference, N
+        ("known", "f8"),  # largest recent jump of r that a later sample has confirmed, N
+    ]
+)
+"""State of an axis."""
+AXIS_FACTS = np.dtype(
+    [
+        ("dt", "f8"),  # sampling period, s
+        ("recent", "f8"),  # factors per step, see `RECENT_MEMORY`
+        ("brief", "f8"),
+        ("events", "f8"),
+        ("late", "f8"),  # time by which a derived velocity is late, s; 0: it is measured
+        ("noise", "f8", (4,)),  # variance of the channels
+        ("step", "f8", (4,)),  # of the converters; infinite if it is not known
+        ("range", "f8", (4,)),  # largest value of each sensor; infinite if it is not known
+        ("precision", "f8", (4,)),  # inverse variance of a wrong value, see `ANY`
+        ("oil", "f8"),  # k_oil, N/m; 0: not known
+        ("leak", "f8"),  # lambda, 1/s
+        ("mass", "f8"),  # its own of the specimen, kg; 0: not known
+        ("stiffness", "f8"),  # likewise, N/m
+        ("now", "f8", (4, 4)),  # L of the relations, see `judge_step`
+        ("before", "f8", (4, 4)),  # D
+        ("orders", "f8"),  # logarithm of the orders of magnitude (factors of e) of an event
+    ]
+)
+"""What is known of an axis."""
+JUDGE_ROOM = np.dtype(
+    [
+        ("noise", "f8", (4,)),  # variance of the channels, with the converter's
+        ("seen", "f8", (4,)),  # the sample
+        ("forced", "i8"),  # channels without a number, and those at their ends four bits higher
+        ("beside", "f8"),  # force by the acceleration of other axes, N
+        ("doubt", "f8"),  # its variance, N^2
+        ("off", "f8", (4,)),  # residuals e of the relations
+        ("left", "f8", (4,)),  # their variance Q
+        ("covariance", "f8", (4, 4)),  # S, of which the lower half is used
+        ("root", "f8", (4, 4)),  # its Cholesky factor C
+        ("whitened", "f8", (4, 7)),  # C^-1 times the columns of channels, events, and e
+        ("gram", "f8", (7, 7)),  # products of these columns
+        ("factor", "f8", (6, 6)),  # Cholesky factor of a set's part of them
+        ("solution", "f8", (6,)),
+        ("chosen", "i8", (6,)),  # places of the set's unknowns
+        ("branch", "i8", (CANDIDATES,)),  # of a candidate
+        ("which", "i8", (CANDIDATES,)),  # its set
+        ("likelihood", "f8", (CANDIDATES,)),  # its weight
+        ("amplitude", "f8", (CANDIDATES, 6)),  # its unknowns
+        ("spread", "f8", (CANDIDATES, 6)),  # their variances
+    ]
+)
+"""Room to compare a sample of an axis with a branch."""
 
 
 class JudgeParameters(NamedTuple):
@@ -18,103 +130,57 @@ class JudgeParameters(NamedTuple):
 
     Attributes
     ----------
-    dt : float
-        Sampling period, s.
-    recent, brief, events : float
-        Factors per step, see `RECENT_MEMORY`.
-    late : float
-        Time by which a derived velocity is late, s; 0: it is measured.
-    noise : ndarray
-        Largest difference of (1) to (4) by noise alone, shape (4, n), m, m/s, N, N.
-    oil : ndarray
-        k_oil, N/m, and lambda, 1/s, shape (n, 2); k_oil 0: not known.
-    mass, inverse : ndarray
-        M and its inverse, shape (n, n), kg and 1/kg; 0: not known.
-    stiffness : ndarray
-        Of the assumed specimen, shape (n, n), N/m.
-    range : ndarray
-        Largest value that each sensor can measure, shape (4, n); infinite if it is not known.
-    window : int
-        Steps in which so many wrong samples end the test as `JudgeState.wrong` has places.
+    axes, rest : recarray
+        `AXIS_FACTS` of each axis, and its `AXIS_STATE` before step 0; shape (n,).
+    mass : ndarray
+        Of the assumed specimen, shape (n, n), kg; 0: not known.
+    most : int
+        Replaced values of a channel that end the test, see `JudgeState.counts`.
     """
 
-    dt: float
-    recent: float
-    brief: float
-    events: float
-    late: float
-    noise: Floats
-    oil: Floats
+    axes: Record
+    rest: Record
     mass: Floats
-    inverse: Floats
-    stiffness: Floats
-    range: Floats
-    window: int
+    most: int
 
 
 class JudgeState(NamedTuple):
-    """State of the judge.
+    """State of the judge, see `zeros_of`."""
 
-    Attributes
-    ----------
-    judged : ndarray
-        The last two judged samples, the newest first, shape (2, 4, n).
-    restoring : ndarray
-        r at these, shape (2, n), N.
-    usual : ndarray
-        Largest recent differences of (3) and (4) that were accepted, shape (2, n), N.
-    asked : ndarray
-        The last two reference forces, the newest first, and their largest recent second
-        difference; shape (3, n), N.
-    moves : ndarray
-        Largest recent dt |v| and dt |a|, and the largest recent |r|; shape (3, n).
-    doubt : ndarray
-        Largest error of the last force if it was replaced, shape (n,), N.
-    jump : ndarray
-        Largest recent jump of the acceleration that the velocity has confirmed, shape (n,), m/s^2.
-    off : ndarray
-        Difference of (4), N, the expected acceleration, its jump beyond the gate, and that of the
-        sample before if it was replaced, m/s^2; shape (4, n).
-    verdict : ndarray
-        Whether each value of the last sample was replaced, shape (4, n).
-    wrong : ndarray
-        Steps of the last replaced values, ring buffers, shape (4, n, m).
-    counts : ndarray
-        Number of replaced values so far, shape (4, n).
-    resolution : ndarray
-        Least change of a channel so far, shape (4, n); infinite at the beginning.
-    raw, moved : ndarray
-        The last sample as measured, and the magnitude of its change; shape (4, n).
-    taken : ndarray
-        Step of the last sample, number of samples in a row, and step of the last sample in which an
-        acceleration was at the end of its range; shape (3,).
-    """
+    step: Annotated[Ints, 1]  # of the last sample
+    taken: Annotated[Ints, 1]  # samples so far
+    axes: Annotated[Record, AXIS_STATE, "n"]
+    room: Annotated[Record, JUDGE_ROOM, 1]
+    raw: Annotated[Floats, 4, "n"]  # the last sample as measured
+    moved: Annotated[Floats, 4, "n"]  # magnitude of its change
+    resolution: Annotated[Floats, 4, "n"]  # least change of a channel so far; infinite: none
+    restoring: Annotated[Floats, "n"]  # r at the last judged sample, N
+    replaced: Annotated[Ints, "window", "n"]  # sets of channels at the last samples, a ring buffer
+    counts: Annotated[Ints, 4, "n"]  # of the replaced values in these
+    used: Annotated[Ints, 1]  # step of the last value that was found wrong after its use
 
-    judged: Floats
-    restoring: Floats
-    usual: Floats
-    asked: Floats
-    moves: Floats
-    doubt: Floats
-    jump: Floats
-    off: Floats
-    verdict: Ints
-    wrong: Ints
-    counts: Ints
-    resolution: Floats
-    raw: Floats
-    moved: Floats
-    taken: Ints
+
+def zeros_of[T](of: type[T], sizes: Mapping[str, int]) -> dict[str, Any]:
+    """Make the arrays of a NamedTuple by their types: shapes with these sizes; others are left."""
+    found: dict[str, Any] = {}
+    for name, hint in get_type_hints(of, include_extras=True).items():
+        if shape := [sizes.get(each, each) for each in getattr(hint, "__metadata__", ())]:
+            if isinstance(shape[0], np.dtype):
+                found[name] = np.zeros(shape[1:], shape[0]).view(np.recarray)
+            else:
+                found[name] = np.zeros(shape, np.int64 if hint.__origin__ is Ints else np.float64)
+    return found
 
 
 def judge_arrays(
     noise: Floats,
+    rest: Floats,
     oil: Floats,
     mass: Floats,
     stiffness: Floats,
     ranges: Floats,
+    steps: Floats,
     late: float,
-    sigmas: float,
     dt: float,
 ) -> tuple[JudgeParameters, JudgeState]:
     """Put the judge of n axes into arrays.
@@ -123,51 +189,38 @@ def judge_arrays(
     ----------
     noise : ndarray
         RMS noise of displacement, velocity, acceleration and force, shape (4, n).
-    oil, mass, stiffness, late, ranges
-        See `JudgeParameters`.
-    sigmas : float
-        Largest noise over its RMS.
-    dt : float
-        Sampling period, s.
+    rest : ndarray
+        Mean and standard deviation of the channels before step 0, shape (2, 4, n).
+    oil : ndarray
+        k_oil, N/m, and lambda, 1/s, shape (n, 2); k_oil 0: not known.
+    mass, stiffness : ndarray
+        Of the assumed specimen, shape (n, n), kg and N/m; 0: not known.
+    ranges, steps, late, dt
+        See `AXIS_FACTS`; the first two of shape (4, n).
     """
-    n, (x, v, a, f) = noise.shape[1], noise
-    known = oil[:, 0] > 0.0
-    by_oil = np.hypot(math.sqrt(2.0) * f, np.where(known, oil[:, 0] * dt * v / math.sqrt(2.0), 0.0))
-    by_noise = [
-        np.hypot(math.sqrt(2.0) * x, dt * v / math.sqrt(2.0)),
-        np.hypot(math.sqrt(2.0) * v, dt * a / math.sqrt(2.0)),
-        np.where(known, by_oil, math.sqrt(6.0) * f),
-        np.sqrt(6.0 * (f**2 + mass**2 @ a**2)),
-    ]
-    parameters = JudgeParameters(
-        dt=dt,
-        recent=math.exp(-dt / RECENT_MEMORY),
-        brief=math.exp(-dt / BRIEF_MEMORY),
-        events=math.exp(-dt / EVENT_MEMORY),
-        late=late,
-        noise=sigmas * np.array(by_noise),
-        oil=np.ascontiguousarray(oil),
-        mass=mass,
-        inverse=np.linalg.inv(mass) if mass.any() else np.zeros_like(mass),
-        stiffness=stiffness,
-        range=ranges,
-        window=round(WINDOW / dt),
-    )
-    state = JudgeState(
-        judged=np.zeros((2, 4, n)),
-        restoring=np.zeros((2, n)),
-        usual=np.zeros((2, n)),
-        asked=np.zeros((3, n)),
-        moves=np.zeros((3, n)),
-        doubt=np.zeros(n),
-        jump=np.zeros(n),
-        off=np.zeros((4, n)),
-        verdict=np.zeros((4, n), dtype=np.int64),
-        wrong=np.zeros((4, n, max(3, math.ceil(LASTS / dt - 1e-9))), dtype=np.int64),
-        counts=np.zeros((4, n), dtype=np.int64),
-        resolution=np.zeros((4, n)),
-        raw=np.zeros((4, n)),
-        moved=np.zeros((4, n)),
-        taken=np.zeros(3, dtype=np.int64),
-    )
-    return parameters, state
+    n, half, bend = noise.shape[1], 0.5 * dt, dt * dt / 12.0
+    state = JudgeState(**zeros_of(JudgeState, {"n": n, "window": round(WINDOW / dt)}))
+    axes, begun = np.zeros(n, AXIS_FACTS).view(np.recarray), state.axes.copy()
+    axes.dt, axes.late, axes.noise, axes.range = dt, late, noise.T**2, ranges.T
+    axes.step = steps.T
+    axes.recent, axes.brief = math.exp(-dt / RECENT_MEMORY), math.exp(-dt / BRIEF_MEMORY)
+    axes.events, axes.oil, axes.leak = math.exp(-dt / EVENT_MEMORY), *oil.T
+    axes.mass, axes.stiffness = np.diag(mass), np.diag(stiffness)
+    axes.precision = (ANY * np.minimum(ranges.T, UNKNOWN)) ** -2.0
+    axes.orders = np.log(1.0 + np.log(np.clip(2.0 * ranges[3] / noise[3], 1.0, UNKNOWN)))
+    for one in range(n):
+        k, m, leak = oil[one, 0], mass[one, one], oil[one, 1] * dt
+        axes.now[one] = (
+            *((1.0, -half, bend, 0.0), (0.0, 1.0, -half, 0.0)),
+            *((0.0, half * k, -bend * k, 1.0), (0.0, 0.0, -m, 1.0)),
+        )
+        axes.before[one] = (
+            *((1.0, half, bend, 0.0), (0.0, 1.0, half, 0.0)),
+            *((0.0, -half * k, -bend * k, 1.0 - leak if k else 2.0), (0.0, 0.0, 0.0, 0.0)),
+        )
+    begun.count, begun.part, first = 1, ASSUMED**2, begun.alive[:, 0]
+    first["value"], first["variance"] = (rest[k].T[:, np.newaxis] ** (1 + k) for k in range(2))
+    own = np.diag(mass)
+    first["restoring"] = (rest[0, 3] - own * rest[0, 2])[:, np.newaxis]
+    first["blur"] = (rest[1, 3] ** 2 + own**2 * rest[1, 2] ** 2)[:, np.newaxis]
+    return JudgeParameters(axes, begun, mass, max(3, math.ceil(LASTS / dt - 1e-9))), state

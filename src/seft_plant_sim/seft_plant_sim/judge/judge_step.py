@@ -1,73 +1,93 @@
-"""The judge: each sample is compared with what the other channels expect, before anything uses it.
+"""The judge: each sample is judged by likelihood, before anything uses it.
 
 With displacement x, velocity v, acceleration a, actuator force f, the specimen's force r = f - M a
-and the valve's flow w, the last sample (index 1) and the one before it (2), one expects
+and the valve's flow w, four relations tie a sample of an axis to the ones before (indices 1, 2);
+k_oil and lambda are those of the oil, and dt is h::
 
-    x = x1 + dt (v + v1) / 2                                                               (1)
-    v = v1 + dt (a + a1) / 2                                                               (2)
-    f = f1 + dt k_oil (w - (v + v1) / 2) - dt lambda f1; 2 f1 - f2 if the oil is not known (3)
-    r = 2 r1 - r2, so that a = M^-1 (f - r)                                                (4)
+    x = x1 + h (v + v1) / 2 - h^2 (a - a1) / 12                                            (1)
+    v = v1 + h (a + a1) / 2                                                                (2)
+    f = f1 + k_oil (h w - h (v + v1) / 2 + h^2 (a - a1) / 12) - h lambda f1                (3)
+        or 2 f1 - f2 if the oil is not known
+    r = 2 r1 - r2                                                                          (4)
 
-One wrong channel makes two of these fail, each another pair, and is replaced by its expected value:
-the displacement (1) alone; the velocity (1), (2) and (3), but not (4); the force (3) and (4) by the
-same amount; the acceleration (2) and (4). The specimen itself makes (4) fail when it sticks, slips,
-yields or hits a stop: then the velocity follows the acceleration. If it does not do so yet, the
-acceleration is replaced; in the next sample the velocity decides. Jumps that it has confirmed are
-expected from then on.
+in short L y = D y1 + ... + u, where the covariance of u is the diagonal Q: what the relations leave
+out. Of a measured sample z = y + noise + wrong, the residuals e = L z - D y1 - ... have the
+covariance S = Q + L R L' + D P D', with the variances R of the noise and P of the last values.
 
-A sample is compared with the judged one before, so that the second wrong sample in a row is found
-like the first. More than a few in a short time end the test.
+A hypothesis is a set of unknown amplitudes b: of wrong channels, which add L b to e, of an event of
+the specimen (it sticks, slips, yields, hits a stop), which adds to (4), and of the oil, to (3). Its
+weight is its prior times the likelihood of e, b integrated out: a wrong value is normal, as wide as
+all that its sensor can show; an event is of any order of magnitude (Laplace's method). Histories
+that remain likely live on in branches with states of their own, and the next samples decide: what
+was wrongly accepted is repaired, `REVISED` samples later at most.
+
+A value at the end of its sensor's range is unknown, but beyond that: its hypothesis is weighted by
+the chance of this. Before step 0 the rig is at rest.
 """
+
+import math
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
 
-from seft_plant_sim.compiled import compiled
-from seft_plant_sim.judge.judge import JudgeParameters, JudgeState
+from seft_plant_sim.compiled import compiled, copy
+from seft_plant_sim.judge.judge import (
+    ALIVE,
+    REVISED,
+    SETS,
+    UNKNOWN,
+    JudgeParameters,
+    JudgeState,
+    Record,
+)
+from seft_plant_sim.judge.relation_following import MOTION_TO_NOISE
 
-GATE = 0.15
-"""Part of the largest recent force of the specimen by which r may jump without a confirmation: what
-yielding does in a sample."""
-USUAL = 1.5
-"""Largest difference over the largest recent one that was accepted."""
-SHOWN = 0.2
-"""Part of a jump of the acceleration that the velocity must show at once: it shows the part of the
-period after the jump."""
-CALIBRATION_ERROR = 0.1
-"""Part of the recent change in a sample by which (1) and (2) may fail: calibration, and channels
-2 ms apart at 7 Hz."""
-FLOW = 0.02
-"""Likewise of the oil's change by the valve's flow in (3), beside the differences of before."""
-BOTH = 2.0 / 3.0
-"""Part of the largest noise that is beyond noise if (3) and (4) fail by the same amount."""
+RARE = math.log(1e-6)
+"""Chance that a sample has a wrong channel: of a false alarm."""
+ANOTHER = math.log(1e-2)
+"""Part of the wrong samples in which one more channel is wrong, or all are (a common cause)."""
+LASTS_ON, ENDS = math.log(0.1), math.log(0.9)
+"""Chance that a channel that was wrong in the last samples is wrong in the next, or is not."""
+NEW, KNOWN, GOES_ON = 1e-6, 1e-4, 0.1
+"""Chance of an event of a kind that the test has not shown, as of a wrong channel: both look the
+same until the velocity shows it. Chance of one like those that later samples have confirmed in the
+last seconds, and of one like that of the last three samples."""
+LIKE = 2.0
+"""Size of an event over that of confirmed ones up to which it is like them: twice a friction's."""
+SURE = math.log(1e-4)
+"""Weight of all others below which an event is confirmed."""
+PLAIN = 12.0
+"""chi^2 of the four relations below which no hypothesis but the sound one can reach 1e-4 of the
+weight: exp(PLAIN / 2) times `RARE`, with any amplitude."""
+LEAST = RARE
+"""Logarithm of the least weight of a branch: what is less likely is no alternative."""
+
+LEAST_MISSED, ASSUMED_FOR = 0.002, 0.05
+"""Least such part: a sensor's linearity; the assumed one counts like what a test shows within a
+time, s, in which the motion is `MOTION_TO_NOISE` times the noise."""
+CLIPPED = 4.0
+"""Largest square of a residual that counts for what is left, over its variance."""
 
 COARSEST = 1.0 / 128.0
 """Step of a converter of 8 bits, over its range."""
-
 LONG_AGO = -(2**40)
 NO_NUMBER = 1e9
 """A larger value is no value of a sensor, in any unit."""
 X, V, A, F = range(4)
-"""Rows of a sample."""
+"""Rows of a sample, and relations (1) to (4)."""
+ANY_CHANNEL, FORCES, OIL_EVENT, EVENT = 0b001111, 0b001100, 0b010000, 0b100000
+"""Bits of a set: of its channels, of those of which r is made, and of events."""
+TINY = 1e-60
+"""Least variance, or information: four of them are still numbers."""
+HALF_LOG_TURN = 0.5 * math.log(2.0 * math.pi)
 
 
-@compiled
-def begin_judge(state: JudgeState) -> None:
-    """Begin a test."""
-    state.usual[:] = 0.0
-    state.asked[:] = 0.0
-    state.moves[:] = 0.0
-    state.doubt[:] = 0.0
-    state.jump[:] = 0.0
-    state.off[:] = 0.0
-    state.wrong[:] = LONG_AGO
-    state.counts[:] = 0
-    state.verdict[:] = 0
-    state.resolution[:] = np.inf
-    state.judged[:] = 0.0
-    state.restoring[:] = 0.0
-    state.raw[:] = 0.0
-    state.taken[:] = -2
+def begin_judge(p: JudgeParameters, state: JudgeState) -> None:
+    """Begin a test: the rig is at rest."""
+    for each in state:
+        each[...] = 0
+    state.step[0], state.used[0], state.axes[:] = -1, LONG_AGO, p.rest
+    state.raw[:], state.resolution[:] = p.rest.alive["value"][:, 0, 0].T, p.axes.step.T
 
 
 @compiled
@@ -90,247 +110,542 @@ def judge(
     judged : ndarray
         The result, shape (4, n).
     """
-    n = raw.shape[1]
-    is_next = step == state.taken[0] + 1
-    state.taken[0] = step
-    state.taken[1] = state.taken[1] + 1 if is_next else 0
-    state.verdict[:] = 0
-    for row in range(4):
-        for i in range(n):
-            state.moved[row, i] = abs(raw[row, i] - state.raw[row, i])
-            state.raw[row, i] = raw[row, i]
-            judged[row, i] = raw[row, i]
-            if not abs(raw[row, i]) < NO_NUMBER:
-                state.verdict[row, i] = 1
-                judged[row, i] = state.judged[0, row, i]
-            elif row == A and abs(raw[row, i]) >= p.range[row, i]:
-                state.taken[2] = step
-    if state.taken[1] > 0:
-        for i in range(n):
-            expect_missing(p, state, flow, judged, i)
-        compare_accelerations(p, state, judged)
-        for i in range(n):
-            judge_motion(p, state, judged, i)
-        is_replaced = False
-        for i in range(n):
-            is_replaced |= judge_force(p, state, flow, judged, i)
-        if is_replaced:
-            compare_accelerations(p, state, judged)
-        for i in range(n):
-            judge_acceleration(p, state, judged, i)
-    keep(p, state, judged)
-    for row in range(4):
-        for i in range(n):
-            moved = state.moved[row, i]
-            if state.taken[1] > 0 and 0.0 < moved < state.resolution[row, i]:
-                state.resolution[row, i] = moved
-            is_at_range = (
-                abs(judged[row, i]) >= p.range[row, i] and judged[row, i] * raw[row, i] > 0.0
-            )
-            if state.verdict[row, i] and not is_at_range:  # there the sensor can't do better
-                state.wrong[row, i, state.counts[row, i] % state.wrong.shape[2]] = step
-                state.counts[row, i] += 1
-
-
-@compiled
-def in_noise(p: JudgeParameters, state: JudgeState, relation: int, i: int, channel: int) -> float:
-    """Difference of a relation by noise and by the resolution of its channel."""
-    resolution = state.resolution[channel, i]
-    if resolution == np.inf:  # it has not moved yet: by one step of its converter, if it does now
-        coarsest = p.range[channel, i] * COARSEST
-        resolution = min(state.moved[channel, i], coarsest) if coarsest < np.inf else 0.0
-    return p.noise[relation, i] + 2.0 * resolution
-
-
-@compiled
-def accept(p: JudgeParameters, state: JudgeState, relation: int, i: int, off: float) -> None:
-    """Remember an accepted difference."""
-    state.usual[relation, i] = max(abs(off), p.recent * state.usual[relation, i])
-
-
-@compiled
-def ask(p: JudgeParameters, state: JudgeState, i: int, force: float) -> None:
-    """Know what is asked of a rig that obeys forces: its force will differ as much from (3)."""
-    last, before = state.asked[0, i], state.asked[1, i]
-    turns = abs(force - 2.0 * last + before)
-    state.asked[2, i] = max(turns, p.recent * state.asked[2, i])
-    state.asked[0, i], state.asked[1, i] = force, last
-
-
-@compiled
-def expected_force(
-    p: JudgeParameters, state: JudgeState, flow: Floats, judged: Floats, i: int
-) -> float:
-    """Relation (3)."""
-    f1, f2, oil = state.judged[0, F, i], state.judged[1, F, i], p.oil[i, 0]
-    if oil == 0.0:
-        return 2.0 * f1 - f2
-    moved = 0.5 * (judged[V, i] + state.judged[0, V, i])
-    return f1 + p.dt * (oil * (flow[i] - moved) - p.oil[i, 1] * f1)
-
-
-@compiled
-def expect_missing(
-    p: JudgeParameters, state: JudgeState, flow: Floats, judged: Floats, i: int
-) -> None:
-    """Expect values for those that are no numbers, before others are compared with them."""
-    last = state.judged[0]
-    if state.verdict[V, i]:
-        a = last[A, i] if state.verdict[A, i] else judged[A, i]
-        judged[V, i] = last[V, i] + 0.5 * p.dt * (a + last[A, i])
-    if state.verdict[F, i]:
-        judged[F, i] = expected_force(p, state, flow, judged, i)
-
-
-@compiled
-def compare_accelerations(p: JudgeParameters, state: JudgeState, judged: Floats) -> None:
-    """Find the difference of (4), the expected accelerations, and what is beyond their gates."""
-    n, off, r, a = judged.shape[1], state.off, state.restoring, state.judged
-    knows = p.inverse[0, 0] != 0.0
+    n, is_next, c = raw.shape[1], step == state.step[0] + 1, state.room[0]
+    state.step[0] = step
     for i in range(n):
-        off[0, i] = 0.0
-        if knows:
-            off[0, i] = judged[F, i] - 2.0 * r[0, i] + r[1, i]
-            for k in range(n):
-                off[0, i] -= p.mass[i, k] * judged[A, k]
+        known, axis = p.axes[i], state.axes[i]
+        take(p, state, i, raw)
+        if not is_next:
+            begin_anew(known, axis, c)
+        else:
+            count = 1 if is_plain(known, axis, c, flow[i]) else weigh(known, axis, c, flow[i])
+            decide(known, axis, count)
+            note_motion(known, axis, flow[i])
+        publish(state, step, i, judged)
+    state.taken[0] += 1
     for i in range(n):
-        jump, gate = judged[A, i] - 2.0 * a[0, A, i] + a[1, A, i], p.noise[1, i] / p.dt
-        if knows:
-            jump = gate = 0.0
-            for k in range(n):
-                curved = 0.0
-                for m in range(n):
-                    curved += abs(p.stiffness[k, m] * p.dt * p.dt * a[0, A, m])
-                usual = max(GATE * state.moves[2, k], USUAL * state.usual[1, k])
-                jump -= p.inverse[i, k] * off[0, k]
-                rough = in_noise(p, state, 3, k, F) + curved + usual
-                for m in range(n):
-                    step = 2.0 * state.resolution[A, m]
-                    rough += abs(p.mass[k, m]) * step if step < np.inf else 0.0
-                gate += abs(p.inverse[i, k]) * rough
-        off[1, i], off[2, i] = judged[A, i] - jump, jump if abs(jump) > gate else 0.0
-    for i in range(n):
-        if state.verdict[A, i]:
-            judged[A, i], off[2, i] = off[1, i], 0.0
-
-
-@compiled
-def judge_motion(p: JudgeParameters, state: JudgeState, judged: Floats, i: int) -> None:
-    """Judge velocity and displacement by (1) and (2); the acceleration may be wrong or jump."""
-    last, dt = state.judged[0], p.dt
-    x1, v1, a1 = last[X, i], last[V, i], last[A, i]
-    bend = judged[A, i] - 2.0 * a1 + state.judged[1, A, i]
-    jump = abs(state.off[2, i])
-    a = state.off[1, i] if jump > 0.0 else judged[A, i]
-    expected = v1 + 0.5 * dt * (a + a1)
-    off = judged[V, i] - expected
-    allowed = (
-        in_noise(p, state, 1, i, V)
-        + CALIBRATION_ERROR * state.moves[1, i]
-        + (0.5 * dt + p.late) * abs(a - a1)
-        + 0.125 * dt * abs(bend)  # the acceleration turns between the samples
-        + max(dt * jump, 0.5 * dt * abs(judged[A, i] - state.off[1, i]))  # r turns at any time
-    )
-    if max(abs(judged[A, i]), abs(a1)) >= p.range[A, i]:
-        allowed = np.inf  # it may be any larger one
-    # if the displacement knows better, the acceleration misses what came between the samples
-    by_expected = abs(judged[X, i] - x1 - 0.5 * dt * (expected + v1))
-    by_measured = abs(judged[X, i] - x1 - 0.5 * dt * (judged[V, i] + v1))
-    noise = in_noise(p, state, 0, i, X)
-    knows = by_measured <= noise + CALIBRATION_ERROR * state.moves[0, i] and by_expected > noise
-    is_wrong = abs(off) > allowed and not (knows and by_measured < by_expected)
-    if is_wrong or state.verdict[V, i]:
-        state.verdict[V, i] = 1
-        judged[V, i] = expected
-    v = judged[V, i]
-    expected = x1 + 0.5 * dt * (v + v1)
-    off = judged[X, i] - expected
-    allowed = (
-        in_noise(p, state, 0, i, X) + CALIBRATION_ERROR * state.moves[0, i] + p.late * abs(v - v1)
-    )
-    allowed += 0.125 * dt * dt * abs(a - a1) + 0.5 * dt * dt * jump
-    if abs(off) > allowed or state.verdict[X, i]:
-        state.verdict[X, i] = 1
-        judged[X, i] = expected
-
-
-@compiled
-def judge_force(
-    p: JudgeParameters, state: JudgeState, flow: Floats, judged: Floats, i: int
-) -> bool:
-    """Judge the force by (3) and (4); say whether it is replaced."""
-    if state.verdict[F, i]:
-        judged[F, i] = expected_force(p, state, flow, judged, i)
-        return True
-    knows_specimen = state.taken[0] - state.taken[2] > 2  # (4) needs the accelerations of three
-    expected, r = expected_force(p, state, flow, judged, i), state.off[0, i]
-    off, dt = judged[F, i] - expected, p.dt
-    kink = 0.125 * dt * dt * abs(judged[A, i] - state.judged[0, A, i])
-    usual = max(FLOW * abs(dt * flow[i]) * p.oil[i, 0], USUAL * state.usual[0, i])
-    allowed = max(BOTH * in_noise(p, state, 2, i, F) + state.asked[2, i], usual)
-    allowed += p.oil[i, 0] * kink
-    allowed += state.doubt[i]  # what the last sample may be wrong by if it was replaced
-    is_wrong = abs(off) > allowed and abs(r) > BOTH * in_noise(p, state, 3, i, F)
-    is_wrong = is_wrong and knows_specimen and off * r > 0.5 * max(off * off, r * r)
-    if is_wrong:
-        state.verdict[F, i] = 1
-        by_specimen = judged[F, i] - r  # unless it jumps in the same sample
-        apart = abs(by_specimen - expected)
-        state.doubt[i] = min(allowed, 0.5 * apart + BOTH * in_noise(p, state, 3, i, F))
-        judged[F, i] = 0.5 * (expected + by_specimen) if apart < allowed else expected
-    else:
-        state.doubt[i] = 0.0
-        accept(p, state, 0, i, off)
-    return is_wrong
-
-
-@compiled
-def judge_acceleration(p: JudgeParameters, state: JudgeState, judged: Floats, i: int) -> None:
-    """Judge the acceleration by (4), and by what the velocity shows of its jump."""
-    jump, expected, before = state.off[2, i], state.off[1, i], state.off[3, i]
-    state.jump[i] *= p.events
-    state.off[3, i] = 0.0
-    if state.verdict[A, i]:
-        return
-    if jump == 0.0:
-        accept(p, state, 1, i, state.off[0, i])
-        return
-    last, dt, noise = state.judged[0], p.dt, p.noise[1, i]
-    shown = judged[V, i] - last[V, i] - 0.5 * dt * (last[A, i] + expected)
-    shown = shown if jump > 0.0 else -shown
-    if dt * abs(jump) < noise:  # the velocity can't tell: what lasts for two samples is no spike
-        is_shown = jump * before > 0.5 * before * before > 0.0
-    else:
-        is_shown = shown > max(0.5 * noise, SHOWN * dt * abs(jump))
-    if is_shown:
-        state.jump[i] = max(abs(jump), state.jump[i])
-        place = (state.counts[A, i] - 1) % state.wrong.shape[2]
-        if jump * before > 0.0 and state.wrong[A, i, place] == state.taken[0] - 1:
-            state.counts[A, i] -= 1  # the sample before was not wrong
-            state.wrong[A, i, place] = LONG_AGO
-    elif abs(jump) >= USUAL * state.jump[i]:
-        state.verdict[A, i] = 1
-        state.off[3, i] = jump
-        judged[A, i] = expected
-
-
-@compiled
-def keep(p: JudgeParameters, state: JudgeState, judged: Floats) -> None:
-    """Keep a judged sample for the next one."""
-    n = judged.shape[1]
-    for i in range(n):
-        for row in range(4):
-            state.judged[1, row, i] = state.judged[0, row, i]
-            state.judged[0, row, i] = judged[row, i]
-        state.restoring[1, i] = state.restoring[0, i]
-        r = judged[F, i]
+        restoring, axis = judged[F, i], state.axes[i]
         for k in range(n):
-            r -= p.mass[i, k] * judged[A, k]
-        state.restoring[0, i] = r
-        state.moves[0, i] = max(p.dt * abs(judged[V, i]), p.brief * state.moves[0, i])
-        state.moves[1, i] = max(p.dt * abs(judged[A, i]), p.brief * state.moves[1, i])
-        state.moves[2, i] = max(abs(r), p.recent * state.moves[2, i])
-        if state.taken[1] == 0:
-            state.restoring[1, i] = r
-            for row in range(4):
-                state.judged[1, row, i] = judged[row, i]
+            restoring -= p.mass[i, k] * judged[A, k]
+        state.restoring[i] = restoring
+        if axis.alive[0].wrong[0] & ANY_CHANNEL == 0 and axis.alive[0].event[0] == 0.0:
+            axis.strained = max(abs(restoring), p.axes[i].recent * axis.strained)
+
+
+@compiled
+def ask(known: Record, axis: Record, force: float) -> None:
+    """Know what is asked of a rig that obeys forces, which it holds for a period."""
+    last, before = axis.asked[0], axis.asked[1]
+    turn = abs(force - 2.0 * last + before)
+    axis.asked_turn = max(turn, known.brief * axis.asked_turn)
+    axis.asked_jump = max(abs(force - last), known.brief * axis.asked_jump)
+    axis.asked[0], axis.asked[1] = force, last
+
+
+@compiled
+def take(p: JudgeParameters, state: JudgeState, i: int, raw: Floats) -> None:
+    """Take the values of an axis, the variances of their noise, and what is beside it."""
+    c, known = state.room[0], p.axes[i]
+    c.forced, c.beside, c.doubt = 0, 0.0, 0.0
+    for row in range(4):
+        value = raw[row, i]
+        moved = abs(value - state.raw[row, i])
+        state.moved[row, i], state.raw[row, i] = moved, value
+        c.seen[row] = value
+        if not abs(value) < NO_NUMBER:
+            c.forced |= 1 << row
+            c.seen[row] = state.axes[i].alive[0].value[0, row]
+        elif abs(value) >= known.range[row]:
+            c.forced |= 1 << row + 4
+        resolution = state.resolution[row, i]
+        if resolution == np.inf:  # it has not moved yet: by a step of its converter, if it does now
+            coarsest = known.range[row] * COARSEST
+            resolution = min(moved, coarsest) if coarsest < np.inf and moved < np.inf else 0.0
+        c.noise[row] = known.noise[row] + resolution * resolution / 12.0
+        if 0.0 < moved < state.resolution[row, i] and state.step[0] > 0:
+            state.resolution[row, i] = moved
+    for k in range(raw.shape[1]):  # the acceleration of others, to which the mass couples it
+        if k != i and p.mass[i, k] != 0.0:
+            last, a = state.axes[k].alive[0].value, raw[A, k]
+            expected, surprise = 2.0 * last[0, A] - last[1, A], state.axes[k].turned
+            if abs(a) < min(NO_NUMBER, p.axes[k].range[A]):
+                expected, surprise = a, abs(a - expected)  # it may be wrong by that
+            c.beside += p.mass[i, k] * expected
+            c.doubt += (p.mass[i, k] * surprise) ** 2
+
+
+@compiled
+def begin_anew(known: Record, axis: Record, c: Record) -> None:
+    """Begin with one branch, of this sample."""
+    axis.count, b = 1, axis.alive[0]
+    b.weight, b.settling, b.event[:] = 0.0, axis.strained**2, 0.0
+    for age in range(REVISED, 0, -1):
+        b.wrong[age] = b.wrong[age - 1]
+    b.wrong[0] = c.forced & ANY_CHANNEL
+    for age in range(2):
+        copy(4, c.seen, b.value[age])
+        copy(4, c.noise, b.variance[age])
+        b.restoring[age] = c.seen[F] - known.mass * c.seen[A] - c.beside
+        b.blur[age] = c.noise[F] + known.mass**2 * c.noise[A]
+
+
+@compiled
+def left_by_force(known: Record, axis: Record, b: Record) -> float:
+    """Variance of what (4) leaves after a branch, N^2."""
+    if known.mass == 0.0:
+        return UNKNOWN**2
+    curved = known.stiffness * known.dt**2 * b.value[0, A]
+    return 4.0 * b.blur[0] + b.blur[1] + b.settling + axis.scatter[1] + curved * curved
+
+
+def _find_blur(known: Record, axis: Record) -> None:
+    """Covariance of the residuals by those of the last two samples, L R L' + D P D'."""
+    noise, before = axis.usual[0], axis.usual[1]
+    for row in range(4):
+        for column in range(row + 1):
+            value = 0.0
+            for k in range(4):
+                value += known.now[row, k] * noise[k] * known.now[column, k]
+                value += known.before[row, k] * before[k] * known.before[column, k]
+            axis.blur[row, column] = value
+
+
+find_blur = compiled(_find_blur, inline=False)
+
+
+def _compare(known: Record, axis: Record, c: Record, b: Record, flow: float) -> None:
+    """Compare the sample with a branch: residuals, and their covariance (lower half)."""
+    dt, z, last, left, held = known.dt, c.seen, b.value[0], c.left, 0.0
+    half, bend = 0.5 * dt, dt * dt / 12.0
+    moved = half * (z[V] + last[V]) - bend * (z[A] - last[A])
+    c.off[0] = z[X] - last[X] - moved
+    c.off[1] = z[V] - last[V] - half * (z[A] + last[A])
+    c.off[3] = z[F] - known.mass * z[A] - c.beside - 2.0 * b.restoring[0] + b.restoring[1]
+    if known.mass > 0.0:  # a held force jumps at any time in a period
+        held = half * axis.asked_jump / known.mass
+    bent = abs(z[A] - 2.0 * last[A] + b.value[1, A])
+    late, turned = known.late * axis.gained, dt / 12.0 * max(axis.turned, bent)
+    left[0] = axis.part[0] * axis.travel**2 + late**2 + (dt / 6.0 * held) ** 2
+    left[1] = axis.part[1] * axis.gained**2 + (late / dt) ** 2 + turned**2 + held**2
+    if known.oil > 0.0:
+        c.off[2] = z[F] - (1.0 - known.leak * dt) * last[F] + known.oil * (moved - dt * flow)
+        left[2] = axis.part[2] * axis.pressed**2
+    else:
+        c.off[2] = z[F] - 2.0 * last[F] + b.value[1, F]
+        left[2] = b.variance[1, F] + axis.asked_turn**2 + axis.scatter[0]
+    left[3] = left_by_force(known, axis, b) + c.doubt
+    is_usual = True
+    for k in range(4):
+        is_usual &= axis.usual[0, k] == c.noise[k]
+        is_usual &= axis.usual[1, k] == b.variance[0, k]
+    if not is_usual:
+        copy(4, c.noise, axis.usual[0])
+        copy(4, b.variance[0], axis.usual[1])
+        find_blur(known, axis)
+    for row in range(4):
+        for column in range(row + 1):
+            c.covariance[row, column] = axis.blur[row, column]
+        c.covariance[row, row] += left[row]
+
+
+compare_sample, compare_apart = compiled(_compare), compiled(_compare, inline=False)
+
+
+@compiled
+def is_plain(known: Record, axis: Record, c: Record, flow: float) -> bool:
+    """Say whether the sample fits the only branch, and was added to it: so are nearly all."""
+    b = axis.alive[0]
+    if c.forced or axis.count > 1 or b.wrong[0] & ANY_CHANNEL:
+        return False
+    compare_sample(known, axis, c, b, flow)
+    whiten(known, c, 6)
+    if not product(c, 6, 6) < PLAIN:
+        return False
+    if b.wrong[0] == 0:
+        learn(known, axis, c)
+    c.which[0] = 0
+    continue_branch(known, axis, c, b, axis.made[0], 0)
+    return True
+
+
+@compiled
+def learn(known: Record, axis: Record, c: Record) -> None:
+    """Learn what the relations leave from a sample that is plainly sound, like the last one."""
+    for relation in range(4):
+        whole = c.covariance[relation, relation]
+        beyond = min(c.off[relation] ** 2, CLIPPED * whole) - whole
+        if relation == 3 or (relation == 2 and known.oil == 0.0):
+            place = relation - 2
+            drift = axis.scatter[place] + (1.0 - known.recent) * beyond
+            axis.scatter[place] = max(drift, 0.0)
+            continue
+        size = axis.travel if relation == 0 else axis.gained if relation == 1 else axis.pressed
+        size = size * size
+        described = axis.part[relation] * size
+        if axis.motion[relation] == 0.0:
+            first = ASSUMED_FOR / known.dt * MOTION_TO_NOISE**2 * (whole - described)
+            axis.motion[relation], axis.missed[relation] = first, axis.part[relation] * first
+        axis.motion[relation] = known.events * axis.motion[relation] + size
+        missed = known.events * axis.missed[relation] + beyond + described
+        axis.missed[relation] = max(missed, 0.0)
+        part = axis.missed[relation] / axis.motion[relation]
+        axis.part[relation] = max(part, LEAST_MISSED**2)
+
+
+@compiled
+def note_motion(known: Record, axis: Record, flow: float) -> None:
+    """Note how far the last sample moves."""
+    b, dt = axis.alive[0], known.dt
+    rise = b.value[0, A] - b.value[1, A]
+    axis.turned = max(abs(rise - axis.rise), known.brief * axis.turned)
+    axis.travel = max(dt * abs(b.value[0, V]), known.brief * axis.travel)
+    axis.gained = max(dt * abs(b.value[0, A]), known.brief * axis.gained)
+    pressed = known.oil * dt * max(abs(flow), abs(b.value[0, V]))
+    axis.pressed, axis.rise = max(pressed, known.recent * axis.pressed), rise
+
+
+def _weigh(known: Record, axis: Record, c: Record, flow: float) -> int:
+    """Weigh all hypotheses after all branches; count the likeliest, the next branches."""
+    count, forced = 0, (c.forced | c.forced >> 4) & ANY_CHANNEL
+    for j in range(axis.count):
+        b = axis.alive[j]
+        before, is_sound = wrong_before(b), forced == 0
+        compare_apart(known, axis, c, b, flow)
+        for turns in (False, True):
+            if turns:
+                allow_turn(known, c)
+            log_det = math.log(whiten(known, c, 0))
+            chi2 = fill_gram(known, c)
+            is_sound = is_sound and chi2 < PLAIN
+            for which in SETS:
+                if forced & ~which or is_turn(which) != turns:
+                    continue
+                if is_sound and which & ~before:
+                    continue
+                gain, log_det_b = solve(c, which, count)
+                c.branch[count], c.which[count] = j, which
+                c.likelihood[count] = (
+                    b.weight
+                    - 0.5 * (chi2 - gain + log_det + log_det_b)
+                    + log_prior(before, which, c.forced)
+                    + log_amplitudes(known, axis, c, count)
+                )
+                count += 1
+            if is_sound:
+                break
+    new, top = 0, c.likelihood[likeliest(c.likelihood, count)]
+    for _ in range(ALIVE):
+        at = likeliest(c.likelihood, count)
+        if not c.likelihood[at] > top + LEAST:
+            break
+        b, to = axis.alive[c.branch[at]], axis.made[new]
+        if new == 0 and (c.which[at] | b.wrong[0]) == 0:
+            compare_apart(known, axis, c, b, flow)
+            learn(known, axis, c)
+        continue_branch(known, axis, c, b, to, at)
+        c.likelihood[at] = -np.inf
+        if not (new and joins(axis.made, new)):
+            new += 1
+    return new
+
+
+weigh = compiled(_weigh, inline=False)
+
+
+@compiled
+def likeliest(likelihood: Floats, count: int) -> int:
+    """Find the place of the largest of the first values."""
+    best = 0
+    for k in range(1, count):
+        if likelihood[k] > likelihood[best]:
+            best = k
+    return best
+
+
+@compiled
+def is_turn(which: int) -> bool:
+    """Say whether in a set an event turns the acceleration at an unknown time, by a known jump."""
+    return which & EVENT != 0 and which & FORCES == 0
+
+
+@compiled
+def allow_turn(known: Record, c: Record) -> None:
+    """Add to the covariance that the jump of (4) comes at any time since the last sample."""
+    s, h, oil = c.covariance, known.dt, known.oil
+    jump = abs(c.off[3]) / known.mass if known.mass > 0.0 else 0.0
+    kink = (h * h * jump) ** 2 / 720.0
+    s[V, V] += (h * jump) ** 2 / 12.0
+    s[X, X] += kink
+    s[2, 2] += oil * oil * kink
+
+
+@compiled
+def factorise(matrix: Floats, root: Floats, size: int) -> float:
+    """Cholesky factor of a matrix, of which the lower half is read, its diagonal inverted; det."""
+    det = 1.0
+    for row in range(size):
+        for column in range(row):
+            value = matrix[row, column]
+            for k in range(column):
+                value -= root[row, k] * root[column, k]
+            root[row, column] = value * root[column, column]
+        value = matrix[row, row]
+        for k in range(row):
+            value -= root[row, k] * root[row, k]
+        value = max(value, TINY)
+        root[row, row], det = 1.0 / math.sqrt(value), det * value
+    return det
+
+
+@compiled
+def whiten(known: Record, c: Record, first: int) -> float:
+    """Fill `whitened` from a column on, and give det S."""
+    root, w = c.root, c.whitened
+    det = factorise(c.covariance, root, 4)
+    for row in range(4):
+        for column in range(first, 7):
+            value = c.off[row] if column == 6 else 0.0
+            if column < 4:
+                value = known.now[row, column]
+            elif row == column - 2:  # events add to the last two relations
+                value = 1.0
+            for k in range(row):
+                value -= root[row, k] * w[k, column]
+            w[row, column] = value * root[row, row]
+    return det
+
+
+@compiled
+def product(c: Record, j: int, k: int) -> float:
+    """Product of two columns of `whitened`."""
+    w = c.whitened
+    return w[0, j] * w[0, k] + w[1, j] * w[1, k] + w[2, j] * w[2, k] + w[3, j] * w[3, k]
+
+
+@compiled
+def fill_gram(known: Record, c: Record) -> float:
+    """Fill `gram`, and give chi^2 of the residuals."""
+    for j in range(7):
+        for k in range(j + 1):
+            c.gram[j, k] = product(c, j, k)
+        if j < 6:
+            c.gram[j, j] += known.precision[min(j, F)]
+    return c.gram[6, 6]
+
+
+@compiled
+def solve(c: Record, which: int, at: int) -> tuple[float, float]:
+    """Find the amplitudes of a set and their variances, of a candidate.
+
+    Give by how much they lower chi^2, and the log det of their information.
+    """
+    count = 0
+    chosen, factor, solution = c.chosen, c.factor, c.solution
+    for j in range(6):
+        c.spread[at, j] = 0.0
+        if which >> j & 1:
+            chosen[count] = j
+            count += 1
+    for a in range(count):
+        for k in range(a + 1):
+            factor[a, k] = c.gram[chosen[a], chosen[k]]
+    det, gain = factorise(factor, factor, count), 0.0
+    for a in range(count):
+        value = c.gram[6, chosen[a]]
+        for k in range(a):
+            value -= factor[a, k] * solution[k]
+        solution[a] = value * factor[a, a]
+        gain += solution[a] * solution[a]
+    for a in range(count - 1, -1, -1):
+        value = solution[a]
+        for k in range(a + 1, count):
+            value -= factor[k, a] * c.amplitude[at, chosen[k]]
+        c.amplitude[at, chosen[a]] = value * factor[a, a]
+    for j in range(count):  # the diagonal of the inverse: squares of the columns of the factor's
+        for a in range(j, count):
+            value = 1.0 if a == j else 0.0
+            for k in range(j, a):
+                value -= factor[a, k] * solution[k]
+            solution[a] = value * factor[a, a]
+            c.spread[at, chosen[j]] += solution[a] * solution[a]
+    return gain, math.log(det)
+
+
+@compiled
+def members(which: int) -> int:
+    """Count the channels of a set."""
+    return (which & 1) + (which >> 1 & 1) + (which >> 2 & 1) + (which >> 3 & 1)
+
+
+@compiled
+def wrong_before(b: Record) -> int:
+    """Give the channels that were wrong in the last samples of a branch."""
+    wrong = 0
+    for age in range(REVISED):
+        wrong |= b.wrong[age]
+    return wrong & ANY_CHANNEL
+
+
+@compiled
+def log_prior(before: int, which: int, forced: int) -> float:
+    """Prior of a set after others; of values that are no numbers, or at their ends, none."""
+    asked = ANY_CHANNEL & ~(forced | forced >> 4)
+    fresh, before, value = which & ~before & asked, before & asked, 0.0
+    if fresh:
+        others = 1 if fresh == ANY_CHANNEL else members(fresh) - 1
+        value = RARE + others * ANOTHER
+    return value + LASTS_ON * members(before & which) + ENDS * members(before & ~which)
+
+
+@compiled
+def log_below(margin: float) -> float:
+    """Logarithm of the chance that a standard normal value is below a margin."""
+    if margin > -5.0:
+        return math.log(0.5 * math.erfc(-margin / math.sqrt(2.0)))
+    return -0.5 * margin * margin - math.log(-margin) - HALF_LOG_TURN
+
+
+@compiled
+def weigh_end(known: Record, c: Record, b: Record, row: int, at: int) -> tuple[float, bool]:
+    """Weigh a value at its range's end: it is beyond that, by the others, or it is wrong.
+
+    Give the logarithm of the larger chance, and whether it is beyond.
+    """
+    value, before, which = c.seen[row] - c.amplitude[at, row], wrong_before(b), c.which[at]
+    outside = (value if c.seen[row] > 0.0 else -value) - known.range[row]
+    beyond = log_below(outside / math.sqrt(c.spread[at, row]))
+    wrong = ANOTHER if which & ~before & ANY_CHANNEL & ~(1 << row) else RARE
+    if before >> row & 1:
+        beyond, wrong = beyond + ENDS, LASTS_ON
+    wrong += math.log(0.5)
+    return max(beyond, wrong), beyond > wrong
+
+
+@compiled
+def log_amplitudes(known: Record, axis: Record, c: Record, at: int) -> float:
+    """Prior of the amplitudes of a set: a wrong value may be any that the sensor can show."""
+    which, b, value = c.which[at], axis.alive[c.branch[at]], 0.0
+    for row in range(4):
+        if not which >> row & 1:
+            continue
+        if c.forced >> row + 4 & 1:
+            value += HALF_LOG_TURN + weigh_end(known, c, b, row, at)[0]
+        else:
+            value += 0.5 * math.log(known.precision[row])
+    if which & EVENT:
+        jumps, recent, size = b.event, 0.0, c.amplitude[at, 5]
+        for age in range(3):
+            recent = max(recent, abs(jumps[age]))
+        rate = NEW
+        if axis.known > 0.0:
+            rate += KNOWN * math.exp(-0.5 * (size / axis.known) ** 2)
+        if recent > 0.0:
+            rate += GOES_ON * math.exp(-0.5 * (size / recent) ** 2)
+        value += HALF_LOG_TURN + math.log(rate) + log_size(size, c.covariance[3, 3], known.orders)
+    if which & OIL_EVENT:
+        value += (
+            HALF_LOG_TURN
+            + math.log(NEW)
+            + log_size(c.amplitude[at, 4], c.covariance[2, 2], known.orders)
+        )
+    return value
+
+
+@compiled
+def log_size(size: float, variance: float, orders: float) -> float:
+    """Prior of the size of an event: of any order of magnitude."""
+    return -math.log(2.0 * (abs(size) + math.sqrt(variance))) - orders
+
+
+@compiled
+def continue_branch(known: Record, axis: Record, c: Record, b: Record, to: Record, at: int) -> None:
+    """Continue a branch by a candidate, as a new one."""
+    which = c.which[at]
+    to.weight, to.wrong[0] = c.likelihood[at], which
+    to.event[0] = c.amplitude[at, 5] if which & EVENT else 0.0
+    for row in range(4):
+        value, variance = c.seen[row], c.noise[row]
+        if which >> row & 1:
+            end, is_end = known.range[row], c.forced >> row + 4 & 1
+            value -= c.amplitude[at, row]
+            variance = max(c.spread[at, row], variance)
+            if is_end and weigh_end(known, c, b, row, at)[1]:
+                value = max(value, end) if c.seen[row] > 0.0 else min(value, -end)
+                to.wrong[0] &= ~(1 << row)
+        to.value[0, row], to.value[1, row] = value, b.value[0, row]
+        to.variance[0, row], to.variance[1, row] = variance, b.variance[0, row]
+    for age in range(REVISED):
+        to.wrong[1 + age] = b.wrong[age]
+    for age in range(2):
+        to.event[1 + age] = b.event[age]
+    force = to.value[0, F] - known.mass * to.value[0, A] - c.beside
+    blur = to.variance[0, F] + known.mass**2 * to.variance[0, A]
+    if which & FORCES and not which & EVENT:
+        blur = min(blur, left_by_force(known, axis, b))
+    to.restoring[0], to.blur[0] = force, blur
+    to.restoring[1], to.blur[1], to.settling = b.restoring[0], b.blur[0], 0.25 * b.settling
+    if which & EVENT:  # a stop goes on to rise, friction stays: the mean of both
+        half = 0.5 * to.event[0]
+        to.restoring[1] = force - (b.restoring[0] - b.restoring[1]) - half
+        to.blur[1], to.settling = b.blur[0] + b.blur[1], half * half
+
+
+@compiled
+def joins(made: Record, new: int) -> bool:
+    """Say whether a new branch has come to the state of another, and was added to its weight."""
+    b = made[new]
+    if (b.wrong[0] | b.wrong[1]) & ANY_CHANNEL:
+        return False
+    size = 1e-9 * (abs(b.restoring[0]) + abs(b.restoring[1]))
+    for k in range(new):
+        other = made[k]
+        is_near = abs(other.restoring[0] - b.restoring[0]) <= size
+        is_near &= abs(other.restoring[1] - b.restoring[1]) <= size
+        if is_near and not (other.wrong[0] | other.wrong[1]) & ANY_CHANNEL:
+            other.weight += math.log1p(math.exp(b.weight - other.weight))
+            return True
+    return False
+
+
+@compiled
+def decide(known: Record, axis: Record, count: int) -> None:
+    """Keep the branches that agree with the likeliest one on the oldest sample."""
+    best, kept = 0, 1
+    for j in range(1, count):
+        if axis.made[j].weight > axis.made[best].weight:
+            best = j
+    first = axis.made[best]
+    is_sure = first.event[1] != 0.0
+    axis.alive[0] = axis.made[best]
+    for j in range(count):
+        b = axis.made[j]
+        if j == best or (b.wrong[REVISED] ^ first.wrong[REVISED]) & ANY_CHANNEL:
+            continue
+        axis.alive[kept] = axis.made[j]
+        axis.alive[kept].weight = b.weight - first.weight
+        is_sure &= b.event[1] != 0.0 or b.weight - first.weight < SURE
+        kept += 1
+    axis.count, axis.alive[0].weight = kept, 0.0
+    axis.known = max(abs(first.event[1]) if is_sure else 0.0, known.events * axis.known)
+
+
+@compiled
+def publish(state: JudgeState, step: int, i: int, judged: Floats) -> None:
+    """Give the likeliest values, and count those that were replaced, as is known by now."""
+    b, places = state.axes[i].alive[0], len(state.replaced)
+    for age in range(1 + REVISED):  # the present sample takes the place of the oldest one
+        place, now = (state.taken[0] - age) % places, b.wrong[age] & ANY_CHANNEL
+        was = state.replaced[place, i]
+        if age > 0 and now & ~was:
+            state.used[0] = step - age
+        for row in range(4):
+            state.counts[row, i] += (now >> row & 1) - (was >> row & 1)
+        state.replaced[place, i] = now
+    for row in range(4):
+        judged[row, i] = b.value[0, row]
+
+
+@compiled
+def is_replaced(state: JudgeState, age: int, row: int, i: int) -> bool:
+    """Say whether a value of the last sample, or of one before, was replaced."""
+    return state.replaced[(state.taken[0] - 1 - age) % len(state.replaced), i] >> row & 1 != 0

@@ -53,11 +53,8 @@ def known_actuators(
 
 def read_specimen(
     section: Mapping[str, Any], axes: tuple[str, ...], places: Sequence[int]
-) -> tuple[Floats, Floats, float]:
-    """Read mass (kg) and stiffness (N/m) on the rig, for the axes at some places, each (n, n).
-
-    And the mass ratio of what is computed.
-    """
+) -> tuple[Floats, Floats]:
+    """Read mass (kg) and stiffness (N/m) on the rig, for the axes at some places, each (n, n)."""
     own = np.ix_(list(places), list(places))
     mass = mass_matrix(section["specimen.mass"], axes, "/**: specimen.mass")[own]
     stiffness = symmetric_matrix(section["specimen.stiffness"], axes, "/**: specimen.stiffness")[
@@ -66,5 +63,4 @@ def read_specimen(
     return (
         np.ascontiguousarray(mass),
         np.ascontiguousarray(stiffness),
-        float(section["mass_ratio"]),
     )

@@ -17,8 +17,6 @@ from seft_msgs_py.arrays import Floats
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.judge.detectors import (
     JUMP,
-    NO_RESPONSE,
-    ROUGH,
     SECOND_ORDER_WORK,
     TURN_AT,
     WEAKENS,
@@ -26,6 +24,7 @@ from seft_plant_sim.judge.detectors import (
     DetectorState,
     look,
 )
+from seft_plant_sim.judge.judge_step import LIKE
 
 OPPOSED = 0.5
 """Part of the assumed stiffness, or of the largest force, by which a specimen may soften: fracture,
@@ -39,69 +38,45 @@ TURNED, TURN, MOVES = 3, 2.0, 0.2
 """Samples after a turn of the motion in which friction reverses, the change of the force by that,
 and the part of the fastest recent motion above which a specimen does not stick."""
 
-_SILENT = 25.0
-"""Mean square of the change of the computed mass's force over that of the noise, above which a
-measured force that is only noise does not answer the motion."""
-
-ALTERNATE = 0.33
-"""Part of the recent samples at which r alternates: white noise far beyond its threshold does so in
-2 of 3, a specimen with impacts or a ringing oil column in 1 of 3."""
-
 
 @compiled
 def look_at_restoring_force(
     p: DetectorParameters, state: DetectorState, step: int, measured: Floats, i: int
 ) -> int:
-    """Whether the specimen's force jumps, once or from sample to sample as with noise."""
-    n, found, last, r = measured.shape[1], -1, state.last, state.restoring
-    curvature = rise = fall = 0.0
+    """Whether the specimen's force jumps, and it has neither hit a stop nor slipped like before."""
+    n, last, r, rise, fall = measured.shape[1], state.last, state.restoring, 0.0, 0.0
     for k in range(n):
-        spring = p.stiffness[i, k] * (measured[0, k] - last[0, k])
+        spring = p.rig.stiffness[i, k] * (measured[0, k] - last[0, k])
         rise, fall = rise + max(spring, 0.0), fall + max(-spring, 0.0)
-        curvature += p.stiffness[i, k] * p.dt * p.dt * (measured[2, k] + last[2, k])
-    change, moved = r[2, i] - r[0, i], abs(measured[0, i] - last[0, i])
-    moves = p.judge.noise[0, i] + MOVES * state.judge.moves[0, i]
+    change, moved = r[1, i] - r[0, i], abs(measured[0, i] - last[0, i])
+    before, event = state.changes[i, 0], state.judge.axes[i].alive[0].event
+    moves = p.still[i] + MOVES * state.judge.axes[i].travel
     slips = moved < moves or step - state.step[TURN_AT] <= TURNED
     largest = state.largest[3, i]
-    if state.counts[JUMP, i] == 0:  # a suspect sample is no measure
+    if event[1] == 0.0:
         largest = max(abs(r[0, i]), p.memory * largest)
         state.largest[3, i] = largest
-    # noise alternates, an impact rings; friction may reverse in both of two samples
-    bent = 0.5 * p.dt * p.dt * abs(measured[2, i] + last[2, i])  # change / moved: its stiffness
-    limit = p.rough[i] + abs(curvature)
-    limit += 2.0 * TURN * largest if slips else abs(change) / moved * bent
-    bend = change - r[1, i]
-    bend = bend if abs(bend) > limit else 0.0
-    alternates = 1.0 if bend * state.bends[0, i] < 0.0 else 0.0
-    state.bends[0, i] = bend
-    if alternates or not slips:
-        state.bends[1, i] = p.short * state.bends[1, i] + alternates
-    if look(p, state, ROUGH, i, state.bends[1, i], ALTERNATE / (1.0 - p.short)):
-        found = ROUGH * n + i
-    # after a jump, r must stay there
-    jump = change + (r[1, i] if state.counts[JUMP, i] else 0.0)
+    # where its events have taken r
+    jump = (change if event[0] != 0.0 else 0.0) + (before[0] if event[1] != 0.0 else 0.0)
     stiff = _STIFFEST * (rise if jump > 0.0 else fall)
     part = TURN if slips else (_SLIP if stiff > 0.0 else BREAK)
     threshold = part * largest + p.rough[i] + stiff
-    if look(p, state, JUMP, i, abs(jump), threshold) and found < 0:
-        found = JUMP * n + i
-    return found
+    is_stop = stiff > 0.0 and is_elastic(state.changes[i], change, moved, p.rough[i])
+    is_like = slips and LIKE * state.judge.axes[i].known > abs(jump)
+    if event[1] != 0.0 and (is_stop or is_like):
+        threshold = np.inf
+    return JUMP * n + i if look(p, state, JUMP, i, abs(jump), threshold) else -1
 
 
 @compiled
-def look_at_response(p: DetectorParameters, state: DetectorState, measured: Floats, i: int) -> int:
-    """Whether a force is only noise, while the computed mass alone requires far more."""
-    n, last, response = measured.shape[1], state.last, state.response
-    inertia = hiss = 0.0
-    for k in range(n):
-        inertia += p.computed_mass[i, k] * (measured[2, k] - last[2, k])
-        hiss += 2.0 * (p.computed_mass[i, k] * p.noise[2, k]) ** 2
-    response[0, i] = p.short * response[0, i] + (measured[3, i] - last[3, i]) ** 2
-    response[1, i] = p.short * response[1, i] + inertia * inertia
-    white, samples = 2.0 * p.noise[3, i] ** 2, 1.0 / (1.0 - p.short)
-    is_noise = response[0, i] < 2.0 * samples * white
-    threshold = _SILENT * samples * (white + hiss) if is_noise else np.inf
-    return NO_RESPONSE * n + i if look(p, state, NO_RESPONSE, i, response[1, i], threshold) else -1
+def is_elastic(changes: Floats, change: float, moved: float, rough: float) -> bool:
+    """Say whether a stop explains the last change of r: one beside it is as stiff, or half of that.
+
+    A stop that is hit presses on, one that is left has pressed; what slips or breaks does so once.
+    """
+    jump, within = 0.5 * abs(changes[0, 0]), abs(changes[1, 0])
+    presses = (abs(change) + rough) * within >= jump * moved
+    return presses or (abs(changes[0, 1]) + rough) * within >= jump * abs(changes[1, 1])
 
 
 @compiled
@@ -111,11 +86,11 @@ def look_at_work(p: DetectorParameters, state: DetectorState, measured: Floats) 
     for row in range(3):
         work[row] *= p.short
     for i in range(n):
-        moved, change = measured[0, i] - last[0, i], r[2, i] - r[0, i]
+        moved, change = measured[0, i] - last[0, i], r[1, i] - r[0, i]
         noise = p.noise[3, i] ** 2
         for k in range(n):
-            noise += (p.mass[i, k] * p.noise[2, k]) ** 2
-            work[1] += moved * p.stiffness[i, k] * (measured[0, k] - last[0, k])
+            noise += (p.rig.mass[i, k] * p.noise[2, k]) ** 2
+            work[1] += moved * p.rig.stiffness[i, k] * (measured[0, k] - last[0, k])
         work[0] += change * moved
         work[2] += 2.0 * (noise * moved * moved + (p.noise[0, i] * change) ** 2)
     threshold = OPPOSED * work[1] + 6.0 * math.sqrt(work[2]) + p.unknown
@@ -136,10 +111,10 @@ def look_at_strength(p: DetectorParameters, state: DetectorState, measured: Floa
     for i in range(n):
         spring = 0.0
         for k in range(n):
-            spring += p.stiffness[i, k] * x[k]
+            spring += p.rig.stiffness[i, k] * x[k]
         energy += x[i] * spring
         along += farthest[0, i] * spring
-        work += x[i] * state.restoring[2, i]
+        work += x[i] * state.restoring[1, i]
         noise += (x[i] * p.rough[i]) ** 2
     side, row = 0 if along >= 0.0 else 1, WEAKENS
     if energy <= state.carried[side, 0]:

@@ -8,13 +8,13 @@ from seft_msgs_py.arrays import Floats, Ints
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.judge.detector_list import TRACKING
 from seft_plant_sim.judge.detectors import (
-    BIAS,
     MOTION_MEMORY,
     fade_of_sums,
     noise_of_sums,
     persistence_of,
 )
 from seft_plant_sim.judge.guard_step import DRIVE_ROW
+from seft_plant_sim.judge.judge import BIAS
 from seft_plant_sim.judge.judge_step import LONG_AGO
 from seft_plant_sim.judge.relation_following import NOISE_SIGMAS
 

@@ -96,7 +96,7 @@ class VelocityFeedforward:
             )
         memory, past = valves[0].memory, max(valve.past() for valve in valves)
         inverse = np.array([valve.inverse(needed, past) for valve in valves])
-        mass, stiffness, _ = read_specimen(section, axes, own)
+        mass, stiffness = read_specimen(section, axes, own)
         feedback, sent = regulator(valves, actuator[:, 1:3], mass, stiffness, memory, dt)
         # of planned flows: the inverse, and the feedback of the commands that it makes of them
         planned = np.zeros((n, n, memory + past + needed))

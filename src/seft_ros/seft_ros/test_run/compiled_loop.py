@@ -383,6 +383,7 @@ def run_compiled(
     yield 0  # it is compiled
     (loop, _, known, *_), total, rig = arguments, len(samples.commands), blocks.rig
     assert isinstance(rig, Rig)
+    rig.begin()
     for first in range(0, total, BLOCK):
         last = min(first + BLOCK, total)
         noise = rig.simulation.sensors.noise_block(first // BLOCK, last - first)
