@@ -615,7 +615,7 @@ def decide(known: Record, axis: Record, count: int) -> None:
         if axis.made[j].weight > axis.made[best].weight:
             best = j
     first = axis.made[best]
-    is_sure = first.event[1] != 0.0
+    is_sure = first.event[2] != 0.0
     axis.alive[0] = axis.made[best]
     for j in range(count):
         b = axis.made[j]
@@ -623,10 +623,10 @@ def decide(known: Record, axis: Record, count: int) -> None:
             continue
         axis.alive[kept] = axis.made[j]
         axis.alive[kept].weight = b.weight - first.weight
-        is_sure &= b.event[1] != 0.0 or b.weight - first.weight < SURE
+        is_sure &= b.event[2] != 0.0 or b.weight - first.weight < SURE
         kept += 1
     axis.count, axis.alive[0].weight = kept, 0.0
-    axis.known = max(abs(first.event[1]) if is_sure else 0.0, known.events * axis.known)
+    axis.known = max(abs(first.event[2]) if is_sure else 0.0, known.events * axis.known)
 
 
 @compiled
