@@ -15,6 +15,7 @@ from seft_ros.test_run.offline import simulate_test
 
 MANY = (pytest.mark.thorough, pytest.mark.offline)
 RATES = (250.0, 500.0, 1000.0, 1024.0, 1365.33, 4096.0)  # Hz
+LATENCY = 2e-5  # s, of a message: a lap of three is within the shortest period
 SPECIMEN, RIG = "rig:simulated.specimen.", "rig:simulated.actuator."
 DELAYED = "actuator.kind:=delay"
 SPECIMENS = (
@@ -148,7 +149,7 @@ def drawn(seed):
 
 
 def check_nodes(local_graph, words):
-    with local_graph(*words, UNREHEARSED, config=JHU) as graph:
+    with local_graph(*words, UNREHEARSED, config=JHU, latency=LATENCY) as graph:
         graph.until("ready")
         graph.call("start")
         graph.until(lambda: graph.state in ("done", "tripped"))
