@@ -14,6 +14,8 @@ from seft_ros.test_run.compiled_loop import build_blocks, why_not_compiled
 from seft_ros.test_run.offline import simulate_test
 
 MANY = (pytest.mark.thorough, pytest.mark.offline)
+RATES = (250.0, 500.0, 1000.0, 1024.0, 1365.33, 4096.0)  # Hz
+LATENCY = 2e-5  # s, of a message: a lap of three is within the shortest period
 SPECIMEN, RIG = "rig:simulated.specimen.", "rig:simulated.actuator."
 DELAYED = "actuator.kind:=delay"
 SPECIMENS = (
@@ -125,7 +127,7 @@ def drawn(seed):
         f"ground_motion:peak_force:={rng.uniform(100.0, 500.0):.4g}",
         f"ground_motion:synthetic.seed:={seed}",
         *SHORT,
-        *(f"rig:seed:={seed}", f"rate:={rng.choice([250.0, 500.0, 1000.0])}"),
+        *(f"rig:seed:={seed}", f"rate:={rng.choice(RATES)}"),
         f"rig:pace:={rng.choice(['lockstep', 'realtime'])}",
     ]
     if rng.random() < 0.3:
@@ -147,7 +149,7 @@ def drawn(seed):
 
 
 def check_nodes(local_graph, words):
-    with local_graph(*words, UNREHEARSED, config=JHU) as graph:
+    with local_graph(*words, UNREHEARSED, config=JHU, latency=LATENCY) as graph:
         graph.until("ready")
         graph.call("start")
         graph.until(lambda: graph.state in ("done", "tripped"))
