@@ -115,7 +115,7 @@ class AccelerationState(NamedTuple):
 
 
 def smoothing_steps(section: Mapping[str, Any], axes: tuple[str, ...]) -> int:
-    """Steps M of the second difference that gives an acceleration, see `second_difference`.
+    """Count the steps M of the second difference that gives an acceleration.
 
     Its window, twice as long, is the delay of the slowest servo: what happens within it can't be
     answered anyway.
@@ -140,9 +140,12 @@ def second_difference(steps: int, dt: float) -> Floats:
 
 
 def derived_noise(section: Mapping[str, Any], axes: tuple[str, ...]) -> Floats:
-    """RMS noise of velocity and acceleration by `second_difference`, shape (2, n)."""
+    """Noise of velocity and acceleration by `second_difference`, shape (2, n).
+
+    It is not white: what counts is the white noise of the same density where that is largest.
+    """
     weights = second_difference(smoothing_steps(section, axes), 1.0 / section["rate"])
-    return np.outer(np.linalg.norm(weights[1:], axis=1), least_noise(section, axes)[0])
+    return np.outer(np.abs(weights[1:]).sum(axis=1), least_noise(section, axes)[0])
 
 
 def acceleration_of(
