@@ -25,12 +25,15 @@ from seft_msgs_py.errors import InputError
 from seft_plant_sim.channels import acceleration_is_derived, least_noise
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.judge.known_rig import known_responses
+from seft_plant_sim.judge.valve_model import NEGLIGIBLE_FLOW
 from seft_plant_sim.lti import TransferFunction, first_order_hold
 from seft_plant_sim.rig_parameters import common_lag
 
 _DERIVATIVES = 3
 """States of e, and the integrations from its random third derivative."""
 _TURNED = np.pi / 4.0
+_REMEMBERED = 0.5
+"""Longest memory of commands, s: a servo of 10 Hz has answered after a tenth of it."""
 UNKNOWN_DELAY = 0.02
 """Delay of a servo that has not been identified, s."""
 
@@ -90,6 +93,31 @@ def servo_models(responses: Sequence[TransferFunction], dt: float) -> list[Servo
     """Make the models of n servos, with the states of that which has most."""
     states = max(len(response.denominator) for response in responses) - 1
     return [ServoModel(response, dt, states) for response in responses]
+
+
+def last_periods(section: Mapping[str, Any], responses: Sequence[TransferFunction]) -> Floats:
+    """Mean velocity in the last period of past commands, and its change per delay; (n, 2, memory).
+
+    Of servos, as `ValveModel.last_period` gives the flow of valves.
+    """
+    dt, lag = 1.0 / section["rate"], common_lag(section)
+    models = servo_models(responses, dt)
+    moved = np.zeros((len(models), round(_REMEMBERED / dt)))  # by a command of one period
+    for row, model in zip(moved, models, strict=True):
+        z = model.push
+        for k in range(1, len(row)):
+            row[k] = model.output @ z
+            z = model.free @ z
+    largest = np.abs(moved).max(axis=1, keepdims=True)
+    memory = int(np.flatnonzero((np.abs(moved) > NEGLIGIBLE_FLOW * largest).any(axis=0))[-1]) + 1
+    late = [(response.dead_time + lag) / dt + 1.0 for response in responses]
+    age = np.arange(memory + int(max(late)) + 2)
+    shown = [
+        np.interp(age - each, age[:memory], row[:memory], 0.0, 0.0)
+        for each, row in zip(late, moved, strict=True)
+    ]
+    rate = np.gradient(shown, axis=1) / dt
+    return np.ascontiguousarray(np.diff([shown, -rate], axis=2).swapaxes(0, 1) / dt)
 
 
 class AccelerationParameters(NamedTuple):
