@@ -188,12 +188,9 @@ def second_difference(steps: int, dt: float) -> Floats:
 
 
 def derived_noise(section: Mapping[str, Any], axes: tuple[str, ...]) -> Floats:
-    """Noise of velocity and acceleration by `second_difference`, shape (2, n).
-
-    It is not white: what counts is the white noise of the same density where that is largest.
-    """
+    """RMS noise of velocity and acceleration by `second_difference`, shape (2, n)."""
     weights = second_difference(smoothing_steps(section, axes), 1.0 / section["rate"])
-    return np.outer(np.abs(weights[1:]).sum(axis=1), least_noise(section, axes)[0])
+    return np.outer(np.linalg.norm(weights[1:], axis=1), least_noise(section, axes)[0])
 
 
 def acceleration_of(
