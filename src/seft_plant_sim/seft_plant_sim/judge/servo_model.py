@@ -83,10 +83,12 @@ class ServoModel:
 
 
 def _delay(response: TransferFunction, dt: float) -> float:
+    """See `ServoModel.delay`."""
     f = np.geomspace(1e-4, 0.5, 2000) / dt
     without = replace(response, dead_time=0.0).response(f)
-    turned = -np.unwrap(np.angle(without / without[0]))
-    return float(_TURNED / (2.0 * np.pi * f[max(1, np.argmax([*(turned >= _TURNED), True]) - 1)]))
+    turned = -np.unwrap(np.angle(without / without[0])) >= _TURNED
+    first = max(1, int(np.argmax(np.append(turned, True))) - 1)
+    return float(_TURNED / (2.0 * np.pi * f[first]))
 
 
 def servo_models(responses: Sequence[TransferFunction], dt: float) -> list[ServoModel]:
@@ -162,7 +164,7 @@ class AccelerationState(NamedTuple):
     beside: Floats
 
 
-def smoothing_steps(section: Mapping[str, Any], axes: tuple[str, ...]) -> int:
+def smoothing_steps(section: Mapping[str, Any], axes: Sequence[str]) -> int:
     """Count the steps M of the second difference that gives an acceleration.
 
     Its window, twice as long, is the delay of the slowest servo: what happens within it can't be
@@ -170,7 +172,7 @@ def smoothing_steps(section: Mapping[str, Any], axes: tuple[str, ...]) -> int:
     """
     dt, delay = 1.0 / section["rate"], UNKNOWN_DELAY
     if np.any(section["actuator.response.numerator"]):
-        servos = known_responses(section, axes, range(len(axes)))
+        servos = known_responses(section, tuple(axes), range(len(axes)))
         delay = max(each.dead_time + ServoModel(each, dt).delay for each in servos) + 1.5 * dt
     return max(2, round(0.5 * delay / dt))
 
@@ -187,7 +189,7 @@ def second_difference(steps: int, dt: float) -> Floats:
     return np.array([now, (newer - older) / (2.0 * dt), (newer - 2.0 * now + older) / dt**2])
 
 
-def derived_noise(section: Mapping[str, Any], axes: tuple[str, ...]) -> Floats:
+def derived_noise(section: Mapping[str, Any], axes: Sequence[str]) -> Floats:
     """RMS noise of velocity and acceleration by `second_difference`, shape (2, n)."""
     weights = second_difference(smoothing_steps(section, axes), 1.0 / section["rate"])
     return np.outer(np.linalg.norm(weights[1:], axis=1), least_noise(section, axes)[0])
