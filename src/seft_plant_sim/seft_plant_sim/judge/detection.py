@@ -4,11 +4,16 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN
+from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN, POSITION_SERVO
 from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.calibration import known_channels
-from seft_plant_sim.channels import per_channel, velocity_is_derived
+from seft_plant_sim.channels import (
+    ACCELERATION,
+    acceleration_is_derived,
+    per_channel,
+    velocity_is_derived,
+)
 from seft_plant_sim.judge.detector_list import ALL, DETECTORS, TRACKING
 from seft_plant_sim.judge.detectors import (
     DetectorParameters,
@@ -16,7 +21,14 @@ from seft_plant_sim.judge.detectors import (
     KnownRig,
     detector_arrays,
 )
-from seft_plant_sim.judge.known_rig import ASSUMED_ACTUATOR, read_actuators, read_specimen
+from seft_plant_sim.judge.known_rig import (
+    ASSUMED_ACTUATOR,
+    command_limit,
+    known_responses,
+    read_actuators,
+    read_specimen,
+)
+from seft_plant_sim.judge.servo_model import last_periods
 from seft_plant_sim.judge.valve_model import valve_models
 
 
@@ -68,14 +80,28 @@ def detectors_of(
     own, warn_only = list(places), warning_detectors(section)
     actuator = read_actuators(section, axes, places)
     is_known = actuator["valve_frequency"] > 0.0
+    is_known &= section["actuator.kind"] != POSITION_SERVO  # its valve obeys no command of ours
     actuator["flow_gain"] = np.where(is_known, actuator["flow_gain"], 0.0)
     actuator["valve_frequency"] = np.where(is_known, actuator["valve_frequency"], 1.0 / dt)
     mass, stiffness = read_specimen(section, axes, places)
-    valves = valve_models(actuator, dt)
+    past = np.array([valve.last_period() for valve in valve_models(actuator, dt)])
+    largest_drive = command_limit(section)
+    if section["actuator.kind"] == POSITION_SERVO and np.any(
+        section["actuator.response.numerator"]
+    ):  # it moves by its commands, whatever the oil is, and has no null
+        past, largest_drive = last_periods(section, known_responses(section, axes, own)), 0.0
+        actuator["flow_gain"], actuator["oil_stiffness"] = (
+            np.ones(len(own)),
+            np.full(len(own), np.inf),
+        )
+        actuator["leakage"] = actuator["force_capacity"] = np.zeros(len(own))
     noise, ranges = (
         np.ascontiguousarray(per_channel(section, axes, f"sensors.{{}}_{what}")[:, own])
         for what in ("noise", "range")
     )
+    if acceleration_is_derived(section):  # nothing else is compared with it
+        noise[ACCELERATION] = section["limits.acceleration"]
+        mass, stiffness = np.zeros_like(mass), np.zeros_like(stiffness)
     bits = section["sensors.adc_bits"]
     channels = known_channels(section, axes)  # a range is of what a sensor shows
     bias, scale = (np.abs(channels[what][:, own]) for what in ("bias", "scale"))
@@ -86,11 +112,11 @@ def detectors_of(
         steps=ranges * (2.0 ** (1 - bits) if bits else 0.0) / scale,
         velocity_is_derived=velocity_is_derived(section),
         actuator=np.transpose([actuator[name] for name in ASSUMED_ACTUATOR]),
-        past=np.array([valve.last_period() for valve in valves]),
+        past=past,
         has_valve=section["actuator.kind"] not in FORCE_DRIVEN,
         mass=mass,
         stiffness=stiffness,
-        largest_drive=section["limits.command"],
+        largest_drive=largest_drive,
         dt=dt,
     )
     return detector_arrays(known, warn_only, zeroed)

@@ -183,7 +183,9 @@ def detector_arrays(
     judging, judged = judge_arrays(
         np.array([x, v, a, f]),
         rest,
-        np.transpose([np.where(is_known, actuator[:, 1], 0.0), actuator[:, 2]]),
+        np.transpose(
+            [np.where(is_known & (actuator[:, 1] < np.inf), actuator[:, 1], 0.0), actuator[:, 2]]
+        ),
         mass,
         known.stiffness,
         ranges,

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
+from seft_msgs_py.config.facts import POSITION_SERVO
 from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
@@ -271,6 +272,11 @@ def _check_part(fault: Fault, section: dict[str, Any]) -> None:
             "the velocity is derived from the displacement (sensors.velocity): there is no sensor "
             "of it; let the displacement fail"
         )
+    if fault.what == "acceleration" and section["sensors.acceleration"] == "derived":
+        raise fault.error(
+            "the acceleration is derived (sensors.acceleration): there is no sensor of it; let the "
+            "displacement fail"
+        )
     if fault.kind == "bit" and not bits:
         raise fault.error(
             "there is no converter; give rig: simulated.sensors.adc_bits, and /**: sensors.*_range "
@@ -280,7 +286,7 @@ def _check_part(fault: Fault, section: dict[str, Any]) -> None:
         raise fault.error(
             f"the converter has the bits 0 to {bits - 1} (simulated.sensors.adc_bits)"
         )
-    if fault.what == "supply" and actuator != "servo_hydraulic":
+    if fault.what == "supply" and actuator not in ("servo_hydraulic", POSITION_SERVO):
         raise fault.error(
             f"actuator.kind {actuator} has no supply pressure; make that servo_hydraulic"
         )

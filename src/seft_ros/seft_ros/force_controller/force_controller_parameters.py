@@ -1,9 +1,9 @@
 """Parameter table of the force controller, and the controllers by name."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from seft_msgs_py.config.facts import CHANNELS, facts
+from seft_msgs_py.config.facts import CHANNELS, POSITION_SERVO, facts
 from seft_msgs_py.config.parameter_table import Table, parameter_rows
 from seft_msgs_py.config.registered import Registered
 from seft_msgs_py.node import host
@@ -13,7 +13,10 @@ from seft_ros.reference_force.reference_force_parameters import SETTINGS_OF_THE_
 
 TRANSFER_FUNCTION = "transfer_function"
 VELOCITY_FEEDFORWARD = "velocity_feedforward"
-REGISTERED_CONTROLLERS = Registered("seft.force_control", (TRANSFER_FUNCTION, VELOCITY_FEEDFORWARD))
+POSITION_SERVO_METHOD = "position_servo"
+FOLLOW_TARGETS = VELOCITY_FEEDFORWARD, POSITION_SERVO_METHOD
+"""Controllers that follow the motion of a target."""
+REGISTERED_CONTROLLERS = Registered("seft.force_control", (TRANSFER_FUNCTION, *FOLLOW_TARGETS))
 """Other packages' controllers: name -> class or function of `ControlInputs` and settings."""
 
 
@@ -46,20 +49,27 @@ FORCE_CONTROLLER_TABLE = Table(
     "force_controller",
     [
         *facts("loop_delay", "specimen.", "actuator.", "sensors.", "calibration."),
-        *facts(*(f"limits.{name}" for name in (*CHANNELS, "command"))),
+        *facts(*(f"limits.{name}" for name in (*CHANNELS, "displacement_rate", "command"))),
         *SETTINGS_OF_THE_TEST,
         *SETTINGS_OF_THE_RIG,
         REGISTERED_CONTROLLERS.row(
             "method",
             TRANSFER_FUNCTION,
             "the controller: numerator over denominator on each axis, or the flow that a target's "
-            f"motion needs ({VELOCITY_FEEDFORWARD})",
+            f"motion needs ({VELOCITY_FEEDFORWARD}), or the displacement that a servo of kind "
+            f"{POSITION_SERVO} obeys ({POSITION_SERVO_METHOD})",
         ),
         REGISTERED_CONTROLLERS.settings_row("settings", "a controller"),
         *_ROWS,
         *host.REALTIME_PARAMETERS,
     ],
 )
+
+
+def fitting_method(section: Mapping[str, Any]) -> str:
+    """Name the controller that follows a target with the actuators of a section."""
+    servo = section["actuator.kind"] == POSITION_SERVO
+    return POSITION_SERVO_METHOD if servo else VELOCITY_FEEDFORWARD
 
 
 def one_controller(numerator: Sequence[float], denominator: Sequence[float]) -> dict[str, Any]:

@@ -46,6 +46,9 @@ class TargetParameters(NamedTuple):
         Steps of the integration in a period.
     gains : ndarray
         Of the observer, shape (n, 2, 2).
+    smooth : ndarray
+        Weights that smooth the channels where the acceleration is derived, see
+        `second_difference`, shape (3, w); w is 0 if it is measured.
     mass : ndarray
         M_e on the rig, shape (n, n), kg.
     deformation, to_springs : ndarray
@@ -73,6 +76,7 @@ class TargetParameters(NamedTuple):
     dt: float
     substeps: int
     gains: Floats
+    smooth: Floats
     mass: Floats
     deformation: Floats
     to_springs: Floats
@@ -95,6 +99,12 @@ class TargetState(NamedTuple):
     ----------
     model : ModelState
         Of the restoring force.
+    recent, smoothed : ndarray
+        Last displacements and forces, the newest first, and the smoothed sample, shapes (w, 2, n)
+        and (4, n).
+    before, known, ahead : ndarray
+        Ground accelerations of the steps since the smoothed sample, the oldest first, shape
+        (w // 2, n), and room for those and the points from there on.
     measured : ndarray
         Observed displacement and velocity, and the last acceleration, shape (3, n).
     target : ndarray
@@ -125,6 +135,11 @@ class TargetState(NamedTuple):
     """
 
     model: RestoringState
+    recent: Floats
+    smoothed: Floats
+    before: Floats
+    known: Floats
+    ahead: Floats
     measured: Floats
     target: Floats
     stops: Floats
@@ -150,6 +165,7 @@ class TargetState(NamedTuple):
 def begin_target(parameters: TargetParameters, state: TargetState) -> None:
     """Begin a test: the target will start at the specimen's position."""
     begin_model(parameters.model, state.model)
+    state.before[:] = 0.0
     state.target[:] = 0.0
     state.stops[:] = 0.0
     state.is_running[0] = 0.0
@@ -159,6 +175,39 @@ def begin_target(parameters: TargetParameters, state: TargetState) -> None:
 
 @compiled
 def target_step(
+    parameters: TargetParameters,
+    state: TargetState,
+    ground: Floats,
+    measured: Floats,
+    progress: float,
+    points: Floats,
+) -> None:
+    """Update the target with a sample, and predict it, see `update_target`.
+
+    What is smoothed shows the specimen some steps ago. So the target is updated by the ground
+    motion of that step, and predicted from there.
+    """
+    past, count = len(state.before), len(points)
+    if past == 0 or not is_finite(measured, 0):
+        update_target(parameters, state, ground, measured, progress, points)
+        return
+    smooth_alike(parameters.smooth, state, measured, state.is_running[0] == 0.0)
+    known, ahead = state.known[: past + count], state.ahead[: past + count]
+    for i in range(ground.shape[1]):
+        for j in range(past):
+            known[j, i] = state.before[j, i]
+            state.before[j, i] = state.before[j + 1, i] if j + 1 < past else ground[0, i]
+        for j in range(count):
+            known[past + j, i] = ground[j, i]
+    update_target(parameters, state, known, state.smoothed, progress, ahead)
+    for j in range(count):
+        for row in range(points.shape[1]):
+            for i in range(points.shape[2]):
+                points[j, row, i] = ahead[past + j, row, i]
+
+
+@compiled
+def update_target(
     parameters: TargetParameters,
     state: TargetState,
     ground: Floats,
@@ -212,6 +261,26 @@ def target_step(
     state.is_running[0] = 1.0
     copy(n, ground[0], state.ground)
     predict(p, state, ground, progress, points)
+
+
+@compiled
+def smooth_alike(weights: Floats, state: TargetState, measured: Floats, first: bool) -> None:
+    """Smooth displacement and force alike, and derive velocity and acceleration."""
+    recent, (_, count) = state.recent, weights.shape
+    for j in range(count - 1, -1, -1):
+        for i in range(measured.shape[1]):
+            for k in range(2):
+                now = first or j == 0
+                recent[j, k, i] = measured[3 * k, i] if now else recent[j - 1, k, i]
+    for i in range(measured.shape[1]):
+        x = v = a = f = 0.0
+        for j in range(count):
+            x += weights[0, j] * recent[j, 0, i]
+            v += weights[1, j] * recent[j, 0, i]
+            a += weights[2, j] * recent[j, 0, i]
+            f += weights[0, j] * recent[j, 1, i]
+        sample = state.smoothed
+        sample[0, i], sample[1, i], sample[2, i], sample[3, i] = x, v, a, f
 
 
 @compiled

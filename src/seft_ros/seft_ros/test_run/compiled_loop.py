@@ -40,8 +40,9 @@ from seft_ros.force_controller.force_control import (
     transfer_step,
 )
 from seft_ros.force_controller.force_controller_parameters import (
+    FOLLOW_TARGETS,
     TRANSFER_FUNCTION,
-    VELOCITY_FEEDFORWARD,
+    fitting_method,
 )
 from seft_ros.force_controller.interlock import Interlock, Interlocks, interlock_of
 from seft_ros.force_controller.interlock_step import (
@@ -53,6 +54,8 @@ from seft_ros.force_controller.interlock_step import (
     postcheck,
     precheck,
 )
+from seft_ros.force_controller.position_servo import PositionServo
+from seft_ros.force_controller.servo_step import ServoParameters, servo_step
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
 from seft_ros.protection.protected_force import ProtectedForce
@@ -150,7 +153,8 @@ def check_target(experiment: Experiment, blocks: Blocks) -> None:
     method = experiment["force_controller"]["method"]
     compensation = experiment["reference_force"]["compensation.method"]
     has_target = blocks.reference_force.reference_force.provides_target
-    if method == VELOCITY_FEEDFORWARD and not has_target:
+    fitting = fitting_method(experiment["force_controller"])
+    if method in FOLLOW_TARGETS and not has_target:
         raise InputError(
             f"force_controller: method {method} follows the motion of a target, but "
             f"reference_force: compensation.method is {compensation}; make that {TARGET_MOTION}"
@@ -158,8 +162,7 @@ def check_target(experiment: Experiment, blocks: Blocks) -> None:
     if method == TRANSFER_FUNCTION and has_target and blocks.rig.drive == VALVE_COMMAND.name:
         raise InputError(
             f"reference_force: compensation.method {compensation} gives the motion of a target, "
-            f"which force_controller: method {method} does not follow; make that "
-            f"{VELOCITY_FEEDFORWARD}"
+            f"which force_controller: method {method} does not follow; make that {fitting}"
         )
 
 
@@ -183,14 +186,14 @@ def check_lead(experiment: Experiment, motion: GroundMotion, force: ProtectedFor
 def with_method(experiment: Experiment, method: str) -> Experiment:
     """Copy an experiment with another compensation method, and a force controller that fits it.
 
-    `target_motion` drives valves by velocity feedforward, which needs the target's motion. Other
+    `target_motion` drives valves and servos by controllers that need the target's motion. Other
     methods do not give it: they use the configured controller, or else the transfer function.
     """
     control = experiment["force_controller"]
     used = control["method"]
     if method == TARGET_MOTION and control["actuator.kind"] not in FORCE_DRIVEN:
-        used = VELOCITY_FEEDFORWARD
-    elif used == VELOCITY_FEEDFORWARD:
+        used = fitting_method(control)
+    elif used in FOLLOW_TARGETS:
         used = TRANSFER_FUNCTION
     return experiment.changed(
         {"reference_force": {"compensation.method": method}, "force_controller": {"method": used}}
@@ -198,7 +201,11 @@ def with_method(experiment: Experiment, method: str) -> Experiment:
 
 
 FORCE_STEPS = {LinearParameters: linear_step, TargetParameters: target_step}
-CONTROL_STEPS = {TransferParameters: transfer_step, FeedforwardParameters: feedforward_step}
+CONTROL_STEPS = {
+    TransferParameters: transfer_step,
+    FeedforwardParameters: feedforward_step,
+    ServoParameters: servo_step,
+}
 """Steps of the blocks that can be compiled, by their parameters."""
 _OPTIONS: dict[str, Any] = {"jit_options": OPTIONS}
 
@@ -217,10 +224,10 @@ def why_not_compiled(blocks: Blocks) -> str:
     if "step" in vars(method):
         return "the compensation has a step of its own"
     controller = type(blocks.force_controller.controller)
-    if controller not in (ForceController, VelocityFeedforward):
+    if controller not in (ForceController, VelocityFeedforward, PositionServo):
         return "a force controller of another package"
-    if controller is VelocityFeedforward and type(method) is not TargetMotion:
-        return "velocity_feedforward without target_motion"
+    if controller is not ForceController and type(method) is not TargetMotion:
+        return "a controller that follows a target without target_motion"
     return ""
 
 
