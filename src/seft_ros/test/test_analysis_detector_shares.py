@@ -64,7 +64,6 @@ def test_what_a_test_is_like_changes_what_its_detectors_know():
         section, axes = section_of(*words)
         return detectors_of(section, axes, DT, (0, 1))[0]
 
-    half = of("reference_force:mass_ratio:=0.5")
     unknown = of("/**:specimen.stiffness:=0.0")
     assert not unknown.rig.stiffness.any()
     assert np.isinf(unknown.rough).all()

@@ -191,6 +191,7 @@ def detector_arrays(
         ranges,
         np.where(known.steps > 0.0, known.steps, np.inf),
         late,
+        not has_valve,
         dt,
     )
     lasts[WRONG:] = 1  # they count by themselves
