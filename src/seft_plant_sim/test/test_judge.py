@@ -41,8 +41,8 @@ def motion(seed=1, size=1.0, mass=MASS):
 
 def fresh_judge(oil=OIL, mass=MASS, ranges=WIDE, late=0.0, rest=REST):
     """A judge that has begun."""
-    steps = np.full((4, N), np.inf)
-    p, state = judge_arrays(NOISE, rest, oil, mass, STIFFNESS, ranges, steps, late, not oil.any(), DT)
+    steps, imposed = np.full((4, N), np.inf), np.zeros(N, np.int64)
+    p, state = judge_arrays(NOISE, rest, oil, mass, STIFFNESS, ranges, steps, late, imposed, DT)
     begin_judge(p, state)
     return p, state
 

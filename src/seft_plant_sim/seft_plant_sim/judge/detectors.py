@@ -191,7 +191,7 @@ def detector_arrays(
         ranges,
         np.where(known.steps > 0.0, known.steps, np.inf),
         late,
-        not has_valve,
+        np.isinf(actuator[:, 1]).astype(np.int64),
         dt,
     )
     lasts[WRONG:] = 1  # they count by themselves

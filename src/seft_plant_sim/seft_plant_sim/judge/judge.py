@@ -91,7 +91,7 @@ AXIS_FACTS = np.dtype(
         ("precision", "f8", (4,)),  # inverse variance of a wrong value, see `ANY`
         ("oil", "f8"),  # k_oil, N/m; 0: not known
         ("leak", "f8"),  # lambda, 1/s
-        ("obeys", "i8"),  # whether the rig obeys forces
+        ("imposed", "i8"),  # whether a servo imposes the motion, whatever f is
         ("mass", "f8"),  # its own of the specimen, kg; 0: not known
         ("stiffness", "f8"),  # likewise, N/m
         ("now", "f8", (4, 4)),  # L of the relations, see `judge_step`
@@ -182,7 +182,7 @@ def judge_arrays(
     ranges: Floats,
     steps: Floats,
     late: float,
-    obeys: bool,
+    imposed: Ints,
     dt: float,
 ) -> tuple[JudgeParameters, JudgeState]:
     """Put the judge of n axes into arrays.
@@ -197,14 +197,14 @@ def judge_arrays(
         k_oil, N/m, and lambda, 1/s, shape (n, 2); k_oil 0: not known.
     mass, stiffness : ndarray
         Of the assumed specimen, shape (n, n), kg and N/m; 0: not known.
-    ranges, steps, late, obeys, dt
+    ranges, steps, late, imposed, dt
         See `AXIS_FACTS`; the first two of shape (4, n).
     """
     n, half, bend = noise.shape[1], 0.5 * dt, dt * dt / 12.0
     state = JudgeState(**zeros_of(JudgeState, {"n": n, "window": round(WINDOW / dt)}))
     axes, begun = np.zeros(n, AXIS_FACTS).view(np.recarray), state.axes.copy()
     axes.dt, axes.late, axes.noise, axes.range = dt, late, noise.T**2, ranges.T
-    axes.step, axes.obeys = steps.T, obeys
+    axes.step, axes.imposed = steps.T, imposed
     axes.recent, axes.brief = math.exp(-dt / RECENT_MEMORY), math.exp(-dt / BRIEF_MEMORY)
     axes.events, axes.oil, axes.leak = math.exp(-dt / EVENT_MEMORY), *oil.T
     axes.mass, axes.stiffness = np.diag(mass), np.diag(stiffness)

@@ -7,7 +7,7 @@ k_oil and lambda are those of the oil, and dt is h::
     x = x1 + h (v + v1) / 2 - h^2 (a - a1) / 12                                            (1)
     v = v1 + h (a + a1) / 2                                                                (2)
     f = f1 + k_oil (h w - h (v + v1) / 2 + h^2 (a - a1) / 12) - h lambda f1                (3)
-        or 2 f1 - f2 if the rig obeys forces
+        or 2 f1 - f2 if the oil is not known; nothing if a servo imposes the motion
     r = 2 r1 - r2                                                                          (4)
 
 in short L y = D y1 + ... + u, where the covariance of u is the diagonal Q: what the relations leave
@@ -192,7 +192,7 @@ def begin_anew(known: Record, axis: Record, c: Record) -> None:
 @compiled
 def left_by_force(known: Record, axis: Record, b: Record) -> float:
     """Variance of what (4) leaves after a branch, N^2."""
-    if known.mass == 0.0 and (known.oil > 0.0 or known.obeys):
+    if known.mass == 0.0 and not known.imposed:
         return UNKNOWN**2  # (3) tells f; without that r is f
     curved = known.stiffness * known.dt**2 * b.value[0, A]
     return 4.0 * b.blur[0] + b.blur[1] + b.settling + axis.scatter[1] + curved * curved
@@ -233,7 +233,7 @@ def _compare(known: Record, axis: Record, c: Record, b: Record, flow: float) -> 
     else:
         c.off[2] = z[F] - 2.0 * last[F] + b.value[1, F]
         left[2] = b.variance[1, F] + axis.asked_turn**2 + axis.scatter[0]
-        if not known.obeys:
+        if known.imposed:
             left[2] = UNKNOWN**2
     left[3] = left_by_force(known, axis, b) + c.doubt
     is_usual = True
