@@ -1,0 +1,75 @@
+"""Figures of the benchmark: its criteria by controller, and the histories of one test."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from rths_problem import DT
+from rths_tests import CONTROLLERS, Histories, Outcome
+from seft_ros.drawing import style
+from seft_ros.drawing.style import new_figure, thinned, tidy
+
+LABELS = ("seft", "sample controller", "conventional inverse")
+COLOURS = dict(zip(CONTROLLERS, style.OTHERS, strict=False))
+NAMES = dict(zip(CONTROLLERS, LABELS, strict=True))
+DRAWN = ("true J2", "true J3", "true J4", "true J5", "J6", "J7", "J8", "J9")
+STRONG_S = 12.0
+"""Of the histories that is shown, from the motion's beginning, s."""
+
+Groups = dict[tuple[str, str], list[Outcome]]
+Summary = Callable[[Sequence[Outcome], str], tuple[float, float]]
+
+
+def criteria_figure(groups: Groups, mean_and_worst: Summary) -> Figure:
+    """Draw mean and worst of the criteria by controller, nominal and perturbed plants."""
+    figure = new_figure(9.5, 4.5)
+    panel = figure.subplots()
+    width = 0.8 / len(groups)
+    for place, ((controller, plants), chosen) in enumerate(groups.items()):
+        pairs = np.array([mean_and_worst(chosen, name) for name in DRAWN])
+        at = np.arange(len(DRAWN)) + (place - 0.5 * (len(groups) - 1)) * width
+        look: dict[str, Any] = {"color": COLOURS[controller]}
+        if plants == "nominal":
+            look = {"color": "white", "edgecolor": COLOURS[controller], "lw": 1.4}
+        label = f"{NAMES[controller]}, {len(chosen)} {plants}"
+        panel.bar(at, pairs[:, 0], 0.85 * width, label=label, **look)
+        panel.vlines(at, pairs[:, 0], pairs[:, 1], color=style.TEXT, lw=1.2)
+    panel.set_yscale("log")
+    panel.set_xticks(range(len(DRAWN)), DRAWN)
+    panel.set_ylabel("mean, and line to the worst / %", color=style.TEXT)
+    tidy(panel)
+    style.finish(figure, [panel], "RTHS benchmark: tracking (J2, J3) and structure (J4 to J9)")
+    return figure
+
+
+def histories_figure(found: Histories) -> Figure:
+    """Draw displacement of the first floor, and errors of the specimen and of the third floor."""
+    figure = new_figure(9.5, 6.5)
+    panels = figure.subplots(3, 1, sharex=True, height_ratios=[1.4, 1.0, 1.0])
+    begin = int(
+        np.argmax(np.abs(found.reference[:, 0]) > 0.02 * np.abs(found.reference[:, 0]).max())
+    )
+    part = slice(begin, begin + round(STRONG_S / DT))
+    time, exact = DT * np.arange(len(found.reference))[part], 1e3 * found.reference[part]
+    panels[0].plot(time, exact[:, 0], color=style.REFERENCE, lw=2.4, label="whole structure")
+    for name, motion in reversed(found.motions.items()):
+        look: dict[str, Any] = {"color": COLOURS[name], "lw": 0.9, "label": NAMES[name]}
+        true, third = 1e3 * motion.true[part], 1e3 * motion.numerical[part, 2]
+        for panel, y in zip(
+            panels,
+            (true, true - exact[: len(true), 0], third - exact[: len(third), 2]),
+            strict=True,
+        ):
+            at = thinned(y)
+            panel.plot(time[at], y[at], **look)
+    labels = ("floor 1, true\n/ mm", "its error / mm", "error of\nfloor 3 / mm")
+    for panel, label in zip(panels, labels, strict=True):
+        panel.set_ylabel(label, color=style.TEXT)
+        panel.margins(x=0.01)
+        tidy(panel)
+    panels[-1].set_xlabel("time / s", color=style.TEXT)
+    test = found.test
+    title = f"case {test.case}, {test.record.replace('_', ' ')}, {test.plant} plant"
+    style.finish(figure, panels[:1], title)
+    return figure
