@@ -109,6 +109,13 @@ _ACTUATOR = parameter_rows(
     viscous_friction  | floats | 0.0   | N s/m | 0 .. | viscous friction of the piston
     stroke            | floats | 0.076 | m     | > 0  |
         displacement in both directions at which the piston meets its stops
+    servo.gain              | floats | 1.0    |         | > 0  |
+        of the vendor's controller of a position_servo: displacement per command at rest
+    servo.proportional      | floats | 3000.0 | V/m     | 0 .. | its proportional gain
+    servo.integral          | floats | 0.0    | V/(m s) | 0 .. | its integral gain
+    servo.derivative        | floats | 0.0    | V s/m   | 0 .. | its derivative gain
+    servo.derivative_filter | floats | 100.0  | Hz      | > 0  | cut-off of its derivative
+    servo.delta_p           | floats | 0.0    | V/N     | 0 .. | its feedback of the oil's force
     """,
     "simulated.actuator",
 )

@@ -12,6 +12,8 @@ CHANNELS = ("displacement", "velocity", "acceleration", "force")
 """What a rig measures on each axis, in this order."""
 FORCE_DRIVEN = ("ideal", "delay")
 """Kinds of actuators that obey a force; the others obey their valves."""
+POSITION_SERVO = "position_servo"
+"""Kind of actuators whose vendor's controller moves the valve: they obey a displacement."""
 
 _LOOP = """
     rate | float   | 500.0 | Hz | > 0 .. 1e6 | sampling rate of the loop
@@ -36,9 +38,11 @@ _SPECIMEN = """
 """
 
 _ACTUATOR = """
-    kind | string | servo_hydraulic |  | ideal, delay, servo_hydraulic, servo_hydraulic_linear |
+    kind | string | servo_hydraulic |  | \
+ideal, delay, servo_hydraulic, servo_hydraulic_linear, position_servo |
         ideal and delay (Eq. 5.2) obey the reference force; servo_hydraulic obeys its valve,
-        servo_hydraulic_linear is its small-signal limit
+        servo_hydraulic_linear is its small-signal limit; position_servo obeys a displacement, by
+        its vendor's controller: its commands are in m in place of V
     flow_gain       | floats | 0.0 | m/s/V | 0 .. | piston velocity for one volt; 0: not known
     oil_stiffness   | floats | 0.0 | N/m   | 0 .. | stiffness of the oil column; 0: not known
     leakage         | floats | 0.0 | 1/s   | 0 .. | rate at which the force decays by leakage
@@ -53,10 +57,13 @@ _ACTUATOR = """
         kind delay, or of a force loop
     response.numerator   | floats | [0.0] |   |        |
         numerator of the response from reference force to measured force of the same step, in s,
-        highest power first, as seft identify finds it; 0: a pure delay
+        highest power first, as seft identify finds it; 0: a pure delay. Of a position_servo: from
+        command to displacement, without the loop's step and hold
     response.denominator | floats | [1.0] |   |        | its denominator, likewise
-    response.dead_time   | float  | 0.0   | s | 0 .. 1 |
-        its dead time, with the loop's step and without the lag of the sensors
+    response.dead_time   | floats | 0.0   | s | 0 .. 1 |
+        its dead time, without the lag of the sensors, and of forces with the loop's step. Of a
+        position_servo one for each axis, too: numerator and denominator then have a polynomial for
+        each
 """
 
 _OF_A_CHANNEL = """
@@ -77,6 +84,8 @@ _SENSORS = """
     velocity | string | measured | | measured, derived |
         measured, or derived from the displacement by a filtered derivative
     velocity_cutoff | float | 100.0 | Hz | > 0 | cut-off of that derivative
+    acceleration | string | measured | | measured, derived |
+        measured, or, of a position_servo, derived from the displacement and the target
     adc_bits | int | 0 | | 0 .. 32 |
         bits of the analog-digital converters over each range; 0: finer than the noise
 """

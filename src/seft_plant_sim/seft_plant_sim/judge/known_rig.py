@@ -5,9 +5,11 @@ from typing import Any
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.facts import POSITION_SERVO
 from seft_msgs_py.config.parameter_table import mass_matrix, per_axis, symmetric_matrix
 from seft_msgs_py.errors import InputError
 
+from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.rig_parameters import common_lag
 
 ASSUMED_ACTUATOR = ("flow_gain", "oil_stiffness", "leakage", "force_capacity")
@@ -49,6 +51,53 @@ def known_actuators(
     capacity = known["force_capacity"]
     known["force_capacity"] = np.where(capacity > 0.0, capacity, np.inf)
     return known
+
+
+def command_limit(section: Mapping[str, Any]) -> float:
+    """Largest command of a rig, in V; of a displacement servo, in m, also its displacement."""
+    limit = float(section["limits.command"])
+    if section["actuator.kind"] == POSITION_SERVO:
+        limit = min(limit, float(section["limits.displacement"]))
+    return limit
+
+
+def known_responses(
+    section: Mapping[str, Any], axes: tuple[str, ...], places: Sequence[int]
+) -> list[TransferFunction]:
+    """Give the responses of displacement servos from command to displacement, at some places.
+
+    Raises
+    ------
+    InputError
+        If they are not known, not stable, or answer at once.
+    """
+    name = "/**: actuator.response"
+    late = np.atleast_1d(section["actuator.response.dead_time"])
+    each = len(late) if len(late) > 1 else 1
+    dead_time = per_axis(section["actuator.response.dead_time"], axes, f"{name}.dead_time")
+    parts = []
+    for part in ("numerator", "denominator"):
+        values = np.atleast_1d(np.asarray(section[f"actuator.response.{part}"], dtype=np.float64))
+        if len(values) % each:
+            raise InputError(
+                f"{name}.{part} has {len(values)} coefficients for {each} axes; give each as many"
+            )
+        parts.append(np.broadcast_to(values.reshape(each, -1), (len(axes), len(values) // each)))
+    responses = []
+    for place in places:
+        top, below = (np.trim_zeros(part[place], "f") for part in parts)
+        if not len(top):
+            raise InputError(
+                f"{name} is not known: find it with seft identify CONFIG, and give its model.yaml "
+                "with --params-file"
+            )
+        if len(top) >= len(below) or np.roots(below).real.max() >= 0.0 or not top[-1]:
+            raise InputError(
+                f"{name}: {top.tolist()} over {below.tolist()} is no response of a displacement "
+                "servo: it must be stable, have more poles than zeros, and follow at rest"
+            )
+        responses.append(TransferFunction(tuple(top), tuple(below), float(dead_time[place])))
+    return responses
 
 
 def read_specimen(

@@ -75,6 +75,53 @@ class Hydraulics:
         return replace(self, **{k: v[list(places)] for k, v in vars(self).items()})
 
 
+@dataclass(frozen=True)
+class InnerLoop:
+    """The vendor's displacement controllers of n axes, each array of shape (n,).
+
+    With the command u, the displacement x and the oil's force p, the drive of the valve is::
+
+        P e + I integral of e + D e' / (1 + s / w_d) - Delta p,    e = gain u - x
+
+    Attributes
+    ----------
+    gain : ndarray
+        Displacement per command at rest, without load.
+    proportional, integral, derivative : ndarray
+        P, I and D: V/m, V/(m s) and V s/m.
+    derivative_filter : ndarray
+        w_d, cut-off of the derivative, Hz.
+    delta_p : ndarray
+        Delta, feedback of the oil's force, V/N.
+    """
+
+    gain: Floats
+    proportional: Floats
+    integral: Floats
+    derivative: Floats
+    derivative_filter: Floats
+    delta_p: Floats
+
+    @classmethod
+    def from_parameters(
+        cls, group: dict[str, Any], axes: Sequence[str], places: Sequence[int]
+    ) -> "InnerLoop":
+        """Make those of the axes at some places from ``simulated.actuator.*``.
+
+        Raises
+        ------
+        InputError
+            If sizes do not fit the axes.
+        """
+        where = "rig: simulated.actuator.servo"
+        return cls(
+            *(
+                per_axis(group[f"servo.{name}"], axes, f"{where}.{name}")[list(places)]
+                for name in cls.__dataclass_fields__
+            )
+        )
+
+
 _NAMES = tuple(Hydraulics.__dataclass_fields__)
 
 STOP_STIFFNESS = 2.0  # of the end stops, over the oil's

@@ -21,6 +21,7 @@ from seft_plant_sim.simulated.actuator import COLUMNS as PISTON
 from seft_plant_sim.simulated.actuator import (
     FASTEST,
     Hydraulics,
+    InnerLoop,
     holding_force,
     lost_opening,
     piston_rows,
@@ -205,6 +206,51 @@ def servo_hydraulic(
             outputs=outputs,
         )
     return with_springs(model, specimen)
+
+
+def with_inner_loop(model: ContinuousModel, loop: InnerLoop, stroke: Floats) -> ContinuousModel:
+    """Let a displacement controller drive the valves of a `servo_hydraulic` model of n axes.
+
+    The drive u becomes a displacement in m. Two states are added to each axis, i' = e and
+    d' = w_d (e - d): the filtered derivative is w_d (e - d).
+
+    Parameters
+    ----------
+    model : ContinuousModel
+        Whose drive is that of the valves.
+    loop : InnerLoop
+        Of the n axes.
+    stroke : ndarray
+        Largest displacement that can be commanded, shape (n,), m.
+    """
+    n, size = model.b.shape[1], len(model.a)
+    w = 2 * np.pi * loop.derivative_filter
+    x, p = slice(n), slice(2 * n, 3 * n)
+    # drive of the valves per state and per command
+    by_state, by_error = (
+        np.zeros((n, size + 2 * n)),
+        np.diag(loop.proportional + loop.derivative * w),
+    )
+    by_state[:, x], by_state[:, p] = -by_error, -np.diag(loop.delta_p)
+    by_state[:, size : size + n] = np.diag(loop.integral)
+    by_state[:, size + n :] = -np.diag(loop.derivative * w)
+    gain = np.diag(loop.gain)
+    a, b = np.zeros((size + 2 * n, size + 2 * n)), np.zeros((size + 2 * n, n))
+    a[:size, :size] = model.a
+    a[:size] += model.b @ by_state
+    a[size : size + n, x], a[size + n :, x] = -np.eye(n), -np.diag(w)
+    a[size + n :, size + n :] = -np.diag(w)
+    b[:size] = model.b @ by_error @ gain
+    b[size : size + n], b[size + n :] = gain, np.diag(w) @ gain
+    return replace(
+        model,
+        a=a,
+        b=b,
+        c=np.hstack([model.c, np.zeros((4 * n, 2 * n))]),
+        inputs=np.vstack([model.inputs, np.zeros((2 * n, model.inputs.shape[1]))]),
+        drive="valve_command",
+        drive_limit=stroke,
+    )
 
 
 LONGEST_STEP = 5e-4  # s

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.parameter_table import nearest
+from seft_msgs_py.config.facts import POSITION_SERVO
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 
@@ -280,7 +281,7 @@ def _check_part(fault: Fault, section: dict[str, Any]) -> None:
         raise fault.error(
             f"the converter has the bits 0 to {bits - 1} (simulated.sensors.adc_bits)"
         )
-    if fault.what == "supply" and actuator != "servo_hydraulic":
+    if fault.what == "supply" and actuator not in ("servo_hydraulic", POSITION_SERVO):
         raise fault.error(
             f"actuator.kind {actuator} has no supply pressure; make that servo_hydraulic"
         )

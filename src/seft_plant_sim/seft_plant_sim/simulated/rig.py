@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.facts import POSITION_SERVO
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import Simulated
@@ -15,7 +16,7 @@ from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import entry_point
 from seft_plant_sim.hardware.safe_stop import Safe, Stopped
 from seft_plant_sim.lti import split_dead_time
-from seft_plant_sim.simulated.actuator import Hydraulics
+from seft_plant_sim.simulated.actuator import Hydraulics, InnerLoop
 from seft_plant_sim.simulated.continuous_model import (
     ContinuousModel,
     Drive,
@@ -23,6 +24,7 @@ from seft_plant_sim.simulated.continuous_model import (
     delayed_force,
     dynamics_of,
     servo_hydraulic,
+    with_inner_loop,
 )
 from seft_plant_sim.simulated.faults import (
     NO_FAULTS,
@@ -230,4 +232,7 @@ def continuous_model(
         everywhere = Hydraulics.from_parameters(actuator, axes)
         hydraulics = everywhere.part(own.places)
         model = servo_hydraulic(specimen, hydraulics, linear=kind == "servo_hydraulic_linear")
+        if kind == POSITION_SERVO:
+            loop = InnerLoop.from_parameters(actuator, axes, own.places)
+            model = with_inner_loop(model, loop, hydraulics.stroke)
     return with_sensors(model, section, axes, own.places)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from seft_msgs_py.config.facts import CHANNELS, facts
+from seft_msgs_py.config.facts import CHANNELS, POSITION_SERVO, facts
 from seft_msgs_py.config.parameter_table import Table, parameter_rows
 from seft_msgs_py.config.registered import Registered
 from seft_msgs_py.node import host
@@ -13,7 +13,10 @@ from seft_ros.reference_force.reference_force_parameters import SETTINGS_OF_THE_
 
 TRANSFER_FUNCTION = "transfer_function"
 VELOCITY_FEEDFORWARD = "velocity_feedforward"
-REGISTERED_CONTROLLERS = Registered("seft.force_control", (TRANSFER_FUNCTION, VELOCITY_FEEDFORWARD))
+POSITION_SERVO_METHOD = "position_servo"
+FOLLOW_TARGETS = VELOCITY_FEEDFORWARD, POSITION_SERVO_METHOD
+"""Controllers that follow the motion of a target."""
+REGISTERED_CONTROLLERS = Registered("seft.force_control", (TRANSFER_FUNCTION, *FOLLOW_TARGETS))
 """Other packages' controllers: name -> class or function of `ControlInputs` and settings."""
 
 
@@ -53,7 +56,8 @@ FORCE_CONTROLLER_TABLE = Table(
             "method",
             TRANSFER_FUNCTION,
             "the controller: numerator over denominator on each axis, or the flow that a target's "
-            f"motion needs ({VELOCITY_FEEDFORWARD})",
+            f"motion needs ({VELOCITY_FEEDFORWARD}), or the displacement that a servo of kind "
+            f"{POSITION_SERVO} obeys ({POSITION_SERVO_METHOD})",
         ),
         REGISTERED_CONTROLLERS.settings_row("settings", "a controller"),
         *_ROWS,

@@ -11,10 +11,12 @@ from seft_msgs_py.wire.topics import RigAxes, Timebase
 
 from seft_ros.force_controller.force_control import ControlInputs, ForceControl, ForceController
 from seft_ros.force_controller.force_controller_parameters import (
+    POSITION_SERVO_METHOD,
     REGISTERED_CONTROLLERS,
     TRANSFER_FUNCTION,
     VELOCITY_FEEDFORWARD,
 )
+from seft_ros.force_controller.position_servo import PositionServo
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
 from seft_ros.reference_force.compensator import RegisteredPart
 
@@ -95,6 +97,8 @@ def force_control(
         return ForceController.from_parameters(section, axes, timebase, own)
     if name == VELOCITY_FEEDFORWARD:
         return VelocityFeedforward(section, axes, timebase, own)
+    if name == POSITION_SERVO_METHOD:
+        return PositionServo(section, axes, timebase, own)
     inputs = ControlInputs(len(own.axes), timebase.dt, section["limits.command"])
     make = partial(
         REGISTERED_CONTROLLERS.make, name, section["settings"], "force_controller: method", inputs

@@ -48,7 +48,11 @@ _DOUBLINGS, _CONVERGED = 60, 1e-14  # of the samples that are looked ahead: 9 to
 
 def crossover(valves: Sequence[ValveModel]) -> Floats:
     """Crossover frequency of the loop of each valve, W of Eq. (6), shape (n,), rad/s."""
-    delay = np.array([valve.delay for valve in valves])
+    return fastest_feedback(np.array([valve.delay for valve in valves]))
+
+
+def fastest_feedback(delay: Floats) -> Floats:
+    """Crossover frequency that delays of loops allow, s and rad/s, shape (n,)."""
     fastest = UNKNOWN_PHASE / UNCERTAIN_DELAY
     return np.minimum(CROSSOVER / (delay + UNCERTAIN_DELAY), fastest)
 
@@ -96,7 +100,7 @@ def regulator(
     least = np.linalg.inv(_flow_at(crossover(valves), oil, mass, stiffness))
     cost, effort = np.zeros_like(free), least.T @ least
     cost[:n, :n] = np.eye(n)
-    p = _cost_to_go(free, push, cost, effort)
+    p = cost_to_go(free, push, cost, effort)
     gain = np.linalg.solve(effort + push.T @ p @ push, push.T @ p @ free)
     # of the flow and the commands under way, which past commands have made
     state, own, sent = push[3 * n :], free[3 * n :, 3 * n :], np.empty((n, n, memory))
@@ -106,7 +110,7 @@ def regulator(
     return (gain[:, : 3 * n] * np.repeat([1.0, dt, 1.0], n)).reshape(n, 3, n), sent
 
 
-def _cost_to_go(a: Floats, b: Floats, q: Floats, r: Floats) -> Floats:
+def cost_to_go(a: Floats, b: Floats, q: Floats, r: Floats) -> Floats:
     """Solve the discrete algebraic Riccati equation, by doubling (Chu, Fan & Lin 2004).
 
     `scipy.linalg.solve_discrete_are` reorders a Schur form, which fails with the many eigenvalues 0

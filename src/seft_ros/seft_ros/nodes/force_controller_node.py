@@ -29,8 +29,8 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_plant_sim.judge.detector_list import TRACKING, WARNING
 
 from seft_ros.force_controller.force_controller_parameters import (
+    FOLLOW_TARGETS,
     FORCE_CONTROLLER_TABLE,
-    VELOCITY_FEEDFORWARD,
 )
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.methods import force_control
@@ -83,7 +83,7 @@ class ForceControllerNode(NodeBody):
         if self._previews is not None:
             send_back = shell.publisher(LINK_PONG.of(rig))
             shell.subscribe(LINK_PING.of(rig), lambda raw, _: send_back(raw), reliable=False)
-        topic = TARGET if section["method"] == VELOCITY_FEEDFORWARD else REFERENCE_FORCE
+        topic = TARGET if section["method"] in FOLLOW_TARGETS else REFERENCE_FORCE
         self._force_codec = TrajectoryCodec(topic, experiment.axes, timebase)
         self._settled = 1 + max(section["loop_delay"], 0)
         self._state_codec = TrajectoryCodec(RIG_STATE.of(rig), axes, timebase)

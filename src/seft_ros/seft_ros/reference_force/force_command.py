@@ -78,7 +78,7 @@ def command_arrays(known: MethodInputs, horizon: int) -> tuple[CommandParameters
         np.atleast_1d(np.asarray(known.options[f"actuator.response.{name}"], dtype=np.float64))
         for name in ("numerator", "denominator")
     )
-    dt, late = known.dt, float(known.options["actuator.response.dead_time"]) + known.late
+    dt, late = known.dt, float(np.max(known.options["actuator.response.dead_time"])) + known.late
     if not numerator.any():  # a pure delay, with the half step of the hold
         numerator = denominator = np.ones(1)
         late = known.delay - dt / 2

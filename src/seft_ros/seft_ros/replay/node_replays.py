@@ -16,7 +16,7 @@ from seft_plant_sim.rig import Rig
 
 from seft_ros.bags.gathering import EstimatesGatherer
 from seft_ros.bags.recording import Estimates, Series, series_of
-from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
+from seft_ros.force_controller.force_controller_parameters import FOLLOW_TARGETS
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.methods import force_control
 from seft_ros.protection.protected_force import ProtectedForce
@@ -122,7 +122,7 @@ class ForceControllerReplay(Replay):
             self.expected = self.expected.until(trip.step)
             self.notes.append(f"replayed until step {trip.step}, where a timeout tripped it")
         states, self._points = recorded.series(RIG_STATE), recorded.points
-        looks_ahead = section["method"] == VELOCITY_FEEDFORWARD
+        looks_ahead = section["method"] in FOLLOW_TARGETS
         if looks_ahead and all(len(points) == 1 for points in self._points.values()):
             raise InputError(
                 "force_controller needs the future motion of the target, which is not in a bag of "

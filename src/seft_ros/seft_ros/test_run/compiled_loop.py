@@ -11,7 +11,7 @@ import numpy as np
 from numba.extending import overload
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.facts import FORCE_DRIVEN
+from seft_msgs_py.config.facts import FORCE_DRIVEN, POSITION_SERVO
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import VALVE_COMMAND
@@ -41,6 +41,8 @@ from seft_ros.force_controller.force_control import (
     transfer_step,
 )
 from seft_ros.force_controller.force_controller_parameters import (
+    FOLLOW_TARGETS,
+    POSITION_SERVO_METHOD,
     TRANSFER_FUNCTION,
     VELOCITY_FEEDFORWARD,
 )
@@ -54,6 +56,8 @@ from seft_ros.force_controller.interlock_step import (
     postcheck,
     precheck,
 )
+from seft_ros.force_controller.position_servo import PositionServo
+from seft_ros.force_controller.servo_step import ServoParameters, servo_step
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
 from seft_ros.protection.protected_force import ProtectedForce
@@ -151,7 +155,14 @@ def check_target(experiment: Experiment, blocks: Blocks) -> None:
     method = experiment["force_controller"]["method"]
     compensation = experiment["reference_force"]["compensation.method"]
     has_target = blocks.reference_force.reference_force.provides_target
-    if method == VELOCITY_FEEDFORWARD and not has_target:
+    kind = experiment["force_controller"]["actuator.kind"]
+    fitting = POSITION_SERVO_METHOD if kind == POSITION_SERVO else VELOCITY_FEEDFORWARD
+    if method in FOLLOW_TARGETS and method != fitting:
+        raise InputError(
+            f"force_controller: method {method} does not drive an actuator of kind {kind}; make "
+            f"that {fitting}"
+        )
+    if method in FOLLOW_TARGETS and not has_target:
         raise InputError(
             f"force_controller: method {method} follows the motion of a target, but "
             f"reference_force: compensation.method is {compensation}; make that {TARGET_MOTION}"
@@ -159,8 +170,7 @@ def check_target(experiment: Experiment, blocks: Blocks) -> None:
     if method == TRANSFER_FUNCTION and has_target and blocks.rig.drive == VALVE_COMMAND.name:
         raise InputError(
             f"reference_force: compensation.method {compensation} gives the motion of a target, "
-            f"which force_controller: method {method} does not follow; make that "
-            f"{VELOCITY_FEEDFORWARD}"
+            f"which force_controller: method {method} does not follow; make that {fitting}"
         )
 
 
@@ -189,7 +199,9 @@ def with_method(experiment: Experiment, method: str) -> Experiment:
     """
     control = experiment["force_controller"]
     used = control["method"]
-    if method == TARGET_MOTION and control["actuator.kind"] not in FORCE_DRIVEN:
+    if control["actuator.kind"] == POSITION_SERVO:
+        used = POSITION_SERVO_METHOD
+    elif method == TARGET_MOTION and control["actuator.kind"] not in FORCE_DRIVEN:
         used = VELOCITY_FEEDFORWARD
     elif used == VELOCITY_FEEDFORWARD:
         used = TRANSFER_FUNCTION
@@ -199,7 +211,11 @@ def with_method(experiment: Experiment, method: str) -> Experiment:
 
 
 FORCE_STEPS = {LinearParameters: linear_step, TargetParameters: target_step}
-CONTROL_STEPS = {TransferParameters: transfer_step, FeedforwardParameters: feedforward_step}
+CONTROL_STEPS = {
+    TransferParameters: transfer_step,
+    FeedforwardParameters: feedforward_step,
+    ServoParameters: servo_step,
+}
 """Steps of the blocks that can be compiled, by their parameters."""
 _OPTIONS: dict[str, Any] = {"jit_options": OPTIONS}
 
@@ -220,10 +236,10 @@ def why_not_compiled(blocks: Blocks) -> str:
     if "step" in vars(method):
         return "the compensation has a step of its own"
     controller = type(blocks.force_controller.controller)
-    if controller not in (ForceController, VelocityFeedforward):
+    if controller not in (ForceController, VelocityFeedforward, PositionServo):
         return "a force controller of another package"
-    if controller is VelocityFeedforward and type(method) is not TargetMotion:
-        return "velocity_feedforward without target_motion"
+    if controller is not ForceController and type(method) is not TargetMotion:
+        return "a controller that follows a target without target_motion"
     return ""
 
 

@@ -1,0 +1,255 @@
+"""Force control by a displacement servo: its vendor's controller moves the valve.
+
+Of it the response from command u to displacement is known, y = G(s) u, as `seft identify` finds it
+with the specimen in place. The displacement is (1 + e_gain) y - e_delay y' + d. A Kalman filter
+follows these errors on the measured displacement: d is what gain and delay do not explain (the
+specimen that yields, friction, valve and supply), and changes at the rate W of
+`oil_column.crossover`, which the delay allows.
+
+The command inverts the response for the target's motion, which is known ahead. It minimises, with
+the second difference of the command, the sum of
+
+    (y - (x* - d) / (1 + e_gain))^2 + (|G(W_h)| / (W_h dt)^2)^2 (u[k] - 2 u[k-1] + u[k-2])^2   (8)
+
+over all samples, y one dead time ahead: the linear-quadratic tracking problem with preview (Tomizuka
+1975). Its solution inverts G up to W_h, where the servo does no more than `LEAST_GAIN` of a command,
+without a limit of frequencies, poles or zeros; it knows where past commands have brought the servo.
+"""
+
+from typing import Any
+
+import numpy as np
+from seft_msgs_py.arrays import Floats
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.topics import RigAxes, Timebase
+from seft_plant_sim.compiled import entry_point
+from seft_plant_sim.judge.known_rig import command_limit, known_responses
+from seft_plant_sim.judge.valve_following import UNCERTAIN_DELAY
+from seft_plant_sim.lti import TransferFunction, first_order_hold
+from seft_plant_sim.rig_parameters import common_lag
+
+from seft_ros.force_controller.force_control import LinearControl
+from seft_ros.force_controller.force_controller_parameters import POSITION_SERVO_METHOD
+from seft_ros.force_controller.oil_column import cost_to_go, fastest_feedback
+from seft_ros.force_controller.servo_step import (
+    LARGEST_DELAY_ERROR,
+    SERVO_ERRORS,
+    ServoParameters,
+    ServoState,
+    begin_servo,
+    memory_of,
+    servo_step,
+    servo_stop,
+)
+from seft_ros.protection.protection_step import stop_steps
+from seft_ros.reference_force.compensator import NotLinearError
+from seft_ros.reference_force.observers import sensor_noise
+from seft_ros.reference_force.reference_force_parameters import HORIZON_PER_LAG, horizon_steps
+
+LEAST_GAIN = 0.2
+"""Displacement per command down to which the response is inverted, over that at rest: more would
+take commands of five times the motion."""
+NEGLIGIBLE = 0.05
+"""Part of the weights of the coming motion that may be left to a linear continuation of it."""
+
+
+class PositionServo:
+    """Force controller of n axes that commands displacement servos for the future motion.
+
+    Parameters
+    ----------
+    section : dict
+        Of the force controller, for all axes.
+    axes : tuple of str
+        Names of all axes.
+    timebase : Timebase
+        Sampling clock.
+    rig : RigAxes, optional
+        With several rigs, the one that it controls; default all axes.
+
+    Attributes
+    ----------
+    limited, shape
+        See `ForceControl`.
+    parameters, state
+        Arguments of `servo_step`, here and in a compiled loop.
+
+    Raises
+    ------
+    InputError
+        If the response is not known, or the horizon is too short for it.
+    """
+
+    def __init__(
+        self,
+        section: dict[str, Any],
+        axes: tuple[str, ...],
+        timebase: Timebase,
+        rig: RigAxes | None = None,
+    ) -> None:
+        own, dt = list((rig or RigAxes.whole(axes)).places), timebase.dt
+        lag, responses = common_lag(section), known_responses(section, axes, own)
+        servos = [InvertedServo(each, dt) for each in responses]
+        n, taps = len(servos), max(servo.taps for servo in servos)
+        late = np.array([(each.dead_time + lag) / dt + 1.0 for each in responses])
+        horizon = horizon_steps(section, dt)
+        needed = int(np.ceil(late.max() + LARGEST_DELAY_ERROR / dt)) + taps + 2
+        if horizon < needed:
+            needs = needed * dt - HORIZON_PER_LAG * lag
+            raise InputError(
+                f"reference_force: compensation.horizon is {section['compensation.horizon']:g} s, "
+                f"but the servos need {needs:.3g} s of the future motion; make it longer"
+            )
+        delay = np.array([servo.delay for servo in servos]) + late * dt + dt / 2
+        self.parameters = ServoParameters(
+            dt=dt,
+            limit=command_limit(section),
+            late=late,
+            free=np.array([servo.free for servo in servos]),
+            push=np.array([servo.push for servo in servos]),
+            output=np.array([servo.output for servo in servos]),
+            rest=np.array([servo.rest for servo in servos]),
+            feedback=np.array([servo.feedback for servo in servos]),
+            ahead=np.array([servo.ahead(taps) for servo in servos]),
+            noise=sensor_noise(section, axes)[0, own],
+            rate=fastest_feedback(delay),
+        )
+        states = self.parameters.feedback.shape[1]
+        self.state = ServoState(
+            model=np.zeros((n, states)),
+            next=np.zeros((n, states)),
+            past=np.zeros((n, memory_of(late.max()))),
+            wanted=np.zeros(taps),
+            errors=np.zeros((n, SERVO_ERRORS)),
+            covariance=np.zeros((n, SERVO_ERRORS, SERVO_ERRORS)),
+            work=np.zeros((2, SERVO_ERRORS)),
+            steps=np.zeros(1),
+        )
+        self.shape = 1 + horizon, 3
+        self._points, self._measured = np.zeros((1 + horizon, 3, n)), np.zeros((4, n))
+        self._command, both = np.zeros(n), (self.parameters, self.state)
+        self._step = entry_point(servo_step, *both, self._points, self._measured, self._command)
+        steps = stop_steps(1 + horizon, dt)
+        self._room = np.zeros((steps + needed + 2, 3, n)), np.zeros((steps, n))
+        self._used_up = ServoState(*(np.zeros_like(each) for each in self.state))
+        self._stop = entry_point(servo_stop, *both, self._points, *self._room)
+        self._begin = entry_point(begin_servo, self.state)
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin a new test."""
+        self.limited = False
+        self._begin(self.state)
+
+    def estimates(self) -> dict[str, Floats]:
+        """Relative error of the gain, error of the delay (s), displacement that is left (m)."""
+        names = "gain_error", "delay_error", "displacement_error"
+        return dict(zip(names, self.state.errors.T, strict=True))
+
+    def linear(self) -> LinearControl:
+        """Raise an error: there is none."""
+        raise NotLinearError("force_controller", POSITION_SERVO_METHOD)
+
+    def step(self, points: Floats, state: Floats) -> Floats:
+        """Find the commands that answer a sample, see `servo_step`; (n,), m."""
+        known = points[: len(self._points)]
+        self._points[: len(known)], self._points[len(known) :] = known, known[-1]
+        self._measured[:] = state
+        self.limited = self._step(
+            self.parameters, self.state, self._points, self._measured, self._command
+        )
+        return self._command.copy()
+
+    def stop(self, plan: Floats) -> Floats:
+        """Give the commands that bring the rig to rest, from the next step on; (N, n), m.
+
+        ``plan`` has the target's points of the last step and the coming ones, shape `shape` and n.
+        """
+        for used, own in zip(self._used_up, self.state, strict=True):
+            used[...] = own
+        self._stop(self.parameters, self._used_up, plan, *self._room)
+        return self._room[-1].copy()
+
+
+class InvertedServo:
+    """Response of a servo to a held command without its dead time, and its inverse by Eq. (8).
+
+    Parameters
+    ----------
+    response : TransferFunction
+        Of m poles, from command to displacement.
+    dt : float
+        Sampling period, s.
+
+    Attributes
+    ----------
+    free, push, output, rest, feedback
+        See `ServoParameters`.
+    delay : float
+        Of slow motions, without the dead time, s.
+    taps : int
+        Sufficient number of coming samples.
+    """
+
+    def __init__(self, response: TransferFunction, dt: float) -> None:
+        m = len(response.denominator) - 1
+        denominator = np.array(response.denominator) / response.denominator[0]
+        numerator = np.zeros(m)
+        numerator[m - len(response.numerator) :] = (
+            np.array(response.numerator) / response.denominator[0]
+        )
+        self.delay = denominator[-2] / denominator[-1]
+        if m > 1:
+            self.delay -= numerator[-2] / numerator[-1]
+        # states in units of m, by the poles' mean frequency
+        unit = abs(denominator[-1]) ** (1.0 / m)
+        scaled = denominator[:0:-1] / unit ** np.arange(m, 0, -1.0)
+        a, b = unit * np.eye(m, k=1), np.zeros((m, 1))
+        a[-1] -= unit * scaled
+        b[-1] = unit
+        self.free, push, _ = first_order_hold(a, b, dt)
+        self.push = np.ascontiguousarray(push[:, 0])
+        self.output = numerator[::-1] / unit ** np.arange(m, 0, -1.0)
+        at_rest = np.linalg.solve(np.eye(m) - self.free, self.push)
+        static = self.output @ at_rest
+        self.rest = np.append(at_rest, 1.0) / static
+        # the command of the last sample, and its last change
+        whole = np.zeros((m + 2, m + 2))
+        whole[:m, :m], whole[:m, m:] = self.free, self.push[:, np.newaxis]
+        whole[m], whole[m + 1, m + 1] = [*np.zeros(m), 1.0, 1.0], 1.0
+        bend = np.append(self.push, [1.0, 1.0])[:, np.newaxis]
+        seen = np.append(self.output, [0.0, 0.0])
+        effort = self._effort(response, dt) * np.eye(1)
+        p = cost_to_go(whole, bend, np.outer(seen, seen), effort)
+        weight = effort + bend.T @ p @ bend
+        self.feedback = np.linalg.solve(weight, bend.T @ p @ whole)[0]
+        closed = whole - bend @ self.feedback[np.newaxis]
+        self._weights = self._coming(closed, np.linalg.solve(weight, bend.T)[0], seen, dt)
+        left = np.cumsum(np.abs(self._weights[::-1]))[::-1]
+        self.taps = max(3, int(np.searchsorted(-left, -NEGLIGIBLE * left[0])))
+
+    @staticmethod
+    def _effort(response: TransferFunction, dt: float) -> float:
+        """Weight of the second difference of the command, (|G(W_h)| / (W_h dt)^2)^2."""
+        f = np.append(np.geomspace(1e-4, 0.5, 2000) / dt, 0.0)
+        *size, static = np.abs(response.response(f)).tolist()
+        highest = int(np.argmax([*(np.array(size) < LEAST_GAIN * static), True]))
+        highest = min(highest, len(size) - 1)
+        return float((size[highest] / (2.0 * np.pi * f[highest] * dt) ** 2) ** 2)
+
+    @staticmethod
+    def _coming(closed: Floats, by_state: Floats, seen: Floats, dt: float) -> Floats:
+        """Second difference of the command per coming displacement, the next first."""
+        weights, adjoint = [], seen.copy()
+        for _ in range(max(20, round(1.0 / dt))):
+            weights.append(float(by_state @ adjoint))
+            adjoint = closed.T @ adjoint
+        return np.array(weights)
+
+    def ahead(self, taps: int) -> Floats:
+        """Weights of so many coming samples; the motion continues linearly after them."""
+        weights, beyond = self._weights[:taps].copy(), self._weights[taps:]
+        after = np.arange(1, len(beyond) + 1)
+        weights[-1] += ((1.0 + after) * beyond).sum()
+        weights[-2] -= (after * beyond).sum()
+        return weights
