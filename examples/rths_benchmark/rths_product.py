@@ -64,9 +64,8 @@ def run_product(
     with TemporaryDirectory() as folder:
         motion = Path(folder) / "motion.txt"
         np.savetxt(motion, ground, "%.9e")
-        tested = experiment(structure, motion, identified)
-    device = BenchmarkRig(plant, seed)
-    blocks = hosted_blocks(tested, device)
+        tested, device = experiment(structure, motion, identified), BenchmarkRig(plant, seed)
+        blocks = hosted_blocks(tested, device)
     begun = len(device.displacement)
     recording = simulate_test(tested, blocks)
     return motion_of(structure, recording, np.array(device.displacement[begun:]), ground)
