@@ -14,6 +14,7 @@ from seft_ros.test_run.compiled_loop import build_blocks, why_not_compiled
 from seft_ros.test_run.offline import simulate_test
 
 MANY = (pytest.mark.thorough, pytest.mark.offline)
+RATES = (250.0, 500.0, 1000.0, 1024.0, 1365.33, 2048.0)  # Hz
 SPECIMEN, RIG = "rig:simulated.specimen.", "rig:simulated.actuator."
 DELAYED = "actuator.kind:=delay"
 SPECIMENS = (
@@ -125,7 +126,7 @@ def drawn(seed):
         f"ground_motion:peak_force:={rng.uniform(100.0, 500.0):.4g}",
         f"ground_motion:synthetic.seed:={seed}",
         *SHORT,
-        *(f"rig:seed:={seed}", f"rate:={rng.choice([250.0, 500.0, 1000.0])}"),
+        *(f"rig:seed:={seed}", f"rate:={rng.choice(RATES)}"),
         f"rig:pace:={rng.choice(['lockstep', 'realtime'])}",
     ]
     if rng.random() < 0.3:

@@ -80,7 +80,7 @@ def test_a_file_of_the_usual_form_is_read(load):
         + in_rig("seed: 3", "safe:", "  close_time: 1")
         + "/reference_force:\n  ros__parameters: {mass_ratio: 1}\n"
     )
-    assert experiment.timebase.period_ns == 1_000_000
+    assert experiment.timebase.stamp_ns(1) == 1_000_000
     assert experiment.axes == ("east", "north")
     assert experiment["rig"] == {
         "rate": 1000.0,
@@ -114,7 +114,6 @@ def test_numbers_are_numbers_however_they_are_written(load, text):
         (in_rig("seed:"), "rig seed has no value"),
         (everywhere("specimen.mass: 2024-01-01"), "must be a number"),
         (everywhere("specimen: 3"), "there is no parameter specimen"),
-        (everywhere("specimen.mass: 1, rate: 333"), "usable rates are 320 and 400 Hz"),
         (everywhere("specimen.mass: 1, axes: [x, x]"), "names must differ"),
         (everywhere(f"specimen.mass: 1, axes: {[*'ab' * 500]}"), "at most 100"),
         (everywhere('specimen.mass: 1, axes: [""]'), "names must differ"),

@@ -40,7 +40,8 @@ NOT_FINITE = st.sampled_from([np.nan, np.inf, -np.inf])
 @st.composite
 def messages(draw, most_points=4):
     """A codec, a step, and values of shape (p, q, n)."""
-    codec = TrajectoryCodec(draw(st.sampled_from((*LOOP_TOPICS, TARGET))), draw(AXES), TIMEBASE)
+    timebase = draw(st.sampled_from([TIMEBASE, Timebase.from_rate(4096.0)]))
+    codec = TrajectoryCodec(draw(st.sampled_from((*LOOP_TOPICS, TARGET))), draw(AXES), timebase)
     count = 1 if DRIVE in codec.topic.quantities else draw(st.integers(1, most_points))
     shape = count, len(codec.topic.quantities), len(codec.axes)
     return codec, draw(st.integers(0, DAYS)), draw(arrays(np.float64, shape, elements=FINITE))
@@ -69,7 +70,7 @@ def cdr(codec, step, values, pad=b"\x00", end=b"", frame_id="", options=b"\x00\x
         put("I", len(data), align=4)
         out.extend(data)
 
-    stamp = step * codec.timebase.period_ns
+    stamp = codec.timebase.stamp_ns(step)
     put("iI", stamp // 10**9, stamp % 10**9, align=4)
     text(frame_id)
     put("I", len(codec.axes), align=4)
@@ -83,7 +84,7 @@ def cdr(codec, step, values, pad=b"\x00", end=b"", frame_id="", options=b"\x00\x
             put("I", len(given), align=4)
             for value in given:
                 put("d", value, align=8)
-        after = index * codec.timebase.period_ns
+        after = codec.timebase.stamp_ns(index)
         put("iI", after // 10**9, after % 10**9, align=4)
     return bytes(out) + end
 
@@ -91,10 +92,10 @@ def cdr(codec, step, values, pad=b"\x00", end=b"", frame_id="", options=b"\x00\x
 def ros_message(codec, step, values):
     message = JointTrajectory(joint_names=list(codec.axes))
     stamp = message.header.stamp
-    stamp.sec, stamp.nanosec = divmod(step * codec.timebase.period_ns, 10**9)
+    stamp.sec, stamp.nanosec = divmod(codec.timebase.stamp_ns(step), 10**9)
     for index, point in enumerate(fields_of(codec, values.tolist())):
         ros = JointTrajectoryPoint(**point)
-        ros.time_from_start.nanosec = index * codec.timebase.period_ns
+        ros.time_from_start.nanosec = codec.timebase.stamp_ns(index)
         message.points.append(ros)
     return message
 
@@ -216,7 +217,7 @@ def test_samples_of_another_rate_are_refused(theirs, step):
     receiver = TrajectoryCodec(REFERENCE_FORCE, ("x",), TIMEBASE)
     with pytest.raises(WireError, match="another rate"):
         receiver.decode(sender.encode(step, np.zeros(1)))
-    later = sender.timebase.period_ns
+    later = sender.timebase.stamp_ns(1)
     with pytest.raises(WireError, match=f"point 1 is {later} ns after the stamp"):
         receiver.decode(sender.encode_points(0, np.zeros((2, 1))))
 

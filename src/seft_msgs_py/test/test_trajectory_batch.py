@@ -20,10 +20,11 @@ def batches(draw):
     """A codec and messages: of it, of other axes, topics and rates, and corrupted ones."""
     topic = draw(st.sampled_from((*LOOP_TOPICS, TARGET)))
     axes = NAMES[: draw(st.integers(1, len(NAMES)))]
-    codec = TrajectoryCodec(topic, axes, TIMEBASE)
+    timebase = draw(st.sampled_from([TIMEBASE, Timebase.from_rate(1200.0)]))
+    codec = TrajectoryCodec(topic, axes, timebase)
     others = [
-        TrajectoryCodec(topic, axes[::-1], TIMEBASE),
-        TrajectoryCodec(draw(st.sampled_from((*LOOP_TOPICS, TARGET))), axes, TIMEBASE),
+        TrajectoryCodec(topic, axes[::-1], timebase),
+        TrajectoryCodec(draw(st.sampled_from((*LOOP_TOPICS, TARGET))), axes, timebase),
         TrajectoryCodec(topic, axes, Timebase.from_rate(800.0)),
     ]
     raws = []

@@ -104,8 +104,8 @@ class LocalGraph:
         parsed = [parse_override(word) for word in overrides]
         self.experiment = Experiment.load(self._tables(), files, parsed)
         self.scheduler = Scheduler()
-        period_ns = self.experiment.timebase.period_ns
-        self.graph = MemoryGraph(self.scheduler, period_ns, latency, discovery)
+        timebase = self.experiment.timebase
+        self.graph = MemoryGraph(self.scheduler, timebase, latency, discovery)
         self.endings: dict[str, int] = {}
         self._tasks: dict[str, Task] = {}
         self._started: list[Task] = []

@@ -18,7 +18,7 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.node.clock import Clock
 from seft_msgs_py.node.transport import Answer, Host, Level, Send, Take, check_live
 from seft_msgs_py.virtual.scheduler import Scheduler, Task, VirtualClock, ns
-from seft_msgs_py.wire.topics import NANOSECONDS_PER_SECOND, Topic
+from seft_msgs_py.wire.topics import NANOSECONDS_PER_SECOND, Timebase, Topic
 
 LEASE = 20.0  # s after which others miss a node that was killed
 STAMP_END = 12
@@ -86,10 +86,10 @@ class MemoryGraph:
     """
 
     def __init__(
-        self, scheduler: Scheduler, period_ns: int, latency: float, discovery: float
+        self, scheduler: Scheduler, timebase: Timebase, latency: float, discovery: float
     ) -> None:
         self.scheduler, self.clock = scheduler, VirtualClock(scheduler)
-        self._period_ns, self._latency_ns = period_ns, round(latency * 1e9)
+        self._timebase, self._latency_ns = timebase, round(latency * 1e9)
         self._discovery_ns = round(discovery * 1e9)
         self.publishers: dict[str, list[MemoryPublisher]] = defaultdict(list)
         self.subscriptions: dict[str, list[MemorySubscription]] = defaultdict(list)
@@ -164,7 +164,7 @@ class MemoryGraph:
         delay_ns = self._latency_ns
         if self.rules and len(raw) >= STAMP_END:
             seconds, nanoseconds = struct.unpack_from("<iI", raw, STAMP_END - 8)
-            step = (seconds * NANOSECONDS_PER_SECOND + nanoseconds) // self._period_ns
+            step, _ = self._timebase.nearest(seconds * NANOSECONDS_PER_SECOND + nanoseconds)
             for rule in self.rules:
                 if rule.concerns(topic, step, reader.endpoint.path):
                     if rule.delay is not None:

@@ -11,8 +11,13 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from typing import Self
+from functools import cached_property
+from typing import Any, Self
 
+import numpy as np
+import numpy.typing as npt
+
+from seft_msgs_py.arrays import Ints
 from seft_msgs_py.errors import InputError, WireError
 
 NANOSECONDS_PER_SECOND = 1_000_000_000
@@ -20,18 +25,15 @@ NANOSECONDS_PER_SECOND = 1_000_000_000
 
 @dataclass(frozen=True)
 class Timebase:
-    """Sampling clock of a test: step k is at experiment time ``k * period_ns``.
+    """Sampling clock of a test: step k is at experiment time k / rate, rounded to a nanosecond.
 
     Attributes
     ----------
     rate : float
         Sampling rate in Hz.
-    period_ns : int
-        Sampling period in nanoseconds, exact.
     """
 
     rate: float
-    period_ns: int
 
     @classmethod
     def from_rate(cls, rate: float) -> "Timebase":
@@ -40,28 +42,27 @@ class Timebase:
         Raises
         ------
         InputError
-            If the rate is not positive, or its period is no whole number of nanoseconds: then
-            stamps could not identify steps exactly.
+            If the rate is not positive, or above 1 GHz: then stamps could not tell steps apart.
         """
-        if not 1e-6 < rate < float("inf"):
-            raise InputError(f"rate must be positive, but is {rate:g} Hz")
-        period = Fraction(NANOSECONDS_PER_SECOND) / Fraction(rate)
-        if period.denominator != 1:
-            below, above = _nearest_exact_rates(rate)
-            raise InputError(
-                f"rate: the period of {rate:g} Hz is no whole number of nanoseconds; "
-                f"the nearest usable rates are {below} and {above} Hz"
-            )
-        return cls(rate=float(rate), period_ns=period.numerator)
+        if not 1e-6 < rate <= NANOSECONDS_PER_SECOND:
+            raise InputError(f"rate must be positive and at most 1e9 Hz, but is {rate:g} Hz")
+        return cls(rate=float(rate))
 
     @property
     def dt(self) -> float:
         """Sampling period in seconds."""
-        return self.period_ns / NANOSECONDS_PER_SECOND
+        return 1.0 / self.rate
+
+    @cached_property
+    def _period(self) -> tuple[int, int]:
+        """Sampling period in nanoseconds, exact: numerator and denominator."""
+        return (NANOSECONDS_PER_SECOND / Fraction(self.rate)).as_integer_ratio()
 
     def stamp_ns(self, step: int) -> int:
-        """Experiment time of a step, in nanoseconds."""
-        return step * self.period_ns
+        """Experiment time of a step, rounded to a nanosecond, half to even."""
+        period, per = self._period
+        whole, rest = divmod(step * period, per)
+        return whole + (2 * rest + (whole & 1) > per)
 
     def step(self, stamp_ns: int) -> int:
         """Step whose experiment time is ``stamp_ns``.
@@ -71,21 +72,30 @@ class Timebase:
         WireError
             If the stamp is negative or lies between two steps.
         """
-        step, remainder = divmod(stamp_ns, self.period_ns)
-        if remainder or step < 0:
+        step, fits = self.nearest(stamp_ns)
+        if not fits or step < 0:
             raise WireError(
                 f"stamp {stamp_ns} ns is not on the {self.rate:g} Hz grid (period "
-                f"{self.period_ns} ns); does the sender run at another rate?"
+                f"{1e9 * self.dt:.12g} ns); does the sender run at another rate?"
             )
         return step
 
+    def steps(self, stamps_ns: Ints) -> tuple[Ints, npt.NDArray[np.bool_]]:
+        """Give the step of each stamp, and whether `step` finds one."""
+        (period, per), largest = self._period, int(np.abs(stamps_ns).max(initial=0))
+        if 2 * (largest * per + period) >= 2**63:  # too much for int64: as Python's integers
+            stamps_ns = stamps_ns.astype(object)
+        steps, fits = self.nearest(stamps_ns)
+        return steps.astype(np.int64), (fits & (steps >= 0)).astype(bool)
 
-def _nearest_exact_rates(rate: float) -> tuple[int, int]:
-    """Integer rates below and above ``rate`` with a period of whole nanoseconds."""
-    exact = sorted(2**i * 5**j for i in range(10) for j in range(10))
-    below = [r for r in exact if r < rate] or [1]
-    above = [r for r in exact if r > rate] or [NANOSECONDS_PER_SECOND]
-    return below[-1], above[0]
+    def nearest(self, stamp_ns: Any) -> tuple[Any, Any]:
+        """Find the nearest step, and whether the stamp is less than a nanosecond from its time.
+
+        So a stamp counts as its step's, whichever way its sender rounds.
+        """
+        period, per = self._period
+        step = (2 * stamp_ns * per + period) // (2 * period)
+        return step, abs(stamp_ns * per - step * period) < per
 
 
 JOINT_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"

@@ -107,7 +107,7 @@ class Layout(NamedTuple):
                 if count == 1:
                     form += f"{at[0] - end}x{len(at)}d"
                     end = at[-1] + 8
-            put(STAMP.pack(*divmod(point * timebase.period_ns, NANOSECONDS_PER_SECOND)))
+            put(STAMP.pack(*divmod(timebase.stamp_ns(point), NANOSECONDS_PER_SECOND)))
         mask, q, n = int.from_bytes(known, "little"), len(topic.quantities), len(axes)
         words = (np.array(values).reshape(-1, q, n) - 4) // 8
         count = len(words)
@@ -227,7 +227,7 @@ class TrajectoryCodec:
         values = values.reshape(layout.shapes[0])
         numbers = values.ravel().tolist() if layout is self._single else []
         self._check_finite(numbers, values)
-        stamp = divmod(step * self.timebase.period_ns, NANOSECONDS_PER_SECOND)
+        stamp = divmod(self.timebase.stamp_ns(step), NANOSECONDS_PER_SECOND)
         if numbers:
             varying = int.from_bytes(layout.numbers.pack(*stamp, *numbers), "little")
             return (varying | layout.fixed).to_bytes(len(layout.template), "little")
@@ -290,10 +290,10 @@ class TrajectoryCodec:
         numbers: list[float] = []
         for index, (point, arrays) in enumerate(zip(message.points, points, strict=True)):
             after = nanoseconds(point.time_from_start)
-            if after != index * self.timebase.period_ns:
+            if after != self.timebase.stamp_ns(index):
                 raise WireError(
                     f"{name}: point {index} is {after} ns after the stamp, "
-                    f"not {index} periods of {self.timebase.period_ns} ns"
+                    f"not {self.timebase.stamp_ns(index)} ns ({index} steps)"
                 )
             for quantity in arrays:
                 given = getattr(point, quantity)
@@ -378,14 +378,13 @@ def _of_layout(codec: TrajectoryCodec, rows: _Bytes, layout: Layout) -> tuple[In
         )
     seconds = rows[:, 4:8].copy().view("<i4")[:, 0].astype(np.int64)
     nanoseconds = rows[:, 8:12].copy().view("<u4")[:, 0]
-    stamps = seconds * NANOSECONDS_PER_SECOND + nanoseconds
-    steps, remainder = np.divmod(stamps, codec.timebase.period_ns)
+    steps, fits = codec.timebase.steps(seconds * NANOSECONDS_PER_SECOND + nanoseconds)
     words = np.ndarray((count, (size - 4) // 8), "<f8", rows, 4, (length, 8))
     values = words[:, layout.values.ravel()]
     known = np.frombuffer(layout.known, np.uint8)
     differing = rows[:, :size] & known
     differing ^= np.frombuffer(layout.template, np.uint8) & known
-    fits = (remainder == 0) & (steps >= 0) & ~differing.any(axis=1)
+    fits &= ~differing.any(axis=1)
     if codec.topic.finite:
         fits &= np.isfinite(values).all(axis=1)
     return steps, values, fits

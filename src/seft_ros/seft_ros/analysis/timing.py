@@ -92,7 +92,7 @@ def stalls_of(recording: Recording) -> dict[str, Any] | None:
     intervals = np.array(seen["intervals_ns"], dtype=np.int64).reshape(-1, 2)
     listed = attributed = 0
     if states.received_ns is not None:
-        period_ns, received = recording.experiment.timebase.period_ns, states.received_ns
+        period_ns, received = recording.experiment.timebase.stamp_ns(1), states.received_ns
         steps = np.array(recording.missed_steps, dtype=np.int64)
         steps = steps[np.isin(steps, states.steps)]
         at = np.searchsorted(states.steps, steps)

@@ -31,7 +31,7 @@ class GroundMotionNode(NodeBody):
         self.facts = {"steps": self.motion.steps, MOTION: self.motion.facts}
         self._lead_steps = max(1, round(section["lead"] * experiment.timebase.rate))
         self._codec = TrajectoryCodec(GROUND_MOTION, experiment.axes, experiment.timebase)
-        self._period_ns = experiment.timebase.period_ns
+        self._timebase = experiment.timebase
         self._publish = shell.publisher(GROUND_MOTION)
         self._next_chunk = 0
         self._published_until = 0
@@ -69,7 +69,7 @@ class GroundMotionNode(NodeBody):
 
     def _on_clock(self, raw: bytes, _: int) -> None:
         if self._phase in MOVING:
-            self._rig_step = decode_clock(raw) // self._period_ns
+            self._rig_step, _ = self._timebase.nearest(decode_clock(raw))
 
     def _report(self, phase: str) -> None:
         self.report(phase, {"steps": str(self.motion.steps)})

@@ -13,7 +13,7 @@ from seft_msgs_py.config.parameter_table import (
     symmetric_matrix,
 )
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.wire.topics import NANOSECONDS_PER_SECOND, RigAxes, Timebase
+from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.computed.computed_substructure import ComputedSubstructure
 from seft_plant_sim.rig_parameters import common_lag
 from seft_plant_sim.simulated.specimen import deformations
@@ -313,14 +313,14 @@ def method_inputs(
     )
 
 
-PERIOD_NS = NANOSECONDS_PER_SECOND // 10
-MODEL_PERIOD_NS = NANOSECONDS_PER_SECOND // 100
-"""Experiment time between two samples with a computed model; a plot of its hysteresis needs it."""
+SAMPLES_PER_SECOND, MODEL_SAMPLES_PER_SECOND = 10, 100
+"""Of the estimates; the second with a computed model, because a plot of its hysteresis needs it."""
 
 
 def sampling_period(timebase: Timebase, is_modelled: bool) -> int:
     """Count the steps from one sample to the next."""
-    return max(1, round((MODEL_PERIOD_NS if is_modelled else PERIOD_NS) / timebase.period_ns))
+    wanted = MODEL_SAMPLES_PER_SECOND if is_modelled else SAMPLES_PER_SECOND
+    return max(1, round(timebase.rate / wanted))
 
 
 class EstimateSampler:

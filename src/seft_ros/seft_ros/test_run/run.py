@@ -86,7 +86,7 @@ class RunMonitor:
         self, observer: Observer, processes: NodeProcesses, progress: _Progress, test: Experiment
     ) -> None:
         self._observer, self._processes, self._progress = observer, processes, progress
-        self._period_ns = test.timebase.period_ns
+        self._timebase = test.timebase
         self._timeout: float = test["supervisor"]["watchdog.peer_timeout"] + SLACK
         self._topics = [
             topic
@@ -197,7 +197,7 @@ class RunMonitor:
 
     def _poll(self) -> None:
         self._observer.spin(_POLL_PERIOD)
-        step = self._observer.time_ns // self._period_ns
+        step, _ = self._timebase.nearest(self._observer.time_ns)
         for how in self._processes.ended().values():
             self._broken = self._broken or f"{how} (at step {step})"
         silence = self._observer.silence()
@@ -212,7 +212,7 @@ class RunMonitor:
     def _ending(self) -> str:
         """Say how the test ended if the bag may lack it."""
         observer = self._observer
-        step, test = observer.time_ns // self._period_ns, observer.ended or observer.reported
+        step, test = self._timebase.nearest(observer.time_ns)[0], observer.ended or observer.reported
         if test.state == State.DONE:
             stopped = test.detail == BY_OPERATOR
             self._progress("done", test.steps if test.steps and not stopped else step + 1)
