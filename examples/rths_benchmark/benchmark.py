@@ -28,7 +28,6 @@ from rths_tests import (
     CONTROLLERS,
     CRITERIA,
     SEFT,
-    OneTest,
     Outcome,
     Plan,
     plan_tests,
@@ -98,7 +97,7 @@ def nominal_table(outcomes: Sequence[Outcome]) -> TextTable:
     rows = [
         [
             f"{each.test.case} {each.test.record}",
-            *(each.trip and "trip" or f"{of_criterion(each, name):.2f}" for name in names),
+            *((each.trip and "trip") or f"{of_criterion(each, name):.2f}" for name in names),
         ]
         for each in outcomes
         if each.controller == SEFT and not each.test.perturbed

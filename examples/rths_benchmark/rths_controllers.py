@@ -89,11 +89,9 @@ def run_benchmark(
     """
     a, b = structure.state_space
     free, start, change = first_order_hold(a, b, DT)
-    loop = Loop(
-        free,
-        *(np.ascontiguousarray(column) for column in (start[:, 0], change[:, 0], start[:, 1])),
-        np.concatenate([a[FLOORS], b[FLOORS]]),
-    )
+    own = np.ascontiguousarray
+    by_motion = np.concatenate([a[FLOORS], b[FLOORS]])
+    loop = Loop(free, own(start[:, 0]), own(change[:, 0]), own(start[:, 1]), by_motion)
     rng, n = np.random.default_rng(seed), len(ground)
     noise = np.column_stack([NOISE[name] * rng.standard_normal(n) for name in NOISE])
     numerical, moved = np.zeros((n, 2 * FLOORS)), np.zeros((n, 2))

@@ -56,11 +56,8 @@ def histories_figure(found: Histories) -> Figure:
     for name, motion in reversed(found.motions.items()):
         look: dict[str, Any] = {"color": COLOURS[name], "lw": 0.9, "label": NAMES[name]}
         true, third = 1e3 * motion.true[part], 1e3 * motion.numerical[part, 2]
-        for panel, y in zip(
-            panels,
-            (true, true - exact[: len(true), 0], third - exact[: len(third), 2]),
-            strict=True,
-        ):
+        shown = true, true - exact[: len(true), 0], third - exact[: len(third), 2]
+        for panel, y in zip(panels, shown, strict=True):
             at = thinned(y)
             panel.plot(time[at], y[at], **look)
     labels = ("floor 1, true\n/ mm", "its error / mm", "error of\nfloor 3 / mm")

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from rths_problem import DT, FORCE, NOISE, POSITION, RATE, Plant, plant_step, quantised
+from rths_problem import FORCE, NOISE, POSITION, RATE, Plant, plant_step, quantised
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.compiled import entry_point
@@ -38,7 +38,8 @@ class BenchmarkRig:
 
     def __init__(self, plant: Plant, seed: int) -> None:
         self._plant, self._z, self._work = plant, np.zeros(5), np.zeros((3, 5))
-        self._rng, self._noise = np.random.default_rng(seed), np.zeros((0, 2))
+        self._rng = np.random.default_rng(seed)
+        self._block = np.full((BLOCK, 4, 1), np.nan)  # samples to come: their noise
         self._acts = self._asked = 0.0  # commands: from this sample on, and from the next one on
         self._step = entry_point(plant_step, plant, self._z, 0.0, self._work)
         self.displacement = array("d")
@@ -47,15 +48,16 @@ class BenchmarkRig:
         """Move for a period, and give displacement and force; NaN for what is not measured."""
         place = len(self.displacement) % BLOCK
         if place == 0:
-            self._noise = self._rng.standard_normal((BLOCK, 2)) * list(NOISE.values())
+            noise = self._rng.standard_normal((BLOCK, 2)) * list(NOISE.values())
+            self._block[:, ::3, 0] = noise
         if self.displacement:
             self._step(self._plant, self._z, self._acts, self._work)
-        self._acts = self._asked
-        x, force = self._z[POSITION], self._z[FORCE]
+        self._acts, sample = self._asked, self._block[place]
+        x, limit = float(self._z[POSITION]), self._plant.capacity
         self.displacement.append(x)
-        force = min(max(force, -self._plant.capacity), self._plant.capacity)
-        e, de = self._noise[place].tolist()
-        return np.array([[x + e], [np.nan], [np.nan], [force + de]])
+        sample[0, 0] += x
+        sample[3, 0] += min(max(float(self._z[FORCE]), -limit), limit)
+        return sample
 
     def write(self, drive: Floats) -> None:
         """Command a displacement, m, shape (1,)."""

@@ -196,8 +196,8 @@ class Structure:
         a = np.vstack([np.hstack([np.zeros((n, n)), np.eye(n)]), -by_force @ own])
         b = np.vstack([np.zeros((n, FLOORS)), -by_force @ coupled])
         states = np.zeros((len(ground), 2 * n))
-        held = (np.ascontiguousarray(part) for part in first_order_hold(a, b, DT))
-        march(*held, np.column_stack([ground, first]), states)
+        free, start, change = map(np.ascontiguousarray, first_order_hold(a, b, DT))
+        march(free, start, change, np.column_stack([ground, first]), states)
         return np.column_stack([first[:, 0], states[:, :n]])
 
 
@@ -269,9 +269,8 @@ def criteria(measured: Floats, numerical: Floats, reference: Floats) -> dict[str
     )
     rms = [float(100.0 * np.std(y - x) / np.std(x)) for y, x in pairs]
     peak = [float(100.0 * np.abs(y - x).max() / np.abs(x).max()) for y, x in pairs]
-    found = {
+    return {
         "J1": float(1e3 * DT * np.argmax(correlation)),
         **{"J2": rms[0], "J3": peak[0], "J4": rms[1], "J5": peak[1]},
         **{"J6": rms[2], "J7": rms[3], "J8": peak[2], "J9": peak[3]},
     }
-    return found

@@ -112,11 +112,11 @@ def assess(found: Histories) -> list[Outcome]:
     """Calculate the criteria of a test with each controller."""
     outcomes = []
     for controller, motion in found.motions.items():
-        both = [dict.fromkeys(CRITERIA, math.nan)] * 2
+        j = true_j = dict.fromkeys(CRITERIA, math.nan)
         if not motion.trip:
-            shown = motion.measured, motion.true
-            both = [criteria(x, motion.numerical, found.reference) for x in shown]
-        outcomes.append(Outcome(found.test, controller, *both, motion.trip))
+            j = criteria(motion.measured, motion.numerical, found.reference)
+            true_j = criteria(motion.true, motion.numerical, found.reference)
+        outcomes.append(Outcome(found.test, controller, j, true_j, motion.trip))
     return outcomes
 
 

@@ -1,7 +1,5 @@
 """The rebuilt benchmark, its criteria and controllers, and seft on its plant."""
 
-import json
-
 import benchmark
 import numpy as np
 import pytest
