@@ -1,5 +1,6 @@
 """Commands of a rig: which message determines the command of a step."""
 
+import math
 from collections import deque
 
 import numpy as np
@@ -24,6 +25,11 @@ class MessagesAhead:
     def add(self, step: int, points: Floats) -> None:
         """Add the message of a step, newer than those before: points of it and later steps."""
         self._messages.append((step, points))
+
+    @property
+    def newest(self) -> Floats:
+        """Points of the newest message."""
+        return self._messages[-1][1]
 
     def of(self, step: int) -> tuple[int, Floats]:
         """Find the age of the message for a step, in steps, and its points; steps never go back."""
@@ -55,6 +61,10 @@ class Command:
     ----------
     limit, loop_delay : float, int
         As given.
+    unit : str
+        Of the command, by default the topic's.
+    fastest : float
+        Largest change in a step; infinite by default.
     stops_since : int or None
         Step from which on messages are plans: since then their sender brings the rig to rest.
     step : int
@@ -79,6 +89,7 @@ class Command:
         self._places = None if self._rig.axes == codec.axes else list(self._rig.places)
         self.limit = limit
         self.loop_delay = loop_delay
+        self.unit, self.fastest = codec.topic.units[0], math.inf
         self.reset()
 
     def reset(self) -> None:
@@ -136,10 +147,17 @@ class Command:
         worst = points[0] if len(points) == 1 else points[np.abs(points).max(axis=1).argmax()]
         for axis, number in zip(self._rig.axes, worst.tolist(), strict=True):
             if not abs(number) <= self.limit:
-                unit = self.codec.topic.units[0]
                 raise WireError(
-                    f"{name} of step {step} is {number:g} {unit} on axis {axis}, beyond the "
-                    f"limit of {self.limit:g} {unit}"
+                    f"{name} of step {step} is {number:g} {self.unit} on axis {axis}, beyond the "
+                    f"limit of {self.limit:g} {self.unit}"
+                )
+        if self.fastest < math.inf and self.answered >= 0:
+            steps = step - self.answered
+            change = np.abs(np.diff(points, axis=0, prepend=self._messages.newest[:1])).max(axis=1)
+            if change[0] > self.fastest * steps or change[1:].max(initial=0.0) > self.fastest:
+                raise WireError(
+                    f"{name} of step {step} jumps by {change.max():g} {self.unit}, more than "
+                    f"/**: limits.displacement_rate allows"
                 )
         self.answered = step
         if not (self._is_plan and len(points) > 1):

@@ -107,7 +107,7 @@ class Rig:
 
     @property
     def safe_command(self) -> Floats:
-        """Command at which the actuator rests, shape (n,)."""
+        """Command at which the actuator rests, shape (n,); 0 where it stood before the test."""
         rests = self.drive == VALVE_COMMAND.name
         return self._safe.command if rests else np.zeros_like(self._safe.command)
 
@@ -183,6 +183,8 @@ class Rig:
         unless it ends the test by itself (`violation`). If the plan had another command for the
         last step, ``planned``, the difference goes in the time in which the valve closes.
 
+        A displacement servo holds its last command, or that of the plan.
+
         A closed valve locks the piston: the oil column rings, friction and leakage damp it, and the
         remaining force decays. A simulated rig is at rest afterwards; others continue with each
         sample, see `come_to_rest`.
@@ -190,6 +192,8 @@ class Rig:
         if plan is None or self.violation is not None:
             plan = np.zeros((0, len(self._command)))
         safe = self._safe._replace(command=self.safe_command)
+        if safe.holds:
+            safe = safe._replace(command=plan[-1] if len(plan) else self._command.copy())
         return self.hardware.stop(plan, planned, self._command, safe)
 
     def come_to_rest(self, *, is_read: bool = True) -> Stopped | None:

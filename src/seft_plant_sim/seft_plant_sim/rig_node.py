@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.facts import command_unit
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.node.node_kind import NodeKind
 from seft_msgs_py.node.node_shell import WARM_UP_STEPS, NodeBody, NodeShell
@@ -35,6 +36,7 @@ from seft_plant_sim import rig_watch
 from seft_plant_sim.command import Command
 from seft_plant_sim.hardware.hosted import HardwareError, HostedHardware
 from seft_plant_sim.hardware.safe_stop import Stopped
+from seft_plant_sim.judge.known_rig import command_limit, fastest_command
 from seft_plant_sim.rehearsal import Rehearsal
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import RIG_TABLE, SIMULATED
@@ -88,14 +90,15 @@ class RigNode(NodeBody):
         self._time_message = bytearray(encode_clock(0))
         self._is_alone = len(experiment.rigs) == 1
         self._round_trip, self._compute = rig_watch.RoundTrip(), rig_watch.RoundTrip()
-        valve = topics.VALVE_COMMAND.of(shell.rig)
-        self._valve = self._drive = self._command(valve, shell.rig.axes, "limits.command")
+        valve, largest = topics.VALVE_COMMAND.of(shell.rig), command_limit(self._section)
+        self._valve = self._drive = self._command(valve, shell.rig.axes, largest)
         if self._rig.drive == topics.REFERENCE_FORCE.name:
             delay = max(self._section["loop_delay"], 0)
             axes = experiment.axes
-            self._drive = self._command(topics.REFERENCE_FORCE, axes, "limits.force", delay)
+            largest_force = self._section["limits.force"]
+            self._drive = self._command(topics.REFERENCE_FORCE, axes, largest_force, delay)
         fallback_stop = topics.STOP_COMMAND.of(shell.rig)
-        self._fallback_stop = self._command(fallback_stop, shell.rig.axes, "limits.command")
+        self._fallback_stop = self._command(fallback_stop, shell.rig.axes, largest)
         self.facts: dict[str, Any] = {"drive": self._drive.codec.topic.name}
         if self._rig.zeroed is not None:
             self.facts[ZEROED] = self._rig.zeroed
@@ -211,12 +214,15 @@ class RigNode(NodeBody):
         self._supervision.fault = reason
 
     def _command(
-        self, topic: topics.LoopTopic, axes: tuple[str, ...], limit: str, loop_delay: int = 0
+        self, topic: topics.LoopTopic, axes: tuple[str, ...], limit: float, loop_delay: int = 0
     ) -> Command:
         codec = TrajectoryCodec(topic, axes, self._timebase)
         rig = None if axes == self._shell.rig.axes else self._shell.rig
         is_plan = topic.units == topics.VALVE_COMMAND.units
-        command = Command(codec, self._section[limit], loop_delay, rig, is_plan=is_plan)
+        command = Command(codec, limit, loop_delay, rig, is_plan=is_plan)
+        if is_plan:
+            command.unit = command_unit(self._section["actuator.kind"])
+            command.fastest = fastest_command(self._section, self._timebase.dt)
 
         def receive(raw: bytes, _: int) -> None:
             command.take(raw)

@@ -15,6 +15,12 @@ FORCE_DRIVEN = ("ideal", "delay")
 POSITION_SERVO = "position_servo"
 """Kind of actuators whose vendor's controller moves the valve: they obey a displacement."""
 
+
+def command_unit(kind: str) -> str:
+    """Unit of the commands of a force controller, by the kind of the actuators."""
+    return "m" if kind == POSITION_SERVO else "V"
+
+
 _LOOP = """
     rate | float   | 500.0 | Hz | > 0 .. 1e6 | sampling rate of the loop
     axes | strings | ["x"] |    |     |

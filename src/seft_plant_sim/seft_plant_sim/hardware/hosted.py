@@ -43,10 +43,16 @@ class Hardware(Protocol):
         """
 
     def write(self, drive: Floats) -> None:
-        """Put out the valve commands, V, shape (n,); positive extends the actuator."""
+        """Put out the valve commands, V, shape (n,); positive extends the actuator.
+
+        Of a position_servo displacements, m, from where it stood when this object was made.
+        """
 
     def safe(self) -> None:
-        """Bring the rig to rest, whatever it is in, and keep it there until the next `write`."""
+        """Bring the rig to rest, whatever it is in, and keep it there until the next `write`.
+
+        A position_servo holds its last displacement.
+        """
 
     def close(self) -> None:
         """Give the devices back."""
@@ -77,6 +83,8 @@ class HostedHardware:
         Sampling period, s; no call may take longer.
     now : callable
         Monotonic time, s.
+    holds : bool
+        Whether it is a displacement servo. The first command of each test is where it stands.
 
     Attributes
     ----------
@@ -100,8 +108,11 @@ class HostedHardware:
         axes: tuple[str, ...],
         period: float,
         now: Callable[[], float],
+        holds: bool = False,
     ) -> None:
-        self._axes = axes
+        self._axes, self._holds = axes, holds
+        # of a displacement servo: its last command, and that of it where a test's is 0
+        self._held, self._base = np.zeros(len(axes)), None if holds else np.zeros(len(axes))
         self.drive, self._device, self._name, self._now = drive, device, name, now
         self.can_wait: bool = getattr(device, "can_wait", False)
         self.is_clock: bool = getattr(device, "is_clock", False)
@@ -132,8 +143,8 @@ class HostedHardware:
         name, where = section["hardware"], "rig: hardware"
         if section["faults"]:
             raise InputError("rig: faults are those of a simulated rig; leave them out")
-        safe = Safe.from_parameters(section, axes, rig.places, period).command.tolist()
-        known = {**section, "safe.valve_command": safe}
+        safe = Safe.from_parameters(section, axes, rig.places, period)
+        known = {**section, "safe.valve_command": safe.command.tolist()}
         try:
             if name == UDP:
                 device = UdpHardware(known, rig.axes)
@@ -152,7 +163,8 @@ class HostedHardware:
         per_volt = per_channel(section, axes, "calibration.{}_per_volt")[:, list(rig.places)]
         drive = (REFERENCE_FORCE if force_driven else VALVE_COMMAND).name
         derived = velocity_is_derived(section)
-        return cls(device, name, drive, per_volt, derived, rig.axes, period, now)
+        made = device, name, drive, per_volt, derived, rig.axes, period, now
+        return cls(*made, holds=safe.holds)
 
     def read(self) -> Floats:
         """Read a sample, shape (4, n), in SI units.
@@ -188,8 +200,11 @@ class HostedHardware:
         return sample
 
     def write(self, drive: Floats) -> None:
-        """Put out a command, shape (n,), V or N, see `drive`."""
-        self._call("write", np.array(drive))
+        """Put out a command, shape (n,), V, m or N, see `drive`."""
+        if self._base is None:
+            self._base = self._held - drive
+        self._held = self._base + drive
+        self._call("write", self._held.copy())
 
     def safe(self) -> None:
         """Bring the rig to its safe command now; a stop goes on with that."""
@@ -212,6 +227,8 @@ class HostedHardware:
     def reset(self) -> None:
         """Begin a test, wherever the rig is."""
         self._stop = None
+        if self._holds:
+            self._base = None
 
     def check(self) -> None:
         """Nothing else can be wrong."""

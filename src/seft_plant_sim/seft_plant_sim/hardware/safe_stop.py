@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
-from seft_msgs_py.config.facts import CHANNELS
+from seft_msgs_py.config.facts import CHANNELS, POSITION_SERVO
 from seft_msgs_py.config.parameter_table import per_axis
 from seft_msgs_py.errors import InputError
 
@@ -31,6 +31,8 @@ class Safe(NamedTuple):
     ----------
     command : ndarray
         The safe valve command, shape (n,), V.
+    holds : bool
+        Whether the rig holds its last command instead: a displacement servo stands there.
     closing : int
         Steps in which the valve goes there.
     longest : int
@@ -44,6 +46,7 @@ class Safe(NamedTuple):
     """
 
     command: Floats
+    holds: bool
     closing: int
     longest: int
     rest_velocity: float
@@ -62,6 +65,12 @@ class Safe(NamedTuple):
             If the safe command is beyond the limit of commands.
         """
         command = per_axis(section["safe.valve_command"], axes, "rig: safe.valve_command")
+        holds = section["actuator.kind"] == POSITION_SERVO
+        if holds and command.any():
+            raise InputError(
+                f"rig: safe.valve_command is {section['safe.valve_command']} V, but an actuator of "
+                f"kind {POSITION_SERVO} holds its position; leave it out"
+            )
         if np.abs(command).max() > (limit := section["limits.command"]):
             raise InputError(
                 f"rig: safe.valve_command is {section['safe.valve_command']} V, but must be within "
@@ -73,6 +82,7 @@ class Safe(NamedTuple):
         averaged = math.sqrt(max(1.0, _MEAN_OF / dt))
         return cls(
             command[list(places)],
+            holds,
             round(section["safe.close_time"] / dt),
             round(section["safe.settle_time"] / dt),
             _NOISE_SIGMAS * float(noise[VELOCITY].max()) / averaged,

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.facts import POSITION_SERVO
 from seft_msgs_py.config.parameter_table import parameter_rows, per_axis
 from seft_msgs_py.errors import InputError
 
@@ -82,6 +83,7 @@ class UdpHardware:
         if self.can_wait and parameters["pace"] != "lockstep":
             self._wait = min(self._timeout, 1.0 / self._rate)  # an answer comes within a period
         self._safe = per_axis(parameters["safe.valve_command"], axes, "rig: safe.valve_command")
+        self._holds = parameters["actuator.kind"] == POSITION_SERVO
         self._mode, self._drive = _CLOSED, self._safe
         self._sent = 0  # step of the newest command, if this host is the clock
         self._note = ""  # on the last datagram that was refused
@@ -161,7 +163,9 @@ class UdpHardware:
 
     def safe(self) -> None:
         """Tell the controller to close its valve."""
-        self._mode, self._drive, self._has_failed = _CLOSED, self._safe, False
+        self._mode, self._has_failed = _CLOSED, False
+        if not self._holds:  # a displacement servo keeps its last command
+            self._drive = self._safe
         if self.is_clock:
             self._receive_all()  # it obeys the answer to its newest sample
         self._send(self._newest)

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN
+from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN, POSITION_SERVO
 from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.channels import per_channel, velocity_is_derived
@@ -14,7 +14,12 @@ from seft_plant_sim.judge.detectors import (
     DetectorState,
     detector_arrays,
 )
-from seft_plant_sim.judge.known_rig import ASSUMED_ACTUATOR, read_actuators, read_specimen
+from seft_plant_sim.judge.known_rig import (
+    ASSUMED_ACTUATOR,
+    command_limit,
+    read_actuators,
+    read_specimen,
+)
 from seft_plant_sim.judge.valve_model import valve_models
 
 
@@ -60,6 +65,7 @@ def detectors_of(
     own, warn_only = list(places), warning_detectors(section)
     actuator = read_actuators(section, axes, places)
     is_known = actuator["valve_frequency"] > 0.0
+    is_known &= section["actuator.kind"] != POSITION_SERVO  # its valve obeys no command of ours
     actuator["flow_gain"] = np.where(is_known, actuator["flow_gain"], 0.0)
     actuator["valve_frequency"] = np.where(is_known, actuator["valve_frequency"], 1.0 / dt)
     mass, stiffness, ratio = read_specimen(section, axes, places)
@@ -80,6 +86,6 @@ def detectors_of(
         stiffness,
         ratio * mass,
         warn_only,
-        section["limits.command"],
+        command_limit(section),
         dt,
     )

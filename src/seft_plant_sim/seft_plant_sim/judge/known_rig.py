@@ -1,5 +1,6 @@
 """What rig and force controller know of actuators and specimen: facts in their sections."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -59,6 +60,13 @@ def command_limit(section: Mapping[str, Any]) -> float:
     if section["actuator.kind"] == POSITION_SERVO:
         limit = min(limit, float(section["limits.displacement"]))
     return limit
+
+
+def fastest_command(section: Mapping[str, Any], dt: float) -> float:
+    """Largest change of a displacement servo's command in a period of dt s, m; else infinite."""
+    if section["actuator.kind"] != POSITION_SERVO:
+        return math.inf
+    return float(section["limits.displacement_rate"]) * dt
 
 
 def known_responses(

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
-from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.config.facts import POSITION_SERVO
+from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 

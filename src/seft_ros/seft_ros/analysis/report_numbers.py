@@ -9,6 +9,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.fft import rfft
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.facts import command_unit
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, VALVE_COMMAND
 from seft_plant_sim.simulated.specimen import EnergyBalance
@@ -273,7 +274,8 @@ def _of_axis(
     for quantity, label in enumerate(_STATE):
         yield label, _at(recording.states, steps, quantity, axis)
     yield "reference force (N)", of(REFERENCE_FORCE.name, -1)
-    yield "valve command (V)", of(VALVE_COMMAND.name, 0)
+    unit = command_unit(recording.experiment.sections.get("rig", {}).get("actuator.kind", ""))
+    yield f"valve command ({unit})", of(VALVE_COMMAND.name, 0)
     for name, unit in _EXACT.items() if reference is not None else ():
         exact = getattr(reference, name)[:, axis]
         known = np.full(len(steps), np.nan)

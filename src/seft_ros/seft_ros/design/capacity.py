@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN
+from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN, POSITION_SERVO
 from seft_msgs_py.config.parameter_table import group, per_axis
 from seft_plant_sim.rig_parameters import LIMIT_UNITS
 from seft_plant_sim.simulated.actuator import Hydraulics
@@ -86,6 +86,8 @@ class Actuators:
             return None
         unknown = np.full(len(axes), np.inf)
         command = np.minimum(unknown, controller["limits.command"])
+        if controller["actuator.kind"] == POSITION_SERVO:  # its vendor's controller drives it
+            command = unknown
         if not is_simulated(experiment):
             known = {
                 name: per_axis(controller[f"actuator.{name}"], axes, f"/**: actuator.{name}")

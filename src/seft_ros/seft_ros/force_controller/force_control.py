@@ -10,6 +10,7 @@ from seft_msgs_py.config.parameter_table import Section, as_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import compiled, copy, entry_point, multiply
+from seft_plant_sim.judge.known_rig import command_limit
 from seft_plant_sim.lti import bilinear
 
 
@@ -313,7 +314,7 @@ class ForceController:
             _polynomials(section, name, axes) for name in ("numerator", "denominator")
         )
         controllers = [(numerators[place], denominators[place]) for place in own]
-        limits = section["limits.command"], timebase.dt, section["feedback"]
+        limits = command_limit(section), timebase.dt, section["feedback"]
         return cls(controllers, *limits, gain[np.ix_(own, own)])
 
     def reset(self) -> None:

@@ -49,7 +49,7 @@ FORCE_CONTROLLER_TABLE = Table(
     "force_controller",
     [
         *facts("loop_delay", "specimen.", "actuator.", "sensors.", "calibration."),
-        *facts(*(f"limits.{name}" for name in (*CHANNELS, "command"))),
+        *facts(*(f"limits.{name}" for name in (*CHANNELS, "displacement_rate", "command"))),
         *SETTINGS_OF_THE_TEST,
         *SETTINGS_OF_THE_RIG,
         REGISTERED_CONTROLLERS.row(

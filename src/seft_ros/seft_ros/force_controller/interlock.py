@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN
+from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN, POSITION_SERVO
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.channels import per_channel, velocity_is_derived
 from seft_plant_sim.compiled import entry_point, kind_of
@@ -16,6 +16,7 @@ from seft_plant_sim.judge.detection import warning_detectors
 from seft_plant_sim.judge.detector_list import TRACKING, describe
 from seft_plant_sim.judge.detectors import assumed_noise
 from seft_plant_sim.judge.guard_step import DRIVE_ROW
+from seft_plant_sim.judge.known_rig import command_limit, fastest_command
 from seft_plant_sim.limits import beyond_limit, event_ring
 from seft_plant_sim.simulated.rig_step import left_open
 
@@ -58,14 +59,15 @@ def tracking_detector(
     limits = np.array([section[f"limits.{name}"] for name in CHANNELS])
     noise = assumed_noise(noise, limits, velocity_is_derived(section), dt)
     has_valve = section["actuator.kind"] not in FORCE_DRIVEN
-    limit = section["limits.command"] if has_valve else math.inf
+    limit = command_limit(section) if has_valve else math.inf
     return tracking_arrays(noise, limit, TRACKING.name not in warning_detectors(section), dt)
 
 
 class Interlock:
     """A `ForceControl` that refuses implausible values, and does not stay at its limit for long.
 
-    After a trip it brings the rig to rest, see `stop`, and then answers 0 V until the next test.
+    After a trip it brings the rig to rest, see `stop`, and then answers 0 V until the next test; of
+    displacement servos, the last command.
 
     Parameters
     ----------
@@ -78,7 +80,7 @@ class Interlock:
     longest_saturation : float
         Time within one second that the valve drive may be at its limit, s.
     close_time : float
-        Time in which it closes the valve, s.
+        Time in which it closes the valve, s; infinite: it holds the last command.
     limits : sequence of float
         Largest displacement, velocity, acceleration and force.
     has_valve : bool
@@ -87,6 +89,8 @@ class Interlock:
         Of the distance to the target, see `tracking_arrays`.
     dt : float
         Sampling period, s.
+    fastest : float
+        Largest change of a command in a step.
 
     Attributes
     ----------
@@ -107,12 +111,15 @@ class Interlock:
         has_valve: bool,
         tracking: tuple[TrackingParameters, TrackingState],
         dt: float,
+        fastest: float = math.inf,
     ) -> None:
         self.controller = controller
         self._axes, n = tuple(axes), len(axes)
         closing = close_time / dt
-        left = [left_open(taken, closing) for taken in range(1, math.ceil(closing) + 1)]
-        self._closing = np.array([*left, 0.0])  # of the last drive, step by step
+        left = [1.0]
+        if closing < math.inf:
+            left = [left_open(taken, closing) for taken in range(1, math.ceil(closing) + 1)] + [0.0]
+        self._closing = np.array(left)  # of the last drive, step by step
         self._longest, (saturated, window) = longest_saturation, event_ring(longest_saturation, dt)
         self.parameters = InterlockParameters(
             float(largest_force),
@@ -122,6 +129,7 @@ class Interlock:
             np.array(limits),
             has_valve,
             dt,
+            fastest,
             tracking[0],
         )
         self.state = InterlockState(
@@ -172,9 +180,12 @@ class Interlock:
         has_valve = section["actuator.kind"] not in FORCE_DRIVEN
         tracking = tracking_detector(section, axes, own.places, timebase.dt)
         force, saturation, closing = (section[name] for name in names)
+        if section["actuator.kind"] == POSITION_SERVO:
+            closing = math.inf
         limits = [section[f"limits.{name}"] for name in CHANNELS]
         ends = force, saturation, closing, limits, has_valve
-        return cls(controller, own.axes, *ends, tracking, timebase.dt)
+        fastest = fastest_command(section, timebase.dt)
+        return cls(controller, own.axes, *ends, tracking, timebase.dt, fastest)
 
     @cached_property
     def kind(self) -> Hashable:
@@ -269,7 +280,10 @@ class Interlock:
         if code == NO_TRIP:
             return ""
         if code == IMPLAUSIBLE_COMMAND:
-            return self._not_a_number("valve command", state.odd)
+            return self._not_a_number("valve command", state.odd) or (
+                "the command jumps by more than /**: limits.displacement_rate allows: "
+                f"{(state.odd - state.drive).tolist()} m"
+            )
         if code == IMPLAUSIBLE:
             return self.implausible(state.force)
         if code == LIMIT:

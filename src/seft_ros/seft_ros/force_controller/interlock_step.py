@@ -35,7 +35,7 @@ class InterlockParameters(NamedTuple):
     window : int
         Steps of a second.
     closing : float
-        Steps in which the valve closes after a trip.
+        Steps in which the valve closes after a trip; infinite: the last command is held.
     has_stop : bool
         Whether the controller can stop along its plan.
     limits : ndarray
@@ -44,6 +44,8 @@ class InterlockParameters(NamedTuple):
         Whether its commands drive the rig.
     dt : float
         Sampling period, s.
+    fastest : float
+        Largest change of a command in a step.
     tracking : TrackingParameters
         Of the distance to the target.
     """
@@ -55,6 +57,7 @@ class InterlockParameters(NamedTuple):
     limits: Floats
     has_valve: bool
     dt: float
+    fastest: float
     tracking: TrackingParameters
 
 
@@ -186,9 +189,13 @@ def postcheck(
     limited: bool,
     command: Floats,
 ) -> None:
-    """Check the command of a controller, and whether it is limited; trip if it is not finite."""
+    """Check the command of a controller, and whether it is limited; trip if it is not finite.
+
+    So it does if the command of a displacement servo jumps.
+    """
     for i in range(len(command)):
-        if not np.isfinite(command[i]):
+        change = abs(command[i] - state.drive[i]) if step > 0 else 0.0
+        if not np.isfinite(command[i]) or change > parameters.fastest:
             trip(state, IMPLAUSIBLE_COMMAND, step)
     if limited and parameters.has_valve and state.flags[TRIP] == NO_TRIP:
         if is_exceeded(state.saturated, state.flags[SATURATED], step, parameters.window):

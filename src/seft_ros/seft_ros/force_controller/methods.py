@@ -8,6 +8,7 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.wire.topics import RigAxes, Timebase
+from seft_plant_sim.judge.known_rig import command_limit
 
 from seft_ros.force_controller.force_control import ControlInputs, ForceControl, ForceController
 from seft_ros.force_controller.force_controller_parameters import (
@@ -99,7 +100,7 @@ def force_control(
         return VelocityFeedforward(section, axes, timebase, own)
     if name == POSITION_SERVO_METHOD:
         return PositionServo(section, axes, timebase, own)
-    inputs = ControlInputs(len(own.axes), timebase.dt, section["limits.command"])
+    inputs = ControlInputs(len(own.axes), timebase.dt, command_limit(section))
     make = partial(
         REGISTERED_CONTROLLERS.make, name, section["settings"], "force_controller: method", inputs
     )

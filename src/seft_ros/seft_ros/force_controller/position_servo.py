@@ -24,7 +24,6 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import entry_point
 from seft_plant_sim.judge.known_rig import command_limit, known_responses
-from seft_plant_sim.judge.valve_following import UNCERTAIN_DELAY
 from seft_plant_sim.lti import TransferFunction, first_order_hold
 from seft_plant_sim.rig_parameters import common_lag
 
