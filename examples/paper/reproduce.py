@@ -13,6 +13,7 @@ interrupted, or the rig can't be identified. 2: wrong input.
 
 import argparse
 import json
+import re
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
@@ -296,7 +297,8 @@ def summarise(found: Findings, claims: Sequence[Claim], path: Path) -> dict[str,
 def write_table(claims: Sequence[Claim], path: Path) -> None:
     """Put the claims in place of the table of claims in a Markdown page.
 
-    Those whose two values are equal are left out: they restate the configuration. Values that do
+    Those whose two values are equal are left out: they restate the configuration. So are those on
+    force and acceleration that agree, as does the same claim on the displacement. Values that do
     not agree are bold. An InputError says if the page has no such table, or can't be read or
     written.
     """
@@ -307,8 +309,11 @@ def write_table(claims: Sequence[Claim], path: Path) -> None:
         old = after.splitlines(keepends=True)
         length = next((i for i, row in enumerate(old) if not row.startswith("|")), len(old))
         rows = ["|---|---|---|\n"]
+        agreed = {claim.claim for claim in claims if claim.agrees and claim.paper != "not stated"}
         for claim in claims:
-            if claim.ours != claim.paper:
+            same = re.sub("force|acceleration", "displacement", claim.claim, count=1)
+            repeats = claim.agrees and same != claim.claim and same in agreed
+            if claim.ours != claim.paper and not repeats:
                 ours = claim.ours if claim.agrees else f"**{claim.ours}**"
                 cells = (_placed(claim), claim.paper, ours)
                 rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n")
