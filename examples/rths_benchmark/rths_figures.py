@@ -6,13 +6,12 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from rths_problem import DT
-from rths_tests import CONTROLLERS, Histories, Outcome
+from rths_tests import CONTROLLERS, INVERSE, SAMPLE, SEFT, Histories, Outcome
 from seft_ros.drawing import style
 from seft_ros.drawing.style import new_figure, thinned, tidy
 
-LABELS = ("seft", "sample controller", "conventional inverse")
 COLOURS = dict(zip(CONTROLLERS, style.OTHERS, strict=False))
-NAMES = dict(zip(CONTROLLERS, LABELS, strict=True))
+SHORT_NAMES = {SEFT: "seft", SAMPLE: "sample", INVERSE: "inverse"}
 DRAWN = ("true J2", "true J3", "true J4", "true J5", "J6", "J7", "J8", "J9")
 STRONG_S = 12.0
 """Of the histories that is shown, from the motion's beginning, s."""
@@ -32,7 +31,7 @@ def criteria_figure(groups: Groups, mean_and_worst: Summary) -> Figure:
         look: dict[str, Any] = {"color": COLOURS[controller]}
         if plants == "nominal":
             look = {"color": "white", "edgecolor": COLOURS[controller], "lw": 1.4}
-        label = f"{NAMES[controller]}, {len(chosen)} {plants}"
+        label = f"{SHORT_NAMES[controller]}, {len(chosen)} {plants}"
         panel.bar(at, pairs[:, 0], 0.85 * width, label=label, **look)
         panel.vlines(at, pairs[:, 0], pairs[:, 1], color=style.TEXT, lw=1.2)
     panel.set_yscale("log")
@@ -44,22 +43,23 @@ def criteria_figure(groups: Groups, mean_and_worst: Summary) -> Figure:
 
 
 def histories_figure(found: Histories) -> Figure:
-    """Draw displacement of the first floor, and errors of the specimen and of the third floor."""
+    """Draw displacement of the first floor, and errors of the specimen and of the third floor.
+
+    The errors of the sample controller are many times as large as the others, and left out.
+    """
     figure = new_figure(9.5, 6.5)
     panels = figure.subplots(3, 1, sharex=True, height_ratios=[1.4, 1.0, 1.0])
-    begin = int(
-        np.argmax(np.abs(found.reference[:, 0]) > 0.02 * np.abs(found.reference[:, 0]).max())
-    )
+    size = np.abs(found.reference[:, 0])
+    begin = int(np.argmax(size > 0.02 * size.max()))
     part = slice(begin, begin + round(STRONG_S / DT))
-    time, exact = DT * np.arange(len(found.reference))[part], 1e3 * found.reference[part]
+    time, exact = DT * np.arange(len(size))[part], 1e3 * found.reference[part]
     panels[0].plot(time, exact[:, 0], color=style.REFERENCE, lw=2.4, label="whole structure")
     for name, motion in reversed(found.motions.items()):
-        look: dict[str, Any] = {"color": COLOURS[name], "lw": 0.9, "label": NAMES[name]}
         true, third = 1e3 * motion.true[part], 1e3 * motion.numerical[part, 2]
         shown = true, true - exact[: len(true), 0], third - exact[: len(third), 2]
-        for panel, y in zip(panels, shown, strict=True):
+        for panel, y in zip(panels, shown[: 1 if name == SAMPLE else 3], strict=False):
             at = thinned(y)
-            panel.plot(time[at], y[at], **look)
+            panel.plot(time[at], y[at], color=COLOURS[name], lw=0.9, label=SHORT_NAMES[name])
     labels = ("floor 1, true\n/ mm", "its error / mm", "error of\nfloor 3 / mm")
     for panel, label in zip(panels, labels, strict=True):
         panel.set_ylabel(label, color=style.TEXT)
