@@ -1,23 +1,30 @@
 """The rebuilt benchmark, its criteria and controllers, and seft on its plant."""
 
+import json
+
 import benchmark
 import numpy as np
 import pytest
+from matplotlib.image import imread
 from rths_controllers import conventional_inverse, run_benchmark, sample_controller
-from rths_hardware import BenchmarkRig
+from rths_figures import criteria_figure, histories_figure
+from rths_hardware import BenchmarkRig, nominal_rig
 from rths_problem import (
     DT,
     NOISE,
     POSITION,
     PROBLEM,
     RATE,
+    Motion,
     Plant,
     Structure,
     criteria,
     ground_motion,
     plant_step,
 )
-from rths_tests import plan_tests
+from rths_tests import CRITERIA, INVERSE, SAMPLE, SEFT, Histories, Plan, assess, plan_tests
+from seft_msgs_py.errors import InputError
+from seft_ros.drawing.style import save_figure
 
 RECORDS = next((place for place in benchmark.PLACES if place.is_dir()), None)
 NOMINAL = Plant.nominal()
@@ -157,6 +164,11 @@ def test_the_sensors_have_the_benchmarks_noise():
     assert np.isnan(read[:, [1, 2]]).all()
 
 
+def test_the_plant_of_a_file_has_the_rate_of_the_benchmark():
+    with pytest.raises(InputError, match="rate is 4000 Hz, but the plant has 4096 Hz"):
+        nominal_rig({"rate": 4000.0, "seed": 1}, ("floor_1",))
+
+
 # The program
 
 
@@ -192,3 +204,39 @@ def test_wrong_input_is_one_line_before_the_work(capsys, tmp_path, monkeypatch, 
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 1 and message in err
     assert [path.name for path in tmp_path.iterdir()] == ["data"]
+
+
+def outcomes_of(tests, trip=""):
+    """Outcomes with each controller, of motions that are the reference's, late by a sample."""
+    time = DT * np.arange(round(RATE))
+    reference = np.sin(2 * np.pi * 3.0 * time)[:, np.newaxis] * np.ones(3)
+    late = np.roll(reference[:, 0], 1)
+    moved = {name: Motion(late, late, reference) for name in (SAMPLE, INVERSE)}
+    moved[SEFT] = Motion(late, late, reference, trip)
+    found = [Histories(test, moved, reference) for test in tests]
+    return found, [outcome for each in found for outcome in assess(each)]
+
+
+def test_a_tripped_test_is_named_and_has_no_criteria():
+    _, outcomes = outcomes_of(plan_tests([2], ["kobe"], 1), trip="force: beyond its limit")
+    plan = Plan(benchmark.HERE, benchmark.HERE / "model.yaml", 7)
+    found = json.loads(json.dumps(benchmark.summarise(outcomes, plan, 1.0), allow_nan=False))
+    assert [(test["case"], test["record"], test["plant"]) for test in found["tests"]] == [
+        (2, "kobe", "nominal"),
+        (2, "kobe", "perturbed 1"),
+    ]
+    test = found["tests"][0]
+    assert test["trip"] == "force: beyond its limit"
+    assert test["j"] == test["true_j"] == dict.fromkeys(CRITERIA)
+    assert found[SAMPLE][0]["trip"] is None
+    assert 0.4 < found[SAMPLE][0]["true_j"]["J2"] < 0.5
+    assert "trip" in benchmark.nominal_table(outcomes).rows[0]
+
+
+def test_figures_are_drawn_of_whole_and_of_tripped_tests(tmp_path):
+    for trip in ("", "force: beyond its limit"):
+        histories, outcomes = outcomes_of(plan_tests([2], ["kobe"], 1), trip)
+        groups = benchmark.groups_of(outcomes)
+        save_figure(histories_figure(histories[0]), tmp_path / "histories.png")
+        save_figure(criteria_figure(groups, benchmark.mean_and_worst), tmp_path / "criteria.png")
+        assert all(imread(path).std() > 0.02 for path in tmp_path.iterdir())
