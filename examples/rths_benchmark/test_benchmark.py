@@ -22,9 +22,13 @@ from rths_problem import (
     ground_motion,
     plant_step,
 )
+from rths_product import LABORATORY
 from rths_tests import CRITERIA, INVERSE, SAMPLE, SEFT, Histories, Plan, assess, plan_tests
+from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
+from seft_plant_sim.simulated.converter_board import ConverterBoard
 from seft_ros.drawing.style import save_figure
+from seft_ros.test_run.parameter_tables import TABLES
 
 RECORDS = next((place for place in benchmark.PLACES if place.is_dir()), None)
 NOMINAL = Plant.nominal()
@@ -162,6 +166,22 @@ def test_the_sensors_have_the_benchmarks_noise():
     read = np.array([rig.read()[:, 0] for _ in range(9000)])
     assert read[:, [0, 3]].std(axis=0) == pytest.approx(list(NOISE.values()), rel=0.03)
     assert np.isnan(read[:, [1, 2]]).all()
+
+
+def test_the_file_simulates_the_same_plant():
+    """Drive both by the same commands, up to 40 Hz; the file has numbers of four digits."""
+    quiet = [("/**", f"sensors.{name}_noise", 0.0) for name in ("displacement", "force")]
+    tested = Experiment.load(TABLES, [LABORATORY], quiet)
+    ours, theirs = BenchmarkRig(NOMINAL, 0), ConverterBoard(tested["rig"], tested.axes)
+    commands = 1e-3 * np.random.default_rng(2).standard_normal(100).repeat(50)
+    shown = np.empty(len(commands))
+    for k, command in enumerate(commands):
+        ours.read()
+        shown[k] = theirs.inputs()[0, 0]
+        for rig in (ours.write, theirs.output):
+            rig(np.array([command]))
+    exact = np.array(ours.displacement)
+    assert np.std(shown - exact) < 3e-3 * np.std(exact)
 
 
 def test_the_plant_of_a_file_has_the_rate_of_the_benchmark():
