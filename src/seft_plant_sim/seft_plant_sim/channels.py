@@ -76,6 +76,22 @@ def velocity_is_derived(section: Mapping[str, Any]) -> bool:
     return bool(section["sensors.velocity"] == "derived")
 
 
+def acceleration_is_derived(section: Mapping[str, Any]) -> bool:
+    """Say whether no sensor measures the acceleration, see `servo_model`."""
+    return bool(section["sensors.acceleration"] == "derived")
+
+
+MIN_NOISE = np.array([1e-6, 1e-4, 5e-3, 0.3])
+"""Least assumed noise of the sensors: displacement (m), velocity, acceleration, force (N). Without
+noise the filters would follow everything that is not modelled."""
+
+
+def least_noise(section: Mapping[str, Any], axes: Sequence[str]) -> Floats:
+    """RMS noise of each sensor, at least `MIN_NOISE`, shape (4, n)."""
+    known = per_channel(section, axes, "sensors.{}_noise")
+    return np.maximum(known, MIN_NOISE[:, np.newaxis])
+
+
 def converters(
     section: Mapping[str, Any], axes: Sequence[str], places: Sequence[int], bits_name: str
 ) -> tuple[Floats, Floats]:
@@ -96,8 +112,12 @@ def converters(
         If a converter has bits but no range.
     """
     ranges, bits = per_channel(section, axes, "sensors.{}_range"), section[bits_name]
-    if velocity_is_derived(section):
-        ranges[VELOCITY] = np.inf
+    for row, derived in (
+        (VELOCITY, velocity_is_derived(section)),
+        (ACCELERATION, acceleration_is_derived(section)),
+    ):
+        if derived:
+            ranges[row] = np.inf
     for channel, row in zip(CHANNELS, ranges, strict=True):
         if bits and not row.all():
             raise InputError(

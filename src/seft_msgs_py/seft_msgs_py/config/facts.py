@@ -17,7 +17,7 @@ POSITION_SERVO = "position_servo"
 
 
 def command_unit(kind: str) -> str:
-    """Unit of the commands of a force controller, by the kind of the actuators."""
+    """Give the unit of the commands of a force controller, by the kind of the actuators."""
     return "m" if kind == POSITION_SERVO else "V"
 
 

@@ -2,8 +2,9 @@
 
 import inspect
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from itertools import compress
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -14,7 +15,13 @@ from seft_msgs_py.config.registered import line_in, reason_of
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, VALVE_COMMAND, RigAxes
 
-from seft_plant_sim.channels import VELOCITY, per_channel, velocity_is_derived
+from seft_plant_sim.channels import (
+    ACCELERATION,
+    VELOCITY,
+    acceleration_is_derived,
+    per_channel,
+    velocity_is_derived,
+)
 from seft_plant_sim.hardware.safe_stop import Safe, SafeStop, Stopped
 from seft_plant_sim.hardware.udp import UdpHardware
 from seft_plant_sim.rig_parameters import HARDWARE, UDP
@@ -39,7 +46,7 @@ class Hardware(Protocol):
         -------
         ndarray
             Displacement, velocity, acceleration and force of each axis, shape (4, n), in SI units,
-            or in volts (``calibration.*_per_volt``); NaN throughout for a velocity that is derived.
+            or in volts (``calibration.*_per_volt``); NaN throughout for what is derived.
         """
 
     def write(self, drive: Floats) -> None:
@@ -75,8 +82,8 @@ class HostedHardware:
         Topic that it obeys.
     per_volt : ndarray
         SI units per unit of the device's channels, shape (4, n).
-    velocity_is_derived : bool
-        Whether its velocity is not used.
+    derived : sequence of int
+        Rows of its samples that are not used.
     axes : tuple of str
         Names of its n axes.
     period : float
@@ -104,7 +111,7 @@ class HostedHardware:
         name: str,
         drive: str,
         per_volt: Floats,
-        velocity_is_derived: bool,
+        derived: Sequence[int],
         axes: tuple[str, ...],
         period: float,
         now: Callable[[], float],
@@ -117,7 +124,7 @@ class HostedHardware:
         self.can_wait: bool = getattr(device, "can_wait", False)
         self.is_clock: bool = getattr(device, "is_clock", False)
         self._is_remote = isinstance(device, UdpHardware)
-        self._per_volt, self._derived, self._period = per_volt, velocity_is_derived, period
+        self._per_volt, self._derived, self._period = per_volt, list(derived), period
         self._stop: SafeStop | None = None
         self._is_missing = False  # the last sample
         self._file = None
@@ -162,8 +169,9 @@ class HostedHardware:
         force_driven = section["actuator.kind"] in FORCE_DRIVEN
         per_volt = per_channel(section, axes, "calibration.{}_per_volt")[:, list(rig.places)]
         drive = (REFERENCE_FORCE if force_driven else VALVE_COMMAND).name
-        derived = velocity_is_derived(section)
-        made = device, name, drive, per_volt, derived, rig.axes, period, now
+        derived = [velocity_is_derived(section), acceleration_is_derived(section)]
+        derived_rows = list(compress((VELOCITY, ACCELERATION), derived))
+        made = device, name, drive, per_volt, derived_rows, rig.axes, period, now
         return cls(*made, holds=safe.holds)
 
     def read(self) -> Floats:
@@ -187,15 +195,15 @@ class HostedHardware:
             )
         sample *= self._per_volt
         self._is_missing = bool(np.isnan(sample).all())
-        if self._derived:
-            sample[VELOCITY] = 0.0
+        sample[self._derived] = 0.0
         if not (self._is_remote or np.isfinite(sample).all()):  # a lost sample is judged
             row, axis = np.argwhere(~np.isfinite(sample))[0].tolist()
-            hint = "; if it has no such sensor, give /**: sensors.velocity: derived"
+            name = CHANNELS[row]
+            hint = f"; if it has no such sensor, give /**: sensors.{name}: derived"
             raise self._wrong(
                 "read",
                 f" gave {sample[row, axis]} for the {CHANNELS[row]} of axis {self._axes[axis]}"
-                f"{hint if row == VELOCITY else ''}",
+                f"{hint if row in (VELOCITY, ACCELERATION) else ''}",
             )
         return sample
 

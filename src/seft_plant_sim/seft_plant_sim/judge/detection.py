@@ -7,7 +7,12 @@ import numpy as np
 from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN, POSITION_SERVO
 from seft_msgs_py.errors import InputError
 
-from seft_plant_sim.channels import per_channel, velocity_is_derived
+from seft_plant_sim.channels import (
+    ACCELERATION,
+    acceleration_is_derived,
+    per_channel,
+    velocity_is_derived,
+)
 from seft_plant_sim.judge.detector_list import ALL, DETECTORS, TRACKING
 from seft_plant_sim.judge.detectors import (
     DetectorParameters,
@@ -69,11 +74,15 @@ def detectors_of(
     actuator["flow_gain"] = np.where(is_known, actuator["flow_gain"], 0.0)
     actuator["valve_frequency"] = np.where(is_known, actuator["valve_frequency"], 1.0 / dt)
     mass, stiffness, ratio = read_specimen(section, axes, places)
+    computed_mass = ratio * mass
     valves = valve_models(actuator, dt)
     noise, ranges = (
         np.ascontiguousarray(per_channel(section, axes, f"sensors.{{}}_{what}")[:, own])
         for what in ("noise", "range")
     )
+    if acceleration_is_derived(section):  # nothing else is compared with it
+        noise[ACCELERATION] = section["limits.acceleration"]
+        mass, stiffness = np.zeros_like(mass), np.zeros_like(stiffness)
     return detector_arrays(
         noise,
         np.array([section[f"limits.{name}"] for name in CHANNELS]),
@@ -84,7 +93,7 @@ def detectors_of(
         section["actuator.kind"] not in FORCE_DRIVEN,
         mass,
         stiffness,
-        ratio * mass,
+        computed_mass,
         warn_only,
         command_limit(section),
         dt,

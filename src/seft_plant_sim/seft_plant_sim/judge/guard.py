@@ -27,6 +27,11 @@ from seft_plant_sim.judge.guard_step import (
     begin_guard,
     guard_step,
 )
+from seft_plant_sim.judge.servo_model import (
+    AccelerationParameters,
+    AccelerationState,
+    acceleration_of,
+)
 from seft_plant_sim.limits import Limits, event_ring
 
 
@@ -39,6 +44,8 @@ class Guard:
         What is known of the channels.
     derivation : Derivation
         Of the velocity, if it is not measured.
+    acceleration : tuple of AccelerationParameters and AccelerationState
+        Of the acceleration, likewise.
     ranges : ndarray
         Largest magnitude that each sensor can measure, shape (4, n).
     limits : Limits
@@ -62,6 +69,7 @@ class Guard:
         self,
         calibration: tuple[Calibration, CalibrationState],
         derivation: Derivation,
+        acceleration: tuple[AccelerationParameters, AccelerationState],
         ranges: Floats,
         limits: Limits,
         saturated_time: float,
@@ -72,10 +80,17 @@ class Guard:
         n, dt = len(self._axes), detectors[0].dt
         blind, window = event_ring(saturated_time, dt)
         self.parameters = GuardParameters(
-            calibration[0], derivation, ranges, limits.values, window, detectors[0]
+            calibration[0],
+            derivation,
+            acceleration[0],
+            ranges,
+            limits.values,
+            window,
+            detectors[0],
         )
         self.state = GuardState(
             calibration=calibration[1],
+            acceleration=acceleration[1],
             measured=np.zeros((4, n)),
             recent=limits.recent,
             change=limits.change,
@@ -104,6 +119,7 @@ class Guard:
         return cls(
             calibration_of(section, axes, rig.places, dt, ranges, resolution, derived),
             Derivation.from_parameters(section, dt),
+            acceleration_of(section, axes, rig.places, dt),
             ranges,
             Limits(group(section, "limits"), rig.axes, dt),
             section["limits.saturated_time"],

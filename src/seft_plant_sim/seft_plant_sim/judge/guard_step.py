@@ -10,6 +10,12 @@ from seft_plant_sim.channels import Derivation, derive_velocity
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.judge.detector_step import begin_detectors, judge_sample
 from seft_plant_sim.judge.detectors import SUSPECT, DetectorParameters, DetectorState
+from seft_plant_sim.judge.servo_model import (
+    AccelerationParameters,
+    AccelerationState,
+    begin_acceleration,
+    derive_acceleration,
+)
 from seft_plant_sim.limits import exceeds, is_exceeded
 
 SUSPECT_ROW, DRIVE_ROW = 4, 5
@@ -37,6 +43,8 @@ class GuardParameters(NamedTuple):
         What is known of the channels.
     derivation : Derivation
         Of the velocity, if it is not measured.
+    acceleration : AccelerationParameters
+        Of the acceleration, likewise.
     range : ndarray
         Largest magnitude that each sensor can measure, shape (4, n); infinite if it is not known.
     limits : ndarray
@@ -49,6 +57,7 @@ class GuardParameters(NamedTuple):
 
     calibration: Calibration
     derivation: Derivation
+    acceleration: AccelerationParameters
     range: Floats
     limits: Floats
     window: int
@@ -62,6 +71,8 @@ class GuardState(NamedTuple):
     ----------
     calibration : CalibrationState
         Of the channels.
+    acceleration : AccelerationState
+        Of a derived one.
     measured : ndarray
         The last sample as measured, calibrated and aligned, shape (4, n).
     recent, change, largest : ndarray
@@ -76,6 +87,7 @@ class GuardState(NamedTuple):
     """
 
     calibration: CalibrationState
+    acceleration: AccelerationState
     measured: Floats
     recent: Floats
     change: Floats
@@ -90,6 +102,7 @@ def begin_guard(parameters: GuardParameters, state: GuardState) -> None:
     """Begin a test."""
     state.counts[:] = 0
     state.largest[:] = 0.0
+    begin_acceleration(state.acceleration)
     begin_detectors(parameters.detectors, state.detectors)
 
 
@@ -131,6 +144,7 @@ def guard_step(
     if len(p.calibration.bias):
         calibrate(p.calibration, state.calibration, step, measured, measured)
     derive_velocity(p.derivation, step, state.measured, measured)
+    derive_acceleration(p.acceleration, state.acceleration, step, drive, measured)
     counts, judged, is_blind = state.counts, sample[:4], found > 0
     beyond = exceeds(p.limits, step, state.recent, measured, state.change, state.largest)
     counts[_OUTSIDE] = counts[_OUTSIDE] + 1 if beyond & 1 else 0

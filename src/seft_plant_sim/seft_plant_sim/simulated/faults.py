@@ -272,6 +272,11 @@ def _check_part(fault: Fault, section: dict[str, Any]) -> None:
             "the velocity is derived from the displacement (sensors.velocity): there is no sensor "
             "of it; let the displacement fail"
         )
+    if fault.what == "acceleration" and section["sensors.acceleration"] == "derived":
+        raise fault.error(
+            "the acceleration is derived (sensors.acceleration): there is no sensor of it; let the "
+            "displacement fail"
+        )
     if fault.kind == "bit" and not bits:
         raise fault.error(
             "there is no converter; give rig: simulated.sensors.adc_bits, and /**: sensors.*_range "

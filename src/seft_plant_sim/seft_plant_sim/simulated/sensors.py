@@ -6,7 +6,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from seft_msgs_py.arrays import Floats
 
-from seft_plant_sim.channels import VELOCITY, converters, per_channel, velocity_is_derived
+from seft_plant_sim.channels import (
+    ACCELERATION,
+    VELOCITY,
+    acceleration_is_derived,
+    converters,
+    per_channel,
+    velocity_is_derived,
+)
 from seft_plant_sim.compiled import compiled
 
 BLOCK = 4096
@@ -95,6 +102,8 @@ class Sensors:
         )
         if velocity_is_derived(section):  # there is no sensor
             noise[VELOCITY] = bias[VELOCITY] = 0.0
+        if acceleration_is_derived(section):
+            noise[ACCELERATION] = bias[ACCELERATION] = 0.0
         own = list(places)
         ranges, resolution = converters(section, axes, own, "simulated.sensors.adc_bits")
         noise, bias = (np.ascontiguousarray(one[:, own]) for one in (noise, bias))

@@ -11,9 +11,9 @@ the second difference of the command, the sum of
 
     (y - (x* - d) / (1 + e_gain))^2 + (|G(W_h)| / (W_h dt)^2)^2 (u[k] - 2 u[k-1] + u[k-2])^2   (8)
 
-over all samples, y one dead time ahead: the linear-quadratic tracking problem with preview (Tomizuka
-1975). Its solution inverts G up to W_h, where the servo does no more than `LEAST_GAIN` of a command,
-without a limit of frequencies, poles or zeros; it knows where past commands have brought the servo.
+over all samples, y one dead time ahead: the linear-quadratic tracking problem with preview
+(Tomizuka 1975). Its solution inverts G up to W_h, where the servo does no more than `LEAST_GAIN` of
+a command, whatever its poles and zeros are; it knows where past commands have brought the servo.
 """
 
 from typing import Any
@@ -24,7 +24,8 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import entry_point
 from seft_plant_sim.judge.known_rig import command_limit, known_responses
-from seft_plant_sim.lti import TransferFunction, first_order_hold
+from seft_plant_sim.judge.servo_model import ServoModel
+from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.rig_parameters import common_lag
 
 from seft_ros.force_controller.force_control import LinearControl
@@ -99,15 +100,15 @@ class PositionServo:
                 f"reference_force: compensation.horizon is {section['compensation.horizon']:g} s, "
                 f"but the servos need {needs:.3g} s of the future motion; make it longer"
             )
-        delay = np.array([servo.delay for servo in servos]) + late * dt + dt / 2
+        delay = np.array([servo.model.delay for servo in servos]) + late * dt + dt / 2
         self.parameters = ServoParameters(
             dt=dt,
             limit=command_limit(section),
             late=late,
-            free=np.array([servo.free for servo in servos]),
-            push=np.array([servo.push for servo in servos]),
-            output=np.array([servo.output for servo in servos]),
-            rest=np.array([servo.rest for servo in servos]),
+            free=np.array([servo.model.free for servo in servos]),
+            push=np.array([servo.model.push for servo in servos]),
+            output=np.array([servo.model.output for servo in servos]),
+            rest=np.array([servo.model.rest for servo in servos]),
             feedback=np.array([servo.feedback for servo in servos]),
             ahead=np.array([servo.ahead(taps) for servo in servos]),
             noise=sensor_noise(section, axes)[0, own],
@@ -171,7 +172,7 @@ class PositionServo:
 
 
 class InvertedServo:
-    """Response of a servo to a held command without its dead time, and its inverse by Eq. (8).
+    """A servo without its dead time, and the inverse of its response by Eq. (8).
 
     Parameters
     ----------
@@ -182,42 +183,23 @@ class InvertedServo:
 
     Attributes
     ----------
-    free, push, output, rest, feedback
-        See `ServoParameters`.
-    delay : float
-        Of slow motions, without the dead time, s.
+    model : ServoModel
+        Of the response.
+    feedback : ndarray
+        See `ServoParameters`, shape (m + 2,).
     taps : int
         Sufficient number of coming samples.
     """
 
     def __init__(self, response: TransferFunction, dt: float) -> None:
-        m = len(response.denominator) - 1
-        denominator = np.array(response.denominator) / response.denominator[0]
-        numerator = np.zeros(m)
-        numerator[m - len(response.numerator) :] = (
-            np.array(response.numerator) / response.denominator[0]
-        )
-        self.delay = denominator[-2] / denominator[-1]
-        if m > 1:
-            self.delay -= numerator[-2] / numerator[-1]
-        # states in units of m, by the poles' mean frequency
-        unit = abs(denominator[-1]) ** (1.0 / m)
-        scaled = denominator[:0:-1] / unit ** np.arange(m, 0, -1.0)
-        a, b = unit * np.eye(m, k=1), np.zeros((m, 1))
-        a[-1] -= unit * scaled
-        b[-1] = unit
-        self.free, push, _ = first_order_hold(a, b, dt)
-        self.push = np.ascontiguousarray(push[:, 0])
-        self.output = numerator[::-1] / unit ** np.arange(m, 0, -1.0)
-        at_rest = np.linalg.solve(np.eye(m) - self.free, self.push)
-        static = self.output @ at_rest
-        self.rest = np.append(at_rest, 1.0) / static
+        self.model = model = ServoModel(response, dt)
+        m = len(model.push)
         # the command of the last sample, and its last change
         whole = np.zeros((m + 2, m + 2))
-        whole[:m, :m], whole[:m, m:] = self.free, self.push[:, np.newaxis]
+        whole[:m, :m], whole[:m, m:] = model.free, model.push[:, np.newaxis]
         whole[m], whole[m + 1, m + 1] = [*np.zeros(m), 1.0, 1.0], 1.0
-        bend = np.append(self.push, [1.0, 1.0])[:, np.newaxis]
-        seen = np.append(self.output, [0.0, 0.0])
+        bend = np.append(model.push, [1.0, 1.0])[:, np.newaxis]
+        seen = np.append(model.output, [0.0, 0.0])
         effort = self._effort(response, dt) * np.eye(1)
         p = cost_to_go(whole, bend, np.outer(seen, seen), effort)
         weight = effort + bend.T @ p @ bend

@@ -266,5 +266,5 @@ def servo_stop(
 
 
 def memory_of(late: float) -> int:
-    """Number of past displacements of the response that `servo_step` needs, by ``late``."""
+    """Count the past displacements of the response that `servo_step` needs, by ``late``."""
     return math.floor(late) + 4

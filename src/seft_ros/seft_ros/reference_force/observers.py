@@ -6,21 +6,19 @@ from typing import Any
 import numpy as np
 from scipy.linalg import solve_discrete_are
 from seft_msgs_py.arrays import Floats
-from seft_plant_sim.channels import per_channel
+from seft_plant_sim.channels import acceleration_is_derived, least_noise
 from seft_plant_sim.compiled import compiled
+from seft_plant_sim.judge.servo_model import derived_noise
 
 BETWEEN_SAMPLES = 3.0
 """Noise of the integrated acceleration over the sensor's: the acceleration changes between samples.
 """
-MIN_NOISE = np.array([1e-6, 1e-4, 5e-3, 0.3])
-"""Least assumed noise of the sensors: displacement (m), velocity, acceleration, force (N). Without
-noise the filters would follow everything that is not modelled."""
 UNKNOWN_VELOCITY = 100.0
 """Noise of a derived velocity, m/s: so large that it is not used."""
 
 
 def sensor_noise(section: Mapping[str, Any], axes: Sequence[str]) -> Floats:
-    """RMS noise of each sensor, at least `MIN_NOISE`.
+    """RMS noise of each channel, at least `seft_plant_sim.channels.MIN_NOISE`.
 
     Parameters
     ----------
@@ -34,9 +32,10 @@ def sensor_noise(section: Mapping[str, Any], axes: Sequence[str]) -> Floats:
     ndarray
         Shape (4, n), m, m/s, m/s^2, N.
     """
-    known = per_channel(section, axes, "sensors.{}_noise")
-    noise = np.maximum(known, MIN_NOISE[:, np.newaxis])
-    if section["sensors.velocity"] == "derived":
+    noise = least_noise(section, axes)
+    if acceleration_is_derived(section):
+        noise[1:3] = derived_noise(section, axes)
+    elif section["sensors.velocity"] == "derived":
         noise[1] = UNKNOWN_VELOCITY
     return noise
 

@@ -17,10 +17,12 @@ import numpy as np
 from scipy.linalg import eigh
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.facts import FORCE_DRIVEN
+from seft_plant_sim.channels import acceleration_is_derived
 from seft_plant_sim.compiled import entry_point, places
 from seft_plant_sim.computed.computed_model import ComputedModel, ModelError
 from seft_plant_sim.computed.computed_substructure import ComputedSubstructure
 from seft_plant_sim.computed.model_worker import ModelState
+from seft_plant_sim.judge.servo_model import second_difference, smoothing_steps
 from seft_plant_sim.lti import first_order_hold
 
 from seft_ros.reference_force.compensator import MethodInputs, NotLinearError
@@ -325,6 +327,9 @@ def target_arrays(known: MethodInputs) -> tuple[TargetParameters, TargetState, M
     names = tuple(f"axis {index + 1}" for index in range(n))
     noise = sensor_noise(known.options, names)
     gains, left = observer_gains(noise, dt)
+    smooth = np.zeros((3, 0))
+    if acceleration_is_derived(known.options):
+        smooth = second_difference(smoothing_steps(known.options, names), dt)
 
     deformation = spring_deformations(known)
     to_springs = np.linalg.inv(deformation.T)
@@ -374,6 +379,7 @@ def target_arrays(known: MethodInputs) -> tuple[TargetParameters, TargetState, M
         dt=dt,
         substeps=substeps,
         gains=gains,
+        smooth=smooth,
         mass=np.ascontiguousarray(known.mass, dtype=np.float64),
         deformation=np.ascontiguousarray(deformation),
         to_springs=np.ascontiguousarray(to_springs),
@@ -391,6 +397,8 @@ def target_arrays(known: MethodInputs) -> tuple[TargetParameters, TargetState, M
     thresholds = model.thresholds.shape
     state = TargetState(
         model=model_state,
+        recent=np.zeros((smooth.shape[1], 2, n)),
+        smoothed=np.zeros((4, n)),
         measured=np.zeros((3, n)),
         target=np.zeros(3 * size),
         stops=np.zeros(thresholds),

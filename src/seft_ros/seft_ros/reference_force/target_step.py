@@ -46,6 +46,9 @@ class TargetParameters(NamedTuple):
         Steps of the integration in a period.
     gains : ndarray
         Of the observer, shape (n, 2, 2).
+    smooth : ndarray
+        Weights that smooth the channels where the acceleration is derived, see
+        `second_difference`, shape (3, w); w is 0 if it is measured.
     mass : ndarray
         M_e on the rig, shape (n, n), kg.
     deformation, to_springs : ndarray
@@ -73,6 +76,7 @@ class TargetParameters(NamedTuple):
     dt: float
     substeps: int
     gains: Floats
+    smooth: Floats
     mass: Floats
     deformation: Floats
     to_springs: Floats
@@ -95,6 +99,9 @@ class TargetState(NamedTuple):
     ----------
     model : ModelState
         Of the restoring force.
+    recent, smoothed : ndarray
+        Last displacements and forces, the newest first, and the smoothed sample, shapes (w, 2, n)
+        and (4, n).
     measured : ndarray
         Observed displacement and velocity, and the last acceleration, shape (3, n).
     target : ndarray
@@ -125,6 +132,8 @@ class TargetState(NamedTuple):
     """
 
     model: RestoringState
+    recent: Floats
+    smoothed: Floats
     measured: Floats
     target: Floats
     stops: Floats
@@ -187,6 +196,9 @@ def target_step(
         points[:] = np.nan
         return
     n, p, first = len(parameters.axes), parameters, state.is_running[0] == 0.0
+    if p.smooth.shape[1]:
+        smooth_alike(p.smooth, state, measured, first)
+        measured = state.smoothed
     before, e, rate, force = state.springs[0], state.springs[1], state.springs[2], state.springs[3]
     if not first:
         times(n, n, p.deformation, state.measured[0], before)
@@ -212,6 +224,26 @@ def target_step(
     state.is_running[0] = 1.0
     copy(n, ground[0], state.ground)
     predict(p, state, ground, progress, points)
+
+
+@compiled
+def smooth_alike(weights: Floats, state: TargetState, measured: Floats, first: bool) -> None:
+    """Smooth displacement and force alike, and derive velocity and acceleration."""
+    recent, (_, count) = state.recent, weights.shape
+    for j in range(count - 1, -1, -1):
+        for i in range(measured.shape[1]):
+            for k in range(2):
+                now = first or j == 0
+                recent[j, k, i] = measured[3 * k, i] if now else recent[j - 1, k, i]
+    for i in range(measured.shape[1]):
+        x = v = a = f = 0.0
+        for j in range(count):
+            x += weights[0, j] * recent[j, 0, i]
+            v += weights[1, j] * recent[j, 0, i]
+            a += weights[2, j] * recent[j, 0, i]
+            f += weights[0, j] * recent[j, 1, i]
+        sample = state.smoothed
+        sample[0, i], sample[1, i], sample[2, i], sample[3, i] = x, v, a, f
 
 
 @compiled

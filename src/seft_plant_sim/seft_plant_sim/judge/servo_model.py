@@ -1,0 +1,250 @@
+"""A displacement servo as identified, and the acceleration that it and the displacement tell.
+
+Without an accelerometer, the acceleration is that of the response y to the applied commands, and
+that of what the measured displacement shows beside it, e = x - y::
+
+    a = y'' + e''
+
+A steady Kalman filter with a random e''' estimates e, with the lag of `second_difference`.
+
+So the acceleration has the servo's high frequencies as identified, the force as they are, and their
+difference r = f - M a would mistake one for the other. A target therefore smooths force and
+displacement alike, and takes the acceleration from the latter.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.linalg import solve_discrete_are
+from seft_msgs_py.arrays import Floats
+
+from seft_plant_sim.channels import acceleration_is_derived, least_noise
+from seft_plant_sim.compiled import compiled
+from seft_plant_sim.judge.known_rig import known_responses
+from seft_plant_sim.lti import TransferFunction, first_order_hold
+from seft_plant_sim.rig_parameters import common_lag
+
+_DERIVATIVES = 3
+"""States of e, and the integrations from its random third derivative."""
+UNKNOWN_DELAY = 0.02
+"""Delay of a servo that has not been identified, s."""
+
+
+class ServoModel:
+    """Response of a servo to a held command, without its dead time.
+
+    Parameters
+    ----------
+    response : TransferFunction
+        Of m poles, from command to displacement.
+    dt : float
+        Sampling period, s.
+
+    Attributes
+    ----------
+    free, push, output : ndarray
+        z+ = F z + g u, y = c z; shapes (m, m), (m,) and (m,).
+    rest : ndarray
+        z and u for a displacement of 1 m at rest, shape (m + 1,).
+    delay : float
+        Of slow motions, s.
+    """
+
+    def __init__(self, response: TransferFunction, dt: float) -> None:
+        m, leading = len(response.denominator) - 1, response.denominator[0]
+        denominator, top = np.array(response.denominator) / leading, len(response.numerator)
+        numerator = np.zeros(m)
+        numerator[m - top :] = np.array(response.numerator) / leading
+        self.delay = denominator[-2] / denominator[-1]
+        if top > 1:
+            self.delay -= numerator[-2] / numerator[-1]
+        # states in units of m, by the poles' mean frequency
+        unit = abs(denominator[-1]) ** (1.0 / m)
+        powers = unit ** np.arange(m, 0, -1.0)
+        a, b = unit * np.eye(m, k=1), np.zeros((m, 1))
+        a[-1] -= unit * denominator[:0:-1] / powers
+        b[-1] = unit
+        self.free, push, _ = first_order_hold(a, b, dt)
+        self.push = np.ascontiguousarray(push[:, 0])
+        self.output = numerator[::-1] / powers
+        at_rest = np.linalg.solve(np.eye(m) - self.free, self.push)
+        self.rest = np.append(at_rest, 1.0) / (self.output @ at_rest)
+
+
+class AccelerationParameters(NamedTuple):
+    """How the accelerations of n servos of m states are derived; n is 0 if they are measured.
+
+    Attributes
+    ----------
+    dt : float
+        Sampling period, s.
+    late : ndarray
+        From a command to its first effect as measured, in periods, shape (n,).
+    free, push, output : ndarray
+        See `ServoModel`, shapes (n, m, m), (n, m) and (n, m).
+    gains : ndarray
+        Of the filter of e, shape (n, 3).
+    """
+
+    dt: float
+    late: Floats
+    free: Floats
+    push: Floats
+    output: Floats
+    gains: Floats
+
+
+class AccelerationState(NamedTuple):
+    """State of that.
+
+    Attributes
+    ----------
+    model, next : ndarray
+        z of each servo, and room, shape (n, m).
+    past : ndarray
+        y of the next sample without dead time, then those before; shape (n, memory).
+    beside : ndarray
+        e, e' and e'', shape (n, 3).
+    """
+
+    model: Floats
+    next: Floats
+    past: Floats
+    beside: Floats
+
+
+def smoothing_steps(section: Mapping[str, Any], axes: tuple[str, ...]) -> int:
+    """Steps M of the second difference that gives an acceleration, see `second_difference`.
+
+    Its window, twice as long, is the delay of the slowest servo: what happens within it can't be
+    answered anyway.
+    """
+    dt, delay = 1.0 / section["rate"], UNKNOWN_DELAY
+    if np.any(section["actuator.response.numerator"]):
+        servos = known_responses(section, axes, range(len(axes)))
+        delay = max(each.dead_time + ServoModel(each, dt).delay for each in servos) + 1.5 * dt
+    return max(2, round(0.5 * delay / dt))
+
+
+def second_difference(steps: int, dt: float) -> Floats:
+    """Weights of past samples, the newest first, that smooth a signal alike in three ways.
+
+    They give it, and its first and second derivative, ``steps`` samples ago, by a triangular
+    window; shape (3, 2 steps + 1). What is smoothed alike still obeys f = M a + r.
+    """
+    place = np.arange(-1, 2 * steps + 2)
+    window = np.maximum(steps - np.abs(place - steps), 0.0) / steps**2
+    newer, now, older = window[2:], window[1:-1], window[:-2]
+    return np.array([now, (newer - older) / (2.0 * dt), (newer - 2.0 * now + older) / dt**2])
+
+
+def derived_noise(section: Mapping[str, Any], axes: tuple[str, ...]) -> Floats:
+    """RMS noise of velocity and acceleration by `second_difference`, shape (2, n)."""
+    weights = second_difference(smoothing_steps(section, axes), 1.0 / section["rate"])
+    return np.outer(np.linalg.norm(weights[1:], axis=1), least_noise(section, axes)[0])
+
+
+def acceleration_of(
+    section: Mapping[str, Any], axes: tuple[str, ...], places: Sequence[int], dt: float
+) -> tuple[AccelerationParameters, AccelerationState]:
+    """Put the derivation of some axes into arrays, from the rig's section.
+
+    Raises
+    ------
+    InputError
+        If it is derived, and the response that is given is none of a servo.
+    """
+    if not acceleration_is_derived(section):
+        none = np.zeros((0, 0))
+        nothing = np.zeros(0), np.zeros((0, 0, 0)), none, none, none
+        parameters = AccelerationParameters(dt, *nothing)
+        return parameters, AccelerationState(none, none, none, none)
+    own, lag, n = list(places), common_lag(section), len(places)
+    responses = [TransferFunction((0.0,), (1.0, 1.0))] * n  # not known: it does not move
+    if np.any(section["actuator.response.numerator"]):
+        responses = known_responses(section, axes, own)
+    models = [_still(dt) if not any(r.numerator) else ServoModel(r, dt) for r in responses]
+    late = np.array([(response.dead_time + lag) / dt for response in responses])
+    rate = 2.0 / (smoothing_steps(section, axes) * dt)
+    parameters = AccelerationParameters(
+        dt=dt,
+        late=late,
+        free=np.array([model.free for model in models]),
+        push=np.array([model.push for model in models]),
+        output=np.array([model.output for model in models]),
+        gains=np.tile(_gains(rate, dt), (n, 1)),
+    )
+    m = parameters.push.shape[1]
+    state = AccelerationState(
+        model=np.zeros((n, m)),
+        next=np.zeros((n, m)),
+        past=np.zeros((n, int(late.max()) + 4)),
+        beside=np.zeros((n, _DERIVATIVES)),
+    )
+    return parameters, state
+
+
+def _still(dt: float) -> ServoModel:
+    """Servo that does not move."""
+    model = ServoModel(TransferFunction((1.0,), (1.0, 1.0)), dt)
+    model.output = np.zeros(1)
+    return model
+
+
+def _gains(rate: float, dt: float) -> Floats:
+    """Gains of the filter of e, shape (3,), whose poles are at a rate in rad/s."""
+    step = rate * dt  # in units of noise, and periods
+    free = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
+    push = np.array([1.0 / 6.0, 0.5, 1.0])
+    seen = np.array([[1.0], [0.0], [0.0]])
+    found = solve_discrete_are(free.T, seen, np.outer(push, push) * step**6, np.eye(1))
+    gain: Floats = found[:, 0] / (found[0, 0] + 1.0)
+    return gain / dt ** np.arange(3.0)
+
+
+@compiled
+def begin_acceleration(state: AccelerationState) -> None:
+    """Begin a test: the commands so far have been 0."""
+    state.model[:] = 0.0
+    state.past[:] = 0.0
+    state.beside[:] = 0.0
+
+
+@compiled
+def derive_acceleration(
+    p: AccelerationParameters, state: AccelerationState, step: int, drive: Floats, measured: Floats
+) -> None:
+    """Derive the accelerations of a sample, shape (4, n), if they are not measured.
+
+    The drive is applied from this sample on, shape (n,), m.
+    """
+    for i in range(len(p.late)):
+        z, new, past, e = state.model[i], state.next[i], state.past[i], state.beside[i]
+        m = len(z)
+        y = 0.0
+        for row in range(m):
+            new[row] = p.push[i, row] * drive[i]
+            for j in range(m):
+                new[row] += p.free[i, row, j] * z[j]
+            y += p.output[i, row] * new[row]
+        for j in range(m):
+            z[j] = new[j]
+        for j in range(len(past) - 1, 0, -1):
+            past[j] = past[j - 1]
+        past[0] = y
+        whole = int(p.late[i])
+        part, k = p.late[i] - whole, whole + 1
+        y = past[k] + part * (past[k + 1] - past[k])
+        bend = past[k - 1] - 2.0 * past[k] + past[k + 1]
+        then = past[k] - 2.0 * past[k + 1] + past[min(k + 2, len(past) - 1)]
+        bend = (bend + part * (then - bend)) / (p.dt * p.dt)
+        if step == 0:
+            e[0] = measured[0, i] - y
+        else:
+            e[0] += p.dt * (e[1] + 0.5 * p.dt * e[2])
+            e[1] += p.dt * e[2]
+            off = measured[0, i] - y - e[0]
+            for j in range(len(e)):
+                e[j] += p.gains[i, j] * off
+        measured[2, i] = bend + e[2]
