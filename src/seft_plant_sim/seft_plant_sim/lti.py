@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_toeplitz
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.errors import InputError
 
@@ -153,7 +153,9 @@ def bilinear(
 
 
 MOST_TAPS = 4000
-"""The least squares of an inverse take 8 bytes times the square of it, some times over."""
+"""Of an inverse: each takes its time in each step."""
+IN_BAND = 200
+"""Frequencies that are inverted, at least."""
 
 
 def noncausal_inverse(
@@ -165,8 +167,8 @@ def noncausal_inverse(
 ) -> Floats:
     """Weights h of samples, so that sum_j h_j y[k + j - past], through the response, gives y[k].
 
-    By least squares over frequency, regularised. A delay has no causal inverse, but y is known
-    ahead.
+    By least squares over frequency, regularised; a constant y is met exactly. A delay has no causal
+    inverse, but y is known ahead.
 
     Parameters
     ----------
@@ -191,13 +193,15 @@ def noncausal_inverse(
             f"/**: rate is {1 / dt:g} Hz, at which the actuator's delay takes {taps} samples to "
             f"invert, and {MOST_TAPS} at most are; lower the rate"
         )
-    f = np.linspace(0.0, 0.5 / dt, 400)
-    s = (2j * math.pi * f).astype(np.complex128)
+    # as many frequencies as tell the inverted ones and the weights apart, whatever the rate
+    count = max(math.ceil(IN_BAND * 0.5 / (dt * highest)), 2 * taps)
+    f = np.linspace(0.0, 0.5 / dt, count + 1)
     weight = np.where(f <= highest, 1.0, OUTSIDE_WEIGHT)
-    a = (weight * response(s))[:, np.newaxis] * np.exp(
-        np.outer(s, np.arange(-past, taps - past) * dt)
-    )
-    size = math.sqrt(GAIN_WEIGHT * len(f))
-    a = np.vstack([a.real, a.imag, size * np.eye(taps)])
-    wanted = np.concatenate([weight, np.zeros(len(f) + taps)])
-    return np.linalg.lstsq(a, wanted, rcond=None)[0]
+    through = response((2j * math.pi * f).astype(np.complex128))
+    weighted = weight * through
+    # the normal equations are sums over frequencies: Fourier transforms, one for all rows
+    row = np.fft.irfft(np.abs(weighted) ** 2)[:taps]
+    row[0] += GAIN_WEIGHT
+    wanted = np.fft.irfft(weight * weighted.conj())[(past - np.arange(taps)) % (2 * count)]
+    h, shift = solve_toeplitz(row, np.transpose([wanted, np.ones(taps)])).T
+    return np.asarray(h + (1.0 / through[0].real - h.sum()) / shift.sum() * shift)

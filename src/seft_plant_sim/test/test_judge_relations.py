@@ -265,9 +265,9 @@ def test_what_is_followed_of_a_valve_has_bounds(sign):
 
 
 def test_the_doubt_of_a_flow_is_the_noise_of_velocity_and_of_the_smoothed_change_of_force():
-    found = doubt(np.array([[3.0], [8.0]]), np.array([2.0]), np.array([0.25]), 0.5)
+    found = doubt(*np.array([[3.0], [8.0], [2.0], [0.25]]), 0.5)
     np.testing.assert_allclose(found, 9.0 + 16.0**2)  # a sample is longer than 0.1 s
-    of_velocity = doubt(np.array([[1.0], [0.0]]), np.ones(1), np.ones(1), 0.002)
+    of_velocity = doubt(*np.array([[1.0], [0.0], [1.0], [1.0]]), 0.002)
     np.testing.assert_allclose(of_velocity, 50.0)
 
 

@@ -76,8 +76,9 @@ def controller(*args, **valve):
     return made.parameters, made.state
 
 
-def feedforward(known_gain=1.0, limit=10.0, horizon=25, mass=52.7, **valve):
+def feedforward(known_gain=1.0, limit=10.0, horizon=25, mass=52.7, velocity="measured", **valve):
     given = {
+        "sensors.velocity": velocity,
         "limits.command": limit,
         "specimen.mass": mass,
         "actuator.flow_gain": 0.04 * known_gain,
@@ -131,9 +132,10 @@ def test_error_dies_out_at_the_rate_of_the_feedback():
     assert off[after] == pytest.approx(1e-3 * math.exp(-1), abs=2e-4)
 
 
+@pytest.mark.parametrize("velocity", ["measured", "derived"])
 @pytest.mark.parametrize("known_gain", [0.85, 1.15])
-def test_flow_gain_is_followed(known_gain):
-    arrays = controller(known_gain)
+def test_flow_gain_is_followed(known_gain, velocity):
+    arrays = controller(known_gain, velocity=velocity)
     wanted, seen = drive_piston(arrays)
     assert known_gain * (1 + arrays[1].errors[0, GAIN_ERROR]) == pytest.approx(1.0, abs=0.02)
     assert np.sqrt(np.mean((seen - wanted)[2000:] ** 2) / np.mean(wanted**2)) < 0.01

@@ -43,19 +43,21 @@ def under_load(direction: float, force: float, capacity: float) -> float:
     return math.sqrt(max(left, MIN_PRESSURE))
 
 
-def doubt(noise: Floats, oil_stiffness: Floats, delay: Floats, dt: float) -> Floats:
+def doubt(
+    velocity: Floats, force: Floats, oil_stiffness: Floats, delay: Floats, dt: float
+) -> Floats:
     """Variance of the balance of each axis after its low pass, shape (n,), (m/s)^2.
 
     Parameters
     ----------
-    noise : ndarray
-        RMS noise of velocity (m/s) and force (N), shape (2, n).
+    velocity, force : ndarray
+        RMS noise of the observed velocity (m/s) and of the measured force (N), shape (n,).
     oil_stiffness, delay : ndarray
         N/m and s, shape (n,).
     dt : float
         Sampling period, s.
     """
-    seen = noise[0] ** 2 + (noise[1] / (oil_stiffness * delay)) ** 2
+    seen = velocity**2 + (force / (oil_stiffness * delay)) ** 2
     return np.asarray(seen * max(1.0, OIL_CORRELATION_TIME / dt))
 
 

@@ -52,6 +52,9 @@ class ValveModel:
         slower = damping - math.sqrt(max(damping * damping - 1.0, 0.0))
         decay = slower * self.natural
         self.memory = math.ceil((self.late + dt - math.log(NEGLIGIBLE_FLOW) / decay) / dt)
+        beyond = dt * np.arange(self.memory, 2 * self.memory) - self.late - dt
+        lacks = np.abs(1.0 - self._after(beyond))  # more than exp(-decay t), near critical damping
+        self.memory += int(np.argmax(lacks <= NEGLIGIBLE_FLOW))
 
     def flow(self, time: npt.NDArray[np.floating]) -> Floats:
         """Flow per command, without unit, at times after the sample that the command answers, s."""

@@ -104,16 +104,17 @@ class VelocityFeedforward:
             planned[i, k, :-1] = np.convolve(sent[i, k, ::-1], inverse[k])
         planned[range(n), range(n), memory:] += inverse
         delay = np.array([valve.delay for valve in valves])
+        gains, left = observer_gains(noise, dt, BETWEEN)
         self.parameters = FeedforwardParameters(
             dt=dt,
             limit=section["limits.command"],
-            gains=observer_gains(noise, dt, BETWEEN)[0],
+            gains=gains,
             actuator=np.ascontiguousarray(actuator),
             feedback=feedback,
             sent=sent,
             planned=planned,
             past=np.array([valve.last_period() for valve in valves]),
-            doubt=doubt(noise[[1, 3]], actuator[:, 1], delay, dt),
+            doubt=doubt(left[1], noise[3], actuator[:, 1], delay, dt),
             smoothing=1.0 - np.exp(-dt / delay),
         )
         self.state = FeedforwardState(
