@@ -16,6 +16,7 @@ from rths_problem import DT, Motion, Plant, Structure
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, VALVE_COMMAND
+from seft_plant_sim.channels import ACCELERATION, VELOCITY
 from seft_plant_sim.hardware.hosted import HostedHardware
 from seft_plant_sim.rig import Rig
 from seft_ros.bags.recording import Recording
@@ -47,11 +48,12 @@ def hosted_blocks(tested: Experiment, device: BenchmarkRig) -> Blocks:
         device,
         "the benchmark's plant",
         VALVE_COMMAND.name,
-        np.ones((4, 1)),
-        True,
-        tested.axes,
-        tested.timebase.dt,
-        lambda: 0.0,  # no call is late
+        per_volt=np.ones((4, 1)),
+        derived=(VELOCITY, ACCELERATION),
+        axes=tested.axes,
+        period=DT,
+        now=lambda: 0.0,  # no call is late
+        holds=True,
     )
     rig = Rig.from_parameters(tested["rig"], tested.axes, tested.timebase, hardware=hosted)
     return replace(build_blocks(tested), rig=rig)
