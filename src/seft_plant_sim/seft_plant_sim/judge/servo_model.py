@@ -40,6 +40,8 @@ class ServoModel:
         Of m poles, from command to displacement.
     dt : float
         Sampling period, s.
+    states : int
+        Number of states, at least m, the others without effect; default m.
 
     Attributes
     ----------
@@ -51,7 +53,7 @@ class ServoModel:
         Of slow motions, s.
     """
 
-    def __init__(self, response: TransferFunction, dt: float) -> None:
+    def __init__(self, response: TransferFunction, dt: float, states: int = 0) -> None:
         m, leading = len(response.denominator) - 1, response.denominator[0]
         denominator, top = np.array(response.denominator) / leading, len(response.numerator)
         numerator = np.zeros(m)
@@ -65,11 +67,19 @@ class ServoModel:
         a, b = unit * np.eye(m, k=1), np.zeros((m, 1))
         a[-1] -= unit * denominator[:0:-1] / powers
         b[-1] = unit
-        self.free, push, _ = first_order_hold(a, b, dt)
-        self.push = np.ascontiguousarray(push[:, 0])
-        self.output = numerator[::-1] / powers
-        at_rest = np.linalg.solve(np.eye(m) - self.free, self.push)
+        free, push, _ = first_order_hold(a, b, dt)
+        unused = max(states - m, 0)
+        self.free = np.pad(free, (0, unused))
+        self.push = np.pad(push[:, 0], (0, unused))
+        self.output = np.pad(numerator[::-1] / powers, (0, unused))
+        at_rest = np.linalg.solve(np.eye(m + unused) - self.free, self.push)
         self.rest = np.append(at_rest, 1.0) / (self.output @ at_rest)
+
+
+def servo_models(responses: Sequence[TransferFunction], dt: float) -> list[ServoModel]:
+    """Make the models of n servos, with the states of that which has most."""
+    states = max(len(response.denominator) for response in responses) - 1
+    return [ServoModel(response, dt, states) for response in responses]
 
 
 class AccelerationParameters(NamedTuple):
@@ -115,7 +125,7 @@ class AccelerationState(NamedTuple):
 
 
 def smoothing_steps(section: Mapping[str, Any], axes: tuple[str, ...]) -> int:
-    """Steps M of the second difference that gives an acceleration, see `second_difference`.
+    """Count the steps M of the second difference that gives an acceleration.
 
     Its window, twice as long, is the delay of the slowest servo: what happens within it can't be
     answered anyway.
@@ -140,9 +150,12 @@ def second_difference(steps: int, dt: float) -> Floats:
 
 
 def derived_noise(section: Mapping[str, Any], axes: tuple[str, ...]) -> Floats:
-    """RMS noise of velocity and acceleration by `second_difference`, shape (2, n)."""
+    """Noise of velocity and acceleration by `second_difference`, shape (2, n).
+
+    It is not white: what counts is the white noise of the same density where that is largest.
+    """
     weights = second_difference(smoothing_steps(section, axes), 1.0 / section["rate"])
-    return np.outer(np.linalg.norm(weights[1:], axis=1), least_noise(section, axes)[0])
+    return np.outer(np.abs(weights[1:]).sum(axis=1), least_noise(section, axes)[0])
 
 
 def acceleration_of(
@@ -161,10 +174,11 @@ def acceleration_of(
         parameters = AccelerationParameters(dt, *nothing)
         return parameters, AccelerationState(none, none, none, none)
     own, lag, n = list(places), common_lag(section), len(places)
-    responses = [TransferFunction((0.0,), (1.0, 1.0))] * n  # not known: it does not move
-    if np.any(section["actuator.response.numerator"]):
+    is_known = np.any(section["actuator.response.numerator"])
+    responses = [TransferFunction((1.0,), (1.0, 1.0))] * n
+    if is_known:
         responses = known_responses(section, axes, own)
-    models = [_still(dt) if not any(r.numerator) else ServoModel(r, dt) for r in responses]
+    models = servo_models(responses, dt)
     late = np.array([(response.dead_time + lag) / dt for response in responses])
     rate = 2.0 / (smoothing_steps(section, axes) * dt)
     parameters = AccelerationParameters(
@@ -172,7 +186,7 @@ def acceleration_of(
         late=late,
         free=np.array([model.free for model in models]),
         push=np.array([model.push for model in models]),
-        output=np.array([model.output for model in models]),
+        output=is_known * np.array([model.output for model in models]),
         gains=np.tile(_gains(rate, dt), (n, 1)),
     )
     m = parameters.push.shape[1]
@@ -183,13 +197,6 @@ def acceleration_of(
         beside=np.zeros((n, _DERIVATIVES)),
     )
     return parameters, state
-
-
-def _still(dt: float) -> ServoModel:
-    """Servo that does not move."""
-    model = ServoModel(TransferFunction((1.0,), (1.0, 1.0)), dt)
-    model.output = np.zeros(1)
-    return model
 
 
 def _gains(rate: float, dt: float) -> Floats:

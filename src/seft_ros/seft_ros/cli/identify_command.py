@@ -123,7 +123,8 @@ def identify(
     if max_displacement != math.inf:
         experiment, max_displacement = _capped(experiment, max_displacement)
     if all(map(math.isnan, band)):
-        band = (0.3, min(0.45 * experiment.timebase.rate, 200.0))
+        highest = 100.0 if rig_tests.obeys_displacement(experiment) else 200.0
+        band = (0.3, min(0.45 * experiment.timebase.rate, highest))
     motions = rig_tests.Motions(experiment, band, seed, max_displacement)
     motions.check(duration)
     largest = motions.largest_levels(duration)

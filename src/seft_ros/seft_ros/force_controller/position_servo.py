@@ -24,7 +24,7 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import entry_point
 from seft_plant_sim.judge.known_rig import command_limit, known_responses
-from seft_plant_sim.judge.servo_model import ServoModel
+from seft_plant_sim.judge.servo_model import ServoModel, servo_models
 from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.rig_parameters import common_lag
 
@@ -89,7 +89,8 @@ class PositionServo:
     ) -> None:
         own, dt = list((rig or RigAxes.whole(axes)).places), timebase.dt
         lag, responses = common_lag(section), known_responses(section, axes, own)
-        servos = [InvertedServo(each, dt) for each in responses]
+        models = servo_models(responses, dt)
+        servos = [InvertedServo(*each, dt) for each in zip(models, responses, strict=True)]
         n, taps = len(servos), max(servo.taps for servo in servos)
         late = np.array([(each.dead_time + lag) / dt + 1.0 for each in responses])
         horizon = horizon_steps(section, dt)
@@ -176,23 +177,25 @@ class InvertedServo:
 
     Parameters
     ----------
+    model : ServoModel
+        Of m states.
     response : TransferFunction
-        Of m poles, from command to displacement.
+        From command to displacement.
     dt : float
         Sampling period, s.
 
     Attributes
     ----------
     model : ServoModel
-        Of the response.
+        As given.
     feedback : ndarray
         See `ServoParameters`, shape (m + 2,).
     taps : int
         Sufficient number of coming samples.
     """
 
-    def __init__(self, response: TransferFunction, dt: float) -> None:
-        self.model = model = ServoModel(response, dt)
+    def __init__(self, model: ServoModel, response: TransferFunction, dt: float) -> None:
+        self.model = model
         m = len(model.push)
         # the command of the last sample, and its last change
         whole = np.zeros((m + 2, m + 2))

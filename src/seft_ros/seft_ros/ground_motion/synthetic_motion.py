@@ -151,7 +151,14 @@ def synthetic_motion(
     return motion * (peak / largest)
 
 
-def excitation(steps: int, axes: int, dt: float, band: tuple[float, float], seed: int) -> Floats:
+def excitation(
+    steps: int,
+    axes: int,
+    dt: float,
+    band: tuple[float, float],
+    seed: int,
+    constant_velocity: bool = False,
+) -> Floats:
     """Make Gaussian noise with a flat spectrum in a band, independent on each axis, of unit RMS.
 
     Its spectrum below the band is almost zero, so that the piston does not drift: the valve
@@ -165,6 +172,8 @@ def excitation(steps: int, axes: int, dt: float, band: tuple[float, float], seed
         Sampling period, s.
     band : tuple of float
         Lowest and highest frequency, Hz.
+    constant_velocity : bool
+        Whether its derivative has that spectrum instead: it is the displacement of a servo.
 
     Returns
     -------
@@ -188,7 +197,7 @@ def excitation(steps: int, axes: int, dt: float, band: tuple[float, float], seed
             f"--duration is {steps * dt:g} s, but a signal from {low:g} Hz on needs "
             f"{shortest:g} s; raise it, or the band's lower end"
         )
-    raw = _random(steps, axes, dt, band, seed)
+    raw = _random(steps, axes, dt, band, seed, constant_velocity)
     window = np.hanning(steps)[:, np.newaxis]
     centred = raw - window * (raw.mean(axis=0) / window.mean())  # the ends still at rest
     return centred / np.sqrt(np.mean(centred**2, axis=0))
@@ -199,10 +208,14 @@ def shortest_duration(band: tuple[float, float]) -> float:
     return _FEWEST_PERIODS / band[0]
 
 
-def _random(steps: int, axes: int, dt: float, band: tuple[float, float], seed: int) -> Floats:
+def _random(
+    steps: int, axes: int, dt: float, band: tuple[float, float], seed: int, falling: bool
+) -> Floats:
     frequencies, (low, high) = np.fft.rfftfreq(steps, dt), band
     upper = min(high * _EDGE, 0.5 / dt)
     passed = _rise(frequencies, low / _EDGE, low) * (1.0 - _rise(frequencies, high, upper))
+    if falling:
+        passed = passed / np.maximum(frequencies, low / _EDGE)
     white = [np.random.default_rng([seed, axis]).standard_normal(steps) for axis in range(axes)]
     columns = [np.fft.irfft(np.fft.rfft(noise) * passed, steps) for noise in white]
     return np.stack(columns, axis=1) * _ramp(steps, dt)[:, np.newaxis]

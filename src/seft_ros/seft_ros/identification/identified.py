@@ -10,6 +10,7 @@ from seft_msgs_py.config.experiment import write_parameter_file
 from seft_msgs_py.config.facts import EVERY_NODE
 from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import ExperimentError
+from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.simulated.specimen import Specimen
 
 from seft_ros.bags.recording import Recording
@@ -24,11 +25,12 @@ from seft_ros.identification.response_fits import (
     fit_specimen,
     fit_tracking,
 )
-from seft_ros.identification.rig_tests import MeasuredTest, Measurement
+from seft_ros.identification.rig_tests import MeasuredTest, Measurement, obeys_displacement
 from seft_ros.reference_force.compensator import OF_THE_LOOP
 
 _COHERENT = 0.8  # up to there the closed loop is fitted
 _FLOOR = 0.01  # of a response: required accuracy of a model
+_SERVO_FLOOR = 0.002  # of a servo's, whose errors are those of the displacement
 _OPEN_LOOP, _CLOSED_LOOP = "open loop", "closed loop"
 
 
@@ -56,7 +58,10 @@ class ValveResponse:
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """Closed loop of one axis: reference force to measured force of the same step."""
+    """Closed loop of one axis: reference force to measured force of the same step.
+
+    Of a displacement servo command to displacement, without the loop's step and hold.
+    """
 
     measured: Measurement
     tracking: Tracking
@@ -83,6 +88,9 @@ class Identified:
         Why a test could not be used, one line each.
     faults : list of str
         Other faults, likewise.
+    has_servos : bool
+        Whether displacement servos were driven: the closed loops are theirs, from command to
+        displacement.
     """
 
     axes: tuple[str, ...]
@@ -92,6 +100,7 @@ class Identified:
     closed_loops: list[ClosedLoop]
     unusable: list[str]
     faults: list[str]
+    has_servos: bool = False
 
 
 def identify_from_recordings(
@@ -133,7 +142,8 @@ def identify_from_recordings(
         else:
             tests[what] = test
     actuators: list[ActuatorFit] = []
-    if opened := tests.get(_OPEN_LOOP):
+    servo = any(obeys_displacement(test.recording.experiment) for test in tests.values())
+    if (opened := tests.get(_OPEN_LOOP)) and not servo:
         for index, axis in enumerate(opened.axes):
             fit = fit_actuator(*opened.of_actuator(index), opened.dt, band)
             actuators.append(fit)
@@ -144,10 +154,12 @@ def identify_from_recordings(
         raise ExperimentError(unusable[0])
     specimen = fit_specimen([test.motion() for test in tests.values()])
     opened, closed = tests.get(_OPEN_LOOP), tests.get(_CLOSED_LOOP)
-    valves = _valves(opened, specimen, actuators) if opened else []
+    valves = _valves(opened, specimen, actuators) if opened and not servo else []
     loops = _closed_loops(closed) if closed else []
+    if opened and servo:
+        loops = _servos(opened)
     axes = next(iter(tests.values())).axes
-    return Identified(axes, band, specimen, valves, loops, unusable, faults)
+    return Identified(axes, band, specimen, valves, loops, unusable, faults, servo)
 
 
 def _valves(
@@ -197,6 +209,19 @@ def _closed_loops(test: MeasuredTest) -> list[ClosedLoop]:
     return loops
 
 
+def _servos(test: MeasuredTest) -> list[ClosedLoop]:
+    """Measure the displacement servo of every axis, and fit it."""
+    loops = []
+    for axis in range(len(test.axes)):
+        measured = test.servo(axis)
+        f, response = measured.frequencies_hz, measured.response
+        known = slice(0, int(np.flatnonzero(measured.coherence >= _COHERENT)[-1]) + 1)
+        weight = 1.0 / np.hypot(measured.deviation, _SERVO_FLOOR)[known]
+        fit = fit_tracking(f[known], response[known], weight, good=_SERVO_FLOOR)
+        loops.append(ClosedLoop(measured, tracking_measures(f, response), fit))
+    return loops
+
+
 _ACTUATOR = {  # parameter -> its key in the result
     "flow_gain": "flow_gain_m_per_s_per_v",
     "oil_stiffness": "oil_stiffness_n_per_m",
@@ -225,7 +250,9 @@ def facts_of(
     if specimen:
         for name in _MATRICES:
             found[f"specimen.{name}"] = getattr(identified.specimen, name).ravel().tolist()
-    if identified.closed_loops:
+    if identified.has_servos:
+        found |= _servo_facts([loop.fit.model for loop in identified.closed_loops], sensor_lag)
+    elif identified.closed_loops:
         closed = identified.closed_loops[0]
         if closed.tracking.delay_s is not None:
             delay = closed.tracking.delay_s - OF_THE_LOOP * dt - closed_lag
@@ -245,6 +272,18 @@ def facts_of(
     return found
 
 
+def _servo_facts(models: Sequence[TransferFunction], sensor_lag: float) -> Section:
+    """Give the responses of servos, one polynomial after the other, with equal lengths."""
+    found: Section = {}
+    for name in ("numerator", "denominator"):
+        parts = [getattr(model, name) for model in models]
+        longest = max(map(len, parts))
+        padded = [[0.0] * (longest - len(part)) + list(part) for part in parts]
+        found[f"actuator.response.{name}"] = [value for part in padded for value in part]
+    late = [max(model.dead_time - sensor_lag, 0.0) for model in models]
+    return found | {"actuator.response.dead_time": late}
+
+
 def write_model(identified: Identified, path: Path, source: str, known: Section) -> None:
     """Write facts to a file, to be read after the experiment's own, by every command and node.
 
@@ -253,7 +292,9 @@ def write_model(identified: Identified, path: Path, source: str, known: Section)
     comments = [f"Identified by seft identify from {source}", f"Axes: {identified.axes}"]
     if identified.valves:
         comments.append("actuator: of the actuators, for any specimen")
-    if identified.closed_loops:
+    if identified.has_servos:
+        comments.append("actuator.response: of the displacement servos, with this specimen")
+    elif identified.closed_loops:
         comments.append(
             f"actuator.delay and .response: with this specimen, of axis {identified.axes[0]}"
         )
@@ -354,7 +395,7 @@ def notes(identified: Identified) -> list[str]:
             "actuator.* describes the actuators and holds for any specimen (actuator.delay and "
             "actuator.response.* hold for this specimen)"
         )
-    else:
+    elif not identified.has_servos:
         found.append("no good test of a valve, so actuators are not known")
     for axis, valve in zip(identified.axes, identified.valves, strict=False):
         actuator = valve.actuator

@@ -154,7 +154,8 @@ def _real(equations: Complexes) -> Floats:
     return np.concatenate([equations.real, equations.imag])
 
 
-_GOOD = 0.01
+GOOD = 0.01
+"""Error of a fitted response that is good enough."""
 _MOST_PAIRS = 5
 _NEAR = 1.25  # error over the least one at which fewer pairs are preferred
 _CORNERS = (0.1, 0.2, 0.4, 0.8)  # of the highest frequency: starts of the first pair
@@ -177,9 +178,13 @@ class TrackingFit:
 
 
 def fit_tracking(
-    frequencies_hz: Floats, tracking: Complexes, weight: Floats, least_dead_time: float = 0.0
+    frequencies_hz: Floats,
+    tracking: Complexes,
+    weight: Floats,
+    least_dead_time: float = 0.0,
+    good: float = GOOD,
 ) -> TrackingFit:
-    """Fit dead time and as few pole pairs as reach an error of 1 %, or nearly that of five pairs.
+    """Fit dead time and as few pole pairs as reach a good error, or nearly that of five pairs.
 
     Each further pair starts where the error of the last fit is largest, and has two zeros. Poles
     and dead time are searched, the numerator follows by linear least squares.
@@ -190,18 +195,20 @@ def fit_tracking(
         Increasing, Hz; T from reference force to measured force there; weight of its error; (F,).
     least_dead_time : float
         Lower bound of the dead time, s.
+    good : float
+        The good error.
     """
     step = max(1, len(frequencies_hz) // _POINTS)
     data = _Data(frequencies_hz[::step], tracking[::step], weight[::step], least_dead_time)
     first = (data.solved(data.start(corner)) for corner in _CORNERS)
     fit, parameters = min(first, key=lambda found: found[0].error)
     fits = [fit]
-    while fit.error >= _GOOD and len(fits) < _MOST_PAIRS:
+    while fit.error >= good and len(fits) < _MOST_PAIRS:
         wider = np.concatenate([parameters[:1], data.misfit(fit.model), parameters[1:]])
         fit, parameters = data.solved(wider)
         fits.append(fit)
     least = min(fit.error for fit in fits)
-    return next(fit for fit in fits if fit.error <= max(_GOOD, _NEAR * least))
+    return next(fit for fit in fits if fit.error <= max(good, _NEAR * least))
 
 
 class _Data:

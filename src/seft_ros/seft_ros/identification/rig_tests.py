@@ -8,11 +8,18 @@ import numpy as np
 import scipy.signal
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.facts import CHANNELS, EVERY_NODE, FORCE_DRIVEN
+from seft_msgs_py.config.facts import (
+    CHANNELS,
+    EVERY_NODE,
+    FORCE_DRIVEN,
+    POSITION_SERVO,
+    command_unit,
+)
 from seft_msgs_py.config.parameter_table import Section, group, mass_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, VALVE_COMMAND
 from seft_plant_sim.judge.detector_list import MODEL_BASED, NOISE_BASED
+from seft_plant_sim.judge.known_rig import command_limit
 from seft_plant_sim.limits import Limits, largest_force_rate, span_steps
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import truth
@@ -22,12 +29,13 @@ from seft_plant_sim.whole_structure import response
 from seft_ros.bags.recording import Recording, Series
 from seft_ros.design.force_tracking import BAND_HZ
 from seft_ros.force_controller.force_controller_parameters import (
-    VELOCITY_FEEDFORWARD,
+    FOLLOW_TARGETS,
     one_controller,
 )
 from seft_ros.force_controller.methods import force_control
 from seft_ros.ground_motion.resampling import check_size
 from seft_ros.ground_motion.synthetic_motion import excitation, shortest_duration
+from seft_ros.reference_force.compensator import OF_THE_LOOP
 from seft_ros.reference_force.reference_force_block import ReferenceForce
 
 _HANN_OVERLAP_GAIN = 0.947  # independent averages for each half-overlapped Hann segment
@@ -157,7 +165,7 @@ def frequency_response(
     return Response(measured.frequencies_hz[within], found, np.clip(share, 0.0, 1.0), noise, gain)
 
 
-_REFERENCE, _VALVE, _MOTION, _FORCE = (0, 1), (1, 2), (2, 5), (4, 5)
+_REFERENCE, _VALVE, _DISPLACEMENT, _MOTION, _FORCE = (0, 1), (1, 2), (2, 3), (2, 5), (4, 5)
 # blocks of n signals, first and end: motion is displacement, acceleration and force
 _MOTION_TO = 0.2  # of the rate: a displacement is differentiated, and beyond is aliasing
 _SEGMENTS = 7.5  # to a recording, before they overlap
@@ -195,7 +203,7 @@ class MeasuredTest:
 
     def at_limit(self) -> int:
         """Count the steps in which a valve command is at the controller's limit."""
-        limit = self.recording.experiment["force_controller"]["limits.command"]
+        limit = command_limit(self.recording.experiment["force_controller"])
         commands = np.abs(self.recording.series[VALVE_COMMAND.name].values)
         return int((commands >= limit).any(axis=(1, 2)).sum())
 
@@ -236,6 +244,18 @@ class MeasuredTest:
         """Response of the force of an axis to its reference force."""
         return self._response(_REFERENCE, _FORCE).of_axis(axis)
 
+    def servo(self, axis: int) -> Measurement:
+        """Response of the displacement of an axis to its command, without the loop's step and hold.
+
+        A command acts a period after the sample that it answers, and is held for another.
+        """
+        found = self._response(_VALVE, _DISPLACEMENT).of_axis(axis)
+        late = found.frequencies_hz * self.dt
+        loop = np.exp(-2j * np.pi * late * OF_THE_LOOP) * np.sinc(late)
+        return replace(
+            found, response=found.response / loop, deviation=found.deviation / np.abs(loop)
+        )
+
     def of_actuator(self, axis: int) -> tuple[Floats, Floats, Floats, Floats]:
         """Valve command, displacement, acceleration and force of one axis, shape (N,) each."""
         _, command, position, acceleration, force = (part[:, axis] for part in self._signals)
@@ -271,7 +291,7 @@ _CAP = "--max-displacement"
 
 @dataclass(frozen=True)
 class Levels:
-    """RMS of the excitation: valve command in the open loop, V; force in the closed loop, N."""
+    """RMS of the excitation: command in the open loop, V or m; force in the closed loop, N."""
 
     voltage: float
     force: float
@@ -279,10 +299,14 @@ class Levels:
 
 @dataclass(frozen=True)
 class LargestLevels:
-    """Largest RMS that an excitation may have, each with the parameter that says so."""
+    """Largest RMS that an excitation may have, each with the parameter that says so.
+
+    The unit is that of the commands.
+    """
 
     voltage: tuple[float, str]
     force: tuple[float, str]
+    unit: str = "V"
 
     @classmethod
     def of(
@@ -301,7 +325,10 @@ class LargestLevels:
         steps, peak = span_steps(dt), float(np.abs(unit).max())
         at_rest = np.zeros((steps, unit.shape[1]))
         fastest = float(np.abs(unit - np.concatenate([at_rest, unit[:-steps]])).max()) / steps / dt
-        voltages = [(limits["command"] / peak, "/**: limits.command")]
+        largest = command_limit(experiment["force_controller"])
+        voltages = [(largest / peak, "/**: limits.command")]
+        if largest < limits["command"]:
+            voltages = [(largest / peak, "/**: limits.displacement")]
         forces = [
             (limits["force"] / peak, "/**: limits.force"),
             (largest_force_rate(limits) / fastest, "/**: limits.force_rate"),
@@ -309,12 +336,13 @@ class LargestLevels:
         if cap < math.inf:
             voltages.append((cap / _moved_by_valves(experiment, unit), _CAP))
             forces.append((cap / _moved_by_forces(experiment, unit, specimen), _CAP))
-        return cls(min(voltages), min(forces))
+        unit_of_command = command_unit(experiment["reference_force"]["actuator.kind"])
+        return cls(min(voltages), min(forces), unit_of_command)
 
     def check(self, levels: Levels) -> None:
         """Refuse levels that are not above 0, or beyond these, by an InputError."""
         for option, level, unit, (largest, where) in (
-            ("--amplitude", levels.voltage, "V", self.voltage),
+            ("--amplitude", levels.voltage, self.unit, self.voltage),
             ("--force", levels.force, "N", self.force),
         ):
             if not 0 < level <= largest:
@@ -338,6 +366,8 @@ def _moved_by_valves(experiment: Experiment, unit: Floats) -> float:
 
     Where the flow gain is not known, the whole command is taken to give the limit of the velocity.
     """
+    if obeys_displacement(experiment):
+        return float(np.abs(unit).max())
     limits = group(experiment["supervisor"], "limits")
     gain = np.ravel(experiment["force_controller"]["actuator.flow_gain"])
     gain = np.where(gain > 0.0, gain, limits["velocity"] / limits["command"])
@@ -355,7 +385,7 @@ def _moved_by_forces(experiment: Experiment, unit: Floats, specimen: Specimen | 
 
 def pilot_voltage(experiment: Experiment, largest: LargestLevels) -> float:
     """RMS of the valve command in the pilot test of an unknown rig, V."""
-    limit = experiment["supervisor"]["limits.command"]
+    limit = command_limit(experiment["force_controller"])
     return float(min(_PILOT_SHARE * limit, _TARGET * largest.voltage[0]))
 
 
@@ -383,6 +413,11 @@ def _mass(experiment: Experiment) -> Floats:
 def has_valve(experiment: Experiment) -> bool:
     """Whether a valve drives the rig."""
     return experiment["reference_force"]["actuator.kind"] not in FORCE_DRIVEN
+
+
+def obeys_displacement(experiment: Experiment) -> bool:
+    """Whether a displacement servo drives the rig: commands are in m."""
+    return bool(experiment["reference_force"]["actuator.kind"] == POSITION_SERVO)
 
 
 def open_loop(
@@ -417,7 +452,7 @@ def closed_loop_test(experiment: Experiment, motion: Path, force: float) -> Expe
 
 def has_force_loop(experiment: Experiment) -> bool:
     """Whether the force controller follows a reference force, without a target's motion."""
-    return bool(experiment["force_controller"]["method"] != VELOCITY_FEEDFORWARD)
+    return experiment["force_controller"]["method"] not in FOLLOW_TARGETS
 
 
 def _with(
@@ -520,4 +555,5 @@ class Motions:
         time, axes = self.experiment.timebase, len(self.experiment.axes)
         check_size(duration, time.rate, "--duration")
         steps = round(duration * time.rate)
-        return excitation(steps, axes, time.dt, self.band, self.seed)
+        servo = obeys_displacement(self.experiment)
+        return excitation(steps, axes, time.dt, self.band, self.seed, servo)

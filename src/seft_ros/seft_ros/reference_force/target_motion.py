@@ -233,7 +233,7 @@ class TargetMotion:
     """
 
     def __init__(self, known: MethodInputs) -> None:
-        self.preview, n = known.loop_delay + horizon_steps(known.options, known.dt), known.axes
+        self.preview, n = steps_ahead(known), known.axes
         self.parameters, self.state, self.model = target_arrays(known)
         self._ground, self._measured = np.zeros((1 + self.preview, n)), np.zeros((4, n))
         self._points = np.zeros((1 + self.preview, 3, n))
@@ -291,7 +291,7 @@ class TargetMotion:
         size = len(self.parameters.dofs)
         before = model.values.copy()
         try:
-            model.step(state.target[: 2 * size], self._ground[0])
+            model.step(state.target[: 2 * size], state.ground)
         except ModelError as error:
             self.failure = model.failure_of(error)
             return
@@ -320,6 +320,11 @@ class TargetMotion:
         return estimates | self._recorded
 
 
+def steps_ahead(known: MethodInputs) -> int:
+    """Count the steps of the horizon, with those of a link."""
+    return known.loop_delay + horizon_steps(known.options, known.dt)
+
+
 def target_arrays(known: MethodInputs) -> tuple[TargetParameters, TargetState, ModelLine | None]:
     """Put a target into arrays, from the known data of a test; make a computed model's line."""
     n, computed, dt = known.axes, known.computed, known.dt
@@ -327,9 +332,10 @@ def target_arrays(known: MethodInputs) -> tuple[TargetParameters, TargetState, M
     names = tuple(f"axis {index + 1}" for index in range(n))
     noise = sensor_noise(known.options, names)
     gains, left = observer_gains(noise, dt)
-    smooth = np.zeros((3, 0))
+    smooth, preview = np.zeros((3, 0)), steps_ahead(known)
     if acceleration_is_derived(known.options):
         smooth = second_difference(smoothing_steps(known.options, names), dt)
+    late = smooth.shape[1] // 2
 
     deformation = spring_deformations(known)
     to_springs = np.linalg.inv(deformation.T)
@@ -399,6 +405,9 @@ def target_arrays(known: MethodInputs) -> tuple[TargetParameters, TargetState, M
         model=model_state,
         recent=np.zeros((smooth.shape[1], 2, n)),
         smoothed=np.zeros((4, n)),
+        before=np.zeros((late, n)),
+        known=np.zeros((late + 1 + preview, n)),
+        ahead=np.zeros((late + 1 + preview, 3, n)),
         measured=np.zeros((3, n)),
         target=np.zeros(3 * size),
         stops=np.zeros(thresholds),

@@ -102,6 +102,9 @@ class TargetState(NamedTuple):
     recent, smoothed : ndarray
         Last displacements and forces, the newest first, and the smoothed sample, shapes (w, 2, n)
         and (4, n).
+    before, known, ahead : ndarray
+        Ground accelerations of the steps since the smoothed sample, the oldest first, shape
+        (w // 2, n), and room for those and the points from there on.
     measured : ndarray
         Observed displacement and velocity, and the last acceleration, shape (3, n).
     target : ndarray
@@ -134,6 +137,9 @@ class TargetState(NamedTuple):
     model: RestoringState
     recent: Floats
     smoothed: Floats
+    before: Floats
+    known: Floats
+    ahead: Floats
     measured: Floats
     target: Floats
     stops: Floats
@@ -159,6 +165,7 @@ class TargetState(NamedTuple):
 def begin_target(parameters: TargetParameters, state: TargetState) -> None:
     """Begin a test: the target will start at the specimen's position."""
     begin_model(parameters.model, state.model)
+    state.before[:] = 0.0
     state.target[:] = 0.0
     state.stops[:] = 0.0
     state.is_running[0] = 0.0
@@ -168,6 +175,39 @@ def begin_target(parameters: TargetParameters, state: TargetState) -> None:
 
 @compiled
 def target_step(
+    parameters: TargetParameters,
+    state: TargetState,
+    ground: Floats,
+    measured: Floats,
+    progress: float,
+    points: Floats,
+) -> None:
+    """Update the target with a sample, and predict it, see `update_target`.
+
+    What is smoothed shows the specimen some steps ago. So the target is updated by the ground
+    motion of that step, and predicted from there.
+    """
+    past, count = len(state.before), len(points)
+    if past == 0 or not is_finite(measured, 0):
+        update_target(parameters, state, ground, measured, progress, points)
+        return
+    smooth_alike(parameters.smooth, state, measured, state.is_running[0] == 0.0)
+    known, ahead = state.known[: past + count], state.ahead[: past + count]
+    for i in range(ground.shape[1]):
+        for j in range(past):
+            known[j, i] = state.before[j, i]
+            state.before[j, i] = state.before[j + 1, i] if j + 1 < past else ground[0, i]
+        for j in range(count):
+            known[past + j, i] = ground[j, i]
+    update_target(parameters, state, known, state.smoothed, progress, ahead)
+    for j in range(count):
+        for row in range(points.shape[1]):
+            for i in range(points.shape[2]):
+                points[j, row, i] = ahead[past + j, row, i]
+
+
+@compiled
+def update_target(
     parameters: TargetParameters,
     state: TargetState,
     ground: Floats,
@@ -196,9 +236,6 @@ def target_step(
         points[:] = np.nan
         return
     n, p, first = len(parameters.axes), parameters, state.is_running[0] == 0.0
-    if p.smooth.shape[1]:
-        smooth_alike(p.smooth, state, measured, first)
-        measured = state.smoothed
     before, e, rate, force = state.springs[0], state.springs[1], state.springs[2], state.springs[3]
     if not first:
         times(n, n, p.deformation, state.measured[0], before)
