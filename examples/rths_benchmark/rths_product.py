@@ -15,15 +15,20 @@ from rths_hardware import BenchmarkRig
 from rths_problem import DT, Motion, Plant, Structure
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.errors import ExperimentError
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, VALVE_COMMAND
 from seft_plant_sim.channels import ACCELERATION, VELOCITY
 from seft_plant_sim.hardware.hosted import HostedHardware
 from seft_plant_sim.rig import Rig
 from seft_ros.bags.recording import Recording
+from seft_ros.identification import rig_tests
+from seft_ros.identification.identified import facts_of, identify_from_recordings, write_model
 from seft_ros.test_run.compiled_loop import Blocks, build_blocks
 from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
+BAND_HZ, DURATION = (0.3, 100.0), 120.0
+"""Of the excitation, and time of it (s): the defaults of `seft identify`."""
 LABORATORY = Path(__file__).with_name("laboratory.yaml")
 
 
@@ -86,4 +91,37 @@ def motion_of(structure: Structure, recording: Recording, true: Floats, ground: 
 
 
 def identify_servo(folder: Path, seed: int) -> Path:
-    raise NotImplementedError
+    """Let the actuator of the nominal plant be identified as `seft identify` does.
+
+    Returns
+    -------
+    Path
+        File with what was found, in this folder, for the tests.
+
+    Raises
+    ------
+    ExperimentError
+        If a test trips, or shows nothing but noise.
+    """
+    laboratory = Experiment.load(TABLES, [LABORATORY])
+    motions = rig_tests.Motions(laboratory, BAND_HZ, seed)
+    largest = motions.largest_levels(DURATION)
+    amplitude = rig_tests.pilot_voltage(laboratory, largest)
+    with TemporaryDirectory() as place:
+        for name, seconds in (("pilot", motions.of_pilot(DURATION)), ("open_loop", DURATION)):
+            motion = motions.write(Path(place) / f"{name}.csv", seconds)
+            opened = _identifying(rig_tests.open_loop(laboratory, motion, amplitude), seed)
+            amplitude = rig_tests.voltage_after(opened, amplitude, largest)
+    found = identify_from_recordings(opened, None, BAND_HZ)
+    if found.unusable:
+        raise ExperimentError(f"identification: {found.unusable[0]}")
+    path = folder / "model.yaml"
+    write_model(found, path, LABORATORY.name, facts_of(found, False, DT, 0.0, False))
+    return path
+
+
+def _identifying(tested: Experiment, seed: int) -> Recording:
+    recording = simulate_test(tested, hosted_blocks(tested, BenchmarkRig(Plant.nominal(), seed)))
+    if recording.trip is not None:
+        raise ExperimentError(f"identification tripped: {recording.trip.reason}")
+    return recording
