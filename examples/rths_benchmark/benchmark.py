@@ -92,17 +92,15 @@ def summary_table(outcomes: Sequence[Outcome]) -> TextTable:
 
 
 def nominal_table(outcomes: Sequence[Outcome]) -> TextTable:
-    """Make the table of seft's nominal tests one by one."""
-    names = rows_of_criteria()
-    rows = [
-        [
-            f"{each.test.case} {each.test.record}",
-            *((each.trip and "trip") or f"{of_criterion(each, name):.2f}" for name in names),
-        ]
-        for each in outcomes
-        if each.controller == SEFT and not each.test.perturbed
-    ]
-    return TextTable(["case, record", *names], rows)
+    """Make the table of seft's nominal tests one by one, with measured and true displacement."""
+    rows = []
+    for each in outcomes:
+        if each.controller == SEFT and not each.test.perturbed:
+            name = f"{each.test.case} {each.test.record}"
+            for label, found in ((name, each.j), ("  true", each.true_j)):
+                numbers = [f"{value:.2f}" for value in found.values()]
+                rows.append([label, *(["trip"] * len(numbers) if each.trip else numbers)])
+    return TextTable(["case, record", *CRITERIA], rows)
 
 
 def summarise(outcomes: Sequence[Outcome], plan: Plan, wall_s: float) -> dict[str, Any]:

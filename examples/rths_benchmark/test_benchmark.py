@@ -5,6 +5,8 @@ import json
 import benchmark
 import numpy as np
 import pytest
+import rths_product
+from local_tools import assert_same, perform
 from matplotlib.image import imread
 from rths_controllers import conventional_inverse, run_benchmark, sample_controller
 from rths_figures import criteria_figure, histories_figure
@@ -22,12 +24,16 @@ from rths_problem import (
     ground_motion,
     plant_step,
 )
-from rths_product import LABORATORY
+from rths_product import LABORATORY, hosted_blocks, run_product
 from rths_tests import CRITERIA, INVERSE, SAMPLE, SEFT, Histories, Plan, assess, plan_tests
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.virtual import LocalGraph
+from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.simulated.converter_board import ConverterBoard
 from seft_ros.drawing.style import save_figure
+from seft_ros.nodes.kinds import NODE_KINDS
+from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 
 RECORDS = next((place for place in benchmark.PLACES if place.is_dir()), None)
@@ -187,6 +193,55 @@ def test_the_file_simulates_the_same_plant():
 def test_the_plant_of_a_file_has_the_rate_of_the_benchmark():
     with pytest.raises(InputError, match="rate is 4000 Hz, but the plant has 4096 Hz"):
         nominal_rig({"rate": 4000.0, "seed": 1}, ("floor_1",))
+
+
+# seft on it
+
+SHORT = 20.0
+"""Of the excitation of these tests, s."""
+
+
+@pytest.fixture(scope="module")
+def identified(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rths_product, "DURATION", SHORT)
+        return rths_product.identify_servo(tmp_path_factory.mktemp("identified"), seed=1)
+
+
+def test_the_servo_is_identified_on_noise(identified):
+    numerator, denominator = NOMINAL.command_to_displacement()
+    found = Experiment.load(TABLES, [LABORATORY, identified])["force_controller"]
+    hz = np.array([0.5, 2.0, 4.0, 8.0, 16.0])
+    shape = TransferFunction(
+        *(tuple(found[f"actuator.response.{name}"]) for name in ("numerator", "denominator")),
+        float(np.ravel(found["actuator.response.dead_time"])[0]),
+    )
+    exact = TransferFunction(tuple(numerator), tuple(denominator)).response(hz)
+    assert np.abs(shape.response(hz) / exact - 1).max() < 0.03
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_the_specimen_and_the_frame_move_as_the_whole_structure(identified, number):
+    plant = Plant.perturbed(number, 0) if number else NOMINAL
+    structure, ground = Structure(4, plant), shaken()
+    moved = run_product(structure, plant, identified, ground, seed=2)
+    assert moved.trip == ""
+    found = criteria(moved.true, moved.numerical, structure.reference(ground))
+    assert found["J2"] < 1.2 and found["J4"] < 1.5
+    assert found["J6"] < 0.4 and found["J7"] < 0.4
+
+
+def test_nodes_in_lockstep_move_the_plant_as_the_offline_loop_does(identified):
+    words = (
+        "rig:hardware:=rths_hardware:nominal_rig",
+        "ground_motion:synthetic.duration:=0.5",
+        "supervisor:rehearsal.duration:=0.0",
+    )
+    with LocalGraph(NODE_KINDS, [LABORATORY, identified], *words) as graph:
+        perform(graph)
+        tested = graph.experiment
+        device = nominal_rig(tested["rig"], tested.axes)
+        assert_same(graph, simulate_test(tested, hosted_blocks(tested, device)))
 
 
 # The program
