@@ -16,7 +16,7 @@ from seft_ros.test_run.offline import simulate_test
 MANY = (pytest.mark.thorough, pytest.mark.offline)
 RATES = (250.0, 500.0, 1000.0, 1024.0, 1365.33, 2048.0)  # Hz
 SPECIMEN, RIG = "rig:simulated.specimen.", "rig:simulated.actuator."
-DELAYED = "actuator.kind:=delay"
+DELAYED, SERVO = "actuator.kind:=delay", "actuator.kind:=position_servo"
 SPECIMENS = (
     ("kind:=linear",),
     ("kind:=bilinear", "yield_displacement:={small}"),
@@ -39,6 +39,8 @@ ACTUATORS = (
     *((f"{RIG}flow_gain:={{gain}}", f"{RIG}dead_time:={{late}}"),) * 3,
     ("actuator.kind:=servo_hydraulic_linear",),
     (DELAYED, f"{RIG}delay:={{lag}}"),
+    (SERVO, f"{RIG}dead_time:={{late}}", f"{RIG}servo.integral:=1e4"),
+    (SERVO, "sensors.velocity:=derived", "sensors.acceleration:=derived"),
 )
 DIFFERENCES = (
     (),
@@ -140,10 +142,19 @@ def drawn(seed):
     if DELAYED in words:
         words += ["actuator.delay:=0.017", "loop_delay:=0"]
         words += ["force_controller:method:=transfer_function"]
+    if SERVO in words:
+        words += [*TARGET_MOTION[:1], "force_controller:method:=position_servo"]
+        words += ["actuator.response.numerator:=[7.38e12]", "actuator.response.dead_time:=0.002"]
+        known = "[1.0, 593.0, 5.484e5, 1.82e8, 6.21e10, 7.42e12]"
+        words += [f"actuator.response.denominator:={known}", "limits.command:=0.05"]
+        words += ["reference_force:compensation.horizon:=0.2", "ground_motion:lead:=1.0"]
+        words = [word for word in words if word != EFT[0]]
     if not any("flow_gain" in word for word in words):
         words = [word for word in words if "supply" not in word]
     if "sensors.velocity:=derived" in words:  # there is no such sensor
         words = [word for word in words if '"velocity' not in word]
+    if "sensors.acceleration:=derived" in words:
+        words = [word for word in words if '"acceleration' not in word]
     return words
 
 

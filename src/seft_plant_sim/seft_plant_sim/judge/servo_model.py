@@ -13,11 +13,14 @@ displacement alike, and takes the acceleration from the latter.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
 from seft_msgs_py.arrays import Floats
+from seft_msgs_py.config.facts import POSITION_SERVO
+from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.channels import acceleration_is_derived, least_noise
 from seft_plant_sim.compiled import compiled
@@ -27,6 +30,7 @@ from seft_plant_sim.rig_parameters import common_lag
 
 _DERIVATIVES = 3
 """States of e, and the integrations from its random third derivative."""
+_TURNED = np.pi / 4.0
 UNKNOWN_DELAY = 0.02
 """Delay of a servo that has not been identified, s."""
 
@@ -50,7 +54,8 @@ class ServoModel:
     rest : ndarray
         z and u for a displacement of 1 m at rest, shape (m + 1,).
     delay : float
-        Of slow motions, s.
+        Up to the frequency at which it turns the phase by `_TURNED`, s. That of slow motions alone
+        would be none with an integral gain.
     """
 
     def __init__(self, response: TransferFunction, dt: float, states: int = 0) -> None:
@@ -58,9 +63,7 @@ class ServoModel:
         denominator, top = np.array(response.denominator) / leading, len(response.numerator)
         numerator = np.zeros(m)
         numerator[m - top :] = np.array(response.numerator) / leading
-        self.delay = denominator[-2] / denominator[-1]
-        if top > 1:
-            self.delay -= numerator[-2] / numerator[-1]
+        self.delay = _delay(response, dt)
         # states in units of m, by the poles' mean frequency
         unit = abs(denominator[-1]) ** (1.0 / m)
         powers = unit ** np.arange(m, 0, -1.0)
@@ -74,6 +77,13 @@ class ServoModel:
         self.output = np.pad(numerator[::-1] / powers, (0, unused))
         at_rest = np.linalg.solve(np.eye(m + unused) - self.free, self.push)
         self.rest = np.append(at_rest, 1.0) / (self.output @ at_rest)
+
+
+def _delay(response: TransferFunction, dt: float) -> float:
+    f = np.geomspace(1e-4, 0.5, 2000) / dt
+    without = replace(response, dead_time=0.0).response(f)
+    turned = -np.unwrap(np.angle(without / without[0]))
+    return float(_TURNED / (2.0 * np.pi * f[max(1, np.argmax([*(turned >= _TURNED), True]) - 1)]))
 
 
 def servo_models(responses: Sequence[TransferFunction], dt: float) -> list[ServoModel]:
@@ -168,6 +178,12 @@ def acceleration_of(
     InputError
         If it is derived, and the response that is given is none of a servo.
     """
+    kind = section["actuator.kind"]
+    if acceleration_is_derived(section) and kind != POSITION_SERVO:
+        raise InputError(
+            f"/**: sensors.acceleration is derived, but actuator.kind is {kind}: only the commands "
+            f"of a {POSITION_SERVO} tell the acceleration; measure it"
+        )
     if not acceleration_is_derived(section):
         none = np.zeros((0, 0))
         nothing = np.zeros(0), np.zeros((0, 0, 0)), none, none, none

@@ -1,16 +1,24 @@
 """What a small motion shows of a rig: signs, units and lags of its channels, dead time, stop."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.facts import CHANNELS
+from seft_msgs_py.config.facts import CHANNELS, POSITION_SERVO
 from seft_msgs_py.config.parameter_table import group, per_axis
 from seft_msgs_py.wire.topics import VALVE_COMMAND, RigAxes
-from seft_plant_sim.channels import FORCE, per_channel, velocity_is_derived
+from seft_plant_sim.channels import (
+    FORCE,
+    acceleration_is_derived,
+    per_channel,
+    velocity_is_derived,
+)
 from seft_plant_sim.hardware.hosted import HardwareError
+from seft_plant_sim.judge.known_rig import command_limit, known_responses
+from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.rig_parameters import common_lag
 from seft_plant_sim.simulated.specimen import Specimen
 
@@ -44,7 +52,7 @@ def _found(name: str, ok: object, text: str, remedy: str) -> Finding:
 
 
 class RigCheck:
-    """Checks one rig of an experiment, by commands of at most ``amplitude``, V or N."""
+    """Checks one rig of an experiment, by commands of at most ``amplitude``, V, m or N."""
 
     def __init__(
         self, mover: RigMover, experiment: Experiment, of: RigAxes, amplitude: float | None
@@ -52,8 +60,13 @@ class RigCheck:
         section, axes, own = experiment["rig"], experiment.axes, list(of.places)
         self._mover, self._section, self._axes = mover, section, of.axes
         self._has_valve = mover.rig.drive == VALVE_COMMAND.name
-        default, limit = (0.2, "command") if self._has_valve else (50.0, "force")
-        self._amplitude = min(amplitude or default, section[f"limits.{limit}"])
+        self._servos: list[TransferFunction] = []
+        default, limit = 50.0, section["limits.force"]
+        if self._has_valve:
+            default, limit = 0.2, command_limit(section)
+        if section["actuator.kind"] == POSITION_SERVO:
+            default, self._servos = 5e-4, known_responses(section, axes, own)
+        self._amplitude = min(amplitude or default, limit)
         where, known = "/**: specimen", "/**: actuator.*"
         specimen = Specimen.from_parameters(group(section, "specimen"), axes, where)
         self._specimen = specimen.part(of, where)
@@ -63,7 +76,8 @@ class RigCheck:
         self._factor = "per_volt" if mover.hosted else "scale"
         forms = (f"calibration.{{}}_{what}" for what in (self._factor, "lag"))
         self._factors, self._lags = (per_channel(section, axes, form)[:, own] for form in forms)
-        self._used = np.array([True, not velocity_is_derived(section), True, True])
+        measured = not velocity_is_derived(section), not acceleration_is_derived(section)
+        self._used = np.array([True, *measured, True])
 
     def findings(self) -> Iterator[Finding]:
         """Give the findings one by one; what needs a failed check to be good is not checked."""
@@ -136,7 +150,9 @@ class RigCheck:
             fits[row] = fit_to(y[:, row, at], expected[row - 1], dt)
         force, oil = fits[FORCE, 0], self._actuator["oil_stiffness"][at]
         drives = x1[:, at] if self._has_valve else elastic  # what obeys the command
-        if np.isfinite(force) and not self._has_valve:
+        if self._servos:
+            drives = y[:, 0, at]
+        elif np.isfinite(force) and not self._has_valve:
             drives = y[:, FORCE, at] / force
         elif np.isfinite(force) and oil:  # the flow also fills the oil
             leak = self._actuator["leakage"][at]
@@ -203,8 +219,14 @@ class RigCheck:
         """Compare the time from command to motion, s, with what is known of it."""
         known, name = self._actuator, "dead_time" if self._has_valve else "delay"
         old = known[name][at]
+        if self._servos:
+            name, old = "response.dead_time", self._servos[at].dead_time
         due = self._mover.dt / 2 + common_lag(self._section) + old  # held for a period
-        if self._has_valve and known["valve_frequency"][at]:
+        if self._servos:
+            middle = np.array(_FREQUENCIES[1:2])
+            without = replace(self._servos[at], dead_time=0.0).response(middle)
+            due -= float(np.angle(without)[0] / (2 * np.pi * middle[0]))
+        elif self._has_valve and known["valve_frequency"][at]:
             due += known["valve_damping"][at] / (np.pi * known["valve_frequency"][at])
         ok = abs(lag - due) <= max(self._mover.dt, 2 * _LATE) + _ERRORS * error
         text = f"{1e3 * lag:.1f} ms from command to motion, {1e3 * due:.1f} ms are known"

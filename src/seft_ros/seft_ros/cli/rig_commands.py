@@ -9,7 +9,7 @@ from typing import Any, Optional
 import typer
 from rich.console import Console
 from seft_msgs_py.config.experiment import Experiment, write_parameter_file
-from seft_msgs_py.config.facts import EVERY_NODE
+from seft_msgs_py.config.facts import EVERY_NODE, command_unit
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.printing import escaped
 from seft_msgs_py.wire.topics import RigAxes
@@ -114,7 +114,7 @@ def check(
     param: shared.Params = None,
     params_file: shared.Files = None,
     rig: str = option("", "Rig to check, if the test has several.", "NAME"),
-    amplitude: Optional[float] = option(None, "Largest command; default 0.2 V, or 50 N.", "V"),
+    amplitude: Optional[float] = option(None, "Largest command; default 0.2 V, 0.5 mm, or 50 N."),
     travel: float = option(0.005, "Displacement from rest at which the rig is stopped, m.", "M"),
     force: float = option(2000.0, "Change of force at which the rig is stopped, N.", "N"),
     yes: bool = option(False, "Move the rig without asking: nobody is within its reach.", "--yes"),
@@ -147,7 +147,8 @@ def check(
         if value is not None and not 0 < value < float("inf"):
             raise InputError(f"{name} is {value:g}, but must be positive")
     if not (experiment["rig"]["hardware"] == "simulated" or yes):
-        _ask(amplitude, travel)
+        unit = command_unit(experiment["rig"]["actuator.kind"])
+        _ask(f"{amplitude or (0.2 if unit == 'V' else 5e-4):g} {unit}", travel)
     mover = RigMover(experiment, of, MACHINE, travel, force)
     found = []
     try:
@@ -166,9 +167,9 @@ def check(
     return min(wrong, 1)
 
 
-def _ask(amplitude: float | None, travel: float) -> None:
+def _ask(amplitude: str, travel: float) -> None:
     """Ask a person whether the rig may move; raise `InputError` without a yes."""
-    motion = f"{amplitude or 0.2:g} V, stopped at {1e3 * travel:g} mm"
+    motion = f"{amplitude}, stopped at {1e3 * travel:g} mm"
     if not sys.stdin.isatty():
         raise InputError(f"the rig will be moved ({motion}): say --yes when nobody is in its reach")
     if not typer.confirm(

@@ -1,6 +1,6 @@
 """Parameter table of the force controller, and the controllers by name."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from seft_msgs_py.config.facts import CHANNELS, POSITION_SERVO, facts
@@ -64,6 +64,12 @@ FORCE_CONTROLLER_TABLE = Table(
         *host.REALTIME_PARAMETERS,
     ],
 )
+
+
+def fitting_method(section: Mapping[str, Any]) -> str:
+    """Name the controller that follows a target with the actuators of a section."""
+    servo = section["actuator.kind"] == POSITION_SERVO
+    return POSITION_SERVO_METHOD if servo else VELOCITY_FEEDFORWARD
 
 
 def one_controller(numerator: Sequence[float], denominator: Sequence[float]) -> dict[str, Any]:

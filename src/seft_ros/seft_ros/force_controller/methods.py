@@ -7,15 +7,18 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.parameter_table import Section
+from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.judge.known_rig import command_limit
 
 from seft_ros.force_controller.force_control import ControlInputs, ForceControl, ForceController
 from seft_ros.force_controller.force_controller_parameters import (
+    FOLLOW_TARGETS,
     POSITION_SERVO_METHOD,
     REGISTERED_CONTROLLERS,
     TRANSFER_FUNCTION,
     VELOCITY_FEEDFORWARD,
+    fitting_method,
 )
 from seft_ros.force_controller.position_servo import PositionServo
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
@@ -93,7 +96,12 @@ def force_control(
         If it can't be made, or mixes axes of several rigs.
     """
     own = rig or RigAxes.whole(axes)
-    name = section["method"]
+    name, fitting = section["method"], fitting_method(section)
+    if name in FOLLOW_TARGETS and name != fitting:
+        raise InputError(
+            f"force_controller: method {name} does not drive an actuator of kind "
+            f"{section['actuator.kind']}; make that {fitting}"
+        )
     if name == TRANSFER_FUNCTION:
         return ForceController.from_parameters(section, axes, timebase, own)
     if name == VELOCITY_FEEDFORWARD:

@@ -11,7 +11,7 @@ import numpy as np
 from numba.extending import overload
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.facts import FORCE_DRIVEN, POSITION_SERVO
+from seft_msgs_py.config.facts import FORCE_DRIVEN
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import VALVE_COMMAND
@@ -42,9 +42,8 @@ from seft_ros.force_controller.force_control import (
 )
 from seft_ros.force_controller.force_controller_parameters import (
     FOLLOW_TARGETS,
-    POSITION_SERVO_METHOD,
     TRANSFER_FUNCTION,
-    VELOCITY_FEEDFORWARD,
+    fitting_method,
 )
 from seft_ros.force_controller.interlock import Interlock, Interlocks, interlock_of
 from seft_ros.force_controller.interlock_step import (
@@ -155,13 +154,7 @@ def check_target(experiment: Experiment, blocks: Blocks) -> None:
     method = experiment["force_controller"]["method"]
     compensation = experiment["reference_force"]["compensation.method"]
     has_target = blocks.reference_force.reference_force.provides_target
-    kind = experiment["force_controller"]["actuator.kind"]
-    fitting = POSITION_SERVO_METHOD if kind == POSITION_SERVO else VELOCITY_FEEDFORWARD
-    if method in FOLLOW_TARGETS and method != fitting:
-        raise InputError(
-            f"force_controller: method {method} does not drive an actuator of kind {kind}; make "
-            f"that {fitting}"
-        )
+    fitting = fitting_method(experiment["force_controller"])
     if method in FOLLOW_TARGETS and not has_target:
         raise InputError(
             f"force_controller: method {method} follows the motion of a target, but "
@@ -194,16 +187,14 @@ def check_lead(experiment: Experiment, motion: GroundMotion, force: ProtectedFor
 def with_method(experiment: Experiment, method: str) -> Experiment:
     """Copy an experiment with another compensation method, and a force controller that fits it.
 
-    `target_motion` drives valves by velocity feedforward, which needs the target's motion. Other
+    `target_motion` drives valves and servos by controllers that need the target's motion. Other
     methods do not give it: they use the configured controller, or else the transfer function.
     """
     control = experiment["force_controller"]
     used = control["method"]
-    if control["actuator.kind"] == POSITION_SERVO:
-        used = POSITION_SERVO_METHOD
-    elif method == TARGET_MOTION and control["actuator.kind"] not in FORCE_DRIVEN:
-        used = VELOCITY_FEEDFORWARD
-    elif used == VELOCITY_FEEDFORWARD:
+    if method == TARGET_MOTION and control["actuator.kind"] not in FORCE_DRIVEN:
+        used = fitting_method(control)
+    elif used in FOLLOW_TARGETS:
         used = TRANSFER_FUNCTION
     return experiment.changed(
         {"reference_force": {"compensation.method": method}, "force_controller": {"method": used}}
