@@ -33,7 +33,7 @@ class Case:
 
 CASES = [
     Case(rate, ProcessLayout(composed=composed, priority=priority))
-    for rate, composed in ((500.0, False), (1000.0, False), (2000.0, True))
+    for rate, composed in ((500.0, False), (1000.0, False), (4096.0, True))
     for priority in (0, PRIORITY)
 ]
 

@@ -14,7 +14,7 @@ from seft_ros.test_run.compiled_loop import build_blocks, why_not_compiled
 from seft_ros.test_run.offline import simulate_test
 
 MANY = (pytest.mark.thorough, pytest.mark.offline)
-RATES = (250.0, 500.0, 1000.0, 1024.0, 1365.33, 2048.0)  # Hz
+RATES = (250.0, 500.0, 1000.0, 1024.0, 1365.33, 4096.0)  # Hz
 SPECIMEN, RIG = "rig:simulated.specimen.", "rig:simulated.actuator."
 DELAYED, SERVO = "actuator.kind:=delay", "actuator.kind:=position_servo"
 SPECIMENS = (

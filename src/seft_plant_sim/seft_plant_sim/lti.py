@@ -154,7 +154,7 @@ def bilinear(
 
 MOST_TAPS = 4000
 """Of an inverse: each takes its time in each step."""
-IN_BAND = 200
+INVERTED_FREQUENCIES = 200
 """Frequencies that are inverted, at least."""
 
 
@@ -194,7 +194,7 @@ def noncausal_inverse(
             f"invert, and {MOST_TAPS} at most are; lower the rate"
         )
     # as many frequencies as tell the inverted ones and the weights apart, whatever the rate
-    count = max(math.ceil(IN_BAND * 0.5 / (dt * highest)), 2 * taps)
+    count = max(math.ceil(INVERTED_FREQUENCIES * 0.5 / (dt * highest)), 2 * taps)
     f = np.linspace(0.0, 0.5 / dt, count + 1)
     weight = np.where(f <= highest, 1.0, OUTSIDE_WEIGHT)
     through = response((2j * math.pi * f).astype(np.complex128))
