@@ -22,9 +22,11 @@ from seft_plant_sim.judge.detectors import (
 from seft_plant_sim.judge.known_rig import (
     ASSUMED_ACTUATOR,
     command_limit,
+    known_responses,
     read_actuators,
     read_specimen,
 )
+from seft_plant_sim.judge.servo_model import last_periods
 from seft_plant_sim.judge.valve_model import valve_models
 
 
@@ -75,7 +77,17 @@ def detectors_of(
     actuator["valve_frequency"] = np.where(is_known, actuator["valve_frequency"], 1.0 / dt)
     mass, stiffness, ratio = read_specimen(section, axes, places)
     computed_mass = ratio * mass
-    valves = valve_models(actuator, dt)
+    past = np.array([valve.last_period() for valve in valve_models(actuator, dt)])
+    largest_drive = command_limit(section)
+    if section["actuator.kind"] == POSITION_SERVO and np.any(
+        section["actuator.response.numerator"]
+    ):  # it moves by its commands, whatever the oil is, and has no null
+        past, largest_drive = last_periods(section, known_responses(section, axes, own)), 0.0
+        actuator["flow_gain"], actuator["oil_stiffness"] = (
+            np.ones(len(own)),
+            np.full(len(own), np.inf),
+        )
+        actuator["leakage"] = actuator["force_capacity"] = np.zeros(len(own))
     noise, ranges = (
         np.ascontiguousarray(per_channel(section, axes, f"sensors.{{}}_{what}")[:, own])
         for what in ("noise", "range")
@@ -89,12 +101,12 @@ def detectors_of(
         ranges,
         velocity_is_derived(section),
         np.transpose([actuator[name] for name in ASSUMED_ACTUATOR]),
-        np.array([valve.last_period() for valve in valves]),
+        past,
         section["actuator.kind"] not in FORCE_DRIVEN,
         mass,
         stiffness,
         computed_mass,
         warn_only,
-        command_limit(section),
+        largest_drive,
         dt,
     )

@@ -39,7 +39,7 @@ class Detector:
 
 
 _SUMS = "disagree on axis {axis}: they differ by {seen} over the last"
-_OIL = "measured displacement and force, and the valve's flow by its commands,"
+_OIL = "measured displacement and force, and the actuator's motion by its commands,"
 _SAME = "measured {} on axis {{axis}} has repeated one value for {{seen}}"
 _WRONG = "measured {} on axis {{axis}} contradicts the other channels: {{seen}} within 50 ms"
 DETECTORS = (

@@ -255,7 +255,8 @@ def detector_arrays(
     velocity_is_derived : bool
         Whether the velocity is derived from the displacement.
     actuator, past : ndarray
-        See `DetectorParameters`; a flow gain or an oil stiffness of 0 is not known.
+        See `DetectorParameters`; a flow gain or an oil stiffness of 0 is not known. A displacement
+        servo has a gain of 1, and an infinite stiffness.
     has_valve : bool
         Whether these valves drive the rig.
     mass, stiffness, computed_mass : ndarray
@@ -294,7 +295,9 @@ def detector_arrays(
     lasts = np.array([persistence_of(each, dt) for each in DETECTORS])
     judging, judged = judge_arrays(
         np.array([x, v, a, f]),
-        np.transpose([np.where(known, actuator[:, 1], 0.0), actuator[:, 2]]),
+        np.transpose(
+            [np.where(known & (actuator[:, 1] < np.inf), actuator[:, 1], 0.0), actuator[:, 2]]
+        ),
         mass,
         stiffness,
         np.where(ranges > 0.0, ranges, np.inf),

@@ -25,12 +25,15 @@ from seft_msgs_py.errors import InputError
 from seft_plant_sim.channels import acceleration_is_derived, least_noise
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.judge.known_rig import known_responses
+from seft_plant_sim.judge.valve_model import NEGLIGIBLE_FLOW
 from seft_plant_sim.lti import TransferFunction, first_order_hold
 from seft_plant_sim.rig_parameters import common_lag
 
 _DERIVATIVES = 3
 """States of e, and the integrations from its random third derivative."""
 _TURNED = np.pi / 4.0
+_REMEMBERED = 0.5
+"""Longest memory of commands, s: a servo of 10 Hz has answered after a tenth of it."""
 UNKNOWN_DELAY = 0.02
 """Delay of a servo that has not been identified, s."""
 
@@ -80,16 +83,43 @@ class ServoModel:
 
 
 def _delay(response: TransferFunction, dt: float) -> float:
+    """See `ServoModel.delay`."""
     f = np.geomspace(1e-4, 0.5, 2000) / dt
     without = replace(response, dead_time=0.0).response(f)
-    turned = -np.unwrap(np.angle(without / without[0]))
-    return float(_TURNED / (2.0 * np.pi * f[max(1, np.argmax([*(turned >= _TURNED), True]) - 1)]))
+    turned = -np.unwrap(np.angle(without / without[0])) >= _TURNED
+    first = max(1, int(np.argmax(np.append(turned, True))) - 1)
+    return float(_TURNED / (2.0 * np.pi * f[first]))
 
 
 def servo_models(responses: Sequence[TransferFunction], dt: float) -> list[ServoModel]:
     """Make the models of n servos, with the states of that which has most."""
     states = max(len(response.denominator) for response in responses) - 1
     return [ServoModel(response, dt, states) for response in responses]
+
+
+def last_periods(section: Mapping[str, Any], responses: Sequence[TransferFunction]) -> Floats:
+    """Mean velocity in the last period of past commands, and its change per delay; (n, 2, memory).
+
+    Of servos, as `ValveModel.last_period` gives the flow of valves.
+    """
+    dt, lag = 1.0 / section["rate"], common_lag(section)
+    models = servo_models(responses, dt)
+    moved = np.zeros((len(models), round(_REMEMBERED / dt)))  # by a command of one period
+    for row, model in zip(moved, models, strict=True):
+        z = model.push
+        for k in range(1, len(row)):
+            row[k] = model.output @ z
+            z = model.free @ z
+    largest = np.abs(moved).max(axis=1, keepdims=True)
+    memory = int(np.flatnonzero((np.abs(moved) > NEGLIGIBLE_FLOW * largest).any(axis=0))[-1]) + 1
+    late = [(response.dead_time + lag) / dt + 1.0 for response in responses]
+    age = np.arange(memory + int(max(late)) + 2)
+    shown = [
+        np.interp(age - each, age[:memory], row[:memory], 0.0, 0.0)
+        for each, row in zip(late, moved, strict=True)
+    ]
+    rate = np.gradient(shown, axis=1) / dt
+    return np.ascontiguousarray(np.diff([shown, -rate], axis=2).swapaxes(0, 1) / dt)
 
 
 class AccelerationParameters(NamedTuple):
@@ -134,7 +164,7 @@ class AccelerationState(NamedTuple):
     beside: Floats
 
 
-def smoothing_steps(section: Mapping[str, Any], axes: tuple[str, ...]) -> int:
+def smoothing_steps(section: Mapping[str, Any], axes: Sequence[str]) -> int:
     """Count the steps M of the second difference that gives an acceleration.
 
     Its window, twice as long, is the delay of the slowest servo: what happens within it can't be
@@ -142,7 +172,7 @@ def smoothing_steps(section: Mapping[str, Any], axes: tuple[str, ...]) -> int:
     """
     dt, delay = 1.0 / section["rate"], UNKNOWN_DELAY
     if np.any(section["actuator.response.numerator"]):
-        servos = known_responses(section, axes, range(len(axes)))
+        servos = known_responses(section, tuple(axes), range(len(axes)))
         delay = max(each.dead_time + ServoModel(each, dt).delay for each in servos) + 1.5 * dt
     return max(2, round(0.5 * delay / dt))
 
@@ -159,13 +189,10 @@ def second_difference(steps: int, dt: float) -> Floats:
     return np.array([now, (newer - older) / (2.0 * dt), (newer - 2.0 * now + older) / dt**2])
 
 
-def derived_noise(section: Mapping[str, Any], axes: tuple[str, ...]) -> Floats:
-    """Noise of velocity and acceleration by `second_difference`, shape (2, n).
-
-    It is not white: what counts is the white noise of the same density where that is largest.
-    """
+def derived_noise(section: Mapping[str, Any], axes: Sequence[str]) -> Floats:
+    """RMS noise of velocity and acceleration by `second_difference`, shape (2, n)."""
     weights = second_difference(smoothing_steps(section, axes), 1.0 / section["rate"])
-    return np.outer(np.abs(weights[1:]).sum(axis=1), least_noise(section, axes)[0])
+    return np.outer(np.linalg.norm(weights[1:], axis=1), least_noise(section, axes)[0])
 
 
 def acceleration_of(

@@ -315,7 +315,7 @@ class _Identification:
         opened, band = tests.recordings[OPEN_LOOP], self._motions.band
         known = rough_calibration(opened, band)
         found = identify_from_recordings(known.corrected(opened), None, band)
-        if not found.valves:
+        if not (found.valves or found.has_servos):
             return
         plan = multisine.with_actuators(plan, found, tests.experiment)
         pilot = multisine.multisine_drive(plan, found, dt, seconds=multisine.PILOT_SECONDS)

@@ -25,6 +25,7 @@ from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import entry_point
 from seft_plant_sim.judge.known_rig import command_limit, known_responses
 from seft_plant_sim.judge.servo_model import ServoModel, servo_models
+from seft_plant_sim.judge.valve_following import LARGEST_DELAY_ERROR
 from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.rig_parameters import common_lag
 
@@ -32,7 +33,6 @@ from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.force_controller_parameters import POSITION_SERVO_METHOD
 from seft_ros.force_controller.oil_column import cost_to_go, fastest_feedback
 from seft_ros.force_controller.servo_step import (
-    LARGEST_DELAY_ERROR,
     SERVO_ERRORS,
     ServoParameters,
     ServoState,

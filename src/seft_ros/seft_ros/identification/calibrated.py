@@ -211,7 +211,8 @@ class MultisineResult:
         dt = recording.experiment.timebase.dt
         of = harmonics(samples, sines, dt)
         late = known.found["lag"] - known.found["lag"].min()
-        dead_time = np.mean([valve.actuator.dead_time for valve in found.valves]) - late.max()
+        times = [valve.actuator.dead_time for valve in found.valves] or [0.0]  # of servos
+        dead_time = np.mean(times) - late.max()
         fault_free = fault_free_relations(found, sines, dt, max(float(dead_time), 0.0), late)
         fit = fit_multisine(of, fault_free)
         least, error = np.linalg.eigvalsh(fit.mass)[0], np.linalg.norm(fit.mass_error)

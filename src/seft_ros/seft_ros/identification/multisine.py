@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.facts import CHANNELS, FACTS
+from seft_msgs_py.config.facts import CHANNELS, FACTS, command_unit
 from seft_msgs_py.config.parameter_table import group, mass_matrix, per_axis, symmetric_matrix
 from seft_msgs_py.errors import InputError
 from seft_plant_sim import lti
+from seft_plant_sim.judge.known_rig import command_limit
 from seft_plant_sim.limits import largest_force_rate
 from seft_plant_sim.rig_parameters import LIMIT_ROWS
 
@@ -232,22 +233,29 @@ def with_actuators(multisine: Multisine, found: Identified, experiment: Experime
     """
     valves = [valve.actuator.valve_frequency for valve in found.valves]
     oil = [column.hz for valve in found.valves if (column := valve.plant.oil_column())]
-    top = min(multisine.top, OF_ACTUATOR * min(valves + oil))
-    limit = experiment["force_controller"]["limits.command"]
+    servos = [bandwidth for each in found.closed_loops if (bandwidth := each.tracking.bandwidth_hz)]
+    followed = servos if found.has_servos else valves + oil
+    top = min([multisine.top, *(OF_ACTUATOR * each for each in followed)])
+    limit = command_limit(experiment["force_controller"])
     frequencies = np.geomspace(top / FREQUENCY_SPAN, top, 33)
     voltage = multisine.travel / _moved(found, frequencies).min(axis=1)
     within = np.maximum.accumulate(voltage) <= PEAK_SHARE * limit
+    unit = command_unit(experiment["force_controller"]["actuator.kind"])
     if not within[0]:
         raise InputError(
-            f"the multisine test would need {voltage[0]:.3g} V with {1e3 * multisine.travel:.3g} "
-            f"mm at {frequencies[0]:.3g} Hz, more than half of /**: limits.command, {limit:g} V; "
+            f"the multisine test would need {voltage[0]:.3g} {unit} with "
+            f"{1e3 * multisine.travel:.3g} mm at {frequencies[0]:.3g} Hz, more than half of "
+            f"/**: limits.command, {limit:g} {unit}; "
             "give a smaller --travel"
         )
     return replace(multisine, top=float(frequencies[within][-1]))
 
 
 def _moved(found: Identified, frequencies: Floats) -> Floats:
-    """Displacement of each axis per command of its valve, at m frequencies, shape (m, n), m/V."""
+    """Displacement of each axis per command, at m frequencies, shape (m, n), m/V or 1."""
+    if found.has_servos:
+        servos = [loop.fit.model.response(frequencies) for loop in found.closed_loops]
+        return np.asarray(np.abs(servos).T)
     plant, n = _plant(found), len(found.axes)
     points = np.asarray(2j * np.pi * frequencies, dtype=np.complex128)
     response = lti.state_space_response(plant.a, plant.b, plant.c, plant.d, points)
@@ -341,6 +349,8 @@ def fault_free_relations(
         Shape (m, 2), without the lags themselves.
     """
     frequencies = np.array([sine.frequency for sine in sines])
+    if found.has_servos:  # what folds down is what a servo does not follow
+        return np.ones((len(sines), 2), dtype=np.complex128)
     plant = replace(_plant(found), delay=dead_time)
     held = held_relations(plant, frequencies, dt, lag)
     return held[np.arange(len(sines)), :, [sine.axis for sine in sines]]
