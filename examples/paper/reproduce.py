@@ -315,8 +315,8 @@ def write_table(claims: Sequence[Claim], path: Path) -> None:
         agreed = {claim.claim for claim in claims if claim.agrees and claim.paper != "not stated"}
         for claim in claims:
             quantity = QUANTITY.search(claim.claim)
-            before = ORDER[: ORDER.index(quantity[0])] if quantity else ()
-            others = (QUANTITY.sub(name, claim.claim, count=1) for name in before)
+            earlier = ORDER[: ORDER.index(quantity[0])] if quantity else ()
+            others = (QUANTITY.sub(name, claim.claim, count=1) for name in earlier)
             repeats = claim.agrees and any(other in agreed for other in others)
             if claim.ours != claim.paper and not repeats:
                 ours = claim.ours if claim.agrees else f"**{claim.ours}**"

@@ -26,7 +26,8 @@ from rths_problem import (
 )
 from rths_product import LABORATORY, hosted_blocks, run_product
 from rths_tests import CRITERIA, INVERSE, SAMPLE, SEFT, Histories, Plan, assess, plan_tests
-from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.experiment import Experiment, write_parameter_file
+from seft_msgs_py.config.facts import EVERY_NODE
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.virtual import LocalGraph
 from seft_plant_sim.lti import TransferFunction
@@ -229,6 +230,21 @@ def test_the_specimen_and_the_frame_move_as_the_whole_structure(identified, numb
     found = criteria(moved.true, moved.numerical, structure.reference(ground))
     assert found["J2"] < 1.2 and found["J4"] < 1.5
     assert found["J6"] < 0.4 and found["J7"] < 0.4
+
+
+def test_a_servo_that_is_faster_than_told_is_commanded_later(tmp_path):
+    """The exact nominal response, which has no dead time, and a plant that is 0.7 ms faster."""
+    told = dict(zip(("numerator", "denominator"), NOMINAL.command_to_displacement(), strict=True))
+    leading = told["denominator"][0]
+    known = {f"actuator.response.{name}": (part / leading).tolist() for name, part in told.items()}
+    write_parameter_file(tmp_path / "told.yaml", {EVERY_NODE: known}, [])
+    plant, ground = Plant.perturbed(1, 0), shaken(8.0)
+    structure = Structure(4, plant)
+    moved = run_product(structure, plant, tmp_path / "told.yaml", ground, seed=2)
+    late = criteria(
+        moved.true[16384:], moved.numerical[16384:], structure.reference(ground)[16384:]
+    )
+    assert late["J2"] < 0.6
 
 
 def test_nodes_in_lockstep_move_the_plant_as_the_offline_loop_does(identified):
