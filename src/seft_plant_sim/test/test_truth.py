@@ -19,6 +19,8 @@ def jhu(*overrides):
 
 def test_each_truth_that_is_no_fact_had_a_name_without_simulated():
     for name in TRUTH:
+        if name.startswith("simulated.actuator.servo."):
+            continue  # new since then
         old = name.removeprefix("simulated.")
         assert old in FACTS or renamed("rig", old) == f"rig: {name}"
 

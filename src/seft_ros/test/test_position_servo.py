@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from experiments_at_hand import load, simulated
 from seft_msgs_py.errors import InputError
+from seft_plant_sim.hardware.hosted import HostedHardware
 from seft_plant_sim.judge.known_rig import known_responses
 from seft_plant_sim.judge.servo_model import second_difference, servo_models
 from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.whole_structure import reference_response
+from seft_ros.force_controller.feedforward_step import DELAY_ERROR, GAIN_ERROR
 from seft_ros.force_controller.position_servo import InvertedServo, PositionServo
-from seft_ros.force_controller.servo_step import DELAY_ERROR, GAIN_ERROR
 from seft_ros.identification import rig_tests
 from seft_ros.identification.identified import facts_of, identify_from_recordings
 from seft_ros.test_run.compiled_loop import build_blocks
@@ -214,3 +215,29 @@ def small_signal(experiment, f):
     one = np.eye(len(model.a))
     found = [model.c[0] @ np.linalg.solve(each * one - model.a, model.b[:, 0]) for each in s]
     return np.array(found) * np.exp(-s * model.delay[0])
+
+
+def test_the_first_command_of_each_test_is_where_a_hosted_servo_stands():
+    sent = []
+
+    class Servo:
+        def read(self):
+            return np.zeros((4, 1))
+
+        def write(self, drive):
+            sent.append(float(drive[0]))
+
+        def safe(self):
+            sent.append("holds")
+
+        close = safe
+
+    made = Servo(), "Servo", "valve_command", np.ones((4, 1)), (), ("x",), 1.0, lambda: 0.0
+    hosted = HostedHardware(*made, holds=True)
+    for commands in ([0.002, 0.005], [-0.001, 0.001]):
+        hosted.reset()
+        for command in commands:
+            hosted.write(np.array([command]))
+    assert sent == pytest.approx([0.0, 0.003, 0.003, 0.005])
+    hosted.safe()
+    assert sent[-1] == "holds"

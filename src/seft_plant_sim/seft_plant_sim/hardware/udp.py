@@ -83,7 +83,7 @@ class UdpHardware:
         if self.can_wait and parameters["pace"] != "lockstep":
             self._wait = min(self._timeout, 1.0 / self._rate)  # an answer comes within a period
         self._safe = per_axis(parameters["safe.valve_command"], axes, "rig: safe.valve_command")
-        self._holds = parameters["actuator.kind"] == POSITION_SERVO
+        self._holds = parameters.get("actuator.kind") == POSITION_SERVO
         self._mode, self._drive = _CLOSED, self._safe
         self._sent = 0  # step of the newest command, if this host is the clock
         self._note = ""  # on the last datagram that was refused

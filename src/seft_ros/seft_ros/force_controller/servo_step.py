@@ -12,17 +12,18 @@ from seft_plant_sim.judge.valve_following import (
     UNCERTAIN_GAIN,
 )
 
+from seft_ros.force_controller.feedforward_step import DELAY_ERROR, GAIN_ERROR
 from seft_ros.protection.protection_step import slow_down
 
 SERVO_ERRORS = 3
 """Number of errors of a servo: of gain, delay, and displacement."""
-GAIN_ERROR, DELAY_ERROR, OFFSET = range(SERVO_ERRORS)
-"""Columns of ``errors``."""
-DRIFT = 2e-3
+OFFSET = 2
+"""Column of ``errors`` after `GAIN_ERROR` and `DELAY_ERROR`."""
+_DRIFT = 2e-3
 """Undetected slow change of gain and delay in a second, over their deviation at the beginning."""
-UNDESCRIBED, UNDESCRIBED_TIME = 3e-3, 3e-5
+_UNDESCRIBED, _UNDESCRIBED_TIME = 3e-3, 3e-5
 """What gain and delay do not describe: part of the displacement, and time of the velocity, s."""
-CORRELATION_TIME = 0.02
+_CORRELATION_TIME = 0.02
 """Of that, s: within it, samples count as one."""
 
 
@@ -221,10 +222,10 @@ def _follow(p: ServoParameters, state: ServoState, i: int, x: float) -> None:
         2.0 * p.dt
     )
     regressor[GAIN_ERROR], regressor[DELAY_ERROR], regressor[OFFSET] = y, -rate, 1.0
-    variance = p.noise[i] ** 2 + (UNDESCRIBED * abs(y) + UNDESCRIBED_TIME * abs(rate)) ** 2
-    variance *= max(1.0, CORRELATION_TIME / p.dt)
-    covariance[GAIN_ERROR, GAIN_ERROR] += (DRIFT * UNCERTAIN_GAIN) ** 2 * p.dt
-    covariance[DELAY_ERROR, DELAY_ERROR] += (DRIFT * UNCERTAIN_DELAY) ** 2 * p.dt
+    variance = p.noise[i] ** 2 + (_UNDESCRIBED * abs(y) + _UNDESCRIBED_TIME * abs(rate)) ** 2
+    variance *= max(1.0, _CORRELATION_TIME / p.dt)
+    covariance[GAIN_ERROR, GAIN_ERROR] += (_DRIFT * UNCERTAIN_GAIN) ** 2 * p.dt
+    covariance[DELAY_ERROR, DELAY_ERROR] += (_DRIFT * UNCERTAIN_DELAY) ** 2 * p.dt
     covariance[OFFSET, OFFSET] += (p.rate[i] * p.dt) ** 2 * variance
     missed, total = x - y, variance
     for j in range(SERVO_ERRORS):

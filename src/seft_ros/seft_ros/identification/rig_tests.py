@@ -417,7 +417,7 @@ def has_valve(experiment: Experiment) -> bool:
 
 def obeys_displacement(experiment: Experiment) -> bool:
     """Whether a displacement servo drives the rig: commands are in m."""
-    return bool(experiment["reference_force"]["actuator.kind"] == POSITION_SERVO)
+    return experiment["reference_force"].get("actuator.kind") == POSITION_SERVO
 
 
 def open_loop(
