@@ -13,6 +13,7 @@ interrupted, or the rig can't be identified. 2: wrong input.
 
 import argparse
 import json
+import re
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
@@ -41,6 +42,9 @@ PAPER = (
 )
 HEADINGS = ("claim", "paper", "ours", "agrees")
 TABLE_HEAD = "| claim | paper | ours |"
+ORDER = ("displacement", "force", "acceleration")
+"""Of quantities in the table of a page, which states what agrees for the first."""
+QUANTITY = re.compile("|".join(ORDER))
 MEASURED, MODEL = "experiment", "analysis"
 RANGE_HZ, CLOSED_TO_HZ = (0.5, 200.0), 60.0
 UNITS = style.DISPLAY_UNITS | {"force": ("kN", 1e-3)}
@@ -296,8 +300,9 @@ def summarise(found: Findings, claims: Sequence[Claim], path: Path) -> dict[str,
 def write_table(claims: Sequence[Claim], path: Path) -> None:
     """Put the claims in place of the table of claims in a Markdown page.
 
-    Those whose two values are equal are left out: they restate the configuration. Values that do
-    not agree are bold. An InputError says if the page has no such table, or can't be read or
+    Those whose two values are equal are left out: they restate the configuration. So are those that
+    agree, as does the same claim on a quantity before theirs in `ORDER`. Values that do not agree
+    are bold. An InputError says if the page has no such table, or can't be read or
     written.
     """
     try:
@@ -307,8 +312,13 @@ def write_table(claims: Sequence[Claim], path: Path) -> None:
         old = after.splitlines(keepends=True)
         length = next((i for i, row in enumerate(old) if not row.startswith("|")), len(old))
         rows = ["|---|---|---|\n"]
+        agreed = {claim.claim for claim in claims if claim.agrees and claim.paper != "not stated"}
         for claim in claims:
-            if claim.ours != claim.paper:
+            quantity = QUANTITY.search(claim.claim)
+            earlier = ORDER[: ORDER.index(quantity[0])] if quantity else ()
+            others = (QUANTITY.sub(name, claim.claim, count=1) for name in earlier)
+            repeats = claim.agrees and any(other in agreed for other in others)
+            if claim.ours != claim.paper and not repeats:
                 ours = claim.ours if claim.agrees else f"**{claim.ours}**"
                 cells = (_placed(claim), claim.paper, ours)
                 rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n")

@@ -61,3 +61,14 @@ def test_one_is_made_of_what_is_known_and_its_settings(group, settings, gain):
 def test_what_can_not_be_made_gets_one_clear_error(group, name, settings, words):
     with pytest.raises(InputError, match=words):
         group.make(name, settings, "node: method", "known")
+
+
+def test_a_file_may_import_its_neighbours(group, tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "path", sys.path.copy())
+    folder = tmp_path / "driver"
+    folder.mkdir()
+    (folder / "its_board.py").write_text("VOLTS = 10.0\n")
+    (folder / "driver.py").write_text(
+        "from its_board import VOLTS\n\n\ndef make():\n    return VOLTS\n"
+    )
+    assert group.make(f"{folder / 'driver.py'}:make", "", "rig: hardware") == 10.0

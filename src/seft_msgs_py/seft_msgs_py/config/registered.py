@@ -113,7 +113,9 @@ def _of_file(name: str, where: str) -> Any:
 
 @cache
 def _run(file: Path, version: int, where: str) -> ModuleType:
-    """Import a file by its path."""
+    """Import a file by its path; as of a program, its neighbours can be imported."""
+    if str(file.parent) not in sys.path:
+        sys.path.append(str(file.parent))
     name = f"seft_file_{file.stem}_{abs(hash((file, version)))}"
     spec = spec_from_file_location(name, file)
     assert spec is not None and spec.loader is not None

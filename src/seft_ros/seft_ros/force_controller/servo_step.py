@@ -192,15 +192,20 @@ def _want(p: ServoParameters, state: ServoState, i: int, points: Floats) -> None
     The displacement is (1 + e_gain) y - e_delay y' + offset, after the dead time.
     """
     errors, wanted = state.errors[i], state.wanted
-    after = max(p.late[i] + errors[DELAY_ERROR] / p.dt, 0.0)
-    whole = int(after)
+    after = p.late[i] + errors[DELAY_ERROR] / p.dt
+    whole = math.floor(after)
     s = after - whole  # cubic between the points, by their velocities
     one, by_rate = s * s * (3.0 - 2.0 * s), p.dt * s * (1.0 - s)
     for j in range(len(wanted)):
         k = whole + j + 1
-        x, v = points[k, 0, i], points[k, 1, i]
-        x += one * (points[k + 1, 0, i] - x)
-        x += by_rate * ((1.0 - s) * v - s * points[k + 1, 1, i])
+        if k < 0:  # faster than identified: what it must do now was wanted before, a parabola
+            since = (k + s) * p.dt
+            rise = (points[1, 1, i] - points[0, 1, i]) / p.dt
+            x = points[0, 0, i] + since * (points[0, 1, i] + 0.5 * since * rise)
+        else:
+            x, v = points[k, 0, i], points[k, 1, i]
+            x += one * (points[k + 1, 0, i] - x)
+            x += by_rate * ((1.0 - s) * v - s * points[k + 1, 1, i])
         wanted[j] = (x - errors[OFFSET]) / (1.0 + errors[GAIN_ERROR])
 
 

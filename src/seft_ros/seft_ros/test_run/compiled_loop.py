@@ -25,6 +25,7 @@ from seft_plant_sim.judge.guard_step import (
 )
 from seft_plant_sim.rig import Rig, Rigs
 from seft_plant_sim.simulated.faults import check_times
+from seft_plant_sim.simulated.rig import SimulatedRig
 from seft_plant_sim.simulated.rig_step import (
     FORCE_NOW,
     RigParameters,
@@ -215,6 +216,8 @@ def why_not_compiled(blocks: Blocks) -> str:
     method = blocks.reference_force.reference_force.compensator
     if not isinstance(blocks.rig, Rig) or not isinstance(blocks.force_controller, Interlock):
         return "several rigs"
+    if not isinstance(blocks.rig.hardware, SimulatedRig):
+        return "hardware of another package"
     if type(method) not in (LinearCompensator, TargetMotion):
         return "a compensation method of another package"
     if isinstance(method, TargetMotion) and method.command is not None:
