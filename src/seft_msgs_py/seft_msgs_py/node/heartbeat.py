@@ -13,7 +13,9 @@ from seft_msgs_py.wire.outcome import STOOD_STILL_KEY
 from seft_msgs_py.wire.topics import DESCRIPTION, DIAGNOSTICS
 
 STATUS_PERIOD = 0.2  # s between two heartbeats
-NOTED_PAUSE = 0.01  # s; a node that stood still for longer says so at once
+NOTED_PAUSE = 0.01
+"""s; a node that stood still for longer says so at once, unless its last status told of a longer
+time: an overloaded host is not loaded with a status after each of its pauses."""
 LOOP_PAUSE = 1.0  # s without a message of the loop: the node is idle
 
 
@@ -29,6 +31,7 @@ class Heartbeat:
         self._polled_at = 0.0
         self._status = Status(wiring.name, 0, "starting", values={})
         self._status_sent: tuple[float, Status | None] = (0.0, None)
+        self._stood_still = self._told = 0.0  # longest time since the last status, and in it, s
         self._logged = ""  # the phase that the log has
         self._status_message = bytearray()
         self._diagnostics = wiring.publisher(DIAGNOSTICS)
@@ -64,7 +67,9 @@ class Heartbeat:
         """
         now = self._clock.monotonic()
         sent_at, sent = self._status_sent
-        is_due = now - sent_at >= STATUS_PERIOD or self._process.stood_still > NOTED_PAUSE
+        self._stood_still = max(self._stood_still, self._process.stood_still)
+        is_news = self._stood_still > max(NOTED_PAUSE, self._told)
+        is_due = now - sent_at >= STATUS_PERIOD or is_news
         if now - self._wiring.handled_at < LOOP_PAUSE:
             if is_due:
                 self._update(self._counted())
@@ -91,7 +96,7 @@ class Heartbeat:
     def _counted(self) -> dict[str, str]:
         refused, faults = self._wiring.refused, self._process.faults
         unexpected_publishers = self._wiring.unexpected_publishers()
-        stood_still = self._process.stood_still
+        stood_still = max(self._stood_still, self._process.stood_still)
         return {
             STOOD_STILL_KEY: f"{stood_still:.3g}" if stood_still > NOTED_PAUSE else "0",
             "refused": str(refused),
@@ -109,5 +114,7 @@ class Heartbeat:
         if self._status != self._status_sent[1]:
             self._status_message = bytearray(encode_diagnostics(now, [self._status]))
         self._status_sent = (self._clock.monotonic(), self._status)
+        self._told = max(self._stood_still, self._process.stood_still)
+        self._stood_still = 0.0
         restamp(self._status_message, now)
         self._diagnostics(bytes(self._status_message))

@@ -3,9 +3,9 @@
 With known axis names a message has a fixed layout: each double lies on a whole 64-bit word,
 counted from the end of the 4-byte encapsulation header, and word 0 is the stamp. `encode` fills
 the values into the constant bytes; `decode` compares the constant bytes, except padding, and reads
-the values; both handle a message as one long integer. All other messages are parsed field by field
-and either understood or refused with a reason. `decode_batch` reads many messages of equal layout,
-as a bag holds them, by a few array operations.
+the values; both handle a message of one point as one long integer. All other messages are parsed
+field by field and either understood or refused with a reason. `decode_batch` reads many messages of
+equal layout, as a bag holds them, by a few array operations.
 """
 
 import math
@@ -39,10 +39,10 @@ class Layout(NamedTuple):
     ----------
     template : bytes
         The message at time 0, all values zero.
-    known : bytes
-        Ones where bits are constant.
+    known, constant : bytes
+        Ones where bits are constant, and these bits.
     mask, fixed : int
-        `known`, and the constant bits, as one number each.
+        The same as one number each.
     values : ndarray of intp
         Shape (p, q, n): words that hold the values of points, quantities, axes.
     shapes : tuple
@@ -55,6 +55,7 @@ class Layout(NamedTuple):
 
     template: bytes
     known: bytes
+    constant: bytes
     mask: int
     fixed: int
     values: npt.NDArray[np.intp]
@@ -109,6 +110,7 @@ class Layout(NamedTuple):
                     end = at[-1] + 8
             put(STAMP.pack(*divmod(timebase.stamp_ns(point), NANOSECONDS_PER_SECOND)))
         mask, q, n = int.from_bytes(known, "little"), len(topic.quantities), len(axes)
+        fixed = int.from_bytes(message, "little") & mask
         words = (np.array(values).reshape(-1, q, n) - 4) // 8
         count = len(words)
         single = ((q, n),) if count == 1 else ()
@@ -116,13 +118,24 @@ class Layout(NamedTuple):
         return cls(
             template=bytes(message),
             known=bytes(known),
+            constant=fixed.to_bytes(len(message), "little"),
             mask=mask,
-            fixed=int.from_bytes(message, "little") & mask,
+            fixed=fixed,
             values=words,
             shapes=((count, q, n), *single, *flat),
             numbers=struct.Struct(f"{form}{len(message) - end}x"),
             points_at=points_at,
         )
+
+    def fits(self, raw: bytes) -> bool:
+        """Say whether a message differs from the template in stamp, values and padding alone."""
+        size = len(self.template)
+        if len(raw) < size:
+            return False
+        if len(self.values) == 1:  # of a short message one number is faster than arrays
+            return int.from_bytes(raw[:size], "little") & self.mask == self.fixed
+        known = np.frombuffer(raw, "<u4", size // 4) & np.frombuffer(self.known, "<u4")
+        return known.tobytes() == self.constant
 
 
 class Trajectory(NamedTuple):
@@ -203,14 +216,13 @@ class TrajectoryCodec:
             If the bytes are no such message, or not of these axes, quantities and steps.
         """
         layout = self.layout_of(raw)
-        size = len(layout.template)
-        if len(raw) < size or int.from_bytes(raw[:size], "little") & layout.mask != layout.fixed:
+        if not layout.fits(raw):
             return self._decode_slowly(raw)
         seconds, nanoseconds, *numbers = layout.numbers.unpack_from(raw)
         if numbers:
             values = np.array(numbers).reshape(layout.values.shape)
         else:
-            values = np.frombuffer(raw, "<f8", (size - 4) // 8, 4)[layout.values]
+            values = np.frombuffer(raw, "<f8", (len(layout.template) - 4) // 8, 4)[layout.values]
         self._check_finite(numbers, values)
         return self.timebase.step(seconds * NANOSECONDS_PER_SECOND + nanoseconds), values
 
@@ -381,9 +393,8 @@ def _of_layout(codec: TrajectoryCodec, rows: _Bytes, layout: Layout) -> tuple[In
     steps, fits = codec.timebase.steps(seconds * NANOSECONDS_PER_SECOND + nanoseconds)
     words = np.ndarray((count, (size - 4) // 8), "<f8", rows, 4, (length, 8))
     values = words[:, layout.values.ravel()]
-    known = np.frombuffer(layout.known, np.uint8)
-    differing = rows[:, :size] & known
-    differing ^= np.frombuffer(layout.template, np.uint8) & known
+    differing = rows[:, :size] & np.frombuffer(layout.known, np.uint8)
+    differing ^= np.frombuffer(layout.constant, np.uint8)
     fits &= ~differing.any(axis=1)
     if codec.topic.finite:
         fits &= np.isfinite(values).all(axis=1)

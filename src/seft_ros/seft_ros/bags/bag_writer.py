@@ -105,7 +105,7 @@ class BagWriter:
             self._writer.add_metadata(RECOVERED, {"damage": "\n".join(damage)})
         self._channels: dict[BagSource, int] = {}
         self._types: dict[str, int] = {}
-        self._counts: Counter[BagSource] = Counter()
+        self._counts: Counter[int] = Counter()  # messages of each channel
         self._first, self._last = 2**63 - 1, 0  # log times
         self._metadata = ""  # of the complete bag
         self._is_saved = False
@@ -141,9 +141,8 @@ class BagWriter:
         self._pending.append((source, time_ns, raw))
         self._size += len(raw)
         if self._size >= CHUNK:
-            self.flush()
-        else:
-            self.flush_if_due()
+            self._write_chunk()
+        self.flush_if_due()
 
     def flush_if_due(self) -> None:
         """Flush if `FLUSH_PERIOD` has passed; to be called also when nothing is written."""
@@ -154,9 +153,7 @@ class BagWriter:
         """Make all messages so far survive this process, as far as the disk takes them."""
         if self._metadata:
             return
-        with _uninterrupted():
-            self._encode()
-            self._store()
+        self._write_chunk()
         self._flushed_at = time.monotonic()
         self.trouble = self.trouble or self._displaced()
 
@@ -251,6 +248,11 @@ class BagWriter:
                 self.path.rmdir()
             self.trouble = f"{self.path}: no bag can be made there ({file_reason(error)})"
 
+    def _write_chunk(self) -> None:
+        with _uninterrupted():
+            self._encode()
+            self._store()
+
     def _encode(self) -> None:
         """Make a chunk of the messages so far."""
         for source, time_ns, raw in self._pending:
@@ -258,7 +260,7 @@ class BagWriter:
             if channel is None:
                 channel = self._channels[source] = self._new_channel(source)
             self._writer.add_message(channel, time_ns, raw, time_ns)
-            self._counts[source] += 1
+            self._counts[channel] += 1
             self._first, self._last = min(self._first, time_ns), max(self._last, time_ns)
         self._pending, self._size = [], 0
         self._writer.flush()  # type: ignore[no-untyped-call]
@@ -283,7 +285,8 @@ class BagWriter:
             return
         self._encode()
         file = _storage_file(self.path).name
-        self._metadata = _metadata(file, self._counts, self._first, self._last)
+        counts = {source: self._counts[channel] for source, channel in self._channels.items()}
+        self._metadata = _metadata(file, counts, self._first, self._last)
         self._writer.add_metadata(ROSBAG, {"serialized_metadata": self._metadata})
         self._writer.finish()  # type: ignore[no-untyped-call]
 
