@@ -6,7 +6,7 @@ from graph_tools import ROOT
 CONFIG = ROOT / "config"
 EXAMPLES = (
     *("water_tower", "three_storey_frame", "six_storey_frame", "two_pier_bridge"),
-    "heavy_specimen",
+    *("heavy_specimen", "position_servo"),
 )
 
 

@@ -52,7 +52,7 @@ def judged_of(samples, flow, steps=None, asked=None, **known):
     p, state = fresh_judge(**known)
     judged, verdicts = np.empty_like(samples), []
     for k, step in enumerate(range(len(samples)) if steps is None else steps):
-        judge(p, state, step, samples[k], flow[k], judged[k])
+        judge(p, state, step, samples[k], np.array([flow[k], 0.0 * flow[k]]), judged[k])
         verdicts.append(state.replaced[k % len(state.replaced)] >> np.arange(4)[:, np.newaxis] & 1)
         for i in range(N if asked is not None else 0):
             ask(p.axes[i], state.axes[i], asked[k, i])

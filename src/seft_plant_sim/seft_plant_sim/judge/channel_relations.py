@@ -124,7 +124,8 @@ def compare_channels(
     )
     whole = max(abs(sums[CHANGE, i]), abs(sums[INTEGRAL, i]), p.memory * state.largest[relation, i])
     state.largest[relation, i] = whole
-    noise, by_estimates = p.sums[relation, i], uncertain(covariance, sums, i)
+    noise = p.sums[relation, i]
+    by_estimates = uncertain(covariance, sums[INTEGRAL, i], sums[PER_DELAY, i], sums[PERIODS, i])
     left = max(scatter[SCATTER, i], 0.0) * whole * whole
     known = math.sqrt(noise * noise + NOISE_SIGMAS * NOISE_SIGMAS * (by_estimates + left))
     bias = NOISE_SIGMAS * math.sqrt(max(covariance[BIAS_OF, BIAS_OF], 0.0))

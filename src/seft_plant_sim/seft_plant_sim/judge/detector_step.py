@@ -35,7 +35,7 @@ from seft_plant_sim.judge.detectors import (
     sees,
 )
 from seft_plant_sim.judge.judge_step import LONG_AGO, ask, begin_judge, is_replaced, judge
-from seft_plant_sim.judge.relation_following import expected
+from seft_plant_sim.judge.relation_following import expected, uncertain
 from seft_plant_sim.judge.specimen_force import (
     look_at_restoring_force,
     look_at_strength,
@@ -101,7 +101,9 @@ def judge_sample(
             ask(p.judge.axes[i], state.judge.axes[i], drive[i])
         flow = state.flow[0, i]
         load = under_load(flow, state.last[3, i], p.rig.actuator[i, 3])
-        state.mean[i] = expected(state.estimated[OIL], i, load * flow, load * state.flow[1, i], 1.0)
+        mean, later = load * flow, load * state.flow[1, i]
+        state.mean[0, i] = expected(state.estimated[OIL], i, mean, later, 1.0)
+        state.mean[1, i] = uncertain(state.covariance[OIL, i], mean, later, 1.0)
     judge(p.judge, state.judge, step, raw, state.mean, judged)
     last, restoring = state.last, state.restoring
     for i in range(n):

@@ -111,7 +111,7 @@ class DetectorState(NamedTuple):
     farthest: Annotated[Floats, 2, "n"]  # displacement in both directions, see `look_at_strength`
     carried: Annotated[Floats, 2, 2]  # x K x there, N m, and the force, sqrt(N m)
     repeats: Annotated[Ints, 4, "n"]  # of the last value of a channel
-    mean: Annotated[Floats, "n"]  # that flow under the last load, as expected, m/s
+    mean: Annotated[Floats, 2, "n"]  # that flow under the last load, as expected, and its variance
     counts: Annotated[Ints, "D", "n"]  # samples for which each has been beyond its threshold
     shares: Annotated[Floats, "D", "n"]  # largest part of its threshold that each has reached
     found: Annotated[Floats, 2, "D", "n"]  # value of each when it last acted, and its threshold

@@ -64,13 +64,14 @@ AXIS_STATE = np.dtype(
         ("turned", "f8"),  # ... second difference of a, m/s^2
         ("pressed", "f8"),  # ... change of the oil's force by flow or motion in a period, N
         ("strained", "f8"),  # ... |r|, N
-        ("rise", "f8"),  # last change of a, m/s^2
+        ("bent", "f8"),  # ... second difference of f, N
+        ("rise", "f8", (2,)),  # last change of a, m/s^2, and f, N
         ("part", "f8", (3,)),  # mean square of what (1) to (3) leave, over that of the motion
         ("missed", "f8", (3,)),  # recent squares of what (1) to (3) leave, less noise
         ("motion", "f8", (3,)),  # ... of the motion that they describe
         ("usual", "f8", (2, 4)),  # variances of the channels of the last two samples
         ("blur", "f8", (4, 4)),  # covariance of the residuals by these
-        ("scatter", "f8", (2,)),  # recent variance of (3), if the oil is not known, and of (4), N^2
+        ("scatter", "f8"),  # recent variance of (4), N^2
         ("asked", "f8", (2,)),  # the last reference forces, N
         ("asked_jump", "f8"),  # their largest recent change, N
         ("asked_turn", "f8"),  # ... second difference, N

@@ -77,6 +77,8 @@ X, V, A, F = range(4)
 """Rows of a sample, and relations (1) to (4)."""
 ANY_CHANNEL, FORCES, OIL_EVENT, EVENT = 0b001111, 0b001100, 0b010000, 0b100000
 """Bits of a set: of its channels, of those of which r is made, and of events."""
+Flow = tuple[float, float]
+"""Of a valve, and its variance."""
 TINY = 1e-60
 """Least variance, or information: four of them are still numbers."""
 HALF_LOG_TURN = 0.5 * math.log(2.0 * math.pi)
@@ -106,7 +108,8 @@ def judge(
     raw : ndarray
         Displacement, velocity, acceleration and force, shape (4, n).
     flow : ndarray
-        Mean flow of each valve since the last sample, shape (n,), m/s; not used without oil.
+        Mean flow of each valve since the last sample, and its variance, shape (2, n), m/s; not used
+        without oil.
     judged : ndarray
         The result, shape (4, n).
     """
@@ -118,9 +121,10 @@ def judge(
         if not is_next:
             begin_anew(known, axis, c)
         else:
-            count = 1 if is_plain(known, axis, c, flow[i]) else weigh(known, axis, c, flow[i])
+            mean = (flow[0, i], flow[1, i])
+            count = 1 if is_plain(known, axis, c, mean) else weigh(known, axis, c, mean)
             decide(known, axis, count)
-            note_motion(known, axis, flow[i])
+            note_motion(known, axis, flow[0, i])
         publish(state, step, i, judged)
     state.taken[0] += 1
     for i in range(n):
@@ -195,7 +199,7 @@ def left_by_force(known: Record, axis: Record, b: Record) -> float:
     if known.mass == 0.0 and not known.imposed:
         return UNKNOWN**2  # (3) tells f; without that r is f
     curved = known.stiffness * known.dt**2 * b.value[0, A]
-    return 4.0 * b.blur[0] + b.blur[1] + b.settling + axis.scatter[1] + curved * curved
+    return 4.0 * b.blur[0] + b.blur[1] + b.settling + axis.scatter + curved * curved
 
 
 def _find_blur(known: Record, axis: Record) -> None:
@@ -213,7 +217,7 @@ def _find_blur(known: Record, axis: Record) -> None:
 find_blur = compiled(_find_blur, inline=False)
 
 
-def _compare(known: Record, axis: Record, c: Record, b: Record, flow: float) -> None:
+def _compare(known: Record, axis: Record, c: Record, b: Record, flow: Flow) -> None:
     """Compare the sample with a branch: residuals, and their covariance (lower half)."""
     dt, z, last, left, held = known.dt, c.seen, b.value[0], c.left, 0.0
     half, bend = 0.5 * dt, dt * dt / 12.0
@@ -228,11 +232,11 @@ def _compare(known: Record, axis: Record, c: Record, b: Record, flow: float) -> 
     left[0] = axis.part[0] * axis.travel**2 + late**2 + (dt / 6.0 * held) ** 2
     left[1] = axis.part[1] * axis.gained**2 + (late / dt) ** 2 + turned**2 + held**2
     if known.oil > 0.0:
-        c.off[2] = z[F] - (1.0 - known.leak * dt) * last[F] + known.oil * (moved - dt * flow)
-        left[2] = axis.part[2] * axis.pressed**2
+        c.off[2] = z[F] - (1.0 - known.leak * dt) * last[F] + known.oil * (moved - dt * flow[0])
+        left[2] = axis.part[2] * axis.pressed**2 + (known.oil * dt) ** 2 * flow[1]
     else:
         c.off[2] = z[F] - 2.0 * last[F] + b.value[1, F]
-        left[2] = b.variance[1, F] + axis.asked_turn**2 + axis.scatter[0]
+        left[2] = b.variance[1, F] + axis.asked_turn**2 + axis.bent**2
         if known.imposed:
             left[2] = UNKNOWN**2
     left[3] = left_by_force(known, axis, b) + c.doubt
@@ -254,7 +258,7 @@ compare_sample, compare_apart = compiled(_compare), compiled(_compare, inline=Fa
 
 
 @compiled
-def is_plain(known: Record, axis: Record, c: Record, flow: float) -> bool:
+def is_plain(known: Record, axis: Record, c: Record, flow: Flow) -> bool:
     """Say whether the sample fits the only branch, and was added to it: so are nearly all."""
     b = axis.alive[0]
     if c.forced or axis.count > 1 or b.wrong[0] & ANY_CHANNEL:
@@ -276,10 +280,10 @@ def learn(known: Record, axis: Record, c: Record) -> None:
     for relation in range(4):
         whole = c.covariance[relation, relation]
         beyond = min(c.off[relation] ** 2, CLIPPED * whole) - whole
-        if relation == 3 or (relation == 2 and known.oil == 0.0):
-            place = relation - 2
-            drift = axis.scatter[place] + (1.0 - known.recent) * beyond
-            axis.scatter[place] = max(drift, 0.0)
+        if relation == 3:
+            axis.scatter = max(axis.scatter + (1.0 - known.recent) * beyond, 0.0)
+            break
+        if relation == 2 and known.oil == 0.0:
             continue
         size = axis.travel if relation == 0 else axis.gained if relation == 1 else axis.pressed
         size = size * size
@@ -298,15 +302,17 @@ def learn(known: Record, axis: Record, c: Record) -> None:
 def note_motion(known: Record, axis: Record, flow: float) -> None:
     """Note how far the last sample moves."""
     b, dt = axis.alive[0], known.dt
-    rise = b.value[0, A] - b.value[1, A]
-    axis.turned = max(abs(rise - axis.rise), known.brief * axis.turned)
+    rise, grown = b.value[0, A] - b.value[1, A], b.value[0, F] - b.value[1, F]
+    axis.turned = max(abs(rise - axis.rise[0]), known.brief * axis.turned)
+    axis.bent = max(abs(grown - axis.rise[1]), known.brief * axis.bent)
     axis.travel = max(dt * abs(b.value[0, V]), known.brief * axis.travel)
     axis.gained = max(dt * abs(b.value[0, A]), known.brief * axis.gained)
     pressed = known.oil * dt * max(abs(flow), abs(b.value[0, V]))
-    axis.pressed, axis.rise = max(pressed, known.recent * axis.pressed), rise
+    axis.pressed = max(pressed, known.recent * axis.pressed)
+    axis.rise[0], axis.rise[1] = rise, grown
 
 
-def _weigh(known: Record, axis: Record, c: Record, flow: float) -> int:
+def _weigh(known: Record, axis: Record, c: Record, flow: Flow) -> int:
     """Weigh all hypotheses after all branches; count the likeliest, the next branches."""
     count, forced = 0, (c.forced | c.forced >> 4) & ANY_CHANNEL
     for j in range(axis.count):

@@ -48,12 +48,12 @@ def expected(found: Floats, i: int, integral: float, per_delay: float, periods: 
 
 
 @compiled
-def uncertain(covariance: Floats, sums: Floats, i: int) -> float:
-    """Give the variance of the expected sum by that of the estimates, shape (3, 3)."""
-    variance = 0.0
+def uncertain(covariance: Floats, integral: float, per_delay: float, periods: float) -> float:
+    """Give the variance of what is expected by that of the estimates, shape (3, 3)."""
+    sides, variance = (integral, per_delay, periods), 0.0
     for row in range(3):
         for k in range(3):
-            variance += sums[1 + row, i] * covariance[row, k] * sums[1 + k, i]
+            variance += sides[row] * covariance[row, k] * sides[k]
     return max(variance, 0.0)
 
 
