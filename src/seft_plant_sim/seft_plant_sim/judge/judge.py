@@ -15,9 +15,9 @@ LASTS, WINDOW = 0.006, 0.05
 """Duration of wrong samples (three at least) within a time, s, that ends the test."""
 BIAS = 2.0
 """Largest constant error of a sensor that is no fault, over its RMS noise."""
-ASSUMED = np.array([0.1 / 3.0, 0.1 / 3.0, 0.1])
+ASSUMED = np.array([0.1 / 3.0, 0.1 / 3.0, 0.35 / 6.0])
 """Part of the motion that relations (1) to (3) leave, RMS, before the test has shown it: a
-calibration error of 10 % as three standard deviations; a valve whose flow is followed."""
+calibration error of 10 % as three standard deviations; the tolerance of the oil's balance as six."""
 ANY = 2.0 / math.sqrt(2.0 * math.pi)
 """Standard deviation of a wrong value over its sensor's range: as dense as if all were alike."""
 UNKNOWN = 1e9
