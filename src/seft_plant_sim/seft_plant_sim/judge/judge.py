@@ -17,7 +17,7 @@ BIAS = 2.0
 """Largest constant error of a sensor that is no fault, over its RMS noise."""
 ASSUMED = np.array([0.1 / 3.0, 0.1 / 3.0, 0.35 / 6.0])
 """Part of the motion that relations (1) to (3) leave, RMS, before the test has shown it: a
-calibration error of 10 % as three standard deviations; the tolerance of the oil's balance as six."""
+calibration error of 10 % as three standard deviations; the oil balance's tolerance as six."""
 ANY = 2.0 / math.sqrt(2.0 * math.pi)
 """Standard deviation of a wrong value over its sensor's range: as dense as if all were alike."""
 UNKNOWN = 1e9
