@@ -177,6 +177,18 @@ def test_a_channel_that_repeats_a_value_is_frozen_once_that_is_no_chance(row, ax
     assert found >= 0
 
 
+def test_channels_that_freeze_together_are_frozen_sooner():
+    p, state = detectors([each for each in ALL if not each.endswith("_frozen")])
+    samples, _ = noise_of_a_rig(60, size=0.3)
+    steps = 0.2 * NOISE[:2, 1]
+    samples[:30, :2, 1] = steps * (np.arange(30)[:, np.newaxis] // 2 % 2)
+    samples[30:, :2, 1] = steps
+    most = math.log(1e-9) / math.log(0.2 / (2.0 * math.sqrt(math.pi)))
+    found = [detect(p, state, k, samples[k]) for k in range(30 + math.floor(0.5 * most) + 3)]
+    assert found[-1] == rows.FROZEN * N + 1
+    assert max(found[:-1]) < 0
+
+
 def test_a_whole_test_gives_the_shares_of_its_samples():
     p, state = detectors()
     samples, drives = noise_of_a_rig(50)

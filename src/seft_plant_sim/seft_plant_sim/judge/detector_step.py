@@ -34,6 +34,7 @@ from seft_plant_sim.judge.detectors import (
     look,
     sees,
 )
+from seft_plant_sim.judge.judge import JudgeState
 from seft_plant_sim.judge.judge_step import LONG_AGO, ask, begin_judge, is_replaced, judge
 from seft_plant_sim.judge.relation_following import expected, uncertain
 from seft_plant_sim.judge.specimen_force import (
@@ -150,25 +151,34 @@ def look_for_wrong(p: DetectorParameters, state: DetectorState, i: int) -> int:
 
 @compiled
 def look_for_frozen(p: DetectorParameters, state: DetectorState, step: int, i: int) -> int:
-    """Whether a channel of an axis repeats one value, as measured."""
-    n, found, judge = state.last.shape[1], VALID, state.judge
+    """Whether channels of an axis repeat one value each, as measured.
+
+    The chances of the others count: what one amplifier or converter gives freezes together.
+    """
+    n, found, judge, whole = state.last.shape[1], VALID, state.judge, 0.0
     for row in range(4):
-        if not sees(state, step, row):
-            continue
-        seen, threshold = 0.0, np.inf
-        if judge.moved[row, i] != 0.0:
-            state.repeats[row, i] = 0
-        else:
-            state.repeats[row, i] += 1
-            seen = float(state.repeats[row, i])
-            # the chance of the same value twice is its step over 2 sqrt(pi) times the noise
-            chance = judge.resolution[row, i] / (2.0 * math.sqrt(math.pi) * p.rig.noise[row, i])
-            threshold = math.log(SAME) / math.log(chance) if chance < 0.5 else np.inf
-        if look(p, state, FROZEN + row, i, seen, threshold) and found < 0:
+        moved = judge.moved[row, i] != 0.0 or not sees(state, step, row)
+        state.repeats[row, i] = 0 if moved else state.repeats[row, i] + 1
+        whole += state.repeats[row, i] * log_same(p, judge, row, i)
+    for row in range(4):
+        repeats, threshold = float(state.repeats[row, i]), np.inf
+        if whole < 0.0 and repeats > 0.0:
+            threshold = repeats * math.log(SAME) / whole
+        if look(p, state, FROZEN + row, i, repeats, threshold) and found < 0:
             found = (FROZEN + row) * n + i
-        if seen > SUSPECTED * threshold and p.acts[FROZEN + row]:
+        if repeats > SUSPECTED * threshold and p.acts[FROZEN + row]:
             found = first_of(found, SUSPECT)
     return found
+
+
+@compiled
+def log_same(p: DetectorParameters, judge: JudgeState, row: int, i: int) -> float:
+    """Logarithm of the chance of a channel's same value twice; 0 if that is likely.
+
+    The chance is the step of its converter over 2 sqrt(pi) times the noise.
+    """
+    chance = judge.resolution[row, i] / (2.0 * math.sqrt(math.pi) * p.rig.noise[row, i])
+    return math.log(chance) if chance < 0.5 else 0.0
 
 
 @compiled
