@@ -18,6 +18,7 @@ from detector_samples import (
     of_what,
     shares_of,
 )
+from seft_msgs_py.config.facts import CHANNELS
 from seft_plant_sim.judge import detectors as rows
 from seft_plant_sim.judge.detector_list import DETECTORS, describe
 from seft_plant_sim.judge.detector_step import begin_detectors, detect_all
@@ -84,10 +85,8 @@ def test_persistences_in_samples():
     p, _ = detectors(["oil_balance", "force_jump"])
     lasts = dict(zip((one.name for one in DETECTORS), p.persistence.tolist(), strict=True))
     assert lasts.pop("force_jump") == 2
-    assert [lasts.pop(f"{each}_frozen") for each in ("displacement", "velocity")] == [2, 2]
-    assert [lasts.pop(f"{each}_frozen") for each in ("acceleration", "force")] == [2, 2]
-    assert [lasts.pop(f"{each}_wrong") for each in ("displacement", "velocity")] == [1, 1]
-    assert [lasts.pop(f"{each}_wrong") for each in ("acceleration", "force")] == [1, 1]
+    for name in CHANNELS:
+        assert lasts.pop(f"{name}_frozen") == lasts.pop(f"{name}_wrong") == 1
     assert set(lasts.values()) == {3}
     rare, _ = detectors(dt=0.004)
     lasts = dict(zip((one.name for one in DETECTORS), rare.persistence.tolist(), strict=True))
@@ -171,7 +170,7 @@ def test_a_channel_that_repeats_a_value_is_frozen_once_that_is_no_chance(row, ax
         assert state.shares[frozen, axis] == pytest.approx(expected, rel=1e-9)
         if found >= 0:
             assert found == frozen * N + axis
-            assert k == 30 + math.floor(most) + 2
+            assert k == 30 + math.floor(most) + 1
             break
         assert found == (SUSPECT if same > 2.0 * most / 3.0 else VALID)
     assert found >= 0
@@ -184,7 +183,7 @@ def test_channels_that_freeze_together_are_frozen_sooner():
     samples[:30, :2, 1] = steps * (np.arange(30)[:, np.newaxis] // 2 % 2)
     samples[30:, :2, 1] = steps
     most = math.log(1e-9) / math.log(0.2 / (2.0 * math.sqrt(math.pi)))
-    found = [detect(p, state, k, samples[k]) for k in range(30 + math.floor(0.5 * most) + 3)]
+    found = [detect(p, state, k, samples[k]) for k in range(30 + math.floor(0.5 * most) + 2)]
     assert found[-1] == rows.FROZEN * N + 1
     assert max(found[:-1]) < 0
 

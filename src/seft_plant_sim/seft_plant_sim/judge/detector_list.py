@@ -27,15 +27,15 @@ class Detector:
         Its finding in a sentence, with the measured value and the threshold.
     unit : str
         Of both.
-    lasts : float
+    lasts : float, optional
         Persistence, s; three samples at least, because an event between two samples shows in both;
-        0: two samples.
+        0: two samples; None: one, of what counts samples.
     """
 
     name: str
     text: str
     unit: str
-    lasts: float = LASTS
+    lasts: float | None = LASTS
 
 
 _SUMS = "disagree on axis {axis}: they differ by {seen} over the last"
@@ -62,8 +62,8 @@ DETECTORS = (
         "N",
         0.0,
     ),
-    *(Detector(f"{name}_frozen", _SAME.format(name), "samples", 0.0) for name in CHANNELS),
-    *(Detector(f"{name}_wrong", _WRONG.format(name), "samples", 0.0) for name in CHANNELS),
+    *(Detector(f"{name}_frozen", _SAME.format(name), "samples", None) for name in CHANNELS),
+    *(Detector(f"{name}_wrong", _WRONG.format(name), "samples", None) for name in CHANNELS),
 )
 """Those of a rig, in the order of the rows of their arrays."""
 TRACKING = Detector(

@@ -138,6 +138,8 @@ def noise_of_sums(jump: Floats, rate: Floats, dt: float) -> Floats:
 
 def persistence_of(detector: Detector, dt: float) -> int:
     """Count the samples for which a detector must be beyond its threshold."""
+    if detector.lasts is None:
+        return 1
     return max(3 if detector.lasts else 2, math.ceil(detector.lasts / dt - 1e-9))
 
 
@@ -194,7 +196,6 @@ def detector_arrays(
         np.isinf(actuator[:, 1]).astype(np.int64),
         dt,
     )
-    lasts[WRONG:] = 1  # they count by themselves
     parameters = DetectorParameters(
         rig=known._replace(actuator=actuator, ranges=ranges),
         fade=fade,
