@@ -91,7 +91,7 @@ def test_persistences_in_samples():
     rare, _ = detectors(dt=0.004)
     lasts = dict(zip((one.name for one in DETECTORS), rare.persistence.tolist(), strict=True))
     assert {lasts[name] for name in ALL[:4]} == {3}
-    assert (lasts["force_jump"], lasts["force_frozen"]) == (2, 2)
+    assert (lasts["force_jump"], lasts["force_frozen"]) == (2, 1)
     only_warn = [one.name for one, acts in zip(DETECTORS, p.acts, strict=True) if not acts]
     assert only_warn == ["oil_balance", "force_jump"]
     assert set(p.acts) == {0, 1}
