@@ -151,7 +151,7 @@ def _beginning(summary: dict[str, Any]) -> Iterator[TestFinding]:
 def response_findings(summary: dict[str, Any]) -> Iterator[TestFinding]:
     """Find how right it was; without a simulated specimen its own ground motion and target say."""
     simulated, part = _is_simulated(summary), summary["displacement"]
-    good = f"good: up to {percent(GOOD_ERROR)}"
+    good = _up_to(GOOD_ERROR)
     if simulated and part["nrmse"] is None:
         yield TestFinding("displacement_error", Mark.DOUBT, "its displacement error is not known")
     elif simulated:
@@ -215,17 +215,9 @@ def calibration_findings(summary: dict[str, Any]) -> Iterator[TestFinding]:
             continue
         of = "" if len(summary["axes"]) == 1 else f" of {one['axis']}"
         of += f" in the {one['part']}" if one["part"] else ""
-        text, detail = _DEVIATIONS[kind](one, of)
-        detail += f"good: up to {percent(GOOD_EFFECT)}"
-        if one["effect"] > GOOD_EFFECT:
-            text += f": the displacement may be {_about(one['effect'])} wrong"
-        elif kind == "mass":
-            detail = f"an error not seen may mean up to {_about(found['unsure'])} of displacement"
-        elif kind == "lag" and found["unsure_lag"] is not None:
-            most = _about(found["unsure_lag"])
-            detail += f"; one of the force that is not seen may mean up to {most} of displacement"
+        text = f"{_DEVIATIONS[kind](one, of)}, an error of {_about(one['effect'])} in displacement"
         mark = Mark.NONE if simulated else _grade(one["effect"], GOOD_EFFECT, float("inf"))
-        yield TestFinding(kind, mark, text, detail)
+        yield TestFinding(kind, mark, text, _up_to(GOOD_EFFECT))
 
 
 def _together(summary: dict[str, Any]) -> Iterator[TestFinding]:
@@ -237,7 +229,7 @@ def _together(summary: dict[str, Any]) -> Iterator[TestFinding]:
     text = f"ground motion, mass and channels together may mean an error of {_about(most)}"
     detail = (
         f"{_about(motion)} and {_about(found['at_most'])}, which also counts how well the test "
-        f"shows them, or seft identify --specimen; good: up to {percent(GOOD_ERROR)}"
+        f"shows them, or seft identify --specimen; {_up_to(GOOD_ERROR)}"
     )
     mark = _grade(most, GOOD_ERROR, float("inf"))
     yield TestFinding("together", Mark.NONE if _is_simulated(summary) else mark, text, detail)
@@ -248,33 +240,39 @@ def _about(value: float) -> str:
     return f"{float(f'{value * 100:.2g}'):g} %"
 
 
-def _of_mass(one: dict[str, Any], of: str) -> tuple[str, str]:
-    text = f"mass{of} {one['estimate']:.4g} +- {one['error']:.2g} kg, known {one['told']:.4g} kg"
-    return text, f"or the force is {percent(one['estimate'] / one['told'])} of the true one; "
+def _up_to(bound: float) -> str:
+    """Give the bound of what is good, in the unit of the ratios that it is for."""
+    return f"good: up to {bound * 100:g} %"
 
 
-def _of_scale(one: dict[str, Any], of: str) -> tuple[str, str]:
-    error = f"+- {percent(one['error'])}; "
+def _of_mass(one: dict[str, Any], of: str) -> str:
+    shown = f"mass{of} {one['estimate']:.4g} ± {one['error']:.2g} kg, known {one['told']:.4g} kg"
+    share = percent(one["estimate"] / one["told"])
+    return shown if one["effect"] <= GOOD_EFFECT else f"{shown}, or {share} of the true force"
+
+
+def _of_scale(one: dict[str, Any], of: str) -> str:
     off = one["estimate"] - one["told"]
     if one["part_of"] != one["axis"]:
-        return f"{one['channel']}{of} shows {percent(off)} of that of {one['part_of']}", error
+        size = f"{off * 100:.3g} ± {one['error'] * 100:.2g} %"
+        return f"{one['channel']}{of} shows {size} of that of {one['part_of']}"
+    size = f"{abs(off) * 100:.3g} ± {one['error'] * 100:.2g} %"
     more = "larger" if off > 0 else "smaller"
-    size = percent(abs(off))
-    return f"{one['channel']}{of} is {size} {more} than the displacement says", error
+    return f"{one['channel']}{of} is {size} {more} than the displacement says"
 
 
-def _of_lag(one: dict[str, Any], of: str) -> tuple[str, str]:
+def _of_lag(one: dict[str, Any], of: str) -> str:
     late = one["estimate"] - one["told"]
     word, against = "behind" if late > 0 else "ahead of", _AGAINST[one["channel"]]
-    text = f"{one['channel']}{of} is {abs(late) * 1e3:.2g} ms {word} the {against}"
-    return text, f"+- {one['error'] * 1e3:.2g} ms; "
+    size = f"{abs(late) * 1e3:.2g} ± {one['error'] * 1e3:.2g} ms"
+    return f"{one['channel']}{of} is {size} {word} the {against}"
 
 
-def _of_drift(one: dict[str, Any], of: str) -> tuple[str, str]:
-    unit = "N" if one["channel"] == "force" else "m/s^2"
-    off, error = (f"{abs(one[key]):.3g} {unit}" for key in ("estimate", "error"))
-    word = f"is {off} off" if one["part"] else f"moved by {off}"
-    return f"the zero of {one['channel']}{of} {word}", f"+- {error}; "
+def _of_drift(one: dict[str, Any], of: str) -> str:
+    unit = "N" if one["channel"] == "force" else "m/s²"
+    size = f"{abs(one['estimate']):.3g} ± {one['error']:.3g} {unit}"
+    word = f"is {size} off" if one["part"] else f"moved by {size}"
+    return f"the zero of {one['channel']}{of} {word}"
 
 
 _DEVIATIONS = {"mass": _of_mass, "scale": _of_scale, "lag": _of_lag, "drift": _of_drift}
@@ -291,7 +289,7 @@ def _loop(summary: dict[str, Any]) -> Iterator[TestFinding]:
         )
         mark, detail = (
             _grade(ratio, GOOD_VIBRATION, BAD_VIBRATION),
-            f"good: up to {GOOD_VIBRATION:.0%}",
+            _up_to(GOOD_VIBRATION),
         )
         if not _is_simulated(summary) and summary["tracking_error"] is not None:
             mark, detail = Mark.NONE, "the reference is of the assumed specimen; the target decides"
@@ -303,7 +301,7 @@ def _loop(summary: dict[str, Any]) -> Iterator[TestFinding]:
         yield TestFinding("delay", _grade(delay, good, float("inf")), text, detail)
     if summary["energy"] and (closure := summary["energy"]["closure"]) is not None:
         text = f"energy balance of the specimen closes to {percent(closure)}"
-        detail = f"good: {GOOD_CLOSURE:.0%}; otherwise samples and specimen do not fit"
+        detail = f"{_up_to(GOOD_CLOSURE)}; otherwise samples and specimen do not fit"
         mark = _grade(closure, GOOD_CLOSURE, float("inf"))
         if not _is_simulated(summary):
             mark, detail = Mark.NONE, "of the assumed specimen, which need not be the real one"

@@ -185,7 +185,7 @@ def motion_figure(
             panels[index].plot(earlier, before[:, index], color=REFERENCE, linewidth=0.8)
             panel.plot(earlier, moved[0][:, index], color=REFERENCE, label="as recorded")
             panel.plot(times, moved[1][:, index], color=f"C{index}", label="corrected")
-            panel.set(xlim=(0, times[-1]), ylabel="displacement (m)", xlabel="time (s)")
+            panel.set(xlim=(0, times[-1]), ylabel="displacement / m", xlabel="time / s")
             panel.legend(title=axes[index], frameon=False)
             tidy(panel)
     for index, (name, panel) in enumerate(zip(axes, panels[:n], strict=True)):
@@ -195,15 +195,15 @@ def motion_figure(
         panel.plot(times[peak], values[peak], "o", color=f"C{index}", markersize=4)
         label = f"{name}: peak {values[peak]:.3g} m/s²"
         panel.text(0.99, 0.95, label, transform=panel.transAxes, ha="right", va="top")
-        panel.set(xlim=(0, times[-1] or dt), ylim=(-limit, limit), ylabel="ground acc. (m/s²)")
+        panel.set(xlim=(0, times[-1] or dt), ylim=(-limit, limit), ylabel="ground acc. / m/s²")
         tidy(panel)
-        panel.label_outer() if index < n - 1 else panel.set_xlabel("time (s)")
+        panel.label_outer() if index < n - 1 else panel.set_xlabel("time / s")
         spectrum = response_spectrum(values, dt, SPECTRUM_PERIODS, _DAMPING)
         spectra.semilogx(SPECTRUM_PERIODS, spectrum, color=f"C{index}", label=name)
     spectra.set(
         xlim=(SPECTRUM_PERIODS[0], SPECTRUM_PERIODS[-1]),
-        xlabel="natural period (s)",
-        ylabel="pseudo-acceleration (m/s²)",
+        xlabel="natural period / s",
+        ylabel="pseudo-acceleration / m/s²",
         title=f"response spectrum, {_DAMPING:.0%} damping",
     )
     spectra.set_ylim(bottom=0)
