@@ -222,7 +222,8 @@ def common_filter(section: Mapping[str, Any]) -> tuple[float, float]:
     names = [f"calibration.{channel}_filter" for channel in CHANNELS]
     each = [filter_of(np.ravel(section[n]), np.ravel(section[f"{n}_damping"])) for n in names]
     every = [one for p, q in each for one in zip(*np.broadcast_arrays(p, q), strict=True)]
-    return max(every, key=lambda one: one[1])
+    p, q = max(every, key=lambda one: one[1])
+    return float(p), float(q)
 
 
 def common_lag(section: Mapping[str, Any]) -> float:
