@@ -173,7 +173,7 @@ def _of_force(
 ) -> _Found | None:
     """Filter of the force against the acceleration, see Eq. (1).
 
-    The specimen's motion is that of the channel that has no filter.
+    The specimen's motion is that of both, by their noise, or of the one that has no filter.
     """
     used = w < 2 * np.pi * HIGHEST / dt
     w, amplitude, noise, s = w[used], amplitude[used], noise[used], 1j * w[used, np.newaxis]
@@ -182,11 +182,15 @@ def _of_force(
 
     def restoring(motion: Complexes) -> Complexes:
         slow = [motion * s / (s + 2 * np.pi * each) for each in _RELAXATIONS]
-        return np.concatenate([motion, motion * s, *slow], axis=1)
+        return np.concatenate([a[:, others], motion, motion * s, *slow], axis=1)
 
-    prior = mass[0][i], mass[1][i]
-    ways = restoring(a / (s * s)), restoring(x)
-    return _likeliest(w, amplitude[:, FORCE, i], error, a, ways, dt, prior)
+    others = np.arange(a.shape[1]) != i  # their accelerometers have filters of their own
+    value, deviation = (np.append(each[i, i], each[i, others]) for each in mass)
+    prior = value, deviation
+    squares = (s * s).real
+    share = 1.0 / (1.0 + (squares * noise[:, DISPLACEMENT] / noise[:, ACCELERATION]) ** 2)
+    ways = restoring(share * x + (1.0 - share) * a / squares), restoring(x)
+    return _likeliest(w, amplitude[:, FORCE, i], error, a[:, [i]], ways, dt, prior)
 
 
 def _likeliest(
@@ -201,20 +205,22 @@ def _likeliest(
     """Give the likeliest filter, of either side, that is significant.
 
     y = columns b + others c. A filter of y is of all of it, one of the columns of them alone.
-    ``ways`` are the others for these.
+    ``ways`` are the others for these. ``prior`` are values and errors of the first unknowns.
     """
-    plain = _fitted(w, y, noise, columns, ways[0], NONE, np.zeros(0), prior)
+    nothing = np.zeros(0)
+    plain = min(_fitted(w, y, noise, columns, others, NONE, nothing, prior).left for others in ways)
     best: _Found | None = None
     for side, others in zip((DENOMINATOR, NUMERATOR), ways, strict=True):
         for hz in np.geomspace(2 * np.pi * 15.0, np.pi / dt, _STARTS):
             start = np.log([2.0 * BUTTERWORTH / hz, hz**-2.0])
             tried = _fitted(w, y, noise, columns, others, side, start, prior)
-            if np.isfinite(tried.left) and (best is None or tried.left < best.left):
+            is_seen = tried.numbers()[0] < HIGHEST / dt  # a faster one is but a lag
+            if is_seen and (best is None or tried.left < best.left):
                 best = tried
     if best is None:
         return None
     spread = max(1.0, best.left / len(w) / 2.0)
-    is_better = plain.left - best.left > 2.0 * MULTISINE_SIGMAS**2 * spread
+    is_better = plain - best.left > 2.0 * MULTISINE_SIGMAS**2 * spread
     return best if is_better and (MULTISINE_SIGMAS * best.error < 1.0).all() else None
 
 
@@ -234,7 +240,7 @@ def _fitted(
     def solved(unknown: Complexes, target: Complexes) -> Fit:
         if prior is None:
             return regressed(unknown, target, noise)
-        rows = np.eye(m, unknown.shape[1], dtype=np.complex128)
+        rows = np.eye(len(prior[0]), unknown.shape[1], dtype=np.complex128)
         whole = np.concatenate([unknown, rows])
         return regressed(whole, np.append(target, prior[0]), np.append(noise, prior[1]))
 
