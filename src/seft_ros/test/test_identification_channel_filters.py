@@ -71,6 +71,15 @@ def test_where_there_is_none_or_all_have_it_none_is_found(sticks):
         assert not found_in(*of).filter.any()
 
 
+@pytest.mark.parametrize("lag", [-0.004, 0.0, 0.003])
+def test_the_lag_of_the_force_behind_the_acceleration_is_found_whatever_sticks(lag):
+    w, amplitude, *of = lines(sticks=STICKS)[:3]
+    amplitude[:, FORCE] *= np.exp(-1j * w * lag)[:, np.newaxis]
+    found = found_in(w, amplitude, *of)
+    assert not found.filter.any()
+    assert found.force_lag == pytest.approx([lag, lag], abs=5e-5)
+
+
 def test_what_several_channels_have_is_told_from_what_one_has_not():
     each = [
         (row, axis, 70.0, 0.7071)

@@ -27,7 +27,6 @@ from seft_plant_sim.rig_parameters import common_filter
 
 from seft_ros.bags.recording import Recording, every_step
 from seft_ros.drawing.table import TextTable
-from seft_ros.identification.actuator_fit import OilBalance, force_lag
 from seft_ros.identification.channel_filters import HIGHEST, ChannelFilters, channel_filters
 from seft_ros.identification.identified import Identified
 from seft_ros.identification.multisine import OF_RATE, Multisine, Sine, fault_free_relations
@@ -39,7 +38,7 @@ from seft_ros.identification.multisine_estimates import (
     harmonics,
     significant,
 )
-from seft_ros.identification.rig_tests import MeasuredTest, frequency_response, motion_spectra
+from seft_ros.identification.rig_tests import frequency_response, motion_spectra
 from seft_ros.identification.time_shift import moved_ahead
 
 _FEWEST_PERIODS, _SEGMENT = 3.0, 4.0  # of a spectrum: of the lowest frequency, and s
@@ -395,21 +394,15 @@ def rough_calibration(
 ) -> Calibrated:
     """Estimate the channels from a test by random commands, well enough for the actuators' fit.
 
-    Up to `OF_RATE` times the rate and within the band of the excitation, Hz. The force's lag
-    follows from the oil's balance.
+    Up to `OF_RATE` times the rate and within the band of the excitation, Hz. The force's lag is
+    that of ``filters``: at these frequencies friction spoils it.
     """
     experiment, (of, _) = recording.experiment, _lines(recording, band)
-    dt, n = experiment.timebase.dt, len(experiment.axes)
-    low = of.w <= 2 * np.pi * OF_RATE / dt
+    low = of.w <= 2 * np.pi * OF_RATE / experiment.timebase.dt
     parts = (each[low] for each in (of.w, of.overtones, of.noise, of.mean, of.time))
     of = Harmonics(*parts, of.rounding).passed(_unfiltered(filters, experiment))
     fit = fit_multisine(of, np.ones((len(of.w), 2), complex))
-    # the random motion of a specimen with friction does not tell that of the force
-    fit.lag[FORCE], fit.lag_error[FORCE] = 0.0, 0.0
-    rough = Calibrated.of_multisine(fit, filters, experiment)
-    test = MeasuredTest(rough.corrected(recording), band)
-    balances = (OilBalance(*test.of_actuator(i), dt, band) for i in range(n))
-    fit.lag[FORCE] = list(map(force_lag, balances))
+    fit.lag[FORCE], fit.lag_error[FORCE] = fit.lag[ACCELERATION] + filters.force_lag, 0.0
     return Calibrated.of_multisine(fit, filters, experiment)
 
 

@@ -28,7 +28,8 @@ from seft_ros.identification.multisine_estimates import MULTISINE_SIGMAS, Fit, r
 HIGHEST = 0.4
 """Of the rate: the highest frequency that is used."""
 _RELAXATIONS = 6.0, 20.0, 60.0  # Hz
-_STARTS, _ROUNDS, _STEP = 8, 15, 0.7  # natural frequencies to begin with; Gauss and Newton's steps
+_STARTS, _ROUNDS, _STEP = 5, 15, 0.7  # natural frequencies to begin with; Gauss and Newton's steps
+_LAGS = np.arange(-10.0, 11.0) / 1e3  # s: starts
 NUMERATOR, NONE, DENOMINATOR = -1, 0, 1
 """Sides of a relation y = x on which a filter stands: x has it not, nobody has, y has it."""
 
@@ -43,23 +44,27 @@ class ChannelFilters:
         Natural frequency, Hz, and its standard error; 0: none.
     filter_damping, filter_damping_error : ndarray
         Damping ratio.
+    force_lag : ndarray
+        Of the force behind the acceleration, beside these filters, shape (n,), s.
     """
 
     filter: Floats
     filter_error: Floats
     filter_damping: Floats
     filter_damping_error: Floats
+    force_lag: Floats
 
     @classmethod
     def of(cls, known: Mapping[str, Floats]) -> "ChannelFilters":
         """Give those that are known, by the names of ``calibration.*``."""
         nothing = np.zeros_like(known["filter"])
-        return cls(known["filter"], nothing, known["filter_damping"], nothing)
+        return cls(known["filter"], nothing, known["filter_damping"], nothing, nothing[0])
 
     @classmethod
     def none(cls, n: int) -> "ChannelFilters":
         """Give those of n axes without filters."""
-        return cls(*np.zeros((2, 4, n)), np.full((4, n), BUTTERWORTH), np.zeros((4, n)))
+        damping = np.full((4, n), BUTTERWORTH)
+        return cls(*np.zeros((2, 4, n)), damping, np.zeros((4, n)), np.zeros(n))
 
     def apart_from(self, known: "ChannelFilters", highest: float) -> "ChannelFilters":
         """Give the known ones where these are not significantly others, or can not be seen.
@@ -70,8 +75,9 @@ class ChannelFilters:
         other = np.abs(self.filter_damping - known.filter_damping)
         off |= other > MULTISINE_SIGMAS * self.filter_damping_error
         off &= (self.filter > 0.0) | (known.filter < highest)
-        parts = zip(vars(self).values(), vars(known).values(), strict=True)
-        return ChannelFilters(*(np.where(off, one, other) for one, other in parts))
+        parts = [*zip(vars(self).values(), vars(known).values(), strict=True)][:-1]
+        chosen = (np.where(off, one, other) for one, other in parts)
+        return ChannelFilters(*chosen, self.force_lag)
 
     def response(self, w: Floats) -> Complexes:
         """Response of each channel at frequencies in rad/s, any shape, then (4, n)."""
@@ -82,9 +88,13 @@ class ChannelFilters:
 
 @dataclass(frozen=True)
 class _Found:
-    """A filter on one side of a relation: logarithms of p and q, their errors, sum of squares."""
+    """A filter on one side of a relation: logarithms of p and q, their errors, sum of squares.
+
+    The lag of the left side, s, is beside it.
+    """
 
     side: int
+    lag: float
     value: Floats
     error: Floats
     left: float
@@ -122,8 +132,9 @@ def channel_filters(
     for i in range(n):
         low = w < 2 * np.pi * OF_RATE / dt
         motion = [_of_motion(order, i, w[low], amplitude[low], noise[low], dt) for order in (1, 2)]
-        rows = [motion[1], None if derived else motion[0]]
         force = _of_force(i, w, amplitude, noise, dt, mass)
+        found.force_lag[i] = force.lag
+        rows = [motion[1], None if derived else motion[0]]
         for row, one in enumerate(_by_channel(*rows, force)):
             if one is not None:
                 for place, number in enumerate(one.numbers()):
@@ -132,29 +143,29 @@ def channel_filters(
 
 
 def _by_channel(
-    acceleration: _Found | None, velocity: _Found | None, force: _Found | None
+    acceleration: _Found | None, velocity: _Found | None, force: _Found
 ) -> list[_Found | None]:
     """Say which channel of an axis has which filter, from the relations that show one.
 
     Those of acceleration and velocity are against the displacement, of the force against the
     acceleration.
     """
-    x = next((one for one in (acceleration, velocity) if one and one.side == NUMERATOR), None)
-    own = [one and (None if one.side == NUMERATOR else one) for one in (acceleration, velocity)]
-    seen = acceleration, velocity
+    seen = [one if one and one.side else None for one in (acceleration, velocity)]
+    x = next((one for one in seen if one and one.side == NUMERATOR), None)
+    own = [one if one and one.side == DENOMINATOR else None for one in seen]
     a, v = (x if one is None else mine for one, mine in zip(seen, own, strict=True))
-    if force is None:
+    if force.side == NONE:
         return [x, v, a, a]
     if force.side == DENOMINATOR:
         return [x, v, a, force]
-    if acceleration is None:  # all have it but the force
-        return [force, velocity or force, force, None]
+    if seen[0] is None:  # all have it but the force
+        return [force, v or force, force, None]
     return [x, v, force, None]
 
 
 def _of_motion(
     order: int, i: int, w: Floats, amplitude: Complexes, noise: Floats, dt: float
-) -> _Found | None:
+) -> _Found:
     """Filter of velocity or acceleration (order 1 or 2) against the displacement."""
     by_x = (1j * w) ** order
     motion = by_x[:, np.newaxis] * amplitude[:, DISPLACEMENT]
@@ -170,7 +181,7 @@ def _of_force(
     noise: Floats,
     dt: float,
     mass: tuple[Floats, Floats],
-) -> _Found | None:
+) -> _Found:
     """Filter of the force against the acceleration, see Eq. (1).
 
     The specimen's motion is that of both, by their noise, or of the one that has no filter.
@@ -201,14 +212,17 @@ def _likeliest(
     ways: Sequence[Complexes],
     dt: float,
     prior: tuple[Floats, Floats] | None = None,
-) -> _Found | None:
-    """Give the likeliest filter, of either side, that is significant.
+) -> _Found:
+    """Give the likeliest filter, of either side, that is significant, or none.
 
     y = columns b + others c. A filter of y is of all of it, one of the columns of them alone.
     ``ways`` are the others for these. ``prior`` are values and errors of the first unknowns.
     """
     nothing = np.zeros(0)
-    plain = min(_fitted(w, y, noise, columns, others, NONE, nothing, prior).left for others in ways)
+    plain = min(
+        (_fitted(w, y, noise, columns, others, NONE, nothing, prior) for others in ways),
+        key=lambda one: one.left,
+    )
     best: _Found | None = None
     for side, others in zip((DENOMINATOR, NUMERATOR), ways, strict=True):
         for hz in np.geomspace(2 * np.pi * 15.0, np.pi / dt, _STARTS):
@@ -218,10 +232,10 @@ def _likeliest(
             if is_seen and (best is None or tried.left < best.left):
                 best = tried
     if best is None:
-        return None
+        return plain
     spread = max(1.0, best.left / len(w) / 2.0)
-    is_better = plain - best.left > 2.0 * MULTISINE_SIGMAS**2 * spread
-    return best if is_better and (MULTISINE_SIGMAS * best.error < 1.0).all() else None
+    is_better = plain.left - best.left > 2.0 * MULTISINE_SIGMAS**2 * spread
+    return best if is_better and (MULTISINE_SIGMAS * best.error < 1.0).all() else plain
 
 
 def _fitted(
@@ -244,22 +258,29 @@ def _fitted(
         whole = np.concatenate([unknown, rows])
         return regressed(whole, np.append(target, prior[0]), np.append(noise, prior[1]))
 
-    for last in range(_ROUNDS + 1):
-        turned, ratio = y * np.exp(s * found[0]), np.ones_like(s)
-        if side:
-            p, q = np.exp(found[1:])
-            ratio = 1.0 + p * s + q * s * s
+    def terms(found: Floats) -> tuple[Complexes, Complexes, Complexes]:
+        """Left side, unknowns, and 1 + p s + q s^2."""
+        p, q = np.exp(found[1:]) if side else (0.0, 0.0)
+        ratio = np.asarray(1.0 + p * s + q * s * s)
         passed = columns * (ratio**-side)[:, np.newaxis]
         beside = others / ratio[:, np.newaxis] if side == DENOMINATOR else others
-        unknown = np.concatenate([passed, beside], axis=1)
-        fit = solved(unknown, turned)
-        if last == _ROUNDS:
-            break
-        part = unknown @ fit.value if side == DENOMINATOR else passed @ fit.value[:m]
-        changes = [s * turned]
+        return y * np.exp(s * found[0]), np.concatenate([passed, beside], axis=1), ratio
+
+    def left(lag: float) -> float:
+        turned, unknown, _ = terms(np.append(lag, start))
+        return solved(unknown, turned).left
+
+    found[0] = min(_LAGS, key=left)
+    for _ in range(_ROUNDS):
+        turned, unknown, ratio = terms(found)
+        value = solved(unknown, turned).value
+        used = len(value) if side == DENOMINATOR else m
+        part, changes = unknown[:, :used] @ value[:used], [s * turned]
         if side:
+            p, q = np.exp(found[1:])
             changes += [side * each / ratio * part for each in (p * s, q * s * s)]
         both = solved(np.concatenate([unknown, -np.stack(changes, axis=1)], axis=1), turned)
         step, error = both.value[-len(found) :], both.error[-len(found) :]
         found = found + step * min(1.0, _STEP / max(np.abs(step[1:]).max(initial=0.0), 1e-9))
-    return _Found(side, found[1:], error[1:], fit.left)
+    turned, unknown, _ = terms(found)
+    return _Found(side, float(found[0]), found[1:], error[1:], solved(unknown, turned).left)
