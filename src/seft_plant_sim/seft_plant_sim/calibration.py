@@ -330,7 +330,8 @@ def lacking(own: Floats, common: Floats, dt: float) -> tuple[Floats, Floats]:
     powers = np.arange(3.0)
     series = np.array([np.ones(3), -powers, powers**2 / 2.0])  # those of 1, z, z^2
     wanted = np.convolve(series @ denominator, ratio)[:3]
-    return np.linalg.solve(series, wanted), denominator
+    numerator: Floats = np.linalg.solve(series, wanted)
+    return numerator, denominator
 
 
 SIGNIFICANT = 4.0
@@ -419,7 +420,7 @@ def as_published(
     )
     shown, n = model.shown, len(axes)
     by = np.diag(1.0 / known.scale.ravel())
-    rows = slice(ACCELERATION * n, (ACCELERATION + 1) * n)
-    by[rows, rows] = np.linalg.solve(tilt, by[rows, rows])
+    of = slice(ACCELERATION * n, (ACCELERATION + 1) * n)
+    by[of, of] = np.linalg.solve(tilt, by[of, of])
     late = shown.late + known.wait.ravel()
     return replace(model, sensed=Sensed(by @ shown.c, by @ shown.d, by @ shown.outputs, late))

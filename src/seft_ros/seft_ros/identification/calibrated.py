@@ -399,8 +399,9 @@ def rough_calibration(
     """
     experiment, (of, _) = recording.experiment, _lines(recording, band)
     low = of.w <= 2 * np.pi * OF_RATE / experiment.timebase.dt
-    parts = (each[low] for each in (of.w, of.overtones, of.noise, of.mean, of.time))
-    of = Harmonics(*parts, of.rounding).passed(_unfiltered(filters, experiment))
+    of = Harmonics(
+        of.w[low], of.overtones[low], of.noise[low], of.mean[low], of.time[low], of.rounding
+    ).passed(_unfiltered(filters, experiment))
     fit = fit_multisine(of, np.ones((len(of.w), 2), complex))
     fit.lag[FORCE], fit.lag_error[FORCE] = fit.lag[ACCELERATION] + filters.force_lag, 0.0
     return Calibrated.of_multisine(fit, filters, experiment)

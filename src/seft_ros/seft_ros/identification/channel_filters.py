@@ -64,7 +64,8 @@ class ChannelFilters:
     def none(cls, n: int) -> "ChannelFilters":
         """Give those of n axes without filters."""
         damping = np.full((4, n), BUTTERWORTH)
-        return cls(*np.zeros((2, 4, n)), damping, np.zeros((4, n)), np.zeros(n))
+        nothing = np.zeros((3, 4, n))
+        return cls(nothing[0], nothing[1], damping, nothing[2], np.zeros(n))
 
     def apart_from(self, known: "ChannelFilters", highest: float) -> "ChannelFilters":
         """Give the known ones where these are not significantly others, or can not be seen.
@@ -76,8 +77,8 @@ class ChannelFilters:
         off |= other > MULTISINE_SIGMAS * self.filter_damping_error
         off &= (self.filter > 0.0) | (known.filter < highest)
         parts = [*zip(vars(self).values(), vars(known).values(), strict=True)][:-1]
-        chosen = (np.where(off, one, other) for one, other in parts)
-        return ChannelFilters(*chosen, self.force_lag)
+        hz, hz_error, damping, error = (np.where(off, one, other) for one, other in parts)
+        return ChannelFilters(hz, hz_error, damping, error, self.force_lag)
 
     def response(self, w: Floats) -> Complexes:
         """Response of each channel at frequencies in rad/s, any shape, then (4, n)."""
@@ -134,8 +135,7 @@ def channel_filters(
         motion = [_of_motion(order, i, w[low], amplitude[low], noise[low], dt) for order in (1, 2)]
         force = _of_force(i, w, amplitude, noise, dt, mass)
         found.force_lag[i] = force.lag
-        rows = [motion[1], None if derived else motion[0]]
-        for row, one in enumerate(_by_channel(*rows, force)):
+        for row, one in enumerate(_by_channel(motion[1], None if derived else motion[0], force)):
             if one is not None:
                 for place, number in enumerate(one.numbers()):
                     tuple(vars(found).values())[place][row, i] = number
