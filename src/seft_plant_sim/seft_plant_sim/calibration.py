@@ -325,7 +325,7 @@ def lacking(own: Floats, common: Floats, dt: float) -> tuple[Floats, Floats]:
         Sampling period, s.
     """
     (p, q), (of_p, of_q) = (each / [dt, dt * dt] for each in (own, common))
-    denominator = np.poly(np.exp(np.roots([of_q, of_p, 1.0]))).real
+    denominator: Floats = np.asarray(np.poly(np.exp(np.roots([of_q, of_p, 1.0]))).real, np.float64)
     ratio = np.array([1.0, p - of_p, q - of_q - of_p * (p - of_p)])  # its series in s dt
     powers = np.arange(3.0)
     series = np.array([np.ones(3), -powers, powers**2 / 2.0])  # those of 1, z, z^2
