@@ -50,6 +50,7 @@ DIFFERENCES = (
     ("rig:simulated.sensors.force_filter:=150.0", "rig:simulated.sensors.acceleration_lag:=0.0007"),
     ("calibration.displacement_lag:={short}",),
     ("calibration.force_scale:=1.03", "calibration.acceleration_lag:={short}"),
+    ("calibration.force_filter:=70.0", "calibration.displacement_lag:={short}"),
     tuple(
         word
         for channel in CHANNELS

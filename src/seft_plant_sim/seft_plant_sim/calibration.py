@@ -1,15 +1,24 @@
 """What is known of the measured channels, taken out of a sample before it is published.
 
-A channel with known scale s, bias b and lag measures y; its value is (y - b) / s. The accelerations
-are T^-1 times those of the accelerometers, which show T a where they are tilted. All channels are
-aligned to the latest one: the others wait, in whole samples and by a first-order all-pass of Thiran
-(1971), which is maximally flat: its gain is 1, its delay d at low frequency::
+A channel with known scale s, bias b, lag tau and filter F measures y; its value is (y - b) / s. The
+accelerations are T^-1 times those of the accelerometers, which show T a where they are tilted. A
+filter is a low-pass of second order::
 
-    H(q) = (c + q^-1) / (1 + c q^-1),  c = (1 - d) / (1 + d)                               (1)
+    F(s) = 1 / (1 + p s + q s^2),   p = 2 zeta / w,  q = 1 / w^2                           (1)
 
-The fraction d is between 0.2 and 1.2 samples, where its delay is flattest: at 0.18 times the rate
-it is then off by 0.05 samples at most. A shorter wait is all fraction.
-The result has the steps of the channel's converter, so that what repeats still does.
+All channels get one response, with the slowest filter and the largest lag of all, so that force and
+acceleration still agree where the oil column rings. Each is passed through what it lacks, (1 + p s
++ q s^2) / (1 + P s + Q s^2) and a wait: whole samples, and for the fraction d a first-order
+all-pass of Thiran (1971)::
+
+    (c + z) / (1 + c z),  c = (1 - d) / (1 + d),  z = exp(-s dt)                           (2)
+    (b_0 + b_1 z + b_2 z^2) / ((1 - z exp(s_1 dt)) (1 - z exp(s_2 dt)))                    (3)
+
+s_1 and s_2 are the poles of the slowest filter; b are such that (3) and the ratio of the filters
+agree up to s^2. So all is maximally flat: gain and delay are exact at low frequency, and at 0.18
+times the rate they are off by 2 % (a filter of 0.12 to 0.2 times the rate) and by 0.05 samples at
+most. For that, d is between 0.2 and 1.2 samples; a shorter wait is all fraction.
+The result of (2) alone has the steps of the channel's converter, so that what repeats still does.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -17,16 +26,19 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import InputError
 
-from seft_plant_sim.channels import ACCELERATION, VELOCITY, per_channel, tilt_of
+from seft_plant_sim.channels import ACCELERATION, DISPLACEMENT, VELOCITY, per_channel, tilt_of
 from seft_plant_sim.compiled import compiled
+from seft_plant_sim.rig_parameters import common_filter, filter_of
 from seft_plant_sim.simulated.continuous_model import ContinuousModel, Sensed
+from seft_plant_sim.simulated.sensor_dynamics import filtered
 
-AT_ONCE = -1
-"""Value of `Calibration.whole` of a channel that does not wait."""
+ORDER = 3
+"""Of Eq. (2) and (3) together."""
 LEAST_FRACTION = 0.2
 """Samples: fractions from here up to one more have the flattest delay."""
 SHORTEST_WAIT = 1e-6
@@ -44,11 +56,12 @@ class Calibration(NamedTuple):
         Largest magnitude that a sensor can measure, which remains as it is measured: what is
         beyond it is not known.
     resolution : ndarray
-        Step of the converter, in the channel's unit; 0: finer than the noise.
+        Step of the converter to which the result is rounded, in the channel's unit; 0: it is not.
     whole : ndarray
-        Whole samples of a channel's wait; `AT_ONCE`: it does not wait.
-    factor : ndarray
-        c of Eq. (1) for the fraction.
+        Whole samples of a channel's wait.
+    taps : ndarray
+        Numerator and denominator of what it lacks beside, Eq. (2) times (3), lowest power of z
+        first, shape (2, 1 + `ORDER`, 4, n).
     straight : ndarray
         T^-1, shape (n, n), or (0, 0) for accelerometers that are not tilted.
     """
@@ -58,7 +71,7 @@ class Calibration(NamedTuple):
     range: Floats
     resolution: Floats
     whole: Ints
-    factor: Floats
+    taps: Floats
     straight: Floats
 
 
@@ -69,15 +82,16 @@ class CalibrationState(NamedTuple):
     ----------
     measured : ndarray
         The last samples as measured, a ring buffer by step, shape (m, 4, n).
-    aligned : ndarray
-        The last result of Eq. (1), shape (4, n).
+    passed : ndarray
+        The last values before and after `Calibration.taps`, the newest first, shape
+        (2, 1 + `ORDER`, 4, n).
     tilted : ndarray
         The last accelerations that were known, as tilted accelerometers show them, and 1 where
         they are of this sample, shape (2, n).
     """
 
     measured: Floats
-    aligned: Floats
+    passed: Floats
     tilted: Floats
 
 
@@ -102,26 +116,29 @@ def calibrate(
         number, or is at the end of its sensor's range, is corrected and waits, no more; for
         the other axes of a tilted accelerometer its last one stands.
     """
-    c, last, places = calibration, state.aligned, len(state.measured)
+    c, passed, places = calibration, state.passed, len(state.measured)
     for row in range(4):
         for i in range(measured.shape[1]):
-            bias, scale, whole = c.bias[row, i], c.scale[row, i], c.whole[row, i]
+            bias, scale = c.bias[row, i], c.scale[row, i]
             for place in range(places if step == 0 else 1):
                 state.measured[(step + place) % places, row, i] = measured[row, i]
-            if step == 0:
-                first = (measured[row, i] - bias) / scale
-                last[row, i] = first if np.isfinite(first) else 0.0
-            shown = state.measured[(step - max(whole, 0)) % places, row, i]
+            shown = state.measured[(step - c.whole[row, i]) % places, row, i]
             value = (shown - bias) / scale
-            if whole >= 0 and np.isfinite(value):
-                before = (state.measured[(step - whole - 1) % places, row, i] - bias) / scale
-                if not np.isfinite(before):
-                    before = last[row, i]
-                value = c.factor[row, i] * (value - last[row, i]) + before
-                last[row, i] = value
-                if c.factor[row, i] != 0.0 and c.resolution[row, i] > 0.0:
-                    part = c.resolution[row, i] / scale
-                    value = np.rint(value / part) * part
+            if step == 0:
+                passed[:, :, row, i] = value if np.isfinite(value) else 0.0
+            for age in range(ORDER, 0, -1):
+                passed[0, age, row, i] = passed[0, age - 1, row, i]
+                passed[1, age, row, i] = passed[1, age - 1, row, i]
+            if np.isfinite(value):
+                passed[0, 0, row, i] = value
+            value = c.taps[0, 0, row, i] * passed[0, 0, row, i]
+            for age in range(1, 1 + ORDER):
+                value += c.taps[0, age, row, i] * passed[0, age, row, i]
+                value -= c.taps[1, age, row, i] * passed[1, age, row, i]
+            passed[1, 0, row, i] = value
+            if c.resolution[row, i] > 0.0:
+                part = c.resolution[row, i] / scale
+                value = np.rint(value / part) * part
             is_known = abs(shown) < c.range[row, i] and np.isfinite(shown)
             sample[row, i] = value if is_known else (shown - bias) / scale
             if row == ACCELERATION:
@@ -145,13 +162,74 @@ def calibrate_all(calibration: Calibration, state: CalibrationState, samples: Fl
 
 TILT = "calibration.tilt"
 _ALIKE = 1e6  # condition number of a tilt that can not be inverted
-NOTHING_KNOWN = {"bias": 0.0, "scale": 1.0, "lag": 0.0}
+BUTTERWORTH = 0.7071
+"""Damping ratio of a filter whose gain is maximally flat."""
+NOTHING_KNOWN = {
+    **{"bias": 0.0, "scale": 1.0, "lag": 0.0},
+    **{"filter": 0.0, "filter_damping": BUTTERWORTH},
+}
 """What ``calibration.*`` says of a channel of which nothing is known."""
 
 
 def known_channels(section: Mapping[str, Any], axes: Sequence[str]) -> dict[str, Floats]:
     """Give ``calibration.*`` of a section, by the keys of `NOTHING_KNOWN`, shape (4, n) each."""
     return {what: per_channel(section, axes, f"calibration.{{}}_{what}") for what in NOTHING_KNOWN}
+
+
+class Alignment(NamedTuple):
+    """What is known of the channels of n axes, and what they lack of the response of all.
+
+    Attributes
+    ----------
+    bias, scale : ndarray
+        See `Calibration`.
+    wait : ndarray
+        Time by which each is earlier than the latest one, shape (4, n), s.
+    filters, common : ndarray
+        p (s) and q (s^2) of Eq. (1) of the channels, shape (2, 4, n), and of all, shape (2,).
+    lacks : ndarray
+        Whether these differ, shape (4, n).
+    """
+
+    bias: Floats
+    scale: Floats
+    wait: Floats
+    filters: Floats
+    common: Floats
+    lacks: NDArray[np.bool_]
+
+
+def aligned_to(
+    section: Mapping[str, Any],
+    axes: Sequence[str],
+    places: Sequence[int],
+    velocity_is_derived: bool = False,
+) -> Alignment:
+    """Say what the channels of a rig lack of the response of all; see `calibration_of`."""
+    own, known = list(places), known_channels(section, axes)
+    if not known["scale"].all():
+        row = int(np.argmin(np.abs(known["scale"]).min(axis=1)))
+        raise InputError(
+            f"/**: calibration.{CHANNELS[row]}_scale is 0, but it is measured over true value; "
+            "give 1 if it is not known"
+        )
+    if velocity_is_derived:
+        for what, nothing in NOTHING_KNOWN.items():
+            if (known[what][VELOCITY] != nothing).any():
+                raise InputError(
+                    f"/**: calibration.velocity_{what} is given, but sensors.velocity is derived: "
+                    "it follows the displacement's calibration; leave it out"
+                )
+            if what not in ("bias", "scale"):
+                known[what][VELOCITY] = known[what][DISPLACEMENT]
+    lag, common = known["lag"], np.array(common_filter(section))
+    filters = np.array(filter_of(known["filter"], known["filter_damping"]))[:, :, own]
+    bias, scale, wait = (
+        np.ascontiguousarray(one[:, own])
+        for one in (known["bias"], known["scale"], lag.max() - lag)
+    )
+    lacks = (filters != common[:, np.newaxis, np.newaxis]).any(axis=0)
+    return Alignment(bias, scale, wait, filters, common, lacks)
 
 
 def calibration_of(
@@ -184,26 +262,10 @@ def calibration_of(
         If sizes do not fit the axes, a scale is 0, something is known of a velocity that is
         derived, or a tilt mixes axes of different rigs or can not be inverted.
     """
-    own, known = list(places), known_channels(section, axes)
-    bias, scale, lag = known["bias"], known["scale"], known["lag"]
-    if not scale.all():
-        row = int(np.argmin(np.abs(scale).min(axis=1)))
-        raise InputError(
-            f"/**: calibration.{CHANNELS[row]}_scale is 0, but it is measured over true value; "
-            "give 1 if it is not known"
-        )
-    if velocity_is_derived:
-        for what, nothing in NOTHING_KNOWN.items():
-            if (known[what][VELOCITY] != nothing).any():
-                raise InputError(
-                    f"/**: calibration.velocity_{what} is given, but sensors.velocity is derived: "
-                    "it follows the displacement's calibration; leave it out"
-                )
-        lag[VELOCITY] = lag[0]
-    n = len(own)
-    wait = (lag.max() - lag) / dt
+    own, n = list(places), len(places)
+    bias, scale, wait, filters, common, lacks = aligned_to(section, axes, own, velocity_is_derived)
+    wait = wait / dt
     wait[wait < SHORTEST_WAIT] = 0.0
-    wait, bias, scale = (np.ascontiguousarray(one[:, own]) for one in (wait, bias, scale))
     tilt = tilt_of(section, axes, own, TILT)
     if np.linalg.cond(tilt) > _ALIKE:
         raise InputError(
@@ -211,24 +273,65 @@ def calibration_of(
             "each, about 1 in its own place"
         )
     is_straight = (tilt == np.eye(n)).all()
-    if not bias.any() and (scale == 1.0).all() and not wait.any() and is_straight:
+    is_aligned = not (wait.any() or lacks.any())
+    if not bias.any() and (scale == 1.0).all() and is_aligned and is_straight:
         return nothing_known(n)
     whole = np.floor(np.maximum(wait - LEAST_FRACTION, 0.0)).astype(np.int64)
     fraction = wait - whole
-    fraction[abs(fraction - 1.0) < SHORTEST_WAIT] = 1.0  # whole samples: nothing is filtered
-    whole[wait == 0.0] = AT_ONCE
+    complete = abs(fraction - 1.0) < SHORTEST_WAIT
+    whole[complete], fraction[complete] = whole[complete] + 1, 0.0
+    taps = np.zeros((2, 1 + ORDER, 4, n))
+    for row, i in np.ndindex(4, n):
+        alone = all_pass(float(fraction[row, i]))
+        other = lacking(filters[:, row, i], common, dt) if lacks[row, i] else ONE
+        for part in range(2):
+            product = np.convolve(alone[part], other[part])
+            taps[part, : len(product), row, i] = product
+    steps = np.zeros((4, n)) if resolution is None else resolution
     calibration = Calibration(
         bias,
         scale,
         np.full((4, n), np.inf) if ranges is None else ranges,
-        np.zeros((4, n)) if resolution is None else resolution,
+        np.where((fraction > 0.0) & ~lacks, steps, 0.0),
         whole,
-        (1.0 - fraction) / (1.0 + fraction),
+        taps,
         np.zeros((0, 0)) if is_straight else np.linalg.inv(tilt),
     )
-    periods = 2 + max(int(whole.max()), 0)
-    state = CalibrationState(np.zeros((periods, 4, n)), np.zeros((4, n)), np.zeros((2, n)))
+    measured = np.zeros((1 + int(whole.max()), 4, n))
+    state = CalibrationState(measured, np.zeros((2, 1 + ORDER, 4, n)), np.zeros((2, n)))
     return calibration, state
+
+
+ONE = np.ones(1), np.ones(1)
+"""Numerator and denominator of what changes nothing."""
+
+
+def all_pass(fraction: float) -> tuple[Floats, Floats]:
+    """Numerator and denominator of Eq. (2), lowest power of z first, for a fraction of a sample."""
+    if fraction == 0.0:
+        return ONE
+    factor = (1.0 - fraction) / (1.0 + fraction)
+    return np.array([factor, 1.0]), np.array([1.0, factor])
+
+
+def lacking(own: Floats, common: Floats, dt: float) -> tuple[Floats, Floats]:
+    """Numerator and denominator of Eq. (3), likewise.
+
+    Parameters
+    ----------
+    own, common : ndarray
+        p and q of the channel's filter, and of the one that it is to have, shape (2,), s and s^2.
+    dt : float
+        Sampling period, s.
+    """
+    (p, q), (of_p, of_q) = (each / [dt, dt * dt] for each in (own, common))
+    denominator: Floats = np.asarray(np.poly(np.exp(np.roots([of_q, of_p, 1.0]))).real, np.float64)
+    ratio = np.array([1.0, p - of_p, q - of_q - of_p * (p - of_p)])  # its series in s dt
+    powers = np.arange(3.0)
+    series = np.array([np.ones(3), -powers, powers**2 / 2.0])  # those of 1, z, z^2
+    wanted = np.convolve(series @ denominator, ratio)[:3]
+    numerator: Floats = np.linalg.solve(series, wanted)
+    return numerator, denominator
 
 
 SIGNIFICANT = 4.0
@@ -293,25 +396,31 @@ def biases_of_all(
 
 def nothing_known(n: int) -> tuple[Calibration, CalibrationState]:
     """Make the arrays where the samples of n axes are published as they are measured."""
-    none = np.zeros((0, n))
+    none, taps = np.zeros((0, n)), np.zeros((2, 0, 0, n))
     wait, straight = np.zeros((0, n), dtype=np.int64), np.zeros((0, 0))
-    calibration = Calibration(none, none, none, none, wait, none, straight)
-    return calibration, CalibrationState(np.zeros((0, 4, n)), none, none)
+    calibration = Calibration(none, none, none, none, wait, taps, straight)
+    return calibration, CalibrationState(np.zeros((0, 4, n)), taps, none)
 
 
-def as_published(model: ContinuousModel, calibration: Calibration, dt: float) -> ContinuousModel:
+def as_published(
+    model: ContinuousModel,
+    section: Mapping[str, Any],
+    axes: Sequence[str],
+    velocity_is_derived: bool = False,
+) -> ContinuousModel:
     """Put a calibration behind a model with its sensors, for what is linear: biases do not count.
 
-    What waits is late by its wait at all frequencies.
+    What is known is told as for `calibration_of`. Filters and waits are exact at all frequencies.
     """
-    if not len(calibration.scale):
-        return model
-    shown = model.shown
-    fraction = (1.0 - calibration.factor) / (1.0 + calibration.factor)
-    wait = np.where(calibration.whole == AT_ONCE, 0.0, calibration.whole + fraction) * dt
-    by, n = np.diag(1.0 / calibration.scale.ravel()), calibration.scale.shape[1]
-    if len(calibration.straight):
-        rows = slice(ACCELERATION * n, (ACCELERATION + 1) * n)
-        by[rows, rows] = calibration.straight @ by[rows, rows]
-    late = shown.late + wait.ravel()
+    known = aligned_to(section, axes, range(len(axes)), velocity_is_derived)
+    tilt = tilt_of(section, axes, range(len(axes)), TILT)
+    rows = np.flatnonzero(known.lacks)
+    model = filtered(
+        model, rows, known.filters.reshape(2, -1)[:, rows], known.common[:, np.newaxis]
+    )
+    shown, n = model.shown, len(axes)
+    by = np.diag(1.0 / known.scale.ravel())
+    of = slice(ACCELERATION * n, (ACCELERATION + 1) * n)
+    by[of, of] = np.linalg.solve(tilt, by[of, of])
+    late = shown.late + known.wait.ravel()
     return replace(model, sensed=Sensed(by @ shown.c, by @ shown.d, by @ shown.outputs, late))

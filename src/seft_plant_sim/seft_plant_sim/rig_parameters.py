@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS, FACTS, SETTINGS, facts
 from seft_msgs_py.config.parameter_table import Parameter, Section, Table, parameter_rows
@@ -120,17 +121,6 @@ _ACTUATOR = parameter_rows(
     "simulated.actuator",
 )
 
-_SENSORS = parameter_rows(
-    """
-    displacement_filter | floats | 0.0 | Hz | 0 ..   |
-        cut-off of the displacement's filter (Butterworth, second order); 0: none
-    velocity_filter     | floats | 0.0 | Hz | 0 ..   | of the velocity's filter, likewise
-    acceleration_filter | floats | 0.0 | Hz | 0 ..   | of the acceleration's filter, likewise
-    force_filter        | floats | 0.0 | Hz | 0 ..   | of the force's filter, likewise
-    """,
-    "simulated.sensors",
-)
-
 _OF_THE_PAPER = {
     "flow_gain": 0.0403,
     "oil_stiffness": 1.664e7,
@@ -209,7 +199,6 @@ RIG_TABLE = Table(
         *_TRUE,
         *_SPECIMEN,
         *_ACTUATOR,
-        *_SENSORS,
         *SAFETY,
         *host.REALTIME_PARAMETERS,
     ],
@@ -221,9 +210,29 @@ def truth(section: Section) -> Section:
     return {name: value for name, value in section.items() if name.startswith("simulated.")}
 
 
+def filter_of(frequency: Any, damping: Any) -> tuple[Floats, Floats]:
+    """Give p (s) and q (s^2) of filters 1 / (1 + p s + q s^2); 0 where the frequency (Hz) is 0."""
+    w = 2 * np.pi * np.asarray(frequency, dtype=np.float64)
+    period = np.divide(1.0, w, out=np.zeros_like(w), where=w > 0.0)
+    return 2.0 * np.asarray(damping) * period, period**2
+
+
+def common_filter(section: Mapping[str, Any]) -> tuple[float, float]:
+    """Filter of the aligned channels, see `filter_of`, of a section: the slowest of all."""
+    names = [f"calibration.{channel}_filter" for channel in CHANNELS]
+    each = [filter_of(np.ravel(section[n]), np.ravel(section[f"{n}_damping"])) for n in names]
+    every = [one for p, q in each for one in zip(*np.broadcast_arrays(p, q), strict=True)]
+    p, q = max(every, key=lambda one: one[1])
+    return float(p), float(q)
+
+
 def common_lag(section: Mapping[str, Any]) -> float:
-    """Lag of the aligned channels, of a section with ``calibration.*``: of the latest one, s."""
-    return max(float(np.max(section[f"calibration.{channel}_lag"])) for channel in CHANNELS)
+    """Delay of the aligned channels, of a section with ``calibration.*``, s.
+
+    That is the largest lag, and the delay of the slowest filter below its frequency.
+    """
+    lag = max(float(np.max(section[f"calibration.{channel}_lag"])) for channel in CHANNELS)
+    return lag + common_filter(section)[0]
 
 
 def as_simulated(experiment: Experiment) -> Experiment:

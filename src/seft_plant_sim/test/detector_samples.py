@@ -27,7 +27,7 @@ def detectors(warn_only=(), **changes):
         **{"steps": np.zeros((4, N))},
         **{"velocity_is_derived": False, "actuator": ACTUATOR, "past": PAST, "has_valve": True},
         **{"mass": MASS, "stiffness": STIFFNESS},
-        **{"largest_drive": 10.0, "dt": DT, **changes},
+        **{"largest_drive": 10.0, "waits": np.zeros(4, np.int64), "dt": DT, **changes},
     }
     p, state = detector_arrays(KnownRig(**known), warn_only, ZEROED)
     begin_detectors(p, state)

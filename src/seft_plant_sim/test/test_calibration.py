@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 from bare_rig import driven, make_rig, rig_section
+from scipy.signal import lfilter
 from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.calibration import (
-    AT_ONCE,
+    all_pass,
     as_published,
     calibrate,
     calibration_of,
-    nothing_known,
     zeroed_at_rest,
 )
 from seft_plant_sim.rig_parameters import common_lag
@@ -106,13 +106,62 @@ def test_aligned_channels_have_one_phase(lags):
         assert np.angle(expected / latest) == pytest.approx(np.zeros(4), abs=0.02)
 
 
+def waits(calibration):
+    """Wait of each channel at low frequency, in samples, shape (4, n)."""
+    numerator, denominator = np.einsum("j,pjrn->prn", np.arange(4.0), calibration.taps)
+    return calibration.whole + (numerator - denominator) / calibration.taps[0].sum(axis=0)
+
+
 def test_the_rest_of_a_wait_is_where_its_delay_is_flattest():
     for wait in np.linspace(0.2, 6.0, 59):
         calibration, _ = known(force_lag=wait * DT)
-        fraction = (1 - calibration.factor[X, 0]) / (1 + calibration.factor[X, 0])
-        assert calibration.whole[X, 0] + fraction == pytest.approx(wait)
-        assert 0.2 - 1e-9 <= fraction < 1.2 + 1e-9
-        assert calibration.whole[F, 0] == AT_ONCE
+        assert waits(calibration)[X, 0] == pytest.approx(wait)
+        rest = wait - calibration.whole[X, 0]
+        assert rest == pytest.approx(0.0, abs=1e-9) or 0.2 - 1e-9 <= rest < 1.2 + 1e-9
+        if rest > 0.1:
+            assert calibration.taps[0, :2, X, 0] == pytest.approx(all_pass(rest)[0])
+        assert (calibration.whole[F, 0], calibration.taps[0, 0, F, 0]) == (0, 1.0)
+
+
+FILTERS = {"acceleration": (100.0, 0.7071), "force": (60.0, 0.87), "displacement": (150.0, 1.0)}
+
+
+def low_pass(hz, natural, damping):
+    """Response of a low-pass of second order."""
+    s = 1j * np.asarray(hz) / natural
+    return 1.0 / (1.0 + 2.0 * damping * s + s * s)
+
+
+def test_channels_with_filters_and_lags_all_get_one_response():
+    """That of the slowest filter and of the largest lag, up to 0.2 times the rate."""
+    values = {f"{name}_filter": hz for name, (hz, _) in FILTERS.items()}
+    values |= {f"{name}_filter_damping": damping for name, (_, damping) in FILTERS.items()}
+    lags = {"velocity_lag": 0.0033, "displacement_lag": 0.0004}
+    calibration, _ = known(**values, **lags)
+    for hz, most in ((3.0, 1e-3), (20.0, 5e-3), (50.0, 0.03), (100.0, 0.15)):
+        s = 2j * np.pi * hz
+        sensors = [low_pass(hz, *FILTERS[name]) if name in FILTERS else 1.0 for name in CHANNELS]
+        sensors *= np.exp(-s * np.array([lags.get(f"{name}_lag", 0.0) for name in CHANNELS]))
+        powers = np.exp(-s * DT * np.arange(4.0))
+        numerator, denominator = np.einsum("j,pjrn->prn", powers, calibration.taps)[:, :, 0]
+        wait = np.exp(-s * DT * calibration.whole[:, 0])
+        expected = low_pass(hz, *FILTERS["force"]) * np.exp(-s * 0.0033)
+        found = sensors * wait * numerator / denominator
+        np.testing.assert_allclose(found, expected, rtol=most)
+    section = rig_section(**{f"calibration.{name}": v for name, v in (values | lags).items()})
+    assert common_lag(section) == pytest.approx(0.0033 + 2 * 0.87 / (2 * np.pi * 60.0))
+
+
+def test_a_filtered_channel_is_calibrated_as_it_is_designed():
+    """An impulse after a constant: its response is that of the taps."""
+    samples = np.ones((60, 4, 1))
+    samples[20, X] = 2.0
+    calibration, _ = known(acceleration_filter=80.0, displacement_lag=0.0005)
+    found = corrected(samples, acceleration_filter=80.0, displacement_lag=0.0005)[:, X, 0]
+    numerator, denominator = calibration.taps[:, :, X, 0]
+    expected = 1.0 + lfilter(numerator, denominator, np.arange(40) == 0)
+    np.testing.assert_allclose(found[20:], expected, atol=1e-12)
+    np.testing.assert_allclose(found[:20], 1.0, atol=1e-12)
 
 
 def test_what_waits_keeps_the_steps_of_its_converter_and_repeats_what_repeats():
@@ -134,9 +183,7 @@ def test_the_latest_channel_of_all_axes_counts_and_is_reported():
     section = rig_section(**values)
     assert common_lag(section) == 0.003
     one, _ = calibration_of(section, ("east/x", "west/x"), [0], DT)
-    np.testing.assert_allclose(
-        (one.whole + (1 - one.factor) / (1 + one.factor))[:, 0] * DT, [0.001, 0.003, 0.003, 0.002]
-    )
+    np.testing.assert_allclose(waits(one)[:, 0] * DT, [0.001, 0.003, 0.003, 0.002], atol=1e-12)
 
 
 def test_a_constant_comes_out_as_it_is_from_the_first_sample_on():
@@ -191,24 +238,40 @@ def test_a_derived_velocity_is_that_of_the_calibrated_displacement():
 
 def test_as_a_linear_model_what_waits_is_late():
     model = continuous_model(rig_section(), ("x",))
-    calibration, _ = known(force_lag=0.0031, velocity_scale=2.0)
-    found = as_published(model, calibration, DT).sensed
+    values = {"calibration.force_lag": 0.0031, "calibration.velocity_scale": 2.0}
+    found = as_published(model, rig_section(**values), ("x",)).sensed
     assert isinstance(found, Sensed)
     np.testing.assert_allclose(found.late, [0.0031, 0.0031, 0.0031, 0.0])
     np.testing.assert_allclose(found.c[V], model.c[V] / 2.0)
     np.testing.assert_array_equal(found.c[F], model.c[F])
-    assert as_published(model, nothing_known(1)[0], DT) is model
+
+
+def test_as_a_linear_model_all_have_the_slowest_filter():
+    values = {
+        "force_filter": 60.0,
+        "acceleration_filter": 100.0,
+        "acceleration_filter_damping": 1.0,
+    }
+    both = {f"{where}.{n}": v for where in ("sensors", "calibration") for n, v in values.items()}
+    section, plain = rig_section(**both), continuous_model(rig_section(), ("x",))
+    found = as_published(continuous_model(section, ("x",)), section, ("x",))
+    for hz in (5.0, 60.0, 200.0):
+        expected = low_pass(hz, 60.0, 0.7071) * transfer(plain, hz)
+        np.testing.assert_allclose(transfer(found, hz), expected, rtol=1e-9)
+
+
+def transfer(model, hz):
+    """From the drive to what is seen of a model, shape (4n, n)."""
+    s, shown = 2j * np.pi * hz, model.shown
+    return shown.c @ np.linalg.solve(s * np.eye(len(model.a)) - model.a, model.b) + shown.d
 
 
 def test_as_a_linear_model_a_known_tilt_is_taken_out():
-    axes = ("x", "y")
-    section = {"sensors.tilt": TILT.ravel().tolist(), "axes": list(axes)}
-    fault_free, rig = (
-        continuous_model(rig_section(**s), axes) for s in ({"axes": list(axes)}, section)
-    )
-    calibration, _ = known(axes=axes, tilt=TILT.ravel().tolist())
-    found = as_published(rig, calibration, DT).sensed
-    np.testing.assert_allclose(found.c, fault_free.c, atol=1e-9 * np.abs(fault_free.c).max())
+    axes, tilt = ("x", "y"), TILT.ravel().tolist()
+    values = {"axes": list(axes), "sensors.tilt": tilt, "calibration.tilt": tilt}
+    section, plain = rig_section(**values), continuous_model(rig_section(axes=list(axes)), axes)
+    found = as_published(continuous_model(section, axes), section, axes).sensed
+    np.testing.assert_allclose(found.c, plain.c, atol=1e-9 * np.abs(plain.c).max())
 
 
 def test_biases_are_the_means_at_rest_that_are_more_than_noise():

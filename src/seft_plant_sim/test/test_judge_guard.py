@@ -75,6 +75,14 @@ def test_nothing_is_known_of_a_velocity_that_is_derived():
         guard(sensors__velocity="derived", calibration__velocity_lag=0.001)
 
 
+def test_a_channel_that_waits_repeats_its_first_sample_without_being_frozen():
+    known = {f"sensors__{name}_range": 1e4 * NOISE[f"sensors__{name}_noise"] for name in CHANNELS}
+    one = guard(**NOISE, **known, sensors__adc_bits=16, calibration__force_lag=0.0299)
+    passed, found = taken(one, quiet(40))
+    assert (passed[:14, 0] == passed[0, 0]).all()
+    assert not any(found)
+
+
 def test_a_converter_that_is_known_keeps_its_steps_through_the_alignment():
     ranges = {f"sensors__{name}_range": 1.0 for name in CHANNELS}
     turning = np.rint(60.0 * np.sin(0.3 * np.arange(40))) / 128.0

@@ -7,7 +7,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import rigs_of
 from seft_plant_sim.rig import Rig
-from seft_plant_sim.rig_parameters import RIG_TABLE
+from seft_plant_sim.rig_parameters import RIG_TABLE, filter_of
 from seft_plant_sim.simulated.continuous_model import delayed_force
 from seft_plant_sim.simulated.rig import continuous_model
 from seft_plant_sim.simulated.sensor_dynamics import sensed
@@ -27,7 +27,8 @@ def behind(model, scale=1.0, mix=None, lag=0.0, cutoff=0.0):
     n = model.b.shape[1]
     rows = (np.broadcast_to(value, 4 * n).astype(float) for value in (scale, lag, cutoff))
     scale, lag, cutoff = rows
-    return sensed(model, scale, np.eye(n) if mix is None else np.array(mix), lag, cutoff)
+    filters = np.array(filter_of(cutoff, np.sqrt(0.5)))
+    return sensed(model, scale, np.eye(n) if mix is None else np.array(mix), lag, filters)
 
 
 def transfer(model, hz):

@@ -10,7 +10,7 @@ from experiments_at_hand import load
 from seft_msgs_py.config.facts import CHANNELS
 from seft_plant_sim.rig import Rig
 from seft_ros.ground_motion.synthetic_motion import excitation
-from seft_ros.identification.actuator_fit import OilBalance, fit_actuator, force_lag
+from seft_ros.identification.actuator_fit import fit_actuator
 
 TAIL = 1.0
 BAND = (0.3, 200.0)
@@ -115,18 +115,6 @@ def test_a_filter_of_all_sensors_is_dead_time_and_no_lack_of_pressure(cutoff):
     valve = fit.valve_damping / (math.pi * fit.valve_frequency)
     own = KNOWN["valve_damping"] / (math.pi * KNOWN["valve_frequency"])
     assert fit.dead_time + valve == pytest.approx(1e-3 + late + own, abs=2e-4)
-
-
-@pytest.mark.parametrize("lag", [-0.004, 0.0, 0.003, 0.006])
-@pytest.mark.parametrize("name", ["the paper's", "slips"])
-def test_the_lag_of_the_force_is_found_whatever_the_specimen_does(name, lag):
-    lags = dict.fromkeys(("displacement", "acceleration"), max(-lag, 0.0)) | {
-        "force": max(lag, 0.0)
-    }
-    late = [f"rig:simulated.sensors.{channel}_lag:={each}" for channel, each in lags.items()]
-    *signals, dt, band = driven(*RIGS[name][0], *late)
-    oil = OilBalance(*(each[:, 0] for each in signals), dt, band)
-    assert force_lag(oil) == pytest.approx(lag, abs=2e-4)
 
 
 def test_a_force_capacity_is_reported_where_the_load_shows_it():

@@ -84,6 +84,11 @@ _OF_A_CHANNEL = """
     calibration.{name}_lag   | floats | 0.0 | s      | 0 .. 1 |
         time by which the measured {name} is late; the channels are aligned to the latest one, whose
         lag the loop counts
+    calibration.{name}_filter | floats | 0.0 | Hz | 0 .. |
+        natural frequency of the low-pass of second order that the measured {name} has passed; 0:
+        none. All channels get the response of the slowest one, whose delay the loop counts
+    calibration.{name}_filter_damping | floats | 0.7071 | | > 0 |
+        its damping ratio; 0.7071: Butterworth's
 """
 
 _SENSORS = """

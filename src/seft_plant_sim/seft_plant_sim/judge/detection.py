@@ -105,6 +105,7 @@ def detectors_of(
     bits = section["sensors.adc_bits"]
     channels = known_channels(section, axes)  # a range is of what a sensor shows
     bias, scale = (np.abs(channels[what][:, own]) for what in ("bias", "scale"))
+    late = channels["lag"]
     known = KnownRig(
         noise=noise,
         limits=np.array([section[f"limits.{name}"] for name in CHANNELS]),
@@ -117,6 +118,7 @@ def detectors_of(
         mass=mass,
         stiffness=stiffness,
         largest_drive=largest_drive,
+        waits=np.ceil((late.max() - late[:, own]).max(axis=1) / dt).astype(np.int64),
         dt=dt,
     )
     return detector_arrays(known, warn_only, zeroed)

@@ -57,6 +57,7 @@ def begin_detectors(p: DetectorParameters, state: DetectorState) -> None:
     for each in state[:-1]:
         each[...] = 0
     state.step[:] = LONG_AGO
+    state.step[AT_RANGE:] = p.rig.waits - 1  # nothing new is seen before
     begin_relations(p, state)
     begin_judge(p.judge, state.judge)
 

@@ -63,6 +63,7 @@ class KnownRig(NamedTuple):
     mass: Floats  # of the specimen, (n, n), kg
     stiffness: Floats  # likewise, N/m
     largest_drive: float  # of a valve, V
+    waits: Ints  # samples for which a channel repeats its first one, see `calibration`, (4,)
     dt: float  # sampling period, s
 
 

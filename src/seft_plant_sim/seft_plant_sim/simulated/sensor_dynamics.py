@@ -15,6 +15,7 @@ from seft_msgs_py.arrays import Floats, Ints
 from seft_plant_sim.channels import ACCELERATION, VELOCITY, per_channel, tilt_of
 from seft_plant_sim.compiled import compiled, multiply
 from seft_plant_sim.lti import split_dead_time
+from seft_plant_sim.rig_parameters import filter_of
 from seft_plant_sim.simulated.continuous_model import ContinuousModel, Motion, Sensed
 
 
@@ -103,9 +104,9 @@ def with_sensors(
     """
     own = list(places)
 
-    scale, lag, cutoff = (
-        per_channel(section, axes, f"simulated.sensors.{{}}_{what}")[:, own]
-        for what in ("scale", "lag", "filter")
+    names = "scale", "lag", "filter", "filter_damping"
+    scale, lag, cutoff, damping = (
+        per_channel(section, axes, f"simulated.sensors.{{}}_{what}")[:, own] for what in names
     )
     if section["sensors.velocity"] == "derived":  # there is no velocity sensor
         scale[VELOCITY], lag[VELOCITY], cutoff[VELOCITY] = 1.0, 0.0, 0.0
@@ -117,11 +118,12 @@ def with_sensors(
         and (mix == np.eye(len(mix))).all()
     ):
         return model
-    return sensed(model, scale.ravel(), mix, lag.ravel(), cutoff.ravel())
+    filters = np.array(filter_of(cutoff.ravel(), damping.ravel()))
+    return sensed(model, scale.ravel(), mix, lag.ravel(), filters)
 
 
 def sensed(
-    model: ContinuousModel, scale: Floats, mix: Floats, lag: Floats, cutoff: Floats
+    model: ContinuousModel, scale: Floats, mix: Floats, lag: Floats, filters: Floats
 ) -> ContinuousModel:
     """Put sensors behind the outputs of a model.
 
@@ -129,34 +131,58 @@ def sensed(
     ----------
     model : ContinuousModel
         Of n axes, without sensors.
-    scale, lag, cutoff : ndarray
-        Factor, lag in s and cut-off of a Butterworth low-pass of second order in Hz (0: none) of
-        each output, shape (4n,).
+    scale, lag, filters : ndarray
+        Factor, shape (4n,), lag in s, (4n,), and `filter_of` each output, (2, 4n).
     mix : ndarray
         Accelerations that the accelerometers show per acceleration of each axis, shape (n, n).
     """
-    n, size = len(mix), len(model.a)
+    n = len(mix)
     by_output = np.diag(scale)
     accelerations = slice(ACCELERATION * n, (ACCELERATION + 1) * n)
     by_output[accelerations, accelerations] = by_output[accelerations, accelerations] @ mix
     c, d, h = by_output @ model.c, by_output @ model.d, by_output @ model.outputs
-    rows = np.flatnonzero(cutoff)
-    m = len(rows)
-    w = 2 * np.pi * cutoff[rows, np.newaxis]
-    one, none = np.eye(m), np.zeros((m, m))
-    a = np.block(
+    rows = np.flatnonzero(filters[1])
+    none = np.zeros((2, len(rows)))
+    return filtered(replace(model, sensed=Sensed(c, d, h, lag)), rows, none, filters[:, rows])
+
+
+def filtered(
+    model: ContinuousModel, rows: Ints, numerator: Floats, denominator: Floats
+) -> ContinuousModel:
+    """Pass some of what a model shows through (1 + p s + q s^2) / (1 + P s + Q s^2).
+
+    Parameters
+    ----------
+    model : ContinuousModel
+        Of n axes.
+    rows : ndarray
+        Places of the m outputs, shape (m,).
+    numerator, denominator : ndarray
+        p and q, P and Q of each, shape (2, m), or of all, (2, 1); s and s^2.
+    """
+    m, size = len(rows), len(model.a)
+    if not m:
+        return model
+    (p, q), (of_p, of_q) = (
+        np.broadcast_to(one, (2, m))[:, :, np.newaxis] for one in (numerator, denominator)
+    )
+    shown, one, none = model.shown, np.eye(m), np.zeros((m, m))
+    c, d, h = shown.c.copy(), shown.d.copy(), shown.outputs.copy()
+    a = np.block(  # of y and y' with y + P y' + Q y'' = the output
         [
             [model.a, np.zeros((size, 2 * m))],
             [np.zeros((m, size)), none, one],
-            [w**2 * c[rows], -(w**2) * one, -np.sqrt(2) * w * one],
+            [c[rows] / of_q, -one / of_q, -one * (of_p / of_q)],
         ]
     )
     b, inputs = (
-        np.vstack([own, np.zeros((m, own.shape[1])), w**2 * shown[rows]])
-        for own, shown in ((model.b, d), (model.inputs, h))
+        np.vstack([own, np.zeros((m, own.shape[1])), of_input[rows] / of_q])
+        for own, of_input in ((model.b, d), (model.inputs, h))
     )
-    c = np.hstack([c, np.zeros((4 * n, 2 * m))])
-    c[rows], d[rows], h[rows] = 0.0, 0.0, 0.0
-    c[rows, size + np.arange(m)] = 1.0
-    truth = np.hstack([model.c, np.zeros((4 * n, 2 * m))])
-    return replace(model, a=a, b=b, c=truth, inputs=inputs, sensed=Sensed(c, d, h, lag))
+    truth, c = (np.hstack([one, np.zeros((len(c), 2 * m))]) for one in (model.c, c))
+    share = q / of_q  # y + p y' + q y''
+    for each in (c, d, h):
+        each[rows] *= share
+    c[rows, size + np.arange(m)] = 1.0 - share[:, 0]
+    c[rows, size + m + np.arange(m)] = (p - share * of_p)[:, 0]
+    return replace(model, a=a, b=b, c=truth, inputs=inputs, sensed=Sensed(c, d, h, shown.late))

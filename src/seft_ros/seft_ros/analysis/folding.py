@@ -69,7 +69,7 @@ def expected_relations(experiment: Experiment, frequency: float) -> Complexes | 
     section = experiment["reference_force"]
     lag = known_channels(section, experiment.axes)["lag"]
     # what the samples wait for after the channels are read turns nothing that is folded down
-    at_once = {f"calibration.{channel}_lag": 0.0 for channel in CHANNELS}
+    at_once = {f"calibration.{name}_{what}": 0.0 for name in CHANNELS for what in ("lag", "filter")}
     known = Experiment({node: experiment[node] | at_once for node in nodes})
     if section["sensors.velocity"] == "derived":
         lag[VELOCITY] = lag[0]

@@ -308,12 +308,18 @@ class _Identification:
     def _run_multisine(self, plan: "Multisine") -> None:
         """Run the multisine test, if the actuators were found; a pilot finds the commands."""
         from seft_ros.identification import multisine
-        from seft_ros.identification.calibrated import MultisineResult, moved_by, rough_calibration
+        from seft_ros.identification.calibrated import (
+            MultisineResult,
+            found_filters,
+            moved_by,
+            rough_calibration,
+        )
         from seft_ros.identification.identified import identify_from_recordings
 
         tests, dt = self._tests, self._tests.experiment.timebase.dt
         opened, band = tests.recordings[OPEN_LOOP], self._motions.band
-        known = rough_calibration(opened, band)
+        filters = found_filters(opened, band)
+        known = rough_calibration(opened, band, filters)
         found = identify_from_recordings(known.corrected(opened), None, band)
         if not (found.valves or found.has_servos):
             return
@@ -328,9 +334,15 @@ class _Identification:
         if not self._run_multisine_test(MULTISINE, commands):
             return
         recording = tests.recordings[MULTISINE]
-        known = MultisineResult.of_recording(plan, recording, sines, found, known).calibrated
+        first = MultisineResult.of_recording(plan, recording, sines, found, known, filters)
+        filters = found_filters(opened, band, first)
+        known = MultisineResult.of_recording(
+            plan, recording, sines, found, known, filters
+        ).calibrated
         found = identify_from_recordings(known.corrected(opened), None, band)
-        self._multisine = MultisineResult.of_recording(plan, recording, sines, found, known)
+        self._multisine = MultisineResult.of_recording(
+            plan, recording, sines, found, known, filters
+        )
 
     def _run_multisine_test(self, name: str, commands: np.ndarray) -> bool:
         from seft_ros.identification import rig_tests

@@ -13,7 +13,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import FORCE_DRIVEN
 from seft_msgs_py.errors import InputError
 from seft_plant_sim import lti
-from seft_plant_sim.calibration import as_published, calibration_of
+from seft_plant_sim.calibration import as_published
 from seft_plant_sim.judge.known_rig import known_actuators
 from seft_plant_sim.rig_parameters import common_lag
 from seft_plant_sim.simulated.actuator import Hydraulics
@@ -315,10 +315,11 @@ def simulated_rig(experiment: Experiment, stiffness: float = 1.0) -> ContinuousM
     ``stiffness`` is a factor on that of the specimen. The velocity is the measured one; an
     InputError says if sizes do not fit the axes.
     """
-    section, axes, dt = experiment["rig"], experiment.axes, experiment.timebase.dt
+    section, axes = experiment["rig"], experiment.axes
     derived = section["sensors.velocity"] == "derived"
-    known, _ = calibration_of(section, axes, range(len(axes)), dt, velocity_is_derived=derived)
-    return as_published(continuous_model(section, axes, stiffness=stiffness), known, dt)
+    return as_published(
+        continuous_model(section, axes, stiffness=stiffness), section, axes, derived
+    )
 
 
 def small_signal(specimen: Specimen, **actuators: Any) -> ContinuousModel:

@@ -180,8 +180,7 @@ class OilBalance:
         """
         flow = self._of_last(self.flow, p, slice(6))
         slip = self._of_last(self.slip, p, slice(4, 5))
-        force = self._of_force * np.exp(2j * np.pi * self._frequency * p[6] / 1e3)[:, np.newaxis]
-        terms = np.column_stack([flow, -force, -slip, self._of_motion])
+        terms = np.column_stack([flow, -self._of_force, -slip, self._of_motion])
         terms = terms / deviation[:, np.newaxis]
         split = np.concatenate([terms.real, terms.imag])
         columns, target = split[:, :4], split[:, 4]
@@ -204,10 +203,9 @@ _TOLERANCE = 0.01  # of the flow at a frequency: accuracy of the model itself
 _LEAST_LOAD = 0.15  # of the force capacity: below, friction can be taken for it
 _UNSURE = 0.1  # relative standard deviation; of the dead time in ms
 _DOUBTED = ("flow_gain", "oil_stiffness", "valve_frequency", "valve_damping", "dead_time")
-_LOWEST = np.array([math.log(3.0), math.log(0.1), 0.0, 0.0, math.log(2e-4), 0.0, -20.0])
-_HIGHEST = np.array([math.log(1000.0), math.log(3.0), 50.0, 0.9, math.log(0.1), 20.0, 20.0])
-_SCALE = np.array([0.1, 0.1, 0.1, 0.01, 0.3, 0.1, 0.1])
-_FORCE_LAGS = (-8.0, -6.0, -4.0, -2.0, 0.0, 2.0, 4.0, 6.0, 8.0)  # ms: starts
+_LOWEST = np.array([math.log(3.0), math.log(0.1), 0.0, 0.0, math.log(2e-4), 0.0])
+_HIGHEST = np.array([math.log(1000.0), math.log(3.0), 50.0, 0.9, math.log(0.1), 20.0])
+_SCALE = np.array([0.1, 0.1, 0.1, 0.01, 0.3, 0.1])
 _FILTER_LAG = 1.0  # ms, of a filter of 225 Hz: first guess
 _FILTERED = 0.5  # part of what no filter leaves: a filter that leaves more is none
 
@@ -363,27 +361,17 @@ def _fitted(oil: OilBalance, p: Floats, filtered: bool) -> tuple[Floats, Floats,
     return p, deviation, found.jac
 
 
-def force_lag(oil: OilBalance) -> float:
-    """Lag of the force behind displacement and acceleration, which agree, s; for a start.
-
-    Friction of the specimen has no part in the balance.
-    """
-    return float(_roughly(oil, _FORCE_LAGS)[6]) / 1e3
-
-
-def _roughly(oil: OilBalance, force_lags: tuple[float, ...] = (0.0,)) -> Floats:
-    """Parameters of a first fit, from several starts; of one lag of the force, that is known.
+def _roughly(oil: OilBalance) -> Floats:
+    """Parameters of a first fit, from several starts.
 
     The resonances of valve and oil column are similar: if one is taken for the other, the fit
     explains the piston's motion, but not the force. So the best fit is the one that explains the
     flow at the most frequencies.
     """
-    free = [0, 1, 2, 6] if len(force_lags) > 1 else [0, 1, 2]
+    free = slice(3)
 
     def whole(found: Floats) -> Floats:
-        p = np.array([0.0, 0.0, 0.0, 0.0, _OVER, 0.0, force_lags[0]])
-        p[free] = found
-        return p
+        return np.append(found, [0.0, _OVER, 0.0])
 
     def errors(found: Floats) -> Floats:
         return oil.solve(whole(found), oil.rough)[2]
@@ -395,11 +383,7 @@ def _roughly(oil: OilBalance, force_lags: tuple[float, ...] = (0.0,)) -> Floats:
 
     best = []
     for hz in _VALVES:
-        starts = [
-            np.array([math.log(hz), _DAMPING, dead_time, late])[: len(free)]
-            for dead_time in _DEAD_TIMES
-            for late in force_lags
-        ]
+        starts = [np.array([math.log(hz), _DAMPING, dead_time]) for dead_time in _DEAD_TIMES]
         start = min(starts, key=lambda found: float(np.sum(errors(found) ** 2)))
         bounds = _LOWEST[free], _HIGHEST[free]
         scale = _SCALE[free]

@@ -1,13 +1,13 @@
 """What a multisine test has found of the channels: as parameters, and taken out of a recording."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.config.parameter_table import Section, mass_matrix
@@ -16,15 +16,18 @@ from seft_msgs_py.wire.topics import MEASURED, RIG_STATE, VALVE_COMMAND
 from seft_plant_sim.calibration import (
     NOTHING_KNOWN,
     TILT,
+    aligned_to,
     calibrate_all,
     calibration_of,
     known_channels,
+    lacking,
 )
 from seft_plant_sim.channels import ACCELERATION, FORCE, VELOCITY, tilt_of
+from seft_plant_sim.rig_parameters import common_filter
 
 from seft_ros.bags.recording import Recording, every_step
 from seft_ros.drawing.table import TextTable
-from seft_ros.identification.actuator_fit import OilBalance, force_lag
+from seft_ros.identification.channel_filters import HIGHEST, ChannelFilters, channel_filters
 from seft_ros.identification.identified import Identified
 from seft_ros.identification.multisine import OF_RATE, Multisine, Sine, fault_free_relations
 from seft_ros.identification.multisine_estimates import (
@@ -35,7 +38,7 @@ from seft_ros.identification.multisine_estimates import (
     harmonics,
     significant,
 )
-from seft_ros.identification.rig_tests import MeasuredTest, frequency_response, motion_spectra
+from seft_ros.identification.rig_tests import frequency_response, motion_spectra
 from seft_ros.identification.time_shift import moved_ahead
 
 _FEWEST_PERIODS, _SEGMENT = 3.0, 4.0  # of a spectrum: of the lowest frequency, and s
@@ -53,7 +56,7 @@ class Calibrated:
     found : dict
         Scale, lag and bias of the channels as published in the multisine test, shape (4, n), and
         the tilt of the accelerometers of each rig, (n, n): of what is within `MULTISINE_SIGMAS`
-        standard errors, nothing is known.
+        standard errors, nothing is known. Filters if they are others than those that were known.
     whole : dict
         With what was known before: `parameters` of the rig.
     common_lag : float
@@ -69,7 +72,9 @@ class Calibrated:
     derived: bool
 
     @classmethod
-    def of_multisine(cls, fit: MultisineFit, experiment: Experiment) -> "Calibrated":
+    def of_multisine(
+        cls, fit: MultisineFit, filters: ChannelFilters, experiment: Experiment
+    ) -> "Calibrated":
         """Combine a multisine test with the calibration of its own experiment."""
         section = experiment["reference_force"]
         known, derived = all_known(experiment), section["sensors.velocity"] == "derived"
@@ -83,7 +88,8 @@ class Calibrated:
         tilt = np.eye(len(off)) + np.where(_of_one_rig(experiment), off, 0.0)
         shown = bias.copy()
         shown[ACCELERATION] = known["tilt"] @ bias[ACCELERATION]
-        whole = {
+        passed = {"filter": filters.filter, "filter_damping": filters.filter_damping}
+        whole = passed | {
             "scale": known["scale"] * scale,
             "bias": known["bias"] + known["scale"] * shown,
             "lag": known["lag"] + lag,
@@ -93,7 +99,18 @@ class Calibrated:
         whole["lag"] = whole["lag"] + earliest
         common = float(known["lag"].max() + lag.max()) + earliest
         found = {"scale": scale, "lag": lag, "bias": bias, "tilt": tilt}
-        return cls(found, whole, common, derived)
+        is_other = (passed["filter"] != known["filter"]) | (
+            passed["filter_damping"] != known["filter_damping"]
+        )
+        for what, own in passed.items():
+            found[what] = np.where(is_other, own, NOTHING_KNOWN[what])
+        calibrated = cls(found, whole, common, derived)
+        return replace(calibrated, common_lag=common + calibrated.common_filter[0])
+
+    @property
+    def common_filter(self) -> tuple[float, float]:
+        """Filter that all channels get, see `seft_plant_sim.rig_parameters.common_filter`."""
+        return common_filter(_parameters(self.whole, False))
 
     @property
     def changes(self) -> bool:
@@ -112,19 +129,57 @@ class Calibrated:
         """
         axes, dt = recording.experiment.axes, recording.experiment.timebase.dt
         lag = self.found["lag"]
-        section = _parameters(self.found | {"lag": np.zeros_like(lag)}, False)
+        nothing = {what: np.full_like(lag, NOTHING_KNOWN[what]) for what in ("lag", *_FILTER)}
+        section = _parameters(self.found | nothing, False)
         known, state = calibration_of(section, axes, range(len(axes)), dt)
         recording, values = as_measured(recording), _samples(recording).copy()
         if len(known.scale):
             calibrate_all(known, state, values)
         line = np.linspace(values[0], values[-1], len(values))
         flat, lead = (values - line).reshape(len(values), -1), (lag - lag.max()).ravel()
-        values = line + moved_ahead(flat, lead, dt).reshape(line.shape)
+        passed = self._passed(recording.experiment)
+        values = line + moved_ahead(flat, lead, dt, passed).reshape(line.shape)
         every = np.arange(len(values))
         measured = recording.series[RIG_STATE.name]
         values = np.concatenate([values, every_step(measured, every)[:, 4:]], axis=1)
         whole = replace(measured, steps=every, values=values, received_ns=None)
         return replace(recording, series={**recording.series, RIG_STATE.name: whole})
+
+    def _passed(self, experiment: Experiment) -> Callable[[Floats], Complexes] | None:
+        """Response from the channels as published to the one that all are to have, (m, 4n)."""
+        if not any((self.found[what] != NOTHING_KNOWN[what]).any() for what in _FILTER):
+            return None
+        own = ChannelFilters.of(self.whole)
+        p, q = self.common_filter
+
+        def response(w: Floats) -> Complexes:
+            s = 1j * w[:, np.newaxis, np.newaxis]
+            common = 1.0 / (1.0 + p * s + q * s * s)
+            passed = common / own.response(w) / as_told(experiment)(w)
+            return np.asarray(passed.reshape(len(w), -1))
+
+        return response
+
+
+_FILTER = "filter", "filter_damping"
+
+
+def as_told(experiment: Experiment) -> Callable[[Floats], Complexes]:
+    """Response of what a test passes its channels through, beside waits, shape (..., 4, n)."""
+    dt, n = experiment.timebase.dt, len(experiment.axes)
+    section = experiment["reference_force"]
+    derived = section["sensors.velocity"] == "derived"
+    known = aligned_to(section, experiment.axes, range(n), derived)
+
+    def response(w: Floats) -> Complexes:
+        passed, z = np.ones((*w.shape, 4, n), complex), np.exp(-1j * w * dt)
+        for row, i in zip(*np.nonzero(known.lacks), strict=True):
+            taps = lacking(known.filters[:, row, i], known.common, dt)
+            numerator, denominator = (np.polyval(part[::-1], z) for part in taps)
+            passed[..., row, i] = numerator / denominator
+        return passed
+
+    return response
 
 
 def as_measured(recording: Recording) -> Recording:
@@ -177,6 +232,8 @@ class MultisineResult:
         ``force``; SI units.
     fit : MultisineFit
         Of the channels as published.
+    filters : ChannelFilters
+        Of the channels, see `found_filters`.
     calibrated : Calibrated
         The calibration that follows.
     known : ndarray
@@ -186,6 +243,7 @@ class MultisineResult:
     multisine: Multisine
     largest: dict[str, float]
     fit: MultisineFit
+    filters: ChannelFilters
     calibrated: Calibrated
     known: Floats
 
@@ -197,10 +255,12 @@ class MultisineResult:
         sines: Sequence[Sine],
         found: Identified,
         known: Calibrated,
+        filters: ChannelFilters | None = None,
     ) -> "MultisineResult":
         """Evaluate the recording of a multisine test.
 
-        ``found`` was identified from a recording that ``known`` has corrected.
+        ``found`` was identified from a recording that ``known`` has corrected; ``filters`` are
+        those of the channels, by default as known.
 
         Raises
         ------
@@ -209,10 +269,12 @@ class MultisineResult:
         """
         samples = _samples(recording)
         dt = recording.experiment.timebase.dt
-        of = harmonics(samples, sines, dt)
+        experiment = recording.experiment
+        filters = filters or ChannelFilters.of(all_known(experiment))
+        of = harmonics(samples, sines, dt).passed(_unfiltered(filters, experiment))
         late = known.found["lag"] - known.found["lag"].min()
         times = [valve.actuator.dead_time for valve in found.valves] or [0.0]  # of servos
-        dead_time = np.mean(times) - late.max()
+        dead_time = np.mean(times) - late.max() - known.common_filter[0]
         fault_free = fault_free_relations(found, sines, dt, max(float(dead_time), 0.0), late)
         fit = fit_multisine(of, fault_free)
         least, error = np.linalg.eigvalsh(fit.mass)[0], np.linalg.norm(fit.mass_error)
@@ -223,13 +285,9 @@ class MultisineResult:
                 f"mass is {least:.3g} ± {error:.2g} kg; give a larger --travel, so that it slips"
             )
         largest = np.abs(samples).max(axis=(0, 2)).tolist()
-        experiment = recording.experiment
-        calibrated, section = (
-            Calibrated.of_multisine(fit, experiment),
-            experiment["reference_force"],
-        )
-        mass = mass_matrix(section["specimen.mass"], experiment.axes, "/**: specimen.mass")
-        return cls(multisine, dict(zip(CHANNELS, largest, strict=True)), fit, calibrated, mass)
+        calibrated = Calibrated.of_multisine(fit, filters, experiment)
+        peaks = dict(zip(CHANNELS, largest, strict=True))
+        return cls(multisine, peaks, fit, filters, calibrated, known_mass(experiment))
 
     def facts(self) -> Section:
         """Give the calibration, and the mass, with standard errors."""
@@ -242,14 +300,14 @@ class MultisineResult:
 
     def numbers(self, axes: Sequence[str]) -> dict[str, Any]:
         """Give ``multisine`` of ``seft identify --json``: SI units, errors are standard errors."""
-        fit = self.fit
+        fit, every = self.fit, vars(self.fit) | vars(self.filters)
         by_axis = []
         for i, axis in enumerate(axes):
             channels = {
                 channel: {
                     what: {
-                        "value": float(getattr(fit, what)[row, i]),
-                        "error": float(getattr(fit, f"{what}_error")[row, i]),
+                        "value": float(every[what][row, i]),
+                        "error": float(every[f"{what}_error"][row, i]),
                     }
                     for what in NOTHING_KNOWN
                 }
@@ -269,12 +327,24 @@ class MultisineResult:
         }
 
 
-def rough_calibration(recording: Recording, band: tuple[float, float]) -> Calibrated:
-    """Estimate the channels from a test by random commands, well enough for the actuators' fit.
+def known_mass(experiment: Experiment) -> Floats:
+    """Give the configured mass matrix, kg."""
+    mass = experiment["reference_force"]["specimen.mass"]
+    return mass_matrix(mass, experiment.axes, "/**: specimen.mass")
 
-    The cross spectra with the commands take the place of the sines of the multisine test, up to
-    `OF_RATE` times the rate and within the band of the excitation, Hz. The force's lag follows from
-    the oil's balance.
+
+def _unfiltered(filters: ChannelFilters, experiment: Experiment) -> Callable[[Floats], Complexes]:
+    """Response from the channels as published to what they would show without filters."""
+    told = as_told(experiment)
+    return lambda w: 1.0 / (told(w) * filters.response(w))
+
+
+def _lines(
+    recording: Recording, band: tuple[float, float]
+) -> tuple[Harmonics, tuple[float, float]]:
+    """Cross spectra with the commands of a random test, up to `HIGHEST` times the rate.
+
+    They take the place of the sines of a multisine test. Also the band that they cover, Hz.
     """
     n, dt = len(recording.experiment.axes), recording.experiment.timebase.dt
     samples, command = _samples(recording), recording.series[VALVE_COMMAND.name]
@@ -284,24 +354,57 @@ def rough_calibration(recording: Recording, band: tuple[float, float]) -> Calibr
     # averages of more segments than inputs, or nothing of the noise would be seen
     segment = min(max(_FEWEST_PERIODS / band[0], _SEGMENT), len(samples) * dt / (n + 2))
     spectra = motion_spectra(signals, 1.0 / dt, segment)
-    used = max(band[0], _FEWEST_PERIODS / segment), min(band[1], OF_RATE / dt)
+    used = max(band[0], _FEWEST_PERIODS / segment), min(band[1], HIGHEST / dt)
     response = frequency_response(spectra, slice(0, n), slice(n, 5 * n), used)
     shape = (len(response.frequencies_hz), 4, n, n)
     amplitude = np.moveaxis(response.response.reshape(shape), 3, 0).reshape(-1, 4, n)
     deviation = np.sqrt(np.maximum(response.variance(), 0.0) / 2.0).reshape(shape)
     noise = np.moveaxis(deviation, 3, 0).reshape(-1, 4, n)
-    w = np.tile(2 * np.pi * response.frequencies_hz, n)
-    nothing = np.zeros_like(noise)
+    w, nothing = np.tile(2 * np.pi * response.frequencies_hz, n), np.zeros_like(noise)
     of = Harmonics(w, amplitude[:, np.newaxis], noise, nothing, nothing[:, 0, 0], nothing[0])
-    fit = fit_multisine(of, np.ones((len(w), 2), complex))
-    # the random motion of a specimen with friction does not tell that of the force
-    fit.lag[FORCE], fit.lag_error[FORCE] = 0.0, 0.0
-    test = MeasuredTest(
-        Calibrated.of_multisine(fit, recording.experiment).corrected(recording), band
-    )
-    balances = (OilBalance(*test.of_actuator(i), dt, band) for i in range(n))
-    fit.lag[FORCE] = list(map(force_lag, balances))
-    return Calibrated.of_multisine(fit, recording.experiment)
+    return of, used
+
+
+def found_filters(
+    recording: Recording, band: tuple[float, float], multisine: MultisineResult | None = None
+) -> ChannelFilters:
+    """Find the filters of the channels in a test by random commands.
+
+    A multisine test before tells the mass.
+    """
+    experiment, (of, used) = recording.experiment, _lines(recording, band)
+    section, known = experiment["reference_force"], ChannelFilters.of(all_known(experiment))
+    if section["sensors.acceleration"] == "derived":
+        return known
+    mass = known_mass(experiment)
+    error = np.full_like(mass, mass.max())
+    if multisine is not None:
+        fit, scale = multisine.fit, multisine.calibrated.found["scale"][ACCELERATION]
+        shown = scale[:, np.newaxis] * multisine.calibrated.found["tilt"]
+        mass, error = fit.mass @ np.linalg.inv(shown), fit.mass_error
+    told = as_told(experiment)(of.w)
+    derived = section["sensors.velocity"] == "derived"
+    amplitude, noise = of.amplitude / told, of.noise / np.abs(told)
+    found = channel_filters(of.w, amplitude, noise, experiment.timebase.dt, (mass, error), derived)
+    return found.apart_from(known, used[1])
+
+
+def rough_calibration(
+    recording: Recording, band: tuple[float, float], filters: ChannelFilters
+) -> Calibrated:
+    """Estimate the channels from a test by random commands, well enough for the actuators' fit.
+
+    Up to `OF_RATE` times the rate and within the band of the excitation, Hz. The force's lag is
+    that of ``filters``: at these frequencies friction spoils it.
+    """
+    experiment, (of, _) = recording.experiment, _lines(recording, band)
+    low = of.w <= 2 * np.pi * OF_RATE / experiment.timebase.dt
+    of = Harmonics(
+        of.w[low], of.overtones[low], of.noise[low], of.mean[low], of.time[low], of.rounding
+    ).passed(_unfiltered(filters, experiment))
+    fit = fit_multisine(of, np.ones((len(of.w), 2), complex))
+    fit.lag[FORCE], fit.lag_error[FORCE] = fit.lag[ACCELERATION] + filters.force_lag, 0.0
+    return Calibrated.of_multisine(fit, filters, experiment)
 
 
 def moved_by(recording: Recording, sines: Sequence[Sine]) -> Floats:
@@ -340,9 +443,15 @@ def multisine_table(result: MultisineResult, axes: Sequence[str]) -> TextTable:
         if channel == "velocity" and result.calibrated.derived:
             continue
         label = f"{channel}: "
-        for what, form in (("scale", ("", 1.0)), ("lag", ("ms", 1e3)), ("bias", of_bias)):
+        of_channel = {"scale": ("", 1.0), "lag": ("ms", 1e3), "filter": ("Hz", 1.0)}
+        for what, form in (of_channel | {"filter_damping": ("", 1.0), "bias": of_bias}).items():
             if any(one[channel][what]["error"] for one in found):  # it is not the reference
-                rows.append([label + what, *(cell(one[channel][what], *form) for one in found)])
+                rows.append(
+                    [
+                        label + what.replace("_", " "),
+                        *(cell(one[channel][what], *form) for one in found),
+                    ]
+                )
                 label = "  "
     return TextTable(["multisine", *axes], rows)
 

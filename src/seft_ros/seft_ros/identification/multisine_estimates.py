@@ -30,8 +30,8 @@ Over all A it has an RMS of q sqrt(2 q / A) / pi^2 times the exponential
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -80,6 +80,12 @@ class Harmonics:
     mean: Floats
     time: Floats
     rounding: Floats
+
+    def passed(self, response: Callable[[Floats], Complexes]) -> "Harmonics":
+        """Give those of channels after filters of a response, (..., 4, n), at w of shape (...)."""
+        orders = np.arange(1, 1 + self.overtones.shape[1])
+        overtones = self.overtones * response(np.outer(self.w, orders))
+        return replace(self, overtones=overtones, noise=self.noise * np.abs(response(self.w)))
 
     @property
     def amplitude(self) -> Complexes:
