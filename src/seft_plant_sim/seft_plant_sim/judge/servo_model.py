@@ -156,12 +156,15 @@ class AccelerationState(NamedTuple):
         y of the next sample without dead time, then those before; shape (n, memory).
     beside : ndarray
         e, e' and e'', shape (n, 3).
+    response : ndarray
+        y at the sample, shape (n,).
     """
 
     model: Floats
     next: Floats
     past: Floats
     beside: Floats
+    response: Floats
 
 
 def smoothing_steps(section: Mapping[str, Any], axes: Sequence[str]) -> int:
@@ -213,9 +216,9 @@ def acceleration_of(
         )
     if not acceleration_is_derived(section):
         none = np.zeros((0, 0))
-        nothing = np.zeros(0), np.zeros((0, 0, 0)), none, none, none
-        parameters = AccelerationParameters(dt, *nothing)
-        return parameters, AccelerationState(none, none, none, none)
+        late = np.zeros(0)
+        parameters = AccelerationParameters(dt, late, np.zeros((0, 0, 0)), none, none, none)
+        return parameters, AccelerationState(none, none, none, none, late)
     own, lag, n = list(places), common_lag(section), len(places)
     is_known = np.any(section["actuator.response.numerator"])
     responses = [TransferFunction((1.0,), (1.0, 1.0))] * n
@@ -238,6 +241,7 @@ def acceleration_of(
         next=np.zeros((n, m)),
         past=np.zeros((n, int(late.max()) + 4)),
         beside=np.zeros((n, _DERIVATIVES)),
+        response=np.zeros(n),
     )
     return parameters, state
 
@@ -267,7 +271,8 @@ def derive_acceleration(
 ) -> None:
     """Derive the accelerations of a sample, shape (4, n), if they are not measured.
 
-    The drive is applied from this sample on, shape (n,), m.
+    The displacements so far tell them, see `follow_displacement`. The drive is applied from this
+    sample on, shape (n,), m.
     """
     for i in range(len(p.late)):
         z, new, past, e = state.model[i], state.next[i], state.past[i], state.beside[i]
@@ -289,12 +294,23 @@ def derive_acceleration(
         bend = past[k - 1] - 2.0 * past[k] + past[k + 1]
         then = past[k] - 2.0 * past[k + 1] + past[min(k + 2, len(past) - 1)]
         bend = (bend + part * (then - bend)) / (p.dt * p.dt)
-        if step == 0:
-            e[0] = measured[0, i] - y
-        else:
+        if step > 0:
             e[0] += p.dt * (e[1] + 0.5 * p.dt * e[2])
             e[1] += p.dt * e[2]
-            off = measured[0, i] - y - e[0]
-            for j in range(len(e)):
-                e[j] += p.gains[i, j] * off
+        state.response[i] = y
         measured[2, i] = bend + e[2]
+
+
+@compiled
+def follow_displacement(
+    p: AccelerationParameters, state: AccelerationState, step: int, judged: Floats
+) -> None:
+    """Update e by the displacements of a sample, shape (4, n), once they are judged."""
+    for i in range(len(p.late)):
+        e = state.beside[i]
+        off = judged[0, i] - state.response[i] - e[0]
+        if step == 0:
+            e[0] += off
+            continue
+        for j in range(len(e)):
+            e[j] += p.gains[i, j] * off
