@@ -93,8 +93,8 @@ def detectors_of(
         np.ascontiguousarray(per_channel(section, axes, f"sensors.{{}}_{what}")[:, own])
         for what in ("noise", "range")
     )
-    if acceleration_is_derived(section):  # nothing else is compared with it
-        noise[ACCELERATION] = section["limits.acceleration"]
+    if acceleration_is_derived(section):  # nothing else is compared with it, and no sensor ends it
+        noise[ACCELERATION], ranges[ACCELERATION] = section["limits.acceleration"], 0.0
         mass, stiffness = np.zeros_like(mass), np.zeros_like(stiffness)
     bits = section["sensors.adc_bits"]
     channels = known_channels(section, axes)  # a range is of what a sensor shows

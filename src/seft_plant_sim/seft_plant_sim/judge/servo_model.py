@@ -22,7 +22,7 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.facts import POSITION_SERVO
 from seft_msgs_py.errors import InputError
 
-from seft_plant_sim.channels import acceleration_is_derived, least_noise
+from seft_plant_sim.channels import acceleration_is_derived, least_noise, velocity_is_derived
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.judge.known_rig import known_responses
 from seft_plant_sim.judge.valve_model import NEGLIGIBLE_FLOW
@@ -135,6 +135,8 @@ class AccelerationParameters(NamedTuple):
         See `ServoModel`, shapes (n, m, m), (n, m) and (n, m).
     gains : ndarray
         Of the filter of e, shape (n, 3).
+    derives_velocity : bool
+        Whether it is not measured either.
     """
 
     dt: float
@@ -143,6 +145,7 @@ class AccelerationParameters(NamedTuple):
     push: Floats
     output: Floats
     gains: Floats
+    derives_velocity: bool
 
 
 class AccelerationState(NamedTuple):
@@ -217,7 +220,7 @@ def acceleration_of(
     if not acceleration_is_derived(section):
         none = np.zeros((0, 0))
         late = np.zeros(0)
-        parameters = AccelerationParameters(dt, late, np.zeros((0, 0, 0)), none, none, none)
+        parameters = AccelerationParameters(dt, late, np.zeros((0, 0, 0)), none, none, none, False)
         return parameters, AccelerationState(none, none, none, none, late)
     own, lag, n = list(places), common_lag(section), len(places)
     is_known = np.any(section["actuator.response.numerator"])
@@ -234,6 +237,7 @@ def acceleration_of(
         push=np.array([model.push for model in models]),
         output=is_known * np.array([model.output for model in models]),
         gains=np.tile(_gains(rate, dt), (n, 1)),
+        derives_velocity=velocity_is_derived(section),
     )
     m = parameters.push.shape[1]
     state = AccelerationState(
@@ -269,7 +273,7 @@ def begin_acceleration(state: AccelerationState) -> None:
 def derive_acceleration(
     p: AccelerationParameters, state: AccelerationState, step: int, drive: Floats, measured: Floats
 ) -> None:
-    """Derive the accelerations of a sample, shape (4, n), if they are not measured.
+    """Derive acceleration and velocity of a sample, shape (4, n), if they are not measured.
 
     The displacements so far tell them, see `follow_displacement`. The drive is applied from this
     sample on, shape (n,), m.
@@ -291,6 +295,7 @@ def derive_acceleration(
         whole = int(p.late[i])
         part, k = p.late[i] - whole, whole + 1
         y = past[k] + part * (past[k + 1] - past[k])
+        rate, before = past[k - 1] - past[k + 1], past[k] - past[min(k + 2, len(past) - 1)]
         bend = past[k - 1] - 2.0 * past[k] + past[k + 1]
         then = past[k] - 2.0 * past[k + 1] + past[min(k + 2, len(past) - 1)]
         bend = (bend + part * (then - bend)) / (p.dt * p.dt)
@@ -299,6 +304,8 @@ def derive_acceleration(
             e[1] += p.dt * e[2]
         state.response[i] = y
         measured[2, i] = bend + e[2]
+        if p.derives_velocity:
+            measured[1, i] = (rate + part * (before - rate)) / (2.0 * p.dt) + e[1]
 
 
 @compiled
