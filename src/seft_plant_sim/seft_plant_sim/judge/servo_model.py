@@ -173,14 +173,14 @@ class AccelerationState(NamedTuple):
 def smoothing_steps(section: Mapping[str, Any], axes: Sequence[str]) -> int:
     """Count the steps M of the second difference that gives an acceleration.
 
-    Its window, twice as long, is the delay of the slowest servo: what happens within it can't be
-    answered anyway.
+    Its window is as long as the delay of the slowest servo, by the samples that it averages, 3/2 M:
+    what happens within that can't be answered anyway.
     """
     dt, delay = 1.0 / section["rate"], UNKNOWN_DELAY
     if np.any(section["actuator.response.numerator"]):
         servos = known_responses(section, tuple(axes), range(len(axes)))
         delay = max(each.dead_time + ServoModel(each, dt).delay for each in servos) + 1.5 * dt
-    return max(2, round(0.5 * delay / dt))
+    return max(2, round(delay / (1.5 * dt)))
 
 
 def second_difference(steps: int, dt: float) -> Floats:
@@ -196,9 +196,9 @@ def second_difference(steps: int, dt: float) -> Floats:
 
 
 def derived_noise(section: Mapping[str, Any], axes: Sequence[str]) -> Floats:
-    """RMS noise of velocity and acceleration by `second_difference`, shape (2, n)."""
+    """RMS noise of displacement, velocity and acceleration by `second_difference`, shape (3, n)."""
     weights = second_difference(smoothing_steps(section, axes), 1.0 / section["rate"])
-    return np.outer(np.linalg.norm(weights[1:], axis=1), least_noise(section, axes)[0])
+    return np.outer(np.linalg.norm(weights, axis=1), least_noise(section, axes)[0])
 
 
 def acceleration_of(
