@@ -218,6 +218,7 @@ class Rig:
         true force (N) at each step; both have shape (N,).
         """
         self.simulation.take(forces)
+        self._command[:] = self.simulation.state.asked  # which a servo may hold
         self.step_index = len(found) - 1
         steps = {name: np.flatnonzero(found & bit).tolist() for name, bit in _SATURATED.items()}
         self.saturation = {

@@ -26,7 +26,7 @@ def detectors(warn_only=(), **changes):
         **{"noise": NOISE, "limits": LIMITS, "ranges": np.zeros((4, N))},
         **{"steps": np.zeros((4, N))},
         **{"velocity_is_derived": False, "actuator": ACTUATOR, "past": PAST, "has_valve": True},
-        **{"mass": MASS, "stiffness": STIFFNESS},
+        **{"mass": MASS, "stiffness": STIFFNESS, "imposes": False},
         **{"largest_drive": 10.0, "waits": np.zeros(4, np.int64), "dt": DT, **changes},
     }
     p, state = detector_arrays(KnownRig(**known), warn_only, ZEROED)

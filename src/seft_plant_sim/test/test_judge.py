@@ -7,7 +7,7 @@ import pytest
 from detector_samples import ALL, DT, MASS, NOISE, STIFFNESS, N, detect, detectors
 from seft_plant_sim.judge import detectors as rows
 from seft_plant_sim.judge.judge import REVISED, judge_arrays
-from seft_plant_sim.judge.judge_step import ask, begin_judge, judge, product, whiten
+from seft_plant_sim.judge.judge_step import ask, begin_judge, factorise, judge, product, whiten
 
 X, V, A, F = range(4)
 DAMPING = np.array([[200.0, -20.0], [-20.0, 150.0]])
@@ -281,6 +281,14 @@ def test_a_first_value_that_is_no_number_is_that_of_rest(row, value):
     judged, replaced, _ = judged_of(samples[:1], flow)
     assert replaced.sum() == replaced[0, row, 1] == 1
     assert abs(judged[0, row, 1]) < NEAR[row]
+
+
+def test_what_rounding_leaves_of_unknowns_is_no_certainty():
+    """All channels wrong, without a range of any: the last one has no information but rounding."""
+    root, third = np.zeros((2, 2)), 1.0 / 3.0
+    det = factorise(1e10 * np.array([[third, third], [third, third]]), root, 2)
+    assert det > 0.0
+    assert root[1, 1] < 1e3
 
 
 def test_nothing_accepted_widens_a_variance_for_long():

@@ -149,6 +149,22 @@ def test_after_a_trip_it_stands_where_its_last_command_was(words):
     assert jumps.max() < 1e-3
 
 
+@pytest.mark.parametrize("words", [NO_SENSORS, NO_SENSORS[1:]])
+@pytest.mark.parametrize("value", ["set -0.018", "add 0.07"])
+def test_without_an_accelerometer_a_wrong_displacement_does_nothing(words, value):
+    told_so = told(*words, f'rig:faults:=["displacement {value} at 4.0 for 1"]')
+    sound, recording = simulated(told(*words)), simulated(told_so)
+    assert recording.trip is None
+    off = recording.states.values[:, 0] - sound.states.values[:, 0]
+    assert np.abs(off).max() < 0.01 * np.abs(sound.states.values[:, 0]).max()
+
+
+def test_a_stop_behind_a_servo_does_not_end_the_test():
+    gap = "rig:simulated.specimen.gap."
+    words = "rig:simulated.specimen.kind:=gap", f"{gap}width:=0.002", f"{gap}stiffness:=2e6"
+    assert simulated(told(*words)).trip is None
+
+
 def recording_command(recording):
     return recording.series["valve_command"].values[-2, 0, 0]
 
@@ -204,6 +220,8 @@ def test_identify_finds_the_response(words, tmp_path):
     (response,) = known_responses(facts, ("x",), (0,))
     true = small_signal(experiment, f)
     assert np.abs(response.response(f) - true).max() < 0.01
+    assert found.specimen.mass == pytest.approx(52.7, rel=0.05)
+    assert found.specimen.stiffness == pytest.approx(2.11e5, rel=0.05)
 
 
 def small_signal(experiment, f):

@@ -131,6 +131,8 @@ def compare_channels(
     bias = NOISE_SIGMAS * math.sqrt(max(covariance[BIAS_OF, BIAS_OF], 0.0))
     bias = min(bias, p.deviation[relation, BIAS_OF, i]) * sums[PERIODS, i]
     most = noise + bias + TOLERANCES[relation] * whole
+    if relation == OIL and p.rig.imposes:  # its valve may yet saturate, or the specimen stop it
+        known = most
     threshold = min(known, most) + rough
     is_fault = look(p, state, row, i, abs(off), threshold)
     if state.counts[row, i] == 0:

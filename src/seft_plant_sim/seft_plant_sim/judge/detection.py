@@ -85,22 +85,16 @@ def detectors_of(
     actuator["valve_frequency"] = np.where(is_known, actuator["valve_frequency"], 1.0 / dt)
     mass, stiffness = read_specimen(section, axes, places)
     past = np.array([valve.last_period() for valve in valve_models(actuator, dt)])
-    largest_drive = command_limit(section)
-    if section["actuator.kind"] == POSITION_SERVO and np.any(
-        section["actuator.response.numerator"]
-    ):  # it moves by its commands, whatever the oil is, and has no null
-        past, largest_drive = last_periods(section, known_responses(section, axes, own)), 0.0
-        actuator["flow_gain"], actuator["oil_stiffness"] = (
-            np.ones(len(own)),
-            np.full(len(own), np.inf),
-        )
-        actuator["leakage"] = actuator["force_capacity"] = np.zeros(len(own))
+    imposes = section["actuator.kind"] == POSITION_SERVO
+    imposes = imposes and bool(np.any(section["actuator.response.numerator"]))
+    if imposes:
+        past = last_periods(section, known_responses(section, axes, own))
     noise, ranges = (
         np.ascontiguousarray(per_channel(section, axes, f"sensors.{{}}_{what}")[:, own])
         for what in ("noise", "range")
     )
-    if acceleration_is_derived(section):  # nothing else is compared with it
-        noise[ACCELERATION] = section["limits.acceleration"]
+    if acceleration_is_derived(section):  # nothing else is compared with it, and no sensor ends it
+        noise[ACCELERATION], ranges[ACCELERATION] = section["limits.acceleration"], 0.0
         mass, stiffness = np.zeros_like(mass), np.zeros_like(stiffness)
     bits = section["sensors.adc_bits"]
     channels = known_channels(section, axes)  # a range is of what a sensor shows
@@ -114,10 +108,11 @@ def detectors_of(
         velocity_is_derived=velocity_is_derived(section),
         actuator=np.transpose([actuator[name] for name in ASSUMED_ACTUATOR]),
         past=past,
+        imposes=imposes,
         has_valve=section["actuator.kind"] not in FORCE_DRIVEN,
         mass=mass,
         stiffness=stiffness,
-        largest_drive=largest_drive,
+        largest_drive=command_limit(section),
         waits=np.ceil((late.max() - late[:, own]).max(axis=1) / dt).astype(np.int64),
         dt=dt,
     )

@@ -58,7 +58,8 @@ class KnownRig(NamedTuple):
     velocity_is_derived: bool  # from the displacement
     actuator: Floats  # flow gain, oil stiffness, leakage, force capacity, (n, 4); 0: not known
     past: Floats  # part of past commands, the newest first, in the mean flow of the last period,
-    # and its change per delay (1/s), (n, 2, m)
+    # and its change per delay (1/s), (n, 2, m); of a servo, mean velocity
+    imposes: bool  # whether a servo imposes the motion, whatever force and oil are
     has_valve: bool  # else the rig obeys the reference force, which it holds
     mass: Floats  # of the specimen, (n, n), kg
     stiffness: Floats  # likewise, N/m
@@ -156,6 +157,8 @@ def detector_arrays(
     n, fade, oil_fade = noise.shape[1], fade_of_sums(dt), math.exp(-dt / _OIL_MEMORY)
     x, v, a, f = assumed_noise(noise, limits, velocity_is_derived, dt)
     actuator, ranges = known.actuator.copy(), np.where(known.ranges > 0.0, known.ranges, np.inf)
+    if known.imposes:
+        actuator[:] = 1.0, np.inf, 0.0, np.inf
     is_known = has_valve & (actuator[:, 0] > 0.0) & (actuator[:, 1] > 0.0)
     actuator[~is_known, 1] = 1.0
     actuator[actuator[:, 3] <= 0.0, 3] = np.inf
@@ -163,7 +166,8 @@ def detector_arrays(
     sums = np.array([noise_of_sums(x, dt * v, dt), noise_of_sums(v, dt * a, dt)])
     of_oil = np.hypot(x, oil) * math.sqrt(2.0 / (1.0 + oil_fade))
     late = UNCERTAIN_DELAY if velocity_is_derived else 0.0
-    null = np.where(is_known, NULL * actuator[:, 0] * known.largest_drive, 0.0)
+    has_oil = is_known & (not known.imposes)
+    null = np.where(has_oil, NULL * actuator[:, 0] * known.largest_drive, 0.0)
     most = np.array(
         [
             [TOLERANCES[0] * one, (CHANNELS_APART + late) * one, BIAS * v],
@@ -186,15 +190,13 @@ def detector_arrays(
     judging, judged = judge_arrays(
         np.array([x, v, a, f]),
         rest,
-        np.transpose(
-            [np.where(is_known & (actuator[:, 1] < np.inf), actuator[:, 1], 0.0), actuator[:, 2]]
-        ),
+        np.transpose([np.where(has_oil, actuator[:, 1], 0.0), actuator[:, 2]]),
         mass,
         known.stiffness,
         ranges,
         np.where(known.steps > 0.0, known.steps, np.inf),
         late,
-        np.isinf(actuator[:, 1]).astype(np.int64),
+        np.full(n, int(known.imposes)),
         dt,
     )
     parameters = DetectorParameters(

@@ -15,6 +15,7 @@ from seft_plant_sim.judge.servo_model import (
     AccelerationState,
     begin_acceleration,
     derive_acceleration,
+    follow_displacement,
 )
 from seft_plant_sim.limits import exceeds, is_exceeded
 
@@ -155,6 +156,7 @@ def guard_step(
             found |= BLIND
         counts[_BLIND_SAMPLES] += 1
     counts[DETECTED] = judge_sample(p.detectors, state.detectors, step, measured, drive, judged)
+    follow_displacement(p.acceleration, state.acceleration, step, judged)
     if counts[DETECTED] >= 0:
         found |= FAULT
     for i in range(n):

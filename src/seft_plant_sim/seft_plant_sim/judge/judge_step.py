@@ -81,6 +81,9 @@ Flow = tuple[float, float]
 """Of a valve, and its variance."""
 TINY = 1e-60
 """Least variance, or information: four of them are still numbers."""
+ROUNDING = 1e-14
+"""Least part of a variance that the others may leave: less is rounding. All channels wrong, without
+a known range of any, leave none."""
 HALF_LOG_TURN = 0.5 * math.log(2.0 * math.pi)
 
 
@@ -400,7 +403,7 @@ def factorise(matrix: Floats, root: Floats, size: int) -> float:
         value = matrix[row, row]
         for k in range(row):
             value -= root[row, k] * root[row, k]
-        value = max(value, TINY)
+        value = max(value, TINY, ROUNDING * matrix[row, row])
         root[row, row], det = 1.0 / math.sqrt(value), det * value
     return det
 

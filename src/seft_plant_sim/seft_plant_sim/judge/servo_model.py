@@ -22,7 +22,7 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.facts import POSITION_SERVO
 from seft_msgs_py.errors import InputError
 
-from seft_plant_sim.channels import acceleration_is_derived, least_noise
+from seft_plant_sim.channels import acceleration_is_derived, least_noise, velocity_is_derived
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.judge.known_rig import known_responses
 from seft_plant_sim.judge.valve_model import NEGLIGIBLE_FLOW
@@ -135,6 +135,8 @@ class AccelerationParameters(NamedTuple):
         See `ServoModel`, shapes (n, m, m), (n, m) and (n, m).
     gains : ndarray
         Of the filter of e, shape (n, 3).
+    derives_velocity : bool
+        Whether it is not measured either.
     """
 
     dt: float
@@ -143,6 +145,7 @@ class AccelerationParameters(NamedTuple):
     push: Floats
     output: Floats
     gains: Floats
+    derives_velocity: bool
 
 
 class AccelerationState(NamedTuple):
@@ -156,25 +159,28 @@ class AccelerationState(NamedTuple):
         y of the next sample without dead time, then those before; shape (n, memory).
     beside : ndarray
         e, e' and e'', shape (n, 3).
+    response : ndarray
+        y at the sample, shape (n,).
     """
 
     model: Floats
     next: Floats
     past: Floats
     beside: Floats
+    response: Floats
 
 
 def smoothing_steps(section: Mapping[str, Any], axes: Sequence[str]) -> int:
     """Count the steps M of the second difference that gives an acceleration.
 
-    Its window, twice as long, is the delay of the slowest servo: what happens within it can't be
-    answered anyway.
+    Its window is as long as the delay of the slowest servo, by the samples that it averages, 3/2 M:
+    what happens within that can't be answered anyway.
     """
     dt, delay = 1.0 / section["rate"], UNKNOWN_DELAY
     if np.any(section["actuator.response.numerator"]):
         servos = known_responses(section, tuple(axes), range(len(axes)))
         delay = max(each.dead_time + ServoModel(each, dt).delay for each in servos) + 1.5 * dt
-    return max(2, round(0.5 * delay / dt))
+    return max(2, round(delay / (1.5 * dt)))
 
 
 def second_difference(steps: int, dt: float) -> Floats:
@@ -190,9 +196,9 @@ def second_difference(steps: int, dt: float) -> Floats:
 
 
 def derived_noise(section: Mapping[str, Any], axes: Sequence[str]) -> Floats:
-    """RMS noise of velocity and acceleration by `second_difference`, shape (2, n)."""
+    """RMS noise of displacement, velocity and acceleration by `second_difference`, shape (3, n)."""
     weights = second_difference(smoothing_steps(section, axes), 1.0 / section["rate"])
-    return np.outer(np.linalg.norm(weights[1:], axis=1), least_noise(section, axes)[0])
+    return np.outer(np.linalg.norm(weights, axis=1), least_noise(section, axes)[0])
 
 
 def acceleration_of(
@@ -213,9 +219,9 @@ def acceleration_of(
         )
     if not acceleration_is_derived(section):
         none = np.zeros((0, 0))
-        nothing = np.zeros(0), np.zeros((0, 0, 0)), none, none, none
-        parameters = AccelerationParameters(dt, *nothing)
-        return parameters, AccelerationState(none, none, none, none)
+        late = np.zeros(0)
+        parameters = AccelerationParameters(dt, late, np.zeros((0, 0, 0)), none, none, none, False)
+        return parameters, AccelerationState(none, none, none, none, late)
     own, lag, n = list(places), common_lag(section), len(places)
     is_known = np.any(section["actuator.response.numerator"])
     responses = [TransferFunction((1.0,), (1.0, 1.0))] * n
@@ -231,6 +237,7 @@ def acceleration_of(
         push=np.array([model.push for model in models]),
         output=is_known * np.array([model.output for model in models]),
         gains=np.tile(_gains(rate, dt), (n, 1)),
+        derives_velocity=velocity_is_derived(section),
     )
     m = parameters.push.shape[1]
     state = AccelerationState(
@@ -238,6 +245,7 @@ def acceleration_of(
         next=np.zeros((n, m)),
         past=np.zeros((n, int(late.max()) + 4)),
         beside=np.zeros((n, _DERIVATIVES)),
+        response=np.zeros(n),
     )
     return parameters, state
 
@@ -265,9 +273,10 @@ def begin_acceleration(state: AccelerationState) -> None:
 def derive_acceleration(
     p: AccelerationParameters, state: AccelerationState, step: int, drive: Floats, measured: Floats
 ) -> None:
-    """Derive the accelerations of a sample, shape (4, n), if they are not measured.
+    """Derive acceleration and velocity of a sample, shape (4, n), if they are not measured.
 
-    The drive is applied from this sample on, shape (n,), m.
+    The displacements so far tell them, see `follow_displacement`. The drive is applied from this
+    sample on, shape (n,), m.
     """
     for i in range(len(p.late)):
         z, new, past, e = state.model[i], state.next[i], state.past[i], state.beside[i]
@@ -286,15 +295,29 @@ def derive_acceleration(
         whole = int(p.late[i])
         part, k = p.late[i] - whole, whole + 1
         y = past[k] + part * (past[k + 1] - past[k])
+        rate, before = past[k - 1] - past[k + 1], past[k] - past[min(k + 2, len(past) - 1)]
         bend = past[k - 1] - 2.0 * past[k] + past[k + 1]
         then = past[k] - 2.0 * past[k + 1] + past[min(k + 2, len(past) - 1)]
         bend = (bend + part * (then - bend)) / (p.dt * p.dt)
-        if step == 0:
-            e[0] = measured[0, i] - y
-        else:
+        if step > 0:
             e[0] += p.dt * (e[1] + 0.5 * p.dt * e[2])
             e[1] += p.dt * e[2]
-            off = measured[0, i] - y - e[0]
-            for j in range(len(e)):
-                e[j] += p.gains[i, j] * off
+        state.response[i] = y
         measured[2, i] = bend + e[2]
+        if p.derives_velocity:
+            measured[1, i] = (rate + part * (before - rate)) / (2.0 * p.dt) + e[1]
+
+
+@compiled
+def follow_displacement(
+    p: AccelerationParameters, state: AccelerationState, step: int, judged: Floats
+) -> None:
+    """Update e by the displacements of a sample, shape (4, n), once they are judged."""
+    for i in range(len(p.late)):
+        e = state.beside[i]
+        off = judged[0, i] - state.response[i] - e[0]
+        if step == 0:
+            e[0] += off
+            continue
+        for j in range(len(e)):
+            e[j] += p.gains[i, j] * off

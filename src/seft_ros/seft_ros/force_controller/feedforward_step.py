@@ -70,6 +70,8 @@ class FeedforwardState(NamedTuple):
         See `follow_valve`, shapes (n, 4) and (3,).
     errors, covariance : ndarray
         Of the valves and their oil, see `follow_valve`; shapes (n, 3) and (n, 3, 3).
+    sample : ndarray
+        Room for a sample, shape (4, n).
     steps : ndarray
         Samples taken, shape (1,).
     """
@@ -84,6 +86,7 @@ class FeedforwardState(NamedTuple):
     work: Floats
     errors: Floats
     covariance: Floats
+    sample: Floats
     steps: Floats
 
 
@@ -215,7 +218,6 @@ def feedforward_stop(
     state: FeedforwardState,
     plan: Floats,
     slowed: Floats,
-    sample: Floats,
     commands: Floats,
 ) -> None:
     """Find the commands that bring the rig to rest along a plan.
@@ -225,14 +227,13 @@ def feedforward_stop(
     parameters, state
         See `feedforward_step`; the state is used up.
     plan, slowed : ndarray
-        See `slow_down`; the second is room of shape (N + taps + 2, 3, n).
-    sample : ndarray
-        Room, shape (4, n): the slowed target takes the place of samples.
+        See `slow_down`; the second is room of shape (N + taps + 2, 3, n). The slowed target takes
+        the place of samples.
     commands : ndarray
         From the step after that of the plan on, shape (N, n), V. The result.
     """
     slow_down(plan, len(commands), parameters.dt, slowed)
     for j in range(len(commands)):
         points = slowed[j + 1 :]
-        as_sample(points, parameters.dt, sample)
-        feedforward_step(parameters, state, points, sample, commands[j])
+        as_sample(points, parameters.dt, state.sample)
+        feedforward_step(parameters, state, points, state.sample, commands[j])

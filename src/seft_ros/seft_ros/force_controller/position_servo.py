@@ -20,16 +20,13 @@ from typing import Any
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
-from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
-from seft_plant_sim.compiled import entry_point
 from seft_plant_sim.judge.known_rig import command_limit, known_responses
 from seft_plant_sim.judge.servo_model import ServoModel, servo_models
 from seft_plant_sim.judge.valve_following import LARGEST_DELAY_ERROR
 from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.rig_parameters import common_lag
 
-from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.force_controller_parameters import POSITION_SERVO_METHOD
 from seft_ros.force_controller.oil_column import cost_to_go, fastest_feedback
 from seft_ros.force_controller.servo_step import (
@@ -41,10 +38,8 @@ from seft_ros.force_controller.servo_step import (
     servo_step,
     servo_stop,
 )
-from seft_ros.protection.protection_step import stop_steps
-from seft_ros.reference_force.compensator import NotLinearError
+from seft_ros.force_controller.target_follower import TargetFollower, horizon_of
 from seft_ros.reference_force.observers import sensor_noise
-from seft_ros.reference_force.reference_force_parameters import HORIZON_PER_LAG, horizon_steps
 
 LEAST_GAIN = 0.2
 """Displacement per command down to which the response is inverted, over that at rest: more would
@@ -53,8 +48,10 @@ NEGLIGIBLE = 0.05
 """Part of the weights of the coming motion that may be left to a linear continuation of it."""
 
 
-class PositionServo:
+class PositionServo(TargetFollower):
     """Force controller of n axes that commands displacement servos for the future motion.
+
+    Its errors are those of the gain (relative), the delay (s), and the displacement (m).
 
     Parameters
     ----------
@@ -67,18 +64,14 @@ class PositionServo:
     rig : RigAxes, optional
         With several rigs, the one that it controls; default all axes.
 
-    Attributes
-    ----------
-    limited, shape
-        See `ForceControl`.
-    parameters, state
-        Arguments of `servo_step`, here and in a compiled loop.
-
     Raises
     ------
     InputError
         If the response is not known, or the horizon is too short for it.
     """
+
+    method = POSITION_SERVO_METHOD
+    names = "gain_error", "delay_error", "displacement_error"
 
     def __init__(
         self,
@@ -93,16 +86,10 @@ class PositionServo:
         servos = [InvertedServo(*each, dt) for each in zip(models, responses, strict=True)]
         n, taps = len(servos), max(servo.taps for servo in servos)
         late = np.array([(each.dead_time + lag) / dt + 1.0 for each in responses])
-        horizon = horizon_steps(section, dt)
         needed = int(np.ceil(late.max() + LARGEST_DELAY_ERROR / dt)) + taps + 2
-        if horizon < needed:
-            needs = needed * dt - HORIZON_PER_LAG * lag
-            raise InputError(
-                f"reference_force: compensation.horizon is {section['compensation.horizon']:g} s, "
-                f"but the servos need {needs:.3g} s of the future motion; make it longer"
-            )
+        horizon = horizon_of(section, dt, needed, "servos")
         delay = np.array([servo.model.delay for servo in servos]) + late * dt + dt / 2
-        self.parameters = ServoParameters(
+        parameters = ServoParameters(
             dt=dt,
             limit=command_limit(section),
             late=late,
@@ -115,8 +102,8 @@ class PositionServo:
             noise=sensor_noise(section, axes)[0, own],
             rate=fastest_feedback(delay),
         )
-        states = self.parameters.feedback.shape[1]
-        self.state = ServoState(
+        states = parameters.feedback.shape[1]
+        state = ServoState(
             model=np.zeros((n, states)),
             next=np.zeros((n, states)),
             past=np.zeros((n, memory_of(late.max()))),
@@ -126,50 +113,8 @@ class PositionServo:
             work=np.zeros((2, SERVO_ERRORS)),
             steps=np.zeros(1),
         )
-        self.shape = 1 + horizon, 3
-        self._points, self._measured = np.zeros((1 + horizon, 3, n)), np.zeros((4, n))
-        self._command, both = np.zeros(n), (self.parameters, self.state)
-        self._step = entry_point(servo_step, *both, self._points, self._measured, self._command)
-        steps = stop_steps(1 + horizon, dt)
-        self._room = np.zeros((steps + needed + 2, 3, n)), np.zeros((steps, n))
-        self._used_up = ServoState(*(np.zeros_like(each) for each in self.state))
-        self._stop = entry_point(servo_stop, *both, self._points, *self._room)
-        self._begin = entry_point(begin_servo, self.state)
-        self.reset()
-
-    def reset(self) -> None:
-        """Begin a new test."""
-        self.limited = False
-        self._begin(self.state)
-
-    def estimates(self) -> dict[str, Floats]:
-        """Relative error of the gain, error of the delay (s), displacement that is left (m)."""
-        names = "gain_error", "delay_error", "displacement_error"
-        return dict(zip(names, self.state.errors.T, strict=True))
-
-    def linear(self) -> LinearControl:
-        """Raise an error: there is none."""
-        raise NotLinearError("force_controller", POSITION_SERVO_METHOD)
-
-    def step(self, points: Floats, state: Floats) -> Floats:
-        """Find the commands that answer a sample, see `servo_step`; (n,), m."""
-        known = points[: len(self._points)]
-        self._points[: len(known)], self._points[len(known) :] = known, known[-1]
-        self._measured[:] = state
-        self.limited = self._step(
-            self.parameters, self.state, self._points, self._measured, self._command
-        )
-        return self._command.copy()
-
-    def stop(self, plan: Floats) -> Floats:
-        """Give the commands that bring the rig to rest, from the next step on; (N, n), m.
-
-        ``plan`` has the target's points of the last step and the coming ones, shape `shape` and n.
-        """
-        for used, own in zip(self._used_up, self.state, strict=True):
-            used[...] = own
-        self._stop(self.parameters, self._used_up, plan, *self._room)
-        return self._room[-1].copy()
+        functions = begin_servo, servo_step, servo_stop
+        super().__init__(parameters, state, functions, horizon, needed, dt)
 
 
 class InvertedServo:

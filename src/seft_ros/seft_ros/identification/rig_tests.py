@@ -18,6 +18,7 @@ from seft_msgs_py.config.facts import (
 from seft_msgs_py.config.parameter_table import Section, group, mass_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, VALVE_COMMAND
+from seft_plant_sim.channels import acceleration_is_derived
 from seft_plant_sim.judge.detector_list import MODEL_BASED, NOISE_BASED
 from seft_plant_sim.judge.known_rig import command_limit
 from seft_plant_sim.limits import Limits, largest_force_rate, span_steps
@@ -233,8 +234,19 @@ class MeasuredTest:
         return frequency_response(self._spectra, these, those, band)
 
     def motion(self) -> Response:
-        """Response of displacement, acceleration and force to the reference force."""
-        return self._response(_REFERENCE, _MOTION, _MOTION_TO)
+        """Response of displacement, acceleration and force to the reference force.
+
+        An acceleration without a sensor is that of the displacement, with its noise.
+        """
+        found = self._response(_REFERENCE, _MOTION, _MOTION_TO)
+        if not acceleration_is_derived(self.recording.experiment["rig"]):
+            return found
+        n, f = len(self.axes), found.frequencies_hz
+        shown = np.tile(np.eye(3 * n), (len(f), 1, 1))
+        shown[:, n : 2 * n] = 0.0
+        shown[:, n : 2 * n, :n] = -((2.0 * np.pi * f[:, np.newaxis, np.newaxis]) ** 2) * np.eye(n)
+        noise = shown @ found.noise @ shown.swapaxes(1, 2)
+        return replace(found, response=shown @ found.response, noise=noise)
 
     def plant(self, axis: int) -> Measurement:
         """Response of the force of an axis to its valve."""

@@ -22,7 +22,7 @@ from seft_plant_sim.compiled import entry_point, places
 from seft_plant_sim.computed.computed_model import ComputedModel, ModelError
 from seft_plant_sim.computed.computed_substructure import ComputedSubstructure
 from seft_plant_sim.computed.model_worker import ModelState
-from seft_plant_sim.judge.servo_model import second_difference, smoothing_steps
+from seft_plant_sim.judge.servo_model import derived_noise, second_difference, smoothing_steps
 from seft_plant_sim.lti import first_order_hold
 
 from seft_ros.reference_force.compensator import MethodInputs, NotLinearError
@@ -335,6 +335,8 @@ def target_arrays(known: MethodInputs) -> tuple[TargetParameters, TargetState, M
     smooth, preview = np.zeros((3, 0)), steps_ahead(known)
     if acceleration_is_derived(known.options):
         smooth = second_difference(smoothing_steps(known.options, names), dt)
+        gains, left = np.tile(np.eye(2), (n, 1, 1)), derived_noise(known.options, names)[:2]
+        gains, left = np.tile(np.eye(2), (n, 1, 1)), derived_noise(known.options, names)[:2]
     late = smooth.shape[1] // 2
 
     deformation = spring_deformations(known)
