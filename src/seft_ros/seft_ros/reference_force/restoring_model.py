@@ -207,7 +207,7 @@ def model_arrays(
 
     def padded(*columns: Floats) -> Floats:
         values = np.hstack(columns)
-        return np.pad(values, [(0, 0), (0, -values.shape[1] % 4)])
+        return np.pad(values, [(0, 0), (0, 1 + -(values.shape[1] + 1) % 4)])
 
     def variance(p: float, k: float, c: float, w: float) -> Floats:
         return padded(p * offset, k * stiff, c * damps, w * force) ** 2
@@ -224,7 +224,7 @@ def model_arrays(
         alike=alike,
         least=STANDS_OUT * observed,
         recent=math.exp(-dt / _RECENT),
-        remembered=np.exp(-2.0 / math.pi * frequency * dt),
+        remembered=2.0 / math.pi * dt * frequency / np.sqrt(np.abs(np.diag(stiffness))),
         surprise=NormalDist().inv_cdf(1.0 - 0.5 * min(dt / ONCE_IN, 0.5)) ** 2,
         confirming=MAX_EVIDENCE * dt / CONFIRMED_IN,
     )
@@ -310,7 +310,9 @@ def slider_forces(
 
 
 @compiled
-def motion_noise(parameters: ModelParameters, state: RestoringState, j: int) -> float:
+def motion_noise(
+    parameters: ModelParameters, state: RestoringState, j: int
+) -> tuple[float, float]:
     """Variance of the force of spring j from the motion's noise, at the identified slope, N^2."""
     found, observed, n = state.found[j], parameters.observed, len(parameters.springs)
     sticking = 0.0
@@ -319,10 +321,10 @@ def motion_noise(parameters: ModelParameters, state: RestoringState, j: int) -> 
             sticking += found[1 + 2 * n + i]
     variance = 0.0
     for i in range(n):
-        slope = found[1 + i] + (sticking if i == j else 0.0)
-        variance += slope * slope * observed[i, 0]
+        if i != j:
+            variance += found[1 + i] * found[1 + i] * observed[i, 0]
         variance += found[1 + n + i] * found[1 + n + i] * observed[i, 1]
-    return variance
+    return found[1 + j] + sticking, variance
 
 
 @compiled
@@ -335,17 +337,27 @@ def follow_specimen(
     acts on the structure over this step in addition to the model's, to correct the past impulse.
     """
     n = len(parameters.springs)
-    q = (1 + 2 * n + THRESHOLDS + 3) // 4 * 4  # the processor has instructions for four at a time
+    q = (2 + 2 * n + THRESHOLDS + 3) // 4 * 4  # the processor has instructions for four at a time
     for j in range(n):
         phi, last, p = state.regressors[j], state.last[j], state.covariance[j]
         gain, taken, left = state.work[0], state.work[1], state.work[2]
-        past, of_past, remembered = state.past[j], 0.0, parameters.remembered[j]
+        past, of_past = state.past[j], 0.0
         found, change, sums = state.found[j], parameters.change[j], state.sums[j]
         phi[0] = 1.0
         copy(n, e, phi[1:])
         copy(n, rate, phi[1 + n :])
         copy(THRESHOLDS, state.stops[j], phi[1 + 2 * n :])
-        innovation, seen = measured[j], motion_noise(parameters, state, j)
+        own = 1 + 2 * n + THRESHOLDS
+        kept = 1.0 - 2.0 / (parameters.alike + 1.0)
+        for i in range(q):
+            p[i, own] *= kept
+            p[own, i] *= kept
+        p[own, own] += 2.0 * (1.0 - kept * kept) * parameters.observed[j, 0]
+        found[own] *= kept
+        slope, seen = motion_noise(parameters, state, j)
+        remembered = math.exp(-parameters.remembered[j] * math.sqrt(max(slope, 0.0)))
+        phi[own] = slope
+        innovation = measured[j]
         variance = parameters.noise[j, 0] + seen
         surplus = used = measured[j]
         for i in range(q):
@@ -357,7 +369,7 @@ def follow_specimen(
         for i in range(q):
             variance += phi[i] * gain[i]
             of_past += past[i] * phi[i]
-        moves = (e[j] / parameters.least[j, 0]) ** 2 + (rate[j] / parameters.least[j, 1]) ** 2 > 1.0
+        moves = abs(rate[j]) > 0.4 * parameters.least[j, 1] or abs(state.stops[j, 3]) == parameters.thresholds[j, 3]
         was_right = sums[4] > 0.0
         # logarithm of the likelihoods' ratio, of the assumed model over the identified one
         gained = innovation**2 / variance + math.log(variance / parameters.noise[j, 1])
@@ -365,20 +377,19 @@ def follow_specimen(
         gained = min(0.5 * gained, MAX_EVIDENCE if sums[4] > 0.0 else parameters.confirming)
         sums[4] = min(max(sums[4] + gained, -MAX_EVIDENCE), MAX_EVIDENCE)
         sums[0] = parameters.recent * sums[0] + innovation
-        persistent = (parameters.alike - 1.0) * seen
-        sums[1] = parameters.recent**2 * sums[1] + variance + persistent
+        sums[1] = parameters.recent**2 * sums[1] + variance
         surprise = sums[0] * sums[0] / sums[1]
         is_change = surprise > parameters.surprise
         if is_change:
             # P += g T diag(change) T', where T keeps the force of the last sample
             explained = change[0]
-            for i in range(1, q):
+            for i in range(1, q if moves else 1):
                 explained += change[i] * (phi[i] - last[i]) ** 2
             grown = min((surprise - 1.0) * variance / explained, 1.0)
             variance += grown * explained
             p[0, 0] += grown * change[0]
             gain[0] += grown * change[0]
-            for i in range(1, q):
+            for i in range(1, q if moves else 1):
                 added = grown * change[i]
                 if added > 0.0:
                     p[i, i] += added
@@ -391,7 +402,7 @@ def follow_specimen(
         by_taken = by_left = 0.0
         for i in range(q):
             # a spring that does not move changes the offset only (Schmidt-Kalman)
-            taken[i] = gain[i] * per_variance if moves or i == 0 else 0.0
+            taken[i] = gain[i] * per_variance if moves or i == 0 or i == own else 0.0
             left[i] = taken[i] * variance - gain[i]
             found[i] += taken[i] * innovation
             start = parameters.start[j, i]
@@ -409,7 +420,7 @@ def follow_specimen(
                 p[i, k + 3] += one * left[k + 3] - all_of_it * taken[k + 3]
         of_past *= per_variance
         for i in range(q):
-            after = gain[i] + taken[i] * by_left - gain[i] * by_taken
+            after = gain[i] + taken[i] * by_left - gain[i] * by_taken - p[i, own] * slope
             past[i] = remembered * (past[i] - of_past * gain[i]) + after
         late = (1.0 - weight) * of_past * innovation
         impulse = remembered * sums[2] + used - late
