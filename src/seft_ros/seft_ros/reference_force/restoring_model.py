@@ -352,7 +352,7 @@ def follow_specimen(
         for i in range(q):
             p[i, own] *= kept
             p[own, i] *= kept
-        p[own, own] += 2.0 * (1.0 - kept * kept) * parameters.observed[j, 0]
+        p[own, own] += 4.0 * (1.0 - kept * kept) * parameters.observed[j, 0]
         found[own] *= kept
         slope, seen = motion_noise(parameters, state, j)
         remembered = math.exp(-parameters.remembered[j] * math.sqrt(max(slope, 0.0)))
