@@ -36,6 +36,13 @@ Without it the impulse would be the sum of the estimates over time, with twice t
 sum of the measured force.
 
 The innovations before a change was detected were taken for noise. Their impulse is applied, too.
+The structure forgets an impulse in a quarter of its period, which is short where the specimen
+sticks: fade follows from the tangent stiffness.
+
+The error b of the observed deformation moves the stop operators, too, while they stick. It is one
+more unknown, a Gauss-Markov process with the variance and memory of the observer's noise, that acts
+through the tangent stiffness. So the force of a stiff slider that sticks tells b, and is taken
+neither for an offset nor for a change.
 """
 
 import math
@@ -70,8 +77,15 @@ CONFIRMED_IN = 0.05
 """Time for which the assumed model must be right before it is accepted again, s: with any specimen
 an oscillating force crosses the assumed line now and then."""
 STANDS_OUT = 20.0
-"""Least motion over its noise for the identification of stiffness and damping: regression on a
-noisy motion underestimates them, by the square of the noise over the motion (0.25 %)."""
+"""Least motion over its noise for the identification from a recording: regression on a noisy motion
+underestimates, by the square of the noise over the motion (0.25 %)."""
+MOVING_STOP, MOVING_RATE = 3, 8.0
+"""A spring moves while the stop operator of 16 times the noise slides, or its rate is 8 times its
+noise (0.4 and 1.6 % by the same rule)."""
+STUCK_ERROR = 4.0
+"""Variance of the error of stop operators that stick over that of the deformation: the noise now,
+that at which they began to stick, and as much again, because a stop operator that slides follows
+the largest of the noisy deformations (1.3 standard deviations, of six)."""
 MODEL_DRIFT = 0.003
 """Undetected slow change in a second, relative to the prior or the assumed value."""
 MIN_DAMPING = 0.02
@@ -88,8 +102,8 @@ class ModelParameters(NamedTuple):
     thresholds : ndarray
         y, shape (n, m), m.
     start : ndarray
-        Parameters (p, K, C, w) of each spring at the beginning, shape (n, q): 1 + 2n + m, and up
-        to three zeros, so that q is a multiple of four.
+        Parameters (p, K, C, w, b) of each spring at the beginning, shape (n, q): 2 + 2n + m, and
+        up to three zeros, so that q is a multiple of four.
     prior, drift, change : ndarray
         Their variance at the beginning, per step, and of a change; shape (n, q).
     noise : ndarray
@@ -97,14 +111,17 @@ class ModelParameters(NamedTuple):
         effect of the motion's noise on the assumed specimen; shape (n, 2), N^2.
     observed : ndarray
         Variance of the deformations (m^2) and their rates (m^2/s^2), shape (n, 2).
-    alike : float
-        So many samples of these count as one, because the observer filters them.
+    kept : float
+        Factor per step with which the error b fades.
+    stuck : ndarray
+        Variance that it gains per step, shape (n,), m^2.
     least : ndarray
-        Least deformation (m) and rate (m/s) above the noise, see `STANDS_OUT`; shape (n, 2).
+        Least rate above the noise, see `MOVING_RATE`; shape (n,), m/s.
     recent : float
         Factor per step with which sums of innovations fade.
-    remembered : ndarray
-        Factor per step with which the structure forgets an impulse on each spring, shape (n,).
+    forgotten : ndarray
+        Rate per step at which the structure forgets an impulse on each spring, over the root of its
+        stiffness; shape (n,), (m/N)^1/2.
     surprise : float
         Square of the normalised sum at which a change is detected.
     confirming : float
@@ -119,10 +136,11 @@ class ModelParameters(NamedTuple):
     change: Floats
     noise: Floats
     observed: Floats
-    alike: float
+    kept: float
+    stuck: Floats
     least: Floats
     recent: float
-    remembered: Floats
+    forgotten: Floats
     surprise: float
     confirming: float
 
@@ -187,7 +205,7 @@ def model_arrays(
     observed : ndarray
         RMS noise of deformations (m) and their rates (m/s), shape (n, 2).
     alike : float
-        So many samples of these count as one.
+        So many samples of these count as one, because the observer filters them.
     frequency : ndarray
         Frequency of the whole structure at each spring, shape (n,), rad/s: after a quarter of the
         period an impulse has become a displacement.
@@ -203,11 +221,11 @@ def model_arrays(
     least = 2.0 * MIN_DAMPING * np.sqrt(np.abs(np.diag(mass) * np.diag(stiffness)))
     damps = np.abs(damping) + np.diag(least / UNCERTAIN_DAMPING)
     offset = OFFSET_TO_NOISE * least_seen
-    stiff = np.abs(stiffness)
+    stiff, kept = np.abs(stiffness), 1.0 - 2.0 / (alike + 1.0)
 
     def padded(*columns: Floats) -> Floats:
         values = np.hstack(columns)
-        return np.pad(values, [(0, 0), (0, -values.shape[1] % 4)])
+        return np.pad(values, [(0, 0), (0, 1 + -(values.shape[1] + 1) % 4)])
 
     def variance(p: float, k: float, c: float, w: float) -> Floats:
         return padded(p * offset, k * stiff, c * damps, w * force) ** 2
@@ -221,10 +239,11 @@ def model_arrays(
         change=variance(1.0, CHANGING_STIFFNESS, CHANGING_DAMPING, CHANGING_SLIDER),
         noise=np.column_stack([white, assumed]),
         observed=observed**2,
-        alike=alike,
-        least=STANDS_OUT * observed,
+        kept=kept,
+        stuck=STUCK_ERROR * (1.0 - kept**2) * observed[:, 0] ** 2,
+        least=MOVING_RATE * observed[:, 1],
         recent=math.exp(-dt / _RECENT),
-        remembered=np.exp(-2.0 / math.pi * frequency * dt),
+        forgotten=2.0 / math.pi * dt * frequency / np.sqrt(np.diag(stiff)),
         surprise=NormalDist().inv_cdf(1.0 - 0.5 * min(dt / ONCE_IN, 0.5)) ** 2,
         confirming=MAX_EVIDENCE * dt / CONFIRMED_IN,
     )
@@ -310,19 +329,37 @@ def slider_forces(
 
 
 @compiled
-def motion_noise(parameters: ModelParameters, state: RestoringState, j: int) -> float:
-    """Variance of the force of spring j from the motion's noise, at the identified slope, N^2."""
-    found, observed, n = state.found[j], parameters.observed, len(parameters.springs)
-    sticking = 0.0
+def tangent(parameters: ModelParameters, state: RestoringState, j: int) -> float:
+    """Find the identified stiffness of spring j with the sliders that stick, N/m."""
+    n = len(parameters.springs)
+    slope = state.found[j, 1 + j]
     for i in range(THRESHOLDS):
         if abs(state.stops[j, i]) < parameters.thresholds[j, i]:
-            sticking += found[1 + 2 * n + i]
-    variance = 0.0
+            slope += state.found[j, 1 + 2 * n + i]
+    return slope
+
+
+@compiled
+def motion_noise(parameters: ModelParameters, state: RestoringState, j: int) -> float:
+    """Variance of the force of spring j from noise that b does not explain, N^2."""
+    found, observed, n = state.found[j], parameters.observed, len(parameters.springs)
+    variance = parameters.noise[j, 0]
     for i in range(n):
-        slope = found[1 + i] + (sticking if i == j else 0.0)
-        variance += slope * slope * observed[i, 0]
+        if i != j:
+            variance += found[1 + i] * found[1 + i] * observed[i, 0]
         variance += found[1 + n + i] * found[1 + n + i] * observed[i, 1]
     return variance
+
+
+@compiled
+def fade_error(parameters: ModelParameters, state: RestoringState, j: int, place: int) -> None:
+    """Predict the error b of spring j, which is in a place of its parameters."""
+    p = state.covariance[j]
+    state.found[j, place] *= parameters.kept
+    for i in range(len(p)):
+        p[i, place] *= parameters.kept
+        p[place, i] *= parameters.kept
+    p[place, place] += parameters.stuck[j]
 
 
 @compiled
@@ -335,19 +372,22 @@ def follow_specimen(
     acts on the structure over this step in addition to the model's, to correct the past impulse.
     """
     n = len(parameters.springs)
-    q = (1 + 2 * n + THRESHOLDS + 3) // 4 * 4  # the processor has instructions for four at a time
+    q = (2 + 2 * n + THRESHOLDS + 3) // 4 * 4  # the processor has instructions for four at a time
+    error = 1 + 2 * n + THRESHOLDS
     for j in range(n):
         phi, last, p = state.regressors[j], state.last[j], state.covariance[j]
         gain, taken, left = state.work[0], state.work[1], state.work[2]
-        past, of_past, remembered = state.past[j], 0.0, parameters.remembered[j]
+        past, of_past = state.past[j], 0.0
         found, change, sums = state.found[j], parameters.change[j], state.sums[j]
         phi[0] = 1.0
         copy(n, e, phi[1:])
         copy(n, rate, phi[1 + n :])
         copy(THRESHOLDS, state.stops[j], phi[1 + 2 * n :])
-        innovation, seen = measured[j], motion_noise(parameters, state, j)
-        variance = parameters.noise[j, 0] + seen
-        surplus = used = measured[j]
+        fade_error(parameters, state, j, error)
+        slope = phi[error] = tangent(parameters, state, j)
+        remembered = math.exp(-parameters.forgotten[j] * math.sqrt(max(slope, 0.0)))
+        variance = motion_noise(parameters, state, j)
+        innovation = surplus = used = measured[j]
         for i in range(q):
             state.before[j, i] = state.values[j, i]
             innovation -= found[i] * phi[i]
@@ -357,7 +397,9 @@ def follow_specimen(
         for i in range(q):
             variance += phi[i] * gain[i]
             of_past += past[i] * phi[i]
-        moves = (e[j] / parameters.least[j, 0]) ** 2 + (rate[j] / parameters.least[j, 1]) ** 2 > 1.0
+        slides = abs(state.stops[j, MOVING_STOP]) == parameters.thresholds[j, MOVING_STOP]
+        moves = slides or abs(rate[j]) > parameters.least[j]
+        learned = q if moves else 1
         was_right = sums[4] > 0.0
         # logarithm of the likelihoods' ratio, of the assumed model over the identified one
         gained = innovation**2 / variance + math.log(variance / parameters.noise[j, 1])
@@ -365,20 +407,19 @@ def follow_specimen(
         gained = min(0.5 * gained, MAX_EVIDENCE if sums[4] > 0.0 else parameters.confirming)
         sums[4] = min(max(sums[4] + gained, -MAX_EVIDENCE), MAX_EVIDENCE)
         sums[0] = parameters.recent * sums[0] + innovation
-        persistent = (parameters.alike - 1.0) * seen
-        sums[1] = parameters.recent**2 * sums[1] + variance + persistent
+        sums[1] = parameters.recent**2 * sums[1] + variance
         surprise = sums[0] * sums[0] / sums[1]
         is_change = surprise > parameters.surprise
         if is_change:
             # P += g T diag(change) T', where T keeps the force of the last sample
             explained = change[0]
-            for i in range(1, q):
+            for i in range(1, learned):
                 explained += change[i] * (phi[i] - last[i]) ** 2
             grown = min((surprise - 1.0) * variance / explained, 1.0)
             variance += grown * explained
             p[0, 0] += grown * change[0]
             gain[0] += grown * change[0]
-            for i in range(1, q):
+            for i in range(1, learned):
                 added = grown * change[i]
                 if added > 0.0:
                     p[i, i] += added
@@ -390,8 +431,8 @@ def follow_specimen(
         weight, per_variance = 1.0 / (1.0 + math.exp(-sums[4])), 1.0 / variance
         by_taken = by_left = 0.0
         for i in range(q):
-            # a spring that does not move changes the offset only (Schmidt-Kalman)
-            taken[i] = gain[i] * per_variance if moves or i == 0 else 0.0
+            # a spring that does not move changes offset and error only (Schmidt-Kalman)
+            taken[i] = gain[i] * per_variance if i < learned or i == error else 0.0
             left[i] = taken[i] * variance - gain[i]
             found[i] += taken[i] * innovation
             start = parameters.start[j, i]
@@ -409,7 +450,7 @@ def follow_specimen(
                 p[i, k + 3] += one * left[k + 3] - all_of_it * taken[k + 3]
         of_past *= per_variance
         for i in range(q):
-            after = gain[i] + taken[i] * by_left - gain[i] * by_taken
+            after = gain[i] + taken[i] * by_left - gain[i] * by_taken - p[i, error] * slope
             past[i] = remembered * (past[i] - of_past * gain[i]) + after
         late = (1.0 - weight) * of_past * innovation
         impulse = remembered * sums[2] + used - late
