@@ -253,7 +253,8 @@ class Interlock:
         It goes along the plan of a controller that has a ``stop``, unless sensors, valves or the
         controller are at fault. Then, and else at once, the valve closes, in some time: a valve
         that closes at once on a moving mass makes a pressure surge in the oil. Before a trip, it is
-        the stop that would begin at the last answered step.
+        the stop that would begin at the last answered step; nothing where that is to close at once,
+        which the rig does by itself.
         """
         state, first = self.state, self.step_index
         stopping, is_fault_free = self._stopping, state.flags[TRIP] in VALID_CAUSES
@@ -263,6 +264,8 @@ class Interlock:
                 controller: Any = self.controller
                 stopping = np.vstack([last, controller.stop(state.plan)])
                 last = stopping[-1]
+            elif first < 0:
+                return stopping
             stopping = np.vstack([stopping, np.outer(self._closing, last)])
         if first < 0:
             return stopping
