@@ -230,8 +230,8 @@ def test_what_is_not_known_is_left_out():
         ),
         (
             deviation("drift", "acceleration", 0.06, 0.0, 0.001, 0.03) | {"part": "second half"},
-            "the zero of acceleration in the second half is 0.06 ± 0.001 m/s² off, an error of 3 % in "
-            "displacement",
+            "the zero of acceleration in the second half is 0.06 ± 0.001 m/s² off, an error of 3 % "
+            "in displacement",
         ),
     ],
 )
