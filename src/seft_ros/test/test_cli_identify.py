@@ -253,6 +253,35 @@ def test_several_axes_have_their_numbers_each(identify, tmp_path):
     assert len(model["actuator.oil_stiffness"]) == 2
 
 
+def test_a_load_that_hung_on_the_load_cell_tells_its_scale(identify, tmp_path):
+    wrong = ("rig:simulated.sensors.force_scale:=1.03",)
+    words = (*BRIEF, "--specimen", "--known-force", "1000", "1030", "--out", "out")
+    status, found, _ = identify(*words, overrides=wrong)
+    assert status == 0
+    assert found["specimen"]["mass"] == pytest.approx(52.7, rel=3e-3)
+    assert not any("1 % of it costs" in note for note in found["notes"])
+    model = read_parameter_file(tmp_path / "out" / "model.yaml")["/**"]
+    assert model["calibration.force_scale"] == [1.03]
+    status, found, _ = identify(*BRIEF, "--specimen", "--known-mass", "52.7", overrides=wrong)
+    assert status == 0
+    assert found["multisine"]["axes"][0]["force"]["scale"]["value"] == pytest.approx(1.03, abs=3e-3)
+    assert found["multisine"]["mass"] == pytest.approx(52.7, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (("--known-mass", "52.7"), "--known-mass is for the multisine test: give --specimen, too"),
+        (("--specimen", "--known-mass", "0"), "must be positive, once for each of the axes x"),
+        (("--known-force", "1000", "-1030"), "the load cell must show a load of the same sign"),
+    ],
+)
+def test_a_mass_or_load_that_makes_no_sense_is_one_line(identify, words, why):
+    status, found, line = identify(*words)
+    assert (status, found) == (2, None)
+    assert why in line
+
+
 @pytest.mark.parametrize(
     ("test", "words", "overrides"),
     [

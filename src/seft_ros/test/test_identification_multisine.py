@@ -119,6 +119,14 @@ def test_mass_scale_lag_and_bias_are_recovered():
     assert again.calibrated.parameters() == section
 
 
+def test_a_weighed_mass_tells_the_scale_of_the_force():
+    fit = multisine_of(f"{SENSORS}force_scale:=1.03").fit
+    assert fit.mass[0, 0] == pytest.approx(1.03 * 52.7, rel=4e-3)
+    found = fit.weighed(np.array([52.7]))
+    assert found.mass[0, 0] == pytest.approx(52.7, rel=1e-12)
+    assert_known(found.scale[FORCE, 0], found.scale_error[FORCE, 0], 1.03, 2e-3)
+
+
 def test_friction_spoils_neither_mass_nor_bias():
     fit = multisine_of(
         *FRICTION, f"{SENSORS}force_bias:=5.0", f"{SENSORS}displacement_bias:=2e-4"

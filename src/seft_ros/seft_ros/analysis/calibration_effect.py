@@ -19,10 +19,11 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.topics import RIG_STATE
-from seft_plant_sim.whole_structure import whole_structure
+from seft_plant_sim.whole_structure import reference_response, whole_structure
 
 from seft_ros.analysis.equivalent_motion import EquivalentMotion, assumed_structure
 from seft_ros.analysis.specimen_law import SpecimenLaw, springs_of
+from seft_ros.ground_motion.ground_motion_block import GroundMotion
 from seft_ros.identification.time_shift import moved_ahead
 
 _A, _F = (RIG_STATE.quantities.index(name) for name in ("accelerations", "effort"))
@@ -114,6 +115,21 @@ class CalibrationEffect:
     def of_lag(self, lag: Floats) -> float:
         """Error if the displacement leads the acceleration by so much, shape (n,), s."""
         return self._of(led(self._samples[:, _A], lag, self._dt))
+
+
+def effect_of_force(experiment: Experiment, factor: float) -> float | None:
+    """Error of an experiment if its load cells show so many times the force; None if not known.
+
+    By the known linear specimen, over the displacement, RMS over all axes.
+    """
+    structure = calibration_structure(experiment)
+    if structure is None:
+        return None
+    dt, axes = experiment.timebase.dt, experiment.axes
+    motion = GroundMotion.from_parameters(experiment["ground_motion"], axes, experiment.timebase)
+    exact = reference_response(structure, motion.samples)
+    samples = np.stack([exact.displacement, exact.velocity, exact.acceleration, exact.force], 1)
+    return CalibrationEffect(structure, samples, dt).of_mass(np.full(len(axes), factor))
 
 
 def led(y: Floats, lead: Floats, dt: float) -> Floats:

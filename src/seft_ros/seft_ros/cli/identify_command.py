@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Optional
@@ -13,6 +14,7 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import EVERY_NODE, FORCE_DRIVEN
+from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.wire.outcome import BY_OPERATOR
 from seft_plant_sim.rig_parameters import as_simulated, common_lag, truth
@@ -58,6 +60,12 @@ def identify(
     travel: Optional[float] = option(
         None, "Displacement of the multisine test; default by the sensors' noise.", "M"
     ),
+    known_mass: Optional[list[float]] = option(
+        None, "Weighed mass of the specimen; for several axes once for each.", "KG"
+    ),
+    known_force: Optional[tuple[float, float]] = option(
+        None, "Load that was hung on the load cell, and what this showed then beyond rest.", "N N"
+    ),
     max_displacement: float = option(
         math.inf, "Largest displacement; default by the limits.", "M", show_default=False
     ),
@@ -76,7 +84,8 @@ def identify(
     Multisine test, with --specimen: six sines of the same displacement, some 0.2 mm, on each axis
     for 20 s, after a pilot of 4 s. What it will reach is shown before anything moves, within half
     of all limits. It finds the mass, and scale, lag and bias of each channel, with standard errors.
-    They correct the open loop's test.
+    They correct the open loop's test. No motion tells a wrong scale of the force from a wrong
+    mass: the result says what 1 % of it costs. --known-mass or --known-force tells it.
 
     Closed loop: the excitation is the reference force, where the force controller follows one. Its
     RMS is 5 m/s^2 times the mass, at most a 20th of the force limit, and peaks and changes are
@@ -117,9 +126,17 @@ def identify(
         raise InputError(
             "--external: only the rig may be external; the other nodes are set up here"
         )
-    if travel is not None and not specimen:
-        raise InputError("--travel is that of the multisine test: give --specimen, too")
+    if not specimen and (travel is not None or known_mass):
+        one = "--known-mass" if known_mass else "--travel"
+        raise InputError(f"{one} is for the multisine test: give --specimen, too")
     experiment = shared.load_experiment(config, param, params_file, external)
+    if known_mass and (len(known_mass) != len(experiment.axes) or not min(known_mass) > 0.0):
+        raise InputError(
+            f"--known-mass is {known_mass}, but must be positive, once for each of the axes "
+            f"{', '.join(experiment.axes)}"
+        )
+    if known_force:
+        experiment = _with_force(experiment, *known_force)
     if max_displacement != math.inf:
         experiment, max_displacement = _capped(experiment, max_displacement)
     if all(map(math.isnan, band)):
@@ -146,10 +163,30 @@ def identify(
     if over_dds is None:
         over_dds = as_simulated(experiment) is not experiment
     tests = _Tests(experiment, folder, over_dds, external or (), excitation)
-    run = _Identification(tests, motions, levels, plan, motion, duration)
+    weighed, knows_force = known_mass or (), bool(known_mass or known_force)
+    run = _Identification(tests, motions, levels, plan, motion, duration, weighed, knows_force)
     run.drive_valves(by_pilot=amplitude is None)
     run.close_loop(by_default=force is None)
     return run.show(str(config), specimen, as_json=json)
+
+
+def _with_force(experiment: Experiment, load: float, shown: float) -> Experiment:
+    """Correct the scale of the load cell by a load that hangs on it, and what it shows of that."""
+    if len(experiment.axes) > 1:
+        raise InputError(
+            "--known-force is for one load cell; for several axes give /**: "
+            "calibration.force_scale, what each shows over the load"
+        )
+    ratio = shown / load if load else math.nan
+    if not 0.0 < ratio < math.inf:
+        raise InputError(
+            f"--known-force is {load:g} {shown:g}, but the load cell must show a load of the same "
+            "sign; give calibration.force_scale: -1 if it shows a pull as a push"
+        )
+    scale = ratio * np.atleast_1d(experiment["rig"]["calibration.force_scale"])
+    return experiment.changed(
+        {EVERY_NODE: {"calibration.force_scale": scale.tolist()}, "rig": truth(experiment["rig"])}
+    )
 
 
 def _capped(experiment: Experiment, cap: float) -> tuple[Experiment, float]:
@@ -276,9 +313,12 @@ class _Identification:
         plan: "Multisine | None",
         motion: Path,
         duration: float,
+        weighed: Sequence[float],
+        knows_force: bool,
     ) -> None:
         self._tests, self._motions, self._levels, self._plan = tests, motions, levels, plan
-        self._motion, self._duration = motion, duration
+        self._motion, self._duration, self._weighed = motion, duration, weighed
+        self._knows_force = knows_force
         self._valve = False
         self._multisine: MultisineResult | None = None
         self._notes: list[str] = []
@@ -334,15 +374,12 @@ class _Identification:
         if not self._run_multisine_test(MULTISINE, commands):
             return
         recording = tests.recordings[MULTISINE]
-        first = MultisineResult.of_recording(plan, recording, sines, found, known, filters)
+        of_recording = partial(MultisineResult.of_recording, plan, recording, sines)
+        first = of_recording(found, known, filters)
         filters = found_filters(opened, band, first)
-        known = MultisineResult.of_recording(
-            plan, recording, sines, found, known, filters
-        ).calibrated
+        known = of_recording(found, known, filters, self._weighed).calibrated
         found = identify_from_recordings(known.corrected(opened), None, band)
-        self._multisine = MultisineResult.of_recording(
-            plan, recording, sines, found, known, filters
-        )
+        self._multisine = of_recording(found, known, filters, self._weighed)
 
     def _run_multisine_test(self, name: str, commands: np.ndarray) -> bool:
         from seft_ros.identification import rig_tests
@@ -460,6 +497,21 @@ class _Identification:
             return 1
         return 0
 
+    def _unknown_force(self, known: Section) -> list[str]:
+        """Say what an error of the load cell would cost, which no motion shows."""
+        from seft_ros.analysis.calibration_effect import effect_of_force
+        from seft_ros.drawing.style import percent
+
+        experiment = self._tests.experiment.changed({EVERY_NODE: known})
+        cost = effect_of_force(experiment, 1.01)
+        if cost is None:
+            return []
+        return [
+            "no motion shows a wrong scale of the force: 1 % of it costs "
+            f"{percent(cost)} of the displacement in the configured test; --known-mass or "
+            "--known-force tells it"
+        ]
+
     def _write(
         self, found: "Identified", config: str, specimen: bool, files: dict[str, Path]
     ) -> tuple[Texts, dict[str, Any]]:
@@ -478,6 +530,8 @@ class _Identification:
             lag, more = multisine.calibrated.common_lag, multisine.facts()
             summary["multisine"] = multisine.numbers(found.axes)
             summary["notes"] += calibrated.multisine_notes(multisine, found.axes)
+            if not self._knows_force:
+                summary["notes"] += self._unknown_force(more)
             texts.append(calibrated.multisine_table(multisine, found.axes))
         texts += summary["notes"]
         obeys_force = loop["actuator.kind"] in FORCE_DRIVEN

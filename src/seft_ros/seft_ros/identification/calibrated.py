@@ -238,6 +238,8 @@ class MultisineResult:
         The calibration that follows.
     known : ndarray
         Mass matrix that was known before, shape (n, n), kg.
+    is_weighed : bool
+        Whether the masses of the axes were weighed.
     """
 
     multisine: Multisine
@@ -246,6 +248,7 @@ class MultisineResult:
     filters: ChannelFilters
     calibrated: Calibrated
     known: Floats
+    is_weighed: bool
 
     @classmethod
     def of_recording(
@@ -256,11 +259,12 @@ class MultisineResult:
         found: Identified,
         known: Calibrated,
         filters: ChannelFilters | None = None,
+        weighed: Sequence[float] = (),
     ) -> "MultisineResult":
         """Evaluate the recording of a multisine test.
 
         ``found`` was identified from a recording that ``known`` has corrected; ``filters`` are
-        those of the channels, by default as known.
+        those of the channels, by default as known. ``weighed`` are the masses of the axes, kg.
 
         Raises
         ------
@@ -284,10 +288,13 @@ class MultisineResult:
                 f"{1e3 * multisine.travel:.3g} mm: its least "
                 f"mass is {least:.3g} ± {error:.2g} kg; give a larger --travel, so that it slips"
             )
+        if weighed:
+            fit = fit.weighed(np.array(weighed))
         largest = np.abs(samples).max(axis=(0, 2)).tolist()
         calibrated = Calibrated.of_multisine(fit, filters, experiment)
         peaks = dict(zip(CHANNELS, largest, strict=True))
-        return cls(multisine, peaks, fit, filters, calibrated, known_mass(experiment))
+        mass = known_mass(experiment)
+        return cls(multisine, peaks, fit, filters, calibrated, mass, bool(weighed))
 
     def facts(self) -> Section:
         """Give the calibration, and the mass, with standard errors."""
@@ -461,19 +468,19 @@ _NOT_CORRECTED = "; the axes have their own rigs, and neither can correct it: mo
 
 def multisine_notes(result: MultisineResult, axes: Sequence[str]) -> list[str]:
     """List what a reader must know about a multisine test, one line each."""
-    fit = result.fit
+    fit, reference = result.fit, "the weighed mass" if result.is_weighed else "load cell"
     found = [
-        "multisine: load cell and displacement sensor are the reference: mass and scales are "
+        f"multisine: {reference} and displacement sensor are the reference: masses and scales are "
         "against them (displacement's if velocity and acceleration agree against it), lags "
         "against the earliest channel"
     ]
     masses = (each.diagonal() for each in (result.known, fit.mass, fit.mass_error))
     for axis, known, mass, error in zip(axes, *masses, strict=True):
-        if abs(mass - known) > max(MULTISINE_SIGMAS * error, SAME_MASS * mass):
+        off = abs(mass - known) > max(MULTISINE_SIGMAS * error, SAME_MASS * mass)
+        if off and not result.is_weighed:
             found.append(
                 f"axis {axis}: mass {mass:.4g} kg, configured {known:.4g} kg: if that was weighed, "
-                f"the load cell shows {mass / known:.1%} of the force; then give /**: "
-                "calibration.force_scale, and repeat"
+                f"the load cell shows {mass / known:.1%} of the force; then give --known-mass"
             )
     off = np.abs(fit.tilt - np.eye(len(axes))) > MULTISINE_SIGMAS * fit.tilt_error
     for i, j in zip(*np.nonzero(off & ~np.eye(len(axes), dtype=bool)), strict=True):

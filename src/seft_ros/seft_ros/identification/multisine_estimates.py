@@ -37,6 +37,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from seft_msgs_py.arrays import Complexes, Floats
+from seft_plant_sim.channels import FORCE
 
 from seft_ros.design.plant import FOLDED
 from seft_ros.identification.multisine import Sine
@@ -205,6 +206,24 @@ class MultisineFit:
     bias_error: Floats
     tilt: Floats
     tilt_error: Floats
+
+    def weighed(self, mass: Floats) -> "MultisineFit":
+        """Take the masses of the axes for known, (n,), kg: the load cells are off by the rest.
+
+        No motion tells a wrong mass from a wrong scale of the force.
+        """
+        shown = self.mass.diagonal() / mass
+        scale, error = self.scale.copy(), self.scale_error.copy()
+        scale[FORCE], error[FORCE] = shown, self.mass_error.diagonal() / mass
+        both = np.sqrt(np.outer(shown, shown))
+        return replace(
+            self,
+            mass=self.mass / both,
+            mass_error=self.mass_error / both,
+            stiffness=self.stiffness / both,
+            scale=scale,
+            scale_error=error,
+        )
 
 
 def fit_multisine(of: Harmonics, fault_free: Complexes) -> MultisineFit:
