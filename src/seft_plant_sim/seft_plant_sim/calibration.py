@@ -37,7 +37,7 @@ from seft_plant_sim.rig_parameters import common_filter, filter_of
 from seft_plant_sim.simulated.continuous_model import ContinuousModel, Sensed
 from seft_plant_sim.simulated.sensor_dynamics import filtered
 
-ORDER = 3
+ALIGNING_ORDER = 3
 """Of Eq. (2) and (3) together."""
 LEAST_FRACTION = 0.2
 """Samples: fractions from here up to one more have the flattest delay."""
@@ -61,7 +61,7 @@ class Calibration(NamedTuple):
         Whole samples of a channel's wait.
     taps : ndarray
         Numerator and denominator of what it lacks beside, Eq. (2) times (3), lowest power of z
-        first, shape (2, 1 + `ORDER`, 4, n).
+        first, shape (2, 1 + `ALIGNING_ORDER`, 4, n).
     straight : ndarray
         T^-1, shape (n, n), or (0, 0) for accelerometers that are not tilted.
     """
@@ -84,7 +84,7 @@ class CalibrationState(NamedTuple):
         The last samples as measured, a ring buffer by step, shape (m, 4, n).
     passed : ndarray
         The last values before and after `Calibration.taps`, the newest first, shape
-        (2, 1 + `ORDER`, 4, n).
+        (2, 1 + `ALIGNING_ORDER`, 4, n).
     tilted : ndarray
         The last accelerations that were known, as tilted accelerometers show them, and 1 where
         they are of this sample, shape (2, n).
@@ -126,13 +126,13 @@ def calibrate(
             value = (shown - bias) / scale
             if step == 0:
                 passed[:, :, row, i] = value if np.isfinite(value) else 0.0
-            for age in range(ORDER, 0, -1):
+            for age in range(ALIGNING_ORDER, 0, -1):
                 passed[0, age, row, i] = passed[0, age - 1, row, i]
                 passed[1, age, row, i] = passed[1, age - 1, row, i]
             if np.isfinite(value):
                 passed[0, 0, row, i] = value
             value = c.taps[0, 0, row, i] * passed[0, 0, row, i]
-            for age in range(1, 1 + ORDER):
+            for age in range(1, 1 + ALIGNING_ORDER):
                 value += c.taps[0, age, row, i] * passed[0, age, row, i]
                 value -= c.taps[1, age, row, i] * passed[1, age, row, i]
             passed[1, 0, row, i] = value
@@ -280,7 +280,7 @@ def calibration_of(
     fraction = wait - whole
     complete = abs(fraction - 1.0) < SHORTEST_WAIT
     whole[complete], fraction[complete] = whole[complete] + 1, 0.0
-    taps = np.zeros((2, 1 + ORDER, 4, n))
+    taps = np.zeros((2, 1 + ALIGNING_ORDER, 4, n))
     for row, i in np.ndindex(4, n):
         alone = all_pass(float(fraction[row, i]))
         other = lacking(filters[:, row, i], common, dt) if lacks[row, i] else ONE
@@ -298,7 +298,7 @@ def calibration_of(
         np.zeros((0, 0)) if is_straight else np.linalg.inv(tilt),
     )
     measured = np.zeros((1 + int(whole.max()), 4, n))
-    state = CalibrationState(measured, np.zeros((2, 1 + ORDER, 4, n)), np.zeros((2, n)))
+    state = CalibrationState(measured, np.zeros((2, 1 + ALIGNING_ORDER, 4, n)), np.zeros((2, n)))
     return calibration, state
 
 

@@ -104,6 +104,7 @@ def test_the_frozen_steps_are_met_to_rounding(parts):
     model = method.parameters.model
     zero = np.zeros_like(model.prior)
     model = model._replace(prior=zero, drift=zero, change=zero, surprise=np.inf)
+    model = model._replace(stuck=np.zeros_like(model.stuck))
     method.parameters = method.parameters._replace(model=model)
     method.reset()
     s, random = np.zeros(len(known.a)), np.random.default_rng(3)

@@ -31,8 +31,9 @@ def answered(controller):
 
 @pytest.mark.parametrize("kind", [Scripted, Planned])
 def test_after_a_trip_it_goes_along_the_stop_and_its_end_lasts(kind):
-    guarded, wanted = answered(kind()), ways()[kind is Planned]
-    np.testing.assert_allclose(guarded.stop(3), wanted, atol=1e-15)  # the fallback stop
+    guarded = answered(kind())
+    fallback = ways()[1] if kind is Planned else np.zeros((0, 2))  # the rig closes by itself
+    np.testing.assert_allclose(guarded.stop(3), fallback, atol=1e-15)
     guarded.trip(5, "stopped")
     guarded.trip(6, "too late to be the reason")
     assert (guarded.reason, guarded.step_index) == ("stopped", 5)

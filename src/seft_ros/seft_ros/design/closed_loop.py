@@ -126,6 +126,7 @@ def frozen_target(method: TargetMotion, measured: bool) -> LinearFilter:
     state, model = method.state, method.parameters.model
     nothing = np.zeros_like(model.prior)
     model = model._replace(prior=nothing, drift=nothing, change=nothing, surprise=np.inf)
+    model = model._replace(stuck=np.zeros_like(model.stuck))
     parameters = method.parameters._replace(model=model)
     n = len(parameters.mass)
     y, points = np.zeros((4, n)), np.zeros((1 + method.preview, 3, n))

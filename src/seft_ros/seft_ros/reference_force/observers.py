@@ -34,7 +34,7 @@ def sensor_noise(section: Mapping[str, Any], axes: Sequence[str]) -> Floats:
     """
     noise = least_noise(section, axes)
     if acceleration_is_derived(section):
-        noise[1:3] = derived_noise(section, axes)[1:][1:]
+        noise[1:3] = derived_noise(section, axes)[1:]
     elif section["sensors.velocity"] == "derived":
         noise[1] = UNKNOWN_VELOCITY
     return noise

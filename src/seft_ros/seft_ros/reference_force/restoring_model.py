@@ -222,6 +222,8 @@ def model_arrays(
     damps = np.abs(damping) + np.diag(least / UNCERTAIN_DAMPING)
     offset = OFFSET_TO_NOISE * least_seen
     stiff, kept = np.abs(stiffness), 1.0 - 2.0 / (alike + 1.0)
+    root = np.sqrt(np.diag(stiff))
+    rates = np.divide(2.0 / math.pi * dt * frequency, root, out=np.zeros(n), where=root > 0.0)
 
     def padded(*columns: Floats) -> Floats:
         values = np.hstack(columns)
@@ -243,7 +245,7 @@ def model_arrays(
         stuck=STUCK_ERROR * (1.0 - kept**2) * observed[:, 0] ** 2,
         least=MOVING_RATE * observed[:, 1],
         recent=math.exp(-dt / _RECENT),
-        forgotten=2.0 / math.pi * dt * frequency / np.sqrt(np.diag(stiff)),
+        forgotten=rates,
         surprise=NormalDist().inv_cdf(1.0 - 0.5 * min(dt / ONCE_IN, 0.5)) ** 2,
         confirming=MAX_EVIDENCE * dt / CONFIRMED_IN,
     )

@@ -336,7 +336,6 @@ def target_arrays(known: MethodInputs) -> tuple[TargetParameters, TargetState, M
     if acceleration_is_derived(known.options):
         smooth = second_difference(smoothing_steps(known.options, names), dt)
         gains, left = np.tile(np.eye(2), (n, 1, 1)), derived_noise(known.options, names)[:2]
-        gains, left = np.tile(np.eye(2), (n, 1, 1)), derived_noise(known.options, names)[:2]
     late = smooth.shape[1] // 2
 
     deformation = spring_deformations(known)
