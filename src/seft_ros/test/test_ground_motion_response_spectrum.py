@@ -84,7 +84,7 @@ def test_the_figure_labels_every_axis_with_its_units(axes):
     assert len(panels) == len(axes)
     assert all("m/s²" in panel.get_ylabel() for panel in figure.axes)
     assert panels[-1].get_xlabel() == "time / s"
-    assert spectra.get_xlabel() == "natural period (s)"
+    assert spectra.get_xlabel() == "natural period / s"
     assert len(spectra.lines) == len(axes)
 
 
