@@ -128,7 +128,7 @@ def identify(
         )
     if not specimen and (travel is not None or known_mass):
         one = "--known-mass" if known_mass else "--travel"
-        raise InputError(f"{one} is for the multisine test: give --specimen, too")
+        raise InputError(f"{one} is that of the multisine test: give --specimen, too")
     experiment = shared.load_experiment(config, param, params_file, external)
     if known_mass and (len(known_mass) != len(experiment.axes) or not min(known_mass) > 0.0):
         raise InputError(
