@@ -271,7 +271,7 @@ def test_a_load_that_hung_on_the_load_cell_tells_its_scale(identify, tmp_path):
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        (("--known-mass", "52.7"), "--known-mass is that of the multisine test: give --specimen, too"),
+        (("--known-mass", "52.7"), "--known-mass is that of the multisine test: give"),
         (("--specimen", "--known-mass", "0"), "must be positive, once for each of the axes x"),
         (("--known-force", "1000", "-1030"), "the load cell must show a load of the same sign"),
     ],
