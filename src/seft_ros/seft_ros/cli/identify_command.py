@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 PILOT, OPEN_LOOP, CLOSED_LOOP = "pilot", "open_loop", "closed_loop"
 MULTISINE_PILOT, MULTISINE = "multisine_pilot", "multisine"
-_BY_RATE = (math.nan, math.nan)
+_NOT_GIVEN = (math.nan, math.nan)
 
 
 def identify(
@@ -48,7 +48,10 @@ def identify(
     external: shared.External = None,
     seed: int = option(1, "Seed of the excitation, Gaussian noise.", min=0),
     band: tuple[float, float] = option(
-        _BY_RATE, "Band of the excitation in Hz; default by the rate.", "LO HI", show_default=False
+        _NOT_GIVEN,
+        "Band of the excitation in Hz; default by the rate.",
+        "LO HI",
+        show_default=False,
     ),
     duration: float = option(120.0, "Duration of each test in s.", "S"),
     amplitude: Optional[float] = option(None, "RMS of the valve drive, open loop.", "V"),
@@ -63,8 +66,11 @@ def identify(
     known_mass: Optional[list[float]] = option(
         None, "Weighed mass of the specimen; for several axes once for each.", "KG"
     ),
-    known_force: Optional[tuple[float, float]] = option(
-        None, "Load that was hung on the load cell, and what this showed then beyond rest.", "N N"
+    known_force: tuple[float, float] = option(
+        _NOT_GIVEN,
+        "Load that was hung on the load cell, and what this showed then beyond rest.",
+        "N N",
+        show_default=False,
     ),
     max_displacement: float = option(
         math.inf, "Largest displacement; default by the limits.", "M", show_default=False
@@ -135,7 +141,8 @@ def identify(
             f"--known-mass is {known_mass}, but must be positive, once for each of the axes "
             f"{', '.join(experiment.axes)}"
         )
-    if known_force:
+    has_hung = not all(map(math.isnan, known_force))
+    if has_hung:
         experiment = _with_force(experiment, *known_force)
     if max_displacement != math.inf:
         experiment, max_displacement = _capped(experiment, max_displacement)
@@ -163,7 +170,7 @@ def identify(
     if over_dds is None:
         over_dds = as_simulated(experiment) is not experiment
     tests = _Tests(experiment, folder, over_dds, external or (), excitation)
-    weighed, knows_force = known_mass or (), bool(known_mass or known_force)
+    weighed, knows_force = known_mass or (), bool(known_mass) or has_hung
     run = _Identification(tests, motions, levels, plan, motion, duration, weighed, knows_force)
     run.drive_valves(by_pilot=amplitude is None)
     run.close_loop(by_default=force is None)
