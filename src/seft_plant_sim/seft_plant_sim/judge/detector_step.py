@@ -160,7 +160,8 @@ def look_for_frozen(p: DetectorParameters, state: DetectorState, step: int, i: i
     for row in range(4):
         moved = judge.moved[row, i] != 0.0 or not sees(state, step, row)
         state.repeats[row, i] = 0 if moved else state.repeats[row, i] + 1
-        whole += state.repeats[row, i] * log_same(p, judge, row, i)
+        if state.repeats[row, i]:
+            whole += state.repeats[row, i] * log_same(p, judge, row, i)
     for row in range(4):
         repeats, threshold = float(state.repeats[row, i]), np.inf
         if whole < 0.0 and repeats > 0.0:
