@@ -8,8 +8,7 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN, POSITION_SERVO
 from seft_msgs_py.config.parameter_table import group, per_axis
-from seft_plant_sim.rig_parameters import LIMIT_UNITS
-from seft_plant_sim.rig_parameters import is_imposed
+from seft_plant_sim.rig_parameters import LIMIT_UNITS, is_imposed
 from seft_plant_sim.simulated.actuator import Hydraulics
 from seft_plant_sim.whole_structure import ReferenceResponse, is_simulated
 
