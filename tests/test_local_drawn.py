@@ -145,6 +145,7 @@ def drawn(seed):
         words += ["actuator.delay:=0.017", "loop_delay:=0"]
         words += ["force_controller:method:=transfer_function"]
     if SERVO in words:
+        words.append(f"{RIG}servo.proportional:={rng.choice([0.0, 3000.0])}")
         words += [*TARGET_MOTION[:1], "force_controller:method:=position_servo"]
         words += ["actuator.response.numerator:=[7.38e12]", "actuator.response.dead_time:=0.002"]
         known = "[1.0, 593.0, 5.484e5, 1.82e8, 6.21e10, 7.42e12]"

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.facts import CHANNELS, FACTS, SETTINGS, facts
+from seft_msgs_py.config.facts import CHANNELS, FACTS, POSITION_SERVO, SETTINGS, facts
 from seft_msgs_py.config.parameter_table import Parameter, Section, Table, parameter_rows
 from seft_msgs_py.config.registered import Registered
 from seft_msgs_py.node import host
@@ -112,7 +112,8 @@ _ACTUATOR = parameter_rows(
         displacement in both directions at which the piston meets its stops
     servo.gain              | floats | 1.0    |         | > 0  |
         of the vendor's controller of a position_servo: displacement per command at rest
-    servo.proportional      | floats | 3000.0 | V/m     | 0 .. | its proportional gain
+    servo.proportional      | floats | 0.0    | V/m     | 0 .. |
+        its proportional gain; without gains the motion is imposed, as actuator.response tells
     servo.integral          | floats | 0.0    | V/(m s) | 0 .. | its integral gain
     servo.derivative        | floats | 0.0    | V s/m   | 0 .. | its derivative gain
     servo.derivative_filter | floats | 100.0  | Hz      | > 0  | cut-off of its derivative
@@ -208,6 +209,14 @@ RIG_TABLE = Table(
 def truth(section: Section) -> Section:
     """Take what a simulated rig truly is from its section: ``simulated.*``, by the full names."""
     return {name: value for name, value in section.items() if name.startswith("simulated.")}
+
+
+def is_imposed(section: Mapping[str, Any]) -> bool:
+    """Whether a simulated rig moves as the identified response tells: its vendor's loop is not."""
+    gains = [f"simulated.actuator.servo.{name}" for name in ("proportional", "integral")]
+    return section["actuator.kind"] == POSITION_SERVO and not any(
+        map(np.any, map(section.get, gains))
+    )
 
 
 def filter_of(frequency: Any, damping: Any) -> tuple[Floats, Floats]:

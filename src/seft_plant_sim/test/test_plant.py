@@ -3,11 +3,14 @@
 Against an ODE solver: test_nonlinear_plant_by_hand.py; a small drive sees the linear rig.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from bare_rig import BareRig, driven, make_rig
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.simulated.continuous_model import delayed_force
+from seft_plant_sim.lti import TransferFunction, state_space_response
+from seft_plant_sim.simulated.continuous_model import delayed_force, imposed_motion
 from seft_plant_sim.simulated.specimen import Specimen
 
 PAPER = Specimen(np.array([[52.7]]), np.array([[903.5]]), np.array([[2.11e5]]))
@@ -57,3 +60,29 @@ def test_each_axis_has_its_own_dead_time(kind, times):
         alone = driven(make_rig(actuator__dead_time=time, **values), commands[:, axis])[..., 0]
         scale = np.abs(alone).max(axis=0)
         np.testing.assert_allclose(both[..., axis] / scale, alone / scale, rtol=0.0, atol=1e-12)
+
+
+def test_an_imposed_motion_has_its_response_and_the_specimens_force():
+    """Two axes of unlike order, coupled by mass, damping and stiffness."""
+    specimen = Specimen(
+        np.array([[50.0, 5.0], [5.0, 40.0]]),
+        np.array([[900.0, -200.0], [-200.0, 300.0]]),
+        np.array([[2e5, -5e4], [-5e4, 1e5]]),
+    )
+    servos = (
+        TransferFunction((4e4, 8e6), (2.0, 600.0, 1.6e5, 8e6), 0.002),
+        TransferFunction((2.4e5,), (1.0, 20.0, 2.5e5), 0.001),
+    )
+    model, f = imposed_motion(specimen, servos, np.ones(2)), np.geomspace(0.1, 300.0, 40)
+    s = 2j * np.pi * f
+    found = state_space_response(model.a, model.b, model.c, model.d, s).reshape(-1, 4, 2, 2)
+    motion = np.zeros((len(f), 2, 2), dtype=np.complex128)
+    for i, servo in enumerate(servos):
+        motion[:, i, i] = replace(servo, dead_time=0.0).response(f)
+    by = s[:, np.newaxis, np.newaxis]
+    stiffness = specimen.mass * by**2 + specimen.damping * by + specimen.stiffness
+    wanted = np.stack([motion, by * motion, by**2 * motion, stiffness @ motion], axis=1)
+    np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-12)
+    assert model.delay.tolist() == [0.002, 0.001]
+    with pytest.raises(InputError, match="two poles more than zeros"):
+        imposed_motion(specimen, (servos[0], TransferFunction((1.0,), (1.0, 1.0))), np.ones(2))

@@ -9,6 +9,7 @@ from seft_plant_sim.judge.known_rig import known_responses
 from seft_plant_sim.judge.servo_model import second_difference, servo_models
 from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.whole_structure import reference_response
+from seft_ros.design.plant import Plant, rig_model
 from seft_ros.force_controller.feedforward_step import DELAY_ERROR, GAIN_ERROR
 from seft_ros.force_controller.position_servo import InvertedServo, PositionServo
 from seft_ros.identification import rig_tests
@@ -19,6 +20,7 @@ from seft_ros.test_run.offline import simulate_test
 SHORT = "ground_motion:synthetic.duration:=12.0", "ground_motion:tail:=1.0"
 NO_SENSORS = "sensors.velocity:=derived", "sensors.acceleration:=derived"
 SERVO = "rig:simulated.actuator.servo."
+IMPOSED = (f"{SERVO}proportional:=0.0",)  # it moves as identified
 RESPONSES = (
     TransferFunction((130.0,), (1.0, 130.0), 0.004),
     TransferFunction((4e4, 4e6), (1.0, 300.0, 8e4, 4e6), 0.0013),
@@ -58,6 +60,8 @@ def true_error(experiment):
         ((f"{SERVO}gain:=1.1", "rig:simulated.actuator.dead_time:=0.004"), 1.2),
         ((*NO_SENSORS, f"{SERVO}gain:=0.9", "rig:simulated.actuator.dead_time:=0.0"), 1.2),
         (("specimen.stiffness:=1.3e5", "rig:simulated.specimen.stiffness:=2.11e5"), 1.2),
+        ((*IMPOSED, *NO_SENSORS), 0.8),
+        ((*IMPOSED, "rig:simulated.specimen.kind:=bilinear"), 2.5),
         (("rig:simulated.specimen.kind:=bilinear",), 2.5),
         (("rate:=2000.0", "rig:simulated.specimen.kind:=flag"), 2.5),
     ],
@@ -120,6 +124,19 @@ def test_what_is_no_response_of_a_servo_is_refused(numerator, denominator):
     )
     with pytest.raises(InputError, match=r"/\*\*: actuator.response"):
         build_blocks(told(*words))
+
+
+@pytest.mark.parametrize("words", [("rig:hardware:=udp",), IMPOSED])
+def test_a_plan_knows_the_servo_as_it_was_identified(words):
+    experiment, f = told(*words), np.geomspace(0.1, 200.0, 20)
+    plant = Plant.of_model(*rig_model(experiment), motion=True)
+    (servo,) = known_responses(experiment["rig"], experiment.axes, [0])
+    np.testing.assert_allclose(plant.response(f), servo.response(f), rtol=1e-9)
+
+
+def test_a_supply_fails_only_where_there_is_a_valve():
+    with pytest.raises(InputError, match=r"simulated.actuator.servo.proportional"):
+        build_blocks(told(*IMPOSED, 'rig:faults:=["supply scale 0.5 at 1.0"]'))
 
 
 def test_a_servo_is_not_driven_as_a_valve():

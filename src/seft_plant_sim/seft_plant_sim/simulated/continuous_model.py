@@ -15,7 +15,7 @@ from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.compiled import compiled, multiply
-from seft_plant_sim.lti import first_order_hold
+from seft_plant_sim.lti import TransferFunction, first_order_hold
 from seft_plant_sim.simulated import springs
 from seft_plant_sim.simulated.actuator import COLUMNS as PISTON
 from seft_plant_sim.simulated.actuator import (
@@ -117,14 +117,22 @@ class ContinuousModel:
         return self.sensed or Sensed(self.c, self.d, self.outputs, np.zeros(len(self.c)))
 
 
-def with_springs(model: ContinuousModel, specimen: Specimen) -> ContinuousModel:
-    """Add the springs' residuals to a model whose first states are x and v."""
+def with_springs(
+    model: ContinuousModel, specimen: Specimen, *, imposed: bool = False
+) -> ContinuousModel:
+    """Add the springs' residuals to a model whose first states are x and v.
+
+    They change the acceleration or, where the motion is imposed, the force.
+    """
     n, p = specimen.axes, len(specimen.springs)
     if not p:
         return model
     inputs, outputs = np.zeros((len(model.a), p)), np.zeros((4 * n, p))
-    accelerations = -np.linalg.solve(specimen.mass, specimen.deformation.T)
-    inputs[n : 2 * n] = outputs[2 * n : 3 * n] = accelerations
+    if imposed:
+        outputs[3 * n :] = specimen.deformation.T
+    else:
+        accelerations = -np.linalg.solve(specimen.mass, specimen.deformation.T)
+        inputs[n : 2 * n] = outputs[2 * n : 3 * n] = accelerations
     return replace(
         model,
         inputs=np.hstack([model.inputs, inputs]),
@@ -144,6 +152,58 @@ def delayed_force(specimen: Specimen, delay: float) -> ContinuousModel:
     c = np.vstack([np.eye(2 * n), a[n:], np.zeros((n, 2 * n))])
     d = np.vstack([np.zeros((2 * n, n)), b[n:], np.eye(n)])
     return with_springs(ContinuousModel.linear(a, b, c, d, delay, "reference_force"), specimen)
+
+
+def imposed_motion(
+    specimen: Specimen, responses: Sequence[TransferFunction], stroke: Floats
+) -> ContinuousModel:
+    """Displacement servos that the load does not move: x = G u, f = M x'' + C x' + K x + springs.
+
+    The states are x, x' and the higher derivatives of each axis, of which the last follows from the
+    poles; a command changes each by G's expansion in 1/s (observability canonical form).
+
+    Parameters
+    ----------
+    specimen : Specimen
+        n axes.
+    responses : sequence of TransferFunction
+        G of each axis, from command to displacement.
+    stroke : ndarray
+        Largest displacement that can be commanded, shape (n,), m.
+
+    Raises
+    ------
+    InputError
+        If a command would change a velocity at once.
+    """
+    n, orders = specimen.axes, [len(each.denominator) - 1 for each in responses]
+    if any(len(g.numerator) > m - 1 for g, m in zip(responses, orders, strict=True)):
+        raise InputError(
+            "/**: actuator.response must have two poles more than zeros: without, a command would "
+            "change the velocity at once"
+        )
+    size = sum(orders)
+    a, b, first = np.zeros((size, size)), np.zeros((size, n)), 2 * n
+    for i, (g, m) in enumerate(zip(responses, orders, strict=True)):
+        unit = (g.denominator[-1] / g.denominator[0]) ** (1.0 / m)  # rad/s, for even sizes
+        powers = g.denominator[0] * unit ** np.arange(m + 1)
+        poles = np.array(g.denominator) / powers
+        expansion = np.pad(g.numerator, (m + 1 - len(g.numerator), 0)) / powers
+        for k in range(1, m + 1):
+            expansion[k] -= poles[k:0:-1] @ expansion[:k]
+        chain, scale = unit * np.eye(m, k=1), np.array([1.0, *[unit] * (m - 1)])
+        chain[-1] = -unit * poles[:0:-1]
+        own = [i, n + i, *range(first, first + m - 2)]
+        a[np.ix_(own, own)] = chain * scale[:, np.newaxis] / scale
+        b[own, i] = unit * scale * expansion[1:]
+        first += m - 2
+    motion, velocity = np.eye(2 * n, size), slice(n, 2 * n)
+    c = np.vstack([motion, a[velocity], specimen.mass @ a[velocity]])
+    c[3 * n :] += np.hstack([specimen.stiffness, specimen.damping]) @ motion
+    d = np.vstack([np.zeros((2 * n, n)), b[velocity], specimen.mass @ b[velocity]])
+    late = np.array([each.dead_time for each in responses])
+    model = replace(ContinuousModel.linear(a, b, c, d, late, "valve_command"), drive_limit=stroke)
+    return with_springs(model, specimen, imposed=True)
 
 
 def servo_hydraulic(

@@ -17,6 +17,7 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 
 from seft_plant_sim.compiled import compiled
+from seft_plant_sim.rig_parameters import is_imposed
 from seft_plant_sim.simulated.continuous_model import Dynamics, Motion, make_fault_free
 from seft_plant_sim.simulated.specimen import Specimen
 from seft_plant_sim.simulated.springs import ONE_SIDED, SPRING_KIND, Spring
@@ -285,6 +286,11 @@ def _check_part(fault: Fault, section: dict[str, Any]) -> None:
     if fault.kind == "bit" and fault.value >= bits:
         raise fault.error(
             f"the converter has the bits 0 to {bits - 1} (simulated.sensors.adc_bits)"
+        )
+    if fault.what == "supply" and is_imposed(section):
+        raise fault.error(
+            "the rig moves as actuator.response tells, without a valve; give its vendor's loop, "
+            "simulated.actuator.servo.proportional"
         )
     if fault.what == "supply" and actuator not in ("servo_hydraulic", POSITION_SERVO):
         raise fault.error(

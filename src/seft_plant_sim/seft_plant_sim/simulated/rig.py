@@ -15,7 +15,9 @@ from seft_msgs_py.wire.topics import RigAxes, Timebase
 
 from seft_plant_sim.compiled import entry_point
 from seft_plant_sim.hardware.safe_stop import Safe, Stopped
+from seft_plant_sim.judge.known_rig import known_responses
 from seft_plant_sim.lti import split_dead_time
+from seft_plant_sim.rig_parameters import is_imposed
 from seft_plant_sim.simulated.actuator import Hydraulics, InnerLoop
 from seft_plant_sim.simulated.continuous_model import (
     ContinuousModel,
@@ -23,6 +25,7 @@ from seft_plant_sim.simulated.continuous_model import (
     at_rest,
     delayed_force,
     dynamics_of,
+    imposed_motion,
     servo_hydraulic,
     with_inner_loop,
 )
@@ -228,9 +231,12 @@ def continuous_model(
     actuator, kind = group(section, "simulated.actuator"), section["actuator.kind"]
     if kind in ("ideal", "delay"):
         model = delayed_force(specimen, actuator["delay"] if kind == "delay" else 0.0)
+        return with_sensors(model, section, axes, own.places)
+    hydraulics = Hydraulics.from_parameters(actuator, axes).part(own.places)
+    if is_imposed(section):
+        servos = known_responses(section, axes, own.places)
+        model = imposed_motion(specimen, servos, hydraulics.stroke)
     else:
-        everywhere = Hydraulics.from_parameters(actuator, axes)
-        hydraulics = everywhere.part(own.places)
         model = servo_hydraulic(specimen, hydraulics, linear=kind == "servo_hydraulic_linear")
         if kind == POSITION_SERVO:
             loop = InnerLoop.from_parameters(actuator, axes, own.places)

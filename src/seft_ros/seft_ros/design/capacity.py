@@ -8,7 +8,7 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN, POSITION_SERVO
 from seft_msgs_py.config.parameter_table import group, per_axis
-from seft_plant_sim.rig_parameters import LIMIT_UNITS
+from seft_plant_sim.rig_parameters import LIMIT_UNITS, is_imposed
 from seft_plant_sim.simulated.actuator import Hydraulics
 from seft_plant_sim.whole_structure import ReferenceResponse, is_simulated
 
@@ -98,6 +98,8 @@ class Actuators:
             return cls(unknown, command=command, leakage=leakage, **given)
         h = Hydraulics.from_parameters(group(experiment["rig"], "simulated.actuator"), axes)
         flow = h.flow_gain, h.oil_stiffness, h.leakage
+        if is_imposed(experiment["rig"]):
+            return cls(h.stroke, unknown, command, *flow)
         if controller["actuator.kind"] == "servo_hydraulic_linear":
             return cls(unknown, unknown, command, *flow)
         return cls(h.stroke, h.force_capacity, np.minimum(command, h.rated_voltage), *flow)

@@ -10,16 +10,17 @@ import numpy.typing as npt
 from scipy.linalg import eigvals
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.facts import FORCE_DRIVEN
+from seft_msgs_py.config.facts import FORCE_DRIVEN, POSITION_SERVO
 from seft_msgs_py.errors import InputError
 from seft_plant_sim import lti
 from seft_plant_sim.calibration import as_published
-from seft_plant_sim.judge.known_rig import known_actuators
+from seft_plant_sim.judge.known_rig import known_actuators, known_responses
 from seft_plant_sim.rig_parameters import common_lag
 from seft_plant_sim.simulated.actuator import Hydraulics
 from seft_plant_sim.simulated.continuous_model import (
     ContinuousModel,
     delayed_force,
+    imposed_motion,
     servo_hydraulic,
 )
 from seft_plant_sim.simulated.rig import continuous_model
@@ -306,6 +307,10 @@ def rig_model(
     if section["actuator.kind"] in FORCE_DRIVEN:
         delay = section["actuator.delay"] if section["actuator.kind"] == "delay" else 0.0
         return "identified", delayed_force(specimen, delay + common_lag(section))
+    if section["actuator.kind"] == POSITION_SERVO:
+        servos, late = known_responses(section, axes, range(len(axes))), common_lag(section)
+        servos = [replace(each, dead_time=each.dead_time + late) for each in servos]
+        return "identified", imposed_motion(specimen, servos, np.full(len(axes), np.inf))
     return "identified", small_signal(specimen, **known_actuators(section, axes, range(len(axes))))
 
 

@@ -7,7 +7,8 @@ target like a mass on a critically damped spring::
 
     f_r = sum_j h_j f*[k + j] + M_e (w^2 (x* - x) + 2 w (v* - v)) / T(0)                    (7)
 
-The feedback is as fast as the delay allows: w is its inverse.
+The feedback is as fast as the delay allows: w is its inverse. Its gains are those of a force that
+is held for a period, with the same poles e^(-w dt): w dt is 1 where a force acts a period later.
 """
 
 import math
@@ -35,8 +36,8 @@ class CommandParameters(NamedTuple):
         T(0).
     steps, part : int, float
         Delay of T in whole steps, and the part of a step beyond.
-    rate : float
-        w, 1/s.
+    pull : ndarray
+        Of a mass to the target per displacement (1/s^2) and velocity (1/s), shape (2,).
     by_force : ndarray
         M_e^-1, shape (n, n), 1/kg.
     """
@@ -45,7 +46,7 @@ class CommandParameters(NamedTuple):
     static: float
     steps: int
     part: float
-    rate: float
+    pull: Floats
     by_force: Floats
 
 
@@ -103,11 +104,17 @@ def command_arrays(known: MethodInputs, horizon: int) -> tuple[CommandParameters
         static=static,
         steps=steps,
         part=delay / dt - steps,
-        rate=1.0 / delay,
+        pull=_pull(dt / delay) / np.array([dt * dt, dt]),
         by_force=np.linalg.inv(known.mass),
     )
     state = CommandState(np.zeros((steps + 1, n)), np.zeros(2 * n), np.zeros((n, THRESHOLDS)))
     return parameters, state
+
+
+def _pull(rate: float) -> Floats:
+    """Gains of held forces that give a free mass two poles e^-w; in periods, as ``rate`` w."""
+    pole = math.exp(-rate)
+    return np.array([(1.0 - pole) ** 2, (1.0 - pole) * (3.0 + pole) / 2.0])
 
 
 @compiled
@@ -150,7 +157,7 @@ def command_step(
         for k in range(n):
             x = points[here, 0, k] + p.part * (points[there, 0, k] - points[here, 0, k])
             v = points[here, 1, k] + p.part * (points[there, 1, k] - points[here, 1, k])
-            pull = p.rate * p.rate * (x - y[k]) + 2.0 * p.rate * (v - y[n + k])
+            pull = p.pull[0] * (x - y[k]) + p.pull[1] * (v - y[n + k])
             force += target.mass[i, k] * pull / p.static
         state.sent[0, i] = force
     copy(n, state.sent[0], points[0, 2])

@@ -28,7 +28,7 @@ from seft_plant_sim.lti import first_order_hold
 from seft_ros.reference_force.compensator import MethodInputs, NotLinearError
 from seft_ros.reference_force.force_command import command_arrays, command_step
 from seft_ros.reference_force.linear_filter import LinearFilter
-from seft_ros.reference_force.observers import observer_gains, sensor_noise
+from seft_ros.reference_force.observers import observer_gains, sensor_noise, step_between
 from seft_ros.reference_force.reference_force_parameters import (
     OF_MODEL,
     TARGET_MOTION,
@@ -386,6 +386,7 @@ def target_arrays(known: MethodInputs) -> tuple[TargetParameters, TargetState, M
         dt=dt,
         substeps=substeps,
         gains=gains,
+        between=step_between(known.options, known.late, dt),
         smooth=smooth,
         mass=np.ascontiguousarray(known.mass, dtype=np.float64),
         deformation=np.ascontiguousarray(deformation),

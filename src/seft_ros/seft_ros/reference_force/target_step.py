@@ -46,6 +46,8 @@ class TargetParameters(NamedTuple):
         Steps of the integration in a period.
     gains : ndarray
         Of the observer, shape (n, 2, 2).
+    between : ndarray
+        See `linear_between`, shape (2, 2).
     smooth : ndarray
         Weights that smooth the channels where the acceleration is derived, see
         `second_difference`, shape (3, w); w is 0 if it is measured.
@@ -76,6 +78,7 @@ class TargetParameters(NamedTuple):
     dt: float
     substeps: int
     gains: Floats
+    between: Floats
     smooth: Floats
     mass: Floats
     deformation: Floats
@@ -239,7 +242,7 @@ def update_target(
     before, e, rate, force = state.springs[0], state.springs[1], state.springs[2], state.springs[3]
     if not first:
         times(n, n, p.deformation, state.measured[0], before)
-    observe(p.gains, p.dt, first, measured, state.measured)
+    observe(p.gains, p.between, p.dt, first, measured, state.measured)
     times(n, n, p.deformation, state.measured[0], e)
     times(n, n, p.deformation, state.measured[1], rate)
     # r = f - M_e a (2)
