@@ -13,6 +13,7 @@ from copy import deepcopy
 import numpy as np
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.config.facts import CHANNELS
+from seft_plant_sim.judge.known_rig import read_specimen
 from seft_ros.test_run.compiled_loop import build_blocks
 from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
@@ -36,7 +37,7 @@ def stops(experiment, moments):
     rig, force, interlock = blocks.rig, blocks.reference_force, blocks.force_controller
     force.reset(), interlock.reset()
     known, window = blocks.ground_motion.known, 1 + force.preview
-    stiffness = rig.guard.parameters.detectors.stiffness
+    _, stiffness = read_specimen(experiment["rig"], experiment.axes, range(len(experiment.axes)))
     state = rig.reset()
     for step in range(max(moments) + 1):
         points = force.step(known[step : step + window], state[: len(CHANNELS)])

@@ -2,6 +2,7 @@
 
 import json
 import re
+from runpy import run_path
 from xml.etree import ElementTree
 
 import pytest
@@ -71,6 +72,12 @@ def test_where_a_method_ends_is_what_preflight_says(method, column, overrides):
         assert cell == "> 50"
     else:
         assert float(cell) == pytest.approx(critical.value, rel=0.005)
+
+
+def test_the_script_of_the_stops_stops_a_test():
+    script = run_path(str(ROOT / "docs" / "stops.py"))
+    ((closed, planned, resting),) = script["stops"](load(*script["LINEAR"]), {2300})
+    assert min(closed, planned) > 0.5 * resting > 0.0
 
 
 def test_layouts_for_outside_tools_plot_fields_of_our_topics():
