@@ -18,9 +18,11 @@ from seft_ros.test_run.parameter_tables import TABLES
 
 
 def monitor(
-    host: str = option("127.0.0.1", "Address to serve at; most need a token.", "ADDRESS"),
+    host: str = option("127.0.0.1", "Address to serve at.", "ADDRESS"),
     port: int = option(8765, "Port; 0: any that is free.", "N", min=0, max=65535),
-    token: str = option("", "Token that a browser needs.", "TEXT", envvar="SEFT_MONITOR_TOKEN"),
+    token: str = option(
+        "", "Token that a browser needs; default a new one.", "TEXT", envvar="SEFT_MONITOR_TOKEN"
+    ),
     namespace: str = option("", "Namespace of the test's topics.", "NAME"),
     open_page: bool = option(False, "Open the page in a browser.", "--open"),
 ) -> int:
@@ -33,11 +35,10 @@ def monitor(
     Buttons call the supervisor: Start, Stop and Reset ask for confirmation, Abort test acts at
     once. A button in a browser is no emergency stop; that must be a circuit in hardware.
 
-    It listens at 127.0.0.1; another host sees it by an SSH tunnel (docs/monitor.md). --host names
-    another address: one that is not this host's own needs a token, and shows the test, with its
-    buttons, to anyone who has it. It is generated if none is given; the variable
-    SEFT_MONITOR_TOKEN keeps it out of the list of processes. Ctrl-C ends the monitor, not the
-    test. A browser that --open starts keeps off the loop's core, too.
+    It prints its address with a token: who has it sees the test, and may press the buttons. It
+    listens at 127.0.0.1; another host sees it by an SSH tunnel (docs/monitor.md), or where --host
+    says. The variable SEFT_MONITOR_TOKEN sets a token that is not in the list of processes. Ctrl-C
+    ends the monitor, not the test. A browser that --open starts keeps off the loop's core, too.
 
     Examples:
 
@@ -49,26 +50,23 @@ def monitor(
 
         seft monitor --host 0.0.0.0 --token "$(openssl rand -hex 16)"
     """
-    from seft_ros.monitor.access import Token, is_loopback, page_address
-    from seft_ros.monitor.server import keep_off_the_loop, listen, serve_monitor
+    from seft_ros.monitor.server import keep_off_the_loop, listen, page_address, serve_monitor
 
-    if not re.fullmatch("[!-~]*", token):
-        raise InputError("--token: use printable ASCII characters without blanks")
+    if not re.fullmatch(r"[\w.~-]*", token, re.ASCII):
+        raise InputError("--token: use letters, digits, and any of _ . ~ -")
     if not re.fullmatch(r"(/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*)?", namespace, re.ASCII):
         raise InputError(f"--namespace {namespace}: is not a valid ROS namespace, such as /lab2")
-    if not token and not is_loopback(host):
-        token = secrets.token_urlsafe(24)
+    token = token or secrets.token_urlsafe(24)
     keep_off_the_loop()
     listening = listen(host, port)
-    page = page_address(host, listening.getsockname()[1])
-    address = f"{page}?token={token}" if token else page
+    address = page_address(host, listening.getsockname()[1], token)
 
     def ready() -> None:
         print(f"seft monitor: {address}", flush=True)
         if open_page:
             webbrowser.open(address)
 
-    serve_monitor(listening, host, Token(token), namespace, ready)
+    serve_monitor(listening, token, namespace, ready)
     return 0
 
 
