@@ -13,8 +13,7 @@ from seft_plant_sim.calibration import biases_of_all, zeroed_at_rest
 from seft_plant_sim.compiled import kind_of
 from seft_plant_sim.hardware.hosted import HardwareError, HostedHardware
 from seft_plant_sim.hardware.safe_stop import Safe, Stopped
-from seft_plant_sim.judge.guard import Guard
-from seft_plant_sim.judge.guard_step import DRIVE_ROW, RANGES
+from seft_plant_sim.judge.guard import DRIVE_ROW, RANGES, Guard
 from seft_plant_sim.simulated.rig import SimulatedRig
 from seft_plant_sim.simulated.rig_step import SATURATED_PARTS, left_open
 

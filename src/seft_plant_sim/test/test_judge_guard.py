@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes
-from seft_plant_sim.judge.guard import Guard
-from seft_plant_sim.judge.guard_step import DRIVE_ROW, ENDS_TEST, RANGES, SUSPECT_ROW
+from seft_plant_sim.judge.guard import DRIVE_ROW, ENDS_TEST, RANGES, SUSPECT_ROW, Guard
 
 DT, AXES = 0.002, ("east", "north")
 NOISE = {"sensors__displacement_noise": 5e-6, "sensors__velocity_noise": 1e-3}

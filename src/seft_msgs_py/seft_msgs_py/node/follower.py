@@ -3,9 +3,8 @@
 from collections.abc import Collection, Mapping
 
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.node.authors import Authors, Message
 from seft_msgs_py.node.clock import MACHINE, Clock
-from seft_msgs_py.node.senders import Senders
+from seft_msgs_py.node.senders import Authors, Message, Senders
 from seft_msgs_py.node.transport import Endpoint, Subscription
 from seft_msgs_py.wire.experiment_state import decode_state
 from seft_msgs_py.wire.outcome import MOVING

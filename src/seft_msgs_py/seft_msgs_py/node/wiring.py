@@ -5,11 +5,9 @@ from dataclasses import replace
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError, SeftError, WireError
-from seft_msgs_py.node.authors import Authors, Message
-from seft_msgs_py.node.bus import Receive
-from seft_msgs_py.node.senders import Senders, connected_listeners
+from seft_msgs_py.node.senders import Authors, Message, Senders, connected_listeners
 from seft_msgs_py.node.transport import Endpoint, Publisher, Send
-from seft_msgs_py.node.turns import NodeProcess, ReadOne, drain
+from seft_msgs_py.node.turns import NodeProcess, ReadOne, Receive, drain
 from seft_msgs_py.wire.experiment_state import decode_state
 from seft_msgs_py.wire.outcome import MOVING
 from seft_msgs_py.wire.topics import (

@@ -3,9 +3,9 @@
 import re
 import secrets
 import webbrowser
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Optional
+from typing import Any, Optional
 
 import typer
 from seft_msgs_py.config.facts import EVERY_NODE, FACTS, fact_of, place_of
@@ -128,11 +128,7 @@ def motion(
     from seft_ros.drawing.style import check_figure, save_figure
     from seft_ros.drawing.table import TextTable, check_table, write_table
     from seft_ros.ground_motion.correction import baseline_numbers
-    from seft_ros.ground_motion.ground_motion_block import (
-        GROUND_MOTION_TABLE,
-        OF_RECORD,
-        GroundMotion,
-    )
+    from seft_ros.ground_motion.ground_motion_block import GROUND_MOTION_TABLE, GroundMotion
     from seft_ros.ground_motion.response_spectrum import (
         motion_figure,
         motion_summary,
@@ -158,15 +154,7 @@ def motion(
         }
     metadata = None if response is None else str(response)
     words = {"column": column or None, "rows": rows, "unit": unit, "dt": dt, "response": metadata}
-    given: Section = {name: value for name, value in words.items() if value is not None}
-    if file:  # what the experiment says of its own record does not hold for another one
-        files = [str(each) for each in file]
-        own = {name: GROUND_MOTION_TABLE.rows[name].default for name in OF_RECORD}
-        given = {"file": files if len(files) > 1 else files[0], **own, **given}
-    elif given and not section["file"]:
-        raise InputError(f"--{next(iter(given))}: needs a record; name its file")
-    given |= {} if correct is None else {"correct": correct}
-    section |= GROUND_MOTION_TABLE.check(given, "seft motion")
+    section |= _as_named(section, file or [], words, correct)
     timebase = timebase if rate is None else Timebase.from_rate(rate)
     block = GroundMotion.from_parameters(section, axes, timebase)
     if path is not None:
@@ -187,6 +175,23 @@ def motion(
     texts = [TextTable((), motion_rows(block.facts)), TextTable(["", *axes], lines)]
     show(summary, json, texts, "figure", "csv")
     return 0
+
+
+def _as_named(
+    section: Section, file: Sequence[Path], words: Mapping[str, Any], correct: str | None
+) -> Section:
+    """Give the parameters of a motion that a command line names beside an experiment's own."""
+    from seft_ros.ground_motion.ground_motion_block import GROUND_MOTION_TABLE, OF_RECORD
+
+    given: Section = {name: value for name, value in words.items() if value is not None}
+    if file:  # what the experiment says of its own record does not hold for another one
+        files = [str(each) for each in file]
+        own = {name: GROUND_MOTION_TABLE.rows[name].default for name in OF_RECORD}
+        given = {"file": files if len(files) > 1 else files[0], **own, **given}
+    elif given and not section["file"]:
+        raise InputError(f"--{next(iter(given))}: needs a record; name its file")
+    given |= {} if correct is None else {"correct": correct}
+    return GROUND_MOTION_TABLE.check(given, "seft motion")
 
 
 def parameters(

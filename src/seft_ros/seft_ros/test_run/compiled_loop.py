@@ -15,9 +15,9 @@ from seft_msgs_py.config.facts import FORCE_DRIVEN
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import VALVE_COMMAND
+from seft_plant_sim.calibration import check_biases
 from seft_plant_sim.compiled import OPTIONS, compiled, entry_point, is_at_hand, kind_of
-from seft_plant_sim.judge.biases import check_biases
-from seft_plant_sim.judge.guard_step import (
+from seft_plant_sim.judge.guard import (
     ENDS_TEST,
     GuardParameters,
     GuardState,
