@@ -180,6 +180,7 @@ def run(
 
         seft run config/jhu.yaml --params-file plan.yaml --accept-unstable
     """
+    # beyond 60 lines: its options and its help
     from seft_ros.design import preflight_tables
     from seft_ros.test_run.processes import ProcessLayout
     from seft_ros.test_run.run import bag_path

@@ -124,6 +124,7 @@ def motion(
 
         seft motion kobe.AT2 --config config/demo.yaml --csv spectrum.csv
     """
+    # beyond 60 lines: its options and its help; what it shows follows in order
     from seft_ros.analysis.result_text import motion_rows
     from seft_ros.drawing.style import check_figure, save_figure
     from seft_ros.drawing.table import TextTable, check_table, write_table

@@ -422,6 +422,7 @@ def _run_steps(
     first, last : int
         The first step, and the one after the last.
     """
+    # beyond 60 lines: the loop is one function for the compiler
     # each tuple is taken apart once: within the loop this takes the compiler three times as long
     rig, rig_state = loop.rig
     guard, guard_state = loop.guard
