@@ -263,7 +263,7 @@ class RigNode(NodeBody):
         self._started = self._clock.monotonic()
         self._rig.begin()
         self._report("running")
-        reason = self._shell.several_senders() or self._start_together(wanted)
+        reason = self._shell.senders.conflict() or self._start_together(wanted)
         try:
             if reason:
                 self._publish(0, self._rig.read(), self._started)

@@ -1,11 +1,14 @@
 """Who publishes what a node reads, who of these belongs to the test, and who reads its topics."""
 
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from seft_msgs_py.errors import WireError
+from seft_msgs_py.node.clock import MACHINE, Clock
 from seft_msgs_py.node.transport import Endpoint, Publisher, Subscription
+from seft_msgs_py.wire.experiment_state import decode_state
 from seft_msgs_py.wire.messages import nodes_named
 from seft_msgs_py.wire.outcome import ENDED, MOVING
 from seft_msgs_py.wire.topics import EXPERIMENT_STATE, NODES, LoopTopic, Topic, bare
@@ -161,6 +164,11 @@ class Senders:
     While a test runs, the loop's topics and the state of the test are accepted only from the
     publisher that each had when the test began, and the state until that one leaves `ENDED`. Any
     other publisher is unexpected: its messages are counted, reported with its name, and ignored.
+
+    Attributes
+    ----------
+    authors : list of Authors
+        Those of the topics that all nodes publish.
     """
 
     def __init__(self, endpoint: Endpoint) -> None:
@@ -171,6 +179,7 @@ class Senders:
         self._asked = 0  # of the readers, in turns
         self._refused: dict[tuple[str, bytes], int] = {}  # messages of each unexpected publisher
         self._names: dict[tuple[str, bytes], str] = {}
+        self.authors: list[Authors] = []
 
     def add(self, topic: Topic, full_name: str, subscription: Subscription | None = None) -> None:
         """Watch a topic; without a subscription its publisher is in this process."""
@@ -183,6 +192,8 @@ class Senders:
     def follow(self, state: str) -> None:
         """Choose the publishers when a test begins, by its state."""
         before, self._state, self._unheard = self._state, state, 0
+        for authors in self.authors:
+            authors.bound = state in MOVING
         if (state in MOVING) == (before in MOVING) and (state in ENDED) == (before in ENDED):
             return
         for reader in self._of_the_test():
@@ -221,13 +232,14 @@ class Senders:
     def conflict(self) -> str:
         """Say which topic of the test more than one node publishes; empty if none.
 
-        One of them does not belong to this test, and the messages of either could be used.
+        One of them does not belong to this test, and the messages of either could be used. Or which
+        node there is more than once, by the topics that all nodes publish.
         """
         for reader in self._of_the_test():
             if (count := reader.count(self._endpoint)) > 1:
                 names = _listed(sorted(self._known(reader).values()), ", ")
                 return f"{count} nodes publish {reader.topic.name} ({names})"
-        return ""
+        return next(filter(None, (authors.twins() for authors in self.authors)), "")
 
     def poll(self) -> str:
         """Look for unexpected publishers in a running test; report new ones of one topic.
@@ -312,3 +324,75 @@ def connected_listeners(endpoint: Endpoint, publisher: Publisher, namespace: str
     full = endpoint.listeners(publisher.topic_name)
     names = {name.removeprefix(f"{namespace}/") for name in full}
     return names if len(names) <= publisher.listener_count() else set()
+
+
+_POLL_PERIOD = 0.2  # s between two looks for the names of publishers
+
+
+class Follower:
+    """Follows a test by the supervisor that it began with, and by its own nodes.
+
+    Parameters
+    ----------
+    endpoint : Endpoint
+        The node that reads.
+    depths : mapping of Topic to int
+        Messages that wait at most, of each topic that all nodes publish, and of the state.
+    nodes : collection of str, optional
+        See `Authors`.
+    clock : Clock
+        For the time between two looks at the graph.
+    """
+
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        depths: Mapping[Topic, int],
+        nodes: Collection[str] | None = None,
+        clock: Clock = MACHINE,
+    ) -> None:
+        self._clock, self._depths = clock, dict(depths)
+        self._polled_at = dict.fromkeys(depths, clock.monotonic())
+        self._senders = Senders(endpoint)
+        self._subscriptions: dict[Topic, Subscription] = {}
+        self._authors: dict[Topic, Authors] = {}
+        for topic, depth in depths.items():
+            subscription = self._subscriptions[topic] = endpoint.subscribe(topic, depth)
+            name = subscription.topic_name
+            if topic == EXPERIMENT_STATE:
+                self._senders.add(topic, name, subscription)
+            else:
+                self._authors[topic] = Authors(endpoint, topic, name, endpoint.namespace, nodes)
+        self._senders.authors = list(self._authors.values())
+
+    def take(self, topic: Topic) -> list[Message]:
+        """Take the messages that count and have arrived, the oldest first."""
+        waiting = self._now_named(topic)
+        for _ in range(self._depths[topic]):
+            if (taken := self._subscriptions[topic].take()) is None:
+                break
+            waiting.append(Message(*taken))
+        return [message for message in waiting if self._counts(topic, message)]
+
+    def _counts(self, topic: Topic, message: Message) -> bool:
+        try:
+            if topic != EXPERIMENT_STATE:
+                return bool(self._authors[topic].check(message))
+            if self._senders.is_unexpected(topic.name, message.gid):
+                return False
+            state = decode_state(message.raw).state
+        except WireError:
+            return False
+        self._senders.follow(state)
+        return True
+
+    def _now_named(self, topic: Topic) -> list[Message]:
+        """Look at the graph if it is time; give messages whose publishers' names are known now."""
+        now = self._clock.monotonic()
+        if now - self._polled_at[topic] < _POLL_PERIOD:
+            return []
+        self._polled_at[topic] = now
+        if topic != EXPERIMENT_STATE:
+            return self._authors[topic].poll()
+        self._senders.poll()
+        return []

@@ -9,7 +9,6 @@ from seft_msgs_py.node.senders import Authors, Message, Senders, connected_liste
 from seft_msgs_py.node.transport import Endpoint, Publisher, Send
 from seft_msgs_py.node.turns import NodeProcess, ReadOne, Receive, drain
 from seft_msgs_py.wire.experiment_state import decode_state
-from seft_msgs_py.wire.outcome import MOVING
 from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
@@ -127,26 +126,12 @@ class Wiring:
             found[f"matched {name}"] = " ".join(sorted({*outside, *inside}))
         return found
 
-    def follow(self, state: str) -> None:
-        """Choose the publishers of a test when it begins; for the node that makes its state."""
-        self.senders.follow(state)
-        for authors, _ in self._authors:
-            authors.bound = state in MOVING
-
-    def several_senders(self) -> str:
-        """Say which topic of the test more than one node publishes, see `Senders.conflict`.
-
-        Or which node there is more than once, by the topics that all nodes publish.
-        """
-        twins = (authors.twins() for authors, _ in self._authors)
-        return self.senders.conflict() or next(filter(None, twins), "")
-
     def name_unexpected_publishers(self, refused_before: int) -> str:
         """Name unexpected nodes that may be the cause of missing messages, to append to a reason.
 
         ``refused_before`` is the value of `refused` when the last message arrived.
         """
-        refused, conflict = self.refused - refused_before, self.several_senders()
+        refused, conflict = self.refused - refused_before, self.senders.conflict()
         text = f"; {refused} messages were refused meanwhile" if refused else ""
         return f"{text}; {conflict}" if conflict else text
 
@@ -195,7 +180,7 @@ class Wiring:
                 self._process.fault(f"{self.name}, {name}", error)
                 return False
             if topic == EXPERIMENT_STATE:
-                self.follow(decode_state(raw).state)
+                self.senders.follow(decode_state(raw).state)
             return True
 
         return receive
@@ -216,6 +201,7 @@ class Wiring:
                 self.senders.refuse(topic.name, gid, authors.name_of(gid))
             return bool(counts) and receive(raw, received_ns, gid)
 
+        self.senders.authors.append(authors)
         self._authors.append((authors, receive_own))
         return receive_own
 

@@ -158,7 +158,7 @@ class SupervisorNode(NodeBody):
             machine.at_rest()  # there is no node that ramps the force down
         if machine.state is not self._state:
             self._state, self._since, self._silent = machine.state, self._now, None
-            self._shell.follow(machine.state)
+            self._shell.senders.follow(machine.state)
             if self._state is State.RUNNING:
                 self._lost.clear()
                 self._took_part.clear()
@@ -174,7 +174,7 @@ class SupervisorNode(NodeBody):
         self._statuses["supervisor"] = LastStatus(own, self._now)
         statuses, described = self._statuses, self._descriptions
         lack = missing(self._peers, statuses, described, self._now, self._timeout, self._rigs)
-        if not lack and (twins := self._shell.several_senders()):
+        if not lack and (twins := self._shell.senders.conflict()):
             lack = f"the end of a node that is not this test's: {twins}"
         self._machine.peers(lack or self._rehearsal())
 
