@@ -25,7 +25,6 @@ from seft_ros.monitor.history import Frame
 
 _ASSETS = Path(__file__).with_name("assets")
 _LIBRARY = Path(bokeh.__file__).parent / "server" / "static" / "js"
-MAX_PAGES = 32
 BEHIND = 4_000_000
 """Bytes that may wait for a slow page; after that it is skipped, and later receives all frames."""
 
@@ -149,8 +148,7 @@ class Live(Guarded, WebSocketHandler):
     def open(self, *_: str, **__: str) -> None:
         """Begin to send."""
         self.set_nodelay(True)
-        if not self.settings["pages"].add(self):
-            self.close(1013, "too many pages")
+        self.settings["pages"].add(self)
 
     def on_message(self, message: str | bytes) -> None:
         """Ignore messages."""
@@ -191,13 +189,10 @@ class Pages:
     def __len__(self) -> int:
         return len(self._open)
 
-    def add(self, page: Live) -> bool:
-        """Add a page, unless there are too many."""
-        if len(self._open) >= MAX_PAGES:
-            return False
+    def add(self, page: Live) -> None:
+        """Add a page."""
         self._open[page] = False
         self.send([])
-        return True
 
     def remove(self, page: Live) -> None:
         """Forget a page."""
