@@ -89,7 +89,7 @@ class Rig:
             known, zeroed = section, None
             if len(samples):
                 known, zeroed = zeroed_at_rest(section, axes, own.places, samples)
-            return Guard.from_parameters(known, axes, own, dt, zeroed), zeroed
+            return Guard(known, axes, own, dt, zeroed), zeroed
 
         safe = Safe.from_parameters(section, axes, own.places, dt)
         return cls(what, make_guard, safe, round(section["calibration.zeroing"] / dt))

@@ -17,7 +17,7 @@ NOISE |= {"sensors__acceleration_noise": 0.05, "sensors__force_noise": 3.0}
 
 def guard(**values):
     """Guard of two axes of these parameters; a double underscore stands for a dot."""
-    made = Guard.from_parameters(rig_section(**values), AXES, RigAxes.whole(AXES), DT)
+    made = Guard(rig_section(**values), AXES, RigAxes.whole(AXES), DT)
     made.reset()
     return made
 

@@ -1,6 +1,6 @@
 """The guard of a rig: it calibrates, aligns and judges each sample, and ends a test at a fault."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -184,45 +184,46 @@ class Guard:
 
     Parameters
     ----------
-    calibration : tuple of Calibration and CalibrationState
-        What is known of the channels.
-    derivation : Derivation
-        Of the velocity, if it is not measured.
-    acceleration : tuple of AccelerationParameters and AccelerationState
-        Of the acceleration, likewise.
-    ranges : ndarray
-        Largest magnitude that each sensor can measure, shape (4, n).
-    limits : Limits
-        Of the samples.
-    saturated_time : float
-        Time within one second that sensors may be saturated, s.
-    detectors : tuple of DetectorParameters and DetectorState
-        Of faults.
-    axes : sequence of str
-        Names of the n axes.
+    section, axes
+        Of the rig in an experiment, which is for all axes, and the names of these.
+    rig : RigAxes
+        Which of the axes are its own.
+    dt : float
+        Period, s.
+    zeroed : mapping, optional
+        What it measured at rest, see `seft_plant_sim.calibration.zeroed_at_rest`.
+
+    Raises
+    ------
+    InputError
+        If sizes do not fit the axes, or what is known of the channels makes no sense.
 
     Attributes
     ----------
     limits : Limits
-        As given.
+        Of the samples.
     parameters, state : GuardParameters, GuardState
         Arguments of `guard_step`, here and in a compiled loop.
     """
 
     def __init__(
         self,
-        calibration: tuple[Calibration, CalibrationState],
-        derivation: Derivation,
-        acceleration: tuple[AccelerationParameters, AccelerationState],
-        ranges: Floats,
-        limits: Limits,
-        saturated_time: float,
-        detectors: tuple[DetectorParameters, DetectorState],
-        axes: Sequence[str],
+        section: dict[str, Any],
+        axes: tuple[str, ...],
+        rig: RigAxes,
+        dt: float,
+        zeroed: Mapping[str, Any] | None = None,
     ) -> None:
-        self.limits, self._axes, self._saturated_time = limits, tuple(axes), saturated_time
-        n, dt = len(self._axes), detectors[0].rig.dt
-        blind, window = event_ring(saturated_time, dt)
+        places, derived = rig.places, velocity_is_derived(section)
+        ranges, resolution = converters(section, axes, places, "sensors.adc_bits")
+        calibration = calibration_of(section, axes, places, dt, ranges, resolution, derived)
+        derivation = Derivation.from_parameters(section, dt)
+        acceleration = acceleration_of(section, axes, places, dt)
+        limits = Limits(group(section, "limits"), rig.axes, dt)
+        detectors = detectors_of(section, axes, dt, places, zeroed)
+        self.limits, self._axes = limits, rig.axes
+        self._saturated_time: float = section["limits.saturated_time"]
+        n, (blind, window) = len(rig.axes), event_ring(self._saturated_time, dt)
         self.parameters = GuardParameters(
             calibration[0],
             derivation,
@@ -245,37 +246,6 @@ class Guard:
         )
         both, sample = (self.parameters, self.state), np.zeros((DRIVE_ROW + 1, n))
         self._step = entry_point(guard_step, *both, 0, np.zeros((4, n)), sample[0], sample)
-
-    @classmethod
-    def from_parameters(
-        cls,
-        section: dict[str, Any],
-        axes: tuple[str, ...],
-        rig: RigAxes,
-        dt: float,
-        zeroed: Mapping[str, Any] | None = None,
-    ) -> "Guard":
-        """Make it from the rig's section of an experiment, which is for all axes.
-
-        ``zeroed`` is what it measured at rest, see `seft_plant_sim.calibration.zeroed_at_rest`.
-
-        Raises
-        ------
-        InputError
-            If sizes do not fit the axes, or what is known of the channels makes no sense.
-        """
-        ranges, resolution = converters(section, axes, rig.places, "sensors.adc_bits")
-        derived = velocity_is_derived(section)
-        return cls(
-            calibration_of(section, axes, rig.places, dt, ranges, resolution, derived),
-            Derivation.from_parameters(section, dt),
-            acceleration_of(section, axes, rig.places, dt),
-            ranges,
-            Limits(group(section, "limits"), rig.axes, dt),
-            section["limits.saturated_time"],
-            detectors_of(section, axes, dt, rig.places, zeroed),
-            rig.axes,
-        )
 
     @property
     def nearest(self) -> tuple[str, float]:
