@@ -4,7 +4,7 @@ It releases the interpreter's lock, so that threads run tests in parallel.
 """
 
 from collections.abc import Callable, Hashable, Iterator
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numba.extending import overload
@@ -63,15 +63,6 @@ from seft_ros.reference_force.target_motion import TargetMotion
 from seft_ros.reference_force.target_step import TargetParameters, target_estimates, target_step
 from seft_ros.test_run.blocks import Blocks
 
-FORCE_STEPS = {LinearParameters: linear_step, TargetParameters: target_step}
-CONTROL_STEPS = {
-    TransferParameters: transfer_step,
-    FeedforwardParameters: feedforward_step,
-    ServoParameters: servo_step,
-}
-"""Steps of the blocks that can be compiled, by their parameters."""
-_OPTIONS: dict[str, Any] = {"jit_options": OPTIONS}
-
 
 def why_not_compiled(blocks: Blocks) -> str:
     """Say why a test can't run in the compiled loop; empty if it can."""
@@ -96,44 +87,37 @@ def why_not_compiled(blocks: Blocks) -> str:
     return ""
 
 
-def respond(
-    parameters: Any, state: Any, ground: Floats, measured: Floats, progress: float, points: Floats
-) -> None:
-    """Step of a compensation method, see `FORCE_STEPS`."""
-    raise NotImplementedError
+@compiled
+def no_estimates(parameters: LinearParameters, state: Any, result: Floats) -> None:
+    """Sample nothing: a linear compensation estimates nothing."""
 
 
-def answer(parameters: Any, state: Any, points: Floats, measured: Floats, command: Floats) -> bool:
-    """Step of a force controller, see `CONTROL_STEPS`."""
-    raise NotImplementedError
+def _by_parameters(steps: dict[Any, Any]) -> Any:
+    """Give a step that the compiler takes from ``steps`` by the type of its parameters."""
+
+    def step_of(parameters: Any, state: Any, *others: Any) -> Any:
+        return steps[type(parameters)](parameters, state, *others)
+
+    @overload(step_of, jit_options=cast("Any", OPTIONS))
+    def _step_of(parameters, state, *others):  # type: ignore[no-untyped-def]
+        step: Any = steps[parameters.instance_class]
+        return lambda parameters, state, *others: step(parameters, state, *others)
+
+    return step_of
 
 
-def estimate(parameters: Any, state: Any, result: Floats) -> None:
-    """Sample the estimates of a compensation method, shape (k, n)."""
-    raise NotImplementedError
-
-
-@overload(respond, **_OPTIONS)
-def _respond(parameters, state, ground, measured, progress, points):  # type: ignore[no-untyped-def]
-    step: Any = FORCE_STEPS[parameters.instance_class]
-    return lambda parameters, state, ground, measured, progress, points: step(
-        parameters, state, ground, measured, progress, points
-    )
-
-
-@overload(answer, **_OPTIONS)
-def _answer(parameters, state, points, measured, command):  # type: ignore[no-untyped-def]
-    step: Any = CONTROL_STEPS[parameters.instance_class]
-    return lambda parameters, state, points, measured, command: step(
-        parameters, state, points, measured, command
-    )
-
-
-@overload(estimate, **_OPTIONS)
-def _estimate(parameters, state, result):  # type: ignore[no-untyped-def]
-    if parameters.instance_class is TargetParameters:
-        return lambda parameters, state, result: target_estimates(parameters, state, result)
-    return lambda parameters, state, result: None
+respond = _by_parameters({LinearParameters: linear_step, TargetParameters: target_step})
+"""Step of a compensation method: of parameters, state, ground, measured, progress and points."""
+answer = _by_parameters(
+    {
+        TransferParameters: transfer_step,
+        FeedforwardParameters: feedforward_step,
+        ServoParameters: servo_step,
+    }
+)
+"""Step of a force controller: of parameters, state, points, measured and command; a bool."""
+estimate = _by_parameters({LinearParameters: no_estimates, TargetParameters: target_estimates})
+"""Sample the estimates of a compensation method: of parameters, state and result (k, n)."""
 
 
 class LoopSamples(NamedTuple):
