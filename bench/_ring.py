@@ -19,7 +19,6 @@ from seft_msgs_py.node.rclpy_interface import (
     message_class,
     qos_profile,
     raw_subscription,
-    sender,
     taker,
 )
 from seft_msgs_py.wire.topics import JOINT_TRAJECTORY, Topic
@@ -39,7 +38,7 @@ class Station:
         self.publisher = self.node.create_publisher(
             message_class(outward), outward.name, qos_profile(outward)
         )
-        self.send = sender(self.publisher)
+        self.send = self.publisher.handle.publish_raw
         self._take, self._others = taker(self.subscription), [taker(each) for each in others]
         self.wait_set = RclWaitSet(self.node.context, [self.subscription])
 

@@ -14,7 +14,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
 from seft_ros.reference_force.reference_force_block import ReferenceForce
-from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.parameter_tables import TABLES
 
 CONFIG = Path(__file__).parent.parent / "config" / "jhu.yaml"

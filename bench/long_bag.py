@@ -18,7 +18,7 @@ import numpy as np
 from seft_msgs_py.config.experiment import Experiment
 from seft_ros.bags.recording import Estimates, Recording, Series
 from seft_ros.bags.recording_bag import write_recording
-from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 

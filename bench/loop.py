@@ -14,7 +14,7 @@ import _ring
 import _udp_ring
 from _runs import CONFIG, recorded_run, use_own_domain
 from seft_msgs_py.config.experiment import Experiment
-from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.test_run.processes import ProcessLayout

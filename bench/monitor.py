@@ -22,7 +22,6 @@ from pathlib import Path
 
 from _runs import recorded_run, use_own_domain
 from seft_ros.analysis.timing import stalls_of
-from tornado.httpclient import HTTPRequest
 from tornado.ioloop import IOLoop
 from tornado.websocket import websocket_connect
 
@@ -77,9 +76,8 @@ def page(address: str) -> Iterator[str]:
 @contextlib.contextmanager
 def _bare_client(address: str) -> Iterator[None]:
     async def listen() -> None:
-        url = address.replace("http", "ws", 1) + "live"
-        request = HTTPRequest(url, headers={"Origin": address.rstrip("/")})
-        connection = await websocket_connect(request)
+        url = address.replace("http", "ws", 1).replace("/?", "/live?")
+        connection = await websocket_connect(url)
         while not ended.is_set() and await connection.read_message() is not None:
             pass
 

@@ -13,7 +13,7 @@ from _plain_loop import steps_per_second as plain_steps_per_second
 from scipy.signal import dlsim
 from seft_msgs_py.config.experiment import Experiment
 from seft_ros.design.planned_tests import PlannedTest
-from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 

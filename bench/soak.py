@@ -69,7 +69,7 @@ def node_processes() -> dict[str, int]:
     """Process numbers of the nodes that this process has had started."""
     found = {}
     for pid in [each for starter in children(os.getpid()) for each in children(starter)]:
-        words = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
+        words = Path(f"/proc/{pid}/cmdline").read_text().rstrip("\0").split(" ")
         found |= {node: pid for node, module in MODULES.items() if module in words}
     return found
 

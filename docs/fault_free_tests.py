@@ -18,7 +18,7 @@ sys.path.append("src/seft_ros/test")
 from rig_faults import LATE, MISSED, SlowHost
 from seft_msgs_py.config.facts import CHANNELS
 from seft_plant_sim.judge.detector_list import DETECTORS
-from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate_test
 from test_detectors import KIND, NOISE, OBEYS, PLAN, SPECIMEN, load
 

@@ -21,7 +21,7 @@ from experiments_at_hand import load
 from fault_free_tests import motion_words
 from rig_faults import FAULTS, lines_of
 from seft_msgs_py.config.facts import CHANNELS
-from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate_test
 from test_detectors import (
     BILINEAR,

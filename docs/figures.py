@@ -25,7 +25,7 @@ from seft_ros.design.stability_verdict import predicted_modes
 from seft_ros.drawing.style import FIRST_COLOUR, MARK, OTHERS, REFERENCE, TEXT, save_figure, tidy
 from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
-from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 

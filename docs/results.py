@@ -12,7 +12,7 @@ import numpy as np
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.metrics import nrmse
-from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 

@@ -10,8 +10,6 @@ import sys
 import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from urllib.error import URLError
-from urllib.request import urlopen
 
 from PIL import Image
 from selenium import webdriver
@@ -19,23 +17,12 @@ from selenium import webdriver
 DOCS = Path(__file__).parent
 SEFT = [sys.executable, "-m", "seft_ros.cli.main"]
 DEMO = str(DOCS.parent / "config" / "demo.yaml")
-MONITOR = "http://127.0.0.1:8765/"
 WIDTH, HEIGHT, COLOURS = 1300, 1250, 64
 HIDE = """
 for (const name of arguments[0].split(",").filter(Boolean))
   document.getElementById(name).style.display = "none";
 """
 DRAWN = "return window.Bokeh && Bokeh.documents.length && Bokeh.documents.every((d) => d.is_idle)"
-
-
-def wait_for_page(address: str) -> None:
-    """Wait until a server answers."""
-    while True:
-        try:
-            urlopen(address).close()
-            return
-        except URLError:
-            time.sleep(0.1)
 
 
 def take_picture(
@@ -71,11 +58,12 @@ def main() -> None:
             "report.png",
             "what-was-tested,agreement-with-the-reference-response,the-equivalent-ground-motion",
         )
-        monitor = subprocess.Popen([*SEFT, "monitor"])
+        monitor = subprocess.Popen([*SEFT, "monitor"], stdout=subprocess.PIPE, text=True)
+        assert monitor.stdout is not None
         try:
-            wait_for_page(MONITOR)
+            address = monitor.stdout.readline().split()[-1]
             subprocess.run([*SEFT, "run", DEMO, "--out", str(Path(folder) / "run")], check=True)
-            take_picture(browser, MONITOR, "monitor.png", wait=5.0)
+            take_picture(browser, address, "monitor.png", wait=5.0)
         finally:
             monitor.terminate()
             monitor.wait()

@@ -14,7 +14,7 @@ import numpy as np
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.config.facts import CHANNELS
 from seft_plant_sim.judge.known_rig import read_specimen
-from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 

@@ -37,7 +37,7 @@ from seft_ros.identification.multisine import (
     with_actuators,
 )
 from seft_ros.identification.rig_tests import multisine_test, write_forces
-from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate_test
 from test_detectors import KIND, PLAN, SPECIMEN, load
 from test_identification_multisine import identified

@@ -17,7 +17,7 @@ sys.path.append("src/seft_ros/test")
 
 from seft_msgs_py.config.facts import CHANNELS
 from seft_ros.analysis.summary import summarise_briefly
-from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import BlockCache
 from test_detectors import BILINEAR, GAP, KIND, PLAN, SPECIMEN, load
 

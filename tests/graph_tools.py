@@ -61,7 +61,7 @@ def children(pid: int) -> dict[str, int]:
         try:
             if (entry / "stat").read_text().rsplit(")", 1)[1].split()[1] not in starters:
                 continue
-            words = (entry / "cmdline").read_bytes().decode().split("\0")
+            words = (entry / "cmdline").read_text().rstrip("\0").split(" ")
         except (OSError, ValueError):
             continue
         below = [word.removeprefix("__ns:=/") + "/" for word in words if word.startswith("__ns:=/")]

@@ -5,7 +5,7 @@ from seft_msgs_py.virtual import LocalGraph
 from seft_msgs_py.wire.messages import EstimatesCodec
 from seft_msgs_py.wire.topics import ESTIMATES, MEASURED, RIG_STATE, VALVE_COMMAND
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
-from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate_test
 
 LONG = "ground_motion:synthetic.duration:=400.0"

@@ -17,7 +17,7 @@ from seft_ros.design import preflight_tables
 from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.stability_verdict import predicted_modes
 from seft_ros.protection.protected_force import ProtectedForce
-from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate_test
 
 THOROUGH = (pytest.mark.thorough, pytest.mark.offline)

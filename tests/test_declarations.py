@@ -29,6 +29,7 @@ NAMES = {  # module: name for pip, rosdep key
     "rosbags": ("rosbags", "python3-rosbags-pip"),
     "ruamel": ("ruamel.yaml", "python3-ruamel.yaml"),
     "scipy": ("scipy", "python3-scipy"),
+    "setproctitle": ("setproctitle", "python3-setproctitle"),
     "tornado": ("tornado", "python3-tornado"),
     "typer": ("typer", "python3-typer"),
     "yaml": ("pyyaml", "python3-yaml"),

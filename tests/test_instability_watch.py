@@ -6,7 +6,7 @@ from experiments_at_hand import load, simulated
 from real_records import words_of
 from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.stability_margins import instability_band
-from seft_ros.test_run.compiled_loop import with_method
+from seft_ros.test_run.blocks import with_method
 
 pytestmark = pytest.mark.offline
 THOROUGH = pytest.mark.thorough

@@ -10,7 +10,8 @@ from local_tools import SHORT, TARGET_MOTION, TWO_AXES, UNREHEARSED, assert_same
 from recordings_at_hand import assert_same_samples
 from seft_msgs_py.config.facts import CHANNELS
 from seft_ros.test_run import offline as offline_loop
-from seft_ros.test_run.compiled_loop import build_blocks, why_not_compiled
+from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.compiled_loop import why_not_compiled
 from seft_ros.test_run.offline import simulate_test
 
 MANY = (pytest.mark.thorough, pytest.mark.offline)

@@ -19,7 +19,7 @@ from seft_msgs_py.wire.messages import encode_diagnostics
 from seft_msgs_py.wire.outcome import FINISHED, Outcome, rig_status
 from seft_msgs_py.wire.topics import DIAGNOSTICS, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
 from seft_plant_sim.simulated.rig import SimulatedRig
-from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.blocks import build_blocks
 
 
 def test_a_rig_whose_model_is_not_a_number_trips(running, monkeypatch):

@@ -4,7 +4,7 @@ import json
 
 import pytest
 from local_tools import LONG, NODES, UNREHEARSED
-from seft_msgs_py.node.follower import Follower
+from seft_msgs_py.node.senders import Follower
 from seft_msgs_py.virtual.memory import MemoryEndpoint
 from seft_msgs_py.wire.experiment_state import ExperimentState, decode_state, encode_state
 from seft_msgs_py.wire.messages import encode_diagnostics, encode_string

@@ -29,7 +29,7 @@ from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.identification import rig_tests
 from seft_ros.identification.identified import Identified, identify_from_recordings
 from seft_ros.reference_force.compensator import OF_THE_LOOP
-from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 

@@ -23,7 +23,7 @@ from seft_plant_sim.rig import Rig
 from seft_ros.bags.recording import Recording
 from seft_ros.identification import rig_tests
 from seft_ros.identification.identified import facts_of, identify_from_recordings, write_model
-from seft_ros.test_run.compiled_loop import Blocks, build_blocks
+from seft_ros.test_run.blocks import Blocks, build_blocks
 from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 

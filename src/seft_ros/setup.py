@@ -60,6 +60,7 @@ setup(
         "scipy>=1.11",
         "seft_msgs_py",
         "seft_plant_sim",
+        "setproctitle>=1.3",
         "tornado>=6.4",
         "typer>=0.9",
         "zstandard>=0.25",

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from experiments_at_hand import load
 from seft_ros.analysis.summary import summarise
-from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate_test
 
 DELAYED = (

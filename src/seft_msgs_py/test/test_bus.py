@@ -1,7 +1,7 @@
 """Messages between nodes of one process: in order, to all, also those sent meanwhile."""
 
 import pytest
-from seft_msgs_py.node.bus import IntraProcessBus
+from seft_msgs_py.node.turns import IntraProcessBus
 from seft_msgs_py.wire.topics import DIAGNOSTICS, RIG_STATE, VALVE_COMMAND
 
 

@@ -288,12 +288,6 @@ def test_what_ros_gives_each_node_is_left_to_it_but_for_its_clock(load, place):
     assert f"{place}: use_sim_time is true, but nodes of seft follow the samples of the" in said
 
 
-def test_an_old_name_is_refused_with_the_new_one(load):
-    for text in (in_rig("calibration.force_zero: 1"), everywhere("calibration.force_zero: 1")):
-        said = "there is no parameter calibration.force_zero; it is now /**: calibration.force_bias"
-        assert refusal(load, text).endswith(said)
-
-
 NAMES = st.lists(
     st.sampled_from(["x", "y", "n", "on", "1", "1e5", "null", "größe", "a b", "~", "- x", "#"]),
     min_size=1,

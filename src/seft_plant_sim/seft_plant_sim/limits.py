@@ -84,7 +84,7 @@ class Limits:
     values : ndarray
         Shape (8,): of the state, and of its change in k steps.
     largest : ndarray
-        Shape (8,): the largest magnitudes since the reset, updated by `exceeds`.
+        Shape (8,): the largest magnitudes so far, updated by `exceeds`.
     recent, change : ndarray
         Arguments of `exceeds`, shapes (k, 4, n) and (4, n).
     """
@@ -102,20 +102,6 @@ class Limits:
         self.largest = np.zeros(8)
         self.recent = np.zeros((steps, 4, len(self._axes)))
         self.change = np.zeros((4, len(self._axes)))
-        self._step = 0
-
-    def reset(self) -> None:
-        """Begin a new test."""
-        self.largest[:] = 0.0
-        self._step = 0
-
-    def violation(self, measured: Floats) -> str | None:
-        """Check the next sample, shape (4, n); one line if it breaks a limit."""
-        measured = np.array(measured, dtype=np.float64)
-        step, self._step = self._step, self._step + 1
-        if exceeds(self.values, step, self.recent, measured, self.change, self.largest):
-            return self.describe(measured)
-        return None
 
     def describe(self, measured: Floats) -> str:
         """Say in one line which limit a sample, shape (4, n), or its `change` breaks."""
@@ -126,7 +112,7 @@ class Limits:
         return beyond_limit(int(row), found[row, column] / per, self._axes[column], limit)
 
     def margins(self) -> dict[str, float]:
-        """Smallest distance to each limit since the reset, over the limit; 0 and below: broken."""
+        """Smallest distance to each limit so far, over the limit; 0 and below: broken."""
         return dict(zip(LIMIT_ROWS, (1.0 - self.largest / self.values).tolist(), strict=True))
 
 

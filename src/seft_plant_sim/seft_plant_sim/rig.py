@@ -13,8 +13,7 @@ from seft_plant_sim.calibration import biases_of_all, zeroed_at_rest
 from seft_plant_sim.compiled import kind_of
 from seft_plant_sim.hardware.hosted import HardwareError, HostedHardware
 from seft_plant_sim.hardware.safe_stop import Safe, Stopped
-from seft_plant_sim.judge.guard import Guard
-from seft_plant_sim.judge.guard_step import DRIVE_ROW, RANGES
+from seft_plant_sim.judge.guard import DRIVE_ROW, RANGES, Guard
 from seft_plant_sim.simulated.rig import SimulatedRig
 from seft_plant_sim.simulated.rig_step import SATURATED_PARTS, left_open
 
@@ -90,7 +89,7 @@ class Rig:
             known, zeroed = section, None
             if len(samples):
                 known, zeroed = zeroed_at_rest(section, axes, own.places, samples)
-            return Guard.from_parameters(known, axes, own, dt, zeroed), zeroed
+            return Guard(known, axes, own, dt, zeroed), zeroed
 
         safe = Safe.from_parameters(section, axes, own.places, dt)
         return cls(what, make_guard, safe, round(section["calibration.zeroing"] / dt))

@@ -40,8 +40,8 @@ from seft_plant_sim.judge.known_rig import command_limit, fastest_command
 from seft_plant_sim.rehearsal import Rehearsal
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import RIG_TABLE, SIMULATED
-from seft_plant_sim.rig_report import rig_report
 from seft_plant_sim.rig_rest import RigRest
+from seft_plant_sim.rig_watch import rig_report
 
 CLOCK_PERIOD = 0.1  # s of the test's time
 BREATH = 0.005  # s from the first answer in realtime to the time of step 0
@@ -78,27 +78,9 @@ class RigNode(NodeBody):
             tell=self._tell,
             at_rest=self._end_stop,
         )
-        state, measured = topics.RIG_STATE.of(shell.rig), topics.MEASURED.of(shell.rig)
-        self._state_codec = TrajectoryCodec(state, shell.rig.axes, self._timebase)
-        self._measured_codec = TrajectoryCodec(measured, shell.rig.axes, self._timebase)
-        self._publish_state = shell.publisher(state)
-        self._publish_measured = shell.publisher(measured)
-        # with several rigs, one is the test's clock, and all start together
-        self._publish_time: Callable[[bytes], None] | None = None
-        if shell.rig.axes[0] == experiment.axes[0]:
-            self._publish_time = shell.publisher(topics.CLOCK_TOPIC)
-        self._time_message = bytearray(encode_clock(0))
         self._is_alone = len(experiment.rigs) == 1
-        self._round_trip, self._compute = rig_watch.RoundTrip(), rig_watch.RoundTrip()
-        valve, largest = topics.VALVE_COMMAND.of(shell.rig), command_limit(self._section)
-        self._valve = self._drive = self._command(valve, shell.rig.axes, largest)
-        if self._rig.drive == topics.REFERENCE_FORCE.name:
-            delay = max(self._section["loop_delay"], 0)
-            axes = experiment.axes
-            largest_force = self._section["limits.force"]
-            self._drive = self._command(topics.REFERENCE_FORCE, axes, largest_force, delay)
-        fallback_stop = topics.STOP_COMMAND.of(shell.rig)
-        self._fallback_stop = self._command(fallback_stop, shell.rig.axes, largest)
+        self._open_topics()
+        self._take_commands()
         self.facts: dict[str, Any] = {"drive": self._drive.codec.topic.name}
         if self._rig.zeroed is not None:
             self.facts[ZEROED] = self._rig.zeroed
@@ -107,27 +89,58 @@ class RigNode(NodeBody):
             obeyed, fault_free = self._drive, self._fault_free
             self._rehearsal = Rehearsal(shell, self._timebase, obeyed, fault_free, self._is_sampled)
             self.facts[REHEARSES] = True
-        self._supervision = rig_watch.Supervision(
-            self._section["watchdog.supervisor_timeout"], self._clock
-        )
-        self._stop_begun: int | None = None  # step of the trip from which the force ramps down
-        shell.subscribe(topics.EXPERIMENT_STATE, self._follow, depth=16)
-        self._recorder_lag = rig_watch.RecorderLag(self._section["lockstep_timeout"], self._clock)
-        if self._section["pace"] == "lockstep":
-            shell.subscribe(topics.DIAGNOSTICS, self._recorder_lag.receive)
-        self._samples: rig_watch.SampleClock | None = None  # of a test in realtime
-        self._watch = rig_watch.CommandWatch(
-            self._drive.codec.topic, self._timebase.dt, self._section["watchdog.command_timeout"]
-        )
-        self._clock_steps = max(1, round(CLOCK_PERIOD * self._timebase.rate))
+        self._watch_others()
         self._measured: list[Floats] = []  # samples that have not been sent
         self._step = 0  # of the test's last sample; a laboratory's rig is sampled on
+        self._stop_begun: int | None = None  # step of the trip from which the force ramps down
         self._reported_at = self._answered_at = 0.0
         self._refused_before = 0  # messages, until the newest command came
         self._rehearsed = False
         self._is_idle = True  # no test has been performed since the last reset
         self._ended: tuple[str, Trip | None] | None = None  # the test whose stop is under way
         self._warm_up()
+
+    def _open_topics(self) -> None:
+        """Make the publishers of what the rig measures, and of the test's clock."""
+        shell = self._shell
+        state, measured = topics.RIG_STATE.of(shell.rig), topics.MEASURED.of(shell.rig)
+        self._state_codec = TrajectoryCodec(state, shell.rig.axes, self._timebase)
+        self._measured_codec = TrajectoryCodec(measured, shell.rig.axes, self._timebase)
+        self._publish_state = shell.publisher(state)
+        self._publish_measured = shell.publisher(measured)
+        # with several rigs, one is the test's clock, and all start together
+        self._publish_time: Callable[[bytes], None] | None = None
+        if shell.rig.axes[0] == shell.experiment.axes[0]:
+            self._publish_time = shell.publisher(topics.CLOCK_TOPIC)
+        self._time_message = bytearray(encode_clock(0))
+
+    def _take_commands(self) -> None:
+        """Subscribe to what the rig obeys, and to the stop that it may follow."""
+        shell = self._shell
+        self._round_trip, self._compute = rig_watch.RoundTrip(), rig_watch.RoundTrip()
+        valve, largest = topics.VALVE_COMMAND.of(shell.rig), command_limit(self._section)
+        self._valve = self._drive = self._command(valve, shell.rig.axes, largest)
+        if self._rig.drive == topics.REFERENCE_FORCE.name:
+            delay, largest_force = self._section["loop_delay"], self._section["limits.force"]
+            axes = shell.experiment.axes
+            self._drive = self._command(topics.REFERENCE_FORCE, axes, largest_force, max(delay, 0))
+        fallback_stop = topics.STOP_COMMAND.of(shell.rig)
+        self._fallback_stop = self._command(fallback_stop, shell.rig.axes, largest)
+
+    def _watch_others(self) -> None:
+        """Watch supervisor and recorder, and whether commands come."""
+        self._supervision = rig_watch.Supervision(
+            self._section["watchdog.supervisor_timeout"], self._clock
+        )
+        self._shell.subscribe(topics.EXPERIMENT_STATE, self._follow, depth=16)
+        self._recorder_lag = rig_watch.RecorderLag(self._section["lockstep_timeout"], self._clock)
+        if self._section["pace"] == "lockstep":
+            self._shell.subscribe(topics.DIAGNOSTICS, self._recorder_lag.receive)
+        self._samples: rig_watch.SampleClock | None = None  # of a test in realtime
+        self._watch = rig_watch.CommandWatch(
+            self._drive.codec.topic, self._timebase.dt, self._section["watchdog.command_timeout"]
+        )
+        self._clock_steps = max(1, round(CLOCK_PERIOD * self._timebase.rate))
 
     def _hosted(self) -> HostedHardware | None:
         """Make the laboratory's hardware, if there is one."""
@@ -250,7 +263,7 @@ class RigNode(NodeBody):
         self._started = self._clock.monotonic()
         self._rig.begin()
         self._report("running")
-        reason = self._shell.several_senders() or self._start_together(wanted)
+        reason = self._shell.senders.conflict() or self._start_together(wanted)
         try:
             if reason:
                 self._publish(0, self._rig.read(), self._started)

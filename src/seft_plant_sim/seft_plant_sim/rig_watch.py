@@ -1,19 +1,33 @@
-"""Watches of a rig node: time, commands, recorder, supervisor, round trips."""
+"""Watches of a rig node: time, commands, recorder, supervisor, round trips; and its report."""
 
 import math
 from bisect import bisect_right
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.node.clock import AwakeClock, Clock
 from seft_msgs_py.node.node_shell import NodeShell
 from seft_msgs_py.wire.experiment_state import ExperimentState, decode_state
-from seft_msgs_py.wire.messages import decode_diagnostics
-from seft_msgs_py.wire.outcome import MOVING, RECORDED, RECORDER_NODE_NAME, STOPPED
+from seft_msgs_py.wire.messages import ERROR, WARN, Status, decode_diagnostics
+from seft_msgs_py.wire.outcome import (
+    FINISHED,
+    MOVING,
+    NOT_AT_REST,
+    RECORDED,
+    RECORDER_NODE_NAME,
+    STOPPED,
+    STOPPING,
+    TRIPPED,
+    Outcome,
+    rig_status,
+)
 from seft_msgs_py.wire.topics import LoopTopic
 
 from seft_plant_sim.command import Command
+from seft_plant_sim.hardware.safe_stop import Stopped
+from seft_plant_sim.rig import Rig
 
 
 class CommandWatch:
@@ -308,3 +322,59 @@ class RoundTrip:
         bins = np.searchsorted(seen, [share * seen[-1] for share in _QUANTILES.values()])
         middles = np.minimum(SHORTEST * 10 ** ((bins + 0.5) / PER_DECADE), self._largest)
         return {**dict(zip(_QUANTILES, middles.tolist(), strict=True)), "largest": self._largest}
+
+
+NARROW = 0.1  # of a limit: a smaller margin gives a warning
+
+
+def rig_report(
+    outcome: Outcome,
+    rig: Rig,
+    compute: RoundTrip,
+    round_trip: RoundTrip,
+    age: float,
+    stopped: Stopped | None,
+) -> Status:
+    """Make the status of a test, with names for diagnostic tools.
+
+    Parameters
+    ----------
+    outcome : Outcome
+        So far.
+    rig : Rig
+        With its last sample.
+    compute, round_trip : RoundTrip
+        Times from a sample's reading to its state, and from a state to its command.
+    age : float
+        Of the newest command, s; nan: none.
+    stopped : Stopped or None
+        How the rig came to rest, if it has.
+    """
+    status = rig_status(outcome)
+    values, level = dict(status.values), status.level
+    message = outcome.phase if outcome.phase == "running" else status.message
+    name, share = rig.guard.nearest
+    values["nearest detector"] = f"{name}: {share:.2f} of its threshold"
+    for what, time in compute.numbers().items():
+        values[f"compute {what} (ms)"] = f"{time * 1e3:.3f}"
+    values |= {f"datagrams {kind}": str(count) for kind, count in rig.hardware.counts.items()}
+    margins = {limit.replace("_", " "): left for limit, left in rig.guard.limits.margins().items()}
+    values |= {f"margin {limit}": f"{left:.3f}" for limit, left in margins.items()}
+    if not math.isnan(age):
+        values["command age (ms)"] = f"{age * 1e3:.2f}"
+    if not math.isnan(round_trip.last):
+        values["round trip last (ms)"] = f"{round_trip.last * 1e3:.3f}"
+    if stopped is None and outcome.phase in (FINISHED, TRIPPED):
+        values[STOPPING] = "until its valve is closed and it rests"
+    elif stopped is not None:
+        values["stop peak force (N)"] = f"{stopped.peak_force:.1f}"
+        values["stop time (s)"] = f"{stopped.time:g}"
+        if not stopped.is_at_rest:
+            dumped = ", the pressure was dumped" if stopped.has_dumped else ""
+            level, values[NOT_AT_REST] = ERROR, f"{stopped.time:.3g} s{dumped}"
+            message += f"; not at rest after {values[NOT_AT_REST]}"
+    narrow = [limit for limit, left in margins.items() if not left >= NARROW]
+    if narrow and level < WARN:
+        level = WARN
+        message += f"; less than {NARROW:.0%} left to the limit of {', '.join(narrow)}"
+    return replace(status, level=level, message=message, values=values)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from detector_samples import ALL, DT, MASS, NOISE, STIFFNESS, N, detect, detectors
 from seft_plant_sim.judge import detectors as rows
+from seft_plant_sim.judge.hypotheses import factorise, product, whiten
 from seft_plant_sim.judge.judge import REVISED, judge_arrays
-from seft_plant_sim.judge.judge_step import ask, begin_judge, factorise, judge, product, whiten
+from seft_plant_sim.judge.judge_step import ask, begin_judge, judge
 
 X, V, A, F = range(4)
 DAMPING = np.array([[200.0, -20.0], [-20.0, 150.0]])

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes
-from seft_plant_sim.judge.guard import Guard
-from seft_plant_sim.judge.guard_step import DRIVE_ROW, ENDS_TEST, RANGES, SUSPECT_ROW
+from seft_plant_sim.judge.guard import DRIVE_ROW, ENDS_TEST, RANGES, SUSPECT_ROW, Guard
 
 DT, AXES = 0.002, ("east", "north")
 NOISE = {"sensors__displacement_noise": 5e-6, "sensors__velocity_noise": 1e-3}
@@ -18,7 +17,7 @@ NOISE |= {"sensors__acceleration_noise": 0.05, "sensors__force_noise": 3.0}
 
 def guard(**values):
     """Guard of two axes of these parameters; a double underscore stands for a dot."""
-    made = Guard.from_parameters(rig_section(**values), AXES, RigAxes.whole(AXES), DT)
+    made = Guard(rig_section(**values), AXES, RigAxes.whole(AXES), DT)
     made.reset()
     return made
 

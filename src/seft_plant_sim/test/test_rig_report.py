@@ -5,8 +5,7 @@ import pytest
 from seft_msgs_py.wire.messages import ERROR, OK, WARN
 from seft_msgs_py.wire.outcome import Outcome, Trip
 from seft_plant_sim.hardware.safe_stop import Stopped
-from seft_plant_sim.rig_report import rig_report
-from seft_plant_sim.rig_watch import RoundTrip
+from seft_plant_sim.rig_watch import RoundTrip, rig_report
 
 
 def times(*found):

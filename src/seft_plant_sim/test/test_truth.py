@@ -5,7 +5,6 @@ from pathlib import Path
 import pytest
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import FACTS
-from seft_msgs_py.config.renamed import renamed
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig_parameters import RIG_TABLE, truth
 
@@ -15,14 +14,6 @@ TRUTH = truth(RIG_TABLE.rows)
 
 def jhu(*overrides):
     return Experiment.load([RIG_TABLE], [JHU], overrides)
-
-
-def test_each_truth_that_is_no_fact_had_a_name_without_simulated():
-    for name in TRUTH:
-        if name.startswith("simulated.actuator.servo.") or name.endswith("_filter_damping"):
-            continue  # new since then
-        old = name.removeprefix("simulated.")
-        assert old in FACTS or renamed("rig", old) == f"rig: {name}"
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from seft_msgs_py.config.experiment import Experiment, parse_override
-from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from experiments_at_hand import load
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.judge.detection import detectors_of
 from seft_plant_sim.judge.detector_list import DETECTORS, TRACKING
 from seft_plant_sim.judge.detector_step import begin_detectors, detect_all
+from seft_plant_sim.judge.detectors import detectors_of
 from seft_ros.analysis.detector_shares import detector_shares
 from seft_ros.bags.recording import Recording, Series
 from seft_ros.force_controller.interlock import tracking_detector

@@ -2,13 +2,13 @@ import os
 import resource
 
 from recordings_at_hand import run_on_a_disk
-from seft_ros.bags import bag_place
-from seft_ros.bags.bag_place import why_not_writable
+from seft_ros.bags import bag_writer
+from seft_ros.bags.bag_writer import why_not_writable
 
 ASK = """
 import sys
 from pathlib import Path
-from seft_ros.bags.bag_place import why_not_writable
+from seft_ros.bags.bag_writer import why_not_writable
 print(why_not_writable(Path(sys.argv[1])))
 """
 
@@ -55,7 +55,7 @@ def test_a_disk_without_room_for_more_files_is_reported(tmp_path):
 
 def test_a_limit_of_the_size_of_a_file_is_reported(tmp_path, monkeypatch):
     limits = {resource.RLIMIT_FSIZE: (10**6, resource.RLIM_INFINITY)}
-    monkeypatch.setattr(bag_place.resource, "getrlimit", limits.get)
+    monkeypatch.setattr(bag_writer.resource, "getrlimit", limits.get)
     assert why_not_writable(tmp_path / "bag") == (
         "a file may have 1 MB by a limit of this process (ulimit -f), and the bag needs 17 MB"
     )

@@ -12,7 +12,7 @@ from recordings_at_hand import assert_same_samples
 from seft_msgs_py.errors import InputError
 from seft_ros.bags.bag_files import Bag, recover_bag
 from seft_ros.bags.recording_bag import read_bag, write_recording
-from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate_test
 
 WORDS = ("ground_motion:synthetic.duration:=2.0", "ground_motion:tail:=0.0")

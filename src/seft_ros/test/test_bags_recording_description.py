@@ -124,9 +124,3 @@ def test_text_that_describes_nothing_is_counted(text):
 def test_parameters_that_make_no_experiment_are_one_line_to_the_user(parameters):
     with pytest.raises(InputError):
         Description({"rig": parameters}).experiment()
-
-
-def test_a_name_of_an_earlier_version_is_reported_with_the_present_one():
-    parameters = NODE | {"sensors.force_scale": 1.0}
-    with pytest.raises(InputError, match=r"force_scale, now rig: simulated.sensors.force_scale"):
-        Description({"rig": parameters}).experiment()

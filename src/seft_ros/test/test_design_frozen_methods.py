@@ -18,7 +18,7 @@ from seft_ros.design.stability_verdict import check_stability
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
 from seft_ros.reference_force.reference_force_block import method_inputs
 from seft_ros.reference_force.target_motion import TargetMotion
-from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate_test
 
 K = 2.11e5

@@ -15,7 +15,7 @@ from seft_ros.design.preflight_tables import (
     proposed_limits,
     write_limits,
 )
-from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate_test
 
 load = partial(experiments_at_hand.load, config="demo")

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from seft_plant_sim.judge.guard_step import DRIVE_ROW
+from seft_plant_sim.judge.guard import DRIVE_ROW
 from seft_ros.force_controller.target_distance import (
     begin_tracking,
     off_target,

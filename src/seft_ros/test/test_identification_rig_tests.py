@@ -8,7 +8,7 @@ import scipy.signal
 from experiments_at_hand import load, simulated
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
-from seft_plant_sim.limits import Limits
+from seft_plant_sim.limits import Limits, exceeds
 from seft_plant_sim.simulated.specimen import Specimen
 from seft_ros.ground_motion.synthetic_motion import excitation
 from seft_ros.identification.rig_tests import (
@@ -135,7 +135,8 @@ def shares_of(of, path, voltage):
     """Shares of the limits of the state and of its changes in an open loop."""
     states = simulated(open_loop(of, path, voltage)).measured.values
     limits = Limits(group(of["supervisor"], "limits"), of.axes, of.timebase.dt)
-    assert not any(limits.violation(state) for state in states)
+    for step, state in enumerate(states):
+        assert not exceeds(limits.values, step, limits.recent, state, limits.change, limits.largest)
     return 1.0 - np.array(list(limits.margins().values())).reshape(2, 4)
 
 

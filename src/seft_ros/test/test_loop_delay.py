@@ -4,7 +4,7 @@ import pytest
 from experiments_at_hand import load, simulated
 from seft_msgs_py.errors import InputError
 from seft_ros.analysis.summary import summarise
-from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.blocks import build_blocks
 
 
 def experiment_of(*overrides, config="demo"):

@@ -17,7 +17,8 @@ from seft_ros.bags.recording import Recording, Series
 from seft_ros.bags.recording_bag import write_recording
 from seft_ros.replay.node_replays import RigReplay
 from seft_ros.replay.recorded_test import Recorded, read_recorded
-from seft_ros.test_run.compiled_loop import LoopSamples, build_blocks
+from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.compiled_loop import LoopSamples
 from seft_ros.test_run.offline import loop_series, simulate_test
 
 EXPERIMENT = load(

@@ -91,8 +91,8 @@ def test_a_node_has_its_session_its_command_line_and_the_addresses_of_others(sta
     (one, log), (other, its_log) = start(starter, "sleep", "1"), start(starter, "sleep", "2")
     for node, file in (one, log), (other, its_log):
         assert os.getsid(node.pid) == node.pid
-        words = Path(f"/proc/{node.pid}/cmdline").read_bytes().decode().rstrip("\0")
-        assert words.split("\0")[1:] == ["-m", "sleeper", "sleep", str(file)]
+        words = Path(f"/proc/{node.pid}/cmdline").read_text().rstrip("\0")
+        assert words.split(" ")[1:] == ["-m", "sleeper", "sleep", str(file)]
     assert log.read_text() == its_log.read_text()
 
 

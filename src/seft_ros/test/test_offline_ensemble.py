@@ -12,8 +12,9 @@ from seft_plant_sim import compiled as machine_code
 from seft_ros.force_controller.force_control import ControlInputs
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.methods import RegisteredControl
-from seft_ros.test_run import compiled_loop, offline
-from seft_ros.test_run.compiled_loop import build_blocks, why_not_compiled
+from seft_ros.test_run import blocks, offline
+from seft_ros.test_run.blocks import build_blocks
+from seft_ros.test_run.compiled_loop import why_not_compiled
 from seft_ros.test_run.offline import BlockCache, simulate_test
 
 SHORT = ("ground_motion:synthetic.duration:=12", "ground_motion:tail:=0.5")
@@ -199,5 +200,5 @@ def test_a_controller_of_another_package_is_not_compiled(monkeypatch):
         own = RegisteredControl(Own, "own", ControlInputs(len(axes), timebase.dt, 10.0))
         return Interlock.from_parameters(own, experiment["force_controller"], axes, timebase)
 
-    monkeypatch.setattr(compiled_loop, "interlock_of", interlock_of)
+    monkeypatch.setattr(blocks, "interlock_of", interlock_of)
     assert "another package" in BlockCache().why_not_compiled(load())

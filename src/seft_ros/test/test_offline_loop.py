@@ -6,7 +6,7 @@ from experiments_at_hand import load, simulated
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.compiled import kind_of
 from seft_plant_sim.simulated.sensors import BLOCK
-from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate_test
 
 PERFECT = (

@@ -82,7 +82,6 @@ def test_what_is_truly_so_is_what_is_known_unless_it_is_given():
         ("force_controller:actuator.flow_gain:=0.04", "actuator.flow_gain is set once, under /**"),
         ("supervisor:limits.force:=9", "limits.force is set once, under /**"),
         ("force_controller:mass_ratio:=1", "mass_ratio is set once, under reference_force"),
-        ("reference_force:model.mass:=50", "no parameter model.mass; it is now /**: specimen.mass"),
     ],
 )
 def test_a_fact_or_setting_elsewhere_is_reported_its_place(word, loaded):

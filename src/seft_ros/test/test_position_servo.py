@@ -14,7 +14,7 @@ from seft_ros.force_controller.feedforward_step import DELAY_ERROR, GAIN_ERROR
 from seft_ros.force_controller.position_servo import InvertedServo, PositionServo
 from seft_ros.identification import rig_tests
 from seft_ros.identification.identified import facts_of, identify_from_recordings
-from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate_test
 
 SHORT = "ground_motion:synthetic.duration:=12.0", "ground_motion:tail:=1.0"

@@ -27,18 +27,18 @@ def starter(tmp_path_factory):
 
 
 @pytest.fixture
-def run(starter, tmp_path, monkeypatch):
+def run(starter, monkeypatch):
     """Run nodes with a layout, which only wait: none ends before it is looked at."""
     monkeypatch.setattr(of_nodes, "MODULES", dict.fromkeys(NODES, "waiting"))
     monkeypatch.setattr(of_nodes, "COMPOSED", "waiting")
 
     @contextmanager
     def run_nodes(layout, lockstep=True):
-        found = NodeProcesses(starter, NODES, [], tmp_path, layout, lockstep=lockstep)
-        try:
-            yield found
-        finally:
-            found.stop(0.0)
+        with NodeProcesses(starter, NODES, [], layout, lockstep=lockstep) as found:
+            try:
+                yield found
+            finally:
+                found.stop(0.0)
 
     return run_nodes
 

@@ -12,7 +12,7 @@ from seft_ros.design.plausibility import expected_response
 from seft_ros.design.preflight_tables import planned_motion
 from seft_ros.design.stability_verdict import check_stability, folded
 from seft_ros.study.unforeseen import LARGEST_ERROR, YieldingError, yielding_error
-from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import BlockCache, simulate_test
 
 CACHE = BlockCache()

@@ -17,7 +17,7 @@ from seft_ros.reference_force.restoring_model import (
     tangent,
 )
 from seft_ros.reference_force.target_motion import TargetMotion
-from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.blocks import build_blocks
 
 METHOD = (
     "reference_force:compensation.method:=target_motion",

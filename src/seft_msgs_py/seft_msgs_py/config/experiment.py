@@ -26,7 +26,6 @@ from seft_msgs_py.config.parameter_table import (
     nearest,
     per_axis,
 )
-from seft_msgs_py.config.renamed import renamed
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.files import check_regular, read_text_of
 from seft_msgs_py.wire.topics import NODES, Timebase, rigs_of
@@ -249,9 +248,7 @@ class Source:
         tables = self.tables.values()
         owners = [t for t in tables if name in t.rows and place_of(name, t.node) == t.node]
         if not owners:
-            new = next((new for node in NODES if (new := renamed(node, name))), "")
-            known = {row for table in tables for row in table.rows}
-            hint = f"; it is now {new}" if new else nearest(name, known)
+            hint = nearest(name, {row for table in tables for row in table.rows})
             raise InputError(f"{where}: there is no parameter {name}{hint}")
         for owner in owners:
             self.given.setdefault(owner.node, {})[name] = owner.rows[name].check(value, where)

@@ -14,7 +14,6 @@ from typing import Any, Literal
 import numpy as np
 
 from seft_msgs_py.arrays import Floats
-from seft_msgs_py.config.renamed import renamed
 from seft_msgs_py.errors import InputError
 
 
@@ -273,8 +272,7 @@ class Table:
         for name, value in given.items():
             row = self.rows.get(name)
             if row is None:
-                new = renamed(self.node, name)
-                hint = f"; it is now {new}" if new else nearest(name, self.rows)
+                hint = nearest(name, self.rows)
                 raise InputError(f"{where}: there is no parameter {name}{hint}")
             checked[name] = row.check(value, where)
         return checked

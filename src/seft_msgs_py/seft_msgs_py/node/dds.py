@@ -50,9 +50,10 @@ class DdsPublisher:
     """See `seft_msgs_py.node.transport.Publisher`."""
 
     def __init__(self, node: Node, topic: Topic) -> None:
-        self._publisher = rclpy_interface.raw_publisher(node, topic)
+        kind, qos = rclpy_interface.message_class(topic), rclpy_interface.qos_profile(topic)
+        self._publisher = node.create_publisher(kind, topic.name, qos)
         self.topic_name: str = self._publisher.topic_name
-        self.send = rclpy_interface.sender(self._publisher)
+        self.send = self._publisher.handle.publish_raw  # without rclpy's checks
 
     def listener_count(self) -> int:
         """Count the subscriptions that are connected."""

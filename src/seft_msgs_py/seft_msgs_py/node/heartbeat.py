@@ -95,13 +95,12 @@ class Heartbeat:
 
     def _counted(self) -> dict[str, str]:
         refused, faults = self._wiring.refused, self._process.faults
-        unexpected_publishers = self._wiring.unexpected_publishers()
         stood_still = max(self._stood_still, self._process.stood_still)
         return {
             STOOD_STILL_KEY: f"{stood_still:.3g}" if stood_still > NOTED_PAUSE else "0",
             "refused": str(refused),
             "faults": str(faults),
-            "unexpected_publishers": unexpected_publishers,
+            "unexpected_publishers": self._wiring.senders.unexpected_publishers(),
         }
 
     def _update(self, values: dict[str, str]) -> None:

@@ -31,12 +31,11 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
-from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
-__all__ = ["Node", "Publisher", "SingleThreadedExecutor", "Subscription"]
+__all__ = ["Node", "SingleThreadedExecutor", "Subscription"]
 
 
 def command_node(name: str, namespace: str | None = None) -> Node:
@@ -107,11 +106,6 @@ def qos_profile(topic: Topic, depth: int | None = None, reliable: bool = True) -
         history=HistoryPolicy.KEEP_LAST,
         depth=topic.depth if depth is None else depth,
     )
-
-
-def raw_publisher(node: Node, topic: Topic) -> Publisher:
-    """Make the publisher of a topic, see `sender`."""
-    return node.create_publisher(message_class(topic), topic.name, qos_profile(topic))
 
 
 def parameter_descriptor(row: Parameter) -> msg.ParameterDescriptor:
@@ -299,8 +293,3 @@ def take_all(subscription: Subscription, most: int) -> list[tuple[bytes, int]]:
     while len(found) < most and (taken := take_timed(subscription)) is not None:
         found.append(taken)
     return found
-
-
-def sender(publisher: Publisher) -> Callable[[bytes], None]:
-    """Make the function that publishes message bytes, without rclpy's checks."""
-    return publisher.handle.publish_raw

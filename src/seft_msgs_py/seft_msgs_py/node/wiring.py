@@ -5,13 +5,10 @@ from dataclasses import replace
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError, SeftError, WireError
-from seft_msgs_py.node.authors import Authors, Message
-from seft_msgs_py.node.bus import Receive
-from seft_msgs_py.node.senders import Senders, connected_listeners
+from seft_msgs_py.node.senders import Authors, Message, Senders, connected_listeners
 from seft_msgs_py.node.transport import Endpoint, Publisher, Send
-from seft_msgs_py.node.turns import NodeProcess, ReadOne, drain
+from seft_msgs_py.node.turns import NodeProcess, ReadOne, Receive, drain
 from seft_msgs_py.wire.experiment_state import decode_state
-from seft_msgs_py.wire.outcome import MOVING
 from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,
@@ -43,10 +40,13 @@ class Wiring:
         Messages that were not acted upon.
     handled_at : float
         Time of the last message of the loop, s, monotonic.
+    senders : Senders
+        Publishers of the topics that it reads.
     """
 
     def __init__(self, process: NodeProcess, endpoint: Endpoint, experiment: Experiment) -> None:
         self._process, self._endpoint, self._clock = process, endpoint, process.clock
+        self.senders = Senders(endpoint)
         self.rig, self._test_namespace = rig_of(endpoint, experiment)
         self.name = self.rig.node(endpoint.name)
         self.refused, self.handled_at = 0, 0.0
@@ -54,7 +54,6 @@ class Wiring:
         self._polled_at = 0.0
         self._publishers: dict[str, Publisher] = {}
         self._readers: dict[str, ReadOne] = {}
-        self._senders = Senders(endpoint)
         self._nodes = with_rigs(NODES, experiment.rigs)
         self._authors: list[tuple[Authors, Receive]] = []
 
@@ -67,18 +66,42 @@ class Wiring:
         return self._process.bus.sender(publisher.topic_name, publisher.send)
 
     def subscribe(
-        self, topic: Topic, handler: Handler, depth: int | None, wake: bool, reliable: bool
+        self,
+        topic: Topic,
+        handler: Handler,
+        depth: int | None = None,
+        wake: bool = True,
+        reliable: bool = True,
     ) -> ReadOne:
-        """Give every message of a topic to a handler, see `NodeShell.subscribe`."""
+        """Give every message of a topic to ``handler`` as bytes, in the main thread.
+
+        Parameters
+        ----------
+        handler : callable
+            A `WireError` it raises is counted and logged as a warning.
+        depth : int, optional
+            Messages kept while the node is busy; default the topic's.
+        wake : bool
+            Whether a message ends the waiting; otherwise it is handled when no other has ended it,
+            or on request.
+        reliable : bool
+            Whether a lost message is sent again. For the loop that would be too late, and
+            acknowledging takes a tenth of a step.
+
+        Returns
+        -------
+        callable
+            Handles one message, on request.
+        """
         here, receive = replace(topic, name=self._name_here(topic)), self._guarded(handler, topic)
         if self._process.bus.serves(topic):
             full_name = self._endpoint.full_name(here.name)
-            self._senders.add(topic, full_name)
+            self.senders.add(topic, full_name)
             self._process.bus.subscribe(full_name, self.name, receive)
             read_one = _nothing
         else:
             subscription = self._endpoint.subscribe(here, depth, reliable)
-            self._senders.add(topic, subscription.topic_name, subscription)
+            self.senders.add(topic, subscription.topic_name, subscription)
             if topic in (DIAGNOSTICS, DESCRIPTION):
                 receive = self._of_authors(topic, subscription.topic_name, receive)
             read_one = self._process.add_subscription(subscription, receive, wake)
@@ -96,37 +119,19 @@ class Wiring:
 
     def matched(self) -> dict[str, str]:
         """Names of the listeners of each topic, separated by blanks; number of publishers."""
-        found = {f"senders {name}": str(n) for name, n in self._senders.counts().items()}
+        found = {f"senders {name}": str(n) for name, n in self.senders.counts().items()}
         for name, publisher in self._publishers.items():
             outside = connected_listeners(self._endpoint, publisher, self._test_namespace)
             inside = self._process.bus.listeners(publisher.topic_name)
             found[f"matched {name}"] = " ".join(sorted({*outside, *inside}))
         return found
 
-    def follow(self, state: str) -> None:
-        """Choose the publishers of a test when it begins, by its state."""
-        self._senders.follow(state)
-        for authors, _ in self._authors:
-            authors.bound = state in MOVING
-
-    def several_senders(self) -> str:
-        """Say which topic of the test more than one node publishes, see `Senders.conflict`.
-
-        Or which node there is more than once, by the topics that all nodes publish.
-        """
-        twins = (authors.twins() for authors, _ in self._authors)
-        return self._senders.conflict() or next(filter(None, twins), "")
-
-    def unexpected_publishers(self) -> str:
-        """List the unexpected publishers of this test, see `Senders.unexpected_publishers`."""
-        return self._senders.unexpected_publishers()
-
     def name_unexpected_publishers(self, refused_before: int) -> str:
-        """Name the unexpected nodes that may be the cause of missing messages.
+        """Name unexpected nodes that may be the cause of missing messages, to append to a reason.
 
-        See `NodeShell.name_unexpected_publishers`.
+        ``refused_before`` is the value of `refused` when the last message arrived.
         """
-        refused, conflict = self.refused - refused_before, self.several_senders()
+        refused, conflict = self.refused - refused_before, self.senders.conflict()
         text = f"; {refused} messages were refused meanwhile" if refused else ""
         return f"{text}; {conflict}" if conflict else text
 
@@ -141,7 +146,7 @@ class Wiring:
             self._warning, self._warned_at = "", now
         if now - self._polled_at >= _POLL_PERIOD:
             self._polled_at = now
-            if news := self._senders.poll():
+            if news := self.senders.poll():
                 self._endpoint.log("warning", news)
             for authors, receive in self._authors:
                 for message in authors.poll():
@@ -156,7 +161,7 @@ class Wiring:
     def _guarded(self, handler: Handler, topic: Topic) -> Receive:
         """Wrap a handler: refuse invalid messages, and note the time of the last sample."""
         is_of_each_step = isinstance(topic, LoopTopic) and not topic.latched
-        name, senders, monotonic = topic.name, self._senders, self._clock.monotonic
+        name, senders, monotonic = topic.name, self.senders, self._clock.monotonic
 
         def receive(raw: bytes, received_ns: int, gid: bytes) -> bool:
             if is_of_each_step:
@@ -175,7 +180,7 @@ class Wiring:
                 self._process.fault(f"{self.name}, {name}", error)
                 return False
             if topic == EXPERIMENT_STATE:
-                self.follow(decode_state(raw).state)
+                self.senders.follow(decode_state(raw).state)
             return True
 
         return receive
@@ -193,9 +198,10 @@ class Wiring:
                 return False
             if counts is False:
                 self.refused += 1
-                self._senders.refuse(topic.name, gid, authors.name_of(gid))
+                self.senders.refuse(topic.name, gid, authors.name_of(gid))
             return bool(counts) and receive(raw, received_ns, gid)
 
+        self.senders.authors.append(authors)
         self._authors.append((authors, receive_own))
         return receive_own
 

@@ -88,6 +88,7 @@ def judge_sample(
     judged : ndarray
         The sample for the loop, finite, see `judge`; shape (4, n). The result.
     """
+    # beyond 60 lines: the order of what looks at a sample stands in one place
     n, found = raw.shape[1], VALID
     lost = step - state.step[SAMPLE] - 1
     for row in range(4):

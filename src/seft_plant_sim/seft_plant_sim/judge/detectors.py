@@ -6,11 +6,18 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
-from seft_msgs_py.config.facts import CHANNELS
+from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN, POSITION_SERVO
+from seft_msgs_py.errors import InputError
 
+from seft_plant_sim.calibration import MAX_BIAS, known_channels
+from seft_plant_sim.channels import (
+    ACCELERATION,
+    acceleration_is_derived,
+    per_channel,
+    velocity_is_derived,
+)
 from seft_plant_sim.compiled import compiled
-from seft_plant_sim.judge.biases import MAX_BIAS
-from seft_plant_sim.judge.detector_list import DETECTORS, Detector
+from seft_plant_sim.judge.detector_list import ALL, DETECTORS, TRACKING, Detector
 from seft_plant_sim.judge.judge import (
     BIAS,
     JudgeParameters,
@@ -18,13 +25,22 @@ from seft_plant_sim.judge.judge import (
     judge_arrays,
     zeros_of,
 )
+from seft_plant_sim.judge.known_rig import (
+    ASSUMED_ACTUATOR,
+    command_limit,
+    known_responses,
+    read_actuators,
+    read_specimen,
+)
 from seft_plant_sim.judge.relation_following import ESTIMATE_DRIFT, NOISE_SIGMAS
+from seft_plant_sim.judge.servo_model import last_periods
 from seft_plant_sim.judge.valve_following import (
     LARGEST_DELAY_ERROR,
     LARGEST_GAIN_ERROR,
     UNCERTAIN_DELAY,
     UNCERTAIN_GAIN,
 )
+from seft_plant_sim.judge.valve_model import valve_models
 
 _MEMORY, _OIL_MEMORY = 0.05, 0.2
 """Time constants of the sums of both sides of relations (1) and (2), and of (3), s: to longer sums
@@ -162,34 +178,18 @@ def detector_arrays(
     is_known = has_valve & (actuator[:, 0] > 0.0) & (actuator[:, 1] > 0.0)
     actuator[~is_known, 1] = 1.0
     actuator[actuator[:, 3] <= 0.0, 3] = np.inf
-    oil, one = np.where(is_known, f / actuator[:, 1], np.inf), np.ones(n)
+    oil = np.where(is_known, f / actuator[:, 1], np.inf)
     sums = np.array([noise_of_sums(x, dt * v, dt), noise_of_sums(v, dt * a, dt)])
     of_oil = np.hypot(x, oil) * math.sqrt(2.0 / (1.0 + oil_fade))
     late = UNCERTAIN_DELAY if velocity_is_derived else 0.0
     has_oil = is_known & (not known.imposes)
     null = np.where(has_oil, NULL * actuator[:, 0] * known.largest_drive, 0.0)
-    most = np.array(
-        [
-            [TOLERANCES[0] * one, (CHANNELS_APART + late) * one, BIAS * v],
-            [TOLERANCES[1] * one, (CHANNELS_APART + late) * one, BIAS * a],
-            [LARGEST_GAIN_ERROR * one, LARGEST_DELAY_ERROR * one, NOISE_SIGMAS * null],
-        ]
-    )
-    deviation = most.copy()
-    deviation[:2, :2] /= NOISE_SIGMAS
-    deviation[2] = UNCERTAIN_GAIN * one, UNCERTAIN_DELAY * one, null
+    deviation, most = _uncertain_relations(v, a, null, late)
     unknown = 0.0 if mass.any() and known.stiffness.any() else math.inf
     by_force = np.zeros_like(mass) if has_valve or not mass.any() else np.linalg.inv(mass)
-    lasts = np.array([persistence_of(each, dt) for each in DETECTORS])
-    rest = np.array(
-        [np.zeros_like(noise), np.hypot([x, v, a, f], MAX_BIAS * limits[:, np.newaxis])]
-    )
-    if zeroed is not None:
-        rest[0] = [zeroed["left"][name] for name in CHANNELS]
-        rest[1] = math.sqrt(1.0 + BIAS * BIAS) * np.array([x, v, a, f])
     judging, judged = judge_arrays(
         np.array([x, v, a, f]),
-        rest,
+        _at_rest(np.array([x, v, a, f]), limits, zeroed),
         np.transpose([np.where(has_oil, actuator[:, 1], 0.0), actuator[:, 2]]),
         mass,
         known.stiffness,
@@ -216,13 +216,41 @@ def detector_arrays(
         still=NOISE_SIGMAS * np.hypot(math.sqrt(2.0) * x, dt * v / math.sqrt(2.0)),
         rough=NOISE_SIGMAS * np.sqrt(6.0 * (f**2 + mass**2 @ a**2)) + unknown,
         unknown=unknown,
-        persistence=lasts,
+        persistence=np.array([persistence_of(each, dt) for each in DETECTORS]),
         acts=np.array([each.name not in warn_only for each in DETECTORS], dtype=np.int64),
         judge=judging,
     )
     sizes = {"n": n, "m": known.past.shape[2], "D": len(DETECTORS)}
     state = DetectorState(**zeros_of(DetectorState, sizes), judge=judged)
     return parameters, state
+
+
+def _uncertain_relations(v: Floats, a: Floats, null: Floats, late: float) -> tuple[Floats, Floats]:
+    """Deviation of gain, delay and bias of relations (1) to (3) at the beginning, and the most.
+
+    Of n axes with a noise ``v`` and ``a``, and a deviation ``null`` of the valve's null; each
+    (3, 3, n).
+    """
+    one = np.ones_like(v)
+    most = np.array(
+        [
+            [TOLERANCES[0] * one, (CHANNELS_APART + late) * one, BIAS * v],
+            [TOLERANCES[1] * one, (CHANNELS_APART + late) * one, BIAS * a],
+            [LARGEST_GAIN_ERROR * one, LARGEST_DELAY_ERROR * one, NOISE_SIGMAS * null],
+        ]
+    )
+    deviation = most.copy()
+    deviation[:2, :2] /= NOISE_SIGMAS
+    deviation[2] = UNCERTAIN_GAIN * one, UNCERTAIN_DELAY * one, null
+    return deviation, most
+
+
+def _at_rest(noise: Floats, limits: Floats, zeroed: Mapping[str, Any] | None) -> Floats:
+    """Mean and standard deviation of the channels before step 0, shape (2, 4, n)."""
+    if zeroed is None:
+        return np.array([np.zeros_like(noise), np.hypot(noise, MAX_BIAS * limits[:, np.newaxis])])
+    left = np.array([zeroed["left"][name] for name in CHANNELS])
+    return np.array([left, math.sqrt(1.0 + BIAS * BIAS) * noise])
 
 
 SAMPLE, TURN_AT, AT_RANGE = range(3)
@@ -271,3 +299,90 @@ def first_of(found: int, other: int) -> int:
     if found < 0 <= other:
         return other
     return found if found >= 0 else min(found, other)
+
+
+def warning_detectors(section: Mapping[str, Any]) -> list[str]:
+    """Give the names of the detectors that do not end a test, of a section.
+
+    Raises
+    ------
+    InputError
+        If there is no detector of a given name.
+    """
+    names = [one.name for one in (*DETECTORS, TRACKING)]
+    listed = section["detectors.warn_only"].replace(",", " ").split()
+    for name in listed:
+        if name not in (*names, ALL):
+            raise InputError(
+                f"rig: detectors.warn_only: no detector {name!r}; there are {', '.join(names)}"
+            )
+    return names if ALL in listed else listed
+
+
+def detectors_of(
+    section: dict[str, Any],
+    axes: tuple[str, ...],
+    dt: float,
+    places: Sequence[int],
+    zeroed: Mapping[str, Any] | None = None,
+) -> tuple[DetectorParameters, DetectorState]:
+    """Put the detectors of some of the axes into arrays.
+
+    Parameters
+    ----------
+    section : dict
+        Of the rig, for all axes.
+    axes : tuple of str
+        Names of all axes.
+    dt : float
+        Sampling period, s.
+    places : sequence of int
+        Of the watched axes.
+    zeroed : mapping, optional
+        What they measured at rest, see `seft_plant_sim.calibration.zeroed_at_rest`.
+
+    Raises
+    ------
+    InputError
+        If assumed values do not fit the axes, or there is no detector of a given name.
+    """
+    own, warn_only = list(places), warning_detectors(section)
+    actuator = read_actuators(section, axes, places)
+    is_known = actuator["valve_frequency"] > 0.0
+    is_known &= section["actuator.kind"] != POSITION_SERVO  # its valve obeys no command of ours
+    actuator["flow_gain"] = np.where(is_known, actuator["flow_gain"], 0.0)
+    actuator["valve_frequency"] = np.where(is_known, actuator["valve_frequency"], 1.0 / dt)
+    mass, stiffness = read_specimen(section, axes, places)
+    past = np.array([valve.last_period() for valve in valve_models(actuator, dt)])
+    imposes = section["actuator.kind"] == POSITION_SERVO
+    imposes = imposes and bool(np.any(section["actuator.response.numerator"]))
+    if imposes:
+        past = last_periods(section, known_responses(section, axes, own))
+    noise, ranges = (
+        np.ascontiguousarray(per_channel(section, axes, f"sensors.{{}}_{what}")[:, own])
+        for what in ("noise", "range")
+    )
+    if acceleration_is_derived(section):  # nothing else is compared with it, and no sensor ends it
+        noise[ACCELERATION], ranges[ACCELERATION] = section["limits.acceleration"], 0.0
+        mass, stiffness = np.zeros_like(mass), np.zeros_like(stiffness)
+    bits = section["sensors.adc_bits"]
+    channels = known_channels(section, axes)  # a range is of what a sensor shows
+    bias, scale = (np.abs(channels[what][:, own]) for what in ("bias", "scale"))
+    late = channels["lag"]
+    known = KnownRig(
+        noise=noise,
+        limits=np.array([section[f"limits.{name}"] for name in CHANNELS]),
+        ranges=(ranges - bias) / scale,
+        steps=ranges * (2.0 ** (1 - bits) if bits else 0.0) / scale,
+        velocity_is_derived=velocity_is_derived(section),
+        actuator=np.transpose([actuator[name] for name in ASSUMED_ACTUATOR]),
+        past=past,
+        imposes=imposes,
+        has_valve=section["actuator.kind"] not in FORCE_DRIVEN,
+        mass=mass,
+        stiffness=stiffness,
+        largest_drive=command_limit(section),
+        waits=np.ceil((late.max() - late[:, own]).max(axis=1) / dt).astype(np.int64),
+        dt=dt,
+    )
+    return detector_arrays(known, warn_only, zeroed)

@@ -1,38 +1,182 @@
 """The guard of a rig: it calibrates, aligns and judges each sample, and ends a test at a fault."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.wire.topics import RigAxes
 
-from seft_plant_sim.calibration import Calibration, CalibrationState, calibration_of
-from seft_plant_sim.channels import Derivation, converters, velocity_is_derived
-from seft_plant_sim.compiled import entry_point
-from seft_plant_sim.judge.detection import detectors_of
+from seft_plant_sim.calibration import Calibration, CalibrationState, calibrate, calibration_of
+from seft_plant_sim.channels import Derivation, converters, derive_velocity, velocity_is_derived
+from seft_plant_sim.compiled import compiled, entry_point
 from seft_plant_sim.judge.detector_list import DETECTORS, describe
-from seft_plant_sim.judge.detectors import WRONG, DetectorParameters, DetectorState
-from seft_plant_sim.judge.guard_step import (
-    DETECTED,
-    DRIVE_ROW,
-    ENDS_TEST,
-    FAULT,
-    OUTSIDE_LIMITS,
-    RANGES,
-    GuardParameters,
-    GuardState,
-    begin_guard,
-    guard_step,
+from seft_plant_sim.judge.detector_step import begin_detectors, judge_sample
+from seft_plant_sim.judge.detectors import (
+    VALID,
+    WRONG,
+    DetectorParameters,
+    DetectorState,
+    detectors_of,
 )
 from seft_plant_sim.judge.servo_model import (
     AccelerationParameters,
     AccelerationState,
     acceleration_of,
+    begin_acceleration,
+    derive_acceleration,
+    follow_displacement,
 )
-from seft_plant_sim.limits import Limits, event_ring
+from seft_plant_sim.limits import Limits, event_ring, exceeds, is_exceeded
+
+SUSPECT_ROW, DRIVE_ROW = 4, 5
+"""Rows of a sample of rig/state after displacement, velocity, acceleration and force."""
+PERSISTENT = 3
+"""Samples in a row beyond a limit that end the test, of changes so many more as a jump shows in:
+fewer are wrong samples, which are judged. A judged one beyond a limit ends the test at once, but
+along the plan, which the force controller has."""
+RANGES = {f"{name}_range": 1 << row for row, name in enumerate(CHANNELS)}
+"""Bits of a step's result, by the channel that is saturated."""
+OUTSIDE_LIMITS, BLIND, FAULT = 128, 256, 512
+"""Bits of a step's result that end the test: samples as measured beyond a limit, sensors that are
+saturated for too long, and a detector's finding."""
+ENDS_TEST = OUTSIDE_LIMITS | BLIND | FAULT
+_BLIND_SAMPLES, _OUTSIDE, _CHANGED, DETECTED = range(4)
+"""Places of `GuardState.counts`."""
+
+
+class GuardParameters(NamedTuple):
+    """Parameters of the guard of n axes.
+
+    Attributes
+    ----------
+    calibration : Calibration
+        What is known of the channels.
+    derivation : Derivation
+        Of the velocity, if it is not measured.
+    acceleration : AccelerationParameters
+        Of the acceleration, likewise.
+    range : ndarray
+        Largest magnitude that each sensor can measure, shape (4, n); infinite if it is not known.
+    limits : ndarray
+        `Limits.values`, shape (8,).
+    window : int
+        Steps of a second.
+    detectors : DetectorParameters
+        Of faults, with the judge.
+    """
+
+    calibration: Calibration
+    derivation: Derivation
+    acceleration: AccelerationParameters
+    range: Floats
+    limits: Floats
+    window: int
+    detectors: DetectorParameters
+
+
+class GuardState(NamedTuple):
+    """State of a guard.
+
+    Attributes
+    ----------
+    calibration : CalibrationState
+        Of the channels.
+    acceleration : AccelerationState
+        Of a derived one.
+    measured : ndarray
+        The last sample as measured, calibrated and aligned, shape (4, n).
+    recent, change, largest : ndarray
+        See `exceeds`.
+    blind : ndarray
+        Ring buffer of the last steps at which a sensor was at its range.
+    counts : ndarray
+        Number of blind samples, of samples in a row beyond a limit, and beyond that of a change;
+        what the detectors found, see `judge_sample`; shape (4,).
+    detectors : DetectorState
+        Of faults.
+    """
+
+    calibration: CalibrationState
+    acceleration: AccelerationState
+    measured: Floats
+    recent: Floats
+    change: Floats
+    largest: Floats
+    blind: Ints
+    counts: Ints
+    detectors: DetectorState
+
+
+def begin_guard(parameters: GuardParameters, state: GuardState) -> None:
+    """Begin a test."""
+    state.counts[:] = 0
+    state.largest[:] = 0.0
+    begin_acceleration(state.acceleration)
+    begin_detectors(parameters.detectors, state.detectors)
+
+
+@compiled
+def guard_step(
+    parameters: GuardParameters,
+    state: GuardState,
+    step: int,
+    measured: Floats,
+    drive: Floats,
+    sample: Floats,
+) -> int:
+    """Calibrate, align and judge a sample; look for faults, and at the limits.
+
+    Parameters
+    ----------
+    parameters, state
+        The state is updated.
+    step : int
+        Of the sample; samples follow one another from step 0 on.
+    measured : ndarray
+        What the sensors show, shape (4, n): displacement (m), velocity (m/s), acceleration (m/s^2)
+        and force (N). It is calibrated and aligned in place.
+    drive : ndarray
+        What the rig applies from this sample on, shape (n,), V or N.
+    sample : ndarray
+        The judged sample, 1 where it is suspect, and the drive; shape (6, n). The result.
+
+    Returns
+    -------
+    int
+        Bits of `RANGES`, and those of `ENDS_TEST` if the test must end.
+    """
+    p, n, found = parameters, measured.shape[1], 0
+    for row in range(4):
+        for i in range(n):
+            if abs(measured[row, i]) >= p.range[row, i]:
+                found |= 1 << row
+    if len(p.calibration.bias):
+        calibrate(p.calibration, state.calibration, step, measured, measured)
+    derive_velocity(p.derivation, step, state.measured, measured)
+    derive_acceleration(p.acceleration, state.acceleration, step, drive, measured)
+    counts, judged, is_blind = state.counts, sample[:4], found > 0
+    beyond = exceeds(p.limits, step, state.recent, measured, state.change, state.largest)
+    counts[_OUTSIDE] = counts[_OUTSIDE] + 1 if beyond & 1 else 0
+    counts[_CHANGED] = counts[_CHANGED] + 1 if beyond & 2 else 0
+    if counts[_OUTSIDE] >= PERSISTENT or counts[_CHANGED] >= PERSISTENT + len(state.recent):
+        found |= OUTSIDE_LIMITS
+    elif is_blind:
+        if is_exceeded(state.blind, counts[_BLIND_SAMPLES], step, p.window):
+            found |= BLIND
+        counts[_BLIND_SAMPLES] += 1
+    counts[DETECTED] = judge_sample(p.detectors, state.detectors, step, measured, drive, judged)
+    follow_displacement(p.acceleration, state.acceleration, step, judged)
+    if counts[DETECTED] >= 0:
+        found |= FAULT
+    for i in range(n):
+        sample[SUSPECT_ROW, i] = 1.0 if counts[DETECTED] != VALID else 0.0
+        sample[DRIVE_ROW, i] = drive[i]
+        for row in range(4):
+            state.measured[row, i] = measured[row, i]
+    return found
 
 
 class Guard:
@@ -40,45 +184,46 @@ class Guard:
 
     Parameters
     ----------
-    calibration : tuple of Calibration and CalibrationState
-        What is known of the channels.
-    derivation : Derivation
-        Of the velocity, if it is not measured.
-    acceleration : tuple of AccelerationParameters and AccelerationState
-        Of the acceleration, likewise.
-    ranges : ndarray
-        Largest magnitude that each sensor can measure, shape (4, n).
-    limits : Limits
-        Of the samples.
-    saturated_time : float
-        Time within one second that sensors may be saturated, s.
-    detectors : tuple of DetectorParameters and DetectorState
-        Of faults.
-    axes : sequence of str
-        Names of the n axes.
+    section, axes
+        Of the rig in an experiment, which is for all axes, and the names of these.
+    rig : RigAxes
+        Which of the axes are its own.
+    dt : float
+        Period, s.
+    zeroed : mapping, optional
+        What it measured at rest, see `seft_plant_sim.calibration.zeroed_at_rest`.
+
+    Raises
+    ------
+    InputError
+        If sizes do not fit the axes, or what is known of the channels makes no sense.
 
     Attributes
     ----------
     limits : Limits
-        As given.
+        Of the samples.
     parameters, state : GuardParameters, GuardState
         Arguments of `guard_step`, here and in a compiled loop.
     """
 
     def __init__(
         self,
-        calibration: tuple[Calibration, CalibrationState],
-        derivation: Derivation,
-        acceleration: tuple[AccelerationParameters, AccelerationState],
-        ranges: Floats,
-        limits: Limits,
-        saturated_time: float,
-        detectors: tuple[DetectorParameters, DetectorState],
-        axes: Sequence[str],
+        section: dict[str, Any],
+        axes: tuple[str, ...],
+        rig: RigAxes,
+        dt: float,
+        zeroed: Mapping[str, Any] | None = None,
     ) -> None:
-        self.limits, self._axes, self._saturated_time = limits, tuple(axes), saturated_time
-        n, dt = len(self._axes), detectors[0].rig.dt
-        blind, window = event_ring(saturated_time, dt)
+        places, derived = rig.places, velocity_is_derived(section)
+        ranges, resolution = converters(section, axes, places, "sensors.adc_bits")
+        calibration = calibration_of(section, axes, places, dt, ranges, resolution, derived)
+        derivation = Derivation.from_parameters(section, dt)
+        acceleration = acceleration_of(section, axes, places, dt)
+        limits = Limits(group(section, "limits"), rig.axes, dt)
+        detectors = detectors_of(section, axes, dt, places, zeroed)
+        self.limits, self._axes = limits, rig.axes
+        self._saturated_time: float = section["limits.saturated_time"]
+        n, (blind, window) = len(rig.axes), event_ring(self._saturated_time, dt)
         self.parameters = GuardParameters(
             calibration[0],
             derivation,
@@ -101,37 +246,6 @@ class Guard:
         )
         both, sample = (self.parameters, self.state), np.zeros((DRIVE_ROW + 1, n))
         self._step = entry_point(guard_step, *both, 0, np.zeros((4, n)), sample[0], sample)
-
-    @classmethod
-    def from_parameters(
-        cls,
-        section: dict[str, Any],
-        axes: tuple[str, ...],
-        rig: RigAxes,
-        dt: float,
-        zeroed: Mapping[str, Any] | None = None,
-    ) -> "Guard":
-        """Make it from the rig's section of an experiment, which is for all axes.
-
-        ``zeroed`` is what it measured at rest, see `seft_plant_sim.calibration.zeroed_at_rest`.
-
-        Raises
-        ------
-        InputError
-            If sizes do not fit the axes, or what is known of the channels makes no sense.
-        """
-        ranges, resolution = converters(section, axes, rig.places, "sensors.adc_bits")
-        derived = velocity_is_derived(section)
-        return cls(
-            calibration_of(section, axes, rig.places, dt, ranges, resolution, derived),
-            Derivation.from_parameters(section, dt),
-            acceleration_of(section, axes, rig.places, dt),
-            ranges,
-            Limits(group(section, "limits"), rig.axes, dt),
-            section["limits.saturated_time"],
-            detectors_of(section, axes, dt, rig.places, zeroed),
-            rig.axes,
-        )
 
     @property
     def nearest(self) -> tuple[str, float]:

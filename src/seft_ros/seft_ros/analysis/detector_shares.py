@@ -2,10 +2,10 @@
 
 import numpy as np
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE, TARGET
-from seft_plant_sim.judge.detection import detectors_of
 from seft_plant_sim.judge.detector_list import DETECTORS, TRACKING
 from seft_plant_sim.judge.detector_step import begin_detectors, detect_all
-from seft_plant_sim.judge.guard_step import DRIVE_ROW
+from seft_plant_sim.judge.detectors import detectors_of
+from seft_plant_sim.judge.guard import DRIVE_ROW
 
 from seft_ros.analysis.metrics import common_steps
 from seft_ros.bags.recording import Recording

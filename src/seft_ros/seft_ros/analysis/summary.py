@@ -15,9 +15,8 @@ from seft_msgs_py.wire.topics import (
     MEASURED,
     RIG_STATE,
 )
-from seft_plant_sim.calibration import biases_of_all
+from seft_plant_sim.calibration import biases_of_all, check_biases
 from seft_plant_sim.computed.computed_model import ModelError
-from seft_plant_sim.judge.biases import check_biases
 from seft_plant_sim.lti import split_dead_time
 from seft_plant_sim.simulated.specimen import EnergyBalance, energy_balance
 from seft_plant_sim.whole_structure import (

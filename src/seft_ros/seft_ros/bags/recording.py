@@ -15,9 +15,8 @@ from typing import Any, Self
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.facts import CHANNELS, FACTS
+from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.config.parameter_table import Section
-from seft_msgs_py.config.renamed import renamed
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.outcome import LinkReport, Saturation, Simulated, Trip
 from seft_msgs_py.wire.topics import LOOP_TOPICS, MEASURED, RIG_STATE, RigAxes, bare
@@ -57,11 +56,6 @@ class Description:
         sections: dict[str, Section] = {}
         for node, section in self.sections.items():
             sections.setdefault(bare(node), section)
-            for name in section:
-                if name not in FACTS and (new := renamed(bare(node), name)):
-                    raise InputError(
-                        f"{node} has {name}, now {new}, as an earlier version wrote it,"
-                    )
         try:
             return Experiment(sections)
         except (KeyError, TypeError, ValueError, AttributeError):

@@ -14,6 +14,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.messages import (
     EstimatesCodec,
+    Status,
     decode_string,
     encode_diagnostics,
     encode_string,
@@ -114,18 +115,10 @@ def read_bag(path: str | Path, *, damaged: bool = False) -> Recording:
     }
     outcome = reports.outcome(len(experiment.rigs))
     trip = trip_of_messages(outcome, reports.ending, experiment.timebase)
-    if outcome is not None and outcome.steps > 0:  # the rig never sampled later stamps
-        series = {name: one.until(outcome.steps - 1) for name, one in series.items()}
-    states = series[RIG_STATE.name]
-    if states.received_ns is not None and len(states.received_ns):
-        start_ns = int(states.received_ns[0])
-    last_step = int(states.steps[-1]) if len(states.steps) else -1
-    for topic in (GROUND_MOTION, REFERENCE_FORCE):  # which are sent ahead
-        series[topic.name] = series[topic.name].until(last_step)
-    for name, one in series.items():
-        steps = states.steps[: len(one.steps)]
-        if np.array_equal(steps, one.steps):  # held once for all topics
-            series[name] = replace(one, steps=steps)
+    _cut(series, outcome)
+    received = series[RIG_STATE.name].received_ns
+    if received is not None and len(received):
+        start_ns = int(received[0])
     end: dict[str, Any] = {"missed": None, "overruns": None, "complete": False}
     if outcome is not None:
         others = ("phase", "steps", "trip", "most_missed")
@@ -145,6 +138,20 @@ def read_bag(path: str | Path, *, damaged: bool = False) -> Recording:
         environment={**description.environment, UNDECODABLE: bag.undecodable},
         **end,
     )
+
+
+def _cut(series: dict[str, Series], outcome: Outcome | None) -> None:
+    """Cut what is not of the test, and hold equal steps once for all topics."""
+    if outcome is not None and outcome.steps > 0:  # the rig never sampled later stamps
+        series |= {name: one.until(outcome.steps - 1) for name, one in series.items()}
+    states = series[RIG_STATE.name].steps
+    last_step = int(states[-1]) if len(states) else -1
+    for topic in (GROUND_MOTION, REFERENCE_FORCE):  # which are sent ahead
+        series[topic.name] = series[topic.name].until(last_step)
+    for name, one in series.items():
+        steps = states[: len(one.steps)]
+        if np.array_equal(steps, one.steps):
+            series[name] = replace(one, steps=steps)
 
 
 def _gaps(series: Mapping[str, Series], outcome: Outcome | None) -> Iterator[str]:
@@ -355,27 +362,32 @@ def write_recording(
                 raw = codec.encode(step, np.ascontiguousarray(values[:, places]))
                 bag.write(codec.topic, raw, time_ns)
         if recording.complete and recording.missed is not None:
-            sampled = recording.series[RIG_STATE.name].steps
-            outcome = Outcome(
-                TRIPPED if recording.trip else FINISHED,
-                int(sampled[-1]) + 1 if len(sampled) else 0,
-                recording.missed,
-                recording.missed_steps,
-                recording.wall_s,
-                recording.trip,
-                recording.overruns or 0,
-                recording.saturation,
-                recording.round_trips,
-                recording.simulated,
-            )
-            status = rig_status(outcome)
-            # totals of all rigs are reported by the first
-            statuses = [replace(status, name=rig.node(RIG)) for rig in recording.experiment.rigs]
-            quiet = {"missed": "0", "missed_steps": "", "overruns": "0", "saturated": "{}"}
-            statuses[1:] = [replace(s, values={**s.values, **quiet}) for s in statuses[1:]]
+            statuses = _ending(recording, recording.missed)
             bag.write(DIAGNOSTICS, encode_diagnostics(time_ns, statuses), time_ns)
         for text in texts:  # again, for one of the two places may be damaged
             bag.write(DESCRIPTION, text, time_ns)
+
+
+def _ending(recording: Recording, missed: int) -> list[Status]:
+    """Give the last statuses of the rigs; totals of all are reported by the first."""
+    sampled = recording.series[RIG_STATE.name].steps
+    outcome = Outcome(
+        TRIPPED if recording.trip else FINISHED,
+        int(sampled[-1]) + 1 if len(sampled) else 0,
+        missed,
+        recording.missed_steps,
+        recording.wall_s,
+        recording.trip,
+        recording.overruns or 0,
+        recording.saturation,
+        recording.round_trips,
+        recording.simulated,
+    )
+    statuses = [
+        replace(rig_status(outcome), name=rig.node(RIG)) for rig in recording.experiment.rigs
+    ]
+    quiet = {"missed": "0", "missed_steps": "", "overruns": "0", "saturated": "{}"}
+    return [*statuses[:1], *(replace(s, values={**s.values, **quiet}) for s in statuses[1:])]
 
 
 def _events(recording: Recording, topics: Sequence[Topic]) -> tuple[npt.NDArray[np.int64], int]:

@@ -1,6 +1,7 @@
 """``seft preflight``: stability and delay margins before anything moves; ``seft study``."""
 
 import os
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Optional
@@ -53,6 +54,7 @@ def preflight(
 
         seft preflight config/jhu.yaml --params-file identified/model.yaml
     """
+    # beyond 60 lines: its options and its help; what it shows follows in order
     from seft_ros.design import (
         capacity,
         plausibility,
@@ -90,10 +92,7 @@ def preflight(
         if write is not None:
             preflight_tables.write_limits(write, limits)
         stable = shared.is_stable_in_simulation(experiment, error, as_json=json)
-        for warning in warnings:
-            shared.warn(warning)
-        for reason in unfit:
-            shared.complain(reason)
+        _say(warnings, unfit)
         return 0 if stable and not unfit else 1
     with shared.passing_progress() as progress:
         summary = preflight_tables.summarise_preflight(test, found)
@@ -117,26 +116,21 @@ def preflight(
             maps = stability_map.stability_maps(test, found.margins, progress)
             save_figure(stability_map.preflight_figure(test, found, maps), path)
             summary["figure"] = str(path)
-    lines = [""]
-    if timed is not None:
-        lines += [
-            f"computed model: {1e3 * timed.median_s:.2g} ms for a step, "
-            f"{1e3 * timed.p999_s:.2g} ms for one of 1000, {1e3 * timed.longest_s:.2g} ms for the "
-            f"longest, of {1e3 * timed.budget_s:.2g} ms",
-            "the margins above take its tangent at rest",
-        ]
+    lines = ["", *(timed.texts() if timed else [])]
     if yielding is not None and not yielding.warning():
         lines.append(str(yielding))
     texts = preflight_tables.preflight_texts(found, f"preflight of {config}")
     limits_table = preflight_tables.limits_table(experiment, peaks, limits)
     shared.show(summary, json, [*texts, limits_table, *lines], "figure")
+    _say(warnings, [*(f"{found.verdict}: {reason}" for reason in found.reasons), *unfit])
+    return 1 if found.verdict == "unstable" or unfit else 0
+
+
+def _say(warnings: Iterable[str], reasons: Iterable[str]) -> None:
     for warning in warnings:
         shared.warn(warning)
-    for reason in found.reasons:
-        shared.complain(f"{found.verdict}: {reason}")
-    for reason in unfit:
+    for reason in reasons:
         shared.complain(reason)
-    return 1 if found.verdict == "unstable" or unfit else 0
 
 
 _CORES = len(os.sched_getaffinity(0))
@@ -197,6 +191,7 @@ def study(
 
         seft study config/jhu.yaml --scheduler tcp://host:8786
     """
+    # beyond 60 lines: its options and its help
     from seft_ros.drawing.page import check_page
     from seft_ros.study import study_page as page
     from seft_ros.study.drawn_tests import draw_tests

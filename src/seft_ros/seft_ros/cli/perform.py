@@ -20,7 +20,7 @@ from seft_ros.test_run.parameter_tables import TABLES
 
 if TYPE_CHECKING:
     from seft_ros.ground_motion.ground_motion_block import GroundMotion
-    from seft_ros.test_run.compiled_loop import Blocks
+    from seft_ros.test_run.blocks import Blocks
     from seft_ros.test_run.observer import Observer
 
 _SUPERVISOR_TIMEOUT_S = 5.0  # s, in which a supervisor that runs is heard
@@ -180,6 +180,7 @@ def run(
 
         seft run config/jhu.yaml --params-file plan.yaml --accept-unstable
     """
+    # beyond 60 lines: its options and its help
     from seft_ros.design import preflight_tables
     from seft_ros.test_run.processes import ProcessLayout
     from seft_ros.test_run.run import bag_path
@@ -333,7 +334,7 @@ def _blocks(experiment: Experiment) -> "Blocks | None":
 
     An external node has checked its own parameters.
     """
-    from seft_ros.test_run.compiled_loop import build_blocks
+    from seft_ros.test_run.blocks import build_blocks
 
     if all(table.node in experiment.sections for table in TABLES):
         return build_blocks(experiment)

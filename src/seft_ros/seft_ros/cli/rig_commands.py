@@ -54,6 +54,7 @@ def link(
     The test over the link then takes link.yaml as --params-file, and the nodes of the other side
     as --external (docs/hosts.md).
     """
+    # beyond 60 lines: its options and its help
     from seft_ros.test_run.link import allowed, assess_link, link_texts, measure_link, message_size
 
     if echo:

@@ -24,7 +24,7 @@ from seft_ros.drawing.table import Cell, TextTable
 from seft_ros.test_run.parameter_tables import TABLES
 
 if TYPE_CHECKING:
-    from seft_ros.test_run.compiled_loop import Blocks
+    from seft_ros.test_run.blocks import Blocks
     from seft_ros.test_run.processes import ProcessLayout
 
 
@@ -174,7 +174,7 @@ def offline_test(
     each other.
     """
     from seft_ros.ground_motion.ground_motion_block import MOTION
-    from seft_ros.test_run.compiled_loop import build_blocks
+    from seft_ros.test_run.blocks import build_blocks
     from seft_ros.test_run.offline import simulate_test
 
     experiment = as_simulated(experiment)

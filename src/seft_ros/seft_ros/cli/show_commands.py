@@ -3,9 +3,9 @@
 import re
 import secrets
 import webbrowser
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Optional
+from typing import Any, Optional
 
 import typer
 from seft_msgs_py.config.facts import EVERY_NODE, FACTS, fact_of, place_of
@@ -18,9 +18,11 @@ from seft_ros.test_run.parameter_tables import TABLES
 
 
 def monitor(
-    host: str = option("127.0.0.1", "Address to serve at; most need a token.", "ADDRESS"),
+    host: str = option("127.0.0.1", "Address to serve at.", "ADDRESS"),
     port: int = option(8765, "Port; 0: any that is free.", "N", min=0, max=65535),
-    token: str = option("", "Token that a browser needs.", "TEXT", envvar="SEFT_MONITOR_TOKEN"),
+    token: str = option(
+        "", "Token that a browser needs; default a new one.", "TEXT", envvar="SEFT_MONITOR_TOKEN"
+    ),
     namespace: str = option("", "Namespace of the test's topics.", "NAME"),
     open_page: bool = option(False, "Open the page in a browser.", "--open"),
 ) -> int:
@@ -33,11 +35,10 @@ def monitor(
     Buttons call the supervisor: Start, Stop and Reset ask for confirmation, Abort test acts at
     once. A button in a browser is no emergency stop; that must be a circuit in hardware.
 
-    It listens at 127.0.0.1; another host sees it by an SSH tunnel (docs/monitor.md). --host names
-    another address: one that is not this host's own needs a token, and shows the test, with its
-    buttons, to anyone who has it. It is generated if none is given; the variable
-    SEFT_MONITOR_TOKEN keeps it out of the list of processes. Ctrl-C ends the monitor, not the
-    test. A browser that --open starts keeps off the loop's core, too.
+    It prints its address with a token: who has it sees the test, and may press the buttons. It
+    listens at 127.0.0.1; another host sees it by an SSH tunnel (docs/monitor.md), or where --host
+    says. The variable SEFT_MONITOR_TOKEN sets a token that is not in the list of processes. Ctrl-C
+    ends the monitor, not the test. A browser that --open starts keeps off the loop's core, too.
 
     Examples:
 
@@ -49,26 +50,23 @@ def monitor(
 
         seft monitor --host 0.0.0.0 --token "$(openssl rand -hex 16)"
     """
-    from seft_ros.monitor.access import Token, is_loopback, page_address
-    from seft_ros.monitor.server import keep_off_the_loop, listen, serve_monitor
+    from seft_ros.monitor.server import keep_off_the_loop, listen, page_address, serve_monitor
 
-    if not re.fullmatch("[!-~]*", token):
-        raise InputError("--token: use printable ASCII characters without blanks")
+    if not re.fullmatch(r"[\w.~-]*", token, re.ASCII):
+        raise InputError("--token: use letters, digits, and any of _ . ~ -")
     if not re.fullmatch(r"(/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*)?", namespace, re.ASCII):
         raise InputError(f"--namespace {namespace}: is not a valid ROS namespace, such as /lab2")
-    if not token and not is_loopback(host):
-        token = secrets.token_urlsafe(24)
+    token = token or secrets.token_urlsafe(24)
     keep_off_the_loop()
     listening = listen(host, port)
-    page = page_address(host, listening.getsockname()[1])
-    address = f"{page}?token={token}" if token else page
+    address = page_address(host, listening.getsockname()[1], token)
 
     def ready() -> None:
         print(f"seft monitor: {address}", flush=True)
         if open_page:
             webbrowser.open(address)
 
-    serve_monitor(listening, host, Token(token), namespace, ready)
+    serve_monitor(listening, token, namespace, ready)
     return 0
 
 
@@ -126,15 +124,12 @@ def motion(
 
         seft motion kobe.AT2 --config config/demo.yaml --csv spectrum.csv
     """
+    # beyond 60 lines: its options and its help; what it shows follows in order
     from seft_ros.analysis.result_text import motion_rows
     from seft_ros.drawing.style import check_figure, save_figure
     from seft_ros.drawing.table import TextTable, check_table, write_table
     from seft_ros.ground_motion.correction import baseline_numbers
-    from seft_ros.ground_motion.ground_motion_block import (
-        GROUND_MOTION_TABLE,
-        OF_RECORD,
-        GroundMotion,
-    )
+    from seft_ros.ground_motion.ground_motion_block import GROUND_MOTION_TABLE, GroundMotion
     from seft_ros.ground_motion.response_spectrum import (
         motion_figure,
         motion_summary,
@@ -160,15 +155,7 @@ def motion(
         }
     metadata = None if response is None else str(response)
     words = {"column": column or None, "rows": rows, "unit": unit, "dt": dt, "response": metadata}
-    given: Section = {name: value for name, value in words.items() if value is not None}
-    if file:  # what the experiment says of its own record does not hold for another one
-        files = [str(each) for each in file]
-        own = {name: GROUND_MOTION_TABLE.rows[name].default for name in OF_RECORD}
-        given = {"file": files if len(files) > 1 else files[0], **own, **given}
-    elif given and not section["file"]:
-        raise InputError(f"--{next(iter(given))}: needs a record; name its file")
-    given |= {} if correct is None else {"correct": correct}
-    section |= GROUND_MOTION_TABLE.check(given, "seft motion")
+    section |= _as_named(section, file or [], words, correct)
     timebase = timebase if rate is None else Timebase.from_rate(rate)
     block = GroundMotion.from_parameters(section, axes, timebase)
     if path is not None:
@@ -189,6 +176,23 @@ def motion(
     texts = [TextTable((), motion_rows(block.facts)), TextTable(["", *axes], lines)]
     show(summary, json, texts, "figure", "csv")
     return 0
+
+
+def _as_named(
+    section: Section, file: Sequence[Path], words: Mapping[str, Any], correct: str | None
+) -> Section:
+    """Give the parameters of a motion that a command line names beside an experiment's own."""
+    from seft_ros.ground_motion.ground_motion_block import GROUND_MOTION_TABLE, OF_RECORD
+
+    given: Section = {name: value for name, value in words.items() if value is not None}
+    if file:  # what the experiment says of its own record does not hold for another one
+        files = [str(each) for each in file]
+        own = {name: GROUND_MOTION_TABLE.rows[name].default for name in OF_RECORD}
+        given = {"file": files if len(files) > 1 else files[0], **own, **given}
+    elif given and not section["file"]:
+        raise InputError(f"--{next(iter(given))}: needs a record; name its file")
+    given |= {} if correct is None else {"correct": correct}
+    return GROUND_MOTION_TABLE.check(given, "seft motion")
 
 
 def parameters(

@@ -92,6 +92,15 @@ class ModelTime:
             f"at {self.rate_hz:g} Hz: {' or '.join([*ways, 'a smaller model'])} fits"
         )
 
+    def texts(self) -> list[str]:
+        """Say how long its steps take, and which of them the margins know."""
+        return [
+            f"computed model: {1e3 * self.median_s:.2g} ms for a step, "
+            f"{1e3 * self.p999_s:.2g} ms for one of 1000, {1e3 * self.longest_s:.2g} ms for the "
+            f"longest, of {1e3 * self.budget_s:.2g} ms",
+            "the margins above take its tangent at rest",
+        ]
+
 
 _OF_SPECIMEN = {
     "specimen.mass": mass_matrix,

@@ -12,10 +12,9 @@ from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN, POSITION_SERVO
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.channels import per_channel, velocity_is_derived
 from seft_plant_sim.compiled import entry_point, kind_of
-from seft_plant_sim.judge.detection import warning_detectors
 from seft_plant_sim.judge.detector_list import TRACKING, describe
-from seft_plant_sim.judge.detectors import assumed_noise
-from seft_plant_sim.judge.guard_step import DRIVE_ROW
+from seft_plant_sim.judge.detectors import assumed_noise, warning_detectors
+from seft_plant_sim.judge.guard import DRIVE_ROW
 from seft_plant_sim.judge.known_rig import command_limit, fastest_command
 from seft_plant_sim.limits import beyond_limit, event_ring
 from seft_plant_sim.simulated.rig_step import left_open

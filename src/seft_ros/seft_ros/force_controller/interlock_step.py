@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 from seft_plant_sim.compiled import compiled, copy
-from seft_plant_sim.judge.guard_step import SUSPECT_ROW
+from seft_plant_sim.judge.guard import SUSPECT_ROW
 from seft_plant_sim.limits import is_exceeded
 from seft_plant_sim.simulated.rig_step import left_open
 

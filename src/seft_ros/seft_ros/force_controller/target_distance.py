@@ -13,7 +13,7 @@ from seft_plant_sim.judge.detectors import (
     noise_of_sums,
     persistence_of,
 )
-from seft_plant_sim.judge.guard_step import DRIVE_ROW
+from seft_plant_sim.judge.guard import DRIVE_ROW
 from seft_plant_sim.judge.judge import BIAS
 from seft_plant_sim.judge.judge_step import LONG_AGO
 from seft_plant_sim.judge.relation_following import NOISE_SIGMAS

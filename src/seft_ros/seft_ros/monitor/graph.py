@@ -14,9 +14,9 @@ import rclpy
 from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
 from rclpy.subscription import Subscription
 from seft_msgs_py.node.dds import DdsEndpoint
-from seft_msgs_py.node.follower import Follower
 from seft_msgs_py.node.process import prepare_on_this_host
 from seft_msgs_py.node.rclpy_interface import command_node, leave_graph, raw_subscription, take_all
+from seft_msgs_py.node.senders import Follower
 from seft_msgs_py.wire.topics import (
     DESCRIPTION,
     DIAGNOSTICS,

@@ -26,8 +26,6 @@ from seft_msgs_py.wire.topics import (
     Topic,
 )
 
-from seft_ros.monitor.access import Token, is_loopback
-from seft_ros.monitor.connections import PageServer
 from seft_ros.monitor.history import RECENT_FRAME, Frame, envelope_frame, samples_frame
 from seft_ros.monitor.intake import Intake
 from seft_ros.monitor.session import Session
@@ -39,6 +37,7 @@ METADATA_NODES = ("rig", "reference_force", "force_controller", "ground_motion",
 """Nodes whose rate and axes are used: those of the first available one."""
 
 PERIOD = 0.1  # s
+LARGEST_REQUEST = 4096  # bytes
 NICE = 3
 """The nodes precede the monitor, and it still answers a stop on a busy machine."""
 _LATEST = 1.0  # s from a press to the supervisor
@@ -177,6 +176,14 @@ class Watch:
         return json.dumps({"kind": "time", "at": round(1e3 * self._now())})
 
 
+def page_address(host: str, port: int, token: str) -> str:
+    """Address of the page for a browser on this host."""
+    if host in ("", "0.0.0.0", "::"):
+        host = "127.0.0.1"
+    text = f"[{host}]" if ":" in host else host
+    return f"http://{text}:{port}/?token={token}"
+
+
 def listen(host: str, port: int) -> socket.socket:
     """Take a port, 0 for any; of a name with several addresses the first IPv4 address.
 
@@ -212,21 +219,23 @@ def keep_off_the_loop() -> None:
 
 
 def serve_monitor(
-    listening: socket.socket, host: str, token: Token, namespace: str, ready: Callable[[], None]
+    listening: socket.socket, token: str, namespace: str, ready: Callable[[], None]
 ) -> None:
     """Serve the page until SIGINT or SIGTERM.
 
     Parameters
     ----------
     listening : socket
-        From `listen` for ``host``.
-    token : Token
+        From `listen`.
+    token : str
         Of the pages.
     namespace : str
         Of the test's topics.
     ready : callable
         Called when the page can be opened.
     """
+    from tornado.httpserver import HTTPServer
+
     from seft_ros.monitor.graph import Graph
     from seft_ros.monitor.web import Pages, application
 
@@ -235,14 +244,14 @@ def serve_monitor(
         watch = Watch(graph)
         pages = Pages(watch.everything)
         port = listening.getsockname()[1]
-        web = application(token, is_loopback(host), port, pages, graph.call, watch.lateness)
+        web = application(token, port, pages, graph.call, watch.lateness)
 
         async def run() -> None:
             stopping = asyncio.Event()
             loop = asyncio.get_running_loop()
             for number in (signal.SIGINT, signal.SIGTERM):
                 loop.add_signal_handler(number, stopping.set)
-            server = PageServer(web)
+            server = HTTPServer(web, max_body_size=LARGEST_REQUEST)
             server.add_socket(listening)
             gc.collect()
             gc.freeze()  # later collections skip the existing objects

@@ -1,27 +1,30 @@
-"""The page's server: files, figures, live frames over a websocket, the supervisor's services."""
+"""The page's server: files, figures, live frames over a websocket, the supervisor's services.
+
+Who has the token may see the page and press its buttons; nobody else gets anything.
+"""
 
 import asyncio
+import hmac
 import json
 import math
-import secrets
 from collections.abc import Awaitable, Callable
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import bokeh
 from bokeh.embed import json_item
 from bokeh.models import ColumnDataSource, NumeralTickFormatter, Range1d
 from bokeh.plotting import figure
-from tornado.web import Application, HTTPError, StaticFileHandler
+from tornado.web import Application, HTTPError, RequestHandler, StaticFileHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from seft_ros.drawing.page import plot
-from seft_ros.monitor.access import ASSETS, Guarded, Missing, Token
 from seft_ros.monitor.history import Frame
 
+_ASSETS = Path(__file__).with_name("assets")
 _LIBRARY = Path(bokeh.__file__).parent / "server" / "static" / "js"
-MAX_PAGES = 32
 BEHIND = 4_000_000
 """Bytes that may wait for a slow page; after that it is skipped, and later receives all frames."""
 
@@ -47,19 +50,49 @@ Call = Callable[[str], Awaitable[tuple[bool, str]]]
 Lateness = Callable[[int, float], str]
 
 
+class Guarded(RequestHandler):
+    """A request that needs the token, in its address or in the cookie that `Page` makes of it.
+
+    Other pages in the same browser have the cookie, too: so a button belongs to this page's own
+    origin, as tornado demands of a websocket.
+    """
+
+    def set_default_headers(self) -> None:
+        """Forbid caches, and frames of other pages around the buttons."""
+        self.set_header("Cache-Control", "no-store")
+        self.set_header("X-Frame-Options", "DENY")
+
+    async def prepare(self) -> None:
+        """Refuse a request without the token, or of another page."""
+        known = self.get_cookie(self.settings["cookie"], "") or ""
+        offered = self.get_query_argument("token", known)
+        if not hmac.compare_digest(offered.encode(), self.settings["token"].encode()):
+            raise HTTPError(401, reason="this token is wrong" if offered else "a token is needed")
+        origin = self.request.headers.get("Origin", "")
+        if self.request.method == "POST" and urlsplit(origin).netloc != self.request.host:
+            raise HTTPError(403, reason="a request of another page")
+
+    def write_error(self, status_code: int, **_: Any) -> None:
+        """Say in plain text what is wrong; without a token, offer to enter one."""
+        if status_code == 401 and self.request.path == "/":
+            self.finish((_ASSETS / "token.html").read_bytes())
+            return
+        self.set_header("Content-Type", "text/plain; charset=utf-8")
+        self.finish(f"{status_code}: {self._reason}\n")
+
+
 class Page(Guarded):
     """The page itself; a token in its address becomes a cookie, and is hidden."""
 
     def get(self) -> None:
         """Answer with the page."""
-        if self.get_query_argument("token", "") and self.settings["token"].text:
+        if token := self.get_query_argument("token", ""):
             options: dict[str, Any] = {"httponly": True, "samesite": "Strict"}
-            name = self.settings["cookie"]
-            self.set_signed_cookie(name, "known", expires_days=None, **options)
+            self.set_cookie(self.settings["cookie"], token, **options)
             self.redirect("/")
             return
         self.set_header("Content-Type", "text/html; charset=utf-8")
-        self.finish((ASSETS / "page.html").read_bytes())
+        self.finish((_ASSETS / "page.html").read_bytes())
 
 
 class Figures(Guarded):
@@ -112,15 +145,10 @@ class Live(Guarded, WebSocketHandler):
     waiting = 0
     """Bytes that are not sent yet."""
 
-    def check_origin(self, origin: str) -> bool:
-        """Accept this page only."""
-        return self.is_own_page(origin)
-
     def open(self, *_: str, **__: str) -> None:
         """Begin to send."""
         self.set_nodelay(True)
-        if not self.settings["pages"].add(self):
-            self.close(1013, "too many pages")
+        self.settings["pages"].add(self)
 
     def on_message(self, message: str | bytes) -> None:
         """Ignore messages."""
@@ -161,13 +189,10 @@ class Pages:
     def __len__(self) -> int:
         return len(self._open)
 
-    def add(self, page: Live) -> bool:
-        """Add a page, unless there are too many."""
-        if len(self._open) >= MAX_PAGES:
-            return False
+    def add(self, page: Live) -> None:
+        """Add a page."""
         self._open[page] = False
         self.send([])
-        return True
 
     def remove(self, page: Live) -> None:
         """Forget a page."""
@@ -225,24 +250,19 @@ def _figures() -> str:
     return json.dumps({name: json_item(_figure(name, *_LINES[name])) for name in _LINES})
 
 
-def application(
-    token: Token, local_only: bool, port: int, pages: Pages, call: Call, lateness: Lateness
-) -> Application:
-    """Make the web application; see `Guarded` for local_only, `Watch.lateness` for lateness."""
+def application(token: str, port: int, pages: Pages, call: Call, lateness: Lateness) -> Application:
+    """Make the web application; see `Watch.lateness` for lateness."""
     return Application(
         [
             (r"/", Page),
             (r"/figures\.json", Figures),
             (r"/live", Live),
             (r"/service/(start|stop|estop|reset)", Service),
-            (r"/assets/([a-z_]+\.(?:css|js))", File, {"path": str(ASSETS)}),
+            (r"/assets/([a-z_]+\.(?:css|js))", File, {"path": str(_ASSETS)}),
             (r"/library/(bokeh\.min\.js)", File, {"path": str(_LIBRARY)}),
         ],
-        default_handler_class=Missing,
         token=token,
-        cookie_secret=secrets.token_hex(),
         lateness=lateness,
-        local_only=local_only,
         cookie=f"seft_monitor_{port}",  # a host's cookies are shared by its ports
         pages=pages,
         call=call,

@@ -217,7 +217,7 @@ class ForceControllerNode(NodeBody):
         self._forces.reset(self._order.in_lockstep)
         was_tripped, self._waited = bool(self._controller.reason), 0.0
         self._controller.reset()
-        conflict = self._shell.several_senders()
+        conflict = self._shell.senders.conflict()
         if conflict:
             self._trip(conflict)
         elif was_tripped:

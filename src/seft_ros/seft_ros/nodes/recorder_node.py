@@ -40,8 +40,7 @@ from seft_msgs_py.wire.topics import (
 )
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-from seft_ros.bags.bag_place import why_not_writable
-from seft_ros.bags.bag_writer import BagWriter
+from seft_ros.bags.bag_writer import BagWriter, why_not_writable
 from seft_ros.bags.recording import describe_environment
 from seft_ros.test_run.parameter_tables import RECORDER_TABLE, TABLES
 from seft_ros.test_run.peers import ALL_ANSWERED, RECORDING

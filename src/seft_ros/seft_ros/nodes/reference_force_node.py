@@ -161,7 +161,7 @@ class ReferenceForceNode(NodeBody):
             raise WireError(f"rig/state of step {step}: the test is {self._test}")
         if self._order.begins(step):
             self._reset()
-            self._trip_for(self._shell.several_senders(), step)
+            self._trip_for(self._shell.senders.conflict(), step)
         elif false_start := self._order.false_start(RIG_STATE.name, step):
             self._trip_for(self._conflict or false_start, step)
         self._order.check(RIG_STATE.name, step)

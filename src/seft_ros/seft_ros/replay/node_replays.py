@@ -11,7 +11,7 @@ from seft_msgs_py.wire.topics import (
     VALVE_COMMAND,
     LoopTopic,
 )
-from seft_plant_sim.judge.guard_step import DRIVE_ROW
+from seft_plant_sim.judge.guard import DRIVE_ROW
 from seft_plant_sim.rig import Rig
 
 from seft_ros.bags.gathering import EstimatesGatherer

@@ -17,7 +17,7 @@ from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
 from seft_ros.reference_force.reference_force_block import method_inputs
 from seft_ros.reference_force.reference_force_parameters import REFERENCE_FORCE_TABLE
 from seft_ros.study.drawn_tests import DrawnTests
-from seft_ros.test_run.compiled_loop import build_blocks, with_method
+from seft_ros.test_run.blocks import build_blocks, with_method
 
 EVERY_METHOD = "all"
 

@@ -21,7 +21,7 @@ from seft_ros.ground_motion.ground_motion_block import FILES
 from seft_ros.ground_motion.record_file import files_of
 from seft_ros.study.study_design import StudyDesign, StudyTest
 from seft_ros.study.workers import parallel_map, software
-from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import BlockCache, simulate_test
 
 TestOutcome = tuple[dict[str, Any], str]

@@ -18,7 +18,7 @@ from seft_plant_sim.whole_structure import ReferenceResponse, is_simulated, refe
 
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
-from seft_ros.test_run.compiled_loop import build_blocks
+from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate_test
 
 AT, HARDENING = 1.0 / 3.0, 0.1

@@ -4,15 +4,14 @@ Here it is Python's own pool: it starts in two thirds of the time of Dask's loca
 the processes, and needs no Dask.
 """
 
-import asyncio
 import multiprocessing
 import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import CancelledError, Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -26,13 +25,7 @@ Map = Callable[..., Iterator[tuple[int, Any]]]
 
 It gives the place and the result of each call as soon as there is one.
 """
-
-_STOP = signal.SIGUSR1
 _CONNECT_TIME = 5.0  # s
-
-
-class _StoppedError(BaseException):
-    """The result is not wanted any more."""
 
 
 @contextmanager
@@ -40,7 +33,7 @@ def parallel_map(workers: int, scheduler: str = "") -> Iterator[Map]:
     """Give a `map` that calculates on several processes.
 
     A worker is a fresh interpreter (spawn) with one thread for linear algebra, which
-    `seft_msgs_py` sets. When the block is left early, the workers stop their calculations.
+    `seft_msgs_py` sets. When the block is left early, the workers end.
 
     Parameters
     ----------
@@ -57,62 +50,36 @@ def parallel_map(workers: int, scheduler: str = "") -> Iterator[Map]:
         If there is no scheduler, or its workers have other software than this process.
     """
     if scheduler:
-        with _cluster_map(scheduler) as spread:
-            yield spread
-        return
-    if workers == 1:
+        with _cluster(scheduler) as executor:
+            yield partial(_spread, executor)
+    elif workers == 1:
         yield lambda function, *arguments: enumerate(map(function, *arguments))
-        return
+    else:
+        with _pool(workers) as executor:
+            yield partial(_spread, executor)
+
+
+@contextmanager
+def _pool(workers: int) -> Iterator[Executor]:
     others, context = set(multiprocessing.active_children()), multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(workers, context, _become_worker)
+    pool = ProcessPoolExecutor(workers, context, _end_with_parent)
     try:
-        yield partial(_spread, pool)
-    except BaseException:
+        yield pool
+    except BaseException as error:
         for worker in set(multiprocessing.active_children()) - others:
-            # not terminated: one that dies while it sends a result leaves the pool waiting for it
-            assert worker.pid is not None  # it was started
-            with suppress(ProcessLookupError):  # a pool that broke ends its workers itself
-                os.kill(worker.pid, _STOP)
+            worker.kill()
+        if isinstance(error, BrokenProcessPool):
+            raise ExperimentError(
+                "a worker died, maybe for want of memory; the same command with fewer --workers "
+                "continues"
+            ) from None
         raise
     finally:
         pool.shutdown(cancel_futures=True)
 
 
-def _spread(
-    pool: ProcessPoolExecutor, function: Callable[..., Any], *arguments: Any
-) -> Iterator[tuple[int, Any]]:
-    """Begin to calculate, see `Map`."""
-    # what is started here inherits the mask: Ctrl-C is for the parent alone to deal with
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, _STOP})
-    try:
-        calls = enumerate(zip(*arguments, strict=False))
-        places = {pool.submit(_calculate, function, *own): place for place, own in calls}
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-    return _results(places)
-
-
-def _results(places: dict[Future[Any], int]) -> Iterator[tuple[int, Any]]:
-    for future in as_completed(list(places)):
-        try:
-            result = future.result()
-        except BrokenProcessPool:
-            raise ExperimentError(
-                "a worker died, maybe for want of memory; the same command with fewer --workers "
-                "continues"
-            ) from None
-        yield places.pop(future), result
-
-
-class _Worker:
-    """What this process does, where it is a worker."""
-
-    calculating = False
-    stopping = False
-
-
-def _become_worker() -> None:
-    """Stop calculating on request, and end when the parent has ended for whatever reason."""
+def _end_with_parent() -> None:
+    """End this worker when its parent has ended, for whatever reason."""
     parent = multiprocessing.parent_process()
     assert parent is not None
 
@@ -120,37 +87,13 @@ def _become_worker() -> None:
         parent.join()
         os._exit(1)
 
-    def stop(*_: object) -> None:
-        _Worker.stopping = True
-        if _Worker.calculating:
-            raise _StoppedError
-
     threading.Thread(target=watch, daemon=True).start()
-    signal.signal(_STOP, stop)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, {_STOP})
-
-
-def _calculate(function: Callable[..., Any], *arguments: Any) -> Any:
-    _Worker.calculating = True
-    try:
-        if _Worker.stopping:
-            raise _StoppedError
-        return function(*arguments)
-    finally:
-        _Worker.calculating = False
-
-
-def software() -> str:
-    """Name what results depend on beside their inputs: the text of the packages, and libraries."""
-    text = code_folder(Path(__file__).parents[1]).name  # numba's version is in it
-    return f"{text}, numpy {version('numpy')}, scipy {version('scipy')}"
 
 
 @contextmanager
-def _cluster_map(address: str) -> Iterator[Map]:
+def _cluster(address: str) -> Iterator[Executor]:
     try:
         from distributed import Client, KilledWorker
-        from distributed import as_completed as completed
     except ImportError:
         raise InputError(
             "--scheduler: Dask is not installed; install it with: pip install 'seft_ros[dask]'"
@@ -162,32 +105,41 @@ def _cluster_map(address: str) -> Iterator[Map]:
             f"--scheduler {address}: no Dask scheduler answers there ({error}); start one with: "
             "dask scheduler"
         ) from None
+    try:
+        with client:
+            yield client.get_executor(pure=False)
+    except KilledWorker:
+        raise ExperimentError(
+            f"--scheduler {address}: a calculation killed worker after worker, maybe for want of "
+            "memory; start workers with more of it"
+        ) from None
+    except CancelledError:
+        raise ExperimentError(f"--scheduler {address}: the scheduler has ended") from None
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"--scheduler {address}: a worker lacks {error.name}; install seft there"
+        ) from None
 
-    def spread(function: Callable[..., Any], *arguments: Any) -> Iterator[tuple[int, Any]]:
-        checked = partial(_calculate_alike, software(), function)
-        futures = client.map(checked, *map(list, arguments), pure=False)
-        return results({future: place for place, future in enumerate(futures)})
 
-    def results(places: dict[Any, int]) -> Iterator[tuple[int, Any]]:
-        for future in completed(list(places)):
-            try:
-                result = future.result()
-            except KilledWorker:
-                raise ExperimentError(
-                    f"--scheduler {address}: a calculation killed worker after worker, maybe for "
-                    "want of memory; start workers with more of it"
-                ) from None
-            except (CancelledError, asyncio.CancelledError):
-                raise ExperimentError(f"--scheduler {address}: the scheduler has ended") from None
-            except ModuleNotFoundError as error:
-                raise InputError(
-                    f"--scheduler {address}: a worker lacks {error.name}; install seft there"
-                ) from None
-            yield places.pop(future), result
-            future.release()
+def _spread(
+    executor: Executor, function: Callable[..., Any], *arguments: Any
+) -> Iterator[tuple[int, Any]]:
+    """Begin to calculate, see `Map`."""
+    # what is started here inherits the mask: Ctrl-C is for the parent alone to deal with
+    before, own = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}), software()
+    try:
+        calls = enumerate(zip(*arguments, strict=False))
+        places = {
+            executor.submit(_calculate_alike, own, function, *each): place for place, each in calls
+        }
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    return _results(places)
 
-    with client:
-        yield spread
+
+def _results(places: dict[Future[Any], int]) -> Iterator[tuple[int, Any]]:
+    for future in as_completed(list(places)):
+        yield places.pop(future), future.result()
 
 
 def _calculate_alike(wanted: str, function: Callable[..., Any], *arguments: Any) -> Any:
@@ -198,3 +150,9 @@ def _calculate_alike(wanted: str, function: Callable[..., Any], *arguments: Any)
             "install the same there"
         )
     return function(*arguments)
+
+
+def software() -> str:
+    """Name what results depend on beside their inputs: the text of the packages, and libraries."""
+    text = code_folder(Path(__file__).parents[1]).name  # numba's version is in it
+    return f"{text}, numpy {version('numpy')}, scipy {version('scipy')}"

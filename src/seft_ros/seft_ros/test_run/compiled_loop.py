@@ -1,30 +1,23 @@
-"""The four blocks of a test, and all their steps in one compiled function.
+"""All steps of the four blocks of a test in one compiled function.
 
 It releases the interpreter's lock, so that threads run tests in parallel.
 """
 
 from collections.abc import Callable, Hashable, Iterator
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numba.extending import overload
 from seft_msgs_py.arrays import Floats, Ints
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.facts import FORCE_DRIVEN
-from seft_msgs_py.config.parameter_table import group
-from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_plant_sim.compiled import OPTIONS, compiled, entry_point, is_at_hand, kind_of
-from seft_plant_sim.judge.biases import check_biases
-from seft_plant_sim.judge.guard_step import (
+from seft_plant_sim.judge.guard import (
     ENDS_TEST,
     GuardParameters,
     GuardState,
     guard_step,
 )
-from seft_plant_sim.rig import Rig, Rigs
-from seft_plant_sim.simulated.faults import check_times
+from seft_plant_sim.rig import Rig
 from seft_plant_sim.simulated.rig import SimulatedRig
 from seft_plant_sim.simulated.rig_step import (
     FORCE_NOW,
@@ -40,12 +33,7 @@ from seft_ros.force_controller.force_control import (
     TransferParameters,
     transfer_step,
 )
-from seft_ros.force_controller.force_controller_parameters import (
-    FOLLOW_TARGETS,
-    TRANSFER_FUNCTION,
-    fitting_method,
-)
-from seft_ros.force_controller.interlock import Interlock, Interlocks, interlock_of
+from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.interlock_step import (
     NO_TRIP,
     TRIP,
@@ -58,8 +46,6 @@ from seft_ros.force_controller.interlock_step import (
 from seft_ros.force_controller.position_servo import PositionServo
 from seft_ros.force_controller.servo_step import ServoParameters, servo_step
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
-from seft_ros.ground_motion.ground_motion_block import GroundMotion
-from seft_ros.protection.protected_force import ProtectedForce
 from seft_ros.protection.protection_step import (
     HOLDING,
     TAKEN,
@@ -73,142 +59,9 @@ from seft_ros.reference_force.linear_filter import (
     LinearParameters,
     linear_step,
 )
-from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 from seft_ros.reference_force.target_motion import TargetMotion
 from seft_ros.reference_force.target_step import TargetParameters, target_estimates, target_step
-
-_REMEMBERED = 64
-"""Blocks of each kind that are kept for later experiments: more than a study has methods."""
-
-
-@dataclass(frozen=True)
-class Blocks:
-    """Ground motion, reference force, force controller and rig of a test."""
-
-    ground_motion: GroundMotion
-    reference_force: ProtectedForce
-    force_controller: Interlock | Interlocks
-    rig: Rig | Rigs
-
-
-def build_blocks(experiment: Experiment, known: dict[str, Any] | None = None) -> Blocks:
-    """Make the blocks of an experiment.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        Its resolved configuration.
-    known : dict, optional
-        The last blocks of earlier experiments, except rigs: those with the same parameters are used
-        again, new ones are added.
-
-    Raises
-    ------
-    InputError
-        If a parameter makes no sense together with the others, or the record can't be read.
-    """
-    axes, timebase, known = experiment.axes, experiment.timebase, {} if known is None else known
-
-    def shared(node: str, make: Callable[..., Any], *arguments: Any) -> Any:
-        section, made = experiment[node], known.setdefault(node, [])
-        for parameters, block in made:  # few: writing out a key takes as long as hundreds of them
-            if parameters == section:
-                return block
-        made.append((dict(section), make(*arguments)))
-        del made[:-_REMEMBERED]
-        return made[-1][1]
-
-    motion, force = experiment["ground_motion"], experiment["reference_force"]
-    blocks = Blocks(
-        reference_force=shared(  # first: a wrong fact of the specimen is named as that
-            "reference_force", ProtectedForce.from_parameters, force, axes, timebase
-        ),
-        ground_motion=shared("ground_motion", GroundMotion.from_parameters, motion, axes, timebase),
-        force_controller=shared("force_controller", interlock_of, experiment),
-        rig=_rigs(experiment),
-    )
-    duration = (blocks.ground_motion.steps - 1) * timebase.dt
-    check_times(experiment["rig"]["faults"], axes, duration)
-    check_lead(experiment, blocks.ground_motion, blocks.reference_force)
-    check_target(experiment, blocks)
-    biases = check_biases(blocks.rig.zeroed, group(experiment["rig"], "limits"))
-    if biases.refusal:
-        raise InputError(f"rig: {biases.refusal}")
-    return blocks
-
-
-def _rigs(experiment: Experiment) -> Rig | Rigs:
-    if len(experiment.rigs) > 1:
-        return Rigs(experiment)
-    return Rig.from_parameters(experiment["rig"], experiment.axes, experiment.timebase)
-
-
-def check_target(experiment: Experiment, blocks: Blocks) -> None:
-    """Check that the controller follows a target's motion if, and only if, there is one.
-
-    Raises
-    ------
-    InputError
-        If it is not.
-    """
-    method = experiment["force_controller"]["method"]
-    compensation = experiment["reference_force"]["compensation.method"]
-    has_target = blocks.reference_force.reference_force.provides_target
-    fitting = fitting_method(experiment["force_controller"])
-    if method in FOLLOW_TARGETS and not has_target:
-        raise InputError(
-            f"force_controller: method {method} follows the motion of a target, but "
-            f"reference_force: compensation.method is {compensation}; make that {TARGET_MOTION}"
-        )
-    if method == TRANSFER_FUNCTION and has_target and blocks.rig.drive == VALVE_COMMAND.name:
-        raise InputError(
-            f"reference_force: compensation.method {compensation} gives the motion of a target, "
-            f"which force_controller: method {method} does not follow; make that {fitting}"
-        )
-
-
-def check_lead(experiment: Experiment, motion: GroundMotion, force: ProtectedForce) -> None:
-    """Check that the ground motion is known as far ahead as the compensation needs it.
-
-    Raises
-    ------
-    InputError
-        If it is not.
-    """
-    preview = force.preview
-    if preview > len(motion.known) - motion.steps:
-        raise InputError(
-            f"ground_motion: lead is {experiment['ground_motion']['lead']:g} s, but the "
-            f"compensation looks {preview * experiment.timebase.dt:g} s ahead; make "
-            "the lead longer"
-        )
-
-
-def with_method(experiment: Experiment, method: str) -> Experiment:
-    """Copy an experiment with another compensation method, and a force controller that fits it.
-
-    `target_motion` drives valves and servos by controllers that need the target's motion. Other
-    methods do not give it: they use the configured controller, or else the transfer function.
-    """
-    control = experiment["force_controller"]
-    used = control["method"]
-    if method == TARGET_MOTION and control["actuator.kind"] not in FORCE_DRIVEN:
-        used = fitting_method(control)
-    elif used in FOLLOW_TARGETS:
-        used = TRANSFER_FUNCTION
-    return experiment.changed(
-        {"reference_force": {"compensation.method": method}, "force_controller": {"method": used}}
-    )
-
-
-FORCE_STEPS = {LinearParameters: linear_step, TargetParameters: target_step}
-CONTROL_STEPS = {
-    TransferParameters: transfer_step,
-    FeedforwardParameters: feedforward_step,
-    ServoParameters: servo_step,
-}
-"""Steps of the blocks that can be compiled, by their parameters."""
-_OPTIONS: dict[str, Any] = {"jit_options": OPTIONS}
+from seft_ros.test_run.blocks import Blocks
 
 
 def why_not_compiled(blocks: Blocks) -> str:
@@ -234,44 +87,37 @@ def why_not_compiled(blocks: Blocks) -> str:
     return ""
 
 
-def respond(
-    parameters: Any, state: Any, ground: Floats, measured: Floats, progress: float, points: Floats
-) -> None:
-    """Step of a compensation method, see `FORCE_STEPS`."""
-    raise NotImplementedError
+@compiled
+def no_estimates(parameters: LinearParameters, state: Any, result: Floats) -> None:
+    """Sample nothing: a linear compensation estimates nothing."""
 
 
-def answer(parameters: Any, state: Any, points: Floats, measured: Floats, command: Floats) -> bool:
-    """Step of a force controller, see `CONTROL_STEPS`."""
-    raise NotImplementedError
+def _by_parameters(steps: dict[Any, Any]) -> Any:
+    """Give a step that the compiler takes from ``steps`` by the type of its parameters."""
+
+    def step_of(parameters: Any, state: Any, *others: Any) -> Any:
+        return steps[type(parameters)](parameters, state, *others)
+
+    @overload(step_of, jit_options=cast("Any", OPTIONS))
+    def _step_of(parameters, state, *others):  # type: ignore[no-untyped-def]
+        step: Any = steps[parameters.instance_class]
+        return lambda parameters, state, *others: step(parameters, state, *others)
+
+    return step_of
 
 
-def estimate(parameters: Any, state: Any, result: Floats) -> None:
-    """Sample the estimates of a compensation method, shape (k, n)."""
-    raise NotImplementedError
-
-
-@overload(respond, **_OPTIONS)
-def _respond(parameters, state, ground, measured, progress, points):  # type: ignore[no-untyped-def]
-    step: Any = FORCE_STEPS[parameters.instance_class]
-    return lambda parameters, state, ground, measured, progress, points: step(
-        parameters, state, ground, measured, progress, points
-    )
-
-
-@overload(answer, **_OPTIONS)
-def _answer(parameters, state, points, measured, command):  # type: ignore[no-untyped-def]
-    step: Any = CONTROL_STEPS[parameters.instance_class]
-    return lambda parameters, state, points, measured, command: step(
-        parameters, state, points, measured, command
-    )
-
-
-@overload(estimate, **_OPTIONS)
-def _estimate(parameters, state, result):  # type: ignore[no-untyped-def]
-    if parameters.instance_class is TargetParameters:
-        return lambda parameters, state, result: target_estimates(parameters, state, result)
-    return lambda parameters, state, result: None
+respond = _by_parameters({LinearParameters: linear_step, TargetParameters: target_step})
+"""Step of a compensation method: of parameters, state, ground, measured, progress and points."""
+answer = _by_parameters(
+    {
+        TransferParameters: transfer_step,
+        FeedforwardParameters: feedforward_step,
+        ServoParameters: servo_step,
+    }
+)
+"""Step of a force controller: of parameters, state, points, measured and command; a bool."""
+estimate = _by_parameters({LinearParameters: no_estimates, TargetParameters: target_estimates})
+"""Sample the estimates of a compensation method: of parameters, state and result (k, n)."""
 
 
 class LoopSamples(NamedTuple):
@@ -422,6 +268,7 @@ def _run_steps(
     first, last : int
         The first step, and the one after the last.
     """
+    # beyond 60 lines: the loop is one function for the compiler
     # each tuple is taken apart once: within the loop this takes the compiler three times as long
     rig, rig_state = loop.rig
     guard, guard_state = loop.guard

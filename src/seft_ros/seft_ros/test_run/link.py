@@ -15,17 +15,10 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import EVERY_NODE
 from seft_msgs_py.errors import ExperimentError, InputError, WireError
-from seft_msgs_py.node.rclpy_interface import (
-    RclWaitSet,
-    command_node,
-    leave_graph,
-    raw_publisher,
-    raw_subscription,
-    sender,
-    taker,
-)
+from seft_msgs_py.node.dds import DdsEndpoint
+from seft_msgs_py.node.rclpy_interface import RclWaitSet, command_node, leave_graph
 from seft_msgs_py.wire.messages import decode_string, encode_string
-from seft_msgs_py.wire.topics import LINK_PING, LINK_PONG, TARGET, RigAxes, Topic
+from seft_msgs_py.wire.topics import LINK_PING, LINK_PONG, TARGET, RigAxes, Topic, bare
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.design.margin_ends import MASS_RATIO_RESERVE as RESERVE
@@ -252,22 +245,22 @@ class _LinkNode:
     """A node that publishes one topic and subscribes to another."""
 
     def __init__(self, name: str, sends: Topic, receives: Topic) -> None:
-        self.node = command_node(name)
-        self.publisher = raw_publisher(self.node, sends)
-        self.send = sender(self.publisher)
-        self.subscription = raw_subscription(self.node, receives, reliable=False)
-        self._take = taker(self.subscription)
-        self._wait_set = RclWaitSet(self.node.context, [self.subscription])
+        self._node = command_node(name)
+        self.endpoint = DdsEndpoint(self._node)
+        self.publisher = self.endpoint.publish(sends)
+        self.send = self.publisher.send
+        self.subscription = self.endpoint.subscribe(receives, reliable=False)
+        self._wait_set = RclWaitSet(self._node.context, [self.subscription])
 
     def listen(self, timeout: float) -> Iterator[bytes]:
         """Wait at most ``timeout`` s for messages, and give all that have come."""
         self._wait_set.wait(timeout)
-        while (taken := self._take()) is not None:
+        while (taken := self.subscription.take()) is not None:
             yield taken[0]
 
     def close(self) -> None:
         """Leave the graph."""
-        leave_graph(self.node)
+        leave_graph(self._node)
 
 
 def echo(progress: Callable[[int], None]) -> None:
@@ -367,11 +360,11 @@ def _find_echo(link: _LinkNode, pong: Topic) -> None:
     """Wait for the one node that echoes."""
     deadline = time.monotonic() + _ECHO_TIMEOUT_S
     while True:
-        echoes = link.node.get_publishers_info_by_topic(pong.name)
+        echoes = link.endpoint.publishers(pong.name)
         if len(echoes) > 1:
-            names = ", ".join(sorted(echo.node_name for echo in echoes))
+            names = ", ".join(sorted(map(bare, echoes.values())))
             raise InputError(f"several nodes echo on this ROS domain: {names}; end all but one")
-        if link.publisher.get_subscription_count() and link.subscription.get_publisher_count():
+        if link.publisher.listener_count() and link.subscription.publisher_count():
             return
         if time.monotonic() > deadline:
             domain = os.environ.get("ROS_DOMAIN_ID", "0")

@@ -30,6 +30,7 @@ from seft_msgs_py.errors import ExperimentError
 from seft_msgs_py.node.host import process_stat
 from seft_msgs_py.wire.messages import typestore
 from seft_plant_sim.compiled import entry_point, is_finite
+from setproctitle import setproctitle
 
 IMPORTED = (
     "seft_ros.bags.bag_writer",
@@ -40,7 +41,6 @@ IMPORTED = (
 thread may be forked."""
 _END_TIMEOUT_S = 10.0  # s for nodes that the run did not end
 _POLL_PERIOD = 0.05  # s
-LONGEST_COMMAND = 4096  # bytes
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None)
 
@@ -71,8 +71,7 @@ class NodeStarter:
 
     def __init__(self) -> None:
         self._process = subprocess.Popen(
-            # its nodes write their command lines over the blanks
-            [sys.executable, "-m", __name__, " " * LONGEST_COMMAND],
+            [sys.executable, "-m", __name__],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             start_new_session=True,  # Ctrl-C must not end it
@@ -206,14 +205,7 @@ def _begin(request: Mapping[str, Any], report: int) -> None:
     os.closerange(3, os.sysconf("SC_OPEN_MAX"))
     name, *words = request["words"]
     sys.argv = [name, *words]
-    _show([sys.executable, "-m", name, *words])
-
-
-def _show(command: Sequence[str]) -> None:
-    """Make system tools show this command line for this process."""
-    begin, end = map(int, process_stat(os.getpid())[45:47])
-    text = "\0".join(command).encode()[: end - begin - 1]
-    ctypes.memmove(begin, text.ljust(end - begin, b"\0"), end - begin)
+    setproctitle(" ".join([sys.executable, "-m", name, *words]))
 
 
 def _report_ended(running: set[int], report: int) -> None:

@@ -9,7 +9,6 @@ from typing import Any
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.node.clock import AwakeClock
 from seft_msgs_py.node.dds import DdsEndpoint
-from seft_msgs_py.node.follower import Follower
 from seft_msgs_py.node.process import is_running
 from seft_msgs_py.node.rclpy_interface import (
     SingleThreadedExecutor,
@@ -18,6 +17,7 @@ from seft_msgs_py.node.rclpy_interface import (
     message_class,
     qos_profile,
 )
+from seft_msgs_py.node.senders import Follower
 from seft_msgs_py.wire.experiment_state import ExperimentState, decode_state
 from seft_msgs_py.wire.messages import Status, decode_diagnostics
 from seft_msgs_py.wire.outcome import (

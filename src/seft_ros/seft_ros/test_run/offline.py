@@ -40,14 +40,8 @@ from seft_ros.bags.recording import (
 )
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.reference_force.reference_force_block import sampling_period
-from seft_ros.test_run.compiled_loop import (
-    Blocks,
-    LoopSamples,
-    build_blocks,
-    is_compiled,
-    run_compiled,
-    why_not_compiled,
-)
+from seft_ros.test_run.blocks import Blocks, build_blocks
+from seft_ros.test_run.compiled_loop import LoopSamples, is_compiled, run_compiled, why_not_compiled
 from seft_ros.test_run.state_machine import while_ramping_down
 
 PLAIN_STEPS = 500_000

@@ -83,7 +83,7 @@ def check_peers(duration: float, nodes: Mapping[str, Mapping[str, Any]]) -> Rehe
 
 def with_biases(found: Rehearsed, rigs: Iterable[Mapping[str, Any]]) -> Rehearsed:
     """Add what the descriptions of rigs say of their biases to the result of a rehearsal."""
-    from seft_plant_sim.judge.biases import check_biases  # numba, which the tables do not need
+    from seft_plant_sim.calibration import check_biases  # numba, which the tables do not need
 
     if found.asked:
         return found

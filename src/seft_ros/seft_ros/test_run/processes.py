@@ -9,13 +9,11 @@ import signal
 import struct
 import tempfile
 import time
-from collections.abc import Collection, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
-from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.node.host import (
     may_keep_awake,
@@ -182,7 +180,7 @@ COMPOSED = "seft_ros.nodes.loop_node"
 
 
 class NodeProcesses:
-    """Processes of some nodes, each with its log file.
+    """Processes of some nodes, each with its log file; a context that ends them in any case.
 
     Parameters
     ----------
@@ -192,17 +190,17 @@ class NodeProcesses:
         Names of the nodes.
     arguments : sequence of str
         Words by which each gets its parameters, see `Experiment.arguments`.
-    logs : Path
-        Folder for the logs.
     layout : ProcessLayout
         Where they run.
     lockstep : bool
         Schedule the loop's nodes for throughput rather than for latency, until `settle`.
+    bag : Path, optional
+        Folder of the test's bag.
 
     Attributes
     ----------
     bag : Path or None
-        Where the test's bag is.
+        Where the test's bag is. The logs are kept in it, if it exists at the end.
     """
 
     def __init__(
@@ -210,14 +208,13 @@ class NodeProcesses:
         starter: NodeStarter,
         nodes: Iterable[str],
         arguments: Sequence[str],
-        logs: Path,
         layout: ProcessLayout,
         *,
         lockstep: bool,
+        bag: Path | None = None,
     ) -> None:
-        self._starter, self._logs, nodes = starter, logs, list(nodes)
-        self._arguments = arguments
-        self.bag: Path | None = None
+        self._starter, self._arguments, self.bag, nodes = starter, arguments, bag, list(nodes)
+        self._logs = Path(tempfile.mkdtemp(prefix="seft-"))
         self._cores = os.sched_getaffinity(0)
         self._placement = layout.placement(nodes, lockstep=lockstep)
         if self._placement is not None:
@@ -229,7 +226,19 @@ class NodeProcesses:
                 self._processes.update(dict.fromkeys(group, self._start(group)))
         except BaseException:
             self.stop(0.0)
+            shutil.rmtree(self._logs, ignore_errors=True)
             raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        try:
+            self.stop()
+            if self.bag is not None and self.bag.is_dir():
+                shutil.copytree(self._logs, self.bag / "logs", dirs_exist_ok=True)
+        finally:
+            shutil.rmtree(self._logs, ignore_errors=True)
 
     def ended(self) -> dict[str, str]:
         """Nodes whose process has ended: how it ended, with the last line it wrote about it."""
@@ -301,46 +310,3 @@ class NodeProcesses:
         lines = self._logs_of[node].read_text(errors="replace").strip().splitlines()
         problems = [line for line in lines if not line.startswith("[INFO]")]
         return problems[-1] if problems else "it wrote nothing about it"
-
-
-@contextmanager
-def node_processes(
-    starter: NodeStarter,
-    nodes: Iterable[str],
-    experiment: Experiment,
-    layout: ProcessLayout,
-    *,
-    lockstep: bool,
-    bag: Path | None = None,
-) -> Iterator[NodeProcesses]:
-    """Run nodes of an experiment, and end them in any case, even if this process is killed.
-
-    Parameters
-    ----------
-    starter : NodeStarter
-        Starts them.
-    nodes : iterable of str
-        Names of the nodes.
-    experiment : Experiment
-        Holds the nodes' parameters.
-    layout : ProcessLayout
-        Where they run.
-    lockstep : bool
-        Whether they need not keep time.
-    bag : Path, optional
-        Folder in which the logs are kept, if it exists at the end; `NodeProcesses.bag` replaces it.
-    """
-    folder = Path(tempfile.mkdtemp(prefix="seft-"))
-    try:
-        words = experiment.arguments()
-        processes = NodeProcesses(starter, nodes, words, folder, layout, lockstep=lockstep)
-        try:
-            processes.bag = bag
-            yield processes
-        finally:
-            bag = processes.bag
-            processes.stop()
-    finally:
-        if bag is not None and bag.is_dir():
-            shutil.copytree(folder, bag / "logs", dirs_exist_ok=True)
-        shutil.rmtree(folder, ignore_errors=True)

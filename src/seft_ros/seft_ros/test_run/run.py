@@ -14,7 +14,7 @@ from seft_msgs_py.node.process import as_before, on_ending, prepare_on_this_host
 from seft_msgs_py.wire.outcome import BY_OPERATOR, State
 from seft_msgs_py.wire.topics import EXPERIMENT_STATE, NODES, LoopTopic, bare, topics_of, with_rigs
 
-from seft_ros.bags.bag_place import why_not_writable
+from seft_ros.bags.bag_writer import why_not_writable
 from seft_ros.test_run.node_starter import NodeStarter
 from seft_ros.test_run.observer import Observer
 from seft_ros.test_run.parameter_tables import RECORDER_TABLE
@@ -24,7 +24,6 @@ from seft_ros.test_run.processes import (
     MODULES,
     NodeProcesses,
     ProcessLayout,
-    node_processes,
 )
 
 _POLL_PERIOD = 0.05  # s
@@ -299,9 +298,8 @@ def run_experiment(
     with NodeStarter() as starter, closing(Observer(with_rigs(NODES, experiment.rigs))) as observer:
         observer.refuse_other_tests(external)
         progress("starting the nodes", 0)
-        with node_processes(
-            starter, nodes, experiment, layout, lockstep=lockstep, bag=bag
-        ) as processes:
+        words = experiment.arguments()
+        with NodeProcesses(starter, nodes, words, layout, lockstep=lockstep, bag=bag) as processes:
             monitor = RunMonitor(observer, processes, progress, experiment)
             monitor.start()
             try:

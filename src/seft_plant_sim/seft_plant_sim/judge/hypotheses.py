@@ -1,0 +1,243 @@
+"""Hypotheses on a sample after a branch of the judge, and their weights.
+
+A hypothesis is a set of unknown amplitudes b: of wrong channels, which add L b to the residuals e
+of `judge_step`, of an event of the specimen (it sticks, slips, yields, hits a stop), which adds to
+(4), and of the oil, to (3). Its weight is its prior times the likelihood of e, b integrated out: a
+wrong value is normal, as wide as all that its sensor can show; an event is of any order of
+magnitude (Laplace's method).
+
+A value at the end of its sensor's range is unknown, but beyond that: its hypothesis is weighted by
+the chance of this.
+"""
+
+import math
+
+from seft_msgs_py.arrays import Floats
+
+from seft_plant_sim.compiled import compiled
+from seft_plant_sim.judge.judge import REVISED, Record
+
+RARE = math.log(1e-6)
+"""Chance that a sample has a wrong channel: of a false alarm."""
+
+ANOTHER = math.log(1e-2)
+"""Part of the wrong samples in which one more channel is wrong, or all are (a common cause)."""
+
+LASTS_ON, ENDS = math.log(0.1), math.log(0.9)
+"""Chance that a channel that was wrong in the last samples is wrong in the next, or is not."""
+
+NEW, KNOWN, GOES_ON = 1e-6, 1e-4, 0.1
+"""Chance of an event of a kind that the test has not shown, as of a wrong channel: both look the
+same until the velocity shows it. Chance of one like those that later samples have confirmed in the
+last seconds, and of one like that of the last three samples."""
+
+X, V, A, F = range(4)
+"""Rows of a sample, and relations (1) to (4)."""
+
+ANY_CHANNEL, FORCES, OIL_EVENT, EVENT = 0b001111, 0b001100, 0b010000, 0b100000
+"""Bits of a set: of its channels, of those of which r is made, and of events."""
+
+TINY = 1e-60
+"""Least variance, or information: four of them are still numbers."""
+
+ROUNDING = 1e-14
+"""Least part of a variance that the others may leave: less is rounding. All channels wrong, without
+a known range of any, leave none."""
+
+HALF_LOG_TURN = 0.5 * math.log(2.0 * math.pi)
+
+
+@compiled
+def is_turn(which: int) -> bool:
+    """Say whether in a set an event turns the acceleration at an unknown time, by a known jump."""
+    return which & EVENT != 0 and which & FORCES == 0
+
+
+@compiled
+def allow_turn(known: Record, c: Record) -> None:
+    """Add to the covariance that the jump of (4) comes at any time since the last sample."""
+    s, h, oil = c.covariance, known.dt, known.oil
+    jump = abs(c.off[3]) / known.mass if known.mass > 0.0 else 0.0
+    kink = (h * h * jump) ** 2 / 720.0
+    s[V, V] += (h * jump) ** 2 / 12.0
+    s[X, X] += kink
+    s[2, 2] += oil * oil * kink
+
+
+@compiled
+def factorise(matrix: Floats, root: Floats, size: int) -> float:
+    """Cholesky factor of a matrix, of which the lower half is read, its diagonal inverted; det."""
+    det = 1.0
+    for row in range(size):
+        for column in range(row):
+            value = matrix[row, column]
+            for k in range(column):
+                value -= root[row, k] * root[column, k]
+            root[row, column] = value * root[column, column]
+        value = matrix[row, row]
+        for k in range(row):
+            value -= root[row, k] * root[row, k]
+        value = max(value, TINY, ROUNDING * matrix[row, row])
+        root[row, row], det = 1.0 / math.sqrt(value), det * value
+    return det
+
+
+@compiled
+def whiten(known: Record, c: Record, first: int) -> float:
+    """Fill `whitened` from a column on, and give det S."""
+    root, w = c.root, c.whitened
+    det = factorise(c.covariance, root, 4)
+    for row in range(4):
+        for column in range(first, 7):
+            value = c.off[row] if column == 6 else 0.0
+            if column < 4:
+                value = known.now[row, column]
+            elif row == column - 2:  # events add to the last two relations
+                value = 1.0
+            for k in range(row):
+                value -= root[row, k] * w[k, column]
+            w[row, column] = value * root[row, row]
+    return det
+
+
+@compiled
+def product(c: Record, j: int, k: int) -> float:
+    """Product of two columns of `whitened`."""
+    w = c.whitened
+    return w[0, j] * w[0, k] + w[1, j] * w[1, k] + w[2, j] * w[2, k] + w[3, j] * w[3, k]
+
+
+@compiled
+def fill_gram(known: Record, c: Record) -> float:
+    """Fill `gram`, and give chi^2 of the residuals."""
+    for j in range(7):
+        for k in range(j + 1):
+            c.gram[j, k] = product(c, j, k)
+        if j < 6:
+            c.gram[j, j] += known.precision[min(j, F)]
+    return c.gram[6, 6]
+
+
+@compiled
+def solve(c: Record, which: int, at: int) -> tuple[float, float]:
+    """Find the amplitudes of a set and their variances, of a candidate.
+
+    Give by how much they lower chi^2, and the log det of their information.
+    """
+    count = 0
+    chosen, factor, solution = c.chosen, c.factor, c.solution
+    for j in range(6):
+        c.spread[at, j] = 0.0
+        if which >> j & 1:
+            chosen[count] = j
+            count += 1
+    for a in range(count):
+        for k in range(a + 1):
+            factor[a, k] = c.gram[chosen[a], chosen[k]]
+    det, gain = factorise(factor, factor, count), 0.0
+    for a in range(count):
+        value = c.gram[6, chosen[a]]
+        for k in range(a):
+            value -= factor[a, k] * solution[k]
+        solution[a] = value * factor[a, a]
+        gain += solution[a] * solution[a]
+    for a in range(count - 1, -1, -1):
+        value = solution[a]
+        for k in range(a + 1, count):
+            value -= factor[k, a] * c.amplitude[at, chosen[k]]
+        c.amplitude[at, chosen[a]] = value * factor[a, a]
+    for j in range(count):  # the diagonal of the inverse: squares of the columns of the factor's
+        for a in range(j, count):
+            value = 1.0 if a == j else 0.0
+            for k in range(j, a):
+                value -= factor[a, k] * solution[k]
+            solution[a] = value * factor[a, a]
+            c.spread[at, chosen[j]] += solution[a] * solution[a]
+    return gain, math.log(det)
+
+
+@compiled
+def members(which: int) -> int:
+    """Count the channels of a set."""
+    return (which & 1) + (which >> 1 & 1) + (which >> 2 & 1) + (which >> 3 & 1)
+
+
+@compiled
+def wrong_before(b: Record) -> int:
+    """Give the channels that were wrong in the last samples of a branch."""
+    wrong = 0
+    for age in range(REVISED):
+        wrong |= b.wrong[age]
+    return wrong & ANY_CHANNEL
+
+
+@compiled
+def log_prior(before: int, which: int, forced: int) -> float:
+    """Prior of a set after others; of values that are no numbers, or at their ends, none."""
+    asked = ANY_CHANNEL & ~(forced | forced >> 4)
+    fresh, before, value = which & ~before & asked, before & asked, 0.0
+    if fresh:
+        others = 1 if fresh == ANY_CHANNEL else members(fresh) - 1
+        value = RARE + others * ANOTHER
+    return value + LASTS_ON * members(before & which) + ENDS * members(before & ~which)
+
+
+@compiled
+def log_below(margin: float) -> float:
+    """Logarithm of the chance that a standard normal value is below a margin."""
+    if margin > -5.0:
+        return math.log(0.5 * math.erfc(-margin / math.sqrt(2.0)))
+    return -0.5 * margin * margin - math.log(-margin) - HALF_LOG_TURN
+
+
+@compiled
+def weigh_end(known: Record, c: Record, b: Record, row: int, at: int) -> tuple[float, bool]:
+    """Weigh a value at its range's end: it is beyond that, by the others, or it is wrong.
+
+    Give the logarithm of the larger chance, and whether it is beyond.
+    """
+    value, before, which = c.seen[row] - c.amplitude[at, row], wrong_before(b), c.which[at]
+    outside = (value if c.seen[row] > 0.0 else -value) - known.range[row]
+    beyond = log_below(outside / math.sqrt(c.spread[at, row]))
+    wrong = ANOTHER if which & ~before & ANY_CHANNEL & ~(1 << row) else RARE
+    if before >> row & 1:
+        beyond, wrong = beyond + ENDS, LASTS_ON
+    wrong += math.log(0.5)
+    return max(beyond, wrong), beyond > wrong
+
+
+@compiled
+def log_amplitudes(known: Record, axis: Record, c: Record, at: int) -> float:
+    """Prior of the amplitudes of a set: a wrong value may be any that the sensor can show."""
+    which, b, value = c.which[at], axis.alive[c.branch[at]], 0.0
+    for row in range(4):
+        if not which >> row & 1:
+            continue
+        if c.forced >> row + 4 & 1:
+            value += HALF_LOG_TURN + weigh_end(known, c, b, row, at)[0]
+        else:
+            value += 0.5 * math.log(known.precision[row])
+    if which & EVENT:
+        jumps, recent, size = b.event, 0.0, c.amplitude[at, 5]
+        for age in range(3):
+            recent = max(recent, abs(jumps[age]))
+        rate = NEW
+        if axis.known > 0.0:
+            rate += KNOWN * math.exp(-0.5 * (size / axis.known) ** 2)
+        if recent > 0.0:
+            rate += GOES_ON * math.exp(-0.5 * (size / recent) ** 2)
+        value += HALF_LOG_TURN + math.log(rate) + log_size(size, c.covariance[3, 3], known.orders)
+        value += ANOTHER if known.mass == 0.0 else 0.0  # only the next sample can confirm it
+    if which & OIL_EVENT:
+        value += (
+            HALF_LOG_TURN
+            + math.log(NEW)
+            + log_size(c.amplitude[at, 4], c.covariance[2, 2], known.orders)
+        )
+    return value
+
+
+@compiled
+def log_size(size: float, variance: float, orders: float) -> float:
+    """Prior of the size of an event: of any order of magnitude."""
+    return -math.log(2.0 * (abs(size) + math.sqrt(variance))) - orders
