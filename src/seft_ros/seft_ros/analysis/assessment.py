@@ -242,7 +242,7 @@ def _together(summary: dict[str, Any]) -> Iterator[TestFinding]:
 def _untold(summary: dict[str, Any]) -> Iterator[TestFinding]:
     """Find what an error of the forces would mean, where nobody told it: nothing can show it."""
     effect = (summary["calibration"] or {}).get("force_scale")
-    if effect is not None and not _is_simulated(summary):
+    if effect and not _is_simulated(summary):
         text = (
             f"nobody told the load cell's scale, of which {_about(UNTOLD)} would mean an error of "
             f"{_about(effect)} in displacement"

@@ -100,7 +100,10 @@ class CalibrationEffect:
         off = 1.0 - 1.0 / factor
         force = self._motion @ self.mass.T + self._samples[:, _F]
         true = self._total - off[:, np.newaxis] * self.mass
-        return self._of(off * force @ np.linalg.inv(true).T)
+        of_force = off * force @ np.linalg.inv(true).T
+        if np.linalg.norm(of_force) < 1e-9 * np.linalg.norm(self._motion):  # EFT: rounding
+            return 0.0
+        return self._of(of_force)
 
     def of_force_lag(self, lag: Floats) -> float:
         """Error if the force is late by so much, shape (n,), s."""
