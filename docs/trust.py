@@ -4,9 +4,9 @@
 
 Draws so many tests of one axis or three, each with and without a wrong mass, scale, lag, filter or
 tilt, or a channel that changes in mid-test, and assesses them as a laboratory would see them. With
---multisine each rig has an open loop and a multisine test first, as `seft identify --specimen` does,
-and tests get what these have found: once the error comes after them, and once it is there already.
-Of every other specimen the mass is weighed, which tells the scale of the force. Each motion is FILE, or
+--multisine each rig has an open loop and a multisine test first, as with `seft identify`, and tests
+get what these have found: once the error comes after them, and once it is there already. Of every
+other specimen the mass is weighed, which tells the scale of the force. Each motion is FILE, or
 FILE:UNIT:DT:COLUMN (yours to bring), beside the synthetic one.
 """
 
@@ -219,7 +219,7 @@ def identified_of(words, axes, weighed):
         return recording
 
     def opened(seconds, volts):
-        return moved(motions.unit(seconds), lambda *of: open_loop(*of, volts, False))
+        return moved(motions.unit(seconds), lambda of, path: open_loop(of, path, volts, False))
 
     motions = Motions(experiment, band, 1, math.inf)
     most = motions.largest_levels(SECONDS)

@@ -275,7 +275,10 @@ def test_a_load_that_hung_on_the_load_cell_tells_its_scale(identify, tmp_path):
         (("--known-mass", "52.7"), "--known-mass is that of the multisine test: give"),
         (("--specimen", "--known-mass", "0"), "must be positive, once for each of the axes x"),
         (("--known-force", "1000", "1030"), "--known-force is that of the multisine test: give"),
-        (("--specimen", "--known-force", "1000", "-1030"), "the load cell must show a load of the same sign"),
+        (
+            ("--specimen", "--known-force", "1000", "-1030"),
+            "the load cell must show a load of the same sign",
+        ),
     ],
 )
 def test_a_mass_or_load_that_makes_no_sense_is_one_line(identify, words, why):

@@ -97,7 +97,7 @@ class CalibrationCheck:
     clipped : float or None
         Displacement error that accelerations beyond their sensor's range mean, by the velocity.
     force_scale : float or None
-        Displacement error that `assessment.UNTOLD` of the forces' scale would mean, where nobody told the
+        Displacement error that `UNTOLD` of the forces' scale would mean, where nobody told the
         scale, and the mass was identified by these forces; otherwise None.
     unsure, unsure_lag : float or None
         Displacement error that errors of the masses, and of the forces' lags, of
