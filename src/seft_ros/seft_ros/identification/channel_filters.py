@@ -170,7 +170,7 @@ def _of_motion(
     """Filter of velocity or acceleration (order 1 or 2) against the displacement."""
     by_x = (1j * w) ** order
     motion = by_x[:, np.newaxis] * amplitude[:, DISPLACEMENT]
-    error = np.hypot(noise[:, order, i], np.abs(by_x) * noise[:, DISPLACEMENT, i])
+    error = noise[:, order, i], np.abs(by_x) * noise[:, DISPLACEMENT, i]
     nothing = np.zeros((len(w), 0), complex)
     return _likeliest(w, amplitude[:, order, i], error, motion, (nothing,) * 2, top)
 
@@ -190,7 +190,7 @@ def _of_force(
     used = w <= top
     w, amplitude, noise, s = w[used], amplitude[used], noise[used], 1j * w[used, np.newaxis]
     a, x = amplitude[:, ACCELERATION], amplitude[:, DISPLACEMENT]
-    error = np.hypot(noise[:, FORCE, i], mass[0][i, i] * noise[:, ACCELERATION, i])
+    error = noise[:, FORCE, i], mass[0][i, i] * noise[:, ACCELERATION, i]
 
     def restoring(motion: Complexes) -> Complexes:
         slow = [motion * s / (s + 2 * np.pi * each) for each in _RELAXATIONS]
@@ -208,7 +208,7 @@ def _of_force(
 def _likeliest(
     w: Floats,
     y: Complexes,
-    noise: Floats,
+    noises: tuple[Floats, Floats],
     columns: Complexes,
     ways: Sequence[Complexes],
     top: float,
@@ -216,11 +216,11 @@ def _likeliest(
 ) -> _Found:
     """Give the likeliest filter, of either side, that is significant, or none.
 
-    y = columns b + others c. A filter of y is of all of it, one of the columns of them alone.
-    ``ways`` are the others for these, ``top`` the highest frequency, rad/s. ``prior`` are values
-    and errors of the first unknowns.
+    y = columns b + others c; ``noises`` are those of y and of columns b. A filter of y is of all of
+    it, one of the columns of them alone. ``ways`` are the others for these, ``top`` the highest
+    frequency, rad/s. ``prior`` are values and errors of the first unknowns.
     """
-    nothing = np.zeros(0)
+    nothing, noise = np.zeros(0), np.hypot(*noises)
     plain = min(
         (_fitted(w, y, noise, columns, others, NONE, nothing, prior) for others in ways),
         key=lambda one: one.left,
@@ -237,7 +237,13 @@ def _likeliest(
         return plain
     spread = max(1.0, best.left / len(w) / 2.0)
     is_better = plain.left - best.left > 2.0 * MULTISINE_SIGMAS**2 * spread
-    return best if is_better and (MULTISINE_SIGMAS * best.error < 1.0).all() else plain
+    if not (is_better and (MULTISINE_SIGMAS * best.error < 1.0).all()):
+        return plain
+    # what is taken back of a filter amplifies the noise of that side, which would bias the filter
+    p, q = np.exp(best.value)
+    amplified = np.abs(1.0 + 1j * p * w - q * w * w) ** -best.side
+    noise, others = np.hypot(noises[0], amplified * noises[1]), ways[0 if best.side > 0 else 1]
+    return _fitted(w, y, noise, columns, others, best.side, best.value, prior)
 
 
 def _fitted(
