@@ -4,12 +4,14 @@
 
 Draws so many tests of one axis or three, each with and without a wrong mass, scale, lag, filter or
 tilt, or a channel that changes in mid-test, and assesses them as a laboratory would see them. With
---multisine each rig has a multisine test first, and tests get what that has found: once the error
-comes after the multisine test, and once it is there already. Each motion is FILE, or
+--multisine each rig has an open loop and a multisine test first, as with `seft identify`, and tests
+get what these have found: once the error comes after them, and once it is there already. Of every
+other specimen the mass is weighed, which tells the scale of the force. Each motion is FILE, or
 FILE:UNIT:DT:COLUMN (yours to bring), beside the synthetic one.
 """
 
 import argparse
+import math
 import sys
 from collections import Counter
 from pathlib import Path
@@ -28,7 +30,12 @@ from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.calibration_effect import led
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.analysis.report_numbers import report_numbers
-from seft_ros.identification.calibrated import Calibrated, MultisineResult, all_known, moved_by
+from seft_ros.identification.calibrated import (
+    MultisineResult,
+    found_filters,
+    moved_by,
+    rough_calibration,
+)
 from seft_ros.identification.multisine import (
     PILOT_SECONDS,
     gains_after,
@@ -36,7 +43,14 @@ from seft_ros.identification.multisine import (
     plan_multisine,
     with_actuators,
 )
-from seft_ros.identification.rig_tests import multisine_test, write_forces
+from seft_ros.identification.rig_tests import (
+    Motions,
+    multisine_test,
+    open_loop,
+    pilot_voltage,
+    voltage_after,
+    write_forces,
+)
 from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate_test
 from test_detectors import KIND, PLAN, SPECIMEN, load
@@ -44,6 +58,8 @@ from test_identification_multisine import identified
 
 STOREYS = "specimen.springs:=[1.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0, -1.0, 1.0]"
 SENSORS, FRAME = "rig:simulated.sensors.", "three_storey_frame"
+SECONDS = 60.0
+"""Of the open loop, which shows filters."""
 SPOILED = 0.05
 """A test is wrong if its displacement is off by more than this."""
 SHIFTS = np.linspace(-8e-3, 8e-3, 33)
@@ -188,28 +204,40 @@ def simulated(experiment):
     return blocks, simulate_test(experiment, blocks, compiles=True)
 
 
-def multisine_of(words, axes):
-    """Run the multisine test on a rig, whose actuators are known; give the words that follow."""
+def identified_of(words, axes, weighed):
+    """Run open loop and multisine test on a rig of known actuators; give the words that follow."""
     experiment = loaded(words, axes)
-    dt, found = experiment.timebase.dt, identified(experiment)
+    rate, found = experiment.timebase.rate, identified(experiment)
+    band = (0.3, min(0.45 * rate, 200.0))
 
-    def moved(commands):
+    def moved(forces, test):
         with TemporaryDirectory() as folder:
-            path = write_forces(Path(folder) / "multisine.csv", experiment, commands)
-            recording = simulated(multisine_test(experiment, path))[1]
+            path = write_forces(Path(folder) / "forces.csv", experiment, forces)
+            recording = simulated(test(experiment, path))[1]
         if recording.trip is not None:
-            raise InputError(f"the multisine test tripped: {recording.trip.reason}")
+            raise InputError(f"a test before tripped: {recording.trip.reason}")
         return recording
 
+    def opened(seconds, volts):
+        return moved(motions.unit(seconds), lambda of, path: open_loop(of, path, volts, False))
+
+    motions = Motions(experiment, band, 1, math.inf)
+    most = motions.largest_levels(SECONDS)
+    volts = pilot_voltage(experiment, most)
+    volts = voltage_after(opened(motions.of_pilot(SECONDS), volts), volts, most)
+    recording = opened(SECONDS, volts)
+    filters = found_filters(recording, band)
+    known = rough_calibration(recording, band, filters)
+
     plan = with_actuators(plan_multisine(experiment), found, experiment)
-    commands, sines = multisine_drive(plan, found, dt, seconds=PILOT_SECONDS)
-    gains = gains_after(plan, moved_by(moved(commands), sines))
-    commands, sines = multisine_drive(plan, found, dt, gains=gains)
-    recording, nothing = moved(commands), all_known(experiment)
-    known = Calibrated(nothing, nothing, 0.0, False)
-    for _ in range(2):  # the second time with the lags that it has found
-        multisine = MultisineResult.of_recording(plan, recording, sines, found, known)
-        known = multisine.calibrated
+    commands, sines = multisine_drive(plan, found, 1.0 / rate, seconds=PILOT_SECONDS)
+    gains = gains_after(plan, moved_by(moved(commands, multisine_test), sines))
+    commands, sines = multisine_drive(plan, found, 1.0 / rate, gains=gains)
+    shaken = moved(commands, multisine_test)
+    for _ in range(2):  # the second time with the filters and lags that it has found
+        given = plan, shaken, sines, found, known, filters, weighed
+        multisine = MultisineResult.of_recording(*given)
+        filters, known = found_filters(recording, band, multisine), multisine.calibrated
     words = ("/**", multisine.facts()), ("rig", truth(experiment["rig"]))  # which stays as it was
     return tuple((place, *item) for place, section in words for item in section.items())
 
@@ -274,7 +302,8 @@ def main():
         words, error = drawn_test(seed, axes, motions)
         shown = f"{seed}: {words} {error}"
         try:
-            found = multisine_of(words, axes) if given.multisine else ()
+            weighed = [MASS] * axes if seed % 2 else ()
+            found = identified_of(words, axes, weighed) if given.multisine else ()
             fault_free = run((*words, *found), axes)
             if fault_free[1] is None:
                 continue
@@ -282,7 +311,7 @@ def main():
             after = run((*words, *found, *error), axes)
             table.add(AFTER if found else ALONE, after, shown)
             if found:
-                known = multisine_of((*words, *error), axes)
+                known = identified_of((*words, *error), axes, weighed)
                 table.add(BEFORE, run((*words, *error, *known), axes), shown)
         except InputError as refusal:
             table.counts["refused", "", ""] += 1

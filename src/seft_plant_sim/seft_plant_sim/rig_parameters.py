@@ -132,7 +132,10 @@ _OF_THE_PAPER = {
     "dead_time": 0.001,
 }
 """Where nothing is known of the actuator; all but leakage and dead time are above 0."""
-_NO_TRUTH = ("specimen.mass_error", "calibration.force_lag_error", "calibration.zeroing")
+_NO_TRUTH = (
+    *("specimen.mass_error", "calibration.force_lag_error", "calibration.force_scale_error"),
+    "calibration.zeroing",
+)
 
 
 def _true(fact: Parameter) -> Parameter:

@@ -58,6 +58,7 @@ GOOD = {
         "lag": deviation("lag", "force", -1e-5, 0.0, 1e-5),
         "drift": deviation("drift", "force", 1.2, 0.0, 0.9),
         "at_most": 0.03,
+        "force_scale": None,
         "unsure": 0.02,
         "unsure_lag": 0.07,
     },
@@ -266,6 +267,16 @@ def test_what_is_not_known_counts_and_effects_add_up(most, motion, mark):
     assert assessment.verdict is mark
     if mark is Mark.DOUBT:
         assert assessment.findings[0].name == "together"
+
+
+def test_a_scale_of_the_force_that_nobody_told_is_named_and_does_not_doubt():
+    untold = {"calibration__force_scale": 0.023}
+    assert assess_test(changed(**untold)).text == "This test can be trusted."  # by its truth
+    assessment = assess_test(changed(**untold, **REAL))
+    assert assessment.verdict is Mark.GOOD
+    said = "scale, of which 1 % would mean an error of 2.3 % in displacement."
+    assert assessment.text.endswith(said)
+    assert "load cell" not in assess_test(changed(damage=["cut"], **untold, **REAL)).text
 
 
 def test_it_says_how_well_mass_and_lag_are_known():

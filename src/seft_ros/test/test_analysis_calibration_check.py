@@ -9,6 +9,7 @@ import pytest
 from experiments_at_hand import CONFIG, load, simulated
 from recordings_at_hand import as_measured, shown, without
 from seft_msgs_py.config.experiment import Experiment
+from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis import calibration_check as checks
 from seft_ros.analysis import equivalent_motion
 from seft_ros.analysis.assessment import IN_LABORATORY, calibration_findings
@@ -16,6 +17,7 @@ from seft_ros.analysis.calibration_check import calibration_check
 from seft_ros.analysis.calibration_effect import led
 from seft_ros.analysis.equivalent_motion import motion_difference
 from seft_ros.analysis.folding import expected_relations
+from seft_ros.analysis.metrics import nrmse
 from seft_ros.analysis.report_numbers import report_numbers
 from seft_ros.analysis.result_text import OF_THE_MODEL, summary_texts
 from seft_ros.analysis.summary import summarise
@@ -139,6 +141,26 @@ def test_what_a_separate_test_found_is_combined_by_the_errors():
     alone = calibration_check(short(known)).mass
     assert alone.estimate == pytest.approx(mass)
     assert alone.error == pytest.approx(0.1)
+
+
+def test_the_verdict_counts_what_is_told_of_the_forces_scale_or_names_it():
+    """A load cell that told the mass, too, is wrong by 1 %: nothing but a truth shows it."""
+    identified = "specimen.mass:=53.227", "rig:simulated.specimen.mass:=52.7"
+    wrong = simulated(load(*PLAN, *identified, "rig:simulated.sensors.force_scale:=1.01"))
+    exact = reference_response(wrong.experiment, wrong.series["ground_motion"].values[:, 0])
+    error = nrmse(wrong.measured.values[:, 0], exact.displacement)
+
+    def check(**facts):
+        known = {f"{group}_error": value for group, value in facts.items()}
+        named = {name.replace("__", "."): value for name, value in known.items()}
+        changed = wrong.experiment.changed({"/**": named})
+        return calibration_check(replace(as_of_hardware(wrong), experiment=changed))
+
+    weighed, untold = check(), check(specimen__mass=0.05)
+    told = check(specimen__mass=0.05, calibration__force_scale=0.01)
+    assert (weighed.force_scale, told.force_scale) == (None, None)
+    assert untold.force_scale == pytest.approx(error, rel=0.25)
+    assert told.at_most > max(untold.at_most, 1.5 * untold.force_scale)
 
 
 def test_what_has_changed_after_a_separate_test_is_seen():

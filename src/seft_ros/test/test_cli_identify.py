@@ -262,6 +262,7 @@ def test_a_load_that_hung_on_the_load_cell_tells_its_scale(identify, tmp_path):
     assert not any("1 % of it costs" in note for note in found["notes"])
     model = read_parameter_file(tmp_path / "out" / "model.yaml")["/**"]
     assert model["calibration.force_scale"] == [1.03]
+    assert model["calibration.force_scale_error"] == [3.0 / 1030.0]  # the noise of one reading
     status, found, _ = identify(*BRIEF, "--specimen", "--known-mass", "52.7", overrides=wrong)
     assert status == 0
     assert found["multisine"]["axes"][0]["force"]["scale"]["value"] == pytest.approx(1.03, abs=3e-3)
@@ -273,7 +274,11 @@ def test_a_load_that_hung_on_the_load_cell_tells_its_scale(identify, tmp_path):
     [
         (("--known-mass", "52.7"), "--known-mass is that of the multisine test: give"),
         (("--specimen", "--known-mass", "0"), "must be positive, once for each of the axes x"),
-        (("--known-force", "1000", "-1030"), "the load cell must show a load of the same sign"),
+        (("--known-force", "1000", "1030"), "--known-force is that of the multisine test: give"),
+        (
+            ("--specimen", "--known-force", "1000", "-1030"),
+            "the load cell must show a load of the same sign",
+        ),
     ],
 )
 def test_a_mass_or_load_that_makes_no_sense_is_one_line(identify, words, why):

@@ -44,8 +44,15 @@ def lines(filters=(), common=(), sticks=0.0):
     return 2 * np.pi * hz, with_noise(whole * passed, noise), noise, known
 
 
-def found_in(w, amplitude, noise, derived=False):
-    return channel_filters(w, amplitude, noise, DT, (MASS, 0.005 * np.ones((2, 2))), derived)
+def found_in(w, amplitude, noise, derived=False, dt=DT):
+    return channel_filters(w, amplitude, noise, dt, (MASS, 0.005 * np.ones((2, 2))), derived)
+
+
+def test_a_filter_beyond_what_was_excited_is_but_a_lag_at_any_rate():
+    *of, _ = lines([(FORCE, 1, 300.0, 0.7071)])
+    found = found_in(*of, dt=DT / 2)
+    assert not found.filter.any()
+    assert found.force_lag[1] == pytest.approx(2 * 0.7071 / (2 * np.pi * 300.0), rel=0.2)
 
 
 @pytest.mark.parametrize("sticks", [0.0, STICKS])

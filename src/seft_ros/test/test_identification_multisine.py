@@ -204,6 +204,14 @@ def test_limits_lower_the_highest_frequency():
     assert bound.top < free.top
 
 
+@pytest.mark.parametrize("channel", CHANNELS)
+def test_a_range_of_0_is_no_limit(channel):
+    unlimited = f"/**:sensors.{channel}_range:=0.0"
+    assert plan_multisine(load("/**:sensors.adc_bits:=0", unlimited)) == plan_multisine(
+        load("/**:sensors.adc_bits:=0")
+    )
+
+
 def test_a_stiff_heavy_specimen_is_tested_at_the_same_frequencies_at_every_rate():
     """Whatever the limits leave of the rate: 20 Hz of a 4000 Hz loop, too."""
     heavy = ("/**:specimen.mass:=800.0", "/**:limits.force:=2000.0")

@@ -16,7 +16,7 @@ from seft_ros.reference_force.restoring_model import (
     slide,
     tangent,
 )
-from seft_ros.reference_force.target_motion import TargetMotion
+from seft_ros.reference_force.target_motion import TargetMotion, spring_deformations
 from seft_ros.test_run.blocks import build_blocks
 
 METHOD = (
@@ -79,6 +79,27 @@ def test_force_of_every_point_is_equation_2_5_with_the_targets_acceleration():
     acceleration = np.gradient(points[:, 1, 0], dt)[2:-2]
     force = -2 * m * ground[2:-2, 0] - m * acceleration
     assert points[2:-2, 2, 0] == pytest.approx(force, abs=0.02 * np.abs(force).max())
+
+
+STOREYS = np.array([[1.0, 0.0, 0.0], [-1.0, 1.0, 0.0], [0.0, -1.0, 1.0]])
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_a_stiffness_that_was_identified_keeps_the_springs_that_were_told(told):
+    off = np.array([[300.0, 150.0, -80.0], [150.0, -200.0, 60.0], [-80.0, 60.0, 250.0]])  # N/m
+    stiffness = STOREYS.T @ STOREYS * 2e5 + off
+    words = [f"specimen.stiffness:={stiffness.ravel().tolist()}"]
+    words += [f"specimen.springs:={STOREYS.ravel().tolist()}"] if told else []
+    tested = load(*words, config="three_storey_frame")
+    found = spring_deformations(
+        method_inputs(tested["reference_force"], tested.axes, tested.timebase)
+    )
+    if told:
+        np.testing.assert_array_equal(found, STOREYS)
+    else:  # its modes: they are coupled by neither mass nor stiffness
+        modes = np.linalg.inv(found)
+        own = modes.T @ stiffness @ modes
+        np.testing.assert_allclose(own, np.diag(np.diag(own)), atol=1e-6 * own.max())
 
 
 def test_target_starts_where_the_specimen_is():

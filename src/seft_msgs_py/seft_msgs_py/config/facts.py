@@ -104,6 +104,8 @@ _SENSORS = """
 _CALIBRATION = """
     force_lag_error | floats | 0.0 | s | 0 ..    |
         standard error of the force's lag behind the acceleration; 0: not known
+    force_scale_error | floats | 0.0 | | 0 ..   |
+        standard error of the force's scale, relative, which no motion shows; 0: not known
     tilt            | floats | 0.0 |   |         |
         accelerations that the accelerometers show per acceleration of each axis, a matrix row by
         row; 0: each shows its own axis alone

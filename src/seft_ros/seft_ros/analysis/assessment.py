@@ -24,6 +24,8 @@ BAD_LATE = 0.2
 """Share of reference forces that came over the link after the loop's delay."""
 GOOD_CLOSURE = 0.05
 """Error of the energy balance: do the samples fit the specimen they are said to be of?"""
+UNTOLD = 0.01
+"""Of the forces' scale: no motion shows it, so what it would mean is said where nobody told it."""
 GOOD_DELAY = 2.0
 """Periods that the force loop may lag where nothing compensates for it."""
 
@@ -31,7 +33,7 @@ BY_TRUTH = "By the truth of the simulation, this"
 IN_LABORATORY = "As a laboratory would see it, this"
 """Beginnings of the two verdicts on a simulated test."""
 _WORDS = {
-    Mark.GOOD: "test can be trusted.",
+    Mark.GOOD: "test can be trusted",
     Mark.DOUBT: "test can be trusted with reservations",
     Mark.BAD: "test can not be trusted",
 }
@@ -76,14 +78,16 @@ def assess_test(summary: dict[str, Any], this: str = "This") -> Assessment:
         *response_findings(summary),
         *calibration_findings(summary),
         *_together(summary),
+        *_untold(summary),
         *_loop(summary),
         *losses(summary),
     )
     findings = sorted(found, key=lambda finding: order.index(finding.verdict))
     worst = findings[0].verdict
     reasons = "; ".join(finding.text for finding in findings if finding.verdict is worst)
-    text = f"{this} {_WORDS[worst]}" + ("" if worst is Mark.GOOD else f": {reasons}.")
-    return Assessment(worst, text, findings)
+    because = "".join(f", but {one.text}" for one in _untold(summary))
+    because = because if worst is Mark.GOOD else f": {reasons}"
+    return Assessment(worst, f"{this} {_WORDS[worst]}{because}.", findings)
 
 
 def own_response(summary: dict[str, Any]) -> float | None:
@@ -233,6 +237,18 @@ def _together(summary: dict[str, Any]) -> Iterator[TestFinding]:
     )
     mark = _grade(most, GOOD_ERROR, float("inf"))
     yield TestFinding("together", Mark.NONE if _is_simulated(summary) else mark, text, detail)
+
+
+def _untold(summary: dict[str, Any]) -> Iterator[TestFinding]:
+    """Find what an error of the forces would mean, where nobody told it: nothing can show it."""
+    effect = (summary["calibration"] or {}).get("force_scale")
+    if effect and not _is_simulated(summary):
+        text = (
+            f"nobody told the load cell's scale, of which {_about(UNTOLD)} would mean an error of "
+            f"{_about(effect)} in displacement"
+        )
+        how = "it is told by seft identify --known-mass or --known-force"
+        yield TestFinding("force_scale", Mark.NONE, text, how)
 
 
 def _about(value: float) -> str:

@@ -15,6 +15,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import FORCE_DRIVEN
 from seft_msgs_py.config.parameter_table import per_axis
 
+from seft_ros.analysis.assessment import UNTOLD
 from seft_ros.analysis.calibration_effect import CalibrationEffect, calibration_structure
 from seft_ros.analysis.channel_estimates import (
     ESTIMATE_SIGMAS,
@@ -95,6 +96,9 @@ class CalibrationCheck:
         with the chance `CHANCE`.
     clipped : float or None
         Displacement error that accelerations beyond their sensor's range mean, by the velocity.
+    force_scale : float or None
+        Displacement error that `UNTOLD` of the forces' scale would mean, where nobody told the
+        scale, and the mass was identified by these forces; otherwise None.
     unsure, unsure_lag : float or None
         Displacement error that errors of the masses, and of the forces' lags, of
         `ESTIMATE_SIGMAS` standard errors would mean.
@@ -108,6 +112,7 @@ class CalibrationCheck:
     drift: Deviation | None
     at_most: float | None
     clipped: float | None
+    force_scale: float | None
     unsure: float | None
     unsure_lag: float | None
     axes: dict[str, Any]
@@ -145,7 +150,10 @@ def calibration_check(recording: Recording) -> CalibrationCheck | None:
     frequency = motion_frequency(samples)
     found: list[Deviation] = []
     in_parts: list[Deviation] = []
-    unsure = unsure_lag = at_most = clipped = None
+    unsure = unsure_lag = at_most = clipped = force_scale = None
+    section, axes = experiment["reference_force"], experiment.axes
+    names = ("specimen.mass_error", "calibration.force_scale_error")
+    identified, untrue = (per_axis(section[name], axes, f"/**: {name}") for name in names)
     if frequency > 0:
         effect = CalibrationEffect(structure, samples, dt)
         own = inertia(samples, effect.mass, effect.springs, dt, frequency)
@@ -155,7 +163,9 @@ def calibration_check(recording: Recording) -> CalibrationCheck | None:
             unsure = effect.of_mass(1.0 + ESTIMATE_SIGMAS * own.factor_error)
             if np.isfinite(own.lag_error).all():
                 unsure_lag = effect.of_force_lag(ESTIMATE_SIGMAS * own.lag_error)
-            at_most = _at_most(effect, own, relations)
+            at_most = _at_most(effect, own, relations, untrue)
+        if identified.any() and not untrue.any():
+            force_scale = effect.of_force_scale(np.full(len(axes), 1.0 + UNTOLD))
         if "acceleration_range" in recording.saturation:
             clipped = effect.of_zero(np.zeros(len(experiment.axes)), -_beyond_range(samples, dt))
         found += _deviations(effect, own, relations, experiment.axes)
@@ -179,6 +189,7 @@ def calibration_check(recording: Recording) -> CalibrationCheck | None:
         **worst,
         at_most=at_most,
         clipped=clipped,
+        force_scale=force_scale,
         unsure=unsure,
         unsure_lag=unsure_lag,
         axes=numbers,
@@ -240,17 +251,21 @@ def _deviations(
         yield from _lags(effect, channel, against, lag, axes)
 
 
-def _at_most(effect: CalibrationEffect, own: Inertia, relations: list[_OfChannel]) -> float:
+def _at_most(
+    effect: CalibrationEffect, own: Inertia, relations: list[_OfChannel], untrue: Floats
+) -> float:
     """Displacement error that the estimates' distribution exceeds with the chance `CHANCE`.
 
     The effects of mass, scale and lag are at other times: their squares add up. What is not known
     of the acceleration's scale is little but folding, which makes no test wrong, and a wrong
-    velocity misleads the valve alone: the motion shows what came of it.
+    velocity misleads the valve alone: the motion shows what came of it. No motion shows what is
+    not known of the forces' scale, ``untrue``, (n,).
     """
     off, lag_error = own.factor - 1.0, np.where(np.isfinite(own.lag_error), own.lag_error, 0.0)
     effects = [
         (effect.of_mass(1.0 + off), effect.of_mass(1.0 + own.factor_error)),
         (effect.of_force_lag(own.lag), effect.of_force_lag(lag_error)),
+        (0.0, effect.of_force_scale(1.0 + untrue)),
     ]
     for channel, of, scale, lag in relations:
         if channel == "acceleration":

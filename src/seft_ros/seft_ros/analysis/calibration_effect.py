@@ -10,7 +10,8 @@ Which of two channels is wrong can't be seen from their disagreement, so the wor
 - scale and lag of acceleration and velocity against the displacement: the displacement is wrong,
   and the specimen moved otherwise than its target by the difference. The computed part would see
   less of a wrong acceleration; a wrong velocity misleads the valve as a wrong displacement does;
-- lag of the force behind the acceleration: the force is late.
+- lag of the force behind the acceleration: the force is late;
+- scale of the force, where the mass was identified by it: both are wrong, and nothing shows it.
 """
 
 from copy import copy
@@ -92,6 +93,18 @@ class CalibrationEffect:
         by_mass = self._motion @ np.linalg.solve(true, self._total).T - self._motion
         return max(self._of(by_mass), self._of_force((1.0 / factor - 1.0) * self._samples[:, _F]))
 
+    def of_force_scale(self, factor: Floats) -> float:
+        """Error if force and mass are so many times too large, shape (n,): f / s and M_e / s."""
+        if (factor == 1.0).all():
+            return 0.0
+        off = 1.0 - 1.0 / factor
+        force = self._motion @ self.mass.T + self._samples[:, _F]
+        true = self._total - off[:, np.newaxis] * self.mass
+        of_force = off * force @ np.linalg.inv(true).T
+        if np.linalg.norm(of_force) < 1e-9 * np.linalg.norm(self._motion):  # EFT: rounding
+            return 0.0
+        return self._of(of_force)
+
     def of_force_lag(self, lag: Floats) -> float:
         """Error if the force is late by so much, shape (n,), s."""
         return self._of_force(led(self._samples[:, _F], lag, self._dt))
@@ -118,9 +131,9 @@ class CalibrationEffect:
 
 
 def effect_of_force(experiment: Experiment, factor: float) -> float | None:
-    """Error of an experiment if its load cells show so many times the force; None if not known.
+    """Error of an experiment if its load cells show so many times the force, and told the mass.
 
-    By the known linear specimen, over the displacement, RMS over all axes.
+    By the known linear specimen, over the displacement, RMS over all axes; None if not known.
     """
     structure = calibration_structure(experiment)
     if structure is None:
@@ -129,7 +142,7 @@ def effect_of_force(experiment: Experiment, factor: float) -> float | None:
     motion = GroundMotion.from_parameters(experiment["ground_motion"], axes, experiment.timebase)
     exact = reference_response(structure, motion.samples)
     samples = np.stack([exact.displacement, exact.velocity, exact.acceleration, exact.force], 1)
-    return CalibrationEffect(structure, samples, dt).of_mass(np.full(len(axes), factor))
+    return CalibrationEffect(structure, samples, dt).of_force_scale(np.full(len(axes), factor))
 
 
 def led(y: Floats, lead: Floats, dt: float) -> Floats:

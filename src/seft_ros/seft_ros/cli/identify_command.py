@@ -17,6 +17,7 @@ from seft_msgs_py.config.facts import EVERY_NODE, FORCE_DRIVEN
 from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.wire.outcome import BY_OPERATOR
+from seft_plant_sim.channels import FORCE, least_noise
 from seft_plant_sim.rig_parameters import as_simulated, common_lag, truth
 
 from seft_ros.bags.recording import Recording
@@ -133,8 +134,10 @@ def identify(
         raise InputError(
             "--external: only the rig may be external; the other nodes are set up here"
         )
-    if not specimen and (travel is not None or known_mass):
-        one = "--known-mass" if known_mass else "--travel"
+    has_hung = not all(map(math.isnan, known_force))
+    given = {"--known-mass": known_mass, "--known-force": has_hung, "--travel": travel is not None}
+    if not specimen and any(given.values()):
+        one = next(name for name, is_given in given.items() if is_given)
         raise InputError(f"{one} is that of the multisine test: give --specimen, too")
     experiment = shared.load_experiment(config, param, params_file, external)
     if known_mass and (len(known_mass) != len(experiment.axes) or not min(known_mass) > 0.0):
@@ -142,7 +145,6 @@ def identify(
             f"--known-mass is {known_mass}, but must be positive, once for each of the axes "
             f"{', '.join(experiment.axes)}"
         )
-    has_hung = not all(map(math.isnan, known_force))
     if has_hung:
         experiment = _with_force(experiment, *known_force)
     if max_displacement != math.inf:
@@ -171,8 +173,7 @@ def identify(
     if over_dds is None:
         over_dds = as_simulated(experiment) is not experiment
     tests = _Tests(experiment, folder, over_dds, external or (), excitation)
-    weighed, knows_force = known_mass or (), bool(known_mass) or has_hung
-    run = _Identification(tests, motions, levels, plan, motion, duration, weighed, knows_force)
+    run = _Identification(tests, motions, levels, plan, motion, duration, known_mass or ())
     run.drive_valves(by_pilot=amplitude is None)
     run.close_loop(by_default=force is None)
     return run.show(str(config), specimen, as_json=json)
@@ -191,10 +192,12 @@ def _with_force(experiment: Experiment, load: float, shown: float) -> Experiment
             f"--known-force is {load:g} {shown:g}, but the load cell must show a load of the same "
             "sign; give calibration.force_scale: -1 if it shows a pull as a push"
         )
-    scale = ratio * np.atleast_1d(experiment["rig"]["calibration.force_scale"])
-    return experiment.changed(
-        {EVERY_NODE: {"calibration.force_scale": scale.tolist()}, "rig": truth(experiment["rig"])}
-    )
+    section = experiment["reference_force"]
+    scale = ratio * np.atleast_1d(section["calibration.force_scale"])
+    error = least_noise(section, experiment.axes)[FORCE] / abs(shown)  # of one reading
+    told = {"calibration.force_scale": scale, "calibration.force_scale_error": error}
+    told = {name: value.tolist() for name, value in told.items()}
+    return experiment.changed({EVERY_NODE: told, "rig": truth(experiment["rig"])})
 
 
 def _capped(experiment: Experiment, cap: float) -> tuple[Experiment, float]:
@@ -322,11 +325,9 @@ class _Identification:
         motion: Path,
         duration: float,
         weighed: Sequence[float],
-        knows_force: bool,
     ) -> None:
         self._tests, self._motions, self._levels, self._plan = tests, motions, levels, plan
         self._motion, self._duration, self._weighed = motion, duration, weighed
-        self._knows_force = knows_force
         self._valve = False
         self._multisine: MultisineResult | None = None
         self._notes: list[str] = []
@@ -538,7 +539,7 @@ class _Identification:
             lag, more = multisine.calibrated.common_lag, multisine.facts()
             summary["multisine"] = multisine.numbers(found.axes)
             summary["notes"] += calibrated.multisine_notes(multisine, found.axes)
-            if not self._knows_force:
+            if not multisine.force_scale_error.any():
                 summary["notes"] += self._unknown_force(more)
             texts.append(calibrated.multisine_table(multisine, found.axes))
         texts += summary["notes"]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS
-from seft_msgs_py.config.parameter_table import Section, mass_matrix
+from seft_msgs_py.config.parameter_table import Section, mass_matrix, per_axis
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import MEASURED, RIG_STATE, VALVE_COMMAND
 from seft_plant_sim.calibration import (
@@ -240,6 +240,8 @@ class MultisineResult:
         Mass matrix that was known before, shape (n, n), kg.
     is_weighed : bool
         Whether the masses of the axes were weighed.
+    force_scale_error : ndarray
+        Standard error of the forces' scale, relative, shape (n,); 0: nobody told it.
     """
 
     multisine: Multisine
@@ -249,6 +251,7 @@ class MultisineResult:
     calibrated: Calibrated
     known: Floats
     is_weighed: bool
+    force_scale_error: Floats
 
     @classmethod
     def of_recording(
@@ -288,13 +291,17 @@ class MultisineResult:
                 f"{1e3 * multisine.travel:.3g} mm: its least "
                 f"mass is {least:.3g} ± {error:.2g} kg; give a larger --travel, so that it slips"
             )
+        told = experiment["reference_force"]["calibration.force_scale_error"]
+        scale_error = per_axis(told, experiment.axes, "/**: calibration.force_scale_error")
         if weighed:
             fit = fit.weighed(np.array(weighed))
+            scale_error = fit.scale_error[FORCE] / fit.scale[FORCE]
         largest = np.abs(samples).max(axis=(0, 2)).tolist()
         calibrated = Calibrated.of_multisine(fit, filters, experiment)
         peaks = dict(zip(CHANNELS, largest, strict=True))
         mass = known_mass(experiment)
-        return cls(multisine, peaks, fit, filters, calibrated, mass, bool(weighed))
+        weighs = bool(weighed)
+        return cls(multisine, peaks, fit, filters, calibrated, mass, weighs, scale_error)
 
     def facts(self) -> Section:
         """Give the calibration, and the mass, with standard errors."""
@@ -303,6 +310,7 @@ class MultisineResult:
             "specimen.mass": fit.mass.ravel().tolist(),
             "specimen.mass_error": fit.mass_error.diagonal().tolist(),
             "calibration.force_lag_error": fit.lag_error[FORCE].tolist(),
+            "calibration.force_scale_error": self.force_scale_error.tolist(),
         }
 
     def numbers(self, axes: Sequence[str]) -> dict[str, Any]:

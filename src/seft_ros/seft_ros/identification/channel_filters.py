@@ -26,7 +26,7 @@ from seft_ros.identification.multisine import OF_RATE
 from seft_ros.identification.multisine_estimates import MULTISINE_SIGMAS, Fit, regressed
 
 HIGHEST = 0.4
-"""Of the rate: the highest frequency that is used."""
+"""Of the rate: the highest frequency that is used. A filter beyond what is used is but a lag."""
 _RELAXATIONS = 6.0, 20.0, 60.0  # Hz
 _STARTS, _ROUNDS, _STEP = 5, 15, 0.7  # natural frequencies to begin with; Gauss and Newton's steps
 _LAGS = np.arange(-10.0, 11.0) / 1e3  # s: starts
@@ -130,10 +130,11 @@ def channel_filters(
         Whether the velocity is derived from the displacement, and has no filter of its own.
     """
     found, n = ChannelFilters.none(amplitude.shape[2]), amplitude.shape[2]
+    top = min(2 * np.pi * HIGHEST / dt, float(w.max()))
     for i in range(n):
         low = w < 2 * np.pi * OF_RATE / dt
-        motion = [_of_motion(order, i, w[low], amplitude[low], noise[low], dt) for order in (1, 2)]
-        force = _of_force(i, w, amplitude, noise, dt, mass)
+        motion = [_of_motion(order, i, w[low], amplitude[low], noise[low], top) for order in (1, 2)]
+        force = _of_force(i, w, amplitude, noise, top, mass)
         found.force_lag[i] = force.lag
         for row, one in enumerate(_by_channel(motion[1], None if derived else motion[0], force)):
             if one is not None:
@@ -164,14 +165,14 @@ def _by_channel(
 
 
 def _of_motion(
-    order: int, i: int, w: Floats, amplitude: Complexes, noise: Floats, dt: float
+    order: int, i: int, w: Floats, amplitude: Complexes, noise: Floats, top: float
 ) -> _Found:
     """Filter of velocity or acceleration (order 1 or 2) against the displacement."""
     by_x = (1j * w) ** order
     motion = by_x[:, np.newaxis] * amplitude[:, DISPLACEMENT]
-    error = np.hypot(noise[:, order, i], np.abs(by_x) * noise[:, DISPLACEMENT, i])
+    error = noise[:, order, i], np.abs(by_x) * noise[:, DISPLACEMENT, i]
     nothing = np.zeros((len(w), 0), complex)
-    return _likeliest(w, amplitude[:, order, i], error, motion, (nothing,) * 2, dt)
+    return _likeliest(w, amplitude[:, order, i], error, motion, (nothing,) * 2, top)
 
 
 def _of_force(
@@ -179,17 +180,17 @@ def _of_force(
     w: Floats,
     amplitude: Complexes,
     noise: Floats,
-    dt: float,
+    top: float,
     mass: tuple[Floats, Floats],
 ) -> _Found:
     """Filter of the force against the acceleration, see Eq. (1).
 
     The specimen's motion is that of both, by their noise, or of the one that has no filter.
     """
-    used = w < 2 * np.pi * HIGHEST / dt
+    used = w <= top
     w, amplitude, noise, s = w[used], amplitude[used], noise[used], 1j * w[used, np.newaxis]
     a, x = amplitude[:, ACCELERATION], amplitude[:, DISPLACEMENT]
-    error = np.hypot(noise[:, FORCE, i], mass[0][i, i] * noise[:, ACCELERATION, i])
+    error = noise[:, FORCE, i], mass[0][i, i] * noise[:, ACCELERATION, i]
 
     def restoring(motion: Complexes) -> Complexes:
         slow = [motion * s / (s + 2 * np.pi * each) for each in _RELAXATIONS]
@@ -201,41 +202,48 @@ def _of_force(
     squares = (s * s).real
     share = 1.0 / (1.0 + (squares * noise[:, DISPLACEMENT] / noise[:, ACCELERATION]) ** 2)
     ways = restoring(share * x + (1.0 - share) * a / squares), restoring(x)
-    return _likeliest(w, amplitude[:, FORCE, i], error, a[:, [i]], ways, dt, prior)
+    return _likeliest(w, amplitude[:, FORCE, i], error, a[:, [i]], ways, top, prior)
 
 
 def _likeliest(
     w: Floats,
     y: Complexes,
-    noise: Floats,
+    noises: tuple[Floats, Floats],
     columns: Complexes,
     ways: Sequence[Complexes],
-    dt: float,
+    top: float,
     prior: tuple[Floats, Floats] | None = None,
 ) -> _Found:
     """Give the likeliest filter, of either side, that is significant, or none.
 
-    y = columns b + others c. A filter of y is of all of it, one of the columns of them alone.
-    ``ways`` are the others for these. ``prior`` are values and errors of the first unknowns.
+    y = columns b + others c; ``noises`` are those of y and of columns b. A filter of y is of all of
+    it, one of the columns of them alone. ``ways`` are the others for these, ``top`` the highest
+    frequency, rad/s. ``prior`` are values and errors of the first unknowns.
     """
-    nothing = np.zeros(0)
+    nothing, noise = np.zeros(0), np.hypot(*noises)
     plain = min(
         (_fitted(w, y, noise, columns, others, NONE, nothing, prior) for others in ways),
         key=lambda one: one.left,
     )
     best: _Found | None = None
     for side, others in zip((DENOMINATOR, NUMERATOR), ways, strict=True):
-        for hz in np.geomspace(2 * np.pi * 15.0, np.pi / dt, _STARTS):
+        for hz in np.geomspace(2 * np.pi * 15.0, top / (2.0 * HIGHEST), _STARTS):
             start = np.log([2.0 * BUTTERWORTH / hz, hz**-2.0])
             tried = _fitted(w, y, noise, columns, others, side, start, prior)
-            is_seen = tried.numbers()[0] < HIGHEST / dt  # a faster one is but a lag
+            is_seen = tried.numbers()[0] < top / (2 * np.pi)  # a faster one is but a lag
             if is_seen and (best is None or tried.left < best.left):
                 best = tried
     if best is None:
         return plain
     spread = max(1.0, best.left / len(w) / 2.0)
     is_better = plain.left - best.left > 2.0 * MULTISINE_SIGMAS**2 * spread
-    return best if is_better and (MULTISINE_SIGMAS * best.error < 1.0).all() else plain
+    if not (is_better and (MULTISINE_SIGMAS * best.error < 1.0).all()):
+        return plain
+    # what is taken back of a filter amplifies the noise of that side, which would bias the filter
+    p, q = np.exp(best.value)
+    amplified = np.abs(1.0 + 1j * p * w - q * w * w) ** -best.side
+    noise, others = np.hypot(noises[0], amplified * noises[1]), ways[0 if best.side > 0 else 1]
+    return _fitted(w, y, noise, columns, others, best.side, best.value, prior)
 
 
 def _fitted(

@@ -6,13 +6,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 from seft_msgs_py.arrays import Complexes, Floats
+from seft_plant_sim.calibration import SIGNIFICANT
 from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.simulated.specimen import Specimen
 
 from seft_ros.design.plant import Root, roots_of
 from seft_ros.identification.rig_tests import Response
 
-_FLOOR = 0.003  # of each term: accuracy of a calibrated sensor
+_FLOOR = 4e-4  # of each term: to which a multisine test tells the scale of a sensor
 _ORDER = 3  # of a filter that a lag has been taken from: what it leaves begins with s^3
 
 
@@ -57,8 +58,9 @@ def fit_specimen(measured: Sequence[Response]) -> SpecimenFit:
     displacement, each where it is strong.
 
     What filters and lags leave between the acceleration of an axis and the force, a factor
-    exp(g_1 s + g_2 s^2 + g_3 s^3), is fitted too: far above the specimen's frequency the least
-    lag would count as damping.
+    exp(g_1 s + g_2 s^2 + g_3 s^3), is fitted too where it is significant: far above the specimen's
+    frequency the least lag would count as damping, and one that is not there costs half of what the
+    responses say of the damping.
 
     Parameters
     ----------
@@ -84,8 +86,13 @@ def fit_specimen(measured: Sequence[Response]) -> SpecimenFit:
     scale = np.repeat(np.where(size > 0, size, 1.0), start.shape[1], axis=1).ravel()
     highest = 2 * np.pi * max(float(part.frequencies_hz[-1]) for part in measured)
     units = highest ** np.arange(1.0, _ORDER + 1.0)
-    guess = np.concatenate([start.ravel() / scale, np.zeros(n * _ORDER)])
-    found = least_squares(residuals, guess, loss="soft_l1", f_scale=3.0).x
+    straight, none = start.ravel() / scale, np.zeros(n * _ORDER)
+    robust = {"loss": "soft_l1", "f_scale": 3.0}
+    plain = least_squares(lambda p: residuals(np.concatenate([p, none])), straight, **robust)
+    found = np.concatenate([plain.x, none])
+    shaped = least_squares(residuals, found, **robust)
+    if 2.0 * (plain.cost - shaped.cost) > SIGNIFICANT**2 + len(none):  # beside what fits noise
+        found = shaped.x
     mass, damping, stiffness = matrices(found[: len(scale)] * scale)
     g = found[len(scale) :].reshape(n, _ORDER) / units
     values, vectors = np.linalg.eigh(damping)

@@ -281,7 +281,8 @@ def method_inputs(
         symmetric_matrix(section[f"specimen.{name}"], axes, f"{where}.{name}")
         for name in ("damping", "stiffness")
     )
-    for name in ("specimen.mass_error", "calibration.force_lag_error"):
+    of_calibration = (f"calibration.force_{what}_error" for what in ("lag", "scale"))
+    for name in ("specimen.mass_error", *of_calibration):
         per_axis(section[name], axes, f"/**: {name}")
     if section["method"] == "eft":  # the specimen has all of the mass (Eq. 2.2)
         if computing := [name for name in ("mass_ratio", "computed.model") if section[name]]:

@@ -34,7 +34,7 @@ from seft_ros.reference_force.reference_force_parameters import (
     TARGET_MOTION,
     horizon_steps,
 )
-from seft_ros.reference_force.restoring_model import model_arrays
+from seft_ros.reference_force.restoring_model import UNCERTAIN_STIFFNESS, model_arrays
 from seft_ros.reference_force.target_step import (
     ESTIMATE_NAMES,
     TargetParameters,
@@ -436,13 +436,16 @@ def target_arrays(known: MethodInputs) -> tuple[TargetParameters, TargetState, M
 def spring_deformations(known: MethodInputs) -> Floats:
     """Deformations in which the specimen's springs are not coupled, shape (n, n).
 
-    They are those of the assumed springs, if these determine the displacements; otherwise the modal
-    displacements of the elastic specimen, each in m of the axis that moves most.
+    They are those of the assumed springs, if these determine the displacements and the stiffness
+    couples them by no more than it is uncertain (an identified one always does a little); otherwise
+    the modal displacements of the elastic specimen, each in m of the axis that moves most.
     """
     springs = known.springs
-    if springs is not None and springs.shape == known.mass.shape:
+    if springs is not None and np.linalg.matrix_rank(springs) == len(springs) == known.axes:
         own = np.linalg.solve(springs.T, np.linalg.solve(springs.T, known.stiffness).T)
-        if np.allclose(own, np.diag(np.diag(own)), rtol=0.0, atol=1e-6 * np.abs(own).max()):
+        size = np.sqrt(np.abs(np.diag(own)))
+        coupling = np.abs(own - np.diag(np.diag(own)))
+        if (coupling <= UNCERTAIN_STIFFNESS * np.outer(size, size)).all():
             return springs
     _, modes = eigh(known.stiffness, known.mass)
     return np.linalg.inv(modes / np.abs(modes).max(axis=0))
