@@ -153,6 +153,16 @@ def test_a_hard_end_of_the_ramp_names_both_causes(how):
     assert machine.detail == f"{reason} (while ramping down: node recorder is silent)"
 
 
+def test_of_two_reasons_in_one_step_the_rigs_own_stands_whichever_is_told_first():
+    for told in (("limit", False), ("judge", True)), (("judge", True), ("limit", False)):
+        machine = machine_in(State.RUNNING)
+        for reason, by_rig in (*told, ("other rig", True)):
+            machine.hard_trip(reason, 7, by_rig=by_rig)
+        assert (machine.detail, machine.step) == ("judge", 7)
+    machine.hard_trip("later", 8, by_rig=True)
+    assert machine.detail == "judge"
+
+
 def test_an_abort_after_a_trip_keeps_the_reason_of_that_and_names_it():
     machine = machine_in(State.TRIPPED)
     answer = machine.estop()

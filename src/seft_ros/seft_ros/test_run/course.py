@@ -126,8 +126,10 @@ class Course:
 
     def _trip(self, node: str, reason: str, step: int | None, waited: float = 0.0) -> None:
         """Trip because of a node: softly, if the loop can continue without it."""
-        trip = self.machine.soft_trip if node in SOFT_PEERS else self.machine.hard_trip
-        trip(reason, step, waited)
+        if node in SOFT_PEERS:
+            self.machine.soft_trip(reason, step, waited)
+        else:
+            self.machine.hard_trip(reason, step, waited, by_rig=node in self.rig_nodes)
 
     def _ramp_patience(self) -> float:
         margin = self._section["watchdog.ramp_margin"]

@@ -120,7 +120,7 @@ def simulate_test(
         if progress is not None:
             progress(steps)
     wall = time.perf_counter() - start
-    violation = blocks.force_controller.reason or blocks.rig.violation  # the one that tells first
+    violation = blocks.rig.violation or blocks.force_controller.reason  # as `hard_trip` chooses
     trip = _trip_of(
         violation,
         force.cause,

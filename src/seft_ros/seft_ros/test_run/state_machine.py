@@ -57,6 +57,7 @@ class StateMachine:
         self.step: int | None = None
         self.waited = self._stood = 0.0
         self._then = State.DONE  # what the ramp leads to
+        self._told: tuple[str, int | None] = "", None  # by another than a rig, in which step
 
     @property
     def log_line(self) -> str:
@@ -104,12 +105,22 @@ class StateMachine:
         if self.state is State.RAMPING_DOWN:
             self.state = self._then
 
-    def hard_trip(self, reason: str, step: int | None = None, waited: float = 0.0) -> None:
-        """End a test at once because of a limit or a fault; a ramp's cause is kept with it."""
+    def hard_trip(
+        self, reason: str, step: int | None = None, waited: float = 0.0, *, by_rig: bool = False
+    ) -> None:
+        """End a test at once because of a limit or a fault; a ramp's cause is kept with it.
+
+        Of two reasons in one step a rig's own stands, whichever is told first.
+        """
         if self.state is State.RUNNING:
             self._go(State.TRIPPED, reason, step, waited)
         elif self.state is State.RAMPING_DOWN:
             self._go(State.TRIPPED, while_ramping_down(reason, self.detail), step, waited)
+        elif by_rig and step is not None and self._told[1] == step:
+            self.detail = self.detail.replace(self._told[0], reason, 1)
+        else:
+            return
+        self._told = reason, None if by_rig else step
 
     def note(self, finding: str) -> None:
         """Add to a trip's cause what was found later."""
@@ -161,6 +172,7 @@ class StateMachine:
         return ServiceAnswer(True, "idle")
 
     def _go(self, state: State, detail: str, step: int | None = None, waited: float = 0.0) -> None:
+        self._told = "", None
         self.state, self.detail, self.step = state, detail, step
         self.waited, self._stood = waited, 0.0
 
