@@ -95,11 +95,16 @@ def regulator(
     n, stiffness = len(valves), ELASTIC * stiffness
     if np.linalg.eigvalsh(stiffness + np.diag(oil[:, 0])).min() <= 0.0:
         raise InputError(_NONE)  # the specimen pushes harder than the oil holds
-    mass = _without_fast_modes(mass, stiffness + np.diag(oil[:, 0]), valves)
+    mass, certain = _modes(mass, stiffness + np.diag(oil[:, 0]), valves, dt)
     free, push = _sampled(valves, oil, mass, stiffness, dt)
-    least = np.linalg.inv(_flow_at(crossover(valves), oil, mass, stiffness))
-    cost, effort = np.zeros_like(free), least.T @ least
-    cost[:n, :n] = np.eye(n)
+    w = crossover(valves)
+    least = np.linalg.inv(_flow_at(w, oil, mass, stiffness))
+    by_x, by_c = -np.linalg.solve(mass, stiffness), np.linalg.solve(mass, np.diag(oil[:, 0]))
+    rough = np.zeros((n, len(free)))  # the acceleration as a displacement
+    rough[:, :n], rough[:, 2 * n : 3 * n] = certain @ by_x, certain @ by_c
+    rough /= w[:, np.newaxis] ** 2
+    cost, effort = rough.T @ rough, least.T @ least
+    cost[:n, :n] += np.eye(n)
     p = cost_to_go(free, push, cost, effort)
     gain = np.linalg.solve(effort + push.T @ p @ push, push.T @ p @ free)
     # of the flow and the commands under way, which past commands have made
@@ -107,7 +112,9 @@ def regulator(
     for j in range(memory):
         sent[:, :, j] = gain[:, 3 * n :] @ state
         state = own @ state
-    return (gain[:, : 3 * n] * np.repeat([1.0, dt, 1.0], n)).reshape(n, 3, n), sent
+    x, v, c = gain[:, : 3 * n].reshape(n, 3, n).transpose(1, 0, 2)
+    a = np.linalg.solve(by_c.T, (c - x).T).T
+    return np.stack([x - a @ by_x, v * dt, a, x], axis=1), sent
 
 
 def cost_to_go(a: Floats, b: Floats, q: Floats, r: Floats) -> Floats:
@@ -136,12 +143,15 @@ def _flow_at(w: Floats, oil: Floats, mass: Floats, stiffness: Floats) -> Floats:
     return (np.eye(len(w)) + (stiffness + mass * w**2) / oil[:, :1]) * w
 
 
-def _without_fast_modes(mass: Floats, stiffness: Floats, valves: Sequence[ValveModel]) -> Floats:
-    """Masses with which no mode of the specimen on its oil is faster than `STIFF` says."""
+def _modes(
+    mass: Floats, stiffness: Floats, valves: Sequence[ValveModel], dt: float
+) -> tuple[Floats, Floats]:
+    """Masses without modes that are faster than `STIFF` says, and what is certain of each mode."""
     fastest = STIFF * max(valve.natural for valve in valves)
     squares, shapes = eigh(mass, stiffness)  # 1/w^2: 0 of a mass that is 0
-    back = np.linalg.inv(shapes)
-    return back.T @ (np.maximum(squares, fastest**-2.0)[:, np.newaxis] * back)
+    back, squares = np.linalg.inv(shapes), np.maximum(squares, fastest**-2.0)
+    certain = np.exp(-(UNCERTAIN_DELAY**2 + 0.25 * dt**2) / squares)
+    return back.T @ (squares[:, np.newaxis] * back), shapes @ (certain[:, np.newaxis] * back)
 
 
 def _sampled(

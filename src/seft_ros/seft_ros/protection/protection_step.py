@@ -100,22 +100,28 @@ def slow_down(plan: Floats, steps: int, dt: float, slowed: Floats) -> None:
 
 
 @compiled
+def acceleration_of(points: Floats, i: int, dt: float) -> float:
+    """Acceleration of axis i at the first of three or more points: of a parabola of velocity."""
+    return (2.0 * points[1, 1, i] - 1.5 * points[0, 1, i] - 0.5 * points[2, 1, i]) / dt
+
+
+@compiled
 def as_sample(points: Floats, dt: float, sample: Floats) -> None:
     """Give the sample that a specimen on its target would show.
 
     Parameters
     ----------
     points : ndarray
-        Displacement, velocity and force of the target at a step and the coming ones, (p, 3, n).
+        Displacement, velocity and force of the target at a step and two or more coming ones, shape
+        (p, 3, n).
     dt : float
         Sampling period, s.
     sample : ndarray
         Displacement, velocity, acceleration and force, shape (4, n). The result.
     """
-    after = points[min(1, len(points) - 1)]
     for i in range(sample.shape[1]):
         sample[0, i], sample[1, i] = points[0, 0, i], points[0, 1, i]
-        sample[2, i] = (after[1, i] - points[0, 1, i]) / dt
+        sample[2, i] = acceleration_of(points, i, dt)
         sample[3, i] = points[0, 2, i]
 
 
