@@ -23,7 +23,8 @@ class FeedforwardParameters(NamedTuple):
         Flow gain (m/s/V), oil stiffness (N/m), leakage (1/s) and force capacity (N) of each axis,
         shape (n, 4).
     feedback : ndarray
-        Flow per deviation of displacement, velocity and compression, see `regulator`; (n, 3, n).
+        Flow per deviation of displacement, velocity, acceleration and compression, see
+        `regulator`; shape (n, 4, n).
     sent : ndarray
         Flow per deviation of past commands, the newest first, shape (n, n, memory).
     planned : ndarray

@@ -5,13 +5,21 @@ and w of the valves' flow, which follows the commands u (as flows) through valve
 
     M v' = k_oil c - K x,    c' = w - v - lambda c                                          (5)
 
-The commands minimise the sum of x^2 + (u / g)^2 over all future samples (the linear-quadratic
-regulator: Kalman 1960; Anderson & Moore, Optimal Control, 1990). In stiff oil, x' = w, such a loop
-crosses over at g. In soft oil a flow moves the specimen less, the faster it changes. With
+The commands minimise the sum of x^2 + (a / W^2)^2 + (u / g)^2 over all future samples, with the
+acceleration a = v' (the linear-quadratic regulator: Kalman 1960; Anderson & Moore, Optimal Control,
+1990). In stiff oil, x' = w, such a loop crosses over near g. In soft oil a flow moves the specimen
+less, the faster it changes. With
 
     g = (1 + (K + M W^2) / k_oil) W                                                         (6)
 
-the loop crosses over near W, whatever the oil column is.
+the loop crosses over near W, whatever the oil column is. An oil column that rings moves the
+specimen little, and accelerates it: hence the second term. What damps it is a flow at the right
+time. With a delay that is unknown by s, the certain part of its power at the frequency w is
+|E exp(i w delay)|^2 = exp(-(s w)^2). The acceleration of each mode counts by that factor.
+
+The oil's compression is fed back as a part of the volume x + c, which is passive with any specimen,
+and the rest as the acceleration M a = k_oil c - K x. Of a specimen that sticks, and is stiffer by
+far than K, the force tells nothing about ringing.
 """
 
 import math
@@ -83,7 +91,8 @@ def regulator(
     Returns
     -------
     gains : ndarray
-        Flow per deviation of displacement (m), velocity (m/s) and compression (m), shape (n, 3, n).
+        Flow per deviation of displacement (m), velocity (m/s), acceleration (m/s^2) and compression
+        (m), shape (n, 4, n).
     sent : ndarray
         Flow per deviation of past commands, the newest first, shape (n, n, memory).
 
@@ -99,7 +108,7 @@ def regulator(
     free, push = _sampled(valves, oil, mass, stiffness, dt)
     w = crossover(valves)
     least = np.linalg.inv(_flow_at(w, oil, mass, stiffness))
-    by_x, by_c = -np.linalg.solve(mass, stiffness), np.linalg.solve(mass, np.diag(oil[:, 0]))
+    by_x, by_c = np.split(np.linalg.solve(mass, np.hstack([-stiffness, np.diag(oil[:, 0])])), 2, 1)
     rough = np.zeros((n, len(free)))  # the acceleration as a displacement
     rough[:, :n], rough[:, 2 * n : 3 * n] = certain @ by_x, certain @ by_c
     rough /= w[:, np.newaxis] ** 2
@@ -146,7 +155,10 @@ def _flow_at(w: Floats, oil: Floats, mass: Floats, stiffness: Floats) -> Floats:
 def _modes(
     mass: Floats, stiffness: Floats, valves: Sequence[ValveModel], dt: float
 ) -> tuple[Floats, Floats]:
-    """Masses without modes that are faster than `STIFF` says, and what is certain of each mode."""
+    """Masses without modes that are faster than `STIFF` says; certain part of accelerations.
+
+    A command answers a sample up to half a period more or less late.
+    """
     fastest = STIFF * max(valve.natural for valve in valves)
     squares, shapes = eigh(mass, stiffness)  # 1/w^2: 0 of a mass that is 0
     back, squares = np.linalg.inv(shapes), np.maximum(squares, fastest**-2.0)
