@@ -101,8 +101,10 @@ def slow_down(plan: Floats, steps: int, dt: float, slowed: Floats) -> None:
 
 @compiled
 def acceleration_of(points: Floats, i: int, dt: float) -> float:
-    """Acceleration of axis i at the first of three or more points: of a parabola of velocity."""
-    return (2.0 * points[1, 1, i] - 1.5 * points[0, 1, i] - 0.5 * points[2, 1, i]) / dt
+    """Acceleration of axis i at the first point: of the parabola, or line, of its velocities."""
+    now, after = points[0, 1, i], points[min(1, len(points) - 1), 1, i]
+    then = points[2, 1, i] if len(points) > 2 else 2.0 * after - now
+    return (2.0 * after - 1.5 * now - 0.5 * then) / dt
 
 
 @compiled
@@ -112,8 +114,7 @@ def as_sample(points: Floats, dt: float, sample: Floats) -> None:
     Parameters
     ----------
     points : ndarray
-        Displacement, velocity and force of the target at a step and two or more coming ones, shape
-        (p, 3, n).
+        Displacement, velocity and force of the target at a step and the coming ones, (p, 3, n).
     dt : float
         Sampling period, s.
     sample : ndarray
