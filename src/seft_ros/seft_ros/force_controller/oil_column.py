@@ -14,8 +14,8 @@ less, the faster it changes. With
 
 the loop crosses over near W, whatever the oil column is. An oil column that rings moves the
 specimen little, and accelerates it: hence the second term. What damps it is a flow at the right
-time. With a delay that is unknown by s, the certain part of its power at the frequency w is
-|E exp(i w delay)|^2 = exp(-(s w)^2). The acceleration of each mode counts by that factor.
+time. With a delay that is unknown by s, it does so in the mean by E exp(i w delay) =
+exp(-(s w)^2 / 2) at the frequency w. The acceleration of each mode counts by that factor.
 
 The oil's compression is fed back as a part of the volume x + c, which is passive with any specimen,
 and the rest as the acceleration M a = k_oil c - K x. Of a specimen that sticks, and is stiffer by
@@ -42,6 +42,10 @@ degrees. Of a fast valve, what is not known is most of the delay."""
 STIFF = 10.0
 """Frequency of an oil column over that of the valve, beyond which it counts as stiff. So does one
 with a mass that is not known, which is 0: what is fed back is then the volume x + c."""
+
+STOOD = 3.0
+"""Square of the delay's error that the damping of ringing must stand, over its variance: that of the
+largest one of an even distribution."""
 
 ELASTIC = 0.5
 """Part of the specimen's stiffness that the regulator counts on: halfway between a specimen that is
@@ -162,7 +166,7 @@ def _modes(
     fastest = STIFF * max(valve.natural for valve in valves)
     squares, shapes = eigh(mass, stiffness)  # 1/w^2: 0 of a mass that is 0
     back, squares = np.linalg.inv(shapes), np.maximum(squares, fastest**-2.0)
-    certain = np.exp(-(UNCERTAIN_DELAY**2 + 0.25 * dt**2) / squares)
+    certain = np.exp(-0.5 * STOOD * (UNCERTAIN_DELAY**2 + 0.25 * dt**2) / squares)
     return back.T @ (squares[:, np.newaxis] * back), shapes @ (certain[:, np.newaxis] * back)
 
 
