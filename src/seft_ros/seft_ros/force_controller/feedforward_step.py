@@ -6,7 +6,7 @@ from seft_msgs_py.arrays import Floats
 from seft_plant_sim.compiled import compiled, put_first
 from seft_plant_sim.judge.valve_following import begin_following, follow_valve, under_load
 
-from seft_ros.protection.protection_step import acceleration_of, as_sample, slow_down
+from seft_ros.protection.protection_step import planned_acceleration, as_sample, slow_down
 from seft_ros.reference_force.observers import observe
 
 
@@ -181,7 +181,7 @@ def _flow_by(
     known, feedback, planned = state.flows.shape[1], p.feedback[i], p.planned[i, k]
     flow = feedback[0, k] * (points[0, 0, k] - state.measured[0, k])
     flow += feedback[1, k] * (points[0, 1, k] - state.measured[1, k])
-    flow += feedback[2, k] * (acceleration_of(points, k, p.dt) - state.measured[2, k])
+    flow += feedback[2, k] * (planned_acceleration(points, k, p.dt) - state.measured[2, k])
     flow += feedback[3, k] * (points[0, 2, k] - force) / p.actuator[k, 1]
     for j in range(state.coming.shape[1]):
         flow += planned[known + j] * state.coming[k, j]

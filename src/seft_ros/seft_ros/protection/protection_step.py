@@ -100,7 +100,7 @@ def slow_down(plan: Floats, steps: int, dt: float, slowed: Floats) -> None:
 
 
 @compiled
-def acceleration_of(points: Floats, i: int, dt: float) -> float:
+def planned_acceleration(points: Floats, i: int, dt: float) -> float:
     """Acceleration of axis i at the first point: of the parabola, or line, of its velocities."""
     now, after = points[0, 1, i], points[min(1, len(points) - 1), 1, i]
     then = points[2, 1, i] if len(points) > 2 else 2.0 * after - now
@@ -122,7 +122,7 @@ def as_sample(points: Floats, dt: float, sample: Floats) -> None:
     """
     for i in range(sample.shape[1]):
         sample[0, i], sample[1, i] = points[0, 0, i], points[0, 1, i]
-        sample[2, i] = acceleration_of(points, i, dt)
+        sample[2, i] = planned_acceleration(points, i, dt)
         sample[3, i] = points[0, 2, i]
 
 
