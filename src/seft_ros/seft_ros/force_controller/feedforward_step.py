@@ -6,7 +6,7 @@ from seft_msgs_py.arrays import Floats
 from seft_plant_sim.compiled import compiled, put_first
 from seft_plant_sim.judge.valve_following import begin_following, follow_valve, under_load
 
-from seft_ros.protection.protection_step import planned_acceleration, as_sample, slow_down
+from seft_ros.protection.protection_step import as_sample, planned_acceleration, slow_down
 from seft_ros.reference_force.observers import observe
 
 

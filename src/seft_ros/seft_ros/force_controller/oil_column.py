@@ -44,8 +44,8 @@ STIFF = 10.0
 with a mass that is not known, which is 0: what is fed back is then the volume x + c."""
 
 STOOD = 3.0
-"""Square of the delay's error that the damping of ringing must stand, over its variance: that of the
-largest one of an even distribution."""
+"""Square of the delay's error that the damping of ringing must stand, over its variance: that of
+the largest one of an even distribution."""
 
 ELASTIC = 0.5
 """Part of the specimen's stiffness that the regulator counts on: halfway between a specimen that is
