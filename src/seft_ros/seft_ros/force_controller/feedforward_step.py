@@ -6,7 +6,7 @@ from seft_msgs_py.arrays import Floats
 from seft_plant_sim.compiled import compiled, put_first
 from seft_plant_sim.judge.valve_following import begin_following, follow_valve, under_load
 
-from seft_ros.protection.protection_step import as_sample, slow_down
+from seft_ros.protection.protection_step import as_sample, planned_acceleration, slow_down
 from seft_ros.reference_force.observers import observe
 
 
@@ -23,7 +23,8 @@ class FeedforwardParameters(NamedTuple):
         Flow gain (m/s/V), oil stiffness (N/m), leakage (1/s) and force capacity (N) of each axis,
         shape (n, 4).
     feedback : ndarray
-        Flow per deviation of displacement, velocity and compression, see `regulator`; (n, 3, n).
+        Flow per deviation of displacement, velocity, acceleration and compression, see
+        `regulator`; shape (n, 4, n).
     sent : ndarray
         Flow per deviation of past commands, the newest first, shape (n, n, memory).
     planned : ndarray
@@ -181,7 +182,8 @@ def _flow_by(
     known, feedback, planned = state.flows.shape[1], p.feedback[i], p.planned[i, k]
     flow = feedback[0, k] * (points[0, 0, k] - state.measured[0, k])
     flow += feedback[1, k] * (points[0, 1, k] - state.measured[1, k])
-    flow += feedback[2, k] * (points[0, 2, k] - force) / p.actuator[k, 1]
+    flow += feedback[2, k] * (planned_acceleration(points, k, p.dt) - state.measured[2, k])
+    flow += feedback[3, k] * (points[0, 2, k] - force) / p.actuator[k, 1]
     for j in range(state.coming.shape[1]):
         flow += planned[known + j] * state.coming[k, j]
     for j in range(known):

@@ -5,13 +5,21 @@ and w of the valves' flow, which follows the commands u (as flows) through valve
 
     M v' = k_oil c - K x,    c' = w - v - lambda c                                          (5)
 
-The commands minimise the sum of x^2 + (u / g)^2 over all future samples (the linear-quadratic
-regulator: Kalman 1960; Anderson & Moore, Optimal Control, 1990). In stiff oil, x' = w, such a loop
-crosses over at g. In soft oil a flow moves the specimen less, the faster it changes. With
+The commands minimise the sum of x^2 + (a / W^2)^2 + (u / g)^2 over all future samples, with the
+acceleration a = v' (the linear-quadratic regulator: Kalman 1960; Anderson & Moore, Optimal Control,
+1990). In stiff oil, x' = w, such a loop crosses over near g. In soft oil a flow moves the specimen
+less, the faster it changes. With
 
     g = (1 + (K + M W^2) / k_oil) W                                                         (6)
 
-the loop crosses over near W, whatever the oil column is.
+the loop crosses over near W, whatever the oil column is. An oil column that rings moves the
+specimen little, and accelerates it: hence the second term. What damps it is a flow at the right
+time. With a delay that is unknown by s, it does so in the mean by E exp(i w delay) =
+exp(-(s w)^2 / 2) at the frequency w. The acceleration of each mode counts by that factor.
+
+The oil's compression is fed back as a part of the volume x + c, which is passive with any specimen,
+and the rest as the acceleration M a = k_oil c - K x. Of a specimen that sticks, and is stiffer by
+far than K, the force tells nothing about ringing.
 """
 
 import math
@@ -34,6 +42,10 @@ degrees. Of a fast valve, what is not known is most of the delay."""
 STIFF = 10.0
 """Frequency of an oil column over that of the valve, beyond which it counts as stiff. So does one
 with a mass that is not known, which is 0: what is fed back is then the volume x + c."""
+
+STOOD = 3.0
+"""Square of the delay's error that the damping of ringing must stand, over its variance: that of
+the largest one of an even distribution."""
 
 ELASTIC = 0.5
 """Part of the specimen's stiffness that the regulator counts on: halfway between a specimen that is
@@ -83,7 +95,8 @@ def regulator(
     Returns
     -------
     gains : ndarray
-        Flow per deviation of displacement (m), velocity (m/s) and compression (m), shape (n, 3, n).
+        Flow per deviation of displacement (m), velocity (m/s), acceleration (m/s^2) and compression
+        (m), shape (n, 4, n).
     sent : ndarray
         Flow per deviation of past commands, the newest first, shape (n, n, memory).
 
@@ -95,11 +108,16 @@ def regulator(
     n, stiffness = len(valves), ELASTIC * stiffness
     if np.linalg.eigvalsh(stiffness + np.diag(oil[:, 0])).min() <= 0.0:
         raise InputError(_NONE)  # the specimen pushes harder than the oil holds
-    mass = _without_fast_modes(mass, stiffness + np.diag(oil[:, 0]), valves)
+    mass, certain = _modes(mass, stiffness + np.diag(oil[:, 0]), valves, dt)
     free, push = _sampled(valves, oil, mass, stiffness, dt)
-    least = np.linalg.inv(_flow_at(crossover(valves), oil, mass, stiffness))
-    cost, effort = np.zeros_like(free), least.T @ least
-    cost[:n, :n] = np.eye(n)
+    w = crossover(valves)
+    least = np.linalg.inv(_flow_at(w, oil, mass, stiffness))
+    by_x, by_c = np.split(np.linalg.solve(mass, np.hstack([-stiffness, np.diag(oil[:, 0])])), 2, 1)
+    rough = np.zeros((n, len(free)))  # the acceleration as a displacement
+    rough[:, :n], rough[:, 2 * n : 3 * n] = certain @ by_x, certain @ by_c
+    rough /= w[:, np.newaxis] ** 2
+    cost, effort = rough.T @ rough, least.T @ least
+    cost[:n, :n] += np.eye(n)
     p = cost_to_go(free, push, cost, effort)
     gain = np.linalg.solve(effort + push.T @ p @ push, push.T @ p @ free)
     # of the flow and the commands under way, which past commands have made
@@ -107,7 +125,9 @@ def regulator(
     for j in range(memory):
         sent[:, :, j] = gain[:, 3 * n :] @ state
         state = own @ state
-    return (gain[:, : 3 * n] * np.repeat([1.0, dt, 1.0], n)).reshape(n, 3, n), sent
+    x, v, c = gain[:, : 3 * n].reshape(n, 3, n).transpose(1, 0, 2)
+    a = np.linalg.solve(by_c.T, (c - x).T).T
+    return np.stack([x - a @ by_x, v * dt, a, x], axis=1), sent
 
 
 def cost_to_go(a: Floats, b: Floats, q: Floats, r: Floats) -> Floats:
@@ -136,12 +156,18 @@ def _flow_at(w: Floats, oil: Floats, mass: Floats, stiffness: Floats) -> Floats:
     return (np.eye(len(w)) + (stiffness + mass * w**2) / oil[:, :1]) * w
 
 
-def _without_fast_modes(mass: Floats, stiffness: Floats, valves: Sequence[ValveModel]) -> Floats:
-    """Masses with which no mode of the specimen on its oil is faster than `STIFF` says."""
+def _modes(
+    mass: Floats, stiffness: Floats, valves: Sequence[ValveModel], dt: float
+) -> tuple[Floats, Floats]:
+    """Masses without modes that are faster than `STIFF` says; certain part of accelerations.
+
+    A command answers a sample up to half a period more or less late.
+    """
     fastest = STIFF * max(valve.natural for valve in valves)
     squares, shapes = eigh(mass, stiffness)  # 1/w^2: 0 of a mass that is 0
-    back = np.linalg.inv(shapes)
-    return back.T @ (np.maximum(squares, fastest**-2.0)[:, np.newaxis] * back)
+    back, squares = np.linalg.inv(shapes), np.maximum(squares, fastest**-2.0)
+    certain = np.exp(-0.5 * STOOD * (UNCERTAIN_DELAY**2 + 0.25 * dt**2) / squares)
+    return back.T @ (squares[:, np.newaxis] * back), shapes @ (certain[:, np.newaxis] * back)
 
 
 def _sampled(

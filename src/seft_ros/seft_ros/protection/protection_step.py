@@ -100,6 +100,14 @@ def slow_down(plan: Floats, steps: int, dt: float, slowed: Floats) -> None:
 
 
 @compiled
+def planned_acceleration(points: Floats, i: int, dt: float) -> float:
+    """Acceleration of axis i at the first point: of the parabola, or line, of its velocities."""
+    now, after = points[0, 1, i], points[min(1, len(points) - 1), 1, i]
+    then = points[2, 1, i] if len(points) > 2 else 2.0 * after - now
+    return (2.0 * after - 1.5 * now - 0.5 * then) / dt
+
+
+@compiled
 def as_sample(points: Floats, dt: float, sample: Floats) -> None:
     """Give the sample that a specimen on its target would show.
 
@@ -112,10 +120,9 @@ def as_sample(points: Floats, dt: float, sample: Floats) -> None:
     sample : ndarray
         Displacement, velocity, acceleration and force, shape (4, n). The result.
     """
-    after = points[min(1, len(points) - 1)]
     for i in range(sample.shape[1]):
         sample[0, i], sample[1, i] = points[0, 0, i], points[0, 1, i]
-        sample[2, i] = (after[1, i] - points[0, 1, i]) / dt
+        sample[2, i] = planned_acceleration(points, i, dt)
         sample[3, i] = points[0, 2, i]
 
 
