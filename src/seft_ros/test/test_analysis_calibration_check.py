@@ -125,7 +125,7 @@ def test_a_reference_of_the_simulated_specimen_is_not_called_the_models():
 def test_what_a_separate_test_found_is_combined_by_the_errors():
     recording = recording_of(*FRICTION)
     own = calibration_check(recording).mass
-    mass, lag_error = own.estimate + 2 * own.error, {"calibration.force_lag_error": 1e-6}
+    mass, lag_error = own.estimate + own.error, {"calibration.force_lag_error": 1e-6}
     known = {"specimen.mass": mass, "specimen.mass_error": 0.1, **lag_error}
     known = replace(recording, experiment=recording.experiment.changed({"/**": known}))
     both = calibration_check(known).mass

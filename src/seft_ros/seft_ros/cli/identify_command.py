@@ -17,7 +17,6 @@ from seft_msgs_py.config.facts import EVERY_NODE, FORCE_DRIVEN
 from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.wire.outcome import BY_OPERATOR
-from seft_plant_sim.channels import FORCE, least_noise
 from seft_plant_sim.rig_parameters import as_simulated, common_lag, truth
 
 from seft_ros.bags.recording import Recording
@@ -192,6 +191,8 @@ def _with_force(experiment: Experiment, load: float, shown: float) -> Experiment
             f"--known-force is {load:g} {shown:g}, but the load cell must show a load of the same "
             "sign; give calibration.force_scale: -1 if it shows a pull as a push"
         )
+    from seft_plant_sim.channels import FORCE, least_noise
+
     section = experiment["reference_force"]
     scale = ratio * np.atleast_1d(section["calibration.force_scale"])
     error = least_noise(section, experiment.axes)[FORCE] / abs(shown)  # of one reading

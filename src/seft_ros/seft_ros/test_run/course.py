@@ -129,7 +129,8 @@ class Course:
         if node in SOFT_PEERS:
             self.machine.soft_trip(reason, step, waited)
         else:
-            self.machine.hard_trip(reason, step, waited, by_rig=node in self.rig_nodes)
+            by_rig = node in self.rig_nodes and reason != STOPPED
+            self.machine.hard_trip(reason, step, waited, by_rig=by_rig)
 
     def _ramp_patience(self) -> float:
         margin = self._section["watchdog.ramp_margin"]
