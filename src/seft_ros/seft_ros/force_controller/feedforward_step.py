@@ -17,8 +17,8 @@ class FeedforwardParameters(NamedTuple):
     ----------
     dt, limit : float
         Sampling period, s, and largest command, V.
-    gains, between : ndarray
-        Of the observer, shapes (n, 2, 2) and (2, 2).
+    gains : ndarray
+        Of the observer, shape (n, 2, 2).
     actuator : ndarray
         Flow gain (m/s/V), oil stiffness (N/m), leakage (1/s) and force capacity (N) of each axis,
         shape (n, 4).
@@ -42,7 +42,6 @@ class FeedforwardParameters(NamedTuple):
     dt: float
     limit: float
     gains: Floats
-    between: Floats
     actuator: Floats
     feedback: Floats
     sent: Floats
@@ -136,7 +135,7 @@ def feedforward_step(
         Whether one of them is at its limit.
     """
     p, n, limited = parameters, len(command), False
-    observe(p.gains, p.between, p.dt, state.steps[0] == 0.0, measured, state.measured)
+    observe(p.gains, p.dt, state.steps[0] == 0.0, measured, state.measured)
     for i in range(n):
         _follow(p, state, i, measured[3, i])
         _plan(p, state, i, points)

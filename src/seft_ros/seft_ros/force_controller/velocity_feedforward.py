@@ -33,7 +33,7 @@ from seft_ros.force_controller.feedforward_step import (
 from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.oil_column import regulator
 from seft_ros.force_controller.target_follower import TargetFollower, horizon_of
-from seft_ros.reference_force.observers import linear_between, observer_gains, sensor_noise
+from seft_ros.reference_force.observers import observer_gains, sensor_noise
 
 BETWEEN = 1.0
 """Of the observer, see `observer_gains`. The feedback is slower than what accelerations leave out
@@ -94,7 +94,6 @@ class VelocityFeedforward(TargetFollower):
             dt=dt,
             limit=section["limits.command"],
             gains=gains,
-            between=linear_between(dt),
             actuator=np.ascontiguousarray(actuator),
             feedback=feedback,
             sent=sent,

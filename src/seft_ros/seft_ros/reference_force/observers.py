@@ -82,42 +82,30 @@ def observer_gains(
     return gains, left
 
 
-def linear_between(dt: float) -> Floats:
-    """Parts of two accelerations in the motion between them, if it goes linearly; (2, 2).
+def steps_of_force(options: Mapping[str, Any], late: float, dt: float) -> Floats:
+    """Motion that a step of acceleration makes beyond one that grows linearly in a period, (2,).
 
-    Rows: displacement (s^2) and velocity (s). Columns: the earlier and the later acceleration.
-    """
-    return np.array([[dt * dt / 3.0, dt * dt / 6.0], [dt / 2.0, dt / 2.0]])
-
-
-def step_between(options: Mapping[str, Any], late: float, dt: float) -> Floats:
-    """Give `linear_between`, or what stands in its place where an ideal force steps.
-
-    The acceleration steps with the force of an actuator of kind ``ideal`` or ``delay``, of which no
-    response is known, ``late`` s and the actuator's delay after the sample.
+    Displacement (s^2) and velocity (s) per acceleration, of an actuator of kind ``ideal`` or
+    ``delay`` of which no response is known: its force steps ``late`` s and its delay after a
+    sample. Of others 0.
     """
     kind = options["actuator.kind"]
     if kind not in FORCE_DRIVEN or np.any(options["actuator.response.numerator"]):
-        return linear_between(dt)
+        return np.zeros(2)
     own = options["actuator.delay"] if kind == "delay" else 0.0
     part = split_dead_time(own + late, dt)[1]
     after = dt - part if part else 0.0
-    newer = np.array([after * after / 2.0, after])
-    return np.column_stack([np.array([dt * dt / 2.0, dt]) - newer, newer])
+    return np.array([after * after / 2.0 - dt * dt / 6.0, after - dt / 2.0])
 
 
 @compiled
-def observe(
-    gains: Floats, between: Floats, dt: float, is_first: bool, measured: Floats, motion: Floats
-) -> None:
+def observe(gains: Floats, dt: float, is_first: bool, measured: Floats, motion: Floats) -> None:
     """Update the estimates with a sample.
 
     Parameters
     ----------
     gains : ndarray
         See `observer_gains`, shape (n, 2, 2).
-    between : ndarray
-        See `linear_between`, shape (2, 2).
     dt : float
         Sampling period, s.
     is_first : bool
@@ -132,10 +120,10 @@ def observe(
         if is_first:
             motion[0, i] = measured[0, i]
             motion[1, i] = measured[1, i]
-        else:
+        else:  # the acceleration is linear between the samples
             before = motion[2, i]
-            x = motion[0, i] + dt * motion[1, i] + between[0, 0] * before + between[0, 1] * a
-            v = motion[1, i] + between[1, 0] * before + between[1, 1] * a
+            x = motion[0, i] + dt * (motion[1, i] + dt * (before / 3.0 + a / 6.0))
+            v = motion[1, i] + 0.5 * dt * (before + a)
             off, rate = measured[0, i] - x, measured[1, i] - v
             motion[0, i] = x + gains[i, 0, 0] * off + gains[i, 0, 1] * rate
             motion[1, i] = v + gains[i, 1, 0] * off + gains[i, 1, 1] * rate

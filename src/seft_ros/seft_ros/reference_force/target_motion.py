@@ -28,7 +28,7 @@ from seft_plant_sim.lti import first_order_hold
 from seft_ros.reference_force.compensator import MethodInputs, NotLinearError
 from seft_ros.reference_force.force_command import command_arrays, command_step
 from seft_ros.reference_force.linear_filter import LinearFilter
-from seft_ros.reference_force.observers import observer_gains, sensor_noise, step_between
+from seft_ros.reference_force.observers import observer_gains, sensor_noise, steps_of_force
 from seft_ros.reference_force.reference_force_parameters import (
     OF_MODEL,
     TARGET_MOTION,
@@ -386,7 +386,8 @@ def target_arrays(known: MethodInputs) -> tuple[TargetParameters, TargetState, M
         dt=dt,
         substeps=substeps,
         gains=gains,
-        between=step_between(known.options, known.late, dt),
+        by_force=np.linalg.inv(known.mass),
+        stepping=steps_of_force(known.options, known.late, dt),
         smooth=smooth,
         mass=np.ascontiguousarray(known.mass, dtype=np.float64),
         deformation=np.ascontiguousarray(deformation),
@@ -411,6 +412,7 @@ def target_arrays(known: MethodInputs) -> tuple[TargetParameters, TargetState, M
         known=np.zeros((late + 1 + preview, n)),
         ahead=np.zeros((late + 1 + preview, 3, n)),
         measured=np.zeros((3, n)),
+        force_before=np.zeros(n),
         target=np.zeros(3 * size),
         stops=np.zeros(thresholds),
         future_stops=np.zeros(thresholds),

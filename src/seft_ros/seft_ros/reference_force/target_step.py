@@ -46,8 +46,8 @@ class TargetParameters(NamedTuple):
         Steps of the integration in a period.
     gains : ndarray
         Of the observer, shape (n, 2, 2).
-    between : ndarray
-        See `linear_between`, shape (2, 2).
+    by_force, stepping : ndarray
+        M_e^-1, shape (n, n), 1/kg, and `steps_of_force`, shape (2,).
     smooth : ndarray
         Weights that smooth the channels where the acceleration is derived, see
         `second_difference`, shape (3, w); w is 0 if it is measured.
@@ -78,7 +78,8 @@ class TargetParameters(NamedTuple):
     dt: float
     substeps: int
     gains: Floats
-    between: Floats
+    by_force: Floats
+    stepping: Floats
     smooth: Floats
     mass: Floats
     deformation: Floats
@@ -108,8 +109,9 @@ class TargetState(NamedTuple):
     before, known, ahead : ndarray
         Ground accelerations of the steps since the smoothed sample, the oldest first, shape
         (w // 2, n), and room for those and the points from there on.
-    measured : ndarray
-        Observed displacement and velocity, and the last acceleration, shape (3, n).
+    measured, force_before : ndarray
+        Observed displacement and velocity, and the last acceleration, shape (3, n); the last force,
+        shape (n,).
     target : ndarray
         Displacements and velocities of the target, and the push on it; shape (3N,).
     stops, future_stops : ndarray
@@ -144,6 +146,7 @@ class TargetState(NamedTuple):
     known: Floats
     ahead: Floats
     measured: Floats
+    force_before: Floats
     target: Floats
     stops: Floats
     future_stops: Floats
@@ -242,7 +245,10 @@ def update_target(
     before, e, rate, force = state.springs[0], state.springs[1], state.springs[2], state.springs[3]
     if not first:
         times(n, n, p.deformation, state.measured[0], before)
-    observe(p.gains, p.between, p.dt, first, measured, state.measured)
+    if not first and p.stepping.any():
+        _take_step_of_force(p, state, measured[3])
+    copy(n, measured[3], state.force_before)
+    observe(p.gains, p.dt, first, measured, state.measured)
     times(n, n, p.deformation, state.measured[0], e)
     times(n, n, p.deformation, state.measured[1], rate)
     # r = f - M_e a (2)
@@ -264,6 +270,18 @@ def update_target(
     state.is_running[0] = 1.0
     copy(n, ground[0], state.ground)
     predict(p, state, ground, progress, points)
+
+
+@compiled
+def _take_step_of_force(p: TargetParameters, state: TargetState, force: Floats) -> None:
+    """Add what a step of the force, shape (n,), makes of the motion until this sample."""
+    n, beside = len(p.axes), p.stepping[0] - p.dt * p.stepping[1]  # of what `observe` adds of v
+    for i in range(n):
+        rise = 0.0
+        for k in range(n):
+            rise += p.by_force[i, k] * (force[k] - state.force_before[k])
+        state.measured[0, i] += beside * rise
+        state.measured[1, i] += p.stepping[1] * rise
 
 
 @compiled
