@@ -215,11 +215,9 @@ def truth(section: Section) -> Section:
 
 
 def is_imposed(section: Mapping[str, Any]) -> bool:
-    """Whether a simulated rig moves as the identified response tells: its vendor's loop is not."""
-    gains = [f"simulated.actuator.servo.{name}" for name in ("proportional", "integral")]
-    return section["actuator.kind"] == POSITION_SERVO and not any(
-        map(np.any, map(section.get, gains))
-    )
+    """Whether a simulated servo has no gains, so that it moves as the identified response tells."""
+    gains = [section[f"simulated.actuator.servo.{each}"] for each in ("proportional", "integral")]
+    return section["actuator.kind"] == POSITION_SERVO and not any(map(np.any, gains))
 
 
 def filter_of(frequency: Any, damping: Any) -> tuple[Floats, Floats]:

@@ -38,8 +38,6 @@ class CommandParameters(NamedTuple):
         Delay of T in whole steps, and the part of a step beyond.
     pull : ndarray
         Of a mass to the target per displacement (1/s^2) and velocity (1/s), shape (2,).
-    by_force : ndarray
-        M_e^-1, shape (n, n), 1/kg.
     """
 
     inverse: Floats
@@ -47,7 +45,6 @@ class CommandParameters(NamedTuple):
     steps: int
     part: float
     pull: Floats
-    by_force: Floats
 
 
 class CommandState(NamedTuple):
@@ -105,7 +102,6 @@ def command_arrays(known: MethodInputs, horizon: int) -> tuple[CommandParameters
         steps=steps,
         part=delay / dt - steps,
         pull=_pull(dt / delay) / np.array([dt * dt, dt]),
-        by_force=np.linalg.inv(known.mass),
     )
     state = CommandState(np.zeros((steps + 1, n)), np.zeros(2 * n), np.zeros((n, THRESHOLDS)))
     return parameters, state
@@ -145,7 +141,7 @@ def command_step(
     # first the force of the present command acts for a part of a step, then those of the others
     for age in range(p.steps, -1, -1):
         span = p.part * target.dt if age == p.steps else target.dt
-        move_by_force(target, running, p.by_force, state.sent[age], span, y, stops)
+        move_by_force(target, running, state.sent[age], span, y, stops)
     for age in range(p.steps, 0, -1):
         copy(n, state.sent[age - 1], state.sent[age])
     # Eq. (7)

@@ -275,13 +275,14 @@ def update_target(
 @compiled
 def _take_step_of_force(p: TargetParameters, state: TargetState, force: Floats) -> None:
     """Add what a step of the force, shape (n,), makes of the motion until this sample."""
-    n, beside = len(p.axes), p.stepping[0] - p.dt * p.stepping[1]  # of what `observe` adds of v
+    n, step, rise = len(p.axes), state.axes[0], state.axes[1]
     for i in range(n):
-        rise = 0.0
-        for k in range(n):
-            rise += p.by_force[i, k] * (force[k] - state.force_before[k])
-        state.measured[0, i] += beside * rise
-        state.measured[1, i] += p.stepping[1] * rise
+        step[i] = force[i] - state.force_before[i]
+    times(n, n, p.by_force, step, rise)
+    beside = p.stepping[0] - p.dt * p.stepping[1]  # of what `observe` adds of v
+    for i in range(n):
+        state.measured[0, i] += beside * rise[i]
+        state.measured[1, i] += p.stepping[1] * rise[i]
 
 
 @compiled
@@ -524,7 +525,6 @@ def predict(
 def move_by_force(
     p: TargetParameters,
     state: TargetState,
-    by_force: Floats,
     force: Floats,
     span: float,
     y: Floats,
@@ -538,8 +538,6 @@ def move_by_force(
     ----------
     p, state
         Of the target; the state gives the model of the specimen.
-    by_force : ndarray
-        M_e^-1, shape (n, n), 1/kg.
     force : ndarray
         Shape (n,), N.
     span : float
@@ -556,7 +554,7 @@ def move_by_force(
             specimen_force(p, state, y, sliders, r)
             for i in range(n):
                 r[i] = force[i] - r[i]
-            times(n, n, by_force, r, a)
+            times(n, n, p.by_force, r, a)
             for i in range(n):
                 y[n + i] += 0.5 * h * a[i]
             if side:
