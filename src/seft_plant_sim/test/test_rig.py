@@ -233,3 +233,8 @@ def test_a_rig_trips_by_a_rate_of_change_that_lasts_but_not_by_a_jump(rate):
     assert trips("drift 2.1e6").startswith("force rate 2.1e+06 N/s on axis x is beyond")
     if rate > 500.0:  # there 10 ms are five samples
         assert trips("noise 2e4").startswith("force rate ")
+
+
+def test_an_ideal_actuator_has_no_delay():
+    with pytest.raises(InputError, match=r"ideal obeys at once.* 0\.01 s: make the kind delay"):
+        make_rig(actuator__kind="ideal", actuator__delay=0.01)

@@ -34,6 +34,7 @@ FACTS = {
     "actuator.response.dead_time": 0.012,
 }
 SERVO = {"/**": {"actuator.kind": "servo_hydraulic_linear"}}
+IDEAL = {"actuator.kind": "ideal", "actuator.delay": 0.0}
 COUPLED = {"specimen.mass": [52.7, 40.0], "specimen.stiffness": [2.0e5, -3.0e4, -3.0e4, 2.4e5]}
 LINEAR = [name for name in OWN_METHODS if name != "target_motion"]  # test_design_frozen_methods.py
 LATE = {
@@ -122,7 +123,7 @@ def test_powers_of_the_matrix_are_what_the_blocks_do(method, rig):
     ("parts", "axes"),
     [
         ([{"/**": COUPLED | {"loop_delay": 3}}, SERVO], "xy"),
-        ([{"/**": {"actuator.kind": "ideal"}}], "x"),
+        ([{"/**": IDEAL}], "x"),
         ([{"/**": COUPLED}, delayed(0.0034)], "xy"),
         ([{"/**": COUPLED}, SERVO], "xy"),
         ([SERVO, {"force_controller": {"feedback": False}}], "x"),
@@ -204,7 +205,7 @@ def test_a_small_delay_adds_the_known_false_damping(alpha):
 
 def test_modes_of_several_axes_are_those_of_the_whole_structure():
     """Without a computed mass and with a perfect actuator the test is the structure itself."""
-    ideal = {"/**": COUPLED | {"actuator.kind": "ideal"}}
+    ideal = {"/**": COUPLED | IDEAL}
     modes = predicted_modes(PlannedTest(experiment(ideal, rate=5000.0, axes=("x", "y"))))
     k = np.reshape(COUPLED["specimen.stiffness"], (2, 2))
     squares = np.sort(np.linalg.eigvals(np.diag([1 / 52.7, 1 / 40.0]) @ k).real)

@@ -55,6 +55,7 @@ from seft_plant_sim.judge.judge import (
     Record,
 )
 from seft_plant_sim.judge.relation_following import MOTION_TO_NOISE
+from seft_plant_sim.judge.valve_following import UNCERTAIN_OIL
 
 LIKE = 2.0
 """Size of an event over that of confirmed ones up to which it is like them: twice a friction's."""
@@ -231,6 +232,7 @@ def _compare(known: Record, axis: Record, c: Record, b: Record, flow: Flow) -> N
     if known.oil > 0.0:
         c.off[2] = z[F] - (1.0 - known.leak * dt) * last[F] + known.oil * (moved - dt * flow[0])
         left[2] = axis.part[2] * axis.pressed**2 + (known.oil * dt) ** 2 * flow[1]
+        left[2] += (UNCERTAIN_OIL * known.oil * dt * (flow[0] - last[V])) ** 2
     else:
         c.off[2] = z[F] - 2.0 * last[F] + b.value[1, F]
         left[2] = b.variance[1, F] + axis.asked_turn**2 + axis.bent**2

@@ -230,7 +230,12 @@ def continuous_model(
     specimen = failing_specimen(faults, own, specimen)
     actuator, kind = group(section, "simulated.actuator"), section["actuator.kind"]
     if kind in ("ideal", "delay"):
-        model = delayed_force(specimen, actuator["delay"] if kind == "delay" else 0.0)
+        if kind == "ideal" and np.any(actuator["delay"]):
+            raise InputError(
+                "/**: actuator.kind ideal obeys at once, but actuator.delay is "
+                f"{actuator['delay']} s: make the kind delay, or actuator.delay 0"
+            )
+        model = delayed_force(specimen, actuator["delay"])
         return with_sensors(model, section, axes, own.places)
     hydraulics = Hydraulics.from_parameters(actuator, axes).part(own.places)
     if is_imposed(section):

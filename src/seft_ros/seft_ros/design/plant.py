@@ -305,8 +305,8 @@ def rig_model(
     specimen = tested_specimen(experiment)
     specimen = replace(specimen, stiffness=stiffness * specimen.stiffness)
     if section["actuator.kind"] in FORCE_DRIVEN:
-        delay = section["actuator.delay"] if section["actuator.kind"] == "delay" else 0.0
-        return "identified", delayed_force(specimen, delay + common_lag(section))
+        delay = section["actuator.delay"] + common_lag(section)
+        return "identified", delayed_force(specimen, delay)
     if section["actuator.kind"] == POSITION_SERVO:
         servos, late = known_responses(section, axes, range(len(axes))), common_lag(section)
         servos = [replace(each, dead_time=each.dead_time + late) for each in servos]

@@ -92,8 +92,7 @@ def steps_of_force(options: Mapping[str, Any], late: float, dt: float) -> Floats
     kind = options["actuator.kind"]
     if kind not in FORCE_DRIVEN or np.any(options["actuator.response.numerator"]):
         return np.zeros(2)
-    own = options["actuator.delay"] if kind == "delay" else 0.0
-    part = split_dead_time(own + late, dt)[1]
+    part = split_dead_time(options["actuator.delay"] + late, dt)[1]
     after = dt - part if part else 0.0
     return np.array([after * after / 2.0 - dt * dt / 6.0, after - dt / 2.0])
 
