@@ -104,9 +104,6 @@ _SPECIMEN = (
 _ACTUATOR = parameter_rows(
     """
     rated_voltage     | floats | 10.0  | V     | > 0  | drive at which the valve is fully open
-    friction          | floats | 0.0   | N     | 0 .. | Coulomb friction of the piston
-    friction_velocity | floats | 0.005 | m/s   | > 0  |
-        velocity over which Coulomb friction builds up
     viscous_friction  | floats | 0.0   | N s/m | 0 .. | viscous friction of the piston
     stroke            | floats | 0.076 | m     | > 0  |
         displacement in both directions at which the piston meets its stops
@@ -146,7 +143,7 @@ def _true(fact: Parameter) -> Parameter:
         name=f"simulated.{fact.name.replace('calibration.', 'sensors.')}",
         default=_OF_THE_PAPER.get(name, fact.default),
         description=f"what /**: {fact.name} truly is; default the same",
-        positive=name in _OF_THE_PAPER and name not in ("leakage", "dead_time"),
+        positive=fact.positive or (name in _OF_THE_PAPER and name not in ("leakage", "dead_time")),
     )
 
 

@@ -45,6 +45,7 @@ KNOWN = {
     "valve_frequency": 70.0,
     "valve_damping": 0.6,
     "dead_time": 1e-3,
+    "friction": 10.0,
 }
 ALLOWED = {
     "flow_gain": 0.01,
@@ -52,7 +53,9 @@ ALLOWED = {
     "valve_frequency": 0.1,
     "valve_damping": 0.15,
     "dead_time": 0.2e-3,
+    "friction": 6.0,
 }
+"""Relative; of dead time and friction absolute."""
 
 
 def assert_found(fit, **other):
@@ -61,7 +64,9 @@ def assert_found(fit, **other):
     assert fit.fault() == ""
     assert fit.unsure == ()
     for name, known in {**KNOWN, **other}.items():
-        allowed = {"abs": ALLOWED[name]} if name == "dead_time" else {"rel": ALLOWED[name]}
+        allowed = (
+            {"abs": ALLOWED[name]} if name in ("dead_time", "friction") else {"rel": ALLOWED[name]}
+        )
         assert getattr(fit, name) == pytest.approx(known, **allowed), name
     assert 20.0 < fit.leakage < 100.0
 
@@ -72,8 +77,11 @@ RIGS = {
     "the paper's": ((), {}),
     "yields much": ((SPECIMEN + "kind:=bilinear", SPECIMEN + "yield_displacement:=0.0001"), {}),
     "slips": ((SPECIMEN + "kind:=friction", SPECIMEN + "friction.force:=200.0"), {}),
-    "no friction": ((ACTUATOR + "friction:=0.0",), {}),
-    "sharp friction": ((ACTUATOR + "friction:=30.0", ACTUATOR + "friction_velocity:=0.001"), {}),
+    "no friction": ((ACTUATOR + "friction:=0.0",), {"friction": 0.0}),
+    "sharp friction": (
+        (ACTUATOR + "friction:=30.0", ACTUATOR + "friction_velocity:=0.001"),
+        {"friction": 30.0},
+    ),
     "slow valve": ((ACTUATOR + "valve_frequency:=30.0",), {"valve_frequency": 30.0}),
     "soft oil": ((ACTUATOR + "oil_stiffness:=1.6615e6",), {"oil_stiffness": 1.6615e6}),
     "half the flow": ((ACTUATOR + "flow_gain:=0.02015",), {"flow_gain": 0.02015}),

@@ -171,6 +171,20 @@ def test_a_loaded_valve_opens_further():
     assert drives[1] / drives[0] == pytest.approx(leakage / math.sqrt(1 - 12 / 24.5), rel=0.02)
 
 
+def test_the_friction_of_a_piston_presses_the_oil_like_a_force():
+    velocity = 0.03 * np.cos(60.0 * DT * np.arange(26))
+    points = np.zeros((26, 3, 1))
+    points[:, 0, 0], points[:, 1, 0] = DT * np.cumsum(velocity), velocity
+    drives = []
+    for force, friction in ((0.0, 200.0), (200.0 * np.tanh(velocity / 0.01), 0.0)):
+        parameters, state = controller(friction=friction, friction_velocity=0.01)
+        points[:, 2, 0], command = force, np.zeros(1)
+        measured = np.array([points[0, 0], points[0, 1], [0.0], points[0, 2]])
+        feedforward_step(parameters, state, points, measured, command)
+        drives.append(command[0])
+    assert drives[0] == pytest.approx(drives[1], rel=1e-9)
+
+
 def test_horizon_that_is_too_short_is_refused():
     with pytest.raises(InputError, match=r"horizon is 0\.02 s, .* make it longer"):
         controller(horizon=10)

@@ -54,6 +54,9 @@ ideal, delay, servo_hydraulic, servo_hydraulic_linear, position_servo |
     leakage         | floats | 0.0 | 1/s   | 0 .. | rate at which the force decays by leakage
     force_capacity  | floats | 0.0 | N     | 0 .. |
         force at supply pressure; 0: not known, so that the load does not change the flow
+    friction        | floats | 0.0 | N     | 0 .. |
+        Coulomb friction of the piston, which the load cell does not measure
+    friction_velocity | floats | 0.005 | m/s | > 0 | velocity over which it builds up
     valve_frequency | floats | 0.0 | Hz    | 0 .. | natural frequency of the valve; 0: not known
     valve_damping   | floats | 0.7 |       | 0 .. | damping ratio of the valve
     dead_time       | floats | 0.0 | s     | 0 .. 1 |

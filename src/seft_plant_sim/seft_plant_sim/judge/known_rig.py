@@ -15,7 +15,7 @@ from seft_plant_sim.rig_parameters import common_lag
 
 ASSUMED_ACTUATOR = ("flow_gain", "oil_stiffness", "leakage", "force_capacity")
 """Columns of an array of actuators."""
-_VALVE = ("valve_frequency", "valve_damping", "dead_time")
+_BESIDE = ("friction", "friction_velocity", "valve_frequency", "valve_damping", "dead_time")
 
 
 def read_actuators(
@@ -26,13 +26,14 @@ def read_actuators(
     Returns
     -------
     dict of str to ndarray
-        `ASSUMED_ACTUATOR` and those of the valve, by name, shape (number of places,) each. The dead
-        time is that from a command to the measured flow, with the lag of the measured state.
+        `ASSUMED_ACTUATOR` and those of friction and valve, by name, shape (number of places,) each.
+        The dead time is that from a command to the measured flow, with the lag of the measured
+        state.
     """
     own = list(places)
     known = {
         name: per_axis(section[f"actuator.{name}"], axes, f"/**: actuator.{name}")[own]
-        for name in (*ASSUMED_ACTUATOR, *_VALVE)
+        for name in (*ASSUMED_ACTUATOR, *_BESIDE)
     }
     known["dead_time"] = known["dead_time"] + common_lag(section)
     return known

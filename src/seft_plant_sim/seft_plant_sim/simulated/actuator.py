@@ -12,7 +12,7 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.parameter_table import per_axis
 
-from seft_plant_sim.compiled import compiled
+from seft_plant_sim.compiled import compiled, smooth_sign
 
 
 @dataclass(frozen=True)
@@ -164,10 +164,7 @@ def lost_opening(pistons: Floats, i: int, w: float, p: float, supply: float) -> 
 def holding_force(pistons: Floats, i: int, x: float, v: float) -> float:
     """Force of friction and end stops on a piston at ``x`` (m) with velocity ``v`` (m/s), N."""
     friction, stroke = pistons[i, FRICTION], pistons[i, STROKE_COLUMN]
-    force = 0.0
-    if friction:  # tanh(v / over) by one exponential
-        faded = math.exp(-2.0 * abs(v) * pistons[i, PER_VELOCITY])
-        force = math.copysign(friction, v) * (1.0 - faded) / (1.0 + faded)
+    force = friction * smooth_sign(v * pistons[i, PER_VELOCITY]) if friction else 0.0
     if x > stroke:
         force += pistons[i, _STOP] * (x - stroke) * max(0.0, 1.0 + STOP_DAMPING * v)
     elif x < -stroke:

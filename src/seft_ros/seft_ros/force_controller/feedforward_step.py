@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from seft_msgs_py.arrays import Floats
-from seft_plant_sim.compiled import compiled, put_first
+from seft_plant_sim.compiled import compiled, put_first, smooth_sign
 from seft_plant_sim.judge.valve_following import begin_following, follow_valve, under_load
 
 from seft_ros.protection.protection_step import as_sample, planned_acceleration, slow_down
@@ -22,6 +22,9 @@ class FeedforwardParameters(NamedTuple):
     actuator : ndarray
         Flow gain (m/s/V), oil stiffness (N/m), leakage (1/s) and force capacity (N) of each axis,
         shape (n, 4).
+    friction : ndarray
+        Coulomb friction of each piston (N), and 1 / the velocity over which it builds up (s/m),
+        shape (n, 2).
     feedback : ndarray
         Flow per deviation of displacement, velocity, acceleration and compression, see
         `regulator`; shape (n, 4, n).
@@ -43,6 +46,7 @@ class FeedforwardParameters(NamedTuple):
     limit: float
     gains: Floats
     actuator: Floats
+    friction: Floats
     feedback: Floats
     sent: Floats
     planned: Floats
@@ -161,16 +165,25 @@ def _plan(p: FeedforwardParameters, state: FeedforwardState, i: int, points: Flo
     flow, coming, taps = state.flow, state.coming[i], state.coming.shape[1]
     leakage, capacity = p.actuator[i, 2], p.actuator[i, 3]
     compliance = (1.0 + state.errors[i, OIL_ERROR]) / p.actuator[i, 1]
+    then = _force_of_oil(p, points, 0, i)
     for j in range(taps + 1):
         moved = points[j + 1, 0, i] - points[j, 0, i]
-        rise = points[j + 1, 2, i] - points[j, 2, i]
-        mean = 0.5 * (points[j + 1, 2, i] + points[j, 2, i])
+        now, then = then, _force_of_oil(p, points, j + 1, i)
+        rise, mean = then - now, 0.5 * (now + then)
         needed = (moved + compliance * (rise + p.dt * leakage * mean)) / p.dt
         flow[j] = needed / under_load(needed, mean, capacity)
     late = state.errors[i, DELAY_ERROR]
     for j in range(taps):
         before = max(j - 1, 0)
         coming[j] = flow[j] + late * (flow[j + 1] - flow[before]) / ((j + 1 - before) * p.dt)
+
+
+@compiled
+def _force_of_oil(p: FeedforwardParameters, points: Floats, j: int, i: int) -> float:
+    """Planned force of the oil, N: that of the load cell, and the piston's friction."""
+    friction, per_velocity = p.friction[i, 0], p.friction[i, 1]
+    rubs = friction * smooth_sign(points[j, 1, i] * per_velocity) if friction else 0.0
+    return points[j, 2, i] + rubs
 
 
 @compiled

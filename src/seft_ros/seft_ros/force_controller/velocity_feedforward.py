@@ -95,6 +95,7 @@ class VelocityFeedforward(TargetFollower):
             limit=section["limits.command"],
             gains=gains,
             actuator=np.ascontiguousarray(actuator),
+            friction=np.column_stack([known["friction"], 1.0 / known["friction_velocity"]]),
             feedback=feedback,
             sent=sent,
             planned=planned,

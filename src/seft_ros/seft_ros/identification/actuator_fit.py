@@ -201,6 +201,7 @@ _DAMPING, _LOAD, _OVER = math.log(0.7), 0.02, math.log(0.005)  # first guesses
 _MOST_STEPS = 30
 _TOLERANCE = 0.01  # of the flow at a frequency: accuracy of the model itself
 _LEAST_LOAD = 0.15  # of the force capacity: below, friction can be taken for it
+_STANDS_OUT = 4.0  # standard deviations: by chance once in 30,000 tests
 _UNSURE = 0.1  # relative standard deviation; of the dead time in ms
 _DOUBTED = ("flow_gain", "oil_stiffness", "valve_frequency", "valve_damping", "dead_time")
 _LOWEST = np.array([math.log(3.0), math.log(0.1), 0.0, 0.0, math.log(2e-4), 0.0])
@@ -229,6 +230,9 @@ class ActuatorFit:
     dead_time : float
         Of the valve, without the loop's own step, s; with the lag of a filter that all sensors
         have, which is no part of the valve.
+    friction, friction_velocity : float
+        Coulomb friction of the piston, N (0: it does not stand out from its standard deviation),
+        and the velocity over which it builds up, m/s.
     drag : float
         Viscous friction equivalent to the piston's friction in the test, N s/m.
     explained : float
@@ -251,6 +255,8 @@ class ActuatorFit:
     valve_frequency: float
     valve_damping: float
     dead_time: float
+    friction: float
+    friction_velocity: float
     drag: float
     explained: float
     unsure: tuple[str, ...]
@@ -310,6 +316,7 @@ def fit_actuator(
     linear, linear_deviations, errors = oil.solve(p, deviation)
     covariance = np.linalg.pinv(jacobian.T @ jacobian) * float(np.mean(errors**2))
     deviations = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
+    linear[3] *= linear[3] > _STANDS_OUT * linear_deviations[3]
     q, compliance, leaking, friction = linear.tolist()
     lost = leaking * oil.between + friction * oil.slip(p)
     measured = oil.within(oil.velocity + compliance * oil.rise + lost)
@@ -325,7 +332,9 @@ def fit_actuator(
         valve_frequency=math.exp(p[0]),
         valve_damping=math.exp(p[1]),
         dead_time=float(p[2] + p[5]) / 1e3,
-        drag=max(friction / compliance, 0.0) * oil.drag(p) if compliance else 0.0,
+        friction=friction / compliance if compliance else 0.0,
+        friction_velocity=math.exp(p[4]),
+        drag=friction / compliance * oil.drag(p) if compliance else 0.0,
         explained=1.0 - float(np.sum((measured - modelled) ** 2)) / total if total else 0.0,
         unsure=tuple(n for n, r in zip(_DOUBTED, relative, strict=True) if r > _UNSURE),
         largest_force=oil.largest_force,

@@ -230,6 +230,8 @@ _ACTUATOR = {  # parameter -> its key in the result
     "valve_frequency": "valve_frequency_hz",
     "valve_damping": "valve_damping",
     "dead_time": "dead_time_s",
+    "friction": "friction_n",
+    "friction_velocity": "friction_velocity_m_per_s",
 }
 _MATRICES = ("mass", "damping", "stiffness")
 _LONGEST_DELAY = 1.0  # s, as in the parameter table
@@ -310,6 +312,7 @@ _TABLE = (  # of an axis, by section
         Number("actuator: flow gain", "actuator.flow_gain_m_per_s_per_v", "mm/s/V", 1e3),
         Number("  oil stiffness", "actuator.oil_stiffness_n_per_m", "kN/m", 1e-3),
         Number("  leakage", "actuator.leakage_per_s", "1/s"),
+        Number("  friction", "actuator.friction_n", "N"),
         Number("  force capacity", "actuator.force_capacity_n", "kN", 1e-3),
         Number("  valve", "actuator.valve_frequency_hz", "Hz"),
         Number("    damping", "actuator.valve_damping", "%", 100.0),
