@@ -83,6 +83,7 @@ def scaled_rig(
     """
     words, gain, oil, capacity, peaks = scaled(mass, oil_hz, rate, hz, mass_ratio, leakage, zeta)
     true = {"flow_gain": gain, "oil_stiffness": oil, "leakage": leakage, "force_capacity": capacity}
+    true["friction"] = 10.0 / 24500.0 * capacity
     true["dead_time"] = DEAD_TIME + max(-dead_time_error, 0.0)
     known = true | {
         "flow_gain": gain * (1.0 + gain_error),
@@ -90,8 +91,7 @@ def scaled_rig(
         "dead_time": DEAD_TIME + max(dead_time_error, 0.0),
     }
     values = {
-        "rig:simulated.actuator": true
-        | {"friction": 10.0 / 24500.0 * capacity, "stroke": 5.0 * peaks[0]},
+        "rig:simulated.actuator": true | {"stroke": 5.0 * peaks[0]},
         "actuator": known,
         "sensors": {
             **{f"{name}_range": 5.0 * peak for name, peak in zip(CHANNELS, peaks, strict=True)},
