@@ -83,10 +83,10 @@ def foreseen(experiment):
 
 
 def test_the_error_of_an_unforeseen_yielding_is_that_of_its_test():
-    planned = scaled_test(800.0, 23.0, 1000.0, 4.0)
+    planned = scaled_test(3000.0, 12.0, 500.0, 2.0)
     found = foreseen(planned)
     own = error(
-        scaled_test(800.0, 23.0, 1000.0, 4.0, kind="bilinear").changed(
+        scaled_test(3000.0, 12.0, 500.0, 2.0, kind="bilinear").changed(
             {"rig": {"simulated.specimen.hardening_ratio": 0.1}}
         )
     )

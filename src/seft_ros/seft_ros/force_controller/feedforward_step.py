@@ -63,7 +63,7 @@ class FeedforwardState(NamedTuple):
     measured : ndarray
         See `observe`, shape (3, n).
     last : ndarray
-        Last displacement (m) and force (N), shape (n, 2).
+        Last displacement (m) and force of the oil (N), shape (n, 2).
     sent : ndarray
         Past commands, the newest first, shape (n, memory), V.
     flows : ndarray
@@ -165,10 +165,10 @@ def _plan(p: FeedforwardParameters, state: FeedforwardState, i: int, points: Flo
     flow, coming, taps = state.flow, state.coming[i], state.coming.shape[1]
     leakage, capacity = p.actuator[i, 2], p.actuator[i, 3]
     compliance = (1.0 + state.errors[i, OIL_ERROR]) / p.actuator[i, 1]
-    then = _force_of_oil(p, points, 0, i)
+    then = points[0, 2, i] + _rubs(p, i, points[0, 1, i])
     for j in range(taps + 1):
         moved = points[j + 1, 0, i] - points[j, 0, i]
-        now, then = then, _force_of_oil(p, points, j + 1, i)
+        now, then = then, points[j + 1, 2, i] + _rubs(p, i, points[j + 1, 1, i])
         rise, mean = then - now, 0.5 * (now + then)
         needed = (moved + compliance * (rise + p.dt * leakage * mean)) / p.dt
         flow[j] = needed / under_load(needed, mean, capacity)
@@ -179,11 +179,10 @@ def _plan(p: FeedforwardParameters, state: FeedforwardState, i: int, points: Flo
 
 
 @compiled
-def _force_of_oil(p: FeedforwardParameters, points: Floats, j: int, i: int) -> float:
-    """Planned force of the oil, N: that of the load cell, and the piston's friction."""
-    friction, per_velocity = p.friction[i, 0], p.friction[i, 1]
-    rubs = friction * smooth_sign(points[j, 1, i] * per_velocity) if friction else 0.0
-    return points[j, 2, i] + rubs
+def _rubs(p: FeedforwardParameters, i: int, velocity: float) -> float:
+    """Friction of a piston, N: the force of the oil beyond that of the load cell."""
+    friction = p.friction[i, 0]
+    return friction * smooth_sign(velocity * p.friction[i, 1]) if friction else 0.0
 
 
 @compiled
@@ -211,6 +210,7 @@ def _follow(p: FeedforwardParameters, state: FeedforwardState, i: int, force: fl
     """Estimate the errors of a valve and its oil from the last period, see `valve_following`."""
     gain, oil, leakage = p.actuator[i, 0], p.actuator[i, 1], p.actuator[i, 2]
     signals, last, x = state.signals[i], state.last[i], state.measured[0, i]
+    force += _rubs(p, i, state.measured[1, i])
     if state.steps[0] >= state.sent.shape[1]:  # all commands under way are known
         flow = later = 0.0
         for j in range(state.sent.shape[1]):
