@@ -227,10 +227,7 @@ def own_solution(script, kind, foundation, motion, dt, folder):
 @pytest.mark.usefixtures("opensees")
 @pytest.mark.parametrize(
     ("name", "foundation", "kind", "seed", "seconds"),
-    [
-        ("frame", 0.0, "bilinear", 1, 5.0),
-        *(pytest.param(*case, marks=THOROUGH) for case in OTHERS),
-    ],
+    [("frame", 0.0, "bilinear", 1, 5.0), *(pytest.param(*case, marks=THOROUGH) for case in OTHERS)],
 )
 def test_an_example_is_near_the_solution_of_opensees_itself(
     tmp_path, name, foundation, kind, seed, seconds

@@ -158,10 +158,7 @@ def test_one_of_two_rigs_hosts_hardware_and_the_other_is_simulated(local_graph, 
         text.replace("    pace: realtime", "    pace: realtime\n    hardware: boards:Board")
     )
     graph = local_graph(
-        THREE_SECONDS,
-        config=BRIDGE,
-        nodes=RIGS_NODES,
-        own_files={"east/rig": [file]},
+        THREE_SECONDS, config=BRIDGE, nodes=RIGS_NODES, own_files={"east/rig": [file]}
     )
     perform(graph)
     reported = graph.until(lambda: graph.status("east/rig").get("stop time (s)"))
