@@ -48,11 +48,7 @@ def nodes(domain, tmp_path_factory):
             with log.open("w") as out:
                 command = [sys.executable, "-m", MODULES[node], *words]
                 processes[node] = subprocess.Popen(
-                    command,
-                    cwd=folder,
-                    stdout=out,
-                    stderr=out,
-                    preexec_fn=hear_hang_ups,
+                    command, cwd=folder, stdout=out, stderr=out, preexec_fn=hear_hang_ups
                 )
         yield SimpleNamespace(folder=folder, logs=logs, processes=processes)
         said = {node: len(log.read_text()) for node, log in logs.items()}

@@ -58,8 +58,7 @@ def test_every_compensation_method_is_in_both_tables_of_methods():
 
 
 @pytest.mark.parametrize(
-    ("column", "overrides"),
-    [(1, []), (2, ["actuator.kind:=delay", "actuator.delay:=0.01"])],
+    ("column", "overrides"), [(1, []), (2, ["actuator.kind:=delay", "actuator.delay:=0.01"])]
 )
 @pytest.mark.parametrize("method", ["none", "restoring"])  # they need nothing identified
 def test_where_a_method_ends_is_what_preflight_says(method, column, overrides):

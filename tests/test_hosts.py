@@ -15,10 +15,7 @@ pytestmark = [pytest.mark.thorough, pytest.mark.hosts, pytest.mark.wallclock]
 
 LOOP_DELAY = 9
 DELAYED = {"delay": 0.005, "jitter": 0.001}
-PLAN = (
-    *("-p", "reference_force:mass_ratio:=1.0"),
-    *("-p", f"loop_delay:={LOOP_DELAY}"),
-)
+PLAN = (*("-p", "reference_force:mass_ratio:=1.0"), *("-p", f"loop_delay:={LOOP_DELAY}"))
 NO_LIMITS = (
     *(f"limits.{name}:=1e9" for name in CHANNELS),
     *(f"limits.{name}_rate:=1e12" for name in CHANNELS),

@@ -23,7 +23,7 @@ from seft_msgs_py.wire.topics import DESCRIPTION, DIAGNOSTICS, RIG_STATE, VALVE_
 from seft_plant_sim.hardware.hosted import HostedHardware
 from seft_plant_sim.rig_parameters import RIG_TABLE, as_simulated
 
-SMALL = ("ground_motion:synthetic.duration:=6.0", "ground_motion:peak_force:=20.0")
+SMALL = ("ground_motion:synthetic.duration:=3.0", "ground_motion:peak_force:=20.0")
 IN_VOLTS = (
     *("calibration.displacement_per_volt:=0.01", "calibration.velocity_per_volt:=-0.1"),
     *("calibration.acceleration_per_volt:=3.924", "calibration.force_per_volt:=2220.0"),
@@ -49,7 +49,7 @@ def calls():
 def test_a_board_that_shows_volts_is_rehearsed_zeroed_and_performs_a_test(hosting):
     graph = hosting("Board", *IN_VOLTS, "rig:simulated.sensors.force_bias:=22.2")
     perform(graph)
-    assert graph.values["detail"] == "2501 steps done"
+    assert graph.values["detail"] == "1751 steps done"
     assert (graph.status("rig")["missed"], graph.status("rig")["overruns"]) == ("0", "0")
     force = graph.samples(RIG_STATE)[1][:100, 3]
     assert abs(force.mean()) < 1.5  # N, of which the noise is 0.3
@@ -158,10 +158,7 @@ def test_one_of_two_rigs_hosts_hardware_and_the_other_is_simulated(local_graph, 
         text.replace("    pace: realtime", "    pace: realtime\n    hardware: boards:Board")
     )
     graph = local_graph(
-        THREE_SECONDS,
-        config=BRIDGE,
-        nodes=RIGS_NODES,
-        own_files={"east/rig": [file]},
+        THREE_SECONDS, config=BRIDGE, nodes=RIGS_NODES, own_files={"east/rig": [file]}
     )
     perform(graph)
     reported = graph.until(lambda: graph.status("east/rig").get("stop time (s)"))

@@ -125,7 +125,7 @@ def test_what_is_lost_on_a_link_costs_little(local_graph, lost):
 
 
 @pytest.mark.parametrize(
-    ("pace", "seconds", "as_stranger"), [("realtime", 6.0, True), ("lockstep", 20.0, False)]
+    ("pace", "seconds", "as_stranger"), [("realtime", 3.0, True), ("lockstep", 14.0, False)]
 )
 def test_bad_messages_change_no_bit_of_a_test(local_graph, pace, seconds, as_stranger):
     motion = f"ground_motion:synthetic.duration:={seconds}"

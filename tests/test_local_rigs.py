@@ -8,7 +8,7 @@ from graph_tools import BRIDGE
 from local_tools import LONG, RIGS_NODES, offline, perform
 from seft_msgs_py.wire.topics import RIG_STATE, rigs_of
 
-SHORT = ("ground_motion:synthetic.duration:=6.0", "ground_motion:tail:=0.5")
+SHORT = ("ground_motion:synthetic.duration:=3.0", "ground_motion:tail:=0.5")
 
 
 @pytest.mark.parametrize(("pace", "loop_delay"), [("realtime", 5), ("lockstep", 0)])

@@ -6,15 +6,7 @@ import re
 import numpy as np
 import pytest
 from graph_tools import MISSES_ALLOWED
-from local_tools import (
-    LOCKSTEP,
-    LONG,
-    NODES,
-    TARGET_MOTION,
-    UNREHEARSED,
-    at_rest,
-    perform,
-)
+from local_tools import LOCKSTEP, LONG, NODES, TARGET_MOTION, UNREHEARSED, at_rest, perform
 from seft_msgs_py.wire.messages import encode_diagnostics
 from seft_msgs_py.wire.outcome import FINISHED, Outcome, rig_status
 from seft_msgs_py.wire.topics import DIAGNOSTICS, REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND

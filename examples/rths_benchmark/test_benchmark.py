@@ -198,7 +198,7 @@ def test_the_plant_of_a_file_has_the_rate_of_the_benchmark():
 
 # seft on it
 
-SHORT = 20.0
+SHORT = 14.0
 """Of the excitation of these tests, s."""
 
 
@@ -238,7 +238,7 @@ def test_a_servo_that_is_faster_than_told_is_commanded_later(tmp_path):
     leading = told["denominator"][0]
     known = {f"actuator.response.{name}": (part / leading).tolist() for name, part in told.items()}
     write_parameter_file(tmp_path / "told.yaml", {EVERY_NODE: known}, [])
-    plant, ground = Plant.perturbed(1, 0), shaken(8.0)
+    plant, ground = Plant.perturbed(1, 0), shaken(6.0)
     structure = Structure(4, plant)
     moved = run_product(structure, plant, tmp_path / "told.yaml", ground, seed=2)
     late = criteria(

@@ -1,10 +1,6 @@
 """Facts: which there are, and where a file has them."""
 
-from seft_msgs_py.config.facts import (
-    CHANNELS,
-    fact_of,
-    facts,
-)
+from seft_msgs_py.config.facts import CHANNELS, fact_of, facts
 
 
 def test_a_node_has_the_facts_that_it_names_after_rate_and_axes():

@@ -10,14 +10,7 @@ from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.outcome import Outcome, Trip, all_saturated
-from seft_msgs_py.wire.topics import (
-    CLOCK_TOPIC,
-    RigAxes,
-    Timebase,
-    rigs_of,
-    topics_of,
-    with_rigs,
-)
+from seft_msgs_py.wire.topics import CLOCK_TOPIC, RigAxes, Timebase, rigs_of, topics_of, with_rigs
 
 AXES = ("west/x", "east/x", "west/y")
 WEST, EAST = RigAxes("west", ("west/x", "west/y"), (0, 2)), RigAxes("east", ("east/x",), (1,))

@@ -27,11 +27,7 @@ def test_the_oil_column_resonates_with_actuator_and_specimen():
 
 def test_each_axis_may_have_its_own_actuator():
     made = hydraulics(
-        ("x", "y"),
-        leakage=[0.0, 25.0],
-        friction=[10.0, 20.0],
-        stroke=0.1,
-        dead_time=[0.001, 0.003],
+        ("x", "y"), leakage=[0.0, 25.0], friction=[10.0, 20.0], stroke=0.1, dead_time=[0.001, 0.003]
     )
     np.testing.assert_allclose(made.leakage, [0.0, 25.0])
     np.testing.assert_allclose(made.friction, [10.0, 20.0])

@@ -5,12 +5,7 @@ import pytest
 from bags_at_hand import write_stock_bag
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.experiment_state import ExperimentState, encode_state
-from seft_msgs_py.wire.messages import (
-    EstimatesCodec,
-    Status,
-    encode_diagnostics,
-    encode_string,
-)
+from seft_msgs_py.wire.messages import EstimatesCodec, Status, encode_diagnostics, encode_string
 from seft_msgs_py.wire.outcome import Outcome, State, Trip, rig_status
 from seft_msgs_py.wire.topics import (
     CLOCK,

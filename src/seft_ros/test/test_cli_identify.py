@@ -263,10 +263,16 @@ def test_a_load_that_hung_on_the_load_cell_tells_its_scale(identify, tmp_path):
     model = read_parameter_file(tmp_path / "out" / "model.yaml")["/**"]
     assert model["calibration.force_scale"] == [1.03]
     assert model["calibration.force_scale_error"] == [3.0 / 1030.0]  # the noise of one reading
-    status, found, _ = identify(*BRIEF, "--specimen", "--known-mass", "52.7", overrides=wrong)
-    assert status == 0
-    assert found["multisine"]["axes"][0]["force"]["scale"]["value"] == pytest.approx(1.03, abs=3e-3)
-    assert found["multisine"]["mass"] == pytest.approx(52.7, rel=1e-9)
+
+
+def test_a_mass_that_is_known_tells_the_scale_of_the_load_cell(once_more):
+    folder, again = once_more
+    shutil.rmtree(folder / "closed_loop")  # of the calibration that was found
+    status, found, _ = again("--known-mass", "51.2")
+    assert (status, len(found["reused"])) == (0, 4)
+    scale = found["multisine"]["axes"][0]["force"]["scale"]
+    assert scale["value"] == pytest.approx(52.7 / 51.2, abs=3e-3)
+    assert found["multisine"]["mass"] == pytest.approx(51.2, rel=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -361,8 +367,7 @@ def alike(one, other):
 
 def test_an_interrupted_identification_continues_where_it_was(once_more, linear, monkeypatch):
     (folder, again), (whole, known) = once_more, linear
-    for name in ("multisine", "closed_loop"):
-        shutil.rmtree(folder / name)
+    shutil.rmtree(folder / "closed_loop")
     (folder / "model.yaml").unlink()
     with monkeypatch.context() as patch:
         patch.setattr(shared, "offline_test", Mock(side_effect=KeyboardInterrupt))
@@ -370,10 +375,11 @@ def test_an_interrupted_identification_continues_where_it_was(once_more, linear,
     assert (status, line) == (
         1,
         "seft: interrupted; the same command with --out out continues, out has the excitation, "
-        "out/pilot is whole, out/open_loop is whole, out/multisine_pilot is whole",
+        "out/pilot is whole, out/open_loop is whole, out/multisine_pilot is whole, "
+        "out/multisine is whole",
     )
     status, found, _ = again()
-    assert (status, found["reused"]) == (0, ["pilot", "open_loop", "multisine_pilot"])
+    assert (status, found["reused"]) == (0, ["pilot", "open_loop", "multisine_pilot", "multisine"])
     own = {"files": 0, "reused": 0}
     assert alike(found | own, known | own)
     assert alike(*(read_parameter_file(path / "model.yaml") for path in (folder, whole)))

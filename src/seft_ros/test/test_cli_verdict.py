@@ -11,7 +11,7 @@ from recordings_at_hand import as_measured, without
 from seft_msgs_py.wire.outcome import Trip
 from seft_ros.analysis.assessment import BY_TRUTH, IN_LABORATORY
 from seft_ros.bags.recording import Series
-from seft_ros.bags.recording_bag import read_bag, write_recording
+from seft_ros.bags.recording_bag import write_recording
 from seft_ros.cli.shared import show_test
 
 PLAN = (
@@ -63,14 +63,22 @@ RECORDINGS = {
     "biased much": (lambda: biased(2e-2), "bad", "displacement error"),
     "uncompensated": (lambda: simulated(load(PLAN[-1])), "bad", "displacement error"),
 }
+PAGES = ("right", "missed", "tripped", "biased", "uncompensated")
+"""Of these the page is looked at, too."""
 
 
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_terminal_page_and_json_give_the_same_verdicts(seft, tmp_path, capsys, name):
     make, word, reason = RECORDINGS[name]
-    write_recording(make(), tmp_path / "bag")
-    show_test(read_bag(tmp_path / "bag"), None, as_json=False, figure=False)
-    found, shown = json.loads(seft("report", "bag", "--json")[1]), capsys.readouterr().out
+    recording = make()
+    show_test(recording, None, as_json=False, figure=False)
+    shown = capsys.readouterr().out
+    (line,) = [line for line in shown.splitlines() if line.startswith(BY_TRUTH)]
+    assert line.startswith(f"{BY_TRUTH} {WORDS[word]}") and reason in line
+    if name not in PAGES:
+        return
+    write_recording(recording, tmp_path / "bag")
+    found = json.loads(seft("report", "bag", "--json")[1])
     page = html.unescape((tmp_path / "bag" / "report.html").read_text())
     for key, begin in (("verdict", BY_TRUTH), ("laboratory_verdict", IN_LABORATORY)):
         mark, line = found[key]["verdict"], found[key]["text"]
@@ -78,7 +86,7 @@ def test_terminal_page_and_json_give_the_same_verdicts(seft, tmp_path, capsys, n
         assert line in shown.splitlines()
         assert f'<div class="verdict {mark}">' in page
         assert line in page
-    assert (found["verdict"]["verdict"], reason in found["verdict"]["text"]) == (word, True)
+    assert found["verdict"]["verdict"] == word
 
 
 def test_simulate_and_report_give_the_same_numbers(seft):

@@ -166,8 +166,9 @@ def test_after_a_trip_it_stands_where_its_last_command_was(words):
     assert jumps.max() < 1e-3
 
 
-@pytest.mark.parametrize("words", [NO_SENSORS, NO_SENSORS[1:]])
-@pytest.mark.parametrize("value", ["set -0.018", "add 0.07"])
+@pytest.mark.parametrize(
+    ("words", "value"), [(NO_SENSORS, "set -0.018"), (NO_SENSORS[1:], "add 0.07")]
+)
 def test_without_an_accelerometer_a_wrong_displacement_does_nothing(words, value):
     told_so = told(*words, f'rig:faults:=["displacement {value} at 4.0 for 1"]')
     sound, recording = simulated(told(*words)), simulated(told_so)
@@ -228,7 +229,7 @@ def test_identify_finds_the_response(words, tmp_path):
     unknown = "actuator.response.numerator:=[0.0]", "actuator.response.denominator:=[1.0]"
     experiment = told(*words, *unknown, "actuator.response.dead_time:=0.0")
     motions = rig_tests.Motions(experiment, (0.3, 100.0), 1)
-    path = motions.write(tmp_path / "motion.csv", 60.0)
+    path = motions.write(tmp_path / "motion.csv", 30.0)
     recording = simulated(rig_tests.open_loop(experiment, path, 5e-4))
     found = identify_from_recordings(recording, None, (0.3, 100.0))
     dt = experiment.timebase.dt

@@ -19,7 +19,7 @@ from seft_ros.study.study_results import summarise_study, worst_folder, write_wo
 from seft_ros.study.study_runs import FinishedTests, run_study
 from seft_ros.test_run.parameter_tables import TABLES
 
-SHORT = ("ground_motion:synthetic.duration:=4", "ground_motion:tail:=0.5")
+SHORT = ("ground_motion:synthetic.duration:=2", "ground_motion:tail:=0.5")
 
 
 def load(*words):

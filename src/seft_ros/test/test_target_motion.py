@@ -258,8 +258,7 @@ def test_what_is_known_wrongly_hardly_matters(what):
 
 
 @pytest.mark.parametrize(
-    ("mass_ratio", "peak", "most"),
-    [(0.5, 450.0, 1.15), (3.0, 250.0, 0.75), (10.0, 120.0, 0.8)],
+    ("mass_ratio", "peak", "most"), [(0.5, 450.0, 1.15), (3.0, 250.0, 0.75), (10.0, 120.0, 0.8)]
 )
 def test_a_wrong_model_costs_no_accuracy_at_any_mass_ratio(mass_ratio, peak, most):
     """The largest forces that the valve serves there, N; of the first, 0.6 % is sensor noise."""

@@ -15,6 +15,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from functools import lru_cache
 from io import BytesIO, StringIO
 from itertools import chain, count
 from pathlib import Path
@@ -273,7 +274,7 @@ class BagWriter:
                 source.type, source.encoding, source.definition.encode()
             )
         metadata = {
-            "offered_qos_profiles": _yaml(_qos_of(source)),
+            "offered_qos_profiles": _qos_text(source.qos),
             "topic_type_hash": source.digest(),
         }
         return self._writer.register_channel(
@@ -378,10 +379,16 @@ def _yaml(tree: Any) -> str:
     return text.getvalue().strip()
 
 
-def _qos_of(source: BagSource) -> list[Any]:
+@lru_cache
+def _qos_of(offered: str) -> list[Any]:
     with suppress(Exception):  # what another recorder wrote, and nobody here needs
-        return list(dump_qos_v9(parse_qos(source.qos)))
+        return list(dump_qos_v9(parse_qos(offered)))
     return []
+
+
+@lru_cache
+def _qos_text(offered: str) -> str:
+    return _yaml(_qos_of(offered))
 
 
 def _metadata(file: str, counts: Mapping[BagSource, int], first: int, last: int) -> str:
@@ -397,7 +404,7 @@ def _metadata(file: str, counts: Mapping[BagSource, int], first: int, last: int)
                 "name": source.topic,
                 "type": source.type,
                 "serialization_format": source.serialization,
-                "offered_qos_profiles": _qos_of(source),
+                "offered_qos_profiles": _qos_of(source.qos),
                 "type_description_hash": source.digest(),
             },
             "message_count": number,

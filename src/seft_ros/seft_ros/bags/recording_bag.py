@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError, WireError
@@ -46,9 +45,10 @@ from seft_ros.bags.gathering import (
     SeriesGatherer,
     trip_of_messages,
 )
-from seft_ros.bags.message_blocks import MessageBlock
+from seft_ros.bags.message_blocks import Integers, MessageBlock
 from seft_ros.bags.recording import (
     Description,
+    Estimates,
     Recording,
     Series,
     of_all_rigs,
@@ -324,48 +324,72 @@ def write_recording(
     ExperimentError
         If the disk is full.
     """
-    timebase, axes = recording.experiment.timebase, recording.experiment.axes
-    start_ns = _start_ns(recording)
-    codecs = {
-        topic.name: [
-            (rig.places, TrajectoryCodec(topic.of(rig), rig.axes, timebase)) for rig in rigs
-        ]
-        for topic, rigs in _loop_of(recording.experiment)
-    }
-    ((_, motion_codec),) = codecs[GROUND_MOTION.name]
-    estimates_codec = EstimatesCodec(axes, timebase)
+    timebase, start_ns = recording.experiment.timebase, _start_ns(recording)
     motion = [(first, np.ascontiguousarray(v)[:, np.newaxis]) for first, v in ground_motion or ()]
-    events, not_finite = _events(recording, STEP_TOPICS[1:] if motion else STEP_TOPICS)
+    events, not_finite = _events(recording, motion)
     environment = {k: v for k, v in recording.environment.items() if k != UNDECODABLE}
     if not_finite:
         environment[NOT_FINITE] = not_finite
     described = write_description(recording.experiment.sections, environment, recording.facts)
     texts = [encode_string(text) for text in described]
+    encoders = _encoders(recording, motion)
     with BagWriter(path) as bag:
         for text in texts:
             bag.write(DESCRIPTION, text, start_ns)
-        sent, time_ns = 0, start_ns
-        for step, which, index in events.tolist():
-            time_ns = start_ns + timebase.stamp_ns(step)
-            while sent < len(motion) and motion[max(0, sent - 1)][0] <= step:
-                bag.write(GROUND_MOTION, motion_codec.encode_points(*motion[sent]), time_ns)
-                sent += 1
-            topic = STEP_TOPICS[which]
-            if topic is ESTIMATES and recording.estimates:
-                named = zip(
-                    recording.estimates.names, recording.estimates.values[index], strict=True
-                )
-                bag.write(topic, estimates_codec.encode(step, dict(named)), time_ns)
-                continue
-            values = recording.series[topic.name].values[index]
-            for places, codec in codecs[topic.name]:
-                raw = codec.encode(step, np.ascontiguousarray(values[:, places]))
-                bag.write(codec.topic, raw, time_ns)
+        time_ns = start_ns
+        for some in np.split(events, range(_AT_ONCE, len(events), _AT_ONCE)):
+            messages: list[list[tuple[Topic, bytes]]] = [[] for _ in some]
+            for which, topic, encode in encoders:
+                (places,) = np.nonzero(some[:, 1] == which)
+                raws = encode(some[places, 0], some[places, 2])
+                for place, raw in zip(places.tolist(), raws, strict=True):
+                    messages[place].append((topic, raw))
+            times = start_ns + timebase.stamps_ns(some[:, 0])
+            for time_ns, found in zip(times.tolist(), messages, strict=True):
+                for topic, raw in found:
+                    bag.write(topic, raw, time_ns)
         if recording.complete and recording.missed is not None:
             statuses = _ending(recording, recording.missed)
             bag.write(DIAGNOSTICS, encode_diagnostics(time_ns, statuses), time_ns)
         for text in texts:  # again, for one of the two places may be damaged
             bag.write(DESCRIPTION, text, time_ns)
+
+
+_AT_ONCE = 4096  # events whose messages are made together
+_Encode = Callable[[Integers, Integers], Iterable[bytes]]
+
+
+def _encoders(recording: Recording, motion: Sequence[Chunk]) -> list[tuple[int, Topic, _Encode]]:
+    """List what makes the messages of each topic, of steps and indices, see `_events`."""
+    timebase, numbers = recording.experiment.timebase, [topic.name for topic in STEP_TOPICS]
+    encoders: list[tuple[int, Topic, _Encode]] = []
+    for topic, rigs in _loop_of(recording.experiment):
+        for rig in rigs:
+            codec = TrajectoryCodec(topic.of(rig), rig.axes, timebase)
+            values = recording.series[topic.name].values[:, :, rig.places]
+            is_given = topic is GROUND_MOTION and motion
+            encode = _of_chunks(codec, motion) if is_given else _of_samples(codec, values)
+            encoders.append((numbers.index(topic.name), codec.topic, encode))
+    if recording.estimates is not None:
+        of_estimates = _of_estimates(recording.estimates, recording.experiment)
+        encoders.append((numbers.index(ESTIMATES.name), ESTIMATES, of_estimates))
+    return encoders
+
+
+def _of_samples(codec: TrajectoryCodec, values: Floats) -> _Encode:
+    return lambda steps, index: map(bytes, codec.encode_batch(steps, values[index]))
+
+
+def _of_chunks(codec: TrajectoryCodec, motion: Sequence[Chunk]) -> _Encode:
+    return lambda _, index: [codec.encode_points(*motion[k]) for k in index.tolist()]
+
+
+def _of_estimates(estimates: Estimates, experiment: Experiment) -> _Encode:
+    codec = EstimatesCodec(experiment.axes, experiment.timebase)
+    return lambda steps, index: [
+        codec.encode(step, dict(zip(estimates.names, row, strict=True)))
+        for step, row in zip(steps.tolist(), estimates.values[index], strict=True)
+    ]
 
 
 def _ending(recording: Recording, missed: int) -> list[Status]:
@@ -390,25 +414,34 @@ def _ending(recording: Recording, missed: int) -> list[Status]:
     return [*statuses[:1], *(replace(s, values={**s.values, **quiet}) for s in statuses[1:])]
 
 
-def _events(recording: Recording, topics: Sequence[Topic]) -> tuple[npt.NDArray[np.int64], int]:
-    """List the samples of some topics, in their order, and count those that are left out.
+def _events(recording: Recording, motion: Sequence[Chunk]) -> tuple[Integers, int]:
+    """List what is sent in a test, in its order, and count samples that are left out.
+
+    Each message of ``motion`` is sent when the one before it begins.
 
     Returns
     -------
     events : ndarray of int64
-        Shape (M, 3): step, index of the topic in `STEP_TOPICS`, index of the sample.
+        Shape (M, 3): step, index of the topic in `STEP_TOPICS`, index of the sample or of the
+        message of ground motion.
     not_finite : int
         Samples left out.
     """
     parts, not_finite = [], 0
     for which, topic in enumerate(STEP_TOPICS):
         series = recording.estimates if topic is ESTIMATES else recording.series[topic.name]
-        if topic not in topics or series is None:
+        if series is None or (topic is GROUND_MOTION and motion):
             continue
         finite = np.isfinite(series.values).all(axis=(1, 2)) | (topic.name == MEASURED.name)
         (kept,) = np.nonzero(finite)
         not_finite += len(series.steps) - len(kept)
         parts.append(np.stack([series.steps[kept], np.full_like(kept, which), kept], axis=1))
+    if motion:
+        firsts, steps = [first for first, _ in motion], np.unique(np.concatenate(parts)[:, 0])
+        at = np.searchsorted(steps, [firsts[0], *firsts[:-1]])
+        sent = np.flatnonzero(at < len(steps))
+        which = STEP_TOPICS.index(GROUND_MOTION)
+        parts.append(np.stack([steps[at[sent]], np.full_like(sent, which), sent], axis=1))
     events = np.concatenate(parts)
     return events[np.lexsort((events[:, 1], events[:, 0]))], not_finite
 

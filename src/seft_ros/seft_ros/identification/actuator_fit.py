@@ -396,7 +396,9 @@ def _roughly(oil: OilBalance) -> Floats:
         start = min(starts, key=lambda found: float(np.sum(errors(found) ** 2)))
         bounds = _LOWEST[free], _HIGHEST[free]
         scale = _SCALE[free]
-        fit = least_squares(errors, start, bounds=bounds, x_scale=scale, max_nfev=_MOST_STEPS)
+        fit = least_squares(
+            errors, start, bounds=bounds, x_scale=scale, ftol=1e-4, max_nfev=_MOST_STEPS
+        )
         best.append(whole(fit.x))
     found = min(best, key=unexplained)
     found[3] = _LOAD

@@ -29,6 +29,7 @@ HIGHEST = 0.4
 """Of the rate: the highest frequency that is used. A filter beyond what is used is but a lag."""
 _RELAXATIONS = 6.0, 20.0, 60.0  # Hz
 _STARTS, _ROUNDS, _STEP = 5, 15, 0.7  # natural frequencies to begin with; Gauss and Newton's steps
+_SETTLED = 1e-3  # of its standard error: a step that changes nothing
 _LAGS = np.arange(-10.0, 11.0) / 1e3  # s: starts
 NUMERATOR, NONE, DENOMINATOR = -1, 0, 1
 """Sides of a relation y = x on which a filter stands: x has it not, nobody has, y has it."""
@@ -274,11 +275,7 @@ def _fitted(
         beside = others / ratio[:, np.newaxis] if side == DENOMINATOR else others
         return y * np.exp(s * found[0]), np.concatenate([passed, beside], axis=1), ratio
 
-    def left(lag: float) -> float:
-        turned, unknown, _ = terms(np.append(lag, start))
-        return solved(unknown, turned).left
-
-    found[0] = min(_LAGS, key=left)
+    found[0] = _LAGS[_nearest(terms(found)[1], y, np.exp(np.outer(s, _LAGS)), noise)]
     for _ in range(_ROUNDS):
         turned, unknown, ratio = terms(found)
         value = solved(unknown, turned).value
@@ -290,5 +287,16 @@ def _fitted(
         both = solved(np.concatenate([unknown, -np.stack(changes, axis=1)], axis=1), turned)
         step, error = both.value[-len(found) :], both.error[-len(found) :]
         found = found + step * min(1.0, _STEP / max(np.abs(step[1:]).max(initial=0.0), 1e-9))
+        if (np.abs(step) < _SETTLED * error).all():
+            break
     turned, unknown, _ = terms(found)
     return _Found(side, float(found[0]), found[1:], error[1:], solved(unknown, turned).left)
+
+
+def _nearest(unknown: Complexes, y: Complexes, turns: Complexes, noise: Floats) -> int:
+    """Say which of some turned left sides, y turns[:, k], the unknowns explain best."""
+    weighted, wanted = unknown / noise[:, np.newaxis], turns * (y / noise)[:, np.newaxis]
+    a = np.concatenate([weighted.real, weighted.imag])
+    basis, _ = np.linalg.qr(a / np.maximum(np.linalg.norm(a, axis=0), 1e-300))
+    explained = basis.T @ np.concatenate([wanted.real, wanted.imag])
+    return int((explained**2).sum(axis=0).argmax())

@@ -163,13 +163,14 @@ def regressed(columns: Complexes, target: Complexes, noise: Floats) -> Fit:
     weighted, wanted = columns / noise[:, np.newaxis], target / noise
     a = np.concatenate([weighted.real, weighted.imag])
     b = np.concatenate([wanted.real, wanted.imag])
-    size = np.maximum(np.linalg.norm(a, axis=0), 1e-300)
-    inverse = np.linalg.pinv((a / size).T @ (a / size), rcond=1e-12)
-    value = inverse @ ((a / size).T @ b)
-    left = b - a / size @ value
+    products = a.T @ a
+    size = np.maximum(np.sqrt(products.diagonal()), 1e-300)
+    inverse = np.linalg.pinv(products / size / size[:, np.newaxis], rcond=1e-12)
+    value = inverse @ (a.T @ b / size) / size
+    left = b - a @ value
     squares = float(left @ left)
     spread = max(1.0, squares / max(1, len(b) - a.shape[1]))
-    return Fit(value / size, np.sqrt(inverse.diagonal() * spread) / size, squares)
+    return Fit(value, np.sqrt(inverse.diagonal() * spread) / size, squares)
 
 
 @dataclass(frozen=True)

@@ -232,6 +232,8 @@ class _Data:
         omega = 2 * np.pi * frequencies_hz
         self._unit = float(omega[-1])  # for polynomials of even size
         self._s: Complexes = np.multiply(1j / self._unit, omega)
+        self._powers = self._s[:, np.newaxis] ** np.arange(2 * _MOST_PAIRS - 2, -1, -1)
+        self._target = _real(self._w * self._t)
         phase = np.unwrap(np.angle(tracking))
         self._longest = max(1e-3, least, float(-np.polyfit(omega, phase, 1, w=weight)[0]))
         self._least = least / self._longest
@@ -261,7 +263,10 @@ class _Data:
         )
         start = np.clip(start, *bounds)
         found = least_squares(self._residuals, start, bounds=bounds, max_nfev=_MOST_STEPS).x
-        numerator, denominator = self._polynomials(found)
+        numerator, denominator = np.linalg.lstsq(*self._equations(found), rcond=None)[0], np.ones(1)
+        for frequency, damping in np.exp(found[1:]).reshape(-1, 2).tolist():
+            pair = np.array([1.0, 2 * damping * frequency, frequency**2])
+            denominator = np.convolve(denominator, pair)
         order = len(denominator) - 1
         numerator = numerator * self._unit ** (order - np.arange(len(numerator))[::-1] * 1.0)
         denominator = denominator * self._unit ** np.arange(order + 1)
@@ -270,23 +275,15 @@ class _Data:
         error = self._error(model)
         return TrackingFit(model, float(np.linalg.norm(error) / np.linalg.norm(self._w))), found
 
-    def _lag(self, p: Floats) -> Complexes:
-        """Dead time at every frequency."""
-        return np.exp(-self._s * self._unit * p[0] * self._longest)
-
-    def _polynomials(self, p: Floats) -> tuple[Floats, Floats]:
-        """Numerator and denominator in s over the unit."""
-        denominator = np.ones(1)
-        for frequency, damping in np.exp(p[1:]).reshape(-1, 2):
-            pair = np.array([1.0, 2 * damping * frequency, frequency**2])
-            denominator = np.polymul(denominator, pair)
-        degree = len(denominator) - 3  # two less: the response to a step has no jump
-        shape = self._w * self._lag(p) / np.polyval(denominator, self._s)
-        columns = shape[:, np.newaxis] * self._s[:, np.newaxis] ** np.arange(degree, -1, -1)
-        target = self._w * self._t
-        return np.linalg.lstsq(_real(columns), _real(target), rcond=None)[0], denominator
+    def _equations(self, p: Floats) -> tuple[Floats, Floats]:
+        """Columns and target whose least squares give the numerator in s over the unit."""
+        shape = self._w * np.exp(-self._s * self._unit * p[0] * self._longest)
+        for frequency, damping in np.exp(p[1:]).reshape(-1, 2).tolist():
+            shape = shape / (self._s * (self._s + 2 * damping * frequency) + frequency**2)
+        degree = len(p) - 3  # two less than the denominator: the response to a step has no jump
+        return _real(shape[:, np.newaxis] * self._powers[:, -degree - 1 :]), self._target
 
     def _residuals(self, p: Floats) -> Floats:
-        numerator, denominator = self._polynomials(p)
-        ratio = np.polyval(numerator, self._s) / np.polyval(denominator, self._s)
-        return _real(self._w * (ratio * self._lag(p) - self._t))
+        columns, target = self._equations(p)
+        basis, _ = np.linalg.qr(columns)
+        return basis @ (basis.T @ target) - target
