@@ -15,8 +15,8 @@ from seft_ros.analysis import equivalent_motion
 from seft_ros.analysis.assessment import IN_LABORATORY, calibration_findings
 from seft_ros.analysis.calibration_check import calibration_check
 from seft_ros.analysis.calibration_effect import led
+from seft_ros.analysis.channel_estimates import expected_relations
 from seft_ros.analysis.equivalent_motion import motion_difference
-from seft_ros.analysis.folding import expected_relations
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.analysis.report_numbers import report_numbers
 from seft_ros.analysis.result_text import OF_THE_MODEL, summary_texts

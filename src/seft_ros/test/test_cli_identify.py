@@ -17,10 +17,10 @@ from seft_plant_sim.lti import bilinear, polynomial_ratio
 from seft_plant_sim.rig_parameters import truth
 from seft_ros.bags.recording_bag import read_bag
 from seft_ros.cli import identify_command, shared
-from seft_ros.design.force_tracking import tracking_measures
 from seft_ros.design.plant import Plant, rig_model
 from seft_ros.drawing import style
 from seft_ros.identification import rig_tests
+from seft_ros.identification.response_fits import tracking_measures
 
 LINEAR = ("actuator.kind:=servo_hydraulic_linear",)
 SHORT = ("--duration", "14")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy import signal
-from seft_ros.ground_motion.correction import (
+from seft_ros.ground_motion.conditioning import (
     baseline_numbers,
     butterworth,
     correct,

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.wire.topics import Timebase
-from seft_ros.ground_motion.resampling import resample
+from seft_ros.ground_motion.conditioning import resample
 
 STEPS = np.arange(4000)
 

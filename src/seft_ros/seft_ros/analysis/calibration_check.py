@@ -20,11 +20,11 @@ from seft_ros.analysis.calibration_effect import CalibrationEffect, calibration_
 from seft_ros.analysis.channel_estimates import (
     ESTIMATE_SIGMAS,
     Relation,
+    expected_relations,
     motion_frequency,
     relation,
 )
 from seft_ros.analysis.drift_estimate import acceleration_zero, force_drift
-from seft_ros.analysis.folding import expected_relations
 from seft_ros.analysis.mass_estimate import ALIKE_SPRINGS, MIN_ERROR, Inertia, inertia
 from seft_ros.bags.recording import Recording, every_step
 from seft_ros.design.plant import FOLDED

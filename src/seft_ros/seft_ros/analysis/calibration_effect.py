@@ -24,8 +24,8 @@ from seft_plant_sim.whole_structure import reference_response, whole_structure
 
 from seft_ros.analysis.equivalent_motion import EquivalentMotion, assumed_structure
 from seft_ros.analysis.specimen_law import SpecimenLaw, springs_of
+from seft_ros.ground_motion.conditioning import moved_ahead
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
-from seft_ros.identification.time_shift import moved_ahead
 
 _A, _F = (RIG_STATE.quantities.index(name) for name in ("accelerations", "effort"))
 

@@ -8,15 +8,14 @@ import numpy as np
 
 from seft_ros.analysis import report_sections
 from seft_ros.analysis.assessment import Assessment, ramp_note
+from seft_ros.analysis.equivalent_motion import tracked_of
 from seft_ros.analysis.report_numbers import Report
 from seft_ros.analysis.result_text import OF_THE_MODEL, agreement_table, test_rows, title_of
 from seft_ros.analysis.timing import timing_of
-from seft_ros.analysis.tracking import tracked_of
 from seft_ros.bags.recording import Recording
 from seft_ros.drawing import page, style
 from seft_ros.drawing.page import PageSection, Text
-from seft_ros.drawing.style import Mark, Number, percent, rows_of
-from seft_ros.drawing.table import Cell, TextTable
+from seft_ros.drawing.style import Cell, Mark, Number, TextTable, percent, rows_of
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 
 _BINS = 80

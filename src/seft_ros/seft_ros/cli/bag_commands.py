@@ -55,7 +55,7 @@ def report(
     from seft_ros.analysis.result_text import summary_texts
     from seft_ros.bags.recording_bag import read_bag
     from seft_ros.drawing.page import check_page
-    from seft_ros.drawing.table import check_table, write_table
+    from seft_ros.drawing.style import check_table, write_table
 
     beside = bag.with_suffix(".html") if bag.is_file() else bag / "report.html"
     page = beside if out is None else check_page(out)

@@ -56,7 +56,6 @@ def preflight(
     """
     # beyond 60 lines: its options and its help; what it shows follows in order
     from seft_ros.design import (
-        capacity,
         plausibility,
         preflight_tables,
         stability_map,
@@ -76,11 +75,11 @@ def preflight(
         wrong = plausibility.unit_refusal(experiment, motion, by_axis)
     if wrong:
         raise InputError(wrong)
-    unfit = [*filter(None, [capacity.range_refusal(experiment, by_axis)])]
-    beyond = capacity.excesses(experiment, response)
-    warnings = [capacity.excess_text([excess]) for excess in beyond]
+    unfit = [*filter(None, [plausibility.range_refusal(experiment, by_axis)])]
+    beyond = plausibility.excesses(experiment, response)
+    warnings = [plausibility.excess_text([excess]) for excess in beyond]
     peaks = preflight_tables.expected_peaks(by_axis)
-    highest = capacity.highest_limits(experiment, by_axis)
+    highest = plausibility.highest_limits(experiment, by_axis)
     limits = preflight_tables.proposed_limits(peaks, highest)
     try:
         test = PlannedTest(experiment)
@@ -194,8 +193,7 @@ def study(
     # beyond 60 lines: its options and its help
     from seft_ros.drawing.page import check_page
     from seft_ros.study import study_page as page
-    from seft_ros.study.drawn_tests import draw_tests
-    from seft_ros.study.study_design import design_study
+    from seft_ros.study.drawn_tests import design_study, draw_tests
     from seft_ros.study.study_results import summarise_study, worst_folder, write_worst_tests
     from seft_ros.study.study_runs import FinishedTests, run_study
 

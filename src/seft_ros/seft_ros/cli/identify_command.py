@@ -22,7 +22,7 @@ from seft_plant_sim.rig_parameters import as_simulated, common_lag, truth
 from seft_ros.bags.recording import Recording
 from seft_ros.cli import shared
 from seft_ros.cli.shared import option
-from seft_ros.drawing.table import Texts
+from seft_ros.drawing.style import Texts
 
 if TYPE_CHECKING:
     from seft_ros.identification.calibrated import MultisineResult

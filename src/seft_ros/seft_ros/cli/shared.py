@@ -20,7 +20,7 @@ from seft_msgs_py.wire.topics import GROUND_MOTION, NODES, with_rigs
 from seft_plant_sim.rig_parameters import as_simulated
 
 from seft_ros.bags.recording import Recording
-from seft_ros.drawing.table import Cell, TextTable
+from seft_ros.drawing.style import Cell, TextTable
 from seft_ros.test_run.parameter_tables import TABLES
 
 if TYPE_CHECKING:

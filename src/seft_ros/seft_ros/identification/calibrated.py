@@ -26,7 +26,8 @@ from seft_plant_sim.channels import ACCELERATION, FORCE, VELOCITY, tilt_of
 from seft_plant_sim.rig_parameters import common_filter
 
 from seft_ros.bags.recording import Recording, every_step
-from seft_ros.drawing.table import TextTable
+from seft_ros.drawing.style import TextTable
+from seft_ros.ground_motion.conditioning import moved_ahead
 from seft_ros.identification.channel_filters import HIGHEST, ChannelFilters, channel_filters
 from seft_ros.identification.identified import Identified
 from seft_ros.identification.multisine import OF_RATE, Multisine, Sine, fault_free_relations
@@ -39,7 +40,6 @@ from seft_ros.identification.multisine_estimates import (
     significant,
 )
 from seft_ros.identification.rig_tests import frequency_response, motion_spectra
-from seft_ros.identification.time_shift import moved_ahead
 
 _FEWEST_PERIODS, _SEGMENT = 3.0, 4.0  # of a spectrum: of the lowest frequency, and s
 MIN_LAG = 2e-5

@@ -15,18 +15,25 @@ Off the diagonal s is the tilt of an accelerometer. With these known, the force 
 
 K' and H' are a change in the time t of the multisine test: some specimens degrade. K + iH is the
 stiffness at the multisine test's amplitude of a specimen that does not depend on rate; where
-friction bends the motion it is made so (`identification.multisine_hysteresis`). Load cell and
-displacement sensor are the reference, unless velocity and acceleration agree against the
-displacement: two sensors that are wrong by the same factor are less likely than one. Of scales that
-all are wrong by the same factor, and of a lag that all have in common, a multisine test says
-nothing. Standard errors are those of the sensors' noise or of what the equations leave, if that is
-more. To those of scales and masses comes what the steps q of the converters make of an amplitude A,
-alike in all sines, with noise sigma::
+friction bends the motion it is made so (`uneven_force`). Load cell and displacement sensor are the
+reference, unless velocity and acceleration agree against the displacement: two sensors that are
+wrong by the same factor are less likely than one. Of scales that all are wrong by the same factor,
+and of a lag that all have in common, a multisine test says nothing. Standard errors are those of
+the sensors' noise or of what the equations leave, if that is more. To those of scales and masses
+comes what the steps q of the converters make of an amplitude A, alike in all sines, with noise
+sigma::
 
     2 q J_1(2 pi A / q) / pi exp(-2 (pi sigma / q)^2)                                      (3)
 
 Over all A it has an RMS of q sqrt(2 q / A) / pi^2 times the exponential
 (Widrow & Kollar, Quantization Noise, 2008, ch. 5).
+
+Friction bends the piston's motion, most where an overtone meets the oil column's resonance. Then
+the force at the sine's own frequency is another one, although the specimen's law is the same. The
+law is estimated from all sines and their odd overtones, as stop operators in parallel (Prandtl and
+Ishlinskii, see `seft_ros.reference_force.restoring_model`) beside mass, stiffness and damping, none
+of which is negative. Taken out of the force is only what the effective stiffness of the stops
+differs by from its mean over the sines, so that an error of the law counts little.
 """
 
 import math
@@ -36,12 +43,66 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import nnls
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_plant_sim.channels import FORCE
 
 from seft_ros.design.plant import FOLDED
 from seft_ros.identification.multisine import Sine
-from seft_ros.identification.multisine_hysteresis import uneven_force
+from seft_ros.reference_force.restoring_model import slide
+
+_ORDERS = (1, 3, 5)  # a law that is odd has no others
+_STOPS, _LEAST, _MOST = 8, 0.03, 0.8  # thresholds over the displacement
+_POINTS = 512  # of a cycle
+
+
+def uneven_force(w: Floats, x: Complexes, a: Complexes, f: Complexes) -> Complexes:
+    """Force of friction in excess of that with the mean effective stiffness.
+
+    Parameters
+    ----------
+    w : ndarray
+        Frequencies of m sines, shape (m,), rad/s.
+    x, a, f : ndarray
+        Displacement, acceleration and force of one axis, aligned, shape (m, H): amplitudes of the
+        sine and of its overtones, in the order of their frequencies; 0: not evaluated.
+
+    Returns
+    -------
+    ndarray
+        At the sines' frequencies, shape (m,), N.
+    """
+    travel = float(np.mean(np.abs(x[:, 0])))
+    thresholds = travel * np.geomspace(_LEAST, _MOST, _STOPS)
+    stops = np.array([_stopped(each, thresholds) for each in x])  # (m, H, stops)
+    rows, wanted = [], []
+    for order in _ORDERS:
+        if order > x.shape[1]:
+            break
+        k = order - 1
+        own = np.stack([a[:, k], x[:, k], 1j * order * w * x[:, k]], axis=1)
+        seen = f[:, k] != 0.0
+        rows.append(np.concatenate([own, stops[:, k]], axis=1)[seen])
+        wanted.append(f[seen, k])
+    columns, force = np.concatenate(rows), np.concatenate(wanted)
+    real = np.concatenate([columns.real, columns.imag])
+    size = np.maximum(np.linalg.norm(real, axis=0), 1e-300)
+    found, _ = nnls(real / size, np.concatenate([force.real, force.imag]))
+    effective = stops[:, 0] / x[:, :1]
+    uneven: Complexes = ((effective - effective.mean(axis=0)) * x[:, :1]) @ (found / size)[3:]
+    return uneven
+
+
+def _stopped(x: Complexes, thresholds: Floats) -> Complexes:
+    """Amplitudes of stop operators that follow a periodic motion, shape (H, stops)."""
+    phase = 2 * np.pi * np.arange(2 * _POINTS) / _POINTS  # the first cycle is from rest
+    orders = np.arange(1, len(x) + 1)[:, np.newaxis]
+    motion = (x[:, np.newaxis] * np.exp(1j * orders * phase)).real.sum(axis=0)
+    stops = np.zeros((len(motion), len(thresholds)))
+    slide(np.ascontiguousarray(motion), thresholds, stops)
+    spectrum = np.fft.rfft(stops[_POINTS:], axis=0) * 2.0 / _POINTS
+    return np.asarray(spectrum[1 : len(x) + 1], dtype=np.complex128)
+
 
 _OVERTONES = 9  # of a sine, which friction makes, and which are no noise
 _ROUNDS = 4  # of linearisation in the lag; it converges quadratically

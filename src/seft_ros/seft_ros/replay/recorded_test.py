@@ -32,8 +32,7 @@ from seft_ros.analysis.comparison import compare_recordings
 from seft_ros.analysis.result_text import FIELD_UNITS
 from seft_ros.bags.recording import Estimates, Recording, Series
 from seft_ros.bags.recording_bag import read_bag, read_messages
-from seft_ros.drawing.style import Mark, number, small_percent
-from seft_ros.drawing.table import Cell, Texts, TextTable
+from seft_ros.drawing.style import Cell, Mark, Texts, TextTable, number, small_percent
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 from seft_ros.test_run.parameter_tables import TABLES
 

@@ -17,8 +17,7 @@ from seft_ros.drawing.page import (
     plot,
     write_page,
 )
-from seft_ros.drawing.style import GOOD_ERROR, OTHERS, Mark, number, percent
-from seft_ros.drawing.table import Cell, Texts, TextTable
+from seft_ros.drawing.style import GOOD_ERROR, OTHERS, Cell, Mark, Texts, TextTable, number, percent
 from seft_ros.study.study_results import CORRELATIONS, STUDY_QUANTILES, errors_of, strength
 
 _HEADINGS = ("method", "mass\nratio", "test 0", *STUDY_QUANTILES, "tripped")
