@@ -5,7 +5,7 @@ The estimates are those of `seft_ros.analysis.channel_estimates` and
 `seft_ros.analysis.calibration_effect`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -14,18 +14,19 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import FORCE_DRIVEN
 from seft_msgs_py.config.parameter_table import per_axis
+from seft_plant_sim.calibration import SIGNIFICANT, significant
 
 from seft_ros.analysis.assessment import UNTOLD
 from seft_ros.analysis.calibration_effect import CalibrationEffect, calibration_structure
 from seft_ros.analysis.channel_estimates import (
-    ESTIMATE_SIGMAS,
     Relation,
+    acceleration_zero,
     expected_relations,
     motion_frequency,
     relation,
 )
-from seft_ros.analysis.drift_estimate import acceleration_zero, force_drift
 from seft_ros.analysis.mass_estimate import ALIKE_SPRINGS, MIN_ERROR, Inertia, inertia
+from seft_ros.analysis.specimen_law import force_drift
 from seft_ros.bags.recording import Recording, every_step
 from seft_ros.design.plant import FOLDED
 
@@ -53,7 +54,7 @@ class Deviation:
     ----------
     effect : float
         Displacement error (RMS over RMS) that it means, with those of the other axes; 0 if all are
-        within `ESTIMATE_SIGMAS` standard errors.
+        within `SIGNIFICANT` standard errors.
     kind : str
         ``mass``, ``scale``, ``lag`` or ``drift``.
     channel, axis : str
@@ -101,7 +102,7 @@ class CalibrationCheck:
         scale, and the mass was identified by these forces; otherwise None.
     unsure, unsure_lag : float or None
         Displacement error that errors of the masses, and of the forces' lags, of
-        `ESTIMATE_SIGMAS` standard errors would mean.
+        `SIGNIFICANT` standard errors would mean.
     axes : dict
         Axis -> ``mass``, ``force``, ``acceleration``, ``velocity``: JSON values of all estimates.
     """
@@ -160,9 +161,9 @@ def calibration_check(recording: Recording) -> CalibrationCheck | None:
         own = _combined(own, _known_inertia(experiment, effect.mass))
         relations = list(_relations(experiment, samples, frequency))
         if own is not None:
-            unsure = effect.of_mass(1.0 + ESTIMATE_SIGMAS * own.factor_error)
+            unsure = effect.of_mass(1.0 + SIGNIFICANT * own.factor_error)
             if np.isfinite(own.lag_error).all():
-                unsure_lag = effect.of_force_lag(ESTIMATE_SIGMAS * own.lag_error)
+                unsure_lag = effect.of_force_lag(SIGNIFICANT * own.lag_error)
             at_most = _at_most(effect, own, relations, untrue)
         if identified.any() and not untrue.any():
             force_scale = effect.of_force_scale(np.full(len(axes), 1.0 + UNTOLD))
@@ -233,22 +234,37 @@ def _numbers(found: list[Deviation], axis: str) -> dict[str, Any]:
     return numbers
 
 
-def _sure(value: Floats, error: Floats) -> Floats:
-    """Give the deviations that are beyond chance, and 0 for the others."""
-    return np.where(np.abs(value) > ESTIMATE_SIGMAS * error, value, 0.0)
+def _each(
+    effect: float,
+    kind: str,
+    channel: str,
+    axes: Sequence[str],
+    numbers: tuple[Floats, Floats, Floats],
+    part: str = "",
+) -> Iterator[Deviation]:
+    """Give an estimate, what it should be, and its error, of each axis or pair of axes with one."""
+    estimate, told, error = (np.diag(one) if one.ndim == 1 else one for one in numbers)
+    for i, j in zip(*np.nonzero(error), strict=True):
+        own = (float(one[i, j]) for one in (estimate, told, error))
+        yield Deviation(effect, kind, channel, axes[i], axes[j], *own, part)
 
 
 def _deviations(
-    effect: CalibrationEffect,
-    own: Inertia | None,
-    relations: list[_OfChannel],
-    axes: tuple[str, ...],
+    effect: CalibrationEffect, own: Inertia | None, relations: list[_OfChannel], axes: Sequence[str]
 ) -> Iterator[Deviation]:
+    none = np.zeros(len(axes))
     if own is not None:
-        yield from _masses(effect, own, axes)
-    for channel, against, scale, lag in relations:
-        yield from _scales(effect, channel, against, scale, axes)
-        yield from _lags(effect, channel, against, lag, axes)
+        off, known = significant(own.factor - 1.0, own.factor_error), effect.mass.diagonal()
+        masses = known * own.factor, known, known * own.factor_error
+        yield from _each(effect.of_mass(1.0 + off), "mass", "force", axes, masses)
+        late = effect.of_force_lag(significant(own.lag, own.lag_error))
+        yield from _each(late, "lag", "force", axes, (own.lag, none, own.lag_error))
+    for channel, of, scale, lag in relations:
+        wrong = significant(of.scale - np.diag(scale), of.scale_error)
+        scales = of.scale, np.diag(scale), of.scale_error
+        yield from _each(effect.of_scale(np.eye(len(axes)) + wrong), "scale", channel, axes, scales)
+        late = effect.of_lag(significant(of.lag - lag, of.lag_error))
+        yield from _each(late, "lag", channel, axes, (of.lag, lag, of.lag_error))
 
 
 def _at_most(
@@ -287,14 +303,13 @@ def _drifts(
     """Zeros of acceleration and force that move; of the force where each spring has its own."""
     x, v, a, f = np.moveaxis(samples, 1, 0)
     n, springs = len(axes), effect.springs
+    none = np.zeros(n)
     for name, half in halves.items():
         if half.stop - half.start < _FEWEST:
             return
         zero, error = acceleration_zero(x[half], a[half], dt)
-        of_zero = effect.within(half).of_zero(np.zeros(n), _sure(zero, error))
-        for i, axis in enumerate(axes):
-            off, chance = float(zero[i]), float(error[i])
-            yield Deviation(of_zero, "drift", "acceleration", axis, axis, off, 0.0, chance, name)
+        of_zero = effect.within(half).of_zero(none, significant(zero, error))
+        yield from _each(of_zero, "drift", "acceleration", axes, (zero, none, error), name)
     if len(springs) != n or np.linalg.cond(springs) > ALIKE_SPRINGS:
         return
     forces = (f - a @ effect.mass.T) @ np.linalg.inv(springs)
@@ -302,43 +317,8 @@ def _drifts(
     fits = [force_drift(e[:, j], rates[:, j], forces[:, j]) for j in range(n)]
     moved, errors = (np.array([fit[i] for fit in fits]) for i in (0, 1))
     shapes = np.stack([fit[2] for fit in fits], axis=1)
-    of_zero = effect.of_zero(_sure(moved, errors) * shapes @ springs, np.zeros(n))
-    for i, axis in enumerate(axes):
-        off, chance = float(moved[i]), float(errors[i])
-        yield Deviation(of_zero, "drift", "force", axis, axis, off, 0.0, chance)
-
-
-def _masses(effect: CalibrationEffect, own: Inertia, axes: tuple[str, ...]) -> Iterator[Deviation]:
-    of_mass = effect.of_mass(1.0 + _sure(own.factor - 1.0, own.factor_error))
-    of_lag = effect.of_force_lag(_sure(own.lag, own.lag_error))
-    for i, axis in enumerate(axes):
-        known = float(effect.mass[i, i])
-        mass = (known * float(own.factor[i]), known, known * float(own.factor_error[i]))
-        yield Deviation(of_mass, "mass", "force", axis, axis, *mass)
-        lag = (float(own.lag[i]), 0.0, float(own.lag_error[i]))
-        yield Deviation(of_lag, "lag", "force", axis, axis, *lag)
-
-
-def _scales(
-    effect: CalibrationEffect, channel: str, own: Relation, known: Floats, axes: tuple[str, ...]
-) -> Iterator[Deviation]:
-    """Scales of a channel on all axes; ``known`` has shape (n,)."""
-    expected = np.diag(known)
-    off = _sure(own.scale - expected, own.scale_error)
-    of_scale = effect.of_scale(np.eye(len(axes)) + off)
-    for i, j in zip(*np.nonzero(own.scale_error), strict=True):
-        scale, told, error = (float(each[i, j]) for each in (own.scale, expected, own.scale_error))
-        yield Deviation(of_scale, "scale", channel, axes[i], axes[j], scale, told, error)
-
-
-def _lags(
-    effect: CalibrationEffect, channel: str, own: Relation, known: Floats, axes: tuple[str, ...]
-) -> Iterator[Deviation]:
-    """Lags of a channel on all axes; ``known`` has shape (n,), s."""
-    of_lag = effect.of_lag(_sure(own.lag - known, own.lag_error))
-    for i, axis in enumerate(axes):
-        late, told, error = (float(each[i]) for each in (own.lag, known, own.lag_error))
-        yield Deviation(of_lag, "lag", channel, axis, axis, late, told, error)
+    of_zero = effect.of_zero(significant(moved, errors) * shapes @ springs, none)
+    yield from _each(of_zero, "drift", "force", axes, (moved, none, errors))
 
 
 def _relations(experiment: Experiment, samples: Floats, frequency: float) -> Iterator[_OfChannel]:

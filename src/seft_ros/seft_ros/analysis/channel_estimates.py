@@ -8,6 +8,11 @@ channel against the displacement, and in the first order of the lag::
 Off the diagonal s is the tilt of an accelerometer. Standard errors are those of correlated
 residuals (Newey & West 1987). Of the mass and the force, see `seft_ros.analysis.mass_estimate`.
 
+The zero of the acceleration may move, too. With a window w(t) that is smooth and zero at both ends
+of a part of the test, integration by parts gives its mean error b, whatever the motion::
+
+    b = (sum w a - sum w'' x) / sum w                                                      (2)
+
 A valve's commands are steps, and what they excite above half the rate looks like the motion itself:
 at 250 Hz 0.8 % of its acceleration, which the displacement has not. Of force and M a it is the same
 part, so that the restoring force has none, and the equivalent ground motion all of it.
@@ -24,7 +29,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RIG_STATE
-from seft_plant_sim.calibration import known_channels
+from seft_plant_sim.calibration import SIGNIFICANT, known_channels
 from seft_plant_sim.channels import VELOCITY
 
 from seft_ros.design.planned_tests import choose_rig
@@ -32,10 +37,6 @@ from seft_ros.design.plant import held_relations
 from seft_ros.ground_motion.conditioning import moved_ahead
 from seft_ros.reference_force.restoring_model import STANDS_OUT
 
-ESTIMATE_SIGMAS = 4.0
-"""Standard errors beyond which a deviation counts. Of 340 estimates on fault-free tests the worst
-were
-3.7 away: no law is described exactly, and the tails are longer than a normal distribution's."""
 KINEMATIC_BAND = (0.3, 3.0)
 """Band of Eq. (1), over the frequency of the motion: where most of the motion is. Below, the
 acceleration is lost in the bias and the noise of the displacement, above in those of x''."""
@@ -55,7 +56,7 @@ class Relation:
     ----------
     scale, scale_error : ndarray
         s and its standard error, shape (n, n); the unit matrix for equal channels. A tilt within
-        `ESTIMATE_SIGMAS` standard errors is 0, of a velocity always.
+        `SIGNIFICANT` standard errors is 0, of a velocity always.
     lag, lag_error : ndarray
         tau of each axis, positive where the channel is behind the displacement, and its standard
         error, shape (n,), s.
@@ -181,7 +182,7 @@ def relation(
             more = np.hypot(more, cut @ (len(regressors) * noise**2 * tilted))
             beside = unsure[i] * np.linalg.norm(motion[:, i])
             more = np.hypot(more, np.sqrt(cut.diagonal()) * beside)
-            if (np.abs(tilted) > ESTIMATE_SIGMAS * more)[:n][every != i].any():
+            if (np.abs(tilted) > SIGNIFICANT * more)[:n][every != i].any():
                 used, b, error = every, tilted, more
         scale[i, used], scale_error[i, used] = b[:-1], error[:-1]
         lag[i], lag_error[i] = -b[-1] / scale[i, i], error[-1] / abs(scale[i, i])
@@ -285,3 +286,17 @@ def expected_relations(experiment: Experiment, frequency: float) -> Complexes | 
     except (InputError, KeyError):
         return None
     return held[0]
+
+
+def acceleration_zero(x: Floats, a: Floats, dt: float) -> tuple[Floats, Floats]:
+    """Mean error of the accelerations over these samples, Eq. (2), and its standard error, (n,).
+
+    ``x`` and ``a`` have shape (N, n); the errors are those of white noise.
+    """
+    angle = np.pi * (np.arange(len(x)) + 0.5) / len(x)
+    s, c = np.sin(angle), np.cos(angle)
+    bend = (np.pi / (len(x) * dt)) ** 2 * (12 * s**2 * c**2 - 4 * s**4)
+    whole = (s**4).sum()
+    zero = (s**4 @ a - bend @ (x - x.mean(axis=0))) / whole
+    noise = noise_of(a) ** 2 * (s**8).sum() + noise_of(x) ** 2 * (bend**2).sum()
+    return zero, np.sqrt(noise) / whole

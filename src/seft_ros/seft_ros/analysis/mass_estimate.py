@@ -28,7 +28,7 @@ from seft_ros.analysis.channel_estimates import (
     noise_of,
     summed_covariance,
 )
-from seft_ros.reference_force.restoring_model import STANDS_OUT, slide
+from seft_ros.reference_force.restoring_model import STANDS_OUT, stop_operators
 
 INERTIA_BAND = 8.0
 """Highest frequency of Eq. (1) over that of the motion: there a stiffness is 2 % of the inertia."""
@@ -157,8 +157,7 @@ def law_regressors(e: Floats, noise: float) -> Floats:
     if not high > low:
         return np.zeros((len(e), SLIDERS + CURVE_SPLINES - 2))
     thresholds = np.geomspace(max(8 * noise, most / 500), 0.7 * most, SLIDERS)
-    stops = np.zeros((len(e), SLIDERS))
-    slide(np.ascontiguousarray(e), thresholds, stops)
+    stops = stop_operators(e, thresholds)
     # uniform cubic B-splines, but the first and the last
     place = (e - low) / (high - low) * (CURVE_SPLINES - 3)
     t = np.abs(place[:, np.newaxis] - np.arange(CURVE_SPLINES - 2))

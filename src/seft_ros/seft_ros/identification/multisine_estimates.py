@@ -45,11 +45,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 from seft_msgs_py.arrays import Complexes, Floats
+from seft_plant_sim.calibration import SIGNIFICANT, significant
 from seft_plant_sim.channels import FORCE
 
 from seft_ros.design.plant import FOLDED
 from seft_ros.identification.multisine import Sine
-from seft_ros.reference_force.restoring_model import slide
+from seft_ros.reference_force.restoring_model import stop_operators
 
 _ORDERS = (1, 3, 5)  # a law that is odd has no others
 _STOPS, _LEAST, _MOST = 8, 0.03, 0.8  # thresholds over the displacement
@@ -98,21 +99,13 @@ def _stopped(x: Complexes, thresholds: Floats) -> Complexes:
     phase = 2 * np.pi * np.arange(2 * _POINTS) / _POINTS  # the first cycle is from rest
     orders = np.arange(1, len(x) + 1)[:, np.newaxis]
     motion = (x[:, np.newaxis] * np.exp(1j * orders * phase)).real.sum(axis=0)
-    stops = np.zeros((len(motion), len(thresholds)))
-    slide(np.ascontiguousarray(motion), thresholds, stops)
+    stops = stop_operators(motion, thresholds)
     spectrum = np.fft.rfft(stops[_POINTS:], axis=0) * 2.0 / _POINTS
     return np.asarray(spectrum[1 : len(x) + 1], dtype=np.complex128)
 
 
 _OVERTONES = 9  # of a sine, which friction makes, and which are no noise
 _ROUNDS = 4  # of linearisation in the lag; it converges quadratically
-MULTISINE_SIGMAS = 4.0
-"""Standard errors within which a deviation is none: curvature, tilt."""
-
-
-def significant(value: Floats, error: Floats) -> Floats:
-    """Give the values that are beyond `MULTISINE_SIGMAS` standard errors, and 0 for the others."""
-    return np.where(np.abs(value) > MULTISINE_SIGMAS * error, value, 0.0)
 
 
 @dataclass(frozen=True)
@@ -350,10 +343,8 @@ def _displacement_scale(scale: Floats, error: Floats) -> tuple[Floats, Floats]:
     It is 1, without an error, unless velocity and acceleration both differ, by the same factor.
     """
     (v, a), (of_v, of_a) = scale[1:3], error[1:3]
-    differ = (np.abs(v - 1.0) > MULTISINE_SIGMAS * of_v) & (
-        np.abs(a - 1.0) > MULTISINE_SIGMAS * of_a
-    )
-    alike = differ & (np.abs(v - a) <= MULTISINE_SIGMAS * np.hypot(of_v, of_a))
+    differ = (np.abs(v - 1.0) > SIGNIFICANT * of_v) & (np.abs(a - 1.0) > SIGNIFICANT * of_a)
+    alike = differ & (np.abs(v - a) <= SIGNIFICANT * np.hypot(of_v, of_a))
     p, q = of_v**-2.0, of_a**-2.0
     found = (p + q) / (p * v + q * a)
     return np.where(alike, found, 1.0), np.where(alike, found**2 / np.sqrt(p + q), 0.0)
@@ -368,7 +359,7 @@ def _relation(of: Harmonics, order: int, i: int, fault_free: Complexes) -> tuple
     others = np.arange(n) != i
     used = np.arange(n)
     fit, shape = _shaped(y, motion, noise, of.w)
-    if n > 1 and not (np.abs(fit.value[:n]) > MULTISINE_SIGMAS * fit.error[:n])[others].any():
+    if n > 1 and not (np.abs(fit.value[:n]) > SIGNIFICANT * fit.error[:n])[others].any():
         used = np.array([i])
         fit, shape = _shaped(y, motion[:, used], noise, of.w)
     value, error = np.zeros(n + 1), np.zeros(n + 1)
@@ -387,7 +378,7 @@ def _shaped(y: Complexes, columns: Complexes, noise: Floats, w: Floats) -> tuple
         (_aligned(y, columns, noise, _stacked(late, w**p, bent)) for p in (4, 2)),
         key=lambda tried: tried[0].left,
     )
-    if not (np.abs(fit.value[-2:]) > MULTISINE_SIGMAS * fit.error[-2:]).any():
+    if not (np.abs(fit.value[-2:]) > SIGNIFICANT * fit.error[-2:]).any():
         fit, shape = _aligned(y, columns, noise, _stacked(late))
     count = columns.shape[1] + 1
     return Fit(fit.value[:count], fit.error[:count], fit.left), shape
