@@ -13,8 +13,7 @@ from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis import calibration_check as checks
 from seft_ros.analysis import equivalent_motion
 from seft_ros.analysis.assessment import IN_LABORATORY, calibration_findings
-from seft_ros.analysis.calibration_check import calibration_check
-from seft_ros.analysis.calibration_effect import led
+from seft_ros.analysis.calibration_check import calibration_check, led
 from seft_ros.analysis.channel_estimates import expected_relations
 from seft_ros.analysis.equivalent_motion import motion_difference
 from seft_ros.analysis.metrics import nrmse

@@ -509,7 +509,7 @@ class _Identification:
 
     def _unknown_force(self, known: Section) -> list[str]:
         """Say what an error of the load cell would cost, which no motion shows."""
-        from seft_ros.analysis.calibration_effect import effect_of_force
+        from seft_ros.analysis.calibration_check import effect_of_force
         from seft_ros.drawing.style import percent
 
         experiment = self._tests.experiment.changed({EVERY_NODE: known})
@@ -538,7 +538,7 @@ class _Identification:
         lag, more = common_lag(loop), {}
         if multisine is not None:
             lag, more = multisine.calibrated.common_lag, multisine.facts()
-            summary["multisine"] = multisine.numbers(found.axes)
+            summary["multisine"] = multisine.numbers()
             summary["notes"] += calibrated.multisine_notes(multisine, found.axes)
             if not multisine.force_scale_error.any():
                 summary["notes"] += self._unknown_force(more)
