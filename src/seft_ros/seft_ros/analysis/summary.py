@@ -1,6 +1,6 @@
 """The numbers of a test as a dict of JSON values, but for those that only a verdict needs."""
 
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -224,8 +224,7 @@ def assessed_part(
     if estimates is not None and not len(estimates.steps):
         estimates = None
     if reference is not None:
-        parts = {part.name: getattr(reference, part.name)[: last + 1] for part in fields(reference)}
-        reference = ReferenceResponse(**parts)
+        reference = reference.first(last + 1)
     return replace(recording, series=series, estimates=estimates), reference
 
 

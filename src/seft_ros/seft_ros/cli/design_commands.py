@@ -69,11 +69,9 @@ def preflight(
     path = check_figure(figure) if figure is not None else None
     experiment = shared.load_experiment(config, param, params_file, external)
     motion = preflight_tables.planned_motion(experiment)
-    with shared.passing_progress():
-        response = plausibility.expected_response(experiment, motion)
-        by_axis = plausibility.peaks_of(response)
-        wrong = plausibility.unit_refusal(experiment, motion, by_axis)
-    if wrong:
+    response = plausibility.expected_response(experiment, motion)
+    by_axis = plausibility.peaks_of(response)
+    if wrong := plausibility.unit_refusal(experiment, motion, by_axis):
         raise InputError(wrong)
     unfit = [*filter(None, [plausibility.range_refusal(experiment, by_axis)])]
     beyond = plausibility.excesses(experiment, response)
@@ -83,7 +81,7 @@ def preflight(
     limits = preflight_tables.proposed_limits(peaks, highest)
     try:
         test = PlannedTest(experiment)
-        with shared.passing_progress() as progress:
+        with shared.step_progress(passing=True) as progress:
             found = stability_verdict.check_stability(test, progress)
     except NotLinearError as error:
         if figure is not None:
@@ -93,7 +91,7 @@ def preflight(
         stable = shared.is_stable_in_simulation(experiment, error, as_json=json)
         _say(warnings, unfit)
         return 0 if stable and not unfit else 1
-    with shared.passing_progress() as progress:
+    with shared.step_progress(passing=True) as progress:
         summary = preflight_tables.summarise_preflight(test, found)
         summary |= {"expected_peaks": peaks, "proposed_limits": limits}
         timed = preflight_tables.model_time(experiment, motion)

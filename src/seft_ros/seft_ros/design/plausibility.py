@@ -36,26 +36,23 @@ USUAL_DAMPING = 0.2
 """Damping ratio that a structure has at most."""
 
 
-@dataclass(frozen=True)
-class _Units:
-    """Factors by which a specimen's values may have been given too small, and their units then."""
-
-    stiffness: float
-    damping: float
-    mass: float
-    stiffness_unit: str
-    mass_unit: str
-
-
 _MIXED_UP = (
-    _Units(1e3, 1.0, 1.0, "kN/m", ""),
-    _Units(1e3, 1e3, 1.0, "kN/m", ""),
-    _Units(1e3, 1.0, 1e3, "kN/m", "t"),
-    _Units(1e3, 1e3, 1e3, "kN/m", "t"),
-    _Units(1.0, 1.0, 1e3, "", "t"),
-    _Units(1e6, 1.0, 1.0, "kN/mm", ""),
+    (1e3, 1.0, 1.0),
+    (1e3, 1e3, 1.0),
+    (1e3, 1.0, 1e3),
+    (1e3, 1e3, 1e3),
+    (1.0, 1.0, 1e3),
+    (1e6, 1.0, 1.0),
 )
-"""In this order: who gives a mass in t gives a stiffness in kN/m, if the other fits, too."""
+"""Factors by which stiffness, damping and mass may have been given too small, in this order: who
+gives a mass in t gives a stiffness in kN/m, if the other fits, too."""
+_MEANT = {
+    ("stiffness", 1e3): "N/m (kN/m?)",
+    ("stiffness", 1e6): "N/m (kN/mm?)",
+    ("mass", 1e3): "kg (t?)",
+}
+"""Quantity, and factor: its unit, and the one that may be meant."""
+_QUANTITIES = "stiffness", "damping", "mass"
 
 
 def expected_response(
@@ -99,21 +96,6 @@ def peaks_of(response: ReferenceResponse | None) -> dict[str, Floats]:
 def peaks_by_axis(experiment: Experiment, planned: GroundMotion | None) -> dict[str, Floats]:
     """Find the `peaks_of` the `expected_response`."""
     return peaks_of(expected_response(experiment, planned))
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """How a specimen fits the test.
-
-    ``misfit`` says what does not, empty if nothing; ``too_light`` and ``too_soft`` whether a mass
-    or a stiffness that was given too small explains it.
-    """
-
-    hz: float
-    damping: float
-    misfit: str = ""
-    too_light: bool = False
-    too_soft: bool = False
 
 
 def unit_refusal(
@@ -165,62 +147,60 @@ def _mixed_up(
     planned: GroundMotion,
     peaks: Mapping[str, Floats],
 ) -> str:
-    now = _fit(experiment, planned, peaks)
-    if not now.misfit:
+    misfit, too_small = _misfit(experiment, planned, peaks)
+    if not misfit:
         return ""
-    given = _given(experiment, place, prefix)
+    given, (now, _) = _given(experiment, place, prefix), _first_mode(tested_specimen(experiment))
     rate, dt = experiment.timebase.rate, experiment.timebase.dt
     slow, fast = 1.0 / (planned.steps * dt), rate / CONTROLLED
-    for units in _MIXED_UP:
-        if not (now.too_light if units.mass > 1.0 else now.too_soft):
+    for factors in _MIXED_UP:
+        by = dict(zip(_QUANTITIES, factors, strict=True))
+        if (by["mass"] > 1.0) is not (too_small == "mass"):
             continue
-        changed = _scaled(experiment, place, prefix, units)
+        changed = _scaled(experiment, place, prefix, by)
         hz, damping = _first_mode(tested_specimen(changed))
         if not slow < hz < fast or damping > USUAL_DAMPING:
             continue
         section, axes, timebase = changed["ground_motion"], changed.axes, changed.timebase
         motion = GroundMotion.from_parameters(section, axes, timebase)
-        if _fit(changed, motion, peaks_by_axis(changed, motion)).misfit:
+        if _misfit(changed, motion, peaks_by_axis(changed, motion))[0]:
             continue
         fitting = [
-            f"a {name} of {_largest(given[name]) * factor:.6g} {si} ({unit}?)"
-            for name, factor, si, unit in (
-                ("stiffness", units.stiffness, "N/m", units.stiffness_unit),
-                ("mass", units.mass, "kg", units.mass_unit),
-            )
-            if unit
+            f"a {name} of {_largest(given[name]) * factor:.6g} {_MEANT[name, factor]}"
+            for name, factor in by.items()
+            if (name, factor) in _MEANT
         ]
         return (
             f"{place}: {prefix}: stiffness {_largest(given['stiffness']):.6g} N/m and mass "
-            f"{_largest(given['mass']):.6g} kg give a natural frequency of {now.hz:.3g} Hz, "
-            f"{now.misfit}; {' and '.join(fitting)} would give {hz:.3g} Hz and fit"
+            f"{_largest(given['mass']):.6g} kg give a natural frequency of {now:.3g} Hz, "
+            f"{misfit}; {' and '.join(fitting)} would give {hz:.3g} Hz and fit"
         )
     return ""
 
 
-def _fit(experiment: Experiment, planned: GroundMotion, peaks: Mapping[str, Floats]) -> _Fit:
+def _misfit(
+    experiment: Experiment, planned: GroundMotion, peaks: Mapping[str, Floats]
+) -> tuple[str, str]:
+    """Say how a specimen does not fit the test, and what too small a number would explain it."""
     hz, damping = _first_mode(tested_specimen(experiment))
     if not hz:  # nothing that a unit could change
-        return _Fit(hz, damping)
+        return "", ""
     rate, limits = experiment.timebase.rate, group(experiment["supervisor"], "limits")
     if hz * PER_PERIOD > rate:
-        fast = f"less than {PER_PERIOD:g} samples in a period at {rate:g} Hz"
-        return _Fit(hz, damping, fast, too_light=True)
-    ground = float(np.abs(planned.samples).max())
-    if ground > FACTORS["acceleration"] * limits["acceleration"]:
-        limit = f"(limit: {limits['acceleration']:g})"
-        strong = f"and a ground acceleration of {ground:.2g} m/s^2 {limit}"
-        return _Fit(hz, damping, strong, too_light=True)
+        return f"less than {PER_PERIOD:g} samples in a period at {rate:g} Hz", "mass"
+    ground, most = float(np.abs(planned.samples).max()), limits["acceleration"]
+    if ground > FACTORS["acceleration"] * most:
+        return f"and a ground acceleration of {ground:.2g} m/s^2 (limit: {most:g})", "mass"
     highest = {name: float(peak.max()) for name, peak in peaks.items()}
     farthest, limit = highest["displacement"], limits["displacement"]
     text = f"and a peak displacement of {farthest:.2g} m (limit: {limit:g})"
     if farthest > FACTORS["displacement"] * limit:
-        return _Fit(hz, damping, text, too_soft=True)
+        return text, "stiffness"
     if all(highest[name] < SMALLEST_SHARE * limits[name] for name in highest if name != "force"):
-        return _Fit(hz, damping, text, too_light=True)
+        return text, "mass"
     if damping > 1.0:
-        return _Fit(hz, damping, f"and {damping:.3g} times the critical damping", too_soft=True)
-    return _Fit(hz, damping)
+        return f"and {damping:.3g} times the critical damping", "stiffness"
+    return "", ""
 
 
 def _first_mode(specimen: Specimen) -> tuple[float, float]:
@@ -233,19 +213,10 @@ def _given(experiment: Experiment, place: str, prefix: str) -> Section:
     return group(experiment["reference_force" if place == EVERY_NODE else place], prefix)
 
 
-def _scaled(experiment: Experiment, place: str, prefix: str, units: _Units) -> Experiment:
-    """Give the experiment with the specimen in other units."""
-
-    def times(value: Any, factor: float) -> Any:
-        return (np.asarray(value) * factor).tolist()
-
-    values = _given(experiment, place, prefix)
-    factors = (
-        ("stiffness", units.stiffness),
-        ("damping", units.damping),
-        ("mass", units.mass),
-    )
-    scaled = {name: times(values[name], factor) for name, factor in factors}
+def _scaled(experiment: Experiment, place: str, prefix: str, by: Mapping[str, float]) -> Experiment:
+    """Give the experiment with other values of the specimen, also of the one on a simulated rig."""
+    given = _given(experiment, place, prefix)
+    scaled = {name: (np.asarray(given[name]) * factor).tolist() for name, factor in by.items()}
     changes = {place: {f"{prefix}.{name}": value for name, value in scaled.items()}}
     if place == EVERY_NODE and is_simulated(experiment):
         changes["rig"] = {f"simulated.{prefix}.{name}": value for name, value in scaled.items()}

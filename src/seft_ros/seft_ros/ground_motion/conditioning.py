@@ -16,7 +16,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.errors import InputError
@@ -251,22 +250,17 @@ def high_pass(a: Floats, dt: float, corner: float, order: int, both_ways: bool) 
 
     ``|H|^2 = 1 / (1 + (corner / f)^(2 order))``; both ways, this is the response itself.
     """
+    from scipy.signal import butter, freqs_zpk  # 20 MB that others need not have
+
     pad = int(np.ceil(_PADS * order / corner / dt))
     length = len(a) + 2 * pad
     spectrum = np.fft.rfft(np.pad(a, ((pad, pad), (0, 0))), axis=0)
-    response = butterworth(np.fft.rfftfreq(length, dt), corner, order, both_ways)
+    filtered = butter(order, corner, "highpass", analog=True, output="zpk")
+    _, response = freqs_zpk(*filtered, np.fft.rfftfreq(length, dt))
+    if both_ways:
+        response = np.abs(response) ** 2
     found: Floats = np.fft.irfft(spectrum * response[:, np.newaxis], length, axis=0)
     return found[pad : pad + len(a)]
-
-
-def butterworth(
-    f: Floats, corner: float, order: int, both_ways: bool
-) -> npt.NDArray[np.complex128]:
-    """Frequency response of the high-pass at frequencies in Hz, shape (F,)."""
-    angles = np.pi * (2 * np.arange(1, order + 1) + order - 1) / (2 * order)
-    factors = 1j * f[:, np.newaxis] / (1j * f[:, np.newaxis] - corner * np.exp(1j * angles))
-    once: npt.NDArray[np.complex128] = factors.prod(axis=1)
-    return once * once.conj() if both_ways else once
 
 
 def _parabola(a: Floats, dt: float) -> Floats:

@@ -375,11 +375,11 @@ def _shaped(y: Complexes, columns: Complexes, noise: Floats, w: Floats) -> tuple
     """
     late, bent = -1j * w, 1j * w**3
     fit, shape = min(
-        (_aligned(y, columns, noise, _stacked(late, w**p, bent)) for p in (4, 2)),
+        (aligned(y, columns, noise, _stacked(late, w**p, bent)) for p in (4, 2)),
         key=lambda tried: tried[0].left,
     )
     if not (np.abs(fit.value[-2:]) > SIGNIFICANT * fit.error[-2:]).any():
-        fit, shape = _aligned(y, columns, noise, _stacked(late))
+        fit, shape = aligned(y, columns, noise, _stacked(late))
     count = columns.shape[1] + 1
     return Fit(fit.value[:count], fit.error[:count], fit.left), shape
 
@@ -388,12 +388,16 @@ def _stacked(*columns: NDArray[Any]) -> Complexes:
     return np.stack(columns, axis=1).astype(np.complex128)
 
 
-def _aligned(
-    y: Complexes, columns: Complexes, noise: Floats, powers: Complexes
+def aligned(
+    y: Complexes,
+    columns: Complexes,
+    noise: Floats,
+    powers: Complexes,
+    start: float | Floats = 0.0,
 ) -> tuple[Fit, Complexes]:
     """Fit y = columns b exp(powers q); give (b, q), and the factor on y."""
     count = powers.shape[1]
-    found = np.zeros(count)
+    found = np.zeros(count) + start
     for _ in range(_ROUNDS):
         turned = y * np.exp(-powers @ found)
         more = powers * turned[:, np.newaxis]

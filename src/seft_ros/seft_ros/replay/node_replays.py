@@ -15,10 +15,8 @@ from seft_msgs_py.config.facts import EVERY_NODE, place_of
 from seft_msgs_py.config.parameter_table import Section, nearest
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.experiment_state import decode_state
-from seft_msgs_py.wire.messages import decode_diagnostics
 from seft_msgs_py.wire.outcome import State
 from seft_msgs_py.wire.topics import (
-    DIAGNOSTICS,
     ESTIMATES,
     EXPERIMENT_STATE,
     GROUND_MOTION,
@@ -59,8 +57,6 @@ class Recorded:
         (p, n), m/s^2. They reach beyond the test's end, as far as the motion was sent ahead.
     points : dict
         Step -> points of the message of reference_force that answers its state, shape (p, q, n).
-    ramp_step : int or None
-        First step whose force was ramped down on the supervisor's command; None without one.
     ramp_unknown : bool
         Whether the supervisor commanded a ramp, but reference_force did not report that step.
     """
@@ -68,7 +64,6 @@ class Recorded:
     recording: Recording
     chunks: list[tuple[int, Floats]]
     points: dict[int, Floats]
-    ramp_step: int | None = None
     ramp_unknown: bool = False
 
     def series(self, topic: LoopTopic) -> Series:
@@ -105,8 +100,7 @@ def read_recorded(path: str | Path) -> Recorded:
     points: dict[int, Floats] = {}
     tests, state = 0, ""
     is_ramped = False
-    ramp_step: int | None = None
-    topics = [EXPERIMENT_STATE, GROUND_MOTION, REFERENCE_FORCE, DIAGNOSTICS]
+    topics = [EXPERIMENT_STATE, GROUND_MOTION, REFERENCE_FORCE]
     for topic, _, raw in read_messages(path, topics):
         with suppress(WireError, ValueError):  # the nodes skip such messages, too
             if topic is GROUND_MOTION:
@@ -114,19 +108,14 @@ def read_recorded(path: str | Path) -> Recorded:
                 chunks.append((first, values[:, 0]))
             elif topic is REFERENCE_FORCE:
                 points.setdefault(*force_codec.decode(raw))
-            elif topic is EXPERIMENT_STATE:
+            else:
                 last, state = state, decode_state(raw).state
                 tests += state == State.RUNNING and state != last
                 is_ramped |= state == State.RAMPING_DOWN
-            else:
-                for status in decode_diagnostics(raw)[1]:
-                    if status.name == "reference_force":  # its last report counts
-                        text = status.values.get("ramp_step")
-                        ramp_step = None if text is None else int(text)
     if tests > 1:
         raise InputError(f"{path}: the bag holds {tests} tests; record one in a bag")
     points = {step: points[step] for step in sorted(points) if step <= states[-1]}
-    return Recorded(recording, chunks, points, ramp_step, is_ramped and ramp_step is None)
+    return Recorded(recording, chunks, points, is_ramped and recording.ramp_step is None)
 
 
 class Replay(ABC):
@@ -264,7 +253,7 @@ class ReferenceForceReplay(Replay):
         section = self.experiment["reference_force"]
         self.answer = reference_force_topic(section)
         self.expected = recorded.series(self.answer)
-        self._ramp_step = recorded.ramp_step
+        self._ramp_step = recorded.recording.ramp_step
         if recorded.ramp_unknown:
             self.notes.append(
                 "reference_force does not report the step at which the supervisor ramped it down: "

@@ -145,21 +145,19 @@ def draw_tests(
     # without spread: the configured values, for each axis where the drawn ones are
     base = own | {"rig": drawn_rig(own["rig"], axes, seed, 1, 0.0)}
     factors: dict[str, Floats] = {}
-    for quantity in DRAWN_QUANTITIES:
+    offsets: dict[str, Floats] = {}
+    for quantity in (*DRAWN_QUANTITIES, *DRAWN_OFFSETS):
         node, name = quantity.split(":")
         configured = np.ravel(base[node][name])
-        for label, place in _effective(base[node], quantity, axes, timebase):
-            values = np.array([np.ravel(one[node][name])[place] for one in drawn])
-            if np.any(values != configured[place]):
-                factors[label] = values / configured[place]
-    offsets: dict[str, Floats] = {}
-    for quantity in DRAWN_OFFSETS:
-        node, name = quantity.split(":")
-        at_first = np.ravel(base[node][name])
-        values = np.array([np.ravel(one[node][name]) for one in drawn]) - at_first
-        for label, place in _added(base[node], quantity, axes, timebase):
-            if values[:, place].any():
-                offsets[label] = values[:, place]
+        values = np.array([np.ravel(one[node][name]) for one in drawn])
+        for label, place in _places(base[node], quantity, axes, timebase):
+            own_values = values[:, place]
+            if not np.any(own_values != configured[place]):
+                continue
+            if quantity in DRAWN_OFFSETS:
+                offsets[label] = own_values - configured[place]
+            else:
+                factors[label] = own_values / configured[place]
     return DrawnTests((own, *drawn), factors, offsets, seed, spread, tuple(motions))
 
 
@@ -270,37 +268,25 @@ def _matters(
     return one != other
 
 
-def _added(
-    base: Section, quantity: str, axes: tuple[str, ...], timebase: Timebase
-) -> list[tuple[str, int]]:
-    """Labels and places of the values of `DRAWN_OFFSETS` on which the simulated test depends."""
-    name = quantity.removeprefix("rig:")
-    if quantity == _TILT:
-        pairs = np.argwhere(_neighbours(axes))
-        return [
-            (f"{quantity}, axis {axes[i]} by {axes[j]}", int(i * len(axes) + j)) for i, j in pairs
-        ]
-    if not _matters(base, name, np.add(base[name], DRAWN_OFFSETS[quantity]), axes, timebase):
-        return []
-    several = len(axes) > 1
-    return [(f"{quantity}, axis {axis}" if several else quantity, n) for n, axis in enumerate(axes)]
-
-
-def _effective(
+def _places(
     base: Section, quantity: str, axes: tuple[str, ...], timebase: Timebase
 ) -> list[tuple[str, int]]:
     """Labels and places of the values of a parameter on which the simulated test depends."""
     node, name = quantity.split(":")
-    values = np.ravel(base[name])
+    values, several = np.ravel(base[name]), len(axes) > 1
     largest = [(quantity, int(np.abs(values).argmax()))]
     if node != "rig":
         return largest
-
-    if not _matters(base, name, np.multiply(base[name], 1.01), axes, timebase):
+    if quantity == _TILT:
+        pairs = np.argwhere(_neighbours(axes)).tolist()
+        return [(f"{quantity}, axis {axes[i]} by {axes[j]}", i * len(axes) + j) for i, j in pairs]
+    added = DRAWN_OFFSETS.get(quantity, 0.0)
+    other = np.add(base[name], added) if added else np.multiply(base[name], 1.01)
+    if not _matters(base, name, other, axes, timebase):
         return []
-    if len(axes) > 1 and name.startswith(_OF_AN_AXIS) and len(values) == len(axes):
-        return [(f"{quantity}, axis {axis}", n) for n, axis in enumerate(axes) if values[n]]
-    return largest
+    if not (several and name.startswith(_OF_AN_AXIS) and len(values) == len(axes)):
+        return largest
+    return [(f"{quantity}, axis {axis}", n) for n, axis in enumerate(axes) if added or values[n]]
 
 
 EVERY_METHOD = "all"

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from importlib.metadata import version
 from itertools import repeat
@@ -25,10 +25,8 @@ from typing import Any
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError, SeftError
 from seft_plant_sim.compiled import code_folder
-from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.analysis.summary import summarise_briefly
-from seft_ros.bags.recording import Recording
 from seft_ros.ground_motion.ground_motion_block import FILES
 from seft_ros.ground_motion.record_file import files_of
 from seft_ros.study.drawn_tests import StudyDesign, StudyTest
@@ -313,18 +311,12 @@ def _run(test: StudyTest, experiment: Experiment, carried: Mapping[str, bytes]) 
             recording = simulate_test(experiment, build_blocks(experiment))
         else:
             recording = _CACHE.run(experiment)
-        return _brief(recording, reference), why
+        steps = len(recording.states.steps)
+        return summarise_briefly(recording, reference.first(steps)), why
     except SeftError as error:
         raise type(error)(f"{test}: {error}") from None
     except Exception as error:
         raise ExperimentError(f"{test}: {type(error).__name__}: {error}") from error
-
-
-def _brief(recording: Recording, reference: ReferenceResponse) -> dict[str, Any]:
-    """Summarise a test against the reference response, cut to the steps that it lasted."""
-    steps = len(recording.states.steps)
-    parts = {field.name: getattr(reference, field.name)[:steps] for field in fields(reference)}
-    return summarise_briefly(recording, ReferenceResponse(**parts))
 
 
 @lru_cache(maxsize=64)
