@@ -28,7 +28,7 @@ from seft_ros.analysis.channel_estimates import (
     relation,
 )
 from seft_ros.analysis.equivalent_motion import EquivalentMotion, assumed_structure
-from seft_ros.analysis.mass_estimate import ALIKE_SPRINGS, MIN_ERROR, Inertia, inertia
+from seft_ros.analysis.mass_estimate import ALIKE_SPRINGS, MIN_ERROR, inertia
 from seft_ros.analysis.specimen_law import SpecimenLaw, force_drift, springs_of
 from seft_ros.bags.recording import Recording, every_step
 from seft_ros.design.plant import FOLDED
@@ -159,7 +159,7 @@ def led(y: Floats, lead: Floats, dt: float) -> Floats:
 
 
 CHANCE = 0.05
-"""That errors of mass and channels mean more than `CalibrationCheck.at_most`."""
+"""That errors of mass and channels mean more than ``at_most`` of `calibration_check`."""
 ALIKE = 3.0
 """Standard errors within which an earlier estimate counts. Beyond, something may have changed, and
 a better estimate of what was shall not hide that."""
@@ -170,6 +170,8 @@ MAX_SAMPLES = 1 << 16
 
 _AT_END = 0.01  # of the range, in which noise is
 _FEWEST = 8  # samples of a half; noise is found in sixth differences
+_KINDS = "mass", "scale", "lag", "drift"
+_MEANS = "at_most", "clipped", "force_scale", "unsure", "unsure_lag"
 _OfChannel = tuple[str, Relation, Floats, Floats]
 """A channel, its relation to the displacement, and the scale and lag expected, (n,)."""
 
@@ -212,60 +214,29 @@ class Deviation:
         return self.effect, abs(self.estimate - self.told) / self.error
 
 
-@dataclass(frozen=True)
-class CalibrationCheck:
-    """Estimates of mass, scales and lags of a test; None: not known.
-
-    Attributes
-    ----------
-    mass, scale, lag, drift : Deviation or None
-        The worst of each kind; in a half of the test only what is beyond chance.
-    at_most : float or None
-        Displacement error that mass, force, and acceleration, as estimated and together, exceed
-        with the chance `CHANCE`.
-    clipped : float or None
-        Displacement error that accelerations beyond their sensor's range mean, by the velocity.
-    force_scale : float or None
-        Displacement error that `UNTOLD` of the forces' scale would mean, where nobody told the
-        scale, and the mass was identified by these forces; otherwise None.
-    unsure, unsure_lag : float or None
-        Displacement error that errors of the masses, and of the forces' lags, of
-        `SIGNIFICANT` standard errors would mean.
-    axes : dict
-        Axis -> ``mass``, ``force``, ``acceleration``, ``velocity``: JSON values of all estimates.
-    """
-
-    mass: Deviation | None
-    scale: Deviation | None
-    lag: Deviation | None
-    drift: Deviation | None
-    at_most: float | None
-    clipped: float | None
-    force_scale: float | None
-    unsure: float | None
-    unsure_lag: float | None
-    axes: dict[str, Any]
-
-    def numbers(self) -> dict[str, Any]:
-        """For JSON; docs/metrics.md explains each number."""
-        return asdict(self)
-
-
-def calibration_check(recording: Recording) -> CalibrationCheck | None:
+def calibration_check(recording: Recording) -> dict[str, Any] | None:
     """Estimate mass, scales and lags of a test, and what they mean for it.
 
     Parameters
     ----------
     recording : Recording
         Of the test, without its ramp-down. A mass that was identified before the test
-        (`IdentifiedMass.known`) is combined with the test's own estimate, by their standard errors,
-        unless they contradict each other.
+        (``specimen.mass_error``) is combined with the test's own estimate, by their standard
+        errors, unless they contradict each other.
 
     Returns
     -------
-    CalibrationCheck or None
-        None if the recording does not describe the specimen, holds what is not finite, or lacks too
-        many samples.
+    dict or None
+        JSON values; docs/metrics.md explains each. ``mass``, ``scale``, ``lag``, ``drift``: the
+        worst `Deviation` of each kind; in a half of the test only what is beyond chance. ``axes``:
+        axis -> ``mass``, ``force``, ``acceleration``, ``velocity``: all estimates. Displacement
+        errors: ``at_most``, which mass, force, and acceleration, as estimated and together, exceed
+        with the chance `CHANCE`; ``clipped``, which accelerations beyond their sensor's range
+        mean, by the velocity; ``force_scale``, which `UNTOLD` of the forces' scale would mean,
+        where nobody told the scale, and the mass was identified by these forces; ``unsure`` and
+        ``unsure_lag``, which `SIGNIFICANT` standard errors of the masses, and of the forces' lags,
+        would mean. None: not known. All is None if the recording does not describe the specimen,
+        holds what is not finite, or lacks too many samples.
     """
     states, experiment = recording.states, recording.experiment
     structure = calibration_structure(experiment)
@@ -276,53 +247,39 @@ def calibration_check(recording: Recording) -> CalibrationCheck | None:
     if not whole or not np.isfinite(states.values).all():
         return None
     samples, dt = strongest(every_step(states, every)), experiment.timebase.dt
-    frequency = motion_frequency(samples)
+    frequency, axes = motion_frequency(samples), experiment.axes
     found: list[Deviation] = []
     in_parts: list[Deviation] = []
-    unsure = unsure_lag = at_most = clipped = force_scale = None
-    section, axes = experiment["reference_force"], experiment.axes
+    means: dict[str, float | None] = dict.fromkeys(_MEANS)
     names = ("specimen.mass_error", "calibration.force_scale_error")
-    identified, untrue = (per_axis(section[name], axes, f"/**: {name}") for name in names)
+    known = (experiment["reference_force"][name] for name in names)
+    identified, untrue = (per_axis(e, axes, f"/**: {n}") for e, n in zip(known, names, strict=True))
     if frequency > 0:
         effect = CalibrationEffect(structure, samples, dt)
         own = inertia(samples, effect.mass, effect.springs, dt, frequency)
         own = _combined(own, _known_inertia(experiment, effect.mass))
         relations = list(_relations(experiment, samples, frequency))
         if own is not None:
-            unsure = effect.of_mass(1.0 + SIGNIFICANT * own.factor_error)
+            means["unsure"] = effect.of_mass(1.0 + SIGNIFICANT * own.scale_error)
             if np.isfinite(own.lag_error).all():
-                unsure_lag = effect.of_force_lag(SIGNIFICANT * own.lag_error)
-            at_most = _at_most(effect, own, relations, untrue)
+                means["unsure_lag"] = effect.of_force_lag(SIGNIFICANT * own.lag_error)
+            means["at_most"] = _at_most(effect, own, relations, untrue)
         if identified.any() and not untrue.any():
-            force_scale = effect.of_force_scale(np.full(len(axes), 1.0 + UNTOLD))
+            means["force_scale"] = effect.of_force_scale(np.full(len(axes), 1.0 + UNTOLD))
         if "acceleration_range" in recording.saturation:
-            clipped = effect.of_zero(np.zeros(len(experiment.axes)), -_beyond_range(samples, dt))
-        found += _deviations(effect, own, relations, experiment.axes)
+            means["clipped"] = effect.of_zero(np.zeros(len(axes)), -_beyond_range(samples, dt))
+        found += _deviations(effect, own, relations, axes)
         halves = _halves(samples)
         for name, half in halves.items():
             own = inertia(samples[half], effect.mass, effect.springs, dt, frequency)
             relations = list(_relations(experiment, samples[half], frequency))
-            for one in _deviations(effect.within(half), own, relations, experiment.axes):
+            for one in _deviations(effect.within(half), own, relations, axes):
                 in_parts += [replace(one, part=name)] if one.effect else []
-        in_parts += _drifts(effect, samples, dt, halves, experiment.axes)
-    worst = {
-        kind: max(
-            (one for one in (*found, *in_parts) if one.kind == kind),
-            key=lambda one: one.rank,
-            default=None,
-        )
-        for kind in ("mass", "scale", "lag", "drift")
-    }
-    numbers = {axis: _numbers(found, axis) for axis in experiment.axes}
-    return CalibrationCheck(
-        **worst,
-        at_most=at_most,
-        clipped=clipped,
-        force_scale=force_scale,
-        unsure=unsure,
-        unsure_lag=unsure_lag,
-        axes=numbers,
-    )
+        in_parts += _drifts(effect, samples, dt, halves, axes)
+    for_all = sorted((*found, *in_parts), key=lambda one: one.rank)
+    worst = {one.kind: asdict(one) for one in for_all}
+    numbers = {axis: _numbers(found, axis) for axis in axes}
+    return {**dict.fromkeys(_KINDS), **worst, **means, "axes": numbers}
 
 
 def _beyond_range(samples: Floats, dt: float) -> Floats:
@@ -378,12 +335,15 @@ def _each(
 
 
 def _deviations(
-    effect: CalibrationEffect, own: Inertia | None, relations: list[_OfChannel], axes: Sequence[str]
+    effect: CalibrationEffect,
+    own: Relation | None,
+    relations: list[_OfChannel],
+    axes: Sequence[str],
 ) -> Iterator[Deviation]:
     none = np.zeros(len(axes))
     if own is not None:
-        off, known = significant(own.factor - 1.0, own.factor_error), effect.mass.diagonal()
-        masses = known * own.factor, known, known * own.factor_error
+        off, known = significant(own.scale - 1.0, own.scale_error), effect.mass.diagonal()
+        masses = known * own.scale, known, known * own.scale_error
         yield from _each(effect.of_mass(1.0 + off), "mass", "force", axes, masses)
         late = effect.of_force_lag(significant(own.lag, own.lag_error))
         yield from _each(late, "lag", "force", axes, (own.lag, none, own.lag_error))
@@ -396,7 +356,7 @@ def _deviations(
 
 
 def _at_most(
-    effect: CalibrationEffect, own: Inertia, relations: list[_OfChannel], untrue: Floats
+    effect: CalibrationEffect, own: Relation, relations: list[_OfChannel], untrue: Floats
 ) -> float:
     """Displacement error that the estimates' distribution exceeds with the chance `CHANCE`.
 
@@ -405,9 +365,9 @@ def _at_most(
     velocity misleads the valve alone: the motion shows what came of it. No motion shows what is
     not known of the forces' scale, ``untrue``, (n,).
     """
-    off, lag_error = own.factor - 1.0, np.where(np.isfinite(own.lag_error), own.lag_error, 0.0)
+    off, lag_error = own.scale - 1.0, np.where(np.isfinite(own.lag_error), own.lag_error, 0.0)
     effects = [
-        (effect.of_mass(1.0 + off), effect.of_mass(1.0 + own.factor_error)),
+        (effect.of_mass(1.0 + off), effect.of_mass(1.0 + own.scale_error)),
         (effect.of_force_lag(own.lag), effect.of_force_lag(lag_error)),
         (0.0, effect.of_force_scale(1.0 + untrue)),
     ]
@@ -472,7 +432,7 @@ def _relations(experiment: Experiment, samples: Floats, frequency: float) -> Ite
             yield channel, found, np.abs(own), -np.angle(own) / w
 
 
-def _known_inertia(experiment: Experiment, mass: Floats) -> Inertia | None:
+def _known_inertia(experiment: Experiment, mass: Floats) -> Relation | None:
     """Give the known mass and lag with the errors that `seft identify` has found; None: with none.
 
     ``mass`` is the mass matrix that the test used, (n, n), kg.
@@ -484,10 +444,10 @@ def _known_inertia(experiment: Experiment, mass: Floats) -> Inertia | None:
         return None
     error = np.maximum(np.where(error > 0, error / np.diag(mass), np.inf), MIN_ERROR)
     none = np.zeros(len(axes))
-    return Inertia(none + 1.0, error, none, np.where(late > 0, late, np.inf))
+    return Relation(none + 1.0, error, none, np.where(late > 0, late, np.inf))
 
 
-def _combined(own: Inertia | None, known: Inertia | None) -> Inertia | None:
+def _combined(own: Relation | None, known: Relation | None) -> Relation | None:
     """Combine two estimates by their standard errors.
 
     Where they contradict each other something has changed after the mass was identified: then the
@@ -504,7 +464,7 @@ def _combined(own: Inertia | None, known: Inertia | None) -> Inertia | None:
         both, error = (p * one + q * two) / (p + q), (p + q) ** -0.5
         return np.where(alike, both, one), np.where(alike, error, one_error)
 
-    return Inertia(
-        *mean(own.factor, own.factor_error, known.factor, known.factor_error),
+    return Relation(
+        *mean(own.scale, own.scale_error, known.scale, known.scale_error),
         *mean(own.lag, own.lag_error, known.lag, known.lag_error),
     )

@@ -50,16 +50,17 @@ _NORMAL = 0.6745  # median of |z| of a normal variable
 
 @dataclass(frozen=True)
 class Relation:
-    """A channel against a derivative of the displacement, Eq. (1).
+    """A channel against a derivative of the displacement, Eq. (1), or the force against inertia.
 
     Attributes
     ----------
     scale, scale_error : ndarray
         s and its standard error, shape (n, n); the unit matrix for equal channels. A tilt within
-        `SIGNIFICANT` standard errors is 0, of a velocity always.
+        `SIGNIFICANT` standard errors is 0, of a velocity always. Of the force: the mass over the
+        known one, (n,); a force that is as many times too large looks the same.
     lag, lag_error : ndarray
-        tau of each axis, positive where the channel is behind the displacement, and its standard
-        error, shape (n,), s.
+        tau of each axis, positive where the channel is behind the displacement, or the force behind
+        the acceleration, and its standard error, shape (n,), s.
     """
 
     scale: Floats

@@ -16,14 +16,13 @@ is not described so well weigh less. Standard errors are those of correlated res
 1987).
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.arrays import Floats
 
 from seft_ros.analysis.channel_estimates import (
     OF_SAMPLING,
+    Relation,
     derivatives,
     noise_of,
     summed_covariance,
@@ -59,28 +58,9 @@ _ROUNDS = 5  # of weighting; then weights change by less than a percent
 _RIDGE = 1e-6  # of the law's regressors, which may be alike
 
 
-@dataclass(frozen=True)
-class Inertia:
-    """What acceleration and force say of the mass, Eq. (1); arrays of shape (n,).
-
-    Attributes
-    ----------
-    factor, factor_error : ndarray
-        m, the mass over the known one, and its standard error. A force that is m times too large
-        looks the same.
-    lag, lag_error : ndarray
-        tau of the force behind the acceleration, and its standard error, s.
-    """
-
-    factor: Floats
-    factor_error: Floats
-    lag: Floats
-    lag_error: Floats
-
-
 def inertia(
     states: Floats, mass: Floats, deformation: Floats, dt: float, frequency: float
-) -> Inertia | None:
+) -> Relation | None:
     """Estimate the mass from a test's own samples, Eq. (1).
 
     Parameters
@@ -139,7 +119,7 @@ def inertia(
     factor = value[0]
     if not np.isfinite(each).all() or (factor <= 0).any():
         return None
-    return Inertia(
+    return Relation(
         factor,
         np.maximum(error[0], MIN_ERROR * factor),
         -value[1] / factor,

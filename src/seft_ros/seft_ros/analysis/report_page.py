@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from seft_ros.analysis import report_sections
-from seft_ros.analysis.assessment import Assessment, ramp_note
+from seft_ros.analysis.assessment import ramp_note
 from seft_ros.analysis.equivalent_motion import tracked_of
 from seft_ros.analysis.report_numbers import Report
 from seft_ros.analysis.result_text import OF_THE_MODEL, agreement_table, test_rows, title_of
@@ -59,8 +59,12 @@ def write_report(report: Report, name: str, path: Path) -> None:
 def _sections(report: Report) -> Iterator[PageSection]:
     assessment, recording = report.assessment, report.recording
     axes, signals = recording.experiment.axes, tracked_of(recording)
-    verdicts = [found for found in (assessment, report.laboratory) if found is not None]
-    yield PageSection("Verdict", [_box(found) for found in verdicts])
+    verdicts = [
+        page.VerdictBox(one.verdict, one.text, [Cell(f.whole, f.verdict) for f in one.findings])
+        for one in (assessment, report.laboratory)
+        if one is not None
+    ]
+    yield PageSection("Verdict", verdicts)
     tested = [_test_rows(report), _software_rows(recording.environment)]
     yield PageSection("What was tested", [TextTable((), rows, numbers=False) for rows in tested])
     yield _agreement(report)
@@ -79,11 +83,6 @@ def _sections(report: Report) -> Iterator[PageSection]:
     yield PageSection("Estimates", list(_estimates(recording)))
     yield PageSection("Interlock and events", list(_events(recording)))
     yield PageSection("Parameters", _parameters(recording))
-
-
-def _box(found: Assessment) -> page.VerdictBox:
-    cells = [Cell(finding.whole, finding.verdict) for finding in found.findings]
-    return page.VerdictBox(found.verdict, found.text, cells)
 
 
 def _agreement(report: Report) -> PageSection:

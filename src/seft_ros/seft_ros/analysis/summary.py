@@ -120,7 +120,7 @@ def summarise(
         ``energy`` (see `energy_numbers`), ``estimates`` (identified on line by the compensation:
         name -> axis -> first, last, least and largest, SI units), ``equivalent_motion`` (see
         `MotionDifference.numbers`), ``calibration`` (of mass and channels, see
-        `CalibrationCheck.numbers`), ``tracking_error`` (see `tracking_error`), ``detectors`` (of
+        `calibration_check`), ``tracking_error`` (see `tracking_error`), ``detectors`` (of
         faults, see `detector_shares`), ``replaced`` (values of each channel that were wrong, and
         were replaced), ``reference_specimen`` (of the reference response: ``simulated``,
         or the ``model``, by which no test can be assessed), ``tracking`` (see `tracking_of`), and
@@ -130,7 +130,7 @@ def summarise(
     """
     if reference is None:
         reference = reference_of(recording)
-    steps, recorded = _steps(recording), recording.states.steps
+    steps, recorded, series = _steps(recording), recording.states.steps, recording.series
     assessed, reference = assessed_part(recording, reference)
     duration = steps * recording.experiment.timebase.dt
     timing = timing_of(recording)
@@ -140,7 +140,6 @@ def summarise(
         for column, axis in enumerate(axes)
     }
     difference = difference or motion_difference(assessed)
-    check = calibration_check(assessed)
     simulated = is_simulated(recording.experiment)
     found = {
         **_outcome(recording),
@@ -158,16 +157,17 @@ def summarise(
         "timing": timing and timing.numbers,
         "link": link_numbers(recording),
         "lost": {
-            topic.name: steps - int(np.searchsorted(recording.series[topic.name].steps, steps))
+            topic.name: steps - int(np.searchsorted(series[topic.name].steps, steps))
             for topic in LOOP_TOPICS
-            if topic is not MEASURED or _has_measured(recording)
+            if topic is not MEASURED
+            or (MEASURED.name in series and len(series[MEASURED.name].steps))
         },
         "ground_motion": recording.facts.get(GROUND_MOTION.name, {}).get(MOTION),
         "zeroed": zeroed_in(recording),
         "energy": energy_numbers(balance or balance_of(assessed)),
         "estimates": _estimates(assessed.estimates, axes),
         "equivalent_motion": difference and difference.numbers(),
-        "calibration": check and check.numbers(),
+        "calibration": calibration_check(assessed),
         "tracking_error": tracking_error_of(assessed),
         "detectors": detector_shares(assessed),
         "replaced": replaced_in(recording),
@@ -347,11 +347,6 @@ def _estimates(
         }
         for row, name in enumerate(estimates.names)
     }
-
-
-def _has_measured(recording: Recording) -> bool:
-    """Say whether samples as measured were recorded: others record none."""
-    return MEASURED.name in recording.series and len(recording.series[MEASURED.name].steps) > 0
 
 
 def replaced_in(recording: Recording) -> dict[str, int]:
