@@ -76,7 +76,7 @@ def inertia(
 
     Returns
     -------
-    Inertia or None
+    Relation or None
         None if too few windows move by more than the noise, or the regressors are alike.
     """
     x, v, a, f = np.moveaxis(states, 1, 0)
