@@ -15,8 +15,8 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import FORCE_DRIVEN
 from seft_msgs_py.config.parameter_table import per_axis
-from seft_msgs_py.wire.topics import RIG_STATE
 from seft_plant_sim.calibration import SIGNIFICANT, significant
+from seft_plant_sim.channels import ACCELERATION, FORCE
 from seft_plant_sim.whole_structure import reference_response, whole_structure
 
 from seft_ros.analysis.assessment import UNTOLD
@@ -34,8 +34,6 @@ from seft_ros.bags.recording import Recording, every_step
 from seft_ros.design.plant import FOLDED
 from seft_ros.ground_motion.conditioning import moved_ahead
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
-
-_A, _F = (RIG_STATE.quantities.index(name) for name in ("accelerations", "effort"))
 
 
 def calibration_structure(experiment: Experiment) -> Experiment | None:
@@ -99,14 +97,16 @@ class CalibrationEffect:
             return 0.0
         true = self._total + (factor - 1.0)[:, np.newaxis] * self.mass
         by_mass = self._motion @ np.linalg.solve(true, self._total).T - self._motion
-        return max(self._of(by_mass), self._of_force((1.0 / factor - 1.0) * self._samples[:, _F]))
+        return max(
+            self._of(by_mass), self._of_force((1.0 / factor - 1.0) * self._samples[:, FORCE])
+        )
 
     def of_force_scale(self, factor: Floats) -> float:
         """Error if force and mass are so many times too large, shape (n,): f / s and M_e / s."""
         if (factor == 1.0).all():
             return 0.0
         off = 1.0 - 1.0 / factor
-        force = self._motion @ self.mass.T + self._samples[:, _F]
+        force = self._motion @ self.mass.T + self._samples[:, FORCE]
         true = self._total - off[:, np.newaxis] * self.mass
         of_force = off * force @ np.linalg.inv(true).T
         if np.linalg.norm(of_force) < 1e-9 * np.linalg.norm(self._motion):  # EFT: rounding
@@ -115,14 +115,14 @@ class CalibrationEffect:
 
     def of_force_lag(self, lag: Floats) -> float:
         """Error if the force is late by so much, shape (n,), s."""
-        return self._of_force(led(self._samples[:, _F], lag, self._dt))
+        return self._of_force(led(self._samples[:, FORCE], lag, self._dt))
 
     def of_zero(self, force: Floats, acceleration: Floats) -> float:
         """Error if the channels' zeros are off by so much, shape (N, n) or (n,), N and m/s^2."""
         if not (np.any(force) or np.any(acceleration)):
             return 0.0
         states = np.zeros_like(self._samples)
-        states[:, _F], states[:, _A] = -force, -acceleration
+        states[:, FORCE], states[:, ACCELERATION] = -force, -acceleration
         return self._of(EquivalentMotion(self._whole, self._dt).advance(states))
 
     def _of_force(self, change: Floats) -> float:
@@ -131,11 +131,11 @@ class CalibrationEffect:
     def of_scale(self, scale: Floats) -> float:
         """Error if the displacement is wrong by such a scale and tilt, shape (n, n)."""
         true = np.linalg.inv(scale)
-        return self._of(self._samples[:, _A] @ (true - np.eye(len(true))).T)
+        return self._of(self._samples[:, ACCELERATION] @ (true - np.eye(len(true))).T)
 
     def of_lag(self, lag: Floats) -> float:
         """Error if the displacement leads the acceleration by so much, shape (n,), s."""
-        return self._of(led(self._samples[:, _A], lag, self._dt))
+        return self._of(led(self._samples[:, ACCELERATION], lag, self._dt))
 
 
 def effect_of_force(experiment: Experiment, factor: float) -> float | None:

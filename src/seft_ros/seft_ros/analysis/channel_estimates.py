@@ -28,9 +28,8 @@ from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.topics import RIG_STATE
 from seft_plant_sim.calibration import SIGNIFICANT, known_channels
-from seft_plant_sim.channels import VELOCITY
+from seft_plant_sim.channels import ACCELERATION, FORCE, VELOCITY
 
 from seft_ros.design.planned_tests import choose_rig
 from seft_ros.design.plant import held_relations
@@ -227,9 +226,6 @@ def summed_covariance(scores: Floats, lags: int) -> Floats:
     return covariance / size
 
 
-_A, _F = (RIG_STATE.quantities.index(name) for name in ("accelerations", "effort"))
-
-
 def without_folding(samples: Floats, mass: Floats, experiment: Experiment) -> Floats:
     """Take what is folded down out of acceleration and force, as of the motion's frequency.
 
@@ -244,12 +240,12 @@ def without_folding(samples: Floats, mass: Floats, experiment: Experiment) -> Fl
         expected = expected_relations(experiment, frequency)
     if expected is None:
         return samples
-    own, a, dt = expected[1], samples[:, _A], experiment.timebase.dt
+    own, a, dt = expected[1], samples[:, ACCELERATION], experiment.timebase.dt
     late = np.angle(own) / (2 * np.pi * frequency)
     folded = a - moved_ahead(a, -late, dt) / np.abs(own)
     found = samples.copy()
-    found[:, _A] -= folded
-    found[:, _F] -= folded @ mass.T
+    found[:, ACCELERATION] -= folded
+    found[:, FORCE] -= folded @ mass.T
     return found
 
 

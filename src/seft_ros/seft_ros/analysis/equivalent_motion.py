@@ -11,7 +11,8 @@ import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, TARGET
+from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, TARGET
+from seft_plant_sim.channels import ACCELERATION, DISPLACEMENT, FORCE
 from seft_plant_sim.whole_structure import WholeStructure, reference_response, whole_structure
 
 from seft_ros.analysis import metrics
@@ -26,7 +27,6 @@ DAMPING = 0.05
 BAND_MARGIN = 2.0
 """Spectra must agree from the lowest natural frequency over this to the highest times this: a
 specimen that yields makes the structure softer, and one that closes gaps stiffer."""
-_A, _F = (RIG_STATE.quantities.index(name) for name in ("accelerations", "effort"))
 _PERIODS, _AROUND = 60, 4.0  # of a spectrum, and how far it goes beyond the structure's frequencies
 
 
@@ -224,12 +224,12 @@ def _noise(samples: Floats, mass: Floats) -> Floats:
     Its size is that of f - M a, in which a motion that no noise is, such as that of the oil column,
     cancels.
     """
-    a, f = samples[:, _A], samples[:, _F]
+    a, f = samples[:, ACCELERATION], samples[:, FORCE]
     inertial = a @ mass.T
     size = noise_of(f - inertial) / np.maximum(np.hypot(noise_of(f), noise_of(inertial)), 1e-300)
     drawn = np.random.default_rng(0).standard_normal((2, *a.shape)) * np.minimum(size, 1.0)
     noise = np.zeros_like(samples)
-    noise[:, _A], noise[:, _F] = drawn[0] * noise_of(a), drawn[1] * noise_of(f)
+    noise[:, ACCELERATION], noise[:, FORCE] = drawn[0] * noise_of(a), drawn[1] * noise_of(f)
     return noise
 
 
@@ -249,8 +249,6 @@ def natural_frequencies(experiment: Experiment) -> Floats:
 
 SENT_AS_MEANT = ("none", "restoring", "target_motion")
 """Compensation methods whose reference force is that of its own step; others send it ahead."""
-
-_DISPLACEMENT, _FORCE = (RIG_STATE.quantities.index(name) for name in ("positions", "effort"))
 
 
 @dataclass(frozen=True)
@@ -290,7 +288,7 @@ def tracked_of(recording: Recording) -> Tracked:
     every = np.arange(steps[0], steps[-1] + 1) if len(steps) else steps
     counted = steps - every[:1]
     measured = every_step(states, every)
-    force = measured[:, _FORCE]
+    force = measured[:, FORCE]
     section = recording.experiment.sections.get("reference_force", {})
     assumed = assumed_structure(recording.experiment)
     ahead = section.get("compensation.method", "none") not in SENT_AS_MEANT
@@ -345,7 +343,7 @@ def tracking_error_of(recording: Recording) -> dict[str, float] | None:
     if targets.values.shape[1] < len(TARGET.quantities):
         return None
     _, at_targets, at_states = metrics.common_steps(targets.steps, states.steps)
-    wanted, x = targets.values[at_targets, 0], states.values[at_states, _DISPLACEMENT]
+    wanted, x = targets.values[at_targets, 0], states.values[at_states, DISPLACEMENT]
     with np.errstate(invalid="ignore", over="ignore"):
         error = wanted - x
         rms = float(np.sqrt(np.mean(np.square(error)))) if error.size else np.nan
