@@ -120,10 +120,7 @@ def inertia(
     if not np.isfinite(each).all() or (factor <= 0).any():
         return None
     return Relation(
-        factor,
-        np.maximum(error[0], MIN_ERROR * factor),
-        -value[1] / factor,
-        error[1] / factor,
+        factor, np.maximum(error[0], MIN_ERROR * factor), -value[1] / factor, error[1] / factor
     )
 
 

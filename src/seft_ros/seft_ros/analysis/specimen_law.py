@@ -93,12 +93,7 @@ class SpecimenLaw:
     """
 
     def __init__(
-        self,
-        whole: WholeStructure,
-        mass: Floats,
-        samples: Floats,
-        deformation: Floats,
-        dt: float,
+        self, whole: WholeStructure, mass: Floats, samples: Floats, deformation: Floats, dt: float
     ) -> None:
         x, v, a, f = np.moveaxis(samples, 1, 0)
         self._whole, self._dt, self._x = whole, dt, x

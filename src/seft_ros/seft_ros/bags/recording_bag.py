@@ -289,9 +289,7 @@ Chunk = tuple[int, Floats]  # first step, values (p, n)
 
 
 def write_recording(
-    recording: Recording,
-    path: str | Path,
-    ground_motion: Iterable[Chunk] | None = None,
+    recording: Recording, path: str | Path, ground_motion: Iterable[Chunk] | None = None
 ) -> None:
     """Write a bag that `read_bag` reads as this recording.
 

@@ -10,12 +10,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS, POSITION_SERVO
 from seft_msgs_py.config.parameter_table import group, per_axis
 from seft_msgs_py.wire.topics import VALVE_COMMAND, RigAxes
-from seft_plant_sim.channels import (
-    FORCE,
-    acceleration_is_derived,
-    per_channel,
-    velocity_is_derived,
-)
+from seft_plant_sim.channels import FORCE, acceleration_is_derived, per_channel, velocity_is_derived
 from seft_plant_sim.hardware.hosted import HardwareError
 from seft_plant_sim.judge.known_rig import command_limit, known_responses
 from seft_plant_sim.lti import TransferFunction

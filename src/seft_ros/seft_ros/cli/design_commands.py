@@ -55,12 +55,7 @@ def preflight(
         seft preflight config/jhu.yaml --params-file identified/model.yaml
     """
     # beyond 60 lines: its options and its help; what it shows follows in order
-    from seft_ros.design import (
-        plausibility,
-        preflight_tables,
-        stability_map,
-        stability_verdict,
-    )
+    from seft_ros.design import plausibility, preflight_tables, stability_map, stability_verdict
     from seft_ros.design.planned_tests import PlannedTest
     from seft_ros.drawing.style import check_figure, save_figure
     from seft_ros.reference_force.compensator import NotLinearError

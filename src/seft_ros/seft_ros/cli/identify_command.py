@@ -107,11 +107,7 @@ def identify(
         seft identify config/lab.yaml --external rig --duration 300
     """
     # beyond 60 lines: half are its options, half its help
-    from seft_ros.cli.identification_run import (
-        Identification,
-        IdentificationTests,
-        kept_excitation,
-    )
+    from seft_ros.cli.identification_run import Identification, IdentificationTests, kept_excitation
     from seft_ros.identification import rig_tests
     from seft_ros.identification.multisine import plan_multisine
 

@@ -326,10 +326,7 @@ class PlannedTest:
         self._sampled = lru_cache(maxsize=256)(self._sample)
 
     def compensator(
-        self,
-        mass_ratio: float | None = None,
-        stiffness: float = 1.0,
-        delay_error: float = 0.0,
+        self, mass_ratio: float | None = None, stiffness: float = 1.0, delay_error: float = 0.0
     ) -> Compensator:
         """Make the compensation method as in the test, but for the changes, see `loops`.
 

@@ -176,12 +176,7 @@ def _of_motion(
 
 
 def _of_force(
-    i: int,
-    w: Floats,
-    amplitude: Complexes,
-    noise: Floats,
-    top: float,
-    mass: tuple[Floats, Floats],
+    i: int, w: Floats, amplitude: Complexes, noise: Floats, top: float, mass: tuple[Floats, Floats]
 ) -> _Found:
     """Filter of the force against the acceleration, see Eq. (1).
 

@@ -104,9 +104,7 @@ class Identified:
 
 
 def identify_from_recordings(
-    open_loop: Recording | None,
-    closed_loop: Recording | None,
-    band: tuple[float, float],
+    open_loop: Recording | None, closed_loop: Recording | None, band: tuple[float, float]
 ) -> Identified:
     """Identify a rig from the recordings of its tests.
 

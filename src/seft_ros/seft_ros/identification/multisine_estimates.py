@@ -389,11 +389,7 @@ def _stacked(*columns: NDArray[Any]) -> Complexes:
 
 
 def aligned(
-    y: Complexes,
-    columns: Complexes,
-    noise: Floats,
-    powers: Complexes,
-    start: float | Floats = 0.0,
+    y: Complexes, columns: Complexes, noise: Floats, powers: Complexes, start: float | Floats = 0.0
 ) -> tuple[Fit, Complexes]:
     """Fit y = columns b exp(powers q); give (b, q), and the factor on y."""
     count = powers.shape[1]

@@ -28,10 +28,7 @@ from seft_plant_sim.simulated.specimen import Specimen
 from seft_plant_sim.whole_structure import response
 
 from seft_ros.bags.recording import Recording, Series
-from seft_ros.force_controller.force_controller_parameters import (
-    FOLLOW_TARGETS,
-    one_controller,
-)
+from seft_ros.force_controller.force_controller_parameters import FOLLOW_TARGETS, one_controller
 from seft_ros.force_controller.methods import force_control
 from seft_ros.ground_motion.conditioning import check_size
 from seft_ros.ground_motion.synthetic_motion import excitation, shortest_duration

@@ -114,12 +114,10 @@ def read_smc(path: Path, lines: list[str]) -> Columns | None:
 
 _COSMOS_FORMAT = r"Format\s*=\s*\(\s*(?:1P)?\d*[DEFGI](\d+)"
 _COSMOS_DATA = re.compile(
-    rf"^\s*(\d+)\s+(.+?)\s+pts\b.*?\bunits\s*=\s*([^,(]+).*?{_COSMOS_FORMAT}",
-    _FLAGS,
+    rf"^\s*(\d+)\s+(.+?)\s+pts\b.*?\bunits\s*=\s*([^,(]+).*?{_COSMOS_FORMAT}", _FLAGS
 )
 _COSMOS_REALS = re.compile(
-    rf"^\s*\d+\s+Real-header values follow on\s+(\d+)\s+lines.*?{_COSMOS_FORMAT}",
-    _FLAGS,
+    rf"^\s*\d+\s+Real-header values follow on\s+(\d+)\s+lines.*?{_COSMOS_FORMAT}", _FLAGS
 )
 _COSMOS_PERIODS = ((62, 1e-3), (34, 1.0))
 """Places of the sampling period in the real header, and its unit in s: the period of these values,
