@@ -241,14 +241,11 @@ def number(value: float | None, scale: float = 1.0, unit: str = "", form: str = 
     return Number("", "", unit, scale, form).text(value)
 
 
-def percent(value: float | None, sign: str = "") -> str:
-    """Write a ratio as a percentage of three digits; a dash where there is none.
-
-    ``sign`` is "+" where positive ones have a sign, too.
-    """
+def percent(value: float | None) -> str:
+    """Write a ratio as a percentage of three digits; a dash where there is none."""
     if value is None:
         return "-"
-    form = f"{sign}.0f" if value == 0 or abs(value) >= 10 else f"{sign}#.3g"
+    form = ".0f" if value == 0 or abs(value) >= 10 else "#.3g"
     return f"{value * 100:{form}} %".replace(". %", " %")
 
 

@@ -16,7 +16,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
@@ -284,6 +283,8 @@ def moved_ahead(
     The leads, in s, have shape (n,); negative ones delay. ``passed`` gives the response of what
     the signals pass beside, shape (m, n), at frequencies of shape (m,), rad/s.
     """
+    from scipy.fft import irfft, next_fast_len, rfft, rfftfreq  # most commands need not load it
+
     room = int(np.ceil(np.abs(lead).max() / dt)) + 64  # so that the ends do not meet
     size = next_fast_len(len(y) + room, real=True)
     w = 2j * np.pi * rfftfreq(size, dt)
