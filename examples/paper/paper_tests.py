@@ -258,7 +258,8 @@ class Findings:
     @property
     def natural_hz(self) -> float:
         """Natural frequency of the specimen, by its own motion."""
-        return self.identified.specimen.axis_root(0).hz
+        specimen = self.identified.specimen
+        return float(np.sqrt(specimen.stiffness[0, 0] / specimen.mass[0, 0]) / (2 * np.pi))
 
     @property
     def own_delay(self) -> float:

@@ -163,8 +163,6 @@ def check_size(duration: float, rate: float, where: str) -> None:
         )
 
 
-METHODS = ("none", "offset", "baseline")
-
 _PADS = 1.5  # zeros at either end, in orders of the filter over its corner (Boore, 2005)
 
 
@@ -217,7 +215,7 @@ def correct(
     dt : float
         Sampling period in s.
     method : str
-        One of `METHODS`.
+        ``none``, ``offset`` or ``baseline``.
     corner : float
         Of the high-pass, -3 dB one way, Hz; 0: no filter.
     order : int

@@ -128,12 +128,6 @@ class SpecimenFit:
         moving, _ = Specimen(self.mass, self.damping, self.stiffness).state_matrices()
         return roots_of(np.linalg.eigvals(moving))
 
-    def axis_root(self, axis: int) -> Root:
-        """Natural frequency and damping of one axis, the others held."""
-        m, c, k = (part[axis, axis] for part in (self.mass, self.damping, self.stiffness))
-        w = float(np.sqrt(k / m))
-        return Root(w / (2 * np.pi), float(c / (2 * m * w)))
-
 
 def fit_specimen(measured: Sequence[Response]) -> SpecimenFit:
     """Fit mass, damping and stiffness to responses of force and motion.
