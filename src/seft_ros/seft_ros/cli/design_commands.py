@@ -57,7 +57,7 @@ def preflight(
     # beyond 60 lines: its options and its help; what it shows follows in order
     from seft_ros.design import plausibility, preflight_tables, stability_map, stability_verdict
     from seft_ros.design.planned_tests import PlannedTest
-    from seft_ros.drawing.style import check_figure, save_figure
+    from seft_ros.drawing.style import check_figure, json_safe, save_figure
     from seft_ros.reference_force.compensator import NotLinearError
     from seft_ros.study.unforeseen import yielding_error
 
@@ -97,7 +97,7 @@ def preflight(
         if fast := stability_verdict.folded(test):
             warnings.append(fast)
         yielding = None if beyond else yielding_error(experiment, response)
-        summary["yielding_error"] = yielding and yielding.numbers()
+        summary["yielding_error"] = yielding and json_safe(asdict(yielding))
         if yielding is not None and (slow := yielding.warning()):
             warnings.append(slow)
         summary["warnings"] = warnings
