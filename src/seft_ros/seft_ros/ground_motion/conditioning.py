@@ -13,7 +13,6 @@ is one of the test.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from seft_msgs_py.arrays import Complexes, Floats
@@ -31,22 +30,6 @@ _PHASE_DIGITS = 9  # of a record's step; positions between two samples repeat
 _BLOCK = 4096
 
 
-@dataclass(frozen=True)
-class Resampled:
-    """A motion at the rate of the loop.
-
-    Attributes
-    ----------
-    samples : ndarray
-        Shape (N, c): every step within the record's duration, then the tail.
-    done : str
-        What was done, in words.
-    """
-
-    samples: Floats
-    done: str
-
-
 def resample(
     record: Floats,
     record_dt: float,
@@ -55,7 +38,7 @@ def resample(
     tail: float = 0.0,
     *,
     linear: bool = False,
-) -> Resampled:
+) -> tuple[Floats, str]:
     """Sample a record at the rate of the loop, and append zeros.
 
     Parameters
@@ -72,6 +55,13 @@ def resample(
         Duration of the zeros in s.
     linear : bool
         The motion is linear between its samples at any rate.
+
+    Returns
+    -------
+    samples : ndarray
+        Shape (N, c): every step within the record's duration, then the tail.
+    done : str
+        What was done, in words.
 
     Raises
     ------
@@ -103,7 +93,7 @@ def resample(
         done = f"band-limited to {0.5 * band / period:.4g} Hz; {kept} is a step"
         if shift:
             done += f", it begins {1e3 * shift * period:.3g} ms later"
-    return Resampled(np.pad(moving, ((0, round(tail * timebase.rate)), (0, 0))), done)
+    return np.pad(moving, ((0, round(tail * timebase.rate)), (0, 0))), done
 
 
 def _linear(record: Floats, positions: Floats) -> Floats:

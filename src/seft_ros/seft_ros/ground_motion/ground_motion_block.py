@@ -5,6 +5,7 @@ need not know the end.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,6 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 
 from seft_ros.ground_motion.conditioning import (
-    Resampled,
     baseline_numbers,
     check_size,
     correct,
@@ -179,9 +179,12 @@ class GroundMotion:
             record = _synthetic(group(section, "synthetic"), len(axes))
         method, dt, before = section["correct"], record.dt, record.accelerations
         after = correct(before, dt, method, **group(section, "filter"))
-        resampled = _in_time(section, after, dt, timebase, files)
+        # a synthetic motion is linear between its samples
+        times = {name: section[name] for name in ("time_scale", "tail")}
+        in_time = partial(resample, record_dt=dt, timebase=timebase, linear=not files, **times)
+        resampled, how = in_time(after)
         with np.errstate(over="ignore", invalid="ignore"):
-            samples = resampled.samples * influence
+            samples = resampled * influence
             scale = _peak_scale(section, axes, samples)
             samples *= scale
         if not np.isfinite(samples).all():
@@ -193,22 +196,13 @@ class GroundMotion:
         lead_steps = max(1, round(section["lead"] * timebase.rate))
         chunk_steps = max(1, round(lead_steps / _CHUNKS_PER_LEAD))
         facts = motion_facts(section, axes, record, samples, scale)
-        facts["resampling"] = resampled.done
+        facts["resampling"] = how
         found = cls(samples, min(chunk_steps, len(samples)), lead_steps, facts)
         if method != "none":
             numbers = {"before": baseline_numbers(before, dt), "after": baseline_numbers(after, dt)}
             facts["correction"] = {"method": _correction(section), **numbers}
-            uncorrected = _in_time(section, before, dt, timebase, files).samples
-            found.uncorrected = uncorrected * influence * scale
+            found.uncorrected = in_time(before)[0] * influence * scale
         return found
-
-
-def _in_time(
-    section: Section, motion: Floats, dt: float, timebase: Timebase, files: Sequence[str]
-) -> Resampled:
-    """Bring a motion to the rate of the loop; a synthetic one is linear between its samples."""
-    times = section["time_scale"], section["tail"]
-    return resample(motion, dt, timebase, *times, linear=not files)
 
 
 def _peak_scale(section: Section, axes: Sequence[str], samples: Floats) -> float:
