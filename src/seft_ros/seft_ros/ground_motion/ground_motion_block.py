@@ -5,7 +5,6 @@ need not know the end.
 """
 
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -179,10 +178,8 @@ class GroundMotion:
             record = _synthetic(group(section, "synthetic"), len(axes))
         method, dt, before = section["correct"], record.dt, record.accelerations
         after = correct(before, dt, method, **group(section, "filter"))
-        # a synthetic motion is linear between its samples
-        times = {name: section[name] for name in ("time_scale", "tail")}
-        in_time = partial(resample, record_dt=dt, timebase=timebase, linear=not files, **times)
-        resampled, how = in_time(after)
+        times = dt, timebase, section["time_scale"], section["tail"]
+        resampled, how = resample(after, *times, linear=not files)  # as a synthetic one is
         with np.errstate(over="ignore", invalid="ignore"):
             samples = resampled * influence
             scale = _peak_scale(section, axes, samples)
@@ -201,7 +198,8 @@ class GroundMotion:
         if method != "none":
             numbers = {"before": baseline_numbers(before, dt), "after": baseline_numbers(after, dt)}
             facts["correction"] = {"method": _correction(section), **numbers}
-            found.uncorrected = in_time(before)[0] * influence * scale
+            uncorrected, _ = resample(before, *times, linear=not files)
+            found.uncorrected = uncorrected * influence * scale
         return found
 
 
