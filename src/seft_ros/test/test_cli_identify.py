@@ -13,7 +13,6 @@ from commands_at_hand import run_seft
 from experiments_at_hand import JHU, load
 from seft_msgs_py.config.experiment import read_parameter_file, value_text
 from seft_msgs_py.config.facts import CHANNELS
-from seft_plant_sim.channels import ACCELERATION, FORCE
 from seft_plant_sim.lti import bilinear, polynomial_ratio
 from seft_plant_sim.rig_parameters import truth
 from seft_ros.bags.recording_bag import read_bag
@@ -72,11 +71,11 @@ def test_plant_loop_and_closed_loop_agree_with_the_analytic_model(linear):
     assert found["notes"][0].startswith("actuator.* describes the actuators and holds for any")
     assert found["actuator"]["verdict"] == "good"
     # of its seven numbers, see test_identification_actuator_fit.py
-    assert found["actuator"]["flow_gain"] == pytest.approx(0.0403, rel=0.01)
-    assert found["zero"]["hz"] == pytest.approx(zero.hz, rel=0.01)
-    assert found["zero"]["damping"] == pytest.approx(zero.damping, rel=0.05)
-    assert found["pole"]["hz"] == pytest.approx(pole.hz, rel=0.005)
-    assert found["pole"]["damping"] == pytest.approx(pole.damping, rel=0.15)
+    assert found["actuator"]["flow_gain_m_per_s_per_v"] == pytest.approx(0.0403, rel=0.01)
+    assert found["plant_zero_hz"] == pytest.approx(zero.hz, rel=0.01)
+    assert found["plant_zero_damping"] == pytest.approx(zero.damping, rel=0.05)
+    assert found["plant_pole_hz"] == pytest.approx(pole.hz, rel=0.005)
+    assert found["plant_pole_damping"] == pytest.approx(pole.damping, rel=0.15)
     assert found["delay_s"] == pytest.approx(measures.delay_s, rel=0.02)
     assert found["closed_loop_flat_to_hz"] == pytest.approx(
         measures.closed_loop_flat_to_hz, rel=0.03
@@ -104,10 +103,10 @@ def test_the_folder_holds_what_repeats_and_uses_it(linear, seft):
     model = read_parameter_file(out / "model.yaml")
     assert set(model) == {"/**"}
     multisine, section = found["multisine"], model["/**"]
-    assert section["specimen.mass"] == multisine["mass"][0]
-    assert multisine["mass"][0] == pytest.approx([52.7], abs=4 * multisine["mass_error"][0][0])
+    assert section["specimen.mass"] == [multisine["mass"]]
+    assert multisine["mass"] == pytest.approx(52.7, abs=4 * multisine["mass_error"])
     assert section["specimen.mass_error"] == [pytest.approx(0.04, abs=0.03)]
-    assert section["calibration.force_lag_error"] == multisine["lag_error"][FORCE]
+    assert section["calibration.force_lag_error"] == [multisine["axes"][0]["force"]["lag"]["error"]]
     assert section["specimen.stiffness"] == [pytest.approx(2.11e5, rel=0.005)]
     assert section["actuator.delay"] == pytest.approx(found["delay_s"] - LOOP)
     assert len(section["actuator.flow_gain"]) == 1
@@ -144,9 +143,9 @@ def with_truth(*overrides):
 def test_a_rig_whose_channels_disagree_is_corrected_by_the_file(identify, seft):
     status, found, _ = identify(*BRIEF, "--specimen", "--out", "out", overrides=SENSORS)
     assert status == 0
-    assert found["actuator"]["flow_gain"] == pytest.approx(0.0403, rel=0.01)
-    (lag,), (error,) = (found["multisine"][name][ACCELERATION] for name in ("lag", "lag_error"))
-    assert lag == pytest.approx(0.002, abs=4 * error)
+    assert found["actuator"]["flow_gain_m_per_s_per_v"] == pytest.approx(0.0403, rel=0.01)
+    lag = found["multisine"]["axes"][0]["acceleration"]["lag"]
+    assert lag["value"] == pytest.approx(0.002, abs=4 * lag["error"])
     written = read_parameter_file("out/model.yaml")
     assert written["/**"]["actuator.dead_time"] == [pytest.approx(0.001, abs=1e-4)]
     assert written["/**"]["specimen.damping"] == [pytest.approx(800.3, rel=0.03)]
@@ -182,7 +181,7 @@ def test_a_rig_is_identified_unknown_and_the_model_holds_for_another_specimen(id
     )
     status, found, _ = identify(*BRIEF, "--out", "out", overrides=overrides)
     assert status == 0
-    assert found["actuator"]["flow_gain"] == pytest.approx(0.0403, rel=0.01)
+    assert found["actuator"]["flow_gain_m_per_s_per_v"] == pytest.approx(0.0403, rel=0.01)
     assert found["delay_s"] is None
     assert found["tripped"] == {"open_loop": None, "closed_loop": None}
     model = read_parameter_file("out/model.yaml")
@@ -205,9 +204,9 @@ def test_the_known_lag_of_the_sensors_is_no_part_of_what_is_written(identify):
     overrides = [f"calibration.{channel}_lag:={lag}" for channel in CHANNELS]
     status, found, _ = identify(*BRIEF, "--out", "out", overrides=overrides)
     assert status == 0
-    assert found["actuator"]["dead_time"] == pytest.approx(0.001 + lag, abs=3e-4)
+    assert found["actuator"]["dead_time_s"] == pytest.approx(0.001 + lag, abs=3e-4)
     written = read_parameter_file("out/model.yaml")["/**"]
-    dead_time = found["actuator"]["dead_time"] - lag
+    dead_time = found["actuator"]["dead_time_s"] - lag
     assert written["actuator.dead_time"] == pytest.approx([dead_time])
     # the delay of a force loop with feedback hardly depends on it
     assert written["actuator.delay"] == pytest.approx(found["delay_s"] - LOOP)
@@ -219,7 +218,7 @@ def test_a_rig_without_a_valve_has_the_closed_loop_only(identify, tmp_path):
     overrides += [f"calibration.{channel}_lag:=0.004" for channel in CHANNELS]
     status, found, _ = identify(*BRIEF, "--out", "out", overrides=overrides)
     assert status == 0
-    assert found["zero"] is found["pole"] is None
+    assert found["plant_zero_hz"] is found["plant_pole_hz"] is None
     assert found["coherence"]["open_loop"] is None
     # the loop's latency, the dead time, and half a sample where the command is held over it
     assert delay - 1e-4 < found["delay_s"] < delay + 1.1e-3
@@ -243,13 +242,13 @@ def test_several_axes_have_their_numbers_each(identify, tmp_path):
     status, found, _ = identify(*words, overrides=overrides)
     assert status == 0
     assert [axis["axis"] for axis in found["axes"]] == ["north", "east"]
-    assert found["axes"][0]["zero"] == found["zero"]
+    assert found["axes"][0]["plant_zero_hz"] == found["plant_zero_hz"]
     np.testing.assert_allclose(found["specimen"]["mass"], np.diag([52.7, 50.0]), atol=0.5)
     known = [[2.1e5, -3.0e4], [-3.0e4, 2.0e5]]
     np.testing.assert_allclose(found["specimen"]["stiffness"], known, atol=2e3)
     for axis, pole_hz in zip(found["axes"], (90.0, 92.4), strict=True):  # of the masses
-        assert axis["zero"]["hz"] == pytest.approx(10.05, abs=0.15)
-        assert axis["pole"]["hz"] == pytest.approx(pole_hz, rel=0.01)
+        assert axis["plant_zero_hz"] == pytest.approx(10.05, abs=0.15)
+        assert axis["plant_pole_hz"] == pytest.approx(pole_hz, rel=0.01)
     model = read_parameter_file(tmp_path / "out" / "model.yaml")["/**"]
     assert len(model["specimen.stiffness"]) == 4
     assert len(model["actuator.oil_stiffness"]) == 2
@@ -267,8 +266,8 @@ def test_a_load_that_hung_on_the_load_cell_tells_its_scale(identify, tmp_path):
     assert model["calibration.force_scale_error"] == [3.0 / 1030.0]  # the noise of one reading
     status, found, _ = identify(*BRIEF, "--specimen", "--known-mass", "52.7", overrides=wrong)
     assert status == 0
-    assert found["multisine"]["scale"][FORCE] == pytest.approx([1.03], abs=3e-3)
-    assert found["multisine"]["mass"][0] == pytest.approx([52.7], rel=1e-9)
+    assert found["multisine"]["axes"][0]["force"]["scale"]["value"] == pytest.approx(1.03, abs=3e-3)
+    assert found["multisine"]["mass"] == pytest.approx(52.7, rel=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -314,7 +313,7 @@ def test_a_trip_ends_it_with_one_line_and_keeps_what_is_known(
     assert not (tmp_path / "out" / "closed_loop").exists()
     model = tmp_path / "out" / "model.yaml"
     known = model.exists() and "flow_gain" in model.read_text()
-    assert known is ("zero" in found) is (test == "multisine_pilot")
+    assert known is ("plant_zero_hz" in found) is (test == "multisine_pilot")
 
 
 def test_of_an_open_loop_what_is_before_its_trip_or_its_pilot_counts(identify, monkeypatch):
@@ -323,7 +322,7 @@ def test_of_an_open_loop_what_is_before_its_trip_or_its_pilot_counts(identify, m
     status, found, _ = identify(*late, overrides=overrides)
     assert (status, found["tripped"]["open_loop"][:12]) == (1, "measured dis")
     assert found["notes"][-1] == "open loop: evaluated from what it measured before its trip"
-    assert found["actuator"]["flow_gain"] == pytest.approx(0.0403, rel=0.01)
+    assert found["actuator"]["flow_gain_m_per_s_per_v"] == pytest.approx(0.0403, rel=0.01)
 
     monkeypatch.setattr(rig_tests, "voltage_after", lambda *_: 0.5)
     status, found, _ = identify(*SHORT, "--out", "at_once", overrides=["limits.velocity:=0.04"])
@@ -434,9 +433,9 @@ def test_no_test_moves_the_specimen_farther_than_half_of_the_cap(identify):
     assert found["moved_m"]["x"] == np.abs(values[:, 0]).max() < 0.55 * cap
     assert found["largest_force_n"]["x"] == np.abs(values[:, 3]).max()
     assert tests[0].experiment["rig"]["limits.displacement"] == cap
-    assert found["actuator"]["flow_gain"] == pytest.approx(0.0403, rel=0.02)
+    assert found["actuator"]["flow_gain_m_per_s_per_v"] == pytest.approx(0.0403, rel=0.02)
     multisine = found["multisine"]
-    assert multisine["mass"][0] == pytest.approx([52.7], abs=4 * multisine["mass_error"][0][0])
+    assert multisine["mass"] == pytest.approx(52.7, abs=4 * multisine["mass_error"])
 
 
 def test_of_a_loop_that_is_unstable_the_plant_is_identified_all_the_same(identify):
@@ -444,7 +443,7 @@ def test_of_a_loop_that_is_unstable_the_plant_is_identified_all_the_same(identif
     status, found, line = identify(*BRIEF, "--out", "out", overrides=overrides)
     assert status == 1
     assert "closed loop" in line
-    assert found["zero"]["hz"] == pytest.approx(10.07, rel=0.01)
+    assert found["plant_zero_hz"] == pytest.approx(10.07, rel=0.01)
     assert found["delay_s"] is None
 
 
@@ -454,7 +453,7 @@ def test_too_little_amplitude_is_reported_with_band_and_remedy(identify, tmp_pat
     assert line.startswith("seft: open loop: coherence of the force on axis x is below 0.5")
     assert "Hz" in line
     assert line.endswith("raise --amplitude or --duration")
-    assert found["zero"] is None
+    assert found["plant_zero_hz"] is None
     assert found["delay_s"] is not None
     written = read_parameter_file(tmp_path / "out" / "model.yaml")["/**"]
     assert "actuator.delay" in written and "actuator.flow_gain" not in written

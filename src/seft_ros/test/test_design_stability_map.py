@@ -42,6 +42,6 @@ def test_without_stiffness_there_is_no_map_of_it(monkeypatch):
     monkeypatch.setattr(stability_map, "_FINEST", 3)
     test = PlannedTest(load(RATIO, "specimen.stiffness:=0.0", config="demo"))
     margins = find_margins(test)
-    assert margins["stiffness"] is None
-    assert margins["dead_time"].highest is not None
+    assert margins.stiffness is margins.followed is None
+    assert margins.dead_time is not None
     assert len(stability_map.stability_maps(test, margins)) == 1

@@ -82,14 +82,14 @@ def test_a_planned_test_that_has_the_critical_delay_gain_stiffness_or_known_dela
     test = PlannedTest(experiment(*chosen))
     margins = find_margins(test)
     kind = "actuator.delay" if rig == "delay" else "actuator.dead_time"
-    parts = [true(kind, margins["dead_time"].highest.value)]
+    parts = [true(kind, margins.dead_time.value)]
     if rig == "servo":
-        parts.append(true("actuator.flow_gain", 0.0403 * margins["gain"].highest.value))
-    parts += [true("specimen.stiffness", end.value * K) for end in margins["stiffness"].ends()]
-    assert "followed" not in margins
-    assert (margins["delay_error"] is None) is (method == "none")
+        parts.append(true("actuator.flow_gain", 0.0403 * margins.gain.highest.value))
+    parts += [true("specimen.stiffness", end.value * K) for end in margins.stiffness.ends()]
+    assert margins.followed is None
+    assert (margins.delay_error is None) is (method == "none")
     if method == "model":
-        known = test.section["actuator.delay"] + margins["delay_error"].highest.value
+        known = test.section["actuator.delay"] + margins.delay_error.highest.value
         parts.append({"/**": {"actuator.delay": known}} | true("actuator.delay", 0.010))
     assert test.growth_rate() < -4.0
     left = [PlannedTest(experiment(*chosen, part)).growth_rate() for part in parts]
@@ -98,20 +98,20 @@ def test_a_planned_test_that_has_the_critical_delay_gain_stiffness_or_known_dela
 
 def test_an_unstable_test_tells_the_delay_at_which_it_would_be_stable():
     ideal_end = find_margins(PlannedTest(experiment(DELAY, reference(mass_ratio=0.96))))
-    assert set(ideal_end) == {"mass_ratio", "dead_time"}
-    assert 0 < ideal_end["dead_time"].highest.value < 0.010
+    assert (ideal_end.gain, ideal_end.stiffness, ideal_end.delay_error) == (None, None, None)
+    assert 0 < ideal_end.dead_time.value < 0.010
     for factor, unstable in ((0.9, False), (1.1, True)):
-        delay = true("actuator.delay", factor * ideal_end["dead_time"].highest.value)
+        delay = true("actuator.delay", factor * ideal_end.dead_time.value)
         assert grows(DELAY, delay, reference(mass_ratio=0.96)) is unstable
     never = find_margins(PlannedTest(experiment(DELAY, reference(mass_ratio=1.1))))
-    assert never["dead_time"].highest.value == 0.0
+    assert never.dead_time.value == 0.0
 
 
 def test_an_unstable_force_loop_has_a_critical_mass_ratio_of_zero():
     wild = {"force_controller": {"numerator": [200.0]}}
     found = check_stability(PlannedTest(experiment(SERVO, wild)))
     assert found.verdict == "unstable"
-    assert found.margins["mass_ratio"].highest.value == 0.0
+    assert found.margins.mass_ratio.value == 0.0
 
 
 @pytest.mark.parametrize(
@@ -133,7 +133,7 @@ def test_thin_margins_of_delay_gain_and_stiffness_are_named():
     known = reference(compensation__method="model", mass_ratio=0.5)
     stiff = {"/**": {"specimen.stiffness": 2.7 * K}} | true("specimen.stiffness", K)
     wrong = check_stability(PlannedTest(experiment(DELAY, known, stiff)))
-    own = wrong.margins["stiffness"]
+    own = wrong.margins.stiffness
     assert own.planned == pytest.approx(1 / 2.7)
     assert own.planned / 1.1 < own.lowest.value < own.planned
     assert any("local stiffness" in reason for reason in wrong.reasons)
@@ -151,9 +151,9 @@ def test_the_rows_that_decide_are_those_below_their_reserve():
         ("actuator's gain", ""),
     ]
     assert [end.critical for end in deciding] == [
-        found.margins["dead_time"].highest,
-        found.margins["sure_dead_time"].highest,
-        found.margins["gain"].highest,
+        found.margins.dead_time,
+        found.margins.sure_dead_time,
+        found.margins.gain.highest,
     ]
     rows = end_texts(found.ends)
     marked = [row for row in rows if row[2].startswith("! ")]

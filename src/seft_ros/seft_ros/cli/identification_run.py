@@ -402,7 +402,7 @@ class Identification:
         lag, more = common_lag(loop), {}
         if multisine is not None:
             lag, more = multisine.calibrated.common_lag, multisine.facts()
-            summary["multisine"] = multisine.numbers()
+            summary["multisine"] = multisine.numbers(found.axes)
             summary["notes"] += calibrated.multisine_notes(multisine, found.axes)
             if not multisine.force_scale_error.any():
                 summary["notes"] += self._unknown_force(more)

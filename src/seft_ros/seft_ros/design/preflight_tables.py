@@ -17,7 +17,7 @@ from seft_plant_sim.whole_structure import model_times, whole_structure
 
 from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.plausibility import FACTORS
-from seft_ros.design.stability_margins import HEADINGS, end_texts, meanings
+from seft_ros.design.stability_margins import HEADINGS, Range, end_texts, meanings
 from seft_ros.design.stability_verdict import Preflight
 from seft_ros.drawing.style import Cell, Mark, Number, Texts, TextTable
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
@@ -228,23 +228,58 @@ def limits_table(
 
 
 def summarise_preflight(test: PlannedTest, found: Preflight) -> dict[str, Any]:
-    """Give the JSON values of a preflight: lengths of time in s, frequencies in Hz.
+    """Verdict, margins, predicted errors: ``seft preflight --json``; in Hz and s.
 
-    ``margins`` are those of `seft_ros.design.stability_margins.Margins`; ``growth_rate``, 1/s, and
-    ``dominant_hz`` are of the mode that grows most, or decays least.
+    ``critical_delay_s`` is the whole dead time of the actuator at which the planned test turns
+    unstable: of an actuator of kind `delay` the delay itself, of a valve that of the valve.
+    ``critical_added_delay_s`` is this less the planned one. None: no end was found within
+    ``searched``, or, of a whole range, the method does not use the quantity or the planned test is
+    unstable. ``local_stiffness`` is that of the specimen over the assumed one,
+    ``local_stiffness_followed`` the same once the method has adapted to it. ``sure_delay_s`` and
+    ``robust_gain`` hold for all errors that the controller may assume of the valves.
     """
+    margins = found.margins
+    critical, dead_time = margins.mass_ratio, margins.dead_time
+    modes = [asdict(mode) for mode in found.modes]
+    first = modes[0] if modes else {}
     return {
         "verdict": found.verdict,
         "reasons": found.reasons,
+        "basis": "exact",
         "promise": found.promise,
         "plant": test.rig.plant.source,
         "compensation": test.section["compensation.method"],
         "mass_ratio": test.mass_ratio,
+        "critical_mass_ratio": critical and critical.value,
+        "crossing_hz": critical and critical.hz,
         "dead_time_s": test.dead_time,
-        "margins": {name: margin and asdict(margin) for name, margin in found.margins.items()},
-        "modes": [asdict(mode) for mode in found.modes],
+        "critical_delay_s": dead_time and dead_time.value,
+        "critical_added_delay_s": dead_time and dead_time.value - test.dead_time,
+        "delay_crossing_hz": dead_time and dead_time.hz,
+        "gain": _range(margins.gain),
+        "sure_delay_s": margins.sure_dead_time and margins.sure_dead_time.value,
+        "robust_gain": _range(margins.robust_gain),
+        "local_stiffness": _range(margins.stiffness),
+        "local_stiffness_followed": _range(margins.followed),
+        "assumed_delay_error_s": _range(margins.delay_error),
+        "false_damping_ratio": first.get("false_damping"),
+        "frequency_error": first.get("frequency_error"),
+        "modes": modes,
+        "spectral_radius": abs(test.worst()),
         "growth_rate": test.growth_rate(),
         "dominant_hz": test.hz(),
+        "states": sum(len(loop.matrix) for loop in test.loops()),
+    }
+
+
+def _range(found: Range | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    return {
+        "planned": found.planned,
+        "lowest": found.lowest and found.lowest.value,
+        "highest": found.highest and found.highest.value,
+        "searched": list(found.searched),
     }
 
 

@@ -73,8 +73,8 @@ def stability_maps(
     whole or there is no stiffness, over the ratio of the specimen's local stiffness to the one that
     the method assumes.
     """
-    ends = (margins[name] for name in ("dead_time", "mass_ratio"))
-    end, critical = (part.highest.value if part and part.highest else 0.0 for part in ends)
+    ends = (margins.dead_time, margins.mass_ratio)
+    end, critical = (part.value if part else 0.0 for part in ends)
     longest = max(2 * test.dead_time, 10 * test.dt, 1.5 * end)
     longest = min(longest, test.dead_time + float(stability_margins.added_delays(test)[-1]))
     swept = {"dead_time": (longest, 1.0, test.dead_time)}
@@ -132,8 +132,7 @@ def preflight_figure(test: PlannedTest, found: Preflight, maps: list[StabilityMa
     bar.ax.tick_params(colors=TEXT, labelsize=9, length=0)
     bar.outline.set_visible(False)
     _write(figure.add_subplot(grid[1, :]), found, notes)
-    mass_ratio = found.margins["mass_ratio"]
-    critical = mass_ratio and mass_ratio.highest
+    critical = found.margins.mass_ratio
     end = f"critical mass ratio {critical.value:.3g}" if critical else "no critical mass ratio"
     method = f"{test.section['compensation.method']} at mass ratio {test.mass_ratio:g}"
     title = f"preflight: {method} is {found.verdict}, {end}"

@@ -62,26 +62,43 @@ class Range:
         return [end for end in (self.lowest, self.highest) if end is not None]
 
 
-Margins = dict[str, Range | None]
-"""Margins of a test, each with all else as planned; of an unstable test only the first two.
+@dataclass(frozen=True)
+class Margins:
+    """Margins of a test, each with all else as planned; of an unstable test only the first two.
 
-mass_ratio
-    Up to the smallest above 0 at which it is unstable; 0 if it is unstable at any. The method is
-    made anew for each.
-dead_time
-    Dead time of the rig's drive, s, up to which it is stable, while the method assumes the planned
-    one; if the planned test is unstable, that below which it is stable (0: unstable at any).
-sure_dead_time, robust_gain
-    The same, and the gain, whatever a controller that adapts to the valves assumes within its
-    bounds.
-gain
-    Factor on the drive.
-stiffness, followed
-    Local stiffness of the specimen over the assumed one; and when the method has adapted to it.
-    None if the plant was identified as a whole, or one of them is 0.
-delay_error
-    Assumed delay less the planned one, s. None if the method uses no delay.
-"""
+    Attributes
+    ----------
+    mass_ratio : Critical or None
+        Smallest mass ratio above 0 at which it is unstable; 0 if it is unstable at any. The
+        method is made anew for each.
+    dead_time : Critical or None
+        Dead time of the rig's drive, s, at which it is unstable, while the method assumes the
+        planned one: larger than planned if the planned test is stable, else smaller (0: unstable at
+        any).
+    gain : Range or None
+        Factor on the drive.
+    sure_dead_time : Critical or None
+        Dead time up to which the test is stable whatever a controller that adapts to the valves
+        assumes within its bounds. None if it does not adapt, or no end was found.
+    robust_gain : Range or None
+        Likewise.
+    stiffness : Range or None
+        Local stiffness of the specimen over the assumed one. None if the plant was identified as
+        a whole, or one of them is 0.
+    followed : Range or None
+        Likewise, when the method has adapted to it. None if it does not adapt.
+    delay_error : Range or None
+        Assumed delay less the planned one, s. None if the method uses no delay.
+    """
+
+    mass_ratio: Critical | None
+    dead_time: Critical | None
+    gain: Range | None = None
+    sure_dead_time: Critical | None = None
+    robust_gain: Range | None = None
+    stiffness: Range | None = None
+    followed: Range | None = None
+    delay_error: Range | None = None
 
 
 def find_margins(test: PlannedTest, progress: Progress | None = None) -> Margins:
@@ -90,43 +107,30 @@ def find_margins(test: PlannedTest, progress: Progress | None = None) -> Margins
     ``progress`` is called with what is searched, how many margins are known, and how many there
     are. An InputError says if the method can't be made for the planned test.
     """
-    dead_time, own = test.dead_time, local_stiffness(test)
-    latest = dead_time + float(added_delays(test)[-1])
-
-    def upper(
-        planned: float, searched: float, critical: Callable[[PlannedTest], Critical | None]
-    ) -> Range:
-        return Range(planned, None, critical(test), (planned, searched))
-
-    def stiffness(**fixed: bool) -> Range | None:
-        if own is None:
-            return None
-        up, down = np.linspace(own, max(STIFFEST, own), 17), np.linspace(own, 0.0, 17)
-        return _range(test, "stiffness", own, up, down, own, **fixed)
-
-    gain = partial(_range, test, "gain", 1.0, _FACTORS, 1.0 / _FACTORS)
-    searches: dict[str, Callable[[], Range | None]] = {
-        "mass_ratio": partial(upper, test.mass_ratio, HIGHEST_MASS_RATIO, critical_mass_ratio),
-        "dead_time": partial(upper, dead_time, latest, critical_dead_time),
+    searches: dict[str, Callable[[], Any]] = {
+        "mass_ratio": partial(critical_mass_ratio, test),
+        "dead_time": partial(critical_dead_time, test),
     }
     if test.is_stable():
-        searches |= {
-            "sure_dead_time": partial(upper, dead_time, latest, _sure_dead_time),
-            "gain": gain,
-            "robust_gain": partial(gain, any_valve=True),
-            "stiffness": stiffness,
-            "followed": partial(stiffness, followed=True),
-            "delay_error": partial(_delay_error, test),
-        }
-    left_out = {"sure_dead_time", "robust_gain"} if not test.follows_valves else set()
-    left_out |= {"followed"} if not test.follows else set()
-    searches = {name: search for name, search in searches.items() if name not in left_out}
-    found: Margins = {}
+        gain = partial(_range, test, "gain", 1.0, _FACTORS, 1.0 / _FACTORS)
+        searches["gain"] = gain
+        if test.follows_valves:
+            searches["sure_dead_time"] = partial(_sure_dead_time, test)
+            searches["robust_gain"] = partial(gain, any_valve=True)
+        own = local_stiffness(test)
+        if own is not None:
+            up, down = np.linspace(own, max(STIFFEST, own), 17), np.linspace(own, 0.0, 17)
+            stiffness = partial(_range, test, "stiffness", own, up, down, own)
+            searches["stiffness"] = stiffness
+            if test.follows:
+                searches["followed"] = partial(stiffness, followed=True)
+        searches["delay_error"] = partial(_delay_error, test)
+    found: dict[str, Any] = {}
     for name, search in searches.items():
         found[name] = search()
         if progress is not None:
             progress("margins", len(found), len(searches))
-    return found
+    return Margins(**found)
 
 
 def critical_mass_ratio(test: PlannedTest) -> Critical | None:
@@ -287,18 +291,11 @@ COLUMNS_MEAN = (
     "needed: what a stable verdict asks for."
 )
 HEADINGS = ("", "planned", "critical", "needed", "oscillates at")
-MASS_RATIO, DEAD_TIME, _GAIN = "mass ratio", "actuator's dead time", "actuator's gain"
-LOCAL_STIFFNESS = "local stiffness / assumed"
-_SHOWN = {  # margin: name, in which case, unit
-    "mass_ratio": (MASS_RATIO, "", ""),
-    "dead_time": (DEAD_TIME, "", "ms"),
-    "sure_dead_time": (DEAD_TIME, ANY_VALVE, "ms"),
-    "gain": (_GAIN, "", ""),
-    "robust_gain": (_GAIN, ANY_VALVE, ""),
-    "stiffness": (LOCAL_STIFFNESS, "", ""),
-    "followed": (LOCAL_STIFFNESS, "once identified", ""),
-    "delay_error": ("error in the assumed delay", "", "ms"),
-}
+MASS_RATIO, DEAD_TIME, LOCAL_STIFFNESS = (
+    "mass ratio",
+    "actuator's dead time",
+    "local stiffness / assumed",
+)
 
 
 @dataclass(frozen=True)
@@ -399,23 +396,49 @@ def margin_ends(test: PlannedTest, margins: Margins) -> Iterator[MarginEnd]:
     Each is needed with a reserve, all else as planned; with the worst valve that a controller may
     assume, the planned test itself must be stable.
     """
-    dead_time, dt, stiffness = test.dead_time, test.dt, margins.get("stiffness")
-    own, error = stiffness.planned if stiffness else 1.0, ASSUMED_DELAY_RESERVE_STEPS * dt
-    needed: dict[str, tuple[float | None, float | None]] = {
-        "mass_ratio": (None, MASS_RATIO_RESERVE * test.mass_ratio or None),
-        "dead_time": (None, dead_time + DELAY_RESERVE_STEPS * dt),
-        "sure_dead_time": (None, dead_time),
-        "gain": (1 / GAIN_RESERVE, GAIN_RESERVE),
-        "robust_gain": (None, None),
-        "stiffness": (own / STIFFNESS_RESERVE, own * STIFFNESS_RESERVE),
-        "followed": (0.0, np.inf),
-        "delay_error": (-error, error),
-    }
-    for key, margin in margins.items():
-        if margin is None:
-            yield MarginEnd(*_SHOWN[key])
-            continue
-        sides = zip((margin.lowest, margin.highest), margin.searched, needed[key], strict=True)
-        for upper, (end, searched, least) in enumerate(sides):
-            if end is not None or searched != margin.planned:
-                yield MarginEnd(*_SHOWN[key], margin.planned, end, searched, bool(upper), least)
+    alpha, dead_time, dt = test.mass_ratio, test.dead_time, test.dt
+    own = margins.stiffness.planned if margins.stiffness else 1.0
+    error, longest = ASSUMED_DELAY_RESERVE_STEPS * dt, dead_time + float(added_delays(test)[-1])
+
+    def up_to(planned: float, end: Critical | None, searched: float) -> Range:
+        return Range(planned, None, end, (planned, searched))
+
+    of_alpha = None, MASS_RATIO_RESERVE * alpha or None
+    of_time = None, dead_time + DELAY_RESERVE_STEPS * dt
+    of_gain = 1 / GAIN_RESERVE, GAIN_RESERVE
+    gain = "actuator's gain"
+    mass_ratio = up_to(alpha, margins.mass_ratio, HIGHEST_MASS_RATIO)
+    late, sure = (
+        up_to(dead_time, end, longest) for end in (margins.dead_time, margins.sure_dead_time)
+    )
+    yield from _ends(MASS_RATIO, "", "", mass_ratio, of_alpha)
+    any_valve = margins.robust_gain is not None
+    yield from _ends(DEAD_TIME, "", "ms", late, of_time)
+    if margins.gain is None:  # of an unstable test the others were not searched
+        return
+    if any_valve:
+        yield from _ends(DEAD_TIME, ANY_VALVE, "ms", sure, (None, dead_time))
+    yield from _ends(gain, "", "", margins.gain, of_gain)
+    if any_valve:
+        yield from _ends(gain, ANY_VALVE, "", margins.robust_gain, (None, None))
+    of_stiffness = own / STIFFNESS_RESERVE, own * STIFFNESS_RESERVE
+    yield from _ends(LOCAL_STIFFNESS, "", "", margins.stiffness, of_stiffness)
+    if test.follows:
+        yield from _ends(LOCAL_STIFFNESS, "once identified", "", margins.followed, (0.0, np.inf))
+    yield from _ends("error in the assumed delay", "", "ms", margins.delay_error, (-error, error))
+
+
+def _ends(
+    name: str,
+    more: str,
+    unit: str,
+    margin: Range | None,
+    needed: tuple[float | None, float | None],
+) -> Iterator[MarginEnd]:
+    if margin is None:
+        yield MarginEnd(name, more, unit)
+        return
+    planned, ends = margin.planned, (margin.lowest, margin.highest)
+    for upper, (end, searched, least) in enumerate(zip(ends, margin.searched, needed, strict=True)):
+        if end is not None or searched != planned:
+            yield MarginEnd(name, more, unit, planned, end, searched, bool(upper), least)

@@ -313,17 +313,32 @@ class MultisineResult:
             "calibration.force_scale_error": self.force_scale_error.tolist(),
         }
 
-    def numbers(self) -> dict[str, Any]:
-        """Give ``multisine`` of ``seft identify --json``: SI units, with standard errors.
-
-        Of matrices and of channels by axes they are rows.
-        """
-        found = vars(self.fit) | vars(self.filters)
+    def numbers(self, axes: Sequence[str]) -> dict[str, Any]:
+        """Give ``multisine`` of ``seft identify --json``: SI units, errors are standard errors."""
+        fit, every = self.fit, vars(self.fit) | vars(self.filters)
+        by_axis = []
+        for i, axis in enumerate(axes):
+            channels = {
+                channel: {
+                    what: {
+                        "value": float(every[what][row, i]),
+                        "error": float(every[f"{what}_error"][row, i]),
+                    }
+                    for what in NOTHING_KNOWN
+                }
+                for row, channel in enumerate(CHANNELS)
+            }
+            mass = {"value": float(fit.mass[i, i]), "error": float(fit.mass_error[i, i])}
+            by_axis.append({"axis": axis, "mass": mass, **channels})
         return {
             "travel": self.multisine.travel,
             "frequencies_hz": self.multisine.frequencies.tolist(),
             "largest": self.largest,
-            **{name: values.tolist() for name, values in found.items()},
+            "mass": fit.mass.squeeze().tolist(),
+            "mass_error": fit.mass_error.squeeze().tolist(),
+            "tilt": fit.tilt.squeeze().tolist(),
+            "tilt_error": fit.tilt_error.squeeze().tolist(),
+            "axes": by_axis,
         }
 
 
@@ -431,26 +446,27 @@ _UNITS = {  # channel: unit and factor of its bias
 
 def multisine_table(result: MultisineResult, axes: Sequence[str]) -> TextTable:
     """Tabulate what a multisine test has found, with standard errors, a column for each axis."""
-    fit, every = result.fit, vars(result.fit) | vars(result.filters)
+    found = result.numbers(axes)["axes"]
 
-    def row(label: str, values: Floats, errors: Floats, unit: str, scale: float) -> list[str]:
-        cells = []
-        for value, error in zip(scale * values, scale * errors, strict=True):
-            digits = int(max(0, min(6, 1 - math.floor(math.log10(error))))) if error > 0 else 3
-            cells.append(f"{value:.{digits}f} ± {error:.{digits}f} {unit}".rstrip())
-        return [label, *cells]
+    def cell(number: Mapping[str, float], unit: str, scale: float) -> str:
+        error = scale * number["error"]
+        digits = int(max(0, min(6, 1 - math.floor(math.log10(error))))) if error > 0 else 3
+        return f"{scale * number['value']:.{digits}f} ± {error:.{digits}f} {unit}".rstrip()
 
-    rows = [row("mass", fit.mass.diagonal(), fit.mass_error.diagonal(), "kg", 1.0)]
+    rows: list[list[str] | None] = [["mass", *(cell(one["mass"], "kg", 1.0) for one in found)]]
     for channel, of_bias in _UNITS.items():
         if channel == "velocity" and result.calibrated.derived:
             continue
-        label, place = f"{channel}: ", CHANNELS.index(channel)
+        label = f"{channel}: "
         of_channel = {"scale": ("", 1.0), "lag": ("ms", 1e3), "filter": ("Hz", 1.0)}
         for what, form in (of_channel | {"filter_damping": ("", 1.0), "bias": of_bias}).items():
-            error = every[f"{what}_error"][place]
-            if error.any():  # it is not the reference
-                name = label + what.replace("_", " ")
-                rows.append(row(name, every[what][place], error, *form))
+            if any(one[channel][what]["error"] for one in found):  # it is not the reference
+                rows.append(
+                    [
+                        label + what.replace("_", " "),
+                        *(cell(one[channel][what], *form) for one in found),
+                    ]
+                )
                 label = "  "
     return TextTable(["multisine", *axes], rows)
 

@@ -153,8 +153,9 @@ def identify_from_recordings(
     specimen = fit_specimen([test.motion() for test in tests.values()])
     opened, closed = tests.get(_OPEN_LOOP), tests.get(_CLOSED_LOOP)
     valves = _valves(opened, specimen, actuators) if opened and not servo else []
-    looped = opened if servo and opened else closed
-    loops = _loops(looped, servo=looped is opened) if looped else []
+    loops = _closed_loops(closed) if closed else []
+    if opened and servo:
+        loops = _servos(opened)
     axes = next(iter(tests.values())).axes
     return Identified(axes, band, specimen, valves, loops, unusable, faults, servo)
 
@@ -190,23 +191,44 @@ def fitted_plant(
     return Plant.of_model("identified", model, motion)
 
 
-def _loops(test: MeasuredTest, servo: bool) -> list[ClosedLoop]:
-    """Fit the response of each axis: of its force loop, or of its displacement servo."""
-    measure, floor = (test.servo, _SERVO_FLOOR) if servo else (test.tracking, _FLOOR)
-    least = 0.0 if servo else test.dt  # the loop's latency
+def _closed_loops(test: MeasuredTest) -> list[ClosedLoop]:
+    """Measure the closed loop of every axis, and fit it."""
     loops = []
-    for measured in map(measure, range(len(test.axes))):
-        f, response = measured.frequencies_hz, measured.response
+    for axis in range(len(test.axes)):
+        measured = test.tracking(axis)
+        f, tracking = measured.frequencies_hz, measured.response
         # a pole beyond the coherent frequencies would be arbitrary
+        coherent = np.flatnonzero(measured.coherence >= _COHERENT)
+        known = slice(0, int(coherent[-1]) + 1)
+        weight = 1.0 / np.hypot(measured.deviation, _FLOOR)[known]
+        # the dead time has the loop's latency in it
+        fit = fit_tracking(f[known], tracking[known], weight, least_dead_time=test.dt)
+        loops.append(ClosedLoop(measured, tracking_measures(f, tracking), fit))
+    return loops
+
+
+def _servos(test: MeasuredTest) -> list[ClosedLoop]:
+    """Measure the displacement servo of every axis, and fit it."""
+    loops = []
+    for axis in range(len(test.axes)):
+        measured = test.servo(axis)
+        f, response = measured.frequencies_hz, measured.response
         known = slice(0, int(np.flatnonzero(measured.coherence >= _COHERENT)[-1]) + 1)
-        weight = 1.0 / np.hypot(measured.deviation, floor)[known]
-        fit = fit_tracking(f[known], response[known], weight, least, floor)
+        weight = 1.0 / np.hypot(measured.deviation, _SERVO_FLOOR)[known]
+        fit = fit_tracking(f[known], response[known], weight, good=_SERVO_FLOOR)
         loops.append(ClosedLoop(measured, tracking_measures(f, response), fit))
     return loops
 
 
-_VALVE = "valve_frequency", "valve_damping"
-_ACTUATOR = "flow_gain", "oil_stiffness", "leakage", "force_capacity", *_VALVE, "dead_time"
+_ACTUATOR = {  # parameter -> its key in the result
+    "flow_gain": "flow_gain_m_per_s_per_v",
+    "oil_stiffness": "oil_stiffness_n_per_m",
+    "leakage": "leakage_per_s",
+    "force_capacity": "force_capacity_n",
+    "valve_frequency": "valve_frequency_hz",
+    "valve_damping": "valve_damping",
+    "dead_time": "dead_time_s",
+}
 _MATRICES = ("mass", "damping", "stiffness")
 _LONGEST_DELAY = 1.0  # s, as in the parameter table
 
@@ -283,21 +305,21 @@ def _number(label: str, key: str, unit: str, at: str = "", scale: float = 1.0) -
 
 _TABLE = (  # of an axis, by section
     (
-        Number("actuator: flow gain", "actuator.flow_gain", "mm/s/V", 1e3),
-        Number("  oil stiffness", "actuator.oil_stiffness", "kN/m", 1e-3),
-        Number("  leakage", "actuator.leakage", "1/s"),
-        Number("  force capacity", "actuator.force_capacity", "kN", 1e-3),
-        Number("  valve", "actuator.valve_frequency", "Hz"),
+        Number("actuator: flow gain", "actuator.flow_gain_m_per_s_per_v", "mm/s/V", 1e3),
+        Number("  oil stiffness", "actuator.oil_stiffness_n_per_m", "kN/m", 1e-3),
+        Number("  leakage", "actuator.leakage_per_s", "1/s"),
+        Number("  force capacity", "actuator.force_capacity_n", "kN", 1e-3),
+        Number("  valve", "actuator.valve_frequency_hz", "Hz"),
         Number("    damping", "actuator.valve_damping", "%", 100.0),
-        Number("  dead time", "actuator.dead_time", "ms", 1e3),
-        Number("  flow explained", "actuator.explained", "% of its variance", 100.0),
+        Number("  dead time", "actuator.dead_time_s", "ms", 1e3),
+        Number("  flow explained", "actuator.flow_explained", "% of its variance", 100.0),
         Number("    that is", "actuator.verdict"),
     ),
     (
-        Number("zero (specimen)", "zero.hz", "Hz"),
-        Number("  damping", "zero.damping", "%", 100.0),
-        Number("oil column", "pole.hz", "Hz"),
-        Number("  damping", "pole.damping", "%", 100.0),
+        Number("zero (specimen)", "plant_zero_hz", "Hz"),
+        Number("  damping", "plant_zero_damping", "%", 100.0),
+        Number("oil column", "plant_pole_hz", "Hz"),
+        Number("  damping", "plant_pole_damping", "%", 100.0),
         Number("model's error", "fit_error", "%", 100.0),
     ),
     (
@@ -392,14 +414,9 @@ def notes(identified: Identified) -> list[str]:
 def _of_axis(identified: Identified, index: int) -> dict[str, Any]:
     valve = identified.valves[index] if identified.valves else None
     closed = identified.closed_loops[index] if identified.closed_loops else None
-    found: dict[str, Any] = dict.fromkeys(("actuator", "zero", "pole"))
-    if valve is not None:
-        shown = (*_ACTUATOR, "explained", "verdict", "largest_force")
-        found["actuator"] = {name: getattr(valve.actuator, name) for name in shown}
-        found["actuator"]["force_capacity"] = valve.actuator.force_capacity or None
-        roots = valve.plant.antiresonance(), valve.plant.oil_column()
-        found["zero"], found["pole"] = (root and asdict(root) for root in roots)
-    return found | {
+    return {
+        "actuator": valve and _of_actuator(valve.actuator),
+        **_of_plant(valve.plant if valve else None),
         "fit_error": valve and valve.error,
         **asdict(closed.tracking if closed else Tracking()),
         "tracking_fit_error": closed and closed.fit.error,
@@ -407,6 +424,26 @@ def _of_axis(identified: Identified, index: int) -> dict[str, Any]:
             "open_loop": valve and _coherence(valve.measured),
             "closed_loop": closed and _coherence(closed.measured),
         },
+    }
+
+
+def _of_plant(plant: Plant | None) -> dict[str, float | None]:
+    """Zero (of the specimen) and pole (the oil column); None where there is none."""
+    zero, pole = (plant.antiresonance(), plant.oil_column()) if plant else (None, None)
+    return {
+        f"plant_{name}_{key}": getattr(root, key) if root else None
+        for name, root in (("zero", zero), ("pole", pole))
+        for key in ("hz", "damping")
+    }
+
+
+def _of_actuator(actuator: ActuatorFit) -> dict[str, Any]:
+    return {
+        **{key: getattr(actuator, name) for name, key in _ACTUATOR.items()},
+        "force_capacity_n": actuator.force_capacity or None,
+        "flow_explained": actuator.explained,
+        "verdict": actuator.verdict,
+        "largest_force_n": actuator.largest_force,
     }
 
 
