@@ -27,7 +27,7 @@ from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import truth
 from seft_plant_sim.whole_structure import reference_response
-from seft_ros.analysis.calibration_effect import led
+from seft_ros.analysis.calibration_check import led
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.analysis.report_numbers import report_numbers
 from seft_ros.identification.calibrated import (

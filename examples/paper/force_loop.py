@@ -26,11 +26,11 @@ from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.experiment import Experiment, parse_override, write_parameter_file
 from seft_msgs_py.errors import InputError, SeftError
 from seft_plant_sim.lti import bilinear
-from seft_ros.design.closed_loop import closed_loop
-from seft_ros.design.force_tracking import Tracking, tracking_measures
+from seft_ros.design.planned_tests import closed_loop
 from seft_ros.design.plant import Plant, lightly_damped, rig_model
 from seft_ros.force_controller.force_control import ForceController
 from seft_ros.force_controller.force_controller_parameters import TRANSFER_FUNCTION, one_controller
+from seft_ros.identification.response_fits import Tracking, tracking_measures
 from seft_ros.reference_force.linear_filter import LinearFilter
 from seft_ros.test_run.parameter_tables import TABLES
 

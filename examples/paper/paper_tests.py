@@ -24,10 +24,10 @@ from seft_msgs_py.wire.topics import GROUND_MOTION
 from seft_ros.analysis.metrics import Agreement, agreement
 from seft_ros.analysis.summary import COMPARED, reference_of
 from seft_ros.bags.recording import Recording
-from seft_ros.design.force_tracking import BAND_HZ
 from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.identification import rig_tests
 from seft_ros.identification.identified import Identified, identify_from_recordings
+from seft_ros.identification.rig_tests import BAND_HZ
 from seft_ros.reference_force.compensator import OF_THE_LOOP
 from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate_test
@@ -258,7 +258,8 @@ class Findings:
     @property
     def natural_hz(self) -> float:
         """Natural frequency of the specimen, by its own motion."""
-        return self.identified.specimen.axis_root(0).hz
+        specimen = self.identified.specimen
+        return float(np.sqrt(specimen.stiffness[0, 0] / specimen.mass[0, 0]) / (2 * np.pi))
 
     @property
     def own_delay(self) -> float:

@@ -30,11 +30,10 @@ from paper_tests import BEYOND, BEYOND_SHARE, COMPUTED, TAU, Findings, Outcome, 
 from rich.console import Console
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.errors import InputError, SeftError
-from seft_ros.design.force_tracking import BAND_HZ
 from seft_ros.drawing import page, style
 from seft_ros.drawing.page import Grid, PageSection, Plot, Text, line, plot
-from seft_ros.drawing.style import FIRST_COLOUR, OTHERS, REFERENCE, Mark
-from seft_ros.drawing.table import Cell, TextTable
+from seft_ros.drawing.style import FIRST_COLOUR, OTHERS, REFERENCE, Cell, Mark, TextTable
+from seft_ros.identification.rig_tests import BAND_HZ
 
 PAPER = (
     "N. Nakata and S. Combs, Substructure Effective Force Testing: A Force-Based Real-Time Hybrid "

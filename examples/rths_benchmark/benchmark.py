@@ -34,8 +34,7 @@ from rths_tests import (
     run_tests,
 )
 from seft_msgs_py.errors import InputError, SeftError
-from seft_ros.drawing.style import json_safe, save_figure
-from seft_ros.drawing.table import TextTable
+from seft_ros.drawing.style import TextTable, json_safe, save_figure
 
 HERE = Path(__file__).resolve().parent
 PLACES = (HERE / "records", HERE.parents[2] / "shared" / "data" / "rths_benchmark")

@@ -335,7 +335,13 @@ def lacking(own: Floats, common: Floats, dt: float) -> tuple[Floats, Floats]:
 
 
 SIGNIFICANT = 4.0
-"""Standard errors up to which a mean at rest is noise, which a bias would add to the samples."""
+"""Standard errors up to which a deviation is none. Of 340 estimates on fault-free tests the worst
+was 3.7 away: no law is described exactly, and tails are longer than a normal distribution's."""
+
+
+def significant(value: Floats, error: Floats) -> Floats:
+    """Give what is beyond its standard errors, and 0 for the rest."""
+    return np.where(np.abs(value) > SIGNIFICANT * error, value, 0.0)
 
 
 def zeroed_at_rest(
@@ -361,9 +367,8 @@ def zeroed_at_rest(
     """
     own, bias = list(places), known_channels(section, axes)["bias"]
     known = bias[:, own]
-    shown = samples.mean(axis=0) - known
     error = samples.std(axis=0) / np.sqrt(len(samples))
-    shown[~(np.abs(shown) > SIGNIFICANT * error)] = 0.0
+    shown = significant(samples.mean(axis=0) - known, error)
     subtracted = np.where(known == 0.0, shown, 0.0)
     left = shown - subtracted
     bias[:, own] += subtracted

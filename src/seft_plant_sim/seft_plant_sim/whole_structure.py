@@ -235,6 +235,10 @@ class ReferenceResponse:
     acceleration: Floats
     force: Floats
 
+    def first(self, count: int) -> "ReferenceResponse":
+        """Give the first steps."""
+        return ReferenceResponse(*(part[:count] for part in vars(self).values()))
+
 
 def reference_response(experiment: Experiment, ground_motion: Floats) -> ReferenceResponse:
     """Exact response of the whole structure of an experiment (paper Eq. 2.1).

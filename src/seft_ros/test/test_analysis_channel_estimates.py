@@ -53,8 +53,8 @@ def estimate(y, known=MASS):
 @pytest.mark.parametrize("known", [40.0, 44.0])
 def test_mass_is_found_within_its_standard_error(seed, known):
     found = estimate(samples(seed=seed), known)
-    assert found.factor_error[0] < 0.01
-    assert found.factor[0] == pytest.approx(MASS / known, abs=3 * found.factor_error[0])
+    assert found.scale_error[0] < 0.01
+    assert found.scale[0] == pytest.approx(MASS / known, abs=3 * found.scale_error[0])
     assert found.lag[0] == pytest.approx(0.0, abs=3 * found.lag_error[0])
 
 
@@ -68,7 +68,7 @@ def test_noise_of_the_velocity_is_taken_for_neither_mass_nor_lag():
     y = samples()
     y[:, 1, 0] += 0.015 * np.random.default_rng(5).standard_normal(len(y))
     found = estimate(y)
-    assert found.factor[0] == pytest.approx(1.0, abs=2e-3)
+    assert found.scale[0] == pytest.approx(1.0, abs=2e-3)
     assert found.lag[0] == pytest.approx(0.0, abs=2e-5)
     assert found.lag_error[0] < 1e-5
 
@@ -116,8 +116,8 @@ def test_masses_of_a_frame_are_found_by_the_equations_of_its_storeys():
     storeys = np.stack([each[:, 3, 0] - MASS * each[:, 2, 0] for each in (one, two)], axis=1)
     y[:, 3] = storeys @ deformation + np.array([30.0, 50.0]) * y[:, 2]
     found = inertia(y, np.diag([33.0, 50.0]), deformation, DT, motion_frequency(y))
-    assert found.factor == pytest.approx([30 / 33, 1.0], abs=0.01)
-    assert (np.abs(found.factor - [30 / 33, 1.0]) < 4 * found.factor_error).all()
+    assert found.scale == pytest.approx([30 / 33, 1.0], abs=0.01)
+    assert (np.abs(found.scale - [30 / 33, 1.0]) < 4 * found.scale_error).all()
 
 
 def test_of_a_quiet_or_a_short_test_nothing_is_known():

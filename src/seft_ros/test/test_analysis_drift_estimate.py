@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 from scipy.integrate import cumulative_trapezoid
-from seft_ros.analysis.channel_estimates import ESTIMATE_SIGMAS
-from seft_ros.analysis.drift_estimate import acceleration_zero, force_drift
+from seft_plant_sim.calibration import SIGNIFICANT
+from seft_ros.analysis.channel_estimates import acceleration_zero
+from seft_ros.analysis.specimen_law import force_drift
 
 DT, COUNT = 0.002, 6000
 
@@ -26,7 +27,7 @@ def test_the_zero_of_the_acceleration_is_found_whatever_the_motion(bias):
     a = a + bias + noise(0.05, 1)[:, np.newaxis]
     for part in (slice(0, 3000), slice(3000, COUNT)):
         zero, error = acceleration_zero(x[part] + 0.01, a[part], DT)
-        assert zero[0] == pytest.approx(bias, abs=ESTIMATE_SIGMAS * error[0])
+        assert zero[0] == pytest.approx(bias, abs=SIGNIFICANT * error[0])
         assert 0.0 < error[0] < 0.01
 
 
@@ -50,5 +51,5 @@ def test_a_zero_of_the_force_that_moves_is_told_from_the_law(kind, moved, slow):
     shape = 0.5 - 0.5 * np.cos(np.pi * k / COUNT) if slow else k >= 2250
     force = law + 300.0 * v + moved * shape + noise(4.0, 2)
     found, error, _ = force_drift(x + noise(5e-6, 3), v, force)
-    assert (abs(found) > ESTIMATE_SIGMAS * error) is (moved > 0.0)
+    assert (abs(found) > SIGNIFICANT * error) is (moved > 0.0)
     assert found * moved >= 0.0

@@ -13,11 +13,13 @@ from seft_ros.analysis.equivalent_motion import (
     EquivalentMotion,
     assumed_structure,
     motion_difference,
+    tracked_of,
+    tracking_error_of,
+    tracking_of,
 )
 from seft_ros.analysis.metrics import delayed
 from seft_ros.analysis.specimen_law import SpecimenLaw, springs_of
 from seft_ros.analysis.summary import summarise
-from seft_ros.analysis.tracking import tracked_of, tracking_error_of, tracking_of
 from seft_ros.bags.recording import Series
 
 COUNT = 1500

@@ -10,7 +10,7 @@ from seft_msgs_py.errors import InputError
 from seft_plant_sim.whole_structure import ReferenceResponse
 from seft_ros.analysis.report_numbers import histories
 from seft_ros.bags.recording import Recording, Series
-from seft_ros.drawing.table import check_table, write_table
+from seft_ros.drawing.style import check_table, write_table
 from seft_ros.ground_motion.record_file import read_record
 
 COUNT = 20

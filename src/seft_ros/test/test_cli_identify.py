@@ -16,11 +16,12 @@ from seft_msgs_py.config.facts import CHANNELS
 from seft_plant_sim.lti import bilinear, polynomial_ratio
 from seft_plant_sim.rig_parameters import truth
 from seft_ros.bags.recording_bag import read_bag
-from seft_ros.cli import identify_command, shared
-from seft_ros.design.force_tracking import tracking_measures
+from seft_ros.cli import shared
+from seft_ros.cli.identification_run import IdentificationTests
 from seft_ros.design.plant import Plant, rig_model
 from seft_ros.drawing import style
 from seft_ros.identification import rig_tests
+from seft_ros.identification.response_fits import tracking_measures
 
 LINEAR = ("actuator.kind:=servo_hydraulic_linear",)
 SHORT = ("--duration", "14")
@@ -163,7 +164,7 @@ def test_a_host_that_misses_commands_is_reported(monkeypatch, tmp_path, capsys):
     of = {"trip": None, "stopped": False, "missed": 51, "experiment": load(), "states": states}
     recording = SimpleNamespace(**of)
     monkeypatch.setattr(shared, "dds_test", lambda *_, **__: (recording, tmp_path / "bag"))
-    tests = identify_command._Tests(load(), tmp_path, False, ["rig"], np.zeros((1000, 1)))
+    tests = IdentificationTests(load(), tmp_path, False, ["rig"], np.zeros((1000, 1)))
     assert tests.run("open_loop", load(), 1000)
     assert "open_loop: 51 of 1000 steps had no command in time" in capsys.readouterr().err
     recording.missed = 50

@@ -9,14 +9,15 @@ from experiments_at_hand import simulated
 from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.config.parameter_table import group
 from seft_plant_sim.whole_structure import ReferenceResponse
-from seft_ros.design.capacity import (
+from seft_ros.design.plausibility import (
     Actuators,
     excess_text,
     excesses,
+    expected_response,
     highest_limits,
+    peaks_by_axis,
     range_refusal,
 )
-from seft_ros.design.plausibility import expected_response, peaks_by_axis
 from seft_ros.design.preflight_tables import expected_peaks, planned_motion, proposed_limits
 
 load = partial(experiments_at_hand.load, config="demo")

@@ -11,8 +11,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import LIMIT_ROWS
-from seft_ros.design.closed_loop import SampledLoop
-from seft_ros.design.planned_tests import PlannedTest
+from seft_ros.design.planned_tests import PlannedTest, SampledLoop
 from seft_ros.design.stability_verdict import predicted_modes
 from seft_ros.force_controller.force_control import ForceController
 from seft_ros.reference_force.reference_force_block import ReferenceForce

@@ -10,8 +10,7 @@ from seft_msgs_py.config.facts import CHANNELS
 from seft_plant_sim.judge.valve_following import LARGEST_GAIN_ERROR
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import LIMIT_ROWS
-from seft_ros.design.closed_loop import frozen_target
-from seft_ros.design.planned_tests import PlannedTest
+from seft_ros.design.planned_tests import PlannedTest, frozen_target
 from seft_ros.design.preflight_tables import summarise_preflight
 from seft_ros.design.stability_margins import HIGHEST_MASS_RATIO, find_margins
 from seft_ros.design.stability_verdict import check_stability

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 from experiments_at_hand import load
-from seft_ros.design.capacity import range_refusal
-from seft_ros.design.plausibility import peaks_by_axis, unit_refusal
+from seft_ros.design.plausibility import peaks_by_axis, range_refusal, unit_refusal
 from seft_ros.design.preflight_tables import expected_peaks, planned_motion, proposed_limits
 
 CONFIGS = (

@@ -5,13 +5,14 @@ from functools import partial
 import numpy as np
 import pytest
 from experiments_at_hand import of_parts
-from seft_ros.design.margin_ends import end_texts, meanings
 from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.stability_map import StabilityMap, preflight_figure
 from seft_ros.design.stability_margins import (
     HIGHEST_MASS_RATIO,
     critical_mass_ratio,
+    end_texts,
     find_margins,
+    meanings,
     stability_change,
 )
 from seft_ros.design.stability_verdict import check_stability

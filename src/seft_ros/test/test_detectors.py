@@ -12,7 +12,7 @@ from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.judge.detector_list import WARNING
 from seft_plant_sim.rig import Rig
-from seft_ros.analysis.detector_shares import detector_shares
+from seft_ros.analysis.summary import detector_shares
 from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate_test
 

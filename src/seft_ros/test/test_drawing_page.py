@@ -20,8 +20,7 @@ from seft_ros.drawing.page import (
     plot,
     write_page,
 )
-from seft_ros.drawing.style import MAX_POINTS, Mark, thinned
-from seft_ros.drawing.table import Cell, TextTable
+from seft_ros.drawing.style import MAX_POINTS, Cell, Mark, TextTable, thinned
 
 
 def written(tmp_path: Path, *blocks: Text | VerdictBox | TextTable | Plot) -> str:

@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from scipy import signal
-from seft_ros.ground_motion.correction import (
+from seft_ros.ground_motion.conditioning import (
     baseline_numbers,
-    butterworth,
     correct,
     velocity_and_displacement,
 )
@@ -58,17 +56,6 @@ def test_a_parabola_is_taken_off_whole():
         correct(pulse + parabola, DT, "baseline", 0.0, 4, True), plain, atol=1e-12
     )
     np.testing.assert_allclose(plain, pulse, atol=1e-3)
-
-
-@pytest.mark.parametrize("order", [1, 2, 4, 7])
-def test_the_filter_is_that_of_butterworth(order):
-    f = np.array([0.0, 0.02, 0.1, 0.3, 5.0])
-    poles = signal.butter(order, 2 * np.pi * 0.1, "highpass", analog=True)
-    _, expected = signal.freqs(*poles, 2 * np.pi * f)
-    np.testing.assert_allclose(butterworth(f, 0.1, order, False), expected, atol=1e-12)
-    both = butterworth(f, 0.1, order, True)
-    np.testing.assert_allclose(both, np.abs(expected) ** 2, atol=1e-12)
-    assert both[2] == pytest.approx(0.5)
 
 
 def test_a_filter_both_ways_shifts_no_phase():

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from recordings_at_hand import recording_of, without
 from seft_msgs_py.config.experiment import Experiment
+from seft_ros.analysis.equivalent_motion import tracking_of
 from seft_ros.analysis.metrics import delayed
 from seft_ros.analysis.summary import summarise
-from seft_ros.analysis.tracking import tracking_of
 
 COUNT = 3000
 DT = 0.002

@@ -15,8 +15,7 @@ from seft_msgs_py.wire.topics import EXPERIMENT_STATE, REFERENCE_FORCE, RIG_STAT
 from seft_ros.bags.bag_writer import BagWriter
 from seft_ros.bags.recording import Recording, Series
 from seft_ros.bags.recording_bag import write_recording
-from seft_ros.replay.node_replays import RigReplay
-from seft_ros.replay.recorded_test import Recorded, read_recorded
+from seft_ros.replay.node_replays import Recorded, RigReplay, read_recorded
 from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.compiled_loop import LoopSamples
 from seft_ros.test_run.offline import loop_series, simulate_test
@@ -74,9 +73,9 @@ def test_a_changed_parameter_is_reported_by_step_field_and_values(seft, recordin
     commands = recording.series[VALVE_COMMAND.name].values[:, 0, 0]
     assert status == 1
     assert (first["topic"], first["field"], first["axis"]) == ("valve_command", "effort", "x")
-    assert first["recorded"] == commands[first["step"]]
-    assert first["replayed"] == pytest.approx(first["recorded"] * 38 / 37)
-    assert result["nrmse"] == pytest.approx(1 / 37, rel=1e-6)
+    assert first["a"] == commands[first["step"]]
+    assert first["b"] == pytest.approx(first["a"] * 38 / 37)
+    assert result["topics"]["valve_command"]["nrmse"] == pytest.approx(1 / 37, rel=1e-6)
 
 
 @pytest.mark.parametrize(

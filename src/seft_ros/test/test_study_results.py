@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from recordings_at_hand import shown
 from scipy.stats import spearmanr
-from seft_ros.study.drawn_tests import DrawnTests
-from seft_ros.study.study_design import StudyDesign, StudyTest
+from seft_ros.study.drawn_tests import DrawnTests, StudyDesign, StudyTest
 from seft_ros.study.study_page import headline, study_notes, study_texts, write_study
 from seft_ros.study.study_results import causes_of, quantiles, summarise_study
 from seft_ros.study.study_runs import Run

@@ -13,8 +13,7 @@ from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
 from seft_ros.reference_force.linear_filter import LinearCompensator
 from seft_ros.reference_force.reference_force_parameters import REFERENCE_FORCE_TABLE
 from seft_ros.study import study_runs
-from seft_ros.study.drawn_tests import draw_tests
-from seft_ros.study.study_design import StudyTest, design_study
+from seft_ros.study.drawn_tests import StudyTest, design_study, draw_tests
 from seft_ros.study.study_results import summarise_study, worst_folder, write_worst_tests
 from seft_ros.study.study_runs import FinishedTests, run_study
 from seft_ros.test_run.parameter_tables import TABLES

@@ -303,10 +303,7 @@ def _loop(summary: dict[str, Any]) -> Iterator[TestFinding]:
             f"vibration of {percent(ratio)} of the reference acceleration where instability would "
             f"start, {low:.3g} to {high:.3g} Hz"
         )
-        mark, detail = (
-            _grade(ratio, GOOD_VIBRATION, BAD_VIBRATION),
-            _up_to(GOOD_VIBRATION),
-        )
+        mark, detail = _grade(ratio, GOOD_VIBRATION, BAD_VIBRATION), _up_to(GOOD_VIBRATION)
         if not _is_simulated(summary) and summary["tracking_error"] is not None:
             mark, detail = Mark.NONE, "the reference is of the assumed specimen; the target decides"
         yield TestFinding("vibration", mark, text, detail)

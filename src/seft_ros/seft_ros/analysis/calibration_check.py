@@ -2,10 +2,11 @@
 
 The estimates are those of `seft_ros.analysis.channel_estimates` and
 `seft_ros.analysis.mass_estimate`; what a deviation means for the test is in
-`seft_ros.analysis.calibration_effect`.
+`seft_ros.analysis.calibration_check`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -14,23 +15,151 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import FORCE_DRIVEN
 from seft_msgs_py.config.parameter_table import per_axis
+from seft_plant_sim.calibration import SIGNIFICANT, significant
+from seft_plant_sim.channels import ACCELERATION, FORCE
+from seft_plant_sim.whole_structure import reference_response, whole_structure
 
 from seft_ros.analysis.assessment import UNTOLD
-from seft_ros.analysis.calibration_effect import CalibrationEffect, calibration_structure
 from seft_ros.analysis.channel_estimates import (
-    ESTIMATE_SIGMAS,
     Relation,
+    acceleration_zero,
+    expected_relations,
     motion_frequency,
     relation,
 )
-from seft_ros.analysis.drift_estimate import acceleration_zero, force_drift
-from seft_ros.analysis.folding import expected_relations
-from seft_ros.analysis.mass_estimate import ALIKE_SPRINGS, MIN_ERROR, Inertia, inertia
+from seft_ros.analysis.equivalent_motion import EquivalentMotion, assumed_structure
+from seft_ros.analysis.mass_estimate import ALIKE_SPRINGS, MIN_ERROR, inertia
+from seft_ros.analysis.specimen_law import SpecimenLaw, force_drift, springs_of
 from seft_ros.bags.recording import Recording, every_step
 from seft_ros.design.plant import FOLDED
+from seft_ros.ground_motion.conditioning import moved_ahead
+from seft_ros.ground_motion.ground_motion_block import GroundMotion
+
+
+def calibration_structure(experiment: Experiment) -> Experiment | None:
+    """Give the assumed structure; with a computed model, the specimen alone."""
+    assumed = assumed_structure(experiment)
+    if assumed is None and "reference_force" in experiment.sections:
+        section = experiment["reference_force"] | {"method": "eft", "mass_ratio": 0.0}
+        alone = Experiment({**experiment.sections, "reference_force": section})
+        return assumed_structure(alone)
+    return assumed
+
+
+class CalibrationEffect:
+    """Displacement errors that deviations mean, over the displacement, RMS over all axes.
+
+    Parameters
+    ----------
+    structure : Experiment
+        That of the test, see `calibration_structure`.
+    samples : ndarray
+        Displacement, velocity, acceleration and force as measured, shape (N, 4, n), every step.
+    dt : float
+        Sampling period, s.
+
+    Attributes
+    ----------
+    springs : ndarray
+        Deformation of each of the specimen's springs per displacement, shape (p, n).
+    mass : ndarray
+        Of the specimen as it is known, shape (n, n), kg.
+    """
+
+    def __init__(self, structure: Experiment, samples: Floats, dt: float) -> None:
+        self._samples, self._dt = samples, dt
+        self._whole = whole_structure(structure)
+        equivalent, n = EquivalentMotion(self._whole, dt), samples.shape[2]
+        self.mass = equivalent.mass
+        self.springs = springs_of(structure, self._whole)
+        self._total = self._whole.structure.mass[:n, :n]
+        self._motion = equivalent.advance(samples)
+        self._part = slice(None)
+        self._law = SpecimenLaw(self._whole, self.mass, samples, self.springs, dt)
+
+    def within(self, part: slice) -> "CalibrationEffect":
+        """Give the same for deviations that are there in these samples alone."""
+        own = copy(self)
+        own._part = part
+        return own
+
+    def _of(self, change: Floats) -> float:
+        """Error for a change of the ground motion, shape (N, n), m/s^2."""
+        if not change.any():
+            return 0.0
+        there = np.zeros_like(change)
+        there[self._part] = change[self._part]
+        return self._law.difference(there)
+
+    def of_mass(self, factor: Floats) -> float:
+        """Error if the mass is so many times the known one, or the force too large; shape (n,)."""
+        if (factor == 1.0).all():
+            return 0.0
+        true = self._total + (factor - 1.0)[:, np.newaxis] * self.mass
+        by_mass = self._motion @ np.linalg.solve(true, self._total).T - self._motion
+        return max(
+            self._of(by_mass), self._of_force((1.0 / factor - 1.0) * self._samples[:, FORCE])
+        )
+
+    def of_force_scale(self, factor: Floats) -> float:
+        """Error if force and mass are so many times too large, shape (n,): f / s and M_e / s."""
+        if (factor == 1.0).all():
+            return 0.0
+        off = 1.0 - 1.0 / factor
+        force = self._motion @ self.mass.T + self._samples[:, FORCE]
+        true = self._total - off[:, np.newaxis] * self.mass
+        of_force = off * force @ np.linalg.inv(true).T
+        if np.linalg.norm(of_force) < 1e-9 * np.linalg.norm(self._motion):  # EFT: rounding
+            return 0.0
+        return self._of(of_force)
+
+    def of_force_lag(self, lag: Floats) -> float:
+        """Error if the force is late by so much, shape (n,), s."""
+        return self._of_force(led(self._samples[:, FORCE], lag, self._dt))
+
+    def of_zero(self, force: Floats, acceleration: Floats) -> float:
+        """Error if the channels' zeros are off by so much, shape (N, n) or (n,), N and m/s^2."""
+        if not (np.any(force) or np.any(acceleration)):
+            return 0.0
+        states = np.zeros_like(self._samples)
+        states[:, FORCE], states[:, ACCELERATION] = -force, -acceleration
+        return self._of(EquivalentMotion(self._whole, self._dt).advance(states))
+
+    def _of_force(self, change: Floats) -> float:
+        return self.of_zero(-change, np.zeros(len(self.mass)))
+
+    def of_scale(self, scale: Floats) -> float:
+        """Error if the displacement is wrong by such a scale and tilt, shape (n, n)."""
+        true = np.linalg.inv(scale)
+        return self._of(self._samples[:, ACCELERATION] @ (true - np.eye(len(true))).T)
+
+    def of_lag(self, lag: Floats) -> float:
+        """Error if the displacement leads the acceleration by so much, shape (n,), s."""
+        return self._of(led(self._samples[:, ACCELERATION], lag, self._dt))
+
+
+def effect_of_force(experiment: Experiment, factor: float) -> float | None:
+    """Error of an experiment if its load cells show so many times the force, and told the mass.
+
+    By the known linear specimen, over the displacement, RMS over all axes; None if not known.
+    """
+    structure = calibration_structure(experiment)
+    if structure is None:
+        return None
+    dt, axes = experiment.timebase.dt, experiment.axes
+    motion = GroundMotion.from_parameters(experiment["ground_motion"], axes, experiment.timebase)
+    exact = reference_response(structure, motion.samples)
+    samples = np.stack([exact.displacement, exact.velocity, exact.acceleration, exact.force], 1)
+    return CalibrationEffect(structure, samples, dt).of_force_scale(np.full(len(axes), factor))
+
+
+def led(y: Floats, lead: Floats, dt: float) -> Floats:
+    """Give y(t + lead) - y(t) of signals of shape (N, n), leads of shape (n,) in s."""
+    return moved_ahead(y, lead, dt) - y if lead.any() else np.zeros_like(y)
+
 
 CHANCE = 0.05
-"""That errors of mass and channels mean more than `CalibrationCheck.at_most`."""
+"""That errors of mass and channels mean more than ``at_most`` of `calibration_check`."""
 ALIKE = 3.0
 """Standard errors within which an earlier estimate counts. Beyond, something may have changed, and
 a better estimate of what was shall not hide that."""
@@ -41,6 +170,8 @@ MAX_SAMPLES = 1 << 16
 
 _AT_END = 0.01  # of the range, in which noise is
 _FEWEST = 8  # samples of a half; noise is found in sixth differences
+_KINDS = "mass", "scale", "lag", "drift"
+_MEANS = "at_most", "clipped", "force_scale", "unsure", "unsure_lag"
 _OfChannel = tuple[str, Relation, Floats, Floats]
 """A channel, its relation to the displacement, and the scale and lag expected, (n,)."""
 
@@ -53,7 +184,7 @@ class Deviation:
     ----------
     effect : float
         Displacement error (RMS over RMS) that it means, with those of the other axes; 0 if all are
-        within `ESTIMATE_SIGMAS` standard errors.
+        within `SIGNIFICANT` standard errors.
     kind : str
         ``mass``, ``scale``, ``lag`` or ``drift``.
     channel, axis : str
@@ -83,60 +214,29 @@ class Deviation:
         return self.effect, abs(self.estimate - self.told) / self.error
 
 
-@dataclass(frozen=True)
-class CalibrationCheck:
-    """Estimates of mass, scales and lags of a test; None: not known.
-
-    Attributes
-    ----------
-    mass, scale, lag, drift : Deviation or None
-        The worst of each kind; in a half of the test only what is beyond chance.
-    at_most : float or None
-        Displacement error that mass, force, and acceleration, as estimated and together, exceed
-        with the chance `CHANCE`.
-    clipped : float or None
-        Displacement error that accelerations beyond their sensor's range mean, by the velocity.
-    force_scale : float or None
-        Displacement error that `UNTOLD` of the forces' scale would mean, where nobody told the
-        scale, and the mass was identified by these forces; otherwise None.
-    unsure, unsure_lag : float or None
-        Displacement error that errors of the masses, and of the forces' lags, of
-        `ESTIMATE_SIGMAS` standard errors would mean.
-    axes : dict
-        Axis -> ``mass``, ``force``, ``acceleration``, ``velocity``: JSON values of all estimates.
-    """
-
-    mass: Deviation | None
-    scale: Deviation | None
-    lag: Deviation | None
-    drift: Deviation | None
-    at_most: float | None
-    clipped: float | None
-    force_scale: float | None
-    unsure: float | None
-    unsure_lag: float | None
-    axes: dict[str, Any]
-
-    def numbers(self) -> dict[str, Any]:
-        """For JSON; docs/metrics.md explains each number."""
-        return asdict(self)
-
-
-def calibration_check(recording: Recording) -> CalibrationCheck | None:
+def calibration_check(recording: Recording) -> dict[str, Any] | None:
     """Estimate mass, scales and lags of a test, and what they mean for it.
 
     Parameters
     ----------
     recording : Recording
         Of the test, without its ramp-down. A mass that was identified before the test
-        (`IdentifiedMass.known`) is combined with the test's own estimate, by their standard errors,
-        unless they contradict each other.
+        (``specimen.mass_error``) is combined with the test's own estimate, by their standard
+        errors, unless they contradict each other.
 
     Returns
     -------
-    CalibrationCheck or None
-        None if the recording does not describe the specimen, holds what is not finite, or lacks too
-        many samples.
+    dict or None
+        JSON values; docs/metrics.md explains each. ``mass``, ``scale``, ``lag``, ``drift``: the
+        worst `Deviation` of each kind; in a half of the test only what is beyond chance. ``axes``:
+        axis -> ``mass``, ``force``, ``acceleration``, ``velocity``: all estimates. Displacement
+        errors: ``at_most``, which mass, force, and acceleration, as estimated and together, exceed
+        with the chance `CHANCE`; ``clipped``, which accelerations beyond their sensor's range
+        mean, by the velocity; ``force_scale``, which `UNTOLD` of the forces' scale would mean,
+        where nobody told the scale, and the mass was identified by these forces; ``unsure`` and
+        ``unsure_lag``, which `SIGNIFICANT` standard errors of the masses, and of the forces' lags,
+        would mean. None: not known. All is None if the recording does not describe the specimen,
+        holds what is not finite, or lacks too many samples.
     """
     states, experiment = recording.states, recording.experiment
     structure = calibration_structure(experiment)
@@ -147,53 +247,39 @@ def calibration_check(recording: Recording) -> CalibrationCheck | None:
     if not whole or not np.isfinite(states.values).all():
         return None
     samples, dt = strongest(every_step(states, every)), experiment.timebase.dt
-    frequency = motion_frequency(samples)
+    frequency, axes = motion_frequency(samples), experiment.axes
     found: list[Deviation] = []
     in_parts: list[Deviation] = []
-    unsure = unsure_lag = at_most = clipped = force_scale = None
-    section, axes = experiment["reference_force"], experiment.axes
+    means: dict[str, float | None] = dict.fromkeys(_MEANS)
     names = ("specimen.mass_error", "calibration.force_scale_error")
-    identified, untrue = (per_axis(section[name], axes, f"/**: {name}") for name in names)
+    known = (experiment["reference_force"][name] for name in names)
+    identified, untrue = (per_axis(e, axes, f"/**: {n}") for e, n in zip(known, names, strict=True))
     if frequency > 0:
         effect = CalibrationEffect(structure, samples, dt)
         own = inertia(samples, effect.mass, effect.springs, dt, frequency)
         own = _combined(own, _known_inertia(experiment, effect.mass))
         relations = list(_relations(experiment, samples, frequency))
         if own is not None:
-            unsure = effect.of_mass(1.0 + ESTIMATE_SIGMAS * own.factor_error)
+            means["unsure"] = effect.of_mass(1.0 + SIGNIFICANT * own.scale_error)
             if np.isfinite(own.lag_error).all():
-                unsure_lag = effect.of_force_lag(ESTIMATE_SIGMAS * own.lag_error)
-            at_most = _at_most(effect, own, relations, untrue)
+                means["unsure_lag"] = effect.of_force_lag(SIGNIFICANT * own.lag_error)
+            means["at_most"] = _at_most(effect, own, relations, untrue)
         if identified.any() and not untrue.any():
-            force_scale = effect.of_force_scale(np.full(len(axes), 1.0 + UNTOLD))
+            means["force_scale"] = effect.of_force_scale(np.full(len(axes), 1.0 + UNTOLD))
         if "acceleration_range" in recording.saturation:
-            clipped = effect.of_zero(np.zeros(len(experiment.axes)), -_beyond_range(samples, dt))
-        found += _deviations(effect, own, relations, experiment.axes)
+            means["clipped"] = effect.of_zero(np.zeros(len(axes)), -_beyond_range(samples, dt))
+        found += _deviations(effect, own, relations, axes)
         halves = _halves(samples)
         for name, half in halves.items():
             own = inertia(samples[half], effect.mass, effect.springs, dt, frequency)
             relations = list(_relations(experiment, samples[half], frequency))
-            for one in _deviations(effect.within(half), own, relations, experiment.axes):
+            for one in _deviations(effect.within(half), own, relations, axes):
                 in_parts += [replace(one, part=name)] if one.effect else []
-        in_parts += _drifts(effect, samples, dt, halves, experiment.axes)
-    worst = {
-        kind: max(
-            (one for one in (*found, *in_parts) if one.kind == kind),
-            key=lambda one: one.rank,
-            default=None,
-        )
-        for kind in ("mass", "scale", "lag", "drift")
-    }
-    numbers = {axis: _numbers(found, axis) for axis in experiment.axes}
-    return CalibrationCheck(
-        **worst,
-        at_most=at_most,
-        clipped=clipped,
-        force_scale=force_scale,
-        unsure=unsure,
-        unsure_lag=unsure_lag,
-        axes=numbers,
-    )
+        in_parts += _drifts(effect, samples, dt, halves, axes)
+    for_all = sorted((*found, *in_parts), key=lambda one: one.rank)
+    worst = {one.kind: asdict(one) for one in for_all}
+    numbers = {axis: _numbers(found, axis) for axis in axes}
+    return {**dict.fromkeys(_KINDS), **worst, **means, "axes": numbers}
 
 
 def _beyond_range(samples: Floats, dt: float) -> Floats:
@@ -233,26 +319,44 @@ def _numbers(found: list[Deviation], axis: str) -> dict[str, Any]:
     return numbers
 
 
-def _sure(value: Floats, error: Floats) -> Floats:
-    """Give the deviations that are beyond chance, and 0 for the others."""
-    return np.where(np.abs(value) > ESTIMATE_SIGMAS * error, value, 0.0)
+def _each(
+    effect: float,
+    kind: str,
+    channel: str,
+    axes: Sequence[str],
+    numbers: tuple[Floats, Floats, Floats],
+    part: str = "",
+) -> Iterator[Deviation]:
+    """Give an estimate, what it should be, and its error, of each axis or pair of axes with one."""
+    estimate, told, error = (np.diag(one) if one.ndim == 1 else one for one in numbers)
+    for i, j in zip(*np.nonzero(error), strict=True):
+        own = float(estimate[i, j]), float(told[i, j]), float(error[i, j])
+        yield Deviation(effect, kind, channel, axes[i], axes[j], *own, part)
 
 
 def _deviations(
     effect: CalibrationEffect,
-    own: Inertia | None,
+    own: Relation | None,
     relations: list[_OfChannel],
-    axes: tuple[str, ...],
+    axes: Sequence[str],
 ) -> Iterator[Deviation]:
+    none = np.zeros(len(axes))
     if own is not None:
-        yield from _masses(effect, own, axes)
-    for channel, against, scale, lag in relations:
-        yield from _scales(effect, channel, against, scale, axes)
-        yield from _lags(effect, channel, against, lag, axes)
+        off, known = significant(own.scale - 1.0, own.scale_error), effect.mass.diagonal()
+        masses = known * own.scale, known, known * own.scale_error
+        yield from _each(effect.of_mass(1.0 + off), "mass", "force", axes, masses)
+        late = effect.of_force_lag(significant(own.lag, own.lag_error))
+        yield from _each(late, "lag", "force", axes, (own.lag, none, own.lag_error))
+    for channel, of, scale, lag in relations:
+        wrong = significant(of.scale - np.diag(scale), of.scale_error)
+        scales = of.scale, np.diag(scale), of.scale_error
+        yield from _each(effect.of_scale(np.eye(len(axes)) + wrong), "scale", channel, axes, scales)
+        late = effect.of_lag(significant(of.lag - lag, of.lag_error))
+        yield from _each(late, "lag", channel, axes, (of.lag, lag, of.lag_error))
 
 
 def _at_most(
-    effect: CalibrationEffect, own: Inertia, relations: list[_OfChannel], untrue: Floats
+    effect: CalibrationEffect, own: Relation, relations: list[_OfChannel], untrue: Floats
 ) -> float:
     """Displacement error that the estimates' distribution exceeds with the chance `CHANCE`.
 
@@ -261,9 +365,9 @@ def _at_most(
     velocity misleads the valve alone: the motion shows what came of it. No motion shows what is
     not known of the forces' scale, ``untrue``, (n,).
     """
-    off, lag_error = own.factor - 1.0, np.where(np.isfinite(own.lag_error), own.lag_error, 0.0)
+    off, lag_error = own.scale - 1.0, np.where(np.isfinite(own.lag_error), own.lag_error, 0.0)
     effects = [
-        (effect.of_mass(1.0 + off), effect.of_mass(1.0 + own.factor_error)),
+        (effect.of_mass(1.0 + off), effect.of_mass(1.0 + own.scale_error)),
         (effect.of_force_lag(own.lag), effect.of_force_lag(lag_error)),
         (0.0, effect.of_force_scale(1.0 + untrue)),
     ]
@@ -287,14 +391,13 @@ def _drifts(
     """Zeros of acceleration and force that move; of the force where each spring has its own."""
     x, v, a, f = np.moveaxis(samples, 1, 0)
     n, springs = len(axes), effect.springs
+    none = np.zeros(n)
     for name, half in halves.items():
         if half.stop - half.start < _FEWEST:
             return
         zero, error = acceleration_zero(x[half], a[half], dt)
-        of_zero = effect.within(half).of_zero(np.zeros(n), _sure(zero, error))
-        for i, axis in enumerate(axes):
-            off, chance = float(zero[i]), float(error[i])
-            yield Deviation(of_zero, "drift", "acceleration", axis, axis, off, 0.0, chance, name)
+        of_zero = effect.within(half).of_zero(none, significant(zero, error))
+        yield from _each(of_zero, "drift", "acceleration", axes, (zero, none, error), name)
     if len(springs) != n or np.linalg.cond(springs) > ALIKE_SPRINGS:
         return
     forces = (f - a @ effect.mass.T) @ np.linalg.inv(springs)
@@ -302,43 +405,8 @@ def _drifts(
     fits = [force_drift(e[:, j], rates[:, j], forces[:, j]) for j in range(n)]
     moved, errors = (np.array([fit[i] for fit in fits]) for i in (0, 1))
     shapes = np.stack([fit[2] for fit in fits], axis=1)
-    of_zero = effect.of_zero(_sure(moved, errors) * shapes @ springs, np.zeros(n))
-    for i, axis in enumerate(axes):
-        off, chance = float(moved[i]), float(errors[i])
-        yield Deviation(of_zero, "drift", "force", axis, axis, off, 0.0, chance)
-
-
-def _masses(effect: CalibrationEffect, own: Inertia, axes: tuple[str, ...]) -> Iterator[Deviation]:
-    of_mass = effect.of_mass(1.0 + _sure(own.factor - 1.0, own.factor_error))
-    of_lag = effect.of_force_lag(_sure(own.lag, own.lag_error))
-    for i, axis in enumerate(axes):
-        known = float(effect.mass[i, i])
-        mass = (known * float(own.factor[i]), known, known * float(own.factor_error[i]))
-        yield Deviation(of_mass, "mass", "force", axis, axis, *mass)
-        lag = (float(own.lag[i]), 0.0, float(own.lag_error[i]))
-        yield Deviation(of_lag, "lag", "force", axis, axis, *lag)
-
-
-def _scales(
-    effect: CalibrationEffect, channel: str, own: Relation, known: Floats, axes: tuple[str, ...]
-) -> Iterator[Deviation]:
-    """Scales of a channel on all axes; ``known`` has shape (n,)."""
-    expected = np.diag(known)
-    off = _sure(own.scale - expected, own.scale_error)
-    of_scale = effect.of_scale(np.eye(len(axes)) + off)
-    for i, j in zip(*np.nonzero(own.scale_error), strict=True):
-        scale, told, error = (float(each[i, j]) for each in (own.scale, expected, own.scale_error))
-        yield Deviation(of_scale, "scale", channel, axes[i], axes[j], scale, told, error)
-
-
-def _lags(
-    effect: CalibrationEffect, channel: str, own: Relation, known: Floats, axes: tuple[str, ...]
-) -> Iterator[Deviation]:
-    """Lags of a channel on all axes; ``known`` has shape (n,), s."""
-    of_lag = effect.of_lag(_sure(own.lag - known, own.lag_error))
-    for i, axis in enumerate(axes):
-        late, told, error = (float(each[i]) for each in (own.lag, known, own.lag_error))
-        yield Deviation(of_lag, "lag", channel, axis, axis, late, told, error)
+    of_zero = effect.of_zero(significant(moved, errors) * shapes @ springs, none)
+    yield from _each(of_zero, "drift", "force", axes, (moved, none, errors))
 
 
 def _relations(experiment: Experiment, samples: Floats, frequency: float) -> Iterator[_OfChannel]:
@@ -364,7 +432,7 @@ def _relations(experiment: Experiment, samples: Floats, frequency: float) -> Ite
             yield channel, found, np.abs(own), -np.angle(own) / w
 
 
-def _known_inertia(experiment: Experiment, mass: Floats) -> Inertia | None:
+def _known_inertia(experiment: Experiment, mass: Floats) -> Relation | None:
     """Give the known mass and lag with the errors that `seft identify` has found; None: with none.
 
     ``mass`` is the mass matrix that the test used, (n, n), kg.
@@ -376,10 +444,10 @@ def _known_inertia(experiment: Experiment, mass: Floats) -> Inertia | None:
         return None
     error = np.maximum(np.where(error > 0, error / np.diag(mass), np.inf), MIN_ERROR)
     none = np.zeros(len(axes))
-    return Inertia(none + 1.0, error, none, np.where(late > 0, late, np.inf))
+    return Relation(none + 1.0, error, none, np.where(late > 0, late, np.inf))
 
 
-def _combined(own: Inertia | None, known: Inertia | None) -> Inertia | None:
+def _combined(own: Relation | None, known: Relation | None) -> Relation | None:
     """Combine two estimates by their standard errors.
 
     Where they contradict each other something has changed after the mass was identified: then the
@@ -396,7 +464,7 @@ def _combined(own: Inertia | None, known: Inertia | None) -> Inertia | None:
         both, error = (p * one + q * two) / (p + q), (p + q) ** -0.5
         return np.where(alike, both, one), np.where(alike, error, one_error)
 
-    return Inertia(
-        *mean(own.factor, own.factor_error, known.factor, known.factor_error),
+    return Relation(
+        *mean(own.scale, own.scale_error, known.scale, known.scale_error),
         *mean(own.lag, own.lag_error, known.lag, known.lag_error),
     )

@@ -7,6 +7,15 @@ channel against the displacement, and in the first order of the lag::
 
 Off the diagonal s is the tilt of an accelerometer. Standard errors are those of correlated
 residuals (Newey & West 1987). Of the mass and the force, see `seft_ros.analysis.mass_estimate`.
+
+The zero of the acceleration may move, too. With a window w(t) that is smooth and zero at both ends
+of a part of the test, integration by parts gives its mean error b, whatever the motion::
+
+    b = (sum w a - sum w'' x) / sum w                                                      (2)
+
+A valve's commands are steps, and what they excite above half the rate looks like the motion itself:
+at 250 Hz 0.8 % of its acceleration, which the displacement has not. Of force and M a it is the same
+part, so that the restoring force has none, and the equivalent ground motion all of it.
 """
 
 import math
@@ -15,14 +24,18 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.signal import oaconvolve
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Complexes, Floats
+from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN
+from seft_msgs_py.errors import InputError
+from seft_plant_sim.calibration import SIGNIFICANT, known_channels
+from seft_plant_sim.channels import ACCELERATION, FORCE, VELOCITY
 
+from seft_ros.design.planned_tests import choose_rig
+from seft_ros.design.plant import held_relations
+from seft_ros.ground_motion.conditioning import moved_ahead
 from seft_ros.reference_force.restoring_model import STANDS_OUT
 
-ESTIMATE_SIGMAS = 4.0
-"""Standard errors beyond which a deviation counts. Of 340 estimates on fault-free tests the worst
-were
-3.7 away: no law is described exactly, and the tails are longer than a normal distribution's."""
 KINEMATIC_BAND = (0.3, 3.0)
 """Band of Eq. (1), over the frequency of the motion: where most of the motion is. Below, the
 acceleration is lost in the bias and the noise of the displacement, above in those of x''."""
@@ -36,16 +49,17 @@ _NORMAL = 0.6745  # median of |z| of a normal variable
 
 @dataclass(frozen=True)
 class Relation:
-    """A channel against a derivative of the displacement, Eq. (1).
+    """A channel against a derivative of the displacement, Eq. (1), or the force against inertia.
 
     Attributes
     ----------
     scale, scale_error : ndarray
         s and its standard error, shape (n, n); the unit matrix for equal channels. A tilt within
-        `ESTIMATE_SIGMAS` standard errors is 0, of a velocity always.
+        `SIGNIFICANT` standard errors is 0, of a velocity always. Of the force: the mass over the
+        known one, (n,); a force that is as many times too large looks the same.
     lag, lag_error : ndarray
-        tau of each axis, positive where the channel is behind the displacement, and its standard
-        error, shape (n,), s.
+        tau of each axis, positive where the channel is behind the displacement, or the force behind
+        the acceleration, and its standard error, shape (n,), s.
     """
 
     scale: Floats
@@ -168,7 +182,7 @@ def relation(
             more = np.hypot(more, cut @ (len(regressors) * noise**2 * tilted))
             beside = unsure[i] * np.linalg.norm(motion[:, i])
             more = np.hypot(more, np.sqrt(cut.diagonal()) * beside)
-            if (np.abs(tilted) > ESTIMATE_SIGMAS * more)[:n][every != i].any():
+            if (np.abs(tilted) > SIGNIFICANT * more)[:n][every != i].any():
                 used, b, error = every, tilted, more
         scale[i, used], scale_error[i, used] = b[:-1], error[:-1]
         lag[i], lag_error[i] = -b[-1] / scale[i, i], error[-1] / abs(scale[i, i])
@@ -210,3 +224,76 @@ def summed_covariance(scores: Floats, lags: int) -> Floats:
         both[-1] = 1.0
     covariance: Floats = ((spectrum.conj() * (both * density)[:, np.newaxis]).T @ spectrum).real
     return covariance / size
+
+
+def without_folding(samples: Floats, mass: Floats, experiment: Experiment) -> Floats:
+    """Take what is folded down out of acceleration and force, as of the motion's frequency.
+
+    ``samples`` have shape (N, 4, n), ``mass`` is the specimen's, (n, n), kg. Where no actuator is
+    known, or it is idealised, nothing is taken.
+    """
+    frequency = motion_frequency(samples)
+    section = experiment.sections.get("reference_force", {})
+    idealised = section.get("actuator.kind") in FORCE_DRIVEN
+    expected = None
+    if frequency > 0 and not idealised:
+        expected = expected_relations(experiment, frequency)
+    if expected is None:
+        return samples
+    own, a, dt = expected[1], samples[:, ACCELERATION], experiment.timebase.dt
+    late = np.angle(own) / (2 * np.pi * frequency)
+    folded = a - moved_ahead(a, -late, dt) / np.abs(own)
+    found = samples.copy()
+    found[:, ACCELERATION] -= folded
+    found[:, FORCE] -= folded @ mass.T
+    return found
+
+
+def expected_relations(experiment: Experiment, frequency: float) -> Complexes | None:
+    """Velocity and acceleration of fault-free channels over the derivatives of x.
+
+    See `seft_ros.design.plant.held_relations`; it follows from the actuator that the test knows,
+    on the specimen's model, and from what is known of the channels' lags.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Of the test.
+    frequency : float
+        Of the motion, Hz.
+
+    Returns
+    -------
+    ndarray or None
+        Shape (2, n); None if no actuator is known.
+    """
+    nodes = ("reference_force", "force_controller")
+    if any(node not in experiment.sections for node in nodes):
+        return None
+    section = experiment["reference_force"]
+    lag = known_channels(section, experiment.axes)["lag"]
+    # what the samples wait for after the channels are read turns nothing that is folded down
+    at_once = {f"calibration.{name}_{what}": 0.0 for name in CHANNELS for what in ("lag", "filter")}
+    known = Experiment({node: experiment[node] | at_once for node in nodes})
+    if section["sensors.velocity"] == "derived":
+        lag[VELOCITY] = lag[0]
+    try:
+        plant = choose_rig(known).plant
+        held = held_relations(plant, np.array([frequency]), experiment.timebase.dt, lag)
+    except (InputError, KeyError):
+        return None
+    return held[0]
+
+
+def acceleration_zero(x: Floats, a: Floats, dt: float) -> tuple[Floats, Floats]:
+    """Mean error of the accelerations over these samples, Eq. (2), and its standard error, (n,).
+
+    ``x`` and ``a`` have shape (N, n); the errors are those of white noise.
+    """
+    angle = np.pi * (np.arange(len(x)) + 0.5) / len(x)
+    s, c = np.sin(angle), np.cos(angle)
+    bend = (np.pi / (len(x) * dt)) ** 2 * (12 * s**2 * c**2 - 4 * s**4)
+    whole = (s**4).sum()
+    zero = (s**4 @ a - bend @ (x - x.mean(axis=0))) / whole
+    noise = noise_of(a) ** 2 * (s**8).sum() + noise_of(x) ** 2 * (bend**2).sum()
+    return zero, np.sqrt(noise) / whole

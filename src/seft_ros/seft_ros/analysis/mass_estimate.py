@@ -16,19 +16,18 @@ is not described so well weigh less. Standard errors are those of correlated res
 1987).
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.arrays import Floats
 
 from seft_ros.analysis.channel_estimates import (
     OF_SAMPLING,
+    Relation,
     derivatives,
     noise_of,
     summed_covariance,
 )
-from seft_ros.reference_force.restoring_model import STANDS_OUT, slide
+from seft_ros.reference_force.restoring_model import STANDS_OUT, stop_operators
 
 INERTIA_BAND = 8.0
 """Highest frequency of Eq. (1) over that of the motion: there a stiffness is 2 % of the inertia."""
@@ -59,28 +58,9 @@ _ROUNDS = 5  # of weighting; then weights change by less than a percent
 _RIDGE = 1e-6  # of the law's regressors, which may be alike
 
 
-@dataclass(frozen=True)
-class Inertia:
-    """What acceleration and force say of the mass, Eq. (1); arrays of shape (n,).
-
-    Attributes
-    ----------
-    factor, factor_error : ndarray
-        m, the mass over the known one, and its standard error. A force that is m times too large
-        looks the same.
-    lag, lag_error : ndarray
-        tau of the force behind the acceleration, and its standard error, s.
-    """
-
-    factor: Floats
-    factor_error: Floats
-    lag: Floats
-    lag_error: Floats
-
-
 def inertia(
     states: Floats, mass: Floats, deformation: Floats, dt: float, frequency: float
-) -> Inertia | None:
+) -> Relation | None:
     """Estimate the mass from a test's own samples, Eq. (1).
 
     Parameters
@@ -96,7 +76,7 @@ def inertia(
 
     Returns
     -------
-    Inertia or None
+    Relation or None
         None if too few windows move by more than the noise, or the regressors are alike.
     """
     x, v, a, f = np.moveaxis(states, 1, 0)
@@ -139,11 +119,8 @@ def inertia(
     factor = value[0]
     if not np.isfinite(each).all() or (factor <= 0).any():
         return None
-    return Inertia(
-        factor,
-        np.maximum(error[0], MIN_ERROR * factor),
-        -value[1] / factor,
-        error[1] / factor,
+    return Relation(
+        factor, np.maximum(error[0], MIN_ERROR * factor), -value[1] / factor, error[1] / factor
     )
 
 
@@ -157,8 +134,7 @@ def law_regressors(e: Floats, noise: float) -> Floats:
     if not high > low:
         return np.zeros((len(e), SLIDERS + CURVE_SPLINES - 2))
     thresholds = np.geomspace(max(8 * noise, most / 500), 0.7 * most, SLIDERS)
-    stops = np.zeros((len(e), SLIDERS))
-    slide(np.ascontiguousarray(e), thresholds, stops)
+    stops = stop_operators(e, thresholds)
     # uniform cubic B-splines, but the first and the last
     place = (e - low) / (high - low) * (CURVE_SPLINES - 3)
     t = np.abs(place[:, np.newaxis] - np.arange(CURVE_SPLINES - 2))

@@ -1,12 +1,10 @@
 """All numbers of a test, as run, simulate and report print them as JSON, and arrays to draw."""
 
-from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
-from scipy.fft import rfft
+from scipy.signal import welch
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import command_unit
@@ -17,6 +15,7 @@ from seft_plant_sim.whole_structure import ReferenceResponse, is_simulated
 
 from seft_ros.analysis.assessment import BY_TRUTH, IN_LABORATORY, Assessment, assess_test
 from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
+from seft_ros.analysis.metrics import common_steps
 from seft_ros.analysis.summary import (
     COMPARED,
     ENERGIES,
@@ -65,8 +64,7 @@ def spectrum_of(y: Floats, dt: float) -> Spectrum:
     """Estimate a power spectral density from averaged segments (Welch 1967).
 
     Hann windows that overlap by half, and no mean; a recording shorter than a segment is one. What
-    is not finite makes a spectrum of NaN. (To import scipy.signal takes longer than all else of a
-    report.)
+    is not finite makes a spectrum of NaN.
 
     Parameters
     ----------
@@ -78,13 +76,8 @@ def spectrum_of(y: Floats, dt: float) -> Spectrum:
     size = min(len(y), max(2, round(SEGMENT / dt)))
     if size < 2:
         return Spectrum(np.empty(0), np.empty(0))
-    hann = 0.5 - 0.5 * np.cos(2 * np.pi / size * np.arange(size))
-    pieces = sliding_window_view(y, size)[:: size - size // 2]
     with np.errstate(all="ignore"):
-        found = rfft((pieces - pieces.mean(axis=-1, keepdims=True)) * hann)
-        power = (found.real**2 + found.imag**2).mean(axis=0) * (dt / (hann @ hann))
-    power[1 : (size + 1) // 2] *= 2  # of negative frequencies, which 0 and Nyquist's have not
-    return Spectrum(np.fft.rfftfreq(size, dt), power)
+        return Spectrum(*welch(y, 1.0 / dt, nperseg=size))
 
 
 def vibration(
@@ -255,40 +248,27 @@ def histories(
     table : ndarray
         Shape (N, c); NaN where a sample was lost.
     """
-    axes, steps = recording.experiment.axes, recording.states.steps
-    columns = [("time (s)", steps * recording.experiment.timebase.dt)]
-    for axis, name in enumerate(axes):
-        prefix = f"{name} " if len(axes) > 1 else ""
-        columns += [(prefix + label, y) for label, y in _of_axis(recording, reference, steps, axis)]
-    names, values = zip(*columns, strict=True)
-    return list(names), np.stack(values, axis=1)
-
-
-def _of_axis(
-    recording: Recording, reference: ReferenceResponse | None, steps: Ints, axis: int
-) -> Iterable[tuple[str, Floats]]:
-    def of(topic: str, quantity: int) -> Floats:
-        return _at(recording.series[topic], steps, quantity, axis)
-
-    yield "ground acceleration (m/s^2)", of(GROUND_MOTION.name, 0)
-    for quantity, label in enumerate(_STATE):
-        yield label, _at(recording.states, steps, quantity, axis)
-    yield "reference force (N)", of(REFERENCE_FORCE.name, -1)
+    steps, series = recording.states.steps, recording.series
     unit = command_unit(recording.experiment.sections.get("rig", {}).get("actuator.kind", ""))
-    yield f"valve command ({unit})", of(VALVE_COMMAND.name, 0)
-    for name, unit in _EXACT.items() if reference is not None else ():
-        exact = getattr(reference, name)[:, axis]
-        known = np.full(len(steps), np.nan)
-        there = steps < len(exact)
-        known[there] = exact[steps[there]]
-        yield f"exact {name} ({unit})", known
-
-
-def _at(series: Series, steps: Ints, quantity: int, axis: int) -> Floats:
-    """Values at these steps; NaN where there is none."""
-    found = np.full(len(steps), np.nan)
-    if len(series.steps):
-        places = np.minimum(np.searchsorted(series.steps, steps), len(series.steps) - 1)
-        there = series.steps[places] == steps
-        found[there] = series.values[places[there], quantity, axis]
-    return found
+    of_target = (series[REFERENCE_FORCE.name].values.shape[1] - 1) * ("",)  # its motion
+    parts = [
+        (("ground acceleration (m/s^2)",), series[GROUND_MOTION.name]),
+        (_STATE, recording.states),
+        ((*of_target, "reference force (N)"), series[REFERENCE_FORCE.name]),
+        ((f"valve command ({unit})",), series[VALVE_COMMAND.name]),
+    ]
+    if reference is not None:
+        exact = np.stack([getattr(reference, name) for name in _EXACT], axis=1)
+        labels = tuple(f"exact {name} ({unit})" for name, unit in _EXACT.items())
+        parts.append((labels, Series(np.arange(len(exact)), exact)))
+    names, columns = ["time (s)"], [steps * recording.experiment.timebase.dt]
+    axes = recording.experiment.axes
+    for axis, labels, one in ((axis, *part) for axis in range(len(axes)) for part in parts):
+        known = np.full((len(steps), len(labels)), np.nan)
+        _, here, there = common_steps(steps, one.steps)
+        known[here] = one.values[there, : len(labels), axis]
+        for label, column in zip(labels, known.T, strict=True):
+            if label:
+                names.append(f"{axes[axis]} {label}" if len(axes) > 1 else label)
+                columns.append(column)
+    return names, np.stack(columns, axis=1)

@@ -7,16 +7,15 @@ from typing import Any
 import numpy as np
 
 from seft_ros.analysis import report_sections
-from seft_ros.analysis.assessment import Assessment, ramp_note
+from seft_ros.analysis.assessment import ramp_note
+from seft_ros.analysis.equivalent_motion import tracked_of
 from seft_ros.analysis.report_numbers import Report
 from seft_ros.analysis.result_text import OF_THE_MODEL, agreement_table, test_rows, title_of
 from seft_ros.analysis.timing import timing_of
-from seft_ros.analysis.tracking import tracked_of
 from seft_ros.bags.recording import Recording
 from seft_ros.drawing import page, style
 from seft_ros.drawing.page import PageSection, Text
-from seft_ros.drawing.style import Mark, Number, percent, rows_of
-from seft_ros.drawing.table import Cell, TextTable
+from seft_ros.drawing.style import Cell, Mark, Number, TextTable, percent, rows_of
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 
 _BINS = 80
@@ -60,8 +59,12 @@ def write_report(report: Report, name: str, path: Path) -> None:
 def _sections(report: Report) -> Iterator[PageSection]:
     assessment, recording = report.assessment, report.recording
     axes, signals = recording.experiment.axes, tracked_of(recording)
-    verdicts = [found for found in (assessment, report.laboratory) if found is not None]
-    yield PageSection("Verdict", [_box(found) for found in verdicts])
+    verdicts = [
+        page.VerdictBox(one.verdict, one.text, [Cell(f.whole, f.verdict) for f in one.findings])
+        for one in (assessment, report.laboratory)
+        if one is not None
+    ]
+    yield PageSection("Verdict", verdicts)
     tested = [_test_rows(report), _software_rows(recording.environment)]
     yield PageSection("What was tested", [TextTable((), rows, numbers=False) for rows in tested])
     yield _agreement(report)
@@ -80,11 +83,6 @@ def _sections(report: Report) -> Iterator[PageSection]:
     yield PageSection("Estimates", list(_estimates(recording)))
     yield PageSection("Interlock and events", list(_events(recording)))
     yield PageSection("Parameters", _parameters(recording))
-
-
-def _box(found: Assessment) -> page.VerdictBox:
-    cells = [Cell(finding.whole, finding.verdict) for finding in found.findings]
-    return page.VerdictBox(found.verdict, found.text, cells)
 
 
 def _agreement(report: Report) -> PageSection:

@@ -8,15 +8,13 @@ from seft_msgs_py.arrays import Ints
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.whole_structure import tested_specimen
 
-from seft_ros.analysis.equivalent_motion import BAND_MARGIN
+from seft_ros.analysis.equivalent_motion import BAND_MARGIN, Tracked
 from seft_ros.analysis.report_numbers import Report
 from seft_ros.analysis.summary import COMPARED, strong_part
-from seft_ros.analysis.tracking import Tracked
 from seft_ros.bags.recording import Recording
 from seft_ros.drawing import page, style
 from seft_ros.drawing.page import Block, PageSection, Plot, Text, against, line, plot
-from seft_ros.drawing.style import Number, axis_label, percent, rows_of
-from seft_ros.drawing.table import TextTable
+from seft_ros.drawing.style import Number, TextTable, axis_label, percent, rows_of
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 
 _WINDOW = 1.0

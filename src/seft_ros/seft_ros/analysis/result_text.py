@@ -12,12 +12,14 @@ from seft_ros.bags.recording import Recording
 from seft_ros.drawing.style import (
     DISPLAY_UNITS,
     RESPONSES,
+    Cell,
     Mark,
+    Texts,
+    TextTable,
     number,
     percent,
     small_percent,
 )
-from seft_ros.drawing.table import Cell, Texts, TextTable
 from seft_ros.ground_motion.readers.statements import STANDARD_GRAVITY
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 

@@ -11,6 +11,17 @@ displacement differs by d::
 with the mass M of the whole structure, C and K of its computed part and the dampers, and s of stop
 operators and curve. Unlike a linear structure it yields, slips and closes gaps where the specimen
 did, and a small difference grows where that of the specimen would.
+
+The zero of the force may move while a test runs. It is in the restoring force r = f - M a::
+
+    r = law(x) + b g(t)                                                                    (1)
+
+Where the law leaves little but noise, g is (1 - cos(pi t / T)) / 2 in the time T of the test, or a
+step at one of `STEPS` times: what explains most. The standard error is that of correlated residuals
+(Newey & West 1987), wider by `LARGEST_OF_STEPS`. Any other law leaves slow residuals. They are
+fitted by cosines of k = 1 to `MODES` half periods. Those of a random walk, which has no drift, are
+independent with standard deviations that fall as 1/k: the standard error is k times the amplitude
+of the faster ones (RMS).
 """
 
 import numpy as np
@@ -20,9 +31,9 @@ from seft_plant_sim.compiled import compiled
 from seft_plant_sim.simulated.specimen import deformations
 from seft_plant_sim.whole_structure import WholeStructure
 
-from seft_ros.analysis.channel_estimates import noise_of
+from seft_ros.analysis.channel_estimates import noise_of, summed_covariance
 from seft_ros.analysis.metrics import ratio
-from seft_ros.reference_force.restoring_model import slide, stopped
+from seft_ros.reference_force.restoring_model import stop_operators, stopped
 
 STOP_OPERATORS, CORNERS = 12, 40
 """Stop operators and corners of the curve of a spring: from noise to most of its deformation, and
@@ -32,6 +43,18 @@ _ROWS = 1 << 14  # of samples that are fitted, of longer tests at equal distance
 _BLOCK = 1 << 10  # of them at a time
 _SMOOTH = 0.1  # weight of a bend of the curve, over a sample's force: few samples make no corner
 _RIDGE = 1e-3  # of all parameters, over a sample's force: stop operators may be alike
+
+STEPS = 16
+"""Parts of a test, between which a force may step."""
+LARGEST_OF_STEPS = float(np.sqrt(2.0 * np.log(STEPS)))
+"""Standard errors that the largest of so many steps has by chance."""
+MODES = 10
+"""Cosines of Eq. (1)."""
+_SLOW = 3  # of them, in which a drift may be
+_STOPS, _CORNERS = 48, 30  # beside a drift: the corner of a bilinear law is within its noise
+_DRIFT_ROWS, _DRIFT_SMOOTH = 1 << 13, 1e-2
+_DESCRIBED = 1.2  # what the law leaves, over the noise
+_MEMORY = 8  # parts of a test over which residuals may be correlated
 
 
 def springs_of(assumed: Experiment, whole: WholeStructure) -> Floats:
@@ -70,21 +93,14 @@ class SpecimenLaw:
     """
 
     def __init__(
-        self,
-        whole: WholeStructure,
-        mass: Floats,
-        samples: Floats,
-        deformation: Floats,
-        dt: float,
+        self, whole: WholeStructure, mass: Floats, samples: Floats, deformation: Floats, dt: float
     ) -> None:
         x, v, a, f = np.moveaxis(samples, 1, 0)
         self._whole, self._dt, self._x = whole, dt, x
         self._springs = np.ascontiguousarray(deformation)
         self._e, rates = np.ascontiguousarray(x @ deformation.T), v @ deformation.T
         low, high = self._e.min(axis=0), self._e.max(axis=0)
-        most = np.maximum(np.abs(self._e).max(axis=0), 1e-300)
-        least = np.maximum(4 * noise_of(self._e), most / 500)  # noise moves none beyond it
-        self._thresholds = np.geomspace(least, 0.7 * most, STOP_OPERATORS).T
+        self._thresholds = _thresholds(self._e, STOP_OPERATORS, 0.7)
         self._step = np.maximum(high - low, 1e-300) / (CORNERS - 1)
         self._low = low - self._step  # of the first corner: a further one on either side, see below
         values = self._fitted(rates, (f - a @ mass.T) @ deformation.T)
@@ -128,20 +144,15 @@ class SpecimenLaw:
             before, here = slice(first - begin, first + block), slice(first, first + block, every)
             parts = []
             for j, e in enumerate(self._e[before].T):
-                stops = np.zeros((len(e), STOP_OPERATORS))
-                stops[0] = z[j]
-                slide(np.ascontiguousarray(e), self._thresholds[j], stops)
+                stops = stop_operators(e, self._thresholds[j], z[j])
                 z[j] = stops[-1]
-                place = (self._e[here, j, np.newaxis] - self._low[j]) / self._step[j] - 1.0
-                hats = np.maximum(0.0, 1.0 - np.abs(place - np.arange(CORNERS)))
-                rate = rates[here, j, np.newaxis] / size[j]
-                parts.append(np.hstack([stops[begin::every] / self._thresholds[j], hats, rate]))
+                place = (self._e[here, j] - self._low[j]) / self._step[j] - 1.0
+                stops, rate = stops[begin::every] / self._thresholds[j], rates[here, j] / size[j]
+                parts.append(_regressors(stops, place, CORNERS, rate))
                 right[j] += parts[j].T @ force[here, j]
             regressors = np.hstack(parts)
             normal += regressors.T @ regressors
-        bends, rows = np.zeros((CORNERS - 2, columns)), len(rates[::every])
-        bends[:, STOP_OPERATORS : STOP_OPERATORS + CORNERS] = np.diff(np.eye(CORNERS), 2, axis=0)
-        prior = rows * (_SMOOTH**2 * bends.T @ bends + _RIDGE**2 * np.eye(columns))
+        prior = _prior(len(rates[::every]), columns, STOP_OPERATORS, CORNERS, _SMOOTH)
         normal *= np.kron(self._springs @ self._springs.T, np.ones((columns, columns)))
         normal += np.kron(np.eye(p), prior)
         return normal, right
@@ -173,6 +184,71 @@ class SpecimenLaw:
         moved = moved[:, : change.shape[1]]
         moved_rms, whole_rms = (float(np.sqrt(np.mean(y**2))) for y in (moved, self._x + moved))
         return ratio(moved_rms, whole_rms)
+
+
+def _thresholds(e: Floats, count: int, highest: float) -> Floats:
+    """Thresholds of stop operators, from noise to a share of each deformation; (p, count)."""
+    most = np.maximum(highest * np.abs(e).max(axis=0), 1e-300)
+    least = np.maximum(4 * noise_of(e), most / 1000)  # noise moves none beyond it
+    return np.geomspace(least, most, count).T
+
+
+def _regressors(stops: Floats, place: Floats, corners: int, *linear: Floats) -> Floats:
+    """Stop operators, hats at the corners of a curve for places counted in these, and others."""
+    hats = np.maximum(0.0, 1.0 - np.abs(place[:, np.newaxis] - np.arange(corners)))
+    return np.column_stack([stops, hats, *linear])
+
+
+def _prior(rows: int, columns: int, stops: int, corners: int, smooth: float) -> Floats:
+    """Keep a curve smooth and all parameters small, beside so many samples: a normal matrix."""
+    bends = np.zeros((corners - 2, columns))
+    bends[:, stops : stops + corners] = np.diff(np.eye(corners), 2, axis=0)
+    return rows * (smooth**2 * bends.T @ bends + _RIDGE**2 * np.eye(columns))
+
+
+def force_drift(deformation: Floats, rate: Floats, force: Floats) -> tuple[float, float, Floats]:
+    """Fit the zero of a spring's force, Eq. (1); give b, N, its standard error, and g, (N,).
+
+    Parameters
+    ----------
+    deformation, rate, force : ndarray
+        Of the spring, shape (N,).
+    """
+    count, here = len(force), slice(None, None, 1 + len(force) // _DRIFT_ROWS)
+    (thresholds,) = _thresholds(deformation[:, np.newaxis], _STOPS, 1.0)
+    place = (deformation - deformation.min()) / max(np.ptp(deformation), 1e-300) * (_CORNERS - 1)
+    stops = stop_operators(deformation, thresholds)[here] / thresholds
+    linear = (
+        one[here] / (np.sqrt(np.mean(one[here] ** 2)) + 1e-300) for one in (rate, deformation)
+    )
+    law, y = _regressors(stops, place[here], _CORNERS, *linear), force[here]
+    slow = 0.5 - 0.5 * np.cos(np.pi * np.arange(count) / count)
+    steps = np.arange(count)[:, np.newaxis] >= count * np.arange(1, STEPS) / STEPS
+    shapes = np.column_stack([slow, steps])
+    q, _ = np.linalg.qr(law)
+    beside = shapes[here] - q @ (q.T @ shapes[here])
+    gained = np.abs(y @ beside) / np.maximum(np.linalg.norm(beside, axis=0), 1e-9)
+    shape = shapes[:, np.argmax(gained)]
+    values, errors, left = _beside_law(shape[here, np.newaxis], law, y)
+    if np.sqrt(np.mean(left**2)) <= _DESCRIBED * noise_of(force[:, np.newaxis])[0]:
+        return float(values[0]), float(LARGEST_OF_STEPS * errors[0]), shape
+    modes = np.arange(1, MODES + 1)
+    cosines = np.cos(np.pi * np.outer(np.arange(count)[here] / count, modes))
+    values, _, _ = _beside_law(cosines, law, y)
+    error = np.sqrt(np.mean((modes * values)[_SLOW:] ** 2))
+    return float(-2.0 * values[0]), float(2.0 * error), slow
+
+
+def _beside_law(drift: Floats, law: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
+    """Fit Eq. (1); give the q values of the drift, their standard errors, and what is left."""
+    regressors, q = np.hstack([drift, law]), drift.shape[1]
+    normal = regressors.T @ regressors
+    normal[q:, q:] += _prior(len(y), law.shape[1], _STOPS, _CORNERS, _DRIFT_SMOOTH)
+    inverse = np.linalg.inv(normal)
+    values = inverse @ (regressors.T @ y)
+    left = y - regressors @ values
+    spread = summed_covariance(regressors * left[:, np.newaxis], max(2, len(y) // _MEMORY))
+    return values[:q], np.sqrt((inverse @ spread @ inverse).diagonal()[:q]), left
 
 
 @compiled

@@ -1,6 +1,6 @@
 """The numbers of a test as a dict of JSON values, but for those that only a verdict needs."""
 
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -13,10 +13,17 @@ from seft_msgs_py.wire.topics import (
     GROUND_MOTION,
     LOOP_TOPICS,
     MEASURED,
+    REFERENCE_FORCE,
     RIG_STATE,
+    TARGET,
 )
 from seft_plant_sim.calibration import biases_of_all, check_biases
+from seft_plant_sim.channels import ACCELERATION, DISPLACEMENT, FORCE
 from seft_plant_sim.computed.computed_model import ModelError
+from seft_plant_sim.judge.detector_list import DETECTORS, TRACKING
+from seft_plant_sim.judge.detector_step import begin_detectors, detect_all
+from seft_plant_sim.judge.detectors import detectors_of
+from seft_plant_sim.judge.guard import DRIVE_ROW
 from seft_plant_sim.lti import split_dead_time
 from seft_plant_sim.simulated.specimen import EnergyBalance, energy_balance
 from seft_plant_sim.whole_structure import (
@@ -27,21 +34,22 @@ from seft_plant_sim.whole_structure import (
 )
 
 from seft_ros.analysis.calibration_check import calibration_check
-from seft_ros.analysis.detector_shares import detector_shares
-from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
-from seft_ros.analysis.metrics import Agreement, agreement, peak
+from seft_ros.analysis.equivalent_motion import (
+    MotionDifference,
+    motion_difference,
+    tracking_error_of,
+    tracking_of,
+)
+from seft_ros.analysis.metrics import Agreement, agreement, common_steps, peak
 from seft_ros.analysis.timing import link_numbers, timing_of
-from seft_ros.analysis.tracking import tracking_error_of, tracking_of
 from seft_ros.bags.recording import Estimates, Recording, every_step
 from seft_ros.drawing.style import json_safe
+from seft_ros.force_controller.interlock import tracking_detector
+from seft_ros.force_controller.target_distance import begin_tracking, track_all
 from seft_ros.ground_motion.ground_motion_block import MOTION
 from seft_ros.ground_motion.response_spectrum import significant_parts
 
-COMPARED = {
-    "displacement": RIG_STATE.quantities.index("positions"),
-    "acceleration": RIG_STATE.quantities.index("accelerations"),
-    "force": RIG_STATE.quantities.index("effort"),
-}
+COMPARED = {"displacement": DISPLACEMENT, "acceleration": ACCELERATION, "force": FORCE}
 """Quantity, by its name in a summary and in `ReferenceResponse` -> its row in rig/state."""
 BEFORE, AFTER = 1.0, 2.0  # s that are drawn beside the strong part
 ENERGIES = ("input", "kinetic", "strain", "damped", "hysteretic")
@@ -76,7 +84,7 @@ def summarise(
         ``energy`` (see `energy_numbers`), ``estimates`` (identified on line by the compensation:
         name -> axis -> first, last, least and largest, SI units), ``equivalent_motion`` (see
         `MotionDifference.numbers`), ``calibration`` (of mass and channels, see
-        `CalibrationCheck.numbers`), ``tracking_error`` (see `tracking_error`), ``detectors`` (of
+        `calibration_check`), ``tracking_error`` (see `tracking_error`), ``detectors`` (of
         faults, see `detector_shares`), ``replaced`` (values of each channel that were wrong, and
         were replaced), ``reference_specimen`` (of the reference response: ``simulated``,
         or the ``model``, by which no test can be assessed), ``tracking`` (see `tracking_of`), and
@@ -86,7 +94,7 @@ def summarise(
     """
     if reference is None:
         reference = reference_of(recording)
-    steps, recorded = _steps(recording), recording.states.steps
+    steps, recorded, series = _steps(recording), recording.states.steps, recording.series
     assessed, reference = assessed_part(recording, reference)
     duration = steps * recording.experiment.timebase.dt
     timing = timing_of(recording)
@@ -96,7 +104,6 @@ def summarise(
         for column, axis in enumerate(axes)
     }
     difference = difference or motion_difference(assessed)
-    check = calibration_check(assessed)
     simulated = is_simulated(recording.experiment)
     found = {
         **_outcome(recording),
@@ -114,16 +121,17 @@ def summarise(
         "timing": timing and timing.numbers,
         "link": link_numbers(recording),
         "lost": {
-            topic.name: steps - int(np.searchsorted(recording.series[topic.name].steps, steps))
+            topic.name: steps - int(np.searchsorted(series[topic.name].steps, steps))
             for topic in LOOP_TOPICS
-            if topic is not MEASURED or _has_measured(recording)
+            if topic is not MEASURED
+            or (MEASURED.name in series and len(series[MEASURED.name].steps))
         },
         "ground_motion": recording.facts.get(GROUND_MOTION.name, {}).get(MOTION),
         "zeroed": zeroed_in(recording),
         "energy": energy_numbers(balance or balance_of(assessed)),
         "estimates": _estimates(assessed.estimates, axes),
         "equivalent_motion": difference and difference.numbers(),
-        "calibration": check and check.numbers(),
+        "calibration": calibration_check(assessed),
         "tracking_error": tracking_error_of(assessed),
         "detectors": detector_shares(assessed),
         "replaced": replaced_in(recording),
@@ -180,8 +188,7 @@ def assessed_part(
     if estimates is not None and not len(estimates.steps):
         estimates = None
     if reference is not None:
-        parts = {part.name: getattr(reference, part.name)[: last + 1] for part in fields(reference)}
-        reference = ReferenceResponse(**parts)
+        reference = reference.first(last + 1)
     return replace(recording, series=series, estimates=estimates), reference
 
 
@@ -306,11 +313,6 @@ def _estimates(
     }
 
 
-def _has_measured(recording: Recording) -> bool:
-    """Say whether samples as measured were recorded: others record none."""
-    return MEASURED.name in recording.series and len(recording.series[MEASURED.name].steps) > 0
-
-
 def replaced_in(recording: Recording) -> dict[str, int]:
     """Count the values that were wrong and replaced, by channel."""
     count = np.count_nonzero(recording.measured.values != recording.states.values, axis=(0, 2))
@@ -338,3 +340,35 @@ def strong_part(recording: Recording) -> tuple[float, float]:
 def _steps(recording: Recording) -> int:
     steps = recording.states.steps
     return int(steps[-1]) + 1 if len(steps) else 0
+
+
+def detector_shares(recording: Recording) -> dict[str, float] | None:
+    """Give the largest value of each detector in a test on any axis, over its threshold, by name.
+
+    None where it is not known: the configuration is not recorded, or no sample.
+    """
+    experiment, states = recording.experiment, recording.series[RIG_STATE.name]
+    rig, controller = (experiment.sections.get(n, {}) for n in ("rig", "force_controller"))
+    if "specimen.mass" not in rig or not len(states.steps):
+        return None
+    axes, dt = experiment.axes, experiment.timebase.dt
+    shares = np.zeros(len(DETECTORS))
+    measured, drives = recording.measured.values, states.values[:, DRIVE_ROW]
+    for one in experiment.rigs:
+        parameters, state = detectors_of(rig, axes, dt, one.places)
+        own = list(one.places)
+        begin_detectors(parameters, state)
+        shown, drive = (np.ascontiguousarray(each[..., own]) for each in (measured, drives))
+        judged = np.empty_like(parameters.noise)
+        detect_all(parameters, state, states.steps, shown, drive, judged)
+        shares = np.maximum(shares, state.shares.max(axis=1))
+    found = {one.name: share for one, share in zip(DETECTORS, shares.tolist(), strict=True)}
+    forces = recording.series[REFERENCE_FORCE.name]
+    if controller and forces.values.shape[1] == len(TARGET.quantities):
+        steps, at_states, at_forces = common_steps(states.steps, forces.steps)
+        watched = tracking_detector(controller, axes, range(len(axes)), dt)
+        begin_tracking(watched[1])
+        targets = np.ascontiguousarray(forces.values[at_forces, 0])
+        track_all(*watched, steps, targets, states.values[at_states])
+        found[TRACKING.name] = float(watched[1].shares.max())
+    return found

@@ -11,14 +11,7 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.wire.experiment_state import EXPERIMENT, ExperimentState, decode_state
-from seft_msgs_py.wire.messages import (
-    ERROR,
-    OK,
-    STALE,
-    WARN,
-    EstimatesCodec,
-    decode_diagnostics,
-)
+from seft_msgs_py.wire.messages import ERROR, OK, STALE, WARN, EstimatesCodec, decode_diagnostics
 from seft_msgs_py.wire.outcome import (
     BY_OPERATOR,
     ENDED,

@@ -209,8 +209,10 @@ class _TestBag:
         self._file = file
         prefixes: set[str] = set()
         for topic in (DESCRIPTION, *_LOOP):
-            found = {name for name, kind in file.counts if _is(topic, name, kind)}
-            prefixes = prefixes or {name.removesuffix(topic.name) for name in found}
+            ending = "/" + topic.name
+            named = (name for name, kind in file.counts if kind == topic.type)
+            found = {name.removesuffix(topic.name) for name in named if name.endswith(ending)}
+            prefixes = prefixes or found
         if len(prefixes) > 1:
             raise InputError(
                 f"{file.path}: the bag holds several tests, in {', '.join(sorted(prefixes))}; "
@@ -233,14 +235,11 @@ class _TestBag:
         try:
             return description.experiment()
         except InputError as error:
-            raise self._no_test(
-                f": {error} on {DESCRIPTION.name}; record tests with seft run or seft simulate, or "
-                "that topic, too"
+            fault = f"the bag is damaged: {self._file.fault}; " if self._file.damage else ""
+            raise InputError(
+                f"{self.path}: {fault}the bag holds no test: {error} on {DESCRIPTION.name}; record "
+                "tests with seft run or seft simulate, or that topic, too"
             ) from None
-
-    def _no_test(self, why: str) -> InputError:
-        fault = f"the bag is damaged: {self._file.fault}; " if self._file.damage else ""
-        return InputError(f"{self.path}: {fault}the bag holds no test{why}")
 
     def count(self, topic: Topic) -> int:
         """Count the messages of a topic."""
@@ -283,10 +282,6 @@ class _TestBag:
         return self.prefix + topic.name, topic.type
 
 
-def _is(topic: Topic, name: str, kind: str) -> bool:
-    return kind == topic.type and name.endswith("/" + topic.name)
-
-
 NOT_FINITE = "not_finite"
 """Key of the environment: number of samples that are NaN or infinite, and fit in no message."""
 
@@ -294,9 +289,7 @@ Chunk = tuple[int, Floats]  # first step, values (p, n)
 
 
 def write_recording(
-    recording: Recording,
-    path: str | Path,
-    ground_motion: Iterable[Chunk] | None = None,
+    recording: Recording, path: str | Path, ground_motion: Iterable[Chunk] | None = None
 ) -> None:
     """Write a bag that `read_bag` reads as this recording.
 

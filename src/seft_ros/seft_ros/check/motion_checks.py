@@ -10,12 +10,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS, POSITION_SERVO
 from seft_msgs_py.config.parameter_table import group, per_axis
 from seft_msgs_py.wire.topics import VALVE_COMMAND, RigAxes
-from seft_plant_sim.channels import (
-    FORCE,
-    acceleration_is_derived,
-    per_channel,
-    velocity_is_derived,
-)
+from seft_plant_sim.channels import FORCE, acceleration_is_derived, per_channel, velocity_is_derived
 from seft_plant_sim.hardware.hosted import HardwareError
 from seft_plant_sim.judge.known_rig import command_limit, known_responses
 from seft_plant_sim.lti import TransferFunction
@@ -23,6 +18,7 @@ from seft_plant_sim.rig_parameters import common_lag
 from seft_plant_sim.simulated.specimen import Specimen
 
 from seft_ros.check.rig_mover import LEAD, RigMover
+from seft_ros.identification.multisine_estimates import aligned, regressed
 
 _BELL, _PAUSE, _FREQUENCIES = 4.0, 0.3, (3.0, 6.0, 12.0)  # s, s, Hz
 _OMEGA = 2 * np.pi * np.arange(2.0, 14.01, 0.5)  # rad/s, at which signals are correlated
@@ -297,21 +293,16 @@ def fit_to(measured: Complexes, expected: Sequence[Complexes], dt: float) -> tup
     (s), their standard errors, and the part of the power that is not explained.
     """
     within = _OMEGA * dt < np.pi / 2
-    omega, y0 = _OMEGA[within], measured[within]
+    omega, y = _OMEGA[within], measured[within]
+    columns = np.stack([one[within] for one in expected], axis=1)
+    noise = np.full(len(y), 1e-9 * np.abs(y).max() + 1e-300)  # what is left tells the errors
+    late = np.asarray(-1j * omega[:, np.newaxis], np.complex128)
 
-    def solve(lag: float, *lagged: Complexes) -> tuple[Floats, Floats, Floats]:
-        y = y0 * np.exp(1j * omega * lag)
-        basis = np.array([e[within] for e in expected] + [-1j * omega * y for _ in lagged]).T
-        a, b = (np.concatenate([part.real, part.imag]) for part in (basis, y))
-        solution = np.linalg.lstsq(a, b, rcond=None)[0]
-        return solution, b - a @ solution, a
+    def left(lag: float) -> float:
+        return regressed(columns, y * np.exp(1j * omega * lag), noise).left
 
     tried = np.arange(-0.02, 0.1, 0.005).tolist()
-    lag: float = min(tried, key=lambda each: float(np.square(solve(each)[1]).sum()))
-    for _ in range(4):
-        solution, left, a = solve(lag, y0)
-        lag += solution[-1]
-    power, whole = float(np.square(left).sum()), float(np.square(np.abs(y0)).sum())
-    spread = np.linalg.pinv(a.T @ a) * power / max(len(left) - a.shape[1], 1)
-    errors = np.sqrt(np.diag(spread))
-    return solution[0], lag, errors[0], errors[-1], power / max(whole, 1e-300)
+    fit, _ = aligned(y, columns, noise, late, np.array([min(tried, key=left)]))
+    power, whole = fit.left * noise[0] ** 2, float(np.square(np.abs(y)).sum())
+    value, error = fit.value.tolist(), fit.error.tolist()
+    return value[0], value[-1], error[0], error[-1], power / max(whole, 1e-300)

@@ -55,7 +55,7 @@ def report(
     from seft_ros.analysis.result_text import summary_texts
     from seft_ros.bags.recording_bag import read_bag
     from seft_ros.drawing.page import check_page
-    from seft_ros.drawing.table import check_table, write_table
+    from seft_ros.drawing.style import check_table, write_table
 
     beside = bag.with_suffix(".html") if bag.is_file() else bag / "report.html"
     page = beside if out is None else check_page(out)
@@ -173,33 +173,32 @@ def replay(
 
         seft replay bags/lockstep --node rig --json
     """
-    from seft_ros.replay import recorded_test
-    from seft_ros.replay.node_replays import REPLAYS, replay_to
+    from seft_ros.replay import node_replays
 
-    nodes = list(dict.fromkeys(node or REPLAYS))
+    nodes = list(dict.fromkeys(node or node_replays.REPLAYS))
     overrides = [parse_override(text) for text in param or ()]
     if overrides and len(nodes) > 1:
         raise InputError("-p needs one --node, whose parameters it changes")
-    recorded, replays = recorded_test.read_recorded(bag), []
+    recorded, replays = node_replays.read_recorded(bag), []
     for name in nodes:
         try:
-            replays.append(replay_to(name, recorded))
+            replays.append(node_replays.replay_to(name, recorded))
         except InputError as error:  # the bag lacks the messages to this node
             if node or (name == nodes[-1] and not replays):
                 raise
             complain(f"{name} is left out: {error}")
     results = []
     for one in replays:
-        section = recorded_test.section_of(one, overrides)
+        section = node_replays.section_of(one, overrides)
         with step_progress(len(one.expected.steps)) as progress:
             progress(f"computing {one.node}", 0)
             answers, estimates = one.computed(section)
             progress(f"{one.node} has answered", len(answers.steps))
-        result = recorded_test.replay_verdict(one, recorded, answers, estimates)
+        result = node_replays.replay_verdict(one, recorded, answers, estimates)
         results.append(result | {"bag": str(bag), "overrides": param or []})
     identical = all(one["identical"] for one in results)
     one_or_all = results[0] if len(results) == 1 else {"identical": identical, "replays": results}
-    texts = [text for result in results for text in recorded_test.replay_texts(result)]
+    texts = [text for result in results for text in node_replays.replay_texts(result)]
     show(one_or_all, json, texts)
     for result in results if not json else ():
         for note in result["notes"]:

@@ -55,36 +55,28 @@ def preflight(
         seft preflight config/jhu.yaml --params-file identified/model.yaml
     """
     # beyond 60 lines: its options and its help; what it shows follows in order
-    from seft_ros.design import (
-        capacity,
-        plausibility,
-        preflight_tables,
-        stability_map,
-        stability_verdict,
-    )
+    from seft_ros.design import plausibility, preflight_tables, stability_map, stability_verdict
     from seft_ros.design.planned_tests import PlannedTest
-    from seft_ros.drawing.style import check_figure, save_figure
+    from seft_ros.drawing.style import check_figure, json_safe, save_figure
     from seft_ros.reference_force.compensator import NotLinearError
     from seft_ros.study.unforeseen import yielding_error
 
     path = check_figure(figure) if figure is not None else None
     experiment = shared.load_experiment(config, param, params_file, external)
     motion = preflight_tables.planned_motion(experiment)
-    with shared.passing_progress():
-        response = plausibility.expected_response(experiment, motion)
-        by_axis = plausibility.peaks_of(response)
-        wrong = plausibility.unit_refusal(experiment, motion, by_axis)
-    if wrong:
+    response = plausibility.expected_response(experiment, motion)
+    by_axis = plausibility.peaks_of(response)
+    if wrong := plausibility.unit_refusal(experiment, motion, by_axis):
         raise InputError(wrong)
-    unfit = [*filter(None, [capacity.range_refusal(experiment, by_axis)])]
-    beyond = capacity.excesses(experiment, response)
-    warnings = [capacity.excess_text([excess]) for excess in beyond]
+    unfit = [*filter(None, [plausibility.range_refusal(experiment, by_axis)])]
+    beyond = plausibility.excesses(experiment, response)
+    warnings = [plausibility.excess_text([excess]) for excess in beyond]
     peaks = preflight_tables.expected_peaks(by_axis)
-    highest = capacity.highest_limits(experiment, by_axis)
+    highest = plausibility.highest_limits(experiment, by_axis)
     limits = preflight_tables.proposed_limits(peaks, highest)
     try:
         test = PlannedTest(experiment)
-        with shared.passing_progress() as progress:
+        with shared.step_progress(passing=True) as progress:
             found = stability_verdict.check_stability(test, progress)
     except NotLinearError as error:
         if figure is not None:
@@ -94,7 +86,7 @@ def preflight(
         stable = shared.is_stable_in_simulation(experiment, error, as_json=json)
         _say(warnings, unfit)
         return 0 if stable and not unfit else 1
-    with shared.passing_progress() as progress:
+    with shared.step_progress(passing=True) as progress:
         summary = preflight_tables.summarise_preflight(test, found)
         summary |= {"expected_peaks": peaks, "proposed_limits": limits}
         timed = preflight_tables.model_time(experiment, motion)
@@ -105,7 +97,7 @@ def preflight(
         if fast := stability_verdict.folded(test):
             warnings.append(fast)
         yielding = None if beyond else yielding_error(experiment, response)
-        summary["yielding_error"] = yielding and yielding.numbers()
+        summary["yielding_error"] = yielding and json_safe(asdict(yielding))
         if yielding is not None and (slow := yielding.warning()):
             warnings.append(slow)
         summary["warnings"] = warnings
@@ -194,8 +186,7 @@ def study(
     # beyond 60 lines: its options and its help
     from seft_ros.drawing.page import check_page
     from seft_ros.study import study_page as page
-    from seft_ros.study.drawn_tests import draw_tests
-    from seft_ros.study.study_design import design_study
+    from seft_ros.study.drawn_tests import design_study, draw_tests
     from seft_ros.study.study_results import summarise_study, worst_folder, write_worst_tests
     from seft_ros.study.study_runs import FinishedTests, run_study
 

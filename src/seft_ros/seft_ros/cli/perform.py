@@ -277,15 +277,15 @@ def _check_plan(
     accept_unstable: bool,
 ) -> None:
     """Raise `InputError` for a test that is refused and not accepted; warn of limits far away."""
-    from seft_ros.design import capacity, plausibility, preflight_tables
+    from seft_ros.design import plausibility, preflight_tables
 
     response = plausibility.expected_response(experiment, motion)
     by_axis = plausibility.peaks_of(response)
     if wrong := plausibility.unit_refusal(experiment, motion, by_axis):
         raise InputError(wrong)
     _check_stable(experiment, blocks, accept_unstable)
-    reasons = [capacity.range_refusal(experiment, by_axis)]
-    reasons.append(capacity.excess_text(capacity.excesses(experiment, response)))
+    reasons = [plausibility.range_refusal(experiment, by_axis)]
+    reasons.append(plausibility.excess_text(plausibility.excesses(experiment, response)))
     if unfit := "; ".join(filter(None, reasons)):
         if not accept_unstable:
             raise InputError(f"{unfit}, or run it all the same with --accept-unstable")

@@ -20,7 +20,7 @@ from seft_msgs_py.wire.topics import GROUND_MOTION, NODES, with_rigs
 from seft_plant_sim.rig_parameters import as_simulated
 
 from seft_ros.bags.recording import Recording
-from seft_ros.drawing.table import Cell, TextTable
+from seft_ros.drawing.style import Cell, TextTable
 from seft_ros.test_run.parameter_tables import TABLES
 
 if TYPE_CHECKING:
@@ -126,37 +126,28 @@ def warn(text: str) -> None:
 
 
 @contextmanager
-def step_progress(total: int, lost: str = "") -> Iterator[Callable[[str, int], None]]:
+def step_progress(
+    total: int = 1, lost: str = "", passing: bool = False
+) -> Iterator[Callable[..., None]]:
     """Show a bar of ``total`` steps; gives the function that takes a few words and the steps done.
 
-    An interruption becomes an `ExperimentError` where ``lost`` says what it costs.
+    A third argument changes how many there are. An interruption becomes an `ExperimentError` where
+    ``lost`` says what it costs. A ``passing`` bar vanishes at its end, and is for a terminal alone.
     """
+    console = Console(stderr=True)
     text = TextColumn("{task.description:40.40}", markup=False)
     columns = (text, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    silent = passing and not console.is_terminal
     try:
-        with Progress(*columns, console=Console(stderr=True)) as bar:
+        with Progress(*columns, console=console, transient=passing, disable=silent) as bar:
             task = bar.add_task("", total=total)
-            yield lambda description, done: bar.update(
-                task, description=escaped(description), completed=min(done, total)
+            yield lambda what, done, of=total: bar.update(
+                task, description=escaped(what), completed=min(done, of), total=of
             )
     except KeyboardInterrupt:
         if not lost:
             raise
         raise ExperimentError(f"interrupted; {lost}") from None
-
-
-@contextmanager
-def passing_progress() -> Iterator[Callable[[str, int, int], None]]:
-    """Show a bar on a terminal that is gone at the end; for words, the parts done, and all."""
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield lambda *_: None
-        return
-    with Progress(console=console, transient=True) as bar:
-        task = bar.add_task("")
-        yield lambda what, done, total: bar.update(
-            task, description=what, completed=done, total=total
-        )
 
 
 def check_out(out: Path) -> None:

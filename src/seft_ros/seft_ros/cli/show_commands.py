@@ -126,9 +126,14 @@ def motion(
     """
     # beyond 60 lines: its options and its help; what it shows follows in order
     from seft_ros.analysis.result_text import motion_rows
-    from seft_ros.drawing.style import check_figure, save_figure
-    from seft_ros.drawing.table import TextTable, check_table, write_table
-    from seft_ros.ground_motion.correction import baseline_numbers
+    from seft_ros.drawing.style import (
+        TextTable,
+        check_figure,
+        check_table,
+        save_figure,
+        write_table,
+    )
+    from seft_ros.ground_motion.conditioning import baseline_numbers
     from seft_ros.ground_motion.ground_motion_block import GROUND_MOTION_TABLE, GroundMotion
     from seft_ros.ground_motion.response_spectrum import (
         motion_figure,

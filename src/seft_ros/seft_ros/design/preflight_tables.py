@@ -15,13 +15,11 @@ from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig_parameters import LIMIT_UNITS
 from seft_plant_sim.whole_structure import model_times, whole_structure
 
-from seft_ros.design.margin_ends import HEADINGS, end_texts, meanings
 from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.plausibility import FACTORS
-from seft_ros.design.stability_margins import Range
+from seft_ros.design.stability_margins import HEADINGS, Range, end_texts, meanings
 from seft_ros.design.stability_verdict import Preflight
-from seft_ros.drawing.style import Mark, Number
-from seft_ros.drawing.table import Cell, Texts, TextTable
+from seft_ros.drawing.style import Cell, Mark, Number, Texts, TextTable
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
 from seft_ros.reference_force.reference_force_parameters import LONGEST_MODEL_STEP
 

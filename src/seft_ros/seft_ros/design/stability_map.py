@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from seft_msgs_py.arrays import Floats
 
 from seft_ros.design import stability_margins
-from seft_ros.design.margin_ends import (
+from seft_ros.design.planned_tests import NEUTRAL, PlannedTest
+from seft_ros.design.stability_margins import (
     DEAD_TIME,
     DECIDES,
     HEADINGS,
@@ -22,7 +23,6 @@ from seft_ros.design.margin_ends import (
     end_texts,
     meanings,
 )
-from seft_ros.design.planned_tests import NEUTRAL, PlannedTest
 from seft_ros.design.stability_verdict import Preflight
 from seft_ros.drawing.style import TEXT, new_figure
 

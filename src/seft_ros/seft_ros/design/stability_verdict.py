@@ -11,10 +11,15 @@ from seft_msgs_py.arrays import Complexes, Floats
 from seft_plant_sim.computed.computed_model import SMALL_DISPLACEMENT
 from seft_plant_sim.whole_structure import ModelledStructure, WholeStructure
 
-from seft_ros.design.margin_ends import MarginEnd, margin_ends
 from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.plant import lightly_damped, roots_of
-from seft_ros.design.stability_margins import Margins, Progress, find_margins
+from seft_ros.design.stability_margins import (
+    MarginEnd,
+    Margins,
+    Progress,
+    find_margins,
+    margin_ends,
+)
 
 SEEN_PERIODS = 6.0
 """Of the slowest mode with the model's tangents at rest, in which the vibration is seen: a model of

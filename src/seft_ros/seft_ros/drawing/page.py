@@ -16,8 +16,17 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from seft_msgs_py.errors import InputError
 
 from seft_ros.drawing import style
-from seft_ros.drawing.style import FIRST_COLOUR, MARK, MAX_POINTS, TEXT, AnyFloats, Mark, check_file
-from seft_ros.drawing.table import Cell, TextTable
+from seft_ros.drawing.style import (
+    FIRST_COLOUR,
+    MARK,
+    MAX_POINTS,
+    TEXT,
+    AnyFloats,
+    Cell,
+    Mark,
+    TextTable,
+    check_file,
+)
 
 SUFFIX = ".html"
 _HEIGHT = 260  # pixels

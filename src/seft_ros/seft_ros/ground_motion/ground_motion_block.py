@@ -22,9 +22,13 @@ from seft_msgs_py.config.parameter_table import (
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 
-from seft_ros.ground_motion.correction import baseline_numbers, correct
+from seft_ros.ground_motion.conditioning import (
+    baseline_numbers,
+    check_size,
+    correct,
+    resample,
+)
 from seft_ros.ground_motion.record_file import RecordedMotion, files_of, given_unit, read_record
-from seft_ros.ground_motion.resampling import Resampled, check_size, resample
 from seft_ros.ground_motion.synthetic_motion import synthetic_motion
 
 MOTION = "motion"
@@ -174,9 +178,10 @@ class GroundMotion:
             record = _synthetic(group(section, "synthetic"), len(axes))
         method, dt, before = section["correct"], record.dt, record.accelerations
         after = correct(before, dt, method, **group(section, "filter"))
-        resampled = _in_time(section, after, dt, timebase, files)
+        times = dt, timebase, section["time_scale"], section["tail"]
+        resampled, how = resample(after, *times, linear=not files)  # as a synthetic one is
         with np.errstate(over="ignore", invalid="ignore"):
-            samples = resampled.samples * influence
+            samples = resampled * influence
             scale = _peak_scale(section, axes, samples)
             samples *= scale
         if not np.isfinite(samples).all():
@@ -188,22 +193,14 @@ class GroundMotion:
         lead_steps = max(1, round(section["lead"] * timebase.rate))
         chunk_steps = max(1, round(lead_steps / _CHUNKS_PER_LEAD))
         facts = motion_facts(section, axes, record, samples, scale)
-        facts["resampling"] = resampled.done
+        facts["resampling"] = how
         found = cls(samples, min(chunk_steps, len(samples)), lead_steps, facts)
         if method != "none":
             numbers = {"before": baseline_numbers(before, dt), "after": baseline_numbers(after, dt)}
             facts["correction"] = {"method": _correction(section), **numbers}
-            uncorrected = _in_time(section, before, dt, timebase, files).samples
+            uncorrected, _ = resample(before, *times, linear=not files)
             found.uncorrected = uncorrected * influence * scale
         return found
-
-
-def _in_time(
-    section: Section, motion: Floats, dt: float, timebase: Timebase, files: Sequence[str]
-) -> Resampled:
-    """Bring a motion to the rate of the loop; a synthetic one is linear between its samples."""
-    times = section["time_scale"], section["tail"]
-    return resample(motion, dt, timebase, *times, linear=not files)
 
 
 def _peak_scale(section: Section, axes: Sequence[str], samples: Floats) -> float:

@@ -13,30 +13,11 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 
-from seft_ros.ground_motion.readers.agency_files import (
-    check_name,
-    is_cosmos,
-    is_csmip,
-    is_geonet,
-    is_peer,
-    is_smc,
-    read_cosmos,
-    read_csmip,
-    read_geonet,
-    read_peer,
-    read_smc,
-)
+from seft_ros.ground_motion.readers.agency_files import AGENCY_FORMATS, check_name
 from seft_ros.ground_motion.readers.column_file import read_column_file
 from seft_ros.ground_motion.readers.columns import Columns
 from seft_ros.ground_motion.readers.record_text import read_bytes, to_lines
-from seft_ros.ground_motion.readers.seismological import (
-    is_knet,
-    is_miniseed,
-    is_sac,
-    read_knet,
-    read_miniseed,
-    read_sac,
-)
+from seft_ros.ground_motion.readers.seismological import read_knet, read_miniseed, read_sac
 from seft_ros.ground_motion.readers.statements import (
     GIVEN_UNITS,
     UNITS,
@@ -45,19 +26,6 @@ from seft_ros.ground_motion.readers.statements import (
     read_unit,
     stated_peaks,
 )
-
-TEXT_FORMATS = (
-    (is_knet, read_knet),
-    (is_cosmos, read_cosmos),
-    (is_smc, read_smc),
-    (is_geonet, read_geonet),
-    (is_csmip, read_csmip),
-    (is_peer, read_peer),
-)
-"""What tells a format, and its reader, by path and lines; any other text is a `column_file`."""
-
-SEISMOLOGICAL_FORMATS = ((is_sac, read_sac), (is_miniseed, read_miniseed))
-"""The same for binary files, by their bytes."""
 
 
 def read_file(path: Path, rows: bool = False, response: str = "") -> Columns:
@@ -78,14 +46,17 @@ def read_file(path: Path, rows: bool = False, response: str = "") -> Columns:
         If the file can't be read, or is no record.
     """
     data = read_bytes(path)
-    for matches, read in SEISMOLOGICAL_FORMATS:
-        if matches(data):
-            return read(path, data, response)
+    for of_bytes in (read_sac, read_miniseed):
+        if (columns := of_bytes(path, data, response)) is not None:
+            return columns
     lines = to_lines(path, data)
-    found = next((read for is_format, read in TEXT_FORMATS if is_format(path, lines)), None)
-    if found is None and not rows:
-        check_name(path)
-    columns = read_column_file(path, lines, rows) if found is None else found(path, lines)
+    for of_text in (read_knet, *AGENCY_FORMATS):
+        if (columns := of_text(path, lines)) is not None:
+            break
+    else:
+        if not rows:
+            check_name(path)
+        columns = read_column_file(path, lines, rows)
     return replace(columns, peaks=stated_peaks(path, lines))
 
 
@@ -135,7 +106,7 @@ def read_record(
 ) -> RecordedMotion:
     """Read a recorded ground motion.
 
-    Files of agencies are known by their headers, see `TEXT_FORMATS`; any other text is read as
+    Files of agencies are known by their headers, see `AGENCY_FORMATS`; any other text is read as
     columns of numbers or one motion in rows, see `column_file`.
 
     Parameters

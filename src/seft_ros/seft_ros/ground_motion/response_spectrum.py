@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.arrays import Floats
 
-from seft_ros.ground_motion.correction import velocity_and_displacement
+from seft_ros.ground_motion.conditioning import velocity_and_displacement
 from seft_ros.ground_motion.readers.statements import STANDARD_GRAVITY
 
 if TYPE_CHECKING:

@@ -15,31 +15,31 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import MEASURED, RIG_STATE, VALVE_COMMAND
 from seft_plant_sim.calibration import (
     NOTHING_KNOWN,
+    SIGNIFICANT,
     TILT,
     aligned_to,
     calibrate_all,
     calibration_of,
     known_channels,
     lacking,
+    significant,
 )
 from seft_plant_sim.channels import ACCELERATION, FORCE, VELOCITY, tilt_of
 from seft_plant_sim.rig_parameters import common_filter
 
 from seft_ros.bags.recording import Recording, every_step
-from seft_ros.drawing.table import TextTable
+from seft_ros.drawing.style import TextTable
+from seft_ros.ground_motion.conditioning import moved_ahead
 from seft_ros.identification.channel_filters import HIGHEST, ChannelFilters, channel_filters
 from seft_ros.identification.identified import Identified
 from seft_ros.identification.multisine import OF_RATE, Multisine, Sine, fault_free_relations
 from seft_ros.identification.multisine_estimates import (
-    MULTISINE_SIGMAS,
     Harmonics,
     MultisineFit,
     fit_multisine,
     harmonics,
-    significant,
 )
 from seft_ros.identification.rig_tests import frequency_response, motion_spectra
-from seft_ros.identification.time_shift import moved_ahead
 
 _FEWEST_PERIODS, _SEGMENT = 3.0, 4.0  # of a spectrum: of the lowest frequency, and s
 MIN_LAG = 2e-5
@@ -55,7 +55,7 @@ class Calibrated:
     ----------
     found : dict
         Scale, lag and bias of the channels as published in the multisine test, shape (4, n), and
-        the tilt of the accelerometers of each rig, (n, n): of what is within `MULTISINE_SIGMAS`
+        the tilt of the accelerometers of each rig, (n, n): of what is within `SIGNIFICANT`
         standard errors, nothing is known. Filters if they are others than those that were known.
     whole : dict
         With what was known before: `parameters` of the rig.
@@ -78,7 +78,7 @@ class Calibrated:
         """Combine a multisine test with the calibration of its own experiment."""
         section = experiment["reference_force"]
         known, derived = all_known(experiment), section["sensors.velocity"] == "derived"
-        lag = significant(fit.lag, np.maximum(fit.lag_error, MIN_LAG / MULTISINE_SIGMAS))
+        lag = significant(fit.lag, np.maximum(fit.lag_error, MIN_LAG / SIGNIFICANT))
         scale = 1.0 + significant(fit.scale - 1.0, fit.scale_error)
         bias = significant(fit.bias, fit.bias_error)
         if derived:
@@ -285,7 +285,7 @@ class MultisineResult:
         fault_free = fault_free_relations(found, sines, dt, max(float(dead_time), 0.0), late)
         fit = fit_multisine(of, fault_free)
         least, error = np.linalg.eigvalsh(fit.mass)[0], np.linalg.norm(fit.mass_error)
-        if least <= MULTISINE_SIGMAS * error:
+        if least <= SIGNIFICANT * error:
             raise InputError(
                 f"multisine: the specimen sticks under sines of "
                 f"{1e3 * multisine.travel:.3g} mm: its least "
@@ -484,13 +484,13 @@ def multisine_notes(result: MultisineResult, axes: Sequence[str]) -> list[str]:
     ]
     masses = (each.diagonal() for each in (result.known, fit.mass, fit.mass_error))
     for axis, known, mass, error in zip(axes, *masses, strict=True):
-        off = abs(mass - known) > max(MULTISINE_SIGMAS * error, SAME_MASS * mass)
+        off = abs(mass - known) > max(SIGNIFICANT * error, SAME_MASS * mass)
         if off and not result.is_weighed:
             found.append(
                 f"axis {axis}: mass {mass:.4g} kg, configured {known:.4g} kg: if that was weighed, "
                 f"the load cell shows {mass / known:.1%} of the force; then give --known-mass"
             )
-    off = np.abs(fit.tilt - np.eye(len(axes))) > MULTISINE_SIGMAS * fit.tilt_error
+    off = np.abs(fit.tilt - np.eye(len(axes))) > SIGNIFICANT * fit.tilt_error
     for i, j in zip(*np.nonzero(off & ~np.eye(len(axes), dtype=bool)), strict=True):
         found.append(
             f"axis {axes[i]}: the accelerometer shows {fit.tilt[i, j]:.2g} of the acceleration of "

@@ -18,12 +18,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from seft_msgs_py.arrays import Complexes, Floats
-from seft_plant_sim.calibration import BUTTERWORTH
+from seft_plant_sim.calibration import BUTTERWORTH, SIGNIFICANT
 from seft_plant_sim.channels import ACCELERATION, DISPLACEMENT, FORCE
 from seft_plant_sim.rig_parameters import filter_of
 
 from seft_ros.identification.multisine import OF_RATE
-from seft_ros.identification.multisine_estimates import MULTISINE_SIGMAS, Fit, regressed
+from seft_ros.identification.multisine_estimates import Fit, regressed
 
 HIGHEST = 0.4
 """Of the rate: the highest frequency that is used. A filter beyond what is used is but a lag."""
@@ -73,9 +73,9 @@ class ChannelFilters:
 
         ``highest`` is the highest frequency that was seen, Hz.
         """
-        off = np.abs(self.filter - known.filter) > MULTISINE_SIGMAS * self.filter_error
+        off = np.abs(self.filter - known.filter) > SIGNIFICANT * self.filter_error
         other = np.abs(self.filter_damping - known.filter_damping)
-        off |= other > MULTISINE_SIGMAS * self.filter_damping_error
+        off |= other > SIGNIFICANT * self.filter_damping_error
         off &= (self.filter > 0.0) | (known.filter < highest)
         parts = [*zip(vars(self).values(), vars(known).values(), strict=True)][:-1]
         hz, hz_error, damping, error = (np.where(off, one, other) for one, other in parts)
@@ -177,12 +177,7 @@ def _of_motion(
 
 
 def _of_force(
-    i: int,
-    w: Floats,
-    amplitude: Complexes,
-    noise: Floats,
-    top: float,
-    mass: tuple[Floats, Floats],
+    i: int, w: Floats, amplitude: Complexes, noise: Floats, top: float, mass: tuple[Floats, Floats]
 ) -> _Found:
     """Filter of the force against the acceleration, see Eq. (1).
 
@@ -237,8 +232,8 @@ def _likeliest(
     if best is None:
         return plain
     spread = max(1.0, best.left / len(w) / 2.0)
-    is_better = plain.left - best.left > 2.0 * MULTISINE_SIGMAS**2 * spread
-    if not (is_better and (MULTISINE_SIGMAS * best.error < 1.0).all()):
+    is_better = plain.left - best.left > 2.0 * SIGNIFICANT**2 * spread
+    if not (is_better and (SIGNIFICANT * best.error < 1.0).all()):
         return plain
     # what is taken back of a filter amplifies the noise of that side, which would bias the filter
     p, q = np.exp(best.value)

@@ -14,16 +14,16 @@ from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.simulated.specimen import Specimen
 
 from seft_ros.bags.recording import Recording
-from seft_ros.design.force_tracking import Tracking, tracking_measures
 from seft_ros.design.plant import Plant, small_signal
-from seft_ros.drawing.style import Number, json_safe, look_up, rows_of
-from seft_ros.drawing.table import TextTable
+from seft_ros.drawing.style import Number, TextTable, json_safe, look_up, rows_of
 from seft_ros.identification.actuator_fit import ActuatorFit, fit_actuator
 from seft_ros.identification.response_fits import (
     SpecimenFit,
+    Tracking,
     TrackingFit,
     fit_specimen,
     fit_tracking,
+    tracking_measures,
 )
 from seft_ros.identification.rig_tests import MeasuredTest, Measurement, obeys_displacement
 from seft_ros.reference_force.compensator import OF_THE_LOOP
@@ -104,9 +104,7 @@ class Identified:
 
 
 def identify_from_recordings(
-    open_loop: Recording | None,
-    closed_loop: Recording | None,
-    band: tuple[float, float],
+    open_loop: Recording | None, closed_loop: Recording | None, band: tuple[float, float]
 ) -> Identified:
     """Identify a rig from the recordings of its tests.
 

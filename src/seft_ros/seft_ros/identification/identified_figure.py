@@ -6,11 +6,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from seft_ros.design.force_tracking import FLATNESS_DB
 from seft_ros.design.plant import Plant
 from seft_ros.drawing.style import FIRST_COLOUR, MARK, SECOND, TEXT, new_figure, tidy
 from seft_ros.identification.actuator_fit import ActuatorFit
 from seft_ros.identification.identified import ClosedLoop, Identified, ValveResponse
+from seft_ros.identification.response_fits import FLATNESS_DB
 from seft_ros.identification.rig_tests import Measurement
 
 _MAX_AXES = 3

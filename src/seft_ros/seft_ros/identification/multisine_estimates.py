@@ -15,18 +15,25 @@ Off the diagonal s is the tilt of an accelerometer. With these known, the force 
 
 K' and H' are a change in the time t of the multisine test: some specimens degrade. K + iH is the
 stiffness at the multisine test's amplitude of a specimen that does not depend on rate; where
-friction bends the motion it is made so (`identification.multisine_hysteresis`). Load cell and
-displacement sensor are the reference, unless velocity and acceleration agree against the
-displacement: two sensors that are wrong by the same factor are less likely than one. Of scales that
-all are wrong by the same factor, and of a lag that all have in common, a multisine test says
-nothing. Standard errors are those of the sensors' noise or of what the equations leave, if that is
-more. To those of scales and masses comes what the steps q of the converters make of an amplitude A,
-alike in all sines, with noise sigma::
+friction bends the motion it is made so (`uneven_force`). Load cell and displacement sensor are the
+reference, unless velocity and acceleration agree against the displacement: two sensors that are
+wrong by the same factor are less likely than one. Of scales that all are wrong by the same factor,
+and of a lag that all have in common, a multisine test says nothing. Standard errors are those of
+the sensors' noise or of what the equations leave, if that is more. To those of scales and masses
+comes what the steps q of the converters make of an amplitude A, alike in all sines, with noise
+sigma::
 
     2 q J_1(2 pi A / q) / pi exp(-2 (pi sigma / q)^2)                                      (3)
 
 Over all A it has an RMS of q sqrt(2 q / A) / pi^2 times the exponential
 (Widrow & Kollar, Quantization Noise, 2008, ch. 5).
+
+Friction bends the piston's motion, most where an overtone meets the oil column's resonance. Then
+the force at the sine's own frequency is another one, although the specimen's law is the same. The
+law is estimated from all sines and their odd overtones, as stop operators in parallel (Prandtl and
+Ishlinskii, see `seft_ros.reference_force.restoring_model`) beside mass, stiffness and damping, none
+of which is negative. Taken out of the force is only what the effective stiffness of the stops
+differs by from its mean over the sines, so that an error of the law counts little.
 """
 
 import math
@@ -36,22 +43,69 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import nnls
 from seft_msgs_py.arrays import Complexes, Floats
+from seft_plant_sim.calibration import SIGNIFICANT, significant
 from seft_plant_sim.channels import FORCE
 
 from seft_ros.design.plant import FOLDED
 from seft_ros.identification.multisine import Sine
-from seft_ros.identification.multisine_hysteresis import uneven_force
+from seft_ros.reference_force.restoring_model import stop_operators
+
+_ORDERS = (1, 3, 5)  # a law that is odd has no others
+_STOPS, _LEAST, _MOST = 8, 0.03, 0.8  # thresholds over the displacement
+_POINTS = 512  # of a cycle
+
+
+def uneven_force(w: Floats, x: Complexes, a: Complexes, f: Complexes) -> Complexes:
+    """Force of friction in excess of that with the mean effective stiffness.
+
+    Parameters
+    ----------
+    w : ndarray
+        Frequencies of m sines, shape (m,), rad/s.
+    x, a, f : ndarray
+        Displacement, acceleration and force of one axis, aligned, shape (m, H): amplitudes of the
+        sine and of its overtones, in the order of their frequencies; 0: not evaluated.
+
+    Returns
+    -------
+    ndarray
+        At the sines' frequencies, shape (m,), N.
+    """
+    travel = float(np.mean(np.abs(x[:, 0])))
+    thresholds = travel * np.geomspace(_LEAST, _MOST, _STOPS)
+    stops = np.array([_stopped(each, thresholds) for each in x])  # (m, H, stops)
+    rows, wanted = [], []
+    for order in _ORDERS:
+        if order > x.shape[1]:
+            break
+        k = order - 1
+        own = np.stack([a[:, k], x[:, k], 1j * order * w * x[:, k]], axis=1)
+        seen = f[:, k] != 0.0
+        rows.append(np.concatenate([own, stops[:, k]], axis=1)[seen])
+        wanted.append(f[seen, k])
+    columns, force = np.concatenate(rows), np.concatenate(wanted)
+    real = np.concatenate([columns.real, columns.imag])
+    size = np.maximum(np.linalg.norm(real, axis=0), 1e-300)
+    found, _ = nnls(real / size, np.concatenate([force.real, force.imag]))
+    effective = stops[:, 0] / x[:, :1]
+    uneven: Complexes = ((effective - effective.mean(axis=0)) * x[:, :1]) @ (found / size)[3:]
+    return uneven
+
+
+def _stopped(x: Complexes, thresholds: Floats) -> Complexes:
+    """Amplitudes of stop operators that follow a periodic motion, shape (H, stops)."""
+    phase = 2 * np.pi * np.arange(2 * _POINTS) / _POINTS  # the first cycle is from rest
+    orders = np.arange(1, len(x) + 1)[:, np.newaxis]
+    motion = (x[:, np.newaxis] * np.exp(1j * orders * phase)).real.sum(axis=0)
+    stops = stop_operators(motion, thresholds)
+    spectrum = np.fft.rfft(stops[_POINTS:], axis=0) * 2.0 / _POINTS
+    return np.asarray(spectrum[1 : len(x) + 1], dtype=np.complex128)
+
 
 _OVERTONES = 9  # of a sine, which friction makes, and which are no noise
 _ROUNDS = 4  # of linearisation in the lag; it converges quadratically
-MULTISINE_SIGMAS = 4.0
-"""Standard errors within which a deviation is none: curvature, tilt."""
-
-
-def significant(value: Floats, error: Floats) -> Floats:
-    """Give the values that are beyond `MULTISINE_SIGMAS` standard errors, and 0 for the others."""
-    return np.where(np.abs(value) > MULTISINE_SIGMAS * error, value, 0.0)
 
 
 @dataclass(frozen=True)
@@ -290,10 +344,8 @@ def _displacement_scale(scale: Floats, error: Floats) -> tuple[Floats, Floats]:
     It is 1, without an error, unless velocity and acceleration both differ, by the same factor.
     """
     (v, a), (of_v, of_a) = scale[1:3], error[1:3]
-    differ = (np.abs(v - 1.0) > MULTISINE_SIGMAS * of_v) & (
-        np.abs(a - 1.0) > MULTISINE_SIGMAS * of_a
-    )
-    alike = differ & (np.abs(v - a) <= MULTISINE_SIGMAS * np.hypot(of_v, of_a))
+    differ = (np.abs(v - 1.0) > SIGNIFICANT * of_v) & (np.abs(a - 1.0) > SIGNIFICANT * of_a)
+    alike = differ & (np.abs(v - a) <= SIGNIFICANT * np.hypot(of_v, of_a))
     p, q = of_v**-2.0, of_a**-2.0
     found = (p + q) / (p * v + q * a)
     return np.where(alike, found, 1.0), np.where(alike, found**2 / np.sqrt(p + q), 0.0)
@@ -308,7 +360,7 @@ def _relation(of: Harmonics, order: int, i: int, fault_free: Complexes) -> tuple
     others = np.arange(n) != i
     used = np.arange(n)
     fit, shape = _shaped(y, motion, noise, of.w)
-    if n > 1 and not (np.abs(fit.value[:n]) > MULTISINE_SIGMAS * fit.error[:n])[others].any():
+    if n > 1 and not (np.abs(fit.value[:n]) > SIGNIFICANT * fit.error[:n])[others].any():
         used = np.array([i])
         fit, shape = _shaped(y, motion[:, used], noise, of.w)
     value, error = np.zeros(n + 1), np.zeros(n + 1)
@@ -324,11 +376,11 @@ def _shaped(y: Complexes, columns: Complexes, noise: Floats, w: Floats) -> tuple
     """
     late, bent = -1j * w, 1j * w**3
     fit, shape = min(
-        (_aligned(y, columns, noise, _stacked(late, w**p, bent)) for p in (4, 2)),
+        (aligned(y, columns, noise, _stacked(late, w**p, bent)) for p in (4, 2)),
         key=lambda tried: tried[0].left,
     )
-    if not (np.abs(fit.value[-2:]) > MULTISINE_SIGMAS * fit.error[-2:]).any():
-        fit, shape = _aligned(y, columns, noise, _stacked(late))
+    if not (np.abs(fit.value[-2:]) > SIGNIFICANT * fit.error[-2:]).any():
+        fit, shape = aligned(y, columns, noise, _stacked(late))
     count = columns.shape[1] + 1
     return Fit(fit.value[:count], fit.error[:count], fit.left), shape
 
@@ -337,12 +389,12 @@ def _stacked(*columns: NDArray[Any]) -> Complexes:
     return np.stack(columns, axis=1).astype(np.complex128)
 
 
-def _aligned(
-    y: Complexes, columns: Complexes, noise: Floats, powers: Complexes
+def aligned(
+    y: Complexes, columns: Complexes, noise: Floats, powers: Complexes, start: float | Floats = 0.0
 ) -> tuple[Fit, Complexes]:
     """Fit y = columns b exp(powers q); give (b, q), and the factor on y."""
     count = powers.shape[1]
-    found = np.zeros(count)
+    found = np.zeros(count) + start
     for _ in range(_ROUNDS):
         turned = y * np.exp(-powers @ found)
         more = powers * turned[:, np.newaxis]

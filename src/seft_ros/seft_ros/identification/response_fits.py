@@ -1,17 +1,106 @@
-"""Models fitted to measured responses: the specimen, and the closed force loop."""
+"""Models fitted to responses: the specimen, and the closed force loop with its band and delay."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import median_filter
 from scipy.optimize import least_squares
+from scipy.signal import find_peaks
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_plant_sim.calibration import SIGNIFICANT
 from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.simulated.specimen import Specimen
 
 from seft_ros.design.plant import Root, roots_of
-from seft_ros.identification.rig_tests import Response
+from seft_ros.identification.rig_tests import BAND_HZ, Response
+
+FLATNESS_DB = 1.0
+BANDWIDTH_DB = -3.0
+
+_OUTLIERS = 5  # points of the running median over |T|: two wild ones in a row change nothing
+_DIP_DB = 0.2  # smallest dip that is distinguished from noise
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """How the measured force follows the reference force; None if the data do not show it.
+
+    Attributes
+    ----------
+    closed_loop_flat_to_hz : float or None
+        First frequency at which |T| leaves +-1 dB; 0 where it is outside from the start, None
+        where it never leaves.
+    bandwidth_hz : float or None
+        First frequency at which |T| falls below -3 dB; likewise.
+    delay_s : float or None
+        Pure delay whose phase fits that of T best, over the band in which T is flat.
+    dip_db, dip_hz : float or None
+        |T| at the bottom of its deepest dip within the band, and where: it is higher on either
+        side, as at a zero of the specimen that is not fully compensated.
+    """
+
+    closed_loop_flat_to_hz: float | None = None
+    bandwidth_hz: float | None = None
+    delay_s: float | None = None
+    dip_db: float | None = None
+    dip_hz: float | None = None
+
+
+def tracking_measures(frequencies_hz: Floats, tracking: Complexes) -> Tracking:
+    """Measure a closed loop T known at some frequencies, ascending, in Hz; shape (N,) both.
+
+    Delay and dip are those of the band up to `BAND_HZ`. Against noise: magnitudes pass a
+    running median of five points, dips below 0.2 dB do not count, and the delay is a
+    least-squares fit. Phase is unwrapped from the lowest frequency up, so that noise beyond the
+    band reaches nothing within it.
+    """
+    known = np.isfinite(tracking) & (tracking != 0)
+    f, t = frequencies_hz[known], tracking[known]
+    if not len(f):
+        return Tracking()
+    decibels = median_filter(20 * np.log10(np.abs(t)), _OUTLIERS, mode="nearest")
+    phase = np.unwrap(np.angle(t))
+    flat_to = _first_above(f, np.abs(decibels), FLATNESS_DB)
+    dip_db, dip_hz = _deepest_dip(f, decibels)
+    return Tracking(
+        closed_loop_flat_to_hz=flat_to,
+        bandwidth_hz=_first_above(f, -decibels, -BANDWIDTH_DB),
+        delay_s=_fitted_delay(f, phase, BAND_HZ if flat_to is None else min(flat_to, BAND_HZ)),
+        dip_db=dip_db,
+        dip_hz=dip_hz,
+    )
+
+
+def _first_above(f: Floats, values: Floats, limit: float) -> float | None:
+    """First frequency at which values pass a limit, interpolated; 0 if the first does."""
+    above = values > limit
+    if not above.any():
+        return None
+    i = int(above.argmax())
+    if i == 0:
+        return 0.0
+    return float(np.interp(limit, values[i - 1 : i + 1], f[i - 1 : i + 1]))
+
+
+def _fitted_delay(f: Floats, phase: Floats, to_hz: float) -> float | None:
+    """Least squares of phase = -2 pi f tau through the origin, every Hz counting the same."""
+    band = f <= to_hz
+    if band.sum() < 2:
+        return None
+    omega = 2 * np.pi * f[band]
+    weight = np.gradient(omega) * omega  # how densely the points lie must not matter
+    return float(-(weight @ phase[band]) / (weight @ omega))
+
+
+def _deepest_dip(f: Floats, decibels: Floats) -> tuple[float | None, float | None]:
+    dips, _ = find_peaks(-decibels, prominence=_DIP_DB)
+    dips = dips[f[dips] <= BAND_HZ]
+    if not len(dips):
+        return None, None
+    deepest = dips[decibels[dips].argmin()]
+    return float(decibels[deepest]), float(f[deepest])
+
 
 _FLOOR = 4e-4  # of each term: to which a multisine test tells the scale of a sensor
 _ORDER = 3  # of a filter that a lag has been taken from: what it leaves begins with s^3
@@ -38,12 +127,6 @@ class SpecimenFit:
         """Natural frequencies and dampings, lowest first."""
         moving, _ = Specimen(self.mass, self.damping, self.stiffness).state_matrices()
         return roots_of(np.linalg.eigvals(moving))
-
-    def axis_root(self, axis: int) -> Root:
-        """Natural frequency and damping of one axis, the others held."""
-        m, c, k = (part[axis, axis] for part in (self.mass, self.damping, self.stiffness))
-        w = float(np.sqrt(k / m))
-        return Root(w / (2 * np.pi), float(c / (2 * m * w)))
 
 
 def fit_specimen(measured: Sequence[Response]) -> SpecimenFit:

@@ -28,16 +28,15 @@ from seft_plant_sim.simulated.specimen import Specimen
 from seft_plant_sim.whole_structure import response
 
 from seft_ros.bags.recording import Recording, Series
-from seft_ros.design.force_tracking import BAND_HZ
-from seft_ros.force_controller.force_controller_parameters import (
-    FOLLOW_TARGETS,
-    one_controller,
-)
+from seft_ros.force_controller.force_controller_parameters import FOLLOW_TARGETS, one_controller
 from seft_ros.force_controller.methods import force_control
-from seft_ros.ground_motion.resampling import check_size
+from seft_ros.ground_motion.conditioning import check_size
 from seft_ros.ground_motion.synthetic_motion import excitation, shortest_duration
 from seft_ros.reference_force.compensator import OF_THE_LOOP
 from seft_ros.reference_force.reference_force_block import ReferenceForce
+
+BAND_HZ = 25.0
+"""Upper end of the band in which force is to be controlled (paper sec. 3.2), Hz."""
 
 _HANN_OVERLAP_GAIN = 0.947  # independent averages for each half-overlapped Hann segment
 

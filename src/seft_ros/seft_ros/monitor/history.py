@@ -13,6 +13,7 @@ from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.wire.topics import RigAxes
 
 from seft_ros.analysis.summary import COMPARED
+from seft_ros.bags.recording import Series, of_all_rigs
 
 HistoryBatch = tuple[Ints, Floats, Ints]
 """Steps, values of shape (N, 4, axes), and the time of sending of each, ns."""
@@ -69,32 +70,26 @@ class RigBatches:
 
     def __init__(self, rigs: Sequence[RigAxes]) -> None:
         self._rigs = tuple(rigs)
-        # of each rig: step -> state and time of sending, the oldest first
-        self._waiting: list[dict[int, tuple[Floats, int]]] = [{} for _ in rigs]
+        none, empty = np.empty(0, np.int64), [np.empty((0, 4, len(rig.axes))) for rig in rigs]
+        self._waiting = [Series(none, values, received_ns=none) for values in empty]
 
     def take(self, rig: int, batch: HistoryBatch) -> None:
-        """Add states of a rig; a step before its last one begins a new test for it."""
-        waiting = self._waiting[rig]
-        for step, state, sent in zip(batch[0].tolist(), batch[1], batch[2].tolist(), strict=True):
-            if waiting and step <= next(reversed(waiting)):
-                waiting.clear()
-            waiting[step] = state, sent
-        while len(waiting) > MAX_WAITING:
-            del waiting[next(iter(waiting))]
+        """Add states of a rig; a step that is not after the last one begins a new test for it."""
+        one = self._waiting[rig]
+        assert one.received_ns is not None
+        before = one.steps, one.values, one.received_ns
+        steps, values, sent = (np.concatenate(pair) for pair in zip(before, batch, strict=True))
+        begins = np.flatnonzero(np.diff(steps, prepend=-1) <= 0)
+        newest = slice(max([*begins, len(steps) - MAX_WAITING, 0]), None)
+        self._waiting[rig] = Series(steps, values, received_ns=sent).rows(newest)
 
     def complete(self) -> HistoryBatch:
         """Give the steps that all rigs have sent; each step once."""
-        steps = sorted(set.intersection(*map(set, self._waiting)))
-        values = np.empty((len(steps), 4, sum(len(rig.axes) for rig in self._rigs)))
-        sent = np.zeros(len(steps), np.int64)
-        for rig, waiting in zip(self._rigs, self._waiting, strict=True):
-            for place, step in enumerate(steps):
-                state, at = waiting[step]
-                values[place][:, list(rig.places)] = state
-                sent[place] = max(sent[place], at)
-            for passed in [step for step in waiting if steps and step <= steps[-1]]:
-                del waiting[passed]
-        return np.array(steps, np.int64), values, sent
+        found = of_all_rigs(self._waiting, self._rigs)
+        assert found.received_ns is not None
+        if len(found.steps):
+            self._waiting = [one.rows(one.steps > found.steps[-1]) for one in self._waiting]
+        return found.steps, found.values, found.received_ns
 
 
 _Samples = npt.NDArray[np.float32]

@@ -299,6 +299,14 @@ def slide(e: Floats, thresholds: Floats, stops: Floats) -> None:
             stops[k, i] = z
 
 
+def stop_operators(e: Floats, thresholds: Floats, start: float | Floats = 0.0) -> Floats:
+    """Give the stop operators of a deformation, (N,), which begin with some values; (N, m)."""
+    stops = np.empty((len(e), len(thresholds)))
+    stops[0] = start
+    slide(np.ascontiguousarray(e), thresholds, stops)
+    return stops
+
+
 @compiled
 def move_stops(parameters: ModelParameters, change: Floats, stops: Floats) -> None:
     """Move stop operators by a change of each deformation, shape (n,), m."""

@@ -1,21 +1,32 @@
-"""What an experimenter does not know exactly, drawn at random: rig, specimen, ground motion."""
+"""The tests of a study: every method at every mass ratio on tests drawn at random.
+
+Drawn is what an experimenter does not know exactly: rig, specimen, ground motion.
+"""
 
 import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.parameter_table import Section, as_matrix, per_axis
+from seft_msgs_py.config.parameter_table import Section, as_matrix, nearest, per_axis
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase, rigs_of
 from seft_plant_sim import rig_parameters
 from seft_plant_sim.rig import Rig
 
-from seft_ros.ground_motion.ground_motion_block import GroundMotion
+from seft_ros.force_controller.methods import force_control
+from seft_ros.ground_motion.ground_motion_block import FILES, GroundMotion
 from seft_ros.ground_motion.record_file import files_of
+from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
+from seft_ros.reference_force.reference_force_block import method_inputs
+from seft_ros.reference_force.reference_force_parameters import REFERENCE_FORCE_TABLE
+from seft_ros.test_run.blocks import build_blocks, with_method
 
 DRAWN_QUANTITIES = {
     "rig:simulated.specimen.mass": 0.2,  # it is weighed
@@ -134,21 +145,19 @@ def draw_tests(
     # without spread: the configured values, for each axis where the drawn ones are
     base = own | {"rig": drawn_rig(own["rig"], axes, seed, 1, 0.0)}
     factors: dict[str, Floats] = {}
-    for quantity in DRAWN_QUANTITIES:
+    offsets: dict[str, Floats] = {}
+    for quantity in (*DRAWN_QUANTITIES, *DRAWN_OFFSETS):
         node, name = quantity.split(":")
         configured = np.ravel(base[node][name])
-        for label, place in _effective(base[node], quantity, axes, timebase):
-            values = np.array([np.ravel(one[node][name])[place] for one in drawn])
-            if np.any(values != configured[place]):
-                factors[label] = values / configured[place]
-    offsets: dict[str, Floats] = {}
-    for quantity in DRAWN_OFFSETS:
-        node, name = quantity.split(":")
-        at_first = np.ravel(base[node][name])
-        values = np.array([np.ravel(one[node][name]) for one in drawn]) - at_first
-        for label, place in _added(base[node], quantity, axes, timebase):
-            if values[:, place].any():
-                offsets[label] = values[:, place]
+        values = np.array([np.ravel(one[node][name]) for one in drawn])
+        for label, place in _places(base[node], quantity, axes, timebase):
+            own_values = values[:, place]
+            if not np.any(own_values != configured[place]):
+                continue
+            if quantity in DRAWN_OFFSETS:
+                offsets[label] = own_values - configured[place]
+            else:
+                factors[label] = own_values / configured[place]
     return DrawnTests((own, *drawn), factors, offsets, seed, spread, tuple(motions))
 
 
@@ -259,34 +268,140 @@ def _matters(
     return one != other
 
 
-def _added(
-    base: Section, quantity: str, axes: tuple[str, ...], timebase: Timebase
-) -> list[tuple[str, int]]:
-    """Labels and places of the values of `DRAWN_OFFSETS` on which the simulated test depends."""
-    name = quantity.removeprefix("rig:")
-    if quantity == _TILT:
-        pairs = np.argwhere(_neighbours(axes))
-        return [
-            (f"{quantity}, axis {axes[i]} by {axes[j]}", int(i * len(axes) + j)) for i, j in pairs
-        ]
-    if not _matters(base, name, np.add(base[name], DRAWN_OFFSETS[quantity]), axes, timebase):
-        return []
-    several = len(axes) > 1
-    return [(f"{quantity}, axis {axis}" if several else quantity, n) for n, axis in enumerate(axes)]
-
-
-def _effective(
+def _places(
     base: Section, quantity: str, axes: tuple[str, ...], timebase: Timebase
 ) -> list[tuple[str, int]]:
     """Labels and places of the values of a parameter on which the simulated test depends."""
     node, name = quantity.split(":")
-    values = np.ravel(base[name])
+    values, several = np.ravel(base[name]), len(axes) > 1
     largest = [(quantity, int(np.abs(values).argmax()))]
     if node != "rig":
         return largest
-
-    if not _matters(base, name, np.multiply(base[name], 1.01), axes, timebase):
+    if quantity == _TILT:
+        pairs = np.argwhere(_neighbours(axes)).tolist()
+        return [(f"{quantity}, axis {axes[i]} by {axes[j]}", i * len(axes) + j) for i, j in pairs]
+    added = DRAWN_OFFSETS.get(quantity, 0.0)
+    other = np.add(base[name], added) if added else np.multiply(base[name], 1.01)
+    if not _matters(base, name, other, axes, timebase):
         return []
-    if len(axes) > 1 and name.startswith(_OF_AN_AXIS) and len(values) == len(axes):
-        return [(f"{quantity}, axis {axis}", n) for n, axis in enumerate(axes) if values[n]]
-    return largest
+    if not (several and name.startswith(_OF_AN_AXIS) and len(values) == len(axes)):
+        return largest
+    return [(f"{quantity}, axis {axis}", n) for n, axis in enumerate(axes) if added or values[n]]
+
+
+EVERY_METHOD = "all"
+
+
+class StudyTest(NamedTuple):
+    """Mass ratio, compensation method, and number of the drawn test (0: as configured)."""
+
+    mass_ratio: float
+    method: str
+    number: int
+
+    def __str__(self) -> str:
+        return f"mass ratio {self.mass_ratio:g}, {self.method}, test {self.number}"
+
+
+@dataclass(frozen=True)
+class StudyDesign:
+    """What is run.
+
+    Attributes
+    ----------
+    experiment : Experiment
+        As configured. Its model, controller and delay are what the methods assume in every test.
+    drawn : DrawnTests
+        Rigs and ground motions, the same for all methods and mass ratios.
+    methods : tuple of str
+        Compensation methods.
+    mass_ratios : tuple of float
+        Computed mass over the model's mass.
+    not_possible : dict
+        (mass ratio, method) -> why it can't be set up.
+    """
+
+    experiment: Experiment
+    drawn: DrawnTests
+    methods: tuple[str, ...]
+    mass_ratios: tuple[float, ...]
+    not_possible: dict[tuple[float, str], str]
+
+    def tests(self) -> list[StudyTest]:
+        """List the tests that are possible, those of one rig and mass ratio together."""
+        return [
+            StudyTest(ratio, method, number)
+            for number in range(len(self.drawn.sections))
+            for ratio in self.mass_ratios
+            for method in self.methods
+            if (ratio, method) not in self.not_possible
+        ]
+
+    def experiment_of(self, test: StudyTest) -> Experiment:
+        """Give the complete experiment of a test."""
+        own = self.experiment
+        if test.method != own["reference_force"]["compensation.method"]:
+            own = with_method(own, test.method)
+        drawn = Experiment(own.sections | self.drawn.sections[test.number])
+        return drawn.changed({"reference_force": {"mass_ratio": test.mass_ratio}})  # rig knows it
+
+    def records(self) -> dict[str, bytes]:
+        """Read the files of the ground motions."""
+        motion, axes = self.experiment["ground_motion"], self.experiment.axes
+        files = {file for name in FILES for file in files_of(motion[name], axes)} | {
+            *self.drawn.motions
+        }
+        return {file: Path(file).read_bytes() for file in sorted(files)}
+
+
+def design_study(
+    experiment: Experiment,
+    drawn: DrawnTests,
+    methods: Sequence[str] = (),
+    mass_ratios: Sequence[float] = (),
+) -> StudyDesign:
+    """Design a study.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        As configured.
+    drawn : DrawnTests
+        Of this experiment.
+    methods : sequence of str
+        Default the experiment's own; `EVERY_METHOD` means all there are.
+    mass_ratios : sequence of float
+        Default the experiment's own.
+
+    Raises
+    ------
+    InputError
+        If a method is unknown, a mass ratio is out of bounds, or no method is possible.
+    """
+    own = experiment["reference_force"]
+    chosen = [*(methods or [own["compensation.method"]])]
+    if EVERY_METHOD in chosen:
+        chosen = [*COMPENSATION_METHODS]
+    for name in chosen:
+        if name not in COMPENSATION_METHODS:
+            raise InputError(
+                f"--method {name}: must be {EVERY_METHOD} or one of "
+                f"{', '.join(COMPENSATION_METHODS)}{nearest(name, COMPENSATION_METHODS)}"
+            )
+    ratios = [
+        REFERENCE_FORCE_TABLE.check({"mass_ratio": ratio}, "--mass-ratio")["mass_ratio"]
+        for ratio in mass_ratios
+    ]
+    # errors of the experiment itself come before those of a method
+    method_inputs(own, experiment.axes, experiment.timebase)
+    force_control(experiment["force_controller"], experiment.axes, experiment.timebase)
+    chosen, ratios = list(dict.fromkeys(chosen)), list(dict.fromkeys(ratios or [own["mass_ratio"]]))
+    design = StudyDesign(experiment, drawn, tuple(chosen), tuple(ratios), {})
+    for ratio, method in product(design.mass_ratios, design.methods):
+        try:
+            build_blocks(design.experiment_of(StudyTest(ratio, method, 0)))
+        except InputError as error:  # all else is in order: the method lacks something
+            design.not_possible[ratio, method] = str(error)
+    if not design.tests():
+        raise InputError(next(iter(design.not_possible.values())))
+    return design

@@ -6,19 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from seft_ros.drawing.page import (
-    Block,
-    PageSection,
-    Plot,
-    Text,
-    VerdictBox,
-    level,
-    line,
-    plot,
-    write_page,
-)
-from seft_ros.drawing.style import GOOD_ERROR, OTHERS, Mark, number, percent
-from seft_ros.drawing.table import Cell, Texts, TextTable
+from seft_ros.drawing import page
+from seft_ros.drawing.page import Block, PageSection, Plot, Text, VerdictBox
+from seft_ros.drawing.style import GOOD_ERROR, OTHERS, Cell, Mark, Texts, TextTable, number, percent
 from seft_ros.study.study_results import CORRELATIONS, STUDY_QUANTILES, errors_of, strength
 
 _HEADINGS = ("method", "mass\nratio", "test 0", *STUDY_QUANTILES, "tripped")
@@ -87,7 +77,7 @@ def write_study(summary: Mapping[str, Any], title: str, subtitle: str, path: Pat
         PageSection("What the error depends on", _dependence(summary)),
         PageSection("The worst tests", _worst(summary)),
     ]
-    write_page(path, title, subtitle, sections)
+    page.write_page(path, title, subtitle, sections)
 
 
 def _name(result: Mapping[str, Any]) -> str:
@@ -130,17 +120,17 @@ def _errors(summary: Mapping[str, Any]) -> list[Block]:
 
 
 def _distribution(ratio: float, summary: Mapping[str, Any]) -> Plot:
-    panel = plot("NRMSE of displacement / %", "share of the tests / %", log_x=True)
+    panel = page.plot("NRMSE of displacement / %", "share of the tests / %", log_x=True)
     own = [result for result in summary["results"] if result["mass_ratio"] == ratio]
     for place, result in enumerate(own):
         errors = np.sort(errors_of(result["runs"]))
         at = np.arange(1, len(errors) + 1) / len(errors)
         finite = np.isfinite(errors) & (errors > 0)
         color, dash = OTHERS[place % len(OTHERS)], ("solid", "dashed")[place // len(OTHERS) % 2]
-        line(
+        page.line(
             panel, 100 * errors[finite], 100 * at[finite], result["method"], color=color, dash=dash
         )
-    level(panel, 95.0)
+    page.level(panel, 95.0)
     caption = (
         f"Mass ratio {ratio:g}: share of the drawn tests whose error is at most that. Unstable "
         "tests are missing at the top. Dashed: 95 %."

@@ -16,8 +16,7 @@ from seft_msgs_py.errors import InputError
 from seft_ros.drawing.style import RESPONSES, json_safe
 from seft_ros.ground_motion.ground_motion_block import FILES
 from seft_ros.ground_motion.record_file import files_of, source_name
-from seft_ros.study.drawn_tests import DrawnTests
-from seft_ros.study.study_design import StudyDesign, StudyTest
+from seft_ros.study.drawn_tests import DrawnTests, StudyDesign, StudyTest
 from seft_ros.study.study_runs import Run
 
 STUDY_QUANTILES = {"median": 0.5, "p90": 0.9, "p95": 0.95, "max": 1.0}

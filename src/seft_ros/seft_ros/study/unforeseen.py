@@ -4,7 +4,7 @@ Stability says nothing about that: an unforeseen change of the restoring force i
 of the valve later, and in soft oil the flow must first compress the oil.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from seft_msgs_py.config.experiment import Experiment
@@ -41,10 +41,6 @@ class YieldingError:
 
     whole: float
     of_valve: float
-
-    def numbers(self) -> dict[str, float | None]:
-        """Give both by name; None instead of infinite."""
-        return {name: v if np.isfinite(v) else None for name, v in asdict(self).items()}
 
     def warning(self) -> str:
         """Say that the valve can't follow, and how to mend it; empty if it can."""

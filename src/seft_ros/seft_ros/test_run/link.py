@@ -21,9 +21,8 @@ from seft_msgs_py.wire.messages import decode_string, encode_string
 from seft_msgs_py.wire.topics import LINK_PING, LINK_PONG, TARGET, RigAxes, Topic, bare
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-from seft_ros.design.margin_ends import MASS_RATIO_RESERVE as RESERVE
-from seft_ros.drawing.style import Mark, Number, rows_of
-from seft_ros.drawing.table import Cell, Texts, TextTable
+from seft_ros.design.stability_margins import MASS_RATIO_RESERVE as RESERVE
+from seft_ros.drawing.style import Cell, Mark, Number, Texts, TextTable, rows_of
 from seft_ros.reference_force.reference_force_parameters import (
     horizon_steps,
     reference_force_topic,

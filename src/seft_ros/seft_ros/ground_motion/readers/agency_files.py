@@ -36,11 +36,6 @@ _PEER_HEADER = 50
 _PEER_NPTS = re.compile(r"\bNPTS\b", re.IGNORECASE)
 
 
-def is_peer(_: Path, lines: list[str]) -> bool:
-    """Whether a file has the line of an AT2 file's header with NPTS and DT."""
-    return _header_end(lines) is not None
-
-
 def check_name(path: Path) -> None:
     """Refuse a file whose name, but not whose header, is that of an AT2 file."""
     if path.suffix.lower() == ".at2":
@@ -50,7 +45,7 @@ def check_name(path: Path) -> None:
         )
 
 
-def read_peer(path: Path, lines: list[str]) -> Columns:
+def read_peer(path: Path, lines: list[str]) -> Columns | None:
     """Read an AT2 file: one column, in the header's unit and with its DT.
 
     There are two header dialects, ``4096    0.0100    NPTS, DT`` and ``NPTS=  4096, DT= .01000
@@ -62,7 +57,8 @@ def read_peer(path: Path, lines: list[str]) -> Columns:
         If the header is not that of an acceleration, or if the number of values is not that of the
         header.
     """
-    end = _header_end(lines) or 0
+    if (end := _header_end(lines)) is None:
+        return None
     numbers = NUMBER.findall(lines[end])
     count, dt = int(numbers[0]), to_float(numbers[1], path, end + 1)
     if count < 1 or not 0 < dt < np.inf:
@@ -89,12 +85,7 @@ _SMC_COMMENTS, _SMC_COUNT, _SMC_RATE = 15, 16, 1  # places, from 0
 _SMC_NO_RATE = 1e6  # Hz; records of uneven times have 1.7e38
 
 
-def is_smc(_: Path, lines: list[str]) -> bool:
-    """Whether a file has the first line of an SMC accelerogram."""
-    return bool(_SMC_FIRST_LINE.match(lines[0]))
-
-
-def read_smc(path: Path, lines: list[str]) -> Columns:
+def read_smc(path: Path, lines: list[str]) -> Columns | None:
     """Read an SMC file: one column, in cm/s^2; its headers have a fixed length.
 
     Raises
@@ -102,6 +93,8 @@ def read_smc(path: Path, lines: list[str]) -> Columns:
     InputError
         If the header gives no count or rate, or the number of values is another.
     """
+    if not _SMC_FIRST_LINE.match(lines[0]):
+        return None
     reals = _SMC_TEXT + _SMC_INTEGERS
     end = reals + _SMC_REALS
     integers = header_numbers(path, lines, _SMC_TEXT, reals, 10)
@@ -121,24 +114,17 @@ def read_smc(path: Path, lines: list[str]) -> Columns:
 
 _COSMOS_FORMAT = r"Format\s*=\s*\(\s*(?:1P)?\d*[DEFGI](\d+)"
 _COSMOS_DATA = re.compile(
-    rf"^\s*(\d+)\s+(.+?)\s+pts\b.*?\bunits\s*=\s*([^,(]+).*?{_COSMOS_FORMAT}",
-    _FLAGS,
+    rf"^\s*(\d+)\s+(.+?)\s+pts\b.*?\bunits\s*=\s*([^,(]+).*?{_COSMOS_FORMAT}", _FLAGS
 )
 _COSMOS_REALS = re.compile(
-    rf"^\s*\d+\s+Real-header values follow on\s+(\d+)\s+lines.*?{_COSMOS_FORMAT}",
-    _FLAGS,
+    rf"^\s*\d+\s+Real-header values follow on\s+(\d+)\s+lines.*?{_COSMOS_FORMAT}", _FLAGS
 )
 _COSMOS_PERIODS = ((62, 1e-3), (34, 1.0))
 """Places of the sampling period in the real header, and its unit in s: the period of these values,
 then that of the instrument."""
 
 
-def is_cosmos(_: Path, lines: list[str]) -> bool:
-    """Whether a file has a line with the number and the format of values."""
-    return any(map(_COSMOS_DATA.match, lines))
-
-
-def read_cosmos(path: Path, lines: list[str]) -> Columns:
+def read_cosmos(path: Path, lines: list[str]) -> Columns | None:
     """Read a COSMOS file (v1.20): a column for each of its channels of acceleration.
 
     Lines state the number and the format of the values that follow.
@@ -171,9 +157,14 @@ def read_cosmos(path: Path, lines: list[str]) -> Columns:
             own = Statement(unit, f"line {index + 1}")
             count, width = int(data.group(1)), int(data.group(4))
             found.append(read_channel(path, lines, index + 1, count, "COSMOS", dt, own, width))
-    if not found:
+    return _only_accelerations(path, found, other)
+
+
+def _only_accelerations(path: Path, found: list[Columns], other: str) -> Columns | None:
+    """Join the channels of acceleration; None: the file has no channel of its format."""
+    if other and not found:
         raise other_quantity(path, 1, other)
-    return as_channels(found)
+    return as_channels(found) if found else None
 
 
 _CSMIP_EVEN = re.compile(
@@ -182,7 +173,7 @@ _CSMIP_EVEN = re.compile(
     _FLAGS,
 )
 _CSMIP_RAW = re.compile(
-    rf"^\s*(\d+)\s+accelerogram\s+points\s+at\s+({_N})\s+pts/sec\s+in\s+units\s+of\s+([^\s(),]+)",
+    rf"^\s*(\d+)\s+(accelerogram)\s+points\s+at\s+({_N})\s+pts/sec\s+in\s+units\s+of\s+([^\s(),]+)",
     _FLAGS,
 )
 _CSMIP_PAIRS = re.compile(r"^\s*units\s+of\s+uncor\s+accel\s+are\s+sec\s+and\s+g/10\b", _FLAGS)
@@ -192,14 +183,7 @@ _ABOVE_PAIRS, _PAIR_WIDTH = 16, 7  # lines of headers from the line of units on;
 _CSMIP_OTHERS = {"veloc": "velocity", "displ": "displacement"}
 
 
-def is_csmip(_: Path, lines: list[str]) -> bool:
-    """Whether a file has a line above the values of a CSMIP channel."""
-    return any(
-        find.match(line) for line in lines for find in (_CSMIP_EVEN, _CSMIP_RAW, _CSMIP_PAIRS)
-    )
-
-
-def read_csmip(path: Path, lines: list[str]) -> Columns:
+def read_csmip(path: Path, lines: list[str]) -> Columns | None:
     """Read a CSMIP file (CGS, formerly CDMG): a column for each of its channels of acceleration.
 
     Volume 2 has ``7500 points of accel data equally spaced at .010 sec, in cm/sec2. (8f10.6)``
@@ -216,31 +200,20 @@ def read_csmip(path: Path, lines: list[str]) -> Columns:
     """
     found, other = list[Columns](), ""
     for index, line in enumerate(lines):
-        if even := _CSMIP_EVEN.match(line):
-            if even.group(2).lower() != "accel":
-                other = other or _CSMIP_OTHERS[even.group(2).lower()]
+        if said := _CSMIP_EVEN.match(line) or _CSMIP_RAW.match(line):
+            count, quantity, period, unit = said.groups()
+            if quantity.lower() in _CSMIP_OTHERS:
+                other = other or _CSMIP_OTHERS[quantity.lower()]
                 continue
-            stated = int(even.group(1)), float(even.group(3)), even.group(4)
-            found.append(_channel(path, lines, index, *stated))
-        elif raw := _CSMIP_RAW.match(line):
-            stated = int(raw.group(1)), 1 / float(raw.group(2)), raw.group(3)
-            found.append(_channel(path, lines, index, *stated))
+            place, width = f"line {index + 1}", _CSMIP_WIDTH.search(line)
+            step = float(period) if said.re is _CSMIP_EVEN else 1 / float(period)
+            dt = Statement(step, place)
+            own = Statement(known_unit(path, index + 1, unit), place)
+            wide = int(width.group(1)) if width else 0
+            found.append(read_channel(path, lines, index + 1, int(count), "CSMIP", dt, own, wide))
         elif _CSMIP_PAIRS.match(line):
             found.append(_pairs(path, lines, index))
-    if not found:
-        raise other_quantity(path, 1, other)
-    return as_channels(found)
-
-
-def _channel(
-    path: Path, lines: list[str], index: int, count: int, period: float, unit: str
-) -> Columns:
-    """Read evenly spaced values below the line of this index."""
-    start, place = index + 1, f"line {index + 1}"
-    found = _CSMIP_WIDTH.search(lines[index])
-    dt, own = Statement(period, place), Statement(known_unit(path, start, unit), place)
-    width = int(found.group(1)) if found else 0
-    return read_channel(path, lines, start, count, "CSMIP", dt, own, width=width)
+    return _only_accelerations(path, found, other)
 
 
 def _pairs(path: Path, lines: list[str], index: int) -> Columns:
@@ -275,17 +248,12 @@ _BEFORE_PERIOD, _AFTER_PERIOD = 10, 16  # lines of headers
 _GEONET_WIDTH, _IN_A_ROW = 8, 10
 
 
-def is_geonet(_: Path, lines: list[str]) -> bool:
-    """Whether a file has a GeoNet line of the sampling period, and of the number of points."""
-    return any(map(_GEONET_PERIOD.match, lines)) and any(map(_GEONET_POINTS.match, lines))
-
-
 def _is_geonet_row(line: str) -> bool:
     cut = pieces(line, _GEONET_WIDTH)
     return bool(cut) and all(map(is_number, cut))
 
 
-def read_geonet(path: Path, lines: list[str]) -> Columns:
+def read_geonet(path: Path, lines: list[str]) -> Columns | None:
     """Read a GeoNet file, V1A or V2A: a column for each component's acceleration.
 
     Each component has 26 lines of headers, then values; in volume 2 as many velocities and
@@ -298,6 +266,8 @@ def read_geonet(path: Path, lines: list[str]) -> Columns:
         the header, or components differ in length or sampling period.
     """
     found, names = list[Columns](), list[str]()
+    if not any(map(_GEONET_POINTS.match, lines)):
+        return None
     for index, line in enumerate(lines):
         if not (period := _GEONET_PERIOD.match(line)):
             continue
@@ -328,4 +298,8 @@ def read_geonet(path: Path, lines: list[str]) -> Columns:
             read_channel(path, values, start, count, "GeoNet", dt, unit, _GEONET_WIDTH, index, size)
         )
         names.append(component.group(1) if component else f"component {len(found)}")
-    return as_channels(found, names)
+    return as_channels(found, names) if found else None
+
+
+AGENCY_FORMATS = read_cosmos, read_smc, read_geonet, read_csmip, read_peer
+"""Readers of texts with an agency's header: None if a file has another."""

@@ -28,8 +28,7 @@ _SECONDS = {
 }
 _ACCELERATION = re.compile(r"(?<![a-z])(?:acc(?:el)?(?:eration)?s?|a|a_?[gxyz])(?![a-z])", re.I)
 _OTHER = re.compile(
-    r"(?<![a-z])(?:vel\w*|speed|displ?\w*|spectr\w*|fourier|p?s_?[avd]|arias|force)(?![a-z])",
-    re.I,
+    r"(?<![a-z])(?:vel\w*|speed|displ?\w*|spectr\w*|fourier|p?s_?[avd]|arias|force)(?![a-z])", re.I
 )
 _UNEVEN = 0.01  # of a step
 _FEWEST_TIMES = 10

@@ -23,27 +23,7 @@ _LOWEST, _HIGHEST = 0.1, 0.25  # Hz, of the rate: the band in which a response m
 _FLAT = 0.05  # relative to the sensitivity
 
 
-def is_knet(_: Path, lines: list[str]) -> bool:
-    """Whether a file is a K-NET or KiK-net record in ASCII, not as csv."""
-    head = "\n".join(lines[:40]).lstrip()
-    return bool(re.match(r"Origin Time\s+\d", head)) and "Scale Factor" in head
-
-
-def is_sac(data: bytes) -> bool:
-    """Whether a file is a binary SAC record, of either byte order."""
-    version = data[_SAC_VERSION : _SAC_VERSION + 4]
-    orders = (int.from_bytes(version, order) for order in ("little", "big"))
-    return len(data) > _SAC_HEADER and any(found in _SAC_VERSIONS for found in orders)
-
-
-def is_miniseed(data: bytes) -> bool:
-    """Whether a file is a miniSEED record, of version 2 or 3."""
-    old = data[:6].decode("latin-1").strip(" \0")
-    is_old = (old.isdigit() or not old) and data[6:7] in b"DRQM" and data[7:8] in b" \0"
-    return len(data) > 48 and (data.startswith(b"MS\x03") or is_old)
-
-
-def read_knet(path: Path, lines: list[str]) -> Columns:
+def read_knet(path: Path, lines: list[str]) -> Columns | None:
     """Read a K-NET or KiK-net record: counts times the scale factor of its header, in cm/s^2.
 
     Raises
@@ -51,6 +31,9 @@ def read_knet(path: Path, lines: list[str]) -> Columns:
     InputError
         If ObsPy can't read it, or is not installed; if it is shorter than its header says.
     """
+    head = "\n".join(lines[:40]).lstrip()
+    if not (re.match(r"Origin Time\s+\d", head) and "Scale Factor" in head):
+        return None  # nor is it one as csv
     text = "\n".join(line for line in lines if line.strip())
     trace = _read(path, text.encode("ascii", "replace"), "KNET", "K-NET")[0]
     duration, stated = len(trace) * trace.stats.delta, float(trace.stats.knet.duration)
@@ -64,8 +47,12 @@ def read_knet(path: Path, lines: list[str]) -> Columns:
     return _columns(path, [values], [""], "K-NET", trace.stats.delta, unit)
 
 
-def read_sac(path: Path, data: bytes, response: str) -> Columns:
+def read_sac(path: Path, data: bytes, response: str) -> Columns | None:
     """Read a SAC record, see `read_miniseed`; its header may say that it is no acceleration."""
+    version = data[_SAC_VERSION : _SAC_VERSION + 4]
+    orders = {int.from_bytes(version, order) for order in ("little", "big")}
+    if len(data) <= _SAC_HEADER or orders.isdisjoint(_SAC_VERSIONS):
+        return None
     stream = _read(path, data, "SAC", "SAC")
     other = _SAC_OTHER.get(int(stream[0].stats.sac.get("idep", 0) or 0))
     if other and not response:
@@ -73,7 +60,7 @@ def read_sac(path: Path, data: bytes, response: str) -> Columns:
     return _scaled(path, stream, response, "SAC")
 
 
-def read_miniseed(path: Path, data: bytes, response: str) -> Columns:
+def read_miniseed(path: Path, data: bytes, response: str) -> Columns | None:
     """Read a miniSEED record: a column for each channel.
 
     Counts are divided by the sensitivity in ``response``, a file of the station's metadata; they
@@ -86,6 +73,10 @@ def read_miniseed(path: Path, data: bytes, response: str) -> Columns:
         it is not that of an accelerometer, flat within 5 % of its sensitivity from 0.1 Hz to a
         quarter of the rate; if there is a gap.
     """
+    old = data[:6].decode("latin-1").strip(" \0")
+    is_old = (old.isdigit() or not old) and data[6:7] in b"DRQM" and data[7:8] in b" \0"
+    if len(data) <= 48 or not (data.startswith(b"MS\x03") or is_old):  # of version 3, or 2
+        return None
     return _scaled(path, _read(path, data, "MSEED", "miniSEED"), response, "miniSEED")
 
 
@@ -150,13 +141,16 @@ def _scaled(path: Path, stream: Any, response: str, called: str) -> Columns:
 
 
 def _sensitivity(path: Path, trace: Any, response: str) -> float:
-    """Give the counts of an accelerometer channel for 1 m/s^2."""
-    obspy = _obspy(path, "seismological")
+    """Give the counts for 1 m/s^2 that a station's metadata state, if its response is flat."""
+    f = np.geomspace(_LOWEST, max(_HIGHEST / trace.stats.delta, _LOWEST), 50)
+    obspy, share = _obspy(path, "seismological"), np.ones_like(f)
     try:
         inventory = obspy.read_inventory(response)
         stated = inventory.get_response(trace.id, trace.stats.starttime)
         found = stated.instrument_sensitivity
         unit, size = read_unit(found.input_units or ""), float(found.value)
+        if stated.response_stages and unit == "m/s2":
+            share = np.abs(stated.get_evalresp_response_for_frequencies(f, output="ACC") / size)
     except Exception as error:  # ObsPy raises any kind
         raise InputError(
             f"{path}: {response} gives no sensitivity of channel {trace.id}: {_reason(error)}; "
@@ -167,21 +161,6 @@ def _sensitivity(path: Path, trace: Any, response: str) -> float:
             f"{path}: {response} says that channel {trace.id} measures {found.input_units}, "
             f"{size:g} counts for 1; give the record of an accelerometer, in m/s2"
         )
-    if stated.response_stages:
-        _check_flat(path, trace, stated, size, response)
-    return size
-
-
-def _check_flat(path: Path, trace: Any, stated: Any, size: float, response: str) -> None:
-    """Refuse an instrument whose response is not its sensitivity in the band of a test."""
-    f = np.geomspace(_LOWEST, max(_HIGHEST / trace.stats.delta, _LOWEST), 50)
-    try:
-        share = np.abs(stated.get_evalresp_response_for_frequencies(f, output="ACC") / size)
-    except Exception as error:  # ObsPy raises any kind
-        raise InputError(
-            f"{path}: {response} gives no response of channel {trace.id}: {_reason(error)}; "
-            "give the metadata of that station and time"
-        ) from None
     worst = int(np.abs(share - 1).argmax())
     if not abs(share[worst] - 1) <= _FLAT:
         raise InputError(
@@ -189,6 +168,7 @@ def _check_flat(path: Path, trace: Any, stated: Any, size: float, response: str)
             f"{share[worst]:.3g} times its sensitivity at {f[worst]:.3g} Hz; remove it by ObsPy "
             "(remove_response, output ACC), save the accelerations, and give their unit"
         )
+    return size
 
 
 def _columns(

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from seft_ros.design.force_tracking import tracking_measures
+from seft_ros.identification.response_fits import tracking_measures
 
 F = np.geomspace(0.05, 200.0, 600)
 S = 2j * np.pi * F
