@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from seft_msgs_py.arrays import Floats, Ints
+from seft_msgs_py.arrays import Floats, Ints, zeros
 from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN, POSITION_SERVO
 from seft_msgs_py.errors import InputError
 
@@ -23,7 +23,6 @@ from seft_plant_sim.judge.judge import (
     JudgeParameters,
     JudgeState,
     judge_arrays,
-    zeros_of,
 )
 from seft_plant_sim.judge.known_rig import (
     ASSUMED_ACTUATOR,
@@ -110,7 +109,7 @@ class DetectorParameters(NamedTuple):
 
 
 class DetectorState(NamedTuple):
-    """State of the detectors: arrays of zeros, see `zeros_of`."""
+    """State of the detectors: arrays of zeros."""
 
     last: Annotated[Floats, 4, "n"]  # the last sample
     flow: Annotated[Floats, 2, "n"]  # mean of the valve without load since then, m/s, and its
@@ -221,7 +220,7 @@ def detector_arrays(
         judge=judging,
     )
     sizes = {"n": n, "m": known.past.shape[2], "D": len(DETECTORS)}
-    state = DetectorState(**zeros_of(DetectorState, sizes), judge=judged)
+    state = zeros(DetectorState, sizes, judge=judged)
     return parameters, state
 
 

@@ -22,6 +22,7 @@ valve's delay, s (a step at 500 Hz), and of the oil's compliance, relative (air 
 
 LARGEST_GAIN_ERROR, LARGEST_DELAY_ERROR, LARGEST_OIL_ERROR = 0.3, 5e-3, 0.5
 """Bounds of the estimates."""
+UNCERTAIN_VALVE = (UNCERTAIN_GAIN, UNCERTAIN_DELAY, UNCERTAIN_OIL)
 VALVE_ERRORS = 3
 """Number of errors of a valve: of gain, delay and oil."""
 _BOUNDS = (LARGEST_GAIN_ERROR, LARGEST_DELAY_ERROR, LARGEST_OIL_ERROR)
@@ -59,16 +60,6 @@ def doubt(
     """
     seen = velocity**2 + (force / (oil_stiffness * delay)) ** 2
     return np.asarray(seen * max(1.0, OIL_CORRELATION_TIME / dt))
-
-
-@compiled
-def begin_following(errors: Floats, covariance: Floats) -> None:
-    """Begin a test with the assumed valves; shapes (n, 3) and (n, 3, 3)."""
-    errors[:] = 0.0
-    covariance[:] = 0.0
-    for i in range(len(covariance)):
-        for j in range(VALVE_ERRORS):
-            covariance[i, j, j] = _VARIANCES[j]
 
 
 @compiled

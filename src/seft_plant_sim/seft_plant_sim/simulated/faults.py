@@ -18,7 +18,7 @@ from seft_msgs_py.wire.topics import RigAxes, Timebase
 
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.rig_parameters import is_imposed
-from seft_plant_sim.simulated.continuous_model import Dynamics, Motion, make_fault_free
+from seft_plant_sim.simulated.continuous_model import Dynamics, Motion
 from seft_plant_sim.simulated.specimen import Specimen
 from seft_plant_sim.simulated.springs import ONE_SIDED, SPRING_KIND, Spring
 
@@ -333,7 +333,7 @@ def failing_specimen(faults: Sequence[Fault], own: RigAxes, specimen: Specimen) 
 def wear(faults: Faults, step: int, dynamics: Dynamics, motion: Motion) -> None:
     """Let the faults of supply and specimen act on a motion from the sample of a step on."""
     n = len(motion.supply)
-    make_fault_free(motion)
+    motion.supply[:], motion.left[:], motion.slipped[:] = 1.0, 1.0, 0.0
     for j in range(len(faults.numbers)):
         kind, i, value = faults.numbers[j, _KIND], faults.numbers[j, _AXIS], faults.values[j, 0]
         first, last = faults.numbers[j, _FIRST], faults.numbers[j, _LAST]

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Floats, clear, zeros
 from seft_msgs_py.config.facts import POSITION_SERVO
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
@@ -23,6 +23,7 @@ from seft_plant_sim.simulated.continuous_model import (
     ContinuousModel,
     Drive,
     at_rest,
+    begin_motion,
     delayed_force,
     dynamics_of,
     imposed_motion,
@@ -106,17 +107,9 @@ class SimulatedRig:
             sensors.channels,
             faults[0],
         )
-        self.state = RigState(
-            at_rest(dynamics),
-            np.zeros(4 * n),
-            np.zeros((periods, len(sensing.whole))),
-            np.zeros(len(sensing.whole)),
-            np.zeros(n),
-            np.zeros((longest + 2, n)),
-            np.zeros(1, dtype=np.int64),
-            np.zeros((len(faults[0].numbers), faults[1])),
-            np.zeros(2),
-        )
+        sizes = {"n": n, "channels": 4 * n, "periods": periods, "read": len(sensing.whole)}
+        sizes |= {"line": longest + 2, "faults": len(faults[0].numbers), "memory": faults[1]}
+        self.state = zeros(RigState, sizes, motion=at_rest(dynamics))
         self.step_index, self.saturated = -1, 0
         self.counts: dict[str, int] = {}
         self._springs, self._command, self._forces = model.springs, np.zeros(n), array("d")
@@ -157,6 +150,8 @@ class SimulatedRig:
     def reset(self) -> None:
         """Come to rest before step 0 of a test."""
         self.step_index, self._command[:] = -1, 0.0
+        clear(self.state)
+        begin_motion(self.state.motion)
         del self._forces[:]
 
     def write(self, drive: Floats) -> None:

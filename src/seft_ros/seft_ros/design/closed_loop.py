@@ -12,9 +12,11 @@ from scipy.sparse.csgraph import connected_components
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_plant_sim.judge.valve_following import LARGEST_DELAY_ERROR, LARGEST_GAIN_ERROR
 
-from seft_ros.force_controller.feedforward_step import begin_feedforward, feedforward_step
 from seft_ros.force_controller.force_control import LinearControl
-from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
+from seft_ros.force_controller.velocity_feedforward import (
+    VelocityFeedforward,
+    feedforward_step,
+)
 from seft_ros.reference_force.linear_filter import LinearFilter
 from seft_ros.reference_force.target_motion import TargetMotion
 from seft_ros.reference_force.target_step import begin_target, target_step
@@ -168,7 +170,7 @@ def frozen_feedforward(control: VelocityFeedforward) -> list[tuple[Floats, Linea
     points = np.zeros((2 + state.coming.shape[1], 3, n))
 
     def begin(errors: tuple[float, float]) -> None:
-        begin_feedforward(state)
+        control.reset()
         state.errors[:, : len(errors)] = errors  # an error of the oil changes the plan alone
         state.covariance[:] = 0.0
         state.steps[0] = 1.0

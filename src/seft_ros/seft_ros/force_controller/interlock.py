@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Floats, clear, zeros
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN, POSITION_SERVO
 from seft_msgs_py.wire.topics import RigAxes, Timebase
@@ -34,17 +34,15 @@ from seft_ros.force_controller.interlock_step import (
     VALID_CAUSES,
     InterlockParameters,
     InterlockState,
-    check_limits,
-    postcheck,
-    precheck,
-)
-from seft_ros.force_controller.methods import force_control
-from seft_ros.force_controller.target_distance import (
     TrackingParameters,
     TrackingState,
     begin_tracking,
+    check_limits,
+    postcheck,
+    precheck,
     tracking_arrays,
 )
+from seft_ros.force_controller.methods import force_control
 
 
 def tracking_detector(
@@ -131,21 +129,13 @@ class Interlock:
             fastest,
             tracking[0],
         )
-        self.state = InterlockState(
-            flags=np.zeros(4, dtype=np.int64),
-            saturated=saturated,
-            force=np.zeros(n),
-            measured=np.zeros((4, n)),
-            odd=np.zeros(n),
-            drive=np.zeros(n),
-            plan=np.zeros((*controller.shape, n)),
-            sample=np.zeros((4, n)),
-            tracking=tracking[1],
-        )
+        points, quantities = controller.shape
+        sizes = {"n": n, "points": points, "quantities": quantities}
+        self.state = zeros(InterlockState, sizes, saturated=saturated, tracking=tracking[1])
         both, drive = (self.parameters, self.state), self.state.drive
-        points, sample = np.zeros((1, 1, n)), np.zeros((DRIVE_ROW + 1, n))
+        sent, sample = np.zeros((1, 1, n)), np.zeros((DRIVE_ROW + 1, n))
         self._look = entry_point(check_limits, *both, 0, sample)
-        self._begin = entry_point(precheck, *both, 0, points, sample, drive)
+        self._begin = entry_point(precheck, *both, 0, sent, sample, drive)
         self._end = entry_point(postcheck, *both, 0, False, drive)
         self.reset()
 
@@ -210,7 +200,7 @@ class Interlock:
     def reset(self) -> None:
         """Begin a new test; also after a trip."""
         self.controller.reset()
-        self.state.flags[:], self.state.drive[:], self.state.plan[:] = 0, 0.0, 0.0
+        clear(self.state)
         begin_tracking(self.state.tracking)
         self._outside, self._stopping = "", np.zeros((0, len(self._axes)))
 

@@ -1,20 +1,160 @@
-"""Steps of the interlock: what a reference force and a command may be."""
+"""Steps of the interlock: what a force and a command may be; the detector ``tracking``.
 
-from typing import NamedTuple
+The detector sees whether the specimen follows its target, which only the interlock knows.
+"""
+
+import math
+from typing import Annotated, NamedTuple
 
 import numpy as np
-from seft_msgs_py.arrays import Floats, Ints
+from seft_msgs_py.arrays import Floats, Ints, clear, zeros
 from seft_plant_sim.compiled import compiled, copy
-from seft_plant_sim.judge.guard import SUSPECT_ROW
+from seft_plant_sim.judge.detector_list import TRACKING
+from seft_plant_sim.judge.detectors import (
+    MOTION_MEMORY,
+    fade_of_sums,
+    noise_of_sums,
+    persistence_of,
+)
+from seft_plant_sim.judge.guard import DRIVE_ROW, SUSPECT_ROW
+from seft_plant_sim.judge.judge import BIAS
+from seft_plant_sim.judge.judge_step import LONG_AGO
+from seft_plant_sim.judge.relation_following import NOISE_SIGMAS
 from seft_plant_sim.limits import is_exceeded
 from seft_plant_sim.simulated.rig_step import left_open
 
-from seft_ros.force_controller.target_distance import (
-    TrackingParameters,
-    TrackingState,
-    off_target,
-)
 from seft_ros.protection.protection_step import as_sample, extrapolate
+
+_FARTHEST = 0.5
+"""Largest distance to the target over the target's motion."""
+_LIMITED = 0.1
+"""Time after a command at the valve's limit in which the distance may be larger, s."""
+
+
+class TrackingParameters(NamedTuple):
+    """Parameters of the detector for n axes.
+
+    Attributes
+    ----------
+    doubt : ndarray
+        Distance by noise and biases of displacement and velocity, shape (n,), m.
+    memory : float
+        Factor per step with which the largest motion fades.
+    limit : float
+        Largest drive of a valve, V; infinite without valves.
+    limited : int
+        Samples after one at the valve's limit in which the target need not be followed.
+    persistence : int
+        Samples for which it must be beyond its threshold.
+    acts : bool
+        Whether it ends the test, or only warns.
+    """
+
+    doubt: Floats
+    memory: float
+    limit: float
+    limited: int
+    persistence: int
+    acts: bool
+
+
+class TrackingState(NamedTuple):
+    """State of the detector: arrays of zeros, but for ``limited_at``."""
+
+    largest: Annotated[Floats, "n"]  # recent motion, m
+    counts: Annotated[Ints, "n"]  # samples for which it has been beyond its threshold
+    shares: Annotated[Floats, "n"]  # largest part of its threshold that it has reached
+    found: Annotated[Floats, 2, "n"]  # its value when it acted, and its threshold, m
+    limited_at: Annotated[Ints, 1]  # step of the last drive at the valve's limit
+
+
+def tracking_arrays(
+    noise: Floats, limit: float, acts: bool, dt: float
+) -> tuple[TrackingParameters, TrackingState]:
+    """Put the detector into arrays.
+
+    Parameters
+    ----------
+    noise : ndarray
+        RMS noise of displacement, velocity, acceleration and force, shape (4, n), see
+        `assumed_noise`.
+    limit, acts
+        See `TrackingParameters`.
+    dt : float
+        Sampling period, s.
+    """
+    (x, v, _, _), n = noise, noise.shape[1]
+    bias = BIAS * v * dt / (1.0 - fade_of_sums(dt))
+    parameters = TrackingParameters(
+        NOISE_SIGMAS * noise_of_sums(x, dt * v, dt) + bias,
+        math.exp(-dt / MOTION_MEMORY),
+        limit,
+        math.ceil(_LIMITED / dt),
+        persistence_of(TRACKING, dt),
+        acts,
+    )
+    return parameters, zeros(TrackingState, {"n": n})
+
+
+def begin_tracking(state: TrackingState) -> None:
+    """Begin a test."""
+    clear(state)
+    state.limited_at[0] = LONG_AGO
+
+
+@compiled
+def off_target(
+    p: TrackingParameters, state: TrackingState, step: int, target: Floats, measured: Floats
+) -> int:
+    """Say which axis is away from its target, although the valve is not at its limit; -1: none.
+
+    Parameters
+    ----------
+    p, state
+        The state is updated.
+    step : int
+        Of the sample.
+    target : ndarray
+        Displacement of the target, shape (n,), m.
+    measured : ndarray
+        The rig's sample with its drive, see `guard_step`, shape (6, n).
+    """
+    found = -1
+    for i in range(len(target)):
+        if abs(measured[DRIVE_ROW, i]) >= p.limit:
+            state.limited_at[0] = step
+    for i in range(len(target)):
+        away = abs(target[i] - measured[0, i])
+        largest = max(abs(target[i]), abs(measured[0, i]), p.memory * state.largest[i])
+        state.largest[i] = largest
+        threshold = p.doubt[i] + _FARTHEST * largest
+        if step - state.limited_at[0] <= p.limited:
+            threshold = np.inf  # the interlock counts these
+        share = away / threshold
+        state.shares[i] = max(state.shares[i], share)
+        state.counts[i] = state.counts[i] + 1 if share > 1.0 else max(state.counts[i] - 1, 0)
+        if state.counts[i] >= p.persistence and p.acts and found < 0:
+            state.found[0, i], state.found[1, i] = away, threshold
+            found = i
+    return found
+
+
+@compiled
+def track_all(
+    p: TrackingParameters, state: TrackingState, steps: Ints, targets: Floats, samples: Floats
+) -> None:
+    """Look at the samples of a whole test.
+
+    Parameters
+    ----------
+    p, state
+        The state, after its begin; it is updated.
+    steps, targets, samples : ndarray
+        Steps of the N samples, (N,), displacements of the target, (N, n), and samples (N, 6, n).
+    """
+    for k in range(len(steps)):
+        off_target(p, state, steps[k], targets[k], samples[k])
+
 
 TRIP, STEP, SATURATED, AXIS = range(4)
 """Places of the flags: reason and step of the trip, number of limited drives, and the axis that is
@@ -62,35 +202,17 @@ class InterlockParameters(NamedTuple):
 
 
 class InterlockState(NamedTuple):
-    """State of an interlock.
+    """State of an interlock: arrays of zeros, but for ``tracking``."""
 
-    Attributes
-    ----------
-    flags : ndarray
-        See `TRIP`, shape (4,).
-    saturated : ndarray
-        The last steps at which the drive was limited, see `is_exceeded`.
-    force, measured, odd : ndarray
-        Reference force, sample and drive of the step of the trip, shapes (n,), (4, n) and (n,).
-    drive : ndarray
-        The last fault-free command, shape (n,), V.
-    plan : ndarray
-        Points for the controller, shape (p, q, n).
-    sample : ndarray
-        Sample for the controller, shape (4, n).
-    tracking : TrackingState
-        Of the distance to the target.
-    """
-
-    flags: Ints
-    saturated: Ints
-    force: Floats
-    measured: Floats
-    odd: Floats
-    drive: Floats
-    plan: Floats
-    sample: Floats
-    tracking: TrackingState
+    flags: Annotated[Ints, 4]  # see `TRIP`
+    saturated: Ints  # the last steps at which the drive was limited, see `is_exceeded`
+    force: Annotated[Floats, "n"]  # reference force of the step of the trip, N
+    measured: Annotated[Floats, 4, "n"]  # its sample
+    odd: Annotated[Floats, "n"]  # its drive
+    drive: Annotated[Floats, "n"]  # the last fault-free command, V
+    plan: Annotated[Floats, "points", "quantities", "n"]  # points for the controller
+    sample: Annotated[Floats, 4, "n"]  # for the controller
+    tracking: TrackingState  # of the distance to the target
 
 
 @compiled

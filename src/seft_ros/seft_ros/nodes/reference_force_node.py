@@ -198,7 +198,7 @@ class ReferenceForceNode(NodeBody):
     def _follow_test(self) -> None:
         """Act on the state of the test, also at the beginning of a test."""
         if self._test == State.RAMPING_DOWN:
-            self._block.ramp_down()
+            self._block.ramp.begin()
             for step in sorted(self._waiting):
                 self._answer(step, self._waiting[step])
         elif self._test in ENDED:
@@ -225,7 +225,7 @@ class ReferenceForceNode(NodeBody):
         self._publish(self._message(step, motion, state))
         self._ask_model(step)
         self._order.last = step
-        if self._block.ramping:
+        if self._block.ramp.begun:
             if self._ramp_step < 0 and self._block.cause is None:
                 self._ramp_step = step
             self._report_ramp(step)
@@ -258,14 +258,14 @@ class ReferenceForceNode(NodeBody):
         if self._block.cause is not None and self._cause_step < 0:
             self._cause_step = step
             self._report(RAMPING_DOWN)
-        if self._block.at_rest and self._phase != AT_REST_KEY:
+        if self._block.ramp.finished and self._phase != AT_REST_KEY:
             self._report(AT_REST_KEY)
 
     def _report(self, phase: str) -> None:
         self._phase, cause, values = phase, self._block.cause, {}
         if cause is not None and self._cause_step >= 0:
             values = {"reason": cause, "step": str(self._cause_step)}
-        if self._block.ramping and self._ramp_step >= 0:
+        if self._block.ramp.begun and self._ramp_step >= 0:
             values["ramp_step"] = str(self._ramp_step)
         self.report(phase, values, OK if cause is None else ERROR, cause or phase)
 

@@ -16,10 +16,10 @@ a* = a M_e / (M_e + M_c) (w_n / w)^2.
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Floats, zeros
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.compiled import compiled, multiply
@@ -68,23 +68,12 @@ class WatchParameters(NamedTuple):
 
 
 class WatchState(NamedTuple):
-    """State of a watch.
+    """State of a watch: arrays of zeros."""
 
-    Attributes
-    ----------
-    work, result : ndarray
-        States and inputs, and `WatchParameters.product` times these, shapes (s + 5n,) and
-        (s + 3n,).
-    squares : ndarray
-        See `EXPLAINED`, shape (4, n), (m/s^2)^2.
-    above : ndarray
-        Steps for which vibration has lasted, shape (1,).
-    """
-
-    work: Floats
-    result: Floats
-    squares: Floats
-    above: Floats
+    work: Annotated[Floats, "inputs"]  # states and inputs
+    result: Annotated[Floats, "outputs"]  # `WatchParameters.product` times these
+    squares: Annotated[Floats, 4, "n"]  # see `EXPLAINED`, (m/s^2)^2
+    above: Annotated[Floats, 1]  # steps for which vibration has lasted
 
 
 @compiled
@@ -187,8 +176,8 @@ class InstabilityWatch:
             ratio=float(ratio),
             least=float(floor) ** 2,
         )
-        work, result = map(np.zeros, self.parameters.product.shape)
-        self.state = WatchState(work, result, np.zeros((4, n)), np.zeros(1))
+        inputs, outputs = self.parameters.product.shape
+        self.state = zeros(WatchState, {"inputs": inputs, "outputs": outputs, "n": n})
 
     @classmethod
     def from_parameters(
@@ -203,11 +192,6 @@ class InstabilityWatch:
         """
         options = (section[f"instability.{name}"] for name in ("ratio", "floor", "lowest"))
         return cls(method_inputs(section, tuple(axes), timebase), axes, *options)
-
-    def reset(self) -> None:
-        """Begin a new test, at rest."""
-        for values in self.state:
-            values[:] = 0.0
 
     def describe(self) -> str:
         """Describe the vibration."""

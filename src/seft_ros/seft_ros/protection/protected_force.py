@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Floats, clear, zeros
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.compiled import entry_point, kind_of
@@ -24,7 +24,6 @@ from seft_ros.protection.protection_step import (
     ProtectionParameters,
     ProtectionState,
     RampDown,
-    begin_protection,
     begin_step,
     not_finite,
     protect,
@@ -64,6 +63,8 @@ class ProtectedForce:
         Number of later steps whose ground motion `step` needs.
     reference_force : ReferenceForce
         As given.
+    ramp : RampDown
+        As given; at rest, the applied force is zero and stays there.
     parameters, state : ProtectionParameters, ProtectionState
         Arguments of `protect`, here and in a compiled loop.
     """
@@ -79,7 +80,7 @@ class ProtectedForce:
         self.preview = reference_force.preview
         self.estimates = reference_force.estimates
         self.reference_force = reference_force
-        self._plausible, self._watch, self._ramp = plausible, watch, ramp
+        self._plausible, self._watch, self.ramp = plausible, watch, ramp
         self._axes, provides_target = len(plausible.axes), reference_force.provides_target
         self._settled: deque[Floats] | None = None  # of the last steps
         if loop_delay and not provides_target:
@@ -88,18 +89,10 @@ class ProtectedForce:
         self.parameters = ProtectionParameters(
             plausible.limits, ramp.steps, provides_target, plausible.dt, watch.parameters
         )
-        self.state = ProtectionState(
-            flags=np.zeros(3, dtype=np.int64),
-            ramp=ramp.state,
-            recent=plausible.recent,
-            point=np.zeros_like(self._points[:1]),
-            progress=np.zeros(1),
-            implausible_force=np.zeros(self._axes),
-            implausible_state=np.zeros((4, self._axes)),
-            watch=watch.state,
-        )
+        sizes = {"quantities": reference_force.shape[1], "n": self._axes}
+        given = {"ramp": ramp.state, "recent": plausible.recent, "watch": watch.state}
+        self.state = zeros(ProtectionState, sizes, **given)
         both = self.parameters, self.state
-        self._begin = entry_point(begin_protection, self.state)
         self._begin_step = entry_point(begin_step, *both, True)
         measured = self.state.implausible_state
         arguments = self.state.implausible_force, measured, True, 1.0, self._points
@@ -148,45 +141,15 @@ class ProtectedForce:
         assert code == INSTABILITY
         return self._watch.describe()
 
-    @property
-    def is_modelled(self) -> bool:
-        """Whether it has a computed model."""
-        return self.reference_force.is_modelled
-
-    @property
-    def ramping(self) -> bool:
-        """Whether the ramp has begun."""
-        return self._ramp.begun
-
-    @property
-    def steps_ramped(self) -> int:
-        """Steps since the ramp began, with the first step of the ramp."""
-        return self._ramp.taken
-
-    @property
-    def longest_ramp(self) -> int:
-        """Steps of the ramp, and those that the force must rest after it."""
-        return self._ramp.whole
-
-    @property
-    def at_rest(self) -> bool:
-        """Whether the applied force has reached zero, and stays there."""
-        return self._ramp.finished
-
     def reset(self) -> None:
         """Begin a new test."""
         self.reference_force.reset()
-        for part in (self._plausible, self._watch, self._ramp):
-            part.reset()
-        self._begin(self.state)
+        clear(self.state)
+        self.state.progress[:] = 1.0
         self._last_state: Floats | None = None
         if self._settled is not None:
             none = np.zeros((1, 1, self._axes))
             self._settled.extend([none] * (self._settled.maxlen or 0))
-
-    def ramp_down(self) -> None:
-        """Ramp the force down from the next step on."""
-        self._ramp.begin()
 
     def step(self, ground_motion: Floats | None, state: Floats) -> Floats:
         """Compute the points of one step, as `ReferenceForce.step` does.

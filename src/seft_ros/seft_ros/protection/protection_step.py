@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
@@ -264,10 +264,6 @@ class PlausibleForce:
         self.limits = np.array([largest, fastest * self._span * (1 + 1e-12)])
         self.recent = np.zeros((steps, len(self.axes)))
 
-    def reset(self) -> None:
-        """Begin a new test: no force was applied before it."""
-        self.recent[:] = 0.0
-
     def describe(self, force: Floats) -> str:
         """Say what is wrong with a force that is not plausible, shape (n,), after the last ones."""
         largest, oldest = self.limits[0], self.recent[0].tolist()
@@ -328,42 +324,16 @@ class ProtectionParameters(NamedTuple):
 
 
 class ProtectionState(NamedTuple):
-    """State of the protection.
+    """State of the protection: arrays of zeros, but for ``progress``."""
 
-    Attributes
-    ----------
-    flags : ndarray
-        See `HOLDING`, shape (3,).
-    ramp : ndarray
-        `RampDown.state`, shape (2,).
-    recent : ndarray
-        `PlausibleForce.recent`, shape (k, n), N.
-    point : ndarray
-        The last plausible point, shape (1, q, n).
-    progress : ndarray
-        Pace of a target at that point, shape (1,).
-    implausible_force, implausible_state : ndarray
-        Force and measured state of the step of the fault, shapes (n,), (4, n).
-    watch : WatchState
-        Of the instability watch.
-    """
-
-    flags: Ints
-    ramp: Ints
-    recent: Floats
-    point: Floats
-    progress: Floats
-    implausible_force: Floats
-    implausible_state: Floats
-    watch: WatchState
-
-
-@compiled
-def begin_protection(state: ProtectionState) -> None:
-    """Begin a test; the ramp, the watch and the plausible forces are begun separately."""
-    state.flags[:] = 0
-    state.point[:] = 0.0
-    state.progress[:] = 1.0
+    flags: Annotated[Ints, 3]  # see `HOLDING`
+    ramp: Ints  # `RampDown.state`
+    recent: Floats  # `PlausibleForce.recent`
+    point: Annotated[Floats, 1, "quantities", "n"]  # the last plausible one
+    progress: Annotated[Floats, 1]  # pace of a target at that point; 1 at the beginning
+    implausible_force: Annotated[Floats, "n"]  # force of the step of the fault, N
+    implausible_state: Annotated[Floats, 4, "n"]  # its measured state
+    watch: WatchState  # of the instability watch
 
 
 @compiled

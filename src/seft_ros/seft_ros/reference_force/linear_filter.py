@@ -1,10 +1,10 @@
 """Linear compensation: from measured signals and known ground motion to the reference force."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Floats, clear, zeros
 from seft_plant_sim.compiled import compiled, copy, entry_point, multiply
 
 
@@ -81,10 +81,10 @@ class LinearParameters(NamedTuple):
 
 
 class LinearState(NamedTuple):
-    """States and inputs (s, y, g), and the matrix's product with them (f_r, s)."""
+    """State: arrays of zeros."""
 
-    work: Floats
-    result: Floats
+    work: Annotated[Floats, "inputs"]  # states and inputs (s, y, g)
+    result: Annotated[Floats, "outputs"]  # the matrix's product with them (f_r, s)
 
 
 @compiled
@@ -140,14 +140,15 @@ class LinearCompensator:
         self.preview, n = linear_filter.preview, linear_filter.axes
         self._filter = linear_filter
         self.parameters = LinearParameters(np.ascontiguousarray(linear_filter.matrix().T))
-        self.state = LinearState(*map(np.zeros, self.parameters.matrix.shape))
+        inputs, outputs = self.parameters.matrix.shape
+        self.state = zeros(LinearState, {"inputs": inputs, "outputs": outputs})
         self._points, measured = np.zeros((1, 1, n)), np.zeros((4, n))
         arguments = measured, measured, 1.0, self._points
         self._step = entry_point(linear_step, self.parameters, self.state, *arguments)
 
     def reset(self) -> None:
         """Forget the test so far."""
-        self.state.work[:] = 0.0
+        clear(self.state)
 
     def step(self, ground_motion: Floats, state: Floats) -> Floats:
         """Compute the reference force of one step, see `Compensator.step`."""

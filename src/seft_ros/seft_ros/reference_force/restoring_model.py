@@ -47,10 +47,10 @@ neither for an offset nor for a change.
 
 import math
 from statistics import NormalDist
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
-from seft_msgs_py.arrays import Floats, Ints
+from seft_msgs_py.arrays import Floats, Ints, zeros
 from seft_plant_sim.compiled import compiled, copy, multiply_sized
 
 THRESHOLDS = 12
@@ -146,39 +146,19 @@ class ModelParameters(NamedTuple):
 
 
 class RestoringState(NamedTuple):
-    """State of the models.
+    """State of the models: arrays of zeros before `begin_model`."""
 
-    Attributes
-    ----------
-    values, before : ndarray
-        Used parameters, now and at the last sample; shape (n, q).
-    found : ndarray
-        Parameters of the filter, shape (n, q).
-    covariance : ndarray
-        Shape (n, q, q).
-    past : ndarray
-        Their covariance with the past impulse, over a period; shape (n, q).
-    regressors, last : ndarray
-        Factors of the parameters now, and at the last sample, shape (n, q).
-    stops : ndarray
-        z of the specimen, shape (n, m), m.
-    sums : ndarray
-        Of each spring: recent innovations, their variance, the unexplained impulse over a period,
-        the force that corrects impulses (N), and the evidence for the assumed model; shape (n, 5).
-    work : ndarray
-        Shape (3, q).
-    """
-
-    values: Floats
-    before: Floats
-    found: Floats
-    covariance: Floats
-    past: Floats
-    regressors: Floats
-    last: Floats
-    stops: Floats
-    sums: Floats
-    work: Floats
+    values: Annotated[Floats, "n", "q"]  # used parameters
+    before: Annotated[Floats, "n", "q"]  # those at the last sample
+    found: Annotated[Floats, "n", "q"]  # parameters of the filter
+    covariance: Annotated[Floats, "n", "q", "q"]
+    past: Annotated[Floats, "n", "q"]  # their covariance with the past impulse, over a period
+    regressors: Annotated[Floats, "n", "q"]  # factors of the parameters
+    last: Annotated[Floats, "n", "q"]  # those at the last sample
+    stops: Annotated[Floats, "n", THRESHOLDS]  # z of the specimen, m
+    sums: Annotated[Floats, "n", 5]  # recent innovations, their variance, the unexplained impulse
+    # over a period, the force that corrects impulses (N), and the evidence for the assumed model
+    work: Annotated[Floats, 3, "q"]
 
 
 def model_arrays(
@@ -249,20 +229,7 @@ def model_arrays(
         surprise=NormalDist().inv_cdf(1.0 - 0.5 * min(dt / ONCE_IN, 0.5)) ** 2,
         confirming=MAX_EVIDENCE * dt / CONFIRMED_IN,
     )
-    q = parameters.start.shape[1]
-    state = RestoringState(
-        values=np.zeros((n, q)),
-        before=np.zeros((n, q)),
-        found=np.zeros((n, q)),
-        covariance=np.zeros((n, q, q)),
-        past=np.zeros((n, q)),
-        regressors=np.zeros((n, q)),
-        last=np.zeros((n, q)),
-        stops=np.zeros((n, THRESHOLDS)),
-        sums=np.zeros((n, 5)),
-        work=np.zeros((3, q)),
-    )
-    return parameters, state
+    return parameters, zeros(RestoringState, {"n": n, "q": parameters.start.shape[1]})
 
 
 @compiled

@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 from scipy.linalg import eigh
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Floats, zeros
 from seft_msgs_py.config.facts import FORCE_DRIVEN
 from seft_plant_sim.channels import acceleration_is_derived
 from seft_plant_sim.compiled import entry_point, places
@@ -403,35 +403,16 @@ def target_arrays(known: MethodInputs) -> tuple[TargetParameters, TargetState, M
         damper=2.0 * math.sqrt(max(float(squares.min()), 0.0)),  # critical for the slowest mode
         model=model,
     )
-    thresholds = model.thresholds.shape
-    state = TargetState(
-        model=model_state,
-        recent=np.zeros((smooth.shape[1], 2, n)),
-        smoothed=np.zeros((4, n)),
-        before=np.zeros((late, n)),
-        known=np.zeros((late + 1 + preview, n)),
-        ahead=np.zeros((late + 1 + preview, 3, n)),
-        measured=np.zeros((3, n)),
-        force_before=np.zeros(n),
-        target=np.zeros(3 * size),
-        stops=np.zeros(thresholds),
-        future_stops=np.zeros(thresholds),
-        ground=np.zeros(n),
-        by_motion=np.zeros((n, 2 * n)),
-        by_state=np.zeros((2, size, 2 * size)),
-        constant=np.zeros((2, size)),
-        line=np.zeros((0, 2 * size + 2)) if line is None else line.values,
-        rise=rise,
-        correction=correction,
-        substep=np.zeros_like(steady),
-        force=force.copy(),
-        future=np.zeros(columns),
-        next=np.zeros(3 * size + n),
-        is_running=np.zeros(1),
-        axes=np.zeros((3, n)),
-        dofs=np.zeros((3, 2 * size)),
-        springs=np.zeros((7, n)),
-    )
+    sizes = {"n": n, "2n": 2 * n, "N": size, "2N": 2 * size, "3N": 3 * size, "s": columns}
+    sizes |= {
+        "w": smooth.shape[1],
+        "late": late,
+        "ahead": late + 1 + preview,
+        "3N + n": 3 * size + n,
+    }
+    given = {"model": model_state, "rise": rise, "correction": correction, "force": force.copy()}
+    given["line"] = np.zeros((0, 2 * size + 2)) if line is None else line.values
+    state = zeros(TargetState, sizes, **given)
     return parameters, state, line
 
 

@@ -27,7 +27,6 @@ from seft_plant_sim.simulated.rig_step import (
 )
 from seft_plant_sim.simulated.sensors import BLOCK
 
-from seft_ros.force_controller.feedforward_step import FeedforwardParameters, feedforward_step
 from seft_ros.force_controller.force_control import (
     ForceController,
     TransferParameters,
@@ -43,9 +42,12 @@ from seft_ros.force_controller.interlock_step import (
     postcheck,
     precheck,
 )
-from seft_ros.force_controller.position_servo import PositionServo
-from seft_ros.force_controller.servo_step import ServoParameters, servo_step
-from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
+from seft_ros.force_controller.position_servo import PositionServo, ServoParameters, servo_step
+from seft_ros.force_controller.velocity_feedforward import (
+    FeedforwardParameters,
+    VelocityFeedforward,
+    feedforward_step,
+)
 from seft_ros.protection.protection_step import (
     HOLDING,
     TAKEN,
@@ -204,7 +206,7 @@ def _arguments(
         np.zeros(n),
         rig.drive == VALVE_COMMAND.name,
         points if quantities > 1 else 1 + protected.preview,
-        protected.longest_ramp,
+        protected.ramp.whole,
         period,
     )
     known = blocks.ground_motion.known.copy()  # of the type for which the steps are compiled

@@ -102,7 +102,10 @@ def simulate_test(
     _check_memory(total, axes)
     force.reset()
     blocks.force_controller.reset()
-    estimated, period = force.estimates(), sampling_period(experiment.timebase, force.is_modelled)
+    estimated, period = (
+        force.estimates(),
+        sampling_period(experiment.timebase, force.reference_force.is_modelled),
+    )
     samples = LoopSamples(
         np.empty((total, len(RIG_STATE.quantities), axes)),
         np.empty((total, len(MEASURED.quantities), axes)),
@@ -125,10 +128,10 @@ def simulate_test(
         violation,
         force.cause,
         steps - 1,
-        steps - force.steps_ramped,
+        steps - force.ramp.taken,
         experiment.timebase,
     )
-    begun = steps - force.steps_ramped if force.cause else steps - 1
+    begun = steps - force.ramp.taken if force.cause else steps - 1
     rig, plan = cast("Any", blocks.rig), None
     if violation and rig.drive == VALVE_COMMAND.name:
         plan = blocks.force_controller.stop(steps - 1)
@@ -191,7 +194,7 @@ def run_plain(blocks: Blocks, samples: LoopSamples, loop_delay: int, period: int
                 estimates = reference_force.estimates()
                 require_names(step, estimates, names)
                 samples.estimates[step // period] = list(estimates.values())
-            if rig.violation is not None or interlock.reason or reference_force.at_rest:
+            if rig.violation is not None or interlock.reason or reference_force.ramp.finished:
                 yield step + 1
                 return
             if (step + 1) % BLOCK == 0:
