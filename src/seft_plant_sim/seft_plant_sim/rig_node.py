@@ -37,10 +37,9 @@ from seft_plant_sim.command import Command
 from seft_plant_sim.hardware.hosted import HardwareError, HostedHardware
 from seft_plant_sim.hardware.safe_stop import Stopped
 from seft_plant_sim.judge.known_rig import command_limit, fastest_command
-from seft_plant_sim.rehearsal import Rehearsal
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import RIG_TABLE, SIMULATED
-from seft_plant_sim.rig_rest import RigRest
+from seft_plant_sim.rig_rest import Rehearsal, RigRest
 from seft_plant_sim.rig_watch import rig_report
 
 CLOCK_PERIOD = 0.1  # s of the test's time

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.node.clock import AwakeClock, Clock
 from seft_msgs_py.node.node_shell import NodeShell
+from seft_msgs_py.node.transport import AwakeClock, Clock
 from seft_msgs_py.wire.experiment_state import ExperimentState, decode_state
 from seft_msgs_py.wire.messages import ERROR, WARN, Status, decode_diagnostics
 from seft_msgs_py.wire.outcome import (

@@ -39,7 +39,7 @@ class LocalGraph:
 
         from seft_msgs_py.virtual import LocalGraph
         from seft_msgs_py.wire.topics import VALVE_COMMAND
-        from seft_ros.nodes.kinds import NODE_KINDS
+        from seft_ros.nodes.loop_node import NODE_KINDS
 
         with LocalGraph(NODE_KINDS, ["laboratory.yaml"]) as graph:
             graph.until("ready")

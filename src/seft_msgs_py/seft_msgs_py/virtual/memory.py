@@ -15,8 +15,7 @@ from typing import Any, NamedTuple
 
 from seft_msgs_py.config.parameter_table import Section, Table, Value
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.node.clock import Clock
-from seft_msgs_py.node.transport import Answer, Host, Level, Send, Take, check_live
+from seft_msgs_py.node.transport import Answer, Clock, Host, Level, Send, Take, check_live
 from seft_msgs_py.virtual.scheduler import Scheduler, Task, VirtualClock, ns
 from seft_msgs_py.wire.topics import NANOSECONDS_PER_SECOND, Timebase, Topic
 

@@ -1,7 +1,7 @@
 """The simulated rig: actuator, specimen and sensors, stepped by commands."""
 
 from array import array
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +13,7 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import Simulated
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 
+from seft_plant_sim.channels import per_channel
 from seft_plant_sim.compiled import entry_point
 from seft_plant_sim.hardware.safe_stop import Safe, Stopped
 from seft_plant_sim.judge.known_rig import known_responses
@@ -47,8 +48,7 @@ from seft_plant_sim.simulated.rig_step import (
     rig_step,
 )
 from seft_plant_sim.simulated.rig_step import left_open as left_open
-from seft_plant_sim.simulated.sensor_dynamics import sensing_of, with_sensors
-from seft_plant_sim.simulated.sensors import Sensors
+from seft_plant_sim.simulated.sensors import Sensors, sensing_of, with_sensors
 from seft_plant_sim.simulated.specimen import Specimen
 from seft_plant_sim.simulated.springs import ONE_SIDED, SPRING_KIND
 
@@ -237,3 +237,32 @@ def continuous_model(
             loop = InnerLoop.from_parameters(actuator, axes, own.places)
             model = with_inner_loop(model, loop, hydraulics.stroke)
     return with_sensors(model, section, axes, own.places)
+
+
+class ConverterBoard:
+    """Shows the volts of a simulated rig's amplifiers, which goes on moving between two tests.
+
+    Parameters
+    ----------
+    parameters : mapping
+        Of the rig, by name: what it truly is, and ``calibration.*_per_volt``.
+    axes : tuple of str
+        Names of its n axes.
+    """
+
+    def __init__(self, parameters: Mapping[str, Any], axes: tuple[str, ...]) -> None:
+        section, every = dict(parameters), tuple(parameters["axes"])
+        rig = RigAxes("", axes, tuple(every.index(axis) for axis in axes))
+        timebase = Timebase.from_rate(section["rate"])
+        self._rig = SimulatedRig.from_parameters(section, every, timebase, rig)
+        self._rig.reset()
+        per_volt = per_channel(section, every, "calibration.{}_per_volt")
+        self._per_volt = per_volt[:, list(rig.places)]
+
+    def inputs(self) -> Floats:
+        """Convert all channels a period after the last time, V, shape (4, n)."""
+        return np.asarray(self._rig.read() / self._per_volt)
+
+    def output(self, volts: Floats) -> None:
+        """Put out the valve commands, V, shape (n,)."""
+        self._rig.write(volts)

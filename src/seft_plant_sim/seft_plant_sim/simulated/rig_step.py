@@ -10,8 +10,7 @@ from seft_plant_sim.simulated.actuator import OPENING, PER_CAPACITY
 from seft_plant_sim.simulated.actuator import STROKE_COLUMN as STROKE_COLUMN
 from seft_plant_sim.simulated.continuous_model import Dynamics, Motion, integrate
 from seft_plant_sim.simulated.faults import Faults, obey, show_fault, wear
-from seft_plant_sim.simulated.sensor_dynamics import Sensing, read_sensors
-from seft_plant_sim.simulated.sensors import Channels, measure_channels
+from seft_plant_sim.simulated.sensors import Channels, Sensing, measure_channels, read_sensors
 
 _STROKE, FORCE_CAPACITY, _VALVE = 16, 32, 64
 SATURATED_PARTS = {"stroke": _STROKE, "force_capacity": FORCE_CAPACITY, "valve": _VALVE}

@@ -17,7 +17,7 @@ from seft_ros.force_controller.velocity_feedforward import (
     VelocityFeedforward,
     feedforward_step,
 )
-from seft_ros.reference_force.linear_filter import LinearFilter
+from seft_ros.reference_force.compensator import LinearFilter
 from seft_ros.reference_force.target_motion import TargetMotion
 from seft_ros.reference_force.target_step import begin_target, target_step
 

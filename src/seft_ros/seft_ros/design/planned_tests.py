@@ -21,8 +21,7 @@ from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.methods import force_control
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
-from seft_ros.reference_force.compensator import Compensator
-from seft_ros.reference_force.linear_filter import LinearFilter
+from seft_ros.reference_force.compensator import Compensator, LinearFilter
 from seft_ros.reference_force.reference_force_block import compensator, method_inputs
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 from seft_ros.reference_force.target_motion import TargetMotion

@@ -100,7 +100,7 @@ class FeedforwardState(NamedTuple):
     signals: Annotated[Floats, "n", VALVE_ERRORS + 1]  # see `follow_valve`
     work: Annotated[Floats, VALVE_ERRORS]
     errors: Annotated[Floats, "n", VALVE_ERRORS]  # of the valves and their oil
-    covariance: Annotated[Floats, "n", VALVE_ERRORS]
+    covariance: Annotated[Floats, "n", VALVE_ERRORS, VALVE_ERRORS]
     sample: Annotated[Floats, 4, "n"]  # room
     steps: Annotated[Floats, 1]  # samples taken
 

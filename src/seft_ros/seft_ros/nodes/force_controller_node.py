@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.node.clock import AwakeClock
 from seft_msgs_py.node.node_kind import NodeKind
 from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeBody, NodeShell
+from seft_msgs_py.node.transport import AwakeClock
 from seft_msgs_py.wire.experiment_state import decode_state
 from seft_msgs_py.wire.messages import OK, WARN, Status
 from seft_msgs_py.wire.outcome import MOVING, REHEARSES, tripped_status

@@ -10,10 +10,9 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from seft_msgs_py.node.clock import AwakeClock
 from seft_msgs_py.node.node_kind import NodeKind
 from seft_msgs_py.node.node_shell import NodeBody, NodeShell
-from seft_msgs_py.node.transport import Level
+from seft_msgs_py.node.transport import AwakeClock, Level
 from seft_msgs_py.wire.experiment_state import ExperimentState, encode_state
 from seft_msgs_py.wire.messages import (
     ERROR,

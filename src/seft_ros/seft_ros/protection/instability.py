@@ -25,9 +25,9 @@ from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.compiled import compiled, multiply
 from seft_plant_sim.lti import bilinear
 
+from seft_ros.reference_force.compensation_methods import substructure_motion
 from seft_ros.reference_force.compensator import MethodInputs
 from seft_ros.reference_force.reference_force_block import method_inputs
-from seft_ros.reference_force.substructure import substructure_motion
 
 _HURRY = 10.0
 """Largest factor by which strong vibration shortens that time."""

@@ -18,7 +18,7 @@ from seft_plant_sim.computed.computed_substructure import ComputedSubstructure
 from seft_plant_sim.rig_parameters import common_lag
 from seft_plant_sim.simulated.specimen import deformations
 
-from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
+from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS, with_substructure
 from seft_ros.reference_force.compensator import (
     Compensator,
     MethodInputs,
@@ -26,7 +26,6 @@ from seft_ros.reference_force.compensator import (
     provides_target,
 )
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
-from seft_ros.reference_force.substructure import with_substructure
 
 
 class StateGathering:

@@ -25,9 +25,8 @@ from seft_plant_sim.computed.model_worker import ModelState
 from seft_plant_sim.judge.servo_model import derived_noise, second_difference, smoothing_steps
 from seft_plant_sim.lti import first_order_hold
 
-from seft_ros.reference_force.compensator import MethodInputs, NotLinearError
+from seft_ros.reference_force.compensator import LinearFilter, MethodInputs, NotLinearError
 from seft_ros.reference_force.force_command import command_arrays, command_step
-from seft_ros.reference_force.linear_filter import LinearFilter
 from seft_ros.reference_force.observers import observer_gains, sensor_noise, steps_of_force
 from seft_ros.reference_force.reference_force_parameters import (
     OF_MODEL,

@@ -56,7 +56,7 @@ from seft_ros.protection.protection_step import (
     begin_step,
     protect,
 )
-from seft_ros.reference_force.linear_filter import (
+from seft_ros.reference_force.compensator import (
     LinearCompensator,
     LinearParameters,
     linear_step,

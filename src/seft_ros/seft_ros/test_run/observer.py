@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 from seft_msgs_py.errors import ExperimentError, InputError
-from seft_msgs_py.node.clock import AwakeClock
 from seft_msgs_py.node.dds import DdsEndpoint
 from seft_msgs_py.node.process import is_running
 from seft_msgs_py.node.rclpy_interface import (
@@ -18,6 +17,7 @@ from seft_msgs_py.node.rclpy_interface import (
     qos_profile,
 )
 from seft_msgs_py.node.senders import Follower
+from seft_msgs_py.node.transport import AwakeClock
 from seft_msgs_py.wire.experiment_state import ExperimentState, decode_state
 from seft_msgs_py.wire.messages import Status, decode_diagnostics
 from seft_msgs_py.wire.outcome import (
