@@ -228,6 +228,13 @@ def copy(count: int, source: Floats, result: Floats) -> None:
 
 
 @compiled
+def bounded(value: float, limit: float) -> float:
+    """Keep a value between -limit and limit."""
+    value = limit if value > limit else value
+    return -limit if value < -limit else value
+
+
+@compiled
 def put_first(line: Floats, value: float) -> None:
     """Put a value before all others of a line, whose last one is lost."""
     for j in range(len(line) - 1, 0, -1):

@@ -28,27 +28,10 @@ VALVE, _SUPPLY, _SPECIMEN = 4, 5, 6
 SET, ADD, SCALE, DRIFT, NOISE, HOLD, LATE, LOW_PASS, FLIP, BIT, PLAY = range(11)
 """What is done to a signal."""
 _SUPPLIED, _BREAK, _SLIP, _COLLIDE = range(PLAY + 1, PLAY + 5)
-_OF_CHANNELS = {
-    "set": SET,
-    "add": ADD,
-    "scale": SCALE,
-    "drift": DRIFT,
-    "noise": NOISE,
-    "freeze": HOLD,
-    "late": LATE,
-    "lowpass": LOW_PASS,
-    "flip": FLIP,
-    "bit": BIT,
-}
-_OF_FORCES = {
-    "stick": HOLD,
-    "slow": LOW_PASS,
-    "set": SET,
-    "add": ADD,
-    "scale": SCALE,
-    "flip": FLIP,
-    "late": LATE,
-}
+_KINDS = ("set", "add", "scale", "drift", "noise", "freeze", "late", "lowpass", "flip", "bit")
+_OF_CHANNELS = dict(zip(_KINDS, range(PLAY), strict=True))
+_OF_FORCES = {"stick": HOLD, "slow": LOW_PASS}
+_OF_FORCES |= {kind: _OF_CHANNELS[kind] for kind in ("set", "add", "scale", "flip", "late")}
 _OF_VALVES = {"stick": HOLD, "open": SET, "slow": LOW_PASS, "null": DRIFT, "hysteresis": PLAY}
 KINDS: dict[str, dict[str, int]] = {
     **dict.fromkeys(CHANNEL_ROWS, _OF_CHANNELS),

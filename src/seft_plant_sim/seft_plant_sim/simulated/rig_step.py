@@ -5,7 +5,7 @@ from typing import Annotated, NamedTuple
 
 from seft_msgs_py.arrays import Floats, Ints
 
-from seft_plant_sim.compiled import compiled, multiply
+from seft_plant_sim.compiled import bounded, compiled, multiply
 from seft_plant_sim.simulated.actuator import OPENING, PER_CAPACITY
 from seft_plant_sim.simulated.actuator import STROKE_COLUMN as STROKE_COLUMN
 from seft_plant_sim.simulated.continuous_model import Dynamics, Motion, integrate
@@ -142,11 +142,11 @@ def move(parameters: RigParameters, state: RigState, step: int, command: Floats)
             read = state.read[(step + 1) % senses]
             read_sensors(parameters.sensing, motion, stretch, state.shown, read)
     for i in range(n):
-        state.asked[i] = _bounded(command[i], parameters.drive_limit[i])
+        state.asked[i] = bounded(command[i], parameters.drive_limit[i])
         line[oldest, i] = state.asked[i]
         if len(parameters.faults.numbers):
             obeyed = obey(parameters.faults, step, state.faulty, i, state.asked[i])
-            line[oldest, i] = _bounded(obeyed, parameters.drive_limit[i])
+            line[oldest, i] = bounded(obeyed, parameters.drive_limit[i])
     for i in range(n):
         place = oldest + newer[i] + (2 if change[i] < 0 else 1)
         motion.work[drive + i] = line[place if place < places else place - places, i]
@@ -156,11 +156,6 @@ def move(parameters: RigParameters, state: RigState, step: int, command: Floats)
         read_sensors(parameters.sensing, motion, last, state.shown, read)
     state.oldest[0] = oldest + 1 if oldest + 1 < places else 0
     _note_peaks(n, state.true, state.peaks)
-
-
-@compiled
-def _bounded(drive: float, limit: float) -> float:
-    return limit if drive > limit else -limit if drive < -limit else drive
 
 
 @compiled

@@ -9,7 +9,7 @@ from seft_msgs_py.arrays import Floats, clear, zeros
 from seft_msgs_py.config.parameter_table import Section, as_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
-from seft_plant_sim.compiled import compiled, copy, entry_point, multiply
+from seft_plant_sim.compiled import bounded, compiled, copy, entry_point, multiply
 from seft_plant_sim.judge.known_rig import command_limit
 from seft_plant_sim.lti import bilinear
 from seft_plant_sim.rig_parameters import common_lag
@@ -192,10 +192,8 @@ def transfer_step(
     multiply(p.matrix, work, result)
     for i in range(n):
         drive = result[i]
-        if abs(drive) >= p.limit:
-            limited = True
-            drive = p.limit if drive > 0.0 else -p.limit
-        command[i] = drive
+        limited |= abs(drive) >= p.limit
+        command[i] = bounded(drive, p.limit)
     copy(delays, result[n:], work)
     if limited:
         for j in range(delays):

@@ -43,6 +43,7 @@ from seft_ros.force_controller.interlock_step import (
     tracking_arrays,
 )
 from seft_ros.force_controller.methods import force_control
+from seft_ros.protection.protection_step import implausible_force
 
 
 def tracking_detector(
@@ -272,12 +273,15 @@ class Interlock:
         if code == NO_TRIP:
             return ""
         if code == IMPLAUSIBLE_COMMAND:
-            return self._not_a_number("valve command", state.odd) or (
+            for name, value in zip(self._axes, state.odd.tolist(), strict=True):
+                if not math.isfinite(value):
+                    return f"valve command on axis {name} is {value}"
+            return (
                 "the command jumps by more than /**: limits.displacement_rate allows: "
                 f"{(state.odd - state.drive).tolist()} m"
             )
         if code == IMPLAUSIBLE:
-            return self.implausible(state.force)
+            return implausible_force(state.force, self._axes, self.parameters.largest)
         if code == LIMIT:
             limits, sample = self.parameters.limits, state.measured
             row, column = np.argwhere(np.abs(sample) > limits[:, np.newaxis])[0].tolist()
@@ -290,22 +294,6 @@ class Interlock:
             f"the valve command is at its limit for more than {self._longest:g} s within one "
             "second: the force is out of control"
         )
-
-    def implausible(self, reference_force: Floats) -> str:
-        """Say what is wrong with a reference force, shape (n,); empty if nothing is."""
-        for axis, value in zip(self._axes, reference_force.tolist(), strict=True):
-            if abs(value) > self.parameters.largest:
-                return (
-                    f"reference force {value:.5g} N on axis {axis} is beyond the limit of "
-                    f"{self.parameters.largest:g} N"
-                )
-        return self._not_a_number("reference force", reference_force)
-
-    def _not_a_number(self, name: str, values: Floats) -> str:
-        for axis, value in zip(self._axes, values.tolist(), strict=True):
-            if not math.isfinite(value):
-                return f"{name} on axis {axis} is {value}"
-        return ""
 
 
 class Interlocks:

@@ -22,7 +22,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from seft_msgs_py.arrays import Floats, zeros
 from seft_msgs_py.wire.topics import RigAxes, Timebase
-from seft_plant_sim.compiled import compiled
+from seft_plant_sim.compiled import bounded, compiled, put_first
 from seft_plant_sim.judge.known_rig import command_limit, known_responses
 from seft_plant_sim.judge.servo_model import ServoModel, servo_models
 from seft_plant_sim.judge.valve_following import (
@@ -30,6 +30,7 @@ from seft_plant_sim.judge.valve_following import (
     LARGEST_GAIN_ERROR,
     UNCERTAIN_DELAY,
     UNCERTAIN_GAIN,
+    correct_errors,
 )
 from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.rig_parameters import common_lag
@@ -159,10 +160,8 @@ def move_servos(p: ServoParameters, state: ServoState, points: Floats, command: 
         for j in range(len(state.wanted)):
             bend += p.ahead[i, j] * state.wanted[j]
         u = z[last] + z[last + 1] + bend
-        if abs(u) >= p.limit:
-            limited = True
-            u = p.limit if u > 0.0 else -p.limit
-        command[i] = u
+        limited |= abs(u) >= p.limit
+        u = command[i] = bounded(u, p.limit)
         y = 0.0
         for row in range(m):
             new[row] = p.push[i, row] * u
@@ -172,10 +171,7 @@ def move_servos(p: ServoParameters, state: ServoState, points: Floats, command: 
         new[last], new[last + 1] = u, u - z[last]
         for j in range(m + 2):
             z[j] = new[j]
-        past = state.past[i]
-        for j in range(len(past) - 1, 0, -1):
-            past[j] = past[j - 1]
-        past[0] = y
+        put_first(state.past[i], y)
     return limited
 
 
@@ -231,24 +227,9 @@ def _follow(p: ServoParameters, state: ServoState, i: int, x: float) -> None:
     covariance[GAIN_ERROR, GAIN_ERROR] += (_DRIFT * UNCERTAIN_GAIN) ** 2 * p.dt
     covariance[DELAY_ERROR, DELAY_ERROR] += (_DRIFT * UNCERTAIN_DELAY) ** 2 * p.dt
     covariance[OFFSET, OFFSET] += (p.rate[i] * p.dt) ** 2 * variance
-    missed, total = x - y, variance
-    for j in range(SERVO_ERRORS):
-        missed -= errors[j] * regressor[j]
-        work[j] = 0.0
-        for k in range(SERVO_ERRORS):
-            work[j] += covariance[j, k] * regressor[k]
-        total += regressor[j] * work[j]
-    for j in range(SERVO_ERRORS):
-        errors[j] += work[j] * missed / total
-        for k in range(SERVO_ERRORS):
-            covariance[j, k] -= work[j] * work[k] / total
-    errors[GAIN_ERROR] = _within(errors[GAIN_ERROR], LARGEST_GAIN_ERROR)
-    errors[DELAY_ERROR] = _within(errors[DELAY_ERROR], LARGEST_DELAY_ERROR)
-
-
-@compiled
-def _within(value: float, largest: float) -> float:
-    return min(max(value, -largest), largest)
+    correct_errors(errors, covariance, regressor, x - y, variance, work)
+    errors[GAIN_ERROR] = bounded(errors[GAIN_ERROR], LARGEST_GAIN_ERROR)
+    errors[DELAY_ERROR] = bounded(errors[DELAY_ERROR], LARGEST_DELAY_ERROR)
 
 
 @compiled

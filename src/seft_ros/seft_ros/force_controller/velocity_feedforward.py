@@ -20,7 +20,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from seft_msgs_py.arrays import Floats, zeros
 from seft_msgs_py.wire.topics import RigAxes, Timebase
-from seft_plant_sim.compiled import compiled, put_first
+from seft_plant_sim.compiled import bounded, compiled, put_first
 from seft_plant_sim.judge.known_rig import ASSUMED_ACTUATOR, known_actuators, read_specimen
 from seft_plant_sim.judge.valve_following import (
     UNCERTAIN_VALVE,
@@ -142,10 +142,8 @@ def feedforward_step(
         for k in range(n):
             drive += _flow_by(p, state, points, measured[3, k], i, k)
         drive /= p.actuator[i, 0] * (1.0 + state.errors[i, GAIN_ERROR])
-        if abs(drive) >= p.limit:
-            limited = True
-            drive = p.limit if drive > 0.0 else -p.limit
-        command[i] = drive
+        limited |= abs(drive) >= p.limit
+        command[i] = bounded(drive, p.limit)
     for i in range(n):
         put_first(state.sent[i], command[i])
         put_first(state.flows[i], state.coming[i, 0])

@@ -6,8 +6,10 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
+from seft_msgs_py.config.facts import CHANNELS
+from seft_plant_sim.channels import FORCE
 from seft_plant_sim.compiled import compiled, entry_point, is_finite
-from seft_plant_sim.limits import span_steps
+from seft_plant_sim.limits import beyond_limit, span_steps
 
 from seft_ros.protection.instability import WatchParameters, WatchState, watch_step
 
@@ -208,9 +210,6 @@ class RampDown:
         return factor
 
 
-_QUANTITIES = ("displacement", "velocity", "acceleration", "force")
-
-
 @compiled
 def is_plausible(limits: Floats, recent: Floats, force: Floats) -> bool:
     """Say whether a force is finite, not too large, and not changing too fast.
@@ -266,21 +265,22 @@ class PlausibleForce:
 
     def describe(self, force: Floats) -> str:
         """Say what is wrong with a force that is not plausible, shape (n,), after the last ones."""
-        largest, oldest = self.limits[0], self.recent[0].tolist()
-        for axis, value, last in zip(self.axes, force.tolist(), oldest, strict=True):
-            if not math.isfinite(value):
-                return f"reference force is {value} N on axis {axis}"
-            if abs(value) > largest:
-                return (
-                    f"reference force {value:.5g} N on axis {axis} is beyond the limit of "
-                    f"{largest:g} N"
-                )
-            if abs(value - last) > self.limits[1]:
-                return (
-                    f"reference force changes by {(value - last) / self._span:.5g} N/s on axis "
-                    f"{axis}, beyond the limit of {self._fastest:g} N/s"
-                )
-        raise ValueError("nothing is wrong with the force")
+        change = force - self.recent[0]
+        axis = int(np.abs(change).argmax())
+        return implausible_force(force, self.axes, self.limits[0]) or (
+            f"reference force changes by {change[axis] / self._span:.5g} N/s on axis "
+            f"{self.axes[axis]}, beyond the limit of {self._fastest:g} N/s"
+        )
+
+
+def implausible_force(force: Floats, axes: Sequence[str], largest: float) -> str:
+    """Say which reference force, shape (n,), is not finite or too large; empty if none is."""
+    for axis, value in zip(axes, force.tolist(), strict=True):
+        if not math.isfinite(value):
+            return f"reference force is {value} N on axis {axis}"
+        if abs(value) > largest:
+            return f"reference {beyond_limit(FORCE, value, axis, largest)}"
+    return ""
 
 
 def not_finite(state: Floats, axes: Sequence[str]) -> str:
@@ -289,7 +289,7 @@ def not_finite(state: Floats, axes: Sequence[str]) -> str:
     if not len(bad):
         return ""
     row, axis = bad[0]
-    return f"measured {_QUANTITIES[row]} is {state[row, axis]} on axis {axes[axis]}"
+    return f"measured {CHANNELS[row]} is {state[row, axis]} on axis {axes[axis]}"
 
 
 HOLDING, CAUSE, AGE = range(3)

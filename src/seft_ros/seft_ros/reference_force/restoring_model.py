@@ -51,7 +51,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints, zeros
-from seft_plant_sim.compiled import compiled, copy, multiply_sized
+from seft_plant_sim.compiled import bounded, compiled, copy, multiply_sized
 
 THRESHOLDS = 12
 """Number of stop operators of a spring; each has twice the threshold of the one before: from the
@@ -250,19 +250,12 @@ def begin_model(parameters: ModelParameters, state: RestoringState) -> None:
 
 
 @compiled
-def stopped(z: float, y: float) -> float:
-    """Keep z between -y and y."""
-    z = y if z > y else z
-    return -y if z < -y else z
-
-
-@compiled
 def slide(e: Floats, thresholds: Floats, stops: Floats) -> None:
     """Let stop operators follow a deformation, (N,), from the first row of the result, (N, m)."""
     for i in range(len(thresholds)):
         z = stops[0, i]
         for k in range(1, len(e)):
-            z = stopped(z + e[k] - e[k - 1], thresholds[i])
+            z = bounded(z + e[k] - e[k - 1], thresholds[i])
             stops[k, i] = z
 
 
@@ -273,10 +266,10 @@ def move_stops(parameters: ModelParameters, change: Floats, stops: Floats) -> No
     for j in range(len(parameters.springs)):
         moved = change[j]
         for i in range(0, THRESHOLDS, 4):  # the processor has instructions for four at a time
-            one = stopped(stops[j, i] + moved, thresholds[j, i])
-            two = stopped(stops[j, i + 1] + moved, thresholds[j, i + 1])
-            three = stopped(stops[j, i + 2] + moved, thresholds[j, i + 2])
-            four = stopped(stops[j, i + 3] + moved, thresholds[j, i + 3])
+            one = bounded(stops[j, i] + moved, thresholds[j, i])
+            two = bounded(stops[j, i + 1] + moved, thresholds[j, i + 1])
+            three = bounded(stops[j, i + 2] + moved, thresholds[j, i + 2])
+            four = bounded(stops[j, i + 3] + moved, thresholds[j, i + 3])
             stops[j, i], stops[j, i + 1], stops[j, i + 2], stops[j, i + 3] = one, two, three, four
 
 
