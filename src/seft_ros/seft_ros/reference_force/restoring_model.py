@@ -373,23 +373,7 @@ def follow_specimen(
         surprise = sums[0] * sums[0] / sums[1]
         is_change = surprise > parameters.surprise
         if is_change:
-            # P += g T diag(change) T', where T keeps the force of the last sample
-            explained = change[0]
-            for i in range(1, learned):
-                explained += change[i] * (phi[i] - last[i]) ** 2
-            grown = min((surprise - 1.0) * variance / explained, 1.0)
-            variance += grown * explained
-            p[0, 0] += grown * change[0]
-            gain[0] += grown * change[0]
-            for i in range(1, learned):
-                added = grown * change[i]
-                if added > 0.0:
-                    p[i, i] += added
-                    p[0, i] -= added * last[i]
-                    p[i, 0] -= added * last[i]
-                    p[0, 0] += added * last[i] ** 2
-                    gain[i] += added * (phi[i] - last[i])
-                    gain[0] -= added * last[i] * (phi[i] - last[i])
+            variance += widen(phi, last, change, learned, (surprise - 1.0) * variance, p, gain)
         weight, per_variance = 1.0 / (1.0 + math.exp(-sums[4])), 1.0 / variance
         by_taken = by_left = 0.0
         for i in range(q):
@@ -403,13 +387,7 @@ def follow_specimen(
             by_taken += taken[i] * phi[i]
             by_left += left[i] * phi[i]
             last[i] = phi[i]
-        for i in range(q):
-            one, all_of_it = taken[i], gain[i]
-            for k in range(0, q, 4):
-                p[i, k] += one * left[k] - all_of_it * taken[k]
-                p[i, k + 1] += one * left[k + 1] - all_of_it * taken[k + 1]
-                p[i, k + 2] += one * left[k + 2] - all_of_it * taken[k + 2]
-                p[i, k + 3] += one * left[k + 3] - all_of_it * taken[k + 3]
+        sharpen(q, taken, left, gain, p)
         of_past *= per_variance
         for i in range(q):
             after = gain[i] + taken[i] * by_left - gain[i] * by_taken - p[i, error] * slope
@@ -419,3 +397,47 @@ def follow_specimen(
         acts = sums[4] <= 0.0 and (is_change or was_right)
         sums[2] = 0.0 if acts else impulse
         sums[3] = late + (impulse if acts else 0.0)
+
+
+@compiled
+def widen(
+    phi: Floats,
+    last: Floats,
+    change: Floats,
+    learned: int,
+    unexplained: float,
+    p: Floats,
+    gain: Floats,
+) -> float:
+    """Let parameters have changed, with the force of the last sample kept; give what that explains.
+
+    P += g T diag(change) T', where T keeps that force; ``gain`` is P phi. Variances are in N^2.
+    """
+    explained = change[0]
+    for i in range(1, learned):
+        explained += change[i] * (phi[i] - last[i]) ** 2
+    grown = min(unexplained / explained, 1.0)
+    p[0, 0] += grown * change[0]
+    gain[0] += grown * change[0]
+    for i in range(1, learned):
+        added = grown * change[i]
+        if added > 0.0:
+            p[i, i] += added
+            p[0, i] -= added * last[i]
+            p[i, 0] -= added * last[i]
+            p[0, 0] += added * last[i] ** 2
+            gain[i] += added * (phi[i] - last[i])
+            gain[0] -= added * last[i] * (phi[i] - last[i])
+    return grown * explained
+
+
+@compiled
+def sharpen(q: int, taken: Floats, left: Floats, gain: Floats, p: Floats) -> None:
+    """Take what a sample tells out of a covariance, P += taken left' - gain taken'."""
+    for i in range(q):
+        one, all_of_it = taken[i], gain[i]
+        for k in range(0, q, 4):
+            p[i, k] += one * left[k] - all_of_it * taken[k]
+            p[i, k + 1] += one * left[k + 1] - all_of_it * taken[k + 1]
+            p[i, k + 2] += one * left[k + 2] - all_of_it * taken[k + 2]
+            p[i, k + 3] += one * left[k + 3] - all_of_it * taken[k + 3]

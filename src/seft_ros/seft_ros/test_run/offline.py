@@ -118,14 +118,9 @@ def simulate_test(
             progress(steps)
     wall = time.perf_counter() - start
     violation = blocks.rig.violation or blocks.force_controller.reason  # as `hard_trip` chooses
-    trip = _trip_of(
-        violation,
-        force.cause,
-        steps - 1,
-        steps - force.ramp.taken,
-        experiment.timebase,
-    )
-    begun = steps - force.ramp.taken if force.cause else steps - 1
+    ramped = steps - force.ramp.taken
+    trip = _trip_of(violation, force.cause, steps - 1, ramped, experiment.timebase)
+    begun = ramped if force.cause else steps - 1
     rig, plan = cast("Any", blocks.rig), None
     if violation and rig.drive == topics.VALVE_COMMAND.name:
         plan = blocks.force_controller.stop(steps - 1)
