@@ -97,11 +97,7 @@ class CalibrationState(NamedTuple):
 
 @compiled
 def calibrate(
-    calibration: Calibration,
-    state: CalibrationState,
-    step: int,
-    measured: Floats,
-    sample: Floats,
+    calibration: Calibration, state: CalibrationState, step: int, measured: Floats, sample: Floats
 ) -> None:
     """Correct and align a sample.
 

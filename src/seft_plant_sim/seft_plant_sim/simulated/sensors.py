@@ -249,11 +249,7 @@ class Sensors:
     """
 
     def __init__(
-        self,
-        channels: Channels,
-        seed: int,
-        places: Sequence[int] | None = None,
-        faulty: int = 0,
+        self, channels: Channels, seed: int, places: Sequence[int] | None = None, faulty: int = 0
     ) -> None:
         self.channels, self._faulty = channels, faulty
         self._seed = seed
@@ -263,11 +259,7 @@ class Sensors:
 
     @classmethod
     def from_parameters(
-        cls,
-        section: dict[str, Any],
-        axes: Sequence[str],
-        places: Sequence[int],
-        faulty: int = 0,
+        cls, section: dict[str, Any], axes: Sequence[str], places: Sequence[int], faulty: int = 0
     ) -> "Sensors":
         """Make those of the axes at some places from the rig's section of an experiment.
 

@@ -234,11 +234,7 @@ def _follow(p: ServoParameters, state: ServoState, i: int, x: float) -> None:
 
 @compiled
 def servo_stop(
-    parameters: ServoParameters,
-    state: ServoState,
-    plan: Floats,
-    slowed: Floats,
-    commands: Floats,
+    parameters: ServoParameters, state: ServoState, plan: Floats, slowed: Floats, commands: Floats
 ) -> None:
     """Find the commands that bring the rig to rest along a plan.
 

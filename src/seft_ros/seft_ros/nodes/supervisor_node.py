@@ -28,13 +28,7 @@ from seft_msgs_py.wire.outcome import State
 
 from seft_ros.test_run.course import RUNNING, Course
 from seft_ros.test_run.parameter_tables import SUPERVISOR_TABLE, TABLES
-from seft_ros.test_run.peers import (
-    RUNS,
-    UNFIT,
-    Rehearsed,
-    check_peers,
-    with_biases,
-)
+from seft_ros.test_run.peers import RUNS, UNFIT, Rehearsed, check_peers, with_biases
 from seft_ros.test_run.state_machine import ServiceAnswer
 
 _HEARTBEAT = 0.2  # s between two publications of the state

@@ -7,11 +7,7 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.facts import FORCE_DRIVEN
-from seft_msgs_py.config.parameter_table import (
-    mass_matrix,
-    per_axis,
-    symmetric_matrix,
-)
+from seft_msgs_py.config.parameter_table import mass_matrix, per_axis, symmetric_matrix
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.computed.computed_substructure import ComputedSubstructure

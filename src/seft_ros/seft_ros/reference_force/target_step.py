@@ -484,12 +484,7 @@ def predict(
 
 @compiled
 def move_by_force(
-    p: TargetParameters,
-    state: TargetState,
-    force: Floats,
-    span: float,
-    y: Floats,
-    stops: Floats,
+    p: TargetParameters, state: TargetState, force: Floats, span: float, y: Floats, stops: Floats
 ) -> None:
     """Move the specimen alone, by its model, under a constant force (velocity Verlet).
 

@@ -11,20 +11,10 @@ from numba.extending import overload
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_plant_sim.compiled import OPTIONS, compiled, entry_point, is_at_hand, kind_of
-from seft_plant_sim.judge.guard import (
-    ENDS_TEST,
-    GuardParameters,
-    GuardState,
-    guard_step,
-)
+from seft_plant_sim.judge.guard import ENDS_TEST, GuardParameters, GuardState, guard_step
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.simulated.rig import SimulatedRig
-from seft_plant_sim.simulated.rig_step import (
-    FORCE_NOW,
-    RigParameters,
-    RigState,
-    rig_step,
-)
+from seft_plant_sim.simulated.rig_step import FORCE_NOW, RigParameters, RigState, rig_step
 from seft_plant_sim.simulated.sensors import BLOCK
 
 from seft_ros.force_controller.force_control import (
@@ -56,11 +46,7 @@ from seft_ros.protection.protection_step import (
     begin_step,
     protect,
 )
-from seft_ros.reference_force.compensator import (
-    LinearCompensator,
-    LinearParameters,
-    linear_step,
-)
+from seft_ros.reference_force.compensator import LinearCompensator, LinearParameters, linear_step
 from seft_ros.reference_force.target_motion import TargetMotion
 from seft_ros.reference_force.target_step import TargetParameters, target_estimates, target_step
 from seft_ros.test_run.blocks import Blocks

@@ -9,14 +9,7 @@ from seft_msgs_py.wire.messages import Status
 from seft_msgs_py.wire.outcome import State, seconds
 from seft_msgs_py.wire.topics import RigAxes, with_rigs
 
-from seft_ros.test_run.peers import (
-    AT_REST_KEY,
-    RAMPING_DOWN,
-    LastStatus,
-    missing,
-    silence,
-    silent,
-)
+from seft_ros.test_run.peers import AT_REST_KEY, RAMPING_DOWN, LastStatus, missing, silence, silent
 from seft_ros.test_run.state_machine import LOCKSTEP, StateMachine
 
 SOFT_PEERS = ("ground_motion", "recorder")
@@ -212,8 +205,7 @@ class Course:
         steps = rig.number("steps") or 0
         if steps != self._steps:
             self.machine.hard_trip(
-                f"node {rig.name} finished after {steps} of {self._steps} steps",
-                max(steps - 1, 0),
+                f"node {rig.name} finished after {steps} of {self._steps} steps", max(steps - 1, 0)
             )
         elif all(self.phase(name) == outcome.FINISHED for name in self.rig_nodes):
             self.machine.finish(f"{steps} steps done")

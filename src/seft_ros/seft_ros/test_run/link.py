@@ -24,10 +24,7 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_ros.design.margin_ends import MASS_RATIO_RESERVE as RESERVE
 from seft_ros.drawing.style import Mark, Number, rows_of
 from seft_ros.drawing.table import Cell, Texts, TextTable
-from seft_ros.reference_force.reference_force_parameters import (
-    horizon_steps,
-    reference_force_topic,
-)
+from seft_ros.reference_force.reference_force_parameters import horizon_steps, reference_force_topic
 
 _Verdict = Literal["good", "marginal", "unusable"]
 
