@@ -270,11 +270,10 @@ def look(
     threshold: float,
 ) -> bool:
     """Compare a detector's value with its threshold; say whether it has persisted and acts."""
-    share = seen / threshold if threshold > 0.0 else 0.0
-    if share > state.shares[row, i]:
-        state.shares[row, i] = share
+    if threshold > 0.0 and seen > state.shares[row, i] * threshold:  # a division takes longer
+        state.shares[row, i] = seen / threshold
     count = state.counts[row, i]
-    state.counts[row, i] = count = count + 1 if share > 1.0 else max(count - 1, 0)
+    state.counts[row, i] = count = count + 1 if seen > threshold > 0.0 else max(count - 1, 0)
     if count >= p.persistence[row] and p.acts[row]:
         state.found[0, row, i], state.found[1, row, i] = seen, threshold
         return True

@@ -149,7 +149,7 @@ class JudgeState(NamedTuple):
     """State of the judge: arrays of zeros."""
 
     step: Annotated[Ints, 1]  # of the last sample
-    taken: Annotated[Ints, 1]  # samples so far
+    place: Annotated[Ints, 1]  # of the last sample in ``replaced``
     axes: Annotated[Record, AXIS_STATE, "n"]
     room: Annotated[Record, JUDGE_ROOM, 1]
     raw: Annotated[Floats, 4, "n"]  # the last sample as measured

@@ -130,9 +130,9 @@ def off_target(
         threshold = p.doubt[i] + _FARTHEST * largest
         if step - state.limited_at[0] <= p.limited:
             threshold = np.inf  # the interlock counts these
-        share = away / threshold
-        state.shares[i] = max(state.shares[i], share)
-        state.counts[i] = state.counts[i] + 1 if share > 1.0 else max(state.counts[i] - 1, 0)
+        if away > state.shares[i] * threshold:  # a division takes longer
+            state.shares[i] = away / threshold
+        state.counts[i] = state.counts[i] + 1 if away > threshold else max(state.counts[i] - 1, 0)
         if state.counts[i] >= p.persistence and p.acts and found < 0:
             state.found[0, i], state.found[1, i] = away, threshold
             found = i

@@ -269,6 +269,7 @@ def _run_steps(
     states, measured_states, forces, commands, found, true_forces, estimates = samples
     turns, _, quantities, _ = in_flight.shape
     is_target, n = quantities > 1, len(loop.axes)
+    place, due = first % turns, -(-first // period) * period  # later without a division
     # what the compiler takes from these makes the loop nearly twice as fast
     assert states.shape[2] == n and commands.shape[1] == n
     assert measured_states.shape[2] == n
@@ -282,12 +283,13 @@ def _run_steps(
         check_limits(interlock, interlock_state, step, state)
         judged = state[:4]
         # reference force
-        asked = in_flight[step % turns]
+        asked = in_flight[place]
         progress = begin_step(protection, protection_state, True)
         if not protection_state.flags[HOLDING]:
             respond(force, force_state, known[step : step + window], judged, progress, asked)
         protect(protection, protection_state, known[step], judged, True, progress, asked)
-        late = in_flight[(step + 1) % turns]
+        place = place + 1 if place + 1 < turns else 0
+        late = in_flight[place]
         sent = asked if is_target else late
         for row in range(quantities):
             for i in range(n):
@@ -298,8 +300,9 @@ def _run_steps(
             plan, sample = interlock_state.plan, interlock_state.sample
             limited = answer(control, control_state, plan, sample, command)
             postcheck(interlock, interlock_state, step, limited, command)
-        if step % period == 0:
+        if step == due:
             estimate(force, force_state, estimates[step // period])
+            due += period
         for i in range(n):
             drive[i] = command[i] if is_valve_driven else applied[0, quantities - 1, i]
         has_ended = protection_state.ramp[TAKEN] >= longest_ramp
