@@ -102,12 +102,12 @@ def follow(
     by_sum = (one, two, three)
     per, moved = 1.0 / variance, 1.0 if moves else 0.0
     taken = (one * per * moved, two * per * moved, three * per)
+    left = (variance * taken[0] - one, variance * taken[1] - two, variance * taken[2] - three)
     for row in range(3):
         value = found[row, i] + taken[row] * off
         found[row, i] = min(max(value, -largest[row, i]), largest[row, i])
         for k in range(3):
-            covariance[row, k] += variance * taken[row] * taken[k]
-            covariance[row, k] -= taken[row] * by_sum[k] + by_sum[row] * taken[k]
+            covariance[row, k] += taken[row] * left[k] - by_sum[row] * taken[k]
 
 
 @compiled

@@ -22,7 +22,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from seft_msgs_py.arrays import Floats, zeros
 from seft_msgs_py.wire.topics import RigAxes, Timebase
-from seft_plant_sim.compiled import bounded, compiled, put_first
+from seft_plant_sim.compiled import bounded, compiled, dot, put_first
 from seft_plant_sim.judge.known_rig import command_limit, known_responses
 from seft_plant_sim.judge.servo_model import ServoModel, servo_models
 from seft_plant_sim.judge.valve_following import (
@@ -154,20 +154,13 @@ def move_servos(p: ServoParameters, state: ServoState, points: Floats, command: 
     for i in range(n):
         z, new, last = state.model[i], state.next[i], state.model.shape[1] - 2
         _want(p, state, i, points)
-        bend = 0.0
-        for j in range(m + 2):
-            bend -= p.feedback[i, j] * z[j]
-        for j in range(len(state.wanted)):
-            bend += p.ahead[i, j] * state.wanted[j]
+        bend = dot(len(state.wanted), p.ahead[i], state.wanted) - dot(m + 2, p.feedback[i], z)
         u = z[last] + z[last + 1] + bend
         limited |= abs(u) >= p.limit
         u = command[i] = bounded(u, p.limit)
-        y = 0.0
         for row in range(m):
-            new[row] = p.push[i, row] * u
-            for j in range(m):
-                new[row] += p.free[i, row, j] * z[j]
-            y += p.output[i, row] * new[row]
+            new[row] = p.push[i, row] * u + dot(m, p.free[i, row], z)
+        y = dot(m, p.output[i], new)
         new[last], new[last + 1] = u, u - z[last]
         for j in range(m + 2):
             z[j] = new[j]

@@ -20,7 +20,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from seft_msgs_py.arrays import Floats, zeros
 from seft_msgs_py.wire.topics import RigAxes, Timebase
-from seft_plant_sim.compiled import bounded, compiled, put_first
+from seft_plant_sim.compiled import bounded, compiled, dot, put_first
 from seft_plant_sim.judge.known_rig import ASSUMED_ACTUATOR, known_actuators, read_specimen
 from seft_plant_sim.judge.valve_following import (
     UNCERTAIN_VALVE,
@@ -61,8 +61,9 @@ class FeedforwardParameters(NamedTuple):
     sent : ndarray
         Flow per deviation of past commands, the newest first, shape (n, n, memory).
     planned : ndarray
-        Flow per planned flow, of the past and then of the future: the inverse of the valve, and
-        ``sent`` times the commands that the inverse makes of them; shape (n, n, known + taps).
+        Flow per planned flow, of the past, the newest first, and then of the future: the inverse
+        of the valve, and ``sent`` times the commands that the inverse makes of them; shape
+        (n, n, known + taps).
     past : ndarray
         Of past commands, the newest first: mean flow in the last period, and its change per delay,
         1/s; shape (n, 2, memory).
@@ -163,10 +164,10 @@ def _plan(p: FeedforwardParameters, state: FeedforwardState, i: int, points: Flo
         mean = 0.5 * (points[j + 1, 2, i] + points[j, 2, i])
         needed = (moved + compliance * (rise + p.dt * leakage * mean)) / p.dt
         flow[j] = needed / under_load(needed, mean, capacity)
-    late = state.errors[i, DELAY_ERROR]
-    for j in range(taps):
-        before = max(j - 1, 0)
-        coming[j] = flow[j] + late * (flow[j + 1] - flow[before]) / ((j + 1 - before) * p.dt)
+    late = state.errors[i, DELAY_ERROR] / p.dt
+    coming[0] = flow[0] + late * (flow[1] - flow[0])
+    for j in range(1, taps):
+        coming[j] = flow[j] + 0.5 * late * (flow[j + 1] - flow[j - 1])
 
 
 @compiled
@@ -179,14 +180,10 @@ def _flow_by(
     flow += feedback[1, k] * (points[0, 1, k] - state.measured[1, k])
     flow += feedback[2, k] * (planned_acceleration(points, k, p.dt) - state.measured[2, k])
     flow += feedback[3, k] * (points[0, 2, k] - force) / p.actuator[k, 1]
-    for j in range(state.coming.shape[1]):
-        flow += planned[known + j] * state.coming[k, j]
-    for j in range(known):
-        flow += planned[known - 1 - j] * state.flows[k, j]
-    sent, gain = 0.0, p.actuator[k, 0] * (1.0 + state.errors[k, GAIN_ERROR])
-    for j in range(state.sent.shape[1]):
-        sent += p.sent[i, k, j] * state.sent[k, j]
-    return flow - gain * sent
+    flow += dot(state.coming.shape[1], planned[known:], state.coming[k])
+    flow += dot(known, planned, state.flows[k])
+    gain = p.actuator[k, 0] * (1.0 + state.errors[k, GAIN_ERROR])
+    return flow - gain * dot(state.sent.shape[1], p.sent[i, k], state.sent[k])
 
 
 @compiled
@@ -195,10 +192,8 @@ def _follow(p: FeedforwardParameters, state: FeedforwardState, i: int, force: fl
     gain, oil, leakage = p.actuator[i, 0], p.actuator[i, 1], p.actuator[i, 2]
     signals, last, x = state.signals[i], state.last[i], state.measured[0, i]
     if state.steps[0] >= state.sent.shape[1]:  # all commands under way are known
-        flow = later = 0.0
-        for j in range(state.sent.shape[1]):
-            flow += p.past[i, 0, j] * state.sent[i, j]
-            later += p.past[i, 1, j] * state.sent[i, j]
+        flow = dot(state.sent.shape[1], p.past[i, 0], state.sent[i])
+        later = dot(state.sent.shape[1], p.past[i, 1], state.sent[i])
         mean, smoothing = 0.5 * (force + last[1]), p.smoothing[i]
         passed = gain * under_load(flow, mean, p.actuator[i, 3])
         squeezed = ((force - last[1]) / p.dt + leakage * mean) / oil
@@ -291,6 +286,8 @@ class VelocityFeedforward(TargetFollower):
         for i, k in np.ndindex(n, n):
             planned[i, k, :-1] = np.convolve(sent[i, k, ::-1], inverse[k])
         planned[range(n), range(n), memory:] += inverse
+        known_flows = memory + past
+        planned[:, :, :known_flows] = planned[:, :, :known_flows][:, :, ::-1].copy()
         delay = np.array([valve.delay for valve in valves])
         gains, left = observer_gains(noise, dt, BETWEEN)
         parameters = FeedforwardParameters(
@@ -305,7 +302,7 @@ class VelocityFeedforward(TargetFollower):
             doubt=doubt(left[1], noise[3], actuator[:, 1], delay, dt),
             smoothing=1.0 - np.exp(-dt / delay),
         )
-        sizes = {"n": n, "memory": memory, "known": memory + past}
+        sizes = {"n": n, "memory": memory, "known": known_flows}
         state = zeros(FeedforwardState, sizes | {"taps": needed, "needed": needed + 1})
         functions = feedforward_step, feedforward_stop
         super().__init__(parameters, state, functions, horizon, needed + 1, dt)
