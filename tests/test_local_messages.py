@@ -18,7 +18,7 @@ from local_tools import (
     offline,
     perform,
 )
-from seft_msgs_py.node.node_kind import NodeKind
+from seft_msgs_py.node.node_shell import NodeKind
 from seft_msgs_py.wire.experiment_state import ExperimentState, encode_state
 from seft_msgs_py.wire.outcome import State
 from seft_msgs_py.wire.topics import (

@@ -14,8 +14,7 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.facts import command_unit
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.node.node_kind import NodeKind
-from seft_msgs_py.node.node_shell import WARM_UP_STEPS, NodeBody, NodeShell
+from seft_msgs_py.node.node_shell import WARM_UP_STEPS, NodeBody, NodeKind, NodeShell
 from seft_msgs_py.wire import outcome, topics
 from seft_msgs_py.wire.experiment_state import ExperimentState
 from seft_msgs_py.wire.messages import ERROR, OK, Status, encode_clock, restamp

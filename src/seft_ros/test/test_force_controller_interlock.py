@@ -19,7 +19,7 @@ from interlocks_at_hand import (
 from seft_plant_sim.judge.judge_step import LONG_AGO
 from seft_ros.force_controller.force_control import ForceController
 from seft_ros.force_controller.interlock import Interlock
-from seft_ros.protection.protection_step import extrapolated
+from seft_ros.protection.protected_force import extrapolated
 
 
 def interlock(gain=1.0, longest_saturation=0.5, has_valve=True):

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from seft_plant_sim.compiled import is_finite
-from seft_ros.protection.protection_step import PlausibleForce, is_plausible, not_finite
+from seft_ros.protection.protected_force import PlausibleForce, is_plausible, not_finite
 
 DT = 0.002
 

@@ -6,8 +6,12 @@ import pytest
 from experiments_at_hand import load
 from seft_plant_sim.computed.computed_substructure import ComputedSubstructure
 from seft_ros.protection.instability import InstabilityWatch
-from seft_ros.protection.protected_force import ProtectedForce
-from seft_ros.protection.protection_step import PlausibleForce, RampDown, extrapolated
+from seft_ros.protection.protected_force import (
+    PlausibleForce,
+    ProtectedForce,
+    RampDown,
+    extrapolated,
+)
 from seft_ros.reference_force.compensator import MethodInputs
 
 DT = 0.002

@@ -15,7 +15,7 @@ from seft_ros.force_controller.velocity_feedforward import (
     VelocityFeedforward,
     feedforward_step,
 )
-from seft_ros.protection.protection_step import slow_down, stop_steps
+from seft_ros.protection.protected_force import slow_down, stop_steps
 
 DT = 0.002
 valves = pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.config.parameter_table import Table, Value
-from seft_msgs_py.node.node_kind import NodeKind, run_nodes
+from seft_msgs_py.node.node_shell import NodeKind, run_nodes
 from seft_msgs_py.virtual.memory import MemoryEndpoint, MemoryGraph, MemoryTransport, Rule
 from seft_msgs_py.virtual.scheduler import NEVER, Scheduler, Task, ns
 from seft_msgs_py.wire import topics

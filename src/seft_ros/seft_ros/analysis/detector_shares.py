@@ -9,8 +9,7 @@ from seft_plant_sim.judge.guard import DRIVE_ROW
 
 from seft_ros.analysis.metrics import common_steps
 from seft_ros.bags.recording import Recording
-from seft_ros.force_controller.interlock import tracking_detector
-from seft_ros.force_controller.interlock_step import begin_tracking, track_all
+from seft_ros.force_controller.interlock import begin_tracking, track_all, tracking_detector
 
 
 def detector_shares(recording: Recording) -> dict[str, float] | None:

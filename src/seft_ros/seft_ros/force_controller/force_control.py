@@ -14,7 +14,7 @@ from seft_plant_sim.judge.known_rig import command_limit
 from seft_plant_sim.lti import bilinear
 from seft_plant_sim.rig_parameters import common_lag
 
-from seft_ros.protection.protection_step import stop_steps
+from seft_ros.protection.protected_force import stop_steps
 from seft_ros.reference_force.compensator import NotLinearError
 from seft_ros.reference_force.reference_force_parameters import HORIZON_PER_LAG, horizon_steps
 

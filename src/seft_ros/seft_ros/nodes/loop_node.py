@@ -9,7 +9,7 @@ bits. They pass their messages to each other directly; all others receive them o
 import argparse
 import sys
 
-from seft_msgs_py.node.node_kind import NodeKind, run_nodes
+from seft_msgs_py.node.node_shell import NodeKind, run_nodes
 from seft_msgs_py.printing import unbroken
 from seft_plant_sim.rig_node import RIG_NODE as RIG
 

@@ -14,8 +14,7 @@ from pathlib import Path
 
 from seft_msgs_py.errors import ExperimentError
 from seft_msgs_py.node.host import FIRST_NICENESS, boot
-from seft_msgs_py.node.node_kind import NodeKind
-from seft_msgs_py.node.node_shell import NodeBody, NodeShell
+from seft_msgs_py.node.node_shell import NodeBody, NodeKind, NodeShell
 from seft_msgs_py.node.wiring import Handler
 from seft_msgs_py.wire import topics
 from seft_msgs_py.wire.experiment_state import ExperimentState, decode_state

@@ -11,8 +11,7 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.node.node_kind import NodeKind
-from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeBody, NodeShell
+from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeBody, NodeKind, NodeShell
 from seft_msgs_py.wire import topics
 from seft_msgs_py.wire.experiment_state import decode_state
 from seft_msgs_py.wire.messages import ERROR, OK, EstimatesCodec

@@ -10,8 +10,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from seft_msgs_py.node.node_kind import NodeKind
-from seft_msgs_py.node.node_shell import NodeBody, NodeShell
+from seft_msgs_py.node.node_shell import NodeBody, NodeKind, NodeShell
 from seft_msgs_py.node.transport import AwakeClock, Level
 from seft_msgs_py.wire import outcome, topics
 from seft_msgs_py.wire.experiment_state import ExperimentState, encode_state

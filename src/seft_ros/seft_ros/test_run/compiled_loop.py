@@ -22,10 +22,10 @@ from seft_ros.force_controller.force_control import (
     TransferParameters,
     transfer_step,
 )
-from seft_ros.force_controller.interlock import Interlock
-from seft_ros.force_controller.interlock_step import (
+from seft_ros.force_controller.interlock import (
     NO_TRIP,
     TRIP,
+    Interlock,
     InterlockParameters,
     InterlockState,
     check_limits,
@@ -38,7 +38,7 @@ from seft_ros.force_controller.velocity_feedforward import (
     VelocityFeedforward,
     feedforward_step,
 )
-from seft_ros.protection.protection_step import (
+from seft_ros.protection.protected_force import (
     HOLDING,
     TAKEN,
     ProtectionParameters,
