@@ -245,11 +245,6 @@ def servo_stop(
         move_servos(parameters, state, slowed[j + 1 :], commands[j])
 
 
-def memory_of(late: float) -> int:
-    """Count the past displacements of the response that `servo_step` needs, by ``late``."""
-    return math.floor(late) + 4
-
-
 LEAST_GAIN = 0.2
 """Displacement per command down to which the response is inverted, over that at rest: more would
 take commands of five times the motion."""
@@ -313,7 +308,7 @@ class PositionServo(TargetFollower):
             rate=fastest_feedback(delay),
         )
         states = parameters.feedback.shape[1]
-        sizes = {"n": n, "states": states, "memory": memory_of(late.max()), "taps": taps}
+        sizes = {"n": n, "states": states, "memory": math.floor(late.max()) + 4, "taps": taps}
         state = zeros(ServoState, sizes)
         functions = servo_step, servo_stop
         super().__init__(parameters, state, functions, horizon, needed, dt)
