@@ -85,7 +85,7 @@ def begin_judge(p: JudgeParameters, state: JudgeState) -> None:
     """Begin a test: the rig is at rest."""
     for each in state:
         each[...] = 0
-    state.step[0], state.used[0], state.axes[:] = -1, LONG_AGO, p.rest
+    state.step[0], state.place[0], state.used[0], state.axes[:] = -1, -1, LONG_AGO, p.rest
     state.raw[:], state.resolution[:] = p.rest.alive["value"][:, 0, 0].T, p.axes.step.T
 
 
