@@ -203,28 +203,16 @@ def multiply_sized(
 
     The length of a tuple is known then, that of an array is not.
     """
-    whole, last = rows - rows % 4, columns - columns % 2
-    for i in range(0, whole, 4):  # four at a time, by instructions of the processor; in two sums
+    whole = rows - rows % 4
+    for i in range(0, whole, 4):  # four at a time, by instructions of the processor
         one = two = three = four = 0.0
-        five = six = seven = eight = 0.0
-        for j in range(0, last, 2):
-            factor, other = vector[j], vector[j + 1]
+        for j in range(columns):
+            factor = vector[j]
             one += transposed[j, i] * factor
             two += transposed[j, i + 1] * factor
             three += transposed[j, i + 2] * factor
             four += transposed[j, i + 3] * factor
-            five += transposed[j + 1, i] * other
-            six += transposed[j + 1, i + 1] * other
-            seven += transposed[j + 1, i + 2] * other
-            eight += transposed[j + 1, i + 3] * other
-        if last < columns:
-            factor = vector[last]
-            one += transposed[last, i] * factor
-            two += transposed[last, i + 1] * factor
-            three += transposed[last, i + 2] * factor
-            four += transposed[last, i + 3] * factor
-        result[i], result[i + 1] = one + five, two + six
-        result[i + 2], result[i + 3] = three + seven, four + eight
+        result[i], result[i + 1], result[i + 2], result[i + 3] = one, two, three, four
     for i in range(whole, rows):
         one = 0.0
         for j in range(columns):

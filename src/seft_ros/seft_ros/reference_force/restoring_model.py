@@ -291,28 +291,6 @@ def slider_forces(
 
 
 @compiled
-def slide_on(
-    parameters: ModelParameters, values: Floats, change: Floats, stops: Floats, forces: Floats
-) -> None:
-    """Move stop operators as `move_stops` does, and give their forces as `slider_forces` does."""
-    thresholds, n = parameters.thresholds, len(parameters.springs)
-    for j in range(n):
-        moved, first = change[j], 1 + 2 * n
-        one = two = three = four = 0.0
-        for i in range(0, THRESHOLDS, 4):
-            a = bounded(stops[j, i] + moved, thresholds[j, i])
-            b = bounded(stops[j, i + 1] + moved, thresholds[j, i + 1])
-            c = bounded(stops[j, i + 2] + moved, thresholds[j, i + 2])
-            d = bounded(stops[j, i + 3] + moved, thresholds[j, i + 3])
-            stops[j, i], stops[j, i + 1], stops[j, i + 2], stops[j, i + 3] = a, b, c, d
-            one += values[j, first + i] * a
-            two += values[j, first + i + 1] * b
-            three += values[j, first + i + 2] * c
-            four += values[j, first + i + 3] * d
-        forces[j] = (one + two) + (three + four)
-
-
-@compiled
 def tangent(parameters: ModelParameters, state: RestoringState, j: int) -> float:
     """Find the identified stiffness of spring j with the sliders that stick, N/m."""
     n = len(parameters.springs)

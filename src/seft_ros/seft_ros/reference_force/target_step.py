@@ -24,7 +24,6 @@ from seft_ros.reference_force.restoring_model import (
     begin_model,
     follow_specimen,
     move_stops,
-    slide_on,
     slider_forces,
 )
 
@@ -473,7 +472,8 @@ def predict(
             for i in range(n):
                 rise = known[point + 1, i] - known[point, i]
                 ground[i] = progress * (known[point, i] + part * rise)
-            slide_on(p.model, state.model.values, change, stops, sliders)
+            move_stops(p.model, change, stops)
+            slider_forces(p.model, state.model.values, stops, sliders)
             multiply_sized(columns, size + n, state.substep, z, new)
             for i in range(len(state.line)):
                 rise = (1.0 + point + part) * p.dt * state.line[i, 2 * half + 1]
