@@ -24,10 +24,10 @@ COMMON = [
     ("ground_motion", "synthetic.duration", 120.0),
 ]
 LINEAR = [("/**", "actuator.kind", "servo_hydraulic_linear")]
-CASES = {  # configuration, overrides -> steps/s wanted
-    "linear rig": ("jhu.yaml", LINEAR, 1_000_000),
-    "nonlinear rig": ("jhu.yaml", [], 700_000),
-    "the same, target_motion": ("demo.yaml", [], 500_000),
+CASES = {  # configuration, overrides -> speed wanted, over that of the bare loop
+    "linear rig": ("jhu.yaml", LINEAR, 1.4),
+    "nonlinear rig": ("jhu.yaml", [], 0.9),
+    "the same, target_motion": ("demo.yaml", [], 0.3),
 }
 
 
@@ -59,9 +59,10 @@ def main() -> int:
     met = True
     for kind, (_, _, wanted) in CASES.items():
         speed = max(ours[kind])
-        met &= speed >= wanted
-        print(f"offline loop, {kind:24s} {speed:12,.0f} steps/s (wanted: {wanted:,})")
-        print(f"{'bare linear loop of plain floats':38s} {bare:12,.0f}: {bare / speed:.1f} times")
+        met &= speed >= wanted * bare
+        share = f"{speed / bare:.2f} of plain floats (wanted: {wanted:g})"
+        print(f"offline loop, {kind:24s} {speed:12,.0f} steps/s, {share}")
+    print(f"{'bare linear loop of plain floats':38s} {bare:12,.0f}")
     print(f"{'scipy.signal.dlsim, linear loop':38s} {max(by_scipy):12,.0f}")
     return 0 if met else 1
 

@@ -6,7 +6,7 @@ import threading
 import time
 
 import numpy as np
-from seft_plant_sim.simulated.converter_board import ConverterBoard
+from seft_plant_sim.simulated.rig import ConverterBoard
 
 CALLS: list[tuple[str, int]] = []
 """Method and thread of each call since a test has emptied it."""

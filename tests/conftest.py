@@ -13,7 +13,7 @@ from graph_tools import JHU, PATIENCE
 from local_tools import NODES, UNREHEARSED
 from ros_domain import reserved_domain
 from seft_msgs_py.virtual import LocalGraph
-from seft_ros.nodes.kinds import NODE_KINDS
+from seft_ros.nodes.loop_node import NODE_KINDS
 from seft_ros.test_run.observer import Observer
 
 _OFFLINE = ("simulate", "compare", "preflight", "recover", "replay", "report")

@@ -16,7 +16,7 @@ from local_tools import (
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.messages import decode_description
 from seft_msgs_py.wire.topics import DESCRIPTION, REFERENCE_FORCE, RIG_STATE
-from seft_ros.protection.protection_step import RampDown
+from seft_ros.protection.protected_force import RampDown
 
 
 def test_twice_the_same_messages_at_the_same_times(local_graph):

@@ -18,7 +18,7 @@ from local_tools import (
     offline,
     perform,
 )
-from seft_msgs_py.node.node_kind import NodeKind
+from seft_msgs_py.node.node_shell import NodeKind
 from seft_msgs_py.wire.experiment_state import ExperimentState, encode_state
 from seft_msgs_py.wire.outcome import State
 from seft_msgs_py.wire.topics import (
@@ -33,7 +33,7 @@ from seft_msgs_py.wire.topics import (
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_plant_sim.rig_node import RigNode
 from seft_plant_sim.rig_parameters import RIG_TABLE
-from seft_ros.nodes.kinds import NODE_KINDS
+from seft_ros.nodes.loop_node import NODE_KINDS
 
 
 @pytest.mark.parametrize("topic", [VALVE_COMMAND, REFERENCE_FORCE, RIG_STATE])

@@ -3,7 +3,7 @@
 import pytest
 from graph_tools import BRIDGE
 from local_tools import UNREHEARSED
-from seft_ros.nodes.kinds import NODE_KINDS
+from seft_ros.nodes.loop_node import NODE_KINDS
 
 
 @pytest.mark.parametrize("node", NODE_KINDS)

@@ -31,7 +31,7 @@ from seft_ros.design.plant import Plant, lightly_damped, rig_model
 from seft_ros.force_controller.force_control import ForceController
 from seft_ros.force_controller.force_controller_parameters import TRANSFER_FUNCTION, one_controller
 from seft_ros.identification.response_fits import Tracking, tracking_measures
-from seft_ros.reference_force.linear_filter import LinearFilter
+from seft_ros.reference_force.compensator import LinearFilter
 from seft_ros.test_run.parameter_tables import TABLES
 
 PHASE_MARGIN_DEG = 45.0

@@ -31,9 +31,9 @@ from seft_msgs_py.config.facts import EVERY_NODE
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.virtual import LocalGraph
 from seft_plant_sim.lti import TransferFunction
-from seft_plant_sim.simulated.converter_board import ConverterBoard
+from seft_plant_sim.simulated.rig import ConverterBoard
 from seft_ros.drawing.style import save_figure
-from seft_ros.nodes.kinds import NODE_KINDS
+from seft_ros.nodes.loop_node import NODE_KINDS
 from seft_ros.test_run.offline import simulate_test
 from seft_ros.test_run.parameter_tables import TABLES
 

@@ -12,8 +12,12 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_ros.reference_force.compensation_methods import whole_steps
-from seft_ros.reference_force.compensator import Compensator, MethodInputs
-from seft_ros.reference_force.linear_filter import LinearCompensator, LinearFilter
+from seft_ros.reference_force.compensator import (
+    Compensator,
+    LinearCompensator,
+    LinearFilter,
+    MethodInputs,
+)
 
 from seft_methods.delay_estimate import EVERY, DelayEstimator
 from seft_methods.settings import Settings, delay_range, read_settings

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_ros.reference_force.compensation_methods import between_samples
-from seft_ros.reference_force.compensator import MethodInputs
-from seft_ros.reference_force.linear_filter import LinearFilter
+from seft_ros.reference_force.compensator import LinearFilter, MethodInputs
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.node import host
-from seft_msgs_py.node.clock import LONGEST_GAP, AwakeClock
+from seft_msgs_py.node.transport import LONGEST_GAP, AwakeClock
 
 BY_ROOT = pytest.mark.skipif(os.geteuid() != 0, reason="rights are root's, also to give them up")
 WISH = {"cpu_core": -1, "keep_awake": False, "lock_memory": False, "thread_priority": 0}

@@ -35,7 +35,7 @@ from seft_plant_sim.channels import ACCELERATION, DISPLACEMENT, VELOCITY, per_ch
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.rig_parameters import LIMIT_UNITS, common_filter, filter_of
 from seft_plant_sim.simulated.continuous_model import ContinuousModel, Sensed
-from seft_plant_sim.simulated.sensor_dynamics import filtered
+from seft_plant_sim.simulated.sensors import filtered
 
 ALIGNING_ORDER = 3
 """Of Eq. (2) and (3) together."""
@@ -97,11 +97,7 @@ class CalibrationState(NamedTuple):
 
 @compiled
 def calibrate(
-    calibration: Calibration,
-    state: CalibrationState,
-    step: int,
-    measured: Floats,
-    sample: Floats,
+    calibration: Calibration, state: CalibrationState, step: int, measured: Floats, sample: Floats
 ) -> None:
     """Correct and align a sample.
 

@@ -15,11 +15,7 @@ DISPLACEMENT, VELOCITY, ACCELERATION, FORCE = range(len(CHANNELS))
 """Rows of `CHANNELS` in a sample."""
 
 
-def per_channel(
-    section: Mapping[str, Any],
-    axes: Sequence[str],
-    form: str,
-) -> Floats:
+def per_channel(section: Mapping[str, Any], axes: Sequence[str], form: str) -> Floats:
     """Give the values of a parameter of each channel, shape (4, n).
 
     Parameters

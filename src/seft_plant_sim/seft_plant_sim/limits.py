@@ -48,7 +48,7 @@ def exceeds(
     largest : ndarray
         The largest magnitudes so far, shape (8,); updated.
     """
-    broken, place = 0, step % len(recent)
+    broken, place = 0, step % len(recent) if len(recent) > 1 else 0
     oldest = place if step >= len(recent) else 0
     for row in range(4):
         for i in range(measured.shape[1]):

@@ -159,11 +159,7 @@ INVERTED_FREQUENCIES = 200
 
 
 def noncausal_inverse(
-    response: Callable[[Complexes], Complexes],
-    highest: float,
-    taps: int,
-    dt: float,
-    past: int = 0,
+    response: Callable[[Complexes], Complexes], highest: float, taps: int, dt: float, past: int = 0
 ) -> Floats:
     """Weights h of samples, so that sum_j h_j y[k + j - past], through the response, gives y[k].
 

@@ -14,22 +14,11 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.facts import command_unit
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.node.node_kind import NodeKind
-from seft_msgs_py.node.node_shell import WARM_UP_STEPS, NodeBody, NodeShell
-from seft_msgs_py.wire import topics
+from seft_msgs_py.node.node_shell import WARM_UP_STEPS, NodeBody, NodeKind, NodeShell
+from seft_msgs_py.wire import outcome, topics
 from seft_msgs_py.wire.experiment_state import ExperimentState
 from seft_msgs_py.wire.messages import ERROR, OK, Status, encode_clock, restamp
-from seft_msgs_py.wire.outcome import (
-    FINISHED,
-    REHEARSES,
-    TRIPPED,
-    WAITS,
-    ZEROED,
-    MissedSteps,
-    Outcome,
-    State,
-    Trip,
-)
+from seft_msgs_py.wire.outcome import MissedSteps, Outcome, State, Trip
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_plant_sim import rig_watch
@@ -37,10 +26,9 @@ from seft_plant_sim.command import Command
 from seft_plant_sim.hardware.hosted import HardwareError, HostedHardware
 from seft_plant_sim.hardware.safe_stop import Stopped
 from seft_plant_sim.judge.known_rig import command_limit, fastest_command
-from seft_plant_sim.rehearsal import Rehearsal
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import RIG_TABLE, SIMULATED
-from seft_plant_sim.rig_rest import RigRest
+from seft_plant_sim.rig_rest import Rehearsal, RigRest
 from seft_plant_sim.rig_watch import rig_report
 
 CLOCK_PERIOD = 0.1  # s of the test's time
@@ -83,12 +71,12 @@ class RigNode(NodeBody):
         self._take_commands()
         self.facts: dict[str, Any] = {"drive": self._drive.codec.topic.name}
         if self._rig.zeroed is not None:
-            self.facts[ZEROED] = self._rig.zeroed
+            self.facts[outcome.ZEROED] = self._rig.zeroed
         self._rehearsal: Rehearsal | None = None
         if self._is_alone and self._is_realtime and not self._section["loop_delay"]:
             obeyed, fault_free = self._drive, self._fault_free
             self._rehearsal = Rehearsal(shell, self._timebase, obeyed, fault_free, self._is_sampled)
-            self.facts[REHEARSES] = True
+            self.facts[outcome.REHEARSES] = True
         self._watch_others()
         self._measured: list[Floats] = []  # samples that have not been sent
         self._step = 0  # of the test's last sample; a laboratory's rig is sampled on
@@ -194,7 +182,7 @@ class RigNode(NodeBody):
     def _tell(self, failure: str) -> None:
         """Report what is wrong with the hardware between two tests; empty: nothing."""
         if self._is_idle:
-            level, waits = (ERROR, {WAITS: failure}) if failure else (OK, None)
+            level, waits = (ERROR, {outcome.WAITS: failure}) if failure else (OK, None)
             self.report("idle", waits, level, failure)
 
     def _end_stop(self, stopped: Stopped) -> None:
@@ -276,9 +264,9 @@ class RigNode(NodeBody):
         step = self._step
         self._send_measured()
         self._publish_clock(step)
-        trip, phase = None, FINISHED
+        trip, phase = None, outcome.FINISHED
         if reason is not None:
-            self._supervision.latched, phase = True, TRIPPED
+            self._supervision.latched, phase = True, outcome.TRIPPED
             waited = 0.0 if self._rig.violation else self._watch.waited
             trip = Trip(reason, step, self._timebase.stamp_ns(step) / 1e9, waited)
         stopped = self._rest.attempt(lambda: self._rig.stop(*(self._plan() if trip else ())))
@@ -376,7 +364,7 @@ class RigNode(NodeBody):
         self, phase: str, trip: Trip | None = None, stopped: Stopped | None = None
     ) -> Status:
         now = self._reported_at = self._clock.monotonic()
-        outcome = Outcome(
+        result = Outcome(
             phase,
             self._step + 1,
             len(self._missed.steps),
@@ -390,7 +378,7 @@ class RigNode(NodeBody):
             self._missed.most,
         )
         age = now - self._answered_at if self._answered_at else math.nan
-        return rig_report(outcome, self._rig, self._compute, self._round_trip, age, stopped)
+        return rig_report(result, self._rig, self._compute, self._round_trip, age, stopped)
 
     def _report_if_due(self, later: float = 0.0) -> None:
         """Report the test's progress, by default where there is time for it; times in s."""

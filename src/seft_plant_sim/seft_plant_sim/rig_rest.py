@@ -1,16 +1,29 @@
-"""A rig between two tests: its samples go on, it comes to rest, its hardware may fail."""
+"""A rig between two tests: it comes to rest, its hardware may fail, the loop is rehearsed."""
 
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from typing import Any
 
+import numpy as np
+from seft_msgs_py.arrays import Floats
 from seft_msgs_py.node.node_shell import IDLE_WAIT, NodeShell
+from seft_msgs_py.wire.outcome import REHEARSED, ZEROED
+from seft_msgs_py.wire.topics import RIG_STATE, Timebase, rehearsed
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
+from seft_plant_sim.command import Command
 from seft_plant_sim.hardware.hosted import HardwareError
 from seft_plant_sim.hardware.safe_stop import Stopped
 from seft_plant_sim.rig import Rig
-from seft_plant_sim.rig_watch import EARLY
+from seft_plant_sim.rig_watch import (
+    EARLY,
+    RoundTrip,
+    SampleClock,
+    wait_for_command,
+    wait_for_sample,
+)
 
 SOON = 1.0  # s, for which a failure of the hardware counts; and between two that are told
 
@@ -99,3 +112,111 @@ class RigRest:
                 if not is_safe:
                     self._rig.hardware.safe()
         return None
+
+
+ALONE = 0.25  # of the steps: each one after the answer to the one before, and the host adapts
+FIRST_ANSWER = 5.0  # s, longest wait: the nodes make blocks for the rehearsal
+LATER_ANSWER = 0.1  # s, longest wait: a message may be lost, which ends the steps alone
+
+
+class Rehearsal:
+    """The rig's part of a rehearsal, on separate topics, so that no node takes it for a test.
+
+    Parameters
+    ----------
+    shell : NodeShell
+        Of the rig.
+    timebase : Timebase
+        Sampling clock.
+    drive : Command
+        That the rig obeys in a test.
+    rig : Rig
+        Without faults; its valve stays at the safe command.
+    is_sampled : bool
+        Whether it rests there already, and is sampled between two tests.
+    """
+
+    def __init__(
+        self, shell: NodeShell, timebase: Timebase, drive: Command, rig: Rig, is_sampled: bool
+    ) -> None:
+        self._shell, self._timebase = shell, timebase
+        self._rig, self._is_sampled = rig, is_sampled
+        self._codec = TrajectoryCodec(RIG_STATE, shell.rig.axes, timebase)
+        self._publish = shell.publisher(rehearsed(RIG_STATE))
+        self._command = Command(drive.codec, drive.limit)
+        self._alone, self._round_trip = RoundTrip(), RoundTrip()
+        self._times = self._alone
+        shell.subscribe(rehearsed(drive.codec.topic), self._take, reliable=False)
+
+    def run(self, seconds: float, zeroing: int, stop: Callable[[], bool]) -> dict[str, Any]:
+        """Publish samples, the first ones when the loop has answered, the others at the rate.
+
+        So the first ones show how fast the loop can be: at a rate that is too high answers queue.
+
+        Parameters
+        ----------
+        seconds : float
+            Duration, s.
+        zeroing : int
+            Number of last samples from which biases are taken that nobody knows.
+        stop : callable
+            Says whether to end early, without facts.
+
+        Returns
+        -------
+        dict
+            Facts about the rig (JSON values): what it measured at rest, if it did; and of the
+            rehearsal ``rate_hz``, the ``steps`` at the rate, ``missed`` (steps without a command
+            at their end), ``overruns`` of the rig itself, ``round_trip_s``, see
+            `seft_msgs_py.wire.outcome.ROUND_TRIPS`, and ``round_trip_alone_s`` of the first steps.
+        """
+        shell, command, period = self._shell, self._command, self._timebase.dt
+        steps = max(round(seconds / period), 8)
+        first, longest = round(ALONE * steps), FIRST_ANSWER  # other nodes prepare at step 0
+        rig, resting = self._rig, deque[Floats](maxlen=zeroing)
+        rig.begin()
+        command.reset()
+        self._times, missed, clock = self._alone, 0, SampleClock(period, 0.0, makes_up=False)
+        for times in (self._alone, self._round_trip):
+            times.reset()
+        for step in range(steps):
+            command.current = step
+            if step and not self._is_sampled:
+                rig.write(rig.safe_command)
+            raw = self._codec.encode(step, rig.read())
+            resting.append(rig.raw)
+            now = shell.clock.monotonic()
+            if step == first:
+                self._times = self._round_trip
+                clock.fall_back(now - clock.deadline(step))
+            if rig.hardware.is_clock:
+                clock.follow(step, now)
+            self._times.published(step, now)
+            self._publish(raw)
+            if step < first:
+                wait_for_command(shell, command, step, longest, stop)
+                first, longest = first if command.step == step else step + 1, LATER_ANSWER
+            else:
+                wait_for_sample(shell, command, step, clock, lambda: None)
+                missed += command.step < step
+            if stop():
+                return {}
+        facts: dict[str, Any] = {}
+        if self._is_sampled and zeroing:
+            rig.zero(np.array(resting))
+            facts[ZEROED] = rig.zeroed
+        rig.begin()
+        facts[REHEARSED] = {
+            "rate_hz": self._timebase.rate,
+            "steps": max(steps - first, 0),
+            "missed": missed,
+            "overruns": clock.overruns,
+            "round_trip_s": self._round_trip.numbers(),
+            "round_trip_alone_s": self._alone.numbers(),
+        }
+        return facts
+
+    def _take(self, raw: bytes, _: int) -> None:
+        now = self._shell.clock.monotonic()
+        self._command.take(raw)
+        self._times.answered(self._command, now)

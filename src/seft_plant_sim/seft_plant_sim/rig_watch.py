@@ -7,22 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.node.clock import AwakeClock, Clock
 from seft_msgs_py.node.node_shell import NodeShell
+from seft_msgs_py.node.transport import AwakeClock, Clock
+from seft_msgs_py.wire import outcome
 from seft_msgs_py.wire.experiment_state import ExperimentState, decode_state
 from seft_msgs_py.wire.messages import ERROR, WARN, Status, decode_diagnostics
-from seft_msgs_py.wire.outcome import (
-    FINISHED,
-    MOVING,
-    NOT_AT_REST,
-    RECORDED,
-    RECORDER_NODE_NAME,
-    STOPPED,
-    STOPPING,
-    TRIPPED,
-    Outcome,
-    rig_status,
-)
+from seft_msgs_py.wire.outcome import Outcome, rig_status
 from seft_msgs_py.wire.topics import LoopTopic
 
 from seft_plant_sim.command import Command
@@ -188,9 +178,9 @@ class RecorderLag:
     def receive(self, raw: bytes, _: int) -> None:
         """Process the diagnostics of a node."""
         for status in decode_diagnostics(raw)[1]:
-            if status.name == RECORDER_NODE_NAME:
+            if status.name == outcome.RECORDER_NODE_NAME:
                 self._received_at = self._awake.time()
-                self._recorded = int(status.number(RECORDED) or 0)
+                self._recorded = int(status.number(outcome.RECORDED) or 0)
 
     def reset(self) -> None:
         """Begin a test."""
@@ -238,7 +228,7 @@ class Supervision:
     @property
     def is_moving(self) -> bool:
         """Whether the rig should move."""
-        return self.wanted is not None and self.wanted.state in MOVING
+        return self.wanted is not None and self.wanted.state in outcome.MOVING
 
     def receive(self, raw: bytes, _: int) -> None:
         """Follow the supervisor; a rig that starts in the middle of a test stays at rest."""
@@ -248,7 +238,7 @@ class Supervision:
         if test.state == self.state:
             return  # a sign of life
         self.state = test.state
-        if test.state in MOVING and not (self._armed or self.is_moving):
+        if test.state in outcome.MOVING and not (self._armed or self.is_moving):
             why = "that began before this rig was ready"
             raise WireError("a test " + ("after a trip and no reset" if self.latched else why))
         if test.state == "running" and not test.steps:
@@ -263,7 +253,7 @@ class Supervision:
         if self.fault:
             return self.fault
         if not self.is_moving:
-            return STOPPED
+            return outcome.STOPPED
         if self._awake.time() - self._received_at > self._patience:
             return f"node supervisor has been silent for {self._patience:g} s"
         return None
@@ -328,7 +318,7 @@ NARROW = 0.1  # of a limit: a smaller margin gives a warning
 
 
 def rig_report(
-    outcome: Outcome,
+    result: Outcome,
     rig: Rig,
     compute: RoundTrip,
     round_trip: RoundTrip,
@@ -339,7 +329,7 @@ def rig_report(
 
     Parameters
     ----------
-    outcome : Outcome
+    result : Outcome
         So far.
     rig : Rig
         With its last sample.
@@ -350,9 +340,9 @@ def rig_report(
     stopped : Stopped or None
         How the rig came to rest, if it has.
     """
-    status = rig_status(outcome)
+    status = rig_status(result)
     values, level = dict(status.values), status.level
-    message = outcome.phase if outcome.phase == "running" else status.message
+    message = result.phase if result.phase == "running" else status.message
     name, share = rig.guard.nearest
     values["nearest detector"] = f"{name}: {share:.2f} of its threshold"
     for what, time in compute.numbers().items():
@@ -364,15 +354,15 @@ def rig_report(
         values["command age (ms)"] = f"{age * 1e3:.2f}"
     if not math.isnan(round_trip.last):
         values["round trip last (ms)"] = f"{round_trip.last * 1e3:.3f}"
-    if stopped is None and outcome.phase in (FINISHED, TRIPPED):
-        values[STOPPING] = "until its valve is closed and it rests"
+    if stopped is None and result.phase in (outcome.FINISHED, outcome.TRIPPED):
+        values[outcome.STOPPING] = "until its valve is closed and it rests"
     elif stopped is not None:
         values["stop peak force (N)"] = f"{stopped.peak_force:.1f}"
         values["stop time (s)"] = f"{stopped.time:g}"
         if not stopped.is_at_rest:
             dumped = ", the pressure was dumped" if stopped.has_dumped else ""
-            level, values[NOT_AT_REST] = ERROR, f"{stopped.time:.3g} s{dumped}"
-            message += f"; not at rest after {values[NOT_AT_REST]}"
+            level, values[outcome.NOT_AT_REST] = ERROR, f"{stopped.time:.3g} s{dumped}"
+            message += f"; not at rest after {values[outcome.NOT_AT_REST]}"
     narrow = [limit for limit, left in margins.items() if not left >= NARROW]
     if narrow and level < WARN:
         level = WARN

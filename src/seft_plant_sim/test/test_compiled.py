@@ -4,9 +4,17 @@ import os
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from seft_plant_sim import compiled as module
-from seft_plant_sim.compiled import compiled, entry_point, is_at_hand, tell_of_compilation
+from seft_plant_sim.compiled import (
+    compiled,
+    dot,
+    entry_point,
+    is_at_hand,
+    multiply,
+    tell_of_compilation,
+)
 
 
 def double(x):
@@ -61,3 +69,12 @@ def test_of_processes_that_need_the_same_code_at_the_same_time_one_compiles(tmp_
         process.stdin.flush()
     heard = [process.communicate()[0] for process in begun]
     assert sorted(heard) == ["", "", "compiled here\n"]
+
+
+@pytest.mark.parametrize("size", range(10))
+def test_sums_of_products_are_those_of_numpy_for_each_size(size):
+    rng, result = np.random.default_rng(size), np.empty(7)
+    matrix, vector = rng.standard_normal((size, 7)), rng.standard_normal(size + 1)
+    multiply(matrix, vector[:size], result)
+    np.testing.assert_allclose(result, vector[:size] @ matrix, rtol=1e-13, atol=1e-14)
+    assert dot(size, vector, vector) == pytest.approx(vector[:size] @ vector[:size], rel=1e-14)

@@ -24,7 +24,7 @@ from scipy.signal import lfilter
 from seft_plant_sim.judge import detectors as rows
 from seft_plant_sim.judge.detector_step import begin_detectors
 from seft_plant_sim.judge.relation_following import remember
-from seft_plant_sim.judge.valve_following import begin_following, doubt, follow_valve, under_load
+from seft_plant_sim.judge.valve_following import UNCERTAIN_VALVE, doubt, follow_valve, under_load
 
 RESOLUTION = 1e-9
 """Less than any change of a channel in these tests, and not of no effect."""
@@ -241,8 +241,7 @@ def test_the_errors_of_a_valve_and_its_oil_are_those_of_least_squares():
     rng = np.random.default_rng(1)
     by, white = rng.normal(size=(40, 3)) * [1.0, 50.0, 0.3], rng.normal(size=40)
     moved = by[:, 0] + by[:, 2] + by @ [0.07, 1e-3, -0.1] + 0.1 * white
-    errors, c, work = np.ones((1, 3)), np.ones((1, 3, 3)), np.empty(3)
-    begin_following(errors, c)
+    errors, c, work = np.zeros((1, 3)), np.diag(np.square(UNCERTAIN_VALVE))[None], np.empty(3)
     for signals in np.column_stack([by, moved]):
         follow_valve(errors[0], c[0], signals, 0.01, work)
     information = by.T @ by / 0.01 + np.diag([0.15**-2, 2e-3**-2, 0.2**-2])
@@ -253,8 +252,7 @@ def test_the_errors_of_a_valve_and_its_oil_are_those_of_least_squares():
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_what_is_followed_of_a_valve_has_bounds(sign):
-    errors, c, work = np.zeros((1, 3)), np.zeros((1, 3, 3)), np.empty(3)
-    begin_following(errors, c)
+    errors, c, work = np.zeros((1, 3)), np.diag(np.square(UNCERTAIN_VALVE))[None], np.empty(3)
     for _ in range(100):
         for one in range(3):
             signals = np.zeros(4)

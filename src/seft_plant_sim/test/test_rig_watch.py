@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.node.clock import MACHINE
+from seft_msgs_py.node.transport import MACHINE
 from seft_msgs_py.wire.experiment_state import ExperimentState, encode_state
 from seft_msgs_py.wire.messages import OK, Status, encode_diagnostics
 from seft_msgs_py.wire.outcome import RECORDED, RECORDER_NODE_NAME, ROUND_TRIPS, STOPPED, State

@@ -10,7 +10,7 @@ from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import RIG_TABLE, filter_of
 from seft_plant_sim.simulated.continuous_model import delayed_force
 from seft_plant_sim.simulated.rig import continuous_model
-from seft_plant_sim.simulated.sensor_dynamics import sensed
+from seft_plant_sim.simulated.sensors import sensed
 from seft_plant_sim.simulated.specimen import Specimen
 
 PAIR = Specimen(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from experiments_at_hand import JHU, load
 from seft_msgs_py.virtual.scheduler import Scheduler, VirtualClock
-from seft_plant_sim.simulated.converter_board import ConverterBoard
+from seft_plant_sim.simulated.rig import ConverterBoard
 from seft_ros.check.motion_checks import RigCheck
 from seft_ros.check.rig_mover import RigMover
 
@@ -290,7 +290,7 @@ def test_the_command_asks_before_it_moves_and_tries_a_simulated_rig(seft, monkey
     status, _, errors = seft("check", JHU, "-p", HOSTED)
     assert status == 2
     assert "the rig will be moved (0.2 V, stopped at 5 mm): say --yes" in errors
-    monkeypatch.setattr("seft_msgs_py.node.clock.MACHINE", VirtualClock(Scheduler()))
+    monkeypatch.setattr("seft_msgs_py.node.transport.MACHINE", VirtualClock(Scheduler()))
     status, out, errors = seft("check", JHU, "--json")
     result = json.loads(out)
     assert (status, result["good"], result["rest"]) == (0, True, "the rig is at rest")

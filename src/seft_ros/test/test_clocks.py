@@ -18,7 +18,7 @@ WALL = {
     ("time", "CLOCK_REALTIME"),
 }
 ALLOWED = {
-    "seft_msgs_py/node/clock.py": "the only one that nodes read",
+    "seft_msgs_py/node/transport.py": "the only one that nodes read",
     "seft_ros/nodes/recorder_node.py": "the name of the bag",
     "seft_ros/test_run/run.py": "the bag's name",
     "seft_ros/test_run/stall_watch.py": "when the host stood still, for the bag",
@@ -54,7 +54,7 @@ for name, module in sys.modules.items():
         print(name.split(".")[0], module.__file__)
 """
 OWN_CLOCK = {
-    "seft_msgs_py/node/clock.py": "the machine's clock",
+    "seft_msgs_py/node/transport.py": "the machine's clock",
     "seft_ros/bags/bag_writer.py": "when the file was flushed: time of the disk",
     "seft_plant_sim/computed/model_process.py": "its process lives by the machine's time",
     "seft_plant_sim/hardware/udp.py": "so does a laboratory's controller",

@@ -9,10 +9,13 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.whole_structure import reference_response
-from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
+from seft_ros.reference_force.compensation_methods import (
+    COMPENSATION_METHODS,
+    _BehindMotion,
+    substructure_motion,
+)
 from seft_ros.reference_force.reference_force_block import compensator, method_inputs
 from seft_ros.reference_force.reference_force_parameters import OWN_METHODS, TARGET_MOTION
-from seft_ros.reference_force.substructure import _BehindMotion, substructure_motion
 from structures_at_hand import as_lists, structure
 
 RATE = 4000.0

@@ -24,7 +24,7 @@ from seft_ros.identification.rig_tests import (
     pilot_voltage,
     voltage_after,
 )
-from seft_ros.protection.protection_step import PlausibleForce, is_plausible
+from seft_ros.protection.protected_force import PlausibleForce, is_plausible
 
 VOLTAGE = 0.1
 

@@ -10,8 +10,8 @@ from seft_plant_sim.judge.servo_model import second_difference, servo_models
 from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.design.plant import Plant, rig_model
-from seft_ros.force_controller.feedforward_step import DELAY_ERROR, GAIN_ERROR
 from seft_ros.force_controller.position_servo import InvertedServo, PositionServo
+from seft_ros.force_controller.velocity_feedforward import DELAY_ERROR, GAIN_ERROR
 from seft_ros.identification import rig_tests
 from seft_ros.identification.identified import facts_of, identify_from_recordings
 from seft_ros.test_run.blocks import build_blocks

@@ -6,8 +6,12 @@ import pytest
 from experiments_at_hand import load
 from seft_plant_sim.computed.computed_substructure import ComputedSubstructure
 from seft_ros.protection.instability import InstabilityWatch
-from seft_ros.protection.protected_force import ProtectedForce
-from seft_ros.protection.protection_step import PlausibleForce, RampDown, extrapolated
+from seft_ros.protection.protected_force import (
+    PlausibleForce,
+    ProtectedForce,
+    RampDown,
+    extrapolated,
+)
 from seft_ros.reference_force.compensator import MethodInputs
 
 DT = 0.002
@@ -63,10 +67,10 @@ def test_while_nothing_is_wrong_it_gives_the_force_itself():
 def test_asked_to_come_down_it_follows_the_test_scaled():
     force = protected([100.0, 100.0, 200.0, 300.0, 400.0], ramp=4)
     run(force, 1)
-    force.ramp_down()
+    force.ramp.begin()
     expected = [f * factor for f, factor in zip((100, 200, 300, 400), ramp(4), strict=True)]
     assert run(force, 4) == expected
-    assert force.at_rest
+    assert force.ramp.finished
     assert force.cause is None
 
 
@@ -79,7 +83,7 @@ def test_vibration_begins_the_ramp_in_the_step_in_which_it_is_seen():
     assert cause.startswith("instability")
     assert run(force, 9, -SHAKEN) == [100.0 * factor for factor in ramp(10)[1:]]
     assert force.cause == cause  # it is latched
-    assert force.steps_ramped == 10
+    assert force.ramp.taken == 10
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e5])
@@ -103,7 +107,7 @@ def test_a_state_that_is_not_finite_brings_the_force_down():
 def test_a_fault_within_the_ramp_holds_the_last_force_and_is_the_cause_of_a_stop():
     force = protected([100.0, 100.0, np.nan, 500.0], ramp=4)
     run(force, 1)
-    force.ramp_down()
+    force.ramp.begin()
     assert run(force, 3) == [100.0 * factor for factor in ramp(4)[:3]]
     assert force.cause == "reference force is nan N on axis x"
 
@@ -116,7 +120,7 @@ def test_of_two_causes_in_a_step_the_force_is_reported_and_without_motion_no_sta
     run(force, 1, bad)
     assert force.cause == "reference force is nan N on axis x"
     force.reset()
-    force.ramp_down()
+    force.ramp.begin()
     run(force, 2, bad, None)
     assert force.cause is None
     run(force, 1, bad)
@@ -135,11 +139,11 @@ def test_a_new_test_knows_no_force_of_the_one_before():
 
 def test_a_reset_is_one_of_all_parts():
     force, target = protected_target(ramp=4)
-    force.ramp_down()
+    force.ramp.begin()
     force.step(MOTION, STATE)
     force.reset()
-    assert (target.progresses, force.steps_ramped, force.ramping) == ([], 0, False)
-    assert (force.longest_ramp, force.estimates()) == (6, {})
+    assert (target.progresses, force.ramp.taken, force.ramp.begun) == ([], 0, False)
+    assert (force.ramp.whole, force.estimates()) == (6, {})
     links = protected([1.0, 2.0, 3.0], loop_delay=2)
     links.step(MOTION, STATE)
     links.reset()
@@ -154,7 +158,7 @@ def test_it_is_made_of_its_section():
         section["loop_delay"] = delay
         force = ProtectedForce.from_parameters(section, axes, timebase)
         np.testing.assert_allclose(force.parameters.limits, [900.0, 20.0])
-        assert (force.parameters.ramp_steps, force.longest_ramp) == (50, 50 + delay)
+        assert (force.parameters.ramp_steps, force.ramp.whole) == (50, 50 + delay)
         assert force.parameters.watch.ratio == section["instability.ratio"]
         motion = np.zeros((1 + force.preview, 1))
         assert len(force.step(motion, STATE)) == 1 + delay
@@ -166,9 +170,8 @@ def test_a_computed_model_is_asked_and_its_failure_is_the_cause():
     force.ask_model()  # there is none
     model = SimpleNamespace(ask_model=lambda: asked.append(1), failure="the model has ended")
     force.reference_force.compensator = model
-    force.reference_force.is_modelled = True
     force.ask_model()
-    assert (asked, force.is_modelled) == ([1], True)
+    assert asked == [1]
     assert force.cause is None
     run(force, 1)
     assert force.cause == "the model has ended"
@@ -177,7 +180,7 @@ def test_a_computed_model_is_asked_and_its_failure_is_the_cause():
 def test_without_ground_motion_the_ramp_goes_on_without_a_jump():
     force = protected([100.0, 100.0, 105.0, 500.0], ramp=50)
     run(force, 1)
-    force.ramp_down()
+    force.ramp.begin()
     way = [100.0, *run(force, 2)]
     way += run(force, 20, motion=None)
     way += run(force, 1)  # motion that comes again does not bring the force back
@@ -185,7 +188,7 @@ def test_without_ground_motion_the_ramp_goes_on_without_a_jump():
     assert way[-1] == 0.0
     assert max(abs(b - a) for a, b in itertools.pairwise(way)) < 105.0 * 1.6 / 50 + 5.0
     assert way[3:] == sorted(way[3:], reverse=True)
-    assert force.at_rest
+    assert force.ramp.finished
 
 
 def test_the_cause_is_latched_until_the_next_test():
@@ -193,7 +196,7 @@ def test_the_cause_is_latched_until_the_next_test():
     run(force, 2)
     assert force.cause == "reference force is nan N on axis x"
     force.reset()
-    assert (force.cause, force.ramping, force.at_rest) == (None, False, False)
+    assert (force.cause, force.ramp.begun, force.ramp.finished) == (None, False, False)
     assert run(force, 1) == [1.0]
 
 
@@ -201,12 +204,12 @@ def test_over_a_link_the_forces_that_are_settled_are_sent_again():
     force = protected([1.0, 2.0, 3.0, 4.0, 5.0, 6.0], ramp=2, loop_delay=2)
     forces = [force.step(MOTION, STATE).ravel().tolist() for _ in range(4)]
     assert forces == [[0, 0, 1], [0, 1, 2], [1, 2, 3], [2, 3, 4]]
-    force.ramp_down()
+    force.ramp.begin()
     forces = [force.step(MOTION, STATE).ravel().tolist() for _ in range(2)]
     assert forces == [[3, 4, pytest.approx(2.5)], [4, pytest.approx(2.5), 0]]
-    assert not force.at_rest  # the forces before are still to be applied
+    assert not force.ramp.finished  # the forces before are still to be applied
     assert run_settled(force, 2) == [pytest.approx(2.5), 0.0]
-    assert force.at_rest
+    assert force.ramp.finished
 
 
 def run_settled(force, steps):
@@ -261,7 +264,7 @@ def protected_target(ramp=10):
 def test_a_target_is_slowed_down_and_its_points_are_not_scaled():
     force, target = protected_target(ramp=4)
     force.step(MOTION, STATE)
-    force.ramp_down()
+    force.ramp.begin()
     given = [force.step(MOTION, STATE) for _ in range(4)]
     assert target.progresses == [1.0, *ramp(4)]
     assert [points[0, :, 0].tolist() for points in given] == [
@@ -273,7 +276,7 @@ def test_a_target_is_slowed_down_and_its_points_are_not_scaled():
 
 def test_a_target_without_ground_motion_goes_on_to_rest_as_if_there_were_none():
     force, target = protected_target(ramp=4)
-    force.ramp_down()
+    force.ramp.begin()
     for _ in range(4):
         force.step(None, STATE)
     assert target.progresses == ramp(4)
@@ -297,7 +300,7 @@ def test_a_target_whose_force_is_not_plausible_brakes_and_is_scaled_down(odd):
 
 def test_a_target_that_fails_in_the_ramp_goes_on_from_where_it_is():
     force, target = protected_target(ramp=8)
-    force.ramp_down()
+    force.ramp.begin()
     last = [force.step(MOTION, STATE) for _ in range(4)][-1][:1]
     target.odd = np.nan
     for age, factor in enumerate(np.array(ramp(8)[4:]) / ramp(8)[3], 1):
@@ -308,7 +311,7 @@ def test_a_target_that_fails_in_the_ramp_goes_on_from_where_it_is():
 def test_a_target_that_rests_after_its_ramp_and_fails_asks_for_no_force():
     force, target = protected_target(ramp=2)
     force.step(MOTION, STATE)
-    force.ramp_down()
+    force.ramp.begin()
     for _ in range(2):
         force.step(MOTION, STATE)
     force.state.point[0, 2] = 50.0  # that a yielded specimen still takes

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_ros.protection.protection_step import RampDown, extrapolated
+from seft_ros.protection.protected_force import RampDown, extrapolated
 
 STEPS = st.integers(1, 2000)
 

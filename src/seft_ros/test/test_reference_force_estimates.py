@@ -15,7 +15,7 @@ from seft_msgs_py.wire.topics import (
     REFERENCE_FORCE,
     Timebase,
 )
-from seft_ros.nodes.kinds import NODE_KINDS
+from seft_ros.nodes.loop_node import NODE_KINDS
 from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS, none
 from seft_ros.reference_force.reference_force_block import EstimateSampler, ReferenceForce
 

@@ -10,7 +10,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_ros.analysis.summary import summarise
 from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
-from seft_ros.reference_force.linear_filter import LinearCompensator
+from seft_ros.reference_force.compensator import LinearCompensator
 from seft_ros.reference_force.reference_force_parameters import REFERENCE_FORCE_TABLE
 from seft_ros.study import study_runs
 from seft_ros.study.drawn_tests import StudyTest, design_study, draw_tests

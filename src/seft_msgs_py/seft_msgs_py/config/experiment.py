@@ -66,11 +66,7 @@ class Experiment:
         The rigs, with their axes.
     """
 
-    def __init__(
-        self,
-        sections: Mapping[str, Section],
-        source: "Source | None" = None,
-    ) -> None:
+    def __init__(self, sections: Mapping[str, Section], source: "Source | None" = None) -> None:
         self.sections = {node: dict(section) for node, section in sections.items()}
         self._source = source
         known: dict[str, tuple[str, Value]] = {}

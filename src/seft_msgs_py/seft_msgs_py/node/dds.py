@@ -12,7 +12,6 @@ from seft_msgs_py.config.experiment import split_ros_arguments
 from seft_msgs_py.config.parameter_table import Section, Table
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.node import host as this_host
-from seft_msgs_py.node.clock import MACHINE, Clock
 from seft_msgs_py.node.process import (
     check_environment,
     check_shared_memory,
@@ -21,7 +20,7 @@ from seft_msgs_py.node.process import (
     prepare_middleware,
     single_instance,
 )
-from seft_msgs_py.node.transport import Answer, Host, Level
+from seft_msgs_py.node.transport import MACHINE, Answer, Clock, Host, Level
 from seft_msgs_py.printing import escaped
 from seft_msgs_py.wire.topics import Topic
 
@@ -29,11 +28,7 @@ check_environment()  # before rclpy is imported
 check_shared_memory()
 
 import rclpy
-from rclpy.executors import (
-    ExternalShutdownException,
-    ShutdownException,
-    SingleThreadedExecutor,
-)
+from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.signals import SignalHandlerOptions

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from seft_msgs_py.config.parameter_table import parameter_rows
-from seft_msgs_py.node.clock import MACHINE
+from seft_msgs_py.node.transport import MACHINE
 
 REALTIME_PARAMETERS = parameter_rows(
     """

@@ -15,9 +15,8 @@ from typing import Any, Protocol
 
 from seft_msgs_py.config.parameter_table import Parameter, Section, Table
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.node.clock import MACHINE
 from seft_msgs_py.node.process import check_environment, check_shared_memory, exit_watchdog
-from seft_msgs_py.node.transport import Take, check_live
+from seft_msgs_py.node.transport import MACHINE, Take, check_live
 from seft_msgs_py.wire.topics import Topic
 
 check_environment()  # before rclpy is imported

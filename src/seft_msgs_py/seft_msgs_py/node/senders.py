@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.node.clock import MACHINE, Clock
-from seft_msgs_py.node.transport import Endpoint, Publisher, Subscription
+from seft_msgs_py.node.transport import MACHINE, Clock, Endpoint, Publisher, Subscription
 from seft_msgs_py.wire.experiment_state import decode_state
 from seft_msgs_py.wire.messages import nodes_named
 from seft_msgs_py.wire.outcome import ENDED, MOVING

@@ -4,13 +4,70 @@ A node joins the graph and has an `Endpoint` there, with raw publishers and subs
 are bytes. All nodes of a process share a `Transport`.
 """
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, Protocol
 
 from seft_msgs_py.config.parameter_table import Section, Table
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.node.clock import Clock
 from seft_msgs_py.wire.topics import Topic
+
+LONGEST_GAP = 0.25  # s
+
+
+class Clock(Protocol):
+    """Time as a node sees it."""
+
+    def monotonic(self) -> float:
+        """Time since some moment, s."""
+
+    def elapsed(self) -> float:
+        """Time that also runs while the process is stopped or its machine sleeps, s."""
+
+    def time_ns(self) -> int:
+        """Wall-clock time in ns, for labels, and for the common start of several hosts."""
+
+    def sleep(self, seconds: float) -> None:
+        """Wait."""
+
+
+class MachineClock:
+    """The `Clock` of this machine."""
+
+    monotonic = staticmethod(time.monotonic)
+    time_ns = staticmethod(time.time_ns)
+    sleep = staticmethod(time.sleep)
+
+    @staticmethod
+    def elapsed() -> float:
+        """Time that also runs while the process is stopped or its machine sleeps, s."""
+        return time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
+MACHINE = MachineClock()
+
+
+class AwakeClock:
+    """Monotonic time in which a gap between two polls counts as at most ``longest_gap`` seconds.
+
+    A process that stalls, usually with its whole machine, reads the messages of that time only
+    later: it must not mistake its own stall for the silence of others. Poll the clock often.
+    """
+
+    def __init__(
+        self, monotonic: Callable[[], float] = MACHINE.monotonic, longest_gap: float = LONGEST_GAP
+    ) -> None:
+        self._monotonic, self._longest_gap = monotonic, longest_gap
+        self._polled_at = monotonic()
+        self._now = 0.0
+
+    def time(self) -> float:
+        """Time awake since the clock was made, s."""
+        now = self._monotonic()
+        self._now += min(now - self._polled_at, self._longest_gap)
+        self._polled_at = now
+        return self._now
+
 
 Level = Literal["info", "warning", "error"]
 Send = Callable[[bytes], None]

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from seft_msgs_py.errors import SeftError, WireError
-from seft_msgs_py.node.clock import MACHINE, Clock
-from seft_msgs_py.node.transport import MakeTransport, Send, Subscription, WaitSet
+from seft_msgs_py.node.transport import MACHINE, Clock, MakeTransport, Send, Subscription, WaitSet
 from seft_msgs_py.wire.topics import LoopTopic, Topic, bare
 
 Receive = Callable[[bytes, int, bytes], bool]

@@ -8,18 +8,9 @@ from seft_msgs_py.errors import InputError, SeftError, WireError
 from seft_msgs_py.node.senders import Authors, Message, Senders, connected_listeners
 from seft_msgs_py.node.transport import Endpoint, Publisher, Send
 from seft_msgs_py.node.turns import NodeProcess, ReadOne, Receive, drain
+from seft_msgs_py.wire import topics
 from seft_msgs_py.wire.experiment_state import decode_state
-from seft_msgs_py.wire.topics import (
-    DESCRIPTION,
-    DIAGNOSTICS,
-    EXPERIMENT_STATE,
-    NODES,
-    RIG_NODES,
-    LoopTopic,
-    RigAxes,
-    Topic,
-    with_rigs,
-)
+from seft_msgs_py.wire.topics import LoopTopic, RigAxes, Topic, with_rigs
 
 _POLL_PERIOD = 0.2  # s between two looks for other publishers
 WARN_PERIOD = 1.0  # s
@@ -54,7 +45,7 @@ class Wiring:
         self._polled_at = 0.0
         self._publishers: dict[str, Publisher] = {}
         self._readers: dict[str, ReadOne] = {}
-        self._nodes = with_rigs(NODES, experiment.rigs)
+        self._nodes = with_rigs(topics.NODES, experiment.rigs)
         self._authors: list[tuple[Authors, Receive]] = []
 
     def publisher(self, topic: Topic) -> Send:
@@ -102,7 +93,7 @@ class Wiring:
         else:
             subscription = self._endpoint.subscribe(here, depth, reliable)
             self.senders.add(topic, subscription.topic_name, subscription)
-            if topic in (DIAGNOSTICS, DESCRIPTION):
+            if topic in (topics.DIAGNOSTICS, topics.DESCRIPTION):
                 receive = self._of_authors(topic, subscription.topic_name, receive)
             read_one = self._process.add_subscription(subscription, receive, wake)
         self._readers[topic.name] = read_one
@@ -179,7 +170,7 @@ class Wiring:
             except Exception as error:
                 self._process.fault(f"{self.name}, {name}", error)
                 return False
-            if topic == EXPERIMENT_STATE:
+            if topic == topics.EXPERIMENT_STATE:
                 self.senders.follow(decode_state(raw).state)
             return True
 
@@ -223,10 +214,10 @@ def rig_of(endpoint: Endpoint, experiment: Experiment) -> tuple[RigAxes, str]:
     above, _, last = namespace.rpartition("/")
     rigs = {rig.name: rig for rig in experiment.rigs}
     whole = RigAxes.whole(experiment.axes)
-    if "" in rigs or (name not in RIG_NODES and last not in rigs):
+    if "" in rigs or (name not in topics.RIG_NODES and last not in rigs):
         return whole, namespace
     known = " or ".join(f"-r __ns:={above if last in rigs else namespace}/{rig}" for rig in rigs)
-    if name not in RIG_NODES:
+    if name not in topics.RIG_NODES:
         raise InputError(
             f"{name} serves all rigs and can't be in {namespace}, which is one rig's namespace"
         )

@@ -9,20 +9,13 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment, parse_override
 from seft_msgs_py.config.parameter_table import Table, Value
-from seft_msgs_py.node.node_kind import NodeKind, run_nodes
+from seft_msgs_py.node.node_shell import NodeKind, run_nodes
 from seft_msgs_py.virtual.memory import MemoryEndpoint, MemoryGraph, MemoryTransport, Rule
 from seft_msgs_py.virtual.scheduler import NEVER, Scheduler, Task, ns
+from seft_msgs_py.wire import topics
 from seft_msgs_py.wire.experiment_state import decode_state
 from seft_msgs_py.wire.messages import decode_diagnostics
-from seft_msgs_py.wire.topics import (
-    DIAGNOSTICS,
-    EXPERIMENT_STATE,
-    LoopTopic,
-    RigAxes,
-    Topic,
-    bare,
-    rig_name,
-)
+from seft_msgs_py.wire.topics import LoopTopic, RigAxes, Topic, bare, rig_name
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 _LOOP = ("ground_motion", "reference_force", "force_controller", "rig", "supervisor")
@@ -39,7 +32,7 @@ class LocalGraph:
 
         from seft_msgs_py.virtual import LocalGraph
         from seft_msgs_py.wire.topics import VALVE_COMMAND
-        from seft_ros.nodes.kinds import NODE_KINDS
+        from seft_ros.nodes.loop_node import NODE_KINDS
 
         with LocalGraph(NODE_KINDS, ["laboratory.yaml"]) as graph:
             graph.until("ready")
@@ -251,14 +244,14 @@ class LocalGraph:
     def values(self) -> dict[str, Any]:
         """Fields of that state, see `ExperimentState`; empty before."""
         for sent in reversed(self.graph.sent):
-            if sent.topic == EXPERIMENT_STATE.name and sent.node != STRANGER:
+            if sent.topic == topics.EXPERIMENT_STATE.name and sent.node != STRANGER:
                 return dict(vars(decode_state(sent.raw)))
         return {}
 
     def status(self, node: str) -> dict[str, str]:
         """Values of the last status that a node published; empty before."""
         for sent in reversed(self.graph.sent):
-            if sent.topic == DIAGNOSTICS.name and sent.node == node:
+            if sent.topic == topics.DIAGNOSTICS.name and sent.node == node:
                 return dict(decode_diagnostics(sent.raw)[1][0].values)
         return {}
 

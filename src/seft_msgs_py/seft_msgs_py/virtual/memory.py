@@ -8,15 +8,15 @@ main one (a request is answered in the caller's turn).
 
 import struct
 from collections import defaultdict, deque
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from types import SimpleNamespace
+from typing import NamedTuple
 
 from seft_msgs_py.config.parameter_table import Section, Table, Value
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.node.clock import Clock
-from seft_msgs_py.node.transport import Answer, Host, Level, Send, Take, check_live
+from seft_msgs_py.node.transport import Answer, Clock, Host, Level, Send, Take, check_live
 from seft_msgs_py.virtual.scheduler import Scheduler, Task, VirtualClock, ns
 from seft_msgs_py.wire.topics import NANOSECONDS_PER_SECOND, Timebase, Topic
 
@@ -323,30 +323,13 @@ class MemoryWaitSet:
         return [each for each in self._subscriptions if each.queue]
 
 
-class NoHost:
-    """A host that grants nothing; see `seft_msgs_py.node.transport.Host`."""
-
-    def apply(self, section: Mapping[str, Any]) -> list[str]:
-        """Apply nothing, and deny nothing."""
-        del section
-        return []
-
-    def granted(self) -> dict[str, Any]:
-        """Give what this process has: nothing."""
-        return {}
-
-    def memory_kb(self, kind: str) -> int:
-        """Memory of this process: not known."""
-        del kind
-        return 0
-
-
 class MemoryTransport:
     """The nodes of one task; see `seft_msgs_py.node.transport.Transport`."""
 
     def __init__(self, graph: MemoryGraph, stop: Callable[..., None], namespace: str = "") -> None:
         self.clock: Clock = graph.clock
-        self.host: Host = NoHost()
+        # a host that grants nothing, and denies nothing
+        self.host: Host = SimpleNamespace(apply=lambda _: [], granted=dict, memory_kb=lambda _: 0)
         self.stop = stop
         self.endpoints: list[MemoryEndpoint] = []
         self._graph, self._namespace = graph, namespace

@@ -135,7 +135,7 @@ class Scheduler:
 
 
 class VirtualClock:
-    """The clock of a `Scheduler`; see `seft_msgs_py.node.clock.Clock`."""
+    """The clock of a `Scheduler`; see `seft_msgs_py.node.transport.Clock`."""
 
     START, EPOCH_NS = 10_000.0, 1_800_000_000_000_000_000
 

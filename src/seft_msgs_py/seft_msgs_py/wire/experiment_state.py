@@ -6,14 +6,7 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.wire.messages import (
-    ERROR,
-    OK,
-    WARN,
-    Status,
-    decode_status,
-    encode_status,
-)
+from seft_msgs_py.wire.messages import ERROR, OK, WARN, Status, decode_status, encode_status
 from seft_msgs_py.wire.outcome import State
 from seft_msgs_py.wire.topics import EXPERIMENT_STATE
 

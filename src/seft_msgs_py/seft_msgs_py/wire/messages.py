@@ -21,23 +21,13 @@ from rosbags.typesys.store import Typestore
 
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.wire.topics import (
-    CLOCK,
-    DESCRIPTION,
-    DIAGNOSTIC_ARRAY,
-    DIAGNOSTIC_STATUS,
-    ESTIMATES,
-    JOINT_TRAJECTORY,
-    NANOSECONDS_PER_SECOND,
-    STRING,
-    Timebase,
-    Topic,
-)
+from seft_msgs_py.wire import topics
+from seft_msgs_py.wire.topics import Timebase, Topic
 
 OK, WARN, ERROR, STALE = range(4)
 """Levels of a DiagnosticStatus."""
 
-_LATEST_NS = 2**31 * NANOSECONDS_PER_SECOND  # seconds are an int32 on the wire
+_LATEST_NS = 2**31 * topics.NANOSECONDS_PER_SECOND  # seconds are an int32 on the wire
 _BYTE_ORDERS = {b"\x00\x01": "deserialize_cdr_le", b"\x00\x00": "deserialize_cdr_be"}
 
 
@@ -61,18 +51,20 @@ class Status:
 def typestore() -> Typestore:
     """Definitions of the standard messages of ROS 2 Jazzy."""
     store = get_typestore(Stores.ROS2_JAZZY)
-    store.get_msgdef(JOINT_TRAJECTORY)  # prepared now: it may be needed first by a running test
+    store.get_msgdef(
+        topics.JOINT_TRAJECTORY
+    )  # prepared now: it may be needed first by a running test
     return store
 
 
 def encode_string(text: str) -> bytes:
     """Make a std_msgs/msg/String."""
-    return _encode(STRING, _make(STRING, data=_text(text, "String: data")))
+    return _encode(topics.STRING, _make(topics.STRING, data=_text(text, "String: data")))
 
 
 def decode_string(raw: bytes) -> str:
     """Read a std_msgs/msg/String."""
-    return str(decode_message(STRING, raw).data)
+    return str(decode_message(topics.STRING, raw).data)
 
 
 def decode_description(raw: bytes) -> tuple[str, dict[str, Any]]:
@@ -83,56 +75,58 @@ def decode_description(raw: bytes) -> tuple[str, dict[str, Any]]:
     try:
         described = json.loads(decode_string(raw))
     except (ValueError, RecursionError):  # WireError is none of these
-        raise WireError(f"{DESCRIPTION.name}: the text is no JSON") from None
+        raise WireError(f"{topics.DESCRIPTION.name}: the text is no JSON") from None
     match described:
         case {"node": str(node), "parameters": dict()}:
             return node, described
-    raise WireError(f"{DESCRIPTION.name}: the text does not describe a node")
+    raise WireError(f"{topics.DESCRIPTION.name}: the text does not describe a node")
 
 
 def encode_status(status: Status) -> bytes:
     """Make a diagnostic_msgs/msg/DiagnosticStatus."""
-    return _encode(DIAGNOSTIC_STATUS, _status_message(status))
+    return _encode(topics.DIAGNOSTIC_STATUS, _status_message(status))
 
 
 def decode_status(raw: bytes) -> Status:
     """Read a diagnostic_msgs/msg/DiagnosticStatus; of equal keys the last one is used."""
-    return _status(decode_message(DIAGNOSTIC_STATUS, raw))
+    return _status(decode_message(topics.DIAGNOSTIC_STATUS, raw))
 
 
 def encode_diagnostics(stamp_ns: int, statuses: Sequence[Status]) -> bytes:
     """Make a diagnostic_msgs/msg/DiagnosticArray with a stamp in nanoseconds."""
     header = _make("std_msgs/msg/Header", stamp=_time(stamp_ns), frame_id="")
     status = [_status_message(each) for each in statuses]
-    return _encode(DIAGNOSTIC_ARRAY, _make(DIAGNOSTIC_ARRAY, header=header, status=status))
+    return _encode(
+        topics.DIAGNOSTIC_ARRAY, _make(topics.DIAGNOSTIC_ARRAY, header=header, status=status)
+    )
 
 
 def restamp(message: bytearray, stamp_ns: int) -> None:
     """Change the stamp at a message's begin; encoding the message takes 100 times longer."""
-    struct.pack_into("<iI", message, 4, *divmod(stamp_ns, NANOSECONDS_PER_SECOND))
+    struct.pack_into("<iI", message, 4, *divmod(stamp_ns, topics.NANOSECONDS_PER_SECOND))
 
 
 def decode_diagnostics(raw: bytes) -> tuple[int, list[Status]]:
     """Read a diagnostic_msgs/msg/DiagnosticArray: its stamp in nanoseconds, and the statuses."""
-    message = decode_message(DIAGNOSTIC_ARRAY, raw)
+    message = decode_message(topics.DIAGNOSTIC_ARRAY, raw)
     return nanoseconds(message.header.stamp), [_status(item) for item in message.status]
 
 
 def nodes_named(topic: Topic, raw: bytes) -> set[str]:
     """Names of the nodes that a message of diagnostics or experiment/description tells of."""
-    if topic == DESCRIPTION:
+    if topic == topics.DESCRIPTION:
         return {decode_description(raw)[0]}
     return {status.name for status in decode_diagnostics(raw)[1]}
 
 
 def encode_clock(stamp_ns: int) -> bytes:
     """Make a rosgraph_msgs/msg/Clock of a time in nanoseconds."""
-    return _encode(CLOCK, _make(CLOCK, clock=_time(stamp_ns)))
+    return _encode(topics.CLOCK, _make(topics.CLOCK, clock=_time(stamp_ns)))
 
 
 def decode_clock(raw: bytes) -> int:
     """Read a rosgraph_msgs/msg/Clock, in nanoseconds."""
-    return nanoseconds(decode_message(CLOCK, raw).clock)
+    return nanoseconds(decode_message(topics.CLOCK, raw).clock)
 
 
 def decode_message(type_name: str, raw: bytes, where: str = "") -> Any:
@@ -164,7 +158,7 @@ def decode_message(type_name: str, raw: bytes, where: str = "") -> Any:
 
 def nanoseconds(time: Any) -> int:
     """Time or duration of a message, in nanoseconds."""
-    return int(time.sec) * NANOSECONDS_PER_SECOND + int(time.nanosec)
+    return int(time.sec) * topics.NANOSECONDS_PER_SECOND + int(time.nanosec)
 
 
 def _make(type_name: str, **fields: Any) -> Any:
@@ -182,7 +176,7 @@ def _status_message(status: Status) -> Any:
     if type(status.level) is not int or not OK <= status.level <= STALE:
         raise WireError(f"{where}: level is {status.level!r}, but must be an int from 0 to 3")
     return _make(
-        DIAGNOSTIC_STATUS,
+        topics.DIAGNOSTIC_STATUS,
         level=status.level,
         name=status.name,
         message=_text(status.message, f"{where}: message"),
@@ -216,7 +210,7 @@ def _time(stamp_ns: int) -> Any:
         raise WireError(
             f"stamp is {stamp_ns!r}, but must be an int of nanoseconds from 0 to {_LATEST_NS - 1}"
         )
-    seconds, remainder = divmod(stamp_ns, NANOSECONDS_PER_SECOND)
+    seconds, remainder = divmod(stamp_ns, topics.NANOSECONDS_PER_SECOND)
     return _make("builtin_interfaces/msg/Time", sec=seconds, nanosec=remainder)
 
 
@@ -229,7 +223,7 @@ class EstimatesCodec:
     """
 
     def __init__(self, axes: Sequence[str], timebase: Timebase) -> None:
-        self._names = [f"{ESTIMATES.publisher}: {axis}" for axis in axes]
+        self._names = [f"{topics.ESTIMATES.publisher}: {axis}" for axis in axes]
         self._timebase = timebase
 
     def encode(self, step: int, estimates: Mapping[str, Floats]) -> bytes:
@@ -241,12 +235,12 @@ class EstimatesCodec:
             If there are none, a shape does not fit the axes, or a value is not finite.
         """
         if not estimates:
-            raise WireError(f"{ESTIMATES.name}: a message needs at least one estimate")
+            raise WireError(f"{topics.ESTIMATES.name}: a message needs at least one estimate")
         statuses = [Status(name, OK, "identified on line") for name in self._names]
         for name, estimate in estimates.items():
             if np.shape(estimate) != (len(statuses),):
                 raise WireError(
-                    f"{ESTIMATES.name}: {name} has shape {np.shape(estimate)}, "
+                    f"{topics.ESTIMATES.name}: {name} has shape {np.shape(estimate)}, "
                     f"not ({len(statuses)},) (axes)"
                 )
             for status, value in zip(statuses, estimate, strict=True):
@@ -265,10 +259,10 @@ class EstimatesCodec:
         stamp_ns, statuses = decode_diagnostics(raw)
         found = [status.name for status in statuses]
         if found != self._names:
-            raise WireError(f"{ESTIMATES.name}: statuses are {found}, not {self._names}")
+            raise WireError(f"{topics.ESTIMATES.name}: statuses are {found}, not {self._names}")
         names = list(statuses[0].values)
         if not names or any(list(status.values) != names for status in statuses):
-            raise WireError(f"{ESTIMATES.name}: axes need the same estimates, at least one")
+            raise WireError(f"{topics.ESTIMATES.name}: axes need the same estimates, at least one")
         rows = {name: [_number(s.values[name], name, s.name) for s in statuses] for name in names}
         return self._timebase.step(stamp_ns), {name: np.array(row) for name, row in rows.items()}
 
@@ -277,4 +271,6 @@ def _number(text: str, name: str, status: str) -> float:
     with suppress(ValueError):
         if math.isfinite(number := float(text)):
             return number
-    raise WireError(f"{ESTIMATES.name}: {name} of {status} is {text}, but must be a finite number")
+    raise WireError(
+        f"{topics.ESTIMATES.name}: {name} of {status} is {text}, but must be a finite number"
+    )

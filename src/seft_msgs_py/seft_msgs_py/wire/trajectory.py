@@ -18,15 +18,9 @@ import numpy.typing as npt
 
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.errors import WireError
+from seft_msgs_py.wire import topics
 from seft_msgs_py.wire.messages import decode_message, nanoseconds
-from seft_msgs_py.wire.topics import (
-    JOINT_TRAJECTORY,
-    NANOSECONDS_PER_SECOND,
-    QUANTITIES,
-    TARGET,
-    LoopTopic,
-    Timebase,
-)
+from seft_msgs_py.wire.topics import LoopTopic, Timebase
 
 ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR, little endian, no options
 STAMP = struct.Struct("<iI")
@@ -98,7 +92,7 @@ class Layout(NamedTuple):
         points_at = put(struct.pack("<I", len(points)))
         form, end = "<4xiI", 12
         for point, arrays in enumerate(points):
-            for quantity in QUANTITIES:
+            for quantity in topics.QUANTITIES:
                 held = axes if quantity in arrays or quantity in carried else ()
                 put(struct.pack("<I", len(held)))
                 at = [put(bytes(8), align=8, fixed=False) for _ in held]
@@ -108,7 +102,7 @@ class Layout(NamedTuple):
                 if count == 1:
                     form += f"{at[0] - end}x{len(at)}d"
                     end = at[-1] + 8
-            put(STAMP.pack(*divmod(timebase.stamp_ns(point), NANOSECONDS_PER_SECOND)))
+            put(STAMP.pack(*divmod(timebase.stamp_ns(point), topics.NANOSECONDS_PER_SECOND)))
         mask, q, n = int.from_bytes(known, "little"), len(topic.quantities), len(axes)
         fixed = int.from_bytes(message, "little") & mask
         words = (np.array(values).reshape(-1, q, n) - 4) // 8
@@ -161,7 +155,7 @@ def parse_trajectory(raw: bytes, topic: str = "trajectory") -> Trajectory:
             f"{topic}: {len(raw)} bytes that start with {bytes(raw[:4]).hex() or 'nothing'} "
             "are no little-endian CDR message"
         )
-    message = decode_message(JOINT_TRAJECTORY, raw, topic)
+    message = decode_message(topics.JOINT_TRAJECTORY, raw, topic)
     return Trajectory(nanoseconds(message.header.stamp), tuple(message.joint_names), message.points)
 
 
@@ -199,7 +193,7 @@ class TrajectoryCodec:
         """Make the messages of M samples, shape (M, q, n), as `encode` does each; (M, length)."""
         layout = self._single
         self._check_finite([], values)
-        stamps = np.divmod(self.timebase.stamps_ns(steps), NANOSECONDS_PER_SECOND)
+        stamps = np.divmod(self.timebase.stamps_ns(steps), topics.NANOSECONDS_PER_SECOND)
         rows = np.tile(np.frombuffer(layout.template, np.uint8), (len(steps), 1))
         rows[:, 4:12] = np.stack(stamps, axis=1).astype("<u4").view(np.uint8)
         words = rows[:, 4 : 4 + (rows.shape[1] - 4) // 8 * 8].view("<f8")
@@ -235,7 +229,7 @@ class TrajectoryCodec:
         else:
             values = np.frombuffer(raw, "<f8", (len(layout.template) - 4) // 8, 4)[layout.values]
         self._check_finite(numbers, values)
-        return self.timebase.step(seconds * NANOSECONDS_PER_SECOND + nanoseconds), values
+        return self.timebase.step(seconds * topics.NANOSECONDS_PER_SECOND + nanoseconds), values
 
     def _encode(self, layout: Layout, step: int, values: Floats) -> bytes:
         if not isinstance(values, np.ndarray) or values.dtype != np.float64:
@@ -250,7 +244,7 @@ class TrajectoryCodec:
         values = values.reshape(layout.shapes[0])
         numbers = values.ravel().tolist() if layout is self._single else []
         self._check_finite(numbers, values)
-        stamp = divmod(self.timebase.stamp_ns(step), NANOSECONDS_PER_SECOND)
+        stamp = divmod(self.timebase.stamp_ns(step), topics.NANOSECONDS_PER_SECOND)
         if numbers:
             varying = int.from_bytes(layout.numbers.pack(*stamp, *numbers), "little")
             return (varying | layout.fixed).to_bytes(len(layout.template), "little")
@@ -280,8 +274,8 @@ class TrajectoryCodec:
         count, first = _COUNTS.unpack_from(raw, at)
         if not 1 <= count <= len(raw) // 24:
             return single
-        if first and self.topic.name == TARGET.name:
-            return self._layout(count, TARGET.quantities)
+        if first and self.topic.name == topics.TARGET.name:
+            return self._layout(count, topics.TARGET.quantities)
         return single if count == self._points_of_one else self._layout(count)
 
     def _check_finite(self, numbers: Sequence[float], values: Floats) -> None:
@@ -401,7 +395,7 @@ def _of_layout(codec: TrajectoryCodec, rows: _Bytes, layout: Layout) -> tuple[In
         )
     seconds = rows[:, 4:8].copy().view("<i4")[:, 0].astype(np.int64)
     nanoseconds = rows[:, 8:12].copy().view("<u4")[:, 0]
-    steps, fits = codec.timebase.steps(seconds * NANOSECONDS_PER_SECOND + nanoseconds)
+    steps, fits = codec.timebase.steps(seconds * topics.NANOSECONDS_PER_SECOND + nanoseconds)
     words = np.ndarray((count, (size - 4) // 8), "<f8", rows, 4, (length, 8))
     values = words[:, layout.values.ravel()]
     differing = rows[:, :size] & np.frombuffer(layout.known, np.uint8)

@@ -18,7 +18,7 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 
 from seft_plant_sim.channels import ACCELERATION, DISPLACEMENT, FORCE, VELOCITY
-from seft_plant_sim.compiled import compiled, put_first
+from seft_plant_sim.compiled import compiled, dot, put_first
 from seft_plant_sim.judge.detectors import (
     DIFFERS,
     DISPLACEMENT_VELOCITY,
@@ -64,14 +64,9 @@ def find_flow(p: DetectorParameters, state: DetectorState, lost: int, drive: Flo
         for _ in range(min(lost, state.sent.shape[1])):
             put_first(state.sent[i], state.sent[i, 0])
         put_first(state.sent[i], drive[i])
-        flow = later = 0.0
-        for j in range(state.sent.shape[1]):
-            flow += p.rig.past[i, 0, j] * state.sent[i, j]
-            later += p.rig.past[i, 1, j] * state.sent[i, j]
-        state.flow[0, i], state.flow[1, i] = (
-            p.rig.actuator[i, 0] * flow,
-            p.rig.actuator[i, 0] * later,
-        )
+        for k in range(2):
+            flow = dot(state.sent.shape[1], p.rig.past[i, k], state.sent[i])
+            state.flow[k, i] = p.rig.actuator[i, 0] * flow
 
 
 def begin_relations(p: DetectorParameters, state: DetectorState) -> None:

@@ -144,6 +144,8 @@ def look_for_wrong(p: DetectorParameters, state: DetectorState, i: int) -> int:
     found = VALID
     for row in range(4):
         count = state.judge.counts[row, i]
+        if not (count or state.counts[WRONG + row, i]):
+            continue  # it is right, as nearly always
         if look(p, state, WRONG + row, i, float(count), p.judge.most - 0.5) and found < 0:
             found = (WRONG + row) * state.last.shape[1] + i
         if count > 1 and is_replaced(state.judge, 0, row, i) and p.acts[WRONG + row]:
@@ -164,6 +166,8 @@ def look_for_frozen(p: DetectorParameters, state: DetectorState, step: int, i: i
         if state.repeats[row, i]:
             whole += state.repeats[row, i] * log_same(p, judge, row, i)
     for row in range(4):
+        if not (state.repeats[row, i] or state.counts[FROZEN + row, i]):
+            continue  # it moves, as nearly always
         repeats, threshold = float(state.repeats[row, i]), np.inf
         if whole < 0.0 and repeats > 0.0:
             threshold = repeats * math.log(SAME) / whole

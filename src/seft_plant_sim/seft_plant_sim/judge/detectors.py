@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from seft_msgs_py.arrays import Floats, Ints
+from seft_msgs_py.arrays import Floats, Ints, zeros
 from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN, POSITION_SERVO
 from seft_msgs_py.errors import InputError
 
@@ -23,7 +23,6 @@ from seft_plant_sim.judge.judge import (
     JudgeParameters,
     JudgeState,
     judge_arrays,
-    zeros_of,
 )
 from seft_plant_sim.judge.known_rig import (
     ASSUMED_ACTUATOR,
@@ -110,7 +109,7 @@ class DetectorParameters(NamedTuple):
 
 
 class DetectorState(NamedTuple):
-    """State of the detectors: arrays of zeros, see `zeros_of`."""
+    """State of the detectors: arrays of zeros."""
 
     last: Annotated[Floats, 4, "n"]  # the last sample
     flow: Annotated[Floats, 2, "n"]  # mean of the valve without load since then, m/s, and its
@@ -221,7 +220,7 @@ def detector_arrays(
         judge=judging,
     )
     sizes = {"n": n, "m": known.past.shape[2], "D": len(DETECTORS)}
-    state = DetectorState(**zeros_of(DetectorState, sizes), judge=judged)
+    state = zeros(DetectorState, sizes, judge=judged)
     return parameters, state
 
 
@@ -271,11 +270,10 @@ def look(
     threshold: float,
 ) -> bool:
     """Compare a detector's value with its threshold; say whether it has persisted and acts."""
-    share = seen / threshold if threshold > 0.0 else 0.0
-    if share > state.shares[row, i]:
-        state.shares[row, i] = share
+    if threshold > 0.0 and seen > state.shares[row, i] * threshold:  # a division takes longer
+        state.shares[row, i] = seen / threshold
     count = state.counts[row, i]
-    state.counts[row, i] = count = count + 1 if share > 1.0 else max(count - 1, 0)
+    state.counts[row, i] = count = count + 1 if seen > threshold > 0.0 else max(count - 1, 0)
     if count >= p.persistence[row] and p.acts[row]:
         state.found[0, row, i], state.found[1, row, i] = seen, threshold
         return True

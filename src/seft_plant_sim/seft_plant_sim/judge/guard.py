@@ -1,10 +1,10 @@
 """The guard of a rig: it calibrates, aligns and judges each sample, and ends a test at a fault."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from seft_msgs_py.arrays import Floats, Ints
+from seft_msgs_py.arrays import Floats, Ints, clear, zeros
 from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.wire.topics import RigAxes
@@ -25,7 +25,6 @@ from seft_plant_sim.judge.servo_model import (
     AccelerationParameters,
     AccelerationState,
     acceleration_of,
-    begin_acceleration,
     derive_acceleration,
     follow_displacement,
 )
@@ -78,44 +77,18 @@ class GuardParameters(NamedTuple):
 
 
 class GuardState(NamedTuple):
-    """State of a guard.
+    """State of a guard."""
 
-    Attributes
-    ----------
-    calibration : CalibrationState
-        Of the channels.
-    acceleration : AccelerationState
-        Of a derived one.
-    measured : ndarray
-        The last sample as measured, calibrated and aligned, shape (4, n).
-    recent, change, largest : ndarray
-        See `exceeds`.
-    blind : ndarray
-        Ring buffer of the last steps at which a sensor was at its range.
-    counts : ndarray
-        Number of blind samples, of samples in a row beyond a limit, and beyond that of a change;
-        what the detectors found, see `judge_sample`; shape (4,).
-    detectors : DetectorState
-        Of faults.
-    """
-
-    calibration: CalibrationState
-    acceleration: AccelerationState
-    measured: Floats
-    recent: Floats
+    calibration: CalibrationState  # of the channels
+    acceleration: AccelerationState  # of a derived one
+    measured: Annotated[Floats, 4, "n"]  # the last sample as measured, calibrated and aligned
+    recent: Floats  # see `exceeds`
     change: Floats
     largest: Floats
-    blind: Ints
-    counts: Ints
-    detectors: DetectorState
-
-
-def begin_guard(parameters: GuardParameters, state: GuardState) -> None:
-    """Begin a test."""
-    state.counts[:] = 0
-    state.largest[:] = 0.0
-    begin_acceleration(state.acceleration)
-    begin_detectors(parameters.detectors, state.detectors)
+    blind: Ints  # ring buffer of the last steps at which a sensor was at its range
+    counts: Annotated[Ints, 4]  # number of blind samples, of samples in a row beyond a limit, and
+    # beyond that of a change; what the detectors found, see `judge_sample`
+    detectors: DetectorState  # of faults
 
 
 @compiled
@@ -225,25 +198,11 @@ class Guard:
         self._saturated_time: float = section["limits.saturated_time"]
         n, (blind, window) = len(rig.axes), event_ring(self._saturated_time, dt)
         self.parameters = GuardParameters(
-            calibration[0],
-            derivation,
-            acceleration[0],
-            ranges,
-            limits.values,
-            window,
-            detectors[0],
+            calibration[0], derivation, acceleration[0], ranges, limits.values, window, detectors[0]
         )
-        self.state = GuardState(
-            calibration=calibration[1],
-            acceleration=acceleration[1],
-            measured=np.zeros((4, n)),
-            recent=limits.recent,
-            change=limits.change,
-            largest=limits.largest,
-            blind=blind,
-            counts=np.zeros(4, dtype=np.int64),
-            detectors=detectors[1],
-        )
+        made = {"calibration": calibration[1], "acceleration": acceleration[1], "blind": blind}
+        made |= {name: getattr(limits, name) for name in ("recent", "change", "largest")}
+        self.state = zeros(GuardState, {"n": n}, detectors=detectors[1], **made)
         both, sample = (self.parameters, self.state), np.zeros((DRIVE_ROW + 1, n))
         self._step = entry_point(guard_step, *both, 0, np.zeros((4, n)), sample[0], sample)
 
@@ -256,7 +215,8 @@ class Guard:
 
     def reset(self) -> None:
         """Begin a new test."""
-        begin_guard(self.parameters, self.state)
+        clear(self.state)
+        begin_detectors(self.parameters.detectors, self.state.detectors)
 
     def take(self, step: int, measured: Floats, drive: Floats, sample: Floats) -> int:
         """Take a sample, see `guard_step`."""

@@ -1,11 +1,10 @@
 """Parameters and state of the judge, whose step is `judge`: records, one of each axis."""
 
 import math
-from collections.abc import Mapping
-from typing import Annotated, Any, NamedTuple, get_type_hints
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from seft_msgs_py.arrays import Floats, Ints
+from seft_msgs_py.arrays import Floats, Ints, zeros
 
 RECENT_MEMORY, BRIEF_MEMORY, EVENT_MEMORY = 0.3, 0.05, 3.0
 """Time constants, s, of the memory of the largest force and motion of the oil, of the largest
@@ -147,10 +146,10 @@ class JudgeParameters(NamedTuple):
 
 
 class JudgeState(NamedTuple):
-    """State of the judge, see `zeros_of`."""
+    """State of the judge: arrays of zeros."""
 
     step: Annotated[Ints, 1]  # of the last sample
-    taken: Annotated[Ints, 1]  # samples so far
+    place: Annotated[Ints, 1]  # of the last sample in ``replaced``
     axes: Annotated[Record, AXIS_STATE, "n"]
     room: Annotated[Record, JUDGE_ROOM, 1]
     raw: Annotated[Floats, 4, "n"]  # the last sample as measured
@@ -160,18 +159,6 @@ class JudgeState(NamedTuple):
     replaced: Annotated[Ints, "window", "n"]  # sets of channels at the last samples, a ring buffer
     counts: Annotated[Ints, 4, "n"]  # of the replaced values in these
     used: Annotated[Ints, 1]  # step of the last value that was found wrong after its use
-
-
-def zeros_of[T](of: type[T], sizes: Mapping[str, int]) -> dict[str, Any]:
-    """Make the arrays of a NamedTuple by their types: shapes with these sizes; others are left."""
-    found: dict[str, Any] = {}
-    for name, hint in get_type_hints(of, include_extras=True).items():
-        if shape := [sizes.get(each, each) for each in getattr(hint, "__metadata__", ())]:
-            if isinstance(shape[0], np.dtype):
-                found[name] = np.zeros(shape[1:], shape[0]).view(np.recarray)
-            else:
-                found[name] = np.zeros(shape, np.int64 if hint.__origin__ is Ints else np.float64)
-    return found
 
 
 def judge_arrays(
@@ -202,7 +189,7 @@ def judge_arrays(
         See `AXIS_FACTS`; the first two of shape (4, n).
     """
     n, half, bend = noise.shape[1], 0.5 * dt, dt * dt / 12.0
-    state = JudgeState(**zeros_of(JudgeState, {"n": n, "window": round(WINDOW / dt)}))
+    state = zeros(JudgeState, {"n": n, "window": round(WINDOW / dt)})
     axes, begun = np.zeros(n, AXIS_FACTS).view(np.recarray), state.axes.copy()
     axes.dt, axes.late, axes.noise, axes.range = dt, late, noise.T**2, ranges.T
     axes.step, axes.imposed = steps.T, imposed

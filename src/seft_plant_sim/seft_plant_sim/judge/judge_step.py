@@ -86,7 +86,7 @@ def begin_judge(p: JudgeParameters, state: JudgeState) -> None:
     """Begin a test: the rig is at rest."""
     for each in state:
         each[...] = 0
-    state.step[0], state.used[0], state.axes[:] = -1, LONG_AGO, p.rest
+    state.step[0], state.place[0], state.used[0], state.axes[:] = -1, -1, LONG_AGO, p.rest
     state.raw[:], state.resolution[:] = p.rest.alive["value"][:, 0, 0].T, p.axes.step.T
 
 
@@ -112,7 +112,7 @@ def judge(
         The result, shape (4, n).
     """
     n, is_next, c = raw.shape[1], step == state.step[0] + 1, state.room[0]
-    state.step[0] = step
+    state.step[0], state.place[0] = step, place_of_age(state, -1)
     for i in range(n):
         known, axis = p.axes[i], state.axes[i]
         take(p, state, i, raw)
@@ -124,7 +124,6 @@ def judge(
             decide(known, axis, count)
             note_motion(known, axis, flow[0, i])
         publish(state, step, i, judged)
-    state.taken[0] += 1
     for i in range(n):
         restoring, axis = judged[F, i], state.axes[i]
         for k in range(n):
@@ -444,9 +443,9 @@ def decide(known: Record, axis: Record, count: int) -> None:
 @compiled
 def publish(state: JudgeState, step: int, i: int, judged: Floats) -> None:
     """Give the likeliest values, and count those that were replaced, as is known by now."""
-    b, places = state.axes[i].alive[0], len(state.replaced)
+    b = state.axes[i].alive[0]
     for age in range(1 + REVISED):  # the present sample takes the place of the oldest one
-        place, now = (state.taken[0] - age) % places, b.wrong[age] & ANY_CHANNEL
+        place, now = place_of_age(state, age), b.wrong[age] & ANY_CHANNEL
         was = state.replaced[place, i]
         if age > 0 and now & ~was:
             state.used[0] = step - age
@@ -460,4 +459,11 @@ def publish(state: JudgeState, step: int, i: int, judged: Floats) -> None:
 @compiled
 def is_replaced(state: JudgeState, age: int, row: int, i: int) -> bool:
     """Say whether a value of the last sample, or of one before, was replaced."""
-    return state.replaced[(state.taken[0] - 1 - age) % len(state.replaced), i] >> row & 1 != 0
+    return state.replaced[place_of_age(state, age), i] >> row & 1 != 0
+
+
+@compiled
+def place_of_age(state: JudgeState, age: int) -> int:
+    """Place of a sample in ``replaced``, by its age; -1: of the next one."""
+    place, places = state.place[0] - age, len(state.replaced)
+    return place + places if place < 0 else place if place < places else 0

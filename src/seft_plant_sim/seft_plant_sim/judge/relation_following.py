@@ -50,11 +50,10 @@ def expected(found: Floats, i: int, integral: float, per_delay: float, periods: 
 @compiled
 def uncertain(covariance: Floats, integral: float, per_delay: float, periods: float) -> float:
     """Give the variance of what is expected by that of the estimates, shape (3, 3)."""
-    sides, variance = (integral, per_delay, periods), 0.0
-    for row in range(3):
-        for k in range(3):
-            variance += sides[row] * covariance[row, k] * sides[k]
-    return max(variance, 0.0)
+    gain, delay, bias = covariance[GAIN], covariance[DELAY], covariance[BIAS_OF]
+    variance = integral * (integral * gain[0] + 2.0 * (per_delay * gain[1] + periods * gain[2]))
+    variance += per_delay * (per_delay * delay[1] + 2.0 * periods * delay[2])
+    return max(variance + periods * periods * bias[2], 0.0)
 
 
 @compiled
@@ -101,13 +100,14 @@ def follow(
     if not 0.0 < variance < math.inf:
         return
     by_sum = (one, two, three)
-    taken = (one / variance if moves else 0.0, two / variance if moves else 0.0, three / variance)
+    per, moved = 1.0 / variance, 1.0 if moves else 0.0
+    taken = (one * per * moved, two * per * moved, three * per)
+    left = (variance * taken[0] - one, variance * taken[1] - two, variance * taken[2] - three)
     for row in range(3):
         value = found[row, i] + taken[row] * off
         found[row, i] = min(max(value, -largest[row, i]), largest[row, i])
         for k in range(3):
-            covariance[row, k] += variance * taken[row] * taken[k]
-            covariance[row, k] -= taken[row] * by_sum[k] + by_sum[row] * taken[k]
+            covariance[row, k] += taken[row] * left[k] - by_sum[row] * taken[k]
 
 
 @compiled
@@ -133,8 +133,9 @@ def remember(
     size = whole * whole + (MOTION_TO_NOISE * noise) ** 2
     if not 0.0 < size < math.inf:
         return
-    counts = whole * whole / size * dt / CORRELATION_TIME
+    per = 1.0 / size
+    counts = whole * whole * per * (dt * (1.0 / CORRELATION_TIME))
     weight = min(scatter[WEIGHT, i] + counts, REMEMBERED)
     scatter[WEIGHT, i] = weight
-    beyond_noise = (min(off * off, 4.0 * usual * usual) - noise * noise) / size
+    beyond_noise = (min(off * off, 4.0 * usual * usual) - noise * noise) * per
     scatter[SCATTER, i] += counts / weight * (beyond_noise - scatter[SCATTER, i])

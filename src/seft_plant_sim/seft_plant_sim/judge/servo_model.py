@@ -14,11 +14,11 @@ displacement alike, and takes the acceleration from the latter.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Floats, zeros
 from seft_msgs_py.config.facts import POSITION_SERVO
 from seft_msgs_py.errors import InputError
 
@@ -149,25 +149,13 @@ class AccelerationParameters(NamedTuple):
 
 
 class AccelerationState(NamedTuple):
-    """State of that.
+    """State of that: arrays of zeros."""
 
-    Attributes
-    ----------
-    model, next : ndarray
-        z of each servo, and room, shape (n, m).
-    past : ndarray
-        y of the next sample without dead time, then those before; shape (n, memory).
-    beside : ndarray
-        e, e' and e'', shape (n, 3).
-    response : ndarray
-        y at the sample, shape (n,).
-    """
-
-    model: Floats
-    next: Floats
-    past: Floats
-    beside: Floats
-    response: Floats
+    model: Annotated[Floats, "n", "m"]  # z of each servo
+    next: Annotated[Floats, "n", "m"]  # room
+    past: Annotated[Floats, "n", "memory"]  # y of the next sample without dead time, then before
+    beside: Annotated[Floats, "n", "derivatives"]  # e, e' and e''
+    response: Annotated[Floats, "n"]  # y at the sample
 
 
 def smoothing_steps(section: Mapping[str, Any], axes: Sequence[str]) -> int:
@@ -240,13 +228,8 @@ def acceleration_of(
         derives_velocity=velocity_is_derived(section),
     )
     m = parameters.push.shape[1]
-    state = AccelerationState(
-        model=np.zeros((n, m)),
-        next=np.zeros((n, m)),
-        past=np.zeros((n, int(late.max()) + 4)),
-        beside=np.zeros((n, _DERIVATIVES)),
-        response=np.zeros(n),
-    )
+    sizes = {"n": n, "m": m, "memory": int(late.max()) + 4, "derivatives": _DERIVATIVES}
+    state = zeros(AccelerationState, sizes)
     return parameters, state
 
 
@@ -259,14 +242,6 @@ def _gains(rate: float, dt: float) -> Floats:
     found = solve_discrete_are(free.T, seen, np.outer(push, push) * step**6, np.eye(1))
     gain: Floats = found[:, 0] / (found[0, 0] + 1.0)
     return gain / dt ** np.arange(3.0)
-
-
-@compiled
-def begin_acceleration(state: AccelerationState) -> None:
-    """Begin a test: the commands so far have been 0."""
-    state.model[:] = 0.0
-    state.past[:] = 0.0
-    state.beside[:] = 0.0
 
 
 @compiled

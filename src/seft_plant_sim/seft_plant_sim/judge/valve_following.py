@@ -14,7 +14,7 @@ import math
 import numpy as np
 from seft_msgs_py.arrays import Floats
 
-from seft_plant_sim.compiled import compiled
+from seft_plant_sim.compiled import bounded, compiled
 
 UNCERTAIN_GAIN, UNCERTAIN_DELAY, UNCERTAIN_OIL = 0.15, 2e-3, 0.2
 """Standard deviation of the assumed flow gain, relative (supply pressure, temperature), of the
@@ -22,10 +22,10 @@ valve's delay, s (a step at 500 Hz), and of the oil's compliance, relative (air 
 
 LARGEST_GAIN_ERROR, LARGEST_DELAY_ERROR, LARGEST_OIL_ERROR = 0.3, 5e-3, 0.5
 """Bounds of the estimates."""
+UNCERTAIN_VALVE = (UNCERTAIN_GAIN, UNCERTAIN_DELAY, UNCERTAIN_OIL)
 VALVE_ERRORS = 3
 """Number of errors of a valve: of gain, delay and oil."""
 _BOUNDS = (LARGEST_GAIN_ERROR, LARGEST_DELAY_ERROR, LARGEST_OIL_ERROR)
-_VARIANCES = (UNCERTAIN_GAIN**2, UNCERTAIN_DELAY**2, UNCERTAIN_OIL**2)
 
 OIL_CORRELATION_TIME = 0.1
 """Correlation time of the effects that the balance leaves out, s: within it, samples count as
@@ -62,16 +62,6 @@ def doubt(
 
 
 @compiled
-def begin_following(errors: Floats, covariance: Floats) -> None:
-    """Begin a test with the assumed valves; shapes (n, 3) and (n, 3, 3)."""
-    errors[:] = 0.0
-    covariance[:] = 0.0
-    for i in range(len(covariance)):
-        for j in range(VALVE_ERRORS):
-            covariance[i, j, j] = _VARIANCES[j]
-
-
-@compiled
 def follow_valve(
     errors: Floats, covariance: Floats, signals: Floats, doubt: float, work: Floats
 ) -> None:
@@ -89,16 +79,29 @@ def follow_valve(
     work : ndarray
         Shape (3,).
     """
-    variance = doubt
     missed = signals[VALVE_ERRORS] - signals[0] - signals[2]
+    correct_errors(errors, covariance, signals, missed, doubt, work)
     for j in range(VALVE_ERRORS):
-        missed -= errors[j] * signals[j]
+        errors[j] = bounded(errors[j], _BOUNDS[j])
+
+
+@compiled
+def correct_errors(
+    errors: Floats,
+    covariance: Floats,
+    regressor: Floats,
+    missed: float,
+    variance: float,
+    work: Floats,
+) -> None:
+    """Correct estimates by what the model without errors misses, of a variance (Kalman filter)."""
+    for j in range(len(errors)):
+        missed -= errors[j] * regressor[j]
         work[j] = 0.0
-        for k in range(VALVE_ERRORS):
-            work[j] += covariance[j, k] * signals[k]
-        variance += signals[j] * work[j]
-    for j in range(VALVE_ERRORS):
-        found = errors[j] + work[j] * missed / variance
-        errors[j] = min(max(found, -_BOUNDS[j]), _BOUNDS[j])
-        for k in range(VALVE_ERRORS):
+        for k in range(len(errors)):
+            work[j] += covariance[j, k] * regressor[k]
+        variance += regressor[j] * work[j]
+    for j in range(len(errors)):
+        errors[j] += work[j] * missed / variance
+        for k in range(len(errors)):
             covariance[j, k] -= work[j] * work[k] / variance

@@ -8,10 +8,10 @@ its valve, so that the loop closes over the controller.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
-from seft_msgs_py.arrays import Floats, Ints
+from seft_msgs_py.arrays import Floats, Ints, clear, zeros
 from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.compiled import compiled, multiply
@@ -353,31 +353,16 @@ class Dynamics(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """State of a model.
+    """State of a model: arrays of zeros, but for ``supply`` and ``left``."""
 
-    Attributes
-    ----------
-    work : ndarray
-        State, drive and residuals, shape (s + n + r,).
-    springs : ndarray
-        Memory of the springs, shape (p, `springs.SPRING_MEMORY`).
-    supply, left : ndarray
-        Supply pressure of each axis and stiffness of each spring, over those without a fault,
-        shapes (n,) and (p,).
-    slipped : ndarray
-        Deformation at which each spring has its zero, shape (p,), m.
-    state, residuals, trial : ndarray
-        Room for the next state, residuals and memories.
-    """
-
-    work: Floats
-    springs: Floats
-    supply: Floats
-    left: Floats
-    slipped: Floats
-    state: Floats
-    residuals: Floats
-    trial: Floats
+    work: Annotated[Floats, "work"]  # state, drive and residuals, s + n + r
+    springs: Annotated[Floats, "p", springs.SPRING_MEMORY]  # their memory
+    supply: Annotated[Floats, "n"]  # pressure of each axis, over that without a fault
+    left: Annotated[Floats, "p"]  # stiffness of each spring, likewise
+    slipped: Annotated[Floats, "p"]  # deformation at which each spring has its zero, m
+    state: Annotated[Floats, "s"]  # room for the next state, residuals and memories
+    residuals: Annotated[Floats, "r"]
+    trial: Annotated[Floats, "p", springs.SPRING_MEMORY]
 
 
 def dynamics_of(model: ContinuousModel, lengths: Sequence[float], longest: float = 0.0) -> Dynamics:
@@ -409,18 +394,17 @@ def dynamics_of(model: ContinuousModel, lengths: Sequence[float], longest: float
 
 def at_rest(dynamics: Dynamics) -> Motion:
     """Motion of a model that has not been driven."""
-    p, (_, r, s) = len(dynamics.laws), dynamics.correct.shape
-    work, (memory, trial) = np.zeros(len(dynamics.output)), np.zeros((2, p, springs.SPRING_MEMORY))
-    fault_free = np.ones(dynamics.deformation.shape[1]), np.ones(p), np.zeros(p)
-    return Motion(work, memory, *fault_free, np.zeros(s), np.zeros(r), trial)
+    (p, n), (_, r, s) = dynamics.deformation.shape, dynamics.correct.shape
+    sizes = {"work": len(dynamics.output), "n": n, "p": p, "r": r, "s": s}
+    motion = zeros(Motion, sizes)
+    begin_motion(motion)
+    return motion
 
 
-@compiled
-def make_fault_free(motion: Motion) -> None:
-    """Undo what faults have made of supply and springs."""
-    motion.supply[:] = 1.0
-    motion.left[:] = 1.0
-    motion.slipped[:] = 0.0
+def begin_motion(motion: Motion) -> None:
+    """Set a motion to rest, without faults."""
+    clear(motion)
+    motion.supply[:] = motion.left[:] = 1.0
 
 
 @compiled

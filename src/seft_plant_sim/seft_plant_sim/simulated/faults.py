@@ -18,7 +18,7 @@ from seft_msgs_py.wire.topics import RigAxes, Timebase
 
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.rig_parameters import is_imposed
-from seft_plant_sim.simulated.continuous_model import Dynamics, Motion, make_fault_free
+from seft_plant_sim.simulated.continuous_model import Dynamics, Motion
 from seft_plant_sim.simulated.specimen import Specimen
 from seft_plant_sim.simulated.springs import ONE_SIDED, SPRING_KIND, Spring
 
@@ -28,27 +28,10 @@ VALVE, _SUPPLY, _SPECIMEN = 4, 5, 6
 SET, ADD, SCALE, DRIFT, NOISE, HOLD, LATE, LOW_PASS, FLIP, BIT, PLAY = range(11)
 """What is done to a signal."""
 _SUPPLIED, _BREAK, _SLIP, _COLLIDE = range(PLAY + 1, PLAY + 5)
-_OF_CHANNELS = {
-    "set": SET,
-    "add": ADD,
-    "scale": SCALE,
-    "drift": DRIFT,
-    "noise": NOISE,
-    "freeze": HOLD,
-    "late": LATE,
-    "lowpass": LOW_PASS,
-    "flip": FLIP,
-    "bit": BIT,
-}
-_OF_FORCES = {
-    "stick": HOLD,
-    "slow": LOW_PASS,
-    "set": SET,
-    "add": ADD,
-    "scale": SCALE,
-    "flip": FLIP,
-    "late": LATE,
-}
+_KINDS = ("set", "add", "scale", "drift", "noise", "freeze", "late", "lowpass", "flip", "bit")
+_OF_CHANNELS = dict(zip(_KINDS, range(PLAY), strict=True))
+_OF_FORCES = {"stick": HOLD, "slow": LOW_PASS}
+_OF_FORCES |= {kind: _OF_CHANNELS[kind] for kind in ("set", "add", "scale", "flip", "late")}
 _OF_VALVES = {"stick": HOLD, "open": SET, "slow": LOW_PASS, "null": DRIFT, "hysteresis": PLAY}
 KINDS: dict[str, dict[str, int]] = {
     **dict.fromkeys(CHANNEL_ROWS, _OF_CHANNELS),
@@ -333,7 +316,7 @@ def failing_specimen(faults: Sequence[Fault], own: RigAxes, specimen: Specimen) 
 def wear(faults: Faults, step: int, dynamics: Dynamics, motion: Motion) -> None:
     """Let the faults of supply and specimen act on a motion from the sample of a step on."""
     n = len(motion.supply)
-    make_fault_free(motion)
+    motion.supply[:], motion.left[:], motion.slipped[:] = 1.0, 1.0, 0.0
     for j in range(len(faults.numbers)):
         kind, i, value = faults.numbers[j, _KIND], faults.numbers[j, _AXIS], faults.values[j, 0]
         first, last = faults.numbers[j, _FIRST], faults.numbers[j, _LAST]

@@ -1,18 +1,19 @@
 """The simulated rig: actuator, specimen and sensors, stepped by commands."""
 
 from array import array
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Floats, clear, zeros
 from seft_msgs_py.config.facts import POSITION_SERVO
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import Simulated
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 
+from seft_plant_sim.channels import per_channel
 from seft_plant_sim.compiled import entry_point
 from seft_plant_sim.hardware.safe_stop import Safe, Stopped
 from seft_plant_sim.judge.known_rig import known_responses
@@ -23,6 +24,7 @@ from seft_plant_sim.simulated.continuous_model import (
     ContinuousModel,
     Drive,
     at_rest,
+    begin_motion,
     delayed_force,
     dynamics_of,
     imposed_motion,
@@ -46,8 +48,7 @@ from seft_plant_sim.simulated.rig_step import (
     rig_step,
 )
 from seft_plant_sim.simulated.rig_step import left_open as left_open
-from seft_plant_sim.simulated.sensor_dynamics import sensing_of, with_sensors
-from seft_plant_sim.simulated.sensors import Sensors
+from seft_plant_sim.simulated.sensors import Sensors, sensing_of, with_sensors
 from seft_plant_sim.simulated.specimen import Specimen
 from seft_plant_sim.simulated.springs import ONE_SIDED, SPRING_KIND
 
@@ -106,17 +107,9 @@ class SimulatedRig:
             sensors.channels,
             faults[0],
         )
-        self.state = RigState(
-            at_rest(dynamics),
-            np.zeros(4 * n),
-            np.zeros((periods, len(sensing.whole))),
-            np.zeros(len(sensing.whole)),
-            np.zeros(n),
-            np.zeros((longest + 2, n)),
-            np.zeros(1, dtype=np.int64),
-            np.zeros((len(faults[0].numbers), faults[1])),
-            np.zeros(2),
-        )
+        sizes = {"n": n, "channels": 4 * n, "periods": periods, "read": len(sensing.whole)}
+        sizes |= {"line": longest + 2, "faults": len(faults[0].numbers), "memory": faults[1]}
+        self.state = zeros(RigState, sizes, motion=at_rest(dynamics))
         self.step_index, self.saturated = -1, 0
         self.counts: dict[str, int] = {}
         self._springs, self._command, self._forces = model.springs, np.zeros(n), array("d")
@@ -157,6 +150,8 @@ class SimulatedRig:
     def reset(self) -> None:
         """Come to rest before step 0 of a test."""
         self.step_index, self._command[:] = -1, 0.0
+        clear(self.state)
+        begin_motion(self.state.motion)
         del self._forces[:]
 
     def write(self, drive: Floats) -> None:
@@ -247,3 +242,32 @@ def continuous_model(
             loop = InnerLoop.from_parameters(actuator, axes, own.places)
             model = with_inner_loop(model, loop, hydraulics.stroke)
     return with_sensors(model, section, axes, own.places)
+
+
+class ConverterBoard:
+    """Shows the volts of a simulated rig's amplifiers, which goes on moving between two tests.
+
+    Parameters
+    ----------
+    parameters : mapping
+        Of the rig, by name: what it truly is, and ``calibration.*_per_volt``.
+    axes : tuple of str
+        Names of its n axes.
+    """
+
+    def __init__(self, parameters: Mapping[str, Any], axes: tuple[str, ...]) -> None:
+        section, every = dict(parameters), tuple(parameters["axes"])
+        rig = RigAxes("", axes, tuple(every.index(axis) for axis in axes))
+        timebase = Timebase.from_rate(section["rate"])
+        self._rig = SimulatedRig.from_parameters(section, every, timebase, rig)
+        self._rig.reset()
+        per_volt = per_channel(section, every, "calibration.{}_per_volt")
+        self._per_volt = per_volt[:, list(rig.places)]
+
+    def inputs(self) -> Floats:
+        """Convert all channels a period after the last time, V, shape (4, n)."""
+        return np.asarray(self._rig.read() / self._per_volt)
+
+    def output(self, volts: Floats) -> None:
+        """Put out the valve commands, V, shape (n,)."""
+        self._rig.write(volts)

@@ -1,17 +1,16 @@
 """One sampling period of the simulated rig, compiled."""
 
 import math
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 from seft_msgs_py.arrays import Floats, Ints
 
-from seft_plant_sim.compiled import compiled, multiply
+from seft_plant_sim.compiled import bounded, compiled, multiply
 from seft_plant_sim.simulated.actuator import OPENING, PER_CAPACITY
 from seft_plant_sim.simulated.actuator import STROKE_COLUMN as STROKE_COLUMN
-from seft_plant_sim.simulated.continuous_model import Dynamics, Motion, integrate, make_fault_free
+from seft_plant_sim.simulated.continuous_model import Dynamics, Motion, integrate
 from seft_plant_sim.simulated.faults import Faults, obey, show_fault, wear
-from seft_plant_sim.simulated.sensor_dynamics import Sensing, read_sensors
-from seft_plant_sim.simulated.sensors import Channels, measure_channels
+from seft_plant_sim.simulated.sensors import Channels, Sensing, measure_channels, read_sensors
 
 _STROKE, FORCE_CAPACITY, _VALVE = 16, 32, 64
 SATURATED_PARTS = {"stroke": _STROKE, "force_capacity": FORCE_CAPACITY, "valve": _VALVE}
@@ -53,38 +52,18 @@ class RigParameters(NamedTuple):
 
 
 class RigState(NamedTuple):
-    """State of a rig.
+    """State of a rig: arrays of zeros, but for ``motion``."""
 
-    Attributes
-    ----------
-    motion : Motion
-        Of actuator and specimen.
-    true : ndarray
-        Displacement (m), velocity (m/s), acceleration (m/s^2) and force (N) at the sample, (4n,).
-    read, shown : ndarray
-        What the sensors have read in the last periods, a ring buffer, shape (m, 4n), and what of it
-        they show at the sample, shape (4n,); (0, 0) and (0,) if that is the true state.
-    asked : ndarray
-        Last command, within the limits of the drive, shape (n,).
-    line : ndarray
-        Ring buffer of the drives during the dead time, shape (whole periods + 2, n).
-    oldest : ndarray
-        Place of the oldest drive in it, shape (1,).
-    faulty : ndarray
-        Memory of the faults.
-    peaks : ndarray
-        Largest true displacement so far (m), and true force now (N), of any axis, shape (2,).
-    """
-
-    motion: Motion
-    true: Floats
-    read: Floats
-    shown: Floats
-    asked: Floats
-    line: Floats
-    oldest: Ints
-    faulty: Floats
-    peaks: Floats
+    motion: Motion  # of actuator and specimen
+    true: Annotated[Floats, "channels"]  # displacement (m), velocity, acceleration and force (N)
+    read: Annotated[Floats, "periods", "read"]  # what the sensors have read in the last periods, a
+    # ring buffer over the channels; (0, 0) if they show the true state
+    shown: Annotated[Floats, "read"]  # what of it they show at the sample
+    asked: Annotated[Floats, "n"]  # last command, within the limits of the drive
+    line: Annotated[Floats, "line", "n"]  # ring buffer of the drives during the dead time
+    oldest: Annotated[Ints, 1]  # place of the oldest drive in it
+    faulty: Annotated[Floats, "faults", "memory"]  # memory of the faults
+    peaks: Annotated[Floats, 2]  # largest true displacement so far (m), and force now (N), any axis
 
 
 @compiled
@@ -96,7 +75,7 @@ def rig_step(
     noise: Floats,
     measured: Floats,
 ) -> int:
-    """Apply a command and take the next sample; step 0 sets the rig to rest instead.
+    """Apply a command and take the next sample; step 0 is at rest.
 
     Parameters
     ----------
@@ -115,9 +94,7 @@ def rig_step(
     int
         Bits of `SATURATED_PARTS`.
     """
-    if step == 0:
-        rest(state)
-    else:
+    if step:
         move(parameters, state, step - 1, command)
     shown, places = state.true, len(state.read)
     if places:
@@ -165,11 +142,11 @@ def move(parameters: RigParameters, state: RigState, step: int, command: Floats)
             read = state.read[(step + 1) % senses]
             read_sensors(parameters.sensing, motion, stretch, state.shown, read)
     for i in range(n):
-        state.asked[i] = _bounded(command[i], parameters.drive_limit[i])
+        state.asked[i] = bounded(command[i], parameters.drive_limit[i])
         line[oldest, i] = state.asked[i]
         if len(parameters.faults.numbers):
             obeyed = obey(parameters.faults, step, state.faulty, i, state.asked[i])
-            line[oldest, i] = _bounded(obeyed, parameters.drive_limit[i])
+            line[oldest, i] = bounded(obeyed, parameters.drive_limit[i])
     for i in range(n):
         place = oldest + newer[i] + (2 if change[i] < 0 else 1)
         motion.work[drive + i] = line[place if place < places else place - places, i]
@@ -179,11 +156,6 @@ def move(parameters: RigParameters, state: RigState, step: int, command: Floats)
         read_sensors(parameters.sensing, motion, last, state.shown, read)
     state.oldest[0] = oldest + 1 if oldest + 1 < places else 0
     _note_peaks(n, state.true, state.peaks)
-
-
-@compiled
-def _bounded(drive: float, limit: float) -> float:
-    return limit if drive > limit else -limit if drive < -limit else drive
 
 
 @compiled
@@ -285,18 +257,3 @@ def left_open(taken: int, steps: float) -> float:
     if taken >= steps:
         return 0.0
     return 0.5 * (1.0 + math.cos(math.pi * taken / steps))
-
-
-@compiled
-def rest(state: RigState) -> None:
-    """Set the rig to rest, without drive."""
-    state.motion.work[:] = 0.0
-    state.motion.springs[:] = 0.0
-    make_fault_free(state.motion)
-    state.true[:] = 0.0
-    state.read[:] = 0.0
-    state.asked[:] = 0.0
-    state.line[:] = 0.0
-    state.oldest[0] = 0
-    state.faulty[:] = 0.0
-    state.peaks[:] = 0.0

@@ -1,10 +1,16 @@
-"""Sensors of the rig: their noise, bias, range and resolution."""
+"""Sensors of the rig: scale, tilt, lag and filter; then noise, bias, range and resolution.
+
+A filter is part of the continuous model, and a lag is the time at which the model is read: the rig
+is integrated exactly to that time, so that both are as exact as the motion itself. As filter and
+lag are linear and do not change with time, their order does not matter.
+"""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Floats, Ints
 
 from seft_plant_sim.channels import (
     ACCELERATION,
@@ -12,9 +18,183 @@ from seft_plant_sim.channels import (
     acceleration_is_derived,
     converters,
     per_channel,
+    tilt_of,
     velocity_is_derived,
 )
-from seft_plant_sim.compiled import compiled
+from seft_plant_sim.compiled import compiled, multiply
+from seft_plant_sim.lti import split_dead_time
+from seft_plant_sim.rig_parameters import filter_of
+from seft_plant_sim.simulated.continuous_model import ContinuousModel, Motion, Sensed
+
+
+class Sensing(NamedTuple):
+    """What the sensors of n axes show of a rig.
+
+    Attributes
+    ----------
+    output : ndarray
+        Takes (z, drive, residuals) to what the sensors show, transposed, shape (s + n + r, 4n);
+        (0, 0) if that is the true state.
+    stretch, whole : ndarray
+        The stretch of a sampling period at whose end each sensor is read, and the whole periods
+        after which that is sampled; shape (4n,).
+    """
+
+    output: Floats
+    stretch: Ints
+    whole: Ints
+
+
+@compiled
+def read_sensors(
+    sensing: Sensing, motion: Motion, stretch: int, room: Floats, shown: Floats
+) -> None:
+    """Read the sensors whose time is the end of a stretch; ``room`` and the result are (4n,)."""
+    multiply(sensing.output, motion.work, room)
+    for i in range(len(room)):
+        if sensing.stretch[i] == stretch:
+            shown[i] = room[i]
+
+
+def sensing_of(
+    model: ContinuousModel, parts: Sequence[float], dt: float
+) -> tuple[list[float], Ints, Sensing]:
+    """Divide a sampling period where drives change and where sensors are read.
+
+    Parameters
+    ----------
+    model : ContinuousModel
+        With its sensors.
+    parts : sequence of float
+        Time at which the drive of each axis changes, s; 0: at the sample.
+    dt : float
+        Sampling period, s.
+
+    Returns
+    -------
+    lengths : list of float
+        Of the stretches, s; without lags those between the drives' changes.
+    change : ndarray
+        The last stretch before the change of each drive, shape (n,); -1: it changes at the sample.
+    sensing : Sensing
+        When and how the sensors are read.
+    """
+    split = [split_dead_time(lag, dt) for lag in model.shown.late.tolist()]
+    ends = [dt]
+    for time in (*(part for part in parts if part), *(dt - remainder for _, remainder in split)):
+        if min(abs(end - time) for end in ends) > 1e-9 * dt:
+            ends.append(time)
+    ends.sort()
+
+    def stretch(time: float) -> int:
+        return int(np.argmin([abs(end - time) for end in ends]))
+
+    lengths = [end - begin for begin, end in zip([0.0, *ends[:-1]], ends, strict=True)]
+    change = np.array([stretch(part) if part else -1 for part in parts])
+    if model.sensed is None:
+        nothing = np.zeros(0, np.int64)
+        return lengths, change, Sensing(np.zeros((0, 0)), nothing, nothing)
+    output = np.hstack([model.sensed.c, model.sensed.d, model.sensed.outputs]).T
+    at = np.array([stretch(dt - remainder) for _, remainder in split])
+    whole = np.array([number for number, _ in split])
+    return lengths, change, Sensing(np.ascontiguousarray(output), at, whole)
+
+
+def with_sensors(
+    model: ContinuousModel, section: dict[str, Any], axes: Sequence[str], places: Sequence[int]
+) -> ContinuousModel:
+    """Put the sensors of a rig's section behind a model of the axes at some places.
+
+    Raises
+    ------
+    InputError
+        If sizes do not fit the axes, or the tilt mixes axes of different rigs.
+    """
+    own = list(places)
+
+    names = "scale", "lag", "filter", "filter_damping"
+    scale, lag, cutoff, damping = (
+        per_channel(section, axes, f"simulated.sensors.{{}}_{what}")[:, own] for what in names
+    )
+    if section["sensors.velocity"] == "derived":  # there is no velocity sensor
+        scale[VELOCITY], lag[VELOCITY], cutoff[VELOCITY] = 1.0, 0.0, 0.0
+    mix = tilt_of(section, axes, own, "simulated.sensors.tilt")
+    if (
+        (scale == 1.0).all()
+        and not lag.any()
+        and not cutoff.any()
+        and (mix == np.eye(len(mix))).all()
+    ):
+        return model
+    filters = np.array(filter_of(cutoff.ravel(), damping.ravel()))
+    return sensed(model, scale.ravel(), mix, lag.ravel(), filters)
+
+
+def sensed(
+    model: ContinuousModel, scale: Floats, mix: Floats, lag: Floats, filters: Floats
+) -> ContinuousModel:
+    """Put sensors behind the outputs of a model.
+
+    Parameters
+    ----------
+    model : ContinuousModel
+        Of n axes, without sensors.
+    scale, lag, filters : ndarray
+        Factor, shape (4n,), lag in s, (4n,), and `filter_of` each output, (2, 4n).
+    mix : ndarray
+        Accelerations that the accelerometers show per acceleration of each axis, shape (n, n).
+    """
+    n = len(mix)
+    by_output = np.diag(scale)
+    accelerations = slice(ACCELERATION * n, (ACCELERATION + 1) * n)
+    by_output[accelerations, accelerations] = by_output[accelerations, accelerations] @ mix
+    c, d, h = by_output @ model.c, by_output @ model.d, by_output @ model.outputs
+    rows = np.flatnonzero(filters[1])
+    none = np.zeros((2, len(rows)))
+    return filtered(replace(model, sensed=Sensed(c, d, h, lag)), rows, none, filters[:, rows])
+
+
+def filtered(
+    model: ContinuousModel, rows: Ints, numerator: Floats, denominator: Floats
+) -> ContinuousModel:
+    """Pass some of what a model shows through (1 + p s + q s^2) / (1 + P s + Q s^2).
+
+    Parameters
+    ----------
+    model : ContinuousModel
+        Of n axes.
+    rows : ndarray
+        Places of the m outputs, shape (m,).
+    numerator, denominator : ndarray
+        p and q, P and Q of each, shape (2, m), or of all, (2, 1); s and s^2.
+    """
+    m, size = len(rows), len(model.a)
+    if not m:
+        return model
+    (p, q), (of_p, of_q) = (
+        np.broadcast_to(one, (2, m))[:, :, np.newaxis] for one in (numerator, denominator)
+    )
+    shown, one, none = model.shown, np.eye(m), np.zeros((m, m))
+    c, d, h = shown.c.copy(), shown.d.copy(), shown.outputs.copy()
+    a = np.block(  # of y and y' with y + P y' + Q y'' = the output
+        [
+            [model.a, np.zeros((size, 2 * m))],
+            [np.zeros((m, size)), none, one],
+            [c[rows] / of_q, -one / of_q, -one * (of_p / of_q)],
+        ]
+    )
+    b, inputs = (
+        np.vstack([own, np.zeros((m, own.shape[1])), of_input[rows] / of_q])
+        for own, of_input in ((model.b, d), (model.inputs, h))
+    )
+    truth, c = (np.hstack([one, np.zeros((len(c), 2 * m))]) for one in (model.c, c))
+    share = q / of_q  # y + p y' + q y''
+    for each in (c, d, h):
+        each[rows] *= share
+    c[rows, size + np.arange(m)] = 1.0 - share[:, 0]
+    c[rows, size + m + np.arange(m)] = (p - share * of_p)[:, 0]
+    return replace(model, a=a, b=b, c=truth, inputs=inputs, sensed=Sensed(c, d, h, shown.late))
+
 
 BLOCK = 4096
 """Number of steps for which noise is drawn at once."""
@@ -69,11 +249,7 @@ class Sensors:
     """
 
     def __init__(
-        self,
-        channels: Channels,
-        seed: int,
-        places: Sequence[int] | None = None,
-        faulty: int = 0,
+        self, channels: Channels, seed: int, places: Sequence[int] | None = None, faulty: int = 0
     ) -> None:
         self.channels, self._faulty = channels, faulty
         self._seed = seed
@@ -83,11 +259,7 @@ class Sensors:
 
     @classmethod
     def from_parameters(
-        cls,
-        section: dict[str, Any],
-        axes: Sequence[str],
-        places: Sequence[int],
-        faulty: int = 0,
+        cls, section: dict[str, Any], axes: Sequence[str], places: Sequence[int], faulty: int = 0
     ) -> "Sensors":
         """Make those of the axes at some places from the rig's section of an experiment.
 

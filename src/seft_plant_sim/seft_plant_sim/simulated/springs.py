@@ -35,7 +35,7 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
 
-from seft_plant_sim.compiled import compiled
+from seft_plant_sim.compiled import bounded, compiled
 from seft_plant_sim.rig_parameters import RESTORING_FORCES
 
 SLIDER, BOUC_WEN, SPRING_GAP, DUFFING, CALLED, ONE_SIDED = range(6)
@@ -72,7 +72,7 @@ def spring_force(laws: Floats, j: int, memory: Floats, e: float) -> float:
         side = memory[j, 2]
         return laws[j, HYSTERETIC] * side * max(side * (e - memory[j, 1]), 0.0)
     if kind == DUFFING:
-        held = _bounded(e, z_y)
+        held = bounded(e, z_y)
         return (laws[j, SPRING_BESIDE] + laws[j, HYSTERETIC] * held * held) * held
     if kind == SLIDER:
         # z = min(max(z + e - e_last, low(e)), high(e)): exact, as the bounds rise no faster than e
@@ -124,11 +124,6 @@ def _follow(law: Floats, memory: Floats, path: Floats, found: Floats) -> None:
 
 
 @compiled
-def _bounded(z: float, limit: float) -> float:
-    return min(max(z, -limit), limit)
-
-
-@compiled
 def _slip(laws: Floats, j: int, work: float) -> float:
     """Give s sqrt(2 / pi), m: the slip grows with the work (Foliente 1995)."""
     grown = 1.0 - math.exp(-laws[j, SLIP_RATE] * max(work, 0.0))
@@ -168,13 +163,13 @@ def _follow_bouc_wen(laws: Floats, j: int, memory: Floats, change: float) -> Non
     per_z = laws[j, HYSTERETIC] / (laws[j, STIFFNESS] * z_y * z_y)  # of k z_y^2, per z and e
     for _ in range(steps):
         z1, w1 = _bouc_wen_slope(laws, j, sign, z, work), per_z * z
-        y = _bounded(z + 0.5 * h * z1, limit)
+        y = bounded(z + 0.5 * h * z1, limit)
         z2, w2 = _bouc_wen_slope(laws, j, sign, y, work + 0.5 * h * w1), per_z * y
-        y = _bounded(z + 0.5 * h * z2, limit)
+        y = bounded(z + 0.5 * h * z2, limit)
         z3, w3 = _bouc_wen_slope(laws, j, sign, y, work + 0.5 * h * w2), per_z * y
-        y = _bounded(z + h * z3, limit)
+        y = bounded(z + h * z3, limit)
         z4, w4 = _bouc_wen_slope(laws, j, sign, y, work + h * w3), per_z * y
-        z = _bounded(z + h / 6.0 * (z1 + 2.0 * z2 + 2.0 * z3 + z4), limit)
+        z = bounded(z + h / 6.0 * (z1 + 2.0 * z2 + 2.0 * z3 + z4), limit)
         work += h / 6.0 * (w1 + 2.0 * w2 + 2.0 * w3 + w4)
     memory[j, 1], memory[j, 2] = z, work
 

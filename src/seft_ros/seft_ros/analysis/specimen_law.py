@@ -27,13 +27,13 @@ of the faster ones (RMS).
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_plant_sim.compiled import compiled
+from seft_plant_sim.compiled import bounded, compiled
 from seft_plant_sim.simulated.specimen import deformations
 from seft_plant_sim.whole_structure import WholeStructure
 
 from seft_ros.analysis.channel_estimates import noise_of, summed_covariance
 from seft_ros.analysis.metrics import ratio
-from seft_ros.reference_force.restoring_model import stop_operators, stopped
+from seft_ros.reference_force.restoring_model import stop_operators
 
 STOP_OPERATORS, CORNERS = 12, 40
 """Stop operators and corners of the curve of a spring: from noise to most of its deformation, and
@@ -291,8 +291,8 @@ def _differ(
                 both += springs[j, h] * moved[k, h]
             for i in range(m):
                 y = thresholds[j, i]
-                z[0, j, i] = stopped(z[0, j, i] + e[k, j] - last[0, j], y)
-                z[1, j, i] = stopped(z[1, j, i] + both - last[1, j], y)
+                z[0, j, i] = bounded(z[0, j, i] + e[k, j] - last[0, j], y)
+                z[1, j, i] = bounded(z[1, j, i] + both - last[1, j], y)
                 force += slopes[j, i] * (z[1, j, i] - z[0, j, i])
             last[0, j], last[1, j] = e[k, j], both
             force += _curve_at(curve[j], (both - low[j]) / step[j])

@@ -35,7 +35,7 @@ class Timing:
         JSON values: ``paced`` (whether the rig kept a pace: not in lockstep), ``period_s`` of the
         loop, ``round_trip_s`` (percentiles, largest, how many of the steps over_a_period),
         ``round_trip_at_the_rig_s`` (the same as measured by the rig, by the keys of `ROUND_TRIPS`;
-        empty without), ``rehearsal`` (as of `seft_plant_sim.rehearsal.Rehearsal`; None without),
+        empty without), ``rehearsal`` (as of `seft_plant_sim.rig_rest.Rehearsal`; None without),
         ``stalls`` (see `stalls_of`).
     """
 

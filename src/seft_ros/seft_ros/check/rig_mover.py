@@ -3,8 +3,8 @@
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.node.clock import Clock
 from seft_msgs_py.node.process import as_before, on_ending
+from seft_msgs_py.node.transport import Clock
 from seft_msgs_py.wire.topics import RigAxes
 from seft_plant_sim.hardware.hosted import HardwareError, HostedHardware
 from seft_plant_sim.rig import Rig

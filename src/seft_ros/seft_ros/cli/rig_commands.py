@@ -137,7 +137,7 @@ def check(
 
         seft check laboratory.yaml -p hardware:=board.py:Board --amplitude 0.05
     """
-    from seft_msgs_py.node.clock import MACHINE
+    from seft_msgs_py.node.transport import MACHINE
 
     from seft_ros.check.motion_checks import RigCheck
     from seft_ros.check.rig_mover import RigMover

@@ -21,13 +21,11 @@ from seft_plant_sim.simulated.specimen import Specimen
 from seft_plant_sim.whole_structure import tested_specimen
 
 from seft_ros.design.plant import Plant, rig_model
-from seft_ros.force_controller.feedforward_step import begin_feedforward, feedforward_step
 from seft_ros.force_controller.force_control import LinearControl
 from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.methods import force_control
-from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
-from seft_ros.reference_force.compensator import Compensator
-from seft_ros.reference_force.linear_filter import LinearFilter
+from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward, feedforward_step
+from seft_ros.reference_force.compensator import Compensator, LinearFilter
 from seft_ros.reference_force.reference_force_block import compensator, method_inputs
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
 from seft_ros.reference_force.target_motion import TargetMotion
@@ -182,7 +180,7 @@ def frozen_feedforward(control: VelocityFeedforward) -> list[tuple[Floats, Linea
     points = np.zeros((2 + state.coming.shape[1], 3, n))
 
     def begin(errors: tuple[float, float]) -> None:
-        begin_feedforward(state)
+        control.reset()
         state.errors[:, : len(errors)] = errors  # an error of the oil changes the plan alone
         state.covariance[:] = 0.0
         state.steps[0] = 1.0

@@ -1,17 +1,22 @@
 """Force control: the interface of all controllers, and the controller by transfer functions."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Annotated, Any, NamedTuple, Protocol
 
 import numpy as np
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Floats, clear, zeros
 from seft_msgs_py.config.parameter_table import Section, as_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
-from seft_plant_sim.compiled import compiled, copy, entry_point, multiply
+from seft_plant_sim.compiled import bounded, compiled, copy, entry_point, multiply
 from seft_plant_sim.judge.known_rig import command_limit
 from seft_plant_sim.lti import bilinear
+from seft_plant_sim.rig_parameters import common_lag
+
+from seft_ros.protection.protected_force import stop_steps
+from seft_ros.reference_force.compensator import NotLinearError
+from seft_ros.reference_force.reference_force_parameters import HORIZON_PER_LAG, horizon_steps
 
 
 @dataclass(frozen=True)
@@ -147,16 +152,10 @@ class TransferParameters(NamedTuple):
 
 
 class TransferState(NamedTuple):
-    """State of the controller.
+    """State of the controller: arrays of zeros."""
 
-    Attributes
-    ----------
-    work, result : ndarray
-        Delays and error, and the matrix times these, shape (d + n,).
-    """
-
-    work: Floats
-    result: Floats
+    work: Annotated[Floats, "size"]  # delays and error, d + n
+    result: Annotated[Floats, "size"]  # the matrix times these
 
 
 @compiled
@@ -193,10 +192,8 @@ def transfer_step(
     multiply(p.matrix, work, result)
     for i in range(n):
         drive = result[i]
-        if abs(drive) >= p.limit:
-            limited = True
-            drive = p.limit if drive > 0.0 else -p.limit
-        command[i] = drive
+        limited |= abs(drive) >= p.limit
+        command[i] = bounded(drive, p.limit)
     copy(delays, result[n:], work)
     if limited:
         for j in range(delays):
@@ -292,7 +289,7 @@ class ForceController:
         self.parameters = TransferParameters(
             transposed, from_drive, float(voltage_limit), bool(feedback)
         )
-        self.state = TransferState(*np.zeros((2, size)))
+        self.state = zeros(TransferState, {"size": size})
         self._axes, self.limited = axes, False
         points, measured = np.zeros((1, 1, axes)), np.zeros((4, axes))
         arguments = points, measured, measured[0]
@@ -319,7 +316,7 @@ class ForceController:
 
     def reset(self) -> None:
         """Forget the test so far."""
-        self.state.work[:] = 0.0
+        clear(self.state)
 
     def linear(self) -> LinearControl:
         """Give its matrices; the states are the delays."""
@@ -349,3 +346,104 @@ def _polynomials(section: Section, name: str, axes: Sequence[str]) -> list[list[
             f"{len(axes)} axes {list(axes)}; give each axis as many"
         )
     return [coefficients[each * axis : each * (axis + 1)] for axis in range(len(axes))]
+
+
+def horizon_of(section: dict[str, Any], dt: float, needed: int, driven: str) -> int:
+    """Count the future steps; an InputError says how many what is driven needs, if too few."""
+    horizon = horizon_steps(section, dt)
+    if horizon < needed:
+        needs = needed * dt - HORIZON_PER_LAG * common_lag(section)
+        raise InputError(
+            f"reference_force: compensation.horizon is {section['compensation.horizon']:g} s, "
+            f"but the {driven} need {needs:.3g} s of the future motion; make it longer"
+        )
+    return horizon
+
+
+GAIN_ERROR, DELAY_ERROR = range(2)
+"""First columns of ``errors`` of a `TargetFollower`."""
+
+
+class TargetFollower:
+    """Force controller of n axes that follows a target by its future motion.
+
+    A subclass has ``method``, its name, and ``names`` of its errors with their standard deviations
+    at the beginning, ``uncertain``.
+
+    Parameters
+    ----------
+    parameters, state : NamedTuple
+        The state has ``errors`` of shape (n, number of errors), and their ``covariance``.
+    functions : tuple of callable
+        Compiled: step(parameters, state, points, measured, command), and stop(parameters, state,
+        plan, slowed, commands).
+    horizon, needed : int
+        Future steps that are known, and those that a step needs.
+    dt : float
+        Sampling period, s.
+
+    Attributes
+    ----------
+    limited, shape
+        See `ForceControl`.
+    parameters, state
+        As given; arguments of the step, here and in a compiled loop.
+    """
+
+    method: str
+    names: tuple[str, ...]
+    uncertain: tuple[float, ...]
+
+    def __init__(
+        self,
+        parameters: Any,
+        state: Any,
+        functions: tuple[Callable[..., Any], Callable[..., Any]],
+        horizon: int,
+        needed: int,
+        dt: float,
+    ) -> None:
+        self.parameters, self.state = parameters, state
+        n, steps, (step, stop) = len(state.errors), stop_steps(1 + horizon, dt), functions
+        self.shape = 1 + horizon, 3
+        self._points, self._measured = np.zeros((1 + horizon, 3, n)), np.zeros((4, n))
+        self._command, both = np.zeros(n), (parameters, state)
+        self._room = np.zeros((steps + needed + 2, 3, n)), np.zeros((steps, n))
+        self._used_up = type(state)(*(np.zeros_like(each) for each in state))
+        self._step = entry_point(step, *both, self._points, self._measured, self._command)
+        self._stop = entry_point(stop, *both, self._points, *self._room)
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin a new test."""
+        self.limited = False
+        clear(self.state)
+        self.state.covariance[:] = np.diag(np.square(self.uncertain))
+
+    def estimates(self) -> dict[str, Floats]:
+        """Give the errors that are followed, by name."""
+        return dict(zip(self.names, self.state.errors.T, strict=True))
+
+    def linear(self) -> LinearControl:
+        """Raise an error: there is none."""
+        raise NotLinearError("force_controller", self.method)
+
+    def step(self, points: Floats, state: Floats) -> Floats:
+        """Find the commands that answer a sample; shape (n,)."""
+        known = points[: len(self._points)]
+        self._points[: len(known)], self._points[len(known) :] = known, known[-1]
+        self._measured[:] = state
+        self.limited = self._step(
+            self.parameters, self.state, self._points, self._measured, self._command
+        )
+        return self._command.copy()
+
+    def stop(self, plan: Floats) -> Floats:
+        """Give the commands that bring the rig to rest, from the next step on; shape (N, n).
+
+        ``plan`` has the target's points of the last step and the coming ones, shape `shape` and n.
+        """
+        for used, own in zip(self._used_up, self.state, strict=True):
+            used[...] = own
+        self._stop(self.parameters, self._used_up, plan, *self._room)
+        return self._room[-1].copy()

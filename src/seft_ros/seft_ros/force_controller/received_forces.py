@@ -9,7 +9,7 @@ from seft_msgs_py.wire.outcome import LinkReport
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, Timebase
 from seft_plant_sim.command import MessagesAhead
 
-from seft_ros.protection.protection_step import RampDown, extrapolated
+from seft_ros.protection.protected_force import RampDown, extrapolated
 
 PENDING = 256  # steps kept while state or force is missing
 

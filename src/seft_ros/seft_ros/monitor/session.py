@@ -7,7 +7,7 @@ from collections.abc import Callable
 from itertools import chain
 from typing import Any
 
-from seft_msgs_py.node.clock import AwakeClock
+from seft_msgs_py.node.transport import AwakeClock
 from seft_msgs_py.wire.experiment_state import ExperimentState
 from seft_msgs_py.wire.messages import Status
 from seft_msgs_py.wire.outcome import ENDED, RIG, State

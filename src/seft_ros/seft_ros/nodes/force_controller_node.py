@@ -8,23 +8,13 @@ from dataclasses import replace
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.node.clock import AwakeClock
-from seft_msgs_py.node.node_kind import NodeKind
-from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeBody, NodeShell
+from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeBody, NodeKind, NodeShell
+from seft_msgs_py.node.transport import AwakeClock
+from seft_msgs_py.wire import topics
 from seft_msgs_py.wire.experiment_state import decode_state
 from seft_msgs_py.wire.messages import OK, WARN, Status
 from seft_msgs_py.wire.outcome import MOVING, REHEARSES, tripped_status
-from seft_msgs_py.wire.topics import (
-    EXPERIMENT_STATE,
-    LINK_PING,
-    LINK_PONG,
-    REFERENCE_FORCE,
-    RIG_STATE,
-    STOP_COMMAND,
-    TARGET,
-    VALVE_COMMAND,
-    rehearsed,
-)
+from seft_msgs_py.wire.topics import rehearsed
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_plant_sim.judge.detector_list import TRACKING, WARNING
 
@@ -61,9 +51,9 @@ class ForceControllerNode(NodeBody):
         rig, axes = shell.rig, shell.rig.axes
         self._controller = self._interlock()
         self._estimates = getattr(self._controller.controller, "estimates", None)
-        self._command_codec = TrajectoryCodec(VALVE_COMMAND.of(rig), axes, timebase)
+        self._command_codec = TrajectoryCodec(topics.VALVE_COMMAND.of(rig), axes, timebase)
         self._publish = shell.publisher(self._command_codec.topic)
-        self._stop_codec = TrajectoryCodec(STOP_COMMAND.of(rig), axes, timebase)
+        self._stop_codec = TrajectoryCodec(topics.STOP_COMMAND.of(rig), axes, timebase)
         self._publish_stop = shell.publisher(self._stop_codec.topic)
         self._stop_steps = max(1, round(_STOP_PERIOD / timebase.dt))
         self._states: dict[int, Floats] = {}
@@ -79,14 +69,14 @@ class ForceControllerNode(NodeBody):
         self._heard_at = math.inf  # time of the last state, s; no more are expected
         self._refused_before = 0  # messages, until the last state arrived
         self._warm_up()
-        shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
+        shell.subscribe(topics.EXPERIMENT_STATE, self._on_experiment_state, depth=16)
         if self._previews is not None:
-            send_back = shell.publisher(LINK_PONG.of(rig))
-            shell.subscribe(LINK_PING.of(rig), lambda raw, _: send_back(raw), reliable=False)
-        topic = TARGET if section["method"] in FOLLOW_TARGETS else REFERENCE_FORCE
+            send_back = shell.publisher(topics.LINK_PONG.of(rig))
+            shell.subscribe(topics.LINK_PING.of(rig), lambda raw, _: send_back(raw), reliable=False)
+        topic = topics.TARGET if section["method"] in FOLLOW_TARGETS else topics.REFERENCE_FORCE
         self._force_codec = TrajectoryCodec(topic, experiment.axes, timebase)
         self._settled = 1 + max(section["loop_delay"], 0)
-        self._state_codec = TrajectoryCodec(RIG_STATE.of(rig), axes, timebase)
+        self._state_codec = TrajectoryCodec(topics.RIG_STATE.of(rig), axes, timebase)
         # the reference force is one message for all rigs
         self._places = list(rig.places) if rig.name else slice(None)
         shell.subscribe(topic, self._on_force, reliable=False)
@@ -95,8 +85,8 @@ class ForceControllerNode(NodeBody):
             self._rehearsing: Interlock | None = None
             self._rehearsed: dict[int, Floats] = {}  # samples by step
             self.facts = {REHEARSES: True}
-            self._publish_rehearsed = shell.publisher(rehearsed(VALVE_COMMAND))
-            shell.subscribe(rehearsed(RIG_STATE), self._on_rehearsed_state, reliable=False)
+            self._publish_rehearsed = shell.publisher(rehearsed(topics.VALVE_COMMAND))
+            shell.subscribe(rehearsed(topics.RIG_STATE), self._on_rehearsed_state, reliable=False)
             shell.subscribe(rehearsed(topic), self._on_rehearsed_force, reliable=False)
         shell.subscribe(self._state_codec.topic, self._on_state, reliable=False)
 
@@ -107,7 +97,7 @@ class ForceControllerNode(NodeBody):
 
     def _warm_up(self) -> None:
         axes = len(self._shell.rig.axes)
-        points, state = np.zeros((1, 1, axes)), np.zeros((len(RIG_STATE.quantities), axes))
+        points, state = np.zeros((1, 1, axes)), np.zeros((len(topics.RIG_STATE.quantities), axes))
         for step in range(WARM_UP_STEPS):
             raw = self._command_codec.encode(step, self._controller.step(step, points, state))
             self._command_codec.decode(raw)
@@ -151,11 +141,13 @@ class ForceControllerNode(NodeBody):
         step, values = self._state_codec.decode(raw)
         state = values[0]
         self._begin_with(step)
-        self._order.check(RIG_STATE.name, step)
+        self._order.check(topics.RIG_STATE.name, step)
         if step in self._states:
-            raise WireError(f"{RIG_STATE.name} of step {step} a second time")
+            raise WireError(f"{topics.RIG_STATE.name} of step {step} a second time")
         if self._states and step < max(self._states):
-            raise WireError(f"{RIG_STATE.name} of step {step} after that of {max(self._states)}")
+            raise WireError(
+                f"{topics.RIG_STATE.name} of step {step} after that of {max(self._states)}"
+            )
         was_tripped = bool(self._controller.reason)
         self._controller.look(step, state)
         if self._controller.reason and not was_tripped:
@@ -175,7 +167,7 @@ class ForceControllerNode(NodeBody):
 
     def _on_force(self, raw: bytes, _: int) -> None:
         step, values = self._force_codec.decode(raw)
-        points, name = values[:, :, self._places], REFERENCE_FORCE.name
+        points, name = values[:, :, self._places], topics.REFERENCE_FORCE.name
         if self._controller.reason and step <= self._order.last:
             return
         check_magnitude(f"{name} of step", step, points[: self._settled, -1])
@@ -210,7 +202,7 @@ class ForceControllerNode(NodeBody):
     def _begin_with(self, step: int) -> None:
         """Begin a test, if a sample of this step is its first."""
         if step == 0:
-            self._shell.catch_up(EXPERIMENT_STATE)  # earlier messages do not end this test
+            self._shell.catch_up(topics.EXPERIMENT_STATE)  # earlier messages do not end this test
         if not self._order.begins(step):
             return
         self._states.clear()
@@ -249,8 +241,8 @@ class ForceControllerNode(NodeBody):
         previews = self._previews
         if previews is not None and previews.is_lost and not self._controller.reason:
             self._trip(
-                f"no {REFERENCE_FORCE.name} for {step - previews.newest} steps (the last is of "
-                f"step {previews.newest}); is the link to the reference_force node cut?",
+                f"no {topics.REFERENCE_FORCE.name} for {step - previews.newest} steps (the last is "
+                f"of step {previews.newest}); is the link to the reference_force node cut?",
                 (step - previews.newest) * self._timebase.dt,
             )
         elif self._clock.monotonic() - self._reported_at >= _REPORT_PERIOD:

@@ -2,8 +2,7 @@
 
 import sys
 
-from seft_msgs_py.node.node_kind import NodeKind
-from seft_msgs_py.node.node_shell import NodeBody, NodeShell
+from seft_msgs_py.node.node_shell import NodeBody, NodeKind, NodeShell
 from seft_msgs_py.wire.experiment_state import decode_state
 from seft_msgs_py.wire.messages import decode_clock
 from seft_msgs_py.wire.outcome import ENDED, MOVING

@@ -14,9 +14,9 @@ from pathlib import Path
 
 from seft_msgs_py.errors import ExperimentError
 from seft_msgs_py.node.host import FIRST_NICENESS, boot
-from seft_msgs_py.node.node_kind import NodeKind
-from seft_msgs_py.node.node_shell import NodeBody, NodeShell
+from seft_msgs_py.node.node_shell import NodeBody, NodeKind, NodeShell
 from seft_msgs_py.node.wiring import Handler
+from seft_msgs_py.wire import topics
 from seft_msgs_py.wire.experiment_state import ExperimentState, decode_state
 from seft_msgs_py.wire.messages import (
     ERROR,
@@ -27,17 +27,7 @@ from seft_msgs_py.wire.messages import (
     encode_string,
 )
 from seft_msgs_py.wire.outcome import ENDED, MOVING, RECORDED, RIG, WAITS, State
-from seft_msgs_py.wire.topics import (
-    DESCRIPTION,
-    DIAGNOSTICS,
-    ESTIMATES,
-    EXPERIMENT_STATE,
-    GROUND_MOTION,
-    RIG_STATE,
-    LoopTopic,
-    Topic,
-    topics_of,
-)
+from seft_msgs_py.wire.topics import LoopTopic, Topic, topics_of
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.bags.bag_writer import BagWriter, why_not_writable
@@ -61,7 +51,7 @@ class RecorderNode(NodeBody):
         super().__init__(shell)
         self._section = shell.experiment["recorder"]
         axes, timebase = shell.experiment.axes, shell.experiment.timebase
-        self._motion_codec = TrajectoryCodec(GROUND_MOTION, axes, timebase)
+        self._motion_codec = TrajectoryCodec(topics.GROUND_MOTION, axes, timebase)
         self._descriptions: dict[str, bytes] = {}
         self._before: deque[tuple[Topic, bytes, int]] = deque(maxlen=20_000)
         self._bag: BagWriter | None = None
@@ -80,11 +70,11 @@ class RecorderNode(NodeBody):
         self._environment = describe_environment("run")  # asks git once, before a test runs
         self._watch: StallWatch | None = None
         rigs = shell.experiment.rigs
-        self._rig_states = [RIG_STATE.of(rig).name for rig in rigs]
+        self._rig_states = [topics.RIG_STATE.of(rig).name for rig in rigs]
         self._paced_by = rigs[0].node(RIG)
         # the state first: it says to which test a ground motion belongs that waits with it
-        topics = sorted(topics_of(rigs), key=lambda topic: topic != EXPERIMENT_STATE)
-        self._topics = [topic for topic in topics if topic.recorded]
+        found = sorted(topics_of(rigs), key=lambda topic: topic != topics.EXPERIMENT_STATE)
+        self._topics = [topic for topic in found if topic.recorded]
         for topic in self._topics:
             shell.subscribe(topic, self._receiver(topic), depth=_READ_DEPTH, wake=False)
 
@@ -138,24 +128,24 @@ class RecorderNode(NodeBody):
             self._report(RECORDING, **found)
 
     def _receiver(self, topic: Topic) -> Handler:
-        of_a_step = topic == ESTIMATES or isinstance(topic, LoopTopic)
+        of_a_step = topic == topics.ESTIMATES or isinstance(topic, LoopTopic)
 
         def receive(raw: bytes, now: int) -> None:
             if of_a_step:
                 self._step_message_at = self._clock.monotonic()
-            if topic == DESCRIPTION:
+            if topic == topics.DESCRIPTION:
                 node, _ = decode_description(raw)
                 self._descriptions[node] = raw
-            if topic == EXPERIMENT_STATE:
+            if topic == topics.EXPERIMENT_STATE:
                 self._follow(decode_state(raw))
-            if topic == GROUND_MOTION and self._is_of_the_next_test(raw):
+            if topic == topics.GROUND_MOTION and self._is_of_the_next_test(raw):
                 self._keep(topic, raw, now)
             elif self._bag is not None:
                 self._bag.write(topic, raw, now)
                 self._samples[topic.name] += 1
             elif of_a_step:
                 self._keep(topic, raw, now)
-            if topic == DIAGNOSTICS:
+            if topic == topics.DIAGNOSTICS:
                 for status in decode_diagnostics(raw)[1]:
                     if status.name == "reference_force":
                         self._force_phase = status.values.get("phase", "")
@@ -164,7 +154,7 @@ class RecorderNode(NodeBody):
 
     def _keep(self, topic: Topic, raw: bytes, now: int) -> None:
         """Keep messages before the bag is open; a new ground motion replaces an old one."""
-        if topic == GROUND_MOTION and self._motion_codec.decode(raw)[0] == 0:
+        if topic == topics.GROUND_MOTION and self._motion_codec.decode(raw)[0] == 0:
             self._before.clear()
         self._before.append((topic, raw, now))
 
@@ -231,11 +221,11 @@ class RecorderNode(NodeBody):
 
     def _write_environment(self, bag: BagWriter) -> None:
         text = json.dumps({"environment": self._environment})
-        bag.write(DESCRIPTION, encode_string(text), self._clock.time_ns())
+        bag.write(topics.DESCRIPTION, encode_string(text), self._clock.time_ns())
 
     def _write_descriptions(self, bag: BagWriter) -> None:
         for raw in self._descriptions.values():
-            bag.write(DESCRIPTION, raw, self._clock.time_ns())
+            bag.write(topics.DESCRIPTION, raw, self._clock.time_ns())
 
     def _watch_the_machine(self) -> None:
         """Watch for stalls of the loop's core, if the rig runs in realtime on this host."""

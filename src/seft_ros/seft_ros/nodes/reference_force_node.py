@@ -11,18 +11,12 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import WireError
-from seft_msgs_py.node.node_kind import NodeKind
-from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeBody, NodeShell
+from seft_msgs_py.node.node_shell import IDLE_WAIT, WARM_UP_STEPS, NodeBody, NodeKind, NodeShell
+from seft_msgs_py.wire import topics
 from seft_msgs_py.wire.experiment_state import decode_state
 from seft_msgs_py.wire.messages import ERROR, OK, EstimatesCodec
 from seft_msgs_py.wire.outcome import ENDED, REHEARSES, State, tripped_status
-from seft_msgs_py.wire.topics import (
-    ESTIMATES,
-    EXPERIMENT_STATE,
-    GROUND_MOTION,
-    RIG_STATE,
-    rehearsed,
-)
+from seft_msgs_py.wire.topics import rehearsed
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.protection.protected_force import ProtectedForce
@@ -55,10 +49,10 @@ class ReferenceForceNode(NodeBody):
         self._window = 1 + self._block.preview
         self._delay = max(section["loop_delay"], 0)
         topic = reference_force_topic(section)
-        self._motion_codec = TrajectoryCodec(GROUND_MOTION, axes, timebase)
+        self._motion_codec = TrajectoryCodec(topics.GROUND_MOTION, axes, timebase)
         self._force_codec = TrajectoryCodec(topic, axes, timebase)
         self._state_codecs = [
-            TrajectoryCodec(RIG_STATE.of(rig), rig.axes, timebase) for rig in experiment.rigs
+            TrajectoryCodec(topics.RIG_STATE.of(rig), rig.axes, timebase) for rig in experiment.rigs
         ]
         self._gathering: StateGathering | None = None
         if len(experiment.rigs) > 1:
@@ -66,7 +60,7 @@ class ReferenceForceNode(NodeBody):
         self._sampler = EstimateSampler(self._block.reference_force, timebase)
         self._estimates_codec = EstimatesCodec(axes, timebase)
         self._publish = shell.publisher(topic)
-        self._publish_estimates = shell.publisher(ESTIMATES)
+        self._publish_estimates = shell.publisher(topics.ESTIMATES)
         self._motion = MotionBuffer(len(axes))
         self._waiting: dict[int, Floats] = {}
         self._order = SampleOrder(timebase, self._delay)
@@ -80,9 +74,9 @@ class ReferenceForceNode(NodeBody):
             self._rehearsing: ProtectedForce | None = None
             self.facts = {REHEARSES: True}
             self._publish_rehearsed = shell.publisher(rehearsed(topic))
-            shell.subscribe(rehearsed(RIG_STATE), self._on_rehearsed_state, reliable=False)
-        shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
-        shell.subscribe(GROUND_MOTION, self._on_ground_motion)
+            shell.subscribe(rehearsed(topics.RIG_STATE), self._on_rehearsed_state, reliable=False)
+        shell.subscribe(topics.EXPERIMENT_STATE, self._on_experiment_state, depth=16)
+        shell.subscribe(topics.GROUND_MOTION, self._on_ground_motion)
         # behind a link, a late node bridges old states instead of answering them
         depth = 2 * (2 + self._delay) if self._delay else None
         for number, codec in enumerate(self._state_codecs):
@@ -117,7 +111,10 @@ class ReferenceForceNode(NodeBody):
 
     def _warm_up(self) -> None:
         axes = len(self._shell.experiment.axes)
-        motion, state = np.zeros((self._window, axes)), np.zeros((len(RIG_STATE.quantities), axes))
+        motion, state = (
+            np.zeros((self._window, axes)),
+            np.zeros((len(topics.RIG_STATE.quantities), axes)),
+        )
         for step in range(WARM_UP_STEPS):
             for codec in self._state_codecs:
                 codec.decode(codec.encode(step, state[:, : len(codec.axes)]))
@@ -156,15 +153,15 @@ class ReferenceForceNode(NodeBody):
         sample = values[0, : len(CHANNELS)]
         check_magnitude("rig/state of step", step, sample)
         if step == 0:
-            self._shell.catch_up(EXPERIMENT_STATE)  # earlier messages do not end this test
+            self._shell.catch_up(topics.EXPERIMENT_STATE)  # earlier messages do not end this test
         if self._test in ENDED:
             raise WireError(f"rig/state of step {step}: the test is {self._test}")
         if self._order.begins(step):
             self._reset()
             self._trip_for(self._shell.senders.conflict(), step)
-        elif false_start := self._order.false_start(RIG_STATE.name, step):
+        elif false_start := self._order.false_start(topics.RIG_STATE.name, step):
             self._trip_for(self._conflict or false_start, step)
-        self._order.check(RIG_STATE.name, step)
+        self._order.check(topics.RIG_STATE.name, step)
         if step in self._waiting:
             raise WireError(f"rig/state of step {step} a second time")
         state: Floats | None = sample
@@ -198,7 +195,7 @@ class ReferenceForceNode(NodeBody):
     def _follow_test(self) -> None:
         """Act on the state of the test, also at the beginning of a test."""
         if self._test == State.RAMPING_DOWN:
-            self._block.ramp_down()
+            self._block.ramp.begin()
             for step in sorted(self._waiting):
                 self._answer(step, self._waiting[step])
         elif self._test in ENDED:
@@ -225,7 +222,7 @@ class ReferenceForceNode(NodeBody):
         self._publish(self._message(step, motion, state))
         self._ask_model(step)
         self._order.last = step
-        if self._block.ramping:
+        if self._block.ramp.begun:
             if self._ramp_step < 0 and self._block.cause is None:
                 self._ramp_step = step
             self._report_ramp(step)
@@ -258,14 +255,14 @@ class ReferenceForceNode(NodeBody):
         if self._block.cause is not None and self._cause_step < 0:
             self._cause_step = step
             self._report(RAMPING_DOWN)
-        if self._block.at_rest and self._phase != AT_REST_KEY:
+        if self._block.ramp.finished and self._phase != AT_REST_KEY:
             self._report(AT_REST_KEY)
 
     def _report(self, phase: str) -> None:
         self._phase, cause, values = phase, self._block.cause, {}
         if cause is not None and self._cause_step >= 0:
             values = {"reason": cause, "step": str(self._cause_step)}
-        if self._block.ramping and self._ramp_step >= 0:
+        if self._block.ramp.begun and self._ramp_step >= 0:
             values["ramp_step"] = str(self._ramp_step)
         self.report(phase, values, OK if cause is None else ERROR, cause or phase)
 

@@ -10,10 +10,9 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from seft_msgs_py.node.clock import AwakeClock
-from seft_msgs_py.node.node_kind import NodeKind
-from seft_msgs_py.node.node_shell import NodeBody, NodeShell
-from seft_msgs_py.node.transport import Level
+from seft_msgs_py.node.node_shell import NodeBody, NodeKind, NodeShell
+from seft_msgs_py.node.transport import AwakeClock, Level
+from seft_msgs_py.wire import outcome, topics
 from seft_msgs_py.wire.experiment_state import ExperimentState, encode_state
 from seft_msgs_py.wire.messages import (
     ERROR,
@@ -24,30 +23,11 @@ from seft_msgs_py.wire.messages import (
     decode_description,
     decode_diagnostics,
 )
-from seft_msgs_py.wire.outcome import (
-    MOVING,
-    REHEARSED,
-    RIG,
-    STALLED,
-    State,
-)
-from seft_msgs_py.wire.topics import (
-    CLOCK_TOPIC,
-    DESCRIPTION,
-    DIAGNOSTICS,
-    EXPERIMENT_STATE,
-    NANOSECONDS_PER_SECOND,
-)
+from seft_msgs_py.wire.outcome import State
 
 from seft_ros.test_run.course import RUNNING, Course
 from seft_ros.test_run.parameter_tables import SUPERVISOR_TABLE, TABLES
-from seft_ros.test_run.peers import (
-    RUNS,
-    UNFIT,
-    Rehearsed,
-    check_peers,
-    with_biases,
-)
+from seft_ros.test_run.peers import RUNS, UNFIT, Rehearsed, check_peers, with_biases
 from seft_ros.test_run.state_machine import ServiceAnswer
 
 _HEARTBEAT = 0.2  # s between two publications of the state
@@ -74,14 +54,14 @@ class SupervisorNode(NodeBody):
         self._descriptions: dict[str, dict[str, Any]] = {}
         self._course = Course(shell.experiment, self._descriptions, self._awake.time())
         self._looked_at, self._woke_at = self._clock.monotonic(), -STOOD_STILL
-        self._publish = shell.publisher(EXPERIMENT_STATE)
+        self._publish = shell.publisher(topics.EXPERIMENT_STATE)
         self._published: ExperimentState | None = None
         self._logged = self._warned = ""  # the last line of the log, and of a rehearsal
         self._rehearsed = Rehearsed()
         self._published_at = self._polled_graph_at = self._course.now - GRAPH_PERIOD
-        shell.subscribe(DIAGNOSTICS, self._on_diagnostics)
-        shell.subscribe(DESCRIPTION, self._on_description, depth=64)
-        shell.subscribe(CLOCK_TOPIC, self._on_clock, wake=False)
+        shell.subscribe(topics.DIAGNOSTICS, self._on_diagnostics)
+        shell.subscribe(topics.DESCRIPTION, self._on_description, depth=64)
+        shell.subscribe(topics.CLOCK_TOPIC, self._on_clock, wake=False)
         machine = self._course.machine
         requests = {"start": machine.start, "stop": machine.stop, "estop": machine.estop}
         for name, request in {**requests, "reset": self._reset}.items():
@@ -155,7 +135,7 @@ class SupervisorNode(NodeBody):
         """Allow a new test to start; if a rehearsal prevents it, request another one."""
         course = self._course
         is_unfit = course.machine.state is State.IDLE and self._rehearsed.refusal
-        if is_unfit and self._descriptions[RIG].pop(REHEARSED, None) is not None:
+        if is_unfit and self._descriptions[outcome.RIG].pop(outcome.REHEARSED, None) is not None:
             return ServiceAnswer(True, "the loop is rehearsed again")
         moving = any(course.phase(node) == RUNNING for node in course.rig_nodes)
         return course.machine.reset(moving=moving)
@@ -170,7 +150,7 @@ class SupervisorNode(NodeBody):
             now = self._clock.monotonic()
             stalled = now - self._looked_at > STOOD_STILL or now - self._woke_at < STOOD_STILL
             if stalled and name in ("start", "reset"):
-                return ServiceAnswer(False, f"can't {name}: {STALLED}")
+                return ServiceAnswer(False, f"can't {name}: {outcome.STALLED}")
             found = request()
             self._publish_if_due()
         return found
@@ -181,7 +161,7 @@ class SupervisorNode(NodeBody):
         course, machine = self._course, self._course.machine
         step, timebase = machine.step, self._shell.experiment.timebase
         asked = self._rehearsed.asked if machine.state is State.IDLE else 0.0
-        several = len(self._rigs) > 1 and machine.state in MOVING
+        several = len(self._rigs) > 1 and machine.state in outcome.MOVING
         test = ExperimentState(
             machine.state,
             machine.detail,
@@ -220,7 +200,7 @@ class SupervisorNode(NodeBody):
         self._descriptions[node] = description
 
     def _on_clock(self, raw: bytes, _: int) -> None:
-        self._course.test_s = decode_clock(raw) / NANOSECONDS_PER_SECOND
+        self._course.test_s = decode_clock(raw) / topics.NANOSECONDS_PER_SECOND
 
 
 SUPERVISOR_NODE = NodeKind(SUPERVISOR_TABLE, TABLES, SupervisorNode)

@@ -16,18 +16,18 @@ a* = a M_e / (M_e + M_c) (w_n / w)^2.
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Floats, zeros
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.compiled import compiled, multiply
 from seft_plant_sim.lti import bilinear
 
+from seft_ros.reference_force.compensation_methods import substructure_motion
 from seft_ros.reference_force.compensator import MethodInputs
 from seft_ros.reference_force.reference_force_block import method_inputs
-from seft_ros.reference_force.substructure import substructure_motion
 
 _HURRY = 10.0
 """Largest factor by which strong vibration shortens that time."""
@@ -47,8 +47,10 @@ class WatchParameters(NamedTuple):
     Attributes
     ----------
     product : ndarray
-        Shape (s + 5n, s + 3n), transposed: takes (states, a_g, measured state) to (states, filtered
-        accelerations of the structure and as measured, the structure's whole one).
+        Shape (s + 5n, s + n), transposed: takes (states, a_g, measured state) to (states,
+        acceleration of the structure).
+    high_pass : ndarray
+        Numerator and denominator, shape (2, 5), highest power first.
     average, memory : float
         Factors per step with which mean squares and the expected vibration fade.
     patience : float
@@ -60,6 +62,7 @@ class WatchParameters(NamedTuple):
     """
 
     product: Floats
+    high_pass: Floats
     average: float
     memory: float
     patience: float
@@ -68,23 +71,13 @@ class WatchParameters(NamedTuple):
 
 
 class WatchState(NamedTuple):
-    """State of a watch.
+    """State of a watch: arrays of zeros."""
 
-    Attributes
-    ----------
-    work, result : ndarray
-        States and inputs, and `WatchParameters.product` times these, shapes (s + 5n,) and
-        (s + 3n,).
-    squares : ndarray
-        See `EXPLAINED`, shape (4, n), (m/s^2)^2.
-    above : ndarray
-        Steps for which vibration has lasted, shape (1,).
-    """
-
-    work: Floats
-    result: Floats
-    squares: Floats
-    above: Floats
+    work: Annotated[Floats, "inputs"]  # states and inputs
+    result: Annotated[Floats, "outputs"]  # `WatchParameters.product` times these
+    passed: Annotated[Floats, 2, "n", 4]  # memory of the high pass: of this, and as measured
+    squares: Annotated[Floats, 4, "n"]  # see `EXPLAINED`, (m/s^2)^2
+    above: Annotated[Floats, 1]  # steps for which vibration has lasted
 
 
 @compiled
@@ -103,7 +96,7 @@ def watch_step(
         Displacement, velocity, acceleration and force, shape (4, n).
     """
     p, n, squares = parameters, len(ground), state.squares
-    states = len(state.result) - 3 * n
+    states = len(state.result) - n
     for i in range(n):
         state.work[states + i] = ground[i]
         for row in range(4):
@@ -111,21 +104,33 @@ def watch_step(
     multiply(p.product, state.work, state.result)
     for i in range(states):
         state.work[i] = state.result[i]
-    old, new, excess = p.average, 1.0 - p.average, 0.0
+    old, new, excess, accepted = p.average, 1.0 - p.average, 0.0, p.ratio * p.ratio
     for i in range(n):
-        explained, found = state.result[states + i], state.result[states + n + i]
-        whole = state.result[states + 2 * n + i]
+        whole = state.result[states + i]
+        explained = pass_high(p.high_pass, state.passed[0, i], whole)
+        found = pass_high(p.high_pass, state.passed[1, i], measured[2, i])
         squares[EXPLAINED, i] = old * squares[EXPLAINED, i] + new * explained * explained
         squares[OBSERVED, i] = old * squares[OBSERVED, i] + new * found * found
         squares[WHOLE, i] = old * squares[WHOLE, i] + new * whole * whole
         expected = max(squares[EXPLAINED, i], squares[EXPECTED, i] * p.memory, p.least)
         expected = max(expected, IN_BAND * IN_BAND * squares[WHOLE, i])
         squares[EXPECTED, i] = expected
-        excess = max(excess, squares[OBSERVED, i] / expected)
+        if squares[OBSERVED, i] > accepted * expected:  # a division takes longer
+            excess = max(excess, squares[OBSERVED, i] / (accepted * expected))
     # strong vibration is accepted for a shorter time than weak vibration
-    excess /= p.ratio * p.ratio
     state.above[0] = state.above[0] + min(excess, _HURRY) if excess > 1.0 else 0.0
     return state.above[0] >= p.patience
+
+
+@compiled
+def pass_high(weights: Floats, memory: Floats, value: float) -> float:
+    """Take a value through a filter of fourth order (transposed direct form II)."""
+    b, a = weights[0], weights[1]
+    result = b[0] * value + memory[0]
+    for k in range(3):
+        memory[k] = b[k + 1] * value - a[k + 1] * result + memory[k + 1]
+    memory[3] = b[4] * value - a[4] * result
+    return result
 
 
 AVERAGE = 0.1
@@ -178,17 +183,17 @@ class InstabilityWatch:
                 f"{1 / dt:g} Hz; take less than {0.45 / dt:g} Hz"
             )
         self._lowest = lowest or min(ABOVE * _natural_hz(known), 0.25 / dt)
-        a, b, c, d = _filtered(known, self._lowest, dt, n)
         self.parameters = WatchParameters(
-            product=np.ascontiguousarray(np.block([[a, b], [c, d]]).T),
+            product=_acceleration(known),
+            high_pass=_high_pass(self._lowest, dt),
             average=math.exp(-dt / AVERAGE),
             memory=math.exp(-2 * dt / _MEMORY),
             patience=SUSTAINED / dt,
             ratio=float(ratio),
             least=float(floor) ** 2,
         )
-        work, result = map(np.zeros, self.parameters.product.shape)
-        self.state = WatchState(work, result, np.zeros((4, n)), np.zeros(1))
+        inputs, outputs = self.parameters.product.shape
+        self.state = zeros(WatchState, {"inputs": inputs, "outputs": outputs, "n": n})
 
     @classmethod
     def from_parameters(
@@ -203,11 +208,6 @@ class InstabilityWatch:
         """
         options = (section[f"instability.{name}"] for name in ("ratio", "floor", "lowest"))
         return cls(method_inputs(section, tuple(axes), timebase), axes, *options)
-
-    def reset(self) -> None:
-        """Begin a new test, at rest."""
-        for values in self.state:
-            values[:] = 0.0
 
     def describe(self) -> str:
         """Describe the vibration."""
@@ -227,49 +227,20 @@ def _natural_hz(known: MethodInputs) -> float:
     return math.sqrt(max(float(squares.min()), 0.0)) / math.tau
 
 
-def _filtered(
-    known: MethodInputs, lowest: float, dt: float, n: int
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """State space from (a_g, measured state) to the result of `WatchParameters.product`."""
-    beside, inverse = substructure_motion(known, 0), np.linalg.inv(known.total_mass)
-    own, r = np.eye(n, 4 * n, k=2 * n), np.eye(n, 4 * n, k=3 * n)
-    r = r - known.mass @ own
-    # Eq. (1)
-    by_states, by_ground = -beside.c, -beside.e
-    by_measured = -beside.d - inverse @ r
-    one, none = np.eye(n), np.zeros((n, n))
-    fa, fb, fc, fd = (np.kron(part, one) for part in _high_pass(lowest, dt))
-    size, order = len(beside.a), len(fa)
-    apart = np.zeros((order, order))
-    a = np.block(
-        [
-            [beside.a, np.zeros((size, 2 * order))],
-            [fb @ by_states, fa, apart],
-            [np.zeros((order, size)), apart, fa],
-        ]
-    )
-    b = np.block([[beside.h, beside.b], [fb @ by_ground, fb @ by_measured], [fb @ none, fb @ own]])
-    nothing = np.zeros_like(fc)
-    c = np.block(
-        [
-            [fd @ by_states, fc, nothing],
-            [np.zeros((n, size)), nothing, fc],
-            [by_states, nothing, nothing],
-        ]
-    )
-    d = np.block([[fd @ by_ground, fd @ by_measured], [none, fd @ own], [by_ground, by_measured]])
-    return a, b, c, d
+def _acceleration(known: MethodInputs) -> Floats:
+    """Make `WatchParameters.product`, by Eq. (1)."""
+    n, beside = known.axes, substructure_motion(known, 0)
+    r = np.eye(n, 4 * n, k=3 * n) - known.mass @ np.eye(n, 4 * n, k=2 * n)
+    by_measured = beside.d + np.linalg.inv(known.total_mass) @ r
+    next_states = beside.a, beside.h, beside.b
+    return np.ascontiguousarray(np.block([[*next_states], [-beside.c, -beside.e, -by_measured]]).T)
 
 
-def _high_pass(lowest: float, dt: float) -> tuple[Floats, Floats, Floats, Floats]:
-    """Butterworth's high pass of fourth order in state space, sampled (bilinear, prewarped)."""
+def _high_pass(lowest: float, dt: float) -> Floats:
+    """Butterworth's high pass of fourth order, sampled (bilinear, prewarped), (2, 5)."""
     w = 2.0 / dt * math.tan(math.pi * lowest * dt)
     first, second = (2.0 * math.sin(math.pi * k / 8) for k in (1, 3))
     middle = w * w * (2.0 + first * second)
     outer = first + second
     denominator = [1.0, outer * w, middle, outer * w**3, w**4]
-    num, den = bilinear([1.0, 0.0, 0.0, 0.0, 0.0], denominator, dt)
-    a = np.vstack([-den[1:], np.eye(3, 4)])
-    b = np.eye(4, 1)
-    c = (num[1:] - num[0] * den[1:])[np.newaxis]
-    return a, b, c, np.array([[num[0]]])
+    return np.array(bilinear([1.0, 0.0, 0.0, 0.0, 0.0], denominator, dt))

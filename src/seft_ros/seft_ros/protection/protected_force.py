@@ -1,36 +1,434 @@
 """The reference force with its protection: instability watch, plausibility, ramp-down."""
 
+import math
 from collections import deque
 from collections.abc import Hashable, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Floats, Ints, clear, zeros
+from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.wire.topics import Timebase
-from seft_plant_sim.compiled import entry_point, kind_of
-from seft_plant_sim.limits import largest_force_rate
+from seft_plant_sim.channels import FORCE
+from seft_plant_sim.compiled import compiled, entry_point, is_finite, kind_of
+from seft_plant_sim.limits import beyond_limit, largest_force_rate, span_steps
 
-from seft_ros.protection.instability import InstabilityWatch
-from seft_ros.protection.protection_step import (
-    CAUSE,
-    HOLDING,
-    IMPLAUSIBLE_FORCE,
-    IMPLAUSIBLE_STATE,
-    INSTABILITY,
-    NOTHING,
-    PlausibleForce,
-    ProtectionParameters,
-    ProtectionState,
-    RampDown,
-    begin_protection,
-    begin_step,
-    not_finite,
-    protect,
+from seft_ros.protection.instability import (
+    InstabilityWatch,
+    WatchParameters,
+    WatchState,
+    watch_step,
 )
 from seft_ros.reference_force.compensator import has_computed_model
 from seft_ros.reference_force.reference_force_block import ReferenceForce
+
+BRAKING = 0.03
+"""Time constant of a target's braking, s. At a sudden stop the oil column would ring."""
+
+
+@compiled
+def extrapolate(points: Floats, age: int, dt: float, result: Floats) -> None:
+    """Give points from a step on; points that were not sent are extrapolated.
+
+    Parameters
+    ----------
+    points : ndarray
+        The sent points, shape (p, q, n).
+    age : int
+        Steps after the first of them.
+    dt : float
+        Sampling period, s.
+    result : ndarray
+        The result, shape (count, q, n).
+    """
+    last, (_, quantities, n) = len(points) - 1, points.shape
+    for index in range(len(result)):
+        sent, beyond = min(age + index, last), max(age + index - last, 0)
+        left = math.exp(-beyond * dt / BRAKING)
+        for i in range(n):
+            for row in range(quantities):
+                result[index, row, i] = points[sent, row, i]
+            if quantities > 1:
+                result[index, 0, i] += BRAKING * (1.0 - left) * points[sent, 1, i]
+                result[index, 1, i] *= left
+
+
+def extrapolated(points: Floats, age: int, count: int, dt: float) -> Floats:
+    """Give ``count`` points, see `extrapolate`."""
+    result = np.empty((count, *points.shape[1:]))
+    extrapolate(points, age, dt, result)
+    return result
+
+
+@compiled
+def ramp_factor(taken: int, steps: int) -> float:
+    """Factor of step ``taken`` of a ramp of some steps: half a cosine."""
+    return 0.5 * (1.0 + math.cos(math.pi * taken / steps)) if taken < steps else 0.0
+
+
+STOP_TIME = 0.1
+"""Longest duration of a stop along the plan, s: ten periods of an oil column of 100 Hz."""
+
+
+def stop_steps(points: int, dt: float) -> int:
+    """Give the steps of a stop: `STOP_TIME`, or twice a shorter plan of so many points."""
+    return 2 * min(points - 1, round(STOP_TIME / 2 / dt))
+
+
+@compiled
+def slow_down(plan: Floats, steps: int, dt: float, slowed: Floats) -> None:
+    """Slow a target down to rest, on its path and without a sample.
+
+    The plan has the target's motion x*(t), v*(t) and force f*(t). With the progress w(t) = (1 +
+    cos(pi t / T)) / 2 and its integral theta, the slowed target is at x*(theta), with the velocity
+    w v*(theta) and the force f*(theta). So it needs T / 2 of the plan.
+
+    Parameters
+    ----------
+    plan : ndarray
+        Displacement, velocity and force of the target at a step and the coming ones, (p, 3, n).
+    steps : int
+        Until rest, see `stop_steps`.
+    dt : float
+        Sampling period, s.
+    slowed : ndarray
+        The slowed target at the same step and the coming ones, shape (m, 3, n). The result.
+    """
+    for j in range(len(slowed)):
+        taken = min(j, steps)
+        phase = math.pi * taken / steps
+        theta = 0.5 * (taken + steps / math.pi * math.sin(phase))
+        before = min(int(theta), len(plan) - 2)
+        for row in range(3):
+            factor = ramp_factor(taken, steps) if row == 1 else 1.0
+            for i in range(slowed.shape[2]):
+                now, then = plan[before, row, i], plan[before + 1, row, i]
+                slowed[j, row, i] = factor * (now + (theta - before) * (then - now))
+        part = theta - before  # the velocity is linear between the points
+        for i in range(slowed.shape[2]):
+            rise = plan[before + 1, 1, i] - plan[before, 1, i]
+            slowed[j, 0, i] -= 0.5 * part * (1.0 - part) * dt * rise
+
+
+@compiled
+def planned_acceleration(points: Floats, i: int, dt: float) -> float:
+    """Acceleration of axis i at the first point: of the parabola, or line, of its velocities."""
+    now, after = points[0, 1, i], points[min(1, len(points) - 1), 1, i]
+    then = points[2, 1, i] if len(points) > 2 else 2.0 * after - now
+    return (2.0 * after - 1.5 * now - 0.5 * then) / dt
+
+
+@compiled
+def as_sample(points: Floats, dt: float, sample: Floats) -> None:
+    """Give the sample that a specimen on its target would show.
+
+    Parameters
+    ----------
+    points : ndarray
+        Displacement, velocity and force of the target at a step and the coming ones, (p, 3, n).
+    dt : float
+        Sampling period, s.
+    sample : ndarray
+        Displacement, velocity, acceleration and force, shape (4, n). The result.
+    """
+    for i in range(sample.shape[1]):
+        sample[0, i], sample[1, i] = points[0, 0, i], points[0, 1, i]
+        sample[2, i] = planned_acceleration(points, i, dt)
+        sample[3, i] = points[0, 2, i]
+
+
+BEGUN, TAKEN = range(2)
+"""Places of the state of `next_factor`: whether the ramp has begun, and its steps so far."""
+
+
+@compiled
+def next_factor(steps: int, ramp: Ints) -> float:
+    """Factor of the next step: 1 before the ramp, 0 after it.
+
+    Parameters
+    ----------
+    steps : int
+        Steps of the ramp.
+    ramp : ndarray
+        See `BEGUN`, shape (2,); updated.
+    """
+    if not ramp[BEGUN]:
+        return 1.0
+    ramp[TAKEN] += 1
+    return ramp_factor(ramp[TAKEN], steps)
+
+
+class RampDown:
+    """Factor that falls from 1 to 0 as half a cosine, counted in steps of the test.
+
+    Steps count, not time: if the loop stalls, the ramp continues after the stall.
+
+    Parameters
+    ----------
+    steps : int
+        Steps from the first scaled one to the one of factor 0, both included.
+    rest : int
+        Further steps of factor 0 until the ramp is finished.
+
+    Attributes
+    ----------
+    steps : int
+        As given.
+    state : ndarray
+        State of `next_factor`.
+    """
+
+    def __init__(self, steps: int, rest: int = 0) -> None:
+        if steps < 1:
+            raise ValueError(f"a ramp of {steps} steps")
+        self.steps, self.whole = steps, steps + rest
+        self.state = np.zeros(2, dtype=np.int64)
+        self._next = entry_point(next_factor, steps, self.state)
+
+    @classmethod
+    def lasting(cls, duration: float, dt: float, rest: int = 0) -> "RampDown":
+        """Make one from a duration and a sampling period, both in s."""
+        return cls(max(1, round(duration / dt)), rest)
+
+    @property
+    def begun(self) -> bool:
+        """Whether the ramp has begun."""
+        return bool(self.state[BEGUN])
+
+    @property
+    def taken(self) -> int:
+        """Number of factors given since then."""
+        return int(self.state[TAKEN])
+
+    @property
+    def finished(self) -> bool:
+        """Whether the factor 0 has been given, and then for `rest` steps."""
+        return self.taken >= self.whole
+
+    def reset(self) -> None:
+        """Begin a new test."""
+        self.state[:] = 0
+
+    def begin(self) -> None:
+        """Begin the ramp; a second call has no effect."""
+        self.state[BEGUN] = 1
+
+    def next(self) -> float:
+        """Take the factor of the next step, see `next_factor`."""
+        factor: float = self._next(self.steps, self.state)
+        return factor
+
+
+@compiled
+def is_plausible(limits: Floats, recent: Floats, force: Floats) -> bool:
+    """Say whether a force is finite, not too large, and not changing too fast.
+
+    Parameters
+    ----------
+    limits : ndarray
+        Largest magnitude, and largest change in k steps, N, shape (2,).
+    recent : ndarray
+        The last k plausible forces, the oldest first, shape (k, n), N; updated.
+    force : ndarray
+        Shape (n,), N.
+    """
+    last, n = len(recent) - 1, len(force)
+    for i in range(n):
+        if not (abs(force[i]) <= limits[0] and abs(force[i] - recent[0, i]) <= limits[1]):
+            return False
+    for i in range(n):
+        for k in range(last):
+            recent[k, i] = recent[k + 1, i]
+        recent[last, i] = force[i]
+    return True
+
+
+class PlausibleForce:
+    """Limits of the reference force: finite, not too large, not changing too fast.
+
+    Parameters
+    ----------
+    largest : float
+        Largest magnitude on any axis, N.
+    fastest : float
+        Fastest change on any axis within `seft_plant_sim.limits.RATE_SPAN`, N/s.
+    axes : sequence of str
+        Names of the n axes.
+    dt : float
+        Sampling period, s.
+
+    Attributes
+    ----------
+    limits, recent : ndarray
+        Arguments of `is_plausible`; the plausible forces are zero before the first step.
+    axes, dt
+        As given.
+    """
+
+    def __init__(self, largest: float, fastest: float, axes: Sequence[str], dt: float) -> None:
+        self._fastest, self.dt, self.axes = fastest, dt, tuple(axes)
+        steps = span_steps(dt)
+        self._span = steps * dt
+        self.limits = np.array([largest, fastest * self._span * (1 + 1e-12)])
+        self.recent = np.zeros((steps, len(self.axes)))
+
+    def describe(self, force: Floats) -> str:
+        """Say what is wrong with a force that is not plausible, shape (n,), after the last ones."""
+        change = force - self.recent[0]
+        axis = int(np.abs(change).argmax())
+        return implausible_force(force, self.axes, self.limits[0]) or (
+            f"reference force changes by {change[axis] / self._span:.5g} N/s on axis "
+            f"{self.axes[axis]}, beyond the limit of {self._fastest:g} N/s"
+        )
+
+
+def implausible_force(force: Floats, axes: Sequence[str], largest: float) -> str:
+    """Say which reference force, shape (n,), is not finite or too large; empty if none is."""
+    for axis, value in zip(axes, force.tolist(), strict=True):
+        if not math.isfinite(value):
+            return f"reference force is {value} N on axis {axis}"
+        if abs(value) > largest:
+            return f"reference {beyond_limit(FORCE, value, axis, largest)}"
+    return ""
+
+
+def not_finite(state: Floats, axes: Sequence[str]) -> str:
+    """Say which value of a measured state, shape (4, n), is not finite; empty if all are."""
+    bad = np.argwhere(~np.isfinite(state))
+    if not len(bad):
+        return ""
+    row, axis = bad[0]
+    return f"measured {CHANNELS[row]} is {state[row, axis]} on axis {axes[axis]}"
+
+
+HOLDING, CAUSE, AGE = range(3)
+"""Places of the flags: whether the last plausible point is used, the cause of the ramp, and the age
+of that point in steps."""
+NOTHING, IMPLAUSIBLE_FORCE, IMPLAUSIBLE_STATE, INSTABILITY = range(4)
+"""Causes."""
+
+
+class ProtectionParameters(NamedTuple):
+    """Parameters of the protection of n axes.
+
+    Attributes
+    ----------
+    limits : ndarray
+        `PlausibleForce.limits`, shape (2,), N.
+    ramp_steps : int
+        `RampDown.steps`.
+    provides_target : bool
+        Whether the points are those of a target, which the ramp slows down.
+    dt : float
+        Sampling period, s.
+    watch : WatchParameters
+        Of the instability watch.
+    """
+
+    limits: Floats
+    ramp_steps: int
+    provides_target: bool
+    dt: float
+    watch: WatchParameters
+
+
+class ProtectionState(NamedTuple):
+    """State of the protection: arrays of zeros, but for ``progress``."""
+
+    flags: Annotated[Ints, 3]  # see `HOLDING`
+    ramp: Ints  # `RampDown.state`
+    recent: Floats  # `PlausibleForce.recent`
+    point: Annotated[Floats, 1, "quantities", "n"]  # the last plausible one
+    progress: Annotated[Floats, 1]  # pace of a target at that point; 1 at the beginning
+    implausible_force: Annotated[Floats, "n"]  # force of the step of the fault, N
+    implausible_state: Annotated[Floats, 4, "n"]  # its measured state
+    watch: WatchState  # of the instability watch
+
+
+@compiled
+def begin_step(parameters: ProtectionParameters, state: ProtectionState, is_known: bool) -> float:
+    """Begin a step; give its progress: 1 in a test, less in the ramp.
+
+    Parameters
+    ----------
+    parameters, state
+        The state is updated.
+    is_known : bool
+        Whether there is ground motion; in the ramp it may be missing.
+    """
+    if not (is_known or parameters.provides_target):
+        state.flags[HOLDING] = 1
+    return next_factor(parameters.ramp_steps, state.ramp)
+
+
+@compiled
+def protect(
+    parameters: ProtectionParameters,
+    state: ProtectionState,
+    ground: Floats,
+    measured: Floats,
+    is_known: bool,
+    progress: float,
+    points: Floats,
+) -> None:
+    """Check the points of a step, and replace them if necessary.
+
+    Parameters
+    ----------
+    parameters, state
+        The state is updated.
+    ground : ndarray
+        Ground acceleration of the step, shape (n,), m/s^2.
+    measured : ndarray
+        Displacement, velocity, acceleration and force, shape (4, n).
+    is_known, progress
+        See `begin_step`.
+    points : ndarray
+        Of the reference force, shape (p, q, n); not used if it is held. The permitted points are
+        written here.
+    """
+    p, flags, factor = parameters, state.flags, progress
+    last, n, cause = points.shape[1] - 1, points.shape[2], NOTHING
+    if not flags[HOLDING] and not is_plausible(p.limits, state.recent, points[0, last]):
+        flags[HOLDING], cause = 1, IMPLAUSIBLE_FORCE
+    if flags[CAUSE] == NOTHING:
+        if cause == NOTHING and is_known:
+            if not is_finite(measured, 0):
+                cause = IMPLAUSIBLE_STATE
+            elif p.watch.ratio and watch_step(p.watch, state.watch, ground, measured):
+                cause = INSTABILITY
+        if cause != NOTHING:
+            flags[CAUSE] = cause
+            for i in range(n):
+                state.implausible_force[i] = points[0, last, i]
+                for row in range(4):
+                    state.implausible_state[row, i] = measured[row, i]
+            if not state.ramp[BEGUN]:
+                state.ramp[BEGUN] = 1
+                factor = next_factor(p.ramp_steps, state.ramp)
+    if flags[HOLDING]:
+        flags[AGE] += 1
+        extrapolate(state.point, flags[AGE], p.dt, points)
+        scale_points(points, factor / state.progress[0] if state.progress[0] else 0.0)
+        return
+    for row in range(last + 1):
+        for i in range(n):
+            state.point[0, row, i] = points[0, row, i]
+    if p.provides_target:
+        state.progress[0] = progress
+    elif state.ramp[BEGUN]:
+        scale_points(points, factor)
+
+
+@compiled
+def scale_points(points: Floats, factor: float) -> None:
+    """Multiply points, shape (p, q, n), by a factor."""
+    for point in range(points.shape[0]):
+        for row in range(points.shape[1]):
+            for i in range(points.shape[2]):
+                points[point, row, i] *= factor
 
 
 class ProtectedForce:
@@ -64,6 +462,8 @@ class ProtectedForce:
         Number of later steps whose ground motion `step` needs.
     reference_force : ReferenceForce
         As given.
+    ramp : RampDown
+        As given; at rest, the applied force is zero and stays there.
     parameters, state : ProtectionParameters, ProtectionState
         Arguments of `protect`, here and in a compiled loop.
     """
@@ -79,7 +479,7 @@ class ProtectedForce:
         self.preview = reference_force.preview
         self.estimates = reference_force.estimates
         self.reference_force = reference_force
-        self._plausible, self._watch, self._ramp = plausible, watch, ramp
+        self._plausible, self._watch, self.ramp = plausible, watch, ramp
         self._axes, provides_target = len(plausible.axes), reference_force.provides_target
         self._settled: deque[Floats] | None = None  # of the last steps
         if loop_delay and not provides_target:
@@ -88,18 +488,10 @@ class ProtectedForce:
         self.parameters = ProtectionParameters(
             plausible.limits, ramp.steps, provides_target, plausible.dt, watch.parameters
         )
-        self.state = ProtectionState(
-            flags=np.zeros(3, dtype=np.int64),
-            ramp=ramp.state,
-            recent=plausible.recent,
-            point=np.zeros_like(self._points[:1]),
-            progress=np.zeros(1),
-            implausible_force=np.zeros(self._axes),
-            implausible_state=np.zeros((4, self._axes)),
-            watch=watch.state,
-        )
+        sizes = {"quantities": reference_force.shape[1], "n": self._axes}
+        given = {"ramp": ramp.state, "recent": plausible.recent, "watch": watch.state}
+        self.state = zeros(ProtectionState, sizes, **given)
         both = self.parameters, self.state
-        self._begin = entry_point(begin_protection, self.state)
         self._begin_step = entry_point(begin_step, *both, True)
         measured = self.state.implausible_state
         arguments = self.state.implausible_force, measured, True, 1.0, self._points
@@ -148,45 +540,15 @@ class ProtectedForce:
         assert code == INSTABILITY
         return self._watch.describe()
 
-    @property
-    def is_modelled(self) -> bool:
-        """Whether it has a computed model."""
-        return self.reference_force.is_modelled
-
-    @property
-    def ramping(self) -> bool:
-        """Whether the ramp has begun."""
-        return self._ramp.begun
-
-    @property
-    def steps_ramped(self) -> int:
-        """Steps since the ramp began, with the first step of the ramp."""
-        return self._ramp.taken
-
-    @property
-    def longest_ramp(self) -> int:
-        """Steps of the ramp, and those that the force must rest after it."""
-        return self._ramp.whole
-
-    @property
-    def at_rest(self) -> bool:
-        """Whether the applied force has reached zero, and stays there."""
-        return self._ramp.finished
-
     def reset(self) -> None:
         """Begin a new test."""
         self.reference_force.reset()
-        for part in (self._plausible, self._watch, self._ramp):
-            part.reset()
-        self._begin(self.state)
+        clear(self.state)
+        self.state.progress[:] = 1.0
         self._last_state: Floats | None = None
         if self._settled is not None:
             none = np.zeros((1, 1, self._axes))
             self._settled.extend([none] * (self._settled.maxlen or 0))
-
-    def ramp_down(self) -> None:
-        """Ramp the force down from the next step on."""
-        self._ramp.begin()
 
     def step(self, ground_motion: Floats | None, state: Floats) -> Floats:
         """Compute the points of one step, as `ReferenceForce.step` does.

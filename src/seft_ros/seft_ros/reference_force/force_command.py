@@ -12,10 +12,10 @@ is held for a period, with the same poles e^(-w dt): w dt is 1 where a force act
 """
 
 import math
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
-from seft_msgs_py.arrays import Complexes, Floats
+from seft_msgs_py.arrays import Complexes, Floats, zeros
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.compiled import compiled, copy
 from seft_plant_sim.lti import MIN_SAMPLES, noncausal_inverse
@@ -48,20 +48,11 @@ class CommandParameters(NamedTuple):
 
 
 class CommandState(NamedTuple):
-    """State of a force command.
+    """State of a force command: arrays of zeros."""
 
-    Attributes
-    ----------
-    sent : ndarray
-        Past commands, the newest first, shape (steps + 1, n), N.
-    motion, stops : ndarray
-        Displacements, then velocities, and stop operators of the predicted specimen; shapes (2n,),
-        (n, m).
-    """
-
-    sent: Floats
-    motion: Floats
-    stops: Floats
+    sent: Annotated[Floats, "sent", "n"]  # past commands, the newest first, N
+    motion: Annotated[Floats, "motion"]  # displacements, then velocities of the predicted specimen
+    stops: Annotated[Floats, "n", THRESHOLDS]  # its stop operators
 
 
 def command_arrays(known: MethodInputs, horizon: int) -> tuple[CommandParameters, CommandState]:
@@ -103,8 +94,7 @@ def command_arrays(known: MethodInputs, horizon: int) -> tuple[CommandParameters
         part=delay / dt - steps,
         pull=_pull(dt / delay) / np.array([dt * dt, dt]),
     )
-    state = CommandState(np.zeros((steps + 1, n)), np.zeros(2 * n), np.zeros((n, THRESHOLDS)))
-    return parameters, state
+    return parameters, zeros(CommandState, {"n": n, "sent": steps + 1, "motion": 2 * n})
 
 
 def _pull(rate: float) -> Floats:

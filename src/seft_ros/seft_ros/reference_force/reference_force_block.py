@@ -7,18 +7,14 @@ from typing import Any
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.facts import FORCE_DRIVEN
-from seft_msgs_py.config.parameter_table import (
-    mass_matrix,
-    per_axis,
-    symmetric_matrix,
-)
+from seft_msgs_py.config.parameter_table import mass_matrix, per_axis, symmetric_matrix
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.computed.computed_substructure import ComputedSubstructure
 from seft_plant_sim.rig_parameters import common_lag
 from seft_plant_sim.simulated.specimen import deformations
 
-from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS
+from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS, with_substructure
 from seft_ros.reference_force.compensator import (
     Compensator,
     MethodInputs,
@@ -26,7 +22,6 @@ from seft_ros.reference_force.compensator import (
     provides_target,
 )
 from seft_ros.reference_force.reference_force_parameters import TARGET_MOTION
-from seft_ros.reference_force.substructure import with_substructure
 
 
 class StateGathering:

@@ -47,11 +47,11 @@ neither for an offset nor for a change.
 
 import math
 from statistics import NormalDist
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
-from seft_msgs_py.arrays import Floats, Ints
-from seft_plant_sim.compiled import compiled, copy, multiply_sized
+from seft_msgs_py.arrays import Floats, Ints, zeros
+from seft_plant_sim.compiled import bounded, compiled, copy, multiply_sized
 
 THRESHOLDS = 12
 """Number of stop operators of a spring; each has twice the threshold of the one before: from the
@@ -146,39 +146,19 @@ class ModelParameters(NamedTuple):
 
 
 class RestoringState(NamedTuple):
-    """State of the models.
+    """State of the models: arrays of zeros before `begin_model`."""
 
-    Attributes
-    ----------
-    values, before : ndarray
-        Used parameters, now and at the last sample; shape (n, q).
-    found : ndarray
-        Parameters of the filter, shape (n, q).
-    covariance : ndarray
-        Shape (n, q, q).
-    past : ndarray
-        Their covariance with the past impulse, over a period; shape (n, q).
-    regressors, last : ndarray
-        Factors of the parameters now, and at the last sample, shape (n, q).
-    stops : ndarray
-        z of the specimen, shape (n, m), m.
-    sums : ndarray
-        Of each spring: recent innovations, their variance, the unexplained impulse over a period,
-        the force that corrects impulses (N), and the evidence for the assumed model; shape (n, 5).
-    work : ndarray
-        Shape (3, q).
-    """
-
-    values: Floats
-    before: Floats
-    found: Floats
-    covariance: Floats
-    past: Floats
-    regressors: Floats
-    last: Floats
-    stops: Floats
-    sums: Floats
-    work: Floats
+    values: Annotated[Floats, "n", "q"]  # used parameters
+    before: Annotated[Floats, "n", "q"]  # those at the last sample
+    found: Annotated[Floats, "n", "q"]  # parameters of the filter
+    covariance: Annotated[Floats, "n", "q", "q"]
+    past: Annotated[Floats, "n", "q"]  # their covariance with the past impulse, over a period
+    regressors: Annotated[Floats, "n", "q"]  # factors of the parameters
+    last: Annotated[Floats, "n", "q"]  # those at the last sample
+    stops: Annotated[Floats, "n", THRESHOLDS]  # z of the specimen, m
+    sums: Annotated[Floats, "n", 5]  # recent innovations, their variance, the unexplained impulse
+    # over a period, the force that corrects impulses (N), and the evidence for the assumed model
+    work: Annotated[Floats, 3, "q"]
 
 
 def model_arrays(
@@ -249,20 +229,7 @@ def model_arrays(
         surprise=NormalDist().inv_cdf(1.0 - 0.5 * min(dt / ONCE_IN, 0.5)) ** 2,
         confirming=MAX_EVIDENCE * dt / CONFIRMED_IN,
     )
-    q = parameters.start.shape[1]
-    state = RestoringState(
-        values=np.zeros((n, q)),
-        before=np.zeros((n, q)),
-        found=np.zeros((n, q)),
-        covariance=np.zeros((n, q, q)),
-        past=np.zeros((n, q)),
-        regressors=np.zeros((n, q)),
-        last=np.zeros((n, q)),
-        stops=np.zeros((n, THRESHOLDS)),
-        sums=np.zeros((n, 5)),
-        work=np.zeros((3, q)),
-    )
-    return parameters, state
+    return parameters, zeros(RestoringState, {"n": n, "q": parameters.start.shape[1]})
 
 
 @compiled
@@ -283,19 +250,12 @@ def begin_model(parameters: ModelParameters, state: RestoringState) -> None:
 
 
 @compiled
-def stopped(z: float, y: float) -> float:
-    """Keep z between -y and y."""
-    z = y if z > y else z
-    return -y if z < -y else z
-
-
-@compiled
 def slide(e: Floats, thresholds: Floats, stops: Floats) -> None:
     """Let stop operators follow a deformation, (N,), from the first row of the result, (N, m)."""
     for i in range(len(thresholds)):
         z = stops[0, i]
         for k in range(1, len(e)):
-            z = stopped(z + e[k] - e[k - 1], thresholds[i])
+            z = bounded(z + e[k] - e[k - 1], thresholds[i])
             stops[k, i] = z
 
 
@@ -314,10 +274,10 @@ def move_stops(parameters: ModelParameters, change: Floats, stops: Floats) -> No
     for j in range(len(parameters.springs)):
         moved = change[j]
         for i in range(0, THRESHOLDS, 4):  # the processor has instructions for four at a time
-            one = stopped(stops[j, i] + moved, thresholds[j, i])
-            two = stopped(stops[j, i + 1] + moved, thresholds[j, i + 1])
-            three = stopped(stops[j, i + 2] + moved, thresholds[j, i + 2])
-            four = stopped(stops[j, i + 3] + moved, thresholds[j, i + 3])
+            one = bounded(stops[j, i] + moved, thresholds[j, i])
+            two = bounded(stops[j, i + 1] + moved, thresholds[j, i + 1])
+            three = bounded(stops[j, i + 2] + moved, thresholds[j, i + 2])
+            four = bounded(stops[j, i + 3] + moved, thresholds[j, i + 3])
             stops[j, i], stops[j, i + 1], stops[j, i + 2], stops[j, i + 3] = one, two, three, four
 
 
@@ -421,23 +381,7 @@ def follow_specimen(
         surprise = sums[0] * sums[0] / sums[1]
         is_change = surprise > parameters.surprise
         if is_change:
-            # P += g T diag(change) T', where T keeps the force of the last sample
-            explained = change[0]
-            for i in range(1, learned):
-                explained += change[i] * (phi[i] - last[i]) ** 2
-            grown = min((surprise - 1.0) * variance / explained, 1.0)
-            variance += grown * explained
-            p[0, 0] += grown * change[0]
-            gain[0] += grown * change[0]
-            for i in range(1, learned):
-                added = grown * change[i]
-                if added > 0.0:
-                    p[i, i] += added
-                    p[0, i] -= added * last[i]
-                    p[i, 0] -= added * last[i]
-                    p[0, 0] += added * last[i] ** 2
-                    gain[i] += added * (phi[i] - last[i])
-                    gain[0] -= added * last[i] * (phi[i] - last[i])
+            variance += widen(phi, last, change, learned, (surprise - 1.0) * variance, p, gain)
         weight, per_variance = 1.0 / (1.0 + math.exp(-sums[4])), 1.0 / variance
         by_taken = by_left = 0.0
         for i in range(q):
@@ -451,13 +395,7 @@ def follow_specimen(
             by_taken += taken[i] * phi[i]
             by_left += left[i] * phi[i]
             last[i] = phi[i]
-        for i in range(q):
-            one, all_of_it = taken[i], gain[i]
-            for k in range(0, q, 4):
-                p[i, k] += one * left[k] - all_of_it * taken[k]
-                p[i, k + 1] += one * left[k + 1] - all_of_it * taken[k + 1]
-                p[i, k + 2] += one * left[k + 2] - all_of_it * taken[k + 2]
-                p[i, k + 3] += one * left[k + 3] - all_of_it * taken[k + 3]
+        sharpen(q, taken, left, gain, p)
         of_past *= per_variance
         for i in range(q):
             after = gain[i] + taken[i] * by_left - gain[i] * by_taken - p[i, error] * slope
@@ -467,3 +405,47 @@ def follow_specimen(
         acts = sums[4] <= 0.0 and (is_change or was_right)
         sums[2] = 0.0 if acts else impulse
         sums[3] = late + (impulse if acts else 0.0)
+
+
+@compiled
+def widen(
+    phi: Floats,
+    last: Floats,
+    change: Floats,
+    learned: int,
+    unexplained: float,
+    p: Floats,
+    gain: Floats,
+) -> float:
+    """Let parameters have changed, with the force of the last sample kept; give what that explains.
+
+    P += g T diag(change) T', where T keeps that force; ``gain`` is P phi. Variances are in N^2.
+    """
+    explained = change[0]
+    for i in range(1, learned):
+        explained += change[i] * (phi[i] - last[i]) ** 2
+    grown = min(unexplained / explained, 1.0)
+    p[0, 0] += grown * change[0]
+    gain[0] += grown * change[0]
+    for i in range(1, learned):
+        added = grown * change[i]
+        if added > 0.0:
+            p[i, i] += added
+            p[0, i] -= added * last[i]
+            p[i, 0] -= added * last[i]
+            p[0, 0] += added * last[i] ** 2
+            gain[i] += added * (phi[i] - last[i])
+            gain[0] -= added * last[i] * (phi[i] - last[i])
+    return grown * explained
+
+
+@compiled
+def sharpen(q: int, taken: Floats, left: Floats, gain: Floats, p: Floats) -> None:
+    """Take what a sample tells out of a covariance, P += taken left' - gain taken'."""
+    for i in range(q):
+        one, all_of_it = taken[i], gain[i]
+        for k in range(0, q, 4):
+            p[i, k] += one * left[k] - all_of_it * taken[k]
+            p[i, k + 1] += one * left[k + 1] - all_of_it * taken[k + 1]
+            p[i, k + 2] += one * left[k + 2] - all_of_it * taken[k + 2]
+            p[i, k + 3] += one * left[k + 3] - all_of_it * taken[k + 3]

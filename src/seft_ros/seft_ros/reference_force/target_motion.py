@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 from scipy.linalg import eigh
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Floats, zeros
 from seft_msgs_py.config.facts import FORCE_DRIVEN
 from seft_plant_sim.channels import acceleration_is_derived
 from seft_plant_sim.compiled import entry_point, places
@@ -25,9 +25,8 @@ from seft_plant_sim.computed.model_worker import ModelState
 from seft_plant_sim.judge.servo_model import derived_noise, second_difference, smoothing_steps
 from seft_plant_sim.lti import first_order_hold
 
-from seft_ros.reference_force.compensator import MethodInputs, NotLinearError
+from seft_ros.reference_force.compensator import LinearFilter, MethodInputs, NotLinearError
 from seft_ros.reference_force.force_command import command_arrays, command_step
-from seft_ros.reference_force.linear_filter import LinearFilter
 from seft_ros.reference_force.observers import observer_gains, sensor_noise, steps_of_force
 from seft_ros.reference_force.reference_force_parameters import (
     OF_MODEL,
@@ -341,14 +340,7 @@ def target_arrays(known: MethodInputs) -> tuple[TargetParameters, TargetState, M
     deformation = spring_deformations(known)
     to_springs = np.linalg.inv(deformation.T)
 
-    def of_springs(matrix: Floats) -> Floats:
-        return to_springs @ matrix @ to_springs.T
-
-    def through(matrix: Floats, values: Floats) -> Floats:  # variances of a sum of noises
-        return matrix**2 @ values**2
-
-    white = through(to_springs, noise[3]) + through(to_springs @ known.mass, noise[2])
-    deformed = np.sqrt(np.transpose([through(deformation, left[0]), through(deformation, left[1])]))
+    white, deformed = _spring_noise(known, noise, left, deformation)
     alike = 2.0 / gains[:, 0, 0].min() - 1.0  # the noise after the observer is correlated
     mass, damping, stiffness = (
         np.pad(getattr(known, name), (0, computed.internal)) + getattr(computed, name)
@@ -361,24 +353,20 @@ def target_arrays(known: MethodInputs) -> tuple[TargetParameters, TargetState, M
     b = np.vstack([none, one])
     substeps = max(1, math.ceil(dt / LONGEST_SUBSTEP - 1e-9))
     free, start, change = first_order_hold(a, b, dt / substeps)
-    influence = computed.by_axis
     by_spring = np.ascontiguousarray(inverse[:, :n] @ deformation.T)
-    own = of_springs(known.mass), of_springs(known.damping), of_springs(known.stiffness)
-    frequency = np.sqrt(np.abs(np.diag(deformation @ by_spring[:n]) * np.diag(own[2])))
+    mass_of, damping_of, stiffness_of = (
+        to_springs @ m @ to_springs.T for m in (known.mass, known.damping, known.stiffness)
+    )
+    frequency = np.sqrt(np.abs(np.diag(deformation @ by_spring[:n]) * np.diag(stiffness_of)))
     axes, dofs = places(n, size)
-    model, model_state = model_arrays(axes, *own, np.sqrt(white), deformed, alike, frequency, dt)
-    # the future motion, see `predict`
+    model, model_state = model_arrays(
+        axes, mass_of, damping_of, stiffness_of, white, deformed, alike, frequency, dt
+    )
     hold = np.ascontiguousarray(np.hstack([free, start]))
     deforming = deformation @ (hold[:n] - np.eye(n, 3 * size))
-    columns = 3 * size + 2 * n + 1
-    steady, force = np.zeros((columns, 3 * size + n)), np.zeros((columns, n))
-    stays = np.vstack([hold, np.eye(size, 3 * size, 2 * size)])
-    steady[: 3 * size] = np.vstack([stays, deforming @ stays]).T
-    force[: 3 * size] = (known.mass @ np.hstack([a[size : size + n], np.eye(n, size)])).T
-    force[-n:] = deformation
-    rise, correction = np.zeros((size, columns)), np.zeros((size, 3 * size + n))
-    rise[:, 3 * size : -n - 1], rise[:, -n:] = -influence, -by_spring
-    correction[:, : 2 * size] = change.T
+    accelerations = a[size : size + n]
+    future = _of_prediction(known, deformation, by_spring, accelerations, hold, change, deforming)
+    steady, force, rise, correction = future
     squares = np.linalg.eigvals(inverse @ stiffness).real
     parameters = TargetParameters(
         axes=axes,
@@ -397,42 +385,51 @@ def target_arrays(known: MethodInputs) -> tuple[TargetParameters, TargetState, M
         deforming=deforming,
         steady=steady,
         force=force,
-        influence=influence,
+        influence=computed.by_axis,
         by_spring=by_spring,
         by_assumed=inverse[:, :n] @ np.hstack([known.stiffness, known.damping]),
         damper=2.0 * math.sqrt(max(float(squares.min()), 0.0)),  # critical for the slowest mode
         model=model,
     )
-    thresholds = model.thresholds.shape
-    state = TargetState(
-        model=model_state,
-        recent=np.zeros((smooth.shape[1], 2, n)),
-        smoothed=np.zeros((4, n)),
-        before=np.zeros((late, n)),
-        known=np.zeros((late + 1 + preview, n)),
-        ahead=np.zeros((late + 1 + preview, 3, n)),
-        measured=np.zeros((3, n)),
-        force_before=np.zeros(n),
-        target=np.zeros(3 * size),
-        stops=np.zeros(thresholds),
-        future_stops=np.zeros(thresholds),
-        ground=np.zeros(n),
-        by_motion=np.zeros((n, 2 * n)),
-        by_state=np.zeros((2, size, 2 * size)),
-        constant=np.zeros((2, size)),
-        line=np.zeros((0, 2 * size + 2)) if line is None else line.values,
-        rise=rise,
-        correction=correction,
-        substep=np.zeros_like(steady),
-        force=force.copy(),
-        future=np.zeros(columns),
-        next=np.zeros(3 * size + n),
-        is_running=np.zeros(1),
-        axes=np.zeros((3, n)),
-        dofs=np.zeros((3, 2 * size)),
-        springs=np.zeros((7, n)),
-    )
+    sizes = {"n": n, "2n": 2 * n, "N": size, "2N": 2 * size, "3N": 3 * size, "s": len(steady)}
+    sizes |= {"w": smooth.shape[1], "late": late, "ahead": late + 1 + preview}
+    given = {"model": model_state, "rise": rise, "correction": correction, "force": force.copy()}
+    given["line"] = np.zeros((0, 2 * size + 2)) if line is None else line.values
+    state = zeros(TargetState, sizes | {"3N + n": 3 * size + n}, **given)
     return parameters, state, line
+
+
+def _spring_noise(
+    known: MethodInputs, noise: Floats, left: Floats, deformation: Floats
+) -> tuple[Floats, Floats]:
+    """RMS noise of the force of each spring, (n,), N; of its deformation, observed, and rate."""
+    to_springs = np.linalg.inv(deformation.T)
+    white = to_springs**2 @ noise[3] ** 2 + (to_springs @ known.mass) ** 2 @ noise[2] ** 2
+    return np.sqrt(white), np.sqrt(deformation**2 @ left.T**2)
+
+
+def _of_prediction(
+    known: MethodInputs,
+    deformation: Floats,
+    by_spring: Floats,
+    accelerations: Floats,
+    hold: Floats,
+    change: Floats,
+    deforming: Floats,
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Constants of `predict`, transposed: parts of G and F, of the push's change and its effect."""
+    n, size = known.axes, len(by_spring)
+    ground, sliders = slice(3 * size, 3 * size + n), slice(3 * size + n + 1, None)  # 1 between them
+    columns, results = 3 * size + 2 * n + 1, 3 * size + n
+    steady, force = np.zeros((columns, results)), np.zeros((columns, n))
+    stays = np.vstack([hold, np.eye(size, 3 * size, 2 * size)])
+    steady[: 3 * size] = np.vstack([stays, deforming @ stays]).T
+    force[: 3 * size] = (known.mass @ np.hstack([accelerations, np.eye(n, size)])).T
+    force[sliders] = deformation
+    rise, correction = np.zeros((size, columns)), np.zeros((size, results))
+    rise[:, ground], rise[:, sliders] = -known.computed.by_axis, -by_spring
+    correction[:, : 2 * size] = change.T
+    return steady, force, rise, correction
 
 
 def spring_deformations(known: MethodInputs) -> Floats:

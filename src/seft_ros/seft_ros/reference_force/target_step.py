@@ -10,7 +10,7 @@ difference of r from the assumed specimen, the push, acts like the ground motion
 between samples (ETD2RK, Cox & Matthews 2002, Eq. 22).
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
@@ -97,74 +97,35 @@ class TargetParameters(NamedTuple):
 
 
 class TargetState(NamedTuple):
-    """State of a target.
-
-    Attributes
-    ----------
-    model : ModelState
-        Of the restoring force.
-    recent, smoothed : ndarray
-        Last displacements and forces, the newest first, and the smoothed sample, shapes (w, 2, n)
-        and (4, n).
-    before, known, ahead : ndarray
-        Ground accelerations of the steps since the smoothed sample, the oldest first, shape
-        (w // 2, n), and room for those and the points from there on.
-    measured, force_before : ndarray
-        Observed displacement and velocity, and the last acceleration, shape (3, n); the last force,
-        shape (n,).
-    target : ndarray
-        Displacements and velocities of the target, and the push on it; shape (3N,).
-    stops, future_stops : ndarray
-        Its stop operators, and those of its prediction; shape (n, m).
-    ground : ndarray
-        Last ground acceleration, shape (n,).
-    by_motion : ndarray
-        Force of each spring per displacement and velocity of the axes, shape (n, 2n).
-    by_state, constant : ndarray
-        The push of the model at the last sample and at this one: accelerations per state, and the
-        constant part; shapes (2, N, 2N) and (2, N).
-    line : ndarray
-        The push of a computed model from the last sample on, see `ModelLine.values`; shape
-        (N, 2N + 2), or (0, 2N + 2) without one.
-    rise, correction : ndarray
-        Change of the push in a substep from z of `predict`, and its effect on the result,
-        transposed; shapes (N, s) and (N, 3N + n).
-    substep, force : ndarray
-        G and F of `predict`, transposed; shapes (s, 3N + n) and (s, n).
-    future, next : ndarray
-        z of `predict`, and G z; shapes (s,) and (3N + n,).
-    is_running : ndarray
-        Whether a sample has been taken, shape (1,).
-    axes, dofs, springs : ndarray
-        Work arrays, shapes (3, n), (3, 2N) and (7, n).
-    """
+    """State of a target: arrays of zeros before `begin_target`, but for constants of `predict`."""
 
     model: RestoringState
-    recent: Floats
-    smoothed: Floats
-    before: Floats
-    known: Floats
-    ahead: Floats
-    measured: Floats
-    force_before: Floats
-    target: Floats
-    stops: Floats
-    future_stops: Floats
-    ground: Floats
-    by_motion: Floats
-    by_state: Floats
-    constant: Floats
-    line: Floats
-    rise: Floats
-    correction: Floats
-    substep: Floats
-    force: Floats
-    future: Floats
-    next: Floats
-    is_running: Floats
-    axes: Floats
-    dofs: Floats
-    springs: Floats
+    recent: Annotated[Floats, "w", 2, "n"]  # last displacements and forces, the newest first
+    smoothed: Annotated[Floats, 4, "n"]  # the smoothed sample
+    before: Annotated[Floats, "late", "n"]  # ground accelerations of the steps since that
+    known: Annotated[Floats, "ahead", "n"]  # room for those and the coming ones
+    ahead: Annotated[Floats, "ahead", 3, "n"]  # room for the points from there on
+    measured: Annotated[Floats, 3, "n"]  # observed displacement, velocity; last acceleration
+    force_before: Annotated[Floats, "n"]  # the last force
+    target: Annotated[Floats, "3N"]  # displacements and velocities of the target, and the push
+    stops: Annotated[Floats, "n", THRESHOLDS]  # its stop operators
+    future_stops: Annotated[Floats, "n", THRESHOLDS]  # those of its prediction
+    ground: Annotated[Floats, "n"]  # last ground acceleration
+    by_motion: Annotated[Floats, "n", "2n"]  # force of each spring per displacement and velocity
+    by_state: Annotated[Floats, 2, "N", "2N"]  # push of the model at the last sample and at this
+    # one: accelerations per state
+    constant: Annotated[Floats, 2, "N"]  # its constant part
+    line: Floats  # push of a computed model, see `ModelLine.values`; (N, 2N + 2), or (0, 2N + 2)
+    rise: Floats  # change of the push in a substep from z of `predict`, (N, s)
+    correction: Floats  # its effect on the result, transposed, (N, 3N + n)
+    substep: Annotated[Floats, "s", "3N + n"]  # G of `predict`, transposed
+    force: Floats  # F of it, likewise, (s, n)
+    future: Annotated[Floats, "s"]  # z of `predict`
+    next: Annotated[Floats, "3N + n"]  # G z
+    is_running: Annotated[Floats, 1]  # whether a sample has been taken
+    axes: Annotated[Floats, 3, "n"]  # room
+    dofs: Annotated[Floats, 3, "2N"]
+    springs: Annotated[Floats, 7, "n"]
 
 
 @compiled
@@ -523,12 +484,7 @@ def predict(
 
 @compiled
 def move_by_force(
-    p: TargetParameters,
-    state: TargetState,
-    force: Floats,
-    span: float,
-    y: Floats,
-    stops: Floats,
+    p: TargetParameters, state: TargetState, force: Floats, span: float, y: Floats, stops: Floats
 ) -> None:
     """Move the specimen alone, by its model, under a constant force (velocity Verlet).
 

@@ -295,9 +295,9 @@ class ReferenceForceReplay(Replay):
         forces: dict[int, Floats] = {}
         for step, state in self._states.samples():
             if step == self._ramp_step:
-                block.ramp_down()
+                block.ramp.begin()
             motion = self._motion.window(step, window)
-            if motion is None and not block.ramping:
+            if motion is None and not block.ramp.begun:
                 break  # the node would wait for it
             if delay and step > last + 1:
                 lost = [self._motion.window(at, window) for at in range(last + 1, step)]

@@ -11,42 +11,34 @@ from numba.extending import overload
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_plant_sim.compiled import OPTIONS, compiled, entry_point, is_at_hand, kind_of
-from seft_plant_sim.judge.guard import (
-    ENDS_TEST,
-    GuardParameters,
-    GuardState,
-    guard_step,
-)
+from seft_plant_sim.judge.guard import ENDS_TEST, GuardParameters, GuardState, guard_step
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.simulated.rig import SimulatedRig
-from seft_plant_sim.simulated.rig_step import (
-    FORCE_NOW,
-    RigParameters,
-    RigState,
-    rig_step,
-)
+from seft_plant_sim.simulated.rig_step import FORCE_NOW, RigParameters, RigState, rig_step
 from seft_plant_sim.simulated.sensors import BLOCK
 
-from seft_ros.force_controller.feedforward_step import FeedforwardParameters, feedforward_step
 from seft_ros.force_controller.force_control import (
     ForceController,
     TransferParameters,
     transfer_step,
 )
-from seft_ros.force_controller.interlock import Interlock
-from seft_ros.force_controller.interlock_step import (
+from seft_ros.force_controller.interlock import (
     NO_TRIP,
     TRIP,
+    Interlock,
     InterlockParameters,
     InterlockState,
     check_limits,
     postcheck,
     precheck,
 )
-from seft_ros.force_controller.position_servo import PositionServo
-from seft_ros.force_controller.servo_step import ServoParameters, servo_step
-from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
-from seft_ros.protection.protection_step import (
+from seft_ros.force_controller.position_servo import PositionServo, ServoParameters, servo_step
+from seft_ros.force_controller.velocity_feedforward import (
+    FeedforwardParameters,
+    VelocityFeedforward,
+    feedforward_step,
+)
+from seft_ros.protection.protected_force import (
     HOLDING,
     TAKEN,
     ProtectionParameters,
@@ -54,11 +46,7 @@ from seft_ros.protection.protection_step import (
     begin_step,
     protect,
 )
-from seft_ros.reference_force.linear_filter import (
-    LinearCompensator,
-    LinearParameters,
-    linear_step,
-)
+from seft_ros.reference_force.compensator import LinearCompensator, LinearParameters, linear_step
 from seft_ros.reference_force.target_motion import TargetMotion
 from seft_ros.reference_force.target_step import TargetParameters, target_estimates, target_step
 from seft_ros.test_run.blocks import Blocks
@@ -204,7 +192,7 @@ def _arguments(
         np.zeros(n),
         rig.drive == VALVE_COMMAND.name,
         points if quantities > 1 else 1 + protected.preview,
-        protected.longest_ramp,
+        protected.ramp.whole,
         period,
     )
     known = blocks.ground_motion.known.copy()  # of the type for which the steps are compiled
@@ -281,6 +269,7 @@ def _run_steps(
     states, measured_states, forces, commands, found, true_forces, estimates = samples
     turns, _, quantities, _ = in_flight.shape
     is_target, n = quantities > 1, len(loop.axes)
+    place, due = first % turns, -(-first // period) * period  # later without a division
     # what the compiler takes from these makes the loop nearly twice as fast
     assert states.shape[2] == n and commands.shape[1] == n
     assert measured_states.shape[2] == n
@@ -294,12 +283,13 @@ def _run_steps(
         check_limits(interlock, interlock_state, step, state)
         judged = state[:4]
         # reference force
-        asked = in_flight[step % turns]
+        asked = in_flight[place]
         progress = begin_step(protection, protection_state, True)
         if not protection_state.flags[HOLDING]:
             respond(force, force_state, known[step : step + window], judged, progress, asked)
         protect(protection, protection_state, known[step], judged, True, progress, asked)
-        late = in_flight[(step + 1) % turns]
+        place = place + 1 if place + 1 < turns else 0
+        late = in_flight[place]
         sent = asked if is_target else late
         for row in range(quantities):
             for i in range(n):
@@ -310,8 +300,9 @@ def _run_steps(
             plan, sample = interlock_state.plan, interlock_state.sample
             limited = answer(control, control_state, plan, sample, command)
             postcheck(interlock, interlock_state, step, limited, command)
-        if step % period == 0:
+        if step == due:
             estimate(force, force_state, estimates[step // period])
+            due += period
         for i in range(n):
             drive[i] = command[i] if is_valve_driven else applied[0, quantities - 1, i]
         has_ended = protection_state.ramp[TAKEN] >= longest_ramp

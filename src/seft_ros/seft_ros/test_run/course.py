@@ -4,28 +4,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.wire import outcome
 from seft_msgs_py.wire.messages import Status
-from seft_msgs_py.wire.outcome import (
-    FINISHED,
-    MOVING,
-    RIG,
-    STOOD_STILL_KEY,
-    STOPPED,
-    TRIPPED,
-    WAITED_KEY,
-    State,
-    seconds,
-)
+from seft_msgs_py.wire.outcome import State, seconds
 from seft_msgs_py.wire.topics import RigAxes, with_rigs
 
-from seft_ros.test_run.peers import (
-    AT_REST_KEY,
-    RAMPING_DOWN,
-    LastStatus,
-    missing,
-    silence,
-    silent,
-)
+from seft_ros.test_run.peers import AT_REST_KEY, RAMPING_DOWN, LastStatus, missing, silence, silent
 from seft_ros.test_run.state_machine import LOCKSTEP, StateMachine
 
 SOFT_PEERS = ("ground_motion", "recorder")
@@ -70,7 +54,7 @@ class Course:
         self._section, self._rate = experiment["supervisor"], experiment.timebase.rate
         self._descriptions, self.now, self.test_s = descriptions, now, 0.0
         self.peers = with_rigs(self._section["peers"], experiment.rigs)
-        self.rig_nodes = with_rigs([RIG], experiment.rigs)
+        self.rig_nodes = with_rigs([outcome.RIG], experiment.rigs)
         self._steps = 0  # of the running test
         self._timeout: float = self._section["watchdog.peer_timeout"]
         self.machine = StateMachine()
@@ -91,7 +75,7 @@ class Course:
 
     def look(self) -> None:
         """Look for nodes that are silent, and for a ramp that does not end."""
-        if self.state in MOVING:
+        if self.state in outcome.MOVING:
             self._watch_peers()
         elif self.state is State.TRIPPED and self.silent is None:
             self._find_the_silent()
@@ -129,7 +113,7 @@ class Course:
         if node in SOFT_PEERS:
             self.machine.soft_trip(reason, step, waited)
         else:
-            by_rig = node in self.rig_nodes and reason != STOPPED
+            by_rig = node in self.rig_nodes and reason != outcome.STOPPED
             self.machine.hard_trip(reason, step, waited, by_rig=by_rig)
 
     def _ramp_patience(self) -> float:
@@ -162,9 +146,9 @@ class Course:
         A trip is never delayed for that: who stands still can tell it only later. What the loop
         does not wait for explains its own silence alone; a rig that has ended only comes to rest.
         """
-        stood = seconds(status, STOOD_STILL_KEY)
+        stood = seconds(status, outcome.STOOD_STILL_KEY)
         name, machine = status.name, self.machine
-        if not stood or self.phase(name) in (TRIPPED, FINISHED):
+        if not stood or self.phase(name) in (outcome.TRIPPED, outcome.FINISHED):
             return
         waited_for = name not in SOFT_PEERS or f"node {name} has been silent" in machine.detail
         if waited_for and self.now - stood <= self._since + STALL_TOLD:
@@ -175,20 +159,20 @@ class Course:
         self._explain(status)
         phase, reason = status.values.get("phase"), status.values.get("reason")
         is_rig = status.name in self.rig_nodes
-        if phase == TRIPPED:
+        if phase == outcome.TRIPPED:
             reason, step = reason or status.message, status.number("step")
             cause = reason if is_rig else f"{status.name}: {reason}"
-            if reason == STOPPED and self.machine.state in MOVING:
+            if reason == outcome.STOPPED and self.machine.state in outcome.MOVING:
                 cause = f"node {status.name} stopped at step {step}, and gives no reason"
-            waited = seconds(status, WAITED_KEY)
+            waited = seconds(status, outcome.WAITED_KEY)
             self._trip(status.name, cause, step, waited)
-            if reason != STOPPED and not waited and (step or 0) <= (self.machine.step or 0):
+            if reason != outcome.STOPPED and not waited and (step or 0) <= (self.machine.step or 0):
                 self.machine.explain(cause)
-            if status.name in self._lost and reason != STOPPED:
+            if status.name in self._lost and reason != outcome.STOPPED:
                 self.machine.note(cause)  # its trip while the link was cut
         elif is_rig:
             self._watch_missed(status)
-            if phase == FINISHED:
+            if phase == outcome.FINISHED:
                 self._finish(status)
             elif phase == RUNNING:
                 self._took_part.add(status.name)
@@ -221,10 +205,9 @@ class Course:
         steps = rig.number("steps") or 0
         if steps != self._steps:
             self.machine.hard_trip(
-                f"node {rig.name} finished after {steps} of {self._steps} steps",
-                max(steps - 1, 0),
+                f"node {rig.name} finished after {steps} of {self._steps} steps", max(steps - 1, 0)
             )
-        elif all(self.phase(name) == FINISHED for name in self.rig_nodes):
+        elif all(self.phase(name) == outcome.FINISHED for name in self.rig_nodes):
             self.machine.finish(f"{steps} steps done")
 
     def ground_motion_steps(self) -> int:

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 from seft_msgs_py.errors import ExperimentError, InputError
-from seft_msgs_py.node.clock import AwakeClock
 from seft_msgs_py.node.dds import DdsEndpoint
 from seft_msgs_py.node.process import is_running
 from seft_msgs_py.node.rclpy_interface import (
@@ -18,17 +17,11 @@ from seft_msgs_py.node.rclpy_interface import (
     qos_profile,
 )
 from seft_msgs_py.node.senders import Follower
+from seft_msgs_py.node.transport import AwakeClock
+from seft_msgs_py.wire import outcome
 from seft_msgs_py.wire.experiment_state import ExperimentState, decode_state
 from seft_msgs_py.wire.messages import Status, decode_diagnostics
-from seft_msgs_py.wire.outcome import (
-    ENDED,
-    MOVING,
-    NOT_AT_REST,
-    RIG,
-    STALLED,
-    STOPPING,
-    State,
-)
+from seft_msgs_py.wire.outcome import State
 from seft_msgs_py.wire.topics import CLOCK_TOPIC, DIAGNOSTICS, EXPERIMENT_STATE, NODES, Topic, bare
 from std_srvs.srv import Trigger
 
@@ -125,7 +118,7 @@ class Observer:
                 response = future.result()
                 if response is None:
                     raise ExperimentError(f"supervisor did not answer {service}")
-                if not response.message.endswith(STALLED) or time.monotonic() > deadline:
+                if not response.message.endswith(outcome.STALLED) or time.monotonic() > deadline:
                     return response.success, response.message
                 self.spin(_ASKED_AGAIN)
         finally:
@@ -199,11 +192,11 @@ class Observer:
             self.reported = decode_state(state.raw)
             self._received_at = self._awake.time()
             before, self.state = self.state, self.reported.state
-            if self.state in MOVING:
+            if self.state in outcome.MOVING:
                 self.ended = None
-            elif self.state in ENDED:
+            elif self.state in outcome.ENDED:
                 self.ended = self.reported
-            elif before in MOVING:  # its end was not heard; what it was stands in the bag
+            elif before in outcome.MOVING:  # its end was not heard; what it was stands in the bag
                 self.ended = replace(self.reported, state=State.DONE)
         for report in self._test.take(DIAGNOSTICS):
             for status in decode_diagnostics(report.raw)[1]:
@@ -216,10 +209,10 @@ class Observer:
         phase = status.values.get("phase", "")
         if status.name == "recorder":
             self.recorder_phase, self.recorder_bag = phase, status.values.get("bag", "")
-        elif bare(status.name) == RIG:
-            moves = phase == "running" or STOPPING in status.values
+        elif bare(status.name) == outcome.RIG:
+            moves = phase == "running" or outcome.STOPPING in status.values
             (self.running.add if moves else self.running.discard)(status.name)
-            if text := status.values.get(NOT_AT_REST):
+            if text := status.values.get(outcome.NOT_AT_REST):
                 self.not_at_rest[status.name] = text
 
 

@@ -18,15 +18,9 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire import topics
 from seft_msgs_py.wire.outcome import Trip
-from seft_msgs_py.wire.topics import (
-    GROUND_MOTION,
-    MEASURED,
-    REFERENCE_FORCE,
-    RIG_STATE,
-    VALVE_COMMAND,
-    Timebase,
-)
+from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.simulated.sensors import BLOCK
 from seft_plant_sim.whole_structure import ReferenceResponse, reference_response
@@ -102,10 +96,13 @@ def simulate_test(
     _check_memory(total, axes)
     force.reset()
     blocks.force_controller.reset()
-    estimated, period = force.estimates(), sampling_period(experiment.timebase, force.is_modelled)
+    estimated, period = (
+        force.estimates(),
+        sampling_period(experiment.timebase, force.reference_force.is_modelled),
+    )
     samples = LoopSamples(
-        np.empty((total, len(RIG_STATE.quantities), axes)),
-        np.empty((total, len(MEASURED.quantities), axes)),
+        np.empty((total, len(topics.RIG_STATE.quantities), axes)),
+        np.empty((total, len(topics.MEASURED.quantities), axes)),
         np.empty((total, quantities, axes)),
         np.empty((total, axes)),
         np.empty(total, dtype=np.int64),
@@ -121,16 +118,11 @@ def simulate_test(
             progress(steps)
     wall = time.perf_counter() - start
     violation = blocks.rig.violation or blocks.force_controller.reason  # as `hard_trip` chooses
-    trip = _trip_of(
-        violation,
-        force.cause,
-        steps - 1,
-        steps - force.steps_ramped,
-        experiment.timebase,
-    )
-    begun = steps - force.steps_ramped if force.cause else steps - 1
+    ramped = steps - force.ramp.taken
+    trip = _trip_of(violation, force.cause, steps - 1, ramped, experiment.timebase)
+    begun = ramped if force.cause else steps - 1
     rig, plan = cast("Any", blocks.rig), None
-    if violation and rig.drive == VALVE_COMMAND.name:
+    if violation and rig.drive == topics.VALVE_COMMAND.name:
         plan = blocks.force_controller.stop(steps - 1)
     rig.stop(plan)
     estimates = None
@@ -174,7 +166,7 @@ def run_plain(blocks: Blocks, samples: LoopSamples, loop_delay: int, period: int
     known, window = blocks.ground_motion.known, 1 + reference_force.preview
     force_step, valve_step = reference_force.step, interlock.step
     in_flight = deque([np.zeros((1 + loop_delay, 1, axes))] * loop_delay)
-    valve_driven, names = rig.drive == VALVE_COMMAND.name, tuple(reference_force.estimates())
+    valve_driven, names = rig.drive == topics.VALVE_COMMAND.name, tuple(reference_force.estimates())
     yield 0
     state = rig.reset()
     with np.errstate(over="ignore", invalid="ignore"):  # the limits see what is not finite
@@ -191,7 +183,7 @@ def run_plain(blocks: Blocks, samples: LoopSamples, loop_delay: int, period: int
                 estimates = reference_force.estimates()
                 require_names(step, estimates, names)
                 samples.estimates[step // period] = list(estimates.values())
-            if rig.violation is not None or interlock.reason or reference_force.at_rest:
+            if rig.violation is not None or interlock.reason or reference_force.ramp.finished:
                 yield step + 1
                 return
             if (step + 1) % BLOCK == 0:
@@ -205,11 +197,11 @@ def loop_series(motion: Floats, samples: LoopSamples, steps: int) -> dict[str, S
     """Arrange the samples of the first steps of a test by topic."""
     numbers = np.arange(steps, dtype=np.int64)
     values = {
-        GROUND_MOTION.name: motion[:steps, np.newaxis],
-        RIG_STATE.name: samples.states[:steps],
-        MEASURED.name: samples.measured[:steps],
-        REFERENCE_FORCE.name: samples.forces[:steps],
-        VALVE_COMMAND.name: samples.commands[:steps, np.newaxis],
+        topics.GROUND_MOTION.name: motion[:steps, np.newaxis],
+        topics.RIG_STATE.name: samples.states[:steps],
+        topics.MEASURED.name: samples.measured[:steps],
+        topics.REFERENCE_FORCE.name: samples.forces[:steps],
+        topics.VALVE_COMMAND.name: samples.commands[:steps, np.newaxis],
     }
     return {name: Series(numbers, each) for name, each in values.items()}
 

@@ -6,16 +6,8 @@ from typing import Any
 
 from seft_msgs_py.config.facts import CHANNELS, FACTS, SETTINGS, agree
 from seft_msgs_py.config.parameter_table import group, parameter_rows
+from seft_msgs_py.wire import outcome
 from seft_msgs_py.wire.messages import Status
-from seft_msgs_py.wire.outcome import (
-    FINISHED,
-    REHEARSED,
-    REHEARSES,
-    RIG,
-    TRIPPED,
-    WAITS,
-    ZEROED,
-)
 from seft_msgs_py.wire.topics import RigAxes, topics_of, with_rigs
 
 REHEARSAL_PARAMETERS = parameter_rows(
@@ -60,9 +52,9 @@ def check_peers(duration: float, nodes: Mapping[str, Mapping[str, Any]]) -> Rehe
         Name of each node of the test -> its description, in which one that can rehearse says so.
         There is a rehearsal if all nodes of one loop can: none over a link or with several rigs.
     """
-    if not duration or not all(nodes.get(name, {}).get(REHEARSES) for name in _LOOP):
+    if not duration or not all(nodes.get(name, {}).get(outcome.REHEARSES) for name in _LOOP):
         return Rehearsed()
-    found = nodes["rig"].get(REHEARSED)
+    found = nodes["rig"].get(outcome.REHEARSED)
     if found is None:
         return Rehearsed(asked=duration)
     try:
@@ -91,7 +83,7 @@ def with_biases(found: Rehearsed, rigs: Iterable[Mapping[str, Any]]) -> Rehearse
         limits = group(described.get("parameters", {}), "limits")
         if not set(CHANNELS) <= set(limits):
             continue
-        biases = check_biases(described.get(ZEROED), limits)
+        biases = check_biases(described.get(outcome.ZEROED), limits)
         texts = [text for text in (found.warning, biases.warning) if text]
         found = Rehearsed(found.refusal or biases.refusal, "; ".join(texts))
     return found
@@ -105,7 +97,7 @@ RECORDING = "recording"
 CONFLICT = "one "
 """Start of the text if nodes were started with contradictory parameters."""
 _OF_THE_TEST = [name for name, node in SETTINGS.items() if node == "reference_force"]
-_IN_A_TEST = ("running", FINISHED, TRIPPED)  # phases of the rig
+_IN_A_TEST = ("running", outcome.FINISHED, outcome.TRIPPED)  # phases of the rig
 
 
 @dataclass(frozen=True)
@@ -153,7 +145,7 @@ def missing(
     undescribed = [node for node in peers if node not in descriptions]
     if undescribed:
         return "the parameters of " + ", ".join(undescribed)
-    rig_nodes = [node for node in with_rigs([RIG], rigs) if node in peers]
+    rig_nodes = [node for node in with_rigs([outcome.RIG], rigs) if node in peers]
     if conflict := _conflict(peers, descriptions, rig_nodes):
         return conflict
     topics = topics_of(rigs)
@@ -181,7 +173,7 @@ def missing(
     if "recorder" in peers and phases["recorder"] == RECORDING:
         return "the recorder to save the last test"
     for node in peers:
-        if why := statuses[node].status.values.get(WAITS):
+        if why := statuses[node].status.values.get(outcome.WAITS):
             return f"the {node}, as {why}"
     return "" if phases.get("ground_motion") == "primed" else "the first of the ground motion"
 

@@ -19,12 +19,7 @@ from seft_ros.test_run.node_starter import NodeStarter
 from seft_ros.test_run.observer import Observer
 from seft_ros.test_run.parameter_tables import RECORDER_TABLE
 from seft_ros.test_run.peers import CONFLICT, RUNS, UNFIT
-from seft_ros.test_run.processes import (
-    LOOP_NODES,
-    MODULES,
-    NodeProcesses,
-    ProcessLayout,
-)
+from seft_ros.test_run.processes import LOOP_NODES, MODULES, NodeProcesses, ProcessLayout
 
 _POLL_PERIOD = 0.05  # s
 READY_TIMEOUT, SAVE_TIMEOUT = 60.0, 20.0  # s

@@ -1,7 +1,7 @@
 """Your data acquisition and servo amplifier; here a simulated converter board."""
 
 import numpy as np
-from seft_plant_sim.simulated.converter_board import ConverterBoard
+from seft_plant_sim.simulated.rig import ConverterBoard
 
 
 class Hardware:
