@@ -26,7 +26,7 @@ QUIET = {f"simulated.sensors.{name}_noise": 0.0 for name in CHANNELS} | {
 }
 BASE = {
     "/**": {f"limits.{name}": 1e12 for name in LIMIT_ROWS}
-    | {"limits.command": 1e9, "actuator.kind": "servo_hydraulic_linear"},
+    | {"limits.command": 1e9, "actuator.kind": "servo_hydraulic_linear", "actuator.friction": 0.0},
     "rig": {"detectors.warn_only": "all"},  # valves that are not as known
 }
 COUPLED = {

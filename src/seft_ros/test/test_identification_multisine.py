@@ -57,7 +57,15 @@ def identified(experiment):
     names += ("valve_frequency", "valve_damping", "dead_time")
     known_values = {name: experiment["force_controller"][f"actuator.{name}"] for name in names}
     none = np.zeros(0)
-    more = {"drag": 0.0, "explained": 1.0, "unsure": (), "largest_force": 0.0, "dt": 0.002}
+    more = {
+        "friction": 0.0,
+        "friction_velocity": 0.005,
+        "drag": 0.0,
+        "explained": 1.0,
+        "unsure": (),
+        "largest_force": 0.0,
+        "dt": 0.002,
+    }
     fit = ActuatorFit(**known_values, **more, measured=none, modelled=none)
     assumed = method_inputs(experiment["reference_force"], experiment.axes, experiment.timebase)
     model = SpecimenFit(assumed.mass, assumed.damping, assumed.stiffness, 0.0)

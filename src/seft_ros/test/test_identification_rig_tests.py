@@ -93,7 +93,7 @@ def test_the_largest_force_reaches_a_limit_and_its_error_names_one_that_does_not
     plausible = PlausibleForce(1e9, 1e6, ("x",), of.timebase.dt)
 
     def refused(force):
-        plausible.reset()
+        plausible.recent[:] = 0.0
         return not all(is_plausible(plausible.limits, plausible.recent, force * u) for u in unit)
 
     assert largest.force[1] == "/**: limits.force_rate"
