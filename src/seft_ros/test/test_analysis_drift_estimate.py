@@ -32,24 +32,29 @@ def test_the_zero_of_the_acceleration_is_found_whatever_the_motion(bias):
 
 
 @pytest.mark.parametrize(
-    ("kind", "moved", "slow"),
+    ("kind", "moved", "how"),
     [
-        ("elastic", 0.0, True),
-        ("elastic", 12.0, True),
-        ("elastic", 12.0, False),
-        ("bilinear", 0.0, True),
-        ("bilinear", 12.0, False),
+        ("elastic", 0.0, "slowly"),
+        ("elastic", 12.0, "slowly"),
+        ("elastic", 12.0, "at once"),
+        ("bilinear", 0.0, "slowly"),
+        ("bilinear", 12.0, "at once"),
+        ("bilinear", 40.0, "from then on"),
     ],
 )
-def test_a_zero_of_the_force_that_moves_is_told_from_the_law(kind, moved, slow):
+def test_a_zero_of_the_force_that_moves_is_told_from_the_law(kind, moved, how):
     x, v, _ = motion()
     yielding = np.zeros(COUNT)
     for k in range(1, COUNT):
         yielding[k] = np.clip(yielding[k - 1] + x[k] - x[k - 1], -1.7e-3, 1.7e-3)
     law = 2e5 * (x if kind == "elastic" else 0.1 * x + 0.9 * yielding)
     k = np.arange(COUNT)
-    shape = 0.5 - 0.5 * np.cos(np.pi * k / COUNT) if slow else k >= 2250
+    slowly, ramp = 0.5 - 0.5 * np.cos(np.pi * k / COUNT), np.maximum(k - 2439, 0) / (COUNT - 2439)
+    shape = {"slowly": slowly, "at once": k >= 2439, "from then on": ramp}[how]
     force = law + 300.0 * v + moved * shape + noise(4.0, 2)
-    found, error, _ = force_drift(x + noise(5e-6, 3), v, force)
+    found, error, fitted = force_drift(x + noise(5e-6, 3), v, force)
     assert (abs(found) > SIGNIFICANT * error) is (moved > 0.0)
     assert found * moved >= 0.0
+    if how != "slowly":
+        assert found == pytest.approx(moved, rel=0.2)
+        assert np.sqrt(np.mean((fitted - shape) ** 2)) < 0.15

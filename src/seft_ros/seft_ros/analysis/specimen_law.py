@@ -16,12 +16,12 @@ The zero of the force may move while a test runs. It is in the restoring force r
 
     r = law(x) + b g(t)                                                                    (1)
 
-Where the law leaves little but noise, g is (1 - cos(pi t / T)) / 2 in the time T of the test, or a
-step at one of `STEPS` times: what explains most. The standard error is that of correlated residuals
-(Newey & West 1987), wider by `LARGEST_OF_STEPS`. Any other law leaves slow residuals. They are
-fitted by cosines of k = 1 to `MODES` half periods. Those of a random walk, which has no drift, are
-independent with standard deviations that fall as 1/k: the standard error is k times the amplitude
-of the faster ones (RMS).
+Where the law leaves little but noise, g is a step or a ramp that begins at a sample: what explains
+most. The standard error is that of correlated residuals (Newey & West 1987), times the standard
+errors that the largest of so many has by chance. Any other law leaves slow residuals. With g = (1 -
+cos(pi t / T)) / 2 in the time T of the test, they are fitted by cosines of k = 1 to `MODES` half
+periods. Those of a random walk, which has no drift, are independent with standard deviations that
+fall as 1/k: the standard error is k times the amplitude of the faster ones (RMS).
 """
 
 import numpy as np
@@ -44,10 +44,7 @@ _BLOCK = 1 << 10  # of them at a time
 _SMOOTH = 0.1  # weight of a bend of the curve, over a sample's force: few samples make no corner
 _RIDGE = 1e-3  # of all parameters, over a sample's force: stop operators may be alike
 
-STEPS = 16
-"""Parts of a test, between which a force may step."""
-LARGEST_OF_STEPS = float(np.sqrt(2.0 * np.log(STEPS)))
-"""Standard errors that the largest of so many steps has by chance."""
+_PARTS = 16  # of a test, in the first and last of which no step begins
 MODES = 10
 """Cosines of Eq. (1)."""
 _SLOW = 3  # of them, in which a drift may be
@@ -222,21 +219,39 @@ def force_drift(deformation: Floats, rate: Floats, force: Floats) -> tuple[float
         one[here] / (np.sqrt(np.mean(one[here] ** 2)) + 1e-300) for one in (rate, deformation)
     )
     law, y = _regressors(stops, place[here], _CORNERS, *linear), force[here]
-    slow = 0.5 - 0.5 * np.cos(np.pi * np.arange(count) / count)
-    steps = np.arange(count)[:, np.newaxis] >= count * np.arange(1, STEPS) / STEPS
-    shapes = np.column_stack([slow, steps])
-    q, _ = np.linalg.qr(law)
-    beside = shapes[here] - q @ (q.T @ shapes[here])
-    gained = np.abs(y @ beside) / np.maximum(np.linalg.norm(beside, axis=0), 1e-9)
-    shape = shapes[:, np.argmax(gained)]
+    power, begin = _best_onset(law, y)
+    time, at = np.arange(count), here.step * begin
+    shape = (time >= at) * (np.maximum(time - at, 0) / (count - at)) ** power
     values, errors, left = _beside_law(shape[here, np.newaxis], law, y)
+    largest = np.sqrt(2.0 * np.log(2.0 * len(y)))  # of a step and a ramp at each row
     if np.sqrt(np.mean(left**2)) <= _DESCRIBED * noise_of(force[:, np.newaxis])[0]:
-        return float(values[0]), float(LARGEST_OF_STEPS * errors[0]), shape
+        return float(values[0]), float(largest * errors[0]), shape
     modes = np.arange(1, MODES + 1)
-    cosines = np.cos(np.pi * np.outer(np.arange(count)[here] / count, modes))
+    cosines = np.cos(np.pi * np.outer(time[here] / count, modes))
     values, _, _ = _beside_law(cosines, law, y)
     error = np.sqrt(np.mean((modes * values)[_SLOW:] ** 2))
-    return float(-2.0 * values[0]), float(2.0 * error), slow
+    return float(-2.0 * values[0]), float(2.0 * error), 0.5 - 0.5 * np.cos(np.pi * time / count)
+
+
+def _best_onset(law: Floats, y: Floats) -> tuple[int, int]:
+    """Find what explains most beside a law: a step (0) or a ramp (1), and the row where it begins.
+
+    Sums from each row on give the products of all steps; sums of these, those of all ramps.
+    """
+    q, _ = np.linalg.qr(law)
+    products = np.column_stack([y - q @ (q.T @ y), q])
+    rows, part = np.arange(len(y), 0.0, -1.0), len(y) // _PARTS
+    squares, best = rows, (0.0, 0, 0)
+    for power, begin in ((0, part), (1, 0)):
+        if power:
+            products = np.vstack([products[1:], np.zeros_like(products[:1])])
+            squares = (rows - 1.0) * rows * (2.0 * rows - 1.0) / 6.0
+        products = np.cumsum(products[::-1], axis=0)[::-1]
+        beside = squares - (products[:, 1:] ** 2).sum(axis=1)
+        gained = products[:, 0] ** 2 / np.maximum(beside, 1e-9 * squares + 1e-9)
+        at = begin + int(np.argmax(gained[begin : len(y) - part]))
+        best = max(best, (float(gained[at]), power, at))
+    return best[1:]
 
 
 def _beside_law(drift: Floats, law: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
