@@ -137,9 +137,9 @@ def step_progress(
     console = Console(stderr=True)
     text = TextColumn("{task.description:40.40}", markup=False)
     columns = (text, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    silent = passing and not console.is_terminal
+    console.quiet = passing and not console.is_terminal
     try:
-        with Progress(*columns, console=console, transient=passing, disable=silent) as bar:
+        with Progress(*columns, console=console, transient=passing) as bar:
             task = bar.add_task("", total=total)
             yield lambda what, done, of=total: bar.update(
                 task, description=escaped(what), completed=min(done, of), total=of
