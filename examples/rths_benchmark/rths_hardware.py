@@ -14,8 +14,8 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.compiled import entry_point
 
-BLOCK = 4096
-"""Samples whose noise is drawn at once."""
+BLOCK = 64
+"""Samples whose noise is drawn at once: in less than a period."""
 
 
 class BenchmarkRig:

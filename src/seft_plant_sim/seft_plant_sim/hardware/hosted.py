@@ -87,7 +87,7 @@ class HostedHardware:
     axes : tuple of str
         Names of its n axes.
     period : float
-        Sampling period, s; no call may take longer.
+        Longest duration of a call, s: the sampling period, or infinite in lockstep.
     now : callable
         Monotonic time, s.
     holds : bool
@@ -171,7 +171,8 @@ class HostedHardware:
         drive = (REFERENCE_FORCE if force_driven else VALVE_COMMAND).name
         derived = [velocity_is_derived(section), acceleration_is_derived(section)]
         derived_rows = list(compress((VELOCITY, ACCELERATION), derived))
-        made = device, name, drive, per_volt, derived_rows, rig.axes, period, now
+        longest = np.inf if section["pace"] == "lockstep" else period  # where the rig waits
+        made = device, name, drive, per_volt, derived_rows, rig.axes, longest, now
         return cls(*made, holds=safe.holds)
 
     def read(self) -> Floats:
