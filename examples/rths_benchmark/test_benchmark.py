@@ -170,7 +170,7 @@ def test_a_command_acts_from_the_next_sample_on():
 
 def test_the_sensors_have_the_benchmarks_noise():
     rig = BenchmarkRig(NOMINAL, seed=3)
-    read = np.array([rig.read()[:, 0] for _ in range(9000)])
+    read = np.array([rig.read()[:, 0].copy() for _ in range(9000)])
     assert read[:, [0, 3]].std(axis=0) == pytest.approx(list(NOISE.values()), rel=0.03)
     assert np.isnan(read[:, [1, 2]]).all()
 
