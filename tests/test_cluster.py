@@ -87,7 +87,7 @@ def test_a_cluster_gives_the_numbers_of_this_machine_and_a_killed_worker_loses_n
 
 def test_a_worker_with_other_software_is_refused(cluster, monkeypatch, tmp_path):
     address, _ = cluster
-    monkeypatch.setattr("seft_ros.study.study_runs.software", lambda: "another text")
+    monkeypatch.setattr("seft_ros.study.workers.software", lambda: "another text")
     words = ("study", JHU, *SHORT, "--tests", "2", "--scheduler", address)
     status, _, errors = run_seft(tmp_path, *words)
     assert status == 2

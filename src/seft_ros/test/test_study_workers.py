@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 from seft_msgs_py.errors import ExperimentError
-from seft_ros.study.study_runs import parallel_map
+from seft_ros.study.workers import parallel_map
 
 KILLED = """
 import os, signal
-from seft_ros.study.study_runs import parallel_map
+from seft_ros.study.workers import parallel_map
 with parallel_map(2) as map_:
     print(dict(map_(eval, ["__import__('os').getpid()"]))[0], flush=True)
     os.kill(os.getpid(), signal.SIGKILL)
@@ -67,7 +67,7 @@ def test_workers_end_with_a_parent_that_is_killed():
 
 def test_the_machine_code_is_in_the_same_place_in_every_process():
     # a process hashes texts, and so orders sets, in its own way
-    text = "from seft_ros.study.study_runs import software; print(software())"
+    text = "from seft_ros.study.workers import software; print(software())"
     found = {
         subprocess.run(
             [sys.executable, "-c", text],

@@ -23,7 +23,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
-from scipy.signal import oaconvolve
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN
@@ -195,6 +194,8 @@ def _regressed(y: Floats, regressors: Floats, lags: int, of: Floats) -> tuple[Fl
     What is left is at least white noise, seen through the filter with the impulse response ``of``:
     where few cycles move most, the fit follows their noise, and correlated scores are too small.
     """
+    from scipy.signal import oaconvolve  # takes longer to import than a study's first test
+
     cut = np.linalg.inv(regressors.T @ regressors)
     b = cut @ (regressors.T @ y)
     left = y - regressors @ b
