@@ -38,8 +38,8 @@ def sleeper(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def starter(sleeper):
-    """A starter for all tests that do not end it: it takes long to get ready."""
-    with NodeStarter() as found:
+    """A starter for all tests that do not end it; it imports nothing, which takes long."""
+    with NodeStarter(()) as found:
         yield found
 
 
@@ -97,14 +97,14 @@ def test_a_node_has_its_session_its_command_line_and_the_addresses_of_others(sta
 
 
 def test_what_a_run_leaves_behind_ends_with_it_even_what_is_stopped(start):
-    with NodeStarter() as starter:
+    with NodeStarter(()) as starter:
         nodes = [start(starter, "sleep", name)[0] for name in ("1", "2")]
         os.kill(nodes[1].pid, signal.SIGSTOP)
     assert not any(Path(f"/proc/{node.pid}").exists() for node in nodes)
 
 
 def test_nodes_end_with_their_starter(start, tmp_path):
-    with NodeStarter() as starter:
+    with NodeStarter(()) as starter:
         node, _ = start(starter, "sleep")
         os.kill(os.getsid(starter._process.pid), signal.SIGKILL)
         assert node.wait(PATIENCE)
@@ -113,6 +113,7 @@ def test_nodes_end_with_their_starter(start, tmp_path):
             starter.start(["sleeper", "0", ""], tmp_path / "log")
 
 
-def test_it_has_one_thread_when_it_starts_nodes(start, starter):
-    start(starter, "0")
-    assert len(list(Path(f"/proc/{starter._process.pid}/task").iterdir())) == 1
+def test_it_has_one_thread_when_it_starts_nodes(start):
+    with NodeStarter() as starter:
+        start(starter, "0")
+        assert len(list(Path(f"/proc/{starter._process.pid}/task").iterdir())) == 1

@@ -22,7 +22,7 @@ def starter(tmp_path_factory):
     (folder / "waiting.py").write_text("import signal\n\n\ndef main():\n    signal.pause()\n")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", str(folder), prepend=os.pathsep)
-        with NodeStarter() as found:
+        with NodeStarter(()) as found:
             yield found
 
 

@@ -29,7 +29,6 @@ import numpy as np
 from seft_msgs_py.errors import ExperimentError
 from seft_msgs_py.node.host import process_stat
 from seft_msgs_py.wire.messages import typestore
-from seft_plant_sim.compiled import entry_point, is_finite
 from setproctitle import setproctitle
 
 IMPORTED = (
@@ -67,11 +66,17 @@ class StartedNode:
 
 
 class NodeStarter:
-    """Starts nodes, and knows how they ended; a context that waits for the end of all of them."""
+    """Starts nodes, and knows how they ended; a context that waits for the end of all of them.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    imported : sequence of str
+        Modules that nodes find imported; none of them may import rclpy.
+    """
+
+    def __init__(self, imported: Sequence[str] = IMPORTED) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", __name__],
+            [sys.executable, "-m", __name__, *imported],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             start_new_session=True,  # Ctrl-C must not end it
@@ -144,10 +149,10 @@ def main() -> int:
     """Serve one run."""
     report = os.dup(1)
     os.dup2(2, 1)
-    for module in IMPORTED:
+    for module in sys.argv[1:]:
         importlib.import_module(module)
-    typestore()
-    entry_point(is_finite, np.zeros((1, 1)), 0)  # numba prepares itself for its first machine code
+    if "numba" in sys.modules:
+        _prepare()
     gc.collect()
     gc.freeze()  # a collection would write to the pages that the nodes share
     woken, wake = os.pipe()
@@ -169,6 +174,14 @@ def main() -> int:
             running |= {_fork(json.loads(line), report) for line in lines}
     _end(running, report)
     return 0
+
+
+def _prepare() -> None:
+    """Do once what nodes would do at their first message and their first machine code."""
+    from seft_plant_sim.compiled import entry_point, is_finite  # which takes most of a start
+
+    typestore()
+    entry_point(is_finite, np.zeros((1, 1)), 0)
 
 
 def _fork(request: dict[str, Any], report: int) -> int:
