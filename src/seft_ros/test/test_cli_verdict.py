@@ -6,7 +6,7 @@ from dataclasses import replace
 from functools import cache
 
 import pytest
-from experiments_at_hand import JHU, load, simulated
+from experiments_at_hand import load, simulated
 from recordings_at_hand import as_measured, without
 from seft_msgs_py.wire.outcome import Trip
 from seft_ros.analysis.assessment import BY_TRUTH, IN_LABORATORY
@@ -63,8 +63,8 @@ RECORDINGS = {
     "biased much": (lambda: biased(2e-2), "bad", "displacement error"),
     "uncompensated": (lambda: simulated(load(PLAN[-1])), "bad", "displacement error"),
 }
-PAGES = ("right", "missed", "tripped", "biased", "uncompensated")
-"""Of these the page is looked at, too."""
+PAGES = ("right", "biased", "tripped")
+"""Of these, one of each mark, the page is looked at, too."""
 
 
 @pytest.mark.parametrize("name", RECORDINGS)
@@ -87,11 +87,3 @@ def test_terminal_page_and_json_give_the_same_verdicts(seft, tmp_path, capsys, n
         assert f'<div class="verdict {mark}">' in page
         assert line in page
     assert found["verdict"]["verdict"] == word
-
-
-def test_simulate_and_report_give_the_same_numbers(seft):
-    words = ("simulate", JHU, "-p", PLAN[-1], "--out", "bag", "--no-figure")
-    run, report = (json.loads(seft(*each, "--json")[1]) for each in (words, ("report", "bag")))
-    del report["page"], run["events"], report["events"]  # a bag has them
-    assert run["verdict"]["verdict"] == "bad"
-    assert {key for key in run if run[key] != report.get(key)} == set()

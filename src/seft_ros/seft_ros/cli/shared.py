@@ -113,9 +113,9 @@ def stands(what: str) -> None:
 
 def announce_compilation() -> None:
     """Say on a terminal, once, that this command compiles steps, which it does not do again."""
-    from seft_plant_sim.compiled import tell_of_compilation
-
     if sys.stderr.isatty():
+        from seft_plant_sim.compiled import tell_of_compilation
+
         text = "compiling the steps of this kind of test, once: some seconds"
         tell_of_compilation(lambda: complain(text))
 
