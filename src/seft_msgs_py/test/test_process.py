@@ -57,13 +57,11 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize(("name", "values"), WRONG.items())
-def test_a_variable_with_which_ros_can_not_work_is_named_before_it_starts(name, values):
+def test_a_variable_with_which_ros_can_not_work_is_named_before_it_starts():
     program = [sys.executable, "-c", "import seft_msgs_py.node.dds"]
-    environment = {key: text for key, text in os.environ.items() if key not in WRONG}
-    for text in values[:1]:
-        done = subprocess.run(program, env={**environment, name: text}, capture_output=True)
-        assert f"InputError: {name} is {text}, but must be" in done.stderr.decode()
+    environment = {**os.environ, "ROS_DOMAIN_ID": "9999"}
+    done = subprocess.run(program, env=environment, capture_output=True, text=True)
+    assert "InputError: ROS_DOMAIN_ID is 9999, but must be" in done.stderr
 
 
 @pytest.mark.parametrize(("name", "values"), WRONG.items())

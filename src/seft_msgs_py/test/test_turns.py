@@ -54,12 +54,7 @@ process.close()
 
 @pytest.mark.parametrize(
     ("how", "number", "stops"),
-    [
-        ("run", "SIGINT", True),
-        ("run", "SIGTERM", True),
-        ("run", "SIGHUP", True),
-        ("nohup", "SIGHUP", False),
-    ],
+    [("run", "SIGTERM", True), ("run", "SIGHUP", True), ("nohup", "SIGHUP", False)],
 )
 def test_a_process_ends_when_it_is_asked_to_or_its_terminal_is_closed(how, number, stops):
     words = [sys.executable, "-c", ENDED, how, number]

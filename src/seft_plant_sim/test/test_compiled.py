@@ -61,14 +61,14 @@ def test_of_processes_that_need_the_same_code_at_the_same_time_one_compiles(tmp_
     run = [sys.executable, "-c", COMPILES_A_FUNCTION]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     paths = {"XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": os.pathsep.join(sys.path)}
-    begun = [subprocess.Popen(run, env=os.environ | paths, **pipes) for _ in range(3)]
+    begun = [subprocess.Popen(run, env=os.environ | paths, **pipes) for _ in range(2)]
     for process in begun:
         assert process.stdout.readline() == "begin\n"
     for process in begun:
         process.stdin.write("\n")
         process.stdin.flush()
     heard = [process.communicate()[0] for process in begun]
-    assert sorted(heard) == ["", "", "compiled here\n"]
+    assert sorted(heard) == ["", "compiled here\n"]
 
 
 @pytest.mark.parametrize("size", range(10))

@@ -29,14 +29,14 @@ def test_the_page_the_table_and_the_files_of_the_worst_tests(seft, tmp_path):
 )
 def test_a_scheduler_that_is_none_is_reported(seft, scheduler, message):
     pytest.importorskip("distributed")
-    status, out, err = seft("study", JHU, *SHORT, "--scheduler", scheduler)
+    status, out, err = seft("study", JHU, "--tests", "2", "--scheduler", scheduler)
     assert (status, out) == (2, "")
     assert message in err.splitlines()[-1]
 
 
 def test_without_dask_a_scheduler_is_refused_with_the_way_to_install_it(seft, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    status, _, err = seft("study", JHU, "--scheduler", "tcp://127.0.0.1:8786")
+    status, _, err = seft("study", JHU, "--tests", "2", "--scheduler", "tcp://127.0.0.1:8786")
     assert status == 2
     assert "pip install 'seft_ros[dask]'" in err
     assert os.linesep.join(err.splitlines()[-1:]).startswith("seft: --scheduler")
