@@ -16,7 +16,10 @@ from seft_msgs_py.virtual import LocalGraph
 from seft_ros.nodes.loop_node import NODE_KINDS
 from seft_ros.test_run.observer import Observer
 
-_OFFLINE = ("simulate", "compare", "preflight", "recover", "replay", "report")
+_HERE = (
+    *("simulate", "compare", "preflight", "recover", "replay", "report"),
+    *("start", "stop", "reset", "status"),
+)
 """Commands that run in this process: to start one takes longer than most of what they do."""
 _PATH = os.environ.get("PYTHONPATH")  # a test that changes it wants others' packages to be found
 
@@ -73,7 +76,7 @@ def seft(domain, tmp_path) -> Callable[..., subprocess.CompletedProcess]:
         if "--out" in words and words[0] in ("run", "simulate"):
             words = (*words, "--no-figure")  # which would take longer than many a test
         words = tuple(map(str, words))
-        if words[0] in _OFFLINE and os.environ.get("PYTHONPATH") == _PATH:
+        if words[0] in _HERE and os.environ.get("PYTHONPATH") == _PATH:
             done = subprocess.CompletedProcess(words, *run_seft(tmp_path, *words))
         else:
             command = [sys.executable, "-m", "seft_ros.cli.main", *words]

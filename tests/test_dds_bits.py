@@ -4,18 +4,12 @@ All kinds of loops are compared in virtual time: test_local_drawn.py.
 """
 
 import numpy as np
-from graph_tools import BRIDGE, JHU, MISSES_ALLOWED, STALLS_ALLOWED, THOROUGH
+from graph_tools import BRIDGE, GENTLE, JHU, MISSES_ALLOWED, STALLS_ALLOWED, THOROUGH
 from local_tools import RIGS_NODES, TARGET_MOTION, TWO_AXES
-from seft_msgs_py.config.facts import CHANNELS
 from seft_ros.bags.recording_bag import read_bag
 
 SHORT = ("-p", "ground_motion:synthetic.duration:=5.0", "-p", "ground_motion:tail:=0.5")
 LOCKSTEP = ("-p", "rig:pace:=lockstep", "-p", "rig:lockstep_timeout:=60.0", *STALLS_ALLOWED)
-GENTLE = (  # with sensors of unlimited range: it uses next to nothing of theirs
-    *("-p", "ground_motion:peak_force:=20.0", "-p", "/**:sensors.adc_bits:=0"),
-    *(word for name in CHANNELS for word in ("-p", f"sensors.{name}_range:=0.0")),
-)
-"""Lets a rig stay far from its limits though it holds old commands for long."""
 
 
 def test_lockstep_gives_the_bits_and_the_estimates_of_the_offline_loop(

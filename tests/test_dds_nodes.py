@@ -8,7 +8,15 @@ from collections import defaultdict
 from types import SimpleNamespace
 
 import pytest
-from graph_tools import JHU, PATIENCE, STALLS_ALLOWED, hear_hang_ups, wait_for
+from graph_tools import (
+    GENTLE,
+    JHU,
+    MISSES_ALLOWED,
+    PATIENCE,
+    STALLS_ALLOWED,
+    hear_hang_ups,
+    wait_for,
+)
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.node import Node
@@ -20,8 +28,7 @@ from seft_ros.nodes.supervisor_node import STOOD_STILL
 from seft_ros.test_run.processes import MODULES
 
 OVERRIDES = (
-    *STALLS_ALLOWED[1::2],
-    *("rig:pace:=lockstep", "rig:lockstep_timeout:=60.0"),
+    *(*STALLS_ALLOWED, *MISSES_ALLOWED, *GENTLE)[1::2],
     "ground_motion:synthetic.duration:=400.0",
 )
 ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -116,7 +123,8 @@ def graph(nodes, observer):
 @pytest.fixture
 def hostile(observer):
     """A node that is none of the test's, beside the observer, whose context it uses."""
-    found = Node("hostile", start_parameter_services=False)
+    context = observer._node.context
+    found = Node("hostile", context=context, start_parameter_services=False)
     yield found
     found.destroy_node()
 

@@ -38,10 +38,11 @@ __all__ = ["Node", "SingleThreadedExecutor", "Subscription"]
 
 
 def command_node(name: str, namespace: str | None = None) -> Node:
-    """Start rclpy and make the node of a command, which has no parameters."""
+    """Start rclpy and make the node of a command: without parameters, in a context of its own."""
+    context = Context()
     with starting_ros():
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        return Node(name, namespace=namespace, start_parameter_services=False)
+        rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+        return Node(name, context=context, namespace=namespace, start_parameter_services=False)
 
 
 @contextmanager

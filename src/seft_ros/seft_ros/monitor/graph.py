@@ -69,7 +69,7 @@ class Graph:
         self._clients: dict[str, Any] = {
             name: self._node.create_client(Trigger, name) for name in _ANSWER_TIMEOUT_S
         }
-        self._executor = SingleThreadedExecutor()
+        self._executor = SingleThreadedExecutor(context=self._node.context)
         self._executor.add_node(self._node)
         self._stopping = False
         self._thread = threading.Thread(target=self._serve_clients, daemon=True)

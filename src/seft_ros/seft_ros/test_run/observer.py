@@ -79,7 +79,7 @@ class Observer:
         self._node.create_subscription(
             message_class(CLOCK_TOPIC), CLOCK_TOPIC.name, self._on_clock, qos_profile(CLOCK_TOPIC)
         )
-        self._executor = SingleThreadedExecutor()
+        self._executor = SingleThreadedExecutor(context=self._node.context)
         self._executor.add_node(self._node)
 
     def spin(self, timeout: float) -> None:
