@@ -18,7 +18,7 @@ from seft_ros.test_run.observer import Observer
 
 _HERE = (
     *("simulate", "compare", "preflight", "recover", "replay", "report"),
-    *("start", "stop", "reset", "status"),
+    *("run", "start", "stop", "reset", "status"),
 )
 """Commands that run in this process: to start one takes longer than most of what they do."""
 _PATH = os.environ.get("PYTHONPATH")  # a test that changes it wants others' packages to be found
