@@ -7,12 +7,11 @@ import sys
 import numpy as np
 import pytest
 from commands_at_hand import run_seft
-from experiments_at_hand import load, simulated
+from experiments_at_hand import error_of, load, simulated
 from graph_tools import DEMO, ROOT
 from local_tools import UNREHEARSED, assert_same, offline, perform
 from models_at_hand import MODELS
 from seft_ros.analysis.metrics import nrmse
-from seft_ros.analysis.summary import summarise
 from seft_ros.design import preflight_tables
 from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.stability_verdict import predicted_modes
@@ -65,7 +64,7 @@ def test_a_model_gives_the_bits_of_the_offline_loop_in_its_node_near_the_whole(l
     perform(graph)
     recording = offline(graph)
     assert_same(graph, recording)
-    assert summarise(recording)["displacement"]["nrmse"] < 0.01
+    assert error_of(recording) < 0.01
 
 
 def test_a_model_that_fails_brings_the_test_down_softly_and_says_where(seft, refused, model):
@@ -84,8 +83,7 @@ def test_a_model_that_fails_brings_the_test_down_softly_and_says_where(seft, ref
 
 def test_a_model_takes_every_second_sample(model):
     words = bare([*SHORT, *model("Damper"), "-p", "reference_force:computed.every:=2"])
-    summary = summarise(simulated(load(*words, config="demo")))
-    assert summary["displacement"]["nrmse"] < 0.05
+    assert error_of(simulated(load(*words, config="demo"))) < 0.05
 
 
 def test_a_model_that_becomes_slow_in_a_test_trips_it(local_graph, model, monkeypatch):

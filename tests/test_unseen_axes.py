@@ -4,11 +4,9 @@ Masses, modes and what is computed are drawn; each actuator is sized in proporti
 it moves, as a laboratory does.
 """
 
-import experiments_at_hand
 import numpy as np
 import pytest
-from experiments_at_hand import load
-from seft_ros.analysis.summary import summarise
+from experiments_at_hand import error_of, load, simulated
 
 pytestmark = pytest.mark.offline
 FRAME = "three_storey_frame"
@@ -73,16 +71,11 @@ def yielding(recording, springs):
     )
 
 
-def simulated(*words):
-    recording = experiments_at_hand.simulated(load(*words, config=FRAME))
-    return recording, summarise(recording)
-
-
 @pytest.mark.parametrize(("n", "seed"), axes_and_seeds(3, at_once=[(3, 0)]))
 def test_a_linear_rig_is_within_1_percent_of_the_whole_structure(n, seed):
-    _, summary = simulated(*SHORT, *drawn(n, seed))
-    assert not summary["saturated"]
-    assert summary["displacement"]["nrmse"] < 0.01
+    recording = simulated(load(*SHORT, *drawn(n, seed), config=FRAME))
+    assert not recording.saturation
+    assert error_of(recording) < 0.01
 
 
 @pytest.mark.parametrize(("n", "seed"), axes_and_seeds(2, at_once=[(3, 0)]))
@@ -92,10 +85,10 @@ def test_a_rig_of_springs_that_yield_is_within_5_percent_of_the_whole_structure(
     With force enough to stand out of the sensors' noise, which drifts of what yields add up.
     """
     words = *SHORT, *drawn(n, seed), STRONG
-    recording, _ = simulated(*words)
+    recording = simulated(load(*words, config=FRAME))
     stiffness = recording.experiment["reference_force"]["specimen.stiffness"]
     factor = np.linalg.cholesky(np.reshape(stiffness, (n, n)))
     yields = yielding(recording, (factor / np.diag(factor)).T)
-    _, summary = simulated(*words, *yields)
-    assert summary["trip"] is None
-    assert summary["displacement"]["nrmse"] < 0.045
+    recording = simulated(load(*words, *yields, config=FRAME))
+    assert recording.trip is None
+    assert error_of(recording) < 0.045

@@ -2,10 +2,7 @@
 
 import numpy as np
 import pytest
-from experiments_at_hand import load
-from seft_ros.analysis.summary import summarise
-from seft_ros.test_run.blocks import build_blocks
-from seft_ros.test_run.offline import simulate_test
+from experiments_at_hand import error_of, load, simulated
 
 DELAYED = (
     "/**:actuator.kind:=delay",
@@ -13,23 +10,18 @@ DELAYED = (
 )
 
 
-def run(method, alpha, *words):
-    """Blocks and summary of a test."""
-    given = (
-        "ground_motion:synthetic.duration:=16.0",
-        "ground_motion:peak_force:=300.0",
-        f"reference_force:mass_ratio:={alpha}",
-        f"reference_force:compensation.method:={method}",
-        *words,
+def error(method, alpha, *words):
+    """Displacement NRMSE of a test, infinite if it tripped."""
+    recording = simulated(
+        load(
+            "ground_motion:synthetic.duration:=16.0",
+            "ground_motion:peak_force:=300.0",
+            f"reference_force:mass_ratio:={alpha}",
+            f"reference_force:compensation.method:={method}",
+            *words,
+        )
     )
-    experiment = load(*given)
-    blocks = build_blocks(experiment)
-    return blocks, summarise(simulate_test(experiment, blocks))
-
-
-def error(*arguments):
-    summary = run(*arguments)[1]
-    return summary["displacement"]["nrmse"] if summary["stable"] else np.inf
+    return error_of(recording) if recording.trip is None else np.inf
 
 
 @pytest.mark.parametrize(

@@ -31,3 +31,10 @@ def of_parts(base, *parts, more=(), config=None):
 def simulated(experiment):
     """Record of a test by the offline loop."""
     return simulate_test(experiment, build_blocks(experiment))
+
+
+def error_of(recording):
+    """NRMSE of a recording's displacement."""
+    from seft_ros.analysis.summary import reference_of, summarise_briefly  # which few tests need
+
+    return summarise_briefly(recording, reference_of(recording))["displacement"]["nrmse"]

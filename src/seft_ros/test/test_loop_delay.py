@@ -1,9 +1,8 @@
 """A loop with a delay: what the reference force tells of coming steps, and what that costs."""
 
 import pytest
-from experiments_at_hand import load, simulated
+from experiments_at_hand import error_of, load, simulated
 from seft_msgs_py.errors import InputError
-from seft_ros.analysis.summary import summarise
 from seft_ros.test_run.blocks import build_blocks
 
 
@@ -21,7 +20,7 @@ def test_a_delay_of_the_loop_costs_a_target_no_accuracy(alpha):
         )
         recording = simulated(experiment)
         assert recording.trip is None
-        errors.append(summarise(recording)["displacement"]["nrmse"])
+        errors.append(error_of(recording))
     assert max(errors) < 0.008
     assert max(errors) < 1.1 * errors[0]
 
