@@ -102,7 +102,7 @@ def test_a_model_that_becomes_slow_in_a_test_trips_it(local_graph, model, monkey
     assert "models.py:Spring took 0.051 s for a step" in graph.values["detail"]
 
 
-def test_a_model_that_is_too_slow_is_refused_with_the_rate_that_fits(
+def test_a_model_that_is_slow_is_refused_with_a_rate_that_fits(
     seft_json, refused, model, monkeypatch
 ):
     words = (DEMO, *SHORT, *model("Spring"))
@@ -227,9 +227,7 @@ def own_solution(script, kind, foundation, motion, dt, folder):
     ("name", "foundation", "kind", "seed", "seconds"),
     [("frame", 0.0, "bilinear", 1, 5.0), *(pytest.param(*case, marks=THOROUGH) for case in OTHERS)],
 )
-def test_an_example_is_near_the_solution_of_opensees_itself(
-    tmp_path, name, foundation, kind, seed, seconds
-):
+def test_an_example_is_near_what_opensees_solves(tmp_path, name, foundation, kind, seed, seconds):
     config, _, script = example(name)
     overrides = [script, f"ground_motion:synthetic.seed:={seed}"]
     overrides.append(f"ground_motion:synthetic.duration:={seconds}")

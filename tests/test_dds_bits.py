@@ -12,9 +12,7 @@ SHORT = ("-p", "ground_motion:synthetic.duration:=5.0", "-p", "ground_motion:tai
 LOCKSTEP = ("-p", "rig:pace:=lockstep", "-p", "rig:lockstep_timeout:=60.0", *STALLS_ALLOWED)
 
 
-def test_lockstep_gives_the_bits_and_the_estimates_of_the_offline_loop(
-    compiled, seft_json, tmp_path
-):
+def test_lockstep_gives_bits_and_estimates_of_the_offline_loop(compiled, seft_json, tmp_path):
     words = [*SHORT]
     for override in (*TARGET_MOTION, *TWO_AXES):
         words += ["-p", override]
@@ -34,9 +32,7 @@ def test_lockstep_gives_the_bits_and_the_estimates_of_the_offline_loop(
     np.testing.assert_array_equal(one.values, other.values)
 
 
-def test_realtime_in_one_process_differs_only_from_the_first_missed_command_on(
-    compiled, seft_json, tmp_path
-):
+def test_realtime_in_one_process_differs_from_the_first_miss_on(compiled, seft_json, tmp_path):
     compiled(JHU, *SHORT)
     words = (JHU, *SHORT, *GENTLE, *STALLS_ALLOWED, *MISSES_ALLOWED)
     seft_json("simulate", *words, "--out", "simulated")

@@ -31,9 +31,7 @@ def test_a_rig_that_stands_still_for_a_moment_trips_and_is_at_rest(running):
         ("reference_force", 0.3, "no new valve_command for 0.02 s"),
     ],
 )
-def test_who_stood_still_comes_first_in_the_reason_of_the_trip(
-    running, tmp_path, node, seconds, symptom
-):
+def test_who_stood_still_comes_first_in_a_trip_s_reason(running, tmp_path, node, seconds, symptom):
     graph = running(LONG, f"recorder:directory:={tmp_path}", nodes=(*NODES, "recorder"))
     graph.freeze(node, seconds)
     graph.until("tripped", within=0.1)  # which does not wait for the cause

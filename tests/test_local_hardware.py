@@ -123,9 +123,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_a_fault_in_a_test_has_its_line_and_the_valve_goes_to_its_safe_command(
-    hosting, monkeypatch, name
-):
+def test_a_fault_in_a_test_has_its_line_and_the_valve_is_made_safe(hosting, monkeypatch, name):
     graph = hosting(name, UNREHEARSED)
     monkeypatch.setattr(boards.Slow, "clock", graph.graph.clock)
     graph.until("ready")

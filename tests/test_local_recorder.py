@@ -133,9 +133,7 @@ def test_the_numbers_of_a_stopped_test_are_those_before_its_ramp(running, tmp_pa
     assert (finding.verdict, finding.text) == (Mark.DOUBT, f"it was {said}")
 
 
-def test_a_fault_in_the_ramp_of_a_stop_is_a_trip_of_which_the_steps_before_the_ramp_count(
-    running, tmp_path
-):
+def test_a_fault_in_the_ramp_of_a_stop_is_a_trip_of_which_steps_before_it_count(running, tmp_path):
     graph = running(f"recorder:directory:={tmp_path}", nodes=RECORDED)
     graph.run(2.0)
     graph.call("stop")

@@ -34,9 +34,7 @@ def test_a_rehearsal_takes_as_long_as_is_asked_for(local_graph):
         (RIG_STATE, 0.0022, "2.4"),
     ],
 )
-def test_a_loop_that_answers_late_is_refused_and_a_rate_that_fits_is_proposed(
-    local_graph, topic, late, trip
-):
+def test_a_loop_that_answers_late_is_refused_with_a_rate_that_fits(local_graph, topic, late, trip):
     graph = local_graph(THREE_SECONDS)
     graph.delay(rehearsed(topic), late)
     graph.until(lambda: "does not fit" in graph.values.get("detail", ""))

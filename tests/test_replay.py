@@ -16,9 +16,7 @@ def test_of_a_simulated_test_who_needs_the_coming_motion_is_left_out(seft):
 
 
 @pytest.mark.parametrize("config", [JHU, DEMO])  # which looks ahead and identifies on line
-def test_every_node_answers_a_stopped_test_bit_for_bit_ramp_and_all(
-    local_graph, seft_json, tmp_path, config
-):
+def test_every_node_answers_a_stopped_test_bit_for_bit(local_graph, seft_json, tmp_path, config):
     words = (LONG, LOCKSTEP, UNREHEARSED)
     words += (f"recorder:directory:={tmp_path}", "recorder:name:=bag")
     nodes = (*NODES, "recorder")

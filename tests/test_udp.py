@@ -399,7 +399,7 @@ def test_the_controller_moves_its_piston_and_closes_when_told(controller, free_p
 
 @pytest.mark.parametrize("clock", CLOCKS)
 @pytest.mark.parametrize("ended_by", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_controller_that_is_gone_ends_a_test_and_may_come_back(
+def test_a_controller_that_is_gone_ends_it_and_may_come_back(
     controller, free_port, clock, ended_by
 ):
     with hosting(free_port, clock, timeout=SILENCE) as hardware:
@@ -430,9 +430,7 @@ def exchanged(peer, port, clock, step, mode, drive=0.0):
 
 
 @pytest.mark.parametrize("clock", CLOCKS)
-def test_a_host_that_is_gone_closes_the_valve_which_an_old_command_does_not_open(
-    controller, peer, free_port, clock
-):
+def test_who_lost_its_host_closes_and_no_old_command_opens(controller, peer, free_port, clock):
     process = controller(free_port, peer.port, clock, SILENCE)
     step = 0
     for mode in itertools.chain([CLOSED] * 50, itertools.repeat(RUN)):
@@ -471,7 +469,7 @@ def test_of_a_lying_host_only_what_is_right_is_obeyed(controller, peer, free_por
     assert counts_at_exit(process) == expected | {"unarmed": 0}
 
 
-def test_by_the_controller_s_clock_only_the_answer_to_its_newest_sample_is_obeyed(
+def test_by_the_controller_s_clock_the_newest_sample_s_answer_is_obeyed(
     controller, peer, free_port
 ):
     process = controller(free_port, peer.port, "controller")

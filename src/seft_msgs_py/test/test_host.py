@@ -125,9 +125,7 @@ def test_what_is_granted_is_reported():
     ("priority", "aside"),
     [(0, 0), *(pytest.param(*both, marks=BY_ROOT) for both in ((40, 39), (1, 1)))],
 )
-def test_threads_of_the_middleware_that_no_message_passes_leave_the_core_and_give_way(
-    priority, aside
-):
+def test_threads_of_the_middleware_without_messages_leave_the_core_and_give_way(priority, aside):
     cores = sorted(os.sched_getaffinity(0))
     wish = {"cpu_core": cores[0], "thread_priority": priority}
     found = answer_of(THREADS, wish, *OF_THE_LOOP, *ASIDE)

@@ -25,9 +25,7 @@ def triple(x):
     return 3.0 * x
 
 
-def test_the_first_compilation_of_a_process_is_reported_and_none_of_what_is_on_the_disk(
-    monkeypatch, tmp_path
-):
+def test_the_first_compilation_of_a_process_is_reported_and_none_on_disk(monkeypatch, tmp_path):
     if module.numba.config.DISABLE_JIT:
         pytest.skip("nothing is compiled")
     monkeypatch.setattr(module, "code_folder", lambda _: tmp_path)

@@ -78,9 +78,7 @@ def test_the_tangents_are_found_by_small_motions_or_reported(file):
         ("Maxwell", "", False),
     ],
 )
-def test_a_force_that_depends_on_displacement_alone_is_known_as_such(
-    file, name, settings, is_static
-):
+def test_a_force_that_depends_on_displacement_alone_is_known_so(file, name, settings, is_static):
     assert model_of(file, name, settings).probed.is_static is is_static
 
 

@@ -145,9 +145,7 @@ def test_a_stop_follows_the_plan_then_closes():
         (("/**", "limits.velocity", 0.02), True, False),
     ],
 )
-def test_a_rig_follows_the_plan_unless_it_ends_the_test_by_what_may_have_been_used(
-    given, ends, follows
-):
+def test_a_rig_follows_the_plan_unless_it_ends_the_test_by_what_may_be_used(given, ends, follows):
     tripped, planned, closed = moving_rig(given), moving_rig(), moving_rig()
     plan = np.full((20, 1), 9.0)
     assert (tripped.violation is not None) == ends

@@ -306,9 +306,7 @@ def test_a_mass_or_load_that_makes_no_sense_is_one_line(identify, words, why):
         ),
     ],
 )
-def test_a_trip_ends_it_with_one_line_and_keeps_what_is_known(
-    identify, tmp_path, test, words, overrides
-):
+def test_a_trip_ends_it_in_one_line_and_keeps_all_known(identify, tmp_path, test, words, overrides):
     status, found, line = identify(*words, *SHORT, "--out", "out", overrides=overrides)
     assert status == 1
     assert line.startswith(f"seft: {test.replace('_', ' ')} tripped at ")

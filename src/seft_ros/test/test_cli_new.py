@@ -5,9 +5,7 @@ import subprocess
 import sys
 
 
-def test_a_new_driver_is_short_has_its_own_name_everywhere_and_its_test_passes(
-    seft, tmp_path, monkeypatch
-):
+def test_a_new_driver_is_short_has_its_own_name_and_its_test_passes(seft, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     status, out, err = seft("new", "driver", "my_rig")
     assert (status, err) == (0, "")

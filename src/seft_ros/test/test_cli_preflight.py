@@ -71,7 +71,7 @@ def test_for_people_there_is_a_table_and_every_reason_in_a_line(seft):
     assert all(line.startswith("seft: marginal: ") for line in err.splitlines())
 
 
-def test_a_peak_beyond_a_limit_or_the_rig_is_reported_and_refused_by_run(
+def test_a_peak_beyond_limit_or_rig_is_reported_and_refused_by_run(
     seft, preflight, flown, tmp_path
 ):
     beyond = (

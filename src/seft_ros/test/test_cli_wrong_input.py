@@ -85,9 +85,7 @@ def record(tmp_path):
         (["run", JHU, *SHORT, "-p", "rig:faults:=force set 3 at 90"], "ends at 3 s, before"),
     ],
 )
-def test_a_wrong_command_line_is_refused_before_anything_is_written(
-    refused, tmp_path, words, message
-):
+def test_a_wrong_command_line_is_refused_before_all_writing(refused, tmp_path, words, message):
     assert message in refused(*words)
     assert list(tmp_path.iterdir()) == []
 

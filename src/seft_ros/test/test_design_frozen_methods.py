@@ -142,9 +142,7 @@ def test_critical_dead_time_and_gain_are_those_of_a_small_test(part, unstable):
 
 
 @pytest.mark.parametrize(("part", "unstable"), [(0.97, False), (1.03, True)])
-def test_the_sure_ones_are_those_of_a_controller_that_takes_the_valves_for_the_worst(
-    part, unstable
-):
+def test_the_sure_ones_are_those_of_a_controller_that_takes_valves_for_the_worst(part, unstable):
     margins = planned()[1]
     added = part * (margins.sure_dead_time.value - 0.001)
     late = {"rig": {"simulated.actuator.dead_time": 0.001 + added}}

@@ -199,7 +199,7 @@ def metadata(folder, unit="M/S**2", value=2000.0, corner=None):
 
 
 @pytest.mark.parametrize(("kind", "layout"), [("SAC", "SAC"), ("MSEED", "miniSEED")])
-def test_accelerations_in_sac_and_miniseed_have_the_unit_that_is_given(
+def test_what_sac_and_miniseed_hold_has_the_unit_that_is_given(
     read, refuses, tmp_path, kind, layout
 ):
     data = seismogram(tmp_path, kind, [np.float32(WAVE)])

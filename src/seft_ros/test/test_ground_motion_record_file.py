@@ -92,9 +92,7 @@ def test_headers_separators_and_line_ends_are_known_by_the_content(read, text):
         ("t (ms),a", ",", 1000),
     ],
 )
-def test_a_column_whose_name_says_time_gives_the_sampling_period(
-    read, refuses, header, separator, factor
-):
+def test_a_column_whose_name_says_time_gives_the_period(read, refuses, header, separator, factor):
     rows = [f"{0.005 * k * factor:.6g}{separator}{0.1 * k}" for k in range(4)]
     text = "\n".join([header, *rows])
     record = read(text, [1], "g")
@@ -197,9 +195,7 @@ DATA = Path(__file__).parents[3].parent / "shared" / "data"
         ("kobe_nishi_akashi_090.AT2", [0], "g", 0.0, 4096, [0.503]),
     ],
 )
-def test_real_records_read_with_the_peaks_their_networks_state(
-    name, columns, unit, dt, steps, peaks
-):
+def test_real_records_have_the_peaks_their_networks_state(name, columns, unit, dt, steps, peaks):
     record = read_record(DATA / name, columns, unit, dt)
     assert record.accelerations.shape == (steps, len(columns))
     np.testing.assert_allclose(np.abs(record.accelerations).max(axis=0) / G, peaks, atol=6e-4)

@@ -241,9 +241,7 @@ def test_a_stiff_heavy_specimen_is_tested_at_the_same_frequencies_at_every_rate(
         ),
     ],
 )
-def test_a_multisine_test_beyond_the_limits_is_refused_before_anything_moves(
-    words, travel, message
-):
+def test_a_multisine_test_beyond_limits_is_refused_before_anything_moves(words, travel, message):
     with pytest.raises(InputError, match=message):
         plan_multisine(load(*words), travel)
 

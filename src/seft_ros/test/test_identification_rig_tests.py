@@ -47,9 +47,7 @@ TWO_AXES = ("axes:=[x, y]", "/**:specimen.mass:=[52.7, 3.0, 3.0, 40.0]")
 
 @pytest.mark.parametrize("overrides", [(), TWO_AXES])
 @pytest.mark.parametrize("mass_ratio", [0.0, 2.0])
-def test_in_the_open_loop_the_record_drives_the_valves_whatever_the_experiment_was(
-    record, overrides, mass_ratio
-):
+def test_in_the_open_loop_the_record_drives_the_valves(record, overrides, mass_ratio):
     of = load(
         *overrides,
         f"reference_force:mass_ratio:={mass_ratio}",

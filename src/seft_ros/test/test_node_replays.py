@@ -104,7 +104,7 @@ def test_commands_that_a_rig_says_it_applied_are_replayed(blocks, held):
         ("force_controller", REFERENCE_FORCE, "lacks reference_force of step 40"),
     ],
 )
-def test_what_was_reported_and_is_not_in_the_bag_is_named(
+def test_what_was_reported_and_is_not_there_is_named(
     seft, recording, bag_of, node, topic, expected
 ):
     bag = bag_of(without(recording, topic.name, [40]))
@@ -145,9 +145,7 @@ def test_wrong_words_are_refused_in_one_line(seft, recording, bag_of, words, exp
     assert expected in errors.strip().splitlines()[-1]
 
 
-def test_a_bag_that_begins_in_the_middle_or_has_two_tests_is_refused(
-    seft, recording, bag_of, tmp_path
-):
+def test_a_bag_that_begins_late_or_has_two_tests_is_refused(seft, recording, bag_of, tmp_path):
     states = recording.series[RIG_STATE.name]
     late = Series(states.steps[5:], states.values[5:])
     middle = replace(recording, series={**recording.series, RIG_STATE.name: late})
