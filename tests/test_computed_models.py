@@ -69,16 +69,16 @@ def test_a_model_gives_the_bits_of_the_offline_loop_in_its_node_near_the_whole(l
 
 def test_a_model_that_fails_brings_the_test_down_softly_and_says_where(seft, refused, model):
     """Of all ways in which a model fails, see test_model_process.py."""
-    words, message = (
+    words, text = (
         (DEMO, *SHORT, *model("Breaking")),
         "models.py:Breaking line 89, step: it broke",
     )
     offline = seft("simulate", *words, "--json", status=1)
     found = json.loads(offline.stdout)
-    assert message in found["trip"]["reason"]
+    assert text in found["trip"]["reason"]
     assert found["steps"] > 750 + 250  # it ramped down
-    assert message in offline.stderr.strip().splitlines()[-1]
-    assert message in refused(*words)
+    assert text in offline.stderr.strip().splitlines()[-1]
+    assert text in refused(*words)
 
 
 def test_a_model_takes_every_second_sample(model):

@@ -16,12 +16,10 @@ def test_two_rigs_give_the_bits_of_the_offline_loop(local_graph, pace, loop_dela
     words = (*SHORT, f"rig:pace:={pace}", f"loop_delay:={loop_delay}")
     graph = local_graph(*words, config=BRIDGE, nodes=RIGS_NODES)
     perform(graph)
-    recording = offline(graph)
-    states = recording.series["rig/state"].values
+    record = offline(graph)
+    states = record.series["rig/state"].values
     reported = [json.loads(graph.status(f"{rig}/rig")["simulated"]) for rig in ("west", "east")]
-    assert {key: max(one[key] for one in reported) for key in reported[0]} == vars(
-        recording.simulated
-    )
+    assert {key: max(one[key] for one in reported) for key in reported[0]} == vars(record.simulated)
     for number, rig in enumerate(rigs_of(graph.experiment.axes)):
         steps, values = graph.samples(RIG_STATE, rig)
         assert steps == list(range(len(states)))

@@ -132,11 +132,9 @@ def test_each_fault_is_found_and_decides(changes, mark, name):
 
 def test_the_headline_has_the_whole_reason_of_a_trip_and_its_finding_what_the_numbers_leave_out():
     trip = {"reason": "force (load cell) 900 N (limit 800 N)", "step": 599, "time_s": 1.198}
-    assessment = assess_test(changed(trip=trip, judged_steps=600))
-    assert (
-        "tripped at 1.198 s (step 599): force (load cell) 900 N (limit 800 N)." in assessment.text
-    )
-    assert "first 600 steps and leave out the ramp-down" in assessment.findings[0].whole
+    found = assess_test(changed(trip=trip, judged_steps=600))
+    assert "tripped at 1.198 s (step 599): force (load cell) 900 N (limit 800 N)." in found.text
+    assert "first 600 steps and leave out the ramp-down" in found.findings[0].whole
 
 
 @pytest.mark.parametrize(
@@ -179,12 +177,10 @@ OFF = {"rms": 1e-5, "peak": 1e-4, "nrmse": 0.2}
 )
 @pytest.mark.parametrize("specimen", ["model", None])
 def test_a_rig_that_is_not_simulated_is_assessed_without_a_model(changes, mark, name, specimen):
-    assessment = assess_test(
-        changed(reference_specimen=specimen, displacement__nrmse=9.0, **changes)
-    )
-    worst = assessment.findings[0]
-    assert (assessment.verdict, worst.verdict, worst.name) == (mark, mark, name)
-    assert not {f.name for f in assessment.findings} & {"displacement_error", "displacement_peak"}
+    found = assess_test(changed(reference_specimen=specimen, displacement__nrmse=9.0, **changes))
+    worst = found.findings[0]
+    assert (found.verdict, worst.verdict, worst.name) == (mark, mark, name)
+    assert not {f.name for f in found.findings} & {"displacement_error", "displacement_peak"}
 
 
 def test_a_simulated_rig_is_assessed_by_its_exact_response():

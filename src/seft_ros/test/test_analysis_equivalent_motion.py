@@ -143,12 +143,10 @@ def test_the_law_of_the_test_says_what_another_motion_would_have_done():
 def test_beyond_the_motion_of_the_test_the_law_pulls_back():
     """Noise may make the last corners of the curve fall."""
     test = experiment("three_storey_frame")
-    motion, assumed = ground(test), assumed_structure(test)
-    whole, states, dt = whole_structure(assumed), states_of(test, motion), test.timebase.dt
+    motion, known = ground(test), assumed_structure(test)
+    whole, states, dt = whole_structure(known), states_of(test, motion), test.timebase.dt
     states[:, 3] += 1e3 * np.random.default_rng(1).normal(size=motion.shape)
-    law = SpecimenLaw(
-        whole, EquivalentMotion(whole, dt).mass, states, springs_of(assumed, whole), dt
-    )
+    law = SpecimenLaw(whole, EquivalentMotion(whole, dt).mass, states, springs_of(known, whole), dt)
     assert law.difference(99.0 * motion) == pytest.approx(0.99, abs=0.05)
 
 

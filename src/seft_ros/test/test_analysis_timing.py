@@ -59,11 +59,9 @@ def test_without_times_there_is_no_timing():
 
 
 def test_an_idealised_actuator_answers_to_the_reference_force():
-    recording = make_recording(np.full(5, 1))
+    record = make_recording(np.full(5, 1))
     none = Series(np.empty(0, np.int64), np.empty((0, 1, 1)), received_ns=np.empty(0, np.int64))
-    timing = timing_of(
-        dataclasses.replace(recording, series=recording.series | {"valve_command": none})
-    )
+    timing = timing_of(dataclasses.replace(record, series=record.series | {"valve_command": none}))
     assert timing.round_trip_s == pytest.approx(1e-9)
 
 
@@ -72,14 +70,12 @@ def test_lockstep_keeps_no_pace():
 
 
 def test_a_missed_step_is_the_machines_where_a_bare_process_was_late_too():
-    recording = make_recording(np.full(20, 300_000), drop=[7, 8, 15])
+    record = make_recording(np.full(20, 300_000), drop=[7, 8, 15])
     stall = [7 * DT_NS + 500_000, 8 * DT_NS + 100_000]
     seen = {"beats": 20, "count": 1, "late_s": 1e-3, "longest_s": 1.6e-3, "intervals_ns": [stall]}
     environment = {"mode": "run", "stalls": seen}
-    recording = dataclasses.replace(
-        recording, missed=3, missed_steps=[7, 8, 15], environment=environment
-    )
-    stalls = stalls_of(recording)
+    record = dataclasses.replace(record, missed=3, missed_steps=[7, 8, 15], environment=environment)
+    stalls = stalls_of(record)
     assert (stalls["missed_listed"], stalls["missed_in_a_stall"]) == (3, 2)
     assert stalls["count"] == 1
 

@@ -72,12 +72,12 @@ def test_what_is_no_number_never_gets_into_the_recursion(value):
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("row", range(4))
 def test_a_judged_sample_beyond_a_limit_trips(row, axis):
-    controller, quantity = (
+    own, quantity = (
         Scripted(1, 1),
         ("displacement", "velocity", "acceleration", "force")[row],
     )
     limits, unit = (0.25, 0.5, 20.0, 5000.0), ("m", "m/s", "m/s^2", "N")[row]
-    guarded = Interlock(controller, AXES, 1000.0, 0.5, 0.0, limits, True, tracking(), DT)
+    guarded = Interlock(own, AXES, 1000.0, 0.5, 0.0, limits, True, tracking(), DT)
     raw = np.zeros((4, 2))
     raw[row, axis] = limits[row]
     assert np.any(stepped(guarded, 0, force(0.0, 0.0), raw))

@@ -13,12 +13,12 @@ D, DT = 4, 0.002
 
 
 def preview(patience=20, in_lockstep=False):
-    section = {
+    own = {
         "loop_delay": D,
         "watchdog.reference_timeout": patience * DT,
         "ramp_down_time": 5 * DT,
     }
-    newest = NewestPreview(section, 1, Timebase.from_rate(1 / DT))
+    newest = NewestPreview(own, 1, Timebase.from_rate(1 / DT))
     newest.reset(in_lockstep)
     return newest
 

@@ -87,19 +87,19 @@ def test_it_only_warns_if_it_is_told_to_and_lasts_as_long_at_any_rate():
 def test_a_whole_test_gives_the_shares_of_its_samples():
     p, state = tracking(limit=0.5)
     rng, steps = np.random.default_rng(5), np.array([*range(30), *range(33, 53)])
-    targets, samples = (
+    targets, seen = (
         0.1 * rng.normal(size=(50, N)),
         0.01 * rng.normal(size=(50, DRIVE_ROW + 1, N)),
     )
-    samples[7, DRIVE_ROW, 1] = -0.5
-    for step, target, measured in zip(steps, targets, samples, strict=True):
+    seen[7, DRIVE_ROW, 1] = -0.5
+    for step, target, measured in zip(steps, targets, seen, strict=True):
         off_target(p, state, step, target, measured)
     expected = [values.copy() for values in state]
     for values in state:
         values[:] = 7
     state.found[:] = expected[3]  # it is reported only at a trip
     begin_tracking(state)
-    track_all(p, state, steps, targets, samples)
+    track_all(p, state, steps, targets, seen)
     for values, again in zip(expected, state, strict=True):
         np.testing.assert_array_equal(values, again)
     assert state.limited_at == 7

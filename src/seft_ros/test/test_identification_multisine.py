@@ -176,10 +176,8 @@ def test_several_axes_give_the_matrix_and_a_tilt():
 
     section = found.calibrated.parameters()
     assert section["calibration.tilt"] == pytest.approx([1, 0, 0, 0.03, 1, 0, 0, 0, 1], abs=2e-3)
-    known_values = [f"/**:{name}:={value}" for name, value in section.items()]
-    again = multisine_of(
-        *true("three_storey_frame"), tilt, *known_values, config="three_storey_frame"
-    )
+    known = [f"/**:{name}:={value}" for name, value in section.items()]
+    again = multisine_of(*true("three_storey_frame"), tilt, *known, config="three_storey_frame")
     assert not again.calibrated.changes
     assert again.calibrated.parameters() == section
 

@@ -37,11 +37,9 @@ def test_a_known_delay_and_gain_are_reported():
 
 def test_lost_samples_of_either_topic_are_bridged():
     whole = tracking_of(make_recording(1.05, 0.0037))["x"]
-    recording = without(
-        make_recording(1.05, 0.0037), "reference_force", [0, 700, 1500, 1501, COUNT - 1]
-    )
-    recording = without(recording, "rig/state", [1400, 1501, 1600])
-    found = tracking_of(recording)["x"]
+    test = without(make_recording(1.05, 0.0037), "reference_force", [0, 700, 1500, 1501, COUNT - 1])
+    test = without(test, "rig/state", [1400, 1501, 1600])
+    found = tracking_of(test)["x"]
     assert found == pytest.approx(whole, rel=5e-3)
 
 

@@ -147,10 +147,8 @@ def test_the_loop_is_compiled_where_that_pays(monkeypatch, tmp_path):
         return len(compiled)
 
     compiled = []
-    original = offline.run_compiled
-    monkeypatch.setattr(
-        offline, "run_compiled", lambda *words: compiled.append(1) or original(*words)
-    )
+    first = offline.run_compiled
+    monkeypatch.setattr(offline, "run_compiled", lambda *words: compiled.append(1) or first(*words))
     monkeypatch.setattr(offline, "_run_so_far", Counter())
     at_hand = offline.is_compiled
     monkeypatch.setattr(offline, "is_compiled", lambda *_: False)

@@ -116,12 +116,10 @@ def test_a_specimen_that_sticks_does_not_ring(rate):
 def test_coupled_axes_come_back_in_their_own_coordinates():
     """Two alike actuators on a body: coordinates that are turned have gains that are turned."""
     dt = 0.001
-    mass, stiffness = np.diag([300.0, 5000.0]), np.diag([1e5, 4e6])
+    mass, k = np.diag([300.0, 5000.0]), np.diag([1e5, 4e6])
     turn = np.array([[0.8, -0.6], [0.6, 0.8]])
-    own, sent = gains_of([valve(dt), valve(dt)], mass, stiffness, dt)
-    turned, also = gains_of(
-        [valve(dt), valve(dt)], turn @ mass @ turn.T, turn @ stiffness @ turn.T, dt
-    )
+    own, sent = gains_of([valve(dt), valve(dt)], mass, k, dt)
+    turned, also = gains_of([valve(dt), valve(dt)], turn @ mass @ turn.T, turn @ k @ turn.T, dt)
     assert np.abs(own[0, :, 1]).max() < 1e-6 * np.abs(own[0]).max()  # here axes are not coupled
     for row in range(4):
         size = np.abs(own[:, row]).max()
