@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from bare_rig import rig_section
 from seft_msgs_py.config.parameter_table import group
-from seft_msgs_py.errors import InputError
 from seft_plant_sim.simulated.actuator import Hydraulics
 from seft_plant_sim.simulated.continuous_model import servo_hydraulic
 from seft_plant_sim.simulated.specimen import Specimen
@@ -23,19 +22,3 @@ def test_the_oil_column_resonates_with_actuator_and_specimen():
     poles = np.linalg.eigvals(servo_hydraulic(undamped, closed, linear=True).a)
     (hz,) = {round(p.imag / (2 * np.pi), 6) for p in poles if p.imag > 2 * np.pi * 80}
     assert hz == pytest.approx(90.0, abs=1e-5)
-
-
-def test_each_axis_may_have_its_own_actuator():
-    made = hydraulics(
-        ("x", "y"), leakage=[0.0, 25.0], friction=[10.0, 20.0], stroke=0.1, dead_time=[0.001, 0.003]
-    )
-    np.testing.assert_allclose(made.leakage, [0.0, 25.0])
-    np.testing.assert_allclose(made.friction, [10.0, 20.0])
-    np.testing.assert_allclose(made.stroke, [0.1, 0.1])
-    assert made.part([1]).dead_time.tolist() == [0.003]
-
-
-def test_a_number_of_values_that_does_not_fit_the_axes_is_refused():
-    message = r"rig: simulated\.actuator\.stroke: 2 values for 1 axes"
-    with pytest.raises(InputError, match=message):
-        hydraulics(stroke=[1.0, 2.0])

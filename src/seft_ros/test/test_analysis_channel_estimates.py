@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 from seft_ros.analysis.channel_estimates import (
     motion_frequency,
-    noise_of,
     relation,
-    summed_covariance,
 )
-from seft_ros.analysis.mass_estimate import inertia, law_regressors
+from seft_ros.analysis.mass_estimate import inertia
 
 DT, MASS = 0.002, 40.0
 NOISE = np.array([3e-6, 5e-4, 0.03, 2.0])  # m, m/s, m/s^2, N
@@ -125,20 +123,3 @@ def test_of_a_quiet_or_a_short_test_nothing_is_known():
         frequency = motion_frequency(y)
         assert estimate(y) is None
         assert relation(y[:, 2], y[:, 0], 2, DT, frequency) is None
-
-
-def test_noise_is_that_of_a_smooth_signal():
-    assert noise_of(samples()[:, 0]) == pytest.approx(NOISE[:1], rel=0.1)
-
-
-def test_a_spring_that_does_not_move_has_no_law():
-    assert not law_regressors(np.full(100, 1e-3), 1e-6).any()
-
-
-def test_covariance_of_a_sum_counts_neighbours():
-    scores = np.random.default_rng(3).standard_normal((500, 2))
-    lags, wanted = 7, scores.T @ scores
-    for lag in range(1, lags):
-        product = scores[lag:].T @ scores[:-lag]
-        wanted = wanted + (1 - lag / lags) * (product + product.T)
-    assert summed_covariance(scores, lags) == pytest.approx(wanted, rel=1e-9)

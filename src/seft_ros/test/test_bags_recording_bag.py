@@ -68,12 +68,6 @@ def test_estimates_are_read_back_bit_for_bit(tmp_path):
     assert found[-2:] == [(100_000_000, "/valve_command"), (100_000_000, ESTIMATES_NAME)]
 
 
-def test_a_bag_of_a_test_without_estimates_lacks_the_topic(tmp_path):
-    write_recording(make_recording(), tmp_path / "bag")
-    assert ESTIMATES_NAME not in {name for name, _, _ in contents(tmp_path / "bag")}
-    assert read_bag(tmp_path / "bag").estimates is None
-
-
 @settings(max_examples=10)
 @given(
     data=st.data(),

@@ -10,7 +10,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import FACTS
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.simulated.rig import continuous_model
-from seft_ros.design.plant import Plant, Root, lightly_damped, rig_model, roots_of
+from seft_ros.design.plant import Plant, lightly_damped, rig_model, roots_of
 
 MASS, STIFFNESS = 52.7, 2.11e5
 
@@ -112,18 +112,6 @@ def test_a_dead_time_of_many_samples_is_refused():
     plant = plant_of(experiment(actuator__dead_time=1.0))
     with pytest.raises(InputError, match="1000 samples"):
         plant.sampled(0.001)
-
-
-def test_a_polynomial_has_its_roots():
-    pair = Root(np.sqrt(4002.0) / (2 * np.pi), 17.14 / (2 * np.sqrt(4002.0)))
-    assert roots_of(np.roots([1.0, 17.14, 4002.0])) == [
-        Root(pytest.approx(pair.hz), pytest.approx(pair.damping))
-    ]
-
-
-def test_an_unstable_real_pole_has_a_negative_frequency():
-    (root,) = roots_of([2 * np.pi])
-    assert (root.hz, root.damping) == (pytest.approx(-1.0), None)
 
 
 def test_lightly_damped_are_the_pairs_that_show():
