@@ -52,7 +52,7 @@ test: $(READY) ## lint, format, types, docs and tests: 4 to 7 minutes on two cor
 
 # All but what takes long and is arithmetic of our own, which no library changes: steps against
 # their formulas. The other tests call the same steps (test_cli_identify the identification).
-OWN := test_fuzz or by_hand or test_response.py or energy_balance.py or analysis_energy.py \
+OWN := by_hand or test_response.py or energy_balance.py or analysis_energy.py \
 	or test_metrics or test_protection or test_judge or test_detectors or test_target_motion \
 	or test_velocity_feedforward or test_position_servo or test_scaled_rigs or test_force_controller \
 	or test_faults or test_springs or test_bouc_wen or test_oil_column or test_identification \

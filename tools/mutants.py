@@ -27,12 +27,10 @@ PROTECTION, CONTROL = f"{ROS}seft_ros/protection/", f"{ROS}seft_ros/force_contro
 JUDGE = f"{PLANT}seft_plant_sim/judge/"
 GUARD_TESTS = (f"{PLANT}test/test_judge_guard.py", f"{PLANT}test/test_rig.py")
 DETECTOR_TESTS = tuple(
-    f"{PLANT}test/test_judge_{name}.py"
-    for name in ("detectors", "relations", "specimen_force", "detector_memory")
+    f"{PLANT}test/test_judge_{name}.py" for name in ("detectors", "relations", "specimen_force")
 )
 CONTROL_TESTS = (
     f"{ROS}test/test_force_controller_interlock.py",
-    f"{ROS}test/test_force_controller_interlocks.py",
     f"{ROS}test/test_force_controller_stop.py",
     "-knot offline_loop",
 )

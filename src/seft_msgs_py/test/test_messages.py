@@ -1,16 +1,21 @@
+import contextlib
+import json
 import struct
 
 import numpy as np
 import pytest
-from hypothesis import given
+from damaged_messages import damaged
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from seft_msgs_py.errors import WireError
+from seft_msgs_py.wire.experiment_state import ExperimentState, decode_state, encode_state
 from seft_msgs_py.wire.messages import (
     WARN,
     EstimatesCodec,
     Status,
     decode_clock,
+    decode_description,
     decode_diagnostics,
     decode_status,
     decode_string,
@@ -19,7 +24,9 @@ from seft_msgs_py.wire.messages import (
     encode_status,
     encode_string,
 )
-from seft_msgs_py.wire.topics import Timebase
+from seft_msgs_py.wire.outcome import State
+from seft_msgs_py.wire.topics import GROUND_MOTION, LOOP_TOPICS, MEASURED, Timebase
+from seft_msgs_py.wire.trajectory import TrajectoryCodec, parse_trajectory
 
 rclpy_serialization = pytest.importorskip("rclpy.serialization")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # noqa: E402
@@ -218,3 +225,43 @@ def statuses(north, east, names=AXES):
 def test_a_message_that_is_not_of_this_test_is_refused_with_the_reason(stamp_ns, sent, reason):
     with pytest.raises(WireError, match=reason):
         CODEC.decode(encode_diagnostics(stamp_ns, sent))
+
+
+# ---- whatever bytes come on a topic, decoders give a value or the project's own error
+
+CODECS = [TrajectoryCodec(topic, AXES, TIMEBASE) for topic in LOOP_TOPICS]
+DESCRIBED = json.dumps({"node": "rig", "parameters": {"rate": 500.0}})
+
+ANY_DECODERS = {
+    "status": (decode_status, encode_status(RIG)),
+    "state": (decode_state, encode_state(ExperimentState(State.RUNNING, "running", 9))),
+    "diagnostics": (decode_diagnostics, encode_diagnostics(5, [RIG, RIG])),
+    "string": (decode_string, encode_string("some text")),
+    "clock": (decode_clock, encode_clock(10**9)),
+    "description": (decode_description, encode_string(DESCRIBED)),
+    "estimates": (CODEC.decode, CODEC.encode(3, GOOD)),
+    "trajectory": (parse_trajectory, CODECS[1].encode(3, np.ones((6, 2)))),
+    **{
+        codec.topic.name: (codec.decode, codec.encode(3, np.ones((len(codec.topic.quantities), 2))))
+        for codec in CODECS
+    },
+    "motion ahead": (CODECS[0].decode, CODECS[0].encode_points(3, np.ones((5, 1, 2)))),
+}
+LOOP_DECODERS = [codec.decode for codec in CODECS]
+assert CODECS[0].topic is GROUND_MOTION
+
+few = settings(max_examples=60, suppress_health_check=list(HealthCheck))
+
+
+@few
+@pytest.mark.parametrize("name", ANY_DECODERS)
+@given(data=st.data(), raw=st.binary(max_size=200))
+def test_decoders_raise_nothing_but_wire_errors(name, data, raw):
+    decode, good = ANY_DECODERS[name]
+    for one in (raw, good[:4] + raw, damaged(data, good)):
+        with contextlib.suppress(WireError):
+            found = decode(one)
+            if decode in LOOP_DECODERS:
+                step, values = found
+                assert step >= 0
+                assert name == MEASURED.name or np.isfinite(values).all()  # a sensor may fail

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from seft_msgs_py.config.facts import facts
+from seft_msgs_py.config.facts import CHANNELS, fact_of, facts
 from seft_msgs_py.config.parameter_table import (
     Parameter,
     Table,
@@ -258,3 +258,20 @@ def test_any_count_gives_a_square_matrix_or_an_input_error(values, axes):
     else:
         with pytest.raises(InputError):
             as_matrix(values, names, "here")
+
+
+# ---- Facts: which there are, and where a file has them
+
+
+def test_a_node_has_the_facts_that_it_names_after_rate_and_axes():
+    assert [row.name for row in facts()] == ["rate", "axes"]
+    limits = [row.name for row in facts("limits.", "specimen.mass")]
+    assert limits[:3] == ["rate", "axes", "specimen.mass"]
+    assert limits[3:7] == [f"limits.{channel}" for channel in CHANNELS]
+
+
+def test_a_fact_is_the_default_of_a_truth_of_its_name_or_of_the_calibration():
+    assert fact_of("simulated.actuator.flow_gain") == "actuator.flow_gain"
+    assert fact_of("simulated.sensors.force_noise") == "sensors.force_noise"
+    assert fact_of("simulated.sensors.force_bias") == "calibration.force_bias"
+    assert fact_of("simulated.actuator.stroke") == fact_of("actuator.flow_gain") == ""
