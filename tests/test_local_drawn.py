@@ -106,6 +106,10 @@ BESIDE = {
 """What is not drawn, each at a mass ratio of 0.2."""
 
 
+AT_ONCE = (2, 4, 5, 8, 9, 12, 15, 16, 17, 20, 24)
+"""Seeds that draw at least once whatever can be drawn."""
+
+
 def drawn(seed):
     """Draw the words of an experiment."""
     rng = np.random.default_rng(seed)
@@ -181,7 +185,7 @@ def check_nodes(local_graph, words):
 
 
 @pytest.mark.parametrize(
-    "seed", [*range(1, 25), *(pytest.param(seed, marks=MANY) for seed in range(25, 150))]
+    "seed", [pytest.param(seed, marks=() if seed in AT_ONCE else MANY) for seed in range(1, 150)]
 )
 def test_nodes_give_the_bits_of_the_offline_loop(local_graph, seed):
     check_nodes(local_graph, drawn(seed))

@@ -141,11 +141,11 @@ def test_a_change_counts_over_2_ms_or_a_longer_period(rate, steps):
 
 @pytest.mark.parametrize("rate", [500, 4000])
 def test_noise_uses_the_same_share_of_a_rate_s_limit_at_every_rate(rate):
-    limits, force = CheckedLimits(PAPER | RATES, ("x",), 1.0 / rate), np.zeros((4, 1))
-    rng = np.random.default_rng(1)
-    for noise in 80.0 * rng.standard_normal(20_000):  # N, of the load cell of a heavy specimen
-        force[3] = noise
-        assert limits.violation(force) is None
+    limits, force = Limits(PAPER | RATES, ("x",), 1.0 / rate), np.zeros((4, 1))
+    own, rng = (limits.recent, force, limits.change, limits.largest), np.random.default_rng(1)
+    noise = 80.0 * rng.standard_normal(20_000)  # N, of the load cell of a heavy specimen
+    for step, force[3] in enumerate(noise):
+        assert not exceeds(limits.values, step, *own)
     assert limits.margins()["force_rate"] == pytest.approx(0.91, abs=0.015)
 
 

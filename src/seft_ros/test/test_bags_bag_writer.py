@@ -145,16 +145,15 @@ import sys
 sys.path[:0] = {paths}
 from seft_msgs_py.wire.messages import encode_string
 from seft_msgs_py.wire.topics import DESCRIPTION
+from mcap.reader import make_reader
 from seft_ros.bags import bag_writer
-from seft_ros.bags.bag_files import Bag
 bag_writer.FLUSH_PERIOD = {period}
 bag = bag_writer.BagWriter("bag")
 for k in range(900):
     bag.write(DESCRIPTION, encode_string(f"{{k:10000}}"), k)
 print(bag.trouble)
-print(bag.save())
-with Bag("bag") as found:
-    print(found.counts.total(), found.damage)
+with (bag.save() / "bag.mcap").open("rb") as file:
+    print(len([*make_reader(file, validate_crcs=True).iter_messages()]))
 """
 
 
@@ -162,7 +161,7 @@ with Bag("bag") as found:
 def test_what_a_full_disk_does_not_take_goes_into_the_room_that_was_reserved(tmp_path, period):
     script = LITTLE_ROOM.format(paths=[p for p in sys.path if p], period=period)
     message = run_on_a_disk("size=16m", tmp_path, "-c", script).splitlines()
-    assert message == ["bag: No space left on device", "bag", "900 []"]
+    assert message == ["bag: No space left on device", "900"]
 
 
 def refuse(*_):
