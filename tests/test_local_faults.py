@@ -13,15 +13,6 @@ from seft_ros.bags.recording_bag import read_bag
 SLOW = 5e-4  # s, latency with which a test in lockstep takes fewer steps
 
 
-def test_a_rig_that_stands_still_for_a_moment_trips_and_is_at_rest(running):
-    graph = running(LONG)
-    graph.freeze("rig", 0.3)
-    graph.until("tripped", within=0.2)
-    assert graph.values["detail"].startswith("force_controller: no rig/state for 0.02 s")
-    graph.run(0.5)
-    assert at_rest(graph)
-
-
 @pytest.mark.parametrize(
     ("node", "seconds", "symptom"),
     [
@@ -80,6 +71,8 @@ def test_a_trip_that_is_told_later_than_the_silence_that_followed_comes_first(ru
         graph.inject(DIAGNOSTICS, told, "force_controller")
     graph.run(0.01)
     assert graph.values["detail"] == f"force_controller: {reason}; {silence}"
+    graph.until(lambda: graph.values.get("silent") == ("reference_force",))
+    assert at_rest(graph)
 
 
 @pytest.mark.parametrize(
@@ -158,15 +151,6 @@ def test_a_node_that_fails_while_the_force_comes_down_ends_the_test(running, nod
         graph.until("tripped", within=5.0)
         assert "stopped by the operator" in graph.values["detail"]
         assert f"node {node} has been silent since" in graph.values["detail"]
-
-
-def test_the_death_of_the_reference_force_is_a_hard_trip_by_default(running):
-    graph = running(LONG)
-    graph.kill("reference_force")
-    graph.until("tripped", within=0.1)
-    assert "no new valve_command for 0.02 s" in graph.values["detail"]
-    graph.until(lambda: graph.values.get("silent") == ("reference_force",))
-    assert at_rest(graph)
 
 
 def test_a_start_that_waited_while_the_supervisor_stood_still_is_refused(local_graph):
