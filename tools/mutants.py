@@ -44,14 +44,11 @@ TESTS = {
     f"{PLANT}seft_plant_sim/rig_watch.py": (f"{PLANT}test/test_rig_watch.py",),
     f"{PLANT}seft_plant_sim/command.py": (f"{PLANT}test/test_command.py",),
     "src/seft_msgs_py/seft_msgs_py/node/senders.py": ("src/seft_msgs_py/test/test_senders.py",),
-    f"{CONTROL}interlock.py": CONTROL_TESTS,
-    f"{CONTROL}interlock_step.py": CONTROL_TESTS,
-    f"{CONTROL}target_distance.py": (
+    f"{CONTROL}interlock.py": (
         f"{ROS}test/test_force_controller_target_distance.py",
         *CONTROL_TESTS,
     ),
-    f"{PROTECTION}protection_step.py": (*FORCE_TESTS, *CONTROL_TESTS),
-    f"{PROTECTION}protected_force.py": FORCE_TESTS,
+    f"{PROTECTION}protected_force.py": (*FORCE_TESTS, *CONTROL_TESTS),
     **{
         f"{JUDGE}{name}.py": DETECTOR_TESTS
         for name in (
@@ -64,7 +61,7 @@ TESTS = {
         for name in ("judge", "judge_step")
     },
     f"{JUDGE}detector_step.py": (*DETECTOR_TESTS, *GUARD_TESTS),
-    **{f"{JUDGE}{name}.py": GUARD_TESTS for name in ("detection", "guard", "guard_step")},
+    f"{JUDGE}guard.py": GUARD_TESTS,
     f"{PROTECTION}instability.py": (*FORCE_TESTS, *WATCH_TESTS),
 }
 SWAPS = {
