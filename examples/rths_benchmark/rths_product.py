@@ -60,7 +60,7 @@ def hosted_blocks(tested: Experiment, device: BenchmarkRig) -> Blocks:
         now=lambda: 0.0,  # no call is late
         holds=True,
     )
-    rig = Rig.from_parameters(tested["rig"], tested.axes, tested.timebase, hardware=hosted)
+    rig = Rig(tested["rig"], tested.axes, tested.timebase, hardware=hosted)
     return replace(build_blocks(tested), rig=rig)
 
 

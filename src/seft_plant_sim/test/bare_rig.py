@@ -45,7 +45,7 @@ def rig_section(group="", /, **values):
 
 def make_rig(axes=("x",), **values):
     """Rig of these parameters at 500 Hz; a double underscore stands for a dot."""
-    return Rig.from_parameters(rig_section(**values), axes, Timebase.from_rate(500.0))
+    return Rig(rig_section(**values), axes, Timebase.from_rate(500.0))
 
 
 def driven(rig, commands):

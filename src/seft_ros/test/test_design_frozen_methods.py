@@ -48,7 +48,7 @@ experiment = partial(of_parts, BASE, config="demo")
 def test_motion(test, size, steps=2000, held=None, noise=True):
     """Ground motion, and samples of shape (steps, 4, n); ``held``: what valves are taken for."""
     rig = test["rig"] | ({} if noise else QUIET)
-    rig = Rig.from_parameters(rig, test.axes, test.timebase)
+    rig = Rig(rig, test.axes, test.timebase)
     target = TargetMotion(method_inputs(test["reference_force"], test.axes, test.timebase))
     control = VelocityFeedforward(test["force_controller"], test.axes, test.timebase)
     if held is not None:

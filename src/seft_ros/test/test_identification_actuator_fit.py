@@ -21,7 +21,7 @@ def driven(*overrides, volts=0.2, seconds=20.0, of="jhu"):
     """Drive a rig by noise; commands, displacements, accelerations, forces, each (N, n), and dt."""
     experiment = load(*overrides, config=of)
     axes, dt = experiment.axes, experiment.timebase.dt
-    rig = Rig.from_parameters(experiment["rig"], axes, experiment.timebase)
+    rig = Rig(experiment["rig"], axes, experiment.timebase)
     band = BAND[0], min(BAND[1], 0.45 / dt)
     unit = excitation(round(seconds / dt), len(axes), dt, band, 1)
     commands = np.concatenate([volts * unit, np.zeros((round(TAIL / dt), len(axes)))])

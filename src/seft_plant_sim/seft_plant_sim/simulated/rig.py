@@ -214,7 +214,7 @@ def continuous_model(
 ) -> ContinuousModel:
     """Model of actuator, specimen and sensors from a rig's parameters.
 
-    See `Rig.from_parameters`; ``stiffness`` is a factor on the stiffness of the elastic specimen,
+    See `Rig`; ``stiffness`` is a factor on the stiffness of the elastic specimen,
     ``faults`` are those that the specimen may have.
     """
     own = rig or RigAxes.whole(axes)

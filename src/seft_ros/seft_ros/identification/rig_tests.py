@@ -551,7 +551,7 @@ class Motions:
         if has_force_loop(self.experiment):
             force_control(sections["force_controller"], *made)
         if "rig" in sections:
-            Rig.from_parameters(sections["rig"], *made)
+            Rig(sections["rig"], *made)
 
     def write(self, path: Path, duration: float) -> Path:
         """Write the motion of a test, whose forces are the excitation, 1 N RMS."""

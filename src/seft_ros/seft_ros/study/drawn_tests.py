@@ -223,7 +223,7 @@ def drawn_motion(
 def check_rig(section: Section, axes: tuple[str, ...], timebase: Timebase, number: int) -> None:
     """Refuse impossible parameters; the InputError names the test's number if it is not 0."""
     try:
-        Rig.from_parameters(rig_parameters.RIG_TABLE.check(section), axes, timebase)
+        Rig(rig_parameters.RIG_TABLE.check(section), axes, timebase)
     except InputError as error:
         if number == 0:
             raise
@@ -262,7 +262,7 @@ def _matters(
 ) -> bool:
     """Whether the simulated rig is another one with this value of a parameter."""
     one, other = (
-        pickle.dumps(Rig.from_parameters(section, axes, timebase).simulation.parameters)
+        pickle.dumps(Rig(section, axes, timebase).simulation.parameters)
         for section in (base, base | {name: value.tolist()})
     )
     return one != other

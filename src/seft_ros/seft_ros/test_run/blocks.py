@@ -86,7 +86,7 @@ def build_blocks(experiment: Experiment, known: dict[str, Any] | None = None) ->
 def _rigs(experiment: Experiment) -> Rig | Rigs:
     if len(experiment.rigs) > 1:
         return Rigs(experiment)
-    return Rig.from_parameters(experiment["rig"], experiment.axes, experiment.timebase)
+    return Rig(experiment["rig"], experiment.axes, experiment.timebase)
 
 
 def check_target(experiment: Experiment, blocks: Blocks) -> None:
