@@ -16,7 +16,7 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import Section, as_matrix, nearest, per_axis
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.topics import Timebase, rigs_of
+from seft_msgs_py.wire.topics import Timebase, of_one_rig
 from seft_plant_sim import rig_parameters
 from seft_plant_sim.rig import Rig
 
@@ -249,12 +249,8 @@ def _draw_factors(random: np.random.Generator, uncertainty: float, spread: float
 
 
 def _neighbours(axes: Sequence[str]) -> npt.NDArray[np.bool_]:
-    """Say which pairs of axes belong to one rig, shape (n, n)."""
-    found = np.zeros((len(axes), len(axes)), dtype=bool)
-    for rig in rigs_of(axes):
-        found[np.ix_(rig.places, rig.places)] = True
-    np.fill_diagonal(found, False)
-    return found
+    """Say which pairs of different axes belong to one rig, shape (n, n)."""
+    return of_one_rig(axes) & ~np.eye(len(axes), dtype=bool)
 
 
 def _matters(
