@@ -8,15 +8,8 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire import topics
 from seft_msgs_py.wire.outcome import RIG, ZEROED
-from seft_msgs_py.wire.topics import (
-    GROUND_MOTION,
-    LOOP_TOPICS,
-    MEASURED,
-    REFERENCE_FORCE,
-    RIG_STATE,
-    TARGET,
-)
 from seft_plant_sim.calibration import biases_of_all, check_biases
 from seft_plant_sim.channels import ACCELERATION, DISPLACEMENT, FORCE
 from seft_plant_sim.computed.computed_model import ModelError
@@ -121,11 +114,11 @@ def summarise(
         "link": link_numbers(recording),
         "lost": {
             topic.name: steps - int(np.searchsorted(series[topic.name].steps, steps))
-            for topic in LOOP_TOPICS
-            if topic is not MEASURED
-            or (MEASURED.name in series and len(series[MEASURED.name].steps))
+            for topic in topics.LOOP_TOPICS
+            if topic is not topics.MEASURED
+            or (topics.MEASURED.name in series and len(series[topics.MEASURED.name].steps))
         },
-        "ground_motion": recording.facts.get(GROUND_MOTION.name, {}).get(MOTION),
+        "ground_motion": recording.facts.get(topics.GROUND_MOTION.name, {}).get(MOTION),
         "zeroed": zeroed_in(recording),
         "energy": energy_numbers(balance or balance_of(assessed)),
         "estimates": _estimates(assessed.estimates, axes),
@@ -205,7 +198,7 @@ def reference_of(recording: Recording) -> ReferenceResponse | None:
     InputError
         If parameters are missing that describe the structure, or make none.
     """
-    motion, count = recording.series[GROUND_MOTION.name], _steps(recording)
+    motion, count = recording.series[topics.GROUND_MOTION.name], _steps(recording)
     whole = count > 0 and np.array_equal(motion.steps[:count], np.arange(count))
     if not whole or "reference_force" not in recording.experiment.sections:
         return None
@@ -324,7 +317,7 @@ def strong_part(recording: Recording) -> tuple[float, float]:
     From a second before 5 % of the ground motion's Arias intensity to two after 95 %, on any axis,
     and up to a trip or stop at least. All of the test where the ground motion is not known.
     """
-    dt, motion = recording.experiment.timebase.dt, recording.series[GROUND_MOTION.name]
+    dt, motion = recording.experiment.timebase.dt, recording.series[topics.GROUND_MOTION.name]
     end = max(_steps(recording) - 1, 1) * dt
     if len(motion.steps) < 2 or motion.steps[0] != 0 or not np.any(motion.values):
         return 0.0, end
@@ -346,7 +339,7 @@ def detector_shares(recording: Recording) -> dict[str, float] | None:
 
     None where it is not known: the configuration is not recorded, or no sample.
     """
-    experiment, states = recording.experiment, recording.series[RIG_STATE.name]
+    experiment, states = recording.experiment, recording.series[topics.RIG_STATE.name]
     rig, controller = (experiment.sections.get(n, {}) for n in ("rig", "force_controller"))
     if "specimen.mass" not in rig or not len(states.steps):
         return None
@@ -362,8 +355,8 @@ def detector_shares(recording: Recording) -> dict[str, float] | None:
         detect_all(parameters, state, states.steps, shown, drive, judged)
         shares = np.maximum(shares, state.shares.max(axis=1))
     found = {one.name: share for one, share in zip(DETECTORS, shares.tolist(), strict=True)}
-    forces = recording.series[REFERENCE_FORCE.name]
-    if controller and forces.values.shape[1] == len(TARGET.quantities):
+    forces = recording.series[topics.REFERENCE_FORCE.name]
+    if controller and forces.values.shape[1] == len(topics.TARGET.quantities):
         steps, at_states, at_forces = common_steps(states.steps, forces.steps)
         watched = tracking_detector(controller, axes, range(len(axes)), dt)
         begin_tracking(watched[1])
