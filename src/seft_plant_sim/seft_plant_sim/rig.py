@@ -162,8 +162,24 @@ class Rig:
         return self.read()
 
     def extrapolated_command(self, last: Floats, age: int, plan: Floats, taken: int) -> Floats:
-        """Give the command of a step without one, see the function `extrapolated_command`."""
-        return extrapolated_command(last, age, plan, taken, self._safe.closing)
+        """Give the command of a step without one: it continues along a stop.
+
+        Parameters
+        ----------
+        last : ndarray
+            The last command, shape (n,), V.
+        age, plan : int, ndarray
+            The stop, shape (m, n), V, and its age in steps. One of one point holds the last
+            command.
+        taken : int
+            Age of the last command, in steps. When the valve has had the time to close, the
+            difference between last command and stop is gone.
+        """
+        end, then = len(plan) - 1, age - taken
+        offset = last - plan[min(then, end)] if then >= 0 else np.zeros_like(last)
+        left = left_open(taken, self._safe.closing) if end else 1.0
+        command: Floats = plan[min(age, end)] + left * offset
+        return command
 
     def stop(self, plan: Floats | None = None, planned: Floats | None = None) -> Stopped | None:
         """Move the valve to its safe command, and come to rest.
@@ -210,29 +226,6 @@ class Rig:
         }
         self.violation = self.guard.violation(int(found[-1]))
         self.spares_target = self.guard.spares_target(int(found[-1]))
-
-
-def extrapolated_command(
-    last: Floats, age: int, plan: Floats, taken: int, closing: float
-) -> Floats:
-    """Give the command of a step without one: it continues along a stop.
-
-    Parameters
-    ----------
-    last : ndarray
-        The last command, shape (n,), V.
-    age, plan : int, ndarray
-        The stop, shape (m, n), V, and its age in steps. One of one point holds the last command.
-    taken : int
-        Age of the last command, in steps.
-    closing : float
-        Steps in which the valve closes: then the difference between last command and stop is gone.
-    """
-    end, then = len(plan) - 1, age - taken
-    offset = last - plan[min(then, end)] if then >= 0 else np.zeros_like(last)
-    left = left_open(taken, closing) if end else 1.0
-    command: Floats = plan[min(age, end)] + left * offset
-    return command
 
 
 class Rigs:

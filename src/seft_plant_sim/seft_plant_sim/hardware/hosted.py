@@ -163,7 +163,8 @@ class HostedHardware:
             below = traceback.extract_tb(error.__traceback__)[2:]  # this function and `make`
             line = line_in(error, below[0].filename) if below else ""
             raise InputError(f"{where}: {name}{line} can't be made: {reason_of(error)}") from None
-        missing = [each for each in ("read", "write", "safe", "close") if not _has(device, each)]
+        needed = ("read", "write", "safe", "close")
+        missing = [each for each in needed if not callable(getattr(device, each, None))]
         if missing:
             raise InputError(f"{where}: {name} has no method {', '.join(missing)}")
         force_driven = section["actuator.kind"] in FORCE_DRIVEN
@@ -315,7 +316,3 @@ class HostedHardware:
         line = line or f" line {code.co_firstlineno}"
         inherited = f", {Path(code.co_filename).name}" if code.co_filename != self._file else ""
         return HardwareError(f"{self._name}{inherited}{line}: {method}(){what}")
-
-
-def _has(device: Any, method: str) -> bool:
-    return callable(getattr(device, method, None))

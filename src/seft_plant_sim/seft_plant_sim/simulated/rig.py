@@ -47,7 +47,6 @@ from seft_plant_sim.simulated.rig_step import (
     come_to_rest,
     rig_step,
 )
-from seft_plant_sim.simulated.rig_step import left_open as left_open
 from seft_plant_sim.simulated.sensors import Sensors, sensing_of, with_sensors
 from seft_plant_sim.simulated.specimen import Specimen
 from seft_plant_sim.simulated.springs import ONE_SIDED, SPRING_KIND
