@@ -16,7 +16,7 @@ from seft_plant_sim.simulated.specimen import Specimen
 from seft_ros.bags.recording import Recording
 from seft_ros.design.plant import Plant, small_signal
 from seft_ros.drawing.style import Number, TextTable, json_safe, look_up, rows_of
-from seft_ros.identification.actuator_fit import ActuatorFit, fit_actuator
+from seft_ros.identification.actuator_fit import ActuatorFit, OilBalance, fit_actuator
 from seft_ros.identification.response_fits import (
     GOOD,
     SpecimenFit,
@@ -144,7 +144,7 @@ def identify_from_recordings(
     servo = any(obeys_displacement(test.recording.experiment) for test in tests.values())
     if (opened := tests.get(_OPEN_LOOP)) and not servo:
         for index, axis in enumerate(opened.axes):
-            fit = fit_actuator(*opened.of_actuator(index), opened.dt, band)
+            fit = fit_actuator(OilBalance(opened.of_actuator(index), opened.dt, band))
             actuators.append(fit)
             if fit.fault():
                 unusable.append(f"{_OPEN_LOOP}: axis {axis}: {fit.fault()}")
