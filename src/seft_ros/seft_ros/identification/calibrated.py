@@ -166,9 +166,7 @@ _FILTER = "filter", "filter_damping"
 def as_told(experiment: Experiment) -> Callable[[Floats], Complexes]:
     """Response of what a test passes its channels through, beside waits, shape (..., 4, n)."""
     dt, n = experiment.timebase.dt, len(experiment.axes)
-    section = experiment["reference_force"]
-    derived = section["sensors.velocity"] == "derived"
-    known = aligned_to(section, experiment.axes, range(n), derived)
+    known = aligned_to(experiment["reference_force"], experiment.axes, range(n))
 
     def response(w: Floats) -> Complexes:
         passed, z = np.ones((*w.shape, 4, n), complex), np.exp(-1j * w * dt)
