@@ -76,7 +76,7 @@ def test_who_comes_earlier_in_a_step_gives_way(layout, priorities):
 
 @pytest.mark.parametrize("may", [False, True])
 def test_cores_stay_awake_without_being_asked_for_where_that_is_allowed(monkeypatch, may):
-    monkeypatch.setattr("seft_ros.test_run.processes.may_keep_awake", lambda: may)
+    monkeypatch.setattr("seft_msgs_py.node.host.may_keep_awake", lambda: may)
     assert ProcessLayout().realtime_parameters("rig") == ({"keep_awake": True} if may else {})
     assert ProcessLayout(pin=False).realtime_parameters("rig") == {}
 

@@ -26,13 +26,8 @@ from seft_plant_sim.whole_structure import (
     tested_specimen,
 )
 
+from seft_ros.analysis import equivalent_motion
 from seft_ros.analysis.calibration_check import calibration_check
-from seft_ros.analysis.equivalent_motion import (
-    MotionDifference,
-    motion_difference,
-    tracking_error_of,
-    tracking_of,
-)
 from seft_ros.analysis.metrics import Agreement, agreement, common_steps, peak
 from seft_ros.analysis.timing import link_numbers, timing_of
 from seft_ros.bags.recording import Estimates, Recording, every_step
@@ -52,7 +47,7 @@ def summarise(
     recording: Recording,
     reference: ReferenceResponse | None = None,
     balance: EnergyBalance | None = None,
-    difference: MotionDifference | None = None,
+    difference: equivalent_motion.MotionDifference | None = None,
 ) -> dict[str, Any]:
     """Summarise a test.
 
@@ -95,7 +90,7 @@ def summarise(
         axis: _responses(assessed, reference, slice(column, column + 1))
         for column, axis in enumerate(axes)
     }
-    difference = difference or motion_difference(assessed)
+    difference = difference or equivalent_motion.motion_difference(assessed)
     simulated = is_simulated(recording.experiment)
     found = {
         **_outcome(recording),
@@ -124,11 +119,11 @@ def summarise(
         "estimates": _estimates(assessed.estimates, axes),
         "equivalent_motion": difference and difference.numbers(),
         "calibration": calibration_check(assessed),
-        "tracking_error": tracking_error_of(assessed),
+        "tracking_error": equivalent_motion.tracking_error_of(assessed),
         "detectors": detector_shares(assessed),
         "replaced": replaced_in(recording),
         "reference_specimen": ("simulated" if simulated else "model") if reference else None,
-        "tracking": tracking_of(assessed),
+        "tracking": equivalent_motion.tracking_of(assessed),
         **(by_axis[axes[0]] if len(axes) == 1 else _responses(assessed, reference, slice(None))),
         "axes": by_axis,
     }

@@ -15,13 +15,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from seft_msgs_py.errors import ExperimentError, InputError
-from seft_msgs_py.node.host import (
-    may_keep_awake,
-    process_stat,
-    side_threads,
-    take_precedence,
-    threads_of,
-)
+from seft_msgs_py.node import host
 from seft_msgs_py.wire.topics import bare, rig_name
 
 from seft_ros.test_run.node_starter import NodeStarter
@@ -80,7 +74,7 @@ class Placement:
             If it has ended.
         """
         in_loop = bare(node) in LOOP_NODES
-        for thread in threads_of(pid):  # those that it makes from now on inherit this
+        for thread in host.threads_of(pid):  # those that it makes from now on inherit this
             os.sched_setaffinity(thread, self.loop if in_loop else self.others)
             if in_loop and self._lockstep:
                 os.sched_setscheduler(thread, os.SCHED_BATCH, os.sched_param(0))
@@ -94,16 +88,16 @@ class Placement:
         """
         with contextlib.suppress(OSError):  # it has ended; `ended` says how
             if self._lockstep and not lockstep:
-                for thread in threads_of(pid):
+                for thread in host.threads_of(pid):
                     os.sched_setaffinity(thread, self._all)
                 _request_low_latency(pid)
-            for thread in side_threads(pid):
+            for thread in host.side_threads(pid):
                 os.sched_setaffinity(thread, self.others)
 
 
 def _request_low_latency(pid: int) -> None:
     prefer_latency(pid)
-    take_precedence(pid)
+    host.take_precedence(pid)
 
 
 def prefer_latency(pid: int) -> None:
@@ -116,7 +110,7 @@ def prefer_latency(pid: int) -> None:
         return
     size = _SCHED_ATTR.size
     attributes = _SCHED_ATTR.pack(size, os.SCHED_OTHER, 0, 0, 0, LATENCY_SLICE_NS, 0, 0)
-    for thread in threads_of(pid):
+    for thread in host.threads_of(pid):
         with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
             if os.sched_getscheduler(thread) in (os.SCHED_OTHER, os.SCHED_BATCH):
                 _LIBC.syscall(_SYS_SCHED_SETATTR, thread, attributes, 0)
@@ -147,7 +141,7 @@ class ProcessLayout:
             below = 0 if self.composed else GIVES_WAY.get(node, 0)
             priority = max(1, self.priority - below)
             return {"thread_priority": priority, "lock_memory": True, "keep_awake": True}
-        return {"keep_awake": True} if self.pin and may_keep_awake() else {}
+        return {"keep_awake": True} if self.pin and host.may_keep_awake() else {}
 
     def groups(self, nodes: Collection[str]) -> list[tuple[str, ...]]:
         """Sort nodes into processes, in order."""
@@ -266,7 +260,7 @@ class NodeProcesses:
 
     def stopped(self) -> list[str]:
         """Nodes whose process a signal has stopped."""
-        return [node for node, pid in self.pids.items() if process_stat(pid)[:1] == ["T"]]
+        return [node for node, pid in self.pids.items() if host.process_stat(pid)[:1] == ["T"]]
 
     def exit_status(self, node: str) -> int | None:
         """Exit status of a node's process; None while it runs."""
