@@ -422,11 +422,7 @@ def margin_ends(test: PlannedTest, margins: Margins) -> Iterator[MarginEnd]:
 
 
 def _ends(
-    name: str,
-    more: str,
-    unit: str,
-    margin: Range | None,
-    needed: tuple[float | None, float | None],
+    name: str, more: str, unit: str, margin: Range | None, needed: tuple[float | None, float | None]
 ) -> Iterator[MarginEnd]:
     if margin is None:
         yield MarginEnd(name, more, unit)

@@ -22,12 +22,7 @@ from seft_msgs_py.config.parameter_table import (
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 
-from seft_ros.ground_motion.conditioning import (
-    baseline_numbers,
-    check_size,
-    correct,
-    resample,
-)
+from seft_ros.ground_motion.conditioning import baseline_numbers, check_size, correct, resample
 from seft_ros.ground_motion.record_file import RecordedMotion, files_of, given_unit, read_record
 from seft_ros.ground_motion.synthetic_motion import synthetic_motion
 

@@ -23,7 +23,7 @@ from seft_ros.protection.instability import (
     watch_step,
 )
 from seft_ros.reference_force.compensator import has_computed_model
-from seft_ros.reference_force.reference_force_block import ReferenceForce
+from seft_ros.reference_force.reference_force_block import ReferenceForce, method_inputs
 
 BRAKING = 0.03
 """Time constant of a target's braking, s. At a sudden stop the oil column would ring."""
@@ -503,10 +503,11 @@ class ProtectedForce:
             See `ReferenceForce.from_parameters`.
         """
         fastest = largest_force_rate(group(section, "limits"))
+        known, watch = method_inputs(section, axes, timebase), group(section, "instability")
         return cls(
             ReferenceForce.from_parameters(section, axes, timebase),
             PlausibleForce(section["limits.force"], fastest, axes, timebase.dt),
-            InstabilityWatch.from_parameters(section, axes, timebase),
+            InstabilityWatch(known, axes, **watch),
             RampDown.lasting(section["ramp_down_time"], timebase.dt, section["loop_delay"]),
             section["loop_delay"],
         )

@@ -23,10 +23,7 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.design.stability_margins import MASS_RATIO_RESERVE as RESERVE
 from seft_ros.drawing.style import Cell, Mark, Number, Texts, TextTable, rows_of
-from seft_ros.reference_force.reference_force_parameters import (
-    horizon_steps,
-    reference_force_topic,
-)
+from seft_ros.reference_force.reference_force_parameters import horizon_steps, reference_force_topic
 
 _Verdict = Literal["good", "marginal", "unusable"]
 
