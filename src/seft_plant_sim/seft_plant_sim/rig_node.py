@@ -136,7 +136,7 @@ class RigNode(NodeBody):
             return None
         shell, period, now = self._shell, self._timebase.dt, self._clock.monotonic
         axes = shell.experiment.axes
-        made = HostedHardware.from_parameters(self._section, axes, shell.rig, period, now)
+        made = HostedHardware(self._section, axes, shell.rig, period, now)
         if not (self._is_realtime or made.can_wait):
             raise InputError(
                 f"rig: pace is lockstep, but hardware {self._section['hardware']} can't wait for "

@@ -39,7 +39,7 @@ class RigMover:
         self.hosted: HostedHardware | None = None
         if section["hardware"] != SIMULATED:  # a call may take long here: it is looked at
             given = section, axes, of, np.inf, clock.monotonic
-            self.hosted = HostedHardware.from_parameters(*given)
+            self.hosted = HostedHardware(*given)
         self.rig = Rig(section, axes, timebase, of, self.hosted)
         self.dt, self.n, self._clock = timebase.dt, len(of.axes), clock
         self._travel, self._force, self.fault = travel, force, ""
