@@ -164,7 +164,7 @@ def motion(
     words = {"column": column or None, "rows": rows, "unit": unit, "dt": dt, "response": metadata}
     section |= _as_named(section, file or [], words, correct)
     timebase = timebase if rate is None else Timebase.from_rate(rate)
-    block = GroundMotion.from_parameters(section, axes, timebase)
+    block = GroundMotion(section, axes, timebase)
     if path is not None:
         title = f"{block.facts['source']}, {timebase.rate:g} Hz"
         save_figure(motion_figure(block.samples, timebase.dt, axes, title, block.uncorrected), path)

@@ -134,7 +134,7 @@ def draw_tests(
     axes, timebase = experiment.axes, experiment.timebase
     own = {node: experiment[node] for node in ("rig", "ground_motion")}
     for file in [own["ground_motion"]["file"], *dict.fromkeys(motions)]:
-        GroundMotion.from_parameters(own["ground_motion"] | {"file": file}, axes, timebase)
+        GroundMotion(own["ground_motion"] | {"file": file}, axes, timebase)
     check_rig(own["rig"], axes, timebase, 0)
     drawn = []
     for index in range(1, 1 + number):

@@ -69,7 +69,7 @@ def build_blocks(experiment: Experiment, known: dict[str, Any] | None = None) ->
         reference_force=shared(  # first: a wrong fact of the specimen is named as that
             "reference_force", ProtectedForce.from_parameters, force, axes, timebase
         ),
-        ground_motion=shared("ground_motion", GroundMotion.from_parameters, motion, axes, timebase),
+        ground_motion=shared("ground_motion", GroundMotion, motion, axes, timebase),
         force_controller=shared("force_controller", interlock_of, experiment),
         rig=_rigs(experiment),
     )
