@@ -79,7 +79,8 @@ class BareRig(SimulatedRig):
                 model = replace(model, sensed=replace(sensed, outputs=sensed.outputs[:, :0]))
         n = model.b.shape[1]
         nothing, no_end = np.zeros((4, n)), np.full((4, n), np.inf)
-        sensors = Sensors(Channels(nothing, nothing, no_end, nothing), 0)
+        sensors = Sensors(rig_section(), [*map(str, range(n))], range(n))
+        sensors.channels = Channels(nothing, nothing, no_end, nothing)
         super().__init__(model, sensors, dt)
         self.saturation = set()
 

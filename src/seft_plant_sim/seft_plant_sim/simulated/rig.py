@@ -131,7 +131,7 @@ class SimulatedRig:
         """
         faults = read_faults(section["faults"], axes)
         noises = sum(fault.kind == "noise" for fault in faults)
-        sensors = Sensors.from_parameters(section, axes, rig.places, noises)
+        sensors = Sensors(section, axes, rig.places, noises)
         model = continuous_model(section, axes, rig, faults=faults)
         laws = sum(law.law[SPRING_KIND] != ONE_SIDED for law in model.springs)
         found = faults_of(faults, rig, timebase, sensors.channels.resolution, laws, section)
