@@ -9,6 +9,7 @@ from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import RIG_TABLE
 from seft_plant_sim.simulated.continuous_model import ContinuousModel
+from seft_plant_sim.simulated.faults import Faults
 from seft_plant_sim.simulated.rig import SimulatedRig
 from seft_plant_sim.simulated.rig_step import SATURATED_PARTS
 from seft_plant_sim.simulated.sensors import Channels, Sensors
@@ -81,7 +82,8 @@ class BareRig(SimulatedRig):
         nothing, no_end = np.zeros((4, n)), np.full((4, n), np.inf)
         sensors = Sensors(rig_section(), [*map(str, range(n))], range(n))
         sensors.channels = Channels(nothing, nothing, no_end, nothing)
-        super().__init__(model, sensors, dt)
+        no_faults = Faults(np.zeros((0, 6), dtype=np.int64), np.zeros((0, 3))), 0
+        super().__init__(model, sensors, dt, no_faults)
         self.saturation = set()
 
     def reset(self):

@@ -178,9 +178,6 @@ class Faults(NamedTuple):
     values: Floats
 
 
-NO_FAULTS = Faults(np.zeros((0, 6), dtype=np.int64), np.zeros((0, 3))), 0
-
-
 def faults_of(
     faults: Sequence[Fault],
     own: RigAxes,

@@ -32,7 +32,6 @@ from seft_plant_sim.simulated.continuous_model import (
     with_inner_loop,
 )
 from seft_plant_sim.simulated.faults import (
-    NO_FAULTS,
     Fault,
     Faults,
     failing_specimen,
@@ -81,11 +80,7 @@ class SimulatedRig:
     missing = ""
 
     def __init__(
-        self,
-        model: ContinuousModel,
-        sensors: Sensors,
-        dt: float,
-        faults: tuple[Faults, int] = NO_FAULTS,
+        self, model: ContinuousModel, sensors: Sensors, dt: float, faults: tuple[Faults, int]
     ) -> None:
         self.drive: Drive = model.drive
         self.sensors = sensors
