@@ -87,7 +87,7 @@ def main() -> int:
     speeds, calls, guarded, floor = {}, {}, {}, 0.0
     for case, overrides in CASES.items():
         experiment = Experiment.load([RIG_TABLE], [CONFIG], overrides, nodes=["rig"])
-        whole = Rig.from_parameters(experiment["rig"], experiment.axes, experiment.timebase)
+        whole = Rig(experiment["rig"], experiment.axes, experiment.timebase)
         rig = whole.simulation
         turn = 2 * np.pi * experiment.timebase.dt * np.arange(STEPS)[:, np.newaxis]
         commands = 2.0 * np.sin(5.0 * turn) + 1.4 * np.sin(

@@ -248,7 +248,7 @@ def run(words, axes):
     blocks, recording = simulated(experiment)
     if recording.trip is not None:
         return recording, None
-    rig = Rig.from_parameters(experiment["rig"], experiment.axes, experiment.timebase)
+    rig = Rig(experiment["rig"], experiment.axes, experiment.timebase)
     commands = recording.series[rig.drive].values[:, -1]
     rig.reset()
     true = np.zeros(commands.shape)

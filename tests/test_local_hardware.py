@@ -200,9 +200,7 @@ def test_hardware_that_can_not_be_made_is_one_line(name, says):
     given += [("/**", "specimen.stiffness", 1.0)]
     test = Experiment.load([RIG_TABLE], [], given)
     with pytest.raises(InputError) as error:
-        HostedHardware.from_parameters(
-            test["rig"], test.axes, RigAxes.whole(test.axes), 0.002, lambda: 0.0
-        )
+        HostedHardware(test["rig"], test.axes, RigAxes.whole(test.axes), 0.002, lambda: 0.0)
     assert str(error.value).startswith(says)
 
 

@@ -16,8 +16,7 @@ from rths_problem import DT, Motion, Plant, Structure
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError
-from seft_msgs_py.wire.topics import REFERENCE_FORCE, VALVE_COMMAND
-from seft_plant_sim.channels import ACCELERATION, VELOCITY
+from seft_msgs_py.wire.topics import REFERENCE_FORCE, RigAxes
 from seft_plant_sim.hardware.hosted import HostedHardware
 from seft_plant_sim.rig import Rig
 from seft_ros.bags.recording import Recording
@@ -49,18 +48,9 @@ def experiment(structure: Structure, motion: Path, *identified: Path) -> Experim
 
 def hosted_blocks(tested: Experiment, device: BenchmarkRig) -> Blocks:
     """Make the blocks of a test whose rig hosts the benchmark's plant."""
-    hosted = HostedHardware(
-        device,
-        "the benchmark's plant",
-        VALVE_COMMAND.name,
-        per_volt=np.ones((4, 1)),
-        derived=(VELOCITY, ACCELERATION),
-        axes=tested.axes,
-        period=DT,
-        now=lambda: 0.0,  # no call is late
-        holds=True,
-    )
-    rig = Rig.from_parameters(tested["rig"], tested.axes, tested.timebase, hardware=hosted)
+    given = tested["rig"], tested.axes, RigAxes.whole(tested.axes), DT
+    hosted = HostedHardware(*given, now=lambda: 0.0, device=device)
+    rig = Rig(tested["rig"], tested.axes, tested.timebase, hardware=hosted)
     return replace(build_blocks(tested), rig=rig)
 
 

@@ -21,10 +21,7 @@ setup(
         (f"share/{NAME}", ["package.xml"]),
     ],
     install_requires=["numba>=0.59", "numpy>=1.26", "scipy>=1.11", "seft_msgs_py"],
-    extras_require={
-        "opensees": ["openseespy>=3.8"],
-        "test": ["hypothesis>=6.98", "pytest>=7.4"],
-    },
+    extras_require={"opensees": ["openseespy>=3.8"], "test": ["hypothesis>=6.98", "pytest>=7.4"]},
     entry_points={
         "console_scripts": ["rig = seft_plant_sim.rig_node:main"],
         "seft.computed_model": ["opensees = seft_plant_sim.computed.opensees:OpenSees"],

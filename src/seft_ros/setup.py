@@ -5,14 +5,7 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 NAME = "seft_ros"
-NODES = (
-    "ground_motion",
-    "reference_force",
-    "force_controller",
-    "loop",
-    "supervisor",
-    "recorder",
-)
+NODES = ("ground_motion", "reference_force", "force_controller", "loop", "supervisor", "recorder")
 
 
 def experiments() -> list[tuple[str, list[str]]]:
@@ -33,12 +26,7 @@ setup(
     python_requires=">=3.12",
     packages=find_packages(exclude=["test"]),
     package_data={
-        NAME: [
-            "py.typed",
-            "drawing/templates/*",
-            "cli/templates/**/*",
-            "monitor/assets/*",
-        ]
+        NAME: ["py.typed", "drawing/templates/*", "cli/templates/**/*", "monitor/assets/*"]
     },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),

@@ -11,13 +11,11 @@ from typing import TextIO
 
 def escaped(text: str) -> str:
     """Escape what is no printable character: a terminal may take it as a command. Lines stay."""
-    return "\n".join(map(_escaped_line, text.split("\n")))
-
-
-def _escaped_line(line: str) -> str:
-    if line.isprintable():
-        return line
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
+    if text.replace("\n", "").isprintable():
+        return text
+    return "".join(
+        c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text
+    )
 
 
 class _Output(io.RawIOBase):

@@ -195,12 +195,7 @@ class Alignment(NamedTuple):
     lacks: NDArray[np.bool_]
 
 
-def aligned_to(
-    section: Mapping[str, Any],
-    axes: Sequence[str],
-    places: Sequence[int],
-    velocity_is_derived: bool = False,
-) -> Alignment:
+def aligned_to(section: Mapping[str, Any], axes: Sequence[str], places: Sequence[int]) -> Alignment:
     """Say what the channels of a rig lack of the response of all; see `calibration_of`."""
     own, known = list(places), known_channels(section, axes)
     if not known["scale"].all():
@@ -209,7 +204,7 @@ def aligned_to(
             f"/**: calibration.{CHANNELS[row]}_scale is 0, but it is measured over true value; "
             "give 1 if it is not known"
         )
-    if velocity_is_derived:
+    if section.get("sensors.velocity") == "derived":  # from the calibrated displacement
         for what, nothing in NOTHING_KNOWN.items():
             if (known[what][VELOCITY] != nothing).any():
                 raise InputError(
@@ -235,7 +230,6 @@ def calibration_of(
     dt: float,
     ranges: Floats | None = None,
     resolution: Floats | None = None,
-    velocity_is_derived: bool = False,
 ) -> tuple[Calibration, CalibrationState]:
     """Put ``calibration.*`` of a section, which is for all axes, into arrays.
 
@@ -249,8 +243,6 @@ def calibration_of(
         Sampling period, s.
     ranges, resolution : ndarray, optional
         See `Calibration`; default none.
-    velocity_is_derived : bool
-        Whether the velocity is derived from the calibrated displacement, and needs none itself.
 
     Raises
     ------
@@ -259,7 +251,7 @@ def calibration_of(
         derived, or a tilt mixes axes of different rigs or can not be inverted.
     """
     own, n = list(places), len(places)
-    bias, scale, wait, filters, common, lacks = aligned_to(section, axes, own, velocity_is_derived)
+    bias, scale, wait, filters, common, lacks = aligned_to(section, axes, own)
     wait = wait / dt
     wait[wait < SHORTEST_WAIT] = 0.0
     tilt = tilt_of(section, axes, own, TILT)
@@ -404,16 +396,13 @@ def nothing_known(n: int) -> tuple[Calibration, CalibrationState]:
 
 
 def as_published(
-    model: ContinuousModel,
-    section: Mapping[str, Any],
-    axes: Sequence[str],
-    velocity_is_derived: bool = False,
+    model: ContinuousModel, section: Mapping[str, Any], axes: Sequence[str]
 ) -> ContinuousModel:
     """Put a calibration behind a model with its sensors, for what is linear: biases do not count.
 
     What is known is told as for `calibration_of`. Filters and waits are exact at all frequencies.
     """
-    known = aligned_to(section, axes, range(len(axes)), velocity_is_derived)
+    known = aligned_to(section, axes, range(len(axes)))
     tilt = tilt_of(section, axes, range(len(axes)), TILT)
     rows = np.flatnonzero(known.lacks)
     model = filtered(

@@ -24,12 +24,26 @@ _SATURATED = RANGES | SATURATED_PARTS
 class Rig:
     """Takes the samples of its hardware through its guard, and gives it commands.
 
+    Parameters
+    ----------
+    section, axes, timebase
+        The rig's section of an experiment, which is for all axes; axes and time base.
+    rig : RigAxes, optional
+        With several rigs, one of them, which has some of the axes.
+    hardware : HostedHardware, optional
+        Its hardware; default simulated.
+
+    Raises
+    ------
+    InputError
+        If sizes do not fit the axes, or values do not make a rig.
+
     Attributes
     ----------
     drive : str
         Topic that drives the actuator: ``valve_command`` or ``reference_force``.
     hardware, guard : SimulatedRig or HostedHardware, and Guard
-        As given.
+        What its samples come from, and pass.
     step_index : int
         Step of the last sample.
     raw, measured : ndarray
@@ -46,53 +60,20 @@ class Rig:
 
     def __init__(
         self,
-        hardware: SimulatedRig | HostedHardware,
-        make_guard: Callable[[Floats], tuple[Guard, dict[str, Any] | None]],
-        safe: Safe,
-        resting: int,
-    ) -> None:
-        self.drive = hardware.drive
-        self.hardware, self._make_guard, self._safe = hardware, make_guard, safe
-        self._command = np.zeros_like(safe.command)
-        self.measured = np.zeros((4, len(safe.command)))
-        self.zero(hardware.at_rest(resting))
-
-    @classmethod
-    def from_parameters(
-        cls,
         section: dict[str, Any],
         axes: tuple[str, ...],
         timebase: Timebase,
         rig: RigAxes | None = None,
         hardware: HostedHardware | None = None,
-    ) -> "Rig":
-        """Make the rig from its section of an experiment, which is for all axes.
-
-        Parameters
-        ----------
-        section, axes, timebase
-            Of the experiment.
-        rig : RigAxes, optional
-            With several rigs, one of them, which has some of the axes.
-        hardware : HostedHardware, optional
-            Its hardware; default simulated.
-
-        Raises
-        ------
-        InputError
-            If sizes do not fit the axes, or values do not make a rig.
-        """
-        own, dt = rig or RigAxes.whole(axes), timebase.dt
-        what = hardware or SimulatedRig.from_parameters(section, axes, timebase, own)
-
-        def make_guard(samples: Floats) -> tuple[Guard, dict[str, Any] | None]:
-            known, zeroed = section, None
-            if len(samples):
-                known, zeroed = zeroed_at_rest(section, axes, own.places, samples)
-            return Guard(known, axes, own, dt, zeroed), zeroed
-
-        safe = Safe.from_parameters(section, axes, own.places, dt)
-        return cls(what, make_guard, safe, round(section["calibration.zeroing"] / dt))
+    ) -> None:
+        self._of = own = rig or RigAxes.whole(axes)
+        self._section, self._axes, self._dt = section, axes, timebase.dt
+        self.hardware = hardware or SimulatedRig.from_parameters(section, axes, timebase, own)
+        self.drive = self.hardware.drive
+        self._safe = Safe.from_parameters(section, axes, own.places, timebase.dt)
+        self._command = np.zeros_like(self._safe.command)
+        self.measured = np.zeros((4, len(self._command)))
+        self.zero(self.hardware.at_rest(round(section["calibration.zeroing"] / timebase.dt)))
 
     @property
     def kind(self) -> tuple[Any, ...]:
@@ -114,7 +95,11 @@ class Rig:
 
     def zero(self, samples: Floats) -> None:
         """Take biases that nobody knows from samples at rest, shape (N, 4, n), as read."""
-        self.guard, self.zeroed = self._make_guard(samples)
+        known, of = self._section, self._of
+        self.zeroed: dict[str, Any] | None = None
+        if len(samples):
+            known, self.zeroed = zeroed_at_rest(known, self._axes, of.places, samples)
+        self.guard = Guard(known, self._axes, of, self._dt, self.zeroed)
         self.begin()
 
     def begin(self) -> None:
@@ -177,8 +162,24 @@ class Rig:
         return self.read()
 
     def extrapolated_command(self, last: Floats, age: int, plan: Floats, taken: int) -> Floats:
-        """Give the command of a step without one, see the function `extrapolated_command`."""
-        return extrapolated_command(last, age, plan, taken, self._safe.closing)
+        """Give the command of a step without one: it continues along a stop.
+
+        Parameters
+        ----------
+        last : ndarray
+            The last command, shape (n,), V.
+        age, plan : int, ndarray
+            The stop, shape (m, n), V, and its age in steps. One of one point holds the last
+            command.
+        taken : int
+            Age of the last command, in steps. When the valve has had the time to close, the
+            difference between last command and stop is gone.
+        """
+        end, then = len(plan) - 1, age - taken
+        offset = last - plan[min(then, end)] if then >= 0 else np.zeros_like(last)
+        left = left_open(taken, self._safe.closing) if end else 1.0
+        command: Floats = plan[min(age, end)] + left * offset
+        return command
 
     def stop(self, plan: Floats | None = None, planned: Floats | None = None) -> Stopped | None:
         """Move the valve to its safe command, and come to rest.
@@ -227,39 +228,13 @@ class Rig:
         self.spares_target = self.guard.spares_target(int(found[-1]))
 
 
-def extrapolated_command(
-    last: Floats, age: int, plan: Floats, taken: int, closing: float
-) -> Floats:
-    """Give the command of a step without one: it continues along a stop.
-
-    Parameters
-    ----------
-    last : ndarray
-        The last command, shape (n,), V.
-    age, plan : int, ndarray
-        The stop, shape (m, n), V, and its age in steps. One of one point holds the last command.
-    taken : int
-        Age of the last command, in steps.
-    closing : float
-        Steps in which the valve closes: then the difference between last command and stop is gone.
-    """
-    end, then = len(plan) - 1, age - taken
-    offset = last - plan[min(then, end)] if then >= 0 else np.zeros_like(last)
-    left = left_open(taken, closing) if end else 1.0
-    command: Floats = plan[min(age, end)] + left * offset
-    return command
-
-
 class Rigs:
     """The rigs of an experiment, stepped together; the bits are those of their nodes."""
 
     def __init__(self, experiment: Experiment) -> None:
         section, axes, timebase = experiment["rig"], experiment.axes, experiment.timebase
         self._axes = len(axes)
-        self._rigs = [
-            (list(of.places), Rig.from_parameters(section, axes, timebase, of))
-            for of in experiment.rigs
-        ]
+        self._rigs = [(list(of.places), Rig(section, axes, timebase, of)) for of in experiment.rigs]
 
     @property
     def drive(self) -> str:

@@ -54,9 +54,9 @@ class RigNode(NodeBody):
         rig = self._section, experiment.axes, self._timebase, shell.rig
         self._is_realtime = self._section["pace"] == "realtime"
         hosted = self._hosted()
-        self._rig = self._fault_free = Rig.from_parameters(*rig, hosted)
+        self._rig = self._fault_free = Rig(*rig, hosted)
         if self._section["faults"] and hosted is None:  # they are of the test alone
-            self._fault_free = Rig.from_parameters({**self._section, "faults": ""}, *rig[1:])
+            self._fault_free = Rig({**self._section, "faults": ""}, *rig[1:])
         self._is_sampled = hosted is not None and self._is_realtime  # also between two tests
         self._rest = RigRest(
             shell,
@@ -136,7 +136,7 @@ class RigNode(NodeBody):
             return None
         shell, period, now = self._shell, self._timebase.dt, self._clock.monotonic
         axes = shell.experiment.axes
-        made = HostedHardware.from_parameters(self._section, axes, shell.rig, period, now)
+        made = HostedHardware(self._section, axes, shell.rig, period, now)
         if not (self._is_realtime or made.can_wait):
             raise InputError(
                 f"rig: pace is lockstep, but hardware {self._section['hardware']} can't wait for "

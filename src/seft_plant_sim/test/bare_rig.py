@@ -9,6 +9,7 @@ from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import RIG_TABLE
 from seft_plant_sim.simulated.continuous_model import ContinuousModel
+from seft_plant_sim.simulated.faults import Faults
 from seft_plant_sim.simulated.rig import SimulatedRig
 from seft_plant_sim.simulated.rig_step import SATURATED_PARTS
 from seft_plant_sim.simulated.sensors import Channels, Sensors
@@ -45,7 +46,7 @@ def rig_section(group="", /, **values):
 
 def make_rig(axes=("x",), **values):
     """Rig of these parameters at 500 Hz; a double underscore stands for a dot."""
-    return Rig.from_parameters(rig_section(**values), axes, Timebase.from_rate(500.0))
+    return Rig(rig_section(**values), axes, Timebase.from_rate(500.0))
 
 
 def driven(rig, commands):
@@ -79,8 +80,10 @@ class BareRig(SimulatedRig):
                 model = replace(model, sensed=replace(sensed, outputs=sensed.outputs[:, :0]))
         n = model.b.shape[1]
         nothing, no_end = np.zeros((4, n)), np.full((4, n), np.inf)
-        sensors = Sensors(Channels(nothing, nothing, no_end, nothing), 0)
-        super().__init__(model, sensors, dt)
+        sensors = Sensors(rig_section(), [*map(str, range(n))], range(n))
+        sensors.channels = Channels(nothing, nothing, no_end, nothing)
+        no_faults = Faults(np.zeros((0, 6), dtype=np.int64), np.zeros((0, 3))), 0
+        super().__init__(model, sensors, dt, no_faults)
         self.saturation = set()
 
     def reset(self):

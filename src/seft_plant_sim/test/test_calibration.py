@@ -21,10 +21,10 @@ DT = 0.002
 X, V, A, F = range(4)
 
 
-def known(*, ranges=None, resolution=None, derived=False, axes=("x",), places=None, **values):
+def known(*, ranges=None, resolution=None, velocity="measured", axes=("x",), places=None, **values):
     named = {f"calibration.{name}": value for name, value in values.items()}
-    section, own = rig_section(**named), places or range(len(axes))
-    return calibration_of(section, axes, own, DT, ranges, resolution, derived)
+    section, own = rig_section(sensors__velocity=velocity, **named), places or range(len(axes))
+    return calibration_of(section, axes, own, DT, ranges, resolution)
 
 
 def corrected(samples, **values):
@@ -212,7 +212,7 @@ def test_errors_name_the_parameter():
     with pytest.raises(InputError, match=r"^/\*\*: calibration.force_scale is 0"):
         known(force_scale=0.0)
     with pytest.raises(InputError, match=r"velocity_lag is given, but sensors.velocity is derived"):
-        known(velocity_lag=0.001, derived=True)
+        known(velocity_lag=0.001, velocity="derived")
     with pytest.raises(InputError, match=r"^/\*\*: calibration.displacement_bias: 3 values for 2"):
         known(axes=("x", "y"), displacement_bias=[0.0, 1.0, 2.0])
     with pytest.raises(InputError, match=r"calibration.tilt \[\[1.0, 1.0\].*show the same"):

@@ -106,7 +106,7 @@ JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"  # wherever it runs, as 
 def moving_rig(*overrides, axes=("x",), steps=200):
     given = [("/**", "axes", list(axes)), *overrides]
     experiment = Experiment.load([RIG_TABLE], [JHU], given, nodes=["rig"])
-    rig = Rig.from_parameters(experiment["rig"], experiment.axes, experiment.timebase)
+    rig = Rig(experiment["rig"], experiment.axes, experiment.timebase)
     swing = 5.0 * np.sin(2 * np.pi * 5.0 * 0.002 * np.arange(steps))
     driven(rig, np.outer(swing, np.ones(len(axes))))
     return rig
@@ -219,7 +219,7 @@ def test_a_rig_trips_by_a_rate_of_change_that_lasts_but_not_by_a_jump(rate):
     def trips(fault):
         limits = {"limits__force": 1e9, "limits__force_rate": 2e6}
         section = rig_section(faults=f"force {fault} at 0.05 for {0.01 * rate:.0f}", **limits)
-        rig = Rig.from_parameters(section, ("x",), Timebase.from_rate(rate))
+        rig = Rig(section, ("x",), Timebase.from_rate(rate))
         rig.reset()
         for _ in range(round(0.1 * rate)):
             rig.step(np.zeros(1))

@@ -30,7 +30,7 @@ COMMANDS = np.random.default_rng(0).normal(scale=0.3, size=(200, 3))
 
 
 def of_plan(test, rig=None):
-    return Rig.from_parameters(test["rig"], test.axes, test.timebase, rig)
+    return Rig(test["rig"], test.axes, test.timebase, rig)
 
 
 SPRINGS = [1.0, 0.0, 0.0, 1.0, 0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]

@@ -124,4 +124,4 @@ def test_a_tilt_between_rigs_is_refused():
     ]
     experiment = Experiment.load([RIG_TABLE], [], words, nodes=["rig"])
     with pytest.raises(InputError, match=r"sensors.tilt \[\[1.0, 0.02\], .* different rigs"):
-        Rig.from_parameters(experiment["rig"], axes, experiment.timebase, rigs_of(axes)[0])
+        Rig(experiment["rig"], axes, experiment.timebase, rigs_of(axes)[0])

@@ -42,13 +42,16 @@ def sensors(rms=RMS, seed=1, **rows):
     rms = np.asarray(rms, dtype=float)
     values = {"bias": 0.0, "range": np.inf, "resolution": 0.0} | rows
     full = {name: np.broadcast_to(value, rms.shape).astype(float) for name, value in values.items()}
-    return Measured(Sensors(Channels(rms, **full), seed))
+    places = range(rms.shape[1])
+    made = Sensors(rig_section() | {"seed": seed}, [*map(str, places)], places)
+    made.channels = Channels(rms, **full)
+    return Measured(made)
 
 
 def from_parameters(seed=1, axes=("x", "y"), **values):
     """Sensors of the table's defaults with changes."""
     section = rig_section("sensors.", **values) | {"seed": seed}
-    made = Sensors.from_parameters(section, axes, range(len(axes)))
+    made = Sensors(section, axes, range(len(axes)))
     return Measured(made, Derivation.from_parameters(section, DT))
 
 

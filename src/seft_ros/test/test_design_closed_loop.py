@@ -74,7 +74,7 @@ def elsewhere(test):
 def blocks_displacements(test, motion, steps):
     """What the blocks do: displacements, shape (steps, n), under the motion and after it."""
     axes, timebase = test.axes, test.timebase
-    rig = Rig.from_parameters(test["rig"], axes, timebase)
+    rig = Rig(test["rig"], axes, timebase)
     reference = ReferenceForce.from_parameters(test["reference_force"], axes, timebase)
     control = ForceController.from_parameters(
         test["force_controller"] | {"limits.command": 1e12}, axes, timebase

@@ -70,7 +70,7 @@ def fault_free_sensors(recording):
     experiment = recording.experiment
     faults = [line for line in experiment["rig"]["faults"] if not of_sensor(line)]
     section = experiment["rig"] | {"faults": faults or ""}
-    rig = Rig.from_parameters(section, experiment.axes, experiment.timebase)
+    rig = Rig(section, experiment.axes, experiment.timebase)
     commands = recording.series["valve_command"].values[:-1, 0]
     rig.reset()
     found = [rig.measured]

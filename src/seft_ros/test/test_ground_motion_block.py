@@ -11,13 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
-from seft_ros.ground_motion.ground_motion_block import GROUND_MOTION_TABLE, GroundMotion
+from seft_ros.ground_motion.ground_motion_block import GROUND_MOTION_TABLE, GroundMotion, chunks_of
 
 
 def build(axes=("x",), rate=200.0, **values):
     """Ground motion of these parameters; a double underscore stands for a dot."""
     section = section_of(GROUND_MOTION_TABLE, **{"specimen__mass": 1.0, **values})
-    return GroundMotion.from_parameters(section, axes, Timebase.from_rate(rate))
+    return GroundMotion(section, axes, Timebase.from_rate(rate))
 
 
 @pytest.fixture
@@ -110,7 +110,7 @@ def test_records_of_the_axes_must_fit(tmp_path, pair):
 @given(st.integers(1, 300), st.integers(1, 50))
 def test_chunks_cover_every_step_once_and_in_order(steps, chunk_steps):
     values = np.arange(2.0 * steps).reshape(steps, 2)
-    chunks = GroundMotion(values, chunk_steps).chunks
+    chunks = chunks_of(values, chunk_steps)
     assert [first for first, _ in chunks] == list(range(0, steps, chunk_steps))
     assert {len(part) for _, part in chunks[:-1]} <= {chunk_steps}
     np.testing.assert_array_equal(np.concatenate([part for _, part in chunks]), values)

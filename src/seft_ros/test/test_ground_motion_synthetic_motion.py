@@ -136,5 +136,5 @@ def test_ground_motion_reads_the_record_bit_for_bit(tmp_path, rate):
     section = {row.name: row.default for row in GROUND_MOTION_TABLE.rows.values()}
     section |= {"file": str(tmp_path / "record.csv"), "column": [0, 1], "unit": "m/s2"}
     section |= {"dt": 1 / rate, "tail": 0.0, "influence": 3.7}
-    motion = GroundMotion.from_parameters(section, ("x", "y"), Timebase.from_rate(rate))
+    motion = GroundMotion(section, ("x", "y"), Timebase.from_rate(rate))
     np.testing.assert_array_equal(motion.samples, samples)

@@ -10,7 +10,7 @@ from experiments_at_hand import load
 from seft_msgs_py.config.facts import CHANNELS
 from seft_plant_sim.rig import Rig
 from seft_ros.ground_motion.synthetic_motion import excitation
-from seft_ros.identification.actuator_fit import fit_actuator
+from seft_ros.identification.actuator_fit import OilBalance, fit_actuator
 
 TAIL = 1.0
 BAND = (0.3, 200.0)
@@ -21,7 +21,7 @@ def driven(*overrides, volts=0.2, seconds=20.0, of="jhu"):
     """Drive a rig by noise; commands, displacements, accelerations, forces, each (N, n), and dt."""
     experiment = load(*overrides, config=of)
     axes, dt = experiment.axes, experiment.timebase.dt
-    rig = Rig.from_parameters(experiment["rig"], axes, experiment.timebase)
+    rig = Rig(experiment["rig"], axes, experiment.timebase)
     band = BAND[0], min(BAND[1], 0.45 / dt)
     unit = excitation(round(seconds / dt), len(axes), dt, band, 1)
     commands = np.concatenate([volts * unit, np.zeros((round(TAIL / dt), len(axes)))])
@@ -36,7 +36,7 @@ def driven(*overrides, volts=0.2, seconds=20.0, of="jhu"):
 
 def fitted(*overrides, axis=0, **options):
     *signals, dt, band = driven(*overrides, **options)
-    return fit_actuator(*(signal[:, axis] for signal in signals), dt, band)
+    return fit_actuator(OilBalance([signal[:, axis] for signal in signals], dt, band))
 
 
 KNOWN = {
@@ -147,6 +147,6 @@ def test_data_that_tell_nothing_are_refused_with_the_reason(signs, message):
         sign * signal[:, 0] + extra
         for sign, signal, extra in zip(signs, signals, noise.T, strict=True)
     ]
-    fit = fit_actuator(*signed, dt, band)
+    fit = fit_actuator(OilBalance(signed, dt, band))
     assert fit.verdict == "not usable"
     assert re.search(message, fit.fault())

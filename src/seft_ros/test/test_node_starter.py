@@ -51,7 +51,7 @@ def start(tmp_path):
         log = tmp_path / name
         node = starter.start(["sleeper", what, str(log)], log)
         message = ""
-        while node.poll() is None and not ("asleep" in message and message.endswith("\n")):
+        while starter.status(node) is None and not ("asleep" in message and message.endswith("\n")):
             time.sleep(0.01)
             message = log.read_text() if log.exists() else ""  # which it may have begun to write
         return node, log
@@ -62,36 +62,33 @@ def start(tmp_path):
 @pytest.mark.parametrize("status", [0, 3])
 def test_it_knows_how_a_node_ended(start, starter, status):
     node, _ = start(starter, str(status))
-    assert node.wait(0.0)
-    assert node.poll() == status
+    assert starter.status(node) == status
 
 
 def test_a_fault_is_in_the_log(start, starter):
     node, log = start(starter, "raise")
-    assert node.poll() == 1
+    assert starter.status(node) == 1
     assert log.read_text().strip().endswith("ValueError: a fault of its own")
 
 
 def test_a_log_that_cannot_be_made_ends_the_node(starter, tmp_path):
     node = starter.start(["sleeper", "sleep", ""], tmp_path / "missing" / "log")
-    assert node.wait(PATIENCE)
-    assert node.poll() == 1
+    assert starter.status(node, PATIENCE) == 1
 
 
 def test_a_node_ends_by_a_signal(start, starter):
     node, _ = start(starter, "sleep")
-    assert not node.wait(0.01)
-    node.send_signals(signal.SIGKILL)
-    assert node.wait(PATIENCE)
-    assert node.poll() == -signal.SIGKILL
-    node.send_signals(signal.SIGKILL)  # which finds none, and no other
+    assert starter.status(node, 0.01) is None
+    starter.signal(node, signal.SIGKILL)
+    assert starter.status(node, PATIENCE) == -signal.SIGKILL
+    starter.signal(node, signal.SIGKILL)  # which finds none, and no other
 
 
 def test_a_node_has_its_session_its_command_line_and_the_addresses_of_others(start, starter):
     (one, log), (other, its_log) = start(starter, "sleep", "1"), start(starter, "sleep", "2")
     for node, file in (one, log), (other, its_log):
-        assert os.getsid(node.pid) == node.pid
-        words = Path(f"/proc/{node.pid}/cmdline").read_text().rstrip("\0")
+        assert os.getsid(node) == node
+        words = Path(f"/proc/{node}/cmdline").read_text().rstrip("\0")
         assert words.split(" ")[1:] == ["-m", "sleeper", "sleep", str(file)]
     assert log.read_text() == its_log.read_text()
 
@@ -99,16 +96,15 @@ def test_a_node_has_its_session_its_command_line_and_the_addresses_of_others(sta
 def test_what_a_run_leaves_behind_ends_with_it_even_what_is_stopped(start):
     with NodeStarter(()) as starter:
         nodes = [start(starter, "sleep", name)[0] for name in ("1", "2")]
-        os.kill(nodes[1].pid, signal.SIGSTOP)
-    assert not any(Path(f"/proc/{node.pid}").exists() for node in nodes)
+        os.kill(nodes[1], signal.SIGSTOP)
+    assert not any(Path(f"/proc/{node}").exists() for node in nodes)
 
 
 def test_nodes_end_with_their_starter(start, tmp_path):
     with NodeStarter(()) as starter:
         node, _ = start(starter, "sleep")
         os.kill(os.getsid(starter._process.pid), signal.SIGKILL)
-        assert node.wait(PATIENCE)
-        assert node.poll() == -signal.SIGTERM
+        assert starter.status(node, PATIENCE) == -signal.SIGTERM
         with pytest.raises(ExperimentError, match="the process that starts the nodes has ended"):
             starter.start(["sleeper", "0", ""], tmp_path / "log")
 

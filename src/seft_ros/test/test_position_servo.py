@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from experiments_at_hand import load, simulated
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire.topics import RigAxes
 from seft_plant_sim.hardware.hosted import HostedHardware
 from seft_plant_sim.judge.known_rig import known_responses
 from seft_plant_sim.judge.servo_model import second_difference, servo_models
@@ -268,8 +269,9 @@ def test_the_first_command_of_each_test_is_where_a_hosted_servo_stands():
 
         close = safe
 
-    made = Servo(), "Servo", "valve_command", np.ones((4, 1)), (), ("x",), 1.0, lambda: 0.0
-    hosted = HostedHardware(*made, holds=True)
+    test = told()
+    given = test["rig"], test.axes, RigAxes.whole(test.axes)
+    hosted = HostedHardware(*given, 1.0, lambda: 0.0, Servo())
     for commands in ([0.002, 0.005], [-0.001, 0.001]):
         hosted.reset()
         for command in commands:

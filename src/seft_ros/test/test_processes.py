@@ -48,7 +48,7 @@ def run(starter, monkeypatch):
 def test_nodes_of_the_loop_have_a_core_of_their_own_and_in_realtime_all(run, composed, lockstep):
     cores = os.sched_getaffinity(0)
     with run(ProcessLayout(composed=composed), lockstep) as processes:
-        found = {node: os.sched_getaffinity(pid) for node, pid in processes.pids().items()}
+        found = {node: os.sched_getaffinity(pid) for node, pid in processes.pids.items()}
     assert found.pop("recorder") == cores - {min(cores)}
     assert found == dict.fromkeys(LOOP_NODES, {min(cores)} if lockstep else cores)
     assert os.sched_getaffinity(0) == cores
@@ -56,7 +56,7 @@ def test_nodes_of_the_loop_have_a_core_of_their_own_and_in_realtime_all(run, com
 
 def test_what_is_not_pinned_runs_anywhere(run):
     with run(ProcessLayout(pin=False)) as processes:
-        found = {node: os.sched_getaffinity(pid) for node, pid in processes.pids().items()}
+        found = {node: os.sched_getaffinity(pid) for node, pid in processes.pids.items()}
     assert found == dict.fromkeys(NODES, os.sched_getaffinity(0))
 
 
@@ -76,7 +76,7 @@ def test_who_comes_earlier_in_a_step_gives_way(layout, priorities):
 
 @pytest.mark.parametrize("may", [False, True])
 def test_cores_stay_awake_without_being_asked_for_where_that_is_allowed(monkeypatch, may):
-    monkeypatch.setattr("seft_ros.test_run.processes.may_keep_awake", lambda: may)
+    monkeypatch.setattr("seft_msgs_py.node.host.may_keep_awake", lambda: may)
     assert ProcessLayout().realtime_parameters("rig") == ({"keep_awake": True} if may else {})
     assert ProcessLayout(pin=False).realtime_parameters("rig") == {}
 
@@ -85,7 +85,7 @@ def test_cores_stay_awake_without_being_asked_for_where_that_is_allowed(monkeypa
 @pytest.mark.parametrize("lockstep", [False, True])
 def test_nodes_are_hurried_once_it_is_known_that_a_rig_keeps_a_pace(run, lockstep):
     with run(ProcessLayout()) as processes:
-        pids = processes.pids()
+        pids = processes.pids
         assert {os.sched_getscheduler(pids[n]) for n in LOOP_NODES} == {os.SCHED_BATCH}
         processes.settle(lockstep=lockstep)
         treated = {(os.sched_getscheduler(pids[n]), nice(pids[n])) for n in LOOP_NODES}

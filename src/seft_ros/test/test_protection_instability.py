@@ -8,6 +8,7 @@ import pytest
 from experiments_at_hand import load
 from scipy.signal import butter, lfilter, sosfilt
 from seft_msgs_py.arrays import clear, zeros
+from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.computed.computed_substructure import ComputedSubstructure
 from seft_plant_sim.whole_structure import reference_response
@@ -18,6 +19,7 @@ from seft_ros.protection.instability import (
     watch_step,
 )
 from seft_ros.reference_force.compensator import MethodInputs
+from seft_ros.reference_force.reference_force_block import method_inputs
 
 RATIO, FLOOR = 5.0, 0.3
 
@@ -112,7 +114,8 @@ def test_a_new_test_begins_at_rest():
 def test_in_a_perfect_test_both_accelerations_are_one_and_pass_butterworths_high_pass(config):
     test = load(config=config)
     n, section = len(test.axes), test["reference_force"] | {"instability.lowest": 30.0}
-    guard = InstabilityWatch.from_parameters(section, test.axes, test.timebase)
+    known = method_inputs(section, test.axes, test.timebase)
+    guard = InstabilityWatch(known, test.axes, **group(section, "instability"))
     ground = motion(1, 600, n)
     exact = reference_response(test, ground)
     states = np.stack([exact.displacement, exact.velocity, exact.acceleration, exact.force], axis=1)

@@ -69,11 +69,6 @@ def test_its_duration_is_counted_in_steps(duration, steps):
     assert count == steps
 
 
-def test_a_ramp_of_no_steps_is_none():
-    with pytest.raises(ValueError, match="0 steps"):
-        RampDown(0)
-
-
 def test_it_has_finished_once_it_has_rested_too():
     ramp = RampDown(3, rest=2)
     assert ramp.whole == 5

@@ -12,20 +12,13 @@ from seft_msgs_py.config.experiment import split_ros_arguments
 from seft_msgs_py.config.parameter_table import Section, Table
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.node import host as this_host
-from seft_msgs_py.node.process import (
-    check_environment,
-    check_shared_memory,
-    exit_watchdog,
-    on_ending,
-    prepare_middleware,
-    single_instance,
-)
+from seft_msgs_py.node import process
 from seft_msgs_py.node.transport import MACHINE, Answer, Clock, Host, Level
 from seft_msgs_py.printing import escaped
 from seft_msgs_py.wire.topics import Topic
 
-check_environment()  # before rclpy is imported
-check_shared_memory()
+process.check_environment()  # before rclpy is imported
+process.check_shared_memory()
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
@@ -147,8 +140,8 @@ class DdsTransport:
 
     def __init__(self, argv: Sequence[str], stop: Callable[..., None]) -> None:
         this_host.wake_on_time()
-        prepare_middleware()
-        on_ending(stop)
+        process.prepare_middleware()
+        process.on_ending(stop)
         _, _, arguments = split_ros_arguments(argv)  # parameters are read by `Experiment.load`
         with rclpy_interface.starting_ros():
             rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
@@ -164,7 +157,7 @@ class DdsTransport:
             node = Node(name, parameter_overrides=values)
         self._executor.add_node(node)
         domain, full_name = node.context.get_domain_id(), node.get_fully_qualified_name()
-        self._held.append(single_instance(domain, full_name))
+        self._held.append(process.single_instance(domain, full_name))
         return DdsEndpoint(node)
 
     def wait_set(
@@ -187,7 +180,7 @@ class DdsTransport:
 
     def close(self, status: int = 0) -> None:
         """Take the nodes off the graph; if that hangs, end the process with this exit status."""
-        with exit_watchdog(_CLOSE_TIMEOUT_S, status):
+        with process.exit_watchdog(_CLOSE_TIMEOUT_S, status):
             self._ends = True
             nodes = self._executor.get_nodes()
             if self._thread is not None:  # it must not wait for objects that are destroyed next

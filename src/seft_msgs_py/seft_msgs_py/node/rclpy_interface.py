@@ -281,15 +281,10 @@ def taker(subscription: Subscription) -> Take:
     return take
 
 
-def take_timed(subscription: Subscription) -> tuple[bytes, int] | None:
-    """Take the oldest message, and its time of sending, wall clock of the sender, ns."""
-    taken = subscription.handle.take_message(subscription.msg_type, True)
-    return None if taken is None else (taken[0], taken[1]["source_timestamp"])
-
-
 def take_all(subscription: Subscription, most: int) -> list[tuple[bytes, int]]:
-    """Take at most so many messages, oldest first, as `take_timed` gives each."""
+    """Take at most so many messages, oldest first, each with its time by its sender's clock, ns."""
     found: list[tuple[bytes, int]] = []
-    while len(found) < most and (taken := take_timed(subscription)) is not None:
-        found.append(taken)
+    take, kind = subscription.handle.take_message, subscription.msg_type
+    while len(found) < most and (taken := take(kind, True)) is not None:
+        found.append((taken[0], taken[1]["source_timestamp"]))
     return found

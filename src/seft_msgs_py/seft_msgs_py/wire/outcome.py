@@ -248,7 +248,7 @@ def rig_status(outcome: Outcome) -> Status:
         "missed": str(outcome.missed),
         "most_missed": str(outcome.most_missed),
         "overruns": str(outcome.overruns),
-        "missed_steps": _listed(outcome.missed_steps),
+        "missed_steps": ",".join(map(str, outcome.missed_steps[:LISTED_STEPS])),
         "saturated": json.dumps(dict(sorted(outcome.saturation.items()))),
     }
     if outcome.simulated is not None:
@@ -321,10 +321,6 @@ def read_outcome(status: Status, timebase: Timebase) -> Outcome | None:
         raise WireError(f"status of the {phase} rig: {error.args[0]} is missing") from None
     except (AttributeError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise WireError(f"status of the {phase} rig: {error}") from None
-
-
-def _listed(steps: Sequence[int]) -> str:
-    return ",".join(map(str, steps[:LISTED_STEPS]))
 
 
 def _steps(text: str) -> list[int]:

@@ -163,7 +163,7 @@ def rigs_of(axes: Sequence[str]) -> tuple[RigAxes, ...]:
     InputError
         If only some axes name a rig, or a rig's name can't be a namespace.
     """
-    names = {axis: axis.rpartition("/")[0] for axis in axes}
+    names = {axis: rig_name(axis) for axis in axes}
     rigs = list(dict.fromkeys(names.values()))
     for name in rigs:
         if rigs != [""] and not _NAMESPACE.fullmatch(name):
@@ -190,8 +190,14 @@ def bare(node: str) -> str:
 
 
 def rig_name(node: str) -> str:
-    """Name of the rig in a node's name; empty if it serves all rigs, or the only one."""
+    """Name of the rig in that of a node or axis; empty if it serves all rigs, or the only one."""
     return node.rpartition("/")[0]
+
+
+def of_one_rig(axes: Sequence[str]) -> npt.NDArray[np.bool_]:
+    """Say which pairs of axes belong to one rig, shape (n, n)."""
+    names = np.array([rig_name(axis) for axis in axes])
+    return np.equal.outer(names, names)
 
 
 def with_rigs(nodes: Iterable[str], rigs: Sequence[RigAxes]) -> list[str]:

@@ -2,7 +2,7 @@
 
 import inspect
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from itertools import compress
 from pathlib import Path
@@ -74,29 +74,27 @@ class HostedHardware:
 
     Parameters
     ----------
-    device : Hardware
-        The laboratory's.
-    name : str
-        As ``rig: hardware`` has it.
-    drive : str
-        Topic that it obeys.
-    per_volt : ndarray
-        SI units per unit of the device's channels, shape (4, n).
-    derived : sequence of int
-        Rows of its samples that are not used.
-    axes : tuple of str
-        Names of its n axes.
+    section, axes
+        The rig's section, and the names of all axes.
+    rig : RigAxes
+        Those that it moves.
     period : float
-        Longest duration of a call, s: the sampling period, or infinite in lockstep.
+        Longest duration of a call at the pace realtime, s: the sampling period.
     now : callable
         Monotonic time, s.
-    holds : bool
-        Whether it is a displacement servo. The first command of each test is where it stands.
+    device : Hardware, optional
+        The laboratory's; default what ``rig: hardware`` names. The first command of each test is
+        where a displacement servo stands.
+
+    Raises
+    ------
+    InputError
+        If it can't be made, or lacks a method; if it is to have simulated faults.
 
     Attributes
     ----------
     drive : str
-        As given.
+        Topic that it obeys.
     can_wait, is_clock : bool
         See `Hardware`.
     saturated : int
@@ -107,73 +105,42 @@ class HostedHardware:
 
     def __init__(
         self,
-        device: Hardware,
-        name: str,
-        drive: str,
-        per_volt: Floats,
-        derived: Sequence[int],
-        axes: tuple[str, ...],
-        period: float,
-        now: Callable[[], float],
-        holds: bool = False,
-    ) -> None:
-        self._axes, self._holds = axes, holds
-        # of a displacement servo: its last command, and that of it where a test's is 0
-        self._held, self._base = np.zeros(len(axes)), None if holds else np.zeros(len(axes))
-        self.drive, self._device, self._name, self._now = drive, device, name, now
-        self.can_wait: bool = getattr(device, "can_wait", False)
-        self.is_clock: bool = getattr(device, "is_clock", False)
-        self._is_remote = isinstance(device, UdpHardware)
-        self._per_volt, self._derived, self._period = per_volt, list(derived), period
-        self._stop: SafeStop | None = None
-        self._is_missing = False  # the last sample
-        self._file = None
-        with suppress(TypeError):  # of a class of an extension module
-            self._file = inspect.getsourcefile(type(device))
-
-    @classmethod
-    def from_parameters(
-        cls,
         section: Mapping[str, Any],
         axes: tuple[str, ...],
         rig: RigAxes,
         period: float,
         now: Callable[[], float],
-    ) -> "HostedHardware":
-        """Make what ``rig: hardware`` names, see the class.
-
-        Raises
-        ------
-        InputError
-            If it can't be made, or lacks a method; if it is to have simulated faults.
-        """
-        name, where = section["hardware"], "rig: hardware"
+        device: Hardware | None = None,
+    ) -> None:
+        self._name, self._axes, self._now = section["hardware"], rig.axes, now
         if section["faults"]:
             raise InputError("rig: faults are those of a simulated rig; leave them out")
         safe = Safe.from_parameters(section, axes, rig.places, period)
         known = {**section, "safe.valve_command": safe.command.tolist()}
-        try:
-            if name == UDP:
-                device = UdpHardware(known, rig.axes)
-            else:
-                device = HARDWARE.make(name, "", where, known, rig.axes)
-        except InputError:
-            raise
-        except (Exception, SystemExit) as error:
-            below = traceback.extract_tb(error.__traceback__)[2:]  # this function and `make`
-            line = line_in(error, below[0].filename) if below else ""
-            raise InputError(f"{where}: {name}{line} can't be made: {reason_of(error)}") from None
-        missing = [each for each in ("read", "write", "safe", "close") if not _has(device, each)]
+        self._device = _device(known, rig.axes) if device is None else device
+        needed = ("read", "write", "safe", "close")
+        missing = [each for each in needed if not callable(getattr(self._device, each, None))]
         if missing:
-            raise InputError(f"{where}: {name} has no method {', '.join(missing)}")
+            raise InputError(f"rig: hardware: {self._name} has no method {', '.join(missing)}")
         force_driven = section["actuator.kind"] in FORCE_DRIVEN
-        per_volt = per_channel(section, axes, "calibration.{}_per_volt")[:, list(rig.places)]
-        drive = (REFERENCE_FORCE if force_driven else VALVE_COMMAND).name
+        self.drive = (REFERENCE_FORCE if force_driven else VALVE_COMMAND).name
+        every = per_channel(section, axes, "calibration.{}_per_volt")
+        self._per_volt = every[:, list(rig.places)]  # SI units per unit of the device's channels
         derived = [velocity_is_derived(section), acceleration_is_derived(section)]
-        derived_rows = list(compress((VELOCITY, ACCELERATION), derived))
-        longest = np.inf if section["pace"] == "lockstep" else period  # where the rig waits
-        made = device, name, drive, per_volt, derived_rows, rig.axes, longest, now
-        return cls(*made, holds=safe.holds)
+        self._derived = list(compress((VELOCITY, ACCELERATION), derived))
+        self._period = np.inf if section["pace"] == "lockstep" else period  # where the rig waits
+        self._holds = safe.holds
+        # of a displacement servo: its last command, and that of it where a test's is 0
+        self._held = np.zeros(len(rig.axes))
+        self._base = None if safe.holds else np.zeros(len(rig.axes))
+        self.can_wait: bool = getattr(self._device, "can_wait", False)
+        self.is_clock: bool = getattr(self._device, "is_clock", False)
+        self._is_remote = isinstance(self._device, UdpHardware)
+        self._stop: SafeStop | None = None
+        self._is_missing = False  # the last sample
+        self._file = None
+        with suppress(TypeError):  # of a class of an extension module
+            self._file = inspect.getsourcefile(type(self._device))
 
     def read(self) -> Floats:
         """Read a sample, shape (4, n), in SI units.
@@ -317,5 +284,18 @@ class HostedHardware:
         return HardwareError(f"{self._name}{inherited}{line}: {method}(){what}")
 
 
-def _has(device: Any, method: str) -> bool:
-    return callable(getattr(device, method, None))
+def _device(section: Mapping[str, Any], axes: tuple[str, ...]) -> Hardware:
+    """Make the hardware that a rig's section names."""
+    name = section["hardware"]
+    try:
+        if name == UDP:
+            return UdpHardware(section, axes)
+        made: Hardware = HARDWARE.make(name, "", "rig: hardware", section, axes)
+    except InputError:
+        raise
+    except (Exception, SystemExit) as error:
+        below = traceback.extract_tb(error.__traceback__)[2:]  # this function and `make`
+        line = line_in(error, below[0].filename) if below else ""
+        text = f"rig: hardware: {name}{line} can't be made: {reason_of(error)}"
+        raise InputError(text) from None
+    return made

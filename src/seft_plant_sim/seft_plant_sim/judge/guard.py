@@ -10,7 +10,7 @@ from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.wire.topics import RigAxes
 
 from seft_plant_sim.calibration import Calibration, CalibrationState, calibrate, calibration_of
-from seft_plant_sim.channels import Derivation, converters, derive_velocity, velocity_is_derived
+from seft_plant_sim.channels import Derivation, converters, derive_velocity
 from seft_plant_sim.compiled import compiled, entry_point
 from seft_plant_sim.judge.detector_list import DETECTORS, describe
 from seft_plant_sim.judge.detector_step import begin_detectors, judge_sample
@@ -187,9 +187,9 @@ class Guard:
         dt: float,
         zeroed: Mapping[str, Any] | None = None,
     ) -> None:
-        places, derived = rig.places, velocity_is_derived(section)
+        places = rig.places
         ranges, resolution = converters(section, axes, places, "sensors.adc_bits")
-        calibration = calibration_of(section, axes, places, dt, ranges, resolution, derived)
+        calibration = calibration_of(section, axes, places, dt, ranges, resolution)
         derivation = Derivation.from_parameters(section, dt)
         acceleration = acceleration_of(section, axes, places, dt)
         limits = Limits(group(section, "limits"), rig.axes, dt)

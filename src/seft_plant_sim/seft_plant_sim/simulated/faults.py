@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
-from seft_msgs_py.config.facts import POSITION_SERVO
+from seft_msgs_py.config.facts import CHANNELS, POSITION_SERVO
 from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
@@ -23,8 +23,7 @@ from seft_plant_sim.simulated.specimen import Specimen
 from seft_plant_sim.simulated.springs import ONE_SIDED, SPRING_KIND, Spring
 
 GRAMMAR = "[AXIS/]WHAT KIND [VALUE] at TIME [for STEPS]"
-CHANNEL_ROWS = ("displacement", "velocity", "acceleration", "force")
-VALVE, _SUPPLY, _SPECIMEN = 4, 5, 6
+VALVE = 4  # row of the first of KINDS that is no channel
 SET, ADD, SCALE, DRIFT, NOISE, HOLD, LATE, LOW_PASS, FLIP, BIT, PLAY = range(11)
 """What is done to a signal."""
 _SUPPLIED, _BREAK, _SLIP, _COLLIDE = range(PLAY + 1, PLAY + 5)
@@ -34,15 +33,14 @@ _OF_FORCES = {"stick": HOLD, "slow": LOW_PASS}
 _OF_FORCES |= {kind: _OF_CHANNELS[kind] for kind in ("set", "add", "scale", "flip", "late")}
 _OF_VALVES = {"stick": HOLD, "open": SET, "slow": LOW_PASS, "null": DRIFT, "hysteresis": PLAY}
 KINDS: dict[str, dict[str, int]] = {
-    **dict.fromkeys(CHANNEL_ROWS, _OF_CHANNELS),
+    **dict.fromkeys(CHANNELS, _OF_CHANNELS),
     "valve": _OF_VALVES | _OF_FORCES,
     "supply": {"scale": _SUPPLIED},
     "specimen": {"break": _BREAK, "slip": _SLIP, "collide": _COLLIDE},
 }
 """WHAT -> its kinds of fault."""
 WITHOUT_VALUE = ("freeze", "flip", "stick")
-_ROWS = {**{name: row for row, name in enumerate(CHANNEL_ROWS)}, "valve": VALVE}
-_ROWS |= {"supply": _SUPPLY, "specimen": _SPECIMEN}
+_ROWS = {what: row for row, what in enumerate(KINDS)}
 NEEDS = {
     "noise": (0.0, math.inf, "an RMS of at least 0"),
     "late": (0.0, 10.0, "a time of 0 to 10 s"),
@@ -125,7 +123,7 @@ def _read(text: str, axes: Sequence[str]) -> Fault:
     if bool(at) == (kind in WITHOUT_VALUE):
         raise error(f"{kind} takes no value" if at else f"{kind} needs a value")
     value = _number(at[0]) if at else 0.0
-    is_any = kind == "set" and what in CHANNEL_ROWS  # a converter may give NaN
+    is_any = kind == "set" and what in CHANNELS  # a converter may give NaN
     if value is None or not (is_any or math.isfinite(value)):
         raise error(f"{at[0]} is no number")
     least, most, needed = NEEDS.get(kind, (-math.inf, math.inf, ""))
@@ -178,9 +176,6 @@ class Faults(NamedTuple):
 
     numbers: Ints
     values: Floats
-
-
-NO_FAULTS = Faults(np.zeros((0, 6), dtype=np.int64), np.zeros((0, 3))), 0
 
 
 def faults_of(

@@ -32,7 +32,6 @@ from seft_plant_sim.simulated.continuous_model import (
     with_inner_loop,
 )
 from seft_plant_sim.simulated.faults import (
-    NO_FAULTS,
     Fault,
     Faults,
     failing_specimen,
@@ -47,7 +46,6 @@ from seft_plant_sim.simulated.rig_step import (
     come_to_rest,
     rig_step,
 )
-from seft_plant_sim.simulated.rig_step import left_open as left_open
 from seft_plant_sim.simulated.sensors import Sensors, sensing_of, with_sensors
 from seft_plant_sim.simulated.specimen import Specimen
 from seft_plant_sim.simulated.springs import ONE_SIDED, SPRING_KIND
@@ -82,11 +80,7 @@ class SimulatedRig:
     missing = ""
 
     def __init__(
-        self,
-        model: ContinuousModel,
-        sensors: Sensors,
-        dt: float,
-        faults: tuple[Faults, int] = NO_FAULTS,
+        self, model: ContinuousModel, sensors: Sensors, dt: float, faults: tuple[Faults, int]
     ) -> None:
         self.drive: Drive = model.drive
         self.sensors = sensors
@@ -132,7 +126,7 @@ class SimulatedRig:
         """
         faults = read_faults(section["faults"], axes)
         noises = sum(fault.kind == "noise" for fault in faults)
-        sensors = Sensors.from_parameters(section, axes, rig.places, noises)
+        sensors = Sensors(section, axes, rig.places, noises)
         model = continuous_model(section, axes, rig, faults=faults)
         laws = sum(law.law[SPRING_KIND] != ONE_SIDED for law in model.springs)
         found = faults_of(faults, rig, timebase, sensors.channels.resolution, laws, section)
@@ -214,7 +208,7 @@ def continuous_model(
 ) -> ContinuousModel:
     """Model of actuator, specimen and sensors from a rig's parameters.
 
-    See `Rig.from_parameters`; ``stiffness`` is a factor on the stiffness of the elastic specimen,
+    See `Rig`; ``stiffness`` is a factor on the stiffness of the elastic specimen,
     ``faults`` are those that the specimen may have.
     """
     own = rig or RigAxes.whole(axes)

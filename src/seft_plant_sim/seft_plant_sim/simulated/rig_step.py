@@ -6,8 +6,7 @@ from typing import Annotated, NamedTuple
 from seft_msgs_py.arrays import Floats, Ints
 
 from seft_plant_sim.compiled import bounded, compiled, multiply
-from seft_plant_sim.simulated.actuator import OPENING, PER_CAPACITY
-from seft_plant_sim.simulated.actuator import STROKE_COLUMN as STROKE_COLUMN
+from seft_plant_sim.simulated.actuator import OPENING, PER_CAPACITY, STROKE_COLUMN
 from seft_plant_sim.simulated.continuous_model import Dynamics, Motion, integrate
 from seft_plant_sim.simulated.faults import Faults, obey, show_fault, wear
 from seft_plant_sim.simulated.sensors import Channels, Sensing, measure_channels, read_sensors

@@ -244,30 +244,15 @@ class Sensors:
 
     The noise is white and a function of seed, axis and step alone: it does not depend on earlier
     samples, and all ways of running a test have the same noise. Each axis has its own noise, by its
-    place among the axes of the test (default 0 to n - 1). Below it are ``faulty`` rows of noise for
-    faults.
+    place among the axes of the test. Below it are ``faulty`` rows of noise for faults.
+
+    They are those of the axes at some places, from the rig's section of an experiment. An
+    InputError says if sizes do not fit the axes, or a converter has bits but no range.
     """
 
     def __init__(
-        self, channels: Channels, seed: int, places: Sequence[int] | None = None, faulty: int = 0
+        self, section: dict[str, Any], axes: Sequence[str], places: Sequence[int], faulty: int = 0
     ) -> None:
-        self.channels, self._faulty = channels, faulty
-        self._seed = seed
-        self._places = range(channels.noise.shape[1]) if places is None else places
-        self._block_index = -1
-        self._block: Floats = np.empty((0, 4 + faulty, channels.noise.shape[1]))
-
-    @classmethod
-    def from_parameters(
-        cls, section: dict[str, Any], axes: Sequence[str], places: Sequence[int], faulty: int = 0
-    ) -> "Sensors":
-        """Make those of the axes at some places from the rig's section of an experiment.
-
-        Raises
-        ------
-        InputError
-            If sizes do not fit the axes, or a converter has bits but no range.
-        """
         noise, bias = (
             per_channel(section, axes, f"simulated.sensors.{{}}_{what}")
             for what in ("noise", "bias")
@@ -279,7 +264,10 @@ class Sensors:
         own = list(places)
         ranges, resolution = converters(section, axes, own, "simulated.sensors.adc_bits")
         noise, bias = (np.ascontiguousarray(one[:, own]) for one in (noise, bias))
-        return cls(Channels(noise, bias, ranges, resolution), section["seed"], places, faulty)
+        self.channels = Channels(noise, bias, ranges, resolution)
+        self._seed, self._places, self._faulty = section["seed"], own, faulty
+        self._block_index = -1
+        self._block: Floats = np.empty((0, 4 + faulty, len(own)))
 
     def noise_of(self, step: int) -> Floats:
         """Noise of a step, RMS 1, shape (4 + faulty, n)."""

@@ -242,11 +242,6 @@ def spectrum_frequencies(band_hz: tuple[float, float], dt: float) -> Floats:
     return np.geomspace(min(low, high / 2), high, _PERIODS)
 
 
-def natural_frequencies(experiment: Experiment) -> Floats:
-    """Natural frequencies of an experiment's whole structure, elastic, shape (d,), Hz."""
-    return whole_structure(experiment).structure.modes()[0]
-
-
 SENT_AS_MEANT = ("none", "restoring", "target_motion")
 """Compensation methods whose reference force is that of its own step; others send it ahead."""
 

@@ -9,17 +9,8 @@ from seft_plant_sim.rig_parameters import LIMIT_UNITS
 
 from seft_ros.analysis.report_numbers import Report
 from seft_ros.bags.recording import Recording
-from seft_ros.drawing.style import (
-    DISPLAY_UNITS,
-    RESPONSES,
-    Cell,
-    Mark,
-    Texts,
-    TextTable,
-    number,
-    percent,
-    small_percent,
-)
+from seft_ros.drawing import style
+from seft_ros.drawing.style import Texts, TextTable, number, percent
 from seft_ros.ground_motion.readers.statements import STANDARD_GRAVITY
 from seft_ros.reference_force.reference_force_parameters import OF_MODEL
 
@@ -49,8 +40,8 @@ def agreement_table(summary: dict[str, Any]) -> TextTable:
 
 
 def _agreement_rows(part: dict[str, Any], prefix: str = "") -> Iterator[list[str]]:
-    for quantity in RESPONSES:
-        measures, (unit, scale) = part[quantity], DISPLAY_UNITS[quantity]
+    for quantity in style.RESPONSES:
+        measures, (unit, scale) = part[quantity], style.DISPLAY_UNITS[quantity]
         yield [
             f"{prefix}{quantity}",
             *(number(measures[key], scale, unit) for key in ("peak", "reference_peak")),
@@ -66,10 +57,10 @@ def summary_texts(report: Report) -> Texts:
     table: Texts = [agreement_table(summary)]
     if summary["reference_specimen"] == "model":
         table.append(OF_THE_MODEL)
-    findings = (Cell(f"  {finding.whole}", finding.verdict) for finding in found.findings)
+    findings = (style.Cell(f"  {finding.whole}", finding.verdict) for finding in found.findings)
     seen = report.laboratory
-    laboratory = [] if seen is None else [Cell(seen.text, seen.verdict)]
-    verdict = Cell(found.text, found.verdict)
+    laboratory = [] if seen is None else [style.Cell(seen.text, seen.verdict)]
+    verdict = style.Cell(found.text, found.verdict)
     return [title_of(report.recording), facts, *table, verdict, *findings, *laboratory]
 
 
@@ -170,22 +161,22 @@ def _bias_rows(zeroed: dict[str, Any] | None) -> list[tuple[str, str]]:
     return [("zeroed at rest", text)] if text else []
 
 
-def _cause_rows(summary: dict[str, Any], mark: Mark) -> Iterator[tuple[str, str]]:
+def _cause_rows(summary: dict[str, Any], mark: style.Mark) -> Iterator[tuple[str, str]]:
     """Say what may explain why a test is not right, and what a model's parameters became."""
-    if summary["detectors"] and mark is not Mark.GOOD:
+    if summary["detectors"] and mark is not style.Mark.GOOD:
         name, share = max(summary["detectors"].items(), key=lambda item: item[1])
         yield "detectors of faults", f"{name} reached {percent(share)} of its threshold"
     for name, by_axis in summary["estimates"].items():
         if name.startswith(OF_MODEL):
             yield name, _by_axis(name, by_axis, "{least} to {largest}")
-        elif mark is not Mark.GOOD:
+        elif mark is not style.Mark.GOOD:
             form = "{first} to {last}{unit} (between {least} and {largest})"
             yield f"{name} as identified", _by_axis(name, by_axis, form)
 
 
 def _by_axis(name: str, by_axis: dict[str, Any], form: str) -> str:
     """Write how an estimate went on each axis, in the unit in which it is displayed."""
-    unit, scale = DISPLAY_UNITS.get(name, ("", 1.0))
+    unit, scale = style.DISPLAY_UNITS.get(name, ("", 1.0))
     texts = []
     for axis, part in by_axis.items():
         numbers = {key: number(value, scale) for key, value in part.items()}
@@ -216,11 +207,11 @@ def comparison_texts(comparison: dict[str, Any]) -> Texts:
         for field, error in row["fields"].items():
             known = error if row["compared"] else {"max_abs": None, "nrmse": None}
             largest = number(known["max_abs"], 1.0, FIELD_UNITS.get((topic, field), ""), ".2g")
-            rows.append([f"{topic} {field}", largest, small_percent(known["nrmse"])])
+            rows.append([f"{topic} {field}", largest, style.small_percent(known["nrmse"])])
     first, *more = _differences(comparison)
     return [
         TextTable(("difference", "largest", "NRMSE"), rows),
-        Cell(first, Mark.GOOD if comparison["identical"] else Mark.BAD),
+        style.Cell(first, style.Mark.GOOD if comparison["identical"] else style.Mark.BAD),
         *_sample_counts(comparison),
         *more,
     ]

@@ -8,15 +8,8 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
+from seft_msgs_py.wire import topics
 from seft_msgs_py.wire.outcome import RIG, ZEROED
-from seft_msgs_py.wire.topics import (
-    GROUND_MOTION,
-    LOOP_TOPICS,
-    MEASURED,
-    REFERENCE_FORCE,
-    RIG_STATE,
-    TARGET,
-)
 from seft_plant_sim.calibration import biases_of_all, check_biases
 from seft_plant_sim.channels import ACCELERATION, DISPLACEMENT, FORCE
 from seft_plant_sim.computed.computed_model import ModelError
@@ -33,13 +26,8 @@ from seft_plant_sim.whole_structure import (
     tested_specimen,
 )
 
+from seft_ros.analysis import equivalent_motion
 from seft_ros.analysis.calibration_check import calibration_check
-from seft_ros.analysis.equivalent_motion import (
-    MotionDifference,
-    motion_difference,
-    tracking_error_of,
-    tracking_of,
-)
 from seft_ros.analysis.metrics import Agreement, agreement, common_steps, peak
 from seft_ros.analysis.timing import link_numbers, timing_of
 from seft_ros.bags.recording import Estimates, Recording, every_step
@@ -59,7 +47,7 @@ def summarise(
     recording: Recording,
     reference: ReferenceResponse | None = None,
     balance: EnergyBalance | None = None,
-    difference: MotionDifference | None = None,
+    difference: equivalent_motion.MotionDifference | None = None,
 ) -> dict[str, Any]:
     """Summarise a test.
 
@@ -102,7 +90,7 @@ def summarise(
         axis: _responses(assessed, reference, slice(column, column + 1))
         for column, axis in enumerate(axes)
     }
-    difference = difference or motion_difference(assessed)
+    difference = difference or equivalent_motion.motion_difference(assessed)
     simulated = is_simulated(recording.experiment)
     found = {
         **_outcome(recording),
@@ -121,21 +109,21 @@ def summarise(
         "link": link_numbers(recording),
         "lost": {
             topic.name: steps - int(np.searchsorted(series[topic.name].steps, steps))
-            for topic in LOOP_TOPICS
-            if topic is not MEASURED
-            or (MEASURED.name in series and len(series[MEASURED.name].steps))
+            for topic in topics.LOOP_TOPICS
+            if topic is not topics.MEASURED
+            or (topics.MEASURED.name in series and len(series[topics.MEASURED.name].steps))
         },
-        "ground_motion": recording.facts.get(GROUND_MOTION.name, {}).get(MOTION),
+        "ground_motion": recording.facts.get(topics.GROUND_MOTION.name, {}).get(MOTION),
         "zeroed": zeroed_in(recording),
         "energy": energy_numbers(balance or balance_of(assessed)),
         "estimates": _estimates(assessed.estimates, axes),
         "equivalent_motion": difference and difference.numbers(),
         "calibration": calibration_check(assessed),
-        "tracking_error": tracking_error_of(assessed),
+        "tracking_error": equivalent_motion.tracking_error_of(assessed),
         "detectors": detector_shares(assessed),
         "replaced": replaced_in(recording),
         "reference_specimen": ("simulated" if simulated else "model") if reference else None,
-        "tracking": tracking_of(assessed),
+        "tracking": equivalent_motion.tracking_of(assessed),
         **(by_axis[axes[0]] if len(axes) == 1 else _responses(assessed, reference, slice(None))),
         "axes": by_axis,
     }
@@ -205,7 +193,7 @@ def reference_of(recording: Recording) -> ReferenceResponse | None:
     InputError
         If parameters are missing that describe the structure, or make none.
     """
-    motion, count = recording.series[GROUND_MOTION.name], _steps(recording)
+    motion, count = recording.series[topics.GROUND_MOTION.name], _steps(recording)
     whole = count > 0 and np.array_equal(motion.steps[:count], np.arange(count))
     if not whole or "reference_force" not in recording.experiment.sections:
         return None
@@ -324,7 +312,7 @@ def strong_part(recording: Recording) -> tuple[float, float]:
     From a second before 5 % of the ground motion's Arias intensity to two after 95 %, on any axis,
     and up to a trip or stop at least. All of the test where the ground motion is not known.
     """
-    dt, motion = recording.experiment.timebase.dt, recording.series[GROUND_MOTION.name]
+    dt, motion = recording.experiment.timebase.dt, recording.series[topics.GROUND_MOTION.name]
     end = max(_steps(recording) - 1, 1) * dt
     if len(motion.steps) < 2 or motion.steps[0] != 0 or not np.any(motion.values):
         return 0.0, end
@@ -346,7 +334,7 @@ def detector_shares(recording: Recording) -> dict[str, float] | None:
 
     None where it is not known: the configuration is not recorded, or no sample.
     """
-    experiment, states = recording.experiment, recording.series[RIG_STATE.name]
+    experiment, states = recording.experiment, recording.series[topics.RIG_STATE.name]
     rig, controller = (experiment.sections.get(n, {}) for n in ("rig", "force_controller"))
     if "specimen.mass" not in rig or not len(states.steps):
         return None
@@ -362,8 +350,8 @@ def detector_shares(recording: Recording) -> dict[str, float] | None:
         detect_all(parameters, state, states.steps, shown, drive, judged)
         shares = np.maximum(shares, state.shares.max(axis=1))
     found = {one.name: share for one, share in zip(DETECTORS, shares.tolist(), strict=True)}
-    forces = recording.series[REFERENCE_FORCE.name]
-    if controller and forces.values.shape[1] == len(TARGET.quantities):
+    forces = recording.series[topics.REFERENCE_FORCE.name]
+    if controller and forces.values.shape[1] == len(topics.TARGET.quantities):
         steps, at_states, at_forces = common_steps(states.steps, forces.steps)
         watched = tracking_detector(controller, axes, range(len(axes)), dt)
         begin_tracking(watched[1])

@@ -10,6 +10,7 @@ from math import inf
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.wire import topics
 from seft_msgs_py.wire.experiment_state import EXPERIMENT, ExperimentState, decode_state
 from seft_msgs_py.wire.messages import ERROR, OK, STALE, WARN, EstimatesCodec, decode_diagnostics
 from seft_msgs_py.wire.outcome import (
@@ -22,15 +23,6 @@ from seft_msgs_py.wire.outcome import (
     Trip,
     read_outcome,
 )
-from seft_msgs_py.wire.topics import (
-    GROUND_MOTION,
-    NANOSECONDS_PER_SECOND,
-    REFERENCE_FORCE,
-    LoopTopic,
-    RigAxes,
-    Timebase,
-    bare,
-)
 from seft_msgs_py.wire.trajectory import TrajectoryCodec, decode_batch
 
 from seft_ros.bags.message_blocks import MessageBlock
@@ -40,13 +32,13 @@ _MOST_EVENTS = 1000
 _LEVELS = {OK: "ok", WARN: "warn", ERROR: "error", STALE: "stale"}
 
 
-def points_ahead(topic: LoopTopic, experiment: Experiment) -> float:
+def points_ahead(topic: topics.LoopTopic, experiment: Experiment) -> float:
     """Give how many points of a message count, beside the first.
 
     Over a link, a message holds the reference force of later steps, too. Of a target and of a stop,
     which are revised from step to step, the first point of each message counts.
     """
-    if topic == REFERENCE_FORCE:
+    if topic == topics.REFERENCE_FORCE:
         return max(experiment.sections.get("reference_force", {}).get("loop_delay", 0), 0)
     return inf if topic.every_point else 0
 
@@ -67,11 +59,11 @@ class SeriesGatherer:
     """
 
     def __init__(
-        self, topic: LoopTopic, experiment: Experiment, rig: RigAxes, expected: int
+        self, topic: topics.LoopTopic, experiment: Experiment, rig: topics.RigAxes, expected: int
     ) -> None:
         self._codec = TrajectoryCodec(topic, rig.axes, experiment.timebase)
         self._ahead = points_ahead(topic, experiment)
-        self._times_count = topic is not GROUND_MOTION  # which is sent ahead
+        self._times_count = topic is not topics.GROUND_MOTION  # which is sent ahead
         size = max(1, expected)
         self._steps, self._received = np.empty(size, np.int64), np.empty(size, np.int64)
         self._values = np.empty((size, len(topic.quantities), len(rig.axes)))
@@ -154,7 +146,7 @@ class ReportGatherer:
         First step whose reference force the supervisor had ramped down; None if it had not.
     """
 
-    def __init__(self, timebase: Timebase) -> None:
+    def __init__(self, timebase: topics.Timebase) -> None:
         self.ending: ExperimentState | None = None
         self.ramp_step: int | None = None
         self._outcomes: dict[str, Outcome] = {}  # of the rigs
@@ -171,7 +163,7 @@ class ReportGatherer:
             self._log(received_ns, status.name, status.level, status.message)
             if (outcome := read_outcome(status, self._timebase)) is not None:
                 self._outcomes[status.name] = outcome
-            if bare(status.name) == "force_controller" and "link" in status.values:
+            if topics.bare(status.name) == "force_controller" and "link" in status.values:
                 self._links[status.name] = LinkReport.from_json(status.values["link"])
             if status.name == "reference_force" and "ramp_step" in status.values:
                 self.ramp_step = int(status.values["ramp_step"])
@@ -195,7 +187,7 @@ class ReportGatherer:
     def events(self, start_ns: int) -> list[Event]:
         """Give the log, with times after a moment of the wall clock."""
         return [
-            Event((at - start_ns) / NANOSECONDS_PER_SECOND, source, _LEVELS.get(level, "?"), text)
+            Event((at - start_ns) / 1e9, source, _LEVELS.get(level, "?"), text)
             for at, source, level, text in self._events
         ]
 
@@ -215,7 +207,7 @@ class ReportGatherer:
 
 
 def trip_of_messages(
-    outcome: Outcome | None, ending: ExperimentState | None, timebase: Timebase
+    outcome: Outcome | None, ending: ExperimentState | None, timebase: topics.Timebase
 ) -> Trip | None:
     """Give the cause of a trip: the rig knows its own limits, the supervisor all others.
 

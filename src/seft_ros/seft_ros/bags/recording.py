@@ -19,7 +19,7 @@ from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.errors import InputError, WireError
 from seft_msgs_py.wire.outcome import LinkReport, Saturation, Simulated, Trip
-from seft_msgs_py.wire.topics import LOOP_TOPICS, MEASURED, RIG_STATE, RigAxes, bare
+from seft_msgs_py.wire.topics import MEASURED, RIG_STATE, RigAxes, bare
 
 PACKAGES = ("numpy", "scipy", "rosbags", "rclpy", "seft_msgs_py", "seft_plant_sim", "seft_ros")
 GIT_TIMEOUT = 5.0  # s
@@ -335,11 +335,6 @@ class Recording:
     checked: bool = True
     environment: dict[str, Any] = field(default_factory=dict)
     facts: dict[str, dict[str, Any]] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        missing = {topic.name for topic in LOOP_TOPICS if topic is not MEASURED} - set(self.series)
-        if missing:
-            raise ValueError(f"a recording needs a series for each loop topic; missing {missing}")
 
     @property
     def last_step(self) -> int | None:

@@ -38,9 +38,8 @@ class RigMover:
         section = {**section, "detectors.warn_only": "all"}
         self.hosted: HostedHardware | None = None
         if section["hardware"] != SIMULATED:  # a call may take long here: it is looked at
-            given = section, axes, of, np.inf, clock.monotonic
-            self.hosted = HostedHardware.from_parameters(*given)
-        self.rig = Rig.from_parameters(section, axes, timebase, of, self.hosted)
+            self.hosted = HostedHardware(section, axes, of, np.inf, clock.monotonic)
+        self.rig = Rig(section, axes, timebase, of, self.hosted)
         self.dt, self.n, self._clock = timebase.dt, len(of.axes), clock
         self._travel, self._force, self.fault = travel, force, ""
         self.times: list[tuple[float, float]] = []

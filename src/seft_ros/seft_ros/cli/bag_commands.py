@@ -10,23 +10,15 @@ import typer
 from seft_msgs_py.config.experiment import parse_override
 from seft_msgs_py.errors import InputError
 
-from seft_ros.cli.shared import (
-    BagArgument,
-    Json,
-    Params,
-    complain,
-    option,
-    show,
-    stands,
-    step_progress,
-)
+from seft_ros.cli import shared
+from seft_ros.cli.shared import option
 
 
 def report(
-    bag: BagArgument,
+    bag: shared.BagArgument,
     out: Optional[Path] = option(None, "The page; default report.html in BAG.", "FILE"),
     csv: Optional[Path] = option(None, "Write the time histories as csv.", "FILE"),
-    json: Json = False,
+    json: shared.Json = False,
 ) -> int:
     """Assess a recorded test, and write a page about it.
 
@@ -62,17 +54,17 @@ def report(
     table = None if csv is None else check_table(csv)
     findings = report_numbers(read_bag(bag, damaged=True))
     write_report(findings, bag.resolve().name, page)
-    stands(f"{page} is written")
+    shared.stands(f"{page} is written")
     summary = findings.summary | {"bag": str(bag), "page": str(page)}
     if table is not None:
         write_table(table, *histories(findings.recording, findings.reference))
         summary["csv"] = str(table)
-    show(summary, json, summary_texts(findings), "page", "csv")
+    shared.show(summary, json, summary_texts(findings), "page", "csv")
     right = summary["stable"] and summary["complete"] and not summary["damage"]
     return 0 if right else 1
 
 
-def recover(bag: BagArgument) -> int:
+def recover(bag: shared.BagArgument) -> int:
     """Make a whole bag of a damaged one, or of that of a killed recorder.
 
     Every message is kept that can be read; what is missing is printed, and stays in the bag. The
@@ -89,10 +81,10 @@ def recover(bag: BagArgument) -> int:
 
 
 def compare(
-    bag: BagArgument,
+    bag: shared.BagArgument,
     other: Path = typer.Argument(..., metavar="BAG", help="Test to compare with it."),
     figure: Optional[Path] = option(None, "Draw both tests in one figure.", "FILE"),
-    json: Json = False,
+    json: shared.Json = False,
 ) -> int:
     """Compare two recorded tests, sample by sample, bit for bit.
 
@@ -139,18 +131,18 @@ def compare(
         save_figure(comparison_figure(a, b, result, titles), path)
         result["figure"] = str(path)
     texts = [*map(legend, "ab", result["bags"]), *comparison_texts(result)]
-    show(result, json, texts, "figure")
+    shared.show(result, json, texts, "figure")
     for name, recording in zip(names, (a, b), strict=True):
         for fault in recording.damage:
-            complain(f"{name} is damaged: {fault}")
+            shared.complain(f"{name} is damaged: {fault}")
     return 0 if result["identical"] else 1
 
 
 def replay(
-    bag: BagArgument,
+    bag: shared.BagArgument,
     node: Optional[list[str]] = option(None, "Node; may be repeated; default all.", "NODE"),
-    param: Params = None,
-    json: Json = False,
+    param: shared.Params = None,
+    json: shared.Json = False,
 ) -> int:
     """Compute each node's answers of a recorded test once more, and compare them bit for bit.
 
@@ -186,11 +178,11 @@ def replay(
         except InputError as error:  # the bag lacks the messages to this node
             if node or (name == nodes[-1] and not replays):
                 raise
-            complain(f"{name} is left out: {error}")
+            shared.complain(f"{name} is left out: {error}")
     results = []
     for one in replays:
         section = node_replays.section_of(one, overrides)
-        with step_progress(len(one.expected.steps)) as progress:
+        with shared.step_progress(len(one.expected.steps)) as progress:
             progress(f"computing {one.node}", 0)
             answers, estimates = one.computed(section)
             progress(f"{one.node} has answered", len(answers.steps))
@@ -199,8 +191,8 @@ def replay(
     identical = all(one["identical"] for one in results)
     one_or_all = results[0] if len(results) == 1 else {"identical": identical, "replays": results}
     texts = [text for result in results for text in node_replays.replay_texts(result)]
-    show(one_or_all, json, texts)
+    shared.show(one_or_all, json, texts)
     for result in results if not json else ():
         for note in result["notes"]:
-            complain(f"{result['node']}: {note}")
+            shared.complain(f"{result['node']}: {note}")
     return 0 if identical else 1

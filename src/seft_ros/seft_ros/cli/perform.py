@@ -1,6 +1,5 @@
 """``seft run`` (DDS), ``simulate`` (one process); ``start``, ``stop``, ``reset`` and ``status``."""
 
-import os
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -121,10 +120,9 @@ def _supervised() -> Iterator["Observer"]:
         deadline = time.monotonic() + _SUPERVISOR_TIMEOUT_S
         while not observer.state:
             if time.monotonic() > deadline:
-                domain = os.environ.get("ROS_DOMAIN_ID", "0")
                 raise ExperimentError(
-                    f"no supervisor is in ROS domain {domain}: start the nodes; if they run, set "
-                    "ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE as they have them"
+                    f"no supervisor is in ROS domain {observer.domain}: start the nodes; if they "
+                    "run, set ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE as they have them"
                 )
             observer.spin(_POLL_PERIOD)
         yield observer

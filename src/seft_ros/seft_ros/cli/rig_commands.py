@@ -3,6 +3,7 @@
 import keyword
 import sys
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Optional
 
@@ -75,7 +76,7 @@ def link(
     summary: dict[str, Any] = {
         **trips.numbers_by_name(),
         "size_bytes": size,
-        "test": None if test is None else test.numbers(),
+        "test": test and asdict(test),
         "verdict": verdict,
         "reasons": reasons,
     }

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Optional
 
+import numpy as np
 import typer
 from seft_msgs_py.config.facts import EVERY_NODE, FACTS, fact_of, place_of
 from seft_msgs_py.config.parameter_table import Parameter, Section, nearest
@@ -136,9 +137,10 @@ def motion(
     from seft_ros.ground_motion.conditioning import baseline_numbers
     from seft_ros.ground_motion.ground_motion_block import GROUND_MOTION_TABLE, GroundMotion
     from seft_ros.ground_motion.response_spectrum import (
+        SPECTRUM_PERIODS,
         motion_figure,
         motion_summary,
-        spectrum_table,
+        response_spectrum,
     )
 
     path = check_figure(figure) if figure is not None else None
@@ -162,14 +164,15 @@ def motion(
     words = {"column": column or None, "rows": rows, "unit": unit, "dt": dt, "response": metadata}
     section |= _as_named(section, file or [], words, correct)
     timebase = timebase if rate is None else Timebase.from_rate(rate)
-    block = GroundMotion.from_parameters(section, axes, timebase)
+    block = GroundMotion(section, axes, timebase)
     if path is not None:
         title = f"{block.facts['source']}, {timebase.rate:g} Hz"
         save_figure(motion_figure(block.samples, timebase.dt, axes, title, block.uncorrected), path)
     moving = block.samples[: block.steps - round(section["tail"] * timebase.rate)]
     if spectrum_file is not None:
         names = ["period (s)", *(f"{axis} pseudo-acceleration (m/s^2)" for axis in axes)]
-        write_table(spectrum_file, names, spectrum_table(block.samples, timebase.dt))
+        spectra = response_spectrum(block.samples, timebase.dt, SPECTRUM_PERIODS)
+        write_table(spectrum_file, names, np.column_stack([SPECTRUM_PERIODS, spectra]))
     numbers = motion_summary(block.samples, timebase.dt) | baseline_numbers(moving, timebase.dt)
     lines = [["steps", *[str(numbers["steps"])] * len(axes)]]
     lines += [

@@ -321,10 +321,7 @@ def simulated_rig(experiment: Experiment, stiffness: float = 1.0) -> ContinuousM
     InputError says if sizes do not fit the axes.
     """
     section, axes = experiment["rig"], experiment.axes
-    derived = section["sensors.velocity"] == "derived"
-    return as_published(
-        continuous_model(section, axes, stiffness=stiffness), section, axes, derived
-    )
+    return as_published(continuous_model(section, axes, stiffness=stiffness), section, axes)
 
 
 def small_signal(specimen: Specimen, **actuators: Any) -> ContinuousModel:

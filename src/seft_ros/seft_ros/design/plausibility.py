@@ -162,7 +162,7 @@ def _mixed_up(
         if not slow < hz < fast or damping > USUAL_DAMPING:
             continue
         section, axes, timebase = changed["ground_motion"], changed.axes, changed.timebase
-        motion = GroundMotion.from_parameters(section, axes, timebase)
+        motion = GroundMotion(section, axes, timebase)
         if _misfit(changed, motion, peaks_by_axis(changed, motion))[0]:
             continue
         fitting = [

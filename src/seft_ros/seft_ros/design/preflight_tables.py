@@ -118,7 +118,7 @@ def planned_motion(experiment: Experiment) -> GroundMotion | None:
     section = experiment.sections.get("ground_motion")
     if section is None:
         return None
-    return GroundMotion.from_parameters(section, experiment.axes, experiment.timebase)
+    return GroundMotion(section, experiment.axes, experiment.timebase)
 
 
 def model_time(experiment: Experiment, planned: GroundMotion | None) -> ModelTime | None:

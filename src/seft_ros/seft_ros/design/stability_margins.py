@@ -57,10 +57,6 @@ class Range:
     highest: Critical | None
     searched: tuple[float, float]
 
-    def ends(self) -> list[Critical]:
-        """Give the ends that were found."""
-        return [end for end in (self.lowest, self.highest) if end is not None]
-
 
 @dataclass(frozen=True)
 class Margins:
@@ -291,11 +287,8 @@ COLUMNS_MEAN = (
     "needed: what a stable verdict asks for."
 )
 HEADINGS = ("", "planned", "critical", "needed", "oscillates at")
-MASS_RATIO, DEAD_TIME, LOCAL_STIFFNESS = (
-    "mass ratio",
-    "actuator's dead time",
-    "local stiffness / assumed",
-)
+MASS_RATIO, DEAD_TIME = "mass ratio", "actuator's dead time"
+LOCAL_STIFFNESS = "local stiffness / assumed"
 
 
 @dataclass(frozen=True)
@@ -429,11 +422,7 @@ def margin_ends(test: PlannedTest, margins: Margins) -> Iterator[MarginEnd]:
 
 
 def _ends(
-    name: str,
-    more: str,
-    unit: str,
-    margin: Range | None,
-    needed: tuple[float | None, float | None],
+    name: str, more: str, unit: str, margin: Range | None, needed: tuple[float | None, float | None]
 ) -> Iterator[MarginEnd]:
     if margin is None:
         yield MarginEnd(name, more, unit)

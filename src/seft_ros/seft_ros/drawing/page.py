@@ -16,17 +16,6 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from seft_msgs_py.errors import InputError
 
 from seft_ros.drawing import style
-from seft_ros.drawing.style import (
-    FIRST_COLOUR,
-    MARK,
-    MAX_POINTS,
-    TEXT,
-    AnyFloats,
-    Cell,
-    Mark,
-    TextTable,
-    check_file,
-)
 
 SUFFIX = ".html"
 _HEIGHT = 260  # pixels
@@ -45,9 +34,9 @@ class Text:
 class VerdictBox:
     """The verdict in one line, in the colour of its mark; below it, the findings behind it."""
 
-    mark: Mark
+    mark: style.Mark
     text: str
-    findings: Sequence[Cell] = ()
+    findings: Sequence[style.Cell] = ()
 
 
 @dataclass(frozen=True)
@@ -70,7 +59,7 @@ class Grid:
     columns: int = 3
 
 
-Block = Text | VerdictBox | TextTable | Plot | Grid
+Block = Text | VerdictBox | style.TextTable | Plot | Grid
 
 
 @dataclass(frozen=True)
@@ -125,7 +114,7 @@ def check_page(path: Path) -> Path:
 
     An InputError says that there is no such folder, or that the suffix is of another kind of file.
     """
-    return check_file(path, "pages", SUFFIX, (SUFFIX, ".htm"))
+    return style.check_file(path, "pages", SUFFIX, (SUFFIX, ".htm"))
 
 
 def plot(
@@ -159,7 +148,7 @@ def plot(
     found.grid.grid_line_color = style.GRID
     for axis in found.axis:
         axis.axis_label_text_font_style = "normal"
-        axis.axis_label_text_color = axis.major_label_text_color = TEXT
+        axis.axis_label_text_color = axis.major_label_text_color = style.TEXT
         axis.axis_line_color = axis.major_tick_line_color = axis.minor_tick_line_color = _FAINT
     if log_x:
         found.xaxis.formatter = NumeralTickFormatter(format="0.[000]")
@@ -168,11 +157,11 @@ def plot(
 
 def line(
     panel: figure,
-    x: AnyFloats,
-    y: AnyFloats,
+    x: style.AnyFloats,
+    y: style.AnyFloats,
     label: str = "",
     *,
-    color: str = FIRST_COLOUR,
+    color: str = style.FIRST_COLOUR,
     width: float = 1.3,
     dash: str = "solid",
     loop: bool = False,
@@ -184,7 +173,7 @@ def line(
     """
     at = style.thinned(y)
     if loop:
-        at = np.arange(0, len(x), max(1, -(-len(x) // (2 * MAX_POINTS))))
+        at = np.arange(0, len(x), max(1, -(-len(x) // (2 * style.MAX_POINTS))))
     renderer = panel.line(
         np.asarray(x)[at].astype(np.float32),
         np.where(np.isfinite(y[at]), y[at], np.nan).astype(np.float32),
@@ -199,8 +188,8 @@ def line(
 
 def against(
     panel: figure,
-    exact: tuple[AnyFloats, AnyFloats] | None,
-    test: tuple[AnyFloats, AnyFloats],
+    exact: tuple[style.AnyFloats, style.AnyFloats] | None,
+    test: tuple[style.AnyFloats, style.AnyFloats],
     labels: tuple[str, str] = ("reference response", "test"),
     *,
     loop: bool = False,
@@ -211,7 +200,7 @@ def against(
     line(panel, *test, labels[1], width=0.9 if loop else 1.3, loop=loop)
 
 
-def bars(panel: figure, edges: AnyFloats, counts: AnyFloats) -> None:
+def bars(panel: figure, edges: style.AnyFloats, counts: style.AnyFloats) -> None:
     """Draw a histogram: counts, shape (B,), between edges, shape (B + 1,)."""
     low = 0.5 if "Log" in type(panel.y_scale).__name__ else 0.0
     renderer = panel.quad(
@@ -219,13 +208,13 @@ def bars(panel: figure, edges: AnyFloats, counts: AnyFloats) -> None:
         right=edges[1:],
         bottom=low,
         top=counts,
-        color=FIRST_COLOUR,
+        color=style.FIRST_COLOUR,
         line_color="white",
     )
     _hover(panel, renderer, ("from", "@left{0.000}"), ("to", "@right{0.000}"), ("count", "@top{0}"))
 
 
-def band(panel: figure, low: float, high: float, color: str = MARK) -> None:
+def band(panel: figure, low: float, high: float, color: str = style.MARK) -> None:
     """Shade a range of x."""
     shade = {"fill_color": color, "fill_alpha": 0.1, "line_color": None, "level": "underlay"}
     panel.add_layout(BoxAnnotation(left=low, right=high, **shade))
@@ -233,7 +222,9 @@ def band(panel: figure, low: float, high: float, color: str = MARK) -> None:
 
 def mark(panel: figure, x: float) -> None:
     """Draw a vertical dashed line."""
-    panel.add_layout(Span(location=x, dimension="height", line_color=MARK, line_dash="dashed"))
+    panel.add_layout(
+        Span(location=x, dimension="height", line_color=style.MARK, line_dash="dashed")
+    )
 
 
 def level(panel: figure, y: float) -> None:
@@ -241,7 +232,7 @@ def level(panel: figure, y: float) -> None:
     panel.add_layout(Span(location=y, dimension="width", line_color=_FAINT, line_dash="dashed"))
 
 
-def time_range(times: Sequence[float] | AnyFloats) -> Range1d:
+def time_range(times: Sequence[float] | style.AnyFloats) -> Range1d:
     """Make a range that figures over the same time share."""
     low, high = (float(times[0]), float(times[-1])) if len(times) else (0.0, 1.0)
     high = high if high > low else low + 1.0
@@ -260,7 +251,7 @@ def _place_legend(panel: figure) -> None:
         legend.orientation = "horizontal"
         legend.border_line_color = None
         legend.background_fill_alpha = 0.0
-        legend.label_text_color = TEXT
+        legend.label_text_color = style.TEXT
         legend.label_text_font_size = "13px"
         legend.padding = legend.margin = 0
         legend.spacing = 14

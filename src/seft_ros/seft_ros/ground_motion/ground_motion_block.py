@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.facts import facts
 from seft_msgs_py.config.parameter_table import (
@@ -22,12 +21,7 @@ from seft_msgs_py.config.parameter_table import (
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 
-from seft_ros.ground_motion.conditioning import (
-    baseline_numbers,
-    check_size,
-    correct,
-    resample,
-)
+from seft_ros.ground_motion.conditioning import baseline_numbers, check_size, correct, resample
 from seft_ros.ground_motion.record_file import RecordedMotion, files_of, given_unit, read_record
 from seft_ros.ground_motion.synthetic_motion import synthetic_motion
 
@@ -108,67 +102,35 @@ class GroundMotion:
 
     Parameters
     ----------
-    samples : array_like
-        Shape (N, n): steps, axes; m/s^2.
-    chunk_steps : int
-        Steps to a chunk; the last may have less.
-    lead_steps : int
-        Steps of rest that are known beyond the end.
-    facts : dict, optional
-        Source of the motion and its changes, see `motion_facts`.
+    section : dict
+        Values of every parameter in `GROUND_MOTION_TABLE`.
+    axes : sequence of str
+        Axis names; n of them.
+    timebase : Timebase
+        Of the loop.
+
+    Raises
+    ------
+    InputError
+        If the file can't be read as a record, or parameters contradict each other.
 
     Attributes
     ----------
     samples : ndarray
-        Shape (N, n), read-only.
+        Shape (N, n): steps, axes; m/s^2, read-only.
     known : ndarray
         The samples and then the rest, shape (N + lead_steps, n), read-only.
     steps : int
         N, the tail of free vibration included.
     chunks : list of (int, ndarray)
-        The pieces in which ``known`` is published: step of the first sample, and values of shape
-        (p, n), m/s^2, read-only.
+        See `chunks_of`; a chunk is a part of the lead time, and read-only.
+    facts : dict
+        Source of the motion and its changes, see `motion_facts`.
     uncorrected : ndarray or None
         The samples without the correction of their record; None: it was not corrected.
     """
 
-    def __init__(
-        self,
-        samples: npt.ArrayLike,
-        chunk_steps: int,
-        lead_steps: int = 0,
-        facts: dict[str, Any] | None = None,
-    ) -> None:
-        given = np.asarray(samples, dtype=np.float64)
-        self.steps = len(given)
-        self.known: Floats = np.pad(given, ((0, lead_steps), (0, 0)))
-        self.known.flags.writeable = False
-        self.samples = self.known[: self.steps]
-        firsts = range(0, len(self.known), chunk_steps)
-        self.chunks = [(first, self.known[first : first + chunk_steps]) for first in firsts]
-        self.facts = facts or {}
-        self.uncorrected: Floats | None = None
-
-    @classmethod
-    def from_parameters(
-        cls, section: Section, axes: Sequence[str], timebase: Timebase
-    ) -> "GroundMotion":
-        """Read or make the motion of an experiment.
-
-        Parameters
-        ----------
-        section : dict
-            Values of every parameter in `GROUND_MOTION_TABLE`.
-        axes : sequence of str
-            Axis names; n of them.
-        timebase : Timebase
-            Of the loop.
-
-        Raises
-        ------
-        InputError
-            If the file can't be read as a record, or parameters contradict each other.
-        """
+    def __init__(self, section: Section, axes: Sequence[str], timebase: Timebase) -> None:
         influence = per_axis(section["influence"], axes, "ground_motion: influence")
         given_unit(section["unit"])
         files = files_of(section["file"], axes)
@@ -192,15 +154,24 @@ class GroundMotion:
         check_size(section["lead"], timebase.rate, f"lead {section['lead']:g} s")
         lead_steps = max(1, round(section["lead"] * timebase.rate))
         chunk_steps = max(1, round(lead_steps / _CHUNKS_PER_LEAD))
-        facts = motion_facts(section, axes, record, samples, scale)
-        facts["resampling"] = how
-        found = cls(samples, min(chunk_steps, len(samples)), lead_steps, facts)
+        self.steps = len(samples)
+        self.known: Floats = np.pad(samples, ((0, lead_steps), (0, 0)))
+        self.known.flags.writeable = False
+        self.samples = self.known[: self.steps]
+        self.chunks = chunks_of(self.known, min(chunk_steps, self.steps))
+        self.facts = motion_facts(section, axes, record, samples, scale)
+        self.facts["resampling"] = how
+        self.uncorrected: Floats | None = None
         if method != "none":
             numbers = {"before": baseline_numbers(before, dt), "after": baseline_numbers(after, dt)}
-            facts["correction"] = {"method": _correction(section), **numbers}
+            self.facts["correction"] = {"method": _correction(section), **numbers}
             uncorrected, _ = resample(before, *times, linear=not files)
-            found.uncorrected = uncorrected * influence * scale
-        return found
+            self.uncorrected = uncorrected * influence * scale
+
+
+def chunks_of(known: Floats, steps: int) -> list[tuple[int, Floats]]:
+    """Cut a motion into pieces of so many steps; give each with the step of its first sample."""
+    return [(first, known[first : first + steps]) for first in range(0, len(known), steps)]
 
 
 def _peak_scale(section: Section, axes: Sequence[str], samples: Floats) -> float:

@@ -33,7 +33,7 @@ def response_spectrum(
     Parameters
     ----------
     accelerations : array_like
-        Shape (N,), in m/s^2.
+        Shape (N,), or (N, S) for several motions, in m/s^2.
     dt : float
         Sampling period in s.
     periods : array_like
@@ -44,20 +44,14 @@ def response_spectrum(
     Returns
     -------
     ndarray
-        Shape (P,): ``w^2 max |x|`` in m/s^2, over the samples. For periods below about ten dt
-        the peaks lie between samples, and the values are too small. Free vibration after the last
-        sample is not included (unless a tail of zeros is appended).
+        Shape (P,), or (P, S): ``w^2 max |x|`` in m/s^2, over the samples. For periods below about
+        ten dt the peaks lie between samples, and the values are too small. Free vibration after the
+        last sample is not included (unless a tail of zeros is appended).
     """
+    a = np.asarray(accelerations, dtype=float)
     running = RunningSpectrum(periods, dt, damping)
-    running.advance(np.asarray(accelerations, dtype=float)[:, np.newaxis])
-    return running.spectrum[:, 0]
-
-
-def spectrum_table(samples: Floats, dt: float) -> Floats:
-    """Compute the 5 % spectra of a motion, shape (N, n): the periods, then each axis's."""
-    running = RunningSpectrum(SPECTRUM_PERIODS, dt, _DAMPING)
-    running.advance(samples)
-    return np.column_stack([SPECTRUM_PERIODS, running.spectrum])
+    running.advance(a.reshape(len(a), -1))
+    return running.spectrum.reshape(-1, *a.shape[1:])
 
 
 class RunningSpectrum:

@@ -1,7 +1,7 @@
 """Fit of an actuator model to one test, with any specimen, on the balance of its oil."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +26,7 @@ class OilBalance:
 
     Parameters
     ----------
-    commands, positions, accelerations, forces : ndarray
+    signals : sequence of ndarray
         Valve command (V); displacement (m), acceleration (m/s^2), force (N) as measured; (N,).
     dt : float
         Sampling period, s.
@@ -35,6 +35,8 @@ class OilBalance:
 
     Attributes
     ----------
+    dt : float
+        As given.
     velocity, rise, between : ndarray
         Mean over each period of the piston's velocity (m/s), of the force's rate (N/s), and of
         the force (N), shape (N - 1,).
@@ -44,16 +46,9 @@ class OilBalance:
         Error that a first fit may leave at each of F frequencies within the band, m/s.
     """
 
-    def __init__(
-        self,
-        commands: Floats,
-        positions: Floats,
-        accelerations: Floats,
-        forces: Floats,
-        dt: float,
-        band: tuple[float, float],
-    ) -> None:
-        self._n, self._dt = len(commands) - 1, dt
+    def __init__(self, signals: Sequence[Floats], dt: float, band: tuple[float, float]) -> None:
+        commands, positions, accelerations, forces = signals
+        self._n, self.dt = len(commands) - 1, dt
         self._times = np.arange(math.ceil(_MEMORY / dt) + 1, dtype=np.float64) * np.float64(dt)
         self._size = scipy.fft.next_fast_len(self._n + math.ceil(_MEMORY / dt), real=True)
         self._hz: Floats = scipy.fft.rfftfreq(self._size, dt)
@@ -118,9 +113,9 @@ class OilBalance:
         the remaining noise at each line of the spectrum within the band.
         """
         s = 2j * np.pi * np.maximum(self._hz, self._hz[1])
-        change = np.expm1(s * self._dt)
-        gains = np.stack([change / self._dt, change / (self._dt * s * s)])  # of x and a
-        by_position = self._spectrum(np.diff(positions) / self._dt)
+        change = np.expm1(s * self.dt)
+        gains = np.stack([change / self.dt, change / (self.dt * s * s)])  # of x and a
+        by_position = self._spectrum(np.diff(positions) / self.dt)
         both = np.stack([by_position, gains[1] * self._spectrum(accelerations[:-1])])
         powers = np.abs(gains) ** 2
         bins = np.unique(np.geomspace(1, self._used.sum(), _BINS).astype(int)) - 1
@@ -132,7 +127,7 @@ class OilBalance:
         weights = 1.0 / (sensors[:, np.newaxis] * powers)
         total = weights.sum(axis=0)
         mean = (weights * both).sum(axis=0) / total
-        return self._back(mean * s * self._dt / change), self._back(mean), 1.0 / total[self._used]
+        return self._back(mean * s * self.dt / change), self._back(mean), 1.0 / total[self._used]
 
     def flow(self, p: Floats) -> Floats:
         """Flow of the commands over q, V, shape (N - 1,).
@@ -143,8 +138,8 @@ class OilBalance:
         Butterworth filter of second order that all sensors have: 1 / (1 + s lag + (s lag)^2 / 2),
         and the lag in ms of the force behind the motion.
         """
-        valve = ValveModel(math.exp(p[0]), math.exp(p[1]), p[2] / 1e3, self._dt)
-        pulse = np.diff(valve.volume(self._times)) / self._dt
+        valve = ValveModel(math.exp(p[0]), math.exp(p[1]), p[2] / 1e3, self.dt)
+        pulse = np.diff(valve.volume(self._times)) / self.dt
         late = 2j * np.pi * self._hz * p[5] / 1e3
         filtered = self._commands / (1.0 + late + late * late / 2.0)
         flow = self._back(filtered * self._spectrum(pulse))
@@ -152,7 +147,7 @@ class OilBalance:
 
     def slip(self, p: Floats) -> Floats:
         """Rate of a friction of 1 N; N/s, (N - 1,)."""
-        return np.diff(np.tanh(self._at_samples / math.exp(p[4])), append=0.0) / self._dt
+        return np.diff(np.tanh(self._at_samples / math.exp(p[4])), append=0.0) / self.dt
 
     def drag(self, p: Floats) -> float:
         """Viscous friction equivalent to a friction of 1 N in this test, N s/m."""
@@ -289,15 +284,8 @@ class ActuatorFit:
         )
 
 
-def fit_actuator(
-    commands: Floats,
-    positions: Floats,
-    accelerations: Floats,
-    forces: Floats,
-    dt: float,
-    band: tuple[float, float],
-) -> ActuatorFit:
-    """Fit an actuator to the balance of its oil in a test; parameters as of `OilBalance`.
+def fit_actuator(oil: OilBalance) -> ActuatorFit:
+    """Fit an actuator to the balance of its oil in a test.
 
     The specimen enters the balance only by its measured motion and force: it may yield, slip or
     be coupled with others. Least squares over frequency, of the parts of the signals that are
@@ -305,7 +293,6 @@ def fit_actuator(
     then with each frequency weighted by the residual of the last fit. The piston's friction, which
     the load cell does not measure, is fitted too.
     """
-    oil = OilBalance(commands, positions, accelerations, forces, dt, band)
     start = _roughly(oil)
     p, deviation, jacobian = _fitted(oil, start, filtered=False)
     start[5] = _FILTER_LAG
@@ -338,7 +325,7 @@ def fit_actuator(
         explained=1.0 - float(np.sum((measured - modelled) ** 2)) / total if total else 0.0,
         unsure=tuple(n for n, r in zip(_DOUBTED, relative, strict=True) if r > _UNSURE),
         largest_force=oil.largest_force,
-        dt=dt,
+        dt=oil.dt,
         measured=measured,
         modelled=modelled,
     )

@@ -6,13 +6,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS
-from seft_msgs_py.config.parameter_table import Section, mass_matrix, per_axis
+from seft_msgs_py.config.parameter_table import Section, per_axis
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.topics import MEASURED, RIG_STATE, VALVE_COMMAND
+from seft_msgs_py.wire.topics import MEASURED, RIG_STATE, VALVE_COMMAND, of_one_rig
 from seft_plant_sim.calibration import (
     NOTHING_KNOWN,
     SIGNIFICANT,
@@ -39,7 +38,7 @@ from seft_ros.identification.multisine_estimates import (
     fit_multisine,
     harmonics,
 )
-from seft_ros.identification.rig_tests import frequency_response, motion_spectra
+from seft_ros.identification.rig_tests import frequency_response, known_mass, motion_spectra
 
 _FEWEST_PERIODS, _SEGMENT = 3.0, 4.0  # of a spectrum: of the lowest frequency, and s
 MIN_LAG = 2e-5
@@ -85,7 +84,7 @@ class Calibrated:
             scale[VELOCITY], lag[VELOCITY], bias[VELOCITY] = 1.0, lag[0], 0.0
         off = significant(fit.tilt - np.eye(len(fit.tilt)), fit.tilt_error)
         one = scale[ACCELERATION]
-        tilt = np.eye(len(off)) + np.where(_of_one_rig(experiment), off, 0.0)
+        tilt = np.eye(len(off)) + np.where(of_one_rig(experiment.axes), off, 0.0)
         shown = bias.copy()
         shown[ACCELERATION] = known["tilt"] @ bias[ACCELERATION]
         passed = {"filter": filters.filter, "filter_damping": filters.filter_damping}
@@ -167,9 +166,7 @@ _FILTER = "filter", "filter_damping"
 def as_told(experiment: Experiment) -> Callable[[Floats], Complexes]:
     """Response of what a test passes its channels through, beside waits, shape (..., 4, n)."""
     dt, n = experiment.timebase.dt, len(experiment.axes)
-    section = experiment["reference_force"]
-    derived = section["sensors.velocity"] == "derived"
-    known = aligned_to(section, experiment.axes, range(n), derived)
+    known = aligned_to(experiment["reference_force"], experiment.axes, range(n))
 
     def response(w: Floats) -> Complexes:
         passed, z = np.ones((*w.shape, 4, n), complex), np.exp(-1j * w * dt)
@@ -194,14 +191,6 @@ def all_known(experiment: Experiment) -> dict[str, Floats]:
     """Give what an experiment tells of the channels, as `Calibrated.whole` is."""
     section, axes = experiment["reference_force"], experiment.axes
     return known_channels(section, axes) | {"tilt": tilt_of(section, axes, range(len(axes)), TILT)}
-
-
-def _of_one_rig(experiment: Experiment) -> NDArray[np.bool_]:
-    """Say of which axes one rig has the accelerometers, and can correct their tilt, (n, n)."""
-    alike = np.zeros((len(experiment.axes), len(experiment.axes)), dtype=bool)
-    for rig in experiment.rigs:
-        alike[np.ix_(rig.places, rig.places)] = True
-    return alike
 
 
 def _is_tilted(tilt: Floats) -> bool:
@@ -340,12 +329,6 @@ class MultisineResult:
             "tilt_error": fit.tilt_error.squeeze().tolist(),
             "axes": by_axis,
         }
-
-
-def known_mass(experiment: Experiment) -> Floats:
-    """Give the configured mass matrix, kg."""
-    mass = experiment["reference_force"]["specimen.mass"]
-    return mass_matrix(mass, experiment.axes, "/**: specimen.mass")
 
 
 def _unfiltered(filters: ChannelFilters, experiment: Experiment) -> Callable[[Floats], Complexes]:

@@ -16,8 +16,9 @@ from seft_plant_sim.simulated.specimen import Specimen
 from seft_ros.bags.recording import Recording
 from seft_ros.design.plant import Plant, small_signal
 from seft_ros.drawing.style import Number, TextTable, json_safe, look_up, rows_of
-from seft_ros.identification.actuator_fit import ActuatorFit, fit_actuator
+from seft_ros.identification.actuator_fit import ActuatorFit, OilBalance, fit_actuator
 from seft_ros.identification.response_fits import (
+    GOOD,
     SpecimenFit,
     Tracking,
     TrackingFit,
@@ -143,7 +144,7 @@ def identify_from_recordings(
     servo = any(obeys_displacement(test.recording.experiment) for test in tests.values())
     if (opened := tests.get(_OPEN_LOOP)) and not servo:
         for index, axis in enumerate(opened.axes):
-            fit = fit_actuator(*opened.of_actuator(index), opened.dt, band)
+            fit = fit_actuator(OilBalance(opened.of_actuator(index), opened.dt, band))
             actuators.append(fit)
             if fit.fault():
                 unusable.append(f"{_OPEN_LOOP}: axis {axis}: {fit.fault()}")
@@ -153,9 +154,8 @@ def identify_from_recordings(
     specimen = fit_specimen([test.motion() for test in tests.values()])
     opened, closed = tests.get(_OPEN_LOOP), tests.get(_CLOSED_LOOP)
     valves = _valves(opened, specimen, actuators) if opened and not servo else []
-    loops = _closed_loops(closed) if closed else []
-    if opened and servo:
-        loops = _servos(opened)
+    followed = opened if servo and opened else closed
+    loops = _loops(followed, followed is opened) if followed else []
     axes = next(iter(tests.values())).axes
     return Identified(axes, band, specimen, valves, loops, unusable, faults, servo)
 
@@ -191,31 +191,19 @@ def fitted_plant(
     return Plant.of_model("identified", model, motion)
 
 
-def _closed_loops(test: MeasuredTest) -> list[ClosedLoop]:
-    """Measure the closed loop of every axis, and fit it."""
+def _loops(test: MeasuredTest, servo: bool) -> list[ClosedLoop]:
+    """Measure the closed loop, or the displacement servo, of every axis, and fit it."""
+    floor, least, good = _FLOOR, test.dt, GOOD  # a force's dead time has the loop's latency in it
+    if servo:
+        floor, least, good = _SERVO_FLOOR, 0.0, _SERVO_FLOOR
     loops = []
     for axis in range(len(test.axes)):
-        measured = test.tracking(axis)
-        f, tracking = measured.frequencies_hz, measured.response
-        # a pole beyond the coherent frequencies would be arbitrary
-        coherent = np.flatnonzero(measured.coherence >= _COHERENT)
-        known = slice(0, int(coherent[-1]) + 1)
-        weight = 1.0 / np.hypot(measured.deviation, _FLOOR)[known]
-        # the dead time has the loop's latency in it
-        fit = fit_tracking(f[known], tracking[known], weight, least_dead_time=test.dt)
-        loops.append(ClosedLoop(measured, tracking_measures(f, tracking), fit))
-    return loops
-
-
-def _servos(test: MeasuredTest) -> list[ClosedLoop]:
-    """Measure the displacement servo of every axis, and fit it."""
-    loops = []
-    for axis in range(len(test.axes)):
-        measured = test.servo(axis)
+        measured = test.servo(axis) if servo else test.tracking(axis)
         f, response = measured.frequencies_hz, measured.response
+        # a pole beyond the coherent frequencies would be arbitrary
         known = slice(0, int(np.flatnonzero(measured.coherence >= _COHERENT)[-1]) + 1)
-        weight = 1.0 / np.hypot(measured.deviation, _SERVO_FLOOR)[known]
-        fit = fit_tracking(f[known], response[known], weight, good=_SERVO_FLOOR)
+        weight = 1.0 / np.hypot(measured.deviation, floor)[known]
+        fit = fit_tracking(f[known], response[known], weight, least, good)
         loops.append(ClosedLoop(measured, tracking_measures(f, response), fit))
     return loops
 

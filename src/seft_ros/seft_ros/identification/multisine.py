@@ -14,16 +14,17 @@ import numpy as np
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS, FACTS, command_unit
-from seft_msgs_py.config.parameter_table import group, mass_matrix, per_axis, symmetric_matrix
+from seft_msgs_py.config.parameter_table import group, symmetric_matrix
 from seft_msgs_py.errors import InputError
 from seft_plant_sim import lti
+from seft_plant_sim.channels import per_channel
 from seft_plant_sim.judge.known_rig import command_limit
 from seft_plant_sim.limits import largest_force_rate
 from seft_plant_sim.rig_parameters import LIMIT_ROWS
 
 from seft_ros.design.plant import Plant, held_relations
 from seft_ros.identification.identified import Identified, fitted_plant
-from seft_ros.identification.rig_tests import PEAK_SHARE
+from seft_ros.identification.rig_tests import PEAK_SHARE, known_mass
 
 SINES = 6
 """On each axis: twice as many equations as the five unknowns of an axis leave some to check by."""
@@ -120,7 +121,7 @@ def plan_multisine(
     """
     rate, axes = experiment.timebase.rate, experiment.axes
     section = experiment["reference_force"]
-    mass = mass_matrix(section["specimen.mass"], axes, "/**: specimen.mass")
+    mass = known_mass(experiment)
     where = "/**: specimen.stiffness"
     stiffness = symmetric_matrix(section["specimen.stiffness"], axes, where)
     noise = _noise(experiment)
@@ -149,11 +150,9 @@ def plan_multisine(
 
 def _noise(experiment: Experiment) -> dict[str, Floats]:
     """RMS noise of each channel, with that of the converter, by axis."""
-    section = experiment["reference_force"]
-    found = {}
-    for name in CHANNELS:
-        known = section[f"sensors.{name}_noise"]
-        noise = per_axis(known, experiment.axes, f"/**: sensors.{name}_noise")
+    section, found = experiment["reference_force"], {}
+    every = per_channel(section, experiment.axes, "sensors.{}_noise")
+    for name, noise in zip(CHANNELS, every, strict=True):
         bits = section["sensors.adc_bits"]
         step = 2.0 * np.max(section[f"sensors.{name}_range"]) / 2**bits if bits else 0.0
         found[name] = np.hypot(noise, _QUANTISED * step)

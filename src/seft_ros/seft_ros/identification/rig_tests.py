@@ -368,7 +368,7 @@ class LargestLevels:
 def default_force(experiment: Experiment, largest: LargestLevels) -> float:
     """RMS of the reference force that moves the specimen well, far inside its limits, N."""
     limit = experiment["supervisor"]["limits.force"]
-    wanted = _ACCELERATION * np.diag(_mass(experiment)).min()
+    wanted = _ACCELERATION * np.diag(known_mass(experiment)).min()
     return float(min(wanted, _FORCE_SHARE * limit, PEAK_SHARE * largest.force[0]))
 
 
@@ -416,7 +416,8 @@ def voltage_after(pilot: Recording, voltage: float, largest: LargestLevels) -> f
     return float(min(voltage * factor, PEAK_SHARE * largest.voltage[0]))
 
 
-def _mass(experiment: Experiment) -> Floats:
+def known_mass(experiment: Experiment) -> Floats:
+    """Give the configured mass matrix, kg."""
     mass = experiment["reference_force"]["specimen.mass"]
     return mass_matrix(mass, experiment.axes, "/**: specimen.mass")
 
@@ -495,7 +496,7 @@ def _with(
 
 def ground_of(experiment: Experiment, forces: Floats) -> Floats:
     """Ground accelerations a_g of reference forces -M a_g, shape (N, n) both, m/s^2 and N."""
-    accelerations: Floats = -np.linalg.solve(_mass(experiment), forces.T).T
+    accelerations: Floats = -np.linalg.solve(known_mass(experiment), forces.T).T
     return accelerations
 
 
@@ -551,7 +552,7 @@ class Motions:
         if has_force_loop(self.experiment):
             force_control(sections["force_controller"], *made)
         if "rig" in sections:
-            Rig.from_parameters(sections["rig"], *made)
+            Rig(sections["rig"], *made)
 
     def write(self, path: Path, duration: float) -> Path:
         """Write the motion of a test, whose forces are the excitation, 1 N RMS."""

@@ -17,16 +17,7 @@ from seft_msgs_py.node.dds import DdsEndpoint
 from seft_msgs_py.node.process import prepare_on_this_host
 from seft_msgs_py.node.rclpy_interface import command_node, leave_graph, raw_subscription, take_all
 from seft_msgs_py.node.senders import Follower
-from seft_msgs_py.wire.topics import (
-    DESCRIPTION,
-    DIAGNOSTICS,
-    EXPERIMENT_STATE,
-    GROUND_MOTION,
-    REFERENCE_FORCE,
-    RIG_STATE,
-    LoopTopic,
-    Topic,
-)
+from seft_msgs_py.wire import topics
 from std_srvs.srv import Trigger
 
 from seft_ros.monitor.intake import Messages
@@ -39,8 +30,8 @@ _ANSWER_TIMEOUT_S = {
 }  # s, service -> for an answer
 _READ_DEPTH = 4096
 _MAX_AT_ONCE = 8192
-_TOPICS = (GROUND_MOTION, RIG_STATE, REFERENCE_FORCE)
-_DEPTHS: dict[Topic, int] = {EXPERIMENT_STATE: 64, DESCRIPTION: 64, DIAGNOSTICS: 512}
+_TOPICS = (topics.GROUND_MOTION, topics.RIG_STATE, topics.REFERENCE_FORCE)
+_DEPTHS = {topics.EXPERIMENT_STATE: 64, topics.DESCRIPTION: 64, topics.DIAGNOSTICS: 512}
 
 
 class Graph:
@@ -75,7 +66,7 @@ class Graph:
         self._thread = threading.Thread(target=self._serve_clients, daemon=True)
         self._thread.start()
 
-    def take(self, topic: Topic) -> Messages:
+    def take(self, topic: topics.Topic) -> Messages:
         """Take the new messages of a topic: bytes, and the wall-clock time in ns of their sending.
 
         Of the test's state and of what its nodes tell of themselves, strangers' messages are left
@@ -87,8 +78,8 @@ class Graph:
             self._subscribe(topic)
         return take_all(self._subscriptions[topic.name], _MAX_AT_ONCE)
 
-    def _subscribe(self, topic: Topic) -> None:
-        of_each_step = isinstance(topic, LoopTopic) and not topic.latched
+    def _subscribe(self, topic: topics.Topic) -> None:
+        of_each_step = isinstance(topic, topics.LoopTopic) and not topic.latched
         self._subscriptions[topic.name] = raw_subscription(
             self._node, topic, _READ_DEPTH, not of_each_step
         )

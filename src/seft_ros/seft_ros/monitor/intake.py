@@ -16,7 +16,6 @@ from seft_ros.analysis.equivalent_motion import (
     DAMPING,
     EquivalentMotion,
     assumed_structure,
-    natural_frequencies,
     spectrum_frequencies,
 )
 from seft_ros.analysis.summary import COMPARED
@@ -95,10 +94,10 @@ class LiveMotion:
     """
 
     def __init__(self, assumed: Experiment) -> None:
-        dt = assumed.timebase.dt
-        self._equivalent = EquivalentMotion(whole_structure(assumed), dt)
+        dt, whole = assumed.timebase.dt, whole_structure(assumed)
+        self._equivalent = EquivalentMotion(whole, dt)
         self._responses = RunningResponse(assumed), RunningResponse(assumed)
-        self._natural = natural_frequencies(assumed)
+        self._natural, _ = whole.structure.modes()
         self._frequency = spectrum_frequencies((self._natural[0], self._natural[-1]), dt)
         self._spectra = RunningSpectrum(1 / self._frequency, dt, DAMPING)
         self._squares = np.zeros(2)  # of the response, and of the difference

@@ -13,18 +13,9 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from seft_msgs_py.errors import InputError, WireError
+from seft_msgs_py.wire import topics
 from seft_msgs_py.wire.experiment_state import decode_state
 from seft_msgs_py.wire.messages import decode_description, decode_diagnostics
-from seft_msgs_py.wire.topics import (
-    DESCRIPTION,
-    DIAGNOSTICS,
-    EXPERIMENT_STATE,
-    GROUND_MOTION,
-    REFERENCE_FORCE,
-    RIG_STATE,
-    Timebase,
-    Topic,
-)
 
 from seft_ros.monitor.history import RECENT_FRAME, Frame, envelope_frame, samples_frame
 from seft_ros.monitor.intake import Intake
@@ -68,9 +59,9 @@ class Watch:
         if intake is None:
             return self._news()  # samples wait in the middleware until they can be read
         take, before = self._graph.take, intake.number
-        intake.motion(take(GROUND_MOTION))
-        forces = take(REFERENCE_FORCE)  # before the states: so the state of each has arrived
-        new = intake.samples([take(RIG_STATE.of(rig)) for rig in intake.rigs], forces)
+        intake.motion(take(topics.GROUND_MOTION))
+        forces = take(topics.REFERENCE_FORCE)  # before the states: so the state of each has arrived
+        new = intake.samples([take(topics.RIG_STATE.of(rig)) for rig in intake.rigs], forces)
         if intake.number != before:  # also without a message of the supervisor
             self.session.begin()
         return self._news() + [samples_frame(intake.number, stretch) for stretch in new]
@@ -103,20 +94,20 @@ class Watch:
     def _receive_statuses(self) -> None:
         session = self.session
         session.poll()
-        for node, description in self._decoded(DESCRIPTION, decode_description):
+        for node, description in self._decoded(topics.DESCRIPTION, decode_description):
             session.on_description(node, description["parameters"])
             self._follow_description()
-        for test in self._decoded(EXPERIMENT_STATE, decode_state):
+        for test in self._decoded(topics.EXPERIMENT_STATE, decode_state):
             if session.on_state(test):
                 session.begin()
                 if self.intake is not None:
                     self.intake.clear()
         dt = self.intake.timebase.dt if self.intake else 0.0
-        for _, statuses in self._decoded(DIAGNOSTICS, decode_diagnostics):
+        for _, statuses in self._decoded(topics.DIAGNOSTICS, decode_diagnostics):
             session.on_diagnostics(statuses, dt)
 
     def _decoded[Content](
-        self, topic: Topic, decode: Callable[[bytes], Content]
+        self, topic: topics.Topic, decode: Callable[[bytes], Content]
     ) -> Iterator[Content]:
         """Decode the messages of a topic, and count those that can't be decoded."""
         for raw, _ in self._graph.take(topic):
@@ -134,7 +125,7 @@ class Watch:
         if teller is None:
             return
         try:
-            timebase = Timebase.from_rate(float(sections[teller]["rate"]))
+            timebase = topics.Timebase.from_rate(float(sections[teller]["rate"]))
             axes = tuple(str(axis) for axis in sections[teller]["axes"])
         except (InputError, KeyError, TypeError, ValueError):
             self._refused += 1

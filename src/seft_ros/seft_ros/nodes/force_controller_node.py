@@ -2,7 +2,6 @@
 
 import math
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -188,7 +187,7 @@ class ForceControllerNode(NodeBody):
             self._rehearsing.reset()
             self._rehearsed.clear()
         self._rehearsed[step] = values[0]
-        _drop(self._rehearsed, lambda other: other <= step - PENDING)
+        self._rehearsed = _after(self._rehearsed, step - PENDING)
 
     def _on_rehearsed_force(self, raw: bytes, _: int) -> None:
         """Answer a step of a rehearsal."""
@@ -197,7 +196,7 @@ class ForceControllerNode(NodeBody):
             return
         command = self._rehearsing.step(step, points, self._rehearsed[step])
         self._publish_rehearsed(self._command_codec.encode(step, command))
-        _drop(self._rehearsed, lambda other: other <= step)
+        self._rehearsed = _after(self._rehearsed, step)
 
     def _begin_with(self, step: int) -> None:
         """Begin a test, if a sample of this step is its first."""
@@ -234,8 +233,7 @@ class ForceControllerNode(NodeBody):
                 stop = controller.stop(step)  # after the answer there is time
                 self._publish_stop(self._stop_codec.encode_points(step, stop))
         self._order.last = step
-        for passed in [other for other in self._states if other <= step]:
-            del self._states[passed]
+        self._states = _after(self._states, step)
         if self._controller.reason and not was_tripped:
             self._report_trip()
         previews = self._previews
@@ -276,10 +274,9 @@ class ForceControllerNode(NodeBody):
         self._shell.report(replace(status, values={**status.values, **values}))
 
 
-def _drop(kept: dict[int, Floats], passed: Callable[[int], bool]) -> None:
+def _after(kept: dict[int, Floats], step: int) -> dict[int, Floats]:
     """Forget the samples of steps that have passed."""
-    for step in [step for step in kept if passed(step)]:
-        del kept[step]
+    return {other: sample for other, sample in kept.items() if other > step}
 
 
 FORCE_CONTROLLER_NODE = NodeKind(FORCE_CONTROLLER_TABLE, TABLES, ForceControllerNode)

@@ -26,7 +26,7 @@ class GroundMotionNode(NodeBody):
         super().__init__(shell)
         experiment = shell.experiment
         section = experiment["ground_motion"]
-        self.motion = GroundMotion.from_parameters(section, experiment.axes, experiment.timebase)
+        self.motion = GroundMotion(section, experiment.axes, experiment.timebase)
         self.facts = {"steps": self.motion.steps, MOTION: self.motion.facts}
         self._lead_steps = max(1, round(section["lead"] * experiment.timebase.rate))
         self._codec = TrajectoryCodec(GROUND_MOTION, experiment.axes, experiment.timebase)

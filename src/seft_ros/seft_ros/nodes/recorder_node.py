@@ -16,16 +16,8 @@ from seft_msgs_py.errors import ExperimentError
 from seft_msgs_py.node.host import FIRST_NICENESS, boot
 from seft_msgs_py.node.node_shell import NodeBody, NodeKind, NodeShell
 from seft_msgs_py.node.wiring import Handler
-from seft_msgs_py.wire import topics
+from seft_msgs_py.wire import messages, topics
 from seft_msgs_py.wire.experiment_state import ExperimentState, decode_state
-from seft_msgs_py.wire.messages import (
-    ERROR,
-    OK,
-    Status,
-    decode_description,
-    decode_diagnostics,
-    encode_string,
-)
 from seft_msgs_py.wire.outcome import ENDED, MOVING, RECORDED, RIG, WAITS, State
 from seft_msgs_py.wire.topics import LoopTopic, Topic, topics_of
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
@@ -134,7 +126,7 @@ class RecorderNode(NodeBody):
             if of_a_step:
                 self._step_message_at = self._clock.monotonic()
             if topic == topics.DESCRIPTION:
-                node, _ = decode_description(raw)
+                node, _ = messages.decode_description(raw)
                 self._descriptions[node] = raw
             if topic == topics.EXPERIMENT_STATE:
                 self._follow(decode_state(raw))
@@ -146,7 +138,7 @@ class RecorderNode(NodeBody):
             elif of_a_step:
                 self._keep(topic, raw, now)
             if topic == topics.DIAGNOSTICS:
-                for status in decode_diagnostics(raw)[1]:
+                for status in messages.decode_diagnostics(raw)[1]:
                     if status.name == "reference_force":
                         self._force_phase = status.values.get("phase", "")
 
@@ -221,7 +213,7 @@ class RecorderNode(NodeBody):
 
     def _write_environment(self, bag: BagWriter) -> None:
         text = json.dumps({"environment": self._environment})
-        bag.write(topics.DESCRIPTION, encode_string(text), self._clock.time_ns())
+        bag.write(topics.DESCRIPTION, messages.encode_string(text), self._clock.time_ns())
 
     def _write_descriptions(self, bag: BagWriter) -> None:
         for raw in self._descriptions.values():
@@ -231,7 +223,7 @@ class RecorderNode(NodeBody):
         """Watch for stalls of the loop's core, if the rig runs in realtime on this host."""
         if self._watch is None or self._paced_by not in self._descriptions:
             return
-        _, rig = decode_description(self._descriptions[self._paced_by])
+        _, rig = messages.decode_description(self._descriptions[self._paced_by])
         there = rig.get("realtime", {})
         if rig["parameters"].get("pace") == "realtime" and there.get("boot") == boot():
             period = self._shell.experiment.timebase.dt
@@ -268,10 +260,10 @@ class RecorderNode(NodeBody):
         self._values = {"phase": phase, **values}
         self._shell.report(self._status())
 
-    def _status(self) -> Status:
+    def _status(self) -> messages.Status:
         problem = self._values.get("problem", "")
-        text, level = problem or self._values["phase"], ERROR if problem else OK
-        return Status(self._shell.name, level, text, values=self._values)
+        text, level = problem or self._values["phase"], messages.ERROR if problem else messages.OK
+        return messages.Status(self._shell.name, level, text, values=self._values)
 
 
 RECORDER_NODE = NodeKind(RECORDER_TABLE, TABLES, RecorderNode)

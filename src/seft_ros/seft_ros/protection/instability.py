@@ -16,18 +16,16 @@ a* = a M_e / (M_e + M_c) (w_n / w)^2.
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, zeros
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.compiled import compiled, multiply
 from seft_plant_sim.lti import bilinear
 
 from seft_ros.reference_force.compensation_methods import substructure_motion
 from seft_ros.reference_force.compensator import MethodInputs
-from seft_ros.reference_force.reference_force_block import method_inputs
 
 _HURRY = 10.0
 """Largest factor by which strong vibration shortens that time."""
@@ -194,20 +192,6 @@ class InstabilityWatch:
         )
         inputs, outputs = self.parameters.product.shape
         self.state = zeros(WatchState, {"inputs": inputs, "outputs": outputs, "n": n})
-
-    @classmethod
-    def from_parameters(
-        cls, section: dict[str, Any], axes: Sequence[str], timebase: Timebase
-    ) -> "InstabilityWatch":
-        """Make it from the reference force's section of an experiment.
-
-        Raises
-        ------
-        InputError
-            See `method_inputs`; or if the band would begin beyond half the sampling rate.
-        """
-        options = (section[f"instability.{name}"] for name in ("ratio", "floor", "lowest"))
-        return cls(method_inputs(section, tuple(axes), timebase), axes, *options)
 
     def describe(self) -> str:
         """Describe the vibration."""

@@ -14,6 +14,7 @@ from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.channels import FORCE
 from seft_plant_sim.compiled import compiled, entry_point, is_finite, kind_of
 from seft_plant_sim.limits import beyond_limit, largest_force_rate, span_steps
+from seft_plant_sim.simulated.rig_step import left_open
 
 from seft_ros.protection.instability import (
     InstabilityWatch,
@@ -22,7 +23,7 @@ from seft_ros.protection.instability import (
     watch_step,
 )
 from seft_ros.reference_force.compensator import has_computed_model
-from seft_ros.reference_force.reference_force_block import ReferenceForce
+from seft_ros.reference_force.reference_force_block import ReferenceForce, method_inputs
 
 BRAKING = 0.03
 """Time constant of a target's braking, s. At a sudden stop the oil column would ring."""
@@ -62,12 +63,6 @@ def extrapolated(points: Floats, age: int, count: int, dt: float) -> Floats:
     return result
 
 
-@compiled
-def ramp_factor(taken: int, steps: int) -> float:
-    """Factor of step ``taken`` of a ramp of some steps: half a cosine."""
-    return 0.5 * (1.0 + math.cos(math.pi * taken / steps)) if taken < steps else 0.0
-
-
 STOP_TIME = 0.1
 """Longest duration of a stop along the plan, s: ten periods of an oil column of 100 Hz."""
 
@@ -102,7 +97,7 @@ def slow_down(plan: Floats, steps: int, dt: float, slowed: Floats) -> None:
         theta = 0.5 * (taken + steps / math.pi * math.sin(phase))
         before = min(int(theta), len(plan) - 2)
         for row in range(3):
-            factor = ramp_factor(taken, steps) if row == 1 else 1.0
+            factor = left_open(taken, steps) if row == 1 else 1.0
             for i in range(slowed.shape[2]):
                 now, then = plan[before, row, i], plan[before + 1, row, i]
                 slowed[j, row, i] = factor * (now + (theta - before) * (then - now))
@@ -157,7 +152,7 @@ def next_factor(steps: int, ramp: Ints) -> float:
     if not ramp[BEGUN]:
         return 1.0
     ramp[TAKEN] += 1
-    return ramp_factor(ramp[TAKEN], steps)
+    return left_open(ramp[TAKEN], steps)
 
 
 class RampDown:
@@ -181,8 +176,6 @@ class RampDown:
     """
 
     def __init__(self, steps: int, rest: int = 0) -> None:
-        if steps < 1:
-            raise ValueError(f"a ramp of {steps} steps")
         self.steps, self.whole = steps, steps + rest
         self.state = np.zeros(2, dtype=np.int64)
         self._next = entry_point(next_factor, steps, self.state)
@@ -510,10 +503,11 @@ class ProtectedForce:
             See `ReferenceForce.from_parameters`.
         """
         fastest = largest_force_rate(group(section, "limits"))
+        known, watch = method_inputs(section, axes, timebase), group(section, "instability")
         return cls(
             ReferenceForce.from_parameters(section, axes, timebase),
             PlausibleForce(section["limits.force"], fastest, axes, timebase.dt),
-            InstabilityWatch.from_parameters(section, axes, timebase),
+            InstabilityWatch(known, axes, **watch),
             RampDown.lasting(section["ramp_down_time"], timebase.dt, section["loop_delay"]),
             section["loop_delay"],
         )

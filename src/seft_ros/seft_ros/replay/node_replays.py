@@ -384,7 +384,7 @@ class RigReplay(Replay):
 
     def computed(self, section: dict[str, Any]) -> tuple[Series, Estimates | None]:
         """Compute the states of the simulated rig."""
-        rig = Rig.from_parameters(dict(section), self.experiment.axes, self.experiment.timebase)
+        rig = Rig(dict(section), self.experiment.axes, self.experiment.timebase)
         drives = self.expected.values[:, DRIVE_ROW]
         states = [rig.reset()]
         for drive in drives[1:]:

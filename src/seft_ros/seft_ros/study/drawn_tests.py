@@ -16,7 +16,7 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.parameter_table import Section, as_matrix, nearest, per_axis
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.topics import Timebase, rigs_of
+from seft_msgs_py.wire.topics import Timebase, of_one_rig
 from seft_plant_sim import rig_parameters
 from seft_plant_sim.rig import Rig
 
@@ -134,7 +134,7 @@ def draw_tests(
     axes, timebase = experiment.axes, experiment.timebase
     own = {node: experiment[node] for node in ("rig", "ground_motion")}
     for file in [own["ground_motion"]["file"], *dict.fromkeys(motions)]:
-        GroundMotion.from_parameters(own["ground_motion"] | {"file": file}, axes, timebase)
+        GroundMotion(own["ground_motion"] | {"file": file}, axes, timebase)
     check_rig(own["rig"], axes, timebase, 0)
     drawn = []
     for index in range(1, 1 + number):
@@ -223,7 +223,7 @@ def drawn_motion(
 def check_rig(section: Section, axes: tuple[str, ...], timebase: Timebase, number: int) -> None:
     """Refuse impossible parameters; the InputError names the test's number if it is not 0."""
     try:
-        Rig.from_parameters(rig_parameters.RIG_TABLE.check(section), axes, timebase)
+        Rig(rig_parameters.RIG_TABLE.check(section), axes, timebase)
     except InputError as error:
         if number == 0:
             raise
@@ -249,12 +249,8 @@ def _draw_factors(random: np.random.Generator, uncertainty: float, spread: float
 
 
 def _neighbours(axes: Sequence[str]) -> npt.NDArray[np.bool_]:
-    """Say which pairs of axes belong to one rig, shape (n, n)."""
-    found = np.zeros((len(axes), len(axes)), dtype=bool)
-    for rig in rigs_of(axes):
-        found[np.ix_(rig.places, rig.places)] = True
-    np.fill_diagonal(found, False)
-    return found
+    """Say which pairs of different axes belong to one rig, shape (n, n)."""
+    return of_one_rig(axes) & ~np.eye(len(axes), dtype=bool)
 
 
 def _matters(
@@ -262,7 +258,7 @@ def _matters(
 ) -> bool:
     """Whether the simulated rig is another one with this value of a parameter."""
     one, other = (
-        pickle.dumps(Rig.from_parameters(section, axes, timebase).simulation.parameters)
+        pickle.dumps(Rig(section, axes, timebase).simulation.parameters)
         for section in (base, base | {name: value.tolist()})
     )
     return one != other

@@ -69,7 +69,7 @@ def build_blocks(experiment: Experiment, known: dict[str, Any] | None = None) ->
         reference_force=shared(  # first: a wrong fact of the specimen is named as that
             "reference_force", ProtectedForce.from_parameters, force, axes, timebase
         ),
-        ground_motion=shared("ground_motion", GroundMotion.from_parameters, motion, axes, timebase),
+        ground_motion=shared("ground_motion", GroundMotion, motion, axes, timebase),
         force_controller=shared("force_controller", interlock_of, experiment),
         rig=_rigs(experiment),
     )
@@ -86,7 +86,7 @@ def build_blocks(experiment: Experiment, known: dict[str, Any] | None = None) ->
 def _rigs(experiment: Experiment) -> Rig | Rigs:
     if len(experiment.rigs) > 1:
         return Rigs(experiment)
-    return Rig.from_parameters(experiment["rig"], experiment.axes, experiment.timebase)
+    return Rig(experiment["rig"], experiment.axes, experiment.timebase)
 
 
 def check_target(experiment: Experiment, blocks: Blocks) -> None:

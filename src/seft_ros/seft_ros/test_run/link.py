@@ -23,10 +23,7 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.design.stability_margins import MASS_RATIO_RESERVE as RESERVE
 from seft_ros.drawing.style import Cell, Mark, Number, Texts, TextTable, rows_of
-from seft_ros.reference_force.reference_force_parameters import (
-    horizon_steps,
-    reference_force_topic,
-)
+from seft_ros.reference_force.reference_force_parameters import horizon_steps, reference_force_topic
 
 _Verdict = Literal["good", "marginal", "unusable"]
 
@@ -118,25 +115,16 @@ class Allowed:
         As planned.
     critical_mass_ratio : float or None
         Least unstable one; None where there is none, or it is not known.
-    growing : bool
-        Whether it is unstable as planned.
-    unknown : str
-        Why preflight failed; else empty.
+    stable : bool or None
+        Whether it is stable as planned; None: not known.
+    unknown : str or None
+        Why preflight failed.
     """
 
     mass_ratio: float
     critical_mass_ratio: float | None
-    growing: bool
-    unknown: str = ""
-
-    def numbers(self) -> dict[str, Any]:
-        """Give JSON values."""
-        return {
-            "mass_ratio": self.mass_ratio,
-            "critical_mass_ratio": self.critical_mass_ratio,
-            "stable": None if self.unknown else not self.growing,
-            "unknown": self.unknown or None,
-        }
+    stable: bool | None
+    unknown: str | None = None
 
 
 def with_loop_delay(experiment: Experiment, steps: int) -> Experiment:
@@ -162,11 +150,11 @@ def allowed(experiment: Experiment, loop_delay: int) -> Allowed:
     planned = float(experiment["reference_force"]["mass_ratio"])
     try:
         planned_test = PlannedTest(with_loop_delay(experiment, loop_delay))
-        growing = not planned_test.is_stable()
+        stable = planned_test.is_stable()
         critical = critical_mass_ratio(planned_test)
     except InputError as error:
-        return Allowed(planned, None, growing=False, unknown=str(error))
-    return Allowed(planned, critical.value if critical else None, growing)
+        return Allowed(planned, None, None, str(error))
+    return Allowed(planned, critical.value if critical else None, stable)
 
 
 def assess_link(trips: RoundTrips, test: Allowed | None) -> tuple[_Verdict, list[str]]:
@@ -189,7 +177,7 @@ def assess_link(trips: RoundTrips, test: Allowed | None) -> tuple[_Verdict, list
             f"{100 * lost:.3g} % of the messages were lost, up to {trips.longest_burst} in a row: "
             "they are bridged, with some error"
         )
-    if test is not None and test.growing:
+    if test is not None and test.stable is False:
         bad.append(f"mass ratio {test.mass_ratio:g} is unstable with a delay of {delay} steps")
     elif test is not None and test.unknown:
         thin.append(f"preflight could not be done: {test.unknown}")

@@ -44,27 +44,6 @@ _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None)
 
 
-class StartedNode:
-    """A process that `NodeStarter` has started."""
-
-    def __init__(self, starter: "NodeStarter", pid: int) -> None:
-        self._starter, self.pid = starter, pid
-
-    def poll(self) -> int | None:
-        """Exit status, or the negative number of a signal; None while the process runs."""
-        return self._starter.status(self.pid)
-
-    def wait(self, timeout: float) -> bool:
-        """Wait at most ``timeout`` s for the end; return whether the process has ended."""
-        return self._starter.status(self.pid, timeout) is not None
-
-    def send_signals(self, *numbers: int) -> None:
-        """Send signals, unless the process has ended."""
-        with contextlib.suppress(ProcessLookupError):
-            for number in numbers if self.poll() is None else ():
-                os.kill(self.pid, number)
-
-
 class NodeStarter:
     """Starts nodes, and knows how they ended; a context that waits for the end of all of them.
 
@@ -86,8 +65,8 @@ class NodeStarter:
         self._unread = b""
         self._is_lost = False
 
-    def start(self, words: Sequence[str], log: Path) -> StartedNode:
-        """Start ``python -m`` with these words; all that the process writes goes to ``log``.
+    def start(self, words: Sequence[str], log: Path) -> int:
+        """Start ``python -m`` with these words, writing to ``log``; give the process number.
 
         Raises
         ------
@@ -106,10 +85,10 @@ class NodeStarter:
             if self._is_lost:
                 raise ExperimentError("the process that starts the nodes has ended")
             self._read(None)
-        return StartedNode(self, self._started[-1])
+        return self._started[-1]
 
     def status(self, pid: int, timeout: float = 0.0) -> int | None:
-        """Exit status of a node after at most ``timeout`` s; None while it runs."""
+        """Exit status, or the negative number of a signal, after at most ``timeout`` s, or None."""
         deadline = time.monotonic() + timeout
         while pid not in self._ended:
             self._read(max(0.0, deadline - time.monotonic()))
@@ -118,6 +97,12 @@ class NodeStarter:
             if time.monotonic() >= deadline:
                 break
         return self._ended.get(pid)
+
+    def signal(self, pid: int, *numbers: int) -> None:
+        """Send signals to a node, unless it has ended."""
+        with contextlib.suppress(ProcessLookupError):
+            for number in numbers if self.status(pid) is None else ():
+                os.kill(pid, number)
 
     def _read(self, timeout: float | None) -> None:
         """Take in what the starter reports within a time; None: any time."""

@@ -1,6 +1,5 @@
 """Nodes of the `seft` command: one that observes a test, and one that plays other nodes."""
 
-import os
 import time
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
@@ -58,6 +57,8 @@ class Observer:
         Rigs that report that they run, or that their stop goes on.
     not_at_rest : dict of str to str
         Rigs that did not come to rest after their stop, and its time.
+    domain : int
+        ROS domain of the test.
     """
 
     def __init__(self, nodes: Sequence[str] = NODES) -> None:
@@ -74,6 +75,7 @@ class Observer:
         self._received_at = self._awake.time()
         self._since = time.monotonic()
         self._node = command_node("seft")
+        self.domain: int = self._node.context.get_domain_id()
         depths = {EXPERIMENT_STATE: _STATES, DIAGNOSTICS: DIAGNOSTICS.depth}
         self._test = Follower(DdsEndpoint(self._node), depths, self._nodes)
         self._node.create_subscription(
@@ -126,8 +128,8 @@ class Observer:
 
     def present(self) -> list[str]:
         """Names of a test's nodes that are on the graph, or on this host and not yet found."""
-        found, domain = self._found(), self._node.context.get_domain_id()
-        ours = [node for node in self._nodes if node in found or is_running(domain, f"/{node}")]
+        found, at = self._found(), self.domain
+        ours = [node for node in self._nodes if node in found or is_running(at, f"/{node}")]
         return ours + self._of_other_namespaces(found)
 
     def refuse_other_tests(self, external: Collection[str] = ()) -> None:
@@ -160,14 +162,14 @@ class Observer:
             if len(infos) > 1:
                 names = ", ".join(sorted(i.node_name for i in infos))
                 raise InputError(
-                    f"{len(infos)} nodes publish {topic.name} in ROS domain {_domain()} ({names}), "
-                    "and only one is this test's: end the other"
+                    f"{len(infos)} nodes publish {topic.name} in ROS domain {self.domain} "
+                    f"({names}), and only one is this test's: end the other"
                 )
 
     def _refuse(self, nodes: Sequence[str]) -> None:
         if nodes:
             raise InputError(
-                f"ROS domain {_domain()} already has a node {', '.join(nodes)}: of another test; "
+                f"ROS domain {self.domain} already has a node {', '.join(nodes)}: of another test; "
                 "end it, set another ROS_DOMAIN_ID, or use it with --external"
             )
 
@@ -214,7 +216,3 @@ class Observer:
             (self.running.add if moves else self.running.discard)(status.name)
             if text := status.values.get(outcome.NOT_AT_REST):
                 self.not_at_rest[status.name] = text
-
-
-def _domain() -> str:
-    return os.environ.get("ROS_DOMAIN_ID", "0")

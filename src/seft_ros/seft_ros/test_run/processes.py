@@ -15,16 +15,10 @@ from pathlib import Path
 from typing import Any, Self
 
 from seft_msgs_py.errors import ExperimentError, InputError
-from seft_msgs_py.node.host import (
-    may_keep_awake,
-    process_stat,
-    side_threads,
-    take_precedence,
-    threads_of,
-)
+from seft_msgs_py.node import host
 from seft_msgs_py.wire.topics import bare, rig_name
 
-from seft_ros.test_run.node_starter import NodeStarter, StartedNode
+from seft_ros.test_run.node_starter import NodeStarter
 
 LOOP_NODES = ("rig", "reference_force", "force_controller")
 """Nodes that work one after the other within a step."""
@@ -80,7 +74,7 @@ class Placement:
             If it has ended.
         """
         in_loop = bare(node) in LOOP_NODES
-        for thread in threads_of(pid):  # those that it makes from now on inherit this
+        for thread in host.threads_of(pid):  # those that it makes from now on inherit this
             os.sched_setaffinity(thread, self.loop if in_loop else self.others)
             if in_loop and self._lockstep:
                 os.sched_setscheduler(thread, os.SCHED_BATCH, os.sched_param(0))
@@ -94,16 +88,16 @@ class Placement:
         """
         with contextlib.suppress(OSError):  # it has ended; `ended` says how
             if self._lockstep and not lockstep:
-                for thread in threads_of(pid):
+                for thread in host.threads_of(pid):
                     os.sched_setaffinity(thread, self._all)
                 _request_low_latency(pid)
-            for thread in side_threads(pid):
+            for thread in host.side_threads(pid):
                 os.sched_setaffinity(thread, self.others)
 
 
 def _request_low_latency(pid: int) -> None:
     prefer_latency(pid)
-    take_precedence(pid)
+    host.take_precedence(pid)
 
 
 def prefer_latency(pid: int) -> None:
@@ -116,7 +110,7 @@ def prefer_latency(pid: int) -> None:
         return
     size = _SCHED_ATTR.size
     attributes = _SCHED_ATTR.pack(size, os.SCHED_OTHER, 0, 0, 0, LATENCY_SLICE_NS, 0, 0)
-    for thread in threads_of(pid):
+    for thread in host.threads_of(pid):
         with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
             if os.sched_getscheduler(thread) in (os.SCHED_OTHER, os.SCHED_BATCH):
                 _LIBC.syscall(_SYS_SCHED_SETATTR, thread, attributes, 0)
@@ -147,7 +141,7 @@ class ProcessLayout:
             below = 0 if self.composed else GIVES_WAY.get(node, 0)
             priority = max(1, self.priority - below)
             return {"thread_priority": priority, "lock_memory": True, "keep_awake": True}
-        return {"keep_awake": True} if self.pin and may_keep_awake() else {}
+        return {"keep_awake": True} if self.pin and host.may_keep_awake() else {}
 
     def groups(self, nodes: Collection[str]) -> list[tuple[str, ...]]:
         """Sort nodes into processes, in order."""
@@ -201,6 +195,8 @@ class NodeProcesses:
     ----------
     bag : Path or None
         Where the test's bag is. The logs are kept in it, if it exists at the end.
+    pids : dict
+        Numbers of the processes by node.
     """
 
     def __init__(
@@ -220,10 +216,10 @@ class NodeProcesses:
         if self._placement is not None:
             os.sched_setaffinity(0, self._placement.others)  # this process, too
         self._logs_of: dict[str, Path] = {}
-        self._processes: dict[str, StartedNode] = {}
+        self.pids: dict[str, int] = {}
         try:
             for group in layout.groups(nodes):
-                self._processes.update(dict.fromkeys(group, self._start(group)))
+                self.pids.update(dict.fromkeys(group, self._start(group)))
         except BaseException:
             self.stop(0.0)
             shutil.rmtree(self._logs, ignore_errors=True)
@@ -243,9 +239,8 @@ class NodeProcesses:
     def ended(self) -> dict[str, str]:
         """Nodes whose process has ended: how it ended, with the last line it wrote about it."""
         found = {}
-        for node, process in self._processes.items():
-            code = process.poll()
-            if code is not None:
+        for node in self.pids:
+            if (code := self.exit_status(node)) is not None:
                 how = f"killed by signal {-code}" if code < 0 else f"exit status {code}"
                 found[node] = f"node {node} ended ({how}): {self._last_line(node)}"
         return found
@@ -265,35 +260,31 @@ class NodeProcesses:
 
     def stopped(self) -> list[str]:
         """Nodes whose process a signal has stopped."""
-        return [node for node, pid in self.pids().items() if process_stat(pid)[:1] == ["T"]]
+        return [node for node, pid in self.pids.items() if host.process_stat(pid)[:1] == ["T"]]
 
     def exit_status(self, node: str) -> int | None:
         """Exit status of a node's process; None while it runs."""
-        return self._processes[node].poll()
-
-    def pids(self) -> dict[str, int]:
-        """Process numbers by node."""
-        return {node: process.pid for node, process in self._processes.items()}
+        return self._starter.status(self.pids[node])
 
     def settle(self, *, lockstep: bool) -> None:
         """Prepare the loop's nodes for a test, when its pace is known."""
         if self._placement is None:
             return
-        for node, pid in self.pids().items():
+        for node, pid in self.pids.items():
             if bare(node) in LOOP_NODES:
                 self._placement.settle(pid, lockstep=lockstep)
 
     def stop(self, patience: float = 10.0) -> None:
         """Ask all processes to end, and kill what has not after ``patience`` seconds."""
-        for process in set(self._processes.values()):
-            process.send_signals(signal.SIGINT, signal.SIGCONT)  # a stopped one ends cleanly, too
+        for pid in set(self.pids.values()):
+            self._starter.signal(pid, signal.SIGINT, signal.SIGCONT)  # a stopped one ends, too
         deadline = time.monotonic() + patience
-        for process in self._processes.values():
-            while not process.wait(max(0.01, deadline - time.monotonic())):
-                process.send_signals(signal.SIGKILL)
+        for pid in self.pids.values():
+            while self._starter.status(pid, max(0.01, deadline - time.monotonic())) is None:
+                self._starter.signal(pid, signal.SIGKILL)
         os.sched_setaffinity(0, self._cores)  # as before
 
-    def _start(self, group: tuple[str, ...]) -> StartedNode:
+    def _start(self, group: tuple[str, ...]) -> int:
         names, rig = [bare(node) for node in group], rig_name(group[0])
         words = [MODULES[names[0]]] if len(group) == 1 else [COMPOSED, "--nodes", *names]
         # the log has all that the process writes; rclpy would write it once more into a file
@@ -301,10 +292,10 @@ class NodeProcesses:
         words += [*(["-r", f"__ns:=/{rig}"] if rig else []), *self._arguments]
         log = self._logs / ("_".join(node.replace("/", "_") for node in group) + ".log")
         self._logs_of.update(dict.fromkeys(group, log))
-        process = self._starter.start(words, log)
+        pid = self._starter.start(words, log)
         if self._placement is not None:
-            self._placement.put(names[0], process.pid)
-        return process
+            self._placement.put(names[0], pid)
+        return pid
 
     def _last_line(self, node: str) -> str:
         lines = self._logs_of[node].read_text(errors="replace").strip().splitlines()

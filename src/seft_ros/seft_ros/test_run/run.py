@@ -206,10 +206,8 @@ class RunMonitor:
     def _ending(self) -> str:
         """Say how the test ended if the bag may lack it."""
         observer = self._observer
-        step, test = (
-            self._timebase.nearest(observer.time_ns)[0],
-            observer.ended or observer.reported,
-        )
+        step, _ = self._timebase.nearest(observer.time_ns)
+        test = observer.ended or observer.reported
         if test.state == State.DONE:
             stopped = test.detail == BY_OPERATOR
             self._progress("done", test.steps if test.steps and not stopped else step + 1)

@@ -10,10 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.experiment_state import ExperimentState
-from seft_msgs_py.wire.outcome import BY_OPERATOR
-from seft_msgs_py.wire.outcome import ENDED as ENDED
-from seft_msgs_py.wire.outcome import MOVING as MOVING
-from seft_msgs_py.wire.outcome import State as State
+from seft_msgs_py.wire.outcome import BY_OPERATOR, ENDED, MOVING, State
 from seft_msgs_py.wire.topics import Timebase
 
 _ABORTED = "aborted by the operator"
