@@ -45,6 +45,21 @@ def test_after_a_trip_it_goes_along_the_stop_and_its_end_lasts(kind):
     assert not guarded.stop(0).any()
 
 
+def test_a_stop_from_before_wrong_samples_is_that_of_its_step():
+    guarded = watched(Planned(), limits=(1.0, 1.0, 1.0, 1e3))
+    every, kept = guarded.parameters.every, {}
+    for step in range(8 * every):
+        stepped(guarded, step, target_of(step), sample_of(step))
+        kept[step] = guarded.stop(step)
+    for trusted in (4 * every - 1, 5 * every - 1, 5 * every, 8 * every):
+        at, now = min(trusted // every, 7) * every, 7 * every + 1
+        stop = guarded.stop_before(now, trusted)
+        np.testing.assert_array_equal(stop, kept[at][now - at :])
+    assert guarded.stop_before(now, 3 * every - 1) is None  # it is no longer kept
+    assert guarded.stop_before(now, -1) is None
+    assert watched(Scripted()).stop_before(0, 0) is None
+
+
 @pytest.mark.parametrize("beyond_limit", [False, True])
 @pytest.mark.parametrize("kind", [Scripted, Planned])
 def test_while_sensors_and_valve_are_fault_free_a_trip_follows_the_plan(kind, beyond_limit):

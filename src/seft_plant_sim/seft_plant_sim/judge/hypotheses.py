@@ -54,9 +54,14 @@ def is_turn(which: int) -> bool:
 
 
 @compiled
-def allow_turn(known: Record, c: Record) -> None:
-    """Add to the covariance that the jump of (4) comes at any time since the last sample."""
+def allow_turn(known: Record, axis: Record, c: Record, b: Record) -> None:
+    """Add to the covariance that the jump of (4) comes at any time since the last sample.
+
+    The force goes on then; with a servo, too, whose motion goes on in all other events.
+    """
     s, h, oil = c.covariance, known.dt, known.oil
+    if known.imposed:
+        s[2, 2] = axis.blur[2, 2] + b.variance[1, F] + axis.bent**2
     jump = abs(c.off[3]) / known.mass if known.mass > 0.0 else 0.0
     kink = (h * h * jump) ** 2 / 720.0
     s[V, V] += (h * jump) ** 2 / 12.0
@@ -226,18 +231,18 @@ def log_amplitudes(known: Record, axis: Record, c: Record, at: int) -> float:
             rate += KNOWN * math.exp(-0.5 * (size / axis.known) ** 2)
         if recent > 0.0:
             rate += GOES_ON * math.exp(-0.5 * (size / recent) ** 2)
-        value += HALF_LOG_TURN + math.log(rate) + log_size(size, c.covariance[3, 3], known.orders)
+        value += HALF_LOG_TURN + math.log(rate)
+        value += log_size(size, c.covariance[3, 3], known.orders, axis.strained)
         value += ANOTHER if known.mass == 0.0 else 0.0  # only the next sample can confirm it
     if which & OIL_EVENT:
-        value += (
-            HALF_LOG_TURN
-            + math.log(NEW)
-            + log_size(c.amplitude[at, 4], c.covariance[2, 2], known.orders)
-        )
+        value += HALF_LOG_TURN + math.log(NEW)
+        value += log_size(c.amplitude[at, 4], c.covariance[2, 2], known.orders, axis.pressed)
     return value
 
 
 @compiled
-def log_size(size: float, variance: float, orders: float) -> float:
-    """Prior of the size of an event: of any order of magnitude."""
-    return -math.log(2.0 * (abs(size) + math.sqrt(variance))) - orders
+def log_size(size: float, variance: float, orders: float, usual: float) -> float:
+    """Prior of the size of an event: of any order of magnitude, rare beyond what is usual."""
+    deviation = math.sqrt(variance)
+    whole = abs(size) + deviation
+    return -math.log(2.0 * whole) - orders - max(math.log(whole / (usual + deviation)), 0.0)

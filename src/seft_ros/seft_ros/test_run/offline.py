@@ -123,7 +123,9 @@ def simulate_test(
     begun = ramped if force.cause else steps - 1
     rig, plan = cast("Any", blocks.rig), None
     if violation and rig.drive == topics.VALVE_COMMAND.name:
-        plan = blocks.force_controller.stop(steps - 1)
+        controller, last = cast("Any", blocks.force_controller), steps - 1
+        is_spoiled = rig.violation and rig.trusted < last
+        plan = controller.stop_before(last, rig.trusted) if is_spoiled else controller.stop(last)
     rig.stop(plan)
     estimates = None
     if estimated:
