@@ -123,14 +123,12 @@ class Command:
     def plan(self, trusted: int) -> tuple[Floats | None, ...]:
         """Give the newest plan of a trusted step: commands of now and the coming steps, (m, n).
 
-        Also what it has in place of the last command, shape (n,), unless wrong samples led to that:
-        then the piston has hardly followed it. Nothing if there is no such plan.
+        Also what it has in place of the last command, shape (n,). Nothing if there is no such plan.
         """
         for first, points in reversed(self._kept):
             if first <= trusted:
                 age = self.current - first
-                is_right = trusted >= self.current and 0 < age <= len(points)
-                return points[age:], points[age - 1] if is_right else None
+                return points[age:], points[age - 1] if 0 < age <= len(points) else None
         return ()
 
     def take(self, raw: bytes) -> None:

@@ -38,7 +38,7 @@ class Rig:
         Why the test must end with the last sample.
     trusted : int
         The last step up to which no wrong value was used, so that a stop can follow a plan from
-        then; -1: none.
+        then; -1: none. A servo is where its last commands lead it, and can't go back.
     saturation : Saturation
         Saturation since the reset: of stroke, force capacity, valve, and sensors.
     zeroed : dict or None
@@ -148,7 +148,7 @@ class Rig:
             if self.violation is not None:
                 missing = self.hardware.missing
                 self.violation = missing or self.violation
-                self.trusted = -1 if missing else self.guard.trusted(found)
+                self.trusted = -1 if missing else self._trusted(found)
             for name, bit in _SATURATED.items():
                 if found & bit:
                     count_saturated(self.saturation, name, 1, self.step_index)
@@ -226,7 +226,11 @@ class Rig:
         self.violation = self.guard.violation(int(found[-1]))
         self.trusted = self.step_index
         if self.violation is not None:
-            self.trusted = self.guard.trusted(int(found[-1]))
+            self.trusted = self._trusted(int(found[-1]))
+
+    def _trusted(self, found: int) -> int:
+        trusted = self.guard.trusted(found)
+        return -1 if self._safe.holds and trusted < self.step_index else trusted
 
 
 def extrapolated_command(
@@ -304,10 +308,10 @@ class Rigs:
         """Apply a command and take the next sample, see `Rig.step`."""
         return self._gather([rig.step(command[places]) for places, rig in self._rigs])
 
-    def stop(self, plans: Sequence[Floats] | None = None) -> None:
-        """Bring all of them to rest, see `Rig.stop`; ``plans`` are one for each."""
-        for place, (_, rig) in enumerate(self._rigs):
-            rig.stop(None if plans is None else plans[place])
+    def stop(self, *plans: Sequence[Floats | None]) -> None:
+        """Bring all of them to rest, see `Rig.stop`; ``plans`` are its arguments for each."""
+        for plan, (_, rig) in zip(plans or [()] * len(self._rigs), self._rigs, strict=True):
+            rig.stop(*plan)
 
     def simulated(self, first: int | None = None) -> Simulated:
         """Largest true motion of any of them, see `Rig.simulated`."""

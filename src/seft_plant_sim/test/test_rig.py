@@ -140,7 +140,7 @@ def test_a_stop_follows_the_plan_then_closes():
 @pytest.mark.parametrize(
     ("faults", "ends", "trusted"),
     [
-        ("force set -9e4 at 0.396 for 3", "force_wrong", 194),
+        ("force set -9e4 at 0.396 for 3", "force_wrong", 200),
         ("force set -9e4 at 0.4 for 1", None, 200),
         (["velocity freeze at 0.392", "force freeze at 0.392"], "velocity_frozen", 193),
         (["velocity flip at 0.39", "acceleration flip at 0.39"], "velocity_wrong", 191),

@@ -227,7 +227,7 @@ class Guard:
         return found
 
     def trusted(self, found: int) -> int:
-        """Give the last step up to which no value was wrong, as far as is known; -1: none.
+        """Give the last step up to which no wrong value was used, as far as is known; -1: none.
 
         ``found`` is the result of the step that ends the test. What shows in sums alone has been
         wrong for an unknown time.
@@ -236,18 +236,17 @@ class Guard:
             return -1
         row, axis = divmod(int(self.state.counts[DETECTED]), len(self._axes))
         detectors, judge = self.state.detectors, self.state.detectors.judge
-        last = int(judge.step[0])
-        if row >= WRONG:
-            trusted = last
-        elif row >= FROZEN:
-            trusted = last - int(detectors.repeats[:, axis].max())
+        last, window = int(judge.step[0]), len(judge.replaced)
+        ages = [age for age in range(window) if judge.replaced[judge.place[0] - age].any()]
+        if row >= WRONG and judge.used[0] <= last - window:
+            return last
+        if row >= FROZEN:
+            ages.append(int(detectors.repeats[:, axis].max()))
         elif row == JUMP:
-            trusted = last - int(self.parameters.detectors.persistence[row])
+            ages.append(int(self.parameters.detectors.persistence[row]))
         else:
             return -1
-        window = len(judge.replaced)
-        ages = [age for age in range(window) if judge.replaced[judge.place[0] - age].any()]
-        return min(trusted, last - max(ages) - 1 - REVISED) if ages else trusted
+        return last - max(ages) - 1 - REVISED
 
     def violation(self, found: int) -> str | None:
         """Say why the test must end with the last sample; ``found`` is the result of its step."""

@@ -158,6 +158,7 @@ class JudgeState(NamedTuple):
     restoring: Annotated[Floats, "n"]  # r at the last judged sample, N
     replaced: Annotated[Ints, "window", "n"]  # sets of channels at the last samples, a ring buffer
     counts: Annotated[Ints, 5, "n"]  # of the replaced values in these, and of samples with any
+    used: Annotated[Ints, 1]  # step of the last value that was found wrong after its use
 
 
 def judge_arrays(

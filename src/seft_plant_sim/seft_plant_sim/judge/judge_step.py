@@ -87,7 +87,7 @@ def begin_judge(p: JudgeParameters, state: JudgeState) -> None:
     """Begin a test: the rig is at rest."""
     for each in state:
         each[...] = 0
-    state.step[0], state.place[0], state.axes[:] = -1, -1, p.rest
+    state.step[0], state.place[0], state.used[0], state.axes[:] = -1, -1, LONG_AGO, p.rest
     state.raw[:], state.resolution[:] = p.rest.alive["value"][:, 0, 0].T, p.axes.step.T
 
 
@@ -448,6 +448,8 @@ def publish(state: JudgeState, step: int, i: int, judged: Floats) -> None:
     for age in range(1 + REVISED):  # the present sample takes the place of the oldest one
         place, now = place_of_age(state, age), b.wrong[age] & ANY_CHANNEL
         was = state.replaced[place, i]
+        if age > 0 and now & ~was:
+            state.used[0] = step - age
         for row in range(4):
             state.counts[row, i] += (now >> row & 1) - (was >> row & 1)
         state.counts[ANY_ROW, i] += (now != 0) - (was != 0)

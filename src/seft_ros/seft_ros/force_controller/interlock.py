@@ -566,16 +566,19 @@ class Interlock:
             command[:] = self.stop(index)[0]
         return command
 
-    def stop_before(self, index: int, trusted: int) -> Floats | None:
-        """Give the fallback stop of the last kept step up to a trusted one, from a step on.
+    def plan(self, index: int, trusted: int) -> tuple[Floats | None, ...]:
+        """Give the stop of the last trusted step, as a rig knows it, see `Command.plan`.
 
-        Shape (m, n), V; None: there is none.
+        Before the present step, ``index``, the fallback stops are kept.
         """
+        if trusted >= index:
+            return (self.stop(index),)
         at = self.state.kept_at
         place = int(np.where(at <= trusted + 1, at, 0).argmax())
         if not 0 < at[place] <= trusted + 1:
-            return None
-        return self._stop_along(self.state.kept[place])[index + 1 - at[place] :]
+            return ()
+        age, stopping = index + 1 - at[place], self._stop_along(self.state.kept[place])
+        return stopping[age:], stopping[age - 1] if age <= len(stopping) else None
 
     def _stop_along(self, plan: Floats) -> Floats:
         """Give the last command, and those that follow a plan to rest and close the valve."""
@@ -674,13 +677,9 @@ class Interlocks:
             drive[places] = interlock.step(index, points[:, :, places], measured[:, places])
         return drive
 
-    def stop(self, index: int) -> list[Floats]:
-        """Give the commands of the stop of each rig, see `Interlock.stop`."""
-        return [interlock.stop(index) for _, interlock in self._rigs]
-
-    def stop_before(self, index: int, trusted: int) -> list[Floats | None]:
-        """Give the fallback stop of each rig, see `Interlock.stop_before`."""
-        return [interlock.stop_before(index, trusted) for _, interlock in self._rigs]
+    def plan(self, index: int, trusted: int) -> tuple[tuple[Floats | None, ...], ...]:
+        """Give the plan of each rig, see `Interlock.plan`."""
+        return tuple(interlock.plan(index, trusted) for _, interlock in self._rigs)
 
 
 def interlock_of(experiment: Experiment) -> Interlock | Interlocks:

@@ -121,12 +121,11 @@ def simulate_test(
     ramped = steps - force.ramp.taken
     trip = _trip_of(violation, force.cause, steps - 1, ramped, experiment.timebase)
     begun = ramped if force.cause else steps - 1
-    rig, plan = cast("Any", blocks.rig), None
+    rig, plan = cast("Any", blocks.rig), ()
     if violation and rig.drive == topics.VALVE_COMMAND.name:
-        controller, last = cast("Any", blocks.force_controller), steps - 1
-        is_spoiled = rig.violation and rig.trusted < last
-        plan = controller.stop_before(last, rig.trusted) if is_spoiled else controller.stop(last)
-    rig.stop(plan)
+        trusted = rig.trusted if rig.violation else steps - 1
+        plan = cast("Any", blocks.force_controller).plan(steps - 1, trusted)
+    rig.stop(*plan)
     estimates = None
     if estimated:
         sampled = np.arange(0, steps, period, dtype=np.int64)
