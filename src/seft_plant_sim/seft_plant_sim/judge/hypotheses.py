@@ -238,7 +238,8 @@ def log_amplitudes(known: Record, axis: Record, c: Record, at: int) -> float:
     if which & OIL_EVENT:
         size, variance = c.amplitude[at, 4], c.covariance[2, 2]
         value += HALF_LOG_TURN + math.log(NEW) + log_size(size, variance, known.orders, math.inf)
-        value -= 0.5 * size * size / (axis.pressed**2 + variance)  # no flow makes more
+        if known.oil > 0.0:  # no flow makes more
+            value -= 0.5 * size * size / (axis.pressed**2 + variance)
     return value
 
 
