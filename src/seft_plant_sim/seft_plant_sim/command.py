@@ -9,6 +9,10 @@ from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.topics import RigAxes
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
+STOP_PERIOD, KEPT_STOPS = 0.01, 5
+"""Time between two fallback stops, s of the test: little of a stop. Number that is kept: of 50 ms,
+in which wrong samples are found."""
+
 
 class MessagesAhead:
     """Points of messages; each step uses those of the message d steps before it.
@@ -99,6 +103,7 @@ class Command:
         self.stops_since: int | None = None
         nothing = np.zeros((1 + self.loop_delay, len(self._rig.axes)))
         self._messages = MessagesAhead(self.loop_delay, nothing)
+        self._kept: deque[tuple[int, Floats]] = deque(maxlen=KEPT_STOPS)
 
     @property
     def value(self) -> Floats:
@@ -115,14 +120,16 @@ class Command:
         """Age of the newest message, in steps, and its points, shape (m, n)."""
         return self._messages.of(self.current)
 
-    @property
-    def plan(self) -> tuple[Floats, Floats | None]:
-        """Commands of the present step and the coming ones in the newest message, shape (m, n).
+    def plan(self, trusted: int) -> tuple[Floats | None, ...]:
+        """Give the newest plan of a trusted step: commands of now and the coming steps, (m, n).
 
-        Also that of the last step, shape (n,), if the message is older.
+        Also what it has in place of the last command, shape (n,). Nothing if there is no such plan.
         """
-        age, points = self.newest
-        return points[age:], points[age - 1] if 0 < age <= len(points) else None
+        for first, points in reversed(self._kept):
+            if first <= trusted:
+                age = self.current - first
+                return points[age:], points[age - 1] if 0 < age <= len(points) else None
+        return ()
 
     def take(self, raw: bytes) -> None:
         """Take a message.
@@ -165,4 +172,5 @@ class Command:
         elif self.stops_since is None:
             self.stops_since = step
         self._messages.add(step, points)
+        self._kept.append((step, points))
         self.step = step + self.loop_delay

@@ -50,8 +50,9 @@ class Rig:
         The last sample as the hardware gave it, and calibrated and aligned, shape (4, n).
     violation : str or None
         Why the test must end with the last sample.
-    spares_target : bool
-        Whether that has left the target unspoiled, so that the stop can follow its plan.
+    trusted : int
+        The last step up to which no wrong value was used, so that a stop can follow a plan from
+        then; -1: none. A servo is where its last commands lead it, and can't go back.
     saturation : Saturation
         Saturation since the reset: of stroke, force capacity, valve, and sensors.
     zeroed : dict or None
@@ -106,7 +107,7 @@ class Rig:
         """Begin a test with its next sample; a simulated rig is at rest."""
         self.saturation: Saturation = {}
         self.violation: str | None = None
-        self.spares_target = False
+        self.trusted = -1
         self.step_index, self._command[:] = -1, 0.0
         self.hardware.reset()
         self.guard.reset()
@@ -125,14 +126,14 @@ class Rig:
         self.measured, sample = self.raw.copy(), np.empty((DRIVE_ROW + 1, len(self._command)))
         found = self.guard.take(self.step_index, self.measured, self._command, sample)
         found |= self.hardware.saturated
-        self.violation = None
+        self.violation, self.trusted = None, self.step_index
         if found:
             self.hardware.check()
             self.violation = self.guard.violation(found)
             if self.violation is not None:
                 missing = self.hardware.missing
                 self.violation = missing or self.violation
-                self.spares_target = not missing and self.guard.spares_target(found)
+                self.trusted = -1 if missing else self._trusted(found)
             for name, bit in _SATURATED.items():
                 if found & bit:
                     count_saturated(self.saturation, name, 1, self.step_index)
@@ -185,9 +186,8 @@ class Rig:
         """Move the valve to its safe command, and come to rest.
 
         Before that it follows a plan, the commands of this step and the coming ones, shape (m, n),
-        unless it ends the test by itself (`violation`) and may have spoiled the target. If the plan
-        had another command for the last step, ``planned``, the difference goes in the time in which
-        the valve closes.
+        which must be of a `trusted` step. If the plan had another command for the last step,
+        ``planned``, the difference goes in the time in which the valve closes.
 
         A displacement servo holds its last command, or that of the plan.
 
@@ -195,7 +195,7 @@ class Rig:
         remaining force decays. A simulated rig is at rest afterwards; others continue with each
         sample, see `come_to_rest`.
         """
-        if plan is None or (self.violation is not None and not self.spares_target):
+        if plan is None:
             plan = np.zeros((0, len(self._command)))
         safe = self._safe._replace(command=self.safe_command)
         if safe.holds:
@@ -225,7 +225,13 @@ class Rig:
             name: {"samples": len(at), "first_step": at[0]} for name, at in steps.items() if at
         }
         self.violation = self.guard.violation(int(found[-1]))
-        self.spares_target = self.guard.spares_target(int(found[-1]))
+        self.trusted = self.step_index
+        if self.violation is not None:
+            self.trusted = self._trusted(int(found[-1]))
+
+    def _trusted(self, found: int) -> int:
+        trusted = self.guard.trusted(found)
+        return -1 if self._safe.holds and trusted < self.step_index else trusted
 
 
 class Rigs:
@@ -245,6 +251,11 @@ class Rigs:
     def violation(self) -> str | None:
         """Why the test must end with the last sample, of the first rig that knows."""
         return next((rig.violation for _, rig in self._rigs if rig.violation), None)
+
+    @property
+    def trusted(self) -> int:
+        """The last step up to which no rig has used a wrong value, see `Rig`."""
+        return min(rig.trusted for _, rig in self._rigs)
 
     @property
     def measured(self) -> Floats:
@@ -272,10 +283,10 @@ class Rigs:
         """Apply a command and take the next sample, see `Rig.step`."""
         return self._gather([rig.step(command[places]) for places, rig in self._rigs])
 
-    def stop(self, plans: Sequence[Floats] | None = None) -> None:
-        """Bring all of them to rest, see `Rig.stop`; ``plans`` are one for each."""
-        for place, (_, rig) in enumerate(self._rigs):
-            rig.stop(None if plans is None else plans[place])
+    def stop(self, *plans: Sequence[Floats | None]) -> None:
+        """Bring all of them to rest, see `Rig.stop`; ``plans`` are its arguments for each."""
+        for plan, (_, rig) in zip(plans or [()] * len(self._rigs), self._rigs, strict=True):
+            rig.stop(*plan)
 
     def simulated(self, first: int | None = None) -> Simulated:
         """Largest true motion of any of them, see `Rig.simulated`."""

@@ -337,7 +337,9 @@ class RigNode(NodeBody):
         """Give the stop that the controller has sent, for a rig with valves, see `Rig.stop`."""
         if self._drive is not self._valve:
             return ()
-        return self._fallback_stop.plan if self._valve.stops_since is None else self._valve.plan[:1]
+        if self._valve.stops_since is None:
+            return self._fallback_stop.plan(self._rig.trusted)
+        return self._valve.plan(self._valve.current)[:1]
 
     def _start_together(self, wanted: ExperimentState) -> str | None:
         """Wait for the moment at which all rigs start; give the reason if they can't.

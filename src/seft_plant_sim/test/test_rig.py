@@ -138,18 +138,19 @@ def test_a_stop_follows_the_plan_then_closes():
 
 
 @pytest.mark.parametrize(
-    ("given", "ends", "follows"),
+    ("faults", "ends", "trusted"),
     [
-        (("rig", "faults", "force set -9e4 at 0.396 for 3"), True, True),  # which nothing has used
-        (("rig", "faults", "force set -9e4 at 0.4 for 1"), False, True),
-        (("/**", "limits.velocity", 0.02), True, False),
+        ("force set -9e4 at 0.396 for 3", "force_wrong", 200),
+        ("force set -9e4 at 0.4 for 1", None, 200),
+        (["velocity freeze at 0.392", "force freeze at 0.392"], "velocity_frozen", 192),
+        (["acceleration flip at 0.394", "force flip at 0.394"], "acceleration_wrong", 0),
     ],
 )
-def test_a_rig_follows_the_plan_unless_it_ends_the_test_by_what_may_be_used(given, ends, follows):
-    tripped, planned, closed = moving_rig(given), moving_rig(), moving_rig()
-    plan = np.full((20, 1), 9.0)
-    assert (tripped.violation is not None) == ends
-    assert tripped.stop(plan) == (planned.stop(plan) if follows else closed.stop())
+def test_a_rig_knows_up_to_which_step_nothing_wrong_was_used(faults, ends, trusted):
+    rig = moving_rig(("rig", "faults", faults))
+    assert rig.step_index == 200
+    assert rig.violation is None if ends is None else rig.violation.endswith(ends)
+    assert rig.trusted == trusted
 
 
 def test_a_rig_without_a_settling_time_is_left_where_it_is():

@@ -34,7 +34,7 @@ from seft_plant_sim.judge.detectors import (
     look,
     sees,
 )
-from seft_plant_sim.judge.judge import JudgeState
+from seft_plant_sim.judge.judge import ANY_ROW, MOST, JudgeState
 from seft_plant_sim.judge.judge_step import LONG_AGO, ask, begin_judge, is_replaced, judge
 from seft_plant_sim.judge.relation_following import expected, uncertain
 from seft_plant_sim.judge.specimen_force import (
@@ -140,13 +140,16 @@ def judge_sample(
 
 @compiled
 def look_for_wrong(p: DetectorParameters, state: DetectorState, i: int) -> int:
-    """Whether a channel of an axis was replaced too often; the second such sample is suspect."""
-    found = VALID
+    """Whether samples of an axis were wrong too often; the second such sample is suspect."""
+    found, counts = VALID, state.judge.counts
+    often = max(counts[0, i], counts[1, i], counts[2, i], counts[3, i])
     for row in range(4):
-        count = state.judge.counts[row, i]
+        count = counts[row, i]
         if not (count or state.counts[WRONG + row, i]):
             continue  # it is right, as nearly always
-        if look(p, state, WRONG + row, i, float(count), p.judge.most - 0.5) and found < 0:
+        if count == often:  # of all that were wrong, it is named
+            count = counts[ANY_ROW, i]
+        if look(p, state, WRONG + row, i, float(count), MOST - 0.5) and found < 0:
             found = (WRONG + row) * state.last.shape[1] + i
         if count > 1 and is_replaced(state.judge, 0, row, i) and p.acts[WRONG + row]:
             found = first_of(found, SUSPECT)

@@ -15,12 +15,15 @@ from seft_plant_sim.compiled import compiled, entry_point
 from seft_plant_sim.judge.detector_list import DETECTORS, describe
 from seft_plant_sim.judge.detector_step import begin_detectors, judge_sample
 from seft_plant_sim.judge.detectors import (
+    FROZEN,
+    JUMP,
     VALID,
     WRONG,
     DetectorParameters,
     DetectorState,
     detectors_of,
 )
+from seft_plant_sim.judge.judge import REVISED
 from seft_plant_sim.judge.servo_model import (
     AccelerationParameters,
     AccelerationState,
@@ -223,15 +226,27 @@ class Guard:
         found: int = self._step(self.parameters, self.state, step, measured, drive, sample)
         return found
 
-    def spares_target(self, found: int) -> bool:
-        """Say whether what ends the test left the target unspoiled: no wrong value was used.
+    def trusted(self, found: int) -> int:
+        """Give the last step up to which no wrong value was used, as far as is known; -1: none.
 
-        ``found`` is the result of its step.
+        ``found`` is the result of the step that ends the test. What shows in sums alone has been
+        wrong for an unknown time.
         """
-        row = int(self.state.counts[DETECTED]) // len(self._axes)
-        judge = self.state.detectors.judge
-        is_recent = judge.used[0] > judge.step[0] - len(judge.replaced)
-        return found & FAULT != 0 and row >= WRONG and not is_recent
+        if not found & FAULT:
+            return -1
+        row, axis = divmod(int(self.state.counts[DETECTED]), len(self._axes))
+        detectors, judge = self.state.detectors, self.state.detectors.judge
+        last, window = int(judge.step[0]), len(judge.replaced)
+        ages = [age for age in range(window) if judge.replaced[judge.place[0] - age].any()]
+        if row >= WRONG and judge.used[0] <= last - window:
+            return last
+        if row >= FROZEN:
+            ages.append(int(detectors.repeats[:, axis].max()))
+        elif row == JUMP:
+            ages.append(int(self.parameters.detectors.persistence[row]))
+        else:
+            return -1
+        return last - max(ages) - 1 - REVISED
 
     def violation(self, found: int) -> str | None:
         """Say why the test must end with the last sample; ``found`` is the result of its step."""

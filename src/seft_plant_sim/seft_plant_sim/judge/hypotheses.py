@@ -4,7 +4,7 @@ A hypothesis is a set of unknown amplitudes b: of wrong channels, which add L b 
 of `judge_step`, of an event of the specimen (it sticks, slips, yields, hits a stop), which adds to
 (4), and of the oil, to (3). Its weight is its prior times the likelihood of e, b integrated out: a
 wrong value is normal, as wide as all that its sensor can show; an event is of any order of
-magnitude (Laplace's method).
+magnitude (Laplace's method), and the rarer the farther it is beyond what the test has shown.
 
 A value at the end of its sensor's range is unknown, but beyond that: its hypothesis is weighted by
 the chance of this.
@@ -23,8 +23,9 @@ RARE = math.log(1e-6)
 ANOTHER = math.log(1e-2)
 """Part of the wrong samples in which one more channel is wrong, or all are (a common cause)."""
 
-LASTS_ON, ENDS = math.log(0.1), math.log(0.9)
-"""Chance that a channel that was wrong in the last samples is wrong in the next, or is not."""
+LASTS_ON, ENDS = math.log(0.5), math.log(0.5)
+"""Chance that a channel that was wrong in the last samples is wrong in the next, or is not: a spark
+or a failing amplifier, of which nothing is known."""
 
 NEW, KNOWN, GOES_ON = 1e-6, 1e-4, 0.1
 """Chance of an event of a kind that the test has not shown, as of a wrong channel: both look the
@@ -54,9 +55,14 @@ def is_turn(which: int) -> bool:
 
 
 @compiled
-def allow_turn(known: Record, c: Record) -> None:
-    """Add to the covariance that the jump of (4) comes at any time since the last sample."""
+def allow_turn(known: Record, axis: Record, c: Record, b: Record) -> None:
+    """Add to the covariance that the jump of (4) comes at any time since the last sample.
+
+    The force goes on then; with a servo, too, whose motion goes on in all other events.
+    """
     s, h, oil = c.covariance, known.dt, known.oil
+    if known.imposed:
+        s[2, 2] = axis.blur[2, 2] + b.variance[1, F] + axis.bent**2
     jump = abs(c.off[3]) / known.mass if known.mass > 0.0 else 0.0
     kink = (h * h * jump) ** 2 / 720.0
     s[V, V] += (h * jump) ** 2 / 12.0
@@ -226,18 +232,20 @@ def log_amplitudes(known: Record, axis: Record, c: Record, at: int) -> float:
             rate += KNOWN * math.exp(-0.5 * (size / axis.known) ** 2)
         if recent > 0.0:
             rate += GOES_ON * math.exp(-0.5 * (size / recent) ** 2)
-        value += HALF_LOG_TURN + math.log(rate) + log_size(size, c.covariance[3, 3], known.orders)
+        value += HALF_LOG_TURN + math.log(rate)
+        value += log_size(size, c.covariance[3, 3], known.orders, axis.strained)
         value += ANOTHER if known.mass == 0.0 else 0.0  # only the next sample can confirm it
     if which & OIL_EVENT:
-        value += (
-            HALF_LOG_TURN
-            + math.log(NEW)
-            + log_size(c.amplitude[at, 4], c.covariance[2, 2], known.orders)
-        )
+        size, variance = c.amplitude[at, 4], c.covariance[2, 2]
+        value += HALF_LOG_TURN + math.log(NEW) + log_size(size, variance, known.orders, math.inf)
+        if known.oil > 0.0:  # no flow makes more
+            value -= 0.5 * size * size / (axis.pressed**2 + variance)
     return value
 
 
 @compiled
-def log_size(size: float, variance: float, orders: float) -> float:
-    """Prior of the size of an event: of any order of magnitude."""
-    return -math.log(2.0 * (abs(size) + math.sqrt(variance))) - orders
+def log_size(size: float, variance: float, orders: float, usual: float) -> float:
+    """Prior of the size of an event: of any order of magnitude, rare beyond what is usual."""
+    deviation = math.sqrt(variance)
+    whole = abs(size) + deviation
+    return -math.log(2.0 * whole) - orders - max(math.log(whole / (usual + deviation)), 0.0)

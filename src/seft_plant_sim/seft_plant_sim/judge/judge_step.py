@@ -47,6 +47,7 @@ from seft_plant_sim.judge.hypotheses import (
 )
 from seft_plant_sim.judge.judge import (
     ALIVE,
+    ANY_ROW,
     REVISED,
     SETS,
     UNKNOWN,
@@ -319,7 +320,7 @@ def _weigh(known: Record, axis: Record, c: Record, flow: Flow) -> int:
         compare_apart(known, axis, c, b, flow)
         for turns in (False, True):
             if turns:
-                allow_turn(known, c)
+                allow_turn(known, axis, c, b)
             log_det = math.log(whiten(known, c, 0))
             chi2 = fill_gram(known, c)
             is_sound = is_sound and chi2 < PLAIN
@@ -451,6 +452,7 @@ def publish(state: JudgeState, step: int, i: int, judged: Floats) -> None:
             state.used[0] = step - age
         for row in range(4):
             state.counts[row, i] += (now >> row & 1) - (was >> row & 1)
+        state.counts[ANY_ROW, i] += (now != 0) - (was != 0)
         state.replaced[place, i] = now
     for row in range(4):
         judged[row, i] = b.value[0, row]

@@ -27,7 +27,6 @@ from seft_ros.force_controller.received_forces import PENDING, MatchedForces, Ne
 from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.test_run.state_machine import SampleOrder, check_magnitude
 
-_STOP_PERIOD = 0.01  # s of the test, between two fallback stops: little of a stop
 _REPORT_PERIOD = 1.0  # s between two reports of link and valves while a test runs
 
 
@@ -54,7 +53,6 @@ class ForceControllerNode(NodeBody):
         self._publish = shell.publisher(self._command_codec.topic)
         self._stop_codec = TrajectoryCodec(topics.STOP_COMMAND.of(rig), axes, timebase)
         self._publish_stop = shell.publisher(self._stop_codec.topic)
-        self._stop_steps = max(1, round(_STOP_PERIOD / timebase.dt))
         self._states: dict[int, Floats] = {}
         self._previews: NewestPreview | None = None
         if section["loop_delay"]:
@@ -229,7 +227,7 @@ class ForceControllerNode(NodeBody):
             self._publish(self._command_codec.encode_points(step, controller.stop(step)))
         else:
             self._publish(self._command_codec.encode(step, command))
-            if step % self._stop_steps == 0 and controller.parameters.has_stop:
+            if controller.parameters.has_stop and step % controller.parameters.every == 0:
                 stop = controller.stop(step)  # after the answer there is time
                 self._publish_stop(self._stop_codec.encode_points(step, stop))
         self._order.last = step

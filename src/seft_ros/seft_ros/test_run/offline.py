@@ -121,10 +121,11 @@ def simulate_test(
     ramped = steps - force.ramp.taken
     trip = _trip_of(violation, force.cause, steps - 1, ramped, experiment.timebase)
     begun = ramped if force.cause else steps - 1
-    rig, plan = cast("Any", blocks.rig), None
+    rig, plan = cast("Any", blocks.rig), ()
     if violation and rig.drive == topics.VALVE_COMMAND.name:
-        plan = blocks.force_controller.stop(steps - 1)
-    rig.stop(plan)
+        trusted = rig.trusted if rig.violation else steps - 1
+        plan = cast("Any", blocks.force_controller).plan(steps - 1, trusted)
+    rig.stop(*plan)
     estimates = None
     if estimated:
         sampled = np.arange(0, steps, period, dtype=np.int64)
