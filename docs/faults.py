@@ -99,9 +99,9 @@ class PerfectDetector:
         """Why the test must end: in time."""
         return "perfect" if self._rig.step_index >= self._at else self._rig.violation
 
-    def stop(self, plan):
+    def stop(self, *plan):
         """Close the valve, as at a fault: the plan can't be trusted."""
-        return self._rig.stop(plan if self._rig.step_index < self._at else None)
+        return self._rig.stop(*(plan if self._rig.step_index < self._at else ()))
 
 
 def fitting(words, config):

@@ -9,9 +9,13 @@ from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.topics import RigAxes
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-STOP_PERIOD, KEPT_STOPS = 0.01, 5
-"""Time between two fallback stops, s of the test: little of a stop. Number that is kept: of 50 ms,
-in which wrong samples are found."""
+KEPT_STOPS = 5
+"""Fallback stops that a rig keeps: of 50 ms, in which wrong samples are found."""
+
+
+def stop_period(dt: float) -> int:
+    """Give the steps between two fallback stops: 10 ms, little of a stop."""
+    return max(1, round(0.01 / dt))
 
 
 class MessagesAhead:

@@ -8,12 +8,10 @@ from interlocks_at_hand import SPEED, Scripted, left, sample_of, stepped, target
 
 
 class Planned(Scripted):
-    """One that can stop along its plan, in three steps or more."""
-
-    steps = 3
+    """One that can stop along its plan, in three steps."""
 
     def stop(self, plan):
-        return np.arange(self.steps, 0.0, -1.0)[:, np.newaxis] * plan[0, 1]
+        return np.arange(3.0, 0.0, -1.0)[:, np.newaxis] * plan[0, 1]
 
 
 def ways():
@@ -45,21 +43,6 @@ def test_after_a_trip_it_goes_along_the_stop_and_its_end_lasts(kind):
         np.testing.assert_allclose(command, left(age + 1) * last, atol=1e-15)
     guarded.reset()
     assert not guarded.stop(0).any()
-
-
-def test_a_stop_from_before_wrong_samples_is_that_of_its_step():
-    guarded = watched(Planned(), limits=(1.0, 1.0, 1.0, 1e3))
-    guarded.controller.steps = 40
-    every, kept = guarded.parameters.every, {}
-    for step in range(8 * every):
-        stepped(guarded, step, target_of(step), sample_of(step))
-        kept[step] = guarded.stop(step)
-    for trusted in (4 * every - 1, 5 * every - 1, 5 * every, 8 * every - 1):
-        at, now = trusted // every * every, 8 * every
-        stop, before = guarded.plan(now, trusted)
-        np.testing.assert_array_equal([before, *stop], kept[at][now - at - 1 :])
-    assert guarded.plan(now, 3 * every - 1) == guarded.plan(now, -1) == ()  # it is no longer kept
-    assert watched(Scripted()).plan(1, 0) == ()
 
 
 @pytest.mark.parametrize("beyond_limit", [False, True])

@@ -11,7 +11,6 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN, POSITION_SERVO
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.channels import per_channel, velocity_is_derived
-from seft_plant_sim.command import KEPT_STOPS, STOP_PERIOD
 from seft_plant_sim.compiled import compiled, copy, entry_point, kind_of
 from seft_plant_sim.judge.detector_list import TRACKING, describe
 from seft_plant_sim.judge.detectors import (
@@ -187,8 +186,6 @@ class InterlockParameters(NamedTuple):
         Steps in which the valve closes after a trip; infinite: the last command is held.
     has_stop : bool
         Whether the controller can stop along its plan.
-    every : int
-        Steps between two fallback stops.
     limits : ndarray
         Largest displacement, velocity, acceleration and force of a sample, shape (4,).
     has_valve : bool
@@ -205,7 +202,6 @@ class InterlockParameters(NamedTuple):
     window: int
     closing: float
     has_stop: bool
-    every: int
     limits: Floats
     has_valve: bool
     dt: float
@@ -223,9 +219,6 @@ class InterlockState(NamedTuple):
     odd: Annotated[Floats, "n"]  # its drive
     drive: Annotated[Floats, "n"]  # the last fault-free command, V
     plan: Annotated[Floats, "points", "quantities", "n"]  # points for the controller
-    kept: Annotated[Floats, KEPT_STOPS, "points", "quantities", "n"]  # of these, those of the last
-    # fallback stops, a ring buffer
-    kept_at: Annotated[Ints, KEPT_STOPS]  # their steps and 1; 0: none
     sample: Annotated[Floats, 4, "n"]  # for the controller
     tracking: TrackingState  # of the distance to the target
 
@@ -286,8 +279,6 @@ def precheck(
             copy(n, points[0, last], state.force)
         elif measured[SUSPECT_ROW, 0] == 0.0:
             take_plan(state, points, measured)
-            if parameters.has_stop and step % parameters.every == 0:
-                keep_plan(state, step // parameters.every % KEPT_STOPS, step)
             return True
         elif has_target:
             follow_plan(state, parameters.dt)
@@ -311,16 +302,6 @@ def take_plan(state: InterlockState, points: Floats, measured: Floats) -> None:
             copy(n, sent[max(0, first + row)], state.plan[point, row])
     for row in range(4):
         copy(n, measured[row], state.sample[row])
-
-
-@compiled
-def keep_plan(state: InterlockState, place: int, step: int) -> None:
-    """Keep the plan of a step, which a stop may follow if later samples were wrong."""
-    points, quantities, n = state.plan.shape
-    for point in range(points):
-        for row in range(quantities):
-            copy(n, state.plan[point, row], state.kept[place, point, row])
-    state.kept_at[place] = step + 1
 
 
 @compiled
@@ -452,7 +433,6 @@ class Interlock:
             window,
             closing,
             hasattr(controller, "stop"),
-            max(1, round(STOP_PERIOD / dt)),
             np.array(limits),
             has_valve,
             dt,
@@ -566,26 +546,6 @@ class Interlock:
             command[:] = self.stop(index)[0]
         return command
 
-    def plan(self, index: int, trusted: int) -> tuple[Floats | None, ...]:
-        """Give the stop of the last trusted step, as a rig knows it, see `Command.plan`.
-
-        Before the present step, ``index``, the fallback stops are kept.
-        """
-        if trusted >= index:
-            return (self.stop(index),)
-        at = self.state.kept_at
-        place = int(np.where(at <= trusted + 1, at, 0).argmax())
-        if not 0 < at[place] <= trusted + 1:
-            return ()
-        age, stopping = index + 1 - at[place], self._stop_along(self.state.kept[place])
-        return stopping[age:], stopping[age - 1] if age <= len(stopping) else None
-
-    def _stop_along(self, plan: Floats) -> Floats:
-        """Give the last command, and those that follow a plan to rest and close the valve."""
-        controller: Any = self.controller
-        stopping = np.vstack([self.state.drive, controller.stop(plan)])
-        return np.vstack([stopping, np.outer(self._closing, stopping[-1])])
-
     def stop(self, index: int) -> Floats:
         """Give the commands of a stop, from a step on; shape (m, n), V.
 
@@ -598,12 +558,14 @@ class Interlock:
         state, first = self.state, self.step_index
         stopping, is_fault_free = self._stopping, state.flags[TRIP] in VALID_CAUSES
         if first < 0 or not len(stopping):
+            last, stopping = state.drive, np.zeros((0, len(state.drive)))
             if is_fault_free and self.parameters.has_stop:
-                stopping = self._stop_along(state.plan)
+                controller: Any = self.controller
+                stopping = np.vstack([last, controller.stop(state.plan)])
+                last = stopping[-1]
             elif first < 0:
-                return np.zeros((0, len(state.drive)))
-            else:
-                stopping = np.outer(self._closing, state.drive)
+                return stopping
+            stopping = np.vstack([stopping, np.outer(self._closing, last)])
         if first < 0:
             return stopping
         self._stopping = stopping
@@ -677,9 +639,9 @@ class Interlocks:
             drive[places] = interlock.step(index, points[:, :, places], measured[:, places])
         return drive
 
-    def plan(self, index: int, trusted: int) -> tuple[tuple[Floats | None, ...], ...]:
-        """Give the plan of each rig, see `Interlock.plan`."""
-        return tuple(interlock.plan(index, trusted) for _, interlock in self._rigs)
+    def stop(self, index: int) -> list[Floats]:
+        """Give the commands of the stop of each rig, see `Interlock.stop`."""
+        return [interlock.stop(index) for _, interlock in self._rigs]
 
 
 def interlock_of(experiment: Experiment) -> Interlock | Interlocks:

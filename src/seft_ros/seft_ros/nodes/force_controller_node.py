@@ -15,6 +15,7 @@ from seft_msgs_py.wire.messages import OK, WARN, Status
 from seft_msgs_py.wire.outcome import MOVING, REHEARSES, tripped_status
 from seft_msgs_py.wire.topics import rehearsed
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
+from seft_plant_sim.command import stop_period
 from seft_plant_sim.judge.detector_list import TRACKING, WARNING
 
 from seft_ros.force_controller.force_controller_parameters import (
@@ -53,6 +54,7 @@ class ForceControllerNode(NodeBody):
         self._publish = shell.publisher(self._command_codec.topic)
         self._stop_codec = TrajectoryCodec(topics.STOP_COMMAND.of(rig), axes, timebase)
         self._publish_stop = shell.publisher(self._stop_codec.topic)
+        self._stop_steps = stop_period(timebase.dt)
         self._states: dict[int, Floats] = {}
         self._previews: NewestPreview | None = None
         if section["loop_delay"]:
@@ -227,7 +229,7 @@ class ForceControllerNode(NodeBody):
             self._publish(self._command_codec.encode_points(step, controller.stop(step)))
         else:
             self._publish(self._command_codec.encode(step, command))
-            if controller.parameters.has_stop and step % controller.parameters.every == 0:
+            if controller.parameters.has_stop and step % self._stop_steps == 0:
                 stop = controller.stop(step)  # after the answer there is time
                 self._publish_stop(self._stop_codec.encode_points(step, stop))
         self._order.last = step

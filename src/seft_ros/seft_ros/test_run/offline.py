@@ -11,7 +11,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Hashable, Iterator
 from functools import cached_property
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
@@ -21,6 +21,7 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire import topics
 from seft_msgs_py.wire.outcome import Trip
 from seft_msgs_py.wire.topics import Timebase
+from seft_plant_sim.command import KEPT_STOPS, stop_period
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.simulated.sensors import BLOCK
 from seft_plant_sim.whole_structure import ReferenceResponse, reference_response
@@ -32,7 +33,7 @@ from seft_ros.bags.recording import (
     describe_environment,
     require_names,
 )
-from seft_ros.force_controller.interlock import Interlock
+from seft_ros.force_controller.interlock import Interlock, Interlocks
 from seft_ros.reference_force.reference_force_block import sampling_period
 from seft_ros.test_run.blocks import Blocks, build_blocks
 from seft_ros.test_run.compiled_loop import LoopSamples, is_compiled, run_compiled, why_not_compiled
@@ -111,7 +112,8 @@ def simulate_test(
     )
     environment = environment or describe_environment("simulate")
     parts = blocks, samples, experiment["reference_force"]["loop_delay"], period
-    loop = (run_compiled if _compiles(*parts, compiles) else run_plain)(*parts)
+    runs = run_compiled if _compiles(*parts, compiles) else run_plain
+    loop = runs(*parts)
     steps, start = next(loop), time.perf_counter()
     for steps in loop:
         if progress is not None:
@@ -121,11 +123,12 @@ def simulate_test(
     ramped = steps - force.ramp.taken
     trip = _trip_of(violation, force.cause, steps - 1, ramped, experiment.timebase)
     begun = ramped if force.cause else steps - 1
-    rig, plan = cast("Any", blocks.rig), ()
+    rig: Any = blocks.rig
+    stop: tuple[Any, ...] = ()
     if violation and rig.drive == topics.VALVE_COMMAND.name:
-        trusted = rig.trusted if rig.violation else steps - 1
-        plan = cast("Any", blocks.force_controller).plan(steps - 1, trusted)
-    rig.stop(*plan)
+        trusted, last = rig.trusted if rig.violation else steps - 1, steps - 1
+        stop = _stop_of(trusted, last, experiment.timebase.dt, runs, *parts)
+    rig.stop(*stop)
     estimates = None
     if estimated:
         sampled = np.arange(0, steps, period, dtype=np.int64)
@@ -140,6 +143,43 @@ def simulate_test(
         wall_s=wall,
         environment=environment,
     )
+
+
+def _stop_of(
+    trusted: int,
+    last: int,
+    dt: float,
+    runs: Callable[..., Iterator[int]],
+    blocks: Blocks,
+    samples: LoopSamples,
+    *known: int,
+) -> tuple[Any, ...]:
+    """Give the stop after a trusted step, from the last step on, as arguments of the rig's `stop`.
+
+    With a later step than that, it is the fallback stop that the rig has kept: the test runs up to
+    there, and to its end, once more.
+    """
+    interlock: Any = blocks.force_controller
+    every, at = stop_period(dt), last
+    if trusted < last:
+        at = trusted // every * every
+        if trusted < 0 or at <= ((last - 1) // every - KEPT_STOPS) * every:
+            return ()
+
+    def run(steps: int) -> None:
+        blocks.reference_force.reset()
+        interlock.reset()
+        of_these: Any = (each[:steps] for each in samples)
+        deque(runs(blocks, LoopSamples(*of_these), *known), maxlen=0)
+
+    if at < last:
+        run(at + 1)
+    stops, age = interlock.stop(at), last - at
+    if at < last:
+        run(last + 1)
+    of_all = stops if isinstance(interlock, Interlocks) else [stops]
+    plans = [(each[age:], each[age - 1] if 0 < age <= len(each) else None) for each in of_all]
+    return tuple(plans if isinstance(interlock, Interlocks) else plans[0])
 
 
 def _compiles(
