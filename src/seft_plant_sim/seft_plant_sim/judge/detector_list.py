@@ -5,9 +5,11 @@ from dataclasses import dataclass
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.facts import CHANNELS
 
-LASTS, LONG_LASTS = 0.006, 0.02
-"""Time for which a detector must be beyond its threshold, s; the tracking error, longer than the
-effects of a specimen that slips or hits a stop, or of a valve at its limit."""
+from seft_plant_sim.judge.judge import LASTS
+
+LONG_LASTS = 0.02
+"""Time for which the tracking error must be beyond its threshold, s: longer than the effects of a
+specimen that slips or hits a stop, or of a valve at its limit. For the others it is `LASTS`."""
 
 WARNING = 0.8
 """Part of its threshold at which a detector warns: noise alone reaches 0.75 in a test."""

@@ -34,7 +34,7 @@ from seft_plant_sim.judge.detectors import (
     look,
     sees,
 )
-from seft_plant_sim.judge.judge import ANY_ROW, MOST, JudgeState
+from seft_plant_sim.judge.judge import ANY_ROW, MOST, SEVERAL_ROW, JudgeState
 from seft_plant_sim.judge.judge_step import LONG_AGO, ask, begin_judge, is_replaced, judge
 from seft_plant_sim.judge.relation_following import expected, uncertain
 from seft_plant_sim.judge.specimen_force import (
@@ -147,9 +147,12 @@ def look_for_wrong(p: DetectorParameters, state: DetectorState, i: int) -> int:
         count = counts[row, i]
         if not (count or state.counts[WRONG + row, i]):
             continue  # it is right, as nearly always
+        most = p.judge.most
         if count == often:  # of all that were wrong, it is named
             count = counts[ANY_ROW, i]
-        if look(p, state, WRONG + row, i, float(count), MOST - 0.5) and found < 0:
+            if counts[SEVERAL_ROW, i] >= MOST:
+                count, most = counts[SEVERAL_ROW, i], MOST
+        if look(p, state, WRONG + row, i, float(count), most - 0.5) and found < 0:
             found = (WRONG + row) * state.last.shape[1] + i
         if count > 1 and is_replaced(state.judge, 0, row, i) and p.acts[WRONG + row]:
             found = first_of(found, SUSPECT)

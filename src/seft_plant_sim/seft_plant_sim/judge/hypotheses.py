@@ -23,9 +23,9 @@ RARE = math.log(1e-6)
 ANOTHER = math.log(1e-2)
 """Part of the wrong samples in which one more channel is wrong, or all are (a common cause)."""
 
-LASTS_ON, ENDS = math.log(0.5), math.log(0.5)
-"""Chance that a channel that was wrong in the last samples is wrong in the next, or is not: a spark
-or a failing amplifier, of which nothing is known."""
+LASTS_ON, ENDS, STAYS = math.log(0.1), math.log(0.9), math.log(0.5)
+"""Chance that a channel that was wrong in the last samples is wrong in the next, or is not, after a
+spark; and either of these of several channels, whose amplifier may fail."""
 
 NEW, KNOWN, GOES_ON = 1e-6, 1e-4, 0.1
 """Chance of an event of a kind that the test has not shown, as of a wrong channel: both look the
@@ -185,7 +185,9 @@ def log_prior(before: int, which: int, forced: int) -> float:
     if fresh:
         others = 1 if fresh == ANY_CHANNEL else members(fresh) - 1
         value = RARE + others * ANOTHER
-    return value + LASTS_ON * members(before & which) + ENDS * members(before & ~which)
+    if members(before) > 1:
+        return value + STAYS
+    return value + (LASTS_ON if before & which else ENDS if before else 0.0)
 
 
 @compiled

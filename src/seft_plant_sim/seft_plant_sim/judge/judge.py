@@ -10,9 +10,10 @@ RECENT_MEMORY, BRIEF_MEMORY, EVENT_MEMORY = 0.3, 0.05, 3.0
 """Time constants, s, of the memory of the largest force and motion of the oil, of the largest
 change in a sample, and of what the test has shown: a quarter of a cycle at 1 Hz, ..., three cycles
 at 1 Hz."""
-MOST, WINDOW = 3, 0.05
-"""Wrong samples of an axis within a time, s, that end the test: what stands in for them is known
-for as many, at any rate."""
+LASTS, MOST, WINDOW = 0.006, 3, 0.05
+"""Duration of wrong samples of an axis (as many at least) within a time, s, that ends the test; of
+samples with several wrong channels, as many end it at any rate: what stands in for these is known
+for as long."""
 BIAS = 2.0
 """Largest constant error of a sensor that is no fault, over its RMS noise."""
 ASSUMED = np.array([0.1 / 3.0, 0.1 / 3.0, 0.35 / 6.0])
@@ -38,8 +39,8 @@ ALIVE = 6
 REVISED = 3
 """Samples after which a decision is final."""
 CANDIDATES = ALIVE * len(SETS)
-ANY_ROW = 4
-"""Row of the counts of samples of which any channel was replaced."""
+ANY_ROW, SEVERAL_ROW = 4, 5
+"""Rows of the counts of samples of which any channel was replaced, and several."""
 
 Record = Any
 """A record of these types, or an array of them: numpy's types do not tell their fields."""
@@ -138,11 +139,14 @@ class JudgeParameters(NamedTuple):
         `AXIS_FACTS` of each axis, and its `AXIS_STATE` before step 0; shape (n,).
     mass : ndarray
         Of the assumed specimen, shape (n, n), kg; 0: not known.
+    most : int
+        Wrong samples of an axis that end the test, see `LASTS`.
     """
 
     axes: Record
     rest: Record
     mass: Floats
+    most: int
 
 
 class JudgeState(NamedTuple):
@@ -157,7 +161,7 @@ class JudgeState(NamedTuple):
     resolution: Annotated[Floats, 4, "n"]  # least change of a channel so far; infinite: none
     restoring: Annotated[Floats, "n"]  # r at the last judged sample, N
     replaced: Annotated[Ints, "window", "n"]  # sets of channels at the last samples, a ring buffer
-    counts: Annotated[Ints, 5, "n"]  # of the replaced values in these, and of samples with any
+    counts: Annotated[Ints, 6, "n"]  # of replaced values in these; of samples, see `ANY_ROW`
     used: Annotated[Ints, 1]  # step of the last value that was found wrong after its use
 
 
@@ -213,4 +217,4 @@ def judge_arrays(
     own = np.diag(mass)
     first["restoring"] = (rest[0, 3] - own * rest[0, 2])[:, np.newaxis]
     first["blur"] = (rest[1, 3] ** 2 + own**2 * rest[1, 2] ** 2)[:, np.newaxis]
-    return JudgeParameters(axes, begun, mass), state
+    return JudgeParameters(axes, begun, mass, max(MOST, math.ceil(LASTS / dt - 1e-9))), state

@@ -29,6 +29,7 @@ from seft_plant_sim.judge.hypotheses import (
     ANY_CHANNEL,
     EVENT,
     FORCES,
+    OIL_EVENT,
     RARE,
     A,
     F,
@@ -39,6 +40,7 @@ from seft_plant_sim.judge.hypotheses import (
     is_turn,
     log_amplitudes,
     log_prior,
+    members,
     product,
     solve,
     weigh_end,
@@ -50,6 +52,7 @@ from seft_plant_sim.judge.judge import (
     ANY_ROW,
     REVISED,
     SETS,
+    SEVERAL_ROW,
     UNKNOWN,
     JudgeParameters,
     JudgeState,
@@ -327,6 +330,8 @@ def _weigh(known: Record, axis: Record, c: Record, flow: Flow) -> int:
             for which in SETS:
                 if forced & ~which or is_turn(which) != turns:
                     continue
+                if which & OIL_EVENT and known.imposed:
+                    continue  # its motion goes on, whatever the oil does
                 if is_sound and which & ~before:
                     continue
                 gain, log_det_b = solve(c, which, count)
@@ -453,6 +458,7 @@ def publish(state: JudgeState, step: int, i: int, judged: Floats) -> None:
         for row in range(4):
             state.counts[row, i] += (now >> row & 1) - (was >> row & 1)
         state.counts[ANY_ROW, i] += (now != 0) - (was != 0)
+        state.counts[SEVERAL_ROW, i] += (members(now) > 1) - (members(was) > 1)
         state.replaced[place, i] = now
     for row in range(4):
         judged[row, i] = b.value[0, row]

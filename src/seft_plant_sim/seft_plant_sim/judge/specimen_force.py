@@ -49,7 +49,8 @@ def look_at_restoring_force(
         spring = p.rig.stiffness[i, k] * (measured[0, k] - last[0, k])
         rise, fall = rise + max(spring, 0.0), fall + max(-spring, 0.0)
     change, moved = r[1, i] - r[0, i], abs(measured[0, i] - last[0, i])
-    before, event = state.changes[i, 0], state.judge.axes[i].alive[0].event
+    before, branch = state.changes[i, 0], state.judge.axes[i].alive[0]
+    event, revised = branch.event, branch.restoring[1] - r[0, i]  # what was r then, as known now
     moves = p.still[i] + MOVES * state.judge.axes[i].travel
     slips = moved < moves or step - state.step[TURN_AT] <= TURNED
     largest = state.largest[3, i]
@@ -57,7 +58,9 @@ def look_at_restoring_force(
         largest = max(abs(r[0, i]), p.memory * largest)
         state.largest[3, i] = largest
     # where its events have taken r
-    jump = (change if event[0] != 0.0 else 0.0) + (before[0] if event[1] != 0.0 else 0.0)
+    jump = change if event[0] != 0.0 else 0.0
+    if event[1] != 0.0:
+        jump += before[0] + (revised if event[0] == 0.0 else 0.0)
     stiff = _STIFFEST * (rise if jump > 0.0 else fall)
     part = TURN if slips else (_SLIP if stiff > 0.0 else BREAK)
     threshold = part * largest + p.rough[i] + stiff
@@ -65,7 +68,10 @@ def look_at_restoring_force(
     is_like = slips and LIKE * state.judge.axes[i].known > abs(jump)
     if event[1] != 0.0 and (is_stop or is_like):
         threshold = np.inf
-    return JUMP * n + i if look(p, state, JUMP, i, abs(jump), threshold) else -1
+    acts = look(p, state, JUMP, i, abs(jump), threshold)
+    if event[1] != 0.0 and state.counts[JUMP, i] == 1:  # it was known one sample late
+        acts = look(p, state, JUMP, i, abs(jump), threshold)
+    return JUMP * n + i if acts else -1
 
 
 @compiled
