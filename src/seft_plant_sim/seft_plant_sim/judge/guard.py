@@ -15,7 +15,6 @@ from seft_plant_sim.compiled import compiled, entry_point
 from seft_plant_sim.judge.detector_list import DETECTORS, describe
 from seft_plant_sim.judge.detector_step import begin_detectors, judge_sample
 from seft_plant_sim.judge.detectors import (
-    FROZEN,
     JUMP,
     VALID,
     WRONG,
@@ -47,6 +46,10 @@ saturated for too long, and a detector's finding."""
 ENDS_TEST = OUTSIDE_LIMITS | BLIND | FAULT
 _BLIND_SAMPLES, _OUTSIDE, _CHANGED, DETECTED = range(4)
 """Places of `GuardState.counts`."""
+
+FOUND_IN = 0.03
+"""Time in which most faults are found that spoil the target, s: of 0 to 40 ms, that after which the
+most faults of docs/faults.py come to rest in time."""
 
 
 class GuardParameters(NamedTuple):
@@ -197,7 +200,7 @@ class Guard:
         acceleration = acceleration_of(section, axes, places, dt)
         limits = Limits(group(section, "limits"), rig.axes, dt)
         detectors = detectors_of(section, axes, dt, places, zeroed)
-        self.limits, self._axes = limits, rig.axes
+        self.limits, self._axes, self._dt = limits, rig.axes, dt
         self._saturated_time: float = section["limits.saturated_time"]
         n, (blind, window) = len(rig.axes), event_ring(self._saturated_time, dt)
         self.parameters = GuardParameters(
@@ -232,21 +235,14 @@ class Guard:
         ``found`` is the result of the step that ends the test. What shows in sums alone has been
         wrong for an unknown time.
         """
-        if not found & FAULT:
+        row, judge = int(self.state.counts[DETECTED]) // len(self._axes), self.state.detectors.judge
+        if not found & FAULT or row < JUMP:
             return -1
-        row, axis = divmod(int(self.state.counts[DETECTED]), len(self._axes))
-        detectors, judge = self.state.detectors, self.state.detectors.judge
         last, window = int(judge.step[0]), len(judge.replaced)
-        ages = [age for age in range(window) if judge.replaced[judge.place[0] - age].any()]
         if row >= WRONG and judge.used[0] <= last - window:
             return last
-        if row >= FROZEN:
-            ages.append(int(detectors.repeats[:, axis].max()))
-        elif row == JUMP:
-            ages.append(int(self.parameters.detectors.persistence[row]))
-        else:
-            return -1
-        return last - max(ages) - 1 - REVISED
+        wrong = [age for age in range(window) if judge.replaced[judge.place[0] - age].any()]
+        return last - max(round(FOUND_IN / self._dt), max(wrong, default=0) + 1 + REVISED)
 
     def violation(self, found: int) -> str | None:
         """Say why the test must end with the last sample; ``found`` is the result of its step."""
