@@ -83,7 +83,8 @@ def preflight(
             raise InputError(f"{error}; --figure can't draw them") from None
         if write is not None:
             preflight_tables.write_limits(write, limits)
-        stable = shared.is_stable_in_simulation(experiment, error, as_json=json)
+        recording = shared.simulated_instead(experiment, error)
+        stable = recording is None or shared.show_test(recording, None, as_json=json, figure=False)
         _say(warnings, unfit)
         return 0 if stable and not unfit else 1
     with shared.step_progress(passing=True) as progress:

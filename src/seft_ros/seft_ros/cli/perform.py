@@ -305,8 +305,8 @@ def _check_stable(experiment: Experiment, blocks: "Blocks | None", accept_unstab
         if test.is_stable():
             return
     except NotLinearError as error:
-        stable = shared.is_stable_in_simulation(experiment, error, blocks=blocks)
-        if not (stable or accept_unstable):
+        recording = shared.simulated_instead(experiment, error, blocks)
+        if not (recording is None or recording.trip is None or accept_unstable):
             raise InputError(
                 "the test is unstable in simulation; see seft simulate, lower reference_force: "
                 "mass_ratio, or run it all the same with --accept-unstable"

@@ -188,25 +188,20 @@ def offline_test(
     return recording
 
 
-def is_stable_in_simulation(
-    experiment: Experiment,
-    why: InputError,
-    *,
-    blocks: "Blocks | None" = None,
-    as_json: bool = False,
-) -> bool:
-    """Simulate a test whose stability can't be computed, and show how it went.
+def simulated_instead(
+    experiment: Experiment, why: InputError, blocks: "Blocks | None" = None
+) -> Recording | None:
+    """Simulate a test whose stability can't be computed.
 
-    True, with a warning, where no simulated rig belongs to it.
+    None, with a warning, where no simulated rig belongs to it.
     """
     if "rig" not in experiment.sections:
         complain(f"{why}, and there is no simulated rig to test its stability")
-        return True
+        return None
     complain(f"{why}; the test is simulated instead")
     if experiment["rig"]["faults"]:  # the planned test is assessed, on a fault-free rig
         experiment, blocks = experiment.changed({"rig": {"faults": ""}}), None
-    recording = offline_test(experiment, None, blocks=blocks)
-    return show_test(recording, None, as_json=as_json, figure=False)
+    return offline_test(experiment, None, blocks=blocks)
 
 
 def dds_test(
