@@ -74,6 +74,17 @@ def test_nothing_is_known_of_a_velocity_that_is_derived():
         guard(sensors__velocity="derived", calibration__velocity_lag=0.001)
 
 
+def test_what_rounding_leaves_of_a_filter_at_rest_is_no_step_of_a_converter():
+    known = {f"sensors__{name}_range": 1e4 * NOISE[f"sensors__{name}_noise"] for name in CHANNELS}
+    filtered = {"calibration__force_filter": 100.65, "calibration__force_filter_damping": 0.7112}
+    one = guard(**NOISE, **known, sensors__adc_bits=16, **filtered)
+    for stands in np.linspace(1.0, 3.0, 20) * NOISE["sensors__displacement_noise"]:
+        samples = quiet(40)
+        samples[:5, 0] = stands
+        one.reset()
+        assert not any(taken(one, samples)[1])
+
+
 def test_a_channel_that_waits_repeats_its_first_sample_without_being_frozen():
     known = {f"sensors__{name}_range": 1e4 * NOISE[f"sensors__{name}_noise"] for name in CHANNELS}
     one = guard(**NOISE, **known, sensors__adc_bits=16, calibration__force_lag=0.0299)

@@ -93,6 +93,12 @@ def test_the_standard_error_of_few_cycles_is_that_of_their_noise():
     assert np.mean([each.scale_error[0, 0] for each in found]) == pytest.approx(spread, rel=0.2)
 
 
+def test_samples_of_a_test_that_ended_at_once_show_no_relation():
+    y = samples()[:3]
+    y[:, 0] = 1e-12 * np.arange(3.0)[:, np.newaxis]
+    assert relation(y[:, 2], y[:, 0], 2, DT, motion_frequency(y)) is None
+
+
 def test_tilt_is_the_part_of_another_axis():
     y = np.concatenate([samples(seed=1), samples(seed=2)], axis=2)
     y[:, 2, 0] += 0.05 * y[:, 2, 1]

@@ -80,6 +80,8 @@ CLIPPED = 4.0
 COARSEST = 1.0 / 128.0
 """Step of a converter of 8 bits, over its range."""
 LONG_AGO = -(2**40)
+ROUNDED = 1e-12
+"""A smaller change, over the value, is none."""
 NO_NUMBER = 1e9
 """A larger value is no value of a sensor, in any unit."""
 Flow = tuple[float, float]
@@ -155,6 +157,8 @@ def take(p: JudgeParameters, state: JudgeState, i: int, raw: Floats) -> None:
     for row in range(4):
         value = raw[row, i]
         moved = abs(value - state.raw[row, i])
+        if moved < ROUNDED * abs(value):  # of a filter, where its input stands still
+            moved = 0.0
         state.moved[row, i], state.raw[row, i] = moved, value
         c.seen[row] = value
         if not abs(value) < NO_NUMBER:

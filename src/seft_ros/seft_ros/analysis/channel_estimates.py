@@ -155,7 +155,7 @@ def relation(
     low, high = (factor * frequency for factor in KINEMATIC_BAND)
     band, half = (low, min(high, OF_SAMPLING / dt)), 0.4 / low
     n, k = x.shape[1], round(half / dt)
-    if len(x) < 6 * k:
+    if not 0 < 6 * k <= len(x):
         return None
     (seen,) = derivatives(y, (0,), band, dt, half)
     motion, change = derivatives(x, (order, order + 1), band, dt, half)
