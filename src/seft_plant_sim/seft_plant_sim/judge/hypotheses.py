@@ -55,19 +55,21 @@ def is_turn(which: int) -> bool:
 
 
 @compiled
-def allow_turn(known: Record, axis: Record, c: Record, b: Record) -> None:
+def allow_turn(known: Record, axis: Record, c: Record, b: Record) -> float:
     """Add to the covariance that the jump of (4) comes at any time since the last sample.
 
-    The force goes on then; with a servo, too, whose motion goes on in all other events.
+    The force goes on then, also behind a servo, whose motion goes on in all other events: give by
+    how much that raises chi^2.
     """
-    s, h, oil = c.covariance, known.dt, known.oil
+    s, h, oil, off = c.covariance, known.dt, known.oil, 0.0
     if known.imposed:
-        s[2, 2] = axis.blur[2, 2] + b.variance[1, F] + axis.bent**2
+        off = c.off[2] * c.off[2] / (axis.blur[2, 2] + b.variance[1, F] + axis.bent**2)
     jump = abs(c.off[3]) / known.mass if known.mass > 0.0 else 0.0
     kink = (h * h * jump) ** 2 / 720.0
     s[V, V] += (h * jump) ** 2 / 12.0
     s[X, X] += kink
     s[2, 2] += oil * oil * kink
+    return off
 
 
 @compiled

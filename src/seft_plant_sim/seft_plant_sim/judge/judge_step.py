@@ -326,10 +326,9 @@ def _weigh(known: Record, axis: Record, c: Record, flow: Flow) -> int:
         before, is_sound = wrong_before(b), forced == 0
         compare_apart(known, axis, c, b, flow)
         for turns in (False, True):
-            if turns:
-                allow_turn(known, axis, c, b)
+            goes_on = allow_turn(known, axis, c, b) if turns else 0.0
             log_det = math.log(whiten(known, c, 0))
-            chi2 = fill_gram(known, c)
+            chi2 = fill_gram(known, c) + goes_on
             is_sound = is_sound and chi2 < PLAIN
             for which in SETS:
                 if forced & ~which or is_turn(which) != turns:
