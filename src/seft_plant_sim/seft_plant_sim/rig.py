@@ -149,7 +149,7 @@ class Rig:
         try:
             return method(*arguments)
         except HardwareError as error:
-            self.violation = str(error)
+            self.violation, self.trusted = str(error), -1
             raise
 
     def reset(self) -> Floats:

@@ -7,6 +7,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import Simulated
 from seft_msgs_py.wire.topics import Timebase
+from seft_plant_sim.hardware.hosted import HardwareError
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import RIG_TABLE
 from seft_plant_sim.simulated.rig_step import left_open
@@ -151,6 +152,20 @@ def test_a_rig_knows_up_to_which_step_nothing_wrong_was_used(faults, ends, trust
     assert rig.step_index == 200
     assert rig.violation is None if ends is None else rig.violation.endswith(ends)
     assert rig.trusted == trusted
+
+
+@pytest.mark.parametrize("method", ["read", "write"])
+def test_a_rig_whose_hardware_fails_trusts_no_plan(method, monkeypatch):
+    rig = moving_rig()
+    assert rig.trusted == 200
+
+    def fails(*arguments):
+        raise HardwareError("it fails")
+
+    monkeypatch.setattr(rig.hardware, method, fails)
+    with pytest.raises(HardwareError):
+        rig.step(np.zeros(1))
+    assert (rig.violation, rig.trusted) == ("it fails", -1)
 
 
 def test_a_rig_without_a_settling_time_is_left_where_it_is():
