@@ -47,7 +47,7 @@ from seft_plant_sim.judge.valve_following import under_load
 OF_SENSORS = (0, 1, SECOND_ORDER_WORK, JUMP)
 """Detectors that make a sample suspect."""
 
-SAME, SUSPECTED = 1e-9, 2.0 / 3.0
+SAME, SUSPECTED = 1e-11, 2.0 / 3.0
 """Chance of so many equal samples of a channel that is not frozen, and the part of these samples
 after which a sample is suspect: a chance of 1e-6."""
 
@@ -105,8 +105,11 @@ def judge_sample(
         flow = state.flow[0, i]
         load = under_load(flow, state.last[3, i], p.rig.actuator[i, 3])
         mean, later = load * flow, load * state.flow[1, i]
+        # a valve that is open opens no further; where the limit of its command lies below, it does
+        beyond = 0.5 * load * max(abs(flow) - p.rig.actuator[i, 0] * p.rig.largest_drive, 0.0)
+        state.mean[1, i] = uncertain(state.covariance[OIL, i], mean, later, 1.0) + beyond * beyond
+        mean -= math.copysign(beyond, mean)
         state.mean[0, i] = expected(state.estimated[OIL], i, mean, later, 1.0)
-        state.mean[1, i] = uncertain(state.covariance[OIL, i], mean, later, 1.0)
     judge(p.judge, state.judge, step, raw, state.mean, judged)
     last, restoring = state.last, state.restoring
     for i in range(n):

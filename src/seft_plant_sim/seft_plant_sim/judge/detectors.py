@@ -12,9 +12,9 @@ from seft_msgs_py.errors import InputError
 from seft_plant_sim.calibration import MAX_BIAS, known_channels
 from seft_plant_sim.channels import (
     ACCELERATION,
+    Derivation,
     acceleration_is_derived,
     per_channel,
-    velocity_is_derived,
 )
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.judge.detector_list import ALL, DETECTORS, TRACKING, Detector
@@ -70,7 +70,7 @@ class KnownRig(NamedTuple):
     limits: Floats  # their largest values, (4,)
     ranges: Floats  # largest values that the sensors can measure, (4, n); 0: not known
     steps: Floats  # of their converters, (4, n); 0: not known
-    velocity_is_derived: bool  # from the displacement
+    derivation: Derivation  # of the velocity, if it is not measured
     actuator: Floats  # flow gain, oil stiffness, leakage, force capacity, (n, 4); 0: not known
     past: Floats  # part of past commands, the newest first, in the mean flow of the last period,
     # and its change per delay (1/s), (n, 2, m); of a servo, mean velocity
@@ -78,7 +78,7 @@ class KnownRig(NamedTuple):
     has_valve: bool  # else the rig obeys the reference force, which it holds
     mass: Floats  # of the specimen, (n, n), kg
     stiffness: Floats  # likewise, N/m
-    largest_drive: float  # of a valve, V
+    largest_drive: float  # of a valve, V: it is open then
     waits: Ints  # samples for which a channel repeats its first one, see `calibration`, (4,)
     dt: float  # sampling period, s
 
@@ -168,7 +168,7 @@ def detector_arrays(
     ``zeroed`` is what the rig measured at rest, see `seft_plant_sim.calibration.zeroed_at_rest`.
     """
     noise, limits, dt, mass = known.noise, known.limits, known.dt, known.mass
-    has_valve, velocity_is_derived = known.has_valve, known.velocity_is_derived
+    has_valve, velocity_is_derived = known.has_valve, known.derivation.gain > 0.0
     n, fade, oil_fade = noise.shape[1], fade_of_sums(dt), math.exp(-dt / _OIL_MEMORY)
     x, v, a, f = assumed_noise(noise, limits, velocity_is_derived, dt)
     actuator, ranges = known.actuator.copy(), np.where(known.ranges > 0.0, known.ranges, np.inf)
@@ -195,6 +195,7 @@ def detector_arrays(
         ranges,
         np.where(known.steps > 0.0, known.steps, np.inf),
         late,
+        known.derivation,
         np.full(n, int(known.imposes)),
         dt,
     )
@@ -372,7 +373,7 @@ def detectors_of(
         limits=np.array([section[f"limits.{name}"] for name in CHANNELS]),
         ranges=(ranges - bias) / scale,
         steps=ranges * (2.0 ** (1 - bits) if bits else 0.0) / scale,
-        velocity_is_derived=velocity_is_derived(section),
+        derivation=Derivation.from_parameters(section, dt),
         actuator=np.transpose([actuator[name] for name in ASSUMED_ACTUATOR]),
         past=past,
         imposes=imposes,

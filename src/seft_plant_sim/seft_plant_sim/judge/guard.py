@@ -134,7 +134,7 @@ def guard_step(
                 found |= 1 << row
     if len(p.calibration.bias):
         calibrate(p.calibration, state.calibration, step, measured, measured)
-    derive_velocity(p.derivation, step, state.measured, measured)
+    derive_velocity(p.derivation, step, state.detectors.last, measured)
     derive_acceleration(p.acceleration, state.acceleration, step, drive, measured)
     counts, judged, is_blind = state.counts, sample[:4], found > 0
     beyond = exceeds(p.limits, step, state.recent, measured, state.change, state.largest)

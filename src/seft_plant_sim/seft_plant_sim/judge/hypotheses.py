@@ -15,7 +15,7 @@ import math
 from seft_msgs_py.arrays import Floats
 
 from seft_plant_sim.compiled import compiled
-from seft_plant_sim.judge.judge import REVISED, Record
+from seft_plant_sim.judge.judge import OIL_EVENT, REVISED, Record
 
 RARE = math.log(1e-6)
 """Chance that a sample has a wrong channel: of a false alarm."""
@@ -30,13 +30,13 @@ spark; and either of these of several channels, whose amplifier may fail."""
 NEW, KNOWN, GOES_ON = 1e-6, 1e-4, 0.1
 """Chance of an event of a kind that the test has not shown, as of a wrong channel: both look the
 same until the velocity shows it. Chance of one like those that later samples have confirmed in the
-last seconds, and of one like that of the last three samples."""
+last seconds, and of one like these or a possible one of the last samples."""
 
 X, V, A, F = range(4)
 """Rows of a sample, and relations (1) to (4)."""
 
-ANY_CHANNEL, FORCES, OIL_EVENT, EVENT = 0b001111, 0b001100, 0b010000, 0b100000
-"""Bits of a set: of its channels, of those of which r is made, and of events."""
+ANY_CHANNEL, FORCES, EVENT = 0b001111, 0b001100, 0b100000
+"""Bits of a set: of its channels, of those of which r is made, and of the specimen's event."""
 
 TINY = 1e-60
 """Least variance, or information: four of them are still numbers."""
@@ -228,7 +228,7 @@ def log_amplitudes(known: Record, axis: Record, c: Record, at: int) -> float:
         else:
             value += 0.5 * math.log(known.precision[row])
     if which & EVENT:
-        jumps, recent, size = b.event, 0.0, c.amplitude[at, 5]
+        jumps, recent, size = b.event, axis.lately, c.amplitude[at, 5]
         for age in range(3):
             recent = max(recent, abs(jumps[age]))
         rate = NEW

@@ -6,6 +6,8 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints, zeros
 
+from seft_plant_sim.channels import Derivation
+
 RECENT_MEMORY, BRIEF_MEMORY, EVENT_MEMORY = 0.3, 0.05, 3.0
 """Time constants, s, of the memory of the largest force and motion of the oil, of the largest
 change in a sample, and of what the test has shown: a quarter of a cycle at 1 Hz, ..., three cycles
@@ -39,6 +41,8 @@ ALIVE = 6
 REVISED = 3
 """Samples after which a decision is final."""
 CANDIDATES = ALIVE * len(SETS)
+OIL_EVENT = 0b010000
+"""Bit of the oil's event in a set."""
 ANY_ROW, SEVERAL_ROW = 4, 5
 """Rows of the counts of samples of which any channel was replaced, and several."""
 
@@ -78,7 +82,8 @@ AXIS_STATE = np.dtype(
         ("asked", "f8", (2,)),  # the last reference forces, N
         ("asked_jump", "f8"),  # their largest recent change, N
         ("asked_turn", "f8"),  # ... second difference, N
-        ("known", "f8"),  # largest recent jump of r that a later sample has confirmed, N
+        ("known", "f8"),  # largest jump of r in the last cycles that a later sample has confirmed, N
+        ("lately", "f8"),  # likewise recently
     ]
 )
 """State of an axis."""
@@ -89,6 +94,8 @@ AXIS_FACTS = np.dtype(
         ("brief", "f8"),
         ("events", "f8"),
         ("late", "f8"),  # time by which a derived velocity is late, s; 0: it is measured
+        ("gain", "f8"),  # of its `Derivation`, 1/s
+        ("pole", "f8"),
         ("noise", "f8", (4,)),  # variance of the channels
         ("step", "f8", (4,)),  # of the converters; infinite if it is not known
         ("range", "f8", (4,)),  # largest value of each sensor; infinite if it is not known
@@ -96,6 +103,7 @@ AXIS_FACTS = np.dtype(
         ("oil", "f8"),  # k_oil, N/m; 0: not known
         ("leak", "f8"),  # lambda, 1/s
         ("imposed", "i8"),  # whether a servo imposes the motion, whatever f is
+        ("never", "i8"),  # unknowns that it has not: events of its oil; a velocity without sensor
         ("mass", "f8"),  # its own of the specimen, kg; 0: not known
         ("stiffness", "f8"),  # likewise, N/m
         ("now", "f8", (4, 4)),  # L of the relations, see `judge_step`
@@ -174,6 +182,7 @@ def judge_arrays(
     ranges: Floats,
     steps: Floats,
     late: float,
+    derivation: Derivation,
     imposed: Ints,
     dt: float,
 ) -> tuple[JudgeParameters, JudgeState]:
@@ -189,14 +198,14 @@ def judge_arrays(
         k_oil, N/m, and lambda, 1/s, shape (n, 2); k_oil 0: not known.
     mass, stiffness : ndarray
         Of the assumed specimen, shape (n, n), kg and N/m; 0: not known.
-    ranges, steps, late, imposed, dt
+    ranges, steps, late, derivation, imposed, dt
         See `AXIS_FACTS`; the first two of shape (4, n).
     """
     n, half, bend = noise.shape[1], 0.5 * dt, dt * dt / 12.0
     state = zeros(JudgeState, {"n": n, "window": round(WINDOW / dt)})
     axes, begun = np.zeros(n, AXIS_FACTS).view(np.recarray), state.axes.copy()
     axes.dt, axes.late, axes.noise, axes.range = dt, late, noise.T**2, ranges.T
-    axes.step, axes.imposed = steps.T, imposed
+    axes.step, axes.imposed, axes.never = steps.T, imposed, imposed * OIL_EVENT
     axes.recent, axes.brief = math.exp(-dt / RECENT_MEMORY), math.exp(-dt / BRIEF_MEMORY)
     axes.events, axes.oil, axes.leak = math.exp(-dt / EVENT_MEMORY), *oil.T
     axes.mass, axes.stiffness = np.diag(mass), np.diag(stiffness)
@@ -212,9 +221,26 @@ def judge_arrays(
             *((1.0, half, bend, 0.0), (0.0, 1.0, half, 0.0)),
             *((0.0, -half * k, -bend * k, 1.0 - leak if k else 2.0), (0.0, 0.0, 0.0, 0.0)),
         )
+    if derivation.gain:
+        _derive(axes, *derivation)
     begun.count, begun.part, first = 1, ASSUMED**2, begun.alive[:, 0]
     first["value"], first["variance"] = (rest[k].T[:, np.newaxis] ** (1 + k) for k in range(2))
     own = np.diag(mass)
     first["restoring"] = (rest[0, 3] - own * rest[0, 2])[:, np.newaxis]
     first["blur"] = (rest[1, 3] ** 2 + own**2 * rest[1, 2] ** 2)[:, np.newaxis]
     return JudgeParameters(axes, begun, mass, max(MOST, math.ceil(LASTS / dt - 1e-9))), state
+
+
+def _derive(axes: Record, gain: float, pole: float) -> None:
+    """Make the velocity follow from the displacement, v = pole v1 + gain (x - x1).
+
+    Its noise is then gain times that of x, and m = pole m1 - gain (1 - pole) times that of x1.
+    """
+    now, before = axes.now, axes.before
+    axes.gain, axes.pole = gain, pole
+    axes.never |= 1 << 1
+    axes.noise[:, 1] = gain * gain * (1.0 - pole) / (1.0 + pole) * axes.noise[:, 0]
+    before[:, :, 0] += gain * (before[:, :, 1] + (1.0 - pole) * now[:, :, 1])
+    before[:, :, 1] -= pole * now[:, :, 1]
+    now[:, :, 0] += gain * now[:, :, 1]
+    now[:, :, 1] = 0.0

@@ -29,7 +29,6 @@ from seft_plant_sim.judge.hypotheses import (
     ANY_CHANNEL,
     EVENT,
     FORCES,
-    OIL_EVENT,
     RARE,
     A,
     F,
@@ -166,6 +165,7 @@ def take(p: JudgeParameters, state: JudgeState, i: int, raw: Floats) -> None:
             c.seen[row] = state.axes[i].alive[0].value[0, row]
         elif abs(value) >= known.range[row]:
             c.forced |= 1 << row + 4
+        c.forced &= ~known.never
         resolution = state.resolution[row, i]
         if resolution == np.inf:  # it has not moved yet: by a step of its converter, if it does now
             coarsest = known.range[row] * COARSEST
@@ -226,6 +226,8 @@ def _compare(known: Record, axis: Record, c: Record, b: Record, flow: Flow) -> N
     """Compare the sample with a branch: residuals, and their covariance (lower half)."""
     dt, z, last, left, held = known.dt, c.seen, b.value[0], c.left, 0.0
     half, bend = 0.5 * dt, dt * dt / 12.0
+    if known.gain > 0.0:
+        z[V] = known.pole * last[V] + known.gain * (z[X] - last[X])
     moved = half * (z[V] + last[V]) - bend * (z[A] - last[A])
     c.off[0] = z[X] - last[X] - moved
     c.off[1] = z[V] - last[V] - half * (z[A] + last[A])
@@ -331,10 +333,8 @@ def _weigh(known: Record, axis: Record, c: Record, flow: Flow) -> int:
             chi2 = fill_gram(known, c) + goes_on
             is_sound = is_sound and chi2 < PLAIN
             for which in SETS:
-                if forced & ~which or is_turn(which) != turns:
+                if forced & ~which or which & known.never or is_turn(which) != turns:
                     continue
-                if which & OIL_EVENT and known.imposed:
-                    continue  # its motion goes on, whatever the oil does
                 if is_sound and which & ~before:
                     continue
                 gain, log_det_b = solve(c, which, count)
@@ -394,6 +394,9 @@ def continue_branch(known: Record, axis: Record, c: Record, b: Record, to: Recor
                 to.wrong[0] &= ~(1 << row)
         to.value[0, row], to.value[1, row] = value, b.value[0, row]
         to.variance[0, row], to.variance[1, row] = variance, b.variance[0, row]
+    if known.gain > 0.0:
+        moved = to.value[0, X] - b.value[0, X]
+        to.value[0, V] = known.pole * b.value[0, V] + known.gain * moved
     for age in range(REVISED):
         to.wrong[1 + age] = b.wrong[age]
     for age in range(2):
@@ -446,7 +449,9 @@ def decide(known: Record, axis: Record, count: int) -> None:
         is_sure &= b.event[2] != 0.0 or b.weight - first.weight < SURE
         kept += 1
     axis.count, axis.alive[0].weight = kept, 0.0
-    axis.known = max(abs(first.event[2]) if is_sure else 0.0, known.events * axis.known)
+    confirmed = abs(first.event[2]) if is_sure else 0.0
+    axis.known = max(confirmed, known.events * axis.known)
+    axis.lately = max(confirmed, known.brief * axis.lately)
 
 
 @compiled
