@@ -9,8 +9,8 @@ from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.topics import RigAxes
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-KEPT_STOPS = 5
-"""Fallback stops that a rig keeps: of 50 ms, in which wrong samples are found."""
+KEPT_STOPS = 8
+"""Fallback stops that a rig keeps: of more than the time in which wrong samples are found."""
 
 
 def stop_period(dt: float) -> int:

@@ -14,6 +14,7 @@ from seft_plant_sim.compiled import kind_of
 from seft_plant_sim.hardware.hosted import HardwareError, HostedHardware
 from seft_plant_sim.hardware.safe_stop import Safe, Stopped
 from seft_plant_sim.judge.guard import DRIVE_ROW, RANGES, Guard
+from seft_plant_sim.judge.known_rig import command_limit
 from seft_plant_sim.simulated.rig import SimulatedRig
 from seft_plant_sim.simulated.rig_step import SATURATED_PARTS, left_open
 
@@ -52,7 +53,7 @@ class Rig:
         Why the test must end with the last sample.
     trusted : int
         The last step up to which no wrong value was used, so that a stop can follow a plan from
-        then; -1: none. A servo is where its last commands lead it, and can't go back.
+        then; -1: none.
     saturation : Saturation
         Saturation since the reset: of stroke, force capacity, valve, and sensors.
     zeroed : dict or None
@@ -133,7 +134,7 @@ class Rig:
             if self.violation is not None:
                 missing = self.hardware.missing
                 self.violation = missing or self.violation
-                self.trusted = -1 if missing else self._trusted(found)
+                self.trusted = -1 if missing else self.guard.trusted(found)
             for name, bit in _SATURATED.items():
                 if found & bit:
                     count_saturated(self.saturation, name, 1, self.step_index)
@@ -189,7 +190,8 @@ class Rig:
         which must be of a `trusted` step. If the plan had another command for the last step,
         ``planned``, the difference goes in the time in which the valve closes.
 
-        A displacement servo holds its last command, or that of the plan.
+        A displacement servo, which is where its last commands lead it, moves on from there as the
+        plan does, and holds its last command.
 
         A closed valve locks the piston: the oil column rings, friction and leakage damp it, and the
         remaining force decays. A simulated rig is at rest afterwards; others continue with each
@@ -199,6 +201,10 @@ class Rig:
             plan = np.zeros((0, len(self._command)))
         safe = self._safe._replace(command=self.safe_command)
         if safe.holds:
+            if planned is not None:  # it is where its last commands lead it, and goes on from there
+                limit = command_limit(self._section)
+                plan = np.clip(plan + (self._command - planned), -limit, limit)
+                planned = None
             safe = safe._replace(command=plan[-1] if len(plan) else self._command.copy())
         return self.hardware.stop(plan, planned, self._command, safe)
 
@@ -227,11 +233,7 @@ class Rig:
         self.violation = self.guard.violation(int(found[-1]))
         self.trusted = self.step_index
         if self.violation is not None:
-            self.trusted = self._trusted(int(found[-1]))
-
-    def _trusted(self, found: int) -> int:
-        trusted = self.guard.trusted(found)
-        return -1 if self._safe.holds and trusted < self.step_index else trusted
+            self.trusted = self.guard.trusted(int(found[-1]))
 
 
 class Rigs:

@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.signal import lfilter
 from seft_msgs_py.config.facts import CHANNELS
+from seft_plant_sim.channels import Derivation
 from seft_plant_sim.judge.detector_list import DETECTORS
 from seft_plant_sim.judge.detector_step import begin_detectors, judge_sample
 from seft_plant_sim.judge.detectors import VALID, KnownRig, detector_arrays
@@ -24,8 +25,8 @@ def detectors(warn_only=(), **changes):
     """Detectors that have begun, of two axes of which everything is known."""
     known = {
         **{"noise": NOISE, "limits": LIMITS, "ranges": np.zeros((4, N))},
-        **{"steps": np.zeros((4, N))},
-        **{"velocity_is_derived": False, "actuator": ACTUATOR, "past": PAST, "has_valve": True},
+        **{"steps": np.zeros((4, N)), "derivation": Derivation(0.0, 0.0)},
+        **{"actuator": ACTUATOR, "past": PAST, "has_valve": True},
         **{"mass": MASS, "stiffness": STIFFNESS, "imposes": False},
         **{"largest_drive": 10.0, "waits": np.zeros(4, np.int64), "dt": DT, **changes},
     }

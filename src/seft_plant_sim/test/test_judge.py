@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from detector_samples import ALL, DT, MASS, NOISE, STIFFNESS, N, detect, detectors
+from seft_plant_sim.channels import Derivation, derive_velocity
 from seft_plant_sim.judge import detectors as rows
 from seft_plant_sim.judge.hypotheses import factorise, product, whiten
 from seft_plant_sim.judge.judge import REVISED, judge_arrays
@@ -15,6 +16,7 @@ DAMPING = np.array([[200.0, -20.0], [-20.0, 150.0]])
 OIL = np.array([[1e7, 2.0], [2e7, 3.0]])
 AT, LENGTH = 150, 300
 REST = np.array([np.zeros((4, N)), math.sqrt(5.0) * NOISE])
+MEASURED = Derivation(0.0, 0.0)
 WIDE = np.array([[0.1], [2.0], [200.0], [2e4]]) * np.ones(N)
 
 
@@ -40,10 +42,12 @@ def motion(seed=1, size=1.0, mass=MASS):
     return right + size * NOISE * rng.normal(size=right.shape), right, flow
 
 
-def fresh_judge(oil=OIL, mass=MASS, ranges=WIDE, late=0.0, rest=REST):
+def fresh_judge(oil=OIL, mass=MASS, ranges=WIDE, rest=REST, derivation=MEASURED):
     """A judge that has begun."""
     steps, imposed = np.full((4, N), np.inf), np.zeros(N, np.int64)
-    p, state = judge_arrays(NOISE, rest, oil, mass, STIFFNESS, ranges, steps, late, imposed, DT)
+    late = 2e-3 if derivation.gain else 0.0
+    known = NOISE, rest, oil, mass, STIFFNESS, ranges, steps
+    p, state = judge_arrays(*known, late, derivation, imposed, DT)
     begin_judge(p, state)
     return p, state
 
@@ -139,6 +143,45 @@ def test_the_first_samples_are_judged_against_rest(row, step):
     judged, replaced, _ = judged_of(faulty, flow)
     assert replaced.sum() == replaced[step, row, 1] == 1
     assert abs(judged[step, row, 1]) < NEAR[row]
+
+
+def derived(samples, derivation):
+    """Give samples of a rig without a sensor of the velocity."""
+    samples = samples.copy()
+    for k in range(len(samples)):
+        derive_velocity(derivation, k, samples[k - 1], samples[k])
+    return samples
+
+
+DERIVATIONS = [Derivation(1.0 / DT, 0.0), Derivation(0.7 / DT, 0.3)]
+
+
+@pytest.mark.parametrize("derivation", DERIVATIONS)
+def test_a_derived_velocity_has_the_noise_of_its_displacement(derivation):
+    noise = NOISE * np.random.default_rng(1).normal(size=(4000, 4, N))
+    samples, off = derived(noise, derivation), []
+    p, state = fresh_judge(derivation=derivation)
+    for k, sample in enumerate(samples):
+        judge(p, state, k, sample, np.zeros((2, N)), np.empty((4, N)))
+        off.append(state.room[0].off[:2].copy())
+    expected = state.axes[-1].blur[:2, :2]
+    np.testing.assert_allclose(
+        np.cov(np.transpose(off[10:]))[np.tril_indices(2)], expected[np.tril_indices(2)], rtol=0.1
+    )
+
+
+@pytest.mark.parametrize("derivation", DERIVATIONS)
+@pytest.mark.parametrize("value", [3e-2, math.nan])
+def test_a_wrong_displacement_is_one_wrong_value_though_the_velocity_is_derived(derivation, value):
+    samples, _, flow = motion()
+    right = derived(samples, derivation)
+    samples[AT, X] = value
+    judged, replaced, _ = judged_of(derived(samples, derivation), flow, derivation=derivation)
+    expected = np.zeros_like(replaced)
+    expected[AT, X] = 1
+    np.testing.assert_array_equal(replaced, expected)
+    after = AT + np.arange(20)
+    np.testing.assert_allclose(judged[after, V], right[after, V], atol=6.0 * NOISE[0].max() / DT)
 
 
 def test_a_rig_of_which_the_rest_is_not_known_is_believed():

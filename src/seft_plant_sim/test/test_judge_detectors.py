@@ -19,6 +19,7 @@ from detector_samples import (
     shares_of,
 )
 from seft_msgs_py.config.facts import CHANNELS
+from seft_plant_sim.channels import Derivation
 from seft_plant_sim.judge import detectors as rows
 from seft_plant_sim.judge.channel_relations import find_flow
 from seft_plant_sim.judge.detector_list import DETECTORS, describe
@@ -222,7 +223,7 @@ def test_what_is_not_known_of_the_hardware_is_not_watched():
     seen = shares_of(p, state, samples, commands).max(axis=(0, 2))
     watched = {name for name, share in zip(names, seen, strict=True) if share > 0.0}
     assert watched == set(names[:2])
-    derived, _ = detectors(velocity_is_derived=True)
+    derived, _ = detectors(derivation=Derivation(1.0 / 0.002, 0.0))
     np.testing.assert_allclose(derived.noise[1], math.sqrt(2.0) * NOISE[0] / DT)
 
 

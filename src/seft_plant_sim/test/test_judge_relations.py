@@ -21,6 +21,7 @@ from detector_samples import (
     shares_of,
 )
 from scipy.signal import lfilter
+from seft_plant_sim.channels import Derivation
 from seft_plant_sim.judge import detectors as rows
 from seft_plant_sim.judge.detector_step import begin_detectors
 from seft_plant_sim.judge.relation_following import remember
@@ -219,14 +220,14 @@ def test_what_grows_slowly_does_not_become_usual():
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("late", [0.0, 2e-3])
 def test_a_derived_velocity_may_be_late(late, sign):
-    p, state = detectors(ALL, velocity_is_derived=late > 0.0)
+    p, state = detectors(ALL, derivation=Derivation(315.0, 0.4) if late else Derivation(0.0, 0.0))
     samples, commands = np.zeros((2, 4, N)), np.zeros((2, N))
-    samples[:, :3, 1] = sign * np.array([[0.0, 1.0, 10.0], [1.8e-3, 1.03, 12.0]])
+    samples[:, :3, 1] = sign * np.array([[0.0, 1.0, 10.0], [2.0e-3, 1.03, 12.0]])
     state.judge.resolution[:] = RESOLUTION
     seen = shares_of(p, state, samples, commands, [1, 2])[1, :2, 1]
     assert not state.judge.counts.any()
     sides = (
-        ([1.8e-3], [0.5 * DT * (2.03 - DT / 6.0 * 2.0)], [-0.03]),
+        ([2.0e-3], [0.5 * DT * (2.03 - DT / 6.0 * 2.0)], [-0.03]),
         ([0.03], [0.5 * DT * 22.0], [-2.0]),
     )
     roughs = late * 0.03, (0.5 * DT + late) * 2.0

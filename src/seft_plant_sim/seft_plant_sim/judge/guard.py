@@ -15,14 +15,13 @@ from seft_plant_sim.compiled import compiled, entry_point
 from seft_plant_sim.judge.detector_list import DETECTORS, describe
 from seft_plant_sim.judge.detector_step import begin_detectors, judge_sample
 from seft_plant_sim.judge.detectors import (
-    JUMP,
+    FROZEN,
     VALID,
     WRONG,
     DetectorParameters,
     DetectorState,
     detectors_of,
 )
-from seft_plant_sim.judge.judge import REVISED
 from seft_plant_sim.judge.servo_model import (
     AccelerationParameters,
     AccelerationState,
@@ -232,17 +231,20 @@ class Guard:
     def trusted(self, found: int) -> int:
         """Give the last step up to which no wrong value was used, as far as is known; -1: none.
 
-        ``found`` is the result of the step that ends the test. What shows in sums alone has been
-        wrong for an unknown time.
+        ``found`` is the result of the step that ends the test. What stands still, and what was
+        replaced in all samples from one on, began there; anything else before it was found.
         """
         row, judge = int(self.state.counts[DETECTED]) // len(self._axes), self.state.detectors.judge
-        if not found & FAULT or row < JUMP:
-            return -1
         last, window = int(judge.step[0]), len(judge.replaced)
-        if row >= WRONG and judge.used[0] <= last - window:
-            return last
         wrong = [age for age in range(window) if judge.replaced[judge.place[0] - age].any()]
-        return last - max(round(FOUND_IN / self._dt), max(wrong, default=0) + 1 + REVISED)
+        if not (found & FAULT or wrong):
+            return -1
+        since = 1 + max(wrong, default=0)
+        if found & FAULT and FROZEN <= row < WRONG:
+            since = max(since, 1 + int(self.state.detectors.repeats.max()))
+        elif row < WRONG or len(wrong) < since:
+            since = max(since, round(FOUND_IN / self._dt))
+        return last - since - self.parameters.detectors.judge.most
 
     def violation(self, found: int) -> str | None:
         """Say why the test must end with the last sample; ``found`` is the result of its step."""

@@ -45,6 +45,10 @@ ROUNDING = 1e-14
 """Least part of a variance that the others may leave: less is rounding. All channels wrong, without
 a known range of any, leave none."""
 
+BREAKS, NOTICEABLE = math.log(1e-2), 9.0
+"""Part of such events by which a specimen breaks, and the square of a value over its variance from
+which on its sign is known."""
+
 HALF_LOG_TURN = 0.5 * math.log(2.0 * math.pi)
 
 
@@ -238,6 +242,7 @@ def log_amplitudes(known: Record, axis: Record, c: Record, at: int) -> float:
             rate += GOES_ON * math.exp(-0.5 * (size / recent) ** 2)
         value += HALF_LOG_TURN + math.log(rate)
         value += log_size(size, c.covariance[3, 3], known.orders, axis.strained)
+        value += BREAKS if breaks(c, b, size) else 0.0
         value += ANOTHER if known.mass == 0.0 else 0.0  # only the next sample can confirm it
     if which & OIL_EVENT:
         size, variance = c.amplitude[at, 4], c.covariance[2, 2]
@@ -245,6 +250,18 @@ def log_amplitudes(known: Record, axis: Record, c: Record, at: int) -> float:
         if known.oil > 0.0:  # no flow makes more
             value -= 0.5 * size * size / (axis.pressed**2 + variance)
     return value
+
+
+@compiled
+def breaks(c: Record, b: Record, size: float) -> bool:
+    """Say whether an event takes force from a specimen that moves on, more than it was gaining.
+
+    What yields, or leaves a stop, gains no more; friction turns when the motion does.
+    """
+    v, gained = b.value[0, V], abs(b.restoring[0] - b.restoring[1])
+    moves = v * v > NOTICEABLE * b.variance[0, V]
+    sure = abs(size) - gained
+    return moves and size * v < 0.0 < sure and sure * sure > NOTICEABLE * c.covariance[3, 3]
 
 
 @compiled

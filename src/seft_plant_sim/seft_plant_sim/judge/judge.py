@@ -79,11 +79,15 @@ AXIS_STATE = np.dtype(
         ("usual", "f8", (2, 4)),  # variances of the channels of the last two samples
         ("blur", "f8", (4, 4)),  # covariance of the residuals by these
         ("scatter", "f8"),  # recent variance of (4), N^2
+        ("rises", "f8"),  # recent mean square of the change of r in a sample, N^2
         ("asked", "f8", (2,)),  # the last reference forces, N
         ("asked_jump", "f8"),  # their largest recent change, N
         ("asked_turn", "f8"),  # ... second difference, N
-        ("known", "f8"),  # largest jump of r in the last cycles that a later sample has confirmed, N
-        ("lately", "f8"),  # likewise recently
+        (
+            "known",
+            "f8",
+        ),  # largest jump of r that a later sample has confirmed, of cycles, N
+        ("lately", "f8"),  # likewise, of the last samples
     ]
 )
 """State of an axis."""
@@ -170,7 +174,6 @@ class JudgeState(NamedTuple):
     restoring: Annotated[Floats, "n"]  # r at the last judged sample, N
     replaced: Annotated[Ints, "window", "n"]  # sets of channels at the last samples, a ring buffer
     counts: Annotated[Ints, 6, "n"]  # of replaced values in these; of samples, see `ANY_ROW`
-    used: Annotated[Ints, 1]  # step of the last value that was found wrong after its use
 
 
 def judge_arrays(

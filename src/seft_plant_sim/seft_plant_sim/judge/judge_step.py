@@ -91,7 +91,7 @@ def begin_judge(p: JudgeParameters, state: JudgeState) -> None:
     """Begin a test: the rig is at rest."""
     for each in state:
         each[...] = 0
-    state.step[0], state.place[0], state.used[0], state.axes[:] = -1, -1, LONG_AGO, p.rest
+    state.step[0], state.place[0], state.axes[:] = -1, -1, p.rest
     state.raw[:], state.resolution[:] = p.rest.alive["value"][:, 0, 0].T, p.axes.step.T
 
 
@@ -165,7 +165,6 @@ def take(p: JudgeParameters, state: JudgeState, i: int, raw: Floats) -> None:
             c.seen[row] = state.axes[i].alive[0].value[0, row]
         elif abs(value) >= known.range[row]:
             c.forced |= 1 << row + 4
-        c.forced &= ~known.never
         resolution = state.resolution[row, i]
         if resolution == np.inf:  # it has not moved yet: by a step of its converter, if it does now
             coarsest = known.range[row] * COARSEST
@@ -173,6 +172,8 @@ def take(p: JudgeParameters, state: JudgeState, i: int, raw: Floats) -> None:
         c.noise[row] = known.noise[row] + resolution * resolution / 12.0
         if 0.0 < moved < state.resolution[row, i] and state.step[0] > 0:
             state.resolution[row, i] = moved
+    unmeasured = known.never & ANY_CHANNEL
+    c.forced &= ~(unmeasured | unmeasured << 4)
     for k in range(raw.shape[1]):  # the acceleration of others, to which the mass couples it
         if k != i and p.mass[i, k] != 0.0:
             last, a = state.axes[k].alive[0].value, raw[A, k]
@@ -199,12 +200,17 @@ def begin_anew(known: Record, axis: Record, c: Record) -> None:
 
 
 @compiled
-def left_by_force(known: Record, axis: Record, b: Record) -> float:
-    """Variance of what (4) leaves after a branch, N^2."""
+def go_on(known: Record, axis: Record, b: Record) -> tuple[float, float]:
+    """Give the r that (4) expects after a branch, N, and the variance of what it leaves, N^2."""
+    change = b.restoring[0] - b.restoring[1]
     if known.mass == 0.0 and not known.imposed:
-        return UNKNOWN**2  # (3) tells f; without that r is f
+        return b.restoring[0] + change, UNKNOWN**2  # (3) tells f; without that r is f
+    blur, before = b.blur[0], b.blur[1]
+    rise = max(axis.rises, change * change - blur - before, 0.0)
+    part = rise / (rise + blur + before)
     curved = known.stiffness * known.dt**2 * b.value[0, A]
-    return 4.0 * b.blur[0] + b.blur[1] + b.settling + axis.scatter + curved * curved
+    left = (1.0 + part) ** 2 * blur + part * part * before + (1.0 - part) ** 2 * rise
+    return b.restoring[0] + part * change, left + b.settling + axis.scatter + curved * curved
 
 
 def _find_blur(known: Record, axis: Record) -> None:
@@ -231,7 +237,8 @@ def _compare(known: Record, axis: Record, c: Record, b: Record, flow: Flow) -> N
     moved = half * (z[V] + last[V]) - bend * (z[A] - last[A])
     c.off[0] = z[X] - last[X] - moved
     c.off[1] = z[V] - last[V] - half * (z[A] + last[A])
-    c.off[3] = z[F] - known.mass * z[A] - c.beside - 2.0 * b.restoring[0] + b.restoring[1]
+    expected, left_by_force = go_on(known, axis, b)
+    c.off[3] = z[F] - known.mass * z[A] - c.beside - expected
     if known.mass > 0.0:  # a held force jumps at any time in a period
         held = half * axis.asked_jump / known.mass
     bent = abs(z[A] - 2.0 * last[A] + b.value[1, A])
@@ -247,7 +254,7 @@ def _compare(known: Record, axis: Record, c: Record, b: Record, flow: Flow) -> N
         left[2] = b.variance[1, F] + axis.asked_turn**2 + axis.bent**2
         if known.imposed:
             left[2] = UNKNOWN**2
-    left[3] = left_by_force(known, axis, b) + c.doubt
+    left[3] = left_by_force + c.doubt
     is_usual = True
     for k in range(4):
         is_usual &= axis.usual[0, k] == c.noise[k]
@@ -290,6 +297,9 @@ def learn(known: Record, axis: Record, c: Record) -> None:
         beyond = min(c.off[relation] ** 2, CLIPPED * whole) - whole
         if relation == 3:
             axis.scatter = max(axis.scatter + (1.0 - known.recent) * beyond, 0.0)
+            b = axis.alive[0]
+            rise = (b.restoring[0] - b.restoring[1]) ** 2 - b.blur[0] - b.blur[1]
+            axis.rises = max(axis.rises + (1.0 - known.brief) * (rise - axis.rises), 0.0)
             break
         if relation == 2 and known.oil == 0.0:
             continue
@@ -404,7 +414,7 @@ def continue_branch(known: Record, axis: Record, c: Record, b: Record, to: Recor
     force = to.value[0, F] - known.mass * to.value[0, A] - c.beside
     blur = to.variance[0, F] + known.mass**2 * to.variance[0, A]
     if which & FORCES and not which & EVENT:
-        blur = min(blur, left_by_force(known, axis, b))
+        blur = min(blur, go_on(known, axis, b)[1])
     to.restoring[0], to.blur[0] = force, blur
     to.restoring[1], to.blur[1], to.settling = b.restoring[0], b.blur[0], 0.25 * b.settling
     if which & EVENT:  # a stop goes on to rise, friction stays: the mean of both
@@ -461,8 +471,6 @@ def publish(state: JudgeState, step: int, i: int, judged: Floats) -> None:
     for age in range(1 + REVISED):  # the present sample takes the place of the oldest one
         place, now = place_of_age(state, age), b.wrong[age] & ANY_CHANNEL
         was = state.replaced[place, i]
-        if age > 0 and now & ~was:
-            state.used[0] = step - age
         for row in range(4):
             state.counts[row, i] += (now >> row & 1) - (was >> row & 1)
         state.counts[ANY_ROW, i] += (now != 0) - (was != 0)
