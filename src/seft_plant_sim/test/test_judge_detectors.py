@@ -23,7 +23,7 @@ from seft_plant_sim.channels import Derivation
 from seft_plant_sim.judge import detectors as rows
 from seft_plant_sim.judge.channel_relations import find_flow
 from seft_plant_sim.judge.detector_list import DETECTORS, describe
-from seft_plant_sim.judge.detector_step import begin_detectors, detect_all
+from seft_plant_sim.judge.detector_step import SAME, begin_detectors, detect_all
 from seft_plant_sim.judge.detectors import FROZEN, SUSPECT, VALID, look
 
 
@@ -162,7 +162,7 @@ def test_a_channel_that_repeats_a_value_is_frozen_once_that_is_no_chance(row, ax
     step = 0.2 * NOISE[row, axis]
     samples[:, row, axis] = step * (np.arange(60) // 2 % 2)
     samples[30:, row, axis] = step
-    most = math.log(1e-9) / math.log(0.2 / (2.0 * math.sqrt(math.pi)))
+    most = math.log(SAME) / math.log(0.2 / (2.0 * math.sqrt(math.pi)))
     frozen = rows.FROZEN + row
     for k in range(60):
         state.shares[:] = 0.0
@@ -184,7 +184,7 @@ def test_channels_that_freeze_together_are_frozen_sooner():
     steps = 0.2 * NOISE[:2, 1]
     samples[:30, :2, 1] = steps * (np.arange(30)[:, np.newaxis] // 2 % 2)
     samples[30:, :2, 1] = steps
-    most = math.log(1e-9) / math.log(0.2 / (2.0 * math.sqrt(math.pi)))
+    most = math.log(SAME) / math.log(0.2 / (2.0 * math.sqrt(math.pi)))
     found = [detect(p, state, k, samples[k]) for k in range(30 + math.floor(0.5 * most) + 2)]
     assert found[-1] == rows.FROZEN * N + 1
     assert max(found[:-1]) < 0
@@ -276,5 +276,5 @@ def test_of_a_sensor_coarser_than_its_noise_no_value_is_frozen(chance):
         measured[0, 0] = value
         state.shares[:] = 0.0
         detect(p, state, step, measured)
-    share = math.log(chance) / math.log(1e-9) if chance < 0.5 else 0.0
+    share = math.log(chance) / math.log(SAME) if chance < 0.5 else 0.0
     assert state.shares[FROZEN, 0] == pytest.approx(share, rel=1e-9)

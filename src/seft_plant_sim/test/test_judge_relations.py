@@ -220,17 +220,19 @@ def test_what_grows_slowly_does_not_become_usual():
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("late", [0.0, 2e-3])
 def test_a_derived_velocity_may_be_late(late, sign):
-    p, state = detectors(ALL, derivation=Derivation(315.0, 0.4) if late else Derivation(0.0, 0.0))
+    derivation = Derivation(0.625 / 2.024e-3, 0.4) if late else Derivation(0.0, 0.0)
+    unknown = {"mass": np.zeros((N, N)), "actuator": np.zeros((N, 4))}
+    p, state = detectors(ALL, derivation=derivation, **unknown)
     samples, commands = np.zeros((2, 4, N)), np.zeros((2, N))
-    samples[:, :3, 1] = sign * np.array([[0.0, 1.0, 10.0], [2.0e-3, 1.03, 12.0]])
+    samples[:, :3, 1] = sign * np.array([[0.0, 1.0, 10.0], [2.024e-3, 1.025, 12.0]])
     state.judge.resolution[:] = RESOLUTION
     seen = shares_of(p, state, samples, commands, [1, 2])[1, :2, 1]
     assert not state.judge.counts.any()
     sides = (
-        ([2.0e-3], [0.5 * DT * (2.03 - DT / 6.0 * 2.0)], [-0.03]),
-        ([0.03], [0.5 * DT * 22.0], [-2.0]),
+        ([2.024e-3], [0.5 * DT * (2.025 - DT / 6.0 * 2.0)], [-0.025]),
+        ([0.025], [0.5 * DT * 22.0], [-2.0]),
     )
-    roughs = late * 0.03, (0.5 * DT + late) * 2.0
+    roughs = late * 0.025, (0.5 * DT + late) * 2.0
     for row, (side, rough) in enumerate(zip(sides, roughs, strict=True)):
         ((off,), (threshold,)), _ = followed(p, row, 1, *side, [rough + 2.0 * RESOLUTION])
         assert seen[row] == pytest.approx(off / threshold, rel=1e-9)

@@ -141,10 +141,10 @@ def test_a_stop_follows_the_plan_then_closes():
 @pytest.mark.parametrize(
     ("faults", "ends", "trusted"),
     [
-        ("force set -9e4 at 0.396 for 3", "force_wrong", 200),
+        ("force set -9e4 at 0.396 for 3", "force_wrong", 194),
         ("force set -9e4 at 0.4 for 1", None, 200),
-        (["velocity freeze at 0.392", "force freeze at 0.392"], "velocity_frozen", 185),
-        (["acceleration flip at 0.394", "force flip at 0.394"], "acceleration_wrong", 185),
+        (["velocity freeze at 0.392", "force freeze at 0.392"], "velocity_frozen", 192),
+        (["acceleration flip at 0.394", "force flip at 0.394"], "acceleration_wrong", 193),
     ],
 )
 def test_a_rig_knows_up_to_which_step_nothing_wrong_was_used(faults, ends, trusted):
