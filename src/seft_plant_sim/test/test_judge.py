@@ -7,9 +7,9 @@ import pytest
 from detector_samples import ALL, DT, MASS, NOISE, STIFFNESS, N, detect, detectors
 from seft_plant_sim.channels import Derivation, derive_velocity
 from seft_plant_sim.judge import detectors as rows
-from seft_plant_sim.judge.hypotheses import factorise, product, whiten
-from seft_plant_sim.judge.judge import REVISED, judge_arrays
-from seft_plant_sim.judge.judge_step import ask, begin_judge, judge
+from seft_plant_sim.judge.hypotheses import breaks, factorise, product, whiten
+from seft_plant_sim.judge.judge import BRANCH, REVISED, judge_arrays
+from seft_plant_sim.judge.judge_step import ask, begin_judge, go_on, judge
 
 X, V, A, F = range(4)
 DAMPING = np.array([[200.0, -20.0], [-20.0, 150.0]])
@@ -263,6 +263,44 @@ def test_a_force_that_turns_as_was_asked_is_not_wrong_though_the_specimen_sticks
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
+def branch_of(restoring, blur, value=(0.0, 0.0, 0.0, 0.0)):
+    """A history with r and its variance at the last two samples, and the last value."""
+    b = np.zeros(1, BRANCH).view(np.recarray)[0]
+    b.restoring[:], b.blur[:], b.value[0] = restoring, blur, value
+    b.variance[0] = NOISE[:, 0] ** 2
+    return b
+
+
+@pytest.mark.parametrize(
+    ("change", "rises", "part", "left"),
+    [
+        (0.0, 0.0, 0.0, 100.0),  # it stands still
+        (1000.0, 0.0, 1.0, 500.0),  # it changes more than its noise
+        (0.0, 1e6, 1.0, 500.0),  # it has changed as much in the last samples
+    ],
+)
+def test_the_specimens_force_goes_on_by_what_is_known_of_its_change(change, rises, part, left):
+    p, state = fresh_judge(mass=np.diag([60.0, 40.0]))
+    state.axes[0].rises = rises
+    b = branch_of((500.0 + change, 500.0), (100.0, 100.0))
+    expected, variance = go_on(p.axes[0], state.axes[0], b)
+    assert expected == pytest.approx(500.0 + (1.0 + part) * change, rel=1e-3)
+    assert variance == pytest.approx(left, rel=1e-2)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_specimen_that_moves_on_loses_more_force_than_it_gained_only_where_it_breaks(sign):
+    _, state = fresh_judge()
+    room = state.room[0]
+    room.covariance[3, 3] = 100.0
+    gains = branch_of((sign * 540.0, sign * 500.0), (9.0, 9.0), (0.0, sign * 0.1, 0.0, 0.0))
+    assert breaks(room, gains, -sign * 80.0)
+    assert not breaks(room, gains, -sign * 60.0)  # it yields, or leaves a stop
+    assert not breaks(room, gains, sign * 80.0)  # it hits one
+    rests = branch_of((sign * 540.0, sign * 500.0), (9.0, 9.0))
+    assert not breaks(room, rests, -sign * 80.0)  # friction turns
+
+
 def test_a_value_at_its_end_is_beyond_it_if_the_others_say_so_and_else_wrong(sign):
     samples, right, flow = motion()
     ranges = WIDE.copy()

@@ -25,6 +25,7 @@ from seft_plant_sim.judge.channel_relations import find_flow
 from seft_plant_sim.judge.detector_list import DETECTORS, describe
 from seft_plant_sim.judge.detector_step import SAME, begin_detectors, detect_all
 from seft_plant_sim.judge.detectors import FROZEN, SUSPECT, VALID, look
+from seft_plant_sim.judge.relation_following import uncertain
 
 
 def test_a_new_test_knows_nothing_of_the_one_before():
@@ -225,6 +226,19 @@ def test_what_is_not_known_of_the_hardware_is_not_watched():
     assert watched == set(names[:2])
     derived, _ = detectors(derivation=Derivation(1.0 / 0.002, 0.0))
     np.testing.assert_allclose(derived.noise[1], math.sqrt(2.0) * NOISE[0] / DT)
+
+
+@pytest.mark.parametrize("drive", [8.0, 10.0, -10.0])
+def test_a_valve_that_is_open_opens_no_further(drive):
+    overshoots = np.array([[[0.9, 0.2, 0.1], [0.0, 0.0, 0.0]]] * N)
+    p, state = detectors(past=overshoots)
+    for step in range(4):
+        detect(p, state, step, np.zeros((4, N)), np.full(N, drive))
+    open_by, further = ACTUATOR[:, 0] * drive, 0.0 if abs(drive) < 9.0 else 0.1
+    np.testing.assert_allclose(state.mean[0], (1.2 - further) * open_by, rtol=1e-9)
+    for i in range(N):
+        known = uncertain(state.covariance[rows.OIL, i], 1.2 * open_by[i], 0.0, 1.0)
+        assert state.mean[1, i] == pytest.approx(known + (further * open_by[i]) ** 2, rel=1e-3)
 
 
 def test_of_detectors_that_act_at_once_each_says_what_it_saw_and_where():

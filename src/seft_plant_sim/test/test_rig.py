@@ -104,11 +104,11 @@ def test_a_test_that_is_blind_for_long_ends_with_the_reason():
 JHU = Path(__file__).parents[3] / "config" / "jhu.yaml"  # wherever it runs, as by colcon test
 
 
-def moving_rig(*overrides, axes=("x",), steps=200):
+def moving_rig(*overrides, axes=("x",), steps=200, size=5.0):
     given = [("/**", "axes", list(axes)), *overrides]
     experiment = Experiment.load([RIG_TABLE], [JHU], given, nodes=["rig"])
     rig = Rig(experiment["rig"], experiment.axes, experiment.timebase)
-    swing = 5.0 * np.sin(2 * np.pi * 5.0 * 0.002 * np.arange(steps))
+    swing = size * np.sin(2 * np.pi * 5.0 * 0.002 * np.arange(steps))
     driven(rig, np.outer(swing, np.ones(len(axes))))
     return rig
 
@@ -133,6 +133,28 @@ def test_a_stop_follows_the_plan_then_closes():
     peak = 0.0
     for taken, command in enumerate(plan, 1):
         stepped.step(command + left_open(taken, 10) * (last - planned_last))
+        peak = max(peak, abs(stepped.simulation.sample[3, 0]))
+    assert stopped.peak_force == max(peak, stepped.stop().peak_force)
+    np.testing.assert_array_equal(planned.simulation.sample, stepped.simulation.sample)
+
+
+SERVO = (
+    ("/**", "actuator.kind", "position_servo"),
+    ("/**", "actuator.response.numerator", [3e4]),
+    ("/**", "actuator.response.denominator", [1.0, 200.0, 3e4]),
+    ("/**", "actuator.response.dead_time", 0.002),
+)
+
+
+def test_a_servo_goes_on_from_where_it_is_and_stays_there():
+    limit = ("/**", "limits.displacement", 0.006)
+    planned, stepped = (moving_rig(*SERVO, limit, size=0.005) for _ in range(2))
+    last = stepped.simulation.state.asked.copy()
+    plan = 0.003 * np.linspace(0.1, 1.0, 20)[:, np.newaxis]
+    stopped = planned.stop(plan, np.array([-0.002]))
+    peak = 0.0
+    for command in np.minimum(plan + last + 0.002, 0.006):
+        stepped.step(command)
         peak = max(peak, abs(stepped.simulation.sample[3, 0]))
     assert stopped.peak_force == max(peak, stepped.stop().peak_force)
     np.testing.assert_array_equal(planned.simulation.sample, stepped.simulation.sample)
