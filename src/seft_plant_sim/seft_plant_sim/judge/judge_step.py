@@ -8,11 +8,13 @@ k_oil and lambda are those of the oil, and dt is h::
     v = v1 + h (a + a1) / 2                                                                (2)
     f = f1 + k_oil (h w - h (v + v1) / 2 + h^2 (a - a1) / 12) - h lambda f1                (3)
         or 2 f1 - f2 if the oil is not known; nothing if a servo imposes the motion
-    r = 2 r1 - r2                                                                          (4)
+    r = r1 + g (r1 - r2)                                                                   (4)
 
 in short L y = D y1 + ... + u, where the covariance of u is the diagonal Q: what the relations leave
 out. Of a measured sample z = y + noise + wrong, the residuals e = L z - D y1 - ... have the
-covariance S = Q + L R L' + D P D', with the variances R of the noise and P of the last values.
+covariance S = Q + L R L' + D P D', with the variances R of the noise and P of the last values. The
+part g of the last change of r that goes on is its recent mean square over that with its noise (an
+estimate of least squares). A velocity that is derived is one with its displacement.
 
 The judge weighs `hypotheses`. Histories that remain likely live on in branches with states of their
 own, and the next samples decide: what was wrongly accepted is repaired, `REVISED` samples later at
