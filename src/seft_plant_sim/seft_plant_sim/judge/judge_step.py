@@ -456,6 +456,8 @@ def publish(state: JudgeState, step: int, i: int, judged: Floats) -> None:
     for age in range(1 + REVISED):  # the present sample takes the place of the oldest one
         place, now = place_of_age(state, age), b.wrong[age] & ANY_CHANNEL
         was = state.replaced[place, i]
+        if now == was:
+            continue  # as nearly always
         if age > 0 and now & ~was:
             state.used[0] = step - age
         for row in range(4):
