@@ -474,9 +474,10 @@ def widen(
 def sharpen(q: int, taken: Floats, left: Floats, gain: Floats, p: Floats) -> None:
     """Take what a sample tells out of a covariance, P += taken left' - gain taken'."""
     for i in range(q):
-        one, all_of_it = taken[i], gain[i]
-        for k in range(0, q, 4):
-            p[i, k] += one * left[k] - all_of_it * taken[k]
-            p[i, k + 1] += one * left[k + 1] - all_of_it * taken[k + 1]
-            p[i, k + 2] += one * left[k + 2] - all_of_it * taken[k + 2]
-            p[i, k + 3] += one * left[k + 3] - all_of_it * taken[k + 3]
+        own, row = taken[i], gain[i]
+        for k in range(0, q, 4):  # all four before the first is stored: it might be one of these
+            one = p[i, k] + (own * left[k] - row * taken[k])
+            two = p[i, k + 1] + (own * left[k + 1] - row * taken[k + 1])
+            three = p[i, k + 2] + (own * left[k + 2] - row * taken[k + 2])
+            four = p[i, k + 3] + (own * left[k + 3] - row * taken[k + 3])
+            p[i, k], p[i, k + 1], p[i, k + 2], p[i, k + 3] = one, two, three, four
